@@ -1,0 +1,46 @@
+//! The `.tcgs` file: container, entropy coding, encode, decode, inspect. No GPU, no tokio, only `domain`.
+
+use serde::{Deserialize, Serialize};
+
+use crate::domain::{AnchorScene, Background, ByteCounts, Digest};
+
+/// What the file says about how it was made.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Program and version.
+    pub generator: String,
+    /// Digest of the dataset.
+    pub dataset: Option<Digest>,
+    /// Adapter that trained.
+    pub adapter: Option<String>,
+    /// Training options as JSON.
+    pub settings: serde_json::Value,
+}
+
+/// How finely attributes are quantised.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EncodeSettings {
+    /// Background that the scene was trained on.
+    pub background: Background,
+    /// Step of features (published 1).
+    pub feature_step: f32,
+    /// Step of linear scalings, as a fraction of the voxel size.
+    pub scaling_step: f32,
+    /// Step of offsets (published 0.2).
+    pub offset_step: f32,
+    /// Stored in the manifest.
+    pub provenance: Provenance,
+}
+
+/// A written file with what a decoder will see in it.
+#[derive(Debug, Clone)]
+pub struct Encoded {
+    /// The file.
+    pub bytes: Vec<u8>,
+    /// Exactly what [`decode`] returns for `bytes`.
+    pub scene: AnchorScene,
+    /// SHA-256 of the decoded attributes.
+    pub decode_sha256: Digest,
+    /// Where the bytes went.
+    pub byte_counts: ByteCounts,
+}

@@ -1,0 +1,173 @@
+//! The trained scene on the host: anchors on an integer lattice, their attributes, and the three render networks.
+//!
+//! All per-anchor arrays are anchor-major with the lengths that [`AnchorScene::check`] demands. Scalings are held
+//! linear (the exponential of the trained logarithm), as the codec quantises them (method.md §3.1).
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// Extra inputs that every render network gets beside the anchor feature: the unit view direction and the distance.
+pub const VIEW_INPUTS: usize = 4;
+
+/// Values per anchor in `scalings`: three scale the offsets, three are the base size of its Gaussians.
+pub const SCALINGS_PER_ANCHOR: usize = 6;
+
+/// The lattice that anchor positions live on: `position = cell * voxel + origin`, per axis.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Lattice {
+    /// Edge length of a cell in world units.
+    pub voxel: f32,
+    /// World position of cell (0, 0, 0).
+    pub origin: [f32; 3],
+}
+
+impl Lattice {
+    /// World position of a cell: one f32 multiply, then one f32 add, per axis.
+    #[must_use]
+    pub fn position(&self, cell: [i32; 3]) -> [f32; 3] {
+        std::array::from_fn(|axis| cell[axis] as f32 * self.voxel + self.origin[axis])
+    }
+}
+
+/// A dense layer: `y = W x + b`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DenseLayer {
+    /// Input width.
+    pub inputs: usize,
+    /// Output width.
+    pub outputs: usize,
+    /// Row-major weights, `outputs` rows of `inputs`.
+    pub weights: Vec<f32>,
+    /// Bias, `outputs` long.
+    pub bias: Vec<f32>,
+}
+
+/// Dense layers with ReLU between them; the last layer is linear, its activation belongs to the user of the output.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Mlp {
+    /// The layers, first to last.
+    pub layers: Vec<DenseLayer>,
+}
+
+/// The networks that turn an anchor feature and a view into neural Gaussians (method.md §1.3).
+///
+/// Each takes `[feature, view direction (3), distance (1)]`; hidden width equals the feature width.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RenderNetworks {
+    /// Outputs one opacity an offset, through tanh.
+    pub opacity: Mlp,
+    /// Outputs seven values an offset: three scale logits (through the logistic) and a raw quaternion (w, x, y, z).
+    pub covariance: Mlp,
+    /// Outputs RGB an offset, through the logistic.
+    pub color: Mlp,
+}
+
+/// A scene of anchors, ready to be encoded or rendered.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnchorScene {
+    /// Where cells are in the world.
+    pub lattice: Lattice,
+    /// Integer cell of each anchor; no cell twice.
+    pub cells: Vec<[i32; 3]>,
+    /// Width F of a feature.
+    pub feature_dim: usize,
+    /// Offsets K an anchor.
+    pub offsets_per_anchor: usize,
+    /// `[N][F]` features.
+    pub features: Vec<f32>,
+    /// `[N][6]` linear scalings, positive.
+    pub scalings: Vec<f32>,
+    /// `[N][K][3]` offsets in units of the first three scalings.
+    pub offsets: Vec<f32>,
+    /// `[N][K]`, true where the offset makes a Gaussian.
+    pub masks: Vec<bool>,
+    /// The render networks.
+    pub networks: RenderNetworks,
+}
+
+/// An [`AnchorScene`] whose parts do not fit together.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error("inconsistent scene: {0}")]
+pub struct SceneShapeError(pub String);
+
+impl AnchorScene {
+    /// Number of anchors.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.cells.len()
+    }
+
+    /// Whether there is no anchor.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.cells.is_empty()
+    }
+
+    /// Offsets that make a Gaussian, an upper bound on the Gaussians of any view.
+    #[must_use]
+    pub fn gaussians(&self) -> usize {
+        self.masks.iter().filter(|kept| **kept).count()
+    }
+
+    /// Checks lengths, widths and finiteness.
+    ///
+    /// # Errors
+    /// [`SceneShapeError`] naming the first part that does not fit.
+    pub fn check(&self) -> Result<(), SceneShapeError> {
+        let n = self.len();
+        let (f, k) = (self.feature_dim, self.offsets_per_anchor);
+        let lengths = [
+            ("features", self.features.len(), n * f),
+            ("scalings", self.scalings.len(), n * SCALINGS_PER_ANCHOR),
+            ("offsets", self.offsets.len(), n * k * 3),
+            ("masks", self.masks.len(), n * k),
+        ];
+        for (name, actual, expected) in lengths {
+            if actual != expected {
+                return Err(SceneShapeError(format!("{actual} {name} where {expected} are needed")));
+            }
+        }
+        for (name, values) in
+            [("features", &self.features), ("scalings", &self.scalings), ("offsets", &self.offsets)]
+        {
+            if let Some(index) = values.iter().position(|value| !value.is_finite()) {
+                return Err(SceneShapeError(format!("{name}[{index}] is not finite")));
+            }
+        }
+        let networks = [
+            ("opacity", &self.networks.opacity, k),
+            ("covariance", &self.networks.covariance, 7 * k),
+            ("color", &self.networks.color, 3 * k),
+        ];
+        for (name, mlp, outputs) in networks {
+            mlp.check(f + VIEW_INPUTS, outputs)
+                .map_err(|fault| SceneShapeError(format!("{name} network: {fault}")))?;
+        }
+        Ok(())
+    }
+}
+
+impl Mlp {
+    /// Number of weights and biases.
+    #[must_use]
+    pub fn parameters(&self) -> usize {
+        self.layers.iter().map(|layer| layer.weights.len() + layer.bias.len()).sum()
+    }
+
+    fn check(&self, inputs: usize, outputs: usize) -> Result<(), String> {
+        let mut width = inputs;
+        for (index, layer) in self.layers.iter().enumerate() {
+            if layer.inputs != width {
+                return Err(format!("layer {index} takes {} inputs after {width} outputs", layer.inputs));
+            }
+            if layer.weights.len() != layer.inputs * layer.outputs || layer.bias.len() != layer.outputs {
+                return Err(format!("layer {index} has the wrong number of parameters"));
+            }
+            if layer.weights.iter().chain(&layer.bias).any(|value| !value.is_finite()) {
+                return Err(format!("layer {index} has a non-finite parameter"));
+            }
+            width = layer.outputs;
+        }
+        if width == outputs { Ok(()) } else { Err(format!("{width} outputs where {outputs} are needed")) }
+    }
+}

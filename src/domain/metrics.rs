@@ -1,0 +1,86 @@
+//! The figures of a finished job, shaped as the API gives them.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Background, Digest};
+
+/// Image quality over a set of views, from 8-bit images: the mean over views of each view's figure.
+///
+/// PSNR pools the squared error over a view's three channels; SSIM uses an 11x11 Gaussian window (sigma 1.5)
+/// with zero padding (method.md §1.1, §1.5).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Scores {
+    /// dB, or null without views.
+    pub psnr: Option<f64>,
+    /// Structural similarity, or null without views.
+    pub ssim: Option<f64>,
+    /// Perceptual distance; null unless network weights are supplied.
+    pub lpips: Option<f64>,
+    /// How many views were measured.
+    pub views: usize,
+}
+
+/// Where the bytes of the file go; the parts add up to `total`.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ByteCounts {
+    /// The whole file.
+    pub total: u64,
+    /// Anchor cells.
+    pub positions: u64,
+    /// Render networks.
+    pub networks: u64,
+    /// Context planes.
+    pub planes: u64,
+    /// Offset masks.
+    pub masks: u64,
+    /// Anchor features.
+    pub features: u64,
+    /// Anchor scalings.
+    pub scalings: u64,
+    /// Offsets.
+    pub offsets: u64,
+    /// Everything else: header, section table, manifest, checksums.
+    pub container: u64,
+}
+
+/// Wall-clock seconds by phase.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct PhaseSeconds {
+    /// Reading and checking the dataset.
+    pub ingest: f64,
+    /// Training.
+    pub train: f64,
+    /// Encoding.
+    pub encode: f64,
+    /// Decoding.
+    pub decode: f64,
+}
+
+/// All figures of a finished job.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JobMetrics {
+    /// Held-out views of the DECODED file.
+    pub test: Scores,
+    /// Training views of the decoded file (a sample of them, see `views`).
+    pub train: Scores,
+    /// Bytes by section.
+    pub bytes: ByteCounts,
+    /// Seconds by phase.
+    pub seconds: PhaseSeconds,
+    /// Training steps.
+    pub steps: u64,
+    /// Training steps a second, over the whole training phase.
+    pub steps_per_second: f64,
+    /// Anchors in the file.
+    pub anchors: u64,
+    /// Offsets in the file that make a Gaussian.
+    pub gaussians: u64,
+    /// Held-out PSNR of the scene before it was quantised.
+    pub psnr_before_quantisation: Option<f64>,
+    /// SHA-256 of the decoded attributes.
+    pub decode_sha256: Digest,
+    /// Adapter and driver that trained.
+    pub adapter: String,
+    /// Background that renders and images were composited on.
+    pub background: Background,
+}

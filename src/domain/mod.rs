@@ -1,0 +1,29 @@
+//! The vocabulary of the project: cameras, frames, anchors, options, jobs, metrics, time.
+//!
+//! Nothing here does I/O, draws random numbers or reads a clock by itself. Constructors refuse values that the
+//! rest of the program must never meet (non-finite poses, zero focal lengths, empty images), so every other
+//! layer may rely on them.
+
+pub mod anchors;
+pub mod camera;
+pub mod clock;
+pub mod digest;
+pub mod image;
+pub mod job;
+pub mod metrics;
+pub mod options;
+pub mod problem;
+pub mod progress;
+pub mod scene;
+
+pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
+pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
+pub use clock::{Clock, ManualClock, SystemClock};
+pub use digest::Digest;
+pub use image::{Image, ImageError};
+pub use job::{Event, EventKind, Job, JobId, JobState};
+pub use metrics::{ByteCounts, JobMetrics, PhaseSeconds, Scores};
+pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOptions};
+pub use problem::Problem;
+pub use progress::{CancelFlag, Phase, Progress};
+pub use scene::{Dataset, Frame, Layout, PointCloud, Split};

@@ -1,0 +1,145 @@
+//! A posed image set: frames with their cameras and pixels, an optional point cloud, and the hold-out rule.
+//!
+//! In a [`Dataset`] every frame's image has exactly its camera's size, names are unique, frames are sorted by
+//! name within their split, and at least one frame is for training.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Camera, Digest, Image};
+
+/// Every how many images, by name, one is held out where the layout has no test split (method.md §1.1).
+pub const HOLD_OUT_EVERY: usize = 8;
+
+/// How the files of a dataset are laid out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Layout {
+    /// `transforms_{train,val,test}.json`, OpenGL camera-to-world, `camera_angle_x`.
+    Blender,
+    /// One `transforms.json` (nerfstudio, instant-ngp).
+    Nerfstudio,
+    /// `sparse/0` with cameras, images and points3D, binary or text.
+    Colmap,
+}
+
+impl fmt::Display for Layout {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Layout::Blender => "blender",
+            Layout::Nerfstudio => "nerfstudio",
+            Layout::Colmap => "colmap",
+        })
+    }
+}
+
+/// What a frame is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Split {
+    /// Trained on.
+    Train,
+    /// Held out: the reported metrics are measured here.
+    Test,
+}
+
+/// One posed photograph.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// The image's name as the layout states it, without a leading `./`: `test/r_0`, `images/0001.jpg`, `IMG_7.jpg`.
+    pub name: String,
+    /// The undistorted pinhole camera.
+    pub camera: Camera,
+    /// Pixels of exactly the camera's size.
+    pub image: Image,
+    /// Train or test.
+    pub split: Split,
+}
+
+/// Structure-from-motion points in the frames' world.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PointCloud {
+    /// World positions.
+    pub positions: Vec<[f32; 3]>,
+    /// sRGB colours, as many as positions.
+    pub colors: Vec<[u8; 3]>,
+}
+
+/// A dataset that passed every check.
+#[derive(Debug, Clone)]
+pub struct Dataset {
+    /// Which reader produced it.
+    pub layout: Layout,
+    /// Train and test frames.
+    pub frames: Vec<Frame>,
+    /// The point cloud, absent for Blender sets.
+    pub points: Option<PointCloud>,
+    /// SHA-256 over the content that was read (names and bytes in name order), independent of zip or directory.
+    pub digest: Digest,
+    /// Things a user should know that did not stop the job ("3 images are not listed in transforms.json").
+    pub notes: Vec<String>,
+}
+
+impl Dataset {
+    /// Frames of one split, in order.
+    pub fn split(&self, split: Split) -> impl Iterator<Item = &Frame> {
+        self.frames.iter().filter(move |frame| frame.split == split)
+    }
+
+    /// The frame that a user means by `name`: the exact name, else the name without its extension, else a
+    /// unique file stem.
+    #[must_use]
+    pub fn find_frame(&self, name: &str) -> Option<&Frame> {
+        let names: Vec<&str> = self.frames.iter().map(|frame| frame.name.as_str()).collect();
+        find_name(&names, name).map(|index| &self.frames[index])
+    }
+}
+
+/// The index of the entry of `names` that `wanted` means: the exact name, else equal without extensions,
+/// else the only one with that file stem.
+#[must_use]
+pub fn find_name(names: &[&str], wanted: &str) -> Option<usize> {
+    let wanted = wanted.trim_start_matches("./");
+    if let Some(exact) = names.iter().position(|name| *name == wanted) {
+        return Some(exact);
+    }
+    let bare = without_extension(wanted);
+    if let Some(same) = names.iter().position(|name| without_extension(name) == bare) {
+        return Some(same);
+    }
+    let mut by_stem = names.iter().enumerate().filter(|(_, name)| stem(name) == bare);
+    match (by_stem.next(), by_stem.next()) {
+        (Some((index, _)), None) => Some(index),
+        _ => None,
+    }
+}
+
+fn without_extension(name: &str) -> &str {
+    let file_start = name.rfind('/').map_or(0, |slash| slash + 1);
+    match name[file_start..].rfind('.') {
+        Some(dot) if dot > 0 => &name[..file_start + dot],
+        _ => name,
+    }
+}
+
+fn stem(name: &str) -> &str {
+    let bare = without_extension(name);
+    bare.rfind('/').map_or(bare, |slash| &bare[slash + 1..])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_found_by_name_bare_name_or_unique_stem() {
+        let names = ["train/r_0", "test/r_0", "images/0001.jpg"];
+        assert_eq!(find_name(&names, "test/r_0"), Some(1));
+        assert_eq!(find_name(&names, "./test/r_0.png"), Some(1));
+        assert_eq!(find_name(&names, "images/0001"), Some(2));
+        assert_eq!(find_name(&names, "0001"), Some(2));
+        assert_eq!(find_name(&names, "r_0"), None, "an ambiguous stem names nothing");
+        assert_eq!(find_name(&names, "r_9"), None);
+    }
+}

@@ -1,0 +1,18 @@
+//! `tcgs` trains anchor-based Gaussian-splatting scenes from posed photographs on any wgpu adapter,
+//! compresses them with the TC-GS method into one self-contained file, and serves the result over HTTP.
+//!
+//! The modules below are the layers, lowest first; a module may use only the layers named in
+//! `tests/it/layers.rs`, which reads every `use crate::` line and holds that table.
+
+pub mod codec;
+pub mod domain;
+pub mod eval;
+pub mod gpu;
+pub mod http;
+pub mod ingest;
+pub mod model;
+pub mod render;
+pub mod sample;
+pub mod store;
+pub mod train;
+pub mod worker;

@@ -1,0 +1,28 @@
+//! Rendering of finished scenes by camera, as the HTTP layer and the command line ask for it.
+
+use crate::domain::{AnchorScene, Background, Camera, Digest, Image, Problem};
+
+/// A scene with the background that it was trained on.
+#[derive(Debug, Clone)]
+pub struct Viewable {
+    /// The decoded scene.
+    pub scene: AnchorScene,
+    /// What is behind it.
+    pub background: Background,
+}
+
+/// Renders views of finished scenes. Implementations may keep recently used scenes by their file's digest.
+///
+/// Calls block; an asynchronous caller uses a blocking task.
+pub trait RenderViews: Send + Sync + 'static {
+    /// The view of the scene of the file `artifact` from `camera`; `load` is called if the scene is not at hand.
+    ///
+    /// # Errors
+    /// Whatever `load` refuses, or a problem of its own when the adapter fails.
+    fn render(
+        &self,
+        artifact: Digest,
+        load: &dyn Fn() -> Result<Viewable, Problem>,
+        camera: &Camera,
+    ) -> Result<Image, Problem>;
+}

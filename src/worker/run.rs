@@ -1,0 +1,55 @@
+//! What the claim loop asks of whoever carries a job out.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::domain::{Camera, CancelFlag, JobMetrics, Phase, Problem, Progress, Split, TrainOptions};
+
+/// A dataset camera, kept with the job so that views can be asked for by frame name.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NamedCamera {
+    /// Frame name.
+    pub name: String,
+    /// Train or test.
+    pub split: Split,
+    /// Its pinhole camera.
+    pub camera: Camera,
+}
+
+/// What a finished job leaves behind.
+#[derive(Debug, Clone)]
+pub struct JobOutput {
+    /// The `.tcgs` file.
+    pub file: Vec<u8>,
+    /// Its figures.
+    pub metrics: JobMetrics,
+    /// The dataset's cameras.
+    pub cameras: Vec<NamedCamera>,
+}
+
+/// Why a run ended without output.
+#[derive(Debug, Clone, PartialEq)]
+pub enum JobFailure {
+    /// The input or the options are at fault: trying again cannot help.
+    Fail(Problem),
+    /// The machine is at fault (device lost, disk full): another attempt may succeed.
+    Retry(Problem),
+    /// The cancel flag was seen.
+    Cancelled,
+}
+
+/// Carries out jobs. Calls block for as long as the job takes.
+pub trait RunJob: Send + Sync + 'static {
+    /// Runs the job on the dataset archive at `dataset`, reporting as it goes and stopping soon after `cancel`.
+    ///
+    /// # Errors
+    /// [`JobFailure`] says whether another attempt may help.
+    fn run(
+        &self,
+        dataset: &Path,
+        options: &TrainOptions,
+        report: &mut dyn FnMut(Phase, &Progress),
+        cancel: &CancelFlag,
+    ) -> Result<JobOutput, JobFailure>;
+}

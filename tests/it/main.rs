@@ -1,0 +1,3 @@
+//! All integration tests in one binary: one link, one GPU context per process.
+
+mod layers;
