@@ -110,7 +110,7 @@ mod tests {
     #[test]
     fn straight_alpha_is_composited_and_floored() {
         let image = Image::new(2, 1, 4, vec![200, 100, 0, 128, 10, 20, 30, 0]).expect("an image");
-        assert_eq!(image.over([255, 255, 255]).samples(), &[227, 176, 127, 255, 255, 255]);
+        assert_eq!(image.over([255, 255, 255]).samples(), &[227, 177, 127, 255, 255, 255]);
         assert_eq!(image.over([0, 0, 0]).samples(), &[100, 50, 0, 0, 0, 0]);
     }
 
