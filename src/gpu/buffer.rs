@@ -20,8 +20,8 @@ pub struct RawBuffer {
 
 impl Drop for RawBuffer {
     fn drop(&mut self) {
+        // The driver frees the memory once no recorded command uses it; destroying it here would spoil those commands.
         self.counter.fetch_sub(self.bytes, Ordering::Relaxed);
-        self.inner.destroy();
     }
 }
 

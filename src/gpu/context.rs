@@ -94,6 +94,12 @@ impl Context {
         (self.report.subgroups && smallest == largest && (4..=64).contains(&smallest)).then_some(smallest)
     }
 
+    /// Whether kernels run on the CPU: few lanes, and a price for each dispatch and barrier.
+    #[must_use]
+    pub fn is_software(&self) -> bool {
+        self.report.kind == "cpu"
+    }
+
     /// Bytes in live buffers of this context.
     #[must_use]
     pub fn allocated_bytes(&self) -> u64 {

@@ -10,6 +10,9 @@ mod context;
 mod error;
 mod kernel;
 mod recorder;
+mod scan;
+mod sort;
+pub mod twin;
 
 pub use adapter::{AdapterChoice, AdapterReport, report};
 pub use buffer::{Buffer, RawBuffer};
@@ -17,3 +20,5 @@ pub use context::Context;
 pub use error::GpuError;
 pub use kernel::{Kernel, KernelSource};
 pub use recorder::{Binding, Recorder};
+pub use scan::{Scan, ScanSlots};
+pub use sort::{Pairs, RadixSort};

@@ -69,6 +69,28 @@ impl<'a> Recorder<'a> {
         }
     }
 
+    /// Overwrites a buffer from its start when the recording gets there; unlike [`Context::write`], which takes effect
+    /// before anything recorded.
+    pub fn write<T: bytemuck::Pod>(&mut self, buffer: &Buffer<T>, values: &[T]) {
+        let bytes: &[u8] = bytemuck::cast_slice(values);
+        if bytes.is_empty() {
+            return;
+        }
+        let staging = self.context.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("recorded write"),
+            size: (bytes.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT),
+            usage: wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: true,
+        });
+        match staging.slice(..).get_mapped_range_mut() {
+            Ok(mut view) => view.slice(..bytes.len()).copy_from_slice(bytes),
+            // A device that is gone maps nothing; submitting reports it.
+            Err(_) => return,
+        }
+        staging.unmap();
+        self.encoder.copy_buffer_to_buffer(&staging, 0, buffer.raw(), 0, staging.size());
+    }
+
     /// Zeroes a whole buffer.
     pub fn clear<T: bytemuck::Pod>(&mut self, buffer: &Buffer<T>) {
         self.encoder.clear_buffer(buffer.raw(), 0, None);

@@ -1,0 +1,143 @@
+//! Stable least-significant-digit radix sort on the device.
+//!
+//! Each invocation owns a contiguous run of keys and its own counters, so the sort needs no subgroups, no atomics and
+//! no barriers, and its result is the same on every adapter. The count is read on the device.
+
+use std::sync::Arc;
+
+use super::{Buffer, Context, GpuError, Kernel, Recorder};
+use crate::kernel_source;
+
+#[repr(C)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct SortParams {
+    runs: u32,
+    count_index: u32,
+    capacity: u32,
+    shift: u32,
+    digits: u32,
+    unused: [u32; 3],
+}
+
+/// Keys with the values that they carry.
+#[derive(Debug, Clone)]
+pub struct Pairs {
+    /// Sorted by these.
+    pub keys: Buffer<u32>,
+    /// Carried along.
+    pub values: Buffer<u32>,
+}
+
+impl Pairs {
+    /// Room for `capacity` pairs.
+    ///
+    /// # Errors
+    /// As [`Context::buffer`].
+    pub fn new(context: &Context, capacity: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            keys: context.buffer("sort keys", capacity)?,
+            values: context.buffer("sort values", capacity)?,
+        })
+    }
+}
+
+/// A sort of up to `capacity` pairs by the low bits of their keys.
+#[derive(Debug)]
+pub struct RadixSort {
+    count: Arc<Kernel>,
+    offsets: Arc<Kernel>,
+    scatter: Arc<Kernel>,
+    passes: Vec<(Buffer<SortParams>, u32)>,
+    counters: Buffer<u32>,
+    totals: Buffer<u32>,
+    runs: u32,
+}
+
+/// Bits of each pass, lowest first: as few passes as `widest` allows, of equal width or one less.
+fn widths(bits: u32, widest: u32) -> Vec<u32> {
+    let passes = bits.div_ceil(widest);
+    (0..passes).map(|pass| bits / passes + u32::from(pass < bits % passes)).collect()
+}
+
+impl RadixSort {
+    /// Prepares a sort by the lowest `bits` bits (at most 32); `count_index` is the element of the count buffer that
+    /// says how many pairs there are.
+    ///
+    /// # Errors
+    /// As [`Context::buffer`] and [`Context::kernel`].
+    pub fn new(context: &Context, capacity: usize, bits: u32, count_index: u32) -> Result<Self, GpuError> {
+        // Software adapters have few lanes and pay for each dispatch: wide digits and few runs. Hardware wants many runs.
+        let (runs, widest) = if context.is_software() { (128, 8) } else { (1024, 4) };
+        let mut passes = Vec::new();
+        let mut shift = 0;
+        for width in widths(bits.min(32), widest) {
+            let params = SortParams {
+                runs,
+                count_index,
+                capacity: u32::try_from(capacity).unwrap_or(u32::MAX),
+                shift,
+                digits: 1 << width,
+                unused: [0; 3],
+            };
+            passes.push((context.upload("sort params", &[params])?, params.digits));
+            shift += width;
+        }
+        Ok(Self {
+            count: context.kernel(kernel_source!("sort_count"), &[])?,
+            offsets: context.kernel(kernel_source!("sort_offsets"), &[])?,
+            scatter: context.kernel(kernel_source!("sort_scatter"), &[])?,
+            passes,
+            counters: context.buffer("sort counters", (runs as usize) << widest)?,
+            totals: context.buffer("sort totals", 1 << widest)?,
+            runs,
+        })
+    }
+
+    /// Records the sort and says which of the two holds the result: `pairs`, or `spare` after an odd number of passes.
+    #[must_use]
+    pub fn record<'p>(
+        &self,
+        recorder: &mut Recorder<'_>,
+        counts: &Buffer<u32>,
+        pairs: &'p Pairs,
+        spare: &'p Pairs,
+    ) -> &'p Pairs {
+        let (mut from, mut to) = (pairs, spare);
+        let groups = self.runs.div_ceil(16);
+        for (params, digits) in &self.passes {
+            let (params, counters, totals) = (params.as_ref(), self.counters.as_ref(), self.totals.as_ref());
+            recorder.dispatch(&self.count, &[params, counts.as_ref(), from.keys.as_ref(), counters], groups);
+            recorder.dispatch(&self.offsets, &[params, counters, totals], digits.div_ceil(16));
+            recorder.dispatch(
+                &self.scatter,
+                &[
+                    params,
+                    counts.as_ref(),
+                    totals,
+                    counters,
+                    from.keys.as_ref(),
+                    from.values.as_ref(),
+                    to.keys.as_ref(),
+                    to.values.as_ref(),
+                ],
+                groups,
+            );
+            (from, to) = (to, from);
+        }
+        from
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn digits_cover_all_bits_in_as_few_passes_as_allowed() {
+        assert_eq!(widths(0, 8), Vec::<u32>::new());
+        assert_eq!(widths(6, 8), [6]);
+        assert_eq!(widths(9, 8), [5, 4]);
+        assert_eq!(widths(32, 8), [8; 4]);
+        assert_eq!(widths(32, 4), [4; 8]);
+    }
+}
