@@ -29,7 +29,10 @@ macro_rules! kernel_source {
 }
 
 /// Files that kernels import, by the path in their `#define_import_path` line, in dependency order.
-const SHARED: &[(&str, &str)] = &[];
+const SHARED: &[(&str, &str)] = &[
+    ("view", include_str!("../../shaders/shared/view.wgsl")),
+    ("splat", include_str!("../../shaders/shared/splat.wgsl")),
+];
 
 /// A compiled kernel.
 #[derive(Debug)]
@@ -101,5 +104,92 @@ impl Kernel {
         }
         let layout = pipeline.get_bind_group_layout(0);
         Ok(Self { pipeline, layout, name: source.name })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{
+        collections::BTreeMap,
+        fs,
+        path::{Path, PathBuf},
+    };
+
+    use super::*;
+
+    fn files(folder: &Path, extension: &str, into: &mut Vec<PathBuf>) {
+        for entry in fs::read_dir(folder).expect("a readable folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                files(&path, extension, into);
+            } else if path.extension().is_some_and(|found| found == extension) {
+                into.push(path);
+            }
+        }
+    }
+
+    fn kernels() -> Vec<(&'static str, &'static str)> {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");
+        let mut kernels = Vec::new();
+        for entry in fs::read_dir(folder).expect("shaders") {
+            let path = entry.expect("an entry").path();
+            if path.extension().is_some_and(|found| found == "wgsl") {
+                let name = path.file_stem().expect("a name").to_string_lossy().into_owned();
+                let text = fs::read_to_string(&path).expect("readable");
+                kernels.push((&*name.leak(), &*text.leak()));
+            }
+        }
+        kernels
+    }
+
+    #[test]
+    fn every_kernel_validates_and_is_named_as_its_file() {
+        let mut faults = Vec::new();
+        for (name, text) in kernels() {
+            let variants: &[&[(&str, u32)]] = if text.contains("SUBGROUPS") {
+                &[&[], &[("SUBGROUPS", 8)], &[("SUBGROUPS", 32)], &[("SUBGROUPS", 64)]]
+            } else {
+                &[&[]]
+            };
+            for defs in variants {
+                match compose(KernelSource { name, text }, defs) {
+                    Ok(module) => {
+                        let entries: Vec<_> = module.entry_points.iter().map(|e| e.name.clone()).collect();
+                        if entries != [name] {
+                            faults.push(format!("{name}: its entry points are {entries:?}"));
+                        }
+                    }
+                    Err(fault) => faults.push(format!("{defs:?}: {fault}")),
+                }
+            }
+        }
+        assert!(faults.is_empty(), "{}", faults.join("\n"));
+    }
+
+    #[test]
+    fn every_kernel_is_used_by_one_source_and_every_shared_file_is_listed() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let mut sources = Vec::new();
+        files(&root.join("src"), "rs", &mut sources);
+        let mut uses: BTreeMap<String, usize> = BTreeMap::new();
+        for source in sources {
+            let text = fs::read_to_string(source).expect("readable");
+            for (start, mark) in text.match_indices("kernel_source!(\"") {
+                let name = text[start + mark.len()..].split('"').next().expect("a name");
+                *uses.entry(name.to_owned()).or_default() += 1;
+            }
+        }
+        let expected: BTreeMap<_, _> = kernels().iter().map(|(name, _)| ((*name).to_owned(), 1)).collect();
+        assert_eq!(uses, expected);
+        let mut shared = Vec::new();
+        files(&root.join("shaders/shared"), "wgsl", &mut shared);
+        let mut shared: Vec<_> = shared
+            .iter()
+            .map(|path| path.file_stem().expect("a name").to_string_lossy().into_owned())
+            .collect();
+        let mut listed: Vec<_> = SHARED.iter().map(|(name, _)| (*name).to_owned()).collect();
+        shared.sort();
+        listed.sort();
+        assert_eq!(shared, listed);
     }
 }

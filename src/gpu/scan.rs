@@ -60,7 +60,8 @@ impl Scan {
         })
     }
 
-    /// Records `sums[i] = values[0] + ... + values[i - 1]` and the total. `counts` and `totals` must be two buffers.
+    /// Records `sums[i] = values[0] + ... + values[i - 1]` and the total.
+    /// `counts` and `totals` may be one buffer.
     pub fn record(
         &self,
         recorder: &mut Recorder<'_>,

@@ -2,4 +2,5 @@
 
 mod layers;
 mod primitives;
+mod raster_oracles;
 mod support;

@@ -1,6 +1,8 @@
 //! What several test modules share.
-
 #![allow(dead_code, unreachable_pub, reason = "a test module uses what it needs")]
 
 pub mod gpu;
+pub mod oracle;
+pub mod scene;
+pub mod sh;
 pub mod shared;

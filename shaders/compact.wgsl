@@ -1,0 +1,22 @@
+// Lists the visible Gaussians with their depths, in index order.
+
+#import tcgs::view::View
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> count: array<u32>;
+@group(0) @binding(2) var<storage, read> visible: array<u32>;
+@group(0) @binding(3) var<storage, read> places: array<u32>;
+@group(0) @binding(4) var<storage, read> depths: array<u32>;
+@group(0) @binding(5) var<storage, read_write> keys: array<u32>;
+@group(0) @binding(6) var<storage, read_write> ids: array<u32>;
+
+@compute @workgroup_size(64)
+fn compact(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let total = min(count[0], view.gaussian_capacity);
+    for (var i = id.x; i < total; i += groups.x * 64u) {
+        if visible[i] != 0u {
+            keys[places[i]] = depths[i];
+            ids[places[i]] = i;
+        }
+    }
+}

@@ -1,0 +1,48 @@
+// Writes one (tile, slot) pair for each tile that a visible Gaussian touches, nearest Gaussian first.
+
+#import tcgs::view::View
+#import tcgs::splat::{NONE, tile_bounds, touches_tile}
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> counts: array<u32>;
+@group(0) @binding(2) var<storage, read> ids: array<u32>;
+@group(0) @binding(3) var<storage, read> tiles: array<u32>;
+@group(0) @binding(4) var<storage, read> starts: array<u32>;
+@group(0) @binding(5) var<storage, read> splats: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> keys: array<u32>;
+@group(0) @binding(7) var<storage, read_write> slots: array<u32>;
+@group(0) @binding(8) var<storage, read_write> slot_ids: array<u32>;
+@group(0) @binding(9) var<storage, read_write> first_slots: array<u32>;
+
+fn put(slot: u32, tile: u32, id: u32) {
+    keys[slot] = tile;
+    slots[slot] = slot;
+    slot_ids[slot] = id;
+}
+
+@compute @workgroup_size(64)
+fn emit(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let total = min(counts[0], view.gaussian_capacity);
+    for (var i = id.x; i < total; i += groups.x * 64u) {
+        let gaussian = ids[i];
+        let place = splats[3u * gaussian];
+        let conic = splats[3u * gaussian + 1u];
+        let extent = vec2<f32>(conic.w, splats[3u * gaussian + 2u].w);
+        var slot = starts[i];
+        first_slots[gaussian] = slot;
+        // Exactly as many slots as were counted, even if this kernel rounds differently from the one that counted.
+        let end = slot + min(tiles[gaussian], view.intersection_capacity - min(slot, view.intersection_capacity));
+        let bounds = tile_bounds(place.xy, extent, view.tiles);
+        for (var y = bounds.y; y < bounds.w; y++) {
+            for (var x = bounds.x; x < bounds.z; x++) {
+                if slot < end && touches_tile(place, conic.xyz, vec2<u32>(x, y)) {
+                    put(slot, y * view.tiles.x + x, gaussian);
+                    slot += 1u;
+                }
+            }
+        }
+        for (; slot < end; slot++) {
+            put(slot, 0u, NONE);
+        }
+    }
+}

@@ -1,0 +1,34 @@
+// Sums each Gaussian's slots in order; zero where it touches no tile.
+
+#import tcgs::view::View
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> count: array<u32>;
+@group(0) @binding(2) var<storage, read> tiles: array<u32>;
+@group(0) @binding(3) var<storage, read> first_slots: array<u32>;
+@group(0) @binding(4) var<storage, read> slot_gradients: array<f32>;
+// Three vectors a Gaussian, laid out as the splats.
+@group(0) @binding(5) var<storage, read_write> v_splats: array<vec4<f32>>;
+
+@compute @workgroup_size(64)
+fn gather(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let total = min(count[0], view.gaussian_capacity);
+    for (var i = id.x; i < total; i += groups.x * 64u) {
+        var place = vec4<f32>(0.0);
+        var conic = vec4<f32>(0.0);
+        var color = vec4<f32>(0.0);
+        if tiles[i] != 0u {
+            let first = min(first_slots[i], view.intersection_capacity);
+            let end = first + min(tiles[i], view.intersection_capacity - first);
+            for (var slot = first; slot < end; slot++) {
+                let j = 9u * slot;
+                place += vec4<f32>(slot_gradients[j], slot_gradients[j + 1u], slot_gradients[j + 2u], 0.0);
+                conic += vec4<f32>(slot_gradients[j + 3u], slot_gradients[j + 4u], slot_gradients[j + 5u], 0.0);
+                color += vec4<f32>(slot_gradients[j + 6u], slot_gradients[j + 7u], slot_gradients[j + 8u], 0.0);
+            }
+        }
+        v_splats[3u * i] = place;
+        v_splats[3u * i + 1u] = conic;
+        v_splats[3u * i + 2u] = color;
+    }
+}

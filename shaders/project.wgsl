@@ -1,0 +1,111 @@
+// Projects each Gaussian onto the image and counts the tiles it touches; zero tiles means culled.
+
+#import tcgs::view::View
+#import tcgs::splat::{ALPHA_MIN, tile_bounds, touches_tile}
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> count: array<u32>;
+@group(0) @binding(2) var<storage, read> means_opacity: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> scales: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> quats: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> colors: array<vec4<f32>>;
+// Three vectors a Gaussian: place, conic, colour.
+@group(0) @binding(6) var<storage, read_write> splats: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> depths: array<u32>;
+@group(0) @binding(8) var<storage, read_write> tiles: array<u32>;
+@group(0) @binding(9) var<storage, read_write> visible: array<u32>;
+
+// By the bits, because a shader may be compiled as if there were no NaN.
+fn finite(v: vec4<f32>) -> bool {
+    return all((bitcast<vec4<u32>>(v) & vec4<u32>(0x7f800000u)) != vec4<u32>(0x7f800000u));
+}
+
+fn project_one(i: u32) -> u32 {
+    let mean_opacity = means_opacity[i];
+    let scale = scales[i].xyz;
+    let raw = quats[i];
+    let color = colors[i].xyz;
+    if !finite(mean_opacity) || !finite(vec4<f32>(scale, 0.0)) || !finite(raw) || !finite(vec4<f32>(color, 0.0)) {
+        return 0u;
+    }
+    let mean = vec4<f32>(mean_opacity.xyz, 1.0);
+    let t = vec3<f32>(dot(view.right, mean), dot(view.down, mean), dot(view.forward, mean));
+    let norm = dot(raw, raw);
+    if !(t.z > view.near) || !(norm > 1e-30) {
+        return 0u;
+    }
+    let q = raw * inverseSqrt(norm);
+    let w = q.x;
+    let v = q.yzw;
+    // Columns of the rotation, scaled.
+    let ax = scale.x * vec3<f32>(
+        1.0 - 2.0 * (v.y * v.y + v.z * v.z),
+        2.0 * (v.x * v.y + w * v.z),
+        2.0 * (v.x * v.z - w * v.y),
+    );
+    let ay = scale.y * vec3<f32>(
+        2.0 * (v.x * v.y - w * v.z),
+        1.0 - 2.0 * (v.x * v.x + v.z * v.z),
+        2.0 * (v.y * v.z + w * v.x),
+    );
+    let az = scale.z * vec3<f32>(
+        2.0 * (v.x * v.z + w * v.y),
+        2.0 * (v.y * v.z - w * v.x),
+        1.0 - 2.0 * (v.x * v.x + v.y * v.y),
+    );
+    let rz = 1.0 / t.z;
+    let slope = clamp(t.xy * rz, view.slope_low, view.slope_high);
+    let row_u = view.focal.x * rz * (view.right.xyz - slope.x * view.forward.xyz);
+    let row_v = view.focal.y * rz * (view.down.xyz - slope.y * view.forward.xyz);
+    let nu = vec3<f32>(dot(row_u, ax), dot(row_u, ay), dot(row_u, az));
+    let nv = vec3<f32>(dot(row_v, ax), dot(row_v, ay), dot(row_v, az));
+    // The determinant of N N^T as a sum of squares: no cancellation, however thin the Gaussian.
+    let normal = cross(nu, nv);
+    let sharp = dot(normal, normal);
+    let trace = dot(nu, nu) + dot(nv, nv);
+    let a = dot(nu, nu) + view.low_pass;
+    let b = dot(nu, nv);
+    let c = dot(nv, nv) + view.low_pass;
+    let determinant = sharp + view.low_pass * (trace + view.low_pass);
+    if !(determinant > 0.0) {
+        return 0u;
+    }
+    var opacity = mean_opacity.w;
+    if view.antialiased != 0u {
+        opacity *= sqrt(max(0.005 * 0.005, sharp / determinant));
+    }
+    if !(opacity >= ALPHA_MIN) {
+        return 0u;
+    }
+    let level = log(255.0 * opacity);
+    let center = view.focal * t.xy * rz + view.center;
+    let extent = sqrt(2.0 * max(level, 0.0) * vec2<f32>(a, c)) * 1.001 + 0.05;
+    let place = vec4<f32>(center, opacity, level);
+    let conic = vec3<f32>(c, -b, a) / determinant;
+    if !finite(place) || !finite(vec4<f32>(conic, extent.x)) || !finite(vec4<f32>(extent.y, rz, 0.0, 0.0))
+        || !(conic.x > 0.0) || !(conic.z > 0.0) {
+        return 0u;
+    }
+    let bounds = tile_bounds(center, extent, view.tiles);
+    var touched = 0u;
+    for (var y = bounds.y; y < bounds.w; y++) {
+        for (var x = bounds.x; x < bounds.z; x++) {
+            touched += u32(touches_tile(place, conic, vec2<u32>(x, y)));
+        }
+    }
+    splats[3u * i] = place;
+    splats[3u * i + 1u] = vec4<f32>(conic, extent.x);
+    splats[3u * i + 2u] = vec4<f32>(color, extent.y);
+    depths[i] = bitcast<u32>(t.z);
+    return touched;
+}
+
+@compute @workgroup_size(64)
+fn project(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let total = min(count[0], view.gaussian_capacity);
+    for (var i = id.x; i < total; i += groups.x * 64u) {
+        let touched = project_one(i);
+        tiles[i] = touched;
+        visible[i] = u32(touched > 0u);
+    }
+}

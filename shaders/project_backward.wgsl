@@ -1,0 +1,129 @@
+// Gradients of the Gaussians from those of their projections; zero where culled.
+
+#import tcgs::view::View
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> count: array<u32>;
+@group(0) @binding(2) var<storage, read> means_opacity: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> scales: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> quats: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> tiles: array<u32>;
+@group(0) @binding(6) var<storage, read> v_splats: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> v_means_opacity: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read_write> v_scales: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read_write> v_quats: array<vec4<f32>>;
+@group(0) @binding(10) var<storage, read_write> v_colors: array<vec4<f32>>;
+@group(0) @binding(11) var<storage, read_write> v_means_image: array<vec4<f32>>;
+
+fn clear(i: u32) {
+    v_means_opacity[i] = vec4<f32>(0.0);
+    v_scales[i] = vec4<f32>(0.0);
+    v_quats[i] = vec4<f32>(0.0);
+    v_colors[i] = vec4<f32>(0.0);
+    v_means_image[i] = vec4<f32>(0.0);
+}
+
+fn project_one_backward(i: u32) {
+    let mean = vec4<f32>(means_opacity[i].xyz, 1.0);
+    let opacity = means_opacity[i].w;
+    let scale = scales[i].xyz;
+    let raw = quats[i];
+    let v_place = v_splats[3u * i];
+    let v_conic = v_splats[3u * i + 1u].xyz;
+    let v_color = v_splats[3u * i + 2u];
+
+    // The projection again, as in the forward kernel.
+    let t = vec3<f32>(dot(view.right, mean), dot(view.down, mean), dot(view.forward, mean));
+    let inverse_norm = inverseSqrt(dot(raw, raw));
+    let q = raw * inverse_norm;
+    let w = q.x;
+    let v = q.yzw;
+    let rx = vec3<f32>(1.0 - 2.0 * (v.y * v.y + v.z * v.z), 2.0 * (v.x * v.y + w * v.z), 2.0 * (v.x * v.z - w * v.y));
+    let ry = vec3<f32>(2.0 * (v.x * v.y - w * v.z), 1.0 - 2.0 * (v.x * v.x + v.z * v.z), 2.0 * (v.y * v.z + w * v.x));
+    let rr = vec3<f32>(2.0 * (v.x * v.z + w * v.y), 2.0 * (v.y * v.z - w * v.x), 1.0 - 2.0 * (v.x * v.x + v.y * v.y));
+    let rz = 1.0 / t.z;
+    let slope = clamp(t.xy * rz, view.slope_low, view.slope_high);
+    let free = slope == t.xy * rz;
+    let row_u = view.focal.x * rz * (view.right.xyz - slope.x * view.forward.xyz);
+    let row_v = view.focal.y * rz * (view.down.xyz - slope.y * view.forward.xyz);
+    let nu = scale * vec3<f32>(dot(row_u, rx), dot(row_u, ry), dot(row_u, rr));
+    let nv = scale * vec3<f32>(dot(row_v, rx), dot(row_v, ry), dot(row_v, rr));
+    let normal = cross(nu, nv);
+    let sharp = dot(normal, normal);
+    let a = dot(nu, nu) + view.low_pass;
+    let b = dot(nu, nv);
+    let c = dot(nv, nv) + view.low_pass;
+    let determinant = sharp + view.low_pass * (dot(nu, nu) + dot(nv, nv) + view.low_pass);
+    let conic = vec3<f32>(c, -b, a) / determinant;
+
+    // Covariance: dC = -K dK K, with the off-diagonal gradient counted once.
+    let half_y = 0.5 * v_conic.y;
+    let p = conic.x * v_conic.x + conic.y * half_y;
+    let r = conic.x * half_y + conic.y * v_conic.z;
+    let s = conic.y * v_conic.x + conic.z * half_y;
+    let u = conic.y * half_y + conic.z * v_conic.z;
+    var v_a = -(p * conic.x + r * conic.y);
+    var v_b = -2.0 * (p * conic.y + r * conic.z);
+    var v_c = -(s * conic.y + u * conic.z);
+    var v_opacity = v_place.z;
+    if view.antialiased != 0u {
+        let ratio = sharp / determinant;
+        let compensation = sqrt(max(0.005 * 0.005, ratio));
+        v_opacity = v_place.z * compensation;
+        if ratio > 0.005 * 0.005 {
+            let v_ratio = v_place.z * opacity / (2.0 * compensation);
+            v_a += v_ratio * ((1.0 - ratio) * conic.x - view.low_pass / determinant);
+            v_b += v_ratio * 2.0 * (1.0 - ratio) * conic.y;
+            v_c += v_ratio * ((1.0 - ratio) * conic.z - view.low_pass / determinant);
+        }
+    }
+
+    // C = N N^T, N = [row_u; row_v] R diag(scale).
+    let v_nu = 2.0 * v_a * nu + v_b * nv;
+    let v_nv = 2.0 * v_c * nv + v_b * nu;
+    let v_ax = v_nu.x * row_u + v_nv.x * row_v;
+    let v_ay = v_nu.y * row_u + v_nv.y * row_v;
+    let v_az = v_nu.z * row_u + v_nv.z * row_v;
+    let v_scale = vec3<f32>(dot(rx, v_ax), dot(ry, v_ay), dot(rr, v_az));
+    let dx = scale.x * v_ax;
+    let dy = scale.y * v_ay;
+    let dz = scale.z * v_az;
+    let twist = vec3<f32>(dy.z - dz.y, dz.x - dx.z, dx.y - dy.x);
+    let v_q = 2.0 * vec4<f32>(
+        dot(v, twist),
+        v.y * (dx.y + dy.x) + v.z * (dz.x + dx.z) + w * twist.x - 2.0 * v.x * (dy.y + dz.z),
+        v.x * (dx.y + dy.x) + w * twist.y + v.z * (dy.z + dz.y) - 2.0 * v.y * (dx.x + dz.z),
+        w * twist.z + v.x * (dz.x + dx.z) + v.y * (dy.z + dz.y) - 2.0 * v.z * (dx.x + dy.y),
+    );
+    let v_raw = (v_q - q * dot(q, v_q)) * inverse_norm;
+
+    // Rows: row_u = (f/z) (right - slope forward), and the projected centre.
+    let v_row_u = v_nu.x * scale.x * rx + v_nu.y * scale.y * ry + v_nu.z * scale.z * rr;
+    let v_row_v = v_nv.x * scale.x * rx + v_nv.y * scale.y * ry + v_nv.z * scale.z * rr;
+    let along = vec2<f32>(dot(v_row_u, view.right.xyz), dot(v_row_v, view.down.xyz));
+    let depth = vec2<f32>(dot(v_row_u, view.forward.xyz), dot(v_row_v, view.forward.xyz));
+    let scale_z = view.focal * rz * rz;
+    let v_center = v_place.xy;
+    let v_xy = view.focal * rz * v_center - select(vec2<f32>(0.0), scale_z * depth, free);
+    let curve = select(vec2<f32>(1.0), vec2<f32>(2.0), free) * slope * depth;
+    let v_z = dot(scale_z, curve - along - t.xy * v_center);
+    let v_mean = v_xy.x * view.right.xyz + v_xy.y * view.down.xyz + v_z * view.forward.xyz;
+
+    v_means_opacity[i] = vec4<f32>(v_mean, v_opacity);
+    v_scales[i] = vec4<f32>(v_scale, 0.0);
+    v_quats[i] = v_raw;
+    v_colors[i] = v_color;
+    v_means_image[i] = vec4<f32>(v_center, f32(tiles[i]), 0.0);
+}
+
+@compute @workgroup_size(64)
+fn project_backward(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let total = min(count[0], view.gaussian_capacity);
+    for (var i = id.x; i < view.gaussian_capacity; i += groups.x * 64u) {
+        if i < total && tiles[i] != 0u {
+            project_one_backward(i);
+        } else {
+            clear(i);
+        }
+    }
+}

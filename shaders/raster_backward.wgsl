@@ -1,0 +1,290 @@
+// Gradients of each (Gaussian, tile) intersection: one workgroup walks one tile's list front to back, eight Gaussians at
+// a time, and writes each intersection's sums once, so the result does not depend on scheduling.
+//
+// Lanes stand for pixels; a block of as many pixels as there are lanes is visited at a time and skipped if none of the
+// eight Gaussians reaches it. Each lane keeps eight private sums, which are added over the lanes once per eight Gaussians.
+
+#import tcgs::view::{TILE, View, tile_pixel}
+#import tcgs::splat::{ALPHA_MAX, ALPHA_MIN, NONE, power_at, touches}
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
+@group(0) @binding(2) var<storage, read> list: array<u32>;
+@group(0) @binding(3) var<storage, read> slots: array<u32>;
+@group(0) @binding(4) var<storage, read> splats: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> image: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> last: array<u32>;
+@group(0) @binding(7) var<storage, read> v_image: array<vec4<f32>>;
+// Nine numbers a slot: centre (2), opacity, conic (3), colour (3).
+@group(0) @binding(8) var<storage, read_write> slot_gradients: array<f32>;
+
+#ifdef SUBGROUPS
+const LANES: u32 = #{SUBGROUPS}u;
+#else
+const LANES: u32 = 32u;
+#endif
+const CHUNK: u32 = 8u;
+const PIXELS: u32 = TILE * TILE;
+
+// State of every pixel of the tile between chunks; a lane meets only its own entries.
+var<workgroup> transmittances: array<f32, PIXELS>;
+var<workgroup> remainders: array<f32, PIXELS>;
+var<workgroup> lasts: array<u32, PIXELS>;
+var<workgroup> weights: array<vec4<f32>, PIXELS>;
+
+struct Stage {
+    place: vec4<f32>,
+    conic: vec4<f32>,
+    color: vec4<f32>,
+}
+
+struct Pixel {
+    center: vec2<f32>,
+    // dL/d(r, g, b, alpha).
+    weight: vec4<f32>,
+    last: u32,
+    transmittance: f32,
+    // What the Gaussians from here on and the background contribute to the loss's differential.
+    remainder: f32,
+}
+
+struct Gradient {
+    // Centre (xy), opacity (z), first conic entry (w).
+    a: vec4<f32>,
+    // Other conic entries (xy), red and green (zw).
+    b: vec4<f32>,
+    // Blue.
+    c: f32,
+}
+
+#ifdef SUBGROUPS
+fn fetch(stage: Stage, k: u32) -> Stage {
+    return Stage(
+        subgroupShuffle(stage.place, k),
+        subgroupShuffle(stage.conic, k),
+        subgroupShuffle(stage.color, k),
+    );
+}
+#else
+var<workgroup> stages: array<Stage, CHUNK>;
+var<workgroup> tile_last: atomic<u32>;
+var<workgroup> partial: array<vec4<f32>, LANES>;
+
+fn fetch(stage: Stage, k: u32) -> Stage {
+    return stages[k];
+}
+#endif
+
+fn visit(k: u32, mask: u32, base: u32, stage: Stage, pixel: ptr<function, Pixel>, gradient: ptr<function, Gradient>) {
+    if (mask & (1u << k)) == 0u {
+        return;
+    }
+    let splat = fetch(stage, k);
+    let d = splat.place.xy - (*pixel).center;
+    let power = power_at(splat.conic.xyz, d);
+    let falloff = exp(-power);
+    let raw = splat.place.z * falloff;
+    let alpha = min(ALPHA_MAX, raw);
+    if base + k >= (*pixel).last || power < 0.0 || alpha < ALPHA_MIN {
+        return;
+    }
+    let weight = alpha * (*pixel).transmittance;
+    let value = dot((*pixel).weight, vec4<f32>(splat.color.xyz, 1.0));
+    (*pixel).remainder -= weight * value;
+    let v_alpha = (*pixel).transmittance * value - (*pixel).remainder / (1.0 - alpha);
+    (*pixel).transmittance *= 1.0 - alpha;
+    let v_raw = select(v_alpha, 0.0, raw > ALPHA_MAX);
+    let v_power = -raw * v_raw;
+    let v_color = weight * (*pixel).weight.xyz;
+    let v_center = v_power * vec2<f32>(dot(splat.conic.xy, d), dot(splat.conic.yz, d));
+    (*gradient).a += vec4<f32>(v_center, falloff * v_raw, 0.5 * d.x * d.x * v_power);
+    (*gradient).b += vec4<f32>(d.x * d.y * v_power, 0.5 * d.y * d.y * v_power, v_color.xy);
+    (*gradient).c += v_color.z;
+}
+
+fn store(slot: u32, a: vec4<f32>, b: vec4<f32>, c: f32) {
+    let i = 9u * slot;
+    slot_gradients[i] = a.x;
+    slot_gradients[i + 1u] = a.y;
+    slot_gradients[i + 2u] = a.z;
+    slot_gradients[i + 3u] = a.w;
+    slot_gradients[i + 4u] = b.x;
+    slot_gradients[i + 5u] = b.y;
+    slot_gradients[i + 6u] = b.z;
+    slot_gradients[i + 7u] = b.w;
+    slot_gradients[i + 8u] = c;
+}
+
+#ifdef SUBGROUPS
+// Sums of eight vectors over the lanes; lane l receives the sum of the (l mod 8)-th.
+fn sum_lanes(
+    lane: u32,
+    v0: vec4<f32>, v1: vec4<f32>, v2: vec4<f32>, v3: vec4<f32>,
+    v4: vec4<f32>, v5: vec4<f32>, v6: vec4<f32>, v7: vec4<f32>,
+) -> vec4<f32> {
+    let upper = (lane & 4u) != 0u;
+    let a0 = select(v0, v4, upper) + subgroupShuffleXor(select(v4, v0, upper), 4u);
+    let a1 = select(v1, v5, upper) + subgroupShuffleXor(select(v5, v1, upper), 4u);
+    let a2 = select(v2, v6, upper) + subgroupShuffleXor(select(v6, v2, upper), 4u);
+    let a3 = select(v3, v7, upper) + subgroupShuffleXor(select(v7, v3, upper), 4u);
+    let middle = (lane & 2u) != 0u;
+    let b0 = select(a0, a2, middle) + subgroupShuffleXor(select(a2, a0, middle), 2u);
+    let b1 = select(a1, a3, middle) + subgroupShuffleXor(select(a3, a1, middle), 2u);
+    let odd = (lane & 1u) != 0u;
+    var sum = select(b0, b1, odd) + subgroupShuffleXor(select(b1, b0, odd), 1u);
+    for (var stride = 8u; stride < LANES; stride *= 2u) {
+        sum += subgroupShuffleXor(sum, stride);
+    }
+    return sum;
+}
+#else
+fn sum_one(lane: u32, k: u32, own: vec4<f32>) -> vec4<f32> {
+    workgroupBarrier();
+    partial[lane] = own;
+    workgroupBarrier();
+    var sum = vec4<f32>(0.0);
+    if lane == k {
+        for (var i = 0u; i < LANES; i++) {
+            sum += partial[i];
+        }
+    }
+    return sum;
+}
+
+fn sum_lanes(
+    lane: u32,
+    v0: vec4<f32>, v1: vec4<f32>, v2: vec4<f32>, v3: vec4<f32>,
+    v4: vec4<f32>, v5: vec4<f32>, v6: vec4<f32>, v7: vec4<f32>,
+) -> vec4<f32> {
+    var sum = sum_one(lane, 0u, v0);
+    sum += sum_one(lane, 1u, v1);
+    sum += sum_one(lane, 2u, v2);
+    sum += sum_one(lane, 3u, v3);
+    sum += sum_one(lane, 4u, v4);
+    sum += sum_one(lane, 5u, v5);
+    sum += sum_one(lane, 6u, v6);
+    sum += sum_one(lane, 7u, v7);
+    return sum;
+}
+#endif
+
+@compute @workgroup_size(LANES)
+fn raster_backward(
+    @builtin(workgroup_id) group: vec3<u32>,
+#ifdef SUBGROUPS
+    @builtin(subgroup_invocation_id) lane: u32,
+#else
+    @builtin(local_invocation_index) lane: u32,
+#endif
+) {
+    let tile = group.x + group.y * 65535u;
+    if tile >= view.tiles.x * view.tiles.y {
+        return;
+    }
+    let origin = vec2<u32>(tile % view.tiles.x, tile / view.tiles.x) * TILE;
+    let range = ranges[tile];
+    let count = range.y - range.x;
+    var furthest = 0u;
+    for (var p = lane; p < PIXELS; p += LANES) {
+        let position = origin + tile_pixel(p);
+        var weight = vec4<f32>(0.0);
+        var remainder = 0.0;
+        var taken = 0u;
+        if all(position < view.size) {
+            let i = position.y * view.size.x + position.x;
+            let seen = image[i];
+            weight = v_image[i];
+            remainder = dot(weight, vec4<f32>(seen.xyz, 1.0 - seen.w));
+            taken = last[i];
+        }
+        transmittances[p] = 1.0;
+        remainders[p] = remainder;
+        weights[p] = weight;
+        lasts[p] = taken;
+        furthest = max(furthest, taken);
+    }
+#ifdef SUBGROUPS
+    let used = subgroupMax(furthest);
+#else
+    if lane == 0u {
+        atomicStore(&tile_last, 0u);
+    }
+    workgroupBarrier();
+    atomicMax(&tile_last, furthest);
+    workgroupBarrier();
+    let used = workgroupUniformLoad(&tile_last);
+#endif
+    for (var base = 0u; base < used; base += CHUNK) {
+        let item = range.x + base + lane;
+        let owns = lane < CHUNK && item < range.y;
+        var stage = Stage(vec4<f32>(0.0), vec4<f32>(1.0), vec4<f32>(0.0));
+        var present = false;
+        if owns {
+            let id = list[item];
+            if id != NONE {
+                stage = Stage(splats[3u * id], splats[3u * id + 1u], splats[3u * id + 2u]);
+                present = true;
+            }
+        }
+#ifndef SUBGROUPS
+        workgroupBarrier();
+        if lane < CHUNK {
+            stages[lane] = stage;
+        }
+        workgroupBarrier();
+#endif
+        var g0 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
+        var g1 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
+        var g2 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
+        var g3 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
+        var g4 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
+        var g5 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
+        var g6 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
+        var g7 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
+        for (var block = 0u; block < PIXELS; block += LANES) {
+            let p = block + lane;
+#ifdef SUBGROUPS
+            let low = vec2<f32>(origin + tile_pixel(block)) + 0.5;
+            let high = vec2<f32>(origin + tile_pixel(block + LANES - 1u)) + 0.5;
+            let mask = subgroupBallot(present && touches(stage.place, stage.conic.xyz, low, high)).x;
+            if mask == 0u {
+                continue;
+            }
+            let taken = lasts[p];
+            if subgroupAll(taken <= base) {
+                continue;
+            }
+#else
+            let mask = 0xffu;
+            let taken = lasts[p];
+#endif
+            let center = vec2<f32>(origin + tile_pixel(p)) + 0.5;
+            var pixel = Pixel(center, weights[p], taken, transmittances[p], remainders[p]);
+            visit(0u, mask, base, stage, &pixel, &g0);
+            visit(1u, mask, base, stage, &pixel, &g1);
+            visit(2u, mask, base, stage, &pixel, &g2);
+            visit(3u, mask, base, stage, &pixel, &g3);
+            visit(4u, mask, base, stage, &pixel, &g4);
+            visit(5u, mask, base, stage, &pixel, &g5);
+            visit(6u, mask, base, stage, &pixel, &g6);
+            visit(7u, mask, base, stage, &pixel, &g7);
+            transmittances[p] = pixel.transmittance;
+            remainders[p] = pixel.remainder;
+        }
+        let a = sum_lanes(lane, g0.a, g1.a, g2.a, g3.a, g4.a, g5.a, g6.a, g7.a);
+        let b = sum_lanes(lane, g0.b, g1.b, g2.b, g3.b, g4.b, g5.b, g6.b, g7.b);
+        let c = sum_lanes(
+            lane,
+            vec4<f32>(g0.c), vec4<f32>(g1.c), vec4<f32>(g2.c), vec4<f32>(g3.c),
+            vec4<f32>(g4.c), vec4<f32>(g5.c), vec4<f32>(g6.c), vec4<f32>(g7.c),
+        ).x;
+        if owns {
+            store(slots[item], a, b, c);
+        }
+    }
+    // What no pixel reached has no gradient.
+    let rest = (used + CHUNK - 1u) / CHUNK * CHUNK;
+    for (var i = rest + lane; i < count; i += LANES) {
+        store(slots[range.x + i], vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
+    }
+}

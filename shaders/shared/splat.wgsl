@@ -1,0 +1,51 @@
+#define_import_path tcgs::splat
+
+// A Gaussian on the image plane. Power = 0.5 (A dx^2 + C dy^2) + B dx dy with conic = (A, B, C).
+struct Splat {
+    // Centre in pixels (xy), effective opacity (z), the power at which alpha falls below 1/255 (w).
+    place: vec4<f32>,
+    // Conic (xyz), horizontal half extent in pixels (w).
+    conic: vec4<f32>,
+    // Colour (xyz), vertical half extent in pixels (w).
+    color: vec4<f32>,
+}
+
+// Stands for no Gaussian in lists.
+const NONE: u32 = 0xffffffffu;
+const ALPHA_MIN: f32 = 1.0 / 255.0;
+const ALPHA_MAX: f32 = 0.99;
+const TRANSMITTANCE_MIN: f32 = 1e-4;
+// Added to the level by the tests against rectangles, so that rounding never loses a pixel.
+const LEVEL_SLACK: f32 = 0.01;
+
+fn power_at(conic: vec3<f32>, d: vec2<f32>) -> f32 {
+    return 0.5 * (conic.x * d.x * d.x + conic.z * d.y * d.y) + conic.y * d.x * d.y;
+}
+
+// Whether the splat reaches alpha 1/255 anywhere in the rectangle of pixel centres from `low` to `high`: the least
+// power in a rectangle lies at the centre or on an edge that faces it.
+fn touches(place: vec4<f32>, conic: vec3<f32>, low: vec2<f32>, high: vec2<f32>) -> bool {
+    let near = low - place.xy;
+    let far = high - place.xy;
+    let nearest = clamp(vec2<f32>(0.0), near, far);
+    let along_y = clamp(-conic.y * nearest.x / conic.z, near.y, far.y);
+    let along_x = clamp(-conic.y * nearest.y / conic.x, near.x, far.x);
+    let least = min(
+        power_at(conic, vec2<f32>(nearest.x, along_y)),
+        power_at(conic, vec2<f32>(along_x, nearest.y)),
+    );
+    return least <= place.w + LEVEL_SLACK;
+}
+
+// Tiles [first, end) in both directions that the extents reach.
+fn tile_bounds(place: vec2<f32>, extent: vec2<f32>, tiles: vec2<u32>) -> vec4<u32> {
+    let limit = vec2<f32>(tiles);
+    let first = clamp(ceil((place - extent - 15.5) / 16.0), vec2<f32>(0.0), limit);
+    let end = clamp(floor((place + extent - 0.5) / 16.0) + 1.0, vec2<f32>(0.0), limit);
+    return vec4<u32>(vec2<u32>(first), vec2<u32>(max(first, end)));
+}
+
+fn touches_tile(place: vec4<f32>, conic: vec3<f32>, tile: vec2<u32>) -> bool {
+    let low = vec2<f32>(tile * 16u) + 0.5;
+    return touches(place, conic, low, low + 15.0);
+}

@@ -1,0 +1,513 @@
+//! The rasteriser: from Gaussians and a camera to an image, and back to gradients.
+//!
+//! What always holds: nothing is read back while recording; everything that depends on a count found on the device is
+//! bounded by that count there; the same input gives the same bits on one adapter, because every sum has a fixed order.
+//!
+//! Forward: `project` culls and counts tiles, `compact` lists the visible, a stable sort orders them by depth, `emit`
+//! writes one (tile, slot) pair for each tile that a Gaussian touches, a stable sort groups them by tile, `tile_ranges`
+//! finds the lists, `raster_forward` blends them. Backward: `raster_backward` writes one sum for each slot, `gather` adds
+//! the slots of each Gaussian, `project_backward` carries the sums through the projection.
+
+use std::sync::Arc;
+
+use super::{
+    GaussianGradients, Gaussians, RasterSettings, RenderError,
+    projection::{Projection, View},
+};
+use crate::{
+    domain::Camera,
+    gpu::{Buffer, Context, GpuError, Kernel, Pairs, RadixSort, Recorder, Scan, ScanSlots},
+    kernel_source,
+};
+
+/// Elements of the counter buffer.
+const VISIBLE: u32 = 0;
+const INTERSECTIONS: u32 = 1;
+
+/// Floats of each slot of the backward pass: centre 2, opacity, conic 3, colour 3.
+const SLOT_FLOATS: usize = 9;
+
+/// What the last forward pass met.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Counts {
+    /// Gaussians that touch a tile.
+    pub visible: u32,
+    /// Pairs of Gaussian and tile, counted on even where there was no room for them.
+    pub intersections: u32,
+    /// Whether there was no room for some of them: the image lacks them; grow and render again.
+    pub overflowed: bool,
+}
+
+#[derive(Debug)]
+struct Kernels {
+    project: Arc<Kernel>,
+    compact: Arc<Kernel>,
+    tile_counts: Arc<Kernel>,
+    emit: Arc<Kernel>,
+    tile_ranges: Arc<Kernel>,
+    raster_forward: Arc<Kernel>,
+    raster_backward: Arc<Kernel>,
+    gather: Arc<Kernel>,
+    project_backward: Arc<Kernel>,
+}
+
+impl Kernels {
+    fn new(context: &Context, subgroups: Option<u32>) -> Result<Self, GpuError> {
+        let subgroups: Vec<_> = subgroups.map(|size| ("SUBGROUPS", size)).into_iter().collect();
+        Ok(Self {
+            project: context.kernel(kernel_source!("project"), &[])?,
+            compact: context.kernel(kernel_source!("compact"), &[])?,
+            tile_counts: context.kernel(kernel_source!("tile_counts"), &[])?,
+            emit: context.kernel(kernel_source!("emit"), &[])?,
+            tile_ranges: context.kernel(kernel_source!("tile_ranges"), &[])?,
+            raster_forward: context.kernel(kernel_source!("raster_forward"), &subgroups)?,
+            raster_backward: context.kernel(kernel_source!("raster_backward"), &subgroups)?,
+            gather: context.kernel(kernel_source!("gather"), &[])?,
+            project_backward: context.kernel(kernel_source!("project_backward"), &[])?,
+        })
+    }
+}
+
+/// Buffers with a row for each Gaussian.
+#[derive(Debug)]
+struct PerGaussian {
+    capacity: usize,
+    splats: Buffer<[f32; 4]>,
+    v_splats: Buffer<[f32; 4]>,
+    depths: Buffer<u32>,
+    tiles: Buffer<u32>,
+    visible: Buffer<u32>,
+    places: Buffer<u32>,
+    by_depth: [Pairs; 2],
+    sorted_tiles: Buffer<u32>,
+    starts: Buffer<u32>,
+    first_slots: Buffer<u32>,
+    list_visible: Scan,
+    sort_depth: RadixSort,
+    place_slots: Scan,
+}
+
+impl PerGaussian {
+    fn new(context: &Context, capacity: usize) -> Result<Self, GpuError> {
+        // Depths are positive floats: their bits order as integers, and the sign is always clear.
+        const DEPTH_BITS: u32 = 31;
+        Ok(Self {
+            capacity,
+            splats: context.buffer("splats", 3 * capacity)?,
+            v_splats: context.buffer("gradients of splats", 3 * capacity)?,
+            depths: context.buffer("depths", capacity)?,
+            tiles: context.buffer("tiles touched", capacity)?,
+            visible: context.buffer("visible", capacity)?,
+            places: context.buffer("places among the visible", capacity)?,
+            by_depth: [Pairs::new(context, capacity)?, Pairs::new(context, capacity)?],
+            sorted_tiles: context.buffer("tiles touched by depth", capacity)?,
+            starts: context.buffer("slot starts by depth", capacity)?,
+            first_slots: context.buffer("first slots", capacity)?,
+            list_visible: Scan::new(context, capacity, ScanSlots { count: 0, total: VISIBLE })?,
+            sort_depth: RadixSort::new(context, capacity, DEPTH_BITS, VISIBLE)?,
+            place_slots: Scan::new(context, capacity, ScanSlots { count: VISIBLE, total: INTERSECTIONS })?,
+        })
+    }
+}
+
+/// Buffers with a row for each intersection of a Gaussian with a tile.
+#[derive(Debug)]
+struct PerIntersection {
+    capacity: usize,
+    tile_bits: u32,
+    by_tile: [Pairs; 2],
+    slot_ids: Buffer<u32>,
+    list: Buffer<u32>,
+    sort_tile: RadixSort,
+    gradients: Option<Buffer<f32>>,
+}
+
+impl PerIntersection {
+    fn new(context: &Context, capacity: usize, tile_bits: u32) -> Result<Self, GpuError> {
+        Ok(Self {
+            capacity,
+            tile_bits,
+            by_tile: [Pairs::new(context, capacity)?, Pairs::new(context, capacity)?],
+            slot_ids: context.buffer("slot ids", capacity)?,
+            list: context.buffer("tile lists", capacity)?,
+            sort_tile: RadixSort::new(context, capacity, tile_bits, INTERSECTIONS)?,
+            gradients: None,
+        })
+    }
+}
+
+/// Buffers with a row for each pixel or tile.
+#[derive(Debug)]
+struct PerImage {
+    size: [u32; 2],
+    tiles: u32,
+    image: Buffer<[f32; 4]>,
+    last: Buffer<u32>,
+    ranges: Buffer<[u32; 2]>,
+}
+
+impl PerImage {
+    fn new(context: &Context, projection: &Projection) -> Result<Self, GpuError> {
+        let pixels = projection.size.x as usize * projection.size.y as usize;
+        let tiles = projection.tiles().x * projection.tiles().y;
+        Ok(Self {
+            size: projection.size.to_array(),
+            tiles,
+            image: context.buffer("image", pixels)?,
+            last: context.buffer("last contributors", pixels)?,
+            ranges: context.buffer("tile ranges", tiles as usize)?,
+        })
+    }
+}
+
+/// Renders Gaussians and differentiates the rendering.
+///
+/// Its buffers are kept from call to call, so one forward pass (and the backward pass that follows) is alive at a time.
+#[derive(Debug)]
+pub struct Rasterizer {
+    context: Arc<Context>,
+    settings: RasterSettings,
+    kernels: Kernels,
+    view: Buffer<View>,
+    counters: Buffer<u32>,
+    gaussians: PerGaussian,
+    intersections: PerIntersection,
+    image: PerImage,
+    /// The camera of the last forward pass and which of the two pairs holds its slots by tile.
+    rendered: Option<(Camera, usize)>,
+}
+
+impl Rasterizer {
+    /// Prepares the kernels; buffers come with the first forward pass.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn new(context: Arc<Context>, settings: RasterSettings) -> Result<Self, RenderError> {
+        // Smaller subgroups than a chunk of the backward pass are not worth a kernel of their own.
+        let subgroups = context.subgroup_size().filter(|size| *size >= 8);
+        Self::with_subgroups(context, settings, subgroups)
+    }
+
+    /// As [`Rasterizer::new`], with the kernels that need no subgroups: for adapters whose subgroups misbehave.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn without_subgroups(context: Arc<Context>, settings: RasterSettings) -> Result<Self, RenderError> {
+        Self::with_subgroups(context, settings, None)
+    }
+
+    fn with_subgroups(
+        context: Arc<Context>,
+        settings: RasterSettings,
+        subgroups: Option<u32>,
+    ) -> Result<Self, RenderError> {
+        let kernels = Kernels::new(&context, subgroups)?;
+        Ok(Self {
+            settings,
+            kernels,
+            view: context.buffer("view", 1)?,
+            counters: context.buffer("counters", 2)?,
+            gaussians: PerGaussian::new(&context, 0)?,
+            intersections: PerIntersection::new(&context, 0, 0)?,
+            image: PerImage {
+                size: [0; 2],
+                tiles: 0,
+                image: context.buffer("image", 0)?,
+                last: context.buffer("last contributors", 0)?,
+                ranges: context.buffer("tile ranges", 0)?,
+            },
+            rendered: None,
+            context,
+        })
+    }
+
+    /// Records the rendering of `gaussians` over `background` (linear r, g, b) into [`Rasterizer::image`].
+    ///
+    /// # Errors
+    /// [`RenderError::Length`] if a column is shorter than the capacity; faults of the device.
+    pub fn forward(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        gaussians: &Gaussians,
+        camera: &Camera,
+        background: [f32; 3],
+    ) -> Result<(), RenderError> {
+        self.rendered = None;
+        check_columns(gaussians)?;
+        let projection = Projection::new(camera, &self.settings);
+        self.fit(gaussians.capacity, &projection)?;
+        let view = View::new(&projection, background, self.gaussians.capacity, self.intersections.capacity);
+        recorder.write(&self.view, &[view]);
+        self.order(recorder, gaussians);
+        let slots = self.list(recorder);
+        self.blend(recorder);
+        self.rendered = Some((*camera, slots));
+        Ok(())
+    }
+
+    /// The image of the last forward pass, row by row: red, green, blue over the background, and the transmittance left.
+    #[must_use]
+    pub fn image(&self) -> &Buffer<[f32; 4]> {
+        &self.image.image
+    }
+
+    /// Reads back what the last submitted forward pass met. Waits for the device.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn counts(&self) -> Result<Counts, RenderError> {
+        let counters = self.context.read(&self.counters)?;
+        let intersections = counters[INTERSECTIONS as usize];
+        Ok(Counts {
+            visible: counters[VISIBLE as usize],
+            intersections,
+            overflowed: intersections as usize > self.intersections.capacity,
+        })
+    }
+
+    /// Makes room for what `counts` met, and some more; record the forward pass again afterwards.
+    ///
+    /// # Errors
+    /// [`GpuError::BufferTooLarge`] where the adapter has no room; faults of the device.
+    pub fn grow(&mut self, counts: &Counts) -> Result<(), RenderError> {
+        if counts.overflowed {
+            self.rendered = None;
+            let wanted = counts.intersections as usize;
+            let tile_bits = self.intersections.tile_bits;
+            self.intersections = PerIntersection::new(&self.context, wanted + wanted / 4, tile_bits)?;
+        }
+        Ok(())
+    }
+
+    /// Records the gradients of a loss whose derivatives by the image (red, green, blue, alpha = 1 - transmittance) are
+    /// `v_image`. Follows the forward pass of the same camera and Gaussians.
+    ///
+    /// # Errors
+    /// [`RenderError::OutOfStep`] without that forward pass; [`RenderError::Length`]; faults of the device.
+    pub fn backward(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        gaussians: &Gaussians,
+        camera: &Camera,
+        v_image: &Buffer<[f32; 4]>,
+        out: &GaussianGradients,
+    ) -> Result<(), RenderError> {
+        let slots = match self.rendered {
+            Some((rendered, slots))
+                if rendered == *camera && gaussians.capacity == self.gaussians.capacity =>
+            {
+                slots
+            }
+            _ => return Err(RenderError::OutOfStep),
+        };
+        check_columns(gaussians)?;
+        check_gradients(out, gaussians.capacity)?;
+        check("the image's gradient", v_image.len(), self.image.image.len())?;
+        let slot_gradients = match &self.intersections.gradients {
+            Some(buffer) => buffer.clone(),
+            None => {
+                let len = SLOT_FLOATS * self.intersections.capacity;
+                let buffer = self.context.buffer("gradients of slots", len)?;
+                self.intersections.gradients.insert(buffer).clone()
+            }
+        };
+        let (kernels, view) = (&self.kernels, self.view.as_ref());
+        let (own, lists, image) = (&self.gaussians, &self.intersections, &self.image);
+        recorder.dispatch(
+            &kernels.raster_backward,
+            &[
+                view,
+                image.ranges.as_ref(),
+                lists.list.as_ref(),
+                lists.by_tile[slots].values.as_ref(),
+                own.splats.as_ref(),
+                image.image.as_ref(),
+                image.last.as_ref(),
+                v_image.as_ref(),
+                slot_gradients.as_ref(),
+            ],
+            image.tiles,
+        );
+        let groups = self.groups(own.capacity);
+        recorder.dispatch(
+            &kernels.gather,
+            &[
+                view,
+                gaussians.count.as_ref(),
+                own.tiles.as_ref(),
+                own.first_slots.as_ref(),
+                slot_gradients.as_ref(),
+                own.v_splats.as_ref(),
+            ],
+            groups,
+        );
+        recorder.dispatch(
+            &kernels.project_backward,
+            &[
+                view,
+                gaussians.count.as_ref(),
+                gaussians.means_opacity.as_ref(),
+                gaussians.scales.as_ref(),
+                gaussians.quats.as_ref(),
+                own.tiles.as_ref(),
+                own.v_splats.as_ref(),
+                out.means_opacity.as_ref(),
+                out.scales.as_ref(),
+                out.quats.as_ref(),
+                out.colors.as_ref(),
+                out.means2d.as_ref(),
+            ],
+            groups,
+        );
+        Ok(())
+    }
+
+    /// Makes the buffers fit; those that already do are kept.
+    fn fit(&mut self, capacity: usize, projection: &Projection) -> Result<(), GpuError> {
+        if self.gaussians.capacity != capacity {
+            self.gaussians = PerGaussian::new(&self.context, capacity)?;
+        }
+        if self.image.size != projection.size.to_array() {
+            self.image = PerImage::new(&self.context, projection)?;
+        }
+        let tile_bits = self.image.tiles.next_power_of_two().trailing_zeros();
+        // Enough for most scenes; more is asked for by `grow` and kept from then on.
+        let intersections = self.intersections.capacity.max(4 * capacity).max(1 << 14);
+        if self.intersections.capacity != intersections || self.intersections.tile_bits != tile_bits {
+            self.intersections = PerIntersection::new(&self.context, intersections, tile_bits)?;
+        }
+        Ok(())
+    }
+
+    /// Workgroups of 64 for `items`; kernels loop where there are fewer invocations than items.
+    fn groups(&self, items: usize) -> u32 {
+        let most = if self.context.is_software() { 128 } else { 4096 };
+        u32::try_from(items.div_ceil(64)).unwrap_or(most).clamp(1, most)
+    }
+
+    /// Records the projection and the ordering of the visible by depth, with the slots where each begins.
+    fn order(&self, recorder: &mut Recorder<'_>, gaussians: &Gaussians) {
+        let (kernels, view, own) = (&self.kernels, self.view.as_ref(), &self.gaussians);
+        let groups = self.groups(own.capacity);
+        recorder.dispatch(
+            &kernels.project,
+            &[
+                view,
+                gaussians.count.as_ref(),
+                gaussians.means_opacity.as_ref(),
+                gaussians.scales.as_ref(),
+                gaussians.quats.as_ref(),
+                gaussians.colors.as_ref(),
+                own.splats.as_ref(),
+                own.depths.as_ref(),
+                own.tiles.as_ref(),
+                own.visible.as_ref(),
+            ],
+            groups,
+        );
+        own.list_visible.record(recorder, &gaussians.count, &own.visible, &own.places, &self.counters);
+        let [pairs, spare] = &own.by_depth;
+        recorder.dispatch(
+            &kernels.compact,
+            &[
+                view,
+                gaussians.count.as_ref(),
+                own.visible.as_ref(),
+                own.places.as_ref(),
+                own.depths.as_ref(),
+                pairs.keys.as_ref(),
+                pairs.values.as_ref(),
+            ],
+            groups,
+        );
+        let sorted = own.sort_depth.record(recorder, &self.counters, pairs, spare);
+        recorder.dispatch(
+            &kernels.tile_counts,
+            &[
+                view,
+                self.counters.as_ref(),
+                sorted.values.as_ref(),
+                own.tiles.as_ref(),
+                own.sorted_tiles.as_ref(),
+            ],
+            groups,
+        );
+        own.place_slots.record(recorder, &self.counters, &own.sorted_tiles, &own.starts, &self.counters);
+        let [by_tile, _] = &self.intersections.by_tile;
+        recorder.dispatch(
+            &kernels.emit,
+            &[
+                view,
+                self.counters.as_ref(),
+                sorted.values.as_ref(),
+                own.tiles.as_ref(),
+                own.starts.as_ref(),
+                own.splats.as_ref(),
+                by_tile.keys.as_ref(),
+                by_tile.values.as_ref(),
+                self.intersections.slot_ids.as_ref(),
+                own.first_slots.as_ref(),
+            ],
+            groups,
+        );
+    }
+
+    /// Records the grouping by tile, and says which of the two pairs holds the slots by tile.
+    fn list(&self, recorder: &mut Recorder<'_>) -> usize {
+        let lists = &self.intersections;
+        let [pairs, spare] = &lists.by_tile;
+        let sorted = lists.sort_tile.record(recorder, &self.counters, pairs, spare);
+        recorder.clear(&self.image.ranges);
+        recorder.dispatch(
+            &self.kernels.tile_ranges,
+            &[
+                self.view.as_ref(),
+                self.counters.as_ref(),
+                sorted.keys.as_ref(),
+                sorted.values.as_ref(),
+                lists.slot_ids.as_ref(),
+                lists.list.as_ref(),
+                self.image.ranges.as_ref(),
+            ],
+            self.groups(lists.capacity),
+        );
+        usize::from(std::ptr::eq(sorted, spare))
+    }
+
+    fn blend(&self, recorder: &mut Recorder<'_>) {
+        let image = &self.image;
+        recorder.dispatch(
+            &self.kernels.raster_forward,
+            &[
+                self.view.as_ref(),
+                image.ranges.as_ref(),
+                self.intersections.list.as_ref(),
+                self.gaussians.splats.as_ref(),
+                image.image.as_ref(),
+                image.last.as_ref(),
+            ],
+            image.tiles,
+        );
+    }
+}
+
+fn check(what: &'static str, found: usize, expected: usize) -> Result<(), RenderError> {
+    if found == expected { Ok(()) } else { Err(RenderError::Length { what, found, expected }) }
+}
+
+fn check_columns(gaussians: &Gaussians) -> Result<(), RenderError> {
+    let expected = gaussians.capacity;
+    check("means and opacities", gaussians.means_opacity.len(), expected)?;
+    check("scales", gaussians.scales.len(), expected)?;
+    check("quaternions", gaussians.quats.len(), expected)?;
+    check("colours", gaussians.colors.len(), expected)?;
+    check("the count", gaussians.count.len().min(1), 1)
+}
+
+fn check_gradients(out: &GaussianGradients, expected: usize) -> Result<(), RenderError> {
+    check("gradients of means and opacities", out.means_opacity.len(), expected)?;
+    check("gradients of scales", out.scales.len(), expected)?;
+    check("gradients of quaternions", out.quats.len(), expected)?;
+    check("gradients of colours", out.colors.len(), expected)?;
+    check("gradients of projected centres", out.means2d.len(), expected)
+}

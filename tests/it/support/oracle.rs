@@ -1,0 +1,135 @@
+//! The independent values for splatting in `shared/oracles`, one case a file.
+
+use glam::{DMat3, DVec3};
+use safetensors::{Dtype, SafeTensors};
+use tcgs::{
+    domain::{Camera, Intrinsics, Pose},
+    render::RasterSettings,
+};
+
+use super::{
+    sh::{Rows, sh_colors},
+    shared::shared,
+};
+
+/// All cases, with the bound on relative L2 errors of gradients computed in f32.
+pub const CASES: [(&str, f64); 17] = [
+    ("all_culled", 1e-4),
+    ("antialiased", 1e-4),
+    ("base", 1e-4),
+    ("camera_inside", 1e-4),
+    ("depth_ties", 1e-4),
+    ("disc_1e4", 1e-4),
+    ("layers2000_saturating", 1e-4),
+    ("layers2000_thin", 1e-4),
+    ("near_straddle", 1e-3),
+    ("needle_1e4", 1e-3),
+    ("odd_size_offcentre", 1e-4),
+    ("offscreen_jacobian_clamp", 1e-4),
+    ("opacity_extremes", 1e-4),
+    ("quat_unnormalised", 1e-4),
+    ("sh_negative_clamp", 1e-4),
+    ("subpixel", 1e-4),
+    ("very_large", 1e-4),
+];
+
+/// A case: its inputs, with the named f64 results at hand.
+pub struct Oracle {
+    bytes: Vec<u8>,
+    culled: bool,
+    /// Colours after spherical harmonics, before the clamp at zero is differentiated.
+    pub colors: Rows,
+}
+
+impl Oracle {
+    pub fn load(case: &str) -> Option<Self> {
+        let path = shared(&format!("oracles/{case}.safetensors"))?;
+        let bytes = std::fs::read(path).expect("a readable oracle");
+        let mut oracle = Self { bytes, culled: case == "all_culled", colors: Vec::new() };
+        oracle.colors = sh_colors(&oracle.rows("in.means", 3), &oracle.rows("in.sh", 48), oracle.eye());
+        Some(oracle)
+    }
+
+    /// Every number of a tensor.
+    pub fn numbers(&self, name: &str) -> Vec<f64> {
+        let tensors = SafeTensors::deserialize(&self.bytes).expect("safetensors");
+        let tensor = tensors.tensor(name).expect(name);
+        let data = tensor.data();
+        match tensor.dtype() {
+            Dtype::F64 => {
+                data.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().expect("8"))).collect()
+            }
+            Dtype::F32 => data
+                .chunks_exact(4)
+                .map(|b| f64::from(f32::from_le_bytes(b.try_into().expect("4"))))
+                .collect(),
+            Dtype::I64 => {
+                data.chunks_exact(8).map(|b| i64::from_le_bytes(b.try_into().expect("8")) as f64).collect()
+            }
+            Dtype::I32 => data
+                .chunks_exact(4)
+                .map(|b| f64::from(i32::from_le_bytes(b.try_into().expect("4"))))
+                .collect(),
+            other => panic!("{name} is {other:?}"),
+        }
+    }
+
+    /// The Gaussians that the reference saw; the row order of its tensors by visible Gaussian.
+    pub fn ids(&self) -> Vec<usize> {
+        if self.culled { Vec::new() } else { self.numbers("f64.ids").iter().map(|id| *id as usize).collect() }
+    }
+
+    /// A gradient in f64; where everything is culled the file has none by visible Gaussian.
+    pub fn gradient(&self, name: &str) -> Vec<f64> {
+        let per_visible = ["v_means2d", "v_conics", "v_colors", "v_opac_eff"].contains(&name);
+        if self.culled && per_visible { Vec::new() } else { self.numbers(&format!("f64.{name}")) }
+    }
+
+    /// A tensor as rows of `width` numbers.
+    pub fn rows(&self, name: &str, width: usize) -> Rows {
+        self.numbers(name).chunks_exact(width).map(<[f64]>::to_vec).collect()
+    }
+
+    /// World to camera, as given: rotation and translation.
+    pub fn view(&self) -> (DMat3, DVec3) {
+        let m = self.rows("in.viewmat", 4);
+        let row = |i: usize| DVec3::new(m[i][0], m[i][1], m[i][2]);
+        let rotation = DMat3::from_cols(row(0), row(1), row(2)).transpose();
+        (rotation, DVec3::new(m[0][3], m[1][3], m[2][3]))
+    }
+
+    /// The camera centre.
+    pub fn eye(&self) -> DVec3 {
+        let (rotation, translation) = self.view();
+        -(rotation.inverse() * translation)
+    }
+
+    pub fn camera(&self) -> Camera {
+        let k = self.numbers("in.K");
+        let size = self.numbers("in.WH_deg_aa");
+        let (rotation, translation) = self.view();
+        let intrinsics = Intrinsics {
+            fx: k[0],
+            fy: k[4],
+            cx: k[2],
+            cy: k[5],
+            width: size[0] as u32,
+            height: size[1] as u32,
+        };
+        let pose = Pose::from_world_to_camera(rotation, translation).expect("a rigid pose");
+        Camera::new(intrinsics, pose).expect("a camera")
+    }
+
+    pub fn settings(&self) -> RasterSettings {
+        let antialiased = self.numbers("in.WH_deg_aa")[3] != 0.0;
+        RasterSettings { near: 0.01, antialiased, ..RasterSettings::default() }
+    }
+}
+
+/// |a - b| / |b| in L2, or |a| where b vanishes.
+pub fn relative_l2(a: &[f64], b: &[f64]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    let difference: f64 = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();
+    let size: f64 = b.iter().map(|b| b * b).sum();
+    if size == 0.0 { difference.sqrt() } else { (difference / size).sqrt() }
+}
