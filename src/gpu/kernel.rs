@@ -32,6 +32,9 @@ macro_rules! kernel_source {
 const SHARED: &[(&str, &str)] = &[
     ("view", include_str!("../../shaders/shared/view.wgsl")),
     ("splat", include_str!("../../shaders/shared/splat.wgsl")),
+    ("anchor_view", include_str!("../../shaders/shared/anchor_view.wgsl")),
+    ("model", include_str!("../../shaders/shared/model.wgsl")),
+    ("ssim", include_str!("../../shaders/shared/ssim.wgsl")),
 ];
 
 /// A compiled kernel.
@@ -142,6 +145,9 @@ mod tests {
         kernels
     }
 
+    /// Definitions that any kernel may ask for, with the values of the model that is trained.
+    const SHAPE: &[(&str, u32)] = &[("FEATURES", 32), ("OFFSETS", 10), ("GRADIENT_LANES", 32)];
+
     #[test]
     fn every_kernel_validates_and_is_named_as_its_file() {
         let mut faults = Vec::new();
@@ -151,7 +157,8 @@ mod tests {
             } else {
                 &[&[]]
             };
-            for defs in variants {
+            for variant in variants {
+                let defs = &[*variant, SHAPE].concat()[..];
                 match compose(KernelSource { name, text }, defs) {
                     Ok(module) => {
                         let entries: Vec<_> = module.entry_points.iter().map(|e| e.name.clone()).collect();

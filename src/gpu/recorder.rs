@@ -91,6 +91,14 @@ impl<'a> Recorder<'a> {
         self.encoder.copy_buffer_to_buffer(&staging, 0, buffer.raw(), 0, staging.size());
     }
 
+    /// A small buffer with constant content for one dispatch.
+    ///
+    /// # Errors
+    /// As [`Context::buffer`].
+    pub fn uniform<T: bytemuck::Pod>(&self, values: &[T]) -> Result<Buffer<T>, GpuError> {
+        self.context.upload("uniform", values)
+    }
+
     /// Zeroes a whole buffer.
     pub fn clear<T: bytemuck::Pod>(&mut self, buffer: &Buffer<T>) {
         self.encoder.clear_buffer(buffer.raw(), 0, None);

@@ -13,6 +13,9 @@ pub enum RenderError {
     /// A backward pass was asked for that does not follow a forward pass of the same camera and Gaussians.
     #[error("the backward pass needs the forward pass of the same camera and capacity just before it")]
     OutOfStep,
+    /// A scene that this renderer cannot show.
+    #[error("the scene cannot be rendered: {0}")]
+    Scene(String),
     /// A column is shorter than the capacity, or an image's length is not its width times its height.
     #[error("{what} has {found} elements instead of {expected}")]
     Length {

@@ -2,13 +2,17 @@
 
 mod error;
 mod gaussians;
+mod neural;
 mod projection;
 mod rasterizer;
+mod scene_renderer;
 pub mod twin;
 pub mod views;
 
 pub use error::RenderError;
 pub use gaussians::{GaussianGradients, Gaussians};
+pub use neural::{AnchorGradients, DeviceAnchors, NeuralGaussians};
 pub use projection::{Projection, RasterSettings, TILE};
 pub use rasterizer::{Counts, Rasterizer};
+pub use scene_renderer::{SceneRenderer, SceneViewer};
 pub use views::RenderViews;

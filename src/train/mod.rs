@@ -1,1 +1,20 @@
-//! To come.
+//! Training: the step loop, its schedule, the image loss, Adam, growth and pruning.
+//!
+//! What always holds: the same dataset, options, seed and adapter give the same bits, because every random choice comes
+//! from the seed and every sum on the device has a fixed order.
+
+mod adam;
+mod densify;
+mod error;
+mod loss;
+mod schedule;
+mod statistics;
+mod trainer;
+
+pub use adam::{Adam, Moments};
+pub use densify::{Densify, densify};
+pub use error::TrainError;
+pub use loss::{ImageLoss, LossSums};
+pub use schedule::{Decay, Schedule};
+pub use statistics::Statistics;
+pub use trainer::{Trained, train};

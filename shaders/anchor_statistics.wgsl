@@ -1,0 +1,38 @@
+// Adds one view to the statistics that growth and pruning go by (method.md section 1.7). An anchor's row of
+// statistics: OFFSETS sums of screen-gradient norms, OFFSETS counts of views, a sum of positive opacities, visits.
+// Screen gradients are in half-image units: pixels times half the width and height.
+#import tcgs::anchor_view::View
+#import tcgs::model::OFFSETS
+
+const ROW: u32 = 2u * OFFSETS + 2u;
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> list: array<u32>;
+@group(0) @binding(2) var<storage, read> means_opacity: array<vec4f>;
+@group(0) @binding(3) var<storage, read> d_means2d: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> statistics: array<f32>;
+
+@compute @workgroup_size(64)
+fn anchor_statistics(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let index = (group.x + group.y * 65535u) * 64u + local;
+    if index >= list[0] {
+        return;
+    }
+    let row = list[1u + index] * ROW;
+    var opacities = 0.0;
+    for (var k = 0u; k < OFFSETS; k++) {
+        let gaussian = index * OFFSETS + k;
+        let opacity = means_opacity[gaussian].w;
+        if !(opacity > 0.0) {
+            continue;
+        }
+        opacities += opacity;
+        let d = d_means2d[gaussian];
+        if d.z > 0.0 {
+            statistics[row + k] += length(d.xy * 0.5 * view.image.xy);
+            statistics[row + OFFSETS + k] += 1.0;
+        }
+    }
+    statistics[row + 2u * OFFSETS] += opacities;
+    statistics[row + 2u * OFFSETS + 1u] += 1.0;
+}

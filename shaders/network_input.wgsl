@@ -1,0 +1,30 @@
+// Gathers the networks' input of each visible anchor: feature, unit view direction, distance (method.md section 1.3).
+// Column-major: input[row * capacity + visible index].
+#import tcgs::anchor_view::View
+#import tcgs::model::{FEATURES, ROW}
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> list: array<u32>;
+@group(0) @binding(2) var<storage, read> positions: array<vec4f>;
+@group(0) @binding(3) var<storage, read> rows: array<f32>;
+@group(0) @binding(4) var<storage, read_write> input: array<f32>;
+
+@compute @workgroup_size(64)
+fn network_input(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let index = (group.x + group.y * 65535u) * 64u + local;
+    if index >= list[0] {
+        return;
+    }
+    let anchor = list[1u + index];
+    let capacity = view.counts.y;
+    for (var feature = 0u; feature < FEATURES; feature++) {
+        input[feature * capacity + index] = rows[anchor * ROW + feature];
+    }
+    let ray = positions[anchor].xyz - view.center.xyz;
+    let distance = max(length(ray), 1e-12);
+    let direction = ray / distance;
+    input[FEATURES * capacity + index] = direction.x;
+    input[(FEATURES + 1u) * capacity + index] = direction.y;
+    input[(FEATURES + 2u) * capacity + index] = direction.z;
+    input[(FEATURES + 3u) * capacity + index] = distance;
+}

@@ -1,0 +1,16 @@
+#define_import_path tcgs::model
+
+// Columns of an anchor's row of parameters: feature, six log-scalings, three coordinates an offset.
+const FEATURES: u32 = #{FEATURES}u;
+const OFFSETS: u32 = #{OFFSETS}u;
+const SCALING_COLUMN: u32 = FEATURES;
+const OFFSET_COLUMN: u32 = FEATURES + 6u;
+const ROW: u32 = FEATURES + 6u + 3u * OFFSETS;
+
+// Rows of the networks' output: opacities, then seven covariance values an offset, then three colour values an offset.
+const COVARIANCE_OUT: u32 = OFFSETS;
+const COLOR_OUT: u32 = 8u * OFFSETS;
+
+fn logistic(x: f32) -> f32 {
+    return 1.0 / (1.0 + exp(-x));
+}

@@ -1,0 +1,70 @@
+// Turns the networks' outputs into the Gaussians of a view (method.md section 1.4): Gaussian `index * OFFSETS + k` is
+// offset k of the index-th visible anchor. An opacity that is not positive, or a mask that is off, makes no Gaussian.
+#import tcgs::anchor_view::View
+#import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, COVARIANCE_OUT, COLOR_OUT, logistic}
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> list: array<u32>;
+@group(0) @binding(2) var<storage, read> positions: array<vec4f>;
+@group(0) @binding(3) var<storage, read> rows: array<f32>;
+@group(0) @binding(4) var<storage, read> outputs: array<f32>;
+@group(0) @binding(5) var<storage, read> masks: array<u32>;
+@group(0) @binding(6) var<storage, read_write> means_opacity: array<vec4f>;
+@group(0) @binding(7) var<storage, read_write> scales: array<vec4f>;
+@group(0) @binding(8) var<storage, read_write> quats: array<vec4f>;
+@group(0) @binding(9) var<storage, read_write> colors: array<vec4f>;
+@group(0) @binding(10) var<storage, read_write> alive: array<u32>;
+
+@compute @workgroup_size(64)
+fn spawn_gaussians(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let index = (group.x + group.y * 65535u) * 64u + local;
+    if index >= list[0] {
+        return;
+    }
+    let anchor = list[1u + index];
+    let capacity = view.counts.y;
+    let row = anchor * ROW;
+    let position = positions[anchor].xyz;
+    let s = row + SCALING_COLUMN;
+    let reach = exp(vec3f(rows[s], rows[s + 1u], rows[s + 2u]));
+    let size = exp(vec3f(rows[s + 3u], rows[s + 4u], rows[s + 5u]));
+    let mask = masks[anchor];
+    var born = 0u;
+    for (var k = 0u; k < OFFSETS; k++) {
+        let gaussian = index * OFFSETS + k;
+        var opacity = tanh(outputs[k * capacity + index]);
+        if ((mask >> k) & 1u) == 0u {
+            opacity = 0.0;
+        }
+        // NaN fails the comparison and makes no Gaussian.
+        if !(opacity > 0.0) {
+            means_opacity[gaussian] = vec4f(0.0);
+            continue;
+        }
+        born++;
+        let o = row + OFFSET_COLUMN + 3u * k;
+        let mean = position + vec3f(rows[o], rows[o + 1u], rows[o + 2u]) * reach;
+        let c = (COVARIANCE_OUT + 7u * k) * capacity + index;
+        let shape = vec3f(
+            logistic(outputs[c]),
+            logistic(outputs[c + capacity]),
+            logistic(outputs[c + 2u * capacity]),
+        );
+        let rgb = (COLOR_OUT + 3u * k) * capacity + index;
+        means_opacity[gaussian] = vec4f(mean, opacity);
+        scales[gaussian] = vec4f(size * shape, 0.0);
+        quats[gaussian] = vec4f(
+            outputs[c + 3u * capacity],
+            outputs[c + 4u * capacity],
+            outputs[c + 5u * capacity],
+            outputs[c + 6u * capacity],
+        );
+        colors[gaussian] = vec4f(
+            logistic(outputs[rgb]),
+            logistic(outputs[rgb + capacity]),
+            logistic(outputs[rgb + 2u * capacity]),
+            0.0,
+        );
+    }
+    alive[index] = born;
+}

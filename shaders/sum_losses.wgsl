@@ -1,0 +1,33 @@
+// Sums the pixels' losses in runs of 4096 pixels; the host adds the runs.
+#import tcgs::ssim::Image
+
+const LANES: u32 = 64u;
+const RUN: u32 = 4096u;
+
+@group(0) @binding(0) var<uniform> image: Image;
+@group(0) @binding(1) var<storage, read> losses: array<vec4f>;
+@group(0) @binding(2) var<storage, read_write> sums: array<vec4f>;
+
+var<workgroup> shared_sums: array<vec4f, LANES>;
+
+@compute @workgroup_size(LANES)
+fn sum_losses(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let run = group.x + group.y * 65535u;
+    let pixels = image.size.x * image.size.y;
+    let last = min((run + 1u) * RUN, pixels);
+    var sum = vec4f(0.0);
+    for (var pixel = run * RUN + local; pixel < last; pixel += LANES) {
+        sum += losses[pixel];
+    }
+    shared_sums[local] = sum;
+    workgroupBarrier();
+    for (var reach = LANES / 2u; reach > 0u; reach /= 2u) {
+        if local < reach {
+            shared_sums[local] += shared_sums[local + reach];
+        }
+        workgroupBarrier();
+    }
+    if local == 0u && run * RUN < pixels {
+        sums[run] = shared_sums[0];
+    }
+}

@@ -1,0 +1,128 @@
+//! From points to integer cells.
+
+use std::collections::BTreeSet;
+
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+
+use crate::domain::Lattice;
+
+/// Largest distance of a cell from the origin, in cells: the file format's position coder takes 21 bits an axis.
+const MAX_CELL: f32 = ((1 << 20) - 1) as f32;
+
+/// How the edge of a cell is chosen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum VoxelRule {
+    /// This fraction of the median distance between neighbouring points: a length, whatever the unit of the scene.
+    OfSpacing(f32),
+    /// A fixed edge in world units.
+    Fixed(f32),
+}
+
+/// Root of the mean squared distance to the three nearest other points, for each point (0 with fewer than 2 points).
+#[must_use]
+pub(super) fn neighbour_distances(points: &[[f32; 3]]) -> Vec<f32> {
+    if points.len() < 2 {
+        return vec![0.0; points.len()];
+    }
+    let Ok(tree) = ImmutableKdTree::<f32, 3>::new_from_slice(points) else {
+        return vec![0.0; points.len()];
+    };
+    let wanted = std::num::NonZero::new(points.len().min(4)).expect("at least two points");
+    points
+        .iter()
+        .map(|point| {
+            let near = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
+            // The point itself is among them, at distance zero.
+            let sum: f32 = near.iter().map(|neighbour| neighbour.distance).sum();
+            (sum / (near.len() - 1) as f32).sqrt()
+        })
+        .collect()
+}
+
+/// Median of the positive neighbour distances, or 0 if there is none.
+#[must_use]
+pub fn median_spacing(points: &[[f32; 3]]) -> f32 {
+    let mut distances: Vec<f32> = neighbour_distances(points).into_iter().filter(|d| *d > 0.0).collect();
+    distances.sort_by(f32::total_cmp);
+    distances.get(distances.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// The lattice for a set of points. The origin is the middle of their box, so that cells stay small.
+#[must_use]
+pub fn choose_lattice(points: &[[f32; 3]], rule: VoxelRule) -> Lattice {
+    let mut low = [f32::INFINITY; 3];
+    let mut high = [f32::NEG_INFINITY; 3];
+    for point in points {
+        for axis in 0..3 {
+            low[axis] = low[axis].min(point[axis]);
+            high[axis] = high[axis].max(point[axis]);
+        }
+    }
+    let extent = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0_f32, f32::max);
+    let voxel = match rule {
+        VoxelRule::OfSpacing(fraction) => fraction * median_spacing(points),
+        VoxelRule::Fixed(edge) => edge,
+    };
+    // Growth may leave the box of the points by half of it on each side and must still fit the coder.
+    let voxel = voxel.max(extent / MAX_CELL).max(f32::MIN_POSITIVE * 1e6);
+    Lattice { voxel, origin: std::array::from_fn(|axis| 0.5 * (low[axis] + high[axis])) }
+}
+
+/// The cell that a world position falls into: rounded half to even, clamped to what the file format codes.
+#[must_use]
+pub fn cell_of(lattice: &Lattice, position: [f32; 3]) -> [i32; 3] {
+    std::array::from_fn(|axis| {
+        let scaled = (position[axis] - lattice.origin[axis]) / lattice.voxel;
+        scaled.round_ties_even().clamp(-MAX_CELL, MAX_CELL) as i32
+    })
+}
+
+/// The distinct cells of a set of points, ascending (method.md §1.2).
+#[must_use]
+pub fn voxelise(lattice: &Lattice, points: &[[f32; 3]]) -> Vec<[i32; 3]> {
+    let cells: BTreeSet<[i32; 3]> = points.iter().map(|point| cell_of(lattice, *point)).collect();
+    cells.into_iter().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spacing_is_a_length_and_scales_with_the_scene() {
+        let grid: Vec<[f32; 3]> =
+            (0..1000).map(|i| [(i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32]).collect();
+        assert!((median_spacing(&grid) - 1.0).abs() < 1e-6);
+        let millimetres: Vec<[f32; 3]> = grid.iter().map(|p| p.map(|v| v * 1000.0)).collect();
+        assert!((median_spacing(&millimetres) - 1000.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn cells_are_distinct_and_near_their_points() {
+        let points = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [5.0, 5.0, 5.0], [5.01, 5.0, 5.0]];
+        let lattice = choose_lattice(&points, VoxelRule::Fixed(0.05));
+        let cells = voxelise(&lattice, &points);
+        assert_eq!(cells.len(), 3);
+        for point in points {
+            let near = lattice.position(cell_of(&lattice, point));
+            assert!((0..3).all(|axis| (near[axis] - point[axis]).abs() <= 0.0251));
+        }
+    }
+
+    #[test]
+    fn identical_points_have_no_spacing_but_their_neighbours_do() {
+        let mut points = vec![[1.0, 1.0, 1.0]; 200];
+        points.extend((0..400).map(|i| [i as f32, 0.0, 0.0]));
+        let spacing = median_spacing(&points);
+        assert!((spacing - 1.4).abs() < 0.2, "{spacing}");
+    }
+
+    #[test]
+    fn degenerate_clouds_still_give_a_lattice() {
+        for points in [vec![[1.0, 2.0, 3.0]], vec![[1.0, 2.0, 3.0]; 5], vec![[0.0; 3], [1e30, 0.0, 0.0]]] {
+            let lattice = choose_lattice(&points, VoxelRule::OfSpacing(0.25));
+            assert!(lattice.voxel > 0.0 && lattice.voxel.is_finite(), "{points:?}");
+            assert!(!voxelise(&lattice, &points).is_empty());
+        }
+    }
+}

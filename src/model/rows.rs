@@ -1,0 +1,129 @@
+//! Anchors as the device holds them: one row of parameters an anchor.
+
+use crate::domain::{AnchorScene, Lattice, RenderNetworks};
+
+/// Widths of the model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shape {
+    /// Feature width F, a multiple of 4.
+    pub features: usize,
+    /// Offsets K an anchor, at most 32.
+    pub offsets: usize,
+}
+
+impl Shape {
+    /// Values in an anchor's row: feature, six log-scalings, three coordinates an offset.
+    #[must_use]
+    pub fn row(&self) -> usize {
+        self.features + 6 + 3 * self.offsets
+    }
+
+    /// Column of the first log-scaling.
+    #[must_use]
+    pub fn scaling_column(&self) -> usize {
+        self.features
+    }
+
+    /// Column of the first offset coordinate.
+    #[must_use]
+    pub fn offset_column(&self) -> usize {
+        self.features + 6
+    }
+
+    /// Shader definitions of this shape.
+    #[must_use]
+    pub fn defs(&self) -> [(&'static str, u32); 2] {
+        [("FEATURES", self.features as u32), ("OFFSETS", self.offsets as u32)]
+    }
+}
+
+/// Anchors with their trainable parameters, scalings as logarithms.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnchorRows {
+    /// Widths.
+    pub shape: Shape,
+    /// The lattice of `cells`.
+    pub lattice: Lattice,
+    /// Cell of each anchor.
+    pub cells: Vec<[i32; 3]>,
+    /// `[N][row]` parameters.
+    pub values: Vec<f32>,
+    /// Bit k set: offset k may make a Gaussian.
+    pub masks: Vec<u32>,
+}
+
+impl AnchorRows {
+    /// Number of anchors.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.cells.len()
+    }
+
+    /// Whether there is no anchor.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.cells.is_empty()
+    }
+
+    /// The parameters of one anchor.
+    #[must_use]
+    pub fn row(&self, anchor: usize) -> &[f32] {
+        let width = self.shape.row();
+        &self.values[anchor * width..(anchor + 1) * width]
+    }
+
+    /// World positions, padded to four components.
+    #[must_use]
+    pub fn positions(&self) -> Vec<[f32; 4]> {
+        self.cells
+            .iter()
+            .map(|cell| {
+                let [x, y, z] = self.lattice.position(*cell);
+                [x, y, z, 0.0]
+            })
+            .collect()
+    }
+
+    /// The rows of a finished scene.
+    #[must_use]
+    pub fn from_scene(scene: &AnchorScene) -> Self {
+        let shape = Shape { features: scene.feature_dim, offsets: scene.offsets_per_anchor };
+        let mut values = Vec::with_capacity(scene.len() * shape.row());
+        let mut masks = Vec::with_capacity(scene.len());
+        for anchor in 0..scene.len() {
+            values.extend_from_slice(&scene.features[anchor * shape.features..][..shape.features]);
+            values.extend(scene.scalings[anchor * 6..][..6].iter().map(|scaling| scaling.max(1e-30).ln()));
+            values.extend_from_slice(&scene.offsets[anchor * shape.offsets * 3..][..shape.offsets * 3]);
+            let kept = &scene.masks[anchor * shape.offsets..][..shape.offsets];
+            masks.push(kept.iter().enumerate().fold(0, |bits, (k, on)| bits | (u32::from(*on) << k)));
+        }
+        Self { shape, lattice: scene.lattice, cells: scene.cells.clone(), values, masks }
+    }
+
+    /// The finished scene with these anchors.
+    #[must_use]
+    pub fn to_scene(&self, networks: RenderNetworks) -> AnchorScene {
+        let shape = self.shape;
+        let mut scene = AnchorScene {
+            lattice: self.lattice,
+            cells: self.cells.clone(),
+            feature_dim: shape.features,
+            offsets_per_anchor: shape.offsets,
+            features: Vec::with_capacity(self.len() * shape.features),
+            scalings: Vec::with_capacity(self.len() * 6),
+            offsets: Vec::with_capacity(self.len() * shape.offsets * 3),
+            masks: Vec::with_capacity(self.len() * shape.offsets),
+            networks,
+        };
+        for (anchor, mask) in self.masks.iter().enumerate() {
+            let row = self.row(anchor);
+            scene.features.extend_from_slice(&row[..shape.features]);
+            scene
+                .scalings
+                .extend(row[shape.scaling_column()..shape.offset_column()].iter().map(|log| log.exp()));
+            scene.offsets.extend_from_slice(&row[shape.offset_column()..]);
+            scene.masks.extend((0..shape.offsets).map(|k| (mask >> k) & 1 == 1));
+        }
+        scene
+    }
+}

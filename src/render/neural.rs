@@ -1,0 +1,517 @@
+//! Neural Gaussians on the device: from anchors and a camera to the Gaussians of a view, and their gradients back to the
+//! anchors' rows and the networks' parameters (method.md §1.3, §1.4).
+//!
+//! Every anchor is visible at most once in a view and owns its rows, so gradients are stored, never added up
+//! concurrently: the same input gives the same bits.
+
+use std::sync::Arc;
+
+use super::{GaussianGradients, Gaussians, RenderError};
+use crate::{
+    domain::Camera,
+    gpu::{Buffer, Context, Kernel, Recorder},
+    kernel_source,
+    model::{AnchorRows, LayerSpec, NetworkLayout, Shape},
+};
+
+/// Columns of anchors that one partial sum of a weight gradient covers.
+const GRADIENT_RUN: usize = 1024;
+
+/// A bias offset that means there is none.
+const NO_BIAS: u32 = u32::MAX;
+
+/// How a dense layer ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Ending {
+    Linear = 0,
+    Relu = 1,
+    Gate = 2,
+}
+
+/// The uniform that describes one view to the kernels; `shaders/shared/view.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct ViewUniform {
+    rows: [[f32; 4]; 3],
+    center: [f32; 4],
+    intrinsics: [f32; 4],
+    image: [f32; 4],
+    counts: [u32; 4],
+}
+
+/// Anchors on the device.
+#[derive(Debug)]
+pub struct DeviceAnchors {
+    /// Widths.
+    pub shape: Shape,
+    /// Anchors in use.
+    pub count: usize,
+    /// World positions.
+    pub positions: Buffer<[f32; 4]>,
+    /// `[N][row]` parameters.
+    pub rows: Buffer<f32>,
+    /// Bit k set: offset k may make a Gaussian.
+    pub masks: Buffer<u32>,
+    /// The networks' flat parameters.
+    pub networks: Buffer<f32>,
+}
+
+impl DeviceAnchors {
+    /// Uploads anchors and networks.
+    ///
+    /// # Errors
+    /// Faults of the device, or a scene that is too large for it.
+    pub fn upload(context: &Context, anchors: &AnchorRows, networks: &[f32]) -> Result<Self, RenderError> {
+        Ok(Self {
+            shape: anchors.shape,
+            count: anchors.len(),
+            positions: context.upload("anchor positions", &anchors.positions())?,
+            rows: context.upload("anchor rows", &anchors.values)?,
+            masks: context.upload("offset masks", &anchors.masks)?,
+            networks: context.upload("networks", networks)?,
+        })
+    }
+}
+
+/// Gradients by the anchors' rows and the networks' parameters.
+#[derive(Debug)]
+pub struct AnchorGradients {
+    /// Laid out as [`DeviceAnchors::rows`]; zero for anchors that the view does not show.
+    pub rows: Buffer<f32>,
+    /// Laid out as [`DeviceAnchors::networks`].
+    pub networks: Buffer<f32>,
+}
+
+impl AnchorGradients {
+    /// Room for the gradients of `anchors` anchors.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn new(context: &Context, shape: Shape, anchors: usize) -> Result<Self, RenderError> {
+        Ok(Self {
+            rows: context.buffer("gradients of rows", anchors * shape.row())?,
+            networks: context.buffer("gradients of networks", NetworkLayout::new(shape).parameters)?,
+        })
+    }
+}
+
+#[derive(Debug)]
+struct Kernels {
+    anchor_visible: Arc<Kernel>,
+    compact_anchors: Arc<Kernel>,
+    network_input: Arc<Kernel>,
+    dense: Arc<Kernel>,
+    spawn_gaussians: Arc<Kernel>,
+    count_gaussians: Arc<Kernel>,
+    spawn_gradient: Arc<Kernel>,
+    dense_weight_gradient: Arc<Kernel>,
+    sum_partials: Arc<Kernel>,
+    feature_gradient: Arc<Kernel>,
+    anchor_statistics: Arc<Kernel>,
+}
+
+impl Kernels {
+    fn new(context: &Context, shape: Shape) -> Result<Self, RenderError> {
+        let defs = shape.defs();
+        // A broadcast needs eight lanes; the gradient's workgroup is exactly one subgroup.
+        let subgroups = context.subgroup_size().filter(|size| *size >= 8);
+        let mut lanes = vec![("GRADIENT_LANES", subgroups.unwrap_or(64))];
+        let mut dense = Vec::new();
+        if let Some(size) = subgroups {
+            lanes.push(("SUBGROUPS", size));
+            dense.push(("SUBGROUPS", size));
+        }
+        Ok(Self {
+            anchor_visible: context.kernel(kernel_source!("anchor_visible"), &defs)?,
+            compact_anchors: context.kernel(kernel_source!("compact_anchors"), &[])?,
+            network_input: context.kernel(kernel_source!("network_input"), &defs)?,
+            dense: context.kernel(kernel_source!("dense"), &dense)?,
+            spawn_gaussians: context.kernel(kernel_source!("spawn_gaussians"), &defs)?,
+            count_gaussians: context.kernel(kernel_source!("count_gaussians"), &defs)?,
+            spawn_gradient: context.kernel(kernel_source!("spawn_gradient"), &defs)?,
+            dense_weight_gradient: context.kernel(kernel_source!("dense_weight_gradient"), &lanes)?,
+            sum_partials: context.kernel(kernel_source!("sum_partials"), &[])?,
+            feature_gradient: context.kernel(kernel_source!("feature_gradient"), &defs)?,
+            anchor_statistics: context.kernel(kernel_source!("anchor_statistics"), &defs)?,
+        })
+    }
+}
+
+/// Activations of the forward pass, column-major with `capacity` columns.
+#[derive(Debug)]
+struct Activations {
+    visible: Buffer<u32>,
+    list: Buffer<u32>,
+    input: Buffer<f32>,
+    hidden: Buffer<f32>,
+    outputs: Buffer<f32>,
+    alive: Buffer<u32>,
+    gaussians: Gaussians,
+}
+
+impl Activations {
+    fn new(context: &Context, layout: &NetworkLayout, capacity: usize) -> Result<Self, RenderError> {
+        let mut gaussians = Gaussians::new(context, capacity * layout.shape.offsets)?;
+        gaussians.count = context.buffer("gaussian counts", 4)?;
+        Ok(Self {
+            visible: context.buffer("visible anchors", capacity)?,
+            list: context.buffer("visible list", capacity + 1)?,
+            input: context.buffer("network input", layout.hidden.inputs * capacity)?,
+            hidden: context.buffer("hidden values", layout.hidden.outputs * capacity)?,
+            outputs: context.buffer("network output", layout.output_rows() * capacity)?,
+            alive: context.buffer("living gaussians", capacity)?,
+            gaussians,
+        })
+    }
+}
+
+/// What the backward pass needs besides; only trainers pay for it.
+#[derive(Debug)]
+struct Backward {
+    d_input: Buffer<f32>,
+    d_hidden: Buffer<f32>,
+    d_outputs: Buffer<f32>,
+    partials: Buffer<f32>,
+    d_gaussians: GaussianGradients,
+}
+
+impl Backward {
+    fn new(context: &Context, layout: &NetworkLayout, capacity: usize) -> Result<Self, RenderError> {
+        let runs = capacity.div_ceil(GRADIENT_RUN).max(1);
+        Ok(Self {
+            d_input: context.buffer("gradients of input", layout.shape.features * capacity)?,
+            d_hidden: context.buffer("gradients of hidden values", layout.hidden.outputs * capacity)?,
+            d_outputs: context.buffer("gradients of output", layout.output_rows() * capacity)?,
+            partials: context.buffer("partial weight gradients", runs * layout.parameters)?,
+            d_gaussians: GaussianGradients::new(context, capacity * layout.shape.offsets)?,
+        })
+    }
+}
+
+/// Makes the Gaussians of views from anchors.
+#[derive(Debug)]
+pub struct NeuralGaussians {
+    context: Arc<Context>,
+    layout: NetworkLayout,
+    kernels: Kernels,
+    view: Buffer<ViewUniform>,
+    capacity: usize,
+    forward: Activations,
+    backward: Option<Backward>,
+    near: f32,
+}
+
+impl NeuralGaussians {
+    /// Prepares the kernels for a shape of model.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn new(context: Arc<Context>, shape: Shape, near: f32) -> Result<Self, RenderError> {
+        let layout = NetworkLayout::new(shape);
+        Ok(Self {
+            kernels: Kernels::new(&context, shape)?,
+            view: context.buffer("view of anchors", 1)?,
+            capacity: 0,
+            forward: Activations::new(&context, &layout, 0)?,
+            backward: None,
+            near,
+            layout,
+            context,
+        })
+    }
+
+    /// The Gaussians of the last forward pass.
+    #[must_use]
+    pub fn gaussians(&self) -> &Gaussians {
+        &self.forward.gaussians
+    }
+
+    /// Where a loss's gradients by those Gaussians belong.
+    ///
+    /// # Errors
+    /// Faults of the device on first use.
+    pub fn gaussian_gradients(&mut self) -> Result<&GaussianGradients, RenderError> {
+        self.prepare_backward()?;
+        self.backward.as_ref().map(|backward| &backward.d_gaussians).ok_or(RenderError::OutOfStep)
+    }
+
+    /// Candidate Gaussians, Gaussians of positive opacity, and visible anchors of the last submitted forward pass.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn counts(&self) -> Result<[u32; 3], RenderError> {
+        let counts = self.context.read_range(&self.forward.gaussians.count, 0, 3)?;
+        Ok([counts[0], counts[1], counts[2]])
+    }
+
+    /// Records the making of the view's Gaussians. `volume_weight` is the regulariser's weight in the backward pass.
+    ///
+    /// # Errors
+    /// Faults of the device, or a scene that is too large for it.
+    pub fn forward(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        anchors: &DeviceAnchors,
+        camera: &Camera,
+        volume_weight: f32,
+    ) -> Result<(), RenderError> {
+        self.fit(anchors.count)?;
+        recorder.write(&self.view, &[self.view_uniform(anchors.count, camera, volume_weight)]);
+        let (kernels, on) = (&self.kernels, &self.forward);
+        let view = self.view.as_ref();
+        let groups = anchors.count.div_ceil(64) as u32;
+        recorder.dispatch(
+            &kernels.anchor_visible,
+            &[view, anchors.positions.as_ref(), anchors.rows.as_ref(), on.visible.as_ref()],
+            groups,
+        );
+        recorder.dispatch(&kernels.compact_anchors, &[view, on.visible.as_ref(), on.list.as_ref()], 1);
+        recorder.dispatch(
+            &kernels.network_input,
+            &[view, on.list.as_ref(), anchors.positions.as_ref(), anchors.rows.as_ref(), on.input.as_ref()],
+            groups,
+        );
+        self.dense(recorder, &self.layout.hidden, &anchors.networks, &on.input, &on.hidden, Ending::Relu)?;
+        for head in &self.layout.heads {
+            self.dense(recorder, head, &anchors.networks, &on.hidden, &on.outputs, Ending::Linear)?;
+        }
+        recorder.dispatch(
+            &kernels.spawn_gaussians,
+            &[
+                view,
+                on.list.as_ref(),
+                anchors.positions.as_ref(),
+                anchors.rows.as_ref(),
+                on.outputs.as_ref(),
+                anchors.masks.as_ref(),
+                on.gaussians.means_opacity.as_ref(),
+                on.gaussians.scales.as_ref(),
+                on.gaussians.quats.as_ref(),
+                on.gaussians.colors.as_ref(),
+                on.alive.as_ref(),
+            ],
+            groups,
+        );
+        recorder.dispatch(
+            &kernels.count_gaussians,
+            &[on.list.as_ref(), on.alive.as_ref(), on.gaussians.count.as_ref()],
+            1,
+        );
+        Ok(())
+    }
+
+    /// Records the gradients by rows and networks from those by the Gaussians of the last forward pass.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn backward(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        anchors: &DeviceAnchors,
+        out: &AnchorGradients,
+    ) -> Result<(), RenderError> {
+        self.prepare_backward()?;
+        let back = self.backward.as_ref().ok_or(RenderError::OutOfStep)?;
+        let (kernels, on) = (&self.kernels, &self.forward);
+        let view = self.view.as_ref();
+        let groups = anchors.count.div_ceil(64) as u32;
+        recorder.clear(&out.rows);
+        recorder.dispatch(
+            &kernels.spawn_gradient,
+            &[
+                view,
+                on.list.as_ref(),
+                on.gaussians.count.as_ref(),
+                anchors.rows.as_ref(),
+                on.outputs.as_ref(),
+                on.gaussians.means_opacity.as_ref(),
+                back.d_gaussians.means_opacity.as_ref(),
+                back.d_gaussians.scales.as_ref(),
+                back.d_gaussians.quats.as_ref(),
+                back.d_gaussians.colors.as_ref(),
+                back.d_outputs.as_ref(),
+                out.rows.as_ref(),
+            ],
+            groups,
+        );
+        for head in &self.layout.heads {
+            self.weight_gradient(recorder, head, &on.hidden, &back.d_outputs, &back.partials)?;
+            self.input_gradient(
+                recorder,
+                head,
+                head.inputs,
+                anchors,
+                &back.d_outputs,
+                &on.hidden,
+                &back.d_hidden,
+            )?;
+        }
+        let hidden = &self.layout.hidden;
+        self.weight_gradient(recorder, hidden, &on.input, &back.d_hidden, &back.partials)?;
+        let features = self.layout.shape.features;
+        self.input_gradient(recorder, hidden, features, anchors, &back.d_hidden, &on.hidden, &back.d_input)?;
+        let parameters = self.layout.parameters;
+        let shape = recorder.uniform(&[[parameters as u32, GRADIENT_RUN as u32, 0, 0]])?;
+        recorder.dispatch(
+            &kernels.sum_partials,
+            &[shape.as_ref(), on.list.as_ref(), back.partials.as_ref(), out.networks.as_ref()],
+            parameters.div_ceil(64) as u32,
+        );
+        recorder.dispatch(
+            &kernels.feature_gradient,
+            &[view, on.list.as_ref(), back.d_input.as_ref(), out.rows.as_ref()],
+            groups,
+        );
+        Ok(())
+    }
+
+    /// Records the adding of the view to the growth statistics, `[N][2 K + 2]` (method.md §1.7).
+    ///
+    /// # Errors
+    /// [`RenderError::OutOfStep`] before a backward pass.
+    pub fn statistics(
+        &self,
+        recorder: &mut Recorder<'_>,
+        anchors: &DeviceAnchors,
+        statistics: &Buffer<f32>,
+    ) -> Result<(), RenderError> {
+        let back = self.backward.as_ref().ok_or(RenderError::OutOfStep)?;
+        recorder.dispatch(
+            &self.kernels.anchor_statistics,
+            &[
+                self.view.as_ref(),
+                self.forward.list.as_ref(),
+                self.forward.gaussians.means_opacity.as_ref(),
+                back.d_gaussians.means2d.as_ref(),
+                statistics.as_ref(),
+            ],
+            anchors.count.div_ceil(64) as u32,
+        );
+        Ok(())
+    }
+
+    fn fit(&mut self, anchors: usize) -> Result<(), RenderError> {
+        if anchors > self.capacity {
+            let capacity = anchors + anchors / 4;
+            self.backward = None;
+            self.forward = Activations::new(&self.context, &self.layout, capacity)?;
+            self.capacity = capacity;
+        }
+        Ok(())
+    }
+
+    fn prepare_backward(&mut self) -> Result<(), RenderError> {
+        if self.backward.is_none() {
+            self.backward = Some(Backward::new(&self.context, &self.layout, self.capacity)?);
+        }
+        Ok(())
+    }
+
+    fn view_uniform(&self, anchors: usize, camera: &Camera, volume_weight: f32) -> ViewUniform {
+        let rotation = camera.pose.rotation().transpose();
+        let translation = camera.pose.translation();
+        let center = camera.pose.center();
+        let row = |axis: glam::DVec3, shift: f64| [axis.x as f32, axis.y as f32, axis.z as f32, shift as f32];
+        let k = &camera.intrinsics;
+        ViewUniform {
+            rows: [
+                row(rotation.x_axis, translation.x),
+                row(rotation.y_axis, translation.y),
+                row(rotation.z_axis, translation.z),
+            ],
+            center: row(center, 0.0),
+            intrinsics: [k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32],
+            image: [k.width as f32, k.height as f32, self.near, volume_weight],
+            counts: [anchors as u32, self.capacity as u32, 0, 0],
+        }
+    }
+
+    fn dense(
+        &self,
+        recorder: &mut Recorder<'_>,
+        layer: &LayerSpec,
+        networks: &Buffer<f32>,
+        input: &Buffer<f32>,
+        output: &Buffer<f32>,
+        ending: Ending,
+    ) -> Result<(), RenderError> {
+        let uniform = recorder.uniform(&[
+            [layer.inputs as u32, layer.outputs as u32, self.capacity as u32, layer.weights as u32],
+            [1, layer.outputs as u32, layer.bias as u32, ending as u32],
+            [layer.input_row as u32, layer.output_row as u32, 0, 0],
+        ])?;
+        let list = &self.forward.list;
+        // The gate is not read: any buffer but the output will do.
+        let bindings = [
+            uniform.as_ref(),
+            list.as_ref(),
+            networks.as_ref(),
+            input.as_ref(),
+            input.as_ref(),
+            output.as_ref(),
+        ];
+        recorder.dispatch(&self.kernels.dense, &bindings, self.dense_groups(layer.outputs));
+        Ok(())
+    }
+
+    /// The gradient by the first `wanted` inputs of `layer`; gated by the hidden values if the input is one of them.
+    #[expect(clippy::too_many_arguments, reason = "one call site's worth of buffers, named at each")]
+    fn input_gradient(
+        &self,
+        recorder: &mut Recorder<'_>,
+        layer: &LayerSpec,
+        wanted: usize,
+        anchors: &DeviceAnchors,
+        d_output: &Buffer<f32>,
+        hidden: &Buffer<f32>,
+        d_input: &Buffer<f32>,
+    ) -> Result<(), RenderError> {
+        let ending = if wanted == layer.inputs { Ending::Gate } else { Ending::Linear };
+        let uniform = recorder.uniform(&[
+            [layer.outputs as u32, wanted as u32, self.capacity as u32, layer.weights as u32],
+            [layer.outputs as u32, 1, NO_BIAS, ending as u32],
+            [layer.output_row as u32, layer.input_row as u32, layer.input_row as u32, 0],
+        ])?;
+        let list = &self.forward.list;
+        let bindings = [
+            uniform.as_ref(),
+            list.as_ref(),
+            anchors.networks.as_ref(),
+            d_output.as_ref(),
+            hidden.as_ref(),
+            d_input.as_ref(),
+        ];
+        recorder.dispatch(&self.kernels.dense, &bindings, self.dense_groups(wanted));
+        Ok(())
+    }
+
+    fn dense_groups(&self, outputs: usize) -> u32 {
+        (outputs.div_ceil(16) * self.capacity.div_ceil(128)) as u32
+    }
+
+    fn weight_gradient(
+        &self,
+        recorder: &mut Recorder<'_>,
+        layer: &LayerSpec,
+        input: &Buffer<f32>,
+        d_output: &Buffer<f32>,
+        partials: &Buffer<f32>,
+    ) -> Result<(), RenderError> {
+        let uniform = recorder.uniform(&[
+            [layer.inputs as u32, layer.outputs as u32, self.capacity as u32, layer.weights as u32],
+            [1, layer.outputs as u32, layer.bias as u32, GRADIENT_RUN as u32],
+            [layer.input_row as u32, layer.output_row as u32, self.layout.parameters as u32, 0],
+        ])?;
+        let tiles = layer.inputs.div_ceil(8) * layer.outputs.div_ceil(4);
+        let runs = self.capacity.div_ceil(GRADIENT_RUN).max(1);
+        let bindings = [
+            uniform.as_ref(),
+            self.forward.list.as_ref(),
+            input.as_ref(),
+            d_output.as_ref(),
+            partials.as_ref(),
+        ];
+        recorder.dispatch(&self.kernels.dense_weight_gradient, &bindings, (tiles * runs) as u32);
+        Ok(())
+    }
+}

@@ -1,0 +1,94 @@
+//! Adam on the device (method.md §1.6).
+
+use std::sync::Arc;
+
+use crate::{
+    gpu::{Buffer, Context, GpuError, Kernel, Recorder},
+    kernel_source,
+};
+
+const BETAS: [f64; 2] = [0.9, 0.999];
+const EPSILON: f32 = 1e-15;
+
+/// First and second moments of an array of parameters.
+#[derive(Debug)]
+pub struct Moments {
+    /// Running mean of the gradient.
+    pub first: Buffer<f32>,
+    /// Running mean of its square.
+    pub second: Buffer<f32>,
+}
+
+impl Moments {
+    /// Zero moments of `len` parameters.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn zero(context: &Context, len: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            first: context.buffer("first moments", len)?,
+            second: context.buffer("second moments", len)?,
+        })
+    }
+
+    /// Moments from the host.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn upload(context: &Context, first: &[f32], second: &[f32]) -> Result<Self, GpuError> {
+        Ok(Self {
+            first: context.upload("first moments", first)?,
+            second: context.upload("second moments", second)?,
+        })
+    }
+}
+
+/// The optimiser's kernel.
+#[derive(Debug)]
+pub struct Adam {
+    kernel: Arc<Kernel>,
+}
+
+impl Adam {
+    /// Prepares the kernel.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn new(context: &Context) -> Result<Self, GpuError> {
+        Ok(Self { kernel: context.kernel(kernel_source!("adam"), &[])? })
+    }
+
+    /// Records step `t` (from 1). Element i learns at `rates[i % rates.len()]`.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn step(
+        &self,
+        recorder: &mut Recorder<'_>,
+        t: u32,
+        rates: &Buffer<f32>,
+        gradients: &Buffer<f32>,
+        values: &Buffer<f32>,
+        moments: &Moments,
+    ) -> Result<(), GpuError> {
+        let powers = BETAS.map(|beta| 1.0 - beta.powi(i32::try_from(t).unwrap_or(i32::MAX)));
+        let uniform = recorder.uniform(&[
+            [f32::from_bits(values.len() as u32), f32::from_bits(rates.len() as u32), 0.0, 0.0],
+            [BETAS[0] as f32, BETAS[1] as f32, (1.0 / powers[0]) as f32, (1.0 / powers[1].sqrt()) as f32],
+            [EPSILON, 0.0, 0.0, 0.0],
+        ])?;
+        recorder.dispatch(
+            &self.kernel,
+            &[
+                uniform.as_ref(),
+                rates.as_ref(),
+                gradients.as_ref(),
+                values.as_ref(),
+                moments.first.as_ref(),
+                moments.second.as_ref(),
+            ],
+            values.len().div_ceil(64) as u32,
+        );
+        Ok(())
+    }
+}

@@ -1,0 +1,49 @@
+//! What can stop a training run.
+
+use thiserror::Error;
+
+use crate::{domain::Problem, gpu::GpuError, model::InitError, render::RenderError};
+
+/// Why training ended without a scene.
+#[derive(Debug, Error)]
+pub enum TrainError {
+    /// The dataset has no frame to train on.
+    #[error("the dataset has no training image")]
+    NoTrainingFrames,
+    /// The points cannot begin a scene.
+    #[error("the point cloud: {0}")]
+    Points(#[from] InitError),
+    /// Every anchor was pruned: the photographs and poses do not agree on anything.
+    #[error(
+        "every anchor was pruned at step {step}; the poses and the photographs do not describe one scene"
+    )]
+    NothingLeft {
+        /// When.
+        step: u32,
+    },
+    /// The loss is not finite.
+    #[error("the loss is not finite at step {step}")]
+    Diverged {
+        /// When.
+        step: u32,
+    },
+    /// Somebody asked for a stop.
+    #[error("cancelled")]
+    Cancelled,
+    /// The renderer failed.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// The device failed.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+}
+
+impl From<TrainError> for Problem {
+    fn from(error: TrainError) -> Self {
+        match error {
+            TrainError::Gpu(fault) => fault.into(),
+            TrainError::Render(fault) => fault.into(),
+            other => Problem::new(422, "training-failed", "Training failed", other.to_string()),
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! The image loss on the device: 0.8 L1 + 0.2 (1 - SSIM), with its gradient (method.md §1.5).
+
+use std::sync::Arc;
+
+use crate::{
+    gpu::{Buffer, Context, GpuError, Kernel, Recorder},
+    kernel_source,
+};
+
+/// Weight of the SSIM part; L1 has the rest.
+const SSIM_WEIGHT: f64 = 0.2;
+
+/// Pixels that one partial sum covers, as in `shaders/sum_losses.wgsl`.
+const SUM_RUN: usize = 4096;
+
+#[repr(C)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct ImageUniform {
+    size: [u32; 4],
+    weights: [f32; 4],
+}
+
+#[derive(Debug)]
+struct Kernels {
+    rows: Arc<Kernel>,
+    columns: Arc<Kernel>,
+    gradient_rows: Arc<Kernel>,
+    gradient: Arc<Kernel>,
+    sums: Arc<Kernel>,
+}
+
+#[derive(Debug)]
+struct Fields {
+    size: [u32; 2],
+    photograph: Buffer<u32>,
+    moments: Buffer<[f32; 4]>,
+    derivatives: Buffer<[f32; 4]>,
+    blurred: Buffer<[f32; 4]>,
+    losses: Buffer<[f32; 4]>,
+    sums: Buffer<[f32; 4]>,
+    gradient: Buffer<[f32; 4]>,
+}
+
+/// Means over all samples of an image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LossSums {
+    /// Mean SSIM.
+    pub ssim: f64,
+    /// Mean absolute difference.
+    pub l1: f64,
+    /// Mean squared difference.
+    pub mse: f64,
+}
+
+impl LossSums {
+    /// 0.8 L1 + 0.2 (1 - SSIM).
+    #[must_use]
+    pub fn loss(&self) -> f64 {
+        (1.0 - SSIM_WEIGHT) * self.l1 + SSIM_WEIGHT * (1.0 - self.ssim)
+    }
+
+    /// PSNR of the unquantised render in dB, at most 100.
+    #[must_use]
+    pub fn psnr(&self) -> f64 {
+        -10.0 * self.mse.max(1e-10).log10()
+    }
+}
+
+/// Compares renders with photographs.
+#[derive(Debug)]
+pub struct ImageLoss {
+    context: Arc<Context>,
+    kernels: Kernels,
+    fields: Option<Fields>,
+}
+
+impl ImageLoss {
+    /// Prepares the kernels.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn new(context: Arc<Context>) -> Result<Self, GpuError> {
+        let kernels = Kernels {
+            rows: context.kernel(kernel_source!("ssim_rows"), &[])?,
+            columns: context.kernel(kernel_source!("ssim_columns"), &[])?,
+            gradient_rows: context.kernel(kernel_source!("ssim_gradient_rows"), &[])?,
+            gradient: context.kernel(kernel_source!("image_gradient"), &[])?,
+            sums: context.kernel(kernel_source!("sum_losses"), &[])?,
+        };
+        Ok(Self { context, kernels, fields: None })
+    }
+
+    /// Records the loss of `render` against `photograph` (packed 8-bit RGB, one word a pixel) and its gradient.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn record(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        size: [u32; 2],
+        render: &Buffer<[f32; 4]>,
+        photograph: &[u32],
+    ) -> Result<&Buffer<[f32; 4]>, GpuError> {
+        let pixels = size[0] as usize * size[1] as usize;
+        let fields = match self.fields.take() {
+            Some(fields) if fields.size == size => self.fields.insert(fields),
+            _ => self.fields.insert(Fields {
+                size,
+                photograph: self.context.buffer("photograph", pixels)?,
+                moments: self.context.buffer("SSIM moments", 5 * pixels)?,
+                derivatives: self.context.buffer("SSIM derivatives", 3 * pixels)?,
+                blurred: self.context.buffer("SSIM derivatives by rows", 3 * pixels)?,
+                losses: self.context.buffer("losses", pixels)?,
+                sums: self.context.buffer("loss sums", pixels.div_ceil(SUM_RUN))?,
+                gradient: self.context.buffer("image gradient", pixels)?,
+            }),
+        };
+        recorder.write(&fields.photograph, photograph);
+        let samples = (3 * pixels) as f64;
+        let uniform = recorder.uniform(&[ImageUniform {
+            size: [size[0], size[1], 0, 0],
+            weights: [((1.0 - SSIM_WEIGHT) / samples) as f32, (SSIM_WEIGHT / samples) as f32, 0.0, 0.0],
+        }])?;
+        let groups = pixels.div_ceil(64) as u32;
+        let (uniform, render) = (uniform.as_ref(), render.as_ref());
+        let photograph = fields.photograph.as_ref();
+        recorder.dispatch(
+            &self.kernels.rows,
+            &[uniform, render, photograph, fields.moments.as_ref()],
+            groups,
+        );
+        recorder.dispatch(
+            &self.kernels.columns,
+            &[
+                uniform,
+                render,
+                photograph,
+                fields.moments.as_ref(),
+                fields.derivatives.as_ref(),
+                fields.losses.as_ref(),
+            ],
+            groups,
+        );
+        recorder.dispatch(
+            &self.kernels.gradient_rows,
+            &[uniform, fields.derivatives.as_ref(), fields.blurred.as_ref()],
+            groups,
+        );
+        recorder.dispatch(
+            &self.kernels.gradient,
+            &[uniform, render, photograph, fields.blurred.as_ref(), fields.gradient.as_ref()],
+            groups,
+        );
+        recorder.dispatch(
+            &self.kernels.sums,
+            &[uniform, fields.losses.as_ref(), fields.sums.as_ref()],
+            pixels.div_ceil(SUM_RUN) as u32,
+        );
+        Ok(&fields.gradient)
+    }
+
+    /// The figures of the last submitted loss. Waits for the device.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn sums(&self) -> Result<Option<LossSums>, GpuError> {
+        let Some(fields) = &self.fields else { return Ok(None) };
+        let sums = self.context.read(&fields.sums)?;
+        let samples = 3.0 * f64::from(fields.size[0]) * f64::from(fields.size[1]);
+        let mean = |part: usize| sums.iter().map(|run| f64::from(run[part])).sum::<f64>() / samples;
+        Ok(Some(LossSums { ssim: mean(0), l1: mean(1), mse: mean(2) }))
+    }
+}
+
+/// An RGB image as the kernels read it: one word a pixel, red lowest.
+#[must_use]
+pub(super) fn pack(rgb: &[u8]) -> Vec<u32> {
+    rgb.chunks_exact(3).map(|p| u32::from_le_bytes([p[0], p[1], p[2], 255])).collect()
+}
