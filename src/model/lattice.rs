@@ -42,7 +42,8 @@ pub(super) fn neighbour_distances(points: &[[f32; 3]]) -> Vec<f32> {
 /// Median of the positive neighbour distances, or 0 if there is none.
 #[must_use]
 pub fn median_spacing(points: &[[f32; 3]]) -> f32 {
-    let mut distances: Vec<f32> = neighbour_distances(points).into_iter().filter(|d| *d > 0.0).collect();
+    let mut distances: Vec<f32> =
+        neighbour_distances(points).into_iter().filter(|d| *d > 0.0 && d.is_finite()).collect();
     distances.sort_by(f32::total_cmp);
     distances.get(distances.len() / 2).copied().unwrap_or(0.0)
 }

@@ -167,7 +167,7 @@ mod tests {
         let values = layout.initial(&mut rand_pcg::Pcg64::seed_from_u64(1));
         assert_eq!(layout.from_networks(&layout.to_networks(&values)), Ok(values.clone()));
         assert!(values.iter().all(|value| *value != 0.0), "every parameter is initialised");
-        assert_eq!(values.len(), 12 * 24 + 24 + 3 * (8 * 11) + 33 - 2 * (8 * 11));
+        assert_eq!(values.len(), (12 + 1) * 24 + (8 + 1) * 33);
     }
 
     #[test]
