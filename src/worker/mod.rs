@@ -7,7 +7,9 @@
 
 mod attempt;
 mod claim;
+pub mod pipeline;
 pub mod run;
+mod steps;
 pub mod supervise;
 
 use std::time::Duration;

@@ -1,0 +1,224 @@
+//! One job from dataset to measured file: ingest, train, choose steps, encode, decode, evaluate.
+//!
+//! The figures that are reported are those of the file as decoded from its own bytes.
+
+use std::{
+    path::Path,
+    sync::{Arc, Mutex, PoisonError},
+    time::Instant,
+};
+
+use super::{
+    run::{JobFailure, JobOutput, RunJob},
+    steps::choose_steps,
+};
+use crate::{
+    codec::{self, DecodeLimits, EncodeSettings, Provenance},
+    domain::{
+        AnchorScene, CancelFlag, Dataset, Frame, JobMetrics, NamedCamera, Phase, PhaseSeconds, Problem,
+        Progress, Scores, Split, TrainOptions,
+    },
+    eval::{ViewScore, mean_scores, measure_views},
+    gpu::{AdapterChoice, Context, GpuError},
+    ingest,
+    render::{RenderError, SceneRenderer},
+    train::{TrainError, Trained, train},
+};
+
+/// Training views that the reported training figures are measured on, evenly spread.
+const TRAIN_VIEWS_MEASURED: usize = 16;
+
+/// Carries jobs out on an adapter, which is opened for the first job and again after it was lost.
+#[derive(Debug)]
+pub struct Pipeline {
+    choice: AdapterChoice,
+    context: Mutex<Option<Arc<Context>>>,
+}
+
+impl Pipeline {
+    /// A pipeline on the adapter of choice.
+    #[must_use]
+    pub fn new(choice: AdapterChoice) -> Self {
+        Self { choice, context: Mutex::new(None) }
+    }
+
+    fn context(&self) -> Result<Arc<Context>, GpuError> {
+        let mut kept = self.context.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(context) = kept.as_ref().filter(|context| context.check().is_ok()) {
+            return Ok(Arc::clone(context));
+        }
+        let context = Context::new(&self.choice)?;
+        *kept = Some(Arc::clone(&context));
+        Ok(context)
+    }
+}
+
+impl RunJob for Pipeline {
+    fn run(
+        &self,
+        dataset: &Path,
+        options: &TrainOptions,
+        report: &mut dyn FnMut(Phase, &Progress),
+        cancel: &CancelFlag,
+    ) -> Result<JobOutput, JobFailure> {
+        let mut progress = Progress::default();
+        report(Phase::Ingest, &progress);
+        let began = Instant::now();
+        let dataset = ingest::load(dataset).map_err(JobFailure::Fail)?;
+        let mut seconds = PhaseSeconds { ingest: began.elapsed().as_secs_f64(), ..PhaseSeconds::default() };
+        stop_if(cancel)?;
+        let context = self.context().map_err(from_gpu)?;
+        let trained = train(
+            &context,
+            &dataset,
+            options,
+            &mut |now| {
+                progress = now.clone();
+                report(Phase::Train, now);
+            },
+            cancel,
+        )
+        .map_err(from_training)?;
+        seconds.train = trained.seconds;
+        let mut job = Job { context, dataset: &dataset, options, cancel, seconds };
+        report(Phase::Encode, &progress);
+        let (file, decoded) = job.write(&trained, &mut || report(Phase::Encode, &progress))?;
+        report(Phase::Evaluate, &progress);
+        let metrics = job.measure(&trained, &file, &decoded)?;
+        let cameras = dataset
+            .frames
+            .iter()
+            .map(|frame| NamedCamera { name: frame.name.clone(), split: frame.split, camera: frame.camera })
+            .collect();
+        Ok(JobOutput { file: file.bytes, metrics, cameras })
+    }
+}
+
+/// What the stages after training share.
+struct Job<'a> {
+    context: Arc<Context>,
+    dataset: &'a Dataset,
+    options: &'a TrainOptions,
+    cancel: &'a CancelFlag,
+    seconds: PhaseSeconds,
+}
+
+impl Job<'_> {
+    /// Writes the file and reads it back.
+    fn write(
+        &mut self,
+        trained: &Trained,
+        alive: &mut dyn FnMut(),
+    ) -> Result<(codec::Encoded, AnchorScene), JobFailure> {
+        let began = Instant::now();
+        let background = self.options.background;
+        let views = spread(self.dataset.split(Split::Train).collect(), 4);
+        let steps = choose_steps(&self.context, &trained.scene, &views, background, &mut || {
+            alive();
+            !self.cancel.is_cancelled()
+        })
+        .map_err(from_render)?;
+        stop_if(self.cancel)?;
+        let settings = EncodeSettings {
+            background,
+            feature_step: steps.feature,
+            scaling_step: steps.scaling,
+            offset_step: steps.offset,
+            provenance: Provenance {
+                generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),
+                dataset: Some(self.dataset.digest),
+                adapter: Some(self.context.adapter_line()),
+                settings: serde_json::to_value(self.options)
+                    .map_err(|fault| JobFailure::Fail(internal(&fault.to_string())))?,
+            },
+        };
+        let encoded = codec::encode(&trained.scene, &settings).map_err(|fault| {
+            JobFailure::Fail(Problem::new(422, "not-encodable", "Encoding failed", fault.to_string()))
+        })?;
+        self.seconds.encode = began.elapsed().as_secs_f64();
+        let began = Instant::now();
+        let decoded = codec::decode(&encoded.bytes, &DecodeLimits::default())
+            .map_err(|fault| JobFailure::Fail(internal(&fault.to_string())))?;
+        self.seconds.decode = began.elapsed().as_secs_f64();
+        Ok((encoded, decoded.scene))
+    }
+
+    /// Measures the decoded scene, and the held-out views of the scene before it was quantised.
+    fn measure(
+        &self,
+        trained: &Trained,
+        file: &codec::Encoded,
+        decoded: &AnchorScene,
+    ) -> Result<JobMetrics, JobFailure> {
+        let held_out: Vec<&Frame> = self.dataset.split(Split::Test).collect();
+        let seen = spread(self.dataset.split(Split::Train).collect(), TRAIN_VIEWS_MEASURED);
+        Ok(JobMetrics {
+            test: self.score(decoded, &held_out)?,
+            train: self.score(decoded, &seen)?,
+            bytes: file.byte_counts.clone(),
+            seconds: self.seconds.clone(),
+            steps: u64::from(trained.steps),
+            steps_per_second: f64::from(trained.steps) / trained.seconds.max(1e-9),
+            anchors: decoded.len() as u64,
+            gaussians: decoded.gaussians() as u64,
+            psnr_before_quantisation: self.score(&trained.scene, &held_out)?.psnr,
+            decode_sha256: file.decode_sha256,
+            adapter: self.context.adapter_line(),
+            background: self.options.background,
+        })
+    }
+
+    fn score(&self, scene: &AnchorScene, frames: &[&Frame]) -> Result<Scores, JobFailure> {
+        let mut renderer =
+            SceneRenderer::new(&self.context, scene, self.options.background).map_err(from_render)?;
+        let mut views: Vec<ViewScore> = Vec::with_capacity(frames.len());
+        for frame in frames {
+            stop_if(self.cancel)?;
+            views.extend(
+                measure_views(&mut renderer, &[*frame], self.options.background).map_err(from_render)?,
+            );
+        }
+        Ok(mean_scores(&views))
+    }
+}
+
+/// At most `wanted` of the frames, evenly spread.
+fn spread(frames: Vec<&Frame>, wanted: usize) -> Vec<&Frame> {
+    let count = frames.len().min(wanted);
+    (0..count).map(|index| frames[index * frames.len() / count]).collect()
+}
+
+fn stop_if(cancel: &CancelFlag) -> Result<(), JobFailure> {
+    if cancel.is_cancelled() { Err(JobFailure::Cancelled) } else { Ok(()) }
+}
+
+fn internal(detail: &str) -> Problem {
+    Problem::new(500, "internal", "Internal error", detail)
+}
+
+/// A device that failed may work again; a scene that is too large for it will not shrink.
+fn from_gpu(fault: GpuError) -> JobFailure {
+    match fault {
+        GpuError::DeviceLost(_) | GpuError::Rejected(_) => JobFailure::Retry(fault.into()),
+        GpuError::NoAdapter { .. }
+        | GpuError::Open { .. }
+        | GpuError::Kernel { .. }
+        | GpuError::BufferTooLarge { .. } => JobFailure::Fail(fault.into()),
+    }
+}
+
+fn from_render(fault: RenderError) -> JobFailure {
+    match fault {
+        RenderError::Gpu(fault) => from_gpu(fault),
+        other => JobFailure::Fail(other.into()),
+    }
+}
+
+fn from_training(fault: TrainError) -> JobFailure {
+    match fault {
+        TrainError::Cancelled => JobFailure::Cancelled,
+        TrainError::Gpu(fault) => from_gpu(fault),
+        TrainError::Render(fault) => from_render(fault),
+        other => JobFailure::Fail(other.into()),
+    }
+}

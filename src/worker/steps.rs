@@ -1,0 +1,97 @@
+//! Chooses quantisation steps by what they cost in picture quality: for each attribute the coarsest step of a ladder
+//! that training views do not notice, then all three together.
+
+use std::sync::Arc;
+
+use crate::{
+    domain::{AnchorScene, Background, Frame},
+    eval::{mean_scores, measure_views},
+    gpu::Context,
+    render::{RenderError, SceneRenderer},
+};
+
+/// PSNR in dB that one attribute's quantisation may cost on the views.
+const LOSS_OF_ONE: f64 = 0.02;
+/// PSNR in dB that all together may cost.
+const LOSS_OF_ALL: f64 = 0.05;
+/// Coarsest steps: features, scalings in voxels, offsets. Each further rung halves them.
+const COARSEST: [f32; 3] = [1.0, 1.0, 0.4];
+/// Rungs of the ladder.
+const RUNGS: u32 = 9;
+
+/// Quantisation steps of a file.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Steps {
+    /// Of features.
+    pub(super) feature: f32,
+    /// Of linear scalings, in voxels.
+    pub(super) scaling: f32,
+    /// Of offsets.
+    pub(super) offset: f32,
+}
+
+/// The coarsest steps that `views` hardly notice. `go_on` is asked between measurements; once it says no, the finest
+/// steps are returned.
+///
+/// # Errors
+/// Faults of the renderer.
+pub(super) fn choose_steps(
+    context: &Arc<Context>,
+    scene: &AnchorScene,
+    views: &[&Frame],
+    background: Background,
+    go_on: &mut dyn FnMut() -> bool,
+) -> Result<Steps, RenderError> {
+    let psnr = |scene: &AnchorScene| -> Result<f64, RenderError> {
+        let mut renderer = SceneRenderer::new(context, scene, background)?;
+        Ok(mean_scores(&measure_views(&mut renderer, views, background)?).psnr.unwrap_or(0.0))
+    };
+    let best = psnr(scene)?;
+    let mut rungs = [RUNGS; 3];
+    for attribute in 0..3 {
+        for rung in 0..RUNGS {
+            if !go_on() {
+                return Ok(steps_at([RUNGS; 3]));
+            }
+            let mut only = [None; 3];
+            only[attribute] = Some(rung);
+            if psnr(&quantised(scene, only))? >= best - LOSS_OF_ONE {
+                rungs[attribute] = rung;
+                break;
+            }
+        }
+    }
+    while rungs.iter().any(|rung| *rung < RUNGS) && go_on() {
+        if psnr(&quantised(scene, rungs.map(Some)))? >= best - LOSS_OF_ALL {
+            break;
+        }
+        rungs = rungs.map(|rung| (rung + 1).min(RUNGS));
+    }
+    Ok(steps_at(rungs))
+}
+
+fn steps_at(rungs: [u32; 3]) -> Steps {
+    let step = |attribute: usize| COARSEST[attribute] * 0.5_f32.powi(rungs[attribute] as i32);
+    Steps { feature: step(0), scaling: step(1), offset: step(2) }
+}
+
+/// The scene with the attributes that have a rung rounded to its step, as the codec will round them.
+fn quantised(scene: &AnchorScene, rungs: [Option<u32>; 3]) -> AnchorScene {
+    let mut rounded = scene.clone();
+    let steps = steps_at(rungs.map(|rung| rung.unwrap_or(0)));
+    let round = |values: &mut [f32], step: f32, least: f32| {
+        for value in values {
+            *value = (*value / step).round_ties_even().max(least) * step;
+        }
+    };
+    if rungs[0].is_some() {
+        round(&mut rounded.features, steps.feature, f32::NEG_INFINITY);
+    }
+    if rungs[1].is_some() {
+        round(&mut rounded.scalings, steps.scaling * scene.lattice.voxel, 1.0);
+    }
+    if rungs[2].is_some() {
+        round(&mut rounded.offsets, steps.offset, f32::NEG_INFINITY);
+    }
+    rounded
+}
