@@ -19,7 +19,7 @@ pub struct DecodeLimits {
     pub max_file_bytes: u64,
     /// Most anchors.
     pub max_anchors: u64,
-    /// Most bytes that the decoded scene and the decoder's own arrays may take together.
+    /// Most bytes that the anchors may take, and that the networks may take, with the decoder's own arrays.
     pub max_memory_bytes: u64,
 }
 
@@ -61,7 +61,7 @@ pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeErro
 
     let (shape, k) = (manifest.shape(), manifest.offsets_per_anchor);
     let section = container.section(sections::NETWORKS, "networks")?.bytes;
-    let networks = networks::decode(section, manifest.feature_dim, k)?;
+    let networks = networks::decode(section, manifest.feature_dim, k, limits.max_memory_bytes)?;
     let cells =
         positions::decode(container.section(sections::POSITIONS, "positions")?.bytes, manifest.anchors)?;
     let masks = masks::decode(container.section(sections::MASKS, "masks")?.bytes, manifest.anchors, k)?;
@@ -94,7 +94,8 @@ fn memory(manifest: &Manifest) -> u64 {
     manifest.anchors as u64 * anchor as u64
 }
 
-fn within(what: &'static str, value: u64, limit: u64) -> Result<(), DecodeError> {
+/// Holds a value that a file asks for against the caller's limit.
+pub(super) fn within(what: &'static str, value: u64, limit: u64) -> Result<(), DecodeError> {
     if value <= limit { Ok(()) } else { Err(DecodeError::Limit { what, value, limit }) }
 }
 

@@ -6,7 +6,7 @@
 
 use super::{
     bytes::{Reader, Writer},
-    decode::reserved,
+    decode::{reserved, within},
     error::{DecodeError, EncodeError},
     fit,
     range::{StreamDecoder, StreamEncoder},
@@ -24,6 +24,9 @@ const MAX_LAYERS: usize = 8;
 
 /// Widest layer; bounds what a decoder allocates whatever the file says.
 const MAX_WIDTH: usize = 1024;
+
+/// Memory that a parameter takes while decoding: its integer, its value, and the value again in the check.
+const PARAMETER_BYTES: u64 = 12;
 
 /// Largest magnitude of a bias's integer. Biases are few and shift every output alike, so they are kept finer
 /// than any weight.
@@ -167,10 +170,12 @@ struct LayerHead {
 }
 
 /// Reads the networks section of a file with `features` feature channels and `offsets` offsets an anchor.
+/// Constant parameters take no bytes, so their number is checked against the caller's limit.
 pub(super) fn decode(
     section: &[u8],
     features: usize,
     offsets: usize,
+    max_memory_bytes: u64,
 ) -> Result<QuantisedNetworks, DecodeError> {
     let mut reader = Reader::new(PART, section);
     let outputs = [offsets, 7 * offsets, 3 * offsets];
@@ -179,6 +184,9 @@ pub(super) fn decode(
         read_heads(&mut reader, features + VIEW_INPUTS, outputs[1])?,
         read_heads(&mut reader, features + VIEW_INPUTS, outputs[2])?,
     ];
+    let size = |head: &LayerHead| (head.inputs + 2) as u64 * head.outputs as u64;
+    let memory = heads.iter().flatten().map(size).sum::<u64>() * PARAMETER_BYTES;
+    within("bytes of memory for networks", memory, max_memory_bytes)?;
     let mut stream = StreamDecoder::new(PART, reader.rest())?;
     let mut networks = QuantisedNetworks([Vec::new(), Vec::new(), Vec::new()]);
     for (mlp, heads) in networks.0.iter_mut().zip(heads) {
@@ -302,7 +310,7 @@ mod tests {
             for levels in [127, 1023] {
                 let quantised = quantised(&networks(value), levels);
                 let section = encode(&quantised);
-                assert_eq!(decode(&section, 2, 3), Ok(quantised), "case {case}");
+                assert_eq!(decode(&section, 2, 3, u64::MAX), Ok(quantised), "case {case}");
             }
         }
     }
@@ -310,9 +318,10 @@ mod tests {
     #[test]
     fn shapes_that_do_not_fit_are_refused() {
         let section = encode(&quantised(&networks(|index| index as f32), 127));
-        assert!(decode(&section, 2, 4).is_err());
-        assert!(decode(&[0], 2, 3).is_err());
-        assert!(decode(&[1, 0x81, 0x08], 2, 3).is_err(), "a layer 1025 wide");
+        assert!(decode(&section, 2, 4, u64::MAX).is_err());
+        assert!(decode(&[0], 2, 3, u64::MAX).is_err());
+        assert!(decode(&[1, 0x81, 0x08], 2, 3, u64::MAX).is_err(), "a layer 1025 wide");
+        assert!(matches!(decode(&section, 2, 3, 1000), Err(DecodeError::Limit { .. })));
         let empty = Mlp { layers: Vec::new() };
         let all = RenderNetworks { opacity: empty.clone(), covariance: empty.clone(), color: empty };
         assert!(matches!(check(&all), Err(EncodeError::Shape(_))));

@@ -43,6 +43,26 @@ fn the_encoder_still_writes_the_golden_file() {
     assert_eq!(encoded.bytes, fs::read(path()).expect("the golden file is committed"));
 }
 
+/// The lines `offset: hex  meaning` of FORMAT.md's example.
+#[test]
+fn the_documented_example_is_the_golden_file() {
+    let format = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("FORMAT.md");
+    let text = fs::read_to_string(format).expect("FORMAT.md is at the root");
+    let bytes = fs::read(path()).expect("the golden file is committed");
+    let mut lines = 0;
+    for line in text.lines() {
+        let Some((offset, rest)) = line.split_once(": ") else { continue };
+        let Ok(offset) = usize::from_str_radix(offset, 16) else { continue };
+        let hex: String = rest.split("  ").next().unwrap_or("").replace([' ', '.'], "");
+        let documented: Vec<u8> = (0..hex.len() / 2)
+            .map(|index| u8::from_str_radix(&hex[2 * index..2 * index + 2], 16).expect("hex"))
+            .collect();
+        assert_eq!(bytes[offset..offset + documented.len()], documented, "{line}");
+        lines += 1;
+    }
+    assert!(lines >= 20, "{lines} lines");
+}
+
 #[test]
 #[ignore = "writes the golden file; only after a deliberate change of the format"]
 fn make() {
