@@ -1,0 +1,8 @@
+//! What several test modules share.
+
+#![allow(dead_code, unreachable_pub, reason = "a test module uses what it needs")]
+
+pub mod contract;
+pub mod fakes;
+pub mod faults;
+pub mod server;
