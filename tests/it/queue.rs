@@ -306,6 +306,9 @@ async fn a_retry_waits_out_its_delay() {
     assert_eq!(state, JobState::Queued);
     queue.pass(8);
     assert_eq!(queue.claim().await, None, "the delay is 9 to 11 seconds");
+    let other = queue.add(2).await;
+    assert_eq!(queue.lease().await.job, other, "a younger job goes ahead of one that must wait");
+    assert_eq!(queue.claim().await, None);
     queue.pass(4);
     assert_eq!(queue.lease().await.attempt, 2);
     let ended = queue.events(id).await.into_iter().find(|event| event.kind == EventKind::Attempt);
