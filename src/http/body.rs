@@ -1,7 +1,9 @@
 //! Reading request bodies: bounded in length, in pauses and in time as a whole.
 
+use std::time::Duration;
+
 use axum::{
-    body::Body,
+    body::BodyDataStream,
     http::{HeaderMap, StatusCode, header},
 };
 use bytes::Bytes;
@@ -10,6 +12,11 @@ use tokio::time::{Instant, timeout, timeout_at};
 
 use super::{config::RequestLimits, problem::Fault};
 use crate::store::{Blobs, Staged};
+
+/// How much of a refused body is read.
+const DISCARD_BYTES: usize = 256 << 20;
+/// How long a refused body is read.
+const DISCARD_TIME: Duration = Duration::from_secs(10);
 
 /// The media type of a request, without its parameters, in lower case.
 pub(super) fn media_type(headers: &HeaderMap) -> Option<String> {
@@ -37,7 +44,7 @@ pub(super) fn expect_media_type(headers: &HeaderMap, accepted: &[&str]) -> Resul
 
 /// Streams a body into a staged blob.
 pub(super) async fn stage(
-    body: Body,
+    body: &mut BodyDataStream,
     headers: &HeaderMap,
     blobs: &Blobs,
     limits: &RequestLimits,
@@ -53,7 +60,7 @@ pub(super) async fn stage(
 
 /// Reads a JSON body into memory.
 pub(super) async fn read_json(
-    body: Body,
+    body: &mut BodyDataStream,
     headers: &HeaderMap,
     limits: &RequestLimits,
 ) -> Result<Vec<u8>, Fault> {
@@ -70,6 +77,28 @@ pub(super) async fn read_json(
     Ok(content)
 }
 
+/// Reads on after a refusal, within bounds, and throws away what comes.
+///
+/// Many clients look for an answer only once they have sent their whole body. If the connection were closed
+/// before that, they would see it break instead of the reason. A client that waits for `100 Continue` has sent
+/// nothing and must not be made to.
+pub(super) async fn discard(body: &mut BodyDataStream, headers: &HeaderMap) {
+    if headers.contains_key(header::EXPECT) {
+        return;
+    }
+    let read = async {
+        let mut left = DISCARD_BYTES;
+        while let Some(Ok(piece)) = body.next().await {
+            left = left.saturating_sub(piece.len());
+            if left == 0 {
+                break;
+            }
+        }
+    };
+    // Running out of time is as good an end as any.
+    let _ = timeout(DISCARD_TIME, read).await;
+}
+
 fn refuse_announced(headers: &HeaderMap, limit: u64) -> Result<(), Fault> {
     let announced =
         headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse::<u64>().ok());
@@ -79,20 +108,19 @@ fn refuse_announced(headers: &HeaderMap, limit: u64) -> Result<(), Fault> {
     Ok(())
 }
 
-struct Pieces {
-    stream: axum::body::BodyDataStream,
-    idle: std::time::Duration,
+struct Pieces<'a> {
+    body: &'a mut BodyDataStream,
+    idle: Duration,
     deadline: Instant,
 }
 
-impl Pieces {
-    fn new(body: Body, limits: &RequestLimits) -> Self {
-        let deadline = Instant::now() + limits.body_total;
-        Self { stream: body.into_data_stream(), idle: limits.body_idle, deadline }
+impl<'a> Pieces<'a> {
+    fn new(body: &'a mut BodyDataStream, limits: &RequestLimits) -> Self {
+        Self { body, idle: limits.body_idle, deadline: Instant::now() + limits.body_total }
     }
 
     async fn next(&mut self) -> Result<Option<Bytes>, Fault> {
-        let piece = timeout_at(self.deadline, timeout(self.idle, self.stream.next()));
+        let piece = timeout_at(self.deadline, timeout(self.idle, self.body.next()));
         match piece.await {
             Ok(Ok(None)) => Ok(None),
             Ok(Ok(Some(Ok(piece)))) => Ok(Some(piece)),

@@ -1,5 +1,7 @@
 //! From what a client writes to a [`Camera`]: a dataset frame by name, a look-at view, or a pose matrix.
 
+use std::num::NonZeroU32;
+
 use axum::http::StatusCode;
 use glam::{DMat4, DVec3};
 use serde::Deserialize;
@@ -38,8 +40,8 @@ pub(super) enum CameraSpec {
 impl CameraSpec {
     /// Reads `frame` or `position`, `look_at`, `up`, `fov`, and `width`, `height`.
     pub(super) fn from_query(parameters: &mut Parameters) -> Result<Self, Fault> {
-        let width = parameters.take_as("width", "a whole number of pixels")?;
-        let height = parameters.take_as("height", "a whole number of pixels")?;
+        let width = side(parameters, "width")?;
+        let height = side(parameters, "height")?;
         let position = parameters.take_vector("position")?;
         let look_at = parameters.take_vector("look_at")?;
         let up = parameters.take_vector("up")?;
@@ -122,6 +124,12 @@ impl CameraSpec {
             }
         }
     }
+}
+
+/// A side in pixels, if it is given.
+fn side(parameters: &mut Parameters, name: &str) -> Result<Option<u32>, Fault> {
+    let side = parameters.take_as::<NonZeroU32>(name, "a positive whole number of pixels")?;
+    Ok(side.map(NonZeroU32::get))
 }
 
 /// The same view at another size. Pixel centres lie at +0.5, so everything scales by plain factors; a side that is not

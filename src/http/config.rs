@@ -12,9 +12,6 @@ use thiserror::Error;
 pub struct HttpConfig {
     /// Where to listen.
     pub listen: SocketAddr,
-    /// Serve others than this machine although nobody has to show a key: anyone who reaches the port can use
-    /// the service. For containers whose port is published on the loopback interface only.
-    pub danger_open_to_network: bool,
     /// Connections served at a time; more wait in the system's queue.
     pub max_connections: usize,
     /// Longest time from a connection's begin, or from the previous response, to the end of a request's headers.
@@ -29,7 +26,6 @@ impl Default for HttpConfig {
     fn default() -> Self {
         Self {
             listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8080)),
-            danger_open_to_network: false,
             max_connections: 512,
             header_timeout: Duration::from_secs(10),
             drain: Duration::from_secs(20),
@@ -44,7 +40,7 @@ impl HttpConfig {
     /// # Errors
     /// [`ExposureError`] for an address that others can reach, because there are no keys to tell them apart.
     pub fn check_exposure(&self) -> Result<(), ExposureError> {
-        if self.listen.ip().to_canonical().is_loopback() || self.danger_open_to_network {
+        if self.listen.ip().to_canonical().is_loopback() {
             return Ok(());
         }
         Err(ExposureError(self.listen))
@@ -55,7 +51,7 @@ impl HttpConfig {
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error(
     "{0} can be reached from other machines, and this version has no API keys: listen on a loopback address such as \
-     127.0.0.1:8080, put a proxy that authenticates in front, or state that the network is trusted"
+     127.0.0.1:8080, and let a proxy that authenticates stand between it and the network"
 )]
 pub struct ExposureError(pub SocketAddr);
 
@@ -117,8 +113,6 @@ mod tests {
         for listen in ["0.0.0.0:8080", "[::]:8080", "192.168.1.4:8080", "[::ffff:10.0.0.1]:80"] {
             let config = on(listen);
             assert_eq!(config.check_exposure(), Err(ExposureError(config.listen)), "{listen}");
-            let trusted = HttpConfig { danger_open_to_network: true, ..config };
-            assert_eq!(trusted.check_exposure(), Ok(()));
         }
     }
 }

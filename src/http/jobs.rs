@@ -2,7 +2,7 @@
 
 use axum::{
     Json,
-    body::Body,
+    body::{Body, BodyDataStream},
     extract::{Path, RawQuery, State},
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
@@ -13,7 +13,7 @@ use tokio::task::spawn_blocking;
 use uuid::{NoContext, Uuid};
 
 use super::{
-    body::{expect_media_type, stage},
+    body::{discard, expect_media_type, stage},
     etag::{Etag, not_modified},
     job_body::{JobBody, href},
     problem::Fault,
@@ -43,11 +43,25 @@ pub(super) async fn create(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Fault> {
-    expect_media_type(&headers, &["application/zip", "application/x-zip-compressed"])?;
-    let options = options(Parameters::parse(query.as_deref())?)?;
+    let mut body = body.into_data_stream();
+    let created = receive(&state, query.as_deref(), &headers, &mut body).await;
+    if created.as_ref().is_err_and(|fault| !fault.is_about_transfer()) {
+        discard(&mut body, &headers).await;
+    }
+    created
+}
+
+async fn receive(
+    state: &AppState,
+    query: Option<&str>,
+    headers: &HeaderMap,
+    body: &mut BodyDataStream,
+) -> Result<Response, Fault> {
+    expect_media_type(headers, &["application/zip", "application/x-zip-compressed"])?;
+    let options = options(Parameters::parse(query)?)?;
     let place = state.uploads().try_acquire();
     let _place = place.map_err(|_| Fault::busy("too many datasets are being received"))?;
-    let staged = stage(body, &headers, state.blobs(), state.limits()).await?;
+    let staged = stage(body, headers, state.blobs(), state.limits()).await?;
     let check = state.services().check.clone();
     let (staged, checked) = spawn_blocking(move || {
         let checked = check(staged.path());

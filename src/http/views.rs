@@ -56,7 +56,7 @@ pub(super) async fn post(
     body: Body,
 ) -> Result<Response, Fault> {
     let record = find(&state, &id).await?;
-    let content = read_json(body, &headers, state.limits()).await?;
+    let content = read_json(&mut body.into_data_stream(), &headers, state.limits()).await?;
     let ViewsBody { views, format } = serde_json::from_slice(&content).map_err(|error| bad_json(&error))?;
     let most = state.limits().views;
     if !(1..=most).contains(&views.len()) {

@@ -10,7 +10,7 @@ use std::{
     ops::Range,
     path::{Path, PathBuf},
     sync::Arc,
-    time::{Duration, SystemTime},
+    time::Duration,
 };
 
 use bytes::Bytes;
@@ -228,10 +228,10 @@ fn location(digest: Digest) -> ObjectPath {
 }
 
 fn sweep(staging: &Path) -> io::Result<()> {
-    let now = SystemTime::now();
     for entry in std::fs::read_dir(staging)? {
         let entry = entry?;
-        let age = entry.metadata().and_then(|meta| meta.modified()).map(|at| now.duration_since(at));
+        // The file system's stamps are by the machine's clock, whatever clock jobs are measured by.
+        let age = entry.metadata().and_then(|meta| meta.modified()).map(|at| at.elapsed());
         if let Ok(Ok(age)) = age
             && age > STALE_STAGING
         {

@@ -89,10 +89,10 @@ pub(super) async fn carry_out(context: &Context, claim: Claim, shutdown: &Cancel
     match watch.until(result, shutdown).await {
         Waited::Ended(result) => {
             watch.pass_progress_on().await;
-            if matches!(result, Ok(Ok(_))) {
+            if matches!(*result, Ok(Ok(_))) {
                 watch.enter_publication().await;
             }
-            conclude(context, &lease, result, watch.stop, watch.renewed).await;
+            conclude(context, &lease, *result, watch.stop, watch.renewed).await;
             End::Free
         }
         Waited::DrainOver => {
@@ -133,7 +133,7 @@ fn start(
 }
 
 enum Waited {
-    Ended(RunResult),
+    Ended(Box<RunResult>),
     DrainOver,
     Stalled,
 }
@@ -164,7 +164,8 @@ impl Watch<'_> {
         loop {
             tokio::select! {
                 ended = &mut result => {
-                    return Waited::Ended(ended.unwrap_or_else(|_| Err(Box::new("the run's thread vanished"))));
+                    let vanished = |_| Err(Box::new("the run's thread vanished") as _);
+                    return Waited::Ended(Box::new(ended.unwrap_or_else(vanished)));
                 }
                 () = shutdown.cancelled(), if drain_until.is_none() => {
                     drain_until = Some(Instant::now() + config.drain);

@@ -106,40 +106,11 @@ impl SqliteStore {
 
     async fn cancel_job(&self, id: JobId) -> Result<Option<Cancellation>, StoreError> {
         let (mut tx, now) = self.begin().await?;
-        let Some(record) = select_job(&mut tx, id).await? else { return Ok(None) };
-        match record.job.state {
-            JobState::Cancelled => return Ok(Some(Cancellation::Done(record))),
-            JobState::Succeeded | JobState::Failed => return Ok(Some(Cancellation::TooLate(record))),
-            JobState::Running if record.job.cancel_requested => {
-                return Ok(Some(Cancellation::Requested(record)));
-            }
-            JobState::Running => {
-                sqlx::query("UPDATE jobs SET cancel_requested_at = ?, version = version + 1 WHERE id = ?")
-                    .bind(micros(now))
-                    .bind(id.to_string())
-                    .execute(&mut *tx)
-                    .await?;
-                let data = json!({ "state": JobState::Running, "cancel_requested": true });
-                events::append(&mut tx, id, EventKind::State, record.job.attempt, &data, now).await?;
-            }
-            JobState::Queued => {
-                sqlx::query(
-                    "UPDATE jobs SET state = 'cancelled', phase = 'done', cancel_requested_at = ?1,
-                         finished_at = ?1, version = version + 1
-                     WHERE id = ?2",
-                )
-                .bind(micros(now))
-                .bind(id.to_string())
-                .execute(&mut *tx)
-                .await?;
-                let data = json!({ "state": JobState::Cancelled });
-                events::append(&mut tx, id, EventKind::State, record.job.attempt, &data, now).await?;
-            }
-        }
-        let was_queued = record.job.state == JobState::Queued;
-        let record = select_job(&mut tx, id).await?.ok_or(sqlx::Error::RowNotFound)?;
+        // A job whose worker is gone need not wait for another worker to learn that it is cancelled.
+        queue::reap(&mut tx, &self.policy, now).await?;
+        let answer = queue::cancel(&mut tx, id, now).await?;
         tx.commit().await?;
-        Ok(Some(if was_queued { Cancellation::Done(record) } else { Cancellation::Requested(record) }))
+        Ok(answer)
     }
 
     async fn list(&self, before: Option<PageKey>, limit: u32) -> Result<Vec<JobRecord>, StoreError> {

@@ -10,11 +10,12 @@ use super::{
     events::append,
     insert_blob,
     rows::{self, json as text, micros, name},
+    select_job,
 };
 use crate::{
-    domain::{EventKind, JobState, Phase, Progress},
+    domain::{EventKind, JobId, JobState, Phase, Progress},
     store::{
-        Claim, Heartbeat, Lease, Outcome, QueuePolicy, StoreError,
+        Cancellation, Claim, Heartbeat, Lease, Outcome, QueuePolicy, StoreError,
         verdict::{End, Next, Standing, verdict},
     },
 };
@@ -105,6 +106,35 @@ pub(super) async fn claim(
         dataset: rows::dataset(&row)?,
         options: rows::options(&row)?,
     }))
+}
+
+/// Stops a queued job, or asks for a running one to be stopped.
+pub(super) async fn cancel(
+    connection: &mut SqliteConnection,
+    id: JobId,
+    now: Timestamp,
+) -> Result<Option<Cancellation>, StoreError> {
+    let Some(record) = select_job(connection, id).await? else { return Ok(None) };
+    let (change, data) = match record.job.state {
+        JobState::Cancelled => return Ok(Some(Cancellation::Done(record))),
+        JobState::Succeeded | JobState::Failed => return Ok(Some(Cancellation::TooLate(record))),
+        JobState::Running if record.job.cancel_requested => return Ok(Some(Cancellation::Requested(record))),
+        JobState::Running => (
+            "UPDATE jobs SET cancel_requested_at = ?1, version = version + 1 WHERE id = ?2",
+            json!({ "state": JobState::Running, "cancel_requested": true }),
+        ),
+        JobState::Queued => (
+            "UPDATE jobs SET state = 'cancelled', phase = 'done', cancel_requested_at = ?1, finished_at = ?1,
+                 version = version + 1
+             WHERE id = ?2",
+            json!({ "state": JobState::Cancelled }),
+        ),
+    };
+    sqlx::query(change).bind(micros(now)).bind(id.to_string()).execute(&mut *connection).await?;
+    append(connection, id, EventKind::State, record.job.attempt, &data, now).await?;
+    let was_queued = record.job.state == JobState::Queued;
+    let record = select_job(connection, id).await?.ok_or(sqlx::Error::RowNotFound)?;
+    Ok(Some(if was_queued { Cancellation::Done(record) } else { Cancellation::Requested(record) }))
 }
 
 fn lease_lost(lease: &Lease) -> StoreError {

@@ -1,8 +1,13 @@
 //! What several test modules share.
+
 #![allow(dead_code, unreachable_pub, reason = "a test module uses what it needs")]
 
+pub mod contract;
+pub mod fakes;
+pub mod faults;
 pub mod gpu;
 pub mod oracle;
 pub mod scene;
+pub mod server;
 pub mod sh;
 pub mod shared;

@@ -1,0 +1,526 @@
+//! The queue's promises, one test each, on a clock that moves only when told to. Written against the trait, so a second
+//! database can be held to the same.
+
+use std::{sync::Arc, time::Duration};
+
+use bytes::Bytes;
+use jiff::{SignedDuration, Timestamp};
+use tcgs::{
+    domain::{
+        Clock, Digest, Event, EventKind, JobId, JobState, ManualClock, Phase, Problem, Progress, TrainOptions,
+    },
+    store::{
+        Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, JobRecord, Lease,
+        NewJob, Outcome, QueuePolicy, SqliteStore, Store, StoreError,
+    },
+};
+use tempfile::TempDir;
+use uuid::Uuid;
+
+use crate::support::fakes;
+
+struct Queue {
+    store: Arc<dyn Store>,
+    clock: Arc<ManualClock>,
+    folder: TempDir,
+}
+
+impl Queue {
+    async fn new() -> Self {
+        Self::with(QueuePolicy::default()).await
+    }
+
+    async fn with(policy: QueuePolicy) -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let start: Timestamp = "2026-11-21T12:00:00Z".parse().expect("an instant");
+        let clock = Arc::new(ManualClock::new(start));
+        let store = open(&folder, &clock, policy).await;
+        Self { store: Arc::new(store), clock, folder }
+    }
+
+    fn pass(&self, seconds: i64) {
+        self.clock.advance(SignedDuration::from_secs(seconds));
+    }
+
+    async fn add(&self, number: u128) -> JobId {
+        self.add_with_priority(number, 0).await
+    }
+
+    async fn add_with_priority(&self, number: u128, priority: i32) -> JobId {
+        let id = JobId(Uuid::from_u128(number));
+        let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
+        let new = NewJob { id, options: TrainOptions::default(), dataset, priority };
+        self.store.create_job(new).await.expect("created").job.id
+    }
+
+    async fn claim(&self) -> Option<Claim> {
+        self.store.claim("worker").await.expect("a claim")
+    }
+
+    async fn lease(&self) -> Lease {
+        self.claim().await.expect("something to claim").lease
+    }
+
+    async fn record(&self, id: JobId) -> JobRecord {
+        self.store.job(id).await.expect("read").expect("known")
+    }
+
+    async fn state(&self, id: JobId) -> JobState {
+        self.record(id).await.job.state
+    }
+
+    async fn events(&self, id: JobId) -> Vec<Event> {
+        events(&*self.store, id).await
+    }
+
+    async fn outcomes(&self, id: JobId) -> Vec<Option<AttemptOutcome>> {
+        self.store.attempts(id).await.expect("read").into_iter().map(|attempt| attempt.outcome).collect()
+    }
+}
+
+async fn open(folder: &TempDir, clock: &Arc<ManualClock>, policy: QueuePolicy) -> SqliteStore {
+    let clock = Arc::clone(clock) as Arc<dyn Clock>;
+    SqliteStore::open(&folder.path().join("tcgs.db"), clock, policy).await.expect("a database")
+}
+
+/// Every event of a job, whose numbers must count from 1.
+async fn events(store: &dyn Store, id: JobId) -> Vec<Event> {
+    let events = store.events(id, 0, 1000).await.expect("read").expect("known");
+    let numbers: Vec<u64> = events.iter().map(|event| event.seq).collect();
+    assert_eq!(numbers, (1..=events.len() as u64).collect::<Vec<_>>(), "events must have no gaps");
+    events
+}
+
+fn succeeded() -> Outcome {
+    let blob = BlobRef { digest: Digest::of(fakes::FILE), bytes: fakes::FILE.len() as u64 };
+    Outcome::Succeeded {
+        metrics: Box::new(fakes::metrics()),
+        artifacts: vec![Artifact { kind: ArtifactKind::Tcgs, blob }],
+    }
+}
+
+fn problem() -> Problem {
+    Problem::new(500, "device-lost", "Device lost", "the adapter went away")
+}
+
+fn is_lost<T>(result: Result<T, StoreError>) -> bool {
+    matches!(result, Err(StoreError::LeaseLost { .. }))
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn claims_are_exclusive_under_32_concurrent_claimers() {
+    let queue = Queue::new().await;
+    for number in 0..20 {
+        queue.add(number).await;
+    }
+    let claimers = (0..32).map(|index| {
+        let store = Arc::clone(&queue.store);
+        tokio::spawn(async move {
+            let worker = format!("worker-{index}");
+            let mut taken = Vec::new();
+            while let Some(claim) = store.claim(&worker).await.expect("a claim") {
+                taken.push(claim.lease.job);
+            }
+            taken
+        })
+    });
+    let mut taken = Vec::new();
+    for claimer in claimers.collect::<Vec<_>>() {
+        taken.extend(claimer.await.expect("joined"));
+    }
+    taken.sort();
+    assert_eq!(taken, (0..20).map(|number| JobId(Uuid::from_u128(number))).collect::<Vec<_>>());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn two_processes_share_the_file_without_a_double_claim() {
+    let queue = Queue::new().await;
+    for number in 0..20 {
+        queue.add(number).await;
+    }
+    let other = open(&queue.folder, &queue.clock, QueuePolicy::default()).await;
+    let drain = |store: Arc<dyn Store>, worker: &'static str| async move {
+        let mut taken = Vec::new();
+        while let Some(claim) = store.claim(worker).await.expect("a claim") {
+            store.heartbeat(&claim.lease).await.expect("a heartbeat");
+            taken.push(claim.lease.job);
+        }
+        taken
+    };
+    let (mut taken, more) = tokio::join!(
+        tokio::spawn(drain(Arc::clone(&queue.store), "one")),
+        tokio::spawn(drain(Arc::new(other), "two"))
+    );
+    let taken = taken.as_mut().expect("joined");
+    taken.extend(more.expect("joined"));
+    taken.sort();
+    taken.dedup();
+    assert_eq!(taken.len(), 20);
+}
+
+#[tokio::test]
+async fn the_highest_priority_goes_first_then_the_oldest() {
+    let queue = Queue::new().await;
+    let old = queue.add(9).await;
+    queue.pass(1);
+    let young = queue.add(1).await;
+    let urgent = queue.add_with_priority(5, 10).await;
+    let order = [queue.lease().await.job, queue.lease().await.job, queue.lease().await.job];
+    assert_eq!(order, [urgent, old, young]);
+    assert_eq!(queue.claim().await, None);
+}
+
+#[tokio::test]
+async fn an_expired_lease_is_claimable_exactly_once() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    let first = queue.lease().await;
+    queue.pass(59);
+    assert_eq!(queue.claim().await, None, "the lease still holds");
+    queue.pass(1);
+    let second = queue.lease().await;
+    assert_eq!((second.job, second.attempt), (id, first.attempt + 1));
+    assert_eq!(queue.claim().await, None);
+    assert_eq!(queue.outcomes(id).await, [Some(AttemptOutcome::Lost), None]);
+}
+
+#[tokio::test]
+async fn a_heartbeat_keeps_the_lease() {
+    let queue = Queue::new().await;
+    queue.add(1).await;
+    let lease = queue.lease().await;
+    for _ in 0..10 {
+        queue.pass(45);
+        assert_eq!(queue.claim().await, None);
+        assert!(!queue.store.heartbeat(&lease).await.expect("renewed").cancel_requested);
+    }
+}
+
+#[tokio::test]
+async fn a_stale_attempt_cannot_finish_report_or_emit_events() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    let stale = queue.lease().await;
+    queue.pass(60);
+    let live = queue.lease().await;
+    let before = (queue.record(id).await, queue.events(id).await);
+    assert!(is_lost(queue.store.heartbeat(&stale).await));
+    assert!(is_lost(queue.store.report(&stale, Phase::Train, &Progress::default()).await));
+    for outcome in [
+        succeeded(),
+        Outcome::Failed(problem()),
+        Outcome::Retry(problem()),
+        Outcome::Cancelled,
+        Outcome::Released,
+    ] {
+        assert!(is_lost(queue.store.finish(&stale, outcome).await));
+    }
+    assert_eq!((queue.record(id).await, queue.events(id).await), before, "nothing was written");
+    let impostor = Lease { worker: "another".into(), ..live.clone() };
+    assert!(is_lost(queue.store.heartbeat(&impostor).await));
+    assert_eq!(queue.store.finish(&live, succeeded()).await.expect("finished"), JobState::Succeeded);
+    assert!(is_lost(queue.store.finish(&live, succeeded()).await), "and only once");
+}
+
+#[tokio::test]
+async fn a_queued_job_is_cancelled_at_once() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    let answer = queue.store.cancel(id).await.expect("written").expect("known");
+    assert!(matches!(answer, Cancellation::Done(record) if record.job.state == JobState::Cancelled));
+    assert_eq!(queue.claim().await, None);
+    assert!(queue.store.cancel(JobId(Uuid::from_u128(404))).await.expect("read").is_none());
+}
+
+#[tokio::test]
+async fn a_running_job_learns_of_its_cancellation_with_the_heartbeat() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    let lease = queue.lease().await;
+    for _ in 0..2 {
+        let answer = queue.store.cancel(id).await.expect("written").expect("known");
+        assert!(matches!(answer, Cancellation::Requested(record) if record.job.cancel_requested));
+    }
+    assert!(queue.store.heartbeat(&lease).await.expect("renewed").cancel_requested);
+    assert_eq!(queue.store.finish(&lease, Outcome::Cancelled).await.expect("ended"), JobState::Cancelled);
+    let asked = queue.events(id).await.iter().filter(|event| event.data["cancel_requested"] == true).count();
+    assert_eq!(asked, 1, "asking twice changes nothing");
+}
+
+#[tokio::test]
+async fn a_finished_job_cannot_be_cancelled() {
+    let queue = Queue::new().await;
+    let done = queue.add(1).await;
+    queue.store.finish(&queue.lease().await, succeeded()).await.expect("finished");
+    let failed = queue.add(2).await;
+    queue.store.finish(&queue.lease().await, Outcome::Failed(problem())).await.expect("finished");
+    for id in [done, failed] {
+        let before = queue.record(id).await;
+        let answer = queue.store.cancel(id).await.expect("read").expect("known");
+        assert_eq!(answer, Cancellation::TooLate(before.clone()));
+        assert_eq!(queue.record(id).await, before);
+    }
+}
+
+#[tokio::test]
+async fn cancel_and_completion_are_decided_by_whichever_commits_first() {
+    let queue = Queue::new().await;
+    let cancelled_first = queue.add(1).await;
+    let lease = queue.lease().await;
+    queue.store.cancel(cancelled_first).await.expect("written");
+    assert_eq!(queue.store.finish(&lease, succeeded()).await.expect("ended"), JobState::Cancelled);
+    let record = queue.record(cancelled_first).await;
+    assert_eq!((record.artifacts, record.job.metrics), (vec![], None), "nothing is published");
+
+    let completed_first = queue.add(2).await;
+    let lease = queue.lease().await;
+    queue.store.finish(&lease, succeeded()).await.expect("finished");
+    let answer = queue.store.cancel(completed_first).await.expect("read").expect("known");
+    assert!(matches!(answer, Cancellation::TooLate(_)));
+    assert_eq!(queue.state(completed_first).await, JobState::Succeeded);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_race_of_cancel_and_completion_leaves_one_consistent_end() {
+    let queue = Queue::new().await;
+    for number in 0..25 {
+        let id = queue.add(number).await;
+        let lease = queue.lease().await;
+        let (cancelled, finished) =
+            tokio::join!(queue.store.cancel(id), queue.store.finish(&lease, succeeded()));
+        let (cancelled, finished) =
+            (cancelled.expect("answered").expect("known"), finished.expect("answered"));
+        let record = queue.record(id).await;
+        assert_eq!(record.job.state, finished);
+        let accepted = !matches!(cancelled, Cancellation::TooLate(_));
+        assert_eq!(accepted, finished == JobState::Cancelled);
+        assert_eq!(record.artifacts.is_empty(), accepted);
+    }
+}
+
+#[tokio::test]
+async fn a_retry_waits_out_its_delay() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    let state = queue.store.finish(&queue.lease().await, Outcome::Retry(problem())).await.expect("ended");
+    assert_eq!(state, JobState::Queued);
+    queue.pass(8);
+    assert_eq!(queue.claim().await, None, "the delay is 9 to 11 seconds");
+    let other = queue.add(2).await;
+    assert_eq!(queue.lease().await.job, other, "a younger job goes ahead of one that must wait");
+    assert_eq!(queue.claim().await, None);
+    queue.pass(4);
+    assert_eq!(queue.lease().await.attempt, 2);
+    let ended = queue.events(id).await.into_iter().find(|event| event.kind == EventKind::Attempt);
+    let ended = ended.expect("an attempt event");
+    assert_eq!((ended.attempt, &ended.data["outcome"]), (1, &serde_json::json!("retried")));
+    assert_eq!(ended.data["cause"]["type"], "urn:tcgs:problem:device-lost");
+}
+
+#[tokio::test]
+async fn when_the_attempts_are_used_up_the_job_fails_and_its_history_stays() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    for attempt in 1..=3 {
+        let lease = queue.lease().await;
+        assert_eq!(lease.attempt, attempt);
+        queue.store.finish(&lease, Outcome::Retry(problem())).await.expect("ended");
+        queue.pass(3600);
+    }
+    let record = queue.record(id).await;
+    assert_eq!(record.job.state, JobState::Failed);
+    let error = record.job.error.expect("a reason");
+    assert_eq!(error.kind, problem().kind);
+    assert!(error.detail.contains("3 attempts"), "{error}");
+    let history = queue.store.attempts(id).await.expect("read");
+    assert_eq!(history.len(), 3);
+    assert!(history.iter().all(|attempt| attempt.cause == Some(problem()) && attempt.ended_at.is_some()));
+    assert_eq!(queue.claim().await, None);
+}
+
+#[tokio::test]
+async fn bad_input_is_not_tried_again() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    queue.store.finish(&queue.lease().await, Outcome::Failed(problem())).await.expect("ended");
+    assert_eq!(queue.record(id).await.job.error, Some(problem()));
+    assert_eq!(queue.outcomes(id).await, [Some(AttemptOutcome::Failed)]);
+}
+
+#[tokio::test]
+async fn a_job_that_twice_kills_its_worker_is_not_given_to_a_third() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    queue.lease().await;
+    assert_eq!(queue.store.expire_worker("worker").await.expect("taken"), 1);
+    queue.lease().await;
+    queue.pass(60);
+    assert_eq!(queue.claim().await, None);
+    let error = queue.record(id).await.job.error.expect("a reason");
+    assert_eq!(error.kind, "urn:tcgs:problem:resource-exhausted");
+    assert_eq!(queue.outcomes(id).await, [Some(AttemptOutcome::Lost), Some(AttemptOutcome::Lost)]);
+}
+
+#[tokio::test]
+async fn an_attempt_that_says_why_it_failed_breaks_the_row_of_silent_deaths() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    queue.lease().await;
+    queue.store.expire_worker("worker").await.expect("taken");
+    queue.store.finish(&queue.lease().await, Outcome::Released).await.expect("released");
+    queue.lease().await;
+    queue.store.expire_worker("worker").await.expect("taken");
+    assert_eq!(queue.state(id).await, JobState::Queued);
+}
+
+#[tokio::test]
+async fn a_dead_worker_s_jobs_are_free_at_once_and_no_one_else_s() {
+    let queue = Queue::new().await;
+    let (first, second) = (queue.add(1).await, queue.add(2).await);
+    let kept = queue.store.claim("alive").await.expect("a claim").expect("a job").lease;
+    queue.store.claim("dead").await.expect("a claim").expect("a job");
+    assert_eq!(queue.store.expire_worker("dead").await.expect("taken"), 1);
+    assert_eq!(queue.store.expire_worker("dead").await.expect("nothing left"), 0);
+    assert_eq!(kept.job, first);
+    queue.store.heartbeat(&kept).await.expect("still held");
+    assert_eq!(queue.lease().await.job, second);
+}
+
+#[tokio::test]
+async fn a_cancelled_job_whose_worker_dies_ends_cancelled() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    queue.lease().await;
+    queue.store.cancel(id).await.expect("written");
+    queue.store.expire_worker("worker").await.expect("taken");
+    assert_eq!(queue.state(id).await, JobState::Cancelled);
+}
+
+#[tokio::test]
+async fn a_job_whose_worker_is_long_gone_is_cancelled_at_once() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    queue.lease().await;
+    queue.pass(60);
+    let answer = queue.store.cancel(id).await.expect("written").expect("known");
+    assert!(matches!(answer, Cancellation::Done(record) if record.job.state == JobState::Cancelled));
+    assert_eq!(queue.outcomes(id).await, [Some(AttemptOutcome::Lost)]);
+    queue.events(id).await;
+}
+
+#[tokio::test]
+async fn a_release_is_not_charged() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    for _ in 0..10 {
+        let lease = queue.lease().await;
+        assert_eq!(queue.store.finish(&lease, Outcome::Released).await.expect("released"), JobState::Queued);
+    }
+    assert_eq!(queue.lease().await.attempt, 11, "the fence still rises");
+    assert_eq!(queue.state(id).await, JobState::Running);
+}
+
+#[tokio::test]
+async fn events_have_no_gaps_and_no_duplicates_across_a_reopen() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    let lease = queue.lease().await;
+    let progress = |step| Progress { step, ..Progress::default() };
+    queue.store.report(&lease, Phase::Train, &progress(1)).await.expect("reported");
+    let before = queue.events(id).await;
+    let Queue { store, clock, folder } = queue;
+    drop(store);
+    let store = open(&folder, &clock, QueuePolicy::default()).await;
+    assert_eq!(events(&store, id).await, before);
+    store.heartbeat(&lease).await.expect("the lease survives the reopening");
+    store.report(&lease, Phase::Encode, &progress(2)).await.expect("reported");
+    store.finish(&lease, succeeded()).await.expect("finished");
+    let after = events(&store, id).await;
+    assert_eq!(after[..before.len()], before);
+    let states: Vec<_> =
+        after.iter().filter(|event| event.kind == EventKind::State).map(|e| &e.data["state"]).collect();
+    assert_eq!(states, ["queued", "running", "succeeded"]);
+}
+
+#[tokio::test]
+async fn progress_is_always_current_but_its_events_are_spaced_out() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    let lease = queue.lease().await;
+    for step in 1..=100 {
+        let progress = Progress { step, total: 100, ..Progress::default() };
+        queue.store.report(&lease, Phase::Train, &progress).await.expect("reported");
+        queue.clock.advance(SignedDuration::from_millis(100));
+    }
+    assert_eq!(queue.record(id).await.job.progress.step, 100);
+    let events = queue.events(id).await;
+    let progress = events.iter().filter(|event| event.kind == EventKind::Progress).count();
+    assert_eq!(progress, 2, "ten seconds hold two intervals of five");
+    let phases = events.iter().filter(|event| event.kind == EventKind::Phase).count();
+    assert_eq!(phases, 2, "ingest and train, once each");
+}
+
+#[tokio::test]
+async fn every_change_raises_the_version_and_a_new_attempt_starts_from_nothing() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    let mut last = queue.record(id).await.job.version;
+    let mut rises = |record: &JobRecord| {
+        let version = record.job.version;
+        assert!(version > last, "{version} after {last}");
+        last = version;
+    };
+    let lease = queue.lease().await;
+    rises(&queue.record(id).await);
+    let progress = Progress { step: 5, ..Progress::default() };
+    queue.store.report(&lease, Phase::Train, &progress).await.expect("reported");
+    rises(&queue.record(id).await);
+    queue.store.finish(&lease, Outcome::Retry(problem())).await.expect("ended");
+    let waiting = queue.record(id).await;
+    rises(&waiting);
+    assert_eq!((waiting.job.error, waiting.job.phase), (None, Phase::Queued), "the job has not failed");
+    queue.pass(60);
+    queue.lease().await;
+    let again = queue.record(id).await;
+    rises(&again);
+    assert_eq!((again.job.progress, again.job.phase), (Progress::default(), Phase::Ingest));
+    queue.store.cancel(id).await.expect("written");
+    rises(&queue.record(id).await);
+}
+
+#[tokio::test]
+async fn a_dataset_may_be_used_by_many_jobs() {
+    let queue = Queue::new().await;
+    let (first, second) = (queue.add(1).await, queue.add(2).await);
+    assert_eq!(queue.record(first).await.dataset, queue.record(second).await.dataset);
+}
+
+#[tokio::test]
+async fn a_row_that_makes_no_sense_is_an_error_and_not_a_panic() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    let url = format!("sqlite://{}", queue.folder.path().join("tcgs.db").display());
+    let pool = sqlx::SqlitePool::connect(&url).await.expect("a connection");
+    for change in [
+        "UPDATE jobs SET options = '{\"preset\":\"unheard-of\"}'",
+        "UPDATE jobs SET options = 'no JSON'",
+        "UPDATE jobs SET options = '{}', phase = 'dreaming'",
+        "UPDATE jobs SET phase = 'queued', attempt = -1",
+        "UPDATE jobs SET attempt = 0, created_at = 9223372036854775807",
+    ] {
+        sqlx::query(change).execute(&pool).await.expect("changed");
+        let read = queue.store.job(id).await;
+        assert!(matches!(read, Err(StoreError::Corrupt { .. })), "{change}: {read:?}");
+    }
+}
+
+#[tokio::test]
+async fn what_is_published_survives_the_process() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let blobs = Blobs::open(folder.path()).expect("a store");
+    let blob = blobs.put(Bytes::from_static(b"kept")).await.expect("published");
+    drop(blobs);
+    let blobs = Blobs::open(folder.path()).expect("a store");
+    assert_eq!(&blobs.read(blob.digest).await.expect("read")[..], b"kept");
+    tokio::time::timeout(Duration::from_secs(60), blobs.probe()).await.expect("answers").expect("writable");
+}

@@ -1,0 +1,194 @@
+//! Stand-ins for training, rendering, decoding and the dataset check, steered by what they are given.
+
+use std::{
+    fs,
+    path::Path,
+    sync::{Arc, Condvar, Mutex},
+    time::Duration,
+};
+
+use glam::DVec3;
+use tcgs::{
+    domain::{
+        AnchorScene, Background, ByteCounts, Camera, CancelFlag, Digest, Image, Intrinsics, JobMetrics,
+        Lattice, Mlp, NamedCamera, Phase, PhaseSeconds, Pose, Problem, Progress, RenderNetworks, Scores,
+        Split, TrainOptions,
+    },
+    render::{RenderViews, views::Viewable},
+    worker::run::{JobFailure, JobOutput, RunJob},
+};
+
+/// A door that runs and renders can be made to wait at.
+#[derive(Debug, Default)]
+pub struct Gate {
+    open: Mutex<bool>,
+    changed: Condvar,
+    arrived: tokio::sync::Notify,
+}
+
+impl Gate {
+    /// Lets everyone through, now and later.
+    pub fn open(&self) {
+        *self.open.lock().expect("not poisoned") = true;
+        self.changed.notify_all();
+    }
+
+    /// Waits until somebody stands at the gate.
+    pub async fn someone_waits(&self) {
+        self.arrived.notified().await;
+    }
+
+    fn pass(&self) {
+        self.arrived.notify_one();
+        let mut open = self.open.lock().expect("not poisoned");
+        while !*open {
+            open = self.changed.wait(open).expect("not poisoned");
+        }
+    }
+}
+
+/// The `.tcgs` file of every fake job.
+pub const FILE: &[u8] = b"this is not really a compressed scene, but it has bytes";
+
+/// Does what the dataset's text says: `succeed`, `fail`, `retry`, `panic`, `wait` (until cancelled), `gate`
+/// (until the gate opens, whatever the cancel flag says), then a suffix that makes datasets differ.
+#[derive(Debug, Default, Clone)]
+pub struct FakeRunner {
+    pub gate: Arc<Gate>,
+}
+
+impl RunJob for FakeRunner {
+    fn run(
+        &self,
+        dataset: &Path,
+        options: &TrainOptions,
+        report: &mut dyn FnMut(Phase, &Progress),
+        cancel: &CancelFlag,
+    ) -> Result<JobOutput, JobFailure> {
+        let wish = fs::read_to_string(dataset).expect("the dataset is readable");
+        let problem = |name: &str| Problem::new(500, name, "Fake", "as the test wants it");
+        let total = u64::from(options.iterations.unwrap_or(10));
+        report(Phase::Train, &Progress { step: 1, total, loss: Some(0.5), ..Progress::default() });
+        match wish.split_whitespace().next().unwrap_or_default() {
+            "succeed" => {}
+            "fail" => return Err(JobFailure::Fail(problem("fake-fail"))),
+            "retry" => return Err(JobFailure::Retry(problem("fake-retry"))),
+            "panic" => panic!("as the test wants it"),
+            "wait" => {
+                self.gate.arrived.notify_one();
+                let mut step = 1;
+                while !cancel.is_cancelled() {
+                    step += 1;
+                    report(Phase::Train, &Progress { step, total, ..Progress::default() });
+                    std::thread::sleep(Duration::from_millis(2));
+                }
+                return Err(JobFailure::Cancelled);
+            }
+            "gate" => self.gate.pass(),
+            other => panic!("the test wants '{other}'"),
+        }
+        report(Phase::Encode, &Progress { step: total, total, ..Progress::default() });
+        Ok(JobOutput { file: FILE.to_vec(), metrics: metrics(), cameras: cameras() })
+    }
+}
+
+/// The figures of every fake job.
+pub fn metrics() -> JobMetrics {
+    let scores = Scores { psnr: Some(30.0), ssim: Some(0.9), lpips: None, views: 2 };
+    JobMetrics {
+        test: scores.clone(),
+        train: scores,
+        bytes: ByteCounts { total: FILE.len() as u64, container: FILE.len() as u64, ..ByteCounts::default() },
+        seconds: PhaseSeconds::default(),
+        steps: 10,
+        steps_per_second: 5.0,
+        anchors: 1,
+        gaussians: 1,
+        psnr_before_quantisation: Some(30.5),
+        decode_sha256: Digest::of(b"decoded"),
+        adapter: "fake".into(),
+        background: Background::White,
+    }
+}
+
+/// The dataset cameras of every fake job: an off-centre principal point and unequal focal lengths.
+pub fn cameras() -> Vec<NamedCamera> {
+    let camera = |x: f64| Camera {
+        intrinsics: Intrinsics { fx: 50.0, fy: 55.0, cx: 21.0, cy: 15.5, width: 40, height: 32 },
+        pose: Pose::look_at(DVec3::new(x, 1.0, 2.0), DVec3::ZERO, DVec3::Z).expect("a view"),
+    };
+    ["train/r_0", "test/r_0", "test/r_1"]
+        .into_iter()
+        .zip([2.0, 3.0, 4.0])
+        .map(|(name, x)| NamedCamera {
+            name: name.into(),
+            split: if name.starts_with("train") { Split::Train } else { Split::Test },
+            camera: camera(x),
+        })
+        .collect()
+}
+
+/// Paints a picture whose colours tell the camera apart (to six decimals). A width of 13 panics, 14 loses the device, 17 waits
+/// at the gate.
+#[derive(Debug, Default, Clone)]
+pub struct FakeRenderer {
+    pub gate: Arc<Gate>,
+}
+
+impl RenderViews for FakeRenderer {
+    fn render(
+        &self,
+        artifact: Digest,
+        load: &dyn Fn() -> Result<Viewable, Problem>,
+        camera: &Camera,
+    ) -> Result<Image, Problem> {
+        assert_eq!(artifact, Digest::of(FILE));
+        load()?;
+        let Intrinsics { fx, fy, cx, cy, width, height } = camera.intrinsics;
+        match width {
+            13 => panic!("as the test wants it"),
+            14 => return Err(Problem::new(500, "device-lost", "Device lost", "as the test wants it")),
+            17 => self.gate.pass(),
+            _ => {}
+        }
+        let rotation = camera.pose.rotation().to_cols_array();
+        let numbers = rotation.into_iter().chain(camera.pose.center().to_array()).chain([fx, fy, cx, cy]);
+        // Adding zero turns -0.0 into 0.0.
+        let text: Vec<String> = numbers.map(|v| format!("{:.6}", (v * 1e6).round() / 1e6 + 0.0)).collect();
+        let digest = Digest::of(text.join(",").as_bytes());
+        let samples = (0..width as usize * height as usize * 3).map(|i| digest.as_bytes()[i % 32]).collect();
+        Ok(Image::new(width, height, 3, samples).expect("an image"))
+    }
+}
+
+/// Accepts [`FILE`] only.
+pub fn load(file: &[u8]) -> Result<Viewable, Problem> {
+    assert_eq!(file, FILE);
+    Ok(Viewable { scene: empty_scene(), background: Background::White })
+}
+
+/// Refuses a dataset that begins with `bad`, panics at `bomb`.
+pub fn check(dataset: &Path) -> Result<(), Problem> {
+    let content = fs::read(dataset).expect("the staged file is readable");
+    assert!(!content.starts_with(b"bomb"), "as the test wants it");
+    if content.starts_with(b"bad") {
+        let fault = "frame 3 has a focal length of 0; it must be a positive number of pixels";
+        return Err(Problem::new(422, "invalid-dataset", "Invalid dataset", fault).in_file("transforms.json"));
+    }
+    Ok(())
+}
+
+fn empty_scene() -> AnchorScene {
+    let mlp = || Mlp { layers: Vec::new() };
+    AnchorScene {
+        lattice: Lattice { voxel: 1.0, origin: [0.0; 3] },
+        cells: Vec::new(),
+        feature_dim: 1,
+        offsets_per_anchor: 1,
+        features: Vec::new(),
+        scalings: Vec::new(),
+        offsets: Vec::new(),
+        masks: Vec::new(),
+        networks: RenderNetworks { opacity: mlp(), covariance: mlp(), color: mlp() },
+    }
+}

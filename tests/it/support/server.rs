@@ -1,0 +1,233 @@
+//! The whole service on a real socket, with fake training and rendering.
+
+use std::{net::SocketAddr, sync::Arc, time::Duration};
+
+use bytes::Bytes;
+use reqwest::{RequestBuilder, header::HeaderMap};
+use serde_json::Value;
+use tcgs::{
+    domain::{Clock, SystemClock},
+    http::{self, HttpConfig, Services, WorkerCounts, config::RequestLimits},
+    store::{Blobs, QueuePolicy, SqliteStore, Store},
+    worker::{self, WorkerConfig},
+};
+use tempfile::TempDir;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+use super::{
+    contract::Coverage,
+    fakes::{self, FakeRenderer, FakeRunner},
+    faults::FaultStore,
+};
+
+/// How a test's server differs from the usual one.
+pub struct Setup {
+    pub limits: RequestLimits,
+    pub header_timeout: Duration,
+    pub max_connections: usize,
+    pub worker: bool,
+    pub policy: QueuePolicy,
+}
+
+impl Default for Setup {
+    fn default() -> Self {
+        Self {
+            limits: RequestLimits { upload_bytes: 1 << 20, ..RequestLimits::default() },
+            header_timeout: Duration::from_secs(10),
+            max_connections: 512,
+            worker: true,
+            policy: quick_policy(),
+        }
+    }
+}
+
+/// The usual policy, but the next attempt begins at once.
+pub fn quick_policy() -> QueuePolicy {
+    QueuePolicy {
+        backoff_base: Duration::ZERO,
+        progress_event_every: Duration::ZERO,
+        ..QueuePolicy::default()
+    }
+}
+
+/// A worker that does everything quickly.
+pub fn quick_worker(id: &str) -> WorkerConfig {
+    WorkerConfig {
+        poll: Duration::from_millis(5),
+        heartbeat: Duration::from_millis(20),
+        report_every: Duration::from_millis(5),
+        ..WorkerConfig::new(id)
+    }
+}
+
+/// A running service and a client that holds every answer to the contract.
+pub struct Server {
+    pub address: SocketAddr,
+    pub store: Arc<FaultStore>,
+    pub services: Services,
+    pub runner: FakeRunner,
+    pub renderer: FakeRenderer,
+    pub shutdown: CancellationToken,
+    pub serving: JoinHandle<()>,
+    pub coverage: Coverage,
+    client: reqwest::Client,
+    _data: TempDir,
+}
+
+/// Reads a picture.
+pub fn picture(file: &[u8]) -> image::DynamicImage {
+    let reader = image::ImageReader::new(std::io::Cursor::new(file)).with_guessed_format();
+    reader.expect("in memory").decode().expect("a picture")
+}
+
+/// A checked answer.
+#[derive(Debug)]
+pub struct Answer {
+    pub status: u16,
+    pub headers: HeaderMap,
+    pub body: Bytes,
+}
+
+impl Answer {
+    pub fn json(&self) -> Value {
+        serde_json::from_slice(&self.body).expect("a JSON body")
+    }
+
+    pub fn header(&self, name: &str) -> &str {
+        self.headers.get(name).unwrap_or_else(|| panic!("no {name}")).to_str().expect("ASCII")
+    }
+
+    /// Asserts the status and shows the body if it is another.
+    #[track_caller]
+    pub fn expect(self, status: u16) -> Self {
+        assert_eq!(self.status, status, "{}", String::from_utf8_lossy(&self.body));
+        self
+    }
+
+    /// Asserts a problem of one type and returns its detail.
+    #[track_caller]
+    pub fn expect_problem(self, status: u16, kind: &str) -> String {
+        let problem = self.expect(status).json();
+        assert_eq!(problem["type"], format!("urn:tcgs:problem:{kind}"), "{problem:#}");
+        problem["detail"].as_str().expect("a detail").to_owned()
+    }
+}
+
+impl Server {
+    pub async fn start(coverage: &Coverage) -> Self {
+        Self::start_with(coverage, Setup::default()).await
+    }
+
+    pub async fn start_with(coverage: &Coverage, setup: Setup) -> Self {
+        let data = tempfile::tempdir().expect("a folder");
+        let clock: Arc<dyn Clock> = Arc::new(SystemClock);
+        let sqlite = SqliteStore::open(&data.path().join("tcgs.db"), Arc::clone(&clock), setup.policy).await;
+        let store = Arc::new(FaultStore::new(Arc::new(sqlite.expect("a database"))));
+        let blobs = Blobs::open(data.path()).expect("a blob store");
+        let (runner, renderer) = (FakeRunner::default(), FakeRenderer::default());
+        let services = Services {
+            store: Arc::clone(&store) as Arc<dyn Store>,
+            blobs: blobs.clone(),
+            clock,
+            check: Arc::new(fakes::check),
+            load: Arc::new(fakes::load),
+            renderer: Arc::new(renderer.clone()),
+            workers: Arc::new(|| WorkerCounts { expected: 1, alive: 1 }),
+        };
+        let shutdown = CancellationToken::new();
+        if setup.worker {
+            let worker = worker::serve(
+                Arc::clone(&store) as Arc<dyn Store>,
+                blobs,
+                Arc::new(runner.clone()),
+                quick_worker("test"),
+                shutdown.clone(),
+            );
+            tokio::spawn(worker);
+        }
+        let config = HttpConfig {
+            listen: "127.0.0.1:0".parse().expect("an address"),
+            header_timeout: setup.header_timeout,
+            max_connections: setup.max_connections,
+            limits: setup.limits,
+            ..HttpConfig::default()
+        };
+        let listener = http::bind(&config).await.expect("a port");
+        let address = listener.local_addr().expect("bound");
+        let serving = tokio::spawn(http::serve(listener, config, services.clone(), shutdown.clone()));
+        let client = reqwest::Client::builder().timeout(Duration::from_secs(60)).build().expect("a client");
+        let coverage = coverage.clone();
+        Self { address, store, services, runner, renderer, shutdown, serving, coverage, client, _data: data }
+    }
+
+    /// Sends a request and checks the answer against the contract.
+    pub async fn send(
+        &self,
+        method: &str,
+        path: &str,
+        fill: impl FnOnce(RequestBuilder) -> RequestBuilder,
+    ) -> Answer {
+        let method = method.parse().expect("a method");
+        let url = format!("http://{}{path}", self.address);
+        let response =
+            fill(self.client.request(reqwest::Method::clone(&method), url)).send().await.expect("an answer");
+        let (status, headers) = (response.status().as_u16(), response.headers().clone());
+        let body = response.bytes().await.expect("a whole body");
+        self.coverage.check(method.as_str(), path, status, &headers, &body);
+        Answer { status, headers, body }
+    }
+
+    pub async fn get(&self, path: &str) -> Answer {
+        self.send("GET", path, |request| request).await
+    }
+
+    pub async fn post(&self, path: &str) -> Answer {
+        self.send("POST", path, |request| request).await
+    }
+
+    pub async fn post_json(&self, path: &str, body: &Value) -> Answer {
+        self.send("POST", path, |request| request.json(body)).await
+    }
+
+    /// `POST /v1/jobs` with a query and a dataset.
+    pub async fn upload(&self, query: &str, dataset: &str) -> Answer {
+        self.send("POST", &format!("/v1/jobs{query}"), |request| {
+            request.header("content-type", "application/zip").body(dataset.to_owned())
+        })
+        .await
+    }
+
+    /// Creates a job and returns its path.
+    pub async fn create(&self, dataset: &str) -> String {
+        self.upload("", dataset).await.expect(201).header("location").to_owned()
+    }
+
+    /// Asks for a job until it is in `state`.
+    pub async fn reaches(&self, job: &str, state: &str) -> Value {
+        loop {
+            let now = self.get(job).await.expect(200).json();
+            if now["state"] == state {
+                return now;
+            }
+            let waiting = now["finished_at"].is_null();
+            assert!(waiting, "the job can no longer become {state}: {now:#}");
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    }
+
+    /// Creates a job and waits until it has succeeded.
+    pub async fn succeeded(&self) -> String {
+        let job = self.create("succeed").await;
+        self.reaches(&job, "succeeded").await;
+        job
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.runner.gate.open();
+        self.renderer.gate.open();
+        self.shutdown.cancel();
+    }
+}

@@ -1,0 +1,337 @@
+//! The worker loop with a fake runner, and the supervisor with real child processes.
+
+use std::{
+    ffi::OsString,
+    path::{Path, PathBuf},
+    process::Command,
+    sync::Arc,
+    time::Duration,
+};
+
+use serde_json::json;
+use tcgs::{
+    domain::{JobState, SystemClock},
+    store::{AttemptOutcome, Blobs, NewJob, SqliteStore, Store},
+    worker::{
+        self, WorkerConfig, WorkerError,
+        supervise::{Census, SuperviseConfig, supervise},
+    },
+};
+use tempfile::TempDir;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+use uuid::Uuid;
+
+use crate::support::{
+    contract::Coverage,
+    fakes::FakeRunner,
+    faults::Failing,
+    server::{Server, quick_policy, quick_worker},
+};
+
+/// Where the child of the supervisor tests finds its data.
+const CHILD_DATA: &str = "TCGS_TEST_CHILD_DATA";
+
+struct Workshop {
+    store: Arc<dyn Store>,
+    blobs: Blobs,
+    runner: FakeRunner,
+    shutdown: CancellationToken,
+    data: TempDir,
+}
+
+impl Workshop {
+    async fn new() -> Self {
+        let data = tempfile::tempdir().expect("a folder");
+        let (store, blobs) = open(data.path()).await;
+        Self { store, blobs, runner: FakeRunner::default(), shutdown: CancellationToken::new(), data }
+    }
+
+    fn start(&self, config: WorkerConfig) -> JoinHandle<Result<(), WorkerError>> {
+        let (store, blobs) = (Arc::clone(&self.store), self.blobs.clone());
+        let runner = Arc::new(self.runner.clone());
+        tokio::spawn(worker::serve(store, blobs, runner, config, self.shutdown.clone()))
+    }
+
+    async fn add(&self, wish: &'static str) -> tcgs::domain::JobId {
+        let dataset = self.blobs.put(bytes::Bytes::from_static(wish.as_bytes())).await.expect("published");
+        let id = tcgs::domain::JobId(Uuid::now_v7());
+        let new = NewJob { id, options: Default::default(), dataset, priority: 0 };
+        self.store.create_job(new).await.expect("created").job.id
+    }
+
+    async fn reaches(&self, id: tcgs::domain::JobId, state: JobState) -> tcgs::domain::Job {
+        loop {
+            let job = self.store.job(id).await.expect("read").expect("known").job;
+            if job.state == state {
+                return job;
+            }
+            assert!(!job.state.is_terminal(), "the job can no longer become {state:?}: {job:?}");
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+    }
+
+    async fn outcomes(&self, id: tcgs::domain::JobId) -> Vec<Option<AttemptOutcome>> {
+        self.store.attempts(id).await.expect("read").into_iter().map(|attempt| attempt.outcome).collect()
+    }
+}
+
+impl Drop for Workshop {
+    fn drop(&mut self) {
+        self.runner.gate.open();
+        self.shutdown.cancel();
+    }
+}
+
+async fn open(data: &Path) -> (Arc<dyn Store>, Blobs) {
+    let store = SqliteStore::open(&data.join("tcgs.db"), Arc::new(SystemClock), quick_policy()).await;
+    (Arc::new(store.expect("a database")), Blobs::open(data).expect("a blob store"))
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_run_that_panics_fails_its_attempts_and_the_worker_lives() {
+    let workshop = Workshop::new().await;
+    workshop.start(quick_worker("w"));
+    let bad = workshop.add("panic").await;
+    let job = workshop.reaches(bad, JobState::Failed).await;
+    assert_eq!(
+        (job.attempt, job.error.expect("a reason").kind.as_str()),
+        (3, "urn:tcgs:problem:worker-panicked")
+    );
+    let good = workshop.add("succeed").await;
+    workshop.reaches(good, JobState::Succeeded).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn shutdown_releases_the_running_job_without_a_charge() {
+    let workshop = Workshop::new().await;
+    let working = workshop.start(quick_worker("w"));
+    let id = workshop.add("wait").await;
+    workshop.runner.gate.someone_waits().await;
+    workshop.shutdown.cancel();
+    working.await.expect("joined").expect("a clean end");
+    assert_eq!(workshop.reaches(id, JobState::Queued).await.error, None);
+    assert_eq!(workshop.outcomes(id).await, [Some(AttemptOutcome::Released)]);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_run_that_does_not_stop_in_time_is_released_all_the_same() {
+    let workshop = Workshop::new().await;
+    let working = workshop.start(WorkerConfig { drain: Duration::from_millis(30), ..quick_worker("w") });
+    let id = workshop.add("gate").await;
+    workshop.runner.gate.someone_waits().await;
+    workshop.shutdown.cancel();
+    working.await.expect("joined").expect("a clean end");
+    assert_eq!(workshop.outcomes(id).await, [Some(AttemptOutcome::Released)]);
+    workshop.reaches(id, JobState::Queued).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_run_that_hangs_ends_the_worker_and_its_job_is_given_back() {
+    let workshop = Workshop::new().await;
+    let working =
+        workshop.start(WorkerConfig { stall_limit: Duration::from_millis(60), ..quick_worker("w") });
+    let id = workshop.add("gate").await;
+    let ended = working.await.expect("joined");
+    assert!(matches!(ended, Err(WorkerError::Stalled { job, attempt: 1, .. }) if job == id), "{ended:?}");
+    assert_eq!(workshop.outcomes(id).await, [Some(AttemptOutcome::Retried)]);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_worker_that_lost_its_lease_drops_the_result_and_goes_on() {
+    let workshop = Workshop::new().await;
+    workshop.start(quick_worker("w"));
+    let id = workshop.add("gate").await;
+    workshop.runner.gate.someone_waits().await;
+    assert_eq!(workshop.store.expire_worker("w").await.expect("taken"), 1);
+    // Another worker takes it while the first still runs, and is interrupted.
+    let other = workshop.store.claim("other").await.expect("a claim").expect("the job").lease;
+    workshop.runner.gate.open();
+    let next = workshop.add("succeed next").await;
+    workshop.reaches(next, JobState::Succeeded).await;
+    let job = workshop.store.job(id).await.expect("read").expect("known").job;
+    assert_eq!(
+        (job.state, job.attempt),
+        (JobState::Running, other.attempt),
+        "the late result changed nothing"
+    );
+    workshop.store.heartbeat(&other).await.expect("still held");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_short_outage_of_the_database_does_not_cost_the_run() {
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.create("gate").await;
+    server.runner.gate.someone_waits().await;
+    server.store.set(Some(Failing::Busy));
+    server.runner.gate.open();
+    // Long enough for heartbeats, reports and the first try at the end to fail.
+    tokio::time::sleep(Duration::from_millis(100)).await;
+    server.store.set(None);
+    let done = server.reaches(&job, "succeeded").await;
+    assert_eq!(done["attempt"], 1);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_dataset_that_is_gone_fails_the_attempts() {
+    let workshop = Workshop::new().await;
+    let id = workshop.add("succeed").await;
+    let dataset = workshop.store.job(id).await.expect("read").expect("known").dataset;
+    let file = workshop.blobs.local_file(dataset.digest).await.expect("published");
+    std::fs::remove_file(file).expect("removed");
+    workshop.start(quick_worker("w"));
+    let job = workshop.reaches(id, JobState::Failed).await;
+    assert_eq!(
+        (job.attempt, job.error.expect("a reason").kind.as_str()),
+        (3, "urn:tcgs:problem:storage-failed")
+    );
+}
+
+/// Not a test of its own: the supervisor tests run this binary again with this name, and it becomes a worker whose run
+/// waits until the file `go` appears.
+#[test]
+#[ignore = "the supervisor tests run it as a child process"]
+fn child_process() {
+    let Some(data) = std::env::var_os(CHILD_DATA).map(PathBuf::from) else { return };
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
+    runtime.block_on(async move {
+        let (store, blobs) = open(&data).await;
+        let stop = CancellationToken::new();
+        worker::stop_when_stdin_closes(stop.clone()).expect("a thread");
+        let runner = FakeRunner::default();
+        let gate = Arc::clone(&runner.gate);
+        let go = data.join("go");
+        tokio::spawn(async move {
+            while !go.exists() {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+            gate.open();
+        });
+        let id = WorkerConfig::from_environment().id;
+        let config = WorkerConfig { drain: Duration::from_millis(50), ..quick_worker(&id) };
+        worker::serve(store, blobs, Arc::new(runner), config, stop).await.expect("a clean end");
+    });
+}
+
+fn child_config(data: &Path) -> SuperviseConfig {
+    let arguments = ["worker::child_process", "--exact", "--ignored", "--test-threads=1"].map(OsString::from);
+    let mut config = SuperviseConfig::this_program(arguments.into(), 1).expect("a program");
+    config.environment = vec![(CHILD_DATA.into(), data.into())];
+    config.backoff_base = Duration::from_millis(5);
+    config
+}
+
+async fn one_living(census: &Census, but_not: u32) -> u32 {
+    loop {
+        match census.living().first() {
+            Some(&pid) if pid != but_not => return pid,
+            _ => tokio::time::sleep(Duration::from_millis(2)).await,
+        }
+    }
+}
+
+fn kill(pid: u32) {
+    let status = Command::new("kill").args(["-9", &pid.to_string()]).status().expect("kill runs");
+    assert!(status.success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn killing_the_worker_leaves_the_api_answering_and_the_job_is_run_again() {
+    let workshop = Workshop::new().await;
+    let store = Arc::clone(&workshop.store);
+    let supervisor = supervise(child_config(workshop.data.path()), store, workshop.shutdown.clone());
+    let census = supervisor.census();
+    let api = api(&workshop, census.clone());
+    let id = workshop.add("gate").await;
+    let first = one_living(&census, 0).await;
+    workshop.reaches(id, JobState::Running).await;
+
+    kill(first);
+    let second = one_living(&census, first).await;
+    let seen = answer(&api, "/healthz").await;
+    assert_eq!(seen, (200, json!({ "status": "ok" })));
+    let (status, ready) = answer(&api, "/readyz").await;
+    assert_eq!((status, &ready["workers"]["expected"]), (200, &json!(1)));
+
+    std::fs::write(workshop.data.path().join("go"), "").expect("written");
+    let job = workshop.reaches(id, JobState::Succeeded).await;
+    assert_eq!(job.attempt, 2);
+    assert_eq!(workshop.outcomes(id).await, [Some(AttemptOutcome::Lost), Some(AttemptOutcome::Succeeded)]);
+    let (_, shown) = answer(&api, &format!("/v1/jobs/{id}")).await;
+    assert_eq!(shown["state"], "succeeded");
+    assert_eq!(census.living(), [second], "the second worker is still there for the next job");
+
+    workshop.shutdown.cancel();
+    supervisor.stopped().await;
+    assert_eq!(census.living(), [0_u32; 0]);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn shutdown_lets_the_child_drain_and_release_its_job() {
+    let workshop = Workshop::new().await;
+    let store = Arc::clone(&workshop.store);
+    let supervisor = supervise(child_config(workshop.data.path()), store, workshop.shutdown.clone());
+    let id = workshop.add("wait").await;
+    workshop.reaches(id, JobState::Running).await;
+    workshop.shutdown.cancel();
+    supervisor.stopped().await;
+    assert_eq!(workshop.outcomes(id).await, [Some(AttemptOutcome::Released)]);
+    workshop.reaches(id, JobState::Queued).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_child_that_will_not_go_is_killed() {
+    let workshop = Workshop::new().await;
+    // The shell does not read its input, so closing that tells it nothing.
+    let arguments = vec!["-c".into(), "exec sleep 1000".into()];
+    let mut config = SuperviseConfig::program("/bin/sh".into(), arguments, 2);
+    config.grace = Duration::from_millis(10);
+    let supervisor = supervise(config, Arc::clone(&workshop.store), workshop.shutdown.clone());
+    let census = supervisor.census();
+    assert_eq!(census.expected(), 2);
+    while census.living().len() < 2 {
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+    workshop.shutdown.cancel();
+    supervisor.stopped().await;
+    assert!(census.living().is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_program_that_does_not_start_is_tried_again_and_does_not_end_the_api() {
+    let workshop = Workshop::new().await;
+    let mut config = SuperviseConfig::program("/nowhere/tcgs".into(), Vec::new(), 1);
+    config.backoff_base = Duration::from_millis(1);
+    let supervisor = supervise(config, Arc::clone(&workshop.store), workshop.shutdown.clone());
+    let census = supervisor.census();
+    tokio::time::sleep(Duration::from_millis(20)).await;
+    assert!(census.living().is_empty());
+    let api = api(&workshop, census);
+    assert_eq!(answer(&api, "/readyz").await.0, 200);
+    workshop.shutdown.cancel();
+    supervisor.stopped().await;
+}
+
+/// The API as `serve` would wire it, over the workshop's store and a supervisor's census.
+fn api(workshop: &Workshop, census: Census) -> axum::Router {
+    use tcgs::http::{AppState, Services, WorkerCounts};
+    let services = Services {
+        store: Arc::clone(&workshop.store),
+        blobs: workshop.blobs.clone(),
+        clock: Arc::new(SystemClock),
+        check: Arc::new(crate::support::fakes::check),
+        load: Arc::new(crate::support::fakes::load),
+        renderer: Arc::new(crate::support::fakes::FakeRenderer::default()),
+        workers: Arc::new(move || WorkerCounts { expected: census.expected(), alive: census.living().len() }),
+    };
+    tcgs::http::router(AppState::new(services, Default::default(), CancellationToken::new()))
+}
+
+async fn answer(api: &axum::Router, path: &str) -> (u16, serde_json::Value) {
+    use tower::ServiceExt as _;
+    let request = axum::http::Request::get(path).body(axum::body::Body::empty()).expect("a request");
+    let response = api.clone().oneshot(request).await.expect("an answer");
+    let status = response.status().as_u16();
+    let body = axum::body::to_bytes(response.into_body(), 1 << 20).await.expect("a body");
+    (status, serde_json::from_slice(&body).expect("JSON"))
+}
