@@ -2,5 +2,7 @@
 
 mod layers;
 mod primitives;
+mod raster_device;
 mod raster_oracles;
+mod raster_twin;
 mod support;

@@ -3,6 +3,7 @@
 
 pub mod gpu;
 pub mod oracle;
+pub mod random;
 pub mod scene;
 pub mod sh;
 pub mod shared;
