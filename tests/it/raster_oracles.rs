@@ -16,7 +16,7 @@ use crate::support::{
 const DEVICE_RGB: f64 = 1e-4;
 /// The same for the twin, whose f64 arithmetic only orders its operations differently from the reference's.
 const TWIN_RGB: f64 = 1e-12;
-const TWIN_GRADIENTS: f64 = 1e-11;
+const TWIN_GRADIENTS: f64 = 1e-12;
 
 /// The reference orders equal depths by an unstable sort, differently from tile to tile, so only what does not depend on
 /// the order can be compared; that equal depths keep index order is tested in `raster_device`.
