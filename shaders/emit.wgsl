@@ -1,7 +1,7 @@
 // Writes one (tile, slot) pair for each tile that a visible Gaussian touches, nearest Gaussian first.
 
 #import tcgs::view::View
-#import tcgs::splat::{NONE, tile_bounds, touches_tile}
+#import tcgs::splat::{NONE, ridges_of, tile_bounds, touches_tile}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
@@ -32,10 +32,11 @@ fn emit(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         first_slots[gaussian] = slot;
         // Exactly as many slots as were counted, even if this kernel rounds differently from the one that counted.
         let end = slot + min(tiles[gaussian], view.intersection_capacity - min(slot, view.intersection_capacity));
+        let ridges = ridges_of(conic.xyz);
         let bounds = tile_bounds(place.xy, extent, view.tiles);
         for (var y = bounds.y; y < bounds.w; y++) {
             for (var x = bounds.x; x < bounds.z; x++) {
-                if slot < end && touches_tile(place, conic.xyz, vec2<u32>(x, y)) {
+                if slot < end && touches_tile(place, conic.xyz, ridges, vec2<u32>(x, y)) {
                     put(slot, y * view.tiles.x + x, gaussian);
                     slot += 1u;
                 }

@@ -1,7 +1,7 @@
 // Projects each Gaussian onto the image and counts the tiles it touches; zero tiles means culled.
 
 #import tcgs::view::View
-#import tcgs::splat::{ALPHA_MIN, tile_bounds, touches_tile}
+#import tcgs::splat::{ALPHA_MIN, ridges_of, tile_bounds, touches_tile}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> count: array<u32>;
@@ -87,10 +87,11 @@ fn project_one(i: u32) -> u32 {
         return 0u;
     }
     let bounds = tile_bounds(center, extent, view.tiles);
+    let ridges = ridges_of(conic);
     var touched = 0u;
     for (var y = bounds.y; y < bounds.w; y++) {
         for (var x = bounds.x; x < bounds.z; x++) {
-            touched += u32(touches_tile(place, conic, vec2<u32>(x, y)));
+            touched += u32(touches_tile(place, conic, ridges, vec2<u32>(x, y)));
         }
     }
     splats[3u * i] = place;

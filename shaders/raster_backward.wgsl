@@ -5,7 +5,7 @@
 // eight Gaussians reaches it. Each lane keeps eight private sums, which are added over the lanes once per eight Gaussians.
 
 #import tcgs::view::{TILE, View, tile_pixel}
-#import tcgs::splat::{ALPHA_MAX, ALPHA_MIN, NONE, power_at, touches}
+#import tcgs::splat::{ALPHA_MAX, ALPHA_MIN, NONE, power_at, ridges_of, touches}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
@@ -241,12 +241,15 @@ fn raster_backward(
         var g5 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
         var g6 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
         var g7 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
+#ifdef SUBGROUPS
+        let ridges = ridges_of(stage.conic.xyz);
+#endif
         for (var block = 0u; block < PIXELS; block += LANES) {
             let p = block + lane;
 #ifdef SUBGROUPS
             let low = vec2<f32>(origin + tile_pixel(block)) + 0.5;
             let high = vec2<f32>(origin + tile_pixel(block + LANES - 1u)) + 0.5;
-            let mask = subgroupBallot(present && touches(stage.place, stage.conic.xyz, low, high)).x;
+            let mask = subgroupBallot(present && touches(stage.place, stage.conic.xyz, ridges, low, high)).x;
             if mask == 0u {
                 continue;
             }

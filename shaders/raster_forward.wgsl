@@ -1,7 +1,7 @@
-// Blends each tile's Gaussians front to back, one invocation a pixel.
+// Blends each tile's Gaussians front to back, four pixels an invocation.
 
 #import tcgs::view::{TILE, View, tile_pixel}
-#import tcgs::splat::{ALPHA_MAX, ALPHA_MIN, NONE, TRANSMITTANCE_MIN, power_at, touches}
+#import tcgs::splat::{ALPHA_MAX, ALPHA_MIN, NONE, NOWHERE, TRANSMITTANCE_MIN, power_at, ridges_of, touches}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
@@ -36,7 +36,56 @@ fn blend(pixel: ptr<function, Pixel>, place: vec3<f32>, conic: vec3<f32>, color:
     (*pixel).last = index + 1u;
 }
 
-@compute @workgroup_size(256)
+const PIXELS_A_LANE: u32 = 4u;
+#ifdef SUBGROUPS
+const LANES: u32 = #{SUBGROUPS}u;
+#else
+const LANES: u32 = 64u;
+#endif
+
+fn start(position: vec2<u32>) -> Pixel {
+    return Pixel(vec2<f32>(position) + 0.5, vec3<f32>(0.0), 1.0, 0u, any(position >= view.size));
+}
+
+fn finish(pixel: Pixel, position: vec2<u32>) {
+    if all(position < view.size) {
+        let i = position.y * view.size.x + position.x;
+        image[i] = vec4<f32>(pixel.color + pixel.transmittance * view.background.xyz, pixel.transmittance);
+        last[i] = pixel.last;
+    }
+}
+
+#ifdef SUBGROUPS
+// Blends the Gaussians of a chunk that touch the block of pixels that the subgroup's pixels form.
+fn blend_chunk(
+    pixel: ptr<function, Pixel>,
+    place: vec4<f32>,
+    conic: vec3<f32>,
+    color: vec3<f32>,
+    ridges: vec2<f32>,
+    low: vec2<f32>,
+    high: vec2<f32>,
+    base: u32,
+) {
+    let hits = subgroupBallot(touches(place, conic, ridges, low, high));
+    for (var word = 0u; word < (LANES + 31u) / 32u; word++) {
+        var mask = select(hits.x, hits.y, word == 1u);
+        while mask != 0u {
+            let k = word * 32u + firstTrailingBit(mask);
+            mask &= mask - 1u;
+            blend(
+                pixel,
+                subgroupShuffle(place.xyz, k),
+                subgroupShuffle(conic, k),
+                subgroupShuffle(color, k),
+                base + k,
+            );
+        }
+    }
+}
+#endif
+
+@compute @workgroup_size(64)
 fn raster_forward(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
@@ -48,63 +97,65 @@ fn raster_forward(
     if tile >= view.tiles.x * view.tiles.y {
         return;
     }
-    let position = vec2<u32>(tile % view.tiles.x, tile / view.tiles.x) * TILE + tile_pixel(local);
-    let inside = all(position < view.size);
+    let origin = vec2<u32>(tile % view.tiles.x, tile / view.tiles.x) * TILE;
+    let first = local / LANES * LANES * PIXELS_A_LANE + local % LANES;
+    let position0 = origin + tile_pixel(first + 0u * LANES);
+    var pixel0 = start(position0);
+    let position1 = origin + tile_pixel(first + 1u * LANES);
+    var pixel1 = start(position1);
+    let position2 = origin + tile_pixel(first + 2u * LANES);
+    var pixel2 = start(position2);
+    let position3 = origin + tile_pixel(first + 3u * LANES);
+    var pixel3 = start(position3);
     let range = ranges[tile];
-    var pixel = Pixel(vec2<f32>(position) + 0.5, vec3<f32>(0.0), 1.0, 0u, !inside);
 #ifdef SUBGROUPS
-    // Each lane fetches another Gaussian and tests it against the block of pixels that the subgroup covers; those
-    // that touch it are handed round.
-    const LANES: u32 = #{SUBGROUPS}u;
-    let low = subgroupMin(pixel.center);
-    let high = subgroupMax(pixel.center);
+    // Each lane fetches another Gaussian; those that touch a block of pixels are handed round.
+    let low0 = subgroupMin(pixel0.center);
+    let high0 = subgroupMax(pixel0.center);
+    let low1 = subgroupMin(pixel1.center);
+    let high1 = subgroupMax(pixel1.center);
+    let low2 = subgroupMin(pixel2.center);
+    let high2 = subgroupMax(pixel2.center);
+    let low3 = subgroupMin(pixel3.center);
+    let high3 = subgroupMax(pixel3.center);
     for (var base = range.x; base < range.y; base += LANES) {
-        if subgroupAll(pixel.done) {
+        if subgroupAll(pixel0.done && pixel1.done && pixel2.done && pixel3.done) {
             break;
         }
-        var place = vec4<f32>(0.0);
-        var conic = vec4<f32>(1.0);
-        var color = vec4<f32>(0.0);
-        var hit = false;
+        var place = NOWHERE;
+        var conic = vec3<f32>(1.0);
+        var color = vec3<f32>(0.0);
         if base + lane < range.y {
             let id = list[base + lane];
             if id != NONE {
                 place = splats[3u * id];
-                conic = splats[3u * id + 1u];
-                color = splats[3u * id + 2u];
-                hit = touches(place, conic.xyz, low, high);
+                conic = splats[3u * id + 1u].xyz;
+                color = splats[3u * id + 2u].xyz;
             }
         }
-        let hits = subgroupBallot(hit);
-        for (var word = 0u; word < (LANES + 31u) / 32u; word++) {
-            var mask = hits.x;
-            if word == 1u {
-                mask = hits.y;
-            }
-            while mask != 0u {
-                let k = word * 32u + firstTrailingBit(mask);
-                mask &= mask - 1u;
-                blend(
-                    &pixel,
-                    subgroupShuffle(place.xyz, k),
-                    subgroupShuffle(conic.xyz, k),
-                    subgroupShuffle(color.xyz, k),
-                    base + k - range.x,
-                );
-            }
-        }
+        let ridges = ridges_of(conic);
+        let index = base - range.x;
+        blend_chunk(&pixel0, place, conic, color, ridges, low0, high0, index);
+        blend_chunk(&pixel1, place, conic, color, ridges, low1, high1, index);
+        blend_chunk(&pixel2, place, conic, color, ridges, low2, high2, index);
+        blend_chunk(&pixel3, place, conic, color, ridges, low3, high3, index);
     }
 #else
-    for (var i = range.x; i < range.y && !pixel.done; i++) {
+    for (var i = range.x; i < range.y && !(pixel0.done && pixel1.done && pixel2.done && pixel3.done); i++) {
         let id = list[i];
         if id != NONE {
-            blend(&pixel, splats[3u * id].xyz, splats[3u * id + 1u].xyz, splats[3u * id + 2u].xyz, i - range.x);
+            let place = splats[3u * id].xyz;
+            let conic = splats[3u * id + 1u].xyz;
+            let color = splats[3u * id + 2u].xyz;
+            blend(&pixel0, place, conic, color, i - range.x);
+            blend(&pixel1, place, conic, color, i - range.x);
+            blend(&pixel2, place, conic, color, i - range.x);
+            blend(&pixel3, place, conic, color, i - range.x);
         }
     }
 #endif
-    if inside {
-        let i = position.y * view.size.x + position.x;
-        image[i] = vec4<f32>(pixel.color + pixel.transmittance * view.background.xyz, pixel.transmittance);
-        last[i] = pixel.last;
-    }
+    finish(pixel0, position0);
+    finish(pixel1, position1);
+    finish(pixel2, position2);
+    finish(pixel3, position3);
 }

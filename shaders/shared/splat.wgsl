@@ -1,17 +1,14 @@
 #define_import_path tcgs::splat
 
-// A Gaussian on the image plane. Power = 0.5 (A dx^2 + C dy^2) + B dx dy with conic = (A, B, C).
-struct Splat {
-    // Centre in pixels (xy), effective opacity (z), the power at which alpha falls below 1/255 (w).
-    place: vec4<f32>,
-    // Conic (xyz), horizontal half extent in pixels (w).
-    conic: vec4<f32>,
-    // Colour (xyz), vertical half extent in pixels (w).
-    color: vec4<f32>,
-}
+// A Gaussian on the image plane is three vectors:
+// - place: centre in pixels (xy), effective opacity (z), level, the power at which alpha falls below 1/255 (w);
+// - conic: A, B, C with power = 0.5 (A dx^2 + C dy^2) + B dx dy (xyz), horizontal half extent in pixels (w);
+// - colour: red, green, blue (xyz), vertical half extent in pixels (w).
 
 // Stands for no Gaussian in lists.
 const NONE: u32 = 0xffffffffu;
+// The place of no Gaussian: it touches nothing.
+const NOWHERE: vec4<f32> = vec4<f32>(0.0, 0.0, 0.0, -1.0);
 const ALPHA_MIN: f32 = 1.0 / 255.0;
 const ALPHA_MAX: f32 = 0.99;
 const TRANSMITTANCE_MIN: f32 = 1e-4;
@@ -22,14 +19,19 @@ fn power_at(conic: vec3<f32>, d: vec2<f32>) -> f32 {
     return 0.5 * (conic.x * d.x * d.x + conic.z * d.y * d.y) + conic.y * d.x * d.y;
 }
 
+// Where the power is least along a line: at x = ridges.x * y of a horizontal line, at y = ridges.y * x of a vertical one.
+fn ridges_of(conic: vec3<f32>) -> vec2<f32> {
+    return -conic.y / conic.xz;
+}
+
 // Whether the splat reaches alpha 1/255 anywhere in the rectangle of pixel centres from `low` to `high`: the least
 // power in a rectangle lies at the centre or on an edge that faces it.
-fn touches(place: vec4<f32>, conic: vec3<f32>, low: vec2<f32>, high: vec2<f32>) -> bool {
+fn touches(place: vec4<f32>, conic: vec3<f32>, ridges: vec2<f32>, low: vec2<f32>, high: vec2<f32>) -> bool {
     let near = low - place.xy;
     let far = high - place.xy;
     let nearest = clamp(vec2<f32>(0.0), near, far);
-    let along_y = clamp(-conic.y * nearest.x / conic.z, near.y, far.y);
-    let along_x = clamp(-conic.y * nearest.y / conic.x, near.x, far.x);
+    let along_y = clamp(ridges.y * nearest.x, near.y, far.y);
+    let along_x = clamp(ridges.x * nearest.y, near.x, far.x);
     let least = min(
         power_at(conic, vec2<f32>(nearest.x, along_y)),
         power_at(conic, vec2<f32>(along_x, nearest.y)),
@@ -45,7 +47,7 @@ fn tile_bounds(place: vec2<f32>, extent: vec2<f32>, tiles: vec2<u32>) -> vec4<u3
     return vec4<u32>(vec2<u32>(first), vec2<u32>(max(first, end)));
 }
 
-fn touches_tile(place: vec4<f32>, conic: vec3<f32>, tile: vec2<u32>) -> bool {
+fn touches_tile(place: vec4<f32>, conic: vec3<f32>, ridges: vec2<f32>, tile: vec2<u32>) -> bool {
     let low = vec2<f32>(tile * 16u) + 0.5;
-    return touches(place, conic, low, low + 15.0);
+    return touches(place, conic, ridges, low, low + 15.0);
 }

@@ -144,6 +144,12 @@ impl Context {
         Recorder::new(self, label)
     }
 
+    /// Begins recording commands whose dispatches are timed on the device; see [`Recorder::submit_timed`].
+    #[must_use]
+    pub fn timed_recorder(&self, label: &str) -> Recorder<'_> {
+        Recorder::timed(self, label)
+    }
+
     /// Waits until everything submitted so far is done.
     ///
     /// # Errors

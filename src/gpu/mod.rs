@@ -12,6 +12,7 @@ mod kernel;
 mod recorder;
 mod scan;
 mod sort;
+mod timing;
 pub mod twin;
 
 pub use adapter::{AdapterChoice, AdapterReport, report};
@@ -22,3 +23,4 @@ pub use kernel::{Kernel, KernelSource};
 pub use recorder::{Binding, Recorder};
 pub use scan::{Scan, ScanSlots};
 pub use sort::{Pairs, RadixSort};
+pub use timing::KernelTime;

@@ -1,6 +1,10 @@
 //! Recording of dispatches and copies into one submission.
 
-use super::{Buffer, Context, GpuError, Kernel, RawBuffer, context::MAX_GROUPS_PER_DIMENSION};
+use super::{
+    Buffer, Context, GpuError, Kernel, RawBuffer,
+    context::MAX_GROUPS_PER_DIMENSION,
+    timing::{KernelTime, Timing},
+};
 
 /// A buffer as a kernel binds it; the n-th binding of a dispatch is `@group(0) @binding(n)`.
 pub type Binding<'a> = &'a RawBuffer;
@@ -10,13 +14,19 @@ pub type Binding<'a> = &'a RawBuffer;
 pub struct Recorder<'a> {
     context: &'a Context,
     encoder: wgpu::CommandEncoder,
+    timing: Option<Timing>,
 }
 
 impl<'a> Recorder<'a> {
     pub(super) fn new(context: &'a Context, label: &str) -> Self {
         let encoder =
             context.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
-        Self { context, encoder }
+        Self { context, encoder, timing: None }
+    }
+
+    pub(super) fn timed(context: &'a Context, label: &str) -> Self {
+        let timing = context.adapter().timestamps.then(|| Timing::new(context));
+        Self { timing, ..Self::new(context, label) }
     }
 
     /// Runs `kernel` over `groups` workgroups. Counts beyond the limit of one dimension are spread over two: kernels
@@ -114,11 +124,28 @@ impl<'a> Recorder<'a> {
         self.context.check()
     }
 
+    /// Sends what was recorded and waits for it. Says how long each dispatch took, in order; nothing if the adapter has
+    /// no timestamps or the recording is not a timed one.
+    ///
+    /// # Errors
+    /// As [`Context::check`].
+    pub fn submit_timed(mut self) -> Result<Vec<KernelTime>, GpuError> {
+        let Some(timing) = self.timing.take() else {
+            let context = self.context;
+            self.submit()?;
+            context.wait()?;
+            return Ok(Vec::new());
+        };
+        let ticks = timing.resolve(self.context, &mut self.encoder)?;
+        let context = self.context;
+        self.submit()?;
+        timing.read(context, &ticks)
+    }
+
     fn pass(&mut self, kernel: &Kernel) -> wgpu::ComputePass<'_> {
-        self.encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some(kernel.name),
-            timestamp_writes: None,
-        })
+        let timestamp_writes = self.timing.as_mut().and_then(|timing| timing.next(kernel.name));
+        self.encoder
+            .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some(kernel.name), timestamp_writes })
     }
 
     fn bind(&self, kernel: &Kernel, bindings: &[Binding<'_>]) -> wgpu::BindGroup {

@@ -5,6 +5,8 @@ mod http;
 mod layers;
 mod primitives;
 mod queue;
+mod raster_device;
 mod raster_oracles;
+mod raster_twin;
 mod support;
 mod worker;

@@ -7,6 +7,7 @@ pub mod fakes;
 pub mod faults;
 pub mod gpu;
 pub mod oracle;
+pub mod random;
 pub mod scene;
 pub mod server;
 pub mod sh;

@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 use safetensors::{Dtype, SafeTensors};
 use tcgs::{
     domain::{Camera, Intrinsics, Pose},
-    render::RasterSettings,
+    render::{Projection, RasterSettings, twin::Gaussian},
 };
 
 use super::{
@@ -101,7 +101,7 @@ impl Oracle {
     /// The camera centre.
     pub fn eye(&self) -> DVec3 {
         let (rotation, translation) = self.view();
-        -(rotation.inverse() * translation)
+        -(rotation.transpose() * translation)
     }
 
     pub fn camera(&self) -> Camera {
@@ -118,6 +118,45 @@ impl Oracle {
         };
         let pose = Pose::from_world_to_camera(rotation, translation).expect("a rigid pose");
         Camera::new(intrinsics, pose).expect("a camera")
+    }
+
+    /// The camera for the twins, with the pose exactly as given.
+    pub fn projection(&self) -> Projection {
+        let (rotation, translation) = self.view();
+        Projection {
+            rotation,
+            translation,
+            near: 0.01,
+            low_pass: 0.3,
+            ..Projection::new(&self.camera(), &self.settings())
+        }
+    }
+
+    /// The derivatives of the loss by the image: red, green, blue, alpha.
+    pub fn v_image(&self) -> Vec<[f64; 4]> {
+        let rgb = self.rows("in.v_rgb", 3);
+        rgb.iter().zip(self.numbers("in.v_alpha")).map(|(v, alpha)| [v[0], v[1], v[2], alpha]).collect()
+    }
+
+    /// The Gaussians, coloured.
+    pub fn gaussians(&self) -> Vec<Gaussian> {
+        let (means, scales) = (self.rows("in.means", 3), self.rows("in.scales", 3));
+        let (quats, opacities) = (self.rows("in.quats", 4), self.numbers("in.opacities"));
+        let three = |row: &Vec<f64>| DVec3::new(row[0], row[1], row[2]);
+        (0..means.len())
+            .map(|i| Gaussian {
+                mean: three(&means[i]),
+                opacity: opacities[i],
+                scale: three(&scales[i]),
+                quat: [0, 1, 2, 3].map(|k| quats[i][k]),
+                color: three(&self.colors[i]),
+            })
+            .collect()
+    }
+
+    pub fn background(&self) -> DVec3 {
+        let bg = self.numbers("in.bg");
+        DVec3::new(bg[0], bg[1], bg[2])
     }
 
     pub fn settings(&self) -> RasterSettings {

@@ -2,13 +2,12 @@
 
 use std::sync::Arc;
 
+use glam::DVec3;
 use tcgs::{
     domain::Camera,
     gpu::Context,
-    render::{Counts, GaussianGradients, Gaussians, Rasterizer},
+    render::{Counts, GaussianGradients, Gaussians, Rasterizer, twin::Gaussian},
 };
-
-use super::sh::Rows;
 
 /// Gaussians on the host.
 #[derive(Clone, Default, Debug)]
@@ -20,19 +19,15 @@ pub struct Scene {
     pub colors: Vec<[f32; 4]>,
 }
 
-fn four(row: &[f64]) -> [f32; 4] {
-    let mut out = [0.0; 4];
-    for (to, from) in out.iter_mut().zip(row) {
-        *to = *from as f32;
-    }
-    out
-}
-
 impl Scene {
-    pub fn from_rows(means: &Rows, opacities: &[f64], scales: &Rows, quats: &Rows, colors: &Rows) -> Self {
-        let means_opacity = means.iter().zip(opacities).map(|(m, o)| four(&[m[0], m[1], m[2], *o])).collect();
-        let columns = |rows: &Rows| rows.iter().map(|row| four(row)).collect();
-        Self { means_opacity, scales: columns(scales), quats: columns(quats), colors: columns(colors) }
+    pub fn new(gaussians: &[Gaussian]) -> Self {
+        let four = |v: DVec3, w: f64| v.extend(w).as_vec4().to_array();
+        Self {
+            means_opacity: gaussians.iter().map(|g| four(g.mean, g.opacity)).collect(),
+            scales: gaussians.iter().map(|g| four(g.scale, 0.0)).collect(),
+            quats: gaussians.iter().map(|g| g.quat.map(|v| v as f32)).collect(),
+            colors: gaussians.iter().map(|g| four(g.color, 0.0)).collect(),
+        }
     }
 
     pub fn len(&self) -> usize {

@@ -56,15 +56,17 @@ pub fn sh_backward(means: &Rows, sh: &Rows, eye: DVec3, v_colors: &Rows) -> (Row
         let direction = ray.normalize();
         let values = basis(direction);
         v_sh.push((0..48).map(|i| values[i / 3] * v[i % 3]).collect());
-        // The basis is cubic: a central difference of this step is exact to rounding, far below the tolerances.
-        let step = 1e-4;
-        let mut v_direction = DVec3::ZERO;
-        for axis in 0..3 {
+        // The basis is cubic, so this combination of two central differences is exact.
+        let slopes = |axis: usize, step: f64| {
             let mut offset = DVec3::ZERO;
             offset[axis] = step;
             let (above, below) = (basis(direction + offset), basis(direction - offset));
-            for k in 0..16 {
-                let slope = (above[k] - below[k]) / (2.0 * step);
+            (0..16).map(move |k| (above[k] - below[k]) / (2.0 * step))
+        };
+        let mut v_direction = DVec3::ZERO;
+        for axis in 0..3 {
+            for (k, (near, far)) in slopes(axis, 0.5).zip(slopes(axis, 1.0)).enumerate() {
+                let slope = (4.0 * near - far) / 3.0;
                 v_direction[axis] += slope * (0..3).map(|c| sh[3 * k + c] * v[c]).sum::<f64>();
             }
         }

@@ -1,0 +1,81 @@
+//! Blending front to back (method.md §2.1, pixel centres at +0.5).
+
+use glam::{DVec2, DVec3};
+
+use super::{ALPHA_MAX, Cutoffs, Lists, Projection, Splat};
+use crate::render::TILE;
+
+/// An image with what the backward pass needs of it.
+#[derive(Debug, Clone, Default)]
+pub struct Frame {
+    /// Colour over the background, and the transmittance left; row by row.
+    pub image: Vec<[f64; 4]>,
+    /// One more than the place in the tile's list of the last Gaussian that each pixel took.
+    pub last: Vec<u32>,
+}
+
+/// How a splat meets a pixel.
+pub(super) struct Meeting {
+    /// From the pixel's centre to the splat's.
+    pub(super) offset: DVec2,
+    /// exp(-power).
+    pub(super) falloff: f64,
+    /// Opacity before the clamp.
+    pub(super) raw: f64,
+}
+
+impl Meeting {
+    /// `None` where the splat is skipped.
+    pub(super) fn new(splat: &Splat, pixel: DVec2, cutoffs: Cutoffs) -> Option<Self> {
+        let offset = splat.center - pixel;
+        let DVec3 { x: a, y: b, z: c } = splat.conic;
+        let power = 0.5 * (a * offset.x * offset.x + c * offset.y * offset.y) + b * offset.x * offset.y;
+        let falloff = (-power).exp();
+        let raw = splat.opacity * falloff;
+        (power >= 0.0 && raw.min(ALPHA_MAX) >= cutoffs.alpha).then_some(Self { offset, falloff, raw })
+    }
+
+    pub(super) fn alpha(&self) -> f64 {
+        self.raw.min(ALPHA_MAX)
+    }
+}
+
+/// The centre of a pixel and the list of its tile.
+pub(super) fn pixel(projection: &Projection, lists: &Lists, i: usize) -> (DVec2, std::ops::Range<usize>) {
+    let (x, y) = (i as u32 % projection.size.x, i as u32 / projection.size.x);
+    let [begin, end] = lists.ranges[(y / TILE * projection.tiles().x + x / TILE) as usize];
+    (DVec2::new(f64::from(x), f64::from(y)) + 0.5, begin as usize..end as usize)
+}
+
+/// The image of the splats over `background`.
+#[must_use]
+pub fn raster_forward(
+    projection: &Projection,
+    splats: &[Option<Splat>],
+    lists: &Lists,
+    background: DVec3,
+    cutoffs: Cutoffs,
+) -> Frame {
+    let mut frame = Frame::default();
+    for i in 0..projection.size.element_product() as usize {
+        let (center, range) = pixel(projection, lists, i);
+        let mut color = DVec3::ZERO;
+        let mut transmittance = 1.0;
+        let mut last = 0;
+        for (slot, place) in lists.slots[range].iter().zip(1..) {
+            let Some(splat) = &splats[lists.slot_ids[*slot as usize] as usize] else { continue };
+            let Some(meeting) = Meeting::new(splat, center, cutoffs) else { continue };
+            let next = transmittance * (1.0 - meeting.alpha());
+            if next <= cutoffs.transmittance {
+                break;
+            }
+            color += meeting.alpha() * transmittance * splat.color;
+            transmittance = next;
+            last = place;
+        }
+        color += transmittance * background;
+        frame.image.push([color.x, color.y, color.z, transmittance]);
+        frame.last.push(last);
+    }
+    frame
+}

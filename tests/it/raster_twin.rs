@@ -1,0 +1,99 @@
+//! The f64 twin's gradients against central differences of its own forward pass.
+
+use glam::DVec3;
+use tcgs::render::{
+    Projection, RasterSettings,
+    twin::{self, Cutoffs, Gaussian, GaussianGradient},
+};
+
+use crate::support::random;
+
+/// No cut-offs, so that the loss has no jumps.
+const SMOOTH: Cutoffs = Cutoffs { alpha: 1e-13, transmittance: 0.0 };
+
+fn parameters(g: &Gaussian) -> [f64; 14] {
+    let ([mx, my, mz], [sx, sy, sz], [r, gr, b]) =
+        (g.mean.to_array(), g.scale.to_array(), g.color.to_array());
+    let [w, x, y, z] = g.quat;
+    [mx, my, mz, sx, sy, sz, r, gr, b, w, x, y, z, g.opacity]
+}
+
+fn from_parameters(p: [f64; 14]) -> Gaussian {
+    Gaussian {
+        mean: DVec3::new(p[0], p[1], p[2]),
+        scale: DVec3::new(p[3], p[4], p[5]),
+        color: DVec3::new(p[6], p[7], p[8]),
+        quat: [p[9], p[10], p[11], p[12]],
+        opacity: p[13],
+    }
+}
+
+fn gradient(v: &GaussianGradient) -> [f64; 14] {
+    let quat = v.quat;
+    let as_gaussian = Gaussian { mean: v.mean, opacity: v.opacity, scale: v.scale, quat, color: v.color };
+    parameters(&as_gaussian)
+}
+
+fn check(settings: RasterSettings, change: impl Fn(&mut Gaussian)) {
+    let camera = random::camera(21, 18);
+    let projection = Projection::new(&camera, &settings);
+    let background = DVec3::new(0.3, 0.6, 0.1);
+    let v_image: Vec<[f64; 4]> =
+        random::v_image(3, 21 * 18).iter().map(|pixel| pixel.map(f64::from)).collect();
+    let mut gaussians = random::gaussians(7, 12, 0.5);
+    gaussians.iter_mut().for_each(&change);
+    let loss = |gaussians: &[Gaussian]| -> f64 {
+        let rendering = twin::forward(&projection, gaussians, background, SMOOTH);
+        let image = rendering.frame.image.iter().zip(&v_image);
+        image.map(|(p, v)| p[0] * v[0] + p[1] * v[1] + p[2] * v[2] + (1.0 - p[3]) * v[3]).sum()
+    };
+    let rendering = twin::forward(&projection, &gaussians, background, SMOOTH);
+    assert!(rendering.splats.iter().all(Option::is_some), "the scene must be in view");
+    let (_, found) = twin::backward(&projection, &gaussians, &rendering, &v_image, SMOOTH);
+    for i in 0..gaussians.len() {
+        for k in 0..14 {
+            let step = 1e-6;
+            let moved = |by: f64| {
+                let mut moved = gaussians.clone();
+                let mut p = parameters(&gaussians[i]);
+                p[k] += by;
+                moved[i] = from_parameters(p);
+                loss(&moved)
+            };
+            let expected = (moved(step) - moved(-step)) / (2.0 * step);
+            let found = gradient(&found[i])[k];
+            // Central differences of a sum of about a hundred with this step are good to 1e-8 absolute.
+            assert!(
+                (found - expected).abs() <= 1e-6 * (1.0 + expected.abs()),
+                "Gaussian {i} parameter {k}: {found} instead of {expected}"
+            );
+        }
+    }
+}
+
+#[test]
+fn gradients_are_those_of_the_forward_pass() {
+    check(RasterSettings::default(), |g| g.opacity *= 0.9);
+}
+
+#[test]
+fn gradients_of_antialiased_rendering_are_exact() {
+    let settings = RasterSettings { antialiased: true, ..RasterSettings::default() };
+    check(settings, |g| g.opacity *= 0.9);
+}
+
+#[test]
+fn gradients_are_exact_where_opacity_is_clamped() {
+    // Above 0.99 around the centre, below further out.
+    check(RasterSettings::default(), |g| g.opacity = 1.4);
+}
+
+#[test]
+fn gradients_are_exact_where_the_jacobian_is_clamped() {
+    // Large Gaussians beside the view, whose centres lie beyond the clamp.
+    check(RasterSettings::default(), |g| {
+        g.mean = g.mean * 0.5 + DVec3::new(1.6, 2.4, 0.0);
+        g.scale = g.scale * 2.0 + 0.5;
+        g.opacity *= 0.9;
+    });
+}
