@@ -1,0 +1,17 @@
+//! The shared data next to the repository, for the tests that need it.
+
+use std::path::{Path, PathBuf};
+
+/// The path of `relative` in the shared data, or `None` where there is none: then the test is skipped, loudly, and
+/// fails where `CI=true`.
+pub fn shared(relative: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("TCGS_SHARED")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
+    let path = root.join(relative);
+    if path.exists() {
+        return Some(path);
+    }
+    assert!(std::env::var("CI").as_deref() != Ok("true"), "{} is missing", path.display());
+    eprintln!("SKIPPED: {} is missing; set TCGS_SHARED", path.display());
+    None
+}
