@@ -2,6 +2,7 @@
 
 mod codec;
 mod http;
+mod ingest;
 mod layers;
 mod primitives;
 mod queue;

@@ -1,0 +1,129 @@
+//! A zip archive as a source of files.
+//!
+//! The whole central directory is judged before any entry is opened, and nothing is extracted: entries are read
+//! into memory by index, bounded by their stated size.
+
+use std::{
+    fs::File,
+    io::{BufReader, Read as _, Seek as _},
+    path::Path,
+    sync::{Mutex, PoisonError},
+};
+
+use zip::{CompressionMethod, ZipArchive, result::ZipError};
+
+use super::{
+    error::{Error, Fault},
+    limits::Limits,
+    names::{is_litter, safe_name},
+    tree::{Listing, Source},
+};
+
+/// The bits of a Unix mode that tell the kind of file, and its values for plain files and folders.
+const KIND_MASK: u32 = 0o170_000;
+const KIND_FILE: u32 = 0o100_000;
+const KIND_LINK: u32 = 0o120_000;
+
+struct Archive {
+    // One reader for all threads: unpacking is a small part of decoding an image, which happens outside of the lock.
+    zip: Mutex<ZipArchive<BufReader<File>>>,
+    /// Index in the archive of each listed file.
+    indices: Vec<usize>,
+}
+
+impl Source for Archive {
+    fn read(&self, index: usize, limit: u64) -> Result<Vec<u8>, Fault> {
+        let mut zip = self.zip.lock().unwrap_or_else(PoisonError::into_inner);
+        let entry = zip.by_index(self.indices[index]).map_err(entry_fault)?;
+        let mut bytes = Vec::new();
+        entry
+            .take(limit)
+            .read_to_end(&mut bytes)
+            .map_err(|error| Fault::CorruptArchive(error.to_string()))?;
+        Ok(bytes)
+    }
+}
+
+/// Lists the files of a zip archive.
+///
+/// # Errors
+/// [`Fault::NotAZip`], [`Fault::CorruptArchive`], and every fault that an entry can have: encrypted, unknown
+/// compression, special file, duplicate, overlapping, too many, too large, too well compressed.
+pub(super) fn list(path: &Path, limits: &Limits) -> Result<Listing, Error> {
+    let mut file = File::open(path).map_err(Fault::Io)?;
+    let mut magic = Vec::new();
+    file.by_ref().take(2).read_to_end(&mut magic).map_err(Fault::Io)?;
+    file.rewind().map_err(Fault::Io)?;
+    let mut zip = ZipArchive::new(BufReader::new(file)).map_err(|error| {
+        if magic == b"PK" {
+            Fault::CorruptArchive(format!("{error}; it may have been cut short"))
+        } else {
+            Fault::NotAZip(error.to_string())
+        }
+    })?;
+    if zip.len() > limits.entries {
+        return Err(Fault::TooManyEntries { limit: limits.entries }.into());
+    }
+    if zip.has_duplicate_names() {
+        return Err(Fault::DuplicateEntry.at(path_name(path)));
+    }
+    if zip.has_overlapping_entries().map_err(entry_fault)? {
+        return Err(Fault::OverlappingEntries.into());
+    }
+
+    let mut files = Vec::new();
+    let mut indices = Vec::new();
+    let mut total: u64 = 0;
+    for index in 0..zip.len() {
+        let entry = zip.by_index_raw(index).map_err(entry_fault)?;
+        let name = entry.name().map_err(entry_fault)?.into_owned();
+        if is_litter(&name) {
+            continue;
+        }
+        let refuse = |fault: Fault| Err(fault.at(name.clone()));
+        if entry.is_dir() {
+            // A folder's name is judged like a file's: no tool writes an unsafe one by accident.
+            let folder = name.trim_end_matches('/');
+            if folder != "." {
+                safe_name(folder).map_err(|fault| fault.at(name.clone()))?;
+            }
+            continue;
+        }
+        match entry.unix_mode().map(|mode| mode & KIND_MASK) {
+            None | Some(0 | KIND_FILE) => {}
+            Some(KIND_LINK) => return refuse(Fault::NotARegularFile("symbolic link")),
+            Some(_) => return refuse(Fault::NotARegularFile("special file")),
+        }
+        if entry.encrypted() {
+            return refuse(Fault::Encrypted);
+        }
+        let method = entry.compression();
+        if !matches!(method, CompressionMethod::Stored | CompressionMethod::Deflated) {
+            return refuse(Fault::Compression(method.to_string()));
+        }
+        let size = entry.size();
+        total = total.saturating_add(size);
+        if total > limits.total_bytes {
+            return Err(Fault::TooManyBytes { bytes: total, limit: limits.total_bytes }.into());
+        }
+        let ratio = size / entry.compressed_size().max(1);
+        if size > Limits::RATIO_FREE_BYTES && ratio > limits.ratio {
+            return refuse(Fault::CompressionRatio { ratio, limit: limits.ratio });
+        }
+        files.push((name, size));
+        indices.push(index);
+    }
+    Ok(Listing { files, special: Vec::new(), source: Box::new(Archive { zip: Mutex::new(zip), indices }) })
+}
+
+fn entry_fault(error: ZipError) -> Fault {
+    match error {
+        ZipError::CompressionMethodNotSupported(method) => Fault::Compression(method.to_string()),
+        ZipError::UnsupportedArchive(ZipError::PASSWORD_REQUIRED) => Fault::Encrypted,
+        other => Fault::CorruptArchive(other.to_string()),
+    }
+}
+
+fn path_name(path: &Path) -> String {
+    path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
+}

@@ -1,0 +1,191 @@
+//! COLMAP models: `cameras`, `images` and `points3D`, binary or text, with the photographs under `images/`.
+//!
+//! Poses are world-to-camera quaternions in OpenCV axes and pixel centres are at +0.5, which is what the domain
+//! uses, so nothing is turned or shifted. Rig and frame tables of newer versions are not needed and not read.
+
+mod binary;
+mod cameras;
+mod text;
+
+use std::collections::BTreeMap;
+
+use glam::{DMat3, DQuat, DVec3};
+
+use super::{
+    error::{Error, Fault},
+    plan::{ImageFiles, Plan, Shot},
+    tree::Tree,
+};
+use crate::domain::{CameraError, Layout, PointCloud, Pose, Split};
+
+/// Where a model may lie, in the order of preference.
+const FOLDERS: [&str; 3] = ["sparse/0/", "sparse/", "colmap/sparse/0/"];
+
+/// Where the photographs lie.
+const IMAGES: &str = "images/";
+
+/// A row of the images table, except for its points.
+#[derive(Debug, Clone, PartialEq)]
+struct ImageRecord {
+    id: u32,
+    /// (w, x, y, z), world to camera, any length but zero.
+    quaternion: [f64; 4],
+    translation: [f64; 3],
+    camera: u32,
+    name: String,
+}
+
+/// A model's folder and the extension of its tables.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Model {
+    folder: &'static str,
+    extension: &'static str,
+}
+
+/// The model of the dataset, if there is one.
+pub(super) fn detect(tree: &Tree) -> Option<Model> {
+    FOLDERS
+        .into_iter()
+        .flat_map(|folder| ["bin", "txt"].map(|extension| Model { folder, extension }))
+        .find(|model| tree.has(&model.table("cameras")))
+}
+
+impl Model {
+    fn table(&self, name: &str) -> String {
+        format!("{}{name}.{}", self.folder, self.extension)
+    }
+}
+
+/// Plans a COLMAP set.
+///
+/// # Errors
+/// Everything that is wrong with the tables or the images they list.
+pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, Error> {
+    let [cameras_file, images_file, points_file] =
+        ["cameras", "images", "points3D"].map(|name| model.table(name));
+    for file in [&images_file, &points_file] {
+        if !tree.has(file) {
+            return Err(tree.special_on_the_way(file).unwrap_or_else(|| {
+                Fault::MissingFile("a COLMAP model has cameras, images and points3D").at(file)
+            }));
+        }
+    }
+    let cameras = parse(tree, &cameras_file, binary::cameras, text::cameras)?;
+    let images = parse(tree, &images_file, binary::images, text::images)?;
+    let points: PointCloud = parse(tree, &points_file, binary::points, text::points)?;
+
+    let mut plan = Plan::new(Layout::Colmap);
+    let mut lenses = BTreeMap::new();
+    for record in &cameras {
+        let lens = record.lens().map_err(|fault| fault.at(&cameras_file))?;
+        plan.lenses.push(lens);
+        if lenses.insert(record.id, plan.lenses.len() - 1).is_some() {
+            return Err(Fault::DuplicateName(format!("camera {}", record.id)).at(&cameras_file));
+        }
+    }
+
+    let mut files = ImageFiles::new(tree, &images_file);
+    for image in &images {
+        let place = format!("image {}", image.id);
+        let found = files.find(IMAGES, &image.name, &place)?;
+        let lens = *lenses.get(&image.camera).ok_or_else(|| {
+            let message = format!("there is no camera {} in {cameras_file}", image.camera);
+            Fault::Record { place: place.clone(), message }.at(&images_file)
+        })?;
+        let pose = pose(image, &place).map_err(|fault| fault.at(&images_file))?;
+        if let Some((name, file)) = found {
+            plan.shots.push(Shot { name, file, lens, pose, split: Split::Train });
+        }
+    }
+    files.finish()?;
+    plan.hold_out();
+    plan.note_unlisted(tree, &images_file);
+    if model.folder == FOLDERS[0] && tree.names().any(|name| name.starts_with("sparse/1/")) {
+        plan.notes.push("there is more than one model under sparse/: sparse/0 is used".to_owned());
+    }
+    let plan = plan.ordered(&images_file)?;
+    if points.positions.is_empty() {
+        let message = "the model has no points; training starts from them".to_owned();
+        return Err(Fault::Record { place: "points".to_owned(), message }.at(points_file));
+    }
+    Ok(Plan { points: Some(points), ..plan })
+}
+
+fn parse<T>(
+    tree: &Tree,
+    file: &str,
+    binary: fn(&[u8]) -> Result<T, Fault>,
+    text: fn(&str) -> Result<T, Fault>,
+) -> Result<T, Error> {
+    let bytes = tree.read(file)?;
+    let parsed = if file.ends_with(".bin") {
+        binary(&bytes)
+    } else {
+        match std::str::from_utf8(&bytes) {
+            Ok(content) => text(content),
+            Err(error) => Err(Fault::Record {
+                place: format!("byte {}", error.valid_up_to()),
+                message: "is not UTF-8 text".to_owned(),
+            }),
+        }
+    };
+    parsed.map_err(|fault| fault.at(file))
+}
+
+fn pose(image: &ImageRecord, place: &str) -> Result<Pose, Fault> {
+    let [w, x, y, z] = image.quaternion;
+    let quaternion = DQuat::from_xyzw(x, y, z, w);
+    if !quaternion.is_finite() {
+        return Err(Fault::Camera { place: place.to_owned(), source: CameraError::NonFinitePose });
+    }
+    let length = quaternion.length();
+    if !(length > 0.0 && length.is_finite()) {
+        let message = format!("the rotation quaternion has length {length} and so no direction");
+        return Err(Fault::Record { place: place.to_owned(), message });
+    }
+    Pose::from_world_to_camera(DMat3::from_quat(quaternion / length), DVec3::from_array(image.translation))
+        .map_err(|source| Fault::Camera { place: place.to_owned(), source })
+}
+
+/// Adds a point with the checks that both encodings share.
+fn push_point(cloud: &mut PointCloud, id: u64, position: [f64; 3], color: [u8; 3]) -> Result<(), Fault> {
+    let position = position.map(|value| value as f32);
+    if position.iter().any(|value| !value.is_finite()) {
+        let message = "the position is not finite".to_owned();
+        return Err(Fault::Record { place: format!("point {id}"), message });
+    }
+    cloud.positions.push(position);
+    cloud.colors.push(color);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(quaternion: [f64; 4], translation: [f64; 3]) -> ImageRecord {
+        ImageRecord { id: 7, quaternion, translation, camera: 1, name: "a.png".to_owned() }
+    }
+
+    #[test]
+    fn quaternions_of_any_length_turn_the_same_way() {
+        let one = pose(&record([0.5, 0.5, 0.5, 0.5], [1.0, 2.0, 3.0]), "image 7").expect("a pose");
+        let three = pose(&record([1.5, 1.5, 1.5, 1.5], [1.0, 2.0, 3.0]), "image 7").expect("a pose");
+        assert!((one.rotation() - three.rotation()).to_cols_array().iter().all(|v| v.abs() < 1e-12));
+        // A third of a turn around (1, 1, 1): x goes to y, y to z, z to x.
+        assert!((one.rotation() * DVec3::X - DVec3::Y).length() < 1e-12);
+        assert_eq!(one.translation(), DVec3::new(1.0, 2.0, 3.0));
+    }
+
+    #[test]
+    fn poison_poses_are_refused() {
+        for poison in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX] {
+            assert!(pose(&record([poison, 0.0, 0.0, 0.0], [0.0; 3]), "image 7").is_err(), "{poison}");
+            if !poison.is_finite() {
+                assert!(pose(&record([1.0, 0.0, 0.0, 0.0], [0.0, poison, 0.0]), "image 7").is_err());
+            }
+        }
+        let fault = pose(&record([0.0; 4], [0.0; 3]), "image 7").expect_err("no direction");
+        assert_eq!(fault.to_string(), "image 7: the rotation quaternion has length 0 and so no direction");
+    }
+}

@@ -1,0 +1,358 @@
+//! Every way in which a dataset can be refused, one variant a fault, and how each reaches the user.
+//!
+//! A message says what was wrong with which values; the file at fault travels beside it in [`Error::file`].
+
+use std::io;
+
+use thiserror::Error;
+
+use crate::domain::{CameraError, Problem};
+
+/// Longest file name repeated in a message; names in an upload may be up to 64 KiB long.
+const LONGEST_NAME_SHOWN: usize = 200;
+
+/// A refused dataset: the fault and the file that has it.
+#[derive(Debug, Error)]
+#[error("{}{fault}", file.as_ref().map(|file| format!("{file}: ")).unwrap_or_default())]
+pub struct Error {
+    /// The file at fault, relative to the dataset's root, if one is.
+    pub file: Option<String>,
+    /// What is wrong with it.
+    pub fault: Fault,
+}
+
+/// What can be wrong with a dataset.
+#[derive(Debug, Error)]
+pub enum Fault {
+    /// The path does not exist.
+    #[error("there is no such file or directory")]
+    NotFound,
+    /// The operating system refused to read it.
+    #[error("cannot be read: {0}")]
+    Io(#[from] io::Error),
+
+    /// Neither a directory nor a zip archive.
+    #[error("is not a zip archive ({0}); send the dataset as one zip file")]
+    NotAZip(String),
+    /// The archive's structure or an entry's data is damaged.
+    #[error("the archive is damaged: {0}")]
+    CorruptArchive(String),
+    /// An entry needs a password.
+    #[error("is encrypted; make the zip without a password")]
+    Encrypted,
+    /// An entry uses a compression method that is not read here.
+    #[error("uses compression method {0}; only stored and deflated entries are read")]
+    Compression(String),
+    /// A name that leaves the dataset or is not portable.
+    #[error("the name is not safe: {0}")]
+    UnsafeName(&'static str),
+    /// A symbolic link, device, pipe or socket.
+    #[error("is a {0}, which is not followed; put the file itself there")]
+    NotARegularFile(&'static str),
+    /// Two entries of one name.
+    #[error("the archive has this name twice")]
+    DuplicateEntry,
+    /// Entries share bytes, which only crafted archives do.
+    #[error("entries of the archive overlap")]
+    OverlappingEntries,
+    /// More files than are accepted.
+    #[error("has more than {limit} entries")]
+    TooManyEntries {
+        /// Most entries that are accepted.
+        limit: usize,
+    },
+    /// The files are too large together.
+    #[error("the files have {bytes} bytes together; at most {limit} are accepted")]
+    TooManyBytes {
+        /// Unpacked bytes of all files, as the archive states them.
+        bytes: u64,
+        /// Most bytes that are accepted.
+        limit: u64,
+    },
+    /// One file is too large.
+    #[error("has {bytes} bytes; at most {limit} are accepted in one file")]
+    FileTooLarge {
+        /// Size of the file.
+        bytes: u64,
+        /// Most bytes that are accepted.
+        limit: u64,
+    },
+    /// An entry that unpacks to far more than photographs or tables do.
+    #[error("unpacks to {ratio} times its packed size; at most {limit} times is accepted")]
+    CompressionRatio {
+        /// Unpacked over packed size, rounded down.
+        ratio: u64,
+        /// Largest accepted ratio.
+        limit: u64,
+    },
+
+    /// None of the three layouts.
+    #[error(
+        "no dataset was found: there is no transforms.json, no transforms_train.json and no sparse/0 \
+         with cameras and images (.bin or .txt), neither at the top nor in a single top-level folder"
+    )]
+    NoLayout,
+    /// A file that the layout needs is not there.
+    #[error("the file is missing; {0}")]
+    MissingFile(&'static str),
+    /// Images that the layout lists are not there.
+    #[error("{}", missing_images(*count, *listed, first, hint.as_deref()))]
+    MissingImages {
+        /// How many are missing.
+        count: usize,
+        /// How many are listed.
+        listed: usize,
+        /// The first few of them.
+        first: Vec<String>,
+        /// A file whose name differs only in the case of letters.
+        hint: Option<String>,
+    },
+    /// No image to train on.
+    #[error("lists no images to train on")]
+    NoImages,
+    /// One name or image file for two frames.
+    #[error("'{0}' is listed twice; every frame needs its own image and name")]
+    DuplicateName(String),
+    /// A split list that names no frame.
+    #[error("{list} names '{name}', which is not among the frames")]
+    UnknownFrame {
+        /// The key of the list.
+        list: &'static str,
+        /// The name in it.
+        name: String,
+    },
+    /// Not JSON, or not of the expected shape. The message carries line and column.
+    #[error("is not a valid transforms file: {0}")]
+    Json(#[from] serde_json::Error),
+    /// A value in a JSON file that cannot be used.
+    #[error("{pointer}: {message}")]
+    Field {
+        /// JSON pointer.
+        pointer: String,
+        /// What is wrong with the value.
+        message: String,
+    },
+    /// A camera model without a pinhole equivalent here.
+    #[error(
+        "{place}: camera model {model} is not supported; supported are SIMPLE_PINHOLE, PINHOLE, \
+         SIMPLE_RADIAL, RADIAL and OPENCV. Undistort the images first (`colmap image_undistorter`)"
+    )]
+    CameraModel {
+        /// Where in the file.
+        place: String,
+        /// The model as the file names it.
+        model: String,
+    },
+    /// A camera or pose that describes no camera.
+    #[error("{place}: {source}")]
+    Camera {
+        /// Where in the file.
+        place: String,
+        /// What is wrong.
+        source: CameraError,
+    },
+    /// A finite value far outside of what any camera has, which single precision could not work with.
+    #[error("{what} is {value:e}, which is outside of any real camera's range ({range})")]
+    Implausible {
+        /// Which value.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is accepted.
+        range: &'static str,
+    },
+    /// Distortion coefficients that are not finite.
+    #[error("{place}: a distortion coefficient is not finite")]
+    NonFiniteDistortion {
+        /// Where in the file.
+        place: String,
+    },
+    /// Undistortion would leave less than half of the image.
+    #[error(
+        "the lens distortion is too strong for a pinhole camera: less than half of the width or height \
+         would remain. Undistort the images first"
+    )]
+    DistortionTooStrong,
+    /// A binary file that ends early.
+    #[error("ends early: {what} at byte {offset} needs {needed} bytes and {left} are left")]
+    Truncated {
+        /// What was being read.
+        what: &'static str,
+        /// Where it starts.
+        offset: usize,
+        /// Its size.
+        needed: usize,
+        /// Bytes that are left.
+        left: usize,
+    },
+    /// A count that the file cannot hold.
+    #[error("claims {count} {what}, which need at least {needed} bytes; {left} are left")]
+    Count {
+        /// What is counted.
+        what: &'static str,
+        /// The claimed count.
+        count: u64,
+        /// Fewest bytes that many can take.
+        needed: u128,
+        /// Bytes that are left.
+        left: usize,
+    },
+    /// Bytes after the last record.
+    #[error("has {0} unexpected bytes after the last record")]
+    TrailingBytes(usize),
+    /// A record of a binary or text table that cannot be used.
+    #[error("{place}: {message}")]
+    Record {
+        /// Which line or record.
+        place: String,
+        /// What is wrong with it.
+        message: String,
+    },
+    /// A PLY file that holds no usable point cloud.
+    #[error("is not a usable point cloud: {0}")]
+    Ply(String),
+
+    /// An image whose header or pixels cannot be decoded.
+    #[error("is not a readable PNG, JPEG or WebP image: {0}")]
+    Image(String),
+    /// An image of another size than its camera.
+    #[error(
+        "the image has {}x{} pixels and its camera {}x{}; the sizes must be equal, or the image an evenly \
+         scaled-down copy", actual.0, actual.1, stated.0, stated.1
+    )]
+    ImageSize {
+        /// Stored size.
+        actual: (u32, u32),
+        /// Size that the camera states.
+        stated: (u32, u32),
+    },
+    /// An image stored on its side.
+    #[error(
+        "the image is stored as {}x{} and its camera is {}x{}: it seems to be turned by 90 degrees and to \
+         rely on an EXIF orientation, which is not applied. Store the pixels upright", actual.0, actual.1,
+        stated.0, stated.1
+    )]
+    ImageRotated {
+        /// Stored size.
+        actual: (u32, u32),
+        /// Size that the camera states.
+        stated: (u32, u32),
+    },
+    /// One image with too many pixels.
+    #[error("the image has {pixels} pixels; at most {limit} are accepted")]
+    TooManyPixels {
+        /// Pixels of the image.
+        pixels: u64,
+        /// Most that are accepted.
+        limit: u64,
+    },
+    /// Too many pixels in all images together.
+    #[error("the images have {pixels} pixels together after downscaling; at most {limit} are accepted")]
+    TooManyScenePixels {
+        /// Pixels of all images.
+        pixels: u64,
+        /// Most that are accepted.
+        limit: u64,
+    },
+}
+
+impl Fault {
+    /// The fault with the file that has it.
+    pub(super) fn at(self, file: impl Into<String>) -> Error {
+        Error { file: Some(file.into()), fault: self }
+    }
+
+    /// Status, kind and title of the problem that reports this fault.
+    fn class(&self) -> (u16, &'static str, &'static str) {
+        match self {
+            Self::NotFound => (404, "dataset-not-found", "No such dataset"),
+            Self::Io(_) => (500, "dataset-unreadable", "The dataset cannot be read"),
+            Self::NotAZip(_) => (400, "not-a-zip", "Not a zip archive"),
+            Self::CorruptArchive(_)
+            | Self::Encrypted
+            | Self::Compression(_)
+            | Self::UnsafeName(_)
+            | Self::NotARegularFile(_)
+            | Self::DuplicateEntry
+            | Self::OverlappingEntries => (422, "archive-rejected", "The archive was refused"),
+            Self::TooManyEntries { .. }
+            | Self::TooManyBytes { .. }
+            | Self::FileTooLarge { .. }
+            | Self::CompressionRatio { .. }
+            | Self::TooManyPixels { .. }
+            | Self::TooManyScenePixels { .. } => (413, "dataset-too-large", "The dataset is too large"),
+            _ => (422, "dataset-rejected", "The dataset was refused"),
+        }
+    }
+}
+
+impl From<Fault> for Error {
+    fn from(fault: Fault) -> Self {
+        Self { file: None, fault }
+    }
+}
+
+impl From<Error> for Problem {
+    fn from(error: Error) -> Self {
+        let (status, kind, title) = error.fault.class();
+        let problem = Problem::new(status, kind, title, error.fault.to_string());
+        match error.file {
+            Some(file) => problem.in_file(shown(&file)),
+            None => problem,
+        }
+    }
+}
+
+/// A name from an upload made fit for a message: no control characters, bounded length.
+fn shown(name: &str) -> String {
+    let mut text: String =
+        name.chars().take(LONGEST_NAME_SHOWN).map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
+    if name.chars().nth(LONGEST_NAME_SHOWN).is_some() {
+        text.push('…');
+    }
+    text
+}
+
+fn missing_images(count: usize, listed: usize, first: &[String], hint: Option<&str>) -> String {
+    let mut text = format!("{count} of the {listed} images listed here are missing: {}", first.join(", "));
+    if count > first.len() {
+        text.push_str(&format!(" and {} more", count - first.len()));
+    }
+    if let Some(hint) = hint {
+        text.push_str(&format!(" (there is '{hint}': upper and lower case must match)"));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_problem_carries_status_file_and_fault() {
+        let problem = Problem::from(Fault::Encrypted.at("images/a.png"));
+        assert_eq!((problem.status, problem.file.as_deref()), (422, Some("images/a.png")));
+        assert_eq!(problem.kind, "urn:tcgs:problem:archive-rejected");
+        let problem = Problem::from(Error::from(Fault::NotAZip("no end record".into())));
+        assert_eq!((problem.status, problem.file), (400, None));
+        assert_eq!(Problem::from(Error::from(Fault::TooManyEntries { limit: 1 })).status, 413);
+    }
+
+    #[test]
+    fn hostile_names_are_shown_short_and_printable() {
+        let name = format!("a\u{1b}[2J{}", "x".repeat(1000));
+        let file = Problem::from(Fault::Encrypted.at(name)).file.expect("a file");
+        assert!(file.starts_with("a\u{fffd}[2J"), "{file}");
+        assert_eq!(file.chars().count(), LONGEST_NAME_SHOWN + 1);
+    }
+
+    #[test]
+    fn missing_images_are_counted_and_the_first_are_named() {
+        let first = vec!["a.png".to_owned(), "b.png".to_owned()];
+        assert_eq!(
+            missing_images(5, 9, &first, Some("A.png")),
+            "5 of the 9 images listed here are missing: a.png, b.png and 3 more (there is 'A.png': upper \
+             and lower case must match)"
+        );
+    }
+}

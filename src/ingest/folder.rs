@@ -1,0 +1,65 @@
+//! A directory as a source of files. Symbolic links and special files are listed but never followed or opened.
+
+use std::{
+    fs::{self, File},
+    io::Read as _,
+    path::{Path, PathBuf},
+};
+
+use super::{
+    error::{Error, Fault},
+    limits::Limits,
+    names::safe_name,
+    tree::{Listing, Source},
+};
+
+struct Folder {
+    paths: Vec<PathBuf>,
+}
+
+impl Source for Folder {
+    fn read(&self, index: usize, limit: u64) -> Result<Vec<u8>, Fault> {
+        let mut bytes = Vec::new();
+        File::open(&self.paths[index])?.take(limit).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    }
+}
+
+/// Lists all regular files under `root`.
+///
+/// Names that are not UTF-8, or that no dataset could refer to, are passed over: a directory may hold anything.
+///
+/// # Errors
+/// [`Fault::TooManyEntries`], or [`Fault::Io`] where a folder cannot be listed.
+pub(super) fn list(root: &Path, limits: &Limits) -> Result<Listing, Error> {
+    let mut files = Vec::new();
+    let mut paths = Vec::new();
+    let mut special = Vec::new();
+    let mut entries = 0;
+    let mut pending = vec![(root.to_owned(), String::new())];
+    while let Some((folder, prefix)) = pending.pop() {
+        let unreadable = |error| Fault::Io(error).at(folder.display().to_string());
+        for entry in fs::read_dir(&folder).map_err(unreadable)? {
+            let entry = entry.map_err(unreadable)?;
+            entries += 1;
+            if entries > limits.entries {
+                return Err(Fault::TooManyEntries { limit: limits.entries }.at(root.display().to_string()));
+            }
+            let file_name = entry.file_name();
+            let Some(name) = file_name.to_str().map(|name| format!("{prefix}{name}")) else { continue };
+            if safe_name(&name).is_err() {
+                continue;
+            }
+            let kind = entry.file_type().map_err(unreadable)?;
+            if kind.is_dir() {
+                pending.push((entry.path(), format!("{name}/")));
+            } else if kind.is_file() {
+                files.push((name, entry.metadata().map_err(unreadable)?.len()));
+                paths.push(entry.path());
+            } else {
+                special.push((name, if kind.is_symlink() { "symbolic link" } else { "special file" }));
+            }
+        }
+    }
+    Ok(Listing { files, special, source: Box::new(Folder { paths }) })
+}

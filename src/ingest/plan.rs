@@ -1,0 +1,160 @@
+//! What the layouts have in common: a list of frames with lenses, poses and image files, before any image is opened.
+
+use std::collections::BTreeSet;
+
+use super::{
+    error::{Error, Fault},
+    images::{EXTENSIONS, is_image_name},
+    lens::Lens,
+    names::safe_name,
+    tree::Tree,
+};
+use crate::domain::{Layout, PointCloud, Pose, Split, scene::HOLD_OUT_EVERY};
+
+/// How many missing images a message names.
+const MISSING_SHOWN: usize = 5;
+
+/// A dataset as its tables state it.
+pub(super) struct Plan {
+    pub(super) layout: Layout,
+    /// The distinct cameras.
+    pub(super) lenses: Vec<Lens>,
+    pub(super) shots: Vec<Shot>,
+    pub(super) points: Option<PointCloud>,
+    pub(super) notes: Vec<String>,
+}
+
+/// One listed frame.
+#[derive(Debug)]
+pub(super) struct Shot {
+    /// Name of the frame.
+    pub(super) name: String,
+    /// Its image in the tree.
+    pub(super) file: String,
+    /// Index into [`Plan::lenses`].
+    pub(super) lens: usize,
+    pub(super) pose: Pose,
+    pub(super) split: Split,
+}
+
+impl Plan {
+    /// A plan without frames.
+    pub(super) fn new(layout: Layout) -> Self {
+        Self { layout, lenses: Vec::new(), shots: Vec::new(), points: None, notes: Vec::new() }
+    }
+
+    /// Sorts the frames by name and checks that names and image files are unique and that there is one to train on.
+    ///
+    /// # Errors
+    /// [`Fault::DuplicateName`] or [`Fault::NoImages`], at `listing`.
+    pub(super) fn ordered(mut self, listing: &str) -> Result<Self, Error> {
+        self.shots.sort_by(|a, b| a.name.cmp(&b.name));
+        if let Some(pair) = self.shots.windows(2).find(|pair| pair[0].name == pair[1].name) {
+            return Err(Fault::DuplicateName(pair[0].name.clone()).at(listing));
+        }
+        let mut files = BTreeSet::new();
+        if let Some(shot) = self.shots.iter().find(|shot| !files.insert(&shot.file)) {
+            return Err(Fault::DuplicateName(shot.file.clone()).at(listing));
+        }
+        if !self.shots.iter().any(|shot| shot.split == Split::Train) {
+            return Err(Fault::NoImages.at(listing));
+        }
+        Ok(self)
+    }
+
+    /// Holds out every eighth frame by name, the first among them; a single frame is for training.
+    pub(super) fn hold_out(&mut self) {
+        self.shots.sort_by(|a, b| a.name.cmp(&b.name));
+        let alone = self.shots.len() == 1;
+        for (index, shot) in self.shots.iter_mut().enumerate() {
+            shot.split = if index % HOLD_OUT_EVERY == 0 && !alone { Split::Test } else { Split::Train };
+        }
+    }
+
+    /// The index of a lens, added unless it equals the one before.
+    pub(super) fn lens(&mut self, lens: Lens) -> usize {
+        if self.lenses.last() != Some(&lens) {
+            self.lenses.push(lens);
+        }
+        self.lenses.len() - 1
+    }
+
+    /// Notes how many images lie beside the listed ones without being listed.
+    pub(super) fn note_unlisted(&mut self, tree: &Tree, listing: &str) {
+        let listed: BTreeSet<&str> = self.shots.iter().map(|shot| shot.file.as_str()).collect();
+        let folders: BTreeSet<&str> = listed.iter().map(|file| folder_of(file)).collect();
+        let unlisted = tree
+            .names()
+            .filter(|name| is_image_name(name) && folders.contains(folder_of(name)) && !listed.contains(name))
+            .count();
+        if unlisted > 0 {
+            let (images, are) = if unlisted == 1 { ("image", "is") } else { ("images", "are") };
+            self.notes.push(format!("{unlisted} {images} {are} not listed in {listing} and not used"));
+        }
+    }
+}
+
+fn folder_of(name: &str) -> &str {
+    name.rsplit_once('/').map_or("", |(folder, _)| folder)
+}
+
+/// Finds the image files that a table lists and collects those that are missing.
+pub(super) struct ImageFiles<'a> {
+    tree: &'a Tree,
+    listing: &'a str,
+    listed: usize,
+    missing: Vec<String>,
+}
+
+impl<'a> ImageFiles<'a> {
+    /// For the images listed in the file `listing`.
+    pub(super) fn new(tree: &'a Tree, listing: &'a str) -> Self {
+        Self { tree, listing, listed: 0, missing: Vec::new() }
+    }
+
+    /// The frame's name and the file under `folder` ("" or ending in a slash) that `stated` means: that name, or with an image extension added.
+    /// `None` if there is none; [`ImageFiles::finish`] reports it.
+    ///
+    /// # Errors
+    /// [`Fault::Field`] (at `place`) if the name is unsafe, [`Fault::NotARegularFile`] if it lies behind a link.
+    pub(super) fn find(
+        &mut self,
+        folder: &str,
+        stated: &str,
+        place: &str,
+    ) -> Result<Option<(String, String)>, Error> {
+        let name = safe_name(stated).map_err(|fault| {
+            Fault::Field { pointer: place.to_owned(), message: format!("'{stated}': {fault}") }
+                .at(self.listing)
+        })?;
+        self.listed += 1;
+        let exact = format!("{folder}{name}");
+        if let Some(link) = self.tree.special_on_the_way(&exact) {
+            return Err(link);
+        }
+        let with_extensions = EXTENSIONS.iter().flat_map(|extension| {
+            [format!("{exact}.{extension}"), format!("{exact}.{}", extension.to_uppercase())]
+        });
+        let found = std::iter::once(exact.clone()).chain(with_extensions).find(|file| self.tree.has(file));
+        if found.is_none() {
+            self.missing.push(exact);
+        }
+        Ok(found.map(|file| (name.to_owned(), file)))
+    }
+
+    /// Ends the search.
+    ///
+    /// # Errors
+    /// [`Fault::MissingImages`] if any was missing.
+    pub(super) fn finish(self) -> Result<(), Error> {
+        let Some(first) = self.missing.first() else { return Ok(()) };
+        let hint = self.tree.names().find(|name| name.eq_ignore_ascii_case(first)).map(str::to_owned);
+        Err(Fault::MissingImages {
+            count: self.missing.len(),
+            listed: self.listed,
+            first: self.missing.iter().take(MISSING_SHOWN).cloned().collect(),
+            hint,
+        }
+        .at(self.listing))
+    }
+}

@@ -1,0 +1,316 @@
+//! Point clouds in PLY files, ASCII and binary of both byte orders.
+//!
+//! Only the `vertex` element is read: x, y, z and, where stated, red, green, blue. Points without colour are mid-grey.
+
+use super::error::Fault;
+use crate::domain::PointCloud;
+
+/// Colour of points in a file without colours.
+const GREY: u8 = 128;
+
+/// Largest header; real ones have a few hundred bytes.
+const LARGEST_HEADER: usize = 64 << 10;
+
+#[derive(Clone, Copy, PartialEq)]
+enum Encoding {
+    Ascii,
+    Little,
+    Big,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Scalar {
+    fn parse(name: &str) -> Option<Self> {
+        Some(match name {
+            "char" | "int8" => Self::I8,
+            "uchar" | "uint8" => Self::U8,
+            "short" | "int16" => Self::I16,
+            "ushort" | "uint16" => Self::U16,
+            "int" | "int32" => Self::I32,
+            "uint" | "uint32" => Self::U32,
+            "float" | "float32" => Self::F32,
+            "double" | "float64" => Self::F64,
+            _ => return None,
+        })
+    }
+
+    fn size(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+
+    /// The value in the first bytes of `bytes`, which hold at least [`Scalar::size`].
+    fn read(self, bytes: &[u8], encoding: Encoding) -> f64 {
+        let mut raw = [0; 8];
+        let size = self.size();
+        raw[..size].copy_from_slice(&bytes[..size]);
+        if encoding == Encoding::Big {
+            raw[..size].reverse();
+        }
+        let [a, b, c, d, ..] = raw;
+        match self {
+            Self::I8 => f64::from(a as i8),
+            Self::U8 => f64::from(a),
+            Self::I16 => f64::from(i16::from_le_bytes([a, b])),
+            Self::U16 => f64::from(u16::from_le_bytes([a, b])),
+            Self::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
+            Self::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
+            Self::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
+            Self::F64 => f64::from_le_bytes(raw),
+        }
+    }
+}
+
+struct Property {
+    name: String,
+    scalar: Scalar,
+}
+
+struct Header {
+    encoding: Encoding,
+    vertices: u64,
+    properties: Vec<Property>,
+    /// Where the data starts.
+    data: usize,
+}
+
+/// Reads the vertices.
+///
+/// # Errors
+/// [`Fault::Ply`] for a header that is not understood or values that are not finite, [`Fault::Count`] for more
+/// vertices than the file can hold.
+pub(super) fn points(bytes: &[u8]) -> Result<PointCloud, Fault> {
+    let header = header(bytes)?;
+    let data = &bytes[header.data..];
+    let column = |name: &str| header.properties.iter().position(|property| property.name == name);
+    let [Some(x), Some(y), Some(z)] = ["x", "y", "z"].map(column) else {
+        return Err(refused("its vertices lack x, y or z"));
+    };
+    let colors = match ["red", "green", "blue"].map(column) {
+        [Some(r), Some(g), Some(b)] => Some([r, g, b]),
+        _ => None,
+    };
+
+    // A number takes at least a digit and a separator in ASCII (the last may lack the separator).
+    let record = match header.encoding {
+        Encoding::Ascii => 2 * header.properties.len(),
+        _ => header.properties.iter().map(|property| property.scalar.size()).sum(),
+    };
+    let needed = u128::from(header.vertices) * record as u128;
+    let left = data.len() + usize::from(header.encoding == Encoding::Ascii);
+    if needed > left as u128 {
+        return Err(Fault::Count { what: "vertices", count: header.vertices, needed, left: data.len() });
+    }
+    let count = header.vertices as usize;
+
+    let mut cloud = PointCloud { positions: Vec::with_capacity(count), colors: Vec::with_capacity(count) };
+    let mut add = |index: usize, row: &[f64]| {
+        let position = [x, y, z].map(|column| row[column] as f32);
+        if position.iter().any(|value| !value.is_finite()) {
+            return Err(refused(format!("vertex {index} is not finite")));
+        }
+        cloud.positions.push(position);
+        cloud.colors.push(colors.map_or([GREY; 3], |columns| {
+            columns.map(|column| {
+                let fraction = matches!(header.properties[column].scalar, Scalar::F32 | Scalar::F64);
+                let value = if fraction { row[column] * 255.0 } else { row[column] };
+                value.round().clamp(0.0, 255.0) as u8
+            })
+        }));
+        Ok(())
+    };
+
+    let mut row = vec![0.0; header.properties.len()];
+    if header.encoding == Encoding::Ascii {
+        let text = std::str::from_utf8(data).map_err(|_| refused("its data is not text"))?;
+        let mut tokens = text.split_ascii_whitespace();
+        for index in 0..count {
+            for (value, property) in row.iter_mut().zip(&header.properties) {
+                let token =
+                    tokens.next().ok_or_else(|| refused(format!("it ends in vertex {index} of {count}")))?;
+                *value = token.parse().map_err(|_| {
+                    refused(format!("{} of vertex {index} is '{token:.20}', not a number", property.name))
+                })?;
+            }
+            add(index, &row)?;
+        }
+    } else {
+        for (index, bytes) in data.chunks_exact(record).take(count).enumerate() {
+            let mut at = 0;
+            for (value, property) in row.iter_mut().zip(&header.properties) {
+                *value = property.scalar.read(&bytes[at..], header.encoding);
+                at += property.scalar.size();
+            }
+            add(index, &row)?;
+        }
+    }
+    Ok(cloud)
+}
+
+fn header(bytes: &[u8]) -> Result<Header, Fault> {
+    let mut encoding = None;
+    let mut vertices = None;
+    let mut properties = Vec::new();
+    let mut in_vertex = false;
+    let mut at = 0;
+    for number in 1.. {
+        let rest = &bytes[at..bytes.len().min(LARGEST_HEADER)];
+        let Some(length) = rest.iter().position(|byte| *byte == b'\n') else {
+            return Err(refused("its header has no end_header"));
+        };
+        at += length + 1;
+        let line = std::str::from_utf8(&rest[..length])
+            .map_err(|_| refused(format!("header line {number} is not text")))?;
+        let words: Vec<&str> = line.split_ascii_whitespace().collect();
+        match words.as_slice() {
+            ["ply"] if number == 1 => {}
+            _ if number == 1 => return Err(refused("it does not start with 'ply'")),
+            ["format", name, _version] => {
+                encoding = Some(match *name {
+                    "ascii" => Encoding::Ascii,
+                    "binary_little_endian" => Encoding::Little,
+                    "binary_big_endian" => Encoding::Big,
+                    _ => return Err(refused(format!("its format '{name:.40}' is unknown"))),
+                });
+            }
+            ["element", "vertex", count] => {
+                if vertices.is_some() {
+                    return Err(refused("it has two vertex elements"));
+                }
+                vertices = Some(
+                    count.parse().map_err(|_| refused(format!("'{count:.40}' is no number of vertices")))?,
+                );
+                in_vertex = true;
+            }
+            ["element", name, _] => {
+                if vertices.is_none() {
+                    return Err(refused(format!("element '{name:.40}' comes before the vertices")));
+                }
+                in_vertex = false;
+            }
+            ["property", "list", ..] if in_vertex => return Err(refused("its vertices have lists")),
+            ["property", scalar, name] if in_vertex => {
+                let scalar = Scalar::parse(scalar).ok_or_else(|| {
+                    refused(format!("property '{name:.40}' has the unknown type '{scalar:.40}'"))
+                })?;
+                properties.push(Property { name: (*name).to_owned(), scalar });
+            }
+            ["end_header"] => break,
+            _ => {}
+        }
+    }
+    Ok(Header {
+        encoding: encoding.ok_or_else(|| refused("its header has no format"))?,
+        vertices: vertices.ok_or_else(|| refused("it has no vertices"))?,
+        properties,
+        data: at,
+    })
+}
+
+fn refused(message: impl Into<String>) -> Fault {
+    Fault::Ply(message.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(format: &str, properties: &str, data: &[u8]) -> Vec<u8> {
+        let mut bytes =
+            format!("ply\nformat {format} 1.0\ncomment c\nelement vertex 2\n{properties}end_header\n")
+                .into_bytes();
+        bytes.extend(data);
+        bytes
+    }
+
+    const PLAIN: &str = "property float x\nproperty float y\nproperty float z\n\
+                         property uchar red\nproperty uchar green\nproperty uchar blue\n";
+
+    fn plain(big: bool) -> Vec<u8> {
+        let mut data = Vec::new();
+        for (position, color) in [([1.0_f32, 2.0, 3.0], [1, 2, 3]), ([-4.0, 5.5, 0.25], [255, 0, 7])] {
+            for value in position {
+                data.extend(if big { value.to_be_bytes() } else { value.to_le_bytes() });
+            }
+            data.extend(color);
+        }
+        file(if big { "binary_big_endian" } else { "binary_little_endian" }, PLAIN, &data)
+    }
+
+    fn expected() -> PointCloud {
+        PointCloud {
+            positions: vec![[1.0, 2.0, 3.0], [-4.0, 5.5, 0.25]],
+            colors: vec![[1, 2, 3], [255, 0, 7]],
+        }
+    }
+
+    #[test]
+    fn all_encodings_hold_the_same_points() {
+        assert_eq!(points(&plain(false)).expect("little endian"), expected());
+        assert_eq!(points(&plain(true)).expect("big endian"), expected());
+        let ascii = file("ascii", PLAIN, b"1 2 3 1 2 3\r\n-4 5.5 0.25 255 0 7");
+        assert_eq!(points(&ascii).expect("ascii"), expected());
+    }
+
+    #[test]
+    fn other_types_orders_and_missing_colours_are_understood() {
+        let properties = "property double z\nproperty double x\nproperty short skipped\nproperty double y\n";
+        let mut data = Vec::new();
+        for [x, y, z] in [[1.0_f64, 2.0, 3.0], [-4.0, 5.5, 0.25]] {
+            data.extend(z.to_le_bytes());
+            data.extend(x.to_le_bytes());
+            data.extend(7_i16.to_le_bytes());
+            data.extend(y.to_le_bytes());
+        }
+        let cloud = points(&file("binary_little_endian", properties, &data)).expect("points");
+        assert_eq!(cloud.positions, expected().positions);
+        assert_eq!(cloud.colors, [[GREY; 3]; 2]);
+        let fractions = PLAIN.replace("uchar", "float");
+        let cloud = points(&file("ascii", &fractions, b"0 0 0 1 0.5 0\n0 0 0 2 -1 0\n")).expect("points");
+        assert_eq!(cloud.colors, [[255, 128, 0], [255, 0, 0]]);
+    }
+
+    #[test]
+    fn no_prefix_is_accepted_and_none_panics() {
+        for whole in [plain(false), file("ascii", PLAIN, b"1 2 3 1 2 3\n-4 5.5 0.25 255 0 7")] {
+            for length in 0..whole.len() {
+                assert!(points(&whole[..length]).is_err(), "{length} of {} bytes", whole.len());
+            }
+        }
+    }
+
+    #[test]
+    fn unusable_files_are_refused_with_the_reason() {
+        let claimed = String::from_utf8(file("ascii", PLAIN, b"1 2 3 1 2 3")).expect("text");
+        for (bytes, reason) in [
+            (b"PLY\n".to_vec(), "start with"),
+            (file("ascii", "property list uchar int x\n", b""), "lists"),
+            (file("ascii", "property quad x\n", b""), "unknown type"),
+            (file("ascii", "property float x\nproperty float y\n", b"1 2 3 4"), "lack x, y or z"),
+            (file("utf9", PLAIN, b""), "unknown"),
+            (file("ascii", PLAIN, b"1 2 nan 1 2 3 0 0 0 0 0 0"), "vertex 0 is not finite"),
+            (file("ascii", PLAIN, b"1 2 1e300 1 2 3 0 0 0 0 0 0"), "vertex 0 is not finite"),
+            (file("ascii", PLAIN, b"1 2 three 1 2 3 0 0 0 0 0 0"), "'three'"),
+            (claimed.replace("vertex 2", "vertex 18446744073709551615").into_bytes(), "claims"),
+            (claimed.replace("vertex 2", "vertex -1").into_bytes(), "no number of vertices"),
+        ] {
+            let fault = points(&bytes).expect_err(reason).to_string();
+            assert!(fault.contains(reason), "'{fault}' should say '{reason}'");
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! The plan of a dataset checked against its stored images: every final camera, without decoding a pixel.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+
+use super::{
+    colmap,
+    distortion::{Crop, Distortion},
+    error::{Error, Fault},
+    images,
+    lens::resized,
+    limits::Limits,
+    plan::{Plan, Shot},
+    transforms,
+    tree::Tree,
+};
+use crate::domain::{Camera, Image, Intrinsics, Layout, PointCloud};
+
+/// Farthest camera from the origin that single precision can still work with.
+const FARTHEST: f64 = 1e9;
+
+/// A dataset of which only the pixels are unknown.
+pub(super) struct Survey {
+    pub(super) layout: Layout,
+    /// By name.
+    pub(super) views: Vec<View>,
+    pub(super) points: Option<PointCloud>,
+    pub(super) notes: Vec<String>,
+}
+
+/// One frame and what has to be done to its image.
+pub(super) struct View {
+    pub(super) shot: Shot,
+    /// The camera of the finished image.
+    pub(super) camera: Camera,
+    /// Pinhole intrinsics of the stored image, distortion aside.
+    stored: Intrinsics,
+    distortion: Distortion,
+    crop: Crop,
+}
+
+impl View {
+    /// The finished image from the stored one.
+    ///
+    /// # Errors
+    /// [`Fault::Image`] if the pixels are not of the size that the header promised.
+    pub(super) fn finish(&self, image: Image) -> Result<Image, Fault> {
+        let (actual, expected) = ((image.width(), image.height()), (self.stored.width, self.stored.height));
+        if actual != expected {
+            return Err(Fault::Image(format!("the header says {expected:?} pixels and the data {actual:?}")));
+        }
+        let image = if self.distortion.is_none() {
+            image
+        } else {
+            self.distortion.undistort(&image, &self.stored, self.crop)
+        };
+        let finished = self.camera.intrinsics;
+        Ok(if image.width() == finished.width {
+            image
+        } else {
+            super::sampling::downscaled(image, finished.width, finished.height)
+        })
+    }
+}
+
+/// Surveys the dataset in `tree`, whose root may be its only top-level folder.
+///
+/// # Errors
+/// The first fault by the order of names.
+pub(super) fn survey(mut tree: Tree, limits: &Limits) -> Result<(Tree, Survey), Error> {
+    let plan = match plan(&tree) {
+        None if tree.enter_only_folder() => plan(&tree),
+        plan => plan,
+    }
+    .ok_or(Fault::NoLayout)??;
+    let Plan { layout, lenses, shots, points, mut notes } = plan;
+
+    // Collected before the first fault is taken, so that the same fault is reported whatever thread is faster.
+    let sizes: Vec<_> = shots.par_iter().map(|shot| images::size(&tree, &shot.file, limits)).collect();
+    let mut crops = BTreeMap::new();
+    let mut views = Vec::with_capacity(shots.len());
+    let mut changes = Changes::default();
+    let mut pixels = 0;
+    for (shot, size) in shots.into_iter().zip(sizes) {
+        let size = size?;
+        let lens = &lenses[shot.lens];
+        let (file, distortion) = (shot.file.clone(), lens.distortion);
+        let stored = lens.intrinsics(size).map_err(|fault| fault.at(&file))?;
+        let crop = match crops.get(&(shot.lens, size)) {
+            Some(crop) => *crop,
+            None => {
+                let crop = distortion.covered(&stored).map_err(|fault| fault.at(&file))?;
+                crops.insert((shot.lens, size), crop);
+                crop
+            }
+        };
+        let cropped = crop.of(stored);
+        let finished = for_training(cropped);
+        let camera = Camera::new(finished, shot.pose)
+            .map_err(|source| Fault::Camera { place: shot.name.clone(), source }.at(&file))?;
+        let distance = shot.pose.center().abs().max_element();
+        if distance > FARTHEST {
+            let range = "at most 1e9 units from the origin";
+            return Err(Fault::Implausible { what: "the camera's position", value: distance, range }.at(file));
+        }
+        changes.count(lens.size, &stored, &distortion, &cropped, &finished);
+        pixels += u64::from(finished.width) * u64::from(finished.height);
+        if pixels > limits.scene_pixels {
+            return Err(Fault::TooManyScenePixels { pixels, limit: limits.scene_pixels }.at(file));
+        }
+        views.push(View { shot, camera, stored, distortion, crop });
+    }
+    changes.note(&mut notes);
+    Ok((tree, Survey { layout, views, points, notes }))
+}
+
+/// The plan by whichever layout the files are in; `None` if in none. `transforms.json` states its own cameras, so
+/// it goes before a reconstruction that lies beside it; the Blender files also state the split, so they go first.
+fn plan(tree: &Tree) -> Option<Result<Plan, Error>> {
+    if tree.has(transforms::TRAIN) {
+        return Some(transforms::blender(tree));
+    }
+    if tree.has(transforms::TRANSFORMS) {
+        return Some(transforms::nerfstudio(tree));
+    }
+    colmap::detect(tree).map(|model| colmap::plan(tree, model))
+}
+
+/// Intrinsics of the image as it is trained on: at most [`Limits::TRAINING_WIDTH`] wide, the height rounded down.
+fn for_training(k: Intrinsics) -> Intrinsics {
+    let width = Limits::TRAINING_WIDTH;
+    if k.width <= width {
+        return k;
+    }
+    let height = (u64::from(k.height) * u64::from(width) / u64::from(k.width)).max(1) as u32;
+    resized(k, (k.width, k.height), (width, height))
+}
+
+/// How many images were changed and how, for the notes.
+#[derive(Default)]
+struct Changes {
+    smaller_than_stated: usize,
+    undistorted: usize,
+    cropped: Option<((u32, u32), (u32, u32))>,
+    downscaled: usize,
+}
+
+impl Changes {
+    fn count(
+        &mut self,
+        stated: Option<(u32, u32)>,
+        stored: &Intrinsics,
+        distortion: &Distortion,
+        cropped: &Intrinsics,
+        finished: &Intrinsics,
+    ) {
+        let size = |k: &Intrinsics| (k.width, k.height);
+        self.smaller_than_stated += usize::from(stated.is_some_and(|stated| stated != size(stored)));
+        self.undistorted += usize::from(!distortion.is_none());
+        if self.cropped.is_none() && size(stored) != size(cropped) {
+            self.cropped = Some((size(stored), size(cropped)));
+        }
+        self.downscaled += usize::from(finished.width != cropped.width);
+    }
+
+    fn note(&self, notes: &mut Vec<String>) {
+        if self.smaller_than_stated > 0 {
+            notes.push(format!(
+                "images smaller than their camera states: {}; the intrinsics were scaled to them",
+                self.smaller_than_stated
+            ));
+        }
+        if self.undistorted > 0 {
+            let crop = self.cropped.map_or_else(String::new, |((w, h), (to_w, to_h))| {
+                format!(", cropped to what the lens saw ({w}x{h} to {to_w}x{to_h})")
+            });
+            notes.push(format!("images undistorted: {}{crop}", self.undistorted));
+        }
+        if self.downscaled > 0 {
+            notes.push(format!(
+                "images wider than {} pixels, downscaled to that width: {}",
+                Limits::TRAINING_WIDTH,
+                self.downscaled
+            ));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wide_images_shrink_to_the_training_width_with_their_intrinsics() {
+        let k = Intrinsics { fx: 3000.0, fy: 3100.0, cx: 1700.0, cy: 1000.0, width: 3201, height: 2133 };
+        let small = for_training(k);
+        assert_eq!((small.width, small.height), (1600, 1066));
+        let (x, y) = (1600.0 / 3201.0, 1066.0 / 2133.0);
+        assert!((small.fx - 3000.0 * x).abs() < 1e-9 && (small.cx - 1700.0 * x).abs() < 1e-9);
+        assert!((small.fy - 3100.0 * y).abs() < 1e-9 && (small.cy - 1000.0 * y).abs() < 1e-9);
+        let narrow = Intrinsics { width: 1600, ..k };
+        assert_eq!(for_training(narrow), narrow);
+        let flat = Intrinsics { width: 16_000, height: 1, ..k };
+        assert_eq!(for_training(flat).height, 1);
+    }
+}

@@ -1,0 +1,273 @@
+//! `transforms.json` (nerfstudio, instant-ngp) and `transforms_{train,val,test}.json` (Blender, NeRF-synthetic).
+//!
+//! Both are the same kind of file: camera-to-world matrices with OpenGL axes, and intrinsics stated once or for each frame.
+//!
+//! `applied_transform` is the motion that a converter applied to the reconstruction before it wrote the poses. The
+//! poses and the points of `ply_file_path` are both written after it, so they already agree and it is not
+//! applied again: scenes are trained, and views asked for, in the frame that the file's poses are in.
+
+use std::collections::BTreeSet;
+
+use glam::{DMat4, DVec4};
+use serde::Deserialize;
+
+use super::{
+    distortion::Distortion,
+    error::{Error, Fault},
+    lens::{Focal, Lens},
+    names::safe_name,
+    plan::{ImageFiles, Plan, Shot},
+    ply,
+    tree::Tree,
+};
+use crate::domain::{Convention, Layout, Pose, Split};
+
+/// The nerfstudio and instant-ngp file.
+pub(super) const TRANSFORMS: &str = "transforms.json";
+/// The Blender file of the training split.
+pub(super) const TRAIN: &str = "transforms_train.json";
+const TEST: &str = "transforms_test.json";
+const VALIDATION: &str = "transforms_val.json";
+
+/// Camera models whose distortion is the polynomial that [`Distortion`] holds.
+const POLYNOMIAL_MODELS: [&str; 5] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
+
+#[derive(Deserialize)]
+struct Document {
+    #[serde(flatten)]
+    camera: CameraFields,
+    frames: Vec<FrameFields>,
+    ply_file_path: Option<String>,
+    train_filenames: Option<Vec<String>>,
+    val_filenames: Option<Vec<String>>,
+    test_filenames: Option<Vec<String>>,
+}
+
+#[derive(Deserialize)]
+struct FrameFields {
+    #[serde(flatten)]
+    camera: CameraFields,
+    file_path: String,
+    transform_matrix: Vec<Vec<f64>>,
+}
+
+/// What may be stated once for all frames or for each of them.
+#[derive(Deserialize, Default)]
+struct CameraFields {
+    camera_model: Option<String>,
+    is_fisheye: Option<bool>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+}
+
+/// Plans a Blender set: `transforms_train.json` is trained on and `transforms_test.json` held out.
+///
+/// # Errors
+/// Everything that is wrong with the files or the images they list.
+pub(super) fn blender(tree: &Tree) -> Result<Plan, Error> {
+    let mut plan = Plan::new(Layout::Blender);
+    add_frames(&mut plan, tree, TRAIN, &read(tree, TRAIN)?, Split::Train)?;
+    if tree.has(TEST) {
+        add_frames(&mut plan, tree, TEST, &read(tree, TEST)?, Split::Test)?;
+        if tree.has(VALIDATION) {
+            plan.notes.push(format!("{VALIDATION} is not used: {TEST} is what is held out"));
+        }
+    } else if tree.has(VALIDATION) {
+        add_frames(&mut plan, tree, VALIDATION, &read(tree, VALIDATION)?, Split::Test)?;
+        plan.notes.push(format!("there is no {TEST}: {VALIDATION} is held out instead"));
+    } else {
+        plan.hold_out();
+        plan.notes.push(format!("there is no {TEST}: every 8th image by name is held out"));
+    }
+    plan.ordered(TRAIN)
+}
+
+/// Plans a nerfstudio or instant-ngp set.
+///
+/// # Errors
+/// Everything that is wrong with the file, the images it lists or its point cloud.
+pub(super) fn nerfstudio(tree: &Tree) -> Result<Plan, Error> {
+    let mut plan = Plan::new(Layout::Nerfstudio);
+    let document = read(tree, TRANSFORMS)?;
+    add_frames(&mut plan, tree, TRANSFORMS, &document, Split::Train)?;
+    plan.note_unlisted(tree, TRANSFORMS);
+    split(&mut plan, &document)?;
+    match &document.ply_file_path {
+        Some(path) => {
+            let name = safe_name(path).map_err(|fault| {
+                field("/ply_file_path".to_owned(), format!("'{path}': {fault}")).at(TRANSFORMS)
+            })?;
+            let points = ply::points(&tree.read(name)?).map_err(|fault| fault.at(name))?;
+            if points.positions.is_empty() {
+                plan.notes.push(format!("{name} has no points: training starts from random ones"));
+            } else {
+                plan.points = Some(points);
+            }
+        }
+        None => plan.notes.push(format!(
+            "{TRANSFORMS} names no point cloud (ply_file_path): training starts from random points"
+        )),
+    }
+    plan.ordered(TRANSFORMS)
+}
+
+fn read(tree: &Tree, file: &str) -> Result<Document, Error> {
+    serde_json::from_slice(&tree.read(file)?).map_err(|error| Fault::Json(error).at(file))
+}
+
+fn add_frames(
+    plan: &mut Plan,
+    tree: &Tree,
+    file: &str,
+    document: &Document,
+    split: Split,
+) -> Result<(), Error> {
+    let mut images = ImageFiles::new(tree, file);
+    for (index, frame) in document.frames.iter().enumerate() {
+        let place = format!("/frames/{index}");
+        let found = images.find("", &frame.file_path, &format!("{place}/file_path"))?;
+        let pose = pose(&frame.transform_matrix, &place).map_err(|fault| fault.at(file))?;
+        let lens = lens(&frame.camera, &document.camera, &place).map_err(|fault| fault.at(file))?;
+        let lens = plan.lens(lens);
+        if let Some((name, file)) = found {
+            plan.shots.push(Shot { name, file, lens, pose, split });
+        }
+    }
+    images.finish()
+}
+
+/// Splits by the file's own lists, if it has them, else by the hold-out rule.
+fn split(plan: &mut Plan, document: &Document) -> Result<(), Error> {
+    let (train, test) = (&document.train_filenames, &document.test_filenames);
+    if train.is_none() && test.is_none() && document.val_filenames.is_none() {
+        plan.hold_out();
+        return Ok(());
+    }
+    let listed = |list: &'static str, names: &Option<Vec<String>>| {
+        let known: BTreeSet<&str> = plan.shots.iter().map(|shot| shot.name.as_str()).collect();
+        let mut listed = BTreeSet::new();
+        for stated in names.iter().flatten() {
+            match safe_name(stated) {
+                Ok(name) if known.contains(name) => listed.insert(name.to_owned()),
+                _ => return Err(Fault::UnknownFrame { list, name: stated.clone() }.at(TRANSFORMS)),
+            };
+        }
+        Ok(listed)
+    };
+    let trained = listed("train_filenames", train)?;
+    let validated = listed("val_filenames", &document.val_filenames)?;
+    let mut held_out = listed("test_filenames", test)?;
+    if held_out.is_empty() && !validated.is_empty() {
+        held_out = validated;
+        plan.notes.push("test_filenames names no image: val_filenames is held out instead".to_owned());
+    }
+    let before = plan.shots.len();
+    for shot in &mut plan.shots {
+        shot.split = if held_out.contains(&shot.name) { Split::Test } else { Split::Train };
+    }
+    if train.is_some() {
+        plan.shots.retain(|shot| shot.split == Split::Test || trained.contains(&shot.name));
+    }
+    let unused = before - plan.shots.len();
+    if unused > 0 {
+        plan.notes.push(format!("{unused} frames are in no split list that is used and are left out"));
+    }
+    Ok(())
+}
+
+fn pose(rows: &[Vec<f64>], place: &str) -> Result<Pose, Fault> {
+    let shape = || {
+        field(
+            format!("{place}/transform_matrix"),
+            "must be a matrix of 4 rows (or 3) of 4 numbers".to_owned(),
+        )
+    };
+    if !(3..=4).contains(&rows.len()) {
+        return Err(shape());
+    }
+    let mut matrix = [DVec4::W; 4];
+    for (row, values) in matrix.iter_mut().zip(rows) {
+        let values: &[f64; 4] = values.as_slice().try_into().map_err(|_| shape())?;
+        *row = DVec4::from_array(*values);
+    }
+    let [x, y, z, w] = matrix;
+    Pose::from_camera_to_world(DMat4::from_cols(x, y, z, w).transpose(), Convention::Opengl)
+        .map_err(|source| Fault::Camera { place: format!("{place}/transform_matrix"), source })
+}
+
+fn lens(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Lens, Fault> {
+    if let Some(model) = frame.camera_model.as_ref().or(shared.camera_model.as_ref())
+        && !POLYNOMIAL_MODELS.contains(&model.as_str())
+    {
+        return Err(Fault::CameraModel { place: place.to_owned(), model: model.clone() });
+    }
+    if frame.is_fisheye.or(shared.is_fisheye) == Some(true) {
+        return Err(Fault::CameraModel { place: place.to_owned(), model: "fisheye (is_fisheye)".to_owned() });
+    }
+    // A frame that states any focal length states all of it: half of it from elsewhere would be another camera.
+    let owner = if frame.fl_x.or(frame.camera_angle_x).is_some() { frame } else { shared };
+    let focal = match (owner.fl_x, owner.camera_angle_x) {
+        (Some(x), _) => Focal::Pixels { x, y: owner.fl_y.unwrap_or(x) },
+        (None, Some(x)) => Focal::FieldOfView { x, y: owner.camera_angle_y },
+        (None, None) => {
+            return Err(field(
+                place.to_owned(),
+                "no focal length: neither fl_x nor camera_angle_x is stated".to_owned(),
+            ));
+        }
+    };
+    let size = match (frame.w.or(shared.w), frame.h.or(shared.h)) {
+        (Some(w), Some(h)) => Some((side(w, place, "w")?, side(h, place, "h")?)),
+        (None, None) => None,
+        _ => return Err(field(place.to_owned(), "only one of w and h is stated".to_owned())),
+    };
+    let value = |of: fn(&CameraFields) -> Option<f64>| of(frame).or(of(shared));
+    let coefficient = |of| value(of).unwrap_or(0.0);
+    let lens = Lens {
+        focal,
+        principal: [value(|fields| fields.cx), value(|fields| fields.cy)],
+        size,
+        distortion: Distortion {
+            radial: [
+                coefficient(|fields| fields.k1),
+                coefficient(|fields| fields.k2),
+                coefficient(|fields| fields.k3),
+                coefficient(|fields| fields.k4),
+            ],
+            tangential: [coefficient(|fields| fields.p1), coefficient(|fields| fields.p2)],
+        },
+    };
+    if !lens.distortion.is_finite() {
+        return Err(Fault::NonFiniteDistortion { place: place.to_owned() });
+    }
+    lens.check().map_err(|source| Fault::Camera { place: place.to_owned(), source })?;
+    Ok(lens)
+}
+
+/// A side in pixels. Some converters write it as `1920.0`.
+fn side(value: f64, place: &str, name: &str) -> Result<u32, Fault> {
+    if value.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(&value) {
+        Ok(value as u32)
+    } else {
+        Err(field(
+            place.to_owned(),
+            format!("{name} is {value}; it must be a positive whole number of pixels"),
+        ))
+    }
+}
+
+fn field(pointer: String, message: String) -> Fault {
+    Fault::Field { pointer, message }
+}
