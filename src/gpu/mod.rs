@@ -1,1 +1,19 @@
-//! To come.
+//! The device: adapter choice, buffers, kernels and the recording of dispatches; and the primitives (scan, sort)
+//! that everything on the device is built from.
+//!
+//! What always holds: the adapter is the one that was asked for or there is an error; a lost device is remembered
+//! and reported as [`GpuError::DeviceLost`] from then on; every buffer is counted in bytes.
+
+mod adapter;
+mod buffer;
+mod context;
+mod error;
+mod kernel;
+mod recorder;
+
+pub use adapter::{AdapterChoice, AdapterReport, report};
+pub use buffer::{Buffer, RawBuffer};
+pub use context::Context;
+pub use error::GpuError;
+pub use kernel::{Kernel, KernelSource};
+pub use recorder::{Binding, Recorder};

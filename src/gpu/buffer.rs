@@ -1,0 +1,96 @@
+//! Typed device buffers whose bytes are counted while they live.
+
+use std::{
+    marker::PhantomData,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use super::{Context, GpuError};
+
+/// A device buffer without its element type.
+#[derive(Debug)]
+pub struct RawBuffer {
+    pub(super) inner: wgpu::Buffer,
+    bytes: u64,
+    counter: Arc<AtomicU64>,
+}
+
+impl Drop for RawBuffer {
+    fn drop(&mut self) {
+        self.counter.fetch_sub(self.bytes, Ordering::Relaxed);
+        self.inner.destroy();
+    }
+}
+
+/// A device buffer of `len` elements; usable as storage, for indirect dispatch, and as source and target of copies.
+#[derive(Debug, Clone)]
+pub struct Buffer<T> {
+    inner: Arc<RawBuffer>,
+    len: usize,
+    kind: PhantomData<T>,
+}
+
+impl<T: bytemuck::Pod> Buffer<T> {
+    /// Number of elements.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether there is no element (the device buffer then holds one that is never used).
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    pub(super) fn raw(&self) -> &wgpu::Buffer {
+        &self.inner.inner
+    }
+}
+
+impl<T> AsRef<RawBuffer> for Buffer<T> {
+    fn as_ref(&self) -> &RawBuffer {
+        &self.inner
+    }
+}
+
+impl Context {
+    /// A new buffer of `len` zeroed elements.
+    ///
+    /// # Errors
+    /// [`GpuError::BufferTooLarge`] if the adapter cannot bind it, [`GpuError::DeviceLost`].
+    pub fn buffer<T: bytemuck::Pod>(&self, label: &str, len: usize) -> Result<Buffer<T>, GpuError> {
+        self.check()?;
+        let bytes = (len.max(1) as u64 * size_of::<T>() as u64).next_multiple_of(16);
+        let limit = self.adapter().max_binding_bytes.min(self.adapter().max_buffer_bytes);
+        if bytes > limit {
+            return Err(GpuError::BufferTooLarge { label: label.to_owned(), bytes, limit });
+        }
+        let inner = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: bytes,
+            usage: wgpu::BufferUsages::STORAGE
+                | wgpu::BufferUsages::COPY_SRC
+                | wgpu::BufferUsages::COPY_DST
+                | wgpu::BufferUsages::INDIRECT
+                | wgpu::BufferUsages::UNIFORM,
+            mapped_at_creation: false,
+        });
+        self.allocated.fetch_add(bytes, Ordering::Relaxed);
+        let inner = Arc::new(RawBuffer { inner, bytes, counter: Arc::clone(&self.allocated) });
+        Ok(Buffer { inner, len, kind: PhantomData })
+    }
+
+    /// A new buffer that holds `values`.
+    ///
+    /// # Errors
+    /// As [`Context::buffer`].
+    pub fn upload<T: bytemuck::Pod>(&self, label: &str, values: &[T]) -> Result<Buffer<T>, GpuError> {
+        let buffer = self.buffer(label, values.len())?;
+        self.write(&buffer, values);
+        Ok(buffer)
+    }
+}

@@ -1,0 +1,66 @@
+//! What can go wrong on the device.
+
+use thiserror::Error;
+
+use crate::domain::Problem;
+
+/// A fault of the device or of asking for one.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum GpuError {
+    /// No adapter matches.
+    #[error(
+        "no adapter matches '{wanted}'; there are: {available}. Install a Vulkan driver (Debian: mesa-vulkan-drivers) or choose another with --adapter"
+    )]
+    NoAdapter {
+        /// The choice.
+        wanted: String,
+        /// What there is.
+        available: String,
+    },
+    /// The adapter refused to open.
+    #[error("the adapter '{adapter}' could not be opened: {fault}")]
+    Open {
+        /// Its name.
+        adapter: String,
+        /// The driver's words.
+        fault: String,
+    },
+    /// The device was lost; everything on it is gone.
+    #[error("the device was lost: {0}")]
+    DeviceLost(String),
+    /// The driver rejected a command: a fault of this program or of the driver.
+    #[error("the device rejected a command: {0}")]
+    Rejected(String),
+    /// A kernel does not compose or validate.
+    #[error("kernel '{kernel}': {fault}")]
+    Kernel {
+        /// File name without extension.
+        kernel: String,
+        /// The composer's or validator's words.
+        fault: String,
+    },
+    /// A buffer would be larger than the adapter binds.
+    #[error("buffer '{label}' needs {bytes} bytes; this adapter binds at most {limit}")]
+    BufferTooLarge {
+        /// What the buffer is for.
+        label: String,
+        /// Its size.
+        bytes: u64,
+        /// The adapter's limit.
+        limit: u64,
+    },
+}
+
+impl From<GpuError> for Problem {
+    fn from(error: GpuError) -> Self {
+        let (name, title) = match &error {
+            GpuError::NoAdapter { .. } | GpuError::Open { .. } => ("no-adapter", "No usable adapter"),
+            GpuError::DeviceLost(_) => ("device-lost", "The device was lost"),
+            GpuError::Rejected(_) | GpuError::Kernel { .. } => {
+                ("device-fault", "The device rejected a command")
+            }
+            GpuError::BufferTooLarge { .. } => ("scene-too-large", "The scene is too large for the adapter"),
+        };
+        Problem::new(if name == "scene-too-large" { 422 } else { 503 }, name, title, error.to_string())
+    }
+}

@@ -1,0 +1,105 @@
+//! Kernels: one `.wgsl` file each, composed with the shared files, validated, and compiled into a pipeline.
+
+use std::collections::HashMap;
+
+use naga_oil::compose::{
+    ComposableModuleDescriptor, Composer, NagaModuleDescriptor, ShaderDefValue, ShaderLanguage, ShaderType,
+};
+
+use super::{Context, GpuError};
+
+/// The text of a kernel and its name, which is the file's name and its entry point's name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct KernelSource {
+    /// File name without extension.
+    pub name: &'static str,
+    /// WGSL with naga_oil imports.
+    pub text: &'static str,
+}
+
+/// Names the kernel file `shaders/NAME.wgsl`.
+#[macro_export]
+macro_rules! kernel_source {
+    ($name:literal) => {
+        $crate::gpu::KernelSource {
+            name: $name,
+            text: include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/shaders/", $name, ".wgsl")),
+        }
+    };
+}
+
+/// Files that kernels import, by the path in their `#define_import_path` line, in dependency order.
+const SHARED: &[(&str, &str)] = &[];
+
+/// A compiled kernel.
+#[derive(Debug)]
+pub struct Kernel {
+    pub(super) pipeline: wgpu::ComputePipeline,
+    pub(super) layout: wgpu::BindGroupLayout,
+    /// The kernel's name.
+    pub name: &'static str,
+}
+
+/// Composes a kernel and validates it; needs no device.
+///
+/// # Errors
+/// [`GpuError::Kernel`] with the composer's or validator's words.
+pub(super) fn compose(source: KernelSource, defs: &[(&str, u32)]) -> Result<wgpu::naga::Module, GpuError> {
+    let fault = |fault: String| GpuError::Kernel { kernel: source.name.to_owned(), fault };
+    let mut composer = Composer::default().with_capabilities(wgpu::naga::valid::Capabilities::all());
+    for (path, text) in SHARED {
+        let added = composer
+            .add_composable_module(ComposableModuleDescriptor {
+                source: text,
+                file_path: path,
+                language: ShaderLanguage::Wgsl,
+                as_name: None,
+                additional_imports: &[],
+                shader_defs: HashMap::new(),
+            })
+            .map(|_| ());
+        added.map_err(|error| fault(format!("{path}: {}", error.emit_to_string(&composer))))?;
+    }
+    let shader_defs =
+        defs.iter().map(|(name, value)| ((*name).to_owned(), ShaderDefValue::UInt(*value))).collect();
+    composer
+        .make_naga_module(NagaModuleDescriptor {
+            source: source.text,
+            file_path: source.name,
+            shader_type: ShaderType::Wgsl,
+            shader_defs,
+            additional_imports: &[],
+        })
+        .map_err(|error| fault(error.emit_to_string(&composer)))
+}
+
+impl Kernel {
+    pub(super) fn compile(
+        context: &Context,
+        source: KernelSource,
+        defs: &[(&str, u32)],
+    ) -> Result<Self, GpuError> {
+        let module = compose(source, defs)?;
+        let scope = context.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let module = context.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(source.name),
+            source: wgpu::ShaderSource::Naga(std::borrow::Cow::Owned(module)),
+        });
+        let pipeline = context.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(source.name),
+            layout: None,
+            module: &module,
+            entry_point: None,
+            compilation_options: wgpu::PipelineCompilationOptions {
+                zero_initialize_workgroup_memory: false,
+                ..wgpu::PipelineCompilationOptions::default()
+            },
+            cache: None,
+        });
+        if let Some(error) = pollster::block_on(scope.pop()) {
+            return Err(GpuError::Kernel { kernel: source.name.to_owned(), fault: error.to_string() });
+        }
+        let layout = pipeline.get_bind_group_layout(0);
+        Ok(Self { pipeline, layout, name: source.name })
+    }
+}

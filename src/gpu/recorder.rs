@@ -1,0 +1,131 @@
+//! Recording of dispatches and copies into one submission.
+
+use super::{Buffer, Context, GpuError, Kernel, RawBuffer, context::MAX_GROUPS_PER_DIMENSION};
+
+/// A buffer as a kernel binds it; the n-th binding of a dispatch is `@group(0) @binding(n)`.
+pub type Binding<'a> = &'a RawBuffer;
+
+/// Records commands; nothing runs until [`Recorder::submit`].
+#[derive(Debug)]
+pub struct Recorder<'a> {
+    context: &'a Context,
+    encoder: wgpu::CommandEncoder,
+}
+
+impl<'a> Recorder<'a> {
+    pub(super) fn new(context: &'a Context, label: &str) -> Self {
+        let encoder =
+            context.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
+        Self { context, encoder }
+    }
+
+    /// Runs `kernel` over `groups` workgroups. Counts beyond the limit of one dimension are spread over two: kernels
+    /// compute their linear workgroup index as `group.x + group.y * 65535` and check it against their bound.
+    pub fn dispatch(&mut self, kernel: &Kernel, bindings: &[Binding<'_>], groups: u32) {
+        if groups == 0 {
+            return;
+        }
+        let (x, y) = spread(groups);
+        let group = self.bind(kernel, bindings);
+        let mut pass = self.pass(kernel);
+        pass.set_pipeline(&kernel.pipeline);
+        pass.set_bind_group(0, &group, &[]);
+        pass.dispatch_workgroups(x, y, 1);
+    }
+
+    /// Runs `kernel` over the workgroup counts (x, y, z) that `counts` holds from element `first` on.
+    pub fn dispatch_indirect(
+        &mut self,
+        kernel: &Kernel,
+        bindings: &[Binding<'_>],
+        counts: &Buffer<u32>,
+        first: usize,
+    ) {
+        let group = self.bind(kernel, bindings);
+        let mut pass = self.pass(kernel);
+        pass.set_pipeline(&kernel.pipeline);
+        pass.set_bind_group(0, &group, &[]);
+        pass.dispatch_workgroups_indirect(counts.raw(), first as u64 * 4);
+    }
+
+    /// Copies whole elements from one buffer to another.
+    pub fn copy<T: bytemuck::Pod>(
+        &mut self,
+        from: &Buffer<T>,
+        from_index: usize,
+        to: &Buffer<T>,
+        to_index: usize,
+        count: usize,
+    ) {
+        let size = size_of::<T>() as u64;
+        if count > 0 {
+            self.encoder.copy_buffer_to_buffer(
+                from.raw(),
+                from_index as u64 * size,
+                to.raw(),
+                to_index as u64 * size,
+                count as u64 * size,
+            );
+        }
+    }
+
+    /// Zeroes a whole buffer.
+    pub fn clear<T: bytemuck::Pod>(&mut self, buffer: &Buffer<T>) {
+        self.encoder.clear_buffer(buffer.raw(), 0, None);
+    }
+
+    /// Sends what was recorded to the device.
+    ///
+    /// # Errors
+    /// As [`Context::check`].
+    pub fn submit(self) -> Result<(), GpuError> {
+        self.context.check()?;
+        self.context.queue.submit([self.encoder.finish()]);
+        self.context.check()
+    }
+
+    fn pass(&mut self, kernel: &Kernel) -> wgpu::ComputePass<'_> {
+        self.encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some(kernel.name),
+            timestamp_writes: None,
+        })
+    }
+
+    fn bind(&self, kernel: &Kernel, bindings: &[Binding<'_>]) -> wgpu::BindGroup {
+        let entries: Vec<_> = bindings
+            .iter()
+            .zip(0..)
+            .map(|(buffer, binding)| wgpu::BindGroupEntry {
+                binding,
+                resource: buffer.inner.as_entire_binding(),
+            })
+            .collect();
+        self.context.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(kernel.name),
+            layout: &kernel.layout,
+            entries: &entries,
+        })
+    }
+}
+
+fn spread(groups: u32) -> (u32, u32) {
+    if groups <= MAX_GROUPS_PER_DIMENSION {
+        (groups, 1)
+    } else {
+        (MAX_GROUPS_PER_DIMENSION, groups.div_ceil(MAX_GROUPS_PER_DIMENSION))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn group_counts_are_spread_over_two_dimensions() {
+        for groups in [1, 65_535, 65_536, 200_000, 10_000_000] {
+            let (x, y) = spread(groups);
+            assert!(x <= 65_535 && y <= 65_535);
+            assert!(u64::from(x) * u64::from(y) >= u64::from(groups));
+        }
+    }
+}
