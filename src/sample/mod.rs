@@ -53,6 +53,9 @@ pub enum SampleError {
     /// The folder holds something already, which is not to be mixed with the scene.
     #[error("{} is not empty; name a folder that is new or empty", .0.display())]
     NotEmpty(PathBuf),
+    /// There is a file of that name.
+    #[error("{} exists already", .0.display())]
+    Exists(PathBuf),
     /// The images would be empty or absurdly large.
     #[error("images of {0} pixels a side are outside 8..=4096")]
     Side(u32),
@@ -65,11 +68,9 @@ pub enum SampleError {
         source: io::Error,
     },
     /// An image could not be encoded.
-    #[error("{}: {source}", path.display())]
-    Png {
-        /// The image's file.
-        path: PathBuf,
-        /// What the encoder said.
-        source: image::ImageError,
-    },
+    #[error("an image could not be encoded: {0}")]
+    Png(#[from] image::ImageError),
+    /// The zip could not be put together.
+    #[error("the zip could not be written: {0}")]
+    Zip(#[from] zip::result::ZipError),
 }
