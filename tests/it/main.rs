@@ -1,4 +1,5 @@
 //! All integration tests in one binary: one link, one GPU context per process.
 
+mod cli;
 mod layers;
 mod sample;

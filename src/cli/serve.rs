@@ -1,0 +1,49 @@
+//! `tcgs serve`: the HTTP service with its own worker process.
+
+use std::{net::SocketAddr, path::PathBuf};
+
+use super::{
+    Failure, Report,
+    adapter::AdapterFlag,
+    wiring::{self, ServeOptions},
+};
+
+/// Arguments of `tcgs serve`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Address to listen on; without API keys only a loopback address is served
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", env = "TCGS_LISTEN")]
+    listen: SocketAddr,
+
+    /// Folder for the database, uploads and files
+    #[arg(long, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
+    data: PathBuf,
+
+    /// Database, if not SQLite in the data folder
+    #[arg(long, value_name = "URL", env = "TCGS_DATABASE")]
+    database: Option<String>,
+
+    /// Blob storage, if not the data folder
+    #[arg(long, value_name = "URL", env = "TCGS_BLOBS")]
+    blobs: Option<String>,
+
+    #[command(flatten)]
+    adapter: AdapterFlag,
+
+    /// Worker processes to start; 0 if workers run elsewhere
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    workers: u16,
+}
+
+/// Serves until a signal comes.
+pub(crate) fn run(args: Args) -> Result<Report, Failure> {
+    wiring::serve(ServeOptions {
+        listen: args.listen,
+        data: args.data,
+        database: args.database,
+        blobs: args.blobs,
+        adapter: args.adapter.adapter,
+        workers: args.workers,
+    })?;
+    Ok(Report::default())
+}
