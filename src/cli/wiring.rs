@@ -96,11 +96,14 @@ pub(crate) fn runner(_adapter: &AdapterChoice) -> Result<Box<dyn RunJob>, Proble
     Err(absent("training"))
 }
 
+/// Renders the scene that it holds from a camera.
+type View = Box<dyn Fn(&Camera) -> Result<Image, Problem>>;
+
 /// Renders one scene, as many cameras as are asked for.
 pub(crate) struct Renderer {
     /// Adapter and driver in one line.
     pub(crate) adapter: String,
-    view: Box<dyn Fn(&Camera) -> Result<Image, Problem>>,
+    view: View,
 }
 
 impl Renderer {
