@@ -314,12 +314,8 @@ mod tests {
             let (at, _) = camera.project(point).expect("in front");
             let image = scene.render(&camera);
             let first = (at.y as usize * 48 + at.x as usize) * 3;
-            for channel in 0..3 {
-                let (seen, wanted) = (image.samples()[first + channel], expected[channel]);
-                assert!(
-                    seen.abs_diff(wanted) < 40,
-                    "channel {channel}: {seen}, not {wanted}, from {position}"
-                );
+            for (seen, wanted) in image.samples()[first..first + 3].iter().zip(expected) {
+                assert!(seen.abs_diff(wanted) < 20, "{seen}, not {wanted}, from {position}");
             }
         }
     }
