@@ -20,11 +20,12 @@ pub(crate) struct Args {
     data: PathBuf,
 
     /// Database, if not SQLite in the data folder
-    #[arg(long, value_name = "URL", env = "TCGS_DATABASE")]
+    // Shared databases and blobs come with a later version; until then they are refused rather than unknown.
+    #[arg(long, value_name = "URL", env = "TCGS_DATABASE", hide = true)]
     database: Option<String>,
 
     /// Blob storage, if not the data folder
-    #[arg(long, value_name = "URL", env = "TCGS_BLOBS")]
+    #[arg(long, value_name = "URL", env = "TCGS_BLOBS", hide = true)]
     blobs: Option<String>,
 
     #[command(flatten)]
@@ -37,13 +38,22 @@ pub(crate) struct Args {
 
 /// Serves until a signal comes.
 pub(crate) fn run(args: Args) -> Result<Report, Failure> {
+    refuse_shared_storage(args.database.as_deref(), args.blobs.as_deref())?;
     wiring::serve(ServeOptions {
         listen: args.listen,
         data: args.data,
-        database: args.database,
-        blobs: args.blobs,
         adapter: args.adapter.adapter,
         workers: args.workers,
     })?;
     Ok(Report::default())
+}
+
+/// Refuses what would make a queue of several machines, which this version does not have.
+pub(super) fn refuse_shared_storage(database: Option<&str>, blobs: Option<&str>) -> Result<(), Failure> {
+    for (flag, value) in [("--database", database), ("--blobs", blobs)] {
+        if value.is_some() {
+            return Err(Failure::Usage(format!("{flag}: this version keeps SQLite and blobs in --data")));
+        }
+    }
+    Ok(())
 }

@@ -13,6 +13,8 @@ use tcgs::{
     worker::run::RunJob,
 };
 
+use super::Failure;
+
 /// Quantisation step of features where a user gives none (the published one).
 pub(crate) const FEATURE_STEP: f32 = 1.0;
 /// Quantisation step of scalings as a fraction of the voxel where a user gives none.
@@ -44,10 +46,6 @@ pub(crate) struct Inspection {
 pub(crate) struct ServeOptions {
     pub(crate) listen: SocketAddr,
     pub(crate) data: PathBuf,
-    /// Database URL, if not the SQLite file in `data`.
-    pub(crate) database: Option<String>,
-    /// Blob URL, if not the folder in `data`.
-    pub(crate) blobs: Option<String>,
     pub(crate) adapter: AdapterChoice,
     /// Worker processes to start.
     pub(crate) workers: u16,
@@ -56,19 +54,11 @@ pub(crate) struct ServeOptions {
 /// Where a worker finds its queue.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct WorkerOptions {
-    pub(crate) queue: Queue,
+    /// The data folder of the service.
+    pub(crate) data: PathBuf,
     pub(crate) adapter: AdapterChoice,
     /// Whether to stop when standard input closes, which it does when the parent process dies.
     pub(crate) stop_with_parent: bool,
-}
-
-/// The queue that a worker serves.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Queue {
-    /// SQLite and blobs in a service's data folder.
-    Folder(PathBuf),
-    /// A shared database and shared blobs.
-    Shared { database: String, blobs: String },
 }
 
 /// Reads a dataset.
@@ -124,13 +114,13 @@ pub(crate) fn scores(_pairs: &[(Image, Image)]) -> Result<Scores, Problem> {
 }
 
 /// Runs the service until it is told to stop.
-pub(crate) fn serve(_options: ServeOptions) -> Result<(), Problem> {
-    Err(absent("serving"))
+pub(crate) fn serve(_options: ServeOptions) -> Result<(), Failure> {
+    Err(absent("serving").into())
 }
 
 /// Runs a worker until it is told to stop.
-pub(crate) fn worker(_options: WorkerOptions) -> Result<(), Problem> {
-    Err(absent("working"))
+pub(crate) fn worker(_options: WorkerOptions) -> Result<(), Failure> {
+    Err(absent("working").into())
 }
 
 fn absent(what: &str) -> Problem {

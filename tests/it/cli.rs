@@ -65,8 +65,8 @@ fn wrong_usage_is_status_2_and_says_what_is_wrong() {
         (&["render", "f", "-o", "o.gif", "--pose", "{}"], ".png"),
         (&["encode", "f", "-o", "o", "--feature-step", "0"], "positive"),
         (&["serve", "--listen", "nowhere"], "nowhere"),
-        (&["worker"], "--data"),
-        (&["worker", "--database", "sqlite:x"], "--blobs"),
+        (&["serve", "--database", "postgres://x"], "--database"),
+        (&["worker", "--blobs", "s3://x"], "--blobs"),
         (&["sample", "d", "--side", "2"], "--side"),
     ];
     for (arguments, word) in cases {
