@@ -1,8 +1,44 @@
 //! The `.tcgs` file: container, entropy coding, encode, decode, inspect. No GPU, no tokio, only `domain`.
+//!
+//! `FORMAT.md` specifies the file. Between its bytes and its symbols there are integers only, so that a file
+//! decodes to the same bits on every machine and whatever the number of threads; attributes are one exact f32
+//! multiplication away from their symbols. Bytes are never trusted: a count is checked against the bytes left
+//! and the caller's limits before anything is allocated, and no input makes the decoder panic.
+
+mod adaptive;
+mod attributes;
+mod bytes;
+mod container;
+mod context;
+mod decode;
+mod digest;
+mod encode;
+mod error;
+mod fit;
+mod gaussian;
+mod gaussian_constants;
+mod inspect;
+mod manifest;
+mod masks;
+mod morton;
+mod networks;
+mod positions;
+mod precision;
+mod quantise;
+mod range;
+mod sections;
+mod symbols;
 
 use serde::{Deserialize, Serialize};
 
 use crate::domain::{AnchorScene, Background, ByteCounts, Digest};
+
+pub use decode::{DecodeLimits, Decoded, decode};
+pub use digest::decode_digest;
+pub use encode::encode;
+pub use error::{DecodeError, EncodeError};
+pub use inspect::{ByteGroup, ByteRange, Inspection, SectionReport, inspect};
+pub use manifest::{ColorSpace, Manifest, Steps, WorldFrame};
 
 /// What the file says about how it was made.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -1,0 +1,110 @@
+//! From a file to a scene: a pure function of the bytes, within limits that the caller sets.
+
+use super::{
+    attributes::Layout,
+    container::Container,
+    digest::decode_digest,
+    error::DecodeError,
+    manifest::Manifest,
+    masks, networks, positions,
+    quantise::{self, Symbols},
+    sections,
+};
+use crate::domain::{AnchorScene, Digest, anchors::SCALINGS_PER_ANCHOR};
+
+/// What a caller is willing to decode.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DecodeLimits {
+    /// Longest file in bytes.
+    pub max_file_bytes: u64,
+    /// Most anchors.
+    pub max_anchors: u64,
+    /// Most bytes that the decoded scene and the decoder's own arrays may take together.
+    pub max_memory_bytes: u64,
+}
+
+impl DecodeLimits {
+    /// For files of one's own making.
+    pub const NONE: Self =
+        Self { max_file_bytes: u64::MAX, max_anchors: u64::MAX, max_memory_bytes: u64::MAX };
+}
+
+impl Default for DecodeLimits {
+    /// 1 GiB of file, 10 million anchors, 8 GiB of memory: far above any scene that was trained to be sent.
+    fn default() -> Self {
+        Self { max_file_bytes: 1 << 30, max_anchors: 10_000_000, max_memory_bytes: 8 << 30 }
+    }
+}
+
+/// A file's content.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Decoded {
+    /// The scene, anchors in Morton order.
+    pub scene: AnchorScene,
+    /// What the file says about it.
+    pub manifest: Manifest,
+    /// SHA-256 of the scene, equal to the manifest's.
+    pub decode_sha256: Digest,
+}
+
+/// Reads a `.tcgs` file.
+///
+/// # Errors
+/// [`DecodeError`] for bytes that are not exactly one undamaged file of a known version within `limits`.
+pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeError> {
+    within("file bytes", bytes.len() as u64, limits.max_file_bytes)?;
+    let container = Container::parse(bytes)?;
+    container.check_known(&sections::ALL)?;
+    let manifest = Manifest::decode(container.section(sections::MANIFEST, "manifest")?.bytes)?;
+    within("anchors", manifest.anchors as u64, limits.max_anchors)?;
+    within("bytes of memory", memory(&manifest), limits.max_memory_bytes)?;
+
+    let (shape, k) = (manifest.shape(), manifest.offsets_per_anchor);
+    let section = container.section(sections::NETWORKS, "networks")?.bytes;
+    let networks = networks::decode(section, manifest.feature_dim, k)?;
+    let cells =
+        positions::decode(container.section(sections::POSITIONS, "positions")?.bytes, manifest.anchors)?;
+    let masks = masks::decode(container.section(sections::MASKS, "masks")?.bytes, manifest.anchors, k)?;
+    let gaussians = masks.iter().filter(|kept| **kept).count();
+    if gaussians != manifest.gaussians {
+        return Err(DecodeError::Malformed {
+            part: "masks",
+            what: "number of Gaussians",
+            value: format!("{gaussians} where {} are stated", manifest.gaussians),
+        });
+    }
+    let section = container.section(sections::ATTRIBUTES, "attributes")?.bytes;
+    let layout = Layout::read(section, shape, manifest.chunk_anchors)?;
+    let [features, scalings, offsets] = layout.decode(section, shape, &masks)?;
+
+    let symbols = Symbols { cells, masks, features, scalings, offsets };
+    let scene = quantise::dequantise(symbols, &networks, &manifest);
+    let decode_sha256 = decode_digest(&scene);
+    if decode_sha256 != manifest.decode_sha256 {
+        return Err(DecodeError::DecodeDigest { stated: manifest.decode_sha256, actual: decode_sha256 });
+    }
+    Ok(Decoded { scene, manifest, decode_sha256 })
+}
+
+/// Bytes that decoding takes at its peak: integers twice (by chunk and joined), then integers and floats of the
+/// attributes, a mask byte an offset, cells with two levels of Morton codes.
+fn memory(manifest: &Manifest) -> u64 {
+    let values = manifest.feature_dim + SCALINGS_PER_ANCHOR + 3 * manifest.offsets_per_anchor;
+    let anchor = 2 * 4 * values + manifest.offsets_per_anchor + 12 + 16;
+    manifest.anchors as u64 * anchor as u64
+}
+
+fn within(what: &'static str, value: u64, limit: u64) -> Result<(), DecodeError> {
+    if value <= limit { Ok(()) } else { Err(DecodeError::Limit { what, value, limit }) }
+}
+
+/// An empty vector with room for `count`, or an error where the allocator has none.
+pub(super) fn reserved<T>(what: &'static str, count: usize) -> Result<Vec<T>, DecodeError> {
+    let mut vector = Vec::new();
+    match vector.try_reserve_exact(count) {
+        Ok(()) => Ok(vector),
+        Err(_) => {
+            Err(DecodeError::OutOfMemory { what, bytes: count as u64 * std::mem::size_of::<T>() as u64 })
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! From a scene to a file, verified by reading the file back.
+
+use super::{
+    EncodeSettings, Encoded, attributes, container,
+    decode::{DecodeLimits, decode},
+    digest::decode_digest,
+    error::EncodeError,
+    inspect::inspect,
+    manifest::{ColorSpace, MAX_FEATURE_DIM, MAX_OFFSETS, Manifest, Steps, WorldFrame},
+    masks,
+    networks::{self, QuantisedNetworks},
+    positions,
+    precision::{self, Activation},
+    quantise, sections,
+};
+use crate::domain::AnchorScene;
+
+/// Anchors in a chunk: about 100 kB of attributes, enough that index and stream endings are a thousandth.
+const CHUNK_ANCHORS: usize = 4096;
+
+/// Writes `scene` as a `.tcgs` file and reads it back.
+///
+/// Anchors without a kept offset are left out; the others are put into Morton order. The bytes depend on the
+/// arguments alone, not on the machine or its threads.
+///
+/// # Errors
+/// [`EncodeError`] where the scene or the settings cannot be written, saying which value and why.
+pub fn encode(scene: &AnchorScene, settings: &EncodeSettings) -> Result<Encoded, EncodeError> {
+    check_counts(scene)?;
+    scene.check()?;
+    networks::check(&scene.networks)?;
+
+    let k = scene.offsets_per_anchor;
+    let kept: Vec<usize> = (0..scene.len())
+        .filter(|anchor| scene.masks[anchor * k..(anchor + 1) * k].iter().any(|kept| *kept))
+        .collect();
+    let ordered = positions::order(&kept.iter().map(|anchor| scene.cells[*anchor]).collect::<Vec<_>>())?;
+    let order: Vec<usize> = ordered.order.iter().map(|index| kept[*index]).collect();
+
+    let mut manifest = Manifest {
+        anchors: order.len(),
+        gaussians: scene.gaussians(),
+        feature_dim: scene.feature_dim,
+        offsets_per_anchor: k,
+        chunk_anchors: CHUNK_ANCHORS,
+        lattice: scene.lattice,
+        steps: Steps {
+            feature: settings.feature_step,
+            scaling: settings.scaling_step * scene.lattice.voxel,
+            offset: settings.offset_step,
+        },
+        world_frame: WorldFrame::Dataset,
+        color_space: ColorSpace::Srgb,
+        background: settings.background,
+        decode_sha256: crate::domain::Digest::from_bytes([0; 32]),
+        provenance: settings.provenance.clone(),
+    };
+    manifest.check_numbers()?;
+
+    let symbols = quantise::quantise(scene, &order, manifest.steps)?;
+    let networks = quantise_networks(scene);
+    let content = [
+        networks::encode(&networks),
+        positions::encode(&ordered),
+        masks::encode(&symbols.masks, k),
+        attributes::encode(&symbols, manifest.shape(), manifest.chunk_anchors),
+    ];
+    let quantised = quantise::dequantise(symbols, &networks, &manifest);
+    manifest.decode_sha256 = decode_digest(&quantised);
+    let [networks, positions, masks, attributes] = content;
+    let bytes = container::write(&[
+        (sections::MANIFEST, manifest.encode()),
+        (sections::NETWORKS, networks),
+        (sections::POSITIONS, positions),
+        (sections::MASKS, masks),
+        (sections::ATTRIBUTES, attributes),
+    ]);
+
+    let decoded = decode(&bytes, &DecodeLimits::NONE).map_err(EncodeError::ReadBack)?;
+    if decoded.scene != quantised {
+        return Err(EncodeError::Verification);
+    }
+    let byte_counts = inspect(&bytes).map_err(EncodeError::ReadBack)?.byte_counts;
+    Ok(Encoded { bytes, scene: decoded.scene, decode_sha256: decoded.decode_sha256, byte_counts })
+}
+
+/// Refuses widths of zero, which no array could be split by, and counts that the format cannot state.
+fn check_counts(scene: &AnchorScene) -> Result<(), EncodeError> {
+    let counts = [
+        ("feature channels", scene.feature_dim, MAX_FEATURE_DIM),
+        ("offsets an anchor", scene.offsets_per_anchor, MAX_OFFSETS),
+        ("anchors", scene.len(), u32::MAX as usize),
+    ];
+    for (what, value, limit) in counts {
+        if value == 0 {
+            return Err(EncodeError::Empty);
+        }
+        if value > limit {
+            return Err(EncodeError::TooLarge { what, value: value as u64, limit: limit as u64 });
+        }
+    }
+    Ok(())
+}
+
+fn quantise_networks(scene: &AnchorScene) -> QuantisedNetworks {
+    let inputs = precision::sample_inputs(scene);
+    QuantisedNetworks([
+        precision::quantise(&scene.networks.opacity, Activation::Tanh, &inputs),
+        precision::quantise(&scene.networks.covariance, Activation::Covariance, &inputs),
+        precision::quantise(&scene.networks.color, Activation::Logistic, &inputs),
+    ])
+}

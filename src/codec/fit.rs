@@ -1,0 +1,165 @@
+//! The encoder's choice of a distribution for a set of symbols: the one under which they take the fewest bits.
+
+use super::{
+    bytes::{Reader, Writer},
+    error::DecodeError,
+    gaussian::Gaussian,
+    gaussian_constants::SCALES,
+    symbols::{Distribution, MAX_SYMBOL},
+};
+
+/// Stored in place of a scale's index where all symbols are equal.
+const CONSTANT: u8 = SCALES as u8;
+
+/// Scales tried first; the neighbourhood of the best is searched afterwards.
+const COARSE: usize = 4;
+
+/// The distribution for `symbols`; without any symbol, the constant zero.
+pub(super) fn fit(mut symbols: Vec<i32>) -> Distribution {
+    symbols.sort_unstable();
+    let (Some(least), Some(most)) = (symbols.first(), symbols.last()) else {
+        return Distribution::Constant(0);
+    };
+    if least == most {
+        return Distribution::Constant(*least);
+    }
+    let sum: i64 = symbols.iter().map(|symbol| i64::from(*symbol)).sum();
+    let mean16 = (16 * sum).div_euclid(symbols.len() as i64) as i32;
+    let median16 = 16 * symbols[symbols.len() / 2];
+    let histogram = histogram(&symbols);
+
+    let mut search = Search { histogram: &histogram, best: (f64::INFINITY, Gaussian { mean16, scale: 0 }) };
+    for mean16 in [mean16, median16] {
+        (0..SCALES).step_by(COARSE).for_each(|scale| search.consider(mean16, scale as i32));
+    }
+    search.refine_scale();
+    let mut stride = 1;
+    while stride > 0 {
+        let Gaussian { mean16, scale } = search.best.1;
+        let before = search.best.0;
+        search.consider(mean16 - stride, scale.into());
+        search.consider(mean16 + stride, scale.into());
+        // Twice as far after a success, half as far after a failure.
+        stride = if search.best.0 < before { stride * 2 } else { stride / 2 };
+    }
+    search.refine_scale();
+    Distribution::Gaussian(search.best.1)
+}
+
+struct Search<'a> {
+    histogram: &'a [(i32, f64)],
+    best: (f64, Gaussian),
+}
+
+impl Search<'_> {
+    fn consider(&mut self, mean16: i32, scale: i32) {
+        if !(0..SCALES as i32).contains(&scale) || mean16.abs() > 16 * MAX_SYMBOL {
+            return;
+        }
+        let gaussian = Gaussian { mean16, scale: scale as u8 };
+        let distribution = Distribution::Gaussian(gaussian);
+        let bits = self.histogram.iter().map(|(symbol, count)| count * distribution.cost(*symbol)).sum();
+        if bits < self.best.0 {
+            self.best = (bits, gaussian);
+        }
+    }
+
+    fn refine_scale(&mut self) {
+        let Gaussian { mean16, scale } = self.best.1;
+        let reach = COARSE as i32 - 1;
+        (-reach..=reach).for_each(|step| self.consider(mean16, i32::from(scale) + step));
+    }
+}
+
+fn histogram(sorted: &[i32]) -> Vec<(i32, f64)> {
+    sorted.chunk_by(|a, b| a == b).map(|run| (run[0], run.len() as f64)).collect()
+}
+
+/// Stores a distribution: zigzag varint of the mean in sixteenths, then the scale's index (64: constant).
+pub(super) fn write(distribution: Distribution, writer: &mut Writer) {
+    match distribution {
+        Distribution::Constant(value) => {
+            writer.signed(i64::from(value));
+            writer.u8(CONSTANT);
+        }
+        Distribution::Gaussian(Gaussian { mean16, scale }) => {
+            writer.signed(i64::from(mean16));
+            writer.u8(scale);
+        }
+    }
+}
+
+/// Reads what [`write`] stored.
+pub(super) fn read(reader: &mut Reader<'_>) -> Result<Distribution, DecodeError> {
+    let mean = reader.signed("a mean")?;
+    let scale = reader.u8("a scale")?;
+    let limit = if scale == CONSTANT { i64::from(MAX_SYMBOL) } else { 16 * i64::from(MAX_SYMBOL) };
+    if mean.abs() > limit {
+        return Err(reader.malformed("a mean", mean));
+    }
+    let mean = mean as i32;
+    match scale {
+        CONSTANT => Ok(Distribution::Constant(mean)),
+        ..CONSTANT => Ok(Distribution::Gaussian(Gaussian { mean16: mean, scale })),
+        _ => Err(reader.malformed("a scale", scale)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+
+    fn normal(random: &mut Pcg64Mcg) -> f64 {
+        let (u, v): (f64, f64) = (random.random(), random.random());
+        (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+    }
+
+    fn total(distribution: Distribution, symbols: &[i32]) -> f64 {
+        symbols.iter().map(|symbol| distribution.cost(*symbol)).sum()
+    }
+
+    #[test]
+    fn the_fit_is_within_a_half_percent_of_the_true_gaussian() {
+        let mut random = Pcg64Mcg::seed_from_u64(3);
+        for (mean, sigma) in [(0.0, 0.3), (2.3, 5.0), (-40.7, 1.1), (900.0, 80.0), (0.5, 1000.0)] {
+            let symbols: Vec<i32> =
+                (0..20_000).map(|_| (mean + sigma * normal(&mut random)).round_ties_even() as i32).collect();
+            let cumulative = |x: f64| 0.5 * libm::erfc(-(x - mean) / sigma / std::f64::consts::SQRT_2);
+            let ideal: f64 = symbols
+                .iter()
+                .map(|q| -(cumulative(f64::from(*q) + 0.5) - cumulative(f64::from(*q) - 0.5)).log2())
+                .sum();
+            let bits = total(fit(symbols.clone()), &symbols);
+            assert!(bits < 1.005 * ideal, "mean {mean} sigma {sigma}: {bits} bits for {ideal}");
+        }
+    }
+
+    #[test]
+    fn a_few_outliers_do_not_spoil_the_fit() {
+        let mut random = Pcg64Mcg::seed_from_u64(4);
+        let mut symbols: Vec<i32> = (0..5000).map(|_| (2.0 * normal(&mut random)).round() as i32).collect();
+        let alone = total(fit(symbols.clone()), &symbols);
+        symbols.extend([1_000_000, -5_000_000]);
+        let with = total(fit(symbols.clone()), &symbols);
+        assert!(with - alone < 200.0, "{alone} bits became {with}");
+    }
+
+    #[test]
+    fn equal_symbols_are_a_constant_and_distributions_are_stored() {
+        assert_eq!(fit(vec![7; 9]), Distribution::Constant(7));
+        assert_eq!(fit(Vec::new()), Distribution::Constant(0));
+        for distribution in [
+            Distribution::Constant(-MAX_SYMBOL),
+            Distribution::Gaussian(Gaussian { mean16: -16 * MAX_SYMBOL, scale: 63 }),
+        ] {
+            let mut writer = Writer::new();
+            write(distribution, &mut writer);
+            let bytes = writer.into_bytes();
+            assert_eq!(read(&mut Reader::new("t", &bytes)), Ok(distribution));
+        }
+        assert!(read(&mut Reader::new("t", &[0, 65])).is_err());
+    }
+}

@@ -1,0 +1,279 @@
+//! Where each byte of a file goes, without decoding the payload.
+//!
+//! The ranges of an [`Inspection`] tile the file: they start at byte 0, leave no gap and end at its length.
+
+use std::{fmt, ops::Range};
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    attributes::Layout,
+    container::{Container, FIXED_HEADER, Section, id_text},
+    context::Attribute,
+    error::DecodeError,
+    manifest::Manifest,
+    sections,
+};
+use crate::domain::{ByteCounts, Digest};
+
+/// What a byte range is for; the groups of [`ByteCounts`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ByteGroup {
+    /// Header, section table, manifest, chunk index, sections that this version does not know.
+    Container,
+    /// Anchor cells.
+    Positions,
+    /// Render networks.
+    Networks,
+    /// Offset masks.
+    Masks,
+    /// Anchor features.
+    Features,
+    /// Anchor scalings.
+    Scalings,
+    /// Offsets.
+    Offsets,
+}
+
+impl fmt::Display for ByteGroup {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            ByteGroup::Container => "container",
+            ByteGroup::Positions => "positions",
+            ByteGroup::Networks => "networks",
+            ByteGroup::Masks => "masks",
+            ByteGroup::Features => "features",
+            ByteGroup::Scalings => "scalings",
+            ByteGroup::Offsets => "offsets",
+        })
+    }
+}
+
+/// A run of bytes with one purpose.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ByteRange {
+    /// First byte in the file.
+    pub offset: u64,
+    /// Number of bytes.
+    pub length: u64,
+    /// Purpose, as counted.
+    pub group: ByteGroup,
+    /// Purpose, in words.
+    pub what: String,
+}
+
+/// A section of the file.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SectionReport {
+    /// Four characters.
+    pub id: String,
+    /// What it holds; `unknown` for an optional section of a later version.
+    pub name: String,
+    /// Whether a decoder must understand it.
+    pub critical: bool,
+    /// First byte in the file.
+    pub offset: u64,
+    /// Number of bytes.
+    pub length: u64,
+}
+
+/// A file laid open.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Inspection {
+    /// Format version as `major.minor`.
+    pub version: String,
+    /// SHA-256 stated in the header and verified: of the whole file but this hash and the header checksum.
+    pub content_sha256: Digest,
+    /// Counts, choices and provenance.
+    pub manifest: Manifest,
+    /// Sections in file order.
+    pub sections: Vec<SectionReport>,
+    /// Every byte of the file, in order.
+    pub ranges: Vec<ByteRange>,
+    /// The ranges summed by group.
+    pub byte_counts: ByteCounts,
+}
+
+/// Checks a file's container and takes it apart.
+///
+/// # Errors
+/// [`DecodeError`] as [`super::decode`] gives it for the container, the manifest and the chunk index; the coded
+/// payload is not read.
+pub fn inspect(bytes: &[u8]) -> Result<Inspection, DecodeError> {
+    let container = Container::parse(bytes)?;
+    container.check_known(&sections::ALL)?;
+    let manifest = Manifest::decode(container.section(sections::MANIFEST, "manifest")?.bytes)?;
+    for id in sections::ALL {
+        container.section(id, sections::name(id))?;
+    }
+
+    let mut map = Map::default();
+    map.push(FIXED_HEADER, ByteGroup::Container, "header: signature, version, length, SHA-256, checksum");
+    let table =
+        container.sections.first().map_or(bytes.len(), |section| section.offset as usize) - FIXED_HEADER;
+    map.push(table, ByteGroup::Container, "section table");
+    for section in &container.sections {
+        map_section(section, &manifest, &mut map)?;
+    }
+
+    let report = |section: &Section<'_>| SectionReport {
+        id: id_text(section.id),
+        name: sections::name(section.id).to_owned(),
+        critical: section.critical,
+        offset: section.offset,
+        length: section.bytes.len() as u64,
+    };
+    Ok(Inspection {
+        version: format!("{}.{}", container.version.0, container.version.1),
+        content_sha256: container.digest,
+        manifest,
+        sections: container.sections.iter().map(report).collect(),
+        byte_counts: count(&map.ranges),
+        ranges: map.ranges,
+    })
+}
+
+fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Result<(), DecodeError> {
+    let length = section.bytes.len();
+    match section.id {
+        sections::MANIFEST => {
+            map.push(length, ByteGroup::Container, "manifest: counts, lattice, steps, provenance")
+        }
+        sections::NETWORKS => map.push(length, ByteGroup::Networks, "opacity, covariance and colour network"),
+        sections::POSITIONS => map.push(length, ByteGroup::Positions, "occupancy octree of the anchor cells"),
+        sections::MASKS => map.push(length, ByteGroup::Masks, "which offsets make a Gaussian"),
+        sections::ATTRIBUTES => {
+            let layout = Layout::read(section.bytes, manifest.shape(), manifest.chunk_anchors)?;
+            for attribute in Attribute::ALL {
+                let place = &layout.parameters[attribute as usize];
+                map.push(place.len(), group(attribute), "means and scales of the channels");
+            }
+            map.push(layout.index.len(), ByteGroup::Container, "chunk index: lengths and checksums");
+            for (number, chunk) in layout.chunks.iter().enumerate() {
+                for attribute in Attribute::ALL {
+                    let Range { start, end } = chunk.anchors;
+                    let what = format!("chunk {number}, anchors {start}..{end}");
+                    map.push(chunk.streams[attribute as usize].len(), group(attribute), &what);
+                }
+            }
+        }
+        _ => map.push(length, ByteGroup::Container, "optional section of a later version"),
+    }
+    Ok(())
+}
+
+fn group(attribute: Attribute) -> ByteGroup {
+    match attribute {
+        Attribute::Features => ByteGroup::Features,
+        Attribute::Scalings => ByteGroup::Scalings,
+        Attribute::Offsets => ByteGroup::Offsets,
+    }
+}
+
+/// Ranges laid end to end.
+#[derive(Default)]
+struct Map {
+    ranges: Vec<ByteRange>,
+    end: u64,
+}
+
+impl Map {
+    fn push(&mut self, length: usize, group: ByteGroup, what: &str) {
+        let length = length as u64;
+        self.ranges.push(ByteRange { offset: self.end, length, group, what: what.to_owned() });
+        self.end += length;
+    }
+}
+
+fn count(ranges: &[ByteRange]) -> ByteCounts {
+    let mut counts = ByteCounts::default();
+    for range in ranges {
+        let part = match range.group {
+            ByteGroup::Container => &mut counts.container,
+            ByteGroup::Positions => &mut counts.positions,
+            ByteGroup::Networks => &mut counts.networks,
+            ByteGroup::Masks => &mut counts.masks,
+            ByteGroup::Features => &mut counts.features,
+            ByteGroup::Scalings => &mut counts.scalings,
+            ByteGroup::Offsets => &mut counts.offsets,
+        };
+        *part += range.length;
+        counts.total += range.length;
+    }
+    counts
+}
+
+impl fmt::Display for Inspection {
+    /// The text that people read: content, choices, provenance, then bytes by group, section and range.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let manifest = &self.manifest;
+        let total = self.byte_counts.total;
+        writeln!(f, ".tcgs version {}, {total} bytes", self.version)?;
+        writeln!(f)?;
+        let voxel = manifest.lattice.voxel;
+        let [x, y, z] = manifest.lattice.origin;
+        let rows = [
+            ("anchors", manifest.anchors.to_string()),
+            ("gaussians", manifest.gaussians.to_string()),
+            ("feature width", manifest.feature_dim.to_string()),
+            ("offsets an anchor", manifest.offsets_per_anchor.to_string()),
+            ("anchors a chunk", manifest.chunk_anchors.to_string()),
+            ("voxel", voxel.to_string()),
+            ("origin", format!("{x} {y} {z}")),
+            ("feature step", manifest.steps.feature.to_string()),
+            (
+                "scaling step",
+                format!("{} ({} voxel)", manifest.steps.scaling, manifest.steps.scaling / voxel),
+            ),
+            ("offset step", manifest.steps.offset.to_string()),
+            ("background", manifest.background.to_string()),
+            ("world frame", "the dataset's own; cameras in OpenCV axes".to_owned()),
+            ("colour space", "sRGB".to_owned()),
+            ("content SHA-256", self.content_sha256.to_string()),
+            ("decode SHA-256", manifest.decode_sha256.to_string()),
+            ("generator", manifest.provenance.generator.clone()),
+            ("dataset SHA-256", or_dash(manifest.provenance.dataset.map(|digest| digest.to_string()))),
+            ("adapter", or_dash(manifest.provenance.adapter.clone())),
+            ("settings", manifest.provenance.settings.to_string()),
+        ];
+        for (name, value) in rows {
+            writeln!(f, "{name:<18} {value}")?;
+        }
+
+        writeln!(f, "\n{:<12} {:>10} {:>7} {:>13}", "bytes by part", "bytes", "share", "bytes/anchor")?;
+        let counts = &self.byte_counts;
+        let parts = [
+            ("container", counts.container),
+            ("networks", counts.networks),
+            ("positions", counts.positions),
+            ("masks", counts.masks),
+            ("features", counts.features),
+            ("scalings", counts.scalings),
+            ("offsets", counts.offsets),
+            ("total", counts.total),
+        ];
+        for (name, bytes) in parts {
+            let share = 100.0 * bytes as f64 / total.max(1) as f64;
+            let each = bytes as f64 / manifest.anchors.max(1) as f64;
+            writeln!(f, "{name:<13} {bytes:>10} {share:>6.2}% {each:>13.3}")?;
+        }
+
+        writeln!(f, "\n{:<8} {:<11} {:>8} {:>10} {:>10}", "section", "name", "critical", "offset", "bytes")?;
+        for section in &self.sections {
+            let critical = if section.critical { "yes" } else { "no" };
+            let SectionReport { id, name, offset, length, .. } = section;
+            writeln!(f, "{id:<8} {name:<11} {critical:>8} {offset:>10} {length:>10}")?;
+        }
+
+        writeln!(f, "\n{:>10} {:>10}  {:<10} what", "offset", "bytes", "part")?;
+        for range in &self.ranges {
+            writeln!(f, "{:>10} {:>10}  {:<10} {}", range.offset, range.length, range.group, range.what)?;
+        }
+        Ok(())
+    }
+}
+
+fn or_dash(text: Option<String>) -> String {
+    text.unwrap_or_else(|| "-".to_owned())
+}

@@ -1,0 +1,208 @@
+//! The manifest section: what a decoder must know before any payload, and where the file comes from.
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    Provenance,
+    bytes::{Reader, Writer},
+    context::Shape,
+    error::{DecodeError, EncodeError},
+    symbols::MAX_SYMBOL,
+};
+use crate::domain::{Background, Digest, Lattice};
+
+const PART: &str = "manifest";
+
+/// Widest feature of the format.
+pub(super) const MAX_FEATURE_DIM: usize = 256;
+
+/// Most offsets an anchor of the format.
+pub(super) const MAX_OFFSETS: usize = 64;
+
+/// Most anchors in a chunk.
+const MAX_CHUNK: usize = 1 << 16;
+
+/// Absolute quantisation steps: a decoded value is an integer times its step.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Steps {
+    /// Of features.
+    pub feature: f32,
+    /// Of linear scalings, in world units.
+    pub scaling: f32,
+    /// Of offsets, in units of the first three scalings.
+    pub offset: f32,
+}
+
+/// How decoded colours are to be shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ColorSpace {
+    /// Display-referred sRGB, blended as encoded values, as the training images were.
+    Srgb,
+}
+
+/// What the world frame of positions is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum WorldFrame {
+    /// The dataset's own world; cameras look along +z of their own frame with y down (OpenCV).
+    Dataset,
+}
+
+/// What a file says about its content.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// Anchors N.
+    pub anchors: usize,
+    /// Offsets that make a Gaussian.
+    pub gaussians: usize,
+    /// Width F of a feature.
+    pub feature_dim: usize,
+    /// Offsets K an anchor.
+    pub offsets_per_anchor: usize,
+    /// Anchors in a chunk; the last may have fewer.
+    pub chunk_anchors: usize,
+    /// Where cells are in the world.
+    pub lattice: Lattice,
+    /// Quantisation steps.
+    pub steps: Steps,
+    /// Frame of the world.
+    pub world_frame: WorldFrame,
+    /// Colour space.
+    pub color_space: ColorSpace,
+    /// Background that the scene was trained on.
+    pub background: Background,
+    /// SHA-256 of the decoded attributes, as [`super::decode_digest`] computes it.
+    pub decode_sha256: Digest,
+    /// How the file was made.
+    pub provenance: Provenance,
+}
+
+impl Manifest {
+    pub(super) fn shape(&self) -> Shape {
+        Shape {
+            anchors: self.anchors,
+            feature_dim: self.feature_dim,
+            offsets_per_anchor: self.offsets_per_anchor,
+        }
+    }
+
+    /// The manifest section.
+    pub(super) fn encode(&self) -> Vec<u8> {
+        let mut writer = Writer::new();
+        let counts =
+            [self.anchors, self.gaussians, self.feature_dim, self.offsets_per_anchor, self.chunk_anchors];
+        counts.iter().for_each(|count| writer.varint(*count as u64));
+        writer.f32(self.lattice.voxel);
+        self.lattice.origin.iter().for_each(|coordinate| writer.f32(*coordinate));
+        writer.f32(self.steps.feature);
+        writer.f32(self.steps.scaling);
+        writer.f32(self.steps.offset);
+        writer.u8(match self.world_frame {
+            WorldFrame::Dataset => 0,
+        });
+        writer.u8(match self.color_space {
+            ColorSpace::Srgb => 0,
+        });
+        writer.u8(match self.background {
+            Background::Black => 0,
+            Background::White => 1,
+        });
+        writer.raw(self.decode_sha256.as_bytes());
+        let Provenance { generator, dataset, adapter, settings } = &self.provenance;
+        writer.text(generator);
+        writer.u8(u8::from(dataset.is_some()));
+        dataset.iter().for_each(|digest| writer.raw(digest.as_bytes()));
+        writer.u8(u8::from(adapter.is_some()));
+        adapter.iter().for_each(|adapter| writer.text(adapter));
+        writer.text(&settings.to_string());
+        writer.into_bytes()
+    }
+
+    /// Reads the manifest section.
+    pub(super) fn decode(section: &[u8]) -> Result<Self, DecodeError> {
+        let mut reader = Reader::new(PART, section);
+        let manifest = Self {
+            anchors: reader.count("number of anchors", 1..=u32::MAX as usize)?,
+            gaussians: reader.count("number of Gaussians", 1..=usize::MAX)?,
+            feature_dim: reader.count("feature width", 1..=MAX_FEATURE_DIM)?,
+            offsets_per_anchor: reader.count("offsets an anchor", 1..=MAX_OFFSETS)?,
+            chunk_anchors: reader.count("anchors in a chunk", 1..=MAX_CHUNK)?,
+            lattice: Lattice {
+                voxel: reader.f32("voxel")?,
+                origin: [reader.f32("origin")?, reader.f32("origin")?, reader.f32("origin")?],
+            },
+            steps: Steps {
+                feature: reader.f32("feature step")?,
+                scaling: reader.f32("scaling step")?,
+                offset: reader.f32("offset step")?,
+            },
+            world_frame: match reader.u8("world frame")? {
+                0 => WorldFrame::Dataset,
+                other => return Err(reader.malformed("world frame", other)),
+            },
+            color_space: match reader.u8("colour space")? {
+                0 => ColorSpace::Srgb,
+                other => return Err(reader.malformed("colour space", other)),
+            },
+            background: match reader.u8("background")? {
+                0 => Background::Black,
+                1 => Background::White,
+                other => return Err(reader.malformed("background", other)),
+            },
+            decode_sha256: Digest::from_bytes(reader.digest_bytes("decode hash")?),
+            provenance: read_provenance(&mut reader)?,
+        };
+        reader.end()?;
+        match manifest.check_numbers() {
+            Ok(()) => Ok(manifest),
+            Err(EncodeError::Setting { name, value }) => Err(reader.malformed(name, value)),
+            Err(other) => Err(reader.malformed("a number", other)),
+        }
+    }
+
+    /// Checks that every decoded position and value will be finite.
+    pub(super) fn check_numbers(&self) -> Result<(), EncodeError> {
+        let Steps { feature, scaling, offset } = self.steps;
+        let multipliers = [
+            ("voxel", self.lattice.voxel),
+            ("feature step", feature),
+            ("scaling step", scaling),
+            ("offset step", offset),
+        ];
+        for (name, value) in multipliers {
+            if !(value.is_normal() && value > 0.0 && (value * MAX_SYMBOL as f32).is_finite()) {
+                return Err(EncodeError::Setting { name, value });
+            }
+        }
+        let reach = i32::MIN as f32 * self.lattice.voxel;
+        match self.lattice.origin.iter().find(|value| !(reach - value.abs()).is_finite()) {
+            None => Ok(()),
+            Some(value) => Err(EncodeError::Setting { name: "origin", value: *value }),
+        }
+    }
+}
+
+fn read_provenance(reader: &mut Reader<'_>) -> Result<Provenance, DecodeError> {
+    let generator = reader.text("generator")?.to_owned();
+    let dataset = match flag(reader, "dataset flag")? {
+        true => Some(Digest::from_bytes(reader.digest_bytes("dataset")?)),
+        false => None,
+    };
+    let adapter = match flag(reader, "adapter flag")? {
+        true => Some(reader.text("adapter")?.to_owned()),
+        false => None,
+    };
+    let settings = reader.text("settings")?;
+    let settings = serde_json::from_str(settings)
+        .map_err(|fault| reader.malformed("settings", format!("not JSON: {fault}")))?;
+    Ok(Provenance { generator, dataset, adapter, settings })
+}
+
+fn flag(reader: &mut Reader<'_>, what: &'static str) -> Result<bool, DecodeError> {
+    match reader.u8(what)? {
+        0 => Ok(false),
+        1 => Ok(true),
+        other => Err(reader.malformed(what, other)),
+    }
+}

@@ -1,0 +1,29 @@
+//! The sections of this version. All are critical: without any of them there is no scene.
+
+use super::container::SectionId;
+
+/// Counts, lattice, steps, provenance.
+pub(super) const MANIFEST: SectionId = *b"MANI";
+/// Render networks.
+pub(super) const NETWORKS: SectionId = *b"NETS";
+/// Anchor cells.
+pub(super) const POSITIONS: SectionId = *b"CELL";
+/// Which offsets make a Gaussian.
+pub(super) const MASKS: SectionId = *b"MASK";
+/// Features, scalings, offsets.
+pub(super) const ATTRIBUTES: SectionId = *b"ATTR";
+
+/// Every section that a decoder of this version understands.
+pub(super) const ALL: [SectionId; 5] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES];
+
+/// What a section holds, in words.
+pub(super) fn name(id: SectionId) -> &'static str {
+    match id {
+        MANIFEST => "manifest",
+        NETWORKS => "networks",
+        POSITIONS => "positions",
+        MASKS => "masks",
+        ATTRIBUTES => "attributes",
+        _ => "unknown",
+    }
+}

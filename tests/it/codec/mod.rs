@@ -1,0 +1,9 @@
+//! The codec through its public face: round trips, golden file, versions, hostile bytes.
+
+mod figures;
+mod golden;
+mod hostile;
+mod round_trip;
+mod synthetic;
+mod versions;
+mod wire;

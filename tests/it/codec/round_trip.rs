@@ -1,0 +1,267 @@
+//! What is encoded is what is decoded, and what cannot be encoded is refused with the reason.
+
+use proptest::prelude::*;
+use tcgs::{
+    codec::{DecodeError, DecodeLimits, EncodeError, decode, decode_digest, encode, inspect},
+    domain::AnchorScene,
+};
+
+use super::synthetic::{Recipe, scene, settings, small, tiny};
+
+/// Encodes, decodes and checks everything that must hold of any scene.
+fn check(scene: &AnchorScene) {
+    let settings = settings();
+    let encoded = encode(scene, &settings).expect("encodes");
+    let decoded = decode(&encoded.bytes, &DecodeLimits::default()).expect("decodes");
+    assert_eq!(decoded.scene, encoded.scene);
+    assert_eq!(decoded.decode_sha256, encoded.decode_sha256);
+    assert_eq!(decode_digest(&decoded.scene), encoded.decode_sha256);
+    assert_eq!(decoded.scene.check(), Ok(()));
+    assert_eq!(decoded.manifest.provenance, settings.provenance);
+    assert_eq!(decoded.manifest.background, settings.background);
+    assert_eq!(decoded.scene.lattice, scene.lattice);
+
+    let k = scene.offsets_per_anchor;
+    let scaling_step = settings.scaling_step * scene.lattice.voxel;
+    let mut seen = 0;
+    for anchor in (0..scene.len()).filter(|anchor| scene.masks[anchor * k..(anchor + 1) * k].contains(&true))
+    {
+        let cell = scene.cells[anchor];
+        let there = decoded.scene.cells.iter().position(|other| *other == cell).expect("the cell is kept");
+        seen += 1;
+        let pairs = |values: &[f32], back: &[f32], width: usize| -> Vec<(f32, f32)> {
+            let value = values[anchor * width..(anchor + 1) * width].iter().copied();
+            value.zip(back[there * width..(there + 1) * width].iter().copied()).collect()
+        };
+        for (value, back) in pairs(&scene.features, &decoded.scene.features, scene.feature_dim) {
+            near(value, back, settings.feature_step);
+        }
+        for (value, back) in pairs(&scene.scalings, &decoded.scene.scalings, 6) {
+            assert!(back > 0.0);
+            near(value.max(scaling_step), back, scaling_step);
+        }
+        for (index, (value, back)) in
+            pairs(&scene.offsets, &decoded.scene.offsets, 3 * k).into_iter().enumerate()
+        {
+            assert_eq!(scene.masks[anchor * k + index / 3], decoded.scene.masks[there * k + index / 3]);
+            if scene.masks[anchor * k + index / 3] {
+                near(value, back, settings.offset_step);
+            } else {
+                assert_eq!(back.to_bits(), 0, "an offset that is masked off decodes to zero");
+            }
+        }
+    }
+    assert_eq!(decoded.scene.len(), seen);
+
+    let inspection = inspect(&encoded.bytes).expect("inspects");
+    let mut end = 0;
+    for range in &inspection.ranges {
+        assert_eq!(range.offset, end, "a gap before {}", range.what);
+        end += range.length;
+    }
+    assert_eq!(end, encoded.bytes.len() as u64);
+    assert_eq!(inspection.byte_counts, encoded.byte_counts);
+    let counts = &encoded.byte_counts;
+    assert_eq!(counts.total, encoded.bytes.len() as u64);
+    let parts = [
+        counts.positions,
+        counts.networks,
+        counts.planes,
+        counts.masks,
+        counts.features,
+        counts.scalings,
+        counts.offsets,
+        counts.container,
+    ];
+    assert_eq!(parts.iter().sum::<u64>(), counts.total);
+}
+
+/// Within half a step, with room for the roundings of f32 on large values.
+fn near(value: f32, back: f32, step: f32) {
+    let bound = 0.5 * step * 1.0001 + value.abs() * 1e-6;
+    assert!((value - back).abs() <= bound, "{value} came back as {back} with step {step}");
+}
+
+#[test]
+fn ordinary_scenes_come_back() {
+    check(&tiny());
+    check(&small());
+    // More anchors than a chunk.
+    check(&scene(Recipe { seed: 2, anchors: 4100, feature_dim: 3, offsets: 2, masked: 0.4 }));
+}
+
+#[test]
+fn decoded_scenes_are_fixed_points() {
+    let first = encode(&small(), &settings()).expect("encodes");
+    let second = encode(&first.scene, &settings()).expect("encodes again");
+    assert_eq!(second.scene.features, first.scene.features);
+    assert_eq!(second.scene.cells, first.scene.cells);
+    assert_eq!(second.scene.offsets, first.scene.offsets);
+    assert_eq!(second.scene.scalings, first.scene.scalings);
+    assert_eq!(second.scene.masks, first.scene.masks);
+}
+
+#[test]
+fn bytes_and_scene_do_not_depend_on_the_number_of_threads() {
+    let scene = scene(Recipe { seed: 3, anchors: 9000, feature_dim: 4, offsets: 2, masked: 0.2 });
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        pool.install(|| encode(&scene, &settings()).expect("encodes"))
+    };
+    let (one, four) = (with(1), with(4));
+    assert_eq!(one.bytes, four.bytes);
+    assert_eq!(one.decode_sha256, four.decode_sha256);
+}
+
+#[test]
+fn the_order_of_the_input_does_not_matter() {
+    let scene = small();
+    let mut reversed = scene.clone();
+    let (f, k) = (scene.feature_dim, scene.offsets_per_anchor);
+    reversed.cells.reverse();
+    fn reverse<T: Clone>(values: &[T], width: usize) -> Vec<T> {
+        values.chunks(width).rev().flatten().cloned().collect()
+    }
+    reversed.features = reverse(&scene.features, f);
+    reversed.scalings = reverse(&scene.scalings, 6);
+    reversed.offsets = reverse(&scene.offsets, 3 * k);
+    reversed.masks = reverse(&scene.masks, k);
+    let (a, b) = (encode(&scene, &settings()), encode(&reversed, &settings()));
+    assert_eq!(a.expect("encodes").scene.features, b.expect("encodes").scene.features);
+}
+
+#[test]
+fn a_background_is_kept() {
+    for background in tcgs::domain::Background::ALL {
+        let settings = tcgs::codec::EncodeSettings { background: *background, ..settings() };
+        let encoded = encode(&tiny(), &settings).expect("encodes");
+        let decoded = decode(&encoded.bytes, &DecodeLimits::default()).expect("decodes");
+        assert_eq!(decoded.manifest.background, *background);
+    }
+}
+
+fn refusal(change: impl FnOnce(&mut AnchorScene)) -> EncodeError {
+    let mut scene = small();
+    change(&mut scene);
+    encode(&scene, &settings()).expect_err("must be refused")
+}
+
+#[test]
+fn what_cannot_be_written_is_refused_with_the_reason() {
+    assert_eq!(refusal(|scene| scene.masks.fill(false)), EncodeError::Empty);
+    assert!(matches!(refusal(|scene| scene.features[3] = f32::NAN), EncodeError::Shape(_)));
+    assert!(matches!(refusal(|scene| scene.offsets[3] = f32::INFINITY), EncodeError::Shape(_)));
+    assert!(matches!(refusal(|scene| scene.features.truncate(5)), EncodeError::Shape(_)));
+    assert!(matches!(refusal(|scene| scene.networks.color.layers.clear()), EncodeError::Shape(_)));
+    assert!(matches!(refusal(|scene| scene.cells[1] = scene.cells[0]), EncodeError::DuplicateCell { .. }));
+    assert!(matches!(refusal(|scene| scene.cells[1] = [1 << 22; 3]), EncodeError::TooLarge { .. }));
+    assert!(matches!(
+        refusal(|scene| scene.features[0] = 1e9),
+        EncodeError::OutOfRange { what: "features", index: 0, .. }
+    ));
+    assert!(matches!(
+        refusal(|scene| scene.scalings[2] = -0.1),
+        EncodeError::NegativeScaling { index: 2, .. }
+    ));
+    for voxel in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e-40, f32::MAX] {
+        let fault = refusal(|scene| scene.lattice.voxel = voxel);
+        assert!(matches!(fault, EncodeError::Setting { .. }), "voxel {voxel}: {fault}");
+    }
+    let fault = refusal(|scene| scene.lattice.origin[1] = f32::NAN);
+    assert!(matches!(fault, EncodeError::Setting { name: "origin", .. }));
+    let wrong = tcgs::codec::EncodeSettings { feature_step: 0.0, ..settings() };
+    assert_eq!(
+        encode(&small(), &wrong).expect_err("no step"),
+        EncodeError::Setting { name: "feature step", value: 0.0 }
+    );
+    let empty = scene(Recipe { seed: 1, anchors: 0, feature_dim: 2, offsets: 2, masked: 0.0 });
+    assert_eq!(encode(&empty, &settings()).expect_err("no anchor"), EncodeError::Empty);
+}
+
+#[test]
+fn limits_are_kept() {
+    let bytes = encode(&small(), &settings()).expect("encodes").bytes;
+    let default = DecodeLimits::default();
+    for limits in [
+        DecodeLimits { max_anchors: 119, ..default },
+        DecodeLimits { max_file_bytes: 100, ..default },
+        DecodeLimits { max_memory_bytes: 1000, ..default },
+    ] {
+        assert!(matches!(decode(&bytes, &limits), Err(DecodeError::Limit { .. })), "{limits:?}");
+    }
+    assert!(decode(&bytes, &DecodeLimits { max_anchors: 120, ..default }).is_ok());
+}
+
+#[test]
+fn the_networks_give_nearly_the_same_colours() {
+    let scene = scene(Recipe { seed: 8, anchors: 300, feature_dim: 32, offsets: 10, masked: 0.0 });
+    let encoded = encode(&scene, &settings()).expect("encodes");
+    let forward = |mlp: &tcgs::domain::Mlp, feature: &[f32]| -> Vec<f32> {
+        let mut values = feature.to_vec();
+        values.extend([0.6, 0.0, 0.8, 0.5]);
+        for (index, layer) in mlp.layers.iter().enumerate() {
+            if index > 0 {
+                values.iter_mut().for_each(|value| *value = value.max(0.0));
+            }
+            let row = |row: usize| {
+                let weights = &layer.weights[row * layer.inputs..(row + 1) * layer.inputs];
+                layer.bias[row] + weights.iter().zip(&values).map(|(w, x)| w * x).sum::<f32>()
+            };
+            values = (0..layer.outputs).map(row).collect();
+        }
+        values.iter().map(|value| 1.0 / (1.0 + (-value).exp())).collect()
+    };
+    let (mut square, mut count) = (0.0_f64, 0.0_f64);
+    for feature in scene.features.chunks(32) {
+        let exact = forward(&scene.networks.color, feature);
+        let coded = forward(&encoded.scene.networks.color, feature);
+        for (a, b) in exact.iter().zip(&coded) {
+            square += f64::from(a - b).powi(2);
+            count += 1.0;
+        }
+    }
+    let error = (square / count).sqrt();
+    assert!(error < 1.5e-3, "colours differ by {error} in the mean");
+}
+
+prop_compose! {
+    fn any_scene()(
+        seed in any::<u64>(),
+        anchors in 1_usize..60,
+        feature_dim in 1_usize..7,
+        offsets in 1_usize..6,
+        masked in 0.0..1.0_f64,
+        huge in prop::collection::vec((any::<prop::sample::Index>(), -3e6_f32..3e6), 0..4),
+        shift in prop::array::uniform3(-1_000_000_i32..1_000_000),
+        dropped in prop::collection::vec(any::<prop::sample::Index>(), 0..20),
+        constant in any::<bool>(),
+    ) -> AnchorScene {
+        let mut scene = scene(Recipe { seed, anchors, feature_dim, offsets, masked });
+        for (index, value) in huge {
+            *index.get_mut(&mut scene.offsets) = value;
+        }
+        for cell in &mut scene.cells {
+            (0..3).for_each(|axis| cell[axis] += shift[axis]);
+        }
+        for index in dropped {
+            // Every anchor but one may lose all of its offsets.
+            let anchor = index.index(anchors);
+            if anchor != 0 {
+                scene.masks[anchor * offsets..(anchor + 1) * offsets].fill(false);
+            }
+        }
+        if constant {
+            scene.features.fill(4.0);
+        }
+        scene
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    #[test]
+    fn any_scene_comes_back(scene in any_scene()) {
+        check(&scene);
+    }
+}

@@ -1,0 +1,129 @@
+//! Later versions: a major is refused, a critical section is refused, an optional section is passed over.
+
+use tcgs::codec::{DecodeError, DecodeLimits, decode, encode, inspect};
+
+use super::{
+    synthetic::{settings, small},
+    wire,
+};
+
+fn small_file() -> Vec<u8> {
+    encode(&small(), &settings()).expect("encodes").bytes
+}
+
+fn fault(bytes: &[u8]) -> DecodeError {
+    let fault = decode(bytes, &DecodeLimits::default()).expect_err("must be refused");
+    assert_eq!(inspect(bytes).expect_err("must be refused"), fault, "decode and inspect agree");
+    fault
+}
+
+#[test]
+fn the_written_layout_is_the_documented_one() {
+    let bytes = small_file();
+    assert_eq!(wire::file((1, 0), &wire::parts(&bytes)), bytes);
+}
+
+#[test]
+fn another_major_is_refused_and_another_minor_is_read() {
+    let parts = wire::parts(&small_file());
+    for major in [0, 2, u16::MAX] {
+        let known = DecodeError::UnsupportedVersion { major, minor: 3, known: 1 };
+        assert_eq!(fault(&wire::file((major, 3), &parts)), known);
+    }
+    let later = wire::file((1, 9), &parts);
+    assert!(decode(&later, &DecodeLimits::default()).is_ok());
+    assert_eq!(inspect(&later).expect("inspects").version, "1.9");
+}
+
+#[test]
+fn an_unknown_optional_section_is_passed_over_wherever_it_stands() {
+    let bytes = small_file();
+    let expected = decode(&bytes, &DecodeLimits::default()).expect("decodes");
+    for place in 0..=5 {
+        let mut parts = wire::parts(&bytes);
+        parts.insert(place, (*b"NEW!", 0, vec![1, 2, 3, 4, 5]));
+        let later = wire::file((1, 1), &parts);
+        assert_eq!(decode(&later, &DecodeLimits::default()), Ok(expected.clone()));
+        let inspection = inspect(&later).expect("inspects");
+        assert_eq!(inspection.sections[place].name, "unknown");
+        assert_eq!(inspection.byte_counts.total, later.len() as u64);
+    }
+}
+
+#[test]
+fn an_unknown_critical_section_is_refused() {
+    let mut parts = wire::parts(&small_file());
+    parts.push((*b"NEW!", 1, vec![1]));
+    assert_eq!(
+        fault(&wire::file((1, 1), &parts)),
+        DecodeError::UnknownSection { section: "NEW!".to_owned() }
+    );
+}
+
+#[test]
+fn missing_doubled_and_misplaced_sections_are_refused() {
+    let bytes = small_file();
+    for missing in 0..5 {
+        let mut parts = wire::parts(&bytes);
+        parts.remove(missing);
+        assert!(matches!(fault(&wire::file((1, 0), &parts)), DecodeError::MissingSection { .. }));
+    }
+    let mut parts = wire::parts(&bytes);
+    parts.push(parts[1].clone());
+    assert!(matches!(fault(&wire::file((1, 0), &parts)), DecodeError::DuplicateSection { .. }));
+
+    let mut moved = bytes.clone();
+    moved[wire::HEADER + 8] += 1;
+    wire::reseal(&mut moved);
+    assert!(matches!(fault(&moved), DecodeError::SectionPlace { .. }));
+
+    let mut flagged = wire::parts(&bytes);
+    flagged[0].1 = 3;
+    assert!(matches!(fault(&wire::file((1, 0), &flagged)), DecodeError::Malformed { .. }));
+}
+
+#[test]
+fn trailing_bytes_are_refused_even_where_the_header_counts_them() {
+    let mut longer = small_file();
+    longer.push(0);
+    assert!(matches!(fault(&longer), DecodeError::FileLength { .. }));
+    let length = longer.len() as u64;
+    longer[16..24].copy_from_slice(&length.to_le_bytes());
+    wire::reseal(&mut longer);
+    assert_eq!(fault(&longer), DecodeError::TrailingBytes { part: "file", count: 1 });
+    for section in 0..5 {
+        let mut parts = wire::parts(&small_file());
+        parts[section].2.extend([0; 16]);
+        assert!(decode(&wire::file((1, 0), &parts), &DecodeLimits::default()).is_err(), "section {section}");
+    }
+}
+
+#[test]
+fn damage_is_named() {
+    assert_eq!(fault(b"PK\x03\x04, an archive"), DecodeError::NotTcgs);
+    let bytes = small_file();
+    let mut header = bytes.clone();
+    header[17] ^= 1;
+    assert!(matches!(fault(&header), DecodeError::HeaderChecksum { .. }));
+    let mut payload = bytes.clone();
+    let last = payload.len() - 1;
+    payload[last] ^= 1;
+    assert!(matches!(fault(&payload), DecodeError::FileDigest { .. }));
+    wire::reseal_header(&mut payload, wire::HEADER + 5 * wire::ENTRY);
+    assert!(matches!(fault(&payload), DecodeError::SectionChecksum { section, .. } if section == "ATTR"));
+    wire::reseal(&mut payload);
+    let deep = decode(&payload, &DecodeLimits::default()).expect_err("must be refused");
+    assert!(matches!(deep, DecodeError::ChunkChecksum { chunk: 0, .. }), "{deep}");
+}
+
+#[test]
+fn a_wrong_decode_hash_is_refused() {
+    let bytes = small_file();
+    let mut parts = wire::parts(&bytes);
+    let expected = decode(&bytes, &DecodeLimits::default()).expect("decodes").decode_sha256;
+    let manifest = &mut parts[0].2;
+    let place = manifest.windows(32).position(|window| window == expected.as_bytes()).expect("the hash");
+    manifest[place] ^= 1;
+    let fault = decode(&wire::file((1, 0), &parts), &DecodeLimits::default()).expect_err("must be refused");
+    assert!(matches!(fault, DecodeError::DecodeDigest { actual, .. } if actual == expected));
+}
