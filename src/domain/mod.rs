@@ -26,4 +26,4 @@ pub use metrics::{ByteCounts, JobMetrics, PhaseSeconds, Scores};
 pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOptions};
 pub use problem::Problem;
 pub use progress::{CancelFlag, Phase, Progress};
-pub use scene::{Dataset, Frame, Layout, PointCloud, Split};
+pub use scene::{Dataset, Frame, Layout, NamedCamera, PointCloud, Split};

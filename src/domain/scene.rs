@@ -57,6 +57,17 @@ pub struct Frame {
     pub split: Split,
 }
 
+/// A dataset camera, kept with a job's results so that views can be asked for by frame name.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NamedCamera {
+    /// Frame name.
+    pub name: String,
+    /// Train or test.
+    pub split: Split,
+    /// Its pinhole camera.
+    pub camera: Camera,
+}
+
 /// Structure-from-motion points in the frames' world.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct PointCloud {

@@ -1,1 +1,55 @@
-//! To come.
+//! The HTTP API: what `openapi.yaml` says, and nothing else.
+//!
+//! Handlers parse, ask the store, and answer. What always holds: every error is an `application/problem+json`
+//! document with the request's id; every body, queue, connection and render is bounded; nothing that a
+//! client sends reaches the file system as a name. Workers, SQL and the GPU are not known here.
+
+mod accept;
+mod artifact;
+mod body;
+mod camera;
+pub mod config;
+mod etag;
+mod events;
+mod health;
+mod job_body;
+mod jobs;
+mod picture;
+mod problem;
+mod query;
+mod range;
+mod render_queue;
+mod serve;
+mod state;
+mod views;
+mod wrap;
+
+use axum::{
+    Router,
+    middleware::from_fn,
+    routing::{get, post},
+};
+use tower_http::catch_panic::CatchPanicLayer;
+
+pub use config::HttpConfig;
+pub use serve::{ServeError, bind, serve};
+pub use state::{AppState, DatasetCheck, SceneLoader, Services, WorkerCensus, WorkerCounts};
+
+/// Every route of the API.
+pub fn router(state: AppState) -> Router {
+    Router::new()
+        .route("/v1/jobs", get(jobs::list).post(jobs::create))
+        .route("/v1/jobs/{id}", get(jobs::get))
+        .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
+        .route("/v1/jobs/{id}/events", get(events::list))
+        .route("/v1/jobs/{id}/artifact", get(artifact::get))
+        .route("/v1/jobs/{id}/view", get(views::get))
+        .route("/v1/jobs/{id}/views", post(views::post))
+        .route("/healthz", get(health::healthz))
+        .route("/readyz", get(health::readyz))
+        .route("/version", get(health::version))
+        .route("/openapi.yaml", get(health::openapi))
+        .layer(CatchPanicLayer::custom(wrap::panicked))
+        .layer(from_fn(wrap::wrap))
+        .with_state(state)
+}

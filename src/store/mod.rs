@@ -1,1 +1,77 @@
-//! To come.
+//! Everything that outlives a process: jobs with their attempts and events, and the blobs that they refer to.
+//!
+//! SQL and object storage live here and nowhere else. What always holds:
+//!
+//! - **At-least-once execution, exactly-once publication.** A job may run more than once; the artifacts of
+//!   exactly one attempt are ever linked to it.
+//! - **Fence.** A claim raises the job's attempt number, and every write of a worker names the attempt that it
+//!   was given. If the job has moved on, nothing is written and the worker learns [`StoreError::LeaseLost`].
+//! - **Events** of a job are numbered from 1 without gaps, and each is written in the transaction of the change
+//!   that it records.
+//! - **Cancel against completion**: whichever transaction commits first decides. A job whose cancellation was
+//!   accepted while it ran never becomes `succeeded`.
+
+pub mod blobs;
+mod error;
+mod policy;
+mod records;
+mod sqlite;
+mod verdict;
+
+use futures_util::future::BoxFuture;
+
+pub use blobs::{BlobError, Blobs, Staged, Staging};
+pub use error::StoreError;
+pub use policy::QueuePolicy;
+pub use records::{
+    Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat,
+    JobRecord, Lease, NewJob, Outcome, PageKey,
+};
+pub use sqlite::SqliteStore;
+
+use crate::domain::{Event, JobId, JobState, Phase, Progress};
+
+/// What a store method returns; boxed so that a store can be held as `Arc<dyn Store>`.
+pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
+
+/// The job table and its queue. Every method is one transaction.
+pub trait Store: Send + Sync + 'static {
+    /// Adds a job in state `queued`, together with its dataset's blob row and its first event.
+    fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord>;
+
+    /// The job as it stands.
+    fn job(&self, id: JobId) -> Answer<'_, Option<JobRecord>>;
+
+    /// Up to `limit` jobs, newest first, older than `before`.
+    fn jobs(&self, before: Option<PageKey>, limit: u32) -> Answer<'_, Vec<JobRecord>>;
+
+    /// Up to `limit` events with numbers above `after`, oldest first; `None` if there is no such job.
+    fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>>;
+
+    /// Every attempt at the job, oldest first.
+    fn attempts(&self, id: JobId) -> Answer<'_, Vec<AttemptRecord>>;
+
+    /// Stops a queued job at once, or asks the worker of a running one to stop; `None` if there is no such job.
+    fn cancel(&self, id: JobId) -> Answer<'_, Option<Cancellation>>;
+
+    /// Takes the job of the highest priority, oldest first, whose time has come, for `worker`.
+    ///
+    /// Jobs whose lease has run out are taken from their workers first, so they can be claimed again here.
+    fn claim<'a>(&'a self, worker: &'a str) -> Answer<'a, Option<Claim>>;
+
+    /// Renews a lease and tells whether somebody asked for a stop.
+    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Heartbeat>;
+
+    /// Records where the attempt is. A change of phase always makes an event, progress at most one per
+    /// [`QueuePolicy::progress_event_every`].
+    fn report<'a>(&'a self, lease: &'a Lease, phase: Phase, progress: &'a Progress) -> Answer<'a, ()>;
+
+    /// Ends the attempt and returns the state that the job is in now.
+    fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> Answer<'a, JobState>;
+
+    /// Takes every job from a worker that is known to be dead, as if its leases had run out, and counts them.
+    fn expire_worker<'a>(&'a self, worker: &'a str) -> Answer<'a, u64>;
+
+    /// One round trip to the database.
+    fn ping(&self) -> Answer<'_, ()>;
+}

@@ -2,20 +2,8 @@
 
 use std::path::Path;
 
-use serde::{Deserialize, Serialize};
-
-use crate::domain::{Camera, CancelFlag, JobMetrics, Phase, Problem, Progress, Split, TrainOptions};
-
-/// A dataset camera, kept with the job so that views can be asked for by frame name.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct NamedCamera {
-    /// Frame name.
-    pub name: String,
-    /// Train or test.
-    pub split: Split,
-    /// Its pinhole camera.
-    pub camera: Camera,
-}
+pub use crate::domain::NamedCamera;
+use crate::domain::{CancelFlag, JobMetrics, Phase, Problem, Progress, TrainOptions};
 
 /// What a finished job leaves behind.
 #[derive(Debug, Clone)]

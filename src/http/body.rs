@@ -1,0 +1,116 @@
+//! Reading request bodies: bounded in length, in pauses and in time as a whole.
+
+use axum::{
+    body::Body,
+    http::{HeaderMap, StatusCode, header},
+};
+use bytes::Bytes;
+use futures_util::StreamExt as _;
+use tokio::time::{Instant, timeout, timeout_at};
+
+use super::{config::RequestLimits, problem::Fault};
+use crate::store::{Blobs, Staged};
+
+/// The media type of a request, without its parameters, in lower case.
+pub(super) fn media_type(headers: &HeaderMap) -> Option<String> {
+    let value = headers.get(header::CONTENT_TYPE)?.to_str().ok()?;
+    Some(value.split(';').next().unwrap_or_default().trim().to_ascii_lowercase())
+}
+
+/// 415 unless the media type is one of `accepted`.
+pub(super) fn expect_media_type(headers: &HeaderMap, accepted: &[&str]) -> Result<(), Fault> {
+    let given = media_type(headers);
+    if given.as_deref().is_some_and(|given| accepted.contains(&given)) {
+        return Ok(());
+    }
+    Err(Fault::new(
+        StatusCode::UNSUPPORTED_MEDIA_TYPE,
+        "unsupported-media-type",
+        "Unsupported media type",
+        format!(
+            "the Content-Type is {}; send {}",
+            given.as_deref().unwrap_or("missing"),
+            accepted.join(" or ")
+        ),
+    ))
+}
+
+/// Streams a body into a staged blob.
+pub(super) async fn stage(
+    body: Body,
+    headers: &HeaderMap,
+    blobs: &Blobs,
+    limits: &RequestLimits,
+) -> Result<Staged, Fault> {
+    refuse_announced(headers, limits.upload_bytes)?;
+    let mut staging = blobs.stage(limits.upload_bytes).await?;
+    let mut pieces = Pieces::new(body, limits);
+    while let Some(piece) = pieces.next().await? {
+        staging.write(&piece).await?;
+    }
+    Ok(staging.finish().await?)
+}
+
+/// Reads a JSON body into memory.
+pub(super) async fn read_json(
+    body: Body,
+    headers: &HeaderMap,
+    limits: &RequestLimits,
+) -> Result<Vec<u8>, Fault> {
+    expect_media_type(headers, &["application/json"])?;
+    refuse_announced(headers, limits.json_bytes)?;
+    let mut content = Vec::new();
+    let mut pieces = Pieces::new(body, limits);
+    while let Some(piece) = pieces.next().await? {
+        if (content.len() + piece.len()) as u64 > limits.json_bytes {
+            return Err(Fault::too_large(limits.json_bytes));
+        }
+        content.extend_from_slice(&piece);
+    }
+    Ok(content)
+}
+
+fn refuse_announced(headers: &HeaderMap, limit: u64) -> Result<(), Fault> {
+    let announced =
+        headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse::<u64>().ok());
+    if announced.is_some_and(|announced| announced > limit) {
+        return Err(Fault::too_large(limit));
+    }
+    Ok(())
+}
+
+struct Pieces {
+    stream: axum::body::BodyDataStream,
+    idle: std::time::Duration,
+    deadline: Instant,
+}
+
+impl Pieces {
+    fn new(body: Body, limits: &RequestLimits) -> Self {
+        let deadline = Instant::now() + limits.body_total;
+        Self { stream: body.into_data_stream(), idle: limits.body_idle, deadline }
+    }
+
+    async fn next(&mut self) -> Result<Option<Bytes>, Fault> {
+        let piece = timeout_at(self.deadline, timeout(self.idle, self.stream.next()));
+        match piece.await {
+            Ok(Ok(None)) => Ok(None),
+            Ok(Ok(Some(Ok(piece)))) => Ok(Some(piece)),
+            Ok(Ok(Some(Err(error)))) => Err(Fault::new(
+                StatusCode::BAD_REQUEST,
+                "body-incomplete",
+                "Body incomplete",
+                format!("the body could not be read to its end: {error}"),
+            )),
+            Ok(Err(_)) | Err(_) => Err(Fault::new(
+                StatusCode::REQUEST_TIMEOUT,
+                "body-timeout",
+                "Body too slow",
+                format!(
+                    "the body paused for more than {} s or was not complete in time",
+                    self.idle.as_secs()
+                ),
+            )),
+        }
+    }
+}

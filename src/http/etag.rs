@@ -1,0 +1,66 @@
+//! Strong entity tags and the conditions that clients put on them (RFC 9110 §8.8.3, §13.1).
+
+use std::fmt::Display;
+
+use axum::{
+    http::{HeaderMap, HeaderValue, StatusCode, header},
+    response::{IntoResponse as _, Response},
+};
+
+/// A strong entity tag, with its quotes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Etag(String);
+
+impl Etag {
+    /// The tag of a version or digest, whose text must be plain ASCII without quotes.
+    pub(super) fn new(version: impl Display) -> Self {
+        Self(format!("\"{version}\""))
+    }
+
+    pub(super) fn value(&self) -> HeaderValue {
+        // Digits and hexadecimal digits in quotes are always a legal value.
+        HeaderValue::from_str(&self.0).unwrap_or(HeaderValue::from_static("\"\""))
+    }
+
+    /// Whether `If-None-Match` says that the client has this already (weak comparison, as the header wants).
+    pub(super) fn is_in_if_none_match(&self, headers: &HeaderMap) -> bool {
+        headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok()).any(|list| {
+            list.split(',').map(str::trim).any(|tag| tag == "*" || tag.trim_start_matches("W/") == self.0)
+        })
+    }
+
+    /// Whether `If-Range` lets a `Range` stand: absent, or exactly this tag.
+    pub(super) fn allows_range(&self, headers: &HeaderMap) -> bool {
+        headers.get(header::IF_RANGE).is_none_or(|value| value.as_bytes() == self.0.as_bytes())
+    }
+}
+
+/// 304.
+pub(super) fn not_modified(etag: &Etag) -> Response {
+    (StatusCode::NOT_MODIFIED, [(header::ETAG, etag.value())]).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn conditions_compare_as_the_standard_says() {
+        let etag = Etag::new("abc");
+        let with = |name, value: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(name, HeaderValue::from_static(value));
+            headers
+        };
+        for held in ["\"abc\"", "*", "\"x\", \"abc\"", "W/\"abc\""] {
+            assert!(etag.is_in_if_none_match(&with(header::IF_NONE_MATCH, held)), "{held}");
+        }
+        for other in ["abc", "\"x\"", "\"ABC\""] {
+            assert!(!etag.is_in_if_none_match(&with(header::IF_NONE_MATCH, other)), "{other}");
+        }
+        assert!(etag.allows_range(&HeaderMap::new()));
+        assert!(etag.allows_range(&with(header::IF_RANGE, "\"abc\"")));
+        assert!(!etag.allows_range(&with(header::IF_RANGE, "W/\"abc\"")), "If-Range compares strongly");
+        assert!(!etag.allows_range(&with(header::IF_RANGE, "Sat, 21 Nov 2026 00:00:00 GMT")));
+    }
+}

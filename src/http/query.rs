@@ -1,0 +1,68 @@
+//! Query parameters, taken one by one by name; whatever is left over is a mistake and is refused by name.
+
+use std::str::FromStr;
+
+use super::problem::Fault;
+
+/// The parameters that no one has taken yet.
+#[derive(Debug)]
+pub(super) struct Parameters(Vec<(String, String)>);
+
+impl Parameters {
+    /// Reads a query string; a name may occur once.
+    pub(super) fn parse(query: Option<&str>) -> Result<Self, Fault> {
+        let pairs: Vec<(String, String)> = serde_urlencoded::from_str(query.unwrap_or_default())
+            .map_err(|error| Fault::parameter("query", error))?;
+        for (index, (name, _)) in pairs.iter().enumerate() {
+            if pairs[..index].iter().any(|(earlier, _)| earlier == name) {
+                return Err(Fault::parameter(name, "is given twice"));
+            }
+        }
+        Ok(Self(pairs))
+    }
+
+    /// The text of a parameter.
+    pub(super) fn take(&mut self, name: &str) -> Option<String> {
+        let index = self.0.iter().position(|(given, _)| given == name)?;
+        Some(self.0.swap_remove(index).1)
+    }
+
+    /// The value of a parameter; `expected` completes "is not ...".
+    pub(super) fn take_as<T: FromStr>(&mut self, name: &str, expected: &str) -> Result<Option<T>, Fault> {
+        let Some(text) = self.take(name) else { return Ok(None) };
+        let fault = |_| Fault::parameter(name, format!("'{text}' is not {expected}"));
+        text.trim().parse().map(Some).map_err(fault)
+    }
+
+    /// A whole number from 1 to `max`, or `default`.
+    pub(super) fn take_count(&mut self, name: &str, default: u32, max: u32) -> Result<u32, Fault> {
+        let count = self.take_as(name, "a whole number")?.unwrap_or(default);
+        if !(1..=max).contains(&count) {
+            return Err(Fault::parameter(name, format!("{count} is outside 1..={max}")));
+        }
+        Ok(count)
+    }
+
+    /// Three numbers separated by commas.
+    pub(super) fn take_vector(&mut self, name: &str) -> Result<Option<glam::DVec3>, Fault> {
+        let Some(text) = self.take(name) else { return Ok(None) };
+        let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
+        match (numbers.as_slice(), text.split(',').count()) {
+            (&[x, y, z], 3) if [x, y, z].iter().all(|v| v.is_finite()) => Ok(Some(glam::DVec3::new(x, y, z))),
+            _ => Err(Fault::parameter(name, format!("'{text}' is not three finite numbers x,y,z"))),
+        }
+    }
+
+    /// What is left, for parameters whose names are decided elsewhere.
+    pub(super) fn rest(self) -> Vec<(String, String)> {
+        self.0
+    }
+
+    /// Refuses what nobody took.
+    pub(super) fn finish(self) -> Result<(), Fault> {
+        match self.0.first() {
+            None => Ok(()),
+            Some((name, _)) => Err(Fault::parameter(name, "is not a parameter here")),
+        }
+    }
+}

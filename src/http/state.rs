@@ -1,0 +1,106 @@
+//! What the handlers share. The collaborators are handed in, so tests replace them and layers stay apart.
+
+use std::{fmt, path::Path, sync::Arc};
+
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+
+use super::{config::RequestLimits, render_queue::RenderQueue};
+use crate::{
+    domain::{Clock, Problem},
+    render::{RenderViews, views::Viewable},
+    store::{Blobs, Store},
+};
+
+/// Looks over a dataset archive before a job is made of it; blocks.
+pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<(), Problem> + Send + Sync>;
+
+/// Decodes a `.tcgs` file; blocks.
+pub type SceneLoader = Arc<dyn Fn(&[u8]) -> Result<Viewable, Problem> + Send + Sync>;
+
+/// Tells how many worker processes there should be and how many live.
+pub type WorkerCensus = Arc<dyn Fn() -> WorkerCounts + Send + Sync>;
+
+/// The workers that this server keeps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct WorkerCounts {
+    /// How many there should be; 0 if others run them.
+    pub expected: usize,
+    /// How many live.
+    pub alive: usize,
+}
+
+/// The server's collaborators.
+#[derive(Clone)]
+pub struct Services {
+    /// Jobs and events.
+    pub store: Arc<dyn Store>,
+    /// Datasets and results.
+    pub blobs: Blobs,
+    /// Time.
+    pub clock: Arc<dyn Clock>,
+    /// See [`DatasetCheck`].
+    pub check: DatasetCheck,
+    /// See [`SceneLoader`].
+    pub load: SceneLoader,
+    /// Renders views.
+    pub renderer: Arc<dyn RenderViews>,
+    /// See [`WorkerCensus`].
+    pub workers: WorkerCensus,
+}
+
+/// The handlers' shared state; clones share it.
+#[derive(Clone)]
+pub struct AppState(Arc<Inner>);
+
+struct Inner {
+    services: Services,
+    limits: RequestLimits,
+    uploads: Semaphore,
+    renders: RenderQueue,
+    draining: CancellationToken,
+}
+
+impl fmt::Debug for AppState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("AppState").field("limits", &self.0.limits).finish_non_exhaustive()
+    }
+}
+
+impl AppState {
+    /// State that reports itself not ready once `draining` is cancelled.
+    #[must_use]
+    pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
+        let uploads = Semaphore::new(limits.uploads);
+        let renders = RenderQueue::new(limits.renders, limits.renders_waiting);
+        Self(Arc::new(Inner { services, limits, uploads, renders, draining }))
+    }
+
+    pub(super) fn services(&self) -> &Services {
+        &self.0.services
+    }
+
+    pub(super) fn store(&self) -> &dyn Store {
+        &*self.0.services.store
+    }
+
+    pub(super) fn blobs(&self) -> &Blobs {
+        &self.0.services.blobs
+    }
+
+    pub(super) fn limits(&self) -> &RequestLimits {
+        &self.0.limits
+    }
+
+    pub(super) fn uploads(&self) -> &Semaphore {
+        &self.0.uploads
+    }
+
+    pub(super) fn renders(&self) -> &RenderQueue {
+        &self.0.renders
+    }
+
+    pub(super) fn is_draining(&self) -> bool {
+        self.0.draining.is_cancelled()
+    }
+}

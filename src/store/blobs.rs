@@ -1,0 +1,357 @@
+//! Blobs named by the SHA-256 of their content, kept through `object_store` in a local directory.
+//!
+//! A blob is staged (streamed to a private file while it is hashed and counted), then published under
+//! `sha256/ab/cd/<digest>` in one atomic step with its bytes and directory entries flushed to disk. A published
+//! blob is complete, never changes, and publishing it again changes nothing. A crash in between leaves a staging file or
+//! an unreferenced blob, never a half-written one.
+
+use std::{
+    io,
+    ops::Range,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::{Duration, SystemTime},
+};
+
+use bytes::Bytes;
+use futures_util::{StreamExt as _, TryStreamExt as _, stream::BoxStream};
+use object_store::{
+    GetOptions, GetRange, ObjectStore as _, ObjectStoreExt as _, WriteMultipart, local::LocalFileSystem,
+    path::Path as ObjectPath,
+};
+use sha2::{Digest as _, Sha256};
+use thiserror::Error;
+use tokio::{
+    fs::File,
+    io::{AsyncReadExt as _, AsyncWriteExt as _},
+};
+
+use super::BlobRef;
+use crate::domain::Digest;
+
+/// Age beyond which a staging file belongs to nobody.
+const STALE_STAGING: Duration = Duration::from_secs(24 * 3600);
+const PART_BYTES: usize = 8 << 20;
+const PARTS_IN_FLIGHT: usize = 2;
+
+/// A fault of the blob store.
+#[derive(Debug, Error)]
+pub enum BlobError {
+    /// More bytes arrived than are allowed.
+    #[error("the content is longer than the limit of {limit} bytes")]
+    TooLarge {
+        /// The limit.
+        limit: u64,
+    },
+    /// There is no such blob.
+    #[error("there is no blob {0}")]
+    Missing(Digest),
+    /// A blob's content does not have the digest that names it.
+    #[error("blob {expected} is damaged: its content has the digest {actual}")]
+    Damaged {
+        /// The name.
+        expected: Digest,
+        /// What the content hashes to.
+        actual: Digest,
+    },
+    /// The file system refused.
+    #[error("staging failed")]
+    Io(#[from] io::Error),
+    /// The object store refused.
+    #[error("the object store failed")]
+    Store(#[from] object_store::Error),
+}
+
+impl BlobError {
+    /// Whether there is no room left.
+    #[must_use]
+    pub fn is_storage_full(&self) -> bool {
+        let mut source: Option<&(dyn std::error::Error + 'static)> = Some(self);
+        while let Some(error) = source {
+            if let Some(error) = error.downcast_ref::<io::Error>()
+                && matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+            {
+                return true;
+            }
+            source = error.source();
+        }
+        false
+    }
+}
+
+/// The blob store; clones share it.
+#[derive(Debug, Clone)]
+pub struct Blobs(Arc<Inner>);
+
+#[derive(Debug)]
+struct Inner {
+    store: LocalFileSystem,
+    staging: PathBuf,
+}
+
+impl Blobs {
+    /// Opens the store in `data/blobs`, staging in `data/staging`, and removes staging files that a crash left
+    /// there more than a day ago.
+    ///
+    /// # Errors
+    /// [`BlobError::Io`] or [`BlobError::Store`] if the directories cannot be made or read.
+    pub fn open(data: &Path) -> Result<Self, BlobError> {
+        let (root, staging) = (data.join("blobs"), data.join("staging"));
+        std::fs::create_dir_all(&root)?;
+        std::fs::create_dir_all(&staging)?;
+        sweep(&staging)?;
+        let store = LocalFileSystem::new_with_prefix(root)?.with_fsync(true);
+        Ok(Self(Arc::new(Inner { store, staging })))
+    }
+
+    /// Begins a blob of at most `limit` bytes.
+    ///
+    /// # Errors
+    /// [`BlobError::Io`].
+    pub async fn stage(&self, limit: u64) -> Result<Staging, BlobError> {
+        let (file, path) =
+            tempfile::Builder::new().prefix("upload-").tempfile_in(&self.0.staging)?.into_parts();
+        Ok(Staging { file: File::from_std(file), path, hasher: Sha256::new(), bytes: 0, limit })
+    }
+
+    /// Publishes a staged blob; an equal one that is already there is kept.
+    ///
+    /// # Errors
+    /// [`BlobError::Io`] or [`BlobError::Store`].
+    pub async fn publish(&self, staged: &Staged) -> Result<BlobRef, BlobError> {
+        let location = location(staged.blob.digest);
+        if self.holds(staged.blob).await? {
+            return Ok(staged.blob);
+        }
+        let mut file = File::open(staged.path()).await?;
+        let upload = self.0.store.put_multipart(&location).await?;
+        let mut writer = WriteMultipart::new_with_chunk_size(upload, PART_BYTES);
+        let copied: Result<(), BlobError> = async {
+            let mut buffer = vec![0; 1 << 20];
+            loop {
+                let count = file.read(&mut buffer).await?;
+                if count == 0 {
+                    return Ok(());
+                }
+                writer.wait_for_capacity(PARTS_IN_FLIGHT).await?;
+                writer.write(&buffer[..count]);
+            }
+        }
+        .await;
+        if let Err(error) = copied {
+            // The copy's own fault is the one to tell.
+            let _ = writer.abort().await;
+            return Err(error);
+        }
+        writer.finish().await?;
+        Ok(staged.blob)
+    }
+
+    /// Publishes bytes from memory.
+    ///
+    /// # Errors
+    /// [`BlobError::Store`].
+    pub async fn put(&self, content: Bytes) -> Result<BlobRef, BlobError> {
+        let blob = BlobRef { digest: Digest::of(&content), bytes: content.len() as u64 };
+        if !self.holds(blob).await? {
+            self.0.store.put(&location(blob.digest), content.into()).await?;
+        }
+        Ok(blob)
+    }
+
+    async fn holds(&self, blob: BlobRef) -> Result<bool, BlobError> {
+        match self.0.store.head(&location(blob.digest)).await {
+            Ok(meta) => Ok(meta.size == blob.bytes),
+            Err(object_store::Error::NotFound { .. }) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// The whole blob, checked against its name.
+    ///
+    /// # Errors
+    /// [`BlobError::Missing`], [`BlobError::Damaged`] or [`BlobError::Store`].
+    pub async fn read(&self, digest: Digest) -> Result<Bytes, BlobError> {
+        let content = self.0.store.get(&location(digest)).await.map_err(missing(digest))?.bytes().await?;
+        match Digest::of(&content) {
+            actual if actual == digest => Ok(content),
+            actual => Err(BlobError::Damaged { expected: digest, actual }),
+        }
+    }
+
+    /// A part of the blob as a stream; `range` must lie within it and not be empty.
+    ///
+    /// # Errors
+    /// [`BlobError::Missing`] or [`BlobError::Store`].
+    pub async fn stream(
+        &self,
+        digest: Digest,
+        range: Range<u64>,
+    ) -> Result<BoxStream<'static, Result<Bytes, BlobError>>, BlobError> {
+        let options = GetOptions { range: Some(GetRange::Bounded(range)), ..GetOptions::default() };
+        let result = self.0.store.get_opts(&location(digest), options).await.map_err(missing(digest))?;
+        Ok(result.into_stream().map_err(BlobError::from).boxed())
+    }
+
+    /// A file with the blob's content. It is the blob itself: read it, never write it.
+    ///
+    /// # Errors
+    /// [`BlobError::Missing`] or [`BlobError::Store`].
+    pub async fn local_file(&self, digest: Digest) -> Result<PathBuf, BlobError> {
+        let location = location(digest);
+        self.0.store.head(&location).await.map_err(missing(digest))?;
+        Ok(self.0.store.path_to_filesystem(&location)?)
+    }
+
+    /// Writes and removes a small file, to show that blobs can be written.
+    ///
+    /// # Errors
+    /// [`BlobError::Io`].
+    pub async fn probe(&self) -> Result<(), BlobError> {
+        let mut probe = self.stage(16).await?;
+        probe.write(b"probe").await?;
+        probe.file.flush().await?;
+        Ok(())
+    }
+}
+
+fn missing(digest: Digest) -> impl Fn(object_store::Error) -> BlobError {
+    move |error| match error {
+        object_store::Error::NotFound { .. } => BlobError::Missing(digest),
+        error => error.into(),
+    }
+}
+
+fn location(digest: Digest) -> ObjectPath {
+    let hex = digest.to_string();
+    ObjectPath::from_iter(["sha256", &hex[..2], &hex[2..4], &hex])
+}
+
+fn sweep(staging: &Path) -> io::Result<()> {
+    let now = SystemTime::now();
+    for entry in std::fs::read_dir(staging)? {
+        let entry = entry?;
+        let age = entry.metadata().and_then(|meta| meta.modified()).map(|at| now.duration_since(at));
+        if let Ok(Ok(age)) = age
+            && age > STALE_STAGING
+        {
+            tracing::info!(file = %entry.path().display(), "removing a stale staging file");
+            std::fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// A blob that is being written; dropping it removes its file.
+#[derive(Debug)]
+pub struct Staging {
+    file: File,
+    path: tempfile::TempPath,
+    hasher: Sha256,
+    bytes: u64,
+    limit: u64,
+}
+
+impl Staging {
+    /// Appends a piece.
+    ///
+    /// # Errors
+    /// [`BlobError::TooLarge`] once the limit is passed, [`BlobError::Io`].
+    pub async fn write(&mut self, piece: &[u8]) -> Result<(), BlobError> {
+        self.bytes += piece.len() as u64;
+        if self.bytes > self.limit {
+            return Err(BlobError::TooLarge { limit: self.limit });
+        }
+        self.hasher.update(piece);
+        Ok(self.file.write_all(piece).await?)
+    }
+
+    /// Ends the blob.
+    ///
+    /// # Errors
+    /// [`BlobError::Io`].
+    pub async fn finish(mut self) -> Result<Staged, BlobError> {
+        self.file.flush().await?;
+        let digest = Digest::from_bytes(self.hasher.finalize().into());
+        Ok(Staged { path: self.path, blob: BlobRef { digest, bytes: self.bytes } })
+    }
+}
+
+/// A complete blob that is not yet published; dropping it removes its file.
+#[derive(Debug)]
+pub struct Staged {
+    path: tempfile::TempPath,
+    blob: BlobRef,
+}
+
+impl Staged {
+    /// The private file with the content.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What it will be published as.
+    #[must_use]
+    pub fn blob(&self) -> BlobRef {
+        self.blob
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    async fn staged(blobs: &Blobs, content: &[u8]) -> Staged {
+        let mut staging = blobs.stage(1 << 30).await.expect("room");
+        for piece in content.chunks(3) {
+            staging.write(piece).await.expect("a write");
+        }
+        staging.finish().await.expect("an end")
+    }
+
+    #[tokio::test]
+    async fn a_published_blob_reads_back_whole_and_in_parts() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let blobs = Blobs::open(folder.path()).expect("a store");
+        let upload = staged(&blobs, b"twelve bytes").await;
+        let blob = blobs.publish(&upload).await.expect("published");
+        assert_eq!(blob, BlobRef { digest: Digest::of(b"twelve bytes"), bytes: 12 });
+        assert_eq!(blobs.publish(&upload).await.expect("published again"), blob);
+        assert_eq!(blobs.put(Bytes::from_static(b"twelve bytes")).await.expect("the same"), blob);
+        assert_eq!(&blobs.read(blob.digest).await.expect("whole")[..], b"twelve bytes");
+        let part: Vec<Bytes> =
+            blobs.stream(blob.digest, 7..12).await.expect("part").try_collect().await.expect("bytes");
+        assert_eq!(part.concat(), b"bytes");
+        let file = blobs.local_file(blob.digest).await.expect("a file");
+        assert_eq!(std::fs::read(file).expect("readable"), b"twelve bytes");
+        let path = upload.path().to_owned();
+        drop(upload);
+        assert!(!path.exists(), "a staging file must not outlive its handle");
+    }
+
+    #[tokio::test]
+    async fn limits_damage_and_absence_are_told_apart() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let blobs = Blobs::open(folder.path()).expect("a store");
+        let mut staging = blobs.stage(4).await.expect("room");
+        staging.write(b"four").await.expect("exactly the limit");
+        assert!(matches!(staging.write(b"!").await, Err(BlobError::TooLarge { limit: 4 })));
+        let absent = Digest::of(b"absent");
+        assert!(matches!(blobs.read(absent).await, Err(BlobError::Missing(digest)) if digest == absent));
+        assert!(matches!(blobs.local_file(absent).await, Err(BlobError::Missing(_))));
+        let blob = blobs.put(Bytes::from_static(b"sound")).await.expect("published");
+        let file = blobs.local_file(blob.digest).await.expect("a file");
+        std::fs::write(file, b"rotten").expect("writable");
+        assert!(matches!(blobs.read(blob.digest).await, Err(BlobError::Damaged { .. })));
+    }
+
+    #[test]
+    fn a_full_disk_is_recognised_through_the_layers() {
+        let full = || io::Error::from(io::ErrorKind::StorageFull);
+        assert!(BlobError::Io(full()).is_storage_full());
+        let wrapped = object_store::Error::Generic { store: "local", source: Box::new(full()) };
+        assert!(BlobError::Store(wrapped).is_storage_full());
+        assert!(!BlobError::TooLarge { limit: 1 }.is_storage_full());
+    }
+}

@@ -1,0 +1,58 @@
+//! What can go wrong in the job table.
+
+use thiserror::Error;
+
+use crate::domain::JobId;
+
+/// A fault of the job table.
+#[derive(Debug, Error)]
+pub enum StoreError {
+    /// The job is not running the attempt that the worker was given: it was reclaimed, ended or cancelled.
+    #[error("attempt {attempt} no longer holds job {job}")]
+    LeaseLost {
+        /// The job.
+        job: JobId,
+        /// The attempt that the worker was given.
+        attempt: u32,
+    },
+    /// A stored value cannot be read back.
+    #[error("the stored {what} is unreadable: {fault}")]
+    Corrupt {
+        /// Table and column.
+        what: &'static str,
+        /// Why.
+        fault: String,
+    },
+    /// The database does not open.
+    #[error("the database {path} does not open")]
+    Open {
+        /// Where it is.
+        path: String,
+        /// Why.
+        #[source]
+        source: sqlx::Error,
+    },
+    /// The schema cannot be brought to this version.
+    #[error("the database schema cannot be brought up to date")]
+    Migrate(#[from] sqlx::migrate::MigrateError),
+    /// A statement failed.
+    #[error("the database refused a statement")]
+    Database(#[from] sqlx::Error),
+}
+
+impl StoreError {
+    /// Whether the same call may succeed a moment later: the database was busy or out of connections.
+    #[must_use]
+    pub fn is_transient(&self) -> bool {
+        let StoreError::Database(error) = self else { return false };
+        match error {
+            sqlx::Error::PoolTimedOut | sqlx::Error::Io(_) => true,
+            // Primary result codes 5 (SQLITE_BUSY) and 6 (SQLITE_LOCKED), in the low byte of extended codes.
+            sqlx::Error::Database(error) => error
+                .code()
+                .and_then(|code| code.parse::<u32>().ok())
+                .is_some_and(|code| matches!(code & 0xff, 5 | 6)),
+            _ => false,
+        }
+    }
+}

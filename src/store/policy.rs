@@ -1,0 +1,64 @@
+//! How long leases last and how often a job is tried.
+
+use std::time::Duration;
+
+use crate::domain::{Digest, JobId};
+
+/// The queue's numbers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct QueuePolicy {
+    /// How long a claim or a heartbeat keeps a job.
+    pub lease: Duration,
+    /// Attempts that are charged before a job fails.
+    pub max_attempts: u32,
+    /// Consecutive attempts that may end without a word (killed, out of memory) before the job is held to be
+    /// what kills the worker.
+    pub max_silent_deaths: u32,
+    /// Delay before the second attempt; each further one doubles it.
+    pub backoff_base: Duration,
+    /// Longest delay between attempts.
+    pub backoff_cap: Duration,
+    /// Shortest time between two `progress` events of a job.
+    pub progress_event_every: Duration,
+}
+
+impl Default for QueuePolicy {
+    fn default() -> Self {
+        Self {
+            lease: Duration::from_secs(60),
+            max_attempts: 3,
+            max_silent_deaths: 2,
+            backoff_base: Duration::from_secs(10),
+            backoff_cap: Duration::from_secs(600),
+            progress_event_every: Duration::from_secs(5),
+        }
+    }
+}
+
+impl QueuePolicy {
+    /// The delay after the `charged`-th charged attempt failed: `min(cap, base * 2^(charged - 1))`, spread by a
+    /// factor in [0.9, 1.1] that the job and the attempt decide, so that it needs no randomness.
+    #[must_use]
+    pub fn backoff(&self, job: JobId, charged: u32) -> Duration {
+        let doubled = self.backoff_base.saturating_mul(1_u32 << charged.saturating_sub(1).min(20));
+        let draw = Digest::of(format!("{job}/{charged}").as_bytes()).as_bytes()[0];
+        doubled.min(self.backoff_cap).mul_f64(0.9 + 0.2 * f64::from(draw) / 255.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use uuid::Uuid;
+
+    use super::*;
+
+    #[test]
+    fn backoff_doubles_up_to_the_cap_within_a_tenth() {
+        let policy = QueuePolicy::default();
+        for (charged, seconds) in [(0, 10.0), (1, 10.0), (2, 20.0), (3, 40.0), (30, 600.0), (u32::MAX, 600.0)]
+        {
+            let delay = policy.backoff(JobId(Uuid::from_u128(7)), charged).as_secs_f64();
+            assert!((delay / seconds - 1.0).abs() < 0.1001, "attempt {charged}: {delay} s");
+        }
+    }
+}

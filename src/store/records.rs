@@ -1,0 +1,199 @@
+//! What goes into and comes out of a [`super::Store`].
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use crate::domain::{Digest, Job, JobId, JobMetrics, Problem, TrainOptions};
+
+/// A published blob.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BlobRef {
+    /// SHA-256 of its content, which is also its name.
+    pub digest: Digest,
+    /// Length.
+    pub bytes: u64,
+}
+
+/// A job to be queued.
+#[derive(Debug, Clone)]
+pub struct NewJob {
+    /// Its identity, chosen by the caller.
+    pub id: JobId,
+    /// What to do.
+    pub options: TrainOptions,
+    /// The dataset archive, already published.
+    pub dataset: BlobRef,
+    /// Higher goes first; 0 is usual.
+    pub priority: i32,
+}
+
+/// What an artifact is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ArtifactKind {
+    /// The compressed scene.
+    Tcgs,
+    /// The dataset's cameras as JSON, for views by frame name.
+    Cameras,
+}
+
+impl ArtifactKind {
+    /// The name in the database and the API.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            ArtifactKind::Tcgs => "tcgs",
+            ArtifactKind::Cameras => "cameras",
+        }
+    }
+}
+
+/// A blob that a finished job refers to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Artifact {
+    /// What it is.
+    pub kind: ArtifactKind,
+    /// Where it is.
+    pub blob: BlobRef,
+}
+
+/// A job with what it refers to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JobRecord {
+    /// The job.
+    pub job: Job,
+    /// Its dataset archive.
+    pub dataset: BlobRef,
+    /// What it left behind; empty unless it succeeded.
+    pub artifacts: Vec<Artifact>,
+}
+
+impl JobRecord {
+    /// The artifact of one kind.
+    #[must_use]
+    pub fn artifact(&self, kind: ArtifactKind) -> Option<BlobRef> {
+        self.artifacts.iter().find(|artifact| artifact.kind == kind).map(|artifact| artifact.blob)
+    }
+}
+
+/// A place in the list of jobs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PageKey {
+    /// Creation of the last job seen.
+    pub created_at: Timestamp,
+    /// Its identity.
+    pub id: JobId,
+}
+
+/// What a worker holds while it carries a job out; the attempt is the fence.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Lease {
+    /// The job.
+    pub job: JobId,
+    /// The attempt that was given out.
+    pub attempt: u32,
+    /// The worker that it was given to.
+    pub worker: String,
+}
+
+/// A claimed job.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Claim {
+    /// What to name in every further write.
+    pub lease: Lease,
+    /// The dataset archive.
+    pub dataset: Digest,
+    /// What to do.
+    pub options: TrainOptions,
+}
+
+/// The answer to a heartbeat.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Heartbeat {
+    /// Somebody asked for the job to stop.
+    pub cancel_requested: bool,
+}
+
+/// How an attempt ended, as its worker tells it.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Outcome {
+    /// With a result, whose blobs are already published.
+    Succeeded {
+        /// Its figures.
+        metrics: Box<JobMetrics>,
+        /// Its blobs.
+        artifacts: Vec<Artifact>,
+    },
+    /// For good: another attempt cannot help.
+    Failed(Problem),
+    /// By the machine's fault: another attempt may help.
+    Retry(Problem),
+    /// Because somebody asked for it.
+    Cancelled,
+    /// Because the worker shuts down; the attempt is not charged.
+    Released,
+}
+
+/// How an attempt ended, as the history has it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AttemptOutcome {
+    /// Its result was published.
+    Succeeded,
+    /// The job failed with it.
+    Failed,
+    /// It failed and the job was queued again.
+    Retried,
+    /// It was stopped on request.
+    Cancelled,
+    /// Its worker shut down.
+    Released,
+    /// Its worker fell silent.
+    Lost,
+}
+
+impl AttemptOutcome {
+    /// Every outcome.
+    pub const ALL: [Self; 6] =
+        [Self::Succeeded, Self::Failed, Self::Retried, Self::Cancelled, Self::Released, Self::Lost];
+
+    /// The name in the database and in events.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            AttemptOutcome::Succeeded => "succeeded",
+            AttemptOutcome::Failed => "failed",
+            AttemptOutcome::Retried => "retried",
+            AttemptOutcome::Cancelled => "cancelled",
+            AttemptOutcome::Released => "released",
+            AttemptOutcome::Lost => "lost",
+        }
+    }
+}
+
+/// One attempt at a job.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AttemptRecord {
+    /// Counts from 1.
+    pub number: u32,
+    /// Who had it.
+    pub worker: String,
+    /// When it began.
+    pub started_at: Timestamp,
+    /// When it ended, if it has.
+    pub ended_at: Option<Timestamp>,
+    /// How it ended, if it has.
+    pub outcome: Option<AttemptOutcome>,
+    /// Why it failed, if it did.
+    pub cause: Option<Problem>,
+}
+
+/// What a request to cancel came to.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Cancellation {
+    /// The job is cancelled, now or since before.
+    Done(JobRecord),
+    /// The job runs; its worker will be told.
+    Requested(JobRecord),
+    /// The job had already succeeded or failed.
+    TooLate(JobRecord),
+}

@@ -1,0 +1,37 @@
+//! A job's numbered history.
+
+use jiff::Timestamp;
+use serde_json::Value;
+use sqlx::{Row as _, SqliteConnection};
+
+use super::rows::{json, micros, name};
+use crate::{
+    domain::{EventKind, JobId},
+    store::StoreError,
+};
+
+/// Appends an event within the caller's transaction; its number is the next one of the job.
+pub(super) async fn append(
+    connection: &mut SqliteConnection,
+    job: JobId,
+    kind: EventKind,
+    attempt: u32,
+    data: &Value,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let row = sqlx::query("UPDATE jobs SET last_seq = last_seq + 1 WHERE id = ? RETURNING last_seq")
+        .bind(job.to_string())
+        .fetch_one(&mut *connection)
+        .await?;
+    let seq: i64 = row.try_get("last_seq")?;
+    sqlx::query("INSERT INTO events (job_id, seq, at, kind, attempt, data) VALUES (?, ?, ?, ?, ?, ?)")
+        .bind(job.to_string())
+        .bind(seq)
+        .bind(micros(now))
+        .bind(name(&kind)?)
+        .bind(attempt)
+        .bind(json(data)?)
+        .execute(connection)
+        .await?;
+    Ok(())
+}

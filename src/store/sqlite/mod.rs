@@ -1,0 +1,329 @@
+//! The job table in one SQLite file, for a single machine.
+//!
+//! WAL with `synchronous = FULL`: a committed change survives a power cut. Writes go through one connection
+//! and begin with `BEGIN IMMEDIATE`, so no transaction ever has to turn from reader into writer, which SQLite
+//! refuses without waiting. Reads have connections of their own. Several processes may share the file; they share
+//! one clock too, which is what leases are measured by.
+
+mod events;
+mod queue;
+mod rows;
+
+use std::{path::Path, sync::Arc, time::Duration};
+
+use jiff::Timestamp;
+use serde_json::json;
+use sqlx::{
+    Row as _, Sqlite, SqliteConnection, SqlitePool, Transaction,
+    sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous},
+};
+
+use super::{
+    Answer, Artifact, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat, JobRecord, Lease, NewJob,
+    Outcome, PageKey, QueuePolicy, Store, StoreError,
+};
+use crate::domain::{Clock, Event, EventKind, JobId, JobState, Phase, Progress};
+use rows::{json as text, micros};
+
+const READERS: u32 = 4;
+const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
+const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// [`Store`] on SQLite.
+pub struct SqliteStore {
+    writer: SqlitePool,
+    readers: SqlitePool,
+    clock: Arc<dyn Clock>,
+    policy: QueuePolicy,
+}
+
+impl SqliteStore {
+    /// Opens the database at `path`, creating it and bringing its schema up to date.
+    ///
+    /// # Errors
+    /// [`StoreError::Open`] or [`StoreError::Migrate`].
+    pub async fn open(path: &Path, clock: Arc<dyn Clock>, policy: QueuePolicy) -> Result<Self, StoreError> {
+        let options = SqliteConnectOptions::new()
+            .filename(path)
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            .synchronous(SqliteSynchronous::Full)
+            .busy_timeout(BUSY_TIMEOUT)
+            .foreign_keys(true);
+        let open_error = |source| StoreError::Open { path: path.display().to_string(), source };
+        let writer = SqlitePoolOptions::new()
+            .max_connections(1)
+            .acquire_timeout(ACQUIRE_TIMEOUT)
+            .connect_with(options.clone())
+            .await
+            .map_err(open_error)?;
+        sqlx::migrate!("migrations/sqlite").run(&writer).await?;
+        let readers = SqlitePoolOptions::new()
+            .max_connections(READERS)
+            .acquire_timeout(ACQUIRE_TIMEOUT)
+            .connect_with(options.read_only(true).create_if_missing(false))
+            .await
+            .map_err(open_error)?;
+        Ok(Self { writer, readers, clock, policy })
+    }
+
+    /// Closes every connection; what was committed is on disk.
+    pub async fn close(&self) {
+        self.readers.close().await;
+        self.writer.close().await;
+    }
+
+    async fn begin(&self) -> Result<(Transaction<'static, Sqlite>, Timestamp), StoreError> {
+        let transaction = self.writer.begin_with("BEGIN IMMEDIATE").await?;
+        // The clock is read only once the transaction holds the write lock, so that times never run backwards.
+        Ok((transaction, self.clock.now()))
+    }
+
+    async fn insert_job(&self, new: NewJob) -> Result<JobRecord, StoreError> {
+        let (mut tx, now) = self.begin().await?;
+        insert_blob(&mut tx, new.dataset, now).await?;
+        sqlx::query(
+            "INSERT INTO jobs (id, dataset, options, state, phase, progress, priority, run_after, max_attempts,
+                 created_at)
+             VALUES (?, ?, ?, 'queued', 'queued', ?, ?, ?, ?, ?)",
+        )
+        .bind(new.id.to_string())
+        .bind(new.dataset.digest.to_string())
+        .bind(text(&new.options)?)
+        .bind(text(&Progress::default())?)
+        .bind(new.priority)
+        .bind(micros(now))
+        .bind(self.policy.max_attempts)
+        .bind(micros(now))
+        .execute(&mut *tx)
+        .await?;
+        let data = json!({ "state": JobState::Queued });
+        events::append(&mut tx, new.id, EventKind::State, 0, &data, now).await?;
+        let record = select_job(&mut tx, new.id).await?;
+        tx.commit().await?;
+        record.ok_or(StoreError::Database(sqlx::Error::RowNotFound))
+    }
+
+    async fn cancel_job(&self, id: JobId) -> Result<Option<Cancellation>, StoreError> {
+        let (mut tx, now) = self.begin().await?;
+        let Some(record) = select_job(&mut tx, id).await? else { return Ok(None) };
+        match record.job.state {
+            JobState::Cancelled => return Ok(Some(Cancellation::Done(record))),
+            JobState::Succeeded | JobState::Failed => return Ok(Some(Cancellation::TooLate(record))),
+            JobState::Running if record.job.cancel_requested => {
+                return Ok(Some(Cancellation::Requested(record)));
+            }
+            JobState::Running => {
+                sqlx::query("UPDATE jobs SET cancel_requested_at = ?, version = version + 1 WHERE id = ?")
+                    .bind(micros(now))
+                    .bind(id.to_string())
+                    .execute(&mut *tx)
+                    .await?;
+                let data = json!({ "state": JobState::Running, "cancel_requested": true });
+                events::append(&mut tx, id, EventKind::State, record.job.attempt, &data, now).await?;
+            }
+            JobState::Queued => {
+                sqlx::query(
+                    "UPDATE jobs SET state = 'cancelled', phase = 'done', cancel_requested_at = ?1,
+                         finished_at = ?1, version = version + 1
+                     WHERE id = ?2",
+                )
+                .bind(micros(now))
+                .bind(id.to_string())
+                .execute(&mut *tx)
+                .await?;
+                let data = json!({ "state": JobState::Cancelled });
+                events::append(&mut tx, id, EventKind::State, record.job.attempt, &data, now).await?;
+            }
+        }
+        let was_queued = record.job.state == JobState::Queued;
+        let record = select_job(&mut tx, id).await?.ok_or(sqlx::Error::RowNotFound)?;
+        tx.commit().await?;
+        Ok(Some(if was_queued { Cancellation::Done(record) } else { Cancellation::Requested(record) }))
+    }
+
+    async fn list(&self, before: Option<PageKey>, limit: u32) -> Result<Vec<JobRecord>, StoreError> {
+        // One snapshot for the jobs and their artifacts.
+        let mut tx = self.readers.begin().await?;
+        let (at, id) =
+            before.map_or((i64::MAX, String::new()), |key| (micros(key.created_at), key.id.to_string()));
+        let rows = sqlx::query(
+            "SELECT jobs.*, blobs.bytes FROM jobs JOIN blobs ON blobs.digest = jobs.dataset
+             WHERE (jobs.created_at, jobs.id) < (?, ?) ORDER BY jobs.created_at DESC, jobs.id DESC LIMIT ?",
+        )
+        .bind(at)
+        .bind(id)
+        .bind(limit)
+        .fetch_all(&mut *tx)
+        .await?;
+        let mut records = Vec::with_capacity(rows.len());
+        for row in &rows {
+            let artifacts = select_artifacts(&mut tx, rows::job_id(row)?).await?;
+            records.push(rows::job(row, artifacts)?);
+        }
+        Ok(records)
+    }
+
+    async fn read_events(&self, id: JobId, after: u64, limit: u32) -> Result<Option<Vec<Event>>, StoreError> {
+        let mut tx = self.readers.begin().await?;
+        let known = sqlx::query("SELECT 1 FROM jobs WHERE id = ?")
+            .bind(id.to_string())
+            .fetch_optional(&mut *tx)
+            .await?
+            .is_some();
+        if !known {
+            return Ok(None);
+        }
+        let rows = sqlx::query("SELECT * FROM events WHERE job_id = ? AND seq > ? ORDER BY seq LIMIT ?")
+            .bind(id.to_string())
+            .bind(i64::try_from(after).unwrap_or(i64::MAX))
+            .bind(limit)
+            .fetch_all(&mut *tx)
+            .await?;
+        rows.iter().map(rows::event).collect::<Result<_, _>>().map(Some)
+    }
+
+    /// Whether a claim could find anything, so that idle polling takes no write lock.
+    async fn anything_due(&self) -> Result<bool, StoreError> {
+        let now = micros(self.clock.now());
+        let row = sqlx::query(
+            "SELECT EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND run_after <= ?1)
+                 OR EXISTS (SELECT 1 FROM jobs WHERE state = 'running' AND lease_until <= ?1) AS due",
+        )
+        .bind(now)
+        .fetch_one(&self.readers)
+        .await?;
+        Ok(row.try_get("due")?)
+    }
+}
+
+/// Records a blob unless it is known.
+async fn insert_blob(
+    connection: &mut SqliteConnection,
+    blob: BlobRef,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let bytes = i64::try_from(blob.bytes)
+        .map_err(|_| StoreError::Corrupt { what: "blob length", fault: blob.bytes.to_string() })?;
+    sqlx::query("INSERT INTO blobs (digest, bytes, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
+        .bind(blob.digest.to_string())
+        .bind(bytes)
+        .bind(micros(now))
+        .execute(connection)
+        .await?;
+    Ok(())
+}
+
+async fn select_job(connection: &mut SqliteConnection, id: JobId) -> Result<Option<JobRecord>, StoreError> {
+    let row = sqlx::query(
+        "SELECT jobs.*, blobs.bytes FROM jobs JOIN blobs ON blobs.digest = jobs.dataset WHERE jobs.id = ?",
+    )
+    .bind(id.to_string())
+    .fetch_optional(&mut *connection)
+    .await?;
+    let Some(row) = row else { return Ok(None) };
+    let artifacts = select_artifacts(connection, id).await?;
+    rows::job(&row, artifacts).map(Some)
+}
+
+async fn select_artifacts(connection: &mut SqliteConnection, id: JobId) -> Result<Vec<Artifact>, StoreError> {
+    let rows = sqlx::query(
+        "SELECT artifacts.kind, artifacts.digest, blobs.bytes
+         FROM artifacts JOIN blobs ON blobs.digest = artifacts.digest WHERE job_id = ? ORDER BY kind",
+    )
+    .bind(id.to_string())
+    .fetch_all(connection)
+    .await?;
+    rows.iter().map(rows::artifact).collect()
+}
+
+impl Store for SqliteStore {
+    fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord> {
+        Box::pin(self.insert_job(new))
+    }
+
+    fn job(&self, id: JobId) -> Answer<'_, Option<JobRecord>> {
+        Box::pin(async move {
+            let mut tx = self.readers.begin().await?;
+            select_job(&mut tx, id).await
+        })
+    }
+
+    fn jobs(&self, before: Option<PageKey>, limit: u32) -> Answer<'_, Vec<JobRecord>> {
+        Box::pin(self.list(before, limit))
+    }
+
+    fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>> {
+        Box::pin(self.read_events(id, after, limit))
+    }
+
+    fn attempts(&self, id: JobId) -> Answer<'_, Vec<AttemptRecord>> {
+        Box::pin(async move {
+            let rows = sqlx::query("SELECT * FROM attempts WHERE job_id = ? ORDER BY number")
+                .bind(id.to_string())
+                .fetch_all(&self.readers)
+                .await?;
+            rows.iter().map(rows::attempt).collect()
+        })
+    }
+
+    fn cancel(&self, id: JobId) -> Answer<'_, Option<Cancellation>> {
+        Box::pin(self.cancel_job(id))
+    }
+
+    fn claim<'a>(&'a self, worker: &'a str) -> Answer<'a, Option<Claim>> {
+        Box::pin(async move {
+            if !self.anything_due().await? {
+                return Ok(None);
+            }
+            let (mut tx, now) = self.begin().await?;
+            queue::reap(&mut tx, &self.policy, now).await?;
+            let claim = queue::claim(&mut tx, &self.policy, worker, now).await?;
+            tx.commit().await?;
+            Ok(claim)
+        })
+    }
+
+    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Heartbeat> {
+        Box::pin(async move {
+            let (mut tx, now) = self.begin().await?;
+            let heartbeat = queue::heartbeat(&mut tx, &self.policy, lease, now).await?;
+            tx.commit().await?;
+            Ok(heartbeat)
+        })
+    }
+
+    fn report<'a>(&'a self, lease: &'a Lease, phase: Phase, progress: &'a Progress) -> Answer<'a, ()> {
+        Box::pin(async move {
+            let (mut tx, now) = self.begin().await?;
+            queue::report(&mut tx, &self.policy, lease, phase, progress, now).await?;
+            tx.commit().await?;
+            Ok(())
+        })
+    }
+
+    fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> Answer<'a, JobState> {
+        Box::pin(async move {
+            let (mut tx, now) = self.begin().await?;
+            let state = queue::finish(&mut tx, &self.policy, lease, outcome, now).await?;
+            tx.commit().await?;
+            Ok(state)
+        })
+    }
+
+    fn expire_worker<'a>(&'a self, worker: &'a str) -> Answer<'a, u64> {
+        Box::pin(async move {
+            let (mut tx, now) = self.begin().await?;
+            let count = queue::expire_worker(&mut tx, &self.policy, worker, now).await?;
+            tx.commit().await?;
+            Ok(count)
+        })
+    }
+
+    fn ping(&self) -> Answer<'_, ()> {
+        Box::pin(async move {
+            sqlx::query("SELECT 1").fetch_one(&self.readers).await?;
+            Ok(())
+        })
+    }
+}

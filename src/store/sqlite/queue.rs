@@ -1,0 +1,295 @@
+//! The queue: claims, leases and the ends of attempts. Each function is a part of its caller's transaction.
+
+use std::time::Duration;
+
+use jiff::{SignedDuration, Timestamp};
+use serde_json::{Value, json};
+use sqlx::{Row as _, SqliteConnection};
+
+use super::{
+    events::append,
+    insert_blob,
+    rows::{self, json as text, micros, name},
+};
+use crate::{
+    domain::{EventKind, JobState, Phase, Progress},
+    store::{
+        Claim, Heartbeat, Lease, Outcome, QueuePolicy, StoreError,
+        verdict::{End, Next, Standing, verdict},
+    },
+};
+
+fn after(now: Timestamp, delay: Duration) -> Timestamp {
+    SignedDuration::try_from(delay)
+        .ok()
+        .and_then(|delay| now.checked_add(delay).ok())
+        .unwrap_or(Timestamp::MAX)
+}
+
+/// Takes every job whose lease has run out from its worker.
+pub(super) async fn reap(
+    connection: &mut SqliteConnection,
+    policy: &QueuePolicy,
+    now: Timestamp,
+) -> Result<u64, StoreError> {
+    let lost = sqlx::query("SELECT * FROM jobs WHERE state = 'running' AND lease_until <= ?")
+        .bind(micros(now))
+        .fetch_all(&mut *connection)
+        .await?;
+    lose(connection, policy, &lost, now).await
+}
+
+/// Takes every job from one worker.
+pub(super) async fn expire_worker(
+    connection: &mut SqliteConnection,
+    policy: &QueuePolicy,
+    worker: &str,
+    now: Timestamp,
+) -> Result<u64, StoreError> {
+    let lost = sqlx::query("SELECT * FROM jobs WHERE state = 'running' AND lease_owner = ?")
+        .bind(worker)
+        .fetch_all(&mut *connection)
+        .await?;
+    lose(connection, policy, &lost, now).await
+}
+
+async fn lose(
+    connection: &mut SqliteConnection,
+    policy: &QueuePolicy,
+    lost: &[sqlx::sqlite::SqliteRow],
+    now: Timestamp,
+) -> Result<u64, StoreError> {
+    for row in lost {
+        end_attempt(connection, policy, &rows::standing(row)?, End::Lost, now).await?;
+    }
+    Ok(lost.len() as u64)
+}
+
+/// Gives the next job to `worker`.
+pub(super) async fn claim(
+    connection: &mut SqliteConnection,
+    policy: &QueuePolicy,
+    worker: &str,
+    now: Timestamp,
+) -> Result<Option<Claim>, StoreError> {
+    let row = sqlx::query(
+        "UPDATE jobs SET state = 'running', phase = 'ingest', progress = ?, attempt = attempt + 1,
+             charged = charged + 1, lease_owner = ?, lease_until = ?, started_at = ?, progress_event_at = NULL,
+             version = version + 1
+         WHERE id = (SELECT id FROM jobs WHERE state = 'queued' AND run_after <= ?
+                     ORDER BY priority DESC, created_at, id LIMIT 1)
+         RETURNING id, attempt, dataset, options",
+    )
+    .bind(text(&Progress::default())?)
+    .bind(worker)
+    .bind(micros(after(now, policy.lease)))
+    .bind(micros(now))
+    .bind(micros(now))
+    .fetch_optional(&mut *connection)
+    .await?;
+    let Some(row) = row else { return Ok(None) };
+    let job = rows::job_id(&row)?;
+    let attempt: u32 = row.try_get("attempt")?;
+    sqlx::query("INSERT INTO attempts (job_id, number, worker, started_at) VALUES (?, ?, ?, ?)")
+        .bind(job.to_string())
+        .bind(attempt)
+        .bind(worker)
+        .bind(micros(now))
+        .execute(&mut *connection)
+        .await?;
+    let data = json!({ "state": JobState::Running });
+    append(connection, job, EventKind::State, attempt, &data, now).await?;
+    append(connection, job, EventKind::Phase, attempt, &json!({ "phase": Phase::Ingest }), now).await?;
+    Ok(Some(Claim {
+        lease: Lease { job, attempt, worker: worker.to_owned() },
+        dataset: rows::dataset(&row)?,
+        options: rows::options(&row)?,
+    }))
+}
+
+fn lease_lost(lease: &Lease) -> StoreError {
+    StoreError::LeaseLost { job: lease.job, attempt: lease.attempt }
+}
+
+/// Renews the lease.
+pub(super) async fn heartbeat(
+    connection: &mut SqliteConnection,
+    policy: &QueuePolicy,
+    lease: &Lease,
+    now: Timestamp,
+) -> Result<Heartbeat, StoreError> {
+    let row = sqlx::query(
+        "UPDATE jobs SET lease_until = ?
+         WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running' RETURNING cancel_requested_at",
+    )
+    .bind(micros(after(now, policy.lease)))
+    .bind(lease.job.to_string())
+    .bind(lease.attempt)
+    .bind(&lease.worker)
+    .fetch_optional(connection)
+    .await?
+    .ok_or_else(|| lease_lost(lease))?;
+    Ok(Heartbeat { cancel_requested: row.try_get::<Option<i64>, _>("cancel_requested_at")?.is_some() })
+}
+
+/// Records phase and progress.
+pub(super) async fn report(
+    connection: &mut SqliteConnection,
+    policy: &QueuePolicy,
+    lease: &Lease,
+    phase: Phase,
+    progress: &Progress,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let row = sqlx::query(
+        "SELECT phase, progress_event_at FROM jobs
+         WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running'",
+    )
+    .bind(lease.job.to_string())
+    .bind(lease.attempt)
+    .bind(&lease.worker)
+    .fetch_optional(&mut *connection)
+    .await?
+    .ok_or_else(|| lease_lost(lease))?;
+    let phase_name = name(&phase)?;
+    let turned = row.try_get::<String, _>("phase")? != phase_name;
+    let last_event: Option<i64> = row.try_get("progress_event_at")?;
+    let every = i64::try_from(policy.progress_event_every.as_micros()).unwrap_or(i64::MAX);
+    let due = last_event.is_none_or(|last| micros(now).saturating_sub(last) >= every);
+    sqlx::query(
+        "UPDATE jobs SET phase = ?, progress = ?, version = version + 1,
+             progress_event_at = CASE WHEN ? THEN ? ELSE progress_event_at END
+         WHERE id = ?",
+    )
+    .bind(phase_name)
+    .bind(text(progress)?)
+    .bind(due)
+    .bind(micros(now))
+    .bind(lease.job.to_string())
+    .execute(&mut *connection)
+    .await?;
+    if turned {
+        let data = json!({ "phase": phase });
+        append(connection, lease.job, EventKind::Phase, lease.attempt, &data, now).await?;
+    }
+    if due {
+        let data = serde_json::to_value(progress).unwrap_or(Value::Null);
+        append(connection, lease.job, EventKind::Progress, lease.attempt, &data, now).await?;
+    }
+    Ok(())
+}
+
+/// Ends the attempt as its worker tells it.
+pub(super) async fn finish(
+    connection: &mut SqliteConnection,
+    policy: &QueuePolicy,
+    lease: &Lease,
+    outcome: Outcome,
+    now: Timestamp,
+) -> Result<JobState, StoreError> {
+    let row = sqlx::query(
+        "SELECT * FROM jobs WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running'",
+    )
+    .bind(lease.job.to_string())
+    .bind(lease.attempt)
+    .bind(&lease.worker)
+    .fetch_optional(&mut *connection)
+    .await?
+    .ok_or_else(|| lease_lost(lease))?;
+    end_attempt(connection, policy, &rows::standing(&row)?, End::Told(outcome), now).await
+}
+
+async fn end_attempt(
+    connection: &mut SqliteConnection,
+    policy: &QueuePolicy,
+    standing: &Standing,
+    end: End,
+    now: Timestamp,
+) -> Result<JobState, StoreError> {
+    let (outcome, cause, next) = verdict(policy, standing, end);
+    let (job, attempt) = (standing.job, standing.attempt);
+    sqlx::query("UPDATE attempts SET ended_at = ?, outcome = ?, cause = ? WHERE job_id = ? AND number = ?")
+        .bind(micros(now))
+        .bind(outcome.name())
+        .bind(cause.as_ref().map(text).transpose()?)
+        .bind(job.to_string())
+        .bind(attempt)
+        .execute(&mut *connection)
+        .await?;
+    let state = match next {
+        Next::Requeue { delay, refund, silent_deaths } => {
+            let run_after = after(now, delay);
+            sqlx::query(
+                "UPDATE jobs SET state = 'queued', phase = 'queued', run_after = ?, charged = charged - ?,
+                     silent_deaths = ?, lease_owner = NULL, lease_until = NULL, version = version + 1
+                 WHERE id = ?",
+            )
+            .bind(micros(run_after))
+            .bind(i64::from(refund))
+            .bind(silent_deaths)
+            .bind(job.to_string())
+            .execute(&mut *connection)
+            .await?;
+            let data = json!({ "outcome": outcome.name(), "cause": cause, "run_after": run_after });
+            append(connection, job, EventKind::Attempt, attempt, &data, now).await?;
+            let data = json!({ "state": JobState::Queued });
+            append(connection, job, EventKind::State, attempt, &data, now).await?;
+            return Ok(JobState::Queued);
+        }
+        Next::Succeed(Outcome::Succeeded { metrics, artifacts }) => {
+            for artifact in artifacts {
+                insert_blob(connection, artifact.blob, now).await?;
+                sqlx::query("INSERT INTO artifacts (job_id, kind, digest, attempt) VALUES (?, ?, ?, ?)")
+                    .bind(job.to_string())
+                    .bind(artifact.kind.name())
+                    .bind(artifact.blob.digest.to_string())
+                    .bind(attempt)
+                    .execute(&mut *connection)
+                    .await?;
+            }
+            close(connection, standing, JobState::Succeeded, now).await?;
+            sqlx::query("UPDATE jobs SET metrics = ? WHERE id = ?")
+                .bind(text(&metrics)?)
+                .bind(job.to_string())
+                .execute(&mut *connection)
+                .await?;
+            JobState::Succeeded
+        }
+        Next::Fail(problem) => {
+            close(connection, standing, JobState::Failed, now).await?;
+            sqlx::query("UPDATE jobs SET error = ? WHERE id = ?")
+                .bind(text(&problem)?)
+                .bind(job.to_string())
+                .execute(&mut *connection)
+                .await?;
+            let data = json!({ "state": JobState::Failed, "error": problem });
+            append(connection, job, EventKind::State, attempt, &data, now).await?;
+            return Ok(JobState::Failed);
+        }
+        Next::Succeed(_) | Next::Cancel => {
+            close(connection, standing, JobState::Cancelled, now).await?;
+            JobState::Cancelled
+        }
+    };
+    append(connection, job, EventKind::State, attempt, &json!({ "state": state }), now).await?;
+    Ok(state)
+}
+
+async fn close(
+    connection: &mut SqliteConnection,
+    standing: &Standing,
+    state: JobState,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE jobs SET state = ?, phase = 'done', lease_owner = NULL, lease_until = NULL, finished_at = ?,
+             version = version + 1
+         WHERE id = ?",
+    )
+    .bind(state.name())
+    .bind(micros(now))
+    .bind(standing.job.to_string())
+    .execute(connection)
+    .await?;
+    Ok(())
+}

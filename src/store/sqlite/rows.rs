@@ -1,0 +1,150 @@
+//! Between rows and values. Everything read back is checked: a row that makes no sense is an error, not a panic.
+
+use std::str::FromStr;
+
+use jiff::Timestamp;
+use serde::{Serialize, de::DeserializeOwned};
+use sqlx::{Row as _, sqlite::SqliteRow};
+
+use crate::{
+    domain::{Digest, Event, EventKind, Job, JobId, JobState},
+    store::{
+        Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, JobRecord, StoreError,
+        verdict::Standing,
+    },
+};
+
+pub(super) fn micros(at: Timestamp) -> i64 {
+    at.as_microsecond()
+}
+
+pub(super) fn json<T: Serialize>(value: &T) -> Result<String, StoreError> {
+    serde_json::to_string(value)
+        .map_err(|error| StoreError::Corrupt { what: "value to store", fault: error.to_string() })
+}
+
+/// A `serde` enum's bare name, as columns hold it.
+pub(super) fn name<T: Serialize>(value: &T) -> Result<String, StoreError> {
+    Ok(json(value)?.trim_matches('"').to_owned())
+}
+
+fn corrupt(what: &'static str) -> impl Fn(String) -> StoreError {
+    move |fault| StoreError::Corrupt { what, fault }
+}
+
+fn instant(what: &'static str, value: i64) -> Result<Timestamp, StoreError> {
+    Timestamp::from_microsecond(value).map_err(|error| corrupt(what)(error.to_string()))
+}
+
+fn document<T: DeserializeOwned>(what: &'static str, text: &str) -> Result<T, StoreError> {
+    serde_json::from_str(text).map_err(|error| corrupt(what)(error.to_string()))
+}
+
+fn bare<T: DeserializeOwned>(what: &'static str, text: String) -> Result<T, StoreError> {
+    serde_json::from_value(serde_json::Value::String(text)).map_err(|error| corrupt(what)(error.to_string()))
+}
+
+fn parsed<T: FromStr>(what: &'static str, text: &str) -> Result<T, StoreError> {
+    text.parse().map_err(|_| corrupt(what)(format!("'{text}'")))
+}
+
+fn unsigned<T: TryFrom<i64>>(row: &SqliteRow, column: &'static str) -> Result<T, StoreError> {
+    let value: i64 = row.try_get(column)?;
+    T::try_from(value).map_err(|_| corrupt(column)(format!("{value} is out of range")))
+}
+
+fn optional_instant(row: &SqliteRow, column: &'static str) -> Result<Option<Timestamp>, StoreError> {
+    row.try_get::<Option<i64>, _>(column)?.map(|value| instant(column, value)).transpose()
+}
+
+fn optional_document<T: DeserializeOwned>(
+    row: &SqliteRow,
+    column: &'static str,
+) -> Result<Option<T>, StoreError> {
+    row.try_get::<Option<String>, _>(column)?.map(|text| document(column, &text)).transpose()
+}
+
+pub(super) fn blob(row: &SqliteRow, digest: &'static str) -> Result<BlobRef, StoreError> {
+    Ok(BlobRef { digest: parsed(digest, row.try_get(digest)?)?, bytes: unsigned(row, "bytes")? })
+}
+
+pub(super) fn job_id(row: &SqliteRow) -> Result<JobId, StoreError> {
+    parsed("id", row.try_get("id")?)
+}
+
+pub(super) fn dataset(row: &SqliteRow) -> Result<Digest, StoreError> {
+    parsed("dataset", row.try_get("dataset")?)
+}
+
+pub(super) fn options(row: &SqliteRow) -> Result<crate::domain::TrainOptions, StoreError> {
+    document("options", row.try_get("options")?)
+}
+
+/// A row of `jobs` joined with its dataset's `bytes`.
+pub(super) fn job(row: &SqliteRow, artifacts: Vec<Artifact>) -> Result<JobRecord, StoreError> {
+    let state: JobState = parsed("state", row.try_get("state")?)?;
+    let job = Job {
+        id: job_id(row)?,
+        state,
+        phase: bare("phase", row.try_get("phase")?)?,
+        options: options(row)?,
+        progress: document("progress", row.try_get("progress")?)?,
+        metrics: optional_document(row, "metrics")?,
+        error: optional_document(row, "error")?,
+        attempt: unsigned(row, "attempt")?,
+        cancel_requested: row.try_get::<Option<i64>, _>("cancel_requested_at")?.is_some(),
+        version: unsigned(row, "version")?,
+        created_at: instant("created_at", row.try_get("created_at")?)?,
+        started_at: optional_instant(row, "started_at")?,
+        finished_at: optional_instant(row, "finished_at")?,
+    };
+    Ok(JobRecord { job, dataset: blob(row, "dataset")?, artifacts })
+}
+
+/// A row of `artifacts` joined with its blob's `bytes`.
+pub(super) fn artifact(row: &SqliteRow) -> Result<Artifact, StoreError> {
+    let kind: ArtifactKind = bare("artifact kind", row.try_get("kind")?)?;
+    Ok(Artifact { kind, blob: blob(row, "digest")? })
+}
+
+pub(super) fn event(row: &SqliteRow) -> Result<Event, StoreError> {
+    let kind: EventKind = bare("event kind", row.try_get("kind")?)?;
+    Ok(Event {
+        seq: unsigned(row, "seq")?,
+        at: instant("at", row.try_get("at")?)?,
+        kind,
+        attempt: unsigned(row, "attempt")?,
+        data: document("event data", row.try_get("data")?)?,
+    })
+}
+
+pub(super) fn attempt(row: &SqliteRow) -> Result<AttemptRecord, StoreError> {
+    let outcome = match row.try_get::<Option<String>, _>("outcome")? {
+        None => None,
+        Some(text) => Some(
+            AttemptOutcome::ALL
+                .into_iter()
+                .find(|outcome| outcome.name() == text)
+                .ok_or_else(|| corrupt("outcome")(format!("'{text}'")))?,
+        ),
+    };
+    Ok(AttemptRecord {
+        number: unsigned(row, "number")?,
+        worker: row.try_get("worker")?,
+        started_at: instant("started_at", row.try_get("started_at")?)?,
+        ended_at: optional_instant(row, "ended_at")?,
+        outcome,
+        cause: optional_document(row, "cause")?,
+    })
+}
+
+pub(super) fn standing(row: &SqliteRow) -> Result<Standing, StoreError> {
+    Ok(Standing {
+        job: job_id(row)?,
+        attempt: unsigned(row, "attempt")?,
+        charged: unsigned(row, "charged")?,
+        max_attempts: unsigned(row, "max_attempts")?,
+        silent_deaths: unsigned(row, "silent_deaths")?,
+        cancel_requested: row.try_get::<Option<i64>, _>("cancel_requested_at")?.is_some(),
+    })
+}

@@ -1,0 +1,360 @@
+//! One attempt at one job: the run on its thread, the lease beside it, and the publication of the result.
+
+use std::{
+    any::Any,
+    panic::{AssertUnwindSafe, catch_unwind},
+    path::PathBuf,
+    sync::Arc,
+    time::Duration,
+};
+
+use bytes::Bytes;
+use tokio::{
+    sync::{oneshot, watch},
+    time::{Instant, MissedTickBehavior, interval_at, sleep, sleep_until},
+};
+use tokio_util::sync::CancellationToken;
+
+use super::{
+    WorkerConfig, WorkerError,
+    run::{JobFailure, JobOutput, RunJob},
+};
+use crate::{
+    domain::{CancelFlag, Phase, Problem, Progress},
+    store::{Artifact, ArtifactKind, BlobError, Blobs, Claim, Lease, Outcome, Store, StoreError},
+};
+
+/// Pause between tries to write the end of an attempt.
+const SETTLE_PAUSE: Duration = Duration::from_secs(1);
+
+/// What every attempt needs.
+pub(super) struct Context {
+    pub(super) store: Arc<dyn Store>,
+    pub(super) blobs: Blobs,
+    pub(super) runner: Arc<dyn RunJob>,
+    pub(super) config: WorkerConfig,
+}
+
+/// How an attempt left the worker.
+pub(super) enum End {
+    /// Free for the next job.
+    Free,
+    /// With a thread that hangs.
+    Stalled(WorkerError),
+}
+
+type RunResult = Result<Result<JobOutput, JobFailure>, Box<dyn Any + Send>>;
+
+/// What happened to the lease while the job ran.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Stop {
+    No,
+    /// Somebody cancelled the job.
+    Asked,
+    /// The worker shuts down.
+    Draining,
+    /// The job is no longer this worker's.
+    Lost,
+}
+
+/// Runs a claimed job to its end.
+pub(super) async fn carry_out(context: &Context, claim: Claim, shutdown: &CancellationToken) -> End {
+    let Claim { lease, dataset, options } = claim;
+    tracing::info!(job = %lease.job, attempt = lease.attempt, "job {} begins", lease.job);
+    let dataset = match context.blobs.local_file(dataset).await {
+        Ok(path) => path,
+        Err(error) => {
+            settle(context, &lease, Outcome::Retry(blob_problem(&error)), Instant::now()).await;
+            return End::Free;
+        }
+    };
+    let cancel = CancelFlag::default();
+    let (progress, watched) = watch::channel((Phase::Ingest, Progress::default()));
+    let result = match start(context, &lease, dataset, options, progress, cancel.clone()) {
+        Ok(result) => result,
+        Err(error) => {
+            settle(context, &lease, Outcome::Retry(no_thread(&error)), Instant::now()).await;
+            return End::Free;
+        }
+    };
+    let mut watch = Watch {
+        context,
+        lease: &lease,
+        cancel,
+        progress: watched,
+        stop: Stop::No,
+        renewed: Instant::now(),
+        moved: Instant::now(),
+    };
+    match watch.until(result, shutdown).await {
+        Waited::Ended(result) => {
+            watch.pass_progress_on().await;
+            if matches!(result, Ok(Ok(_))) {
+                watch.enter_publication().await;
+            }
+            conclude(context, &lease, result, watch.stop, watch.renewed).await;
+            End::Free
+        }
+        Waited::DrainOver => {
+            tracing::warn!(job = %lease.job, "job {} did not stop in time; releasing it", lease.job);
+            settle(context, &lease, Outcome::Released, watch.renewed).await;
+            End::Free
+        }
+        Waited::Stalled => {
+            let limit = context.config.stall_limit;
+            let error = WorkerError::Stalled { job: lease.job, attempt: lease.attempt, limit };
+            tracing::error!(job = %lease.job, "{error}");
+            settle(context, &lease, Outcome::Retry(stalled(limit)), watch.renewed).await;
+            End::Stalled(error)
+        }
+    }
+}
+
+/// Starts the run on a thread of its own: it may take hours, and tokio's pool is not for that.
+fn start(
+    context: &Context,
+    lease: &Lease,
+    dataset: PathBuf,
+    options: crate::domain::TrainOptions,
+    progress: watch::Sender<(Phase, Progress)>,
+    cancel: CancelFlag,
+) -> std::io::Result<oneshot::Receiver<RunResult>> {
+    let runner = Arc::clone(&context.runner);
+    let (send, receive) = oneshot::channel();
+    std::thread::Builder::new().name(format!("job-{}", lease.job)).spawn(move || {
+        let mut report = |phase: Phase, state: &Progress| {
+            progress.send_replace((phase, state.clone()));
+        };
+        let result = catch_unwind(AssertUnwindSafe(|| runner.run(&dataset, &options, &mut report, &cancel)));
+        // Nobody listens any more if the worker gave the job up.
+        let _ = send.send(result);
+    })?;
+    Ok(receive)
+}
+
+enum Waited {
+    Ended(RunResult),
+    DrainOver,
+    Stalled,
+}
+
+/// Keeps the lease while the run goes on.
+struct Watch<'a> {
+    context: &'a Context,
+    lease: &'a Lease,
+    cancel: CancelFlag,
+    progress: watch::Receiver<(Phase, Progress)>,
+    stop: Stop,
+    renewed: Instant,
+    moved: Instant,
+}
+
+impl Watch<'_> {
+    async fn until(
+        &mut self,
+        mut result: oneshot::Receiver<RunResult>,
+        shutdown: &CancellationToken,
+    ) -> Waited {
+        let config = &self.context.config;
+        let mut heartbeat = interval_at(Instant::now() + config.heartbeat, config.heartbeat);
+        heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut report = interval_at(Instant::now() + config.report_every, config.report_every);
+        report.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut drain_until = None;
+        loop {
+            tokio::select! {
+                ended = &mut result => {
+                    return Waited::Ended(ended.unwrap_or_else(|_| Err(Box::new("the run's thread vanished"))));
+                }
+                () = shutdown.cancelled(), if drain_until.is_none() => {
+                    drain_until = Some(Instant::now() + config.drain);
+                    self.stop(Stop::Draining);
+                }
+                () = sleep_until(drain_until.unwrap_or_else(Instant::now)), if drain_until.is_some() => {
+                    return Waited::DrainOver;
+                }
+                _ = heartbeat.tick(), if self.stop != Stop::Lost => self.beat().await,
+                _ = report.tick() => {
+                    self.pass_progress_on().await;
+                    if self.moved.elapsed() > config.stall_limit {
+                        return Waited::Stalled;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Asks the run to stop; a lost lease outweighs a shutdown, which outweighs a request.
+    fn stop(&mut self, why: Stop) {
+        let rank = |stop| match stop {
+            Stop::No => 0,
+            Stop::Asked => 1,
+            Stop::Draining => 2,
+            Stop::Lost => 3,
+        };
+        if rank(why) > rank(self.stop) {
+            tracing::info!(job = %self.lease.job, reason = ?why, "stopping job {}", self.lease.job);
+            self.stop = why;
+        }
+        self.cancel.cancel();
+    }
+
+    async fn beat(&mut self) {
+        match self.context.store.heartbeat(self.lease).await {
+            Ok(heartbeat) => {
+                self.renewed = Instant::now();
+                if heartbeat.cancel_requested {
+                    self.stop(Stop::Asked);
+                }
+            }
+            Err(error) => self.store_failed("heartbeat", &error),
+        }
+    }
+
+    async fn pass_progress_on(&mut self) {
+        // An error means only that the run has ended; what it reported last is still there.
+        if !self.progress.has_changed().unwrap_or(true) || self.stop == Stop::Lost {
+            return;
+        }
+        let (phase, progress) = self.progress.borrow_and_update().clone();
+        self.moved = Instant::now();
+        if let Err(error) = self.context.store.report(self.lease, phase, &progress).await {
+            self.store_failed("report", &error);
+        }
+    }
+
+    /// Renews the lease for the time that publication takes, and says so.
+    async fn enter_publication(&mut self) {
+        self.beat().await;
+        let (_, progress) = self.progress.borrow().clone();
+        if self.stop != Stop::Lost
+            && let Err(error) = self.context.store.report(self.lease, Phase::Publish, &progress).await
+        {
+            self.store_failed("report", &error);
+        }
+    }
+
+    fn store_failed(&mut self, what: &str, error: &StoreError) {
+        tracing::warn!(job = %self.lease.job, error = error as &dyn std::error::Error, "{what}: {error}");
+        let gone = matches!(error, StoreError::LeaseLost { .. });
+        // Without a database the run may go on until others may take the job.
+        if gone || self.renewed.elapsed() > self.context.config.lease {
+            self.stop(Stop::Lost);
+        }
+    }
+}
+
+async fn conclude(context: &Context, lease: &Lease, result: RunResult, stop: Stop, renewed: Instant) {
+    let outcome = match (result, stop) {
+        (_, Stop::Lost) => {
+            tracing::warn!(job = %lease.job, "job {} was lost; its result is dropped", lease.job);
+            return;
+        }
+        (Ok(Ok(output)), _) => publish(context, lease, output).await,
+        (Ok(Err(JobFailure::Fail(problem))), _) => Outcome::Failed(problem),
+        (Ok(Err(JobFailure::Retry(problem))), _) => Outcome::Retry(problem),
+        (Ok(Err(JobFailure::Cancelled)), Stop::Asked) => Outcome::Cancelled,
+        (Ok(Err(JobFailure::Cancelled)), Stop::Draining) => Outcome::Released,
+        (Ok(Err(JobFailure::Cancelled)), Stop::No) => Outcome::Retry(stopped_unasked()),
+        (Err(panic), _) => {
+            tracing::error!(job = %lease.job, "job {} panicked: {}", lease.job, panic_text(&*panic));
+            Outcome::Retry(panicked())
+        }
+    };
+    settle(context, lease, outcome, renewed).await;
+}
+
+/// Makes the output's blobs durable; only then may the job refer to them.
+async fn publish(context: &Context, lease: &Lease, output: JobOutput) -> Outcome {
+    let cameras = match serde_json::to_vec(&output.cameras) {
+        Ok(cameras) => cameras,
+        Err(error) => {
+            tracing::error!(job = %lease.job, "the cameras cannot be written: {error}");
+            return Outcome::Failed(Problem::new(
+                500,
+                "internal",
+                "Internal error",
+                "the dataset's cameras cannot be written as JSON",
+            ));
+        }
+    };
+    let mut artifacts = Vec::new();
+    for (kind, content) in [(ArtifactKind::Tcgs, output.file), (ArtifactKind::Cameras, cameras)] {
+        match context.blobs.put(Bytes::from(content)).await {
+            Ok(blob) => artifacts.push(Artifact { kind, blob }),
+            Err(error) => return Outcome::Retry(blob_problem(&error)),
+        }
+    }
+    Outcome::Succeeded { metrics: Box::new(output.metrics), artifacts }
+}
+
+/// Writes the end of the attempt, trying again while the lease may still be held: hours of work must not be
+/// lost to a database that is busy for a moment.
+async fn settle(context: &Context, lease: &Lease, outcome: Outcome, renewed: Instant) {
+    loop {
+        match context.store.finish(lease, outcome.clone()).await {
+            Ok(state) => {
+                let (job, state) = (lease.job, state.name());
+                tracing::info!(%job, attempt = lease.attempt, state, "job {job} is {state}");
+                return;
+            }
+            Err(error @ StoreError::LeaseLost { .. }) => {
+                tracing::warn!(job = %lease.job, "{error}");
+                return;
+            }
+            Err(error) if renewed.elapsed() > context.config.lease => {
+                tracing::error!(job = %lease.job, error = &error as &dyn std::error::Error, "giving up: {error}");
+                return;
+            }
+            Err(error) => {
+                tracing::warn!(job = %lease.job, error = &error as &dyn std::error::Error, "trying again: {error}");
+                sleep(SETTLE_PAUSE).await;
+            }
+        }
+    }
+}
+
+fn panic_text(panic: &(dyn Any + Send)) -> &str {
+    panic
+        .downcast_ref::<&str>()
+        .copied()
+        .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
+        .unwrap_or("without a message")
+}
+
+fn blob_problem(error: &BlobError) -> Problem {
+    tracing::error!(error = error as &dyn std::error::Error, "{error}");
+    if error.is_storage_full() {
+        return Problem::new(
+            507,
+            "storage-full",
+            "Storage full",
+            "there is no room left for the job's files",
+        );
+    }
+    Problem::new(500, "storage-failed", "Storage failed", "the job's files cannot be read or written")
+}
+
+fn no_thread(error: &std::io::Error) -> Problem {
+    tracing::error!("no thread for the run: {error}");
+    Problem::new(
+        503,
+        "resource-exhausted",
+        "Resource exhausted",
+        "the worker cannot start a thread for the job",
+    )
+}
+
+fn stalled(limit: Duration) -> Problem {
+    let detail = format!("the run made no progress for {} s", limit.as_secs());
+    Problem::new(500, "stalled", "The run hangs", detail)
+}
+
+fn stopped_unasked() -> Problem {
+    Problem::new(500, "internal", "Internal error", "the run stopped although nobody had asked it to")
+}
+
+fn panicked() -> Problem {
+    let detail = "the run met an internal error; the worker's log has the particulars";
+    Problem::new(500, "worker-panicked", "The run failed", detail)
+}

@@ -1,0 +1,55 @@
+//! The claim loop.
+
+use std::sync::Arc;
+
+use tokio::time::sleep;
+use tokio_util::sync::CancellationToken;
+
+use super::{
+    WorkerConfig, WorkerError,
+    attempt::{self, Context, End},
+    run::RunJob,
+};
+use crate::store::{Blobs, Store};
+
+/// Claims and runs jobs, one at a time, until `shutdown`.
+///
+/// On shutdown the running job is asked to stop; if it does, or if [`WorkerConfig::drain`] passes, its lease is
+/// released without charging the attempt, and another worker can take it at once. The caller should then end
+/// the process: a run that did not stop in time is still on its thread.
+///
+/// # Errors
+/// [`WorkerError::Stalled`]; the process must end.
+pub async fn serve(
+    store: Arc<dyn Store>,
+    blobs: Blobs,
+    runner: Arc<dyn RunJob>,
+    config: WorkerConfig,
+    shutdown: CancellationToken,
+) -> Result<(), WorkerError> {
+    tracing::info!(worker = config.id, "worker {} is ready", config.id);
+    let context = Context { store, blobs, runner, config };
+    while !shutdown.is_cancelled() {
+        match context.store.claim(&context.config.id).await {
+            Ok(Some(claim)) => {
+                if let End::Stalled(error) = attempt::carry_out(&context, claim, &shutdown).await {
+                    return Err(error);
+                }
+            }
+            Ok(None) => idle(&context.config, &shutdown).await,
+            Err(error) => {
+                tracing::warn!(error = &error as &dyn std::error::Error, "no claim: {error}");
+                idle(&context.config, &shutdown).await;
+            }
+        }
+    }
+    tracing::info!(worker = context.config.id, "worker {} has stopped", context.config.id);
+    Ok(())
+}
+
+async fn idle(config: &WorkerConfig, shutdown: &CancellationToken) {
+    tokio::select! {
+        () = sleep(config.poll) => {}
+        () = shutdown.cancelled() => {}
+    }
+}
