@@ -1,6 +1,9 @@
 //! Log lines on standard error, as text or as JSON, chosen by `RUST_LOG`.
 
-use std::io::{self, IsTerminal};
+use std::{
+    fmt,
+    io::{self, IsTerminal},
+};
 
 use clap::ValueEnum;
 use tracing_subscriber::EnvFilter;
@@ -12,6 +15,15 @@ pub(crate) enum Format {
     Text,
     /// One JSON object a line, for machines.
     Json,
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Format::Text => "text",
+            Format::Json => "json",
+        })
+    }
 }
 
 /// What is logged where `RUST_LOG` does not say.

@@ -105,9 +105,9 @@ impl Command {
         }
     }
 
-    fn run(self) -> Result<Report, Failure> {
+    fn run(self, log_format: Format) -> Result<Report, Failure> {
         match self {
-            Command::Serve(args) => serve::run(args),
+            Command::Serve(args) => serve::run(args, log_format),
             Command::Worker(args) => worker::run(args),
             Command::Train(args) => train::run(&args),
             Command::Encode(args) => encode::run(&args),
@@ -126,7 +126,7 @@ pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
     logging::start(cli.log_format, cli.command.verbosity());
     let json = cli.command.wants_json();
-    report::conclude(cli.command.run(), json)
+    report::conclude(cli.command.run(cli.log_format), json)
 }
 
 #[cfg(test)]

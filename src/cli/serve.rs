@@ -5,6 +5,7 @@ use std::{net::SocketAddr, path::PathBuf};
 use super::{
     Failure, Report,
     adapter::AdapterFlag,
+    logging::Format,
     wiring::{self, ServeOptions},
 };
 
@@ -37,13 +38,14 @@ pub(crate) struct Args {
 }
 
 /// Serves until a signal comes.
-pub(crate) fn run(args: Args) -> Result<Report, Failure> {
+pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
     refuse_shared_storage(args.database.as_deref(), args.blobs.as_deref())?;
     wiring::serve(ServeOptions {
         listen: args.listen,
         data: args.data,
         adapter: args.adapter.adapter,
         workers: args.workers,
+        log_format,
     })?;
     Ok(Report::default())
 }

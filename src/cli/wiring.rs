@@ -3,17 +3,21 @@
 //! Each command speaks to the functions below and to nothing behind them, so that an engine can be exchanged here
 //! without a change to any command. Faults arrive as [`Problem`]s.
 
-use std::{net::SocketAddr, path::Path, path::PathBuf};
+mod absent;
+mod service;
+
+use std::{path::Path, sync::Arc};
 
 use tcgs::{
-    codec::{EncodeSettings, Encoded},
+    codec::{self, DecodeError, DecodeLimits, EncodeError, EncodeSettings, Encoded},
     domain::{AnchorScene, Background, ByteCounts, Camera, Dataset, Digest, Image, Problem, Scores},
     gpu::AdapterChoice,
     ingest,
+    render::{RenderViews, views::Viewable},
     worker::run::RunJob,
 };
 
-use super::Failure;
+pub(crate) use service::{ServeOptions, WorkerOptions, serve, worker};
 
 /// Quantisation step of features where a user gives none (the published one).
 pub(crate) const FEATURE_STEP: f32 = 1.0;
@@ -41,88 +45,78 @@ pub(crate) struct Inspection {
     pub(crate) bytes: ByteCounts,
 }
 
-/// Where a service listens and keeps its data.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct ServeOptions {
-    pub(crate) listen: SocketAddr,
-    pub(crate) data: PathBuf,
-    pub(crate) adapter: AdapterChoice,
-    /// Worker processes to start.
-    pub(crate) workers: u16,
-}
-
-/// Where a worker finds its queue.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct WorkerOptions {
-    /// The data folder of the service.
-    pub(crate) data: PathBuf,
-    pub(crate) adapter: AdapterChoice,
-    /// Whether to stop when standard input closes, which it does when the parent process dies.
-    pub(crate) stop_with_parent: bool,
-}
-
 /// Reads a dataset.
 pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
     ingest::load(path)
 }
 
 /// Encodes a scene.
-pub(crate) fn encode(_scene: &AnchorScene, _settings: &EncodeSettings) -> Result<Encoded, Problem> {
-    Err(absent("encoding"))
+pub(crate) fn encode(scene: &AnchorScene, settings: &EncodeSettings) -> Result<Encoded, Problem> {
+    codec::encode(scene, settings).map_err(|fault| match fault {
+        EncodeError::Verification | EncodeError::ReadBack(_) => {
+            Problem::new(500, "internal", "Internal error", fault.to_string())
+        }
+        _ => Problem::new(422, "not-encodable", "The scene cannot be encoded", fault.to_string()),
+    })
 }
 
 /// Decodes a file.
-pub(crate) fn decode(_bytes: &[u8]) -> Result<Decoded, Problem> {
-    Err(absent("decoding"))
+pub(crate) fn decode(bytes: &[u8]) -> Result<Decoded, Problem> {
+    let decoded = codec::decode(bytes, &DecodeLimits::default()).map_err(|fault| not_a_file(&fault))?;
+    Ok(Decoded {
+        scene: decoded.scene,
+        background: decoded.manifest.background,
+        decode_sha256: decoded.decode_sha256,
+    })
 }
 
 /// Accounts for every byte of a file.
-pub(crate) fn inspect(_bytes: &[u8]) -> Result<Inspection, Problem> {
-    Err(absent("inspecting"))
+pub(crate) fn inspect(bytes: &[u8]) -> Result<Inspection, Problem> {
+    let inspection = codec::inspect(bytes).map_err(|fault| not_a_file(&fault))?;
+    let json = serde_json::to_value(&inspection)
+        .map_err(|fault| Problem::new(500, "internal", "Internal error", fault.to_string()))?;
+    Ok(Inspection { json, text: inspection.to_string(), bytes: inspection.byte_counts })
+}
+
+fn not_a_file(fault: &DecodeError) -> Problem {
+    Problem::new(422, "undecodable", "The file cannot be decoded", fault.to_string())
 }
 
 /// The training pipeline.
-pub(crate) fn runner(_adapter: &AdapterChoice) -> Result<Box<dyn RunJob>, Problem> {
-    Err(absent("training"))
+pub(crate) fn runner(_adapter: &AdapterChoice) -> Result<Arc<dyn RunJob>, Problem> {
+    Ok(Arc::new(absent::Absent))
 }
 
-/// Renders the scene that it holds from a camera.
-type View = Box<dyn Fn(&Camera) -> Result<Image, Problem>>;
+/// What renders views, for the service and for single commands; the second is adapter and driver in one line.
+pub(crate) fn views(adapter: &AdapterChoice) -> Result<(Arc<dyn RenderViews>, String), Problem> {
+    Ok((Arc::new(absent::Absent), adapter.to_string()))
+}
 
 /// Renders one scene, as many cameras as are asked for.
 pub(crate) struct Renderer {
     /// Adapter and driver in one line.
     pub(crate) adapter: String,
-    view: View,
+    views: Arc<dyn RenderViews>,
+    key: Digest,
+    viewable: Viewable,
 }
 
 impl Renderer {
     /// Opens the adapter for the scene of a decoded file.
-    pub(crate) fn open(_decoded: Decoded, _adapter: &AdapterChoice) -> Result<Self, Problem> {
-        Err(absent("rendering"))
+    pub(crate) fn open(decoded: Decoded, adapter: &AdapterChoice) -> Result<Self, Problem> {
+        let (views, adapter) = views(adapter)?;
+        let viewable = Viewable { scene: decoded.scene, background: decoded.background };
+        // The hash of what was decoded tells scenes apart as well as the hash of a file would.
+        Ok(Self { adapter, views, key: decoded.decode_sha256, viewable })
     }
 
     /// The view from `camera`, over the background that the scene was trained on.
     pub(crate) fn view(&self, camera: &Camera) -> Result<Image, Problem> {
-        (self.view)(camera)
+        self.views.render(self.key, &|| Ok(self.viewable.clone()), camera)
     }
 }
 
 /// Scores of renders against photographs, pair by pair.
 pub(crate) fn scores(_pairs: &[(Image, Image)]) -> Result<Scores, Problem> {
-    Err(absent("measuring"))
-}
-
-/// Runs the service until it is told to stop.
-pub(crate) fn serve(_options: ServeOptions) -> Result<(), Failure> {
-    Err(absent("serving").into())
-}
-
-/// Runs a worker until it is told to stop.
-pub(crate) fn worker(_options: WorkerOptions) -> Result<(), Failure> {
-    Err(absent("working").into())
-}
-
-fn absent(what: &str) -> Problem {
-    Problem::new(501, "not-built", "Not built", format!("{what} is not part of this build"))
+    Err(absent::problem("measuring"))
 }
