@@ -153,3 +153,41 @@ fn sample_writes_a_scene_that_it_will_not_overwrite() {
     assert!(scene.join("transforms.json").is_file() && scene.join("images/view_47.png").is_file());
     assert_eq!(tcgs(&arguments).status.code(), Some(3), "a second run must refuse the folder");
 }
+
+#[test]
+fn a_file_is_inspected_decoded_and_encoded_again() {
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/shell_v1.tcgs");
+    let size = std::fs::metadata(&golden).expect("the golden file").len();
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (tensors, again) = (folder.path().join("scene.safetensors"), folder.path().join("again.tcgs"));
+
+    let inspection = json(&tcgs(&["inspect", path(&golden), "--json"]));
+    let counts = inspection["byte_counts"].as_object().expect("byte counts");
+    let parts = counts.iter().filter(|(name, _)| *name != "total");
+    assert_eq!(parts.map(|(_, bytes)| bytes.as_u64().expect("a count")).sum::<u64>(), size);
+
+    let decoded = tcgs(&["decode", path(&golden), "-o", path(&tensors), "--json"]);
+    assert_eq!(decoded.status.code(), Some(0), "{}", text(&decoded.stderr));
+    assert_eq!(json(&decoded)["decode_sha256"], inspection["manifest"]["decode_sha256"]);
+
+    let encoded = tcgs(&["encode", path(&tensors), "-o", path(&again)]);
+    assert_eq!(encoded.status.code(), Some(0), "{}", text(&encoded.stderr));
+    let anchors = json(&tcgs(&["inspect", path(&again), "--json"]))["manifest"]["anchors"].clone();
+    assert_eq!(anchors, inspection["manifest"]["anchors"]);
+
+    let cut = folder.path().join("cut.tcgs");
+    std::fs::write(&cut, &std::fs::read(&golden).expect("bytes")[..1000]).expect("writes");
+    let refused = tcgs(&["decode", path(&cut), "-o", path(&tensors), "--json"]);
+    assert_eq!(refused.status.code(), Some(3));
+    assert!(json(&refused)["file"].as_str().expect("a file").ends_with("cut.tcgs"));
+}
+
+#[test]
+fn serve_does_not_open_itself_to_the_network() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let data = folder.path().join("data");
+    let output = tcgs(&["serve", "--listen", "0.0.0.0:0", "--data", path(&data)]);
+    assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("--listen"));
+    assert!(!data.exists(), "nothing is made before the refusal");
+}
