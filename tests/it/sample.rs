@@ -8,7 +8,7 @@ use tcgs::{
     sample::{self, Settings},
 };
 
-const SMALL: Settings = Settings { side: 64, points: 800, seed: 1 };
+const SMALL: Settings = Settings { side: 128, points: 3000, seed: 1 };
 
 #[test]
 fn the_reader_takes_the_bundled_scene_as_folder_and_as_zip() {
@@ -29,7 +29,7 @@ fn the_reader_takes_the_bundled_scene_as_folder_and_as_zip() {
     check_colors(&from_directory);
 }
 
-/// The points, projected by the cameras that were read, land on pixels of their colours; turned by two degrees they
+/// The points, projected by the cameras that were read, land on pixels of their colours; turned by five degrees they
 /// do not. A mistake in any convention on the way (axes, rows, pixel centres) would show here.
 fn check_colors(dataset: &Dataset) {
     let straight = median_difference(dataset, |camera| *camera);
@@ -39,23 +39,22 @@ fn check_colors(dataset: &Dataset) {
         let up = camera.pose.rotation().transpose() * -DVec3::Y;
         let center = camera.pose.center();
         let pose =
-            tcgs::domain::Pose::look_at(center, center + target + side * 2.0_f64.to_radians().tan(), up)
+            tcgs::domain::Pose::look_at(center, center + target + side * 5.0_f64.to_radians().tan(), up)
                 .expect("a pose");
         Camera { pose, ..*camera }
     });
     assert!(straight < 20, "the median colour difference is {straight}");
-    assert!(turned > 2 * straight, "turned by two degrees it is {turned}, not much more than {straight}");
+    assert!(turned > 2 * straight, "turned by five degrees it is {turned}, not much more than {straight}");
 }
 
 fn median_difference(dataset: &Dataset, change: impl Fn(&Camera) -> Camera) -> u8 {
     let points = dataset.points.as_ref().expect("a point cloud");
     assert_eq!(points.positions.len(), SMALL.points);
     let mut differences = Vec::new();
-    for frame in &dataset.frames {
+    for frame in dataset.frames.iter().filter(|frame| frame.camera.pose.center().z > 2.0) {
         let camera = change(&frame.camera);
         for (position, color) in points.positions.iter().zip(&points.colors) {
-            // Without a test for what hides what, only the upper half of the scene is compared: most of it is seen.
-            if position[2] < 0.3 || position[2] > 1.2 {
+            if !is_paving(position) {
                 continue;
             }
             if let Some(pixel) = pixel_at(frame, &camera, Vec3::from_array(*position).as_dvec3()) {
@@ -66,6 +65,11 @@ fn median_difference(dataset: &Dataset, change: impl Fn(&Camera) -> Camera) -> u
     assert!(differences.len() > 1000, "only {} samples", differences.len());
     differences.sort_unstable();
     differences[differences.len() / 2]
+}
+
+/// The paved ground: seen from above, little of it is hidden, so no test of visibility is needed here.
+fn is_paving(position: &[f32; 3]) -> bool {
+    position[2].abs() < 0.01 && position[0].hypot(position[1]) < 1.8
 }
 
 fn pixel_at(frame: &Frame, camera: &Camera, point: DVec3) -> Option<[u8; 3]> {
