@@ -1,5 +1,6 @@
 //! All integration tests in one binary: one link, one GPU context per process.
 
+mod cli;
 mod codec;
 mod http;
 mod ingest;
@@ -9,5 +10,6 @@ mod queue;
 mod raster_device;
 mod raster_oracles;
 mod raster_twin;
+mod sample;
 mod support;
 mod worker;

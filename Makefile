@@ -1,0 +1,34 @@
+# `make demo` and `make test` work on a fresh Debian-like machine; no target needs a GPU.
+
+SHELL := /bin/bash
+CARGO := . scripts/env.sh && cargo
+
+.PHONY: help setup build demo test lint clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
+
+setup: ## install what this machine lacks (apt, rustup); silent when nothing is missing
+	@scripts/setup.sh
+
+build: setup ## build target/release/tcgs
+	@$(CARGO) build --release --locked
+
+demo: setup ## the bundled scene through the service: train, download, render into out/demo
+	@scripts/demo.sh
+
+test: setup ## all tests
+	@$(CARGO) test --locked --no-fail-fast
+
+lint: setup ## formatting, clippy, documentation, licences
+	@$(CARGO) fmt --check
+	@$(CARGO) clippy --locked --all-targets -- -D warnings
+	@$(CARGO) doc --locked --no-deps --quiet
+	@. scripts/env.sh; if cargo deny --version >/dev/null 2>&1; then cargo deny --locked check; \
+	else echo "lint: cargo-deny is not installed, licences and advisories were not checked"; fi
+
+lint: export RUSTDOCFLAGS := -D warnings
+
+clean: ## remove what was built and what the demo wrote
+	@$(CARGO) clean --quiet
+	@rm -rf out

@@ -1,0 +1,129 @@
+#!/usr/bin/env bash
+# Installs what a fresh Debian-like machine lacks to build, test and run: a C compiler, curl, the Vulkan loader with
+# Mesa's software driver (lavapipe), and a Rust toolchain. Changes nothing, and says nothing, where all is there.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+# shellcheck source=scripts/env.sh
+. scripts/env.sh
+
+say() { printf 'setup: %s\n' "$*" >&2; }
+
+give_up() {
+    say "$*"
+    exit 1
+}
+
+as_root() {
+    if [ "$(id -u)" -eq 0 ]; then
+        "$@"
+    elif command -v sudo >/dev/null && { sudo -n true 2>/dev/null || [ -t 0 ]; }; then
+        sudo "$@"
+    else
+        give_up "neither root nor sudo here; as root, run: $*"
+    fi
+}
+
+apt() { as_root env DEBIAN_FRONTEND=noninteractive apt-get -qq "$@"; }
+
+updated=
+apt_update() {
+    [ -n "$updated" ] || apt update || say "the package lists could not all be refreshed; going on with what there is"
+    updated=yes
+}
+
+apt_install() { apt install -y --no-install-recommends "$@"; }
+
+need_apt() {
+    command -v apt-get >/dev/null || give_up "$1 is missing and there is no apt-get; install it with this system's packages"
+}
+
+# The version of a package that apt would install, empty if none.
+candidate() { apt-cache policy "$1" 2>/dev/null | sed -n 's/^ *Candidate: *//p' | grep -v '(none)' || true; }
+
+install_basics() {
+    local missing=()
+    command -v cc >/dev/null || missing+=(build-essential)
+    command -v make >/dev/null || missing+=(make)
+    command -v curl >/dev/null || missing+=(curl ca-certificates)
+    [ ${#missing[@]} -gt 0 ] || return 0
+    need_apt "${missing[*]}"
+    say "installing ${missing[*]}"
+    apt_update
+    apt_install "${missing[@]}" >&2
+}
+
+has_loader() { { ldconfig -p 2>/dev/null || /sbin/ldconfig -p; } | grep 'libvulkan\.so\.1' >/dev/null; }
+
+has_lavapipe() { compgen -G '/usr/share/vulkan/icd.d/lvp_icd*.json' >/dev/null || compgen -G '/etc/vulkan/icd.d/lvp_icd*.json' >/dev/null; }
+
+# Debian 12's own Mesa is half as fast as the one in its backports. Prints the release to install from, if that one
+# can be had; adds the archive to apt's list if it is not there yet.
+backports() {
+    local id version codename list uri
+    # shellcheck source=/dev/null
+    . /etc/os-release
+    id=${ID:-} version=${VERSION_ID:-} codename=${VERSION_CODENAME:-}
+    [ "$id" = debian ] && [ "$version" = 12 ] || return 0
+    if ! apt-cache policy | grep "$codename-backports" >/dev/null; then
+        list=/etc/apt/sources.list.d/$codename-backports.list
+        [ ! -e "$list" ] || return 0
+        uri=$(apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' "Codename: $codename" | sed -n 1p || true)
+        say "adding $codename-backports to apt's sources ($list) for a faster Mesa"
+        echo "deb ${uri:-http://deb.debian.org/debian} $codename-backports main" | as_root tee "$list" >/dev/null
+        if ! apt update >&2; then
+            say "$codename-backports cannot be reached; staying with $codename"
+            as_root rm -f "$list"
+            return 0
+        fi
+    fi
+    echo "$codename-backports"
+}
+
+install_vulkan() {
+    if has_loader && has_lavapipe; then return 0; fi
+    need_apt "a Vulkan loader with lavapipe (libvulkan1, mesa-vulkan-drivers)"
+    say "installing the Vulkan loader and Mesa's software driver"
+    apt_update
+    local release
+    release=$(backports)
+    if [ -n "$release" ] && apt_install -t "$release" libvulkan1 mesa-vulkan-drivers >&2; then return 0; fi
+    apt_install libvulkan1 mesa-vulkan-drivers >&2
+}
+
+# Whether this cargo is as new as Cargo.toml asks; rustup's fetches the toolchain that rust-toolchain.toml names.
+has_rust() {
+    local wanted found
+    command -v rustup >/dev/null && return 0
+    command -v cargo >/dev/null || return 1
+    wanted=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
+    found=$(cargo --version | cut -d ' ' -f 2)
+    [ "$(printf '%s\n' "$wanted" "$found" | sort -V | head -n 1)" = "$wanted" ]
+}
+
+install_rust() {
+    if ! has_rust; then
+        command -v apt-get >/dev/null && apt_update
+        if command -v apt-get >/dev/null && [ -n "$(candidate rustup)" ]; then
+            say "installing rustup from this system's packages"
+            apt_install rustup >&2
+        else
+            say "installing rustup from rustup.rs"
+            curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs |
+                sh -s -- -y --quiet --profile minimal --default-toolchain none --no-modify-path >&2
+        fi
+    fi
+    command -v rustup >/dev/null || return 0
+    local channel
+    channel=$(sed -n 's/^channel = "\(.*\)"/\1/p' rust-toolchain.toml)
+    # An override by environment stands; otherwise the named toolchain has to be there with both components.
+    [ -z "${RUSTUP_TOOLCHAIN:-}" ] || return 0
+    if ! rustup run "$channel" cargo clippy --version >/dev/null 2>&1 ||
+        ! rustup run "$channel" cargo fmt --version >/dev/null 2>&1; then
+        say "installing Rust $channel"
+        rustup toolchain install "$channel" --profile minimal --component clippy --component rustfmt >&2
+    fi
+}
+
+install_basics
+install_vulkan
+install_rust

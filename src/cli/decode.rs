@@ -1,0 +1,54 @@
+//! `tcgs decode`: a file in, its attributes and their hash out. No adapter is needed.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+use tcgs::domain::{Digest, Problem};
+
+use super::{Failure, Report, files, scene_file, wiring};
+
+/// Arguments of `tcgs decode`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The compressed file
+    file: PathBuf,
+
+    /// The tensors to write
+    #[arg(short, long, value_name = "OUT.safetensors")]
+    output: PathBuf,
+
+    /// Print one JSON document
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct Summary {
+    decode_sha256: Digest,
+    anchors: usize,
+    gaussians: usize,
+    output: PathBuf,
+}
+
+/// Decodes and writes.
+pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+    let decoded = wiring::decode(&files::read(&args.file)?)
+        .map_err(|problem| problem.in_file(args.file.display().to_string()))?;
+    let bytes = scene_file::to_bytes(&decoded.scene, decoded.background)
+        .map_err(|fault| Problem::new(500, "internal", "Internal error", fault.to_string()))?;
+    files::write(&args.output, &bytes)?;
+    let summary = Summary {
+        decode_sha256: decoded.decode_sha256,
+        anchors: decoded.scene.len(),
+        gaussians: decoded.scene.gaussians(),
+        output: args.output.clone(),
+    };
+    let text = format!(
+        "{}\n{} anchors, {} Gaussians\nwrote {}",
+        summary.decode_sha256,
+        summary.anchors,
+        summary.gaussians,
+        summary.output.display()
+    );
+    Ok(Report::new(text, &summary))
+}

@@ -1,0 +1,142 @@
+//! `tcgs doctor`: what this machine offers, and what is missing.
+
+use std::{env, thread};
+
+use serde::Serialize;
+use tcgs::{
+    domain::Problem,
+    gpu::{self, AdapterReport},
+};
+
+use super::{Failure, Report};
+
+/// Arguments of `tcgs doctor`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Print one JSON document
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct Machine {
+    version: &'static str,
+    system: String,
+    threads: usize,
+    /// Best first; `--adapter auto` takes the first that is usable.
+    adapters: Vec<AdapterReport>,
+    advice: Vec<String>,
+}
+
+/// Looks around; fails (with status 4) only if there is no usable adapter.
+pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+    let adapters = gpu::report();
+    let machine = Machine {
+        version: env!("CARGO_PKG_VERSION"),
+        system: format!("{} {}", env::consts::OS, env::consts::ARCH),
+        threads: thread::available_parallelism().map_or(1, usize::from),
+        advice: advice(&adapters, env::var_os("XDG_RUNTIME_DIR").is_some()),
+        adapters,
+    };
+    if machine.adapters.iter().any(|adapter| adapter.usable) {
+        return Ok(Report::new(text(&machine), &machine));
+    }
+    if !args.json {
+        eprintln!("{}", text(&machine));
+    }
+    let detail = machine.advice.join("; ");
+    Err(Problem::new(503, "no-adapter", "No usable adapter", detail).into())
+}
+
+fn advice(adapters: &[AdapterReport], has_runtime_dir: bool) -> Vec<String> {
+    let mut advice = Vec::new();
+    if adapters.is_empty() {
+        advice.push("install a Vulkan driver: on Debian, apt-get install mesa-vulkan-drivers".to_owned());
+    } else if !adapters.iter().any(|adapter| adapter.usable) {
+        advice.push("no adapter has the limits that are needed; a newer driver may".to_owned());
+    }
+    if cfg!(target_os = "linux") && !has_runtime_dir {
+        advice.push(
+            "set XDG_RUNTIME_DIR to a private folder: some drivers warn or slow down without it".to_owned(),
+        );
+    }
+    for adapter in adapters.iter().filter(|adapter| adapter.usable && is_old_lavapipe(adapter)) {
+        advice.push(format!(
+            "'{}' runs on an old Mesa; version 24 or newer is about twice as fast (Debian 12: bookworm-backports)",
+            adapter.name
+        ));
+    }
+    advice
+}
+
+/// Whether this is Mesa's software adapter from before version 24.
+fn is_old_lavapipe(adapter: &AdapterReport) -> bool {
+    let version = adapter.driver.split("Mesa ").nth(1).and_then(|rest| rest.split('.').next());
+    adapter.name.contains("llvmpipe")
+        && version.and_then(|major| major.parse().ok()).is_some_and(|v: u32| v < 24)
+}
+
+fn text(machine: &Machine) -> String {
+    let mut lines =
+        vec![format!("tcgs {}, {}, {} threads", machine.version, machine.system, machine.threads)];
+    if machine.adapters.is_empty() {
+        lines.push("no adapter".to_owned());
+    }
+    for adapter in &machine.adapters {
+        let [smallest, largest] = adapter.subgroup_sizes;
+        let usable = if adapter.usable { "" } else { "  (not usable)" };
+        lines.push(format!("\n{}{usable}", adapter.name));
+        lines.push(format!("  backend     {} ({})", adapter.backend, adapter.kind));
+        lines.push(format!("  driver      {}", adapter.driver));
+        lines.push(format!(
+            "  buffers     {} MiB largest, {} MiB a binding, {} a kernel",
+            adapter.max_buffer_bytes >> 20,
+            adapter.max_binding_bytes >> 20,
+            adapter.max_storage_buffers
+        ));
+        lines.push(format!(
+            "  workgroups  {} invocations, {} KiB",
+            adapter.max_workgroup_invocations,
+            adapter.max_workgroup_bytes >> 10
+        ));
+        lines.push(format!(
+            "  subgroups   {}",
+            if adapter.subgroups { format!("{smallest} to {largest}") } else { "none".to_owned() }
+        ));
+        lines.push(format!("  timestamps  {}", if adapter.timestamps { "yes" } else { "no" }));
+    }
+    lines.extend(machine.advice.iter().map(|advice| format!("\nadvice: {advice}")));
+    lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lavapipe(driver: &str) -> AdapterReport {
+        AdapterReport {
+            name: "llvmpipe (LLVM 15.0.6, 256 bits)".to_owned(),
+            backend: "vulkan".to_owned(),
+            kind: "cpu".to_owned(),
+            driver: driver.to_owned(),
+            max_buffer_bytes: 2_147_483_647,
+            max_binding_bytes: 134_217_728,
+            max_storage_buffers: 1_000_000,
+            max_workgroup_invocations: 1024,
+            max_workgroup_bytes: 32_768,
+            subgroup_sizes: [8, 8],
+            subgroups: true,
+            timestamps: true,
+            usable: true,
+        }
+    }
+
+    #[test]
+    fn advice_is_given_where_something_can_be_done_and_only_there() {
+        assert!(advice(&[lavapipe("llvmpipe Mesa 25.0.7-2 (LLVM 19.1.7)")], true).is_empty());
+        let old = advice(&[lavapipe("llvmpipe Mesa 22.3.6 (LLVM 15.0.6)")], true);
+        assert!(old.len() == 1 && old[0].contains("backports"), "{old:?}");
+        let none = advice(&[], true);
+        assert!(none.len() == 1 && none[0].contains("mesa-vulkan-drivers"), "{none:?}");
+    }
+}

@@ -1,0 +1,86 @@
+//! How a command fails, and the exit status that says so.
+
+use std::{io, path::Path};
+
+use tcgs::domain::{OptionError, Problem};
+use thiserror::Error;
+
+/// Why a command did not finish.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub(crate) enum Failure {
+    /// The arguments contradict each other or ask for what there is not.
+    #[error("{0}")]
+    Usage(String),
+    /// Something was refused or went wrong; the problem's status tells which.
+    #[error(transparent)]
+    Problem(#[from] Problem),
+    /// The user stopped it.
+    #[error("stopped")]
+    Stopped,
+}
+
+impl Failure {
+    /// An input file that cannot be read.
+    pub(crate) fn unreadable(path: &Path, fault: &io::Error) -> Self {
+        Problem::new(422, "unreadable-input", "The input cannot be read", fault.to_string())
+            .in_file(path.display().to_string())
+            .into()
+    }
+
+    /// An output file that cannot be written.
+    pub(crate) fn unwritable(path: &Path, fault: &io::Error) -> Self {
+        Problem::new(507, "unwritable-output", "The output cannot be written", fault.to_string())
+            .in_file(path.display().to_string())
+            .into()
+    }
+
+    /// The exit status: 2 wrong usage, 3 the input was refused, 4 a resource was missing or spent, 1 anything else.
+    pub(crate) fn exit_status(&self) -> u8 {
+        match self {
+            Failure::Usage(_) => 2,
+            Failure::Problem(problem) => match problem.status {
+                400..=499 => 3,
+                503 | 507 => 4,
+                _ => 1,
+            },
+            Failure::Stopped => 1,
+        }
+    }
+
+    /// The failure as a problem document, for `--json`.
+    pub(crate) fn problem(&self) -> Problem {
+        match self {
+            Failure::Usage(detail) => Problem::new(400, "usage", "Wrong usage", detail.clone()),
+            Failure::Problem(problem) => problem.clone(),
+            Failure::Stopped => Problem::new(500, "stopped", "Stopped", "the run was stopped before its end"),
+        }
+    }
+}
+
+impl From<OptionError> for Failure {
+    fn from(fault: OptionError) -> Self {
+        let flag = format!("--{}", fault.option.replace('_', "-"));
+        Failure::Usage(format!("{flag}: {}", fault.fault))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exit_statuses_tell_input_from_resource_from_fault() {
+        for (status, expected) in [(400, 3), (413, 3), (422, 3), (500, 1), (501, 1), (503, 4), (507, 4)] {
+            let failure = Failure::from(Problem::new(status, "x", "X", "x"));
+            assert_eq!(failure.exit_status(), expected, "{status}");
+        }
+        assert_eq!(Failure::Usage(String::new()).exit_status(), 2);
+        assert_eq!(Failure::Stopped.exit_status(), 1);
+    }
+
+    #[test]
+    fn option_faults_name_the_flag_as_it_is_typed() {
+        let fault = OptionError { option: "max_bytes", fault: "too small".to_owned() };
+        assert_eq!(Failure::from(fault), Failure::Usage("--max-bytes: too small".to_owned()));
+    }
+}

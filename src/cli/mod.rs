@@ -1,0 +1,142 @@
+//! The commands of `tcgs`, one file each.
+//!
+//! What always holds: a command returns a [`Report`] or a [`Failure`] and prints nothing on standard output itself,
+//! so with `--json` exactly one JSON document appears there, also when the command fails. Progress and logs go to
+//! standard error. Output files appear whole or not at all.
+
+mod adapter;
+mod decode;
+mod doctor;
+mod encode;
+mod eval;
+mod failure;
+mod files;
+mod inspect;
+mod logging;
+mod picture;
+mod pose;
+mod progress;
+mod render;
+mod report;
+mod sample;
+mod scene_file;
+mod serve;
+mod train;
+mod wiring;
+mod worker;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use failure::Failure;
+use logging::{Format, Verbosity};
+use report::Report;
+
+/// Trains Gaussian-splatting scenes from posed photographs, compresses each into one self-contained file, and serves
+/// them over HTTP.
+#[derive(Debug, Parser)]
+#[command(name = "tcgs", version, propagate_version = true, after_help = EXIT_STATUSES)]
+struct Cli {
+    /// How log lines on standard error are written (which ones: RUST_LOG)
+    #[arg(long, global = true, value_enum, default_value_t = Format::Text, env = "TCGS_LOG_FORMAT")]
+    log_format: Format,
+
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXIT_STATUSES: &str = "Exit status: 0 done; 2 wrong usage; 3 the input was refused; \
+    4 a resource was missing or spent; 1 anything else.";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run the HTTP service with its own worker process
+    Serve(serve::Args),
+    /// Take jobs from a queue and carry them out
+    Worker(worker::Args),
+    /// Train a scene from a dataset and write it as one compressed file
+    Train(train::Args),
+    /// Write decoded attributes (as `decode` writes them) as a compressed file
+    Encode(encode::Args),
+    /// Write the attributes that a file decodes to, and print their hash
+    Decode(decode::Args),
+    /// Render a view of a file
+    Render(render::Args),
+    /// Measure a file on the held-out views of its dataset
+    Eval(eval::Args),
+    /// Show where each byte of a file goes
+    Inspect(inspect::Args),
+    /// Write the bundled ray-traced scene as a dataset
+    Sample(sample::Args),
+    /// Show what this machine offers, and what is missing
+    Doctor(doctor::Args),
+}
+
+impl Command {
+    /// Whether the answer is to be one JSON document.
+    fn wants_json(&self) -> bool {
+        match self {
+            Command::Train(args) => args.json,
+            Command::Decode(args) => args.json,
+            Command::Eval(args) => args.json,
+            Command::Inspect(args) => args.json,
+            Command::Doctor(args) => args.json,
+            Command::Serve(_)
+            | Command::Worker(_)
+            | Command::Encode(_)
+            | Command::Render(_)
+            | Command::Sample(_) => false,
+        }
+    }
+
+    /// Services tell what they do; single commands speak up only when something is off.
+    fn verbosity(&self) -> Verbosity {
+        match self {
+            Command::Serve(_) | Command::Worker(_) => Verbosity::Info,
+            Command::Train(_)
+            | Command::Encode(_)
+            | Command::Decode(_)
+            | Command::Render(_)
+            | Command::Eval(_)
+            | Command::Inspect(_)
+            | Command::Sample(_)
+            | Command::Doctor(_) => Verbosity::Warn,
+        }
+    }
+
+    fn run(self, log_format: Format) -> Result<Report, Failure> {
+        match self {
+            Command::Serve(args) => serve::run(args, log_format),
+            Command::Worker(args) => worker::run(args),
+            Command::Train(args) => train::run(&args),
+            Command::Encode(args) => encode::run(&args),
+            Command::Decode(args) => decode::run(&args),
+            Command::Render(args) => render::run(&args),
+            Command::Eval(args) => eval::run(&args),
+            Command::Inspect(args) => inspect::run(&args),
+            Command::Sample(args) => sample::run(&args),
+            Command::Doctor(args) => doctor::run(&args),
+        }
+    }
+}
+
+/// Parses the arguments, runs the command, prints what came of it.
+pub(crate) fn main() -> ExitCode {
+    let cli = Cli::parse();
+    logging::start(cli.log_format, cli.command.verbosity());
+    let json = cli.command.wants_json();
+    report::conclude(cli.command.run(cli.log_format), json)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_flags_are_consistent() {
+        Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,56 @@
+//! Images to files, in the format that the file's name asks for.
+
+use std::{io::Cursor, path::Path};
+
+use image::{ExtendedColorType, ImageFormat};
+use tcgs::domain::{Image, Problem};
+
+use super::{Failure, files};
+
+/// The format that a file name asks for: PNG, JPEG or WebP.
+pub(crate) fn format_of(path: &Path) -> Result<ImageFormat, Failure> {
+    match ImageFormat::from_path(path) {
+        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP)) => Ok(format),
+        _ => {
+            Err(Failure::Usage(format!("--output: '{}' does not end in .png, .jpg or .webp", path.display())))
+        }
+    }
+}
+
+/// Writes `image` to `path` in the format of its name.
+pub(crate) fn write(path: &Path, image: &Image) -> Result<(), Failure> {
+    let format = format_of(path)?;
+    let color = if image.channels() == 4 { ExtendedColorType::Rgba8 } else { ExtendedColorType::Rgb8 };
+    let mut bytes = Cursor::new(Vec::new());
+    image::write_buffer_with_format(
+        &mut bytes,
+        image.samples(),
+        image.width(),
+        image.height(),
+        color,
+        format,
+    )
+    .map_err(|fault| {
+        Problem::new(500, "image-encoding", "The image could not be encoded", fault.to_string())
+            .in_file(path.display().to_string())
+    })?;
+    files::write(path, &bytes.into_inner())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn images_are_written_in_the_format_of_their_name() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let picture = Image::new(2, 1, 3, vec![255, 0, 0, 0, 0, 255]).expect("an image");
+        for (name, magic) in [("a.png", &b"\x89PNG"[..]), ("a.jpg", b"\xff\xd8"), ("a.webp", b"RIFF")] {
+            let path = folder.path().join(name);
+            write(&path, &picture).expect("writes");
+            assert!(std::fs::read(&path).expect("a file").starts_with(magic), "{name}");
+        }
+        let fault = write(&folder.path().join("a.tiff"), &picture).expect_err("no such format");
+        assert_eq!(fault.exit_status(), 2);
+    }
+}

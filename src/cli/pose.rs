@@ -1,0 +1,85 @@
+//! A camera given as JSON, in the form of a view of `POST /v1/jobs/{id}/views`.
+
+use glam::DMat4;
+use serde::Deserialize;
+use tcgs::domain::{Camera, Convention, Intrinsics, Pose, Problem};
+
+use super::{Failure, files};
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct View {
+    camera_to_world: [[f64; 4]; 4],
+    #[serde(default)]
+    convention: Convention,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    width: u32,
+    height: u32,
+}
+
+/// The camera that `text` gives: the JSON object itself, or the name of a file that holds it.
+pub(crate) fn camera(text: &str) -> Result<Camera, Failure> {
+    let (source, json) = if text.trim_start().starts_with('{') {
+        ("--pose".to_owned(), text.as_bytes().to_vec())
+    } else {
+        (text.to_owned(), files::read(text.as_ref())?)
+    };
+    let refuse = |detail: String| {
+        Problem::new(422, "impossible-pose", "The pose is not a camera", detail).in_file(source.clone())
+    };
+    let view: View = serde_json::from_slice(&json).map_err(|fault| refuse(fault.to_string()))?;
+    let matrix = DMat4::from_cols_array_2d(&view.camera_to_world).transpose();
+    let View { fx, fy, cx, cy, width, height, .. } = view;
+    let camera = Pose::from_camera_to_world(matrix, view.convention)
+        .and_then(|pose| Camera::new(Intrinsics { fx, fy, cx, cy, width, height }, pose))
+        .map_err(|fault| refuse(fault.to_string()))?;
+    Ok(camera)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    fn view(convention: &str, rows: &str, fx: f64) -> String {
+        format!(
+            r#"{{"camera_to_world": {rows}, "convention": "{convention}",
+            "fx": {fx}, "fy": 50, "cx": 16, "cy": 12, "width": 32, "height": 24}}"#
+        )
+    }
+
+    const OPENCV: &str = "[[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]";
+    const OPENGL: &str = "[[1,0,0,1],[0,-1,0,2],[0,0,-1,3],[0,0,0,1]]";
+
+    #[test]
+    fn both_conventions_and_both_sources_give_the_same_camera() {
+        let inline = camera(&view("opencv", OPENCV, 50.0)).expect("a camera");
+        assert_eq!(inline.pose.center(), DVec3::new(1.0, 2.0, 3.0));
+        assert_eq!(camera(&view("opengl", OPENGL, 50.0)).expect("a camera"), inline);
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("pose.json");
+        std::fs::write(&path, view("opencv", OPENCV, 50.0)).expect("writes");
+        assert_eq!(camera(path.to_str().expect("UTF-8")).expect("a camera"), inline);
+    }
+
+    #[test]
+    fn what_is_not_a_camera_is_refused_with_its_fault() {
+        let scaled = "[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]";
+        for (text, word) in [
+            (view("opencv", scaled, 50.0), "rigid"),
+            (view("opencv", OPENCV, 0.0), "focal"),
+            (view("blender", OPENCV, 50.0), "blender"),
+            (view("opencv", "[[1,0,0]]", 50.0), "length"),
+            ("{}".to_owned(), "camera_to_world"),
+            ("no/such/file.json".to_owned(), "no/such/file.json"),
+        ] {
+            let fault = camera(&text).expect_err(word);
+            assert!(fault.to_string().contains(word), "{fault}");
+            assert_eq!(fault.exit_status(), 3);
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! Progress on standard error: a bar on a terminal, lines elsewhere.
+
+use std::{
+    io::{self, IsTerminal},
+    time::Duration,
+};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use tcgs::domain::{Phase, Progress};
+
+/// Seconds of the run between two lines of one phase.
+const SECONDS_BETWEEN_LINES: f64 = 5.0;
+
+/// Shows reports as they come.
+pub(crate) enum Display {
+    /// On a terminal.
+    Bar(ProgressBar),
+    /// In a log: the phase and the time of the last line.
+    Lines {
+        /// What the last line was about.
+        last: Option<(Phase, f64)>,
+    },
+}
+
+impl Display {
+    /// A display that suits standard error.
+    pub(crate) fn new() -> Self {
+        if !io::stderr().is_terminal() {
+            return Self::Lines { last: None };
+        }
+        let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr());
+        let style = ProgressStyle::with_template("{prefix:>8} [{bar:28}] {pos}/{len}  {wide_msg}")
+            .expect("the template is well formed")
+            .progress_chars("=> ");
+        bar.set_style(style);
+        bar.enable_steady_tick(Duration::from_millis(500));
+        Self::Bar(bar)
+    }
+
+    /// Takes one report.
+    pub(crate) fn show(&mut self, phase: Phase, progress: &Progress) {
+        match self {
+            Self::Bar(bar) => {
+                bar.set_prefix(name(phase));
+                bar.set_length(progress.total);
+                bar.set_position(progress.step);
+                bar.set_message(figures(progress));
+            }
+            Self::Lines { last } => {
+                if is_due(*last, phase, progress) {
+                    *last = Some((phase, progress.elapsed_seconds));
+                    eprintln!("{}", line(phase, progress));
+                }
+            }
+        }
+    }
+
+    /// Leaves the terminal as it should be.
+    pub(crate) fn finish(self) {
+        if let Self::Bar(bar) = self {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+fn is_due(last: Option<(Phase, f64)>, phase: Phase, progress: &Progress) -> bool {
+    last.is_none_or(|(shown, at)| shown != phase || progress.elapsed_seconds - at >= SECONDS_BETWEEN_LINES)
+}
+
+fn name(phase: Phase) -> &'static str {
+    match phase {
+        Phase::Queued => "queued",
+        Phase::Ingest => "ingest",
+        Phase::Train => "train",
+        Phase::Encode => "encode",
+        Phase::Evaluate => "evaluate",
+        Phase::Publish => "publish",
+        Phase::Done => "done",
+    }
+}
+
+fn line(phase: Phase, progress: &Progress) -> String {
+    let mut text = format!("{:>6.1}s {}", progress.elapsed_seconds, name(phase));
+    if progress.total > 0 {
+        text.push_str(&format!(" {}/{}", progress.step, progress.total));
+    }
+    let figures = figures(progress);
+    if !figures.is_empty() {
+        text.push_str("  ");
+        text.push_str(&figures);
+    }
+    text
+}
+
+/// What is known of loss, quality, size, speed and the time left.
+fn figures(progress: &Progress) -> String {
+    let mut parts = Vec::new();
+    if let Some(loss) = progress.loss {
+        parts.push(format!("loss {loss:.4}"));
+    }
+    if let Some(psnr) = progress.psnr {
+        parts.push(format!("PSNR {psnr:.2} dB"));
+    }
+    if progress.anchors > 0 {
+        parts.push(format!("anchors {}", progress.anchors));
+    }
+    if progress.gaussians > 0 {
+        parts.push(format!("Gaussians {}", progress.gaussians));
+    }
+    if let Some(speed) = progress.steps_per_second {
+        parts.push(format!("{speed:.1} steps/s"));
+    }
+    if let Some(eta) = progress.eta_seconds {
+        let seconds = eta.max(0.0).round() as u64;
+        parts.push(format!("ETA {}:{:02}", seconds / 60, seconds % 60));
+    }
+    parts.join("  ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn report() -> Progress {
+        Progress {
+            step: 120,
+            total: 1500,
+            elapsed_seconds: 14.25,
+            eta_seconds: Some(163.4),
+            steps_per_second: Some(8.45),
+            anchors: 5120,
+            gaussians: 20_480,
+            loss: Some(0.041_23),
+            psnr: Some(24.317),
+        }
+    }
+
+    #[test]
+    fn a_line_holds_every_figure_that_is_known_and_no_other() {
+        assert_eq!(
+            line(Phase::Train, &report()),
+            "  14.2s train 120/1500  loss 0.0412  PSNR 24.32 dB  anchors 5120  Gaussians 20480  8.4 steps/s  ETA 2:43"
+        );
+        assert_eq!(line(Phase::Ingest, &Progress::default()), "   0.0s ingest");
+    }
+
+    #[test]
+    fn lines_come_with_each_phase_and_otherwise_now_and_then() {
+        assert!(is_due(None, Phase::Train, &report()));
+        assert!(is_due(Some((Phase::Ingest, 14.0)), Phase::Train, &report()));
+        assert!(!is_due(Some((Phase::Train, 14.0)), Phase::Train, &report()));
+        assert!(is_due(Some((Phase::Train, 9.0)), Phase::Train, &report()));
+    }
+}

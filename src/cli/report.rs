@@ -1,0 +1,65 @@
+//! What a finished command says, as text or as JSON, and how it reaches standard output.
+
+use std::{
+    io::{self, Write},
+    process::ExitCode,
+};
+
+use super::Failure;
+
+/// The outcome of a command in both forms.
+#[derive(Debug, Default)]
+pub(crate) struct Report {
+    /// For people; nothing is printed if it is empty.
+    pub(crate) text: String,
+    /// For programs.
+    pub(crate) json: serde_json::Value,
+}
+
+impl Report {
+    /// A report of a command that has no `--json`.
+    pub(crate) fn text(text: impl Into<String>) -> Self {
+        Self { text: text.into(), json: serde_json::Value::Null }
+    }
+
+    /// A report with `value` as its JSON form.
+    pub(crate) fn new(text: impl Into<String>, value: &impl serde::Serialize) -> Self {
+        let json = serde_json::to_value(value).expect("reports have string keys and finite depth");
+        Self { text: text.into(), json }
+    }
+}
+
+/// Prints the outcome and gives the exit status.
+pub(crate) fn conclude(outcome: Result<Report, Failure>, json: bool) -> ExitCode {
+    let (printed, status) = match outcome {
+        Ok(report) if json => (print(&format!("{:#}", report.json)), 0),
+        Ok(report) => (print(&report.text), 0),
+        Err(failure) => {
+            eprintln!("tcgs: {failure}");
+            let printed = if json {
+                print(&serde_json::to_string_pretty(&failure.problem()).expect("a problem is plain data"))
+            } else {
+                Ok(())
+            };
+            (printed, failure.exit_status())
+        }
+    };
+    match printed {
+        // A reader that has seen enough (`tcgs inspect … | head`) is no fault.
+        Err(fault) if fault.kind() != io::ErrorKind::BrokenPipe => {
+            eprintln!("tcgs: standard output: {fault}");
+            ExitCode::from(4)
+        }
+        _ => ExitCode::from(status),
+    }
+}
+
+fn print(text: &str) -> io::Result<()> {
+    if text.is_empty() {
+        return Ok(());
+    }
+    let mut out = io::stdout().lock();
+    out.write_all(text.trim_end().as_bytes())?;
+    out.write_all(b"\n")?;
+    out.flush()
+}

@@ -1,0 +1,61 @@
+//! `tcgs serve`: the HTTP service with its own worker process.
+
+use std::{net::SocketAddr, path::PathBuf};
+
+use super::{
+    Failure, Report,
+    adapter::AdapterFlag,
+    logging::Format,
+    wiring::{self, ServeOptions},
+};
+
+/// Arguments of `tcgs serve`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Address to listen on; without API keys only a loopback address is served
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", env = "TCGS_LISTEN")]
+    listen: SocketAddr,
+
+    /// Folder for the database, uploads and files
+    #[arg(long, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
+    data: PathBuf,
+
+    /// Database, if not SQLite in the data folder
+    // Shared databases and blobs come with a later version; until then they are refused rather than unknown.
+    #[arg(long, value_name = "URL", env = "TCGS_DATABASE", hide = true)]
+    database: Option<String>,
+
+    /// Blob storage, if not the data folder
+    #[arg(long, value_name = "URL", env = "TCGS_BLOBS", hide = true)]
+    blobs: Option<String>,
+
+    #[command(flatten)]
+    adapter: AdapterFlag,
+
+    /// Worker processes to start; 0 if workers run elsewhere
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    workers: u16,
+}
+
+/// Serves until a signal comes.
+pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
+    refuse_shared_storage(args.database.as_deref(), args.blobs.as_deref())?;
+    wiring::serve(ServeOptions {
+        listen: args.listen,
+        data: args.data,
+        adapter: args.adapter.adapter,
+        workers: args.workers,
+        log_format,
+    })?;
+    Ok(Report::default())
+}
+
+/// Refuses what would make a queue of several machines, which this version does not have.
+pub(super) fn refuse_shared_storage(database: Option<&str>, blobs: Option<&str>) -> Result<(), Failure> {
+    for (flag, value) in [("--database", database), ("--blobs", blobs)] {
+        if value.is_some() {
+            return Err(Failure::Usage(format!("{flag}: this version keeps SQLite and blobs in --data")));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,122 @@
+//! The one place where the command line meets the engines: codec, training, rendering, measuring, service.
+//!
+//! Each command speaks to the functions below and to nothing behind them, so that an engine can be exchanged here
+//! without a change to any command. Faults arrive as [`Problem`]s.
+
+mod absent;
+mod service;
+
+use std::{path::Path, sync::Arc};
+
+use tcgs::{
+    codec::{self, DecodeError, DecodeLimits, EncodeError, EncodeSettings, Encoded},
+    domain::{AnchorScene, Background, ByteCounts, Camera, Dataset, Digest, Image, Problem, Scores},
+    gpu::AdapterChoice,
+    ingest,
+    render::{RenderViews, views::Viewable},
+    worker::run::RunJob,
+};
+
+pub(crate) use service::{ServeOptions, WorkerOptions, serve, worker};
+
+/// Quantisation step of features where a user gives none (the published one).
+pub(crate) const FEATURE_STEP: f32 = 1.0;
+/// Quantisation step of scalings as a fraction of the voxel where a user gives none.
+pub(crate) const SCALING_STEP: f32 = 0.05;
+/// Quantisation step of offsets where a user gives none (the published one).
+pub(crate) const OFFSET_STEP: f32 = 0.2;
+
+/// What a file decodes to.
+#[derive(Debug)]
+pub(crate) struct Decoded {
+    pub(crate) scene: AnchorScene,
+    pub(crate) background: Background,
+    pub(crate) decode_sha256: Digest,
+}
+
+/// What is known of a file without decoding its attributes.
+#[derive(Debug)]
+pub(crate) struct Inspection {
+    /// The whole account as JSON.
+    pub(crate) json: serde_json::Value,
+    /// The same as a table.
+    pub(crate) text: String,
+    /// Bytes by kind.
+    pub(crate) bytes: ByteCounts,
+}
+
+/// Reads a dataset.
+pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
+    ingest::load(path)
+}
+
+/// Encodes a scene.
+pub(crate) fn encode(scene: &AnchorScene, settings: &EncodeSettings) -> Result<Encoded, Problem> {
+    codec::encode(scene, settings).map_err(|fault| match fault {
+        EncodeError::Verification | EncodeError::ReadBack(_) => {
+            Problem::new(500, "internal", "Internal error", fault.to_string())
+        }
+        _ => Problem::new(422, "not-encodable", "The scene cannot be encoded", fault.to_string()),
+    })
+}
+
+/// Decodes a file.
+pub(crate) fn decode(bytes: &[u8]) -> Result<Decoded, Problem> {
+    let decoded = codec::decode(bytes, &DecodeLimits::default()).map_err(|fault| not_a_file(&fault))?;
+    Ok(Decoded {
+        scene: decoded.scene,
+        background: decoded.manifest.background,
+        decode_sha256: decoded.decode_sha256,
+    })
+}
+
+/// Accounts for every byte of a file.
+pub(crate) fn inspect(bytes: &[u8]) -> Result<Inspection, Problem> {
+    let inspection = codec::inspect(bytes).map_err(|fault| not_a_file(&fault))?;
+    let json = serde_json::to_value(&inspection)
+        .map_err(|fault| Problem::new(500, "internal", "Internal error", fault.to_string()))?;
+    Ok(Inspection { json, text: inspection.to_string(), bytes: inspection.byte_counts })
+}
+
+fn not_a_file(fault: &DecodeError) -> Problem {
+    Problem::new(422, "undecodable", "The file cannot be decoded", fault.to_string())
+}
+
+/// The training pipeline.
+pub(crate) fn runner(_adapter: &AdapterChoice) -> Result<Arc<dyn RunJob>, Problem> {
+    Ok(Arc::new(absent::Absent))
+}
+
+/// What renders views, for the service and for single commands; the second is adapter and driver in one line.
+pub(crate) fn views(adapter: &AdapterChoice) -> Result<(Arc<dyn RenderViews>, String), Problem> {
+    Ok((Arc::new(absent::Absent), adapter.to_string()))
+}
+
+/// Renders one scene, as many cameras as are asked for.
+pub(crate) struct Renderer {
+    /// Adapter and driver in one line.
+    pub(crate) adapter: String,
+    views: Arc<dyn RenderViews>,
+    key: Digest,
+    viewable: Viewable,
+}
+
+impl Renderer {
+    /// Opens the adapter for the scene of a decoded file.
+    pub(crate) fn open(decoded: Decoded, adapter: &AdapterChoice) -> Result<Self, Problem> {
+        let (views, adapter) = views(adapter)?;
+        let viewable = Viewable { scene: decoded.scene, background: decoded.background };
+        // The hash of what was decoded tells scenes apart as well as the hash of a file would.
+        Ok(Self { adapter, views, key: decoded.decode_sha256, viewable })
+    }
+
+    /// The view from `camera`, over the background that the scene was trained on.
+    pub(crate) fn view(&self, camera: &Camera) -> Result<Image, Problem> {
+        self.views.render(self.key, &|| Ok(self.viewable.clone()), camera)
+    }
+}
+
+/// Scores of renders against photographs, pair by pair.
+pub(crate) fn scores(_pairs: &[(Image, Image)]) -> Result<Scores, Problem> {
+    Err(absent::problem("measuring"))
+}

@@ -1,0 +1,176 @@
+//! Assembles the two kinds of process: the API with its supervised workers, and a worker.
+//!
+//! Both stop in order when a signal asks them to: no new work, open work to its end or back to the queue, then the
+//! database.
+
+use std::{
+    error::Error,
+    ffi::OsString,
+    fs, io,
+    net::SocketAddr,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use tcgs::{
+    domain::{Problem, SystemClock},
+    gpu::AdapterChoice,
+    http::{self, HttpConfig, Services, WorkerCounts},
+    ingest,
+    render::views::Viewable,
+    store::{Blobs, QueuePolicy, SqliteStore},
+    worker::{self, WorkerConfig, supervise},
+};
+use tokio::runtime::Runtime;
+use tokio_util::sync::CancellationToken;
+
+use crate::cli::{Failure, logging::Format};
+
+/// Name of the database in the data folder.
+const DATABASE: &str = "tcgs.sqlite";
+
+/// Where a service listens and keeps its data.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct ServeOptions {
+    pub(crate) listen: SocketAddr,
+    pub(crate) data: PathBuf,
+    pub(crate) adapter: AdapterChoice,
+    /// Worker processes to start.
+    pub(crate) workers: u16,
+    /// How this process logs, and so its workers.
+    pub(crate) log_format: Format,
+}
+
+/// Where a worker finds its queue.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct WorkerOptions {
+    /// The data folder of the service.
+    pub(crate) data: PathBuf,
+    pub(crate) adapter: AdapterChoice,
+    /// Whether to stop when standard input closes, which it does when the parent process dies.
+    pub(crate) stop_with_parent: bool,
+}
+
+/// Runs the service until a signal comes.
+pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
+    let config = HttpConfig { listen: options.listen, ..HttpConfig::default() };
+    config.check_exposure().map_err(|fault| Failure::Usage(format!("--listen: {fault}")))?;
+    runtime()?.block_on(async {
+        let listener = http::bind(&config).await.map_err(|fault| unavailable(&fault))?;
+        let (store, blobs) = open(&options.data).await?;
+        let shutdown = stop_on_signals()?;
+
+        let children = supervise::SuperviseConfig::this_program(
+            worker_arguments(&options),
+            usize::from(options.workers),
+        )
+        .map_err(|fault| unavailable(&fault))?;
+        let supervisor = supervise::supervise(children, store.clone(), shutdown.clone());
+        let census = supervisor.census();
+        let services = Services {
+            store: store.clone(),
+            blobs,
+            clock: Arc::new(SystemClock),
+            check: Arc::new(|archive: &Path| ingest::check(archive).map(|_| ())),
+            load: Arc::new(|bytes: &[u8]| {
+                let decoded = super::decode(bytes)?;
+                Ok(Viewable { scene: decoded.scene, background: decoded.background })
+            }),
+            renderer: super::views(&options.adapter)?.0,
+            workers: Arc::new(move || WorkerCounts {
+                expected: census.expected(),
+                alive: census.living().len(),
+            }),
+        };
+        let address = listener.local_addr().unwrap_or(options.listen);
+        tracing::info!(%address, data = %options.data.display(), "serving on http://{address}");
+        http::serve(listener, config, services, shutdown).await;
+        supervisor.stopped().await;
+        store.close().await;
+        Ok(())
+    })
+}
+
+/// Runs a worker until a signal comes, or its parent dies.
+pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
+    let runtime = runtime()?;
+    let outcome = runtime.block_on(async {
+        let runner = super::runner(&options.adapter)?;
+        let (store, blobs) = open(&options.data).await?;
+        let shutdown = stop_on_signals()?;
+        if options.stop_with_parent {
+            worker::stop_when_stdin_closes(shutdown.clone()).map_err(|fault| unavailable(&fault))?;
+        }
+        let config = WorkerConfig::from_environment();
+        let outcome = worker::serve(store.clone(), blobs, runner, config, shutdown).await;
+        store.close().await;
+        outcome.map_err(|fault| Failure::from(Problem::new(500, "stalled", "A job hangs", fault.to_string())))
+    });
+    // A run that did not stop is still on its thread; waiting for it here would undo giving up on it.
+    runtime.shutdown_background();
+    outcome
+}
+
+async fn open(data: &Path) -> Result<(Arc<SqliteStore>, Blobs), Failure> {
+    fs::create_dir_all(data).map_err(|fault| Failure::unwritable(data, &fault))?;
+    let database = data.join(DATABASE);
+    let store = SqliteStore::open(&database, Arc::new(SystemClock), QueuePolicy::default())
+        .await
+        .map_err(|fault| unavailable(&fault))?;
+    let blobs = Blobs::open(data).map_err(|fault| unavailable(&fault))?;
+    Ok((Arc::new(store), blobs))
+}
+
+fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
+    vec![
+        "worker".into(),
+        "--data".into(),
+        options.data.clone().into(),
+        "--adapter".into(),
+        options.adapter.to_string().into(),
+        "--log-format".into(),
+        options.log_format.to_string().into(),
+        "--stop-with-parent".into(),
+    ]
+}
+
+fn runtime() -> Result<Runtime, Failure> {
+    tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(|fault| unavailable(&fault))
+}
+
+/// Cancelled by the first interrupt or termination signal.
+fn stop_on_signals() -> Result<CancellationToken, Failure> {
+    let stop = CancellationToken::new();
+    let cancel = stop.clone();
+    #[cfg(unix)]
+    let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())
+        .map_err(|fault| unavailable(&fault))?;
+    tokio::spawn(async move {
+        let interrupt = tokio::signal::ctrl_c();
+        #[cfg(unix)]
+        let received: io::Result<()> = tokio::select! {
+            received = interrupt => received,
+            _ = terminate.recv() => Ok(()),
+        };
+        #[cfg(not(unix))]
+        let received: io::Result<()> = interrupt.await;
+        if let Err(fault) = received {
+            tracing::warn!(%fault, "signals cannot be received");
+            return;
+        }
+        tracing::info!("stopping");
+        cancel.cancel();
+    });
+    Ok(stop)
+}
+
+/// Something that this process needs is not to be had; the fault with its causes.
+fn unavailable(fault: &(dyn Error + 'static)) -> Failure {
+    let mut detail = fault.to_string();
+    let mut source = fault.source();
+    while let Some(cause) = source {
+        detail = format!("{detail}: {cause}");
+        source = cause.source();
+    }
+    Problem::new(503, "unavailable", "Something needed is missing", detail).into()
+}

@@ -1,0 +1,101 @@
+//! The point cloud that structure from motion would have found: surface points that several cameras see, a little
+//! off, with the colours they have there.
+
+use glam::DVec3;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use super::{
+    scene::{Scene, Solid},
+    shape::Shape,
+};
+use crate::domain::{Camera, PointCloud};
+
+/// Cameras that must see a point, as a track of that length would need.
+const WITNESSES: usize = 3;
+
+/// Half the width of the jitter on each axis, in world units.
+const JITTER: f64 = 0.004;
+
+/// Draws `count` points (fewer only if the cameras see next to nothing).
+pub(super) fn cloud(scene: &Scene, cameras: &[Camera], count: usize, seed: u64) -> PointCloud {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed);
+    let total: f64 = scene.solids.iter().map(|solid| solid.points).sum();
+    let mut cloud = PointCloud::default();
+    for _ in 0..count * 50 {
+        if cloud.positions.len() == count {
+            break;
+        }
+        let solid = pick(&scene.solids, rng.random::<f64>() * total);
+        let point = solid.shape.surface_point(&mut rng);
+        let jitter = DVec3::from_array(std::array::from_fn(|_| JITTER * (2.0 * rng.random::<f64>() - 1.0)));
+        let off_surface = point + solid.shape.normal(point) * 1e-3;
+        let seen = cameras
+            .iter()
+            .filter(|camera| {
+                is_in_image(camera, point) && scene.is_visible(off_surface, camera.pose.center())
+            })
+            .take(WITNESSES)
+            .count();
+        if seen < WITNESSES || (point.z < 0.0 && !matches!(solid.shape, Shape::Ground { .. })) {
+            continue;
+        }
+        cloud.positions.push((point + jitter).as_vec3().to_array());
+        cloud.colors.push(scene.matt_color(solid, point));
+    }
+    cloud
+}
+
+fn pick(solids: &[Solid], mut at: f64) -> &Solid {
+    for solid in solids {
+        if at < solid.points {
+            return solid;
+        }
+        at -= solid.points;
+    }
+    &solids[solids.len() - 1]
+}
+
+fn is_in_image(camera: &Camera, point: DVec3) -> bool {
+    let (width, height) = (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
+    camera.project(point).is_some_and(|(at, _)| (0.0..width).contains(&at.x) && (0.0..height).contains(&at.y))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sample::views;
+
+    #[test]
+    fn the_cloud_is_seeded_and_its_colours_are_what_the_cameras_see() {
+        let scene = Scene::still_life();
+        let cameras = views::cameras(96);
+        let cloud = cloud_of(&scene, &cameras, 7);
+        assert_eq!(cloud, cloud_of(&scene, &cameras, 7));
+        assert_ne!(cloud, cloud_of(&scene, &cameras, 8));
+        assert_eq!(cloud.positions.len(), 600);
+
+        let camera = &cameras[9];
+        let image = scene.render(camera);
+        let mut differences: Vec<u8> = Vec::new();
+        for (position, color) in cloud.positions.iter().zip(&cloud.colors) {
+            let point = glam::Vec3::from_array(*position).as_dvec3();
+            if !is_in_image(camera, point) || !scene.is_visible(point + DVec3::Z * 0.01, camera.pose.center())
+            {
+                continue;
+            }
+            let (at, _) = camera.project(point).expect("in the image");
+            let first = (at.y as usize * 96 + at.x as usize) * 3;
+            differences
+                .extend((0..3).map(|channel| image.samples()[first + channel].abs_diff(color[channel])));
+        }
+        assert!(differences.len() > 300, "only {} samples are in view", differences.len());
+        differences.sort_unstable();
+        let median = differences[differences.len() / 2];
+        assert!(median < 12, "half of the cloud's colours are {median} or more away from the image's");
+    }
+
+    fn cloud_of(scene: &Scene, cameras: &[Camera], seed: u64) -> PointCloud {
+        cloud(scene, cameras, 600, seed)
+    }
+}

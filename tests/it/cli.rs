@@ -1,0 +1,193 @@
+//! The command line as scripts see it: exit statuses, what goes to which stream, and that `--json` is pure.
+
+use std::{
+    path::Path,
+    process::{Command, Output},
+};
+
+use serde_json::Value;
+
+const COMMANDS: [&str; 10] =
+    ["serve", "worker", "train", "encode", "decode", "render", "eval", "inspect", "sample", "doctor"];
+
+fn tcgs(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_tcgs"))
+        .args(arguments)
+        .env_remove("RUST_LOG")
+        .env_remove("TCGS_ADAPTER")
+        .env_remove("TCGS_LOG_FORMAT")
+        .output()
+        .expect("the binary runs")
+}
+
+fn text(stream: &[u8]) -> &str {
+    std::str::from_utf8(stream).expect("UTF-8")
+}
+
+/// Standard output as the one JSON document that it must be.
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout)
+        .unwrap_or_else(|fault| panic!("{fault} in standard output: {}", text(&output.stdout)))
+}
+
+fn path(path: &Path) -> &str {
+    path.to_str().expect("UTF-8")
+}
+
+#[test]
+fn help_and_version_go_to_standard_output() {
+    let help = tcgs(&["--help"]);
+    assert_eq!(help.status.code(), Some(0));
+    for command in COMMANDS {
+        assert!(text(&help.stdout).contains(command), "the help does not name {command}");
+        let own = tcgs(&[command, "--help"]);
+        assert_eq!(own.status.code(), Some(0), "{command}");
+        assert!(text(&own.stdout).contains("Usage: tcgs"), "{command}");
+    }
+    let version = tcgs(&["--version"]);
+    assert_eq!(text(&version.stdout).trim(), format!("tcgs {}", env!("CARGO_PKG_VERSION")));
+}
+
+#[test]
+fn wrong_usage_is_status_2_and_says_what_is_wrong() {
+    let cases: &[(&[&str], &str)] = &[
+        (&[], "Usage"),
+        (&["frobnicate"], "frobnicate"),
+        (&["train"], "DATASET"),
+        (&["train", "d", "-o", "o", "--preset", "fast"], "preview, standard, paper"),
+        (&["train", "d", "-o", "o", "--iterations", "0"], "--iterations"),
+        (&["train", "d", "-o", "o", "--iterations", "-5"], "-5"),
+        (&["train", "d", "-o", "o", "--model", "3dgs"], "--model"),
+        (&["train", "d", "-o", "o", "--resume", "c"], "--resume"),
+        (&["render", "f", "-o", "o.png"], "--pose"),
+        (&["render", "f", "-o", "o.png", "--frame", "a"], "--dataset"),
+        (&["render", "f", "-o", "o.png", "--pose", "{}", "--dataset", "d", "--frame", "a"], "cannot be used"),
+        (&["render", "f", "-o", "o.gif", "--pose", "{}"], ".png"),
+        (&["encode", "f", "-o", "o", "--feature-step", "0"], "positive"),
+        (&["serve", "--listen", "nowhere"], "nowhere"),
+        (&["serve", "--database", "postgres://x"], "--database"),
+        (&["worker", "--blobs", "s3://x"], "--blobs"),
+        (&["sample", "d", "--side", "2"], "--side"),
+    ];
+    for (arguments, word) in cases {
+        let output = tcgs(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", text(&output.stderr));
+        assert!(text(&output.stderr).contains(word), "{arguments:?}: {}", text(&output.stderr));
+        assert!(output.stdout.is_empty(), "{arguments:?}");
+    }
+}
+
+#[test]
+fn refused_input_is_status_3_and_names_the_file() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let garbage = folder.path().join("garbage.bin");
+    std::fs::write(&garbage, b"neither a scene nor an archive").expect("writes");
+    let (garbage, out) = (path(&garbage), folder.path().join("out.png"));
+    let out = path(&out);
+    let missing = "no/such/file";
+    let cases: &[&[&str]] = &[
+        &["inspect", missing],
+        &["decode", missing, "-o", out],
+        &["encode", missing, "-o", out],
+        &["encode", garbage, "-o", out],
+        &["render", missing, "-o", out, "--pose", missing],
+        &["render", garbage, "-o", out, "--pose", r#"{"fx": 1}"#],
+        &["sample", path(folder.path())],
+    ];
+    for arguments in cases {
+        let output = tcgs(arguments);
+        assert_eq!(output.status.code(), Some(3), "{arguments:?}: {}", text(&output.stderr));
+        assert!(output.stdout.is_empty(), "{arguments:?}");
+        assert!(text(&output.stderr).starts_with("tcgs: "), "{arguments:?}: {}", text(&output.stderr));
+    }
+    assert!(!Path::new(out).exists(), "a failed command must leave no output");
+    let output = tcgs(&["inspect", missing]);
+    assert!(text(&output.stderr).contains(missing));
+}
+
+#[test]
+fn with_json_a_failure_is_one_problem_document() {
+    for arguments in [
+        &["inspect", "no/such/file", "--json"][..],
+        &["decode", "no/such/file", "-o", "x", "--json"],
+        &["eval", "no/such/file", "no/such/dataset", "--json"],
+        &["train", "d", "-o", "o", "--json", "--iterations", "0"],
+    ] {
+        let output = tcgs(arguments);
+        assert_ne!(output.status.code(), Some(0), "{arguments:?}");
+        let problem = json(&output);
+        assert!(problem["type"].as_str().expect("a type").starts_with("urn:tcgs:problem:"), "{problem}");
+        assert!(problem["detail"].is_string() && problem["status"].is_u64(), "{problem}");
+        assert!(!output.stderr.is_empty(), "people read standard error: {arguments:?}");
+    }
+}
+
+#[test]
+fn with_json_and_all_logs_on_standard_output_is_still_one_document() {
+    let output = Command::new(env!("CARGO_BIN_EXE_tcgs"))
+        .args(["doctor", "--json", "--log-format", "json"])
+        .env("RUST_LOG", "trace")
+        .output()
+        .expect("the binary runs");
+    let document = json(&output);
+    match output.status.code() {
+        Some(0) => {
+            let adapters = document["adapters"].as_array().expect("adapters");
+            assert!(adapters.iter().any(|adapter| adapter["usable"] == true), "{document}");
+            assert!(document["threads"].as_u64().expect("threads") >= 1);
+        }
+        // A machine without any Vulkan driver is told so.
+        Some(4) => assert_eq!(document["type"], "urn:tcgs:problem:no-adapter"),
+        other => panic!("status {other:?}: {}", text(&output.stderr)),
+    }
+}
+
+#[test]
+fn sample_writes_a_scene_that_it_will_not_overwrite() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let scene = folder.path().join("scene");
+    let arguments = ["sample", path(&scene), "--side", "16"];
+    let output = tcgs(&arguments);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    assert!(text(&output.stdout).contains("40 images to train on, 8 held out"));
+    assert!(scene.join("transforms.json").is_file() && scene.join("images/view_47.png").is_file());
+    assert_eq!(tcgs(&arguments).status.code(), Some(3), "a second run must refuse the folder");
+}
+
+#[test]
+fn a_file_is_inspected_decoded_and_encoded_again() {
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/shell_v1.tcgs");
+    let size = std::fs::metadata(&golden).expect("the golden file").len();
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (tensors, again) = (folder.path().join("scene.safetensors"), folder.path().join("again.tcgs"));
+
+    let inspection = json(&tcgs(&["inspect", path(&golden), "--json"]));
+    let counts = inspection["byte_counts"].as_object().expect("byte counts");
+    let parts = counts.iter().filter(|(name, _)| *name != "total");
+    assert_eq!(parts.map(|(_, bytes)| bytes.as_u64().expect("a count")).sum::<u64>(), size);
+
+    let decoded = tcgs(&["decode", path(&golden), "-o", path(&tensors), "--json"]);
+    assert_eq!(decoded.status.code(), Some(0), "{}", text(&decoded.stderr));
+    assert_eq!(json(&decoded)["decode_sha256"], inspection["manifest"]["decode_sha256"]);
+
+    let encoded = tcgs(&["encode", path(&tensors), "-o", path(&again)]);
+    assert_eq!(encoded.status.code(), Some(0), "{}", text(&encoded.stderr));
+    let anchors = json(&tcgs(&["inspect", path(&again), "--json"]))["manifest"]["anchors"].clone();
+    assert_eq!(anchors, inspection["manifest"]["anchors"]);
+
+    let cut = folder.path().join("cut.tcgs");
+    std::fs::write(&cut, &std::fs::read(&golden).expect("bytes")[..1000]).expect("writes");
+    let refused = tcgs(&["decode", path(&cut), "-o", path(&tensors), "--json"]);
+    assert_eq!(refused.status.code(), Some(3));
+    assert!(json(&refused)["file"].as_str().expect("a file").ends_with("cut.tcgs"));
+}
+
+#[test]
+fn serve_does_not_open_itself_to_the_network() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let data = folder.path().join("data");
+    let output = tcgs(&["serve", "--listen", "0.0.0.0:0", "--data", path(&data)]);
+    assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("--listen"));
+    assert!(!data.exists(), "nothing is made before the refusal");
+}
