@@ -3,7 +3,6 @@
 //! Each command speaks to the functions below and to nothing behind them, so that an engine can be exchanged here
 //! without a change to any command. Faults arrive as [`Problem`]s.
 
-mod absent;
 mod service;
 
 use std::{path::Path, sync::Arc};
@@ -11,10 +10,11 @@ use std::{path::Path, sync::Arc};
 use tcgs::{
     codec::{self, DecodeError, DecodeLimits, EncodeError, EncodeSettings, Encoded},
     domain::{AnchorScene, Background, ByteCounts, Camera, Dataset, Digest, Image, Problem, Scores},
+    eval::{ViewScore, mean_scores},
     gpu::AdapterChoice,
     ingest,
-    render::{RenderViews, views::Viewable},
-    worker::run::RunJob,
+    render::{RenderViews, SceneViewer, views::Viewable},
+    worker::{pipeline::Pipeline, run::RunJob},
 };
 
 pub(crate) use service::{ServeOptions, WorkerOptions, serve, worker};
@@ -83,13 +83,15 @@ fn not_a_file(fault: &DecodeError) -> Problem {
 }
 
 /// The training pipeline.
-pub(crate) fn runner(_adapter: &AdapterChoice) -> Result<Arc<dyn RunJob>, Problem> {
-    Ok(Arc::new(absent::Absent))
+pub(crate) fn runner(adapter: &AdapterChoice) -> Result<Arc<dyn RunJob>, Problem> {
+    Ok(Arc::new(Pipeline::new(adapter.clone())))
 }
 
 /// What renders views, for the service and for single commands; the second is adapter and driver in one line.
 pub(crate) fn views(adapter: &AdapterChoice) -> Result<(Arc<dyn RenderViews>, String), Problem> {
-    Ok((Arc::new(absent::Absent), adapter.to_string()))
+    let viewer = SceneViewer::open(adapter.clone())?;
+    let line = viewer.adapter_line();
+    Ok((Arc::new(viewer), line))
 }
 
 /// Renders one scene, as many cameras as are asked for.
@@ -116,7 +118,12 @@ impl Renderer {
     }
 }
 
-/// Scores of renders against photographs, pair by pair.
-pub(crate) fn scores(_pairs: &[(Image, Image)]) -> Result<Scores, Problem> {
-    Err(absent::problem("measuring"))
+/// Mean scores of renders against photographs, pair by pair.
+pub(crate) fn scores(pairs: &[(Image, Image)]) -> Result<Scores, Problem> {
+    let scores: Option<Vec<_>> =
+        pairs.iter().map(|(render, photograph)| ViewScore::measure("", render, photograph)).collect();
+    let scores = scores.ok_or_else(|| {
+        Problem::new(500, "internal", "Internal error", "a render is not of its photograph's size")
+    })?;
+    Ok(mean_scores(&scores))
 }

@@ -1,13 +1,13 @@
 //! Renders finished scenes from any camera into 8-bit images.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::{
     DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError, RenderViews, views::Viewable,
 };
 use crate::{
     domain::{AnchorScene, Background, Camera, Digest, Image, Problem},
-    gpu::Context,
+    gpu::{AdapterChoice, Context, GpuError},
     model::{AnchorRows, NetworkLayout},
 };
 
@@ -75,18 +75,43 @@ impl SceneRenderer {
     }
 }
 
-/// Renders views of many scenes; keeps the latest used on the device.
+/// Renders views of many scenes; keeps the latest used on the device, which is opened again after it was lost.
 #[derive(Debug)]
 pub struct SceneViewer {
+    choice: AdapterChoice,
+    state: Mutex<ViewerState>,
+}
+
+#[derive(Debug)]
+struct ViewerState {
     context: Arc<Context>,
-    kept: Mutex<Vec<(Digest, SceneRenderer)>>,
+    /// Latest used first.
+    kept: Vec<(Digest, SceneRenderer)>,
 }
 
 impl SceneViewer {
-    /// A viewer on an open device.
+    /// Opens the adapter of choice.
+    ///
+    /// # Errors
+    /// [`GpuError::NoAdapter`] or [`GpuError::Open`].
+    pub fn open(choice: AdapterChoice) -> Result<Self, GpuError> {
+        let context = Context::new(&choice)?;
+        Ok(Self { choice, state: Mutex::new(ViewerState { context, kept: Vec::new() }) })
+    }
+
+    /// Adapter and driver in one line.
     #[must_use]
-    pub fn new(context: Arc<Context>) -> Self {
-        Self { context, kept: Mutex::new(Vec::new()) }
+    pub fn adapter_line(&self) -> String {
+        self.lock().context.adapter_line()
+    }
+
+    /// Loses the device, as a driver reset would; for tests of the recovery.
+    pub fn destroy_device(&self) {
+        self.lock().context.destroy();
+    }
+
+    fn lock(&self) -> MutexGuard<'_, ViewerState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -97,18 +122,21 @@ impl RenderViews for SceneViewer {
         load: &dyn Fn() -> Result<Viewable, Problem>,
         camera: &Camera,
     ) -> Result<Image, Problem> {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        let found = kept.iter().position(|(digest, _)| *digest == artifact);
+        let mut state = self.lock();
+        if state.context.check().is_err() {
+            *state = ViewerState { context: Context::new(&self.choice)?, kept: Vec::new() };
+        }
+        let found = state.kept.iter().position(|(digest, _)| *digest == artifact);
         let (digest, mut renderer) = match found {
-            Some(index) => kept.remove(index),
+            Some(index) => state.kept.remove(index),
             None => {
                 let viewable = load()?;
-                (artifact, SceneRenderer::new(&self.context, &viewable.scene, viewable.background)?)
+                (artifact, SceneRenderer::new(&state.context, &viewable.scene, viewable.background)?)
             }
         };
         let image = renderer.render(camera)?;
-        kept.insert(0, (digest, renderer));
-        kept.truncate(SCENES_KEPT);
+        state.kept.insert(0, (digest, renderer));
+        state.kept.truncate(SCENES_KEPT);
         Ok(image)
     }
 }
