@@ -33,7 +33,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("object_store", &["store"]),
     ("wgpu", &["gpu", "model", "render", "train"]),
     ("naga_oil", &["gpu"]),
-    ("zip", &["ingest"]),
+    ("zip", &["ingest", "sample"]),
     ("constriction", &["codec"]),
     ("kiddo", &["model", "codec"]),
     ("clap", &["cli", "main"]),
@@ -69,23 +69,8 @@ fn roots_after(text: &str, prefix: &str) -> BTreeSet<String> {
             continue;
         }
         let rest = &text[start + prefix.len()..];
-        let names: Vec<&str> = if let Some(group) = rest.strip_prefix('{') {
-            let mut depth = 0;
-            let end = group
-                .find(|c| {
-                    match c {
-                        '{' => depth += 1,
-                        '}' if depth == 0 => return true,
-                        '}' => depth -= 1,
-                        _ => {}
-                    }
-                    false
-                })
-                .unwrap_or(group.len());
-            group[..end].split(',').collect()
-        } else {
-            vec![rest]
-        };
+        let names: Vec<&str> =
+            if let Some(group) = rest.strip_prefix('{') { top_level_items(group) } else { vec![rest] };
         for name in names {
             let name: String = name.trim().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
             if !name.is_empty() {
@@ -94,6 +79,27 @@ fn roots_after(text: &str, prefix: &str) -> BTreeSet<String> {
         }
     }
     found
+}
+
+/// The items of a braced list up to its closing brace, with what nested braces hold left inside their item.
+fn top_level_items(group: &str) -> Vec<&str> {
+    let (mut items, mut depth, mut start) = (Vec::new(), 0, 0);
+    for (at, c) in group.char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' if depth > 0 => depth -= 1,
+            ',' if depth > 0 => {}
+            ',' | '}' => {
+                items.push(&group[start..at]);
+                start = at + 1;
+                if c == '}' {
+                    break;
+                }
+            }
+            _ => {}
+        }
+    }
+    items
 }
 
 #[test]
@@ -141,7 +147,8 @@ fn layers_point_one_way() {
 
 #[test]
 fn the_layer_test_sees_grouped_and_plain_uses() {
-    let text = "use crate::{domain::Camera, gpu};\nlet x = crate::store::open();\nuse my_crate::other;";
+    let text =
+        "use crate::{domain::{Camera, Pose}, gpu};\nlet x = crate::store::open();\nuse my_crate::other;";
     let expected: BTreeSet<String> = ["domain", "gpu", "store"].map(str::to_owned).into();
     assert_eq!(roots_after(text, "crate::"), expected);
 }
