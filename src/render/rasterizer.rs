@@ -16,8 +16,7 @@ use super::{
 };
 use crate::{
     domain::Camera,
-    gpu::{Buffer, Context, GpuError, Kernel, Pairs, RadixSort, Recorder, Scan, ScanSlots},
-    kernel_source,
+    gpu::{Buffer, Context, GpuError, Kernel, Pairs, RadixSort, Recorder, Scan, ScanSlots, kernel_source},
 };
 
 /// Elements of the counter buffer.
