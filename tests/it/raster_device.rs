@@ -204,6 +204,27 @@ fn huge_gaussians_cover_everything() {
 }
 
 #[test]
+fn gradients_are_finite_at_every_scale() {
+    let camera = random::camera(48, 48);
+    for power in -12..=18 {
+        for thin in [1.0, 1e-3, 1e-6] {
+            let mut gaussians = random::gaussians(16, 20, 1.0);
+            for gaussian in &mut gaussians {
+                gaussian.scale *= 10.0_f64.powi(power) * DVec3::new(1.0, thin, 1.0);
+                gaussian.quat = gaussian.quat.map(|v| v * 1e10);
+            }
+            for antialiased in [false, true] {
+                let settings = RasterSettings { antialiased, ..RasterSettings::default() };
+                let found = run(settings, &Scene::new(&gaussians), &camera);
+                let finite = found.image.iter().flatten().all(|v| v.is_finite());
+                assert!(finite, "image at 1e{power}, {thin}, {antialiased}");
+                assert!(gradients(&found).iter().all(|v| v.is_finite()), "1e{power}, {thin}, {antialiased}");
+            }
+        }
+    }
+}
+
+#[test]
 fn overflow_is_reported_and_growing_gives_what_enough_room_would_have() {
     let context = gpu();
     let camera = random::camera(256, 256);
