@@ -2,6 +2,7 @@
 
 mod cli;
 mod codec;
+mod first_light;
 mod http;
 mod ingest;
 mod layers;
