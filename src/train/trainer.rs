@@ -9,6 +9,7 @@ use super::{
     Adam, Decay, Densify, ImageLoss, LossSums, Moments, Schedule, Statistics, TrainError,
     densify::{Trainable, densify},
     loss::pack,
+    unused::drop_unused,
 };
 use crate::{
     domain::{AnchorScene, CancelFlag, Dataset, Frame, Progress, Split, TrainOptions},
@@ -293,13 +294,16 @@ impl<'a> Run<'a> {
     }
 
     fn finish(mut self) -> Result<Trained, TrainError> {
-        let seconds = self.began.elapsed().as_secs_f64();
         self.anchors.values = self.context.read(&self.device.rows)?;
         let networks = self.context.read(&self.device.networks)?;
+        drop_unused(&self.context, &mut self.neural, &self.device, &mut self.anchors, &self.frames)?;
+        if self.anchors.is_empty() {
+            return Err(TrainError::NothingLeft { step: self.schedule.steps });
+        }
         Ok(Trained {
             scene: self.anchors.to_scene(self.layout.to_networks(&networks)),
             steps: self.schedule.steps,
-            seconds,
+            seconds: self.began.elapsed().as_secs_f64(),
         })
     }
 }
