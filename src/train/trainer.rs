@@ -128,7 +128,9 @@ impl<'a> Run<'a> {
             Some(cloud) if !cloud.positions.is_empty() => cloud.positions.clone(),
             _ => random_points(&mut rng, schedule.random_points, [-BLENDER_BOX; 3], [BLENDER_BOX; 3]),
         };
-        let anchors = initial_rows(&points, VoxelRule::OfSpacing(1.0 / COARSEST_GROWTH as f32), SHAPE)?;
+        let rule = VoxelRule::OfSpacing(1.0 / COARSEST_GROWTH as f32);
+        // Growth needs room above what the points begin with.
+        let anchors = initial_rows(&points, rule, SHAPE, schedule.max_anchors / 2)?;
         let layout = NetworkLayout::new(SHAPE);
         let networks = layout.initial(&mut rng);
         let background = options.background;
