@@ -5,6 +5,7 @@ mod codec;
 mod http;
 mod ingest;
 mod layers;
+mod neural;
 mod primitives;
 mod queue;
 mod raster_device;
