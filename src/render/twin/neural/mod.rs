@@ -16,6 +16,9 @@ pub use visibility::{anchor_statistics, anchor_visible, compact_anchors, feature
 use super::{Gaussian, GaussianGradient, Projection};
 use crate::model::{AnchorRows, NetworkLayout, Shape};
 
+/// Magnitudes from here on count as infinite.
+const LIMIT: f64 = 1e30;
+
 /// Visible anchors that one partial sum of a weight gradient covers.
 const GRADIENT_RUN: usize = 1024;
 

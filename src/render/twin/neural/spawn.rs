@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::{Gaussian, GaussianGradient};
+use super::{Gaussian, GaussianGradient, LIMIT};
 use crate::model::Shape;
 
 fn logistic(x: f64) -> f64 {
@@ -28,7 +28,8 @@ fn outputs_of(shape: Shape, k: usize) -> (usize, usize) {
     (shape.offsets + 7 * k, 8 * shape.offsets + 3 * k)
 }
 
-/// The K Gaussians of one anchor.
+/// The K Gaussians of one anchor; none for an opacity that is not positive, a mask that is off, or a place or size that is
+/// not finite.
 #[must_use]
 pub fn spawn_gaussians(
     position: DVec3,
@@ -49,7 +50,9 @@ pub fn spawn_gaussians(
                 quat: [3, 4, 5, 6].map(|i| outputs[covariance + i]),
                 color: three(outputs, color).map(logistic),
             };
-            ((mask >> k) & 1 == 1 && opacity > 0.0).then_some(gaussian)
+            let finite =
+                gaussian.mean.abs().cmplt(DVec3::splat(LIMIT)).all() && size.element_product() < LIMIT;
+            ((mask >> k) & 1 == 1 && opacity > 0.0 && finite).then_some(gaussian)
         })
         .collect()
 }
