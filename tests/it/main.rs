@@ -5,6 +5,7 @@ mod codec;
 mod http;
 mod ingest;
 mod layers;
+mod loss;
 mod neural;
 mod primitives;
 mod queue;
