@@ -1,5 +1,6 @@
 //! All integration tests in one binary: one link, one GPU context per process.
 
+mod adam;
 mod cli;
 mod codec;
 mod http;
