@@ -10,6 +10,7 @@ mod loss;
 mod schedule;
 mod statistics;
 mod trainer;
+pub mod twin;
 mod unused;
 
 pub use adam::{Adam, Moments};
