@@ -1,12 +1,12 @@
 // One Adam step (method.md section 1.6): bias-corrected moments, epsilon outside the root. The learning rate of element i
-// is rates[i % rates_len]. A gradient that is not finite leaves its element untouched.
+// is rates[i % rates_len]. A gradient that is not finite, or whose square would not be, leaves its element untouched.
 
 struct Settings {
     // elements, length of the rate table, unused, unused
     shape: vec4u,
     // beta1, beta2, 1 / (1 - beta1^t), 1 / sqrt(1 - beta2^t)
     moments: vec4f,
-    // epsilon, unused
+    // epsilon, 1 - beta1, 1 - beta2, unused
     extra: vec4f,
 }
 
@@ -25,11 +25,11 @@ fn adam(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     }
     let g = gradients[i];
     // Written so that NaN and infinity fail it.
-    if !(abs(g) < 1e30) {
+    if !(abs(g) < 1e18) {
         return;
     }
-    let m = settings.moments.x * first[i] + (1.0 - settings.moments.x) * g;
-    let v = settings.moments.y * second[i] + (1.0 - settings.moments.y) * g * g;
+    let m = settings.moments.x * first[i] + settings.extra.y * g;
+    let v = settings.moments.y * second[i] + settings.extra.z * g * g;
     first[i] = m;
     second[i] = v;
     let scale = sqrt(v) * settings.moments.w + settings.extra.x;

@@ -1,7 +1,8 @@
 // Gathers the networks' input of each visible anchor: feature, unit view direction, distance (method.md section 1.3).
-// Column-major: input[row * capacity + visible index].
+// Column-major: input[row * capacity + visible index]. A feature value that is not finite reads as zero: it would make
+// the gradients of the weights that all anchors share NaN.
 #import tcgs::anchor_view::View
-#import tcgs::model::{FEATURES, ROW}
+#import tcgs::model::{FEATURES, LIMIT, ROW}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
@@ -18,7 +19,9 @@ fn network_input(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_
     let anchor = list[1u + index];
     let capacity = view.counts.y;
     for (var feature = 0u; feature < FEATURES; feature++) {
-        input[feature * capacity + index] = rows[anchor * ROW + feature];
+        let value = rows[anchor * ROW + feature];
+        // NaN fails the comparison.
+        input[feature * capacity + index] = select(0.0, value, abs(value) < LIMIT);
     }
     let ray = positions[anchor].xyz - view.center.xyz;
     let distance = max(length(ray), 1e-12);

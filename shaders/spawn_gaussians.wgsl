@@ -1,7 +1,8 @@
 // Turns the networks' outputs into the Gaussians of a view (method.md section 1.4): Gaussian `index * OFFSETS + k` is
-// offset k of the index-th visible anchor. An opacity that is not positive, or a mask that is off, makes no Gaussian.
+// offset k of the index-th visible anchor. An opacity that is not positive, a mask that is off, or a place or size that
+// is not finite makes no Gaussian.
 #import tcgs::anchor_view::View
-#import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, COVARIANCE_OUT, COLOR_OUT, logistic}
+#import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, COVARIANCE_OUT, COLOR_OUT, LIMIT, logistic}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
@@ -36,14 +37,14 @@ fn spawn_gaussians(@builtin(workgroup_id) group: vec3u, @builtin(local_invocatio
         if ((mask >> k) & 1u) == 0u {
             opacity = 0.0;
         }
-        // NaN fails the comparison and makes no Gaussian.
-        if !(opacity > 0.0) {
+        let o = row + OFFSET_COLUMN + 3u * k;
+        let mean = position + vec3f(rows[o], rows[o + 1u], rows[o + 2u]) * reach;
+        // NaN fails the comparisons.
+        if !(opacity > 0.0 && all(abs(mean) < vec3f(LIMIT)) && size.x * size.y * size.z < LIMIT) {
             means_opacity[gaussian] = vec4f(0.0);
             continue;
         }
         born++;
-        let o = row + OFFSET_COLUMN + 3u * k;
-        let mean = position + vec3f(rows[o], rows[o + 1u], rows[o + 2u]) * reach;
         let c = (COVARIANCE_OUT + 7u * k) * capacity + index;
         let shape = vec3f(
             logistic(outputs[c]),

@@ -11,6 +11,9 @@ const ROW: u32 = FEATURES + 6u + 3u * OFFSETS;
 const COVARIANCE_OUT: u32 = OFFSETS;
 const COLOR_OUT: u32 = 8u * OFFSETS;
 
+// Magnitudes from here on count as infinite: their products would be.
+const LIMIT: f32 = 1e30;
+
 fn logistic(x: f32) -> f32 {
     return 1.0 / (1.0 + exp(-x));
 }

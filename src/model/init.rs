@@ -1,11 +1,13 @@
 //! First values of the anchors' parameters.
 
+use std::collections::BTreeSet;
+
 use rand::{Rng, RngExt};
 use thiserror::Error;
 
 use super::{
     AnchorRows, Shape, VoxelRule, choose_lattice,
-    lattice::{neighbour_distances, voxelise},
+    lattice::{coarse, neighbour_distances, voxelise},
 };
 
 /// A point set that no scene can begin with.
@@ -26,11 +28,16 @@ pub fn random_points(rng: &mut impl Rng, count: usize, low: [f32; 3], high: [f32
 }
 
 /// Anchors from points: voxelised, offsets and features zero, all six log-scalings the logarithm of the distance to
-/// the anchor's neighbours (method.md §1.2).
+/// the anchor's neighbours (method.md §1.2). A cloud that would make more than `most` anchors is thinned evenly.
 ///
 /// # Errors
 /// [`InitError`] for an empty or non-finite point set.
-pub fn initial_rows(points: &[[f32; 3]], rule: VoxelRule, shape: Shape) -> Result<AnchorRows, InitError> {
+pub fn initial_rows(
+    points: &[[f32; 3]],
+    rule: VoxelRule,
+    shape: Shape,
+    most: usize,
+) -> Result<AnchorRows, InitError> {
     if points.is_empty() {
         return Err(InitError::NoPoints);
     }
@@ -38,7 +45,7 @@ pub fn initial_rows(points: &[[f32; 3]], rule: VoxelRule, shape: Shape) -> Resul
         return Err(InitError::NonFinite(index));
     }
     let lattice = choose_lattice(points, rule);
-    let cells = voxelise(&lattice, points);
+    let cells = thin(voxelise(&lattice, points), most);
     let positions: Vec<[f32; 3]> = cells.iter().map(|cell| lattice.position(*cell)).collect();
     let mut values = vec![0.0; cells.len() * shape.row()];
     for (row, distance) in values.chunks_exact_mut(shape.row()).zip(neighbour_distances(&positions)) {
@@ -49,8 +56,53 @@ pub fn initial_rows(points: &[[f32; 3]], rule: VoxelRule, shape: Shape) -> Resul
     Ok(AnchorRows { shape, lattice, cells, values, masks })
 }
 
+/// At most `most` of the cells (but at least one): the first of each block of the smallest blocks that are few enough.
+fn thin(mut cells: Vec<[i32; 3]>, most: usize) -> Vec<[i32; 3]> {
+    let mut factor = 1;
+    while cells.len() > most.max(1) && factor < 1 << 20 {
+        factor *= 2;
+        let mut taken = BTreeSet::new();
+        cells.retain(|cell| taken.insert(coarse(*cell, factor)));
+    }
+    cells
+}
+
 /// The mask with every offset on.
 #[must_use]
 pub fn all_offsets(shape: Shape) -> u32 {
     if shape.offsets >= 32 { u32::MAX } else { (1 << shape.offsets) - 1 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SHAPE: Shape = Shape { features: 4, offsets: 2 };
+
+    #[test]
+    fn a_dense_cloud_is_thinned_evenly_and_keeps_its_extent() {
+        let points: Vec<[f32; 3]> =
+            (0..8000).map(|i| [(i % 20) as f32, (i / 20 % 20) as f32, (i / 400) as f32]).collect();
+        let all = initial_rows(&points, VoxelRule::Fixed(0.25), SHAPE, 10_000).expect("anchors");
+        let some = initial_rows(&points, VoxelRule::Fixed(0.25), SHAPE, 2_000).expect("anchors");
+        assert_eq!(all.len(), 8000);
+        assert!((500..=2_000).contains(&some.len()), "{}", some.len());
+        let extent = |rows: &AnchorRows| {
+            let xs = rows.cells.iter().map(|cell| cell[0]);
+            xs.clone().max().expect("cells") - xs.min().expect("cells")
+        };
+        assert!(extent(&some) * 10 >= extent(&all) * 9);
+        let mean_scale = |rows: &AnchorRows| {
+            let sum: f32 = (0..rows.len()).map(|anchor| rows.row(anchor)[SHAPE.scaling_column()].exp()).sum();
+            sum / rows.len() as f32
+        };
+        assert!(mean_scale(&some) > 1.2 * mean_scale(&all), "fewer anchors are larger");
+    }
+
+    #[test]
+    fn point_sets_that_no_scene_begins_with_are_refused() {
+        assert_eq!(initial_rows(&[], VoxelRule::Fixed(1.0), SHAPE, 9), Err(InitError::NoPoints));
+        let points = [[0.0; 3], [0.0, f32::NAN, 0.0]];
+        assert_eq!(initial_rows(&points, VoxelRule::Fixed(1.0), SHAPE, 9), Err(InitError::NonFinite(1)));
+    }
 }

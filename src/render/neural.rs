@@ -111,10 +111,10 @@ struct Kernels {
 }
 
 impl Kernels {
-    fn new(context: &Context, shape: Shape) -> Result<Self, RenderError> {
+    fn new(context: &Context, shape: Shape, subgroups: Option<u32>) -> Result<Self, RenderError> {
         let defs = shape.defs();
         // A broadcast needs eight lanes; the gradient's workgroup is exactly one subgroup.
-        let subgroups = context.subgroup_size().filter(|size| *size >= 8);
+        let subgroups = subgroups.filter(|size| *size >= 8);
         let mut lanes = vec![("GRADIENT_LANES", subgroups.unwrap_or(64))];
         let mut dense = Vec::new();
         if let Some(size) = subgroups {
@@ -207,9 +207,27 @@ impl NeuralGaussians {
     /// # Errors
     /// Faults of the device.
     pub fn new(context: Arc<Context>, shape: Shape, near: f32) -> Result<Self, RenderError> {
+        let subgroups = context.subgroup_size();
+        Self::with_subgroups(context, shape, near, subgroups)
+    }
+
+    /// As [`NeuralGaussians::new`], with the kernels that need no subgroups: for adapters whose subgroups misbehave.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn without_subgroups(context: Arc<Context>, shape: Shape, near: f32) -> Result<Self, RenderError> {
+        Self::with_subgroups(context, shape, near, None)
+    }
+
+    fn with_subgroups(
+        context: Arc<Context>,
+        shape: Shape,
+        near: f32,
+        subgroups: Option<u32>,
+    ) -> Result<Self, RenderError> {
         let layout = NetworkLayout::new(shape);
         Ok(Self {
-            kernels: Kernels::new(&context, shape)?,
+            kernels: Kernels::new(&context, shape, subgroups)?,
             view: context.buffer("view of anchors", 1)?,
             capacity: 0,
             forward: Activations::new(&context, &layout, 0)?,
@@ -242,6 +260,19 @@ impl NeuralGaussians {
     pub fn counts(&self) -> Result<[u32; 3], RenderError> {
         let counts = self.context.read_range(&self.forward.gaussians.count, 0, 3)?;
         Ok([counts[0], counts[1], counts[2]])
+    }
+
+    /// The visible anchors of the last submitted forward pass, ascending, and the opacity of each of their offsets
+    /// (0 where there is no Gaussian). Waits for the device.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn visible_opacities(&self) -> Result<(Vec<u32>, Vec<f32>), RenderError> {
+        let count = self.context.read_range(&self.forward.list, 0, 1)?[0] as usize;
+        let list = self.context.read_range(&self.forward.list, 1, count)?;
+        let gaussians = &self.forward.gaussians.means_opacity;
+        let opacities = self.context.read_range(gaussians, 0, count * self.layout.shape.offsets)?;
+        Ok((list, opacities.iter().map(|gaussian| gaussian[3]).collect()))
     }
 
     /// Records the making of the view's Gaussians. `volume_weight` is the regulariser's weight in the backward pass.

@@ -75,7 +75,8 @@ impl Adam {
         let uniform = recorder.uniform(&[
             [f32::from_bits(values.len() as u32), f32::from_bits(rates.len() as u32), 0.0, 0.0],
             [BETAS[0] as f32, BETAS[1] as f32, (1.0 / powers[0]) as f32, (1.0 / powers[1].sqrt()) as f32],
-            [EPSILON, 0.0, 0.0, 0.0],
+            // Not from the rounded betas: 1 - 0.999 in f32 is wrong by one part in 80 000.
+            [EPSILON, (1.0 - BETAS[0]) as f32, (1.0 - BETAS[1]) as f32, 0.0],
         ])?;
         recorder.dispatch(
             &self.kernel,

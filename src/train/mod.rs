@@ -10,6 +10,8 @@ mod loss;
 mod schedule;
 mod statistics;
 mod trainer;
+pub mod twin;
+mod unused;
 
 pub use adam::{Adam, Moments};
 pub use densify::{Densify, densify};

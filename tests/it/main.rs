@@ -1,11 +1,14 @@
 //! All integration tests in one binary: one link, one GPU context per process.
 
+mod adam;
 mod cli;
 mod codec;
 mod first_light;
 mod http;
 mod ingest;
 mod layers;
+mod loss;
+mod neural;
 mod primitives;
 mod queue;
 mod raster_device;

@@ -1,7 +1,8 @@
-//! The rasteriser on the CPU in f64, written plainly: every kernel has a function of the same name here, and the kernels
+//! The renderer on the CPU in f64, written plainly: every kernel has a function of the same name here, and the kernels
 //! are tested against these, these against independent values and central differences.
 
 mod lists;
+pub mod neural;
 mod project;
 mod project_backward;
 mod raster_backward;

@@ -1,0 +1,75 @@
+//! Which anchors a view shows, what the networks read of them, and what a view adds to their statistics.
+
+use glam::{DVec2, DVec3};
+
+use super::{Gaussian, LIMIT, Projection};
+use crate::{model::Shape, render::twin::SplatGradient};
+
+/// Whether the three-sigma box of the anchor, projected as an axis-aligned Gaussian of its offset scale, touches the
+/// image (method.md §1.4).
+#[must_use]
+pub fn anchor_visible(projection: &Projection, position: DVec3, shape: Shape, row: &[f64]) -> bool {
+    // The filter's own constant, whatever the rasteriser uses.
+    const LOW_PASS: f64 = 0.3;
+    let view = projection.rotation;
+    let p = view * position + projection.translation;
+    let beyond_near = p.z > projection.near;
+    if !beyond_near {
+        return false;
+    }
+    let reach = DVec3::from_slice(&row[shape.scaling_column()..][..3]).map(f64::exp);
+    let (low, high) = projection.slopes();
+    let slope = (p.truncate() / p.z).clamp(low, high);
+    let variance = DVec2::from([0, 1].map(|i| {
+        let across = projection.focal[i] / p.z * (view.row(i) - slope[i] * view.row(2)) * reach;
+        across.length_squared() + LOW_PASS
+    }));
+    let radius = 3.0 * variance.map(f64::sqrt);
+    let center = projection.focal * p.truncate() / p.z + projection.center;
+    (center + radius).cmpgt(DVec2::ZERO).all() && (center - radius).cmplt(projection.size.as_dvec2()).all()
+}
+
+/// The visible anchors in ascending order.
+#[must_use]
+pub fn compact_anchors(visible: &[bool]) -> Vec<u32> {
+    (0..).zip(visible).filter(|(_, visible)| **visible).map(|(anchor, _)| anchor).collect()
+}
+
+/// Feature, unit view direction, distance (method.md §1.3). A feature value that is not finite reads as zero.
+#[must_use]
+pub fn network_input(projection: &Projection, position: DVec3, shape: Shape, row: &[f64]) -> Vec<f64> {
+    let center = -(projection.rotation.transpose() * projection.translation);
+    let ray = position - center;
+    let distance = ray.length().max(1e-12);
+    let usable = |value: &f64| if value.abs() < LIMIT { *value } else { 0.0 };
+    let mut input: Vec<f64> = row[..shape.features].iter().map(usable).collect();
+    input.extend((ray / distance).to_array());
+    input.push(distance);
+    input
+}
+
+/// Writes the feature's part of the input gradient into the anchor's row.
+pub fn feature_gradient(shape: Shape, d_input: &[f64], d_row: &mut [f64]) {
+    d_row[..shape.features].copy_from_slice(&d_input[..shape.features]);
+}
+
+/// Adds one view to an anchor's row of statistics (method.md §1.7): K sums of screen-gradient norms in half-image units,
+/// K counts of views, the sum of positive opacities, visits. `tiles` is what each Gaussian touches; 0 is culled.
+pub fn anchor_statistics(
+    projection: &Projection,
+    gaussians: &[Option<Gaussian>],
+    v_splats: &[SplatGradient],
+    tiles: &[u32],
+    statistics: &mut [f64],
+) {
+    let offsets = gaussians.len();
+    for (k, gaussian) in gaussians.iter().enumerate() {
+        let Some(gaussian) = gaussian else { continue };
+        statistics[2 * offsets] += gaussian.opacity;
+        if tiles[k] > 0 {
+            statistics[k] += (v_splats[k].center * 0.5 * projection.size.as_dvec2()).length();
+            statistics[offsets + k] += 1.0;
+        }
+    }
+    statistics[2 * offsets + 1] += 1.0;
+}

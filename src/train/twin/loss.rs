@@ -1,0 +1,115 @@
+//! L1 and SSIM of two images and their gradient (method.md §1.5). An image is one RGB triple a pixel, rows from the top.
+
+use glam::{DVec3, USizeVec2};
+
+/// Half the window's width.
+const REACH: usize = 5;
+const SIGMA: f64 = 1.5;
+const C1: DVec3 = DVec3::splat(1e-4);
+const C2: DVec3 = DVec3::splat(9e-4);
+
+/// The window's means of x, y, x², y² and xy around a pixel; x is the render, y the photograph.
+pub type Moments = [DVec3; 5];
+
+/// The derivatives of SSIM by the window's means of x, x² and xy.
+pub type SsimGradient = [DVec3; 3];
+
+/// A pixel's share of SSIM, absolute and squared difference, each summed over the channels.
+pub type Losses = [f64; 3];
+
+/// The weight of a neighbour at this distance along one axis.
+fn tap(distance: usize) -> f64 {
+    let bell = |d: usize| (-((d * d) as f64) / (2.0 * SIGMA * SIGMA)).exp();
+    let total = bell(0) + 2.0 * (1..=REACH).map(bell).sum::<f64>();
+    bell(distance) / total
+}
+
+/// The zero-padded window along `axis` (0: rows).
+fn blur<const N: usize>(size: USizeVec2, axis: usize, fields: &[[DVec3; N]]) -> Vec<[DVec3; N]> {
+    let stride = [1, size.x][axis];
+    (0..fields.len())
+        .map(|pixel| {
+            let at = [pixel % size.x, pixel / size.x][axis];
+            let mut sums = [DVec3::ZERO; N];
+            for other in at.saturating_sub(REACH)..=(at + REACH).min(size[axis] - 1) {
+                let neighbour = &fields[pixel + other * stride - at * stride];
+                for (sum, value) in sums.iter_mut().zip(neighbour) {
+                    *sum += tap(at.abs_diff(other)) * *value;
+                }
+            }
+            sums
+        })
+        .collect()
+}
+
+/// The first half of the window, along rows.
+#[must_use]
+pub fn ssim_rows(size: USizeVec2, render: &[DVec3], photograph: &[DVec3]) -> Vec<Moments> {
+    let products: Vec<Moments> =
+        render.iter().zip(photograph).map(|(x, y)| [*x, *y, x * x, y * y, x * y]).collect();
+    blur(size, 0, &products)
+}
+
+/// The second half, along columns; the derivatives of SSIM and the losses of each pixel.
+#[must_use]
+pub fn ssim_columns(
+    size: USizeVec2,
+    render: &[DVec3],
+    photograph: &[DVec3],
+    rows: &[Moments],
+) -> (Vec<SsimGradient>, Vec<Losses>) {
+    let compare = |[x, y, xx, yy, xy]: Moments, pixel: usize| {
+        let (a1, a2) = (2.0 * x * y + C1, 2.0 * (xy - x * y) + C2);
+        let (b1, b2) = (x * x + y * y + C1, xx - x * x + yy - y * y + C2);
+        let ssim = a1 * a2 / (b1 * b2);
+        // Product rule and quotient rule over the four factors; the means of x² and xy are held.
+        let by_mean = 2.0 * y * (a2 - a1) / (b1 * b2) - ssim * (2.0 * x / b1 - 2.0 * x / b2);
+        let difference = render[pixel] - photograph[pixel];
+        let losses =
+            [ssim.element_sum(), difference.abs().element_sum(), (difference * difference).element_sum()];
+        ([by_mean, -ssim / b2, 2.0 * a1 / (b1 * b2)], losses)
+    };
+    blur(size, 1, rows).into_iter().zip(0..).map(|(moments, pixel)| compare(moments, pixel)).unzip()
+}
+
+/// The first half of the window's adjoint, along rows. The window is symmetric and zero-padded: its own adjoint.
+#[must_use]
+pub fn ssim_gradient_rows(size: USizeVec2, derivatives: &[SsimGradient]) -> Vec<SsimGradient> {
+    blur(size, 0, derivatives)
+}
+
+/// The gradient of `l1_weight |x - y| - ssim_weight SSIM`, summed over all samples, by each sample of the render.
+#[must_use]
+pub fn image_gradient(
+    size: USizeVec2,
+    render: &[DVec3],
+    photograph: &[DVec3],
+    rows: &[SsimGradient],
+    [l1_weight, ssim_weight]: [f64; 2],
+) -> Vec<DVec3> {
+    let sign = |v: f64| if v == 0.0 { 0.0 } else { v.signum() };
+    let pixels = blur(size, 1, rows).into_iter().zip(render).zip(photograph);
+    pixels
+        .map(|(([by_mean, by_square, by_product], x), y)| {
+            let d_ssim = by_mean + 2.0 * x * by_square + y * by_product;
+            l1_weight * (x - y).map(sign) - ssim_weight * d_ssim
+        })
+        .collect()
+}
+
+/// The sums over all pixels.
+#[must_use]
+pub fn sum_losses(losses: &[Losses]) -> Losses {
+    losses.iter().fold([0.0; 3], |sums, pixel| [0, 1, 2].map(|part| sums[part] + pixel[part]))
+}
+
+/// Mean SSIM, mean absolute and mean squared difference over all samples, and the gradient of 0.8 L1 + 0.2 (1 - SSIM).
+#[must_use]
+pub fn image_loss(size: USizeVec2, render: &[DVec3], photograph: &[DVec3]) -> (Losses, Vec<DVec3>) {
+    let samples = (3 * render.len()) as f64;
+    let rows = ssim_rows(size, render, photograph);
+    let (derivatives, losses) = ssim_columns(size, render, photograph, &rows);
+    let rows = ssim_gradient_rows(size, &derivatives);
+    let gradient = image_gradient(size, render, photograph, &rows, [0.8 / samples, 0.2 / samples]);
+    (sum_losses(&losses).map(|sum| sum / samples), gradient)
+}

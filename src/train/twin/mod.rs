@@ -1,0 +1,10 @@
+//! The image loss and the optimiser on the CPU in f64, written plainly: every kernel has a function of the same name here.
+
+mod adam;
+mod loss;
+
+pub use adam::{AdamElement, adam};
+pub use loss::{
+    Losses, Moments, SsimGradient, image_gradient, image_loss, ssim_columns, ssim_gradient_rows, ssim_rows,
+    sum_losses,
+};

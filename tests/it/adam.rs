@@ -1,0 +1,82 @@
+//! The optimiser on the device against its twin, and gradients that are none.
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use tcgs::train::{
+    Adam, Moments,
+    twin::{self, AdamElement},
+};
+
+use crate::support::gpu::gpu;
+
+#[test]
+fn adam_follows_its_twin() {
+    const COUNT: usize = 130;
+    let context = gpu();
+    let mut rng = Pcg64::seed_from_u64(8);
+    let rates = [1e-2_f32, 5e-3, 0.1, 1e-4];
+    let values: Vec<f32> = (0..COUNT).map(|_| rng.random_range(-1.0..1.0)).collect();
+    let mut expected: Vec<AdamElement> =
+        values.iter().map(|v| AdamElement { value: f64::from(*v), ..AdamElement::default() }).collect();
+    let adam = Adam::new(&context).expect("the kernel");
+    let values = context.upload("values", &values).expect("room");
+    let moments = Moments::zero(&context, COUNT).expect("room");
+    let table = context.upload("rates", &rates).expect("room");
+    for t in 1..=30 {
+        // Magnitudes from 1e-9 to 1e3; element 0 rests at zero.
+        let gradients: Vec<f32> = (0..COUNT)
+            .map(
+                |i| if i == 0 { 0.0 } else { rng.random_range(-1.0..1.0) * 10_f32.powi((i % 13) as i32 - 9) },
+            )
+            .collect();
+        for (i, (element, gradient)) in expected.iter_mut().zip(&gradients).enumerate() {
+            *element = twin::adam(*element, t, f64::from(rates[i % 4]), f64::from(*gradient));
+        }
+        let gradients = context.upload("gradients", &gradients).expect("room");
+        let mut recorder = context.recorder("adam");
+        adam.step(&mut recorder, t, &table, &gradients, &values, &moments).expect("recorded");
+        recorder.submit().expect("submitted");
+    }
+    let found = [&values, &moments.first, &moments.second].map(|buffer| context.read(buffer).expect("read"));
+    for (i, element) in expected.iter().enumerate() {
+        let [value, first, second] = [0, 1, 2].map(|part| f64::from(found[part][i]));
+        // Thirty steps of at most 0.1 with a rounding of 6e-8 and a root good to a few units more.
+        assert!((value - element.value).abs() < 3e-6, "value {i}: {value} {}", element.value);
+        let scale = element.second.sqrt();
+        assert!((first - element.first).abs() <= 1e-5 * scale, "first {i}: {first} {}", element.first);
+        assert!((second - element.second).abs() <= 1e-5 * element.second, "second {i}: {second}");
+    }
+    assert_eq!(found[1][0].to_bits(), 0, "no gradient, no motion");
+}
+
+#[test]
+fn the_first_step_of_adam_is_the_rate_whatever_the_gradient() {
+    for gradient in [1e-6, -1e-6, 3.0, -1e4] {
+        let moved = twin::adam(AdamElement::default(), 1, 0.01, gradient);
+        assert!((moved.value + 0.01 * gradient.signum()).abs() < 1e-9, "{gradient}: {}", moved.value);
+    }
+}
+
+#[test]
+fn a_gradient_that_is_not_finite_leaves_its_element_untouched_and_alone() {
+    let context = gpu();
+    let adam = Adam::new(&context).expect("the kernel");
+    let bad = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e20, -1e38, 1.0];
+    let values = context.upload("values", &[0.5_f32; 6]).expect("room");
+    let moments = Moments::upload(&context, &[0.25; 6], &[0.125; 6]).expect("room");
+    let rates = context.upload("rates", &[0.01_f32]).expect("room");
+    let gradients = context.upload("gradients", &bad).expect("room");
+    let mut recorder = context.recorder("adam");
+    adam.step(&mut recorder, 1, &rates, &gradients, &values, &moments).expect("recorded");
+    recorder.submit().expect("submitted");
+    assert_eq!(context.read(&values).expect("read")[..5], [0.5; 5]);
+    assert_eq!(context.read(&moments.first).expect("read")[..5], [0.25; 5]);
+    assert_eq!(context.read(&moments.second).expect("read")[..5], [0.125; 5]);
+    assert!(context.read(&values).expect("read")[5] < 0.5, "the others learn");
+    // What was spared is not spoiled: the next gradient moves every element.
+    let gradients = context.upload("gradients", &[1.0_f32; 6]).expect("room");
+    let mut recorder = context.recorder("adam");
+    adam.step(&mut recorder, 2, &rates, &gradients, &values, &moments).expect("recorded");
+    recorder.submit().expect("submitted");
+    assert!(context.read(&values).expect("read").iter().all(|v| *v < 0.5));
+}

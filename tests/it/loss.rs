@@ -1,0 +1,208 @@
+//! The image loss: its twin against central differences, the kernels against the twin, and SSIM against the final metric's
+//! and a plain two-dimensional window.
+
+use glam::{DVec3, USizeVec2};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use tcgs::{
+    domain::Image,
+    eval,
+    train::{ImageLoss, LossSums, twin},
+};
+
+use crate::support::{gpu::gpu, oracle::relative_l2};
+
+/// An image pair: the render in f32, the photograph in 8 bits.
+struct Pair {
+    size: USizeVec2,
+    render: Vec<[f32; 3]>,
+    photograph: Vec<[u8; 3]>,
+}
+
+impl Pair {
+    /// Noise. No sample is closer than 0.004 to its photograph: there the L1 part has no gradient.
+    fn noise(seed: u64, width: usize, height: usize) -> Self {
+        let mut rng = Pcg64::seed_from_u64(seed);
+        let photograph: Vec<[u8; 3]> = (0..width * height).map(|_| rng.random()).collect();
+        let mut render = |y: u8| loop {
+            let x = rng.random_range(-0.1..1.1_f32);
+            if (x - f32::from(y) / 255.0).abs() > 0.004 {
+                return x;
+            }
+        };
+        let render = photograph.iter().map(|pixel| pixel.map(&mut render)).collect();
+        Self { size: USizeVec2::new(width, height), render, photograph }
+    }
+
+    /// A gradient and the same gradient moved, as photographs of walls and skies are.
+    fn smooth(width: usize, height: usize) -> Self {
+        let at =
+            |pixel: usize| (pixel % width) as f32 / width as f32 + (pixel / width) as f32 / height as f32;
+        let photograph = (0..width * height)
+            .map(|pixel| [60.0 * at(pixel), 200.0 - 40.0 * at(pixel), 120.0].map(|v| v as u8));
+        let render =
+            (0..width * height).map(|pixel| [0.25 * at(pixel) + 0.011, 0.8 - 0.171 * at(pixel), 0.467]);
+        Self {
+            size: USizeVec2::new(width, height),
+            render: render.collect(),
+            photograph: photograph.collect(),
+        }
+    }
+
+    fn render(&self) -> Vec<DVec3> {
+        self.render.iter().map(|pixel| DVec3::from(pixel.map(f64::from))).collect()
+    }
+
+    fn photograph(&self) -> Vec<DVec3> {
+        self.photograph.iter().map(|pixel| DVec3::from(pixel.map(f64::from)) / 255.0).collect()
+    }
+}
+
+fn loss_of(sums: [f64; 3]) -> f64 {
+    LossSums { ssim: sums[0], l1: sums[1], mse: sums[2] }.loss()
+}
+
+#[test]
+fn the_twins_gradient_is_that_of_its_loss() {
+    for (width, height) in [(13, 17), (3, 5), (1, 1), (11, 2)] {
+        let pair = Pair::noise(1, width, height);
+        let (render, photograph) = (pair.render(), pair.photograph());
+        let (_, gradient) = twin::image_loss(pair.size, &render, &photograph);
+        for (pixel, found) in gradient.iter().enumerate() {
+            for channel in 0..3 {
+                let at = |by: f64| {
+                    let mut render = render.clone();
+                    render[pixel][channel] += by;
+                    loss_of(twin::image_loss(pair.size, &render, &photograph).0)
+                };
+                let expected = (at(1e-5) - at(-1e-5)) / 2e-5;
+                // A loss of order one: the difference is good to 1e-11 by rounding and 1e-9 by curvature.
+                let error = (found[channel] - expected).abs();
+                assert!(error < 1e-8 + 1e-6 * expected.abs(), "{width}x{height} {pixel} {found} {expected}");
+            }
+        }
+    }
+}
+
+/// Sums and gradient from the device; what the kernels must not read is NaN or noise.
+fn on_device(loss: &mut ImageLoss, pair: &Pair) -> (LossSums, Vec<[f32; 4]>) {
+    let context = gpu();
+    let render: Vec<[f32; 4]> = pair.render.iter().map(|[r, g, b]| [*r, *g, *b, f32::NAN]).collect();
+    let render = context.upload("render", &render).expect("a buffer");
+    let packed: Vec<u32> =
+        pair.photograph.iter().map(|[r, g, b]| u32::from_le_bytes([*r, *g, *b, r ^ b])).collect();
+    let mut recorder = context.recorder("loss");
+    let size = [pair.size.x as u32, pair.size.y as u32];
+    let gradient = loss.record(&mut recorder, size, &render, &packed).expect("recorded").clone();
+    recorder.submit().expect("submitted");
+    (loss.sums().expect("read").expect("a loss"), context.read(&gradient).expect("read"))
+}
+
+fn assert_matches_twin(loss: &mut ImageLoss, pair: &Pair, bound: f64) {
+    let (sums, gradient) = on_device(loss, pair);
+    let ([ssim, l1, mse], expected) = twin::image_loss(pair.size, &pair.render(), &pair.photograph());
+    assert!((sums.ssim - ssim).abs() < bound, "{}: SSIM {} {ssim}", pair.size, sums.ssim);
+    assert!((sums.l1 - l1).abs() < 1e-6 && (sums.mse - mse).abs() < 1e-6, "{}", pair.size);
+    let found: Vec<f64> = gradient.iter().flat_map(|p| [p[0], p[1], p[2]]).map(f64::from).collect();
+    let expected: Vec<f64> = expected.iter().flat_map(|p| p.to_array()).collect();
+    let error = relative_l2(&found, &expected);
+    assert!(error < bound, "{}: {error:e}", pair.size);
+    assert!(gradient.iter().all(|pixel| pixel[3] == 0.0), "there is no gradient by alpha");
+}
+
+#[test]
+fn the_loss_matches_the_twin_whatever_the_size() {
+    let mut loss = ImageLoss::new(gpu()).expect("the kernels");
+    assert!(loss.sums().expect("nothing to read").is_none(), "no figures before the first loss");
+    // 64 x 65 is more than one run of the sum; sizes shrink and grow in one instance.
+    for (width, height) in [(13, 17), (3, 5), (64, 65), (1, 1), (1, 40), (40, 1), (130, 70), (13, 17)] {
+        let pair = Pair::noise((width * height) as u64, width, height);
+        assert_matches_twin(&mut loss, &pair, 1e-5);
+    }
+}
+
+#[test]
+fn the_loss_matches_the_twin_on_smooth_images() {
+    let mut loss = ImageLoss::new(gpu()).expect("the kernels");
+    // Where an image hardly varies, the variance is a difference of nearly equal numbers: 6e-8 of rounding against SSIM's
+    // constant of 9e-4, times a few.
+    assert_matches_twin(&mut loss, &Pair::smooth(60, 44), 1e-3);
+}
+
+#[test]
+fn the_same_images_give_the_same_bits() {
+    let pair = Pair::noise(3, 97, 65);
+    let bits = |(sums, gradient): (LossSums, Vec<[f32; 4]>)| {
+        let gradient: Vec<u32> = gradient.iter().flatten().map(|v| v.to_bits()).collect();
+        ([sums.ssim, sums.l1, sums.mse].map(f64::to_bits), gradient)
+    };
+    let mut loss = ImageLoss::new(gpu()).expect("the kernels");
+    let first = bits(on_device(&mut loss, &pair));
+    on_device(&mut loss, &Pair::noise(4, 97, 65));
+    assert!(bits(on_device(&mut loss, &pair)) == first);
+}
+
+#[test]
+fn equal_images_have_no_loss_and_next_to_no_gradient() {
+    let mut pair = Pair::noise(5, 21, 19);
+    pair.render = pair.photograph.iter().map(|pixel| pixel.map(|v| f32::from(v) / 255.0)).collect();
+    let mut loss = ImageLoss::new(gpu()).expect("the kernels");
+    let (sums, gradient) = on_device(&mut loss, &pair);
+    assert!(sums.loss().abs() < 1e-6, "{sums:?}");
+    assert!(sums.psnr() > 90.0);
+    // One sample's weight is 0.8 over 1197 samples, 7e-4; the device's 8-bit decoding may differ in the last bit.
+    assert!(gradient.iter().flatten().all(|v| v.abs() < 1e-3));
+}
+
+/// SSIM with an 11 x 11 window, pixel by pixel.
+fn plain_ssim(a: &Image, b: &Image) -> f64 {
+    let (width, height) = (i64::from(a.width()), i64::from(a.height()));
+    let bell = |d: i64| (-((d * d) as f64) / 4.5).exp();
+    let total: f64 = (-5..=5).flat_map(|v| (-5..=5).map(move |u| bell(u) * bell(v))).sum();
+    let mut sum = 0.0;
+    for channel in 0..3 {
+        let sample = |image: &Image, x: i64, y: i64| {
+            f64::from(image.samples()[((y * width + x) * 3 + channel) as usize]) / 255.0
+        };
+        for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+            let mut moments = [0.0; 5];
+            for (v, u) in (-5..=5).flat_map(|v| (-5..=5).map(move |u| (v, u))) {
+                if (0..width).contains(&(x + u)) && (0..height).contains(&(y + v)) {
+                    let (p, q) = (sample(a, x + u, y + v), sample(b, x + u, y + v));
+                    let weight = bell(u) * bell(v) / total;
+                    for (moment, value) in moments.iter_mut().zip([p, q, p * p, q * q, p * q]) {
+                        *moment += weight * value;
+                    }
+                }
+            }
+            let [p, q, pp, qq, pq] = moments;
+            let contrast = (2.0 * (pq - p * q) + 9e-4) / (pp - p * p + qq - q * q + 9e-4);
+            sum += (2.0 * p * q + 1e-4) / (p * p + q * q + 1e-4) * contrast;
+        }
+    }
+    sum / (3 * width * height) as f64
+}
+
+#[test]
+fn the_final_metric_the_loss_and_a_plain_window_agree_on_8_bit_images() {
+    for (width, height) in [(13, 17), (3, 5), (40, 26)] {
+        let photograph = Pair::noise(6, width, height).photograph;
+        let mut rng = Pcg64::seed_from_u64(7);
+        let mut near = |v: u8| v.saturating_add(rng.random_range(0..40)) ^ 1;
+        let rendered: Vec<[u8; 3]> = photograph.iter().map(|pixel| pixel.map(&mut near)).collect();
+        let image = |samples: &[[u8; 3]]| {
+            Image::new(width as u32, height as u32, 3, samples.concat()).expect("an image")
+        };
+        let (a, b) = (image(&rendered), image(&photograph));
+        let render = rendered.iter().map(|pixel| pixel.map(|v| f32::from(v) / 255.0)).collect();
+        let pair = Pair { size: USizeVec2::new(width, height), render, photograph };
+        let (on_device, _) = on_device(&mut ImageLoss::new(gpu()).expect("the kernels"), &pair);
+        let ([twin, ..], _) = twin::image_loss(pair.size, &pair.render(), &pair.photograph());
+        let metric = eval::ssim(&a, &b).expect("comparable");
+        let plain = plain_ssim(&a, &b);
+        assert!((metric - plain).abs() < 1e-12, "{metric} {plain}");
+        assert!((metric - twin).abs() < 1e-6, "{metric} {twin}: f32 renders against exact 8-bit ones");
+        assert!((metric - on_device.ssim).abs() < 1e-5, "{metric} {}", on_device.ssim);
+        assert!((eval::psnr(&a, &b).expect("comparable") - on_device.psnr()).abs() < 1e-4);
+    }
+}

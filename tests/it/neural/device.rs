@@ -1,0 +1,241 @@
+//! The kernels against the twins: Gaussians, gradients, statistics.
+
+use std::sync::Arc;
+
+use tcgs::{
+    domain::{Camera, Pose},
+    model::{NetworkLayout, Shape},
+    render::{
+        NeuralGaussians, RasterSettings, RenderError,
+        twin::{GaussianGradient, neural as twin},
+    },
+};
+
+use super::scene::{Found, SMALL, Scene, USUAL, bits, projection, random_gradients, run};
+use crate::support::{gpu::gpu, oracle::relative_l2, random, scene::flat};
+
+const NEAR: f32 = 0.2;
+
+/// f32 has 6e-8 of rounding; two layers of up to 96 products and a sum over a thousand anchors in runs come to some 1e-6. The
+/// bound leaves room for adapters whose exp and tanh are good to a few units less.
+const BOUND: f64 = 1e-4;
+
+fn neural(shape: Shape, subgroups: bool) -> NeuralGaussians {
+    let make = if subgroups { NeuralGaussians::new } else { NeuralGaussians::without_subgroups };
+    make(gpu(), shape, NEAR).expect("the kernels")
+}
+
+fn assert_near(what: &str, found: &[f64], expected: &[f64]) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    let error = relative_l2(found, expected);
+    assert!(error < BOUND, "{what}: {error:e}");
+}
+
+/// Holds everything against the twin; returns how many anchors are visible.
+fn assert_matches_twin(
+    found: &Found,
+    scene: &Scene,
+    camera: &Camera,
+    volume_weight: f64,
+    seed: u64,
+) -> usize {
+    let (shape, projection) = (scene.anchors.shape, projection(camera));
+    let anchors = scene.twin();
+    let spawned = twin::neural_forward(&projection, &anchors);
+    assert_eq!(found.counts, twin::count_gaussians(shape, &spawned.list, &spawned.gaussians));
+    let opacities: Vec<f64> = found.gaussians[0].iter().map(|row| f64::from(row[3])).collect();
+    let expected: Vec<f64> = spawned.gaussians.iter().map(|g| g.map_or(0.0, |g| g.opacity)).collect();
+    assert_near("opacities", &opacities, &expected);
+    let alive = |column: &[[f32; 4]], width: usize| -> Vec<f64> {
+        let rows = column.iter().zip(&spawned.gaussians).filter(|(_, gaussian)| gaussian.is_some());
+        flat(&rows.map(|(row, _)| *row).collect::<Vec<_>>(), width)
+    };
+    let gaussians = || spawned.gaussians.iter().flatten();
+    let expected: Vec<f64> = gaussians().flat_map(|g| g.mean.to_array()).collect();
+    assert_near("means", &alive(&found.gaussians[0], 3), &expected);
+    let expected: Vec<f64> = gaussians().flat_map(|g| g.scale.to_array()).collect();
+    assert_near("scales", &alive(&found.gaussians[1], 3), &expected);
+    let expected: Vec<f64> = gaussians().flat_map(|g| g.quat).collect();
+    assert_near("quaternions", &alive(&found.gaussians[2], 4), &expected);
+    let expected: Vec<f64> = gaussians().flat_map(|g| g.color.to_array()).collect();
+    assert_near("colours", &alive(&found.gaussians[3], 3), &expected);
+
+    let gradients = random_gradients(seed, spawned.gaussians.len());
+    let v: Vec<GaussianGradient> = gradients.iter().map(|(v, ..)| *v).collect();
+    let expected = twin::neural_backward(&anchors, &spawned, &v, volume_weight);
+    let ends = [0, shape.features, shape.features + 3, shape.offset_column(), shape.row()];
+    for (what, range) in ["features", "reach", "size", "offsets"].into_iter().zip(ends.windows(2)) {
+        let part = |rows: &[f64]| -> Vec<f64> {
+            rows.chunks_exact(shape.row()).flat_map(|row| row[range[0]..range[1]].to_vec()).collect()
+        };
+        let rows: Vec<f64> = found.d_rows.iter().map(|v| f64::from(*v)).collect();
+        assert_near(&format!("gradient of {what}"), &part(&rows), &part(&expected.rows));
+    }
+    for (anchor, row) in found.d_rows.chunks_exact(shape.row()).enumerate() {
+        let seen = spawned.list.contains(&(anchor as u32));
+        assert!(seen || row.iter().all(|v| *v == 0.0), "anchor {anchor} is not in view and has a gradient");
+    }
+    let networks: Vec<f64> = found.d_networks.iter().map(|v| f64::from(*v)).collect();
+    let layout = NetworkLayout::new(shape);
+    for layer in std::iter::once(&layout.hidden).chain(&layout.heads) {
+        for (what, range) in
+            [("weights", layer.weights..layer.bias), ("bias", layer.bias..layer.bias + layer.outputs)]
+        {
+            assert_near(
+                &format!("gradient of {what} at {}", range.start),
+                &networks[range.clone()],
+                &expected.networks[range],
+            );
+        }
+    }
+
+    let width = 2 * shape.offsets + 2;
+    let mut statistics = vec![1.0; scene.anchors.len() * width];
+    for (index, anchor) in spawned.list.iter().enumerate() {
+        let born = index * shape.offsets..(index + 1) * shape.offsets;
+        let (splats, tiles): (Vec<_>, Vec<_>) =
+            gradients[born.clone()].iter().map(|(_, v, t)| (*v, *t)).unzip();
+        let row = &mut statistics[*anchor as usize * width..][..width];
+        twin::anchor_statistics(&projection, &spawned.gaussians[born], &splats, &tiles, row);
+    }
+    let found: Vec<f64> = found.statistics.iter().map(|v| f64::from(*v)).collect();
+    assert_near("statistics", &found, &statistics);
+    spawned.list.len()
+}
+
+fn check(shape: Shape, anchors: usize, spread: f32, subgroups: bool) -> usize {
+    let context = gpu();
+    let (camera, seed) = (random::camera(40, 30), anchors as u64);
+    let scene = Scene::random(seed, shape, anchors, spread, &projection(&camera));
+    let gradients = random_gradients(seed, anchors * shape.offsets);
+    let mut neural = neural(shape, subgroups);
+    let found = run(&context, &mut neural, &scene, &camera, 7.0, &gradients);
+    assert_matches_twin(&found, &scene, &camera, 7.0, seed)
+}
+
+#[test]
+fn a_few_anchors_match_the_twin() {
+    for anchors in [1, 2, 63, 64, 65, 129] {
+        for subgroups in [true, false] {
+            assert_eq!(check(SMALL, anchors, 0.8, subgroups), anchors, "all are in view");
+        }
+    }
+}
+
+#[test]
+fn more_anchors_than_one_gradient_run_match_the_twin() {
+    for subgroups in [true, false] {
+        assert_eq!(check(SMALL, 1025, 0.8, subgroups), 1025);
+    }
+}
+
+#[test]
+fn the_trained_widths_match_the_twin() {
+    for subgroups in [true, false] {
+        assert_eq!(check(USUAL, 130, 0.8, subgroups), 130);
+    }
+}
+
+#[test]
+fn anchors_that_are_partly_out_of_view_match_the_twin() {
+    for subgroups in [true, false] {
+        let visible = check(SMALL, 400, 5.0, subgroups);
+        assert!((20..380).contains(&visible), "{visible} of 400");
+    }
+}
+
+fn looking_away(camera: &Camera) -> Camera {
+    let center = camera.pose.center();
+    let pose = Pose::look_at(center, 2.0 * center, glam::DVec3::Z).expect("a view");
+    Camera { pose, ..*camera }
+}
+
+#[test]
+fn a_camera_that_looks_away_sees_nothing_and_teaches_nothing() {
+    let context = gpu();
+    let camera = random::camera(40, 30);
+    let away = looking_away(&camera);
+    let scene = Scene::random(1, SMALL, 70, 0.8, &projection(&camera));
+    for subgroups in [true, false] {
+        let mut neural = neural(SMALL, subgroups);
+        let gradients = random_gradients(1, 70 * SMALL.offsets);
+        // A view that shows everything comes first, so that its values lie in every buffer.
+        assert_eq!(run(&context, &mut neural, &scene, &camera, 7.0, &gradients).counts[2], 70);
+        let found = run(&context, &mut neural, &scene, &away, 7.0, &gradients);
+        assert_eq!(found.counts, [0; 3]);
+        assert!(found.d_rows.iter().chain(&found.d_networks).all(|v| *v == 0.0));
+        assert!(found.statistics.iter().all(|v| *v == 1.0));
+    }
+}
+
+#[test]
+fn a_scene_without_anchors_is_a_view_without_gaussians() {
+    let context = gpu();
+    let camera = random::camera(40, 30);
+    let scene = Scene::random(1, SMALL, 0, 0.8, &projection(&camera));
+    for subgroups in [true, false] {
+        let found = run(&context, &mut neural(SMALL, subgroups), &scene, &camera, 7.0, &[]);
+        assert_eq!(found.counts, [0; 3]);
+        assert!(found.d_networks.iter().all(|v| *v == 0.0));
+    }
+}
+
+#[test]
+fn an_anchor_whose_offsets_are_all_masked_makes_nothing_and_learns_nothing() {
+    let context = gpu();
+    let camera = random::camera(40, 30);
+    let mut scene = Scene::random(2, SMALL, 65, 0.8, &projection(&camera));
+    scene.anchors.masks[7] = 0;
+    let gradients = random_gradients(2, 65 * SMALL.offsets);
+    let found = run(&context, &mut neural(SMALL, true), &scene, &camera, 7.0, &gradients);
+    assert_matches_twin(&found, &scene, &camera, 7.0, 2);
+    assert!(found.gaussians[0][7 * SMALL.offsets..8 * SMALL.offsets].iter().all(|row| *row == [0.0; 4]));
+    assert!(found.d_rows[7 * SMALL.row()..8 * SMALL.row()].iter().all(|v| *v == 0.0));
+}
+
+#[test]
+fn the_same_input_gives_the_same_bits_whatever_was_rendered_before() {
+    let context = gpu();
+    let camera = random::camera(40, 30);
+    let large = Scene::random(3, SMALL, 1500, 0.8, &projection(&camera));
+    let small = Scene::random(4, SMALL, 129, 2.0, &projection(&camera));
+    let gradients = random_gradients(3, 1500 * SMALL.offsets);
+    for subgroups in [true, false] {
+        let mut used = neural(SMALL, subgroups);
+        let first = run(&context, &mut used, &large, &camera, 7.0, &gradients);
+        let fresh = run(&context, &mut neural(SMALL, subgroups), &small, &camera, 7.0, &gradients);
+        let after = run(&context, &mut used, &small, &camera, 7.0, &gradients);
+        assert!(bits(&fresh) == bits(&after), "what a larger scene left behind is not read");
+        let second = run(&context, &mut used, &large, &camera, 7.0, &gradients);
+        assert!(bits(&first) == bits(&second));
+    }
+}
+
+#[test]
+fn with_and_without_subgroups_agree_up_to_rounding() {
+    let context = gpu();
+    let camera = random::camera(40, 30);
+    let scene = Scene::random(5, USUAL, 200, 0.8, &projection(&camera));
+    let gradients = random_gradients(5, 200 * USUAL.offsets);
+    let [with, without] = [true, false]
+        .map(|subgroups| run(&context, &mut neural(USUAL, subgroups), &scene, &camera, 7.0, &gradients));
+    assert_eq!(with.counts, without.counts);
+    let f64s = |values: &[f32]| -> Vec<f64> { values.iter().map(|v| f64::from(*v)).collect() };
+    assert!(relative_l2(&f64s(&with.d_rows), &f64s(&without.d_rows)) < 1e-5);
+    assert!(relative_l2(&f64s(&with.d_networks), &f64s(&without.d_networks)) < 1e-5);
+}
+
+#[test]
+fn statistics_before_a_backward_pass_are_refused() {
+    let context = gpu();
+    let camera = random::camera(40, 30);
+    let scene = Scene::random(6, SMALL, 3, 0.8, &projection(&camera));
+    let neural = NeuralGaussians::new(Arc::clone(&context), SMALL, RasterSettings::default().near)
+        .expect("the kernels");
+    let device =
+        tcgs::render::DeviceAnchors::upload(&context, &scene.anchors, &scene.networks).expect("room");
+    let statistics = context.buffer("statistics", 3 * 8).expect("room");
+    let mut recorder = context.recorder("statistics");
+    let refused = neural.statistics(&mut recorder, &device, &statistics);
+    assert_eq!(refused, Err(RenderError::OutOfStep));
+}

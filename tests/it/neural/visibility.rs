@@ -1,0 +1,176 @@
+//! The choice of the anchors that a view shows, and the list of them.
+
+use glam::{DMat3, DVec2, DVec3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use tcgs::{
+    domain::{Camera, Intrinsics, Lattice, Pose},
+    kernel_source,
+    model::{AnchorRows, NetworkLayout},
+    render::{NeuralGaussians, Projection, RasterSettings, twin::neural as twin},
+};
+
+use super::scene::{SMALL, Scene, projection, random_gradients, run};
+use crate::support::{gpu::gpu, random};
+
+/// The row of an anchor of this reach.
+fn row_of(reach: DVec3) -> Vec<f64> {
+    let mut row = vec![0.0; SMALL.row()];
+    reach.map(f64::ln).write_to_slice(&mut row[SMALL.scaling_column()..]);
+    row
+}
+
+/// Brute force: the covariance of an axis-aligned Gaussian through the Jacobian as a matrix product.
+fn box_touches(projection: &Projection, position: DVec3, reach: DVec3) -> bool {
+    let p = projection.rotation * position + projection.translation;
+    if p.z <= projection.near {
+        return false;
+    }
+    let (low, high) = projection.slopes();
+    let slope = (p.truncate() / p.z).clamp(low, high);
+    let jacobian = DMat3::from_cols(
+        DVec3::new(projection.focal.x / p.z, 0.0, 0.0),
+        DVec3::new(0.0, projection.focal.y / p.z, 0.0),
+        DVec3::new(-projection.focal.x * slope.x / p.z, -projection.focal.y * slope.y / p.z, 0.0),
+    );
+    let m = jacobian * projection.rotation;
+    let covariance = m * DMat3::from_diagonal(reach * reach) * m.transpose();
+    let radius = 3.0 * DVec2::new(covariance.col(0).x + 0.3, covariance.col(1).y + 0.3).map(f64::sqrt);
+    let center = projection.focal * p.truncate() / p.z + projection.center;
+    let size = projection.size.as_dvec2();
+    center.x + radius.x > 0.0
+        && center.y + radius.y > 0.0
+        && center.x - radius.x < size.x
+        && center.y - radius.y < size.y
+}
+
+#[test]
+fn an_anchor_is_shown_exactly_if_its_box_touches_the_image() {
+    let projection = projection(&random::camera(40, 30));
+    let mut rng = Pcg64::seed_from_u64(1);
+    let mut shown = 0;
+    for _ in 0..20_000 {
+        let position = DVec3::from([0; 3].map(|_| rng.random_range(-6.0..6.0)));
+        let reach = DVec3::from([0; 3].map(|_| rng.random_range(-6.0..1.0_f64).exp()));
+        let expected = box_touches(&projection, position, reach);
+        let found = twin::anchor_visible(&projection, position, SMALL, &row_of(reach));
+        assert_eq!(found, expected, "{position} {reach}");
+        shown += usize::from(found);
+    }
+    assert!((2_000..18_000).contains(&shown), "{shown}");
+}
+
+#[test]
+fn every_anchor_whose_centre_is_in_the_image_beyond_the_near_plane_is_shown() {
+    let camera = random::camera(40, 30);
+    let projection = projection(&camera);
+    let mut rng = Pcg64::seed_from_u64(2);
+    let row = row_of(DVec3::splat(1e-6));
+    let mut inside = 0;
+    for _ in 0..20_000 {
+        let position = DVec3::from([0; 3].map(|_| rng.random_range(-2.0..2.0)));
+        let Some((pixel, depth)) = camera.project(position) else { continue };
+        if depth > 0.2 && pixel.cmpge(DVec2::ZERO).all() && pixel.cmple(DVec2::new(40.0, 30.0)).all() {
+            inside += 1;
+            assert!(twin::anchor_visible(&projection, position, SMALL, &row));
+        }
+    }
+    assert!(inside > 1000, "{inside}");
+}
+
+/// Anchors on the optical axis of a camera that looks along z, at these depths, all of whose offsets make Gaussians.
+fn on_the_axis(depths: &[i32], voxel: f32) -> (Scene, Camera) {
+    let layout = NetworkLayout::new(SMALL);
+    let mut networks = vec![0.0; layout.parameters];
+    networks[layout.heads[0].bias..][..SMALL.offsets].fill(1.0);
+    let mut values = vec![0.0; depths.len() * SMALL.row()];
+    for row in values.chunks_exact_mut(SMALL.row()) {
+        row[SMALL.scaling_column()..SMALL.offset_column()].fill(-3.0);
+    }
+    let anchors = AnchorRows {
+        shape: SMALL,
+        lattice: Lattice { voxel, origin: [0.0; 3] },
+        cells: depths.iter().map(|depth| [0, 0, *depth]).collect(),
+        values,
+        masks: vec![7; depths.len()],
+    };
+    let intrinsics = Intrinsics { fx: 50.0, fy: 50.0, cx: 20.0, cy: 15.0, width: 40, height: 30 };
+    let pose = Pose::from_world_to_camera(DMat3::IDENTITY, DVec3::ZERO).expect("a pose");
+    (Scene { anchors, networks }, Camera { intrinsics, pose })
+}
+
+fn depths_shown(scene: &Scene, camera: &Camera) -> Vec<f32> {
+    let context = gpu();
+    let mut neural = NeuralGaussians::new(context.clone(), SMALL, 0.2).expect("the kernels");
+    let gradients = random_gradients(1, scene.anchors.len() * SMALL.offsets);
+    let found = run(&context, &mut neural, scene, camera, 0.0, &gradients);
+    found.gaussians[0].iter().step_by(SMALL.offsets).map(|row| row[2]).collect()
+}
+
+#[test]
+fn anchors_at_the_near_plane_or_nearer_are_not_shown() {
+    // In sixteenths: the near plane of 0.2 lies between 3 and 4.
+    let (scene, camera) = on_the_axis(&[-1600, -16, 0, 1, 3, 4, 16, 1600], 1.0 / 16.0);
+    assert_eq!(depths_shown(&scene, &camera), [0.25, 1.0, 100.0]);
+    // Exactly on the plane: not shown, as the rasteriser would cull it too.
+    let (scene, camera) = on_the_axis(&[1, 2], 0.2);
+    assert_eq!(depths_shown(&scene, &camera), [0.4]);
+}
+
+#[test]
+fn the_twin_draws_the_same_line_at_the_near_plane() {
+    let (scene, camera) = on_the_axis(&[-1600, -16, 0, 1, 3, 4, 16, 1600], 1.0 / 16.0);
+    let settings = RasterSettings::default();
+    let spawned = twin::neural_forward(&Projection::new(&camera, &settings), &scene.twin());
+    assert_eq!(spawned.list, [5, 6, 7]);
+}
+
+#[test]
+fn the_device_shows_the_anchors_that_the_twin_shows() {
+    let camera = random::camera(40, 30);
+    let projection = projection(&camera);
+    let (mut scene, _) = on_the_axis(&[], 1.0);
+    let random = Scene::random(8, SMALL, 2000, 6.0, &projection);
+    scene.anchors = AnchorRows { masks: vec![7; 2000], ..random.anchors };
+    let twin = twin::neural_forward(&projection, &scene.twin());
+    assert!((200..1800).contains(&twin.list.len()), "{}", twin.list.len());
+    let context = gpu();
+    let mut neural = NeuralGaussians::new(context.clone(), SMALL, 0.2).expect("the kernels");
+    // With offsets of zero a Gaussian stands where its anchor does, which tells the anchors apart.
+    for row in scene.anchors.values.chunks_exact_mut(SMALL.row()) {
+        row[SMALL.offset_column()..].fill(0.0);
+    }
+    let gradients = random_gradients(1, 2000 * SMALL.offsets);
+    let found = run(&context, &mut neural, &scene, &camera, 0.0, &gradients);
+    let positions = scene.anchors.positions();
+    let expected: Vec<[f32; 4]> = twin.list.iter().map(|anchor| positions[*anchor as usize]).collect();
+    let shown: Vec<[f32; 4]> =
+        found.gaussians[0].iter().step_by(SMALL.offsets).map(|row| [row[0], row[1], row[2], 0.0]).collect();
+    assert!(shown == expected, "{} and {} anchors", shown.len(), expected.len());
+}
+
+#[test]
+fn the_list_is_ascending_complete_and_counted() {
+    let context = gpu();
+    let kernel = context.kernel(kernel_source!("compact_anchors"), &[]).expect("the kernel");
+    let mut rng = Pcg64::seed_from_u64(3);
+    for count in [0, 1, 2, 255, 256, 257, 1025, 70_001] {
+        for share in [0.0, 0.01, 0.5, 1.0] {
+            let visible: Vec<bool> = (0..count).map(|_| rng.random::<f64>() < share).collect();
+            let flags: Vec<u32> = visible.iter().map(|v| u32::from(*v)).collect();
+            let mut view = [[0xdead_beef_u32; 4]; 7];
+            view[6] = [count as u32, count as u32, 0, 0];
+            let view = context.upload("view", &view).expect("view");
+            let flags = context.upload("flags", &flags).expect("flags");
+            let list = context.upload("junk", &vec![0xdead_beef_u32; count + 2]).expect("list");
+            let mut recorder = context.recorder("compact");
+            recorder.dispatch(&kernel, &[view.as_ref(), flags.as_ref(), list.as_ref()], 1);
+            recorder.submit().expect("submitted");
+            let found = context.read(&list).expect("list");
+            let expected = twin::compact_anchors(&visible);
+            assert_eq!(found[0] as usize, expected.len());
+            assert!(found[1..=expected.len()] == expected, "{count} anchors, {share} of them visible");
+            assert!(found[expected.len() + 1..].iter().all(|v| *v == 0xdead_beef), "nothing beyond the list");
+        }
+    }
+}
