@@ -21,6 +21,9 @@ fail() {
 # The first value of a key in a JSON text: enough for the flat facts that this script shows.
 value() { tr -d '\n' | grep -oE "\"$1\" *: *(\"[^\"]*\"|[^],}]*)" | head -n 1 | sed -E 's/^"[^"]*" *: *//; s/^"//; s/"$//'; }
 
+# A number to so many decimals, in C's notation whatever the locale; a dash for what is not known yet.
+rounded() { case $2 in '' | null) echo - ;; *) LC_ALL=C printf "%.$1f\n" "$2" ;; esac; }
+
 # A loopback port that nobody answers on.
 free_port() {
     local port
@@ -73,8 +76,9 @@ while :; do
     job=$(curl -sS --fail-with-body "$url/v1/jobs/$id") || fail "the job cannot be read: $job"
     state=$(value state <<<"$job")
     line="$(value phase <<<"$job") $(value step <<<"$job")/$(value total <<<"$job")"
-    line+="  loss $(value loss <<<"$job")  PSNR $(value psnr <<<"$job")  anchors $(value anchors <<<"$job")"
-    line+="  Gaussians $(value gaussians <<<"$job")  $(value elapsed_seconds <<<"$job") s"
+    line+="  loss $(rounded 4 "$(value loss <<<"$job")")  PSNR $(rounded 2 "$(value psnr <<<"$job")")"
+    line+="  anchors $(value anchors <<<"$job")  Gaussians $(value gaussians <<<"$job")"
+    line+="  $(rounded 0 "$(value elapsed_seconds <<<"$job")") s"
     if [ -t 1 ]; then
         printf '\r\033[K%s' "$line"
     elif [ "$line" != "$shown" ] && [ $((SECONDS % 10)) -lt 2 ]; then
@@ -101,7 +105,9 @@ cp "$work/scene/images/view_06.png" "$out/photograph.png"
 
 test_metrics=$(tr -d '\n' <<<"$job" | grep -oE '"test" *: *\{[^}]*\}' | head -n 1)
 say ""
-say "held-out views   PSNR $(value psnr <<<"$test_metrics") dB, SSIM $(value ssim <<<"$test_metrics")"
+psnr=$(rounded 2 "$(value psnr <<<"$test_metrics")")
+ssim=$(rounded 4 "$(value ssim <<<"$test_metrics")")
+say "held-out views   PSNR $psnr dB, SSIM $ssim"
 say "file             $(wc -c <"$out/scene.tcgs") bytes: $out/scene.tcgs ($out/inspect.txt: where they go)"
 say "view by frame    $out/view_by_frame.png, beside $out/photograph.png, which training did not see"
 say "view by pose     $out/view_by_pose.png"
