@@ -56,6 +56,8 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
     let config = HttpConfig { listen: options.listen, ..HttpConfig::default() };
     config.check_exposure().map_err(|fault| Failure::Usage(format!("--listen: {fault}")))?;
     runtime()?.block_on(async {
+        // Before any worker starts, which would find the same fault.
+        let (renderer, _) = super::views(&options.adapter)?;
         let listener = http::bind(&config).await.map_err(|fault| unavailable(&fault))?;
         let (store, blobs) = open(&options.data).await?;
         let shutdown = stop_on_signals()?;
@@ -76,7 +78,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
                 let decoded = super::decode(bytes)?;
                 Ok(Viewable { scene: decoded.scene, background: decoded.background })
             }),
-            renderer: super::views(&options.adapter)?.0,
+            renderer,
             workers: Arc::new(move || WorkerCounts {
                 expected: census.expected(),
                 alive: census.living().len(),
