@@ -202,3 +202,6 @@ fn clamp_sizes(state: &mut Trainable, extent: f32) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
