@@ -233,6 +233,24 @@ fn growth_stops_at_the_largest_number_of_anchors() {
 }
 
 #[test]
+fn candidates_at_the_end_of_the_lattice_stay_within_what_the_file_format_codes() {
+    let mut state = state(&[[0, 0, 0]]);
+    place_offset(&mut state, 0, 0, [1e9, -1e9, 0.0]);
+    place_offset(&mut state, 0, 1, [-1e9, 1e9, 0.0]);
+    let mut statistics = statistics(1);
+    saw(&mut statistics, 0, 0, 100.0, 41.0);
+    saw(&mut statistics, 0, 1, 100.0, 41.0);
+    densify(&mut state, &mut statistics, &SETTINGS, &mut Keep);
+    assert!(state.anchors.len() > 1);
+    assert_aligned(&state, &statistics);
+    for axis in 0..3 {
+        let along = || state.anchors.cells.iter().map(|cell| cell[axis]);
+        let span = along().max().expect("one") - along().min().expect("one");
+        assert!(span < 1 << 21, "{span}");
+    }
+}
+
+#[test]
 fn offsets_that_were_eligible_begin_anew_and_the_others_go_on_gathering() {
     let mut state = state(&[[0, 0, 0]]);
     let mut statistics = statistics(1);
