@@ -59,7 +59,7 @@ fn print(title: &str, times: &Times, work: &BTreeMap<&str, (f64, &str)>) {
 fn networks(context: &Arc<Context>, count: usize) {
     let mut rng = Pcg64::seed_from_u64(1);
     let points = random_points(&mut rng, count, [-1.0; 3], [1.0; 3]);
-    let mut rows = initial_rows(&points, VoxelRule::OfSpacing(1.0 / 16.0), SHAPE).unwrap();
+    let mut rows = initial_rows(&points, VoxelRule::OfSpacing(1.0 / 16.0), SHAPE, usize::MAX).unwrap();
     for row in rows.values.chunks_exact_mut(SHAPE.row()) {
         row[..SHAPE.features].fill_with(|| rng.random_range(-1.0..1.0));
         row[SHAPE.offset_column()..].fill_with(|| rng.random_range(-1.0..1.0));
