@@ -7,7 +7,7 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use crate::domain::Lattice;
 
 /// Largest distance of a cell from the origin, in cells: the file format's position coder takes 21 bits an axis.
-const MAX_CELL: f32 = ((1 << 20) - 1) as f32;
+pub const MAX_CELL: i32 = (1 << 20) - 1;
 
 /// How the edge of a cell is chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,7 +65,7 @@ pub fn choose_lattice(points: &[[f32; 3]], rule: VoxelRule) -> Lattice {
         VoxelRule::Fixed(edge) => edge,
     };
     // Growth may leave the box of the points by half of it on each side and must still fit the coder.
-    let voxel = voxel.max(extent / MAX_CELL).max(f32::MIN_POSITIVE * 1e6);
+    let voxel = voxel.max(extent / MAX_CELL as f32).max(f32::MIN_POSITIVE * 1e6);
     Lattice { voxel, origin: std::array::from_fn(|axis| 0.5 * (low[axis] + high[axis])) }
 }
 
@@ -74,7 +74,7 @@ pub fn choose_lattice(points: &[[f32; 3]], rule: VoxelRule) -> Lattice {
 pub fn cell_of(lattice: &Lattice, position: [f32; 3]) -> [i32; 3] {
     std::array::from_fn(|axis| {
         let scaled = (position[axis] - lattice.origin[axis]) / lattice.voxel;
-        scaled.round_ties_even().clamp(-MAX_CELL, MAX_CELL) as i32
+        scaled.round_ties_even().clamp(-MAX_CELL as f32, MAX_CELL as f32) as i32
     })
 }
 

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, HashSet};
 use rand::{Rng, RngExt};
 
 use super::Statistics;
-use crate::model::{AnchorRows, all_offsets, cell_of, coarse};
+use crate::model::{AnchorRows, MAX_CELL, all_offsets, cell_of, coarse};
 
 /// Anchors whose mean opacity is below this are pruned.
 const MIN_OPACITY: f32 = 0.005;
@@ -109,7 +109,9 @@ fn grow(state: &mut Trainable, statistics: &Statistics, settings: &Densify, rng:
             if state.anchors.len() >= settings.max_anchors {
                 break;
             }
-            push_anchor(state, cell.map(|c| c * factor), &parents, log_scale);
+            // A coarse cell may be centred beyond the last lattice cell; held there, it still rounds to itself.
+            let cell = cell.map(|c| (c * factor).clamp(-MAX_CELL, MAX_CELL));
+            push_anchor(state, cell, &parents, log_scale);
             added += 1;
         }
     }
@@ -198,3 +200,6 @@ fn clamp_sizes(state: &mut Trainable, extent: f32) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

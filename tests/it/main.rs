@@ -16,4 +16,5 @@ mod raster_oracles;
 mod raster_twin;
 mod sample;
 mod support;
+mod train;
 mod worker;
