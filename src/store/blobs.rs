@@ -347,6 +347,19 @@ mod tests {
     }
 
     #[test]
+    fn opening_removes_what_a_crash_left_and_nothing_that_is_being_written() {
+        let folder = tempfile::tempdir().expect("a folder");
+        Blobs::open(folder.path()).expect("opens");
+        let [old, young] =
+            ["upload-old", "upload-young"].map(|name| folder.path().join("staging").join(name));
+        std::fs::write(&young, b"half").expect("writes");
+        let file = std::fs::File::create(&old).expect("made");
+        file.set_modified(std::time::SystemTime::UNIX_EPOCH).expect("dated back");
+        Blobs::open(folder.path()).expect("opens again");
+        assert!(!old.exists() && young.exists());
+    }
+
+    #[test]
     fn a_full_disk_is_recognised_through_the_layers() {
         let full = || io::Error::from(io::ErrorKind::StorageFull);
         assert!(BlobError::Io(full()).is_storage_full());
