@@ -14,7 +14,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{Camera, Intrinsics, Pose},
-    gpu::{AdapterChoice, Buffer, Context, KernelTime},
+    gpu::{AdapterChoice, Buffer, Context, KernelTime, Pairs, RadixSort},
     render::{Counts, GaussianGradients, Gaussians, RasterSettings, Rasterizer},
 };
 
@@ -97,6 +97,23 @@ impl Bench {
     }
 }
 
+/// Milliseconds of a sort of `count` pairs by 32-bit keys.
+fn sort_time(context: &Context, count: usize) -> f64 {
+    let mut rng = Pcg64::seed_from_u64(2);
+    let keys: Vec<u32> = (0..count).map(|_| rng.random()).collect();
+    let sort = RadixSort::new(context, count, 32, 0).unwrap();
+    let counts = context.upload("counts", &[count as u32]).unwrap();
+    let (pairs, spare) = (Pairs::new(context, count).unwrap(), Pairs::new(context, count).unwrap());
+    let mut best = Duration::MAX;
+    for _ in 0..RUNS {
+        context.write(&pairs.keys, &keys);
+        let mut recorder = context.timed_recorder("sort");
+        let _ = sort.record(&mut recorder, &counts, &pairs, &spare);
+        best = best.min(recorder.submit_timed().unwrap().iter().map(|kernel| kernel.time).sum());
+    }
+    1e3 * best.as_secs_f64()
+}
+
 fn main() {
     let detailed = std::env::args().any(|argument| argument == "kernels");
     let choice: AdapterChoice =
@@ -104,6 +121,9 @@ fn main() {
     let context = Context::new(&choice).unwrap();
     println!("adapter: {}", context.adapter_line());
     println!("subgroup size: {:?}; milliseconds, least of {RUNS}", context.subgroup_size());
+    for count in [10_000, 100_000, 1_000_000] {
+        println!("sort of {count} pairs by 32 bits: {:.2}", sort_time(&context, count));
+    }
     println!(
         "{:>9} {:>5} {:>9} {:>13} | {:>8} {:>8} {:>8} {:>8} | {:>8}",
         "Gaussians", "side", "visible", "intersections", "project", "sort", "forward", "backward", "all"

@@ -31,7 +31,7 @@ fn project_one(i: u32) -> u32 {
     let mean = vec4<f32>(mean_opacity.xyz, 1.0);
     let t = vec3<f32>(dot(view.right, mean), dot(view.down, mean), dot(view.forward, mean));
     let norm = dot(raw, raw);
-    if !(t.z > view.near) || !(norm > 1e-30) {
+    if !finite(vec4<f32>(t, norm)) || !(t.z > view.near) || !(norm > 1e-30) {
         return 0u;
     }
     let q = raw * inverseSqrt(norm);

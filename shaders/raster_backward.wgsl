@@ -3,6 +3,8 @@
 //
 // Lanes stand for pixels; a block of as many pixels as there are lanes is visited at a time and skipped if none of the
 // eight Gaussians reaches it. Each lane keeps eight private sums, which are added over the lanes once per eight Gaussians.
+//
+// With subgroups, a workgroup is exactly one subgroup: subgroups of all kernels have the same size there.
 
 #import tcgs::view::{TILE, View, tile_pixel}
 #import tcgs::splat::{ALPHA_MAX, ALPHA_MIN, NONE, power_at, ridges_of, touches}
@@ -21,7 +23,7 @@
 #ifdef SUBGROUPS
 const LANES: u32 = #{SUBGROUPS}u;
 #else
-const LANES: u32 = 32u;
+const LANES: u32 = 16u;
 #endif
 const CHUNK: u32 = 8u;
 const PIXELS: u32 = TILE * TILE;
@@ -68,7 +70,8 @@ fn fetch(stage: Stage, k: u32) -> Stage {
 #else
 var<workgroup> stages: array<Stage, CHUNK>;
 var<workgroup> tile_last: atomic<u32>;
-var<workgroup> partial: array<vec4<f32>, LANES>;
+// Nine numbers of each lane for each Gaussian of the chunk.
+var<workgroup> partial: array<f32, CHUNK * 9u * LANES>;
 
 fn fetch(stage: Stage, k: u32) -> Stage {
     return stages[k];
@@ -138,33 +141,17 @@ fn sum_lanes(
     return sum;
 }
 #else
-fn sum_one(lane: u32, k: u32, own: vec4<f32>) -> vec4<f32> {
-    workgroupBarrier();
-    partial[lane] = own;
-    workgroupBarrier();
-    var sum = vec4<f32>(0.0);
-    if lane == k {
-        for (var i = 0u; i < LANES; i++) {
-            sum += partial[i];
-        }
-    }
-    return sum;
-}
-
-fn sum_lanes(
-    lane: u32,
-    v0: vec4<f32>, v1: vec4<f32>, v2: vec4<f32>, v3: vec4<f32>,
-    v4: vec4<f32>, v5: vec4<f32>, v6: vec4<f32>, v7: vec4<f32>,
-) -> vec4<f32> {
-    var sum = sum_one(lane, 0u, v0);
-    sum += sum_one(lane, 1u, v1);
-    sum += sum_one(lane, 2u, v2);
-    sum += sum_one(lane, 3u, v3);
-    sum += sum_one(lane, 4u, v4);
-    sum += sum_one(lane, 5u, v5);
-    sum += sum_one(lane, 6u, v6);
-    sum += sum_one(lane, 7u, v7);
-    return sum;
+fn share(lane: u32, k: u32, own: Gradient) {
+    let i = k * 9u * LANES + lane;
+    partial[i] = own.a.x;
+    partial[i + LANES] = own.a.y;
+    partial[i + 2u * LANES] = own.a.z;
+    partial[i + 3u * LANES] = own.a.w;
+    partial[i + 4u * LANES] = own.b.x;
+    partial[i + 5u * LANES] = own.b.y;
+    partial[i + 6u * LANES] = own.b.z;
+    partial[i + 7u * LANES] = own.b.w;
+    partial[i + 8u * LANES] = own.c;
 }
 #endif
 
@@ -274,6 +261,7 @@ fn raster_backward(
             transmittances[p] = pixel.transmittance;
             remainders[p] = pixel.remainder;
         }
+#ifdef SUBGROUPS
         let a = sum_lanes(lane, g0.a, g1.a, g2.a, g3.a, g4.a, g5.a, g6.a, g7.a);
         let b = sum_lanes(lane, g0.b, g1.b, g2.b, g3.b, g4.b, g5.b, g6.b, g7.b);
         let c = sum_lanes(
@@ -281,6 +269,33 @@ fn raster_backward(
             vec4<f32>(g0.c), vec4<f32>(g1.c), vec4<f32>(g2.c), vec4<f32>(g3.c),
             vec4<f32>(g4.c), vec4<f32>(g5.c), vec4<f32>(g6.c), vec4<f32>(g7.c),
         ).x;
+#else
+        share(lane, 0u, g0);
+        share(lane, 1u, g1);
+        share(lane, 2u, g2);
+        share(lane, 3u, g3);
+        share(lane, 4u, g4);
+        share(lane, 5u, g5);
+        share(lane, 6u, g6);
+        share(lane, 7u, g7);
+        workgroupBarrier();
+        var a = vec4<f32>(0.0);
+        var b = vec4<f32>(0.0);
+        var c = 0.0;
+        if owns {
+            for (var other = 0u; other < LANES; other++) {
+                let i = lane * 9u * LANES + other;
+                a += vec4<f32>(partial[i], partial[i + LANES], partial[i + 2u * LANES], partial[i + 3u * LANES]);
+                b += vec4<f32>(
+                    partial[i + 4u * LANES],
+                    partial[i + 5u * LANES],
+                    partial[i + 6u * LANES],
+                    partial[i + 7u * LANES],
+                );
+                c += partial[i + 8u * LANES];
+            }
+        }
+#endif
         if owns {
             store(slots[item], a, b, c);
         }

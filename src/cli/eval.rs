@@ -39,6 +39,8 @@ struct Metrics {
     decode_sha256: Digest,
     adapter: String,
     background: Background,
+    /// Whether the file was trained on this dataset, if it states its dataset.
+    same_dataset: Option<bool>,
 }
 
 #[derive(Debug, Serialize)]
@@ -56,6 +58,14 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     let (decoded, decode_seconds) = timed(|| wiring::decode(&bytes).map_err(in_file))?;
     let (dataset, ingest_seconds) = timed(|| wiring::load_dataset(&args.dataset))?;
 
+    let same_dataset = decoded.dataset.map(|digest| digest == dataset.digest);
+    if same_dataset == Some(false) {
+        eprintln!(
+            "tcgs: note: {} was trained on another dataset than {}",
+            args.file.display(),
+            args.dataset.display()
+        );
+    }
     let (anchors, gaussians) = (decoded.scene.len(), decoded.scene.gaussians());
     let (background, decode_sha256) = (decoded.background, decoded.decode_sha256);
     let renderer = wiring::Renderer::open(decoded, &args.adapter.adapter)?;
@@ -84,6 +94,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
         decode_sha256,
         adapter: renderer.adapter.clone(),
         background,
+        same_dataset,
     };
     Ok(Report::new(text(&metrics), &metrics))
 }

@@ -1,6 +1,12 @@
 //! Reading inputs whole and writing outputs so that a file of the wanted name is always a whole one.
 
-use std::{fs, io::Write, path::Path};
+use std::{
+    fs,
+    io::{self, Write},
+    path::Path,
+};
+
+use tempfile::NamedTempFile;
 
 use super::Failure;
 
@@ -11,20 +17,33 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, Failure> {
 
 /// Writes `bytes` beside `path` first and moves them there when they are all on the disk.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    let unwritable = |fault: std::io::Error| Failure::unwritable(path, &fault);
+    let unwritable = |fault: io::Error| Failure::unwritable(path, &fault);
+    let mut file = beside(path).map_err(unwritable)?;
+    file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(unwritable)?;
+    file.persist(path).map_err(|fault| unwritable(fault.error))?;
+    Ok(())
+}
+
+/// Tries whether `path` could be written now, for commands that work for hours before they write.
+pub(crate) fn check_writable(path: &Path) -> Result<(), Failure> {
+    if path.is_dir() {
+        return Err(Failure::unwritable(path, &io::ErrorKind::IsADirectory.into()));
+    }
+    beside(path).map(drop).map_err(|fault| Failure::unwritable(path, &fault))
+}
+
+/// A temporary file in the folder of `path`, which is made if it is missing.
+fn beside(path: &Path) -> io::Result<NamedTempFile> {
     let folder = match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
     };
-    fs::create_dir_all(folder).map_err(unwritable)?;
+    fs::create_dir_all(folder)?;
     let mut builder = tempfile::Builder::new();
     // Temporary files are private, outputs are not: these bits still pass through the process's umask.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder).map_err(unwritable)?;
-    file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(unwritable)?;
-    file.persist(path).map_err(|fault| unwritable(fault.error))?;
-    Ok(())
+    builder.tempfile_in(folder)
 }
 
 #[cfg(test)]
@@ -39,6 +58,20 @@ mod tests {
         write(&path, b"second").expect("writes");
         assert_eq!(fs::read(&path).expect("a file"), b"second");
         assert_eq!(fs::read_dir(path.parent().expect("a parent")).expect("a folder").count(), 1);
+    }
+
+    #[test]
+    fn trying_a_path_leaves_nothing_and_tells_what_is_in_the_way() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("out.bin");
+        check_writable(&path).expect("writable");
+        assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0);
+        write(&path, b"mine").expect("writes");
+        check_writable(&path).expect("an output may be replaced");
+        assert_eq!(fs::read(&path).expect("a file"), b"mine");
+        for blocked in [folder.path(), &path.join("out.bin")] {
+            assert_eq!(check_writable(blocked).expect_err("in the way").exit_status(), 4);
+        }
     }
 
     #[test]

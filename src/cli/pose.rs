@@ -1,24 +1,8 @@
 //! A camera given as JSON, in the form of a view of `POST /v1/jobs/{id}/views`.
 
-use glam::DMat4;
-use serde::Deserialize;
-use tcgs::domain::{Camera, Convention, Intrinsics, Pose, Problem};
+use tcgs::domain::{Camera, Problem, View, ViewRequest};
 
 use super::{Failure, files};
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct View {
-    camera_to_world: [[f64; 4]; 4],
-    #[serde(default)]
-    convention: Convention,
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
-    width: u32,
-    height: u32,
-}
 
 /// The camera that `text` gives: the JSON object itself, or the name of a file that holds it.
 pub(crate) fn camera(text: &str) -> Result<Camera, Failure> {
@@ -30,13 +14,13 @@ pub(crate) fn camera(text: &str) -> Result<Camera, Failure> {
     let refuse = |detail: String| {
         Problem::new(422, "impossible-pose", "The pose is not a camera", detail).in_file(source.clone())
     };
-    let view: View = serde_json::from_slice(&json).map_err(|fault| refuse(fault.to_string()))?;
-    let matrix = DMat4::from_cols_array_2d(&view.camera_to_world).transpose();
-    let View { fx, fy, cx, cy, width, height, .. } = view;
-    let camera = Pose::from_camera_to_world(matrix, view.convention)
-        .and_then(|pose| Camera::new(Intrinsics { fx, fy, cx, cy, width, height }, pose))
-        .map_err(|fault| refuse(fault.to_string()))?;
-    Ok(camera)
+    let request: ViewRequest = serde_json::from_slice(&json).map_err(|fault| refuse(fault.to_string()))?;
+    match View::try_from(request).map_err(|fault| refuse(fault.to_string()))? {
+        View::Camera(camera) => Ok(camera),
+        View::Frame { .. } => {
+            Err(refuse("a frame needs its dataset: give --dataset and --frame".to_owned()).into())
+        }
+    }
 }
 
 #[cfg(test)]
@@ -75,6 +59,7 @@ mod tests {
             (view("blender", OPENCV, 50.0), "blender"),
             (view("opencv", "[[1,0,0]]", 50.0), "length"),
             ("{}".to_owned(), "camera_to_world"),
+            (r#"{"frame": "view_06"}"#.to_owned(), "--dataset"),
             ("no/such/file.json".to_owned(), "no/such/file.json"),
         ] {
             let fault = camera(&text).expect_err(word);

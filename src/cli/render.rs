@@ -21,8 +21,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "NAME", requires = "dataset")]
     frame: Option<String>,
 
-    /// A camera as a JSON object or a file that holds one: camera_to_world (4 rows), convention (opencv or opengl),
-    /// fx, fy, cx, cy, width, height
+    /// A camera as a JSON object or a file that holds one: camera_to_world (4 rows), convention (opencv or opengl;
+    /// opencv if absent), fx, fy (fx), cx, cy (the middle), width, height
     #[arg(long, value_name = "JSON", conflicts_with = "dataset")]
     pose: Option<String>,
 

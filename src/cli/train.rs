@@ -4,7 +4,7 @@ use std::{path::PathBuf, thread};
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use tcgs::{
-    domain::{Background, CancelFlag, Component, JobMetrics, ModelKind, Preset, TrainOptions},
+    domain::{Background, CancelFlag, Component, JobMetrics, ModelKind, Phase, Preset, TrainOptions},
     worker::run::JobFailure,
 };
 
@@ -108,15 +108,28 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
             return Err(Failure::Usage(format!("{flag}: this version keeps no checkpoints")));
         }
     }
+    files::check_writable(&args.output)?;
     let runner = wiring::runner(&args.adapter.adapter)?;
     let cancel = CancelFlag::default();
     cancel_on_interrupt(cancel.clone());
 
     let mut display = Display::new();
-    let outcome =
-        runner.run(&args.dataset, &options, &mut |phase, progress| display.show(phase, progress), &cancel);
+    let mut reached = Phase::Ingest;
+    let outcome = runner.run(
+        &args.dataset,
+        &options,
+        &mut |phase, progress| {
+            reached = phase;
+            display.show(phase, progress);
+        },
+        &cancel,
+    );
     display.finish();
     let output = outcome.map_err(|failure| match failure {
+        // The service has no name for an upload; here it has one.
+        JobFailure::Fail(problem) if reached == Phase::Ingest && problem.file.is_none() => {
+            Failure::Problem(problem.in_file(args.dataset.display().to_string()))
+        }
         JobFailure::Fail(problem) | JobFailure::Retry(problem) => Failure::Problem(problem),
         JobFailure::Cancelled => Failure::Stopped,
     })?;

@@ -32,6 +32,8 @@ pub(crate) struct Decoded {
     pub(crate) scene: AnchorScene,
     pub(crate) background: Background,
     pub(crate) decode_sha256: Digest,
+    /// Digest of the dataset that it was trained on, if the file states it.
+    pub(crate) dataset: Option<Digest>,
 }
 
 /// What is known of a file without decoding its attributes.
@@ -47,7 +49,11 @@ pub(crate) struct Inspection {
 
 /// Reads a dataset.
 pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
-    ingest::load(path)
+    ingest::load(path).map_err(|problem| match problem.file {
+        // The service has no name for an upload; here it has one.
+        None => problem.in_file(path.display().to_string()),
+        Some(_) => problem,
+    })
 }
 
 /// Encodes a scene.
@@ -67,6 +73,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<Decoded, Problem> {
         scene: decoded.scene,
         background: decoded.manifest.background,
         decode_sha256: decoded.decode_sha256,
+        dataset: decoded.manifest.provenance.dataset,
     })
 }
 

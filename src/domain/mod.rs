@@ -15,6 +15,7 @@ pub mod options;
 pub mod problem;
 pub mod progress;
 pub mod scene;
+pub mod view;
 
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
@@ -27,3 +28,4 @@ pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOp
 pub use problem::Problem;
 pub use progress::{CancelFlag, Phase, Progress};
 pub use scene::{Dataset, Frame, Layout, NamedCamera, PointCloud, Split};
+pub use view::{View, ViewError, ViewRequest};

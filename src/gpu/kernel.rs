@@ -28,6 +28,8 @@ macro_rules! kernel_source {
     };
 }
 
+pub use kernel_source;
+
 /// Files that kernels import, by the path in their `#define_import_path` line, in dependency order.
 const SHARED: &[(&str, &str)] = &[
     ("view", include_str!("../../shaders/shared/view.wgsl")),

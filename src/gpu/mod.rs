@@ -19,7 +19,7 @@ pub use adapter::{AdapterChoice, AdapterReport, report};
 pub use buffer::{Buffer, RawBuffer};
 pub use context::Context;
 pub use error::GpuError;
-pub use kernel::{Kernel, KernelSource};
+pub use kernel::{Kernel, KernelSource, kernel_source};
 pub use recorder::{Binding, Recorder};
 pub use scan::{Scan, ScanSlots};
 pub use sort::{Pairs, RadixSort};

@@ -14,6 +14,8 @@ pub type Binding<'a> = &'a RawBuffer;
 pub struct Recorder<'a> {
     context: &'a Context,
     encoder: wgpu::CommandEncoder,
+    /// Open while dispatches follow one another: one pass for all of them costs less than one for each.
+    open: Option<wgpu::ComputePass<'static>>,
     timing: Option<Timing>,
 }
 
@@ -21,7 +23,7 @@ impl<'a> Recorder<'a> {
     pub(super) fn new(context: &'a Context, label: &str) -> Self {
         let encoder =
             context.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
-        Self { context, encoder, timing: None }
+        Self { context, encoder, open: None, timing: None }
     }
 
     pub(super) fn timed(context: &'a Context, label: &str) -> Self {
@@ -37,7 +39,7 @@ impl<'a> Recorder<'a> {
         }
         let (x, y) = spread(groups);
         let group = self.bind(kernel, bindings);
-        let mut pass = self.pass(kernel);
+        let pass = self.pass(kernel);
         pass.set_pipeline(&kernel.pipeline);
         pass.set_bind_group(0, &group, &[]);
         pass.dispatch_workgroups(x, y, 1);
@@ -52,7 +54,7 @@ impl<'a> Recorder<'a> {
         first: usize,
     ) {
         let group = self.bind(kernel, bindings);
-        let mut pass = self.pass(kernel);
+        let pass = self.pass(kernel);
         pass.set_pipeline(&kernel.pipeline);
         pass.set_bind_group(0, &group, &[]);
         pass.dispatch_workgroups_indirect(counts.raw(), first as u64 * 4);
@@ -69,7 +71,7 @@ impl<'a> Recorder<'a> {
     ) {
         let size = size_of::<T>() as u64;
         if count > 0 {
-            self.encoder.copy_buffer_to_buffer(
+            self.outside().copy_buffer_to_buffer(
                 from.raw(),
                 from_index as u64 * size,
                 to.raw(),
@@ -98,7 +100,7 @@ impl<'a> Recorder<'a> {
             Err(_) => return,
         }
         staging.unmap();
-        self.encoder.copy_buffer_to_buffer(&staging, 0, buffer.raw(), 0, staging.size());
+        self.outside().copy_buffer_to_buffer(&staging, 0, buffer.raw(), 0, staging.size());
     }
 
     /// A small buffer with constant content for one dispatch.
@@ -111,14 +113,15 @@ impl<'a> Recorder<'a> {
 
     /// Zeroes a whole buffer.
     pub fn clear<T: bytemuck::Pod>(&mut self, buffer: &Buffer<T>) {
-        self.encoder.clear_buffer(buffer.raw(), 0, None);
+        self.outside().clear_buffer(buffer.raw(), 0, None);
     }
 
     /// Sends what was recorded to the device.
     ///
     /// # Errors
     /// As [`Context::check`].
-    pub fn submit(self) -> Result<(), GpuError> {
+    pub fn submit(mut self) -> Result<(), GpuError> {
+        self.open = None;
         self.context.check()?;
         self.context.queue.submit([self.encoder.finish()]);
         self.context.check()
@@ -136,16 +139,31 @@ impl<'a> Recorder<'a> {
             context.wait()?;
             return Ok(Vec::new());
         };
-        let ticks = timing.resolve(self.context, &mut self.encoder)?;
+        let ticks = timing.resolve(self.context, self.outside())?;
         let context = self.context;
         self.submit()?;
         timing.read(context, &ticks)
     }
 
-    fn pass(&mut self, kernel: &Kernel) -> wgpu::ComputePass<'_> {
-        let timestamp_writes = self.timing.as_mut().and_then(|timing| timing.next(kernel.name));
-        self.encoder
-            .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some(kernel.name), timestamp_writes })
+    /// The encoder with no pass open.
+    fn outside(&mut self) -> &mut wgpu::CommandEncoder {
+        self.open = None;
+        &mut self.encoder
+    }
+
+    /// The open pass; where dispatches are timed, a new one for each.
+    fn pass(&mut self, kernel: &Kernel) -> &mut wgpu::ComputePass<'static> {
+        if self.timing.is_some() {
+            self.open = None;
+        }
+        let Self { encoder, open, timing, .. } = self;
+        open.get_or_insert_with(|| {
+            let label = timing.as_ref().map_or("dispatches", |_| kernel.name);
+            let timestamp_writes = timing.as_mut().and_then(|timing| timing.next(kernel.name));
+            encoder
+                .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some(label), timestamp_writes })
+                .forget_lifetime()
+        })
     }
 
     fn bind(&self, kernel: &Kernel, bindings: &[Binding<'_>]) -> wgpu::BindGroup {

@@ -5,8 +5,7 @@
 
 use std::sync::Arc;
 
-use super::{Buffer, Context, GpuError, Kernel, Recorder};
-use crate::kernel_source;
+use super::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source};
 
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

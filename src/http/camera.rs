@@ -3,11 +3,12 @@
 use std::num::NonZeroU32;
 
 use axum::http::StatusCode;
-use glam::{DMat4, DVec3};
-use serde::Deserialize;
+use glam::DVec3;
 
 use super::{problem::Fault, query::Parameters};
-use crate::domain::{Camera, CameraError, Convention, Intrinsics, NamedCamera, Pose, scene::find_name};
+use crate::domain::{
+    Camera, CameraError, Intrinsics, NamedCamera, Pose, View, ViewError, ViewRequest, scene::find_name,
+};
 
 const DEFAULT_FOV_DEGREES: f64 = 60.0;
 const DEFAULT_WIDTH: u32 = 640;
@@ -15,27 +16,9 @@ const DEFAULT_HEIGHT: u32 = 480;
 /// How many frame names an unknown one is answered with.
 const NAMES_SHOWN: usize = 3;
 
-/// One view of a `POST .../views` body.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct ViewBody {
-    frame: Option<String>,
-    camera_to_world: Option<[[f64; 4]; 4]>,
-    convention: Option<Convention>,
-    fx: Option<f64>,
-    fy: Option<f64>,
-    cx: Option<f64>,
-    cy: Option<f64>,
-    width: Option<u32>,
-    height: Option<u32>,
-}
-
 /// What a client asked for, before the dataset's cameras are at hand.
 #[derive(Debug)]
-pub(super) enum CameraSpec {
-    Frame { name: String, width: Option<u32>, height: Option<u32> },
-    Given(Camera),
-}
+pub(super) struct CameraSpec(View);
 
 impl CameraSpec {
     /// Reads `frame` or `position`, `look_at`, `up`, `fov`, and `width`, `height`.
@@ -55,7 +38,7 @@ impl CameraSpec {
                     "cannot be combined with frame, which has its own camera",
                 ));
             }
-            return Ok(Self::Frame { name, width, height });
+            return Ok(Self(View::Frame { name, width, height }));
         }
         let needed = |name, value: Option<DVec3>| {
             value.ok_or_else(|| Fault::parameter(name, "is needed, unless frame names a dataset camera"))
@@ -69,53 +52,28 @@ impl CameraSpec {
         let (width, height) = (width.unwrap_or(DEFAULT_WIDTH), height.unwrap_or(DEFAULT_HEIGHT));
         let intrinsics =
             Intrinsics::from_horizontal_fov(fov.to_radians(), width, height).map_err(impossible)?;
-        Ok(Self::Given(Camera { intrinsics, pose }))
+        Ok(Self(View::Camera(Camera { intrinsics, pose })))
     }
 
     /// Reads one entry of `views`.
-    pub(super) fn from_body(index: usize, view: ViewBody) -> Result<Self, Fault> {
-        let at = |field: &str| format!("views[{index}].{field}");
-        let ViewBody { frame, camera_to_world, convention, fx, fy, cx, cy, width, height } = view;
-        if let Some(name) = frame {
-            let has_pose = camera_to_world.is_some() || convention.is_some();
-            if has_pose || [fx, fy, cx, cy].iter().any(Option::is_some) {
-                return Err(invalid_view(format!(
-                    "{}: a frame has its own pose and intrinsics; give only width and height with it",
-                    at("frame")
-                )));
-            }
-            return Ok(Self::Frame { name, width, height });
+    pub(super) fn from_body(index: usize, view: ViewRequest) -> Result<Self, Fault> {
+        match View::try_from(view) {
+            Ok(view) => Ok(Self(view)),
+            Err(ViewError::Camera(error)) => Err(impossible_view(format!("views[{index}]: {error}"))),
+            Err(error) => Err(invalid_view(format!("views[{index}]: {error}"))),
         }
-        let missing = |field: &str| invalid_view(format!("{}: is needed, unless frame is given", at(field)));
-        let rows = camera_to_world.ok_or_else(|| missing("camera_to_world"))?;
-        let matrix = DMat4::from_cols_array_2d(&rows).transpose();
-        let impossible_here = |error: CameraError| impossible_view(format!("views[{index}]: {error}"));
-        let pose =
-            Pose::from_camera_to_world(matrix, convention.unwrap_or_default()).map_err(impossible_here)?;
-        let fx = fx.ok_or_else(|| missing("fx"))?;
-        let width = width.ok_or_else(|| missing("width"))?;
-        let height = height.ok_or_else(|| missing("height"))?;
-        let intrinsics = Intrinsics {
-            fx,
-            fy: fy.unwrap_or(fx),
-            cx: cx.unwrap_or(f64::from(width) / 2.0),
-            cy: cy.unwrap_or(f64::from(height) / 2.0),
-            width,
-            height,
-        };
-        Camera::new(intrinsics, pose).map(Self::Given).map_err(impossible_here)
     }
 
     /// Whether the dataset's cameras are needed to resolve this.
     pub(super) fn needs_cameras(&self) -> bool {
-        matches!(self, Self::Frame { .. })
+        matches!(self.0, View::Frame { .. })
     }
 
     /// The camera that is meant.
     pub(super) fn resolve(self, cameras: &[NamedCamera]) -> Result<Camera, Fault> {
-        match self {
-            Self::Given(camera) => Ok(camera),
-            Self::Frame { name, width, height } => {
+        match self.0 {
+            View::Camera(camera) => Ok(camera),
+            View::Frame { name, width, height } => {
                 let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
                 let index = find_name(&names, &name).ok_or_else(|| no_frame(&name, &names))?;
                 let Camera { intrinsics, pose } = cameras[index].camera;

@@ -13,7 +13,7 @@ use tokio::runtime::Handle;
 use super::{
     artifact::file_of,
     body::read_json,
-    camera::{CameraSpec, ViewBody, invalid_view},
+    camera::{CameraSpec, invalid_view},
     jobs::find,
     picture::{Format, encode},
     problem::Fault,
@@ -21,14 +21,14 @@ use super::{
     state::AppState,
 };
 use crate::{
-    domain::{Camera, Digest, NamedCamera, Problem},
+    domain::{Camera, Digest, NamedCamera, Problem, ViewRequest},
     store::{ArtifactKind, JobRecord},
 };
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ViewsBody {
-    views: Vec<ViewBody>,
+    views: Vec<ViewRequest>,
     #[serde(default)]
     format: Format,
 }

@@ -1,11 +1,13 @@
 //! First values of the anchors' parameters.
 
+use std::collections::BTreeSet;
+
 use rand::{Rng, RngExt};
 use thiserror::Error;
 
 use super::{
     AnchorRows, Shape, VoxelRule, choose_lattice,
-    lattice::{neighbour_distances, voxelise},
+    lattice::{coarse, neighbour_distances, voxelise},
 };
 
 /// A point set that no scene can begin with.
@@ -26,11 +28,16 @@ pub fn random_points(rng: &mut impl Rng, count: usize, low: [f32; 3], high: [f32
 }
 
 /// Anchors from points: voxelised, offsets and features zero, all six log-scalings the logarithm of the distance to
-/// the anchor's neighbours (method.md §1.2).
+/// the anchor's neighbours (method.md §1.2). A cloud that would make more than `most` anchors is thinned evenly.
 ///
 /// # Errors
 /// [`InitError`] for an empty or non-finite point set.
-pub fn initial_rows(points: &[[f32; 3]], rule: VoxelRule, shape: Shape) -> Result<AnchorRows, InitError> {
+pub fn initial_rows(
+    points: &[[f32; 3]],
+    rule: VoxelRule,
+    shape: Shape,
+    most: usize,
+) -> Result<AnchorRows, InitError> {
     if points.is_empty() {
         return Err(InitError::NoPoints);
     }
@@ -38,7 +45,7 @@ pub fn initial_rows(points: &[[f32; 3]], rule: VoxelRule, shape: Shape) -> Resul
         return Err(InitError::NonFinite(index));
     }
     let lattice = choose_lattice(points, rule);
-    let cells = voxelise(&lattice, points);
+    let cells = thin(voxelise(&lattice, points), most);
     let positions: Vec<[f32; 3]> = cells.iter().map(|cell| lattice.position(*cell)).collect();
     let mut values = vec![0.0; cells.len() * shape.row()];
     for (row, distance) in values.chunks_exact_mut(shape.row()).zip(neighbour_distances(&positions)) {
@@ -47,6 +54,17 @@ pub fn initial_rows(points: &[[f32; 3]], rule: VoxelRule, shape: Shape) -> Resul
     }
     let masks = vec![all_offsets(shape); cells.len()];
     Ok(AnchorRows { shape, lattice, cells, values, masks })
+}
+
+/// At most `most` of the cells (but at least one): the first of each block of the smallest blocks that are few enough.
+fn thin(mut cells: Vec<[i32; 3]>, most: usize) -> Vec<[i32; 3]> {
+    let mut factor = 1;
+    while cells.len() > most.max(1) && factor < 1 << 20 {
+        factor *= 2;
+        let mut taken = BTreeSet::new();
+        cells.retain(|cell| taken.insert(coarse(*cell, factor)));
+    }
+    cells
 }
 
 /// The mask with every offset on.
@@ -67,7 +85,7 @@ mod tests {
     fn anchors_begin_with_zero_features_and_offsets_and_the_spacing_as_size() {
         let points: Vec<[f32; 3]> =
             (0..1000).map(|i| [(i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32]).collect();
-        let rows = initial_rows(&points, VoxelRule::OfSpacing(0.5), SHAPE).expect("anchors");
+        let rows = initial_rows(&points, VoxelRule::OfSpacing(0.5), SHAPE, 1000).expect("anchors");
         assert_eq!(rows.len(), 1000);
         for anchor in 0..1000 {
             let row = rows.row(anchor);
@@ -81,15 +99,36 @@ mod tests {
     }
 
     #[test]
+    fn a_dense_cloud_is_thinned_evenly_and_keeps_its_extent() {
+        let points: Vec<[f32; 3]> =
+            (0..8000).map(|i| [(i % 20) as f32, (i / 20 % 20) as f32, (i / 400) as f32]).collect();
+        let all = initial_rows(&points, VoxelRule::Fixed(0.25), SHAPE, 10_000).expect("anchors");
+        let some = initial_rows(&points, VoxelRule::Fixed(0.25), SHAPE, 2_000).expect("anchors");
+        assert_eq!(all.len(), 8000);
+        assert!((500..=2_000).contains(&some.len()), "{}", some.len());
+        let extent = |rows: &AnchorRows| {
+            let xs = rows.cells.iter().map(|cell| cell[0]);
+            xs.clone().max().expect("cells") - xs.min().expect("cells")
+        };
+        assert!(extent(&some) * 10 >= extent(&all) * 9);
+        let mean_scale = |rows: &AnchorRows| {
+            let sum: f32 = (0..rows.len()).map(|anchor| rows.row(anchor)[SHAPE.scaling_column()].exp()).sum();
+            sum / rows.len() as f32
+        };
+        assert!(mean_scale(&some) > 1.2 * mean_scale(&all), "fewer anchors are larger");
+    }
+
+    #[test]
     fn a_lone_point_is_an_anchor_of_finite_size() {
-        let rows = initial_rows(&[[1.0, 2.0, 3.0]], VoxelRule::OfSpacing(0.5), SHAPE).expect("an anchor");
+        let rows =
+            initial_rows(&[[1.0, 2.0, 3.0]], VoxelRule::OfSpacing(0.5), SHAPE, 1000).expect("an anchor");
         assert_eq!(rows.len(), 1);
         assert!(rows.values.iter().all(|v| v.is_finite()));
     }
 
     #[test]
     fn points_that_no_scene_can_begin_with_are_named() {
-        let begin = |points: &[[f32; 3]]| initial_rows(points, VoxelRule::Fixed(1.0), SHAPE);
+        let begin = |points: &[[f32; 3]]| initial_rows(points, VoxelRule::Fixed(1.0), SHAPE, 9);
         assert_eq!(begin(&[]), Err(InitError::NoPoints));
         assert_eq!(begin(&[[0.0; 3], [0.0, f32::INFINITY, 0.0]]), Err(InitError::NonFinite(1)));
     }

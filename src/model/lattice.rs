@@ -78,6 +78,12 @@ pub fn cell_of(lattice: &Lattice, position: [f32; 3]) -> [i32; 3] {
     })
 }
 
+/// The cell of a lattice `factor` times as coarse that a cell belongs to: rounded half to even.
+#[must_use]
+pub fn coarse(cell: [i32; 3], factor: i32) -> [i32; 3] {
+    cell.map(|c| (f64::from(c) / f64::from(factor)).round_ties_even() as i32)
+}
+
 /// The distinct cells of a set of points, ascending (method.md §1.2).
 #[must_use]
 pub fn voxelise(lattice: &Lattice, points: &[[f32; 3]]) -> Vec<[i32; 3]> {

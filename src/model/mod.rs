@@ -8,6 +8,6 @@ mod networks;
 mod rows;
 
 pub use init::{InitError, all_offsets, initial_rows, random_points};
-pub use lattice::{MAX_CELL, VoxelRule, cell_of, choose_lattice, median_spacing, voxelise};
+pub use lattice::{MAX_CELL, VoxelRule, cell_of, choose_lattice, coarse, median_spacing, voxelise};
 pub use networks::{LayerSpec, NetworkLayout};
 pub use rows::{AnchorRows, Shape};

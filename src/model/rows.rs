@@ -84,6 +84,23 @@ impl AnchorRows {
             .collect()
     }
 
+    /// Removes the anchors whose mask is empty.
+    pub fn drop_empty(&mut self) {
+        let width = self.shape.row();
+        let mut next = 0;
+        for anchor in 0..self.len() {
+            if self.masks[anchor] != 0 {
+                self.cells[next] = self.cells[anchor];
+                self.masks[next] = self.masks[anchor];
+                self.values.copy_within(anchor * width..(anchor + 1) * width, next * width);
+                next += 1;
+            }
+        }
+        self.cells.truncate(next);
+        self.masks.truncate(next);
+        self.values.truncate(next * width);
+    }
+
     /// The rows of a finished scene.
     #[must_use]
     pub fn from_scene(scene: &AnchorScene) -> Self {
@@ -178,5 +195,25 @@ mod tests {
         let scene = rows.to_scene(layout.to_networks(&vec![0.0; layout.parameters]));
         assert_eq!(scene.scalings, [0.0; 6]);
         assert!(AnchorRows::from_scene(&scene).values.iter().all(|v| v.is_finite()));
+    }
+
+    #[test]
+    fn empty_anchors_go_and_the_others_keep_their_rows() {
+        let shape = Shape { features: 4, offsets: 2 };
+        let mut rows = AnchorRows {
+            shape,
+            lattice: Lattice { voxel: 1.0, origin: [0.0; 3] },
+            cells: (0..5).map(|i| [i, 0, 0]).collect(),
+            values: (0..5 * shape.row()).map(|i| i as f32).collect(),
+            masks: vec![0, 3, 0, 1, 0],
+        };
+        let kept: Vec<Vec<f32>> = [1, 3].map(|anchor| rows.row(anchor).to_vec()).into();
+        rows.drop_empty();
+        assert_eq!(
+            (rows.cells.as_slice(), rows.masks.as_slice()),
+            (&[[1, 0, 0], [3, 0, 0]][..], &[3, 1][..])
+        );
+        assert_eq!([rows.row(0), rows.row(1)], [&kept[0][..], &kept[1][..]]);
+        assert_eq!(rows.values.len(), 2 * shape.row());
     }
 }

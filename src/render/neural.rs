@@ -262,6 +262,19 @@ impl NeuralGaussians {
         Ok([counts[0], counts[1], counts[2]])
     }
 
+    /// The visible anchors of the last submitted forward pass, ascending, and the opacity of each of their offsets
+    /// (0 where there is no Gaussian). Waits for the device.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn visible_opacities(&self) -> Result<(Vec<u32>, Vec<f32>), RenderError> {
+        let count = self.context.read_range(&self.forward.list, 0, 1)?[0] as usize;
+        let list = self.context.read_range(&self.forward.list, 1, count)?;
+        let gaussians = &self.forward.gaussians.means_opacity;
+        let opacities = self.context.read_range(gaussians, 0, count * self.layout.shape.offsets)?;
+        Ok((list, opacities.iter().map(|gaussian| gaussian[3]).collect()))
+    }
+
     /// Records the making of the view's Gaussians. `volume_weight` is the regulariser's weight in the backward pass.
     ///
     /// # Errors

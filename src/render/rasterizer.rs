@@ -16,8 +16,7 @@ use super::{
 };
 use crate::{
     domain::Camera,
-    gpu::{Buffer, Context, GpuError, Kernel, Pairs, RadixSort, Recorder, Scan, ScanSlots},
-    kernel_source,
+    gpu::{Buffer, Context, GpuError, Kernel, Pairs, RadixSort, Recorder, Scan, ScanSlots, kernel_source},
 };
 
 /// Elements of the counter buffer.
@@ -371,8 +370,10 @@ impl Rasterizer {
             self.image = PerImage::new(&self.context, projection)?;
         }
         let tile_bits = self.image.tiles.next_power_of_two().trailing_zeros();
-        // Enough for most scenes; more is asked for by `grow` and kept from then on.
-        let intersections = self.intersections.capacity.max(4 * capacity).max(1 << 14);
+        // Enough for most scenes and no more than the backward pass can bind; `grow` makes the rest, which is kept.
+        let bindable = self.context.adapter().max_binding_bytes as usize / (SLOT_FLOATS * size_of::<f32>());
+        let usual = (2 * capacity).min(bindable).max(1 << 14);
+        let intersections = self.intersections.capacity.max(usual);
         if self.intersections.capacity != intersections || self.intersections.tile_bits != tile_bits {
             self.intersections = PerIntersection::new(&self.context, intersections, tile_bits)?;
         }

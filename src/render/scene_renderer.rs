@@ -95,8 +95,8 @@ impl SceneViewer {
     /// # Errors
     /// [`GpuError::NoAdapter`] or [`GpuError::Open`].
     pub fn open(choice: AdapterChoice) -> Result<Self, GpuError> {
-        let context = Context::new(&choice)?;
-        Ok(Self { choice, state: Mutex::new(ViewerState { context, kept: Vec::new() }) })
+        let state = Mutex::new(ViewerState::open(&choice)?);
+        Ok(Self { choice, state })
     }
 
     /// Adapter and driver in one line.
@@ -124,19 +124,42 @@ impl RenderViews for SceneViewer {
     ) -> Result<Image, Problem> {
         let mut state = self.lock();
         if state.context.check().is_err() {
-            *state = ViewerState { context: Context::new(&self.choice)?, kept: Vec::new() };
+            *state = ViewerState::open(&self.choice)?;
         }
-        let found = state.kept.iter().position(|(digest, _)| *digest == artifact);
+        match state.render(artifact, load, camera) {
+            // A loss may become known only by the commands that fail for it, and those can be given again.
+            Err(fault) if state.context.check().is_err() => {
+                tracing::warn!("opening the device again: {fault}");
+                *state = ViewerState::open(&self.choice)?;
+                state.render(artifact, load, camera)
+            }
+            outcome => outcome,
+        }
+    }
+}
+
+impl ViewerState {
+    fn open(choice: &AdapterChoice) -> Result<Self, GpuError> {
+        Ok(Self { context: Context::new(choice)?, kept: Vec::new() })
+    }
+
+    fn render(
+        &mut self,
+        artifact: Digest,
+        load: &dyn Fn() -> Result<Viewable, Problem>,
+        camera: &Camera,
+    ) -> Result<Image, Problem> {
+        let found = self.kept.iter().position(|(digest, _)| *digest == artifact);
         let (digest, mut renderer) = match found {
-            Some(index) => state.kept.remove(index),
+            Some(index) => self.kept.remove(index),
             None => {
                 let viewable = load()?;
-                (artifact, SceneRenderer::new(&state.context, &viewable.scene, viewable.background)?)
+                (artifact, SceneRenderer::new(&self.context, &viewable.scene, viewable.background)?)
             }
         };
         let image = renderer.render(camera)?;
-        state.kept.insert(0, (digest, renderer));
-        state.kept.truncate(SCENES_KEPT);
+        self.kept.insert(0, (digest, renderer));
+        self.kept.truncate(SCENES_KEPT);
         Ok(image)
     }
 }

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, HashSet};
 use rand::{Rng, RngExt};
 
 use super::Statistics;
-use crate::model::{AnchorRows, MAX_CELL, all_offsets, cell_of};
+use crate::model::{AnchorRows, MAX_CELL, all_offsets, cell_of, coarse};
 
 /// Anchors whose mean opacity is below this are pruned.
 const MIN_OPACITY: f32 = 0.005;
@@ -116,10 +116,6 @@ fn grow(state: &mut Trainable, statistics: &Statistics, settings: &Densify, rng:
         }
     }
     added
-}
-
-fn coarse(cell: [i32; 3], factor: i32) -> [i32; 3] {
-    cell.map(|c| (c as f64 / f64::from(factor)).round_ties_even() as i32)
 }
 
 fn offset_position(anchors: &AnchorRows, anchor: usize, offset: usize) -> [f32; 3] {

@@ -13,6 +13,9 @@ const SSIM_WEIGHT: f64 = 0.2;
 /// Pixels that one partial sum covers, as in `shaders/sum_losses.wgsl`.
 const SUM_RUN: usize = 4096;
 
+/// Pixels in line that one invocation of a windowed kernel makes, as in `shaders/shared/ssim.wgsl`.
+const WINDOW_RUN: usize = 8;
+
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct ImageUniform {
@@ -33,9 +36,9 @@ struct Kernels {
 struct Fields {
     size: [u32; 2],
     photograph: Buffer<u32>,
-    moments: Buffer<[f32; 4]>,
-    derivatives: Buffer<[f32; 4]>,
-    blurred: Buffer<[f32; 4]>,
+    moments: Buffer<f32>,
+    derivatives: Buffer<f32>,
+    blurred: Buffer<f32>,
     losses: Buffer<[f32; 4]>,
     sums: Buffer<[f32; 4]>,
     gradient: Buffer<[f32; 4]>,
@@ -107,9 +110,9 @@ impl ImageLoss {
             _ => self.fields.insert(Fields {
                 size,
                 photograph: self.context.buffer("photograph", pixels)?,
-                moments: self.context.buffer("SSIM moments", 5 * pixels)?,
-                derivatives: self.context.buffer("SSIM derivatives", 3 * pixels)?,
-                blurred: self.context.buffer("SSIM derivatives by rows", 3 * pixels)?,
+                moments: self.context.buffer("SSIM moments", 4 * 3 * pixels)?,
+                derivatives: self.context.buffer("SSIM derivatives", 3 * 3 * pixels)?,
+                blurred: self.context.buffer("SSIM derivatives by rows", 3 * 3 * pixels)?,
                 losses: self.context.buffer("losses", pixels)?,
                 sums: self.context.buffer("loss sums", pixels.div_ceil(SUM_RUN))?,
                 gradient: self.context.buffer("image gradient", pixels)?,
@@ -121,13 +124,15 @@ impl ImageLoss {
             size: [size[0], size[1], 0, 0],
             weights: [((1.0 - SSIM_WEIGHT) / samples) as f32, (SSIM_WEIGHT / samples) as f32, 0.0, 0.0],
         }])?;
-        let groups = pixels.div_ceil(64) as u32;
+        let [width, height] = size.map(|side| side as usize);
+        let row_groups = (height * width.div_ceil(WINDOW_RUN)).div_ceil(64) as u32;
+        let column_groups = (width * height.div_ceil(WINDOW_RUN)).div_ceil(64) as u32;
         let (uniform, render) = (uniform.as_ref(), render.as_ref());
         let photograph = fields.photograph.as_ref();
         recorder.dispatch(
             &self.kernels.rows,
             &[uniform, render, photograph, fields.moments.as_ref()],
-            groups,
+            row_groups,
         );
         recorder.dispatch(
             &self.kernels.columns,
@@ -139,17 +144,17 @@ impl ImageLoss {
                 fields.derivatives.as_ref(),
                 fields.losses.as_ref(),
             ],
-            groups,
+            column_groups,
         );
         recorder.dispatch(
             &self.kernels.gradient_rows,
             &[uniform, fields.derivatives.as_ref(), fields.blurred.as_ref()],
-            groups,
+            row_groups,
         );
         recorder.dispatch(
             &self.kernels.gradient,
             &[uniform, render, photograph, fields.blurred.as_ref(), fields.gradient.as_ref()],
-            groups,
+            column_groups,
         );
         recorder.dispatch(
             &self.kernels.sums,

@@ -11,6 +11,7 @@ mod schedule;
 mod statistics;
 mod trainer;
 pub mod twin;
+mod unused;
 
 pub use adam::{Adam, Moments};
 pub use densify::{Densify, densify};

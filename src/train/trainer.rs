@@ -9,6 +9,7 @@ use super::{
     Adam, Decay, Densify, ImageLoss, LossSums, Moments, Schedule, Statistics, TrainError,
     densify::{Trainable, densify},
     loss::pack,
+    unused::drop_unused,
 };
 use crate::{
     domain::{AnchorScene, CancelFlag, Dataset, Frame, Progress, Split, TrainOptions},
@@ -127,7 +128,9 @@ impl<'a> Run<'a> {
             Some(cloud) if !cloud.positions.is_empty() => cloud.positions.clone(),
             _ => random_points(&mut rng, schedule.random_points, [-BLENDER_BOX; 3], [BLENDER_BOX; 3]),
         };
-        let anchors = initial_rows(&points, VoxelRule::OfSpacing(1.0 / COARSEST_GROWTH as f32), SHAPE)?;
+        let rule = VoxelRule::OfSpacing(1.0 / COARSEST_GROWTH as f32);
+        // Growth needs room above what the points begin with.
+        let anchors = initial_rows(&points, rule, SHAPE, schedule.max_anchors / 2)?;
         let layout = NetworkLayout::new(SHAPE);
         let networks = layout.initial(&mut rng);
         let background = options.background;
@@ -293,13 +296,16 @@ impl<'a> Run<'a> {
     }
 
     fn finish(mut self) -> Result<Trained, TrainError> {
-        let seconds = self.began.elapsed().as_secs_f64();
         self.anchors.values = self.context.read(&self.device.rows)?;
         let networks = self.context.read(&self.device.networks)?;
+        drop_unused(&self.context, &mut self.neural, &self.device, &mut self.anchors, &self.frames)?;
+        if self.anchors.is_empty() {
+            return Err(TrainError::NothingLeft { step: self.schedule.steps });
+        }
         Ok(Trained {
             scene: self.anchors.to_scene(self.layout.to_networks(&networks)),
             steps: self.schedule.steps,
-            seconds,
+            seconds: self.began.elapsed().as_secs_f64(),
         })
     }
 }

@@ -22,7 +22,7 @@ use crate::{
     gpu::{AdapterChoice, Context, GpuError},
     ingest,
     render::{RenderError, SceneRenderer},
-    train::{TrainError, Trained, train},
+    train::{Schedule, TrainError, Trained, train},
 };
 
 /// Training views that the reported training figures are measured on, evenly spread.
@@ -61,12 +61,19 @@ impl RunJob for Pipeline {
         report: &mut dyn FnMut(Phase, &Progress),
         cancel: &CancelFlag,
     ) -> Result<JobOutput, JobFailure> {
-        let mut progress = Progress::default();
-        report(Phase::Ingest, &progress);
         let began = Instant::now();
+        let total = u64::from(Schedule::new(options).steps);
+        let mut progress = Progress { total, ..Progress::default() };
+        let mut tell = |phase: Phase, progress: &mut Progress| {
+            progress.elapsed_seconds = began.elapsed().as_secs_f64();
+            report(phase, progress);
+        };
+        tell(Phase::Ingest, &mut progress);
         let dataset = ingest::load(dataset).map_err(JobFailure::Fail)?;
         let mut seconds = PhaseSeconds { ingest: began.elapsed().as_secs_f64(), ..PhaseSeconds::default() };
         stop_if(cancel)?;
+        // The first report of the training comes some steps after its begin, which may be minutes.
+        tell(Phase::Train, &mut progress);
         let context = self.context().map_err(from_gpu)?;
         let trained = train(
             &context,
@@ -74,17 +81,19 @@ impl RunJob for Pipeline {
             options,
             &mut |now| {
                 progress = now.clone();
-                report(Phase::Train, now);
+                tell(Phase::Train, &mut progress);
             },
             cancel,
         )
         .map_err(from_training)?;
         seconds.train = trained.seconds;
+        // What training told of the time left says nothing about what follows it.
+        progress.eta_seconds = None;
         let mut job = Job { context, dataset: &dataset, options, cancel, seconds };
-        report(Phase::Encode, &progress);
-        let (file, decoded) = job.write(&trained, &mut || report(Phase::Encode, &progress))?;
-        report(Phase::Evaluate, &progress);
-        let metrics = job.measure(&trained, &file, &decoded)?;
+        tell(Phase::Encode, &mut progress);
+        let (file, decoded) = job.write(&trained, &mut || tell(Phase::Encode, &mut progress))?;
+        tell(Phase::Evaluate, &mut progress);
+        let metrics = job.measure(&trained, &file, &decoded, &mut || tell(Phase::Evaluate, &mut progress))?;
         let cameras = dataset
             .frames
             .iter()
@@ -149,31 +158,38 @@ impl Job<'_> {
         trained: &Trained,
         file: &codec::Encoded,
         decoded: &AnchorScene,
+        alive: &mut dyn FnMut(),
     ) -> Result<JobMetrics, JobFailure> {
         let held_out: Vec<&Frame> = self.dataset.split(Split::Test).collect();
         let seen = spread(self.dataset.split(Split::Train).collect(), TRAIN_VIEWS_MEASURED);
         Ok(JobMetrics {
-            test: self.score(decoded, &held_out)?,
-            train: self.score(decoded, &seen)?,
+            test: self.score(decoded, &held_out, alive)?,
+            train: self.score(decoded, &seen, alive)?,
             bytes: file.byte_counts.clone(),
             seconds: self.seconds.clone(),
             steps: u64::from(trained.steps),
             steps_per_second: f64::from(trained.steps) / trained.seconds.max(1e-9),
             anchors: decoded.len() as u64,
             gaussians: decoded.gaussians() as u64,
-            psnr_before_quantisation: self.score(&trained.scene, &held_out)?.psnr,
+            psnr_before_quantisation: self.score(&trained.scene, &held_out, alive)?.psnr,
             decode_sha256: file.decode_sha256,
             adapter: self.context.adapter_line(),
             background: self.options.background,
         })
     }
 
-    fn score(&self, scene: &AnchorScene, frames: &[&Frame]) -> Result<Scores, JobFailure> {
+    fn score(
+        &self,
+        scene: &AnchorScene,
+        frames: &[&Frame],
+        alive: &mut dyn FnMut(),
+    ) -> Result<Scores, JobFailure> {
         let mut renderer =
             SceneRenderer::new(&self.context, scene, self.options.background).map_err(from_render)?;
         let mut views: Vec<ViewScore> = Vec::with_capacity(frames.len());
         for frame in frames {
             stop_if(self.cancel)?;
+            alive();
             views.extend(
                 measure_views(&mut renderer, &[*frame], self.options.background).map_err(from_render)?,
             );

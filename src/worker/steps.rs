@@ -49,17 +49,21 @@ pub(super) fn choose_steps(
     let best = psnr(scene)?;
     let mut rungs = [RUNGS; 3];
     for attribute in 0..3 {
-        for rung in 0..RUNGS {
+        // A finer step never looks worse by more than noise, so the coarsest good rung is found by halving.
+        let (mut good, mut bad) = (RUNGS, None);
+        while let Some(rung) = between(bad, good) {
             if !go_on() {
                 return Ok(steps_at([RUNGS; 3]));
             }
             let mut only = [None; 3];
             only[attribute] = Some(rung);
             if psnr(&quantised(scene, only))? >= best - LOSS_OF_ONE {
-                rungs[attribute] = rung;
-                break;
+                good = rung;
+            } else {
+                bad = Some(rung);
             }
         }
+        rungs[attribute] = good;
     }
     while rungs.iter().any(|rung| *rung < RUNGS) && go_on() {
         if psnr(&quantised(scene, rungs.map(Some)))? >= best - LOSS_OF_ALL {
@@ -68,6 +72,12 @@ pub(super) fn choose_steps(
         rungs = rungs.map(|rung| (rung + 1).min(RUNGS));
     }
     Ok(steps_at(rungs))
+}
+
+/// A rung strictly between the finest known bad one and the coarsest known good one.
+fn between(bad: Option<u32>, good: u32) -> Option<u32> {
+    let first = bad.map_or(0, |bad| bad + 1);
+    (first < good).then(|| first + (good - first) / 2)
 }
 
 fn steps_at(rungs: [u32; 3]) -> Steps {
@@ -94,4 +104,29 @@ fn quantised(scene: &AnchorScene, rungs: [Option<u32>; 3]) -> AnchorScene {
         round(&mut rounded.offsets, steps.offset, f32::NEG_INFINITY);
     }
     rounded
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn halving_finds_every_rung() {
+        for wanted in 0..=RUNGS {
+            let (mut good, mut bad, mut asked) = (RUNGS, None, 0);
+            while let Some(rung) = between(bad, good) {
+                asked += 1;
+                if rung >= wanted { good = rung } else { bad = Some(rung) }
+            }
+            assert_eq!(good, wanted);
+            assert!(asked <= 4, "{asked} measurements for rung {wanted}");
+        }
+    }
+
+    #[test]
+    fn rungs_halve_the_steps() {
+        let (coarse, fine) = (steps_at([0; 3]), steps_at([1; 3]));
+        assert_eq!([coarse.feature, coarse.scaling, coarse.offset], COARSEST);
+        assert_eq!(fine.feature * 2.0, coarse.feature);
+    }
 }

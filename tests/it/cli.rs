@@ -106,6 +106,25 @@ fn refused_input_is_status_3_and_names_the_file() {
 }
 
 #[test]
+fn a_refused_dataset_is_named_and_an_output_in_the_way_is_found_before_any_work() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (archive, out) = (folder.path().join("half.zip"), folder.path().join("out.tcgs"));
+    std::fs::write(&archive, b"PK\x03\x04 and then the line went dead").expect("writes");
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/shell_v1.tcgs");
+    for arguments in
+        [["train", path(&archive), "-o", path(&out)], ["eval", path(&golden), path(&archive), "--json"]]
+    {
+        let refused = tcgs(&arguments);
+        assert_eq!(refused.status.code(), Some(3), "{}", text(&refused.stderr));
+        assert!(text(&refused.stderr).contains("half.zip"), "{}", text(&refused.stderr));
+    }
+    assert!(!out.exists());
+    let blocked = tcgs(&["train", path(&archive), "-o", path(&archive.join("out.tcgs"))]);
+    assert_eq!(blocked.status.code(), Some(4), "{}", text(&blocked.stderr));
+    assert!(text(&blocked.stderr).contains("out.tcgs"), "{}", text(&blocked.stderr));
+}
+
+#[test]
 fn with_json_a_failure_is_one_problem_document() {
     for arguments in [
         &["inspect", "no/such/file", "--json"][..],

@@ -3,6 +3,7 @@
 mod adam;
 mod cli;
 mod codec;
+mod first_light;
 mod http;
 mod ingest;
 mod layers;

@@ -77,3 +77,34 @@ fn sort_matches_its_twin_and_is_stable() {
         }
     }
 }
+
+#[test]
+fn recorded_writes_take_effect_in_order() {
+    let context = gpu();
+    let (buffer, copy) = (context.buffer("b", 3).expect("room"), context.buffer("c", 3).expect("room"));
+    let mut recorder = context.recorder("writes");
+    recorder.write(&buffer, &[1_u32, 2, 3]);
+    recorder.copy(&buffer, 0, &copy, 0, 3);
+    recorder.write(&buffer, &[7_u32]);
+    recorder.write::<u32>(&buffer, &[]);
+    recorder.submit().expect("submitted");
+    assert_eq!(context.read(&copy).expect("read"), [1, 2, 3]);
+    assert_eq!(context.read(&buffer).expect("read"), [7, 2, 3]);
+}
+
+#[test]
+fn timed_dispatches_are_named_in_order() {
+    let context = gpu();
+    let scan = Scan::new(&context, 100, ScanSlots { count: 0, total: 0 }).expect("a scan");
+    let counts = context.upload("counts", &[100_u32]).expect("counts");
+    let (values, sums, totals) = (junk(&context, 100), junk(&context, 100), junk(&context, 1));
+    let mut recorder = context.timed_recorder("scan");
+    scan.record(&mut recorder, &counts, &values, &sums, &totals);
+    let names: Vec<_> = recorder.submit_timed().expect("submitted").iter().map(|time| time.name).collect();
+    if context.adapter().timestamps {
+        assert_eq!(names, ["scan_reduce", "scan_partials", "scan_apply"]);
+    } else {
+        assert!(names.is_empty());
+    }
+    assert_eq!(context.read(&totals).expect("totals"), [u32::MAX]);
+}

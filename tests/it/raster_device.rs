@@ -132,6 +132,40 @@ fn assert_empty(rendered: &Rendered) {
 }
 
 #[test]
+fn a_rasterizer_serves_scenes_and_images_of_all_sizes_in_turn() {
+    let context = gpu();
+    let mut shared = Rasterizer::new(Arc::clone(&context), RasterSettings::default()).expect("one");
+    for (count, width, height) in [(300, 64, 64), (20, 16, 16), (900, 200, 30), (0, 8, 8), (300, 64, 64)] {
+        let camera = random::camera(width, height);
+        let scene = Scene::new(&random::gaussians(17, count, 0.1));
+        let v_image = random::v_image(9, (width * height) as usize);
+        let found = render(&context, &mut shared, &scene, &camera, BACKGROUND, &v_image);
+        assert!(found == run(RasterSettings::default(), &scene, &camera), "{count} at {width}x{height}");
+    }
+}
+
+#[test]
+fn one_recording_may_hold_several_views() {
+    let context = gpu();
+    let scene = Scene::new(&random::gaussians(18, 200, 0.2));
+    let gaussians = scene.upload(&context);
+    let cameras = [random::camera(40, 40), random::camera(24, 50)];
+    let mut rasterizer = Rasterizer::new(Arc::clone(&context), RasterSettings::default()).expect("one");
+    let mut recorder = context.recorder("two views");
+    let images = cameras.map(|camera| {
+        rasterizer.forward(&mut recorder, &gaussians, &camera, BACKGROUND).expect("recorded");
+        let image = rasterizer.image();
+        let copy = context.buffer::<[f32; 4]>("copy", image.len()).expect("room");
+        recorder.copy(image, 0, &copy, 0, image.len());
+        copy
+    });
+    recorder.submit().expect("submitted");
+    for (image, camera) in images.iter().zip(cameras) {
+        assert!(context.read(image).expect("read") == run(RasterSettings::default(), &scene, &camera).image);
+    }
+}
+
+#[test]
 fn an_empty_scene_is_background() {
     assert_empty(&run(RasterSettings::default(), &Scene::default(), &random::camera(20, 20)));
 }
@@ -201,6 +235,27 @@ fn huge_gaussians_cover_everything() {
     assert_eq!(found.counts.intersections, 3 * 5 * 3);
     assert!(found.image.iter().all(|pixel| (pixel[3] - 0.125).abs() < 1e-4));
     assert!(gradients(&found).iter().all(|v| v.is_finite()));
+}
+
+#[test]
+fn gradients_are_finite_at_every_scale() {
+    let camera = random::camera(48, 48);
+    for power in -12..=18 {
+        for thin in [1.0, 1e-3, 1e-6] {
+            let mut gaussians = random::gaussians(16, 20, 1.0);
+            for gaussian in &mut gaussians {
+                gaussian.scale *= 10.0_f64.powi(power) * DVec3::new(1.0, thin, 1.0);
+                gaussian.quat = gaussian.quat.map(|v| v * 1e10);
+            }
+            for antialiased in [false, true] {
+                let settings = RasterSettings { antialiased, ..RasterSettings::default() };
+                let found = run(settings, &Scene::new(&gaussians), &camera);
+                let finite = found.image.iter().flatten().all(|v| v.is_finite());
+                assert!(finite, "image at 1e{power}, {thin}, {antialiased}");
+                assert!(gradients(&found).iter().all(|v| v.is_finite()), "1e{power}, {thin}, {antialiased}");
+            }
+        }
+    }
 }
 
 #[test]

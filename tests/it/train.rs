@@ -153,6 +153,19 @@ fn held_out_views_are_not_learnt_from() {
 }
 
 #[test]
+fn anchors_that_no_view_shows_are_not_part_of_the_scene() {
+    let mut dataset = dataset();
+    let cloud = dataset.points.as_mut().expect("points");
+    cloud.positions.push([0.0, 0.0, 40.0]);
+    cloud.colors.push([0; 3]);
+    let (trained, reports) = run(&dataset, &options(10, 0));
+    let scene = &trained.scene;
+    assert!((scene.len() as u64) < reports[0].anchors, "the point above the cameras is gone");
+    assert!(scene.cells.iter().all(|cell| scene.lattice.position(*cell)[2] < 30.0));
+    assert!(scene.masks.chunks_exact(scene.offsets_per_anchor).all(|kept| kept.contains(&true)));
+}
+
+#[test]
 fn a_set_without_points_begins_with_random_ones() {
     let mut dataset = dataset();
     dataset.points = None;

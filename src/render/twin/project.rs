@@ -54,10 +54,10 @@ pub(super) const LEAST_RATIO: f64 = 0.005 * 0.005;
 /// The Gaussian on the image plane, or `None` where it is culled before any tile is looked at.
 #[must_use]
 pub fn project(projection: &Projection, gaussian: &Gaussian, cutoffs: Cutoffs) -> Option<Splat> {
-    let numbers = [gaussian.opacity].into_iter().chain(gaussian.quat);
+    let mut numbers = [gaussian.opacity].into_iter().chain(gaussian.quat);
     let finite = gaussian.mean.is_finite() && gaussian.scale.is_finite() && gaussian.color.is_finite();
     let norm: f64 = gaussian.quat.iter().map(|v| v * v).sum();
-    if !finite || !numbers.fold(true, |all, v| all && v.is_finite()) || norm <= 1e-30 {
+    if !finite || !numbers.all(f64::is_finite) || norm <= 1e-30 {
         return None;
     }
     let footprint = Footprint::new(projection, gaussian);

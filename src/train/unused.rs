@@ -1,0 +1,43 @@
+//! Finds the offsets that no training view ever shows, so that the file need not carry them.
+
+use crate::{
+    domain::Frame,
+    gpu::Context,
+    model::AnchorRows,
+    render::{DeviceAnchors, NeuralGaussians, RenderError},
+};
+
+/// An opacity below this never reaches a pixel (method.md §2.1).
+const LEAST_OPACITY: f32 = 1.0 / 255.0;
+
+/// Switches off the offsets of `anchors` whose opacity stays below what a pixel takes in every view of `frames`, and
+/// drops the anchors that keep none. Anchors that no view shows at all are dropped with them.
+///
+/// # Errors
+/// Faults of the device.
+pub(super) fn drop_unused(
+    context: &Context,
+    neural: &mut NeuralGaussians,
+    device: &DeviceAnchors,
+    anchors: &mut AnchorRows,
+    frames: &[&Frame],
+) -> Result<(), RenderError> {
+    let offsets = anchors.shape.offsets;
+    let mut used = vec![0_u32; anchors.len()];
+    for frame in frames {
+        let mut recorder = context.recorder("offsets in use");
+        neural.forward(&mut recorder, device, &frame.camera, 0.0)?;
+        recorder.submit()?;
+        let (list, opacities) = neural.visible_opacities()?;
+        for (anchor, opacities) in list.iter().zip(opacities.chunks_exact(offsets)) {
+            for (offset, opacity) in opacities.iter().enumerate() {
+                used[*anchor as usize] |= u32::from(*opacity >= LEAST_OPACITY) << offset;
+            }
+        }
+    }
+    for (mask, used) in anchors.masks.iter_mut().zip(&used) {
+        *mask &= used;
+    }
+    anchors.drop_empty();
+    Ok(())
+}
