@@ -71,7 +71,8 @@ impl Schedule {
             statistics_from: part(500.0 / 30_000.0),
             densify_from: part(0.05),
             densify_until: part(0.5),
-            densify_every: 100,
+            // Short runs grow more often: growth, not the last decimal of the gradients' mean, is what they lack.
+            densify_every: (steps / 30).clamp(25, 100),
             growth_threshold: 2e-4,
             max_anchors,
             random_points,
@@ -113,6 +114,16 @@ mod tests {
         assert!((decay.at(0.5) - 1e-3).abs() < 1e-12);
         assert!((decay.at(1.0) - 1e-4).abs() < 1e-12);
         assert!((decay.at(2.0) - 1e-4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn short_runs_grow_too() {
+        for (steps, rounds) in [(400, 7), (1_000, 14), (2_000, 14), (10_000, 44)] {
+            let options = TrainOptions { iterations: Some(steps), ..TrainOptions::default() };
+            let schedule = Schedule::new(&options);
+            let grows = (1..=steps).filter(|step| schedule.densifies(*step)).count();
+            assert_eq!(grows, rounds, "{steps} steps");
+        }
     }
 
     #[test]
