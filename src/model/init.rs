@@ -75,9 +75,28 @@ pub fn all_offsets(shape: Shape) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use rand::SeedableRng;
+
     use super::*;
 
-    const SHAPE: Shape = Shape { features: 4, offsets: 2 };
+    const SHAPE: Shape = Shape { features: 4, offsets: 3 };
+
+    #[test]
+    fn anchors_begin_with_zero_features_and_offsets_and_the_spacing_as_size() {
+        let points: Vec<[f32; 3]> =
+            (0..1000).map(|i| [(i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32]).collect();
+        let rows = initial_rows(&points, VoxelRule::OfSpacing(0.5), SHAPE, 1000).expect("anchors");
+        assert_eq!(rows.len(), 1000);
+        for anchor in 0..1000 {
+            let row = rows.row(anchor);
+            let (feature, rest) = row.split_at(4);
+            let (scalings, offsets) = rest.split_at(6);
+            assert!(feature.iter().chain(offsets).all(|v| *v == 0.0));
+            // The three nearest neighbours of any point of the grid are at distance one; cells may move it by a quarter.
+            assert!(scalings.iter().all(|log| *log == scalings[0] && log.abs() < 0.5), "{scalings:?}");
+        }
+        assert!(rows.masks.iter().all(|mask| *mask == 0b111));
+    }
 
     #[test]
     fn a_dense_cloud_is_thinned_evenly_and_keeps_its_extent() {
@@ -100,9 +119,38 @@ mod tests {
     }
 
     #[test]
-    fn point_sets_that_no_scene_begins_with_are_refused() {
-        assert_eq!(initial_rows(&[], VoxelRule::Fixed(1.0), SHAPE, 9), Err(InitError::NoPoints));
-        let points = [[0.0; 3], [0.0, f32::NAN, 0.0]];
-        assert_eq!(initial_rows(&points, VoxelRule::Fixed(1.0), SHAPE, 9), Err(InitError::NonFinite(1)));
+    fn a_lone_point_is_an_anchor_of_finite_size() {
+        let rows =
+            initial_rows(&[[1.0, 2.0, 3.0]], VoxelRule::OfSpacing(0.5), SHAPE, 1000).expect("an anchor");
+        assert_eq!(rows.len(), 1);
+        assert!(rows.values.iter().all(|v| v.is_finite()));
+    }
+
+    #[test]
+    fn points_that_no_scene_can_begin_with_are_named() {
+        let begin = |points: &[[f32; 3]]| initial_rows(points, VoxelRule::Fixed(1.0), SHAPE, 9);
+        assert_eq!(begin(&[]), Err(InitError::NoPoints));
+        assert_eq!(begin(&[[0.0; 3], [0.0, f32::INFINITY, 0.0]]), Err(InitError::NonFinite(1)));
+    }
+
+    #[test]
+    fn random_points_fill_their_box_and_follow_the_seed() {
+        let points = |seed| {
+            random_points(&mut rand_pcg::Pcg64::seed_from_u64(seed), 500, [-1.0, 0.0, 5.0], [1.0, 3.0, 6.0])
+        };
+        assert_eq!(points(1), points(1));
+        assert_ne!(points(1), points(2));
+        for (axis, (low, high)) in [(-1.0, 1.0), (0.0, 3.0), (5.0, 6.0)].into_iter().enumerate() {
+            let along = || points(1).into_iter().map(move |point| point[axis]);
+            let (least, most) = (along().fold(f32::MAX, f32::min), along().fold(f32::MIN, f32::max));
+            assert!(least >= low && most < high && most - least > 0.9 * (high - low));
+        }
+    }
+
+    #[test]
+    fn every_offset_has_its_bit() {
+        for (offsets, mask) in [(1, 1), (10, 0x3ff), (31, 0x7fff_ffff), (32, u32::MAX)] {
+            assert_eq!(all_offsets(Shape { features: 4, offsets }), mask);
+        }
     }
 }

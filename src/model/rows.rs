@@ -147,7 +147,55 @@ impl AnchorRows {
 
 #[cfg(test)]
 mod tests {
+    use rand::SeedableRng;
+
     use super::*;
+    use crate::model::NetworkLayout;
+
+    const SHAPE: Shape = Shape { features: 4, offsets: 3 };
+
+    #[test]
+    fn rows_and_scenes_hold_the_same_anchors() {
+        let layout = NetworkLayout::new(SHAPE);
+        let networks = layout.to_networks(&layout.initial(&mut rand_pcg::Pcg64::seed_from_u64(1)));
+        let rows = AnchorRows {
+            shape: SHAPE,
+            lattice: Lattice { voxel: 0.5, origin: [1.0, 2.0, 3.0] },
+            cells: vec![[0, 0, 0], [2, -4, 6]],
+            values: (0..2 * SHAPE.row()).map(|i| 0.25 * i as f32 - 3.0).collect(),
+            masks: vec![0b101, 0b010],
+        };
+        let scene = rows.to_scene(networks);
+        scene.check().expect("a consistent scene");
+        assert_eq!(scene.masks, [true, false, true, false, true, false]);
+        assert_eq!(scene.features[4..], rows.row(1)[..4]);
+        assert!((scene.scalings[6] - rows.row(1)[4].exp()).abs() < 1e-6, "scalings become linear");
+        assert_eq!(scene.offsets[9..], rows.row(1)[10..]);
+        let back = AnchorRows::from_scene(&scene);
+        assert_eq!(
+            (back.shape, back.lattice, &back.cells, &back.masks),
+            (SHAPE, rows.lattice, &rows.cells, &rows.masks)
+        );
+        for (found, expected) in back.values.iter().zip(&rows.values) {
+            assert!((found - expected).abs() <= 1e-6 * expected.abs().max(1.0), "{found} {expected}");
+        }
+        assert_eq!(rows.positions(), [[1.0, 2.0, 3.0, 0.0], [2.0, 0.0, 6.0, 0.0]]);
+    }
+
+    #[test]
+    fn a_scaling_of_zero_becomes_a_finite_logarithm() {
+        let layout = NetworkLayout::new(SHAPE);
+        let rows = AnchorRows {
+            shape: SHAPE,
+            lattice: Lattice { voxel: 1.0, origin: [0.0; 3] },
+            cells: vec![[0; 3]],
+            values: vec![-1000.0; SHAPE.row()],
+            masks: vec![7],
+        };
+        let scene = rows.to_scene(layout.to_networks(&vec![0.0; layout.parameters]));
+        assert_eq!(scene.scalings, [0.0; 6]);
+        assert!(AnchorRows::from_scene(&scene).values.iter().all(|v| v.is_finite()));
+    }
 
     #[test]
     fn empty_anchors_go_and_the_others_keep_their_rows() {

@@ -15,6 +15,7 @@ mod raster_device;
 mod raster_oracles;
 mod raster_twin;
 mod sample;
+mod scene_renderer;
 mod support;
 mod train;
 mod worker;

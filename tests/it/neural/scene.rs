@@ -16,26 +16,32 @@ use tcgs::{
 };
 
 /// Sizes that leave every tile of the kernels partly filled.
-pub const SMALL: Shape = Shape { features: 8, offsets: 3 };
+pub(super) const SMALL: Shape = Shape { features: 8, offsets: 3 };
 
 /// The sizes that are trained.
-pub const USUAL: Shape = Shape { features: 32, offsets: 10 };
+pub(super) const USUAL: Shape = Shape { features: 32, offsets: 10 };
 
 /// Anchors with networks.
 #[derive(Clone)]
-pub struct Scene {
-    pub anchors: AnchorRows,
-    pub networks: Vec<f32>,
+pub(super) struct Scene {
+    pub(super) anchors: AnchorRows,
+    pub(super) networks: Vec<f32>,
 }
 
 impl Scene {
-    pub fn twin(&self) -> twin::Anchors {
+    pub(super) fn twin(&self) -> twin::Anchors {
         twin::Anchors::new(&self.anchors, &self.networks)
     }
 
     /// `count` anchors within `spread` of the middle, some of their offsets masked. None is so close to a decision of
     /// `projection` or of a ReLU that rounding might take it differently.
-    pub fn random(seed: u64, shape: Shape, count: usize, spread: f32, projection: &Projection) -> Self {
+    pub(super) fn random(
+        seed: u64,
+        shape: Shape,
+        count: usize,
+        spread: f32,
+        projection: &Projection,
+    ) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed);
         let networks = NetworkLayout::new(shape).initial(&mut rng);
         let lattice = Lattice { voxel: spread / 1000.0, origin: [0.0; 3] };
@@ -78,12 +84,15 @@ fn is_far_from_decisions(anchor: &twin::Anchors, projection: &Projection) -> boo
         && hidden.iter().chain(&opacity).all(|v| v.abs() > MARGIN)
 }
 
-pub fn projection(camera: &Camera) -> Projection {
+pub(super) fn projection(camera: &Camera) -> Projection {
     Projection::new(camera, &RasterSettings::default())
 }
 
+/// What a rasteriser says of one Gaussian: the gradients, and the tiles that it touches.
+pub(super) type Said = (GaussianGradient, SplatGradient, u32);
+
 /// Random gradients by Gaussians, through f32.
-pub fn random_gradients(seed: u64, count: usize) -> Vec<(GaussianGradient, SplatGradient, u32)> {
+pub(super) fn random_gradients(seed: u64, count: usize) -> Vec<Said> {
     let mut rng = Pcg64::seed_from_u64(seed);
     let mut number = || f64::from(rng.random_range(-1.0..1.0_f32));
     (0..count)
@@ -105,30 +114,30 @@ pub fn random_gradients(seed: u64, count: usize) -> Vec<(GaussianGradient, Splat
 
 /// What came back from the device.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Found {
-    pub counts: [u32; 3],
+pub(super) struct Found {
+    pub(super) counts: [u32; 3],
     /// Rows of the candidates: position and opacity, scales, quaternions, colours; zero where there is no opacity.
-    pub gaussians: [Vec<[f32; 4]>; 4],
-    pub d_rows: Vec<f32>,
-    pub d_networks: Vec<f32>,
-    pub statistics: Vec<f32>,
+    pub(super) gaussians: [Vec<[f32; 4]>; 4],
+    pub(super) d_rows: Vec<f32>,
+    pub(super) d_networks: Vec<f32>,
+    pub(super) statistics: Vec<f32>,
 }
 
 /// Bits, so that NaN equals itself.
-pub fn bits(found: &Found) -> Vec<u32> {
+pub(super) fn bits(found: &Found) -> Vec<u32> {
     let columns = found.gaussians.iter().flatten().flatten();
     let rest = found.d_rows.iter().chain(&found.d_networks).chain(&found.statistics);
     found.counts.into_iter().chain(columns.chain(rest).map(|v| v.to_bits())).collect()
 }
 
 /// Both passes and the statistics, into buffers full of NaN (the statistics begin at one).
-pub fn run(
+pub(super) fn run(
     context: &Arc<Context>,
     neural: &mut NeuralGaussians,
     scene: &Scene,
     camera: &Camera,
     volume_weight: f32,
-    gradients: &[(GaussianGradient, SplatGradient, u32)],
+    gradients: &[Said],
 ) -> Found {
     let (shape, anchors) = (scene.anchors.shape, scene.anchors.len());
     let device = DeviceAnchors::upload(context, &scene.anchors, &scene.networks).expect("anchors");
@@ -148,7 +157,7 @@ pub fn run(
     }
 
     let d = neural.gaussian_gradients().expect("room").clone();
-    let fill = |column, row: &dyn Fn(&(GaussianGradient, SplatGradient, u32)) -> [f64; 4]| {
+    let fill = |column, row: &dyn Fn(&Said) -> [f64; 4]| {
         let mut rows = vec![[f32::NAN; 4]; gaussians.capacity];
         for (to, from) in rows.iter_mut().take(candidates).zip(gradients) {
             *to = row(from).map(|v| v as f32);

@@ -1,0 +1,108 @@
+//! Finished scenes on the device: 8-bit views against the twins, the viewer's memory, and its recovery from a lost device.
+
+use std::{cell::Cell, sync::Arc};
+
+use glam::DVec3;
+use tcgs::{
+    domain::{AnchorScene, Background, Digest, Lattice},
+    gpu::AdapterChoice,
+    model::{AnchorRows, NetworkLayout, Shape},
+    render::{
+        Projection, RasterSettings, RenderError, RenderViews, SceneRenderer, SceneViewer,
+        twin::{self, neural},
+        views::Viewable,
+    },
+};
+
+use crate::support::{gpu::gpu, random};
+
+const SHAPE: Shape = Shape { features: 4, offsets: 2 };
+
+/// A hundred anchors in a spiral, and their rows.
+fn scene() -> (AnchorRows, Vec<f32>, AnchorScene) {
+    let layout = NetworkLayout::new(SHAPE);
+    let wave = |i: usize| (i as f32 * 0.7).sin();
+    let networks: Vec<f32> = (0..layout.parameters).map(|i| 0.8 * wave(i)).collect();
+    let cells = (0..100).map(|i| [(80.0 * wave(i)) as i32, (80.0 * wave(i + 5)) as i32, i as i32]).collect();
+    let values = (0..100 * SHAPE.row())
+        .map(|i| match i % SHAPE.row() {
+            column if (4..10).contains(&column) => -1.5 + 0.3 * wave(i),
+            _ => wave(3 * i),
+        })
+        .collect();
+    let lattice = Lattice { voxel: 0.01, origin: [0.0, 0.0, -0.5] };
+    let rows = AnchorRows { shape: SHAPE, lattice, cells, values, masks: vec![3; 100] };
+    let finished = rows.to_scene(layout.to_networks(&networks));
+    (rows, networks, finished)
+}
+
+#[test]
+fn a_view_is_the_twins_view_in_8_bits() {
+    let (rows, networks, finished) = scene();
+    let camera = random::camera(45, 37);
+    for background in [Background::White, Background::Black] {
+        let mut renderer = SceneRenderer::new(&gpu(), &finished, background).expect("a renderer");
+        let image = renderer.render(&camera).expect("a view");
+        let projection = Projection::new(&camera, &RasterSettings::default());
+        let spawned = neural::neural_forward(&projection, &neural::Anchors::new(&rows, &networks));
+        let gaussians: Vec<_> = spawned.gaussians.into_iter().flatten().collect();
+        let behind = DVec3::from(background.rgb().map(f64::from));
+        let twin = twin::forward(&projection, &gaussians, behind, twin::Cutoffs::default());
+        let expected = twin.frame.image.iter().flat_map(|p| [p[0], p[1], p[2]]);
+        assert_eq!((image.width(), image.height(), image.channels()), (45, 37, 3));
+        let covered = twin.frame.image.iter().filter(|pixel| pixel[3] < 0.5).count();
+        assert!(covered > 100, "the scene is in view: {covered} pixels");
+        for (found, expected) in image.samples().iter().zip(expected) {
+            // Half a level of rounding to 8 bits, and a contribution at 1/255 that f32 decides otherwise.
+            let expected = 255.0 * expected.clamp(0.0, 1.0);
+            assert!((f64::from(*found) - expected).abs() < 1.6, "{found} {expected}");
+        }
+        assert_eq!(renderer.render(&camera), Ok(image), "the same view again, bit for bit");
+    }
+}
+
+#[test]
+fn networks_of_another_depth_are_refused() {
+    let (_, _, mut finished) = scene();
+    finished.networks.color.layers.pop();
+    let refused = SceneRenderer::new(&gpu(), &finished, Background::Black).map(drop);
+    assert!(matches!(refused, Err(RenderError::Scene(fault)) if fault.contains("layers")));
+}
+
+#[test]
+fn the_viewer_loads_a_scene_once_forgets_the_oldest_and_survives_a_lost_device() {
+    let adapter = std::env::var("TCGS_ADAPTER").map_or(AdapterChoice::Lavapipe, |name| match name.parse() {
+        Ok(choice) => choice,
+        Err(never) => match never {},
+    });
+    let viewer = Arc::new(SceneViewer::open(adapter).expect("an adapter"));
+    let (_, _, finished) = scene();
+    let camera = random::camera(20, 20);
+    let loads = Cell::new(0);
+    let view = |name: &[u8]| {
+        let load = || {
+            loads.set(loads.get() + 1);
+            Ok(Viewable { scene: finished.clone(), background: Background::Black })
+        };
+        viewer.render(Digest::of(name), &load, &camera).expect("a view")
+    };
+    let first = view(b"a");
+    assert_eq!((view(b"a"), loads.get()), (first.clone(), 1));
+    for other in [b"b", b"c", b"d"] {
+        view(other);
+    }
+    view(b"a");
+    assert_eq!(loads.get(), 4, "four scenes are kept");
+    view(b"e");
+    view(b"a");
+    assert_eq!(loads.get(), 5, "the latest used are");
+    view(b"b");
+    assert_eq!(loads.get(), 6, "the one not used for longest is not");
+
+    viewer.destroy_device();
+    assert_eq!(
+        (view(b"a"), loads.get()),
+        (first, 7),
+        "the device is opened again and the scene loaded again"
+    );
+}
