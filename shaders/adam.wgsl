@@ -1,5 +1,9 @@
 // One Adam step (method.md section 1.6): bias-corrected moments, epsilon outside the root. The learning rate of element i
-// is rates[i % rates_len]. A gradient that is not finite, or whose square would not be, leaves its element untouched.
+// is rates[i % rates_len]. A gradient that is not finite, or whose square would not be, leaves its element
+// untouched.
+//
+// An invocation steps four neighbours, which shares the remainder: lanes divide integers one after the other.
+// Buffers end on 16 bytes, so the last four may reach past the elements but not past the buffer.
 
 struct Settings {
     // elements, length of the rate table, unused, unused
@@ -12,26 +16,40 @@ struct Settings {
 
 @group(0) @binding(0) var<uniform> settings: Settings;
 @group(0) @binding(1) var<storage, read> rates: array<f32>;
-@group(0) @binding(2) var<storage, read> gradients: array<f32>;
-@group(0) @binding(3) var<storage, read_write> values: array<f32>;
-@group(0) @binding(4) var<storage, read_write> first: array<f32>;
-@group(0) @binding(5) var<storage, read_write> second: array<f32>;
+@group(0) @binding(2) var<storage, read> gradients: array<vec4f>;
+@group(0) @binding(3) var<storage, read_write> values: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> first: array<vec4f>;
+@group(0) @binding(5) var<storage, read_write> second: array<vec4f>;
+
+fn after(column: u32) -> u32 {
+    return select(column + 1u, 0u, column + 1u == settings.shape.y);
+}
+
+fn rates_from(element: u32) -> vec4f {
+    let a = element % settings.shape.y;
+    let b = after(a);
+    let c = after(b);
+    let d = after(c);
+    return vec4f(rates[a], rates[b], rates[c], rates[d]);
+}
 
 @compute @workgroup_size(64)
 fn adam(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let i = (group.x + group.y * 65535u) * 64u + local;
-    if i >= settings.shape.x {
+    if 4u * i >= settings.shape.x {
         return;
     }
-    let g = gradients[i];
-    // Written so that NaN and infinity fail it.
-    if !(abs(g) < 1e18) {
-        return;
-    }
-    let m = settings.moments.x * first[i] + settings.extra.y * g;
-    let v = settings.moments.y * second[i] + settings.extra.z * g * g;
-    first[i] = m;
-    second[i] = v;
+    let gradient = gradients[i];
+    // NaN and infinity fail it, and what f32 cannot hold the square of.
+    let finite = abs(gradient) < vec4f(1e18);
+    let g = select(vec4f(0.0), gradient, finite);
+    let old_m = first[i];
+    let old_v = second[i];
+    let m = settings.moments.x * old_m + settings.extra.y * g;
+    let v = settings.moments.y * old_v + settings.extra.z * g * g;
+    first[i] = select(old_m, m, finite);
+    second[i] = select(old_v, v, finite);
     let scale = sqrt(v) * settings.moments.w + settings.extra.x;
-    values[i] -= rates[i % settings.shape.y] * (m * settings.moments.z) / scale;
+    let step = rates_from(4u * i) * (m * settings.moments.z) / scale;
+    values[i] -= select(vec4f(0.0), step, finite);
 }

@@ -2,8 +2,9 @@
 // ReLU, or the gate of a ReLU (for the gradient with respect to a hidden layer). Column-major data; the weight of
 // (o, k) is parameters[weights + o * out_stride + k * in_stride].
 //
-// An invocation computes 16 outputs of two columns. With subgroups, each lane reads one weight and the lanes
-// share them by broadcast: a uniform read inside a loop costs a software adapter one read for every lane.
+// Reads are what a software adapter spends its time on, eight lanes at a time. So an invocation computes 32 outputs of
+// four columns, and with subgroups each lane reads one weight and the lanes share them by broadcast. Two inputs a
+// turn, because what a loop assigns is masked at every assignment.
 
 struct Layer {
     // inputs, outputs, capacity, weights
@@ -16,6 +17,7 @@ struct Layer {
 
 const NONE: u32 = 0xffffffffu;
 const LANES: u32 = 64u;
+const TILE: u32 = 32u;
 
 @group(0) @binding(0) var<uniform> layer: Layer;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
@@ -24,31 +26,89 @@ const LANES: u32 = 64u;
 @group(0) @binding(4) var<storage, read> gate: array<f32>;
 @group(0) @binding(5) var<storage, read_write> results: array<f32>;
 
+// The weights of eight outputs.
+struct Eight {
+    low: vec4f,
+    high: vec4f,
+}
+
 fn weight_at(output: u32, input: u32) -> f32 {
     let o = min(output, layer.shape.y - 1u);
     return parameters[layer.shape.w + o * layer.access.x + input * layer.access.y];
 }
 
-fn finish(output: u32, column: u32, count: u32, sum: f32) {
-    if output >= layer.shape.y || column >= count {
+#ifdef SUBGROUPS
+fn weights_at(output: u32, input: u32, lane: u32) -> Eight {
+    let own = weight_at(output + (lane & 7u), input);
+    return Eight(
+        vec4f(
+            subgroupBroadcast(own, 0u),
+            subgroupBroadcast(own, 1u),
+            subgroupBroadcast(own, 2u),
+            subgroupBroadcast(own, 3u),
+        ),
+        vec4f(
+            subgroupBroadcast(own, 4u),
+            subgroupBroadcast(own, 5u),
+            subgroupBroadcast(own, 6u),
+            subgroupBroadcast(own, 7u),
+        ),
+    );
+}
+#else
+fn weights_at(output: u32, input: u32, lane: u32) -> Eight {
+    return Eight(
+        vec4f(
+            weight_at(output, input),
+            weight_at(output + 1u, input),
+            weight_at(output + 2u, input),
+            weight_at(output + 3u, input),
+        ),
+        vec4f(
+            weight_at(output + 4u, input),
+            weight_at(output + 5u, input),
+            weight_at(output + 6u, input),
+            weight_at(output + 7u, input),
+        ),
+    );
+}
+#endif
+
+// One matrix column an output.
+fn outer(values: vec4f, weights: vec4f) -> mat4x4f {
+    return mat4x4f(weights.x * values, weights.y * values, weights.z * values, weights.w * values);
+}
+
+fn values_at(columns: vec4u, input: u32) -> vec4f {
+    let at = (layer.rows.x + input) * layer.shape.z + columns;
+    return vec4f(source[at.x], source[at.y], source[at.z], source[at.w]);
+}
+
+fn finish(output: u32, columns: vec4u, count: u32, sums: vec4f) {
+    if output >= layer.shape.y {
         return;
     }
     let capacity = layer.shape.z;
-    var value = sum;
+    var values = sums;
     if layer.access.z != NONE {
-        value += parameters[layer.access.z + output];
+        values += parameters[layer.access.z + output];
     }
-    let at = (layer.rows.y + output) * capacity + column;
     if layer.access.w == 1u {
-        value = max(value, 0.0);
+        values = max(values, vec4f(0.0));
     }
-    if layer.access.w == 2u && gate[(layer.rows.z + output) * capacity + column] <= 0.0 {
-        value = 0.0;
+    for (var i = 0u; i < 4u; i++) {
+        if columns[i] < count {
+            let at = (layer.rows.y + output) * capacity + columns[i];
+            var value = values[i];
+            if layer.access.w == 2u && gate[(layer.rows.z + output) * capacity + columns[i]] <= 0.0 {
+                value = 0.0;
+            }
+            if layer.rows.w != 0u {
+                value += results[at];
+            }
+            results[at] = value;
+        }
     }
-    if layer.rows.w != 0u {
-        value += results[at];
-    }
-    results[at] = value;
 }
 
 @compute @workgroup_size(LANES)
@@ -59,78 +119,53 @@ fn dense(
     @builtin(subgroup_invocation_id) lane: u32,
 #endif
 ) {
-    let tiles = (layer.shape.y + 15u) / 16u;
+#ifndef SUBGROUPS
+    let lane = 0u;
+#endif
+    let tiles = (layer.shape.y + TILE - 1u) / TILE;
     let block = group.x + group.y * 65535u;
-    let first = (block % tiles) * 16u;
+    let strip = block / tiles;
+    let first = (block - strip * tiles) * TILE;
     let count = list[0];
-    let column = (block / tiles) * 2u * LANES + local;
     // Every invocation of a workgroup leaves here or none does.
-    if (block / tiles) * 2u * LANES >= count {
+    if strip * 4u * LANES >= count {
         return;
     }
-    let capacity = layer.shape.z;
-    let a = min(column, count - 1u);
-    let b = min(column + LANES, count - 1u);
-    var s0 = vec2f(0.0);
-    var s1 = vec2f(0.0);
-    var s2 = vec2f(0.0);
-    var s3 = vec2f(0.0);
-    var s4 = vec2f(0.0);
-    var s5 = vec2f(0.0);
-    var s6 = vec2f(0.0);
-    var s7 = vec2f(0.0);
-    var s8 = vec2f(0.0);
-    var s9 = vec2f(0.0);
-    var s10 = vec2f(0.0);
-    var s11 = vec2f(0.0);
-    var s12 = vec2f(0.0);
-    var s13 = vec2f(0.0);
-    var s14 = vec2f(0.0);
-    var s15 = vec2f(0.0);
-    for (var k = 0u; k < layer.shape.x; k++) {
-        let source_row = (layer.rows.x + k) * capacity;
-        let x = vec2f(source[source_row + a], source[source_row + b]);
-#ifdef SUBGROUPS
-        let low = weight_at(first + (lane & 7u), k);
-        let high = weight_at(first + 8u + (lane & 7u), k);
-        s0 += subgroupBroadcast(low, 0u) * x;
-        s1 += subgroupBroadcast(low, 1u) * x;
-        s2 += subgroupBroadcast(low, 2u) * x;
-        s3 += subgroupBroadcast(low, 3u) * x;
-        s4 += subgroupBroadcast(low, 4u) * x;
-        s5 += subgroupBroadcast(low, 5u) * x;
-        s6 += subgroupBroadcast(low, 6u) * x;
-        s7 += subgroupBroadcast(low, 7u) * x;
-        s8 += subgroupBroadcast(high, 0u) * x;
-        s9 += subgroupBroadcast(high, 1u) * x;
-        s10 += subgroupBroadcast(high, 2u) * x;
-        s11 += subgroupBroadcast(high, 3u) * x;
-        s12 += subgroupBroadcast(high, 4u) * x;
-        s13 += subgroupBroadcast(high, 5u) * x;
-        s14 += subgroupBroadcast(high, 6u) * x;
-        s15 += subgroupBroadcast(high, 7u) * x;
-#else
-        s0 += weight_at(first, k) * x;
-        s1 += weight_at(first + 1u, k) * x;
-        s2 += weight_at(first + 2u, k) * x;
-        s3 += weight_at(first + 3u, k) * x;
-        s4 += weight_at(first + 4u, k) * x;
-        s5 += weight_at(first + 5u, k) * x;
-        s6 += weight_at(first + 6u, k) * x;
-        s7 += weight_at(first + 7u, k) * x;
-        s8 += weight_at(first + 8u, k) * x;
-        s9 += weight_at(first + 9u, k) * x;
-        s10 += weight_at(first + 10u, k) * x;
-        s11 += weight_at(first + 11u, k) * x;
-        s12 += weight_at(first + 12u, k) * x;
-        s13 += weight_at(first + 13u, k) * x;
-        s14 += weight_at(first + 14u, k) * x;
-        s15 += weight_at(first + 15u, k) * x;
-#endif
+    let columns = strip * 4u * LANES + local + vec4u(0u, LANES, 2u * LANES, 3u * LANES);
+    let read = min(columns, vec4u(count - 1u));
+    let inputs = layer.shape.x;
+    var s0 = mat4x4f();
+    var s1 = mat4x4f();
+    var s2 = mat4x4f();
+    var s3 = mat4x4f();
+    var s4 = mat4x4f();
+    var s5 = mat4x4f();
+    var s6 = mat4x4f();
+    var s7 = mat4x4f();
+    for (var k = 0u; k < inputs; k += 2u) {
+        // An odd last input is its own neighbour, which then counts for nothing.
+        let next = min(k + 1u, inputs - 1u);
+        let x = values_at(read, k);
+        let y = select(vec4f(0.0), values_at(read, next), next > k);
+        let x0 = weights_at(first, k, lane);
+        let x1 = weights_at(first + 8u, k, lane);
+        let x2 = weights_at(first + 16u, k, lane);
+        let x3 = weights_at(first + 24u, k, lane);
+        let y0 = weights_at(first, next, lane);
+        let y1 = weights_at(first + 8u, next, lane);
+        let y2 = weights_at(first + 16u, next, lane);
+        let y3 = weights_at(first + 24u, next, lane);
+        s0 += outer(x, x0.low) + outer(y, y0.low);
+        s1 += outer(x, x0.high) + outer(y, y0.high);
+        s2 += outer(x, x1.low) + outer(y, y1.low);
+        s3 += outer(x, x1.high) + outer(y, y1.high);
+        s4 += outer(x, x2.low) + outer(y, y2.low);
+        s5 += outer(x, x2.high) + outer(y, y2.high);
+        s6 += outer(x, x3.low) + outer(y, y3.low);
+        s7 += outer(x, x3.high) + outer(y, y3.high);
     }
-    var sums = array<vec2f, 16>(s0, s1, s2, s3, s4, s5, s6, s7, s8, s9, s10, s11, s12, s13, s14, s15);
-    for (var output = 0u; output < 16u; output++) {
-        finish(first + output, column, count, sums[output].x);
-        finish(first + output, column + LANES, count, sums[output].y);
+    var sums = array<mat4x4f, 8>(s0, s1, s2, s3, s4, s5, s6, s7);
+    for (var output = 0u; output < TILE; output++) {
+        finish(first + output, columns, count, sums[output / 4u][output % 4u]);
     }
 }

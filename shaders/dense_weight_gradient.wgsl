@@ -1,6 +1,10 @@
 // Partial sums, over one run of visible anchors, of the gradient of a dense layer's weights and bias:
 // dW(o, k) = sum over i of dout[o][i] source[k][i]; dbias(o) = sum over i of dout[o][i].
-// A workgroup computes a tile of 4 outputs by 8 inputs for one run; `sum_partials` adds the runs in order.
+// A workgroup computes a tile of 32 outputs by 16 inputs for one run; `sum_partials` adds the runs in order.
+//
+// Eight lanes in a row hold the tile, each the outputs o, o + 8, o + 16 and o + 24 by all sixteen inputs. They read the
+// inputs' values once, two a lane, and share them: reads are what a software adapter spends its time on. Where a
+// subgroup has more lanes, every further eight take other anchors of the run.
 
 struct Layer {
     // inputs, outputs, capacity, weights
@@ -12,6 +16,9 @@ struct Layer {
 }
 
 const LANES: u32 = #{GRADIENT_LANES}u;
+const PHASES: u32 = LANES / 8u;
+const INPUTS: u32 = 16u;
+const OUTPUTS: u32 = 32u;
 
 @group(0) @binding(0) var<uniform> layer: Layer;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
@@ -19,96 +26,176 @@ const LANES: u32 = #{GRADIENT_LANES}u;
 @group(0) @binding(3) var<storage, read> dout: array<f32>;
 @group(0) @binding(4) var<storage, read_write> partials: array<f32>;
 
-#ifndef SUBGROUPS
-var<workgroup> shared_sums: array<vec4f, LANES>;
-#endif
+// Values of eight inputs.
+struct Eight {
+    low: vec4f,
+    high: vec4f,
+}
 
-// The sum over the workgroup, known to its first lane at least; always added in the same order.
-fn total(value: vec4f, local: u32) -> vec4f {
+fn source_at(input: u32, column: u32) -> f32 {
+    return source[(min(input, layer.shape.x - 1u) + layer.rows.x) * layer.shape.z + column];
+}
+
+fn dout_at(output: u32, column: u32) -> f32 {
+    return dout[(min(output, layer.shape.y - 1u) + layer.rows.y) * layer.shape.z + column];
+}
+
 #ifdef SUBGROUPS
-    return subgroupAdd(value);
+fn eight_inputs(input: u32, column: u32, lane: u32) -> Eight {
+    let own = source_at(input + (lane & 7u), column);
+#if GRADIENT_LANES == 8
+    return Eight(
+        vec4f(
+            subgroupBroadcast(own, 0u),
+            subgroupBroadcast(own, 1u),
+            subgroupBroadcast(own, 2u),
+            subgroupBroadcast(own, 3u),
+        ),
+        vec4f(
+            subgroupBroadcast(own, 4u),
+            subgroupBroadcast(own, 5u),
+            subgroupBroadcast(own, 6u),
+            subgroupBroadcast(own, 7u),
+        ),
+    );
 #else
-    workgroupBarrier();
-    shared_sums[local] = value;
-    workgroupBarrier();
-    var sum = vec4f(0.0);
-    if local == 0u {
-        for (var i = 0u; i < LANES; i++) {
-            sum += shared_sums[i];
-        }
-    }
-    return sum;
+    let base = lane & ~7u;
+    return Eight(
+        vec4f(
+            subgroupShuffle(own, base),
+            subgroupShuffle(own, base + 1u),
+            subgroupShuffle(own, base + 2u),
+            subgroupShuffle(own, base + 3u),
+        ),
+        vec4f(
+            subgroupShuffle(own, base + 4u),
+            subgroupShuffle(own, base + 5u),
+            subgroupShuffle(own, base + 6u),
+            subgroupShuffle(own, base + 7u),
+        ),
+    );
 #endif
 }
 
-fn store(base: u32, output: u32, input: u32, values: vec4f) {
+// The sum over the phases, always added in the same order.
+fn total(value: vec4f, lane: u32) -> vec4f {
+    var sum = value;
+    for (var reach = 8u; reach < LANES; reach *= 2u) {
+        sum += subgroupShuffleXor(sum, reach);
+    }
+    return sum;
+}
+#else
+var<workgroup> shared_sums: array<vec4f, LANES>;
+
+fn eight_inputs(input: u32, column: u32, lane: u32) -> Eight {
+    return Eight(
+        vec4f(
+            source_at(input, column),
+            source_at(input + 1u, column),
+            source_at(input + 2u, column),
+            source_at(input + 3u, column),
+        ),
+        vec4f(
+            source_at(input + 4u, column),
+            source_at(input + 5u, column),
+            source_at(input + 6u, column),
+            source_at(input + 7u, column),
+        ),
+    );
+}
+
+// The sum over the phases, always added in the same order.
+fn total(value: vec4f, lane: u32) -> vec4f {
+    workgroupBarrier();
+    shared_sums[lane] = value;
+    workgroupBarrier();
+    var sum = vec4f(0.0);
+    for (var phase = 0u; phase < PHASES; phase++) {
+        sum += shared_sums[8u * phase + (lane & 7u)];
+    }
+    return sum;
+}
+#endif
+
+// One matrix column an output.
+fn outer(inputs: vec4f, gradients: vec4f) -> mat4x4f {
+    return mat4x4f(
+        gradients.x * inputs,
+        gradients.y * inputs,
+        gradients.z * inputs,
+        gradients.w * inputs,
+    );
+}
+
+fn store(base: u32, output: u32, input: u32, sums: vec4f) {
     if output >= layer.shape.y {
         return;
     }
     for (var i = 0u; i < 4u; i++) {
         if input + i < layer.shape.x {
-            let at = layer.shape.w + output * layer.access.x + (input + i) * layer.access.y;
-            partials[base + at] = values[i];
+            partials[base + layer.shape.w + output * layer.access.x + (input + i) * layer.access.y] = sums[i];
         }
     }
 }
 
 @compute @workgroup_size(LANES)
-fn dense_weight_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let input_tiles = (layer.shape.x + 7u) / 8u;
-    let output_tiles = (layer.shape.y + 3u) / 4u;
+fn dense_weight_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let input_tiles = (layer.shape.x + INPUTS - 1u) / INPUTS;
+    let output_tiles = (layer.shape.y + OUTPUTS - 1u) / OUTPUTS;
     let block = group.x + group.y * 65535u;
-    let k = (block % input_tiles) * 8u;
-    let o = ((block / input_tiles) % output_tiles) * 4u;
+    let k = (block % input_tiles) * INPUTS;
+    let first = ((block / input_tiles) % output_tiles) * OUTPUTS;
     let run = block / (input_tiles * output_tiles);
-    let capacity = layer.shape.z;
-    let count = list[0];
     let begin = run * layer.access.w;
-    let end = min(begin + layer.access.w, count);
+    let end = min(begin + layer.access.w, list[0]);
     let base = run * layer.rows.z;
+    let o = first + (lane & 7u);
 
-    let in_row = vec4u(k, k + 1u, k + 2u, k + 3u);
-    let last_in = vec4u(layer.shape.x - 1u);
-    let low = (min(in_row, last_in) + layer.rows.x) * capacity;
-    let high = (min(in_row + 4u, last_in) + layer.rows.x) * capacity;
-    let out_row = (min(vec4u(o, o + 1u, o + 2u, o + 3u), vec4u(layer.shape.y - 1u)) + layer.rows.y) * capacity;
-
-    var a0 = vec4f(0.0);
-    var a1 = vec4f(0.0);
-    var a2 = vec4f(0.0);
-    var a3 = vec4f(0.0);
-    var b0 = vec4f(0.0);
-    var b1 = vec4f(0.0);
-    var b2 = vec4f(0.0);
-    var b3 = vec4f(0.0);
+    var s0 = mat4x4f();
+    var s1 = mat4x4f();
+    var s2 = mat4x4f();
+    var s3 = mat4x4f();
     var bias = vec4f(0.0);
-    for (var i = begin + local; i < end; i += LANES) {
-        let x = vec4f(source[low.x + i], source[low.y + i], source[low.z + i], source[low.w + i]);
-        let y = vec4f(source[high.x + i], source[high.y + i], source[high.z + i], source[high.w + i]);
-        let d = vec4f(dout[out_row.x + i], dout[out_row.y + i], dout[out_row.z + i], dout[out_row.w + i]);
-        a0 += d.x * x;
-        a1 += d.y * x;
-        a2 += d.z * x;
-        a3 += d.w * x;
-        b0 += d.x * y;
-        b1 += d.y * y;
-        b2 += d.z * y;
-        b3 += d.w * y;
-        bias += d;
+    // The bound is the same for all lanes, since they share what they read; a column past the end counts for nothing.
+    for (var i = begin; i < end; i += 2u * PHASES) {
+        let at = i + (lane / 8u);
+        let next = at + PHASES;
+        let here = min(at, end - 1u);
+        let there = min(next, end - 1u);
+        let x_low = eight_inputs(k, here, lane);
+        let x_high = eight_inputs(k + 8u, here, lane);
+        let y_low = eight_inputs(k, there, lane);
+        let y_high = eight_inputs(k + 8u, there, lane);
+        let d = select(
+            vec4f(0.0),
+            vec4f(dout_at(o, here), dout_at(o + 8u, here), dout_at(o + 16u, here), dout_at(o + 24u, here)),
+            at < end,
+        );
+        let e = select(
+            vec4f(0.0),
+            vec4f(dout_at(o, there), dout_at(o + 8u, there), dout_at(o + 16u, there), dout_at(o + 24u, there)),
+            next < end,
+        );
+        s0 += outer(x_low.low, d) + outer(y_low.low, e);
+        s1 += outer(x_low.high, d) + outer(y_low.high, e);
+        s2 += outer(x_high.low, d) + outer(y_high.low, e);
+        s3 += outer(x_high.high, d) + outer(y_high.high, e);
+        bias += d + e;
     }
-    var sums = array<vec4f, 9>(
-        total(a0, local), total(a1, local), total(a2, local), total(a3, local),
-        total(b0, local), total(b1, local), total(b2, local), total(b3, local),
-        total(bias, local),
-    );
-    if local != 0u {
-        return;
+    var sums = array<mat4x4f, 4>(s0, s1, s2, s3);
+    for (var part = 0u; part < 16u; part++) {
+        let sum = total(sums[part / 4u][part % 4u], lane);
+        if lane < 8u {
+            store(base, o + 8u * (part % 4u), k + 4u * (part / 4u), sum);
+        }
     }
-    for (var i = 0u; i < 4u; i++) {
-        store(base, o + i, k, sums[i]);
-        store(base, o + i, k + 4u, sums[4u + i]);
-        if k == 0u && o + i < layer.shape.y {
-            partials[base + layer.access.z + o + i] = sums[8][i];
+    let bias_sum = total(bias, lane);
+    if k == 0u && lane < 8u {
+        for (var i = 0u; i < 4u; i++) {
+            if o + 8u * i < layer.shape.y {
+                partials[base + layer.access.z + o + 8u * i] = bias_sum[i];
+            }
         }
     }
 }

@@ -16,6 +16,12 @@ use crate::{
 /// Columns of anchors that one partial sum of a weight gradient covers.
 const GRADIENT_RUN: usize = 1024;
 
+/// Outputs and columns of anchors that a workgroup of `shaders/dense.wgsl` computes.
+const DENSE_TILE: [usize; 2] = [32, 256];
+
+/// Inputs and outputs of the weights whose gradients a workgroup of `shaders/dense_weight_gradient.wgsl` computes.
+const GRADIENT_TILE: [usize; 2] = [16, 32];
+
 /// A bias offset that means there is none.
 const NO_BIAS: u32 = u32::MAX;
 
@@ -112,7 +118,7 @@ struct Kernels {
 impl Kernels {
     fn new(context: &Context, shape: Shape, subgroups: Option<u32>) -> Result<Self, RenderError> {
         let defs = shape.defs();
-        // A broadcast needs eight lanes; the gradient's workgroup is exactly one subgroup.
+        // Eight lanes share what they read; the gradient's workgroup is exactly one subgroup.
         let subgroups = subgroups.filter(|size| *size >= 8);
         let mut lanes = vec![("GRADIENT_LANES", subgroups.unwrap_or(64))];
         let mut dense = Vec::new();
@@ -516,7 +522,7 @@ impl NeuralGaussians {
     }
 
     fn dense_groups(&self, outputs: usize) -> u32 {
-        (outputs.div_ceil(16) * self.capacity.div_ceil(128)) as u32
+        (outputs.div_ceil(DENSE_TILE[0]) * self.capacity.div_ceil(DENSE_TILE[1])) as u32
     }
 
     fn weight_gradient(
@@ -532,7 +538,7 @@ impl NeuralGaussians {
             [1, layer.outputs as u32, layer.bias as u32, GRADIENT_RUN as u32],
             [layer.input_row as u32, layer.output_row as u32, self.layout.parameters as u32, 0],
         ])?;
-        let tiles = layer.inputs.div_ceil(8) * layer.outputs.div_ceil(4);
+        let tiles = layer.inputs.div_ceil(GRADIENT_TILE[0]) * layer.outputs.div_ceil(GRADIENT_TILE[1]);
         let runs = self.capacity.div_ceil(GRADIENT_RUN).max(1);
         let bindings = [
             uniform.as_ref(),

@@ -85,7 +85,7 @@ impl Adam {
                 moments.first.as_ref(),
                 moments.second.as_ref(),
             ],
-            values.len().div_ceil(64) as u32,
+            values.len().div_ceil(4 * 64) as u32,
         );
         Ok(())
     }
