@@ -9,8 +9,7 @@ use std::sync::Arc;
 use super::{GaussianGradients, Gaussians, RenderError};
 use crate::{
     domain::Camera,
-    gpu::{Buffer, Context, Kernel, Recorder},
-    kernel_source,
+    gpu::{Buffer, Context, Kernel, Recorder, kernel_source},
     model::{AnchorRows, LayerSpec, NetworkLayout, Shape},
 };
 

@@ -2,10 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::{
-    gpu::{Buffer, Context, GpuError, Kernel, Recorder},
-    kernel_source,
-};
+use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source};
 
 const BETAS: [f64; 2] = [0.9, 0.999];
 const EPSILON: f32 = 1e-15;

@@ -2,10 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::{
-    gpu::{Buffer, Context, GpuError, Kernel, Recorder},
-    kernel_source,
-};
+use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source};
 
 /// Weight of the SSIM part; L1 has the rest.
 const SSIM_WEIGHT: f64 = 0.2;
