@@ -71,7 +71,7 @@ pub fn train(
     run.finish()
 }
 
-/// Root of 1.1 times the largest distance of a training camera from their mean: the scene's extent.
+/// 1.1 times the largest distance of a training camera from their mean: the scene's extent.
 fn camera_extent(frames: &[&Frame]) -> f32 {
     let centers: Vec<_> = frames.iter().map(|frame| frame.camera.pose.center()).collect();
     let mean = centers.iter().sum::<glam::DVec3>() / centers.len().max(1) as f64;

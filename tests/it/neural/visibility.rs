@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{Camera, Intrinsics, Lattice, Pose},
-    kernel_source,
+    gpu::kernel_source,
     model::{AnchorRows, NetworkLayout},
     render::{NeuralGaussians, Projection, RasterSettings, twin::neural as twin},
 };
