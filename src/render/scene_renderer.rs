@@ -34,17 +34,28 @@ impl SceneRenderer {
         scene: &AnchorScene,
         background: Background,
     ) -> Result<Self, RenderError> {
-        let rows = AnchorRows::from_scene(scene);
-        let networks =
-            NetworkLayout::new(rows.shape).from_networks(&scene.networks).map_err(RenderError::Scene)?;
+        let anchors = upload(context, scene)?;
         let settings = RasterSettings::default();
         Ok(Self {
-            anchors: DeviceAnchors::upload(context, &rows, &networks)?,
-            neural: NeuralGaussians::new(Arc::clone(context), rows.shape, settings.near)?,
+            neural: NeuralGaussians::new(Arc::clone(context), anchors.shape, settings.near)?,
             raster: Rasterizer::new(Arc::clone(context), settings)?,
+            anchors,
             background,
             context: Arc::clone(context),
         })
+    }
+
+    /// Shows another scene of the same shape from now on; the buffers of rendering are kept.
+    ///
+    /// # Errors
+    /// [`RenderError::Scene`] for networks that this renderer does not know or another shape; faults of the device.
+    pub fn replace(&mut self, scene: &AnchorScene) -> Result<(), RenderError> {
+        let anchors = upload(&self.context, scene)?;
+        if anchors.shape != self.anchors.shape {
+            return Err(RenderError::Scene("its widths are not those of the scene before it".to_owned()));
+        }
+        self.anchors = anchors;
+        Ok(())
     }
 
     /// The view from `camera`: RGB, rounded to 8 bits.
@@ -73,6 +84,13 @@ impl SceneRenderer {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         Image::new(width, height, 3, samples).map_err(|fault| RenderError::Scene(fault.to_string()))
     }
+}
+
+fn upload(context: &Context, scene: &AnchorScene) -> Result<DeviceAnchors, RenderError> {
+    let rows = AnchorRows::from_scene(scene);
+    let networks =
+        NetworkLayout::new(rows.shape).from_networks(&scene.networks).map_err(RenderError::Scene)?;
+    DeviceAnchors::upload(context, &rows, &networks)
 }
 
 /// Renders views of many scenes; keeps the latest used on the device, which is opened again after it was lost.

@@ -59,7 +59,7 @@ impl WorkerConfig {
         Self {
             id: id.into(),
             poll: Duration::from_millis(500),
-            heartbeat: Duration::from_secs(15),
+            heartbeat: Duration::from_secs(5),
             lease: Duration::from_secs(60),
             report_every: Duration::from_secs(1),
             stall_limit: Duration::from_secs(600),

@@ -42,8 +42,9 @@ pub(super) fn choose_steps(
     background: Background,
     go_on: &mut dyn FnMut() -> bool,
 ) -> Result<Steps, RenderError> {
-    let psnr = |scene: &AnchorScene| -> Result<f64, RenderError> {
-        let mut renderer = SceneRenderer::new(context, scene, background)?;
+    let mut renderer = SceneRenderer::new(context, scene, background)?;
+    let mut psnr = |scene: &AnchorScene| -> Result<f64, RenderError> {
+        renderer.replace(scene)?;
         Ok(mean_scores(&measure_views(&mut renderer, views, background)?).psnr.unwrap_or(0.0))
     };
     let best = psnr(scene)?;
