@@ -80,3 +80,26 @@ fn a_gradient_that_is_not_finite_leaves_its_element_untouched_and_alone() {
     recorder.submit().expect("submitted");
     assert!(context.read(&values).expect("read").iter().all(|v| *v < 0.5));
 }
+
+#[test]
+fn every_element_learns_at_its_own_rate() {
+    let context = gpu();
+    let adam = Adam::new(&context).expect("the kernel");
+    // The kernel steps four neighbours at a time: tables shorter than that, and lengths that it does not divide.
+    for rates in [&[0.1_f32][..], &[0.1, 0.2], &[0.1, 0.2, 0.3], &[0.1, 0.2, 0.3, 0.4, 0.5]] {
+        for count in [1, 4, 7, 600] {
+            let values = context.upload("values", &vec![0.0_f32; count]).expect("room");
+            let gradients = context.upload("gradients", &vec![1.0_f32; count]).expect("room");
+            let table = context.upload("rates", rates).expect("room");
+            let moments = Moments::zero(&context, count).expect("room");
+            let mut recorder = context.recorder("adam");
+            adam.step(&mut recorder, 1, &table, &gradients, &values, &moments).expect("recorded");
+            recorder.submit().expect("submitted");
+            for (i, (value, rate)) in
+                context.read(&values).expect("read").iter().zip(rates.iter().cycle()).enumerate()
+            {
+                assert!((value + rate).abs() < 1e-6, "{count} elements, {rates:?}: {i} moved by {value}");
+            }
+        }
+    }
+}
