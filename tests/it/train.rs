@@ -189,6 +189,14 @@ fn a_cancelled_run_stops_before_its_next_step() {
 }
 
 #[test]
+fn a_run_that_is_cancelled_after_its_last_step_gives_no_scene() {
+    let dataset = dataset();
+    let cancel = CancelFlag::default();
+    let outcome = train(&gpu(), &dataset, &options(2, 0), &mut |_| cancel.cancel(), &cancel);
+    assert!(matches!(outcome, Err(TrainError::Cancelled)));
+}
+
+#[test]
 fn a_dataset_that_cannot_begin_a_scene_is_refused() {
     let refused = |dataset: &Dataset| {
         let outcome =
