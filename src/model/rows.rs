@@ -12,6 +12,30 @@ pub struct Shape {
 }
 
 impl Shape {
+    /// The widths of a finished scene.
+    #[must_use]
+    pub fn of(scene: &AnchorScene) -> Self {
+        Self { features: scene.feature_dim, offsets: scene.offsets_per_anchor }
+    }
+
+    /// Most offsets an anchor: a mask is one word.
+    pub const MAX_OFFSETS: usize = u32::BITS as usize;
+
+    /// Checks that the kernels know this shape; files may hold others.
+    ///
+    /// # Errors
+    /// Which width is out of range.
+    pub fn check(&self) -> Result<(), String> {
+        let Self { features, offsets } = *self;
+        if features == 0 || !features.is_multiple_of(4) {
+            return Err(format!("{features} feature channels are not a positive multiple of 4"));
+        }
+        if !(1..=Self::MAX_OFFSETS).contains(&offsets) {
+            return Err(format!("{offsets} offsets an anchor are not 1 to {}", Self::MAX_OFFSETS));
+        }
+        Ok(())
+    }
+
     /// Values in an anchor's row: feature, six log-scalings, three coordinates an offset.
     #[must_use]
     pub fn row(&self) -> usize {
@@ -101,10 +125,10 @@ impl AnchorRows {
         self.values.truncate(next * width);
     }
 
-    /// The rows of a finished scene.
+    /// The rows of a finished scene, whose shape must pass [`Shape::check`].
     #[must_use]
     pub fn from_scene(scene: &AnchorScene) -> Self {
-        let shape = Shape { features: scene.feature_dim, offsets: scene.offsets_per_anchor };
+        let shape = Shape::of(scene);
         let mut values = Vec::with_capacity(scene.len() * shape.row());
         let mut masks = Vec::with_capacity(scene.len());
         for anchor in 0..scene.len() {

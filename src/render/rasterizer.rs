@@ -273,7 +273,8 @@ impl Rasterizer {
             self.rendered = None;
             let wanted = counts.intersections as usize;
             let tile_bits = self.intersections.tile_bits;
-            self.intersections = PerIntersection::new(&self.context, wanted + wanted / 4, tile_bits)?;
+            let room = room_for(wanted, self.bindable_intersections());
+            self.intersections = PerIntersection::new(&self.context, room, tile_bits)?;
         }
         Ok(())
     }
@@ -371,13 +372,17 @@ impl Rasterizer {
         }
         let tile_bits = self.image.tiles.next_power_of_two().trailing_zeros();
         // Enough for most scenes and no more than the backward pass can bind; `grow` makes the rest, which is kept.
-        let bindable = self.context.adapter().max_binding_bytes as usize / (SLOT_FLOATS * size_of::<f32>());
-        let usual = (2 * capacity).min(bindable).max(1 << 14);
+        let usual = (2 * capacity).min(self.bindable_intersections()).max(1 << 14);
         let intersections = self.intersections.capacity.max(usual);
         if self.intersections.capacity != intersections || self.intersections.tile_bits != tile_bits {
             self.intersections = PerIntersection::new(&self.context, intersections, tile_bits)?;
         }
         Ok(())
+    }
+
+    /// Intersections whose gradients the backward pass can bind.
+    fn bindable_intersections(&self) -> usize {
+        self.context.adapter().max_binding_bytes as usize / (SLOT_FLOATS * size_of::<f32>())
     }
 
     /// Workgroups of 64 for `items`; kernels loop where there are fewer invocations than items.
@@ -492,6 +497,11 @@ impl Rasterizer {
     }
 }
 
+/// A quarter more than is wanted, so that growing is rare; but what is to spare must not be what does not fit.
+fn room_for(wanted: usize, bindable: usize) -> usize {
+    (wanted + wanted / 4).min(bindable.max(wanted))
+}
+
 fn check(what: &'static str, found: usize, expected: usize) -> Result<(), RenderError> {
     if found == expected { Ok(()) } else { Err(RenderError::Length { what, found, expected }) }
 }
@@ -511,4 +521,16 @@ fn check_gradients(out: &GaussianGradients, expected: usize) -> Result<(), Rende
     check("gradients of quaternions", out.quats.len(), expected)?;
     check("gradients of colours", out.colors.len(), expected)?;
     check("gradients of projected centres", out.means2d.len(), expected)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spare_room_never_makes_what_fits_too_large() {
+        assert_eq!(room_for(1000, 10_000), 1250);
+        assert_eq!(room_for(9_000, 10_000), 10_000, "fits, though a quarter more would not");
+        assert_eq!(room_for(12_000, 10_000), 12_000, "a forward pass alone may still fit");
+    }
 }

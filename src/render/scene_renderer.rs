@@ -8,7 +8,7 @@ use super::{
 use crate::{
     domain::{AnchorScene, Background, Camera, Digest, Image, Problem},
     gpu::{AdapterChoice, Context, GpuError},
-    model::{AnchorRows, NetworkLayout},
+    model::{AnchorRows, NetworkLayout, Shape},
 };
 
 /// Scenes that a [`SceneViewer`] keeps on the device.
@@ -28,7 +28,7 @@ impl SceneRenderer {
     /// Uploads a scene.
     ///
     /// # Errors
-    /// [`RenderError::Scene`] for networks that this renderer does not know; faults of the device.
+    /// [`RenderError::Scene`] for widths or networks that this renderer does not know; faults of the device.
     pub fn new(
         context: &Arc<Context>,
         scene: &AnchorScene,
@@ -87,6 +87,7 @@ impl SceneRenderer {
 }
 
 fn upload(context: &Context, scene: &AnchorScene) -> Result<DeviceAnchors, RenderError> {
+    Shape::of(scene).check().map_err(RenderError::Scene)?;
     let rows = AnchorRows::from_scene(scene);
     let networks =
         NetworkLayout::new(rows.shape).from_networks(&scene.networks).map_err(RenderError::Scene)?;

@@ -235,8 +235,14 @@ fn sweep(staging: &Path) -> io::Result<()> {
         if let Ok(Ok(age)) = age
             && age > STALE_STAGING
         {
-            tracing::info!(file = %entry.path().display(), "removing a stale staging file");
-            std::fs::remove_file(entry.path())?;
+            // Another process may be sweeping too, and litter is no reason not to start.
+            match std::fs::remove_file(entry.path()) {
+                Ok(()) => tracing::info!(file = %entry.path().display(), "removed a stale staging file"),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                Err(error) => {
+                    tracing::warn!(file = %entry.path().display(), "a stale staging file stays: {error}");
+                }
+            }
         }
     }
     Ok(())
@@ -357,6 +363,17 @@ mod tests {
         file.set_modified(std::time::SystemTime::UNIX_EPOCH).expect("dated back");
         Blobs::open(folder.path()).expect("opens again");
         assert!(!old.exists() && young.exists());
+    }
+
+    #[test]
+    fn litter_that_cannot_be_removed_does_not_keep_the_store_from_opening() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let litter = folder.path().join("staging").join("not-a-file");
+        std::fs::create_dir_all(&litter).expect("made");
+        let handle = std::fs::File::open(&litter).expect("opened");
+        handle.set_modified(std::time::SystemTime::UNIX_EPOCH).expect("dated back");
+        Blobs::open(folder.path()).expect("opens all the same");
+        assert!(litter.exists());
     }
 
     #[test]

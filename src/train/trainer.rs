@@ -46,7 +46,8 @@ pub struct Trained {
 /// `report` is called every few steps. The run is a function of dataset, options and adapter.
 ///
 /// # Errors
-/// [`TrainError`]; a cancelled run ends as [`TrainError::Cancelled`] within a step.
+/// [`TrainError`]; a cancelled run ends as [`TrainError::Cancelled`] within a step, or within a view
+/// of the pass that ends it.
 pub fn train(
     context: &Arc<Context>,
     dataset: &Dataset,
@@ -68,7 +69,7 @@ pub fn train(
             report(&run.progress(step)?);
         }
     }
-    run.finish()
+    run.finish(cancel)
 }
 
 /// 1.1 times the largest distance of a training camera from their mean: the scene's extent.
@@ -295,10 +296,10 @@ impl<'a> Run<'a> {
         })
     }
 
-    fn finish(mut self) -> Result<Trained, TrainError> {
+    fn finish(mut self, cancel: &CancelFlag) -> Result<Trained, TrainError> {
         self.anchors.values = self.context.read(&self.device.rows)?;
         let networks = self.context.read(&self.device.networks)?;
-        drop_unused(&self.context, &mut self.neural, &self.device, &mut self.anchors, &self.frames)?;
+        drop_unused(&self.context, &mut self.neural, &self.device, &mut self.anchors, &self.frames, cancel)?;
         if self.anchors.is_empty() {
             return Err(TrainError::NothingLeft { step: self.schedule.steps });
         }

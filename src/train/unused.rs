@@ -1,10 +1,11 @@
 //! Finds the offsets that no training view ever shows, so that the file need not carry them.
 
+use super::TrainError;
 use crate::{
-    domain::Frame,
+    domain::{CancelFlag, Frame},
     gpu::Context,
     model::AnchorRows,
-    render::{DeviceAnchors, NeuralGaussians, RenderError},
+    render::{DeviceAnchors, NeuralGaussians},
 };
 
 /// An opacity below this never reaches a pixel (method.md §2.1).
@@ -14,17 +15,21 @@ const LEAST_OPACITY: f32 = 1.0 / 255.0;
 /// drops the anchors that keep none. Anchors that no view shows at all are dropped with them.
 ///
 /// # Errors
-/// Faults of the device.
+/// [`TrainError::Cancelled`] before the next view once a stop was asked for; faults of the device.
 pub(super) fn drop_unused(
     context: &Context,
     neural: &mut NeuralGaussians,
     device: &DeviceAnchors,
     anchors: &mut AnchorRows,
     frames: &[&Frame],
-) -> Result<(), RenderError> {
+    cancel: &CancelFlag,
+) -> Result<(), TrainError> {
     let offsets = anchors.shape.offsets;
     let mut used = vec![0_u32; anchors.len()];
     for frame in frames {
+        if cancel.is_cancelled() {
+            return Err(TrainError::Cancelled);
+        }
         let mut recorder = context.recorder("offsets in use");
         neural.forward(&mut recorder, device, &frame.camera, 0.0)?;
         recorder.submit()?;

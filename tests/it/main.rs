@@ -3,6 +3,7 @@
 mod adam;
 mod cli;
 mod codec;
+mod container_image;
 mod first_light;
 mod http;
 mod ingest;

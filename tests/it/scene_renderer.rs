@@ -70,6 +70,26 @@ fn networks_of_another_depth_are_refused() {
 }
 
 #[test]
+fn widths_that_a_file_may_have_and_the_kernels_do_not_know_are_refused() {
+    let wide = |features: usize, offsets: usize| {
+        let (_, _, mut finished) = scene();
+        let anchors = finished.len();
+        finished.feature_dim = features;
+        finished.features = vec![0.0; anchors * features];
+        finished.offsets_per_anchor = offsets;
+        finished.offsets = vec![0.0; anchors * offsets * 3];
+        finished.masks = vec![true; anchors * offsets];
+        SceneRenderer::new(&gpu(), &finished, Background::Black).map(drop)
+    };
+    for (features, offsets, part) in
+        [(4, 33, "33 offsets"), (4, 64, "64 offsets"), (6, 2, "6 feature channels")]
+    {
+        let refused = wide(features, offsets);
+        assert!(matches!(&refused, Err(RenderError::Scene(fault)) if fault.contains(part)), "{refused:?}");
+    }
+}
+
+#[test]
 fn the_viewer_loads_a_scene_once_forgets_the_oldest_and_survives_a_lost_device() {
     let adapter = std::env::var("TCGS_ADAPTER").map_or(AdapterChoice::Lavapipe, |name| match name.parse() {
         Ok(choice) => choice,
