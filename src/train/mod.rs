@@ -8,6 +8,7 @@ mod densify;
 mod error;
 mod loss;
 mod schedule;
+mod start_box;
 mod statistics;
 mod trainer;
 pub mod twin;

@@ -9,10 +9,11 @@ use super::{
     Adam, Decay, Densify, ImageLoss, LossSums, Moments, Schedule, Statistics, TrainError,
     densify::{Trainable, densify},
     loss::pack,
+    start_box::start_box,
     unused::drop_unused,
 };
 use crate::{
-    domain::{AnchorScene, CancelFlag, Dataset, Frame, Progress, Split, TrainOptions},
+    domain::{AnchorScene, Background, CancelFlag, Dataset, Frame, Progress, Split, TrainOptions},
     gpu::{Buffer, Context},
     model::{AnchorRows, NetworkLayout, Shape, VoxelRule, initial_rows, random_points},
     render::{AnchorGradients, DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer},
@@ -23,9 +24,6 @@ const SHAPE: Shape = Shape { features: 32, offsets: 10 };
 
 /// Steps between two reports of progress.
 const REPORT_EVERY: u32 = 10;
-
-/// The box that a Blender set's random points fill (method.md §1.1).
-const BLENDER_BOX: f32 = 1.3;
 
 /// Coarsest growth cell in lattice cells.
 const COARSEST_GROWTH: i32 = 16;
@@ -85,8 +83,7 @@ struct Run<'a> {
     context: Arc<Context>,
     schedule: Schedule,
     frames: Vec<&'a Frame>,
-    photographs: Vec<Vec<u32>>,
-    background: [f32; 3],
+    background: Background,
     order: Vec<usize>,
     rng: Pcg64,
     extent: f32,
@@ -127,21 +124,20 @@ impl<'a> Run<'a> {
         let mut rng = Pcg64::seed_from_u64(options.seed);
         let points = match &dataset.points {
             Some(cloud) if !cloud.positions.is_empty() => cloud.positions.clone(),
-            _ => random_points(&mut rng, schedule.random_points, [-BLENDER_BOX; 3], [BLENDER_BOX; 3]),
+            _ => {
+                let (low, high) = start_box(dataset.layout, &frames);
+                random_points(&mut rng, schedule.random_points, low, high)
+            }
         };
         let rule = VoxelRule::OfSpacing(1.0 / COARSEST_GROWTH as f32);
         // Growth needs room above what the points begin with.
         let anchors = initial_rows(&points, rule, SHAPE, schedule.max_anchors / 2)?;
         let layout = NetworkLayout::new(SHAPE);
         let networks = layout.initial(&mut rng);
-        let background = options.background;
-        let photographs =
-            frames.iter().map(|frame| pack(frame.image.over(background.rgb8()).samples())).collect();
         let now = Instant::now();
         Ok(Self {
             schedule,
-            photographs,
-            background: background.rgb(),
+            background: options.background,
             order: Vec::new(),
             rng,
             extent: camera_extent(&frames),
@@ -180,7 +176,7 @@ impl<'a> Run<'a> {
         loop {
             let mut recorder = context.recorder("forward");
             self.neural.forward(&mut recorder, &self.device, &camera, self.schedule.volume_weight)?;
-            self.raster.forward(&mut recorder, self.neural.gaussians(), &camera, self.background)?;
+            self.raster.forward(&mut recorder, self.neural.gaussians(), &camera, self.background.rgb())?;
             recorder.submit()?;
             let counts = self.raster.counts()?;
             if !counts.overflowed {
@@ -188,9 +184,11 @@ impl<'a> Run<'a> {
             }
             self.raster.grow(&counts)?;
         }
+        // Packed when it is needed: a second copy of every image would double what a dataset takes.
+        let photograph = pack(self.frames[index].image.over(self.background.rgb8()).samples());
         let mut recorder = context.recorder("backward");
         let size = [camera.intrinsics.width, camera.intrinsics.height];
-        let v_image = self.loss.record(&mut recorder, size, self.raster.image(), &self.photographs[index])?;
+        let v_image = self.loss.record(&mut recorder, size, self.raster.image(), &photograph)?;
         self.neural.gaussian_gradients()?;
         let gaussians = self.neural.gaussians().clone();
         let d_gaussians = self.neural.gaussian_gradients()?.clone();
