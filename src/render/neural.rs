@@ -243,6 +243,15 @@ impl NeuralGaussians {
         })
     }
 
+    /// Most anchors of a shape whose widest buffer `context`'s adapter binds, with the spare room of [`Self::forward`].
+    #[must_use]
+    pub fn most_anchors(context: &Context, shape: Shape) -> usize {
+        // The rasteriser keeps three rows of four floats a Gaussian in one buffer; spare room is a quarter.
+        let bytes = (3 * size_of::<[f32; 4]>() * shape.offsets * 5 / 4) as u64;
+        let limit = context.adapter().max_binding_bytes.min(context.adapter().max_buffer_bytes);
+        usize::try_from(limit / bytes.max(1)).unwrap_or(usize::MAX)
+    }
+
     /// The Gaussians of the last forward pass.
     #[must_use]
     pub fn gaussians(&self) -> &Gaussians {

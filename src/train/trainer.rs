@@ -53,7 +53,8 @@ pub fn train(
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
 ) -> Result<Trained, TrainError> {
-    let schedule = Schedule::new(options);
+    let mut schedule = Schedule::new(options);
+    schedule.max_anchors = schedule.max_anchors.min(NeuralGaussians::most_anchors(context, SHAPE));
     let mut run = Run::begin(context, dataset, options, schedule)?;
     for step in 1..=run.schedule.steps {
         if cancel.is_cancelled() {
