@@ -176,6 +176,22 @@ mod tests {
     }
 
     #[test]
+    fn every_kernel_has_a_twin_of_its_name() {
+        let mut sources = Vec::new();
+        files(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), "rs", &mut sources);
+        sources.retain(|path| {
+            path.components().any(|part| part.as_os_str().to_string_lossy().starts_with("twin"))
+        });
+        let twins: String = sources.iter().map(|path| fs::read_to_string(path).expect("readable")).collect();
+        let missing: Vec<_> = kernels()
+            .into_iter()
+            .map(|(name, _)| name)
+            .filter(|name| !twins.contains(&format!("pub fn {name}(")))
+            .collect();
+        assert!(missing.is_empty(), "no twin of {missing:?}");
+    }
+
+    #[test]
     fn every_kernel_is_used_by_one_source_and_every_shared_file_is_listed() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
         let mut sources = Vec::new();

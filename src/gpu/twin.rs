@@ -20,3 +20,120 @@ pub fn radix_sort(pairs: &[(u32, u32)], bits: u32) -> Vec<(u32, u32)> {
     sorted.sort_by_key(|(key, _)| key & mask);
     sorted
 }
+
+/// The part of `count` elements that invocation `run` of `runs` owns.
+fn owned(count: usize, runs: usize, run: usize) -> std::ops::Range<usize> {
+    let length = count.div_ceil(runs);
+    let begin = (run * length).min(count);
+    begin..(begin + length).min(count)
+}
+
+/// The saturating sum of each run.
+#[must_use]
+pub fn scan_reduce(values: &[u32], runs: usize) -> Vec<u32> {
+    (0..runs).map(|run| scan(&values[owned(values.len(), runs, run)]).1).collect()
+}
+
+/// The sums of the runs before each run, and the total.
+#[must_use]
+pub fn scan_partials(partials: &[u32]) -> (Vec<u32>, u32) {
+    scan(partials)
+}
+
+/// The prefix sums of all values from those of the runs.
+#[must_use]
+pub fn scan_apply(values: &[u32], starts: &[u32]) -> Vec<u32> {
+    let mut sums = Vec::with_capacity(values.len());
+    for (run, start) in starts.iter().enumerate() {
+        let mut sum = *start;
+        for value in &values[owned(values.len(), starts.len(), run)] {
+            sums.push(sum);
+            sum = sum.saturating_add(*value);
+        }
+    }
+    sums
+}
+
+/// How often each digit occurs in each run, `[digit][run]`; the digit of a key is `(key >> shift) % digits`.
+#[must_use]
+pub fn sort_count(keys: &[u32], shift: u32, digits: u32, runs: usize) -> Vec<u32> {
+    let mut counters = vec![0; digits as usize * runs];
+    for run in 0..runs {
+        for key in &keys[owned(keys.len(), runs, run)] {
+            counters[((key >> shift) % digits) as usize * runs + run] += 1;
+        }
+    }
+    counters
+}
+
+/// For each digit the exclusive prefix sums of its counters over the runs, and its total.
+#[must_use]
+pub fn sort_offsets(counters: &[u32], runs: usize) -> (Vec<u32>, Vec<u32>) {
+    let (offsets, totals): (Vec<_>, Vec<_>) = counters.chunks(runs).map(scan).unzip();
+    (offsets.concat(), totals)
+}
+
+/// One stable pass: each pair goes to the place of its digit and run, runs and pairs in order.
+#[must_use]
+pub fn sort_scatter(
+    pairs: &[(u32, u32)],
+    shift: u32,
+    digits: u32,
+    offsets: &[u32],
+    totals: &[u32],
+) -> Vec<(u32, u32)> {
+    let runs = offsets.len() / digits as usize;
+    let (bases, _) = scan(totals);
+    let mut next: Vec<u32> = offsets.iter().enumerate().map(|(i, offset)| offset + bases[i / runs]).collect();
+    let mut sorted = vec![(0, 0); pairs.len()];
+    for run in 0..runs {
+        for pair in &pairs[owned(pairs.len(), runs, run)] {
+            let place = &mut next[((pair.0 >> shift) % digits) as usize * runs + run];
+            sorted[*place as usize] = *pair;
+            *place += 1;
+        }
+    }
+    sorted
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    use super::*;
+
+    const SIZES: [usize; 8] = [0, 1, 2, 31, 32, 33, 257, 4000];
+
+    #[test]
+    fn the_steps_of_a_scan_make_a_scan() {
+        let mut rng = Pcg64::seed_from_u64(1);
+        for count in SIZES {
+            for (runs, largest) in [(1, 9), (7, 9), (128, 9), (7, u32::MAX)] {
+                let values: Vec<u32> = (0..count).map(|_| rng.random_range(0..largest)).collect();
+                let (starts, total) = scan_partials(&scan_reduce(&values, runs));
+                assert_eq!((scan_apply(&values, &starts), total), scan(&values), "{count} in {runs} runs");
+            }
+        }
+    }
+
+    #[test]
+    fn the_steps_of_a_sort_make_a_stable_sort() {
+        let mut rng = Pcg64::seed_from_u64(2);
+        for count in SIZES {
+            for (runs, digit_bits) in [(1, 8), (7, 4), (128, 8)] {
+                let mut pairs: Vec<(u32, u32)> =
+                    (0..count as u32).map(|i| (rng.random_range(0..500), i)).collect();
+                let expected = radix_sort(&pairs, 16);
+                let digits = 1 << digit_bits;
+                for shift in (0..16).step_by(digit_bits) {
+                    let keys: Vec<u32> = pairs.iter().map(|(key, _)| *key).collect();
+                    let (offsets, totals) =
+                        sort_offsets(&sort_count(&keys, shift as u32, digits, runs), runs);
+                    pairs = sort_scatter(&pairs, shift as u32, digits, &offsets, &totals);
+                }
+                assert_eq!(pairs, expected, "{count} in {runs} runs");
+            }
+        }
+    }
+}

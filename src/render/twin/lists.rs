@@ -3,7 +3,7 @@
 use glam::DVec2;
 
 use super::{Projection, Splat};
-use crate::render::TILE;
+use crate::{gpu::twin::scan, render::TILE};
 
 /// The tiles' lists and the slots of each Gaussian.
 #[derive(Debug, Clone, Default)]
@@ -59,6 +59,12 @@ pub fn compact(splats: &[Option<Splat>], tiles: &[u32]) -> Vec<u32> {
     ids
 }
 
+/// How many tiles each of `ids` touches.
+#[must_use]
+pub fn tile_counts(tiles: &[u32], ids: &[u32]) -> Vec<u32> {
+    ids.iter().map(|id| tiles[*id as usize]).collect()
+}
+
 /// The tile of each slot: all tiles of the first of `ids`, then of the second, and so on.
 #[must_use]
 pub fn emit(projection: &Projection, splats: &[Option<Splat>], ids: &[u32]) -> Vec<(u32, u32)> {
@@ -94,11 +100,10 @@ pub fn tile_lists(projection: &Projection, splats: &[Option<Splat>]) -> Lists {
         .collect();
     let ids = compact(splats, &tiles);
     let pairs = emit(projection, splats, &ids);
+    let (starts, _) = scan(&tile_counts(&tiles, &ids));
     let mut first_slots = vec![0; splats.len()];
-    let mut next = 0;
-    for id in ids {
-        first_slots[id as usize] = next;
-        next += tiles[id as usize];
+    for (id, start) in ids.iter().zip(starts) {
+        first_slots[*id as usize] = start;
     }
     let mut slots: Vec<u32> = (0..).take(pairs.len()).collect();
     slots.sort_by_key(|slot| pairs[*slot as usize].0);
