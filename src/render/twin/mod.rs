@@ -10,7 +10,7 @@ mod raster_forward;
 
 use glam::{DVec2, DVec3};
 
-pub use lists::{Lists, compact, emit, tile_lists, tile_ranges, touches};
+pub use lists::{Lists, compact, emit, tile_counts, tile_lists, tile_ranges, touches};
 pub use project::{project, rotation};
 pub use project_backward::project_backward;
 pub use raster_backward::{gather, raster_backward};
