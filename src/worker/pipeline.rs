@@ -70,6 +70,9 @@ impl RunJob for Pipeline {
         };
         tell(Phase::Ingest, &mut progress);
         let dataset = ingest::load(dataset).map_err(JobFailure::Fail)?;
+        for note in &dataset.notes {
+            tracing::info!("dataset: {note}");
+        }
         let mut seconds = PhaseSeconds { ingest: began.elapsed().as_secs_f64(), ..PhaseSeconds::default() };
         stop_if(cancel)?;
         // The first report of the training comes some steps after its begin, which may be minutes.
