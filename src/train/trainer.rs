@@ -190,7 +190,6 @@ impl<'a> Run<'a> {
         let mut recorder = context.recorder("backward");
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         let v_image = self.loss.record(&mut recorder, size, self.raster.image(), &photograph)?;
-        self.neural.gaussian_gradients()?;
         let gaussians = self.neural.gaussians().clone();
         let d_gaussians = self.neural.gaussian_gradients()?.clone();
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
