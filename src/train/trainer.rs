@@ -189,7 +189,7 @@ impl<'a> Run<'a> {
         let photograph = pack(self.frames[index].image.over(self.background.rgb8()).samples());
         let mut recorder = context.recorder("backward");
         let size = [camera.intrinsics.width, camera.intrinsics.height];
-        let v_image = self.loss.record(&mut recorder, size, self.raster.image(), &photograph)?;
+        let v_image = self.loss.record(&mut recorder, size, self.raster.image(), &photograph, None)?;
         let gaussians = self.neural.gaussians().clone();
         let d_gaussians = self.neural.gaussian_gradients()?.clone();
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
@@ -273,6 +273,7 @@ impl<'a> Run<'a> {
             ssim: blend(old.ssim, sums.ssim),
             l1: blend(old.l1, sums.l1),
             mse: blend(old.mse, sums.mse),
+            wavelet: blend(old.wavelet, sums.wavelet),
         });
         self.recent.average = Some(average);
         let elapsed = self.began.elapsed().as_secs_f64();

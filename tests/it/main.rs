@@ -19,4 +19,5 @@ mod sample;
 mod scene_renderer;
 mod support;
 mod train;
+mod wavelet;
 mod worker;
