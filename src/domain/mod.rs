@@ -7,6 +7,7 @@
 pub mod anchors;
 pub mod camera;
 pub mod clock;
+pub mod conventions;
 pub mod digest;
 pub mod image;
 pub mod job;
@@ -20,6 +21,7 @@ pub mod view;
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
 pub use clock::{Clock, ManualClock, SystemClock};
+pub use conventions::{Conventions, LpipsNetwork};
 pub use digest::Digest;
 pub use image::{Image, ImageError};
 pub use job::{Event, EventKind, Job, JobId, JobState};
