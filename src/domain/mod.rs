@@ -25,7 +25,7 @@ pub use conventions::{Conventions, LpipsNetwork};
 pub use digest::Digest;
 pub use image::{Image, ImageError};
 pub use job::{Event, EventKind, Job, JobId, JobState};
-pub use metrics::{ByteCounts, JobMetrics, PhaseSeconds, Scores};
+pub use metrics::{ByteCounts, JobMetrics, PhaseSeconds, Scores, ViewScore};
 pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOptions};
 pub use problem::Problem;
 pub use progress::{CancelFlag, Phase, Progress};
