@@ -72,7 +72,7 @@ struct Options {
     model: ModelKind,
 
     /// Parts of the method to leave out
-    #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',', hide = true)]
+    #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',')]
     without: Vec<Component>,
 
     /// Weight of the rate term

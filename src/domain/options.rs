@@ -207,7 +207,7 @@ impl TrainOptions {
                 format!("'{}' is not available in this version", self.model),
             ));
         }
-        if let Some(part) = self.without.first() {
+        if let Some(part) = self.without.iter().find(|part| **part != Component::Masks) {
             return Err(OptionError::new(
                 "without",
                 format!("'{part}' is not part of this version, so it cannot be switched off"),
@@ -253,6 +253,9 @@ mod tests {
             options.set(name, value).expect("parses");
             assert_eq!(options.validated().expect_err(name).option, name);
         }
+        let mut options = TrainOptions::default();
+        options.set("without", "masks").expect("parses");
+        assert!(options.validated().is_ok());
         let zero = TrainOptions { iterations: Some(0), ..TrainOptions::default() };
         assert!(zero.validated().is_err());
     }
