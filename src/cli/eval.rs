@@ -72,7 +72,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     let (pairs, render_seconds) = timed(|| {
         let mut pairs = Vec::new();
         for frame in dataset.split(Split::Test) {
-            let photograph = frame.image.over(background.rgb8());
+            let photograph = frame.image.load()?.over(background.rgb8());
             pairs.push((renderer.view(&frame.camera)?, photograph));
         }
         Ok::<_, tcgs::domain::Problem>(pairs)

@@ -9,7 +9,7 @@ use crate::{
 /// The score of each frame, photographs composited on `background`.
 ///
 /// # Errors
-/// Faults of the renderer.
+/// Faults of the renderer; a photograph that cannot be read back.
 pub fn measure_views(
     renderer: &mut SceneRenderer,
     frames: &[&Frame],
@@ -19,7 +19,7 @@ pub fn measure_views(
         .iter()
         .map(|frame| {
             let render = renderer.render(&frame.camera)?;
-            let photograph = frame.image.over(background.rgb8());
+            let photograph = frame.image.load()?.over(background.rgb8());
             ViewScore::measure(&frame.name, &render, &photograph).ok_or_else(|| {
                 RenderError::Scene(format!("frame {} is not of its camera's size", frame.name))
             })

@@ -40,7 +40,20 @@ pub(super) struct View {
     crop: Crop,
 }
 
+/// Bytes a pixel of the stored image that decoding takes at most: 16-bit RGBA beside its 8-bit copy.
+const DECODE_BYTES: u64 = 12;
+/// And where the image is undistorted or downscaled: two 8-bit RGBA copies, and two in single precision inside the filter.
+const RESAMPLE_BYTES: u64 = 40;
+
 impl View {
+    /// The most memory that decoding and finishing the image takes, besides the stored file.
+    pub(super) fn decode_bytes(&self) -> u64 {
+        let (from, to) = (&self.stored, &self.camera.intrinsics);
+        let resampled = (from.width, from.height) != (to.width, to.height) || !self.distortion.is_none();
+        let each = if resampled { RESAMPLE_BYTES } else { DECODE_BYTES };
+        u64::from(from.width) * u64::from(from.height) * each
+    }
+
     /// The finished image from the stored one.
     ///
     /// # Errors

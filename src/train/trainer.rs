@@ -159,7 +159,8 @@ impl<'a> Run<'a> {
             self.raster.grow(&counts)?;
         }
         // Packed when it is needed: a second copy of every image would double what a dataset takes.
-        let photograph = pack(self.frames[index].image.over(self.background.rgb8()).samples());
+        let photograph = self.frames[index].image.load()?;
+        let photograph = pack(photograph.over(self.background.rgb8()).samples());
         let mut recorder = context.recorder("backward");
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         let v_image = self.loss.record(&mut recorder, size, self.raster.image(), &photograph)?;
