@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
-    gpu::{Buffer, Context, Recorder},
+    gpu::{Buffer, Context, Recorder, buffer_bytes},
     model::{AnchorRows, NetworkLayout, Shape, VoxelRule, initial_rows},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, RasterSettings},
 };
@@ -39,6 +39,27 @@ pub(super) struct AnchorLearner {
 }
 
 impl AnchorLearner {
+    /// The most bytes on the device that `anchors` anchors take besides a view's Gaussians. Rows that a round of growth replaces
+    /// go one after another, so the largest of them counts twice.
+    pub(super) fn bytes(shape: Shape, anchors: usize) -> u64 {
+        let (rows, parameters) = (anchors * shape.row(), NetworkLayout::new(shape).parameters);
+        DeviceAnchors::bytes(shape, anchors)
+            + AnchorGradients::bytes(shape, anchors)
+            + 2 * Moments::bytes(rows)
+            + Moments::bytes(parameters)
+            + Statistics::bytes(shape, anchors)
+            + 2 * buffer_bytes::<f32>(shape.row() + parameters)
+    }
+
+    /// The most bytes of main memory that a round of growth takes: rows and moments with the copies that growing vectors make,
+    /// statistics, and a candidate for each offset.
+    pub(super) fn host_bytes(shape: Shape, anchors: usize) -> u64 {
+        const CANDIDATE: usize = 2 * size_of::<(usize, [i32; 3], f32)>();
+        const CELL: usize = 64;
+        let row = 6 * shape.row() * size_of::<f32>();
+        2 * Statistics::bytes(shape, anchors) + (anchors * (row + shape.offsets * CANDIDATE + CELL)) as u64
+    }
+
     /// Anchors at `points` and fresh networks; `extent` is the scene's, in world units.
     pub(super) fn begin(
         context: &Arc<Context>,
@@ -48,7 +69,8 @@ impl AnchorLearner {
         rng: &mut Pcg64,
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
-        schedule.max_anchors = schedule.max_anchors.min(NeuralGaussians::most_anchors(context, shape));
+        schedule.max_anchors =
+            schedule.max_anchors.min(NeuralGaussians::most_anchors(context.adapter(), shape));
         let rule = VoxelRule::OfSpacing(1.0 / COARSEST_GROWTH as f32);
         // Growth needs room above what the points begin with.
         let anchors = initial_rows(points, rule, shape, schedule.max_anchors / 2)?;

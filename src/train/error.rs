@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 
+use super::OverBudget;
 use crate::{
     domain::{ModelKind, PhotographError, Problem},
     gpu::GpuError,
@@ -38,6 +39,9 @@ pub enum TrainError {
     /// A photograph is gone.
     #[error(transparent)]
     Photograph(#[from] PhotographError),
+    /// More memory is needed than there may be.
+    #[error(transparent)]
+    OverBudget(#[from] OverBudget),
     /// Somebody asked for a stop.
     #[error("cancelled")]
     Cancelled,
@@ -55,6 +59,7 @@ impl From<TrainError> for Problem {
             TrainError::Gpu(fault) => fault.into(),
             TrainError::Render(fault) => fault.into(),
             TrainError::Photograph(fault) => fault.into(),
+            TrainError::OverBudget(fault) => fault.into(),
             other => Problem::new(422, "training-failed", "Training failed", other.to_string()),
         }
     }

@@ -5,6 +5,7 @@
 
 mod adam;
 mod anchors;
+pub mod budget;
 mod densify;
 mod error;
 mod learner;
@@ -17,9 +18,10 @@ pub mod twin;
 mod unused;
 
 pub use adam::{Adam, Moments};
+pub use budget::{Estimate, Needs, OverBudget};
 pub use densify::{Densify, densify};
 pub use error::TrainError;
 pub use loss::{ImageLoss, LossSums};
 pub use schedule::{Decay, Schedule};
 pub use statistics::Statistics;
-pub use trainer::{Trained, train};
+pub use trainer::{Trained, train, train_within};

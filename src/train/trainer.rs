@@ -6,14 +6,16 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    ImageLoss, LossSums, Schedule, TrainError,
+    ImageLoss, LossSums, Needs, Schedule, TrainError,
     anchors::AnchorLearner,
     learner::{Learner, Step},
     loss::pack,
     start_box::start_box,
 };
 use crate::{
-    domain::{Background, CancelFlag, Dataset, Frame, ModelKind, Progress, Scene, Split, TrainOptions},
+    domain::{
+        Background, CancelFlag, Dataset, Frame, MemoryBudget, ModelKind, Progress, Scene, Split, TrainOptions,
+    },
     gpu::Context,
     model::random_points,
     render::{RasterSettings, Rasterizer},
@@ -47,7 +49,23 @@ pub fn train(
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
 ) -> Result<Trained, TrainError> {
-    let mut run = Run::begin(context, dataset, options)?;
+    let budget = MemoryBudget { host: u64::MAX, gpu: context.budget_bytes() };
+    train_within(context, dataset, options, &budget, report, cancel)
+}
+
+/// As [`train`], growing no further than `budget` allows.
+///
+/// # Errors
+/// As [`train`], and [`TrainError::OverBudget`] before anything is done.
+pub fn train_within(
+    context: &Arc<Context>,
+    dataset: &Dataset,
+    options: &TrainOptions,
+    budget: &MemoryBudget,
+    report: &mut dyn FnMut(&Progress),
+    cancel: &CancelFlag,
+) -> Result<Trained, TrainError> {
+    let mut run = Run::begin(context, dataset, options, budget)?;
     for number in 1..=run.steps {
         if cancel.is_cancelled() {
             return Err(TrainError::Cancelled);
@@ -95,12 +113,23 @@ impl<'a> Run<'a> {
         context: &Arc<Context>,
         dataset: &'a Dataset,
         options: &TrainOptions,
+        budget: &MemoryBudget,
     ) -> Result<Self, TrainError> {
         let frames: Vec<&Frame> = dataset.split(Split::Train).collect();
         if frames.is_empty() {
             return Err(TrainError::NoTrainingFrames);
         }
-        let schedule = Schedule::new(options);
+        let mut schedule = Schedule::new(options);
+        let estimate = Needs::of(dataset, options, context.adapter()).within(budget)?;
+        tracing::info!("memory: {estimate}");
+        if estimate.anchors < schedule.max_anchors {
+            tracing::warn!(
+                "growth stops at {} anchors instead of {}: more would not fit the adapter or the memory allowed",
+                estimate.anchors,
+                schedule.max_anchors
+            );
+            schedule.max_anchors = estimate.anchors;
+        }
         let steps = schedule.steps;
         let mut rng = Pcg64::seed_from_u64(options.seed);
         let points = match &dataset.points {
