@@ -13,6 +13,7 @@ mod failure;
 mod files;
 mod inspect;
 mod logging;
+mod memory;
 mod picture;
 mod pose;
 mod progress;

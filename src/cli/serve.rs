@@ -6,6 +6,7 @@ use super::{
     Failure, Report,
     adapter::AdapterFlag,
     logging::Format,
+    memory::MemoryFlags,
     wiring::{self, ServeOptions},
 };
 
@@ -32,6 +33,9 @@ pub(crate) struct Args {
     #[command(flatten)]
     adapter: AdapterFlag,
 
+    #[command(flatten)]
+    memory: MemoryFlags,
+
     /// Worker processes to start; 0 if workers run elsewhere
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: u16,
@@ -45,6 +49,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
         data: args.data,
         adapter: args.adapter.adapter,
         workers: args.workers,
+        memory: args.memory.limits(args.workers),
         log_format,
     })?;
     Ok(Report::default())

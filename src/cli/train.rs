@@ -8,7 +8,7 @@ use tcgs::{
     worker::run::JobFailure,
 };
 
-use super::{Failure, Report, adapter::AdapterFlag, files, progress::Display, wiring};
+use super::{Failure, Report, adapter::AdapterFlag, files, memory::MemoryFlags, progress::Display, wiring};
 
 /// A value parser that knows and lists the names of a choice.
 macro_rules! choice {
@@ -33,6 +33,9 @@ pub(crate) struct Args {
 
     #[command(flatten)]
     adapter: AdapterFlag,
+
+    #[command(flatten)]
+    memory: MemoryFlags,
 
     /// Keep checkpoints here
     // Checkpoints come with a later version; until then the flag is refused rather than unknown.
@@ -109,7 +112,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
         }
     }
     files::check_writable(&args.output)?;
-    let runner = wiring::runner(&args.adapter.adapter)?;
+    let runner = wiring::runner(&args.adapter.adapter, args.memory.limits(1), std::env::temp_dir())?;
     let cancel = CancelFlag::default();
     cancel_on_interrupt(cancel.clone());
 

@@ -5,11 +5,16 @@
 
 mod service;
 
-use std::{path::Path, sync::Arc};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use tcgs::{
     codec::{self, DecodeError, DecodeLimits, EncodeError, EncodeSettings, Encoded},
-    domain::{AnchorScene, Background, ByteCounts, Camera, Dataset, Digest, Image, Problem, Scores},
+    domain::{
+        AnchorScene, Background, ByteCounts, Camera, Dataset, Digest, Image, MemoryLimits, Problem, Scores,
+    },
     eval::{ViewScore, mean_scores},
     gpu::AdapterChoice,
     ingest,
@@ -89,9 +94,13 @@ fn not_a_file(fault: &DecodeError) -> Problem {
     Problem::new(422, "undecodable", "The file cannot be decoded", fault.to_string())
 }
 
-/// The training pipeline.
-pub(crate) fn runner(adapter: &AdapterChoice) -> Result<Arc<dyn RunJob>, Problem> {
-    Ok(Arc::new(Pipeline::new(adapter.clone())))
+/// The training pipeline, within `memory`; `spill` is the folder of temporary files.
+pub(crate) fn runner(
+    adapter: &AdapterChoice,
+    memory: MemoryLimits,
+    spill: PathBuf,
+) -> Result<Arc<dyn RunJob>, Problem> {
+    Ok(Arc::new(Pipeline::new(adapter.clone()).within(memory, spill)))
 }
 
 /// What renders views, for the service and for single commands; the second is adapter and driver in one line.

@@ -9,6 +9,7 @@ mod http;
 mod ingest;
 mod layers;
 mod loss;
+mod memory;
 mod neural;
 mod primitives;
 mod queue;

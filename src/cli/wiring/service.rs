@@ -13,7 +13,7 @@ use std::{
 };
 
 use tcgs::{
-    domain::{Problem, SystemClock},
+    domain::{MemoryLimits, Problem, SystemClock},
     gpu::AdapterChoice,
     http::{self, HttpConfig, Services, WorkerCounts},
     ingest,
@@ -35,6 +35,8 @@ pub(crate) struct ServeOptions {
     pub(crate) listen: SocketAddr,
     pub(crate) data: PathBuf,
     pub(crate) adapter: AdapterChoice,
+    /// What each worker may take.
+    pub(crate) memory: MemoryLimits,
     /// Worker processes to start.
     pub(crate) workers: u16,
     /// How this process logs, and so its workers.
@@ -47,6 +49,7 @@ pub(crate) struct WorkerOptions {
     /// The data folder of the service.
     pub(crate) data: PathBuf,
     pub(crate) adapter: AdapterChoice,
+    pub(crate) memory: MemoryLimits,
     /// Whether to stop when standard input closes, which it does when the parent process dies.
     pub(crate) stop_with_parent: bool,
 }
@@ -97,7 +100,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
 pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
     let runtime = runtime()?;
     let outcome = runtime.block_on(async {
-        let runner = super::runner(&options.adapter)?;
+        let runner = super::runner(&options.adapter, options.memory, options.data.clone())?;
         let (store, blobs) = open(&options.data).await?;
         let shutdown = stop_on_signals()?;
         if options.stop_with_parent {
@@ -124,7 +127,7 @@ async fn open(data: &Path) -> Result<(Arc<SqliteStore>, Blobs), Failure> {
 }
 
 fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
-    vec![
+    let mut arguments = vec![
         "worker".into(),
         "--data".into(),
         options.data.clone().into(),
@@ -133,7 +136,13 @@ fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
         "--log-format".into(),
         options.log_format.to_string().into(),
         "--stop-with-parent".into(),
-    ]
+        "--host-memory".into(),
+        options.memory.host.to_string().into(),
+    ];
+    if let Some(gpu) = options.memory.gpu {
+        arguments.extend(["--gpu-memory".into(), gpu.to_string().into()]);
+    }
+    arguments
 }
 
 fn runtime() -> Result<Runtime, Failure> {
