@@ -17,10 +17,12 @@ use tcgs::{
     },
     eval::{ViewScore, mean_scores},
     gpu::AdapterChoice,
-    ingest,
+    ingest::{self, Room},
     render::{RenderViews, SceneViewer, views::Viewable},
     worker::{pipeline::Pipeline, run::RunJob},
 };
+
+use super::memory::MemoryFlags;
 
 pub(crate) use service::{ServeOptions, WorkerOptions, serve, worker};
 
@@ -52,12 +54,15 @@ pub(crate) struct Inspection {
     pub(crate) bytes: ByteCounts,
 }
 
-/// Reads a dataset.
+/// Reads a dataset; half of the memory that is there holds photographs.
 pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
-    ingest::load(path).map_err(|problem| match problem.file {
-        // The service has no name for an upload; here it has one.
-        None => problem.in_file(path.display().to_string()),
-        Some(_) => problem,
+    let host = MemoryFlags::default().limits(1).host;
+    ingest::load_into(path, &Room { memory: host / 2, ..Room::default() }).map_err(|problem| {
+        match problem.file {
+            // The service has no name for an upload; here it has one.
+            None => problem.in_file(path.display().to_string()),
+            Some(_) => problem,
+        }
     })
 }
 

@@ -183,7 +183,7 @@ fn a_run_on_streamed_photographs_gives_the_same_bits() {
     let folder = folder(9, &[(32, 32)]);
     let spill = tempfile::tempdir().expect("a temporary folder");
     let in_memory = ingest::load(folder.path()).expect("a dataset");
-    let streamed = ingest::load_into(folder.path(), &tight(spill.path(), 64 << 10)).expect("a dataset");
+    let streamed = ingest::load_into(folder.path(), &tight(spill.path(), 32 << 10)).expect("a dataset");
     assert!(streamed.bytes_in_memory() < in_memory.bytes_in_memory());
     let [one, other] = [in_memory, streamed].map(|dataset| {
         let dataset = with_points(dataset, 150);
