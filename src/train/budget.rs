@@ -1,20 +1,36 @@
-//! What a training run takes, told before it begins, and how many anchors a budget allows.
+//! What a training run takes, told before it begins, and how large a model a budget allows.
 //!
 //! The sums are those of the buffers at the largest model that the schedule allows, as their owners state them
 //! (`Rasterizer::bytes` and its like). Two figures are not known beforehand and assumed: how many pairs of Gaussian and tile a
-//! view makes ([`PAIRS_A_TILE`]), and what program and driver take ([`PROGRAM_BYTES`]). The device's budget is also held at run time
+//! view makes (`PAIRS_A_TILE`), and what program and driver take (`PROGRAM_BYTES`). The device's budget is also held at run time
 //! ([`crate::gpu::GpuError::OverBudget`]), so a scene beyond the assumption ends the run with words and not the process.
 
 use std::fmt;
 
 use thiserror::Error;
 
-use super::{ImageLoss, Schedule, anchors::AnchorLearner};
+use super::{ImageLoss, Schedule, anchors::AnchorFootprint};
 use crate::{
     domain::{Bytes, Dataset, MemoryBudget, Problem, TrainOptions},
     gpu::AdapterReport,
-    render::{NeuralGaussians, Rasterizer},
+    render::Rasterizer,
 };
+
+/// What a kind of model takes when it is of some size.
+pub(super) trait Footprint: fmt::Debug {
+    /// What its size counts: "anchors".
+    fn unit(&self) -> &'static str;
+    /// The largest that its schedule and the adapter's bindings allow.
+    fn most(&self, adapter: &AdapterReport) -> usize;
+    /// Bytes on the device of the parameters, their gradients, the optimiser and growth, at their largest.
+    fn model_bytes(&self, size: usize) -> u64;
+    /// Bytes on the device of making a view's Gaussians, and of the gradients back from them.
+    fn view_bytes(&self, size: usize) -> u64;
+    /// Rows of Gaussians that the rasteriser is handed.
+    fn gaussians(&self, size: usize) -> usize;
+    /// Bytes of main memory, at their largest.
+    fn host_bytes(&self, size: usize) -> u64;
+}
 
 /// Pairs of Gaussian and tile that a view is assumed to make at most, for each of its tiles; few scenes make half.
 const PAIRS_A_TILE: usize = 512;
@@ -40,8 +56,10 @@ pub struct Part {
 /// What a run takes at its largest.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Estimate {
-    /// Anchors that growth stops at.
-    pub anchors: usize,
+    /// How large the model may become.
+    pub size: usize,
+    /// What that counts: "anchors".
+    pub unit: &'static str,
     /// On the device.
     pub gpu: Vec<Part>,
     /// In main memory, the device's not counted.
@@ -82,8 +100,9 @@ impl fmt::Display for Estimate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "{} anchors take {} on the device ({}) and {} of main memory ({})",
-            self.anchors,
+            "{} {} take {} on the device ({}) and {} of main memory ({})",
+            self.size,
+            self.unit,
             Bytes(self.gpu_bytes()),
             list(&self.gpu),
             Bytes(self.host_bytes()),
@@ -100,7 +119,7 @@ impl fmt::Display for Estimate {
     Bytes(needed.gpu_bytes()), Bytes(budget.gpu), Bytes(needed.host_bytes()), Bytes(budget.host)
 )]
 pub struct OverBudget {
-    /// What the smallest run takes: one that holds the anchors that the points begin with.
+    /// What the smallest run takes: one that holds what the points begin with.
     pub needed: Box<Estimate>,
     /// What it may take.
     pub budget: MemoryBudget,
@@ -113,10 +132,10 @@ impl From<OverBudget> for Problem {
 }
 
 /// What decides how much a run takes.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Needs<'a> {
     adapter: &'a AdapterReport,
-    schedule: Schedule,
+    footprint: Box<dyn Footprint>,
     /// Size of the image with the most pixels.
     largest: [u32; 2],
     /// Whether there are images of other sizes.
@@ -140,15 +159,15 @@ impl<'a> Needs<'a> {
             mixed: sizes().any(|size| size != largest),
             photographs: dataset.bytes_in_memory(),
             points: if cloud > 0 { cloud } else { schedule.random_points },
-            schedule,
+            footprint: Box::new(AnchorFootprint { shape: schedule.shape, max_anchors: schedule.max_anchors }),
         }
     }
 
-    /// What a run takes that grows to `anchors` anchors.
+    /// What a run takes whose model grows to `size`.
     #[must_use]
-    pub fn estimate(&self, anchors: usize) -> Estimate {
-        let shape = self.schedule.shape;
-        let gaussians = NeuralGaussians::capacity(anchors).saturating_mul(shape.offsets);
+    pub fn estimate(&self, size: usize) -> Estimate {
+        let model = &self.footprint;
+        let gaussians = model.gaussians(size);
         let [width, height] = self.largest.map(u64::from);
         let pixels = width * height;
         // Buffers of another size are made before those of the last are given back.
@@ -157,10 +176,11 @@ impl<'a> Needs<'a> {
         let pairs = self.pairs(gaussians);
         let part = |name, bytes| Part { name, bytes };
         Estimate {
-            anchors,
+            size,
+            unit: model.unit(),
             gpu: vec![
-                part("model and optimiser", AnchorLearner::bytes(shape, anchors)),
-                part("Gaussians of a view", NeuralGaussians::bytes(shape, anchors)),
+                part("model and optimiser", model.model_bytes(size)),
+                part("Gaussians of a view", model.view_bytes(size)),
                 part("rasteriser", raster(gaussians, pairs) + (sizes - 1) * raster(0, 0)),
                 part("loss", sizes * ImageLoss::bytes(self.largest) + 4 * pixels),
             ],
@@ -168,7 +188,7 @@ impl<'a> Needs<'a> {
                 part("photographs", self.photographs),
                 part("photograph of a step", STEP_BYTES_A_PIXEL * pixels),
                 part("points", POINT_BYTES * self.points as u64),
-                part("growth", AnchorLearner::host_bytes(shape, anchors)),
+                part("growth", model.host_bytes(size)),
                 part("program", PROGRAM_BYTES),
             ],
         }
@@ -182,18 +202,13 @@ impl<'a> Needs<'a> {
         Rasterizer::usual_intersections(self.adapter, gaussians).max(assumed)
     }
 
-    /// The most anchors that the schedule and the adapter's bindings allow.
-    fn most(&self) -> usize {
-        self.schedule.max_anchors.min(NeuralGaussians::most_anchors(self.adapter, self.schedule.shape))
-    }
-
     /// The largest run that `budget` allows: the schedule's, or one that stops growing earlier but still holds what the points
     /// begin with.
     ///
     /// # Errors
     /// [`OverBudget`] if there is none.
     pub fn within(&self, budget: &MemoryBudget) -> Result<Estimate, OverBudget> {
-        let most = self.most();
+        let most = self.footprint.most(self.adapter);
         // Growth takes the other half.
         let least = self.points.min(most / 2).max(1);
         let wanted = self.estimate(most);
@@ -293,14 +308,14 @@ mod tests {
         let needs = Needs::of(&dataset, &options, &adapter);
         let ample = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
         let all = needs.within(&ample).expect("no bound");
-        assert_eq!(all.anchors, Schedule::new(&options).max_anchors);
+        assert_eq!(all.size, Schedule::new(&options).max_anchors);
         let half = MemoryBudget { gpu: all.gpu_bytes() / 2, ..ample };
         let some = needs.within(&half).expect("fewer anchors");
-        assert!(some.anchors > all.anchors / 3 && some.anchors < all.anchors, "{}", some.anchors);
-        assert!(some.fits(&half) && !needs.estimate(some.anchors + 1).fits(&half));
+        assert!(some.size > all.size / 3 && some.size < all.size, "{}", some.size);
+        assert!(some.fits(&half) && !needs.estimate(some.size + 1).fits(&half));
         let tight = MemoryBudget { host: all.host_bytes() - MIB, ..ample };
         let some = needs.within(&tight).expect("fewer anchors");
-        assert!(some.anchors < all.anchors && some.fits(&tight));
+        assert!(some.size < all.size && some.fits(&tight));
     }
 
     #[test]
@@ -309,7 +324,7 @@ mod tests {
         let dataset = dataset(&[(64, 48)], 15_000);
         let budget = MemoryBudget { host: u64::MAX, gpu: 16 * MIB };
         let fault = Needs::of(&dataset, &options, &adapter).within(&budget).expect_err("too little");
-        assert_eq!(fault.needed.anchors, 15_000);
+        assert_eq!(fault.needed.size, 15_000);
         let problem = Problem::from(fault);
         assert_eq!(problem.status, 507);
         for words in ["16.0 MiB", "15000 anchors", "rasteriser", "photographs", "--gpu-memory", "smaller"] {

@@ -122,13 +122,14 @@ impl<'a> Run<'a> {
         let mut schedule = Schedule::new(options);
         let estimate = Needs::of(dataset, options, context.adapter()).within(budget)?;
         tracing::info!("memory: {estimate}");
-        if estimate.anchors < schedule.max_anchors {
+        if estimate.size < schedule.max_anchors {
             tracing::warn!(
-                "growth stops at {} anchors instead of {}: more would not fit the adapter or the memory allowed",
-                estimate.anchors,
+                "growth stops at {} {} instead of {}: more would not fit the adapter or the memory allowed",
+                estimate.size,
+                estimate.unit,
                 schedule.max_anchors
             );
-            schedule.max_anchors = estimate.anchors;
+            schedule.max_anchors = estimate.size;
         }
         let steps = schedule.steps;
         let mut rng = Pcg64::seed_from_u64(options.seed);

@@ -141,7 +141,7 @@ fn a_run_grows_no_further_than_its_budget() {
     let fitted = needs
         .within(&MemoryBudget { host: u64::MAX, gpu: context.budget_bytes() })
         .expect("the points fit")
-        .anchors;
+        .size;
     assert!((170..40_000).contains(&fitted), "{fitted}");
     let mut anchors = 0;
     let mut report = |progress: &Progress| anchors = anchors.max(progress.anchors as usize);
