@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::{
     Failure, Report,
     adapter::AdapterFlag,
+    lpips::LpipsFlag,
     memory::MemoryFlags,
     serve::refuse_shared_storage,
     wiring::{self, WorkerOptions},
@@ -31,6 +32,9 @@ pub(crate) struct Args {
     #[command(flatten)]
     memory: MemoryFlags,
 
+    #[command(flatten)]
+    lpips: LpipsFlag,
+
     /// Stop when standard input closes, as it does when the service that started this worker ends
     #[arg(long, hide = true)]
     stop_with_parent: bool,
@@ -43,6 +47,7 @@ pub(crate) fn run(args: Args) -> Result<Report, Failure> {
         data: args.data,
         adapter: args.adapter.adapter,
         memory: args.memory.limits(1),
+        lpips: args.lpips.lpips,
         stop_with_parent: args.stop_with_parent,
     })?;
     Ok(Report::default())

@@ -16,6 +16,7 @@ mod statistics;
 mod trainer;
 pub mod twin;
 mod unused;
+mod wavelet;
 
 pub use adam::{Adam, Moments};
 pub use budget::{Estimate, Needs, OverBudget};
@@ -25,3 +26,4 @@ pub use loss::{ImageLoss, LossSums};
 pub use schedule::{Decay, Schedule};
 pub use statistics::Statistics;
 pub use trainer::{Trained, train, train_within};
+pub use wavelet::WaveletWeights;

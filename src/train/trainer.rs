@@ -6,7 +6,7 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    ImageLoss, LossSums, Needs, Schedule, TrainError,
+    ImageLoss, LossSums, Needs, Schedule, TrainError, WaveletWeights,
     anchors::AnchorLearner,
     learner::{Learner, Step},
     loss::pack,
@@ -14,7 +14,8 @@ use super::{
 };
 use crate::{
     domain::{
-        Background, CancelFlag, Dataset, Frame, MemoryBudget, ModelKind, Progress, Scene, Split, TrainOptions,
+        Background, CancelFlag, Component, Dataset, Frame, MemoryBudget, ModelKind, Progress, Scene, Split,
+        TrainOptions,
     },
     gpu::Context,
     model::random_points,
@@ -97,6 +98,7 @@ struct Run<'a> {
     learner: Box<dyn Learner>,
     raster: Rasterizer,
     loss: ImageLoss,
+    wavelet: bool,
     began: Instant,
     recent: Recent,
 }
@@ -156,6 +158,7 @@ impl<'a> Run<'a> {
             learner,
             raster: Rasterizer::new(Arc::clone(context), RasterSettings::default())?,
             loss: ImageLoss::new(Arc::clone(context))?,
+            wavelet: options.has(Component::Wavelet),
             began: now,
             recent: Recent { since: now, step: 0, average: None },
             context: Arc::clone(context),
@@ -193,7 +196,9 @@ impl<'a> Run<'a> {
         let photograph = pack(photograph.over(self.background.rgb8()).samples());
         let mut recorder = context.recorder("backward");
         let size = [camera.intrinsics.width, camera.intrinsics.height];
-        let v_image = self.loss.record(&mut recorder, size, self.raster.image(), &photograph)?;
+        let wavelet = self.wavelet.then(|| WaveletWeights::at(step.fraction));
+        let v_image =
+            self.loss.record(&mut recorder, size, self.raster.image(), &photograph, wavelet.as_ref())?;
         let gaussians = self.learner.gaussians().clone();
         let d_gaussians = self.learner.gaussian_gradients()?;
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
@@ -212,6 +217,7 @@ impl<'a> Run<'a> {
             ssim: blend(old.ssim, sums.ssim),
             l1: blend(old.l1, sums.l1),
             mse: blend(old.mse, sums.mse),
+            wavelet: blend(old.wavelet, sums.wavelet),
         });
         self.recent.average = Some(average);
         let elapsed = self.began.elapsed().as_secs_f64();

@@ -16,6 +16,7 @@ pub fn command() -> Command {
         "RUST_LOG",
         "TCGS_LOG_FORMAT",
         "TCGS_LISTEN",
+        "TCGS_LPIPS",
         "TCGS_DATA",
         "TCGS_WORKER_ID",
         "TCGS_HOST_MEMORY",
