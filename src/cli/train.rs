@@ -80,7 +80,7 @@ struct Options {
     #[arg(long, value_parser = choice!(ModelKind), default_value_t = ModelKind::Tcgs, hide = true)]
     model: ModelKind,
 
-    /// Parts of the method to leave out; this version knows how to leave out `wavelet`
+    /// Parts of the method to leave out
     #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',')]
     without: Vec<Component>,
 

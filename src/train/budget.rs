@@ -159,7 +159,11 @@ impl<'a> Needs<'a> {
             mixed: sizes().any(|size| size != largest),
             photographs: dataset.bytes_in_memory(),
             points: if cloud > 0 { cloud } else { schedule.random_points },
-            footprint: Box::new(AnchorFootprint { shape: schedule.shape, max_anchors: schedule.max_anchors }),
+            footprint: Box::new(AnchorFootprint {
+                shape: schedule.shape,
+                max_anchors: schedule.max_anchors,
+                masks: schedule.masks.is_some(),
+            }),
         }
     }
 
