@@ -2,8 +2,9 @@
 
 use thiserror::Error;
 
+use super::OverBudget;
 use crate::{
-    domain::{ModelKind, Problem},
+    domain::{ModelKind, PhotographError, Problem},
     gpu::GpuError,
     model::InitError,
     render::RenderError,
@@ -35,6 +36,12 @@ pub enum TrainError {
     /// The model is known but not built yet.
     #[error("model '{0}' is not available in this version")]
     NotInThisVersion(ModelKind),
+    /// A photograph is gone.
+    #[error(transparent)]
+    Photograph(#[from] PhotographError),
+    /// More memory is needed than there may be.
+    #[error(transparent)]
+    OverBudget(#[from] OverBudget),
     /// Somebody asked for a stop.
     #[error("cancelled")]
     Cancelled,
@@ -51,6 +58,8 @@ impl From<TrainError> for Problem {
         match error {
             TrainError::Gpu(fault) => fault.into(),
             TrainError::Render(fault) => fault.into(),
+            TrainError::Photograph(fault) => fault.into(),
+            TrainError::OverBudget(fault) => fault.into(),
             other => Problem::new(422, "training-failed", "Training failed", other.to_string()),
         }
     }
