@@ -2,7 +2,12 @@
 
 use thiserror::Error;
 
-use crate::{domain::Problem, gpu::GpuError, model::InitError, render::RenderError};
+use crate::{
+    domain::{ModelKind, Problem},
+    gpu::GpuError,
+    model::InitError,
+    render::RenderError,
+};
 
 /// Why training ended without a scene.
 #[derive(Debug, Error)]
@@ -27,6 +32,9 @@ pub enum TrainError {
         /// When.
         step: u32,
     },
+    /// The model is known but not built yet.
+    #[error("model '{0}' is not available in this version")]
+    NotInThisVersion(ModelKind),
     /// Somebody asked for a stop.
     #[error("cancelled")]
     Cancelled,

@@ -4,8 +4,10 @@
 //! from the seed and every sum on the device has a fixed order.
 
 mod adam;
+mod anchors;
 mod densify;
 mod error;
+mod learner;
 mod loss;
 mod schedule;
 mod start_box;

@@ -1,6 +1,9 @@
 //! The schedule in fractions of the run, so that a preview and a run of 30 000 steps share one shape.
 
-use crate::domain::{Preset, TrainOptions};
+use crate::{
+    domain::{Preset, TrainOptions},
+    model::Shape,
+};
 
 /// A learning rate that goes from `start` to `end` exponentially (method.md §1.6).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,6 +32,8 @@ const fn constant(rate: f64) -> Decay {
 pub struct Schedule {
     /// Steps in all.
     pub steps: u32,
+    /// Widths of the anchor model.
+    pub shape: Shape,
     /// First step whose view is added to the growth statistics.
     pub statistics_from: u32,
     /// First step at which anchors grow and are pruned.
@@ -68,6 +73,7 @@ impl Schedule {
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
         Self {
             steps,
+            shape: Shape { features: 32, offsets: 10 },
             statistics_from: part(500.0 / 30_000.0),
             densify_from: part(0.05),
             densify_until: part(0.5),
@@ -94,12 +100,6 @@ impl Schedule {
     #[must_use]
     pub fn densifies(&self, step: u32) -> bool {
         step > self.densify_from && step < self.densify_until && step.is_multiple_of(self.densify_every)
-    }
-
-    /// The fraction of the run at `step`.
-    #[must_use]
-    pub fn fraction(&self, step: u32) -> f64 {
-        f64::from(step) / f64::from(self.steps.max(1))
     }
 }
 

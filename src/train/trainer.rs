@@ -1,4 +1,4 @@
-//! The step loop: one photograph a step, forward, loss, backward, Adam, and now and then growth and pruning.
+//! The step loop: one photograph a step, forward, losses, backward, optimiser, and now and then growth and pruning.
 
 use std::{sync::Arc, time::Instant};
 
@@ -6,33 +6,27 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Adam, Decay, Densify, ImageLoss, LossSums, Moments, Schedule, Statistics, TrainError,
-    densify::{Trainable, densify},
+    ImageLoss, LossSums, Schedule, TrainError,
+    anchors::AnchorLearner,
+    learner::{Learner, Step},
     loss::pack,
     start_box::start_box,
-    unused::drop_unused,
 };
 use crate::{
-    domain::{AnchorScene, Background, CancelFlag, Dataset, Frame, Progress, Split, TrainOptions},
-    gpu::{Buffer, Context},
-    model::{AnchorRows, NetworkLayout, Shape, VoxelRule, initial_rows, random_points},
-    render::{AnchorGradients, DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer},
+    domain::{Background, CancelFlag, Dataset, Frame, ModelKind, Progress, Scene, Split, TrainOptions},
+    gpu::Context,
+    model::random_points,
+    render::{RasterSettings, Rasterizer},
 };
-
-/// Widths of the model that is trained.
-const SHAPE: Shape = Shape { features: 32, offsets: 10 };
 
 /// Steps between two reports of progress.
 const REPORT_EVERY: u32 = 10;
-
-/// Coarsest growth cell in lattice cells.
-const COARSEST_GROWTH: i32 = 16;
 
 /// A finished training run.
 #[derive(Debug, Clone)]
 pub struct Trained {
     /// The scene, not yet quantised.
-    pub scene: AnchorScene,
+    pub scene: Scene,
     /// Steps done.
     pub steps: u32,
     /// Seconds of training.
@@ -53,19 +47,14 @@ pub fn train(
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
 ) -> Result<Trained, TrainError> {
-    let mut schedule = Schedule::new(options);
-    schedule.max_anchors = schedule.max_anchors.min(NeuralGaussians::most_anchors(context, SHAPE));
-    let mut run = Run::begin(context, dataset, options, schedule)?;
-    for step in 1..=run.schedule.steps {
+    let mut run = Run::begin(context, dataset, options)?;
+    for number in 1..=run.steps {
         if cancel.is_cancelled() {
             return Err(TrainError::Cancelled);
         }
-        run.step(step)?;
-        if run.schedule.densifies(step) {
-            run.densify(step)?;
-        }
-        if step.is_multiple_of(REPORT_EVERY) || step == run.schedule.steps {
-            report(&run.progress(step)?);
+        run.step(number)?;
+        if number.is_multiple_of(REPORT_EVERY) || number == run.steps {
+            report(&run.progress(number)?);
         }
     }
     run.finish(cancel)
@@ -82,24 +71,14 @@ fn camera_extent(frames: &[&Frame]) -> f32 {
 
 struct Run<'a> {
     context: Arc<Context>,
-    schedule: Schedule,
+    steps: u32,
     frames: Vec<&'a Frame>,
     background: Background,
     order: Vec<usize>,
     rng: Pcg64,
-    extent: f32,
-    layout: NetworkLayout,
-    owners: Vec<u8>,
-    anchors: AnchorRows,
-    device: DeviceAnchors,
-    gradients: AnchorGradients,
-    row_moments: Moments,
-    network_moments: Moments,
-    statistics: Buffer<f32>,
-    neural: NeuralGaussians,
+    learner: Box<dyn Learner>,
     raster: Rasterizer,
     loss: ImageLoss,
-    adam: Adam,
     began: Instant,
     recent: Recent,
 }
@@ -116,12 +95,13 @@ impl<'a> Run<'a> {
         context: &Arc<Context>,
         dataset: &'a Dataset,
         options: &TrainOptions,
-        schedule: Schedule,
     ) -> Result<Self, TrainError> {
         let frames: Vec<&Frame> = dataset.split(Split::Train).collect();
         if frames.is_empty() {
             return Err(TrainError::NoTrainingFrames);
         }
+        let schedule = Schedule::new(options);
+        let steps = schedule.steps;
         let mut rng = Pcg64::seed_from_u64(options.seed);
         let points = match &dataset.points {
             Some(cloud) if !cloud.positions.is_empty() => cloud.positions.clone(),
@@ -130,34 +110,26 @@ impl<'a> Run<'a> {
                 random_points(&mut rng, schedule.random_points, low, high)
             }
         };
-        let rule = VoxelRule::OfSpacing(1.0 / COARSEST_GROWTH as f32);
-        // Growth needs room above what the points begin with.
-        let anchors = initial_rows(&points, rule, SHAPE, schedule.max_anchors / 2)?;
-        let layout = NetworkLayout::new(SHAPE);
-        let networks = layout.initial(&mut rng);
+        let extent = camera_extent(&frames);
+        let learner: Box<dyn Learner> = match options.model {
+            ModelKind::Tcgs | ModelKind::Scaffold => {
+                Box::new(AnchorLearner::begin(context, schedule, &points, extent, &mut rng)?)
+            }
+            ModelKind::Gaussians3d => return Err(TrainError::NotInThisVersion(options.model)),
+        };
         let now = Instant::now();
         Ok(Self {
-            schedule,
+            steps,
             background: options.background,
             order: Vec::new(),
             rng,
-            extent: camera_extent(&frames),
-            owners: layout.owners(),
-            device: DeviceAnchors::upload(context, &anchors, &networks)?,
-            gradients: AnchorGradients::new(context, SHAPE, anchors.len())?,
-            row_moments: Moments::zero(context, anchors.values.len())?,
-            network_moments: Moments::zero(context, layout.parameters)?,
-            statistics: context.buffer("growth statistics", anchors.len() * Statistics::width(SHAPE))?,
-            neural: NeuralGaussians::new(Arc::clone(context), SHAPE, RasterSettings::default().near)?,
+            learner,
             raster: Rasterizer::new(Arc::clone(context), RasterSettings::default())?,
             loss: ImageLoss::new(Arc::clone(context))?,
-            adam: Adam::new(context)?,
             began: now,
             recent: Recent { since: now, step: 0, average: None },
             context: Arc::clone(context),
             frames,
-            layout,
-            anchors,
         })
     }
 
@@ -170,14 +142,15 @@ impl<'a> Run<'a> {
         self.order.pop().unwrap_or(0)
     }
 
-    fn step(&mut self, step: u32) -> Result<(), TrainError> {
+    fn step(&mut self, number: u32) -> Result<(), TrainError> {
+        let step = Step { number, fraction: f64::from(number) / f64::from(self.steps.max(1)) };
         let index = self.next_frame();
         let camera = self.frames[index].camera;
         let context = Arc::clone(&self.context);
         loop {
             let mut recorder = context.recorder("forward");
-            self.neural.forward(&mut recorder, &self.device, &camera, self.schedule.volume_weight)?;
-            self.raster.forward(&mut recorder, self.neural.gaussians(), &camera, self.background.rgb())?;
+            self.learner.forward(&mut recorder, &camera, &step)?;
+            self.raster.forward(&mut recorder, self.learner.gaussians(), &camera, self.background.rgb())?;
             recorder.submit()?;
             let counts = self.raster.counts()?;
             if !counts.overflowed {
@@ -190,77 +163,12 @@ impl<'a> Run<'a> {
         let mut recorder = context.recorder("backward");
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         let v_image = self.loss.record(&mut recorder, size, self.raster.image(), &photograph)?;
-        let gaussians = self.neural.gaussians().clone();
-        let d_gaussians = self.neural.gaussian_gradients()?.clone();
+        let gaussians = self.learner.gaussians().clone();
+        let d_gaussians = self.learner.gaussian_gradients()?;
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
-        self.neural.backward(&mut recorder, &self.device, &self.gradients)?;
-        if self.schedule.gathers_statistics(step) {
-            self.neural.statistics(&mut recorder, &self.device, &self.statistics)?;
-        }
-        let fraction = self.schedule.fraction(step);
-        let row_rates = recorder.uniform(&self.row_rates(fraction))?;
-        let network_rates = recorder.uniform(&self.network_rates(fraction))?;
-        self.adam.step(
-            &mut recorder,
-            step,
-            &row_rates,
-            &self.gradients.rows,
-            &self.device.rows,
-            &self.row_moments,
-        )?;
-        self.adam.step(
-            &mut recorder,
-            step,
-            &network_rates,
-            &self.gradients.networks,
-            &self.device.networks,
-            &self.network_moments,
-        )?;
+        self.learner.backward(&mut recorder, &camera, &step)?;
         recorder.submit()?;
-        Ok(())
-    }
-
-    fn row_rates(&self, fraction: f64) -> Vec<f32> {
-        let mut rates = vec![self.schedule.feature.at(fraction) as f32; SHAPE.row()];
-        rates[SHAPE.scaling_column()..].fill(self.schedule.scaling.at(fraction) as f32);
-        rates[SHAPE.offset_column()..].fill(self.schedule.offset.at(fraction) as f32 * self.extent);
-        rates
-    }
-
-    fn network_rates(&self, fraction: f64) -> Vec<f32> {
-        let rates = self.schedule.networks.map(|decay: Decay| decay.at(fraction) as f32);
-        self.owners.iter().map(|owner| rates[usize::from(*owner)]).collect()
-    }
-
-    fn densify(&mut self, step: u32) -> Result<(), TrainError> {
-        let context = Arc::clone(&self.context);
-        self.anchors.values = context.read(&self.device.rows)?;
-        let mut state = Trainable {
-            anchors: self.anchors.clone(),
-            first: context.read(&self.row_moments.first)?,
-            second: context.read(&self.row_moments.second)?,
-        };
-        let mut statistics = Statistics { shape: SHAPE, values: context.read(&self.statistics)? };
-        let settings = Densify {
-            threshold: self.schedule.growth_threshold,
-            min_views: 0.4 * self.schedule.densify_every as f32,
-            min_visits: 0.8 * self.schedule.densify_every as f32,
-            coarsest: COARSEST_GROWTH,
-            max_anchors: self.schedule.max_anchors,
-            extent: self.extent,
-        };
-        let outcome = densify(&mut state, &mut statistics, &settings, &mut self.rng);
-        tracing::debug!(step, grown = outcome.grown, pruned = outcome.pruned, anchors = state.anchors.len());
-        if state.anchors.is_empty() {
-            return Err(TrainError::NothingLeft { step });
-        }
-        let networks = context.read(&self.device.networks)?;
-        self.device = DeviceAnchors::upload(&context, &state.anchors, &networks)?;
-        self.row_moments = Moments::upload(&context, &state.first, &state.second)?;
-        self.gradients = AnchorGradients::new(&context, SHAPE, state.anchors.len())?;
-        self.statistics = context.upload("growth statistics", &statistics.values)?;
-        self.anchors = state.anchors;
-        Ok(())
+        self.learner.adapt(&step, &mut self.rng)
     }
 
     fn progress(&mut self, step: u32) -> Result<Progress, TrainError> {
@@ -280,30 +188,25 @@ impl<'a> Run<'a> {
         let speed = (recent > 0.0).then(|| f64::from(step - self.recent.step) / recent);
         self.recent.since = Instant::now();
         self.recent.step = step;
-        let left = f64::from(self.schedule.steps - step);
+        let left = f64::from(self.steps - step);
+        let size = self.learner.size()?;
         Ok(Progress {
             step: u64::from(step),
-            total: u64::from(self.schedule.steps),
+            total: u64::from(self.steps),
             elapsed_seconds: elapsed,
             eta_seconds: Some(left * elapsed / f64::from(step)),
             steps_per_second: speed,
-            anchors: self.anchors.len() as u64,
-            gaussians: u64::from(self.neural.counts()?[1]),
+            anchors: size.anchors as u64,
+            gaussians: size.gaussians as u64,
             loss: Some(average.loss()),
             psnr: Some(average.psnr()),
         })
     }
 
-    fn finish(mut self, cancel: &CancelFlag) -> Result<Trained, TrainError> {
-        self.anchors.values = self.context.read(&self.device.rows)?;
-        let networks = self.context.read(&self.device.networks)?;
-        drop_unused(&self.context, &mut self.neural, &self.device, &mut self.anchors, &self.frames, cancel)?;
-        if self.anchors.is_empty() {
-            return Err(TrainError::NothingLeft { step: self.schedule.steps });
-        }
+    fn finish(self, cancel: &CancelFlag) -> Result<Trained, TrainError> {
         Ok(Trained {
-            scene: self.anchors.to_scene(self.layout.to_networks(&networks)),
-            steps: self.schedule.steps,
+            scene: self.learner.finish(&self.frames, cancel)?,
+            steps: self.steps,
             seconds: self.began.elapsed().as_secs_f64(),
         })
     }

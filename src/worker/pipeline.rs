@@ -16,13 +16,13 @@ use crate::{
     codec::{self, DecodeLimits, EncodeSettings, Provenance},
     domain::{
         AnchorScene, CancelFlag, Dataset, Frame, JobMetrics, NamedCamera, Phase, PhaseSeconds, Problem,
-        Progress, Scores, Split, TrainOptions,
+        Progress, Scene, Scores, Split, TrainOptions,
     },
     eval::{ViewScore, mean_scores, measure_views},
     gpu::{AdapterChoice, Context, GpuError},
     ingest,
     render::{RenderError, SceneRenderer},
-    train::{Schedule, TrainError, Trained, train},
+    train::{Schedule, TrainError, train},
 };
 
 /// Training views that the reported training figures are measured on, evenly spread.
@@ -92,11 +92,15 @@ impl RunJob for Pipeline {
         seconds.train = trained.seconds;
         // What training told of the time left says nothing about what follows it.
         progress.eta_seconds = None;
+        let Scene::Anchors(scene) = trained.scene else {
+            return Err(JobFailure::Fail(internal("a model without anchors cannot be encoded")));
+        };
         let mut job = Job { context, dataset: &dataset, options, cancel, seconds };
         tell(Phase::Encode, &mut progress);
-        let (file, decoded) = job.write(&trained, &mut || tell(Phase::Encode, &mut progress))?;
+        let (file, decoded) = job.write(&scene, &mut || tell(Phase::Encode, &mut progress))?;
         tell(Phase::Evaluate, &mut progress);
-        let metrics = job.measure(&trained, &file, &decoded, &mut || tell(Phase::Evaluate, &mut progress))?;
+        let metrics = job
+            .measure(trained.steps, &scene, &file, &decoded, &mut || tell(Phase::Evaluate, &mut progress))?;
         let cameras = dataset
             .frames
             .iter()
@@ -119,13 +123,13 @@ impl Job<'_> {
     /// Writes the file and reads it back.
     fn write(
         &mut self,
-        trained: &Trained,
+        scene: &AnchorScene,
         alive: &mut dyn FnMut(),
     ) -> Result<(codec::Encoded, AnchorScene), JobFailure> {
         let began = Instant::now();
         let background = self.options.background;
         let views = spread(self.dataset.split(Split::Train).collect(), 4);
-        let steps = choose_steps(&self.context, &trained.scene, &views, background, &mut || {
+        let steps = choose_steps(&self.context, scene, &views, background, &mut || {
             alive();
             !self.cancel.is_cancelled()
         })
@@ -144,7 +148,7 @@ impl Job<'_> {
                     .map_err(|fault| JobFailure::Fail(internal(&fault.to_string())))?,
             },
         };
-        let encoded = codec::encode(&trained.scene, &settings).map_err(|fault| {
+        let encoded = codec::encode(scene, &settings).map_err(|fault| {
             JobFailure::Fail(Problem::new(422, "not-encodable", "Encoding failed", fault.to_string()))
         })?;
         self.seconds.encode = began.elapsed().as_secs_f64();
@@ -158,7 +162,8 @@ impl Job<'_> {
     /// Measures the decoded scene, and the held-out views of the scene before it was quantised.
     fn measure(
         &self,
-        trained: &Trained,
+        steps: u32,
+        trained: &AnchorScene,
         file: &codec::Encoded,
         decoded: &AnchorScene,
         alive: &mut dyn FnMut(),
@@ -170,11 +175,11 @@ impl Job<'_> {
             train: self.score(decoded, &seen, alive)?,
             bytes: file.byte_counts.clone(),
             seconds: self.seconds.clone(),
-            steps: u64::from(trained.steps),
-            steps_per_second: f64::from(trained.steps) / trained.seconds.max(1e-9),
+            steps: u64::from(steps),
+            steps_per_second: f64::from(steps) / self.seconds.train.max(1e-9),
             anchors: decoded.len() as u64,
             gaussians: decoded.gaussians() as u64,
-            psnr_before_quantisation: self.score(&trained.scene, &held_out, alive)?.psnr,
+            psnr_before_quantisation: self.score(trained, &held_out, alive)?.psnr,
             decode_sha256: file.decode_sha256,
             adapter: self.context.adapter_line(),
             background: self.options.background,

@@ -6,7 +6,7 @@ use rand_pcg::Pcg64;
 use tcgs::{
     domain::{
         AnchorScene, Camera, CancelFlag, Dataset, Digest, Frame, Image, Intrinsics, Layout, PointCloud, Pose,
-        Progress, Split, TrainOptions,
+        Progress, Scene, Split, TrainOptions,
     },
     eval::{mean_scores, measure_views},
     render::{
@@ -89,10 +89,14 @@ fn run(dataset: &Dataset, options: &TrainOptions) -> (Trained, Vec<Progress>) {
     (trained, reports)
 }
 
+fn anchors(scene: &Scene) -> &AnchorScene {
+    scene.as_anchors().expect("a scene of anchors")
+}
+
 /// Mean PSNR over the frames of a split.
-fn psnr(scene: &AnchorScene, dataset: &Dataset, split: Split) -> f64 {
+fn psnr(scene: &Scene, dataset: &Dataset, split: Split) -> f64 {
     let background = TrainOptions::default().background;
-    let mut renderer = SceneRenderer::new(&gpu(), scene, background).expect("a renderer");
+    let mut renderer = SceneRenderer::new(&gpu(), anchors(scene), background).expect("a renderer");
     let frames: Vec<&Frame> = dataset.split(split).collect();
     let views = measure_views(&mut renderer, &frames, background).expect("scores");
     mean_scores(&views).psnr.expect("frames")
@@ -103,7 +107,7 @@ fn training_learns_the_views_that_it_sees_and_one_that_it_does_not() {
     let dataset = dataset();
     let (untrained, _) = run(&dataset, &options(1, 0));
     let (trained, reports) = run(&dataset, &options(120, 0));
-    trained.scene.check().expect("a sound scene");
+    anchors(&trained.scene).check().expect("a sound scene");
     assert_eq!(trained.steps, 120);
     let before = psnr(&untrained.scene, &dataset, Split::Train);
     let after = psnr(&trained.scene, &dataset, Split::Train);
@@ -148,7 +152,7 @@ fn anchors_that_no_view_shows_are_not_part_of_the_scene() {
     cloud.positions.push([0.0, 0.0, 40.0]);
     cloud.colors.push([0; 3]);
     let (trained, reports) = run(&dataset, &options(10, 0));
-    let scene = &trained.scene;
+    let scene = anchors(&trained.scene);
     assert!((scene.len() as u64) < reports[0].anchors, "the point above the cameras is gone");
     assert!(scene.cells.iter().all(|cell| scene.lattice.position(*cell)[2] < 30.0));
     assert!(scene.masks.chunks_exact(scene.offsets_per_anchor).all(|kept| kept.contains(&true)));
@@ -159,8 +163,8 @@ fn a_set_without_points_begins_with_random_ones() {
     let mut dataset = dataset();
     dataset.points = None;
     let (trained, _) = run(&dataset, &options(2, 0));
-    trained.scene.check().expect("a sound scene");
-    assert!(trained.scene.len() > 1000);
+    anchors(&trained.scene).check().expect("a sound scene");
+    assert!(trained.scene.anchors() > 1000);
 }
 
 #[test]

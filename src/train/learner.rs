@@ -1,0 +1,66 @@
+//! What learns: the part of a training run that differs from model to model.
+//!
+//! The step loop owns photographs, rasteriser and losses; a learner turns its parameters into the Gaussians of a view and
+//! the loss's gradients by those into its next parameters. What always holds: a learner's state after a step is a
+//! function of its state before, the camera, the step and the random generator that it is handed.
+
+use rand_pcg::Pcg64;
+
+use super::TrainError;
+use crate::{
+    domain::{Camera, CancelFlag, Frame, Scene},
+    gpu::Recorder,
+    render::{GaussianGradients, Gaussians},
+};
+
+/// A step's place in the run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Step {
+    /// From 1.
+    pub number: u32,
+    /// Its number over the steps of the run, in (0, 1].
+    pub fraction: f64,
+}
+
+/// How large a model is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Size {
+    /// Anchors; zero in a model that has none.
+    pub anchors: usize,
+    /// Gaussians that the last view was made of.
+    pub gaussians: usize,
+}
+
+/// A model in training. See the module's words.
+pub(super) trait Learner {
+    /// Records the Gaussians that `camera` sees.
+    fn forward(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        camera: &Camera,
+        step: &Step,
+    ) -> Result<(), TrainError>;
+
+    /// What the last [`Learner::forward`] recorded.
+    fn gaussians(&self) -> &Gaussians;
+
+    /// Where the rasteriser is to write the loss's gradients by them.
+    fn gaussian_gradients(&mut self) -> Result<GaussianGradients, TrainError>;
+
+    /// Records the gradients by the parameters, the statistics that growth goes by, and the optimiser's step.
+    fn backward(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        camera: &Camera,
+        step: &Step,
+    ) -> Result<(), TrainError>;
+
+    /// Grows, prunes and resets where the schedule wants it after a submitted step. May wait for the device.
+    fn adapt(&mut self, step: &Step, rng: &mut Pcg64) -> Result<(), TrainError>;
+
+    /// How large the model is. May wait for the device.
+    fn size(&self) -> Result<Size, TrainError>;
+
+    /// The finished scene; `frames` are the photographs that it learnt from.
+    fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Scene, TrainError>;
+}
