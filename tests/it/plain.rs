@@ -8,6 +8,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{Camera, GaussianScene, Pose},
+    export::{PlyError, from_ply},
     gpu::Context,
     model::{
         GaussianRows,
@@ -27,6 +28,7 @@ use crate::support::{
     oracle::{Oracle, relative_l2},
     random,
     scene::flat,
+    shared::shared,
 };
 
 const NEAR: f32 = 0.2;
@@ -410,6 +412,13 @@ fn the_radius_is_three_deviations_along_the_longer_axis() {
         seen += 1;
     }
     assert!(seen > 100, "{seen}");
+}
+
+#[test]
+fn packed_files_of_other_programs_are_refused_as_what_they_are() {
+    let Some(path) = shared("data/interop/playcanvas_test.ply") else { return };
+    let bytes = std::fs::read(path).expect("a readable file");
+    assert_eq!(from_ply(&bytes), Err(PlyError::Element("chunk".to_owned())));
 }
 
 #[test]
