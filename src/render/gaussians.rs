@@ -53,7 +53,8 @@ pub struct GaussianGradients {
     pub quats: Buffer<[f32; 4]>,
     /// By the colour.
     pub colors: Buffer<[f32; 4]>,
-    /// By the projected centre in pixels (u, v), then the number of tiles touched (0 = culled); the fourth is unused.
+    /// By the projected centre in pixels (u, v), then the number of tiles touched (0 = culled) and the radius: three
+    /// standard deviations in pixels along the longer axis.
     pub means2d: Buffer<[f32; 4]>,
 }
 

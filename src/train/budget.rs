@@ -9,9 +9,13 @@ use std::fmt;
 
 use thiserror::Error;
 
-use super::{ImageLoss, Schedule, anchors::AnchorFootprint};
+use super::{
+    ImageLoss, Schedule,
+    anchors::AnchorFootprint,
+    plain::{PlainFootprint, PlainSchedule},
+};
 use crate::{
-    domain::{Bytes, Dataset, MemoryBudget, Problem, TrainOptions},
+    domain::{Bytes, Dataset, MemoryBudget, ModelKind, Problem, TrainOptions},
     gpu::AdapterReport,
     render::Rasterizer,
 };
@@ -159,11 +163,16 @@ impl<'a> Needs<'a> {
             mixed: sizes().any(|size| size != largest),
             photographs: dataset.bytes_in_memory(),
             points: if cloud > 0 { cloud } else { schedule.random_points },
-            footprint: Box::new(AnchorFootprint {
-                shape: schedule.shape,
-                max_anchors: schedule.max_anchors,
-                masks: schedule.masks.is_some(),
-            }),
+            footprint: match options.model {
+                ModelKind::Tcgs | ModelKind::Scaffold => Box::new(AnchorFootprint {
+                    shape: schedule.shape,
+                    max_anchors: schedule.max_anchors,
+                    masks: schedule.masks.is_some(),
+                }),
+                ModelKind::Gaussians3d => Box::new(PlainFootprint {
+                    max_gaussians: PlainSchedule::new(options, schedule.steps).max_gaussians,
+                }),
+            },
         }
     }
 

@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use super::OverBudget;
 use crate::{
-    domain::{ModelKind, PhotographError, Problem},
+    domain::{PhotographError, Problem},
     gpu::GpuError,
     model::InitError,
     render::RenderError,
@@ -19,10 +19,8 @@ pub enum TrainError {
     /// The points cannot begin a scene.
     #[error("the point cloud: {0}")]
     Points(#[from] InitError),
-    /// Every anchor was pruned: the photographs and poses do not agree on anything.
-    #[error(
-        "every anchor was pruned at step {step}; the poses and the photographs do not describe one scene"
-    )]
+    /// Every anchor or Gaussian was pruned: the photographs and poses do not agree on anything.
+    #[error("everything was pruned at step {step}; the poses and the photographs do not describe one scene")]
     NothingLeft {
         /// When.
         step: u32,
@@ -33,9 +31,6 @@ pub enum TrainError {
         /// When.
         step: u32,
     },
-    /// The model is known but not built yet.
-    #[error("model '{0}' is not available in this version")]
-    NotInThisVersion(ModelKind),
     /// A photograph is gone.
     #[error(transparent)]
     Photograph(#[from] PhotographError),

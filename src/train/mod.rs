@@ -11,6 +11,7 @@ mod error;
 mod learner;
 mod loss;
 mod masks;
+mod plain;
 mod schedule;
 mod start_box;
 mod statistics;

@@ -6,10 +6,11 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    ImageLoss, LossSums, Needs, Schedule, TrainError, WaveletWeights,
+    Estimate, ImageLoss, LossSums, Needs, Schedule, TrainError, WaveletWeights,
     anchors::AnchorLearner,
     learner::{Learner, Step},
     loss::pack,
+    plain::{PlainLearner, PlainSchedule},
     start_box::start_box,
 };
 use crate::{
@@ -88,6 +89,18 @@ fn camera_extent(frames: &[&Frame]) -> f32 {
     if radius > 0.0 { (1.1 * radius) as f32 } else { 1.0 }
 }
 
+/// What growth may reach: the schedule's, or what memory has room for.
+fn cap(wanted: usize, estimate: &Estimate) -> usize {
+    if estimate.size < wanted {
+        tracing::warn!(
+            "growth stops at {} {} instead of {wanted}: more would not fit the adapter or the memory allowed",
+            estimate.size,
+            estimate.unit,
+        );
+    }
+    wanted.min(estimate.size)
+}
+
 struct Run<'a> {
     context: Arc<Context>,
     steps: u32,
@@ -124,30 +137,26 @@ impl<'a> Run<'a> {
         let mut schedule = Schedule::new(options);
         let estimate = Needs::of(dataset, options, context.adapter()).within(budget)?;
         tracing::info!("memory: {estimate}");
-        if estimate.size < schedule.max_anchors {
-            tracing::warn!(
-                "growth stops at {} {} instead of {}: more would not fit the adapter or the memory allowed",
-                estimate.size,
-                estimate.unit,
-                schedule.max_anchors
-            );
-            schedule.max_anchors = estimate.size;
-        }
         let steps = schedule.steps;
         let mut rng = Pcg64::seed_from_u64(options.seed);
-        let points = match &dataset.points {
-            Some(cloud) if !cloud.positions.is_empty() => cloud.positions.clone(),
+        let (points, colors) = match &dataset.points {
+            Some(cloud) if !cloud.positions.is_empty() => (cloud.positions.clone(), &cloud.colors[..]),
             _ => {
                 let (low, high) = start_box(dataset.layout, &frames);
-                random_points(&mut rng, schedule.random_points, low, high)
+                (random_points(&mut rng, schedule.random_points, low, high), &[][..])
             }
         };
         let extent = camera_extent(&frames);
         let learner: Box<dyn Learner> = match options.model {
             ModelKind::Tcgs | ModelKind::Scaffold => {
+                schedule.max_anchors = cap(schedule.max_anchors, &estimate);
                 Box::new(AnchorLearner::begin(context, schedule, &points, extent, &mut rng)?)
             }
-            ModelKind::Gaussians3d => return Err(TrainError::NotInThisVersion(options.model)),
+            ModelKind::Gaussians3d => {
+                let mut schedule = PlainSchedule::new(options, steps);
+                schedule.max_gaussians = cap(schedule.max_gaussians, &estimate);
+                Box::new(PlainLearner::begin(context, schedule, &points, colors, extent, &mut rng)?)
+            }
         };
         let now = Instant::now();
         Ok(Self {

@@ -12,6 +12,7 @@ mod loss;
 mod lpips;
 mod memory;
 mod neural;
+mod plain;
 mod primitives;
 mod queue;
 mod raster_device;
