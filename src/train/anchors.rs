@@ -6,13 +6,14 @@ use rand_pcg::Pcg64;
 
 use super::{
     Adam, Decay, Densify, MaskRows, Moments, OffsetMasks, Schedule, Statistics, TrainError,
+    budget::Footprint,
     densify::{Trainable, densify, drop_masked},
     learner::{Learner, Size, Step},
     unused::drop_unused,
 };
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
-    gpu::{Buffer, Context, Recorder},
+    gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
     model::{AnchorRows, NetworkLayout, Shape, VoxelRule, initial_rows},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, RasterSettings},
 };
@@ -44,13 +45,12 @@ impl AnchorLearner {
     /// Anchors at `points` and fresh networks; `extent` is the scene's, in world units.
     pub(super) fn begin(
         context: &Arc<Context>,
-        mut schedule: Schedule,
+        schedule: Schedule,
         points: &[[f32; 3]],
         extent: f32,
         rng: &mut Pcg64,
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
-        schedule.max_anchors = schedule.max_anchors.min(NeuralGaussians::most_anchors(context, shape));
         let rule = VoxelRule::OfSpacing(1.0 / COARSEST_GROWTH as f32);
         // Growth needs room above what the points begin with.
         let anchors = initial_rows(points, rule, shape, schedule.max_anchors / 2)?;
@@ -142,6 +142,57 @@ impl AnchorLearner {
         self.masks = state.masks.map(|masks| OffsetMasks::upload(context, self.shape, &masks)).transpose()?;
         self.anchors = state.anchors;
         Ok(())
+    }
+}
+
+/// What anchors take.
+#[derive(Debug)]
+pub(super) struct AnchorFootprint {
+    pub(super) shape: Shape,
+    pub(super) max_anchors: usize,
+    /// Whether masks learn.
+    pub(super) masks: bool,
+}
+
+impl Footprint for AnchorFootprint {
+    fn unit(&self) -> &'static str {
+        "anchors"
+    }
+
+    fn most(&self, adapter: &AdapterReport) -> usize {
+        self.max_anchors.min(NeuralGaussians::most_anchors(adapter, self.shape))
+    }
+
+    /// Rows that a round of growth replaces go one after another, so the largest of them counts twice.
+    fn model_bytes(&self, anchors: usize) -> u64 {
+        let shape = self.shape;
+        let (rows, parameters) = (anchors * shape.row(), NetworkLayout::new(shape).parameters);
+        DeviceAnchors::bytes(shape, anchors)
+            + AnchorGradients::bytes(shape, anchors)
+            + 2 * Moments::bytes(rows)
+            + Moments::bytes(parameters)
+            + Statistics::bytes(shape, anchors)
+            + if self.masks { OffsetMasks::bytes(shape, anchors) } else { 0 }
+            + 2 * buffer_bytes::<f32>(shape.row() + parameters)
+    }
+
+    fn view_bytes(&self, anchors: usize) -> u64 {
+        NeuralGaussians::bytes(self.shape, anchors)
+    }
+
+    fn gaussians(&self, anchors: usize) -> usize {
+        NeuralGaussians::capacity(anchors).saturating_mul(self.shape.offsets)
+    }
+
+    /// A round of growth: rows and moments with the copies that growing vectors make, statistics, and a candidate for each
+    /// offset.
+    fn host_bytes(&self, anchors: usize) -> u64 {
+        let shape = self.shape;
+        const CANDIDATE: usize = 2 * size_of::<(usize, [i32; 3], f32)>();
+        const CELL: usize = 64;
+        let masks = if self.masks { 3 * shape.offsets } else { 0 };
+        let row = 6 * (shape.row() + masks) * size_of::<f32>();
+        2 * Statistics::bytes(shape, anchors) + (anchors * (row + shape.offsets * CANDIDATE + CELL)) as u64
     }
 }
 

@@ -2,7 +2,13 @@
 
 use thiserror::Error;
 
-use crate::{domain::Problem, gpu::GpuError, model::InitError, render::RenderError};
+use super::OverBudget;
+use crate::{
+    domain::{PhotographError, Problem},
+    gpu::GpuError,
+    model::InitError,
+    render::RenderError,
+};
 
 /// Why training ended without a scene.
 #[derive(Debug, Error)]
@@ -25,6 +31,12 @@ pub enum TrainError {
         /// When.
         step: u32,
     },
+    /// A photograph is gone.
+    #[error(transparent)]
+    Photograph(#[from] PhotographError),
+    /// More memory is needed than there may be.
+    #[error(transparent)]
+    OverBudget(#[from] OverBudget),
     /// Somebody asked for a stop.
     #[error("cancelled")]
     Cancelled,
@@ -41,6 +53,8 @@ impl From<TrainError> for Problem {
         match error {
             TrainError::Gpu(fault) => fault.into(),
             TrainError::Render(fault) => fault.into(),
+            TrainError::Photograph(fault) => fault.into(),
+            TrainError::OverBudget(fault) => fault.into(),
             other => Problem::new(422, "training-failed", "Training failed", other.to_string()),
         }
     }

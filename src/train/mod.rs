@@ -5,6 +5,7 @@
 
 mod adam;
 mod anchors;
+pub mod budget;
 mod densify;
 mod error;
 mod learner;
@@ -20,11 +21,12 @@ mod unused;
 mod wavelet;
 
 pub use adam::{Adam, Moments};
+pub use budget::{Estimate, Needs, OverBudget};
 pub use densify::{Densify, densify};
 pub use error::TrainError;
 pub use loss::{ImageLoss, LossSums};
 pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
 pub use schedule::{Decay, MaskSchedule, Schedule};
 pub use statistics::Statistics;
-pub use trainer::{Trained, train};
+pub use trainer::{Trained, train, train_within};
 pub use wavelet::WaveletWeights;

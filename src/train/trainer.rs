@@ -6,7 +6,7 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    ImageLoss, LossSums, Schedule, TrainError, WaveletWeights,
+    ImageLoss, LossSums, Needs, Schedule, TrainError, WaveletWeights,
     anchors::AnchorLearner,
     learner::{Learner, Step},
     loss::pack,
@@ -15,7 +15,8 @@ use super::{
 };
 use crate::{
     domain::{
-        Background, CancelFlag, Component, Dataset, Frame, ModelKind, Progress, Scene, Split, TrainOptions,
+        Background, CancelFlag, Component, Dataset, Frame, MemoryBudget, ModelKind, Progress, Scene, Split,
+        TrainOptions,
     },
     gpu::Context,
     model::random_points,
@@ -50,7 +51,23 @@ pub fn train(
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
 ) -> Result<Trained, TrainError> {
-    let mut run = Run::begin(context, dataset, options)?;
+    let budget = MemoryBudget { host: u64::MAX, gpu: context.budget_bytes() };
+    train_within(context, dataset, options, &budget, report, cancel)
+}
+
+/// As [`train`], growing no further than `budget` allows.
+///
+/// # Errors
+/// As [`train`], and [`TrainError::OverBudget`] before anything is done.
+pub fn train_within(
+    context: &Arc<Context>,
+    dataset: &Dataset,
+    options: &TrainOptions,
+    budget: &MemoryBudget,
+    report: &mut dyn FnMut(&Progress),
+    cancel: &CancelFlag,
+) -> Result<Trained, TrainError> {
+    let mut run = Run::begin(context, dataset, options, budget)?;
     for number in 1..=run.steps {
         if cancel.is_cancelled() {
             return Err(TrainError::Cancelled);
@@ -99,12 +116,24 @@ impl<'a> Run<'a> {
         context: &Arc<Context>,
         dataset: &'a Dataset,
         options: &TrainOptions,
+        budget: &MemoryBudget,
     ) -> Result<Self, TrainError> {
         let frames: Vec<&Frame> = dataset.split(Split::Train).collect();
         if frames.is_empty() {
             return Err(TrainError::NoTrainingFrames);
         }
-        let schedule = Schedule::new(options);
+        let mut schedule = Schedule::new(options);
+        let estimate = Needs::of(dataset, options, context.adapter()).within(budget)?;
+        tracing::info!("memory: {estimate}");
+        if estimate.size < schedule.max_anchors {
+            tracing::warn!(
+                "growth stops at {} {} instead of {}: more would not fit the adapter or the memory allowed",
+                estimate.size,
+                estimate.unit,
+                schedule.max_anchors
+            );
+            schedule.max_anchors = estimate.size;
+        }
         let steps = schedule.steps;
         let mut rng = Pcg64::seed_from_u64(options.seed);
         let (points, colors) = match &dataset.points {
@@ -167,7 +196,8 @@ impl<'a> Run<'a> {
             self.raster.grow(&counts)?;
         }
         // Packed when it is needed: a second copy of every image would double what a dataset takes.
-        let photograph = pack(self.frames[index].image.over(self.background.rgb8()).samples());
+        let photograph = self.frames[index].image.load()?;
+        let photograph = pack(photograph.over(self.background.rgb8()).samples());
         let mut recorder = context.recorder("backward");
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         let wavelet = self.wavelet.then(|| WaveletWeights::at(step.fraction));

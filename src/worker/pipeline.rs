@@ -3,7 +3,7 @@
 //! The figures that are reported are those of the file as decoded from its own bytes.
 
 use std::{
-    path::Path,
+    path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
     time::Instant,
 };
@@ -15,14 +15,14 @@ use super::{
 use crate::{
     codec::{self, DecodeLimits, EncodeSettings, Provenance},
     domain::{
-        AnchorScene, CancelFlag, Conventions, Dataset, Frame, JobMetrics, NamedCamera, Phase, PhaseSeconds,
-        Problem, Progress, Scene, Scores, Split, TrainOptions,
+        AnchorScene, CancelFlag, Conventions, Dataset, Frame, JobMetrics, MemoryBudget, MemoryLimits,
+        NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, Scores, Split, TrainOptions,
     },
     eval::{Lpips, mean_scores_with, measure_views_with},
     gpu::{AdapterChoice, Context, GpuError},
-    ingest,
+    ingest::{self, Room},
     render::{RenderError, SceneRenderer},
-    train::{Schedule, TrainError, train},
+    train::{Schedule, TrainError, train_within},
 };
 
 /// Training views that the reported training figures are measured on, evenly spread.
@@ -32,15 +32,24 @@ const TRAIN_VIEWS_MEASURED: usize = 16;
 #[derive(Debug)]
 pub struct Pipeline {
     choice: AdapterChoice,
+    memory: MemoryLimits,
+    spill: PathBuf,
     lpips: Option<Lpips>,
     context: Mutex<Option<Arc<Context>>>,
 }
 
 impl Pipeline {
-    /// A pipeline on the adapter of choice.
+    /// A pipeline on the adapter of choice, without limits on memory but the machine's.
     #[must_use]
     pub fn new(choice: AdapterChoice) -> Self {
-        Self { choice, lpips: None, context: Mutex::new(None) }
+        let spill = std::env::temp_dir();
+        Self { choice, memory: MemoryLimits::NONE, spill, lpips: None, context: Mutex::new(None) }
+    }
+
+    /// Within `memory`; photographs that do not fit go to a temporary file in the folder `spill`.
+    #[must_use]
+    pub fn within(self, memory: MemoryLimits, spill: PathBuf) -> Self {
+        Self { memory, spill, ..self }
     }
 
     /// The same, which also measures LPIPS if there are weights for it.
@@ -55,8 +64,15 @@ impl Pipeline {
             return Ok(Arc::clone(context));
         }
         let context = Context::new(&self.choice)?;
+        context.set_budget_bytes(self.budget(&context).gpu);
         *kept = Some(Arc::clone(&context));
         Ok(context)
+    }
+}
+
+impl Pipeline {
+    fn budget(&self, context: &Context) -> MemoryBudget {
+        self.memory.budget(context.adapter().shares_main_memory())
     }
 }
 
@@ -76,7 +92,12 @@ impl RunJob for Pipeline {
             report(phase, progress);
         };
         tell(Phase::Ingest, &mut progress);
-        let dataset = ingest::load(dataset).map_err(JobFailure::Fail)?;
+        // How much memory photographs may take depends on whether the adapter has its own.
+        let context = self.context().map_err(from_gpu)?;
+        let budget = self.budget(&context);
+        // Training needs the other half.
+        let room = Room { memory: budget.host / 2, spill: self.spill.clone() };
+        let dataset = ingest::load_into(dataset, &room).map_err(JobFailure::Fail)?;
         for note in &dataset.notes {
             tracing::info!("dataset: {note}");
         }
@@ -84,11 +105,11 @@ impl RunJob for Pipeline {
         stop_if(cancel)?;
         // The first report of the training comes some steps after its begin, which may be minutes.
         tell(Phase::Train, &mut progress);
-        let context = self.context().map_err(from_gpu)?;
-        let trained = train(
+        let trained = train_within(
             &context,
             &dataset,
             options,
+            &budget,
             &mut |now| {
                 progress = now.clone();
                 tell(Phase::Train, &mut progress);
@@ -239,13 +260,15 @@ fn from_gpu(fault: GpuError) -> JobFailure {
         GpuError::NoAdapter { .. }
         | GpuError::Open { .. }
         | GpuError::Kernel { .. }
-        | GpuError::BufferTooLarge { .. } => JobFailure::Fail(fault.into()),
+        | GpuError::BufferTooLarge { .. }
+        | GpuError::OverBudget { .. } => JobFailure::Fail(fault.into()),
     }
 }
 
 fn from_render(fault: RenderError) -> JobFailure {
     match fault {
         RenderError::Gpu(fault) => from_gpu(fault),
+        RenderError::Photograph(fault) => JobFailure::Retry(fault.into()),
         other => JobFailure::Fail(other.into()),
     }
 }
@@ -255,6 +278,7 @@ fn from_training(fault: TrainError) -> JobFailure {
         TrainError::Cancelled => JobFailure::Cancelled,
         TrainError::Gpu(fault) => from_gpu(fault),
         TrainError::Render(fault) => from_render(fault),
+        TrainError::Photograph(fault) => JobFailure::Retry(fault.into()),
         other => JobFailure::Fail(other.into()),
     }
 }

@@ -10,6 +10,7 @@ mod ingest;
 mod layers;
 mod loss;
 mod lpips;
+mod memory;
 mod neural;
 mod plain;
 mod primitives;

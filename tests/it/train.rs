@@ -67,7 +67,7 @@ fn dataset() -> Dataset {
     let frames = (0..9).map(|index| {
         let split = if index == 4 { Split::Test } else { Split::Train };
         let camera = camera(index);
-        Frame { name: format!("{index}"), camera, image: photograph(&camera), split }
+        Frame { name: format!("{index}"), camera, image: photograph(&camera).into(), split }
     });
     Dataset {
         layout: Layout::Colmap,
@@ -191,7 +191,8 @@ fn held_out_views_are_not_learnt_from() {
     let honest = dataset();
     let mut spoiled = dataset();
     let held_out = spoiled.frames.iter_mut().find(|frame| frame.split == Split::Test).expect("one");
-    held_out.image = Image::new(SIDE, SIDE, 3, vec![255; (SIDE * SIDE * 3) as usize]).expect("an image");
+    let white = Image::new(SIDE, SIDE, 3, vec![255; (SIDE * SIDE * 3) as usize]).expect("an image");
+    held_out.image = white.into();
     let [honest, spoiled] = [honest, spoiled].map(|dataset| run(&dataset, &options(12, 0)).0.scene);
     assert!(honest == spoiled);
 }
