@@ -80,8 +80,11 @@ fn inside() -> Camera {
     Camera::new(random::camera(40, 30).intrinsics, pose).expect("a camera")
 }
 
-/// Random gradients by a Gaussian, by its projected centre; tiles (0 in a quarter) and radius.
-fn gradients(seed: u64, count: usize) -> Vec<(GaussianGradient, DVec2, u32, f64)> {
+/// Gradients by a Gaussian and by its projected centre; tiles that it touches and radius.
+type Given = (GaussianGradient, DVec2, u32, f64);
+
+/// Random gradients; a quarter of the Gaussians touch no tile.
+fn gradients(seed: u64, count: usize) -> Vec<Given> {
     let mut rng = Pcg64::seed_from_u64(seed);
     (0..count)
         .map(|index| {
@@ -115,7 +118,7 @@ fn run(context: &Arc<Context>, plain: &mut PlainGaussians, rows: &GaussianRows, 
     let d = plain.gaussian_gradients().expect("room").clone();
     let given = gradients(9, rows.len());
     let nan = f64::NAN;
-    let write = |column, row: &dyn Fn(&(GaussianGradient, DVec2, u32, f64)) -> [f64; 4]| {
+    let write = |column, row: &dyn Fn(&Given) -> [f64; 4]| {
         let rows: Vec<[f32; 4]> = given.iter().map(|given| row(given).map(|v| v as f32)).collect();
         context.write(column, &rows);
     };
@@ -165,9 +168,8 @@ fn matches_twin(rows: &GaussianRows, camera: &Camera, degree: u32) -> usize {
     let shaded: Vec<Option<Gaussian>> =
         twin_rows(rows).iter().map(|row| shade_gaussians(&projection, row, degree)).collect();
     let seen: Vec<usize> = (0..rows.len()).filter(|index| shaded[*index].is_some()).collect();
-    for index in 0..rows.len() {
-        let opacity = found.gaussians[0][index][3];
-        assert_eq!(opacity > 0.0, shaded[index].is_some(), "Gaussian {index}");
+    for (index, (found, expected)) in found.gaussians[0].iter().zip(&shaded).enumerate() {
+        assert_eq!(found[3] > 0.0, expected.is_some(), "Gaussian {index}");
     }
     let column = |at: usize, width: usize| -> Vec<f64> {
         let kept: Vec<_> = seen.iter().map(|index| found.gaussians[at][*index]).collect();

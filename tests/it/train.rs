@@ -86,7 +86,7 @@ fn plain(iterations: u32, seed: u64) -> TrainOptions {
     TrainOptions { model: ModelKind::Gaussians3d, ..options(iterations, seed) }
 }
 
-fn gaussians(scene: &Scene) -> &GaussianScene {
+fn plain_scene(scene: &Scene) -> &GaussianScene {
     match scene {
         Scene::Gaussians(scene) => scene,
         Scene::Anchors(_) => panic!("a scene of plain Gaussians"),
@@ -258,7 +258,7 @@ fn plain_gaussians_learn_the_views_that_they_see_and_one_that_they_do_not() {
     }
     let (untrained, _) = run(&dataset, &plain(1, 0));
     let (trained, reports) = run(&dataset, &plain(200, 0));
-    let scene = gaussians(&trained.scene);
+    let scene = plain_scene(&trained.scene);
     scene.check().expect("a sound scene");
     assert_eq!((trained.steps, scene.degree), (200, 3));
     assert!(scene.sh.iter().any(|sh| sh[15] != [0.0; 3]), "the highest degree learns too");
@@ -280,7 +280,7 @@ fn plain_gaussians_of_one_seed_are_the_same_bits_and_of_another_are_not() {
     let counts: Vec<u64> = reports.iter().map(|report| report.gaussians).collect();
     assert!(counts[5] > counts[0], "the round of growth is part of the test: {counts:?}");
     assert!(first.scene == second.scene);
-    let brightest = gaussians(&first.scene).sh.iter().map(|sh| sh[0][0]).fold(f32::MIN, f32::max);
+    let brightest = plain_scene(&first.scene).sh.iter().map(|sh| sh[0][0]).fold(f32::MIN, f32::max);
     assert!(brightest > -1.7, "points that begin black learn their colour: {brightest}");
     let (short, _) = run(&dataset, &plain(5, 7));
     let (other, _) = run(&dataset, &plain(5, 8));
