@@ -10,7 +10,7 @@ use super::{Failure, Report, adapter::AdapterFlag, files, picture, wiring};
 /// Arguments of `tcgs eval`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The compressed file
+    /// A .tcgs file, or the .safetensors or .ply of a baseline
     file: PathBuf,
 
     /// The dataset that it was trained on
@@ -54,8 +54,8 @@ struct Seconds {
 pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     let bytes = files::read(&args.file)?;
     let in_file = |problem: tcgs::domain::Problem| problem.in_file(args.file.display().to_string());
-    let byte_counts = wiring::inspect(&bytes).map_err(in_file)?.bytes;
-    let (decoded, decode_seconds) = timed(|| wiring::decode(&bytes).map_err(in_file))?;
+    let (decoded, decode_seconds) = timed(|| wiring::read(&bytes).map_err(in_file))?;
+    let byte_counts = decoded.byte_counts.clone();
     let (dataset, ingest_seconds) = timed(|| wiring::load_dataset(&args.dataset))?;
 
     let same_dataset = decoded.dataset.map(|digest| digest == dataset.digest);
@@ -66,7 +66,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
             args.dataset.display()
         );
     }
-    let (anchors, gaussians) = (decoded.scene.len(), decoded.scene.gaussians());
+    let (anchors, gaussians) = (decoded.scene.anchors(), decoded.scene.gaussians());
     let (background, decode_sha256) = (decoded.background, decoded.decode_sha256);
     let renderer = wiring::Renderer::open(decoded, &args.adapter.adapter)?;
     let (pairs, render_seconds) = timed(|| {

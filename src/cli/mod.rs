@@ -19,7 +19,6 @@ mod progress;
 mod render;
 mod report;
 mod sample;
-mod scene_file;
 mod serve;
 mod train;
 mod wiring;

@@ -24,7 +24,7 @@ pub(crate) struct Args {
     /// Folder or zip: Blender, nerfstudio or COLMAP layout
     dataset: PathBuf,
 
-    /// The file to write
+    /// The file to write: .tcgs; for the models scaffold .safetensors, 3dgs .ply
     #[arg(short, long, value_name = "OUT.tcgs")]
     output: PathBuf,
 
@@ -67,8 +67,8 @@ struct Options {
     #[arg(long, value_parser = choice!(Background), default_value_t = Background::Black)]
     background: Background,
 
-    /// What is trained
-    #[arg(long, value_parser = choice!(ModelKind), default_value_t = ModelKind::Tcgs, hide = true)]
+    /// What is trained: tcgs, or one of the baselines that it is measured against
+    #[arg(long, value_parser = choice!(ModelKind), default_value_t = ModelKind::Tcgs)]
     model: ModelKind,
 
     /// Parts of the method to leave out

@@ -201,7 +201,7 @@ impl TrainOptions {
                 format!("{iterations} is outside 1..={MAX_ITERATIONS}"),
             ));
         }
-        if self.model != ModelKind::Tcgs {
+        if self.model == ModelKind::Gaussians3d {
             return Err(OptionError::new(
                 "model",
                 format!("'{}' is not available in this version", self.model),

@@ -6,7 +6,7 @@ use super::{
     DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError, RenderViews, views::Viewable,
 };
 use crate::{
-    domain::{AnchorScene, Background, Camera, Digest, Image, Problem},
+    domain::{AnchorScene, Background, Camera, Digest, Image, Problem, Scene},
     gpu::{AdapterChoice, Context, GpuError},
     model::{AnchorRows, NetworkLayout, Shape},
 };
@@ -25,10 +25,27 @@ pub struct SceneRenderer {
 }
 
 impl SceneRenderer {
-    /// Uploads a scene.
+    /// Uploads a scene of either kind.
     ///
     /// # Errors
     /// [`RenderError::Scene`] for widths or networks that this renderer does not know; faults of the device.
+    pub fn of_scene(
+        context: &Arc<Context>,
+        scene: &Scene,
+        background: Background,
+    ) -> Result<Self, RenderError> {
+        match scene {
+            Scene::Anchors(scene) => Self::new(context, scene, background),
+            Scene::Gaussians(_) => {
+                Err(RenderError::Scene("this version does not show plain Gaussians".to_owned()))
+            }
+        }
+    }
+
+    /// Uploads a scene of anchors.
+    ///
+    /// # Errors
+    /// As [`SceneRenderer::of_scene`].
     pub fn new(
         context: &Arc<Context>,
         scene: &AnchorScene,
@@ -173,7 +190,7 @@ impl ViewerState {
             Some(index) => self.kept.remove(index),
             None => {
                 let viewable = load()?;
-                (artifact, SceneRenderer::new(&self.context, &viewable.scene, viewable.background)?)
+                (artifact, SceneRenderer::of_scene(&self.context, &viewable.scene, viewable.background)?)
             }
         };
         let image = renderer.render(camera)?;

@@ -12,13 +12,14 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("ingest", &["domain"]),
     ("gpu", &["domain"]),
     ("codec", &["domain"]),
+    ("export", &["domain"]),
     ("store", &["domain"]),
     ("sample", &["domain"]),
     ("model", &["domain", "gpu"]),
     ("render", &["domain", "gpu", "model"]),
     ("eval", &["domain", "gpu", "model", "render"]),
     ("train", &["domain", "gpu", "model", "render", "eval"]),
-    ("worker", &["domain", "ingest", "gpu", "codec", "store", "model", "render", "eval", "train"]),
+    ("worker", &["domain", "ingest", "gpu", "codec", "export", "store", "model", "render", "eval", "train"]),
     ("http", &["domain", "codec", "store", "render"]),
 ];
 

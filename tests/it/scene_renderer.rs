@@ -4,7 +4,7 @@ use std::{cell::Cell, sync::Arc};
 
 use glam::DVec3;
 use tcgs::{
-    domain::{AnchorScene, Background, Digest, Lattice},
+    domain::{AnchorScene, Background, Digest, Lattice, Scene},
     gpu::AdapterChoice,
     model::{AnchorRows, NetworkLayout, Shape},
     render::{
@@ -102,7 +102,7 @@ fn the_viewer_loads_a_scene_once_forgets_the_oldest_and_survives_a_lost_device()
     let view = |name: &[u8]| {
         let load = || {
             loads.set(loads.get() + 1);
-            Ok(Viewable { scene: finished.clone(), background: Background::Black })
+            Ok(Viewable { scene: Scene::Anchors(finished.clone()), background: Background::Black })
         };
         viewer.render(Digest::of(name), &load, &camera).expect("a view")
     };
