@@ -1,6 +1,8 @@
-//! Scenes in open formats of floats: anchors with their networks as safetensors. Depends on `domain` alone.
+//! Scenes in open formats of floats: anchors with their networks as safetensors, plain Gaussians as the field's `.ply`.
 //!
-//! What is written is read back bit for bit; bytes are never trusted, and whatever does not belong to a scene is refused
-//! by name.
+//! What is written is read back bit for bit; bytes are never trusted, and what is no scene is refused with its fault.
 
 pub mod anchors;
+mod ply;
+
+pub use ply::{PlyError, from_ply, ply_bytes, to_ply};

@@ -46,6 +46,12 @@ impl<T: bytemuck::Pod> Buffer<T> {
         self.len == 0
     }
 
+    /// The same buffer, of which only the first `len` elements count; all of them if there are fewer.
+    #[must_use]
+    pub fn first(&self, len: usize) -> Self {
+        Self { inner: Arc::clone(&self.inner), len: len.min(self.len), kind: PhantomData }
+    }
+
     pub(super) fn raw(&self) -> &wgpu::Buffer {
         &self.inner.inner
     }

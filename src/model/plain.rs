@@ -7,6 +7,7 @@
 use rand::{Rng, RngExt};
 
 use super::{InitError, lattice::neighbour_distances};
+use crate::domain::{GaussianScene, gaussians::SH_COEFFICIENTS};
 
 /// Base values of a Gaussian.
 pub const BASE: usize = 14;
@@ -106,14 +107,61 @@ impl GaussianRows {
         }
     }
 
+    /// The finished scene, with the first `degree` bands.
+    #[must_use]
+    pub fn to_scene(&self, degree: usize) -> GaussianScene {
+        let mut scene = GaussianScene { degree: degree.min(BANDS.len()) as u8, ..GaussianScene::default() };
+        for index in 0..self.len() {
+            let row = self.base(index);
+            scene.means.push(three(row, 0));
+            scene.log_scales.push(three(row, LOG_SCALE));
+            scene.quats.push(std::array::from_fn(|k| row[QUAT + k]));
+            scene.opacity_logits.push(row[OPACITY]);
+            let mut sh = [[0.0; 3]; SH_COEFFICIENTS];
+            sh[0] = three(row, COLOR);
+            let coefficients = self.coefficients(index);
+            for (k, to) in sh.iter_mut().skip(1).take(band_values(degree) / 3).enumerate() {
+                *to = three(&coefficients, 3 * k);
+            }
+            scene.sh.push(sh);
+        }
+        scene
+    }
+
+    /// The rows of a scene that [`GaussianScene::check`] finds sound.
+    #[must_use]
+    pub fn from_scene(scene: &GaussianScene) -> Self {
+        let mut rows = Self::zero(scene.len());
+        for index in 0..scene.len() {
+            let row = rows.base_mut(index);
+            row[..LOG_SCALE].copy_from_slice(&scene.means[index]);
+            row[LOG_SCALE..QUAT].copy_from_slice(&scene.log_scales[index]);
+            row[QUAT..OPACITY].copy_from_slice(&scene.quats[index]);
+            row[OPACITY] = scene.opacity_logits[index];
+            row[COLOR..].copy_from_slice(&scene.sh[index][0]);
+            let mut coefficients = scene.sh[index][1..].as_flattened();
+            for (band, width) in rows.bands.iter_mut().zip(BANDS) {
+                let (own, rest) = coefficients.split_at(width);
+                band[index * width..(index + 1) * width].copy_from_slice(own);
+                coefficients = rest;
+            }
+        }
+        rows
+    }
+
     /// Each block with the width of its rows.
     fn blocks(&mut self) -> impl Iterator<Item = (&mut Vec<f32>, usize)> {
         std::iter::once((&mut self.base, BASE)).chain(self.bands.iter_mut().zip(BANDS))
     }
 }
 
+fn three(values: &[f32], first: usize) -> [f32; 3] {
+    std::array::from_fn(|k| values[first + k])
+}
+
 /// Gaussians from points: isotropic, of the size of the distance to their three nearest neighbours, of opacity 0.1, in
-/// the points' sRGB colours, or in random ones where there are none. Of more than `most` points every n-th is taken.
+/// the points' sRGB colours, or grey with a trace of noise where there are none, as published. Of more than `most`
+/// points every n-th is taken.
 ///
 /// # Errors
 /// [`InitError`] for an empty or non-finite point set.
@@ -136,16 +184,16 @@ pub fn initial_gaussians(
     let distances = neighbour_distances(&positions);
     for (index, (position, distance)) in positions.iter().zip(distances).enumerate() {
         let color: [f32; 3] = if colored {
-            colors[index * every].map(|value| f32::from(value) / 255.0)
+            colors[index * every].map(|value| (f32::from(value) / 255.0 - 0.5) / SH_CONSTANT)
         } else {
-            std::array::from_fn(|_| rng.random())
+            std::array::from_fn(|_| rng.random::<f32>() / 255.0)
         };
         let row = rows.base_mut(index);
         row[..LOG_SCALE].copy_from_slice(position);
         row[LOG_SCALE..QUAT].fill(distance.max(LEAST_SPACING).ln());
         row[QUAT] = 1.0;
         row[OPACITY] = logit(FIRST_OPACITY);
-        row[COLOR..].copy_from_slice(&color.map(|value| (value - 0.5) / SH_CONSTANT));
+        row[COLOR..].copy_from_slice(&color);
     }
     Ok(rows)
 }
@@ -192,12 +240,12 @@ mod tests {
     }
 
     #[test]
-    fn colours_are_random_where_the_points_have_none_and_too_many_points_are_thinned() {
+    fn points_without_colours_begin_grey_and_too_many_points_are_thinned() {
         let rows = begin(&grid(), &[], 300).expect("rows");
         assert_eq!(rows.len(), 250, "every fourth of a thousand");
         let reds: Vec<f32> = (0..250).map(|i| rows.base(i)[COLOR] * SH_CONSTANT + 0.5).collect();
-        assert!(reds.iter().all(|red| (0.0..1.0).contains(red)));
-        assert!(reds.iter().any(|red| *red < 0.1) && reds.iter().any(|red| *red > 0.9));
+        assert!(reds.iter().all(|red| (0.5..0.502).contains(red)));
+        assert!(reds.windows(2).any(|pair| pair[0] != pair[1]), "no two alike for good");
         assert_eq!(rows.base(1)[..3], grid()[4]);
     }
 
@@ -229,5 +277,22 @@ mod tests {
             assert!(rows.coefficients(index).iter().all(|v| *v == value), "row {index}");
         }
         assert_eq!([0, 1, 2, 3].map(band_values), [0, 9, 24, 45]);
+    }
+
+    #[test]
+    fn rows_become_a_scene_and_a_scene_rows() {
+        let mut rows = GaussianRows::zero(2);
+        let blocks = std::iter::once(&mut rows.base).chain(&mut rows.bands);
+        for (at, value) in blocks.flatten().enumerate() {
+            *value = at as f32;
+        }
+        let scene = rows.to_scene(3);
+        scene.check().expect("a sound scene");
+        assert_eq!(GaussianRows::from_scene(&scene), rows);
+        assert_eq!(scene.means[1], [14.0, 15.0, 16.0]);
+        // The second Gaussian's coefficients: its constant one, the first of band one, the last of band three.
+        assert_eq!([0, 1, 15].map(|k| scene.sh[1][k][0]), [25.0, 37.0, 115.0]);
+        let flat = rows.to_scene(1);
+        assert_eq!((flat.degree, flat.sh[1][3], flat.sh[1][4]), (1, scene.sh[1][3], [0.0; 3]));
     }
 }

@@ -2,12 +2,7 @@
 
 use thiserror::Error;
 
-use crate::{
-    domain::{ModelKind, Problem},
-    gpu::GpuError,
-    model::InitError,
-    render::RenderError,
-};
+use crate::{domain::Problem, gpu::GpuError, model::InitError, render::RenderError};
 
 /// Why training ended without a scene.
 #[derive(Debug, Error)]
@@ -18,10 +13,8 @@ pub enum TrainError {
     /// The points cannot begin a scene.
     #[error("the point cloud: {0}")]
     Points(#[from] InitError),
-    /// Every anchor was pruned: the photographs and poses do not agree on anything.
-    #[error(
-        "every anchor was pruned at step {step}; the poses and the photographs do not describe one scene"
-    )]
+    /// Every anchor or Gaussian was pruned: the photographs and poses do not agree on anything.
+    #[error("everything was pruned at step {step}; the poses and the photographs do not describe one scene")]
     NothingLeft {
         /// When.
         step: u32,
@@ -32,9 +25,6 @@ pub enum TrainError {
         /// When.
         step: u32,
     },
-    /// The model is known but not built yet.
-    #[error("model '{0}' is not available in this version")]
-    NotInThisVersion(ModelKind),
     /// Somebody asked for a stop.
     #[error("cancelled")]
     Cancelled,

@@ -9,6 +9,7 @@ mod densify;
 mod error;
 mod learner;
 mod loss;
+mod plain;
 mod schedule;
 mod start_box;
 mod statistics;

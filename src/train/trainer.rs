@@ -10,6 +10,7 @@ use super::{
     anchors::AnchorLearner,
     learner::{Learner, Step},
     loss::pack,
+    plain::{PlainLearner, PlainSchedule},
     start_box::start_box,
 };
 use crate::{
@@ -103,11 +104,11 @@ impl<'a> Run<'a> {
         let schedule = Schedule::new(options);
         let steps = schedule.steps;
         let mut rng = Pcg64::seed_from_u64(options.seed);
-        let points = match &dataset.points {
-            Some(cloud) if !cloud.positions.is_empty() => cloud.positions.clone(),
+        let (points, colors) = match &dataset.points {
+            Some(cloud) if !cloud.positions.is_empty() => (cloud.positions.clone(), &cloud.colors[..]),
             _ => {
                 let (low, high) = start_box(dataset.layout, &frames);
-                random_points(&mut rng, schedule.random_points, low, high)
+                (random_points(&mut rng, schedule.random_points, low, high), &[][..])
             }
         };
         let extent = camera_extent(&frames);
@@ -115,7 +116,10 @@ impl<'a> Run<'a> {
             ModelKind::Tcgs | ModelKind::Scaffold => {
                 Box::new(AnchorLearner::begin(context, schedule, &points, extent, &mut rng)?)
             }
-            ModelKind::Gaussians3d => return Err(TrainError::NotInThisVersion(options.model)),
+            ModelKind::Gaussians3d => {
+                let schedule = PlainSchedule::new(options, steps);
+                Box::new(PlainLearner::begin(context, schedule, &points, colors, extent, &mut rng)?)
+            }
         };
         let now = Instant::now();
         Ok(Self {

@@ -11,6 +11,7 @@ mod ingest;
 mod layers;
 mod loss;
 mod neural;
+mod plain;
 mod primitives;
 mod queue;
 mod raster_device;
