@@ -1,12 +1,14 @@
-//! Image quality: PSNR and SSIM from 8-bit images, per view and as means over views.
+//! Image quality: PSNR, SSIM and LPIPS from 8-bit images, per view and as means over views.
 //!
 //! Conventions are those of the field's final metrics (method.md §1.1): both images are 8-bit, PSNR pools the squared
-//! error over the three channels, means are over views.
+//! error over the three channels, means are over views. [`crate::domain::Conventions`] says so beside the figures.
 
+mod lpips;
 mod measure;
 mod quality;
 mod scores;
 
-pub use measure::measure_views;
+pub use lpips::{Lpips, LpipsError};
+pub use measure::{measure_views, measure_views_with};
 pub use quality::{psnr, ssim};
-pub use scores::{ViewScore, mean_scores};
+pub use scores::{mean_scores, mean_scores_with, score_view};

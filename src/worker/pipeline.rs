@@ -17,10 +17,10 @@ use super::{
 use crate::{
     codec::{self, EncodeSettings, Provenance},
     domain::{
-        AnchorScene, CancelFlag, Dataset, Frame, JobMetrics, ModelKind, NamedCamera, Phase, PhaseSeconds,
-        Problem, Progress, Scene, Scores, Split, TrainOptions,
+        AnchorScene, CancelFlag, Conventions, Dataset, Frame, JobMetrics, ModelKind, NamedCamera, Phase,
+        PhaseSeconds, Problem, Progress, Scene, Scores, Split, TrainOptions,
     },
-    eval::{ViewScore, mean_scores, measure_views},
+    eval::{Lpips, mean_scores_with, measure_views_with},
     gpu::{AdapterChoice, Context, GpuError},
     ingest,
     render::{RenderError, SceneRenderer},
@@ -34,6 +34,7 @@ const TRAIN_VIEWS_MEASURED: usize = 16;
 #[derive(Debug)]
 pub struct Pipeline {
     choice: AdapterChoice,
+    lpips: Option<Lpips>,
     context: Mutex<Option<Arc<Context>>>,
 }
 
@@ -41,7 +42,13 @@ impl Pipeline {
     /// A pipeline on the adapter of choice.
     #[must_use]
     pub fn new(choice: AdapterChoice) -> Self {
-        Self { choice, context: Mutex::new(None) }
+        Self { choice, lpips: None, context: Mutex::new(None) }
+    }
+
+    /// The same, which also measures LPIPS if there are weights for it.
+    #[must_use]
+    pub fn with_lpips(self, lpips: Option<Lpips>) -> Self {
+        Self { lpips, ..self }
     }
 
     fn context(&self) -> Result<Arc<Context>, GpuError> {
@@ -94,7 +101,8 @@ impl RunJob for Pipeline {
         seconds.train = trained.seconds;
         // What training told of the time left says nothing about what follows it.
         progress.eta_seconds = None;
-        let mut job = Job { context, dataset: &dataset, options, cancel, seconds };
+        let lpips = self.lpips.as_ref();
+        let mut job = Job { context, dataset: &dataset, options, cancel, lpips, seconds };
         tell(Phase::Encode, &mut progress);
         let (bytes, file) = job.write(&trained.scene, &mut || tell(Phase::Encode, &mut progress))?;
         tell(Phase::Evaluate, &mut progress);
@@ -115,6 +123,7 @@ struct Job<'a> {
     dataset: &'a Dataset,
     options: &'a TrainOptions,
     cancel: &'a CancelFlag,
+    lpips: Option<&'a Lpips>,
     seconds: PhaseSeconds,
 }
 
@@ -178,37 +187,48 @@ impl Job<'_> {
     ) -> Result<JobMetrics, JobFailure> {
         let held_out: Vec<&Frame> = self.dataset.split(Split::Test).collect();
         let seen = spread(self.dataset.split(Split::Train).collect(), TRAIN_VIEWS_MEASURED);
-        let test = self.score(&file.scene, &held_out, alive)?;
-        let before =
-            if *trained == file.scene { test.clone() } else { self.score(trained, &held_out, alive)? };
+        let test = self.score(&file.scene, &held_out, self.lpips, alive)?;
+        let before = if *trained == file.scene {
+            test.psnr
+        } else {
+            self.score(trained, &held_out, None, alive)?.psnr
+        };
         Ok(JobMetrics {
             test,
-            train: self.score(&file.scene, &seen, alive)?,
+            train: self.score(&file.scene, &seen, self.lpips, alive)?,
             bytes: file.byte_counts.clone(),
             seconds: self.seconds.clone(),
             steps: u64::from(steps),
             steps_per_second: f64::from(steps) / self.seconds.train.max(1e-9),
             anchors: file.scene.anchors() as u64,
             gaussians: file.scene.gaussians() as u64,
-            psnr_before_quantisation: before.psnr,
+            psnr_before_quantisation: before,
             decode_sha256: file.decode_sha256,
             adapter: self.context.adapter_line(),
             background: self.options.background,
+            conventions: Conventions::new(self.lpips.map(Lpips::network)),
         })
     }
 
-    fn score(&self, scene: &Scene, frames: &[&Frame], alive: &mut dyn FnMut()) -> Result<Scores, JobFailure> {
+    fn score(
+        &self,
+        scene: &Scene,
+        frames: &[&Frame],
+        lpips: Option<&Lpips>,
+        alive: &mut dyn FnMut(),
+    ) -> Result<Scores, JobFailure> {
         let mut renderer =
             SceneRenderer::of_scene(&self.context, scene, self.options.background).map_err(from_render)?;
-        let mut views: Vec<ViewScore> = Vec::with_capacity(frames.len());
+        let mut views = Vec::with_capacity(frames.len());
         for frame in frames {
             stop_if(self.cancel)?;
             alive();
             views.extend(
-                measure_views(&mut renderer, &[*frame], self.options.background).map_err(from_render)?,
+                measure_views_with(&mut renderer, &[*frame], self.options.background, lpips)
+                    .map_err(from_render)?,
             );
         }
-        Ok(mean_scores(&views))
+        Ok(mean_scores_with(&views, lpips.map(Lpips::network)))
     }
 }
 

@@ -37,6 +37,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("zip", &["ingest", "sample"]),
     ("constriction", &["codec"]),
     ("kiddo", &["model", "codec"]),
+    ("ndarray", &["eval"]),
     ("clap", &["cli", "main"]),
     ("indicatif", &["cli"]),
 ];

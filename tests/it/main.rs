@@ -10,6 +10,7 @@ mod http;
 mod ingest;
 mod layers;
 mod loss;
+mod lpips;
 mod neural;
 mod plain;
 mod primitives;
