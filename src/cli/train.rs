@@ -74,8 +74,8 @@ struct Options {
     #[arg(long, value_parser = choice!(ModelKind), default_value_t = ModelKind::Tcgs)]
     model: ModelKind,
 
-    /// Parts of the method to leave out
-    #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',', hide = true)]
+    /// Parts of the method to leave out; this version knows how to leave out `wavelet`
+    #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',')]
     without: Vec<Component>,
 
     /// Weight of the rate term

@@ -8,6 +8,9 @@ use thiserror::Error;
 /// Largest number of steps that a job may ask for.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
 
+/// Parts that this version has and can leave out.
+const SWITCHES: &[Component] = &[Component::Wavelet];
+
 /// An option value that is not understood or not possible.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("{option}: {fault}")]
@@ -188,6 +191,12 @@ impl TrainOptions {
         Ok(())
     }
 
+    /// Whether a part of the method takes part: the baselines have none of them.
+    #[must_use]
+    pub fn has(&self, part: Component) -> bool {
+        self.model == ModelKind::Tcgs && !self.without.contains(&part)
+    }
+
     /// Checks that the options can be carried out by this version.
     ///
     /// # Errors
@@ -207,7 +216,7 @@ impl TrainOptions {
                 format!("'{}' is not available in this version", self.model),
             ));
         }
-        if let Some(part) = self.without.first() {
+        if let Some(part) = self.without.iter().find(|part| !SWITCHES.contains(part)) {
             return Err(OptionError::new(
                 "without",
                 format!("'{part}' is not part of this version, so it cannot be switched off"),
@@ -243,6 +252,19 @@ mod tests {
         assert_eq!(fault.to_string(), "preset: 'fast' is not one of preview, standard, paper");
         assert!(options.set("seed", "-1").is_err());
         assert!(options.set("colour", "red").is_err());
+    }
+
+    #[test]
+    fn a_part_is_on_in_the_method_and_off_in_the_baselines_and_where_it_is_left_out() {
+        let mut options = TrainOptions::default();
+        assert!(options.has(Component::Wavelet));
+        options.set("without", "wavelet").expect("a part");
+        let options = options.validated().expect("this version has it");
+        assert!(!options.has(Component::Wavelet) && options.has(Component::Masks));
+        for model in [ModelKind::Scaffold, ModelKind::Gaussians3d] {
+            let baseline = TrainOptions { model, ..TrainOptions::default() };
+            assert!(!baseline.has(Component::Wavelet));
+        }
     }
 
     #[test]

@@ -16,6 +16,7 @@ mod statistics;
 mod trainer;
 pub mod twin;
 mod unused;
+mod wavelet;
 
 pub use adam::{Adam, Moments};
 pub use densify::{Densify, densify};
@@ -24,3 +25,4 @@ pub use loss::{ImageLoss, LossSums};
 pub use schedule::{Decay, Schedule};
 pub use statistics::Statistics;
 pub use trainer::{Trained, train};
+pub use wavelet::WaveletWeights;

@@ -6,7 +6,7 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    ImageLoss, LossSums, Schedule, TrainError,
+    ImageLoss, LossSums, Schedule, TrainError, WaveletWeights,
     anchors::AnchorLearner,
     learner::{Learner, Step},
     loss::pack,
@@ -14,7 +14,9 @@ use super::{
     start_box::start_box,
 };
 use crate::{
-    domain::{Background, CancelFlag, Dataset, Frame, ModelKind, Progress, Scene, Split, TrainOptions},
+    domain::{
+        Background, CancelFlag, Component, Dataset, Frame, ModelKind, Progress, Scene, Split, TrainOptions,
+    },
     gpu::Context,
     model::random_points,
     render::{RasterSettings, Rasterizer},
@@ -80,6 +82,7 @@ struct Run<'a> {
     learner: Box<dyn Learner>,
     raster: Rasterizer,
     loss: ImageLoss,
+    wavelet: bool,
     began: Instant,
     recent: Recent,
 }
@@ -130,6 +133,7 @@ impl<'a> Run<'a> {
             learner,
             raster: Rasterizer::new(Arc::clone(context), RasterSettings::default())?,
             loss: ImageLoss::new(Arc::clone(context))?,
+            wavelet: options.has(Component::Wavelet),
             began: now,
             recent: Recent { since: now, step: 0, average: None },
             context: Arc::clone(context),
@@ -166,7 +170,9 @@ impl<'a> Run<'a> {
         let photograph = pack(self.frames[index].image.over(self.background.rgb8()).samples());
         let mut recorder = context.recorder("backward");
         let size = [camera.intrinsics.width, camera.intrinsics.height];
-        let v_image = self.loss.record(&mut recorder, size, self.raster.image(), &photograph)?;
+        let wavelet = self.wavelet.then(|| WaveletWeights::at(step.fraction));
+        let v_image =
+            self.loss.record(&mut recorder, size, self.raster.image(), &photograph, wavelet.as_ref())?;
         let gaussians = self.learner.gaussians().clone();
         let d_gaussians = self.learner.gaussian_gradients()?;
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
@@ -185,6 +191,7 @@ impl<'a> Run<'a> {
             ssim: blend(old.ssim, sums.ssim),
             l1: blend(old.l1, sums.l1),
             mse: blend(old.mse, sums.mse),
+            wavelet: blend(old.wavelet, sums.wavelet),
         });
         self.recent.average = Some(average);
         let elapsed = self.began.elapsed().as_secs_f64();

@@ -22,4 +22,5 @@ mod sample;
 mod scene_renderer;
 mod support;
 mod train;
+mod wavelet;
 mod worker;

@@ -5,8 +5,8 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{
-        AnchorScene, Camera, CancelFlag, Dataset, Digest, Frame, Image, Intrinsics, Layout, PointCloud, Pose,
-        Progress, Scene, Split, TrainOptions,
+        AnchorScene, Camera, CancelFlag, Component, Dataset, Digest, Frame, Image, Intrinsics, Layout,
+        PointCloud, Pose, Progress, Scene, Split, TrainOptions,
     },
     eval::{mean_scores, measure_views},
     render::{
@@ -120,6 +120,20 @@ fn training_learns_the_views_that_it_sees_and_one_that_it_does_not() {
     let loss = |report: &Progress| report.loss.expect("a loss");
     assert!(loss(&reports[11]) < 0.7 * loss(&reports[0]), "{} {}", loss(&reports[0]), loss(&reports[11]));
     assert!(reports.iter().all(|report| report.total == 120 && report.anchors > 0 && report.gaussians > 0));
+}
+
+#[test]
+fn the_wavelet_constraint_counts_unless_it_is_left_out() {
+    let dataset = dataset();
+    let with = options(1, 0);
+    let without = TrainOptions { without: [Component::Wavelet].into(), ..with.clone() };
+    let [with, without] = [with, without].map(|options| run(&dataset, &options));
+    let figures =
+        |(_, reports): &(Trained, Vec<Progress>)| (reports[0].psnr, reports[0].loss.expect("a loss"));
+    // One render, compared in two ways.
+    assert_eq!(figures(&with).0, figures(&without).0);
+    assert!(figures(&with).1 > figures(&without).1);
+    assert!(with.0.scene != without.0.scene);
 }
 
 #[test]

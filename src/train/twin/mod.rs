@@ -2,9 +2,11 @@
 
 mod adam;
 mod loss;
+mod wavelet;
 
 pub use adam::{AdamElement, adam};
 pub use loss::{
     Losses, Moments, SsimGradient, image_gradient, image_loss, ssim_columns, ssim_gradient_rows, ssim_rows,
     sum_losses,
 };
+pub use wavelet::wavelet;
