@@ -21,6 +21,7 @@ mod render;
 mod report;
 mod sample;
 mod serve;
+mod suite;
 mod train;
 mod wiring;
 mod worker;

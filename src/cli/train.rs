@@ -4,7 +4,10 @@ use std::{path::PathBuf, thread};
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use tcgs::{
-    domain::{Background, CancelFlag, Component, JobMetrics, ModelKind, Phase, Preset, TrainOptions},
+    domain::{
+        Background, CancelFlag, Component, JobMetrics, ModelKind, OptionError, Phase, Preset, TrainOptions,
+        Voxel,
+    },
     worker::run::JobFailure,
 };
 
@@ -17,6 +20,7 @@ macro_rules! choice {
             .try_map(|text| text.parse::<$name>())
     };
 }
+pub(super) use choice;
 
 /// Arguments of `tcgs train`.
 #[derive(Debug, clap::Args)]
@@ -74,6 +78,11 @@ struct Options {
     #[arg(long, value_parser = choice!(ModelKind), default_value_t = ModelKind::Tcgs)]
     model: ModelKind,
 
+    /// Edge of a cell of the anchors' lattice: auto (by the points' spacing), published (by the published rule), or world
+    /// units
+    #[arg(long, value_name = "V", value_parser = voxel, default_value_t = Voxel::Auto, allow_negative_numbers = true)]
+    voxel: Voxel,
+
     /// Parts of the method to leave out; this version knows how to leave out `wavelet`
     #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',')]
     without: Vec<Component>,
@@ -87,6 +96,11 @@ struct Options {
     max_bytes: Option<u64>,
 }
 
+/// Reads what `--voxel` takes.
+pub(super) fn voxel(text: &str) -> Result<Voxel, String> {
+    text.parse().map_err(|fault: OptionError| fault.fault)
+}
+
 impl Options {
     fn train_options(&self) -> Result<TrainOptions, Failure> {
         let options = TrainOptions {
@@ -95,6 +109,7 @@ impl Options {
             seed: self.seed,
             background: self.background,
             model: self.model,
+            voxel: self.voxel,
             without: self.without.iter().copied().collect(),
             lambda: self.lambda,
             max_bytes: self.max_bytes,
@@ -143,7 +158,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
 }
 
 /// The first interrupt asks the run to stop; the second, which finds the signal's old meaning gone, ends the process.
-fn cancel_on_interrupt(cancel: CancelFlag) {
+pub(super) fn cancel_on_interrupt(cancel: CancelFlag) {
     let watch = move || {
         let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_io().build() else { return };
         if runtime.block_on(tokio::signal::ctrl_c()).is_err() {

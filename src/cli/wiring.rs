@@ -9,8 +9,8 @@ use std::{path::Path, sync::Arc};
 
 use tcgs::{
     codec::{self, EncodeError, EncodeSettings, Encoded},
-    domain::{AnchorScene, Camera, Dataset, Digest, Image, Problem, Scene, Scores},
-    eval::{Lpips, mean_scores_with, score_view},
+    domain::{AnchorScene, Background, Camera, Dataset, Digest, Image, Problem, Scene, Scores, Split},
+    eval::{Lpips, band_errors, mean_scores_with, score_view},
     export::anchors,
     gpu::AdapterChoice,
     ingest,
@@ -47,6 +47,25 @@ pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
         None => problem.in_file(path.display().to_string()),
         Some(_) => problem,
     })
+}
+
+/// Checks a dataset without reading its pixels.
+pub(crate) fn check_dataset(path: &Path) -> Result<(), Problem> {
+    ingest::check(path).map(drop)
+}
+
+/// The mean over held-out views of the error in the high wavelet bands, or none without such views.
+pub(crate) fn high_band_error(
+    renderer: &Renderer,
+    dataset: &Dataset,
+    background: Background,
+) -> Result<Option<f64>, Problem> {
+    let mut errors = Vec::new();
+    for frame in dataset.split(Split::Test) {
+        let photograph = frame.image.over(background.rgb8());
+        errors.extend(band_errors(&renderer.view(&frame.camera)?, &photograph).map(|error| error.high));
+    }
+    Ok((!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64))
 }
 
 /// Encodes a scene.

@@ -30,7 +30,7 @@ pub use gaussians::{GaussianScene, Scene};
 pub use image::{Image, ImageError};
 pub use job::{Event, EventKind, Job, JobId, JobState};
 pub use metrics::{ByteCounts, JobMetrics, PhaseSeconds, Scores, ViewScore};
-pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOptions};
+pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOptions, Voxel};
 pub use problem::Problem;
 pub use progress::{CancelFlag, Phase, Progress};
 pub use scene::{Dataset, Frame, Layout, NamedCamera, PointCloud, Split};

@@ -4,5 +4,7 @@
 
 pub mod anchors;
 mod ply;
+mod ply_note;
 
 pub use ply::{PlyError, from_ply, ply_bytes, to_ply};
+pub use ply_note::PlyNote;

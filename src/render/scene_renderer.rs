@@ -3,12 +3,14 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::{
-    DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError, RenderViews, views::Viewable,
+    DeviceAnchors, Gaussians, NeuralGaussians, RasterSettings, Rasterizer, RenderError, RenderViews,
+    plain::{DeviceRows, PlainGaussians},
+    views::Viewable,
 };
 use crate::{
-    domain::{AnchorScene, Background, Camera, Digest, Image, Problem, Scene},
-    gpu::{AdapterChoice, Context, GpuError},
-    model::{AnchorRows, NetworkLayout, Shape},
+    domain::{AnchorScene, Background, Camera, Digest, GaussianScene, Image, Problem, Scene},
+    gpu::{AdapterChoice, Context, GpuError, Recorder},
+    model::{AnchorRows, GaussianRows, NetworkLayout, Shape},
 };
 
 /// Scenes that a [`SceneViewer`] keeps on the device.
@@ -18,10 +20,32 @@ const SCENES_KEPT: usize = 4;
 #[derive(Debug)]
 pub struct SceneRenderer {
     context: Arc<Context>,
-    anchors: DeviceAnchors,
-    neural: NeuralGaussians,
+    source: Source,
     raster: Rasterizer,
     background: Background,
+}
+
+/// What a view's Gaussians are made from.
+#[derive(Debug)]
+enum Source {
+    Anchors { anchors: DeviceAnchors, neural: Box<NeuralGaussians> },
+    Gaussians { rows: DeviceRows, plain: Box<PlainGaussians> },
+}
+
+impl Source {
+    /// Records the making of the Gaussians that `camera` sees.
+    fn forward(&mut self, recorder: &mut Recorder<'_>, camera: &Camera) -> Result<&Gaussians, RenderError> {
+        match self {
+            Source::Anchors { anchors, neural } => {
+                neural.forward(recorder, anchors, camera, 0.0)?;
+                Ok(neural.gaussians())
+            }
+            Source::Gaussians { rows, plain } => {
+                plain.forward(recorder, rows, camera)?;
+                Ok(plain.gaussians())
+            }
+        }
+    }
 }
 
 impl SceneRenderer {
@@ -36,9 +60,7 @@ impl SceneRenderer {
     ) -> Result<Self, RenderError> {
         match scene {
             Scene::Anchors(scene) => Self::new(context, scene, background),
-            Scene::Gaussians(_) => {
-                Err(RenderError::Scene("this version does not show plain Gaussians".to_owned()))
-            }
+            Scene::Gaussians(scene) => Self::of_gaussians(context, scene, background),
         }
     }
 
@@ -52,14 +74,30 @@ impl SceneRenderer {
         background: Background,
     ) -> Result<Self, RenderError> {
         let anchors = upload(context, scene)?;
-        let settings = RasterSettings::default();
-        Ok(Self {
-            neural: NeuralGaussians::new(Arc::clone(context), anchors.shape, settings.near)?,
-            raster: Rasterizer::new(Arc::clone(context), settings)?,
-            anchors,
-            background,
-            context: Arc::clone(context),
-        })
+        let near = RasterSettings::default().near;
+        let neural = Box::new(NeuralGaussians::new(Arc::clone(context), anchors.shape, near)?);
+        Self::of_source(context, Source::Anchors { anchors, neural }, background)
+    }
+
+    fn of_gaussians(
+        context: &Arc<Context>,
+        scene: &GaussianScene,
+        background: Background,
+    ) -> Result<Self, RenderError> {
+        scene.check().map_err(|fault| RenderError::Scene(fault.to_string()))?;
+        let mut plain = PlainGaussians::new(Arc::clone(context), RasterSettings::default().near)?;
+        plain.set_degree(u32::from(scene.degree))?;
+        let rows = DeviceRows::upload(context, &GaussianRows::from_scene(scene))?;
+        Self::of_source(context, Source::Gaussians { rows, plain: Box::new(plain) }, background)
+    }
+
+    fn of_source(
+        context: &Arc<Context>,
+        source: Source,
+        background: Background,
+    ) -> Result<Self, RenderError> {
+        let raster = Rasterizer::new(Arc::clone(context), RasterSettings::default())?;
+        Ok(Self { source, raster, background, context: Arc::clone(context) })
     }
 
     /// Shows another scene of the same shape from now on; the buffers of rendering are kept.
@@ -67,12 +105,16 @@ impl SceneRenderer {
     /// # Errors
     /// [`RenderError::Scene`] for networks that this renderer does not know or another shape; faults of the device.
     pub fn replace(&mut self, scene: &AnchorScene) -> Result<(), RenderError> {
-        let anchors = upload(&self.context, scene)?;
-        if anchors.shape != self.anchors.shape {
-            return Err(RenderError::Scene("its widths are not those of the scene before it".to_owned()));
+        let next = upload(&self.context, scene)?;
+        match &mut self.source {
+            Source::Anchors { anchors, .. } if anchors.shape == next.shape => {
+                *anchors = next;
+                Ok(())
+            }
+            Source::Anchors { .. } | Source::Gaussians { .. } => {
+                Err(RenderError::Scene("its widths are not those of the scene before it".to_owned()))
+            }
         }
-        self.anchors = anchors;
-        Ok(())
     }
 
     /// The view from `camera`: RGB, rounded to 8 bits.
@@ -83,8 +125,8 @@ impl SceneRenderer {
         let context = Arc::clone(&self.context);
         loop {
             let mut recorder = context.recorder("view");
-            self.neural.forward(&mut recorder, &self.anchors, camera, 0.0)?;
-            self.raster.forward(&mut recorder, self.neural.gaussians(), camera, self.background.rgb())?;
+            let gaussians = self.source.forward(&mut recorder, camera)?;
+            self.raster.forward(&mut recorder, gaussians, camera, self.background.rgb())?;
             recorder.submit()?;
             let counts = self.raster.counts()?;
             if !counts.overflowed {

@@ -13,7 +13,7 @@ use super::{
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
     gpu::{Buffer, Context, Recorder},
-    model::{AnchorRows, NetworkLayout, Shape, VoxelRule, initial_rows},
+    model::{AnchorRows, NetworkLayout, Shape, initial_rows},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, RasterSettings},
 };
 
@@ -49,7 +49,7 @@ impl AnchorLearner {
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
         schedule.max_anchors = schedule.max_anchors.min(NeuralGaussians::most_anchors(context, shape));
-        let rule = VoxelRule::OfSpacing(1.0 / COARSEST_GROWTH as f32);
+        let rule = schedule.voxel.for_points(points, extent);
         // Growth needs room above what the points begin with.
         let anchors = initial_rows(points, rule, shape, schedule.max_anchors / 2)?;
         let layout = NetworkLayout::new(shape);

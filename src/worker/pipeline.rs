@@ -137,8 +137,8 @@ impl Job<'_> {
                     .map_err(JobFailure::Fail)?
             }
             (Scene::Anchors(scene), _) => self.encode(scene, alive)?,
-            (Scene::Gaussians(_), _) => {
-                return Err(JobFailure::Fail(internal("this version does not write plain Gaussians")));
+            (Scene::Gaussians(scene), _) => {
+                scene_file::write_gaussians(scene, self.options.background, Some(self.dataset.digest))
             }
         };
         self.seconds.encode = began.elapsed().as_secs_f64();

@@ -2,8 +2,8 @@
 
 use crate::{
     codec::{self, DecodeLimits},
-    domain::{AnchorScene, Background, ByteCounts, Digest, Problem, Scene, SceneFormat},
-    export::anchors,
+    domain::{AnchorScene, Background, ByteCounts, Digest, GaussianScene, Problem, Scene, SceneFormat},
+    export::{PlyNote, anchors, from_ply, to_ply},
 };
 
 /// What is in a file.
@@ -13,9 +13,10 @@ pub struct SceneFile {
     pub format: SceneFormat,
     /// The scene.
     pub scene: Scene,
-    /// The background that it was trained on.
+    /// The background that it was trained on; black for a `.ply` of another program.
     pub background: Background,
-    /// SHA-256 of the attributes: of anchors as `FORMAT.md` defines it.
+    /// SHA-256 of the attributes: of anchors as `FORMAT.md` defines it; of plain Gaussians that of their `.ply` as this
+    /// program writes it.
     pub decode_sha256: Digest,
     /// Digest of the dataset that it was trained on, if the file states it.
     pub dataset: Option<Digest>,
@@ -31,7 +32,7 @@ pub fn read(bytes: &[u8]) -> Result<SceneFile, Problem> {
     match SceneFormat::of_bytes(bytes) {
         SceneFormat::Tcgs => read_tcgs(bytes),
         SceneFormat::Safetensors => read_anchors(bytes),
-        SceneFormat::Ply => Err(undecodable("this version does not read .ply scenes")),
+        SceneFormat::Ply => read_gaussians(bytes),
     }
 }
 
@@ -47,6 +48,12 @@ pub fn write_anchors(
     anchors::write(scene, background, dataset).map_err(|fault| {
         Problem::new(500, "internal", "Internal error", format!("the scene cannot be written: {fault}"))
     })
+}
+
+/// Writes the `3dgs` baseline: the field's `.ply`, with its origin in a comment.
+#[must_use]
+pub fn write_gaussians(scene: &GaussianScene, background: Background, dataset: Option<Digest>) -> Vec<u8> {
+    PlyNote { background, dataset }.add_to(to_ply(scene))
 }
 
 fn read_tcgs(bytes: &[u8]) -> Result<SceneFile, Problem> {
@@ -73,6 +80,31 @@ fn read_anchors(bytes: &[u8]) -> Result<SceneFile, Problem> {
         dataset: file.dataset,
         scene: Scene::Anchors(file.scene),
     })
+}
+
+fn read_gaussians(bytes: &[u8]) -> Result<SceneFile, Problem> {
+    let scene = from_ply(bytes).map_err(|fault| undecodable(&fault.to_string()))?;
+    let note = PlyNote::find(bytes);
+    Ok(SceneFile {
+        format: SceneFormat::Ply,
+        decode_sha256: Digest::of(&to_ply(&scene)),
+        byte_counts: ply_counts(&scene, bytes.len() as u64),
+        background: note.map_or(Background::Black, |note| note.background),
+        dataset: note.and_then(|note| note.dataset),
+        scene: Scene::Gaussians(scene),
+    })
+}
+
+/// Where the bytes of a `.ply` go, in the groups that anchors have: means are positions, log-scales and rotations are
+/// scalings, spherical harmonics and opacities are features; the rest, with the published format's three unused normals,
+/// is the container.
+fn ply_counts(scene: &GaussianScene, total: u64) -> ByteCounts {
+    let floats = |each: u64| 4 * each * scene.len() as u64;
+    let (positions, scalings) = (floats(3), floats(3 + 4));
+    // A file of another program may leave out bands that are zero; this one writes all of them.
+    let features = floats(1 + 48).min(total.saturating_sub(positions + scalings));
+    let container = total.saturating_sub(positions + scalings + features);
+    ByteCounts { total, positions, features, scalings, container, ..ByteCounts::default() }
 }
 
 /// A file that cannot be read.

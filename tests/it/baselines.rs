@@ -87,6 +87,40 @@ fn scaffold_is_written_as_floats_and_every_command_takes_its_file() {
 }
 
 #[test]
+fn plain_gaussians_are_written_as_ply_and_every_command_takes_their_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (dataset, file) = (folder.path().join("scene"), folder.path().join("out.ply"));
+    sample::write(&dataset, &Settings { side: 32, points: 300, seed: 1 }).expect("writes");
+    let metrics = answers(line![
+        "train",
+        dataset,
+        "-o",
+        file,
+        "--model",
+        "3dgs",
+        "--iterations",
+        "90",
+        "--background",
+        "white",
+        "--json"
+    ]);
+    check_file(&file, &dataset, &metrics);
+    assert_eq!(metrics["anchors"], 0);
+    assert_eq!(metrics["background"], "white");
+    let bytes = std::fs::read(&file).expect("a file");
+    assert_eq!(SceneFormat::of_bytes(&bytes), SceneFormat::Ply);
+    let gaussians = metrics["gaussians"].as_u64().expect("a count");
+    assert_eq!(metrics["bytes"]["positions"], 12 * gaussians);
+    assert_eq!(metrics["bytes"]["features"], 4 * 49 * gaussians);
+    assert_eq!(answers(line!["eval", file, dataset, "--json"])["same_dataset"], true);
+
+    let out = folder.path().join("out.safetensors");
+    let refused = tcgs(line!["decode", file, "-o", out]);
+    assert_eq!(refused.status.code(), Some(3));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("no anchors"));
+}
+
+#[test]
 fn a_file_that_is_cut_off_is_refused_by_every_command() {
     let folder = tempfile::tempdir().expect("a folder");
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/shell_v1.tcgs");

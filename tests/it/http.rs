@@ -187,7 +187,7 @@ async fn what_is_wrong_with_a_dataset_or_an_option_is_said_before_a_job_is_made(
         ("?iterations=0", "iterations"),
         ("?iterations=many", "iterations"),
         ("?colour=red", "colour"),
-        ("?model=3dgs", "model"),
+        ("?model=nerf", "model"),
         ("?max_bytes=1000", "max_bytes"),
     ] {
         let detail = server.upload(query, "succeed").await.expect_problem(422, "invalid-option");

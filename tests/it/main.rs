@@ -20,6 +20,7 @@ mod raster_oracles;
 mod raster_twin;
 mod sample;
 mod scene_renderer;
+mod suite;
 mod support;
 mod train;
 mod wavelet;
