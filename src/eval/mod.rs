@@ -1,4 +1,4 @@
-//! Image quality: PSNR, SSIM and LPIPS from 8-bit images, per view and as means over views, and errors by wavelet band.
+//! Image quality from 8-bit images: PSNR, SSIM and LPIPS, per view and as means over views, and errors by wavelet band.
 //!
 //! Conventions are those of the field's final metrics (method.md §1.1): both images are 8-bit, PSNR pools the squared
 //! error over the three channels, means are over views. [`crate::domain::Conventions`] says so beside the figures.
