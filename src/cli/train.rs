@@ -83,7 +83,7 @@ struct Options {
     #[arg(long, value_name = "V", value_parser = voxel, default_value_t = Voxel::Auto, allow_negative_numbers = true)]
     voxel: Voxel,
 
-    /// Parts of the method to leave out; this version knows how to leave out `wavelet`
+    /// Parts of the method to leave out
     #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',')]
     without: Vec<Component>,
 

@@ -9,7 +9,7 @@ use thiserror::Error;
 pub const MAX_ITERATIONS: u32 = 1_000_000;
 
 /// Parts that this version has and can leave out.
-const SWITCHES: &[Component] = &[Component::Wavelet];
+const SWITCHES: &[Component] = &[Component::Wavelet, Component::Masks];
 
 /// An option value that is not understood or not possible.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -341,6 +341,9 @@ mod tests {
             options.set(name, value).expect("parses");
             assert_eq!(options.validated().expect_err(name).option, name);
         }
+        let mut options = TrainOptions::default();
+        options.set("without", "masks").expect("parses");
+        assert!(options.validated().is_ok());
         let zero = TrainOptions { iterations: Some(0), ..TrainOptions::default() };
         assert!(zero.validated().is_err());
     }

@@ -1,4 +1,4 @@
-//! Training: the step loop, its schedule, the image loss, Adam, growth and pruning.
+//! Training: the step loop, its schedule, the image loss, Adam, growth and pruning, offset masks.
 //!
 //! What always holds: the same dataset, options, seed and adapter give the same bits, because every random choice comes
 //! from the seed and every sum on the device has a fixed order.
@@ -9,8 +9,10 @@ mod densify;
 mod error;
 mod learner;
 mod loss;
+mod masks;
 mod plain;
 mod schedule;
+mod schedule_table;
 mod start_box;
 mod statistics;
 mod trainer;
@@ -22,7 +24,9 @@ pub use adam::{Adam, Moments};
 pub use densify::{Densify, densify};
 pub use error::TrainError;
 pub use loss::{ImageLoss, LossSums};
-pub use schedule::{Decay, Schedule};
+pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
+pub use schedule::{Decay, MaskSchedule, Schedule};
+pub use schedule_table::schedule_table;
 pub use statistics::Statistics;
 pub use trainer::{Trained, train};
 pub use wavelet::WaveletWeights;

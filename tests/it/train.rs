@@ -149,6 +149,28 @@ fn the_same_seed_gives_the_same_bits_through_a_round_of_growth_and_another_seed_
     assert!(short.scene != other.scene);
 }
 
+fn gaussians(scene: &Scene) -> usize {
+    anchors(scene).masks.iter().filter(|mask| **mask).count()
+}
+
+#[test]
+fn masks_leave_fewer_gaussians_that_show_the_same() {
+    let dataset = dataset();
+    let without = TrainOptions { without: [Component::Masks].into(), ..options(240, 0) };
+    let (plain, _) = run(&dataset, &without);
+    let (masked, reports) = run(&dataset, &options(240, 0));
+    let [all, kept] = [&plain, &masked].map(|trained| gaussians(&trained.scene));
+    assert!(kept < all, "{kept} of {all} Gaussians are kept");
+    let [before, after] = [&plain, &masked].map(|trained| psnr(&trained.scene, &dataset, Split::Train));
+    assert!(after > before - 1.0, "{before:.2} dB without masks, {after:.2} dB with them");
+    // Masks settle at seven tenths, long after the last round of growth.
+    let (learning, settled) = (&reports[15], &reports[16]);
+    assert!(settled.anchors <= learning.anchors);
+    assert!(reports[16..].iter().all(|report| report.anchors == settled.anchors));
+    let kept_by = |scene: &AnchorScene| scene.masks.chunks_exact(10).all(|kept| kept.contains(&true));
+    assert!(kept_by(anchors(&masked.scene)), "no anchor is left without an offset");
+}
+
 #[test]
 fn held_out_views_are_not_learnt_from() {
     let honest = dataset();
