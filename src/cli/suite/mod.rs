@@ -44,6 +44,7 @@ const TRIES: usize = 2;
 
 /// What a suite is made of.
 #[derive(Debug, clap::Args)]
+#[group(id = "suite_of_runs")]
 pub(crate) struct Args {
     /// Train and measure models on every dataset in this folder, instead of measuring one file
     #[arg(long, value_name = "DIR", conflicts_with_all = ["file", "save"])]
@@ -332,8 +333,7 @@ impl Suite<'_> {
             high_band: self.high_band(set, &output)?,
             metrics: output.metrics,
         };
-        self.records.add(record.clone())?;
-        Ok(Some(record))
+        Ok(Some(self.records.add(&record)?))
     }
 
     fn high_band(&self, set: &Set<'_>, output: &JobOutput) -> Result<Option<f64>, Failure> {

@@ -98,15 +98,17 @@ impl Records {
         &self.all
     }
 
-    /// Adds one, in the file first.
-    pub(crate) fn add(&mut self, record: Record) -> Result<(), Failure> {
+    /// Adds one, in the file first, and returns it as the file has it, so that a suite that goes on later has the same
+    /// figures to the last digit.
+    pub(crate) fn add(&mut self, record: &Record) -> Result<Record, Failure> {
         let unwritable = |fault: io::Error| Failure::unwritable(&self.path, &fault);
-        let mut line = serde_json::to_vec(&record).map_err(|fault| unwritable(fault.into()))?;
+        let mut line = serde_json::to_vec(record).map_err(|fault| unwritable(fault.into()))?;
+        let kept: Record = serde_json::from_slice(&line).map_err(|fault| unwritable(fault.into()))?;
         line.push(b'\n');
         let mut file =
             fs::OpenOptions::new().create(true).append(true).open(&self.path).map_err(unwritable)?;
         file.write_all(&line).and_then(|()| file.sync_all()).map_err(unwritable)?;
-        self.all.push(record);
-        Ok(())
+        self.all.push(kept.clone());
+        Ok(kept)
     }
 }
