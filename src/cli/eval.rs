@@ -72,6 +72,9 @@ struct Seconds {
 pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     match (&args.suite.suite, &args.file, &args.dataset) {
         (Some(folder), ..) => suite::run(&args.suite, folder, &args.adapter, &args.lpips),
+        (None, ..) if args.suite.is_touched() => {
+            Err(Failure::Usage("a flag is given that says nothing without --suite".to_owned()))
+        }
         (None, Some(file), Some(dataset)) => measure(args, file, dataset),
         _ => Err(Failure::Usage("give FILE and DATASET, or --suite".to_owned())),
     }

@@ -33,7 +33,7 @@ fn models_are_compared_on_every_set_and_a_second_suite_only_reads() {
     write_set(&sets.join("box.zip"));
     fs::create_dir(sets.join("notes")).expect("a folder that is no set");
     let (out, page) = (folder.path().join("out"), folder.path().join("RESULTS.md"));
-    fs::write(&page, "Prose.\n<!-- suite: begin -->\nold\n<!-- suite: end -->\nMore prose.\n")
+    fs::write(&page, "Prose.\n<!-- suite: begin -->\nstale figures\n<!-- suite: end -->\nMore prose.\n")
         .expect("writes");
     let models = "3dgs,scaffold,tcgs,tcgs-wavelet";
     let arguments = line![
@@ -82,7 +82,7 @@ fn models_are_compared_on_every_set_and_a_second_suite_only_reads() {
 
     let written = fs::read_to_string(&page).expect("the page");
     assert!(written.starts_with("Prose.\n") && written.ends_with("More prose.\n"), "{written}");
-    assert!(!written.contains("old"));
+    assert!(!written.contains("stale figures"));
     assert!(
         written.contains("### Equal steps") && written.contains("| ball | tcgs-wavelet | 6 |"),
         "{written}"

@@ -36,6 +36,9 @@ use super::{
     wiring,
 };
 
+/// Where results go if no folder is named.
+const OUT: &str = "out/suite";
+
 /// Share of a set's seconds by which a run may miss them.
 const TOLERANCE: f64 = 0.03;
 
@@ -67,7 +70,7 @@ pub(crate) struct Args {
     steps_only: bool,
 
     /// Folder of the results: runs.jsonl, which an interrupted suite goes on from, results.json and results.md
-    #[arg(long, value_name = "DIR", default_value = "out/suite", requires = "suite")]
+    #[arg(long, value_name = "DIR", default_value = OUT, requires = "suite")]
     out: PathBuf,
 
     /// A document in which the tables are put between the lines that mark their place
@@ -96,17 +99,29 @@ pub(crate) struct Args {
 }
 
 impl Args {
-    /// What all runs share.
-    fn options(&self) -> Result<TrainOptions, Failure> {
-        let options = TrainOptions {
+    /// Whether a flag is given that says nothing without a suite. `requires` does not tell: it gives way to the conflict of
+    /// a suite with a file.
+    pub(crate) fn is_touched(&self) -> bool {
+        let listed = !(self.models.is_empty() && self.sets.is_empty() && self.steps.is_empty());
+        let named = self.table.is_some() || self.steps_only || self.out != Path::new(OUT);
+        let shared = self.unchecked() != TrainOptions::default();
+        listed || named || shared
+    }
+
+    fn unchecked(&self) -> TrainOptions {
+        TrainOptions {
             preset: self.preset,
             iterations: self.iterations,
             seed: self.seed,
             background: self.background,
             voxel: self.voxel,
             ..TrainOptions::default()
-        };
-        Ok(options.validated()?)
+        }
+    }
+
+    /// What all runs share.
+    fn options(&self) -> Result<TrainOptions, Failure> {
+        Ok(self.unchecked().validated()?)
     }
 }
 
