@@ -1,8 +1,9 @@
-//! The schedule in fractions of the run, so that a preview and a run of 30 000 steps share one shape.
+//! The schedule in fractions of the run, so that a preview and a run of 30 000 steps share one shape. `docs/SCHEDULE.md`
+//! has it as one table for all presets.
 
 use crate::{
-    domain::{Component, Preset, TrainOptions},
-    model::Shape,
+    domain::{Component, ModelKind, Preset, TrainOptions, Voxel},
+    model::{Shape, VoxelRule},
 };
 
 /// How many times faster than published masks learn in short runs, at most: beyond, a step is as large as the way.
@@ -29,6 +30,9 @@ impl Decay {
 const fn constant(rate: f64) -> Decay {
     Decay { start: rate, end: rate }
 }
+
+/// Cells between neighbouring points, which growth begins with: the coarsest growth cell is as large as their spacing.
+const CELLS_PER_SPACING: f32 = 16.0;
 
 /// When offset masks learn, and how fast.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,6 +73,8 @@ pub struct Schedule {
     pub steps: u32,
     /// Widths of the anchor model.
     pub shape: Shape,
+    /// How the edge of the anchors' cells is chosen.
+    pub voxel: VoxelRule,
     /// First step whose view is added to the growth statistics.
     pub statistics_from: u32,
     /// First step at which anchors grow and are pruned.
@@ -95,22 +101,29 @@ pub struct Schedule {
     pub volume_weight: f32,
     /// Offset masks; none where they are off.
     pub masks: Option<MaskSchedule>,
+    /// Whether what no training view shows is left out at the end; the baseline keeps every offset, as published.
+    pub drops_unused: bool,
 }
 
 impl Schedule {
     /// The schedule of a job's options.
     #[must_use]
     pub fn new(options: &TrainOptions) -> Self {
-        let (default_steps, max_anchors, random_points) = match options.preset {
-            Preset::Preview => (2_000, 40_000, 10_000),
-            Preset::Standard => (10_000, 200_000, 20_000),
-            Preset::Paper => (30_000, 400_000, 100_000),
+        let (default_steps, features, max_anchors, random_points) = match options.preset {
+            Preset::Preview => (2_000, 32, 40_000, 10_000),
+            Preset::Standard => (10_000, 50, 200_000, 20_000),
+            Preset::Paper => (30_000, 50, 400_000, 100_000),
         };
         let steps = options.iterations.unwrap_or(default_steps);
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
         Self {
             steps,
-            shape: Shape { features: 32, offsets: 10 },
+            shape: Shape { features, offsets: 10 },
+            voxel: match options.voxel {
+                Voxel::Auto => VoxelRule::OfSpacing(CELLS_PER_SPACING.recip()),
+                Voxel::Published => VoxelRule::Published,
+                Voxel::Edge(edge) => VoxelRule::Fixed(edge as f32),
+            },
             statistics_from: part(500.0 / 30_000.0),
             densify_from: part(0.05),
             densify_until: part(0.5),
@@ -125,6 +138,7 @@ impl Schedule {
             networks: [Decay { start: 2e-3, end: 2e-5 }, constant(4e-3), Decay { start: 8e-3, end: 5e-5 }],
             volume_weight: 0.01,
             masks: masks(options, steps),
+            drops_unused: options.model == ModelKind::Tcgs,
         }
     }
 

@@ -9,6 +9,7 @@ mod attempt;
 mod claim;
 pub mod pipeline;
 pub mod run;
+pub mod scene_file;
 mod steps;
 pub mod supervise;
 
