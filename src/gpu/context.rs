@@ -8,7 +8,11 @@ use std::{
     },
 };
 
-use super::{AdapterChoice, AdapterReport, Buffer, GpuError, Kernel, KernelSource, Recorder, adapter};
+use naga_oil::compose::Composer;
+
+use super::{
+    AdapterChoice, AdapterReport, Buffer, GpuError, Kernel, KernelSource, Recorder, adapter, kernel,
+};
 
 /// Largest workgroup-per-dispatch count that a dimension takes everywhere.
 pub(super) const MAX_GROUPS_PER_DIMENSION: u32 = 65_535;
@@ -20,6 +24,13 @@ pub(super) struct Faults {
     rejected: Mutex<Option<String>>,
 }
 
+/// The kernels made so far, by name and definitions, and what makes the next one.
+#[derive(Debug)]
+struct Kernels {
+    composer: Composer,
+    made: HashMap<String, Arc<Kernel>>,
+}
+
 /// An open device. Cheap to share by `Arc`; safe to use from several threads.
 #[derive(Debug)]
 pub struct Context {
@@ -27,7 +38,7 @@ pub struct Context {
     pub(super) queue: wgpu::Queue,
     report: AdapterReport,
     faults: Arc<Faults>,
-    kernels: Mutex<HashMap<String, Arc<Kernel>>>,
+    kernels: Mutex<Kernels>,
     pub(super) allocated: Arc<AtomicU64>,
 }
 
@@ -70,7 +81,7 @@ impl Context {
             queue,
             report,
             faults,
-            kernels: Mutex::new(HashMap::new()),
+            kernels: Mutex::new(Kernels { composer: kernel::composer()?, made: HashMap::new() }),
             allocated: Arc::new(AtomicU64::new(0)),
         }))
     }
@@ -130,11 +141,11 @@ impl Context {
             key.push_str(&format!(";{name}={value}"));
         }
         let mut kernels = self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(kernel) = kernels.get(&key) {
+        if let Some(kernel) = kernels.made.get(&key) {
             return Ok(Arc::clone(kernel));
         }
-        let kernel = Arc::new(Kernel::compile(self, source, defs)?);
-        kernels.insert(key, Arc::clone(&kernel));
+        let kernel = Arc::new(Kernel::compile(self, &mut kernels.composer, source, defs)?);
+        kernels.made.insert(key, Arc::clone(&kernel));
         Ok(kernel)
     }
 
