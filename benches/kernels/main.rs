@@ -30,7 +30,7 @@ use tcgs::{
         AnchorGradients, Counts, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians,
         RasterSettings, Rasterizer, RenderError,
     },
-    train::{Adam, ImageLoss, Moments},
+    train::{Adam, ImageLoss, Moments, WaveletWeights},
 };
 
 use ceilings::Ceilings;
@@ -130,7 +130,8 @@ impl Bench {
     fn record_loss(&mut self, recorder: &mut Recorder<'_>) -> Result<Buffer<[f32; 4]>, GpuError> {
         let k = &self.camera.intrinsics;
         let size = [k.width, k.height];
-        Ok(self.loss.record(recorder, size, self.rasterizer.image(), &self.photograph)?.clone())
+        let image = self.rasterizer.image();
+        Ok(self.loss.record(recorder, size, image, &self.photograph, Some(&WaveletWeights::at(0.5)))?.clone())
     }
 
     fn record_raster_backward(

@@ -55,8 +55,9 @@ impl Size {
             "forward" => (12.0 * slots + 5.0 * pixels, 20.0 * pairs),
             // Besides: the image's gradient, a slot's nine sums twice, and the gradients of each Gaussian.
             "backward" => (12.0 * slots + 9.0 * pixels + 18.0 * slots + 40.0 * gaussians, 60.0 * pairs),
-            // Render, photograph and gradient; eleven taps twice for four moments and three derivatives a channel.
-            "loss" => (9.0 * pixels, 3.0 * pixels * (2.0 * 2.0 * 11.0 * 7.0 + 60.0)),
+            // Render, photograph and gradient; eleven taps twice for four moments and three derivatives a channel, and the
+            // wavelet transform there and back.
+            "loss" => (9.0 * pixels, 3.0 * pixels * (2.0 * 2.0 * 11.0 * 7.0 + 90.0)),
             "networks forward" => (anchors * (row + 4.0 + 1.6 * spawned), anchors * 2.0 * products),
             "networks backward" => {
                 (anchors * (2.0 * row + 3.2 * spawned), anchors * 2.0 * (2.0 * products - unwanted))

@@ -13,6 +13,8 @@ mod failure;
 mod files;
 mod inspect;
 mod logging;
+mod lpips;
+mod memory;
 mod picture;
 mod pose;
 mod progress;

@@ -8,7 +8,10 @@ use tcgs::{
     worker::run::JobFailure,
 };
 
-use super::{Failure, Report, adapter::AdapterFlag, files, progress::Display, wiring};
+use super::{
+    Failure, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, memory::MemoryFlags, progress::Display,
+    wiring,
+};
 
 /// A value parser that knows and lists the names of a choice.
 macro_rules! choice {
@@ -33,6 +36,12 @@ pub(crate) struct Args {
 
     #[command(flatten)]
     adapter: AdapterFlag,
+
+    #[command(flatten)]
+    memory: MemoryFlags,
+
+    #[command(flatten)]
+    lpips: LpipsFlag,
 
     /// Keep checkpoints here
     // Checkpoints come with a later version; until then the flag is refused rather than unknown.
@@ -72,7 +81,7 @@ struct Options {
     model: ModelKind,
 
     /// Parts of the method to leave out
-    #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',', hide = true)]
+    #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',')]
     without: Vec<Component>,
 
     /// Weight of the rate term
@@ -109,7 +118,9 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
         }
     }
     files::check_writable(&args.output)?;
-    let runner = wiring::runner(&args.adapter.adapter)?;
+    let lpips = wiring::lpips(args.lpips.lpips.as_deref())?;
+    let memory = args.memory.limits(1);
+    let runner = wiring::runner(&args.adapter.adapter, memory, std::env::temp_dir(), lpips)?;
     let cancel = CancelFlag::default();
     cancel_on_interrupt(cancel.clone());
 
@@ -162,14 +173,18 @@ fn text(metrics: &JobMetrics) -> String {
     };
     let lossless = figure(metrics.psnr_before_quantisation, 2, " dB");
     format!(
-        "test      PSNR {} (before quantisation {lossless})  SSIM {}  over {} views on {}\n\
+        "test      PSNR {} (before quantisation {lossless})  SSIM {}{}  over {} views on {}\n\
          train     PSNR {}  SSIM {}  over {} views\n\
          size      {} bytes; {} anchors, {} Gaussians\n\
          time      {:.1} s training, {} steps, {:.2} steps/s; {:.2} s encoding, {:.2} s decoding\n\
          adapter   {}\n\
-         decoded   {}",
+         decoded   {}\n\
+         measured  {}",
         figure(metrics.test.psnr, 2, " dB"),
         figure(metrics.test.ssim, 4, ""),
+        metrics.test.lpips_network.map_or_else(String::new, |network| {
+            format!("  {network} {}", figure(metrics.test.lpips, 4, ""))
+        }),
         metrics.test.views,
         metrics.background,
         figure(metrics.train.psnr, 2, " dB"),
@@ -185,6 +200,7 @@ fn text(metrics: &JobMetrics) -> String {
         metrics.seconds.decode,
         metrics.adapter,
         metrics.decode_sha256,
+        metrics.conventions,
     )
 }
 

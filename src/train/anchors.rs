@@ -5,14 +5,15 @@ use std::sync::Arc;
 use rand_pcg::Pcg64;
 
 use super::{
-    Adam, Decay, Densify, Moments, Schedule, Statistics, TrainError,
-    densify::{Trainable, densify},
+    Adam, Decay, Densify, MaskRows, Moments, OffsetMasks, Schedule, Statistics, TrainError,
+    budget::Footprint,
+    densify::{Trainable, densify, drop_masked},
     learner::{Learner, Size, Step},
     unused::drop_unused,
 };
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
-    gpu::{Buffer, Context, Recorder},
+    gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
     model::{AnchorRows, NetworkLayout, Shape, VoxelRule, initial_rows},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, RasterSettings},
 };
@@ -34,6 +35,8 @@ pub(super) struct AnchorLearner {
     row_moments: Moments,
     network_moments: Moments,
     statistics: Buffer<f32>,
+    /// Until they are settled.
+    masks: Option<OffsetMasks>,
     neural: NeuralGaussians,
     adam: Adam,
 }
@@ -42,20 +45,18 @@ impl AnchorLearner {
     /// Anchors at `points` and fresh networks; `extent` is the scene's, in world units.
     pub(super) fn begin(
         context: &Arc<Context>,
-        mut schedule: Schedule,
+        schedule: Schedule,
         points: &[[f32; 3]],
         extent: f32,
         rng: &mut Pcg64,
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
-        schedule.max_anchors = schedule.max_anchors.min(NeuralGaussians::most_anchors(context, shape));
         let rule = VoxelRule::OfSpacing(1.0 / COARSEST_GROWTH as f32);
         // Growth needs room above what the points begin with.
         let anchors = initial_rows(points, rule, shape, schedule.max_anchors / 2)?;
         let layout = NetworkLayout::new(shape);
         let networks = layout.initial(rng);
         Ok(Self {
-            schedule,
             shape,
             extent,
             owners: layout.owners(),
@@ -64,9 +65,14 @@ impl AnchorLearner {
             row_moments: Moments::zero(context, anchors.values.len())?,
             network_moments: Moments::zero(context, layout.parameters)?,
             statistics: context.buffer("growth statistics", anchors.len() * Statistics::width(shape))?,
+            masks: schedule
+                .masks
+                .map(|_| OffsetMasks::upload(context, shape, &MaskRows::new(anchors.len() * shape.offsets)))
+                .transpose()?,
             neural: NeuralGaussians::new(Arc::clone(context), shape, RasterSettings::default().near)?,
             adam: Adam::new(context)?,
             context: Arc::clone(context),
+            schedule,
             layout,
             anchors,
         })
@@ -85,14 +91,7 @@ impl AnchorLearner {
     }
 
     fn densify(&mut self, step: u32, rng: &mut Pcg64) -> Result<(), TrainError> {
-        let context = Arc::clone(&self.context);
-        self.anchors.values = context.read(&self.device.rows)?;
-        let mut state = Trainable {
-            anchors: self.anchors.clone(),
-            first: context.read(&self.row_moments.first)?,
-            second: context.read(&self.row_moments.second)?,
-        };
-        let mut statistics = Statistics { shape: self.shape, values: context.read(&self.statistics)? };
+        let (mut state, mut statistics) = self.read()?;
         let settings = Densify {
             threshold: self.schedule.growth_threshold,
             min_views: 0.4 * self.schedule.densify_every as f32,
@@ -103,16 +102,97 @@ impl AnchorLearner {
         };
         let outcome = densify(&mut state, &mut statistics, &settings, rng);
         tracing::debug!(step, grown = outcome.grown, pruned = outcome.pruned, anchors = state.anchors.len());
+        self.write(state, &statistics, step)
+    }
+
+    /// The masks learn no more; anchors that they left without an offset go.
+    fn settle_masks(&mut self, step: u32) -> Result<(), TrainError> {
+        let (mut state, mut statistics) = self.read()?;
+        state.masks = None;
+        let dropped = drop_masked(&mut state, &mut statistics);
+        tracing::debug!(step, dropped, anchors = state.anchors.len(), "masks settled");
+        self.write(state, &statistics, step)
+    }
+
+    /// All that belongs to anchors, from the device.
+    fn read(&self) -> Result<(Trainable, Statistics), TrainError> {
+        let context = &self.context;
+        let mut anchors = self.anchors.clone();
+        anchors.values = context.read(&self.device.rows)?;
+        anchors.masks = context.read(&self.device.masks)?;
+        let state = Trainable {
+            anchors,
+            first: context.read(&self.row_moments.first)?,
+            second: context.read(&self.row_moments.second)?,
+            masks: self.masks.as_ref().map(|masks| masks.read(context)).transpose()?,
+        };
+        Ok((state, Statistics { shape: self.shape, values: context.read(&self.statistics)? }))
+    }
+
+    fn write(&mut self, state: Trainable, statistics: &Statistics, step: u32) -> Result<(), TrainError> {
         if state.anchors.is_empty() {
             return Err(TrainError::NothingLeft { step });
         }
+        let context = &self.context;
         let networks = context.read(&self.device.networks)?;
-        self.device = DeviceAnchors::upload(&context, &state.anchors, &networks)?;
-        self.row_moments = Moments::upload(&context, &state.first, &state.second)?;
-        self.gradients = AnchorGradients::new(&context, self.shape, state.anchors.len())?;
+        self.device = DeviceAnchors::upload(context, &state.anchors, &networks)?;
+        self.row_moments = Moments::upload(context, &state.first, &state.second)?;
+        self.gradients = AnchorGradients::new(context, self.shape, state.anchors.len())?;
         self.statistics = context.upload("growth statistics", &statistics.values)?;
+        self.masks = state.masks.map(|masks| OffsetMasks::upload(context, self.shape, &masks)).transpose()?;
         self.anchors = state.anchors;
         Ok(())
+    }
+}
+
+/// What anchors take.
+#[derive(Debug)]
+pub(super) struct AnchorFootprint {
+    pub(super) shape: Shape,
+    pub(super) max_anchors: usize,
+    /// Whether masks learn.
+    pub(super) masks: bool,
+}
+
+impl Footprint for AnchorFootprint {
+    fn unit(&self) -> &'static str {
+        "anchors"
+    }
+
+    fn most(&self, adapter: &AdapterReport) -> usize {
+        self.max_anchors.min(NeuralGaussians::most_anchors(adapter, self.shape))
+    }
+
+    /// Rows that a round of growth replaces go one after another, so the largest of them counts twice.
+    fn model_bytes(&self, anchors: usize) -> u64 {
+        let shape = self.shape;
+        let (rows, parameters) = (anchors * shape.row(), NetworkLayout::new(shape).parameters);
+        DeviceAnchors::bytes(shape, anchors)
+            + AnchorGradients::bytes(shape, anchors)
+            + 2 * Moments::bytes(rows)
+            + Moments::bytes(parameters)
+            + Statistics::bytes(shape, anchors)
+            + if self.masks { OffsetMasks::bytes(shape, anchors) } else { 0 }
+            + 2 * buffer_bytes::<f32>(shape.row() + parameters)
+    }
+
+    fn view_bytes(&self, anchors: usize) -> u64 {
+        NeuralGaussians::bytes(self.shape, anchors)
+    }
+
+    fn gaussians(&self, anchors: usize) -> usize {
+        NeuralGaussians::capacity(anchors).saturating_mul(self.shape.offsets)
+    }
+
+    /// A round of growth: rows and moments with the copies that growing vectors make, statistics, and a candidate for each
+    /// offset.
+    fn host_bytes(&self, anchors: usize) -> u64 {
+        let shape = self.shape;
+        const CANDIDATE: usize = 2 * size_of::<(usize, [i32; 3], f32)>();
+        const CELL: usize = 64;
+        let masks = if self.masks { 3 * shape.offsets } else { 0 };
+        let row = 6 * (shape.row() + masks) * size_of::<f32>();
+        2 * Statistics::bytes(shape, anchors) + (anchors * (row + shape.offsets * CANDIDATE + CELL)) as u64
     }
 }
 
@@ -163,12 +243,23 @@ impl Learner for AnchorLearner {
             &self.device.networks,
             &self.network_moments,
         )?;
+        if let (Some(masks), Some(schedule)) = (&self.masks, &self.schedule.masks)
+            && schedule.learns(step.number)
+        {
+            masks.backward(recorder, &mut self.neural, &self.device, schedule.weight_at(step.number))?;
+            let rate = schedule.rate.at(step.fraction) as f32;
+            let since = step.number + 1 - schedule.from;
+            masks.step(recorder, &self.adam, since, rate, schedule.level, &self.device)?;
+        }
         Ok(())
     }
 
     fn adapt(&mut self, step: &Step, rng: &mut Pcg64) -> Result<(), TrainError> {
         if self.schedule.densifies(step.number) {
             self.densify(step.number, rng)?;
+        }
+        if self.schedule.masks.is_some_and(|masks| masks.until == step.number) {
+            self.settle_masks(step.number)?;
         }
         Ok(())
     }
@@ -179,6 +270,7 @@ impl Learner for AnchorLearner {
 
     fn finish(mut self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Scene, TrainError> {
         self.anchors.values = self.context.read(&self.device.rows)?;
+        self.anchors.masks = self.context.read(&self.device.masks)?;
         let networks = self.context.read(&self.device.networks)?;
         drop_unused(&self.context, &mut self.neural, &self.device, &mut self.anchors, frames, cancel)?;
         if self.anchors.is_empty() {

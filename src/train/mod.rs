@@ -1,25 +1,32 @@
-//! Training: the step loop, its schedule, the image loss, Adam, growth and pruning.
+//! Training: the step loop, its schedule, the image loss, Adam, growth and pruning, offset masks.
 //!
 //! What always holds: the same dataset, options, seed and adapter give the same bits, because every random choice comes
 //! from the seed and every sum on the device has a fixed order.
 
 mod adam;
 mod anchors;
+pub mod budget;
 mod densify;
 mod error;
 mod learner;
 mod loss;
+mod masks;
+mod plain;
 mod schedule;
 mod start_box;
 mod statistics;
 mod trainer;
 pub mod twin;
 mod unused;
+mod wavelet;
 
 pub use adam::{Adam, Moments};
+pub use budget::{Estimate, Needs, OverBudget};
 pub use densify::{Densify, densify};
 pub use error::TrainError;
 pub use loss::{ImageLoss, LossSums};
-pub use schedule::{Decay, Schedule};
+pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
+pub use schedule::{Decay, MaskSchedule, Schedule};
 pub use statistics::Statistics;
-pub use trainer::{Trained, train};
+pub use trainer::{Trained, train, train_within};
+pub use wavelet::WaveletWeights;

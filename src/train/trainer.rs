@@ -6,14 +6,18 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    ImageLoss, LossSums, Schedule, TrainError,
+    Estimate, ImageLoss, LossSums, Needs, Schedule, TrainError, WaveletWeights,
     anchors::AnchorLearner,
     learner::{Learner, Step},
     loss::pack,
+    plain::{PlainLearner, PlainSchedule},
     start_box::start_box,
 };
 use crate::{
-    domain::{Background, CancelFlag, Dataset, Frame, ModelKind, Progress, Scene, Split, TrainOptions},
+    domain::{
+        Background, CancelFlag, Component, Dataset, Frame, MemoryBudget, ModelKind, Progress, Scene, Split,
+        TrainOptions,
+    },
     gpu::Context,
     model::random_points,
     render::{RasterSettings, Rasterizer},
@@ -47,7 +51,23 @@ pub fn train(
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
 ) -> Result<Trained, TrainError> {
-    let mut run = Run::begin(context, dataset, options)?;
+    let budget = MemoryBudget { host: u64::MAX, gpu: context.budget_bytes() };
+    train_within(context, dataset, options, &budget, report, cancel)
+}
+
+/// As [`train`], growing no further than `budget` allows.
+///
+/// # Errors
+/// As [`train`], and [`TrainError::OverBudget`] before anything is done.
+pub fn train_within(
+    context: &Arc<Context>,
+    dataset: &Dataset,
+    options: &TrainOptions,
+    budget: &MemoryBudget,
+    report: &mut dyn FnMut(&Progress),
+    cancel: &CancelFlag,
+) -> Result<Trained, TrainError> {
+    let mut run = Run::begin(context, dataset, options, budget)?;
     for number in 1..=run.steps {
         if cancel.is_cancelled() {
             return Err(TrainError::Cancelled);
@@ -69,6 +89,18 @@ fn camera_extent(frames: &[&Frame]) -> f32 {
     if radius > 0.0 { (1.1 * radius) as f32 } else { 1.0 }
 }
 
+/// What growth may reach: the schedule's, or what memory has room for.
+fn cap(wanted: usize, estimate: &Estimate) -> usize {
+    if estimate.size < wanted {
+        tracing::warn!(
+            "growth stops at {} {} instead of {wanted}: more would not fit the adapter or the memory allowed",
+            estimate.size,
+            estimate.unit,
+        );
+    }
+    wanted.min(estimate.size)
+}
+
 struct Run<'a> {
     context: Arc<Context>,
     steps: u32,
@@ -79,6 +111,7 @@ struct Run<'a> {
     learner: Box<dyn Learner>,
     raster: Rasterizer,
     loss: ImageLoss,
+    wavelet: bool,
     began: Instant,
     recent: Recent,
 }
@@ -95,27 +128,35 @@ impl<'a> Run<'a> {
         context: &Arc<Context>,
         dataset: &'a Dataset,
         options: &TrainOptions,
+        budget: &MemoryBudget,
     ) -> Result<Self, TrainError> {
         let frames: Vec<&Frame> = dataset.split(Split::Train).collect();
         if frames.is_empty() {
             return Err(TrainError::NoTrainingFrames);
         }
-        let schedule = Schedule::new(options);
+        let mut schedule = Schedule::new(options);
+        let estimate = Needs::of(dataset, options, context.adapter()).within(budget)?;
+        tracing::info!("memory: {estimate}");
         let steps = schedule.steps;
         let mut rng = Pcg64::seed_from_u64(options.seed);
-        let points = match &dataset.points {
-            Some(cloud) if !cloud.positions.is_empty() => cloud.positions.clone(),
+        let (points, colors) = match &dataset.points {
+            Some(cloud) if !cloud.positions.is_empty() => (cloud.positions.clone(), &cloud.colors[..]),
             _ => {
                 let (low, high) = start_box(dataset.layout, &frames);
-                random_points(&mut rng, schedule.random_points, low, high)
+                (random_points(&mut rng, schedule.random_points, low, high), &[][..])
             }
         };
         let extent = camera_extent(&frames);
         let learner: Box<dyn Learner> = match options.model {
             ModelKind::Tcgs | ModelKind::Scaffold => {
+                schedule.max_anchors = cap(schedule.max_anchors, &estimate);
                 Box::new(AnchorLearner::begin(context, schedule, &points, extent, &mut rng)?)
             }
-            ModelKind::Gaussians3d => return Err(TrainError::NotInThisVersion(options.model)),
+            ModelKind::Gaussians3d => {
+                let mut schedule = PlainSchedule::new(options, steps);
+                schedule.max_gaussians = cap(schedule.max_gaussians, &estimate);
+                Box::new(PlainLearner::begin(context, schedule, &points, colors, extent, &mut rng)?)
+            }
         };
         let now = Instant::now();
         Ok(Self {
@@ -126,6 +167,7 @@ impl<'a> Run<'a> {
             learner,
             raster: Rasterizer::new(Arc::clone(context), RasterSettings::default())?,
             loss: ImageLoss::new(Arc::clone(context))?,
+            wavelet: options.has(Component::Wavelet),
             began: now,
             recent: Recent { since: now, step: 0, average: None },
             context: Arc::clone(context),
@@ -159,10 +201,13 @@ impl<'a> Run<'a> {
             self.raster.grow(&counts)?;
         }
         // Packed when it is needed: a second copy of every image would double what a dataset takes.
-        let photograph = pack(self.frames[index].image.over(self.background.rgb8()).samples());
+        let photograph = self.frames[index].image.load()?;
+        let photograph = pack(photograph.over(self.background.rgb8()).samples());
         let mut recorder = context.recorder("backward");
         let size = [camera.intrinsics.width, camera.intrinsics.height];
-        let v_image = self.loss.record(&mut recorder, size, self.raster.image(), &photograph)?;
+        let wavelet = self.wavelet.then(|| WaveletWeights::at(step.fraction));
+        let v_image =
+            self.loss.record(&mut recorder, size, self.raster.image(), &photograph, wavelet.as_ref())?;
         let gaussians = self.learner.gaussians().clone();
         let d_gaussians = self.learner.gaussian_gradients()?;
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
@@ -181,6 +226,7 @@ impl<'a> Run<'a> {
             ssim: blend(old.ssim, sums.ssim),
             l1: blend(old.l1, sums.l1),
             mse: blend(old.mse, sums.mse),
+            wavelet: blend(old.wavelet, sums.wavelet),
         });
         self.recent.average = Some(average);
         let elapsed = self.began.elapsed().as_secs_f64();

@@ -3,7 +3,7 @@
 //! The figures that are reported are those of the file as decoded from its own bytes.
 
 use std::{
-    path::Path,
+    path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
     time::Instant,
 };
@@ -15,14 +15,14 @@ use super::{
 use crate::{
     codec::{self, DecodeLimits, EncodeSettings, Provenance},
     domain::{
-        AnchorScene, CancelFlag, Dataset, Frame, JobMetrics, NamedCamera, Phase, PhaseSeconds, Problem,
-        Progress, Scene, Scores, Split, TrainOptions,
+        AnchorScene, CancelFlag, Conventions, Dataset, Frame, JobMetrics, MemoryBudget, MemoryLimits,
+        NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, Scores, Split, TrainOptions,
     },
-    eval::{ViewScore, mean_scores, measure_views},
+    eval::{Lpips, mean_scores_with, measure_views_with},
     gpu::{AdapterChoice, Context, GpuError},
-    ingest,
+    ingest::{self, Room},
     render::{RenderError, SceneRenderer},
-    train::{Schedule, TrainError, train},
+    train::{Schedule, TrainError, train_within},
 };
 
 /// Training views that the reported training figures are measured on, evenly spread.
@@ -32,14 +32,30 @@ const TRAIN_VIEWS_MEASURED: usize = 16;
 #[derive(Debug)]
 pub struct Pipeline {
     choice: AdapterChoice,
+    memory: MemoryLimits,
+    spill: PathBuf,
+    lpips: Option<Lpips>,
     context: Mutex<Option<Arc<Context>>>,
 }
 
 impl Pipeline {
-    /// A pipeline on the adapter of choice.
+    /// A pipeline on the adapter of choice, without limits on memory but the machine's.
     #[must_use]
     pub fn new(choice: AdapterChoice) -> Self {
-        Self { choice, context: Mutex::new(None) }
+        let spill = std::env::temp_dir();
+        Self { choice, memory: MemoryLimits::NONE, spill, lpips: None, context: Mutex::new(None) }
+    }
+
+    /// Within `memory`; photographs that do not fit go to a temporary file in the folder `spill`.
+    #[must_use]
+    pub fn within(self, memory: MemoryLimits, spill: PathBuf) -> Self {
+        Self { memory, spill, ..self }
+    }
+
+    /// The same, which also measures LPIPS if there are weights for it.
+    #[must_use]
+    pub fn with_lpips(self, lpips: Option<Lpips>) -> Self {
+        Self { lpips, ..self }
     }
 
     fn context(&self) -> Result<Arc<Context>, GpuError> {
@@ -48,8 +64,15 @@ impl Pipeline {
             return Ok(Arc::clone(context));
         }
         let context = Context::new(&self.choice)?;
+        context.set_budget_bytes(self.budget(&context).gpu);
         *kept = Some(Arc::clone(&context));
         Ok(context)
+    }
+}
+
+impl Pipeline {
+    fn budget(&self, context: &Context) -> MemoryBudget {
+        self.memory.budget(context.adapter().shares_main_memory())
     }
 }
 
@@ -69,7 +92,12 @@ impl RunJob for Pipeline {
             report(phase, progress);
         };
         tell(Phase::Ingest, &mut progress);
-        let dataset = ingest::load(dataset).map_err(JobFailure::Fail)?;
+        // How much memory photographs may take depends on whether the adapter has its own.
+        let context = self.context().map_err(from_gpu)?;
+        let budget = self.budget(&context);
+        // Training needs the other half.
+        let room = Room { memory: budget.host / 2, spill: self.spill.clone() };
+        let dataset = ingest::load_into(dataset, &room).map_err(JobFailure::Fail)?;
         for note in &dataset.notes {
             tracing::info!("dataset: {note}");
         }
@@ -77,11 +105,11 @@ impl RunJob for Pipeline {
         stop_if(cancel)?;
         // The first report of the training comes some steps after its begin, which may be minutes.
         tell(Phase::Train, &mut progress);
-        let context = self.context().map_err(from_gpu)?;
-        let trained = train(
+        let trained = train_within(
             &context,
             &dataset,
             options,
+            &budget,
             &mut |now| {
                 progress = now.clone();
                 tell(Phase::Train, &mut progress);
@@ -95,7 +123,8 @@ impl RunJob for Pipeline {
         let Scene::Anchors(scene) = trained.scene else {
             return Err(JobFailure::Fail(internal("a model without anchors cannot be encoded")));
         };
-        let mut job = Job { context, dataset: &dataset, options, cancel, seconds };
+        let lpips = self.lpips.as_ref();
+        let mut job = Job { context, dataset: &dataset, options, cancel, lpips, seconds };
         tell(Phase::Encode, &mut progress);
         let (file, decoded) = job.write(&scene, &mut || tell(Phase::Encode, &mut progress))?;
         tell(Phase::Evaluate, &mut progress);
@@ -116,6 +145,7 @@ struct Job<'a> {
     dataset: &'a Dataset,
     options: &'a TrainOptions,
     cancel: &'a CancelFlag,
+    lpips: Option<&'a Lpips>,
     seconds: PhaseSeconds,
 }
 
@@ -171,18 +201,19 @@ impl Job<'_> {
         let held_out: Vec<&Frame> = self.dataset.split(Split::Test).collect();
         let seen = spread(self.dataset.split(Split::Train).collect(), TRAIN_VIEWS_MEASURED);
         Ok(JobMetrics {
-            test: self.score(decoded, &held_out, alive)?,
-            train: self.score(decoded, &seen, alive)?,
+            test: self.score(decoded, &held_out, self.lpips, alive)?,
+            train: self.score(decoded, &seen, self.lpips, alive)?,
             bytes: file.byte_counts.clone(),
             seconds: self.seconds.clone(),
             steps: u64::from(steps),
             steps_per_second: f64::from(steps) / self.seconds.train.max(1e-9),
             anchors: decoded.len() as u64,
             gaussians: decoded.gaussians() as u64,
-            psnr_before_quantisation: self.score(trained, &held_out, alive)?.psnr,
+            psnr_before_quantisation: self.score(trained, &held_out, None, alive)?.psnr,
             decode_sha256: file.decode_sha256,
             adapter: self.context.adapter_line(),
             background: self.options.background,
+            conventions: Conventions::new(self.lpips.map(Lpips::network)),
         })
     }
 
@@ -190,19 +221,21 @@ impl Job<'_> {
         &self,
         scene: &AnchorScene,
         frames: &[&Frame],
+        lpips: Option<&Lpips>,
         alive: &mut dyn FnMut(),
     ) -> Result<Scores, JobFailure> {
         let mut renderer =
             SceneRenderer::new(&self.context, scene, self.options.background).map_err(from_render)?;
-        let mut views: Vec<ViewScore> = Vec::with_capacity(frames.len());
+        let mut views = Vec::with_capacity(frames.len());
         for frame in frames {
             stop_if(self.cancel)?;
             alive();
             views.extend(
-                measure_views(&mut renderer, &[*frame], self.options.background).map_err(from_render)?,
+                measure_views_with(&mut renderer, &[*frame], self.options.background, lpips)
+                    .map_err(from_render)?,
             );
         }
-        Ok(mean_scores(&views))
+        Ok(mean_scores_with(&views, lpips.map(Lpips::network)))
     }
 }
 
@@ -227,13 +260,15 @@ fn from_gpu(fault: GpuError) -> JobFailure {
         GpuError::NoAdapter { .. }
         | GpuError::Open { .. }
         | GpuError::Kernel { .. }
-        | GpuError::BufferTooLarge { .. } => JobFailure::Fail(fault.into()),
+        | GpuError::BufferTooLarge { .. }
+        | GpuError::OverBudget { .. } => JobFailure::Fail(fault.into()),
     }
 }
 
 fn from_render(fault: RenderError) -> JobFailure {
     match fault {
         RenderError::Gpu(fault) => from_gpu(fault),
+        RenderError::Photograph(fault) => JobFailure::Retry(fault.into()),
         other => JobFailure::Fail(other.into()),
     }
 }
@@ -243,6 +278,7 @@ fn from_training(fault: TrainError) -> JobFailure {
         TrainError::Cancelled => JobFailure::Cancelled,
         TrainError::Gpu(fault) => from_gpu(fault),
         TrainError::Render(fault) => from_render(fault),
+        TrainError::Photograph(fault) => JobFailure::Retry(fault.into()),
         other => JobFailure::Fail(other.into()),
     }
 }

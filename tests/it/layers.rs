@@ -14,6 +14,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("codec", &["domain"]),
     ("store", &["domain"]),
     ("sample", &["domain"]),
+    ("export", &["domain"]),
     ("model", &["domain", "gpu"]),
     ("render", &["domain", "gpu", "model"]),
     ("eval", &["domain", "gpu", "model", "render"]),
@@ -36,6 +37,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("zip", &["ingest", "sample"]),
     ("constriction", &["codec"]),
     ("kiddo", &["model", "codec"]),
+    ("ndarray", &["eval"]),
     ("clap", &["cli", "main"]),
     ("indicatif", &["cli"]),
 ];
