@@ -4,14 +4,15 @@
 //
 // Reads are what a software adapter spends its time on, eight lanes at a time. So an invocation computes 32 outputs of
 // four columns, and with subgroups each lane reads one weight and the lanes share them by broadcast. Two inputs a
-// turn, because what a loop assigns is masked at every assignment.
+// turn, because what a loop assigns is masked at every assignment. Sums are never indexed by a variable: that would
+// keep them in memory, and for a layer of few inputs the reading back cost as much as the sums.
 
 struct Layer {
     // inputs, outputs, capacity, weights
     shape: vec4u,
     // out_stride, in_stride, bias (or NONE), mode: 0 linear, 1 ReLU, 2 gate
     access: vec4u,
-    // first row in the input, first row in the output, first row in the gate, add to the output if not 0
+    // first row in the input, first row in the output, first row in the gate, unused
     rows: vec4u,
 }
 
@@ -84,6 +85,12 @@ fn values_at(columns: vec4u, input: u32) -> vec4f {
     return vec4f(source[at.x], source[at.y], source[at.z], source[at.w]);
 }
 
+fn put(at: u32, value: f32, column: u32, count: u32) {
+    if column < count {
+        results[at] = value;
+    }
+}
+
 fn finish(output: u32, columns: vec4u, count: u32, sums: vec4f) {
     if output >= layer.shape.y {
         return;
@@ -96,19 +103,22 @@ fn finish(output: u32, columns: vec4u, count: u32, sums: vec4f) {
     if layer.access.w == 1u {
         values = max(values, vec4f(0.0));
     }
-    for (var i = 0u; i < 4u; i++) {
-        if columns[i] < count {
-            let at = (layer.rows.y + output) * capacity + columns[i];
-            var value = values[i];
-            if layer.access.w == 2u && gate[(layer.rows.z + output) * capacity + columns[i]] <= 0.0 {
-                value = 0.0;
-            }
-            if layer.rows.w != 0u {
-                value += results[at];
-            }
-            results[at] = value;
-        }
+    if layer.access.w == 2u {
+        let at = (layer.rows.z + output) * capacity + min(columns, vec4u(capacity - 1u));
+        values = select(vec4f(0.0), values, vec4f(gate[at.x], gate[at.y], gate[at.z], gate[at.w]) > vec4f(0.0));
     }
+    let at = (layer.rows.y + output) * capacity + columns;
+    put(at.x, values.x, columns.x, count);
+    put(at.y, values.y, columns.y, count);
+    put(at.z, values.z, columns.z, count);
+    put(at.w, values.w, columns.w, count);
+}
+
+fn finish_four(output: u32, columns: vec4u, count: u32, sums: mat4x4f) {
+    finish(output, columns, count, sums[0]);
+    finish(output + 1u, columns, count, sums[1]);
+    finish(output + 2u, columns, count, sums[2]);
+    finish(output + 3u, columns, count, sums[3]);
 }
 
 @compute @workgroup_size(LANES)
@@ -164,8 +174,12 @@ fn dense(
         s6 += outer(x, x3.low) + outer(y, y3.low);
         s7 += outer(x, x3.high) + outer(y, y3.high);
     }
-    var sums = array<mat4x4f, 8>(s0, s1, s2, s3, s4, s5, s6, s7);
-    for (var output = 0u; output < TILE; output++) {
-        finish(first + output, columns, count, sums[output / 4u][output % 4u]);
-    }
+    finish_four(first, columns, count, s0);
+    finish_four(first + 4u, columns, count, s1);
+    finish_four(first + 8u, columns, count, s2);
+    finish_four(first + 12u, columns, count, s3);
+    finish_four(first + 16u, columns, count, s4);
+    finish_four(first + 20u, columns, count, s5);
+    finish_four(first + 24u, columns, count, s6);
+    finish_four(first + 28u, columns, count, s7);
 }

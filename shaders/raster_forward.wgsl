@@ -56,6 +56,55 @@ fn finish(pixel: Pixel, position: vec2<u32>) {
 }
 
 #ifdef SUBGROUPS
+#ifdef EIGHT_LANES
+// Blends the Gaussian of lane k if its bit is set.
+fn blend_if(
+    pixel: ptr<function, Pixel>,
+    mask: u32,
+    k: u32,
+    place: vec4<f32>,
+    conic: vec3<f32>,
+    color: vec3<f32>,
+    base: u32,
+) {
+    if (mask & (1u << k)) != 0u {
+        blend(
+            pixel,
+            subgroupShuffle(place.xyz, k),
+            subgroupShuffle(conic, k),
+            subgroupShuffle(color, k),
+            base + k,
+        );
+    }
+}
+
+// Blends the Gaussians of a chunk that touch the block of pixels that the subgroup's pixels form. Written out, because
+// on a software adapter a lane that is a constant is read at no cost, and what a loop assigns is masked.
+fn blend_chunk(
+    pixel: ptr<function, Pixel>,
+    place: vec4<f32>,
+    conic: vec3<f32>,
+    color: vec3<f32>,
+    ridges: vec2<f32>,
+    low: vec2<f32>,
+    high: vec2<f32>,
+    base: u32,
+) {
+    let open = subgroupAny(!(*pixel).done);
+    let mask = subgroupBallot(open && touches(place, conic, ridges, low, high)).x;
+    if mask == 0u {
+        return;
+    }
+    blend_if(pixel, mask, 0u, place, conic, color, base);
+    blend_if(pixel, mask, 1u, place, conic, color, base);
+    blend_if(pixel, mask, 2u, place, conic, color, base);
+    blend_if(pixel, mask, 3u, place, conic, color, base);
+    blend_if(pixel, mask, 4u, place, conic, color, base);
+    blend_if(pixel, mask, 5u, place, conic, color, base);
+    blend_if(pixel, mask, 6u, place, conic, color, base);
+    blend_if(pixel, mask, 7u, place, conic, color, base);
+}
+#else
 // Blends the Gaussians of a chunk that touch the block of pixels that the subgroup's pixels form.
 fn blend_chunk(
     pixel: ptr<function, Pixel>,
@@ -83,6 +132,7 @@ fn blend_chunk(
         }
     }
 }
+#endif
 #endif
 
 @compute @workgroup_size(64)

@@ -5,8 +5,11 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
+use naga_oil::compose::Composer;
+
 use super::{
-    AdapterChoice, AdapterReport, Buffer, GpuError, Kernel, KernelSource, Recorder, adapter, ledger::Ledger,
+    AdapterChoice, AdapterReport, Buffer, GpuError, Kernel, KernelSource, Recorder, adapter, kernel,
+    ledger::Ledger,
 };
 
 /// Largest workgroup-per-dispatch count that a dimension takes everywhere.
@@ -19,6 +22,13 @@ pub(super) struct Faults {
     rejected: Mutex<Option<String>>,
 }
 
+/// The kernels made so far, by name and definitions, and what makes the next one.
+#[derive(Debug)]
+struct Kernels {
+    composer: Composer,
+    made: HashMap<String, Arc<Kernel>>,
+}
+
 /// An open device. Cheap to share by `Arc`; safe to use from several threads.
 #[derive(Debug)]
 pub struct Context {
@@ -26,7 +36,7 @@ pub struct Context {
     pub(super) queue: wgpu::Queue,
     report: AdapterReport,
     faults: Arc<Faults>,
-    kernels: Mutex<HashMap<String, Arc<Kernel>>>,
+    kernels: Mutex<Kernels>,
     pub(super) ledger: Arc<Ledger>,
 }
 
@@ -69,7 +79,7 @@ impl Context {
             queue,
             report,
             faults,
-            kernels: Mutex::new(HashMap::new()),
+            kernels: Mutex::new(Kernels { composer: kernel::composer()?, made: HashMap::new() }),
             ledger: Arc::new(Ledger::new()),
         }))
     }
@@ -146,11 +156,11 @@ impl Context {
             key.push_str(&format!(";{name}={value}"));
         }
         let mut kernels = self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(kernel) = kernels.get(&key) {
+        if let Some(kernel) = kernels.made.get(&key) {
             return Ok(Arc::clone(kernel));
         }
-        let kernel = Arc::new(Kernel::compile(self, source, defs)?);
-        kernels.insert(key, Arc::clone(&kernel));
+        let kernel = Arc::new(Kernel::compile(self, &mut kernels.composer, source, defs)?);
+        kernels.made.insert(key, Arc::clone(&kernel));
         Ok(kernel)
     }
 

@@ -49,12 +49,12 @@ pub struct Kernel {
     pub name: &'static str,
 }
 
-/// Composes a kernel and validates it; needs no device.
+/// A composer that knows the shared files; needs no device. Reading them anew for each kernel is most of what making a
+/// kernel costs, so a device has one for all of its kernels.
 ///
 /// # Errors
-/// [`GpuError::Kernel`] with the composer's or validator's words.
-pub(super) fn compose(source: KernelSource, defs: &[(&str, u32)]) -> Result<wgpu::naga::Module, GpuError> {
-    let fault = |fault: String| GpuError::Kernel { kernel: source.name.to_owned(), fault };
+/// [`GpuError::Kernel`] with the composer's words.
+pub(super) fn composer() -> Result<Composer, GpuError> {
     let mut composer = Composer::default().with_capabilities(wgpu::naga::valid::Capabilities::all());
     for (path, text) in SHARED {
         let added = composer
@@ -67,8 +67,23 @@ pub(super) fn compose(source: KernelSource, defs: &[(&str, u32)]) -> Result<wgpu
                 shader_defs: HashMap::new(),
             })
             .map(|_| ());
-        added.map_err(|error| fault(format!("{path}: {}", error.emit_to_string(&composer))))?;
+        if let Err(error) = added {
+            let fault = error.emit_to_string(&composer);
+            return Err(GpuError::Kernel { kernel: (*path).to_owned(), fault });
+        }
     }
+    Ok(composer)
+}
+
+/// Composes a kernel and validates it; needs no device.
+///
+/// # Errors
+/// [`GpuError::Kernel`] with the composer's or validator's words.
+pub(super) fn compose(
+    composer: &mut Composer,
+    source: KernelSource,
+    defs: &[(&str, u32)],
+) -> Result<wgpu::naga::Module, GpuError> {
     let shader_defs =
         defs.iter().map(|(name, value)| ((*name).to_owned(), ShaderDefValue::UInt(*value))).collect();
     composer
@@ -79,16 +94,20 @@ pub(super) fn compose(source: KernelSource, defs: &[(&str, u32)]) -> Result<wgpu
             shader_defs,
             additional_imports: &[],
         })
-        .map_err(|error| fault(error.emit_to_string(&composer)))
+        .map_err(|error| GpuError::Kernel {
+            kernel: source.name.to_owned(),
+            fault: error.emit_to_string(composer),
+        })
 }
 
 impl Kernel {
     pub(super) fn compile(
         context: &Context,
+        composer: &mut Composer,
         source: KernelSource,
         defs: &[(&str, u32)],
     ) -> Result<Self, GpuError> {
-        let module = compose(source, defs)?;
+        let module = compose(composer, source, defs)?;
         let scope = context.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let module = context.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(source.name),
@@ -154,15 +173,22 @@ mod tests {
     #[test]
     fn every_kernel_validates_and_is_named_as_its_file() {
         let mut faults = Vec::new();
+        let mut composer = composer().expect("the shared files");
         for (name, text) in kernels() {
             let variants: &[&[(&str, u32)]] = if text.contains("SUBGROUPS") {
-                &[&[], &[("SUBGROUPS", 8)], &[("SUBGROUPS", 32)], &[("SUBGROUPS", 64)]]
+                &[
+                    &[],
+                    &[("SUBGROUPS", 8)],
+                    &[("SUBGROUPS", 8), ("EIGHT_LANES", 1)],
+                    &[("SUBGROUPS", 32)],
+                    &[("SUBGROUPS", 64)],
+                ]
             } else {
                 &[&[]]
             };
             for variant in variants {
                 let defs = &[*variant, SHAPE].concat()[..];
-                match compose(KernelSource { name, text }, defs) {
+                match compose(&mut composer, KernelSource { name, text }, defs) {
                     Ok(module) => {
                         let entries: Vec<_> = module.entry_points.iter().map(|e| e.name.clone()).collect();
                         if entries != [name] {
@@ -174,6 +200,24 @@ mod tests {
             }
         }
         assert!(faults.is_empty(), "{}", faults.join("\n"));
+    }
+
+    #[test]
+    fn a_kernel_does_not_depend_on_those_composed_before() {
+        let text = include_str!("../../shaders/spawn_gaussians.wgsl");
+        let source = KernelSource { name: "spawn_gaussians", text };
+        let made = |composer: &mut Composer, features: u32| {
+            let defs = [("FEATURES", features), ("OFFSETS", 10)];
+            format!("{:?}", compose(composer, source, &defs).expect("composed"))
+        };
+        let fresh = |features: u32| made(&mut composer().expect("the shared files"), features);
+        let mut shared = composer().expect("the shared files");
+        let broken = KernelSource { name: "broken", text: "fn broken() { nonsense }" };
+        for features in [32, 50, 32] {
+            assert!(made(&mut shared, features) == fresh(features), "{features} features");
+            assert!(compose(&mut shared, broken, &[]).is_err());
+        }
+        assert!(fresh(32) != fresh(50));
     }
 
     #[test]

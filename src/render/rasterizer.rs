@@ -58,14 +58,16 @@ struct Kernels {
 
 impl Kernels {
     fn new(context: &Context, subgroups: Option<u32>) -> Result<Self, GpuError> {
+        let eight = subgroups.filter(|size| *size == 8).map(|_| ("EIGHT_LANES", 1));
         let subgroups: Vec<_> = subgroups.map(|size| ("SUBGROUPS", size)).into_iter().collect();
+        let forward: Vec<_> = subgroups.iter().copied().chain(eight).collect();
         Ok(Self {
             project: context.kernel(kernel_source!("project"), &[])?,
             compact: context.kernel(kernel_source!("compact"), &[])?,
             tile_counts: context.kernel(kernel_source!("tile_counts"), &[])?,
             emit: context.kernel(kernel_source!("emit"), &[])?,
             tile_ranges: context.kernel(kernel_source!("tile_ranges"), &[])?,
-            raster_forward: context.kernel(kernel_source!("raster_forward"), &subgroups)?,
+            raster_forward: context.kernel(kernel_source!("raster_forward"), &forward)?,
             raster_backward: context.kernel(kernel_source!("raster_backward"), &subgroups)?,
             gather: context.kernel(kernel_source!("gather"), &[])?,
             project_backward: context.kernel(kernel_source!("project_backward"), &[])?,
