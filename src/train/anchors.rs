@@ -5,15 +5,16 @@ use std::sync::Arc;
 use rand_pcg::Pcg64;
 
 use super::{
-    Adam, Decay, Densify, Moments, Schedule, Statistics, TrainError,
+    Adam, CheckpointError, Decay, Densify, Moments, Schedule, Statistics, TrainError,
     densify::{Trainable, densify},
     learner::{Learner, Size, Step},
+    state::LearnerState,
     unused::drop_unused,
 };
 use crate::{
-    domain::{Camera, CancelFlag, Frame, Scene},
+    domain::{Camera, CancelFlag, Frame, Lattice, Scene},
     gpu::{Buffer, Context, Recorder},
-    model::{AnchorRows, NetworkLayout, Shape, VoxelRule, initial_rows},
+    model::{AnchorRows, MAX_CELL, NetworkLayout, Shape, VoxelRule, initial_rows},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, RasterSettings},
 };
 
@@ -38,22 +39,109 @@ pub(super) struct AnchorLearner {
     adam: Adam,
 }
 
+/// What differs between a learner that begins and one that goes on.
+struct Parts {
+    anchors: AnchorRows,
+    networks: Vec<f32>,
+    row_moments: Moments,
+    network_moments: Moments,
+    statistics: Buffer<f32>,
+}
+
+/// Anchors that growth does not go beyond on this adapter.
+fn most_anchors(context: &Context, schedule: &Schedule) -> usize {
+    schedule.max_anchors.min(NeuralGaussians::most_anchors(context, schedule.shape))
+}
+
+fn lattice_values(values: &[f32]) -> Result<[f32; 4], CheckpointError> {
+    match <[f32; 4]>::try_from(values) {
+        Ok(values) if values[0] > 0.0 && values.iter().all(|v| v.is_finite()) => Ok(values),
+        _ => Err(CheckpointError::array("lattice", "is not a size and an origin")),
+    }
+}
+
 impl AnchorLearner {
     /// Anchors at `points` and fresh networks; `extent` is the scene's, in world units.
     pub(super) fn begin(
         context: &Arc<Context>,
-        mut schedule: Schedule,
+        schedule: Schedule,
         points: &[[f32; 3]],
         extent: f32,
         rng: &mut Pcg64,
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
-        schedule.max_anchors = schedule.max_anchors.min(NeuralGaussians::most_anchors(context, shape));
         let rule = VoxelRule::OfSpacing(1.0 / COARSEST_GROWTH as f32);
         // Growth needs room above what the points begin with.
-        let anchors = initial_rows(points, rule, shape, schedule.max_anchors / 2)?;
+        let most = most_anchors(context, &schedule) / 2;
+        let anchors = initial_rows(points, rule, shape, most)?;
+        let networks = NetworkLayout::new(shape).initial(rng);
+        let parts = Parts {
+            row_moments: Moments::zero(context, anchors.values.len())?,
+            network_moments: Moments::zero(context, networks.len())?,
+            statistics: context.buffer("growth statistics", anchors.len() * Statistics::width(shape))?,
+            networks,
+            anchors,
+        };
+        Self::assemble(context, schedule, extent, parts)
+    }
+
+    /// The learner that [`Learner::save`] was asked of.
+    pub(super) fn resume(
+        context: &Arc<Context>,
+        schedule: Schedule,
+        extent: f32,
+        mut state: LearnerState,
+    ) -> Result<Self, TrainError> {
+        let shape = schedule.shape;
+        let [voxel, origin @ ..] = lattice_values(&state.take_exactly::<f32>("lattice", 4)?)?;
+        let flat: Vec<i32> = state.take("anchors.cells")?;
+        let cells: Vec<[i32; 3]> = flat.as_chunks().0.to_vec();
+        let anchors = cells.len();
+        if anchors == 0
+            || flat.len() != 3 * anchors
+            || flat.iter().any(|c| c.unsigned_abs() > MAX_CELL as u32)
+        {
+            let fault = format!("has {} values, or some that are no cell of a lattice", flat.len());
+            return Err(CheckpointError::array("anchors.cells", fault).into());
+        }
+        let rows = anchors * shape.row();
+        let parameters = NetworkLayout::new(shape).parameters;
+        let mut floats = |name: &str, len: usize| state.take_exactly::<f32>(name, len);
+        let values = floats("anchors.rows", rows)?;
+        let row_moments = Moments::upload(
+            context,
+            &floats("anchors.rows.first", rows)?,
+            &floats("anchors.rows.second", rows)?,
+        )?;
+        let networks = floats("networks", parameters)?;
+        let network_moments = Moments::upload(
+            context,
+            &floats("networks.first", parameters)?,
+            &floats("networks.second", parameters)?,
+        )?;
+        let statistics = floats("growth", anchors * Statistics::width(shape))?;
+        let masks = state.take_exactly::<u32>("anchors.masks", anchors)?;
+        state.finish()?;
+        let parts = Parts {
+            anchors: AnchorRows { shape, lattice: Lattice { voxel, origin }, cells, values, masks },
+            networks,
+            row_moments,
+            network_moments,
+            statistics: context.upload("growth statistics", &statistics)?,
+        };
+        Self::assemble(context, schedule, extent, parts)
+    }
+
+    fn assemble(
+        context: &Arc<Context>,
+        mut schedule: Schedule,
+        extent: f32,
+        parts: Parts,
+    ) -> Result<Self, TrainError> {
+        let shape = schedule.shape;
+        schedule.max_anchors = most_anchors(context, &schedule);
+        let Parts { anchors, networks, row_moments, network_moments, statistics } = parts;
         let layout = NetworkLayout::new(shape);
-        let networks = layout.initial(rng);
         Ok(Self {
             schedule,
             shape,
@@ -61,9 +149,9 @@ impl AnchorLearner {
             owners: layout.owners(),
             device: DeviceAnchors::upload(context, &anchors, &networks)?,
             gradients: AnchorGradients::new(context, shape, anchors.len())?,
-            row_moments: Moments::zero(context, anchors.values.len())?,
-            network_moments: Moments::zero(context, layout.parameters)?,
-            statistics: context.buffer("growth statistics", anchors.len() * Statistics::width(shape))?,
+            row_moments,
+            network_moments,
+            statistics,
             neural: NeuralGaussians::new(Arc::clone(context), shape, RasterSettings::default().near)?,
             adam: Adam::new(context)?,
             context: Arc::clone(context),
@@ -175,6 +263,23 @@ impl Learner for AnchorLearner {
 
     fn size(&self) -> Result<Size, TrainError> {
         Ok(Size { anchors: self.anchors.len(), gaussians: self.neural.counts()?[1] as usize })
+    }
+
+    fn save(&self) -> Result<LearnerState, TrainError> {
+        let read = |buffer| self.context.read(buffer);
+        let Lattice { voxel, origin: [x, y, z] } = self.anchors.lattice;
+        let mut state = LearnerState::default();
+        state.put("lattice", vec![voxel, x, y, z]);
+        state.put("anchors.cells", self.anchors.cells.as_flattened().to_vec());
+        state.put("anchors.masks", self.anchors.masks.clone());
+        state.put("anchors.rows", read(&self.device.rows)?);
+        state.put("anchors.rows.first", read(&self.row_moments.first)?);
+        state.put("anchors.rows.second", read(&self.row_moments.second)?);
+        state.put("networks", read(&self.device.networks)?);
+        state.put("networks.first", read(&self.network_moments.first)?);
+        state.put("networks.second", read(&self.network_moments.second)?);
+        state.put("growth", read(&self.statistics)?);
+        Ok(state)
     }
 
     fn finish(mut self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Scene, TrainError> {

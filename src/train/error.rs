@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 
+use super::CheckpointError;
 use crate::{
     domain::{ModelKind, Problem},
     gpu::GpuError,
@@ -35,6 +36,9 @@ pub enum TrainError {
     /// The model is known but not built yet.
     #[error("model '{0}' is not available in this version")]
     NotInThisVersion(ModelKind),
+    /// The run cannot go on from the checkpoint that it was given.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
     /// Somebody asked for a stop.
     #[error("cancelled")]
     Cancelled,
@@ -51,6 +55,7 @@ impl From<TrainError> for Problem {
         match error {
             TrainError::Gpu(fault) => fault.into(),
             TrainError::Render(fault) => fault.into(),
+            TrainError::Checkpoint(fault) => fault.into(),
             other => Problem::new(422, "training-failed", "Training failed", other.to_string()),
         }
     }

@@ -2,11 +2,12 @@
 //!
 //! The step loop owns photographs, rasteriser and losses; a learner turns its parameters into the Gaussians of a view and
 //! the loss's gradients by those into its next parameters. What always holds: a learner's state after a step is a
-//! function of its state before, the camera, the step and the random generator that it is handed.
+//! function of its state before, the camera, the step and the random generator that it is handed; and a learner that is
+//! made from what [`Learner::save`] gave goes on with the same bits.
 
 use rand_pcg::Pcg64;
 
-use super::TrainError;
+use super::{TrainError, state::LearnerState};
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
     gpu::Recorder,
@@ -60,6 +61,9 @@ pub(super) trait Learner {
 
     /// How large the model is. May wait for the device.
     fn size(&self) -> Result<Size, TrainError>;
+
+    /// Everything that the next step depends on. Waits for the device.
+    fn save(&self) -> Result<LearnerState, TrainError>;
 
     /// The finished scene; `frames` are the photographs that it learnt from.
     fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Scene, TrainError>;

@@ -1,25 +1,30 @@
-//! Training: the step loop, its schedule, the image loss, Adam, growth and pruning.
+//! Training: the step loop, its schedule, the image loss, Adam, growth and pruning, checkpoints.
 //!
 //! What always holds: the same dataset, options, seed and adapter give the same bits, because every random choice comes
 //! from the seed and every sum on the device has a fixed order.
 
 mod adam;
 mod anchors;
+mod checkpoint;
+mod checkpoint_folder;
 mod densify;
 mod error;
 mod learner;
 mod loss;
 mod schedule;
 mod start_box;
+mod state;
 mod statistics;
 mod trainer;
 pub mod twin;
 mod unused;
 
 pub use adam::{Adam, Moments};
+pub use checkpoint::{Checkpoint, CheckpointError};
+pub use checkpoint_folder::{CheckpointFolder, KeepCheckpoints};
 pub use densify::{Densify, densify};
 pub use error::TrainError;
 pub use loss::{ImageLoss, LossSums};
 pub use schedule::{Decay, Schedule};
 pub use statistics::Statistics;
-pub use trainer::{Trained, train};
+pub use trainer::{Checkpoints, Trained, train};

@@ -6,11 +6,13 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    ImageLoss, LossSums, Schedule, TrainError,
+    Checkpoint, ImageLoss, KeepCheckpoints, LossSums, Schedule, TrainError,
     anchors::AnchorLearner,
+    checkpoint::{Origin, RunState},
     learner::{Learner, Step},
     loss::pack,
     start_box::start_box,
+    state::LearnerState,
 };
 use crate::{
     domain::{Background, CancelFlag, Dataset, Frame, ModelKind, Progress, Scene, Split, TrainOptions},
@@ -33,31 +35,77 @@ pub struct Trained {
     pub seconds: f64,
 }
 
+/// What a run goes on from, and who keeps what others may go on from; neither changes what comes of it.
+#[derive(Default)]
+pub struct Checkpoints<'a> {
+    /// A checkpoint of this run to go on from, instead of its begin.
+    pub resume: Option<Checkpoint>,
+    /// Keeps checkpoints: those that it wants, one when the run is cancelled, and one after the last step.
+    pub keep: Option<&'a mut dyn KeepCheckpoints>,
+}
+
 /// Trains a scene on the dataset's training frames.
 ///
-/// `report` is called every few steps. The run is a function of dataset, options and adapter.
+/// `report` is called every few steps, and at once where the run goes on from a checkpoint. The run is a function of dataset,
+/// options and adapter.
 ///
 /// # Errors
 /// [`TrainError`]; a cancelled run ends as [`TrainError::Cancelled`] within a step, or within a view
-/// of the pass that ends it.
+/// of the pass that ends it. [`TrainError::Checkpoint`] only before the first step.
 pub fn train(
     context: &Arc<Context>,
     dataset: &Dataset,
     options: &TrainOptions,
+    checkpoints: Checkpoints<'_>,
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
 ) -> Result<Trained, TrainError> {
-    let mut run = Run::begin(context, dataset, options)?;
-    for number in 1..=run.steps {
+    let Checkpoints { resume, keep } = checkpoints;
+    let mut run = Run::begin(context, dataset, options, resume)?;
+    let mut keeper = Keeper { keep, kept: run.state.step };
+    if run.state.step > 0 {
+        report(&run.progress(None)?);
+    }
+    while run.state.step < run.steps {
         if cancel.is_cancelled() {
+            keeper.keep(&run);
             return Err(TrainError::Cancelled);
         }
-        run.step(number)?;
-        if number.is_multiple_of(REPORT_EVERY) || number == run.steps {
-            report(&run.progress(number)?);
+        run.step()?;
+        let step = run.state.step;
+        if step.is_multiple_of(REPORT_EVERY) || step == run.steps {
+            let sums = run.sums()?;
+            report(&run.progress(Some(sums))?);
+        }
+        if keeper.wants(step) || step == run.steps {
+            keeper.keep(&run);
         }
     }
     run.finish(cancel)
+}
+
+/// Keeps checkpoints of a run, none of them twice.
+struct Keeper<'a> {
+    keep: Option<&'a mut dyn KeepCheckpoints>,
+    /// Step of the newest checkpoint.
+    kept: u32,
+}
+
+impl Keeper<'_> {
+    fn wants(&mut self, step: u32) -> bool {
+        self.keep.as_mut().is_some_and(|keep| keep.wants(step))
+    }
+
+    /// A run without a checkpoint is better than none, so a failure is told and no more.
+    fn keep(&mut self, run: &Run<'_>) {
+        let step = run.state.step;
+        let Some(keep) = self.keep.as_mut().filter(|_| step != self.kept) else { return };
+        let kept = run.checkpoint().and_then(|checkpoint| Ok(keep.keep(&checkpoint)?));
+        match kept {
+            Ok(()) => self.kept = step,
+            Err(fault) => tracing::warn!(step, "no checkpoint is kept at step {step}: {fault}"),
+        }
+    }
 }
 
 /// 1.1 times the largest distance of a training camera from their mean: the scene's extent.
@@ -69,25 +117,61 @@ fn camera_extent(frames: &[&Frame]) -> f32 {
     if radius > 0.0 { (1.1 * radius) as f32 } else { 1.0 }
 }
 
+/// A learner at the begin of its run.
+fn fresh(
+    context: &Arc<Context>,
+    model: ModelKind,
+    schedule: Schedule,
+    dataset: &Dataset,
+    frames: &[&Frame],
+    rng: &mut Pcg64,
+) -> Result<Box<dyn Learner>, TrainError> {
+    let points = match &dataset.points {
+        Some(cloud) if !cloud.positions.is_empty() => cloud.positions.clone(),
+        _ => {
+            let (low, high) = start_box(dataset.layout, frames);
+            random_points(rng, schedule.random_points, low, high)
+        }
+    };
+    let extent = camera_extent(frames);
+    match model {
+        ModelKind::Tcgs | ModelKind::Scaffold => {
+            Ok(Box::new(AnchorLearner::begin(context, schedule, &points, extent, rng)?))
+        }
+        ModelKind::Gaussians3d => Err(TrainError::NotInThisVersion(model)),
+    }
+}
+
+/// The learner that a checkpoint was taken of.
+fn resumed(
+    context: &Arc<Context>,
+    model: ModelKind,
+    schedule: Schedule,
+    frames: &[&Frame],
+    state: LearnerState,
+) -> Result<Box<dyn Learner>, TrainError> {
+    let extent = camera_extent(frames);
+    match model {
+        ModelKind::Tcgs | ModelKind::Scaffold => {
+            Ok(Box::new(AnchorLearner::resume(context, schedule, extent, state)?))
+        }
+        ModelKind::Gaussians3d => Err(TrainError::NotInThisVersion(model)),
+    }
+}
+
 struct Run<'a> {
     context: Arc<Context>,
     steps: u32,
     frames: Vec<&'a Frame>,
     background: Background,
-    order: Vec<usize>,
-    rng: Pcg64,
+    /// Its seconds are those before `began`.
+    state: RunState,
     learner: Box<dyn Learner>,
     raster: Rasterizer,
     loss: ImageLoss,
     began: Instant,
-    recent: Recent,
-}
-
-/// Figures since the last report.
-struct Recent {
-    since: Instant,
-    step: u32,
-    average: Option<LossSums>,
+    began_at: u32,
+    reported: (Instant, u32),
 }
 
 impl<'a> Run<'a> {
@@ -95,6 +179,7 @@ impl<'a> Run<'a> {
         context: &Arc<Context>,
         dataset: &'a Dataset,
         options: &TrainOptions,
+        resume: Option<Checkpoint>,
     ) -> Result<Self, TrainError> {
         let frames: Vec<&Frame> = dataset.split(Split::Train).collect();
         if frames.is_empty() {
@@ -102,32 +187,38 @@ impl<'a> Run<'a> {
         }
         let schedule = Schedule::new(options);
         let steps = schedule.steps;
-        let mut rng = Pcg64::seed_from_u64(options.seed);
-        let points = match &dataset.points {
-            Some(cloud) if !cloud.positions.is_empty() => cloud.positions.clone(),
-            _ => {
-                let (low, high) = start_box(dataset.layout, &frames);
-                random_points(&mut rng, schedule.random_points, low, high)
+        let adapter = context.adapter_line();
+        let origin = Origin { options, dataset: dataset.digest, adapter: &adapter };
+        let (state, learner) = match resume {
+            Some(checkpoint) => {
+                let (mut state, saved) = checkpoint.open(origin, steps, frames.len())?;
+                tracing::info!(step = state.step, "going on from step {}", state.step);
+                if state.adapter != adapter {
+                    tracing::warn!(
+                        "the run began on {} and goes on on {adapter}; its bits may differ from either's",
+                        state.adapter
+                    );
+                    state.adapter = adapter;
+                }
+                (state, resumed(context, options.model, schedule, &frames, saved)?)
             }
-        };
-        let extent = camera_extent(&frames);
-        let learner: Box<dyn Learner> = match options.model {
-            ModelKind::Tcgs | ModelKind::Scaffold => {
-                Box::new(AnchorLearner::begin(context, schedule, &points, extent, &mut rng)?)
+            None => {
+                let mut rng = Pcg64::seed_from_u64(options.seed);
+                let learner = fresh(context, options.model, schedule, dataset, &frames, &mut rng)?;
+                (RunState::begin(origin, rng), learner)
             }
-            ModelKind::Gaussians3d => return Err(TrainError::NotInThisVersion(options.model)),
         };
         let now = Instant::now();
         Ok(Self {
             steps,
             background: options.background,
-            order: Vec::new(),
-            rng,
             learner,
             raster: Rasterizer::new(Arc::clone(context), RasterSettings::default())?,
             loss: ImageLoss::new(Arc::clone(context))?,
             began: now,
-            recent: Recent { since: now, step: 0, average: None },
+            began_at: state.step,
+            reported: (now, state.step),
+            state,
             context: Arc::clone(context),
             frames,
         })
@@ -135,14 +226,16 @@ impl<'a> Run<'a> {
 
     /// The next photograph: every one once before any comes again.
     fn next_frame(&mut self) -> usize {
-        if self.order.is_empty() {
-            self.order = (0..self.frames.len()).collect();
-            self.order.shuffle(&mut self.rng);
+        let RunState { order, rng, .. } = &mut self.state;
+        if order.is_empty() {
+            order.extend(0..self.frames.len());
+            order.shuffle(rng);
         }
-        self.order.pop().unwrap_or(0)
+        order.pop().unwrap_or(0)
     }
 
-    fn step(&mut self, number: u32) -> Result<(), TrainError> {
+    fn step(&mut self) -> Result<(), TrainError> {
+        let number = self.state.step + 1;
         let step = Step { number, fraction: f64::from(number) / f64::from(self.steps.max(1)) };
         let index = self.next_frame();
         let camera = self.frames[index].camera;
@@ -168,46 +261,59 @@ impl<'a> Run<'a> {
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
         self.learner.backward(&mut recorder, &camera, &step)?;
         recorder.submit()?;
-        self.learner.adapt(&step, &mut self.rng)
+        self.learner.adapt(&step, &mut self.state.rng)?;
+        self.state.step = number;
+        Ok(())
     }
 
-    fn progress(&mut self, step: u32) -> Result<Progress, TrainError> {
-        let sums = self.loss.sums()?.ok_or(TrainError::Diverged { step })?;
-        if !sums.loss().is_finite() {
-            return Err(TrainError::Diverged { step });
-        }
+    /// The losses of the last step.
+    fn sums(&self) -> Result<LossSums, TrainError> {
+        let diverged = TrainError::Diverged { step: self.state.step };
+        self.loss.sums()?.filter(|sums| sums.loss().is_finite()).ok_or(diverged)
+    }
+
+    /// How far the run is, with losses where there are new ones.
+    fn progress(&mut self, sums: Option<LossSums>) -> Result<Progress, TrainError> {
         let blend = |old: f64, new: f64| 0.9 * old + 0.1 * new;
-        let average = self.recent.average.map_or(sums, |old| LossSums {
-            ssim: blend(old.ssim, sums.ssim),
-            l1: blend(old.l1, sums.l1),
-            mse: blend(old.mse, sums.mse),
-        });
-        self.recent.average = Some(average);
-        let elapsed = self.began.elapsed().as_secs_f64();
-        let recent = self.recent.since.elapsed().as_secs_f64();
-        let speed = (recent > 0.0).then(|| f64::from(step - self.recent.step) / recent);
-        self.recent.since = Instant::now();
-        self.recent.step = step;
-        let left = f64::from(self.steps - step);
+        if let Some(sums) = sums {
+            self.state.set_average(self.state.average().map_or(sums, |old| LossSums {
+                ssim: blend(old.ssim, sums.ssim),
+                l1: blend(old.l1, sums.l1),
+                mse: blend(old.mse, sums.mse),
+            }));
+        }
+        let average = self.state.average();
+        let step = self.state.step;
+        let rate = |since: Instant, from: u32| {
+            let seconds = since.elapsed().as_secs_f64();
+            (step > from && seconds > 0.0).then(|| f64::from(step - from) / seconds)
+        };
+        let speed = rate(self.reported.0, self.reported.1);
+        let mean_speed = rate(self.began, self.began_at);
+        self.reported = (Instant::now(), step);
         let size = self.learner.size()?;
         Ok(Progress {
             step: u64::from(step),
             total: u64::from(self.steps),
-            elapsed_seconds: elapsed,
-            eta_seconds: Some(left * elapsed / f64::from(step)),
+            elapsed_seconds: self.began.elapsed().as_secs_f64(),
+            eta_seconds: mean_speed.map(|speed| f64::from(self.steps - step) / speed),
             steps_per_second: speed,
             anchors: size.anchors as u64,
             gaussians: size.gaussians as u64,
-            loss: Some(average.loss()),
-            psnr: Some(average.psnr()),
+            loss: average.map(|average| average.loss()),
+            psnr: average.map(|average| average.psnr()),
         })
     }
 
+    fn checkpoint(&self) -> Result<Checkpoint, TrainError> {
+        let mut state = self.state.clone();
+        state.seconds += self.began.elapsed().as_secs_f64();
+        Ok(Checkpoint::new(state, self.learner.save()?))
+    }
+
     fn finish(self, cancel: &CancelFlag) -> Result<Trained, TrainError> {
-        Ok(Trained {
-            scene: self.learner.finish(&self.frames, cancel)?,
-            steps: self.steps,
-            seconds: self.began.elapsed().as_secs_f64(),
-        })
+        let scene = self.learner.finish(&self.frames, cancel)?;
+        let seconds = self.state.seconds + self.began.elapsed().as_secs_f64();
+        Ok(Trained { scene, steps: self.steps, seconds })
     }
 }

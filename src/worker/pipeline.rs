@@ -9,20 +9,23 @@ use std::{
 };
 
 use super::{
-    run::{JobFailure, JobOutput, RunJob},
+    run::{Checkpoints, JobFailure, JobOutput, Resume, RunJob},
     steps::choose_steps,
 };
 use crate::{
     codec::{self, DecodeLimits, EncodeSettings, Provenance},
     domain::{
         AnchorScene, CancelFlag, Dataset, Frame, JobMetrics, NamedCamera, Phase, PhaseSeconds, Problem,
-        Progress, Scene, Scores, Split, TrainOptions,
+        Progress, Scene, Scores, Split, SystemClock, TrainOptions,
     },
     eval::{ViewScore, mean_scores, measure_views},
     gpu::{AdapterChoice, Context, GpuError},
     ingest,
     render::{RenderError, SceneRenderer},
-    train::{Schedule, TrainError, train},
+    train::{
+        self, Checkpoint, CheckpointError, CheckpointFolder, KeepCheckpoints, Schedule, TrainError, Trained,
+        train,
+    },
 };
 
 /// Training views that the reported training figures are measured on, evenly spread.
@@ -58,6 +61,7 @@ impl RunJob for Pipeline {
         &self,
         dataset: &Path,
         options: &TrainOptions,
+        checkpoints: &Checkpoints,
         report: &mut dyn FnMut(Phase, &Progress),
         cancel: &CancelFlag,
     ) -> Result<JobOutput, JobFailure> {
@@ -78,17 +82,11 @@ impl RunJob for Pipeline {
         // The first report of the training comes some steps after its begin, which may be minutes.
         tell(Phase::Train, &mut progress);
         let context = self.context().map_err(from_gpu)?;
-        let trained = train(
-            &context,
-            &dataset,
-            options,
-            &mut |now| {
-                progress = now.clone();
-                tell(Phase::Train, &mut progress);
-            },
-            cancel,
-        )
-        .map_err(from_training)?;
+        let mut passed_on = |now: &Progress| {
+            progress = now.clone();
+            tell(Phase::Train, &mut progress);
+        };
+        let trained = train_from(&context, &dataset, options, checkpoints, &mut passed_on, cancel)?;
         seconds.train = trained.seconds;
         // What training told of the time left says nothing about what follows it.
         progress.eta_seconds = None;
@@ -108,6 +106,46 @@ impl RunJob for Pipeline {
             .collect();
         Ok(JobOutput { file: file.bytes, metrics, cameras })
     }
+}
+
+/// Trains, from a checkpoint where there is one to go on from.
+fn train_from(
+    context: &Arc<Context>,
+    dataset: &Dataset,
+    options: &TrainOptions,
+    checkpoints: &Checkpoints,
+    report: &mut dyn FnMut(&Progress),
+    cancel: &CancelFlag,
+) -> Result<Trained, JobFailure> {
+    let mut folder = match &checkpoints.keep {
+        Some(path) => match CheckpointFolder::open(path, Arc::new(SystemClock)) {
+            Ok(folder) => Some(folder),
+            // A job must not fail for want of what only an interruption would need.
+            Err(fault) => {
+                tracing::warn!("no checkpoints are kept: {fault}");
+                None
+            }
+        },
+        None => None,
+    };
+    let mut attempt = |resume: Option<Checkpoint>| {
+        let keep = folder.as_mut().map(|folder| folder as &mut dyn KeepCheckpoints);
+        train(context, dataset, options, train::Checkpoints { resume, keep }, report, cancel)
+    };
+    let load = |path| CheckpointFolder::load(path).map_err(TrainError::from);
+    let trained = match &checkpoints.resume {
+        Resume::Fresh => attempt(None),
+        Resume::From(path) => load(path).and_then(|checkpoint| attempt(Some(checkpoint))),
+        Resume::IfPossible(path) => match load(path).and_then(|checkpoint| attempt(Some(checkpoint))) {
+            Err(TrainError::Checkpoint(CheckpointError::Missing(_))) => attempt(None),
+            Err(TrainError::Checkpoint(fault)) => {
+                tracing::warn!("the run starts over: {fault}");
+                attempt(None)
+            }
+            other => other,
+        },
+    };
+    trained.map_err(from_training)
 }
 
 /// What the stages after training share.

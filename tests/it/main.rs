@@ -1,6 +1,7 @@
 //! All integration tests in one binary: one link, one GPU context per process.
 
 mod adam;
+mod checkpoint;
 mod cli;
 mod codec;
 mod container_image;
