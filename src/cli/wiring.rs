@@ -14,6 +14,7 @@ use tcgs::{
     gpu::AdapterChoice,
     ingest,
     render::{RenderViews, SceneViewer, views::Viewable},
+    train::{CheckpointError, CheckpointFolder},
     worker::{pipeline::Pipeline, run::RunJob},
 };
 
@@ -92,6 +93,14 @@ fn not_a_file(fault: &DecodeError) -> Problem {
 /// The training pipeline.
 pub(crate) fn runner(adapter: &AdapterChoice) -> Result<Arc<dyn RunJob>, Problem> {
     Ok(Arc::new(Pipeline::new(adapter.clone())))
+}
+
+/// Checks that there is a sound checkpoint in `folder`; whether it is of the same run shows when it is gone on from.
+pub(crate) fn check_checkpoint(folder: &Path) -> Result<(), Problem> {
+    CheckpointFolder::load(folder).map(drop).map_err(|fault| match fault {
+        fault @ (CheckpointError::Missing(_) | CheckpointError::Io { .. }) => fault.into(),
+        fault => Problem::from(fault).in_file(folder.display().to_string()),
+    })
 }
 
 /// What renders views, for the service and for single commands; the second is adapter and driver in one line.
