@@ -120,10 +120,11 @@ fn adam(context: &Arc<Context>, count: usize) {
     let rates = context.upload("rates", &rates).unwrap();
     let moments = Moments::zero(context, len).unwrap();
     let adam = Adam::new(context).unwrap();
+    let no = context.upload("void mark", &[0]).unwrap();
     let mut times = Times::new();
     for step in 1..=RUNS {
         let mut recorder = context.timed_recorder("adam");
-        adam.step(&mut recorder, step as u32, &rates, &gradients, &values, &moments).unwrap();
+        adam.step(&mut recorder, step as u32, &no, &rates, &gradients, &values, &moments).unwrap();
         keep_least(&mut times, recorder.submit_timed().unwrap());
     }
     // Four arrays read and three written.

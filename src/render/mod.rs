@@ -13,6 +13,6 @@ pub use error::RenderError;
 pub use gaussians::{GaussianGradients, Gaussians};
 pub use neural::{AnchorGradients, DeviceAnchors, NeuralGaussians};
 pub use projection::{Projection, RasterSettings, TILE};
-pub use rasterizer::{Counts, Rasterizer};
+pub use rasterizer::{Counts, Passes, Rasterizer};
 pub use scene_renderer::{SceneRenderer, SceneViewer};
 pub use views::RenderViews;

@@ -228,16 +228,18 @@ impl Learner for AnchorLearner {
         recorder: &mut Recorder<'_>,
         _camera: &Camera,
         step: &Step,
+        void_mark: &Buffer<u32>,
     ) -> Result<(), TrainError> {
         self.neural.backward(recorder, &self.device, &self.gradients)?;
         if self.schedule.gathers_statistics(step.number) {
-            self.neural.statistics(recorder, &self.device, &self.statistics)?;
+            self.neural.statistics(recorder, &self.device, &self.statistics, void_mark)?;
         }
         let row_rates = recorder.uniform(&self.row_rates(step.fraction))?;
         let network_rates = recorder.uniform(&self.network_rates(step.fraction))?;
         self.adam.step(
             recorder,
             step.number,
+            void_mark,
             &row_rates,
             &self.gradients.rows,
             &self.device.rows,
@@ -246,6 +248,7 @@ impl Learner for AnchorLearner {
         self.adam.step(
             recorder,
             step.number,
+            void_mark,
             &network_rates,
             &self.gradients.networks,
             &self.device.networks,
@@ -254,11 +257,12 @@ impl Learner for AnchorLearner {
         Ok(())
     }
 
+    fn adapts(&self, step: &Step) -> bool {
+        self.schedule.densifies(step.number)
+    }
+
     fn adapt(&mut self, step: &Step, rng: &mut Pcg64) -> Result<(), TrainError> {
-        if self.schedule.densifies(step.number) {
-            self.densify(step.number, rng)?;
-        }
-        Ok(())
+        self.densify(step.number, rng)
     }
 
     fn size(&self) -> Result<Size, TrainError> {

@@ -10,7 +10,7 @@ use rand_pcg::Pcg64;
 use super::{TrainError, state::LearnerState};
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
-    gpu::Recorder,
+    gpu::{Buffer, Recorder},
     render::{GaussianGradients, Gaussians},
 };
 
@@ -48,15 +48,20 @@ pub(super) trait Learner {
     /// Where the rasteriser is to write the loss's gradients by them.
     fn gaussian_gradients(&mut self) -> Result<GaussianGradients, TrainError>;
 
-    /// Records the gradients by the parameters, the statistics that growth goes by, and the optimiser's step.
+    /// Records the gradients by the parameters, the statistics that growth goes by, and the optimiser's step. If `void_mark` is
+    /// set by the time that these are run, the step will be done again: then nothing of it may last.
     fn backward(
         &mut self,
         recorder: &mut Recorder<'_>,
         camera: &Camera,
         step: &Step,
+        void_mark: &Buffer<u32>,
     ) -> Result<(), TrainError>;
 
-    /// Grows, prunes and resets where the schedule wants it after a submitted step. May wait for the device.
+    /// Whether the schedule wants [`Learner::adapt`] after a step.
+    fn adapts(&self, step: &Step) -> bool;
+
+    /// Grows, prunes and resets after a submitted step. May wait for the device.
     fn adapt(&mut self, step: &Step, rng: &mut Pcg64) -> Result<(), TrainError>;
 
     /// How large the model is. May wait for the device.

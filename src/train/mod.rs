@@ -5,6 +5,7 @@
 
 mod adam;
 mod anchors;
+mod batch;
 mod checkpoint;
 mod checkpoint_folder;
 mod densify;

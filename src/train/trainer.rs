@@ -8,6 +8,7 @@ use rand_pcg::Pcg64;
 use super::{
     Checkpoint, ImageLoss, KeepCheckpoints, LossSums, Schedule, TrainError,
     anchors::AnchorLearner,
+    batch::Batch,
     checkpoint::{Origin, RunState},
     learner::{Learner, Step},
     loss::pack,
@@ -71,7 +72,7 @@ pub fn train(
             keeper.keep(&run);
             return Err(TrainError::Cancelled);
         }
-        run.step()?;
+        run.advance(&mut |step| keeper.wants(step))?;
         let step = run.state.step;
         if step.is_multiple_of(REPORT_EVERY) || step == run.steps {
             let sums = run.sums()?;
@@ -172,6 +173,7 @@ struct Run<'a> {
     began: Instant,
     began_at: u32,
     reported: (Instant, u32),
+    batch: Batch,
 }
 
 impl<'a> Run<'a> {
@@ -218,6 +220,8 @@ impl<'a> Run<'a> {
             began: now,
             began_at: state.step,
             reported: (now, state.step),
+            // The first step, which compiles kernels and makes buffers, is waited for.
+            batch: Batch::Timed { seconds_a_step: 1.0 },
             state,
             context: Arc::clone(context),
             frames,
@@ -234,35 +238,66 @@ impl<'a> Run<'a> {
         order.pop().unwrap_or(0)
     }
 
-    fn step(&mut self) -> Result<(), TrainError> {
-        let number = self.state.step + 1;
-        let step = Step { number, fraction: f64::from(number) / f64::from(self.steps.max(1)) };
+    fn at(&self, number: u32) -> Step {
+        Step { number, fraction: f64::from(number) / f64::from(self.steps.max(1)) }
+    }
+
+    /// Does the steps up to the next after which the host has something to do, or `wanted` says that it has.
+    ///
+    /// Nothing is read back in between. If a pass found no room for its intersections, it and those after it changed
+    /// nothing; they are done again with more. Returns how many were recorded, with those that were void.
+    fn advance(&mut self, wanted: &mut dyn FnMut(u32) -> bool) -> Result<u32, TrainError> {
+        let began = Instant::now();
+        let most = self.batch.length();
+        let mut before = Vec::new();
+        let mut recorded = 0;
+        let last = loop {
+            before.push(self.state.clone());
+            self.record()?;
+            recorded += 1;
+            let step = self.at(self.state.step);
+            let is_last = step.number == self.steps
+                || step.number.is_multiple_of(REPORT_EVERY)
+                || before.len() >= most
+                || self.learner.adapts(&step)
+                || wanted(step.number);
+            if !is_last {
+                continue;
+            }
+            let passes = self.raster.passes()?;
+            let Some(needed) = passes.lacking else { break step };
+            let first = (passes.sound as usize).min(before.len() - 1);
+            tracing::debug!(step = before[first].step + 1, needed, "no room for all intersections");
+            self.state = before.swap_remove(first);
+            before.clear();
+            self.raster.make_room(needed)?;
+        };
+        self.batch.learn(recorded, began.elapsed().as_secs_f64());
+        if self.learner.adapts(&last) {
+            self.learner.adapt(&last, &mut self.state.rng)?;
+        }
+        Ok(recorded)
+    }
+
+    /// Records and submits one step.
+    fn record(&mut self) -> Result<(), TrainError> {
+        let step = self.at(self.state.step + 1);
         let index = self.next_frame();
         let camera = self.frames[index].camera;
-        let context = Arc::clone(&self.context);
-        loop {
-            let mut recorder = context.recorder("forward");
-            self.learner.forward(&mut recorder, &camera, &step)?;
-            self.raster.forward(&mut recorder, self.learner.gaussians(), &camera, self.background.rgb())?;
-            recorder.submit()?;
-            let counts = self.raster.counts()?;
-            if !counts.overflowed {
-                break;
-            }
-            self.raster.grow(&counts)?;
-        }
         // Packed when it is needed: a second copy of every image would double what a dataset takes.
         let photograph = pack(self.frames[index].image.over(self.background.rgb8()).samples());
-        let mut recorder = context.recorder("backward");
+        let context = Arc::clone(&self.context);
+        let mut recorder = context.recorder("step");
+        self.learner.forward(&mut recorder, &camera, &step)?;
+        self.raster.forward(&mut recorder, self.learner.gaussians(), &camera, self.background.rgb())?;
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         let v_image = self.loss.record(&mut recorder, size, self.raster.image(), &photograph)?;
         let gaussians = self.learner.gaussians().clone();
         let d_gaussians = self.learner.gaussian_gradients()?;
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
-        self.learner.backward(&mut recorder, &camera, &step)?;
+        self.learner.backward(&mut recorder, &camera, &step, self.raster.void_mark())?;
         recorder.submit()?;
-        self.learner.adapt(&step, &mut self.state.rng)?;
-        self.state.step = number;
+        self.state.step = step.number;
         Ok(())
     }
 
@@ -317,3 +352,6 @@ impl<'a> Run<'a> {
         Ok(Trained { scene, steps: self.steps, seconds })
     }
 }
+
+#[cfg(test)]
+mod tests;
