@@ -14,7 +14,7 @@ use tcgs::{
     gpu::{AdapterChoice, Buffer, Context, KernelTime},
     model::{NetworkLayout, Shape, VoxelRule, initial_rows, random_points},
     render::{AnchorGradients, DeviceAnchors, NeuralGaussians},
-    train::{Adam, ImageLoss, Moments},
+    train::{Adam, ImageLoss, Moments, WaveletWeights},
 };
 
 const RUNS: usize = 10;
@@ -140,22 +140,26 @@ fn loss(context: &Arc<Context>, size: [u32; 2]) {
     let photograph: Vec<u32> = (0..pixels).map(|_| rng.random()).collect();
     let render: Buffer<[f32; 4]> = context.upload("render", &render).unwrap();
     let mut image_loss = ImageLoss::new(Arc::clone(context)).unwrap();
+    let weights = WaveletWeights::at(0.5);
     let mut times = Times::new();
     let mut gradient = None;
     for _ in 0..RUNS {
         let mut recorder = context.timed_recorder("loss");
-        gradient = Some(image_loss.record(&mut recorder, size, &render, &photograph).unwrap().clone());
+        gradient = Some(
+            image_loss.record(&mut recorder, size, &render, &photograph, Some(&weights)).unwrap().clone(),
+        );
         keep_least(&mut times, recorder.submit_timed().unwrap());
     }
-    let work = ["ssim_rows", "ssim_columns", "ssim_gradient_rows", "image_gradient"]
+    let work = ["ssim_rows", "ssim_columns", "ssim_gradient_rows", "image_gradient", "wavelet"]
         .map(|name| (name, (1e3 * pixels as f64, "Mpixel/s")));
     print(&format!("image of {} x {}", size[0], size[1]), &times, &work.into_iter().collect());
     let sums = image_loss.sums().unwrap().unwrap();
     println!(
-        "sums: SSIM {:.8}, L1 {:.8}, squares {:.8}, gradient {:.6e}",
+        "sums: SSIM {:.8}, L1 {:.8}, squares {:.8}, wavelet {:.8}, gradient {:.6e}",
         sums.ssim,
         sums.l1,
         sums.mse,
+        sums.wavelet,
         sum(&flat(&context.read(&gradient.unwrap()).unwrap()))
     );
 }

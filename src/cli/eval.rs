@@ -3,9 +3,12 @@
 use std::{path::PathBuf, time::Instant};
 
 use serde::Serialize;
-use tcgs::domain::{Background, ByteCounts, Digest, Image, Scores, Split};
+use tcgs::{
+    domain::{Background, ByteCounts, Conventions, Digest, Image, Scores, Split, ViewScore},
+    eval::Lpips,
+};
 
-use super::{Failure, Report, adapter::AdapterFlag, files, picture, wiring};
+use super::{Failure, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, picture, wiring};
 
 /// Arguments of `tcgs eval`.
 #[derive(Debug, clap::Args)]
@@ -19,6 +22,13 @@ pub(crate) struct Args {
     /// Also write each held-out photograph and its render, side by side, into this folder
     #[arg(long, value_name = "DIR")]
     save: Option<PathBuf>,
+
+    /// Also print a table of the views
+    #[arg(long)]
+    per_view: bool,
+
+    #[command(flatten)]
+    lpips: LpipsFlag,
 
     #[command(flatten)]
     adapter: AdapterFlag,
@@ -39,6 +49,7 @@ struct Metrics {
     decode_sha256: Digest,
     adapter: String,
     background: Background,
+    conventions: Conventions,
     /// Whether the file was trained on this dataset, if it states its dataset.
     same_dataset: Option<bool>,
 }
@@ -52,6 +63,7 @@ struct Seconds {
 
 /// Decodes, renders every held-out view, measures.
 pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+    let lpips = wiring::lpips(args.lpips.lpips.as_deref())?;
     let bytes = files::read(&args.file)?;
     let in_file = |problem: tcgs::domain::Problem| problem.in_file(args.file.display().to_string());
     let byte_counts = wiring::inspect(&bytes).map_err(in_file)?.bytes;
@@ -69,24 +81,24 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     let (anchors, gaussians) = (decoded.scene.len(), decoded.scene.gaussians());
     let (background, decode_sha256) = (decoded.background, decoded.decode_sha256);
     let renderer = wiring::Renderer::open(decoded, &args.adapter.adapter)?;
-    let (pairs, render_seconds) = timed(|| {
-        let mut pairs = Vec::new();
+    let (compared, render_seconds) = timed(|| {
+        let mut compared: Vec<wiring::Compared> = Vec::new();
         for frame in dataset.split(Split::Test) {
             let photograph = frame.image.over(background.rgb8());
-            pairs.push((renderer.view(&frame.camera)?, photograph));
+            compared.push((frame.name.clone(), renderer.view(&frame.camera)?, photograph));
         }
-        Ok::<_, tcgs::domain::Problem>(pairs)
+        Ok::<_, tcgs::domain::Problem>(compared)
     })?;
     if let Some(folder) = &args.save {
-        for (frame, (render, photograph)) in dataset.split(Split::Test).zip(&pairs) {
-            let name = frame.name.replace(['/', '\\'], "_");
+        for (name, render, photograph) in &compared {
+            let name = name.replace(['/', '\\'], "_");
             let stem = name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem);
             picture::write(&folder.join(format!("{stem}.png")), &side_by_side(photograph, render))?;
         }
     }
 
     let metrics = Metrics {
-        test: wiring::scores(&pairs)?,
+        test: wiring::scores(&compared, lpips.as_ref())?,
         bytes: byte_counts,
         seconds: Seconds { ingest: ingest_seconds, decode: decode_seconds, render: render_seconds },
         anchors,
@@ -94,9 +106,14 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
         decode_sha256,
         adapter: renderer.adapter.clone(),
         background,
+        conventions: Conventions::new(lpips.as_ref().map(Lpips::network)),
         same_dataset,
     };
-    Ok(Report::new(text(&metrics), &metrics))
+    let mut text = text(&metrics);
+    if args.per_view {
+        text.push_str(&table(&metrics.test.per_view));
+    }
+    Ok(Report::new(text, &metrics))
 }
 
 fn timed<T, E>(work: impl FnOnce() -> Result<T, E>) -> Result<(T, f64), E> {
@@ -105,16 +122,20 @@ fn timed<T, E>(work: impl FnOnce() -> Result<T, E>) -> Result<(T, f64), E> {
 }
 
 fn text(metrics: &Metrics) -> String {
-    let scores = match (metrics.test.psnr, metrics.test.ssim) {
+    let mut scores = match (metrics.test.psnr, metrics.test.ssim) {
         (Some(psnr), Some(ssim)) => format!("PSNR {psnr:.2} dB  SSIM {ssim:.4}"),
         _ => "no held-out views".to_owned(),
     };
+    if let (Some(lpips), Some(network)) = (metrics.test.lpips, metrics.test.lpips_network) {
+        scores.push_str(&format!("  {network} {lpips:.4}"));
+    }
     format!(
         "test      {scores}  over {} views on {}\n\
          size      {} bytes; {} anchors, {} Gaussians\n\
          time      {:.2} s decoding, {:.2} s rendering\n\
          adapter   {}\n\
-         decoded   {}",
+         decoded   {}\n\
+         measured  {}",
         metrics.test.views,
         metrics.background,
         metrics.bytes.total,
@@ -124,7 +145,19 @@ fn text(metrics: &Metrics) -> String {
         metrics.seconds.render,
         metrics.adapter,
         metrics.decode_sha256,
+        metrics.conventions,
     )
+}
+
+/// A line for each view, in the order of the dataset, after an empty one.
+fn table(views: &[ViewScore]) -> String {
+    let width = views.iter().map(|view| view.name.chars().count()).chain([4]).max().unwrap_or_default();
+    let mut table = format!("\n\n{:width$}  PSNR dB    SSIM   LPIPS", "view");
+    for ViewScore { name, psnr, ssim, lpips } in views {
+        let lpips = lpips.map_or_else(|| "-".to_owned(), |lpips| format!("{lpips:.4}"));
+        table.push_str(&format!("\n{name:width$}  {psnr:7.2}  {ssim:.4}  {lpips:>6}"));
+    }
+    table
 }
 
 /// Two RGB images of one size, the first on the left.
@@ -143,6 +176,17 @@ fn side_by_side(left: &Image, right: &Image) -> Image {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_view_has_its_line() {
+        let view = |name: &str, psnr, lpips| ViewScore { name: name.to_owned(), psnr, ssim: 0.9, lpips };
+        let table = table(&[view("images/a.png", 31.257, Some(0.123_44)), view("b", 100.0, None)]);
+        let expected = "\n\n\
+            view          PSNR dB    SSIM   LPIPS\n\
+            images/a.png    31.26  0.9000  0.1234\n\
+            b              100.00  0.9000       -";
+        assert_eq!(table, expected);
+    }
 
     #[test]
     fn pairs_are_laid_side_by_side() {

@@ -13,6 +13,7 @@ mod failure;
 mod files;
 mod inspect;
 mod logging;
+mod lpips;
 mod picture;
 mod pose;
 mod progress;

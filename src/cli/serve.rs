@@ -6,6 +6,7 @@ use super::{
     Failure, Report,
     adapter::AdapterFlag,
     logging::Format,
+    lpips::LpipsFlag,
     wiring::{self, ServeOptions},
 };
 
@@ -32,6 +33,9 @@ pub(crate) struct Args {
     #[command(flatten)]
     adapter: AdapterFlag,
 
+    #[command(flatten)]
+    lpips: LpipsFlag,
+
     /// Worker processes to start; 0 if workers run elsewhere
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: u16,
@@ -44,6 +48,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
         listen: args.listen,
         data: args.data,
         adapter: args.adapter.adapter,
+        lpips: args.lpips.lpips,
         workers: args.workers,
         log_format,
     })?;

@@ -8,7 +8,7 @@ use tcgs::{
     worker::run::{Checkpoints, JobFailure, Resume},
 };
 
-use super::{Failure, Report, adapter::AdapterFlag, files, progress::Display, wiring};
+use super::{Failure, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, progress::Display, wiring};
 
 /// A value parser that knows and lists the names of a choice.
 macro_rules! choice {
@@ -33,6 +33,9 @@ pub(crate) struct Args {
 
     #[command(flatten)]
     adapter: AdapterFlag,
+
+    #[command(flatten)]
+    lpips: LpipsFlag,
 
     /// Keep a checkpoint of the run in this folder, replaced every minute and when the run is interrupted
     #[arg(long, value_name = "DIR")]
@@ -72,7 +75,7 @@ struct Options {
     model: ModelKind,
 
     /// Parts of the method to leave out
-    #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',', hide = true)]
+    #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',')]
     without: Vec<Component>,
 
     /// Weight of the rate term
@@ -105,7 +108,8 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     let options = args.options.train_options()?;
     files::check_writable(&args.output)?;
     let checkpoints = checkpoints(args)?;
-    let runner = wiring::runner(&args.adapter.adapter)?;
+    let lpips = wiring::lpips(args.lpips.lpips.as_deref())?;
+    let runner = wiring::runner(&args.adapter.adapter, lpips)?;
     let cancel = CancelFlag::default();
     cancel_on_interrupt(cancel.clone());
 
@@ -171,14 +175,18 @@ fn text(metrics: &JobMetrics) -> String {
     };
     let lossless = figure(metrics.psnr_before_quantisation, 2, " dB");
     format!(
-        "test      PSNR {} (before quantisation {lossless})  SSIM {}  over {} views on {}\n\
+        "test      PSNR {} (before quantisation {lossless})  SSIM {}{}  over {} views on {}\n\
          train     PSNR {}  SSIM {}  over {} views\n\
          size      {} bytes; {} anchors, {} Gaussians\n\
          time      {:.1} s training, {} steps, {:.2} steps/s; {:.2} s encoding, {:.2} s decoding\n\
          adapter   {}\n\
-         decoded   {}",
+         decoded   {}\n\
+         measured  {}",
         figure(metrics.test.psnr, 2, " dB"),
         figure(metrics.test.ssim, 4, ""),
+        metrics.test.lpips_network.map_or_else(String::new, |network| {
+            format!("  {network} {}", figure(metrics.test.lpips, 4, ""))
+        }),
         metrics.test.views,
         metrics.background,
         figure(metrics.train.psnr, 2, " dB"),
@@ -194,6 +202,7 @@ fn text(metrics: &JobMetrics) -> String {
         metrics.seconds.decode,
         metrics.adapter,
         metrics.decode_sha256,
+        metrics.conventions,
     )
 }
 

@@ -10,7 +10,7 @@ use std::{path::Path, sync::Arc};
 use tcgs::{
     codec::{self, DecodeError, DecodeLimits, EncodeError, EncodeSettings, Encoded},
     domain::{AnchorScene, Background, ByteCounts, Camera, Dataset, Digest, Image, Problem, Scores},
-    eval::{ViewScore, mean_scores},
+    eval::{Lpips, mean_scores_with, score_view},
     gpu::AdapterChoice,
     ingest,
     render::{RenderViews, SceneViewer, views::Viewable},
@@ -19,6 +19,8 @@ use tcgs::{
 };
 
 pub(crate) use service::{ServeOptions, WorkerOptions, serve, worker};
+
+use super::{Failure, files};
 
 /// Quantisation step of features where a user gives none (the published one).
 pub(crate) const FEATURE_STEP: f32 = 1.0;
@@ -90,9 +92,18 @@ fn not_a_file(fault: &DecodeError) -> Problem {
     Problem::new(422, "undecodable", "The file cannot be decoded", fault.to_string())
 }
 
-/// The training pipeline.
-pub(crate) fn runner(adapter: &AdapterChoice) -> Result<Arc<dyn RunJob>, Problem> {
-    Ok(Arc::new(Pipeline::new(adapter.clone())))
+/// The training pipeline, which also measures LPIPS if there are weights for it.
+pub(crate) fn runner(adapter: &AdapterChoice, lpips: Option<Lpips>) -> Result<Arc<dyn RunJob>, Problem> {
+    Ok(Arc::new(Pipeline::new(adapter.clone()).with_lpips(lpips)))
+}
+
+/// The weights of LPIPS in a file, if one is named.
+pub(crate) fn lpips(path: Option<&Path>) -> Result<Option<Lpips>, Failure> {
+    let Some(path) = path else { return Ok(None) };
+    let bytes = files::read(path)?;
+    let lpips = Lpips::from_safetensors(&bytes)
+        .map_err(|fault| Problem::from(fault).in_file(path.display().to_string()))?;
+    Ok(Some(lpips))
 }
 
 /// Checks that there is a sound checkpoint in `folder`; whether it is of the same run shows when it is gone on from.
@@ -134,12 +145,24 @@ impl Renderer {
     }
 }
 
-/// Mean scores of renders against photographs, pair by pair.
-pub(crate) fn scores(pairs: &[(Image, Image)]) -> Result<Scores, Problem> {
-    let scores: Option<Vec<_>> =
-        pairs.iter().map(|(render, photograph)| ViewScore::measure("", render, photograph)).collect();
-    let scores = scores.ok_or_else(|| {
-        Problem::new(500, "internal", "Internal error", "a render is not of its photograph's size")
-    })?;
-    Ok(mean_scores(&scores))
+/// A held-out view: its name, its render and its photograph.
+pub(crate) type Compared = (String, Image, Image);
+
+/// The scores of renders against photographs, each and as means.
+pub(crate) fn scores(views: &[Compared], lpips: Option<&Lpips>) -> Result<Scores, Problem> {
+    let scores = views
+        .iter()
+        .map(|(name, render, photograph)| {
+            let mut score = score_view(name, render, photograph).ok_or_else(|| {
+                let detail = format!("the render of {name} is not of its photograph's size");
+                Problem::new(500, "internal", "Internal error", detail)
+            })?;
+            if let Some(lpips) = lpips {
+                let distance = lpips.distance(render, photograph);
+                score.lpips = Some(distance.map_err(|fault| Problem::from(fault).in_file(name))?);
+            }
+            Ok(score)
+        })
+        .collect::<Result<Vec<_>, Problem>>()?;
+    Ok(mean_scores_with(&scores, lpips.map(Lpips::network)))
 }

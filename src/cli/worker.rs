@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::{
     Failure, Report,
     adapter::AdapterFlag,
+    lpips::LpipsFlag,
     serve::refuse_shared_storage,
     wiring::{self, WorkerOptions},
 };
@@ -27,6 +28,9 @@ pub(crate) struct Args {
     #[command(flatten)]
     adapter: AdapterFlag,
 
+    #[command(flatten)]
+    lpips: LpipsFlag,
+
     /// Stop when standard input closes, as it does when the service that started this worker ends
     #[arg(long, hide = true)]
     stop_with_parent: bool,
@@ -38,6 +42,7 @@ pub(crate) fn run(args: Args) -> Result<Report, Failure> {
     wiring::worker(WorkerOptions {
         data: args.data,
         adapter: args.adapter.adapter,
+        lpips: args.lpips.lpips,
         stop_with_parent: args.stop_with_parent,
     })?;
     Ok(Report::default())

@@ -2,7 +2,21 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Background, Digest};
+use super::{Background, Conventions, Digest, LpipsNetwork};
+
+/// Image quality of one view, from 8-bit images.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ViewScore {
+    /// Frame name.
+    pub name: String,
+    /// dB.
+    pub psnr: f64,
+    /// Structural similarity.
+    pub ssim: f64,
+    /// Perceptual distance; null without weights, or for an image too small for the network.
+    #[serde(default)]
+    pub lpips: Option<f64>,
+}
 
 /// Image quality over a set of views, from 8-bit images: the mean over views of each view's figure.
 ///
@@ -14,10 +28,16 @@ pub struct Scores {
     pub psnr: Option<f64>,
     /// Structural similarity, or null without views.
     pub ssim: Option<f64>,
-    /// Perceptual distance; null unless network weights are supplied.
+    /// Perceptual distance; null unless network weights are supplied and every view has a figure.
     pub lpips: Option<f64>,
+    /// The network of `lpips`, and null with it.
+    #[serde(default)]
+    pub lpips_network: Option<LpipsNetwork>,
     /// How many views were measured.
     pub views: usize,
+    /// The figures of each view, in the order of the dataset.
+    #[serde(default)]
+    pub per_view: Vec<ViewScore>,
 }
 
 /// Where the bytes of the file go; the parts add up to `total`.
@@ -83,4 +103,7 @@ pub struct JobMetrics {
     pub adapter: String,
     /// Background that renders and images were composited on.
     pub background: Background,
+    /// How image quality was measured.
+    #[serde(default)]
+    pub conventions: Conventions,
 }

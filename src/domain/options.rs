@@ -8,6 +8,9 @@ use thiserror::Error;
 /// Largest number of steps that a job may ask for.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
 
+/// Parts that this version has and can leave out.
+const SWITCHES: &[Component] = &[Component::Wavelet, Component::Masks];
+
 /// An option value that is not understood or not possible.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("{option}: {fault}")]
@@ -188,6 +191,12 @@ impl TrainOptions {
         Ok(())
     }
 
+    /// Whether a part of the method takes part: the baselines have none of them.
+    #[must_use]
+    pub fn has(&self, part: Component) -> bool {
+        self.model == ModelKind::Tcgs && !self.without.contains(&part)
+    }
+
     /// Checks that the options can be carried out by this version.
     ///
     /// # Errors
@@ -207,7 +216,7 @@ impl TrainOptions {
                 format!("'{}' is not available in this version", self.model),
             ));
         }
-        if let Some(part) = self.without.first() {
+        if let Some(part) = self.without.iter().find(|part| !SWITCHES.contains(part)) {
             return Err(OptionError::new(
                 "without",
                 format!("'{part}' is not part of this version, so it cannot be switched off"),
@@ -246,6 +255,19 @@ mod tests {
     }
 
     #[test]
+    fn a_part_is_on_in_the_method_and_off_in_the_baselines_and_where_it_is_left_out() {
+        let mut options = TrainOptions::default();
+        assert!(options.has(Component::Wavelet));
+        options.set("without", "wavelet").expect("a part");
+        let options = options.validated().expect("this version has it");
+        assert!(!options.has(Component::Wavelet) && options.has(Component::Masks));
+        for model in [ModelKind::Scaffold, ModelKind::Gaussians3d] {
+            let baseline = TrainOptions { model, ..TrainOptions::default() };
+            assert!(!baseline.has(Component::Wavelet));
+        }
+    }
+
+    #[test]
     fn what_this_version_cannot_do_is_refused_not_ignored() {
         for (name, value) in [("model", "3dgs"), ("without", "knn"), ("max_bytes", "1000"), ("lambda", "0.1")]
         {
@@ -253,6 +275,9 @@ mod tests {
             options.set(name, value).expect("parses");
             assert_eq!(options.validated().expect_err(name).option, name);
         }
+        let mut options = TrainOptions::default();
+        options.set("without", "masks").expect("parses");
+        assert!(options.validated().is_ok());
         let zero = TrainOptions { iterations: Some(0), ..TrainOptions::default() };
         assert!(zero.validated().is_err());
     }

@@ -1,12 +1,12 @@
 //! Renders frames of a dataset and compares them with their photographs.
 
-use super::ViewScore;
+use super::{Lpips, score_view};
 use crate::{
-    domain::{Background, Frame},
+    domain::{Background, Frame, ViewScore},
     render::{RenderError, SceneRenderer},
 };
 
-/// The score of each frame, photographs composited on `background`.
+/// PSNR and SSIM of each frame, photographs composited on `background`.
 ///
 /// # Errors
 /// Faults of the renderer.
@@ -15,14 +15,33 @@ pub fn measure_views(
     frames: &[&Frame],
     background: Background,
 ) -> Result<Vec<ViewScore>, RenderError> {
+    measure_views_with(renderer, frames, background, None)
+}
+
+/// The score of each frame, with LPIPS where there are weights for it. A frame that LPIPS cannot compare has no such
+/// figure, since the others are worth having without it; the log says why.
+///
+/// # Errors
+/// Faults of the renderer.
+pub fn measure_views_with(
+    renderer: &mut SceneRenderer,
+    frames: &[&Frame],
+    background: Background,
+    lpips: Option<&Lpips>,
+) -> Result<Vec<ViewScore>, RenderError> {
     frames
         .iter()
         .map(|frame| {
             let render = renderer.render(&frame.camera)?;
             let photograph = frame.image.over(background.rgb8());
-            ViewScore::measure(&frame.name, &render, &photograph).ok_or_else(|| {
+            let mut score = score_view(&frame.name, &render, &photograph).ok_or_else(|| {
                 RenderError::Scene(format!("frame {} is not of its camera's size", frame.name))
-            })
+            })?;
+            score.lpips = lpips.and_then(|lpips| {
+                let distance = lpips.distance(&render, &photograph);
+                distance.inspect_err(|fault| tracing::warn!("{}: no LPIPS: {fault}", frame.name)).ok()
+            });
+            Ok(score)
         })
         .collect()
 }

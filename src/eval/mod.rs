@@ -1,12 +1,18 @@
-//! Image quality: PSNR and SSIM from 8-bit images, per view and as means over views.
+//! Image quality from 8-bit images: PSNR, SSIM and LPIPS, per view and as means over views, and errors by wavelet band.
 //!
 //! Conventions are those of the field's final metrics (method.md §1.1): both images are 8-bit, PSNR pools the squared
-//! error over the three channels, means are over views.
+//! error over the three channels, means are over views. [`crate::domain::Conventions`] says so beside the figures.
 
+mod bands;
+mod haar;
+mod lpips;
 mod measure;
 mod quality;
 mod scores;
 
-pub use measure::measure_views;
+pub use bands::{BandErrors, band_errors};
+pub use haar::Haar;
+pub use lpips::{Lpips, LpipsError};
+pub use measure::{measure_views, measure_views_with};
 pub use quality::{psnr, ssim};
-pub use scores::{ViewScore, mean_scores};
+pub use scores::{mean_scores, mean_scores_with, score_view};

@@ -52,7 +52,7 @@ pub fn ssim(a: &Image, b: &Image) -> Option<f64> {
     Some(total / (3 * width * height) as f64)
 }
 
-fn comparable(a: &Image, b: &Image) -> Option<()> {
+pub(super) fn comparable(a: &Image, b: &Image) -> Option<()> {
     let same = a.width() == b.width() && a.height() == b.height();
     (same && a.channels() == 3 && b.channels() == 3).then_some(())
 }

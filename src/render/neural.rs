@@ -258,6 +258,12 @@ impl NeuralGaussians {
         &self.forward.gaussians
     }
 
+    /// The visible anchors of the last forward pass: how many, then their indices, ascending.
+    #[must_use]
+    pub fn visible(&self) -> &Buffer<u32> {
+        &self.forward.list
+    }
+
     /// Where a loss's gradients by those Gaussians belong.
     ///
     /// # Errors

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use rand_pcg::Pcg64;
 
 use super::{
-    Adam, CheckpointError, Decay, Densify, Moments, Schedule, Statistics, TrainError,
-    densify::{Trainable, densify},
+    Adam, CheckpointError, Decay, Densify, MaskRows, Moments, OffsetMasks, Schedule, Statistics, TrainError,
+    densify::{Trainable, densify, drop_masked},
     learner::{Learner, Size, Step},
     state::LearnerState,
     unused::drop_unused,
@@ -35,17 +35,18 @@ pub(super) struct AnchorLearner {
     row_moments: Moments,
     network_moments: Moments,
     statistics: Buffer<f32>,
+    /// Until they are settled.
+    masks: Option<OffsetMasks>,
     neural: NeuralGaussians,
     adam: Adam,
 }
 
 /// What differs between a learner that begins and one that goes on.
 struct Parts {
-    anchors: AnchorRows,
-    networks: Vec<f32>,
-    row_moments: Moments,
-    network_moments: Moments,
-    statistics: Buffer<f32>,
+    state: Trainable,
+    statistics: Statistics,
+    /// The networks' parameters and their moments.
+    networks: [Vec<f32>; 3],
 }
 
 /// Anchors that growth does not go beyond on this adapter.
@@ -75,12 +76,17 @@ impl AnchorLearner {
         let most = most_anchors(context, &schedule) / 2;
         let anchors = initial_rows(points, rule, shape, most)?;
         let networks = NetworkLayout::new(shape).initial(rng);
+        let parameters = networks.len();
+        let zeros = |len| vec![0.0; len];
         let parts = Parts {
-            row_moments: Moments::zero(context, anchors.values.len())?,
-            network_moments: Moments::zero(context, networks.len())?,
-            statistics: context.buffer("growth statistics", anchors.len() * Statistics::width(shape))?,
-            networks,
-            anchors,
+            networks: [networks, zeros(parameters), zeros(parameters)],
+            statistics: Statistics::zero(shape, anchors.len()),
+            state: Trainable {
+                first: zeros(anchors.values.len()),
+                second: zeros(anchors.values.len()),
+                masks: schedule.masks.map(|_| MaskRows::new(anchors.len() * shape.offsets)),
+                anchors,
+            },
         };
         Self::assemble(context, schedule, extent, parts)
     }
@@ -105,30 +111,40 @@ impl AnchorLearner {
             return Err(CheckpointError::array("anchors.cells", fault).into());
         }
         let rows = anchors * shape.row();
+        let offsets = anchors * shape.offsets;
         let parameters = NetworkLayout::new(shape).parameters;
+        let masks = state.take_exactly("anchors.masks", anchors)?;
+        let learning = state.has("masks.logits");
         let mut floats = |name: &str, len: usize| state.take_exactly::<f32>(name, len);
-        let values = floats("anchors.rows", rows)?;
-        let row_moments = Moments::upload(
-            context,
-            &floats("anchors.rows.first", rows)?,
-            &floats("anchors.rows.second", rows)?,
-        )?;
-        let networks = floats("networks", parameters)?;
-        let network_moments = Moments::upload(
-            context,
-            &floats("networks.first", parameters)?,
-            &floats("networks.second", parameters)?,
-        )?;
-        let statistics = floats("growth", anchors * Statistics::width(shape))?;
-        let masks = state.take_exactly::<u32>("anchors.masks", anchors)?;
-        state.finish()?;
         let parts = Parts {
-            anchors: AnchorRows { shape, lattice: Lattice { voxel, origin }, cells, values, masks },
-            networks,
-            row_moments,
-            network_moments,
-            statistics: context.upload("growth statistics", &statistics)?,
+            statistics: Statistics { shape, values: floats("growth", anchors * Statistics::width(shape))? },
+            networks: [
+                floats("networks", parameters)?,
+                floats("networks.first", parameters)?,
+                floats("networks.second", parameters)?,
+            ],
+            state: Trainable {
+                first: floats("anchors.rows.first", rows)?,
+                second: floats("anchors.rows.second", rows)?,
+                masks: if learning {
+                    Some(MaskRows {
+                        logits: floats("masks.logits", offsets)?,
+                        first: floats("masks.logits.first", offsets)?,
+                        second: floats("masks.logits.second", offsets)?,
+                    })
+                } else {
+                    None
+                },
+                anchors: AnchorRows {
+                    shape,
+                    lattice: Lattice { voxel, origin },
+                    cells,
+                    values: floats("anchors.rows", rows)?,
+                    masks,
+                },
+            },
         };
+        state.finish()?;
         Self::assemble(context, schedule, extent, parts)
     }
 
@@ -140,23 +156,26 @@ impl AnchorLearner {
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
         schedule.max_anchors = most_anchors(context, &schedule);
-        let Parts { anchors, networks, row_moments, network_moments, statistics } = parts;
+        let Parts { state, statistics, networks: [networks, first, second] } = parts;
+        let Trainable { anchors, .. } = &state;
+        let masks = state.masks.as_ref().map(|masks| OffsetMasks::upload(context, shape, masks));
         let layout = NetworkLayout::new(shape);
         Ok(Self {
             schedule,
             shape,
             extent,
             owners: layout.owners(),
-            device: DeviceAnchors::upload(context, &anchors, &networks)?,
+            device: DeviceAnchors::upload(context, anchors, &networks)?,
             gradients: AnchorGradients::new(context, shape, anchors.len())?,
-            row_moments,
-            network_moments,
-            statistics,
+            row_moments: Moments::upload(context, &state.first, &state.second)?,
+            network_moments: Moments::upload(context, &first, &second)?,
+            statistics: context.upload("growth statistics", &statistics.values)?,
+            masks: masks.transpose()?,
             neural: NeuralGaussians::new(Arc::clone(context), shape, RasterSettings::default().near)?,
             adam: Adam::new(context)?,
             context: Arc::clone(context),
             layout,
-            anchors,
+            anchors: state.anchors,
         })
     }
 
@@ -173,14 +192,7 @@ impl AnchorLearner {
     }
 
     fn densify(&mut self, step: u32, rng: &mut Pcg64) -> Result<(), TrainError> {
-        let context = Arc::clone(&self.context);
-        self.anchors.values = context.read(&self.device.rows)?;
-        let mut state = Trainable {
-            anchors: self.anchors.clone(),
-            first: context.read(&self.row_moments.first)?,
-            second: context.read(&self.row_moments.second)?,
-        };
-        let mut statistics = Statistics { shape: self.shape, values: context.read(&self.statistics)? };
+        let (mut state, mut statistics) = self.read()?;
         let settings = Densify {
             threshold: self.schedule.growth_threshold,
             min_views: 0.4 * self.schedule.densify_every as f32,
@@ -191,14 +203,48 @@ impl AnchorLearner {
         };
         let outcome = densify(&mut state, &mut statistics, &settings, rng);
         tracing::debug!(step, grown = outcome.grown, pruned = outcome.pruned, anchors = state.anchors.len());
+        self.write(state, &statistics, step)
+    }
+
+    fn settles_masks(&self, step: u32) -> bool {
+        self.schedule.masks.is_some_and(|masks| masks.until == step)
+    }
+
+    /// The masks learn no more; anchors that they left without an offset go.
+    fn settle_masks(&mut self, step: u32) -> Result<(), TrainError> {
+        let (mut state, mut statistics) = self.read()?;
+        state.masks = None;
+        let dropped = drop_masked(&mut state, &mut statistics);
+        tracing::debug!(step, dropped, anchors = state.anchors.len(), "masks settled");
+        self.write(state, &statistics, step)
+    }
+
+    /// All that belongs to anchors, from the device.
+    fn read(&self) -> Result<(Trainable, Statistics), TrainError> {
+        let context = &self.context;
+        let mut anchors = self.anchors.clone();
+        anchors.values = context.read(&self.device.rows)?;
+        anchors.masks = context.read(&self.device.masks)?;
+        let state = Trainable {
+            anchors,
+            first: context.read(&self.row_moments.first)?,
+            second: context.read(&self.row_moments.second)?,
+            masks: self.masks.as_ref().map(|masks| masks.read(context)).transpose()?,
+        };
+        Ok((state, Statistics { shape: self.shape, values: context.read(&self.statistics)? }))
+    }
+
+    fn write(&mut self, state: Trainable, statistics: &Statistics, step: u32) -> Result<(), TrainError> {
         if state.anchors.is_empty() {
             return Err(TrainError::NothingLeft { step });
         }
+        let context = &self.context;
         let networks = context.read(&self.device.networks)?;
-        self.device = DeviceAnchors::upload(&context, &state.anchors, &networks)?;
-        self.row_moments = Moments::upload(&context, &state.first, &state.second)?;
-        self.gradients = AnchorGradients::new(&context, self.shape, state.anchors.len())?;
+        self.device = DeviceAnchors::upload(context, &state.anchors, &networks)?;
+        self.row_moments = Moments::upload(context, &state.first, &state.second)?;
+        self.gradients = AnchorGradients::new(context, self.shape, state.anchors.len())?;
         self.statistics = context.upload("growth statistics", &statistics.values)?;
+        self.masks = state.masks.map(|masks| OffsetMasks::upload(context, self.shape, &masks)).transpose()?;
         self.anchors = state.anchors;
         Ok(())
     }
@@ -254,15 +300,29 @@ impl Learner for AnchorLearner {
             &self.device.networks,
             &self.network_moments,
         )?;
+        if let (Some(masks), Some(schedule)) = (&self.masks, &self.schedule.masks)
+            && schedule.learns(step.number)
+        {
+            masks.backward(recorder, &mut self.neural, &self.device, schedule.weight_at(step.number))?;
+            let rate = schedule.rate.at(step.fraction) as f32;
+            let since = step.number + 1 - schedule.from;
+            masks.step(recorder, &self.adam, since, void_mark, rate, schedule.level, &self.device)?;
+        }
         Ok(())
     }
 
     fn adapts(&self, step: &Step) -> bool {
-        self.schedule.densifies(step.number)
+        self.schedule.densifies(step.number) || self.settles_masks(step.number)
     }
 
     fn adapt(&mut self, step: &Step, rng: &mut Pcg64) -> Result<(), TrainError> {
-        self.densify(step.number, rng)
+        if self.schedule.densifies(step.number) {
+            self.densify(step.number, rng)?;
+        }
+        if self.settles_masks(step.number) {
+            self.settle_masks(step.number)?;
+        }
+        Ok(())
     }
 
     fn size(&self) -> Result<Size, TrainError> {
@@ -270,24 +330,30 @@ impl Learner for AnchorLearner {
     }
 
     fn save(&self) -> Result<LearnerState, TrainError> {
-        let read = |buffer| self.context.read(buffer);
-        let Lattice { voxel, origin: [x, y, z] } = self.anchors.lattice;
+        let (Trainable { anchors, first, second, masks }, statistics) = self.read()?;
+        let Lattice { voxel, origin: [x, y, z] } = anchors.lattice;
         let mut state = LearnerState::default();
         state.put("lattice", vec![voxel, x, y, z]);
-        state.put("anchors.cells", self.anchors.cells.as_flattened().to_vec());
-        state.put("anchors.masks", self.anchors.masks.clone());
-        state.put("anchors.rows", read(&self.device.rows)?);
-        state.put("anchors.rows.first", read(&self.row_moments.first)?);
-        state.put("anchors.rows.second", read(&self.row_moments.second)?);
-        state.put("networks", read(&self.device.networks)?);
-        state.put("networks.first", read(&self.network_moments.first)?);
-        state.put("networks.second", read(&self.network_moments.second)?);
-        state.put("growth", read(&self.statistics)?);
+        state.put("anchors.cells", anchors.cells.into_flattened());
+        state.put("anchors.masks", anchors.masks);
+        state.put("anchors.rows", anchors.values);
+        state.put("anchors.rows.first", first);
+        state.put("anchors.rows.second", second);
+        state.put("growth", statistics.values);
+        state.put("networks", self.context.read(&self.device.networks)?);
+        state.put("networks.first", self.context.read(&self.network_moments.first)?);
+        state.put("networks.second", self.context.read(&self.network_moments.second)?);
+        if let Some(masks) = masks {
+            state.put("masks.logits", masks.logits);
+            state.put("masks.logits.first", masks.first);
+            state.put("masks.logits.second", masks.second);
+        }
         Ok(state)
     }
 
     fn finish(mut self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Scene, TrainError> {
         self.anchors.values = self.context.read(&self.device.rows)?;
+        self.anchors.masks = self.context.read(&self.device.masks)?;
         let networks = self.context.read(&self.device.networks)?;
         drop_unused(&self.context, &mut self.neural, &self.device, &mut self.anchors, frames, cancel)?;
         if self.anchors.is_empty() {

@@ -129,8 +129,8 @@ pub(super) struct RunState {
     pub(super) rng: Pcg64,
     /// Photographs still to come in this round, the next one last.
     pub(super) order: Vec<usize>,
-    /// The bits of the averages that progress tells: SSIM, L1, squared error.
-    average: Option<[u64; 3]>,
+    /// The bits of the averages that progress tells: SSIM, L1, squared error, wavelet bands.
+    average: Option<[u64; 4]>,
 }
 
 /// What a run is made from: a checkpoint belongs to one of these.
@@ -159,13 +159,13 @@ impl RunState {
 
     /// The averages that progress tells.
     pub(super) fn average(&self) -> Option<LossSums> {
-        let [ssim, l1, mse] = self.average?.map(f64::from_bits);
-        Some(LossSums { ssim, l1, mse })
+        let [ssim, l1, mse, wavelet] = self.average?.map(f64::from_bits);
+        Some(LossSums { ssim, l1, mse, wavelet })
     }
 
     /// Remembers them.
     pub(super) fn set_average(&mut self, sums: LossSums) {
-        self.average = Some([sums.ssim, sums.l1, sums.mse].map(f64::to_bits));
+        self.average = Some([sums.ssim, sums.l1, sums.mse, sums.wavelet].map(f64::to_bits));
     }
 
     /// Checks that a run of `steps` steps over `frames` photographs from `origin` may go on from here.
@@ -372,7 +372,7 @@ mod tests {
         run.step = 30;
         run.seconds = 12.5;
         run.order = vec![3, 0, 2];
-        run.set_average(LossSums { ssim: 0.1 + 0.2, l1: 1.0 / 3.0, mse: 1e-300 });
+        run.set_average(LossSums { ssim: 0.1 + 0.2, l1: 1.0 / 3.0, mse: 1e-300, wavelet: 0.7 });
         let mut learner = LearnerState::default();
         learner.put("rows", vec![1.0_f32, f32::MIN_POSITIVE / 2.0, -0.0]);
         learner.put("cells", vec![-1, i32::MAX]);
@@ -395,7 +395,10 @@ mod tests {
         let (mut run, _) = back.open(origin(&options), 30, 4).expect("of this run");
         let (mut other, _) = checkpoint().open(origin(&options), 30, 4).expect("of this run");
         assert_eq!(run.rng.random::<u64>(), other.rng.random::<u64>());
-        assert_eq!(run.average(), Some(LossSums { ssim: 0.1 + 0.2, l1: 1.0 / 3.0, mse: 1e-300 }));
+        assert_eq!(
+            run.average(),
+            Some(LossSums { ssim: 0.1 + 0.2, l1: 1.0 / 3.0, mse: 1e-300, wavelet: 0.7 })
+        );
     }
 
     #[test]

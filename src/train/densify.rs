@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, HashSet};
 
 use rand::{Rng, RngExt};
 
-use super::Statistics;
+use super::{MaskRows, Statistics};
 use crate::model::{AnchorRows, MAX_CELL, all_offsets, cell_of, coarse};
 
 /// Anchors whose mean opacity is below this are pruned.
@@ -43,6 +43,8 @@ pub struct Trainable {
     pub first: Vec<f32>,
     /// Second moments of the rows.
     pub second: Vec<f32>,
+    /// The masks' logits, while they learn.
+    pub masks: Option<MaskRows>,
 }
 
 /// What one round did.
@@ -139,6 +141,9 @@ fn push_anchor(state: &mut Trainable, cell: [i32; 3], parents: &[usize], log_sca
     state.anchors.masks.push(all_offsets(shape));
     state.first.resize(state.anchors.values.len(), 0.0);
     state.second.resize(state.anchors.values.len(), 0.0);
+    if let Some(masks) = &mut state.masks {
+        masks.extend(shape.offsets);
+    }
 }
 
 /// Offsets that were eligible begin anew; the others go on gathering.
@@ -155,31 +160,46 @@ fn reset_seen_offsets(statistics: &mut Statistics, anchors: usize, min_views: f3
     }
 }
 
-/// Removes anchors that were visited often and stayed transparent; returns how many.
+/// Removes anchors that were visited often and stayed transparent, and those that have no offset left; returns how many.
 fn prune(state: &mut Trainable, statistics: &mut Statistics, settings: &Densify) -> usize {
     let offsets = statistics.shape.offsets;
-    let count = state.anchors.len();
-    let mut keep = vec![true; count];
+    let mut keep: Vec<bool> = state.anchors.masks.iter().map(|mask| *mask != 0).collect();
     for (anchor, keep) in keep.iter_mut().enumerate() {
         let (opacity, visits) = statistics.opacity_and_visits(anchor);
         if visits > settings.min_visits {
-            *keep = opacity >= MIN_OPACITY * visits;
+            *keep &= opacity >= MIN_OPACITY * visits;
             let row = statistics.row_mut(anchor);
             row[2 * offsets] = 0.0;
             row[2 * offsets + 1] = 0.0;
         }
     }
-    let pruned = keep.iter().filter(|keep| !**keep).count();
-    if pruned > 0 {
-        let width = state.anchors.shape.row();
-        retain_rows(&mut state.anchors.values, width, &keep);
-        retain_rows(&mut state.first, width, &keep);
-        retain_rows(&mut state.second, width, &keep);
-        retain_rows(&mut state.anchors.cells, 1, &keep);
-        retain_rows(&mut state.anchors.masks, 1, &keep);
-        retain_rows(&mut statistics.values, Statistics::width(statistics.shape), &keep);
+    retain(state, statistics, &keep)
+}
+
+/// Removes the anchors that have no offset left; returns how many.
+pub(super) fn drop_masked(state: &mut Trainable, statistics: &mut Statistics) -> usize {
+    let keep: Vec<bool> = state.anchors.masks.iter().map(|mask| *mask != 0).collect();
+    retain(state, statistics, &keep)
+}
+
+/// Removes all that belongs to the anchors that are not kept; returns how many there were.
+fn retain(state: &mut Trainable, statistics: &mut Statistics, keep: &[bool]) -> usize {
+    let dropped = keep.iter().filter(|keep| !**keep).count();
+    if dropped > 0 {
+        let shape = state.anchors.shape;
+        retain_rows(&mut state.anchors.values, shape.row(), keep);
+        retain_rows(&mut state.first, shape.row(), keep);
+        retain_rows(&mut state.second, shape.row(), keep);
+        retain_rows(&mut state.anchors.cells, 1, keep);
+        retain_rows(&mut state.anchors.masks, 1, keep);
+        retain_rows(&mut statistics.values, Statistics::width(shape), keep);
+        if let Some(masks) = &mut state.masks {
+            retain_rows(&mut masks.logits, shape.offsets, keep);
+            retain_rows(&mut masks.first, shape.offsets, keep);
+            retain_rows(&mut masks.second, shape.offsets, keep);
+        }
     }
-    pruned
+    dropped
 }
 
 fn retain_rows<T: Copy>(values: &mut Vec<T>, width: usize, keep: &[bool]) {

@@ -1,7 +1,9 @@
-//! The image loss on the device: 0.8 L1 + 0.2 (1 - SSIM), with its gradient (method.md §1.5).
+//! The image loss on the device: 0.8 L1 + 0.2 (1 - SSIM) (method.md §1.5) and, where asked for, the wavelet constraint;
+//! with its gradient.
 
 use std::sync::Arc;
 
+use super::WaveletWeights;
 use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source};
 
 /// Weight of the SSIM part; L1 has the rest.
@@ -20,12 +22,38 @@ struct ImageUniform {
     weights: [f32; 4],
 }
 
+#[repr(C)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct ConstraintUniform {
+    size: [u32; 4],
+    fine: [f32; 4],
+    coarse: [f32; 4],
+}
+
+impl ConstraintUniform {
+    /// Every weight divided by the samples of its band.
+    fn new([width, height]: [u32; 2], weights: &WaveletWeights) -> Self {
+        let halves = [width.div_ceil(2), height.div_ceil(2)];
+        let quarters = [width.div_ceil(4), height.div_ceil(4)];
+        let share = |[across, down]: [u32; 2], low: f64, [lh, hl, hh]: [f64; 3]| {
+            let samples = 3.0 * f64::from(across) * f64::from(down);
+            [low, lh, hl, hh].map(|weight| (weight / samples) as f32)
+        };
+        Self {
+            size: [width, height, quarters[0], quarters[0] * quarters[1]],
+            fine: share(halves, 0.0, weights.fine),
+            coarse: share(quarters, weights.low, weights.coarse),
+        }
+    }
+}
+
 #[derive(Debug)]
 struct Kernels {
     rows: Arc<Kernel>,
     columns: Arc<Kernel>,
     gradient_rows: Arc<Kernel>,
     gradient: Arc<Kernel>,
+    wavelet: Arc<Kernel>,
     sums: Arc<Kernel>,
 }
 
@@ -41,7 +69,7 @@ struct Fields {
     gradient: Buffer<[f32; 4]>,
 }
 
-/// Means over all samples of an image.
+/// What render and photograph differ by: means over all samples of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LossSums {
     /// Mean SSIM.
@@ -50,13 +78,15 @@ pub struct LossSums {
     pub l1: f64,
     /// Mean squared difference.
     pub mse: f64,
+    /// The wavelet constraint as it counts in the loss; 0 where it is off.
+    pub wavelet: f64,
 }
 
 impl LossSums {
-    /// 0.8 L1 + 0.2 (1 - SSIM).
+    /// 0.8 L1 + 0.2 (1 - SSIM), and the wavelet constraint.
     #[must_use]
     pub fn loss(&self) -> f64 {
-        (1.0 - SSIM_WEIGHT) * self.l1 + SSIM_WEIGHT * (1.0 - self.ssim)
+        (1.0 - SSIM_WEIGHT) * self.l1 + SSIM_WEIGHT * (1.0 - self.ssim) + self.wavelet
     }
 
     /// PSNR of the unquantised render in dB, at most 100.
@@ -85,12 +115,14 @@ impl ImageLoss {
             columns: context.kernel(kernel_source!("ssim_columns"), &[])?,
             gradient_rows: context.kernel(kernel_source!("ssim_gradient_rows"), &[])?,
             gradient: context.kernel(kernel_source!("image_gradient"), &[])?,
+            wavelet: context.kernel(kernel_source!("wavelet"), &[])?,
             sums: context.kernel(kernel_source!("sum_losses"), &[])?,
         };
         Ok(Self { context, kernels, fields: None })
     }
 
-    /// Records the loss of `render` against `photograph` (packed 8-bit RGB, one word a pixel) and its gradient.
+    /// Records the loss of `render` against `photograph` (packed 8-bit RGB, one word a pixel) and its gradient;
+    /// without `wavelet` the constraint costs nothing.
     ///
     /// # Errors
     /// Faults of the device.
@@ -100,6 +132,7 @@ impl ImageLoss {
         size: [u32; 2],
         render: &Buffer<[f32; 4]>,
         photograph: &[u32],
+        wavelet: Option<&WaveletWeights>,
     ) -> Result<&Buffer<[f32; 4]>, GpuError> {
         let pixels = size[0] as usize * size[1] as usize;
         let fields = match self.fields.take() {
@@ -153,6 +186,16 @@ impl ImageLoss {
             &[uniform, render, photograph, fields.blurred.as_ref(), fields.gradient.as_ref()],
             column_groups,
         );
+        if let Some(weights) = wavelet {
+            let constraint = ConstraintUniform::new(fields.size, weights);
+            let groups = constraint.size[3].div_ceil(64);
+            let constraint = recorder.uniform(&[constraint])?;
+            recorder.dispatch(
+                &self.kernels.wavelet,
+                &[constraint.as_ref(), render, photograph, fields.losses.as_ref(), fields.gradient.as_ref()],
+                groups,
+            );
+        }
         recorder.dispatch(
             &self.kernels.sums,
             &[uniform, fields.losses.as_ref(), fields.sums.as_ref()],
@@ -169,8 +212,9 @@ impl ImageLoss {
         let Some(fields) = &self.fields else { return Ok(None) };
         let sums = self.context.read(&fields.sums)?;
         let samples = 3.0 * f64::from(fields.size[0]) * f64::from(fields.size[1]);
-        let mean = |part: usize| sums.iter().map(|run| f64::from(run[part])).sum::<f64>() / samples;
-        Ok(Some(LossSums { ssim: mean(0), l1: mean(1), mse: mean(2) }))
+        let sum = |part: usize| sums.iter().map(|run| f64::from(run[part])).sum::<f64>();
+        let mean = |part: usize| sum(part) / samples;
+        Ok(Some(LossSums { ssim: mean(0), l1: mean(1), mse: mean(2), wavelet: sum(3) }))
     }
 }
 

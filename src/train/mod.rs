@@ -1,4 +1,4 @@
-//! Training: the step loop, its schedule, the image loss, Adam, growth and pruning, checkpoints.
+//! Training: the step loop, its schedule, the image loss, Adam, growth and pruning, offset masks, checkpoints.
 //!
 //! What always holds: the same dataset, options, seed and adapter give the same bits, because every random choice comes
 //! from the seed and every sum on the device has a fixed order.
@@ -12,6 +12,7 @@ mod densify;
 mod error;
 mod learner;
 mod loss;
+mod masks;
 mod schedule;
 mod start_box;
 mod state;
@@ -19,6 +20,7 @@ mod statistics;
 mod trainer;
 pub mod twin;
 mod unused;
+mod wavelet;
 
 pub use adam::{Adam, Moments};
 pub use checkpoint::{Checkpoint, CheckpointError};
@@ -26,6 +28,8 @@ pub use checkpoint_folder::{CheckpointFolder, KeepCheckpoints};
 pub use densify::{Densify, densify};
 pub use error::TrainError;
 pub use loss::{ImageLoss, LossSums};
-pub use schedule::{Decay, Schedule};
+pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
+pub use schedule::{Decay, MaskSchedule, Schedule};
 pub use statistics::Statistics;
 pub use trainer::{Checkpoints, Trained, train};
+pub use wavelet::WaveletWeights;

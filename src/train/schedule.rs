@@ -1,9 +1,12 @@
 //! The schedule in fractions of the run, so that a preview and a run of 30 000 steps share one shape.
 
 use crate::{
-    domain::{Preset, TrainOptions},
+    domain::{Component, ModelKind, Preset, TrainOptions},
     model::Shape,
 };
+
+/// How many times faster than published masks learn in short runs, at most: beyond, a step is as large as the way.
+const MOST_MASK_SPEED: f64 = 60.0;
 
 /// A learning rate that goes from `start` to `end` exponentially (method.md §1.6).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,6 +28,38 @@ impl Decay {
 
 const fn constant(rate: f64) -> Decay {
     Decay { start: rate, end: rate }
+}
+
+/// When offset masks learn, and how fast.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MaskSchedule {
+    /// First step at which they learn.
+    pub from: u32,
+    /// First step at which their loss counts.
+    pub loss_from: u32,
+    /// Last step at which they learn: after it anchors without an offset are dropped and the masks stay as they are,
+    /// so that the rest of the run settles what is left.
+    pub until: u32,
+    /// Learning rate of the logits. A logit has no length: the scene's extent does not enter.
+    pub rate: Decay,
+    /// Weight of the mean logistic of the logits in the loss.
+    pub weight: f32,
+    /// The logit above which an offset makes Gaussians.
+    pub level: f32,
+}
+
+impl MaskSchedule {
+    /// Whether masks learn at `step`.
+    #[must_use]
+    pub fn learns(&self, step: u32) -> bool {
+        (self.from..=self.until).contains(&step)
+    }
+
+    /// The loss's weight at `step`.
+    #[must_use]
+    pub fn weight_at(&self, step: u32) -> f32 {
+        if step >= self.loss_from { self.weight } else { 0.0 }
+    }
 }
 
 /// When what happens, and how fast parameters learn.
@@ -58,6 +93,8 @@ pub struct Schedule {
     pub networks: [Decay; 3],
     /// Weight of the volume regulariser.
     pub volume_weight: f32,
+    /// Offset masks; none where they are off.
+    pub masks: Option<MaskSchedule>,
 }
 
 impl Schedule {
@@ -87,6 +124,7 @@ impl Schedule {
             scaling: constant(0.007),
             networks: [Decay { start: 2e-3, end: 2e-5 }, constant(4e-3), Decay { start: 8e-3, end: 5e-5 }],
             volume_weight: 0.01,
+            masks: masks(options, steps),
         }
     }
 
@@ -101,6 +139,43 @@ impl Schedule {
     pub fn densifies(&self, step: u32) -> bool {
         step > self.densify_from && step < self.densify_until && step.is_multiple_of(self.densify_every)
     }
+}
+
+/// The `paper` preset has the published rates, weight and level (method.md §3.4, §4.7), and masks learn from the first step,
+/// before their loss counts. In shorter runs a rate that is made for 30 000 steps would leave every logit where it began, so
+/// there rates grow as runs shorten, and what a logit can travel stays the same; the level is nearer, because the slope
+/// of the logistic at 0.01 is a twentieth of the first one's and Adam, which remembers a thousand steps, would crawl there;
+/// masks wait for their loss, as noise would take the faster ones before; and the weight is what was measured to cost
+/// less than a tenth of a dB.
+fn masks(options: &TrainOptions, steps: u32) -> Option<MaskSchedule> {
+    if options.model != ModelKind::Tcgs || options.without.contains(&Component::Masks) {
+        return None;
+    }
+    let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
+    let published = MaskSchedule {
+        from: 1,
+        loss_from: part(1.0 / 3.0) + 1,
+        until: part(0.7),
+        rate: Decay { start: 1e-2, end: 1e-4 },
+        weight: 5e-4,
+        level: logit(0.01),
+    };
+    if options.preset == Preset::Paper {
+        return Some(published);
+    }
+    let scale = (30_000.0 / f64::from(steps.max(1))).clamp(1.0, MOST_MASK_SPEED);
+    Some(MaskSchedule {
+        from: published.loss_from,
+        rate: Decay { start: scale * published.rate.start, end: scale * published.rate.end },
+        weight: 8e-3,
+        level: logit(0.2),
+        ..published
+    })
+}
+
+/// The number whose logistic is `share`.
+fn logit(share: f64) -> f32 {
+    (share / (1.0 - share)).ln() as f32
 }
 
 #[cfg(test)]
@@ -123,6 +198,57 @@ mod tests {
             let schedule = Schedule::new(&options);
             let grows = (1..=steps).filter(|step| schedule.densifies(*step)).count();
             assert_eq!(grows, rounds, "{steps} steps");
+        }
+    }
+
+    fn masks_of(options: TrainOptions) -> Option<MaskSchedule> {
+        Schedule::new(&options).masks
+    }
+
+    #[test]
+    fn masks_of_the_paper_preset_have_the_published_values() {
+        let options = TrainOptions { preset: Preset::Paper, ..TrainOptions::default() };
+        let masks = masks_of(options).expect("masks");
+        assert_eq!((masks.from, masks.loss_from, masks.until), (1, 10_001, 21_000));
+        assert_eq!((masks.rate, masks.weight), (Decay { start: 1e-2, end: 1e-4 }, 5e-4));
+        assert!((masks.level + 4.595_12).abs() < 1e-5);
+        assert_eq!([10_000, 10_001].map(|step| masks.weight_at(step)), [0.0, 5e-4]);
+        assert!(masks.learns(1) && masks.learns(21_000) && !masks.learns(21_001));
+    }
+
+    #[test]
+    fn a_masks_way_is_the_same_in_runs_of_any_usual_length() {
+        let way = |steps: u32| -> f64 {
+            let options = TrainOptions { iterations: Some(steps), ..TrainOptions::default() };
+            let masks = masks_of(options).expect("masks");
+            assert_eq!(masks.from, masks.loss_from, "masks wait for their loss");
+            let learning = (1..=steps).filter(|step| masks.learns(*step));
+            learning.map(|step| masks.rate.at(f64::from(step) / f64::from(steps))).sum()
+        };
+        for steps in [500, 1_000, 2_000, 10_000, 30_000] {
+            assert!((way(steps) - 11.4).abs() < 0.2, "{steps} steps: {}", way(steps));
+        }
+        assert!(way(60) < 2.0, "the shortest runs keep their steps small: {}", way(60));
+    }
+
+    #[test]
+    fn masks_are_on_for_tcgs_unless_left_out_and_for_nothing_else() {
+        assert!(masks_of(TrainOptions::default()).is_some());
+        let without = [Component::Masks].into();
+        assert_eq!(masks_of(TrainOptions { without, ..TrainOptions::default() }), None);
+        let without = [Component::Wavelet].into();
+        assert!(masks_of(TrainOptions { without, ..TrainOptions::default() }).is_some());
+        for model in [ModelKind::Scaffold, ModelKind::Gaussians3d] {
+            assert_eq!(masks_of(TrainOptions { model, ..TrainOptions::default() }), None);
+        }
+    }
+
+    #[test]
+    fn masks_settle_before_the_end_of_the_shortest_runs() {
+        for steps in [1, 2, 3, 10, 400] {
+            let options = TrainOptions { iterations: Some(steps), ..TrainOptions::default() };
+            let masks = masks_of(options).expect("masks");
+            assert!((1..=steps).contains(&masks.from) && masks.until <= steps, "{steps} steps: {masks:?}");
         }
     }
 

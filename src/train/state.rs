@@ -54,6 +54,11 @@ impl LearnerState {
         self.0.insert(name.to_owned(), T::wrap(values));
     }
 
+    /// Whether there is an array of this name.
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.0.contains_key(name)
+    }
+
     /// Takes an array out.
     ///
     /// # Errors

@@ -6,7 +6,7 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Checkpoint, ImageLoss, KeepCheckpoints, LossSums, Schedule, TrainError,
+    Checkpoint, ImageLoss, KeepCheckpoints, LossSums, Schedule, TrainError, WaveletWeights,
     anchors::AnchorLearner,
     batch::Batch,
     checkpoint::{Origin, RunState},
@@ -16,7 +16,9 @@ use super::{
     state::LearnerState,
 };
 use crate::{
-    domain::{Background, CancelFlag, Dataset, Frame, ModelKind, Progress, Scene, Split, TrainOptions},
+    domain::{
+        Background, CancelFlag, Component, Dataset, Frame, ModelKind, Progress, Scene, Split, TrainOptions,
+    },
     gpu::Context,
     model::random_points,
     render::{RasterSettings, Rasterizer},
@@ -170,6 +172,7 @@ struct Run<'a> {
     learner: Box<dyn Learner>,
     raster: Rasterizer,
     loss: ImageLoss,
+    wavelet: bool,
     began: Instant,
     began_at: u32,
     reported: (Instant, u32),
@@ -217,6 +220,7 @@ impl<'a> Run<'a> {
             learner,
             raster: Rasterizer::new(Arc::clone(context), RasterSettings::default())?,
             loss: ImageLoss::new(Arc::clone(context))?,
+            wavelet: options.has(Component::Wavelet),
             began: now,
             began_at: state.step,
             reported: (now, state.step),
@@ -291,7 +295,9 @@ impl<'a> Run<'a> {
         self.learner.forward(&mut recorder, &camera, &step)?;
         self.raster.forward(&mut recorder, self.learner.gaussians(), &camera, self.background.rgb())?;
         let size = [camera.intrinsics.width, camera.intrinsics.height];
-        let v_image = self.loss.record(&mut recorder, size, self.raster.image(), &photograph)?;
+        let wavelet = self.wavelet.then(|| WaveletWeights::at(step.fraction));
+        let v_image =
+            self.loss.record(&mut recorder, size, self.raster.image(), &photograph, wavelet.as_ref())?;
         let gaussians = self.learner.gaussians().clone();
         let d_gaussians = self.learner.gaussian_gradients()?;
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
@@ -315,6 +321,7 @@ impl<'a> Run<'a> {
                 ssim: blend(old.ssim, sums.ssim),
                 l1: blend(old.l1, sums.l1),
                 mse: blend(old.mse, sums.mse),
+                wavelet: blend(old.wavelet, sums.wavelet),
             }));
         }
         let average = self.state.average();

@@ -15,10 +15,10 @@ use super::{
 use crate::{
     codec::{self, DecodeLimits, EncodeSettings, Provenance},
     domain::{
-        AnchorScene, CancelFlag, Dataset, Frame, JobMetrics, NamedCamera, Phase, PhaseSeconds, Problem,
-        Progress, Scene, Scores, Split, SystemClock, TrainOptions,
+        AnchorScene, CancelFlag, Conventions, Dataset, Frame, JobMetrics, NamedCamera, Phase, PhaseSeconds,
+        Problem, Progress, Scene, Scores, Split, SystemClock, TrainOptions,
     },
-    eval::{ViewScore, mean_scores, measure_views},
+    eval::{Lpips, mean_scores_with, measure_views_with},
     gpu::{AdapterChoice, Context, GpuError},
     ingest,
     render::{RenderError, SceneRenderer},
@@ -35,6 +35,7 @@ const TRAIN_VIEWS_MEASURED: usize = 16;
 #[derive(Debug)]
 pub struct Pipeline {
     choice: AdapterChoice,
+    lpips: Option<Lpips>,
     context: Mutex<Option<Arc<Context>>>,
 }
 
@@ -42,7 +43,13 @@ impl Pipeline {
     /// A pipeline on the adapter of choice.
     #[must_use]
     pub fn new(choice: AdapterChoice) -> Self {
-        Self { choice, context: Mutex::new(None) }
+        Self { choice, lpips: None, context: Mutex::new(None) }
+    }
+
+    /// The same, which also measures LPIPS if there are weights for it.
+    #[must_use]
+    pub fn with_lpips(self, lpips: Option<Lpips>) -> Self {
+        Self { lpips, ..self }
     }
 
     fn context(&self) -> Result<Arc<Context>, GpuError> {
@@ -93,7 +100,8 @@ impl RunJob for Pipeline {
         let Scene::Anchors(scene) = trained.scene else {
             return Err(JobFailure::Fail(internal("a model without anchors cannot be encoded")));
         };
-        let mut job = Job { context, dataset: &dataset, options, cancel, seconds };
+        let lpips = self.lpips.as_ref();
+        let mut job = Job { context, dataset: &dataset, options, cancel, lpips, seconds };
         tell(Phase::Encode, &mut progress);
         let (file, decoded) = job.write(&scene, &mut || tell(Phase::Encode, &mut progress))?;
         tell(Phase::Evaluate, &mut progress);
@@ -154,6 +162,7 @@ struct Job<'a> {
     dataset: &'a Dataset,
     options: &'a TrainOptions,
     cancel: &'a CancelFlag,
+    lpips: Option<&'a Lpips>,
     seconds: PhaseSeconds,
 }
 
@@ -209,18 +218,19 @@ impl Job<'_> {
         let held_out: Vec<&Frame> = self.dataset.split(Split::Test).collect();
         let seen = spread(self.dataset.split(Split::Train).collect(), TRAIN_VIEWS_MEASURED);
         Ok(JobMetrics {
-            test: self.score(decoded, &held_out, alive)?,
-            train: self.score(decoded, &seen, alive)?,
+            test: self.score(decoded, &held_out, self.lpips, alive)?,
+            train: self.score(decoded, &seen, self.lpips, alive)?,
             bytes: file.byte_counts.clone(),
             seconds: self.seconds.clone(),
             steps: u64::from(steps),
             steps_per_second: f64::from(steps) / self.seconds.train.max(1e-9),
             anchors: decoded.len() as u64,
             gaussians: decoded.gaussians() as u64,
-            psnr_before_quantisation: self.score(trained, &held_out, alive)?.psnr,
+            psnr_before_quantisation: self.score(trained, &held_out, None, alive)?.psnr,
             decode_sha256: file.decode_sha256,
             adapter: self.context.adapter_line(),
             background: self.options.background,
+            conventions: Conventions::new(self.lpips.map(Lpips::network)),
         })
     }
 
@@ -228,19 +238,21 @@ impl Job<'_> {
         &self,
         scene: &AnchorScene,
         frames: &[&Frame],
+        lpips: Option<&Lpips>,
         alive: &mut dyn FnMut(),
     ) -> Result<Scores, JobFailure> {
         let mut renderer =
             SceneRenderer::new(&self.context, scene, self.options.background).map_err(from_render)?;
-        let mut views: Vec<ViewScore> = Vec::with_capacity(frames.len());
+        let mut views = Vec::with_capacity(frames.len());
         for frame in frames {
             stop_if(self.cancel)?;
             alive();
             views.extend(
-                measure_views(&mut renderer, &[*frame], self.options.background).map_err(from_render)?,
+                measure_views_with(&mut renderer, &[*frame], self.options.background, lpips)
+                    .map_err(from_render)?,
             );
         }
-        Ok(mean_scores(&views))
+        Ok(mean_scores_with(&views, lpips.map(Lpips::network)))
     }
 }
 

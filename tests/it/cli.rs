@@ -15,6 +15,7 @@ fn tcgs(arguments: &[&str]) -> Output {
         .args(arguments)
         .env_remove("RUST_LOG")
         .env_remove("TCGS_ADAPTER")
+        .env_remove("TCGS_LPIPS")
         .env_remove("TCGS_LOG_FORMAT")
         .output()
         .expect("the binary runs")
@@ -122,6 +123,28 @@ fn a_refused_dataset_is_named_and_an_output_in_the_way_is_found_before_any_work(
     let blocked = tcgs(&["train", path(&archive), "-o", path(&archive.join("out.tcgs"))]);
     assert_eq!(blocked.status.code(), Some(4), "{}", text(&blocked.stderr));
     assert!(text(&blocked.stderr).contains("out.tcgs"), "{}", text(&blocked.stderr));
+}
+
+#[test]
+fn weights_of_lpips_are_checked_before_any_work() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let weights = folder.path().join("weights.safetensors");
+    std::fs::write(&weights, b"no tensors at all").expect("writes");
+    let (weights, data) = (path(&weights), folder.path().join("data"));
+    let missing = "no/such/weights";
+    for arguments in [
+        &["train", "no/such/dataset", "-o", path(&data), "--lpips"][..],
+        &["eval", "no/such/file", "no/such/dataset", "--lpips"],
+        &["serve", "--listen", "127.0.0.1:0", "--data", path(&data), "--lpips"],
+        &["worker", "--data", path(&data), "--lpips"],
+    ] {
+        for file in [weights, missing] {
+            let refused = tcgs(&[arguments, &[file]].concat());
+            assert_eq!(refused.status.code(), Some(3), "{arguments:?}: {}", text(&refused.stderr));
+            assert!(text(&refused.stderr).contains(file), "{arguments:?}: {}", text(&refused.stderr));
+        }
+    }
+    assert!(!data.exists(), "nothing is made before the refusal");
 }
 
 #[test]

@@ -26,7 +26,7 @@ use tcgs::{
 use tempfile::TempDir;
 
 use crate::support::{
-    gpu,
+    gpu, lpips,
     program::{answers, succeeds, tcgs},
     server::{Answer, picture},
     service::Service,
@@ -57,6 +57,15 @@ impl Scene {
 
     fn zip_bytes(&self) -> Vec<u8> {
         std::fs::read(self.zip()).expect("readable")
+    }
+
+    /// Weights of LPIPS.
+    fn weights(&self) -> PathBuf {
+        let path = self.at("weights.safetensors");
+        if !path.exists() {
+            std::fs::write(&path, lpips::file(&lpips::weights("alex"))).expect("writes");
+        }
+        path
     }
 
     fn written(&self, name: &str) -> PathBuf {
@@ -114,7 +123,7 @@ fn number(value: &Value) -> f64 {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_dataset_goes_in_over_http_and_a_file_and_views_come_out() {
     let scene = Scene::new();
-    let service = Service::start(&scene.at("data")).await;
+    let service = Service::start_with(&scene.at("data"), line!["--lpips", scene.weights()]).await;
     refusals(&service, &scene).await;
 
     let created = service.upload(&query(), scene.zip_bytes()).await.expect(201);
@@ -177,13 +186,23 @@ async fn refusals(service: &Service, scene: &Scene) {
 
 fn check_metrics(job: &Value) {
     let metrics = &job["metrics"];
-    for (split, views) in [("test", 8), ("train", 16)] {
+    for (split, views) in [("test", 8_usize), ("train", 16)] {
         let scores = &metrics[split];
         assert_eq!(scores["views"], views);
         assert!((8.0..60.0).contains(&number(&scores["psnr"])), "{scores}");
         assert!((0.0..=1.0).contains(&number(&scores["ssim"])), "{scores}");
-        assert!(scores["lpips"].is_null());
+        assert_eq!(scores["lpips_network"], "lpips-alex");
+        let per_view = scores["per_view"].as_array().expect("a list");
+        assert_eq!(per_view.len(), views);
+        for figure in ["psnr", "ssim", "lpips"] {
+            let mean = per_view.iter().map(|view| number(&view[figure])).sum::<f64>() / views as f64;
+            assert!((mean - number(&scores[figure])).abs() < 1e-9, "{figure}: {mean} {scores}");
+        }
+        assert!(number(&scores["lpips"]) > 0.0, "{scores}");
     }
+    assert_eq!(metrics["test"]["per_view"][1]["name"], HELD_OUT);
+    let stated = metrics["conventions"]["lpips"].as_str().expect("a phrase");
+    assert!(stated.starts_with("lpips-alex-v0.1"), "{stated}");
     let lost = number(&metrics["psnr_before_quantisation"]) - number(&metrics["test"]["psnr"]);
     assert!(lost.abs() < 1.0, "quantisation costs {lost} dB");
     let bytes = metrics["bytes"].as_object().expect("byte counts");
@@ -230,8 +249,12 @@ fn check_decoding(scene: &Scene, file: &Path, job: &Value) {
 /// On one adapter, `tcgs eval` gives the figures of the job to the last bit.
 fn check_evaluation(scene: &Scene, file: &Path, job: &Value) {
     let saved = scene.at("saved");
-    let measured = answers(line!["eval", file, scene.directory(), "--json", "--save", saved]);
-    for figure in ["test", "bytes", "anchors", "gaussians", "decode_sha256", "adapter", "background"] {
+    let weights = scene.weights();
+    let measured =
+        answers(line!["eval", file, scene.directory(), "--json", "--save", saved, "--lpips", weights]);
+    for figure in
+        ["test", "bytes", "anchors", "gaussians", "decode_sha256", "adapter", "background", "conventions"]
+    {
         assert_eq!(measured[figure], job["metrics"][figure], "{figure}");
     }
     assert_eq!(measured["same_dataset"], true);
@@ -240,10 +263,15 @@ fn check_evaluation(scene: &Scene, file: &Path, job: &Value) {
 
     let other = scene.at("other");
     sample::write(&other, &Settings { side: 16, points: 10, seed: 1 }).expect("writes");
-    let foreign = tcgs(line!["eval", file, other]);
+    let foreign = tcgs(line!["eval", file, other, "--per-view"]);
     let text = String::from_utf8_lossy(&foreign.stdout).into_owned();
+    assert!(text.contains("LPIPS: not measured") && text.contains("\nimages/view_06.png  "), "{text}");
     assert!(text.contains("over 8 views on black") && text.contains(" bytes; "), "{text}");
     assert!(String::from_utf8_lossy(&foreign.stderr).contains("another dataset"));
+    let small = tcgs(line!["eval", file, other, "--lpips", weights]);
+    assert_eq!(small.status.code(), Some(3));
+    let said = String::from_utf8_lossy(&small.stderr).into_owned();
+    assert!(said.contains("images/view_00.png") && said.contains("16x16"), "{said}");
 }
 
 async fn check_events(service: &Service, path: &str) {

@@ -36,6 +36,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("zip", &["ingest", "sample"]),
     ("constriction", &["codec"]),
     ("kiddo", &["model", "codec"]),
+    ("ndarray", &["eval"]),
     ("clap", &["cli", "main"]),
     ("indicatif", &["cli"]),
 ];

@@ -59,7 +59,7 @@ impl Pair {
 }
 
 fn loss_of(sums: [f64; 3]) -> f64 {
-    LossSums { ssim: sums[0], l1: sums[1], mse: sums[2] }.loss()
+    LossSums { ssim: sums[0], l1: sums[1], mse: sums[2], wavelet: 0.0 }.loss()
 }
 
 #[test]
@@ -93,7 +93,7 @@ fn on_device(loss: &mut ImageLoss, pair: &Pair) -> (LossSums, Vec<[f32; 4]>) {
         pair.photograph.iter().map(|[r, g, b]| u32::from_le_bytes([*r, *g, *b, r ^ b])).collect();
     let mut recorder = context.recorder("loss");
     let size = [pair.size.x as u32, pair.size.y as u32];
-    let gradient = loss.record(&mut recorder, size, &render, &packed).expect("recorded").clone();
+    let gradient = loss.record(&mut recorder, size, &render, &packed, None).expect("recorded").clone();
     recorder.submit().expect("submitted");
     (loss.sums().expect("read").expect("a loss"), context.read(&gradient).expect("read"))
 }

@@ -5,8 +5,8 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{
-        AnchorScene, Camera, CancelFlag, Dataset, Digest, Frame, Image, Intrinsics, Layout, PointCloud, Pose,
-        Progress, Scene, Split, TrainOptions,
+        AnchorScene, Camera, CancelFlag, Component, Dataset, Digest, Frame, Image, Intrinsics, Layout,
+        PointCloud, Pose, Progress, Scene, Split, TrainOptions,
     },
     eval::{mean_scores, measure_views},
     render::{
@@ -125,6 +125,20 @@ fn training_learns_the_views_that_it_sees_and_one_that_it_does_not() {
 }
 
 #[test]
+fn the_wavelet_constraint_counts_unless_it_is_left_out() {
+    let dataset = dataset();
+    let with = options(1, 0);
+    let without = TrainOptions { without: [Component::Wavelet].into(), ..with.clone() };
+    let [with, without] = [with, without].map(|options| run(&dataset, &options));
+    let figures =
+        |(_, reports): &(Trained, Vec<Progress>)| (reports[0].psnr, reports[0].loss.expect("a loss"));
+    // One render, compared in two ways.
+    assert_eq!(figures(&with).0, figures(&without).0);
+    assert!(figures(&with).1 > figures(&without).1);
+    assert!(with.0.scene != without.0.scene);
+}
+
+#[test]
 fn the_same_seed_gives_the_same_bits_through_a_round_of_growth_and_another_seed_does_not() {
     let dataset = dataset();
     // Growth comes every 25 steps from a twentieth of the run to its half: here once.
@@ -135,6 +149,28 @@ fn the_same_seed_gives_the_same_bits_through_a_round_of_growth_and_another_seed_
     let (short, _) = run(&dataset, &options(5, 7));
     let (other, _) = run(&dataset, &options(5, 8));
     assert!(short.scene != other.scene);
+}
+
+fn gaussians(scene: &Scene) -> usize {
+    anchors(scene).masks.iter().filter(|mask| **mask).count()
+}
+
+#[test]
+fn masks_leave_fewer_gaussians_that_show_the_same() {
+    let dataset = dataset();
+    let without = TrainOptions { without: [Component::Masks].into(), ..options(240, 0) };
+    let (plain, _) = run(&dataset, &without);
+    let (masked, reports) = run(&dataset, &options(240, 0));
+    let [all, kept] = [&plain, &masked].map(|trained| gaussians(&trained.scene));
+    assert!(kept < all, "{kept} of {all} Gaussians are kept");
+    let [before, after] = [&plain, &masked].map(|trained| psnr(&trained.scene, &dataset, Split::Train));
+    assert!(after > before - 1.0, "{before:.2} dB without masks, {after:.2} dB with them");
+    // Masks settle at seven tenths, long after the last round of growth.
+    let (learning, settled) = (&reports[15], &reports[16]);
+    assert!(settled.anchors <= learning.anchors);
+    assert!(reports[16..].iter().all(|report| report.anchors == settled.anchors));
+    let kept_by = |scene: &AnchorScene| scene.masks.chunks_exact(10).all(|kept| kept.contains(&true));
+    assert!(kept_by(anchors(&masked.scene)), "no anchor is left without an offset");
 }
 
 #[test]

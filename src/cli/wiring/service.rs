@@ -38,6 +38,8 @@ pub(crate) struct ServeOptions {
     pub(crate) listen: SocketAddr,
     pub(crate) data: PathBuf,
     pub(crate) adapter: AdapterChoice,
+    /// Weights of LPIPS, for the workers.
+    pub(crate) lpips: Option<PathBuf>,
     /// Worker processes to start.
     pub(crate) workers: u16,
     /// How this process logs, and so its workers.
@@ -50,6 +52,8 @@ pub(crate) struct WorkerOptions {
     /// The data folder of the service.
     pub(crate) data: PathBuf,
     pub(crate) adapter: AdapterChoice,
+    /// Weights of LPIPS.
+    pub(crate) lpips: Option<PathBuf>,
     /// Whether to stop when standard input closes, which it does when the parent process dies.
     pub(crate) stop_with_parent: bool,
 }
@@ -59,7 +63,8 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
     let config = HttpConfig { listen: options.listen, ..HttpConfig::default() };
     config.check_exposure().map_err(|fault| Failure::Usage(format!("--listen: {fault}")))?;
     runtime()?.block_on(async {
-        // Before any worker starts, which would find the same fault.
+        // Before any worker starts, which would find the same faults.
+        super::lpips(options.lpips.as_deref())?;
         let (renderer, _) = super::views(&options.adapter)?;
         let listener = http::bind(&config).await.map_err(|fault| unavailable(&fault))?;
         let (store, blobs) = open(&options.data).await?;
@@ -100,7 +105,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
 pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
     let runtime = runtime()?;
     let outcome = runtime.block_on(async {
-        let runner = super::runner(&options.adapter)?;
+        let runner = super::runner(&options.adapter, super::lpips(options.lpips.as_deref())?)?;
         let (store, blobs) = open(&options.data).await?;
         let shutdown = stop_on_signals()?;
         if options.stop_with_parent {
@@ -128,7 +133,7 @@ async fn open(data: &Path) -> Result<(Arc<SqliteStore>, Blobs), Failure> {
 }
 
 fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
-    vec![
+    let mut arguments = vec![
         "worker".into(),
         "--data".into(),
         options.data.clone().into(),
@@ -137,7 +142,11 @@ fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
         "--log-format".into(),
         options.log_format.to_string().into(),
         "--stop-with-parent".into(),
-    ]
+    ];
+    if let Some(lpips) = &options.lpips {
+        arguments.extend(["--lpips".into(), lpips.clone().into()]);
+    }
+    arguments
 }
 
 fn runtime() -> Result<Runtime, Failure> {

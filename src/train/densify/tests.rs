@@ -7,7 +7,7 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
 use super::*;
-use crate::{domain::Lattice, model::Shape};
+use crate::{domain::Lattice, model::Shape, train::FIRST_LOGIT};
 
 const SHAPE: Shape = Shape { features: 4, offsets: 2 };
 const WIDTH: usize = 2 * SHAPE.offsets + 2;
@@ -42,6 +42,7 @@ fn state(cells: &[[i32; 3]]) -> Trainable {
         },
         first: marks(0.25),
         second: marks(0.5),
+        masks: None,
     }
 }
 
@@ -99,8 +100,17 @@ fn one_candidate(gradient: f32, views: f32) -> (Trainable, Statistics) {
     (state, statistics)
 }
 
+/// Logits and moments that say whose they are.
+fn mask_rows(anchors: usize) -> MaskRows {
+    let marks = |add: f32| (0..anchors * SHAPE.offsets).map(|i| (i / SHAPE.offsets) as f32 + add).collect();
+    MaskRows { logits: marks(0.125), first: marks(0.25), second: marks(0.5) }
+}
+
 fn assert_aligned(state: &Trainable, statistics: &Statistics) {
     let count = state.anchors.len();
+    for values in state.masks.iter().flat_map(|masks| [&masks.logits, &masks.first, &masks.second]) {
+        assert_eq!(values.len(), count * SHAPE.offsets);
+    }
     assert_eq!(state.anchors.values.len(), count * SHAPE.row());
     assert_eq!(state.first.len(), count * SHAPE.row());
     assert_eq!(state.second.len(), count * SHAPE.row());
@@ -319,6 +329,46 @@ fn an_anchor_that_just_grew_is_not_pruned_when_its_parent_is() {
     assert_eq!(outcome, Outcome { grown: 1, pruned: 1 });
     assert_eq!(state.anchors.cells, [[32, 0, 0]]);
     assert_aligned(&state, &statistics);
+}
+
+#[test]
+fn anchors_without_an_offset_go_however_opaque_they_were() {
+    let mut state = state(&[[0, 0, 0], [1, 0, 0], [2, 0, 0]]);
+    state.anchors.masks = vec![0b01, 0, 0b10];
+    let mut statistics = statistics(3);
+    visited(&mut statistics, 1, 100.0, 81.0);
+    assert_eq!(densify(&mut state, &mut statistics, &SETTINGS, &mut Keep).pruned, 1);
+    assert_eq!(state.anchors.cells, [[0, 0, 0], [2, 0, 0]]);
+    assert_aligned(&state, &statistics);
+}
+
+#[test]
+fn logits_and_their_moments_move_with_their_anchors() {
+    let mut state = state(&[[0, 0, 0], [5, 0, 0], [9, 0, 0], [13, 0, 0]]);
+    state.masks = Some(mask_rows(4));
+    state.anchors.masks = vec![0, 0b11, 0b01, 0];
+    let mut statistics = statistics(4);
+    saw(&mut statistics, 2, 1, 0.25, 7.0);
+    assert_eq!(drop_masked(&mut state, &mut statistics), 2);
+    assert_aligned(&state, &statistics);
+    assert_eq!(state.anchors.cells, [[5, 0, 0], [9, 0, 0]]);
+    assert_eq!(statistics.views(1, 1), 7.0);
+    let masks = state.masks.expect("they learn");
+    assert_eq!(masks.logits, [1.125, 1.125, 2.125, 2.125]);
+    assert_eq!(masks.first, [1.25, 1.25, 2.25, 2.25]);
+    assert_eq!(masks.second, [1.5, 1.5, 2.5, 2.5]);
+    assert_eq!(state.first[SHAPE.row()], 2.25, "the rows' moments too");
+}
+
+#[test]
+fn a_new_anchors_masks_begin_as_those_of_the_first_ones_did() {
+    let (mut state, mut statistics) = one_candidate(1.0, 41.0);
+    state.masks = Some(mask_rows(1));
+    densify(&mut state, &mut statistics, &SETTINGS, &mut Keep);
+    assert_aligned(&state, &statistics);
+    let masks = state.masks.expect("they learn");
+    assert_eq!(masks.logits, [0.125, 0.125, FIRST_LOGIT, FIRST_LOGIT]);
+    assert_eq!((masks.first[2..].to_vec(), masks.second[2..].to_vec()), (vec![0.0; 2], vec![0.0; 2]));
 }
 
 #[test]

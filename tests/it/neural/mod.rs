@@ -3,5 +3,6 @@
 mod device;
 mod faults;
 mod gradients;
+mod masks;
 mod scene;
 mod visibility;

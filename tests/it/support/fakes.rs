@@ -10,9 +10,9 @@ use std::{
 use glam::DVec3;
 use tcgs::{
     domain::{
-        AnchorScene, Background, ByteCounts, Camera, CancelFlag, Digest, Image, Intrinsics, JobMetrics,
-        Lattice, Mlp, NamedCamera, Phase, PhaseSeconds, Pose, Problem, Progress, RenderNetworks, Scores,
-        Split, TrainOptions,
+        AnchorScene, Background, ByteCounts, Camera, CancelFlag, Conventions, Digest, Image, Intrinsics,
+        JobMetrics, Lattice, LpipsNetwork, Mlp, NamedCamera, Phase, PhaseSeconds, Pose, Problem, Progress,
+        RenderNetworks, Scores, Split, TrainOptions, ViewScore,
     },
     render::{RenderViews, views::Viewable},
     worker::run::{Checkpoints, JobFailure, JobOutput, RunJob},
@@ -95,7 +95,15 @@ impl RunJob for FakeRunner {
 
 /// The figures of every fake job.
 pub fn metrics() -> JobMetrics {
-    let scores = Scores { psnr: Some(30.0), ssim: Some(0.9), lpips: None, views: 2 };
+    let view = |name: &str, lpips| ViewScore { name: name.into(), psnr: 30.0, ssim: 0.9, lpips: Some(lpips) };
+    let scores = Scores {
+        psnr: Some(30.0),
+        ssim: Some(0.9),
+        lpips: Some(0.2),
+        lpips_network: Some(LpipsNetwork::Vgg),
+        views: 2,
+        per_view: vec![view("test/r_0", 0.1), view("test/r_1", 0.3)],
+    };
     JobMetrics {
         test: scores.clone(),
         train: scores,
@@ -109,6 +117,7 @@ pub fn metrics() -> JobMetrics {
         decode_sha256: Digest::of(b"decoded"),
         adapter: "fake".into(),
         background: Background::White,
+        conventions: Conventions::new(Some(LpipsNetwork::Vgg)),
     }
 }
 

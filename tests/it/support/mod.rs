@@ -6,6 +6,7 @@ pub mod contract;
 pub mod fakes;
 pub mod faults;
 pub mod gpu;
+pub mod lpips;
 pub mod oracle;
 pub mod program;
 pub mod random;

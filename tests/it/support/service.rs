@@ -1,6 +1,7 @@
 //! `tcgs serve` in a process of its own, and a client that holds every answer to the contract.
 
 use std::{
+    ffi::OsStr,
     path::Path,
     process::{ExitStatus, Stdio},
     sync::{Arc, Mutex},
@@ -29,8 +30,14 @@ pub struct Service {
 impl Service {
     /// Starts the service over the folder `data` on a port of the system's choice.
     pub async fn start(data: &Path) -> Self {
+        Self::start_with(data, std::iter::empty::<&str>()).await
+    }
+
+    /// The same with more arguments.
+    pub async fn start_with<A: AsRef<OsStr>>(data: &Path, more: impl IntoIterator<Item = A>) -> Self {
         let mut command = Command::from(program::command());
         command.args(["serve", "--listen", "127.0.0.1:0", "--log-format", "json", "--data"]).arg(data);
+        command.args(more);
         let mut child = command.stderr(Stdio::piped()).kill_on_drop(true).spawn().expect("the binary runs");
         let mut lines = BufReader::new(child.stderr.take().expect("piped")).lines();
         let log: Arc<Mutex<Vec<String>>> = Arc::default();

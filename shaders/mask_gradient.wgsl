@@ -1,0 +1,28 @@
+// Adds the rendering loss's gradient by the mask logits of the visible anchors (method.md section 3.4). The mask multiplies
+// the opacity, so its gradient is the opacity's times the opacity; the step of the mask passes it on as if it were the
+// logistic of the logit. A masked offset was not rendered and gets none. Each anchor is visible once.
+#import tcgs::model::{OFFSETS, logistic}
+
+@group(0) @binding(0) var<storage, read> list: array<u32>;
+@group(0) @binding(1) var<storage, read> means_opacity: array<vec4f>;
+@group(0) @binding(2) var<storage, read> d_means_opacity: array<vec4f>;
+@group(0) @binding(3) var<storage, read> logits: array<f32>;
+@group(0) @binding(4) var<storage, read_write> d_logits: array<f32>;
+
+@compute @workgroup_size(64)
+fn mask_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let index = (group.x + group.y * 65535u) * 64u + local;
+    if index >= list[0] {
+        return;
+    }
+    let first = list[1u + index] * OFFSETS;
+    for (var k = 0u; k < OFFSETS; k++) {
+        let gaussian = index * OFFSETS + k;
+        let opacity = means_opacity[gaussian].w;
+        if !(opacity > 0.0) {
+            continue;
+        }
+        let share = logistic(logits[first + k]);
+        d_logits[first + k] += d_means_opacity[gaussian].w * opacity * share * (1.0 - share);
+    }
+}

@@ -1,0 +1,110 @@
+//! What the reported figures of image quality mean, in words that travel with the figures.
+//!
+//! A figure without its convention cannot be compared: each of the choices below moves published numbers by a tenth of a
+//! dB or more, and LPIPS on AlexNet is a third to a half of LPIPS on VGG (method.md §4.12).
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// The network that LPIPS compares features of; the figures of two networks cannot be compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum LpipsNetwork {
+    /// AlexNet in torchvision's layout.
+    #[serde(rename = "lpips-alex")]
+    Alex,
+    /// VGG16 in torchvision's layout.
+    #[serde(rename = "lpips-vgg")]
+    Vgg,
+}
+
+impl LpipsNetwork {
+    /// The metric's name with its network.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            LpipsNetwork::Alex => "lpips-alex",
+            LpipsNetwork::Vgg => "lpips-vgg",
+        }
+    }
+}
+
+impl fmt::Display for LpipsNetwork {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// How the figures beside it were measured, a phrase for each choice.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Conventions {
+    /// Which images are compared.
+    pub images: String,
+    /// PSNR.
+    pub psnr: String,
+    /// SSIM.
+    pub ssim: String,
+    /// LPIPS with its network, or null if it was not measured.
+    pub lpips: Option<String>,
+    /// Which views are held out.
+    pub held_out: String,
+    /// What is averaged.
+    pub means: String,
+}
+
+impl Conventions {
+    /// The conventions of every figure that this program reports, LPIPS on `network` if it was measured.
+    #[must_use]
+    pub fn new(network: Option<LpipsNetwork>) -> Self {
+        Self {
+            images: "decoded scene as 8-bit RGB, photograph composited on the same background".to_owned(),
+            psnr: "dB, squared error pooled over pixels and the three channels, at most 100".to_owned(),
+            ssim: "11x11 Gaussian window, sigma 1.5, zero padding, mean over pixels and channels".to_owned(),
+            lpips: network.map(|network| format!("{network}-v0.1, inputs scaled to [-1, 1], spatial mean")),
+            held_out:
+                "the layout's own test views; without such, every eighth view by name from the first on"
+                    .to_owned(),
+            means: "over views, of each view's figure".to_owned(),
+        }
+    }
+}
+
+/// Those of figures without LPIPS.
+impl Default for Conventions {
+    fn default() -> Self {
+        Self::new(None)
+    }
+}
+
+impl fmt::Display for Conventions {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { images, psnr, ssim, lpips, held_out, means } = self;
+        let lpips = lpips.as_deref().unwrap_or("not measured, no weights");
+        write!(
+            f,
+            "images: {images}; PSNR: {psnr}; SSIM: {ssim}; LPIPS: {lpips}; held out: {held_out}; means: {means}"
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_network_is_part_of_the_metrics_name() {
+        for network in [LpipsNetwork::Alex, LpipsNetwork::Vgg] {
+            let written = serde_json::to_value(network).expect("JSON");
+            assert_eq!(written, network.name());
+            let stated = Conventions::new(Some(network));
+            assert!(
+                stated
+                    .lpips
+                    .as_ref()
+                    .is_some_and(|text| text.starts_with(&format!("{}-v0.1,", network.name())))
+            );
+            assert!(stated.to_string().contains(network.name()));
+        }
+        assert_eq!(Conventions::default().lpips, None);
+    }
+}

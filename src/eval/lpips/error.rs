@@ -1,0 +1,86 @@
+//! What can be wrong with the weights of LPIPS, or with images that it is to compare.
+
+use safetensors::{Dtype, SafeTensorError};
+use thiserror::Error;
+
+use crate::domain::{LpipsNetwork, Problem};
+
+/// Why there is no LPIPS figure.
+#[derive(Debug, Error)]
+pub enum LpipsError {
+    /// The file of weights is not safetensors.
+    #[error("not a safetensors file: {0}")]
+    NotSafetensors(#[from] SafeTensorError),
+    /// A tensor is not in the file.
+    #[error("there is no tensor {wanted}")]
+    Missing {
+        /// The names that were looked for.
+        wanted: String,
+    },
+    /// The first convolution is of neither network.
+    #[error(
+        "{tensor} has shape {found:?}, which is neither AlexNet's [64, 3, 11, 11] nor VGG16's [64, 3, 3, 3]"
+    )]
+    UnknownNetwork {
+        /// The tensor.
+        tensor: String,
+        /// Its shape.
+        found: Vec<usize>,
+    },
+    /// A tensor is not of its network's shape.
+    #[error("{tensor} has shape {found:?} instead of {expected:?} in {network}")]
+    Shape {
+        /// The tensor.
+        tensor: String,
+        /// The network that the first convolution is of.
+        network: LpipsNetwork,
+        /// The shape that the network has there.
+        expected: Vec<usize>,
+        /// The shape in the file.
+        found: Vec<usize>,
+    },
+    /// A tensor is not f32.
+    #[error("{tensor} holds {found:?} instead of F32 values; convert it with .float()")]
+    Type {
+        /// The tensor.
+        tensor: String,
+        /// What it holds.
+        found: Dtype,
+    },
+    /// A tensor has an infinity or a NaN in it, or a zero where values are divided by it.
+    #[error("{tensor} has a value that cannot be computed with")]
+    Value {
+        /// The tensor.
+        tensor: String,
+    },
+    /// The images are not RGB, or not of one size.
+    #[error("two RGB images of one size are needed")]
+    NotComparable,
+    /// Pooling leaves nothing of the images.
+    #[error("an image of {width}x{height} pixels is too small for {network}, which needs {least} a side")]
+    TooSmall {
+        /// The network.
+        network: LpipsNetwork,
+        /// Width in pixels.
+        width: u32,
+        /// Height in pixels.
+        height: u32,
+        /// The least width and height.
+        least: u32,
+    },
+    /// Features or their differences left the range of f32.
+    #[error("the weights lead to values beyond the range of f32")]
+    Overflow,
+}
+
+impl From<LpipsError> for Problem {
+    fn from(error: LpipsError) -> Self {
+        let (name, title) = match &error {
+            LpipsError::NotComparable | LpipsError::TooSmall { .. } => {
+                ("lpips-images", "The images cannot be compared by LPIPS")
+            }
+            _ => ("lpips-weights", "The LPIPS weights cannot be used"),
+        };
+        Problem::new(422, name, title, error.to_string())
+    }
+}

@@ -1,0 +1,159 @@
+//! Learnt offset masks (method.md §3.4, §4.10): one logit an offset, whose sign against a level decides whether the offset
+//! makes a Gaussian at all.
+//!
+//! The rendered mask is binary and its gradient straight-through: opacities pass on what the rendering loss says, the mask
+//! loss pulls every logit down at the same rate, and Adam weighs the two by their sizes, so that an offset whose opacity
+//! matters little to any view goes first. A masked offset is not rendered, so nothing pulls it up again: masking is one-way.
+
+use std::sync::Arc;
+
+use super::{Adam, Moments};
+use crate::{
+    gpu::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source},
+    model::Shape,
+    render::{DeviceAnchors, NeuralGaussians, RenderError},
+};
+
+/// Where a logit begins: a logistic of 0.731.
+pub const FIRST_LOGIT: f32 = 1.0;
+
+/// The logits with their moments, on the host: `[N][K]` each.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct MaskRows {
+    /// The logits.
+    pub logits: Vec<f32>,
+    /// Their first moments.
+    pub first: Vec<f32>,
+    /// Their second moments.
+    pub second: Vec<f32>,
+}
+
+impl MaskRows {
+    /// `offsets` offsets that all make Gaussians and have learnt nothing.
+    #[must_use]
+    pub fn new(offsets: usize) -> Self {
+        let mut rows = Self::default();
+        rows.extend(offsets);
+        rows
+    }
+
+    /// Adds `offsets` more such offsets.
+    pub(super) fn extend(&mut self, offsets: usize) {
+        let len = self.logits.len() + offsets;
+        self.logits.resize(len, FIRST_LOGIT);
+        self.first.resize(len, 0.0);
+        self.second.resize(len, 0.0);
+    }
+}
+
+#[derive(Debug)]
+struct Kernels {
+    mask_loss: Arc<Kernel>,
+    mask_gradient: Arc<Kernel>,
+    mask_bits: Arc<Kernel>,
+}
+
+/// Masks that learn, on the device.
+#[derive(Debug)]
+pub struct OffsetMasks {
+    kernels: Kernels,
+    logits: Buffer<f32>,
+    gradients: Buffer<f32>,
+    moments: Moments,
+}
+
+impl OffsetMasks {
+    /// Uploads the logits of anchors of this shape.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn upload(context: &Context, shape: Shape, rows: &MaskRows) -> Result<Self, GpuError> {
+        let defs = shape.defs();
+        Ok(Self {
+            kernels: Kernels {
+                mask_loss: context.kernel(kernel_source!("mask_loss"), &defs)?,
+                mask_gradient: context.kernel(kernel_source!("mask_gradient"), &defs)?,
+                mask_bits: context.kernel(kernel_source!("mask_bits"), &defs)?,
+            },
+            logits: context.upload("mask logits", &rows.logits)?,
+            gradients: context.buffer("gradients of mask logits", rows.logits.len())?,
+            moments: Moments::upload(context, &rows.first, &rows.second)?,
+        })
+    }
+
+    /// The logits with their moments. Waits for the device.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn read(&self, context: &Context) -> Result<MaskRows, GpuError> {
+        Ok(MaskRows {
+            logits: context.read(&self.logits)?,
+            first: context.read(&self.moments.first)?,
+            second: context.read(&self.moments.second)?,
+        })
+    }
+
+    /// Records the gradients by the logits: `weight` times the mean logistic over all offsets, and what the view of
+    /// `neural`'s last forward and the rasteriser's last backward pass say.
+    ///
+    /// # Errors
+    /// [`RenderError::OutOfStep`] before a backward pass; faults of the device.
+    pub fn backward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        neural: &mut NeuralGaussians,
+        anchors: &DeviceAnchors,
+        weight: f32,
+    ) -> Result<&Buffer<f32>, RenderError> {
+        let offsets = self.logits.len();
+        let share = weight / offsets.max(1) as f32;
+        let settings =
+            recorder.uniform(&[[share, 0.0, 0.0, 0.0], [f32::from_bits(offsets as u32), 0.0, 0.0, 0.0]])?;
+        recorder.dispatch(
+            &self.kernels.mask_loss,
+            &[settings.as_ref(), self.logits.as_ref(), self.gradients.as_ref()],
+            offsets.div_ceil(64) as u32,
+        );
+        let d_opacities = neural.gaussian_gradients()?.means_opacity.clone();
+        recorder.dispatch(
+            &self.kernels.mask_gradient,
+            &[
+                neural.visible().as_ref(),
+                neural.gaussians().means_opacity.as_ref(),
+                d_opacities.as_ref(),
+                self.logits.as_ref(),
+                self.gradients.as_ref(),
+            ],
+            anchors.count.div_ceil(64) as u32,
+        );
+        Ok(&self.gradients)
+    }
+
+    /// Records step `t` (from 1) of the optimiser with the last gradients, which does nothing if `void_mark` is set by then, and
+    /// the masks that follow from the logits: an offset makes Gaussians while its logit is above `level`.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    #[expect(clippy::too_many_arguments, reason = "the optimiser's arguments and the masks' own")]
+    pub fn step(
+        &self,
+        recorder: &mut Recorder<'_>,
+        adam: &Adam,
+        t: u32,
+        void_mark: &Buffer<u32>,
+        rate: f32,
+        level: f32,
+        anchors: &DeviceAnchors,
+    ) -> Result<(), GpuError> {
+        let rates = recorder.uniform(&[rate])?;
+        adam.step(recorder, t, void_mark, &rates, &self.gradients, &self.logits, &self.moments)?;
+        let settings = recorder
+            .uniform(&[[level, 0.0, 0.0, 0.0], [f32::from_bits(anchors.count as u32), 0.0, 0.0, 0.0]])?;
+        recorder.dispatch(
+            &self.kernels.mask_bits,
+            &[settings.as_ref(), self.logits.as_ref(), anchors.masks.as_ref()],
+            anchors.count.div_ceil(64) as u32,
+        );
+        Ok(())
+    }
+}
