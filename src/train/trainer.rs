@@ -1,4 +1,7 @@
 //! The step loop: one photograph a step, forward, losses, backward, optimiser, and now and then growth and pruning.
+//!
+//! A step is one submission, and steps are sent in batches: the host looks after each batch whether every step had room, and
+//! does those again that had not.
 
 use std::{sync::Arc, time::Instant};
 
@@ -53,7 +56,7 @@ pub struct Checkpoints<'a> {
 /// options and adapter.
 ///
 /// # Errors
-/// [`TrainError`]; a cancelled run ends as [`TrainError::Cancelled`] within a step, or within a view
+/// [`TrainError`]; a cancelled run ends as [`TrainError::Cancelled`] within a step or about a second, or within a view
 /// of the pass that ends it. [`TrainError::Checkpoint`] only before the first step.
 pub fn train(
     context: &Arc<Context>,
@@ -177,6 +180,8 @@ struct Run<'a> {
     began_at: u32,
     reported: (Instant, u32),
     batch: Batch,
+    /// The next photograph, by its index among the frames.
+    prepared: Option<(usize, Vec<u32>)>,
 }
 
 impl<'a> Run<'a> {
@@ -226,6 +231,7 @@ impl<'a> Run<'a> {
             reported: (now, state.step),
             // The first step, which compiles kernels and makes buffers, is waited for.
             batch: Batch::Timed { seconds_a_step: 1.0 },
+            prepared: None,
             state,
             context: Arc::clone(context),
             frames,
@@ -268,6 +274,7 @@ impl<'a> Run<'a> {
             if !is_last {
                 continue;
             }
+            self.prepare_next();
             let passes = self.raster.passes()?;
             let Some(needed) = passes.lacking else { break step };
             let first = (passes.sound as usize).min(before.len() - 1);
@@ -283,13 +290,25 @@ impl<'a> Run<'a> {
         Ok(recorded)
     }
 
+    /// A photograph as the device takes it, made when it is needed: a second copy of every image would double what a dataset takes.
+    fn packed(&self, index: usize) -> Vec<u32> {
+        pack(self.frames[index].image.over(self.background.rgb8()).samples())
+    }
+
+    /// Packs the next photograph, if it is known, while the device is busy.
+    fn prepare_next(&mut self) {
+        self.prepared = self.state.order.last().map(|index| (*index, self.packed(*index)));
+    }
+
     /// Records and submits one step.
     fn record(&mut self) -> Result<(), TrainError> {
         let step = self.at(self.state.step + 1);
         let index = self.next_frame();
         let camera = self.frames[index].camera;
-        // Packed when it is needed: a second copy of every image would double what a dataset takes.
-        let photograph = pack(self.frames[index].image.over(self.background.rgb8()).samples());
+        let photograph = match self.prepared.take() {
+            Some((prepared, photograph)) if prepared == index => photograph,
+            _ => self.packed(index),
+        };
         let context = Arc::clone(&self.context);
         let mut recorder = context.recorder("step");
         self.learner.forward(&mut recorder, &camera, &step)?;
