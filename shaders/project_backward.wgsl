@@ -113,7 +113,10 @@ fn project_one_backward(i: u32) {
     v_scales[i] = vec4<f32>(v_scale, 0.0);
     v_quats[i] = v_raw;
     v_colors[i] = v_color;
-    v_means_image[i] = vec4<f32>(v_center, f32(tiles[i]), 0.0);
+    // Three standard deviations along the longer axis.
+    let middle = 0.5 * (a + c);
+    let radius = 3.0 * sqrt(middle + sqrt(max(0.0, middle * middle - determinant)));
+    v_means_image[i] = vec4<f32>(v_center, f32(tiles[i]), radius);
 }
 
 @compute @workgroup_size(64)

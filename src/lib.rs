@@ -7,6 +7,7 @@
 pub mod codec;
 pub mod domain;
 pub mod eval;
+pub mod export;
 pub mod gpu;
 pub mod http;
 pub mod ingest;

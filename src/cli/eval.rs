@@ -84,7 +84,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     let (compared, render_seconds) = timed(|| {
         let mut compared: Vec<wiring::Compared> = Vec::new();
         for frame in dataset.split(Split::Test) {
-            let photograph = frame.image.over(background.rgb8());
+            let photograph = frame.image.load()?.over(background.rgb8());
             compared.push((frame.name.clone(), renderer.view(&frame.camera)?, photograph));
         }
         Ok::<_, tcgs::domain::Problem>(compared)

@@ -36,7 +36,8 @@ pub(crate) enum Verbosity {
 /// Starts logging for the rest of the process.
 pub(crate) fn start(format: Format, verbosity: Verbosity) {
     let default = match verbosity {
-        Verbosity::Warn => "warn",
+        // Whoever waits for a training run is told what it takes.
+        Verbosity::Warn => "warn,tcgs::train::trainer=info",
         // The GPU crates' own chatter at this level tells an operator nothing.
         Verbosity::Info => "info,wgpu_core=warn,wgpu_hal=warn,naga=warn",
     };

@@ -14,6 +14,7 @@ mod files;
 mod inspect;
 mod logging;
 mod lpips;
+mod memory;
 mod picture;
 mod pose;
 mod progress;

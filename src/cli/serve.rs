@@ -7,6 +7,7 @@ use super::{
     adapter::AdapterFlag,
     logging::Format,
     lpips::LpipsFlag,
+    memory::MemoryFlags,
     wiring::{self, ServeOptions},
 };
 
@@ -34,6 +35,9 @@ pub(crate) struct Args {
     adapter: AdapterFlag,
 
     #[command(flatten)]
+    memory: MemoryFlags,
+
+    #[command(flatten)]
     lpips: LpipsFlag,
 
     /// Worker processes to start; 0 if workers run elsewhere
@@ -50,6 +54,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
         adapter: args.adapter.adapter,
         lpips: args.lpips.lpips,
         workers: args.workers,
+        memory: args.memory.limits(args.workers),
         log_format,
     })?;
     Ok(Report::default())

@@ -8,7 +8,10 @@ use tcgs::{
     worker::run::{Checkpoints, JobFailure, Resume},
 };
 
-use super::{Failure, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, progress::Display, wiring};
+use super::{
+    Failure, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, memory::MemoryFlags, progress::Display,
+    wiring,
+};
 
 /// A value parser that knows and lists the names of a choice.
 macro_rules! choice {
@@ -33,6 +36,9 @@ pub(crate) struct Args {
 
     #[command(flatten)]
     adapter: AdapterFlag,
+
+    #[command(flatten)]
+    memory: MemoryFlags,
 
     #[command(flatten)]
     lpips: LpipsFlag,
@@ -109,7 +115,8 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     files::check_writable(&args.output)?;
     let checkpoints = checkpoints(args)?;
     let lpips = wiring::lpips(args.lpips.lpips.as_deref())?;
-    let runner = wiring::runner(&args.adapter.adapter, lpips)?;
+    let memory = args.memory.limits(1);
+    let runner = wiring::runner(&args.adapter.adapter, memory, std::env::temp_dir(), lpips)?;
     let cancel = CancelFlag::default();
     cancel_on_interrupt(cancel.clone());
 

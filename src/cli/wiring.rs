@@ -5,14 +5,19 @@
 
 mod service;
 
-use std::{path::Path, sync::Arc};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use tcgs::{
     codec::{self, DecodeError, DecodeLimits, EncodeError, EncodeSettings, Encoded},
-    domain::{AnchorScene, Background, ByteCounts, Camera, Dataset, Digest, Image, Problem, Scores},
+    domain::{
+        AnchorScene, Background, ByteCounts, Camera, Dataset, Digest, Image, MemoryLimits, Problem, Scores,
+    },
     eval::{Lpips, mean_scores_with, score_view},
     gpu::AdapterChoice,
-    ingest,
+    ingest::{self, Room},
     render::{RenderViews, SceneViewer, views::Viewable},
     train::{CheckpointError, CheckpointFolder},
     worker::{pipeline::Pipeline, run::RunJob},
@@ -20,7 +25,7 @@ use tcgs::{
 
 pub(crate) use service::{ServeOptions, WorkerOptions, serve, worker};
 
-use super::{Failure, files};
+use super::{Failure, files, memory::MemoryFlags};
 
 /// Quantisation step of features where a user gives none (the published one).
 pub(crate) const FEATURE_STEP: f32 = 1.0;
@@ -50,12 +55,15 @@ pub(crate) struct Inspection {
     pub(crate) bytes: ByteCounts,
 }
 
-/// Reads a dataset.
+/// Reads a dataset; half of the memory that is there holds photographs.
 pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
-    ingest::load(path).map_err(|problem| match problem.file {
-        // The service has no name for an upload; here it has one.
-        None => problem.in_file(path.display().to_string()),
-        Some(_) => problem,
+    let host = MemoryFlags::default().limits(1).host;
+    ingest::load_into(path, &Room { memory: host / 2, ..Room::default() }).map_err(|problem| {
+        match problem.file {
+            // The service has no name for an upload; here it has one.
+            None => problem.in_file(path.display().to_string()),
+            Some(_) => problem,
+        }
     })
 }
 
@@ -92,9 +100,15 @@ fn not_a_file(fault: &DecodeError) -> Problem {
     Problem::new(422, "undecodable", "The file cannot be decoded", fault.to_string())
 }
 
-/// The training pipeline, which also measures LPIPS if there are weights for it.
-pub(crate) fn runner(adapter: &AdapterChoice, lpips: Option<Lpips>) -> Result<Arc<dyn RunJob>, Problem> {
-    Ok(Arc::new(Pipeline::new(adapter.clone()).with_lpips(lpips)))
+/// The training pipeline, within `memory`, which also measures LPIPS if there are weights for it; `spill` is the folder of
+/// temporary files.
+pub(crate) fn runner(
+    adapter: &AdapterChoice,
+    memory: MemoryLimits,
+    spill: PathBuf,
+    lpips: Option<Lpips>,
+) -> Result<Arc<dyn RunJob>, Problem> {
+    Ok(Arc::new(Pipeline::new(adapter.clone()).within(memory, spill).with_lpips(lpips)))
 }
 
 /// The weights of LPIPS in a file, if one is named.

@@ -6,6 +6,7 @@ use super::{
     Failure, Report,
     adapter::AdapterFlag,
     lpips::LpipsFlag,
+    memory::MemoryFlags,
     serve::refuse_shared_storage,
     wiring::{self, WorkerOptions},
 };
@@ -29,6 +30,9 @@ pub(crate) struct Args {
     adapter: AdapterFlag,
 
     #[command(flatten)]
+    memory: MemoryFlags,
+
+    #[command(flatten)]
     lpips: LpipsFlag,
 
     /// Stop when standard input closes, as it does when the service that started this worker ends
@@ -42,6 +46,7 @@ pub(crate) fn run(args: Args) -> Result<Report, Failure> {
     wiring::worker(WorkerOptions {
         data: args.data,
         adapter: args.adapter.adapter,
+        memory: args.memory.limits(1),
         lpips: args.lpips.lpips,
         stop_with_parent: args.stop_with_parent,
     })?;

@@ -7,7 +7,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Camera, Digest, Image};
+use super::{Camera, Digest, Photograph};
 
 /// Every how many images, by name, one is held out where the layout has no test split (method.md §1.1).
 pub const HOLD_OUT_EVERY: usize = 8;
@@ -52,7 +52,7 @@ pub struct Frame {
     /// The undistorted pinhole camera.
     pub camera: Camera,
     /// Pixels of exactly the camera's size.
-    pub image: Image,
+    pub image: Photograph,
     /// Train or test.
     pub split: Split,
 }
@@ -96,6 +96,12 @@ impl Dataset {
     /// Frames of one split, in order.
     pub fn split(&self, split: Split) -> impl Iterator<Item = &Frame> {
         self.frames.iter().filter(move |frame| frame.split == split)
+    }
+
+    /// Bytes of photographs that are in memory.
+    #[must_use]
+    pub fn bytes_in_memory(&self) -> u64 {
+        self.frames.iter().map(|frame| frame.image.bytes_in_memory()).sum()
     }
 
     /// The frame that a user means by `name`: the exact name, else the name without its extension, else a

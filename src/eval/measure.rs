@@ -9,7 +9,7 @@ use crate::{
 /// PSNR and SSIM of each frame, photographs composited on `background`.
 ///
 /// # Errors
-/// Faults of the renderer.
+/// Faults of the renderer; a photograph that cannot be read back.
 pub fn measure_views(
     renderer: &mut SceneRenderer,
     frames: &[&Frame],
@@ -33,7 +33,7 @@ pub fn measure_views_with(
         .iter()
         .map(|frame| {
             let render = renderer.render(&frame.camera)?;
-            let photograph = frame.image.over(background.rgb8());
+            let photograph = frame.image.load()?.over(background.rgb8());
             let mut score = score_view(&frame.name, &render, &photograph).ok_or_else(|| {
                 RenderError::Scene(format!("frame {} is not of its camera's size", frame.name))
             })?;

@@ -82,6 +82,20 @@ pub struct AdapterReport {
     pub usable: bool,
 }
 
+impl AdapterReport {
+    /// Whether kernels run on the CPU.
+    #[must_use]
+    pub fn is_software(&self) -> bool {
+        self.kind == "cpu"
+    }
+
+    /// Whether its buffers lie in main memory.
+    #[must_use]
+    pub fn shares_main_memory(&self) -> bool {
+        self.is_software() || self.kind == "integratedgpu"
+    }
+}
+
 /// Storage buffers that the widest kernel binds.
 pub(super) const STORAGE_BUFFERS_NEEDED: u32 = 12;
 

@@ -2,13 +2,12 @@
 
 use std::{
     collections::HashMap,
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, Mutex, PoisonError},
 };
 
-use super::{AdapterChoice, AdapterReport, Buffer, GpuError, Kernel, KernelSource, Recorder, adapter};
+use super::{
+    AdapterChoice, AdapterReport, Buffer, GpuError, Kernel, KernelSource, Recorder, adapter, ledger::Ledger,
+};
 
 /// Largest workgroup-per-dispatch count that a dimension takes everywhere.
 pub(super) const MAX_GROUPS_PER_DIMENSION: u32 = 65_535;
@@ -28,7 +27,7 @@ pub struct Context {
     report: AdapterReport,
     faults: Arc<Faults>,
     kernels: Mutex<HashMap<String, Arc<Kernel>>>,
-    pub(super) allocated: Arc<AtomicU64>,
+    pub(super) ledger: Arc<Ledger>,
 }
 
 impl Context {
@@ -71,7 +70,7 @@ impl Context {
             report,
             faults,
             kernels: Mutex::new(HashMap::new()),
-            allocated: Arc::new(AtomicU64::new(0)),
+            ledger: Arc::new(Ledger::new()),
         }))
     }
 
@@ -97,13 +96,30 @@ impl Context {
     /// Whether kernels run on the CPU: few lanes, and a price for each dispatch and barrier.
     #[must_use]
     pub fn is_software(&self) -> bool {
-        self.report.kind == "cpu"
+        self.report.is_software()
     }
 
-    /// Bytes in live buffers of this context.
+    /// Bytes in live buffers of this context, those of transfers under way among them.
     #[must_use]
     pub fn allocated_bytes(&self) -> u64 {
-        self.allocated.load(Ordering::Relaxed)
+        self.ledger.used()
+    }
+
+    /// The most that [`Context::allocated_bytes`] ever was.
+    #[must_use]
+    pub fn peak_bytes(&self) -> u64 {
+        self.ledger.peak()
+    }
+
+    /// Bytes that live buffers may take together; without a bound until one is set.
+    #[must_use]
+    pub fn budget_bytes(&self) -> u64 {
+        self.ledger.budget()
+    }
+
+    /// Refuses buffers from now on that would take the sum of all beyond `bytes`.
+    pub fn set_budget_bytes(&self, bytes: u64) {
+        self.ledger.set_budget(bytes);
     }
 
     /// Whether the device still works.
@@ -169,7 +185,7 @@ impl Context {
     /// Reads a whole buffer back. Waits for the device.
     ///
     /// # Errors
-    /// As [`Context::check`].
+    /// As [`Context::read_range`].
     pub fn read<T: bytemuck::Pod>(&self, buffer: &Buffer<T>) -> Result<Vec<T>, GpuError> {
         self.read_range(buffer, 0, buffer.len())
     }
@@ -177,7 +193,7 @@ impl Context {
     /// Reads `count` elements from `start`. Waits for the device.
     ///
     /// # Errors
-    /// As [`Context::check`].
+    /// As [`Context::check`], and [`GpuError::OverBudget`] without room for the transfer.
     pub fn read_range<T: bytemuck::Pod>(
         &self,
         buffer: &Buffer<T>,
@@ -190,6 +206,7 @@ impl Context {
         }
         let size = size_of::<T>() as u64;
         let bytes = (count as u64 * size).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
+        let _reservation = self.ledger.reserve("read back", bytes)?;
         let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("read back"),
             size: bytes,

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::domain::Problem;
+use crate::domain::{Bytes, Problem};
 
 /// A fault of the device or of asking for one.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -49,6 +49,18 @@ pub enum GpuError {
         /// The adapter's limit.
         limit: u64,
     },
+    /// A buffer would take more than what is allowed on the device.
+    #[error("buffer '{label}' needs {bytes}; {used} of the budget of {budget} on the device are in use")]
+    OverBudget {
+        /// What the buffer is for.
+        label: String,
+        /// Its size.
+        bytes: Bytes,
+        /// What live buffers take.
+        used: Bytes,
+        /// What they may take.
+        budget: Bytes,
+    },
 }
 
 impl From<GpuError> for Problem {
@@ -60,7 +72,19 @@ impl From<GpuError> for Problem {
                 ("device-fault", "The device rejected a command")
             }
             GpuError::BufferTooLarge { .. } => ("scene-too-large", "The scene is too large for the adapter"),
+            GpuError::OverBudget { .. } => ("gpu-memory", "Not enough memory on the device"),
         };
-        Problem::new(if name == "scene-too-large" { 422 } else { 503 }, name, title, error.to_string())
+        let status = match &error {
+            GpuError::BufferTooLarge { .. } => 422,
+            GpuError::OverBudget { .. } => 507,
+            _ => 503,
+        };
+        let hint = match &error {
+            GpuError::OverBudget { .. } => {
+                "; allow more with --gpu-memory, or make the images smaller or the preset a smaller one"
+            }
+            _ => "",
+        };
+        Problem::new(status, name, title, format!("{error}{hint}"))
     }
 }

@@ -36,6 +36,7 @@ const SHARED: &[(&str, &str)] = &[
     ("splat", include_str!("../../shaders/shared/splat.wgsl")),
     ("anchor_view", include_str!("../../shaders/shared/anchor_view.wgsl")),
     ("model", include_str!("../../shaders/shared/model.wgsl")),
+    ("plain", include_str!("../../shaders/shared/plain.wgsl")),
     ("ssim", include_str!("../../shaders/shared/ssim.wgsl")),
 ];
 
@@ -148,7 +149,7 @@ mod tests {
     }
 
     /// Definitions that any kernel may ask for, with the values of the model that is trained.
-    const SHAPE: &[(&str, u32)] = &[("FEATURES", 32), ("OFFSETS", 10), ("GRADIENT_LANES", 32)];
+    const SHAPE: &[(&str, u32)] = &[("FEATURES", 32), ("OFFSETS", 10), ("GRADIENT_LANES", 32), ("DEGREE", 3)];
 
     #[test]
     fn every_kernel_validates_and_is_named_as_its_file() {

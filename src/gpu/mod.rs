@@ -2,13 +2,15 @@
 //! that everything on the device is built from.
 //!
 //! What always holds: the adapter is the one that was asked for or there is an error; a lost device is remembered
-//! and reported as [`GpuError::DeviceLost`] from then on; every buffer is counted in bytes.
+//! and reported as [`GpuError::DeviceLost`] from then on; every buffer is counted in bytes, and no buffer is made that would take them
+//! beyond [`Context::budget_bytes`].
 
 mod adapter;
 mod buffer;
 mod context;
 mod error;
 mod kernel;
+mod ledger;
 mod recorder;
 mod scan;
 mod sort;
@@ -16,7 +18,7 @@ mod timing;
 pub mod twin;
 
 pub use adapter::{AdapterChoice, AdapterReport, report};
-pub use buffer::{Buffer, RawBuffer};
+pub use buffer::{Buffer, RawBuffer, buffer_bytes};
 pub use context::Context;
 pub use error::GpuError;
 pub use kernel::{Kernel, KernelSource, kernel_source};

@@ -3,6 +3,7 @@
 use super::{
     Buffer, Context, GpuError, Kernel, RawBuffer,
     context::MAX_GROUPS_PER_DIMENSION,
+    ledger::Reservation,
     timing::{KernelTime, Timing},
 };
 
@@ -17,13 +18,17 @@ pub struct Recorder<'a> {
     /// Open while dispatches follow one another: one pass for all of them costs less than one for each.
     open: Option<wgpu::ComputePass<'static>>,
     timing: Option<Timing>,
+    /// Of the writes that wait in the recording.
+    staged: Vec<Reservation>,
+    /// The first fault of recording; submitting reports it.
+    fault: Option<GpuError>,
 }
 
 impl<'a> Recorder<'a> {
     pub(super) fn new(context: &'a Context, label: &str) -> Self {
         let encoder =
             context.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
-        Self { context, encoder, open: None, timing: None }
+        Self { context, encoder, open: None, timing: None, staged: Vec::new(), fault: None }
     }
 
     pub(super) fn timed(context: &'a Context, label: &str) -> Self {
@@ -88,9 +93,17 @@ impl<'a> Recorder<'a> {
         if bytes.is_empty() {
             return;
         }
+        let size = (bytes.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
+        match self.context.ledger.reserve("recorded write", size) {
+            Ok(reservation) => self.staged.push(reservation),
+            Err(fault) => {
+                self.fault.get_or_insert(fault);
+                return;
+            }
+        }
         let staging = self.context.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("recorded write"),
-            size: (bytes.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT),
+            size,
             usage: wgpu::BufferUsages::COPY_SRC,
             mapped_at_creation: true,
         });
@@ -119,9 +132,12 @@ impl<'a> Recorder<'a> {
     /// Sends what was recorded to the device.
     ///
     /// # Errors
-    /// As [`Context::check`].
+    /// As [`Context::check`], and [`GpuError::OverBudget`] if there was no room for a recorded write.
     pub fn submit(mut self) -> Result<(), GpuError> {
         self.open = None;
+        if let Some(fault) = self.fault.take() {
+            return Err(fault);
+        }
         self.context.check()?;
         self.context.queue.submit([self.encoder.finish()]);
         self.context.check()

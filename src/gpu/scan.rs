@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use super::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source};
+use super::{AdapterReport, Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
 
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -37,12 +37,22 @@ pub struct Scan {
 }
 
 impl Scan {
+    fn runs(adapter: &AdapterReport) -> u32 {
+        if adapter.is_software() { 512 } else { 8192 }
+    }
+
+    /// Bytes on the device.
+    #[must_use]
+    pub fn bytes(adapter: &AdapterReport) -> u64 {
+        buffer_bytes::<ScanParams>(1) + buffer_bytes::<u32>(Self::runs(adapter) as usize)
+    }
+
     /// Prepares the scan.
     ///
     /// # Errors
     /// As [`Context::buffer`] and [`Context::kernel`].
     pub fn new(context: &Context, capacity: usize, slots: ScanSlots) -> Result<Self, GpuError> {
-        let runs: u32 = if context.is_software() { 512 } else { 8192 };
+        let runs = Self::runs(context.adapter());
         let params = ScanParams {
             runs,
             count_index: slots.count,

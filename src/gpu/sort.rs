@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use super::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source};
+use super::{AdapterReport, Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
 
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -28,6 +28,12 @@ pub struct Pairs {
 }
 
 impl Pairs {
+    /// Bytes on the device.
+    #[must_use]
+    pub fn bytes(capacity: usize) -> u64 {
+        2 * buffer_bytes::<u32>(capacity)
+    }
+
     /// Room for `capacity` pairs.
     ///
     /// # Errors
@@ -59,15 +65,29 @@ fn widths(bits: u32, widest: u32) -> Vec<u32> {
 }
 
 impl RadixSort {
+    /// Runs, and the bits of the widest pass. Software adapters have few lanes and pay for each dispatch: wide digits and few
+    /// runs, the best of 32 to 1024 runs by 4 to 11 bits on lavapipe. Hardware wants many runs.
+    fn runs_and_widest(adapter: &AdapterReport) -> (u32, u32) {
+        if adapter.is_software() { (128, 8) } else { (1024, 4) }
+    }
+
+    /// Bytes on the device of a sort by the lowest `bits` bits, besides the pairs.
+    #[must_use]
+    pub fn bytes(adapter: &AdapterReport, bits: u32) -> u64 {
+        let (runs, widest) = Self::runs_and_widest(adapter);
+        let passes = widths(bits.min(32), widest).len() as u64;
+        passes * buffer_bytes::<SortParams>(1)
+            + buffer_bytes::<u32>((runs as usize) << widest)
+            + buffer_bytes::<u32>(1 << widest)
+    }
+
     /// Prepares a sort by the lowest `bits` bits (at most 32); `count_index` is the element of the count buffer that
     /// says how many pairs there are.
     ///
     /// # Errors
     /// As [`Context::buffer`] and [`Context::kernel`].
     pub fn new(context: &Context, capacity: usize, bits: u32, count_index: u32) -> Result<Self, GpuError> {
-        // Software adapters have few lanes and pay for each dispatch: wide digits and few runs, the best of 32 to 1024 runs
-        // by 4 to 11 bits on lavapipe. Hardware wants many runs.
-        let (runs, widest) = if context.is_software() { (128, 8) } else { (1024, 4) };
+        let (runs, widest) = Self::runs_and_widest(context.adapter());
         let mut passes = Vec::new();
         let mut shift = 0;
         for width in widths(bits.min(32), widest) {

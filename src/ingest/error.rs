@@ -6,7 +6,7 @@ use std::io;
 
 use thiserror::Error;
 
-use crate::domain::{CameraError, Problem};
+use crate::domain::{Bytes, CameraError, Problem};
 
 /// Longest file name repeated in a message; names in an upload may be up to 64 KiB long.
 const LONGEST_NAME_SHOWN: usize = 200;
@@ -246,6 +246,38 @@ pub enum Fault {
         /// Most that are accepted.
         limit: u64,
     },
+    /// One image that memory has no room to decode.
+    #[error(
+        "decoding the image takes up to {bytes} of memory, and there are {budget} for reading photographs; allow \
+         more with --host-memory, or make the images smaller"
+    )]
+    DecodeMemory {
+        /// The most that it may take.
+        bytes: Bytes,
+        /// What there is for all images.
+        budget: Bytes,
+    },
+    /// The disk has no room for what memory has no room for.
+    #[error(
+        "the photographs do not fit into memory, and the disk of the folder for temporary files, {folder}, has no \
+         room for {bytes} bytes more; make room there, or allow more memory with --host-memory"
+    )]
+    SpillFull {
+        /// The folder of temporary files.
+        folder: String,
+        /// Bytes of the photograph that did not fit.
+        bytes: u64,
+    },
+    /// The temporary file cannot be written.
+    #[error(
+        "the photographs do not fit into memory, and no temporary file can be written in {folder}: {error}"
+    )]
+    Spill {
+        /// The folder of temporary files.
+        folder: String,
+        /// The system's words.
+        error: io::Error,
+    },
     /// Too many pixels in all images together.
     #[error("the images have {pixels} pixels together after downscaling; at most {limit} are accepted")]
     TooManyScenePixels {
@@ -267,6 +299,9 @@ impl Fault {
         match self {
             Self::NotFound => (404, "dataset-not-found", "No such dataset"),
             Self::Io(_) => (500, "dataset-unreadable", "The dataset cannot be read"),
+            Self::DecodeMemory { .. } => (507, "host-memory", "Not enough memory"),
+            Self::SpillFull { .. } => (507, "storage-full", "Storage full"),
+            Self::Spill { .. } => (500, "storage-failed", "Storage failed"),
             Self::NotAZip(_) => (400, "not-a-zip", "Not a zip archive"),
             Self::CorruptArchive(_)
             | Self::Encrypted

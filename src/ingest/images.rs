@@ -29,25 +29,35 @@ pub(super) fn is_image_name(name: &str) -> bool {
         .is_some_and(|(_, extension)| EXTENSIONS.iter().any(|e| extension.eq_ignore_ascii_case(e)))
 }
 
-/// Width and height of a stored image, from its header.
+/// What the header of a stored image says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Header {
+    /// Width and height.
+    pub(super) size: (u32, u32),
+    /// Whether pixels may be transparent.
+    pub(super) alpha: bool,
+}
+
+/// The header of a stored image.
 ///
 /// # Errors
 /// [`Fault::Image`], [`Fault::TooManyPixels`], or a fault of reading the file.
-pub(super) fn size(tree: &Tree, name: &str, limits: &Limits) -> Result<(u32, u32), Error> {
+pub(super) fn header(tree: &Tree, name: &str, limits: &Limits) -> Result<Header, Error> {
     let head = tree.read_up_to(name, HEADER_BYTES)?;
-    let size = match header_size(&head, limits) {
+    let header = match header_of(&head, limits) {
         // The header may simply be longer: some cameras embed large previews before the image.
         Err(_) if head.len() as u64 == HEADER_BYTES => {
-            header_size(&tree.read_up_to(name, limits.file_bytes)?, limits)
+            header_of(&tree.read_up_to(name, limits.file_bytes)?, limits)
         }
         known => known,
-    };
-    let (width, height) = size.map_err(|fault| fault.at(name))?;
+    }
+    .map_err(|fault| fault.at(name))?;
+    let (width, height) = header.size;
     let pixels = u64::from(width) * u64::from(height);
     if pixels > limits.image_pixels {
         return Err(Fault::TooManyPixels { pixels, limit: limits.image_pixels }.at(name));
     }
-    Ok((width, height))
+    Ok(header)
 }
 
 /// Decodes an image of the size that its header promised. 16-bit and grey images become 8-bit colour; alpha is
@@ -74,8 +84,9 @@ pub(super) fn decode(bytes: &[u8], limits: &Limits) -> Result<Image, Fault> {
     Image::new(width, height, channels, samples).map_err(|error| Fault::Image(error.to_string()))
 }
 
-fn header_size(bytes: &[u8], limits: &Limits) -> Result<(u32, u32), Fault> {
-    Ok(decoder(bytes, limits)?.dimensions())
+fn header_of(bytes: &[u8], limits: &Limits) -> Result<Header, Fault> {
+    let decoder = decoder(bytes, limits)?;
+    Ok(Header { size: decoder.dimensions(), alpha: decoder.color_type().has_alpha() })
 }
 
 fn decoder<'a>(bytes: &'a [u8], limits: &Limits) -> Result<impl ImageDecoder + 'a, Fault> {
@@ -138,7 +149,9 @@ mod tests {
             (encoded(clear, ImageFormat::Png), 4, [1, 2, 3, 4].repeat(2)),
             (encoded(opaque, ImageFormat::Png), 3, [1, 2, 3].repeat(2)),
         ] {
-            assert_eq!(header_size(&bytes, &limits).expect("a header"), (2, 1));
+            let header = header_of(&bytes, &limits).expect("a header");
+            assert_eq!(header.size, (2, 1));
+            assert!(header.alpha || channels == 3, "what has no alpha by its header gets none");
             let image = decode(&bytes, &limits).expect("decodes");
             assert_eq!((image.channels(), image.samples()), (channels, samples.as_slice()));
         }

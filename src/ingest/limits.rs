@@ -26,7 +26,8 @@ impl Limits {
 }
 
 impl Default for Limits {
-    /// Room for some thousands of photographs: 64 Mi pixels an image, 2 Gi pixels (6 GiB as RGB) a scene.
+    /// Room for some thousands of photographs: 64 Mi pixels an image, 8 Gi pixels a scene, which is a thousand upright
+    /// 4K frames twice over. As RGB those are 24 GiB; what does not fit into memory goes to disk ([`super::Room`]).
     fn default() -> Self {
         Self {
             entries: 100_000,
@@ -34,7 +35,7 @@ impl Default for Limits {
             file_bytes: 2 << 30,
             ratio: 200,
             image_pixels: 64 << 20,
-            scene_pixels: 2 << 30,
+            scene_pixels: 8 << 30,
         }
     }
 }

@@ -4,9 +4,12 @@
 //! `transforms` or `colmap` (tables to a `plan`: frames, lenses, poses), then `survey` (sizes from image headers,
 //! final cameras), then `images`, `distortion` and `sampling` (pixels).
 //!
+//! Memory is bounded by a [`Room`]: photographs are decoded in parallel as far as it has room for what that takes, stay in
+//! memory as long as they fit, and go to a temporary file (`spill`) from there on.
+//!
 //! Input is untrusted. Whatever it is, the outcome is a dataset that keeps the promises of
-//! [`crate::domain::scene`] or an [`Error`] that names the file and the fault: nothing panics, nothing is written,
-//! and no memory is asked for on the word of a header alone.
+//! [`crate::domain::scene`] or an [`Error`] that names the file and the fault: nothing panics, nothing is written outside of the
+//! room, and no memory is asked for on the word of a header alone.
 
 mod archive;
 mod bytes;
@@ -20,7 +23,9 @@ mod limits;
 mod names;
 mod plan;
 mod ply;
+mod room;
 mod sampling;
+mod spill;
 mod survey;
 mod transforms;
 mod tree;
@@ -38,9 +43,15 @@ use serde::{Deserialize, Serialize};
 pub use self::{
     error::{Error, Fault},
     limits::Limits,
+    room::Room,
 };
-use self::{survey::survey, tree::Tree};
-use crate::domain::{Dataset, Frame, Layout, Problem, Split};
+use self::{
+    room::Permits,
+    spill::Spill,
+    survey::{Survey, View, survey},
+    tree::Tree,
+};
+use crate::domain::{Bytes, Dataset, Frame, Layout, Photograph, Problem, Split};
 
 /// What can be told about a dataset without decoding its pixels.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,9 +74,18 @@ pub struct Summary {
 ///
 /// # Errors
 /// A [`Problem`] that names the file and the fault: 400 for what is no zip archive, 413 for what is over the
-/// default [`Limits`], 404 for a path that does not exist, 500 for one that cannot be read, else 422.
+/// default [`Limits`], 404 for a path that does not exist, 500 for one that cannot be read, 507 for what memory or disk have
+/// no room for, else 422.
 pub fn load(path: &Path) -> Result<Dataset, Problem> {
-    Ok(load_within(path, &Limits::default())?)
+    load_into(path, &Room::default())
+}
+
+/// As [`load`], with memory and a place for temporary files of the caller's choice.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_into(path: &Path, room: &Room) -> Result<Dataset, Problem> {
+    Ok(load_within(path, &Limits::default(), room)?)
 }
 
 /// Checks a dataset as far as possible without decoding pixels: the archive, the layout, poses, cameras, points, and
@@ -81,17 +101,15 @@ pub fn check(path: &Path) -> Result<Summary, Problem> {
 ///
 /// # Errors
 /// The first fault, in the order of names.
-pub fn load_within(path: &Path, limits: &Limits) -> Result<Dataset, Error> {
+pub fn load_within(path: &Path, limits: &Limits, room: &Room) -> Result<Dataset, Error> {
     let (tree, survey) = survey(Tree::open(path, limits)?, limits)?;
+    let store = Store::new(&tree, &survey, room)?;
     // Collected before the first fault is taken, so that the same fault is reported whatever thread is faster.
     let frames: Vec<Result<Frame, Error>> = survey
         .views
         .into_par_iter()
         .map(|view| {
-            let file = &view.shot.file;
-            let image = images::decode(&tree.read(file)?, limits)
-                .and_then(|image| view.finish(image))
-                .map_err(|fault| fault.at(file))?;
+            let image = store.photograph(&tree, &view, limits)?;
             Ok(Frame { name: view.shot.name, camera: view.camera, image, split: view.shot.split })
         })
         .collect();
@@ -102,6 +120,54 @@ pub fn load_within(path: &Path, limits: &Limits) -> Result<Dataset, Error> {
         digest: tree.digest(),
         notes: survey.notes,
     })
+}
+
+/// Where photographs go once they are decoded, and how many are decoded at a time.
+struct Store {
+    decoding: Permits,
+    kept: Permits,
+    spill: Spill,
+}
+
+impl Store {
+    /// A quarter of the room is for decoding, or as much as the largest image takes; the rest keeps images.
+    ///
+    /// # Errors
+    /// [`Fault::DecodeMemory`] if the room is too small for the largest image.
+    fn new(tree: &Tree, survey: &Survey, room: &Room) -> Result<Self, Error> {
+        let needed = survey.views.iter().map(|view| (Self::decode_bytes(tree, view), &view.shot.file)).max();
+        let (largest, file) = needed.ok_or(Fault::NoImages)?;
+        if largest > room.memory {
+            let (bytes, budget) = (Bytes(largest), Bytes(room.memory));
+            return Err(Fault::DecodeMemory { bytes, budget }.at(file));
+        }
+        let threads = rayon::current_num_threads() as u64;
+        let decoding = largest.saturating_mul(threads).min(room.memory / 4).max(largest);
+        Ok(Self {
+            decoding: Permits::new(decoding),
+            kept: Permits::new(room.memory - decoding),
+            spill: Spill::new(&room.spill),
+        })
+    }
+
+    /// The file, which is read into a buffer that doubles as it grows, and what is made of it.
+    fn decode_bytes(tree: &Tree, view: &View) -> u64 {
+        view.decode_bytes().saturating_add(tree.size(&view.shot.file).saturating_mul(2))
+    }
+
+    fn photograph(&self, tree: &Tree, view: &View, limits: &Limits) -> Result<Photograph, Error> {
+        let _permit = self.decoding.take(Self::decode_bytes(tree, view));
+        let file = &view.shot.file;
+        let bytes = tree.read(file)?;
+        let image = images::decode(&bytes, limits)
+            .and_then(|image| view.finish(image))
+            .map_err(|fault| fault.at(file))?;
+        if self.kept.keep(image.samples().len() as u64) {
+            Ok(image.into())
+        } else {
+            Ok(self.spill.put(&image)?)
+        }
+    }
 }
 
 /// As [`check`], within other limits.

@@ -36,11 +36,39 @@ pub(super) struct View {
     pub(super) camera: Camera,
     /// Pinhole intrinsics of the stored image, distortion aside.
     stored: Intrinsics,
+    /// Whether the stored image may be transparent.
+    alpha: bool,
     distortion: Distortion,
     crop: Crop,
 }
 
+/// Bytes a pixel of the stored image that decoding takes at most: 16-bit RGBA beside its 8-bit copy, or 8-bit RGB beside what a
+/// progressive JPEG keeps.
+const DECODE_BYTES: u64 = 12;
+/// Bytes a pixel of an image in single precision, as the filter that downscales works on it.
+const FILTER_BYTES: u64 = 16;
+
 impl View {
+    /// The most memory that decoding and finishing the image takes, besides the stored file.
+    pub(super) fn decode_bytes(&self) -> u64 {
+        let (from, to) = (&self.stored, &self.camera.intrinsics);
+        let pixels = |width: u32, height: u32| u64::from(width) * u64::from(height);
+        let channels = if self.alpha { 4 } else { 3 };
+        // As stored, undistorted, weighted by alpha; then filtered down, then across.
+        let mut resampling = channels * pixels(from.width, from.height);
+        if !self.distortion.is_none() {
+            resampling += channels * pixels(from.width, from.height);
+        }
+        if self.crop.width != to.width {
+            let weighted =
+                if self.alpha { FILTER_BYTES * pixels(self.crop.width, self.crop.height) } else { 0 };
+            resampling += weighted
+                + FILTER_BYTES * pixels(self.crop.width, to.height)
+                + (FILTER_BYTES + channels) * pixels(to.width, to.height);
+        }
+        resampling.max(DECODE_BYTES * pixels(from.width, from.height))
+    }
+
     /// The finished image from the stored one.
     ///
     /// # Errors
@@ -77,13 +105,13 @@ pub(super) fn survey(mut tree: Tree, limits: &Limits) -> Result<(Tree, Survey), 
     let Plan { layout, lenses, shots, points, mut notes } = plan;
 
     // Collected before the first fault is taken, so that the same fault is reported whatever thread is faster.
-    let sizes: Vec<_> = shots.par_iter().map(|shot| images::size(&tree, &shot.file, limits)).collect();
+    let headers: Vec<_> = shots.par_iter().map(|shot| images::header(&tree, &shot.file, limits)).collect();
     let mut crops = BTreeMap::new();
     let mut views = Vec::with_capacity(shots.len());
     let mut changes = Changes::default();
     let mut pixels = 0;
-    for (shot, size) in shots.into_iter().zip(sizes) {
-        let size = size?;
+    for (shot, header) in shots.into_iter().zip(headers) {
+        let images::Header { size, alpha } = header?;
         let lens = &lenses[shot.lens];
         let (file, distortion) = (shot.file.clone(), lens.distortion);
         let stored = lens.intrinsics(size).map_err(|fault| fault.at(&file))?;
@@ -109,7 +137,7 @@ pub(super) fn survey(mut tree: Tree, limits: &Limits) -> Result<(Tree, Survey), 
         if pixels > limits.scene_pixels {
             return Err(Fault::TooManyScenePixels { pixels, limit: limits.scene_pixels }.at(file));
         }
-        views.push(View { shot, camera, stored, distortion, crop });
+        views.push(View { shot, camera, stored, alpha, distortion, crop });
     }
     changes.note(&mut notes);
     Ok((tree, Survey { layout, views, points, notes }))

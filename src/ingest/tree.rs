@@ -115,6 +115,11 @@ impl Tree {
         self.files.contains_key(name)
     }
 
+    /// Bytes of a file as the source states them; 0 if there is none.
+    pub(super) fn size(&self, name: &str) -> u64 {
+        self.files.get(name).map_or(0, |entry| entry.size)
+    }
+
     /// All names, in order.
     pub(super) fn names(&self) -> impl Iterator<Item = &str> {
         self.files.keys().map(String::as_str)

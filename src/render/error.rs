@@ -2,7 +2,10 @@
 
 use thiserror::Error;
 
-use crate::{domain::Problem, gpu::GpuError};
+use crate::{
+    domain::{PhotographError, Problem},
+    gpu::GpuError,
+};
 
 /// A fault of rendering.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -13,6 +16,9 @@ pub enum RenderError {
     /// A backward pass was asked for that does not follow a forward pass of the same camera and Gaussians.
     #[error("the backward pass needs the forward pass of the same camera and capacity just before it")]
     OutOfStep,
+    /// What a view is compared with is gone.
+    #[error(transparent)]
+    Photograph(#[from] PhotographError),
     /// A scene that this renderer cannot show.
     #[error("the scene cannot be rendered: {0}")]
     Scene(String),
@@ -32,6 +38,7 @@ impl From<RenderError> for Problem {
     fn from(error: RenderError) -> Self {
         match error {
             RenderError::Gpu(fault) => fault.into(),
+            RenderError::Photograph(fault) => fault.into(),
             fault => Problem::new(500, "render", "The view could not be rendered", fault.to_string()),
         }
     }

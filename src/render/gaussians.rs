@@ -1,6 +1,6 @@
 //! Gaussians on the device and their gradients: plain columns of four floats, one row a Gaussian.
 
-use crate::gpu::{Buffer, Context, GpuError};
+use crate::gpu::{Buffer, Context, GpuError, buffer_bytes};
 
 /// Gaussians on the device; the first `count[0]` of `capacity` rows are candidates.
 #[derive(Debug, Clone)]
@@ -20,6 +20,12 @@ pub struct Gaussians {
 }
 
 impl Gaussians {
+    /// Bytes on the device.
+    #[must_use]
+    pub fn bytes(capacity: usize) -> u64 {
+        buffer_bytes::<u32>(4) + 4 * buffer_bytes::<[f32; 4]>(capacity)
+    }
+
     /// Room for `capacity` Gaussians, all zero, none used.
     ///
     /// # Errors
@@ -47,11 +53,18 @@ pub struct GaussianGradients {
     pub quats: Buffer<[f32; 4]>,
     /// By the colour.
     pub colors: Buffer<[f32; 4]>,
-    /// By the projected centre in pixels (u, v), then the number of tiles touched (0 = culled); the fourth is unused.
+    /// By the projected centre in pixels (u, v), then the number of tiles touched (0 = culled) and the radius: three
+    /// standard deviations in pixels along the longer axis.
     pub means2d: Buffer<[f32; 4]>,
 }
 
 impl GaussianGradients {
+    /// Bytes on the device.
+    #[must_use]
+    pub fn bytes(capacity: usize) -> u64 {
+        5 * buffer_bytes::<[f32; 4]>(capacity)
+    }
+
     /// Room for the gradients of `capacity` Gaussians.
     ///
     /// # Errors

@@ -3,6 +3,7 @@
 mod error;
 mod gaussians;
 mod neural;
+mod plain;
 mod projection;
 mod rasterizer;
 mod scene_renderer;
@@ -12,6 +13,7 @@ pub mod views;
 pub use error::RenderError;
 pub use gaussians::{GaussianGradients, Gaussians};
 pub use neural::{AnchorGradients, DeviceAnchors, NeuralGaussians};
+pub use plain::{DeviceRows, PlainGaussians, STATISTICS};
 pub use projection::{Projection, RasterSettings, TILE};
 pub use rasterizer::{Counts, Passes, Rasterizer};
 pub use scene_renderer::{SceneRenderer, SceneViewer};

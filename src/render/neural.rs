@@ -9,7 +9,7 @@ use std::sync::Arc;
 use super::{GaussianGradients, Gaussians, RenderError};
 use crate::{
     domain::Camera,
-    gpu::{Buffer, Context, Kernel, Recorder, kernel_source},
+    gpu::{AdapterReport, Buffer, Context, Kernel, Recorder, buffer_bytes, kernel_source},
     model::{AnchorRows, LayerSpec, NetworkLayout, Shape},
 };
 
@@ -62,6 +62,15 @@ pub struct DeviceAnchors {
 }
 
 impl DeviceAnchors {
+    /// Bytes on the device.
+    #[must_use]
+    pub fn bytes(shape: Shape, anchors: usize) -> u64 {
+        buffer_bytes::<[f32; 4]>(anchors)
+            + buffer_bytes::<f32>(anchors * shape.row())
+            + buffer_bytes::<u32>(anchors)
+            + buffer_bytes::<f32>(NetworkLayout::new(shape).parameters)
+    }
+
     /// Uploads anchors and networks.
     ///
     /// # Errors
@@ -88,6 +97,12 @@ pub struct AnchorGradients {
 }
 
 impl AnchorGradients {
+    /// Bytes on the device.
+    #[must_use]
+    pub fn bytes(shape: Shape, anchors: usize) -> u64 {
+        buffer_bytes::<f32>(anchors * shape.row()) + buffer_bytes::<f32>(NetworkLayout::new(shape).parameters)
+    }
+
     /// Room for the gradients of `anchors` anchors.
     ///
     /// # Errors
@@ -155,6 +170,13 @@ struct Activations {
 }
 
 impl Activations {
+    fn bytes(layout: &NetworkLayout, capacity: usize) -> u64 {
+        let rows = layout.hidden.inputs + layout.hidden.outputs + layout.output_rows();
+        3 * buffer_bytes::<u32>(capacity + 1)
+            + buffer_bytes::<f32>(rows * capacity)
+            + Gaussians::bytes(capacity * layout.shape.offsets)
+    }
+
     fn new(context: &Context, layout: &NetworkLayout, capacity: usize) -> Result<Self, RenderError> {
         let mut gaussians = Gaussians::new(context, capacity * layout.shape.offsets)?;
         gaussians.count = context.buffer("gaussian counts", 4)?;
@@ -181,6 +203,14 @@ struct Backward {
 }
 
 impl Backward {
+    fn bytes(layout: &NetworkLayout, capacity: usize) -> u64 {
+        let rows = layout.shape.features + layout.hidden.outputs + layout.output_rows();
+        let runs = capacity.div_ceil(GRADIENT_RUN).max(1);
+        buffer_bytes::<f32>(rows * capacity)
+            + buffer_bytes::<f32>(runs * layout.parameters)
+            + GaussianGradients::bytes(capacity * layout.shape.offsets)
+    }
+
     fn new(context: &Context, layout: &NetworkLayout, capacity: usize) -> Result<Self, RenderError> {
         let runs = capacity.div_ceil(GRADIENT_RUN).max(1);
         Ok(Self {
@@ -243,13 +273,32 @@ impl NeuralGaussians {
         })
     }
 
-    /// Most anchors of a shape whose widest buffer `context`'s adapter binds, with the spare room of [`Self::forward`].
+    /// Most anchors of a shape whose widest buffer the adapter binds, with the spare room of [`Self::forward`].
     #[must_use]
-    pub fn most_anchors(context: &Context, shape: Shape) -> usize {
+    pub fn most_anchors(adapter: &AdapterReport, shape: Shape) -> usize {
         // The rasteriser keeps three rows of four floats a Gaussian in one buffer; spare room is a quarter.
         let bytes = (3 * size_of::<[f32; 4]>() * shape.offsets * 5 / 4) as u64;
-        let limit = context.adapter().max_binding_bytes.min(context.adapter().max_buffer_bytes);
+        let limit = adapter.max_binding_bytes.min(adapter.max_buffer_bytes);
         usize::try_from(limit / bytes.max(1)).unwrap_or(usize::MAX)
+    }
+
+    /// Rows of the buffers for views of `anchors` anchors: a quarter more, so that growth rarely makes new ones.
+    #[must_use]
+    pub fn capacity(anchors: usize) -> usize {
+        anchors + anchors / 4
+    }
+
+    /// Bytes on the device once views of `anchors` anchors were made and differentiated.
+    #[must_use]
+    pub fn bytes(shape: Shape, anchors: usize) -> u64 {
+        let layout = NetworkLayout::new(shape);
+        let capacity = Self::capacity(anchors);
+        // Columns are rounded up one by one, and each layer has its uniform.
+        const ROUNDING: u64 = 1024;
+        buffer_bytes::<ViewUniform>(1)
+            + Activations::bytes(&layout, capacity)
+            + Backward::bytes(&layout, capacity)
+            + ROUNDING
     }
 
     /// The Gaussians of the last forward pass.
@@ -446,7 +495,7 @@ impl NeuralGaussians {
 
     fn fit(&mut self, anchors: usize) -> Result<(), RenderError> {
         if anchors > self.capacity {
-            let capacity = anchors + anchors / 4;
+            let capacity = Self::capacity(anchors);
             self.backward = None;
             self.forward = Activations::new(&self.context, &self.layout, capacity)?;
             self.capacity = capacity;

@@ -12,16 +12,22 @@ use std::sync::Arc;
 
 use super::{
     GaussianGradients, Gaussians, RasterSettings, RenderError,
-    projection::{Projection, View},
+    projection::{Projection, TILE, View},
 };
 use crate::{
     domain::Camera,
-    gpu::{Buffer, Context, GpuError, Kernel, Pairs, RadixSort, Recorder, Scan, ScanSlots, kernel_source},
+    gpu::{
+        AdapterReport, Buffer, Context, GpuError, Kernel, Pairs, RadixSort, Recorder, Scan, ScanSlots,
+        buffer_bytes, kernel_source,
+    },
 };
 
 /// Elements of the counter buffer.
 const VISIBLE: u32 = 0;
 const INTERSECTIONS: u32 = 1;
+
+/// Bits of a depth that order it. Depths are positive floats: their bits order as integers, and the sign is always clear.
+const DEPTH_BITS: u32 = 31;
 
 /// Floats of each slot of the backward pass: centre 2, opacity, conic 3, colour 3.
 const SLOT_FLOATS: usize = 9;
@@ -96,9 +102,16 @@ struct PerGaussian {
 }
 
 impl PerGaussian {
+    /// Bytes on the device.
+    fn bytes(adapter: &AdapterReport, capacity: usize) -> u64 {
+        2 * buffer_bytes::<[f32; 4]>(3 * capacity)
+            + 7 * buffer_bytes::<u32>(capacity)
+            + 2 * Pairs::bytes(capacity)
+            + 2 * Scan::bytes(adapter)
+            + RadixSort::bytes(adapter, DEPTH_BITS)
+    }
+
     fn new(context: &Context, capacity: usize) -> Result<Self, GpuError> {
-        // Depths are positive floats: their bits order as integers, and the sign is always clear.
-        const DEPTH_BITS: u32 = 31;
         Ok(Self {
             capacity,
             splats: context.buffer("splats", 3 * capacity)?,
@@ -131,6 +144,14 @@ struct PerIntersection {
 }
 
 impl PerIntersection {
+    /// Bytes on the device, with the gradients of the backward pass.
+    fn bytes(adapter: &AdapterReport, capacity: usize, tile_bits: u32) -> u64 {
+        2 * Pairs::bytes(capacity)
+            + 2 * buffer_bytes::<u32>(capacity)
+            + RadixSort::bytes(adapter, tile_bits)
+            + buffer_bytes::<f32>(SLOT_FLOATS * capacity)
+    }
+
     fn new(context: &Context, capacity: usize, tile_bits: u32) -> Result<Self, GpuError> {
         Ok(Self {
             capacity,
@@ -155,6 +176,14 @@ struct PerImage {
 }
 
 impl PerImage {
+    /// Bytes on the device.
+    fn bytes(size: [u32; 2]) -> u64 {
+        let pixels = size[0] as usize * size[1] as usize;
+        buffer_bytes::<[f32; 4]>(pixels)
+            + buffer_bytes::<u32>(pixels)
+            + buffer_bytes::<[u32; 2]>(tiles(size) as usize)
+    }
+
     fn new(context: &Context, projection: &Projection) -> Result<Self, GpuError> {
         let pixels = projection.size.x as usize * projection.size.y as usize;
         let tiles = projection.tiles().x * projection.tiles().y;
@@ -233,6 +262,30 @@ impl Rasterizer {
         })
     }
 
+    /// Bytes on the device once views of `size` with `gaussians` rows and `intersections` pairs were rendered and
+    /// differentiated.
+    #[must_use]
+    pub fn bytes(adapter: &AdapterReport, gaussians: usize, intersections: usize, size: [u32; 2]) -> u64 {
+        buffer_bytes::<View>(1)
+            + 2 * buffer_bytes::<u32>(2)
+            + PerGaussian::bytes(adapter, gaussians)
+            + PerIntersection::bytes(adapter, intersections, tile_bits(tiles(size)))
+            + PerImage::bytes(size)
+    }
+
+    /// Pairs that there is room for before any view was seen to need more: enough for most scenes, and no more than the
+    /// backward pass can bind.
+    #[must_use]
+    pub fn usual_intersections(adapter: &AdapterReport, gaussians: usize) -> usize {
+        (2 * gaussians).min(Self::bindable_intersections(adapter)).max(1 << 14)
+    }
+
+    /// Intersections whose gradients the backward pass can bind.
+    #[must_use]
+    pub fn bindable_intersections(adapter: &AdapterReport) -> usize {
+        adapter.max_binding_bytes as usize / (SLOT_FLOATS * size_of::<f32>())
+    }
+
     /// Records the rendering of `gaussians` over `background` (linear r, g, b) into [`Rasterizer::image`].
     ///
     /// # Errors
@@ -295,7 +348,7 @@ impl Rasterizer {
     pub fn make_room(&mut self, wanted: usize) -> Result<(), RenderError> {
         self.rendered = None;
         let tile_bits = self.intersections.tile_bits;
-        let room = room_for(wanted, self.bindable_intersections());
+        let room = room_for(wanted, Self::bindable_intersections(self.context.adapter()));
         self.intersections = PerIntersection::new(&self.context, room, tile_bits)?;
         Ok(())
     }
@@ -415,20 +468,15 @@ impl Rasterizer {
         if self.image.size != projection.size.to_array() {
             self.image = PerImage::new(&self.context, projection)?;
         }
-        let tile_bits = self.image.tiles.next_power_of_two().trailing_zeros();
-        // Enough for most scenes and no more than the backward pass can bind; `grow` makes the rest, which is kept.
-        let usual = (2 * capacity).min(self.bindable_intersections()).max(1 << 14);
+        let tile_bits = tile_bits(self.image.tiles);
+        // `make_room` makes the rest, which is kept.
+        let usual = Self::usual_intersections(self.context.adapter(), capacity);
         let usual = self.first_room.unwrap_or(usual);
         let intersections = self.intersections.capacity.max(usual);
         if self.intersections.capacity != intersections || self.intersections.tile_bits != tile_bits {
             self.intersections = PerIntersection::new(&self.context, intersections, tile_bits)?;
         }
         Ok(())
-    }
-
-    /// Intersections whose gradients the backward pass can bind.
-    fn bindable_intersections(&self) -> usize {
-        self.context.adapter().max_binding_bytes as usize / (SLOT_FLOATS * size_of::<f32>())
     }
 
     /// Workgroups of 64 for `items`; kernels loop where there are fewer invocations than items.
@@ -547,6 +595,14 @@ impl Rasterizer {
 /// A quarter more than is wanted, so that growing is rare; but what is to spare must not be what does not fit.
 fn room_for(wanted: usize, bindable: usize) -> usize {
     (wanted + wanted / 4).min(bindable.max(wanted))
+}
+
+fn tiles(size: [u32; 2]) -> u32 {
+    size[0].div_ceil(TILE) * size[1].div_ceil(TILE)
+}
+
+fn tile_bits(tiles: u32) -> u32 {
+    tiles.next_power_of_two().trailing_zeros()
 }
 
 fn check(what: &'static str, found: usize, expected: usize) -> Result<(), RenderError> {

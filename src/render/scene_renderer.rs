@@ -3,12 +3,13 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::{
-    DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError, RenderViews, views::Viewable,
+    DeviceAnchors, DeviceRows, Gaussians, NeuralGaussians, PlainGaussians, RasterSettings, Rasterizer,
+    RenderError, RenderViews, views::Viewable,
 };
 use crate::{
-    domain::{AnchorScene, Background, Camera, Digest, Image, Problem},
-    gpu::{AdapterChoice, Context, GpuError},
-    model::{AnchorRows, NetworkLayout, Shape},
+    domain::{AnchorScene, Background, Camera, Digest, GaussianScene, Image, Problem},
+    gpu::{AdapterChoice, Context, GpuError, Recorder},
+    model::{AnchorRows, GaussianRows, NetworkLayout, Shape},
 };
 
 /// Scenes that a [`SceneViewer`] keeps on the device.
@@ -18,14 +19,36 @@ const SCENES_KEPT: usize = 4;
 #[derive(Debug)]
 pub struct SceneRenderer {
     context: Arc<Context>,
-    anchors: DeviceAnchors,
-    neural: NeuralGaussians,
+    source: Source,
     raster: Rasterizer,
     background: Background,
 }
 
+/// What a view's Gaussians are made from.
+#[derive(Debug)]
+enum Source {
+    Anchors(DeviceAnchors, Box<NeuralGaussians>),
+    Gaussians(DeviceRows, Box<PlainGaussians>),
+}
+
+impl Source {
+    /// Records the Gaussians that `camera` sees.
+    fn record(&mut self, recorder: &mut Recorder<'_>, camera: &Camera) -> Result<&Gaussians, RenderError> {
+        match self {
+            Source::Anchors(anchors, neural) => {
+                neural.forward(recorder, anchors, camera, 0.0)?;
+                Ok(neural.gaussians())
+            }
+            Source::Gaussians(rows, plain) => {
+                plain.forward(recorder, rows, camera)?;
+                Ok(plain.gaussians())
+            }
+        }
+    }
+}
+
 impl SceneRenderer {
-    /// Uploads a scene.
+    /// Uploads a scene of anchors.
     ///
     /// # Errors
     /// [`RenderError::Scene`] for widths or networks that this renderer does not know; faults of the device.
@@ -35,27 +58,45 @@ impl SceneRenderer {
         background: Background,
     ) -> Result<Self, RenderError> {
         let anchors = upload(context, scene)?;
-        let settings = RasterSettings::default();
-        Ok(Self {
-            neural: NeuralGaussians::new(Arc::clone(context), anchors.shape, settings.near)?,
-            raster: Rasterizer::new(Arc::clone(context), settings)?,
-            anchors,
-            background,
-            context: Arc::clone(context),
-        })
+        let near = RasterSettings::default().near;
+        let neural = NeuralGaussians::new(Arc::clone(context), anchors.shape, near)?;
+        Self::of(context, Source::Anchors(anchors, Box::new(neural)), background)
     }
 
-    /// Shows another scene of the same shape from now on; the buffers of rendering are kept.
+    /// Uploads a scene of plain Gaussians.
+    ///
+    /// # Errors
+    /// [`RenderError::Scene`] for a scene whose parts do not fit together; faults of the device.
+    pub fn of_gaussians(
+        context: &Arc<Context>,
+        scene: &GaussianScene,
+        background: Background,
+    ) -> Result<Self, RenderError> {
+        scene.check().map_err(|fault| RenderError::Scene(fault.to_string()))?;
+        let rows = DeviceRows::upload(context, &GaussianRows::from_scene(scene))?;
+        let mut plain = PlainGaussians::new(Arc::clone(context), RasterSettings::default().near)?;
+        plain.set_degree(u32::from(scene.degree))?;
+        Self::of(context, Source::Gaussians(rows, Box::new(plain)), background)
+    }
+
+    fn of(context: &Arc<Context>, source: Source, background: Background) -> Result<Self, RenderError> {
+        let raster = Rasterizer::new(Arc::clone(context), RasterSettings::default())?;
+        Ok(Self { context: Arc::clone(context), source, raster, background })
+    }
+
+    /// Shows another scene of anchors of the same shape from now on; the buffers of rendering are kept.
     ///
     /// # Errors
     /// [`RenderError::Scene`] for networks that this renderer does not know or another shape; faults of the device.
     pub fn replace(&mut self, scene: &AnchorScene) -> Result<(), RenderError> {
         let anchors = upload(&self.context, scene)?;
-        if anchors.shape != self.anchors.shape {
-            return Err(RenderError::Scene("its widths are not those of the scene before it".to_owned()));
+        match &mut self.source {
+            Source::Anchors(shown, _) if shown.shape == anchors.shape => {
+                *shown = anchors;
+                Ok(())
+            }
+            _ => Err(RenderError::Scene("its widths are not those of the scene before it".to_owned())),
         }
-        self.anchors = anchors;
-        Ok(())
     }
 
     /// The view from `camera`: RGB, rounded to 8 bits.
@@ -66,8 +107,8 @@ impl SceneRenderer {
         let context = Arc::clone(&self.context);
         loop {
             let mut recorder = context.recorder("view");
-            self.neural.forward(&mut recorder, &self.anchors, camera, 0.0)?;
-            self.raster.forward(&mut recorder, self.neural.gaussians(), camera, self.background.rgb())?;
+            let gaussians = self.source.record(&mut recorder, camera)?;
+            self.raster.forward(&mut recorder, gaussians, camera, self.background.rgb())?;
             recorder.submit()?;
             let counts = self.raster.counts()?;
             if !counts.overflowed {

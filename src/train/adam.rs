@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source};
+use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
 
 const BETAS: [f64; 2] = [0.9, 0.999];
 const EPSILON: f32 = 1e-15;
@@ -17,6 +17,12 @@ pub struct Moments {
 }
 
 impl Moments {
+    /// Bytes on the device.
+    #[must_use]
+    pub fn bytes(len: usize) -> u64 {
+        2 * buffer_bytes::<f32>(len)
+    }
+
     /// Zero moments of `len` parameters.
     ///
     /// # Errors

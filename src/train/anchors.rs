@@ -6,6 +6,7 @@ use rand_pcg::Pcg64;
 
 use super::{
     Adam, CheckpointError, Decay, Densify, MaskRows, Moments, OffsetMasks, Schedule, Statistics, TrainError,
+    budget::Footprint,
     densify::{Trainable, densify, drop_masked},
     learner::{Learner, Size, Step},
     state::LearnerState,
@@ -13,7 +14,7 @@ use super::{
 };
 use crate::{
     domain::{Camera, CancelFlag, Frame, Lattice, Scene},
-    gpu::{Buffer, Context, Recorder},
+    gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
     model::{AnchorRows, MAX_CELL, NetworkLayout, Shape, VoxelRule, initial_rows},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, RasterSettings},
 };
@@ -49,11 +50,6 @@ struct Parts {
     networks: [Vec<f32>; 3],
 }
 
-/// Anchors that growth does not go beyond on this adapter.
-fn most_anchors(context: &Context, schedule: &Schedule) -> usize {
-    schedule.max_anchors.min(NeuralGaussians::most_anchors(context, schedule.shape))
-}
-
 fn lattice_values(values: &[f32]) -> Result<[f32; 4], CheckpointError> {
     match <[f32; 4]>::try_from(values) {
         Ok(values) if values[0] > 0.0 && values.iter().all(|v| v.is_finite()) => Ok(values),
@@ -73,8 +69,7 @@ impl AnchorLearner {
         let shape = schedule.shape;
         let rule = VoxelRule::OfSpacing(1.0 / COARSEST_GROWTH as f32);
         // Growth needs room above what the points begin with.
-        let most = most_anchors(context, &schedule) / 2;
-        let anchors = initial_rows(points, rule, shape, most)?;
+        let anchors = initial_rows(points, rule, shape, schedule.max_anchors / 2)?;
         let networks = NetworkLayout::new(shape).initial(rng);
         let parameters = networks.len();
         let zeros = |len| vec![0.0; len];
@@ -150,12 +145,11 @@ impl AnchorLearner {
 
     fn assemble(
         context: &Arc<Context>,
-        mut schedule: Schedule,
+        schedule: Schedule,
         extent: f32,
         parts: Parts,
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
-        schedule.max_anchors = most_anchors(context, &schedule);
         let Parts { state, statistics, networks: [networks, first, second] } = parts;
         let Trainable { anchors, .. } = &state;
         let masks = state.masks.as_ref().map(|masks| OffsetMasks::upload(context, shape, masks));
@@ -247,6 +241,57 @@ impl AnchorLearner {
         self.masks = state.masks.map(|masks| OffsetMasks::upload(context, self.shape, &masks)).transpose()?;
         self.anchors = state.anchors;
         Ok(())
+    }
+}
+
+/// What anchors take.
+#[derive(Debug)]
+pub(super) struct AnchorFootprint {
+    pub(super) shape: Shape,
+    pub(super) max_anchors: usize,
+    /// Whether masks learn.
+    pub(super) masks: bool,
+}
+
+impl Footprint for AnchorFootprint {
+    fn unit(&self) -> &'static str {
+        "anchors"
+    }
+
+    fn most(&self, adapter: &AdapterReport) -> usize {
+        self.max_anchors.min(NeuralGaussians::most_anchors(adapter, self.shape))
+    }
+
+    /// Rows that a round of growth replaces go one after another, so the largest of them counts twice.
+    fn model_bytes(&self, anchors: usize) -> u64 {
+        let shape = self.shape;
+        let (rows, parameters) = (anchors * shape.row(), NetworkLayout::new(shape).parameters);
+        DeviceAnchors::bytes(shape, anchors)
+            + AnchorGradients::bytes(shape, anchors)
+            + 2 * Moments::bytes(rows)
+            + Moments::bytes(parameters)
+            + Statistics::bytes(shape, anchors)
+            + if self.masks { OffsetMasks::bytes(shape, anchors) } else { 0 }
+            + 2 * buffer_bytes::<f32>(shape.row() + parameters)
+    }
+
+    fn view_bytes(&self, anchors: usize) -> u64 {
+        NeuralGaussians::bytes(self.shape, anchors)
+    }
+
+    fn gaussians(&self, anchors: usize) -> usize {
+        NeuralGaussians::capacity(anchors).saturating_mul(self.shape.offsets)
+    }
+
+    /// A round of growth: rows and moments with the copies that growing vectors make, statistics, and a candidate for each
+    /// offset.
+    fn host_bytes(&self, anchors: usize) -> u64 {
+        let shape = self.shape;
+        const CANDIDATE: usize = 2 * size_of::<(usize, [i32; 3], f32)>();
+        const CELL: usize = 64;
+        let masks = if self.masks { 3 * shape.offsets } else { 0 };
+        let row = 6 * (shape.row() + masks) * size_of::<f32>();
+        2 * Statistics::bytes(shape, anchors) + (anchors * (row + shape.offsets * CANDIDATE + CELL)) as u64
     }
 }
 

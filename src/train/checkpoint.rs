@@ -120,7 +120,9 @@ pub(super) struct RunState {
     /// Digest of the dataset.
     dataset: Digest,
     /// Adapter and driver; on another one the run goes on, but its bits may differ.
-    pub(super) adapter: String,
+    adapter: String,
+    /// Size of the model that growth may reach, which the adapter and the memory allowed bound.
+    pub(super) most: usize,
     /// Steps done.
     pub(super) step: u32,
     /// Seconds of training so far.
@@ -139,6 +141,8 @@ pub(super) struct Origin<'a> {
     pub(super) options: &'a TrainOptions,
     pub(super) dataset: Digest,
     pub(super) adapter: &'a str,
+    /// Size of the model that growth may reach.
+    pub(super) most: usize,
 }
 
 impl RunState {
@@ -149,11 +153,25 @@ impl RunState {
             options: options_text(origin.options),
             dataset: origin.dataset,
             adapter: origin.adapter.to_owned(),
+            most: origin.most,
             step: 0,
             seconds: 0.0,
             rng,
             order: Vec::new(),
             average: None,
+        }
+    }
+
+    /// Takes the run to an adapter and a bound of growth that may not be those that it began with. A larger bound is left
+    /// unused, since the bits depend on it.
+    pub(super) fn move_to(&mut self, adapter: &str, most: usize) {
+        if self.adapter != adapter {
+            tracing::warn!("the run began on {} and goes on on {adapter}; its bits may differ", self.adapter);
+            adapter.clone_into(&mut self.adapter);
+        }
+        if most < self.most {
+            tracing::warn!("growth could reach {} and now only {most}; the bits may differ", self.most);
+            self.most = most;
         }
     }
 
@@ -361,7 +379,7 @@ mod tests {
     }
 
     fn origin(options: &TrainOptions) -> Origin<'_> {
-        Origin { options, dataset: Digest::of(b"set"), adapter: "an adapter" }
+        Origin { options, dataset: Digest::of(b"set"), adapter: "an adapter", most: 1000 }
     }
 
     fn checkpoint() -> Checkpoint {
@@ -440,6 +458,11 @@ mod tests {
         assert!(refused(origin(&options), 30, 3).contains("photograph 3 of 3"));
         let elsewhere = Origin { adapter: "another adapter", ..origin(&options) };
         assert!(checkpoint().open(elsewhere, 30, 4).is_ok(), "another adapter may go on");
+        let mut moved = checkpoint().run;
+        moved.move_to("another adapter", 2000);
+        assert_eq!((&*moved.adapter, moved.most), ("another adapter", 1000), "more room is left unused");
+        moved.move_to("another adapter", 500);
+        assert_eq!(moved.most, 500);
         let mut old = checkpoint();
         old.run.generator = "tcgs 0.0.1".to_owned();
         let fault = old.open(origin(&options), 30, 4).expect_err("another program").to_string();

@@ -2,9 +2,9 @@
 
 use thiserror::Error;
 
-use super::CheckpointError;
+use super::{CheckpointError, OverBudget};
 use crate::{
-    domain::{ModelKind, Problem},
+    domain::{PhotographError, Problem},
     gpu::GpuError,
     model::InitError,
     render::RenderError,
@@ -19,10 +19,8 @@ pub enum TrainError {
     /// The points cannot begin a scene.
     #[error("the point cloud: {0}")]
     Points(#[from] InitError),
-    /// Every anchor was pruned: the photographs and poses do not agree on anything.
-    #[error(
-        "every anchor was pruned at step {step}; the poses and the photographs do not describe one scene"
-    )]
+    /// Every anchor or Gaussian was pruned: the photographs and poses do not agree on anything.
+    #[error("everything was pruned at step {step}; the poses and the photographs do not describe one scene")]
     NothingLeft {
         /// When.
         step: u32,
@@ -33,9 +31,12 @@ pub enum TrainError {
         /// When.
         step: u32,
     },
-    /// The model is known but not built yet.
-    #[error("model '{0}' is not available in this version")]
-    NotInThisVersion(ModelKind),
+    /// A photograph is gone.
+    #[error(transparent)]
+    Photograph(#[from] PhotographError),
+    /// More memory is needed than there may be.
+    #[error(transparent)]
+    OverBudget(#[from] OverBudget),
     /// The run cannot go on from the checkpoint that it was given.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
@@ -55,6 +56,8 @@ impl From<TrainError> for Problem {
         match error {
             TrainError::Gpu(fault) => fault.into(),
             TrainError::Render(fault) => fault.into(),
+            TrainError::Photograph(fault) => fault.into(),
+            TrainError::OverBudget(fault) => fault.into(),
             TrainError::Checkpoint(fault) => fault.into(),
             other => Problem::new(422, "training-failed", "Training failed", other.to_string()),
         }

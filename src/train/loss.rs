@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use super::WaveletWeights;
-use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source};
+use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
 
 /// Weight of the SSIM part; L1 has the rest.
 const SSIM_WEIGHT: f64 = 0.2;
@@ -119,6 +119,19 @@ impl ImageLoss {
             sums: context.kernel(kernel_source!("sum_losses"), &[])?,
         };
         Ok(Self { context, kernels, fields: None })
+    }
+
+    /// Bytes on the device once images of `size` were compared.
+    #[must_use]
+    pub fn bytes(size: [u32; 2]) -> u64 {
+        let pixels = size[0] as usize * size[1] as usize;
+        buffer_bytes::<ImageUniform>(1)
+            + buffer_bytes::<ConstraintUniform>(1)
+            + buffer_bytes::<u32>(pixels)
+            + buffer_bytes::<f32>(4 * 3 * pixels)
+            + 2 * buffer_bytes::<f32>(3 * 3 * pixels)
+            + 2 * buffer_bytes::<[f32; 4]>(pixels)
+            + buffer_bytes::<[f32; 4]>(pixels.div_ceil(SUM_RUN))
     }
 
     /// Records the loss of `render` against `photograph` (packed 8-bit RGB, one word a pixel) and its gradient;

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use super::{Adam, Moments};
 use crate::{
-    gpu::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source},
+    gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
     model::Shape,
     render::{DeviceAnchors, NeuralGaussians, RenderError},
 };
@@ -63,6 +63,13 @@ pub struct OffsetMasks {
 }
 
 impl OffsetMasks {
+    /// Bytes on the device.
+    #[must_use]
+    pub fn bytes(shape: Shape, anchors: usize) -> u64 {
+        let offsets = anchors * shape.offsets;
+        2 * buffer_bytes::<f32>(offsets) + Moments::bytes(offsets)
+    }
+
     /// Uploads the logits of anchors of this shape.
     ///
     /// # Errors

@@ -1,7 +1,7 @@
 //! The schedule in fractions of the run, so that a preview and a run of 30 000 steps share one shape.
 
 use crate::{
-    domain::{Component, ModelKind, Preset, TrainOptions},
+    domain::{Component, Preset, TrainOptions},
     model::Shape,
 };
 
@@ -148,7 +148,7 @@ impl Schedule {
 /// masks wait for their loss, as noise would take the faster ones before; and the weight is what was measured to cost
 /// less than a tenth of a dB.
 fn masks(options: &TrainOptions, steps: u32) -> Option<MaskSchedule> {
-    if options.model != ModelKind::Tcgs || options.without.contains(&Component::Masks) {
+    if !options.has(Component::Masks) {
         return None;
     }
     let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
@@ -181,6 +181,7 @@ fn logit(share: f64) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::domain::ModelKind;
 
     #[test]
     fn rates_decay_exponentially_between_their_ends() {

@@ -59,7 +59,7 @@ mod tests {
         Frame {
             name: format!("{position}"),
             camera: Camera::new(intrinsics, pose).expect("a camera"),
-            image: Image::new(4, 4, 3, vec![0; 48]).expect("an image"),
+            image: Image::new(4, 4, 3, vec![0; 48]).expect("an image").into(),
             split: Split::Train,
         }
     }

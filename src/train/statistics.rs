@@ -19,6 +19,12 @@ impl Statistics {
         2 * shape.offsets + 2
     }
 
+    /// Bytes for `anchors` anchors.
+    #[must_use]
+    pub fn bytes(shape: Shape, anchors: usize) -> u64 {
+        (anchors * Self::width(shape) * size_of::<f32>()) as u64
+    }
+
     /// Nothing gathered yet for `anchors` anchors.
     #[must_use]
     pub fn zero(shape: Shape, anchors: usize) -> Self {

@@ -9,26 +9,28 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Checkpoint, ImageLoss, KeepCheckpoints, LossSums, Schedule, TrainError, WaveletWeights,
+    Checkpoint, Estimate, ImageLoss, KeepCheckpoints, LossSums, Needs, Schedule, TrainError, WaveletWeights,
     anchors::AnchorLearner,
     batch::Batch,
     checkpoint::{Origin, RunState},
     learner::{Learner, Step},
     loss::pack,
+    plain::{PlainLearner, PlainSchedule},
     start_box::start_box,
     state::LearnerState,
 };
 use crate::{
     domain::{
-        Background, CancelFlag, Component, Dataset, Frame, ModelKind, Progress, Scene, Split, TrainOptions,
+        Background, CancelFlag, Component, Dataset, Frame, MemoryBudget, ModelKind, Progress, Scene, Split,
+        TrainOptions,
     },
     gpu::Context,
     model::random_points,
     render::{RasterSettings, Rasterizer},
 };
 
-/// Steps between two reports of progress.
-const REPORT_EVERY: u32 = 10;
+/// Steps between two reports of progress, and so the most that are on their way to the device.
+pub(super) const REPORT_EVERY: u32 = 10;
 
 /// A finished training run.
 #[derive(Debug, Clone)]
@@ -66,8 +68,25 @@ pub fn train(
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
 ) -> Result<Trained, TrainError> {
+    let budget = MemoryBudget { host: u64::MAX, gpu: context.budget_bytes() };
+    train_within(context, dataset, options, &budget, checkpoints, report, cancel)
+}
+
+/// As [`train`], growing no further than `budget` allows.
+///
+/// # Errors
+/// As [`train`], and [`TrainError::OverBudget`] before anything is done.
+pub fn train_within(
+    context: &Arc<Context>,
+    dataset: &Dataset,
+    options: &TrainOptions,
+    budget: &MemoryBudget,
+    checkpoints: Checkpoints<'_>,
+    report: &mut dyn FnMut(&Progress),
+    cancel: &CancelFlag,
+) -> Result<Trained, TrainError> {
     let Checkpoints { resume, keep } = checkpoints;
-    let mut run = Run::begin(context, dataset, options, resume)?;
+    let mut run = Run::begin(context, dataset, options, budget, resume)?;
     let mut keeper = Keeper { keep, kept: run.state.step };
     if run.state.step > 0 {
         report(&run.progress(None)?);
@@ -123,45 +142,66 @@ fn camera_extent(frames: &[&Frame]) -> f32 {
     if radius > 0.0 { (1.1 * radius) as f32 } else { 1.0 }
 }
 
-/// A learner at the begin of its run.
-fn fresh(
-    context: &Arc<Context>,
-    model: ModelKind,
-    schedule: Schedule,
-    dataset: &Dataset,
-    frames: &[&Frame],
-    rng: &mut Pcg64,
-) -> Result<Box<dyn Learner>, TrainError> {
-    let points = match &dataset.points {
-        Some(cloud) if !cloud.positions.is_empty() => cloud.positions.clone(),
-        _ => {
-            let (low, high) = start_box(dataset.layout, frames);
-            random_points(rng, schedule.random_points, low, high)
-        }
-    };
-    let extent = camera_extent(frames);
-    match model {
-        ModelKind::Tcgs | ModelKind::Scaffold => {
-            Ok(Box::new(AnchorLearner::begin(context, schedule, &points, extent, rng)?))
-        }
-        ModelKind::Gaussians3d => Err(TrainError::NotInThisVersion(model)),
+/// Tells where memory, not the schedule, bounds growth.
+fn tell_cap(wanted: usize, estimate: &Estimate) {
+    if estimate.size < wanted {
+        tracing::warn!(
+            "growth stops at {} {} instead of {wanted}: more would not fit the adapter or the memory allowed",
+            estimate.size,
+            estimate.unit,
+        );
     }
 }
 
-/// The learner that a checkpoint was taken of.
-fn resumed(
-    context: &Arc<Context>,
-    model: ModelKind,
-    schedule: Schedule,
-    frames: &[&Frame],
-    state: LearnerState,
-) -> Result<Box<dyn Learner>, TrainError> {
-    let extent = camera_extent(frames);
-    match model {
-        ModelKind::Tcgs | ModelKind::Scaffold => {
-            Ok(Box::new(AnchorLearner::resume(context, schedule, extent, state)?))
-        }
-        ModelKind::Gaussians3d => Err(TrainError::NotInThisVersion(model)),
+/// What a learner is made for.
+struct Setting<'a> {
+    context: &'a Arc<Context>,
+    dataset: &'a Dataset,
+    options: &'a TrainOptions,
+    frames: &'a [&'a Frame],
+    /// Size that growth may reach.
+    most: usize,
+}
+
+impl Setting<'_> {
+    fn anchors(&self) -> Schedule {
+        Schedule { max_anchors: self.most, ..Schedule::new(self.options) }
+    }
+
+    fn plain(&self) -> PlainSchedule {
+        let steps = Schedule::new(self.options).steps;
+        PlainSchedule { max_gaussians: self.most, ..PlainSchedule::new(self.options, steps) }
+    }
+
+    /// A learner at the begin of its run.
+    fn fresh(&self, rng: &mut Pcg64) -> Result<Box<dyn Learner>, TrainError> {
+        let (points, colors) = match &self.dataset.points {
+            Some(cloud) if !cloud.positions.is_empty() => (cloud.positions.clone(), &cloud.colors[..]),
+            _ => {
+                let (low, high) = start_box(self.dataset.layout, self.frames);
+                (random_points(rng, self.anchors().random_points, low, high), &[][..])
+            }
+        };
+        let (context, extent) = (self.context, camera_extent(self.frames));
+        Ok(match self.options.model {
+            ModelKind::Tcgs | ModelKind::Scaffold => {
+                Box::new(AnchorLearner::begin(context, self.anchors(), &points, extent, rng)?)
+            }
+            ModelKind::Gaussians3d => {
+                Box::new(PlainLearner::begin(context, self.plain(), &points, colors, extent, rng)?)
+            }
+        })
+    }
+
+    /// The learner that a checkpoint was taken of.
+    fn resumed(&self, state: LearnerState) -> Result<Box<dyn Learner>, TrainError> {
+        let (context, extent) = (self.context, camera_extent(self.frames));
+        Ok(match self.options.model {
+            ModelKind::Tcgs | ModelKind::Scaffold => {
+                Box::new(AnchorLearner::resume(context, self.anchors(), extent, state)?)
+            }
+            ModelKind::Gaussians3d => Box::new(PlainLearner::resume(context, self.plain(), extent, state)?),
+        })
     }
 }
 
@@ -189,6 +229,7 @@ impl<'a> Run<'a> {
         context: &Arc<Context>,
         dataset: &'a Dataset,
         options: &TrainOptions,
+        budget: &MemoryBudget,
         resume: Option<Checkpoint>,
     ) -> Result<Self, TrainError> {
         let frames: Vec<&Frame> = dataset.split(Split::Train).collect();
@@ -196,25 +237,29 @@ impl<'a> Run<'a> {
             return Err(TrainError::NoTrainingFrames);
         }
         let schedule = Schedule::new(options);
+        let estimate = Needs::of(dataset, options, context.adapter()).within(budget)?;
+        tracing::info!("memory: {estimate}");
+        let wanted = match options.model {
+            ModelKind::Tcgs | ModelKind::Scaffold => schedule.max_anchors,
+            ModelKind::Gaussians3d => PlainSchedule::new(options, schedule.steps).max_gaussians,
+        };
+        tell_cap(wanted, &estimate);
         let steps = schedule.steps;
         let adapter = context.adapter_line();
-        let origin = Origin { options, dataset: dataset.digest, adapter: &adapter };
+        let most = estimate.size;
+        let origin = Origin { options, dataset: dataset.digest, adapter: &adapter, most };
+        let setting = Setting { context, dataset, options, frames: &frames, most };
         let (state, learner) = match resume {
             Some(checkpoint) => {
                 let (mut state, saved) = checkpoint.open(origin, steps, frames.len())?;
                 tracing::info!(step = state.step, "going on from step {}", state.step);
-                if state.adapter != adapter {
-                    tracing::warn!(
-                        "the run began on {} and goes on on {adapter}; its bits may differ from either's",
-                        state.adapter
-                    );
-                    state.adapter = adapter;
-                }
-                (state, resumed(context, options.model, schedule, &frames, saved)?)
+                state.move_to(&adapter, most);
+                let learner = Setting { most: state.most, ..setting }.resumed(saved)?;
+                (state, learner)
             }
             None => {
                 let mut rng = Pcg64::seed_from_u64(options.seed);
-                let learner = fresh(context, options.model, schedule, dataset, &frames, &mut rng)?;
+                let learner = setting.fresh(&mut rng)?;
                 (RunState::begin(origin, rng), learner)
             }
         };
@@ -274,7 +319,7 @@ impl<'a> Run<'a> {
             if !is_last {
                 continue;
             }
-            self.prepare_next();
+            self.prepare_next()?;
             let passes = self.raster.passes()?;
             let Some(needed) = passes.lacking else { break step };
             let first = (passes.sound as usize).min(before.len() - 1);
@@ -291,13 +336,16 @@ impl<'a> Run<'a> {
     }
 
     /// A photograph as the device takes it, made when it is needed: a second copy of every image would double what a dataset takes.
-    fn packed(&self, index: usize) -> Vec<u32> {
-        pack(self.frames[index].image.over(self.background.rgb8()).samples())
+    fn packed(&self, index: usize) -> Result<Vec<u32>, TrainError> {
+        let photograph = self.frames[index].image.load()?;
+        Ok(pack(photograph.over(self.background.rgb8()).samples()))
     }
 
     /// Packs the next photograph, if it is known, while the device is busy.
-    fn prepare_next(&mut self) {
-        self.prepared = self.state.order.last().map(|index| (*index, self.packed(*index)));
+    fn prepare_next(&mut self) -> Result<(), TrainError> {
+        let next = self.state.order.last().copied();
+        self.prepared = next.map(|index| Ok::<_, TrainError>((index, self.packed(index)?))).transpose()?;
+        Ok(())
     }
 
     /// Records and submits one step.
@@ -307,7 +355,7 @@ impl<'a> Run<'a> {
         let camera = self.frames[index].camera;
         let photograph = match self.prepared.take() {
             Some((prepared, photograph)) if prepared == index => photograph,
-            _ => self.packed(index),
+            _ => self.packed(index)?,
         };
         let context = Arc::clone(&self.context);
         let mut recorder = context.recorder("step");

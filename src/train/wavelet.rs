@@ -2,6 +2,13 @@
 //!
 //! The published formula, as it was designed (method.md §4.8): early in a run what the low band misses counts, later what
 //! the high bands miss. The published program never passes the step, so that its high bands count nothing.
+//!
+//! | fraction t of the run | low | LH, HL, HH of the finest level | of the second level |
+//! |---|---|---|---|
+//! | to 5/6 | 1 - t | 0.2 t each | 0.2 t each |
+//! | after | 0 | (0.4, 0.3, 0.3) (1 - t) | (0.4, 0.3, 0.3) t |
+//!
+//! So in the last sixth the second level takes over from the finest, as published.
 
 /// Weight of the whole constraint in the loss.
 const CONSTRAINT: f64 = 0.02;
@@ -31,9 +38,9 @@ impl WaveletWeights {
     /// The published weights at a fraction of the run (λ_w included; PAPER III-E).
     #[must_use]
     pub fn at(fraction: f64) -> Self {
-        let late = fraction.clamp(0.0, 1.0);
-        let (first, second) = (CONSTRAINT * (1.0 - late), CONSTRAINT * late);
-        if late <= LATE {
+        let fraction = fraction.clamp(0.0, 1.0);
+        let (first, second) = (CONSTRAINT * (1.0 - fraction), CONSTRAINT * fraction);
+        if fraction <= LATE {
             let high = [second * EARLY_HIGH; 3];
             Self { low: first, fine: high, coarse: high }
         } else {

@@ -3,7 +3,7 @@
 //! The figures that are reported are those of the file as decoded from its own bytes.
 
 use std::{
-    path::Path,
+    path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
     time::Instant,
 };
@@ -15,16 +15,16 @@ use super::{
 use crate::{
     codec::{self, DecodeLimits, EncodeSettings, Provenance},
     domain::{
-        AnchorScene, CancelFlag, Conventions, Dataset, Frame, JobMetrics, NamedCamera, Phase, PhaseSeconds,
-        Problem, Progress, Scene, Scores, Split, SystemClock, TrainOptions,
+        AnchorScene, CancelFlag, Conventions, Dataset, Frame, JobMetrics, MemoryBudget, MemoryLimits,
+        NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, Scores, Split, SystemClock, TrainOptions,
     },
     eval::{Lpips, mean_scores_with, measure_views_with},
     gpu::{AdapterChoice, Context, GpuError},
-    ingest,
+    ingest::{self, Room},
     render::{RenderError, SceneRenderer},
     train::{
         self, Checkpoint, CheckpointError, CheckpointFolder, KeepCheckpoints, Schedule, TrainError, Trained,
-        train,
+        train_within,
     },
 };
 
@@ -35,15 +35,24 @@ const TRAIN_VIEWS_MEASURED: usize = 16;
 #[derive(Debug)]
 pub struct Pipeline {
     choice: AdapterChoice,
+    memory: MemoryLimits,
+    spill: PathBuf,
     lpips: Option<Lpips>,
     context: Mutex<Option<Arc<Context>>>,
 }
 
 impl Pipeline {
-    /// A pipeline on the adapter of choice.
+    /// A pipeline on the adapter of choice, without limits on memory but the machine's.
     #[must_use]
     pub fn new(choice: AdapterChoice) -> Self {
-        Self { choice, lpips: None, context: Mutex::new(None) }
+        let spill = std::env::temp_dir();
+        Self { choice, memory: MemoryLimits::NONE, spill, lpips: None, context: Mutex::new(None) }
+    }
+
+    /// Within `memory`; photographs that do not fit go to a temporary file in the folder `spill`.
+    #[must_use]
+    pub fn within(self, memory: MemoryLimits, spill: PathBuf) -> Self {
+        Self { memory, spill, ..self }
     }
 
     /// The same, which also measures LPIPS if there are weights for it.
@@ -58,8 +67,15 @@ impl Pipeline {
             return Ok(Arc::clone(context));
         }
         let context = Context::new(&self.choice)?;
+        context.set_budget_bytes(self.budget(&context).gpu);
         *kept = Some(Arc::clone(&context));
         Ok(context)
+    }
+}
+
+impl Pipeline {
+    fn budget(&self, context: &Context) -> MemoryBudget {
+        self.memory.budget(context.adapter().shares_main_memory())
     }
 }
 
@@ -80,7 +96,12 @@ impl RunJob for Pipeline {
             report(phase, progress);
         };
         tell(Phase::Ingest, &mut progress);
-        let dataset = ingest::load(dataset).map_err(JobFailure::Fail)?;
+        // How much memory photographs may take depends on whether the adapter has its own.
+        let context = self.context().map_err(from_gpu)?;
+        let budget = self.budget(&context);
+        // Training needs the other half.
+        let room = Room { memory: budget.host / 2, spill: self.spill.clone() };
+        let dataset = ingest::load_into(dataset, &room).map_err(JobFailure::Fail)?;
         for note in &dataset.notes {
             tracing::info!("dataset: {note}");
         }
@@ -88,12 +109,11 @@ impl RunJob for Pipeline {
         stop_if(cancel)?;
         // The first report of the training comes some steps after its begin, which may be minutes.
         tell(Phase::Train, &mut progress);
-        let context = self.context().map_err(from_gpu)?;
         let mut passed_on = |now: &Progress| {
             progress = now.clone();
             tell(Phase::Train, &mut progress);
         };
-        let trained = train_from(&context, &dataset, options, checkpoints, &mut passed_on, cancel)?;
+        let trained = train_from(&context, &dataset, options, &budget, checkpoints, &mut passed_on, cancel)?;
         seconds.train = trained.seconds;
         // What training told of the time left says nothing about what follows it.
         progress.eta_seconds = None;
@@ -121,6 +141,7 @@ fn train_from(
     context: &Arc<Context>,
     dataset: &Dataset,
     options: &TrainOptions,
+    budget: &MemoryBudget,
     checkpoints: &Checkpoints,
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
@@ -138,7 +159,8 @@ fn train_from(
     };
     let mut attempt = |resume: Option<Checkpoint>| {
         let keep = folder.as_mut().map(|folder| folder as &mut dyn KeepCheckpoints);
-        train(context, dataset, options, train::Checkpoints { resume, keep }, report, cancel)
+        let checkpoints = train::Checkpoints { resume, keep };
+        train_within(context, dataset, options, budget, checkpoints, report, cancel)
     };
     let load = |path| CheckpointFolder::load(path).map_err(TrainError::from);
     let trained = match &checkpoints.resume {
@@ -277,13 +299,15 @@ fn from_gpu(fault: GpuError) -> JobFailure {
         GpuError::NoAdapter { .. }
         | GpuError::Open { .. }
         | GpuError::Kernel { .. }
-        | GpuError::BufferTooLarge { .. } => JobFailure::Fail(fault.into()),
+        | GpuError::BufferTooLarge { .. }
+        | GpuError::OverBudget { .. } => JobFailure::Fail(fault.into()),
     }
 }
 
 fn from_render(fault: RenderError) -> JobFailure {
     match fault {
         RenderError::Gpu(fault) => from_gpu(fault),
+        RenderError::Photograph(fault) => JobFailure::Retry(fault.into()),
         other => JobFailure::Fail(other.into()),
     }
 }
@@ -293,6 +317,7 @@ fn from_training(fault: TrainError) -> JobFailure {
         TrainError::Cancelled => JobFailure::Cancelled,
         TrainError::Gpu(fault) => from_gpu(fault),
         TrainError::Render(fault) => from_render(fault),
+        TrainError::Photograph(fault) => JobFailure::Retry(fault.into()),
         other => JobFailure::Fail(other.into()),
     }
 }

@@ -6,7 +6,7 @@ use jiff::{SignedDuration, Timestamp};
 use safetensors::SafeTensors;
 use serde_json::Value;
 use tcgs::{
-    domain::{CancelFlag, Dataset, Digest, ManualClock, Problem, Progress, TrainOptions},
+    domain::{CancelFlag, Dataset, Digest, ManualClock, ModelKind, Problem, Progress, TrainOptions},
     train::{
         Checkpoint, CheckpointError, CheckpointFolder, Checkpoints, KeepCheckpoints, TrainError, Trained,
         train,
@@ -104,6 +104,17 @@ fn a_run_that_goes_on_from_any_step_ends_with_the_same_bits() {
             reports.iter().filter(|report| report.step > u64::from(*step)).map(figures).collect()
         };
         assert_eq!(told(&later), told(&reports), "other figures after step {step}");
+    }
+}
+
+#[test]
+fn a_run_of_plain_gaussians_goes_on_from_any_step_too() {
+    let options = TrainOptions { model: ModelKind::Gaussians3d, ..options(STEPS, 7) };
+    let mut kept = Kept::at(|step| [1, 40, 60, STEPS].contains(&step));
+    let checkpoints = Checkpoints { resume: None, keep: Some(&mut kept) };
+    let (whole, _) = outcome(&dataset(), &options, checkpoints).expect("a scene");
+    for (step, checkpoint) in &kept.checkpoints {
+        assert!(resumed(checkpoint, &options).0.scene == whole.scene, "another scene after step {step}");
     }
 }
 

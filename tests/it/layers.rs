@@ -14,6 +14,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("codec", &["domain"]),
     ("store", &["domain"]),
     ("sample", &["domain"]),
+    ("export", &["domain"]),
     ("model", &["domain", "gpu"]),
     ("render", &["domain", "gpu", "model"]),
     ("eval", &["domain", "gpu", "model", "render"]),

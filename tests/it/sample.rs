@@ -74,9 +74,10 @@ fn is_paving(position: &[f32; 3]) -> bool {
 
 fn pixel_at(frame: &Frame, camera: &Camera, point: DVec3) -> Option<[u8; 3]> {
     let (at, _) = camera.project(point)?;
-    let (width, height) = (frame.image.width(), frame.image.height());
+    let image = frame.image.load().expect("in memory");
+    let (width, height) = (image.width(), image.height());
     let inside = at.x >= 0.0 && at.y >= 0.0 && at.x < f64::from(width) && at.y < f64::from(height);
-    let channels = usize::from(frame.image.channels());
+    let channels = usize::from(image.channels());
     let first = (at.y as usize * width as usize + at.x as usize) * channels;
-    inside.then(|| std::array::from_fn(|channel| frame.image.samples()[first + channel]))
+    inside.then(|| std::array::from_fn(|channel| image.samples()[first + channel]))
 }

@@ -5,8 +5,8 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{
-        AnchorScene, Camera, CancelFlag, Component, Dataset, Digest, Frame, Image, Intrinsics, Layout,
-        PointCloud, Pose, Progress, Scene, Split, TrainOptions,
+        AnchorScene, Camera, CancelFlag, Component, Dataset, Digest, Frame, GaussianScene, Image, Intrinsics,
+        Layout, ModelKind, PointCloud, Pose, Progress, Scene, Split, TrainOptions,
     },
     eval::{mean_scores, measure_views},
     render::{
@@ -67,7 +67,7 @@ pub(crate) fn dataset() -> Dataset {
     let frames = (0..9).map(|index| {
         let split = if index == 4 { Split::Test } else { Split::Train };
         let camera = camera(index);
-        Frame { name: format!("{index}"), camera, image: photograph(&camera), split }
+        Frame { name: format!("{index}"), camera, image: photograph(&camera).into(), split }
     });
     Dataset {
         layout: Layout::Colmap,
@@ -80,6 +80,17 @@ pub(crate) fn dataset() -> Dataset {
 
 pub(crate) fn options(iterations: u32, seed: u64) -> TrainOptions {
     TrainOptions { iterations: Some(iterations), seed, ..TrainOptions::default() }
+}
+
+fn plain(iterations: u32, seed: u64) -> TrainOptions {
+    TrainOptions { model: ModelKind::Gaussians3d, ..options(iterations, seed) }
+}
+
+fn plain_scene(scene: &Scene) -> &GaussianScene {
+    match scene {
+        Scene::Gaussians(scene) => scene,
+        Scene::Anchors(_) => panic!("a scene of plain Gaussians"),
+    }
 }
 
 fn run(dataset: &Dataset, options: &TrainOptions) -> (Trained, Vec<Progress>) {
@@ -98,7 +109,11 @@ fn anchors(scene: &Scene) -> &AnchorScene {
 /// Mean PSNR over the frames of a split.
 fn psnr(scene: &Scene, dataset: &Dataset, split: Split) -> f64 {
     let background = TrainOptions::default().background;
-    let mut renderer = SceneRenderer::new(&gpu(), anchors(scene), background).expect("a renderer");
+    let renderer = match scene {
+        Scene::Anchors(scene) => SceneRenderer::new(&gpu(), scene, background),
+        Scene::Gaussians(scene) => SceneRenderer::of_gaussians(&gpu(), scene, background),
+    };
+    let mut renderer = renderer.expect("a renderer");
     let frames: Vec<&Frame> = dataset.split(split).collect();
     let views = measure_views(&mut renderer, &frames, background).expect("scores");
     mean_scores(&views).psnr.expect("frames")
@@ -151,7 +166,7 @@ fn the_same_seed_gives_the_same_bits_through_a_round_of_growth_and_another_seed_
     assert!(short.scene != other.scene);
 }
 
-fn gaussians(scene: &Scene) -> usize {
+fn offsets_kept(scene: &Scene) -> usize {
     anchors(scene).masks.iter().filter(|mask| **mask).count()
 }
 
@@ -161,7 +176,7 @@ fn masks_leave_fewer_gaussians_that_show_the_same() {
     let without = TrainOptions { without: [Component::Masks].into(), ..options(240, 0) };
     let (plain, _) = run(&dataset, &without);
     let (masked, reports) = run(&dataset, &options(240, 0));
-    let [all, kept] = [&plain, &masked].map(|trained| gaussians(&trained.scene));
+    let [all, kept] = [&plain, &masked].map(|trained| offsets_kept(&trained.scene));
     assert!(kept < all, "{kept} of {all} Gaussians are kept");
     let [before, after] = [&plain, &masked].map(|trained| psnr(&trained.scene, &dataset, Split::Train));
     assert!(after > before - 1.0, "{before:.2} dB without masks, {after:.2} dB with them");
@@ -178,7 +193,8 @@ fn held_out_views_are_not_learnt_from() {
     let honest = dataset();
     let mut spoiled = dataset();
     let held_out = spoiled.frames.iter_mut().find(|frame| frame.split == Split::Test).expect("one");
-    held_out.image = Image::new(SIDE, SIDE, 3, vec![255; (SIDE * SIDE * 3) as usize]).expect("an image");
+    let white = Image::new(SIDE, SIDE, 3, vec![255; (SIDE * SIDE * 3) as usize]).expect("an image");
+    held_out.image = white.into();
     let [honest, spoiled] = [honest, spoiled].map(|dataset| run(&dataset, &options(12, 0)).0.scene);
     assert!(honest == spoiled);
 }
@@ -234,4 +250,42 @@ fn a_dataset_that_cannot_begin_a_scene_is_refused() {
     spoiled.points.as_mut().expect("points").positions[3][1] = f32::NAN;
     let fault = refused(&spoiled);
     assert!(fault.to_string().contains("point 3"), "{fault}");
+}
+
+#[test]
+fn plain_gaussians_learn_the_views_that_they_see_and_one_that_they_do_not() {
+    let mut dataset = dataset();
+    let cloud = dataset.points.as_mut().expect("points");
+    for (index, color) in cloud.colors.iter_mut().enumerate() {
+        *color = blobs()[index % 5].color.to_array().map(|value| (255.0 * value) as u8);
+    }
+    let (untrained, _) = run(&dataset, &plain(1, 0));
+    let (trained, reports) = run(&dataset, &plain(200, 0));
+    let scene = plain_scene(&trained.scene);
+    scene.check().expect("a sound scene");
+    assert_eq!((trained.steps, scene.degree), (200, 3));
+    assert!(scene.sh.iter().any(|sh| sh[15] != [0.0; 3]), "the highest degree learns too");
+    let [before, after] = [&untrained, &trained].map(|run| psnr(&run.scene, &dataset, Split::Train));
+    assert!(after > before + 6.0 && after > 24.0, "{before:.1} dB, then {after:.1} dB");
+    let held_out = psnr(&trained.scene, &dataset, Split::Test);
+    assert!(held_out > before + 3.0, "{before:.1} dB, then {held_out:.1} dB of the held-out view");
+    let counts: Vec<u64> = reports.iter().map(|report| report.gaussians).collect();
+    assert_eq!((counts[0], reports[0].anchors), (120, 0));
+    assert!(counts[19] > 150, "{counts:?}");
+    assert_eq!(counts[19], scene.len() as u64);
+}
+
+#[test]
+fn plain_gaussians_of_one_seed_are_the_same_bits_and_of_another_are_not() {
+    let dataset = dataset();
+    let (first, reports) = run(&dataset, &plain(60, 7));
+    let (second, _) = run(&dataset, &plain(60, 7));
+    let counts: Vec<u64> = reports.iter().map(|report| report.gaussians).collect();
+    assert!(counts[5] > counts[0], "the round of growth is part of the test: {counts:?}");
+    assert!(first.scene == second.scene);
+    let brightest = plain_scene(&first.scene).sh.iter().map(|sh| sh[0][0]).fold(f32::MIN, f32::max);
+    assert!(brightest > -1.7, "points that begin black learn their colour: {brightest}");
+    let (short, _) = run(&dataset, &plain(5, 7));
+    let (other, _) = run(&dataset, &plain(5, 8));
+    assert!(short.scene != other.scene);
 }

@@ -13,7 +13,7 @@ use std::{
 };
 
 use tcgs::{
-    domain::{Problem, SystemClock},
+    domain::{MemoryLimits, Problem, SystemClock},
     gpu::AdapterChoice,
     http::{self, HttpConfig, Services, WorkerCounts},
     ingest,
@@ -38,6 +38,8 @@ pub(crate) struct ServeOptions {
     pub(crate) listen: SocketAddr,
     pub(crate) data: PathBuf,
     pub(crate) adapter: AdapterChoice,
+    /// What each worker may take.
+    pub(crate) memory: MemoryLimits,
     /// Weights of LPIPS, for the workers.
     pub(crate) lpips: Option<PathBuf>,
     /// Worker processes to start.
@@ -52,6 +54,7 @@ pub(crate) struct WorkerOptions {
     /// The data folder of the service.
     pub(crate) data: PathBuf,
     pub(crate) adapter: AdapterChoice,
+    pub(crate) memory: MemoryLimits,
     /// Weights of LPIPS.
     pub(crate) lpips: Option<PathBuf>,
     /// Whether to stop when standard input closes, which it does when the parent process dies.
@@ -105,7 +108,8 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
 pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
     let runtime = runtime()?;
     let outcome = runtime.block_on(async {
-        let runner = super::runner(&options.adapter, super::lpips(options.lpips.as_deref())?)?;
+        let lpips = super::lpips(options.lpips.as_deref())?;
+        let runner = super::runner(&options.adapter, options.memory, options.data.clone(), lpips)?;
         let (store, blobs) = open(&options.data).await?;
         let shutdown = stop_on_signals()?;
         if options.stop_with_parent {
@@ -142,7 +146,12 @@ fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
         "--log-format".into(),
         options.log_format.to_string().into(),
         "--stop-with-parent".into(),
+        "--host-memory".into(),
+        options.memory.host.to_string().into(),
     ];
+    if let Some(gpu) = options.memory.gpu {
+        arguments.extend(["--gpu-memory".into(), gpu.to_string().into()]);
+    }
     if let Some(lpips) = &options.lpips {
         arguments.extend(["--lpips".into(), lpips.clone().into()]);
     }

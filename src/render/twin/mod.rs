@@ -3,6 +3,7 @@
 
 mod lists;
 pub mod neural;
+pub mod plain;
 mod project;
 mod project_backward;
 mod raster_backward;

@@ -30,7 +30,7 @@ fn dataset() -> Dataset {
         let camera = Camera::new(intrinsics, pose.expect("a view")).expect("a camera");
         let samples = (0..64 * 48 * 3).map(|_| rng.random()).collect();
         let image = Image::new(64, 48, 3, samples).expect("an image");
-        Frame { name: index.to_string(), camera, image, split: Split::Train }
+        Frame { name: index.to_string(), camera, image: image.into(), split: Split::Train }
     });
     let frames = frames.collect();
     let mut rng = Pcg64::seed_from_u64(2);
@@ -49,7 +49,8 @@ fn neither_batches_nor_a_want_of_room_change_a_bit() {
     let (context, dataset) = (context(), dataset());
     let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
     let run = |batch: usize, room: Option<usize>| {
-        let mut run = Run::begin(&context, &dataset, &options, None).expect("begins");
+        let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
+        let mut run = Run::begin(&context, &dataset, &options, &budget, None).expect("begins");
         run.batch = Batch::Fixed(batch);
         if let Some(room) = room {
             run.raster.begin_with_room_for(room);

@@ -245,7 +245,7 @@ fn statistics_before_a_backward_pass_are_refused() {
 fn the_most_anchors_are_what_the_widest_buffer_binds() {
     let context = gpu();
     let shape = Shape { features: 32, offsets: 10 };
-    let most = NeuralGaussians::most_anchors(&context, shape);
+    let most = NeuralGaussians::most_anchors(context.adapter(), shape);
     let rows_of_splats = |anchors: usize| 3 * (anchors + anchors / 4) * shape.offsets;
     assert!(context.buffer::<[f32; 4]>("splats", rows_of_splats(most)).is_ok());
     assert!(context.buffer::<[f32; 4]>("splats", rows_of_splats(most + most / 100 + 1)).is_err());

@@ -12,7 +12,17 @@ use super::gpu;
 /// The program with nothing of this process's settings but the adapter.
 pub fn command() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_tcgs"));
-    for name in ["RUST_LOG", "TCGS_LOG_FORMAT", "TCGS_LISTEN", "TCGS_LPIPS", "TCGS_DATA", "TCGS_WORKER_ID"] {
+    let settings = [
+        "RUST_LOG",
+        "TCGS_LOG_FORMAT",
+        "TCGS_LISTEN",
+        "TCGS_LPIPS",
+        "TCGS_DATA",
+        "TCGS_WORKER_ID",
+        "TCGS_HOST_MEMORY",
+        "TCGS_GPU_MEMORY",
+    ];
+    for name in settings {
         command.env_remove(name);
     }
     command.env("TCGS_ADAPTER", gpu::choice().to_string());

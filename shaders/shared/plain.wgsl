@@ -1,0 +1,100 @@
+#define_import_path tcgs::plain
+
+// Plain Gaussians as they are trained, in four blocks of rows: base values, then the coefficients of degree one, two
+// and three, red, green, blue of each in turn. The three blocks of coefficients follow one another in one buffer.
+const BASE: u32 = 14u;
+const LOG_SCALE: u32 = 3u;
+const QUAT: u32 = 6u;
+const OPACITY: u32 = 10u;
+const COLOR: u32 = 11u;
+const BAND_VALUES: vec3u = vec3u(9u, 15u, 21u);
+
+// Degree of spherical harmonics in use; bands above it are neither read nor written.
+const DEGREE: u32 = #{DEGREE}u;
+
+// Below this no pixel is reached.
+const ALPHA_MIN: f32 = 1.0 / 255.0;
+
+// One view of the Gaussians.
+struct View {
+    // Row of the world-to-camera rotation that gives the depth; w is the translation.
+    forward: vec4f,
+    // Centre of the camera; w is the near plane.
+    eye: vec4f,
+    // Half the width and height of the image in pixels.
+    half_size: vec2f,
+    // Gaussians.
+    count: u32,
+    unused: u32,
+}
+
+// Constants of the real spherical harmonics, by degree.
+const SH_ZERO: f32 = 0.28209479177387814;
+const SH_ONE: f32 = 0.4886025119029199;
+const SH_TWO: vec3f = vec3f(1.0925484305920792, 0.31539156525252005, 0.5462742152960396);
+const SH_THREE_OUTER: vec2f = vec2f(0.5900435899266435, 2.890611442640554);
+const SH_THREE_INNER: vec3f = vec3f(0.4570457994644658, 0.3731763325901154, 1.445305721320277);
+
+// Where the coefficients of a Gaussian begin in each block.
+fn bands_at(view: View, gaussian: u32) -> vec3u {
+    return view.count * vec3u(0u, BAND_VALUES.x, BAND_VALUES.x + BAND_VALUES.y) + gaussian * BAND_VALUES;
+}
+
+// The basis functions of one degree at the unit vector d.
+fn basis_of_one(d: vec3f) -> vec3f {
+    return SH_ONE * vec3f(-d.y, d.z, -d.x);
+}
+
+fn basis_of_two(d: vec3f) -> array<f32, 5> {
+    let s = d * d;
+    return array<f32, 5>(
+        SH_TWO.x * d.x * d.y,
+        -SH_TWO.x * d.y * d.z,
+        SH_TWO.y * (2.0 * s.z - s.x - s.y),
+        -SH_TWO.x * d.x * d.z,
+        SH_TWO.z * (s.x - s.y),
+    );
+}
+
+fn basis_of_three(d: vec3f) -> array<f32, 7> {
+    let s = d * d;
+    return array<f32, 7>(
+        -SH_THREE_OUTER.x * d.y * (3.0 * s.x - s.y),
+        SH_THREE_OUTER.y * d.x * d.y * d.z,
+        -SH_THREE_INNER.x * d.y * (4.0 * s.z - s.x - s.y),
+        SH_THREE_INNER.y * d.z * (2.0 * s.z - 3.0 * s.x - 3.0 * s.y),
+        -SH_THREE_INNER.x * d.x * (4.0 * s.z - s.x - s.y),
+        SH_THREE_INNER.z * d.z * (s.x - s.y),
+        -SH_THREE_OUTER.x * d.x * (s.x - 3.0 * s.y),
+    );
+}
+
+// Gradients by d, d free to leave the unit sphere, of the sums of the basis functions of one degree times weights.
+fn slope_of_one(w: vec3f) -> vec3f {
+    return SH_ONE * vec3f(-w.z, -w.x, w.y);
+}
+
+fn slope_of_two(d: vec3f, w: array<f32, 5>) -> vec3f {
+    let across = SH_TWO.y * w[2];
+    return vec3f(
+        SH_TWO.x * (d.y * w[0] - d.z * w[3]) + 2.0 * d.x * (SH_TWO.z * w[4] - across),
+        SH_TWO.x * (d.x * w[0] - d.z * w[1]) - 2.0 * d.y * (SH_TWO.z * w[4] + across),
+        4.0 * across * d.z - SH_TWO.x * (d.y * w[1] + d.x * w[3]),
+    );
+}
+
+fn slope_of_three(d: vec3f, w: array<f32, 7>) -> vec3f {
+    let s = d * d;
+    let outer = 3.0 * SH_THREE_OUTER.x;
+    let inner = SH_THREE_INNER;
+    return vec3f(
+        outer * (-2.0 * d.x * d.y * w[0] - (s.x - s.y) * w[6]) + SH_THREE_OUTER.y * d.y * d.z * w[1]
+            + inner.x * (2.0 * d.x * d.y * w[2] - (4.0 * s.z - 3.0 * s.x - s.y) * w[4])
+            - 6.0 * inner.y * d.x * d.z * w[3] + 2.0 * inner.z * d.x * d.z * w[5],
+        outer * (2.0 * d.x * d.y * w[6] - (s.x - s.y) * w[0]) + SH_THREE_OUTER.y * d.x * d.z * w[1]
+            + inner.x * (2.0 * d.x * d.y * w[4] - (4.0 * s.z - s.x - 3.0 * s.y) * w[2])
+            - 6.0 * inner.y * d.y * d.z * w[3] - 2.0 * inner.z * d.y * d.z * w[5],
+        SH_THREE_OUTER.y * d.x * d.y * w[1] - 8.0 * inner.x * d.z * (d.y * w[2] + d.x * w[4])
+            + inner.y * (6.0 * s.z - 3.0 * s.x - 3.0 * s.y) * w[3] + inner.z * (s.x - s.y) * w[5],
+    );
+}

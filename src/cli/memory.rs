@@ -1,0 +1,82 @@
+//! The flags that bound memory, the same for every command that trains, and what the machine has where they are absent.
+
+use std::{fs, path::Path};
+
+use tcgs::domain::{Bytes, MemoryLimits};
+
+/// Main memory taken to be there where the system does not say.
+const UNKNOWN: u64 = 4 << 30;
+
+/// How much memory a run may take.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub(crate) struct MemoryFlags {
+    /// Main memory that a run may take, such as 6GiB [default: three quarters of what is available at the start]; photographs
+    /// beyond it go to a temporary file
+    #[arg(long, value_name = "BYTES", env = "TCGS_HOST_MEMORY")]
+    host_memory: Option<Bytes>,
+
+    /// Memory on the adapter that a run may take [default: half of --host-memory for adapters that share main memory, 8 GiB
+    /// for others]
+    #[arg(long, value_name = "BYTES", env = "TCGS_GPU_MEMORY")]
+    gpu_memory: Option<Bytes>,
+}
+
+impl MemoryFlags {
+    /// What each of `runs` runs at a time may take.
+    pub(crate) fn limits(self, runs: u16) -> MemoryLimits {
+        let host = self
+            .host_memory
+            .map_or_else(|| (available() / 4 * 3 / u64::from(runs.max(1))).max(1), |bytes| bytes.0);
+        MemoryLimits { host, gpu: self.gpu_memory.map(|bytes| bytes.0) }
+    }
+}
+
+/// Bytes of main memory that nobody uses, within what a control group allows this process.
+fn available() -> u64 {
+    let read = |path: &str| fs::read_to_string(Path::new(path)).ok();
+    let machine = read("/proc/meminfo").and_then(|text| mem_available(&text));
+    let group = read("/sys/fs/cgroup/memory.max")
+        .zip(read("/sys/fs/cgroup/memory.current"))
+        .and_then(|(most, used)| group_available(&most, &used));
+    machine.into_iter().chain(group).min().unwrap_or(UNKNOWN)
+}
+
+/// The line `MemAvailable:   24078412 kB`.
+fn mem_available(meminfo: &str) -> Option<u64> {
+    let line = meminfo.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    kib.checked_mul(1024)
+}
+
+/// `None` where the group has no limit, which reads as `max`.
+fn group_available(most: &str, used: &str) -> Option<u64> {
+    let most: u64 = most.trim().parse().ok()?;
+    let used: u64 = used.trim().parse().ok()?;
+    Some(most.saturating_sub(used))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_available_is_read_from_what_the_system_writes() {
+        let meminfo =
+            "MemTotal:       24689764 kB\nMemFree: 100 kB\nMemAvailable:   24078412 kB\nBuffers: 1 kB\n";
+        assert_eq!(mem_available(meminfo), Some(24_078_412 * 1024));
+        for odd in ["", "MemAvailable:", "MemAvailable: many kB", "MemAvailable: 99999999999999999999 kB"] {
+            assert_eq!(mem_available(odd), None, "{odd}");
+        }
+        assert_eq!(group_available("max\n", "100\n"), None);
+        assert_eq!(group_available("1000\n", "400\n"), Some(600));
+        assert_eq!(group_available("1000\n", "4000\n"), Some(0));
+    }
+
+    #[test]
+    fn stated_limits_are_taken_as_they_are_and_runs_share_what_is_not_stated() {
+        let stated = MemoryFlags { host_memory: Some(Bytes(1000)), gpu_memory: Some(Bytes(10)) };
+        assert_eq!(stated.limits(4), MemoryLimits { host: 1000, gpu: Some(10) });
+        let found = MemoryFlags::default();
+        assert!(found.limits(1).host > found.limits(8).host && found.limits(1).gpu.is_none());
+    }
+}

@@ -1,0 +1,287 @@
+//! Plain Gaussians on the device: from parameters and a camera to the Gaussians of a view, and their gradients back.
+//!
+//! Every Gaussian owns its rows, so nothing is added up concurrently: the same input gives the same bits. Bands of
+//! spherical harmonics above the degree in use are neither read nor written.
+
+use std::sync::Arc;
+
+use super::{GaussianGradients, Gaussians, RenderError};
+use crate::{
+    domain::Camera,
+    gpu::{AdapterReport, Buffer, Context, Kernel, Recorder, buffer_bytes, kernel_source},
+    model::{
+        GaussianRows,
+        plain::{BANDS, BASE, band_values},
+    },
+};
+
+/// Highest degree of spherical harmonics.
+const MAX_DEGREE: u32 = 3;
+
+/// Values of a Gaussian's row of growth statistics: sum of screen-gradient norms, views, largest radius in pixels.
+pub const STATISTICS: usize = 3;
+
+/// `View` of `shaders/shared/plain.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct ViewUniform {
+    forward: [f32; 4],
+    eye: [f32; 4],
+    half_size: [f32; 2],
+    count: u32,
+    unused: u32,
+}
+
+/// Rows of plain Gaussians on the device: parameters, gradients or moments.
+#[derive(Debug, Clone)]
+pub struct DeviceRows {
+    /// Gaussians.
+    pub count: usize,
+    /// `[N][14]` base values.
+    pub base: Buffer<f32>,
+    /// The blocks `[N][9]`, `[N][15]` and `[N][21]` of coefficients, one after the other.
+    pub bands: Buffer<f32>,
+}
+
+impl DeviceRows {
+    /// Bytes on the device of the rows of `count` Gaussians.
+    #[must_use]
+    pub fn bytes(count: usize) -> u64 {
+        buffer_bytes::<f32>(count * BASE) + buffer_bytes::<f32>(count * band_values(BANDS.len()))
+    }
+
+    /// Zeros for `count` Gaussians.
+    ///
+    /// # Errors
+    /// Faults of the device, or more Gaussians than it has room for.
+    pub fn zero(context: &Context, count: usize) -> Result<Self, RenderError> {
+        Ok(Self {
+            count,
+            base: context.buffer("base values", count * BASE)?,
+            bands: context.buffer("bands of coefficients", count * band_values(BANDS.len()))?,
+        })
+    }
+
+    /// Rows from the host.
+    ///
+    /// # Errors
+    /// As [`DeviceRows::zero`].
+    pub fn upload(context: &Context, rows: &GaussianRows) -> Result<Self, RenderError> {
+        Ok(Self {
+            count: rows.len(),
+            base: context.upload("base values", &rows.base)?,
+            bands: context.upload("bands of coefficients", &rows.bands.concat())?,
+        })
+    }
+
+    /// Rows to the host. Waits for the device.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn download(&self, context: &Context) -> Result<GaussianRows, RenderError> {
+        let base = context.read(&self.base)?;
+        let bands = context.read(&self.bands)?;
+        let ends = [0, 1, 2, 3].map(|degree| self.count * band_values(degree));
+        Ok(GaussianRows { base, bands: [0, 1, 2].map(|band| bands[ends[band]..ends[band + 1]].to_vec()) })
+    }
+}
+
+/// The kernels for one degree.
+#[derive(Debug)]
+struct Kernels {
+    shade_gaussians: Arc<Kernel>,
+    shade_gradient: Arc<Kernel>,
+}
+
+impl Kernels {
+    fn new(context: &Context, degree: u32) -> Result<Self, RenderError> {
+        let defs = [("DEGREE", degree)];
+        Ok(Self {
+            shade_gaussians: context.kernel(kernel_source!("shade_gaussians"), &defs)?,
+            shade_gradient: context.kernel(kernel_source!("shade_gradient"), &defs)?,
+        })
+    }
+}
+
+/// Makes the Gaussians of views from plain rows.
+#[derive(Debug)]
+pub struct PlainGaussians {
+    context: Arc<Context>,
+    degree: u32,
+    kernels: Kernels,
+    gaussian_statistics: Arc<Kernel>,
+    view: Buffer<ViewUniform>,
+    gaussians: Gaussians,
+    gradients: Option<GaussianGradients>,
+    near: f32,
+}
+
+impl PlainGaussians {
+    /// Prepares the kernels; they begin at degree 0.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn new(context: Arc<Context>, near: f32) -> Result<Self, RenderError> {
+        Ok(Self {
+            degree: 0,
+            kernels: Kernels::new(&context, 0)?,
+            gaussian_statistics: context.kernel(kernel_source!("gaussian_statistics"), &[("DEGREE", 0)])?,
+            view: context.buffer("view of gaussians", 1)?,
+            gaussians: Gaussians::new(&context, 0)?,
+            gradients: None,
+            near,
+            context,
+        })
+    }
+
+    /// Most Gaussians whose widest buffer the adapter binds.
+    #[must_use]
+    pub fn most_gaussians(adapter: &AdapterReport) -> usize {
+        let bytes = (band_values(BANDS.len()) * size_of::<f32>()) as u64;
+        let limit = adapter.max_binding_bytes.min(adapter.max_buffer_bytes);
+        usize::try_from(limit / bytes).unwrap_or(usize::MAX)
+    }
+
+    /// Bytes on the device of a view of `count` Gaussians and of the gradients back from it.
+    #[must_use]
+    pub fn bytes(count: usize) -> u64 {
+        buffer_bytes::<ViewUniform>(1) + Gaussians::bytes(count) + GaussianGradients::bytes(count)
+    }
+
+    /// Degree of spherical harmonics in use.
+    #[must_use]
+    pub fn degree(&self) -> u32 {
+        self.degree
+    }
+
+    /// Uses another degree, at most 3, from the next forward pass on.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn set_degree(&mut self, degree: u32) -> Result<(), RenderError> {
+        let degree = degree.min(MAX_DEGREE);
+        if degree != self.degree {
+            self.kernels = Kernels::new(&self.context, degree)?;
+            self.degree = degree;
+        }
+        Ok(())
+    }
+
+    /// The Gaussians of the last forward pass.
+    #[must_use]
+    pub fn gaussians(&self) -> &Gaussians {
+        &self.gaussians
+    }
+
+    /// Where a loss's gradients by those Gaussians belong.
+    ///
+    /// # Errors
+    /// Faults of the device on first use.
+    pub fn gaussian_gradients(&mut self) -> Result<&GaussianGradients, RenderError> {
+        let fits = self.gradients.as_ref().is_some_and(|d| d.colors.len() == self.gaussians.capacity);
+        if !fits {
+            self.gradients = Some(GaussianGradients::new(&self.context, self.gaussians.capacity)?);
+        }
+        self.gradients.as_ref().ok_or(RenderError::OutOfStep)
+    }
+
+    /// Records the making of the Gaussians that `camera` sees.
+    ///
+    /// # Errors
+    /// Faults of the device, or a scene that is too large for it.
+    pub fn forward(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        rows: &DeviceRows,
+        camera: &Camera,
+    ) -> Result<(), RenderError> {
+        if self.gaussians.capacity != rows.count {
+            self.gaussians = Gaussians::new(&self.context, rows.count)?;
+            self.context.write(&self.gaussians.count, &[rows.count as u32]);
+        }
+        recorder.write(&self.view, &[self.view_uniform(rows.count, camera)]);
+        let out = &self.gaussians;
+        recorder.dispatch(
+            &self.kernels.shade_gaussians,
+            &[
+                self.view.as_ref(),
+                rows.base.as_ref(),
+                rows.bands.as_ref(),
+                out.means_opacity.as_ref(),
+                out.scales.as_ref(),
+                out.quats.as_ref(),
+                out.colors.as_ref(),
+            ],
+            groups(rows.count),
+        );
+        Ok(())
+    }
+
+    /// Records the gradients by the rows from those by the Gaussians of the last forward pass.
+    ///
+    /// # Errors
+    /// [`RenderError::OutOfStep`] before [`PlainGaussians::gaussian_gradients`] was asked for.
+    pub fn backward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        rows: &DeviceRows,
+        out: &DeviceRows,
+    ) -> Result<(), RenderError> {
+        let d = self.gradients.as_ref().ok_or(RenderError::OutOfStep)?;
+        let on = &self.gaussians;
+        recorder.dispatch(
+            &self.kernels.shade_gradient,
+            &[
+                self.view.as_ref(),
+                rows.bands.as_ref(),
+                on.means_opacity.as_ref(),
+                on.scales.as_ref(),
+                on.colors.as_ref(),
+                d.means_opacity.as_ref(),
+                d.scales.as_ref(),
+                d.quats.as_ref(),
+                d.colors.as_ref(),
+                d.means2d.as_ref(),
+                out.base.as_ref(),
+                out.bands.as_ref(),
+            ],
+            groups(rows.count),
+        );
+        Ok(())
+    }
+
+    /// Records the adding of the view to the growth statistics, `[N][3]`, unless `void_mark` is set by then.
+    ///
+    /// # Errors
+    /// [`RenderError::OutOfStep`] before a backward pass.
+    pub fn statistics(
+        &self,
+        recorder: &mut Recorder<'_>,
+        statistics: &Buffer<f32>,
+        void_mark: &Buffer<u32>,
+    ) -> Result<(), RenderError> {
+        let d = self.gradients.as_ref().ok_or(RenderError::OutOfStep)?;
+        recorder.dispatch(
+            &self.gaussian_statistics,
+            &[self.view.as_ref(), d.means2d.as_ref(), statistics.as_ref(), void_mark.as_ref()],
+            groups(self.gaussians.capacity),
+        );
+        Ok(())
+    }
+
+    fn view_uniform(&self, count: usize, camera: &Camera) -> ViewUniform {
+        let forward = camera.pose.rotation().row(2).extend(camera.pose.translation().z);
+        let size = [camera.intrinsics.width, camera.intrinsics.height];
+        ViewUniform {
+            forward: forward.as_vec4().to_array(),
+            eye: camera.pose.center().extend(f64::from(self.near)).as_vec4().to_array(),
+            half_size: size.map(|side| 0.5 * side as f32),
+            count: count as u32,
+            unused: 0,
+        }
+    }
+}
+
+fn groups(count: usize) -> u32 {
+    count.div_ceil(64) as u32
+}

@@ -1,0 +1,349 @@
+//! What a training run takes, told before it begins, and how large a model a budget allows.
+//!
+//! The sums are those of the buffers at the largest model that the schedule allows, as their owners state them
+//! (`Rasterizer::bytes` and its like). Two figures are not known beforehand and assumed: how many pairs of Gaussian and tile a
+//! view makes (`PAIRS_A_TILE`), and what program and driver take (`PROGRAM_BYTES`). The device's budget is also held at run time
+//! ([`crate::gpu::GpuError::OverBudget`]), so a scene beyond the assumption ends the run with words and not the process.
+
+use std::fmt;
+
+use thiserror::Error;
+
+use super::{
+    ImageLoss, Schedule,
+    anchors::AnchorFootprint,
+    plain::{PlainFootprint, PlainSchedule},
+    trainer::REPORT_EVERY,
+};
+use crate::{
+    domain::{Bytes, Dataset, MemoryBudget, ModelKind, Problem, TrainOptions},
+    gpu::AdapterReport,
+    render::Rasterizer,
+};
+
+/// What a kind of model takes when it is of some size.
+pub(super) trait Footprint: fmt::Debug {
+    /// What its size counts: "anchors".
+    fn unit(&self) -> &'static str;
+    /// The largest that its schedule and the adapter's bindings allow.
+    fn most(&self, adapter: &AdapterReport) -> usize;
+    /// Bytes on the device of the parameters, their gradients, the optimiser and growth, at their largest.
+    fn model_bytes(&self, size: usize) -> u64;
+    /// Bytes on the device of making a view's Gaussians, and of the gradients back from them.
+    fn view_bytes(&self, size: usize) -> u64;
+    /// Rows of Gaussians that the rasteriser is handed.
+    fn gaussians(&self, size: usize) -> usize;
+    /// Bytes of main memory, at their largest.
+    fn host_bytes(&self, size: usize) -> u64;
+}
+
+/// Pairs of Gaussian and tile that a view is assumed to make at most, for each of its tiles; few scenes make half.
+const PAIRS_A_TILE: usize = 512;
+
+/// Main memory of the program and a software driver with its compiled kernels.
+const PROGRAM_BYTES: u64 = 256 << 20;
+
+/// Host bytes a pixel of the photograph of a step: as stored, over its background, packed, on its way to the device, and the next
+/// one packed.
+const STEP_BYTES_A_PIXEL: u64 = 4 + 3 + 4 + 4 + 4;
+
+/// Host bytes a point of the cloud: position and colour, a copy of the position, and its cell in sets and trees.
+const POINT_BYTES: u64 = 15 + 12 + 128;
+
+/// One part of what a run takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Part {
+    /// What for.
+    pub name: &'static str,
+    /// How much.
+    pub bytes: u64,
+}
+
+/// What a run takes at its largest.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Estimate {
+    /// How large the model may become.
+    pub size: usize,
+    /// What that counts: "anchors".
+    pub unit: &'static str,
+    /// On the device.
+    pub gpu: Vec<Part>,
+    /// In main memory, the device's not counted.
+    pub host: Vec<Part>,
+}
+
+impl Estimate {
+    /// Bytes of buffers on the device.
+    #[must_use]
+    pub fn gpu_bytes(&self) -> u64 {
+        sum(&self.gpu)
+    }
+
+    /// Bytes of main memory.
+    #[must_use]
+    pub fn host_bytes(&self) -> u64 {
+        sum(&self.host)
+    }
+
+    /// Whether that is within `budget`.
+    #[must_use]
+    pub fn fits(&self, budget: &MemoryBudget) -> bool {
+        self.gpu_bytes() <= budget.gpu && self.host_bytes() <= budget.host
+    }
+}
+
+fn sum(parts: &[Part]) -> u64 {
+    parts.iter().fold(0, |sum, part| sum.saturating_add(part.bytes))
+}
+
+fn list(parts: &[Part]) -> String {
+    let parts: Vec<String> =
+        parts.iter().map(|part| format!("{} {}", part.name, Bytes(part.bytes))).collect();
+    parts.join(", ")
+}
+
+impl fmt::Display for Estimate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{} {} take {} on the device ({}) and {} of main memory ({})",
+            self.size,
+            self.unit,
+            Bytes(self.gpu_bytes()),
+            list(&self.gpu),
+            Bytes(self.host_bytes()),
+            list(&self.host)
+        )
+    }
+}
+
+/// More memory is needed than there may be, however small the model.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error(
+    "training needs at least {} on the device, of {}, and {} of main memory, of {}: {needed}. Allow more with \
+     --gpu-memory or --host-memory, or make the images smaller or the point cloud sparser",
+    Bytes(needed.gpu_bytes()), Bytes(budget.gpu), Bytes(needed.host_bytes()), Bytes(budget.host)
+)]
+pub struct OverBudget {
+    /// What the smallest run takes: one that holds what the points begin with.
+    pub needed: Box<Estimate>,
+    /// What it may take.
+    pub budget: MemoryBudget,
+}
+
+impl From<OverBudget> for Problem {
+    fn from(error: OverBudget) -> Self {
+        Problem::new(507, "memory-budget", "Not enough memory", error.to_string())
+    }
+}
+
+/// What decides how much a run takes.
+#[derive(Debug)]
+pub struct Needs<'a> {
+    adapter: &'a AdapterReport,
+    footprint: Box<dyn Footprint>,
+    /// Size of the image with the most pixels.
+    largest: [u32; 2],
+    /// Whether there are images of other sizes.
+    mixed: bool,
+    photographs: u64,
+    /// Points of the cloud, or random ones.
+    points: usize,
+}
+
+impl<'a> Needs<'a> {
+    /// Of a run on `dataset`.
+    #[must_use]
+    pub fn of(dataset: &Dataset, options: &TrainOptions, adapter: &'a AdapterReport) -> Self {
+        let sizes = || dataset.frames.iter().map(|frame| [frame.image.width(), frame.image.height()]);
+        let largest = sizes().max_by_key(|[w, h]| u64::from(*w) * u64::from(*h)).unwrap_or([1, 1]);
+        let schedule = Schedule::new(options);
+        let cloud = dataset.points.as_ref().map_or(0, |points| points.positions.len());
+        Self {
+            adapter,
+            largest,
+            mixed: sizes().any(|size| size != largest),
+            photographs: dataset.bytes_in_memory(),
+            points: if cloud > 0 { cloud } else { schedule.random_points },
+            footprint: match options.model {
+                ModelKind::Tcgs | ModelKind::Scaffold => Box::new(AnchorFootprint {
+                    shape: schedule.shape,
+                    max_anchors: schedule.max_anchors,
+                    masks: schedule.masks.is_some(),
+                }),
+                ModelKind::Gaussians3d => Box::new(PlainFootprint {
+                    max_gaussians: PlainSchedule::new(options, schedule.steps).max_gaussians,
+                }),
+            },
+        }
+    }
+
+    /// What a run takes whose model grows to `size`.
+    #[must_use]
+    pub fn estimate(&self, size: usize) -> Estimate {
+        let model = &self.footprint;
+        let gaussians = model.gaussians(size);
+        let [width, height] = self.largest.map(u64::from);
+        let pixels = width * height;
+        // Buffers of another size are made before those of the last are given back.
+        let sizes = if self.mixed { 2 } else { 1 };
+        let raster = |gaussians, pairs| Rasterizer::bytes(self.adapter, gaussians, pairs, self.largest);
+        let pairs = self.pairs(gaussians);
+        let part = |name, bytes| Part { name, bytes };
+        Estimate {
+            size,
+            unit: model.unit(),
+            gpu: vec![
+                part("model and optimiser", model.model_bytes(size)),
+                part("Gaussians of a view", model.view_bytes(size)),
+                part("rasteriser", raster(gaussians, pairs) + (sizes - 1) * raster(0, 0)),
+                part("loss", sizes * ImageLoss::bytes(self.largest) + 4 * u64::from(REPORT_EVERY) * pixels),
+            ],
+            host: vec![
+                part("photographs", self.photographs),
+                part("photograph of a step", STEP_BYTES_A_PIXEL * pixels),
+                part("points", POINT_BYTES * self.points as u64),
+                part("growth", model.host_bytes(size)),
+                part("program", PROGRAM_BYTES),
+            ],
+        }
+    }
+
+    /// Pairs of Gaussian and tile that the rasteriser is assumed to make room for.
+    fn pairs(&self, gaussians: usize) -> usize {
+        let tiles = self.largest.map(|side| side.div_ceil(16) as usize);
+        let assumed =
+            (tiles[0] * tiles[1] * PAIRS_A_TILE).min(Rasterizer::bindable_intersections(self.adapter));
+        Rasterizer::usual_intersections(self.adapter, gaussians).max(assumed)
+    }
+
+    /// The largest run that `budget` allows: the schedule's, or one that stops growing earlier but still holds what the points
+    /// begin with.
+    ///
+    /// # Errors
+    /// [`OverBudget`] if there is none.
+    pub fn within(&self, budget: &MemoryBudget) -> Result<Estimate, OverBudget> {
+        let most = self.footprint.most(self.adapter);
+        // Growth takes the other half.
+        let least = self.points.min(most / 2).max(1);
+        let wanted = self.estimate(most);
+        if wanted.fits(budget) {
+            return Ok(wanted);
+        }
+        let needed = self.estimate(least);
+        if !needed.fits(budget) {
+            return Err(OverBudget { needed: Box::new(needed), budget: *budget });
+        }
+        let (mut fits, mut too_many) = (least, most);
+        while too_many - fits > 1 {
+            let middle = fits + (too_many - fits) / 2;
+            if self.estimate(middle).fits(budget) {
+                fits = middle;
+            } else {
+                too_many = middle;
+            }
+        }
+        Ok(self.estimate(fits))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        domain::{Camera, Digest, Frame, Image, Intrinsics, Layout, PointCloud, Pose, Split},
+        gpu::AdapterReport,
+    };
+
+    const MIB: u64 = 1 << 20;
+
+    fn adapter() -> AdapterReport {
+        AdapterReport {
+            name: "llvmpipe".to_owned(),
+            backend: "vulkan".to_owned(),
+            kind: "cpu".to_owned(),
+            driver: "Mesa".to_owned(),
+            max_buffer_bytes: (2 << 30) - 1,
+            max_binding_bytes: 128 << 20,
+            max_storage_buffers: 1 << 20,
+            max_workgroup_invocations: 1024,
+            max_workgroup_bytes: 32 << 10,
+            subgroup_sizes: [8, 8],
+            subgroups: true,
+            timestamps: true,
+            usable: true,
+        }
+    }
+
+    fn dataset(sizes: &[(u32, u32)], points: usize) -> Dataset {
+        let pose = Pose::look_at(glam::DVec3::X, glam::DVec3::ZERO, glam::DVec3::Z).expect("a view");
+        let frames = sizes.iter().enumerate().map(|(index, (width, height))| {
+            let intrinsics = Intrinsics::from_horizontal_fov(1.0, *width, *height).expect("intrinsics");
+            let samples = vec![0; 3 * (width * height) as usize];
+            Frame {
+                name: index.to_string(),
+                camera: Camera::new(intrinsics, pose).expect("a camera"),
+                image: Image::new(*width, *height, 3, samples).expect("an image").into(),
+                split: Split::Train,
+            }
+        });
+        let points = PointCloud { positions: vec![[0.0; 3]; points], colors: vec![[0; 3]; points] };
+        Dataset {
+            layout: Layout::Colmap,
+            frames: frames.collect(),
+            points: (!points.positions.is_empty()).then_some(points),
+            digest: Digest::of(b"budget"),
+            notes: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn more_anchors_larger_images_and_more_sizes_take_more() {
+        let (adapter, options) = (adapter(), TrainOptions::default());
+        let small = dataset(&[(64, 48)], 100);
+        let needs = Needs::of(&small, &options, &adapter);
+        let mut before = needs.estimate(1);
+        for anchors in [10, 1_000, 10_000, 40_000] {
+            let now = needs.estimate(anchors);
+            assert!(now.gpu_bytes() > before.gpu_bytes() && now.host_bytes() > before.host_bytes());
+            before = now;
+        }
+        let at = |sizes: &[(u32, u32)]| {
+            Needs::of(&dataset(sizes, 100), &options, &adapter).estimate(1000).gpu_bytes()
+        };
+        assert!(at(&[(640, 480)]) > at(&[(64, 48)]));
+        assert_eq!(at(&[(640, 480), (640, 480)]), at(&[(640, 480)]));
+        assert!(at(&[(640, 480), (480, 640)]) > at(&[(640, 480)]));
+    }
+
+    #[test]
+    fn a_tight_budget_lowers_the_anchors_to_the_most_that_fit() {
+        let (adapter, options) = (adapter(), TrainOptions::default());
+        let dataset = dataset(&[(64, 48)], 500);
+        let needs = Needs::of(&dataset, &options, &adapter);
+        let ample = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
+        let all = needs.within(&ample).expect("no bound");
+        assert_eq!(all.size, Schedule::new(&options).max_anchors);
+        let half = MemoryBudget { gpu: all.gpu_bytes() / 2, ..ample };
+        let some = needs.within(&half).expect("fewer anchors");
+        assert!(some.size > all.size / 3 && some.size < all.size, "{}", some.size);
+        assert!(some.fits(&half) && !needs.estimate(some.size + 1).fits(&half));
+        let tight = MemoryBudget { host: all.host_bytes() - MIB, ..ample };
+        let some = needs.within(&tight).expect("fewer anchors");
+        assert!(some.size < all.size && some.fits(&tight));
+    }
+
+    #[test]
+    fn what_cannot_hold_the_points_is_refused_with_every_part_and_what_to_do() {
+        let (adapter, options) = (adapter(), TrainOptions::default());
+        let dataset = dataset(&[(64, 48)], 15_000);
+        let budget = MemoryBudget { host: u64::MAX, gpu: 16 * MIB };
+        let fault = Needs::of(&dataset, &options, &adapter).within(&budget).expect_err("too little");
+        assert_eq!(fault.needed.size, 15_000);
+        let problem = Problem::from(fault);
+        assert_eq!(problem.status, 507);
+        for words in ["16.0 MiB", "15000 anchors", "rasteriser", "photographs", "--gpu-memory", "smaller"] {
+            assert!(problem.detail.contains(words), "'{}' should say '{words}'", problem.detail);
+        }
+    }
+}

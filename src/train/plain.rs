@@ -1,0 +1,319 @@
+//! Plain Gaussians in training: the published baseline of 3D Gaussian splatting, with the losses, the rasteriser and the
+//! optimiser of the other models.
+
+mod grow;
+mod schedule;
+
+use std::sync::Arc;
+
+use rand_pcg::Pcg64;
+
+use super::{
+    Adam, CheckpointError, Moments, TrainError,
+    budget::Footprint,
+    learner::{Learner, Size, Step},
+    state::LearnerState,
+};
+use crate::{
+    domain::{Camera, CancelFlag, Frame, Scene},
+    gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
+    model::{
+        GaussianRows, initial_gaussians,
+        plain::{BANDS, BASE, COLOR, LOG_SCALE, OPACITY, QUAT, band_values},
+    },
+    render::{DeviceRows, GaussianGradients, Gaussians, PlainGaussians, RasterSettings, STATISTICS},
+};
+use grow::{Growth, PlainState, grow_and_prune, reset_opacities};
+pub(super) use schedule::PlainSchedule;
+
+/// Names of the arrays of a checkpoint: parameters, first and second moments.
+const ROWS: [&str; 3] = ["gaussians", "gaussians.first", "gaussians.second"];
+
+/// Name of the array with the spherical harmonics of degree `band` + 1.
+fn band_name(rows: &str, band: usize) -> String {
+    format!("{rows}.band{}", band + 1)
+}
+
+/// Gaussians, and what their optimiser and their growth remember.
+pub(super) struct PlainLearner {
+    context: Arc<Context>,
+    schedule: PlainSchedule,
+    extent: f32,
+    rows: DeviceRows,
+    gradients: DeviceRows,
+    first: DeviceRows,
+    second: DeviceRows,
+    statistics: Buffer<f32>,
+    plain: PlainGaussians,
+    adam: Adam,
+}
+
+impl PlainLearner {
+    /// Gaussians at `points`, which have `colors` or none; `extent` is the scene's, in world units.
+    pub(super) fn begin(
+        context: &Arc<Context>,
+        mut schedule: PlainSchedule,
+        points: &[[f32; 3]],
+        colors: &[[u8; 3]],
+        extent: f32,
+        rng: &mut Pcg64,
+    ) -> Result<Self, TrainError> {
+        schedule.max_gaussians =
+            schedule.max_gaussians.min(PlainGaussians::most_gaussians(context.adapter()));
+        // Growth needs room above what the points begin with.
+        let values = initial_gaussians(points, colors, schedule.max_gaussians / 2, rng)?;
+        let zero = || DeviceRows::zero(context, values.len());
+        Ok(Self {
+            schedule,
+            extent,
+            rows: DeviceRows::upload(context, &values)?,
+            gradients: zero()?,
+            first: zero()?,
+            second: zero()?,
+            statistics: context.buffer("growth statistics", STATISTICS * values.len())?,
+            plain: PlainGaussians::new(Arc::clone(context), RasterSettings::default().near)?,
+            adam: Adam::new(context)?,
+            context: Arc::clone(context),
+        })
+    }
+
+    /// The learner that [`Learner::save`] was asked of.
+    pub(super) fn resume(
+        context: &Arc<Context>,
+        schedule: PlainSchedule,
+        extent: f32,
+        mut state: LearnerState,
+    ) -> Result<Self, TrainError> {
+        let mut rows = Vec::new();
+        for name in ROWS {
+            let base: Vec<f32> = state.take(name)?;
+            let count = base.len() / BASE;
+            if count == 0 || base.len() != count * BASE {
+                let fault = format!("has {} values, which are no rows of {BASE}", base.len());
+                return Err(CheckpointError::array(name, fault).into());
+            }
+            let mut band = |band: usize| state.take_exactly(&band_name(name, band), count * BANDS[band]);
+            rows.push(GaussianRows { base, bands: [band(0)?, band(1)?, band(2)?] });
+        }
+        let count = rows[0].len();
+        if let Some(name) = ROWS.iter().zip(&rows).find(|(_, rows)| rows.len() != count).map(|(name, _)| name)
+        {
+            return Err(CheckpointError::array(name, format!("is not of {count} Gaussians")).into());
+        }
+        let statistics = state.take_exactly::<f32>("growth", STATISTICS * count)?;
+        let degree = state.take_exactly::<u32>("degree", 1)?[0];
+        state.finish()?;
+        if degree as usize > BANDS.len() {
+            return Err(CheckpointError::array("degree", format!("is {degree}")).into());
+        }
+        let mut plain = PlainGaussians::new(Arc::clone(context), RasterSettings::default().near)?;
+        plain.set_degree(degree)?;
+        Ok(Self {
+            schedule,
+            extent,
+            rows: DeviceRows::upload(context, &rows[0])?,
+            gradients: DeviceRows::zero(context, count)?,
+            first: DeviceRows::upload(context, &rows[1])?,
+            second: DeviceRows::upload(context, &rows[2])?,
+            statistics: context.upload("growth statistics", &statistics)?,
+            plain,
+            adam: Adam::new(context)?,
+            context: Arc::clone(context),
+        })
+    }
+
+    fn base_rates(&self, fraction: f64) -> [f32; BASE] {
+        let mut rates = [self.schedule.color; BASE];
+        rates[..LOG_SCALE].fill(self.schedule.mean.at(fraction) as f32 * self.extent);
+        rates[LOG_SCALE..QUAT].fill(self.schedule.log_scale);
+        rates[QUAT..OPACITY].fill(self.schedule.quat);
+        rates[OPACITY..COLOR].fill(self.schedule.opacity);
+        rates
+    }
+
+    /// Records the optimiser's step on the base values and on the bands in use.
+    fn learn(
+        &self,
+        recorder: &mut Recorder<'_>,
+        step: &Step,
+        void_mark: &Buffer<u32>,
+    ) -> Result<(), TrainError> {
+        let rates = recorder.uniform(&self.base_rates(step.fraction))?;
+        let moments = Moments { first: self.first.base.clone(), second: self.second.base.clone() };
+        self.adam.step(
+            recorder,
+            step.number,
+            void_mark,
+            &rates,
+            &self.gradients.base,
+            &self.rows.base,
+            &moments,
+        )?;
+        let in_use = self.rows.count * band_values(self.plain.degree() as usize);
+        if in_use > 0 {
+            let rates = recorder.uniform(&[self.schedule.coefficients])?;
+            let moments = Moments { first: self.first.bands.clone(), second: self.second.bands.clone() };
+            let bands = self.rows.bands.first(in_use);
+            self.adam.step(
+                recorder,
+                step.number,
+                void_mark,
+                &rates,
+                &self.gradients.bands,
+                &bands,
+                &moments,
+            )?;
+        }
+        Ok(())
+    }
+
+    fn download(&self) -> Result<PlainState, TrainError> {
+        Ok(PlainState {
+            values: self.rows.download(&self.context)?,
+            first: self.first.download(&self.context)?,
+            second: self.second.download(&self.context)?,
+        })
+    }
+
+    fn upload(&mut self, state: &PlainState) -> Result<(), TrainError> {
+        let count = state.values.len();
+        self.rows = DeviceRows::upload(&self.context, &state.values)?;
+        self.first = DeviceRows::upload(&self.context, &state.first)?;
+        self.second = DeviceRows::upload(&self.context, &state.second)?;
+        if count != self.gradients.count {
+            self.gradients = DeviceRows::zero(&self.context, count)?;
+        }
+        Ok(())
+    }
+
+    fn grow(&mut self, state: &mut PlainState, step: u32, rng: &mut Pcg64) -> Result<(), TrainError> {
+        let statistics = self.context.read(&self.statistics)?;
+        let settings = Growth {
+            threshold: self.schedule.growth_threshold,
+            extent: self.extent,
+            max_gaussians: self.schedule.max_gaussians,
+            prune_large: self.schedule.prunes_large(step),
+        };
+        let outcome = grow_and_prune(state, &statistics, &settings, rng);
+        let gaussians = state.values.len();
+        tracing::debug!(step, outcome.cloned, outcome.split, outcome.pruned, gaussians);
+        if gaussians == 0 {
+            return Err(TrainError::NothingLeft { step });
+        }
+        // Everyone begins anew, also those that did not grow, as published.
+        self.statistics = self.context.buffer("growth statistics", STATISTICS * gaussians)?;
+        Ok(())
+    }
+}
+
+/// What plain Gaussians take.
+#[derive(Debug)]
+pub(super) struct PlainFootprint {
+    pub(super) max_gaussians: usize,
+}
+
+impl Footprint for PlainFootprint {
+    fn unit(&self) -> &'static str {
+        "Gaussians"
+    }
+
+    fn most(&self, adapter: &AdapterReport) -> usize {
+        self.max_gaussians.min(PlainGaussians::most_gaussians(adapter))
+    }
+
+    /// Parameters, gradients and two moments; a round of growth replaces them one after another.
+    fn model_bytes(&self, gaussians: usize) -> u64 {
+        5 * DeviceRows::bytes(gaussians) + 2 * buffer_bytes::<f32>(STATISTICS * gaussians)
+    }
+
+    fn view_bytes(&self, gaussians: usize) -> u64 {
+        PlainGaussians::bytes(gaussians)
+    }
+
+    fn gaussians(&self, gaussians: usize) -> usize {
+        gaussians
+    }
+
+    /// A round of growth: rows and moments as read back, as grown, and on their way to the device.
+    fn host_bytes(&self, gaussians: usize) -> u64 {
+        9 * DeviceRows::bytes(gaussians) + (gaussians * STATISTICS * size_of::<f32>()) as u64
+    }
+}
+
+impl Learner for PlainLearner {
+    fn forward(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        camera: &Camera,
+        step: &Step,
+    ) -> Result<(), TrainError> {
+        self.plain.set_degree(self.schedule.degree(step.number))?;
+        self.plain.forward(recorder, &self.rows, camera)?;
+        Ok(())
+    }
+
+    fn gaussians(&self) -> &Gaussians {
+        self.plain.gaussians()
+    }
+
+    fn gaussian_gradients(&mut self) -> Result<GaussianGradients, TrainError> {
+        Ok(self.plain.gaussian_gradients()?.clone())
+    }
+
+    fn backward(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        _camera: &Camera,
+        step: &Step,
+        void_mark: &Buffer<u32>,
+    ) -> Result<(), TrainError> {
+        self.plain.backward(recorder, &self.rows, &self.gradients)?;
+        if self.schedule.gathers_statistics(step.number) {
+            self.plain.statistics(recorder, &self.statistics, void_mark)?;
+        }
+        self.learn(recorder, step, void_mark)
+    }
+
+    fn adapts(&self, step: &Step) -> bool {
+        self.schedule.densifies(step.number) || self.schedule.resets(step.number)
+    }
+
+    fn adapt(&mut self, step: &Step, rng: &mut Pcg64) -> Result<(), TrainError> {
+        let (grows, resets) = (self.schedule.densifies(step.number), self.schedule.resets(step.number));
+        if grows || resets {
+            let mut state = self.download()?;
+            if grows {
+                self.grow(&mut state, step.number, rng)?;
+            }
+            if resets {
+                reset_opacities(&mut state);
+            }
+            self.upload(&state)?;
+        }
+        Ok(())
+    }
+
+    fn size(&self) -> Result<Size, TrainError> {
+        Ok(Size { anchors: 0, gaussians: self.rows.count })
+    }
+
+    fn save(&self) -> Result<LearnerState, TrainError> {
+        let PlainState { values, first, second } = self.download()?;
+        let mut state = LearnerState::default();
+        for (name, rows) in ROWS.into_iter().zip([values, first, second]) {
+            state.put(name, rows.base);
+            for (band, values) in rows.bands.into_iter().enumerate() {
+                state.put(&band_name(name, band), values);
+            }
+        }
+        state.put("growth", self.context.read(&self.statistics)?);
+        // Of the last view, which a run that goes on from its last step does not render again.
+        state.put("degree", vec![self.plain.degree()]);
+        Ok(state)
+    }
+
+    fn finish(self: Box<Self>, _frames: &[&Frame], _cancel: &CancelFlag) -> Result<Scene, TrainError> {
+        let rows = self.rows.download(&self.context)?;
+        Ok(Scene::Gaussians(rows.to_scene(self.plain.degree() as usize)))
+    }
+}

@@ -1,0 +1,148 @@
+//! The schedule of plain Gaussians: the published one in fractions of the run.
+//!
+//! | what | published, of 30 000 steps | here |
+//! |---|---|---|
+//! | growth | after 500, before 15 000, every 100 | same fractions; every thirtieth of the run, 25 to 100 steps |
+//! | opacity reset | every 3 000, before 15 000 | every tenth of the run, but 600 steps apart or more |
+//! | one degree more | every 1 000 | every thirtieth of the run |
+//! | mean | 1.6e-4 to 1.6e-6 times extent, exponential | the same |
+//! | constant colour, other coefficients | 0.0025, a twentieth of it | the same |
+//! | opacity, log-scale, quaternion | 0.05, 0.005, 0.001 | the same |
+//!
+//! Later versions of the published code halve the opacity's rate; the rate of the paper lets a short run recover from a
+//! reset sooner. A reset needs some hundred steps to recover whatever the length of the run, hence the least distance.
+
+use crate::{
+    domain::{Background, Preset, TrainOptions},
+    train::Decay,
+};
+
+/// Steps that a reset of opacities needs to be made good.
+const RECOVERY: u32 = 600;
+
+/// When what happens to plain Gaussians, and how fast they learn.
+#[derive(Debug, Clone, PartialEq)]
+pub(in crate::train) struct PlainSchedule {
+    /// Growth happens after this step,
+    pub densify_from: u32,
+    /// before this one,
+    pub densify_until: u32,
+    /// and this many steps apart.
+    pub densify_every: u32,
+    /// Steps between resets of the opacities.
+    pub reset_every: u32,
+    /// Whether there is a reset where growth begins too: against a haze of the background's white.
+    pub reset_first: bool,
+    /// Steps between additions of a degree of spherical harmonics.
+    pub degree_every: u32,
+    /// Mean screen gradient, in half-image units, from which a Gaussian grows.
+    pub growth_threshold: f32,
+    /// Gaussians that growth does not go beyond.
+    pub max_gaussians: usize,
+    /// Learning rate of means, before it is multiplied by the scene's extent.
+    pub mean: Decay,
+    /// Of the constant colour.
+    pub color: f32,
+    /// Of the other coefficients.
+    pub coefficients: f32,
+    /// Of opacity logits.
+    pub opacity: f32,
+    /// Of log-scales.
+    pub log_scale: f32,
+    /// Of quaternions.
+    pub quat: f32,
+}
+
+impl PlainSchedule {
+    /// The schedule of a run of `steps` steps.
+    pub(in crate::train) fn new(options: &TrainOptions, steps: u32) -> Self {
+        let part = |of_30_000: f64| (f64::from(steps) * of_30_000 / 30_000.0).round() as u32;
+        let densify_until = part(15_000.0);
+        let reset_every = part(3_000.0).max(RECOVERY);
+        Self {
+            densify_from: part(500.0),
+            densify_until,
+            densify_every: (steps / 30).clamp(25, 100),
+            reset_every,
+            reset_first: options.background == Background::White && reset_every < densify_until,
+            degree_every: part(1_000.0).max(1),
+            growth_threshold: 2e-4,
+            max_gaussians: match options.preset {
+                Preset::Preview => 100_000,
+                Preset::Standard => 500_000,
+                Preset::Paper => 2_000_000,
+            },
+            mean: Decay { start: 1.6e-4, end: 1.6e-6 },
+            color: 0.0025,
+            coefficients: 0.0025 / 20.0,
+            opacity: 0.05,
+            log_scale: 0.005,
+            quat: 0.001,
+        }
+    }
+
+    /// Whether the views of `step` count for growth.
+    pub(super) fn gathers_statistics(&self, step: u32) -> bool {
+        step < self.densify_until
+    }
+
+    /// Whether Gaussians grow and are pruned after `step`.
+    pub(super) fn densifies(&self, step: u32) -> bool {
+        step > self.densify_from && step < self.densify_until && step.is_multiple_of(self.densify_every)
+    }
+
+    /// Whether opacities are reset after `step`.
+    pub(super) fn resets(&self, step: u32) -> bool {
+        let first = self.reset_first && step == self.densify_from;
+        step < self.densify_until && (first || step.is_multiple_of(self.reset_every))
+    }
+
+    /// Whether what is too large is pruned at `step`: once opacities were reset.
+    pub(super) fn prunes_large(&self, step: u32) -> bool {
+        step > self.reset_every
+    }
+
+    /// Degree of spherical harmonics at `step`.
+    pub(super) fn degree(&self, step: u32) -> u32 {
+        (step / self.degree_every).min(3)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn schedule(steps: u32, background: Background) -> PlainSchedule {
+        PlainSchedule::new(&TrainOptions { background, ..TrainOptions::default() }, steps)
+    }
+
+    fn at(steps: u32, happens: impl Fn(u32) -> bool) -> Vec<u32> {
+        (1..=steps).filter(|step| happens(*step)).collect()
+    }
+
+    #[test]
+    fn a_run_of_30_000_is_as_published() {
+        let plain = schedule(30_000, Background::Black);
+        let grows = at(30_000, |step| plain.densifies(step));
+        assert_eq!((grows[0], grows[grows.len() - 1], grows.len()), (600, 14_900, 144));
+        assert_eq!(at(30_000, |step| plain.resets(step)), [3_000, 6_000, 9_000, 12_000]);
+        assert_eq!([999, 1_000, 2_500, 3_000, 30_000].map(|step| plain.degree(step)), [0, 1, 2, 3, 3]);
+        assert!(!plain.prunes_large(3_000) && plain.prunes_large(3_100));
+        assert!(plain.gathers_statistics(1) && !plain.gathers_statistics(15_000));
+        let white = schedule(30_000, Background::White);
+        assert_eq!(at(30_000, |step| white.resets(step))[..2], [500, 3_000]);
+    }
+
+    #[test]
+    fn short_runs_grow_often_and_recover_from_every_reset() {
+        for (steps, grows, resets) in [(1, 0, 0), (100, 1, 0), (400, 7, 0), (2_000, 15, 1), (10_000, 48, 4)] {
+            for background in [Background::Black, Background::White] {
+                let plain = schedule(steps, background);
+                assert_eq!(at(steps, |step| plain.densifies(step)).len(), grows, "{steps} steps");
+                let at = at(steps, |step| plain.resets(step) && step > plain.densify_from);
+                assert_eq!(at.len(), resets, "{steps} steps");
+                assert!(at.iter().all(|step| step + RECOVERY <= steps));
+            }
+        }
+    }
+}

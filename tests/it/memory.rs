@@ -1,0 +1,319 @@
+//! What runs take: the estimate against what is allocated, budgets that are held, photographs that stream from disk.
+
+use std::{fs, path::Path};
+
+use glam::DVec3;
+use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
+use serde_json::{Value, json};
+use tcgs::{
+    domain::{
+        CancelFlag, Convention, Dataset, MemoryBudget, MemoryLimits, PointCloud, Pose, Problem, Progress,
+        TrainOptions,
+    },
+    gpu::{Context, GpuError},
+    ingest::{self, Room},
+    train::{self, Needs, TrainError, train},
+    worker::{
+        pipeline::Pipeline,
+        run::{Checkpoints, JobFailure, RunJob as _},
+    },
+};
+use tempfile::TempDir;
+
+use crate::support::{gpu, program};
+
+/// A folder of photographs of a colourful ball of nothing, from a circle around it, with the sizes repeated in turn.
+fn folder(frames: usize, sizes: &[(u32, u32)]) -> TempDir {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let listed: Vec<Value> = (0..frames)
+        .map(|index| {
+            let (width, height) = sizes[index % sizes.len()];
+            write_png(&folder.path().join(format!("{index:04}.png")), index as u32, (width, height));
+            let mut frame = pose(index, frames);
+            frame["file_path"] = json!(format!("{index:04}.png"));
+            frame["w"] = json!(width);
+            frame["h"] = json!(height);
+            frame["fl_x"] = json!(1.2 * f64::from(width));
+            frame["fl_y"] = json!(1.2 * f64::from(width));
+            frame["cx"] = json!(f64::from(width) / 2.0);
+            frame["cy"] = json!(f64::from(height) / 2.0);
+            frame
+        })
+        .collect();
+    write_table(folder.path(), listed);
+    folder
+}
+
+fn pose(index: usize, frames: usize) -> Value {
+    let angle = index as f64 / frames as f64 * std::f64::consts::TAU;
+    let position = DVec3::new(3.0 * angle.cos(), 3.0 * angle.sin(), 1.0);
+    let pose = Pose::look_at(position, DVec3::ZERO, DVec3::Z).expect("a view");
+    let rows: Vec<[f64; 4]> = {
+        let matrix = pose.camera_to_world(Convention::Opengl);
+        (0..4).map(|row| matrix.row(row).to_array()).collect()
+    };
+    json!({ "transform_matrix": rows })
+}
+
+fn write_table(folder: &Path, frames: Vec<Value>) {
+    let table = json!({ "camera_model": "PINHOLE", "frames": frames });
+    fs::write(folder.join("transforms.json"), table.to_string()).expect("written");
+}
+
+fn write_png(path: &Path, seed: u32, (width, height): (u32, u32)) {
+    let image = RgbImage::from_fn(width, height, |x, y| {
+        Rgb([(x * 7 + seed * 13) as u8, (y * 5 + x * seed) as u8, (x * y + seed) as u8])
+    });
+    DynamicImage::from(image).save_with_format(path, ImageFormat::Png).expect("written");
+}
+
+/// With points around the middle, so that a run begins with as many anchors as there is a use for.
+fn with_points(mut dataset: Dataset, count: usize) -> Dataset {
+    let at = |index: usize, by: f64| ((index as f64 * by).fract() - 0.5) as f32;
+    let positions: Vec<[f32; 3]> =
+        (0..count).map(|i| [at(i, 0.618_034), at(i, 0.754_878), at(i, 0.569_84)]).collect();
+    dataset.points = Some(PointCloud { colors: vec![[0; 3]; count], positions });
+    dataset
+}
+
+fn options(iterations: u32) -> TrainOptions {
+    TrainOptions { iterations: Some(iterations), ..TrainOptions::default() }
+}
+
+fn tight(spill: &Path, memory: u64) -> Room {
+    Room { memory, spill: spill.to_owned() }
+}
+
+#[test]
+fn the_estimate_covers_what_a_run_allocates_and_not_much_more() {
+    // What the other tests of this process allocate must not count.
+    let context = Context::new(&gpu::choice()).expect("an adapter");
+    for (what, sizes, points, steps) in [
+        ("few anchors that grow", &[(32, 32)][..], 150, 60),
+        ("many anchors", &[(48, 32)], 4000, 3),
+        ("large images of two sizes", &[(400, 300), (300, 400)], 500, 4),
+    ] {
+        let folder = folder(9, sizes);
+        let dataset = with_points(ingest::load(folder.path()).expect("a dataset"), points);
+        let mut anchors = 0;
+        let mut report = |progress: &Progress| anchors = anchors.max(progress.anchors as usize);
+        // A peak of its own.
+        let before = context.peak_bytes();
+        train(
+            &context,
+            &dataset,
+            &options(steps),
+            train::Checkpoints::default(),
+            &mut report,
+            &CancelFlag::default(),
+        )
+        .expect("a scene");
+        let peak = context.peak_bytes();
+        assert!(peak > before, "{what}: the runs are in the order of what they take");
+        let needs = options(steps);
+        let estimate = Needs::of(&dataset, &needs, context.adapter()).estimate(anchors);
+        let told = estimate.gpu_bytes();
+        println!("{what}: {anchors} anchors, told {told}, peak {peak}, {:.2}", told as f64 / peak as f64);
+        assert!(told >= peak, "{what}: {peak} bytes at most, and only {told} told: {estimate}");
+        assert!(told <= 2 * peak, "{what}: {peak} bytes at most, and {told} told: {estimate}");
+    }
+}
+
+#[test]
+fn a_buffer_beyond_the_budget_is_an_error_and_the_device_goes_on() {
+    let context = Context::new(&gpu::choice()).expect("an adapter");
+    context.set_budget_bytes(1 << 20);
+    let kept = context.buffer::<f32>("kept", 200_000).expect("within the budget");
+    let fault = context.buffer::<f32>("too much", 100_000).expect_err("beyond it");
+    assert!(matches!(fault, GpuError::OverBudget { .. }), "{fault}");
+    assert_eq!(Problem::from(fault).status, 507);
+    let fault = context.read(&kept).expect_err("a transfer needs room too");
+    assert!(matches!(fault, GpuError::OverBudget { .. }), "{fault}");
+    let mut recorder = context.recorder("a large write");
+    recorder.write(&kept, &vec![1.0; 200_000]);
+    assert!(matches!(recorder.submit(), Err(GpuError::OverBudget { .. })));
+    context.set_budget_bytes(u64::MAX);
+    assert_eq!(context.read(&kept).expect("room now"), vec![0.0; 200_000], "nothing was written");
+    drop(kept);
+    assert_eq!(context.allocated_bytes(), 0);
+}
+
+#[test]
+fn a_run_grows_no_further_than_its_budget() {
+    let context = Context::new(&gpu::choice()).expect("an adapter");
+    let folder = folder(9, &[(32, 32)]);
+    let dataset = with_points(ingest::load(folder.path()).expect("a dataset"), 150);
+    let options = options(60);
+    let needs = Needs::of(&dataset, &options, context.adapter());
+    context.set_budget_bytes(needs.estimate(170).gpu_bytes());
+    let fitted = needs
+        .within(&MemoryBudget { host: u64::MAX, gpu: context.budget_bytes() })
+        .expect("the points fit")
+        .size;
+    assert!((170..40_000).contains(&fitted), "{fitted}");
+    let mut anchors = 0;
+    let mut report = |progress: &Progress| anchors = anchors.max(progress.anchors as usize);
+    train(&context, &dataset, &options, train::Checkpoints::default(), &mut report, &CancelFlag::default())
+        .expect("a scene");
+    assert!(anchors <= fitted, "{anchors} of {fitted}");
+    assert!(context.peak_bytes() <= context.budget_bytes());
+
+    context.set_budget_bytes(1 << 20);
+    let refused = train(
+        &context,
+        &dataset,
+        &options,
+        train::Checkpoints::default(),
+        &mut |_| unreachable!("no step"),
+        &CancelFlag::default(),
+    );
+    assert!(matches!(refused, Err(TrainError::OverBudget(_))), "{refused:?}");
+}
+
+#[test]
+fn photographs_twenty_times_larger_than_memory_leave_it_as_it_is() {
+    let folder = folder(120, &[(96, 64)]);
+    let spill = tempfile::tempdir().expect("a temporary folder");
+    let in_memory = ingest::load(folder.path()).expect("a dataset");
+    let all = in_memory.bytes_in_memory();
+    assert_eq!(all, 120 * 96 * 64 * 3);
+    // Decoding takes the most of such a room: it must hold one image with its file.
+    let room = tight(spill.path(), all / 20);
+    let streamed = ingest::load_into(folder.path(), &room).expect("a dataset");
+    assert!(streamed.bytes_in_memory() <= room.memory, "{}", streamed.bytes_in_memory());
+    for (one, other) in in_memory.frames.iter().zip(&streamed.frames) {
+        assert_eq!(one.image.load(), other.image.load(), "{}", one.name);
+    }
+    assert_eq!(in_memory.digest, streamed.digest);
+    drop(streamed);
+    assert_eq!(fs::read_dir(spill.path()).expect("a folder").count(), 0, "nothing is left behind");
+
+    let problem = ingest::load_into(folder.path(), &tight(spill.path(), 1 << 12)).expect_err("too little");
+    assert_eq!((problem.status, problem.file.is_some()), (507, true), "{problem}");
+    assert!(problem.detail.contains("--host-memory"), "{problem}");
+}
+
+#[test]
+fn a_run_on_streamed_photographs_gives_the_same_bits() {
+    let folder = folder(9, &[(32, 32)]);
+    let spill = tempfile::tempdir().expect("a temporary folder");
+    let in_memory = ingest::load(folder.path()).expect("a dataset");
+    let streamed = ingest::load_into(folder.path(), &tight(spill.path(), 32 << 10)).expect("a dataset");
+    assert!(streamed.bytes_in_memory() < in_memory.bytes_in_memory());
+    let [one, other] = [in_memory, streamed].map(|dataset| {
+        let dataset = with_points(dataset, 150);
+        train(
+            &gpu::gpu(),
+            &dataset,
+            &options(12),
+            train::Checkpoints::default(),
+            &mut |_| {},
+            &CancelFlag::default(),
+        )
+        .expect("a scene")
+        .scene
+    });
+    assert!(one == other);
+}
+
+#[test]
+fn a_job_over_its_budget_fails_for_good_before_it_trains() {
+    let folder = folder(9, &[(32, 32)]);
+    let spill = tempfile::tempdir().expect("a temporary folder");
+    let run = |limits| {
+        let pipeline = Pipeline::new(gpu::choice()).within(limits, spill.path().to_owned());
+        pipeline.run(
+            folder.path(),
+            &options(3),
+            &Checkpoints::default(),
+            &mut |_, _| {},
+            &CancelFlag::default(),
+        )
+    };
+    let ample = 8 << 30;
+    for limits in
+        [MemoryLimits { host: ample, gpu: Some(1 << 20) }, MemoryLimits { host: 1 << 20, gpu: Some(ample) }]
+    {
+        match run(limits) {
+            Err(JobFailure::Fail(problem)) => {
+                assert_eq!(problem.status, 507, "{problem}");
+                assert!(problem.kind.ends_with("memory-budget"), "{problem}");
+            }
+            other => panic!("{:?}", other.map(|_| ())),
+        }
+    }
+}
+
+#[test]
+fn the_command_line_refuses_with_status_4_and_says_what_is_needed() {
+    let folder = folder(9, &[(32, 32)]);
+    let out = folder.path().join("scene.tcgs");
+    let arguments = |flags: &[&str]| -> Vec<std::ffi::OsString> {
+        let mut all = vec!["train".into(), folder.path().into(), "-o".into(), out.clone().into()];
+        all.extend(["--iterations", "3", "--json"].map(Into::into));
+        all.extend(flags.iter().map(Into::into));
+        all
+    };
+    let refused = program::tcgs(arguments(&["--gpu-memory", "2MiB"]));
+    assert_eq!(refused.status.code(), Some(4), "{}", String::from_utf8_lossy(&refused.stderr));
+    let problem: Value = serde_json::from_slice(&refused.stdout).expect("one JSON document");
+    assert_eq!(problem["type"], "urn:tcgs:problem:memory-budget");
+    assert!(problem["detail"].as_str().is_some_and(|detail| detail.contains("of 2.0 MiB")), "{problem}");
+    assert!(!out.exists());
+    assert_eq!(program::tcgs(arguments(&["--host-memory", "plenty"])).status.code(), Some(2));
+
+    let trained = program::tcgs(arguments(&["--gpu-memory", "1GiB", "--host-memory", "1GiB"]));
+    let log = String::from_utf8_lossy(&trained.stderr);
+    assert_eq!(trained.status.code(), Some(0), "{log}");
+    assert_eq!(log.lines().filter(|line| line.contains("memory: ")).count(), 1, "{log}");
+    assert!(out.exists());
+}
+
+/// Most memory that this process ever held, in bytes.
+#[cfg(target_os = "linux")]
+fn peak_resident_bytes() -> u64 {
+    let status = fs::read_to_string("/proc/self/status").expect("the process's figures");
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("a peak");
+    line.trim().trim_end_matches("kB").trim().parse::<u64>().expect("a number") * 1024
+}
+
+/// The real thing: `cargo test --test it -- --ignored --nocapture a_thousand`. It reads for minutes and needs 5 GB of disk.
+#[cfg(target_os = "linux")]
+#[test]
+#[ignore = "takes minutes and 5 GB of disk"]
+fn a_thousand_photographs_of_4k_fit_into_a_gigabyte() {
+    const FRAMES: usize = 1000;
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut jpeg = std::io::Cursor::new(Vec::new());
+    let image = RgbImage::from_fn(3840, 2160, |x, y| {
+        let wave = |v: u32, by: f64| (127.0 + 120.0 * (f64::from(v) / by).sin()) as u8;
+        Rgb([wave(x, 211.0), wave(y, 97.0), wave(x + 3 * y, 509.0)])
+    });
+    DynamicImage::from(image).write_to(&mut jpeg, ImageFormat::Jpeg).expect("encodes");
+    let listed = (0..FRAMES)
+        .map(|index| {
+            let name = format!("{index:04}.jpg");
+            fs::write(folder.path().join(&name), jpeg.get_ref()).expect("written");
+            let mut frame = pose(index, FRAMES);
+            frame["file_path"] = json!(name);
+            frame["fl_x"] = json!(4000.0);
+            frame
+        })
+        .collect();
+    write_table(folder.path(), listed);
+    let before = peak_resident_bytes();
+    let room = tight(folder.path(), 1 << 30);
+    let dataset = ingest::load_into(folder.path(), &room).expect("a dataset");
+    let peak = peak_resident_bytes();
+    let all: u64 = dataset.frames.iter().map(|frame| frame.image.bytes()).sum();
+    println!(
+        "{} MB of photographs, {} MB of them in memory; resident at most {} MB, {} MB before",
+        all / 1_000_000,
+        dataset.bytes_in_memory() / 1_000_000,
+        peak / 1_000_000,
+        before / 1_000_000
+    );
+    assert_eq!(dataset.frames.len(), FRAMES);
+    assert!(peak - before < room.memory + (256 << 20), "the room is the bound, allocator and stacks aside");
+    assert!(dataset.frames[FRAMES - 1].image.load().is_ok());
+}
