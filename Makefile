@@ -3,7 +3,10 @@
 SHELL := /bin/bash
 CARGO := . scripts/env.sh && cargo
 
-.PHONY: help setup build demo test lint clean
+# Where the photo sets for `make results` are.
+DATA ?= $(or $(TCGS_SHARED),../shared)/data
+
+.PHONY: help setup build demo results test lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -16,6 +19,9 @@ build: setup ## build target/release/tcgs
 
 demo: setup ## the bundled scene through the service: train, download, render into out/demo
 	@scripts/demo.sh
+
+results: build ## train every model on every set of DATA and rewrite docs/RESULTS.md; hours on a CPU
+	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" eval --suite "$(DATA)" --table docs/RESULTS.md $(RESULTS_FLAGS)
 
 test: setup ## all tests
 	@$(CARGO) test --locked --no-fail-fast

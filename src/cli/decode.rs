@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 use tcgs::domain::{Digest, Problem};
 
-use super::{Failure, Report, files, scene_file, wiring};
+use super::{Failure, Report, files, wiring};
 
 /// Arguments of `tcgs decode`.
 #[derive(Debug, clap::Args)]
@@ -32,14 +32,13 @@ struct Summary {
 
 /// Decodes and writes.
 pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
-    let decoded = wiring::decode(&files::read(&args.file)?)
-        .map_err(|problem| problem.in_file(args.file.display().to_string()))?;
-    let bytes = scene_file::to_bytes(&decoded.scene, decoded.background)
-        .map_err(|fault| Problem::new(500, "internal", "Internal error", fault.to_string()))?;
+    let in_file = |problem: Problem| problem.in_file(args.file.display().to_string());
+    let decoded = wiring::read(&files::read(&args.file)?).map_err(in_file)?;
+    let bytes = wiring::tensors(&decoded).map_err(in_file)?;
     files::write(&args.output, &bytes)?;
     let summary = Summary {
         decode_sha256: decoded.decode_sha256,
-        anchors: decoded.scene.len(),
+        anchors: decoded.scene.anchors(),
         gaussians: decoded.scene.gaussians(),
         output: args.output.clone(),
     };

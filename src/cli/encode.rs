@@ -3,17 +3,14 @@
 use std::path::PathBuf;
 
 use serde_json::json;
-use tcgs::{
-    codec::{EncodeSettings, Provenance},
-    domain::Problem,
-};
+use tcgs::codec::{EncodeSettings, Provenance};
 
-use super::{Failure, Report, files, scene_file, wiring};
+use super::{Failure, Report, files, wiring};
 
 /// Arguments of `tcgs encode`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Attributes as `tcgs decode` writes them
+    /// Anchors as `tcgs decode` and `tcgs train --model scaffold` write them
     #[arg(value_name = "IN.safetensors")]
     input: PathBuf,
 
@@ -43,23 +40,21 @@ fn step(text: &str) -> Result<f32, String> {
 
 /// Encodes and writes.
 pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
-    let (scene, background) = scene_file::from_bytes(&files::read(&args.input)?).map_err(|fault| {
-        Problem::new(422, "not-a-scene", "The input is not a scene", fault.to_string())
-            .in_file(args.input.display().to_string())
-    })?;
+    let file = wiring::anchors(&files::read(&args.input)?)
+        .map_err(|problem| problem.in_file(args.input.display().to_string()))?;
     let settings = EncodeSettings {
-        background,
+        background: file.background,
         feature_step: args.feature_step,
         scaling_step: args.scaling_step,
         offset_step: args.offset_step,
         provenance: Provenance {
             generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),
-            dataset: None,
+            dataset: file.dataset,
             adapter: None,
             settings: json!({}),
         },
     };
-    let encoded = wiring::encode(&scene, &settings)?;
+    let encoded = wiring::encode(&file.scene, &settings)?;
     files::write(&args.output, &encoded.bytes)?;
     Ok(Report::text(format!(
         "{} bytes, {} anchors\ndecoded {}\nwrote {}",

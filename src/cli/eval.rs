@@ -1,6 +1,9 @@
 //! `tcgs eval`: what a file is worth on the views that its training never saw.
 
-use std::{path::PathBuf, time::Instant};
+use std::{
+    path::{Path, PathBuf},
+    time::Instant,
+};
 
 use serde::Serialize;
 use tcgs::{
@@ -8,16 +11,17 @@ use tcgs::{
     eval::Lpips,
 };
 
-use super::{Failure, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, picture, wiring};
+use super::{Failure, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, picture, suite, wiring};
 
 /// Arguments of `tcgs eval`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The compressed file
-    file: PathBuf,
+    /// A .tcgs file, or the .safetensors or .ply of a baseline
+    #[arg(required_unless_present = "suite", requires = "dataset")]
+    file: Option<PathBuf>,
 
     /// The dataset that it was trained on
-    dataset: PathBuf,
+    dataset: Option<PathBuf>,
 
     /// Also write each held-out photograph and its render, side by side, into this folder
     #[arg(long, value_name = "DIR")]
@@ -26,6 +30,9 @@ pub(crate) struct Args {
     /// Also print a table of the views
     #[arg(long)]
     per_view: bool,
+
+    #[command(flatten)]
+    suite: suite::Args,
 
     #[command(flatten)]
     lpips: LpipsFlag,
@@ -61,24 +68,36 @@ struct Seconds {
     render: f64,
 }
 
-/// Decodes, renders every held-out view, measures.
+/// Measures a file, or runs a suite.
 pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+    match (&args.suite.suite, &args.file, &args.dataset) {
+        (Some(folder), ..) => suite::run(&args.suite, folder, &args.adapter, &args.lpips),
+        (None, ..) if args.suite.is_touched() => {
+            Err(Failure::Usage("a flag is given that says nothing without --suite".to_owned()))
+        }
+        (None, Some(file), Some(dataset)) => measure(args, file, dataset),
+        _ => Err(Failure::Usage("give FILE and DATASET, or --suite".to_owned())),
+    }
+}
+
+/// Decodes, renders every held-out view, measures.
+fn measure(args: &Args, file: &Path, dataset_path: &Path) -> Result<Report, Failure> {
     let lpips = wiring::lpips(args.lpips.lpips.as_deref())?;
-    let bytes = files::read(&args.file)?;
-    let in_file = |problem: tcgs::domain::Problem| problem.in_file(args.file.display().to_string());
-    let byte_counts = wiring::inspect(&bytes).map_err(in_file)?.bytes;
-    let (decoded, decode_seconds) = timed(|| wiring::decode(&bytes).map_err(in_file))?;
-    let (dataset, ingest_seconds) = timed(|| wiring::load_dataset(&args.dataset))?;
+    let bytes = files::read(file)?;
+    let in_file = |problem: tcgs::domain::Problem| problem.in_file(file.display().to_string());
+    let (decoded, decode_seconds) = timed(|| wiring::read(&bytes).map_err(in_file))?;
+    let byte_counts = decoded.byte_counts.clone();
+    let (dataset, ingest_seconds) = timed(|| wiring::load_dataset(dataset_path))?;
 
     let same_dataset = decoded.dataset.map(|digest| digest == dataset.digest);
     if same_dataset == Some(false) {
         eprintln!(
             "tcgs: note: {} was trained on another dataset than {}",
-            args.file.display(),
-            args.dataset.display()
+            file.display(),
+            dataset_path.display()
         );
     }
-    let (anchors, gaussians) = (decoded.scene.len(), decoded.scene.gaussians());
+    let (anchors, gaussians) = (decoded.scene.anchors(), decoded.scene.gaussians());
     let (background, decode_sha256) = (decoded.background, decoded.decode_sha256);
     let renderer = wiring::Renderer::open(decoded, &args.adapter.adapter)?;
     let (compared, render_seconds) = timed(|| {

@@ -2,12 +2,15 @@
 
 use std::path::PathBuf;
 
+use serde::Serialize;
+use tcgs::domain::{Background, ByteCounts, Digest, Problem, SceneFormat};
+
 use super::{Failure, Report, files, wiring};
 
 /// Arguments of `tcgs inspect`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The compressed file
+    /// A .tcgs file, or the .safetensors or .ply of a baseline
     file: PathBuf,
 
     /// Print one JSON document
@@ -17,7 +20,68 @@ pub(crate) struct Args {
 
 /// Accounts for the file.
 pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
-    let inspection = wiring::inspect(&files::read(&args.file)?)
-        .map_err(|problem| problem.in_file(args.file.display().to_string()))?;
-    Ok(Report { text: inspection.text, json: inspection.json })
+    let bytes = files::read(&args.file)?;
+    let in_file = |problem: Problem| problem.in_file(args.file.display().to_string());
+    match SceneFormat::of_bytes(&bytes) {
+        SceneFormat::Tcgs => {
+            let inspection = wiring::inspect(&bytes).map_err(in_file)?;
+            Ok(Report { text: inspection.text, json: inspection.json })
+        }
+        SceneFormat::Safetensors | SceneFormat::Ply => {
+            let account = Account::of(wiring::read(&bytes).map_err(in_file)?);
+            Ok(Report::new(account.text(), &account))
+        }
+    }
+}
+
+/// What there is to say of a file of floats.
+#[derive(Debug, Serialize)]
+struct Account {
+    format: SceneFormat,
+    anchors: usize,
+    gaussians: usize,
+    background: Background,
+    dataset: Option<Digest>,
+    decode_sha256: Digest,
+    byte_counts: ByteCounts,
+}
+
+impl Account {
+    fn of(file: wiring::SceneFile) -> Self {
+        Self {
+            format: file.format,
+            anchors: file.scene.anchors(),
+            gaussians: file.scene.gaussians(),
+            background: file.background,
+            dataset: file.dataset,
+            decode_sha256: file.decode_sha256,
+            byte_counts: file.byte_counts,
+        }
+    }
+
+    fn text(&self) -> String {
+        let counts = &self.byte_counts;
+        let mut text = format!(
+            ".{}, {} bytes\n\nanchors     {}\ngaussians   {}\nbackground  {}\ndecoded     {}\n\nbytes by part\n",
+            self.format.name(),
+            counts.total,
+            self.anchors,
+            self.gaussians,
+            self.background,
+            self.decode_sha256,
+        );
+        for (part, bytes) in [
+            ("container", counts.container),
+            ("networks", counts.networks),
+            ("positions", counts.positions),
+            ("masks", counts.masks),
+            ("features", counts.features),
+            ("scalings", counts.scalings),
+            ("offsets", counts.offsets),
+        ] {
+            let share = 100.0 * bytes as f64 / counts.total.max(1) as f64;
+            text.push_str(&format!("{part:<11} {bytes:>10} {share:>6.2}%\n"));
+        }
+        text
+    }
 }

@@ -10,7 +10,7 @@ use super::{Failure, Report, adapter::AdapterFlag, files, picture, pose, wiring}
 #[derive(Debug, clap::Args)]
 #[command(group = clap::ArgGroup::new("camera").required(true).args(["frame", "pose"]))]
 pub(crate) struct Args {
-    /// The compressed file
+    /// A .tcgs file, or the .safetensors or .ply of a baseline
     file: PathBuf,
 
     /// The dataset that names the camera
@@ -56,7 +56,7 @@ impl Args {
 pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     picture::format_of(&args.output)?;
     let camera = args.camera()?;
-    let decoded = wiring::decode(&files::read(&args.file)?)
+    let decoded = wiring::read(&files::read(&args.file)?)
         .map_err(|problem| problem.in_file(args.file.display().to_string()))?;
     let renderer = wiring::Renderer::open(decoded, &args.adapter.adapter)?;
     picture::write(&args.output, &renderer.view(&camera)?)?;

@@ -4,7 +4,10 @@ use std::{path::PathBuf, thread};
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use tcgs::{
-    domain::{Background, CancelFlag, Component, JobMetrics, ModelKind, Phase, Preset, TrainOptions},
+    domain::{
+        Background, CancelFlag, Component, JobMetrics, ModelKind, OptionError, Phase, Preset, TrainOptions,
+        Voxel,
+    },
     worker::run::{Checkpoints, JobFailure, Resume},
 };
 
@@ -20,6 +23,7 @@ macro_rules! choice {
             .try_map(|text| text.parse::<$name>())
     };
 }
+pub(super) use choice;
 
 /// Arguments of `tcgs train`.
 #[derive(Debug, clap::Args)]
@@ -27,7 +31,7 @@ pub(crate) struct Args {
     /// Folder or zip: Blender, nerfstudio or COLMAP layout
     dataset: PathBuf,
 
-    /// The file to write
+    /// The file to write: .tcgs; for the models scaffold .safetensors, 3dgs .ply
     #[arg(short, long, value_name = "OUT.tcgs")]
     output: PathBuf,
 
@@ -76,9 +80,14 @@ struct Options {
     #[arg(long, value_parser = choice!(Background), default_value_t = Background::Black)]
     background: Background,
 
-    /// What is trained
-    #[arg(long, value_parser = choice!(ModelKind), default_value_t = ModelKind::Tcgs, hide = true)]
+    /// What is trained: tcgs, or one of the baselines that it is measured against
+    #[arg(long, value_parser = choice!(ModelKind), default_value_t = ModelKind::Tcgs)]
     model: ModelKind,
+
+    /// Edge of a cell of the anchors' lattice: auto (by the points' spacing), published (by the published rule), or world
+    /// units
+    #[arg(long, value_name = "V", value_parser = voxel, default_value_t = Voxel::Auto, allow_negative_numbers = true)]
+    voxel: Voxel,
 
     /// Parts of the method to leave out
     #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',')]
@@ -93,6 +102,11 @@ struct Options {
     max_bytes: Option<u64>,
 }
 
+/// Reads what `--voxel` takes.
+pub(super) fn voxel(text: &str) -> Result<Voxel, String> {
+    text.parse().map_err(|fault: OptionError| fault.fault)
+}
+
 impl Options {
     fn train_options(&self) -> Result<TrainOptions, Failure> {
         let options = TrainOptions {
@@ -101,6 +115,7 @@ impl Options {
             seed: self.seed,
             background: self.background,
             model: self.model,
+            voxel: self.voxel,
             without: self.without.iter().copied().collect(),
             lambda: self.lambda,
             max_bytes: self.max_bytes,
@@ -159,7 +174,7 @@ fn checkpoints(args: &Args) -> Result<Checkpoints, Failure> {
 }
 
 /// The first interrupt asks the run to stop; the second, which finds the signal's old meaning gone, ends the process.
-fn cancel_on_interrupt(cancel: CancelFlag) {
+pub(super) fn cancel_on_interrupt(cancel: CancelFlag) {
     let watch = move || {
         let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_io().build() else { return };
         if runtime.block_on(tokio::signal::ctrl_c()).is_err() {

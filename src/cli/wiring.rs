@@ -11,16 +11,17 @@ use std::{
 };
 
 use tcgs::{
-    codec::{self, DecodeError, DecodeLimits, EncodeError, EncodeSettings, Encoded},
+    codec::{self, EncodeError, EncodeSettings, Encoded},
     domain::{
-        AnchorScene, Background, ByteCounts, Camera, Dataset, Digest, Image, MemoryLimits, Problem, Scores,
+        AnchorScene, Background, Camera, Dataset, Digest, Image, MemoryLimits, Problem, Scene, Scores, Split,
     },
-    eval::{Lpips, mean_scores_with, score_view},
+    eval::{Lpips, band_errors, mean_scores_with, score_view},
+    export::anchors,
     gpu::AdapterChoice,
     ingest::{self, Room},
     render::{RenderViews, SceneViewer, views::Viewable},
     train::{CheckpointError, CheckpointFolder},
-    worker::{pipeline::Pipeline, run::RunJob},
+    worker::{pipeline::Pipeline, run::RunJob, scene_file},
 };
 
 pub(crate) use service::{ServeOptions, WorkerOptions, serve, worker};
@@ -34,15 +35,7 @@ pub(crate) const SCALING_STEP: f32 = 0.05;
 /// Quantisation step of offsets where a user gives none (the published one).
 pub(crate) const OFFSET_STEP: f32 = 0.2;
 
-/// What a file decodes to.
-#[derive(Debug)]
-pub(crate) struct Decoded {
-    pub(crate) scene: AnchorScene,
-    pub(crate) background: Background,
-    pub(crate) decode_sha256: Digest,
-    /// Digest of the dataset that it was trained on, if the file states it.
-    pub(crate) dataset: Option<Digest>,
-}
+pub(crate) use scene_file::SceneFile;
 
 /// What is known of a file without decoding its attributes.
 #[derive(Debug)]
@@ -51,8 +44,6 @@ pub(crate) struct Inspection {
     pub(crate) json: serde_json::Value,
     /// The same as a table.
     pub(crate) text: String,
-    /// Bytes by kind.
-    pub(crate) bytes: ByteCounts,
 }
 
 /// Reads a dataset; half of the memory that is there holds photographs.
@@ -67,6 +58,25 @@ pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
     })
 }
 
+/// Checks a dataset without reading its pixels.
+pub(crate) fn check_dataset(path: &Path) -> Result<(), Problem> {
+    ingest::check(path).map(drop)
+}
+
+/// The mean over held-out views of the error in the high wavelet bands, or none without such views.
+pub(crate) fn high_band_error(
+    renderer: &Renderer,
+    dataset: &Dataset,
+    background: Background,
+) -> Result<Option<f64>, Problem> {
+    let mut errors = Vec::new();
+    for frame in dataset.split(Split::Test) {
+        let photograph = frame.image.load()?.over(background.rgb8());
+        errors.extend(band_errors(&renderer.view(&frame.camera)?, &photograph).map(|error| error.high));
+    }
+    Ok((!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64))
+}
+
 /// Encodes a scene.
 pub(crate) fn encode(scene: &AnchorScene, settings: &EncodeSettings) -> Result<Encoded, Problem> {
     codec::encode(scene, settings).map_err(|fault| match fault {
@@ -77,27 +87,36 @@ pub(crate) fn encode(scene: &AnchorScene, settings: &EncodeSettings) -> Result<E
     })
 }
 
-/// Decodes a file.
-pub(crate) fn decode(bytes: &[u8]) -> Result<Decoded, Problem> {
-    let decoded = codec::decode(bytes, &DecodeLimits::default()).map_err(|fault| not_a_file(&fault))?;
-    Ok(Decoded {
-        scene: decoded.scene,
-        background: decoded.manifest.background,
-        decode_sha256: decoded.decode_sha256,
-        dataset: decoded.manifest.provenance.dataset,
-    })
+/// Reads a finished scene of any kind of file.
+pub(crate) fn read(bytes: &[u8]) -> Result<SceneFile, Problem> {
+    scene_file::read(bytes)
 }
 
-/// Accounts for every byte of a file.
+/// The bytes of a safetensors file with the anchors of `file`.
+pub(crate) fn tensors(file: &SceneFile) -> Result<Vec<u8>, Problem> {
+    match &file.scene {
+        Scene::Anchors(scene) => scene_file::write_anchors(scene, file.background, file.dataset),
+        Scene::Gaussians(_) => Err(scene_file::undecodable(
+            "a .ply of plain Gaussians has no anchors to decode; its values are floats already",
+        )),
+    }
+}
+
+/// The anchors in a safetensors file.
+pub(crate) fn anchors(bytes: &[u8]) -> Result<anchors::AnchorFile, Problem> {
+    anchors::read(bytes)
+        .map_err(|fault| Problem::new(422, "not-a-scene", "The input is not a scene", fault.to_string()))
+}
+
+/// Accounts for every byte of a `.tcgs` file.
 pub(crate) fn inspect(bytes: &[u8]) -> Result<Inspection, Problem> {
-    let inspection = codec::inspect(bytes).map_err(|fault| not_a_file(&fault))?;
-    let json = serde_json::to_value(&inspection)
-        .map_err(|fault| Problem::new(500, "internal", "Internal error", fault.to_string()))?;
-    Ok(Inspection { json, text: inspection.to_string(), bytes: inspection.byte_counts })
+    let inspection = codec::inspect(bytes).map_err(|fault| scene_file::undecodable(&fault.to_string()))?;
+    Ok(Inspection { json: json(&inspection)?, text: inspection.to_string() })
 }
 
-fn not_a_file(fault: &DecodeError) -> Problem {
-    Problem::new(422, "undecodable", "The file cannot be decoded", fault.to_string())
+fn json(value: &impl serde::Serialize) -> Result<serde_json::Value, Problem> {
+    serde_json::to_value(value)
+        .map_err(|fault| Problem::new(500, "internal", "Internal error", fault.to_string()))
 }
 
 /// The training pipeline, within `memory`, which also measures LPIPS if there are weights for it; `spill` is the folder of
@@ -145,12 +164,12 @@ pub(crate) struct Renderer {
 }
 
 impl Renderer {
-    /// Opens the adapter for the scene of a decoded file.
-    pub(crate) fn open(decoded: Decoded, adapter: &AdapterChoice) -> Result<Self, Problem> {
+    /// Opens the adapter for the scene of a file.
+    pub(crate) fn open(file: SceneFile, adapter: &AdapterChoice) -> Result<Self, Problem> {
         let (views, adapter) = views(adapter)?;
-        let viewable = Viewable { scene: decoded.scene, background: decoded.background };
+        let viewable = Viewable { scene: file.scene, background: file.background };
         // The hash of what was decoded tells scenes apart as well as the hash of a file would.
-        Ok(Self { adapter, views, key: decoded.decode_sha256, viewable })
+        Ok(Self { adapter, views, key: file.decode_sha256, viewable })
     }
 
     /// The view from `camera`, over the background that the scene was trained on.

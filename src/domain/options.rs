@@ -130,6 +130,47 @@ named_choice! {
     }
 }
 
+/// How large a cell of the anchors' lattice is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Voxel {
+    /// A fraction of the points' spacing: right whatever the unit of the scene.
+    #[default]
+    Auto,
+    /// As the published code chooses it: a squared distance taken for a length (method.md §1.2).
+    Published,
+    /// So many world units.
+    #[serde(untagged)]
+    Edge(f64),
+}
+
+impl fmt::Display for Voxel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Voxel::Auto => f.write_str("auto"),
+            Voxel::Published => f.write_str("published"),
+            Voxel::Edge(edge) => edge.fmt(f),
+        }
+    }
+}
+
+impl FromStr for Voxel {
+    type Err = OptionError;
+
+    fn from_str(text: &str) -> Result<Self, OptionError> {
+        match text {
+            "auto" => Ok(Voxel::Auto),
+            "published" => Ok(Voxel::Published),
+            _ => text.parse().map(Voxel::Edge).map_err(|_| {
+                OptionError::new(
+                    "voxel",
+                    format!("'{text}' is not auto, published or a length in world units"),
+                )
+            }),
+        }
+    }
+}
+
 /// Everything that decides a training run besides the dataset and the adapter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -144,6 +185,8 @@ pub struct TrainOptions {
     pub background: Background,
     /// What is trained.
     pub model: ModelKind,
+    /// How large a cell of the anchors' lattice is.
+    pub voxel: Voxel,
     /// Parts of the method that are off.
     pub without: BTreeSet<Component>,
     /// Weight of the rate term; the preset's own if absent.
@@ -160,6 +203,7 @@ impl Default for TrainOptions {
             seed: 0,
             background: Background::Black,
             model: ModelKind::Tcgs,
+            voxel: Voxel::Auto,
             without: BTreeSet::new(),
             lambda: None,
             max_bytes: None,
@@ -179,6 +223,7 @@ impl TrainOptions {
             "seed" => self.seed = number("seed", text)?,
             "background" => self.background = text.parse()?,
             "model" => self.model = text.parse()?,
+            "voxel" => self.voxel = text.parse()?,
             "without" => {
                 for name in text.split(',').filter(|name| !name.is_empty()) {
                     self.without.insert(name.parse()?);
@@ -210,11 +255,10 @@ impl TrainOptions {
                 format!("{iterations} is outside 1..={MAX_ITERATIONS}"),
             ));
         }
-        if self.model != ModelKind::Tcgs {
-            return Err(OptionError::new(
-                "model",
-                format!("'{}' is not available in this version", self.model),
-            ));
+        if let Voxel::Edge(edge) = self.voxel
+            && !(edge.is_finite() && edge > 0.0 && (edge as f32).is_normal())
+        {
+            return Err(OptionError::new("voxel", format!("{edge} is not a positive length")));
         }
         if let Some(part) = self.without.iter().find(|part| !SWITCHES.contains(part)) {
             return Err(OptionError::new(
@@ -268,9 +312,31 @@ mod tests {
     }
 
     #[test]
+    fn a_voxel_is_a_rule_or_a_length_in_every_form() {
+        for (text, voxel, json) in [
+            ("auto", Voxel::Auto, "\"auto\""),
+            ("published", Voxel::Published, "\"published\""),
+            ("0.025", Voxel::Edge(0.025), "0.025"),
+        ] {
+            assert_eq!(text.parse(), Ok(voxel));
+            assert_eq!(voxel.to_string(), text);
+            assert_eq!(serde_json::to_string(&voxel).expect("JSON"), json);
+            assert_eq!(serde_json::from_str::<Voxel>(json).expect("a voxel"), voxel);
+            let options = TrainOptions { voxel, ..TrainOptions::default() };
+            assert_eq!(options.clone().validated(), Ok(options));
+        }
+        for text in ["", "small", "0,1"] {
+            assert_eq!(text.parse::<Voxel>().expect_err(text).option, "voxel");
+        }
+        for edge in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e-300, 1e300] {
+            let options = TrainOptions { voxel: Voxel::Edge(edge), ..TrainOptions::default() };
+            assert_eq!(options.validated().expect_err("no length").option, "voxel", "{edge}");
+        }
+    }
+
+    #[test]
     fn what_this_version_cannot_do_is_refused_not_ignored() {
-        for (name, value) in [("model", "3dgs"), ("without", "knn"), ("max_bytes", "1000"), ("lambda", "0.1")]
-        {
+        for (name, value) in [("without", "knn"), ("max_bytes", "1000"), ("lambda", "0.1")] {
             let mut options = TrainOptions::default();
             options.set(name, value).expect("parses");
             assert_eq!(options.validated().expect_err(name).option, name);

@@ -1,5 +1,10 @@
-//! Scenes in the file formats of other programs.
+//! Scenes in open formats of floats: anchors with their networks as safetensors, plain Gaussians as the field's `.ply`.
+//!
+//! What is written is read back bit for bit; bytes are never trusted, and what is no scene is refused with its fault.
 
+pub mod anchors;
 mod ply;
+mod ply_note;
 
 pub use ply::{PlyError, from_ply, ply_bytes, to_ply};
+pub use ply_note::PlyNote;

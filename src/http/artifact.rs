@@ -15,17 +15,14 @@ use super::{
     state::AppState,
 };
 use crate::{
-    domain::Digest,
-    store::{ArtifactKind, BlobRef, JobRecord},
+    domain::{Digest, SceneFormat},
+    store::{BlobRef, JobRecord},
 };
 
-/// The media type of a `.tcgs` file.
-pub(super) const MEDIA_TYPE: &str = "application/vnd.tcgs";
-
-/// The job's file, or 409.
-pub(super) fn file_of(record: &JobRecord) -> Result<BlobRef, Fault> {
+/// The job's file and its kind, or 409.
+pub(super) fn file_of(record: &JobRecord) -> Result<(SceneFormat, BlobRef), Fault> {
     let fault = || Fault::no_file_yet(record.job.id, record.job.state.name());
-    record.artifact(ArtifactKind::Tcgs).ok_or_else(fault)
+    record.scene().ok_or_else(fault)
 }
 
 /// `GET` and `HEAD /v1/jobs/{id}/artifact`.
@@ -35,7 +32,7 @@ pub(super) async fn get(
     request: HeaderMap,
 ) -> Result<Response, Fault> {
     let record = find(&state, &id).await?;
-    let file = file_of(&record)?;
+    let (format, file) = file_of(&record)?;
     let etag = Etag::new(file.digest);
     if etag.is_in_if_none_match(&request) {
         return Ok(not_modified(&etag));
@@ -53,7 +50,7 @@ pub(super) async fn get(
     };
     let mut response = (status, body).into_response();
     let headers = response.headers_mut();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE));
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
     headers.insert(header::CONTENT_LENGTH, HeaderValue::from(part.end - part.start));
     headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
     headers.insert(header::ETAG, etag.value());
@@ -61,8 +58,9 @@ pub(super) async fn get(
     let mut text = |name: &'static str, value: String| {
         HeaderValue::try_from(value).map(|value| headers.insert(name, value))
     };
-    let named = text("content-disposition", format!("attachment; filename=\"{}.tcgs\"", record.job.id))
-        .and(text("repr-digest", format!("sha-256=:{}:", base64(&file.digest))));
+    let named =
+        text("content-disposition", format!("attachment; filename=\"{}.{}\"", record.job.id, format.name()))
+            .and(text("repr-digest", format!("sha-256=:{}:", base64(&file.digest))));
     named.map_err(|error| Fault::internal(&error))?;
     if status == StatusCode::PARTIAL_CONTENT {
         let value = format!("bytes {}-{}/{}", part.start, part.end - 1, file.bytes);

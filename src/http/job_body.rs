@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use crate::{
     domain::{Digest, JobId, JobMetrics, JobState, Phase, Problem, Progress, TrainOptions},
-    store::{ArtifactKind, JobRecord},
+    store::JobRecord,
 };
 
 /// `#/components/schemas/Job` of the contract.
@@ -60,7 +60,7 @@ pub(super) fn href(id: JobId) -> String {
 
 impl From<JobRecord> for JobBody {
     fn from(record: JobRecord) -> Self {
-        let file = record.artifact(ArtifactKind::Tcgs);
+        let file = record.scene();
         let job = record.job;
         let this = href(job.id);
         let artifact = format!("{this}/artifact");
@@ -71,8 +71,8 @@ impl From<JobRecord> for JobBody {
             progress: job.progress,
             metrics: job.metrics,
             artifacts: file
-                .map(|file| ArtifactBody {
-                    kind: ArtifactKind::Tcgs.name(),
+                .map(|(format, file)| ArtifactBody {
+                    kind: format.name(),
                     bytes: file.bytes,
                     sha256: file.digest,
                     href: artifact.clone(),

@@ -15,7 +15,7 @@ use crate::{
 /// Looks over a dataset archive before a job is made of it; blocks.
 pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<(), Problem> + Send + Sync>;
 
-/// Decodes a `.tcgs` file; blocks.
+/// Reads a finished scene's file; blocks.
 pub type SceneLoader = Arc<dyn Fn(&[u8]) -> Result<Viewable, Problem> + Send + Sync>;
 
 /// Tells how many worker processes there should be and how many live.

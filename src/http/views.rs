@@ -84,7 +84,7 @@ async fn render(
     specs: Vec<CameraSpec>,
     format: Format,
 ) -> Result<Vec<Bytes>, Fault> {
-    let file = file_of(record)?;
+    let (_, file) = file_of(record)?;
     let named = if specs.iter().any(CameraSpec::needs_cameras) {
         dataset_cameras(state, record).await?
     } else {

@@ -14,8 +14,31 @@ pub const MAX_CELL: i32 = (1 << 20) - 1;
 pub enum VoxelRule {
     /// This fraction of the median distance between neighbouring points: a length, whatever the unit of the scene.
     OfSpacing(f32),
+    /// The median of the mean squared distance to the three nearest points, taken for a length as the published code
+    /// does (method.md §1.2).
+    Published,
     /// A fixed edge in world units.
     Fixed(f32),
+}
+
+/// Cells along a scene's extent where its points are too few or too much alike to have a spacing.
+const CELLS_WITHOUT_SPACING: f32 = 256.0;
+
+impl VoxelRule {
+    /// The rule's edge for a set of points, fixed; by the `extent` of the scene where the points tell no distance.
+    #[must_use]
+    pub fn for_points(self, points: &[[f32; 3]], extent: f32) -> Self {
+        let edge = self.edge(points);
+        Self::Fixed(if edge.is_normal() && edge > 0.0 { edge } else { extent / CELLS_WITHOUT_SPACING })
+    }
+
+    fn edge(self, points: &[[f32; 3]]) -> f32 {
+        match self {
+            VoxelRule::OfSpacing(fraction) => fraction * median_spacing(points),
+            VoxelRule::Published => median_squared_distance(points),
+            VoxelRule::Fixed(edge) => edge,
+        }
+    }
 }
 
 /// Root of the mean squared distance to the three nearest other points, for each point (0 with fewer than 2 points).
@@ -48,6 +71,14 @@ pub fn median_spacing(points: &[[f32; 3]]) -> f32 {
     distances.get(distances.len() / 2).copied().unwrap_or(0.0)
 }
 
+/// The n/2-th smallest of the mean squared distances to the three nearest other points.
+fn median_squared_distance(points: &[[f32; 3]]) -> f32 {
+    let mut squares: Vec<f32> = neighbour_distances(points).into_iter().map(|d| d * d).collect();
+    squares.sort_by(f32::total_cmp);
+    // The n-th smallest counts from one.
+    squares.get((squares.len() / 2).saturating_sub(1)).copied().unwrap_or(0.0)
+}
+
 /// The lattice for a set of points. The origin is the middle of their box, so that cells stay small.
 #[must_use]
 pub fn choose_lattice(points: &[[f32; 3]], rule: VoxelRule) -> Lattice {
@@ -60,10 +91,7 @@ pub fn choose_lattice(points: &[[f32; 3]], rule: VoxelRule) -> Lattice {
         }
     }
     let extent = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0_f32, f32::max);
-    let voxel = match rule {
-        VoxelRule::OfSpacing(fraction) => fraction * median_spacing(points),
-        VoxelRule::Fixed(edge) => edge,
-    };
+    let voxel = rule.edge(points);
     // Growth may leave the box of the points by half of it on each side and must still fit the coder.
     let voxel = voxel.max(extent / MAX_CELL as f32).max(f32::MIN_POSITIVE * 1e6);
     Lattice { voxel, origin: std::array::from_fn(|axis| 0.5 * (low[axis] + high[axis])) }
@@ -102,6 +130,30 @@ mod tests {
         assert!((median_spacing(&grid) - 1.0).abs() < 1e-6);
         let millimetres: Vec<[f32; 3]> = grid.iter().map(|p| p.map(|v| v * 1000.0)).collect();
         assert!((median_spacing(&millimetres) - 1000.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn the_published_rule_is_a_median_of_squared_distances() {
+        let spaced = |step: f32| -> Vec<[f32; 3]> { (0..100).map(|i| [i as f32 * step, 0.0, 0.0]).collect() };
+        // Inner points of a line have neighbours at one, one and two steps.
+        for (step, edge) in [(1.0, 2.0), (0.1, 0.02), (10.0, 200.0)] {
+            let VoxelRule::Fixed(found) = VoxelRule::Published.for_points(&spaced(step), 1.0) else {
+                panic!("the rule is not fixed")
+            };
+            assert!((found / edge - 1.0).abs() < 1e-4, "{found} for steps of {step}");
+        }
+    }
+
+    #[test]
+    fn points_without_distances_make_cells_of_the_scenes_size() {
+        for points in [vec![[1.0, 2.0, 3.0]], vec![[0.5; 3]; 7]] {
+            for rule in [VoxelRule::OfSpacing(1.0 / 16.0), VoxelRule::Published] {
+                let rule = rule.for_points(&points, 12.8);
+                let lattice = choose_lattice(&points, rule);
+                assert!((lattice.voxel - 0.05).abs() < 1e-6, "{lattice:?}");
+            }
+        }
+        assert_eq!(VoxelRule::Fixed(0.3).for_points(&[[0.0; 3]], 1.0), VoxelRule::Fixed(0.3));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use crate::domain::{AnchorScene, Lattice, RenderNetworks};
 /// Widths of the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shape {
-    /// Feature width F, a multiple of 4.
+    /// Feature width F.
     pub features: usize,
     /// Offsets K an anchor, at most 32.
     pub offsets: usize,
@@ -27,8 +27,8 @@ impl Shape {
     /// Which width is out of range.
     pub fn check(&self) -> Result<(), String> {
         let Self { features, offsets } = *self;
-        if features == 0 || !features.is_multiple_of(4) {
-            return Err(format!("{features} feature channels are not a positive multiple of 4"));
+        if features == 0 {
+            return Err("a feature has no channels".to_owned());
         }
         if !(1..=Self::MAX_OFFSETS).contains(&offsets) {
             return Err(format!("{offsets} offsets an anchor are not 1 to {}", Self::MAX_OFFSETS));

@@ -309,7 +309,7 @@ impl NeuralGaussians {
 
     /// The visible anchors of the last forward pass: how many, then their indices, ascending.
     #[must_use]
-    pub fn visible(&self) -> &Buffer<u32> {
+    pub fn visible_list(&self) -> &Buffer<u32> {
         &self.forward.list
     }
 

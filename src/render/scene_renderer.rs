@@ -3,11 +3,12 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::{
-    DeviceAnchors, DeviceRows, Gaussians, NeuralGaussians, PlainGaussians, RasterSettings, Rasterizer,
-    RenderError, RenderViews, views::Viewable,
+    DeviceAnchors, Gaussians, NeuralGaussians, RasterSettings, Rasterizer, RenderError, RenderViews,
+    plain::{DeviceRows, PlainGaussians},
+    views::Viewable,
 };
 use crate::{
-    domain::{AnchorScene, Background, Camera, Digest, GaussianScene, Image, Problem},
+    domain::{AnchorScene, Background, Camera, Digest, GaussianScene, Image, Problem, Scene},
     gpu::{AdapterChoice, Context, GpuError, Recorder},
     model::{AnchorRows, GaussianRows, NetworkLayout, Shape},
 };
@@ -27,19 +28,19 @@ pub struct SceneRenderer {
 /// What a view's Gaussians are made from.
 #[derive(Debug)]
 enum Source {
-    Anchors(DeviceAnchors, Box<NeuralGaussians>),
-    Gaussians(DeviceRows, Box<PlainGaussians>),
+    Anchors { anchors: DeviceAnchors, neural: Box<NeuralGaussians> },
+    Gaussians { rows: DeviceRows, plain: Box<PlainGaussians> },
 }
 
 impl Source {
-    /// Records the Gaussians that `camera` sees.
-    fn record(&mut self, recorder: &mut Recorder<'_>, camera: &Camera) -> Result<&Gaussians, RenderError> {
+    /// Records the making of the Gaussians that `camera` sees.
+    fn forward(&mut self, recorder: &mut Recorder<'_>, camera: &Camera) -> Result<&Gaussians, RenderError> {
         match self {
-            Source::Anchors(anchors, neural) => {
+            Source::Anchors { anchors, neural } => {
                 neural.forward(recorder, anchors, camera, 0.0)?;
                 Ok(neural.gaussians())
             }
-            Source::Gaussians(rows, plain) => {
+            Source::Gaussians { rows, plain } => {
                 plain.forward(recorder, rows, camera)?;
                 Ok(plain.gaussians())
             }
@@ -48,10 +49,25 @@ impl Source {
 }
 
 impl SceneRenderer {
-    /// Uploads a scene of anchors.
+    /// Uploads a scene of either kind.
     ///
     /// # Errors
     /// [`RenderError::Scene`] for widths or networks that this renderer does not know; faults of the device.
+    pub fn of_scene(
+        context: &Arc<Context>,
+        scene: &Scene,
+        background: Background,
+    ) -> Result<Self, RenderError> {
+        match scene {
+            Scene::Anchors(scene) => Self::new(context, scene, background),
+            Scene::Gaussians(scene) => Self::of_gaussians(context, scene, background),
+        }
+    }
+
+    /// Uploads a scene of anchors.
+    ///
+    /// # Errors
+    /// As [`SceneRenderer::of_scene`].
     pub fn new(
         context: &Arc<Context>,
         scene: &AnchorScene,
@@ -59,11 +75,11 @@ impl SceneRenderer {
     ) -> Result<Self, RenderError> {
         let anchors = upload(context, scene)?;
         let near = RasterSettings::default().near;
-        let neural = NeuralGaussians::new(Arc::clone(context), anchors.shape, near)?;
-        Self::of(context, Source::Anchors(anchors, Box::new(neural)), background)
+        let neural = Box::new(NeuralGaussians::new(Arc::clone(context), anchors.shape, near)?);
+        Self::of_source(context, Source::Anchors { anchors, neural }, background)
     }
 
-    /// Uploads a scene of plain Gaussians.
+    /// Uploads plain Gaussians.
     ///
     /// # Errors
     /// [`RenderError::Scene`] for a scene whose parts do not fit together; faults of the device.
@@ -73,29 +89,35 @@ impl SceneRenderer {
         background: Background,
     ) -> Result<Self, RenderError> {
         scene.check().map_err(|fault| RenderError::Scene(fault.to_string()))?;
-        let rows = DeviceRows::upload(context, &GaussianRows::from_scene(scene))?;
         let mut plain = PlainGaussians::new(Arc::clone(context), RasterSettings::default().near)?;
         plain.set_degree(u32::from(scene.degree))?;
-        Self::of(context, Source::Gaussians(rows, Box::new(plain)), background)
+        let rows = DeviceRows::upload(context, &GaussianRows::from_scene(scene))?;
+        Self::of_source(context, Source::Gaussians { rows, plain: Box::new(plain) }, background)
     }
 
-    fn of(context: &Arc<Context>, source: Source, background: Background) -> Result<Self, RenderError> {
+    fn of_source(
+        context: &Arc<Context>,
+        source: Source,
+        background: Background,
+    ) -> Result<Self, RenderError> {
         let raster = Rasterizer::new(Arc::clone(context), RasterSettings::default())?;
-        Ok(Self { context: Arc::clone(context), source, raster, background })
+        Ok(Self { source, raster, background, context: Arc::clone(context) })
     }
 
-    /// Shows another scene of anchors of the same shape from now on; the buffers of rendering are kept.
+    /// Shows another scene of the same shape from now on; the buffers of rendering are kept.
     ///
     /// # Errors
     /// [`RenderError::Scene`] for networks that this renderer does not know or another shape; faults of the device.
     pub fn replace(&mut self, scene: &AnchorScene) -> Result<(), RenderError> {
-        let anchors = upload(&self.context, scene)?;
+        let next = upload(&self.context, scene)?;
         match &mut self.source {
-            Source::Anchors(shown, _) if shown.shape == anchors.shape => {
-                *shown = anchors;
+            Source::Anchors { anchors, .. } if anchors.shape == next.shape => {
+                *anchors = next;
                 Ok(())
             }
-            _ => Err(RenderError::Scene("its widths are not those of the scene before it".to_owned())),
+            Source::Anchors { .. } | Source::Gaussians { .. } => {
+                Err(RenderError::Scene("its widths are not those of the scene before it".to_owned()))
+            }
         }
     }
 
@@ -107,7 +129,7 @@ impl SceneRenderer {
         let context = Arc::clone(&self.context);
         loop {
             let mut recorder = context.recorder("view");
-            let gaussians = self.source.record(&mut recorder, camera)?;
+            let gaussians = self.source.forward(&mut recorder, camera)?;
             self.raster.forward(&mut recorder, gaussians, camera, self.background.rgb())?;
             recorder.submit()?;
             let counts = self.raster.counts()?;
@@ -214,7 +236,7 @@ impl ViewerState {
             Some(index) => self.kept.remove(index),
             None => {
                 let viewable = load()?;
-                (artifact, SceneRenderer::new(&self.context, &viewable.scene, viewable.background)?)
+                (artifact, SceneRenderer::of_scene(&self.context, &viewable.scene, viewable.background)?)
             }
         };
         let image = renderer.render(camera)?;

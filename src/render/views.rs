@@ -1,12 +1,12 @@
 //! Rendering of finished scenes by camera, as the HTTP layer and the command line ask for it.
 
-use crate::domain::{AnchorScene, Background, Camera, Digest, Image, Problem};
+use crate::domain::{Background, Camera, Digest, Image, Problem, Scene};
 
 /// A scene with the background that it was trained on.
 #[derive(Debug, Clone)]
 pub struct Viewable {
     /// The decoded scene.
-    pub scene: AnchorScene,
+    pub scene: Scene,
     /// What is behind it.
     pub background: Background,
 }

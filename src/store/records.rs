@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use crate::domain::{Digest, Job, JobId, JobMetrics, Problem, TrainOptions};
+use crate::domain::{Digest, Job, JobId, JobMetrics, Problem, SceneFormat, TrainOptions};
 
 /// A published blob.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,10 +31,11 @@ pub struct NewJob {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ArtifactKind {
-    /// The compressed scene.
-    Tcgs,
     /// The dataset's cameras as JSON, for views by frame name.
     Cameras,
+    /// The finished scene.
+    #[serde(untagged)]
+    Scene(SceneFormat),
 }
 
 impl ArtifactKind {
@@ -42,8 +43,8 @@ impl ArtifactKind {
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
-            ArtifactKind::Tcgs => "tcgs",
             ArtifactKind::Cameras => "cameras",
+            ArtifactKind::Scene(format) => format.name(),
         }
     }
 }
@@ -73,6 +74,15 @@ impl JobRecord {
     #[must_use]
     pub fn artifact(&self, kind: ArtifactKind) -> Option<BlobRef> {
         self.artifacts.iter().find(|artifact| artifact.kind == kind).map(|artifact| artifact.blob)
+    }
+
+    /// The finished scene's file and its kind.
+    #[must_use]
+    pub fn scene(&self) -> Option<(SceneFormat, BlobRef)> {
+        self.artifacts.iter().find_map(|artifact| match artifact.kind {
+            ArtifactKind::Scene(format) => Some((format, artifact.blob)),
+            ArtifactKind::Cameras => None,
+        })
     }
 }
 

@@ -15,7 +15,7 @@ use super::{
 use crate::{
     domain::{Camera, CancelFlag, Frame, Lattice, Scene},
     gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
-    model::{AnchorRows, MAX_CELL, NetworkLayout, Shape, VoxelRule, initial_rows},
+    model::{AnchorRows, MAX_CELL, NetworkLayout, Shape, initial_rows},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, RasterSettings},
 };
 
@@ -67,7 +67,7 @@ impl AnchorLearner {
         rng: &mut Pcg64,
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
-        let rule = VoxelRule::OfSpacing(1.0 / COARSEST_GROWTH as f32);
+        let rule = schedule.voxel.for_points(points, extent);
         // Growth needs room above what the points begin with.
         let anchors = initial_rows(points, rule, shape, schedule.max_anchors / 2)?;
         let networks = NetworkLayout::new(shape).initial(rng);
@@ -400,7 +400,9 @@ impl Learner for AnchorLearner {
         self.anchors.values = self.context.read(&self.device.rows)?;
         self.anchors.masks = self.context.read(&self.device.masks)?;
         let networks = self.context.read(&self.device.networks)?;
-        drop_unused(&self.context, &mut self.neural, &self.device, &mut self.anchors, frames, cancel)?;
+        if self.schedule.drops_unused {
+            drop_unused(&self.context, &mut self.neural, &self.device, &mut self.anchors, frames, cancel)?;
+        }
         if self.anchors.is_empty() {
             return Err(TrainError::NothingLeft { step: self.schedule.steps });
         }

@@ -125,7 +125,7 @@ impl OffsetMasks {
         recorder.dispatch(
             &self.kernels.mask_gradient,
             &[
-                neural.visible().as_ref(),
+                neural.visible_list().as_ref(),
                 neural.gaussians().means_opacity.as_ref(),
                 d_opacities.as_ref(),
                 self.logits.as_ref(),

@@ -291,7 +291,9 @@ async fn publish(context: &Context, lease: &Lease, output: JobOutput) -> Outcome
         }
     };
     let mut artifacts = Vec::new();
-    for (kind, content) in [(ArtifactKind::Tcgs, output.file), (ArtifactKind::Cameras, cameras)] {
+    for (kind, content) in
+        [(ArtifactKind::Scene(output.format), output.file), (ArtifactKind::Cameras, cameras)]
+    {
         match context.blobs.put(Bytes::from(content)).await {
             Ok(blob) => artifacts.push(Artifact { kind, blob }),
             Err(error) => return Outcome::Retry(blob_problem(&error)),

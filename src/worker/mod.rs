@@ -13,6 +13,7 @@ mod checkpoints;
 mod claim;
 pub mod pipeline;
 pub mod run;
+pub mod scene_file;
 mod steps;
 pub mod supervise;
 

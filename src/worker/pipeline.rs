@@ -1,6 +1,7 @@
-//! One job from dataset to measured file: ingest, train, choose steps, encode, decode, evaluate.
+//! One job from dataset to measured file: ingest, train, write, read back, evaluate.
 //!
-//! The figures that are reported are those of the file as decoded from its own bytes.
+//! The kind of file follows the model: `tcgs` is quantised and coded, the baselines are written as floats. The figures
+//! that are reported are those of the file as read from its own bytes.
 
 use std::{
     path::{Path, PathBuf},
@@ -10,13 +11,15 @@ use std::{
 
 use super::{
     run::{Checkpoints, JobFailure, JobOutput, Resume, RunJob},
+    scene_file::{self, SceneFile},
     steps::choose_steps,
 };
 use crate::{
-    codec::{self, DecodeLimits, EncodeSettings, Provenance},
+    codec::{self, EncodeSettings, Provenance},
     domain::{
         AnchorScene, CancelFlag, Conventions, Dataset, Frame, JobMetrics, MemoryBudget, MemoryLimits,
-        NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, Scores, Split, SystemClock, TrainOptions,
+        ModelKind, NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, Scores, Split, SystemClock,
+        TrainOptions,
     },
     eval::{Lpips, mean_scores_with, measure_views_with},
     gpu::{AdapterChoice, Context, GpuError},
@@ -117,22 +120,19 @@ impl RunJob for Pipeline {
         seconds.train = trained.seconds;
         // What training told of the time left says nothing about what follows it.
         progress.eta_seconds = None;
-        let Scene::Anchors(scene) = trained.scene else {
-            return Err(JobFailure::Fail(internal("a model without anchors cannot be encoded")));
-        };
         let lpips = self.lpips.as_ref();
         let mut job = Job { context, dataset: &dataset, options, cancel, lpips, seconds };
         tell(Phase::Encode, &mut progress);
-        let (file, decoded) = job.write(&scene, &mut || tell(Phase::Encode, &mut progress))?;
+        let (bytes, file) = job.write(&trained.scene, &mut || tell(Phase::Encode, &mut progress))?;
         tell(Phase::Evaluate, &mut progress);
-        let metrics = job
-            .measure(trained.steps, &scene, &file, &decoded, &mut || tell(Phase::Evaluate, &mut progress))?;
+        let metrics =
+            job.measure(trained.steps, &trained.scene, &file, &mut || tell(Phase::Evaluate, &mut progress))?;
         let cameras = dataset
             .frames
             .iter()
             .map(|frame| NamedCamera { name: frame.name.clone(), split: frame.split, camera: frame.camera })
             .collect();
-        Ok(JobOutput { file: file.bytes, metrics, cameras })
+        Ok(JobOutput { file: bytes, format: file.format, metrics, cameras })
     }
 }
 
@@ -190,12 +190,27 @@ struct Job<'a> {
 
 impl Job<'_> {
     /// Writes the file and reads it back.
-    fn write(
-        &mut self,
-        scene: &AnchorScene,
-        alive: &mut dyn FnMut(),
-    ) -> Result<(codec::Encoded, AnchorScene), JobFailure> {
+    fn write(&mut self, scene: &Scene, alive: &mut dyn FnMut()) -> Result<(Vec<u8>, SceneFile), JobFailure> {
         let began = Instant::now();
+        let bytes = match (scene, self.options.model) {
+            (Scene::Anchors(scene), ModelKind::Scaffold) => {
+                scene_file::write_anchors(scene, self.options.background, Some(self.dataset.digest))
+                    .map_err(JobFailure::Fail)?
+            }
+            (Scene::Anchors(scene), _) => self.encode(scene, alive)?,
+            (Scene::Gaussians(scene), _) => {
+                scene_file::write_gaussians(scene, self.options.background, Some(self.dataset.digest))
+            }
+        };
+        self.seconds.encode = began.elapsed().as_secs_f64();
+        let began = Instant::now();
+        let file = scene_file::read(&bytes).map_err(|fault| JobFailure::Fail(internal(&fault.detail)))?;
+        self.seconds.decode = began.elapsed().as_secs_f64();
+        Ok((bytes, file))
+    }
+
+    /// Chooses how finely to quantise, and codes.
+    fn encode(&self, scene: &AnchorScene, alive: &mut dyn FnMut()) -> Result<Vec<u8>, JobFailure> {
         let background = self.options.background;
         let views = spread(self.dataset.split(Split::Train).collect(), 4);
         let steps = choose_steps(&self.context, scene, &views, background, &mut || {
@@ -220,35 +235,35 @@ impl Job<'_> {
         let encoded = codec::encode(scene, &settings).map_err(|fault| {
             JobFailure::Fail(Problem::new(422, "not-encodable", "Encoding failed", fault.to_string()))
         })?;
-        self.seconds.encode = began.elapsed().as_secs_f64();
-        let began = Instant::now();
-        let decoded = codec::decode(&encoded.bytes, &DecodeLimits::default())
-            .map_err(|fault| JobFailure::Fail(internal(&fault.to_string())))?;
-        self.seconds.decode = began.elapsed().as_secs_f64();
-        Ok((encoded, decoded.scene))
+        Ok(encoded.bytes)
     }
 
-    /// Measures the decoded scene, and the held-out views of the scene before it was quantised.
+    /// Measures the scene of the file, and the held-out views of the scene before it was quantised, if it was.
     fn measure(
         &self,
         steps: u32,
-        trained: &AnchorScene,
-        file: &codec::Encoded,
-        decoded: &AnchorScene,
+        trained: &Scene,
+        file: &SceneFile,
         alive: &mut dyn FnMut(),
     ) -> Result<JobMetrics, JobFailure> {
         let held_out: Vec<&Frame> = self.dataset.split(Split::Test).collect();
         let seen = spread(self.dataset.split(Split::Train).collect(), TRAIN_VIEWS_MEASURED);
+        let test = self.score(&file.scene, &held_out, self.lpips, alive)?;
+        let before = if *trained == file.scene {
+            test.psnr
+        } else {
+            self.score(trained, &held_out, None, alive)?.psnr
+        };
         Ok(JobMetrics {
-            test: self.score(decoded, &held_out, self.lpips, alive)?,
-            train: self.score(decoded, &seen, self.lpips, alive)?,
+            test,
+            train: self.score(&file.scene, &seen, self.lpips, alive)?,
             bytes: file.byte_counts.clone(),
             seconds: self.seconds.clone(),
             steps: u64::from(steps),
             steps_per_second: f64::from(steps) / self.seconds.train.max(1e-9),
-            anchors: decoded.len() as u64,
-            gaussians: decoded.gaussians() as u64,
-            psnr_before_quantisation: self.score(trained, &held_out, None, alive)?.psnr,
+            anchors: file.scene.anchors() as u64,
+            gaussians: file.scene.gaussians() as u64,
+            psnr_before_quantisation: before,
             decode_sha256: file.decode_sha256,
             adapter: self.context.adapter_line(),
             background: self.options.background,
@@ -258,13 +273,13 @@ impl Job<'_> {
 
     fn score(
         &self,
-        scene: &AnchorScene,
+        scene: &Scene,
         frames: &[&Frame],
         lpips: Option<&Lpips>,
         alive: &mut dyn FnMut(),
     ) -> Result<Scores, JobFailure> {
         let mut renderer =
-            SceneRenderer::new(&self.context, scene, self.options.background).map_err(from_render)?;
+            SceneRenderer::of_scene(&self.context, scene, self.options.background).map_err(from_render)?;
         let mut views = Vec::with_capacity(frames.len());
         for frame in frames {
             stop_if(self.cancel)?;

@@ -3,13 +3,15 @@
 use std::path::{Path, PathBuf};
 
 pub use crate::domain::NamedCamera;
-use crate::domain::{CancelFlag, JobMetrics, Phase, Problem, Progress, TrainOptions};
+use crate::domain::{CancelFlag, JobMetrics, Phase, Problem, Progress, SceneFormat, TrainOptions};
 
 /// What a finished job leaves behind.
 #[derive(Debug, Clone)]
 pub struct JobOutput {
-    /// The `.tcgs` file.
+    /// The finished file.
     pub file: Vec<u8>,
+    /// Its kind.
+    pub format: SceneFormat,
     /// Its figures.
     pub metrics: JobMetrics,
     /// The dataset's cameras.

@@ -546,7 +546,10 @@ fn a_run_reports_every_phase_and_figure_and_stops_when_asked() {
 fn a_viewer_opens_the_device_again_after_it_was_lost() {
     let file = &reference().file;
     let decoded = codec::decode(file, &DecodeLimits::default()).expect("decodes");
-    let viewable = Viewable { scene: decoded.scene, background: decoded.manifest.background };
+    let viewable = Viewable {
+        scene: tcgs::domain::Scene::Anchors(decoded.scene),
+        background: decoded.manifest.background,
+    };
     let pose = Pose::look_at(DVec3::new(3.0, -2.0, 2.0), DVec3::ZERO, DVec3::Z).expect("a view");
     let intrinsics = Intrinsics::from_horizontal_fov(0.9, 40, 30).expect("a camera");
     let camera = Camera::new(intrinsics, pose).expect("a camera");

@@ -116,6 +116,15 @@ async fn a_dataset_becomes_a_file_with_metrics_and_history(coverage: Coverage) {
     assert_eq!(states, ["queued", "running", "succeeded"]);
     assert!(events.iter().any(|event| event["data"]["phase"] == "publish"), "{events:#?}");
 
+    let baseline = server.upload("?model=scaffold", "succeed baseline").await.expect(201);
+    let path = baseline.header("location").to_owned();
+    let artifact = server.reaches(&path, "succeeded").await["artifacts"][0].clone();
+    assert_eq!(artifact["kind"], "safetensors");
+    let file = server.get(artifact["href"].as_str().expect("a path")).await.expect(200);
+    assert_eq!(file.header("content-type"), "application/octet-stream");
+    assert!(file.header("content-disposition").ends_with(".safetensors\""), "{:?}", file.headers);
+    server.get(&format!("{path}/view?frame=test/r_0")).await.expect(200);
+
     let failed = server.create("fail").await;
     let failed = server.reaches(&failed, "failed").await;
     assert_eq!(failed["error"]["type"], "urn:tcgs:problem:fake-fail");
@@ -178,7 +187,7 @@ async fn what_is_wrong_with_a_dataset_or_an_option_is_said_before_a_job_is_made(
         ("?iterations=0", "iterations"),
         ("?iterations=many", "iterations"),
         ("?colour=red", "colour"),
-        ("?model=3dgs", "model"),
+        ("?model=nerf", "model"),
         ("?max_bytes=1000", "max_bytes"),
     ] {
         let detail = server.upload(query, "succeed").await.expect_problem(422, "invalid-option");

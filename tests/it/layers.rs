@@ -19,7 +19,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("render", &["domain", "gpu", "model"]),
     ("eval", &["domain", "gpu", "model", "render"]),
     ("train", &["domain", "gpu", "model", "render", "eval"]),
-    ("worker", &["domain", "ingest", "gpu", "codec", "store", "model", "render", "eval", "train"]),
+    ("worker", &["domain", "ingest", "gpu", "codec", "export", "store", "model", "render", "eval", "train"]),
     ("http", &["domain", "codec", "store", "render"]),
 ];
 

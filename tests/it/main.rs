@@ -1,6 +1,7 @@
 //! All integration tests in one binary: one link, one GPU context per process.
 
 mod adam;
+mod baselines;
 mod checkpoint;
 mod cli;
 mod codec;
@@ -21,6 +22,7 @@ mod raster_oracles;
 mod raster_twin;
 mod sample;
 mod scene_renderer;
+mod suite;
 mod support;
 mod train;
 mod wavelet;

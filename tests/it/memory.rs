@@ -7,8 +7,8 @@ use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use serde_json::{Value, json};
 use tcgs::{
     domain::{
-        CancelFlag, Convention, Dataset, MemoryBudget, MemoryLimits, PointCloud, Pose, Problem, Progress,
-        TrainOptions,
+        CancelFlag, Convention, Dataset, MemoryBudget, MemoryLimits, ModelKind, PointCloud, Pose, Problem,
+        Progress, TrainOptions,
     },
     gpu::{Context, GpuError},
     ingest::{self, Room},
@@ -88,32 +88,29 @@ fn tight(spill: &Path, memory: u64) -> Room {
 fn the_estimate_covers_what_a_run_allocates_and_not_much_more() {
     // What the other tests of this process allocate must not count.
     let context = Context::new(&gpu::choice()).expect("an adapter");
-    for (what, sizes, points, steps) in [
-        ("few anchors that grow", &[(32, 32)][..], 150, 60),
-        ("many anchors", &[(48, 32)], 4000, 3),
-        ("large images of two sizes", &[(400, 300), (300, 400)], 500, 4),
+    for (what, model, sizes, points, steps) in [
+        ("few anchors that grow", ModelKind::Tcgs, &[(32, 32)][..], 150, 60),
+        ("many anchors", ModelKind::Tcgs, &[(48, 32)], 4000, 3),
+        ("plain Gaussians", ModelKind::Gaussians3d, &[(64, 48)], 20_000, 30),
+        ("large images of two sizes", ModelKind::Tcgs, &[(400, 300), (300, 400)], 500, 4),
     ] {
         let folder = folder(9, sizes);
         let dataset = with_points(ingest::load(folder.path()).expect("a dataset"), points);
-        let mut anchors = 0;
-        let mut report = |progress: &Progress| anchors = anchors.max(progress.anchors as usize);
+        let options = TrainOptions { model, ..options(steps) };
+        let mut size = 0;
+        let mut report = |progress: &Progress| {
+            let now = if model == ModelKind::Gaussians3d { progress.gaussians } else { progress.anchors };
+            size = size.max(now as usize);
+        };
         // A peak of its own.
         let before = context.peak_bytes();
-        train(
-            &context,
-            &dataset,
-            &options(steps),
-            train::Checkpoints::default(),
-            &mut report,
-            &CancelFlag::default(),
-        )
-        .expect("a scene");
+        let nothing = train::Checkpoints::default();
+        train(&context, &dataset, &options, nothing, &mut report, &CancelFlag::default()).expect("a scene");
         let peak = context.peak_bytes();
         assert!(peak > before, "{what}: the runs are in the order of what they take");
-        let needs = options(steps);
-        let estimate = Needs::of(&dataset, &needs, context.adapter()).estimate(anchors);
+        let estimate = Needs::of(&dataset, &options, context.adapter()).estimate(size);
         let told = estimate.gpu_bytes();
-        println!("{what}: {anchors} anchors, told {told}, peak {peak}, {:.2}", told as f64 / peak as f64);
+        println!("{what}: size {size}, told {told}, peak {peak}, {:.2}", told as f64 / peak as f64);
         assert!(told >= peak, "{what}: {peak} bytes at most, and only {told} told: {estimate}");
         assert!(told <= 2 * peak, "{what}: {peak} bytes at most, and {told} told: {estimate}");
     }

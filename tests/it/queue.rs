@@ -7,7 +7,8 @@ use bytes::Bytes;
 use jiff::{SignedDuration, Timestamp};
 use tcgs::{
     domain::{
-        Clock, Digest, Event, EventKind, JobId, JobState, ManualClock, Phase, Problem, Progress, TrainOptions,
+        Clock, Digest, Event, EventKind, JobId, JobState, ManualClock, Phase, Problem, Progress, SceneFormat,
+        TrainOptions,
     },
     store::{
         Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, JobRecord, Lease,
@@ -95,7 +96,7 @@ fn succeeded() -> Outcome {
     let blob = BlobRef { digest: Digest::of(fakes::FILE), bytes: fakes::FILE.len() as u64 };
     Outcome::Succeeded {
         metrics: Box::new(fakes::metrics()),
-        artifacts: vec![Artifact { kind: ArtifactKind::Tcgs, blob }],
+        artifacts: vec![Artifact { kind: ArtifactKind::Scene(SceneFormat::Tcgs), blob }],
     }
 }
 

@@ -19,7 +19,7 @@ use tcgs::{
     ingest,
     render::views::Viewable,
     store::{Blobs, QueuePolicy, SqliteStore},
-    worker::{self, WorkerConfig, supervise},
+    worker::{self, WorkerConfig, scene_file, supervise},
 };
 use tokio::runtime::Runtime;
 use tokio_util::sync::CancellationToken;
@@ -86,8 +86,8 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
             clock: Arc::new(SystemClock),
             check: Arc::new(|archive: &Path| ingest::check(archive).map(|_| ())),
             load: Arc::new(|bytes: &[u8]| {
-                let decoded = super::decode(bytes)?;
-                Ok(Viewable { scene: decoded.scene, background: decoded.background })
+                let file = scene_file::read(bytes)?;
+                Ok(Viewable { scene: file.scene, background: file.background })
             }),
             renderer,
             workers: Arc::new(move || WorkerCounts {

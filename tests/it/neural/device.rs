@@ -137,6 +137,13 @@ fn the_trained_widths_match_the_twin() {
 }
 
 #[test]
+fn the_published_widths_match_the_twin() {
+    for subgroups in [true, false] {
+        assert_eq!(check(Shape { features: 50, offsets: 10 }, 130, 0.8, subgroups), 130);
+    }
+}
+
+#[test]
 fn anchors_that_are_partly_out_of_view_match_the_twin() {
     for subgroups in [true, false] {
         let visible = check(SMALL, 400, 5.0, subgroups);

@@ -12,7 +12,7 @@ use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, Conventions, Digest, Image, Intrinsics,
         JobMetrics, Lattice, LpipsNetwork, Mlp, NamedCamera, Phase, PhaseSeconds, Pose, Problem, Progress,
-        RenderNetworks, Scores, Split, TrainOptions, ViewScore,
+        RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
     },
     render::{RenderViews, views::Viewable},
     worker::run::{Checkpoints, JobFailure, JobOutput, RunJob},
@@ -89,7 +89,12 @@ impl RunJob for FakeRunner {
             other => panic!("the test wants '{other}'"),
         }
         report(Phase::Encode, &Progress { step: total, total, ..Progress::default() });
-        Ok(JobOutput { file: FILE.to_vec(), metrics: metrics(), cameras: cameras() })
+        Ok(JobOutput {
+            file: FILE.to_vec(),
+            format: SceneFormat::of_model(options.model),
+            metrics: metrics(),
+            cameras: cameras(),
+        })
     }
 }
 
@@ -174,7 +179,7 @@ impl RenderViews for FakeRenderer {
 /// Accepts [`FILE`] only.
 pub fn load(file: &[u8]) -> Result<Viewable, Problem> {
     assert_eq!(file, FILE);
-    Ok(Viewable { scene: empty_scene(), background: Background::White })
+    Ok(Viewable { scene: Scene::Anchors(empty_scene()), background: Background::White })
 }
 
 /// Refuses a dataset that begins with `bad`, panics at `bomb`.

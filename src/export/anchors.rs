@@ -1,17 +1,20 @@
-//! Decoded attributes as a safetensors file, which every tensor library reads, and back without a loss.
+//! Anchors as a safetensors file, which every tensor library reads, and back without a loss: what `tcgs decode` writes,
+//! and what the `scaffold` baseline is published as.
 //!
 //! Tensors, with N anchors, F features and K offsets an anchor: `cells` i32 `[N, 3]`, `features` f32 `[N, F]`,
-//! `scalings` f32 `[N, 6]` (linear), `offsets` f32 `[N, K, 3]`, `masks` bool `[N, K]`, `lattice.voxel` f32 `[1]`,
-//! `lattice.origin` f32 `[3]`, and for each network `opacity`, `covariance`, `color` and layer i:
-//! `NETWORK.i.weight` f32 `[outputs, inputs]`, `NETWORK.i.bias` f32 `[outputs]`. An anchor's position is
-//! `cells * voxel + origin`. The metadata key `tcgs` holds a JSON object with `version` and `background`.
+//! `scalings` f32 `[N, 6]` (linear), `offsets` f32 `[N, K, 3]`, `lattice.voxel` f32 `[1]`, `lattice.origin` f32 `[3]`,
+//! and for each network `opacity`, `covariance`, `color` and layer i: `NETWORK.i.weight` f32 `[outputs, inputs]`,
+//! `NETWORK.i.bias` f32 `[outputs]`. Where some offsets are off there is also `masks` bool `[N, K]`. An anchor's position
+//! is `cells * voxel + origin`: cells take the four bytes a coordinate that floats would, and keep the lattice. The
+//! metadata key `tcgs` holds a JSON object with `version`, `background` and, if it is known, `dataset`.
 
 use std::collections::HashMap;
 
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
-use tcgs::domain::{AnchorScene, Background, DenseLayer, Lattice, Mlp, RenderNetworks};
 use thiserror::Error;
+
+use crate::domain::{AnchorScene, Background, ByteCounts, DenseLayer, Digest, Lattice, Mlp, RenderNetworks};
 
 /// Version of this layout of tensors.
 const VERSION: u32 = 1;
@@ -21,12 +24,14 @@ const MAX_LAYERS: usize = 16;
 
 /// Why a safetensors file is not a scene.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
-pub(crate) enum SceneFileError {
+pub enum AnchorFileError {
     /// The file is not safetensors.
     #[error("not a safetensors file: {0}")]
     Format(String),
-    /// The metadata are not those that `tcgs decode` writes.
-    #[error("the metadata key 'tcgs' {0}; this reads files that `tcgs decode` wrote")]
+    /// The metadata are not those that this module writes.
+    #[error(
+        "the metadata key 'tcgs' {0}; this reads what `tcgs decode` and `tcgs train --model scaffold` write"
+    )]
     Metadata(String),
     /// A tensor is missing, of another type, or of another shape.
     #[error("tensor '{name}' {fault}")]
@@ -41,21 +46,42 @@ pub(crate) enum SceneFileError {
     Scene(String),
 }
 
+/// A file's content.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnchorFile {
+    /// The scene.
+    pub scene: AnchorScene,
+    /// The background that it was trained on.
+    pub background: Background,
+    /// Digest of the dataset that it was trained on, if it is known.
+    pub dataset: Option<Digest>,
+}
+
 #[derive(Debug, Serialize, Deserialize)]
 struct Metadata {
     version: u32,
     background: Background,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    dataset: Option<Digest>,
 }
 
-/// The scene as the bytes of a safetensors file; the same scene gives the same bytes.
-pub(crate) fn to_bytes(scene: &AnchorScene, background: Background) -> Result<Vec<u8>, SceneFileError> {
+/// The bytes of a file; the same content gives the same bytes.
+///
+/// # Errors
+/// [`AnchorFileError::Scene`] for a scene whose parts do not have the lengths that it states.
+pub fn write(
+    scene: &AnchorScene,
+    background: Background,
+    dataset: Option<Digest>,
+) -> Result<Vec<u8>, AnchorFileError> {
     let (n, f, k) = (scene.len(), scene.feature_dim, scene.offsets_per_anchor);
     let cells = scene.cells.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
-    let masks = scene.masks.iter().map(|kept| u8::from(*kept)).collect();
-    let mut tensors: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = vec![
-        ("cells".to_owned(), Dtype::I32, vec![n, 3], cells),
-        ("masks".to_owned(), Dtype::BOOL, vec![n, k], masks),
-    ];
+    let mut tensors: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> =
+        vec![("cells".to_owned(), Dtype::I32, vec![n, 3], cells)];
+    if has_masks(scene) {
+        let masks = scene.masks.iter().map(|kept| u8::from(*kept)).collect();
+        tensors.push(("masks".to_owned(), Dtype::BOOL, vec![n, k], masks));
+    }
     let mut floats = |name: String, shape: Vec<usize>, values: &[f32]| {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         tensors.push((name, Dtype::F32, shape, bytes));
@@ -76,36 +102,63 @@ pub(crate) fn to_bytes(scene: &AnchorScene, background: Background) -> Result<Ve
         .iter()
         .map(|(name, dtype, shape, bytes)| Ok((name, TensorView::new(*dtype, shape.clone(), bytes)?)))
         .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
-        .map_err(|fault| SceneFileError::Scene(fault.to_string()))?;
+        .map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
     // One key: several would be written in the random order of a hash map.
-    let metadata = serde_json::to_string(&Metadata { version: VERSION, background })
-        .map_err(|fault| SceneFileError::Scene(fault.to_string()))?;
+    let metadata = serde_json::to_string(&Metadata { version: VERSION, background, dataset })
+        .map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
     safetensors::serialize(views, Some(HashMap::from([("tcgs".to_owned(), metadata)])))
-        .map_err(|fault| SceneFileError::Scene(fault.to_string()))
+        .map_err(|fault| AnchorFileError::Scene(fault.to_string()))
 }
 
-/// The scene in the bytes of a safetensors file, checked, with the background that it was trained on.
-pub(crate) fn from_bytes(bytes: &[u8]) -> Result<(AnchorScene, Background), SceneFileError> {
-    let format = |fault: safetensors::SafeTensorError| SceneFileError::Format(fault.to_string());
+/// Where the bytes of a file of `total` bytes that holds `scene` go; header and lattice are the container.
+#[must_use]
+pub fn byte_counts(scene: &AnchorScene, total: u64) -> ByteCounts {
+    let floats = |count: usize| (count * size_of::<f32>()) as u64;
+    let networks = [&scene.networks.opacity, &scene.networks.covariance, &scene.networks.color];
+    let mut counts = ByteCounts {
+        total,
+        positions: floats(3 * scene.cells.len()),
+        networks: networks.iter().map(|network| floats(network.parameters())).sum(),
+        masks: if has_masks(scene) { scene.masks.len() as u64 } else { 0 },
+        features: floats(scene.features.len()),
+        scalings: floats(scene.scalings.len()),
+        offsets: floats(scene.offsets.len()),
+        ..ByteCounts::default()
+    };
+    let ByteCounts { positions, networks, masks, features, scalings, offsets, .. } = counts;
+    counts.container = total.saturating_sub(positions + networks + masks + features + scalings + offsets);
+    counts
+}
+
+/// Whether some offset is off; a file in which all are on need not say so.
+fn has_masks(scene: &AnchorScene) -> bool {
+    scene.masks.iter().any(|kept| !kept)
+}
+
+/// The content of a file, checked.
+///
+/// # Errors
+/// [`AnchorFileError`] naming the first fault.
+pub fn read(bytes: &[u8]) -> Result<AnchorFile, AnchorFileError> {
+    let format = |fault: safetensors::SafeTensorError| AnchorFileError::Format(fault.to_string());
     let tensors = SafeTensors::deserialize(bytes).map_err(format)?;
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(format)?;
     let text = header
         .metadata()
         .as_ref()
         .and_then(|metadata| metadata.get("tcgs"))
-        .ok_or_else(|| SceneFileError::Metadata("is missing".to_owned()))?;
+        .ok_or_else(|| AnchorFileError::Metadata("is missing".to_owned()))?;
     let metadata: Metadata = serde_json::from_str(text)
-        .map_err(|fault| SceneFileError::Metadata(format!("cannot be read ({fault})")))?;
+        .map_err(|fault| AnchorFileError::Metadata(format!("cannot be read ({fault})")))?;
     if metadata.version != VERSION {
-        return Err(SceneFileError::Metadata(format!("has version {}, not {VERSION}", metadata.version)));
+        return Err(AnchorFileError::Metadata(format!("has version {}, not {VERSION}", metadata.version)));
     }
 
     let mut reader = Reader { tensors, taken: 0 };
     let [n, _] = reader.shape("cells", [None, Some(3)])?;
     let [_, f] = reader.shape("features", [Some(n), None])?;
-    let [_, k] = reader.shape("masks", [Some(n), None])?;
+    let [_, k, _] = reader.shape("offsets", [Some(n), None, Some(3)])?;
     reader.shape("scalings", [Some(n), Some(6)])?;
-    reader.shape("offsets", [Some(n), Some(k), Some(3)])?;
     reader.shape("lattice.voxel", [Some(1)])?;
     reader.shape("lattice.origin", [Some(3)])?;
     let cells = reader.words("cells", Dtype::I32)?.map(i32::from_le_bytes).collect::<Vec<_>>();
@@ -121,7 +174,7 @@ pub(crate) fn from_bytes(bytes: &[u8]) -> Result<(AnchorScene, Background), Scen
         features: reader.floats("features")?,
         scalings: reader.floats("scalings")?,
         offsets: reader.floats("offsets")?,
-        masks: reader.booleans("masks")?,
+        masks: reader.masks(n, k)?,
         networks: RenderNetworks {
             opacity: reader.network("opacity")?,
             covariance: reader.network("covariance")?,
@@ -129,8 +182,8 @@ pub(crate) fn from_bytes(bytes: &[u8]) -> Result<(AnchorScene, Background), Scen
         },
     };
     reader.finish()?;
-    scene.check().map_err(|fault| SceneFileError::Scene(fault.to_string()))?;
-    Ok((scene, metadata.background))
+    scene.check().map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
+    Ok(AnchorFile { scene, background: metadata.background, dataset: metadata.dataset })
 }
 
 fn networks(networks: &RenderNetworks) -> [(&'static str, &Mlp); 3] {
@@ -144,7 +197,7 @@ struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    fn tensor(&self, name: &str) -> Result<TensorView<'a>, SceneFileError> {
+    fn tensor(&self, name: &str) -> Result<TensorView<'a>, AnchorFileError> {
         self.tensors.tensor(name).map_err(|_| fault(name, "is missing"))
     }
 
@@ -153,7 +206,7 @@ impl<'a> Reader<'a> {
         &self,
         name: &str,
         wanted: [Option<usize>; R],
-    ) -> Result<[usize; R], SceneFileError> {
+    ) -> Result<[usize; R], AnchorFileError> {
         let tensor = self.tensor(name)?;
         let shape: [usize; R] = tensor
             .shape()
@@ -173,20 +226,26 @@ impl<'a> Reader<'a> {
         &mut self,
         name: &str,
         dtype: Dtype,
-    ) -> Result<impl Iterator<Item = [u8; 4]> + use<'a>, SceneFileError> {
+    ) -> Result<impl Iterator<Item = [u8; 4]> + use<'a>, AnchorFileError> {
         let bytes = self.bytes(name, dtype)?;
         Ok(bytes.chunks_exact(4).map(|word| [word[0], word[1], word[2], word[3]]))
     }
 
-    fn floats(&mut self, name: &str) -> Result<Vec<f32>, SceneFileError> {
+    fn floats(&mut self, name: &str) -> Result<Vec<f32>, AnchorFileError> {
         Ok(self.words(name, Dtype::F32)?.map(f32::from_le_bytes).collect())
     }
 
-    fn booleans(&mut self, name: &str) -> Result<Vec<bool>, SceneFileError> {
-        Ok(self.bytes(name, Dtype::BOOL)?.iter().map(|byte| *byte != 0).collect())
+    /// The `[n][k]` masks, all on if there are none.
+    fn masks(&mut self, n: usize, k: usize) -> Result<Vec<bool>, AnchorFileError> {
+        if self.tensors.tensor("masks").is_err() {
+            // As many as there are offsets, whose bytes are in the file.
+            return Ok(vec![true; n * k]);
+        }
+        self.shape("masks", [Some(n), Some(k)])?;
+        Ok(self.bytes("masks", Dtype::BOOL)?.iter().map(|byte| *byte != 0).collect())
     }
 
-    fn bytes(&mut self, name: &str, dtype: Dtype) -> Result<&'a [u8], SceneFileError> {
+    fn bytes(&mut self, name: &str, dtype: Dtype) -> Result<&'a [u8], AnchorFileError> {
         let tensor = self.tensor(name)?;
         if tensor.dtype() != dtype {
             return Err(fault(name, format!("is of type {:?}, not {dtype:?}", tensor.dtype())));
@@ -195,7 +254,7 @@ impl<'a> Reader<'a> {
         Ok(tensor.data())
     }
 
-    fn network(&mut self, network: &str) -> Result<Mlp, SceneFileError> {
+    fn network(&mut self, network: &str) -> Result<Mlp, AnchorFileError> {
         let mut layers = Vec::new();
         for index in 0..MAX_LAYERS {
             let (weight, bias) = (format!("{network}.{index}.weight"), format!("{network}.{index}.bias"));
@@ -214,18 +273,18 @@ impl<'a> Reader<'a> {
         Ok(Mlp { layers })
     }
 
-    fn finish(self) -> Result<(), SceneFileError> {
+    fn finish(self) -> Result<(), AnchorFileError> {
         let total = self.tensors.len();
         if total == self.taken {
             return Ok(());
         }
         let unknown = total - self.taken;
-        Err(SceneFileError::Scene(format!("{unknown} of {total} tensors do not belong to a scene")))
+        Err(AnchorFileError::Scene(format!("{unknown} of {total} tensors do not belong to a scene")))
     }
 }
 
-fn fault(name: &str, fault: impl Into<String>) -> SceneFileError {
-    SceneFileError::Tensor { name: name.to_owned(), fault: fault.into() }
+fn fault(name: &str, fault: impl Into<String>) -> AnchorFileError {
+    AnchorFileError::Tensor { name: name.to_owned(), fault: fault.into() }
 }
 
 #[cfg(test)]
@@ -254,23 +313,55 @@ mod tests {
 
     #[test]
     fn a_scene_comes_back_bit_for_bit_and_its_bytes_are_always_the_same() {
-        let bytes = to_bytes(&scene(), Background::White).expect("writes");
-        assert_eq!(from_bytes(&bytes).expect("reads"), (scene(), Background::White));
-        for _ in 0..8 {
-            assert!(bytes == to_bytes(&scene(), Background::White).expect("writes"), "the bytes vary");
+        for dataset in [None, Some(Digest::of(b"photographs"))] {
+            let bytes = write(&scene(), Background::White, dataset).expect("writes");
+            let expected = AnchorFile { scene: scene(), background: Background::White, dataset };
+            assert_eq!(read(&bytes).expect("reads"), expected);
+            for _ in 0..8 {
+                assert!(
+                    bytes == write(&scene(), Background::White, dataset).expect("writes"),
+                    "the bytes vary"
+                );
+            }
         }
     }
 
     #[test]
+    fn a_scene_without_masks_pays_for_none_and_every_byte_is_counted() {
+        let masked = write(&scene(), Background::Black, None).expect("writes");
+        let counts = byte_counts(&scene(), masked.len() as u64);
+        assert_eq!(
+            [counts.positions, counts.masks, counts.features, counts.scalings, counts.offsets],
+            [36, 6, 24, 72, 72]
+        );
+        let networks = &scene().networks;
+        let parameters =
+            networks.opacity.parameters() + networks.covariance.parameters() + networks.color.parameters();
+        assert_eq!(counts.networks, 4 * parameters as u64);
+        let mut whole = scene();
+        whole.masks.fill(true);
+        let bytes = write(&whole, Background::Black, None).expect("writes");
+        assert_eq!(read(&bytes).expect("reads").scene, whole);
+        let counts = byte_counts(&whole, bytes.len() as u64);
+        assert_eq!(counts.masks, 0);
+        let ByteCounts { total, positions, networks, planes, features, scalings, offsets, container, .. } =
+            counts;
+        assert_eq!(total, bytes.len() as u64);
+        assert_eq!(total, positions + networks + planes + features + scalings + offsets + container);
+        let header = u64::from_le_bytes(bytes[..8].try_into().expect("eight bytes"));
+        assert_eq!(container, 8 + header + 16, "the header and the lattice");
+    }
+
+    #[test]
     fn every_truncation_and_a_wrong_scene_are_refused() {
-        let bytes = to_bytes(&scene(), Background::Black).expect("writes");
+        let bytes = write(&scene(), Background::Black, None).expect("writes");
         for length in 0..bytes.len() {
-            assert!(from_bytes(&bytes[..length]).is_err(), "cut to {length}");
+            assert!(read(&bytes[..length]).is_err(), "cut to {length}");
         }
         let mut nan = scene();
         nan.features[3] = f32::NAN;
-        let fault = from_bytes(&to_bytes(&nan, Background::Black).expect("writes")).expect_err("refused");
-        assert_eq!(fault, SceneFileError::Scene("inconsistent scene: features[3] is not finite".to_owned()));
+        let fault = read(&write(&nan, Background::Black, None).expect("writes")).expect_err("refused");
+        assert_eq!(fault, AnchorFileError::Scene("inconsistent scene: features[3] is not finite".to_owned()));
     }
 
     #[test]
@@ -278,15 +369,15 @@ mod tests {
         let values = 1.0_f32.to_le_bytes();
         let view = TensorView::new(Dtype::F32, vec![1], &values).expect("a tensor");
         let plain = safetensors::serialize([("w", view.clone())], None).expect("a file");
-        assert!(from_bytes(&plain).expect_err("refused").to_string().contains("'tcgs' is missing"));
+        assert!(read(&plain).expect_err("refused").to_string().contains("'tcgs' is missing"));
         let metadata =
             HashMap::from([("tcgs".to_owned(), r#"{"version":1,"background":"black"}"#.to_owned())]);
         let marked = safetensors::serialize([("w", view)], Some(metadata)).expect("a file");
-        assert_eq!(from_bytes(&marked).expect_err("refused").to_string(), "tensor 'cells' is missing");
+        assert_eq!(read(&marked).expect_err("refused").to_string(), "tensor 'cells' is missing");
         let mut extra = scene();
         extra.networks.color.layers.push(layer(6, 6));
         extra.networks.color.layers[1] = layer(2, 6);
-        let bytes = to_bytes(&extra, Background::Black).expect("writes");
-        assert_eq!(from_bytes(&bytes).expect("a third layer is allowed").0, extra);
+        let bytes = write(&extra, Background::Black, None).expect("writes");
+        assert_eq!(read(&bytes).expect("a third layer is allowed").scene, extra);
     }
 }

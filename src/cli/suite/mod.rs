@@ -1,0 +1,377 @@
+//! `tcgs eval --suite`: every model on every set of a folder, with equal steps and with equal seconds.
+//!
+//! The seconds of a set are those that its slowest model took for the equal steps; the others run again with as many steps
+//! as their measured speed fits into them, corrected once, since speed changes with growth. Every finished run is kept in
+//! `runs.jsonl` at once, and a suite that is begun again goes on where it was interrupted.
+
+mod entry;
+mod record;
+mod table;
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use serde_json::json;
+use tcgs::{
+    domain::{Background, CancelFlag, Dataset, Phase, Preset, Problem, TrainOptions, Voxel},
+    worker::run::{Checkpoints, JobFailure, JobOutput, RunJob},
+};
+
+use self::{
+    entry::Entry,
+    record::{Contest, Record, Records, Wanted},
+};
+use super::{
+    Failure, Report,
+    adapter::AdapterFlag,
+    files,
+    lpips::LpipsFlag,
+    memory::MemoryFlags,
+    progress::Display,
+    train::{cancel_on_interrupt, choice, voxel},
+    wiring,
+};
+
+/// Where results go if no folder is named.
+const OUT: &str = "out/suite";
+
+/// Share of a set's seconds by which a run may miss them.
+const TOLERANCE: f64 = 0.03;
+
+/// Runs that may be made for one place among the equal seconds: one at the speed measured, and one correction.
+const TRIES: usize = 2;
+
+/// What a suite is made of.
+#[derive(Debug, clap::Args)]
+#[group(id = "suite_of_runs")]
+pub(crate) struct Args {
+    /// Train and measure models on every dataset in this folder, instead of measuring one file
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["file", "save"])]
+    pub(crate) suite: Option<PathBuf>,
+
+    /// Models to compare: 3dgs, scaffold, tcgs, and tcgs-PART for the method without a part
+    #[arg(long, value_name = "LIST", value_delimiter = ',', requires = "suite")]
+    models: Vec<Entry>,
+
+    /// Sets to take, by name; all if absent
+    #[arg(long, value_name = "LIST", value_delimiter = ',', requires = "suite")]
+    sets: Vec<String>,
+
+    /// Steps of single sets, where they are not those of --iterations
+    #[arg(long, value_name = "SET=N,…", value_delimiter = ',', value_parser = set_steps, requires = "suite")]
+    steps: Vec<(String, u32)>,
+
+    /// Compare with equal steps only
+    #[arg(long, requires = "suite")]
+    steps_only: bool,
+
+    /// Folder of the results: runs.jsonl, which an interrupted suite goes on from, results.json and results.md
+    #[arg(long, value_name = "DIR", default_value = OUT, requires = "suite")]
+    out: PathBuf,
+
+    /// A document in which the tables are put between the lines that mark their place
+    #[arg(long, value_name = "FILE.md", requires = "suite")]
+    table: Option<PathBuf>,
+
+    /// Schedule of every run
+    #[arg(long, value_name = "P", value_parser = choice!(Preset), default_value_t = Preset::Preview, requires = "suite")]
+    preset: Preset,
+
+    /// Steps of the equal steps, if not the preset's
+    #[arg(long, value_name = "N", requires = "suite")]
+    iterations: Option<u32>,
+
+    /// Seed of every run
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "suite")]
+    seed: u64,
+
+    /// What is behind images with alpha, and behind the renders
+    #[arg(long, value_parser = choice!(Background), default_value_t = Background::Black, requires = "suite")]
+    background: Background,
+
+    /// Edge of a cell of the anchors' lattice, as for tcgs train
+    #[arg(long, value_name = "V", value_parser = voxel, default_value_t = Voxel::Auto, requires = "suite")]
+    voxel: Voxel,
+}
+
+impl Args {
+    /// Whether a flag is given that says nothing without a suite. `requires` does not tell: it gives way to the conflict of
+    /// a suite with a file.
+    pub(crate) fn is_touched(&self) -> bool {
+        let listed = !(self.models.is_empty() && self.sets.is_empty() && self.steps.is_empty());
+        let named = self.table.is_some() || self.steps_only || self.out != Path::new(OUT);
+        let shared = self.unchecked() != TrainOptions::default();
+        listed || named || shared
+    }
+
+    fn unchecked(&self) -> TrainOptions {
+        TrainOptions {
+            preset: self.preset,
+            iterations: self.iterations,
+            seed: self.seed,
+            background: self.background,
+            voxel: self.voxel,
+            ..TrainOptions::default()
+        }
+    }
+
+    /// What all runs share.
+    fn options(&self) -> Result<TrainOptions, Failure> {
+        Ok(self.unchecked().validated()?)
+    }
+}
+
+fn set_steps(text: &str) -> Result<(String, u32), String> {
+    let (set, steps) = text.split_once('=').ok_or("give SET=STEPS")?;
+    Ok((set.to_owned(), steps.parse().map_err(|_| format!("'{steps}' is not a number of steps"))?))
+}
+
+/// Runs what is not yet done, and writes the tables.
+pub(crate) fn run(
+    args: &Args,
+    folder: &Path,
+    adapter: &AdapterFlag,
+    lpips: &LpipsFlag,
+) -> Result<Report, Failure> {
+    let entries = if args.models.is_empty() { Entry::defaults() } else { args.models.clone() };
+    let shared = args.options()?;
+    let sets = sets(args, folder)?;
+    fs::create_dir_all(&args.out).map_err(|fault| Failure::unwritable(&args.out, &fault))?;
+    if let Some(document) = &args.table {
+        // Hours before the tables are there.
+        place(document, "")?;
+    }
+    let cancel = CancelFlag::default();
+    cancel_on_interrupt(cancel.clone());
+    let mut suite = Suite {
+        runner: wiring::runner(
+            &adapter.adapter,
+            MemoryFlags::default().limits(1),
+            std::env::temp_dir(),
+            wiring::lpips(lpips.lpips.as_deref())?,
+        )?,
+        adapter,
+        records: Records::open(&args.out.join("runs.jsonl"))?,
+        entries,
+        cancel,
+        failed: Vec::new(),
+    };
+    let steps: BTreeMap<&str, u32> = args.steps.iter().map(|(set, steps)| (set.as_str(), *steps)).collect();
+    let mut results: Vec<Record> = Vec::new();
+    for (name, path) in &sets {
+        let iterations = steps.get(name.as_str()).copied().or(shared.iterations);
+        let set = Set {
+            name,
+            path,
+            dataset: wiring::load_dataset(path)?,
+            options: TrainOptions { iterations, ..shared.clone() },
+        };
+        let equal = suite.equal_steps(&set)?;
+        if !args.steps_only {
+            results.extend(suite.equal_seconds(&set, &equal)?);
+        }
+        results.extend(equal);
+        publish(args, &results)?;
+    }
+    let text = publish(args, &results)?;
+    match suite.failed.first() {
+        None => Ok(Report::new(text, &json!({ "runs": results }))),
+        Some(first) => {
+            let detail = format!("{} of the runs failed; the first: {first}", suite.failed.len());
+            Err(Problem::new(500, "suite-incomplete", "The suite is not complete", detail).into())
+        }
+    }
+}
+
+/// Writes what there is so far, and returns the tables.
+fn publish(args: &Args, results: &[Record]) -> Result<String, Failure> {
+    let text = table::markdown(&results.iter().collect::<Vec<_>>());
+    let json = serde_json::to_vec_pretty(&json!({ "runs": results }))
+        .map_err(|fault| Failure::unwritable(&args.out, &fault.into()))?;
+    files::write(&args.out.join("results.json"), &json)?;
+    files::write(&args.out.join("results.md"), text.as_bytes())?;
+    if let Some(document) = &args.table {
+        files::write(document, place(document, &text)?.as_bytes())?;
+    }
+    Ok(text)
+}
+
+/// The document with the tables in their place.
+fn place(document: &Path, tables: &str) -> Result<String, Failure> {
+    let text = fs::read_to_string(document).map_err(|fault| Failure::unreadable(document, &fault))?;
+    table::rewrite(&text, tables).map_err(|fault| {
+        Problem::new(422, "no-place", "The tables have no place in the document", fault)
+            .in_file(document.display().to_string())
+            .into()
+    })
+}
+
+/// The sets of the folder by name, those that were asked for if any were. What is no dataset is left out with a note.
+fn sets(args: &Args, folder: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
+    let entries = fs::read_dir(folder).map_err(|fault| Failure::unreadable(folder, &fault))?;
+    let mut sets = BTreeMap::new();
+    for entry in entries {
+        let path = entry.map_err(|fault| Failure::unreadable(folder, &fault))?.path();
+        let is_zip = path.extension().is_some_and(|extension| extension == "zip");
+        if let Some(name) = path.file_stem().and_then(|name| name.to_str())
+            && (path.is_dir() || is_zip)
+        {
+            sets.insert(name.to_owned(), path);
+        }
+    }
+    let asked: Vec<&String> = args.sets.iter().chain(args.steps.iter().map(|(set, _)| set)).collect();
+    if let Some(unknown) = asked.iter().find(|set| !sets.contains_key(**set)) {
+        return Err(Failure::Usage(format!("{} has no set '{unknown}'", folder.display())));
+    }
+    if !args.sets.is_empty() {
+        sets.retain(|name, _| args.sets.contains(name));
+    }
+    let named = !args.sets.is_empty();
+    let mut usable = Vec::new();
+    for (name, path) in sets {
+        match wiring::check_dataset(&path) {
+            Ok(()) => usable.push((name, path)),
+            Err(problem) if named => return Err(problem.into()),
+            Err(problem) => eprintln!("tcgs: note: {name} is left out: {problem}"),
+        }
+    }
+    if usable.is_empty() {
+        let problem =
+            Problem::new(422, "no-datasets", "There is nothing to train on", "no dataset was found");
+        return Err(problem.in_file(folder.display().to_string()).into());
+    }
+    Ok(usable)
+}
+
+/// A set in memory, with the options of its equal steps.
+struct Set<'a> {
+    name: &'a str,
+    path: &'a Path,
+    dataset: Dataset,
+    options: TrainOptions,
+}
+
+struct Suite<'a> {
+    runner: Arc<dyn RunJob>,
+    adapter: &'a AdapterFlag,
+    records: Records,
+    entries: Vec<Entry>,
+    cancel: CancelFlag,
+    failed: Vec<Problem>,
+}
+
+impl Suite<'_> {
+    /// The run of every entry with the set's steps, as far as they succeed.
+    fn equal_steps(&mut self, set: &Set<'_>) -> Result<Vec<Record>, Failure> {
+        let mut done = Vec::new();
+        for entry in self.entries.clone() {
+            let options = entry.options(&set.options).validated()?;
+            let kept = self.kept(set, &entry, &options, Contest::Steps);
+            match kept.into_iter().find(|record| record.options == options) {
+                Some(record) => done.push(record),
+                None => done.extend(self.train(set, &entry, options, Contest::Steps, None)?),
+            }
+        }
+        Ok(done)
+    }
+
+    /// The run of every whole model that fills the seconds of the slowest.
+    fn equal_seconds(&mut self, set: &Set<'_>, equal: &[Record]) -> Result<Vec<Record>, Failure> {
+        let whole: Vec<Entry> = self.entries.iter().filter(|entry| entry.is_whole()).cloned().collect();
+        let of = |entry: &Entry| equal.iter().find(|record| record.entry == entry.to_string());
+        let budget =
+            whole.iter().filter_map(of).map(|record| record.metrics.seconds.train).fold(0.0, f64::max);
+        let mut done = Vec::new();
+        for entry in &whole {
+            let Some(first) = of(entry) else { continue };
+            let mut best = Record { contest: Contest::Seconds, budget: Some(budget), ..first.clone() };
+            let mut tries = self.kept(set, entry, &entry.options(&set.options), Contest::Seconds);
+            tries.retain(|record| record.budget == Some(budget));
+            let mut made = 0;
+            while !fills(&best, budget) && made < TRIES {
+                best = match tries.get(made) {
+                    Some(record) => record.clone(),
+                    None => {
+                        let options = TrainOptions {
+                            iterations: Some(steps_for(&best, budget)),
+                            ..entry.options(&set.options)
+                        };
+                        match self.train(set, entry, options, Contest::Seconds, Some(budget))? {
+                            Some(record) => record,
+                            None => break,
+                        }
+                    }
+                };
+                made += 1;
+            }
+            done.push(best);
+        }
+        Ok(done)
+    }
+
+    fn kept(&self, set: &Set<'_>, entry: &Entry, options: &TrainOptions, contest: Contest) -> Vec<Record> {
+        let name = entry.to_string();
+        let wanted = Wanted { set: set.name, dataset: set.dataset.digest, entry: &name, options };
+        let is_it = |record: &&Record| record.contest == contest && record.is_like(&wanted);
+        self.records.all().iter().filter(is_it).cloned().collect()
+    }
+
+    /// Trains, measures and keeps one run; none if it failed, which the other runs need not suffer from.
+    fn train(
+        &mut self,
+        set: &Set<'_>,
+        entry: &Entry,
+        options: TrainOptions,
+        contest: Contest,
+        budget: Option<f64>,
+    ) -> Result<Option<Record>, Failure> {
+        eprintln!("tcgs: {} {entry}{}", set.name, budget.map_or_else(String::new, |s| format!(", {s:.1} s")));
+        let mut display = Display::new();
+        let mut show = |phase: Phase, progress: &_| display.show(phase, progress);
+        let outcome = self.runner.run(set.path, &options, &Checkpoints::default(), &mut show, &self.cancel);
+        display.finish();
+        let output = match outcome {
+            Ok(output) => output,
+            Err(JobFailure::Cancelled) => return Err(Failure::Stopped),
+            Err(JobFailure::Fail(problem) | JobFailure::Retry(problem)) => {
+                eprintln!("tcgs: {} {entry} failed: {problem}", set.name);
+                self.failed.push(problem.in_file(format!("{} {entry}", set.name)));
+                return Ok(None);
+            }
+        };
+        let record = Record {
+            set: set.name.to_owned(),
+            dataset: set.dataset.digest,
+            contest,
+            entry: entry.to_string(),
+            budget,
+            options,
+            high_band: self.high_band(set, &output)?,
+            metrics: output.metrics,
+        };
+        Ok(Some(self.records.add(&record)?))
+    }
+
+    fn high_band(&self, set: &Set<'_>, output: &JobOutput) -> Result<Option<f64>, Failure> {
+        let renderer = wiring::Renderer::open(wiring::read(&output.file)?, &self.adapter.adapter)?;
+        Ok(wiring::high_band_error(&renderer, &set.dataset, output.metrics.background)?)
+    }
+}
+
+/// Whether a run took the seconds that it was to take. A run of one step cannot take fewer.
+fn fills(record: &Record, budget: f64) -> bool {
+    let seconds = record.metrics.seconds.train;
+    let miss = (seconds - budget).abs();
+    miss <= TOLERANCE * budget || (seconds > budget && record.metrics.steps <= 1)
+}
+
+/// As many steps as fit into the seconds at the speed of a run.
+fn steps_for(record: &Record, budget: f64) -> u32 {
+    let steps = budget * record.metrics.steps as f64 / record.metrics.seconds.train.max(1e-9);
+    (steps.round() as u32).clamp(1, tcgs::domain::options::MAX_ITERATIONS)
+}

@@ -1,0 +1,97 @@
+//! The kinds of file that a finished scene is written as, told apart by what they begin with.
+
+use serde::{Deserialize, Serialize};
+
+use super::ModelKind;
+
+/// First bytes of a `.tcgs` file (FORMAT.md).
+const TCGS: &[u8] = b"\x89TCGS";
+
+/// A kind of file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SceneFormat {
+    /// Compressed anchors.
+    Tcgs,
+    /// Anchors and networks as floats.
+    Safetensors,
+    /// Plain Gaussians as floats.
+    Ply,
+}
+
+impl SceneFormat {
+    /// Every kind.
+    pub const ALL: [Self; 3] = [Self::Tcgs, Self::Safetensors, Self::Ply];
+
+    /// The name in the API, which is also the extension of a file's name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            SceneFormat::Tcgs => "tcgs",
+            SceneFormat::Safetensors => "safetensors",
+            SceneFormat::Ply => "ply",
+        }
+    }
+
+    /// The media type; only `.tcgs` files have one of their own.
+    #[must_use]
+    pub fn media_type(self) -> &'static str {
+        match self {
+            SceneFormat::Tcgs => "application/vnd.tcgs",
+            SceneFormat::Safetensors | SceneFormat::Ply => "application/octet-stream",
+        }
+    }
+
+    /// What a trained model is written as.
+    #[must_use]
+    pub fn of_model(model: ModelKind) -> Self {
+        match model {
+            ModelKind::Tcgs => SceneFormat::Tcgs,
+            ModelKind::Scaffold => SceneFormat::Safetensors,
+            ModelKind::Gaussians3d => SceneFormat::Ply,
+        }
+    }
+
+    /// What a file is, by its first bytes. Anything unknown is taken for a `.tcgs` file, whose reader says best what is
+    /// wrong with it.
+    #[must_use]
+    pub fn of_bytes(bytes: &[u8]) -> Self {
+        // Safetensors begin with the length of a JSON object in eight bytes, and the object.
+        let holds_object = bytes.get(8) == Some(&b'{');
+        match bytes {
+            _ if bytes.starts_with(TCGS) => SceneFormat::Tcgs,
+            [b'p', b'l', b'y', b'\n' | b'\r', ..] => SceneFormat::Ply,
+            _ if holds_object => SceneFormat::Safetensors,
+            _ => SceneFormat::Tcgs,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_told_apart_by_what_they_begin_with() {
+        for (bytes, format) in [
+            (&b"\x89TCGS\r\n\x1a\x01"[..], SceneFormat::Tcgs),
+            (b"ply\nformat binary_little_endian 1.0\n", SceneFormat::Ply),
+            (b"ply\r\nformat ascii 1.0\r\n", SceneFormat::Ply),
+            (b"\x40\0\0\0\0\0\0\0{\"cells\":", SceneFormat::Safetensors),
+            (b"plyometrics", SceneFormat::Tcgs),
+            (b"", SceneFormat::Tcgs),
+        ] {
+            assert_eq!(SceneFormat::of_bytes(bytes), format, "{bytes:?}");
+        }
+    }
+
+    #[test]
+    fn every_model_has_a_kind_of_its_own_and_names_are_those_of_the_api() {
+        let kinds: Vec<SceneFormat> =
+            ModelKind::ALL.iter().map(|model| SceneFormat::of_model(*model)).collect();
+        assert_eq!(kinds, SceneFormat::ALL);
+        for format in SceneFormat::ALL {
+            assert_eq!(serde_json::to_value(format).expect("a name"), format.name());
+        }
+    }
+}

@@ -1,0 +1,113 @@
+//! The file that a finished scene is kept in, whichever kind it is, and the scene that is in a file.
+
+use crate::{
+    codec::{self, DecodeLimits},
+    domain::{AnchorScene, Background, ByteCounts, Digest, GaussianScene, Problem, Scene, SceneFormat},
+    export::{PlyNote, anchors, from_ply, to_ply},
+};
+
+/// What is in a file.
+#[derive(Debug, Clone)]
+pub struct SceneFile {
+    /// The kind of file.
+    pub format: SceneFormat,
+    /// The scene.
+    pub scene: Scene,
+    /// The background that it was trained on; black for a `.ply` of another program.
+    pub background: Background,
+    /// SHA-256 of the attributes: of anchors as `FORMAT.md` defines it; of plain Gaussians that of their `.ply` as this
+    /// program writes it.
+    pub decode_sha256: Digest,
+    /// Digest of the dataset that it was trained on, if the file states it.
+    pub dataset: Option<Digest>,
+    /// Where the file's bytes go.
+    pub byte_counts: ByteCounts,
+}
+
+/// Reads a file of any kind; its content tells which it is.
+///
+/// # Errors
+/// A problem of status 422 that says what is wrong with the file.
+pub fn read(bytes: &[u8]) -> Result<SceneFile, Problem> {
+    match SceneFormat::of_bytes(bytes) {
+        SceneFormat::Tcgs => read_tcgs(bytes),
+        SceneFormat::Safetensors => read_anchors(bytes),
+        SceneFormat::Ply => read_gaussians(bytes),
+    }
+}
+
+/// Writes the `scaffold` baseline: anchors and networks as floats.
+///
+/// # Errors
+/// A problem where the scene's parts do not fit together.
+pub fn write_anchors(
+    scene: &AnchorScene,
+    background: Background,
+    dataset: Option<Digest>,
+) -> Result<Vec<u8>, Problem> {
+    anchors::write(scene, background, dataset).map_err(|fault| {
+        Problem::new(500, "internal", "Internal error", format!("the scene cannot be written: {fault}"))
+    })
+}
+
+/// Writes the `3dgs` baseline: the field's `.ply`, with its origin in a comment.
+#[must_use]
+pub fn write_gaussians(scene: &GaussianScene, background: Background, dataset: Option<Digest>) -> Vec<u8> {
+    PlyNote { background, dataset }.add_to(to_ply(scene))
+}
+
+fn read_tcgs(bytes: &[u8]) -> Result<SceneFile, Problem> {
+    let byte_counts = codec::inspect(bytes).map_err(|fault| undecodable(&fault.to_string()))?.byte_counts;
+    let decoded =
+        codec::decode(bytes, &DecodeLimits::default()).map_err(|fault| undecodable(&fault.to_string()))?;
+    Ok(SceneFile {
+        format: SceneFormat::Tcgs,
+        scene: Scene::Anchors(decoded.scene),
+        background: decoded.manifest.background,
+        decode_sha256: decoded.decode_sha256,
+        dataset: decoded.manifest.provenance.dataset,
+        byte_counts,
+    })
+}
+
+fn read_anchors(bytes: &[u8]) -> Result<SceneFile, Problem> {
+    let file = anchors::read(bytes).map_err(|fault| undecodable(&fault.to_string()))?;
+    Ok(SceneFile {
+        format: SceneFormat::Safetensors,
+        decode_sha256: codec::decode_digest(&file.scene),
+        byte_counts: anchors::byte_counts(&file.scene, bytes.len() as u64),
+        background: file.background,
+        dataset: file.dataset,
+        scene: Scene::Anchors(file.scene),
+    })
+}
+
+fn read_gaussians(bytes: &[u8]) -> Result<SceneFile, Problem> {
+    let scene = from_ply(bytes).map_err(|fault| undecodable(&fault.to_string()))?;
+    let note = PlyNote::find(bytes);
+    Ok(SceneFile {
+        format: SceneFormat::Ply,
+        decode_sha256: Digest::of(&to_ply(&scene)),
+        byte_counts: ply_counts(&scene, bytes.len() as u64),
+        background: note.map_or(Background::Black, |note| note.background),
+        dataset: note.and_then(|note| note.dataset),
+        scene: Scene::Gaussians(scene),
+    })
+}
+
+/// Where the bytes of a `.ply` go, in the groups that anchors have: means are positions, log-scales and rotations are
+/// scalings, spherical harmonics and opacities are features; the rest, with the published format's three unused normals,
+/// is the container.
+fn ply_counts(scene: &GaussianScene, total: u64) -> ByteCounts {
+    let floats = |each: u64| 4 * each * scene.len() as u64;
+    let (positions, scalings) = (floats(3), floats(3 + 4));
+    // A file of another program may leave out bands that are zero; this one writes all of them.
+    let features = floats(1 + 48).min(total.saturating_sub(positions + scalings));
+    let container = total.saturating_sub(positions + scalings + features);
+    ByteCounts { total, positions, features, scalings, container, ..ByteCounts::default() }
+}
+
+/// A file that cannot be read.
+pub fn undecodable(detail: &str) -> Problem {
+    Problem::new(422, "undecodable", "The file cannot be decoded", detail)
+}
