@@ -1,6 +1,6 @@
 // One Adam step (method.md section 1.6): bias-corrected moments, epsilon outside the root. The learning rate of element i
 // is rates[i % rates_len]. A gradient that is not finite, or whose square would not be, leaves its element
-// untouched.
+// untouched. In a void step all are left untouched.
 //
 // An invocation steps four neighbours, which shares the remainder: lanes divide integers one after the other.
 // Buffers end on 16 bytes, so the last four may reach past the elements but not past the buffer.
@@ -20,6 +20,8 @@ struct Settings {
 @group(0) @binding(3) var<storage, read_write> values: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> first: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> second: array<vec4f>;
+// Not 0 in a step that has to be done again.
+@group(0) @binding(6) var<storage, read> void_mark: array<u32>;
 
 fn after(column: u32) -> u32 {
     return select(column + 1u, 0u, column + 1u == settings.shape.y);
@@ -36,7 +38,7 @@ fn rates_from(element: u32) -> vec4f {
 @compute @workgroup_size(64)
 fn adam(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let i = (group.x + group.y * 65535u) * 64u + local;
-    if 4u * i >= settings.shape.x {
+    if 4u * i >= settings.shape.x || void_mark[0] != 0u {
         return;
     }
     let gradient = gradients[i];

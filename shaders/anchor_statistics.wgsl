@@ -1,6 +1,6 @@
 // Adds one view to the statistics that growth and pruning go by (method.md section 1.7). An anchor's row of
 // statistics: OFFSETS sums of screen-gradient norms, OFFSETS counts of views, a sum of positive opacities, visits.
-// Screen gradients are in half-image units: pixels times half the width and height.
+// Screen gradients are in half-image units: pixels times half the width and height. A void step adds nothing.
 #import tcgs::anchor_view::View
 #import tcgs::model::OFFSETS
 
@@ -11,11 +11,13 @@ const ROW: u32 = 2u * OFFSETS + 2u;
 @group(0) @binding(2) var<storage, read> means_opacity: array<vec4f>;
 @group(0) @binding(3) var<storage, read> d_means2d: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> statistics: array<f32>;
+// Not 0 in a step that has to be done again.
+@group(0) @binding(5) var<storage, read> void_mark: array<u32>;
 
 @compute @workgroup_size(64)
 fn anchor_statistics(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let index = (group.x + group.y * 65535u) * 64u + local;
-    if index >= list[0] {
+    if index >= list[0] || void_mark[0] != 0u {
         return;
     }
     let row = list[1u + index] * ROW;

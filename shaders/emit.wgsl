@@ -1,4 +1,5 @@
-// Writes one (tile, slot) pair for each tile that a visible Gaussian touches, nearest Gaussian first.
+// Writes one (tile, slot) pair for each tile that a visible Gaussian touches, nearest Gaussian first. Counts the passes that
+// had room for all pairs, up to the first that had not, and says what that one needs.
 
 #import tcgs::view::View
 #import tcgs::splat::{NONE, ridges_of, tile_bounds, touches_tile}
@@ -13,6 +14,8 @@
 @group(0) @binding(7) var<storage, read_write> slots: array<u32>;
 @group(0) @binding(8) var<storage, read_write> slot_ids: array<u32>;
 @group(0) @binding(9) var<storage, read_write> first_slots: array<u32>;
+// Pairs that the first pass without room needs, or 0; passes before it.
+@group(0) @binding(10) var<storage, read_write> passes: array<u32>;
 
 fn put(slot: u32, tile: u32, id: u32) {
     keys[slot] = tile;
@@ -22,6 +25,13 @@ fn put(slot: u32, tile: u32, id: u32) {
 
 @compute @workgroup_size(64)
 fn emit(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    if id.x == 0u && passes[0] == 0u {
+        if counts[1] > view.intersection_capacity {
+            passes[0] = counts[1];
+        } else {
+            passes[1] += 1u;
+        }
+    }
     let total = min(counts[0], view.gaussian_capacity);
     for (var i = id.x; i < total; i += groups.x * 64u) {
         let gaussian = ids[i];

@@ -1,6 +1,6 @@
 // Adds one view to the statistics that the growth of plain Gaussians goes by: a row is the sum of screen-gradient norms,
 // the count of views, and the largest radius on screen in pixels. Screen gradients are in half-image units: pixels
-// times half the width and height.
+// times half the width and height. A void step adds nothing.
 #import tcgs::plain::View
 
 const ROW: u32 = 3u;
@@ -8,11 +8,13 @@ const ROW: u32 = 3u;
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> d_centers: array<vec4f>;
 @group(0) @binding(2) var<storage, read_write> statistics: array<f32>;
+// Not 0 in a step that has to be done again.
+@group(0) @binding(3) var<storage, read> void_mark: array<u32>;
 
 @compute @workgroup_size(64)
 fn gaussian_statistics(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let i = (group.x + group.y * 65535u) * 64u + local;
-    if i >= view.count {
+    if i >= view.count || void_mark[0] != 0u {
         return;
     }
     // By the projected centre, tiles touched, radius.

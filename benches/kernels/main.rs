@@ -6,11 +6,12 @@
 //!
 //! The rasteriser works on a shell of as many Gaussians as stated; the networks on a tenth as many anchors, ten offsets
 //! each, all visible; Adam on the anchors' rows. A step is all of it in one submission with nothing read back, by the
-//! clock. The checksums below a table stay while no kernel changes what it computes.
+//! clock; a plain step is one of as many plain Gaussians with spherical harmonics of degree 3. The checksums below a table stay while no kernel changes what it computes.
 
 #![allow(clippy::unwrap_used, reason = "a benchmark stops at the first fault")]
 
 mod ceilings;
+mod plain;
 mod scene;
 mod work;
 
@@ -82,6 +83,8 @@ struct Bench {
     adam: Adam,
     rates: Buffer<f32>,
     moments: Moments,
+    /// Never set: every step counts.
+    void_mark: Buffer<u32>,
 }
 
 impl Bench {
@@ -113,6 +116,7 @@ impl Bench {
             photograph: (0..side * side).map(|_| rng.random()).collect(),
             adam: Adam::new(context)?,
             rates: context.upload("rates", &rates)?,
+            void_mark: context.upload("void mark", &[0])?,
             moments: Moments::zero(context, rows.values.len())?,
             anchors,
             context: Arc::clone(context),
@@ -148,7 +152,7 @@ impl Bench {
 
     fn record_adam(&self, recorder: &mut Recorder<'_>) -> Result<(), GpuError> {
         let (gradients, values) = (&self.d_anchors.rows, &self.anchors.rows);
-        self.adam.step(recorder, 1, &self.rates, gradients, values, &self.moments)
+        self.adam.step(recorder, 1, &self.void_mark, &self.rates, gradients, values, &self.moments)
     }
 
     /// Everything in one submission, by the clock.
@@ -289,6 +293,13 @@ fn table(
         print_row(stage, stages.get(stage).copied().unwrap_or_default(), work, ceilings);
     }
     print_row("step", step, all, ceilings);
+    let plain = plain::step(context, count, side, RUNS)?;
+    println!(
+        "{:>18} {:>9.2} {:>42.1} steps/s",
+        "plain step",
+        1e3 * plain.as_secs_f64(),
+        1.0 / plain.as_secs_f64()
+    );
     if detail {
         for (name, time) in kernels {
             println!("{name:>40} {:>8.3}", 1e3 * time.as_secs_f64());

@@ -8,7 +8,7 @@ use tcgs::{
         Background, CancelFlag, Component, JobMetrics, ModelKind, OptionError, Phase, Preset, TrainOptions,
         Voxel,
     },
-    worker::run::JobFailure,
+    worker::run::{Checkpoints, JobFailure, Resume},
 };
 
 use super::{
@@ -47,13 +47,13 @@ pub(crate) struct Args {
     #[command(flatten)]
     lpips: LpipsFlag,
 
-    /// Keep checkpoints here
-    // Checkpoints come with a later version; until then the flag is refused rather than unknown.
-    #[arg(long, value_name = "DIR", hide = true)]
+    /// Keep a checkpoint of the run in this folder, replaced every minute and when the run is interrupted
+    #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
 
-    /// Go on from the checkpoint here
-    #[arg(long, value_name = "DIR", hide = true)]
+    /// Go on from the checkpoint in this folder, which must be of the same dataset and options; new ones are kept
+    /// there too, if not by --checkpoint elsewhere
+    #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
 
     /// Print the metrics as one JSON document
@@ -127,12 +127,8 @@ impl Options {
 /// Trains, writes the file, reports its metrics.
 pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     let options = args.options.train_options()?;
-    for (flag, value) in [("--checkpoint", &args.checkpoint), ("--resume", &args.resume)] {
-        if value.is_some() {
-            return Err(Failure::Usage(format!("{flag}: this version keeps no checkpoints")));
-        }
-    }
     files::check_writable(&args.output)?;
+    let checkpoints = checkpoints(args)?;
     let lpips = wiring::lpips(args.lpips.lpips.as_deref())?;
     let memory = args.memory.limits(1);
     let runner = wiring::runner(&args.adapter.adapter, memory, std::env::temp_dir(), lpips)?;
@@ -144,6 +140,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     let outcome = runner.run(
         &args.dataset,
         &options,
+        &checkpoints,
         &mut |phase, progress| {
             reached = phase;
             display.show(phase, progress);
@@ -162,6 +159,18 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     files::write(&args.output, &output.file)?;
     let text = format!("{}\nwrote {}", text(&output.metrics), args.output.display());
     Ok(Report::new(text, &output.metrics))
+}
+
+/// What the flags say of checkpoints, with what they name checked before anything else takes its time.
+fn checkpoints(args: &Args) -> Result<Checkpoints, Failure> {
+    let keep = args.checkpoint.clone().or_else(|| args.resume.clone());
+    if let Some(folder) = &args.resume {
+        wiring::check_checkpoint(folder)?;
+    }
+    if let Some(folder) = &keep {
+        files::check_writable(&folder.join("checkpoint"))?;
+    }
+    Ok(Checkpoints { keep, resume: args.resume.clone().map_or(Resume::Fresh, Resume::From) })
 }
 
 /// The first interrupt asks the run to stop; the second, which finds the signal's old meaning gone, ends the process.

@@ -20,6 +20,7 @@ use tcgs::{
     gpu::AdapterChoice,
     ingest::{self, Room},
     render::{RenderViews, SceneViewer, views::Viewable},
+    train::{CheckpointError, CheckpointFolder},
     worker::{pipeline::Pipeline, run::RunJob, scene_file},
 };
 
@@ -136,6 +137,14 @@ pub(crate) fn lpips(path: Option<&Path>) -> Result<Option<Lpips>, Failure> {
     let lpips = Lpips::from_safetensors(&bytes)
         .map_err(|fault| Problem::from(fault).in_file(path.display().to_string()))?;
     Ok(Some(lpips))
+}
+
+/// Checks that there is a sound checkpoint in `folder`; whether it is of the same run shows when it is gone on from.
+pub(crate) fn check_checkpoint(folder: &Path) -> Result<(), Problem> {
+    CheckpointFolder::load(folder).map(drop).map_err(|fault| match fault {
+        fault @ (CheckpointError::Missing(_) | CheckpointError::Io { .. }) => fault.into(),
+        fault => Problem::from(fault).in_file(folder.display().to_string()),
+    })
 }
 
 /// What renders views, for the service and for single commands; the second is adapter and driver in one line.

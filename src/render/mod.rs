@@ -15,6 +15,6 @@ pub use gaussians::{GaussianGradients, Gaussians};
 pub use neural::{AnchorGradients, DeviceAnchors, NeuralGaussians};
 pub use plain::{DeviceRows, PlainGaussians, STATISTICS};
 pub use projection::{Projection, RasterSettings, TILE};
-pub use rasterizer::{Counts, Rasterizer};
+pub use rasterizer::{Counts, Passes, Rasterizer};
 pub use scene_renderer::{SceneRenderer, SceneViewer};
 pub use views::RenderViews;

@@ -465,7 +465,8 @@ impl NeuralGaussians {
         Ok(())
     }
 
-    /// Records the adding of the view to the growth statistics, `[N][2 K + 2]` (method.md §1.7).
+    /// Records the adding of the view to the growth statistics, `[N][2 K + 2]` (method.md §1.7), unless `void_mark` is
+    /// set by then.
     ///
     /// # Errors
     /// [`RenderError::OutOfStep`] before a backward pass.
@@ -474,6 +475,7 @@ impl NeuralGaussians {
         recorder: &mut Recorder<'_>,
         anchors: &DeviceAnchors,
         statistics: &Buffer<f32>,
+        void_mark: &Buffer<u32>,
     ) -> Result<(), RenderError> {
         let back = self.backward.as_ref().ok_or(RenderError::OutOfStep)?;
         recorder.dispatch(
@@ -484,6 +486,7 @@ impl NeuralGaussians {
                 self.forward.gaussians.means_opacity.as_ref(),
                 back.d_gaussians.means2d.as_ref(),
                 statistics.as_ref(),
+                void_mark.as_ref(),
             ],
             anchors.count.div_ceil(64) as u32,
         );

@@ -250,7 +250,7 @@ impl PlainGaussians {
         Ok(())
     }
 
-    /// Records the adding of the view to the growth statistics, `[N][3]`.
+    /// Records the adding of the view to the growth statistics, `[N][3]`, unless `void_mark` is set by then.
     ///
     /// # Errors
     /// [`RenderError::OutOfStep`] before a backward pass.
@@ -258,11 +258,12 @@ impl PlainGaussians {
         &self,
         recorder: &mut Recorder<'_>,
         statistics: &Buffer<f32>,
+        void_mark: &Buffer<u32>,
     ) -> Result<(), RenderError> {
         let d = self.gradients.as_ref().ok_or(RenderError::OutOfStep)?;
         recorder.dispatch(
             &self.gaussian_statistics,
-            &[self.view.as_ref(), d.means2d.as_ref(), statistics.as_ref()],
+            &[self.view.as_ref(), d.means2d.as_ref(), statistics.as_ref(), void_mark.as_ref()],
             groups(self.gaussians.capacity),
         );
         Ok(())

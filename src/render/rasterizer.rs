@@ -43,6 +43,15 @@ pub struct Counts {
     pub overflowed: bool,
 }
 
+/// What became of forward passes that nobody waited for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Passes {
+    /// Passes with room for all their intersections, up to the first without.
+    pub sound: u32,
+    /// Intersections that the first pass without room needs. That pass and all after it are void.
+    pub lacking: Option<usize>,
+}
+
 #[derive(Debug)]
 struct Kernels {
     project: Arc<Kernel>,
@@ -200,6 +209,8 @@ pub struct Rasterizer {
     kernels: Kernels,
     view: Buffer<View>,
     counters: Buffer<u32>,
+    passes: Buffer<u32>,
+    first_room: Option<usize>,
     gaussians: PerGaussian,
     intersections: PerIntersection,
     image: PerImage,
@@ -237,6 +248,8 @@ impl Rasterizer {
             kernels,
             view: context.buffer("view", 1)?,
             counters: context.buffer("counters", 2)?,
+            passes: context.buffer("passes", 2)?,
+            first_room: None,
             gaussians: PerGaussian::new(&context, 0)?,
             intersections: PerIntersection::new(&context, 0, 0)?,
             image: PerImage {
@@ -256,7 +269,7 @@ impl Rasterizer {
     #[must_use]
     pub fn bytes(adapter: &AdapterReport, gaussians: usize, intersections: usize, size: [u32; 2]) -> u64 {
         buffer_bytes::<View>(1)
-            + buffer_bytes::<u32>(2)
+            + 2 * buffer_bytes::<u32>(2)
             + PerGaussian::bytes(adapter, gaussians)
             + PerIntersection::bytes(adapter, intersections, tile_bits(tiles(size)))
             + PerImage::bytes(size)
@@ -325,13 +338,45 @@ impl Rasterizer {
     /// [`GpuError::BufferTooLarge`] where the adapter has no room; faults of the device.
     pub fn grow(&mut self, counts: &Counts) -> Result<(), RenderError> {
         if counts.overflowed {
-            self.rendered = None;
-            let wanted = counts.intersections as usize;
-            let tile_bits = self.intersections.tile_bits;
-            let room = room_for(wanted, Self::bindable_intersections(self.context.adapter()));
-            self.intersections = PerIntersection::new(&self.context, room, tile_bits)?;
+            self.make_room(counts.intersections as usize)?;
         }
         Ok(())
+    }
+
+    /// Makes room for `wanted` intersections, and some more.
+    ///
+    /// # Errors
+    /// As [`Rasterizer::grow`].
+    pub fn make_room(&mut self, wanted: usize) -> Result<(), RenderError> {
+        self.rendered = None;
+        let tile_bits = self.intersections.tile_bits;
+        let room = room_for(wanted, Self::bindable_intersections(self.context.adapter()));
+        self.intersections = PerIntersection::new(&self.context, room, tile_bits)?;
+        Ok(())
+    }
+
+    /// Begins with room for `intersections`, whatever scenes usually take; for tests of running out of it.
+    pub fn begin_with_room_for(&mut self, intersections: usize) {
+        self.first_room = Some(intersections);
+    }
+
+    /// Not zero on the device from the first forward pass that lacks room until [`Rasterizer::passes`] is asked: what
+    /// comes of such passes must change nothing that lasts.
+    #[must_use]
+    pub fn void_mark(&self) -> &Buffer<u32> {
+        &self.passes
+    }
+
+    /// What became of the forward passes since this was last asked. Waits for the device. Where one lacked room: make it,
+    /// and record that one and those after it again.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn passes(&self) -> Result<Passes, RenderError> {
+        let passes = self.context.read(&self.passes)?;
+        self.context.write(&self.passes, &[0, 0]);
+        let needed = passes[0] as usize;
+        Ok(Passes { sound: passes[1], lacking: (needed > 0).then_some(needed) })
     }
 
     /// Records the gradients of a loss whose derivatives by the image (red, green, blue, alpha = 1 - transmittance) are
@@ -426,8 +471,9 @@ impl Rasterizer {
             self.image = PerImage::new(&self.context, projection)?;
         }
         let tile_bits = tile_bits(self.image.tiles);
-        // `grow` makes the rest, which is kept.
+        // `make_room` makes the rest, which is kept.
         let usual = Self::usual_intersections(self.context.adapter(), capacity);
+        let usual = self.first_room.unwrap_or(usual);
         let intersections = self.intersections.capacity.max(usual);
         if self.intersections.capacity != intersections || self.intersections.tile_bits != tile_bits {
             self.intersections = PerIntersection::new(&self.context, intersections, tile_bits)?;
@@ -503,6 +549,7 @@ impl Rasterizer {
                 by_tile.values.as_ref(),
                 self.intersections.slot_ids.as_ref(),
                 own.first_slots.as_ref(),
+                self.passes.as_ref(),
             ],
             groups,
         );

@@ -61,14 +61,17 @@ impl Adam {
         Ok(Self { kernel: context.kernel(kernel_source!("adam"), &[])? })
     }
 
-    /// Records step `t` (from 1). Element i learns at `rates[i % rates.len()]`.
+    /// Records step `t` (from 1), which does nothing if `void_mark` is set by then. Element i learns at
+    /// `rates[i % rates.len()]`.
     ///
     /// # Errors
     /// Faults of the device.
+    #[expect(clippy::too_many_arguments, reason = "one dispatch's worth of buffers, named at each call")]
     pub fn step(
         &self,
         recorder: &mut Recorder<'_>,
         t: u32,
+        void_mark: &Buffer<u32>,
         rates: &Buffer<f32>,
         gradients: &Buffer<f32>,
         values: &Buffer<f32>,
@@ -90,6 +93,7 @@ impl Adam {
                 values.as_ref(),
                 moments.first.as_ref(),
                 moments.second.as_ref(),
+                void_mark.as_ref(),
             ],
             values.len().div_ceil(4 * 64) as u32,
         );

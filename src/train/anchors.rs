@@ -5,16 +5,17 @@ use std::sync::Arc;
 use rand_pcg::Pcg64;
 
 use super::{
-    Adam, Decay, Densify, MaskRows, Moments, OffsetMasks, Schedule, Statistics, TrainError,
+    Adam, CheckpointError, Decay, Densify, MaskRows, Moments, OffsetMasks, Schedule, Statistics, TrainError,
     budget::Footprint,
     densify::{Trainable, densify, drop_masked},
     learner::{Learner, Size, Step},
+    state::LearnerState,
     unused::drop_unused,
 };
 use crate::{
-    domain::{Camera, CancelFlag, Frame, Scene},
+    domain::{Camera, CancelFlag, Frame, Lattice, Scene},
     gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
-    model::{AnchorRows, NetworkLayout, Shape, initial_rows},
+    model::{AnchorRows, MAX_CELL, NetworkLayout, Shape, initial_rows},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, RasterSettings},
 };
 
@@ -41,6 +42,21 @@ pub(super) struct AnchorLearner {
     adam: Adam,
 }
 
+/// What differs between a learner that begins and one that goes on.
+struct Parts {
+    state: Trainable,
+    statistics: Statistics,
+    /// The networks' parameters and their moments.
+    networks: [Vec<f32>; 3],
+}
+
+fn lattice_values(values: &[f32]) -> Result<[f32; 4], CheckpointError> {
+    match <[f32; 4]>::try_from(values) {
+        Ok(values) if values[0] > 0.0 && values.iter().all(|v| v.is_finite()) => Ok(values),
+        _ => Err(CheckpointError::array("lattice", "is not a size and an origin")),
+    }
+}
+
 impl AnchorLearner {
     /// Anchors at `points` and fresh networks; `extent` is the scene's, in world units.
     pub(super) fn begin(
@@ -54,27 +70,106 @@ impl AnchorLearner {
         let rule = schedule.voxel.for_points(points, extent);
         // Growth needs room above what the points begin with.
         let anchors = initial_rows(points, rule, shape, schedule.max_anchors / 2)?;
+        let networks = NetworkLayout::new(shape).initial(rng);
+        let parameters = networks.len();
+        let zeros = |len| vec![0.0; len];
+        let parts = Parts {
+            networks: [networks, zeros(parameters), zeros(parameters)],
+            statistics: Statistics::zero(shape, anchors.len()),
+            state: Trainable {
+                first: zeros(anchors.values.len()),
+                second: zeros(anchors.values.len()),
+                masks: schedule.masks.map(|_| MaskRows::new(anchors.len() * shape.offsets)),
+                anchors,
+            },
+        };
+        Self::assemble(context, schedule, extent, parts)
+    }
+
+    /// The learner that [`Learner::save`] was asked of.
+    pub(super) fn resume(
+        context: &Arc<Context>,
+        schedule: Schedule,
+        extent: f32,
+        mut state: LearnerState,
+    ) -> Result<Self, TrainError> {
+        let shape = schedule.shape;
+        let [voxel, origin @ ..] = lattice_values(&state.take_exactly::<f32>("lattice", 4)?)?;
+        let flat: Vec<i32> = state.take("anchors.cells")?;
+        let cells: Vec<[i32; 3]> = flat.as_chunks().0.to_vec();
+        let anchors = cells.len();
+        if anchors == 0
+            || flat.len() != 3 * anchors
+            || flat.iter().any(|c| c.unsigned_abs() > MAX_CELL as u32)
+        {
+            let fault = format!("has {} values, or some that are no cell of a lattice", flat.len());
+            return Err(CheckpointError::array("anchors.cells", fault).into());
+        }
+        let rows = anchors * shape.row();
+        let offsets = anchors * shape.offsets;
+        let parameters = NetworkLayout::new(shape).parameters;
+        let masks = state.take_exactly("anchors.masks", anchors)?;
+        let learning = state.has("masks.logits");
+        let mut floats = |name: &str, len: usize| state.take_exactly::<f32>(name, len);
+        let parts = Parts {
+            statistics: Statistics { shape, values: floats("growth", anchors * Statistics::width(shape))? },
+            networks: [
+                floats("networks", parameters)?,
+                floats("networks.first", parameters)?,
+                floats("networks.second", parameters)?,
+            ],
+            state: Trainable {
+                first: floats("anchors.rows.first", rows)?,
+                second: floats("anchors.rows.second", rows)?,
+                masks: if learning {
+                    Some(MaskRows {
+                        logits: floats("masks.logits", offsets)?,
+                        first: floats("masks.logits.first", offsets)?,
+                        second: floats("masks.logits.second", offsets)?,
+                    })
+                } else {
+                    None
+                },
+                anchors: AnchorRows {
+                    shape,
+                    lattice: Lattice { voxel, origin },
+                    cells,
+                    values: floats("anchors.rows", rows)?,
+                    masks,
+                },
+            },
+        };
+        state.finish()?;
+        Self::assemble(context, schedule, extent, parts)
+    }
+
+    fn assemble(
+        context: &Arc<Context>,
+        schedule: Schedule,
+        extent: f32,
+        parts: Parts,
+    ) -> Result<Self, TrainError> {
+        let shape = schedule.shape;
+        let Parts { state, statistics, networks: [networks, first, second] } = parts;
+        let Trainable { anchors, .. } = &state;
+        let masks = state.masks.as_ref().map(|masks| OffsetMasks::upload(context, shape, masks));
         let layout = NetworkLayout::new(shape);
-        let networks = layout.initial(rng);
         Ok(Self {
+            schedule,
             shape,
             extent,
             owners: layout.owners(),
-            device: DeviceAnchors::upload(context, &anchors, &networks)?,
+            device: DeviceAnchors::upload(context, anchors, &networks)?,
             gradients: AnchorGradients::new(context, shape, anchors.len())?,
-            row_moments: Moments::zero(context, anchors.values.len())?,
-            network_moments: Moments::zero(context, layout.parameters)?,
-            statistics: context.buffer("growth statistics", anchors.len() * Statistics::width(shape))?,
-            masks: schedule
-                .masks
-                .map(|_| OffsetMasks::upload(context, shape, &MaskRows::new(anchors.len() * shape.offsets)))
-                .transpose()?,
+            row_moments: Moments::upload(context, &state.first, &state.second)?,
+            network_moments: Moments::upload(context, &first, &second)?,
+            statistics: context.upload("growth statistics", &statistics.values)?,
+            masks: masks.transpose()?,
             neural: NeuralGaussians::new(Arc::clone(context), shape, RasterSettings::default().near)?,
             adam: Adam::new(context)?,
             context: Arc::clone(context),
-            schedule,
             layout,
-            anchors,
+            anchors: state.anchors,
         })
     }
 
@@ -103,6 +198,10 @@ impl AnchorLearner {
         let outcome = densify(&mut state, &mut statistics, &settings, rng);
         tracing::debug!(step, grown = outcome.grown, pruned = outcome.pruned, anchors = state.anchors.len());
         self.write(state, &statistics, step)
+    }
+
+    fn settles_masks(&self, step: u32) -> bool {
+        self.schedule.masks.is_some_and(|masks| masks.until == step)
     }
 
     /// The masks learn no more; anchors that they left without an offset go.
@@ -220,16 +319,18 @@ impl Learner for AnchorLearner {
         recorder: &mut Recorder<'_>,
         _camera: &Camera,
         step: &Step,
+        void_mark: &Buffer<u32>,
     ) -> Result<(), TrainError> {
         self.neural.backward(recorder, &self.device, &self.gradients)?;
         if self.schedule.gathers_statistics(step.number) {
-            self.neural.statistics(recorder, &self.device, &self.statistics)?;
+            self.neural.statistics(recorder, &self.device, &self.statistics, void_mark)?;
         }
         let row_rates = recorder.uniform(&self.row_rates(step.fraction))?;
         let network_rates = recorder.uniform(&self.network_rates(step.fraction))?;
         self.adam.step(
             recorder,
             step.number,
+            void_mark,
             &row_rates,
             &self.gradients.rows,
             &self.device.rows,
@@ -238,6 +339,7 @@ impl Learner for AnchorLearner {
         self.adam.step(
             recorder,
             step.number,
+            void_mark,
             &network_rates,
             &self.gradients.networks,
             &self.device.networks,
@@ -249,16 +351,20 @@ impl Learner for AnchorLearner {
             masks.backward(recorder, &mut self.neural, &self.device, schedule.weight_at(step.number))?;
             let rate = schedule.rate.at(step.fraction) as f32;
             let since = step.number + 1 - schedule.from;
-            masks.step(recorder, &self.adam, since, rate, schedule.level, &self.device)?;
+            masks.step(recorder, &self.adam, since, void_mark, rate, schedule.level, &self.device)?;
         }
         Ok(())
+    }
+
+    fn adapts(&self, step: &Step) -> bool {
+        self.schedule.densifies(step.number) || self.settles_masks(step.number)
     }
 
     fn adapt(&mut self, step: &Step, rng: &mut Pcg64) -> Result<(), TrainError> {
         if self.schedule.densifies(step.number) {
             self.densify(step.number, rng)?;
         }
-        if self.schedule.masks.is_some_and(|masks| masks.until == step.number) {
+        if self.settles_masks(step.number) {
             self.settle_masks(step.number)?;
         }
         Ok(())
@@ -266,6 +372,28 @@ impl Learner for AnchorLearner {
 
     fn size(&self) -> Result<Size, TrainError> {
         Ok(Size { anchors: self.anchors.len(), gaussians: self.neural.counts()?[1] as usize })
+    }
+
+    fn save(&self) -> Result<LearnerState, TrainError> {
+        let (Trainable { anchors, first, second, masks }, statistics) = self.read()?;
+        let Lattice { voxel, origin: [x, y, z] } = anchors.lattice;
+        let mut state = LearnerState::default();
+        state.put("lattice", vec![voxel, x, y, z]);
+        state.put("anchors.cells", anchors.cells.into_flattened());
+        state.put("anchors.masks", anchors.masks);
+        state.put("anchors.rows", anchors.values);
+        state.put("anchors.rows.first", first);
+        state.put("anchors.rows.second", second);
+        state.put("growth", statistics.values);
+        state.put("networks", self.context.read(&self.device.networks)?);
+        state.put("networks.first", self.context.read(&self.network_moments.first)?);
+        state.put("networks.second", self.context.read(&self.network_moments.second)?);
+        if let Some(masks) = masks {
+            state.put("masks.logits", masks.logits);
+            state.put("masks.logits.first", masks.first);
+            state.put("masks.logits.second", masks.second);
+        }
+        Ok(state)
     }
 
     fn finish(mut self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Scene, TrainError> {

@@ -13,6 +13,7 @@ use super::{
     ImageLoss, Schedule,
     anchors::AnchorFootprint,
     plain::{PlainFootprint, PlainSchedule},
+    trainer::REPORT_EVERY,
 };
 use crate::{
     domain::{Bytes, Dataset, MemoryBudget, ModelKind, Problem, TrainOptions},
@@ -42,8 +43,9 @@ const PAIRS_A_TILE: usize = 512;
 /// Main memory of the program and a software driver with its compiled kernels.
 const PROGRAM_BYTES: u64 = 256 << 20;
 
-/// Host bytes a pixel of the photograph of a step: as stored, over its background, packed, and on its way to the device.
-const STEP_BYTES_A_PIXEL: u64 = 4 + 3 + 4 + 4;
+/// Host bytes a pixel of the photograph of a step: as stored, over its background, packed, on its way to the device, and the next
+/// one packed.
+const STEP_BYTES_A_PIXEL: u64 = 4 + 3 + 4 + 4 + 4;
 
 /// Host bytes a point of the cloud: position and colour, a copy of the position, and its cell in sets and trees.
 const POINT_BYTES: u64 = 15 + 12 + 128;
@@ -195,7 +197,7 @@ impl<'a> Needs<'a> {
                 part("model and optimiser", model.model_bytes(size)),
                 part("Gaussians of a view", model.view_bytes(size)),
                 part("rasteriser", raster(gaussians, pairs) + (sizes - 1) * raster(0, 0)),
-                part("loss", sizes * ImageLoss::bytes(self.largest) + 4 * pixels),
+                part("loss", sizes * ImageLoss::bytes(self.largest) + 4 * u64::from(REPORT_EVERY) * pixels),
             ],
             host: vec![
                 part("photographs", self.photographs),

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::OverBudget;
+use super::{CheckpointError, OverBudget};
 use crate::{
     domain::{PhotographError, Problem},
     gpu::GpuError,
@@ -37,6 +37,9 @@ pub enum TrainError {
     /// More memory is needed than there may be.
     #[error(transparent)]
     OverBudget(#[from] OverBudget),
+    /// The run cannot go on from the checkpoint that it was given.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
     /// Somebody asked for a stop.
     #[error("cancelled")]
     Cancelled,
@@ -55,6 +58,7 @@ impl From<TrainError> for Problem {
             TrainError::Render(fault) => fault.into(),
             TrainError::Photograph(fault) => fault.into(),
             TrainError::OverBudget(fault) => fault.into(),
+            TrainError::Checkpoint(fault) => fault.into(),
             other => Problem::new(422, "training-failed", "Training failed", other.to_string()),
         }
     }

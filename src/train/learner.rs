@@ -2,14 +2,15 @@
 //!
 //! The step loop owns photographs, rasteriser and losses; a learner turns its parameters into the Gaussians of a view and
 //! the loss's gradients by those into its next parameters. What always holds: a learner's state after a step is a
-//! function of its state before, the camera, the step and the random generator that it is handed.
+//! function of its state before, the camera, the step and the random generator that it is handed; and a learner that is
+//! made from what [`Learner::save`] gave goes on with the same bits.
 
 use rand_pcg::Pcg64;
 
-use super::TrainError;
+use super::{TrainError, state::LearnerState};
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
-    gpu::Recorder,
+    gpu::{Buffer, Recorder},
     render::{GaussianGradients, Gaussians},
 };
 
@@ -47,19 +48,27 @@ pub(super) trait Learner {
     /// Where the rasteriser is to write the loss's gradients by them.
     fn gaussian_gradients(&mut self) -> Result<GaussianGradients, TrainError>;
 
-    /// Records the gradients by the parameters, the statistics that growth goes by, and the optimiser's step.
+    /// Records the gradients by the parameters, the statistics that growth goes by, and the optimiser's step. If `void_mark` is
+    /// set by the time that these are run, the step will be done again: then nothing of it may last.
     fn backward(
         &mut self,
         recorder: &mut Recorder<'_>,
         camera: &Camera,
         step: &Step,
+        void_mark: &Buffer<u32>,
     ) -> Result<(), TrainError>;
 
-    /// Grows, prunes and resets where the schedule wants it after a submitted step. May wait for the device.
+    /// Whether the schedule wants [`Learner::adapt`] after a step.
+    fn adapts(&self, step: &Step) -> bool;
+
+    /// Grows, prunes and resets after a submitted step. May wait for the device.
     fn adapt(&mut self, step: &Step, rng: &mut Pcg64) -> Result<(), TrainError>;
 
     /// How large the model is. May wait for the device.
     fn size(&self) -> Result<Size, TrainError>;
+
+    /// Everything that the next step depends on. Waits for the device.
+    fn save(&self) -> Result<LearnerState, TrainError>;
 
     /// The finished scene; `frames` are the photographs that it learnt from.
     fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Scene, TrainError>;

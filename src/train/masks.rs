@@ -136,22 +136,24 @@ impl OffsetMasks {
         Ok(&self.gradients)
     }
 
-    /// Records step `t` (from 1) of the optimiser with the last gradients, and the masks that follow from it: an offset
-    /// makes Gaussians while its logit is above `level`.
+    /// Records step `t` (from 1) of the optimiser with the last gradients, which does nothing if `void_mark` is set by then, and
+    /// the masks that follow from the logits: an offset makes Gaussians while its logit is above `level`.
     ///
     /// # Errors
     /// Faults of the device.
+    #[expect(clippy::too_many_arguments, reason = "the optimiser's arguments and the masks' own")]
     pub fn step(
         &self,
         recorder: &mut Recorder<'_>,
         adam: &Adam,
         t: u32,
+        void_mark: &Buffer<u32>,
         rate: f32,
         level: f32,
         anchors: &DeviceAnchors,
     ) -> Result<(), GpuError> {
         let rates = recorder.uniform(&[rate])?;
-        adam.step(recorder, t, &rates, &self.gradients, &self.logits, &self.moments)?;
+        adam.step(recorder, t, void_mark, &rates, &self.gradients, &self.logits, &self.moments)?;
         let settings = recorder
             .uniform(&[[level, 0.0, 0.0, 0.0], [f32::from_bits(anchors.count as u32), 0.0, 0.0, 0.0]])?;
         recorder.dispatch(

@@ -1,11 +1,14 @@
-//! Training: the step loop, its schedule, the image loss, Adam, growth and pruning, offset masks.
+//! Training: the step loop, its schedule, the image loss, Adam, growth and pruning, offset masks, checkpoints.
 //!
 //! What always holds: the same dataset, options, seed and adapter give the same bits, because every random choice comes
 //! from the seed and every sum on the device has a fixed order.
 
 mod adam;
 mod anchors;
+mod batch;
 pub mod budget;
+mod checkpoint;
+mod checkpoint_folder;
 mod densify;
 mod error;
 mod learner;
@@ -15,6 +18,7 @@ mod plain;
 mod schedule;
 mod schedule_table;
 mod start_box;
+mod state;
 mod statistics;
 mod trainer;
 pub mod twin;
@@ -23,6 +27,8 @@ mod wavelet;
 
 pub use adam::{Adam, Moments};
 pub use budget::{Estimate, Needs, OverBudget};
+pub use checkpoint::{Checkpoint, CheckpointError};
+pub use checkpoint_folder::{CheckpointFolder, KeepCheckpoints};
 pub use densify::{Densify, densify};
 pub use error::TrainError;
 pub use loss::{ImageLoss, LossSums};
@@ -30,5 +36,5 @@ pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
 pub use schedule::{Decay, MaskSchedule, Schedule};
 pub use schedule_table::schedule_table;
 pub use statistics::Statistics;
-pub use trainer::{Trained, train, train_within};
+pub use trainer::{Checkpoints, Trained, train, train_within};
 pub use wavelet::WaveletWeights;

@@ -9,21 +9,30 @@ use std::sync::Arc;
 use rand_pcg::Pcg64;
 
 use super::{
-    Adam, Moments, TrainError,
+    Adam, CheckpointError, Moments, TrainError,
     budget::Footprint,
     learner::{Learner, Size, Step},
+    state::LearnerState,
 };
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
     gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
     model::{
-        initial_gaussians,
-        plain::{BASE, COLOR, LOG_SCALE, OPACITY, QUAT, band_values},
+        GaussianRows, initial_gaussians,
+        plain::{BANDS, BASE, COLOR, LOG_SCALE, OPACITY, QUAT, band_values},
     },
     render::{DeviceRows, GaussianGradients, Gaussians, PlainGaussians, RasterSettings, STATISTICS},
 };
 use grow::{Growth, PlainState, grow_and_prune, reset_opacities};
 pub(super) use schedule::PlainSchedule;
+
+/// Names of the arrays of a checkpoint: parameters, first and second moments.
+const ROWS: [&str; 3] = ["gaussians", "gaussians.first", "gaussians.second"];
+
+/// Name of the array with the spherical harmonics of degree `band` + 1.
+fn band_name(rows: &str, band: usize) -> String {
+    format!("{rows}.band{}", band + 1)
+}
 
 /// Gaussians, and what their optimiser and their growth remember.
 pub(super) struct PlainLearner {
@@ -68,6 +77,51 @@ impl PlainLearner {
         })
     }
 
+    /// The learner that [`Learner::save`] was asked of.
+    pub(super) fn resume(
+        context: &Arc<Context>,
+        schedule: PlainSchedule,
+        extent: f32,
+        mut state: LearnerState,
+    ) -> Result<Self, TrainError> {
+        let mut rows = Vec::new();
+        for name in ROWS {
+            let base: Vec<f32> = state.take(name)?;
+            let count = base.len() / BASE;
+            if count == 0 || base.len() != count * BASE {
+                let fault = format!("has {} values, which are no rows of {BASE}", base.len());
+                return Err(CheckpointError::array(name, fault).into());
+            }
+            let mut band = |band: usize| state.take_exactly(&band_name(name, band), count * BANDS[band]);
+            rows.push(GaussianRows { base, bands: [band(0)?, band(1)?, band(2)?] });
+        }
+        let count = rows[0].len();
+        if let Some(name) = ROWS.iter().zip(&rows).find(|(_, rows)| rows.len() != count).map(|(name, _)| name)
+        {
+            return Err(CheckpointError::array(name, format!("is not of {count} Gaussians")).into());
+        }
+        let statistics = state.take_exactly::<f32>("growth", STATISTICS * count)?;
+        let degree = state.take_exactly::<u32>("degree", 1)?[0];
+        state.finish()?;
+        if degree as usize > BANDS.len() {
+            return Err(CheckpointError::array("degree", format!("is {degree}")).into());
+        }
+        let mut plain = PlainGaussians::new(Arc::clone(context), RasterSettings::default().near)?;
+        plain.set_degree(degree)?;
+        Ok(Self {
+            schedule,
+            extent,
+            rows: DeviceRows::upload(context, &rows[0])?,
+            gradients: DeviceRows::zero(context, count)?,
+            first: DeviceRows::upload(context, &rows[1])?,
+            second: DeviceRows::upload(context, &rows[2])?,
+            statistics: context.upload("growth statistics", &statistics)?,
+            plain,
+            adam: Adam::new(context)?,
+            context: Arc::clone(context),
+        })
+    }
+
     fn base_rates(&self, fraction: f64) -> [f32; BASE] {
         let mut rates = [self.schedule.color; BASE];
         rates[..LOG_SCALE].fill(self.schedule.mean.at(fraction) as f32 * self.extent);
@@ -78,16 +132,37 @@ impl PlainLearner {
     }
 
     /// Records the optimiser's step on the base values and on the bands in use.
-    fn learn(&self, recorder: &mut Recorder<'_>, step: &Step) -> Result<(), TrainError> {
+    fn learn(
+        &self,
+        recorder: &mut Recorder<'_>,
+        step: &Step,
+        void_mark: &Buffer<u32>,
+    ) -> Result<(), TrainError> {
         let rates = recorder.uniform(&self.base_rates(step.fraction))?;
         let moments = Moments { first: self.first.base.clone(), second: self.second.base.clone() };
-        self.adam.step(recorder, step.number, &rates, &self.gradients.base, &self.rows.base, &moments)?;
+        self.adam.step(
+            recorder,
+            step.number,
+            void_mark,
+            &rates,
+            &self.gradients.base,
+            &self.rows.base,
+            &moments,
+        )?;
         let in_use = self.rows.count * band_values(self.plain.degree() as usize);
         if in_use > 0 {
             let rates = recorder.uniform(&[self.schedule.coefficients])?;
             let moments = Moments { first: self.first.bands.clone(), second: self.second.bands.clone() };
             let bands = self.rows.bands.first(in_use);
-            self.adam.step(recorder, step.number, &rates, &self.gradients.bands, &bands, &moments)?;
+            self.adam.step(
+                recorder,
+                step.number,
+                void_mark,
+                &rates,
+                &self.gradients.bands,
+                &bands,
+                &moments,
+            )?;
         }
         Ok(())
     }
@@ -190,12 +265,17 @@ impl Learner for PlainLearner {
         recorder: &mut Recorder<'_>,
         _camera: &Camera,
         step: &Step,
+        void_mark: &Buffer<u32>,
     ) -> Result<(), TrainError> {
         self.plain.backward(recorder, &self.rows, &self.gradients)?;
         if self.schedule.gathers_statistics(step.number) {
-            self.plain.statistics(recorder, &self.statistics)?;
+            self.plain.statistics(recorder, &self.statistics, void_mark)?;
         }
-        self.learn(recorder, step)
+        self.learn(recorder, step, void_mark)
+    }
+
+    fn adapts(&self, step: &Step) -> bool {
+        self.schedule.densifies(step.number) || self.schedule.resets(step.number)
     }
 
     fn adapt(&mut self, step: &Step, rng: &mut Pcg64) -> Result<(), TrainError> {
@@ -215,6 +295,21 @@ impl Learner for PlainLearner {
 
     fn size(&self) -> Result<Size, TrainError> {
         Ok(Size { anchors: 0, gaussians: self.rows.count })
+    }
+
+    fn save(&self) -> Result<LearnerState, TrainError> {
+        let PlainState { values, first, second } = self.download()?;
+        let mut state = LearnerState::default();
+        for (name, rows) in ROWS.into_iter().zip([values, first, second]) {
+            state.put(name, rows.base);
+            for (band, values) in rows.bands.into_iter().enumerate() {
+                state.put(&band_name(name, band), values);
+            }
+        }
+        state.put("growth", self.context.read(&self.statistics)?);
+        // Of the last view, which a run that goes on from its last step does not render again.
+        state.put("degree", vec![self.plain.degree()]);
+        Ok(state)
     }
 
     fn finish(self: Box<Self>, _frames: &[&Frame], _cancel: &CancelFlag) -> Result<Scene, TrainError> {

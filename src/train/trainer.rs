@@ -1,4 +1,7 @@
 //! The step loop: one photograph a step, forward, losses, backward, optimiser, and now and then growth and pruning.
+//!
+//! A step is one submission, and steps are sent in batches: the host looks after each batch whether every step had room, and
+//! does those again that had not.
 
 use std::{sync::Arc, time::Instant};
 
@@ -6,12 +9,15 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Estimate, ImageLoss, LossSums, Needs, Schedule, TrainError, WaveletWeights,
+    Checkpoint, Estimate, ImageLoss, KeepCheckpoints, LossSums, Needs, Schedule, TrainError, WaveletWeights,
     anchors::AnchorLearner,
+    batch::Batch,
+    checkpoint::{Origin, RunState},
     learner::{Learner, Step},
     loss::pack,
     plain::{PlainLearner, PlainSchedule},
     start_box::start_box,
+    state::LearnerState,
 };
 use crate::{
     domain::{
@@ -23,8 +29,8 @@ use crate::{
     render::{RasterSettings, Rasterizer},
 };
 
-/// Steps between two reports of progress.
-const REPORT_EVERY: u32 = 10;
+/// Steps between two reports of progress, and so the most that are on their way to the device.
+pub(super) const REPORT_EVERY: u32 = 10;
 
 /// A finished training run.
 #[derive(Debug, Clone)]
@@ -37,22 +43,33 @@ pub struct Trained {
     pub seconds: f64,
 }
 
+/// What a run goes on from, and who keeps what others may go on from; neither changes what comes of it.
+#[derive(Default)]
+pub struct Checkpoints<'a> {
+    /// A checkpoint of this run to go on from, instead of its begin.
+    pub resume: Option<Checkpoint>,
+    /// Keeps checkpoints: those that it wants, one when the run is cancelled, and one after the last step.
+    pub keep: Option<&'a mut dyn KeepCheckpoints>,
+}
+
 /// Trains a scene on the dataset's training frames.
 ///
-/// `report` is called every few steps. The run is a function of dataset, options and adapter.
+/// `report` is called every few steps, and at once where the run goes on from a checkpoint. The run is a function of dataset,
+/// options and adapter.
 ///
 /// # Errors
-/// [`TrainError`]; a cancelled run ends as [`TrainError::Cancelled`] within a step, or within a view
-/// of the pass that ends it.
+/// [`TrainError`]; a cancelled run ends as [`TrainError::Cancelled`] within a step or about a second, or within a view
+/// of the pass that ends it. [`TrainError::Checkpoint`] only before the first step.
 pub fn train(
     context: &Arc<Context>,
     dataset: &Dataset,
     options: &TrainOptions,
+    checkpoints: Checkpoints<'_>,
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
 ) -> Result<Trained, TrainError> {
     let budget = MemoryBudget { host: u64::MAX, gpu: context.budget_bytes() };
-    train_within(context, dataset, options, &budget, report, cancel)
+    train_within(context, dataset, options, &budget, checkpoints, report, cancel)
 }
 
 /// As [`train`], growing no further than `budget` allows.
@@ -64,20 +81,56 @@ pub fn train_within(
     dataset: &Dataset,
     options: &TrainOptions,
     budget: &MemoryBudget,
+    checkpoints: Checkpoints<'_>,
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
 ) -> Result<Trained, TrainError> {
-    let mut run = Run::begin(context, dataset, options, budget)?;
-    for number in 1..=run.steps {
+    let Checkpoints { resume, keep } = checkpoints;
+    let mut run = Run::begin(context, dataset, options, budget, resume)?;
+    let mut keeper = Keeper { keep, kept: run.state.step };
+    if run.state.step > 0 {
+        report(&run.progress(None)?);
+    }
+    while run.state.step < run.steps {
         if cancel.is_cancelled() {
+            keeper.keep(&run);
             return Err(TrainError::Cancelled);
         }
-        run.step(number)?;
-        if number.is_multiple_of(REPORT_EVERY) || number == run.steps {
-            report(&run.progress(number)?);
+        run.advance(&mut |step| keeper.wants(step))?;
+        let step = run.state.step;
+        if step.is_multiple_of(REPORT_EVERY) || step == run.steps {
+            let sums = run.sums()?;
+            report(&run.progress(Some(sums))?);
+        }
+        if keeper.wants(step) || step == run.steps {
+            keeper.keep(&run);
         }
     }
     run.finish(cancel)
+}
+
+/// Keeps checkpoints of a run, none of them twice.
+struct Keeper<'a> {
+    keep: Option<&'a mut dyn KeepCheckpoints>,
+    /// Step of the newest checkpoint.
+    kept: u32,
+}
+
+impl Keeper<'_> {
+    fn wants(&mut self, step: u32) -> bool {
+        self.keep.as_mut().is_some_and(|keep| keep.wants(step))
+    }
+
+    /// A run without a checkpoint is better than none, so a failure is told and no more.
+    fn keep(&mut self, run: &Run<'_>) {
+        let step = run.state.step;
+        let Some(keep) = self.keep.as_mut().filter(|_| step != self.kept) else { return };
+        let kept = run.checkpoint().and_then(|checkpoint| Ok(keep.keep(&checkpoint)?));
+        match kept {
+            Ok(()) => self.kept = step,
+            Err(fault) => tracing::warn!(step, "no checkpoint is kept at step {step}: {fault}"),
+        }
+    }
 }
 
 /// 1.1 times the largest distance of a training camera from their mean: the scene's extent.
@@ -89,8 +142,8 @@ fn camera_extent(frames: &[&Frame]) -> f32 {
     if radius > 0.0 { (1.1 * radius) as f32 } else { 1.0 }
 }
 
-/// What growth may reach: the schedule's, or what memory has room for.
-fn cap(wanted: usize, estimate: &Estimate) -> usize {
+/// Tells where memory, not the schedule, bounds growth.
+fn tell_cap(wanted: usize, estimate: &Estimate) {
     if estimate.size < wanted {
         tracing::warn!(
             "growth stops at {} {} instead of {wanted}: more would not fit the adapter or the memory allowed",
@@ -98,7 +151,58 @@ fn cap(wanted: usize, estimate: &Estimate) -> usize {
             estimate.unit,
         );
     }
-    wanted.min(estimate.size)
+}
+
+/// What a learner is made for.
+struct Setting<'a> {
+    context: &'a Arc<Context>,
+    dataset: &'a Dataset,
+    options: &'a TrainOptions,
+    frames: &'a [&'a Frame],
+    /// Size that growth may reach.
+    most: usize,
+}
+
+impl Setting<'_> {
+    fn anchors(&self) -> Schedule {
+        Schedule { max_anchors: self.most, ..Schedule::new(self.options) }
+    }
+
+    fn plain(&self) -> PlainSchedule {
+        let steps = Schedule::new(self.options).steps;
+        PlainSchedule { max_gaussians: self.most, ..PlainSchedule::new(self.options, steps) }
+    }
+
+    /// A learner at the begin of its run.
+    fn fresh(&self, rng: &mut Pcg64) -> Result<Box<dyn Learner>, TrainError> {
+        let (points, colors) = match &self.dataset.points {
+            Some(cloud) if !cloud.positions.is_empty() => (cloud.positions.clone(), &cloud.colors[..]),
+            _ => {
+                let (low, high) = start_box(self.dataset.layout, self.frames);
+                (random_points(rng, self.anchors().random_points, low, high), &[][..])
+            }
+        };
+        let (context, extent) = (self.context, camera_extent(self.frames));
+        Ok(match self.options.model {
+            ModelKind::Tcgs | ModelKind::Scaffold => {
+                Box::new(AnchorLearner::begin(context, self.anchors(), &points, extent, rng)?)
+            }
+            ModelKind::Gaussians3d => {
+                Box::new(PlainLearner::begin(context, self.plain(), &points, colors, extent, rng)?)
+            }
+        })
+    }
+
+    /// The learner that a checkpoint was taken of.
+    fn resumed(&self, state: LearnerState) -> Result<Box<dyn Learner>, TrainError> {
+        let (context, extent) = (self.context, camera_extent(self.frames));
+        Ok(match self.options.model {
+            ModelKind::Tcgs | ModelKind::Scaffold => {
+                Box::new(AnchorLearner::resume(context, self.anchors(), extent, state)?)
+            }
+            ModelKind::Gaussians3d => Box::new(PlainLearner::resume(context, self.plain(), extent, state)?),
+        })
+    }
 }
 
 struct Run<'a> {
@@ -106,21 +210,18 @@ struct Run<'a> {
     steps: u32,
     frames: Vec<&'a Frame>,
     background: Background,
-    order: Vec<usize>,
-    rng: Pcg64,
+    /// Its seconds are those before `began`.
+    state: RunState,
     learner: Box<dyn Learner>,
     raster: Rasterizer,
     loss: ImageLoss,
     wavelet: bool,
     began: Instant,
-    recent: Recent,
-}
-
-/// Figures since the last report.
-struct Recent {
-    since: Instant,
-    step: u32,
-    average: Option<LossSums>,
+    began_at: u32,
+    reported: (Instant, u32),
+    batch: Batch,
+    /// The next photograph, by its index among the frames.
+    prepared: Option<(usize, Vec<u32>)>,
 }
 
 impl<'a> Run<'a> {
@@ -129,47 +230,54 @@ impl<'a> Run<'a> {
         dataset: &'a Dataset,
         options: &TrainOptions,
         budget: &MemoryBudget,
+        resume: Option<Checkpoint>,
     ) -> Result<Self, TrainError> {
         let frames: Vec<&Frame> = dataset.split(Split::Train).collect();
         if frames.is_empty() {
             return Err(TrainError::NoTrainingFrames);
         }
-        let mut schedule = Schedule::new(options);
+        let schedule = Schedule::new(options);
         let estimate = Needs::of(dataset, options, context.adapter()).within(budget)?;
         tracing::info!("memory: {estimate}");
-        let steps = schedule.steps;
-        let mut rng = Pcg64::seed_from_u64(options.seed);
-        let (points, colors) = match &dataset.points {
-            Some(cloud) if !cloud.positions.is_empty() => (cloud.positions.clone(), &cloud.colors[..]),
-            _ => {
-                let (low, high) = start_box(dataset.layout, &frames);
-                (random_points(&mut rng, schedule.random_points, low, high), &[][..])
-            }
+        let wanted = match options.model {
+            ModelKind::Tcgs | ModelKind::Scaffold => schedule.max_anchors,
+            ModelKind::Gaussians3d => PlainSchedule::new(options, schedule.steps).max_gaussians,
         };
-        let extent = camera_extent(&frames);
-        let learner: Box<dyn Learner> = match options.model {
-            ModelKind::Tcgs | ModelKind::Scaffold => {
-                schedule.max_anchors = cap(schedule.max_anchors, &estimate);
-                Box::new(AnchorLearner::begin(context, schedule, &points, extent, &mut rng)?)
+        tell_cap(wanted, &estimate);
+        let steps = schedule.steps;
+        let adapter = context.adapter_line();
+        let most = estimate.size;
+        let origin = Origin { options, dataset: dataset.digest, adapter: &adapter, most };
+        let setting = Setting { context, dataset, options, frames: &frames, most };
+        let (state, learner) = match resume {
+            Some(checkpoint) => {
+                let (mut state, saved) = checkpoint.open(origin, steps, frames.len())?;
+                tracing::info!(step = state.step, "going on from step {}", state.step);
+                state.move_to(&adapter, most);
+                let learner = Setting { most: state.most, ..setting }.resumed(saved)?;
+                (state, learner)
             }
-            ModelKind::Gaussians3d => {
-                let mut schedule = PlainSchedule::new(options, steps);
-                schedule.max_gaussians = cap(schedule.max_gaussians, &estimate);
-                Box::new(PlainLearner::begin(context, schedule, &points, colors, extent, &mut rng)?)
+            None => {
+                let mut rng = Pcg64::seed_from_u64(options.seed);
+                let learner = setting.fresh(&mut rng)?;
+                (RunState::begin(origin, rng), learner)
             }
         };
         let now = Instant::now();
         Ok(Self {
             steps,
             background: options.background,
-            order: Vec::new(),
-            rng,
             learner,
             raster: Rasterizer::new(Arc::clone(context), RasterSettings::default())?,
             loss: ImageLoss::new(Arc::clone(context))?,
             wavelet: options.has(Component::Wavelet),
             began: now,
-            recent: Recent { since: now, step: 0, average: None },
+            began_at: state.step,
+            reported: (now, state.step),
+            // The first step, which compiles kernels and makes buffers, is waited for.
+            batch: Batch::Timed { seconds_a_step: 1.0 },
+            prepared: None,
+            state,
             context: Arc::clone(context),
             frames,
         })
@@ -177,33 +285,82 @@ impl<'a> Run<'a> {
 
     /// The next photograph: every one once before any comes again.
     fn next_frame(&mut self) -> usize {
-        if self.order.is_empty() {
-            self.order = (0..self.frames.len()).collect();
-            self.order.shuffle(&mut self.rng);
+        let RunState { order, rng, .. } = &mut self.state;
+        if order.is_empty() {
+            order.extend(0..self.frames.len());
+            order.shuffle(rng);
         }
-        self.order.pop().unwrap_or(0)
+        order.pop().unwrap_or(0)
     }
 
-    fn step(&mut self, number: u32) -> Result<(), TrainError> {
-        let step = Step { number, fraction: f64::from(number) / f64::from(self.steps.max(1)) };
+    fn at(&self, number: u32) -> Step {
+        Step { number, fraction: f64::from(number) / f64::from(self.steps.max(1)) }
+    }
+
+    /// Does the steps up to the next after which the host has something to do, or `wanted` says that it has.
+    ///
+    /// Nothing is read back in between. If a pass found no room for its intersections, it and those after it changed
+    /// nothing; they are done again with more. Returns how many were recorded, with those that were void.
+    fn advance(&mut self, wanted: &mut dyn FnMut(u32) -> bool) -> Result<u32, TrainError> {
+        let began = Instant::now();
+        let most = self.batch.length();
+        let mut before = Vec::new();
+        let mut recorded = 0;
+        let last = loop {
+            before.push(self.state.clone());
+            self.record()?;
+            recorded += 1;
+            let step = self.at(self.state.step);
+            let is_last = step.number == self.steps
+                || step.number.is_multiple_of(REPORT_EVERY)
+                || before.len() >= most
+                || self.learner.adapts(&step)
+                || wanted(step.number);
+            if !is_last {
+                continue;
+            }
+            self.prepare_next()?;
+            let passes = self.raster.passes()?;
+            let Some(needed) = passes.lacking else { break step };
+            let first = (passes.sound as usize).min(before.len() - 1);
+            tracing::debug!(step = before[first].step + 1, needed, "no room for all intersections");
+            self.state = before.swap_remove(first);
+            before.clear();
+            self.raster.make_room(needed)?;
+        };
+        self.batch.learn(recorded, began.elapsed().as_secs_f64());
+        if self.learner.adapts(&last) {
+            self.learner.adapt(&last, &mut self.state.rng)?;
+        }
+        Ok(recorded)
+    }
+
+    /// A photograph as the device takes it, made when it is needed: a second copy of every image would double what a dataset takes.
+    fn packed(&self, index: usize) -> Result<Vec<u32>, TrainError> {
+        let photograph = self.frames[index].image.load()?;
+        Ok(pack(photograph.over(self.background.rgb8()).samples()))
+    }
+
+    /// Packs the next photograph, if it is known, while the device is busy.
+    fn prepare_next(&mut self) -> Result<(), TrainError> {
+        let next = self.state.order.last().copied();
+        self.prepared = next.map(|index| Ok::<_, TrainError>((index, self.packed(index)?))).transpose()?;
+        Ok(())
+    }
+
+    /// Records and submits one step.
+    fn record(&mut self) -> Result<(), TrainError> {
+        let step = self.at(self.state.step + 1);
         let index = self.next_frame();
         let camera = self.frames[index].camera;
+        let photograph = match self.prepared.take() {
+            Some((prepared, photograph)) if prepared == index => photograph,
+            _ => self.packed(index)?,
+        };
         let context = Arc::clone(&self.context);
-        loop {
-            let mut recorder = context.recorder("forward");
-            self.learner.forward(&mut recorder, &camera, &step)?;
-            self.raster.forward(&mut recorder, self.learner.gaussians(), &camera, self.background.rgb())?;
-            recorder.submit()?;
-            let counts = self.raster.counts()?;
-            if !counts.overflowed {
-                break;
-            }
-            self.raster.grow(&counts)?;
-        }
-        // Packed when it is needed: a second copy of every image would double what a dataset takes.
-        let photograph = self.frames[index].image.load()?;
-        let photograph = pack(photograph.over(self.background.rgb8()).samples());
-        let mut recorder = context.recorder("backward");
+        let mut recorder = context.recorder("step");
+        self.learner.forward(&mut recorder, &camera, &step)?;
+        self.raster.forward(&mut recorder, self.learner.gaussians(), &camera, self.background.rgb())?;
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         let wavelet = self.wavelet.then(|| WaveletWeights::at(step.fraction));
         let v_image =
@@ -211,49 +368,64 @@ impl<'a> Run<'a> {
         let gaussians = self.learner.gaussians().clone();
         let d_gaussians = self.learner.gaussian_gradients()?;
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
-        self.learner.backward(&mut recorder, &camera, &step)?;
+        self.learner.backward(&mut recorder, &camera, &step, self.raster.void_mark())?;
         recorder.submit()?;
-        self.learner.adapt(&step, &mut self.rng)
+        self.state.step = step.number;
+        Ok(())
     }
 
-    fn progress(&mut self, step: u32) -> Result<Progress, TrainError> {
-        let sums = self.loss.sums()?.ok_or(TrainError::Diverged { step })?;
-        if !sums.loss().is_finite() {
-            return Err(TrainError::Diverged { step });
-        }
+    /// The losses of the last step.
+    fn sums(&self) -> Result<LossSums, TrainError> {
+        let diverged = TrainError::Diverged { step: self.state.step };
+        self.loss.sums()?.filter(|sums| sums.loss().is_finite()).ok_or(diverged)
+    }
+
+    /// How far the run is, with losses where there are new ones.
+    fn progress(&mut self, sums: Option<LossSums>) -> Result<Progress, TrainError> {
         let blend = |old: f64, new: f64| 0.9 * old + 0.1 * new;
-        let average = self.recent.average.map_or(sums, |old| LossSums {
-            ssim: blend(old.ssim, sums.ssim),
-            l1: blend(old.l1, sums.l1),
-            mse: blend(old.mse, sums.mse),
-            wavelet: blend(old.wavelet, sums.wavelet),
-        });
-        self.recent.average = Some(average);
-        let elapsed = self.began.elapsed().as_secs_f64();
-        let recent = self.recent.since.elapsed().as_secs_f64();
-        let speed = (recent > 0.0).then(|| f64::from(step - self.recent.step) / recent);
-        self.recent.since = Instant::now();
-        self.recent.step = step;
-        let left = f64::from(self.steps - step);
+        if let Some(sums) = sums {
+            self.state.set_average(self.state.average().map_or(sums, |old| LossSums {
+                ssim: blend(old.ssim, sums.ssim),
+                l1: blend(old.l1, sums.l1),
+                mse: blend(old.mse, sums.mse),
+                wavelet: blend(old.wavelet, sums.wavelet),
+            }));
+        }
+        let average = self.state.average();
+        let step = self.state.step;
+        let rate = |since: Instant, from: u32| {
+            let seconds = since.elapsed().as_secs_f64();
+            (step > from && seconds > 0.0).then(|| f64::from(step - from) / seconds)
+        };
+        let speed = rate(self.reported.0, self.reported.1);
+        let mean_speed = rate(self.began, self.began_at);
+        self.reported = (Instant::now(), step);
         let size = self.learner.size()?;
         Ok(Progress {
             step: u64::from(step),
             total: u64::from(self.steps),
-            elapsed_seconds: elapsed,
-            eta_seconds: Some(left * elapsed / f64::from(step)),
+            elapsed_seconds: self.began.elapsed().as_secs_f64(),
+            eta_seconds: mean_speed.map(|speed| f64::from(self.steps - step) / speed),
             steps_per_second: speed,
             anchors: size.anchors as u64,
             gaussians: size.gaussians as u64,
-            loss: Some(average.loss()),
-            psnr: Some(average.psnr()),
+            loss: average.map(|average| average.loss()),
+            psnr: average.map(|average| average.psnr()),
         })
     }
 
+    fn checkpoint(&self) -> Result<Checkpoint, TrainError> {
+        let mut state = self.state.clone();
+        state.seconds += self.began.elapsed().as_secs_f64();
+        Ok(Checkpoint::new(state, self.learner.save()?))
+    }
+
     fn finish(self, cancel: &CancelFlag) -> Result<Trained, TrainError> {
-        Ok(Trained {
-            scene: self.learner.finish(&self.frames, cancel)?,
-            steps: self.steps,
-            seconds: self.began.elapsed().as_secs_f64(),
-        })
+        let scene = self.learner.finish(&self.frames, cancel)?;
+        let seconds = self.state.seconds + self.began.elapsed().as_secs_f64();
+        Ok(Trained { scene, steps: self.steps, seconds })
     }
 }
+
+#[cfg(test)]
+mod tests;

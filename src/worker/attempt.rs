@@ -16,11 +16,11 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 
 use super::{
-    WorkerConfig, WorkerError,
-    run::{JobFailure, JobOutput, RunJob},
+    WorkerConfig, WorkerError, checkpoints,
+    run::{Checkpoints, JobFailure, JobOutput, RunJob},
 };
 use crate::{
-    domain::{CancelFlag, Phase, Problem, Progress},
+    domain::{CancelFlag, Phase, Problem, Progress, TrainOptions},
     store::{Artifact, ArtifactKind, BlobError, Blobs, Claim, Lease, Outcome, Store, StoreError},
 };
 
@@ -70,7 +70,9 @@ pub(super) async fn carry_out(context: &Context, claim: Claim, shutdown: &Cancel
     };
     let cancel = CancelFlag::default();
     let (progress, watched) = watch::channel((Phase::Ingest, Progress::default()));
-    let result = match start(context, &lease, dataset, options, progress, cancel.clone()) {
+    let checkpoints = checkpoints::of_job(context.config.checkpoints.as_deref(), lease.job);
+    let run = Run { dataset, options, checkpoints, cancel: cancel.clone() };
+    let result = match start(context, &lease, run, progress) {
         Ok(result) => result,
         Err(error) => {
             settle(context, &lease, Outcome::Retry(no_thread(&error)), Instant::now()).await;
@@ -110,14 +112,20 @@ pub(super) async fn carry_out(context: &Context, claim: Claim, shutdown: &Cancel
     }
 }
 
+/// What a run is told.
+struct Run {
+    dataset: PathBuf,
+    options: TrainOptions,
+    checkpoints: Checkpoints,
+    cancel: CancelFlag,
+}
+
 /// Starts the run on a thread of its own: it may take hours, and tokio's pool is not for that.
 fn start(
     context: &Context,
     lease: &Lease,
-    dataset: PathBuf,
-    options: crate::domain::TrainOptions,
+    run: Run,
     progress: watch::Sender<(Phase, Progress)>,
-    cancel: CancelFlag,
 ) -> std::io::Result<oneshot::Receiver<RunResult>> {
     let runner = Arc::clone(&context.runner);
     let (send, receive) = oneshot::channel();
@@ -125,7 +133,10 @@ fn start(
         let mut report = |phase: Phase, state: &Progress| {
             progress.send_replace((phase, state.clone()));
         };
-        let result = catch_unwind(AssertUnwindSafe(|| runner.run(&dataset, &options, &mut report, &cancel)));
+        let Run { dataset, options, checkpoints, cancel } = run;
+        let result = catch_unwind(AssertUnwindSafe(|| {
+            runner.run(&dataset, &options, &checkpoints, &mut report, &cancel)
+        }));
         // Nobody listens any more if the worker gave the job up.
         let _ = send.send(result);
     })?;

@@ -8,6 +8,7 @@ use tokio_util::sync::CancellationToken;
 use super::{
     WorkerConfig, WorkerError,
     attempt::{self, Context, End},
+    checkpoints,
     run::RunJob,
 };
 use crate::store::{Blobs, Store};
@@ -29,12 +30,14 @@ pub async fn serve(
 ) -> Result<(), WorkerError> {
     tracing::info!(worker = config.id, "worker {} is ready", config.id);
     let context = Context { store, blobs, runner, config };
+    sweep(&context).await;
     while !shutdown.is_cancelled() {
         match context.store.claim(&context.config.id).await {
             Ok(Some(claim)) => {
                 if let End::Stalled(error) = attempt::carry_out(&context, claim, &shutdown).await {
                     return Err(error);
                 }
+                sweep(&context).await;
             }
             Ok(None) => idle(&context.config, &shutdown).await,
             Err(error) => {
@@ -45,6 +48,13 @@ pub async fn serve(
     }
     tracing::info!(worker = context.config.id, "worker {} has stopped", context.config.id);
     Ok(())
+}
+
+/// Jobs may end without their worker, so ended ones are looked for rather than told of.
+async fn sweep(context: &Context) {
+    if let Some(root) = &context.config.checkpoints {
+        checkpoints::sweep(root, &*context.store).await;
+    }
 }
 
 async fn idle(config: &WorkerConfig, shutdown: &CancellationToken) {

@@ -1,11 +1,15 @@
 //! Takes jobs from the queue and carries them out, in a process of its own.
 //!
+//! What a run needs to be continued is kept beside it until its job has ended, so an attempt goes on where the one before
+//! it stopped.
+//!
 //! A worker runs one job at a time on a thread of its own while an asynchronous task keeps the lease, passes
 //! progress on and listens for a stop. It never writes to a job that it no longer holds. The parent process
 //! keeps workers alive through [`supervise`]: a worker that is killed, or that ends itself because a job
 //! hangs, is started again, and its job is taken from it at once.
 
 mod attempt;
+mod checkpoints;
 mod claim;
 pub mod pipeline;
 pub mod run;
@@ -13,7 +17,7 @@ pub mod scene_file;
 mod steps;
 pub mod supervise;
 
-use std::time::Duration;
+use std::{path::PathBuf, time::Duration};
 
 use thiserror::Error;
 use tokio_util::sync::CancellationToken;
@@ -45,6 +49,8 @@ pub struct WorkerConfig {
     pub stall_limit: Duration,
     /// How long a run may take to stop when the worker shuts down, before its job is released regardless.
     pub drain: Duration,
+    /// Folder for a folder of checkpoints a running job, if they are to be kept: a later attempt goes on from there.
+    pub checkpoints: Option<PathBuf>,
 }
 
 impl WorkerConfig {
@@ -65,6 +71,7 @@ impl WorkerConfig {
             report_every: Duration::from_secs(1),
             stall_limit: Duration::from_secs(600),
             drain: Duration::from_secs(20),
+            checkpoints: None,
         }
     }
 }

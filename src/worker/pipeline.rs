@@ -10,7 +10,7 @@ use std::{
 };
 
 use super::{
-    run::{JobFailure, JobOutput, RunJob},
+    run::{Checkpoints, JobFailure, JobOutput, Resume, RunJob},
     scene_file::{self, SceneFile},
     steps::choose_steps,
 };
@@ -18,13 +18,17 @@ use crate::{
     codec::{self, EncodeSettings, Provenance},
     domain::{
         AnchorScene, CancelFlag, Conventions, Dataset, Frame, JobMetrics, MemoryBudget, MemoryLimits,
-        ModelKind, NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, Scores, Split, TrainOptions,
+        ModelKind, NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, Scores, Split, SystemClock,
+        TrainOptions,
     },
     eval::{Lpips, mean_scores_with, measure_views_with},
     gpu::{AdapterChoice, Context, GpuError},
     ingest::{self, Room},
     render::{RenderError, SceneRenderer},
-    train::{Schedule, TrainError, train_within},
+    train::{
+        self, Checkpoint, CheckpointError, CheckpointFolder, KeepCheckpoints, Schedule, TrainError, Trained,
+        train_within,
+    },
 };
 
 /// Training views that the reported training figures are measured on, evenly spread.
@@ -83,6 +87,7 @@ impl RunJob for Pipeline {
         &self,
         dataset: &Path,
         options: &TrainOptions,
+        checkpoints: &Checkpoints,
         report: &mut dyn FnMut(Phase, &Progress),
         cancel: &CancelFlag,
     ) -> Result<JobOutput, JobFailure> {
@@ -107,18 +112,11 @@ impl RunJob for Pipeline {
         stop_if(cancel)?;
         // The first report of the training comes some steps after its begin, which may be minutes.
         tell(Phase::Train, &mut progress);
-        let trained = train_within(
-            &context,
-            &dataset,
-            options,
-            &budget,
-            &mut |now| {
-                progress = now.clone();
-                tell(Phase::Train, &mut progress);
-            },
-            cancel,
-        )
-        .map_err(from_training)?;
+        let mut passed_on = |now: &Progress| {
+            progress = now.clone();
+            tell(Phase::Train, &mut progress);
+        };
+        let trained = train_from(&context, &dataset, options, &budget, checkpoints, &mut passed_on, cancel)?;
         seconds.train = trained.seconds;
         // What training told of the time left says nothing about what follows it.
         progress.eta_seconds = None;
@@ -136,6 +134,48 @@ impl RunJob for Pipeline {
             .collect();
         Ok(JobOutput { file: bytes, format: file.format, metrics, cameras })
     }
+}
+
+/// Trains, from a checkpoint where there is one to go on from.
+fn train_from(
+    context: &Arc<Context>,
+    dataset: &Dataset,
+    options: &TrainOptions,
+    budget: &MemoryBudget,
+    checkpoints: &Checkpoints,
+    report: &mut dyn FnMut(&Progress),
+    cancel: &CancelFlag,
+) -> Result<Trained, JobFailure> {
+    let mut folder = match &checkpoints.keep {
+        Some(path) => match CheckpointFolder::open(path, Arc::new(SystemClock)) {
+            Ok(folder) => Some(folder),
+            // A job must not fail for want of what only an interruption would need.
+            Err(fault) => {
+                tracing::warn!("no checkpoints are kept: {fault}");
+                None
+            }
+        },
+        None => None,
+    };
+    let mut attempt = |resume: Option<Checkpoint>| {
+        let keep = folder.as_mut().map(|folder| folder as &mut dyn KeepCheckpoints);
+        let checkpoints = train::Checkpoints { resume, keep };
+        train_within(context, dataset, options, budget, checkpoints, report, cancel)
+    };
+    let load = |path| CheckpointFolder::load(path).map_err(TrainError::from);
+    let trained = match &checkpoints.resume {
+        Resume::Fresh => attempt(None),
+        Resume::From(path) => load(path).and_then(|checkpoint| attempt(Some(checkpoint))),
+        Resume::IfPossible(path) => match load(path).and_then(|checkpoint| attempt(Some(checkpoint))) {
+            Err(TrainError::Checkpoint(CheckpointError::Missing(_))) => attempt(None),
+            Err(TrainError::Checkpoint(fault)) => {
+                tracing::warn!("the run starts over: {fault}");
+                attempt(None)
+            }
+            other => other,
+        },
+    };
+    trained.map_err(from_training)
 }
 
 /// What the stages after training share.

@@ -1,6 +1,6 @@
 //! What the claim loop asks of whoever carries a job out.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub use crate::domain::NamedCamera;
 use crate::domain::{CancelFlag, JobMetrics, Phase, Problem, Progress, SceneFormat, TrainOptions};
@@ -18,6 +18,27 @@ pub struct JobOutput {
     pub cameras: Vec<NamedCamera>,
 }
 
+/// What a run begins with.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub enum Resume {
+    /// Nothing.
+    #[default]
+    Fresh,
+    /// The checkpoint in this folder, and nothing else.
+    From(PathBuf),
+    /// The checkpoint in this folder, or nothing where there is none that can be used.
+    IfPossible(PathBuf),
+}
+
+/// Where a run keeps its checkpoints and what it begins with. The result is the same in any case.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Checkpoints {
+    /// The folder for checkpoints, if any are to be kept.
+    pub keep: Option<PathBuf>,
+    /// What the run begins with.
+    pub resume: Resume,
+}
+
 /// Why a run ended without output.
 #[derive(Debug, Clone, PartialEq)]
 pub enum JobFailure {
@@ -31,7 +52,8 @@ pub enum JobFailure {
 
 /// Carries out jobs. Calls block for as long as the job takes.
 pub trait RunJob: Send + Sync + 'static {
-    /// Runs the job on the dataset archive at `dataset`, reporting as it goes and stopping soon after `cancel`.
+    /// Runs the job on the dataset archive at `dataset`, reporting as it goes and stopping soon after `cancel`; then and
+    /// now and then before it leaves a checkpoint where `checkpoints` says.
     ///
     /// # Errors
     /// [`JobFailure`] says whether another attempt may help.
@@ -39,6 +61,7 @@ pub trait RunJob: Send + Sync + 'static {
         &self,
         dataset: &Path,
         options: &TrainOptions,
+        checkpoints: &Checkpoints,
         report: &mut dyn FnMut(Phase, &Progress),
         cancel: &CancelFlag,
     ) -> Result<JobOutput, JobFailure>;

@@ -19,6 +19,7 @@ fn adam_follows_its_twin() {
     let mut expected: Vec<AdamElement> =
         values.iter().map(|v| AdamElement { value: f64::from(*v), ..AdamElement::default() }).collect();
     let adam = Adam::new(&context).expect("the kernel");
+    let no = context.upload("void mark", &[0]).expect("a buffer");
     let values = context.upload("values", &values).expect("room");
     let moments = Moments::zero(&context, COUNT).expect("room");
     let table = context.upload("rates", &rates).expect("room");
@@ -34,7 +35,7 @@ fn adam_follows_its_twin() {
         }
         let gradients = context.upload("gradients", &gradients).expect("room");
         let mut recorder = context.recorder("adam");
-        adam.step(&mut recorder, t, &table, &gradients, &values, &moments).expect("recorded");
+        adam.step(&mut recorder, t, &no, &table, &gradients, &values, &moments).expect("recorded");
         recorder.submit().expect("submitted");
     }
     let found = [&values, &moments.first, &moments.second].map(|buffer| context.read(buffer).expect("read"));
@@ -61,13 +62,14 @@ fn the_first_step_of_adam_is_the_rate_whatever_the_gradient() {
 fn a_gradient_that_is_not_finite_leaves_its_element_untouched_and_alone() {
     let context = gpu();
     let adam = Adam::new(&context).expect("the kernel");
+    let no = context.upload("void mark", &[0]).expect("a buffer");
     let bad = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e20, -1e38, 1.0];
     let values = context.upload("values", &[0.5_f32; 6]).expect("room");
     let moments = Moments::upload(&context, &[0.25; 6], &[0.125; 6]).expect("room");
     let rates = context.upload("rates", &[0.01_f32]).expect("room");
     let gradients = context.upload("gradients", &bad).expect("room");
     let mut recorder = context.recorder("adam");
-    adam.step(&mut recorder, 1, &rates, &gradients, &values, &moments).expect("recorded");
+    adam.step(&mut recorder, 1, &no, &rates, &gradients, &values, &moments).expect("recorded");
     recorder.submit().expect("submitted");
     assert_eq!(context.read(&values).expect("read")[..5], [0.5; 5]);
     assert_eq!(context.read(&moments.first).expect("read")[..5], [0.25; 5]);
@@ -76,15 +78,32 @@ fn a_gradient_that_is_not_finite_leaves_its_element_untouched_and_alone() {
     // What was spared is not spoiled: the next gradient moves every element.
     let gradients = context.upload("gradients", &[1.0_f32; 6]).expect("room");
     let mut recorder = context.recorder("adam");
-    adam.step(&mut recorder, 2, &rates, &gradients, &values, &moments).expect("recorded");
+    adam.step(&mut recorder, 2, &no, &rates, &gradients, &values, &moments).expect("recorded");
     recorder.submit().expect("submitted");
     assert!(context.read(&values).expect("read").iter().all(|v| *v < 0.5));
+}
+
+#[test]
+fn a_void_step_changes_nothing() {
+    let context = gpu();
+    let adam = Adam::new(&context).expect("the kernel");
+    let values = context.upload("values", &[0.5_f32; 6]).expect("room");
+    let moments = Moments::upload(&context, &[0.25; 6], &[0.125; 6]).expect("room");
+    let [rates, gradients] = [0.01_f32, 1.0].map(|v| context.upload("input", &[v; 6]).expect("room"));
+    let mark = context.upload("void mark", &[77_u32]).expect("a buffer");
+    let mut recorder = context.recorder("adam");
+    adam.step(&mut recorder, 1, &mark, &rates, &gradients, &values, &moments).expect("recorded");
+    recorder.submit().expect("submitted");
+    for (buffer, untouched) in [(&values, 0.5), (&moments.first, 0.25), (&moments.second, 0.125)] {
+        assert_eq!(context.read(buffer).expect("read"), [untouched; 6]);
+    }
 }
 
 #[test]
 fn every_element_learns_at_its_own_rate() {
     let context = gpu();
     let adam = Adam::new(&context).expect("the kernel");
+    let no = context.upload("void mark", &[0]).expect("a buffer");
     // The kernel steps four neighbours at a time: tables shorter than that, and lengths that it does not divide.
     for rates in [&[0.1_f32][..], &[0.1, 0.2], &[0.1, 0.2, 0.3], &[0.1, 0.2, 0.3, 0.4, 0.5]] {
         for count in [1, 4, 7, 600] {
@@ -93,7 +112,7 @@ fn every_element_learns_at_its_own_rate() {
             let table = context.upload("rates", rates).expect("room");
             let moments = Moments::zero(&context, count).expect("room");
             let mut recorder = context.recorder("adam");
-            adam.step(&mut recorder, 1, &table, &gradients, &values, &moments).expect("recorded");
+            adam.step(&mut recorder, 1, &no, &table, &gradients, &values, &moments).expect("recorded");
             recorder.submit().expect("submitted");
             for (i, (value, rate)) in
                 context.read(&values).expect("read").iter().zip(rates.iter().cycle()).enumerate()

@@ -61,7 +61,6 @@ fn wrong_usage_is_status_2_and_says_what_is_wrong() {
         (&["train", "d", "-o", "o", "--model", "nerf"], "--model"),
         (&["train", "d", "-o", "o", "--voxel", "small"], "auto, published"),
         (&["train", "d", "-o", "o", "--voxel", "-1"], "--voxel"),
-        (&["train", "d", "-o", "o", "--resume", "c"], "--resume"),
         (&["render", "f", "-o", "o.png"], "--pose"),
         (&["render", "f", "-o", "o.png", "--frame", "a"], "--dataset"),
         (&["render", "f", "-o", "o.png", "--pose", "{}", "--dataset", "d", "--frame", "a"], "cannot be used"),
@@ -96,6 +95,7 @@ fn refused_input_is_status_3_and_names_the_file() {
         &["render", missing, "-o", out, "--pose", missing],
         &["render", garbage, "-o", out, "--pose", r#"{"fx": 1}"#],
         &["sample", path(folder.path())],
+        &["train", "d", "-o", out, "--resume", missing],
     ];
     for arguments in cases {
         let output = tcgs(arguments);

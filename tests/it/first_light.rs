@@ -20,7 +20,7 @@ use tcgs::{
     sample::{self, Settings},
     worker::{
         pipeline::Pipeline,
-        run::{JobFailure, RunJob as _},
+        run::{Checkpoints, JobFailure, Resume, RunJob as _},
     },
 };
 use tempfile::TempDir;
@@ -390,13 +390,15 @@ async fn a_job_survives_a_restart_of_the_service_and_a_killed_worker() {
     let service = Service::start(&scene.at("data")).await;
     let created = service.upload(&query(), scene.zip_bytes()).await.expect(201);
     let path = created.header("location").to_owned();
-    let is_under_way = |now: &Value| now["phase"] == "train" || now["phase"] == "encode";
-    service.job_until(&path, is_under_way).await;
+    let is_under_way = |now: &Value, attempt: u32| {
+        let phase = &now["phase"];
+        now["attempt"] == attempt && (phase == "train" || phase == "encode") && now["progress"]["step"] != 0
+    };
+    service.job_until(&path, |now| is_under_way(now, 1)).await;
     assert!(service.stop().await.success(), "a service that is asked to stop ends well");
 
     let service = Service::start(&scene.at("data")).await;
-    let second = service.job_until(&path, is_under_way).await;
-    assert_eq!(second["attempt"], 2);
+    service.job_until(&path, |now| is_under_way(now, 2)).await;
     let workers = service.workers();
     assert_eq!(workers.len(), 1, "{}", service.log());
     kill("-KILL", workers[0]);
@@ -418,7 +420,81 @@ async fn a_job_survives_a_restart_of_the_service_and_a_killed_worker() {
     let artifact = service.get(&format!("{path}/artifact")).await.expect(200);
     assert!(artifact.body == reference().file, "the third attempt gives another file");
     assert_eq!(job["metrics"]["test"], reference().metrics["test"]);
+    let log = service.log();
+    let resumed = log.lines().filter(|line| line.contains("going on from step"));
+    assert_eq!(resumed.count(), 2, "no attempt after the first begins with step 1: {log}");
     assert!(service.stop().await.success());
+    let left: Vec<_> = std::fs::read_dir(scene.at("data").join("checkpoints")).expect("a folder").collect();
+    assert!(left.is_empty(), "nobody needs the checkpoints of a job that has ended: {left:?}");
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_command_goes_on_where_it_stopped() {
+    use std::io::{BufRead as _, BufReader};
+
+    use crate::support::{program, service::kill};
+
+    let scene = Scene::new();
+    let (out, kept) = (scene.at("out.tcgs"), scene.at("kept"));
+    let (steps, seed) = (STEPS.to_string(), SEED.to_string());
+    let dataset = scene.directory();
+    let run = line!["train", dataset, "-o", out, "--iterations", steps, "--seed", seed];
+    let mut child = program::command()
+        .args(&run)
+        .args(line!["--checkpoint", kept])
+        .env("RUST_LOG", "debug")
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("the binary runs");
+    let mut said = BufReader::new(child.stderr.take().expect("piped")).lines().map_while(Result::ok);
+    // Told with the first round of growth, which is in the middle of the run.
+    assert!(said.any(|line| line.contains("grown")), "nothing grew");
+    kill("-INT", child.id());
+    let rest: Vec<String> = said.collect();
+    assert_eq!(child.wait().expect("ended").code(), Some(1), "{rest:#?}");
+    assert!(!out.exists());
+
+    let other = [run.clone(), line!["--background", "white", "--resume", kept]].concat();
+    let refused = tcgs(other);
+    assert_eq!(refused.status.code(), Some(3));
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(said.contains(r#"background is "black" there and "white" here"#), "{said}");
+
+    // The second time from the checkpoint of the last step.
+    for _ in 0..2 {
+        succeeds([run.clone(), line!["--resume", kept]].concat());
+        assert!(std::fs::read(&out).expect("a file") == reference().file, "the run goes on to another file");
+        std::fs::remove_file(&out).expect("removed");
+    }
+}
+
+#[test]
+fn a_checkpoint_that_cannot_be_used_makes_a_job_start_over_and_a_resumed_run_fail() {
+    let scene = Scene::new();
+    let kept = scene.at("kept");
+    std::fs::create_dir(&kept).expect("made");
+    std::fs::write(kept.join("checkpoint.safetensors"), b"torn").expect("writes");
+    let pipeline = Pipeline::new(gpu::choice());
+    let options = TrainOptions { iterations: Some(2), ..TrainOptions::default() };
+    let run = |resume: Resume| {
+        let checkpoints = Checkpoints { keep: Some(kept.clone()), resume };
+        let mut steps = Vec::new();
+        let mut report = |_: Phase, progress: &Progress| steps.push(progress.step);
+        let output =
+            pipeline.run(&scene.directory(), &options, &checkpoints, &mut report, &CancelFlag::default());
+        output.map(|output| (output.file, steps))
+    };
+    match run(Resume::From(kept.clone())) {
+        Err(JobFailure::Fail(problem)) => assert!(problem.detail.contains("not a whole"), "{problem}"),
+        other => panic!("not refused: {other:?}"),
+    }
+    let (afresh, steps) = run(Resume::IfPossible(kept.clone())).expect("a file");
+    assert!(steps.contains(&0));
+    let (again, steps) = run(Resume::From(kept.clone())).expect("the checkpoint of the last step");
+    assert!(again == afresh && !steps.contains(&1));
+    std::fs::remove_dir_all(&kept).expect("removed");
+    assert!(run(Resume::IfPossible(kept.clone())).expect("a file").0 == afresh, "no checkpoint is no fault");
 }
 
 #[test]
@@ -428,8 +504,10 @@ fn a_run_reports_every_phase_and_figure_and_stops_when_asked() {
     let options = TrainOptions { iterations: Some(STEPS), seed: SEED, ..TrainOptions::default() };
     let mut reports: Vec<(Phase, Progress)> = Vec::new();
     let mut report = |phase: Phase, progress: &Progress| reports.push((phase, progress.clone()));
-    let output =
-        pipeline.run(&scene.directory(), &options, &mut report, &CancelFlag::default()).expect("a file");
+    let fresh = Checkpoints::default();
+    let output = pipeline
+        .run(&scene.directory(), &options, &fresh, &mut report, &CancelFlag::default())
+        .expect("a file");
     assert!(output.file == reference().file, "another process gives another file");
 
     let mut phases: Vec<Phase> = reports.iter().map(|(phase, _)| *phase).collect();
@@ -459,7 +537,7 @@ fn a_run_reports_every_phase_and_figure_and_stops_when_asked() {
             cancel.cancel();
         }
     };
-    let stopped = pipeline.run(&scene.directory(), &options, &mut stop, &cancel);
+    let stopped = pipeline.run(&scene.directory(), &options, &fresh, &mut stop, &cancel);
     assert!(matches!(stopped, Err(JobFailure::Cancelled)), "{stopped:?}");
     assert!(steps < u64::from(STEPS));
 }

@@ -2,6 +2,7 @@
 
 mod adam;
 mod baselines;
+mod checkpoint;
 mod cli;
 mod codec;
 mod container_image;

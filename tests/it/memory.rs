@@ -12,10 +12,10 @@ use tcgs::{
     },
     gpu::{Context, GpuError},
     ingest::{self, Room},
-    train::{Needs, TrainError, train},
+    train::{self, Needs, TrainError, train},
     worker::{
         pipeline::Pipeline,
-        run::{JobFailure, RunJob as _},
+        run::{Checkpoints, JobFailure, RunJob as _},
     },
 };
 use tempfile::TempDir;
@@ -104,7 +104,8 @@ fn the_estimate_covers_what_a_run_allocates_and_not_much_more() {
         };
         // A peak of its own.
         let before = context.peak_bytes();
-        train(&context, &dataset, &options, &mut report, &CancelFlag::default()).expect("a scene");
+        let nothing = train::Checkpoints::default();
+        train(&context, &dataset, &options, nothing, &mut report, &CancelFlag::default()).expect("a scene");
         let peak = context.peak_bytes();
         assert!(peak > before, "{what}: the runs are in the order of what they take");
         let estimate = Needs::of(&dataset, &options, context.adapter()).estimate(size);
@@ -149,13 +150,20 @@ fn a_run_grows_no_further_than_its_budget() {
     assert!((170..40_000).contains(&fitted), "{fitted}");
     let mut anchors = 0;
     let mut report = |progress: &Progress| anchors = anchors.max(progress.anchors as usize);
-    train(&context, &dataset, &options, &mut report, &CancelFlag::default()).expect("a scene");
+    train(&context, &dataset, &options, train::Checkpoints::default(), &mut report, &CancelFlag::default())
+        .expect("a scene");
     assert!(anchors <= fitted, "{anchors} of {fitted}");
     assert!(context.peak_bytes() <= context.budget_bytes());
 
     context.set_budget_bytes(1 << 20);
-    let refused =
-        train(&context, &dataset, &options, &mut |_| unreachable!("no step"), &CancelFlag::default());
+    let refused = train(
+        &context,
+        &dataset,
+        &options,
+        train::Checkpoints::default(),
+        &mut |_| unreachable!("no step"),
+        &CancelFlag::default(),
+    );
     assert!(matches!(refused, Err(TrainError::OverBudget(_))), "{refused:?}");
 }
 
@@ -191,9 +199,16 @@ fn a_run_on_streamed_photographs_gives_the_same_bits() {
     assert!(streamed.bytes_in_memory() < in_memory.bytes_in_memory());
     let [one, other] = [in_memory, streamed].map(|dataset| {
         let dataset = with_points(dataset, 150);
-        train(&gpu::gpu(), &dataset, &options(12), &mut |_| {}, &CancelFlag::default())
-            .expect("a scene")
-            .scene
+        train(
+            &gpu::gpu(),
+            &dataset,
+            &options(12),
+            train::Checkpoints::default(),
+            &mut |_| {},
+            &CancelFlag::default(),
+        )
+        .expect("a scene")
+        .scene
     });
     assert!(one == other);
 }
@@ -204,7 +219,13 @@ fn a_job_over_its_budget_fails_for_good_before_it_trains() {
     let spill = tempfile::tempdir().expect("a temporary folder");
     let run = |limits| {
         let pipeline = Pipeline::new(gpu::choice()).within(limits, spill.path().to_owned());
-        pipeline.run(folder.path(), &options(3), &mut |_, _| {}, &CancelFlag::default())
+        pipeline.run(
+            folder.path(),
+            &options(3),
+            &Checkpoints::default(),
+            &mut |_, _| {},
+            &CancelFlag::default(),
+        )
     };
     let ample = 8 << 30;
     for limits in

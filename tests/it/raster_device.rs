@@ -5,7 +5,9 @@ use std::sync::Arc;
 use glam::DVec3;
 use tcgs::{
     domain::Camera,
-    render::{GaussianGradients, Gaussians, Projection, RasterSettings, Rasterizer, RenderError, twin},
+    render::{
+        GaussianGradients, Gaussians, Passes, Projection, RasterSettings, Rasterizer, RenderError, twin,
+    },
 };
 
 use crate::support::{
@@ -275,9 +277,14 @@ fn overflow_is_reported_and_growing_gives_what_enough_room_would_have() {
     recorder.submit().expect("submitted");
     let counts = rasterizer.counts().expect("counts");
     assert!(counts.overflowed && counts.intersections > 16_384, "{counts:?}");
+    let lacking = Passes { sound: 0, lacking: Some(counts.intersections as usize) };
+    assert_eq!(rasterizer.passes(), Ok(lacking));
     let v_image = random::v_image(9, 256 * 256);
     let grown = render(&context, &mut rasterizer, &scene, &camera, BACKGROUND, &v_image);
+    assert_eq!(rasterizer.passes(), Ok(lacking), "what lacked room is told of although room was made since");
     let again = render(&context, &mut rasterizer, &scene, &camera, BACKGROUND, &v_image);
+    assert_eq!(rasterizer.passes(), Ok(Passes { sound: 1, lacking: None }));
+    assert_eq!(rasterizer.passes(), Ok(Passes { sound: 0, lacking: None }));
     assert_eq!(grown.counts.intersections, counts.intersections);
     assert!(grown == again);
     let projection = Projection::new(&camera, &RasterSettings::default());

@@ -13,7 +13,7 @@ use tcgs::{
         Projection, RasterSettings, SceneRenderer,
         twin::{self, Gaussian},
     },
-    train::{TrainError, Trained, train},
+    train::{Checkpoints, TrainError, Trained, train},
 };
 
 use crate::support::gpu::gpu;
@@ -55,7 +55,7 @@ fn photograph(camera: &Camera) -> Image {
 }
 
 /// Eight views to train on, one held out, and points around the blobs' middles.
-fn dataset() -> Dataset {
+pub(crate) fn dataset() -> Dataset {
     let mut rng = Pcg64::seed_from_u64(1);
     let positions: Vec<[f32; 3]> = (0..120)
         .map(|i| {
@@ -78,7 +78,7 @@ fn dataset() -> Dataset {
     }
 }
 
-fn options(iterations: u32, seed: u64) -> TrainOptions {
+pub(crate) fn options(iterations: u32, seed: u64) -> TrainOptions {
     TrainOptions { iterations: Some(iterations), seed, ..TrainOptions::default() }
 }
 
@@ -96,7 +96,9 @@ fn plain_scene(scene: &Scene) -> &GaussianScene {
 fn run(dataset: &Dataset, options: &TrainOptions) -> (Trained, Vec<Progress>) {
     let mut reports = Vec::new();
     let mut report = |progress: &Progress| reports.push(progress.clone());
-    let trained = train(&gpu(), dataset, options, &mut report, &CancelFlag::default()).expect("a scene");
+    let trained =
+        train(&gpu(), dataset, options, Checkpoints::default(), &mut report, &CancelFlag::default())
+            .expect("a scene");
     (trained, reports)
 }
 
@@ -228,7 +230,7 @@ fn a_cancelled_run_stops_before_its_next_step() {
         last = progress.step;
         cancel.cancel();
     };
-    let outcome = train(&gpu(), &dataset, &options(1000, 0), &mut report, &cancel);
+    let outcome = train(&gpu(), &dataset, &options(1000, 0), Checkpoints::default(), &mut report, &cancel);
     assert!(matches!(outcome, Err(TrainError::Cancelled)));
     assert_eq!(last, 10, "cancelled at the first report");
 }
@@ -236,8 +238,9 @@ fn a_cancelled_run_stops_before_its_next_step() {
 #[test]
 fn a_dataset_that_cannot_begin_a_scene_is_refused() {
     let refused = |dataset: &Dataset| {
-        let outcome =
-            train(&gpu(), dataset, &options(3, 0), &mut |_| unreachable!("no step"), &CancelFlag::default());
+        let mut report = |_: &Progress| unreachable!("no step");
+        let cancel = CancelFlag::default();
+        let outcome = train(&gpu(), dataset, &options(3, 0), Checkpoints::default(), &mut report, &cancel);
         outcome.expect_err("a refusal")
     };
     let mut without_frames = dataset();

@@ -115,6 +115,33 @@ async fn shutdown_releases_the_running_job_without_a_charge() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn checkpoints_are_removed_once_their_job_has_ended_and_no_sooner() {
+    let workshop = Workshop::new().await;
+    let root = workshop.data.path().join("checkpoints");
+    let running = workshop.add("gate").await;
+    let waiting = workshop.add("succeed later").await;
+    let unknown = tcgs::domain::JobId(Uuid::now_v7());
+    let folder = |name: &str| {
+        let folder = root.join(name);
+        std::fs::create_dir_all(&folder).expect("made");
+        std::fs::write(folder.join("checkpoint.safetensors"), b"anything").expect("writes");
+        folder
+    };
+    let [running_folder, waiting_folder, unknown_folder] =
+        [running, waiting, unknown].map(|job| folder(&job.to_string()));
+    let foreign = folder("not a job");
+    let working = workshop.start(WorkerConfig { checkpoints: Some(root.clone()), ..quick_worker("w") });
+    workshop.runner.gate.someone_waits().await;
+    assert!(!unknown_folder.exists() && running_folder.exists() && waiting_folder.exists());
+    workshop.runner.gate.open();
+    workshop.reaches(waiting, JobState::Succeeded).await;
+    workshop.shutdown.cancel();
+    working.await.expect("joined").expect("a clean end");
+    assert!(!running_folder.exists() && !waiting_folder.exists());
+    assert!(foreign.exists(), "what is no job's is left alone");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_run_that_does_not_stop_in_time_is_released_all_the_same() {
     let workshop = Workshop::new().await;
     let working = workshop.start(WorkerConfig { drain: Duration::from_millis(30), ..quick_worker("w") });

@@ -19,7 +19,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde_json::json;
 use tcgs::{
     domain::{Background, CancelFlag, Dataset, Phase, Preset, Problem, TrainOptions, Voxel},
-    worker::run::{JobFailure, JobOutput, RunJob},
+    worker::run::{Checkpoints, JobFailure, JobOutput, RunJob},
 };
 
 use self::{
@@ -333,7 +333,7 @@ impl Suite<'_> {
         eprintln!("tcgs: {} {entry}{}", set.name, budget.map_or_else(String::new, |s| format!(", {s:.1} s")));
         let mut display = Display::new();
         let mut show = |phase: Phase, progress: &_| display.show(phase, progress);
-        let outcome = self.runner.run(set.path, &options, &mut show, &self.cancel);
+        let outcome = self.runner.run(set.path, &options, &Checkpoints::default(), &mut show, &self.cancel);
         display.finish();
         let output = match outcome {
             Ok(output) => output,

@@ -29,6 +29,9 @@ use crate::cli::{Failure, logging::Format};
 /// Name of the database in the data folder.
 const DATABASE: &str = "tcgs.sqlite";
 
+/// Name of the folder for the checkpoints of running jobs in the data folder.
+const CHECKPOINTS: &str = "checkpoints";
+
 /// Where a service listens and keeps its data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct ServeOptions {
@@ -112,7 +115,8 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
         if options.stop_with_parent {
             worker::stop_when_stdin_closes(shutdown.clone()).map_err(|fault| unavailable(&fault))?;
         }
-        let config = WorkerConfig::from_environment();
+        let checkpoints = Some(options.data.join(CHECKPOINTS));
+        let config = WorkerConfig { checkpoints, ..WorkerConfig::from_environment() };
         let outcome = worker::serve(store.clone(), blobs, runner, config, shutdown).await;
         store.close().await;
         outcome.map_err(|fault| Failure::from(Problem::new(500, "stalled", "A job hangs", fault.to_string())))

@@ -243,7 +243,8 @@ fn statistics_before_a_backward_pass_are_refused() {
         tcgs::render::DeviceAnchors::upload(&context, &scene.anchors, &scene.networks).expect("room");
     let statistics = context.buffer("statistics", 3 * 8).expect("room");
     let mut recorder = context.recorder("statistics");
-    let refused = neural.statistics(&mut recorder, &device, &statistics);
+    let mark = context.buffer("void mark", 1).expect("room");
+    let refused = neural.statistics(&mut recorder, &device, &statistics, &mark);
     assert_eq!(refused, Err(RenderError::OutOfStep));
 }
 

@@ -108,7 +108,9 @@ fn check_against_twins(shape: Shape, count: usize) {
     let weight = 0.5 * (count * shape.offsets) as f32;
     let mut recorder = context.recorder("backward");
     let gradients = masks.backward(&mut recorder, &mut gaussians, &device, weight).expect("recorded").clone();
-    masks.step(&mut recorder, &Adam::new(&context).expect("adam"), 1, 0.5, LEVEL, &device).expect("recorded");
+    let no = context.buffer("void mark", 1).expect("room");
+    let adam = Adam::new(&context).expect("adam");
+    masks.step(&mut recorder, &adam, 1, &no, 0.5, LEVEL, &device).expect("recorded");
     recorder.submit().expect("submitted");
 
     let spawned = neural::neural_forward(&projection(&camera), &scene.twin());

@@ -15,7 +15,7 @@ use tcgs::{
         RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
     },
     render::{RenderViews, views::Viewable},
-    worker::run::{JobFailure, JobOutput, RunJob},
+    worker::run::{Checkpoints, JobFailure, JobOutput, RunJob},
 };
 
 /// A door that runs and renders can be made to wait at.
@@ -62,6 +62,7 @@ impl RunJob for FakeRunner {
         &self,
         dataset: &Path,
         options: &TrainOptions,
+        _checkpoints: &Checkpoints,
         report: &mut dyn FnMut(Phase, &Progress),
         cancel: &CancelFlag,
     ) -> Result<JobOutput, JobFailure> {

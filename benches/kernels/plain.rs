@@ -1,0 +1,94 @@
+//! A whole step of plain Gaussians with spherical harmonics of degree 3: what `model=3dgs` does a photograph.
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use tcgs::{
+    gpu::Context,
+    model::GaussianRows,
+    render::{DeviceRows, PlainGaussians, RasterSettings, Rasterizer, RenderError},
+    train::{Adam, ImageLoss, Moments},
+};
+
+use super::scene;
+
+/// The least time of a step, by the clock, nothing read back.
+pub(crate) fn step(
+    context: &Arc<Context>,
+    count: usize,
+    side: u32,
+    runs: usize,
+) -> Result<Duration, RenderError> {
+    let mut rng = Pcg64::seed_from_u64(3);
+    let camera = scene::camera(side);
+    let values = rows(&scene::shell(context, count), context, &mut rng)?;
+    let [rows, gradients] =
+        [&values, &GaussianRows::zero(count)].map(|values| DeviceRows::upload(context, values));
+    let (rows, gradients) = (rows?, gradients?);
+    let moments = |values: &GaussianRows| -> Result<[Moments; 2], RenderError> {
+        let bands: usize = values.bands.iter().map(Vec::len).sum();
+        Ok([Moments::zero(context, values.base.len())?, Moments::zero(context, bands)?])
+    };
+    let [base, bands] = moments(&values)?;
+    let mut plain = PlainGaussians::new(Arc::clone(context), RasterSettings::default().near)?;
+    plain.set_degree(3)?;
+    let mut rasterizer = Rasterizer::new(Arc::clone(context), RasterSettings::default())?;
+    let mut loss = ImageLoss::new(Arc::clone(context))?;
+    let adam = Adam::new(context)?;
+    let photograph: Vec<u32> = (0..side * side).map(|_| rng.random()).collect();
+    // As small as to leave the scene as it is.
+    let rates = context.upload("rates", &[1e-9_f32])?;
+    let void_mark = context.upload("void mark", &[0_u32])?;
+    let mut least = Duration::MAX;
+    for run in 0..=runs {
+        let start = Instant::now();
+        let mut recorder = context.recorder("step of plain Gaussians");
+        plain.forward(&mut recorder, &rows, &camera)?;
+        rasterizer.forward(&mut recorder, plain.gaussians(), &camera, [0.0; 3])?;
+        let v_image = loss.record(&mut recorder, [side; 2], rasterizer.image(), &photograph, None)?.clone();
+        let d_gaussians = plain.gaussian_gradients()?.clone();
+        rasterizer.backward(&mut recorder, plain.gaussians(), &camera, &v_image, &d_gaussians)?;
+        plain.backward(&mut recorder, &rows, &gradients)?;
+        adam.step(&mut recorder, 1, &void_mark, &rates, &gradients.base, &rows.base, &base)?;
+        adam.step(&mut recorder, 1, &void_mark, &rates, &gradients.bands, &rows.bands, &bands)?;
+        recorder.submit()?;
+        context.wait()?;
+        // The first makes buffers and kernels.
+        if run > 0 {
+            least = least.min(start.elapsed());
+        }
+        let counts = rasterizer.counts()?;
+        if counts.overflowed {
+            rasterizer.grow(&counts)?;
+            least = Duration::MAX;
+        }
+    }
+    Ok(least)
+}
+
+/// The rows of a shell's Gaussians, with small coefficients.
+fn rows(
+    shell: &tcgs::render::Gaussians,
+    context: &Context,
+    rng: &mut Pcg64,
+) -> Result<GaussianRows, RenderError> {
+    let mut rows = GaussianRows::zero(shell.capacity);
+    let (means, scales) = (context.read(&shell.means_opacity)?, context.read(&shell.scales)?);
+    let (quats, colors) = (context.read(&shell.quats)?, context.read(&shell.colors)?);
+    for (i, row) in rows.base.chunks_exact_mut(tcgs::model::plain::BASE).enumerate() {
+        let opacity = means[i][3].min(0.99);
+        row[..3].copy_from_slice(&means[i][..3]);
+        row[3..6].copy_from_slice(&[0, 1, 2].map(|axis| scales[i][axis].ln()));
+        row[6..10].copy_from_slice(&quats[i]);
+        row[10] = (opacity / (1.0 - opacity)).ln();
+        row[11..14].copy_from_slice(&colors[i][..3]);
+    }
+    for band in &mut rows.bands {
+        band.fill_with(|| rng.random_range(-0.1..0.1));
+    }
+    Ok(rows)
+}

@@ -1,0 +1,74 @@
+use glam::DVec3;
+use rand::RngExt;
+
+use super::*;
+use crate::{
+    domain::{Camera, Digest, Image, Intrinsics, Layout, PointCloud, Pose},
+    gpu::AdapterChoice,
+};
+
+/// Growth comes at step 25.
+const STEPS: u32 = 54;
+
+fn context() -> Arc<Context> {
+    let choice = std::env::var("TCGS_ADAPTER").map_or(AdapterChoice::Lavapipe, |name| match name.parse() {
+        Ok(choice) => choice,
+        Err(never) => match never {},
+    });
+    Context::new(&choice).expect("an adapter; install mesa-vulkan-drivers or set TCGS_ADAPTER")
+}
+
+/// Photographs of noise around random points, each camera nearer than the one before.
+fn dataset() -> Dataset {
+    let mut rng = Pcg64::seed_from_u64(1);
+    let frames = (0..7).map(|index| {
+        let turn = f64::from(index);
+        let away = 4.0 - 0.3 * turn;
+        let pose =
+            Pose::look_at(DVec3::new(away * turn.cos(), away * turn.sin(), 1.0), DVec3::ZERO, DVec3::Z);
+        let intrinsics = Intrinsics { fx: 50.0, fy: 50.0, cx: 32.0, cy: 24.0, width: 64, height: 48 };
+        let camera = Camera::new(intrinsics, pose.expect("a view")).expect("a camera");
+        let samples = (0..64 * 48 * 3).map(|_| rng.random()).collect();
+        let image = Image::new(64, 48, 3, samples).expect("an image");
+        Frame { name: index.to_string(), camera, image: image.into(), split: Split::Train }
+    });
+    let frames = frames.collect();
+    let mut rng = Pcg64::seed_from_u64(2);
+    let positions: Vec<[f32; 3]> = (0..60).map(|_| [0; 3].map(|_| rng.random_range(-1.0..1.0))).collect();
+    Dataset {
+        layout: Layout::Colmap,
+        frames,
+        points: Some(PointCloud { colors: vec![[0; 3]; positions.len()], positions }),
+        digest: Digest::of(b"noise"),
+        notes: Vec::new(),
+    }
+}
+
+#[test]
+fn neither_batches_nor_a_want_of_room_change_a_bit() {
+    let (context, dataset) = (context(), dataset());
+    let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
+    let run = |batch: usize, room: Option<usize>| {
+        let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
+        let mut run = Run::begin(&context, &dataset, &options, &budget, None).expect("begins");
+        run.batch = Batch::Fixed(batch);
+        if let Some(room) = room {
+            run.raster.begin_with_room_for(room);
+        }
+        let (mut recorded, mut losses) = (0, Vec::new());
+        while run.state.step < STEPS {
+            recorded += run.advance(&mut |step| step % 9 == 8).expect("steps");
+            if run.state.step.is_multiple_of(REPORT_EVERY) {
+                losses.push(run.sums().expect("losses"));
+            }
+        }
+        (recorded, losses, run.finish(&CancelFlag::default()).expect("a scene").scene)
+    };
+    let (recorded, losses, scene) = run(1, None);
+    assert_eq!(recorded, STEPS, "with room no step is done twice");
+    for (batch, room) in [(1, Some(1)), (10, None), (10, Some(1)), (7, Some(20)), (4, Some(300))] {
+        let (again, others, other) = run(batch, room);
+        assert!(other == scene && others == losses, "batches of {batch} with room for {room:?}");
+        assert_eq!(again > STEPS, room.is_some(), "{again} steps recorded with room for {room:?}");
+    }
+}
