@@ -471,11 +471,10 @@ mod tests {
 
     #[test]
     fn another_version_of_the_layout_is_refused_by_its_number() {
-        let bytes = written(&checkpoint());
-        let text = String::from_utf8_lossy(&bytes);
-        let key = r#""tcgs.checkpoint":""#;
-        let at = text.find(key).expect("the version") + key.len();
-        let mut bytes = bytes;
+        let mut bytes = written(&checkpoint());
+        let key = br#""tcgs.checkpoint":""#;
+        let place = bytes.windows(key.len()).position(|window| window == key);
+        let at = place.expect("the version") + key.len();
         bytes[at] = b'9';
         let fault = Checkpoint::from_bytes(&bytes).expect_err("refused");
         assert!(matches!(&fault, CheckpointError::Version(version) if version == "9"), "{fault}");
