@@ -55,9 +55,9 @@ pub(super) fn neighbour_distances(points: &[[f32; 3]]) -> Vec<f32> {
         .iter()
         .map(|point| {
             let near = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
-            // The point itself is among them, at distance zero.
+            // The point itself is among them, at distance zero; one that is not finite has no neighbour at all.
             let sum: f32 = near.iter().map(|neighbour| neighbour.distance).sum();
-            (sum / (near.len() - 1) as f32).sqrt()
+            (sum / near.len().saturating_sub(1).max(1) as f32).sqrt()
         })
         .collect()
 }
@@ -122,6 +122,14 @@ pub fn voxelise(lattice: &Lattice, points: &[[f32; 3]]) -> Vec<[i32; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn points_that_are_not_finite_do_not_end_the_choice_of_a_voxel() {
+        let points = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, f32::NAN, 0.0], [0.0, 2.0, 0.0]];
+        for rule in [VoxelRule::OfSpacing(0.5), VoxelRule::Published] {
+            assert!(matches!(rule.for_points(&points, 1.0), VoxelRule::Fixed(edge) if edge > 0.0));
+        }
+    }
 
     #[test]
     fn spacing_is_a_length_and_scales_with_the_scene() {

@@ -86,8 +86,6 @@ fn tight(spill: &Path, memory: u64) -> Room {
 
 #[test]
 fn the_estimate_covers_what_a_run_allocates_and_not_much_more() {
-    // What the other tests of this process allocate must not count.
-    let context = Context::new(&gpu::choice()).expect("an adapter");
     for (what, model, sizes, points, steps) in [
         ("few anchors that grow", ModelKind::Tcgs, &[(32, 32)][..], 150, 60),
         ("many anchors", ModelKind::Tcgs, &[(48, 32)], 4000, 3),
@@ -102,12 +100,11 @@ fn the_estimate_covers_what_a_run_allocates_and_not_much_more() {
             let now = if model == ModelKind::Gaussians3d { progress.gaussians } else { progress.anchors };
             size = size.max(now as usize);
         };
-        // A peak of its own.
-        let before = context.peak_bytes();
+        // A peak of its own: what other runs and tests of this process allocate must not count.
+        let context = Context::new(&gpu::choice()).expect("an adapter");
         let nothing = train::Checkpoints::default();
         train(&context, &dataset, &options, nothing, &mut report, &CancelFlag::default()).expect("a scene");
         let peak = context.peak_bytes();
-        assert!(peak > before, "{what}: the runs are in the order of what they take");
         let estimate = Needs::of(&dataset, &options, context.adapter()).estimate(size);
         let told = estimate.gpu_bytes();
         println!("{what}: size {size}, told {told}, peak {peak}, {:.2}", told as f64 / peak as f64);
