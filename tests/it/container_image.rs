@@ -22,6 +22,10 @@ fn targets() -> Vec<String> {
         if line.starts_with('[') {
             section = line;
         } else if let Some(path) = value("path").or_else(|| value("readme")) {
+            if section == "[[bench]]" {
+                // The name implies a file only where no path is given.
+                files.pop();
+            }
             files.push(path.trim_end_matches('"').to_owned());
         } else if section == "[[bench]]"
             && let Some(name) = value("name")
