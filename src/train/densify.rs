@@ -163,7 +163,7 @@ fn reset_seen_offsets(statistics: &mut Statistics, anchors: usize, min_views: f3
 /// Removes anchors that were visited often and stayed transparent, and those that have no offset left; returns how many.
 fn prune(state: &mut Trainable, statistics: &mut Statistics, settings: &Densify) -> usize {
     let offsets = statistics.shape.offsets;
-    let mut keep: Vec<bool> = state.anchors.masks.iter().map(|mask| *mask != 0).collect();
+    let mut keep = with_offsets(state);
     for (anchor, keep) in keep.iter_mut().enumerate() {
         let (opacity, visits) = statistics.opacity_and_visits(anchor);
         if visits > settings.min_visits {
@@ -176,9 +176,14 @@ fn prune(state: &mut Trainable, statistics: &mut Statistics, settings: &Densify)
     retain(state, statistics, &keep)
 }
 
+/// Which anchors have an offset left.
+fn with_offsets(state: &Trainable) -> Vec<bool> {
+    state.anchors.masks.iter().map(|mask| *mask != 0).collect()
+}
+
 /// Removes the anchors that have no offset left; returns how many.
 pub(super) fn drop_masked(state: &mut Trainable, statistics: &mut Statistics) -> usize {
-    let keep: Vec<bool> = state.anchors.masks.iter().map(|mask| *mask != 0).collect();
+    let keep = with_offsets(state);
     retain(state, statistics, &keep)
 }
 
