@@ -70,15 +70,7 @@ impl Account {
             self.background,
             self.decode_sha256,
         );
-        for (part, bytes) in [
-            ("container", counts.container),
-            ("networks", counts.networks),
-            ("positions", counts.positions),
-            ("masks", counts.masks),
-            ("features", counts.features),
-            ("scalings", counts.scalings),
-            ("offsets", counts.offsets),
-        ] {
+        for (part, bytes) in counts.parts() {
             let share = 100.0 * bytes as f64 / counts.total.max(1) as f64;
             text.push_str(&format!("{part:<11} {bytes:>10} {share:>6.2}%\n"));
         }

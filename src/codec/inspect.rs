@@ -243,17 +243,7 @@ impl fmt::Display for Inspection {
 
         writeln!(f, "\n{:<12} {:>10} {:>7} {:>13}", "bytes by part", "bytes", "share", "bytes/anchor")?;
         let counts = &self.byte_counts;
-        let parts = [
-            ("container", counts.container),
-            ("networks", counts.networks),
-            ("positions", counts.positions),
-            ("masks", counts.masks),
-            ("features", counts.features),
-            ("scalings", counts.scalings),
-            ("offsets", counts.offsets),
-            ("total", counts.total),
-        ];
-        for (name, bytes) in parts {
+        for (name, bytes) in counts.parts().into_iter().chain([("total", counts.total)]) {
             let share = 100.0 * bytes as f64 / total.max(1) as f64;
             let each = bytes as f64 / manifest.anchors.max(1) as f64;
             writeln!(f, "{name:<13} {bytes:>10} {share:>6.2}% {each:>13.3}")?;

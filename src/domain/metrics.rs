@@ -63,6 +63,22 @@ pub struct ByteCounts {
     pub container: u64,
 }
 
+impl ByteCounts {
+    /// The parts of a file of this version, in the order in which tables list them. It has no context planes.
+    #[must_use]
+    pub fn parts(&self) -> [(&'static str, u64); 7] {
+        [
+            ("container", self.container),
+            ("networks", self.networks),
+            ("positions", self.positions),
+            ("masks", self.masks),
+            ("features", self.features),
+            ("scalings", self.scalings),
+            ("offsets", self.offsets),
+        ]
+    }
+}
+
 /// Wall-clock seconds by phase.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct PhaseSeconds {
