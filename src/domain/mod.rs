@@ -7,6 +7,7 @@
 pub mod anchors;
 pub mod camera;
 pub mod clock;
+pub mod context;
 pub mod conventions;
 pub mod digest;
 pub mod format;
@@ -25,6 +26,10 @@ pub mod view;
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
 pub use clock::{Clock, ManualClock, SystemClock};
+pub use context::{
+    AttributeGroup, ContextCandidates, ContextFrame, ContextKind, GroupNetworks, PlaneContext, Planes,
+    UpLayer,
+};
 pub use conventions::{Conventions, LpipsNetwork};
 pub use digest::Digest;
 pub use format::SceneFormat;

@@ -18,7 +18,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("model", &["domain", "gpu"]),
     ("render", &["domain", "gpu", "model"]),
     ("eval", &["domain", "gpu", "model", "render"]),
-    ("train", &["domain", "gpu", "model", "render", "eval"]),
+    ("train", &["domain", "gpu", "codec", "model", "render", "eval"]),
     ("worker", &["domain", "ingest", "gpu", "codec", "export", "store", "model", "render", "eval", "train"]),
     ("http", &["domain", "codec", "store", "render"]),
 ];
