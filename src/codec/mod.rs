@@ -9,7 +9,7 @@ mod adaptive;
 mod attributes;
 mod bytes;
 mod container;
-mod context;
+pub mod context;
 mod decode;
 mod digest;
 mod encode;
