@@ -5,6 +5,7 @@
 //! integers as floats, and so sees what a decoder will see.
 
 mod channels;
+mod choice;
 mod frame;
 mod neighbours;
 mod position;
@@ -12,6 +13,7 @@ mod texels;
 
 pub(super) use channels::{Attribute, ChannelModel, Shape, SymbolModel};
 
+pub use choice::{ContextChoice, ContextSearch, ContextSettings, GroupChoice};
 pub use frame::{COORDINATE_LIMIT, coordinates, robust_frame};
 pub use neighbours::neighbours;
 pub use position::position_inputs;
