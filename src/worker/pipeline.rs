@@ -15,7 +15,7 @@ use super::{
     steps::choose_steps,
 };
 use crate::{
-    codec::{self, EncodeSettings, Provenance},
+    codec::{self, ContextSettings, EncodeSettings, Provenance},
     domain::{
         AnchorScene, CancelFlag, Conventions, Dataset, Frame, JobMetrics, MemoryBudget, MemoryLimits,
         ModelKind, NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, Scores, Split, SystemClock,
@@ -224,6 +224,7 @@ impl Job<'_> {
             feature_step: steps.feature,
             scaling_step: steps.scaling,
             offset_step: steps.offset,
+            context: ContextSettings::default(),
             provenance: Provenance {
                 generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),
                 dataset: Some(self.dataset.digest),
@@ -232,7 +233,7 @@ impl Job<'_> {
                     .map_err(|fault| JobFailure::Fail(internal(&fault.to_string())))?,
             },
         };
-        let encoded = codec::encode(scene, &settings).map_err(|fault| {
+        let encoded = codec::encode(scene, None, &settings).map_err(|fault| {
             JobFailure::Fail(Problem::new(422, "not-encodable", "Encoding failed", fault.to_string()))
         })?;
         Ok(encoded.bytes)

@@ -135,7 +135,7 @@ fn quantised(scene: &AnchorScene, ladder: &Ladder, rungs: [Option<u32>; 3]) -> A
 mod tests {
     use super::*;
     use crate::{
-        codec::{self, EncodeSettings, Provenance},
+        codec::{self, ContextSettings, EncodeSettings, Provenance},
         domain::Lattice,
         model::{AnchorRows, NetworkLayout, Shape},
     };
@@ -182,6 +182,7 @@ mod tests {
             feature_step: steps.feature,
             scaling_step: steps.scaling,
             offset_step: steps.offset,
+            context: ContextSettings::default(),
             provenance: Provenance {
                 generator: "a test".to_owned(),
                 dataset: None,
@@ -189,6 +190,6 @@ mod tests {
                 settings: serde_json::Value::Null,
             },
         };
-        codec::encode(&scene, &settings).expect("can be written");
+        codec::encode(&scene, None, &settings).expect("can be written");
     }
 }
