@@ -4,9 +4,9 @@
 //! measured for its rate each step, and the context model learns with them.
 
 mod base_steps;
+#[cfg(test)]
 mod sample;
 mod schedule;
 
 pub use base_steps::BaseSteps;
-pub use sample::{sample, sample_size};
 pub use schedule::{BaseStepRule, CompressionSchedule, Stage};

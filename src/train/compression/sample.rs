@@ -8,13 +8,13 @@ use rand_pcg::Pcg64;
 
 /// Anchors in the sample of a step: `share` of them, at least one if there is one.
 #[must_use]
-pub fn sample_size(anchors: usize, share: f64) -> usize {
+pub(in crate::train) fn sample_size(anchors: usize, share: f64) -> usize {
     ((anchors as f64 * share).ceil() as usize).min(anchors)
 }
 
 /// The sample of `step`: one anchor from each of as many runs of neighbouring anchors, so that it covers the scene.
 #[must_use]
-pub fn sample(seed: u64, step: u32, anchors: usize, share: f64) -> Vec<u32> {
+pub(in crate::train) fn sample(seed: u64, step: u32, anchors: usize, share: f64) -> Vec<u32> {
     let mut rng = Pcg64::new(u128::from(step), u128::from(seed));
     let wanted = sample_size(anchors, share);
     if wanted == 0 {
