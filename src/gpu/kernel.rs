@@ -37,6 +37,7 @@ const SHARED: &[(&str, &str)] = &[
     ("anchor_view", include_str!("../../shaders/shared/anchor_view.wgsl")),
     ("model", include_str!("../../shaders/shared/model.wgsl")),
     ("plain", include_str!("../../shaders/shared/plain.wgsl")),
+    ("gaussian", include_str!("../../shaders/shared/gaussian.wgsl")),
     ("ssim", include_str!("../../shaders/shared/ssim.wgsl")),
 ];
 

@@ -1,11 +1,13 @@
-//! The image loss, the offset masks and the optimiser on the CPU in f64, written plainly: every kernel has a function of the same name here.
+//! The image loss, the offset masks, the rate term and the optimiser on the CPU in f64, written plainly: every kernel has a function of the same name here.
 
 mod adam;
+mod gaussian;
 mod loss;
 mod masks;
 mod wavelet;
 
 pub use adam::{AdamElement, adam};
+pub use gaussian::{SymbolBits, symbol_bits};
 pub use loss::{
     Losses, Moments, SsimGradient, image_gradient, image_loss, ssim_columns, ssim_gradient_rows, ssim_rows,
     sum_losses,

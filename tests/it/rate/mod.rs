@@ -1,0 +1,3 @@
+//! The rate term: bits in the stable form, quantised rows, the gradients of both, and networks as a file keeps them.
+
+mod bits;
