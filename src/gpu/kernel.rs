@@ -38,6 +38,7 @@ const SHARED: &[(&str, &str)] = &[
     ("model", include_str!("../../shaders/shared/model.wgsl")),
     ("plain", include_str!("../../shaders/shared/plain.wgsl")),
     ("gaussian", include_str!("../../shaders/shared/gaussian.wgsl")),
+    ("quantise", include_str!("../../shaders/shared/quantise.wgsl")),
     ("ssim", include_str!("../../shaders/shared/ssim.wgsl")),
 ];
 

@@ -4,6 +4,8 @@ mod adam;
 mod gaussian;
 mod loss;
 mod masks;
+mod quantise;
+mod rate;
 mod wavelet;
 
 pub use adam::{AdamElement, adam};
@@ -12,5 +14,7 @@ pub use loss::{
     Losses, Moments, SsimGradient, image_gradient, image_loss, ssim_columns, ssim_gradient_rows, ssim_rows,
     sum_losses,
 };
-pub use masks::{mask_bits, mask_gradient, mask_loss};
+pub use masks::{mask_bits, mask_gradient, mask_loss, mask_rate};
+pub use quantise::{noise, quantise_gradient, quantise_rows};
+pub use rate::{RateGradients, rate, sum_bits};
 pub use wavelet::wavelet;

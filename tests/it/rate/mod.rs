@@ -1,3 +1,8 @@
 //! The rate term: bits in the stable form, quantised rows, the gradients of both, and networks as a file keeps them.
 
 mod bits;
+mod masks;
+mod quantise;
+mod scene;
+mod stability;
+mod term;
