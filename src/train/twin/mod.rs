@@ -15,6 +15,6 @@ pub use loss::{
     sum_losses,
 };
 pub use masks::{mask_bits, mask_gradient, mask_loss, mask_rate};
-pub use quantise::{noise, quantise_gradient, quantise_rows};
+pub use quantise::{noise, quantise_gradient, quantise_rows, round_rows};
 pub use rate::{RateGradients, rate, sum_bits};
 pub use wavelet::wavelet;

@@ -2,6 +2,7 @@
 
 mod bits;
 mod masks;
+mod networks;
 mod quantise;
 mod scene;
 mod stability;
