@@ -9,6 +9,7 @@ mod batch;
 pub mod budget;
 mod checkpoint;
 mod checkpoint_folder;
+pub mod context;
 mod densify;
 mod error;
 mod learner;
