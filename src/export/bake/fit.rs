@@ -75,13 +75,13 @@ impl Normal {
         }
         let mut solution = self.moments;
         for channel in 0..3 {
-            for row in 0..n {
-                let known: f64 = (0..row).map(|k| factor[row][k] * solution[k][channel]).sum();
+            for (row, factors) in factor.iter().enumerate().take(n) {
+                let known: f64 =
+                    factors[..row].iter().zip(&solution).map(|(factor, known)| factor * known[channel]).sum();
                 solution[row][channel] -= known;
             }
-            for row in 0..n {
-                let pivot = pivots[row];
-                solution[row][channel] = if pivot > 0.0 { solution[row][channel] / pivot } else { 0.0 };
+            for (value, pivot) in solution.iter_mut().zip(pivots).take(n) {
+                value[channel] = if pivot > 0.0 { value[channel] / pivot } else { 0.0 };
             }
             for row in (0..n).rev() {
                 let known: f64 = (row + 1..n).map(|k| factor[k][row] * solution[k][channel]).sum();

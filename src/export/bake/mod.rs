@@ -327,7 +327,7 @@ impl Look<'_> {
             normal.add(&harmonics::basis(direction), rgb, opacity);
         }
         let opacity = (weight / shown).min(OPAQUE);
-        if !(opacity >= ALPHA_MIN) {
+        if opacity < ALPHA_MIN {
             return None;
         }
         let sh = normal.solve(self.settings.ridge).map(|rgb| rgb.map(|value| value as f32));

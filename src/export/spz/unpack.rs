@@ -74,7 +74,7 @@ pub fn from_spz(bytes: &[u8]) -> Result<GaussianScene, SpzError> {
     let above = 3 * rest(degree);
     let mut scene = GaussianScene { degree, ..GaussianScene::default() };
     scene.sh.reserve_exact(count);
-    for index in 0..count {
+    for (index, opacity) in opacities.iter().enumerate() {
         let position = &positions[9 * index..][..9];
         scene.means.push(std::array::from_fn(|axis| {
             let [low, middle, high] = [0, 1, 2].map(|byte| position[3 * axis + byte]);
@@ -87,7 +87,7 @@ pub fn from_spz(bytes: &[u8]) -> Result<GaussianScene, SpzError> {
             [a, b, c] => first_three([a, b, c]),
             _ => [1.0, 0.0, 0.0, 0.0],
         });
-        let opacity = (f64::from(opacities[index]) / 255.0).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
+        let opacity = (f64::from(*opacity) / 255.0).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
         scene.opacity_logits.push((opacity / (1.0 - opacity)).ln() as f32);
         let mut sh = [[0.0; 3]; SH_COEFFICIENTS];
         sh[0] = std::array::from_fn(|channel| {
