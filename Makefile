@@ -6,7 +6,7 @@ CARGO := . scripts/env.sh && cargo
 # Where the photo sets for `make results` are.
 DATA ?= $(or $(TCGS_SHARED),../shared)/data
 
-.PHONY: help setup build demo results test lint clean
+.PHONY: help setup build demo results test interop peers lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -25,6 +25,13 @@ results: build ## train every model on every set of DATA and rewrite docs/RESULT
 
 test: setup ## all tests
 	@$(CARGO) test --locked --no-fail-fast
+
+interop: setup ## hold exports to splat-transform, which comes through npm
+	@scripts/splat_transform.sh --version
+	@. scripts/env.sh && TCGS_SPLAT_TRANSFORM="$$(scripts/splat_transform.sh --where)" cargo test --locked --test it export:: -- --nocapture
+
+peers: ## convert IN (a .ply of plain Gaussians) to .sog and .spz and back, into OUT
+	@scripts/peers.sh "$(IN)" "$(OUT)"
 
 lint: setup ## formatting, clippy, documentation, licences
 	@$(CARGO) fmt --check

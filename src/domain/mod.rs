@@ -12,6 +12,7 @@ pub mod conventions;
 pub mod digest;
 pub mod format;
 pub mod gaussians;
+pub mod harmonics;
 pub mod image;
 pub mod job;
 pub mod memory;

@@ -7,6 +7,7 @@ mod cli;
 mod codec;
 mod container_image;
 mod context;
+mod export;
 mod first_light;
 mod http;
 mod ingest;
