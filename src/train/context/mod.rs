@@ -12,7 +12,6 @@ mod error;
 mod layout;
 mod net;
 mod planes;
-mod sample;
 mod sampling;
 mod weights;
 
@@ -21,4 +20,3 @@ pub use config::{ContextConfig, PlaneConfig};
 pub use error::ContextError;
 pub use layout::{ContextLayout, ContextPart, ContextRates, ConvSpec, GroupStatistics};
 pub use net::{ContextNet, ContextPass, ContextState, PlaneSource};
-pub use sample::sample_anchors;

@@ -157,7 +157,7 @@ fn weights_keep_as_many_binary_places_as_their_levels_allow() {
     assert_eq!(twin::round_weights(&[200.0, -1.4], 127), [127.0, -1.0], "integers end at the levels");
     assert_eq!(twin::round_weights(&[0.0; 3], 7), [0.0; 3]);
     assert_eq!(twin::round_weights(&[127.49, 1.0], 127), [127.0, 1.0]);
-    assert_eq!(twin::round_weights(&[1e-7], 127), [0.0], "there are fifteen places at most");
+    assert_eq!(twin::round_weights(&[1e-9], 127), [0.0], "there are 24 places at most");
 }
 
 #[test]
