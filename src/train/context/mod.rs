@@ -12,6 +12,7 @@ mod error;
 mod layout;
 mod net;
 mod planes;
+mod sample;
 mod sampling;
 mod weights;
 
@@ -20,3 +21,4 @@ pub use config::{ContextConfig, PlaneConfig};
 pub use error::ContextError;
 pub use layout::{ContextLayout, ContextPart, ContextRates, ConvSpec, GroupStatistics};
 pub use net::{ContextNet, ContextPass, ContextState, PlaneSource};
+pub use sample::sample_anchors;
