@@ -381,7 +381,6 @@ impl ContextNet {
     ///
     /// # Errors
     /// [`ContextError::Config`] if the statistics are of other channels; faults of the device.
-    #[expect(clippy::too_many_arguments, reason = "the optimiser's arguments and what rates depend on")]
     pub fn step(
         &self,
         recorder: &mut Recorder<'_>,
