@@ -4,9 +4,11 @@
 //! measured for its rate each step, and the context model learns with them.
 
 mod base_steps;
-#[cfg(test)]
-mod sample;
+mod learning;
 mod schedule;
+mod statistics;
+mod steps;
 
 pub use base_steps::BaseSteps;
+pub(super) use learning::Compression;
 pub use schedule::{BaseStepRule, CompressionSchedule, Stage};
