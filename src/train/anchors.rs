@@ -457,13 +457,25 @@ impl Learner for AnchorLearner {
         self.anchors.values = self.context.read(&self.device.rows)?;
         self.anchors.masks = self.context.read(&self.device.masks)?;
         let networks = self.context.read(&self.device.networks)?;
+        let before = self.anchors.cells.clone();
         if self.schedule.drops_unused {
-            drop_unused(&self.context, &mut self.neural, &self.device, &mut self.anchors, frames, cancel)?;
+            let mut recorder = self.context.recorder("what is shown at the end");
+            let shown = match &self.compression {
+                Some(compression) => compression.forward(&mut recorder, &self.device, self.schedule.steps)?,
+                None => None,
+            };
+            recorder.submit()?;
+            let shown = shown.as_ref().unwrap_or(&self.device);
+            drop_unused(&self.context, &mut self.neural, shown, &mut self.anchors, frames, cancel)?;
         }
         if self.anchors.is_empty() {
             return Err(TrainError::NothingLeft { step: self.schedule.steps });
         }
         let scene = Scene::Anchors(self.anchors.to_scene(self.layout.to_networks(&networks)));
-        Ok(Finished { scene, context: None })
+        let context = match self.compression {
+            Some(compression) => compression.finish(&self.adam, &before, &self.anchors, &networks, cancel)?,
+            None => None,
+        };
+        Ok(Finished { scene, context })
     }
 }

@@ -256,8 +256,8 @@ impl Compression {
             anchors,
             &quantising.rows,
             &quantisation,
-            modelling.sample(),
-            modelling.outputs(),
+            sample_of(&modelling.net, modelling.sampled),
+            outputs_of(&modelling.net),
             step.lambda,
             d_rows,
             void_mark,
@@ -283,7 +283,8 @@ impl Compression {
         lambda: f64,
     ) -> Result<(), TrainError> {
         if let Some(modelling) = &self.modelling {
-            masks.rate_backward(recorder, &modelling.rate, modelling.sample(), lambda)?;
+            let sample = sample_of(&modelling.net, modelling.sampled);
+            masks.rate_backward(recorder, &modelling.rate, sample, lambda)?;
         }
         Ok(())
     }
@@ -305,21 +306,19 @@ impl Compression {
 /// What an entropy-coded weight or latent of the context model takes, about.
 const BYTES_A_PARAMETER: f64 = 0.75;
 
-impl Modelling {
-    /// The anchors of the last recorded forward pass.
-    pub(super) fn sample(&self) -> AnchorSample<'_> {
-        AnchorSample { list: self.net.sample(), count: self.sampled, capacity: self.net.columns() }
-    }
+/// The anchors of a model's last recorded forward pass.
+pub(super) fn sample_of(net: &ContextNet, count: usize) -> AnchorSample<'_> {
+    AnchorSample { list: net.sample(), count, capacity: net.columns() }
+}
 
-    /// What the last recorded forward pass says of them.
-    pub(super) fn outputs(&self) -> [GroupOutputs<'_>; 3] {
-        let rows = self.net.layout().config.output_rows();
-        std::array::from_fn(|group| GroupOutputs {
-            values: self.net.outputs(),
-            gradients: self.net.output_gradients(),
-            first_row: rows[group],
-        })
-    }
+/// What a model's last recorded forward pass says of them.
+pub(super) fn outputs_of(net: &ContextNet) -> [GroupOutputs<'_>; 3] {
+    let rows = net.layout().config.output_rows();
+    std::array::from_fn(|group| GroupOutputs {
+        values: net.outputs(),
+        gradients: net.output_gradients(),
+        first_row: rows[group],
+    })
 }
 
 /// Anchors in a sample, at least one where there is any.

@@ -4,6 +4,8 @@
 //! measured for its rate each step, and the context model learns with them.
 
 mod base_steps;
+mod fit;
+mod hold;
 mod learning;
 mod schedule;
 mod statistics;
