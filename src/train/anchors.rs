@@ -7,7 +7,7 @@ use rand_pcg::Pcg64;
 use super::{
     Adam, CheckpointError, Decay, Densify, MaskRows, Moments, OffsetMasks, Schedule, Statistics, TrainError,
     budget::Footprint,
-    compression::Compression,
+    compression::{Compression, CompressionSchedule, compression_bytes},
     densify::{Trainable, densify, drop_masked},
     learner::{Finished, Learner, SampleRate, Size, Step},
     state::LearnerState,
@@ -269,6 +269,10 @@ impl AnchorLearner {
     }
 }
 
+/// Host bytes an anchor of the context model's tables while they are made: neighbours, texels and both the other way round,
+/// as lists and as they are sorted, and steps by cell.
+const CONTEXT_HOST_BYTES: usize = 1024;
+
 /// What anchors take.
 #[derive(Debug)]
 pub(super) struct AnchorFootprint {
@@ -276,6 +280,8 @@ pub(super) struct AnchorFootprint {
     pub(super) max_anchors: usize,
     /// Whether masks learn.
     pub(super) masks: bool,
+    /// Compression-aware training; none in the baseline.
+    pub(super) compression: Option<CompressionSchedule>,
 }
 
 impl Footprint for AnchorFootprint {
@@ -297,6 +303,7 @@ impl Footprint for AnchorFootprint {
             + Moments::bytes(parameters)
             + Statistics::bytes(shape, anchors)
             + if self.masks { OffsetMasks::bytes(shape, anchors) } else { 0 }
+            + self.compression.as_ref().map_or(0, |schedule| compression_bytes(schedule, shape, anchors))
             + 2 * buffer_bytes::<f32>(shape.row() + parameters)
     }
 
@@ -316,7 +323,9 @@ impl Footprint for AnchorFootprint {
         const CELL: usize = 64;
         let masks = if self.masks { 3 * shape.offsets } else { 0 };
         let row = 6 * (shape.row() + masks) * size_of::<f32>();
-        2 * Statistics::bytes(shape, anchors) + (anchors * (row + shape.offsets * CANDIDATE + CELL)) as u64
+        2 * Statistics::bytes(shape, anchors)
+            + (anchors * (row + shape.offsets * CANDIDATE + CELL)) as u64
+            + if self.compression.is_some() { (anchors * CONTEXT_HOST_BYTES) as u64 } else { 0 }
     }
 }
 

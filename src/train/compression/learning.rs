@@ -17,7 +17,7 @@ use super::{
 use crate::{
     codec::context::robust_frame,
     domain::ContextFrame,
-    gpu::{Buffer, Context, Recorder},
+    gpu::{Buffer, Context, Recorder, buffer_bytes},
     model::{AnchorRows, NetworkLayout, Shape},
     render::DeviceAnchors,
     train::{
@@ -301,6 +301,23 @@ impl Compression {
             + layout.up.iter().map(|up| up.weight_count()).sum::<usize>();
         Ok(Some((bits / modelling.sampled as f64, BYTES_A_PARAMETER * stored as f64)))
     }
+}
+
+/// Bytes on the device of compression-aware training, at its largest: the fits after the last step have a model beside the
+/// trained one, and rows and gradients of their own.
+pub(in crate::train) fn compression_bytes(
+    schedule: &CompressionSchedule,
+    shape: Shape,
+    anchors: usize,
+) -> u64 {
+    let sampled = sample_size(anchors, schedule.sampled);
+    let config = config(schedule, shape, anchors);
+    let net = ContextNet::bytes(&config, anchors, ContextNet::capacity(sampled)).unwrap_or(u64::MAX / 8);
+    QuantisedRows::bytes(shape, anchors)
+        + RoundedNetworks::bytes(&NetworkLayout::new(shape))
+        + 2 * RateTerm::bytes(shape, ContextNet::capacity(sampled))
+        + 3 * net
+        + 2 * buffer_bytes::<f32>(anchors * shape.row())
 }
 
 /// What an entropy-coded weight or latent of the context model takes, about.

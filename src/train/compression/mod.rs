@@ -12,5 +12,5 @@ mod statistics;
 mod steps;
 
 pub use base_steps::BaseSteps;
-pub(super) use learning::Compression;
+pub(super) use learning::{Compression, compression_bytes};
 pub use schedule::{BaseStepRule, CompressionSchedule, Stage};

@@ -4,9 +4,12 @@
 
 use crate::{domain::anchors::SCALINGS_PER_ANCHOR, model::AnchorRows, train::context::GroupStatistics};
 
-/// Share of a channel's values that is left out at either end: one anchor of the size of the scene must not decide how
-/// wide all others are expected to be.
+/// Share of a channel's values that is left out at either end to see how wide the others are.
 const LEFT_OUT: f64 = 0.02;
+
+/// Values count as no farther than this many times that width from the middle: one anchor of the size of the scene must
+/// not decide how wide all others are expected to be, and yet tails have to be expected.
+const FARTHEST: f64 = 10.0;
 
 /// The statistics of features, linear scalings and unmasked offsets, in steps of `base` (scalings' in world units).
 pub(super) fn group_statistics(anchors: &AnchorRows, base: [f32; 3]) -> [GroupStatistics; 3] {
@@ -25,7 +28,7 @@ pub(super) fn group_statistics(anchors: &AnchorRows, base: [f32; 3]) -> [GroupSt
     })
 }
 
-/// Mean and standard deviation of a channel's finite values without its ends, in steps.
+/// Mean and standard deviation of a channel's finite values, in steps, far ones moved nearer.
 fn of(values: impl Iterator<Item = f32>, step: f32) -> (f32, f32) {
     let mut values: Vec<f64> =
         values.map(|value| f64::from(value) / f64::from(step)).filter(|value| value.is_finite()).collect();
@@ -35,10 +38,16 @@ fn of(values: impl Iterator<Item = f32>, step: f32) -> (f32, f32) {
     if middle.is_empty() {
         return (0.0, 0.0);
     }
-    let count = middle.len() as f64;
-    let mean = middle.iter().sum::<f64>() / count;
-    let variance = middle.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
-    (mean as f32, variance.sqrt() as f32)
+    let (mean, width) = moments(middle);
+    values.iter_mut().for_each(|value| *value = value.clamp(mean - FARTHEST * width, mean + FARTHEST * width));
+    let (mean, deviation) = moments(&values);
+    (mean as f32, deviation as f32)
+}
+
+fn moments(values: &[f64]) -> (f64, f64) {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    (mean, (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt())
 }
 
 #[cfg(test)]
@@ -75,7 +84,7 @@ mod tests {
         rows[1] = [f32::NAN; 10];
         for group in group_statistics(&anchors(&rows, vec![1; 100]), [1.0; 3]) {
             for (mean, deviation) in group.means.iter().zip(&group.deviations) {
-                assert!(mean.abs() < 2.0 && (0.9..1.5).contains(deviation), "{mean} {deviation}");
+                assert!(mean.abs() < 0.2 && (0.9..1.5).contains(deviation), "{mean} {deviation}");
             }
         }
         let none = group_statistics(&anchors(&[[f32::NAN; 10]], vec![1]), [1.0; 3]);
