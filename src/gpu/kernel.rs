@@ -39,6 +39,8 @@ const SHARED: &[(&str, &str)] = &[
     ("plain", include_str!("../../shaders/shared/plain.wgsl")),
     ("context", include_str!("../../shaders/shared/context.wgsl")),
     ("convolution", include_str!("../../shaders/shared/convolution.wgsl")),
+    ("gaussian", include_str!("../../shaders/shared/gaussian.wgsl")),
+    ("quantise", include_str!("../../shaders/shared/quantise.wgsl")),
     ("ssim", include_str!("../../shaders/shared/ssim.wgsl")),
 ];
 

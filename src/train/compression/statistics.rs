@@ -39,7 +39,9 @@ fn of(values: impl Iterator<Item = f32>, step: f32) -> (f32, f32) {
         return (0.0, 0.0);
     }
     let (mean, width) = moments(middle);
-    values.iter_mut().for_each(|value| *value = value.clamp(mean - FARTHEST * width, mean + FARTHEST * width));
+    values
+        .iter_mut()
+        .for_each(|value| *value = value.clamp(mean - FARTHEST * width, mean + FARTHEST * width));
     let (mean, deviation) = moments(&values);
     (mean as f32, deviation as f32)
 }
