@@ -14,7 +14,7 @@ use super::{
     Compression, Stage,
     hold::HeldSteps,
     learning::{LEVELS, Modelling, Quantising, outputs_of, sample_of, sample_size},
-    steps::static_adjustments,
+    steps::{static_adjustments, usual_steps},
 };
 use crate::{
     domain::{
@@ -119,6 +119,13 @@ impl Compression {
         // Every anchor's steps as the finished networks have them, not as the last sample that it was in had them.
         fitter.whole_scene(&mut net, Steps::Predicted)?;
         let steps = context.read(quantising.rows.steps())?;
+        tracing::debug!(
+            anchors = anchors.len(),
+            base = ?quantising.base,
+            adjustments = ?static_adjustments(&steps, quantising.base, STEP_OCTAVES),
+            usual = ?usual_steps(&steps),
+            "steps",
+        );
         let (position, planes) = fitter.candidates(&net)?;
         Ok(Some(TrainedContext {
             steps: quantising.steps,

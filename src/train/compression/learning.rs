@@ -104,7 +104,8 @@ impl Compression {
         {
             let steps = BaseSteps::of(self.schedule.base, anchors);
             let base = steps.in_world(anchors.lattice.voxel);
-            self.quantise(steps, base, &base.repeat(anchors.len()))?;
+            let first = base.map(|step| step * (-self.schedule.base.finer()).exp2());
+            self.quantise(steps, base, &first.repeat(anchors.len()))?;
             tracing::debug!(step, ?steps, "base steps");
         }
         if next >= Stage::Context && self.modelling.is_none() {
@@ -135,7 +136,12 @@ impl Compression {
         let layout = crate::train::context::ContextLayout::new(config)?;
         // Of its own: how many numbers a model needs must not decide how the scene goes on.
         let mut rng = Pcg64::seed_from_u64(self.schedule.seed);
-        let state = ContextState::new(layout.initial(&statistics, &mut rng)?);
+        let mut values = layout.initial(&statistics, &mut rng)?;
+        for head in &layout.heads {
+            // The last output of a group is its step adjustment.
+            values[head.bias + head.outputs - 1] = -self.schedule.base.finer();
+        }
+        let state = ContextState::new(values);
         let frame = robust_frame(&anchors.cells);
         self.modelling = Some(self.modelling_of(config, &state, frame, statistics, &anchors.cells)?);
         Ok(())
@@ -191,7 +197,10 @@ impl Compression {
             Stage::Context => QuantisationPhase::Noise,
             Stage::Rounded => QuantisationPhase::Rounded,
         };
-        let base_steps = self.quantising.as_ref()?.base;
+        let mut base_steps = self.quantising.as_ref()?.base;
+        if phase == QuantisationPhase::FixedNoise {
+            base_steps = base_steps.map(|step| step * (-self.schedule.base.finer()).exp2());
+        }
         Some(Quantisation { phase, base_steps, key: Quantisation::key(self.schedule.seed, step) })
     }
 
