@@ -1,4 +1,5 @@
-//! The image loss, the offset masks, the context model, the rate term and the optimiser on the CPU in f64, written plainly: every kernel has a function of the same name here.
+//! The image loss, the offset masks, the context model, the rate term and the optimiser on the CPU in f64, written plainly:
+//! every kernel has a function of the same name here.
 
 mod adam;
 pub mod context;
