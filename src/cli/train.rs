@@ -97,9 +97,14 @@ struct Options {
     #[arg(long, value_name = "X", hide = true)]
     lambda: Option<f64>,
 
-    /// Largest file to write
-    #[arg(long, value_name = "N", hide = true)]
+    /// Bytes that the file may have, all of it: steps become coarser and Gaussians are left out until it fits
+    #[arg(long, value_name = "N")]
     max_bytes: Option<u64>,
+
+    /// Train once up to where the weight of the rate matters, then go on with each of these weights, and write a file for
+    /// each: OUT is that of the first, and beside it each has its weight in its name, as in OUT.lambda-0.001.tcgs
+    #[arg(long, value_name = "LIST", value_delimiter = ',', allow_negative_numbers = true)]
+    rd_curve: Vec<f64>,
 }
 
 /// Reads what `--voxel` takes.
@@ -119,6 +124,7 @@ impl Options {
             without: self.without.iter().copied().collect(),
             lambda: self.lambda,
             max_bytes: self.max_bytes,
+            rd_curve: self.rd_curve.clone(),
         };
         Ok(options.validated()?)
     }
@@ -256,7 +262,7 @@ mod tests {
         assert_eq!(options.preset, Preset::Standard);
         assert_eq!((options.iterations, options.seed), (Some(900), 7));
         assert_eq!(options.background, Background::White);
-        for flags in [["--iterations", "0"], ["--without", "knn,masks"], ["--max-bytes", "1000"]] {
+        for flags in [["--iterations", "0"], ["--without", "knn,masks"], ["--max-bytes", "0"]] {
             let failure = parse(&flags).train_options().expect_err("impossible");
             assert_eq!(failure.exit_status(), 2);
             assert!(failure.to_string().starts_with(flags[0]), "{failure}");

@@ -142,6 +142,12 @@ impl Schedule {
         }
     }
 
+    /// The last step before the weight of the rate matters: there the branches of a rate-distortion curve part.
+    #[must_use]
+    pub fn fork_step(&self) -> u32 {
+        (self.steps / 3).max(1)
+    }
+
     /// Whether the views of `step` count for growth.
     #[must_use]
     pub fn gathers_statistics(&self, step: u32) -> bool {

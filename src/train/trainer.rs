@@ -87,26 +87,29 @@ pub fn train_within(
 ) -> Result<Trained, TrainError> {
     let Checkpoints { resume, keep } = checkpoints;
     let mut run = Run::begin(context, dataset, options, budget, resume)?;
-    let mut keeper = Keeper { keep, kept: run.state.step };
-    if run.state.step > 0 {
-        report(&run.progress(None)?);
-    }
-    while run.state.step < run.steps {
-        if cancel.is_cancelled() {
-            keeper.keep(&run);
-            return Err(TrainError::Cancelled);
-        }
-        run.advance(&mut |step| keeper.wants(step))?;
-        let step = run.state.step;
-        if step.is_multiple_of(REPORT_EVERY) || step == run.steps {
-            let sums = run.sums()?;
-            report(&run.progress(Some(sums))?);
-        }
-        if keeper.wants(step) || step == run.steps {
-            keeper.keep(&run);
-        }
-    }
+    let last = run.steps;
+    run.go_on(last, keep, report, cancel)?;
     run.finish(cancel)
+}
+
+/// Trains what the branches of a rate-distortion curve share: up to [`Schedule::fork_step`]. The checkpoint, which is kept
+/// too, is for [`Checkpoint::fork`].
+///
+/// # Errors
+/// As [`train_within`].
+pub fn train_trunk(
+    context: &Arc<Context>,
+    dataset: &Dataset,
+    options: &TrainOptions,
+    budget: &MemoryBudget,
+    checkpoints: Checkpoints<'_>,
+    report: &mut dyn FnMut(&Progress),
+    cancel: &CancelFlag,
+) -> Result<Checkpoint, TrainError> {
+    let Checkpoints { resume, keep } = checkpoints;
+    let mut run = Run::begin(context, dataset, options, budget, resume)?;
+    run.go_on(Schedule::new(options).fork_step(), keep, report, cancel)?;
+    run.checkpoint()
 }
 
 /// Keeps checkpoints of a run, none of them twice.
@@ -281,6 +284,36 @@ impl<'a> Run<'a> {
             context: Arc::clone(context),
             frames,
         })
+    }
+
+    /// Does the steps up to `last`.
+    fn go_on(
+        &mut self,
+        last: u32,
+        keep: Option<&mut dyn KeepCheckpoints>,
+        report: &mut dyn FnMut(&Progress),
+        cancel: &CancelFlag,
+    ) -> Result<(), TrainError> {
+        let mut keeper = Keeper { keep, kept: self.state.step };
+        if self.state.step > 0 {
+            report(&self.progress(None)?);
+        }
+        while self.state.step < last {
+            if cancel.is_cancelled() {
+                keeper.keep(self);
+                return Err(TrainError::Cancelled);
+            }
+            self.advance(&mut |step| step == last || keeper.wants(step))?;
+            let step = self.state.step;
+            if step.is_multiple_of(REPORT_EVERY) || step == self.steps {
+                let sums = self.sums()?;
+                report(&self.progress(Some(sums))?);
+            }
+            if keeper.wants(step) || step == last {
+                keeper.keep(self);
+            }
+        }
+        Ok(())
     }
 
     /// The next photograph: every one once before any comes again.

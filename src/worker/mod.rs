@@ -11,6 +11,7 @@
 mod attempt;
 mod checkpoints;
 mod claim;
+mod fit_bytes;
 pub mod pipeline;
 pub mod run;
 pub mod scene_file;

@@ -10,16 +10,17 @@ use std::{
 };
 
 use super::{
+    fit_bytes::{Budgeted, Draft, fit_bytes},
     run::{Checkpoints, JobFailure, JobOutput, Resume, RunJob},
     scene_file::{self, SceneFile},
-    steps::choose_steps,
+    steps::{Steps, choose_steps},
 };
 use crate::{
-    codec::{self, EncodeSettings, Provenance},
+    codec::{self, EncodeSettings, Encoded, Provenance},
     domain::{
-        AnchorScene, CancelFlag, Conventions, Dataset, Frame, JobMetrics, MemoryBudget, MemoryLimits,
-        ModelKind, NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, Scores, Split, SystemClock,
-        TrainOptions,
+        AnchorScene, ByteBudget, CancelFlag, Conventions, Dataset, Frame, JobMetrics, MemoryBudget,
+        MemoryLimits, ModelKind, NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, Scores, Split,
+        SystemClock, TrainOptions,
     },
     eval::{Lpips, mean_scores_with, measure_views_with},
     gpu::{AdapterChoice, Context, GpuError},
@@ -33,6 +34,15 @@ use crate::{
 
 /// Training views that the reported training figures are measured on, evenly spread.
 const TRAIN_VIEWS_MEASURED: usize = 16;
+
+/// Training views that decide how finely to quantise.
+const STEP_VIEWS: usize = 4;
+
+/// Training views that files of a promised size are judged by.
+const JUDGED_VIEWS: usize = 8;
+
+/// Training views that tell what each Gaussian is worth where a size was promised.
+const PROBED_VIEWS: usize = 64;
 
 /// Carries jobs out on an adapter, which is opened for the first job and again after it was lost.
 #[derive(Debug)]
@@ -123,10 +133,12 @@ impl RunJob for Pipeline {
         let lpips = self.lpips.as_ref();
         let mut job = Job { context, dataset: &dataset, options, cancel, lpips, seconds };
         tell(Phase::Encode, &mut progress);
-        let (bytes, file) = job.write(&trained.scene, &mut || tell(Phase::Encode, &mut progress))?;
+        let (bytes, file, byte_budget) =
+            job.write(&trained.scene, &mut || tell(Phase::Encode, &mut progress))?;
         tell(Phase::Evaluate, &mut progress);
-        let metrics =
+        let mut metrics =
             job.measure(trained.steps, &trained.scene, &file, &mut || tell(Phase::Evaluate, &mut progress))?;
+        metrics.byte_budget = byte_budget;
         let cameras = dataset
             .frames
             .iter()
@@ -189,53 +201,90 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Writes the file and reads it back.
-    fn write(&mut self, scene: &Scene, alive: &mut dyn FnMut()) -> Result<(Vec<u8>, SceneFile), JobFailure> {
+    /// Writes the file and reads it back; tells what a promise on its size came to.
+    fn write(
+        &mut self,
+        scene: &Scene,
+        alive: &mut dyn FnMut(),
+    ) -> Result<(Vec<u8>, SceneFile, Option<ByteBudget>), JobFailure> {
         let began = Instant::now();
-        let bytes = match (scene, self.options.model) {
+        let (bytes, budget) = match (scene, self.options.model) {
             (Scene::Anchors(scene), ModelKind::Scaffold) => {
-                scene_file::write_anchors(scene, self.options.background, Some(self.dataset.digest))
-                    .map_err(JobFailure::Fail)?
+                let bytes =
+                    scene_file::write_anchors(scene, self.options.background, Some(self.dataset.digest))
+                        .map_err(JobFailure::Fail)?;
+                (bytes, None)
             }
             (Scene::Anchors(scene), _) => self.encode(scene, alive)?,
             (Scene::Gaussians(scene), _) => {
-                scene_file::write_gaussians(scene, self.options.background, Some(self.dataset.digest))
+                let bytes =
+                    scene_file::write_gaussians(scene, self.options.background, Some(self.dataset.digest));
+                (bytes, None)
             }
         };
         self.seconds.encode = began.elapsed().as_secs_f64();
         let began = Instant::now();
         let file = scene_file::read(&bytes).map_err(|fault| JobFailure::Fail(internal(&fault.detail)))?;
         self.seconds.decode = began.elapsed().as_secs_f64();
-        Ok((bytes, file))
+        Ok((bytes, file, budget))
     }
 
-    /// Chooses how finely to quantise, and codes.
-    fn encode(&self, scene: &AnchorScene, alive: &mut dyn FnMut()) -> Result<Vec<u8>, JobFailure> {
+    /// Chooses how finely to quantise, and codes, within the bytes that were promised.
+    fn encode(
+        &self,
+        scene: &AnchorScene,
+        alive: &mut dyn FnMut(),
+    ) -> Result<(Vec<u8>, Option<ByteBudget>), JobFailure> {
         let background = self.options.background;
-        let views = spread(self.dataset.split(Split::Train).collect(), 4);
-        let steps = choose_steps(&self.context, scene, &views, background, &mut || {
+        let seen = |wanted| spread(self.dataset.split(Split::Train).collect(), wanted);
+        let steps = choose_steps(&self.context, scene, &seen(STEP_VIEWS), background, &mut || {
             alive();
             !self.cancel.is_cancelled()
         })
         .map_err(from_render)?;
         stop_if(self.cancel)?;
-        let settings = EncodeSettings {
+        let Some(limit) = self.options.max_bytes else {
+            let draft = Draft { scene, octaves: [0.0; 3], stated: None };
+            return Ok((self.write_draft(draft, steps)?.bytes, None));
+        };
+        let budgeted = Budgeted {
+            context: &self.context,
+            scene,
+            steps: [steps.feature, steps.scaling * scene.lattice.voxel, steps.offset],
+            judged: &seen(JUDGED_VIEWS),
+            probed: &seen(PROBED_VIEWS),
             background,
-            feature_step: steps.feature,
-            scaling_step: steps.scaling,
-            offset_step: steps.offset,
+            limit,
+        };
+        let mut go_on = || {
+            alive();
+            stop_if(self.cancel)
+        };
+        let mut write = |draft: Draft<'_>| self.write_draft(draft, steps);
+        let (encoded, budget) = fit_bytes(&budgeted, &mut write, &mut go_on, from_render)?;
+        Ok((encoded.bytes, Some(budget)))
+    }
+
+    fn write_draft(&self, draft: Draft<'_>, steps: Steps) -> Result<Encoded, JobFailure> {
+        let Draft { scene, octaves, stated } = draft;
+        let options = TrainOptions { max_bytes: stated, ..self.options.clone() };
+        let [feature, scaling, offset] = octaves.map(f32::exp2);
+        let settings = EncodeSettings {
+            background: self.options.background,
+            feature_step: steps.feature * feature,
+            scaling_step: steps.scaling * scaling,
+            offset_step: steps.offset * offset,
             provenance: Provenance {
                 generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),
                 dataset: Some(self.dataset.digest),
                 adapter: Some(self.context.adapter_line()),
-                settings: serde_json::to_value(self.options)
+                settings: serde_json::to_value(options)
                     .map_err(|fault| JobFailure::Fail(internal(&fault.to_string())))?,
             },
         };
-        let encoded = codec::encode(scene, &settings).map_err(|fault| {
+        codec::encode(scene, &settings).map_err(|fault| {
             JobFailure::Fail(Problem::new(422, "not-encodable", "Encoding failed", fault.to_string()))
-        })?;
-        Ok(encoded.bytes)
+        })
     }
 
     /// Measures the scene of the file, and the held-out views of the scene before it was quantised, if it was.
@@ -268,6 +317,8 @@ impl Job<'_> {
             adapter: self.context.adapter_line(),
             background: self.options.background,
             conventions: Conventions::new(self.lpips.map(Lpips::network)),
+            byte_budget: None,
+            rd_curve: Vec::new(),
         })
     }
 

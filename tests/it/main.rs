@@ -20,6 +20,7 @@ mod queue;
 mod raster_device;
 mod raster_oracles;
 mod raster_twin;
+mod rate_control;
 mod sample;
 mod scene_renderer;
 mod suite;

@@ -123,6 +123,8 @@ pub fn metrics() -> JobMetrics {
         adapter: "fake".into(),
         background: Background::White,
         conventions: Conventions::new(Some(LpipsNetwork::Vgg)),
+        byte_budget: None,
+        rd_curve: Vec::new(),
     }
 }
 
