@@ -9,11 +9,12 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Checkpoint, Estimate, ImageLoss, KeepCheckpoints, LossSums, Needs, Schedule, TrainError, WaveletWeights,
+    BaseSteps, Checkpoint, Estimate, ImageLoss, KeepCheckpoints, LossSums, Needs, RateControl, Schedule,
+    TrainError, WaveletWeights,
     anchors::AnchorLearner,
     batch::Batch,
     checkpoint::{Origin, RunState},
-    learner::{Learner, Step},
+    learner::{Finished, Learner, SampleRate, Step},
     loss::pack,
     plain::{PlainLearner, PlainSchedule},
     start_box::start_box,
@@ -21,8 +22,8 @@ use super::{
 };
 use crate::{
     domain::{
-        Background, CancelFlag, Component, Dataset, Frame, MemoryBudget, ModelKind, Progress, Scene, Split,
-        TrainOptions,
+        Background, CancelFlag, Component, ContextCandidates, Dataset, Frame, MemoryBudget, ModelKind,
+        Progress, Scene, Split, TrainOptions,
     },
     gpu::Context,
     model::random_points,
@@ -37,10 +38,21 @@ pub(super) const REPORT_EVERY: u32 = 10;
 pub struct Trained {
     /// The scene, not yet quantised.
     pub scene: Scene,
+    /// What compression-aware training found for the encoder; none for the baselines.
+    pub context: Option<TrainedContext>,
     /// Steps done.
     pub steps: u32,
     /// Seconds of training.
     pub seconds: f64,
+}
+
+/// What compression-aware training leaves for the encoder.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrainedContext {
+    /// The base steps that the scene was trained with.
+    pub steps: BaseSteps,
+    /// The contexts to choose from.
+    pub candidates: ContextCandidates,
 }
 
 /// What a run goes on from, and who keeps what others may go on from; neither changes what comes of it.
@@ -215,6 +227,8 @@ struct Run<'a> {
     background: Background,
     /// Its seconds are those before `began`.
     state: RunState,
+    /// Steers the weight of the rate, where a size was promised.
+    control: Option<RateControl>,
     learner: Box<dyn Learner>,
     raster: Rasterizer,
     loss: ImageLoss,
@@ -263,12 +277,14 @@ impl<'a> Run<'a> {
             None => {
                 let mut rng = Pcg64::seed_from_u64(options.seed);
                 let learner = setting.fresh(&mut rng)?;
-                (RunState::begin(origin, rng), learner)
+                (RunState::begin(origin, rng, schedule.lambda()), learner)
             }
         };
+        let control = schedule.rate_control(options.max_bytes).map(|control| state.resume_control(control));
         let now = Instant::now();
         Ok(Self {
             steps,
+            control,
             background: options.background,
             learner,
             raster: Rasterizer::new(Arc::clone(context), RasterSettings::default())?,
@@ -307,6 +323,7 @@ impl<'a> Run<'a> {
             let step = self.state.step;
             if step.is_multiple_of(REPORT_EVERY) || step == self.steps {
                 let sums = self.sums()?;
+                self.weigh()?;
                 report(&self.progress(Some(sums))?);
             }
             if keeper.wants(step) || step == last {
@@ -327,7 +344,8 @@ impl<'a> Run<'a> {
     }
 
     fn at(&self, number: u32) -> Step {
-        Step { number, fraction: f64::from(number) / f64::from(self.steps.max(1)) }
+        let fraction = f64::from(number) / f64::from(self.steps.max(1));
+        Step { number, fraction, lambda: self.state.lambda() }
     }
 
     /// Does the steps up to the next after which the host has something to do, or `wanted` says that it has.
@@ -413,6 +431,18 @@ impl<'a> Run<'a> {
         self.loss.sums()?.filter(|sums| sums.loss().is_finite()).ok_or(diverged)
     }
 
+    /// Takes the last step's sample into the estimate of the file's bytes.
+    fn weigh(&mut self) -> Result<(), TrainError> {
+        let Some(SampleRate { bits_an_anchor, other_bytes }) = self.learner.rate()? else { return Ok(()) };
+        let anchors = self.learner.size()?.anchors as f64;
+        self.state.weigh(bits_an_anchor, anchors, other_bytes);
+        if let (Some(control), Some(bytes)) = (&mut self.control, self.state.file_bytes()) {
+            control.observe(self.state.step, bytes as f64);
+            self.state.steer(control);
+        }
+        Ok(())
+    }
+
     /// How far the run is, with losses where there are new ones.
     fn progress(&mut self, sums: Option<LossSums>) -> Result<Progress, TrainError> {
         let blend = |old: f64, new: f64| 0.9 * old + 0.1 * new;
@@ -444,6 +474,7 @@ impl<'a> Run<'a> {
             gaussians: size.gaussians as u64,
             loss: average.map(|average| average.loss()),
             psnr: average.map(|average| average.psnr()),
+            bytes: self.state.file_bytes(),
         })
     }
 
@@ -454,9 +485,9 @@ impl<'a> Run<'a> {
     }
 
     fn finish(self, cancel: &CancelFlag) -> Result<Trained, TrainError> {
-        let scene = self.learner.finish(&self.frames, cancel)?;
+        let Finished { scene, context } = self.learner.finish(&self.frames, cancel)?;
         let seconds = self.state.seconds + self.began.elapsed().as_secs_f64();
-        Ok(Trained { scene, steps: self.steps, seconds })
+        Ok(Trained { scene, context, steps: self.steps, seconds })
     }
 }
 
