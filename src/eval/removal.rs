@@ -6,7 +6,7 @@
 //! number whose expected square is the sum of squares over all pixels (Hutchinson's estimator): no per-pixel list is ever
 //! needed. The offsets of an anchor are added before the square, so that those which cover the same pixels count as one.
 
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 use super::removal_signs::signs;
 use crate::{
@@ -15,6 +15,10 @@ use crate::{
     model::{AnchorRows, NetworkLayout, Shape},
     render::{DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError},
 };
+
+/// Probes with random signs that all views are given together, at least: with so many, what they add up to is right within a
+/// fifth or so for each Gaussian, which is enough to put Gaussians into an order.
+const PROBES: usize = 64;
 
 /// Growth of the squared error, summed over the pixels and channels of the views; below zero where leaving out would help.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,13 +44,38 @@ pub fn removal_costs(
     let mut probe = Probe::new(context, scene, background)?;
     let k = scene.offsets_per_anchor;
     let mut costs = RemovalCosts { offsets: vec![0.0; scene.len() * k], anchors: vec![0.0; scene.len()] };
-    for (number, frame) in frames.iter().enumerate() {
+    let probes = PROBES.div_ceil(frames.len().max(1)) as u32;
+    for (number, frame) in (0..).zip(frames) {
         if !go_on() {
             break;
         }
-        probe.add(frame, number as u32, &mut costs)?;
+        probe.add(frame, number * probes..(number + 1) * probes, &mut costs)?;
     }
     Ok(costs)
+}
+
+/// What a view shows.
+struct Visible<'a> {
+    list: &'a [u32],
+    opacities: &'a [f32],
+    offsets: usize,
+}
+
+impl Visible<'_> {
+    /// Adds to each offset and anchor what `cost` makes of the sum of opacity times gradient.
+    fn add(&self, gradients: &[f32], costs: &mut RemovalCosts, cost: impl Fn(f64) -> f64) {
+        let k = self.offsets;
+        for (place, anchor) in self.list.iter().enumerate() {
+            let mut whole = 0.0;
+            for offset in 0..k {
+                let row = place * k + offset;
+                let change = f64::from(self.opacities[row]) * f64::from(gradients[row]);
+                costs.offsets[*anchor as usize * k + offset] += cost(change);
+                whole += change;
+            }
+            costs.anchors[*anchor as usize] += cost(whole);
+        }
+    }
 }
 
 struct Probe<'a> {
@@ -77,8 +106,13 @@ impl<'a> Probe<'a> {
         })
     }
 
-    /// Adds one view.
-    fn add(&mut self, frame: &Frame, number: u32, costs: &mut RemovalCosts) -> Result<(), RenderError> {
+    /// Adds one view, probed once by each of `numbers`.
+    fn add(
+        &mut self,
+        frame: &Frame,
+        numbers: Range<u32>,
+        costs: &mut RemovalCosts,
+    ) -> Result<(), RenderError> {
         self.render(frame)?;
         let photograph = frame.image.load()?.over(self.background.rgb8());
         let image = self.context.read(self.raster.image())?;
@@ -91,19 +125,13 @@ impl<'a> Probe<'a> {
             })
             .collect();
         let by_error = self.opacity_gradients(frame, &error)?;
-        let by_signs = self.opacity_gradients(frame, &signs(number, image.len()))?;
         let (visible, opacities) = self.neural.visible_opacities()?;
-        let k = self.anchors.shape.offsets;
-        for (place, anchor) in visible.iter().enumerate() {
-            let mut whole = [0.0; 2];
-            for offset in 0..k {
-                let row = place * k + offset;
-                let change = |gradients: &[f32]| f64::from(opacities[row]) * f64::from(gradients[row]);
-                let [sign, error] = [change(&by_signs), change(&by_error)];
-                costs.offsets[*anchor as usize * k + offset] += sign * sign - error;
-                whole = [whole[0] + sign, whole[1] + error];
-            }
-            costs.anchors[*anchor as usize] += whole[0] * whole[0] - whole[1];
+        let view = Visible { list: &visible, opacities: &opacities, offsets: self.anchors.shape.offsets };
+        view.add(&by_error, costs, |change| -change);
+        let share = 1.0 / f64::from(numbers.end - numbers.start);
+        for number in numbers {
+            let by_signs = self.opacity_gradients(frame, &signs(number, image.len()))?;
+            view.add(&by_signs, costs, |change| share * change * change);
         }
         Ok(())
     }

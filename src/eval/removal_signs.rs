@@ -1,10 +1,10 @@
-//! Random signs for the pixels of a view: a function of the view's number and the pixel alone.
+//! Random signs for the pixels of a view: a function of the number of the probe and the pixel alone.
 
 /// One of -1 and 1 for red, green and blue of each of `pixels`, as the gradient of an image; nothing for its alpha.
-pub(super) fn signs(view: u32, pixels: usize) -> Vec<[f32; 4]> {
+pub(super) fn signs(probe: u32, pixels: usize) -> Vec<[f32; 4]> {
     (0..pixels as u64)
         .map(|pixel| {
-            let bits = mixed(u64::from(view) << 40 | pixel);
+            let bits = mixed(u64::from(probe) << 40 | pixel);
             let sign = |bit: u32| if bits >> (61 + bit) & 1 == 1 { 1.0 } else { -1.0 };
             [sign(0), sign(1), sign(2), 0.0]
         })

@@ -88,7 +88,8 @@ pub(super) fn load(folder: &Path, dataset: Digest, options: &TrainOptions) -> Op
     let figures = fs::read(folder.join(FIGURES)).ok()?;
     let figures: Figures = serde_json::from_slice(&figures).ok()?;
     let file = fs::read(folder.join(FILE)).ok()?;
-    let is_it = figures.identity == Identity::new(dataset, options).ok()? && figures.sha256 == Digest::of(&file);
+    let is_it =
+        figures.identity == Identity::new(dataset, options).ok()? && figures.sha256 == Digest::of(&file);
     is_it.then_some(Finished { file, metrics: figures.metrics })
 }
 
@@ -98,8 +99,14 @@ mod tests {
     use crate::domain::{Background, ByteCounts, Conventions, PhaseSeconds, Scores};
 
     fn finished() -> Finished {
-        let scores =
-            Scores { psnr: Some(30.25), ssim: None, lpips: None, lpips_network: None, views: 0, per_view: Vec::new() };
+        let scores = Scores {
+            psnr: Some(30.25),
+            ssim: None,
+            lpips: None,
+            lpips_network: None,
+            views: 0,
+            per_view: Vec::new(),
+        };
         let metrics = JobMetrics {
             test: scores.clone(),
             train: scores,
@@ -124,7 +131,8 @@ mod tests {
     fn a_finished_branch_comes_back_whole_or_not_at_all() {
         let root = tempfile::tempdir().expect("a folder");
         let folder = folder(root.path(), 3);
-        let (set, options) = (Digest::of(b"set"), TrainOptions { lambda: Some(0.1), ..TrainOptions::default() });
+        let (set, options) =
+            (Digest::of(b"set"), TrainOptions { lambda: Some(0.1), ..TrainOptions::default() });
         assert_eq!(load(&folder, set, &options), None);
         keep(&folder, set, &options, &finished()).expect("kept");
         assert_eq!(load(&folder, set, &options), Some(finished()));

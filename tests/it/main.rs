@@ -21,6 +21,7 @@ mod raster_device;
 mod raster_oracles;
 mod raster_twin;
 mod rate_control;
+mod removal;
 mod sample;
 mod scene_renderer;
 mod suite;

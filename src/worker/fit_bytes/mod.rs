@@ -19,18 +19,21 @@ use self::{
 };
 use super::run::JobFailure;
 use crate::{
-    codec::Encoded,
+    codec::{ContextChoice, ContextSearch, Encoded},
     domain::{AnchorScene, Background, ByteBudget, Frame, GroupOctaves, Problem},
     eval::{mean_scores, measure_views, removal_costs},
     gpu::Context,
     render::{RenderError, SceneRenderer},
 };
 
-/// Octaves between two rungs of a group's steps: two entries of the table of scales, 2^(7/32) apart.
-const OCTAVES_A_RUNG: f32 = 7.0 / 16.0;
+/// Octaves between two steps of the step table.
+const OCTAVES_A_STEP: f64 = 7.0 / 32.0;
 
-/// Rungs of a group beyond its first: up to 16 times as coarse.
-const RUNGS: usize = 9;
+/// Steps of the step table between two rungs of a group.
+const STEPS_A_RUNG: i8 = 2;
+
+/// Rungs of a group beyond its first: up to 11 times as coarse.
+const RUNGS: usize = 8;
 
 /// Loss in dB through one group alone beyond which its coarser rungs are not measured: dropping Gaussians is better then.
 const MOST_LOSS: f64 = 3.0;
@@ -59,10 +62,17 @@ pub(super) struct Budgeted<'a> {
 pub(super) struct Draft<'a> {
     /// The scene with fewer Gaussians.
     pub(super) scene: &'a AnchorScene,
-    /// Octaves by which the steps of features, scalings and offsets are coarser than they would be without a budget.
-    pub(super) octaves: [f32; 3],
+    /// By how many steps of the step table features, scalings and offsets are coarser than they would be without a budget.
+    pub(super) coarser: [i8; 3],
+    /// Which contexts to use.
+    pub(super) search: ContextSearch,
     /// The budget that the file states among its options.
     pub(super) stated: Option<u64>,
+}
+
+/// By what factor so many steps of the step table are coarser.
+pub(super) fn coarser_by(steps: i8) -> f32 {
+    (f64::from(steps) * OCTAVES_A_STEP).exp2() as f32
 }
 
 /// Writes drafts. Its answer is a function of the draft.
@@ -81,7 +91,7 @@ pub(super) fn fit_bytes(
     from_render: fn(RenderError) -> JobFailure,
 ) -> Result<(Encoded, ByteBudget), JobFailure> {
     let Budgeted { context, scene, background, limit, .. } = *budgeted;
-    let free = write(Draft { scene, octaves: [0.0; 3], stated: Some(limit) })?;
+    let free = write(Draft { scene, coarser: [0; 3], search: ContextSearch::Cheapest, stated: Some(limit) })?;
     let free_bytes = free.bytes.len() as u64;
     if free_bytes <= limit {
         let coarser_octaves = GroupOctaves::default();
@@ -90,8 +100,8 @@ pub(super) fn fit_bytes(
     }
     tracing::info!("the file has {free_bytes} bytes; fitting it into {limit}");
     let renderer = SceneRenderer::new(context, scene, background).map_err(from_render)?;
-    let mut files =
-        Files { budgeted, write, alive, renderer, from_render, order: Vec::new(), path: Vec::new() };
+    let (choice, order, path) = (free.context, Vec::new(), Vec::new());
+    let mut files = Files { budgeted, write, alive, renderer, from_render, choice, order, path };
     let unit = samples(budgeted.probed);
     files.path = files.measure_path()?;
     let mut go_on = || (files.alive)().is_ok();
@@ -111,7 +121,8 @@ pub(super) fn fit_bytes(
     match search(&mut files, places, total, limit, guess)? {
         Some(point) => {
             let encoded = files.encode(point, limit)?;
-            let [features, scalings, offsets] = files.octaves(point.place).map(f64::from);
+            let [features, scalings, offsets] =
+                files.coarser(point.place).map(|steps| f64::from(steps) * OCTAVES_A_STEP);
             let budget = ByteBudget {
                 max_bytes: limit,
                 free_bytes,
@@ -150,6 +161,8 @@ struct Files<'a, 'b> {
     alive: &'a mut dyn FnMut() -> Result<(), JobFailure>,
     renderer: SceneRenderer,
     from_render: fn(RenderError) -> JobFailure,
+    /// The contexts that the whole scene is best coded with.
+    choice: ContextChoice,
     order: Vec<Worth>,
     path: Vec<Place>,
 }
@@ -157,21 +170,19 @@ struct Files<'a, 'b> {
 impl Files<'_, '_> {
     /// Encodes and renders every group at its rungs, the others as they are without a budget.
     fn measure_path(&mut self) -> Result<Vec<Place>, JobFailure> {
-        let stated = self.budgeted.limit;
-        let at = |files: &mut Self, octaves: [f32; 3]| {
-            let draft = Draft { scene: files.budgeted.scene, octaves, stated: Some(stated) };
-            let encoded = (files.write)(draft)?;
+        let at = |files: &mut Self, coarser: [i8; 3]| {
+            let encoded = files.smaller(files.budgeted.scene, coarser, files.budgeted.limit)?;
             let error = 10.0_f64.powf(-files.psnr(&encoded.scene)? / 10.0);
             Ok::<_, JobFailure>(Rung { bytes: encoded.bytes.len() as u64, error })
         };
-        let first = at(self, [0.0; 3])?;
+        let first = at(self, [0; 3])?;
         let most = first.error * 10.0_f64.powf(MOST_LOSS / 10.0);
         let mut groups: [Vec<Rung>; 3] = [vec![first], vec![first], vec![first]];
         for (group, rungs) in groups.iter_mut().enumerate() {
             for number in 1..=RUNGS {
-                let mut octaves = [0.0; 3];
-                octaves[group] = number as f32 * OCTAVES_A_RUNG;
-                let rung = at(self, octaves)?;
+                let mut coarser = [0; 3];
+                coarser[group] = number as i8 * STEPS_A_RUNG;
+                let rung = at(self, coarser)?;
                 rungs.push(rung);
                 if rung.error > most {
                     break;
@@ -181,17 +192,31 @@ impl Files<'_, '_> {
         Ok(path([&groups[0], &groups[1], &groups[2]]))
     }
 
-    fn octaves(&self, place: usize) -> [f32; 3] {
-        self.path[place].rungs.map(|rung| rung as f32 * OCTAVES_A_RUNG)
+    fn coarser(&self, place: usize) -> [i8; 3] {
+        self.path[place].rungs.map(|rung| rung as i8 * STEPS_A_RUNG)
     }
 
     fn encode(&mut self, point: Point, stated: u64) -> Result<Encoded, JobFailure> {
-        (self.alive)()?;
         let mut scene = self.budgeted.scene.clone();
         scene.masks.fill(false);
         self.order[..point.kept].iter().for_each(|worth| scene.masks[worth.offset] = true);
-        let octaves = self.octaves(point.place);
-        (self.write)(Draft { scene: &scene, octaves, stated: Some(stated) })
+        self.smaller(&scene, self.coarser(point.place), stated)
+    }
+
+    /// The smaller of two files: one with the contexts of the whole scene, and one without any, which few Gaussians cannot
+    /// pay for.
+    fn smaller(&mut self, scene: &AnchorScene, coarser: [i8; 3], stated: u64) -> Result<Encoded, JobFailure> {
+        (self.alive)()?;
+        let mut write = |choice| {
+            let search = ContextSearch::Fixed(choice);
+            (self.write)(Draft { scene, coarser, search, stated: Some(stated) })
+        };
+        let with = write(self.choice)?;
+        if self.choice == ContextChoice::STATIC {
+            return Ok(with);
+        }
+        let without = write(ContextChoice::STATIC)?;
+        Ok(if without.bytes.len() < with.bytes.len() { without } else { with })
     }
 
     fn psnr(&mut self, scene: &AnchorScene) -> Result<f64, JobFailure> {
