@@ -222,7 +222,13 @@ fn the_program_says_how_small_a_file_can_be_and_names_the_files_of_a_curve() {
     let (set, file) = (DATASET.path().join("set"), out.path().join("out.tcgs"));
     let train = |extra: &[&str]| {
         let mut command = command();
-        command.arg("train").arg(&set).arg("-o").arg(&file).args(["--iterations", "12", "--json"]).args(extra);
+        command
+            .arg("train")
+            .arg(&set)
+            .arg("-o")
+            .arg(&file)
+            .args(["--iterations", "12", "--json"])
+            .args(extra);
         command.output().expect("runs")
     };
     let refused = train(&["--max-bytes", "100"]);
@@ -238,7 +244,9 @@ fn the_program_says_how_small_a_file_can_be_and_names_the_files_of_a_curve() {
     let names = ["out.lambda-0.004.tcgs", "out.lambda-0.0005.tcgs"].map(|name| out.path().join(name));
     let listed = metrics["files"].as_array().expect("files");
     assert_eq!(listed.len(), 2);
-    for ((listed, point), path) in listed.iter().zip(metrics["rd_curve"].as_array().expect("points")).zip(&names) {
+    for ((listed, point), path) in
+        listed.iter().zip(metrics["rd_curve"].as_array().expect("points")).zip(&names)
+    {
         assert_eq!((&listed["path"], &listed["lambda"]), (&path.to_str().into(), &point["lambda"]));
         assert_eq!(point["bytes"], fs::metadata(path).expect("a file").len());
     }
