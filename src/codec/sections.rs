@@ -2,7 +2,7 @@
 
 use super::container::SectionId;
 
-/// Counts, lattice, steps, provenance.
+/// Counts, lattice, steps, contexts, provenance.
 pub(super) const MANIFEST: SectionId = *b"MANI";
 /// Render networks.
 pub(super) const NETWORKS: SectionId = *b"NETS";
@@ -10,11 +10,18 @@ pub(super) const NETWORKS: SectionId = *b"NETS";
 pub(super) const POSITIONS: SectionId = *b"CELL";
 /// Which offsets make a Gaussian.
 pub(super) const MASKS: SectionId = *b"MASK";
+/// Frame and networks of the context model, where a group has one.
+pub(super) const CONTEXT: SectionId = *b"CTXT";
+/// Planes of the context model, where a network samples them.
+pub(super) const PLANES: SectionId = *b"PLAN";
 /// Features, scalings, offsets.
 pub(super) const ATTRIBUTES: SectionId = *b"ATTR";
 
 /// Every section that a decoder of this version understands.
-pub(super) const ALL: [SectionId; 5] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES];
+pub(super) const ALL: [SectionId; 7] = [MANIFEST, NETWORKS, POSITIONS, MASKS, CONTEXT, PLANES, ATTRIBUTES];
+
+/// Those that every file has.
+pub(super) const ALWAYS: [SectionId; 5] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES];
 
 /// What a section holds, in words.
 pub(super) fn name(id: SectionId) -> &'static str {
@@ -23,6 +30,8 @@ pub(super) fn name(id: SectionId) -> &'static str {
         NETWORKS => "networks",
         POSITIONS => "positions",
         MASKS => "masks",
+        CONTEXT => "context",
+        PLANES => "planes",
         ATTRIBUTES => "attributes",
         _ => "unknown",
     }

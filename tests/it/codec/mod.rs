@@ -1,9 +1,12 @@
 //! The codec through its public face: round trips, golden file, versions, hostile bytes.
 
+mod context;
+mod dependent;
 mod figures;
 mod golden;
 mod hostile;
 mod round_trip;
+mod rounding;
 mod synthetic;
 mod versions;
 mod wire;
