@@ -11,7 +11,7 @@ use std::{
 
 use super::{
     curve::run_curve,
-    fit_bytes::{Budgeted, Draft, coarser_by, fit_bytes},
+    fit_bytes::{Budgeted, Draft, fit_bytes},
     run::{Checkpoints, JobFailure, JobOutput, Resume, RunJob},
     scene_file::{self, SceneFile},
     steps::choose_steps,
@@ -309,16 +309,11 @@ impl Job<'_> {
     ) -> Result<Encoded, JobFailure> {
         let Draft { scene, coarser, search, stated } = draft;
         let options = TrainOptions { max_bytes: stated, ..self.options.clone() };
-        // Networks predict in base steps, so where there are any the base steps stay.
-        let (base, coarser) = match context {
-            Some(_) => ([1.0; 3], coarser),
-            None => (coarser.map(coarser_by), [0; 3]),
-        };
         let settings = EncodeSettings {
             background: self.options.background,
-            feature_step: steps.feature * base[0],
-            scaling_step: steps.scaling * base[1],
-            offset_step: steps.offset * base[2],
+            feature_step: steps.feature,
+            scaling_step: steps.scaling,
+            offset_step: steps.offset,
             context: ContextSettings { search, coarser },
             provenance: Provenance {
                 generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),

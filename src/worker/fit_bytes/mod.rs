@@ -70,11 +70,6 @@ pub(super) struct Draft<'a> {
     pub(super) stated: Option<u64>,
 }
 
-/// By what factor so many steps of the step table are coarser.
-pub(super) fn coarser_by(steps: i8) -> f32 {
-    (f64::from(steps) * OCTAVES_A_STEP).exp2() as f32
-}
-
 /// Writes drafts. Its answer is a function of the draft.
 pub(super) type Write<'a> = dyn FnMut(Draft<'_>) -> Result<Encoded, JobFailure> + 'a;
 
@@ -211,12 +206,16 @@ impl Files<'_, '_> {
             let search = ContextSearch::Fixed(choice);
             (self.write)(Draft { scene, coarser, search, stated: Some(stated) })
         };
-        let with = write(self.choice)?;
-        if self.choice == ContextChoice::STATIC {
-            return Ok(with);
-        }
         let without = write(ContextChoice::STATIC)?;
-        Ok(if without.bytes.len() < with.bytes.len() { without } else { with })
+        if self.choice == ContextChoice::STATIC {
+            return Ok(without);
+        }
+        match write(self.choice) {
+            Ok(with) if with.bytes.len() <= without.bytes.len() => Ok(with),
+            // Steps that networks find may not suit what is left of the scene.
+            Ok(_) | Err(JobFailure::Fail(_)) => Ok(without),
+            Err(other) => Err(other),
+        }
     }
 
     fn psnr(&mut self, scene: &AnchorScene) -> Result<f64, JobFailure> {
