@@ -38,7 +38,9 @@ pub use gaussians::{GaussianScene, Scene};
 pub use image::{Image, ImageError};
 pub use job::{Event, EventKind, Job, JobId, JobState};
 pub use memory::{Bytes, MemoryBudget, MemoryLimits};
-pub use metrics::{ByteCounts, JobMetrics, PhaseSeconds, Scores, ViewScore};
+pub use metrics::{
+    ByteBudget, ByteCounts, CurvePoint, GroupOctaves, JobMetrics, PhaseSeconds, Scores, ViewScore,
+};
 pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOptions, Voxel};
 pub use photograph::{Photograph, PhotographError, PixelSource};
 pub use problem::Problem;

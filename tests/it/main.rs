@@ -23,6 +23,8 @@ mod raster_device;
 mod raster_oracles;
 mod raster_twin;
 mod rate;
+mod rate_control;
+mod removal;
 mod sample;
 mod scene_renderer;
 mod suite;
