@@ -1,11 +1,12 @@
 //! `tcgs eval --suite`: every model on every set of a folder, with equal steps and with equal seconds.
 //!
 //! The seconds of a set are those that its slowest model took for the equal steps; the others run again with as many steps
-//! as their measured speed fits into them, corrected once, since speed changes with growth. Every finished run is kept in
+//! as fit into them, found by at most three runs (`seconds.rs`). Every finished run is kept in
 //! `runs.jsonl` at once, and a suite that is begun again goes on where it was interrupted.
 
 mod entry;
 mod record;
+mod seconds;
 mod table;
 
 use std::{
@@ -40,11 +41,8 @@ use super::{
 /// Where results go if no folder is named.
 const OUT: &str = "out/suite";
 
-/// Share of a set's seconds by which a run may miss them.
-const TOLERANCE: f64 = 0.03;
-
-/// Runs that may be made for one place among the equal seconds: one at the speed measured, and one correction.
-const TRIES: usize = 2;
+/// Runs that may be made for one place among the equal seconds.
+const TRIES: usize = 3;
 
 /// What a suite is made of.
 #[derive(Debug, clap::Args)]
@@ -289,27 +287,26 @@ impl Suite<'_> {
         let mut done = Vec::new();
         for entry in &whole {
             let Some(first) = of(entry) else { continue };
-            let mut best = Record { contest: Contest::Seconds, budget: Some(budget), ..first.clone() };
-            let mut tries = self.kept(set, entry, &entry.options(&set.options), Contest::Seconds);
-            tries.retain(|record| record.budget == Some(budget));
-            let mut made = 0;
-            while !fills(&best, budget) && made < TRIES {
-                best = match tries.get(made) {
-                    Some(record) => record.clone(),
-                    None => {
-                        let options = TrainOptions {
-                            iterations: Some(steps_for(&best, budget)),
-                            ..entry.options(&set.options)
-                        };
-                        match self.train(set, entry, options, Contest::Seconds, Some(budget))? {
-                            Some(record) => record,
-                            None => break,
-                        }
-                    }
-                };
-                made += 1;
+            let first = Record { contest: Contest::Seconds, budget: Some(budget), ..first.clone() };
+            let kept = self.kept(set, entry, &entry.options(&set.options), Contest::Seconds);
+            let mut runs = vec![first];
+            runs.extend(kept.into_iter().filter(|record| record.budget == Some(budget)));
+            let taken = |runs: &[Record]| -> Vec<seconds::Run> {
+                runs.iter().map(|run| (run.metrics.steps, run.metrics.seconds.train)).collect()
+            };
+            while runs.len() <= TRIES
+                && let Some(steps) = seconds::next_steps(&taken(&runs), budget)
+            {
+                let iterations = u32::try_from(steps).ok();
+                let options = TrainOptions { iterations, ..entry.options(&set.options) };
+                match self.train(set, entry, options, Contest::Seconds, Some(budget))? {
+                    Some(record) => runs.push(record),
+                    None => break,
+                }
             }
-            done.push(best);
+            if let Some(best) = seconds::nearest(&taken(&runs), budget) {
+                done.push(runs.swap_remove(best));
+            }
         }
         Ok(done)
     }
@@ -361,17 +358,4 @@ impl Suite<'_> {
         let renderer = wiring::Renderer::open(wiring::read(&output.file)?, &self.adapter.adapter)?;
         Ok(wiring::high_band_error(&renderer, &set.dataset, output.metrics.background)?)
     }
-}
-
-/// Whether a run took the seconds that it was to take. A run of one step cannot take fewer.
-fn fills(record: &Record, budget: f64) -> bool {
-    let seconds = record.metrics.seconds.train;
-    let miss = (seconds - budget).abs();
-    miss <= TOLERANCE * budget || (seconds > budget && record.metrics.steps <= 1)
-}
-
-/// As many steps as fit into the seconds at the speed of a run.
-fn steps_for(record: &Record, budget: f64) -> u32 {
-    let steps = budget * record.metrics.steps as f64 / record.metrics.seconds.train.max(1e-9);
-    (steps.round() as u32).clamp(1, tcgs::domain::options::MAX_ITERATIONS)
 }
