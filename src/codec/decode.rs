@@ -8,7 +8,7 @@ use super::{
     manifest::Manifest,
     masks, networks, positions,
     quantise::{self, Symbols},
-    sections,
+    sections, view,
 };
 use crate::domain::{AnchorScene, Digest, anchors::SCALINGS_PER_ANCHOR};
 
@@ -54,7 +54,7 @@ pub struct Decoded {
 pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeError> {
     within("file bytes", bytes.len() as u64, limits.max_file_bytes)?;
     let container = Container::parse(bytes)?;
-    container.check_known(&sections::ALL)?;
+    container.check_known(&sections::KNOWN)?;
     let manifest = Manifest::decode(container.section(sections::MANIFEST, "manifest")?.bytes)?;
     within("anchors", manifest.anchors as u64, limits.max_anchors)?;
     within("bytes of memory", memory(&manifest), limits.max_memory_bytes)?;
@@ -78,7 +78,8 @@ pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeErro
     let [features, scalings, offsets] = layout.decode(section, shape, &masks)?;
 
     let symbols = Symbols { cells, masks, features, scalings, offsets };
-    let scene = quantise::dequantise(symbols, &networks, &manifest);
+    let mut scene = quantise::dequantise(symbols, &networks, &manifest);
+    scene.near = view::decode(container.find(sections::VIEW))?;
     let decode_sha256 = decode_digest(&scene);
     if decode_sha256 != manifest.decode_sha256 {
         return Err(DecodeError::DecodeDigest { stated: manifest.decode_sha256, actual: decode_sha256 });

@@ -11,7 +11,7 @@ use super::{
     networks::{self, QuantisedNetworks},
     positions,
     precision::{self, Activation},
-    quantise, sections,
+    quantise, sections, view,
 };
 use crate::domain::AnchorScene;
 
@@ -65,16 +65,19 @@ pub fn encode(scene: &AnchorScene, settings: &EncodeSettings) -> Result<Encoded,
         masks::encode(&symbols.masks, k),
         attributes::encode(&symbols, manifest.shape(), manifest.chunk_anchors),
     ];
-    let quantised = quantise::dequantise(symbols, &networks, &manifest);
+    let mut quantised = quantise::dequantise(symbols, &networks, &manifest);
+    quantised.near = scene.near;
     manifest.decode_sha256 = decode_digest(&quantised);
     let [networks, positions, masks, attributes] = content;
-    let bytes = container::write(&[
+    let mut content = vec![
         (sections::MANIFEST, manifest.encode()),
         (sections::NETWORKS, networks),
         (sections::POSITIONS, positions),
         (sections::MASKS, masks),
         (sections::ATTRIBUTES, attributes),
-    ]);
+    ];
+    content.extend(view::encode(scene.near).map(|view| (sections::VIEW, view)));
+    let bytes = container::write(&content, &[sections::VIEW]);
 
     let decoded = decode(&bytes, &DecodeLimits::NONE).map_err(EncodeError::ReadBack)?;
     if decoded.scene != quantised {

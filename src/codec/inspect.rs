@@ -102,7 +102,7 @@ pub struct Inspection {
 /// payload is not read.
 pub fn inspect(bytes: &[u8]) -> Result<Inspection, DecodeError> {
     let container = Container::parse(bytes)?;
-    container.check_known(&sections::ALL)?;
+    container.check_known(&sections::KNOWN)?;
     let manifest = Manifest::decode(container.section(sections::MANIFEST, "manifest")?.bytes)?;
     for id in sections::ALL {
         container.section(id, sections::name(id))?;
@@ -158,6 +158,7 @@ fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Res
                 }
             }
         }
+        sections::VIEW => map.push(length, ByteGroup::Container, "where views begin"),
         _ => map.push(length, ByteGroup::Container, "optional section of a later version"),
     }
     Ok(())

@@ -28,6 +28,7 @@ mod quantise;
 mod range;
 mod sections;
 mod symbols;
+mod view;
 
 use serde::{Deserialize, Serialize};
 

@@ -7,7 +7,7 @@ use super::{
     networks::QuantisedNetworks,
     symbols::MAX_SYMBOL,
 };
-use crate::domain::{AnchorScene, anchors::SCALINGS_PER_ANCHOR};
+use crate::domain::{AnchorScene, NearPlane, anchors::SCALINGS_PER_ANCHOR};
 
 /// The integers of a file, anchors in file order.
 #[derive(Debug, Clone, PartialEq)]
@@ -82,6 +82,7 @@ pub(super) fn dequantise(symbols: Symbols, networks: &QuantisedNetworks, manifes
         offsets: scaled(symbols.offsets, manifest.steps.offset),
         masks: symbols.masks,
         networks: networks.dequantise(),
+        near: NearPlane::USUAL,
     }
 }
 

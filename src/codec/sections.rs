@@ -1,4 +1,4 @@
-//! The sections of this version. All are critical: without any of them there is no scene.
+//! The sections of this version. The critical ones every file has: without any of them there is no scene.
 
 use super::container::SectionId;
 
@@ -13,8 +13,14 @@ pub(super) const MASKS: SectionId = *b"MASK";
 /// Features, scalings, offsets.
 pub(super) const ATTRIBUTES: SectionId = *b"ATTR";
 
-/// Every section that a decoder of this version understands.
+/// Where views begin: optional, for scenes that are not seen from the usual depth.
+pub(super) const VIEW: SectionId = *b"VIEW";
+
+/// The sections that every file has, all critical.
 pub(super) const ALL: [SectionId; 5] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES];
+
+/// Every section that a decoder of this version understands.
+pub(super) const KNOWN: [SectionId; 6] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES, VIEW];
 
 /// What a section holds, in words.
 pub(super) fn name(id: SectionId) -> &'static str {
@@ -24,6 +30,7 @@ pub(super) fn name(id: SectionId) -> &'static str {
         POSITIONS => "positions",
         MASKS => "masks",
         ATTRIBUTES => "attributes",
+        VIEW => "view",
         _ => "unknown",
     }
 }

@@ -8,7 +8,7 @@ use super::{
     views::Viewable,
 };
 use crate::{
-    domain::{AnchorScene, Background, Camera, Digest, GaussianScene, Image, Problem, Scene},
+    domain::{AnchorScene, Background, Camera, Digest, GaussianScene, Image, NearPlane, Problem, Scene},
     gpu::{AdapterChoice, Context, GpuError, Recorder},
     model::{AnchorRows, GaussianRows, NetworkLayout, Shape},
 };
@@ -23,6 +23,7 @@ pub struct SceneRenderer {
     source: Source,
     raster: Rasterizer,
     background: Background,
+    near: NearPlane,
 }
 
 /// What a view's Gaussians are made from.
@@ -74,9 +75,8 @@ impl SceneRenderer {
         background: Background,
     ) -> Result<Self, RenderError> {
         let anchors = upload(context, scene)?;
-        let near = RasterSettings::default().near;
-        let neural = Box::new(NeuralGaussians::new(Arc::clone(context), anchors.shape, near)?);
-        Self::of_source(context, Source::Anchors { anchors, neural }, background)
+        let neural = Box::new(NeuralGaussians::new(Arc::clone(context), anchors.shape, scene.near.depth())?);
+        Self::of_source(context, Source::Anchors { anchors, neural }, background, scene.near)
     }
 
     /// Uploads plain Gaussians.
@@ -89,34 +89,38 @@ impl SceneRenderer {
         background: Background,
     ) -> Result<Self, RenderError> {
         scene.check().map_err(|fault| RenderError::Scene(fault.to_string()))?;
-        let mut plain = PlainGaussians::new(Arc::clone(context), RasterSettings::default().near)?;
+        let mut plain = PlainGaussians::new(Arc::clone(context), scene.near.depth())?;
         plain.set_degree(u32::from(scene.degree))?;
         let rows = DeviceRows::upload(context, &GaussianRows::from_scene(scene))?;
-        Self::of_source(context, Source::Gaussians { rows, plain: Box::new(plain) }, background)
+        let source = Source::Gaussians { rows, plain: Box::new(plain) };
+        Self::of_source(context, source, background, scene.near)
     }
 
     fn of_source(
         context: &Arc<Context>,
         source: Source,
         background: Background,
+        near: NearPlane,
     ) -> Result<Self, RenderError> {
-        let raster = Rasterizer::new(Arc::clone(context), RasterSettings::default())?;
-        Ok(Self { source, raster, background, context: Arc::clone(context) })
+        let settings = RasterSettings { near: near.depth(), ..RasterSettings::default() };
+        let raster = Rasterizer::new(Arc::clone(context), settings)?;
+        Ok(Self { source, raster, background, near, context: Arc::clone(context) })
     }
 
-    /// Shows another scene of the same shape from now on; the buffers of rendering are kept.
+    /// Shows another scene of the same shape and near plane from now on; the buffers of rendering are kept.
     ///
     /// # Errors
     /// [`RenderError::Scene`] for networks that this renderer does not know or another shape; faults of the device.
     pub fn replace(&mut self, scene: &AnchorScene) -> Result<(), RenderError> {
         let next = upload(&self.context, scene)?;
         match &mut self.source {
-            Source::Anchors { anchors, .. } if anchors.shape == next.shape => {
+            Source::Anchors { anchors, .. } if anchors.shape == next.shape && scene.near == self.near => {
                 *anchors = next;
                 Ok(())
             }
             Source::Anchors { .. } | Source::Gaussians { .. } => {
-                Err(RenderError::Scene("its widths are not those of the scene before it".to_owned()))
+                let fault = "its widths or its near plane are not those of the scene before it";
+                Err(RenderError::Scene(fault.to_owned()))
             }
         }
     }

@@ -13,10 +13,10 @@ use super::{
     unused::drop_unused,
 };
 use crate::{
-    domain::{Camera, CancelFlag, Frame, Lattice, Scene},
+    domain::{AnchorScene, Camera, CancelFlag, Frame, Lattice, NearPlane, Scene},
     gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
     model::{AnchorRows, MAX_CELL, NetworkLayout, Shape, initial_rows},
-    render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, RasterSettings},
+    render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians},
 };
 
 /// Coarsest growth cell in lattice cells.
@@ -165,7 +165,7 @@ impl AnchorLearner {
             network_moments: Moments::upload(context, &first, &second)?,
             statistics: context.upload("growth statistics", &statistics.values)?,
             masks: masks.transpose()?,
-            neural: NeuralGaussians::new(Arc::clone(context), shape, RasterSettings::default().near)?,
+            neural: NeuralGaussians::new(Arc::clone(context), shape, NearPlane::of_extent(extent).depth())?,
             adam: Adam::new(context)?,
             context: Arc::clone(context),
             layout,
@@ -406,6 +406,7 @@ impl Learner for AnchorLearner {
         if self.anchors.is_empty() {
             return Err(TrainError::NothingLeft { step: self.schedule.steps });
         }
-        Ok(Scene::Anchors(self.anchors.to_scene(self.layout.to_networks(&networks))))
+        let scene = self.anchors.to_scene(self.layout.to_networks(&networks));
+        Ok(Scene::Anchors(AnchorScene { near: NearPlane::of_extent(self.extent), ..scene }))
     }
 }

@@ -21,8 +21,8 @@ use super::{
 };
 use crate::{
     domain::{
-        Background, CancelFlag, Component, Dataset, Frame, MemoryBudget, ModelKind, Progress, Scene, Split,
-        TrainOptions,
+        Background, CancelFlag, Component, Dataset, Frame, MemoryBudget, ModelKind, NearPlane, Progress,
+        Scene, Split, TrainOptions,
     },
     gpu::Context,
     model::random_points,
@@ -263,12 +263,14 @@ impl<'a> Run<'a> {
                 (RunState::begin(origin, rng), learner)
             }
         };
+        let near = NearPlane::of_extent(camera_extent(&frames)).depth();
+        let settings = RasterSettings { near, ..RasterSettings::default() };
         let now = Instant::now();
         Ok(Self {
             steps,
             background: options.background,
             learner,
-            raster: Rasterizer::new(Arc::clone(context), RasterSettings::default())?,
+            raster: Rasterizer::new(Arc::clone(context), settings)?,
             loss: ImageLoss::new(Arc::clone(context))?,
             wavelet: options.has(Component::Wavelet),
             began: now,

@@ -11,8 +11,8 @@ use glam::DVec3;
 use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, Conventions, Digest, Image, Intrinsics,
-        JobMetrics, Lattice, LpipsNetwork, Mlp, NamedCamera, Phase, PhaseSeconds, Pose, Problem, Progress,
-        RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
+        JobMetrics, Lattice, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem,
+        Progress, RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
     },
     render::{RenderViews, views::Viewable},
     worker::run::{Checkpoints, JobFailure, JobOutput, RunJob},
@@ -205,5 +205,6 @@ fn empty_scene() -> AnchorScene {
         offsets: Vec::new(),
         masks: Vec::new(),
         networks: RenderNetworks { opacity: mlp(), covariance: mlp(), color: mlp() },
+        near: NearPlane::default(),
     }
 }
