@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use serde_json::json;
-use tcgs::codec::{EncodeSettings, Provenance};
+use tcgs::codec::{ContextSettings, EncodeSettings, Provenance};
 
 use super::{Failure, Report, files, wiring};
 
@@ -47,6 +47,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
         feature_step: args.feature_step,
         scaling_step: args.scaling_step,
         offset_step: args.offset_step,
+        context: ContextSettings::default(),
         provenance: Provenance {
             generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),
             dataset: file.dataset,

@@ -107,6 +107,9 @@ fn figures(progress: &Progress) -> String {
     if progress.gaussians > 0 {
         parts.push(format!("Gaussians {}", progress.gaussians));
     }
+    if let Some(bytes) = progress.bytes {
+        parts.push(format!("about {:.0} kB", bytes as f64 / 1e3));
+    }
     if let Some(speed) = progress.steps_per_second {
         parts.push(format!("{speed:.1} steps/s"));
     }
@@ -132,6 +135,7 @@ mod tests {
             gaussians: 20_480,
             loss: Some(0.041_23),
             psnr: Some(24.317),
+            bytes: Some(152_340),
         }
     }
 

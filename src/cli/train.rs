@@ -93,8 +93,8 @@ struct Options {
     #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',')]
     without: Vec<Component>,
 
-    /// Weight of the rate term
-    #[arg(long, value_name = "X", hide = true)]
+    /// Weight of the file's size in the loss: larger makes smaller files
+    #[arg(long, value_name = "X")]
     lambda: Option<f64>,
 
     /// Largest file to write

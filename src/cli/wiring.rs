@@ -79,7 +79,7 @@ pub(crate) fn high_band_error(
 
 /// Encodes a scene.
 pub(crate) fn encode(scene: &AnchorScene, settings: &EncodeSettings) -> Result<Encoded, Problem> {
-    codec::encode(scene, settings).map_err(|fault| match fault {
+    codec::encode(scene, None, settings).map_err(|fault| match fault {
         EncodeError::Verification | EncodeError::ReadBack(_) => {
             Problem::new(500, "internal", "Internal error", fault.to_string())
         }

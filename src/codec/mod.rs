@@ -9,7 +9,7 @@ mod adaptive;
 mod attributes;
 mod bytes;
 mod container;
-mod context;
+pub mod context;
 mod decode;
 mod digest;
 mod encode;
@@ -34,6 +34,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::domain::{AnchorScene, Background, ByteCounts, Digest};
 
+pub use context::{ContextChoice, ContextSearch, ContextSettings, GroupChoice};
 pub use decode::{DecodeLimits, Decoded, decode};
 pub use digest::decode_digest;
 pub use encode::encode;
@@ -65,6 +66,8 @@ pub struct EncodeSettings {
     pub scaling_step: f32,
     /// Step of offsets (published 0.2).
     pub offset_step: f32,
+    /// Which contexts to choose from the candidates, if there are any.
+    pub context: ContextSettings,
     /// Stored in the manifest.
     pub provenance: Provenance,
 }
@@ -80,4 +83,6 @@ pub struct Encoded {
     pub decode_sha256: Digest,
     /// Where the bytes went.
     pub byte_counts: ByteCounts,
+    /// The contexts that were used.
+    pub context: ContextChoice,
 }

@@ -8,9 +8,6 @@ use thiserror::Error;
 /// Largest number of steps that a job may ask for.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
 
-/// Parts that this version has and can leave out.
-const SWITCHES: &[Component] = &[Component::Wavelet, Component::Masks];
-
 /// An option value that is not understood or not possible.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("{option}: {fault}")]
@@ -260,14 +257,14 @@ impl TrainOptions {
         {
             return Err(OptionError::new("voxel", format!("{edge} is not a positive length")));
         }
-        if let Some(part) = self.without.iter().find(|part| !SWITCHES.contains(part)) {
-            return Err(OptionError::new(
-                "without",
-                format!("'{part}' is not part of this version, so it cannot be switched off"),
-            ));
-        }
-        if self.lambda.is_some() {
-            return Err(OptionError::new("lambda", "this version has no rate term to weigh"));
+        if let Some(lambda) = self.lambda {
+            if !(lambda.is_finite() && lambda > 0.0 && (lambda as f32).is_normal()) {
+                return Err(OptionError::new("lambda", format!("{lambda} is not a positive weight")));
+            }
+            if self.model != ModelKind::Tcgs {
+                let fault = format!("model '{}' has no rate term to weigh", self.model);
+                return Err(OptionError::new("lambda", fault));
+            }
         }
         if self.max_bytes.is_some() {
             return Err(OptionError::new("max_bytes", "this version has no rate control"));
@@ -335,15 +332,31 @@ mod tests {
     }
 
     #[test]
-    fn what_this_version_cannot_do_is_refused_not_ignored() {
-        for (name, value) in [("without", "knn"), ("max_bytes", "1000"), ("lambda", "0.1")] {
-            let mut options = TrainOptions::default();
-            options.set(name, value).expect("parses");
-            assert_eq!(options.validated().expect_err(name).option, name);
+    fn the_weight_of_the_rate_is_positive_and_the_methods_own() {
+        for lambda in [1e-6, 0.001, 40.0] {
+            let options = TrainOptions { lambda: Some(lambda), ..TrainOptions::default() };
+            assert_eq!(options.clone().validated(), Ok(options.clone()));
+            for model in [ModelKind::Scaffold, ModelKind::Gaussians3d] {
+                let baseline = TrainOptions { model, ..options.clone() };
+                assert_eq!(baseline.validated().expect_err("no rate term").option, "lambda");
+            }
         }
+        for lambda in [0.0, -0.001, f64::NAN, f64::INFINITY, 1e-300] {
+            let options = TrainOptions { lambda: Some(lambda), ..TrainOptions::default() };
+            assert_eq!(options.validated().expect_err("no weight").option, "lambda", "{lambda}");
+        }
+    }
+
+    #[test]
+    fn what_this_version_cannot_do_is_refused_not_ignored() {
         let mut options = TrainOptions::default();
-        options.set("without", "masks").expect("parses");
-        assert!(options.validated().is_ok());
+        options.set("max_bytes", "1000").expect("parses");
+        assert_eq!(options.validated().expect_err("no rate control").option, "max_bytes");
+        let mut options = TrainOptions::default();
+        let parts: Vec<&str> = Component::ALL.iter().map(|part| part.name()).collect();
+        options.set("without", &parts.join(",")).expect("parses");
+        let options = options.validated().expect("every part can be left out");
+        assert!(Component::ALL.iter().all(|part| !options.has(*part)));
         let zero = TrainOptions { iterations: Some(0), ..TrainOptions::default() };
         assert!(zero.validated().is_err());
     }

@@ -48,6 +48,8 @@ pub struct Progress {
     pub loss: Option<f64>,
     /// Training PSNR in dB, averaged over recent steps.
     pub psnr: Option<f64>,
+    /// Bytes that the file would about have, once training measures them.
+    pub bytes: Option<u64>,
 }
 
 /// Set once by whoever wants the work to stop; read by whoever does it.

@@ -8,7 +8,7 @@ use super::{
     Adam, CheckpointError, Decay, Densify, MaskRows, Moments, OffsetMasks, Schedule, Statistics, TrainError,
     budget::Footprint,
     densify::{Trainable, densify, drop_masked},
-    learner::{Learner, Size, Step},
+    learner::{Finished, Learner, SampleRate, Size, Step},
     state::LearnerState,
     unused::drop_unused,
 };
@@ -374,6 +374,10 @@ impl Learner for AnchorLearner {
         Ok(Size { anchors: self.anchors.len(), gaussians: self.neural.counts()?[1] as usize })
     }
 
+    fn rate(&self) -> Result<Option<SampleRate>, TrainError> {
+        Ok(None)
+    }
+
     fn save(&self) -> Result<LearnerState, TrainError> {
         let (Trainable { anchors, first, second, masks }, statistics) = self.read()?;
         let Lattice { voxel, origin: [x, y, z] } = anchors.lattice;
@@ -396,7 +400,7 @@ impl Learner for AnchorLearner {
         Ok(state)
     }
 
-    fn finish(mut self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Scene, TrainError> {
+    fn finish(mut self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Finished, TrainError> {
         self.anchors.values = self.context.read(&self.device.rows)?;
         self.anchors.masks = self.context.read(&self.device.masks)?;
         let networks = self.context.read(&self.device.networks)?;
@@ -407,6 +411,7 @@ impl Learner for AnchorLearner {
             return Err(TrainError::NothingLeft { step: self.schedule.steps });
         }
         let scene = self.anchors.to_scene(self.layout.to_networks(&networks));
-        Ok(Scene::Anchors(AnchorScene { near: NearPlane::of_extent(self.extent), ..scene }))
+        let scene = Scene::Anchors(AnchorScene { near: NearPlane::of_extent(self.extent), ..scene });
+        Ok(Finished { scene, context: None })
     }
 }

@@ -133,6 +133,12 @@ pub(super) struct RunState {
     pub(super) order: Vec<usize>,
     /// The bits of the averages that progress tells: SSIM, L1, squared error, wavelet bands.
     average: Option<[u64; 4]>,
+    /// The bits of the rate's weight in the loss.
+    lambda: u64,
+    /// The bits of what an anchor's attributes cost, in bits, averaged over recent samples.
+    anchor_bits: Option<u64>,
+    /// Bytes that the file would about have.
+    file_bytes: Option<u64>,
 }
 
 /// What a run is made from: a checkpoint belongs to one of these.
@@ -147,7 +153,7 @@ pub(super) struct Origin<'a> {
 
 impl RunState {
     /// The state of a run at its begin.
-    pub(super) fn begin(origin: Origin<'_>, rng: Pcg64) -> Self {
+    pub(super) fn begin(origin: Origin<'_>, rng: Pcg64, lambda: f64) -> Self {
         Self {
             generator: GENERATOR.to_owned(),
             options: options_text(origin.options),
@@ -159,6 +165,9 @@ impl RunState {
             rng,
             order: Vec::new(),
             average: None,
+            lambda: lambda.to_bits(),
+            anchor_bits: None,
+            file_bytes: None,
         }
     }
 
@@ -184,6 +193,30 @@ impl RunState {
     /// Remembers them.
     pub(super) fn set_average(&mut self, sums: LossSums) {
         self.average = Some([sums.ssim, sums.l1, sums.mse, sums.wavelet].map(f64::to_bits));
+    }
+
+    /// Weight of the rate in the loss.
+    pub(super) fn lambda(&self) -> f64 {
+        f64::from_bits(self.lambda)
+    }
+
+    /// Weighs the rate otherwise from the next step on.
+    pub(super) fn set_lambda(&mut self, lambda: f64) {
+        self.lambda = lambda.to_bits();
+    }
+
+    /// Bytes that the file would about have, once samples were weighed.
+    pub(super) fn file_bytes(&self) -> Option<u64> {
+        self.file_bytes
+    }
+
+    /// Takes notice of what an anchor of a sample cost, on average, where there are `anchors` anchors and the rest of the
+    /// file takes `other_bytes`.
+    pub(super) fn weigh(&mut self, anchor_bits: f64, anchors: f64, other_bytes: f64) {
+        // One sample is a few hundred anchors, so a few samples say enough, and old ones are of another scene.
+        let mean = self.anchor_bits.map_or(anchor_bits, |old| 0.7 * f64::from_bits(old) + 0.3 * anchor_bits);
+        self.anchor_bits = Some(mean.to_bits());
+        self.file_bytes = Some((anchors * mean / 8.0 + other_bytes) as u64);
     }
 
     /// Checks that a run of `steps` steps over `frames` photographs from `origin` may go on from here.
@@ -386,7 +419,7 @@ mod tests {
         let options = options();
         let mut rng = Pcg64::seed_from_u64(7);
         let _: u64 = rng.random();
-        let mut run = RunState::begin(origin(&options), rng);
+        let mut run = RunState::begin(origin(&options), rng, 0.002);
         run.step = 30;
         run.seconds = 12.5;
         run.order = vec![3, 0, 2];

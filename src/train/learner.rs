@@ -7,7 +7,7 @@
 
 use rand_pcg::Pcg64;
 
-use super::{TrainError, state::LearnerState};
+use super::{TrainError, TrainedContext, state::LearnerState};
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
     gpu::{Buffer, Recorder},
@@ -21,6 +21,8 @@ pub(super) struct Step {
     pub number: u32,
     /// Its number over the steps of the run, in (0, 1].
     pub fraction: f64,
+    /// Weight of the rate in the loss.
+    pub lambda: f64,
 }
 
 /// How large a model is.
@@ -30,6 +32,23 @@ pub(super) struct Size {
     pub anchors: usize,
     /// Gaussians that the last view was made of.
     pub gaussians: usize,
+}
+
+/// What the anchors of the last sample cost.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct SampleRate {
+    /// Bits of an anchor's attributes, on average.
+    pub bits_an_anchor: f64,
+    /// Bytes of all else in a file, about.
+    pub other_bytes: f64,
+}
+
+/// What is left of a learner.
+#[derive(Debug, Clone)]
+pub(super) struct Finished {
+    pub scene: Scene,
+    /// None where the model has none.
+    pub context: Option<TrainedContext>,
 }
 
 /// A model in training. See the module's words.
@@ -67,9 +86,12 @@ pub(super) trait Learner {
     /// How large the model is. May wait for the device.
     fn size(&self) -> Result<Size, TrainError>;
 
+    /// What the last submitted step's sample costs; none where its loss has no rate. May wait for the device.
+    fn rate(&self) -> Result<Option<SampleRate>, TrainError>;
+
     /// Everything that the next step depends on. Waits for the device.
     fn save(&self) -> Result<LearnerState, TrainError>;
 
     /// The finished scene; `frames` are the photographs that it learnt from.
-    fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Scene, TrainError>;
+    fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Finished, TrainError>;
 }

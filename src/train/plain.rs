@@ -11,7 +11,7 @@ use rand_pcg::Pcg64;
 use super::{
     Adam, CheckpointError, Moments, TrainError,
     budget::Footprint,
-    learner::{Learner, Size, Step},
+    learner::{Finished, Learner, SampleRate, Size, Step},
     state::LearnerState,
 };
 use crate::{
@@ -297,6 +297,10 @@ impl Learner for PlainLearner {
         Ok(Size { anchors: 0, gaussians: self.rows.count })
     }
 
+    fn rate(&self) -> Result<Option<SampleRate>, TrainError> {
+        Ok(None)
+    }
+
     fn save(&self) -> Result<LearnerState, TrainError> {
         let PlainState { values, first, second } = self.download()?;
         let mut state = LearnerState::default();
@@ -312,9 +316,10 @@ impl Learner for PlainLearner {
         Ok(state)
     }
 
-    fn finish(self: Box<Self>, _frames: &[&Frame], _cancel: &CancelFlag) -> Result<Scene, TrainError> {
+    fn finish(self: Box<Self>, _frames: &[&Frame], _cancel: &CancelFlag) -> Result<Finished, TrainError> {
         let rows = self.rows.download(&self.context)?;
         let scene = rows.to_scene(self.plain.degree() as usize);
-        Ok(Scene::Gaussians(GaussianScene { near: NearPlane::of_extent(self.extent), ..scene }))
+        let scene = Scene::Gaussians(GaussianScene { near: NearPlane::of_extent(self.extent), ..scene });
+        Ok(Finished { scene, context: None })
     }
 }

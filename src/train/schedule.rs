@@ -1,6 +1,9 @@
 //! The schedule in fractions of the run, so that a preview and a run of 30 000 steps share one shape. `docs/SCHEDULE.md`
 //! has it as one table for all presets.
 
+use std::ops::Range;
+
+use super::CompressionSchedule;
 use crate::{
     domain::{Component, ModelKind, Preset, TrainOptions, Voxel},
     model::{Shape, VoxelRule},
@@ -83,6 +86,8 @@ pub struct Schedule {
     pub densify_until: u32,
     /// Steps between.
     pub densify_every: u32,
+    /// Steps in between after which they do not, so that the scene gets used to the noise.
+    pub densify_pause: Option<Range<u32>>,
     /// Screen-gradient threshold of growth at the coarsest level.
     pub growth_threshold: f32,
     /// Anchors that growth does not go beyond.
@@ -103,6 +108,8 @@ pub struct Schedule {
     pub masks: Option<MaskSchedule>,
     /// Whether what no training view shows is left out at the end; the baseline keeps every offset, as published.
     pub drops_unused: bool,
+    /// Compression-aware training; none for the baseline.
+    pub compression: Option<CompressionSchedule>,
 }
 
 impl Schedule {
@@ -129,6 +136,8 @@ impl Schedule {
             densify_until: part(0.5),
             // Short runs grow more often: growth, not the last decimal of the gradients' mean, is what they lack.
             densify_every: (steps / 30).clamp(25, 100),
+            densify_pause: (options.preset == Preset::Paper && options.model == ModelKind::Tcgs)
+                .then(|| part(0.1)..part(4.0 / 30.0)),
             growth_threshold: 2e-4,
             max_anchors,
             random_points,
@@ -139,7 +148,14 @@ impl Schedule {
             volume_weight: 0.01,
             masks: masks(options, steps),
             drops_unused: options.model == ModelKind::Tcgs,
+            compression: CompressionSchedule::new(options, steps),
         }
+    }
+
+    /// Weight of the rate in the loss; zero where there is no rate.
+    #[must_use]
+    pub fn lambda(&self) -> f64 {
+        self.compression.as_ref().map_or(0.0, |compression| compression.lambda)
     }
 
     /// Whether the views of `step` count for growth.
@@ -151,7 +167,11 @@ impl Schedule {
     /// Whether anchors grow and are pruned after `step`.
     #[must_use]
     pub fn densifies(&self, step: u32) -> bool {
-        step > self.densify_from && step < self.densify_until && step.is_multiple_of(self.densify_every)
+        let pauses = self.densify_pause.as_ref().is_some_and(|pause| pause.contains(&step));
+        step > self.densify_from
+            && step < self.densify_until
+            && step.is_multiple_of(self.densify_every)
+            && !pauses
     }
 }
 
@@ -278,5 +298,9 @@ mod tests {
         assert!(schedule.gathers_statistics(14_999) && !schedule.gathers_statistics(15_000));
         let at: Vec<u32> = (1..=30_000).filter(|step| schedule.densifies(*step)).collect();
         assert_eq!((at.first(), at.last()), (Some(&1600), Some(&14_900)));
+        assert!(at.contains(&2900) && at.contains(&4000));
+        assert!(!at.iter().any(|step| (3000..4000).contains(step)), "a pause for the noise");
+        let baseline = TrainOptions { model: ModelKind::Scaffold, ..options };
+        assert!(Schedule::new(&baseline).densifies(3000));
     }
 }

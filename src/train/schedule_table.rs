@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::{Decay, Schedule, WaveletWeights, plain::PlainSchedule};
+use super::{BaseStepRule, CompressionSchedule, Decay, Schedule, WaveletWeights, plain::PlainSchedule};
 use crate::domain::{Preset, TrainOptions};
 
 /// One preset's schedules: of anchors, and of plain Gaussians.
@@ -48,6 +48,7 @@ pub fn schedule_table() -> String {
     row("random points, where a set has none", &|c| c.anchors.random_points.to_string());
     anchors(&mut row);
     masks(&mut row);
+    compression(&mut row);
     wavelet(&mut row);
     plain(&mut row);
     text
@@ -88,6 +89,37 @@ fn masks(row: &mut Row<'_>) {
     row("**offset masks** (`tcgs`)", &|_| String::new());
     for (what, value) in rows {
         row(what, &|c| c.anchors.masks.as_ref().map_or_else(String::new, |masks| value(c, masks)));
+    }
+}
+
+fn compression(row: &mut Row<'_>) {
+    type Value = fn(&Column, &CompressionSchedule) -> String;
+    let rows: [(&str, Value); 12] = [
+        ("growth pauses from", |c, _| {
+            c.anchors.densify_pause.as_ref().map_or_else(String::new, |p| c.at(p.start))
+        }),
+        ("growth goes on from", |c, _| {
+            c.anchors.densify_pause.as_ref().map_or_else(String::new, |p| c.at(p.end))
+        }),
+        ("noise as wide as base steps from", |c, s| c.at(s.noise_from)),
+        ("context model and rate from", |c, s| c.at(s.context_from)),
+        ("planes are reconstructed from", |c, s| c.at(s.reconstruct_from)),
+        ("all is rounded as in the file from", |c, s| c.at(s.rounded_from)),
+        ("base steps of features, scalings, offsets", |_, s| match s.base {
+            BaseStepRule::Published => "1, 0.001 world units, 0.2".to_owned(),
+            BaseStepRule::OfSpread(shares) => {
+                format!("{} of the spreads", shares.map(|s| s.to_string()).join(", "))
+            }
+        }),
+        ("weight of the rate (lambda)", |_, s| s.lambda.to_string()),
+        ("share of the anchors in a step's sample", |_, s| s.sampled.to_string()),
+        ("rate of planes and their layers, over the context model's steps", |_, s| rate(s.planes)),
+        ("rate of the context networks, over the same", |_, s| rate(s.networks)),
+        ("weight of the planes' reconstruction", |_, s| s.reconstruction.to_string()),
+    ];
+    row("**compression** (`tcgs`)", &|_| String::new());
+    for (what, value) in rows {
+        row(what, &|c| c.anchors.compression.as_ref().map_or_else(String::new, |s| value(c, s)));
     }
 }
 

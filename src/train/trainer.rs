@@ -9,11 +9,12 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Checkpoint, Estimate, ImageLoss, KeepCheckpoints, LossSums, Needs, Schedule, TrainError, WaveletWeights,
+    BaseSteps, Checkpoint, Estimate, ImageLoss, KeepCheckpoints, LossSums, Needs, Schedule, TrainError,
+    WaveletWeights,
     anchors::AnchorLearner,
     batch::Batch,
     checkpoint::{Origin, RunState},
-    learner::{Learner, Step},
+    learner::{Finished, Learner, SampleRate, Step},
     loss::pack,
     plain::{PlainLearner, PlainSchedule},
     start_box::start_box,
@@ -21,8 +22,8 @@ use super::{
 };
 use crate::{
     domain::{
-        Background, CancelFlag, Component, Dataset, Frame, MemoryBudget, ModelKind, NearPlane, Progress,
-        Scene, Split, TrainOptions,
+        Background, CancelFlag, Component, ContextCandidates, Dataset, Frame, MemoryBudget, ModelKind,
+        NearPlane, Progress, Scene, Split, TrainOptions,
     },
     gpu::Context,
     model::random_points,
@@ -37,10 +38,21 @@ pub(super) const REPORT_EVERY: u32 = 10;
 pub struct Trained {
     /// The scene, not yet quantised.
     pub scene: Scene,
+    /// What compression-aware training found for the encoder; none for the baselines.
+    pub context: Option<TrainedContext>,
     /// Steps done.
     pub steps: u32,
     /// Seconds of training.
     pub seconds: f64,
+}
+
+/// What compression-aware training leaves for the encoder.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrainedContext {
+    /// The base steps that the scene was trained with.
+    pub steps: BaseSteps,
+    /// The contexts to choose from.
+    pub candidates: ContextCandidates,
 }
 
 /// What a run goes on from, and who keeps what others may go on from; neither changes what comes of it.
@@ -100,6 +112,7 @@ pub fn train_within(
         let step = run.state.step;
         if step.is_multiple_of(REPORT_EVERY) || step == run.steps {
             let sums = run.sums()?;
+            run.weigh()?;
             report(&run.progress(Some(sums))?);
         }
         if keeper.wants(step) || step == run.steps {
@@ -260,7 +273,7 @@ impl<'a> Run<'a> {
             None => {
                 let mut rng = Pcg64::seed_from_u64(options.seed);
                 let learner = setting.fresh(&mut rng)?;
-                (RunState::begin(origin, rng), learner)
+                (RunState::begin(origin, rng, schedule.lambda()), learner)
             }
         };
         let near = NearPlane::of_extent(camera_extent(&frames)).depth();
@@ -296,7 +309,8 @@ impl<'a> Run<'a> {
     }
 
     fn at(&self, number: u32) -> Step {
-        Step { number, fraction: f64::from(number) / f64::from(self.steps.max(1)) }
+        let fraction = f64::from(number) / f64::from(self.steps.max(1));
+        Step { number, fraction, lambda: self.state.lambda() }
     }
 
     /// Does the steps up to the next after which the host has something to do, or `wanted` says that it has.
@@ -382,6 +396,14 @@ impl<'a> Run<'a> {
         self.loss.sums()?.filter(|sums| sums.loss().is_finite()).ok_or(diverged)
     }
 
+    /// Takes the last step's sample into the estimate of the file's bytes.
+    fn weigh(&mut self) -> Result<(), TrainError> {
+        let Some(SampleRate { bits_an_anchor, other_bytes }) = self.learner.rate()? else { return Ok(()) };
+        let anchors = self.learner.size()?.anchors as f64;
+        self.state.weigh(bits_an_anchor, anchors, other_bytes);
+        Ok(())
+    }
+
     /// How far the run is, with losses where there are new ones.
     fn progress(&mut self, sums: Option<LossSums>) -> Result<Progress, TrainError> {
         let blend = |old: f64, new: f64| 0.9 * old + 0.1 * new;
@@ -413,6 +435,7 @@ impl<'a> Run<'a> {
             gaussians: size.gaussians as u64,
             loss: average.map(|average| average.loss()),
             psnr: average.map(|average| average.psnr()),
+            bytes: self.state.file_bytes(),
         })
     }
 
@@ -423,9 +446,9 @@ impl<'a> Run<'a> {
     }
 
     fn finish(self, cancel: &CancelFlag) -> Result<Trained, TrainError> {
-        let scene = self.learner.finish(&self.frames, cancel)?;
+        let Finished { scene, context } = self.learner.finish(&self.frames, cancel)?;
         let seconds = self.state.seconds + self.began.elapsed().as_secs_f64();
-        Ok(Trained { scene, steps: self.steps, seconds })
+        Ok(Trained { scene, context, steps: self.steps, seconds })
     }
 }
 

@@ -15,7 +15,7 @@ use super::{
     steps::choose_steps,
 };
 use crate::{
-    codec::{self, EncodeSettings, Provenance},
+    codec::{self, ContextSettings, EncodeSettings, Provenance},
     domain::{
         AnchorScene, CancelFlag, Conventions, Dataset, Frame, JobMetrics, MemoryBudget, MemoryLimits,
         ModelKind, NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, Scores, Split, SystemClock,
@@ -27,7 +27,7 @@ use crate::{
     render::{RenderError, SceneRenderer},
     train::{
         self, Checkpoint, CheckpointError, CheckpointFolder, KeepCheckpoints, Schedule, TrainError, Trained,
-        train_within,
+        TrainedContext, train_within,
     },
 };
 
@@ -123,7 +123,7 @@ impl RunJob for Pipeline {
         let lpips = self.lpips.as_ref();
         let mut job = Job { context, dataset: &dataset, options, cancel, lpips, seconds };
         tell(Phase::Encode, &mut progress);
-        let (bytes, file) = job.write(&trained.scene, &mut || tell(Phase::Encode, &mut progress))?;
+        let (bytes, file) = job.write(&trained, &mut || tell(Phase::Encode, &mut progress))?;
         tell(Phase::Evaluate, &mut progress);
         let metrics =
             job.measure(trained.steps, &trained.scene, &file, &mut || tell(Phase::Evaluate, &mut progress))?;
@@ -190,14 +190,18 @@ struct Job<'a> {
 
 impl Job<'_> {
     /// Writes the file and reads it back.
-    fn write(&mut self, scene: &Scene, alive: &mut dyn FnMut()) -> Result<(Vec<u8>, SceneFile), JobFailure> {
+    fn write(
+        &mut self,
+        trained: &Trained,
+        alive: &mut dyn FnMut(),
+    ) -> Result<(Vec<u8>, SceneFile), JobFailure> {
         let began = Instant::now();
-        let bytes = match (scene, self.options.model) {
+        let bytes = match (&trained.scene, self.options.model) {
             (Scene::Anchors(scene), ModelKind::Scaffold) => {
                 scene_file::write_anchors(scene, self.options.background, Some(self.dataset.digest))
                     .map_err(JobFailure::Fail)?
             }
-            (Scene::Anchors(scene), _) => self.encode(scene, alive)?,
+            (Scene::Anchors(scene), _) => self.encode(scene, trained.context.as_ref(), alive)?,
             (Scene::Gaussians(scene), _) => {
                 scene_file::write_gaussians(scene, self.options.background, Some(self.dataset.digest))
             }
@@ -209,21 +213,32 @@ impl Job<'_> {
         Ok((bytes, file))
     }
 
-    /// Chooses how finely to quantise, and codes.
-    fn encode(&self, scene: &AnchorScene, alive: &mut dyn FnMut()) -> Result<Vec<u8>, JobFailure> {
+    /// Codes, with the steps that the scene was trained with; where it was not, chooses how finely to quantise.
+    fn encode(
+        &self,
+        scene: &AnchorScene,
+        context: Option<&TrainedContext>,
+        alive: &mut dyn FnMut(),
+    ) -> Result<Vec<u8>, JobFailure> {
         let background = self.options.background;
-        let views = spread(self.dataset.split(Split::Train).collect(), 4);
-        let steps = choose_steps(&self.context, scene, &views, background, &mut || {
-            alive();
-            !self.cancel.is_cancelled()
-        })
-        .map_err(from_render)?;
+        let steps = match context {
+            Some(context) => context.steps,
+            None => {
+                let views = spread(self.dataset.split(Split::Train).collect(), 4);
+                choose_steps(&self.context, scene, &views, background, &mut || {
+                    alive();
+                    !self.cancel.is_cancelled()
+                })
+                .map_err(from_render)?
+            }
+        };
         stop_if(self.cancel)?;
         let settings = EncodeSettings {
             background,
             feature_step: steps.feature,
             scaling_step: steps.scaling,
             offset_step: steps.offset,
+            context: ContextSettings::default(),
             provenance: Provenance {
                 generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),
                 dataset: Some(self.dataset.digest),
@@ -232,9 +247,10 @@ impl Job<'_> {
                     .map_err(|fault| JobFailure::Fail(internal(&fault.to_string())))?,
             },
         };
-        let encoded = codec::encode(scene, &settings).map_err(|fault| {
-            JobFailure::Fail(Problem::new(422, "not-encodable", "Encoding failed", fault.to_string()))
-        })?;
+        let encoded =
+            codec::encode(scene, context.map(|context| &context.candidates), &settings).map_err(|fault| {
+                JobFailure::Fail(Problem::new(422, "not-encodable", "Encoding failed", fault.to_string()))
+            })?;
         Ok(encoded.bytes)
     }
 

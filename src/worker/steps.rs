@@ -8,6 +8,7 @@ use crate::{
     eval::{mean_scores, measure_views},
     gpu::Context,
     render::{RenderError, SceneRenderer},
+    train::BaseSteps,
 };
 
 /// PSNR in dB that one attribute's quantisation may cost on the views.
@@ -22,17 +23,6 @@ const RUNGS: u32 = 9;
 /// Largest magnitude of an integer here: half of what a file can hold (FORMAT.md), so that no rounding passes that.
 const LARGEST_INTEGER: f32 = (1_u32 << 23) as f32;
 
-/// Quantisation steps of a file.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Steps {
-    /// Of features.
-    pub(super) feature: f32,
-    /// Of linear scalings, in voxels.
-    pub(super) scaling: f32,
-    /// Of offsets.
-    pub(super) offset: f32,
-}
-
 /// The coarsest steps that `views` hardly notice. `go_on` is asked between measurements; once it says no, the finest
 /// steps are returned.
 ///
@@ -44,7 +34,7 @@ pub(super) fn choose_steps(
     views: &[&Frame],
     background: Background,
     go_on: &mut dyn FnMut() -> bool,
-) -> Result<Steps, RenderError> {
+) -> Result<BaseSteps, RenderError> {
     let mut renderer = SceneRenderer::new(context, scene, background)?;
     let mut psnr = |scene: &AnchorScene| -> Result<f64, RenderError> {
         renderer.replace(scene)?;
@@ -102,11 +92,11 @@ impl Ladder {
         Self { finest: largest.map(|largest| largest / LARGEST_INTEGER) }
     }
 
-    fn steps(&self, rungs: [u32; 3]) -> Steps {
+    fn steps(&self, rungs: [u32; 3]) -> BaseSteps {
         let step = |attribute: usize| {
             (COARSEST[attribute] * 0.5_f32.powi(rungs[attribute] as i32)).max(self.finest[attribute])
         };
-        Steps { feature: step(0), scaling: step(1), offset: step(2) }
+        BaseSteps { feature: step(0), scaling: step(1), offset: step(2) }
     }
 }
 
@@ -135,7 +125,7 @@ fn quantised(scene: &AnchorScene, ladder: &Ladder, rungs: [Option<u32>; 3]) -> A
 mod tests {
     use super::*;
     use crate::{
-        codec::{self, EncodeSettings, Provenance},
+        codec::{self, ContextSettings, EncodeSettings, Provenance},
         domain::Lattice,
         model::{AnchorRows, NetworkLayout, Shape},
     };
@@ -182,6 +172,7 @@ mod tests {
             feature_step: steps.feature,
             scaling_step: steps.scaling,
             offset_step: steps.offset,
+            context: ContextSettings::default(),
             provenance: Provenance {
                 generator: "a test".to_owned(),
                 dataset: None,
@@ -189,6 +180,6 @@ mod tests {
                 settings: serde_json::Value::Null,
             },
         };
-        codec::encode(&scene, &settings).expect("can be written");
+        codec::encode(&scene, None, &settings).expect("can be written");
     }
 }

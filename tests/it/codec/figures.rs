@@ -28,7 +28,7 @@ fn ratios(anchors: usize) -> (f64, f64) {
     let (f, k) = (32, 10);
     let scene = scene(Recipe { seed: 77, anchors, feature_dim: f, offsets: k, masked: 0.4 });
     let started = Instant::now();
-    let encoded = encode(&scene, &settings()).expect("encodes");
+    let encoded = encode(&scene, None, &settings()).expect("encodes");
     let encode_seconds = started.elapsed().as_secs_f64();
     let started = Instant::now();
     let decoded = decode(&encoded.bytes, &DecodeLimits::default()).expect("decodes");

@@ -38,7 +38,7 @@ fn the_golden_file_decodes_to_its_hash() {
 
 #[test]
 fn the_encoder_still_writes_the_golden_file() {
-    let encoded = encode(&golden_scene(), &settings()).expect("encodes");
+    let encoded = encode(&golden_scene(), None, &settings()).expect("encodes");
     assert_eq!(encoded.decode_sha256.to_string(), DECODE_SHA256);
     assert_eq!(encoded.bytes, fs::read(path()).expect("the golden file is committed"));
 }
@@ -66,7 +66,7 @@ fn the_documented_example_is_the_golden_file() {
 #[test]
 #[ignore = "writes the golden file; only after a deliberate change of the format"]
 fn make() {
-    let encoded = encode(&golden_scene(), &settings()).expect("encodes");
+    let encoded = encode(&golden_scene(), None, &settings()).expect("encodes");
     fs::write(path(), &encoded.bytes).expect("writable");
     println!("{} bytes, decode hash {}", encoded.bytes.len(), encoded.decode_sha256);
 }

@@ -12,7 +12,7 @@ const LIMITS: DecodeLimits =
     DecodeLimits { max_file_bytes: 1 << 20, max_anchors: 100_000, max_memory_bytes: 64 << 20 };
 
 fn tiny_file() -> Vec<u8> {
-    encode(&tiny(), &settings()).expect("encodes").bytes
+    encode(&tiny(), None, &settings()).expect("encodes").bytes
 }
 
 /// Checksums hold again, so that what lies behind them is reached.
@@ -23,7 +23,7 @@ fn resealed(mut bytes: Vec<u8>) -> Vec<u8> {
 
 #[test]
 fn every_truncation_is_refused() {
-    let bytes = encode(&small(), &settings()).expect("encodes").bytes;
+    let bytes = encode(&small(), None, &settings()).expect("encodes").bytes;
     for length in 0..bytes.len() {
         assert!(decode(&bytes[..length], &LIMITS).is_err(), "{length} bytes");
         assert!(inspect(&bytes[..length]).is_err(), "{length} bytes");

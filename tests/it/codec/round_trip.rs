@@ -11,7 +11,7 @@ use super::synthetic::{Recipe, scene, settings, small, tiny};
 /// Encodes, decodes and checks everything that must hold of any scene.
 fn check(scene: &AnchorScene) {
     let settings = settings();
-    let encoded = encode(scene, &settings).expect("encodes");
+    let encoded = encode(scene, None, &settings).expect("encodes");
     let decoded = decode(&encoded.bytes, &DecodeLimits::default()).expect("decodes");
     assert_eq!(decoded.scene, encoded.scene);
     assert_eq!(decoded.decode_sha256, encoded.decode_sha256);
@@ -92,8 +92,8 @@ fn ordinary_scenes_come_back() {
 
 #[test]
 fn decoded_scenes_are_fixed_points() {
-    let first = encode(&small(), &settings()).expect("encodes");
-    let second = encode(&first.scene, &settings()).expect("encodes again");
+    let first = encode(&small(), None, &settings()).expect("encodes");
+    let second = encode(&first.scene, None, &settings()).expect("encodes again");
     assert_eq!(second.scene.features, first.scene.features);
     assert_eq!(second.scene.cells, first.scene.cells);
     assert_eq!(second.scene.offsets, first.scene.offsets);
@@ -106,7 +106,7 @@ fn bytes_and_scene_do_not_depend_on_the_number_of_threads() {
     let scene = scene(Recipe { seed: 3, anchors: 9000, feature_dim: 4, offsets: 2, masked: 0.2 });
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-        pool.install(|| encode(&scene, &settings()).expect("encodes"))
+        pool.install(|| encode(&scene, None, &settings()).expect("encodes"))
     };
     let (one, four) = (with(1), with(4));
     assert_eq!(one.bytes, four.bytes);
@@ -126,7 +126,7 @@ fn the_order_of_the_input_does_not_matter() {
     reversed.scalings = reverse(&scene.scalings, 6);
     reversed.offsets = reverse(&scene.offsets, 3 * k);
     reversed.masks = reverse(&scene.masks, k);
-    let (a, b) = (encode(&scene, &settings()), encode(&reversed, &settings()));
+    let (a, b) = (encode(&scene, None, &settings()), encode(&reversed, None, &settings()));
     assert_eq!(a.expect("encodes").scene.features, b.expect("encodes").scene.features);
 }
 
@@ -134,7 +134,7 @@ fn the_order_of_the_input_does_not_matter() {
 fn a_background_is_kept() {
     for background in tcgs::domain::Background::ALL {
         let settings = tcgs::codec::EncodeSettings { background: *background, ..settings() };
-        let encoded = encode(&tiny(), &settings).expect("encodes");
+        let encoded = encode(&tiny(), None, &settings).expect("encodes");
         let decoded = decode(&encoded.bytes, &DecodeLimits::default()).expect("decodes");
         assert_eq!(decoded.manifest.background, *background);
     }
@@ -143,7 +143,7 @@ fn a_background_is_kept() {
 fn refusal(change: impl FnOnce(&mut AnchorScene)) -> EncodeError {
     let mut scene = small();
     change(&mut scene);
-    encode(&scene, &settings()).expect_err("must be refused")
+    encode(&scene, None, &settings()).expect_err("must be refused")
 }
 
 #[test]
@@ -171,16 +171,16 @@ fn what_cannot_be_written_is_refused_with_the_reason() {
     assert!(matches!(fault, EncodeError::Setting { name: "origin", .. }));
     let wrong = tcgs::codec::EncodeSettings { feature_step: 0.0, ..settings() };
     assert_eq!(
-        encode(&small(), &wrong).expect_err("no step"),
+        encode(&small(), None, &wrong).expect_err("no step"),
         EncodeError::Setting { name: "feature step", value: 0.0 }
     );
     let empty = scene(Recipe { seed: 1, anchors: 0, feature_dim: 2, offsets: 2, masked: 0.0 });
-    assert_eq!(encode(&empty, &settings()).expect_err("no anchor"), EncodeError::Empty);
+    assert_eq!(encode(&empty, None, &settings()).expect_err("no anchor"), EncodeError::Empty);
 }
 
 #[test]
 fn limits_are_kept() {
-    let bytes = encode(&small(), &settings()).expect("encodes").bytes;
+    let bytes = encode(&small(), None, &settings()).expect("encodes").bytes;
     let default = DecodeLimits::default();
     for limits in [
         DecodeLimits { max_anchors: 119, ..default },
@@ -195,7 +195,7 @@ fn limits_are_kept() {
 #[test]
 fn the_networks_give_nearly_the_same_colours() {
     let scene = scene(Recipe { seed: 8, anchors: 300, feature_dim: 32, offsets: 10, masked: 0.0 });
-    let encoded = encode(&scene, &settings()).expect("encodes");
+    let encoded = encode(&scene, None, &settings()).expect("encodes");
     let forward = |mlp: &tcgs::domain::Mlp, feature: &[f32]| -> Vec<f32> {
         let mut values = feature.to_vec();
         values.extend([0.6, 0.0, 0.8, 0.5]);

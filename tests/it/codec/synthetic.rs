@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs::{
-    codec::{EncodeSettings, Provenance},
+    codec::{ContextSettings, EncodeSettings, Provenance},
     domain::{
         AnchorScene, Background, DenseLayer, Digest, Lattice, Mlp, NearPlane, RenderNetworks,
         anchors::{SCALINGS_PER_ANCHOR, VIEW_INPUTS},
@@ -114,6 +114,7 @@ pub(super) fn settings() -> EncodeSettings {
         feature_step: 1.0,
         scaling_step: 0.05,
         offset_step: 0.2,
+        context: ContextSettings::default(),
         provenance: Provenance {
             generator: "tcgs test".to_owned(),
             dataset: Some(Digest::of(b"a dataset")),

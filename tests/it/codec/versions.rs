@@ -11,7 +11,7 @@ use super::{
 };
 
 fn small_file() -> Vec<u8> {
-    encode(&small(), &settings()).expect("encodes").bytes
+    encode(&small(), None, &settings()).expect("encodes").bytes
 }
 
 fn fault(bytes: &[u8]) -> DecodeError {

@@ -5,19 +5,21 @@
 
 use std::ops::Range;
 
-use super::{
-    bytes::{Reader, Writer},
-    decode::reserved,
-    error::DecodeError,
-    fit,
-    quantise::Symbols,
-    symbols::Distribution,
+use crate::{
+    codec::{
+        bytes::{Reader, Writer},
+        decode::reserved,
+        error::DecodeError,
+        fit,
+        quantise::Symbols,
+        symbols::Distribution,
+    },
+    domain::anchors::SCALINGS_PER_ANCHOR,
 };
-use crate::domain::anchors::SCALINGS_PER_ANCHOR;
 
 /// A kind of attribute, in the order in which a chunk stores its streams.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Attribute {
+pub(in crate::codec) enum Attribute {
     /// F channels.
     Features,
     /// Six channels.
@@ -27,20 +29,21 @@ pub(super) enum Attribute {
 }
 
 impl Attribute {
-    pub(super) const ALL: [Self; 3] = [Attribute::Features, Attribute::Scalings, Attribute::Offsets];
+    pub(in crate::codec) const ALL: [Self; 3] =
+        [Attribute::Features, Attribute::Scalings, Attribute::Offsets];
 }
 
 /// The widths of a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Shape {
-    pub(super) anchors: usize,
-    pub(super) feature_dim: usize,
-    pub(super) offsets_per_anchor: usize,
+pub(in crate::codec) struct Shape {
+    pub(in crate::codec) anchors: usize,
+    pub(in crate::codec) feature_dim: usize,
+    pub(in crate::codec) offsets_per_anchor: usize,
 }
 
 impl Shape {
     /// Channels of an attribute.
-    pub(super) fn channels(self, attribute: Attribute) -> usize {
+    pub(in crate::codec) fn channels(self, attribute: Attribute) -> usize {
         match attribute {
             Attribute::Features => self.feature_dim,
             Attribute::Scalings => SCALINGS_PER_ANCHOR,
@@ -50,14 +53,14 @@ impl Shape {
 }
 
 /// Which (mean, scale) a symbol has.
-pub(super) trait SymbolModel: Sync {
+pub(in crate::codec) trait SymbolModel: Sync {
     /// The distribution of the symbol of `anchor` (in file order) in one channel of `attribute`.
     fn distribution(&self, anchor: usize, attribute: Attribute, channel: usize) -> Distribution;
 }
 
 /// One distribution a channel, the same for every anchor.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct ChannelModel([Vec<Distribution>; 3]);
+pub(in crate::codec) struct ChannelModel([Vec<Distribution>; 3]);
 
 impl SymbolModel for ChannelModel {
     fn distribution(&self, _anchor: usize, attribute: Attribute, channel: usize) -> Distribution {
@@ -67,7 +70,7 @@ impl SymbolModel for ChannelModel {
 
 impl ChannelModel {
     /// Fits each channel to its symbols.
-    pub(super) fn fit(symbols: &Symbols, shape: Shape) -> Self {
+    pub(in crate::codec) fn fit(symbols: &Symbols, shape: Shape) -> Self {
         use rayon::prelude::*;
         Self(Attribute::ALL.map(|attribute| {
             let channels = shape.channels(attribute);
@@ -87,12 +90,12 @@ impl ChannelModel {
     }
 
     /// Stores the distributions of every attribute in turn.
-    pub(super) fn write(&self, writer: &mut Writer) {
+    pub(in crate::codec) fn write(&self, writer: &mut Writer) {
         self.0.iter().flatten().for_each(|distribution| fit::write(*distribution, writer));
     }
 
     /// Reads what [`ChannelModel::write`] stored, with the place of each attribute's part.
-    pub(super) fn read(
+    pub(in crate::codec) fn read(
         reader: &mut Reader<'_>,
         shape: Shape,
     ) -> Result<(Self, [Range<usize>; 3]), DecodeError> {
@@ -114,7 +117,7 @@ impl ChannelModel {
 
 impl Symbols {
     /// The integers of one attribute.
-    pub(super) fn of(&self, attribute: Attribute) -> &[i32] {
+    pub(in crate::codec) fn of(&self, attribute: Attribute) -> &[i32] {
         match attribute {
             Attribute::Features => &self.features,
             Attribute::Scalings => &self.scalings,

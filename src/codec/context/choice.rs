@@ -1,0 +1,56 @@
+//! What an encoder may be told about contexts, and what it answers.
+
+use serde::{Deserialize, Serialize};
+
+use crate::domain::context::ContextKind;
+
+/// How the symbols of an attribute group are predicted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum GroupChoice {
+    /// One distribution a channel, the same for every anchor.
+    Static,
+    /// By a network that is given something about the anchor.
+    Network {
+        /// What it is given.
+        kind: ContextKind,
+        /// Bits of a weight: 8, 6 or 4.
+        weight_bits: u8,
+    },
+}
+
+/// The contexts of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ContextChoice {
+    /// Index of the planes among the candidates, none where no group samples them.
+    pub planes: Option<usize>,
+    /// Choices in the order of [`crate::domain::AttributeGroup::ALL`].
+    pub groups: [GroupChoice; 3],
+}
+
+impl ContextChoice {
+    /// Tables for every group.
+    pub const STATIC: Self = Self { planes: None, groups: [GroupChoice::Static; 3] };
+}
+
+/// How an encoder decides between contexts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ContextSearch {
+    /// Whatever takes the fewest bytes in the file, of all candidates.
+    #[default]
+    Cheapest,
+    /// This and nothing else.
+    Fixed(ContextChoice),
+}
+
+/// Everything that an encoder may be told about contexts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct ContextSettings {
+    /// Which contexts to use.
+    pub search: ContextSearch,
+    /// By how many steps of the step table (7/32 of an octave each) the features, scalings and offsets are quantised more
+    /// coarsely than trained; negative is finer. This and not a larger base step is how to save bytes where there are
+    /// networks: their predictions are in base steps.
+    pub coarser: [i8; 3],
+}

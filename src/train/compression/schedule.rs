@@ -1,0 +1,200 @@
+//! When a run begins to feel what its file will cost, in fractions of the run (method.md §4.6, §4.13).
+//!
+//! What always holds: the stages come in the order of [`Stage`], and each begins after some step, when the host sets it up.
+
+use crate::{
+    domain::{Component, ContextKind, ModelKind, Preset, TrainOptions},
+    train::Decay,
+};
+
+/// Share of the anchors whose rate a step measures (method.md §4.6).
+const SAMPLED: f64 = 0.15;
+
+/// Weight of the planes' reconstruction loss (method.md §4.7).
+const RECONSTRUCTION: f32 = 0.01;
+
+/// Weight of the bits an element in the loss, if a job does not state it (method.md §4.7).
+const DEFAULT_LAMBDA: f64 = 1e-3;
+
+/// Base steps as shares of the spreads of features, scalings and offsets.
+const SPREAD_SHARES: [f32; 3] = [0.25, 0.1, 0.15];
+
+/// What rendering sees of the attributes, and what the rate term does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stage {
+    /// Attributes as they are.
+    Plain,
+    /// Attributes with uniform noise as wide as the base steps.
+    Noise,
+    /// The context model learns, and with it every anchor's own steps; the rate is part of the loss.
+    Context,
+    /// As the decoder will see it: attributes, the networks' weights and the planes' latents rounded to what a file holds.
+    Rounded,
+}
+
+/// How the base steps of the attribute groups are chosen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum BaseStepRule {
+    /// 1 for features, 0.001 world units for scalings, 0.2 for offsets (method.md §4.13).
+    Published,
+    /// These shares of the groups' spreads when a stage begins: features of short runs are still so small that the published
+    /// noise would drown them.
+    OfSpread([f32; 3]),
+}
+
+/// The stages of compression-aware training.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CompressionSchedule {
+    /// First step with noise.
+    pub noise_from: u32,
+    /// First step of the context model.
+    pub context_from: u32,
+    /// First step whose loss has the planes' reconstruction.
+    pub reconstruct_from: u32,
+    /// First step that sees everything rounded.
+    pub rounded_from: u32,
+    /// Last step.
+    pub steps: u32,
+    /// How base steps are chosen.
+    pub base: BaseStepRule,
+    /// Weight of the bits an element in the loss.
+    pub lambda: f64,
+    /// Seed of noise and samples.
+    pub seed: u64,
+    /// Share of the anchors in the sample of a step.
+    pub sampled: f64,
+    /// Rate of planes and of their down- and up-sampling, from the begin of the context model to the end of the run.
+    pub planes: Decay,
+    /// Rate of the groups' networks, over the same steps.
+    pub networks: Decay,
+    /// Weight of the planes' reconstruction loss.
+    pub reconstruction: f32,
+    /// What the groups' networks are given.
+    pub kind: ContextKind,
+    /// Whether planes are stored as latents and up-sampling layers, and not as they are.
+    pub compresses_planes: bool,
+}
+
+impl CompressionSchedule {
+    /// The stages of a job of `steps` steps; none for the baselines.
+    pub(in crate::train) fn new(options: &TrainOptions, steps: u32) -> Option<Self> {
+        if options.model != ModelKind::Tcgs {
+            return None;
+        }
+        let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
+        let rate = Decay { start: 5e-3, end: 1e-5 };
+        let paper = options.preset == Preset::Paper;
+        Some(Self {
+            noise_from: part(0.1) + 1,
+            context_from: part(1.0 / 3.0) + 1,
+            reconstruct_from: part(0.5) + 1,
+            rounded_from: part(0.85) + 1,
+            steps,
+            base: if paper { BaseStepRule::Published } else { BaseStepRule::OfSpread(SPREAD_SHARES) },
+            lambda: options.lambda.unwrap_or(DEFAULT_LAMBDA),
+            seed: options.seed,
+            sampled: SAMPLED,
+            planes: rate,
+            networks: rate,
+            reconstruction: RECONSTRUCTION,
+            kind: if !options.has(Component::TriPlane) {
+                ContextKind::Position
+            } else if !options.has(Component::Knn) {
+                ContextKind::TriPlane
+            } else {
+                ContextKind::TriPlaneKnn
+            },
+            compresses_planes: options.has(Component::PlaneCompression),
+        })
+    }
+
+    /// What `step` is part of.
+    #[must_use]
+    pub fn stage(&self, step: u32) -> Stage {
+        if step >= self.rounded_from {
+            Stage::Rounded
+        } else if step >= self.context_from {
+            Stage::Context
+        } else if step >= self.noise_from {
+            Stage::Noise
+        } else {
+            Stage::Plain
+        }
+    }
+
+    /// Whether another stage begins after `step`, which is not the last one.
+    #[must_use]
+    pub fn turns_after(&self, step: u32) -> bool {
+        step < self.steps && self.stage(step) != self.stage(step + 1)
+    }
+
+    /// How far the context model is at `step`: 0 before its first step, 1 at the run's last one.
+    #[must_use]
+    pub fn learnt(&self, step: u32) -> f64 {
+        let before = self.context_from.saturating_sub(1);
+        let whole = self.steps.saturating_sub(before).max(1);
+        f64::from(step.saturating_sub(before)) / f64::from(whole)
+    }
+
+    /// Weight of the planes' reconstruction loss at `step`.
+    #[must_use]
+    pub fn reconstruction_at(&self, step: u32) -> f32 {
+        let learns = (self.reconstruct_from..self.rounded_from).contains(&step);
+        if learns && self.compresses_planes { self.reconstruction } else { 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn schedule(options: &TrainOptions) -> CompressionSchedule {
+        let steps = crate::train::Schedule::new(options).steps;
+        CompressionSchedule::new(options, steps).expect("compression")
+    }
+
+    #[test]
+    fn a_run_of_30_000_has_the_published_stages_with_the_mended_steps() {
+        let paper = schedule(&TrainOptions { preset: Preset::Paper, ..TrainOptions::default() });
+        assert_eq!((paper.noise_from, paper.context_from), (3_001, 10_001));
+        assert_eq!((paper.reconstruct_from, paper.rounded_from), (15_001, 25_501));
+        assert_eq!(paper.base, BaseStepRule::Published);
+        assert_eq!((paper.lambda, paper.sampled, paper.reconstruction), (0.001, 0.15, 0.01));
+        assert!((paper.networks.at(paper.learnt(10_001)) - 5e-3).abs() < 1e-5);
+        assert!((paper.planes.at(paper.learnt(30_000)) - 1e-5).abs() < 1e-12);
+        assert_eq!([15_000, 15_001].map(|step| paper.reconstruction_at(step)), [0.0, 0.01]);
+        let stages = [1, 3_000, 3_001, 10_000, 10_001, 25_500, 25_501, 30_000].map(|step| paper.stage(step));
+        use Stage::{Context, Noise, Plain, Rounded};
+        assert_eq!(stages, [Plain, Plain, Noise, Noise, Context, Context, Rounded, Rounded]);
+        let turns: Vec<u32> = (0..=30_000).filter(|step| paper.turns_after(*step)).collect();
+        assert_eq!(turns, [3_000, 10_000, 25_500]);
+    }
+
+    #[test]
+    fn stages_keep_their_order_in_the_shortest_runs() {
+        for steps in [1, 2, 3, 7, 30, 400] {
+            let run = schedule(&TrainOptions { iterations: Some(steps), ..TrainOptions::default() });
+            assert!((1..steps).all(|step| run.stage(step) <= run.stage(step + 1)), "{run:?}");
+            assert!((0..=steps).all(|step| (0.0..=1.0).contains(&run.learnt(step))));
+        }
+    }
+
+    #[test]
+    fn parts_that_are_left_out_are_left_out() {
+        let without = |parts: &[Component]| {
+            let without = parts.iter().copied().collect();
+            schedule(&TrainOptions { without, ..TrainOptions::default() })
+        };
+        assert_eq!(without(&[]).kind, ContextKind::TriPlaneKnn);
+        assert_eq!(without(&[Component::Knn]).kind, ContextKind::TriPlane);
+        assert_eq!(without(&[Component::TriPlane]).kind, ContextKind::Position);
+        assert!(without(&[]).compresses_planes && !without(&[Component::PlaneCompression]).compresses_planes);
+        assert_eq!(without(&[Component::PlaneCompression]).reconstruction_at(1_100), 0.0);
+        for model in [ModelKind::Scaffold, ModelKind::Gaussians3d] {
+            assert_eq!(
+                CompressionSchedule::new(&TrainOptions { model, ..TrainOptions::default() }, 100),
+                None
+            );
+        }
+    }
+}
