@@ -1,7 +1,7 @@
 //! How many steps fill given seconds, found by runs whose speed is not the same twice.
 //!
 //! Speed changes with growth and with what else the machine does, so one run's speed is only a first guess. Once some run
-//! took less than the seconds and another more, the answer lies between the two and is interpolated: no later guess
+//! took less than the seconds and another more, the answer lies between the two, on the power of the steps through both: no later guess
 //! is further off than what is known already.
 
 /// Share of the seconds by which a run may miss them.
@@ -27,7 +27,8 @@ pub(super) fn next_steps(runs: &[Run], budget: f64) -> Option<u64> {
     let above = runs.iter().filter(|run| run.1 > budget).min_by(|a, b| a.1.total_cmp(&b.1));
     let steps = match (below, above) {
         (Some(&(few, short)), Some(&(many, long))) if few < many => {
-            few as f64 + (many - few) as f64 * (budget - short) / (long - short)
+            let share = (budget / short.max(1e-9)).ln() / (long / short.max(1e-9)).ln();
+            few as f64 * (many as f64 / few.max(1) as f64).powf(share)
         }
         // More steps took fewer seconds: what is known is the machine's mood, so the mean speed has to do.
         (Some(a), Some(b)) => budget * (a.0 + b.0) as f64 / (a.1 + b.1),
@@ -65,7 +66,7 @@ mod tests {
     #[test]
     fn the_first_guess_is_proportional_and_the_next_lies_between() {
         assert_eq!(next_steps(&[(100, 25.0)], 100.0), Some(400));
-        assert_eq!(next_steps(&[(100, 25.0), (400, 175.0)], 100.0), Some(250));
+        assert_eq!(next_steps(&[(100, 25.0), (400, 175.0)], 100.0), Some(268));
         assert_eq!(next_steps(&[(100, 60.0), (120, 30.0)], 100.0), Some(167), "the nearest one's speed");
         assert_eq!(next_steps(&[(300, 80.0), (200, 120.0)], 100.0), Some(250), "a mean speed");
     }
