@@ -43,6 +43,8 @@ pub(crate) struct ServeOptions {
     pub(crate) adapter: AdapterChoice,
     /// What each worker may take.
     pub(crate) memory: MemoryLimits,
+    /// Bytes on the device that views may take in this process.
+    pub(crate) view_memory: u64,
     /// Weights of LPIPS, for the workers.
     pub(crate) lpips: Option<PathBuf>,
     /// Worker processes to start.
@@ -71,7 +73,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
     runtime()?.block_on(async {
         // Before any worker starts, which would find the same faults.
         super::lpips(options.lpips.as_deref())?;
-        let (renderer, _) = super::views(&options.adapter)?;
+        let (renderer, _) = super::views(&options.adapter, options.view_memory)?;
         let listener = http::bind(&config).await.map_err(|fault| unavailable(&fault))?;
         let (store, blobs) = open(&options.data).await?;
         let shutdown = stop_on_signals()?;

@@ -66,7 +66,7 @@ fn an_unknown_critical_section_is_refused() {
 #[test]
 fn a_near_plane_that_is_not_the_usual_one_takes_an_optional_section_of_four_bytes() {
     let near = NearPlane::of_extent(0.01);
-    let bytes = encode(&AnchorScene { near, ..small() }, &settings()).expect("encodes").bytes;
+    let bytes = encode(&AnchorScene { near, ..small() }, None, &settings()).expect("encodes").bytes;
     assert_eq!(decode(&bytes, &DecodeLimits::default()).expect("decodes").scene.near, near);
     let parts = wire::parts(&bytes);
     assert_eq!(parts.last(), Some(&(*b"VIEW", 0, near.depth().to_le_bytes().to_vec())));

@@ -163,6 +163,7 @@ impl RenderViews for FakeRenderer {
         match width {
             13 => panic!("as the test wants it"),
             14 => return Err(Problem::new(500, "device-lost", "Device lost", "as the test wants it")),
+            15 => return Err(Problem::new(507, "gpu-memory", "Too large", "as the test wants it")),
             17 => self.gate.pass(),
             _ => {}
         }
