@@ -1,4 +1,4 @@
-//! The attributes section: the model's parameters, a chunk index, then chunks that decode on their own.
+//! The attributes section: the tables of groups without a network, a chunk index, then chunks that decode on their own.
 //!
 //! A chunk holds consecutive anchors in file order as three streams: features, scalings, offsets. Chunks are
 //! coded in parallel; each is a function of its own bytes, so the result does not depend on the threads.
@@ -9,12 +9,14 @@ use rayon::prelude::*;
 
 use super::{
     bytes::{Reader, Writer},
-    context::{Attribute, ChannelModel, Shape, SymbolModel},
-    decode::reserved,
+    context::{AnchorContext, GroupModel, steps::MAX_STEP},
+    decode::{reserved, zeroed},
     error::DecodeError,
-    quantise::Symbols,
-    range::{StreamDecoder, StreamEncoder},
+    fit,
+    range::StreamDecoder,
+    shape::{Attribute, Shape},
 };
+use crate::domain::context::ContextKind;
 
 const PART: &str = "attributes";
 
@@ -24,63 +26,84 @@ const STREAMS: [&str; 3] = ["features", "scalings", "offsets"];
 /// Fewest bytes of a chunk's index entry: three varints and a checksum.
 const MIN_ENTRY: usize = 7;
 
-/// The attributes section.
-pub(super) fn encode(symbols: &Symbols, shape: Shape, chunk_anchors: usize) -> Vec<u8> {
-    let model = ChannelModel::fit(symbols, shape);
-    let chunks: Vec<[Vec<u8>; 3]> = ranges(shape.anchors, chunk_anchors)
-        .into_par_iter()
-        .map(|anchors| encode_chunk(symbols, shape, &model, anchors))
-        .collect();
+/// An attribute group as the encoder coded it.
+pub(super) struct CodedGroup {
+    /// What predicts it.
+    pub(super) model: GroupModel,
+    /// Of each chunk.
+    pub(super) streams: Vec<Vec<u8>>,
+    /// `[N][channels]` integers.
+    pub(super) symbols: Vec<i32>,
+    /// `[N]` step indices.
+    pub(super) steps: Vec<i8>,
+}
+
+/// The attributes section, of groups in the order of [`Attribute::ALL`].
+pub(super) fn encode(groups: [&CodedGroup; 3]) -> Vec<u8> {
     let mut writer = Writer::new();
-    model.write(&mut writer);
-    for streams in &chunks {
+    groups.iter().for_each(|group| write_parameters(&group.model, &mut writer));
+    for chunk in 0..groups[0].streams.len() {
+        let streams = groups.map(|group| &group.streams[chunk]);
         streams.iter().for_each(|stream| writer.varint(stream.len() as u64));
-        writer.u32(crc32c::crc32c(&streams.concat()));
+        writer.u32(streams.iter().fold(0, |crc, stream| crc32c::crc32c_append(crc, stream)));
     }
-    chunks.iter().flatten().for_each(|stream| writer.raw(stream));
+    for chunk in 0..groups[0].streams.len() {
+        groups.iter().for_each(|group| writer.raw(&group.streams[chunk]));
+    }
     writer.into_bytes()
 }
 
-fn encode_chunk(
-    symbols: &Symbols,
-    shape: Shape,
-    model: &impl SymbolModel,
-    anchors: Range<usize>,
-) -> [Vec<u8>; 3] {
-    Attribute::ALL.map(|attribute| {
-        let channels = shape.channels(attribute);
-        let all = symbols.of(attribute);
-        let mut stream = StreamEncoder::new();
-        for anchor in anchors.clone() {
-            for channel in 0..channels {
-                if is_coded(&symbols.masks, shape, anchor, attribute, channel) {
-                    let distribution = model.distribution(anchor, attribute, channel);
-                    distribution.encode(&mut stream, all[anchor * channels + channel]);
-                }
-            }
-        }
-        stream.finish()
-    })
+/// What this section says about a group's model: tables, or nothing where there is a network.
+pub(super) fn write_parameters(model: &GroupModel, writer: &mut Writer) {
+    if let GroupModel::Static { step, channels } = model {
+        writer.signed(i64::from(*step));
+        channels.iter().for_each(|distribution| fit::write(*distribution, writer));
+    }
+}
+
+fn read_tables(reader: &mut Reader<'_>, channels: usize) -> Result<GroupModel, DecodeError> {
+    let step = reader.signed("a step")?;
+    if step.abs() > i64::from(MAX_STEP) {
+        return Err(reader.malformed("a step", step));
+    }
+    let mut distributions = reserved("channels", channels)?;
+    for _ in 0..channels {
+        distributions.push(fit::read(reader)?);
+    }
+    Ok(GroupModel::Static { step: step as i8, channels: distributions })
 }
 
 /// Offsets that are masked off are not in the file.
-fn is_coded(masks: &[bool], shape: Shape, anchor: usize, attribute: Attribute, channel: usize) -> bool {
+pub(super) fn is_coded(
+    masks: &[bool],
+    shape: Shape,
+    anchor: usize,
+    attribute: Attribute,
+    channel: usize,
+) -> bool {
     attribute != Attribute::Offsets || masks[anchor * shape.offsets_per_anchor + channel / 3]
 }
 
-fn ranges(anchors: usize, chunk_anchors: usize) -> Vec<Range<usize>> {
+/// The anchors of each chunk.
+pub(super) fn ranges(anchors: usize, chunk_anchors: usize) -> Vec<Range<usize>> {
     (0..anchors).step_by(chunk_anchors).map(|start| start..(start + chunk_anchors).min(anchors)).collect()
 }
 
+/// The integers of each group, and the step index of each anchor.
+pub(super) type Integers = ([Vec<i32>; 3], [Vec<i8>; 3]);
+
 /// The section taken apart but not decoded; all places are offsets within the section and tile it.
 pub(super) struct Layout {
-    pub(super) model: ChannelModel,
+    /// Each attribute's tables, none where it has a network.
+    pub(super) tables: [Option<GroupModel>; 3],
     /// Each attribute's model parameters.
     pub(super) parameters: [Range<usize>; 3],
     /// The chunk index.
     pub(super) index: Range<usize>,
     /// Each chunk's streams and checksum.
     pub(super) chunks: Vec<ChunkPlace>,
+    /// Anchors in every chunk but the last.
+    chunk_anchors: usize,
 }
 
 /// A chunk's place in the section.
@@ -94,9 +117,22 @@ pub(super) struct ChunkPlace {
 
 impl Layout {
     /// Reads parameters and index, and checks that the chunks fill the rest of the section.
-    pub(super) fn read(section: &[u8], shape: Shape, chunk_anchors: usize) -> Result<Self, DecodeError> {
+    pub(super) fn read(
+        section: &[u8],
+        shape: Shape,
+        chunk_anchors: usize,
+        kinds: [Option<ContextKind>; 3],
+    ) -> Result<Self, DecodeError> {
         let mut reader = Reader::new(PART, section);
-        let (model, parameters) = ChannelModel::read(&mut reader, shape)?;
+        let mut tables = [None, None, None];
+        let mut parameters = [0..0, 0..0, 0..0];
+        for attribute in Attribute::ALL {
+            let start = reader.position();
+            if kinds[attribute as usize].is_none() {
+                tables[attribute as usize] = Some(read_tables(&mut reader, shape.channels(attribute))?);
+            }
+            parameters[attribute as usize] = start..reader.position();
+        }
         let index_start = reader.position();
         let count = shape.anchors.div_ceil(chunk_anchors);
         if count > reader.left() / MIN_ENTRY {
@@ -129,71 +165,90 @@ impl Layout {
             chunks.push(ChunkPlace { anchors, streams, checksum });
         }
         reader.end()?;
-        Ok(Self { model, parameters, index, chunks })
+        Ok(Self { tables, parameters, index, chunks, chunk_anchors })
     }
 
-    /// Decodes every chunk: features, scalings and offsets of all anchors.
+    /// Decodes every chunk by the groups' models: features, scalings and offsets of all anchors, with the step indices of
+    /// each.
     pub(super) fn decode(
         &self,
         section: &[u8],
         shape: Shape,
         masks: &[bool],
-    ) -> Result<[Vec<i32>; 3], DecodeError> {
-        let decoded: Vec<Result<[Vec<i32>; 3], DecodeError>> = self
-            .chunks
-            .par_iter()
-            .enumerate()
-            .map(|(number, chunk)| {
-                let bytes = &section[chunk.streams[0].start..chunk.streams[2].end];
-                let actual = crc32c::crc32c(bytes);
-                if actual != chunk.checksum {
-                    return Err(DecodeError::ChunkChecksum { chunk: number, stated: chunk.checksum, actual });
-                }
-                decode_chunk(section, shape, &self.model, chunk, masks)
-            })
-            .collect();
-        let mut all = [Vec::new(), Vec::new(), Vec::new()];
+        models: [&GroupModel; 3],
+        anchors: &AnchorContext,
+    ) -> Result<Integers, DecodeError> {
+        let mut symbols = [Vec::new(), Vec::new(), Vec::new()];
+        let mut steps = [Vec::new(), Vec::new(), Vec::new()];
         for attribute in Attribute::ALL {
-            all[attribute as usize] = reserved("attributes", shape.anchors * shape.channels(attribute))?;
+            symbols[attribute as usize] = zeroed("attributes", shape.anchors * shape.channels(attribute))?;
+            steps[attribute as usize] = zeroed("steps", shape.anchors)?;
         }
-        for chunk in decoded {
-            for (all, part) in all.iter_mut().zip(chunk?) {
-                all.extend(part);
+        let mut chunks: Vec<ChunkTask<'_>> = self
+            .chunks
+            .iter()
+            .enumerate()
+            .map(|(number, place)| ChunkTask { number, place, groups: Vec::with_capacity(3) })
+            .collect();
+        for ((attribute, symbols), steps) in Attribute::ALL.into_iter().zip(&mut symbols).zip(&mut steps) {
+            let symbols = symbols.chunks_mut(self.chunk_anchors * shape.channels(attribute));
+            let steps = steps.chunks_mut(self.chunk_anchors);
+            for ((chunk, symbols), steps) in chunks.iter_mut().zip(symbols).zip(steps) {
+                chunk.groups.push((attribute, symbols, steps));
             }
         }
-        Ok(all)
+        let decoded: Vec<Result<(), DecodeError>> = chunks
+            .into_par_iter()
+            .map(|chunk| chunk.decode(section, shape, masks, models, anchors))
+            .collect();
+        // In the order of the file, so that the first fault is named whatever the threads did.
+        decoded.into_iter().collect::<Result<(), DecodeError>>()?;
+        Ok((symbols, steps))
     }
 }
 
-fn decode_chunk(
-    section: &[u8],
-    shape: Shape,
-    model: &impl SymbolModel,
-    chunk: &ChunkPlace,
-    masks: &[bool],
-) -> Result<[Vec<i32>; 3], DecodeError> {
-    let mut decoded = [Vec::new(), Vec::new(), Vec::new()];
-    for attribute in Attribute::ALL {
-        let name = STREAMS[attribute as usize];
-        let channels = shape.channels(attribute);
-        let mut stream = StreamDecoder::new(name, &section[chunk.streams[attribute as usize].clone()])?;
-        let mut symbols = reserved("attributes", chunk.anchors.len() * channels)?;
-        for anchor in chunk.anchors.clone() {
-            for channel in 0..channels {
-                symbols.push(if is_coded(masks, shape, anchor, attribute, channel) {
-                    model.distribution(anchor, attribute, channel).decode(&mut stream)?
-                } else {
-                    0
-                });
+/// A chunk, and where its integers and step indices go.
+struct ChunkTask<'a> {
+    number: usize,
+    place: &'a ChunkPlace,
+    groups: Vec<(Attribute, &'a mut [i32], &'a mut [i8])>,
+}
+
+impl ChunkTask<'_> {
+    fn decode(
+        self,
+        section: &[u8],
+        shape: Shape,
+        masks: &[bool],
+        models: [&GroupModel; 3],
+        context: &AnchorContext,
+    ) -> Result<(), DecodeError> {
+        let ChunkPlace { anchors, streams, checksum } = self.place;
+        let actual = crc32c::crc32c(&section[streams[0].start..streams[2].end]);
+        if actual != *checksum {
+            return Err(DecodeError::ChunkChecksum { chunk: self.number, stated: *checksum, actual });
+        }
+        for (attribute, symbols, steps) in self.groups {
+            let part = STREAMS[attribute as usize];
+            let channels = shape.channels(attribute);
+            let mut stream = StreamDecoder::new(part, &section[streams[attribute as usize].clone()])?;
+            let mut rows = models[attribute as usize].rows(context);
+            for ((anchor, row), step) in anchors.clone().zip(symbols.chunks_exact_mut(channels)).zip(steps) {
+                let (index, distributions) = rows.at(anchor);
+                *step = index;
+                for (channel, (symbol, distribution)) in row.iter_mut().zip(distributions).enumerate() {
+                    if is_coded(masks, shape, anchor, attribute, channel) {
+                        *symbol = distribution.decode(&mut stream)?;
+                    }
+                }
+            }
+            stream.finish()?;
+            if attribute == Attribute::Scalings
+                && let Some(symbol) = symbols.iter().find(|symbol| **symbol < 1)
+            {
+                return Err(DecodeError::Malformed { part, what: "a scaling", value: symbol.to_string() });
             }
         }
-        stream.finish()?;
-        decoded[attribute as usize] = symbols;
-    }
-    match decoded[Attribute::Scalings as usize].iter().find(|symbol| **symbol < 1) {
-        None => Ok(decoded),
-        Some(symbol) => {
-            Err(DecodeError::Malformed { part: STREAMS[1], what: "a scaling", value: symbol.to_string() })
-        }
+        Ok(())
     }
 }

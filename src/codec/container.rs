@@ -17,6 +17,10 @@ pub(super) const MAGIC: [u8; 8] = *b"\x89TCGS\r\n\x1a";
 /// Format version that this program writes. Another major is refused; a minor may only add optional sections.
 pub(super) const VERSION: (u16, u16) = (1, 0);
 
+/// The integer arithmetic between bytes and symbols (`FORMAT.md`). A file of another profile would decode to something
+/// else, and is refused.
+pub(super) const ARITHMETIC_PROFILE: u16 = 1;
+
 /// Bytes before the section table.
 pub(super) const FIXED_HEADER: usize = 60;
 
@@ -24,7 +28,7 @@ pub(super) const FIXED_HEADER: usize = 60;
 pub(super) const TABLE_ENTRY: usize = 28;
 
 /// More sections than any version needs.
-const MAX_SECTIONS: u32 = 64;
+const MAX_SECTIONS: u16 = 64;
 
 /// Set on a section that a decoder must understand.
 const CRITICAL: u32 = 1;
@@ -72,7 +76,11 @@ impl<'a> Container<'a> {
                 known: VERSION.0,
             });
         }
-        let count = reader.u32("section count")?;
+        let count = reader.u16("section count")?;
+        let profile = reader.u16("arithmetic profile")?;
+        if profile != ARITHMETIC_PROFILE {
+            return Err(DecodeError::UnsupportedProfile { profile, known: ARITHMETIC_PROFILE });
+        }
         if count > MAX_SECTIONS {
             return Err(reader.malformed("section count", count));
         }
@@ -103,6 +111,22 @@ impl<'a> Container<'a> {
     /// A section that a file may have.
     pub(super) fn find(&self, id: SectionId) -> Option<Section<'a>> {
         self.sections.iter().find(|section| section.id == id).copied()
+    }
+
+    /// The content of a section that a file has where it is `needed`, and only there.
+    pub(super) fn section_if(
+        &self,
+        needed: bool,
+        id: SectionId,
+        name: &'static str,
+    ) -> Result<Option<Section<'a>>, DecodeError> {
+        if needed {
+            return self.section(id, name).map(Some);
+        }
+        match self.section(id, name) {
+            Ok(_) => Err(DecodeError::NeedlessSection { section: name }),
+            Err(_) => Ok(None),
+        }
     }
 
     /// Refuses critical sections that are not in `known`.
@@ -166,7 +190,8 @@ pub(super) fn write(sections: &[(SectionId, Vec<u8>)], optional: &[SectionId]) -
     writer.raw(&MAGIC);
     writer.u16(VERSION.0);
     writer.u16(VERSION.1);
-    writer.u32(sections.len() as u32);
+    writer.u16(sections.len() as u16);
+    writer.u16(ARITHMETIC_PROFILE);
     writer.u64(length as u64);
     writer.raw(&[0; FIXED_HEADER - DIGEST_AT]);
     let mut offset = header;

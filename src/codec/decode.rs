@@ -1,16 +1,19 @@
 //! From a file to a scene: a pure function of the bytes, within limits that the caller sets.
 
 use super::{
-    attributes::Layout,
+    attributes,
     container::Container,
+    context::{AnchorContext, GroupModel, IntegerPlanes, section},
     digest::decode_digest,
     error::DecodeError,
     manifest::Manifest,
     masks, networks, positions,
     quantise::{self, Symbols},
-    sections, view,
+    sections,
+    shape::Attribute,
+    view,
 };
-use crate::domain::{AnchorScene, Digest, anchors::SCALINGS_PER_ANCHOR};
+use crate::domain::{AnchorScene, Digest, anchors::SCALINGS_PER_ANCHOR, context::ContextKind};
 
 /// What a caller is willing to decode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,7 +22,8 @@ pub struct DecodeLimits {
     pub max_file_bytes: u64,
     /// Most anchors.
     pub max_anchors: u64,
-    /// Most bytes that the anchors may take, and that the networks may take, with the decoder's own arrays.
+    /// Most bytes that the anchors may take, and that the networks, the context's networks and its planes may take, each
+    /// with the decoder's own arrays.
     pub max_memory_bytes: u64,
 }
 
@@ -54,7 +58,7 @@ pub struct Decoded {
 pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeError> {
     within("file bytes", bytes.len() as u64, limits.max_file_bytes)?;
     let container = Container::parse(bytes)?;
-    container.check_known(&sections::KNOWN)?;
+    container.check_known(&sections::ALL)?;
     let manifest = Manifest::decode(container.section(sections::MANIFEST, "manifest")?.bytes)?;
     within("anchors", manifest.anchors as u64, limits.max_anchors)?;
     within("bytes of memory", memory(&manifest), limits.max_memory_bytes)?;
@@ -73,11 +77,14 @@ pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeErro
             value: format!("{gaussians} where {} are stated", manifest.gaussians),
         });
     }
+    let (networks_of_groups, anchors) = context(&container, &manifest, &cells, limits)?;
     let section = container.section(sections::ATTRIBUTES, "attributes")?.bytes;
-    let layout = Layout::read(section, shape, manifest.chunk_anchors)?;
-    let [features, scalings, offsets] = layout.decode(section, shape, &masks)?;
+    let mut layout = attributes::Layout::read(section, shape, manifest.chunk_anchors, manifest.kinds())?;
+    let tables = std::mem::take(&mut layout.tables);
+    let models = join(tables, networks_of_groups)?;
+    let (groups, steps) = layout.decode(section, shape, &masks, models.each_ref(), &anchors)?;
 
-    let symbols = Symbols { cells, masks, features, scalings, offsets };
+    let symbols = Symbols { cells, masks, groups, steps };
     let mut scene = quantise::dequantise(symbols, &networks, &manifest);
     scene.near = view::decode(container.find(sections::VIEW))?;
     let decode_sha256 = decode_digest(&scene);
@@ -87,11 +94,58 @@ pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeErro
     Ok(Decoded { scene, manifest, decode_sha256 })
 }
 
-/// Bytes that decoding takes at its peak: integers twice (by chunk and joined), then integers and floats of the
-/// attributes, a mask byte an offset, cells with two levels of Morton codes.
+/// The networks of the groups that have one, and what they are given about each anchor.
+fn context(
+    container: &Container<'_>,
+    manifest: &Manifest,
+    cells: &[[i32; 3]],
+    limits: &DecodeLimits,
+) -> Result<([Option<GroupModel>; 3], AnchorContext), DecodeError> {
+    let kinds = manifest.kinds();
+    let any = |wanted: fn(ContextKind) -> bool| kinds.iter().flatten().any(|kind| wanted(*kind));
+    let samples = any(|kind| kind.sampled() > 0);
+    let neighbours = any(|kind| kind.sampled() > 1);
+    let context = container.section_if(any(|_| true), sections::CONTEXT, "context")?;
+    let planes = container.section_if(samples, sections::PLANES, "planes")?;
+    let Some(context) = context else { return Ok(([None, None, None], AnchorContext::default())) };
+
+    let layout = section::Layout::read(context.bytes, kinds)?;
+    let planes =
+        planes.map(|planes| IntegerPlanes::decode(planes.bytes, limits.max_memory_bytes)).transpose()?;
+    let channels = planes.as_ref().map_or(0, IntegerPlanes::plane_channels);
+    let shape = manifest.shape();
+    let widths = Attribute::ALL.map(|attribute| shape.channels(attribute));
+    let networks = layout.networks(context.bytes, kinds, channels, widths, limits.max_memory_bytes)?;
+    let memory = cells.len() as u64 * AnchorContext::bytes_an_anchor(channels, neighbours);
+    within("bytes of memory for the context", memory, limits.max_memory_bytes)?;
+
+    let mut anchors = AnchorContext::new(&layout.frame, cells);
+    if let Some(planes) = planes {
+        anchors.sample(&planes.texels());
+    }
+    if neighbours {
+        anchors.find_neighbours(cells);
+    }
+    Ok((networks.map(|network| network.map(GroupModel::Network)), anchors))
+}
+
+/// One model a group: its tables or its network.
+fn join(
+    tables: [Option<GroupModel>; 3],
+    networks: [Option<GroupModel>; 3],
+) -> Result<[GroupModel; 3], DecodeError> {
+    let mut models = tables.into_iter().zip(networks).filter_map(|(tables, network)| tables.or(network));
+    match [models.next(), models.next(), models.next()] {
+        [Some(features), Some(scalings), Some(offsets)] => Ok([features, scalings, offsets]),
+        _ => Err(DecodeError::MissingSection { section: "context" }),
+    }
+}
+
+/// Bytes that decoding takes at its peak: integers, step indices and floats of the attributes, a mask byte an
+/// offset, cells with two levels of Morton codes.
 fn memory(manifest: &Manifest) -> u64 {
     let values = manifest.feature_dim + SCALINGS_PER_ANCHOR + 3 * manifest.offsets_per_anchor;
-    let anchor = 2 * 4 * values + manifest.offsets_per_anchor + 12 + 16;
+    let anchor = 2 * 4 * values + 3 + manifest.offsets_per_anchor + 12 + 16;
     manifest.anchors as u64 * anchor as u64
 }
 
@@ -109,4 +163,11 @@ pub(super) fn reserved<T>(what: &'static str, count: usize) -> Result<Vec<T>, De
             Err(DecodeError::OutOfMemory { what, bytes: count as u64 * std::mem::size_of::<T>() as u64 })
         }
     }
+}
+
+/// `count` zeros, or an error where the allocator has no room. Memory straight from the system is zero already and is
+/// first touched by whoever fills it.
+pub(super) fn zeroed<T: Clone + Default>(what: &'static str, count: usize) -> Result<Vec<T>, DecodeError> {
+    drop(reserved::<T>(what, count)?);
+    Ok(vec![T::default(); count])
 }

@@ -2,7 +2,6 @@
 
 use super::{
     EncodeSettings, Encoded, attributes, container,
-    context::ContextChoice,
     decode::{DecodeLimits, decode},
     digest::decode_digest,
     error::EncodeError,
@@ -12,7 +11,9 @@ use super::{
     networks::{self, QuantisedNetworks},
     positions,
     precision::{self, Activation},
-    quantise, sections, view,
+    quantise::{self, Symbols},
+    search::{self, Anchors},
+    sections, view,
 };
 use crate::domain::{AnchorScene, ContextCandidates};
 
@@ -32,7 +33,6 @@ pub fn encode(
     context: Option<&ContextCandidates>,
     settings: &EncodeSettings,
 ) -> Result<Encoded, EncodeError> {
-    let _ = context;
     check_counts(scene)?;
     scene.check()?;
     networks::check(&scene.networks)?;
@@ -45,6 +45,7 @@ pub fn encode(
     let order: Vec<usize> = ordered.order.iter().map(|index| kept[*index]).collect();
 
     let mut manifest = Manifest {
+        contexts: Default::default(),
         anchors: order.len(),
         gaussians: scene.gaussians(),
         feature_dim: scene.feature_dim,
@@ -64,25 +65,43 @@ pub fn encode(
     };
     manifest.check_numbers()?;
 
-    let symbols = quantise::quantise(scene, &order, manifest.steps)?;
+    let shape = manifest.shape();
+    let cells: Vec<[i32; 3]> = order.iter().map(|anchor| scene.cells[*anchor]).collect();
+    let masks: Vec<bool> =
+        order.iter().flat_map(|anchor| &scene.masks[anchor * k..(anchor + 1) * k]).copied().collect();
+    let chunks = attributes::ranges(shape.anchors, manifest.chunk_anchors);
+    let anchors = Anchors {
+        scene,
+        order: &order,
+        cells: &cells,
+        masks: &masks,
+        shape,
+        steps: manifest.steps,
+        chunks: &chunks,
+    };
+    let chosen = search::choose(&anchors, context, &settings.context)?;
+    manifest.contexts = chosen.contexts;
     let networks = quantise_networks(scene);
     let content = [
-        networks::encode(&networks),
-        positions::encode(&ordered),
-        masks::encode(&symbols.masks, k),
-        attributes::encode(&symbols, manifest.shape(), manifest.chunk_anchors),
+        Some((sections::NETWORKS, networks::encode(&networks))),
+        Some((sections::POSITIONS, positions::encode(&ordered))),
+        Some((sections::MASKS, masks::encode(&masks, k))),
+        chosen.context.map(|section| (sections::CONTEXT, section)),
+        chosen.planes.map(|section| (sections::PLANES, section)),
+        Some((sections::ATTRIBUTES, attributes::encode(chosen.groups.each_ref()))),
     ];
+    let [features, scalings, offsets] = chosen.groups.map(|group| (group.symbols, group.steps));
+    let symbols = Symbols {
+        cells,
+        masks,
+        groups: [features.0, scalings.0, offsets.0],
+        steps: [features.1, scalings.1, offsets.1],
+    };
     let mut quantised = quantise::dequantise(symbols, &networks, &manifest);
     quantised.near = scene.near;
     manifest.decode_sha256 = decode_digest(&quantised);
-    let [networks, positions, masks, attributes] = content;
-    let mut content = vec![
-        (sections::MANIFEST, manifest.encode()),
-        (sections::NETWORKS, networks),
-        (sections::POSITIONS, positions),
-        (sections::MASKS, masks),
-        (sections::ATTRIBUTES, attributes),
-    ];
+    let mut content: Vec<_> = content.into_iter().flatten().collect();
+    content.insert(0, (sections::MANIFEST, manifest.encode()));
     content.extend(view::encode(scene.near).map(|view| (sections::VIEW, view)));
     let bytes = container::write(&content, &[sections::VIEW]);
 
@@ -96,7 +115,7 @@ pub fn encode(
         scene: decoded.scene,
         decode_sha256: decoded.decode_sha256,
         byte_counts,
-        context: ContextChoice::STATIC,
+        context: chosen.choice,
     })
 }
 

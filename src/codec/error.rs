@@ -52,6 +52,15 @@ pub enum EncodeError {
         /// The value.
         value: f32,
     },
+    /// A context that training left does not fit the scene, or the format cannot state it, or a choice names what is not
+    /// there.
+    #[error("the context's {what} cannot be used: {fault}")]
+    Candidate {
+        /// Which part.
+        what: String,
+        /// What is wrong.
+        fault: String,
+    },
     /// Two anchors in one cell.
     #[error("cell {cell:?} has more than one anchor")]
     DuplicateCell {
@@ -94,6 +103,14 @@ pub enum DecodeError {
         /// Minor version of the file.
         minor: u16,
         /// Major version that is known.
+        known: u16,
+    },
+    /// Integer arithmetic that this version does not know: what it would decode would not be the scene.
+    #[error("the file needs arithmetic profile {profile}; this program knows profile {known}")]
+    UnsupportedProfile {
+        /// Profile of the file.
+        profile: u16,
+        /// Profile that is known.
         known: u16,
     },
     /// The length in the header is not the file's.
@@ -149,6 +166,12 @@ pub enum DecodeError {
     /// A section that every file has is absent.
     #[error("section {section} is missing")]
     MissingSection {
+        /// Section.
+        section: &'static str,
+    },
+    /// A section that the manifest has no use for.
+    #[error("section {section} has no place in this file: no attribute is predicted from it")]
+    NeedlessSection {
         /// Section.
         section: &'static str,
     },

@@ -8,13 +8,14 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     attributes::Layout,
-    container::{Container, FIXED_HEADER, Section, id_text},
-    context::Attribute,
+    container::{ARITHMETIC_PROFILE, Container, FIXED_HEADER, Section, id_text},
+    context::section,
     error::DecodeError,
-    manifest::Manifest,
+    manifest::{GroupCosts, Manifest},
     sections,
+    shape::Attribute,
 };
-use crate::domain::{ByteCounts, Digest};
+use crate::domain::{ByteCounts, Digest, context::ContextKind};
 
 /// What a byte range is for; the groups of [`ByteCounts`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,8 +25,10 @@ pub enum ByteGroup {
     Container,
     /// Anchor cells.
     Positions,
-    /// Render networks.
+    /// Render networks and networks of the context.
     Networks,
+    /// Planes of the context.
+    Planes,
     /// Offset masks.
     Masks,
     /// Anchor features.
@@ -42,6 +45,7 @@ impl fmt::Display for ByteGroup {
             ByteGroup::Container => "container",
             ByteGroup::Positions => "positions",
             ByteGroup::Networks => "networks",
+            ByteGroup::Planes => "planes",
             ByteGroup::Masks => "masks",
             ByteGroup::Features => "features",
             ByteGroup::Scalings => "scalings",
@@ -83,6 +87,8 @@ pub struct SectionReport {
 pub struct Inspection {
     /// Format version as `major.minor`.
     pub version: String,
+    /// Arithmetic profile.
+    pub profile: u16,
     /// SHA-256 stated in the header and verified: of the whole file but this hash and the header checksum.
     pub content_sha256: Digest,
     /// Counts, choices and provenance.
@@ -102,11 +108,14 @@ pub struct Inspection {
 /// payload is not read.
 pub fn inspect(bytes: &[u8]) -> Result<Inspection, DecodeError> {
     let container = Container::parse(bytes)?;
-    container.check_known(&sections::KNOWN)?;
+    container.check_known(&sections::ALL)?;
     let manifest = Manifest::decode(container.section(sections::MANIFEST, "manifest")?.bytes)?;
-    for id in sections::ALL {
+    for id in sections::ALWAYS {
         container.section(id, sections::name(id))?;
     }
+    let kinds = || manifest.kinds().into_iter().flatten();
+    container.section_if(kinds().next().is_some(), sections::CONTEXT, "context")?;
+    container.section_if(kinds().any(|kind| kind.sampled() > 0), sections::PLANES, "planes")?;
 
     let mut map = Map::default();
     map.push(FIXED_HEADER, ByteGroup::Container, "header: signature, version, length, SHA-256, checksum");
@@ -126,6 +135,7 @@ pub fn inspect(bytes: &[u8]) -> Result<Inspection, DecodeError> {
     };
     Ok(Inspection {
         version: format!("{}.{}", container.version.0, container.version.1),
+        profile: ARITHMETIC_PROFILE,
         content_sha256: container.digest,
         manifest,
         sections: container.sections.iter().map(report).collect(),
@@ -138,16 +148,31 @@ fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Res
     let length = section.bytes.len();
     match section.id {
         sections::MANIFEST => {
-            map.push(length, ByteGroup::Container, "manifest: counts, lattice, steps, provenance")
+            map.push(length, ByteGroup::Container, "manifest: counts, lattice, steps, contexts, provenance")
         }
         sections::NETWORKS => map.push(length, ByteGroup::Networks, "opacity, covariance and colour network"),
         sections::POSITIONS => map.push(length, ByteGroup::Positions, "occupancy octree of the anchor cells"),
         sections::MASKS => map.push(length, ByteGroup::Masks, "which offsets make a Gaussian"),
+        sections::CONTEXT => {
+            let layout = section::Layout::read(section.bytes, manifest.kinds())?;
+            map.push(layout.frame_place.len(), ByteGroup::Networks, "where the context's planes lie");
+            for (group, place) in ["features", "scalings", "offsets"].iter().zip(&layout.places) {
+                if !place.is_empty() {
+                    map.push(place.len(), ByteGroup::Networks, &format!("context network of the {group}"));
+                }
+            }
+        }
+        sections::PLANES => {
+            map.push(length, ByteGroup::Planes, "latents and up-sampling layers of the planes")
+        }
         sections::ATTRIBUTES => {
-            let layout = Layout::read(section.bytes, manifest.shape(), manifest.chunk_anchors)?;
+            let (shape, kinds) = (manifest.shape(), manifest.kinds());
+            let layout = Layout::read(section.bytes, shape, manifest.chunk_anchors, kinds)?;
             for attribute in Attribute::ALL {
                 let place = &layout.parameters[attribute as usize];
-                map.push(place.len(), group(attribute), "means and scales of the channels");
+                if !place.is_empty() {
+                    map.push(place.len(), group(attribute), "step, means and scales of the channels");
+                }
             }
             map.push(layout.index.len(), ByteGroup::Container, "chunk index: lengths and checksums");
             for (number, chunk) in layout.chunks.iter().enumerate() {
@@ -194,6 +219,7 @@ fn count(ranges: &[ByteRange]) -> ByteCounts {
             ByteGroup::Container => &mut counts.container,
             ByteGroup::Positions => &mut counts.positions,
             ByteGroup::Networks => &mut counts.networks,
+            ByteGroup::Planes => &mut counts.planes,
             ByteGroup::Masks => &mut counts.masks,
             ByteGroup::Features => &mut counts.features,
             ByteGroup::Scalings => &mut counts.scalings,
@@ -210,7 +236,7 @@ impl fmt::Display for Inspection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let manifest = &self.manifest;
         let total = self.byte_counts.total;
-        writeln!(f, ".tcgs version {}, {total} bytes", self.version)?;
+        writeln!(f, ".tcgs version {}, arithmetic profile {}, {total} bytes", self.version, self.profile)?;
         writeln!(f)?;
         let voxel = manifest.lattice.voxel;
         let [x, y, z] = manifest.lattice.origin;
@@ -248,6 +274,25 @@ impl fmt::Display for Inspection {
             let share = 100.0 * bytes as f64 / total.max(1) as f64;
             let each = bytes as f64 / manifest.anchors.max(1) as f64;
             writeln!(f, "{name:<13} {bytes:>10} {share:>6.2}% {each:>13.3}")?;
+        }
+
+        let columns = ["tables", "position", "tri-plane", "and neighbours"];
+        write!(f, "\n{:<12} {:<14}", "context", "chosen")?;
+        columns.iter().try_for_each(|column| write!(f, " {column:>14}"))?;
+        writeln!(f, "   bytes with network, without planes")?;
+        for (name, context) in ["features", "scalings", "offsets"].iter().zip(&manifest.contexts) {
+            let chosen = match context.kind {
+                None => columns[0],
+                Some(ContextKind::Position) => columns[1],
+                Some(ContextKind::TriPlane) => columns[2],
+                Some(ContextKind::TriPlaneKnn) => columns[3],
+            };
+            write!(f, "{name:<12} {chosen:<14}")?;
+            let GroupCosts { tables, position, tri_plane, tri_plane_knn } = context.bytes;
+            for bytes in [tables, position, tri_plane, tri_plane_knn] {
+                write!(f, " {:>14}", or_dash(bytes.map(|bytes| bytes.to_string())))?;
+            }
+            writeln!(f)?;
         }
 
         writeln!(f, "\n{:<8} {:<11} {:>8} {:>10} {:>10}", "section", "name", "critical", "offset", "bytes")?;

@@ -5,11 +5,12 @@ use serde::{Deserialize, Serialize};
 use super::{
     Provenance,
     bytes::{Reader, Writer},
-    context::Shape,
+    context::steps::{self, MAX_STEP},
     error::{DecodeError, EncodeError},
+    shape::{Attribute, Shape},
     symbols::MAX_SYMBOL,
 };
-use crate::domain::{Background, Digest, Lattice};
+use crate::domain::{Background, Digest, Lattice, context::ContextKind};
 
 const PART: &str = "manifest";
 
@@ -31,6 +32,69 @@ pub struct Steps {
     pub scaling: f32,
     /// Of offsets, in units of the first three scalings.
     pub offset: f32,
+}
+
+impl Steps {
+    /// The base step of a group.
+    pub(super) fn of(self, attribute: Attribute) -> f32 {
+        match attribute {
+            Attribute::Features => self.feature,
+            Attribute::Scalings => self.scaling,
+            Attribute::Offsets => self.offset,
+        }
+    }
+}
+
+/// Bytes that a group takes in the file when it is coded in one way or another: its attributes, and its network. None of
+/// what was not tried. Planes come on top, once for all groups.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GroupCosts {
+    /// With one table a channel.
+    pub tables: Option<u64>,
+    /// With the best network that is given the position alone.
+    pub position: Option<u64>,
+    /// With the best network that is given samples of the planes too.
+    pub tri_plane: Option<u64>,
+    /// With the best network that is given those of the neighbours too.
+    pub tri_plane_knn: Option<u64>,
+}
+
+/// How an attribute group is predicted, and what else was tried.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GroupContext {
+    /// What the group's network is given; none where the group has tables.
+    pub kind: Option<ContextKind>,
+    /// What the encoder weighed.
+    pub bytes: GroupCosts,
+}
+
+impl GroupContext {
+    fn write(&self, writer: &mut Writer) {
+        writer.u8(match self.kind {
+            None => 0,
+            Some(ContextKind::Position) => 1,
+            Some(ContextKind::TriPlane) => 2,
+            Some(ContextKind::TriPlaneKnn) => 3,
+        });
+        let GroupCosts { tables, position, tri_plane, tri_plane_knn } = self.bytes;
+        [tables, position, tri_plane, tri_plane_knn]
+            .iter()
+            .for_each(|bytes| writer.varint(bytes.map_or(0, |bytes| bytes + 1)));
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        let kind = match reader.u8("context")? {
+            0 => None,
+            1 => Some(ContextKind::Position),
+            2 => Some(ContextKind::TriPlane),
+            3 => Some(ContextKind::TriPlaneKnn),
+            other => return Err(reader.malformed("context", other)),
+        };
+        let mut cost = || Ok(reader.varint("bytes of a context")?.checked_sub(1));
+        let bytes =
+            GroupCosts { tables: cost()?, position: cost()?, tri_plane: cost()?, tri_plane_knn: cost()? };
+        Ok(Self { kind, bytes })
+    }
 }
 
 /// How decoded colours are to be shown.
@@ -66,6 +130,8 @@ pub struct Manifest {
     pub lattice: Lattice,
     /// Quantisation steps.
     pub steps: Steps,
+    /// How features, scalings and offsets are predicted.
+    pub contexts: [GroupContext; 3],
     /// Frame of the world.
     pub world_frame: WorldFrame,
     /// Colour space.
@@ -87,6 +153,11 @@ impl Manifest {
         }
     }
 
+    /// What the networks of the groups are given.
+    pub(super) fn kinds(&self) -> [Option<ContextKind>; 3] {
+        self.contexts.map(|context| context.kind)
+    }
+
     /// The manifest section.
     pub(super) fn encode(&self) -> Vec<u8> {
         let mut writer = Writer::new();
@@ -98,6 +169,7 @@ impl Manifest {
         writer.f32(self.steps.feature);
         writer.f32(self.steps.scaling);
         writer.f32(self.steps.offset);
+        self.contexts.iter().for_each(|context| context.write(&mut writer));
         writer.u8(match self.world_frame {
             WorldFrame::Dataset => 0,
         });
@@ -137,6 +209,11 @@ impl Manifest {
                 scaling: reader.f32("scaling step")?,
                 offset: reader.f32("offset step")?,
             },
+            contexts: [
+                GroupContext::read(&mut reader)?,
+                GroupContext::read(&mut reader)?,
+                GroupContext::read(&mut reader)?,
+            ],
             world_frame: match reader.u8("world frame")? {
                 0 => WorldFrame::Dataset,
                 other => return Err(reader.malformed("world frame", other)),
@@ -170,8 +247,12 @@ impl Manifest {
             ("scaling step", scaling),
             ("offset step", offset),
         ];
+        // A group's step is at most that many octaves from its base step.
+        let (finest, coarsest) = (steps::factor(-MAX_STEP), steps::factor(MAX_STEP));
         for (name, value) in multipliers {
-            if !(value.is_normal() && value > 0.0 && (value * MAX_SYMBOL as f32).is_finite()) {
+            let usable =
+                |value: f32| value.is_normal() && value > 0.0 && (value * MAX_SYMBOL as f32).is_finite();
+            if !(usable(value * finest) && usable(value) && usable(value * coarsest)) {
                 return Err(EncodeError::Setting { name, value });
             }
         }

@@ -17,6 +17,7 @@ mod error;
 mod fit;
 mod gaussian;
 mod gaussian_constants;
+mod groups;
 mod inspect;
 mod manifest;
 mod masks;
@@ -26,7 +27,9 @@ mod positions;
 mod precision;
 mod quantise;
 mod range;
+mod search;
 mod sections;
+mod shape;
 mod symbols;
 mod view;
 
@@ -40,7 +43,7 @@ pub use digest::decode_digest;
 pub use encode::encode;
 pub use error::{DecodeError, EncodeError};
 pub use inspect::{ByteGroup, ByteRange, Inspection, SectionReport, inspect};
-pub use manifest::{ColorSpace, Manifest, Steps, WorldFrame};
+pub use manifest::{ColorSpace, GroupContext, GroupCosts, Manifest, Steps, WorldFrame};
 
 /// What the file says about how it was made.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

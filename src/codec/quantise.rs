@@ -1,13 +1,13 @@
-//! From floats to the integers of a file and back. The way back is one f32 multiplication a value, in one place,
-//! used by encoder and decoder alike.
+//! From floats to the integers of a file and back. The way back is one f32 multiplication a value and one a step, in one
+//! place, used by encoder and decoder alike.
+
+use rayon::prelude::*;
 
 use super::{
-    error::EncodeError,
-    manifest::{Manifest, Steps},
-    networks::QuantisedNetworks,
-    symbols::MAX_SYMBOL,
+    context::steps::factor, error::EncodeError, manifest::Manifest, networks::QuantisedNetworks,
+    shape::Attribute, symbols::MAX_SYMBOL,
 };
-use crate::domain::{AnchorScene, NearPlane, anchors::SCALINGS_PER_ANCHOR};
+use crate::domain::{AnchorScene, NearPlane};
 
 /// The integers of a file, anchors in file order.
 #[derive(Debug, Clone, PartialEq)]
@@ -16,46 +16,55 @@ pub(super) struct Symbols {
     pub(super) cells: Vec<[i32; 3]>,
     /// `[N][K]`.
     pub(super) masks: Vec<bool>,
-    /// `[N][F]`.
-    pub(super) features: Vec<i32>,
-    /// `[N][6]`, at least 1.
-    pub(super) scalings: Vec<i32>,
-    /// `[N][K][3]`, zero where masked off.
-    pub(super) offsets: Vec<i32>,
+    /// Features `[N][F]`, scalings `[N][6]` (at least 1), offsets `[N][K][3]` (zero where masked off).
+    pub(super) groups: [Vec<i32>; 3],
+    /// `[N]` step indices of each group.
+    pub(super) steps: [Vec<i8>; 3],
 }
 
-/// Quantises the anchors that `order` names, in that order.
-pub(super) fn quantise(scene: &AnchorScene, order: &[usize], steps: Steps) -> Result<Symbols, EncodeError> {
-    let (f, k) = (scene.feature_dim, scene.offsets_per_anchor);
-    let mut symbols = Symbols {
-        cells: order.iter().map(|anchor| scene.cells[*anchor]).collect(),
-        masks: Vec::with_capacity(order.len() * k),
-        features: Vec::with_capacity(order.len() * f),
-        scalings: Vec::with_capacity(order.len() * SCALINGS_PER_ANCHOR),
-        offsets: Vec::with_capacity(order.len() * k * 3),
-    };
-    for anchor in order {
-        for index in anchor * f..(anchor + 1) * f {
-            symbols.features.push(nearest("features", index, scene.features[index], steps.feature)?);
-        }
-        for index in anchor * SCALINGS_PER_ANCHOR..(anchor + 1) * SCALINGS_PER_ANCHOR {
-            let value = scene.scalings[index];
-            if value < 0.0 {
-                return Err(EncodeError::NegativeScaling { index, value });
+/// An attribute group of a scene, to be quantised anchor by anchor.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Quantiser<'a> {
+    pub(super) scene: &'a AnchorScene,
+    /// Anchors of the scene in file order.
+    pub(super) order: &'a [usize],
+    pub(super) attribute: Attribute,
+    /// The group's base step.
+    pub(super) base: f32,
+}
+
+impl Quantiser<'_> {
+    /// Integers of the anchor at place `anchor` of the file, with steps of index `step`.
+    pub(super) fn row(&self, anchor: usize, step: i8, row: &mut [i32]) -> Result<(), EncodeError> {
+        let scene = self.scene;
+        let anchor = self.order[anchor];
+        let step = self.base * factor(step);
+        let first = anchor * row.len();
+        match self.attribute {
+            Attribute::Features => {
+                for (index, symbol) in (first..).zip(row) {
+                    *symbol = nearest("features", index, scene.features[index], step)?;
+                }
             }
-            // A scaling of zero would divide by zero in a renderer; the finest is one step.
-            symbols.scalings.push(nearest("scalings", index, value, steps.scaling)?.max(1));
-        }
-        for offset in anchor * k..(anchor + 1) * k {
-            let kept = scene.masks[offset];
-            symbols.masks.push(kept);
-            for index in offset * 3..(offset + 1) * 3 {
-                let value = if kept { scene.offsets[index] } else { 0.0 };
-                symbols.offsets.push(nearest("offsets", index, value, steps.offset)?);
+            Attribute::Scalings => {
+                for (index, symbol) in (first..).zip(row) {
+                    let value = scene.scalings[index];
+                    if value < 0.0 {
+                        return Err(EncodeError::NegativeScaling { index, value });
+                    }
+                    // A scaling of zero would divide by zero in a renderer; the finest is one step.
+                    *symbol = nearest("scalings", index, value, step)?.max(1);
+                }
+            }
+            Attribute::Offsets => {
+                for (index, symbol) in (first..).zip(row) {
+                    let value = if scene.masks[index / 3] { scene.offsets[index] } else { 0.0 };
+                    *symbol = nearest("offsets", index, value, step)?;
+                }
             }
         }
+        Ok(())
     }
-    Ok(symbols)
 }
 
 /// The multiple of `step` nearest to `value`, ties to the even one: an absolute grid that contains zero
@@ -69,17 +78,34 @@ fn nearest(what: &'static str, index: usize, value: f32, step: f32) -> Result<i3
     }
 }
 
-/// The scene that the integers stand for: each value is its integer, exact in f32, times its step.
+/// The scene that the integers stand for: each value is its integer, exact in f32, times its anchor's step, which is its
+/// group's base step times a factor from a table.
 pub(super) fn dequantise(symbols: Symbols, networks: &QuantisedNetworks, manifest: &Manifest) -> AnchorScene {
-    let scaled = |integers: Vec<i32>, step: f32| integers.into_iter().map(|q| q as f32 * step).collect();
+    let shape = manifest.shape();
+    let [features, scalings, offsets] = Attribute::ALL.map(|attribute| {
+        let (integers, steps) = (&symbols.groups[attribute as usize], &symbols.steps[attribute as usize]);
+        let base = manifest.steps.of(attribute);
+        let channels = shape.channels(attribute);
+        let mut values = vec![0.0; integers.len()];
+        values
+            .par_chunks_mut(channels)
+            .zip(integers.par_chunks(channels))
+            .zip(steps)
+            .with_min_len(1024)
+            .for_each(|((values, integers), step)| {
+                let step = base * factor(*step);
+                values.iter_mut().zip(integers).for_each(|(value, q)| *value = *q as f32 * step);
+            });
+        values
+    });
     AnchorScene {
         lattice: manifest.lattice,
         cells: symbols.cells,
         feature_dim: manifest.feature_dim,
         offsets_per_anchor: manifest.offsets_per_anchor,
-        features: scaled(symbols.features, manifest.steps.feature),
-        scalings: scaled(symbols.scalings, manifest.steps.scaling),
-        offsets: scaled(symbols.offsets, manifest.steps.offset),
+        features,
+        scalings,
+        offsets,
         masks: symbols.masks,
         networks: networks.dequantise(),
         near: NearPlane::USUAL,

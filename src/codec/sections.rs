@@ -1,8 +1,8 @@
-//! The sections of this version. The critical ones every file has: without any of them there is no scene.
+//! The sections of this version. Without the critical ones there is no scene, or another one.
 
 use super::container::SectionId;
 
-/// Counts, lattice, steps, provenance.
+/// Counts, lattice, steps, contexts, provenance.
 pub(super) const MANIFEST: SectionId = *b"MANI";
 /// Render networks.
 pub(super) const NETWORKS: SectionId = *b"NETS";
@@ -10,17 +10,22 @@ pub(super) const NETWORKS: SectionId = *b"NETS";
 pub(super) const POSITIONS: SectionId = *b"CELL";
 /// Which offsets make a Gaussian.
 pub(super) const MASKS: SectionId = *b"MASK";
+/// Frame and networks of the context model, where a group has one.
+pub(super) const CONTEXT: SectionId = *b"CTXT";
+/// Planes of the context model, where a network samples them.
+pub(super) const PLANES: SectionId = *b"PLAN";
 /// Features, scalings, offsets.
 pub(super) const ATTRIBUTES: SectionId = *b"ATTR";
 
 /// Where views begin: optional, for scenes that are not seen from the usual depth.
 pub(super) const VIEW: SectionId = *b"VIEW";
 
-/// The sections that every file has, all critical.
-pub(super) const ALL: [SectionId; 5] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES];
-
 /// Every section that a decoder of this version understands.
-pub(super) const KNOWN: [SectionId; 6] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES, VIEW];
+pub(super) const ALL: [SectionId; 8] =
+    [MANIFEST, NETWORKS, POSITIONS, MASKS, CONTEXT, PLANES, ATTRIBUTES, VIEW];
+
+/// Those that every file has.
+pub(super) const ALWAYS: [SectionId; 5] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES];
 
 /// What a section holds, in words.
 pub(super) fn name(id: SectionId) -> &'static str {
@@ -29,6 +34,8 @@ pub(super) fn name(id: SectionId) -> &'static str {
         NETWORKS => "networks",
         POSITIONS => "positions",
         MASKS => "masks",
+        CONTEXT => "context",
+        PLANES => "planes",
         ATTRIBUTES => "attributes",
         VIEW => "view",
         _ => "unknown",

@@ -158,7 +158,7 @@ impl Mlp {
         self.layers.iter().map(|layer| layer.weights.len() + layer.bias.len()).sum()
     }
 
-    fn check(&self, inputs: usize, outputs: usize) -> Result<(), String> {
+    pub(crate) fn check(&self, inputs: usize, outputs: usize) -> Result<(), String> {
         let mut width = inputs;
         for (index, layer) in self.layers.iter().enumerate() {
             if layer.inputs != width {

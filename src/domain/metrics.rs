@@ -47,7 +47,7 @@ pub struct ByteCounts {
     pub total: u64,
     /// Anchor cells.
     pub positions: u64,
-    /// Render networks.
+    /// Render networks and networks of the context.
     pub networks: u64,
     /// Context planes.
     pub planes: u64,
@@ -64,12 +64,13 @@ pub struct ByteCounts {
 }
 
 impl ByteCounts {
-    /// The parts of a file of this version, in the order in which tables list them. It has no context planes.
+    /// The parts of a file, in the order in which tables list them.
     #[must_use]
-    pub fn parts(&self) -> [(&'static str, u64); 7] {
+    pub fn parts(&self) -> [(&'static str, u64); 8] {
         [
             ("container", self.container),
             ("networks", self.networks),
+            ("planes", self.planes),
             ("positions", self.positions),
             ("masks", self.masks),
             ("features", self.features),

@@ -1,5 +1,6 @@
 //! Splatting: forward, backward, and the f64 CPU twin of every kernel; rendering of finished scenes by pose.
 
+mod dense;
 mod error;
 mod gaussians;
 mod neural;
@@ -10,6 +11,7 @@ mod scene_renderer;
 pub mod twin;
 pub mod views;
 
+pub use dense::{Columns, DenseLayers, Ending};
 pub use error::RenderError;
 pub use gaussians::{GaussianGradients, Gaussians};
 pub use neural::{AnchorGradients, DeviceAnchors, NeuralGaussians};

@@ -6,32 +6,12 @@
 
 use std::sync::Arc;
 
-use super::{GaussianGradients, Gaussians, RenderError};
+use super::{Columns, DenseLayers, Ending, GaussianGradients, Gaussians, RenderError};
 use crate::{
     domain::Camera,
     gpu::{AdapterReport, Buffer, Context, Kernel, Recorder, buffer_bytes, kernel_source},
-    model::{AnchorRows, LayerSpec, NetworkLayout, Shape},
+    model::{AnchorRows, NetworkLayout, Shape},
 };
-
-/// Columns of anchors that one partial sum of a weight gradient covers.
-const GRADIENT_RUN: usize = 1024;
-
-/// Outputs and columns of anchors that a workgroup of `shaders/dense.wgsl` computes.
-const DENSE_TILE: [usize; 2] = [32, 256];
-
-/// Inputs and outputs of the weights whose gradients a workgroup of `shaders/dense_weight_gradient.wgsl` computes.
-const GRADIENT_TILE: [usize; 2] = [16, 32];
-
-/// A bias offset that means there is none.
-const NO_BIAS: u32 = u32::MAX;
-
-/// How a dense layer ends.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Ending {
-    Linear = 0,
-    Relu = 1,
-    Gate = 2,
-}
 
 /// The uniform that describes one view to the kernels; `shaders/shared/view.wgsl`.
 #[repr(C)]
@@ -120,12 +100,10 @@ struct Kernels {
     anchor_visible: Arc<Kernel>,
     compact_anchors: Arc<Kernel>,
     network_input: Arc<Kernel>,
-    dense: Arc<Kernel>,
+    dense: DenseLayers,
     spawn_gaussians: Arc<Kernel>,
     count_gaussians: Arc<Kernel>,
     spawn_gradient: Arc<Kernel>,
-    dense_weight_gradient: Arc<Kernel>,
-    sum_partials: Arc<Kernel>,
     feature_gradient: Arc<Kernel>,
     anchor_statistics: Arc<Kernel>,
 }
@@ -133,24 +111,14 @@ struct Kernels {
 impl Kernels {
     fn new(context: &Context, shape: Shape, subgroups: Option<u32>) -> Result<Self, RenderError> {
         let defs = shape.defs();
-        // Eight lanes share what they read; the gradient's workgroup is exactly one subgroup.
-        let subgroups = subgroups.filter(|size| *size >= 8);
-        let mut lanes = vec![("GRADIENT_LANES", subgroups.unwrap_or(64))];
-        let mut dense = Vec::new();
-        if let Some(size) = subgroups {
-            lanes.push(("SUBGROUPS", size));
-            dense.push(("SUBGROUPS", size));
-        }
         Ok(Self {
             anchor_visible: context.kernel(kernel_source!("anchor_visible"), &defs)?,
             compact_anchors: context.kernel(kernel_source!("compact_anchors"), &[])?,
             network_input: context.kernel(kernel_source!("network_input"), &defs)?,
-            dense: context.kernel(kernel_source!("dense"), &dense)?,
+            dense: DenseLayers::new(context, subgroups)?,
             spawn_gaussians: context.kernel(kernel_source!("spawn_gaussians"), &defs)?,
             count_gaussians: context.kernel(kernel_source!("count_gaussians"), &defs)?,
             spawn_gradient: context.kernel(kernel_source!("spawn_gradient"), &defs)?,
-            dense_weight_gradient: context.kernel(kernel_source!("dense_weight_gradient"), &lanes)?,
-            sum_partials: context.kernel(kernel_source!("sum_partials"), &[])?,
             feature_gradient: context.kernel(kernel_source!("feature_gradient"), &defs)?,
             anchor_statistics: context.kernel(kernel_source!("anchor_statistics"), &defs)?,
         })
@@ -205,14 +173,14 @@ struct Backward {
 impl Backward {
     fn bytes(layout: &NetworkLayout, capacity: usize) -> u64 {
         let rows = layout.shape.features + layout.hidden.outputs + layout.output_rows();
-        let runs = capacity.div_ceil(GRADIENT_RUN).max(1);
+        let runs = DenseLayers::runs(capacity);
         buffer_bytes::<f32>(rows * capacity)
             + buffer_bytes::<f32>(runs * layout.parameters)
             + GaussianGradients::bytes(capacity * layout.shape.offsets)
     }
 
     fn new(context: &Context, layout: &NetworkLayout, capacity: usize) -> Result<Self, RenderError> {
-        let runs = capacity.div_ceil(GRADIENT_RUN).max(1);
+        let runs = DenseLayers::runs(capacity);
         Ok(Self {
             d_input: context.buffer("gradients of input", layout.shape.features * capacity)?,
             d_hidden: context.buffer("gradients of hidden values", layout.hidden.outputs * capacity)?,
@@ -371,9 +339,18 @@ impl NeuralGaussians {
             &[view, on.list.as_ref(), anchors.positions.as_ref(), anchors.rows.as_ref(), on.input.as_ref()],
             groups,
         );
-        self.dense(recorder, &self.layout.hidden, &anchors.networks, &on.input, &on.hidden, Ending::Relu)?;
+        let (dense, columns, networks) = (&kernels.dense, self.columns(), &anchors.networks);
+        dense.forward(
+            recorder,
+            columns,
+            &self.layout.hidden,
+            networks,
+            &on.input,
+            &on.hidden,
+            Ending::Relu,
+        )?;
         for head in &self.layout.heads {
-            self.dense(recorder, head, &anchors.networks, &on.hidden, &on.outputs, Ending::Linear)?;
+            dense.forward(recorder, columns, head, networks, &on.hidden, &on.outputs, Ending::Linear)?;
         }
         recorder.dispatch(
             &kernels.spawn_gaussians,
@@ -434,29 +411,52 @@ impl NeuralGaussians {
             ],
             groups,
         );
+        let (dense, columns, networks) = (&kernels.dense, self.columns(), &anchors.networks);
+        let parameters = self.layout.parameters;
         for head in &self.layout.heads {
-            self.weight_gradient(recorder, head, &on.hidden, &back.d_outputs, &back.partials)?;
-            self.input_gradient(
+            dense.weight_gradient(
                 recorder,
+                columns,
+                head,
+                parameters,
+                &on.hidden,
+                &back.d_outputs,
+                &back.partials,
+            )?;
+            dense.input_gradient(
+                recorder,
+                columns,
                 head,
                 head.inputs,
-                anchors,
+                networks,
                 &back.d_outputs,
-                &on.hidden,
+                Some(&on.hidden),
                 &back.d_hidden,
             )?;
         }
         let hidden = &self.layout.hidden;
-        self.weight_gradient(recorder, hidden, &on.input, &back.d_hidden, &back.partials)?;
+        dense.weight_gradient(
+            recorder,
+            columns,
+            hidden,
+            parameters,
+            &on.input,
+            &back.d_hidden,
+            &back.partials,
+        )?;
+        // Nothing asks for the gradient by the view direction and the distance.
         let features = self.layout.shape.features;
-        self.input_gradient(recorder, hidden, features, anchors, &back.d_hidden, &on.hidden, &back.d_input)?;
-        let parameters = self.layout.parameters;
-        let shape = recorder.uniform(&[[parameters as u32, GRADIENT_RUN as u32, 0, 0]])?;
-        recorder.dispatch(
-            &kernels.sum_partials,
-            &[shape.as_ref(), on.list.as_ref(), back.partials.as_ref(), out.networks.as_ref()],
-            parameters.div_ceil(64) as u32,
-        );
+        dense.input_gradient(
+            recorder,
+            columns,
+            hidden,
+            features,
+            networks,
+            &back.d_hidden,
+            None,
+            &back.d_input,
+        )?;
+        dense.sum_partials(recorder, columns, parameters, &back.partials, &out.networks)?;
         recorder.dispatch(
             &kernels.feature_gradient,
             &[view, on.list.as_ref(), back.d_input.as_ref(), out.rows.as_ref()],
@@ -529,92 +529,7 @@ impl NeuralGaussians {
         }
     }
 
-    fn dense(
-        &self,
-        recorder: &mut Recorder<'_>,
-        layer: &LayerSpec,
-        networks: &Buffer<f32>,
-        input: &Buffer<f32>,
-        output: &Buffer<f32>,
-        ending: Ending,
-    ) -> Result<(), RenderError> {
-        let uniform = recorder.uniform(&[
-            [layer.inputs as u32, layer.outputs as u32, self.capacity as u32, layer.weights as u32],
-            [1, layer.outputs as u32, layer.bias as u32, ending as u32],
-            [layer.input_row as u32, layer.output_row as u32, 0, 0],
-        ])?;
-        let list = &self.forward.list;
-        // The gate is not read: any buffer but the output will do.
-        let bindings = [
-            uniform.as_ref(),
-            list.as_ref(),
-            networks.as_ref(),
-            input.as_ref(),
-            input.as_ref(),
-            output.as_ref(),
-        ];
-        recorder.dispatch(&self.kernels.dense, &bindings, self.dense_groups(layer.outputs));
-        Ok(())
-    }
-
-    /// The gradient by the first `wanted` inputs of `layer`; gated by the hidden values if the input is one of them.
-    #[expect(clippy::too_many_arguments, reason = "one call site's worth of buffers, named at each")]
-    fn input_gradient(
-        &self,
-        recorder: &mut Recorder<'_>,
-        layer: &LayerSpec,
-        wanted: usize,
-        anchors: &DeviceAnchors,
-        d_output: &Buffer<f32>,
-        hidden: &Buffer<f32>,
-        d_input: &Buffer<f32>,
-    ) -> Result<(), RenderError> {
-        let ending = if wanted == layer.inputs { Ending::Gate } else { Ending::Linear };
-        let uniform = recorder.uniform(&[
-            [layer.outputs as u32, wanted as u32, self.capacity as u32, layer.weights as u32],
-            [layer.outputs as u32, 1, NO_BIAS, ending as u32],
-            [layer.output_row as u32, layer.input_row as u32, layer.input_row as u32, 0],
-        ])?;
-        let list = &self.forward.list;
-        let bindings = [
-            uniform.as_ref(),
-            list.as_ref(),
-            anchors.networks.as_ref(),
-            d_output.as_ref(),
-            hidden.as_ref(),
-            d_input.as_ref(),
-        ];
-        recorder.dispatch(&self.kernels.dense, &bindings, self.dense_groups(wanted));
-        Ok(())
-    }
-
-    fn dense_groups(&self, outputs: usize) -> u32 {
-        (outputs.div_ceil(DENSE_TILE[0]) * self.capacity.div_ceil(DENSE_TILE[1])) as u32
-    }
-
-    fn weight_gradient(
-        &self,
-        recorder: &mut Recorder<'_>,
-        layer: &LayerSpec,
-        input: &Buffer<f32>,
-        d_output: &Buffer<f32>,
-        partials: &Buffer<f32>,
-    ) -> Result<(), RenderError> {
-        let uniform = recorder.uniform(&[
-            [layer.inputs as u32, layer.outputs as u32, self.capacity as u32, layer.weights as u32],
-            [1, layer.outputs as u32, layer.bias as u32, GRADIENT_RUN as u32],
-            [layer.input_row as u32, layer.output_row as u32, self.layout.parameters as u32, 0],
-        ])?;
-        let tiles = layer.inputs.div_ceil(GRADIENT_TILE[0]) * layer.outputs.div_ceil(GRADIENT_TILE[1]);
-        let runs = self.capacity.div_ceil(GRADIENT_RUN).max(1);
-        let bindings = [
-            uniform.as_ref(),
-            self.forward.list.as_ref(),
-            input.as_ref(),
-            d_output.as_ref(),
-            partials.as_ref(),
-        ];
-        recorder.dispatch(&self.kernels.dense_weight_gradient, &bindings, (tiles * runs) as u32);
-        Ok(())
+    fn columns(&self) -> Columns<'_> {
+        Columns { list: &self.forward.list, capacity: self.capacity }
     }
 }

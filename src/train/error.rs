@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::{CheckpointError, OverBudget};
+use super::{CheckpointError, OverBudget, context::ContextError};
 use crate::{
     domain::{PhotographError, Problem},
     gpu::GpuError,
@@ -40,6 +40,9 @@ pub enum TrainError {
     /// The run cannot go on from the checkpoint that it was given.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
+    /// The context model cannot be what it was asked to be.
+    #[error(transparent)]
+    Context(#[from] ContextError),
     /// Somebody asked for a stop.
     #[error("cancelled")]
     Cancelled,

@@ -10,6 +10,7 @@ pub mod budget;
 mod checkpoint;
 mod checkpoint_folder;
 mod compression;
+pub mod context;
 mod densify;
 mod error;
 mod learner;

@@ -6,6 +6,7 @@ mod checkpoint;
 mod cli;
 mod codec;
 mod container_image;
+mod context;
 mod first_light;
 mod http;
 mod ingest;

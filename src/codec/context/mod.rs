@@ -4,17 +4,28 @@
 //! same. Geometry (where an anchor lies on the planes, who its neighbours are) is public: training uses the very same
 //! integers as floats, and so sees what a decoder will see.
 
-mod channels;
+mod anchors;
 mod choice;
+mod dense;
 mod frame;
+mod latents;
+mod model;
 mod neighbours;
+mod planes;
 mod position;
+pub(super) mod section;
+pub(super) mod steps;
+mod stored;
 mod texels;
 
-pub(super) use channels::{Attribute, ChannelModel, Shape, SymbolModel};
+pub(super) use anchors::AnchorContext;
+pub(super) use dense::{IntegerMlp, WeightBits};
+pub(super) use model::{ContextNetwork, GroupModel};
+pub(super) use planes::IntegerPlanes;
 
 pub use choice::{ContextChoice, ContextSearch, ContextSettings, GroupChoice};
 pub use frame::{COORDINATE_LIMIT, coordinates, robust_frame};
 pub use neighbours::neighbours;
 pub use position::position_inputs;
+pub use stored::{stored_network, stored_planes};
 pub use texels::{Texel, texels};

@@ -1,6 +1,7 @@
-//! The image loss, the offset masks and the optimiser on the CPU in f64, written plainly: every kernel has a function of the same name here.
+//! The image loss, the offset masks, the context model and the optimiser on the CPU in f64, written plainly: every kernel has a function of the same name here.
 
 mod adam;
+pub mod context;
 mod loss;
 mod masks;
 mod wavelet;

@@ -1,54 +1,116 @@
-//! A committed file and its decode hash: what was once written must be read the same for ever.
+//! Committed files and their decode hashes: what was once written must be read the same for ever.
 //!
-//! A change here means that files in the world no longer decode, or decode to something else; raise the format's
-//! major version instead. To make the file anew after such a change:
-//! `cargo test --test it codec::golden::make -- --ignored`.
+//! Together they have every kind of section and every kind of context. A change here means that files in the world no
+//! longer decode, or decode to something else; raise the format's major version instead. To make the files anew after such a
+//! change: `cargo test --test it codec::golden::make -- --ignored --nocapture`.
 
-use std::{fs, path::PathBuf};
+use std::{collections::BTreeSet, fs, path::PathBuf};
 
-use tcgs::codec::{DecodeLimits, decode, encode};
+use tcgs::{
+    codec::{DecodeLimits, Encoded, decode, encode, inspect},
+    domain::{AnchorScene, ContextKind},
+};
 
-use super::synthetic::{Recipe, scene, settings};
+use super::{
+    context::fixed,
+    dependent::{KINDS, dependent},
+    synthetic::{Recipe, scene, settings},
+};
 
-/// Hash of the decoded attributes of `tests/golden/shell_v1.tcgs`.
-const DECODE_SHA256: &str = "158a5a29e6a6718810d158fab8dbed2197388d83e56902ff6786378b03cf603f";
-
-fn path() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/shell_v1.tcgs")
+/// A committed file.
+struct Golden {
+    name: &'static str,
+    /// Hash of its decoded attributes.
+    decode_sha256: &'static str,
+    anchors: usize,
+    make: fn() -> Encoded,
 }
 
-/// A scene that touches every part: masks, dropped anchors, escapes, a constant channel, negative cells.
-fn golden_scene() -> tcgs::domain::AnchorScene {
-    let mut scene = scene(Recipe { seed: 2024, anchors: 400, feature_dim: 8, offsets: 4, masked: 0.35 });
+const FILES: [Golden; 2] = [
+    Golden {
+        name: "shell_v1.tcgs",
+        decode_sha256: "158a5a29e6a6718810d158fab8dbed2197388d83e56902ff6786378b03cf603f",
+        anchors: 399,
+        make: shell,
+    },
+    Golden {
+        name: "context_v1.tcgs",
+        decode_sha256: "d05041becfb5ee12cb153c949e414431c7f7003504276ce507c23a0228046268",
+        anchors: 90,
+        make: context,
+    },
+];
+
+impl Golden {
+    fn path(&self) -> PathBuf {
+        PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(self.name)
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        fs::read(self.path()).expect("the golden file is committed")
+    }
+}
+
+/// Tables for every group; masks, dropped anchors, escapes, a constant channel, negative cells.
+fn shell() -> Encoded {
+    let mut scene: AnchorScene =
+        scene(Recipe { seed: 2024, anchors: 400, feature_dim: 8, offsets: 4, masked: 0.35 });
     scene.masks[40..44].fill(false);
     scene.offsets[100] = 12_345.6;
     scene.offsets[101] = -7.0e5;
     scene.features.iter_mut().skip(3).step_by(8).for_each(|value| *value = 2.0);
-    scene
+    encode(&scene, None, &settings()).expect("encodes")
+}
+
+/// A network of another kind for each group, and planes with an up-sampling layer.
+fn context() -> Encoded {
+    let recipe = Recipe { seed: 2025, anchors: 90, feature_dim: 5, offsets: 2, masked: 0.3 };
+    let dependent = dependent(recipe);
+    encode(&dependent.scene, Some(&dependent.candidates), &fixed(KINDS.map(Some), Some(0))).expect("encodes")
 }
 
 #[test]
-fn the_golden_file_decodes_to_its_hash() {
-    let bytes = fs::read(path()).expect("the golden file is committed");
-    assert!(bytes.len() <= 20_000);
-    let decoded = decode(&bytes, &DecodeLimits::default()).expect("decodes");
-    assert_eq!(decoded.decode_sha256.to_string(), DECODE_SHA256);
-    assert_eq!(decoded.scene.len(), 399);
+fn the_golden_files_decode_to_their_hashes() {
+    for golden in FILES {
+        let bytes = golden.bytes();
+        assert!(bytes.len() <= 8000, "{} has {} bytes", golden.name, bytes.len());
+        let decoded = decode(&bytes, &DecodeLimits::default()).expect("decodes");
+        assert_eq!(decoded.decode_sha256.to_string(), golden.decode_sha256, "{}", golden.name);
+        assert_eq!(decoded.scene.len(), golden.anchors, "{}", golden.name);
+    }
 }
 
 #[test]
-fn the_encoder_still_writes_the_golden_file() {
-    let encoded = encode(&golden_scene(), None, &settings()).expect("encodes");
-    assert_eq!(encoded.decode_sha256.to_string(), DECODE_SHA256);
-    assert_eq!(encoded.bytes, fs::read(path()).expect("the golden file is committed"));
+fn the_golden_files_have_every_section_and_every_context() {
+    let mut sections = BTreeSet::new();
+    let mut contexts: Vec<Option<ContextKind>> = Vec::new();
+    for golden in FILES {
+        let inspection = inspect(&golden.bytes()).expect("inspects");
+        sections.extend(inspection.sections.into_iter().map(|section| section.name));
+        contexts.extend(inspection.manifest.contexts.map(|context| context.kind));
+    }
+    let all = ["manifest", "networks", "positions", "masks", "context", "planes", "attributes"];
+    assert_eq!(sections, all.map(str::to_owned).into());
+    for kind in KINDS.map(Some).into_iter().chain([None]) {
+        assert!(contexts.contains(&kind), "{kind:?}");
+    }
+}
+
+#[test]
+fn the_encoder_still_writes_the_golden_files() {
+    for golden in FILES {
+        let encoded = (golden.make)();
+        assert_eq!(encoded.decode_sha256.to_string(), golden.decode_sha256, "{}", golden.name);
+        assert!(encoded.bytes == golden.bytes(), "{}: other bytes", golden.name);
+    }
 }
 
 /// The lines `offset: hex  meaning` of FORMAT.md's example.
 #[test]
-fn the_documented_example_is_the_golden_file() {
+fn the_documented_example_is_a_golden_file() {
     let format = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("FORMAT.md");
     let text = fs::read_to_string(format).expect("FORMAT.md is at the root");
-    let bytes = fs::read(path()).expect("the golden file is committed");
+    let bytes = FILES[0].bytes();
     let mut lines = 0;
     for line in text.lines() {
         let Some((offset, rest)) = line.split_once(": ") else { continue };
@@ -64,9 +126,11 @@ fn the_documented_example_is_the_golden_file() {
 }
 
 #[test]
-#[ignore = "writes the golden file; only after a deliberate change of the format"]
+#[ignore = "writes the golden files; only after a deliberate change of the format"]
 fn make() {
-    let encoded = encode(&golden_scene(), None, &settings()).expect("encodes");
-    fs::write(path(), &encoded.bytes).expect("writable");
-    println!("{} bytes, decode hash {}", encoded.bytes.len(), encoded.decode_sha256);
+    for golden in FILES {
+        let encoded = (golden.make)();
+        fs::write(golden.path(), &encoded.bytes).expect("writable");
+        println!("{}: {} bytes, decode hash {}", golden.name, encoded.bytes.len(), encoded.decode_sha256);
+    }
 }

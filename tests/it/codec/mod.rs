@@ -1,5 +1,7 @@
 //! The codec through its public face: round trips, golden file, versions, hostile bytes.
 
+mod context;
+mod dependent;
 mod figures;
 mod golden;
 mod hostile;

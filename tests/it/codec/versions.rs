@@ -39,6 +39,18 @@ fn another_major_is_refused_and_another_minor_is_read() {
 }
 
 #[test]
+fn another_arithmetic_profile_is_refused() {
+    let bytes = small_file();
+    assert_eq!(inspect(&bytes).expect("inspects").profile, 1);
+    for profile in [0_u16, 2, u16::MAX] {
+        let mut other = bytes.clone();
+        other[14..16].copy_from_slice(&profile.to_le_bytes());
+        wire::reseal(&mut other);
+        assert_eq!(fault(&other), DecodeError::UnsupportedProfile { profile, known: 1 });
+    }
+}
+
+#[test]
 fn an_unknown_optional_section_is_passed_over_wherever_it_stands() {
     let bytes = small_file();
     let expected = decode(&bytes, &DecodeLimits::default()).expect("decodes");

@@ -7,7 +7,7 @@ pub(super) const ENTRY: usize = 28;
 
 /// Sets length, section places and checksums, whole-file hash and header checksum to what `bytes` has.
 pub(super) fn reseal(bytes: &mut [u8]) {
-    let header = HEADER + ENTRY * u32_at(bytes, 12) as usize;
+    let header = HEADER + ENTRY * u16_at(bytes, 12) as usize;
     for entry in (HEADER..header).step_by(ENTRY) {
         let offset = u64_at(bytes, entry + 8) as usize;
         let length = u64_at(bytes, entry + 16) as usize;
@@ -34,7 +34,7 @@ pub(super) type Part = ([u8; 4], u32, Vec<u8>);
 
 /// The sections of a file.
 pub(super) fn parts(bytes: &[u8]) -> Vec<Part> {
-    let header = HEADER + ENTRY * u32_at(bytes, 12) as usize;
+    let header = HEADER + ENTRY * u16_at(bytes, 12) as usize;
     (HEADER..header)
         .step_by(ENTRY)
         .map(|entry| {
@@ -53,7 +53,8 @@ pub(super) fn file(version: (u16, u16), parts: &[Part]) -> Vec<u8> {
     let mut bytes = b"\x89TCGS\r\n\x1a".to_vec();
     bytes.extend(version.0.to_le_bytes());
     bytes.extend(version.1.to_le_bytes());
-    bytes.extend((parts.len() as u32).to_le_bytes());
+    bytes.extend((parts.len() as u16).to_le_bytes());
+    bytes.extend(1_u16.to_le_bytes());
     bytes.extend((length as u64).to_le_bytes());
     bytes.extend([0; 36]);
     let mut offset = header;
@@ -68,6 +69,10 @@ pub(super) fn file(version: (u16, u16), parts: &[Part]) -> Vec<u8> {
     parts.iter().for_each(|(_, _, content)| bytes.extend(content));
     reseal(&mut bytes);
     bytes
+}
+
+fn u16_at(bytes: &[u8], at: usize) -> u16 {
+    u16::from_le_bytes(bytes[at..at + 2].try_into().expect("two bytes"))
 }
 
 fn u32_at(bytes: &[u8], at: usize) -> u32 {

@@ -1,0 +1,45 @@
+// Gathers, for every anchor, the gradients by the plane samples at it: those of all sampled anchors that have it for a
+// neighbour, in the order of its list. Without atomics, so the same input gives the same bits.
+
+struct Shape {
+    // anchors, plane samples of an anchor, columns of a row, unused
+    shape: vec4u,
+}
+
+// The column of an anchor that was not sampled.
+const NONE: u32 = 0xffffffffu;
+
+@group(0) @binding(0) var<uniform> shape: Shape;
+// Where each anchor's list begins, and where the last one ends.
+@group(0) @binding(1) var<storage, read> starts: array<u32>;
+// Of each that has it for a neighbour: four times its index, plus which neighbour.
+@group(0) @binding(2) var<storage, read> users: array<u32>;
+@group(0) @binding(3) var<storage, read> columns: array<u32>;
+@group(0) @binding(4) var<storage, read> d_input: array<f32>;
+// Rows of anchors.
+@group(0) @binding(5) var<storage, read_write> d_samples: array<f32>;
+
+@compute @workgroup_size(64)
+fn neighbour_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let anchor = (group.x + group.y * 65535u) * 64u + local;
+    if anchor >= shape.shape.x {
+        return;
+    }
+    let width = shape.shape.y;
+    let first = anchor * width;
+    for (var i = 0u; i < width; i++) {
+        d_samples[first + i] = 0.0;
+    }
+    let end = starts[anchor + 1u];
+    for (var entry = starts[anchor]; entry < end; entry++) {
+        let user = users[entry];
+        let column = columns[user >> 2u];
+        if column == NONE {
+            continue;
+        }
+        let row = (user & 3u) * width;
+        for (var i = 0u; i < width; i++) {
+            d_samples[first + i] += d_input[(row + i) * shape.shape.z + column];
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! What the networks are given about each anchor: samples of the planes at the anchor and its neighbours, and where it is.
+
+use rayon::prelude::*;
+
+use super::{coordinates, neighbours, planes::PlaneTexels, position_inputs, texels};
+use crate::domain::{
+    ContextFrame,
+    context::{ContextKind, NEIGHBOURS},
+};
+
+/// Anchors that are worth a task of their own.
+const TASK: usize = 1024;
+
+/// The anchors of a file as its networks see them; empty where there are only tables.
+#[derive(Debug, Default)]
+pub(in crate::codec) struct AnchorContext {
+    coordinates: Vec<[i32; 3]>,
+    /// Values a sample, none without planes.
+    width: usize,
+    /// `[N][width]`.
+    samples: Vec<i16>,
+    /// Empty where no network asks for neighbours.
+    neighbours: Vec<[u32; NEIGHBOURS]>,
+}
+
+impl AnchorContext {
+    /// The anchors' places in `frame`, without planes.
+    pub(in crate::codec) fn new(frame: &ContextFrame, cells: &[[i32; 3]]) -> Self {
+        let coordinates = coordinates(frame, cells);
+        Self { coordinates, ..Self::default() }
+    }
+
+    /// Finds each anchor's neighbours.
+    pub(in crate::codec) fn find_neighbours(&mut self, cells: &[[i32; 3]]) {
+        self.neighbours = neighbours(cells);
+    }
+
+    /// Whether they were found.
+    pub(in crate::codec) fn has_neighbours(&self) -> bool {
+        !self.neighbours.is_empty()
+    }
+
+    /// Samples the planes at each anchor.
+    pub(in crate::codec) fn sample(&mut self, planes: &PlaneTexels) {
+        self.width = planes.sample_width();
+        self.samples = vec![0; self.width * self.coordinates.len()];
+        self.samples.par_chunks_mut(self.width).zip(&self.coordinates).with_min_len(TASK).for_each(
+            |(sample, coordinate)| {
+                planes.sample(&texels(*coordinate, planes.edge()), sample);
+            },
+        );
+    }
+
+    /// Bytes that an anchor takes where planes have `channels` channels in all and neighbours are asked for or not.
+    pub(in crate::codec) fn bytes_an_anchor(channels: usize, neighbours: bool) -> u64 {
+        // Coordinates; samples; neighbours by rank and by index, and the sort keys and boxes of their search.
+        12 + 2 * channels as u64 + if neighbours { 2 * 16 + 24 + 4 + 8 } else { 0 }
+    }
+
+    /// Puts what a network of `kind` is given about an anchor into `inputs`.
+    pub(in crate::codec) fn inputs(&self, kind: ContextKind, anchor: usize, inputs: &mut Vec<i16>) {
+        inputs.clear();
+        let sample = |anchor: usize| &self.samples[anchor * self.width..(anchor + 1) * self.width];
+        match kind {
+            ContextKind::Position => {}
+            ContextKind::TriPlane => inputs.extend_from_slice(sample(anchor)),
+            ContextKind::TriPlaneKnn => {
+                self.neighbours[anchor]
+                    .iter()
+                    .for_each(|near| inputs.extend_from_slice(sample(*near as usize)));
+            }
+        }
+        inputs.extend(position_inputs(self.coordinates[anchor]));
+    }
+}

@@ -1,0 +1,79 @@
+//! What the decoder expects of each symbol: the seam between attribute coding and the model of the attributes.
+//!
+//! Encoder and decoder ask the same model the same questions in the same order. A model uses what the decoder has before
+//! the attributes (manifest, cells, networks, planes) and nothing else.
+
+use super::{
+    anchors::AnchorContext,
+    dense::{Activations, IntegerMlp, padded},
+    steps,
+};
+use crate::{codec::symbols::Distribution, domain::context::ContextKind};
+
+/// The model of an attribute group.
+#[derive(Debug, Clone, PartialEq)]
+pub(in crate::codec) enum GroupModel {
+    /// One distribution a channel, the same for every anchor.
+    Static {
+        /// Step index of every anchor.
+        step: i8,
+        /// Of each channel.
+        channels: Vec<Distribution>,
+    },
+    /// A network's predictions.
+    Network(ContextNetwork),
+}
+
+/// A network and what it is given.
+#[derive(Debug, Clone, PartialEq)]
+pub(in crate::codec) struct ContextNetwork {
+    /// What it is given.
+    pub(in crate::codec) kind: ContextKind,
+    /// Its layers.
+    pub(in crate::codec) mlp: IntegerMlp,
+}
+
+impl GroupModel {
+    /// Asks the model about anchors; `anchors` must have what its network is given.
+    pub(in crate::codec) fn rows<'a>(&'a self, anchors: &'a AnchorContext) -> Rows<'a> {
+        let distributions = match self {
+            GroupModel::Static { channels, .. } => channels.clone(),
+            GroupModel::Network(_) => Vec::new(),
+        };
+        Rows { model: self, anchors, activations: Activations::default(), outputs: Vec::new(), distributions }
+    }
+}
+
+/// Answers about one anchor after another.
+pub(in crate::codec) struct Rows<'a> {
+    model: &'a GroupModel,
+    anchors: &'a AnchorContext,
+    activations: Activations,
+    outputs: Vec<i32>,
+    distributions: Vec<Distribution>,
+}
+
+impl Rows<'_> {
+    /// The step index of an anchor (by its place in the file), and the distribution of each channel.
+    pub(in crate::codec) fn at(&mut self, anchor: usize) -> (i8, &[Distribution]) {
+        let network = match self.model {
+            GroupModel::Static { step, .. } => return (*step, &self.distributions),
+            GroupModel::Network(network) => network,
+        };
+        let input = &mut self.activations.input;
+        self.anchors.inputs(network.kind, anchor, input);
+        input.resize(padded(input.len()), 0);
+        network.mlp.outputs(&mut self.activations, &mut self.outputs);
+        let channels = self.outputs.len() / 2;
+        let (means, rest) = self.outputs.split_at(channels);
+        let step = steps::index(rest[channels]);
+        self.distributions.clear();
+        self.distributions.extend(
+            means
+                .iter()
+                .zip(rest)
+                .map(|(mean, deviation)| Distribution::Gaussian(steps::gaussian(*mean, *deviation, step))),
+        );
+        (step, &self.distributions)
+    }
+}

@@ -1,0 +1,533 @@
+//! Tri-planes of integers: latents, the up-sampling layers that make planes of them, and samples of the planes.
+//!
+//! Plane values are in 2^-8 and at most 2^14 - 1 in magnitude; an output of an up-sampling layer has at most four taps of
+//! each input channel, so the proof of `dense` covers it.
+
+use rayon::prelude::*;
+
+use super::{
+    dense::{
+        MAX_ACTIVATION, MAX_INPUTS, MAX_SHIFT, decode_integers, dot, encode_integers, padded, quantise_bias,
+        quantise_row, shifted,
+    },
+    latents::{self, MAX_LATENT},
+    texels::{MAX_PLANE_EDGE, Texel},
+};
+use crate::{
+    codec::{
+        bytes::{Reader, Writer},
+        decode::within,
+        error::DecodeError,
+        fit,
+        range::{StreamDecoder, StreamEncoder},
+    },
+    domain::{Planes, UpLayer, context::PLANE_AXES},
+};
+
+const PART: &str = "planes";
+
+/// Planes of a scene.
+pub(in crate::codec) const PLANES: usize = PLANE_AXES.len();
+
+/// Most channels of a latent or a plane: four taps of each are what a dense layer may have.
+const MAX_CHANNELS: usize = MAX_INPUTS / 4;
+
+/// Most up-sampling layers.
+const MAX_LAYERS: usize = 6;
+
+/// Most values of the three planes, or of what any layer makes of them. It bounds memory and time whatever a file says.
+const MAX_VALUES: usize = 1 << 24;
+
+/// Weights of up-sampling layers have eight bits: they are few.
+const WEIGHTS: i32 = 127;
+
+/// An up-sampling layer of integers.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct IntegerUpLayer {
+    inputs: usize,
+    /// Right shift of each output.
+    shifts: Vec<u8>,
+    /// `[inputs][outputs][3][3]`.
+    weights: Vec<i16>,
+    /// In 2^-8, of each output.
+    bias: Vec<i32>,
+}
+
+/// Planes as a file stores them.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(in crate::codec) struct IntegerPlanes {
+    edge: usize,
+    channels: usize,
+    /// `[3][channels][edge][edge]`, in 2^-4.
+    latents: Vec<i8>,
+    layers: Vec<IntegerUpLayer>,
+}
+
+/// Planes as they are sampled.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(in crate::codec) struct PlaneTexels {
+    edge: usize,
+    channels: usize,
+    /// `[3][edge][edge][channels]`.
+    values: Vec<i16>,
+}
+
+impl IntegerPlanes {
+    /// Refuses planes that the format cannot state, in words.
+    pub(in crate::codec) fn check(planes: &Planes) -> Result<(), String> {
+        let (mut edge, mut channels) = (planes.edge, planes.channels);
+        if planes.layers.len() > MAX_LAYERS {
+            return Err(format!("{} layers where at most {MAX_LAYERS} are possible", planes.layers.len()));
+        }
+        check_size(edge, channels).map_err(|(what, value)| format!("{what} is {value}"))?;
+        if planes.latents.len() != PLANES * channels * edge * edge {
+            return Err(format!(
+                "{} latents for {channels} channels of {edge} x {edge}",
+                planes.latents.len()
+            ));
+        }
+        let mut finite = planes.latents.iter().all(|latent| latent.is_finite());
+        for layer in &planes.layers {
+            let weights = layer.inputs * layer.outputs * 9;
+            if layer.inputs != channels || layer.weights.len() != weights || layer.bias.len() != layer.outputs
+            {
+                return Err("a layer whose parts do not fit".to_owned());
+            }
+            finite &= layer.weights.iter().chain(&layer.bias).all(|value| value.is_finite());
+            (edge, channels) = (2 * edge, layer.outputs);
+            check_size(edge, channels).map_err(|(what, value)| format!("{what} is {value}"))?;
+        }
+        if finite { Ok(()) } else { Err("a value that is not finite".to_owned()) }
+    }
+
+    /// The integers of planes that were checked.
+    pub(in crate::codec) fn quantise(planes: &Planes) -> Self {
+        let limit = MAX_LATENT as f32;
+        let latent = |value: &f32| (value * 16.0).round_ties_even().clamp(-limit, limit) as i8;
+        Self {
+            edge: planes.edge,
+            channels: planes.channels,
+            latents: planes.latents.iter().map(latent).collect(),
+            layers: planes.layers.iter().map(IntegerUpLayer::quantise).collect(),
+        }
+    }
+
+    /// The planes that the integers stand for.
+    pub(in crate::codec) fn as_floats(&self) -> Planes {
+        Planes {
+            edge: self.edge,
+            channels: self.channels,
+            latents: self.latents.iter().map(|latent| f32::from(*latent) / 16.0).collect(),
+            layers: self.layers.iter().map(IntegerUpLayer::as_floats).collect(),
+        }
+    }
+
+    /// Channels of the planes.
+    pub(in crate::codec) fn plane_channels(&self) -> usize {
+        self.layers.last().map_or(self.channels, |layer| layer.bias.len())
+    }
+
+    /// The planes, up-sampled.
+    pub(in crate::codec) fn texels(&self) -> PlaneTexels {
+        let size = self.edge * self.edge;
+        let (mut edge, mut channels) = (self.edge, self.channels);
+        // Channels last, as samples and layers take all channels of a place together.
+        let mut values = vec![0; self.latents.len()];
+        for (plane, latents) in values.chunks_mut(size * channels).zip(self.latents.chunks(size * channels)) {
+            for (channel, image) in latents.chunks(size).enumerate() {
+                for (place, latent) in image.iter().enumerate() {
+                    plane[place * channels + channel] = i16::from(*latent) << 4;
+                }
+            }
+        }
+        for (index, layer) in self.layers.iter().enumerate() {
+            let low = if index + 1 < self.layers.len() { 0 } else { -MAX_ACTIVATION };
+            let taps = Taps::new(layer);
+            values = values
+                .chunks(edge * edge * channels)
+                .flat_map(|plane| taps.apply(plane, edge, low))
+                .collect();
+            (edge, channels) = (2 * edge, layer.bias.len());
+        }
+        PlaneTexels { edge, channels, values }
+    }
+
+    /// The planes section.
+    pub(in crate::codec) fn encode(&self) -> Vec<u8> {
+        let mut writer = Writer::new();
+        let mut stream = StreamEncoder::new();
+        [self.edge, self.channels, self.layers.len()].iter().for_each(|count| writer.varint(*count as u64));
+        for layer in &self.layers {
+            writer.varint(layer.bias.len() as u64);
+            encode_integers(layer.shifts.iter().map(|shift| i32::from(*shift)), &mut writer, &mut stream);
+            encode_integers(layer.weights.iter().map(|w| i32::from(*w)), &mut writer, &mut stream);
+            encode_integers(layer.bias.iter().copied(), &mut writer, &mut stream);
+        }
+        latents::encode(&self.latents, self.edge, &mut stream);
+        writer.raw(&stream.finish());
+        writer.into_bytes()
+    }
+
+    /// Reads the planes section.
+    pub(in crate::codec) fn decode(section: &[u8], max_memory_bytes: u64) -> Result<Self, DecodeError> {
+        let mut reader = Reader::new(PART, section);
+        let edge = reader.count("edge of a latent", 1..=MAX_PLANE_EDGE)?;
+        let channels = reader.count("channels of a latent", 1..=MAX_CHANNELS)?;
+        let count = reader.count("number of layers", 0..=MAX_LAYERS)?;
+        let mut heads = Vec::new();
+        let (mut wide, mut deep) = (edge, channels);
+        let mut most = PLANES * channels * edge * edge;
+        check_size(wide, deep).map_err(|(what, value)| reader.malformed(what, value))?;
+        for _ in 0..count {
+            let outputs = reader.count("channels of a layer", 1..=MAX_CHANNELS)?;
+            heads.push((
+                deep,
+                outputs,
+                [fit::read(&mut reader)?, fit::read(&mut reader)?, fit::read(&mut reader)?],
+            ));
+            (wide, deep) = (2 * wide, outputs);
+            check_size(wide, deep).map_err(|(what, value)| reader.malformed(what, value))?;
+            most = most.max(PLANES * deep * wide * wide);
+        }
+        // What a layer reads, what it makes, and the planes joined.
+        let memory = 3 * 2 * most as u64;
+        within("bytes of memory for planes", memory, max_memory_bytes)?;
+        let mut stream = StreamDecoder::new(PART, reader.rest())?;
+        let mut layers = Vec::new();
+        for (inputs, outputs, [of_shifts, of_weights, of_bias]) in heads {
+            let shifts =
+                decode_integers(&mut stream, of_shifts, outputs, 0, i32::from(MAX_SHIFT), "a shift")?;
+            let size = inputs * outputs * 9;
+            let weights = decode_integers(&mut stream, of_weights, size, -WEIGHTS, WEIGHTS, "a weight")?;
+            let limit = crate::codec::symbols::MAX_SYMBOL;
+            let bias = decode_integers(&mut stream, of_bias, outputs, -limit, limit, "a bias")?;
+            layers.push(IntegerUpLayer {
+                inputs,
+                shifts: shifts.into_iter().map(|shift| shift as u8).collect(),
+                weights: weights.into_iter().map(|weight| weight as i16).collect(),
+                bias,
+            });
+        }
+        let latents = latents::decode(PLANES * channels, edge, &mut stream)?;
+        stream.finish()?;
+        Ok(Self { edge, channels, latents, layers })
+    }
+}
+
+/// Whether planes of this size are possible; if not, what is wrong.
+fn check_size(edge: usize, channels: usize) -> Result<(), (&'static str, usize)> {
+    if !(1..=MAX_PLANE_EDGE).contains(&edge) {
+        return Err(("the edge of a plane", edge));
+    }
+    if !(1..=MAX_CHANNELS).contains(&channels) {
+        return Err(("the channels of a plane", channels));
+    }
+    match PLANES * channels * edge * edge {
+        ..=MAX_VALUES => Ok(()),
+        values => Err(("the number of plane values", values)),
+    }
+}
+
+impl IntegerUpLayer {
+    fn quantise(layer: &UpLayer) -> Self {
+        let outputs = layer.outputs;
+        let mut weights = vec![0; layer.weights.len()];
+        let mut shifts = Vec::with_capacity(outputs);
+        for output in 0..outputs {
+            let places: Vec<usize> = (0..layer.inputs)
+                .flat_map(|input| (0..9).map(move |tap| (input * outputs + output) * 9 + tap))
+                .collect();
+            let row: Vec<f32> = places.iter().map(|place| layer.weights[*place]).collect();
+            let (shift, integers) = quantise_row(&row, WEIGHTS);
+            shifts.push(shift);
+            places.iter().zip(integers).for_each(|(place, integer)| weights[*place] = integer);
+        }
+        let bias = layer.bias.iter().copied().map(quantise_bias).collect();
+        Self { inputs: layer.inputs, shifts, weights, bias }
+    }
+
+    fn as_floats(&self) -> UpLayer {
+        let outputs = self.bias.len();
+        let scale = |place: usize| 1.0 / (1_u32 << self.shifts[place / 9 % outputs]) as f32;
+        UpLayer {
+            inputs: self.inputs,
+            outputs,
+            weights: self.weights.iter().enumerate().map(|(place, w)| f32::from(*w) * scale(place)).collect(),
+            bias: self.bias.iter().map(|bias| *bias as f32 / 256.0).collect(),
+        }
+    }
+}
+
+/// A layer's weights by what an output place needs: an even column has one tap, an odd one two, and so have rows.
+struct Taps<'a> {
+    layer: &'a IntegerUpLayer,
+    /// For each parity of row and column, padded rows `[outputs][taps][inputs]`.
+    rows: [Vec<i16>; 4],
+}
+
+/// Offset of the input from the halved output place, and tap, for even and odd places.
+const ALONG: [&[(usize, usize)]; 2] = [&[(0, 1)], &[(1, 0), (0, 2)]];
+
+impl<'a> Taps<'a> {
+    fn new(layer: &'a IntegerUpLayer) -> Self {
+        let (inputs, outputs) = (layer.inputs, layer.bias.len());
+        let rows = std::array::from_fn(|parity| {
+            let (vertical, horizontal) = (ALONG[parity / 2], ALONG[parity % 2]);
+            let stride = padded(vertical.len() * horizontal.len() * inputs);
+            let mut rows = Vec::with_capacity(outputs * stride);
+            for output in 0..outputs {
+                for (_, v) in vertical {
+                    for (_, u) in horizontal {
+                        let tap = 3 * v + u;
+                        rows.extend(
+                            (0..inputs).map(|input| layer.weights[(input * outputs + output) * 9 + tap]),
+                        );
+                    }
+                }
+                rows.resize((output + 1) * stride, 0);
+            }
+            rows
+        });
+        Self { layer, rows }
+    }
+
+    /// One plane `[edge][edge][inputs]` made `[2 edge][2 edge][outputs]`.
+    fn apply(&self, plane: &[i16], edge: usize, low: i32) -> Vec<i16> {
+        let (inputs, outputs) = (self.layer.inputs, self.layer.bias.len());
+        let mut result = vec![0; 4 * edge * edge * outputs];
+        result.par_chunks_mut(2 * edge * outputs).enumerate().for_each(|(row, line)| {
+            let mut gathered = Vec::new();
+            for (column, place) in line.chunks_mut(outputs).enumerate() {
+                let parity = row % 2 * 2 + column % 2;
+                gathered.clear();
+                for (down, _) in ALONG[row % 2] {
+                    for (right, _) in ALONG[column % 2] {
+                        let (y, x) = (row / 2 + down, column / 2 + right);
+                        if y < edge && x < edge {
+                            let start = (y * edge + x) * inputs;
+                            gathered.extend_from_slice(&plane[start..start + inputs]);
+                        } else {
+                            gathered.resize(gathered.len() + inputs, 0);
+                        }
+                    }
+                }
+                let stride = padded(gathered.len());
+                gathered.resize(stride, 0);
+                for (output, value) in place.iter_mut().enumerate() {
+                    let sum = dot(&self.rows[parity][output * stride..(output + 1) * stride], &gathered);
+                    let sum = shifted(sum, self.layer.shifts[output], self.layer.bias[output]);
+                    *value = sum.clamp(low, MAX_ACTIVATION) as i16;
+                }
+            }
+        });
+        result
+    }
+}
+
+impl PlaneTexels {
+    /// Texels along an edge.
+    pub(in crate::codec) fn edge(&self) -> usize {
+        self.edge
+    }
+
+    /// Values of a sample: the three planes' channels in turn.
+    pub(in crate::codec) fn sample_width(&self) -> usize {
+        PLANES * self.channels
+    }
+
+    /// Samples the planes at `places` into `sample`, of [`PlaneTexels::sample_width`] values.
+    pub(in crate::codec) fn sample(&self, places: &[Texel; 3], sample: &mut [i16]) {
+        let size = self.edge * self.edge * self.channels;
+        for ((texel, plane), sample) in
+            places.iter().zip(self.values.chunks(size)).zip(sample.chunks_mut(self.channels))
+        {
+            let at = |x: u32, y: u32| {
+                let start = (y as usize * self.edge + x as usize) * self.channels;
+                &plane[start..start + self.channels]
+            };
+            let [low, high] = [256 - texel.fx as i32, texel.fx as i32];
+            let [near, far] = [256 - texel.fy as i32, texel.fy as i32];
+            let corners = [
+                (at(texel.x0, texel.y0), low * near),
+                (at(texel.x1, texel.y0), high * near),
+                (at(texel.x0, texel.y1), low * far),
+                (at(texel.x1, texel.y1), high * far),
+            ];
+            for (channel, value) in sample.iter_mut().enumerate() {
+                // Weights add up to 2^16, so the sum is below 2^30.
+                let sum: i32 = corners.iter().map(|(texel, weight)| i32::from(texel[channel]) * weight).sum();
+                *value = (sum >> 16) as i16;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+    use crate::codec::context::texels;
+
+    fn planes(random: &mut Pcg64Mcg, edge: usize, widths: &[usize]) -> Planes {
+        let mut uniform = |count: usize, bound: f32| -> Vec<f32> {
+            (0..count).map(|_| random.random_range(-bound..bound)).collect()
+        };
+        Planes {
+            edge,
+            channels: widths[0],
+            latents: uniform(PLANES * widths[0] * edge * edge, 3.0),
+            layers: widths
+                .windows(2)
+                .map(|pair| UpLayer {
+                    inputs: pair[0],
+                    outputs: pair[1],
+                    weights: uniform(pair[0] * pair[1] * 9, 0.5),
+                    bias: uniform(pair[1], 0.3),
+                })
+                .collect(),
+        }
+    }
+
+    /// The domain's definition, term by term, in f64: `[3][C][R][R]`.
+    fn float_planes(planes: &Planes) -> Vec<f64> {
+        let mut edge = planes.edge;
+        let mut values: Vec<f64> = planes.latents.iter().map(|v| f64::from(*v)).collect();
+        for (index, layer) in planes.layers.iter().enumerate() {
+            let (size, wide) = (edge * edge, 2 * edge);
+            let mut next = vec![0.0; PLANES * layer.outputs * wide * wide];
+            for plane in 0..PLANES {
+                for output in 0..layer.outputs {
+                    let image = &mut next[(plane * layer.outputs + output) * wide * wide..][..wide * wide];
+                    image.fill(f64::from(layer.bias[output]));
+                    for input in 0..layer.inputs {
+                        for place in 0..size {
+                            let value = values[(plane * layer.inputs + input) * size + place];
+                            for tap in 0..9 {
+                                let x = (2 * (place % edge) + tap % 3).checked_sub(1).filter(|x| *x < wide);
+                                let y = (2 * (place / edge) + tap / 3).checked_sub(1).filter(|y| *y < wide);
+                                if let (Some(x), Some(y)) = (x, y) {
+                                    let weight = layer.weights[(input * layer.outputs + output) * 9 + tap];
+                                    image[y * wide + x] += value * f64::from(weight);
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+            if index + 1 < planes.layers.len() {
+                next.iter_mut().for_each(|value| *value = value.max(0.0));
+            }
+            (values, edge) = (next, wide);
+        }
+        values
+    }
+
+    #[test]
+    fn up_sampling_follows_its_definition() {
+        let mut random = Pcg64Mcg::seed_from_u64(4);
+        for widths in [&[3][..], &[4, 5], &[3, 6, 4], &[2, 3, 3, 2]] {
+            let integers = IntegerPlanes::quantise(&planes(&mut random, 3, widths));
+            let exact = float_planes(&integers.as_floats());
+            let texels = integers.texels();
+            let channels = *widths.last().expect("a width");
+            assert_eq!((texels.edge, texels.channels), (3 << (widths.len() - 1), channels));
+            let size = texels.edge * texels.edge;
+            for (index, value) in texels.values.iter().enumerate() {
+                let (plane, rest) = (index / (size * channels), index % (size * channels));
+                let exact = exact[(plane * channels + rest % channels) * size + rest / channels];
+                // Half a 2^-8 a layer, grown by weights of at most 24 terms of 0.5.
+                let bound = [0.01, 0.5, 4.0, 12.0][widths.len() - 1] / 256.0;
+                assert!((f64::from(*value) / 256.0 - exact).abs() <= bound, "{value} for {exact}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_stored_form_is_a_fixed_point_and_comes_back() {
+        let mut random = Pcg64Mcg::seed_from_u64(5);
+        for widths in [&[3][..], &[4, 5], &[2, 16, 8]] {
+            let integers = IntegerPlanes::quantise(&planes(&mut random, 5, widths));
+            assert_eq!(IntegerPlanes::quantise(&integers.as_floats()), integers);
+            let section = integers.encode();
+            assert_eq!(IntegerPlanes::decode(&section, u64::MAX), Ok(integers.clone()));
+            assert!(matches!(IntegerPlanes::decode(&section, 100), Err(DecodeError::Limit { .. })));
+            for length in 0..section.len() {
+                // What is left of a cut stream may be other symbols, but never the same ones.
+                assert_ne!(IntegerPlanes::decode(&section[..length], u64::MAX), Ok(integers.clone()));
+            }
+        }
+    }
+
+    #[test]
+    fn sizes_beyond_the_format_are_refused() {
+        let section = |counts: &[u64]| {
+            let mut writer = Writer::new();
+            counts.iter().for_each(|count| writer.varint(*count));
+            writer.into_bytes()
+        };
+        for counts in [[0, 1, 0], [1025, 1, 0], [1, 0, 0], [1, 129, 0], [1, 1, 7], [1024, 6, 0]] {
+            let fault = IntegerPlanes::decode(&section(&counts), u64::MAX);
+            assert!(matches!(fault, Err(DecodeError::Malformed { .. })), "{counts:?}: {fault:?}");
+        }
+        let mut random = Pcg64Mcg::seed_from_u64(6);
+        let good = planes(&mut random, 2, &[2, 3]);
+        assert_eq!(IntegerPlanes::check(&good), Ok(()));
+        let refused = |change: fn(&mut Planes)| {
+            let mut planes = good.clone();
+            change(&mut planes);
+            assert!(IntegerPlanes::check(&planes).is_err());
+        };
+        refused(|planes| planes.latents[0] = f32::NAN);
+        refused(|planes| planes.layers[0].bias[0] = f32::INFINITY);
+        refused(|planes| planes.edge = 3);
+        refused(|planes| planes.layers[0].inputs = 3);
+        refused(|planes| planes.layers[0].outputs = 0);
+    }
+
+    #[test]
+    fn no_sum_overflows_at_the_extremes_of_every_range() {
+        for sign in [1_i16, -1] {
+            let (inputs, outputs) = (MAX_CHANNELS, 2);
+            let layer = IntegerUpLayer {
+                inputs,
+                shifts: vec![0, MAX_SHIFT],
+                weights: vec![127 * sign; inputs * outputs * 9],
+                bias: vec![(1 << 24) * i32::from(sign); outputs],
+            };
+            let values =
+                Taps::new(&layer).apply(&vec![MAX_ACTIVATION as i16; 4 * inputs], 2, -MAX_ACTIVATION);
+            let texels = PlaneTexels { edge: 4, channels: outputs, values: values.repeat(PLANES) };
+            let mut sample = vec![0; texels.sample_width()];
+            for v in [-(1 << 17), -70_000, 0, 1 << 17] {
+                texels.sample(&texels::texels([v; 3], 4), &mut sample);
+                assert!(sample.iter().all(|value| value.abs() == MAX_ACTIVATION as i16), "{sample:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn samples_are_bilinear() {
+        let mut random = Pcg64Mcg::seed_from_u64(7);
+        let texels = IntegerPlanes::quantise(&planes(&mut random, 6, &[3])).texels();
+        let mut sample = vec![0; texels.sample_width()];
+        for v in (-(1 << 17)..=1 << 17).step_by(3001) {
+            let places = texels::texels([v, -v, v / 3], texels.edge());
+            texels.sample(&places, &mut sample);
+            for (plane, place) in places.iter().enumerate() {
+                for channel in 0..3 {
+                    let at = |x: u32, y: u32| {
+                        let index = ((plane * 6 + y as usize) * 6 + x as usize) * 3 + channel;
+                        f64::from(texels.values[index])
+                    };
+                    let (fx, fy) = (f64::from(place.fx) / 256.0, f64::from(place.fy) / 256.0);
+                    let exact = (at(place.x0, place.y0) * (1.0 - fx) + at(place.x1, place.y0) * fx)
+                        * (1.0 - fy)
+                        + (at(place.x0, place.y1) * (1.0 - fx) + at(place.x1, place.y1) * fx) * fy;
+                    assert_eq!(f64::from(sample[plane * 3 + channel]), libm::floor(exact));
+                }
+            }
+        }
+    }
+}

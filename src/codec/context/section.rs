@@ -1,0 +1,94 @@
+//! The context section: where the planes lie, and the networks of the groups that have one.
+
+use std::ops::Range;
+
+use super::{dense::IntegerMlp, model::ContextNetwork};
+use crate::{
+    codec::{
+        bytes::{Reader, Writer},
+        error::DecodeError,
+    },
+    domain::{AttributeGroup, ContextFrame, context::ContextKind},
+};
+
+const PART: &str = "context";
+
+/// The context section; `networks` in the order of [`AttributeGroup::ALL`].
+pub(in crate::codec) fn encode(frame: &ContextFrame, networks: [Option<&ContextNetwork>; 3]) -> Vec<u8> {
+    let mut writer = Writer::new();
+    frame.centre.iter().for_each(|cell| writer.signed(i64::from(*cell)));
+    frame.half.iter().for_each(|cells| writer.varint(u64::from(*cells)));
+    for network in networks.into_iter().flatten() {
+        let bytes = network.mlp.encode();
+        writer.varint(bytes.len() as u64);
+        writer.raw(&bytes);
+    }
+    writer.into_bytes()
+}
+
+/// The section taken apart; places are offsets within it and tile it.
+pub(in crate::codec) struct Layout {
+    pub(in crate::codec) frame: ContextFrame,
+    /// The frame's bytes.
+    pub(in crate::codec) frame_place: Range<usize>,
+    /// Each network's bytes with their length, empty where a group has none.
+    pub(in crate::codec) places: [Range<usize>; 3],
+    /// Where the networks themselves begin.
+    starts: [usize; 3],
+}
+
+impl Layout {
+    /// Reads the frame and finds the networks of a file with these kinds.
+    pub(in crate::codec) fn read(
+        section: &[u8],
+        kinds: [Option<ContextKind>; 3],
+    ) -> Result<Self, DecodeError> {
+        let mut reader = Reader::new(PART, section);
+        let mut frame = ContextFrame { centre: [0; 3], half: [1; 3] };
+        for cell in &mut frame.centre {
+            let value = reader.signed("centre")?;
+            *cell = i32::try_from(value).map_err(|_| reader.malformed("centre", value))?;
+        }
+        for cells in &mut frame.half {
+            let value = reader.varint("half")?;
+            let half = u32::try_from(value).ok().filter(|half| *half > 0);
+            *cells = half.ok_or_else(|| reader.malformed("half", value))?;
+        }
+        let frame_place = 0..reader.position();
+        let mut places = [0..0, 0..0, 0..0];
+        let mut starts = [0; 3];
+        for ((place, start), kind) in places.iter_mut().zip(&mut starts).zip(kinds) {
+            let first = reader.position();
+            if kind.is_some() {
+                let length = reader.varint("length of a network")?;
+                *start = reader.position();
+                reader.take("a network", length)?;
+            }
+            *place = first..reader.position();
+        }
+        reader.end()?;
+        Ok(Self { frame, frame_place, places, starts })
+    }
+
+    /// Reads the networks, for planes of `plane_channels` channels and groups of so many `channels`.
+    pub(in crate::codec) fn networks(
+        &self,
+        section: &[u8],
+        kinds: [Option<ContextKind>; 3],
+        plane_channels: usize,
+        channels: [usize; 3],
+        max_memory_bytes: u64,
+    ) -> Result<[Option<ContextNetwork>; 3], DecodeError> {
+        let mut networks = [None, None, None];
+        for (group, network) in networks.iter_mut().enumerate() {
+            let Some(kind) = kinds[group] else { continue };
+            let bytes = &section[self.starts[group]..self.places[group].end];
+            let inputs = kind.inputs(plane_channels);
+            let outputs = AttributeGroup::outputs(channels[group]);
+            let mlp =
+                IntegerMlp::decode(PART, &mut Reader::new(PART, bytes), inputs, outputs, max_memory_bytes)?;
+            *network = Some(ContextNetwork { kind, mlp });
+        }
+        Ok(networks)
+    }
+}

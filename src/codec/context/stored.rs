@@ -1,0 +1,28 @@
+//! What a file will make of networks and planes: the floats that their integers stand for.
+//!
+//! Training rounds with these in its last phase, so that it learns with what a decoder will have. Rounding what was rounded
+//! changes nothing.
+
+use super::{
+    dense::{IntegerMlp, WeightBits},
+    planes::IntegerPlanes,
+};
+use crate::domain::{Mlp, Planes};
+
+/// A context network with weights of `weight_bits` bits (2 to 8; others count as the nearest of these): each row's weights are multiples
+/// of a power of two, the finest with which the largest stays within 2^(bits - 1) - 1 of them; biases are multiples of
+/// 1/256.
+#[must_use]
+pub fn stored_network(mlp: &Mlp, weight_bits: u8) -> Mlp {
+    match WeightBits::new(weight_bits.clamp(2, 8)) {
+        Some(bits) => IntegerMlp::quantise(mlp, bits).as_floats(),
+        None => mlp.clone(),
+    }
+}
+
+/// Planes with latents in multiples of 1/16, at most 127 of them, and layers as [`stored_network`] has them at eight bits,
+/// a row being the weights of one output.
+#[must_use]
+pub fn stored_planes(planes: &Planes) -> Planes {
+    IntegerPlanes::quantise(planes).as_floats()
+}

@@ -1,0 +1,155 @@
+//! Coding an attribute group by a model, whole or in part: what the encoder's choices are made of.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::{
+    attributes::{self, CodedGroup, is_coded},
+    bytes::Writer,
+    context::{AnchorContext, ContextNetwork, GroupModel},
+    error::EncodeError,
+    fit,
+    quantise::Quantiser,
+    range::StreamEncoder,
+    shape::Shape,
+    symbols::Distribution,
+};
+
+/// Codes one attribute group of a scene.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct GroupCoder<'a> {
+    pub(super) quantiser: Quantiser<'a>,
+    pub(super) shape: Shape,
+    /// `[N][K]`, in file order.
+    pub(super) masks: &'a [bool],
+    /// Anchors of each chunk.
+    pub(super) chunks: &'a [Range<usize>],
+    /// What the networks are given, of every anchor.
+    pub(super) anchors: &'a AnchorContext,
+}
+
+/// A chunk of a group: its stream, integers and step indices.
+type CodedChunk = (Vec<u8>, Vec<i32>, Vec<i8>);
+
+impl GroupCoder<'_> {
+    fn channels(&self) -> usize {
+        self.shape.channels(self.quantiser.attribute)
+    }
+
+    fn is_coded(&self, anchor: usize, channel: usize) -> bool {
+        is_coded(self.masks, self.shape, anchor, self.quantiser.attribute, channel)
+    }
+
+    /// Codes the group with the best table for each channel and steps of index `step`.
+    pub(super) fn with_tables(&self, step: i8) -> Result<CodedGroup, EncodeError> {
+        let channels = self.channels();
+        let mut symbols = vec![0; self.shape.anchors * channels];
+        symbols
+            .par_chunks_mut(channels)
+            .enumerate()
+            .with_min_len(1024)
+            .try_for_each(|(anchor, row)| self.quantiser.row(anchor, step, row))?;
+        let fitted = (0..channels)
+            .into_par_iter()
+            .map(|channel| {
+                let anchors = (0..self.shape.anchors).filter(|anchor| self.is_coded(*anchor, channel));
+                fit::fit(anchors.map(|anchor| symbols[anchor * channels + channel]).collect())
+            })
+            .collect();
+        let model = GroupModel::Static { step, channels: fitted };
+        let streams = self
+            .chunks
+            .par_iter()
+            .map(|chunk| {
+                let mut stream = StreamEncoder::new();
+                let mut rows = model.rows(self.anchors);
+                for anchor in chunk.clone() {
+                    let (_, distributions) = rows.at(anchor);
+                    let row = &symbols[anchor * channels..(anchor + 1) * channels];
+                    self.encode_row(anchor, row, distributions, &mut stream);
+                }
+                stream.finish()
+            })
+            .collect();
+        Ok(CodedGroup { model, streams, symbols, steps: vec![step; self.shape.anchors] })
+    }
+
+    /// Codes the group by a network.
+    pub(super) fn with_network(&self, network: ContextNetwork) -> Result<CodedGroup, EncodeError> {
+        let model = GroupModel::Network(network);
+        let chunks: Vec<CodedChunk> =
+            self.chunks.par_iter().map(|chunk| self.encode_chunk(chunk, &model)).collect::<Result<_, _>>()?;
+        let mut coded = CodedGroup {
+            model,
+            streams: Vec::with_capacity(chunks.len()),
+            symbols: Vec::with_capacity(self.shape.anchors * self.channels()),
+            steps: Vec::with_capacity(self.shape.anchors),
+        };
+        for (stream, symbols, steps) in chunks {
+            coded.streams.push(stream);
+            coded.symbols.extend(symbols);
+            coded.steps.extend(steps);
+        }
+        Ok(coded)
+    }
+
+    /// Bytes of all streams, judged by every `stride`-th chunk.
+    pub(super) fn estimate(&self, network: &ContextNetwork, stride: usize) -> Result<u64, EncodeError> {
+        let model = GroupModel::Network(network.clone());
+        let chunks: Vec<&Range<usize>> = self.chunks.iter().step_by(stride.max(1)).collect();
+        let anchors: usize = chunks.iter().map(|chunk| chunk.len()).sum();
+        let bytes: u64 = chunks
+            .into_par_iter()
+            .map(|chunk| self.encode_chunk(chunk, &model).map(|(stream, ..)| stream.len() as u64))
+            .try_reduce(|| 0, |a, b| Ok(a + b))?;
+        Ok(bytes * self.shape.anchors as u64 / anchors.max(1) as u64)
+    }
+
+    /// Quantises by the steps that the model chooses, and codes.
+    fn encode_chunk(&self, chunk: &Range<usize>, model: &GroupModel) -> Result<CodedChunk, EncodeError> {
+        let channels = self.channels();
+        let mut symbols = vec![0; chunk.len() * channels];
+        let mut steps = Vec::with_capacity(chunk.len());
+        let mut stream = StreamEncoder::new();
+        let mut rows = model.rows(self.anchors);
+        for (anchor, row) in chunk.clone().zip(symbols.chunks_mut(channels)) {
+            let (step, distributions) = rows.at(anchor);
+            self.quantiser.row(anchor, step, row)?;
+            self.encode_row(anchor, row, distributions, &mut stream);
+            steps.push(step);
+        }
+        Ok((stream.finish(), symbols, steps))
+    }
+
+    fn encode_row(
+        &self,
+        anchor: usize,
+        row: &[i32],
+        distributions: &[Distribution],
+        stream: &mut StreamEncoder,
+    ) {
+        for (channel, (symbol, distribution)) in row.iter().zip(distributions).enumerate() {
+            if self.is_coded(anchor, channel) {
+                distribution.encode(stream, *symbol);
+            }
+        }
+    }
+}
+
+impl CodedGroup {
+    /// Its network, if it has one.
+    pub(super) fn network(&self) -> Option<&ContextNetwork> {
+        match &self.model {
+            GroupModel::Static { .. } => None,
+            GroupModel::Network(network) => Some(network),
+        }
+    }
+
+    /// Bytes in the attributes section, but for the chunk index.
+    pub(super) fn bytes(&self) -> u64 {
+        let mut writer = Writer::new();
+        attributes::write_parameters(&self.model, &mut writer);
+        writer.into_bytes().len() as u64 + self.streams.iter().map(|stream| stream.len() as u64).sum::<u64>()
+    }
+}

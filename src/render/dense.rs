@@ -1,0 +1,205 @@
+//! Dense layers on the device, forward and backward, over the columns of a list.
+//!
+//! Activations are column-major: row r of a buffer holds one value for each of `capacity` columns, of which the list's
+//! first element says how many count. Every sum has a fixed order, so the same input gives the same bits.
+
+use std::sync::Arc;
+
+use super::RenderError;
+use crate::{
+    gpu::{Buffer, Context, Kernel, Recorder, kernel_source},
+    model::LayerSpec,
+};
+
+/// Columns that one partial sum of a weight gradient covers.
+const GRADIENT_RUN: usize = 1024;
+
+/// Outputs and columns that a workgroup of `shaders/dense.wgsl` computes.
+const TILE: [usize; 2] = [32, 256];
+
+/// Inputs and outputs of the weights whose gradients a workgroup of `shaders/dense_weight_gradient.wgsl` computes.
+const GRADIENT_TILE: [usize; 2] = [16, 32];
+
+/// A bias offset that means there is none.
+const NO_BIAS: u32 = u32::MAX;
+
+/// How a dense layer ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ending {
+    /// As it is.
+    Linear = 0,
+    /// What is below zero becomes zero.
+    Relu = 1,
+}
+
+/// The columns that layers are evaluated at.
+#[derive(Debug, Clone, Copy)]
+pub struct Columns<'a> {
+    /// How many columns count, then whatever they stand for.
+    pub list: &'a Buffer<u32>,
+    /// Columns that buffers have room for.
+    pub capacity: usize,
+}
+
+/// The kernels of dense layers.
+#[derive(Debug)]
+pub struct DenseLayers {
+    dense: Arc<Kernel>,
+    dense_weight_gradient: Arc<Kernel>,
+    sum_partials: Arc<Kernel>,
+}
+
+impl DenseLayers {
+    /// Prepares the kernels; `subgroups` is the size of every subgroup where they may be used.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn new(context: &Context, subgroups: Option<u32>) -> Result<Self, RenderError> {
+        // Eight lanes share what they read; the gradient's workgroup is exactly one subgroup.
+        let subgroups = subgroups.filter(|size| *size >= 8);
+        let mut lanes = vec![("GRADIENT_LANES", subgroups.unwrap_or(64))];
+        let mut dense = Vec::new();
+        if let Some(size) = subgroups {
+            lanes.push(("SUBGROUPS", size));
+            dense.push(("SUBGROUPS", size));
+        }
+        Ok(Self {
+            dense: context.kernel(kernel_source!("dense"), &dense)?,
+            dense_weight_gradient: context.kernel(kernel_source!("dense_weight_gradient"), &lanes)?,
+            sum_partials: context.kernel(kernel_source!("sum_partials"), &[])?,
+        })
+    }
+
+    /// Partial sums of weight gradients that there are for this many columns: the factor of a buffer of them.
+    #[must_use]
+    pub fn runs(capacity: usize) -> usize {
+        capacity.div_ceil(GRADIENT_RUN).max(1)
+    }
+
+    /// Records `output = layer(input)`.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    #[expect(clippy::too_many_arguments, reason = "one dispatch's worth of buffers, named at each call")]
+    pub fn forward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        columns: Columns<'_>,
+        layer: &LayerSpec,
+        parameters: &Buffer<f32>,
+        input: &Buffer<f32>,
+        output: &Buffer<f32>,
+        ending: Ending,
+    ) -> Result<(), RenderError> {
+        let uniform = recorder.uniform(&[
+            [layer.inputs as u32, layer.outputs as u32, columns.capacity as u32, layer.weights as u32],
+            [1, layer.outputs as u32, layer.bias as u32, ending as u32],
+            [layer.input_row as u32, layer.output_row as u32, 0, 0],
+        ])?;
+        // The gate is not read: any buffer but the output will do.
+        let bindings = [
+            uniform.as_ref(),
+            columns.list.as_ref(),
+            parameters.as_ref(),
+            input.as_ref(),
+            input.as_ref(),
+            output.as_ref(),
+        ];
+        recorder.dispatch(&self.dense, &bindings, groups(columns, layer.outputs));
+        Ok(())
+    }
+
+    /// Records the gradient by the first `wanted` inputs of `layer`. Where `gate` holds those inputs' values after a ReLU,
+    /// it is the gradient before the ReLU.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    #[expect(clippy::too_many_arguments, reason = "one dispatch's worth of buffers, named at each call")]
+    pub fn input_gradient(
+        &self,
+        recorder: &mut Recorder<'_>,
+        columns: Columns<'_>,
+        layer: &LayerSpec,
+        wanted: usize,
+        parameters: &Buffer<f32>,
+        d_output: &Buffer<f32>,
+        gate: Option<&Buffer<f32>>,
+        d_input: &Buffer<f32>,
+    ) -> Result<(), RenderError> {
+        const LINEAR: u32 = 0;
+        const GATE: u32 = 2;
+        let ending = if gate.is_some() { GATE } else { LINEAR };
+        let uniform = recorder.uniform(&[
+            [layer.outputs as u32, wanted as u32, columns.capacity as u32, layer.weights as u32],
+            [layer.outputs as u32, 1, NO_BIAS, ending],
+            [layer.output_row as u32, layer.input_row as u32, layer.input_row as u32, 0],
+        ])?;
+        let bindings = [
+            uniform.as_ref(),
+            columns.list.as_ref(),
+            parameters.as_ref(),
+            d_output.as_ref(),
+            gate.unwrap_or(d_output).as_ref(),
+            d_input.as_ref(),
+        ];
+        recorder.dispatch(&self.dense, &bindings, groups(columns, wanted));
+        Ok(())
+    }
+
+    /// Records the runs' shares of the gradient by the layer's weights and bias, for [`Self::sum_partials`]. A run's
+    /// shares lie `parameters` apart.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    #[expect(clippy::too_many_arguments, reason = "one dispatch's worth of buffers, named at each call")]
+    pub fn weight_gradient(
+        &self,
+        recorder: &mut Recorder<'_>,
+        columns: Columns<'_>,
+        layer: &LayerSpec,
+        parameters: usize,
+        input: &Buffer<f32>,
+        d_output: &Buffer<f32>,
+        partials: &Buffer<f32>,
+    ) -> Result<(), RenderError> {
+        let uniform = recorder.uniform(&[
+            [layer.inputs as u32, layer.outputs as u32, columns.capacity as u32, layer.weights as u32],
+            [1, layer.outputs as u32, layer.bias as u32, GRADIENT_RUN as u32],
+            [layer.input_row as u32, layer.output_row as u32, parameters as u32, 0],
+        ])?;
+        let tiles = layer.inputs.div_ceil(GRADIENT_TILE[0]) * layer.outputs.div_ceil(GRADIENT_TILE[1]);
+        let bindings =
+            [uniform.as_ref(), columns.list.as_ref(), input.as_ref(), d_output.as_ref(), partials.as_ref()];
+        recorder.dispatch(
+            &self.dense_weight_gradient,
+            &bindings,
+            (tiles * Self::runs(columns.capacity)) as u32,
+        );
+        Ok(())
+    }
+
+    /// Records the first `parameters` elements of `sums` as the sums of the runs' shares.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn sum_partials(
+        &self,
+        recorder: &mut Recorder<'_>,
+        columns: Columns<'_>,
+        parameters: usize,
+        partials: &Buffer<f32>,
+        sums: &Buffer<f32>,
+    ) -> Result<(), RenderError> {
+        let shape = recorder.uniform(&[[parameters as u32, GRADIENT_RUN as u32, 0, 0]])?;
+        recorder.dispatch(
+            &self.sum_partials,
+            &[shape.as_ref(), columns.list.as_ref(), partials.as_ref(), sums.as_ref()],
+            parameters.div_ceil(64) as u32,
+        );
+        Ok(())
+    }
+}
+
+fn groups(columns: Columns<'_>, outputs: usize) -> u32 {
+    (outputs.div_ceil(TILE[0]) * columns.capacity.div_ceil(TILE[1])) as u32
+}

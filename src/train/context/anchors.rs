@@ -1,0 +1,292 @@
+//! What the context model knows of the anchors: where they lie on the planes, who their neighbours are, and the same
+//! tables the other way round, which gradients are gathered by.
+//!
+//! All of it follows from the cells by the codec's own integers, so training samples exactly where a decoder does. It is
+//! made anew on the host whenever the set of anchors changes, and lies still in between.
+
+use super::{ContextConfig, ContextError};
+use crate::{
+    codec::context::{Texel, coordinates, neighbours, position_inputs, texels},
+    domain::{
+        ContextFrame,
+        context::{NEIGHBOURS, POSITION_INPUTS},
+    },
+    gpu::{Buffer, Context, GpuError, buffer_bytes},
+};
+
+/// Most anchors: an index shares a word with the place among neighbours.
+const MOST: usize = 1 << 30;
+
+/// Where anchors lie, in the kernels' forms; empty tables where a model has no planes.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ContextAnchors {
+    /// Anchors.
+    pub count: usize,
+    /// `[N][18]`: the position prior.
+    pub priors: Vec<f32>,
+    /// `[N][3]`: a place on each plane: x, y, then the fractions along x and y in 256ths, a byte each from the lowest.
+    pub texels: Vec<u32>,
+    /// `[N][K]`: the anchors whose planes are sampled, itself first.
+    pub neighbours: Vec<u32>,
+}
+
+impl ContextAnchors {
+    /// The anchors at `cells`.
+    #[must_use]
+    pub fn new(config: &ContextConfig, frame: &ContextFrame, cells: &[[i32; 3]]) -> Self {
+        let coordinates = coordinates(frame, cells);
+        let priors = coordinates
+            .iter()
+            .flat_map(|coordinate| position_inputs(*coordinate))
+            .map(|prior| f32::from(prior) / 256.0)
+            .collect();
+        let sampled = config.kind.sampled();
+        let mut anchors = Self { count: cells.len(), priors, ..Self::default() };
+        if sampled == 0 {
+            return anchors;
+        }
+        anchors.texels = coordinates
+            .iter()
+            .flat_map(|coordinate| texels(*coordinate, config.planes.edge))
+            .map(pack)
+            .collect();
+        anchors.neighbours = if sampled == 1 {
+            (0..cells.len() as u32).collect()
+        } else {
+            neighbours(cells).iter().flat_map(|nearest| nearest[..sampled].to_vec()).collect()
+        };
+        anchors
+    }
+
+    /// Refuses tables that would lead kernels out of their buffers.
+    ///
+    /// # Errors
+    /// [`ContextError::Anchors`] with what does not fit.
+    pub fn check(&self, config: &ContextConfig) -> Result<(), ContextError> {
+        let sampled = config.kind.sampled();
+        let length = |what: &str, found: usize, width: usize| {
+            if found == width * self.count {
+                return Ok(());
+            }
+            Err(ContextError::Anchors(format!("{found} {what} of {} anchors", self.count)))
+        };
+        length("values of position priors", self.priors.len(), POSITION_INPUTS)?;
+        length("texels", self.texels.len(), if sampled > 0 { 3 } else { 0 })?;
+        length("neighbours", self.neighbours.len(), sampled)?;
+        if self.count >= MOST {
+            return Err(ContextError::Anchors(format!("{} anchors are too many", self.count)));
+        }
+        if let Some(stray) = self.neighbours.iter().find(|anchor| **anchor as usize >= self.count) {
+            return Err(ContextError::Anchors(format!("neighbour {stray} of {} anchors", self.count)));
+        }
+        let outside = |texel: &&u32| {
+            let [x, y, ..] = texel.to_le_bytes();
+            usize::from(x.max(y)) >= config.planes.edge
+        };
+        match self.texels.iter().find(outside) {
+            Some(texel) => Err(ContextError::Anchors(format!("texel {texel:08x} is outside its plane"))),
+            None => Ok(()),
+        }
+    }
+
+    /// Anchors that have a place on planes: all or none.
+    fn placed(&self) -> usize {
+        self.texels.len() / 3
+    }
+
+    /// For each anchor, those that have it for a neighbour: where each list begins and the last one ends, and the lists.
+    /// An entry is four times the user's index, plus which of its neighbours it is; entries ascend.
+    #[must_use]
+    pub fn users(&self) -> (Vec<u32>, Vec<u32>) {
+        let sampled = self.neighbours.len() / self.count.max(1);
+        let entries = self.neighbours.iter().enumerate().map(|(place, anchor)| {
+            let (user, slot) = (place / sampled, place % sampled);
+            (*anchor as usize, (NEIGHBOURS * user + slot) as u32)
+        });
+        lists(self.placed(), entries)
+    }
+
+    /// For each texel of the three planes of this edge, the anchors whose samples it is part of, ascending: where each list
+    /// begins and the last one ends, and the lists of anchor and bits of its weight. Weights of zero are left out.
+    #[must_use]
+    pub fn plane_users(&self, edge: usize) -> (Vec<u32>, Vec<[u32; 2]>) {
+        let entries = self.texels.iter().enumerate().flat_map(|(place, texel)| {
+            let (anchor, plane) = (place / 3, place % 3);
+            let [x, y, fx, fy] = texel.to_le_bytes().map(usize::from);
+            let (right, below) = ((x + 1).min(edge - 1), (y + 1).min(edge - 1));
+            let corners = [
+                (x, y, (256 - fx) * (256 - fy)),
+                (right, y, fx * (256 - fy)),
+                (x, below, (256 - fx) * fy),
+                (right, below, fx * fy),
+            ];
+            corners.into_iter().filter(|(.., weight)| *weight > 0).map(move |(x, y, weight)| {
+                // Exact: at most 17 bits over a power of two.
+                let weight = weight as f32 / 65_536.0;
+                ((plane * edge + y) * edge + x, [anchor as u32, weight.to_bits()])
+            })
+        });
+        lists(3 * edge * edge, entries)
+    }
+}
+
+fn pack(texel: Texel) -> u32 {
+    // An edge is at most 256, so each is a byte.
+    u32::from_le_bytes([texel.x0, texel.y0, texel.fx, texel.fy].map(|value| value as u8))
+}
+
+/// Entries by their keys below `keys`, in the order given: where each key's begin and the last one's end, and all of them.
+fn lists<T: Copy + Default>(
+    keys: usize,
+    entries: impl Iterator<Item = (usize, T)> + Clone,
+) -> (Vec<u32>, Vec<T>) {
+    let mut starts = vec![0; keys + 1];
+    let mut count = 0;
+    for (key, _) in entries.clone() {
+        starts[key + 1] += 1;
+        count += 1;
+    }
+    for key in 0..keys {
+        starts[key + 1] += starts[key];
+    }
+    let mut next = starts.clone();
+    let mut sorted = vec![T::default(); count];
+    for (key, entry) in entries {
+        sorted[next[key] as usize] = entry;
+        next[key] += 1;
+    }
+    (starts, sorted)
+}
+
+/// The tables on the device.
+#[derive(Debug)]
+pub(super) struct DeviceTables {
+    pub(super) count: usize,
+    pub(super) priors: Buffer<f32>,
+    pub(super) texels: Buffer<u32>,
+    pub(super) neighbours: Buffer<u32>,
+    pub(super) user_starts: Buffer<u32>,
+    pub(super) users: Buffer<u32>,
+    pub(super) plane_starts: Buffer<u32>,
+    pub(super) plane_users: Buffer<[u32; 2]>,
+    /// The column of each anchor in the sample, or the mark of none.
+    pub(super) columns: Buffer<u32>,
+}
+
+impl DeviceTables {
+    /// Bytes on the device.
+    pub(super) fn bytes(config: &ContextConfig, anchors: usize) -> u64 {
+        let sampled = config.kind.sampled();
+        let placed = if sampled > 0 { anchors } else { 0 };
+        let texels = if sampled > 0 { 3 * config.planes.edge * config.planes.edge } else { 0 };
+        buffer_bytes::<f32>(anchors * POSITION_INPUTS)
+            + buffer_bytes::<u32>(3 * placed)
+            + 2 * buffer_bytes::<u32>(sampled * placed)
+            + 2 * buffer_bytes::<u32>(placed + 1)
+            + buffer_bytes::<u32>(texels + 1)
+            + buffer_bytes::<[u32; 2]>(12 * placed)
+    }
+
+    pub(super) fn upload(
+        context: &Context,
+        config: &ContextConfig,
+        anchors: &ContextAnchors,
+    ) -> Result<Self, GpuError> {
+        let edge = if config.kind.sampled() > 0 { config.planes.edge } else { 0 };
+        let (user_starts, users) = anchors.users();
+        let (plane_starts, plane_users) = anchors.plane_users(edge);
+        Ok(Self {
+            count: anchors.count,
+            priors: context.upload("position priors", &anchors.priors)?,
+            texels: context.upload("texels of anchors", &anchors.texels)?,
+            neighbours: context.upload("neighbours", &anchors.neighbours)?,
+            user_starts: context.upload("starts of users of anchors", &user_starts)?,
+            users: context.upload("users of anchors", &users)?,
+            plane_starts: context.upload("starts of users of texels", &plane_starts)?,
+            plane_users: context.upload("users of texels", &plane_users)?,
+            columns: context.buffer("columns of anchors", anchors.placed())?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{codec::context::robust_frame, domain::ContextKind, train::context::PlaneConfig};
+
+    fn config(kind: ContextKind) -> ContextConfig {
+        let planes = PlaneConfig { edge: 16, channels: 4, layers: 1, hidden: 0, latents: 2 };
+        ContextConfig { kind, channels: [2, 6, 3], hidden: [2; 3], planes }
+    }
+
+    fn cells() -> Vec<[i32; 3]> {
+        (0..60).map(|i| [i * 7 % 23, i * i % 31, i / 4 - 9]).collect()
+    }
+
+    #[test]
+    fn users_are_the_neighbours_the_other_way_round() {
+        let cells = cells();
+        let anchors = ContextAnchors::new(&config(ContextKind::TriPlaneKnn), &robust_frame(&cells), &cells);
+        anchors.check(&config(ContextKind::TriPlaneKnn)).expect("tables that fit");
+        let (starts, users) = anchors.users();
+        assert_eq!(users.len(), 4 * cells.len());
+        for anchor in 0..cells.len() {
+            let list = &users[starts[anchor] as usize..starts[anchor + 1] as usize];
+            assert!(list.windows(2).all(|pair| pair[0] < pair[1]));
+            assert!(list.iter().all(|user| anchors.neighbours[*user as usize] as usize == anchor));
+        }
+    }
+
+    #[test]
+    fn the_weights_of_a_sample_add_up_to_one_and_lie_around_its_place() {
+        let cells = cells();
+        let config = config(ContextKind::TriPlane);
+        let anchors = ContextAnchors::new(&config, &robust_frame(&cells), &cells);
+        let (starts, users) = anchors.plane_users(16);
+        let mut sums = vec![[0.0; 3]; 3 * cells.len()];
+        for texel in 0..3 * 256 {
+            for [anchor, weight] in &users[starts[texel] as usize..starts[texel + 1] as usize] {
+                let weight = f32::from_bits(*weight);
+                assert!(weight > 0.0);
+                let sum = &mut sums[3 * *anchor as usize + texel / 256];
+                sum[0] += weight;
+                sum[1] += weight * (texel % 16) as f32;
+                sum[2] += weight * (texel % 256 / 16) as f32;
+            }
+        }
+        for (sum, texel) in sums.iter().zip(&anchors.texels) {
+            let [x, y, fx, fy] = texel.to_le_bytes().map(f32::from);
+            let expected = [1.0, x + fx / 256.0, y + fy / 256.0];
+            assert!(sum.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{sum:?} {expected:?}");
+        }
+    }
+
+    #[test]
+    fn a_model_without_planes_has_priors_alone() {
+        let cells = cells();
+        let config = config(ContextKind::Position);
+        let anchors = ContextAnchors::new(&config, &robust_frame(&cells), &cells);
+        anchors.check(&config).expect("tables that fit");
+        assert_eq!(anchors.priors.len(), 18 * 60);
+        assert!(anchors.texels.is_empty() && anchors.neighbours.is_empty());
+        assert_eq!(anchors.users(), (vec![0], Vec::new()));
+    }
+
+    #[test]
+    fn tables_that_lead_astray_are_refused() {
+        let cells = cells();
+        let config = config(ContextKind::TriPlaneKnn);
+        let good = ContextAnchors::new(&config, &robust_frame(&cells), &cells);
+        let mut far = good.clone();
+        far.neighbours[7] = 60;
+        let mut outside = good.clone();
+        outside.texels[3] = 16;
+        let mut short = good.clone();
+        short.priors.pop();
+        for bad in [far, outside, short, ContextAnchors { count: 59, ..good.clone() }] {
+            assert!(bad.check(&config).is_err());
+        }
+        assert_eq!(good.check(&config), Ok(()));
+        assert_eq!(ContextAnchors::new(&config, &robust_frame(&[]), &[]).check(&config), Ok(()));
+    }
+}

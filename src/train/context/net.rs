@@ -1,0 +1,500 @@
+//! The context model in training, on the device: from a sample of anchors to what their groups' networks expect of their
+//! attributes, and from the gradients by that back to every parameter.
+
+use std::sync::Arc;
+
+use super::{
+    ContextAnchors, ContextConfig, ContextError, ContextLayout, ContextRates, GroupStatistics,
+    anchors::DeviceTables, conv::Tensor, planes::PlanePass, sampling::Sampling, weights::RoundedWeights,
+};
+use crate::{
+    gpu::{Buffer, Context, Recorder, buffer_bytes},
+    render::{Columns, DenseLayers, Ending, RenderError},
+    train::{Adam, Moments, TrainError},
+};
+
+/// The mark of an anchor that was not sampled.
+const NO_COLUMN: u32 = u32::MAX;
+
+/// Which planes the networks sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PlaneSource {
+    /// The raw planes.
+    Raw,
+    /// What comes of the raw planes by way of rounded latents.
+    Reconstructed,
+    /// What comes of the latents that are parameters of their own, rounded.
+    Latents,
+}
+
+/// How a step uses the context model.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ContextPass {
+    /// Which planes the networks sample.
+    pub source: PlaneSource,
+    /// Weight of the mean absolute difference of raw planes and their reconstruction (method.md §4.7: 0.01); zero for none.
+    /// Without meaning where latents are parameters.
+    pub reconstruction: f32,
+    /// Largest integer of a weight where weights are used in the form in which they will be stored.
+    pub levels: Option<u8>,
+    /// Whether planes, layers and latents learn; their gradients are zero if not.
+    pub planes_learn: bool,
+}
+
+impl ContextPass {
+    /// On raw planes, as the context model begins.
+    pub const RAW: Self =
+        Self { source: PlaneSource::Raw, reconstruction: 0.0, levels: None, planes_learn: true };
+
+    fn reconstructs(&self, layout: &ContextLayout) -> bool {
+        match self.source {
+            PlaneSource::Raw => self.adds_reconstruction(layout),
+            PlaneSource::Reconstructed => true,
+            PlaneSource::Latents => false,
+        }
+    }
+
+    /// Without layers there is nothing to learn of the difference.
+    fn adds_reconstruction(&self, layout: &ContextLayout) -> bool {
+        self.reconstruction > 0.0
+            && self.planes_learn
+            && self.source != PlaneSource::Latents
+            && !layout.up.is_empty()
+    }
+}
+
+/// Everything that the next step depends on, on the host.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ContextState {
+    /// The parameters.
+    pub values: Vec<f32>,
+    /// Their first moments.
+    pub first: Vec<f32>,
+    /// Their second moments.
+    pub second: Vec<f32>,
+}
+
+impl ContextState {
+    /// Parameters that have learnt nothing yet.
+    #[must_use]
+    pub fn new(values: Vec<f32>) -> Self {
+        let zeros = vec![0.0; values.len()];
+        Self { first: zeros.clone(), second: zeros, values }
+    }
+}
+
+/// Activations and their gradients, column-major with `capacity` columns.
+#[derive(Debug)]
+struct Activations {
+    capacity: usize,
+    list: Buffer<u32>,
+    input: Buffer<f32>,
+    hidden: Buffer<f32>,
+    outputs: Buffer<f32>,
+    d_input: Buffer<f32>,
+    d_hidden: Buffer<f32>,
+    d_outputs: Buffer<f32>,
+    partials: Buffer<f32>,
+}
+
+impl Activations {
+    fn bytes(layout: &ContextLayout, capacity: usize) -> u64 {
+        let config = &layout.config;
+        let hidden = layout.hidden.outputs;
+        let rows = |rows: usize| buffer_bytes::<f32>(rows * capacity);
+        buffer_bytes::<u32>(capacity + 1)
+            + rows(config.inputs())
+            + rows(config.sampled_inputs())
+            + 2 * rows(hidden)
+            + 2 * rows(config.output_rows()[3])
+            + buffer_bytes::<f32>(DenseLayers::runs(capacity) * layout.networks)
+    }
+
+    fn new(context: &Context, layout: &ContextLayout, capacity: usize) -> Result<Self, RenderError> {
+        let config = &layout.config;
+        let rows = |label: &str, rows: usize| context.buffer(label, rows * capacity);
+        let hidden = layout.hidden.outputs;
+        let outputs = config.output_rows()[3];
+        let partials = DenseLayers::runs(capacity) * layout.networks;
+        Ok(Self {
+            capacity,
+            list: context.buffer("sampled anchors", capacity + 1)?,
+            input: rows("context input", config.inputs())?,
+            hidden: rows("context hidden values", hidden)?,
+            outputs: rows("context outputs", outputs)?,
+            d_input: rows("gradients of context input", config.sampled_inputs())?,
+            d_hidden: rows("gradients of context hidden values", hidden)?,
+            d_outputs: rows("gradients of context outputs", outputs)?,
+            partials: context.buffer("partial context gradients", partials)?,
+        })
+    }
+
+    fn columns(&self) -> Columns<'_> {
+        Columns { list: &self.list, capacity: self.capacity }
+    }
+}
+
+/// The context model in training. Nothing of a forward or backward pass lasts but gradients; only
+/// [`ContextNet::step`] changes parameters.
+#[derive(Debug)]
+pub struct ContextNet {
+    context: Arc<Context>,
+    layout: ContextLayout,
+    dense: DenseLayers,
+    sampling: Sampling,
+    planes: Option<PlanePass>,
+    rounded: RoundedWeights,
+    tables: DeviceTables,
+    on: Activations,
+    /// `[N][3 channels]`: gradients by the samples at each anchor.
+    d_samples: Buffer<f32>,
+    parameters: Buffer<f32>,
+    gradients: Buffer<f32>,
+    moments: Moments,
+    last: Option<ContextPass>,
+}
+
+impl ContextNet {
+    /// A model with the parameters of `state`, for anchors that [`Self::place`] is to name.
+    ///
+    /// # Errors
+    /// [`ContextError`] for sizes that are not known or a state of another length; faults of the device.
+    pub fn new(
+        context: &Arc<Context>,
+        config: ContextConfig,
+        state: &ContextState,
+    ) -> Result<Self, TrainError> {
+        let layout = ContextLayout::new(config)?;
+        for values in [&state.values, &state.first, &state.second] {
+            if values.len() != layout.parameters {
+                let (found, expected) = (values.len(), layout.parameters);
+                return Err(ContextError::Parameters { found, expected }.into());
+            }
+        }
+        let planes = (config.kind.sampled() > 0).then(|| PlanePass::new(context, &layout)).transpose()?;
+        Ok(Self {
+            dense: DenseLayers::new(context, context.subgroup_size())?,
+            sampling: Sampling::new(context)?,
+            planes,
+            rounded: RoundedWeights::new(context, &layout)?,
+            tables: DeviceTables::upload(context, &config, &ContextAnchors::default())?,
+            on: Activations::new(context, &layout, 0)?,
+            d_samples: context.buffer("gradients of plane samples", 0)?,
+            parameters: context.upload("context parameters", &state.values)?,
+            gradients: context.buffer("gradients of context parameters", layout.parameters)?,
+            moments: Moments::upload(context, &state.first, &state.second)?,
+            last: None,
+            layout,
+            context: Arc::clone(context),
+        })
+    }
+
+    /// Columns that there is room for where samples of `sample` anchors are asked for: a quarter more, so that growth rarely
+    /// makes new buffers.
+    #[must_use]
+    pub fn capacity(sample: usize) -> usize {
+        sample + sample / 4
+    }
+
+    /// Bytes on the device of a model on `anchors` anchors once samples of `sample` of them were learnt from.
+    ///
+    /// # Errors
+    /// [`ContextError::Config`] for sizes that are not known.
+    pub fn bytes(config: &ContextConfig, anchors: usize, sample: usize) -> Result<u64, ContextError> {
+        let layout = ContextLayout::new(*config)?;
+        let placed = config.kind.sampled() > 0;
+        let samples = if placed { 3 * config.planes.channels * anchors } else { 0 };
+        Ok(DeviceTables::bytes(config, anchors)
+            + Activations::bytes(&layout, Self::capacity(sample))
+            + buffer_bytes::<f32>(samples)
+            + 3 * buffer_bytes::<f32>(layout.parameters)
+            + Moments::bytes(layout.parameters)
+            + if placed { PlanePass::bytes(config) } else { 0 })
+    }
+
+    /// Where everything is among the parameters.
+    #[must_use]
+    pub fn layout(&self) -> &ContextLayout {
+        &self.layout
+    }
+
+    /// The anchors from now on, whenever their set has changed.
+    ///
+    /// # Errors
+    /// [`ContextError::Anchors`] for tables that do not fit the model; faults of the device.
+    pub fn place(&mut self, anchors: &ContextAnchors) -> Result<(), TrainError> {
+        let config = &self.layout.config;
+        anchors.check(config)?;
+        self.last = None;
+        self.tables = DeviceTables::upload(&self.context, config, anchors)?;
+        let samples = if self.planes.is_some() { 3 * config.planes.channels * anchors.count } else { 0 };
+        self.d_samples = self.context.buffer("gradients of plane samples", samples)?;
+        Ok(())
+    }
+
+    /// Records the networks' outputs for a sample of anchors: distinct indices, in the order of their columns.
+    ///
+    /// # Errors
+    /// [`ContextError::Anchors`] for an anchor that there is not or one that is there twice; faults of the device.
+    pub fn forward(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        sample: &[u32],
+        pass: &ContextPass,
+    ) -> Result<(), TrainError> {
+        self.write_sample(recorder, sample)?;
+        let Self { layout, planes, rounded, on, .. } = self;
+        if let Some(levels) = pass.levels {
+            rounded.record(recorder, layout, &self.parameters, levels)?;
+        }
+        let stored = if pass.levels.is_some() { rounded.values() } else { &self.parameters };
+        // Without planes nothing of them is read: any buffer will do.
+        let mut sampled = Tensor::at(&self.parameters, 0);
+        if let Some(planes) = planes {
+            if pass.reconstructs(layout) {
+                let latents = planes.down(recorder, layout, &self.parameters)?;
+                planes.up(recorder, layout, stored, &latents)?;
+            }
+            if pass.source == PlaneSource::Latents {
+                let latents = Tensor::at(&self.parameters, layout.latents.start);
+                planes.up(recorder, layout, stored, &latents)?;
+            }
+            sampled = planes.planes(pass.source, layout, &self.parameters);
+        }
+        let columns = on.columns();
+        self.sampling.forward(recorder, &layout.config, &self.tables, columns, &sampled, &on.input)?;
+        self.dense.forward(recorder, columns, &layout.hidden, stored, &on.input, &on.hidden, Ending::Relu)?;
+        for head in &layout.heads {
+            self.dense.forward(recorder, columns, head, stored, &on.hidden, &on.outputs, Ending::Linear)?;
+        }
+        self.last = Some(*pass);
+        Ok(())
+    }
+
+    /// Records the gradients by all parameters from those by the outputs of the last forward pass. Nothing of parameters
+    /// may have changed since.
+    ///
+    /// # Errors
+    /// [`RenderError::OutOfStep`] before a forward pass; faults of the device.
+    pub fn backward(&mut self, recorder: &mut Recorder<'_>) -> Result<(), TrainError> {
+        let pass = self.last.ok_or(RenderError::OutOfStep)?;
+        recorder.clear(&self.gradients);
+        let stored = if pass.levels.is_some() { self.rounded.values() } else { &self.parameters };
+        self.network_gradients(recorder, stored)?;
+        if pass.planes_learn
+            && let Some(planes) = &self.planes
+        {
+            self.plane_gradients(recorder, stored, planes, &pass)?;
+        }
+        Ok(())
+    }
+
+    fn network_gradients(
+        &self,
+        recorder: &mut Recorder<'_>,
+        stored: &Buffer<f32>,
+    ) -> Result<(), RenderError> {
+        let Self { layout, dense, on, .. } = self;
+        let (columns, networks) = (on.columns(), layout.networks);
+        for head in &layout.heads {
+            dense.weight_gradient(
+                recorder,
+                columns,
+                head,
+                networks,
+                &on.hidden,
+                &on.d_outputs,
+                &on.partials,
+            )?;
+            dense.input_gradient(
+                recorder,
+                columns,
+                head,
+                head.inputs,
+                stored,
+                &on.d_outputs,
+                Some(&on.hidden),
+                &on.d_hidden,
+            )?;
+        }
+        dense.weight_gradient(
+            recorder,
+            columns,
+            &layout.hidden,
+            networks,
+            &on.input,
+            &on.d_hidden,
+            &on.partials,
+        )?;
+        dense.sum_partials(recorder, columns, networks, &on.partials, &self.gradients)
+    }
+
+    fn plane_gradients(
+        &self,
+        recorder: &mut Recorder<'_>,
+        stored: &Buffer<f32>,
+        planes: &PlanePass,
+        pass: &ContextPass,
+    ) -> Result<(), TrainError> {
+        let Self { layout, on, parameters, gradients, .. } = self;
+        self.dense.input_gradient(
+            recorder,
+            on.columns(),
+            &layout.hidden,
+            layout.config.sampled_inputs(),
+            stored,
+            &on.d_hidden,
+            None,
+            &on.d_input,
+        )?;
+        self.sampling.backward(
+            recorder,
+            &layout.config,
+            &self.tables,
+            on.capacity,
+            &on.d_input,
+            &self.d_samples,
+            &planes.plane_gradients(pass.source, layout, gradients),
+        )?;
+        if pass.adds_reconstruction(layout) {
+            if pass.source == PlaneSource::Raw {
+                planes.clear_gradients(recorder);
+            }
+            planes.reconstruction_gradient(recorder, layout, pass.reconstruction, parameters, gradients)?;
+        }
+        if layout.up.is_empty() {
+            return Ok(());
+        }
+        if pass.source == PlaneSource::Latents {
+            let d_latents = Tensor::at(gradients, layout.latents.start);
+            planes.up_gradient(recorder, layout, stored, gradients, &d_latents)?;
+        } else if pass.reconstructs(layout) {
+            planes.up_gradient(recorder, layout, stored, gradients, planes.latent_gradients())?;
+            planes.down_gradient(recorder, layout, parameters, gradients)?;
+        }
+        Ok(())
+    }
+
+    /// Records step `t` (from 1) of the optimiser with the last gradients, which does nothing if `void_mark` is set by then.
+    ///
+    /// # Errors
+    /// [`ContextError::Config`] if the statistics are of other channels; faults of the device.
+    #[expect(clippy::too_many_arguments, reason = "the optimiser's arguments and what rates depend on")]
+    pub fn step(
+        &self,
+        recorder: &mut Recorder<'_>,
+        adam: &Adam,
+        t: u32,
+        void_mark: &Buffer<u32>,
+        rates: &ContextRates,
+        statistics: &[GroupStatistics; 3],
+    ) -> Result<(), TrainError> {
+        let rates = recorder.uniform(&self.layout.rates(rates, statistics)?)?;
+        adam.step(recorder, t, void_mark, &rates, &self.gradients, &self.parameters, &self.moments)?;
+        Ok(())
+    }
+
+    /// Records that the latents become what the raw planes are now: they are parameters of their own from here on.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn latents_from_planes(&self, recorder: &mut Recorder<'_>) -> Result<(), TrainError> {
+        if let Some(planes) = &self.planes {
+            let latents = planes.down(recorder, &self.layout, &self.parameters)?;
+            let (from, to) = (latents.first, &self.layout.latents);
+            if self.layout.down.is_empty() {
+                // A buffer cannot be copied onto itself: by way of one that is overwritten anyway.
+                let by = self.rounded.values();
+                recorder.copy(&latents.buffer, from, by, 0, to.len());
+                recorder.copy(by, 0, &self.parameters, to.start, to.len());
+            } else {
+                recorder.copy(&latents.buffer, from, &self.parameters, to.start, to.len());
+            }
+        }
+        Ok(())
+    }
+
+    /// How many anchors the last forward pass was given, then which.
+    #[must_use]
+    pub fn sample(&self) -> &Buffer<u32> {
+        &self.on.list
+    }
+
+    /// Columns of a row of the outputs.
+    #[must_use]
+    pub fn columns(&self) -> usize {
+        self.on.capacity
+    }
+
+    /// The networks' outputs, column-major, a group after the other from the rows of [`ContextConfig::output_rows`].
+    #[must_use]
+    pub fn outputs(&self) -> &Buffer<f32> {
+        &self.on.outputs
+    }
+
+    /// Where a loss's gradients by the outputs belong; every value of a sampled column has to be written.
+    #[must_use]
+    pub fn output_gradients(&self) -> &Buffer<f32> {
+        &self.on.d_outputs
+    }
+
+    /// The parameters.
+    #[must_use]
+    pub fn parameters(&self) -> &Buffer<f32> {
+        &self.parameters
+    }
+
+    /// The parameters as the last forward pass used them: rounded where it asked for that.
+    #[must_use]
+    pub fn stored(&self) -> &Buffer<f32> {
+        if self.last.is_some_and(|pass| pass.levels.is_some()) {
+            self.rounded.values()
+        } else {
+            &self.parameters
+        }
+    }
+
+    /// The gradients of the last backward pass.
+    #[must_use]
+    pub fn gradients(&self) -> &Buffer<f32> {
+        &self.gradients
+    }
+
+    /// Everything that the next step depends on. Waits for the device.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn save(&self) -> Result<ContextState, TrainError> {
+        Ok(ContextState {
+            values: self.context.read(&self.parameters)?,
+            first: self.context.read(&self.moments.first)?,
+            second: self.context.read(&self.moments.second)?,
+        })
+    }
+
+    fn write_sample(&mut self, recorder: &mut Recorder<'_>, sample: &[u32]) -> Result<(), TrainError> {
+        let mut columns = vec![NO_COLUMN; self.tables.count];
+        for (anchor, column) in sample.iter().zip(0..) {
+            match columns.get_mut(*anchor as usize) {
+                Some(place) if *place == NO_COLUMN => *place = column,
+                _ => {
+                    let count = self.tables.count;
+                    let fault = format!("anchor {anchor} is sampled twice or is none of {count}");
+                    return Err(ContextError::Anchors(fault).into());
+                }
+            }
+        }
+        if sample.len() > self.on.capacity {
+            self.last = None;
+            self.on = Activations::new(&self.context, &self.layout, Self::capacity(sample.len()))?;
+        }
+        let mut list = Vec::with_capacity(sample.len() + 1);
+        list.push(sample.len() as u32);
+        list.extend_from_slice(sample);
+        recorder.write(&self.on.list, &list);
+        if self.planes.is_some() {
+            recorder.write(&self.tables.columns, &columns);
+        }
+        Ok(())
+    }
+}

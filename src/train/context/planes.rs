@@ -1,0 +1,240 @@
+//! Planes down to latents and up again on the device, and the gradients back.
+//!
+//! Latents are always rounded as they will be stored before they go up, with straight-through gradients, so what is
+//! reconstructed in training is what a file can hold.
+
+use std::sync::Arc;
+
+use super::{
+    ContextConfig, PlaneSource,
+    conv::{Convolutions, Finish, Tensor, Way},
+    layout::ContextLayout,
+};
+use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+
+/// Tensors on the way from planes to latents and back, or their gradients.
+#[derive(Debug)]
+struct Tensors {
+    /// Outputs of the layers down; the last are the latents before rounding.
+    down: Vec<Tensor>,
+    /// Latents.
+    latents: Tensor,
+    /// Outputs of the layers up; the last are the planes.
+    up: Vec<Tensor>,
+}
+
+impl Tensors {
+    fn bytes(config: &ContextConfig) -> u64 {
+        let planes = &config.planes;
+        let ladder = planes.ladder();
+        let values = |level: usize| {
+            let edge = planes.edge >> level;
+            3 * ladder[level] * edge * edge
+        };
+        let down = (1..=planes.layers).map(values);
+        let up = (0..planes.layers).map(values);
+        buffer_bytes::<f32>(planes.latent_values()) + down.chain(up).map(buffer_bytes::<f32>).sum::<u64>()
+    }
+
+    fn new(context: &Context, layout: &ContextLayout) -> Result<Self, GpuError> {
+        let tensor = |values: usize| Tensor::new(context, "planes and latents", values);
+        Ok(Self {
+            down: layout.down.iter().map(|layer| tensor(layer.coarse_values())).collect::<Result<_, _>>()?,
+            latents: tensor(layout.config.planes.latent_values())?,
+            up: layout.up.iter().map(|layer| tensor(layer.fine_values())).collect::<Result<_, _>>()?,
+        })
+    }
+
+    fn planes(&self) -> &Tensor {
+        self.up.last().unwrap_or(&self.latents)
+    }
+}
+
+/// Planes as the networks are to see them.
+#[derive(Debug)]
+pub(super) struct PlanePass {
+    convolutions: Convolutions,
+    plane_l1: Arc<Kernel>,
+    round_latents: Arc<Kernel>,
+    on: Tensors,
+    back: Tensors,
+}
+
+impl PlanePass {
+    /// Bytes on the device.
+    pub(super) fn bytes(config: &ContextConfig) -> u64 {
+        2 * Tensors::bytes(config)
+    }
+
+    pub(super) fn new(context: &Context, layout: &ContextLayout) -> Result<Self, GpuError> {
+        Ok(Self {
+            convolutions: Convolutions::new(context)?,
+            plane_l1: context.kernel(kernel_source!("plane_l1"), &[])?,
+            round_latents: context.kernel(kernel_source!("round_latents"), &[])?,
+            on: Tensors::new(context, layout)?,
+            back: Tensors::new(context, layout)?,
+        })
+    }
+
+    /// Where the planes of `source` are.
+    pub(super) fn planes(
+        &self,
+        source: PlaneSource,
+        layout: &ContextLayout,
+        parameters: &Buffer<f32>,
+    ) -> Tensor {
+        match source {
+            PlaneSource::Raw => Tensor::at(parameters, layout.planes.start),
+            PlaneSource::Reconstructed | PlaneSource::Latents => self.on.planes().clone(),
+        }
+    }
+
+    /// Where the gradient by the planes of `source` belongs: among the parameters' where they are parameters themselves.
+    pub(super) fn plane_gradients(
+        &self,
+        source: PlaneSource,
+        layout: &ContextLayout,
+        gradients: &Buffer<f32>,
+    ) -> Tensor {
+        match source {
+            PlaneSource::Raw => Tensor::at(gradients, layout.planes.start),
+            PlaneSource::Reconstructed if layout.up.is_empty() => Tensor::at(gradients, layout.planes.start),
+            PlaneSource::Latents if layout.up.is_empty() => Tensor::at(gradients, layout.latents.start),
+            PlaneSource::Reconstructed | PlaneSource::Latents => self.back.planes().clone(),
+        }
+    }
+
+    /// Records the way from raw planes down to latents; says where these are, not rounded.
+    pub(super) fn down(
+        &self,
+        recorder: &mut Recorder<'_>,
+        layout: &ContextLayout,
+        parameters: &Buffer<f32>,
+    ) -> Result<Tensor, GpuError> {
+        let mut source = Tensor::at(parameters, layout.planes.start);
+        for (index, (layer, result)) in layout.down.iter().zip(&self.on.down).enumerate() {
+            let finish = if index + 1 < layout.down.len() { Finish::Relu } else { Finish::Plain };
+            self.convolutions.forward(recorder, Way::Down, layer, parameters, &source, result, finish)?;
+            source = result.clone();
+        }
+        Ok(source)
+    }
+
+    /// Records the way from latents, which are rounded first, up to planes. `stored` are the parameters in the form in
+    /// which they are used.
+    pub(super) fn up(
+        &self,
+        recorder: &mut Recorder<'_>,
+        layout: &ContextLayout,
+        stored: &Buffer<f32>,
+        latents: &Tensor,
+    ) -> Result<(), GpuError> {
+        let values = self.on.latents.buffer.len();
+        let uniform = recorder.uniform(&[[values as u32, latents.first as u32, 0, 0]])?;
+        recorder.dispatch(
+            &self.round_latents,
+            &[uniform.as_ref(), latents.buffer.as_ref(), self.on.latents.buffer.as_ref()],
+            values.div_ceil(64) as u32,
+        );
+        let mut source = &self.on.latents;
+        for (index, (layer, result)) in layout.up.iter().zip(&self.on.up).enumerate() {
+            let finish = if index + 1 < layout.up.len() { Finish::Relu } else { Finish::Plain };
+            self.convolutions.forward(recorder, Way::Up, layer, stored, source, result, finish)?;
+            source = result;
+        }
+        Ok(())
+    }
+
+    /// Records that nothing asks for the reconstructed planes' gradient yet.
+    pub(super) fn clear_gradients(&self, recorder: &mut Recorder<'_>) {
+        recorder.clear(&self.back.planes().buffer);
+    }
+
+    /// Records the gradients of the mean absolute difference of raw and reconstructed planes, added to those that are
+    /// there.
+    pub(super) fn reconstruction_gradient(
+        &self,
+        recorder: &mut Recorder<'_>,
+        layout: &ContextLayout,
+        weight: f32,
+        parameters: &Buffer<f32>,
+        gradients: &Buffer<f32>,
+    ) -> Result<(), GpuError> {
+        let values = layout.planes.len();
+        let share = weight / values.max(1) as f32;
+        let uniform = recorder.uniform(&[[values as u32, layout.planes.start as u32, share.to_bits(), 0]])?;
+        recorder.dispatch(
+            &self.plane_l1,
+            &[
+                uniform.as_ref(),
+                parameters.as_ref(),
+                self.on.planes().buffer.as_ref(),
+                gradients.as_ref(),
+                self.back.planes().buffer.as_ref(),
+            ],
+            values.div_ceil(64) as u32,
+        );
+        Ok(())
+    }
+
+    /// Records the gradients by the layers up and by the latents from those by their planes; says where the latter are.
+    /// There is at least one layer.
+    pub(super) fn up_gradient(
+        &self,
+        recorder: &mut Recorder<'_>,
+        layout: &ContextLayout,
+        stored: &Buffer<f32>,
+        gradients: &Buffer<f32>,
+        d_latents: &Tensor,
+    ) -> Result<(), GpuError> {
+        for (index, layer) in layout.up.iter().enumerate().rev() {
+            let source = if index == 0 { &self.on.latents } else { &self.on.up[index - 1] };
+            let d_result = &self.back.up[index];
+            self.convolutions.weight_gradient(recorder, Way::Up, layer, source, d_result, gradients)?;
+            let (d_source, finish) = if index == 0 {
+                (d_latents, Finish::Plain)
+            } else {
+                (&self.back.up[index - 1], Finish::Gate(source))
+            };
+            self.convolutions.input_gradient(recorder, Way::Up, layer, stored, d_result, d_source, finish)?;
+        }
+        Ok(())
+    }
+
+    /// Where the gradient by latents that are no parameters belongs.
+    pub(super) fn latent_gradients(&self) -> &Tensor {
+        self.back.down.last().unwrap_or(&self.back.latents)
+    }
+
+    /// Records the gradients by the layers down from those by the latents, and adds those by raw planes to what is there.
+    pub(super) fn down_gradient(
+        &self,
+        recorder: &mut Recorder<'_>,
+        layout: &ContextLayout,
+        parameters: &Buffer<f32>,
+        gradients: &Buffer<f32>,
+    ) -> Result<(), GpuError> {
+        let planes = Tensor::at(parameters, layout.planes.start);
+        let d_planes = Tensor::at(gradients, layout.planes.start);
+        for (index, layer) in layout.down.iter().enumerate().rev() {
+            let source = if index == 0 { &planes } else { &self.on.down[index - 1] };
+            let d_result = &self.back.down[index];
+            self.convolutions.weight_gradient(recorder, Way::Down, layer, source, d_result, gradients)?;
+            let (d_source, finish) = if index == 0 {
+                (&d_planes, Finish::Add)
+            } else {
+                (&self.back.down[index - 1], Finish::Gate(source))
+            };
+            self.convolutions.input_gradient(
+                recorder,
+                Way::Down,
+                layer,
+                parameters,
+                d_result,
+                d_source,
+                finish,
+            )?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,106 @@
+//! From planes and anchors to the networks' input on the device, and the gradient back to the planes.
+
+use std::sync::Arc;
+
+use super::{ContextConfig, anchors::DeviceTables, conv::Tensor};
+use crate::{
+    gpu::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source},
+    render::Columns,
+};
+
+/// The kernels.
+#[derive(Debug)]
+pub(super) struct Sampling {
+    context_input: Arc<Kernel>,
+    neighbour_gradient: Arc<Kernel>,
+    plane_gradient: Arc<Kernel>,
+}
+
+impl Sampling {
+    pub(super) fn new(context: &Context) -> Result<Self, GpuError> {
+        Ok(Self {
+            context_input: context.kernel(kernel_source!("context_input"), &[])?,
+            neighbour_gradient: context.kernel(kernel_source!("neighbour_gradient"), &[])?,
+            plane_gradient: context.kernel(kernel_source!("plane_gradient"), &[])?,
+        })
+    }
+
+    /// Records the input of the sampled anchors.
+    pub(super) fn forward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        config: &ContextConfig,
+        tables: &DeviceTables,
+        columns: Columns<'_>,
+        planes: &Tensor,
+        input: &Buffer<f32>,
+    ) -> Result<(), GpuError> {
+        let sampled = config.kind.sampled();
+        let uniform = recorder.uniform(&[
+            [
+                config.planes.edge as u32,
+                config.planes.channels as u32,
+                sampled as u32,
+                columns.capacity as u32,
+            ],
+            [planes.first as u32, 0, 0, 0],
+        ])?;
+        recorder.dispatch(
+            &self.context_input,
+            &[
+                uniform.as_ref(),
+                columns.list.as_ref(),
+                tables.neighbours.as_ref(),
+                tables.texels.as_ref(),
+                tables.priors.as_ref(),
+                planes.buffer.as_ref(),
+                input.as_ref(),
+            ],
+            ((3 * sampled + 1) * columns.capacity.div_ceil(64)) as u32,
+        );
+        Ok(())
+    }
+
+    /// Records the gradient by planes from that by the input of the sampled anchors; `d_samples` has a row for each anchor.
+    #[expect(clippy::too_many_arguments, reason = "two dispatches' worth of buffers, named at the call")]
+    pub(super) fn backward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        config: &ContextConfig,
+        tables: &DeviceTables,
+        capacity: usize,
+        d_input: &Buffer<f32>,
+        d_samples: &Buffer<f32>,
+        d_planes: &Tensor,
+    ) -> Result<(), GpuError> {
+        let planes = &config.planes;
+        let uniform =
+            recorder.uniform(&[[tables.count as u32, 3 * planes.channels as u32, capacity as u32, 0]])?;
+        recorder.dispatch(
+            &self.neighbour_gradient,
+            &[
+                uniform.as_ref(),
+                tables.user_starts.as_ref(),
+                tables.users.as_ref(),
+                tables.columns.as_ref(),
+                d_input.as_ref(),
+                d_samples.as_ref(),
+            ],
+            tables.count.div_ceil(64) as u32,
+        );
+        let fours = planes.channels / 4;
+        let uniform = recorder.uniform(&[[planes.edge as u32, fours as u32, d_planes.first as u32, 0]])?;
+        recorder.dispatch(
+            &self.plane_gradient,
+            &[
+                uniform.as_ref(),
+                tables.plane_starts.as_ref(),
+                tables.plane_users.as_ref(),
+                d_samples.as_ref(),
+                d_planes.buffer.as_ref(),
+            ],
+            (3 * fours * planes.edge * planes.edge).div_ceil(64) as u32,
+        );
+        Ok(())
+    }
+}
