@@ -6,6 +6,9 @@ CARGO := . scripts/env.sh && cargo
 # Where the photo sets for `make results` are.
 DATA ?= $(or $(TCGS_SHARED),../shared)/data
 
+# Other programs' formats take part in `make results` where their converter runs, which takes Node.
+PEERS ?= $(and $(wildcard scripts/peers.sh),$(shell command -v node),--peers scripts/peers.sh)
+
 .PHONY: help setup build demo results test interop peers lint clean
 
 help: ## list the targets
@@ -21,7 +24,7 @@ demo: setup ## the bundled scene through the service: train, download, render in
 	@scripts/demo.sh
 
 results: build ## train every model on every set of DATA and rewrite docs/RESULTS.md; hours on a CPU
-	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" eval --suite "$(DATA)" --table docs/RESULTS.md $(RESULTS_FLAGS)
+	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" eval --suite "$(DATA)" --table docs/RESULTS.md $(PEERS) $(RESULTS_FLAGS)
 
 test: setup ## all tests
 	@$(CARGO) test --locked --no-fail-fast

@@ -17,6 +17,7 @@ pub mod image;
 pub mod job;
 pub mod memory;
 pub mod metrics;
+pub mod near;
 pub mod options;
 pub mod photograph;
 pub mod problem;
@@ -41,6 +42,7 @@ pub use memory::{Bytes, MemoryBudget, MemoryLimits};
 pub use metrics::{
     ByteBudget, ByteCounts, CurvePoint, GroupOctaves, JobMetrics, PhaseSeconds, Scores, ViewScore,
 };
+pub use near::NearPlane;
 pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOptions, Voxel};
 pub use photograph::{Photograph, PhotographError, PixelSource};
 pub use problem::Problem;

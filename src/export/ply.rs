@@ -159,7 +159,7 @@ pub fn from_ply(bytes: &[u8]) -> Result<GaussianScene, PlyError> {
         quats: Vec::with_capacity(count),
         opacity_logits: Vec::with_capacity(count),
         sh: Vec::with_capacity(count),
-        degree: 0,
+        ..GaussianScene::default()
     };
     let mut highest = 0;
     let mut row = vec![0.0; columns.len()];
@@ -372,6 +372,7 @@ mod tests {
             opacity_logits: vec![0.25, -0.25],
             sh: vec![sh; 2],
             degree: 3,
+            ..GaussianScene::default()
         }
     }
 

@@ -14,10 +14,10 @@ use super::{
     unused::drop_unused,
 };
 use crate::{
-    domain::{Camera, CancelFlag, Frame, Lattice, Scene},
+    domain::{AnchorScene, Camera, CancelFlag, Frame, Lattice, NearPlane, Scene},
     gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
     model::{AnchorRows, MAX_CELL, NetworkLayout, Shape, initial_rows},
-    render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, RasterSettings},
+    render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians},
 };
 
 /// Coarsest growth cell in lattice cells.
@@ -186,7 +186,7 @@ impl AnchorLearner {
             masks: masks.transpose()?,
             compression,
             shown: None,
-            neural: NeuralGaussians::new(Arc::clone(context), shape, RasterSettings::default().near)?,
+            neural: NeuralGaussians::new(Arc::clone(context), shape, NearPlane::of_extent(extent).depth())?,
             adam: Adam::new(context)?,
             context: Arc::clone(context),
             layout,
@@ -480,7 +480,8 @@ impl Learner for AnchorLearner {
         if self.anchors.is_empty() {
             return Err(TrainError::NothingLeft { step: self.schedule.steps });
         }
-        let scene = Scene::Anchors(self.anchors.to_scene(self.layout.to_networks(&networks)));
+        let scene = self.anchors.to_scene(self.layout.to_networks(&networks));
+        let scene = Scene::Anchors(AnchorScene { near: NearPlane::of_extent(self.extent), ..scene });
         let context = match self.compression {
             Some(compression) => compression.finish(&self.adam, &before, &self.anchors, &networks, cancel)?,
             None => None,

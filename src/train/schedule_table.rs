@@ -146,11 +146,11 @@ fn plain(row: &mut Row<'_>) {
     row("opacities are reset every", &|c| c.at(c.plain.reset_every));
     row("a degree of spherical harmonics more every", &|c| c.at(c.plain.degree_every));
     row("rate of means, times the extent", &|c| rate(c.plain.mean));
-    row("rate of the constant colour", &|c| c.plain.color.to_string());
-    row("rate of the other coefficients", &|c| c.plain.coefficients.to_string());
+    row("rate of the constant colour", &|c| format!("{:.3e}", c.plain.color));
+    row("rate of the other coefficients", &|c| format!("{:.3e}", c.plain.coefficients));
     row("rate of opacity logits", &|c| c.plain.opacity.to_string());
-    row("rate of log-scales", &|c| c.plain.log_scale.to_string());
-    row("rate of quaternions", &|c| c.plain.quat.to_string());
+    row("rate of log-scales", &|c| format!("{:.3e}", c.plain.log_scale));
+    row("rate of quaternions", &|c| format!("{:.3e}", c.plain.quat));
 }
 
 fn rate(decay: Decay) -> String {

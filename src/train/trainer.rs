@@ -23,7 +23,7 @@ use super::{
 use crate::{
     domain::{
         Background, CancelFlag, Component, ContextCandidates, Dataset, Frame, MemoryBudget, ModelKind,
-        Progress, Scene, Split, TrainOptions,
+        NearPlane, Progress, Scene, Split, TrainOptions,
     },
     gpu::Context,
     model::random_points,
@@ -281,13 +281,15 @@ impl<'a> Run<'a> {
             }
         };
         let control = schedule.rate_control(options.max_bytes).map(|control| state.resume_control(control));
+        let near = NearPlane::of_extent(camera_extent(&frames)).depth();
+        let settings = RasterSettings { near, ..RasterSettings::default() };
         let now = Instant::now();
         Ok(Self {
             steps,
             control,
             background: options.background,
             learner,
-            raster: Rasterizer::new(Arc::clone(context), RasterSettings::default())?,
+            raster: Rasterizer::new(Arc::clone(context), settings)?,
             loss: ImageLoss::new(Arc::clone(context))?,
             wavelet: options.has(Component::Wavelet),
             began: now,

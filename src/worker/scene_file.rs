@@ -54,7 +54,7 @@ pub fn write_anchors(
 /// Writes the `3dgs` baseline: the field's `.ply`, with its origin in a comment.
 #[must_use]
 pub fn write_gaussians(scene: &GaussianScene, background: Background, dataset: Option<Digest>) -> Vec<u8> {
-    PlyNote { background, dataset }.add_to(to_ply(scene))
+    PlyNote { background, dataset, near: scene.near }.add_to(to_ply(scene))
 }
 
 fn read_tcgs(bytes: &[u8]) -> Result<SceneFile, Problem> {
@@ -84,8 +84,9 @@ fn read_anchors(bytes: &[u8]) -> Result<SceneFile, Problem> {
 }
 
 fn read_gaussians(bytes: &[u8]) -> Result<SceneFile, Problem> {
-    let scene = from_ply(bytes).map_err(|fault| undecodable(&fault.to_string()))?;
+    let mut scene = from_ply(bytes).map_err(|fault| undecodable(&fault.to_string()))?;
     let note = PlyNote::find(bytes);
+    scene.near = note.map_or(scene.near, |note| note.near);
     Ok(SceneFile {
         format: SceneFormat::Ply,
         decode_sha256: Digest::of(&to_ply(&scene)),

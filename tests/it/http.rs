@@ -608,6 +608,9 @@ async fn a_full_render_queue_and_a_broken_renderer_are_told_apart(coverage: Cove
     }
     server.get(&format!("{job}/view?{pose}&width=13")).await.expect_problem(500, "internal");
     server.get(&format!("{job}/view?{pose}&width=14")).await.expect_problem(500, "device-lost");
+    server.get(&format!("{job}/view?{pose}&width=15")).await.expect_problem(507, "gpu-memory");
+    let large = json!({ "views": [{ "frame": "test/r_0", "width": 15 }] });
+    server.post_json(&format!("{job}/views"), &large).await.expect_problem(507, "gpu-memory");
     server.get(&format!("{job}/view?frame=test/r_0")).await.expect(200);
 }
 

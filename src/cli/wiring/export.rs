@@ -5,7 +5,7 @@ use std::time::Instant;
 use serde::Serialize;
 use tcgs::{
     domain::{Background, Camera, GaussianScene, Problem, Scene, SceneFormat, harmonics},
-    eval::psnr,
+    eval::{mean_scores_with, psnr, score_view},
     export::{
         bake::{self, BakeSettings},
         spz::{Packed, to_spz},
@@ -13,7 +13,7 @@ use tcgs::{
     worker::scene_file,
 };
 
-use super::{Renderer, SceneFile, scores};
+use super::{Renderer, SceneFile};
 
 /// Cameras on the sphere that a scene is baked from where no others are known.
 const SPHERE_VIEWS: usize = 96;
@@ -140,11 +140,11 @@ pub(crate) fn compare(
             let (mut before, mut after) = (Vec::new(), Vec::new());
             for (name, camera, photograph) in photographs {
                 let (a, b) = pair(camera)?;
-                before.push((name.clone(), a, photograph.clone()));
-                after.push((name.clone(), b, photograph.clone()));
+                before.push(score_view(name, &a, photograph).ok_or_else(different)?);
+                after.push(score_view(name, &b, photograph).ok_or_else(different)?);
             }
-            of_source = scores(&before, None)?.psnr;
-            of_exported = scores(&after, None)?.psnr;
+            of_source = mean_scores_with(&before, None).psnr;
+            of_exported = mean_scores_with(&after, None).psnr;
         }
         None => {
             for camera in sphere_of(&source.viewable.scene, SPHERE_CHECKS)? {

@@ -1,7 +1,7 @@
 //! Baking on scenes whose outcome is known.
 
 use super::*;
-use crate::domain::{DenseLayer, Intrinsics, Lattice, Mlp, Pose, RenderNetworks, anchors::VIEW_INPUTS};
+use crate::domain::{DenseLayer, Intrinsics, Lattice, Mlp, NearPlane, Pose, RenderNetworks, anchors::VIEW_INPUTS};
 
 const FEATURES: usize = 2;
 
@@ -19,6 +19,7 @@ fn network(bias: &[f32], slopes: &[(usize, usize, f32)]) -> Mlp {
 fn scene() -> AnchorScene {
     let offset = [0.0, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0];
     AnchorScene {
+        near: NearPlane::USUAL,
         lattice: Lattice { voxel: 0.5, origin: [0.0; 3] },
         cells: vec![[2, 0, 0]],
         feature_dim: FEATURES,

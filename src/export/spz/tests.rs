@@ -6,7 +6,7 @@ use flate2::{Compression, read::GzDecoder, write::GzEncoder};
 use proptest::prelude::*;
 
 use super::*;
-use crate::domain::GaussianScene;
+use crate::domain::{GaussianScene, NearPlane};
 
 #[test]
 fn harmonics_change_sign_with_the_axes() {
@@ -136,6 +136,7 @@ fn one() -> GaussianScene {
         opacity_logits: vec![0.0],
         sh: vec![sh],
         degree: 1,
+        near: NearPlane::USUAL,
     }
 }
 

@@ -11,8 +11,8 @@ use glam::DVec3;
 use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, Conventions, CurvePoint, Digest, Image,
-        Intrinsics, JobMetrics, Lattice, LpipsNetwork, Mlp, NamedCamera, Phase, PhaseSeconds, Pose, Problem,
-        Progress, RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
+        Intrinsics, JobMetrics, Lattice, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds,
+        Pose, Problem, Progress, RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
     },
     render::{RenderViews, views::Viewable},
     worker::run::{Checkpoints, CurveFile, JobFailure, JobOutput, RunJob},
@@ -181,6 +181,7 @@ impl RenderViews for FakeRenderer {
         match width {
             13 => panic!("as the test wants it"),
             14 => return Err(Problem::new(500, "device-lost", "Device lost", "as the test wants it")),
+            15 => return Err(Problem::new(507, "gpu-memory", "Too large", "as the test wants it")),
             17 => self.gate.pass(),
             _ => {}
         }
@@ -223,5 +224,6 @@ fn empty_scene() -> AnchorScene {
         offsets: Vec::new(),
         masks: Vec::new(),
         networks: RenderNetworks { opacity: mlp(), covariance: mlp(), color: mlp() },
+        near: NearPlane::default(),
     }
 }
