@@ -104,30 +104,19 @@ impl CompressionSchedule {
         }
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
         let paper = options.preset == Preset::Paper;
-        let x: Vec<f64> =
-            std::env::var("TCGS_X").unwrap_or_default().split(',').filter_map(|v| v.parse().ok()).collect();
-        let x = |i: usize, d: f64| x.get(i).copied().unwrap_or(d);
+        let rate = Decay { start: 5e-3, end: 1e-5 };
         Some(Self {
-            noise_from: part(x(0, 0.1)) + 1,
-            context_from: part(x(1, 1.0 / 3.0)) + 1,
-            reconstruct_from: part(x(2, 0.5)) + 1,
-            rounded_from: part(x(3, 0.85)) + 1,
+            noise_from: part(0.1) + 1,
+            context_from: part(1.0 / 3.0) + 1,
+            reconstruct_from: part(0.5) + 1,
+            rounded_from: part(0.85) + 1,
             steps,
-            base: if paper {
-                BaseStepRule::Published
-            } else {
-                BaseStepRule::Relative {
-                    feature: x(4, 0.25) as f32,
-                    scaling: x(5, 0.25) as f32,
-                    offset: x(6, 0.1) as f32,
-                    finer: x(11, 2.0) as f32,
-                }
-            },
+            base: if paper { BaseStepRule::Published } else { SHORT },
             lambda: options.lambda.unwrap_or(DEFAULT_LAMBDA),
             seed: options.seed,
             sampled: SAMPLED,
-            planes: Decay { start: x(7, 5e-3), end: x(8, 1e-5) },
-            networks: Decay { start: x(9, 5e-3), end: x(10, 1e-5) },
+            planes: rate,
+            networks: rate,
             reconstruction: RECONSTRUCTION,
             kind: if !options.has(Component::TriPlane) {
                 ContextKind::Position
