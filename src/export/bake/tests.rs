@@ -1,7 +1,9 @@
 //! Baking on scenes whose outcome is known.
 
 use super::*;
-use crate::domain::{DenseLayer, Intrinsics, Lattice, Mlp, NearPlane, Pose, RenderNetworks, anchors::VIEW_INPUTS};
+use crate::domain::{
+    DenseLayer, Intrinsics, Lattice, Mlp, NearPlane, Pose, RenderNetworks, anchors::VIEW_INPUTS,
+};
 
 const FEATURES: usize = 2;
 
