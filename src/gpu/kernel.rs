@@ -37,6 +37,8 @@ const SHARED: &[(&str, &str)] = &[
     ("anchor_view", include_str!("../../shaders/shared/anchor_view.wgsl")),
     ("model", include_str!("../../shaders/shared/model.wgsl")),
     ("plain", include_str!("../../shaders/shared/plain.wgsl")),
+    ("gaussian", include_str!("../../shaders/shared/gaussian.wgsl")),
+    ("quantise", include_str!("../../shaders/shared/quantise.wgsl")),
     ("context", include_str!("../../shaders/shared/context.wgsl")),
     ("convolution", include_str!("../../shaders/shared/convolution.wgsl")),
     ("ssim", include_str!("../../shaders/shared/ssim.wgsl")),

@@ -2,12 +2,16 @@
 //! makes a Gaussian at all.
 //!
 //! The rendered mask is binary and its gradient straight-through: opacities pass on what the rendering loss says, the mask
-//! loss pulls every logit down at the same rate, and Adam weighs the two by their sizes, so that an offset whose opacity
-//! matters little to any view goes first. A masked offset is not rendered, so nothing pulls it up again: masking is one-way.
+//! loss pulls every logit down at the same rate, the rate term pulls it by the bits of its offset's coordinates, and Adam
+//! weighs them by their sizes, so that an offset whose opacity matters little to any view goes first. A masked offset is not
+//! rendered and costs no bits, so nothing pulls it up again: masking is one-way.
 
 use std::sync::Arc;
 
-use super::{Adam, Moments};
+use super::{
+    Adam, Moments,
+    context::{AnchorSample, RateTerm},
+};
 use crate::{
     gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
     model::Shape,
@@ -51,6 +55,7 @@ struct Kernels {
     mask_loss: Arc<Kernel>,
     mask_gradient: Arc<Kernel>,
     mask_bits: Arc<Kernel>,
+    mask_rate: Arc<Kernel>,
 }
 
 /// Masks that learn, on the device.
@@ -81,6 +86,7 @@ impl OffsetMasks {
                 mask_loss: context.kernel(kernel_source!("mask_loss"), &defs)?,
                 mask_gradient: context.kernel(kernel_source!("mask_gradient"), &defs)?,
                 mask_bits: context.kernel(kernel_source!("mask_bits"), &defs)?,
+                mask_rate: context.kernel(kernel_source!("mask_rate"), &defs)?,
             },
             logits: context.upload("mask logits", &rows.logits)?,
             gradients: context.buffer("gradients of mask logits", rows.logits.len())?,
@@ -134,6 +140,35 @@ impl OffsetMasks {
             anchors.count.div_ceil(64) as u32,
         );
         Ok(&self.gradients)
+    }
+
+    /// Records the adding of the rate's gradient to that of [`Self::backward`]: the mask multiplies the bits of its offset's
+    /// coordinates, of which `rate` has recorded those of `sample`; `lambda` weighs bits an element of the sample.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn rate_backward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        rate: &RateTerm,
+        sample: AnchorSample<'_>,
+        lambda: f64,
+    ) -> Result<(), GpuError> {
+        let weight = rate.weight(lambda, sample.count);
+        let capacity = f32::from_bits(rate.capacity() as u32);
+        let settings = recorder.uniform(&[[weight, 0.0, 0.0, 0.0], [capacity, 0.0, 0.0, 0.0]])?;
+        recorder.dispatch(
+            &self.kernels.mask_rate,
+            &[
+                settings.as_ref(),
+                sample.list.as_ref(),
+                rate.bits().as_ref(),
+                self.logits.as_ref(),
+                self.gradients.as_ref(),
+            ],
+            sample.count.div_ceil(64) as u32,
+        );
+        Ok(())
     }
 
     /// Records step `t` (from 1) of the optimiser with the last gradients, which does nothing if `void_mark` is set by then, and

@@ -21,6 +21,7 @@ mod queue;
 mod raster_device;
 mod raster_oracles;
 mod raster_twin;
+mod rate;
 mod sample;
 mod scene_renderer;
 mod suite;

@@ -1,5 +1,6 @@
 //! The context model in training (method.md §3.2, §4.3 to §4.9 with the mended points of §4.13): planes, neighbours and the
-//! networks that expect an anchor's attributes of them.
+//! networks that expect an anchor's attributes of them, what those attributes then cost, and the quantisation that all of
+//! it is trained through.
 //!
 //! What always holds: what a network is given of an anchor follows from integers that the codec has too; every sum has a
 //! fixed order, so the same state, sample and adapter give the same bits; and parameters change in
@@ -12,6 +13,9 @@ mod error;
 mod layout;
 mod net;
 mod planes;
+mod quantise;
+mod rate;
+mod render_networks;
 mod sample;
 mod sampling;
 mod weights;
@@ -21,4 +25,8 @@ pub use config::{ContextConfig, PlaneConfig};
 pub use error::ContextError;
 pub use layout::{ContextLayout, ContextPart, ContextRates, ConvSpec, GroupStatistics};
 pub use net::{ContextNet, ContextPass, ContextState, PlaneSource};
+pub(super) use quantise::scramble;
+pub use quantise::{Quantisation, QuantisationPhase, QuantisedRows};
+pub use rate::{AnchorSample, GroupOutputs, RateTerm};
+pub use render_networks::RoundedNetworks;
 pub use sample::sample_anchors;

@@ -1,15 +1,22 @@
-//! The image loss, the offset masks, the context model and the optimiser on the CPU in f64, written plainly: every kernel has a function of the same name here.
+//! The image loss, the offset masks, the context model, the rate term and the optimiser on the CPU in f64, written plainly:
+//! every kernel has a function of the same name here.
 
 mod adam;
 pub mod context;
+mod gaussian;
 mod loss;
 mod masks;
+mod quantise;
+mod rate;
 mod wavelet;
 
 pub use adam::{AdamElement, adam};
+pub use gaussian::{SymbolBits, symbol_bits};
 pub use loss::{
     Losses, Moments, SsimGradient, image_gradient, image_loss, ssim_columns, ssim_gradient_rows, ssim_rows,
     sum_losses,
 };
-pub use masks::{mask_bits, mask_gradient, mask_loss};
+pub use masks::{mask_bits, mask_gradient, mask_loss, mask_rate};
+pub use quantise::{noise, quantise_gradient, quantise_rows, round_rows};
+pub use rate::{RateGradients, rate, sum_bits};
 pub use wavelet::wavelet;

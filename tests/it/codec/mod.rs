@@ -6,6 +6,7 @@ mod figures;
 mod golden;
 mod hostile;
 mod round_trip;
+mod rounding;
 mod synthetic;
 mod versions;
 mod wire;

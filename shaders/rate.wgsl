@@ -1,0 +1,166 @@
+// The rate of one attribute group of the sampled anchors: bits of each quantised value under the distribution that the
+// group's network predicts, with gradients by the network's outputs (stored) and by the rows (added to what is there), and
+// the anchors' fresh steps. Everything is counted in steps, so that a rounded value is its symbol.
+//
+// A sampled anchor is one invocation's alone. Numbers that are none cost nothing and teach nothing.
+#import tcgs::gaussian::symbol_bits
+#import tcgs::model::ROW
+#import tcgs::quantise::{Quantisation, Quantised, ROUNDED, quantise, quantise_scaling, scaling_of, stream_of, through_floor}
+
+const LOG_TWO: f32 = 0.69314718;
+
+// Octaves by which a step may differ from its base step.
+const STEP_OCTAVES: f32 = 3.5;
+
+// The coded standard deviations: the finest in octaves of steps, octaves from one to the next, and the last.
+const FINEST: f32 = -3.5;
+const SPACING: f32 = 0.21875;
+const LAST: i32 = 63;
+
+// Values, means and logarithms from here on count as numbers that are none.
+const LIMIT: f32 = 1e15;
+
+// A value's derivatives, counted in steps and octaves, go no further: one stray value must not drown all others.
+const STEEPEST: f32 = 1e4;
+
+struct Settings {
+    quantisation: Quantisation,
+    // first column in a row, channels, place among the groups, first row of outputs
+    group: vec4u,
+    // columns that the outputs have room for, that the bits have, unused, unused
+    room: vec4u,
+    // of a bit, of rendering's gradient by a log step, unused, unused
+    weights: vec4f,
+}
+
+@group(0) @binding(0) var<uniform> settings: Settings;
+// How many anchors are sampled, then which.
+@group(0) @binding(1) var<storage, read> list: array<u32>;
+@group(0) @binding(2) var<storage, read> rows: array<f32>;
+@group(0) @binding(3) var<storage, read> masks: array<u32>;
+// Column-major: a mean a channel in base steps, a log deviation a channel in octaves of base steps, a step adjustment.
+@group(0) @binding(4) var<storage, read> outputs: array<f32>;
+@group(0) @binding(5) var<storage, read> d_log_steps: array<f32>;
+// Not 0 in a step that has to be done again.
+@group(0) @binding(6) var<storage, read> void_mark: array<u32>;
+@group(0) @binding(7) var<storage, read_write> d_outputs: array<f32>;
+@group(0) @binding(8) var<storage, read_write> d_rows: array<f32>;
+@group(0) @binding(9) var<storage, read_write> steps: array<f32>;
+// Column-major: the three groups' bits, then each offset's.
+@group(0) @binding(10) var<storage, read_write> bits: array<f32>;
+
+fn is_number(value: f32) -> bool {
+    return abs(value) < LIMIT;
+}
+
+// The multiple of the spacing that the decoder's integers make of octaves.
+fn spacings(octaves: f32) -> i32 {
+    return (i32(floor(octaves * 256.0 + 0.5)) * 1170 + 32768) >> 16u;
+}
+
+@compute @workgroup_size(64)
+fn rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let sampled = (group.x + group.y * 65535u) * 64u + local;
+    if sampled >= list[0] {
+        return;
+    }
+    let anchor = list[1u + sampled];
+    let channels = settings.group.y;
+    let place = settings.group.z;
+    let room = settings.room.x;
+    let output = settings.group.w * room + sampled;
+    let phase = settings.quantisation.shape.y;
+    let stream = stream_of(settings.quantisation.shape.z, anchor);
+    let mask = masks[anchor];
+    let weight = settings.weights.x;
+
+    let wanted = outputs[output + 2u * channels * room];
+    let adjusts = is_number(wanted);
+    var octaves = clamp(select(0.0, wanted, adjusts), -STEP_OCTAVES, STEP_OCTAVES);
+    var index = 0;
+    if phase == ROUNDED {
+        index = clamp(spacings(octaves), -16, 16);
+        octaves = f32(index) * SPACING;
+    }
+    let base_width = settings.quantisation.base[place];
+    let in_base = exp2(octaves);
+    let width = base_width * in_base;
+
+    var sum = 0.0;
+    var by_octaves = 0.0;
+    var of_offset = 0.0;
+    for (var channel = 0u; channel < channels; channel++) {
+        let k = channel / 3u;
+        let is_kept = place != 2u || ((mask >> k) & 1u) == 1u;
+        let column = settings.group.x + channel;
+        let mean_at = output + channel * room;
+        let scale_at = output + (channels + channel) * room;
+        var by_mean = 0.0;
+        var by_scale = 0.0;
+        var cost = 0.0;
+        let row_value = rows[anchor * ROW + column];
+        let mean = outputs[mean_at] / in_base;
+        let scale = outputs[scale_at];
+        var value = row_value;
+        var quantised: Quantised;
+        if place == 1u {
+            value = scaling_of(row_value);
+            quantised = quantise_scaling(phase, stream, column, value, width);
+        } else {
+            quantised = quantise(phase, stream, column, value, width);
+        }
+        let symbol = quantised.value / width;
+        if is_kept && adjusts && is_number(row_value) && is_number(symbol) && is_number(mean) && is_number(scale) {
+            // Octaves of steps, held to what the decoder has.
+            let bounded = clamp(scale - octaves, FINEST, FINEST + f32(LAST) * SPACING);
+            var coded = bounded;
+            var centre = mean;
+            if phase == ROUNDED {
+                let bounded_scale = clamp(scale, -100.0, 100.0);
+                coded = FINEST + SPACING * f32(clamp(spacings(bounded_scale) + 16 - index, 0, LAST));
+                centre = floor(16.0 * mean + 0.5) / 16.0;
+            }
+            let found = symbol_bits(symbol, centre, exp2(coded), 1.0);
+            cost = found.x;
+            let by_value = clamp(found.y, -STEEPEST, STEEPEST);
+            let by_coded = clamp(found.z, -STEEPEST, STEEPEST);
+            by_mean = -by_value / in_base;
+            var by_adjustment = -LOG_TWO * by_value * (symbol - quantised.by_width - centre);
+            // Outside the bounds only what leads back inside.
+            if bounded == scale - octaves {
+                by_scale = by_coded;
+                by_adjustment -= by_coded;
+            } else if bounded > scale - octaves {
+                by_scale = min(by_coded, 0.0);
+            } else {
+                by_scale = max(by_coded, 0.0);
+            }
+            by_octaves += clamp(by_adjustment, -STEEPEST, STEEPEST);
+            var by_row = by_value / width;
+            if place == 1u {
+                by_row = through_floor(value, width, by_row) * value;
+            }
+            d_rows[anchor * ROW + column] += weight * by_row;
+        }
+        sum += cost;
+        d_outputs[mean_at] = weight * by_mean;
+        d_outputs[scale_at] = weight * by_scale;
+        if place == 2u {
+            of_offset += cost;
+            if channel == 3u * k + 2u {
+                bits[(3u + k) * settings.room.y + sampled] = of_offset;
+                of_offset = 0.0;
+            }
+        }
+    }
+    bits[place * settings.room.y + sampled] = sum;
+    let rendered = d_log_steps[3u * anchor + place];
+    var d_wanted = weight * by_octaves;
+    if is_number(rendered) {
+        d_wanted += settings.weights.y * rendered;
+    }
+    d_outputs[output + 2u * channels * room] = select(0.0, d_wanted, adjusts && abs(wanted) <= STEP_OCTAVES);
+    if adjusts && void_mark[0] == 0u {
+        steps[3u * anchor + place] = width;
+    }
+}

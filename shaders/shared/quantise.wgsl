@@ -1,0 +1,70 @@
+#define_import_path tcgs::quantise
+
+// How training quantises rows. Scalings are quantised as they are, not as the logarithms that rows hold, and are at
+// least one step, as in a file.
+
+// Noise with the base steps, noise with each anchor's steps, the nearest multiples of each anchor's steps.
+const FIXED_NOISE: u32 = 0u;
+const NOISE: u32 = 1u;
+const ROUNDED: u32 = 2u;
+
+// Logarithms beyond it are taken as it, so that every scaling is a normal number.
+const LARGEST_LOG: f32 = 80.0;
+
+struct Quantisation {
+    // anchors, phase, key of the noise, unused
+    shape: vec4u,
+    // base steps of features, scalings, offsets, unused
+    base: vec4f,
+}
+
+struct Quantised {
+    value: f32,
+    // The value's derivative by the step.
+    by_width: f32,
+}
+
+// The hash of PCG: one round and its permutation.
+fn scramble(value: u32) -> u32 {
+    let state = value * 747796405u + 2891336453u;
+    let word = ((state >> ((state >> 28u) + 4u)) ^ state) * 277803737u;
+    return (word >> 22u) ^ word;
+}
+
+// Where an anchor's noise begins.
+fn stream_of(key: u32, anchor: u32) -> u32 {
+    return scramble(scramble(anchor) ^ key);
+}
+
+// Uniform in (-1/2, 1/2), exact in f32, a function of key, anchor and column alone.
+fn noise(stream: u32, column: u32) -> f32 {
+    return (f32(scramble(stream + column) >> 9u) + 0.5) / 8388608.0 - 0.5;
+}
+
+fn quantise(phase: u32, stream: u32, column: u32, value: f32, width: f32) -> Quantised {
+    if phase == ROUNDED {
+        let steps = value / width;
+        let nearest = round(steps);
+        return Quantised(nearest * width, nearest - steps);
+    }
+    let added = noise(stream, column);
+    return Quantised(value + added * width, added);
+}
+
+fn scaling_of(log_scaling: f32) -> f32 {
+    return exp(clamp(log_scaling, -LARGEST_LOG, LARGEST_LOG));
+}
+
+// A scaling below one step counts as one step, so it grows with the step and not with itself.
+fn quantise_scaling(phase: u32, stream: u32, column: u32, scaling: f32, width: f32) -> Quantised {
+    var result = quantise(phase, stream, column, max(scaling, width), width);
+    if scaling < width {
+        result.by_width += 1.0;
+    }
+    return result;
+}
+
+// What of a gradient by a quantised scaling reaches the scaling: nothing below one step, unless it asks for more.
+fn through_floor(scaling: f32, width: f32, gradient: f32) -> f32 {
+    return select(gradient, min(gradient, 0.0), scaling < width);
+}

@@ -1,0 +1,186 @@
+//! Rows as they are rendered while training prepares them for a file: with noise of the steps' width, then rounded
+//! (method.md §4.6).
+//!
+//! Noise is a hash of seed, step, anchor and column; nothing is drawn and nothing kept, so a step that is done again has the
+//! same noise. Scalings are quantised as they are, not as logarithms, and are at least one step, as a file keeps them.
+
+use std::sync::Arc;
+
+use crate::{
+    gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
+    model::Shape,
+    render::DeviceAnchors,
+};
+
+/// How values become what is rendered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum QuantisationPhase {
+    /// Uniform noise as wide as the base steps.
+    FixedNoise = 0,
+    /// Uniform noise as wide as each anchor's own steps.
+    Noise = 1,
+    /// The nearest multiples of each anchor's own steps.
+    Rounded = 2,
+}
+
+/// The quantisation of one training step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Quantisation {
+    /// How.
+    pub phase: QuantisationPhase,
+    /// Base steps of features, scalings and offsets; positive.
+    pub base_steps: [f32; 3],
+    /// What the noise depends on beside anchor and column; see [`Quantisation::key`].
+    pub key: u32,
+}
+
+impl Quantisation {
+    /// The noise's key in step `step` of a run with this seed.
+    #[must_use]
+    pub fn key(seed: u64, step: u32) -> u32 {
+        let halves = [seed as u32, (seed >> 32) as u32, step];
+        halves.into_iter().fold(0, |key, part| scramble(key ^ scramble(part)))
+    }
+
+    pub(super) fn uniform(&self, anchors: usize) -> QuantisationUniform {
+        let [features, scalings, offsets] = self.base_steps;
+        QuantisationUniform {
+            shape: [anchors as u32, self.phase as u32, self.key, 0],
+            base: [features, scalings, offsets, 0.0],
+        }
+    }
+}
+
+/// The uniform of `shaders/shared/quantise.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+pub(super) struct QuantisationUniform {
+    shape: [u32; 4],
+    base: [f32; 4],
+}
+
+/// The hash of PCG: one round and its permutation.
+pub(in super::super) fn scramble(value: u32) -> u32 {
+    let state = value.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
+    let word = ((state >> ((state >> 28) + 4)) ^ state).wrapping_mul(277_803_737);
+    (word >> 22) ^ word
+}
+
+/// Rendered rows on the device, with each anchor's steps and what rendering says of them.
+#[derive(Debug)]
+pub struct QuantisedRows {
+    quantise_rows: Arc<Kernel>,
+    quantise_gradient: Arc<Kernel>,
+    rows: Buffer<f32>,
+    steps: Buffer<f32>,
+    d_log_steps: Buffer<f32>,
+}
+
+impl QuantisedRows {
+    /// Bytes on the device.
+    #[must_use]
+    pub fn bytes(shape: Shape, anchors: usize) -> u64 {
+        buffer_bytes::<f32>(anchors * shape.row()) + 2 * buffer_bytes::<f32>(3 * anchors)
+    }
+
+    /// Room for the rendered rows of anchors whose steps are `[N][3]`: features, scalings, offsets.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn upload(context: &Context, shape: Shape, steps: &[f32]) -> Result<Self, GpuError> {
+        let anchors = steps.len() / 3;
+        Ok(Self {
+            quantise_rows: context.kernel(kernel_source!("quantise_rows"), &shape.defs())?,
+            quantise_gradient: context.kernel(kernel_source!("quantise_gradient"), &shape.defs())?,
+            rows: context.buffer("rendered rows", anchors * shape.row())?,
+            steps: context.upload("steps of anchors", steps)?,
+            d_log_steps: context.buffer("gradients of steps", steps.len())?,
+        })
+    }
+
+    /// The rendered rows, `[N][row]`, scalings as logarithms.
+    #[must_use]
+    pub fn rows(&self) -> &Buffer<f32> {
+        &self.rows
+    }
+
+    /// Each anchor's steps, `[N][3]`. [`super::RateTerm::record`] refreshes those of the anchors that it samples; nothing
+    /// else changes them.
+    #[must_use]
+    pub fn steps(&self) -> &Buffer<f32> {
+        &self.steps
+    }
+
+    /// The rendering loss's gradients by the base-2 logarithms of those steps, `[N][3]`, after
+    /// [`Self::record_backward`].
+    #[must_use]
+    pub fn log_step_gradients(&self) -> &Buffer<f32> {
+        &self.d_log_steps
+    }
+
+    /// The anchors with the rendered rows for their own; networks and all else are shared.
+    #[must_use]
+    pub fn rendered(&self, anchors: &DeviceAnchors) -> DeviceAnchors {
+        DeviceAnchors {
+            shape: anchors.shape,
+            count: anchors.count,
+            positions: anchors.positions.clone(),
+            rows: self.rows.clone(),
+            masks: anchors.masks.clone(),
+            networks: anchors.networks.clone(),
+        }
+    }
+
+    /// Records the making of the rendered rows. Offsets that are masked are copied.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn record_forward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        anchors: &DeviceAnchors,
+        quantisation: &Quantisation,
+    ) -> Result<(), GpuError> {
+        let settings = recorder.uniform(&[quantisation.uniform(anchors.count)])?;
+        recorder.dispatch(
+            &self.quantise_rows,
+            &[
+                settings.as_ref(),
+                anchors.rows.as_ref(),
+                anchors.masks.as_ref(),
+                self.steps.as_ref(),
+                self.rows.as_ref(),
+            ],
+            (anchors.count * anchors.shape.row()).div_ceil(64) as u32,
+        );
+        Ok(())
+    }
+
+    /// Records the way back: `d_rows` holds the gradients by the rendered rows and is left with those by the anchors' rows.
+    /// `anchors` and `quantisation` are those of the forward pass.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn record_backward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        anchors: &DeviceAnchors,
+        quantisation: &Quantisation,
+        d_rows: &Buffer<f32>,
+    ) -> Result<(), GpuError> {
+        let settings = recorder.uniform(&[quantisation.uniform(anchors.count)])?;
+        recorder.dispatch(
+            &self.quantise_gradient,
+            &[
+                settings.as_ref(),
+                anchors.rows.as_ref(),
+                anchors.masks.as_ref(),
+                self.steps.as_ref(),
+                d_rows.as_ref(),
+                self.d_log_steps.as_ref(),
+            ],
+            anchors.count.div_ceil(64) as u32,
+        );
+        Ok(())
+    }
+}

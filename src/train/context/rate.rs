@@ -1,0 +1,193 @@
+//! What the sampled anchors would cost in a file: bits under the distributions that the context networks predict
+//! (method.md §4.6, §4.7), in a form that stays right where symbols are badly predicted.
+//!
+//! A value costs -log2 of the normal distribution's mass in its bin. The usual difference of two error functions in f32 is
+//! wrong beyond 16 bits and flat beyond 20, so that what is predicted worst is never pulled back; here each case has a form
+//! without cancellation (`shaders/shared/gaussian.wgsl`).
+//!
+//! Largest errors of the device (lavapipe) against 20 256 independent values in f64, by the value's bits. Derivatives are
+//! relative, that by the logarithm of the standard deviation to the larger of its two terms, and below 10^-6 count as
+//! none:
+//!
+//! | bits | of the bits | by value | by log deviation | by log width |
+//! |---|---|---|---|---|
+//! | below 8 | 2.7e-6 | 6.0e-5 | 1.3e-6 | 6.0e-5 |
+//! | 8 to 30 | 9.8e-6 | 2.0e-5 | 7.9e-7 | 7.1e-7 |
+//! | 30 to 100 | 6.4e-5 | 4.3e-7 | 3.9e-7 | 3.6e-7 |
+//! | 100 to 10^9 | 1.3e-6, relative | 6.4e-7 | 4.3e-7 | 6.3e-7 |
+//!
+//! What always holds: every gradient is finite, whatever rows and networks hold; a number that is none costs nothing and
+//! teaches nothing. Where the decoder knows no finer or wider distribution (standard deviations from 2^-3.5 to 2^10.28
+//! steps), the nearest that it knows is taken, and of the gradient by the standard deviation only what leads back inside
+//! passes; adjustments beyond 3.5 octaves have no gradient. A value's derivatives, counted in steps and octaves, go no
+//! further than 10^4, which is what one 100 standard deviations away has by its logarithm: the networks are shared, and one
+//! stray anchor must not drown the others.
+//!
+//! In the phase that rounds, mean, standard deviation and step are those that the decoder's integers stand for
+//! (sixteenths of a step, multiples of 7/32 octave), with the gradient of what was rounded.
+
+use std::sync::Arc;
+
+use super::{Quantisation, QuantisedRows, quantise::QuantisationUniform};
+use crate::{
+    domain::AttributeGroup,
+    gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
+    model::Shape,
+    render::DeviceAnchors,
+};
+
+/// Groups of attributes.
+const GROUPS: usize = AttributeGroup::ALL.len();
+
+#[repr(C)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct RateUniform {
+    quantisation: QuantisationUniform,
+    group: [u32; 4],
+    room: [u32; 4],
+    weights: [f32; 4],
+}
+
+/// The anchors whose rate a step looks at, each once.
+#[derive(Debug, Clone, Copy)]
+pub struct AnchorSample<'a> {
+    /// How many, then their indices.
+    pub list: &'a Buffer<u32>,
+    /// How many, at most [`RateTerm::capacity`].
+    pub count: usize,
+    /// Columns that the networks' outputs have room for.
+    pub capacity: usize,
+}
+
+/// What a group's network says of the sampled anchors, and where the gradient by it goes. Both are column-major with the
+/// sample's capacity: means in base steps, logarithms of standard deviations in octaves of base steps, a step adjustment.
+#[derive(Debug, Clone, Copy)]
+pub struct GroupOutputs<'a> {
+    /// The outputs.
+    pub values: &'a Buffer<f32>,
+    /// Their gradients; those of the sampled anchors are overwritten.
+    pub gradients: &'a Buffer<f32>,
+    /// First row of the group in both.
+    pub first_row: usize,
+}
+
+/// The rate term's kernels and figures.
+#[derive(Debug)]
+pub struct RateTerm {
+    rate: Arc<Kernel>,
+    sum_bits: Arc<Kernel>,
+    shape: Shape,
+    capacity: usize,
+    bits: Buffer<f32>,
+    sums: Buffer<f32>,
+}
+
+impl RateTerm {
+    /// Bytes on the device.
+    #[must_use]
+    pub fn bytes(shape: Shape, capacity: usize) -> u64 {
+        buffer_bytes::<f32>((GROUPS + shape.offsets) * capacity) + buffer_bytes::<f32>(GROUPS)
+    }
+
+    /// Room for samples of up to `capacity` anchors.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn new(context: &Context, shape: Shape, capacity: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            rate: context.kernel(kernel_source!("rate"), &shape.defs())?,
+            sum_bits: context.kernel(kernel_source!("sum_bits"), &[])?,
+            shape,
+            capacity,
+            bits: context.buffer("bits of the sample", (GROUPS + shape.offsets) * capacity)?,
+            sums: context.buffer("sums of bits", GROUPS)?,
+        })
+    }
+
+    /// Most anchors in a sample.
+    #[must_use]
+    pub fn capacity(&self) -> usize {
+        self.capacity
+    }
+
+    /// The weight of one bit where the loss counts `lambda` times the sample's bits an element.
+    #[must_use]
+    pub fn weight(&self, lambda: f64, sampled: usize) -> f32 {
+        (lambda / (sampled * self.shape.row()).max(1) as f64) as f32
+    }
+
+    /// Records the rate of the sample, whose anchors' steps are refreshed unless `void_mark` is set by then.
+    ///
+    /// Comes after rendering's way back: gradients are added to `d_rows`, which holds those by the anchors' rows, and
+    /// what rendering says of the sampled anchors' steps joins the gradient of their adjustments, scaled up to all anchors.
+    /// `quantisation` is that of the rendered rows, with a phase of each anchor's own steps.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    #[expect(clippy::too_many_arguments, reason = "one pass's worth of buffers, named at the one call")]
+    pub fn record(
+        &self,
+        recorder: &mut Recorder<'_>,
+        anchors: &DeviceAnchors,
+        quantised: &QuantisedRows,
+        quantisation: &Quantisation,
+        sample: AnchorSample<'_>,
+        outputs: [GroupOutputs<'_>; GROUPS],
+        lambda: f64,
+        d_rows: &Buffer<f32>,
+        void_mark: &Buffer<u32>,
+    ) -> Result<(), GpuError> {
+        let shape = self.shape;
+        let columns = [0, shape.scaling_column(), shape.offset_column(), shape.row()];
+        let scaled_up = anchors.count as f64 / sample.count.max(1) as f64;
+        for (place, output) in outputs.into_iter().enumerate() {
+            let [first, end] = [columns[place], columns[place + 1]];
+            let settings = recorder.uniform(&[RateUniform {
+                quantisation: quantisation.uniform(anchors.count),
+                group: [first as u32, (end - first) as u32, place as u32, output.first_row as u32],
+                room: [sample.capacity as u32, self.capacity as u32, 0, 0],
+                weights: [self.weight(lambda, sample.count), scaled_up as f32, 0.0, 0.0],
+            }])?;
+            recorder.dispatch(
+                &self.rate,
+                &[
+                    settings.as_ref(),
+                    sample.list.as_ref(),
+                    anchors.rows.as_ref(),
+                    anchors.masks.as_ref(),
+                    output.values.as_ref(),
+                    quantised.log_step_gradients().as_ref(),
+                    void_mark.as_ref(),
+                    output.gradients.as_ref(),
+                    d_rows.as_ref(),
+                    quantised.steps().as_ref(),
+                    self.bits.as_ref(),
+                ],
+                sample.count.div_ceil(64) as u32,
+            );
+        }
+        let room = recorder.uniform(&[[self.capacity as u32, 0, 0, 0]])?;
+        recorder.dispatch(
+            &self.sum_bits,
+            &[room.as_ref(), sample.list.as_ref(), self.bits.as_ref(), self.sums.as_ref()],
+            GROUPS as u32,
+        );
+        Ok(())
+    }
+
+    /// Bits of the last recorded sample, column-major with [`Self::capacity`]: a row for each group, then one for each
+    /// offset, which is zero where it is masked.
+    #[must_use]
+    pub fn bits(&self) -> &Buffer<f32> {
+        &self.bits
+    }
+
+    /// Bits of the last submitted sample by group. Waits for the device; free beside another figure that is read back.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn sums(&self, context: &Context) -> Result<[f64; GROUPS], GpuError> {
+        let sums = context.read(&self.sums)?;
+        Ok(std::array::from_fn(|group| f64::from(sums[group])))
+    }
+}

@@ -1,0 +1,124 @@
+//! The rate of an attribute group of one anchor.
+
+use std::f64::consts::LN_2;
+
+use super::{
+    quantise::{Quantiser, through_floor},
+    symbol_bits,
+};
+use crate::{
+    domain::{AttributeGroup, context::STEP_OCTAVES},
+    train::context::{Quantisation, QuantisationPhase},
+};
+
+/// The coded standard deviations: the finest in octaves of steps, and the octaves from one to the next.
+const FINEST: f64 = -3.5;
+const SPACING: f64 = 7.0 / 32.0;
+const LAST: i64 = 63;
+
+/// A value's derivatives, counted in steps and octaves, go no further.
+const STEEPEST: f64 = 1e4;
+
+/// What a group of one anchor costs, and the gradients.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RateGradients {
+    /// Bits a channel.
+    pub bits: Vec<f64>,
+    /// The step that the network asks for.
+    pub step: f64,
+    /// `weight` times the bits' derivatives by the network's outputs; the adjustment's includes what rendering says.
+    pub outputs: Vec<f64>,
+    /// `weight` times the bits' derivatives by the group's part of the row.
+    pub row: Vec<f64>,
+}
+
+/// The multiple of the spacing that the decoder's integers make of octaves (`FORMAT.md`).
+fn spacings(octaves: f64) -> i64 {
+    (((octaves * 256.0 + 0.5).floor() as i64) * 1170 + 32768) >> 16
+}
+
+/// The rate of `row`, the part of an anchor's row from column `first` on that belongs to `group`, under the network's
+/// `outputs`: a mean a channel in base steps, a base-2 logarithm of a standard deviation a channel, an adjustment.
+/// `d_log_step` is what rendering says of the logarithm of the step, scaled up to all anchors.
+#[must_use]
+#[expect(clippy::too_many_arguments, reason = "the kernel's bindings, named")]
+pub fn rate(
+    by: &Quantisation,
+    anchor: u32,
+    group: AttributeGroup,
+    first: usize,
+    row: &[f64],
+    mask: u32,
+    outputs: &[f64],
+    d_log_step: f64,
+    weight: f64,
+) -> RateGradients {
+    let channels = row.len();
+    let base = f64::from(by.base_steps[group as usize]);
+    let bound = f64::from(STEP_OCTAVES);
+    let wanted = outputs[2 * channels];
+    let rounds = by.phase == QuantisationPhase::Rounded;
+    let index = spacings(wanted.clamp(-bound, bound)).clamp(-16, 16);
+    let octaves = if rounds { index as f64 * SPACING } else { wanted.clamp(-bound, bound) };
+    let (in_base, step) = (octaves.exp2(), base * octaves.exp2());
+    let quantiser = Quantiser { by, anchor };
+    let mut found = RateGradients {
+        bits: vec![0.0; channels],
+        step,
+        outputs: vec![0.0; 2 * channels + 1],
+        row: vec![0.0; channels],
+    };
+    let mut by_octaves = 0.0;
+    for channel in 0..channels {
+        let is_offset = group == AttributeGroup::Offsets;
+        if is_offset && mask >> (channel / 3) & 1 == 0 {
+            continue;
+        }
+        let is_scaling = group == AttributeGroup::Scalings;
+        let value = if is_scaling { row[channel].exp() } else { row[channel] };
+        let quantised = if is_scaling {
+            quantiser.quantise_scaling(first + channel, value, step)
+        } else {
+            quantiser.quantise(first + channel, value, step)
+        };
+        let (symbol, mean) = (quantised.value / step, outputs[channel] / in_base);
+        let scale = outputs[channels + channel];
+        let unbounded = scale - octaves;
+        let bounded = unbounded.clamp(FINEST, FINEST + LAST as f64 * SPACING);
+        let (coded, centre) = if rounds {
+            let scale_index = (spacings(scale) + 16 - index).clamp(0, LAST);
+            (FINEST + SPACING * scale_index as f64, (16.0 * mean + 0.5).floor() / 16.0)
+        } else {
+            (bounded, mean)
+        };
+        let cost = symbol_bits(symbol, centre, coded.exp2(), 1.0);
+        found.bits[channel] = cost.bits;
+        let by_value = cost.by_value.clamp(-STEEPEST, STEEPEST);
+        let by_coded = cost.by_log_deviation.clamp(-STEEPEST, STEEPEST);
+        let mut by_adjustment = -LN_2 * by_value * (symbol - quantised.by_width - centre);
+        let by_scale = if bounded == unbounded {
+            by_adjustment -= by_coded;
+            by_coded
+        } else if bounded > unbounded {
+            by_coded.min(0.0)
+        } else {
+            by_coded.max(0.0)
+        };
+        by_octaves += by_adjustment.clamp(-STEEPEST, STEEPEST);
+        found.outputs[channel] = -weight * by_value / in_base;
+        found.outputs[channels + channel] = weight * by_scale;
+        let by_row = by_value / step;
+        let by_row = if is_scaling { through_floor(value, step, by_row) * value } else { by_row };
+        found.row[channel] = weight * by_row;
+    }
+    if wanted.abs() <= bound {
+        found.outputs[2 * channels] = weight * by_octaves + d_log_step;
+    }
+    found
+}
+
+/// The sum of the sampled anchors' bits.
+#[must_use]
+pub fn sum_bits(bits: &[f64]) -> f64 {
+    bits.iter().sum()
+}

@@ -1,0 +1,280 @@
+//! The rate term: the twin against central differences, the kernel against the twin.
+
+use tcgs::{
+    domain::AttributeGroup,
+    model::Shape,
+    train::{
+        context::QuantisationPhase,
+        twin::{RateGradients, quantise_gradient, rate, sum_bits, symbol_bits},
+    },
+};
+
+use super::scene::{
+    BASE_STEPS, Case, JUNK, LAMBDA, OnDevice, SMALL, USUAL, columns, f64s, quantisation, random_gradients,
+    rounded_octaves,
+};
+use crate::support::{gpu::gpu, oracle::relative_l2};
+
+const PHASES: [QuantisationPhase; 2] = [QuantisationPhase::Noise, QuantisationPhase::Rounded];
+
+/// A value of 400 steps is known to 3e-5 of a step in f32, which is 3e-4 of the finest standard deviation; most are finer.
+const BOUND: f64 = 1e-4;
+
+/// The twin on a group of one anchor.
+#[expect(clippy::too_many_arguments, reason = "the twin's arguments")]
+fn on_twin(
+    phase: QuantisationPhase,
+    shape: Shape,
+    anchor: usize,
+    group: AttributeGroup,
+    row: &[f64],
+    mask: u32,
+    outputs: &[f64],
+    d_log_step: f64,
+    weight: f64,
+) -> RateGradients {
+    let first = columns(shape)[group as usize];
+    let part = &row[first..columns(shape)[group as usize + 1]];
+    rate(&quantisation(phase), anchor as u32, group, first, part, mask, outputs, d_log_step, weight)
+}
+
+#[test]
+fn the_twins_gradient_is_that_of_its_bits() {
+    const COUNT: usize = 12;
+    let case = Case::random(21, SMALL, COUNT, COUNT);
+    let mut compared = 0;
+    for (place, anchor) in case.sample.iter().map(|anchor| *anchor as usize).enumerate() {
+        let row = f64s(case.anchors.row(anchor));
+        let mask = case.anchors.masks[anchor];
+        for group in AttributeGroup::ALL {
+            let first = columns(SMALL)[group as usize];
+            let outputs = f64s(&case.outputs[group as usize][place]);
+            let of = |row: &[f64], outputs: &[f64]| {
+                on_twin(QuantisationPhase::Noise, SMALL, anchor, group, row, mask, outputs, 0.0, 1.0)
+            };
+            let total = |row: &[f64], outputs: &[f64]| -> f64 { of(row, outputs).bits.iter().sum() };
+            let found = of(&row, &outputs);
+            let channels = found.row.len();
+            let octaves = outputs[2 * channels].clamp(-3.5, 3.5);
+            let is_bounded = |channel: usize| {
+                let coded = outputs[channels + channel] - octaves;
+                !(-3.499..10.28).contains(&coded)
+            };
+            for (place, gradient) in found.outputs.iter().enumerate() {
+                // Where a bound holds, what leads back passes: see the test of it.
+                if (channels..2 * channels).contains(&place) && is_bounded(place - channels) {
+                    continue;
+                }
+                let at = |by: f64| {
+                    let mut moved = outputs.clone();
+                    moved[place] += by;
+                    total(&row, &moved)
+                };
+                let expected = (at(1e-6) - at(-1e-6)) / 2e-6;
+                let error = (gradient - expected).abs();
+                assert!(error < 1e-5 * (1.0 + expected.abs()), "{group:?} {place}: {gradient} {expected}");
+                compared += 1;
+            }
+            let step = f64::from(BASE_STEPS[group as usize]) * octaves.exp2();
+            for (channel, gradient) in found.row.iter().enumerate() {
+                if group == AttributeGroup::Scalings && row[first + channel].exp() < step {
+                    assert!(*gradient <= 0.0, "below one step it can only be asked to grow");
+                    continue;
+                }
+                let reach = if group == AttributeGroup::Scalings { 1e-6 } else { 1e-6 * step };
+                let at = |by: f64| {
+                    let mut moved = row.clone();
+                    moved[first + channel] += by;
+                    total(&moved, &outputs)
+                };
+                let expected = (at(reach) - at(-reach)) / (2.0 * reach);
+                let error = (gradient - expected).abs();
+                assert!(
+                    error < 1e-5 * (1.0 / step + expected.abs()),
+                    "{group:?} {channel}: {gradient} {expected}"
+                );
+                compared += 1;
+            }
+        }
+    }
+    assert!(compared > 600, "{compared}");
+}
+
+#[test]
+fn beyond_the_coded_deviations_only_what_leads_back_passes() {
+    // One channel, a step of one; value and mean apart or together, the deviation below, inside and above the bounds.
+    let by = tcgs::train::context::Quantisation {
+        base_steps: [1.0; 3],
+        ..quantisation(QuantisationPhase::Rounded)
+    };
+    let by_scale = |apart: f64, octaves: f64| {
+        rate(&by, 0, AttributeGroup::Features, 0, &[apart], 0, &[0.0, octaves, 0.0], 0.0, 1.0).outputs[1]
+    };
+    assert!(by_scale(3.0, -5.0) < -1.0, "a badly predicted value asks for more");
+    assert_eq!(by_scale(0.0, -5.0), 0.0, "a well predicted one no longer for less");
+    assert!(by_scale(0.0, 12.0) > 0.1, "too wide a distribution is narrowed");
+    assert_eq!(by_scale(1e5, 12.0), 0.0);
+    assert!(by_scale(0.0, 0.0) > 0.0 && by_scale(3.0, 0.0) < 0.0);
+    let by_adjustment = |adjustment: f64| {
+        rate(&by, 0, AttributeGroup::Features, 0, &[3.0], 0, &[0.0, 1.0, adjustment], 0.5, 1.0).outputs[2]
+    };
+    assert!(by_adjustment(3.4) != 0.0 && by_adjustment(3.6) == 0.0 && by_adjustment(-3.6) == 0.0);
+}
+
+#[test]
+fn rounded_bits_are_those_of_the_decoders_numbers() {
+    const COUNT: usize = 10;
+    let case = Case::random(22, SMALL, COUNT, COUNT);
+    let spacings = |octaves: f64| (((octaves * 256.0 + 0.5).floor() as i64) * 1170 + (1 << 15)) >> 16;
+    for (place, anchor) in case.sample.iter().map(|anchor| *anchor as usize).enumerate() {
+        let row = f64s(case.anchors.row(anchor));
+        for group in AttributeGroup::ALL {
+            let outputs = f64s(&case.outputs[group as usize][place]);
+            let found =
+                on_twin(QuantisationPhase::Rounded, SMALL, anchor, group, &row, u32::MAX, &outputs, 0.0, 1.0);
+            let channels = found.bits.len();
+            let octaves = rounded_octaves(outputs[2 * channels]);
+            let step = f64::from(BASE_STEPS[group as usize]) * octaves.exp2();
+            assert!((found.step - step).abs() < 1e-12 * step);
+            for channel in 0..channels {
+                let value = row[columns(SMALL)[group as usize] + channel];
+                let value = if group == AttributeGroup::Scalings { value.exp() } else { value };
+                let symbol = (value / step).round();
+                let symbol = if group == AttributeGroup::Scalings { symbol.max(1.0) } else { symbol };
+                let mean16 = (16.0 * outputs[channel] / octaves.exp2() + 0.5).floor();
+                let index = (octaves * 32.0 / 7.0).round() as i64;
+                let scale = (spacings(outputs[channels + channel]) + 16 - index).clamp(0, 63);
+                let deviation = (-3.5 + 7.0 / 32.0 * scale as f64).exp2();
+                let expected = symbol_bits(symbol, mean16 / 16.0, deviation, 1.0).bits;
+                let error = (found.bits[channel] - expected).abs();
+                assert!(error < 1e-9 * (1.0 + expected), "{group:?}: {} {expected}", found.bits[channel]);
+            }
+        }
+    }
+}
+
+fn check_against_twin(shape: Shape, count: usize, sampled: usize, phase: QuantisationPhase) {
+    let context = gpu();
+    let case = Case::random((count + sampled) as u64, shape, count, sampled);
+    let d_rendered = random_gradients(31, count * shape.row());
+    let device = OnDevice::upload(&context, &case, &d_rendered);
+    let by = quantisation(phase);
+    device.run(&context, &by);
+
+    let weight = LAMBDA / (sampled * shape.row()) as f64;
+    let scaled_up = count as f64 / sampled as f64;
+    let mut d_rows: Vec<f64> = Vec::new();
+    let mut d_log_steps = Vec::new();
+    for anchor in 0..count {
+        let d = f64s(&d_rendered[anchor * shape.row()..][..shape.row()]);
+        let row = f64s(case.anchors.row(anchor));
+        let (mask, steps) = (case.anchors.masks[anchor], case.own_steps(anchor));
+        let (d_row, by_steps) = quantise_gradient(shape, &by, anchor as u32, &row, mask, steps, &d);
+        d_rows.extend(d_row);
+        d_log_steps.push(by_steps);
+    }
+    let mut steps = f64s(&case.steps);
+    let bits = device.bits(&context);
+    let sums = device.rate.sums(&context).expect("read");
+    for group in AttributeGroup::ALL {
+        let what = format!("{shape:?} {sampled} of {count} {phase:?} {group:?}");
+        let found = device.output_gradients(&context, group as usize);
+        let (mut all_found, mut all_expected, mut costs) =
+            ([const { Vec::new() }; 3], [const { Vec::new() }; 3], Vec::new());
+        for (place, anchor) in case.sample.iter().map(|anchor| *anchor as usize).enumerate() {
+            let row = f64s(case.anchors.row(anchor));
+            let outputs = f64s(&case.outputs[group as usize][place]);
+            let mask = case.anchors.masks[anchor];
+            let d_log_step = scaled_up * d_log_steps[anchor][group as usize];
+            let expected = on_twin(phase, shape, anchor, group, &row, mask, &outputs, d_log_step, weight);
+            let channels = expected.row.len();
+            for (part, range) in
+                [0..channels, channels..2 * channels, 2 * channels..2 * channels + 1].into_iter().enumerate()
+            {
+                all_found[part].extend_from_slice(&found[place][range.clone()]);
+                all_expected[part].extend_from_slice(&expected.outputs[range]);
+            }
+            for (channel, d) in expected.row.iter().enumerate() {
+                d_rows[anchor * shape.row() + columns(shape)[group as usize] + channel] += d;
+            }
+            steps[3 * anchor + group as usize] = expected.step;
+            let cost: f64 = expected.bits.iter().sum();
+            let error = (bits[group as usize][place] - cost).abs();
+            assert!(error < 2e-5 * (1.0 + cost), "{what}: {} {cost}", bits[group as usize][place]);
+            costs.push(cost);
+            if group == AttributeGroup::Offsets {
+                for (k, expected) in expected.bits.chunks(3).enumerate() {
+                    let (found, expected) = (bits[3 + k][place], expected.iter().sum::<f64>());
+                    assert!((found - expected).abs() < 2e-5 * (1.0 + expected), "{what}: {found} {expected}");
+                    assert!(mask >> k & 1 == 1 || found == 0.0, "{what}: a masked offset costs {found}");
+                }
+            }
+        }
+        for (part, name) in ["means", "log deviations", "adjustments"].into_iter().enumerate() {
+            let error = relative_l2(&all_found[part], &all_expected[part]);
+            assert!(error < BOUND, "{what} {name}: {error:e}");
+        }
+        let expected = sum_bits(&costs);
+        let found = sums[group as usize];
+        assert!((found - expected).abs() < 2e-5 * (1.0 + expected), "{what}: {found} {expected}");
+    }
+    let found = context.read(&device.d_rows).expect("read");
+    let error = relative_l2(&f64s(&found), &d_rows);
+    assert!(error < BOUND, "{shape:?} {phase:?}: gradients of rows: {error:e}");
+    let found = context.read(device.quantised.steps()).expect("read");
+    for (i, (found, expected)) in found.iter().zip(&steps).enumerate() {
+        if case.sample.contains(&(i as u32 / 3)) {
+            assert!((f64::from(*found) - expected).abs() < 1e-6 * expected, "{found} {expected}");
+        } else {
+            assert_eq!(
+                found.to_bits(),
+                case.steps[i].to_bits(),
+                "an anchor outside the sample keeps its step"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_kernel_matches_the_twin() {
+    for phase in PHASES {
+        for (count, sampled) in [(1, 1), (70, 65), (300, 40)] {
+            check_against_twin(SMALL, count, sampled, phase);
+        }
+        check_against_twin(USUAL, 80, 33, phase);
+        check_against_twin(Shape { features: 50, offsets: 10 }, 20, 20, phase);
+    }
+}
+
+#[test]
+fn a_step_that_will_be_done_again_leaves_the_steps_and_the_same_input_gives_the_same_bits() {
+    let context = gpu();
+    let case = Case::random(41, SMALL, 90, 30);
+    let d_rendered = random_gradients(42, 90 * SMALL.row());
+    let by = quantisation(QuantisationPhase::Noise);
+    let run = |mark: u32| {
+        let device = OnDevice::upload(&context, &case, &d_rendered);
+        context.write(&device.void_mark, &[mark]);
+        device.run(&context, &by);
+        let outputs = [0, 1, 2].map(|group| device.output_gradients(&context, group));
+        let rows: Vec<u32> =
+            context.read(&device.d_rows).expect("read").iter().map(|v| v.to_bits()).collect();
+        (context.read(device.quantised.steps()).expect("read"), outputs, rows, device.bits(&context))
+    };
+    let (void, first, second) = (run(77), run(0), run(0));
+    assert!(void.0 == case.steps && first.0 != case.steps);
+    assert!(first == second);
+    assert!((&void.1, &void.2, &void.3) == (&first.1, &first.2, &first.3));
+}
+
+#[test]
+fn what_is_not_sampled_is_left_alone() {
+    let context = gpu();
+    let case = Case::random(43, SMALL, 20, 0);
+    let d_rendered = random_gradients(44, 20 * SMALL.row());
+    let device = OnDevice::upload(&context, &case, &d_rendered);
+    device.run(&context, &quantisation(QuantisationPhase::Noise));
+    assert_eq!(device.rate.sums(&context).expect("read"), [0.0; 3]);
+    assert!(context.read(&device.d_outputs[0]).expect("read").iter().all(|v| *v == JUNK));
+    assert_eq!(context.read(device.quantised.steps()).expect("read"), case.steps);
+}
