@@ -6,7 +6,10 @@ CARGO := . scripts/env.sh && cargo
 # Where the photo sets for `make results` are.
 DATA ?= $(or $(TCGS_SHARED),../shared)/data
 
-.PHONY: help setup build demo results test lint clean
+# How long `make fuzz` gives each target.
+FUZZ_SECONDS ?= 600
+
+.PHONY: help setup build demo results test fuzz lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -25,6 +28,9 @@ results: build ## train every model on every set of DATA and rewrite docs/RESULT
 
 test: setup ## all tests
 	@$(CARGO) test --locked --no-fail-fast
+
+fuzz: setup ## fuzz the decoder, FUZZ_SECONDS a target
+	@scripts/fuzz.sh $(FUZZ_SECONDS)
 
 lint: setup ## formatting, clippy, documentation, licences
 	@$(CARGO) fmt --check
