@@ -14,6 +14,6 @@ struct Shape {
 fn round_latents(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let index = (group.x + group.y * 65535u) * 64u + local;
     if index < shape.shape.x {
-        results[index] = clamp(round(16.0 * source[shape.shape.y + index]), -127.0, 127.0) / 16.0;
+        results[index] = clamp(round(16.0 * source[shape.shape.y + index]), -127.0, 127.0) * 0.0625;
     }
 }

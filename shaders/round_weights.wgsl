@@ -1,48 +1,58 @@
-// Weights as the context model's layers are stored: integers of at most `levels` over a power of two, the largest of which
-// no weight of the row exceeds them with. One row an invocation; reads one array, writes another.
+// Weights as the context model's layers are stored: integers over a power of two, for each row the largest with which no
+// weight's integer exceeds the row's levels. One row an invocation; reads one array, writes another.
 
-struct Rows {
-    // rows, first weight, from a row to the next, unused
+struct Shape {
+    // rows, levels of rows that state none, unused
     shape: vec4u,
-    // blocks of a row, from a block to the next, weights of a block, levels
-    row: vec4u,
+}
+
+struct Row {
+    first: u32,
+    blocks: u32,
+    // from a block to the next
+    step: u32,
+    // weights of a block
+    length: u32,
+    levels: u32,
 }
 
 // Most binary places of a weight.
-const MOST_PLACES: u32 = 15u;
+const MOST_PLACES: i32 = 24;
 
-@group(0) @binding(0) var<uniform> rows: Rows;
-@group(0) @binding(1) var<storage, read> source: array<f32>;
-@group(0) @binding(2) var<storage, read_write> results: array<f32>;
+@group(0) @binding(0) var<uniform> shape: Shape;
+@group(0) @binding(1) var<storage, read> rows: array<Row>;
+@group(0) @binding(2) var<storage, read> source: array<f32>;
+@group(0) @binding(3) var<storage, read_write> results: array<f32>;
 
-// Exact, unlike exp2 on some devices.
-fn power_of_two(exponent: u32) -> f32 {
-    return bitcast<f32>((127u + exponent) << 23u);
+// Exact, unlike exp2 on some devices; so are products with it, unlike quotients.
+fn power_of_two(exponent: i32) -> f32 {
+    return bitcast<f32>(u32(127 + exponent) << 23u);
 }
 
 @compute @workgroup_size(64)
 fn round_weights(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let row = (group.x + group.y * 65535u) * 64u + local;
-    if row >= rows.shape.x {
+    let index = (group.x + group.y * 65535u) * 64u + local;
+    if index >= shape.shape.x {
         return;
     }
-    let first = rows.shape.y + row * rows.shape.z;
-    let levels = f32(rows.row.w);
+    let row = rows[index];
+    let levels = f32(select(row.levels, shape.shape.y, row.levels == 0u));
     var largest = 0.0;
-    for (var block = 0u; block < rows.row.x; block++) {
-        for (var i = 0u; i < rows.row.z; i++) {
-            largest = max(largest, abs(source[first + block * rows.row.y + i]));
+    for (var block = 0u; block < row.blocks; block++) {
+        for (var i = 0u; i < row.length; i++) {
+            largest = max(largest, abs(source[row.first + block * row.step + i]));
         }
     }
     var places = MOST_PLACES;
-    while places > 0u && round(largest * power_of_two(places)) > levels {
+    while places > 0 && round(largest * power_of_two(places)) > levels {
         places--;
     }
     let scale = power_of_two(places);
-    for (var block = 0u; block < rows.row.x; block++) {
-        for (var i = 0u; i < rows.row.z; i++) {
-            let at = first + block * rows.row.y + i;
-            results[at] = clamp(round(source[at] * scale), -levels, levels) / scale;
+    let unit = power_of_two(-places);
+    for (var block = 0u; block < row.blocks; block++) {
+        for (var i = 0u; i < row.length; i++) {
+            let at = row.first + block * row.step + i;
+            results[at] = clamp(round(source[at] * scale), -levels, levels) * unit;
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Times of a training step's stages as shares of what the adapter can do: `cargo bench --bench kernels`.
 //!
-//! Arguments choose numbers of Gaussians and sides of images, such as `-- 10000 128`, and `detail` lists single kernels.
+//! Arguments choose numbers of Gaussians and sides of images, such as `-- 10000 128`, and `detail` lists single kernels;
+//! `context` times the context model instead.
 //! `TCGS_ADAPTER` chooses the adapter. Each figure is the least of several runs, which load on the machine disturbs
 //! least. `share` is the larger of bytes against the copy's rate and operations against the arithmetic's.
 //!
@@ -11,6 +12,7 @@
 #![allow(clippy::unwrap_used, reason = "a benchmark stops at the first fault")]
 
 mod ceilings;
+mod context;
 mod plain;
 mod scene;
 mod work;
@@ -31,7 +33,7 @@ use tcgs::{
         AnchorGradients, Counts, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians,
         RasterSettings, Rasterizer, RenderError,
     },
-    train::{Adam, ImageLoss, Moments, WaveletWeights},
+    train::{Adam, ImageLoss, Moments, TrainError, WaveletWeights},
 };
 
 use ceilings::Ceilings;
@@ -309,7 +311,7 @@ fn table(
     Ok(())
 }
 
-fn main() -> Result<(), RenderError> {
+fn main() -> Result<(), TrainError> {
     let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with('-')).collect();
     let numbers: Vec<usize> = wanted.iter().filter_map(|text| text.parse().ok()).collect();
     let asked = |number: usize, of: &[usize]| {
@@ -320,6 +322,10 @@ fn main() -> Result<(), RenderError> {
         std::env::var("TCGS_ADAPTER").unwrap_or_else(|_| "lavapipe".to_owned()).parse().unwrap();
     let context = Context::new(&choice)?;
     println!("adapter: {}", context.adapter_line());
+    let detail = wanted.iter().any(|a| a == "detail");
+    if wanted.iter().any(|a| a == "context") {
+        return context::table(&context, RUNS, detail);
+    }
     let ceilings = Ceilings::measure(&context);
     println!(
         "ceilings: copy {:.1} GB/s, random reads {:.2} GB/s, arithmetic {:.1} GFLOP/s; least of {RUNS} runs",
@@ -330,7 +336,7 @@ fn main() -> Result<(), RenderError> {
     for count in GAUSSIANS {
         for side in SIDES {
             if asked(count, &GAUSSIANS) && asked(side as usize, &SIDES.map(|side| side as usize)) {
-                table(&context, &ceilings, count, side, wanted.iter().any(|a| a == "detail"))?;
+                table(&context, &ceilings, count, side, detail)?;
             }
         }
     }

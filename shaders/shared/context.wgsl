@@ -18,7 +18,7 @@ fn corners(texel: u32, edge: u32) -> vec4u {
 
 // Their shares.
 fn sample_weights(texel: u32) -> vec4f {
-    let f = vec2f(vec2u(texel >> 16u, texel >> 24u) & vec2u(255u)) / 256.0;
+    let f = vec2f(vec2u(texel >> 16u, texel >> 24u) & vec2u(255u)) * 0.00390625;
     let g = 1.0 - f;
     return vec4f(g.x * g.y, f.x * g.y, g.x * f.y, f.x * f.y);
 }

@@ -7,7 +7,9 @@ use super::{
     digest::decode_digest,
     error::DecodeError,
     manifest::Manifest,
-    masks, networks, positions,
+    masks,
+    networks::{self, QuantisedNetworks},
+    positions,
     quantise::{self, Symbols},
     sections,
     shape::Attribute,
@@ -55,6 +57,26 @@ pub struct Decoded {
 /// # Errors
 /// [`DecodeError`] for bytes that are not exactly one undamaged file of a known version within `limits`.
 pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeError> {
+    let Content { manifest, networks, symbols, .. } = read(bytes, limits)?;
+    let scene = quantise::dequantise(symbols, &networks, &manifest);
+    let decode_sha256 = decode_digest(&scene);
+    if decode_sha256 != manifest.decode_sha256 {
+        return Err(DecodeError::DecodeDigest { stated: manifest.decode_sha256, actual: decode_sha256 });
+    }
+    Ok(Decoded { scene, manifest, decode_sha256 })
+}
+
+/// A file's integers with what predicted them.
+pub(super) struct Content {
+    pub(super) manifest: Manifest,
+    pub(super) networks: QuantisedNetworks,
+    pub(super) symbols: Symbols,
+    pub(super) models: [GroupModel; 3],
+    pub(super) anchors: AnchorContext,
+}
+
+/// Reads everything, and does not yet make floats of it.
+pub(super) fn read(bytes: &[u8], limits: &DecodeLimits) -> Result<Content, DecodeError> {
     within("file bytes", bytes.len() as u64, limits.max_file_bytes)?;
     let container = Container::parse(bytes)?;
     container.check_known(&sections::ALL)?;
@@ -84,12 +106,7 @@ pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeErro
     let (groups, steps) = layout.decode(section, shape, &masks, models.each_ref(), &anchors)?;
 
     let symbols = Symbols { cells, masks, groups, steps };
-    let scene = quantise::dequantise(symbols, &networks, &manifest);
-    let decode_sha256 = decode_digest(&scene);
-    if decode_sha256 != manifest.decode_sha256 {
-        return Err(DecodeError::DecodeDigest { stated: manifest.decode_sha256, actual: decode_sha256 });
-    }
-    Ok(Decoded { scene, manifest, decode_sha256 })
+    Ok(Content { manifest, networks, symbols, models, anchors })
 }
 
 /// The networks of the groups that have one, and what they are given about each anchor.

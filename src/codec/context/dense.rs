@@ -7,7 +7,7 @@
 //! ```
 //!
 //! and no i32 overflows: inputs are at most 2^14 - 1 in magnitude, weights at most 127, inputs at most 512, so that the sum
-//! is at most 127 x 16383 x 512 = 1 065 288 192 < 2^30; half is at most 2^23, the bias at most 2^24.
+//! is at most 127 x 16383 x 512 = 1 065 288 192 < 2^30; half is at most 2^14, the bias at most 2^24.
 
 use crate::{
     codec::{
@@ -30,8 +30,8 @@ pub(in crate::codec) const MAX_ACTIVATION: i32 = (1 << 14) - 1;
 /// Largest magnitude of an output of the last layer, in 2^-8.
 pub(in crate::codec) const MAX_OUTPUT: i32 = 1 << 23;
 
-/// Largest right shift of a row.
-pub(in crate::codec) const MAX_SHIFT: u8 = 24;
+/// Largest right shift of a row: weights below 2^-9 are rounded to multiples of 2^-15.
+pub(in crate::codec) const MAX_SHIFT: u8 = 15;
 
 /// Most layers of a network.
 const MAX_LAYERS: usize = 4;
@@ -422,7 +422,7 @@ mod tests {
             }
         }
         let sum = 127_i64 * i64::from(MAX_ACTIVATION) * MAX_INPUTS as i64;
-        assert!(sum + (1 << 23) + (1 << 24) < i64::from(i32::MAX));
+        assert!(sum + (1 << 14) + (1 << 24) < i64::from(i32::MAX));
     }
 
     #[test]

@@ -7,6 +7,7 @@
 mod anchors;
 mod choice;
 mod dense;
+pub(super) mod floats;
 mod frame;
 mod latents;
 mod model;

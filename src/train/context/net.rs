@@ -35,7 +35,8 @@ pub struct ContextPass {
     /// Weight of the mean absolute difference of raw planes and their reconstruction (method.md §4.7: 0.01); zero for none.
     /// Without meaning where latents are parameters.
     pub reconstruction: f32,
-    /// Largest integer of a weight where weights are used in the form in which they will be stored.
+    /// Where weights are used in the form in which they will be stored, the largest integer of one in a network: 127, 31 or 7
+    /// for 8, 6 or 4 bits. Those of layers up have 127.
     pub levels: Option<u8>,
     /// Whether planes, layers and latents learn; their gradients are zero if not.
     pub planes_learn: bool,
@@ -207,7 +208,8 @@ impl ContextNet {
         Ok(DeviceTables::bytes(config, anchors)
             + Activations::bytes(&layout, Self::capacity(sample))
             + buffer_bytes::<f32>(samples)
-            + 3 * buffer_bytes::<f32>(layout.parameters)
+            + 2 * buffer_bytes::<f32>(layout.parameters)
+            + RoundedWeights::bytes(&layout)
             + Moments::bytes(layout.parameters)
             + if placed { PlanePass::bytes(config) } else { 0 })
     }
@@ -245,7 +247,7 @@ impl ContextNet {
         self.write_sample(recorder, sample)?;
         let Self { layout, planes, rounded, on, .. } = self;
         if let Some(levels) = pass.levels {
-            rounded.record(recorder, layout, &self.parameters, levels)?;
+            rounded.record(recorder, &self.parameters, levels)?;
         }
         let stored = if pass.levels.is_some() { rounded.values() } else { &self.parameters };
         // Without planes nothing of them is read: any buffer will do.
@@ -379,7 +381,6 @@ impl ContextNet {
     ///
     /// # Errors
     /// [`ContextError::Config`] if the statistics are of other channels; faults of the device.
-    #[expect(clippy::too_many_arguments, reason = "the optimiser's arguments and what rates depend on")]
     pub fn step(
         &self,
         recorder: &mut Recorder<'_>,

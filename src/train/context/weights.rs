@@ -1,58 +1,53 @@
 //! Weights rounded to the form in which a file holds them, so that training sees what a decoder will have. Gradients pass as
 //! if nothing were rounded.
+//!
+//! A weight is an integer over a power of two, the largest for each row of weights that the integer's width allows, at most
+//! 2^24: what the codec makes of the same weights. Biases and activations, which it keeps to 1/256, stay as they are.
 
 use std::sync::Arc;
 
 use super::layout::ContextLayout;
-use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source};
+use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
 
-/// Rows of weights that are rounded alike.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Rows {
-    rows: usize,
-    first: usize,
-    /// From a row to the next.
-    step: usize,
-    /// A row's weights lie in this many blocks,
-    blocks: usize,
-    /// each so far from the last,
-    block_step: usize,
-    /// of so many.
-    block: usize,
-}
+/// Largest integer of an up-sampling layer's weights: the codec stores them in eight bits whatever the networks have.
+const UP_LEVELS: usize = 127;
 
-/// Every row of weights that a file holds: those of one output of a layer.
-fn stored_rows(layout: &ContextLayout) -> impl Iterator<Item = Rows> {
-    let dense = std::iter::once(&layout.hidden).chain(&layout.heads).map(|layer| Rows {
-        rows: layer.outputs,
-        first: layer.weights,
-        step: 1,
-        blocks: layer.inputs,
-        block_step: layer.outputs,
-        block: 1,
-    });
-    let up = layout.up.iter().map(|layer| Rows {
-        rows: layer.fine,
-        first: layer.weights,
-        step: 9,
-        blocks: layer.coarse,
-        block_step: 9 * layer.fine,
-        block: 9,
-    });
-    dense.chain(up)
+/// A row of weights, those of one output of a layer, as `shaders/round_weights.wgsl` takes it: where it begins, in how many
+/// blocks it lies, how far from each other, of how many weights, and its levels, or 0 for the networks'.
+type Row = [u32; 5];
+
+/// Every row of weights that a file holds.
+fn stored_rows(layout: &ContextLayout) -> Vec<Row> {
+    let mut rows = Vec::new();
+    for layer in std::iter::once(&layout.hidden).chain(&layout.heads) {
+        let row = |output| [layer.weights + output, layer.inputs, layer.outputs, 1, 0];
+        rows.extend((0..layer.outputs).map(row));
+    }
+    for layer in &layout.up {
+        let row = |output| [layer.weights + 9 * output, layer.coarse, 9 * layer.fine, 9, UP_LEVELS];
+        rows.extend((0..layer.fine).map(row));
+    }
+    rows.into_iter().map(|row| row.map(|value| value as u32)).collect()
 }
 
 /// The kernel and the rounded copy.
 #[derive(Debug)]
 pub(super) struct RoundedWeights {
     round_weights: Arc<Kernel>,
+    rows: Buffer<Row>,
     values: Buffer<f32>,
 }
 
 impl RoundedWeights {
+    /// Bytes on the device.
+    pub(super) fn bytes(layout: &ContextLayout) -> u64 {
+        buffer_bytes::<Row>(stored_rows(layout).len()) + buffer_bytes::<f32>(layout.parameters)
+    }
+
     pub(super) fn new(context: &Context, layout: &ContextLayout) -> Result<Self, GpuError> {
         Ok(Self {
             round_weights: context.kernel(kernel_source!("round_weights"), &[])?,
+            rows: context.upload("rows of context weights", &stored_rows(layout))?,
             values: context.buffer("rounded context parameters", layout.parameters)?,
         })
     }
@@ -62,26 +57,20 @@ impl RoundedWeights {
         &self.values
     }
 
-    /// Records a copy of the parameters with weights as integers of at most `levels` over a power of two for each row.
+    /// Records a copy of the parameters with rounded weights, the networks' with integers of at most `levels`.
     pub(super) fn record(
         &self,
         recorder: &mut Recorder<'_>,
-        layout: &ContextLayout,
         parameters: &Buffer<f32>,
         levels: u8,
     ) -> Result<(), GpuError> {
-        recorder.copy(parameters, 0, &self.values, 0, layout.parameters);
-        for rows in stored_rows(layout) {
-            let uniform = recorder.uniform(&[
-                [rows.rows as u32, rows.first as u32, rows.step as u32, 0],
-                [rows.blocks as u32, rows.block_step as u32, rows.block as u32, u32::from(levels)],
-            ])?;
-            recorder.dispatch(
-                &self.round_weights,
-                &[uniform.as_ref(), parameters.as_ref(), self.values.as_ref()],
-                rows.rows.div_ceil(64) as u32,
-            );
-        }
+        recorder.copy(parameters, 0, &self.values, 0, parameters.len());
+        let uniform = recorder.uniform(&[[self.rows.len() as u32, u32::from(levels), 0, 0]])?;
+        recorder.dispatch(
+            &self.round_weights,
+            &[uniform.as_ref(), self.rows.as_ref(), parameters.as_ref(), self.values.as_ref()],
+            self.rows.len().div_ceil(64) as u32,
+        );
         Ok(())
     }
 }

@@ -3,7 +3,7 @@
 use tcgs::{
     codec::{
         ContextChoice, ContextSearch, ContextSettings, DecodeError, DecodeLimits, EncodeError,
-        EncodeSettings, Encoded, GroupChoice, context::neighbours, decode, encode, inspect,
+        EncodeSettings, Encoded, GroupChoice, context::neighbours, decode, efficiency, encode, inspect,
     },
     domain::{ContextCandidates, ContextKind, DenseLayer, Mlp, Planes},
 };
@@ -264,6 +264,8 @@ fn integers_cost_less_than_one_percent_more_than_floats() {
     let counts = &encoded.byte_counts;
     let coded = [counts.features, counts.scalings, counts.offsets];
     assert_eq!(neighbours(&decoded.cells).len(), decoded.len());
+    let measured = efficiency(&encoded.bytes, &DecodeLimits::NONE, Some((&candidates, &encoded.context)));
+    let measured = measured.expect("decodes");
     for (group, kind) in KINDS.into_iter().enumerate() {
         let values = [&decoded.features, &decoded.scalings, &decoded.offsets][group];
         let predictions = predictions(&decoded.cells, &candidates, group, kind);
@@ -284,8 +286,26 @@ fn integers_cost_less_than_one_percent_more_than_floats() {
                 }
             }
         }
+        let of_codec = measured.float_bits[group].expect("has a network");
+        assert!((of_codec / float_bits - 1.0).abs() < 0.002, "{of_codec} bits, here {float_bits}");
+        assert_eq!(measured.bytes[group], coded[group]);
         let ratio = coded[group] as f64 * 8.0 / float_bits;
         println!("{kind:?}: {ratio:.5} of the float network's bits");
         assert!(ratio < 1.01, "{kind:?}: {ratio}");
+    }
+    let over_floats = measured.over_floats().expect("has networks");
+    assert!((0.99..1.01).contains(&over_floats), "{over_floats}");
+}
+
+/// What the coder adds to the information in the symbols by their own tables: ends of streams, counts of 2^-24.
+#[test]
+fn attributes_take_no_more_than_half_a_percent_over_their_tables() {
+    let Dependent { scene, candidates } = dependent(recipe(3000));
+    for groups in [[None; 3], KINDS.map(Some)] {
+        let encoded = encode(&scene, Some(&candidates), &fixed(groups, Some(0))).expect("encodes");
+        let measured = efficiency(&encoded.bytes, &DecodeLimits::NONE, None).expect("decodes");
+        println!("{groups:?}: {:.5} of the ideal", measured.over_ideal());
+        assert!((0.999..1.005).contains(&measured.over_ideal()), "{measured:?}");
+        assert_eq!(measured.over_floats(), None);
     }
 }

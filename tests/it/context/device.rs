@@ -172,7 +172,7 @@ fn rounded_weights_are_the_twins_bits() {
     // Rows of every size: from less than the finest step to more than the coarsest can hold; and ties.
     for layer in std::iter::once(&scene.layout.hidden).chain(&scene.layout.heads) {
         for output in 0..layer.outputs {
-            let size = 2_f32.powi(rng.random_range(-22..12));
+            let size = 2_f32.powi(rng.random_range(-30..12));
             for input in 0..layer.inputs {
                 let tie = rng.random_range(-255..256) as f32 / 2.0;
                 scene.values[layer.weights + input * layer.outputs + output] =

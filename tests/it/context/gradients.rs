@@ -3,7 +3,7 @@
 use tcgs::{
     domain::{AttributeGroup, ContextKind, DenseLayer, context::UpLayer},
     train::{
-        context::{ContextPass, ConvSpec, PlaneSource},
+        context::{ContextPass, ConvSpec, PlaneConfig, PlaneSource},
         twin::context as twin,
     },
 };
@@ -12,9 +12,12 @@ use super::scene::{KINDS, Scene, TWO_LAYERS, passes};
 
 #[test]
 fn every_parameter_has_the_gradient_of_a_random_linear_loss() {
-    const STEP: f64 = 1e-5;
+    // Short: few kinks of the absolute difference lie between the ends.
+    const STEP: f64 = 1e-6;
+    // A whole pass for each parameter: as small as has two layers.
+    const SMALL: PlaneConfig = PlaneConfig { edge: 8, channels: 4, layers: 2, hidden: 3, latents: 2 };
     for (kind, pass) in KINDS.into_iter().flat_map(|kind| passes().map(|pass| (kind, pass))) {
-        let scene = Scene::random(7, kind, TWO_LAYERS, 40, 9);
+        let scene = Scene::random(7, kind, SMALL, 40, 9);
         let twin = scene.twin(pass, false);
         let (values, d_outputs) = (scene.wide_values(), scene.wide_gradients());
         let loss = |values: &[f64]| {
@@ -25,7 +28,7 @@ fn every_parameter_has_the_gradient_of_a_random_linear_loss() {
         let found = twin.backward(&values, &twin.forward(&values), &d_outputs);
         let mut used = 0;
         // Some of every layer and part: a prime, so that all rows and taps have their turn.
-        for parameter in (0..values.len()).step_by(29) {
+        for parameter in (0..values.len()).step_by(13) {
             let at = |by: f64| {
                 let mut values = values.clone();
                 values[parameter] += by;
@@ -40,7 +43,7 @@ fn every_parameter_has_the_gradient_of_a_random_linear_loss() {
             );
             used += usize::from(found[parameter] != 0.0);
         }
-        assert!(used > scene.layout.networks / 29 / 2, "{kind:?} {pass:?}: {used} gradients are not zero");
+        assert!(used > scene.layout.networks / 13 / 2, "{kind:?} {pass:?}: {used} gradients are not zero");
     }
 }
 
@@ -157,7 +160,7 @@ fn weights_keep_as_many_binary_places_as_their_levels_allow() {
     assert_eq!(twin::round_weights(&[200.0, -1.4], 127), [127.0, -1.0], "integers end at the levels");
     assert_eq!(twin::round_weights(&[0.0; 3], 7), [0.0; 3]);
     assert_eq!(twin::round_weights(&[127.49, 1.0], 127), [127.0, 1.0]);
-    assert_eq!(twin::round_weights(&[1e-7], 127), [0.0], "there are fifteen places at most");
+    assert_eq!(twin::round_weights(&[1e-9], 127), [0.0], "there are 24 places at most");
 }
 
 #[test]

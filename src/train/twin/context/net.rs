@@ -182,7 +182,7 @@ impl ContextTwin<'_> {
     fn stored(&self, values: &[f64]) -> Vec<f64> {
         let mut stored = values.to_vec();
         let Some(levels) = self.pass.levels else { return stored };
-        let mut round = |places: Vec<usize>| {
+        let mut round = |places: Vec<usize>, levels: u8| {
             let row: Vec<f64> = places.iter().map(|place| values[*place]).collect();
             for (place, value) in places.into_iter().zip(round_weights(&row, levels)) {
                 stored[place] = value;
@@ -190,15 +190,14 @@ impl ContextTwin<'_> {
         };
         for layer in std::iter::once(&self.layout.hidden).chain(&self.layout.heads) {
             for output in 0..layer.outputs {
-                round(
-                    (0..layer.inputs).map(|input| layer.weights + input * layer.outputs + output).collect(),
-                );
+                let weight = |input: usize| layer.weights + input * layer.outputs + output;
+                round((0..layer.inputs).map(weight).collect(), levels);
             }
         }
         for layer in &self.layout.up {
             for output in 0..layer.fine {
                 let block = |input: usize| layer.weights + (input * layer.fine + output) * 9;
-                round((0..layer.coarse).flat_map(|input| block(input)..block(input) + 9).collect());
+                round((0..layer.coarse).flat_map(|input| block(input)..block(input) + 9).collect(), 127);
             }
         }
         stored

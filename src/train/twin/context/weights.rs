@@ -1,7 +1,7 @@
 //! Values in the form in which they are stored, and what the way there costs.
 
 /// Most binary places of a weight.
-const MOST_PLACES: i32 = 15;
+const MOST_PLACES: i32 = 24;
 
 /// Latents as the nearest multiples of 1/16 with integers of at most 127.
 #[must_use]
@@ -9,7 +9,7 @@ pub fn round_latents(values: &[f64]) -> Vec<f64> {
     values.iter().map(|value| (16.0 * value).round_ties_even().clamp(-127.0, 127.0) / 16.0).collect()
 }
 
-/// One output's weights as integers of at most `levels` over the largest power of two up to 2^15 that they allow.
+/// One output's weights as integers of at most `levels` over the largest power of two up to 2^24 that they allow.
 #[must_use]
 pub fn round_weights(row: &[f64], levels: u8) -> Vec<f64> {
     let levels = f64::from(levels);
@@ -28,4 +28,73 @@ pub fn plane_l1(planes: &[f64], reconstruction: &[f64], weight: f64) -> (f64, Ve
     let differences: Vec<f64> = planes.iter().zip(reconstruction).map(|(a, b)| a - b).collect();
     let sign = |v: &f64| if *v == 0.0 { 0.0 } else { share * v.signum() };
     (share * differences.iter().map(|v| v.abs()).sum::<f64>(), differences.iter().map(sign).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    use super::*;
+    use crate::{
+        codec::context::{stored_network, stored_planes},
+        domain::{
+            DenseLayer, Mlp,
+            context::{Planes, UpLayer},
+        },
+    };
+
+    #[test]
+    fn a_networks_weights_are_rounded_as_the_codec_stores_them() {
+        let mut rng = Pcg64::seed_from_u64(1);
+        for (bits, levels) in [(8, 127), (6, 31), (4, 7)] {
+            let (inputs, outputs) = (19, 60);
+            // From less than the finest step to more than the coarsest holds; every other row has ties.
+            let weights = (0..outputs).flat_map(|output| {
+                let size = 2_f32.powi(output - 36);
+                let tie = |rng: &mut Pcg64| rng.random_range(-255..256) as f32 / 256.0;
+                (0..inputs)
+                    .map(|_| size * if output % 2 == 0 { tie(&mut rng) } else { rng.random_range(-1.0..1.0) })
+                    .collect::<Vec<f32>>()
+            });
+            let layer = DenseLayer {
+                inputs,
+                outputs: outputs as usize,
+                weights: weights.collect(),
+                bias: vec![0.0; outputs as usize],
+            };
+            let stored = stored_network(&Mlp { layers: vec![layer.clone()] }, bits);
+            for (row, expected) in
+                layer.weights.chunks_exact(inputs).zip(stored.layers[0].weights.chunks_exact(inputs))
+            {
+                let row: Vec<f64> = row.iter().map(|weight| f64::from(*weight)).collect();
+                let expected: Vec<f64> = expected.iter().map(|weight| f64::from(*weight)).collect();
+                assert_eq!(round_weights(&row, levels), expected, "{bits} bits");
+            }
+        }
+    }
+
+    #[test]
+    fn planes_are_rounded_as_the_codec_stores_them() {
+        let mut rng = Pcg64::seed_from_u64(2);
+        let mut numbers = |count: usize, size: f32| -> Vec<f32> {
+            (0..count).map(|_| rng.random_range(-size..size)).collect()
+        };
+        let planes = Planes {
+            edge: 4,
+            channels: 2,
+            latents: numbers(3 * 2 * 16, 12.0),
+            layers: vec![UpLayer { inputs: 2, outputs: 4, weights: numbers(72, 0.7), bias: vec![0.0; 4] }],
+        };
+        let stored = stored_planes(&planes);
+        let wide = |values: &[f32]| values.iter().map(|value| f64::from(*value)).collect::<Vec<_>>();
+        assert_eq!(round_latents(&wide(&planes.latents)), wide(&stored.latents));
+        for output in 0..4 {
+            let row = |weights: &[f32]| {
+                wide(&[&weights[9 * output..][..9], &weights[36 + 9 * output..][..9]].concat())
+            };
+            let (found, expected) = (row(&planes.layers[0].weights), row(&stored.layers[0].weights));
+            assert_eq!(round_weights(&found, 127), expected);
+        }
+    }
 }

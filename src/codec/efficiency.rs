@@ -1,0 +1,134 @@
+//! How near a file's attributes come to what their model allows: figures for tables of results.
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    attributes::is_coded,
+    context::{ContextChoice, GroupChoice, GroupModel, floats::FloatAnchors, steps},
+    decode::{Content, DecodeLimits, read},
+    error::DecodeError,
+    inspect::inspect,
+    shape::Attribute,
+};
+use crate::domain::{ContextCandidates, Mlp, context::ContextKind};
+
+/// Least probability that a float network is taken at, so that one symbol far away does not hide all others.
+const LEAST: f64 = 1e-300;
+
+/// Bytes of the attributes against the information in them; features, scalings, offsets.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Efficiency {
+    /// Bytes in the file, tables of channels included.
+    pub bytes: [u64; 3],
+    /// Sum of -log2 p over the symbols, by the integer tables that code them.
+    pub table_bits: [f64; 3],
+    /// The same by the normal distributions of the float network, of groups that have one and for which it was given. Steps
+    /// and symbols are those of the file.
+    pub float_bits: [Option<f64>; 3],
+}
+
+impl Efficiency {
+    /// Bytes of the file over what its model allows; the coder's loss. Not a number where there is nothing to code.
+    #[must_use]
+    pub fn over_ideal(&self) -> f64 {
+        8.0 * self.bytes.iter().sum::<u64>() as f64 / self.table_bits.iter().sum::<f64>()
+    }
+
+    /// Bits by the integer networks over bits by the float networks; none without any.
+    #[must_use]
+    pub fn over_floats(&self) -> Option<f64> {
+        let pairs =
+            self.table_bits.iter().zip(self.float_bits).filter_map(|(table, float)| Some((table, float?)));
+        let (tables, floats) = pairs.fold((0.0, 0.0), |sum, (table, float)| (sum.0 + table, sum.1 + float));
+        (floats > 0.0).then_some(tables / floats)
+    }
+}
+
+/// Measures a file; with what training left, and what an encoder chose of it, also against floats.
+///
+/// # Errors
+/// [`DecodeError`] as for [`super::decode`].
+pub fn efficiency(
+    bytes: &[u8],
+    limits: &DecodeLimits,
+    trained: Option<(&ContextCandidates, &ContextChoice)>,
+) -> Result<Efficiency, DecodeError> {
+    let counts = inspect(bytes)?.byte_counts;
+    let content = read(bytes, limits)?;
+    let planes = trained.and_then(|(candidates, choice)| candidates.planes.get(choice.planes?));
+    let anchors = trained.map(|(candidates, _)| {
+        FloatAnchors::new(&candidates.frame, &content.symbols.cells, planes.map(|set| &set.planes))
+    });
+    let mut float_bits = [None; 3];
+    if let (Some((candidates, choice)), Some(anchors)) = (trained, &anchors) {
+        for attribute in Attribute::ALL {
+            let group = attribute as usize;
+            let GroupChoice::Network { kind, .. } = choice.groups[group] else { continue };
+            let mlp = match kind {
+                ContextKind::Position => candidates.position[group].as_ref(),
+                ContextKind::TriPlane => planes.and_then(|set| set.own[group].as_ref()),
+                ContextKind::TriPlaneKnn => planes.and_then(|set| set.neighbours[group].as_ref()),
+            };
+            float_bits[group] = mlp.map(|mlp| by_floats(&content, attribute, anchors, mlp, kind));
+        }
+    }
+    Ok(Efficiency {
+        bytes: [counts.features, counts.scalings, counts.offsets],
+        table_bits: Attribute::ALL.map(|attribute| by_tables(&content, attribute)),
+        float_bits,
+    })
+}
+
+/// Whether each symbol of an anchor is in the file, with its channel and value.
+fn coded(content: &Content, attribute: Attribute, anchor: usize) -> impl Iterator<Item = (usize, i32)> {
+    let shape = content.manifest.shape();
+    let channels = shape.channels(attribute);
+    let row = &content.symbols.groups[attribute as usize][anchor * channels..(anchor + 1) * channels];
+    let masks = &content.symbols.masks;
+    let symbols = row.iter().copied().enumerate();
+    symbols.filter(move |(channel, _)| is_coded(masks, shape, anchor, attribute, *channel))
+}
+
+fn by_tables(content: &Content, attribute: Attribute) -> f64 {
+    let model: &GroupModel = &content.models[attribute as usize];
+    let each: Vec<f64> = (0..content.manifest.anchors)
+        .into_par_iter()
+        .map_init(
+            || model.rows(&content.anchors),
+            |rows, anchor| {
+                let (_, distributions) = rows.at(anchor);
+                coded(content, attribute, anchor).map(|(channel, q)| distributions[channel].cost(q)).sum()
+            },
+        )
+        .collect();
+    // One after another, so that the figure does not depend on the threads.
+    each.iter().sum()
+}
+
+fn by_floats(
+    content: &Content,
+    attribute: Attribute,
+    anchors: &FloatAnchors,
+    mlp: &Mlp,
+    kind: ContextKind,
+) -> f64 {
+    let channels = content.manifest.shape().channels(attribute);
+    let each: Vec<f64> = (0..content.manifest.anchors)
+        .into_par_iter()
+        .map(|anchor| {
+            let outputs = anchors.outputs(mlp, kind, anchor);
+            let step = f64::from(steps::factor(content.symbols.steps[attribute as usize][anchor]));
+            let bits = |(channel, symbol): (usize, i32)| {
+                let mean = outputs[channel] / step;
+                let sigma = libm::exp2(outputs[channels + channel]) / step;
+                // The upper tail beyond the mean, where the difference of two small numbers loses nothing.
+                let distance = (f64::from(symbol) - mean).abs();
+                let tail = |x: f64| 0.5 * libm::erfc(x / sigma * std::f64::consts::FRAC_1_SQRT_2);
+                -libm::log2((tail(distance - 0.5) - tail(distance + 0.5)).max(LEAST))
+            };
+            coded(content, attribute, anchor).map(bits).sum()
+        })
+        .collect();
+    each.iter().sum()
+}
