@@ -51,15 +51,16 @@ impl Work {
             "positions" => (cells + counts.positions as f64, self.anchors),
             "masks" => (slots + counts.masks as f64, slots),
             "fit" => (4.0 * values + slots, self.symbols()),
-            "symbols" | "attributes" => (4.0 * values + slots + coded, self.symbols()),
+            "symbols" | "predicted symbols" | "attributes" => (4.0 * values + slots + coded, self.symbols()),
             "digest" => (cells + 4.0 * values + slots, 0.0),
+            "section" => (2.0 * coded, 0.0),
             "container" => (2.0 * counts.total as f64, 0.0),
             "neighbours" => (cells + 16.0 * self.anchors, self.anchors),
             "encode" | "decode" => (cells + 4.0 * values + slots + counts.total as f64, self.symbols()),
             _ => (0.0, 0.0),
         };
         let operations = match path.rsplit('/').next() {
-            Some("contexts") => 2.0 * self.anchors * products as f64,
+            Some("predicted symbols") => 2.0 * self.anchors * products as f64,
             _ => 0.0,
         };
         Cost { bytes, symbols, operations }

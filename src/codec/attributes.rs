@@ -40,7 +40,7 @@ pub(super) struct CodedGroup {
 
 /// The attributes section, of groups in the order of [`Attribute::ALL`].
 pub(super) fn encode(groups: [&CodedGroup; 3]) -> Vec<u8> {
-    let _stage = tracing::debug_span!("attributes").entered();
+    let _stage = tracing::debug_span!("section").entered();
     let mut writer = Writer::new();
     groups.iter().for_each(|group| write_parameters(&group.model, &mut writer));
     for chunk in 0..groups[0].streams.len() {

@@ -43,6 +43,7 @@ impl GroupCoder<'_> {
 
     /// Codes the group with the best table for each channel and steps of index `step`.
     pub(super) fn with_tables(&self, step: i8) -> Result<CodedGroup, EncodeError> {
+        let _stage = tracing::debug_span!("symbols").entered();
         let channels = self.channels();
         let mut symbols = vec![0; self.shape.anchors * channels];
         symbols
@@ -77,6 +78,7 @@ impl GroupCoder<'_> {
 
     /// Codes the group by a network.
     pub(super) fn with_network(&self, network: ContextNetwork) -> Result<CodedGroup, EncodeError> {
+        let _stage = tracing::debug_span!("predicted symbols").entered();
         let model = GroupModel::Network(network);
         let chunks: Vec<CodedChunk> =
             self.chunks.par_iter().map(|chunk| self.encode_chunk(chunk, &model)).collect::<Result<_, _>>()?;
