@@ -9,7 +9,7 @@ DATA ?= $(or $(TCGS_SHARED),../shared)/data
 # Other programs' formats take part in `make results` where their converter runs, which takes Node.
 PEERS ?= $(and $(wildcard scripts/peers.sh),$(shell command -v node),--peers scripts/peers.sh)
 
-.PHONY: help setup build demo results test lint clean
+.PHONY: help setup build demo results test interop peers lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -28,6 +28,13 @@ results: build ## train every model on every set of DATA and rewrite docs/RESULT
 
 test: setup ## all tests
 	@$(CARGO) test --locked --no-fail-fast
+
+interop: setup ## hold exports to splat-transform, which comes through npm
+	@scripts/splat_transform.sh --version
+	@. scripts/env.sh && TCGS_SPLAT_TRANSFORM="$$(scripts/splat_transform.sh --where)" cargo test --locked --test it export:: -- --nocapture
+
+peers: ## convert IN (a .ply of plain Gaussians) to .sog and .spz and back, into OUT
+	@scripts/peers.sh "$(IN)" "$(OUT)"
 
 lint: setup ## formatting, clippy, documentation, licences
 	@$(CARGO) fmt --check

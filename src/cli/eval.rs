@@ -16,7 +16,7 @@ use super::{Failure, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, pict
 /// Arguments of `tcgs eval`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// A .tcgs file, or the .safetensors or .ply of a baseline
+    /// A .tcgs file, the .safetensors or .ply of a baseline, or a .spz
     #[arg(required_unless_present = "suite", requires = "dataset")]
     file: Option<PathBuf>,
 

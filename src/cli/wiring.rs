@@ -3,6 +3,7 @@
 //! Each command speaks to the functions below and to nothing behind them, so that an engine can be exchanged here
 //! without a change to any command. Faults arrive as [`Problem`]s.
 
+mod export;
 mod service;
 
 use std::{
@@ -25,6 +26,7 @@ use tcgs::{
     worker::{pipeline::Pipeline, run::RunJob, scene_file},
 };
 
+pub(crate) use export::{Baking, Packing, Quality, compare, export};
 pub(crate) use service::{ServeOptions, WorkerOptions, serve, worker};
 
 use super::{Failure, files, memory::MemoryFlags};
@@ -98,7 +100,7 @@ pub(crate) fn tensors(file: &SceneFile) -> Result<Vec<u8>, Problem> {
     match &file.scene {
         Scene::Anchors(scene) => scene_file::write_anchors(scene, file.background, file.dataset),
         Scene::Gaussians(_) => Err(scene_file::undecodable(
-            "a .ply of plain Gaussians has no anchors to decode; its values are floats already",
+            "a file of plain Gaussians has no anchors to decode; its values are floats already",
         )),
     }
 }
@@ -172,6 +174,16 @@ impl Renderer {
         let viewable = Viewable { scene: file.scene, background: file.background };
         // The hash of what was decoded tells scenes apart as well as the hash of a file would.
         Ok(Self { adapter, views, key: file.decode_sha256, viewable })
+    }
+
+    /// Another scene on the same adapter.
+    pub(crate) fn beside(&self, file: SceneFile) -> Self {
+        Self {
+            adapter: self.adapter.clone(),
+            views: Arc::clone(&self.views),
+            key: file.decode_sha256,
+            viewable: Viewable { scene: file.scene, background: file.background },
+        }
     }
 
     /// The view from `camera`, over the background that the scene was trained on.

@@ -59,8 +59,7 @@ pub struct Decoded {
 /// [`DecodeError`] for bytes that are not exactly one undamaged file of a known version within `limits`.
 pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeError> {
     let Content { manifest, networks, symbols, near, .. } = read(bytes, limits)?;
-    let mut scene = quantise::dequantise(symbols, &networks, &manifest);
-    scene.near = near;
+    let scene = AnchorScene { near, ..quantise::dequantise(symbols, &networks, &manifest) };
     let decode_sha256 = decode_digest(&scene);
     if decode_sha256 != manifest.decode_sha256 {
         return Err(DecodeError::DecodeDigest { stated: manifest.decode_sha256, actual: decode_sha256 });
@@ -75,6 +74,7 @@ pub(super) struct Content {
     pub(super) symbols: Symbols,
     pub(super) models: [GroupModel; 3],
     pub(super) anchors: AnchorContext,
+    /// Where cameras begin to see.
     pub(super) near: NearPlane,
 }
 
@@ -113,6 +113,10 @@ pub(super) fn read(bytes: &[u8], limits: &DecodeLimits) -> Result<Content, Decod
     Ok(Content { manifest, networks, symbols, models, anchors, near })
 }
 
+/// Most multiplications that a file's networks may take: 27 000 an anchor for ten million anchors. Anchors that are easily
+/// predicted cost next to no bytes, so bytes alone would not bound the time.
+pub(super) const MAX_MULTIPLICATIONS: u64 = 1 << 38;
+
 /// The networks of the groups that have one, and what they are given about each anchor.
 fn context(
     container: &Container<'_>,
@@ -135,6 +139,12 @@ fn context(
     let shape = manifest.shape();
     let widths = Attribute::ALL.map(|attribute| shape.channels(attribute));
     let networks = layout.networks(context.bytes, kinds, channels, widths, limits.max_memory_bytes)?;
+    let work: u64 = networks.iter().flatten().map(|network| network.mlp.multiplications()).sum();
+    let work = work.saturating_mul(cells.len() as u64);
+    if work > MAX_MULTIPLICATIONS {
+        let (part, what) = ("context", "multiplications for all anchors");
+        return Err(DecodeError::Malformed { part, what, value: work.to_string() });
+    }
     let memory = cells.len() as u64 * AnchorContext::bytes_an_anchor(channels, neighbours);
     within("bytes of memory for the context", memory, limits.max_memory_bytes)?;
 

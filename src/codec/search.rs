@@ -13,6 +13,7 @@ use super::{
         AnchorContext, ContextChoice, ContextNetwork, ContextSearch, ContextSettings, GroupChoice,
         IntegerMlp, IntegerPlanes, WeightBits, section, steps,
     },
+    decode::MAX_MULTIPLICATIONS,
     error::EncodeError,
     groups::GroupCoder,
     manifest::{GroupContext, GroupCosts, Steps},
@@ -92,12 +93,19 @@ fn check(candidates: &ContextCandidates, shape: Shape) -> Result<(), EncodeError
     if let Some(half) = candidates.frame.half.iter().find(|half| **half == 0) {
         return Err(fault("frame", format!("a half of {half} cells")));
     }
+    // Were all groups to choose as large a network, the file would still be within the format.
+    let share = MAX_MULTIPLICATIONS / 3 / shape.anchors.max(1) as u64;
     let check_networks = |networks: &GroupNetworks, kind: ContextKind, channels: usize| {
         for (attribute, network) in Attribute::ALL.into_iter().zip(networks) {
             let outputs = AttributeGroup::outputs(shape.channels(attribute));
             if let Some(network) = network {
                 IntegerMlp::check(network, kind.inputs(channels), outputs)
                     .map_err(|text| fault(&format!("{kind:?} network of {attribute:?}"), text))?;
+                let each: u64 = network.layers.iter().map(|layer| layer.weights.len() as u64).sum();
+                if each > share {
+                    let text = format!("{each} weights where {share} are possible with so many anchors");
+                    return Err(fault(&format!("{kind:?} network of {attribute:?}"), text));
+                }
             }
         }
         Ok::<(), EncodeError>(())

@@ -12,6 +12,7 @@ pub mod conventions;
 pub mod digest;
 pub mod format;
 pub mod gaussians;
+pub mod harmonics;
 pub mod image;
 pub mod job;
 pub mod memory;
@@ -38,7 +39,9 @@ pub use gaussians::{GaussianScene, Scene};
 pub use image::{Image, ImageError};
 pub use job::{Event, EventKind, Job, JobId, JobState};
 pub use memory::{Bytes, MemoryBudget, MemoryLimits};
-pub use metrics::{ByteCounts, JobMetrics, PhaseSeconds, Scores, ViewScore};
+pub use metrics::{
+    ByteBudget, ByteCounts, CurvePoint, GroupOctaves, JobMetrics, PhaseSeconds, Scores, ViewScore,
+};
 pub use near::NearPlane;
 pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOptions, Voxel};
 pub use photograph::{Photograph, PhotographError, PixelSource};

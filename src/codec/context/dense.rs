@@ -196,6 +196,11 @@ impl IntegerMlp {
         last
     }
 
+    /// Multiplications for one anchor.
+    pub(in crate::codec) fn multiplications(&self) -> u64 {
+        self.layers.iter().map(|layer| (layer.inputs * layer.outputs()) as u64).sum()
+    }
+
     /// Adds to the bias of the last output, in 2^-8.
     pub(in crate::codec) fn shift_last_output(&mut self, by: i32) {
         if let Some(bias) = self.layers.last_mut().and_then(|layer| layer.bias.last_mut()) {

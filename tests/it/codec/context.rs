@@ -246,6 +246,57 @@ fn memory_of_planes_and_contexts_is_limited() {
     assert!(decode(&bytes, &limits).is_ok());
 }
 
+/// Anchors that fill a cube, and networks as wide as they come, without a weight: few bytes, and hours of arithmetic if it
+/// were done.
+#[test]
+fn small_files_that_ask_for_hours_are_refused() {
+    let edge = 85;
+    let cells: Vec<[i32; 3]> =
+        (0..edge * edge * edge).map(|i| [i % edge, i / edge % edge, i / edge / edge]).collect();
+    let count = cells.len();
+    let scene = tcgs::domain::AnchorScene {
+        cells,
+        features: vec![0.0; count],
+        scalings: vec![0.01; 6 * count],
+        offsets: vec![0.0; 3 * count],
+        masks: vec![true; count],
+        ..scene(Recipe { seed: 1, anchors: 1, feature_dim: 1, offsets: 1, masked: 0.0 })
+    };
+    let network = |widths: &[usize]| {
+        let layer = |pair: &[usize]| DenseLayer {
+            inputs: pair[0],
+            outputs: pair[1],
+            weights: vec![0.0; pair[0] * pair[1]],
+            bias: vec![0.0; pair[1]],
+        };
+        Mlp { layers: widths.windows(2).map(layer).collect() }
+    };
+    let candidates = |widths: &[usize]| ContextCandidates {
+        frame: UNIT_FRAME,
+        static_steps: [0.0; 3],
+        position: [Some(network(widths)), None, None],
+        planes: Vec::new(),
+    };
+    let settings = fixed([Some(ContextKind::Position), None, None], None);
+    let fault = encode(&scene, Some(&candidates(&[18, 512, 512, 512, 3])), &settings);
+    assert!(matches!(fault, Err(EncodeError::Candidate { .. })));
+
+    let bytes = encode(&scene, Some(&candidates(&[18, 3])), &settings).expect("encodes").bytes;
+    let mut parts = wire::parts(&bytes);
+    let context = parts.iter_mut().find(|part| part.0 == *b"CTXT").expect("has a network");
+    // The frame takes a byte a number; then a length, eight bits a weight, four layers, and all constants of zero.
+    let zeros = [0, 64].repeat(3);
+    let wide = [&[0x80, 0x04], &zeros[..]].concat();
+    let mlp = [&[8, 4], &wide[..], &wide, &wide, &[3], &zeros].concat();
+    context.2.truncate(6);
+    context.2.push(mlp.len() as u8);
+    context.2.extend(mlp);
+    let bytes = wire::file((1, 0), &parts);
+    assert!(bytes.len() < 200_000, "{}", bytes.len());
+    let fault = decode(&bytes, &DecodeLimits::NONE).expect_err("must be refused").to_string();
+    assert!(fault.contains("multiplications"), "{fault}");
+}
+
 /// Bits of a symbol by a normal distribution, in the tail with the smaller cancellation.
 fn bits(symbol: f64, mean: f64, sigma: f64) -> f64 {
     let cumulative = |x: f64| 0.5 * libm::erfc(-x / sigma / std::f64::consts::SQRT_2);
