@@ -5,7 +5,7 @@
 //!
 //! - **opacity**: the mean over the views that show it, each with the share of its light that nothing before it takes
 //!   (`occlusion`), and with the views in which it is not born counting as zero. A Gaussian that appears from one side
-//!   only becomes fainter there and appears on the other side too: most of what is lost, a dB or so of PSNR.
+//!   only becomes fainter there and appears on the other side too: most of what is lost.
 //! - **size**: the mean of its logarithms, weighted by the opacity and that share in each view;
 //! - **rotation**: the mean of the quaternions, signs aligned, weighted alike;
 //! - **colour**: spherical harmonics by weighted least squares (`fit`), at the directions from each camera to the mean.
