@@ -6,7 +6,10 @@ CARGO := . scripts/env.sh && cargo
 # Where the photo sets for `make results` are.
 DATA ?= $(or $(TCGS_SHARED),../shared)/data
 
-.PHONY: help setup build demo results test lint clean
+# Other programs' formats take part in `make results` where their converter runs, which takes Node.
+PEERS ?= $(and $(wildcard scripts/peers.sh),$(shell command -v node),--peers scripts/peers.sh)
+
+.PHONY: help setup build demo results test interop peers lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -21,10 +24,17 @@ demo: setup ## the bundled scene through the service: train, download, render in
 	@scripts/demo.sh
 
 results: build ## train every model on every set of DATA and rewrite docs/RESULTS.md; hours on a CPU
-	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" eval --suite "$(DATA)" --table docs/RESULTS.md $(RESULTS_FLAGS)
+	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" eval --suite "$(DATA)" --table docs/RESULTS.md $(PEERS) $(RESULTS_FLAGS)
 
 test: setup ## all tests
 	@$(CARGO) test --locked --no-fail-fast
+
+interop: setup ## hold exports to splat-transform, which comes through npm
+	@scripts/splat_transform.sh --version
+	@. scripts/env.sh && TCGS_SPLAT_TRANSFORM="$$(scripts/splat_transform.sh --where)" cargo test --locked --test it export:: -- --nocapture
+
+peers: ## convert IN (a .ply of plain Gaussians) to .sog and .spz and back, into OUT
+	@scripts/peers.sh "$(IN)" "$(OUT)"
 
 lint: setup ## formatting, clippy, documentation, licences
 	@$(CARGO) fmt --check

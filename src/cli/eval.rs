@@ -7,7 +7,7 @@ use std::{
 
 use serde::Serialize;
 use tcgs::{
-    domain::{Background, ByteCounts, Conventions, Digest, Image, Scores, Split, ViewScore},
+    domain::{Background, ByteCounts, Conventions, Digest, Image, Scores, ViewScore},
     eval::Lpips,
 };
 
@@ -16,7 +16,7 @@ use super::{Failure, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, pict
 /// Arguments of `tcgs eval`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// A .tcgs file, or the .safetensors or .ply of a baseline
+    /// A .tcgs file, the .safetensors or .ply of a baseline, or a .spz
     #[arg(required_unless_present = "suite", requires = "dataset")]
     file: Option<PathBuf>,
 
@@ -100,24 +100,18 @@ fn measure(args: &Args, file: &Path, dataset_path: &Path) -> Result<Report, Fail
     let (anchors, gaussians) = (decoded.scene.anchors(), decoded.scene.gaussians());
     let (background, decode_sha256) = (decoded.background, decoded.decode_sha256);
     let renderer = wiring::Renderer::open(decoded, &args.adapter.adapter)?;
-    let (compared, render_seconds) = timed(|| {
-        let mut compared: Vec<wiring::Compared> = Vec::new();
-        for frame in dataset.split(Split::Test) {
-            let photograph = frame.image.load()?.over(background.rgb8());
-            compared.push((frame.name.clone(), renderer.view(&frame.camera)?, photograph));
-        }
-        Ok::<_, tcgs::domain::Problem>(compared)
-    })?;
-    if let Some(folder) = &args.save {
-        for (name, render, photograph) in &compared {
+    let mut save = |name: &str, render: &Image, photograph: &Image| match &args.save {
+        None => Ok(()),
+        Some(folder) => {
             let name = name.replace(['/', '\\'], "_");
             let stem = name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem);
-            picture::write(&folder.join(format!("{stem}.png")), &side_by_side(photograph, render))?;
+            picture::write(&folder.join(format!("{stem}.png")), &side_by_side(photograph, render))
         }
-    }
+    };
+    let (test, render_seconds) = wiring::score(&renderer, &dataset, background, lpips.as_ref(), &mut save)?;
 
     let metrics = Metrics {
-        test: wiring::scores(&compared, lpips.as_ref())?,
+        test,
         bytes: byte_counts,
         seconds: Seconds { ingest: ingest_seconds, decode: decode_seconds, render: render_seconds },
         anchors,

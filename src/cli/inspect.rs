@@ -10,7 +10,7 @@ use super::{Failure, Report, files, wiring};
 /// Arguments of `tcgs inspect`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// A .tcgs file, or the .safetensors or .ply of a baseline
+    /// A .tcgs file, the .safetensors or .ply of a baseline, or a .spz
     file: PathBuf,
 
     /// Print one JSON document
@@ -27,14 +27,14 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
             let inspection = wiring::inspect(&bytes).map_err(in_file)?;
             Ok(Report { text: inspection.text, json: inspection.json })
         }
-        SceneFormat::Safetensors | SceneFormat::Ply => {
+        SceneFormat::Safetensors | SceneFormat::Ply | SceneFormat::Spz => {
             let account = Account::of(wiring::read(&bytes).map_err(in_file)?);
             Ok(Report::new(account.text(), &account))
         }
     }
 }
 
-/// What there is to say of a file of floats.
+/// What there is to say of a file that is no .tcgs.
 #[derive(Debug, Serialize)]
 struct Account {
     format: SceneFormat,

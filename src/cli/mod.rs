@@ -9,6 +9,7 @@ mod decode;
 mod doctor;
 mod encode;
 mod eval;
+mod export;
 mod failure;
 mod files;
 mod inspect;
@@ -67,6 +68,8 @@ enum Command {
     Render(render::Args),
     /// Measure a file on the held-out views of its dataset
     Eval(eval::Args),
+    /// Write a scene as plain Gaussians for other programs, and say what that costs
+    Export(export::Args),
     /// Show where each byte of a file goes
     Inspect(inspect::Args),
     /// Write the bundled ray-traced scene as a dataset
@@ -82,6 +85,7 @@ impl Command {
             Command::Train(args) => args.json,
             Command::Decode(args) => args.json,
             Command::Eval(args) => args.json,
+            Command::Export(args) => args.json,
             Command::Inspect(args) => args.json,
             Command::Doctor(args) => args.json,
             Command::Serve(_)
@@ -101,6 +105,7 @@ impl Command {
             | Command::Decode(_)
             | Command::Render(_)
             | Command::Eval(_)
+            | Command::Export(_)
             | Command::Inspect(_)
             | Command::Sample(_)
             | Command::Doctor(_) => Verbosity::Warn,
@@ -116,6 +121,7 @@ impl Command {
             Command::Decode(args) => decode::run(&args),
             Command::Render(args) => render::run(&args),
             Command::Eval(args) => eval::run(&args),
+            Command::Export(args) => export::run(&args),
             Command::Inspect(args) => inspect::run(&args),
             Command::Sample(args) => sample::run(&args),
             Command::Doctor(args) => doctor::run(&args),

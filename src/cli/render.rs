@@ -10,7 +10,7 @@ use super::{Failure, Report, adapter::AdapterFlag, files, picture, pose, wiring}
 #[derive(Debug, clap::Args)]
 #[command(group = clap::ArgGroup::new("camera").required(true).args(["frame", "pose"]))]
 pub(crate) struct Args {
-    /// A .tcgs file, or the .safetensors or .ply of a baseline
+    /// A .tcgs file, the .safetensors or .ply of a baseline, or a .spz
     file: PathBuf,
 
     /// The dataset that names the camera

@@ -2,6 +2,8 @@
 
 use std::{net::SocketAddr, path::PathBuf};
 
+use tcgs::domain::Bytes;
+
 use super::{
     Failure, Report,
     adapter::AdapterFlag,
@@ -37,6 +39,11 @@ pub(crate) struct Args {
     #[command(flatten)]
     memory: MemoryFlags,
 
+    /// Memory on the adapter that views of finished scenes may take, beside what each job may; a scene that needs more is not
+    /// shown
+    #[arg(long, value_name = "BYTES", default_value = "2GiB", env = "TCGS_VIEW_MEMORY")]
+    view_memory: Bytes,
+
     #[command(flatten)]
     lpips: LpipsFlag,
 
@@ -55,6 +62,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
         lpips: args.lpips.lpips,
         workers: args.workers,
         memory: args.memory.limits(args.workers),
+        view_memory: args.view_memory.0,
         log_format,
     })?;
     Ok(Report::default())

@@ -1,12 +1,16 @@
 //! `tcgs train`: a dataset in, one file and its metrics out.
 
-use std::{path::PathBuf, thread};
+use std::{
+    path::{Path, PathBuf},
+    thread,
+};
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use serde_json::{Value, json};
 use tcgs::{
     domain::{
-        Background, CancelFlag, Component, JobMetrics, ModelKind, OptionError, Phase, Preset, TrainOptions,
-        Voxel,
+        Background, CancelFlag, Component, CurvePoint, JobMetrics, ModelKind, OptionError, Phase, Preset,
+        TrainOptions, Voxel,
     },
     worker::run::{Checkpoints, JobFailure, Resume},
 };
@@ -97,9 +101,14 @@ struct Options {
     #[arg(long, value_name = "X")]
     lambda: Option<f64>,
 
-    /// Largest file to write
-    #[arg(long, value_name = "N", hide = true)]
+    /// Bytes that the file may have, all of it: steps become coarser and Gaussians are left out until it fits
+    #[arg(long, value_name = "N")]
     max_bytes: Option<u64>,
+
+    /// Train once up to where the weight of the rate matters, then go on with each of these weights, and write a file for
+    /// each: OUT is that of the first, and beside it each has its weight in its name, as in OUT.lambda-0.001.tcgs
+    #[arg(long, value_name = "LIST", value_delimiter = ',', allow_negative_numbers = true)]
+    rd_curve: Vec<f64>,
 }
 
 /// Reads what `--voxel` takes.
@@ -119,6 +128,7 @@ impl Options {
             without: self.without.iter().copied().collect(),
             lambda: self.lambda,
             max_bytes: self.max_bytes,
+            rd_curve: self.rd_curve.clone(),
         };
         Ok(options.validated()?)
     }
@@ -128,6 +138,9 @@ impl Options {
 pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     let options = args.options.train_options()?;
     files::check_writable(&args.output)?;
+    for lambda in &options.rd_curve {
+        files::check_writable(&with_lambda(&args.output, *lambda))?;
+    }
     let checkpoints = checkpoints(args)?;
     let lpips = wiring::lpips(args.lpips.lpips.as_deref())?;
     let memory = args.memory.limits(1);
@@ -157,8 +170,53 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
         JobFailure::Cancelled => Failure::Stopped,
     })?;
     files::write(&args.output, &output.file)?;
-    let text = format!("{}\nwrote {}", text(&output.metrics), args.output.display());
-    Ok(Report::new(text, &output.metrics))
+    let mut written = vec![args.output.clone()];
+    for (lambda, file) in output.files() {
+        let Some(lambda) = lambda else { continue };
+        let path = with_lambda(&args.output, lambda);
+        files::write(&path, file)?;
+        written.push(path);
+    }
+    Ok(report(&output.metrics, &written))
+}
+
+fn report(metrics: &JobMetrics, written: &[PathBuf]) -> Report {
+    let mut text = text(metrics);
+    let mut report = Report::new(String::new(), metrics);
+    if !metrics.rd_curve.is_empty() {
+        text.push_str(&format!("\n\n{}", survey(&metrics.rd_curve)));
+        let files = metrics.rd_curve.iter().zip(&written[1..]);
+        let files = files.map(|(point, path)| json!({ "lambda": point.lambda, "path": path })).collect();
+        if let Value::Object(members) = &mut report.json {
+            members.insert("files".to_owned(), Value::Array(files));
+        }
+    }
+    for path in written {
+        text.push_str(&format!("\nwrote {}", path.display()));
+    }
+    report.text = text;
+    report
+}
+
+/// The name of a curve's file: that of the output with the weight before its extension.
+fn with_lambda(output: &Path, lambda: f64) -> PathBuf {
+    let stem = output.file_stem().unwrap_or_default().to_string_lossy();
+    let extension = output.extension().map(|extension| format!(".{}", extension.to_string_lossy()));
+    output.with_file_name(format!("{stem}.lambda-{lambda}{}", extension.unwrap_or_default()))
+}
+
+/// A curve as the field's survey of compression methods takes it: a line a point.
+fn survey(curve: &[CurvePoint]) -> String {
+    let mut lines = vec!["Submethod,PSNR,SSIM,LPIPS,Size [Bytes],#Gaussians".to_owned()];
+    lines.extend(curve.iter().map(|point| {
+        let figure = |value: Option<f64>, digits: usize| {
+            value.map_or_else(String::new, |value| format!("{value:.digits$}"))
+        };
+        let CurvePoint { lambda, bytes, gaussians, .. } = point;
+        let [psnr, ssim, lpips] = [figure(point.psnr, 2), figure(point.ssim, 4), figure(point.lpips, 4)];
+        format!("lambda-{lambda},{psnr},{ssim},{lpips},{bytes},{gaussians}")
+    }));
+    lines.join("\n")
 }
 
 /// What the flags say of checkpoints, with what they name checked before anything else takes its time.
@@ -256,11 +314,50 @@ mod tests {
         assert_eq!(options.preset, Preset::Standard);
         assert_eq!((options.iterations, options.seed), (Some(900), 7));
         assert_eq!(options.background, Background::White);
-        for flags in [["--iterations", "0"], ["--without", "knn,masks"], ["--max-bytes", "1000"]] {
+        for flags in [["--iterations", "0"], ["--without", "knn,masks"], ["--max-bytes", "0"]] {
             let failure = parse(&flags).train_options().expect_err("impossible");
             assert_eq!(failure.exit_status(), 2);
             assert!(failure.to_string().starts_with(flags[0]), "{failure}");
         }
         assert!(Line::try_parse_from(["train", "--preset", "fast"]).is_err());
+        let options = parse(&["--rd-curve", "0.004,0.0005"]).train_options().expect("possible");
+        assert_eq!(options.rd_curve, [0.004, 0.0005]);
+        for wrong in ["0", "-1", "nan", "0.001,0.001"] {
+            let failure = parse(&["--rd-curve", wrong]).train_options().expect_err("impossible");
+            assert!(failure.exit_status() == 2 && failure.to_string().starts_with("--rd-curve"), "{failure}");
+        }
+        let both = parse(&["--rd-curve", "0.001", "--max-bytes", "9"]).train_options();
+        assert_eq!(both.expect_err("impossible").exit_status(), 2);
+    }
+
+    #[test]
+    fn files_of_a_curve_are_named_by_their_weights() {
+        for (output, expected) in [
+            ("out/chair.tcgs", "out/chair.lambda-0.0005.tcgs"),
+            ("chair", "chair.lambda-0.0005"),
+            ("a.b.tcgs", "a.b.lambda-0.0005.tcgs"),
+        ] {
+            assert_eq!(with_lambda(Path::new(output), 5e-4), Path::new(expected));
+        }
+    }
+
+    #[test]
+    fn a_curve_is_told_in_the_surveys_format() {
+        let point = |lambda, bytes, lpips| CurvePoint {
+            lambda,
+            bytes,
+            psnr: Some(30.126),
+            ssim: Some(0.95),
+            lpips,
+            gaussians: 77,
+            sha256: tcgs::domain::Digest::of(b"a file"),
+        };
+        let text = survey(&[point(0.004, 1200, None), point(1e-3, 3400, Some(0.12345))]);
+        assert_eq!(
+            text,
+            "Submethod,PSNR,SSIM,LPIPS,Size [Bytes],#Gaussians\n\
+             lambda-0.004,30.13,0.9500,,1200,77\n\
+             lambda-0.001,30.13,0.9500,0.1234,3400,77"
+        );
     }
 }

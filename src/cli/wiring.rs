@@ -3,11 +3,13 @@
 //! Each command speaks to the functions below and to nothing behind them, so that an engine can be exchanged here
 //! without a change to any command. Faults arrive as [`Problem`]s.
 
+mod export;
 mod service;
 
 use std::{
     path::{Path, PathBuf},
     sync::Arc,
+    time::Instant,
 };
 
 use tcgs::{
@@ -24,6 +26,7 @@ use tcgs::{
     worker::{pipeline::Pipeline, run::RunJob, scene_file},
 };
 
+pub(crate) use export::{Baking, Packing, Quality, compare, export};
 pub(crate) use service::{ServeOptions, WorkerOptions, serve, worker};
 
 use super::{Failure, files, memory::MemoryFlags};
@@ -97,7 +100,7 @@ pub(crate) fn tensors(file: &SceneFile) -> Result<Vec<u8>, Problem> {
     match &file.scene {
         Scene::Anchors(scene) => scene_file::write_anchors(scene, file.background, file.dataset),
         Scene::Gaussians(_) => Err(scene_file::undecodable(
-            "a .ply of plain Gaussians has no anchors to decode; its values are floats already",
+            "a file of plain Gaussians has no anchors to decode; its values are floats already",
         )),
     }
 }
@@ -147,9 +150,10 @@ pub(crate) fn check_checkpoint(folder: &Path) -> Result<(), Problem> {
     })
 }
 
-/// What renders views, for the service and for single commands; the second is adapter and driver in one line.
-pub(crate) fn views(adapter: &AdapterChoice) -> Result<(Arc<dyn RenderViews>, String), Problem> {
-    let viewer = SceneViewer::open(adapter.clone())?;
+/// What renders views, for the service and for single commands, in so many bytes on the device; the second is adapter and
+/// driver in one line.
+pub(crate) fn views(adapter: &AdapterChoice, memory: u64) -> Result<(Arc<dyn RenderViews>, String), Problem> {
+    let viewer = SceneViewer::within(adapter.clone(), memory)?;
     let line = viewer.adapter_line();
     Ok((Arc::new(viewer), line))
 }
@@ -166,10 +170,20 @@ pub(crate) struct Renderer {
 impl Renderer {
     /// Opens the adapter for the scene of a file.
     pub(crate) fn open(file: SceneFile, adapter: &AdapterChoice) -> Result<Self, Problem> {
-        let (views, adapter) = views(adapter)?;
+        let (views, adapter) = views(adapter, u64::MAX)?;
         let viewable = Viewable { scene: file.scene, background: file.background };
         // The hash of what was decoded tells scenes apart as well as the hash of a file would.
         Ok(Self { adapter, views, key: file.decode_sha256, viewable })
+    }
+
+    /// Another scene on the same adapter.
+    pub(crate) fn beside(&self, file: SceneFile) -> Self {
+        Self {
+            adapter: self.adapter.clone(),
+            views: Arc::clone(&self.views),
+            key: file.decode_sha256,
+            viewable: Viewable { scene: file.scene, background: file.background },
+        }
     }
 
     /// The view from `camera`, over the background that the scene was trained on.
@@ -178,24 +192,33 @@ impl Renderer {
     }
 }
 
-/// A held-out view: its name, its render and its photograph.
-pub(crate) type Compared = (String, Image, Image);
-
-/// The scores of renders against photographs, each and as means.
-pub(crate) fn scores(views: &[Compared], lpips: Option<&Lpips>) -> Result<Scores, Problem> {
-    let scores = views
-        .iter()
-        .map(|(name, render, photograph)| {
-            let mut score = score_view(name, render, photograph).ok_or_else(|| {
-                let detail = format!("the render of {name} is not of its photograph's size");
-                Problem::new(500, "internal", "Internal error", detail)
-            })?;
-            if let Some(lpips) = lpips {
-                let distance = lpips.distance(render, photograph);
-                score.lpips = Some(distance.map_err(|fault| Problem::from(fault).in_file(name))?);
-            }
-            Ok(score)
-        })
-        .collect::<Result<Vec<_>, Problem>>()?;
-    Ok(mean_scores_with(&scores, lpips.map(Lpips::network)))
+/// The scores of the held-out views, each and as means, and the seconds that rendering them took. `each` is shown every
+/// view's name, render and photograph; no two views are in memory at a time.
+pub(crate) fn score(
+    renderer: &Renderer,
+    dataset: &Dataset,
+    background: Background,
+    lpips: Option<&Lpips>,
+    each: &mut dyn FnMut(&str, &Image, &Image) -> Result<(), Failure>,
+) -> Result<(Scores, f64), Failure> {
+    let mut scores = Vec::new();
+    let mut seconds = 0.0;
+    for frame in dataset.split(Split::Test) {
+        let name = &frame.name;
+        let photograph = frame.image.load().map_err(Problem::from)?.over(background.rgb8());
+        let began = Instant::now();
+        let render = renderer.view(&frame.camera)?;
+        seconds += began.elapsed().as_secs_f64();
+        let mut score = score_view(name, &render, &photograph).ok_or_else(|| {
+            let detail = format!("the render of {name} is not of its photograph's size");
+            Problem::new(500, "internal", "Internal error", detail)
+        })?;
+        if let Some(lpips) = lpips {
+            let distance = lpips.distance(&render, &photograph);
+            score.lpips = Some(distance.map_err(|fault| Problem::from(fault).in_file(name))?);
+        }
+        each(name, &render, &photograph)?;
+        scores.push(score);
+    }
+    Ok((mean_scores_with(&scores, lpips.map(Lpips::network)), seconds))
 }

@@ -105,11 +105,12 @@ impl<'a> Container<'a> {
 
     /// The content of a section that every file has.
     pub(super) fn section(&self, id: SectionId, name: &'static str) -> Result<Section<'a>, DecodeError> {
-        self.sections
-            .iter()
-            .find(|section| section.id == id)
-            .copied()
-            .ok_or(DecodeError::MissingSection { section: name })
+        self.find(id).ok_or(DecodeError::MissingSection { section: name })
+    }
+
+    /// A section that a file may have.
+    pub(super) fn find(&self, id: SectionId) -> Option<Section<'a>> {
+        self.sections.iter().find(|section| section.id == id).copied()
     }
 
     /// The content of a section that a file has where it is `needed`, and only there.
@@ -181,8 +182,8 @@ fn parse_sections<'a>(table: &[u8], bytes: &'a [u8]) -> Result<Vec<Section<'a>>,
     }
 }
 
-/// Writes a file of `(id, content)`, every section critical.
-pub(super) fn write(sections: &[(SectionId, Vec<u8>)]) -> Vec<u8> {
+/// Writes a file of `(id, content)`; those whose id is in `optional` need not be understood, all others are critical.
+pub(super) fn write(sections: &[(SectionId, Vec<u8>)], optional: &[SectionId]) -> Vec<u8> {
     let header = FIXED_HEADER + sections.len() * TABLE_ENTRY;
     let length = header + sections.iter().map(|(_, content)| content.len()).sum::<usize>();
     let mut writer = Writer::new();
@@ -196,7 +197,7 @@ pub(super) fn write(sections: &[(SectionId, Vec<u8>)]) -> Vec<u8> {
     let mut offset = header;
     for (id, content) in sections {
         writer.raw(id);
-        writer.u32(CRITICAL);
+        writer.u32(if optional.contains(id) { 0 } else { CRITICAL });
         writer.u64(offset as u64);
         writer.u64(content.len() as u64);
         writer.u32(crc32c::crc32c(content));

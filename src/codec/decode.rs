@@ -13,8 +13,9 @@ use super::{
     quantise::{self, Symbols},
     sections,
     shape::Attribute,
+    view,
 };
-use crate::domain::{AnchorScene, Digest, anchors::SCALINGS_PER_ANCHOR, context::ContextKind};
+use crate::domain::{AnchorScene, Digest, NearPlane, anchors::SCALINGS_PER_ANCHOR, context::ContextKind};
 
 /// What a caller is willing to decode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,8 +58,8 @@ pub struct Decoded {
 /// # Errors
 /// [`DecodeError`] for bytes that are not exactly one undamaged file of a known version within `limits`.
 pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeError> {
-    let Content { manifest, networks, symbols, .. } = read(bytes, limits)?;
-    let scene = quantise::dequantise(symbols, &networks, &manifest);
+    let Content { manifest, networks, symbols, near, .. } = read(bytes, limits)?;
+    let scene = AnchorScene { near, ..quantise::dequantise(symbols, &networks, &manifest) };
     let decode_sha256 = decode_digest(&scene);
     if decode_sha256 != manifest.decode_sha256 {
         return Err(DecodeError::DecodeDigest { stated: manifest.decode_sha256, actual: decode_sha256 });
@@ -73,6 +74,8 @@ pub(super) struct Content {
     pub(super) symbols: Symbols,
     pub(super) models: [GroupModel; 3],
     pub(super) anchors: AnchorContext,
+    /// Where cameras begin to see.
+    pub(super) near: NearPlane,
 }
 
 /// Reads everything, and does not yet make floats of it.
@@ -106,7 +109,8 @@ pub(super) fn read(bytes: &[u8], limits: &DecodeLimits) -> Result<Content, Decod
     let (groups, steps) = layout.decode(section, shape, &masks, models.each_ref(), &anchors)?;
 
     let symbols = Symbols { cells, masks, groups, steps };
-    Ok(Content { manifest, networks, symbols, models, anchors })
+    let near = view::decode(container.find(sections::VIEW))?;
+    Ok(Content { manifest, networks, symbols, models, anchors, near })
 }
 
 /// Most multiplications that a file's networks may take: 27 000 an anchor for ten million anchors. Anchors that are easily

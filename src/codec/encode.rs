@@ -13,7 +13,7 @@ use super::{
     precision::{self, Activation},
     quantise::{self, Symbols},
     search::{self, Anchors},
-    sections,
+    sections, view,
 };
 use crate::domain::{AnchorScene, ContextCandidates};
 
@@ -97,11 +97,13 @@ pub fn encode(
         groups: [features.0, scalings.0, offsets.0],
         steps: [features.1, scalings.1, offsets.1],
     };
-    let quantised = quantise::dequantise(symbols, &networks, &manifest);
+    let mut quantised = quantise::dequantise(symbols, &networks, &manifest);
+    quantised.near = scene.near;
     manifest.decode_sha256 = decode_digest(&quantised);
     let mut content: Vec<_> = content.into_iter().flatten().collect();
     content.insert(0, (sections::MANIFEST, manifest.encode()));
-    let bytes = container::write(&content);
+    content.extend(view::encode(scene.near).map(|view| (sections::VIEW, view)));
+    let bytes = container::write(&content, &[sections::VIEW]);
 
     let decoded = decode(&bytes, &DecodeLimits::NONE).map_err(EncodeError::ReadBack)?;
     if decoded.scene != quantised {

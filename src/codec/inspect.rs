@@ -183,6 +183,7 @@ fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Res
                 }
             }
         }
+        sections::VIEW => map.push(length, ByteGroup::Container, "where views begin"),
         _ => map.push(length, ByteGroup::Container, "optional section of a later version"),
     }
     Ok(())

@@ -32,6 +32,7 @@ mod search;
 mod sections;
 mod shape;
 mod symbols;
+mod view;
 
 use serde::{Deserialize, Serialize};
 

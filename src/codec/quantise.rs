@@ -7,7 +7,7 @@ use super::{
     context::steps::factor, error::EncodeError, manifest::Manifest, networks::QuantisedNetworks,
     shape::Attribute, symbols::MAX_SYMBOL,
 };
-use crate::domain::AnchorScene;
+use crate::domain::{AnchorScene, NearPlane};
 
 /// The integers of a file, anchors in file order.
 #[derive(Debug, Clone, PartialEq)]
@@ -108,6 +108,7 @@ pub(super) fn dequantise(symbols: Symbols, networks: &QuantisedNetworks, manifes
         offsets,
         masks: symbols.masks,
         networks: networks.dequantise(),
+        near: NearPlane::USUAL,
     }
 }
 

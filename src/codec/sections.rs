@@ -1,4 +1,4 @@
-//! The sections of this version. All are critical: without any of them there is no scene.
+//! The sections of this version. Without the critical ones there is no scene, or another one.
 
 use super::container::SectionId;
 
@@ -17,8 +17,12 @@ pub(super) const PLANES: SectionId = *b"PLAN";
 /// Features, scalings, offsets.
 pub(super) const ATTRIBUTES: SectionId = *b"ATTR";
 
+/// Where views begin: optional, for scenes that are not seen from the usual depth.
+pub(super) const VIEW: SectionId = *b"VIEW";
+
 /// Every section that a decoder of this version understands.
-pub(super) const ALL: [SectionId; 7] = [MANIFEST, NETWORKS, POSITIONS, MASKS, CONTEXT, PLANES, ATTRIBUTES];
+pub(super) const ALL: [SectionId; 8] =
+    [MANIFEST, NETWORKS, POSITIONS, MASKS, CONTEXT, PLANES, ATTRIBUTES, VIEW];
 
 /// Those that every file has.
 pub(super) const ALWAYS: [SectionId; 5] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES];
@@ -33,6 +37,7 @@ pub(super) fn name(id: SectionId) -> &'static str {
         CONTEXT => "context",
         PLANES => "planes",
         ATTRIBUTES => "attributes",
+        VIEW => "view",
         _ => "unknown",
     }
 }

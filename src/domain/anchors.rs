@@ -6,6 +6,8 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::NearPlane;
+
 /// Extra inputs that every render network gets beside the anchor feature: the unit view direction and the distance.
 pub const VIEW_INPUTS: usize = 4;
 
@@ -83,6 +85,8 @@ pub struct AnchorScene {
     pub masks: Vec<bool>,
     /// The render networks.
     pub networks: RenderNetworks,
+    /// Where views begin, as in training.
+    pub near: NearPlane,
 }
 
 /// An [`AnchorScene`] whose parts do not fit together.

@@ -7,6 +7,9 @@ use super::ModelKind;
 /// First bytes of a `.tcgs` file (FORMAT.md).
 const TCGS: &[u8] = b"\x89TCGS";
 
+/// First bytes of a `.spz` file: gzip up to version 3, its own mark after that.
+const SPZ: [&[u8]; 2] = [b"\x1f\x8b", b"NGSP"];
+
 /// A kind of file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -17,11 +20,13 @@ pub enum SceneFormat {
     Safetensors,
     /// Plain Gaussians as floats.
     Ply,
+    /// Plain Gaussians as small integers. No model is published as such; scenes are exported to it.
+    Spz,
 }
 
 impl SceneFormat {
     /// Every kind.
-    pub const ALL: [Self; 3] = [Self::Tcgs, Self::Safetensors, Self::Ply];
+    pub const ALL: [Self; 4] = [Self::Tcgs, Self::Safetensors, Self::Ply, Self::Spz];
 
     /// The name in the API, which is also the extension of a file's name.
     #[must_use]
@@ -30,6 +35,7 @@ impl SceneFormat {
             SceneFormat::Tcgs => "tcgs",
             SceneFormat::Safetensors => "safetensors",
             SceneFormat::Ply => "ply",
+            SceneFormat::Spz => "spz",
         }
     }
 
@@ -38,7 +44,7 @@ impl SceneFormat {
     pub fn media_type(self) -> &'static str {
         match self {
             SceneFormat::Tcgs => "application/vnd.tcgs",
-            SceneFormat::Safetensors | SceneFormat::Ply => "application/octet-stream",
+            SceneFormat::Safetensors | SceneFormat::Ply | SceneFormat::Spz => "application/octet-stream",
         }
     }
 
@@ -60,6 +66,7 @@ impl SceneFormat {
         let holds_object = bytes.get(8) == Some(&b'{');
         match bytes {
             _ if bytes.starts_with(TCGS) => SceneFormat::Tcgs,
+            _ if SPZ.iter().any(|mark| bytes.starts_with(mark)) => SceneFormat::Spz,
             [b'p', b'l', b'y', b'\n' | b'\r', ..] => SceneFormat::Ply,
             _ if holds_object => SceneFormat::Safetensors,
             _ => SceneFormat::Tcgs,
@@ -78,6 +85,8 @@ mod tests {
             (b"ply\nformat binary_little_endian 1.0\n", SceneFormat::Ply),
             (b"ply\r\nformat ascii 1.0\r\n", SceneFormat::Ply),
             (b"\x40\0\0\0\0\0\0\0{\"cells\":", SceneFormat::Safetensors),
+            (b"\x1f\x8b\x08\0\0\0\0\0{", SceneFormat::Spz),
+            (b"NGSP\x04\0\0\0", SceneFormat::Spz),
             (b"plyometrics", SceneFormat::Tcgs),
             (b"", SceneFormat::Tcgs),
         ] {
@@ -87,8 +96,9 @@ mod tests {
 
     #[test]
     fn every_model_has_a_kind_of_its_own_and_names_are_those_of_the_api() {
-        let kinds: Vec<SceneFormat> =
+        let mut kinds: Vec<SceneFormat> =
             ModelKind::ALL.iter().map(|model| SceneFormat::of_model(*model)).collect();
+        kinds.push(SceneFormat::Spz);
         assert_eq!(kinds, SceneFormat::ALL);
         for format in SceneFormat::ALL {
             assert_eq!(serde_json::to_value(format).expect("a name"), format.name());

@@ -3,7 +3,7 @@
 //! Plain Gaussians hold what the field's `.ply` files hold, before activation; all arrays have the lengths that
 //! [`GaussianScene::check`] demands.
 
-use super::{AnchorScene, anchors::SceneShapeError};
+use super::{AnchorScene, NearPlane, anchors::SceneShapeError};
 
 /// Spherical-harmonic coefficients a colour channel, up to degree 3.
 pub const SH_COEFFICIENTS: usize = 16;
@@ -23,6 +23,8 @@ pub struct GaussianScene {
     pub sh: Vec<[[f32; 3]; SH_COEFFICIENTS]>,
     /// Highest degree in use, 0 to 3.
     pub degree: u8,
+    /// Where views begin, as in training.
+    pub near: NearPlane,
 }
 
 impl GaussianScene {
@@ -81,6 +83,15 @@ pub enum Scene {
 }
 
 impl Scene {
+    /// Where views begin.
+    #[must_use]
+    pub fn near(&self) -> NearPlane {
+        match self {
+            Scene::Anchors(scene) => scene.near,
+            Scene::Gaussians(scene) => scene.near,
+        }
+    }
+
     /// Anchors; zero in a scene of plain Gaussians.
     #[must_use]
     pub fn anchors(&self) -> usize {
@@ -121,6 +132,7 @@ mod tests {
             opacity_logits: vec![0.0; 2],
             sh: vec![[[0.0; 3]; SH_COEFFICIENTS]; 2],
             degree: 3,
+            near: NearPlane::default(),
         }
     }
 

@@ -93,6 +93,49 @@ pub struct PhaseSeconds {
     pub decode: f64,
 }
 
+/// Octaves of quantisation steps by attribute group.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct GroupOctaves {
+    /// Of anchor features.
+    pub features: f64,
+    /// Of anchor scalings.
+    pub scalings: f64,
+    /// Of offsets.
+    pub offsets: f64,
+}
+
+/// What a promise on the size of the file came to.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ByteBudget {
+    /// Bytes that the file may have.
+    pub max_bytes: u64,
+    /// Bytes that it would have had, as it was trained.
+    pub free_bytes: u64,
+    /// By how much steps are coarser than they would have been.
+    pub coarser_octaves: GroupOctaves,
+    /// Gaussians that were left out.
+    pub gaussians_dropped: u64,
+}
+
+/// One point of a rate-distortion curve: a branch of the run with its own weight of the rate.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CurvePoint {
+    /// The weight.
+    pub lambda: f64,
+    /// Of the branch's file.
+    pub bytes: u64,
+    /// Held-out PSNR of that file in dB, or null without held-out views.
+    pub psnr: Option<f64>,
+    /// Held-out SSIM.
+    pub ssim: Option<f64>,
+    /// Held-out LPIPS, as in `test`.
+    pub lpips: Option<f64>,
+    /// Its offsets that make a Gaussian.
+    pub gaussians: u64,
+    /// SHA-256 of the file.
+    pub sha256: Digest,
+}
+
 /// All figures of a finished job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JobMetrics {
@@ -123,4 +166,10 @@ pub struct JobMetrics {
     /// How image quality was measured.
     #[serde(default)]
     pub conventions: Conventions,
+    /// What `max_bytes` came to; null where it was not asked for.
+    #[serde(default)]
+    pub byte_budget: Option<ByteBudget>,
+    /// The points of `rd_curve` in the order asked for, the first being what the other figures are of; else empty.
+    #[serde(default)]
+    pub rd_curve: Vec<CurvePoint>,
 }

@@ -12,10 +12,12 @@ pub mod conventions;
 pub mod digest;
 pub mod format;
 pub mod gaussians;
+pub mod harmonics;
 pub mod image;
 pub mod job;
 pub mod memory;
 pub mod metrics;
+pub mod near;
 pub mod options;
 pub mod photograph;
 pub mod problem;
@@ -37,7 +39,10 @@ pub use gaussians::{GaussianScene, Scene};
 pub use image::{Image, ImageError};
 pub use job::{Event, EventKind, Job, JobId, JobState};
 pub use memory::{Bytes, MemoryBudget, MemoryLimits};
-pub use metrics::{ByteCounts, JobMetrics, PhaseSeconds, Scores, ViewScore};
+pub use metrics::{
+    ByteBudget, ByteCounts, CurvePoint, GroupOctaves, JobMetrics, PhaseSeconds, Scores, ViewScore,
+};
+pub use near::NearPlane;
 pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOptions, Voxel};
 pub use photograph::{Photograph, PhotographError, PixelSource};
 pub use problem::Problem;

@@ -8,6 +8,9 @@ use thiserror::Error;
 /// Largest number of steps that a job may ask for.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
 
+/// Most points of a rate-distortion curve.
+pub const MAX_CURVE_POINTS: usize = 8;
+
 /// An option value that is not understood or not possible.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("{option}: {fault}")]
@@ -188,8 +191,11 @@ pub struct TrainOptions {
     pub without: BTreeSet<Component>,
     /// Weight of the rate term; the preset's own if absent.
     pub lambda: Option<f64>,
-    /// Promise on the size of the written file.
+    /// Promise on the size of the written file, every byte of it.
     pub max_bytes: Option<u64>,
+    /// Weights of the rate term, each of which a branch of the run is made for and a file written; empty for one run and one
+    /// file.
+    pub rd_curve: Vec<f64>,
 }
 
 impl Default for TrainOptions {
@@ -204,12 +210,14 @@ impl Default for TrainOptions {
             without: BTreeSet::new(),
             lambda: None,
             max_bytes: None,
+            rd_curve: Vec::new(),
         }
     }
 }
 
 impl TrainOptions {
-    /// Sets one option from its query-string or flag text; `without` takes a comma-separated list.
+    /// Sets one option from its query-string or flag text; `without` and `rd_curve` take comma-separated lists, the latter
+    /// with or without the brackets that JSON has.
     ///
     /// # Errors
     /// [`OptionError`] for an unknown name or an impossible value.
@@ -228,6 +236,11 @@ impl TrainOptions {
             }
             "lambda" => self.lambda = Some(number("lambda", text)?),
             "max_bytes" => self.max_bytes = Some(number("max_bytes", text)?),
+            "rd_curve" => {
+                let list = text.strip_prefix('[').and_then(|list| list.strip_suffix(']')).unwrap_or(text);
+                self.rd_curve =
+                    list.split(',').map(|text| number("rd_curve", text.trim())).collect::<Result<_, _>>()?;
+            }
             _ => return Err(OptionError::new("query", format!("'{option}' is not an option"))),
         }
         Ok(())
@@ -266,10 +279,61 @@ impl TrainOptions {
                 return Err(OptionError::new("lambda", fault));
             }
         }
-        if self.max_bytes.is_some() {
-            return Err(OptionError::new("max_bytes", "this version has no rate control"));
-        }
+        self.check_max_bytes()?;
+        self.check_rd_curve()?;
         Ok(self)
+    }
+
+    fn check_max_bytes(&self) -> Result<(), OptionError> {
+        let fault = |text: String| Err(OptionError::new("max_bytes", text));
+        match self.max_bytes {
+            None => Ok(()),
+            Some(0) => fault("0 bytes hold no file".to_owned()),
+            Some(_) if self.model != ModelKind::Tcgs => {
+                fault(format!("the model {} is written as floats, whose size cannot be chosen", self.model))
+            }
+            Some(_) if !self.rd_curve.is_empty() => {
+                fault("a curve has files of several sizes; leave out max_bytes or rd_curve".to_owned())
+            }
+            Some(_) => Ok(()),
+        }
+    }
+
+    fn check_rd_curve(&self) -> Result<(), OptionError> {
+        let fault = |text: String| Err(OptionError::new("rd_curve", text));
+        let curve = &self.rd_curve;
+        if curve.is_empty() {
+            return Ok(());
+        }
+        if self.model != ModelKind::Tcgs {
+            return fault(format!("the model {} has no rate to weigh", self.model));
+        }
+        if self.lambda.is_some() {
+            return fault("each of its points has its own lambda; leave out lambda or rd_curve".to_owned());
+        }
+        if curve.len() > MAX_CURVE_POINTS {
+            return fault(format!("{} points are more than {MAX_CURVE_POINTS}", curve.len()));
+        }
+        for (index, lambda) in curve.iter().enumerate() {
+            if !(lambda.is_finite() && *lambda > 0.0) {
+                return fault(format!("{lambda} is not a positive weight"));
+            }
+            if curve[..index].contains(lambda) {
+                return fault(format!("{lambda} is given twice"));
+            }
+        }
+        Ok(())
+    }
+
+    /// The options of the branches of a rate-distortion curve, in order: those of single runs with one weight each. A run
+    /// without a curve is its own only branch.
+    #[must_use]
+    pub fn branches(&self) -> Vec<Self> {
+        if self.rd_curve.is_empty() {
+            return vec![self.clone()];
+        }
+        let branch = |lambda: &f64| Self { lambda: Some(*lambda), rd_curve: Vec::new(), ..self.clone() };
+        self.rd_curve.iter().map(branch).collect()
     }
 }
 
@@ -332,6 +396,60 @@ mod tests {
     }
 
     #[test]
+    fn a_promise_on_the_size_is_for_the_method_alone() {
+        let set = |pairs: &[(&str, &str)]| {
+            let mut options = TrainOptions::default();
+            pairs.iter().for_each(|(name, value)| options.set(name, value).expect("parses"));
+            options.validated()
+        };
+        assert_eq!(set(&[("max_bytes", "50000")]).expect("possible").max_bytes, Some(50_000));
+        for wrong in [
+            &[("max_bytes", "0")][..],
+            &[("max_bytes", "50000"), ("model", "scaffold")],
+            &[("max_bytes", "50000"), ("model", "3dgs")],
+            &[("max_bytes", "50000"), ("rd_curve", "0.001")],
+        ] {
+            assert_eq!(set(wrong).expect_err("impossible").option, "max_bytes", "{wrong:?}");
+        }
+        for text in ["-1", "1e6", "5 MB", ""] {
+            let fault = TrainOptions::default().set("max_bytes", text).expect_err(text);
+            assert_eq!(fault.option, "max_bytes");
+        }
+    }
+
+    #[test]
+    fn a_curve_is_a_list_of_distinct_weights_in_the_order_given() {
+        let curve = |text: &str| {
+            let mut options = TrainOptions::default();
+            options.set("rd_curve", text).and_then(|()| options.validated())
+        };
+        for text in ["0.004,0.0005,0.001", "[0.004, 0.0005, 1e-3]"] {
+            let options = curve(text).expect("possible");
+            assert_eq!(options.rd_curve, [0.004, 0.0005, 0.001]);
+            let json = serde_json::to_string(&options).expect("JSON");
+            assert_eq!(serde_json::from_str::<TrainOptions>(&json).expect("options"), options);
+            let branches = options.branches();
+            let lambdas: Vec<_> = branches.iter().map(|branch| branch.lambda).collect();
+            assert_eq!(lambdas, [Some(0.004), Some(0.0005), Some(0.001)]);
+            assert!(branches.iter().all(|branch| branch.rd_curve.is_empty()));
+        }
+        assert_eq!(TrainOptions::default().branches(), [TrainOptions::default()]);
+        let nine: Vec<String> = (1..=9).map(|weight| weight.to_string()).collect();
+        assert!(curve(&nine[..8].join(",")).is_ok());
+        for wrong in ["", "0.001,", "[0.001", "0", "-1", "nan", "inf", "0.001,1e-3", "many", &nine.join(",")]
+        {
+            assert_eq!(curve(wrong).expect_err(wrong).option, "rd_curve", "{wrong}");
+        }
+        let rd_curve = vec![0.001];
+        for wrong in [
+            TrainOptions { lambda: Some(0.1), rd_curve: rd_curve.clone(), ..TrainOptions::default() },
+            TrainOptions { model: ModelKind::Scaffold, rd_curve, ..TrainOptions::default() },
+        ] {
+            assert!(wrong.validated().is_err());
+        }
+    }
+
+    #[test]
     fn the_weight_of_the_rate_is_positive_and_the_methods_own() {
         for lambda in [1e-6, 0.001, 40.0] {
             let options = TrainOptions { lambda: Some(lambda), ..TrainOptions::default() };
@@ -349,9 +467,6 @@ mod tests {
 
     #[test]
     fn what_this_version_cannot_do_is_refused_not_ignored() {
-        let mut options = TrainOptions::default();
-        options.set("max_bytes", "1000").expect("parses");
-        assert_eq!(options.validated().expect_err("no rate control").option, "max_bytes");
         let mut options = TrainOptions::default();
         let parts: Vec<&str> = Component::ALL.iter().map(|part| part.name()).collect();
         options.set("without", &parts.join(",")).expect("parses");

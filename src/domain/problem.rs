@@ -23,6 +23,9 @@ pub struct Problem {
     /// The file of the upload that is at fault, if one is.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub file: Option<String>,
+    /// Where a file was to be smaller than it can be: the fewest bytes that it can have.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub smallest_bytes: Option<u64>,
     /// Request id, if there was a request.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub instance: Option<String>,
@@ -38,6 +41,7 @@ impl Problem {
             status,
             detail: detail.into(),
             file: None,
+            smallest_bytes: None,
             instance: None,
         }
     }
@@ -46,6 +50,13 @@ impl Problem {
     #[must_use]
     pub fn in_file(mut self, file: impl Into<String>) -> Self {
         self.file = Some(file.into());
+        self
+    }
+
+    /// The same problem, telling the fewest bytes that a file can have.
+    #[must_use]
+    pub fn with_smallest_bytes(mut self, bytes: u64) -> Self {
+        self.smallest_bytes = Some(bytes);
         self
     }
 }

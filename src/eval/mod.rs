@@ -1,4 +1,5 @@
-//! Image quality from 8-bit images: PSNR, SSIM and LPIPS, per view and as means over views, and errors by wavelet band.
+//! Image quality from 8-bit images: PSNR, SSIM and LPIPS, per view and as means over views, errors by wavelet band, and what
+//! each Gaussian is worth to views.
 //!
 //! Conventions are those of the field's final metrics (method.md §1.1): both images are 8-bit, PSNR pools the squared
 //! error over the three channels, means are over views. [`crate::domain::Conventions`] says so beside the figures.
@@ -8,6 +9,8 @@ mod haar;
 mod lpips;
 mod measure;
 mod quality;
+mod removal;
+mod removal_signs;
 mod scores;
 
 pub use bands::{BandErrors, band_errors};
@@ -15,4 +18,5 @@ pub use haar::Haar;
 pub use lpips::{Lpips, LpipsError};
 pub use measure::{measure_views, measure_views_with};
 pub use quality::{psnr, ssim};
+pub use removal::{RemovalCosts, removal_costs};
 pub use scores::{mean_scores, mean_scores_with, score_view};

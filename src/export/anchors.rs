@@ -6,7 +6,8 @@
 //! and for each network `opacity`, `covariance`, `color` and layer i: `NETWORK.i.weight` f32 `[outputs, inputs]`,
 //! `NETWORK.i.bias` f32 `[outputs]`. Where some offsets are off there is also `masks` bool `[N, K]`. An anchor's position
 //! is `cells * voxel + origin`: cells take the four bytes a coordinate that floats would, and keep the lattice. The
-//! metadata key `tcgs` holds a JSON object with `version`, `background` and, if it is known, `dataset`.
+//! metadata key `tcgs` holds a JSON object with `version`, `background`, `dataset` if it is known, and `near` where views do not
+//! begin at the usual depth.
 
 use std::collections::HashMap;
 
@@ -14,7 +15,9 @@ use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::domain::{AnchorScene, Background, ByteCounts, DenseLayer, Digest, Lattice, Mlp, RenderNetworks};
+use crate::domain::{
+    AnchorScene, Background, ByteCounts, DenseLayer, Digest, Lattice, Mlp, NearPlane, RenderNetworks,
+};
 
 /// Version of this layout of tensors.
 const VERSION: u32 = 1;
@@ -63,6 +66,8 @@ struct Metadata {
     background: Background,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     dataset: Option<Digest>,
+    #[serde(default, skip_serializing_if = "NearPlane::is_usual")]
+    near: NearPlane,
 }
 
 /// The bytes of a file; the same content gives the same bytes.
@@ -104,8 +109,9 @@ pub fn write(
         .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
         .map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
     // One key: several would be written in the random order of a hash map.
-    let metadata = serde_json::to_string(&Metadata { version: VERSION, background, dataset })
-        .map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
+    let metadata =
+        serde_json::to_string(&Metadata { version: VERSION, background, dataset, near: scene.near })
+            .map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
     safetensors::serialize(views, Some(HashMap::from([("tcgs".to_owned(), metadata)])))
         .map_err(|fault| AnchorFileError::Scene(fault.to_string()))
 }
@@ -180,6 +186,7 @@ pub fn read(bytes: &[u8]) -> Result<AnchorFile, AnchorFileError> {
             covariance: reader.network("covariance")?,
             color: reader.network("color")?,
         },
+        near: metadata.near,
     };
     reader.finish()?;
     scene.check().map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
@@ -308,6 +315,7 @@ mod tests {
             offsets: (0..18).map(|value| value as f32 * 0.2).collect(),
             masks: vec![true, false, true, true, false, true],
             networks: RenderNetworks { opacity: mlp(2), covariance: mlp(14), color: mlp(6) },
+            near: NearPlane::of_extent(1.0),
         }
     }
 

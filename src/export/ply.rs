@@ -16,6 +16,9 @@ const REST: usize = SH_COEFFICIENTS - 1;
 /// Columns of the file that this program writes.
 const COLUMNS: usize = 62;
 
+/// Logit that an infinite one is read as: an opacity of a millionth less than one, or more than zero.
+const OPAQUE_LOGIT: f32 = 13.8;
+
 /// What is wrong with a `.ply` file of Gaussians.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum PlyError {
@@ -71,7 +74,7 @@ pub enum PlyError {
         /// What is there.
         found: usize,
     },
-    /// A value that is NaN or infinite.
+    /// A value that is NaN or infinite; only an opacity may be that before the logistic.
     #[error("{property} of Gaussian {index} is not finite")]
     NotFinite {
         /// From 0.
@@ -156,7 +159,7 @@ pub fn from_ply(bytes: &[u8]) -> Result<GaussianScene, PlyError> {
         quats: Vec::with_capacity(count),
         opacity_logits: Vec::with_capacity(count),
         sh: Vec::with_capacity(count),
-        degree: 0,
+        ..GaussianScene::default()
     };
     let mut highest = 0;
     let mut row = vec![0.0; columns.len()];
@@ -164,6 +167,10 @@ pub fn from_ply(bytes: &[u8]) -> Result<GaussianScene, PlyError> {
         for (value, column) in row.iter_mut().zip(&columns) {
             let raw = &record[column.offset..column.offset + size_of::<f32>()];
             *value = f32::from_le_bytes([raw[0], raw[1], raw[2], raw[3]]);
+            // Converters write the logits of opacities 0 and 1, which are infinite and mean what they say.
+            if column.name == "opacity" && value.is_infinite() {
+                *value = OPAQUE_LOGIT.copysign(*value);
+            }
             if !value.is_finite() {
                 return Err(PlyError::NotFinite { index, property: column.name.clone() });
             }
@@ -365,6 +372,7 @@ mod tests {
             opacity_logits: vec![0.25, -0.25],
             sh: vec![sh; 2],
             degree: 3,
+            ..GaussianScene::default()
         }
     }
 
@@ -469,5 +477,19 @@ mod tests {
         spoiled[last..].copy_from_slice(&f32::NAN.to_le_bytes());
         let fault = PlyError::NotFinite { index: 1, property: "rot_3".to_owned() };
         assert_eq!(from_ply(&spoiled), Err(fault));
+    }
+
+    #[test]
+    fn opacities_of_nought_and_one_are_read_as_logits_that_are_finite() {
+        for (logit, opacity) in [(f32::INFINITY, 1.0), (f32::NEG_INFINITY, 0.0)] {
+            let opaque = GaussianScene { opacity_logits: vec![logit, 0.5], ..scene() };
+            let read = from_ply(&to_ply(&opaque)).expect("a scene");
+            read.check().expect("finite");
+            let found = 1.0 / (1.0 + (-read.opacity_logits[0]).exp());
+            assert!((found - opacity).abs() < 1e-5, "{found}");
+        }
+        let spoiled = GaussianScene { opacity_logits: vec![f32::NAN, 0.5], ..scene() };
+        let fault = PlyError::NotFinite { index: 0, property: "opacity".to_owned() };
+        assert_eq!(from_ply(&to_ply(&spoiled)), Err(fault));
     }
 }

@@ -1,9 +1,9 @@
 //! What a `.ply` of this program says of itself in a comment of its header, which other programs pass over: the background
-//! and the dataset that it was trained on.
+//! and the dataset that it was trained on, and where views begin if that is not the usual depth.
 
 use serde::{Deserialize, Serialize};
 
-use crate::domain::{Background, Digest};
+use crate::domain::{Background, Digest, NearPlane};
 
 /// What the comment begins with; JSON follows.
 const MARK: &str = "comment tcgs ";
@@ -21,6 +21,9 @@ pub struct PlyNote {
     pub background: Background,
     /// Digest of the dataset.
     pub dataset: Option<Digest>,
+    /// Where views begin, as in training.
+    #[serde(default, skip_serializing_if = "NearPlane::is_usual")]
+    pub near: NearPlane,
 }
 
 impl PlyNote {
@@ -68,11 +71,14 @@ mod tests {
             opacity_logits: vec![0.5],
             sh: vec![[[0.25; 3]; 16]],
             degree: 3,
+            ..GaussianScene::default()
         };
         let plain = to_ply(&scene);
         assert_eq!(PlyNote::find(&plain), None);
-        for dataset in [None, Some(Digest::of(b"photographs"))] {
-            let note = PlyNote { background: Background::White, dataset };
+        for (dataset, near) in
+            [(None, NearPlane::default()), (Some(Digest::of(b"photographs")), NearPlane::of_extent(0.1))]
+        {
+            let note = PlyNote { background: Background::White, dataset, near };
             let noted = note.add_to(plain.clone());
             assert_eq!(PlyNote::find(&noted), Some(note));
             assert_eq!(from_ply(&noted).expect("a scene"), scene);

@@ -81,7 +81,8 @@ impl From<GpuError> for Problem {
         };
         let hint = match &error {
             GpuError::OverBudget { .. } => {
-                "; allow more with --gpu-memory, or make the images smaller or the preset a smaller one"
+                "; allow more with --gpu-memory (--view-memory for the service's views), or make the images smaller or the preset a \
+                 smaller one"
             }
             _ => "",
         };

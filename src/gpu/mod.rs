@@ -8,6 +8,7 @@
 mod adapter;
 mod buffer;
 mod context;
+mod driver_cache;
 mod error;
 mod kernel;
 mod ledger;
@@ -20,6 +21,7 @@ pub mod twin;
 pub use adapter::{AdapterChoice, AdapterReport, report};
 pub use buffer::{Buffer, RawBuffer, buffer_bytes};
 pub use context::Context;
+pub use driver_cache::driver_cache;
 pub use error::GpuError;
 pub use kernel::{Kernel, KernelSource, kernel_source};
 pub use recorder::{Binding, Recorder};

@@ -2,7 +2,7 @@
 
 use axum::{
     body::Body,
-    extract::{Path, State},
+    extract::{Path, RawQuery, State},
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::{IntoResponse as _, Response},
 };
@@ -11,28 +11,53 @@ use super::{
     etag::{Etag, not_modified},
     jobs::find,
     problem::Fault,
+    query::Parameters,
     range::{Wanted, wanted},
     state::AppState,
 };
 use crate::{
-    domain::{Digest, SceneFormat},
-    store::{BlobRef, JobRecord},
+    domain::Digest,
+    store::{JobRecord, SceneArtifact},
 };
 
-/// The job's file and its kind, or 409.
-pub(super) fn file_of(record: &JobRecord) -> Result<(SceneFormat, BlobRef), Fault> {
-    let fault = || Fault::no_file_yet(record.job.id, record.job.state.name());
-    record.scene().ok_or_else(fault)
+/// Takes the parameter that chooses among the files of a rate-distortion curve.
+pub(super) fn take_lambda(parameters: &mut Parameters) -> Result<Option<f64>, Fault> {
+    parameters.take_as("lambda", "a number")
+}
+
+/// The job's file of weight `lambda`, or its first; 409 where there is none yet, 404 where none has that weight.
+pub(super) fn file_of(record: &JobRecord, lambda: Option<f64>) -> Result<SceneArtifact, Fault> {
+    let first = record.scenes().next();
+    let first = first.ok_or_else(|| Fault::no_file_yet(record.job.id, record.job.state.name()))?;
+    match lambda {
+        None => Ok(first),
+        Some(_) => record.scenes().find(|scene| scene.lambda == lambda).ok_or_else(|| no_such_lambda(record)),
+    }
+}
+
+fn no_such_lambda(record: &JobRecord) -> Fault {
+    let known: Vec<String> =
+        record.scenes().filter_map(|scene| scene.lambda).map(|lambda| lambda.to_string()).collect();
+    let detail = if known.is_empty() {
+        format!("job {} has one file, not the files of an rd_curve; leave out lambda", record.job.id)
+    } else {
+        format!("job {} has files of lambda {}", record.job.id, known.join(", "))
+    };
+    Fault::new(StatusCode::NOT_FOUND, "no-such-lambda", "No such file", detail)
 }
 
 /// `GET` and `HEAD /v1/jobs/{id}/artifact`.
 pub(super) async fn get(
     State(state): State<AppState>,
     Path(id): Path<String>,
+    RawQuery(query): RawQuery,
     request: HeaderMap,
 ) -> Result<Response, Fault> {
     let record = find(&state, &id).await?;
-    let (format, file) = file_of(&record)?;
+    let mut parameters = Parameters::parse(query.as_deref())?;
+    let lambda = take_lambda(&mut parameters)?;
+    parameters.finish()?;
+    let SceneArtifact { format, lambda, blob: file } = file_of(&record, lambda)?;
     let etag = Etag::new(file.digest);
     if etag.is_in_if_none_match(&request) {
         return Ok(not_modified(&etag));
@@ -58,9 +83,10 @@ pub(super) async fn get(
     let mut text = |name: &'static str, value: String| {
         HeaderValue::try_from(value).map(|value| headers.insert(name, value))
     };
-    let named =
-        text("content-disposition", format!("attachment; filename=\"{}.{}\"", record.job.id, format.name()))
-            .and(text("repr-digest", format!("sha-256=:{}:", base64(&file.digest))));
+    let point = lambda.map_or_else(String::new, |lambda| format!(".lambda-{lambda}"));
+    let name = format!("{}{point}.{}", record.job.id, format.name());
+    let named = text("content-disposition", format!("attachment; filename=\"{name}\""))
+        .and(text("repr-digest", format!("sha-256=:{}:", base64(&file.digest))));
     named.map_err(|error| Fault::internal(&error))?;
     if status == StatusCode::PARTIAL_CONTENT {
         let value = format!("bytes {}-{}/{}", part.start, part.end - 1, file.bytes);

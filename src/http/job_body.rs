@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use crate::{
     domain::{Digest, JobId, JobMetrics, JobState, Phase, Problem, Progress, TrainOptions},
-    store::JobRecord,
+    store::{JobRecord, SceneArtifact},
 };
 
 /// `#/components/schemas/Job` of the contract.
@@ -31,6 +31,7 @@ pub(super) struct JobBody {
 #[derive(Debug, Serialize)]
 struct ArtifactBody {
     kind: &'static str,
+    lambda: Option<f64>,
     bytes: u64,
     sha256: Digest,
     href: String,
@@ -60,25 +61,29 @@ pub(super) fn href(id: JobId) -> String {
 
 impl From<JobRecord> for JobBody {
     fn from(record: JobRecord) -> Self {
-        let file = record.scene();
-        let job = record.job;
-        let this = href(job.id);
+        let this = href(record.job.id);
         let artifact = format!("{this}/artifact");
+        let artifacts = record
+            .scenes()
+            .map(|SceneArtifact { format, lambda, blob }| ArtifactBody {
+                kind: format.name(),
+                lambda,
+                bytes: blob.bytes,
+                sha256: blob.digest,
+                href: match lambda {
+                    Some(lambda) => format!("{artifact}?lambda={lambda}"),
+                    None => artifact.clone(),
+                },
+            })
+            .collect();
+        let job = record.job;
         Self {
             id: job.id,
             state: job.state,
             phase: job.phase,
             progress: job.progress,
             metrics: job.metrics,
-            artifacts: file
-                .map(|(format, file)| ArtifactBody {
-                    kind: format.name(),
-                    bytes: file.bytes,
-                    sha256: file.digest,
-                    href: artifact.clone(),
-                })
-                .into_iter()
-                .collect(),
+            artifacts,
             error: job.error,
             attempt: job.attempt,
             cancel_requested: job.cancel_requested,

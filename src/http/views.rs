@@ -11,7 +11,7 @@ use serde::Deserialize;
 use tokio::runtime::Handle;
 
 use super::{
-    artifact::file_of,
+    artifact::{file_of, take_lambda},
     body::read_json,
     camera::{CameraSpec, invalid_view},
     jobs::find,
@@ -31,6 +31,9 @@ struct ViewsBody {
     views: Vec<ViewRequest>,
     #[serde(default)]
     format: Format,
+    /// Which file of a rate-distortion curve.
+    #[serde(default)]
+    lambda: Option<f64>,
 }
 
 /// `GET /v1/jobs/{id}/view`.
@@ -42,9 +45,10 @@ pub(super) async fn get(
     let record = find(&state, &id).await?;
     let mut parameters = Parameters::parse(query.as_deref())?;
     let format = parameters.take_as("format", "one of png, jpeg, webp")?.unwrap_or_default();
+    let lambda = take_lambda(&mut parameters)?;
     let spec = CameraSpec::from_query(&mut parameters)?;
     parameters.finish()?;
-    let pictures = render(&state, &record, vec![spec], format).await?;
+    let pictures = render(&state, &record, lambda, vec![spec], format).await?;
     Ok(answer(pictures, format))
 }
 
@@ -57,7 +61,8 @@ pub(super) async fn post(
 ) -> Result<Response, Fault> {
     let record = find(&state, &id).await?;
     let content = read_json(&mut body.into_data_stream(), &headers, state.limits()).await?;
-    let ViewsBody { views, format } = serde_json::from_slice(&content).map_err(|error| bad_json(&error))?;
+    let ViewsBody { views, format, lambda } =
+        serde_json::from_slice(&content).map_err(|error| bad_json(&error))?;
     let most = state.limits().views;
     if !(1..=most).contains(&views.len()) {
         return Err(invalid_view(format!(
@@ -66,7 +71,7 @@ pub(super) async fn post(
         )));
     }
     let specs = views.into_iter().enumerate().map(|(index, view)| CameraSpec::from_body(index, view));
-    let pictures = render(&state, &record, specs.collect::<Result<_, _>>()?, format).await?;
+    let pictures = render(&state, &record, lambda, specs.collect::<Result<_, _>>()?, format).await?;
     Ok(answer(pictures, format))
 }
 
@@ -81,10 +86,11 @@ fn bad_json(error: &serde_json::Error) -> Fault {
 async fn render(
     state: &AppState,
     record: &JobRecord,
+    lambda: Option<f64>,
     specs: Vec<CameraSpec>,
     format: Format,
 ) -> Result<Vec<Bytes>, Fault> {
-    let (_, file) = file_of(record)?;
+    let file = file_of(record, lambda)?.blob;
     let named = if specs.iter().any(CameraSpec::needs_cameras) {
         dataset_cameras(state, record).await?
     } else {

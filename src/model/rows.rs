@@ -1,6 +1,6 @@
 //! Anchors as the device holds them: one row of parameters an anchor.
 
-use crate::domain::{AnchorScene, Lattice, RenderNetworks};
+use crate::domain::{AnchorScene, Lattice, NearPlane, RenderNetworks};
 
 /// Widths of the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -155,6 +155,7 @@ impl AnchorRows {
             offsets: Vec::with_capacity(self.len() * shape.offsets * 3),
             masks: Vec::with_capacity(self.len() * shape.offsets),
             networks,
+            near: NearPlane::default(),
         };
         for (anchor, mask) in self.masks.iter().enumerate() {
             let row = self.row(anchor);

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec2, DVec3, UVec2};
 
-use crate::domain::Camera;
+use crate::domain::{Camera, NearPlane};
 
 /// Side of a tile in pixels.
 pub const TILE: u32 = 16;
@@ -20,7 +20,7 @@ pub struct RasterSettings {
 
 impl Default for RasterSettings {
     fn default() -> Self {
-        Self { near: 0.2, antialiased: false, low_pass: 0.3 }
+        Self { near: NearPlane::USUAL.depth(), antialiased: false, low_pass: 0.3 }
     }
 }
 

@@ -8,7 +8,7 @@ use super::{
     views::Viewable,
 };
 use crate::{
-    domain::{AnchorScene, Background, Camera, Digest, GaussianScene, Image, Problem, Scene},
+    domain::{AnchorScene, Background, Camera, Digest, GaussianScene, Image, NearPlane, Problem, Scene},
     gpu::{AdapterChoice, Context, GpuError, Recorder},
     model::{AnchorRows, GaussianRows, NetworkLayout, Shape},
 };
@@ -23,6 +23,7 @@ pub struct SceneRenderer {
     source: Source,
     raster: Rasterizer,
     background: Background,
+    near: NearPlane,
 }
 
 /// What a view's Gaussians are made from.
@@ -74,9 +75,8 @@ impl SceneRenderer {
         background: Background,
     ) -> Result<Self, RenderError> {
         let anchors = upload(context, scene)?;
-        let near = RasterSettings::default().near;
-        let neural = Box::new(NeuralGaussians::new(Arc::clone(context), anchors.shape, near)?);
-        Self::of_source(context, Source::Anchors { anchors, neural }, background)
+        let neural = Box::new(NeuralGaussians::new(Arc::clone(context), anchors.shape, scene.near.depth())?);
+        Self::of_source(context, Source::Anchors { anchors, neural }, background, scene.near)
     }
 
     /// Uploads plain Gaussians.
@@ -89,34 +89,38 @@ impl SceneRenderer {
         background: Background,
     ) -> Result<Self, RenderError> {
         scene.check().map_err(|fault| RenderError::Scene(fault.to_string()))?;
-        let mut plain = PlainGaussians::new(Arc::clone(context), RasterSettings::default().near)?;
+        let mut plain = PlainGaussians::new(Arc::clone(context), scene.near.depth())?;
         plain.set_degree(u32::from(scene.degree))?;
         let rows = DeviceRows::upload(context, &GaussianRows::from_scene(scene))?;
-        Self::of_source(context, Source::Gaussians { rows, plain: Box::new(plain) }, background)
+        let source = Source::Gaussians { rows, plain: Box::new(plain) };
+        Self::of_source(context, source, background, scene.near)
     }
 
     fn of_source(
         context: &Arc<Context>,
         source: Source,
         background: Background,
+        near: NearPlane,
     ) -> Result<Self, RenderError> {
-        let raster = Rasterizer::new(Arc::clone(context), RasterSettings::default())?;
-        Ok(Self { source, raster, background, context: Arc::clone(context) })
+        let settings = RasterSettings { near: near.depth(), ..RasterSettings::default() };
+        let raster = Rasterizer::new(Arc::clone(context), settings)?;
+        Ok(Self { source, raster, background, near, context: Arc::clone(context) })
     }
 
-    /// Shows another scene of the same shape from now on; the buffers of rendering are kept.
+    /// Shows another scene of the same shape and near plane from now on; the buffers of rendering are kept.
     ///
     /// # Errors
     /// [`RenderError::Scene`] for networks that this renderer does not know or another shape; faults of the device.
     pub fn replace(&mut self, scene: &AnchorScene) -> Result<(), RenderError> {
         let next = upload(&self.context, scene)?;
         match &mut self.source {
-            Source::Anchors { anchors, .. } if anchors.shape == next.shape => {
+            Source::Anchors { anchors, .. } if anchors.shape == next.shape && scene.near == self.near => {
                 *anchors = next;
                 Ok(())
             }
             Source::Anchors { .. } | Source::Gaussians { .. } => {
-                Err(RenderError::Scene("its widths are not those of the scene before it".to_owned()))
+                let fault = "its widths or its near plane are not those of the scene before it";
+                Err(RenderError::Scene(fault.to_owned()))
             }
         }
     }
@@ -161,6 +165,7 @@ fn upload(context: &Context, scene: &AnchorScene) -> Result<DeviceAnchors, Rende
 #[derive(Debug)]
 pub struct SceneViewer {
     choice: AdapterChoice,
+    budget: u64,
     state: Mutex<ViewerState>,
 }
 
@@ -172,19 +177,34 @@ struct ViewerState {
 }
 
 impl SceneViewer {
-    /// Opens the adapter of choice.
+    /// Opens the adapter of choice, without a bound on what its buffers take.
     ///
     /// # Errors
     /// [`GpuError::NoAdapter`] or [`GpuError::Open`].
     pub fn open(choice: AdapterChoice) -> Result<Self, GpuError> {
-        let state = Mutex::new(ViewerState::open(&choice)?);
-        Ok(Self { choice, state })
+        Self::within(choice, u64::MAX)
+    }
+
+    /// As [`SceneViewer::open`]; buffers take at most `budget` bytes. Scenes used before make room for the one that is
+    /// asked for, and one for which all of it is not enough is refused as [`GpuError::OverBudget`].
+    ///
+    /// # Errors
+    /// As [`SceneViewer::open`].
+    pub fn within(choice: AdapterChoice, budget: u64) -> Result<Self, GpuError> {
+        let state = Mutex::new(ViewerState::open(&choice, budget)?);
+        Ok(Self { choice, budget, state })
     }
 
     /// Adapter and driver in one line.
     #[must_use]
     pub fn adapter_line(&self) -> String {
         self.lock().context.adapter_line()
+    }
+
+    /// The most that buffers ever took on the device that is open, in bytes.
+    #[must_use]
+    pub fn peak_bytes(&self) -> u64 {
+        self.lock().context.peak_bytes()
     }
 
     /// Loses the device, as a driver reset would; for tests of the recovery.
@@ -206,13 +226,13 @@ impl RenderViews for SceneViewer {
     ) -> Result<Image, Problem> {
         let mut state = self.lock();
         if state.context.check().is_err() {
-            *state = ViewerState::open(&self.choice)?;
+            *state = ViewerState::open(&self.choice, self.budget)?;
         }
         match state.render(artifact, load, camera) {
             // A loss may become known only by the commands that fail for it, and those can be given again.
             Err(fault) if state.context.check().is_err() => {
                 tracing::warn!("opening the device again: {fault}");
-                *state = ViewerState::open(&self.choice)?;
+                *state = ViewerState::open(&self.choice, self.budget)?;
                 state.render(artifact, load, camera)
             }
             outcome => outcome,
@@ -221,8 +241,10 @@ impl RenderViews for SceneViewer {
 }
 
 impl ViewerState {
-    fn open(choice: &AdapterChoice) -> Result<Self, GpuError> {
-        Ok(Self { context: Context::new(choice)?, kept: Vec::new() })
+    fn open(choice: &AdapterChoice, budget: u64) -> Result<Self, GpuError> {
+        let context = Context::new(choice)?;
+        context.set_budget_bytes(budget);
+        Ok(Self { context, kept: Vec::new() })
     }
 
     fn render(
@@ -232,16 +254,35 @@ impl ViewerState {
         camera: &Camera,
     ) -> Result<Image, Problem> {
         let found = self.kept.iter().position(|(digest, _)| *digest == artifact);
-        let (digest, mut renderer) = match found {
-            Some(index) => self.kept.remove(index),
-            None => {
-                let viewable = load()?;
-                (artifact, SceneRenderer::of_scene(&self.context, &viewable.scene, viewable.background)?)
+        let mut renderer = found.map(|index| self.kept.remove(index).1);
+        let mut loaded = None;
+        loop {
+            let outcome = match &mut renderer {
+                Some(renderer) => renderer.render(camera),
+                None => {
+                    let viewable = match loaded.take() {
+                        Some(viewable) => viewable,
+                        None => load()?,
+                    };
+                    let made = SceneRenderer::of_scene(&self.context, &viewable.scene, viewable.background);
+                    loaded = Some(viewable);
+                    made.and_then(|made| renderer.insert(made).render(camera))
+                }
+            };
+            match outcome {
+                Ok(image) => {
+                    self.kept.splice(0..0, renderer.map(|renderer| (artifact, renderer)));
+                    self.kept.truncate(SCENES_KEPT);
+                    return Ok(image);
+                }
+                // What was used longest ago goes first, and then what a view before this one made the buffers grow to.
+                Err(RenderError::Gpu(GpuError::OverBudget { .. }))
+                    if self.kept.pop().is_some() || loaded.is_none() =>
+                {
+                    renderer = None;
+                }
+                Err(fault) => return Err(fault.into()),
             }
-        };
-        let image = renderer.render(camera)?;
-        self.kept.insert(0, (digest, renderer));
-        self.kept.truncate(SCENES_KEPT);
-        Ok(image)
+        }
     }
 }

@@ -25,7 +25,7 @@ pub use error::StoreError;
 pub use policy::QueuePolicy;
 pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat,
-    JobRecord, Lease, NewJob, Outcome, PageKey,
+    JobRecord, Lease, NewJob, Outcome, PageKey, SceneArtifact,
 };
 pub use sqlite::SqliteStore;
 

@@ -50,10 +50,23 @@ impl ArtifactKind {
 }
 
 /// A blob that a finished job refers to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Artifact {
     /// What it is.
     pub kind: ArtifactKind,
+    /// The weight of the rate that it was trained with, of a file of a rate-distortion curve.
+    pub lambda: Option<f64>,
+    /// Where it is.
+    pub blob: BlobRef,
+}
+
+/// A file of a finished scene.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SceneArtifact {
+    /// Its kind.
+    pub format: SceneFormat,
+    /// As in [`Artifact::lambda`].
+    pub lambda: Option<f64>,
     /// Where it is.
     pub blob: BlobRef,
 }
@@ -65,7 +78,7 @@ pub struct JobRecord {
     pub job: Job,
     /// Its dataset archive.
     pub dataset: BlobRef,
-    /// What it left behind; empty unless it succeeded.
+    /// What it left behind; empty unless it succeeded. Files of a rate-distortion curve are in its order.
     pub artifacts: Vec<Artifact>,
 }
 
@@ -76,11 +89,12 @@ impl JobRecord {
         self.artifacts.iter().find(|artifact| artifact.kind == kind).map(|artifact| artifact.blob)
     }
 
-    /// The finished scene's file and its kind.
-    #[must_use]
-    pub fn scene(&self) -> Option<(SceneFormat, BlobRef)> {
-        self.artifacts.iter().find_map(|artifact| match artifact.kind {
-            ArtifactKind::Scene(format) => Some((format, artifact.blob)),
+    /// The files of the finished scene.
+    pub fn scenes(&self) -> impl Iterator<Item = SceneArtifact> {
+        self.artifacts.iter().filter_map(|artifact| match artifact.kind {
+            ArtifactKind::Scene(format) => {
+                Some(SceneArtifact { format, lambda: artifact.lambda, blob: artifact.blob })
+            }
             ArtifactKind::Cameras => None,
         })
     }

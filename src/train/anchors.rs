@@ -7,20 +7,27 @@ use rand_pcg::Pcg64;
 use super::{
     Adam, CheckpointError, Decay, Densify, MaskRows, Moments, OffsetMasks, Schedule, Statistics, TrainError,
     budget::Footprint,
+    compression::{Compression, CompressionSchedule, compression_bytes},
     densify::{Trainable, densify, drop_masked},
     learner::{Finished, Learner, SampleRate, Size, Step},
     state::LearnerState,
     unused::drop_unused,
 };
 use crate::{
-    domain::{Camera, CancelFlag, Frame, Lattice, Scene},
+    domain::{AnchorScene, Camera, CancelFlag, Frame, Lattice, NearPlane, Scene},
     gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
     model::{AnchorRows, MAX_CELL, NetworkLayout, Shape, initial_rows},
-    render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, RasterSettings},
+    render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians},
 };
 
 /// Coarsest growth cell in lattice cells.
 const COARSEST_GROWTH: i32 = 16;
+
+/// What of a file does not depend on the rate term, about: an anchor's position and mask, a parameter of the render
+/// networks, and the container.
+const BYTES_AN_ANCHOR: f64 = 1.6;
+const BYTES_A_PARAMETER: f64 = 0.85;
+const OTHER_BYTES: f64 = 600.0;
 
 /// Anchors, networks, and what their optimiser and their growth remember.
 pub(super) struct AnchorLearner {
@@ -38,6 +45,10 @@ pub(super) struct AnchorLearner {
     statistics: Buffer<f32>,
     /// Until they are settled.
     masks: Option<OffsetMasks>,
+    /// None in the baseline.
+    compression: Option<Compression>,
+    /// What the last forward pass rendered, where that is not the anchors as they are.
+    shown: Option<DeviceAnchors>,
     neural: NeuralGaussians,
     adam: Adam,
 }
@@ -48,6 +59,7 @@ struct Parts {
     statistics: Statistics,
     /// The networks' parameters and their moments.
     networks: [Vec<f32>; 3],
+    compression: Option<Compression>,
 }
 
 fn lattice_values(values: &[f32]) -> Result<[f32; 4], CheckpointError> {
@@ -73,8 +85,10 @@ impl AnchorLearner {
         let networks = NetworkLayout::new(shape).initial(rng);
         let parameters = networks.len();
         let zeros = |len| vec![0.0; len];
+        let compression = schedule.compression.clone();
         let parts = Parts {
             networks: [networks, zeros(parameters), zeros(parameters)],
+            compression: compression.map(|schedule| Compression::begin(context, schedule, shape)),
             statistics: Statistics::zero(shape, anchors.len()),
             state: Trainable {
                 first: zeros(anchors.values.len()),
@@ -111,7 +125,8 @@ impl AnchorLearner {
         let masks = state.take_exactly("anchors.masks", anchors)?;
         let learning = state.has("masks.logits");
         let mut floats = |name: &str, len: usize| state.take_exactly::<f32>(name, len);
-        let parts = Parts {
+        let mut parts = Parts {
+            compression: None,
             statistics: Statistics { shape, values: floats("growth", anchors * Statistics::width(shape))? },
             networks: [
                 floats("networks", parameters)?,
@@ -139,6 +154,10 @@ impl AnchorLearner {
                 },
             },
         };
+        if let Some(schedule) = &schedule.compression {
+            let anchors = &parts.state.anchors;
+            parts.compression = Some(Compression::resume(context, schedule.clone(), anchors, &mut state)?);
+        }
         state.finish()?;
         Self::assemble(context, schedule, extent, parts)
     }
@@ -150,7 +169,7 @@ impl AnchorLearner {
         parts: Parts,
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
-        let Parts { state, statistics, networks: [networks, first, second] } = parts;
+        let Parts { state, statistics, networks: [networks, first, second], compression } = parts;
         let Trainable { anchors, .. } = &state;
         let masks = state.masks.as_ref().map(|masks| OffsetMasks::upload(context, shape, masks));
         let layout = NetworkLayout::new(shape);
@@ -165,7 +184,9 @@ impl AnchorLearner {
             network_moments: Moments::upload(context, &first, &second)?,
             statistics: context.upload("growth statistics", &statistics.values)?,
             masks: masks.transpose()?,
-            neural: NeuralGaussians::new(Arc::clone(context), shape, RasterSettings::default().near)?,
+            compression,
+            shown: None,
+            neural: NeuralGaussians::new(Arc::clone(context), shape, NearPlane::of_extent(extent).depth())?,
             adam: Adam::new(context)?,
             context: Arc::clone(context),
             layout,
@@ -239,10 +260,18 @@ impl AnchorLearner {
         self.gradients = AnchorGradients::new(context, self.shape, state.anchors.len())?;
         self.statistics = context.upload("growth statistics", &statistics.values)?;
         self.masks = state.masks.map(|masks| OffsetMasks::upload(context, self.shape, &masks)).transpose()?;
+        if let Some(compression) = &mut self.compression {
+            compression.replace(&self.anchors.cells, &state.anchors)?;
+        }
+        self.shown = None;
         self.anchors = state.anchors;
         Ok(())
     }
 }
+
+/// Host bytes an anchor of the context model's tables while they are made: neighbours, texels and both the other way round,
+/// as lists and as they are sorted, and steps by cell.
+const CONTEXT_HOST_BYTES: usize = 1024;
 
 /// What anchors take.
 #[derive(Debug)]
@@ -251,6 +280,8 @@ pub(super) struct AnchorFootprint {
     pub(super) max_anchors: usize,
     /// Whether masks learn.
     pub(super) masks: bool,
+    /// Compression-aware training; none in the baseline.
+    pub(super) compression: Option<CompressionSchedule>,
 }
 
 impl Footprint for AnchorFootprint {
@@ -272,6 +303,7 @@ impl Footprint for AnchorFootprint {
             + Moments::bytes(parameters)
             + Statistics::bytes(shape, anchors)
             + if self.masks { OffsetMasks::bytes(shape, anchors) } else { 0 }
+            + self.compression.as_ref().map_or(0, |schedule| compression_bytes(schedule, shape, anchors))
             + 2 * buffer_bytes::<f32>(shape.row() + parameters)
     }
 
@@ -291,7 +323,9 @@ impl Footprint for AnchorFootprint {
         const CELL: usize = 64;
         let masks = if self.masks { 3 * shape.offsets } else { 0 };
         let row = 6 * (shape.row() + masks) * size_of::<f32>();
-        2 * Statistics::bytes(shape, anchors) + (anchors * (row + shape.offsets * CANDIDATE + CELL)) as u64
+        2 * Statistics::bytes(shape, anchors)
+            + (anchors * (row + shape.offsets * CANDIDATE + CELL)) as u64
+            + if self.compression.is_some() { (anchors * CONTEXT_HOST_BYTES) as u64 } else { 0 }
     }
 }
 
@@ -300,9 +334,14 @@ impl Learner for AnchorLearner {
         &mut self,
         recorder: &mut Recorder<'_>,
         camera: &Camera,
-        _step: &Step,
+        step: &Step,
     ) -> Result<(), TrainError> {
-        self.neural.forward(recorder, &self.device, camera, self.schedule.volume_weight)?;
+        self.shown = match &self.compression {
+            Some(compression) => compression.forward(recorder, &self.device, step.number)?,
+            None => None,
+        };
+        let shown = self.shown.as_ref().unwrap_or(&self.device);
+        self.neural.forward(recorder, shown, camera, self.schedule.volume_weight)?;
         Ok(())
     }
 
@@ -321,9 +360,14 @@ impl Learner for AnchorLearner {
         step: &Step,
         void_mark: &Buffer<u32>,
     ) -> Result<(), TrainError> {
-        self.neural.backward(recorder, &self.device, &self.gradients)?;
+        let shown = self.shown.as_ref().unwrap_or(&self.device);
+        self.neural.backward(recorder, shown, &self.gradients)?;
         if self.schedule.gathers_statistics(step.number) {
-            self.neural.statistics(recorder, &self.device, &self.statistics, void_mark)?;
+            self.neural.statistics(recorder, shown, &self.statistics, void_mark)?;
+        }
+        if let Some(compression) = &mut self.compression {
+            let d_rows = &self.gradients.rows;
+            compression.backward(recorder, &self.adam, &self.device, step, d_rows, void_mark)?;
         }
         let row_rates = recorder.uniform(&self.row_rates(step.fraction))?;
         let network_rates = recorder.uniform(&self.network_rates(step.fraction))?;
@@ -349,6 +393,9 @@ impl Learner for AnchorLearner {
             && schedule.learns(step.number)
         {
             masks.backward(recorder, &mut self.neural, &self.device, schedule.weight_at(step.number))?;
+            if let Some(compression) = &self.compression {
+                compression.mask_backward(recorder, masks, step.lambda)?;
+            }
             let rate = schedule.rate.at(step.fraction) as f32;
             let since = step.number + 1 - schedule.from;
             masks.step(recorder, &self.adam, since, void_mark, rate, schedule.level, &self.device)?;
@@ -357,7 +404,8 @@ impl Learner for AnchorLearner {
     }
 
     fn adapts(&self, step: &Step) -> bool {
-        self.schedule.densifies(step.number) || self.settles_masks(step.number)
+        let turns = self.compression.as_ref().is_some_and(|compression| compression.turns_after(step.number));
+        self.schedule.densifies(step.number) || self.settles_masks(step.number) || turns
     }
 
     fn adapt(&mut self, step: &Step, rng: &mut Pcg64) -> Result<(), TrainError> {
@@ -367,6 +415,12 @@ impl Learner for AnchorLearner {
         if self.settles_masks(step.number) {
             self.settle_masks(step.number)?;
         }
+        if self.compression.as_ref().is_some_and(|compression| compression.turns_after(step.number)) {
+            let (state, _) = self.read()?;
+            if let Some(compression) = &mut self.compression {
+                compression.turn(step.number, &state.anchors)?;
+            }
+        }
         Ok(())
     }
 
@@ -375,7 +429,12 @@ impl Learner for AnchorLearner {
     }
 
     fn rate(&self) -> Result<Option<SampleRate>, TrainError> {
-        Ok(None)
+        let rate = self.compression.as_ref().map(Compression::rate).transpose()?.flatten();
+        Ok(rate.map(|(bits_an_anchor, context_bytes)| {
+            let anchors = BYTES_AN_ANCHOR * self.anchors.len() as f64;
+            let networks = BYTES_A_PARAMETER * self.layout.parameters as f64;
+            SampleRate { bits_an_anchor, other_bytes: OTHER_BYTES + anchors + networks + context_bytes }
+        }))
     }
 
     fn save(&self) -> Result<LearnerState, TrainError> {
@@ -397,6 +456,9 @@ impl Learner for AnchorLearner {
             state.put("masks.logits.first", masks.first);
             state.put("masks.logits.second", masks.second);
         }
+        if let Some(compression) = &self.compression {
+            compression.save(&mut state)?;
+        }
         Ok(state)
     }
 
@@ -404,13 +466,26 @@ impl Learner for AnchorLearner {
         self.anchors.values = self.context.read(&self.device.rows)?;
         self.anchors.masks = self.context.read(&self.device.masks)?;
         let networks = self.context.read(&self.device.networks)?;
+        let before = self.anchors.cells.clone();
         if self.schedule.drops_unused {
-            drop_unused(&self.context, &mut self.neural, &self.device, &mut self.anchors, frames, cancel)?;
+            let mut recorder = self.context.recorder("what is shown at the end");
+            let shown = match &self.compression {
+                Some(compression) => compression.forward(&mut recorder, &self.device, self.schedule.steps)?,
+                None => None,
+            };
+            recorder.submit()?;
+            let shown = shown.as_ref().unwrap_or(&self.device);
+            drop_unused(&self.context, &mut self.neural, shown, &mut self.anchors, frames, cancel)?;
         }
         if self.anchors.is_empty() {
             return Err(TrainError::NothingLeft { step: self.schedule.steps });
         }
-        let scene = Scene::Anchors(self.anchors.to_scene(self.layout.to_networks(&networks)));
-        Ok(Finished { scene, context: None })
+        let scene = self.anchors.to_scene(self.layout.to_networks(&networks));
+        let scene = Scene::Anchors(AnchorScene { near: NearPlane::of_extent(self.extent), ..scene });
+        let context = match self.compression {
+            Some(compression) => compression.finish(&self.adam, &before, &self.anchors, &networks, cancel)?,
+            None => None,
+        };
+        Ok(Finished { scene, context })
     }
 }

@@ -170,6 +170,7 @@ impl<'a> Needs<'a> {
                     shape: schedule.shape,
                     max_anchors: schedule.max_anchors,
                     masks: schedule.masks.is_some(),
+                    compression: schedule.compression,
                 }),
                 ModelKind::Gaussians3d => Box::new(PlainFootprint {
                     max_gaussians: PlainSchedule::new(options, schedule.steps).max_gaussians,

@@ -20,7 +20,7 @@ use serde_json::json;
 use thiserror::Error;
 
 use super::{
-    LossSums,
+    LossSums, RateControl, RateState, Schedule,
     state::{Array, LearnerState},
 };
 use crate::domain::{Digest, Problem, TrainOptions};
@@ -135,6 +135,8 @@ pub(super) struct RunState {
     average: Option<[u64; 4]>,
     /// The bits of the rate's weight in the loss.
     lambda: u64,
+    /// What the controller of that weight remembers.
+    control: Option<RateState>,
     /// The bits of what an anchor's attributes cost, in bits, averaged over recent samples.
     anchor_bits: Option<u64>,
     /// Bytes that the file would about have.
@@ -166,6 +168,7 @@ impl RunState {
             order: Vec::new(),
             average: None,
             lambda: lambda.to_bits(),
+            control: None,
             anchor_bits: None,
             file_bytes: None,
         }
@@ -200,9 +203,18 @@ impl RunState {
         f64::from_bits(self.lambda)
     }
 
-    /// Weighs the rate otherwise from the next step on.
-    pub(super) fn set_lambda(&mut self, lambda: f64) {
-        self.lambda = lambda.to_bits();
+    /// Weighs the rate as `control` has it from the next step on, and remembers what it remembers.
+    pub(super) fn steer(&mut self, control: &RateControl) {
+        self.lambda = control.lambda().to_bits();
+        self.control = Some(control.state());
+    }
+
+    /// The controller as it was when the state was taken.
+    pub(super) fn resume_control(&self, control: RateControl) -> RateControl {
+        match self.control {
+            Some(state) => control.at(state),
+            None => control,
+        }
     }
 
     /// Bytes that the file would about have, once samples were weighed.
@@ -281,6 +293,30 @@ impl Checkpoint {
     #[must_use]
     pub fn step(&self) -> u32 {
         self.run.step
+    }
+
+    /// The same state as one of the run that is `branch`, of the curve that is `trunk`: nothing of it depends on the weight of
+    /// the rate, which is all that they differ in.
+    ///
+    /// # Errors
+    /// What differs, if it is a checkpoint of another run or later than where branches begin.
+    pub fn fork(mut self, trunk: &TrainOptions, branch: &TrainOptions) -> Result<Self, CheckpointError> {
+        let expected = options_text(trunk);
+        if self.run.options != expected {
+            return Err(CheckpointError::Options(differences(&self.run.options, &expected)));
+        }
+        let text = options_text(branch);
+        if !trunk.branches().iter().any(|known| options_text(known) == text) {
+            return Err(CheckpointError::Options(differences(&expected, &text)));
+        }
+        let fork = Schedule::new(trunk).fork_step();
+        if self.run.step > fork {
+            let fault = format!("step {} is after step {fork}, where branches begin", self.run.step);
+            return Err(CheckpointError::Run(fault));
+        }
+        self.run.options = text;
+        self.run.lambda = Schedule::new(branch).lambda().to_bits();
+        Ok(self)
     }
 
     /// Takes it apart for a run of `steps` steps over `frames` photographs from `origin`.
@@ -500,6 +536,36 @@ mod tests {
         old.run.generator = "tcgs 0.0.1".to_owned();
         let fault = old.open(origin(&options), 30, 4).expect_err("another program").to_string();
         assert!(fault.contains("tcgs 0.0.1"), "{fault}");
+    }
+
+    #[test]
+    fn a_checkpoint_becomes_a_branchs_only_before_branches_part_and_only_a_branch_of_its_own() {
+        let trunk =
+            TrainOptions { lambda: None, iterations: Some(120), rd_curve: vec![0.004, 0.001], ..options() };
+        let at = |step| {
+            let mut checkpoint = checkpoint();
+            checkpoint.run.options = options_text(&trunk);
+            checkpoint.run.step = step;
+            checkpoint
+        };
+        for branch in trunk.branches() {
+            let fork = at(40).fork(&trunk, &branch).expect("a branch");
+            fork.open(origin(&branch), 120, 4).expect("of the branch's run");
+        }
+        let branch = &trunk.branches()[0];
+        let refused = |checkpoint: Checkpoint, trunk: &TrainOptions, branch: &TrainOptions| {
+            checkpoint.fork(trunk, branch).expect_err("refused").to_string()
+        };
+        let late = refused(at(41), &trunk, branch);
+        assert!(late.contains("step 41 is after step 40"), "{late}");
+        for other in [
+            TrainOptions { lambda: Some(0.002), ..branch.clone() },
+            TrainOptions { seed: 8, ..branch.clone() },
+        ] {
+            refused(at(40), &trunk, &other);
+        }
+        refused(at(40), &TrainOptions { seed: 8, ..trunk.clone() }, branch);
+        refused(checkpoint(), &trunk, branch);
     }
 
     #[test]

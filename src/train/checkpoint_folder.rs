@@ -64,6 +64,18 @@ impl CheckpointFolder {
     }
 }
 
+impl CheckpointFolder {
+    /// Removes the checkpoint in the folder `path`, if there is one: what it was kept for has been reached.
+    pub fn clear(path: &Path) {
+        let file = path.join(FILE);
+        match fs::remove_file(&file) {
+            Ok(()) => {}
+            Err(fault) if fault.kind() == io::ErrorKind::NotFound => {}
+            Err(fault) => tracing::warn!("{} stays: {fault}", file.display()),
+        }
+    }
+}
+
 impl KeepCheckpoints for CheckpointFolder {
     fn wants(&mut self, _step: u32) -> bool {
         // A clock that was set back must not put the next one off for hours.

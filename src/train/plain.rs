@@ -15,13 +15,13 @@ use super::{
     state::LearnerState,
 };
 use crate::{
-    domain::{Camera, CancelFlag, Frame, Scene},
+    domain::{Camera, CancelFlag, Frame, GaussianScene, NearPlane, Scene},
     gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
     model::{
         GaussianRows, initial_gaussians,
         plain::{BANDS, BASE, COLOR, LOG_SCALE, OPACITY, QUAT, band_values},
     },
-    render::{DeviceRows, GaussianGradients, Gaussians, PlainGaussians, RasterSettings, STATISTICS},
+    render::{DeviceRows, GaussianGradients, Gaussians, PlainGaussians, STATISTICS},
 };
 use grow::{Growth, PlainState, grow_and_prune, reset_opacities};
 pub(super) use schedule::PlainSchedule;
@@ -71,7 +71,7 @@ impl PlainLearner {
             first: zero()?,
             second: zero()?,
             statistics: context.buffer("growth statistics", STATISTICS * values.len())?,
-            plain: PlainGaussians::new(Arc::clone(context), RasterSettings::default().near)?,
+            plain: PlainGaussians::new(Arc::clone(context), NearPlane::of_extent(extent).depth())?,
             adam: Adam::new(context)?,
             context: Arc::clone(context),
         })
@@ -106,7 +106,7 @@ impl PlainLearner {
         if degree as usize > BANDS.len() {
             return Err(CheckpointError::array("degree", format!("is {degree}")).into());
         }
-        let mut plain = PlainGaussians::new(Arc::clone(context), RasterSettings::default().near)?;
+        let mut plain = PlainGaussians::new(Arc::clone(context), NearPlane::of_extent(extent).depth())?;
         plain.set_degree(degree)?;
         Ok(Self {
             schedule,
@@ -318,7 +318,8 @@ impl Learner for PlainLearner {
 
     fn finish(self: Box<Self>, _frames: &[&Frame], _cancel: &CancelFlag) -> Result<Finished, TrainError> {
         let rows = self.rows.download(&self.context)?;
-        let scene = Scene::Gaussians(rows.to_scene(self.plain.degree() as usize));
+        let scene = rows.to_scene(self.plain.degree() as usize);
+        let scene = Scene::Gaussians(GaussianScene { near: NearPlane::of_extent(self.extent), ..scene });
         Ok(Finished { scene, context: None })
     }
 }

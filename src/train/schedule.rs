@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use super::CompressionSchedule;
+use super::{CompressionSchedule, RateControl};
 use crate::{
     domain::{Component, ModelKind, Preset, TrainOptions, Voxel},
     model::{Shape, VoxelRule},
@@ -156,6 +156,21 @@ impl Schedule {
     #[must_use]
     pub fn lambda(&self) -> f64 {
         self.compression.as_ref().map_or(0.0, |compression| compression.lambda)
+    }
+
+    /// What steers the weight of the rate towards a file of at most `max_bytes`, if that was promised: from the begin of the
+    /// context model until everything is rounded.
+    #[must_use]
+    pub fn rate_control(&self, max_bytes: Option<u64>) -> Option<RateControl> {
+        let CompressionSchedule { lambda, context_from, rounded_from, .. } = self.compression.as_ref()?;
+        Some(RateControl::new(*lambda, max_bytes?, *context_from..=(*rounded_from).max(*context_from)))
+    }
+
+    /// The last step before the weight of the rate matters: there the branches of a rate-distortion curve part.
+    #[must_use]
+    pub fn fork_step(&self) -> u32 {
+        let first = self.compression.as_ref().map_or(self.steps, |compression| compression.context_from);
+        first.saturating_sub(1).clamp(1, self.steps)
     }
 
     /// Whether the views of `step` count for growth.

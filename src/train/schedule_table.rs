@@ -94,7 +94,7 @@ fn masks(row: &mut Row<'_>) {
 
 fn compression(row: &mut Row<'_>) {
     type Value = fn(&Column, &CompressionSchedule) -> String;
-    let rows: [(&str, Value); 12] = [
+    let rows: [(&str, Value); 13] = [
         ("growth pauses from", |c, _| {
             c.anchors.densify_pause.as_ref().map_or_else(String::new, |p| c.at(p.start))
         }),
@@ -107,10 +107,11 @@ fn compression(row: &mut Row<'_>) {
         ("all is rounded as in the file from", |c, s| c.at(s.rounded_from)),
         ("base steps of features, scalings, offsets", |_, s| match s.base {
             BaseStepRule::Published => "1, 0.001 world units, 0.2".to_owned(),
-            BaseStepRule::OfSpread(shares) => {
-                format!("{} of the spreads", shares.map(|s| s.to_string()).join(", "))
+            BaseStepRule::Relative { feature, scaling, offset, .. } => {
+                format!("{feature}, {scaling} of the median, {offset}")
             }
         }),
+        ("the first noise is finer by", |_, s| format!("{} octaves", s.base.finer())),
         ("weight of the rate (lambda)", |_, s| s.lambda.to_string()),
         ("share of the anchors in a step's sample", |_, s| s.sampled.to_string()),
         ("rate of planes and their layers, over the context model's steps", |_, s| rate(s.planes)),
@@ -145,11 +146,11 @@ fn plain(row: &mut Row<'_>) {
     row("opacities are reset every", &|c| c.at(c.plain.reset_every));
     row("a degree of spherical harmonics more every", &|c| c.at(c.plain.degree_every));
     row("rate of means, times the extent", &|c| rate(c.plain.mean));
-    row("rate of the constant colour", &|c| c.plain.color.to_string());
-    row("rate of the other coefficients", &|c| c.plain.coefficients.to_string());
+    row("rate of the constant colour", &|c| format!("{:.3e}", c.plain.color));
+    row("rate of the other coefficients", &|c| format!("{:.3e}", c.plain.coefficients));
     row("rate of opacity logits", &|c| c.plain.opacity.to_string());
-    row("rate of log-scales", &|c| c.plain.log_scale.to_string());
-    row("rate of quaternions", &|c| c.plain.quat.to_string());
+    row("rate of log-scales", &|c| format!("{:.3e}", c.plain.log_scale));
+    row("rate of quaternions", &|c| format!("{:.3e}", c.plain.quat));
 }
 
 fn rate(decay: Decay) -> String {

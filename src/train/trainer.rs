@@ -9,8 +9,8 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    BaseSteps, Checkpoint, Estimate, ImageLoss, KeepCheckpoints, LossSums, Needs, Schedule, TrainError,
-    WaveletWeights,
+    BaseSteps, Checkpoint, Estimate, ImageLoss, KeepCheckpoints, LossSums, Needs, RateControl, Schedule,
+    TrainError, WaveletWeights,
     anchors::AnchorLearner,
     batch::Batch,
     checkpoint::{Origin, RunState},
@@ -23,7 +23,7 @@ use super::{
 use crate::{
     domain::{
         Background, CancelFlag, Component, ContextCandidates, Dataset, Frame, MemoryBudget, ModelKind,
-        Progress, Scene, Split, TrainOptions,
+        NearPlane, Progress, Scene, Split, TrainOptions,
     },
     gpu::Context,
     model::random_points,
@@ -99,27 +99,29 @@ pub fn train_within(
 ) -> Result<Trained, TrainError> {
     let Checkpoints { resume, keep } = checkpoints;
     let mut run = Run::begin(context, dataset, options, budget, resume)?;
-    let mut keeper = Keeper { keep, kept: run.state.step };
-    if run.state.step > 0 {
-        report(&run.progress(None)?);
-    }
-    while run.state.step < run.steps {
-        if cancel.is_cancelled() {
-            keeper.keep(&run);
-            return Err(TrainError::Cancelled);
-        }
-        run.advance(&mut |step| keeper.wants(step))?;
-        let step = run.state.step;
-        if step.is_multiple_of(REPORT_EVERY) || step == run.steps {
-            let sums = run.sums()?;
-            run.weigh()?;
-            report(&run.progress(Some(sums))?);
-        }
-        if keeper.wants(step) || step == run.steps {
-            keeper.keep(&run);
-        }
-    }
+    let last = run.steps;
+    run.go_on(last, keep, report, cancel)?;
     run.finish(cancel)
+}
+
+/// Trains what the branches of a rate-distortion curve share: up to [`Schedule::fork_step`]. The checkpoint, which is kept
+/// too, is for [`Checkpoint::fork`].
+///
+/// # Errors
+/// As [`train_within`].
+pub fn train_trunk(
+    context: &Arc<Context>,
+    dataset: &Dataset,
+    options: &TrainOptions,
+    budget: &MemoryBudget,
+    checkpoints: Checkpoints<'_>,
+    report: &mut dyn FnMut(&Progress),
+    cancel: &CancelFlag,
+) -> Result<Checkpoint, TrainError> {
+    let Checkpoints { resume, keep } = checkpoints;
+    let mut run = Run::begin(context, dataset, options, budget, resume)?;
+    run.go_on(Schedule::new(options).fork_step(), keep, report, cancel)?;
+    run.checkpoint()
 }
 
 /// Keeps checkpoints of a run, none of them twice.
@@ -225,6 +227,8 @@ struct Run<'a> {
     background: Background,
     /// Its seconds are those before `began`.
     state: RunState,
+    /// Steers the weight of the rate, where a size was promised.
+    control: Option<RateControl>,
     learner: Box<dyn Learner>,
     raster: Rasterizer,
     loss: ImageLoss,
@@ -276,12 +280,16 @@ impl<'a> Run<'a> {
                 (RunState::begin(origin, rng, schedule.lambda()), learner)
             }
         };
+        let control = schedule.rate_control(options.max_bytes).map(|control| state.resume_control(control));
+        let near = NearPlane::of_extent(camera_extent(&frames)).depth();
+        let settings = RasterSettings { near, ..RasterSettings::default() };
         let now = Instant::now();
         Ok(Self {
             steps,
+            control,
             background: options.background,
             learner,
-            raster: Rasterizer::new(Arc::clone(context), RasterSettings::default())?,
+            raster: Rasterizer::new(Arc::clone(context), settings)?,
             loss: ImageLoss::new(Arc::clone(context))?,
             wavelet: options.has(Component::Wavelet),
             began: now,
@@ -294,6 +302,37 @@ impl<'a> Run<'a> {
             context: Arc::clone(context),
             frames,
         })
+    }
+
+    /// Does the steps up to `last`.
+    fn go_on(
+        &mut self,
+        last: u32,
+        keep: Option<&mut dyn KeepCheckpoints>,
+        report: &mut dyn FnMut(&Progress),
+        cancel: &CancelFlag,
+    ) -> Result<(), TrainError> {
+        let mut keeper = Keeper { keep, kept: self.state.step };
+        if self.state.step > 0 {
+            report(&self.progress(None)?);
+        }
+        while self.state.step < last {
+            if cancel.is_cancelled() {
+                keeper.keep(self);
+                return Err(TrainError::Cancelled);
+            }
+            self.advance(&mut |step| step == last || keeper.wants(step))?;
+            let step = self.state.step;
+            if step.is_multiple_of(REPORT_EVERY) || step == self.steps {
+                let sums = self.sums()?;
+                self.weigh()?;
+                report(&self.progress(Some(sums))?);
+            }
+            if keeper.wants(step) || step == last {
+                keeper.keep(self);
+            }
+        }
+        Ok(())
     }
 
     /// The next photograph: every one once before any comes again.
@@ -399,6 +438,10 @@ impl<'a> Run<'a> {
         let Some(SampleRate { bits_an_anchor, other_bytes }) = self.learner.rate()? else { return Ok(()) };
         let anchors = self.learner.size()?.anchors as f64;
         self.state.weigh(bits_an_anchor, anchors, other_bytes);
+        if let (Some(control), Some(bytes)) = (&mut self.control, self.state.file_bytes()) {
+            control.observe(self.state.step, bytes as f64);
+            self.state.steer(control);
+        }
         Ok(())
     }
 

@@ -290,12 +290,14 @@ async fn publish(context: &Context, lease: &Lease, output: JobOutput) -> Outcome
             ));
         }
     };
+    let scenes = output
+        .files()
+        .map(|(lambda, file)| (ArtifactKind::Scene(output.format), lambda, Bytes::copy_from_slice(file)));
+    let contents: Vec<_> = scenes.chain([(ArtifactKind::Cameras, None, Bytes::from(cameras))]).collect();
     let mut artifacts = Vec::new();
-    for (kind, content) in
-        [(ArtifactKind::Scene(output.format), output.file), (ArtifactKind::Cameras, cameras)]
-    {
-        match context.blobs.put(Bytes::from(content)).await {
-            Ok(blob) => artifacts.push(Artifact { kind, blob }),
+    for (kind, lambda, content) in contents {
+        match context.blobs.put(content).await {
+            Ok(blob) => artifacts.push(Artifact { kind, lambda, blob }),
             Err(error) => return Outcome::Retry(blob_problem(&error)),
         }
     }

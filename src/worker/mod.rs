@@ -9,8 +9,11 @@
 //! hangs, is started again, and its job is taken from it at once.
 
 mod attempt;
+mod branches;
 mod checkpoints;
 mod claim;
+mod curve;
+mod fit_bytes;
 pub mod pipeline;
 pub mod run;
 pub mod scene_file;

@@ -10,29 +10,40 @@ use std::{
 };
 
 use super::{
+    curve::run_curve,
+    fit_bytes::{Budgeted, Draft, fit_bytes},
     run::{Checkpoints, JobFailure, JobOutput, Resume, RunJob},
     scene_file::{self, SceneFile},
     steps::choose_steps,
 };
 use crate::{
-    codec::{self, ContextSettings, EncodeSettings, Provenance},
+    codec::{self, ContextSearch, ContextSettings, EncodeSettings, Encoded, Provenance},
     domain::{
-        AnchorScene, CancelFlag, Conventions, Dataset, Frame, JobMetrics, MemoryBudget, MemoryLimits,
-        ModelKind, NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, Scores, Split, SystemClock,
-        TrainOptions,
+        AnchorScene, ByteBudget, CancelFlag, Conventions, Dataset, Frame, JobMetrics, MemoryBudget,
+        MemoryLimits, ModelKind, NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, SceneFormat,
+        Scores, Split, SystemClock, TrainOptions,
     },
     eval::{Lpips, mean_scores_with, measure_views_with},
     gpu::{AdapterChoice, Context, GpuError},
     ingest::{self, Room},
     render::{RenderError, SceneRenderer},
     train::{
-        self, Checkpoint, CheckpointError, CheckpointFolder, KeepCheckpoints, Schedule, TrainError, Trained,
-        TrainedContext, train_within,
+        self, BaseSteps, Checkpoint, CheckpointError, CheckpointFolder, KeepCheckpoints, Schedule,
+        TrainError, Trained, TrainedContext, train_within,
     },
 };
 
 /// Training views that the reported training figures are measured on, evenly spread.
 const TRAIN_VIEWS_MEASURED: usize = 16;
+
+/// Training views that decide how finely to quantise.
+const STEP_VIEWS: usize = 4;
+
+/// Training views that files of a promised size are judged by.
+const JUDGED_VIEWS: usize = 8;
+
+/// Training views that tell what each Gaussian is worth where a size was promised.
+const PROBED_VIEWS: usize = 64;
 
 /// Carries jobs out on an adapter, which is opened for the first job and again after it was lost.
 #[derive(Debug)]
@@ -93,12 +104,12 @@ impl RunJob for Pipeline {
     ) -> Result<JobOutput, JobFailure> {
         let began = Instant::now();
         let total = u64::from(Schedule::new(options).steps);
-        let mut progress = Progress { total, ..Progress::default() };
-        let mut tell = |phase: Phase, progress: &mut Progress| {
-            progress.elapsed_seconds = began.elapsed().as_secs_f64();
-            report(phase, progress);
+        let mut tell = |phase: Phase, progress: &Progress| {
+            let elapsed_seconds = began.elapsed().as_secs_f64();
+            report(phase, &Progress { elapsed_seconds, ..progress.clone() });
         };
-        tell(Phase::Ingest, &mut progress);
+        let start = Progress { total, ..Progress::default() };
+        tell(Phase::Ingest, &start);
         // How much memory photographs may take depends on whether the adapter has its own.
         let context = self.context().map_err(from_gpu)?;
         let budget = self.budget(&context);
@@ -108,74 +119,112 @@ impl RunJob for Pipeline {
         for note in &dataset.notes {
             tracing::info!("dataset: {note}");
         }
-        let mut seconds = PhaseSeconds { ingest: began.elapsed().as_secs_f64(), ..PhaseSeconds::default() };
+        let ingest = began.elapsed().as_secs_f64();
         stop_if(cancel)?;
         // The first report of the training comes some steps after its begin, which may be minutes.
-        tell(Phase::Train, &mut progress);
-        let mut passed_on = |now: &Progress| {
-            progress = now.clone();
-            tell(Phase::Train, &mut progress);
-        };
-        let trained = train_from(&context, &dataset, options, &budget, checkpoints, &mut passed_on, cancel)?;
-        seconds.train = trained.seconds;
-        // What training told of the time left says nothing about what follows it.
-        progress.eta_seconds = None;
+        tell(Phase::Train, &start);
         let lpips = self.lpips.as_ref();
-        let mut job = Job { context, dataset: &dataset, options, cancel, lpips, seconds };
-        tell(Phase::Encode, &mut progress);
-        let (bytes, file) = job.write(&trained, &mut || tell(Phase::Encode, &mut progress))?;
-        tell(Phase::Evaluate, &mut progress);
-        let metrics =
-            job.measure(trained.steps, &trained.scene, &file, &mut || tell(Phase::Evaluate, &mut progress))?;
+        let site = Site { context, dataset: &dataset, budget, cancel, lpips, ingest };
+        let (Product { file, format, metrics }, others) = if options.rd_curve.is_empty() {
+            (site.product(options, checkpoints, None, &mut tell)?, Vec::new())
+        } else {
+            run_curve(&site, options, checkpoints, &mut tell)?
+        };
         let cameras = dataset
             .frames
             .iter()
             .map(|frame| NamedCamera { name: frame.name.clone(), split: frame.split, camera: frame.camera })
             .collect();
-        Ok(JobOutput { file: bytes, format: file.format, metrics, cameras })
+        Ok(JobOutput { file, format, others, metrics, cameras })
     }
 }
 
-/// Trains, from a checkpoint where there is one to go on from.
-fn train_from(
-    context: &Arc<Context>,
-    dataset: &Dataset,
-    options: &TrainOptions,
-    budget: &MemoryBudget,
-    checkpoints: &Checkpoints,
-    report: &mut dyn FnMut(&Progress),
-    cancel: &CancelFlag,
-) -> Result<Trained, JobFailure> {
-    let mut folder = match &checkpoints.keep {
-        Some(path) => match CheckpointFolder::open(path, Arc::new(SystemClock)) {
-            Ok(folder) => Some(folder),
-            // A job must not fail for want of what only an interruption would need.
-            Err(fault) => {
-                tracing::warn!("no checkpoints are kept: {fault}");
-                None
-            }
-        },
-        None => None,
-    };
-    let mut attempt = |resume: Option<Checkpoint>| {
-        let keep = folder.as_mut().map(|folder| folder as &mut dyn KeepCheckpoints);
-        let checkpoints = train::Checkpoints { resume, keep };
-        train_within(context, dataset, options, budget, checkpoints, report, cancel)
-    };
-    let load = |path| CheckpointFolder::load(path).map_err(TrainError::from);
-    let trained = match &checkpoints.resume {
-        Resume::Fresh => attempt(None),
-        Resume::From(path) => load(path).and_then(|checkpoint| attempt(Some(checkpoint))),
-        Resume::IfPossible(path) => match load(path).and_then(|checkpoint| attempt(Some(checkpoint))) {
-            Err(TrainError::Checkpoint(CheckpointError::Missing(_))) => attempt(None),
-            Err(TrainError::Checkpoint(fault)) => {
-                tracing::warn!("the run starts over: {fault}");
-                attempt(None)
-            }
-            other => other,
-        },
-    };
-    trained.map_err(from_training)
+/// One finished file.
+pub(super) struct Product {
+    pub(super) file: Vec<u8>,
+    pub(super) format: SceneFormat,
+    pub(super) metrics: JobMetrics,
+}
+
+/// What all branches of a job share.
+pub(super) struct Site<'a> {
+    pub(super) context: Arc<Context>,
+    pub(super) dataset: &'a Dataset,
+    pub(super) budget: MemoryBudget,
+    pub(super) cancel: &'a CancelFlag,
+    lpips: Option<&'a Lpips>,
+    /// Seconds that the dataset took to read.
+    ingest: f64,
+}
+
+impl Site<'_> {
+    /// Trains, writes and measures one file. A run for which there is no checkpoint begins at `start`.
+    pub(super) fn product(
+        &self,
+        options: &TrainOptions,
+        checkpoints: &Checkpoints,
+        start: Option<Checkpoint>,
+        tell: &mut dyn FnMut(Phase, &Progress),
+    ) -> Result<Product, JobFailure> {
+        let mut progress = Progress::default();
+        let mut passed_on = |now: &Progress| {
+            progress = now.clone();
+            tell(Phase::Train, now);
+        };
+        let trained = self.resumed(checkpoints, start, &mut |checkpoints| {
+            let Self { context, dataset, budget, cancel, .. } = self;
+            train_within(context, dataset, options, budget, checkpoints, &mut passed_on, cancel)
+        })?;
+        let seconds = PhaseSeconds { ingest: self.ingest, train: trained.seconds, ..PhaseSeconds::default() };
+        // What training told of the time left says nothing about what follows it.
+        progress.eta_seconds = None;
+        let (context, dataset, cancel) = (Arc::clone(&self.context), self.dataset, self.cancel);
+        let mut job = Job { context, dataset, options, cancel, lpips: self.lpips, seconds };
+        tell(Phase::Encode, &progress);
+        let (bytes, file, byte_budget) = job.write(&trained, &mut || tell(Phase::Encode, &progress))?;
+        tell(Phase::Evaluate, &progress);
+        let metrics =
+            job.measure(trained.steps, &trained.scene, &file, &mut || tell(Phase::Evaluate, &progress))?;
+        Ok(Product { file: bytes, format: file.format, metrics: JobMetrics { byte_budget, ..metrics } })
+    }
+
+    /// Trains by `attempt`, from a checkpoint where there is one to go on from, else from `start`.
+    pub(super) fn resumed<T>(
+        &self,
+        checkpoints: &Checkpoints,
+        start: Option<Checkpoint>,
+        attempt: &mut dyn FnMut(train::Checkpoints<'_>) -> Result<T, TrainError>,
+    ) -> Result<T, JobFailure> {
+        let mut folder = match &checkpoints.keep {
+            Some(path) => match CheckpointFolder::open(path, Arc::new(SystemClock)) {
+                Ok(folder) => Some(folder),
+                // A job must not fail for want of what only an interruption would need.
+                Err(fault) => {
+                    tracing::warn!("no checkpoints are kept: {fault}");
+                    None
+                }
+            },
+            None => None,
+        };
+        let mut attempt = |resume: Option<Checkpoint>| {
+            let keep = folder.as_mut().map(|folder| folder as &mut dyn KeepCheckpoints);
+            attempt(train::Checkpoints { resume, keep })
+        };
+        let load = |path| CheckpointFolder::load(path).map_err(TrainError::from);
+        let trained = match &checkpoints.resume {
+            Resume::Fresh => attempt(start),
+            Resume::From(path) => load(path).and_then(|checkpoint| attempt(Some(checkpoint))),
+            Resume::IfPossible(path) => match load(path).and_then(|checkpoint| attempt(Some(checkpoint))) {
+                Err(TrainError::Checkpoint(CheckpointError::Missing(_))) => attempt(start),
+                Err(TrainError::Checkpoint(fault)) => {
+                    tracing::warn!("the run starts over: {fault}");
+                    attempt(start)
+                }
+                other => other,
+            },
+        };
+        trained.map_err(from_training)
+    }
 }
 
 /// What the stages after training share.
@@ -189,69 +238,94 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Writes the file and reads it back.
+    /// Writes the file and reads it back; tells what a promise on its size came to.
     fn write(
         &mut self,
         trained: &Trained,
         alive: &mut dyn FnMut(),
-    ) -> Result<(Vec<u8>, SceneFile), JobFailure> {
+    ) -> Result<(Vec<u8>, SceneFile, Option<ByteBudget>), JobFailure> {
         let began = Instant::now();
-        let bytes = match (&trained.scene, self.options.model) {
+        let (background, dataset) = (self.options.background, Some(self.dataset.digest));
+        let (bytes, budget) = match (&trained.scene, self.options.model) {
             (Scene::Anchors(scene), ModelKind::Scaffold) => {
-                scene_file::write_anchors(scene, self.options.background, Some(self.dataset.digest))
-                    .map_err(JobFailure::Fail)?
+                (scene_file::write_anchors(scene, background, dataset).map_err(JobFailure::Fail)?, None)
             }
             (Scene::Anchors(scene), _) => self.encode(scene, trained.context.as_ref(), alive)?,
-            (Scene::Gaussians(scene), _) => {
-                scene_file::write_gaussians(scene, self.options.background, Some(self.dataset.digest))
-            }
+            (Scene::Gaussians(scene), _) => (scene_file::write_gaussians(scene, background, dataset), None),
         };
         self.seconds.encode = began.elapsed().as_secs_f64();
         let began = Instant::now();
         let file = scene_file::read(&bytes).map_err(|fault| JobFailure::Fail(internal(&fault.detail)))?;
         self.seconds.decode = began.elapsed().as_secs_f64();
-        Ok((bytes, file))
+        Ok((bytes, file, budget))
     }
 
-    /// Codes, with the steps that the scene was trained with; where it was not, chooses how finely to quantise.
+    /// Codes, with the steps that the scene was trained with, within the bytes that were promised. Where it was not trained
+    /// with any, chooses how finely to quantise.
     fn encode(
         &self,
         scene: &AnchorScene,
         context: Option<&TrainedContext>,
         alive: &mut dyn FnMut(),
-    ) -> Result<Vec<u8>, JobFailure> {
+    ) -> Result<(Vec<u8>, Option<ByteBudget>), JobFailure> {
         let background = self.options.background;
+        let seen = |wanted| spread(self.dataset.split(Split::Train).collect(), wanted);
         let steps = match context {
             Some(context) => context.steps,
-            None => {
-                let views = spread(self.dataset.split(Split::Train).collect(), 4);
-                choose_steps(&self.context, scene, &views, background, &mut || {
-                    alive();
-                    !self.cancel.is_cancelled()
-                })
-                .map_err(from_render)?
-            }
+            None => choose_steps(&self.context, scene, &seen(STEP_VIEWS), background, &mut || {
+                alive();
+                !self.cancel.is_cancelled()
+            })
+            .map_err(from_render)?,
         };
         stop_if(self.cancel)?;
-        let settings = EncodeSettings {
+        let mut write = |draft: Draft<'_>| self.write_draft(draft, steps, context);
+        let Some(limit) = self.options.max_bytes else {
+            let draft = Draft { scene, coarser: [0; 3], search: ContextSearch::Cheapest, stated: None };
+            return Ok((write(draft)?.bytes, None));
+        };
+        let budgeted = Budgeted {
+            context: &self.context,
+            scene,
+            steps: [steps.feature, steps.scaling * scene.lattice.voxel, steps.offset],
+            judged: &seen(JUDGED_VIEWS),
+            probed: &seen(PROBED_VIEWS),
             background,
+            limit,
+        };
+        let mut go_on = || {
+            alive();
+            stop_if(self.cancel)
+        };
+        let (encoded, budget) = fit_bytes(&budgeted, &mut write, &mut go_on, from_render)?;
+        Ok((encoded.bytes, Some(budget)))
+    }
+
+    fn write_draft(
+        &self,
+        draft: Draft<'_>,
+        steps: BaseSteps,
+        context: Option<&TrainedContext>,
+    ) -> Result<Encoded, JobFailure> {
+        let Draft { scene, coarser, search, stated } = draft;
+        let options = TrainOptions { max_bytes: stated, ..self.options.clone() };
+        let settings = EncodeSettings {
+            background: self.options.background,
             feature_step: steps.feature,
             scaling_step: steps.scaling,
             offset_step: steps.offset,
-            context: ContextSettings::default(),
+            context: ContextSettings { search, coarser },
             provenance: Provenance {
                 generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),
                 dataset: Some(self.dataset.digest),
                 adapter: Some(self.context.adapter_line()),
-                settings: serde_json::to_value(self.options)
+                settings: serde_json::to_value(options)
                     .map_err(|fault| JobFailure::Fail(internal(&fault.to_string())))?,
             },
         };
-        let encoded =
-            codec::encode(scene, context.map(|context| &context.candidates), &settings).map_err(|fault| {
-                JobFailure::Fail(Problem::new(422, "not-encodable", "Encoding failed", fault.to_string()))
-            })?;
-        Ok(encoded.bytes)
+        codec::encode(scene, context.map(|context| &context.candidates), &settings).map_err(|fault| {
+            JobFailure::Fail(Problem::new(422, "not-encodable", "Encoding failed", fault.to_string()))
+        })
     }
 
     /// Measures the scene of the file, and the held-out views of the scene before it was quantised, if it was.
@@ -284,6 +358,8 @@ impl Job<'_> {
             adapter: self.context.adapter_line(),
             background: self.options.background,
             conventions: Conventions::new(self.lpips.map(Lpips::network)),
+            byte_budget: None,
+            rd_curve: Vec::new(),
         })
     }
 
@@ -319,7 +395,7 @@ fn stop_if(cancel: &CancelFlag) -> Result<(), JobFailure> {
     if cancel.is_cancelled() { Err(JobFailure::Cancelled) } else { Ok(()) }
 }
 
-fn internal(detail: &str) -> Problem {
+pub(super) fn internal(detail: &str) -> Problem {
     Problem::new(500, "internal", "Internal error", detail)
 }
 
@@ -343,7 +419,7 @@ fn from_render(fault: RenderError) -> JobFailure {
     }
 }
 
-fn from_training(fault: TrainError) -> JobFailure {
+pub(super) fn from_training(fault: TrainError) -> JobFailure {
     match fault {
         TrainError::Cancelled => JobFailure::Cancelled,
         TrainError::Gpu(fault) => from_gpu(fault),

@@ -5,17 +5,37 @@ use std::path::{Path, PathBuf};
 pub use crate::domain::NamedCamera;
 use crate::domain::{CancelFlag, JobMetrics, Phase, Problem, Progress, SceneFormat, TrainOptions};
 
+/// A further file of a rate-distortion curve.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CurveFile {
+    /// Its weight of the rate.
+    pub lambda: f64,
+    /// The file.
+    pub file: Vec<u8>,
+}
+
 /// What a finished job leaves behind.
 #[derive(Debug, Clone)]
 pub struct JobOutput {
-    /// The finished file.
+    /// The finished file; of a rate-distortion curve, that of its first point.
     pub file: Vec<u8>,
-    /// Its kind.
+    /// Its kind, and that of the others.
     pub format: SceneFormat,
-    /// Its figures.
+    /// The files of the curve's other points, in the order of `metrics.rd_curve`.
+    pub others: Vec<CurveFile>,
+    /// The figures of `file`, with the curve.
     pub metrics: JobMetrics,
     /// The dataset's cameras.
     pub cameras: Vec<NamedCamera>,
+}
+
+impl JobOutput {
+    /// Every file with its weight of the rate, which only those of a curve have.
+    pub fn files(&self) -> impl Iterator<Item = (Option<f64>, &[u8])> {
+        let first = (self.metrics.rd_curve.first().map(|point| point.lambda), &self.file[..]);
+        let others = self.others.iter().map(|other| (Some(other.lambda), &other.file[..]));
+        std::iter::once(first).chain(others)
+    }
 }
 
 /// What a run begins with.

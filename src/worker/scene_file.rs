@@ -3,7 +3,7 @@
 use crate::{
     codec::{self, DecodeLimits},
     domain::{AnchorScene, Background, ByteCounts, Digest, GaussianScene, Problem, Scene, SceneFormat},
-    export::{PlyNote, anchors, from_ply, to_ply},
+    export::{PlyNote, anchors, from_ply, from_spz, to_ply},
 };
 
 /// What is in a file.
@@ -13,7 +13,7 @@ pub struct SceneFile {
     pub format: SceneFormat,
     /// The scene.
     pub scene: Scene,
-    /// The background that it was trained on; black for a `.ply` of another program.
+    /// The background that it was trained on; black for a `.spz`, and a `.ply` of another program.
     pub background: Background,
     /// SHA-256 of the attributes: of anchors as `FORMAT.md` defines it; of plain Gaussians that of their `.ply` as this
     /// program writes it.
@@ -33,6 +33,7 @@ pub fn read(bytes: &[u8]) -> Result<SceneFile, Problem> {
         SceneFormat::Tcgs => read_tcgs(bytes),
         SceneFormat::Safetensors => read_anchors(bytes),
         SceneFormat::Ply => read_gaussians(bytes),
+        SceneFormat::Spz => read_packed_gaussians(bytes),
     }
 }
 
@@ -53,7 +54,7 @@ pub fn write_anchors(
 /// Writes the `3dgs` baseline: the field's `.ply`, with its origin in a comment.
 #[must_use]
 pub fn write_gaussians(scene: &GaussianScene, background: Background, dataset: Option<Digest>) -> Vec<u8> {
-    PlyNote { background, dataset }.add_to(to_ply(scene))
+    PlyNote { background, dataset, near: scene.near }.add_to(to_ply(scene))
 }
 
 fn read_tcgs(bytes: &[u8]) -> Result<SceneFile, Problem> {
@@ -83,14 +84,32 @@ fn read_anchors(bytes: &[u8]) -> Result<SceneFile, Problem> {
 }
 
 fn read_gaussians(bytes: &[u8]) -> Result<SceneFile, Problem> {
-    let scene = from_ply(bytes).map_err(|fault| undecodable(&fault.to_string()))?;
+    let mut scene = from_ply(bytes).map_err(|fault| undecodable(&fault.to_string()))?;
     let note = PlyNote::find(bytes);
+    scene.near = note.map_or(scene.near, |note| note.near);
     Ok(SceneFile {
         format: SceneFormat::Ply,
         decode_sha256: Digest::of(&to_ply(&scene)),
         byte_counts: ply_counts(&scene, bytes.len() as u64),
         background: note.map_or(Background::Black, |note| note.background),
         dataset: note.and_then(|note| note.dataset),
+        scene: Scene::Gaussians(scene),
+    })
+}
+
+fn read_packed_gaussians(bytes: &[u8]) -> Result<SceneFile, Problem> {
+    let scene = from_spz(bytes).map_err(|fault| undecodable(&fault.to_string()))?;
+    Ok(SceneFile {
+        format: SceneFormat::Spz,
+        decode_sha256: Digest::of(&to_ply(&scene)),
+        // One stream of gzip: no byte belongs to a part.
+        byte_counts: ByteCounts {
+            total: bytes.len() as u64,
+            container: bytes.len() as u64,
+            ..ByteCounts::default()
+        },
+        background: Background::Black,
+        dataset: None,
         scene: Scene::Gaussians(scene),
     })
 }

@@ -23,8 +23,9 @@ use crate::{
 const STEPS: u32 = 104;
 
 /// The first step; before growth, at it, between two rounds with statistics gathered, at the second round and right after
-/// it; when growth is over; and the last step.
-const INTERRUPTED: [u32; 8] = [1, 17, 25, 40, 50, 51, 90, STEPS];
+/// it; when growth is over; and the last step. Of compression: when noise begins and after it, when the context model
+/// begins and after it, while planes are reconstructed, when masks settle, when everything is rounded and after it.
+const INTERRUPTED: [u32; 13] = [1, 10, 17, 25, 35, 40, 50, 51, 60, 78, 88, 95, STEPS];
 
 /// Keeps the checkpoints of the steps that a test wants.
 struct Kept {
@@ -79,10 +80,10 @@ fn resumed(checkpoint: &Checkpoint, options: &TrainOptions) -> (Trained, Vec<Pro
 }
 
 /// Everything of a report that does not depend on the machine's speed.
-fn figures(progress: &Progress) -> (u64, u64, u64, u64, Option<u64>, Option<u64>) {
+fn figures(progress: &Progress) -> ([u64; 4], [Option<u64>; 3]) {
     let bits = |value: Option<f64>| value.map(f64::to_bits);
-    let Progress { step, total, anchors, gaussians, loss, psnr, .. } = progress;
-    (*step, *total, *anchors, *gaussians, bits(*loss), bits(*psnr))
+    let Progress { step, total, anchors, gaussians, loss, psnr, bytes, .. } = progress;
+    ([*step, *total, *anchors, *gaussians], [bits(*loss), bits(*psnr), *bytes])
 }
 
 #[test]
@@ -92,11 +93,15 @@ fn a_run_that_goes_on_from_any_step_ends_with_the_same_bits() {
     let checkpoints = Checkpoints { resume: None, keep: Some(&mut kept) };
     let (whole, reports) = outcome(&dataset(), &options, checkpoints).expect("a scene");
     assert_eq!(kept.steps(), INTERRUPTED);
+    let context = whole.context.as_ref().expect("a context model");
+    assert_eq!(context.candidates.planes.len(), 2, "planes, and smaller ones");
+    assert!(reports.iter().any(|report| report.bytes.is_some()), "sizes are estimated");
     let grown: std::collections::BTreeSet<u64> = reports.iter().map(|report| report.anchors).collect();
     assert!(grown.len() >= 3, "two rounds of growth are part of the test: {grown:?}");
     for (step, checkpoint) in &kept.checkpoints {
         let (trained, later) = resumed(checkpoint, &options);
         assert!(trained.scene == whole.scene, "another scene after step {step}");
+        assert!(trained.context == whole.context, "another context after step {step}");
         assert_eq!(trained.steps, STEPS);
         assert!(trained.seconds > 0.0);
         assert_eq!(later[0].step, u64::from(*step), "the first report tells where the run goes on");

@@ -7,8 +7,9 @@ use std::{
 
 use serde_json::Value;
 
-const COMMANDS: [&str; 10] =
-    ["serve", "worker", "train", "encode", "decode", "render", "eval", "inspect", "sample", "doctor"];
+const COMMANDS: [&str; 11] = [
+    "serve", "worker", "train", "encode", "decode", "render", "eval", "export", "inspect", "sample", "doctor",
+];
 
 fn tcgs(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_tcgs"))
@@ -70,6 +71,9 @@ fn wrong_usage_is_status_2_and_says_what_is_wrong() {
         (&["serve", "--database", "postgres://x"], "--database"),
         (&["worker", "--blobs", "s3://x"], "--blobs"),
         (&["sample", "d", "--side", "2"], "--side"),
+        (&["export", "f", "-o", "o"], "--format"),
+        (&["export", "f", "-o", "o", "--format", "obj"], "ply, spz"),
+        (&["export", "f", "-o", "o", "--format", "spz", "--sh-degree", "4"], "--sh-degree"),
     ];
     for (arguments, word) in cases {
         let output = tcgs(arguments);
@@ -92,6 +96,7 @@ fn refused_input_is_status_3_and_names_the_file() {
         &["decode", missing, "-o", out],
         &["encode", missing, "-o", out],
         &["encode", garbage, "-o", out],
+        &["export", garbage, "-o", out, "--format", "spz"],
         &["render", missing, "-o", out, "--pose", missing],
         &["render", garbage, "-o", out, "--pose", r#"{"fx": 1}"#],
         &["sample", path(folder.path())],

@@ -50,6 +50,7 @@ scenarios!(
     the_service_describes_itself,
     a_dataset_becomes_a_file_with_metrics_and_history,
     the_file_is_served_whole_in_parts_and_conditionally,
+    every_file_of_a_curve_is_served_by_its_weight,
     what_is_wrong_with_a_dataset_or_an_option_is_said_before_a_job_is_made,
     bodies_that_break_off_or_dawdle_are_given_up,
     unknown_jobs_frames_paths_and_methods_are_problems,
@@ -134,6 +135,52 @@ async fn a_dataset_becomes_a_file_with_metrics_and_history(coverage: Coverage) {
     assert_eq!(last["data"]["error"], failed["error"]);
 }
 
+async fn every_file_of_a_curve_is_served_by_its_weight(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let created = server.upload("?rd_curve=0.004,0.0005,1e-7", "succeed curve").await.expect(201);
+    assert_eq!(created.json()["options"]["rd_curve"], json!([0.004, 0.0005, 1e-7]));
+    let path = created.header("location").to_owned();
+    let done = server.reaches(&path, "succeeded").await;
+    let artifacts = done["artifacts"].as_array().expect("artifacts");
+    let weights: Vec<&Value> = artifacts.iter().map(|artifact| &artifact["lambda"]).collect();
+    assert_eq!(weights, [&json!(0.004), &json!(0.0005), &json!(1e-7)], "in the order asked for");
+    for (place, artifact) in artifacts.iter().enumerate() {
+        assert_eq!(artifact["kind"], "tcgs");
+        let point = &done["metrics"]["rd_curve"][place];
+        assert_eq!((&point["lambda"], &point["sha256"]), (&artifact["lambda"], &artifact["sha256"]));
+        let file = server.get(artifact["href"].as_str().expect("a path")).await.expect(200);
+        assert_eq!(file.body, fakes::curve_file(place));
+        let lambda = artifact["lambda"].as_f64().expect("a number");
+        let name = format!(".lambda-{lambda}.tcgs\"");
+        assert!(file.header("content-disposition").ends_with(&name), "{:?}", file.headers);
+    }
+    let first = server.get(&format!("{path}/artifact")).await.expect(200);
+    assert_eq!(first.body, fakes::FILE, "the first is what is meant where none is named");
+    let same = server.get(&format!("{path}/artifact?lambda=5e-4")).await.expect(200);
+    assert_eq!(same.body, fakes::curve_file(1), "a weight is a number, not a text");
+
+    let view = format!("{path}/view?frame=test/r_0");
+    let [first, second] = ["", "&lambda=0.0005"].map(|choice| format!("{view}{choice}"));
+    let (first, second) = (server.get(&first).await.expect(200), server.get(&second).await.expect(200));
+    assert_ne!(first.body, second.body, "views are of the file that was chosen");
+    let views = format!("{path}/views");
+    let body = json!({ "views": [{ "frame": "test/r_0" }], "lambda": 0.0005 });
+    let posted = server.send("POST", &views, |request| request.json(&body)).await.expect(200);
+    assert_eq!(posted.body, second.body);
+
+    for path in [format!("{path}/artifact?lambda=0.1"), format!("{view}&lambda=0.1")] {
+        let detail = server.get(&path).await.expect_problem(404, "no-such-lambda");
+        assert!(detail.contains("0.004, 0.0005, 0.0000001"), "{detail}");
+    }
+    let many = format!("{path}/artifact?lambda=many");
+    server.get(&many).await.expect_problem(422, "invalid-parameter");
+    server.get(&format!("{path}/artifact?size=1")).await.expect_problem(422, "invalid-parameter");
+    let single = server.succeeded().await;
+    let detail = server.get(&format!("{single}/artifact?lambda=0.1")).await;
+    assert!(detail.expect_problem(404, "no-such-lambda").contains("leave out lambda"));
+    assert_eq!(server.get(&single).await.json()["artifacts"][0]["lambda"], json!(null));
+}
+
 async fn the_file_is_served_whole_in_parts_and_conditionally(coverage: Coverage) {
     let server = Server::start(&coverage).await;
     let job = server.succeeded().await;
@@ -188,7 +235,15 @@ async fn what_is_wrong_with_a_dataset_or_an_option_is_said_before_a_job_is_made(
         ("?iterations=many", "iterations"),
         ("?colour=red", "colour"),
         ("?model=nerf", "model"),
-        ("?max_bytes=1000", "max_bytes"),
+        ("?max_bytes=0", "max_bytes"),
+        ("?max_bytes=1000&model=scaffold", "max_bytes"),
+        ("?max_bytes=1000&rd_curve=0.001", "max_bytes"),
+        ("?rd_curve=", "rd_curve"),
+        ("?rd_curve=0.001,0.001", "rd_curve"),
+        ("?rd_curve=0.001,-1", "rd_curve"),
+        ("?rd_curve=1,2,3,4,5,6,7,8,9", "rd_curve"),
+        ("?rd_curve=0.001&model=3dgs", "rd_curve"),
+        ("?rd_curve=0.001&lambda=0.1", "rd_curve"),
     ] {
         let detail = server.upload(query, "succeed").await.expect_problem(422, "invalid-option");
         assert!(detail.contains(named), "{query}: {detail}");
@@ -553,6 +608,9 @@ async fn a_full_render_queue_and_a_broken_renderer_are_told_apart(coverage: Cove
     }
     server.get(&format!("{job}/view?{pose}&width=13")).await.expect_problem(500, "internal");
     server.get(&format!("{job}/view?{pose}&width=14")).await.expect_problem(500, "device-lost");
+    server.get(&format!("{job}/view?{pose}&width=15")).await.expect_problem(507, "gpu-memory");
+    let large = json!({ "views": [{ "frame": "test/r_0", "width": 15 }] });
+    server.post_json(&format!("{job}/views"), &large).await.expect_problem(507, "gpu-memory");
     server.get(&format!("{job}/view?frame=test/r_0")).await.expect(200);
 }
 

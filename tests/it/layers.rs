@@ -38,6 +38,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("constriction", &["codec"]),
     ("kiddo", &["model", "codec"]),
     ("ndarray", &["eval"]),
+    ("flate2", &["export"]),
     ("clap", &["cli", "main"]),
     ("indicatif", &["cli"]),
 ];

@@ -314,6 +314,7 @@ fn oracle_rows(oracle: &Oracle) -> GaussianRows {
         opacity_logits: oracle.numbers("in.opacities").iter().map(|o| (o / (1.0 - o)).ln() as f32).collect(),
         sh: sh.iter().map(|row| std::array::from_fn(|k| three(&row[3 * k..]))).collect(),
         degree: 3,
+        ..GaussianScene::default()
     };
     GaussianRows::from_scene(&scene)
 }

@@ -96,7 +96,7 @@ fn succeeded() -> Outcome {
     let blob = BlobRef { digest: Digest::of(fakes::FILE), bytes: fakes::FILE.len() as u64 };
     Outcome::Succeeded {
         metrics: Box::new(fakes::metrics()),
-        artifacts: vec![Artifact { kind: ArtifactKind::Scene(SceneFormat::Tcgs), blob }],
+        artifacts: vec![Artifact { kind: ArtifactKind::Scene(SceneFormat::Tcgs), lambda: None, blob }],
     }
 }
 

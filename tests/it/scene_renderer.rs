@@ -5,7 +5,6 @@ use std::{cell::Cell, sync::Arc};
 use glam::DVec3;
 use tcgs::{
     domain::{AnchorScene, Background, Digest, Lattice, Scene},
-    gpu::AdapterChoice,
     model::{AnchorRows, NetworkLayout, Shape},
     render::{
         Projection, RasterSettings, RenderError, RenderViews, SceneRenderer, SceneViewer,
@@ -14,7 +13,10 @@ use tcgs::{
     },
 };
 
-use crate::support::{gpu::gpu, random};
+use crate::support::{
+    gpu::{choice, gpu},
+    random,
+};
 
 const SHAPE: Shape = Shape { features: 4, offsets: 2 };
 
@@ -88,12 +90,38 @@ fn widths_that_a_file_may_have_and_the_kernels_do_not_know_are_refused() {
 }
 
 #[test]
+fn views_stay_within_their_memory_and_scenes_used_before_make_room() {
+    let (_, _, finished) = scene();
+    let camera = random::camera(20, 20);
+    let loads = Cell::new(0);
+    let load = || {
+        loads.set(loads.get() + 1);
+        Ok(Viewable { scene: Scene::Anchors(finished.clone()), background: Background::Black })
+    };
+    let view = |viewer: &SceneViewer, name: &[u8]| viewer.render(Digest::of(name), &load, &camera);
+    let free = SceneViewer::open(choice()).expect("an adapter");
+    let image = view(&free, b"a").expect("a view");
+    let one = free.peak_bytes();
+
+    loads.set(0);
+    let narrow = SceneViewer::within(choice(), one + one / 2).expect("an adapter");
+    for (name, expected) in [(b"a", 1), (b"a", 1), (b"b", 2), (b"b", 2), (b"a", 3)] {
+        assert_eq!(view(&narrow, name), Ok(image.clone()));
+        assert_eq!(loads.get(), expected, "only one scene fits");
+    }
+    assert!(narrow.peak_bytes() <= one + one / 2);
+
+    let short = SceneViewer::within(choice(), one / 2).expect("an adapter");
+    for _ in 0..2 {
+        let refused = view(&short, b"a").expect_err("no room");
+        assert_eq!(refused.status, 507, "{refused}");
+        assert!(refused.detail.contains("--view-memory"), "{refused}");
+    }
+}
+
+#[test]
 fn the_viewer_loads_a_scene_once_forgets_the_oldest_and_survives_a_lost_device() {
-    let adapter = std::env::var("TCGS_ADAPTER").map_or(AdapterChoice::Lavapipe, |name| match name.parse() {
-        Ok(choice) => choice,
-        Err(never) => match never {},
-    });
-    let viewer = Arc::new(SceneViewer::open(adapter).expect("an adapter"));
+    let viewer = Arc::new(SceneViewer::open(choice()).expect("an adapter"));
     let (_, _, finished) = scene();
     let camera = random::camera(20, 20);
     let loads = Cell::new(0);

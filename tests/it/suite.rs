@@ -100,6 +100,70 @@ fn models_are_compared_on_every_set_and_a_second_suite_only_reads() {
     assert_eq!(fs::read_to_string(&kept).expect("the runs"), before);
 }
 
+/// A converter that gives back what it gets, and says that it takes 1234 bytes.
+#[cfg(unix)]
+fn write_peers(path: &Path) {
+    use std::os::unix::fs::PermissionsExt as _;
+    let script = "#!/bin/sh\nset -e\ncp \"$1\" \"$2/same.ply\"\n\
+        printf 'format\\tbytes\\tdecoded\\nsame\\t1234\\tsame.ply\\n' >\"$2/sizes.tsv\"\n";
+    fs::write(path, script).expect("writes");
+    fs::set_permissions(path, fs::Permissions::from_mode(0o755)).expect("permissions");
+}
+
+#[cfg(unix)]
+#[test]
+fn sizes_are_told_by_section_beside_the_baselines_and_other_formats() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (sets, out) = (folder.path().join("sets"), folder.path().join("out"));
+    write_set(&sets.join("ball"));
+    let script = folder.path().join("peers.sh");
+    let suite = |models: &str, peers: bool| {
+        let mut arguments =
+            line!["eval", "--suite", sets, "--models", models, "--iterations", "4", "--out", out, "--json"]
+                .into_iter()
+                .map(OsStr::to_owned)
+                .collect::<Vec<_>>();
+        arguments.push("--steps-only".into());
+        if peers {
+            arguments.extend(["--peers".into(), script.clone().into()]);
+        }
+        arguments
+    };
+    answers(suite("3dgs", false));
+    let models = "3dgs,scaffold,tcgs,tcgs-masks";
+    let failed = tcgs(suite(models, true));
+    assert_eq!(failed.status.code(), Some(1), "{}", String::from_utf8_lossy(&failed.stderr));
+    assert!(String::from_utf8_lossy(&failed.stderr).contains("peers.sh"), "a script that is not there");
+    write_peers(&script);
+    let report = answers(suite(models, true));
+
+    let runs = report["runs"].as_array().expect("runs");
+    let of = |entry: &str| runs.iter().find(|run| run["entry"] == entry).expect("a run");
+    let (plain, tcgs) = (of("3dgs"), of("tcgs"));
+    let peer = &plain["peers"][0];
+    assert_eq!((&peer["format"], &peer["bytes"]), (&"same".into(), &1234.into()));
+    assert_eq!(peer["psnr"], plain["metrics"]["test"]["psnr"], "what comes back is measured as it is");
+    assert_eq!(tcgs["peers"], Value::Array(Vec::new()));
+
+    let tables = fs::read_to_string(out.join("results.md")).expect("the tables");
+    let row = |start: &str| {
+        let line = tables.lines().find(|line| line.starts_with(start)).expect(start);
+        line.split('|').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>()
+    };
+    let bytes = tables.split_once("### Bytes by section").expect("the table").1;
+    let head: Vec<&str> = bytes.lines().nth(2).expect("a head").split('|').map(str::trim).collect();
+    let line = bytes.lines().find(|line| line.starts_with("| ball | tcgs |")).expect("a row");
+    let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+    let at = |name: &str| cells[head.iter().position(|cell| *cell == name).expect(name)];
+    let counts = &tcgs["metrics"]["bytes"];
+    for part in ["features", "scalings", "offsets", "positions", "masks", "networks", "total"] {
+        assert_eq!(at(part), counts[part].to_string(), "{part}");
+    }
+    let total = |run: &Value| run["metrics"]["bytes"]["total"].as_f64().expect("bytes");
+    assert_eq!(at("3dgs / it"), format!("{:.1}", total(plain) / total(tcgs)));
+    assert_eq!(row("| ball | 3dgs as same |")[3], "1234");
+}
+
 #[test]
 fn what_a_suite_cannot_do_is_said_before_it_begins() {
     let folder = tempfile::tempdir().expect("a folder");

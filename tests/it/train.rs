@@ -289,3 +289,35 @@ fn plain_gaussians_of_one_seed_are_the_same_bits_and_of_another_are_not() {
     let (other, _) = run(&dataset, &plain(5, 8));
     assert!(short.scene != other.scene);
 }
+
+/// The same scene in a unit that is `1 / factor` as long.
+fn scaled(dataset: &Dataset, factor: f64) -> Dataset {
+    let mut scaled = dataset.clone();
+    for frame in &mut scaled.frames {
+        let pose = frame.camera.pose;
+        let pose = Pose::from_world_to_camera(pose.rotation(), pose.translation() * factor).expect("a pose");
+        frame.camera = Camera::new(frame.camera.intrinsics, pose).expect("a camera");
+    }
+    for position in scaled.points.iter_mut().flat_map(|cloud| &mut cloud.positions) {
+        *position = position.map(|coordinate| (f64::from(coordinate) * factor) as f32);
+    }
+    scaled
+}
+
+#[test]
+fn the_unit_of_the_scene_does_not_decide_what_is_learnt() {
+    // The anchors' networks are told the distance as a bare number, so they learn a little differently, and not at all where
+    // it is in the thousands.
+    let cases = [(plain(120, 0), &[1.0, 1e-3, 1e3][..], 0.5), (options(120, 0), &[1.0, 1e-3], 2.0)];
+    for (options, factors, most) in cases {
+        let scores: Vec<f64> = Vec::from_iter(factors.iter().map(|&factor| {
+            let dataset = scaled(&dataset(), factor);
+            let (trained, _) = run(&dataset, &options);
+            let near = trained.scene.near();
+            assert!(f64::from(near.depth()) < 0.1 * 3.0 * factor, "{near:?} at {factor}");
+            psnr(&trained.scene, &dataset, Split::Train)
+        }));
+        let model = options.model;
+        assert!(scores.iter().all(|score| (score - scores[0]).abs() < most), "{model}: {scores:.2?} dB");
+    }
+}

@@ -1,32 +1,45 @@
-//! What competes: a model, or the method without one of its parts.
+//! What competes: a model, the method without one of its parts, or the method at another operating point.
 
 use std::{collections::BTreeSet, fmt, str::FromStr};
 
 use tcgs::domain::{Component, ModelKind, TrainOptions};
 
+/// Weights of the rate that draw the method's curve, beside its own.
+const LAMBDAS: [f64; 3] = [0.000_5, 0.001, 0.004];
+
+/// The parts that the method's ablation leaves out, in the order of the published table.
+const PARTS: [Component; 5] =
+    [Component::TriPlane, Component::Knn, Component::PlaneCompression, Component::Wavelet, Component::Masks];
+
 /// One row of the table for each set.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Entry {
     /// What is trained.
     pub(crate) model: ModelKind,
     /// The part that is left out.
     pub(crate) without: Option<Component>,
+    /// Weight of the rate, if not the preset's own.
+    pub(crate) lambda: Option<f64>,
 }
 
 impl Entry {
-    /// The baselines, the method, and the method without each part that this version can leave out.
-    pub(crate) fn defaults() -> Vec<Self> {
-        let whole = |model| Self { model, without: None };
-        let ablations = [Component::Masks, Component::Wavelet]
-            .map(|part| Self { model: ModelKind::Tcgs, without: Some(part) });
-        let models = [ModelKind::Gaussians3d, ModelKind::Scaffold, ModelKind::Tcgs].map(whole);
-        let possible = |entry: &Self| entry.options(&TrainOptions::default()).validated().is_ok();
-        models.into_iter().chain(ablations).filter(possible).collect()
+    fn whole(model: ModelKind) -> Self {
+        Self { model, without: None, lambda: None }
     }
 
-    /// Whether it competes for the same seconds too; ablations are compared step by step.
+    /// The baselines, the method, the method without each part that this version can leave out, and its curve.
+    pub(crate) fn defaults() -> Vec<Self> {
+        let models = [ModelKind::Gaussians3d, ModelKind::Scaffold, ModelKind::Tcgs].map(Self::whole);
+        let tcgs = Self::whole(ModelKind::Tcgs);
+        let ablations = PARTS.map(|part| Self { without: Some(part), ..tcgs.clone() });
+        let curve = LAMBDAS.map(|lambda| Self { lambda: Some(lambda), ..tcgs.clone() });
+        let possible = |entry: &Self| entry.options(&TrainOptions::default()).validated().is_ok();
+        models.into_iter().chain(ablations).chain(curve).filter(possible).collect()
+    }
+
+    /// Whether it competes for the same seconds too; ablations and curves are compared step by step.
     pub(crate) fn is_whole(&self) -> bool {
-        self.without.is_none()
+        self.without.is_none() && self.lambda.is_none()
     }
 
     /// The options of its runs, from those that all runs share.
@@ -34,6 +47,7 @@ impl Entry {
         TrainOptions {
             model: self.model,
             without: self.without.into_iter().collect::<BTreeSet<_>>(),
+            lambda: self.lambda,
             ..shared.clone()
         }
     }
@@ -41,27 +55,41 @@ impl Entry {
 
 impl fmt::Display for Entry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.without {
-            None => f.pad(self.model.name()),
-            Some(part) => f.pad(&format!("{}-{part}", self.model)),
+        let mut text = self.model.name().to_owned();
+        if let Some(part) = self.without {
+            text.push_str(&format!("-{part}"));
         }
+        if let Some(lambda) = self.lambda {
+            text.push_str(&format!("@{lambda}"));
+        }
+        f.pad(&text)
     }
 }
 
 impl FromStr for Entry {
     type Err = String;
 
-    /// `3dgs`, `scaffold`, `tcgs`, or `tcgs-PART`.
+    /// `3dgs`, `scaffold`, `tcgs`, `tcgs-PART`, `tcgs@LAMBDA` or `tcgs-PART@LAMBDA`.
     fn from_str(text: &str) -> Result<Self, String> {
-        let (model, without) = match text.split_once('-') {
+        let (name, lambda) = match text.split_once('@') {
             None => (text, None),
+            Some((name, lambda)) => {
+                let number = lambda.parse::<f64>().map_err(|_| format!("'{lambda}' is not a weight"))?;
+                (name, Some(number))
+            }
+        };
+        let (model, without) = match name.split_once('-') {
+            None => (name, None),
             Some((model, part)) => (model, Some(part.parse::<Component>().map_err(|fault| fault.fault)?)),
         };
         let model: ModelKind = model.parse().map_err(|fault: tcgs::domain::OptionError| fault.fault)?;
         if without.is_some() && model != ModelKind::Tcgs {
             return Err(format!("'{text}': only tcgs has parts to leave out"));
         }
-        let entry = Self { model, without };
+        if lambda.is_some() && model != ModelKind::Tcgs {
+            return Err(format!("'{text}': only tcgs weighs a rate"));
+        }
+        let entry = Self { model, without, lambda };
         entry.options(&TrainOptions::default()).validated().map_err(|fault| fault.fault)?;
         Ok(entry)
     }
@@ -76,13 +104,35 @@ mod tests {
         for text in ["3dgs", "scaffold", "tcgs", "tcgs-wavelet"] {
             assert_eq!(text.parse::<Entry>().expect(text).to_string(), text);
         }
-        for text in ["", "nerf", "tcgs-", "tcgs-hope", "3dgs-wavelet", "scaffold-wavelet"] {
+        let refused = [
+            "",
+            "nerf",
+            "tcgs-",
+            "tcgs-hope",
+            "3dgs-wavelet",
+            "scaffold-wavelet",
+            "3dgs@0.1",
+            "tcgs@",
+            "tcgs@x",
+        ];
+        for text in refused {
             assert!(text.parse::<Entry>().is_err(), "{text}");
         }
-        let names: Vec<String> = Entry::defaults().iter().map(Entry::to_string).collect();
-        assert!(
-            names.starts_with(&["3dgs".to_owned(), "scaffold".to_owned(), "tcgs".to_owned()]),
-            "{names:?}"
-        );
+        let point = Entry { lambda: Some(0.0005), without: None, model: ModelKind::Tcgs };
+        assert_eq!(point.to_string(), "tcgs@0.0005");
+        assert!(!point.is_whole() && Entry::whole(ModelKind::Tcgs).is_whole());
+    }
+
+    #[test]
+    fn what_this_version_can_do_competes_and_nothing_else() {
+        let entries = Entry::defaults();
+        let names: Vec<String> = entries.iter().map(Entry::to_string).collect();
+        assert_eq!(names[..3], ["3dgs", "scaffold", "tcgs"]);
+        assert!(names.contains(&"tcgs-masks".to_owned()), "{names:?}");
+        assert!(names.iter().all(|name| name.parse::<Entry>().is_ok()), "{names:?}");
+        let shared = TrainOptions::default();
+        let swept = |lambda| TrainOptions { lambda: Some(lambda), ..shared.clone() }.validated().is_ok();
+        let points = entries.iter().filter(|entry| entry.lambda.is_some()).count();
+        assert_eq!(points, LAMBDAS.iter().filter(|lambda| swept(**lambda)).count());
     }
 }

@@ -1,11 +1,14 @@
 //! `tcgs eval --suite`: every model on every set of a folder, with equal steps and with equal seconds.
 //!
 //! The seconds of a set are those that its slowest model took for the equal steps; the others run again with as many steps
-//! as their measured speed fits into them, corrected once, since speed changes with growth. Every finished run is kept in
+//! as fit into them, found by at most three runs (`seconds.rs`). Every finished run is kept in
 //! `runs.jsonl` at once, and a suite that is begun again goes on where it was interrupted.
 
+mod codec_table;
 mod entry;
+mod peers;
 mod record;
+mod seconds;
 mod table;
 
 use std::{
@@ -18,12 +21,13 @@ use std::{
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde_json::json;
 use tcgs::{
-    domain::{Background, CancelFlag, Dataset, Phase, Preset, Problem, TrainOptions, Voxel},
+    domain::{Background, CancelFlag, Dataset, ModelKind, Phase, Preset, Problem, TrainOptions, Voxel},
     worker::run::{Checkpoints, JobFailure, JobOutput, RunJob},
 };
 
 use self::{
     entry::Entry,
+    peers::{Converted, Peer},
     record::{Contest, Record, Records, Wanted},
 };
 use super::{
@@ -40,11 +44,8 @@ use super::{
 /// Where results go if no folder is named.
 const OUT: &str = "out/suite";
 
-/// Share of a set's seconds by which a run may miss them.
-const TOLERANCE: f64 = 0.03;
-
-/// Runs that may be made for one place among the equal seconds: one at the speed measured, and one correction.
-const TRIES: usize = 2;
+/// Runs that may be made for one place among the equal seconds.
+const TRIES: usize = 3;
 
 /// What a suite is made of.
 #[derive(Debug, clap::Args)]
@@ -54,7 +55,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR", conflicts_with_all = ["file", "save"])]
     pub(crate) suite: Option<PathBuf>,
 
-    /// Models to compare: 3dgs, scaffold, tcgs, and tcgs-PART for the method without a part
+    /// Models to compare: 3dgs, scaffold, tcgs, tcgs-PART for the method without a part, tcgs@LAMBDA for
+    /// another weight of the rate
     #[arg(long, value_name = "LIST", value_delimiter = ',', requires = "suite")]
     models: Vec<Entry>,
 
@@ -65,6 +67,11 @@ pub(crate) struct Args {
     /// Steps of single sets, where they are not those of --iterations
     #[arg(long, value_name = "SET=N,…", value_delimiter = ',', value_parser = set_steps, requires = "suite")]
     steps: Vec<(String, u32)>,
+
+    /// Script that turns the .ply of 3dgs into other programs' formats and back, such as scripts/peers.sh: those are
+    /// measured too
+    #[arg(long, value_name = "SCRIPT", requires = "suite")]
+    peers: Option<PathBuf>,
 
     /// Compare with equal steps only
     #[arg(long, requires = "suite")]
@@ -104,7 +111,8 @@ impl Args {
     /// a suite with a file.
     pub(crate) fn is_touched(&self) -> bool {
         let listed = !(self.models.is_empty() && self.sets.is_empty() && self.steps.is_empty());
-        let named = self.table.is_some() || self.steps_only || self.out != Path::new(OUT);
+        let named =
+            self.table.is_some() || self.peers.is_some() || self.steps_only || self.out != Path::new(OUT);
         let shared = self.unchecked() != TrainOptions::default();
         listed || named || shared
     }
@@ -156,6 +164,7 @@ pub(crate) fn run(
             wiring::lpips(lpips.lpips.as_deref())?,
         )?,
         adapter,
+        peers: args.peers.as_deref(),
         records: Records::open(&args.out.join("runs.jsonl"))?,
         entries,
         cancel,
@@ -259,6 +268,8 @@ struct Set<'a> {
 struct Suite<'a> {
     runner: Arc<dyn RunJob>,
     adapter: &'a AdapterFlag,
+    /// What makes other programs' formats.
+    peers: Option<&'a Path>,
     records: Records,
     entries: Vec<Entry>,
     cancel: CancelFlag,
@@ -272,7 +283,10 @@ impl Suite<'_> {
         for entry in self.entries.clone() {
             let options = entry.options(&set.options).validated()?;
             let kept = self.kept(set, &entry, &options, Contest::Steps);
-            match kept.into_iter().find(|record| record.options == options) {
+            let wants_peers = self.wants_peers(&options);
+            let is_it =
+                |record: &Record| record.options == options && !(wants_peers && record.peers.is_empty());
+            match kept.into_iter().find(is_it) {
                 Some(record) => done.push(record),
                 None => done.extend(self.train(set, &entry, options, Contest::Steps, None)?),
             }
@@ -289,27 +303,26 @@ impl Suite<'_> {
         let mut done = Vec::new();
         for entry in &whole {
             let Some(first) = of(entry) else { continue };
-            let mut best = Record { contest: Contest::Seconds, budget: Some(budget), ..first.clone() };
-            let mut tries = self.kept(set, entry, &entry.options(&set.options), Contest::Seconds);
-            tries.retain(|record| record.budget == Some(budget));
-            let mut made = 0;
-            while !fills(&best, budget) && made < TRIES {
-                best = match tries.get(made) {
-                    Some(record) => record.clone(),
-                    None => {
-                        let options = TrainOptions {
-                            iterations: Some(steps_for(&best, budget)),
-                            ..entry.options(&set.options)
-                        };
-                        match self.train(set, entry, options, Contest::Seconds, Some(budget))? {
-                            Some(record) => record,
-                            None => break,
-                        }
-                    }
-                };
-                made += 1;
+            let first = Record { contest: Contest::Seconds, budget: Some(budget), ..first.clone() };
+            let kept = self.kept(set, entry, &entry.options(&set.options), Contest::Seconds);
+            let mut runs = vec![first];
+            runs.extend(kept.into_iter().filter(|record| record.budget == Some(budget)));
+            let taken = |runs: &[Record]| -> Vec<seconds::Run> {
+                runs.iter().map(|run| (run.metrics.steps, run.metrics.seconds.train)).collect()
+            };
+            while runs.len() <= TRIES
+                && let Some(steps) = seconds::next_steps(&taken(&runs), budget)
+            {
+                let iterations = u32::try_from(steps).ok();
+                let options = TrainOptions { iterations, ..entry.options(&set.options) };
+                match self.train(set, entry, options, Contest::Seconds, Some(budget))? {
+                    Some(record) => runs.push(record),
+                    None => break,
+                }
             }
-            done.push(best);
+            if let Some(best) = seconds::nearest(&taken(&runs), budget) {
+                done.push(runs.swap_remove(best));
+            }
         }
         Ok(done)
     }
@@ -344,6 +357,10 @@ impl Suite<'_> {
                 return Ok(None);
             }
         };
+        let peers = match contest {
+            Contest::Steps if self.wants_peers(&options) => self.peers_of(set, &output)?,
+            _ => Vec::new(),
+        };
         let record = Record {
             set: set.name.to_owned(),
             dataset: set.dataset.digest,
@@ -353,25 +370,35 @@ impl Suite<'_> {
             options,
             high_band: self.high_band(set, &output)?,
             metrics: output.metrics,
+            peers,
         };
         Ok(Some(self.records.add(&record)?))
+    }
+
+    fn wants_peers(&self, options: &TrainOptions) -> bool {
+        self.peers.is_some() && options.model == ModelKind::Gaussians3d
+    }
+
+    /// The scene of a run in other programs' formats.
+    fn peers_of(&self, set: &Set<'_>, output: &JobOutput) -> Result<Vec<Peer>, Failure> {
+        let Some(script) = self.peers else { return Ok(Vec::new()) };
+        let folder =
+            tempfile::tempdir().map_err(|fault| Failure::unwritable(&std::env::temp_dir(), &fault))?;
+        let mut peers = Vec::new();
+        for Converted { format, bytes, decoded } in peers::convert(script, &output.file, folder.path())? {
+            let file = wiring::read(&files::read(&decoded)?)
+                .map_err(|fault| fault.in_file(decoded.display().to_string()))?;
+            let renderer = wiring::Renderer::open(file, &self.adapter.adapter)?;
+            let background = output.metrics.background;
+            let (scores, _) =
+                wiring::score(&renderer, &set.dataset, background, None, &mut |_, _, _| Ok(()))?;
+            peers.push(Peer { format, bytes, psnr: scores.psnr, ssim: scores.ssim });
+        }
+        Ok(peers)
     }
 
     fn high_band(&self, set: &Set<'_>, output: &JobOutput) -> Result<Option<f64>, Failure> {
         let renderer = wiring::Renderer::open(wiring::read(&output.file)?, &self.adapter.adapter)?;
         Ok(wiring::high_band_error(&renderer, &set.dataset, output.metrics.background)?)
     }
-}
-
-/// Whether a run took the seconds that it was to take. A run of one step cannot take fewer.
-fn fills(record: &Record, budget: f64) -> bool {
-    let seconds = record.metrics.seconds.train;
-    let miss = (seconds - budget).abs();
-    miss <= TOLERANCE * budget || (seconds > budget && record.metrics.steps <= 1)
-}
-
-/// As many steps as fit into the seconds at the speed of a run.
-fn steps_for(record: &Record, budget: f64) -> u32 {
-    let steps = budget * record.metrics.steps as f64 / record.metrics.seconds.train.max(1e-9);
-    (steps.round() as u32).clamp(1, tcgs::domain::options::MAX_ITERATIONS)
 }

@@ -9,6 +9,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 use tcgs::domain::{Digest, JobMetrics, Problem, TrainOptions};
 
+use super::peers::Peer;
 use crate::cli::Failure;
 
 /// What runs are made equal by.
@@ -40,6 +41,9 @@ pub(crate) struct Record {
     pub(crate) high_band: Option<f64>,
     /// The figures of the written file.
     pub(crate) metrics: JobMetrics,
+    /// The same scene in other programs' formats, where that was asked for.
+    #[serde(default)]
+    pub(crate) peers: Vec<Peer>,
 }
 
 impl Record {

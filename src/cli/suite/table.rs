@@ -2,7 +2,10 @@
 
 use std::fmt::Write as _;
 
-use super::record::{Contest, Record};
+use super::{
+    codec_table,
+    record::{Contest, Record},
+};
 
 /// Begin and end of the part of a document that a suite rewrites.
 const MARKERS: [&str; 2] = ["<!-- suite: begin -->", "<!-- suite: end -->"];
@@ -17,14 +20,15 @@ pub(crate) fn markdown(records: &[&Record]) -> String {
         }
         let _ = writeln!(text, "### {title}\n");
         text.push_str(
-            "| set | model | steps | training s | PSNR dB | SSIM | LPIPS | high-band error | anchors | Gaussians | bytes |\n\
-             |---|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
+            "| set | model | steps | training s | of s | PSNR dB | SSIM | LPIPS | high-band error | anchors | Gaussians | bytes |\n\
+             |---|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
         );
         for record in rows {
             row(&mut text, record);
         }
         text.push('\n');
     }
+    codec_table::markdown(&mut text, records);
     conventions(&mut text, records);
     text
 }
@@ -37,11 +41,12 @@ fn row(text: &mut String, record: &Record) {
     let anchors = if metrics.anchors > 0 { metrics.anchors.to_string() } else { "–".to_owned() };
     let _ = writeln!(
         text,
-        "| {} | {} | {} | {:.1} | {} | {} | {} | {} | {anchors} | {} | {} |",
+        "| {} | {} | {} | {:.1} | {} | {} | {} | {} | {} | {anchors} | {} | {} |",
         record.set,
         record.entry,
         metrics.steps,
         metrics.seconds.train,
+        figure(record.budget, 1),
         figure(metrics.test.psnr, 2),
         figure(metrics.test.ssim, 4),
         figure(metrics.test.lpips, 4),

@@ -14,7 +14,7 @@ use std::{
 
 use tcgs::{
     domain::{MemoryLimits, Problem, SystemClock},
-    gpu::AdapterChoice,
+    gpu::{AdapterChoice, driver_cache},
     http::{self, HttpConfig, Services, WorkerCounts},
     ingest,
     render::views::Viewable,
@@ -32,6 +32,9 @@ const DATABASE: &str = "tcgs.sqlite";
 /// Name of the folder for the checkpoints of running jobs in the data folder.
 const CHECKPOINTS: &str = "checkpoints";
 
+/// Name of the folder in the data folder for what drivers keep of kernels, where their user has no home.
+const DRIVER_CACHE: &str = "driver-cache";
+
 /// Where a service listens and keeps its data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct ServeOptions {
@@ -40,6 +43,8 @@ pub(crate) struct ServeOptions {
     pub(crate) adapter: AdapterChoice,
     /// What each worker may take.
     pub(crate) memory: MemoryLimits,
+    /// Bytes on the device that views may take in this process.
+    pub(crate) view_memory: u64,
     /// Weights of LPIPS, for the workers.
     pub(crate) lpips: Option<PathBuf>,
     /// Worker processes to start.
@@ -68,16 +73,17 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
     runtime()?.block_on(async {
         // Before any worker starts, which would find the same faults.
         super::lpips(options.lpips.as_deref())?;
-        let (renderer, _) = super::views(&options.adapter)?;
+        let (renderer, _) = super::views(&options.adapter, options.view_memory)?;
         let listener = http::bind(&config).await.map_err(|fault| unavailable(&fault))?;
         let (store, blobs) = open(&options.data).await?;
         let shutdown = stop_on_signals()?;
 
-        let children = supervise::SuperviseConfig::this_program(
+        let mut children = supervise::SuperviseConfig::this_program(
             worker_arguments(&options),
             usize::from(options.workers),
         )
         .map_err(|fault| unavailable(&fault))?;
+        children.environment = driver_cache_in(&options.data);
         let supervisor = supervise::supervise(children, store.clone(), shutdown.clone());
         let census = supervisor.census();
         let services = Services {
@@ -134,6 +140,19 @@ async fn open(data: &Path) -> Result<(Arc<SqliteStore>, Blobs), Failure> {
         .map_err(|fault| unavailable(&fault))?;
     let blobs = Blobs::open(data).map_err(|fault| unavailable(&fault))?;
     Ok((Arc::new(store), blobs))
+}
+
+/// The environment that lets workers find compiled kernels again.
+fn driver_cache_in(data: &Path) -> Vec<(OsString, OsString)> {
+    // The child may run elsewhere than here.
+    let folder = std::path::absolute(data).unwrap_or_else(|_| data.to_owned()).join(DRIVER_CACHE);
+    let environment = driver_cache(&|name| std::env::var_os(name), &folder);
+    if !environment.is_empty()
+        && let Err(fault) = fs::create_dir_all(&folder)
+    {
+        tracing::warn!(folder = %folder.display(), "drivers cannot keep compiled kernels: {fault}");
+    }
+    environment
 }
 
 fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {

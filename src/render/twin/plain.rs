@@ -6,7 +6,10 @@
 use glam::{DVec2, DVec3};
 
 use super::{Gaussian, GaussianGradient, Projection};
-use crate::model::plain::{BASE, COLOR, LOG_SCALE, OPACITY, QUAT};
+use crate::{
+    domain::harmonics::{CONSTANT, basis},
+    model::plain::{BASE, COLOR, LOG_SCALE, OPACITY, QUAT},
+};
 
 /// Opacities below this reach no pixel.
 const ALPHA_MIN: f64 = 1.0 / 255.0;
@@ -38,25 +41,8 @@ fn used(degree: u32) -> usize {
 /// The fifteen basis functions above the constant one at `d`.
 #[must_use]
 pub fn sh_basis(d: DVec3) -> [f64; 15] {
-    let DVec3 { x, y, z } = d;
-    let (xx, yy, zz) = (x * x, y * y, z * z);
-    [
-        -0.488_602_511_902_919_9 * y,
-        0.488_602_511_902_919_9 * z,
-        -0.488_602_511_902_919_9 * x,
-        1.092_548_430_592_079_2 * x * y,
-        -1.092_548_430_592_079_2 * y * z,
-        0.315_391_565_252_520_05 * (2.0 * zz - xx - yy),
-        -1.092_548_430_592_079_2 * x * z,
-        0.546_274_215_296_039_6 * (xx - yy),
-        -0.590_043_589_926_643_5 * y * (3.0 * xx - yy),
-        2.890_611_442_640_554 * x * y * z,
-        -0.457_045_799_464_465_8 * y * (4.0 * zz - xx - yy),
-        0.373_176_332_590_115_4 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
-        -0.457_045_799_464_465_8 * x * (4.0 * zz - xx - yy),
-        1.445_305_721_320_277 * z * (xx - yy),
-        -0.590_043_589_926_643_5 * x * (xx - 3.0 * yy),
-    ]
+    let [_, above @ ..] = basis(d);
+    above
 }
 
 /// The gradients of the basis functions by `d`, which need not stay on the sphere.
@@ -92,7 +78,7 @@ fn ray(projection: &Projection, row: &PlainRow) -> DVec3 {
 fn raw_color(projection: &Projection, row: &PlainRow, degree: u32) -> DVec3 {
     let direction = ray(projection, row).normalize();
     let above = sh_basis(direction).into_iter().zip(row.sh).take(used(degree));
-    0.5 + 0.282_094_791_773_878_14 * row.three(COLOR) + above.map(|(b, c)| b * c).sum::<DVec3>()
+    0.5 + CONSTANT * row.three(COLOR) + above.map(|(b, c)| b * c).sum::<DVec3>()
 }
 
 /// The Gaussian, or none where it is behind the near plane or too transparent to reach a pixel.
@@ -135,7 +121,7 @@ pub fn shade_gradient(
     (d.scale * gaussian.scale).write_to_slice(&mut gradient.base[LOG_SCALE..]);
     gradient.base[QUAT..OPACITY].copy_from_slice(&d.quat);
     gradient.base[OPACITY] = d.opacity * gaussian.opacity * (1.0 - gaussian.opacity);
-    (0.282_094_791_773_878_14 * v).write_to_slice(&mut gradient.base[COLOR..]);
+    (CONSTANT * v).write_to_slice(&mut gradient.base[COLOR..]);
     gradient
 }
 

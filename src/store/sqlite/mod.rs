@@ -199,8 +199,9 @@ async fn select_job(connection: &mut SqliteConnection, id: JobId) -> Result<Opti
 
 async fn select_artifacts(connection: &mut SqliteConnection, id: JobId) -> Result<Vec<Artifact>, StoreError> {
     let rows = sqlx::query(
-        "SELECT artifacts.kind, artifacts.digest, blobs.bytes
-         FROM artifacts JOIN blobs ON blobs.digest = artifacts.digest WHERE job_id = ? ORDER BY kind",
+        "SELECT artifacts.kind, artifacts.lambda, artifacts.digest, blobs.bytes
+         FROM artifacts JOIN blobs ON blobs.digest = artifacts.digest WHERE job_id = ?
+         ORDER BY kind, place",
     )
     .bind(id.to_string())
     .fetch_all(connection)

@@ -267,11 +267,17 @@ async fn end_attempt(
             return Ok(JobState::Queued);
         }
         Next::Succeed(Outcome::Succeeded { metrics, artifacts }) => {
-            for artifact in artifacts {
+            for (number, artifact) in artifacts.iter().enumerate() {
                 insert_blob(connection, artifact.blob, now).await?;
-                sqlx::query("INSERT INTO artifacts (job_id, kind, digest, attempt) VALUES (?, ?, ?, ?)")
+                let before = artifacts[..number].iter();
+                let place = before.filter(|other| other.kind == artifact.kind).count();
+                sqlx::query(
+                    "INSERT INTO artifacts (job_id, kind, place, lambda, digest, attempt) VALUES (?, ?, ?, ?, ?, ?)",
+                )
                     .bind(job.to_string())
                     .bind(artifact.kind.name())
+                    .bind(i64::try_from(place).unwrap_or(i64::MAX))
+                    .bind(artifact.lambda)
                     .bind(artifact.blob.digest.to_string())
                     .bind(attempt)
                     .execute(&mut *connection)

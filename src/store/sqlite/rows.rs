@@ -104,7 +104,7 @@ pub(super) fn job(row: &SqliteRow, artifacts: Vec<Artifact>) -> Result<JobRecord
 /// A row of `artifacts` joined with its blob's `bytes`.
 pub(super) fn artifact(row: &SqliteRow) -> Result<Artifact, StoreError> {
     let kind: ArtifactKind = bare("artifact kind", row.try_get("kind")?)?;
-    Ok(Artifact { kind, blob: blob(row, "digest")? })
+    Ok(Artifact { kind, lambda: row.try_get("lambda")?, blob: blob(row, "digest")? })
 }
 
 pub(super) fn event(row: &SqliteRow) -> Result<Event, StoreError> {

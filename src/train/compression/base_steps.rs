@@ -9,9 +9,6 @@ use crate::{domain::anchors::SCALINGS_PER_ANCHOR, model::AnchorRows};
 /// The published base steps of features, scalings in world units, and offsets (method.md §4.13).
 const PUBLISHED: [f32; 3] = [1.0, 1e-3, 0.2];
 
-/// No base step is finer: attributes that have learnt nothing yet have no spread.
-const FINEST: [f32; 3] = [1e-3, 1e-3, 1e-4];
-
 /// Base steps of a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BaseSteps {
@@ -30,16 +27,12 @@ impl BaseSteps {
         let voxel = anchors.lattice.voxel;
         let wanted = match rule {
             BaseStepRule::Published => [PUBLISHED[0], PUBLISHED[1] / voxel, PUBLISHED[2]],
-            BaseStepRule::OfSpread(shares) => {
-                let spreads = spreads(anchors);
-                std::array::from_fn(|group| shares[group] * spreads[group])
+            BaseStepRule::Relative { feature, scaling, offset, .. } => {
+                [feature, scaling * median_scaling(anchors) / voxel, offset]
             }
         };
-        let [feature, scaling, offset] = std::array::from_fn(|group| {
-            let step: f32 = wanted[group];
-            if step.is_finite() { step.max(FINEST[group]) } else { PUBLISHED[group] }
-        });
-        Self { feature, scaling, offset }
+        let [feature, scaling, offset] = wanted;
+        Self { feature, scaling: if scaling.is_normal() { scaling } else { 1.0 }, offset }
     }
 
     /// The same as rows have them, scalings in world units.
@@ -49,25 +42,15 @@ impl BaseSteps {
     }
 }
 
-/// Medians of the magnitudes of features, of scalings in voxels, and of the offsets that are not masked.
-fn spreads(anchors: &AnchorRows) -> [f32; 3] {
-    let shape = anchors.shape;
-    let (mut features, mut scalings, mut offsets) = (Vec::new(), Vec::new(), Vec::new());
-    for (anchor, mask) in anchors.masks.iter().enumerate() {
-        let row = anchors.row(anchor);
-        features.extend(row[..shape.features].iter().map(|value| value.abs()));
-        let logs = &row[shape.scaling_column()..][..SCALINGS_PER_ANCHOR];
-        scalings.extend(logs.iter().map(|log| log.exp() / anchors.lattice.voxel));
-        let kept = row[shape.offset_column()..].as_chunks::<3>().0.iter().enumerate();
-        offsets
-            .extend(kept.filter(|(k, _)| (mask >> k) & 1 == 1).flat_map(|(_, offset)| offset.map(f32::abs)));
-    }
-    [features, scalings, offsets].map(median)
-}
-
-fn median(mut values: Vec<f32>) -> f32 {
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f32::total_cmp).1 }
+/// The median of all linear scalings, in world units; 0 without any.
+fn median_scaling(anchors: &AnchorRows) -> f32 {
+    let column = anchors.shape.scaling_column();
+    let mut scalings: Vec<f32> = (0..anchors.len())
+        .flat_map(|anchor| &anchors.row(anchor)[column..][..SCALINGS_PER_ANCHOR])
+        .map(|log| log.exp())
+        .collect();
+    let middle = scalings.len() / 2;
+    if scalings.is_empty() { 0.0 } else { *scalings.select_nth_unstable_by(middle, f32::total_cmp).1 }
 }
 
 #[cfg(test)]
@@ -82,18 +65,26 @@ mod tests {
         AnchorRows { shape: SHAPE, lattice: Lattice { voxel: 0.5, origin: [0.0; 3] }, cells, values, masks }
     }
 
+    const RULE: BaseStepRule =
+        BaseStepRule::Relative { feature: 0.5, scaling: 0.25, offset: 0.2, finer: 1.0 };
+
     #[test]
-    fn spreads_are_medians_of_magnitudes_and_masked_offsets_do_not_count() {
-        let row = |feature: f32, log: f32, offset: f32| {
-            let mut row = vec![feature; 2];
-            row.extend([log; 6]);
-            row.extend([offset, -offset, offset, 100.0, 100.0, 100.0]);
+    fn the_step_of_scalings_follows_the_scene_and_not_its_unit() {
+        let row = |scaling: f32| {
+            let mut row = vec![9.0; SHAPE.row()];
+            row[SHAPE.scaling_column()..SHAPE.offset_column()].fill(scaling.ln());
             row
         };
-        let rows = [row(-1.0, 0.0, 0.1), row(2.0, 2.0_f32.ln(), 0.2), row(4.0, 40.0, 0.3)].concat();
-        let steps = BaseSteps::of(BaseStepRule::OfSpread([0.5, 0.25, 1.0]), &anchors(rows, vec![1; 3]));
-        assert_eq!((steps.feature, steps.scaling, steps.offset), (1.0, 1.0, 0.2));
-        assert_eq!(steps.in_world(0.5), [1.0, 0.5, 0.2]);
+        let steps = |unit: f32| {
+            let rows = [row(0.1 * unit), row(2.0 * unit), row(1e9 * unit)].concat();
+            let mut anchors = anchors(rows, vec![1; 3]);
+            anchors.lattice.voxel *= unit;
+            BaseSteps::of(RULE, &anchors)
+        };
+        assert_eq!((steps(1.0).feature, steps(1.0).offset), (0.5, 0.2));
+        assert!((steps(1.0).scaling - 1.0).abs() < 1e-5);
+        assert!((steps(1000.0).scaling - 1.0).abs() < 1e-5);
+        assert!((steps(1000.0).in_world(500.0)[1] - 500.0).abs() < 0.01);
     }
 
     #[test]
@@ -104,12 +95,9 @@ mod tests {
     }
 
     #[test]
-    fn rows_that_have_learnt_nothing_or_nonsense_have_steps_all_the_same() {
-        for (value, mask) in [(0.0, 3), (f32::NAN, 3), (f32::INFINITY, 3), (1e38, 0)] {
-            let steps = BaseSteps::of(
-                BaseStepRule::OfSpread([0.25, 0.1, 0.1]),
-                &anchors(vec![value; SHAPE.row()], vec![mask]),
-            );
+    fn rows_that_hold_nonsense_have_steps_all_the_same() {
+        for value in [f32::NAN, f32::INFINITY, 1e38, -1e38] {
+            let steps = BaseSteps::of(RULE, &anchors(vec![value; SHAPE.row()], vec![3]));
             for step in steps.in_world(0.5) {
                 assert!(step > 0.0 && step.is_finite(), "{value}: {steps:?}");
             }

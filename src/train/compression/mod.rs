@@ -4,9 +4,13 @@
 //! measured for its rate each step, and the context model learns with them.
 
 mod base_steps;
-#[cfg(test)]
-mod sample;
+mod fit;
+mod hold;
+mod learning;
 mod schedule;
+mod statistics;
+mod steps;
 
 pub use base_steps::BaseSteps;
+pub(super) use learning::{Compression, compression_bytes};
 pub use schedule::{BaseStepRule, CompressionSchedule, Stage};

@@ -16,8 +16,8 @@ const RECONSTRUCTION: f32 = 0.01;
 /// Weight of the bits an element in the loss, if a job does not state it (method.md §4.7).
 const DEFAULT_LAMBDA: f64 = 1e-3;
 
-/// Base steps as shares of the spreads of features, scalings and offsets.
-const SPREAD_SHARES: [f32; 3] = [0.25, 0.1, 0.15];
+/// Base steps of short runs.
+const SHORT: BaseStepRule = BaseStepRule::Relative { feature: 0.25, scaling: 0.25, offset: 0.1, finer: 2.0 };
 
 /// What rendering sees of the attributes, and what the rate term does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -37,9 +37,30 @@ pub enum Stage {
 pub enum BaseStepRule {
     /// 1 for features, 0.001 world units for scalings, 0.2 for offsets (method.md §4.13).
     Published,
-    /// These shares of the groups' spreads when a stage begins: features of short runs are still so small that the published
-    /// noise would drown them.
-    OfSpread([f32; 3]),
+    /// Steps for features and offsets, and a share of the median scaling, whatever the unit of the world. Noise begins as many
+    /// octaves finer: features of short runs are still so small that the published noise would drown them, and
+    /// offsets so near to zero that their spread says nothing of what it will be.
+    Relative {
+        /// Of features.
+        feature: f32,
+        /// Of linear scalings, as a share of their median.
+        scaling: f32,
+        /// Of offsets.
+        offset: f32,
+        /// Octaves by which the first noise is finer.
+        finer: f32,
+    },
+}
+
+impl BaseStepRule {
+    /// Octaves by which the first noise is finer than the base steps.
+    #[must_use]
+    pub fn finer(&self) -> f32 {
+        match self {
+            BaseStepRule::Published => 0.0,
+            BaseStepRule::Relative { finer, .. } => *finer,
+        }
+    }
 }
 
 /// The stages of compression-aware training.
@@ -82,15 +103,15 @@ impl CompressionSchedule {
             return None;
         }
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
-        let rate = Decay { start: 5e-3, end: 1e-5 };
         let paper = options.preset == Preset::Paper;
+        let rate = Decay { start: 5e-3, end: 1e-5 };
         Some(Self {
             noise_from: part(0.1) + 1,
             context_from: part(1.0 / 3.0) + 1,
             reconstruct_from: part(0.5) + 1,
             rounded_from: part(0.85) + 1,
             steps,
-            base: if paper { BaseStepRule::Published } else { BaseStepRule::OfSpread(SPREAD_SHARES) },
+            base: if paper { BaseStepRule::Published } else { SHORT },
             lambda: options.lambda.unwrap_or(DEFAULT_LAMBDA),
             seed: options.seed,
             sampled: SAMPLED,

@@ -5,12 +5,17 @@
 //! | growth | after 500, before 15 000, every 100 | same fractions; every thirtieth of the run, 25 to 100 steps |
 //! | opacity reset | every 3 000, before 15 000 | every tenth of the run, but 600 steps apart or more |
 //! | one degree more | every 1 000 | every thirtieth of the run |
-//! | mean | 1.6e-4 to 1.6e-6 times extent, exponential | the same |
-//! | constant colour, other coefficients | 0.0025, a twentieth of it | the same |
-//! | opacity, log-scale, quaternion | 0.05, 0.005, 0.001 | the same |
+//! | mean | 1.6e-4 to 1.6e-6 times extent, exponential | times the square root of 30 000 / steps |
+//! | constant colour, other coefficients | 0.0025, a twentieth of it | times its fourth root |
+//! | log-scale, quaternion | 0.005, 0.001 | times its fourth root |
+//! | opacity | 0.05 | the same |
 //!
 //! Later versions of the published code halve the opacity's rate; the rate of the paper lets a short run recover from a
 //! reset sooner. A reset needs some hundred steps to recover whatever the length of the run, hence the least distance.
+//!
+//! Adam moves a mean by no more than the sum of its rates: by an extent in 30 000 steps, but by a hundredth of it in 300, which
+//! would end before Gaussians are where they belong. Hence the factors, which are one from 30 000 steps on and stay at their
+//! values of 300 steps below those.
 
 use crate::{
     domain::{Background, Preset, TrainOptions},
@@ -19,6 +24,9 @@ use crate::{
 
 /// Steps that a reset of opacities needs to be made good.
 const RECOVERY: u32 = 600;
+
+/// The largest factor of the rate of means.
+const MOST_SPEED: f64 = 10.0;
 
 /// When what happens to plain Gaussians, and how fast they learn.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,6 +67,8 @@ impl PlainSchedule {
         let part = |of_30_000: f64| (f64::from(steps) * of_30_000 / 30_000.0).round() as u32;
         let densify_until = part(15_000.0);
         let reset_every = part(3_000.0).max(RECOVERY);
+        let speed = (30_000.0 / f64::from(steps.max(1))).sqrt().clamp(1.0, MOST_SPEED);
+        let slower = speed.sqrt() as f32;
         Self {
             densify_from: part(500.0),
             densify_until,
@@ -72,12 +82,12 @@ impl PlainSchedule {
                 Preset::Standard => 500_000,
                 Preset::Paper => 2_000_000,
             },
-            mean: Decay { start: 1.6e-4, end: 1.6e-6 },
-            color: 0.0025,
-            coefficients: 0.0025 / 20.0,
+            mean: Decay { start: speed * 1.6e-4, end: speed * 1.6e-6 },
+            color: slower * 0.0025,
+            coefficients: slower * 0.0025 / 20.0,
             opacity: 0.05,
-            log_scale: 0.005,
-            quat: 0.001,
+            log_scale: slower * 0.005,
+            quat: slower * 0.001,
         }
     }
 
@@ -129,8 +139,28 @@ mod tests {
         assert_eq!([999, 1_000, 2_500, 3_000, 30_000].map(|step| plain.degree(step)), [0, 1, 2, 3, 3]);
         assert!(!plain.prunes_large(3_000) && plain.prunes_large(3_100));
         assert!(plain.gathers_statistics(1) && !plain.gathers_statistics(15_000));
+        assert_eq!(plain.mean, Decay { start: 1.6e-4, end: 1.6e-6 });
+        let rates = [plain.color, plain.coefficients, plain.opacity, plain.log_scale, plain.quat];
+        assert_eq!(rates, [0.0025, 0.0025 / 20.0, 0.05, 0.005, 0.001]);
+        assert_eq!(schedule(100_000, Background::Black).mean, plain.mean);
         let white = schedule(30_000, Background::White);
         assert_eq!(at(30_000, |step| white.resets(step))[..2], [500, 3_000]);
+    }
+
+    #[test]
+    fn shorter_runs_learn_faster_up_to_a_bound() {
+        let rates = |steps: u32| {
+            let plain = schedule(steps, Background::Black);
+            [plain.mean.start, f64::from(plain.color), f64::from(plain.log_scale), f64::from(plain.quat)]
+        };
+        let lengths = [30_000, 10_000, 2_000, 1_000, 300];
+        for pair in lengths.windows(2) {
+            let [long, short] = [pair[0], pair[1]].map(rates);
+            assert!(long.iter().zip(short).all(|(long, short)| *long < short), "{pair:?}");
+        }
+        assert_eq!(rates(1), rates(300));
+        assert!((rates(300)[0] / rates(30_000)[0] - MOST_SPEED).abs() < 1e-9);
+        assert!((rates(300)[1] / rates(30_000)[1] - MOST_SPEED.sqrt()).abs() < 1e-5);
     }
 
     #[test]

@@ -4,6 +4,7 @@
 mod adam;
 pub mod context;
 mod gaussian;
+mod hold;
 mod loss;
 mod masks;
 mod quantise;
@@ -12,6 +13,7 @@ mod wavelet;
 
 pub use adam::{AdamElement, adam};
 pub use gaussian::{SymbolBits, symbol_bits};
+pub use hold::{held_gradient, hold_steps};
 pub use loss::{
     Losses, Moments, SsimGradient, image_gradient, image_loss, ssim_columns, ssim_gradient_rows, ssim_rows,
     sum_losses,

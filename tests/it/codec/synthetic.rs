@@ -7,7 +7,7 @@ use rand_pcg::Pcg64Mcg;
 use tcgs::{
     codec::{ContextSettings, EncodeSettings, Provenance},
     domain::{
-        AnchorScene, Background, DenseLayer, Digest, Lattice, Mlp, RenderNetworks,
+        AnchorScene, Background, DenseLayer, Digest, Lattice, Mlp, NearPlane, RenderNetworks,
         anchors::{SCALINGS_PER_ANCHOR, VIEW_INPUTS},
     },
 };
@@ -72,6 +72,7 @@ pub(super) fn scene(recipe: Recipe) -> AnchorScene {
         offsets: offset_values,
         masks,
         networks: networks(&mut normal, feature_dim, offsets),
+        near: NearPlane::default(),
     }
 }
 

@@ -1,6 +1,9 @@
 //! Later versions: a major is refused, a critical section is refused, an optional section is passed over.
 
-use tcgs::codec::{DecodeError, DecodeLimits, decode, encode, inspect};
+use tcgs::{
+    codec::{DecodeError, DecodeLimits, decode, encode, inspect},
+    domain::{AnchorScene, NearPlane},
+};
 
 use super::{
     synthetic::{settings, small},
@@ -70,6 +73,28 @@ fn an_unknown_critical_section_is_refused() {
         fault(&wire::file((1, 1), &parts)),
         DecodeError::UnknownSection { section: "NEW!".to_owned() }
     );
+}
+
+#[test]
+fn a_near_plane_that_is_not_the_usual_one_takes_an_optional_section_of_four_bytes() {
+    let near = NearPlane::of_extent(0.01);
+    let bytes = encode(&AnchorScene { near, ..small() }, None, &settings()).expect("encodes").bytes;
+    assert_eq!(decode(&bytes, &DecodeLimits::default()).expect("decodes").scene.near, near);
+    let parts = wire::parts(&bytes);
+    assert_eq!(parts.last(), Some(&(*b"VIEW", 0, near.depth().to_le_bytes().to_vec())));
+    assert_eq!(inspect(&bytes).expect("inspects").sections.last().expect("sections").name, "view");
+
+    let usual = decode(&small_file(), &DecodeLimits::default()).expect("decodes");
+    assert_eq!(usual.scene.near, NearPlane::USUAL);
+    let without = decode(&wire::file((1, 0), &parts[..parts.len() - 1]), &DecodeLimits::default());
+    assert_eq!(without, Ok(usual), "the attributes are the same");
+    for content in [&[][..], &[0; 3], &[0; 5], &0.0_f32.to_le_bytes(), &f32::NAN.to_le_bytes()] {
+        let mut parts = parts.clone();
+        parts.last_mut().expect("sections").2 = content.to_vec();
+        let fault =
+            decode(&wire::file((1, 0), &parts), &DecodeLimits::default()).expect_err("must be refused");
+        assert!(fault.to_string().contains("view"), "{fault}");
+    }
 }
 
 #[test]

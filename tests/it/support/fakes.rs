@@ -10,12 +10,12 @@ use std::{
 use glam::DVec3;
 use tcgs::{
     domain::{
-        AnchorScene, Background, ByteCounts, Camera, CancelFlag, Conventions, Digest, Image, Intrinsics,
-        JobMetrics, Lattice, LpipsNetwork, Mlp, NamedCamera, Phase, PhaseSeconds, Pose, Problem, Progress,
-        RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
+        AnchorScene, Background, ByteCounts, Camera, CancelFlag, Conventions, CurvePoint, Digest, Image,
+        Intrinsics, JobMetrics, Lattice, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds,
+        Pose, Problem, Progress, RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
     },
     render::{RenderViews, views::Viewable},
-    worker::run::{Checkpoints, JobFailure, JobOutput, RunJob},
+    worker::run::{Checkpoints, CurveFile, JobFailure, JobOutput, RunJob},
 };
 
 /// A door that runs and renders can be made to wait at.
@@ -89,13 +89,29 @@ impl RunJob for FakeRunner {
             other => panic!("the test wants '{other}'"),
         }
         report(Phase::Encode, &Progress { step: total, total, ..Progress::default() });
+        let points = options.rd_curve.iter().enumerate().map(|(place, lambda)| CurvePoint {
+            lambda: *lambda,
+            bytes: curve_file(place).len() as u64,
+            psnr: Some(30.0),
+            ssim: Some(0.9),
+            lpips: None,
+            gaussians: 1,
+            sha256: Digest::of(&curve_file(place)),
+        });
+        let others = options.rd_curve.iter().enumerate().skip(1);
         Ok(JobOutput {
             file: FILE.to_vec(),
             format: SceneFormat::of_model(options.model),
-            metrics: metrics(),
+            others: others.map(|(place, &lambda)| CurveFile { lambda, file: curve_file(place) }).collect(),
+            metrics: JobMetrics { rd_curve: points.collect(), ..metrics() },
             cameras: cameras(),
         })
     }
+}
+
+/// The file at a place of every fake curve; the first is [`FILE`].
+pub fn curve_file(place: usize) -> Vec<u8> {
+    [FILE, &b"!".repeat(place)].concat()
 }
 
 /// The figures of every fake job.
@@ -123,6 +139,8 @@ pub fn metrics() -> JobMetrics {
         adapter: "fake".into(),
         background: Background::White,
         conventions: Conventions::new(Some(LpipsNetwork::Vgg)),
+        byte_budget: None,
+        rd_curve: Vec::new(),
     }
 }
 
@@ -157,12 +175,13 @@ impl RenderViews for FakeRenderer {
         load: &dyn Fn() -> Result<Viewable, Problem>,
         camera: &Camera,
     ) -> Result<Image, Problem> {
-        assert_eq!(artifact, Digest::of(FILE));
+        let place = (0..8).find(|place| artifact == Digest::of(&curve_file(*place))).expect("a known file");
         load()?;
         let Intrinsics { fx, fy, cx, cy, width, height } = camera.intrinsics;
         match width {
             13 => panic!("as the test wants it"),
             14 => return Err(Problem::new(500, "device-lost", "Device lost", "as the test wants it")),
+            15 => return Err(Problem::new(507, "gpu-memory", "Too large", "as the test wants it")),
             17 => self.gate.pass(),
             _ => {}
         }
@@ -170,15 +189,15 @@ impl RenderViews for FakeRenderer {
         let numbers = rotation.into_iter().chain(camera.pose.center().to_array()).chain([fx, fy, cx, cy]);
         // Adding zero turns -0.0 into 0.0.
         let text: Vec<String> = numbers.map(|v| format!("{:.6}", (v * 1e6).round() / 1e6 + 0.0)).collect();
-        let digest = Digest::of(text.join(",").as_bytes());
+        let digest = Digest::of(format!("{}{}", text.join(","), "!".repeat(place)).as_bytes());
         let samples = (0..width as usize * height as usize * 3).map(|i| digest.as_bytes()[i % 32]).collect();
         Ok(Image::new(width, height, 3, samples).expect("an image"))
     }
 }
 
-/// Accepts [`FILE`] only.
+/// Accepts the files of fake jobs only.
 pub fn load(file: &[u8]) -> Result<Viewable, Problem> {
-    assert_eq!(file, FILE);
+    assert!(file.starts_with(FILE));
     Ok(Viewable { scene: Scene::Anchors(empty_scene()), background: Background::White })
 }
 
@@ -205,5 +224,6 @@ fn empty_scene() -> AnchorScene {
         offsets: Vec::new(),
         masks: Vec::new(),
         networks: RenderNetworks { opacity: mlp(), covariance: mlp(), color: mlp() },
+        near: NearPlane::default(),
     }
 }

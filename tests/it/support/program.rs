@@ -21,6 +21,7 @@ pub fn command() -> Command {
         "TCGS_WORKER_ID",
         "TCGS_HOST_MEMORY",
         "TCGS_GPU_MEMORY",
+        "TCGS_VIEW_MEMORY",
     ];
     for name in settings {
         command.env_remove(name);

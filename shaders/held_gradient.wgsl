@@ -1,0 +1,28 @@
+// Writes the gradients by the predicted adjustments of the sampled anchors: of half the squared differences from the steps
+// that were held.
+
+struct Settings {
+    // of features, scalings, offsets, unused
+    weights: vec4f,
+    // rows of the three adjustments among the outputs, columns that outputs have room for
+    rows: vec4u,
+}
+
+@group(0) @binding(0) var<uniform> settings: Settings;
+// How many anchors are sampled, then which.
+@group(0) @binding(1) var<storage, read> list: array<u32>;
+@group(0) @binding(2) var<storage, read> differences: array<f32>;
+@group(0) @binding(3) var<storage, read_write> d_outputs: array<f32>;
+
+@compute @workgroup_size(64)
+fn held_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let sampled = (group.x + group.y * 65535u) * 64u + local;
+    if sampled >= list[0] {
+        return;
+    }
+    let room = settings.rows.w;
+    for (var place = 0u; place < 3u; place++) {
+        d_outputs[settings.rows[place] * room + sampled] =
+            settings.weights[place] * differences[place * room + sampled];
+    }
+}

@@ -1,0 +1,114 @@
+//! Other programs' formats for the same Gaussians: a script turns the `.ply` of 3dgs into them and back, and what comes back
+//! is measured like every other file.
+//!
+//! The script gets the `.ply` and an empty folder. It leaves `sizes.tsv` there, with a header line; of its columns `format`,
+//! `bytes` and `decoded` are read, the last one naming a `.ply` in the folder. `scripts/peers.sh` is such a script.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+};
+
+use serde::{Deserialize, Serialize};
+use tcgs::domain::Problem;
+
+use crate::cli::Failure;
+
+/// A peer's file and what it is worth.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Peer {
+    /// Name of the format.
+    pub(crate) format: String,
+    /// Bytes of the file.
+    pub(crate) bytes: u64,
+    /// Held-out PSNR of what it decodes to, in dB.
+    pub(crate) psnr: Option<f64>,
+    /// Held-out SSIM.
+    pub(crate) ssim: Option<f64>,
+}
+
+/// A file that the script made, before it is measured.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Converted {
+    pub(crate) format: String,
+    pub(crate) bytes: u64,
+    /// Where what it decodes to is.
+    pub(crate) decoded: PathBuf,
+}
+
+/// Runs `script` on the bytes of a `.ply`; files lie in `folder`.
+pub(crate) fn convert(script: &Path, ply: &[u8], folder: &Path) -> Result<Vec<Converted>, Failure> {
+    let (input, out) = (folder.join("input.ply"), folder.join("peers"));
+    fs::write(&input, ply).map_err(|fault| Failure::unwritable(&input, &fault))?;
+    fs::create_dir_all(&out).map_err(|fault| Failure::unwritable(&out, &fault))?;
+    let failed = |detail: String| -> Failure {
+        Problem::new(500, "no-peers", "The peers' formats cannot be made", detail)
+            .in_file(script.display().to_string())
+            .into()
+    };
+    // Standard output is this command's own.
+    let status = Command::new(script)
+        .args([&input, &out])
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .status()
+        .map_err(|fault| failed(fault.to_string()))?;
+    if !status.success() {
+        return Err(failed(format!("it ended with {status}")));
+    }
+    let table = out.join("sizes.tsv");
+    let text = fs::read_to_string(&table).map_err(|fault| Failure::unreadable(&table, &fault))?;
+    rows(&text, &out).map_err(|fault| failed(format!("sizes.tsv: {fault}")))
+}
+
+fn rows(text: &str, folder: &Path) -> Result<Vec<Converted>, String> {
+    let mut lines = text.lines();
+    let header: Vec<&str> = lines.next().unwrap_or_default().split('\t').collect();
+    let column = |name: &str| {
+        let place = header.iter().position(|known| *known == name);
+        place.ok_or_else(|| format!("there is no column '{name}'"))
+    };
+    let (format, bytes, decoded) = (column("format")?, column("bytes")?, column("decoded")?);
+    lines
+        .map(|line| {
+            let cells: Vec<&str> = line.split('\t').collect();
+            let cell = |at: usize| cells.get(at).copied().ok_or_else(|| format!("'{line}' is cut off"));
+            let bytes = cell(bytes)?;
+            Ok(Converted {
+                format: cell(format)?.to_owned(),
+                bytes: bytes.parse().map_err(|_| format!("'{bytes}' is not a number of bytes"))?,
+                decoded: folder.join(cell(decoded)?),
+            })
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_are_found_by_name() {
+        let text = "decoded\tformat\tply_bytes\tbytes\na.ply\tsog\t900\t12\nb.ply\tspz\t900\t34\n";
+        let rows = rows(text, Path::new("out")).expect("rows");
+        let of = |format: &str, bytes, file: &str| Converted {
+            format: format.to_owned(),
+            bytes,
+            decoded: Path::new("out").join(file),
+        };
+        assert_eq!(rows, [of("sog", 12, "a.ply"), of("spz", 34, "b.ply")]);
+    }
+
+    #[test]
+    fn a_table_that_is_not_one_is_named() {
+        for (text, fault) in [
+            ("", "no column 'format'"),
+            ("format\tbytes\n", "no column 'decoded'"),
+            ("format\tbytes\tdecoded\nsog\tmany\ta.ply\n", "'many'"),
+            ("format\tbytes\tdecoded\nsog\t7\n", "cut off"),
+        ] {
+            assert!(rows(text, Path::new("")).expect_err(text).contains(fault), "{text}");
+        }
+    }
+}

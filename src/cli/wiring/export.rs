@@ -1,0 +1,195 @@
+//! Scenes in the formats that other programs read, and how far that is from the scene itself.
+
+use std::time::Instant;
+
+use serde::Serialize;
+use tcgs::{
+    domain::{Background, Camera, GaussianScene, Problem, Scene, SceneFormat, harmonics},
+    eval::{mean_scores_with, psnr, score_view},
+    export::{
+        bake::{self, BakeSettings},
+        spz::{Packed, to_spz},
+    },
+    worker::scene_file,
+};
+
+use super::{Renderer, SceneFile};
+
+/// Cameras on the sphere that a scene is baked from where no others are known.
+const SPHERE_VIEWS: usize = 96;
+
+/// Cameras on the sphere that the outcome is looked at from; other ones than those above.
+const SPHERE_CHECKS: usize = 16;
+
+/// Width and height of the pictures that are compared there.
+const SPHERE_SIDE: u32 = 320;
+
+/// What an anchor scene was baked from.
+#[derive(Debug, Serialize)]
+pub(crate) struct Baking {
+    /// "training views" or "sphere".
+    pub(crate) from: &'static str,
+    /// How many.
+    pub(crate) views: usize,
+    /// Offsets that are on but make no Gaussian that one of them shows.
+    pub(crate) unseen: usize,
+    /// How long it took.
+    pub(crate) seconds: f64,
+}
+
+/// What a `.spz` file's integers are.
+#[derive(Debug, Serialize)]
+pub(crate) struct Packing {
+    /// Of the format.
+    pub(crate) version: u32,
+    /// Positions are in units of two to the minus this.
+    pub(crate) fractional_bits: u8,
+    /// Values out of range, held at its ends.
+    pub(crate) clamped: usize,
+    /// Gaussians too faint to be seen.
+    pub(crate) left_out: usize,
+}
+
+/// A file in another format.
+#[derive(Debug)]
+pub(crate) struct Exported {
+    /// The file.
+    pub(crate) bytes: Vec<u8>,
+    /// Highest degree of its spherical harmonics.
+    pub(crate) degree: u8,
+    /// How anchors became Gaussians.
+    pub(crate) baking: Option<Baking>,
+    /// How Gaussians became integers.
+    pub(crate) packing: Option<Packing>,
+}
+
+/// How far the exported file is from what it was made of.
+#[derive(Debug, Serialize)]
+pub(crate) struct Quality {
+    /// "held-out views" or "sphere".
+    pub(crate) from: &'static str,
+    /// How many.
+    pub(crate) views: usize,
+    /// Mean PSNR of its pictures against the source's, in dB.
+    pub(crate) psnr_to_source: f64,
+    /// Mean PSNR of the source's pictures against the photographs.
+    pub(crate) psnr_source: Option<f64>,
+    /// Mean PSNR of its pictures against the photographs.
+    pub(crate) psnr: Option<f64>,
+    /// The difference of the two.
+    pub(crate) psnr_lost: Option<f64>,
+    /// Adapter and driver.
+    pub(crate) adapter: String,
+}
+
+/// The file of a scene as plain Gaussians; anchors are baked from `cameras`, or from a sphere around them.
+pub(crate) fn export(
+    file: &SceneFile,
+    format: SceneFormat,
+    degree: u8,
+    cameras: Option<&[Camera]>,
+) -> Result<Exported, Problem> {
+    let (scene, baking) = match &file.scene {
+        Scene::Gaussians(scene) => (lowered(scene.clone(), degree), None),
+        Scene::Anchors(scene) => {
+            let started = Instant::now();
+            let settings = BakeSettings { degree, ..BakeSettings::default() };
+            let (views, from) = match cameras {
+                Some(cameras) => (bake::thinned(cameras), "training views"),
+                None => (sphere(file, SPHERE_VIEWS)?, "sphere"),
+            };
+            let baked = bake::bake(scene, &views, settings).map_err(not_exportable)?;
+            let seconds = started.elapsed().as_secs_f64();
+            (baked.scene, Some(Baking { from, views: baked.views, unseen: baked.unseen, seconds }))
+        }
+    };
+    let degree = scene.degree;
+    let (bytes, packing) = match format {
+        SceneFormat::Spz => {
+            let Packed { bytes, fractional_bits, clamped, left_out, .. } =
+                to_spz(&scene).map_err(not_exportable)?;
+            (bytes, Some(Packing { version: 3, fractional_bits, clamped, left_out }))
+        }
+        _ => (scene_file::write_gaussians(&scene, file.background, file.dataset), None),
+    };
+    Ok(Exported { bytes, degree, baking, packing })
+}
+
+/// Renders `source` and `exported`, as read back from its bytes, from the same cameras. With photographs, they must be over
+/// the source's background.
+pub(crate) fn compare(
+    source: &Renderer,
+    exported: &[u8],
+    background: Background,
+    photographs: Option<&[(String, Camera, tcgs::domain::Image)]>,
+) -> Result<Quality, Problem> {
+    let mut file = scene_file::read(exported)?;
+    file.background = background;
+    let exported = source.beside(file);
+    let different =
+        || Problem::new(500, "internal", "Internal error", "two renders of one view differ in size");
+    let mut to_source = Vec::new();
+    let mut pair = |camera: &Camera| {
+        let (a, b) = (source.view(camera)?, exported.view(camera)?);
+        to_source.push(psnr(&a, &b).ok_or_else(different)?);
+        Ok::<_, Problem>((a, b))
+    };
+    let (mut of_source, mut of_exported) = (None, None);
+    match photographs {
+        Some(photographs) => {
+            let (mut before, mut after) = (Vec::new(), Vec::new());
+            for (name, camera, photograph) in photographs {
+                let (a, b) = pair(camera)?;
+                before.push(score_view(name, &a, photograph).ok_or_else(different)?);
+                after.push(score_view(name, &b, photograph).ok_or_else(different)?);
+            }
+            of_source = mean_scores_with(&before, None).psnr;
+            of_exported = mean_scores_with(&after, None).psnr;
+        }
+        None => {
+            for camera in sphere_of(&source.viewable.scene, SPHERE_CHECKS)? {
+                pair(&camera)?;
+            }
+        }
+    }
+    Ok(Quality {
+        from: if photographs.is_some() { "held-out views" } else { "sphere" },
+        views: to_source.len(),
+        psnr_to_source: to_source.iter().sum::<f64>() / to_source.len().max(1) as f64,
+        psnr_source: of_source,
+        psnr: of_exported,
+        psnr_lost: of_source.zip(of_exported).map(|(source, exported)| source - exported),
+        adapter: source.adapter.clone(),
+    })
+}
+
+fn sphere(file: &SceneFile, count: usize) -> Result<Vec<Camera>, Problem> {
+    sphere_of(&file.scene, count)
+}
+
+fn sphere_of(scene: &Scene, count: usize) -> Result<Vec<Camera>, Problem> {
+    let cameras = match scene {
+        Scene::Gaussians(scene) => bake::sphere(&scene.means, count, SPHERE_SIDE),
+        Scene::Anchors(scene) => {
+            let positions: Vec<[f32; 3]> =
+                scene.cells.iter().map(|cell| scene.lattice.position(*cell)).collect();
+            bake::sphere(&positions, count, SPHERE_SIDE)
+        }
+    };
+    cameras.map_err(not_exportable)
+}
+
+/// The scene without coefficients above `degree`.
+fn lowered(mut scene: GaussianScene, degree: u8) -> GaussianScene {
+    if degree < scene.degree {
+        scene.degree = degree;
+        for row in &mut scene.sh {
+            row[harmonics::functions(degree)..].fill([0.0; 3]);
+        }
+    }
+    scene
+}
+
+fn not_exportable(fault: impl std::fmt::Display) -> Problem {
+    Problem::new(422, "not-exportable", "The scene cannot be exported", fault.to_string())
+}

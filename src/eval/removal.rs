@@ -1,0 +1,166 @@
+//! What each Gaussian and each anchor is worth: how much the squared error of views would grow if it were left out.
+//!
+//! A pixel's colour C is linear in the opacity o of each of its Gaussians, so leaving one out changes it by exactly
+//! -o dC/do, and the sum of squares by that change's square and its product with twice the error that is there already. One
+//! backward pass with that error as the image's gradient sums the products. One with random signs as the gradient gives a
+//! number whose expected square is the sum of squares over all pixels (Hutchinson's estimator): no per-pixel list is ever
+//! needed. The offsets of an anchor are added before the square, so that those which cover the same pixels count as one.
+
+use std::{ops::Range, sync::Arc};
+
+use super::removal_signs::signs;
+use crate::{
+    domain::{AnchorScene, Background, Frame},
+    gpu::Context,
+    model::{AnchorRows, NetworkLayout, Shape},
+    render::{DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError},
+};
+
+/// Probes with random signs that all views are given together, at least: with so many, what they add up to is right within a
+/// fifth or so for each Gaussian, which is enough to put Gaussians into an order.
+const PROBES: usize = 64;
+
+/// Growth of the squared error, summed over the pixels and channels of the views; below zero where leaving out would help.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RemovalCosts {
+    /// `[N][K]`: of each offset alone.
+    pub offsets: Vec<f64>,
+    /// `[N]`: of each anchor with all its offsets.
+    pub anchors: Vec<f64>,
+}
+
+/// Measures what leaving out would cost on `frames`. Zero for what none of them shows. The same scene and frames give the
+/// same figures on one adapter. `go_on` is asked between views; once it says no, the views so far are what counts.
+///
+/// # Errors
+/// Faults of the renderer; a photograph that cannot be read back.
+pub fn removal_costs(
+    context: &Arc<Context>,
+    scene: &AnchorScene,
+    frames: &[&Frame],
+    background: Background,
+    go_on: &mut dyn FnMut() -> bool,
+) -> Result<RemovalCosts, RenderError> {
+    let mut probe = Probe::new(context, scene, background)?;
+    let k = scene.offsets_per_anchor;
+    let mut costs = RemovalCosts { offsets: vec![0.0; scene.len() * k], anchors: vec![0.0; scene.len()] };
+    let probes = PROBES.div_ceil(frames.len().max(1)) as u32;
+    for (number, frame) in (0..).zip(frames) {
+        if !go_on() {
+            break;
+        }
+        probe.add(frame, number * probes..(number + 1) * probes, &mut costs)?;
+    }
+    Ok(costs)
+}
+
+/// What a view shows.
+struct Visible<'a> {
+    list: &'a [u32],
+    opacities: &'a [f32],
+    offsets: usize,
+}
+
+impl Visible<'_> {
+    /// Adds to each offset and anchor what `cost` makes of the sum of opacity times gradient.
+    fn add(&self, gradients: &[f32], costs: &mut RemovalCosts, cost: impl Fn(f64) -> f64) {
+        let k = self.offsets;
+        for (place, anchor) in self.list.iter().enumerate() {
+            let mut whole = 0.0;
+            for offset in 0..k {
+                let row = place * k + offset;
+                let change = f64::from(self.opacities[row]) * f64::from(gradients[row]);
+                costs.offsets[*anchor as usize * k + offset] += cost(change);
+                whole += change;
+            }
+            costs.anchors[*anchor as usize] += cost(whole);
+        }
+    }
+}
+
+struct Probe<'a> {
+    context: &'a Arc<Context>,
+    anchors: DeviceAnchors,
+    neural: NeuralGaussians,
+    raster: Rasterizer,
+    background: Background,
+}
+
+impl<'a> Probe<'a> {
+    fn new(
+        context: &'a Arc<Context>,
+        scene: &AnchorScene,
+        background: Background,
+    ) -> Result<Self, RenderError> {
+        let shape = Shape::of(scene);
+        shape.check().map_err(RenderError::Scene)?;
+        let networks =
+            NetworkLayout::new(shape).from_networks(&scene.networks).map_err(RenderError::Scene)?;
+        let settings = RasterSettings::default();
+        Ok(Self {
+            context,
+            anchors: DeviceAnchors::upload(context, &AnchorRows::from_scene(scene), &networks)?,
+            neural: NeuralGaussians::new(Arc::clone(context), shape, settings.near)?,
+            raster: Rasterizer::new(Arc::clone(context), settings)?,
+            background,
+        })
+    }
+
+    /// Adds one view, probed once by each of `numbers`.
+    fn add(
+        &mut self,
+        frame: &Frame,
+        numbers: Range<u32>,
+        costs: &mut RemovalCosts,
+    ) -> Result<(), RenderError> {
+        self.render(frame)?;
+        let photograph = frame.image.load()?.over(self.background.rgb8());
+        let image = self.context.read(self.raster.image())?;
+        let error: Vec<[f32; 4]> = image
+            .iter()
+            .zip(photograph.samples().chunks_exact(3))
+            .map(|(pixel, wanted)| {
+                let twice = |channel: usize| 2.0 * (pixel[channel] - f32::from(wanted[channel]) / 255.0);
+                [twice(0), twice(1), twice(2), 0.0]
+            })
+            .collect();
+        let by_error = self.opacity_gradients(frame, &error)?;
+        let (visible, opacities) = self.neural.visible_opacities()?;
+        let view = Visible { list: &visible, opacities: &opacities, offsets: self.anchors.shape.offsets };
+        view.add(&by_error, costs, |change| -change);
+        let share = 1.0 / f64::from(numbers.end - numbers.start);
+        for number in numbers {
+            let by_signs = self.opacity_gradients(frame, &signs(number, image.len()))?;
+            view.add(&by_signs, costs, |change| share * change * change);
+        }
+        Ok(())
+    }
+
+    fn render(&mut self, frame: &Frame) -> Result<(), RenderError> {
+        loop {
+            let mut recorder = self.context.recorder("view to probe");
+            self.neural.forward(&mut recorder, &self.anchors, &frame.camera, 0.0)?;
+            let background = self.background.rgb();
+            self.raster.forward(&mut recorder, self.neural.gaussians(), &frame.camera, background)?;
+            recorder.submit()?;
+            let counts = self.raster.counts()?;
+            if !counts.overflowed {
+                return Ok(());
+            }
+            self.raster.grow(&counts)?;
+        }
+    }
+
+    /// The gradients by the opacities of the view's Gaussians where `v_image` are those by its pixels.
+    fn opacity_gradients(&mut self, frame: &Frame, v_image: &[[f32; 4]]) -> Result<Vec<f32>, RenderError> {
+        let v_image = self.context.upload("gradient of a probe", v_image)?;
+        let gaussians = self.neural.gaussians().clone();
+        let gradients = self.neural.gaussian_gradients()?.clone();
+        let mut recorder = self.context.recorder("probe");
+        self.raster.backward(&mut recorder, &gaussians, &frame.camera, &v_image, &gradients)?;
+        recorder.submit()?;
+        let count = self.neural.counts()?[0] as usize;
+        let rows = self.context.read_range(&gradients.means_opacity, 0, count)?;
+        Ok(rows.iter().map(|row| row[3]).collect())
+    }
+}

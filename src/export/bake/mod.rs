@@ -1,0 +1,389 @@
+//! From anchors and networks to plain Gaussians, which no longer ask where they are seen from but for their colour.
+//!
+//! In this model opacity, size, rotation and colour of a Gaussian all depend on the view (method.md §1.3, §1.4). The plain
+//! form keeps one of each but the colour, so each Gaussian is looked at from given cameras and reduced:
+//!
+//! - **opacity**: the mean over the views that show it, each with the share of its light that nothing before it takes
+//!   (`occlusion`), and with the views in which it is not born counting as zero. A Gaussian that appears from one side
+//!   only becomes fainter there and appears on the other side too: most of what is lost, a dB or so of PSNR.
+//! - **size**: the mean of its logarithms, weighted by the opacity and that share in each view;
+//! - **rotation**: the mean of the quaternions, signs aligned, weighted alike;
+//! - **colour**: spherical harmonics by weighted least squares (`fit`), at the directions from each camera to the mean.
+//!
+//! What no view shows with an opacity of 1/255 is left out. The same scene and cameras give the same bits, whatever the
+//! number of threads.
+
+mod fit;
+mod networks;
+mod occlusion;
+mod views;
+
+use glam::DVec3;
+use rayon::prelude::*;
+use thiserror::Error;
+
+pub use fit::{Coefficients, Normal};
+pub use views::{sphere, thinned};
+
+use self::{
+    networks::{Evaluated, ViewInputs},
+    occlusion::Disc,
+    views::Sight,
+};
+use crate::domain::{
+    AnchorScene, Camera, GaussianScene, Mlp, anchors::SceneShapeError, gaussians::SH_COEFFICIENTS, harmonics,
+};
+
+/// Opacities below this reach no pixel.
+const ALPHA_MIN: f64 = 1.0 / 255.0;
+
+/// Opacities are held this far from one, where the logit would be infinite.
+const OPAQUE: f64 = 1.0 - 1e-6;
+
+/// Gaussians whose mean is at this depth or nearer are not shown, as the renderer has it.
+const NEAR: f64 = 0.2;
+
+/// Standard deviations to which a Gaussian reaches.
+const REACH: f64 = 3.0;
+
+/// What a Gaussian counts for in a view that hides it, so that one that every view hides has values too.
+const LEAST_SHARE: f64 = 1.0 / 256.0;
+
+/// Smallest size before its logarithm is taken.
+const SMALLEST: f64 = 1e-30;
+
+/// How to bake.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BakeSettings {
+    /// Highest degree of the spherical harmonics, 0 to 3.
+    pub degree: u8,
+    /// Weight of the colour's roughness against the squared error ([`Normal::solve`]).
+    pub ridge: f64,
+}
+
+impl Default for BakeSettings {
+    fn default() -> Self {
+        Self { degree: 3, ridge: 1e-5 }
+    }
+}
+
+/// What came of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Baked {
+    /// The Gaussians, in the order of anchors and offsets.
+    pub scene: GaussianScene,
+    /// Offsets that are on but make no Gaussian that any of the views shows.
+    pub unseen: usize,
+    /// Views that were looked from.
+    pub views: usize,
+}
+
+/// Why a scene cannot be baked.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum BakeError {
+    /// Its parts do not fit together.
+    #[error(transparent)]
+    Scene(#[from] SceneShapeError),
+    /// A degree that plain Gaussians do not have.
+    #[error("spherical harmonics of degree {0}; plain Gaussians have 0 to 3")]
+    Degree(u8),
+    /// There is nowhere to look from.
+    #[error("no view to bake from")]
+    NoViews,
+    /// Not one Gaussian is visible.
+    #[error("none of the {offsets} offsets makes a Gaussian that one of the {views} views shows")]
+    Empty {
+        /// Offsets that are on.
+        offsets: usize,
+        /// Views.
+        views: usize,
+    },
+}
+
+/// The plain Gaussians that look most like the scene from `cameras`.
+///
+/// # Errors
+/// [`BakeError`], one variant a fault.
+pub fn bake(scene: &AnchorScene, cameras: &[Camera], settings: BakeSettings) -> Result<Baked, BakeError> {
+    scene.check()?;
+    if settings.degree > 3 {
+        return Err(BakeError::Degree(settings.degree));
+    }
+    if cameras.is_empty() {
+        return Err(BakeError::NoViews);
+    }
+    let sights: Vec<Sight> = cameras.iter().map(Sight::of).collect();
+    let anchors: Vec<Look<'_>> =
+        (0..scene.len()).map(|anchor| Look { scene, sights: &sights, settings, anchor }).collect();
+    let candidates: Vec<Vec<Candidate>> = anchors.par_iter().map(Look::candidates).collect();
+    let light = Light::of(&sights, &candidates);
+    let baked: Vec<Vec<Gaussian>> = anchors
+        .par_iter()
+        .zip(&candidates)
+        .enumerate()
+        .map(|(anchor, (look, candidates))| look.gaussians(candidates, &light.shares, light.first[anchor]))
+        .collect();
+    let mut gaussians = GaussianScene { degree: settings.degree, ..GaussianScene::default() };
+    for gaussian in baked.iter().flatten() {
+        gaussians.means.push(gaussian.mean);
+        gaussians.log_scales.push(gaussian.log_scale);
+        gaussians.quats.push(gaussian.quat);
+        gaussians.opacity_logits.push(gaussian.opacity_logit);
+        gaussians.sh.push(gaussian.sh);
+    }
+    if gaussians.is_empty() {
+        return Err(BakeError::Empty { offsets: scene.gaussians(), views: cameras.len() });
+    }
+    Ok(Baked { unseen: scene.gaussians() - gaussians.len(), views: cameras.len(), scene: gaussians })
+}
+
+/// A Gaussian in one view.
+struct Seen {
+    /// Column of the networks' outputs.
+    column: usize,
+    view: usize,
+    opacity: f64,
+    /// Of its light that reaches the camera.
+    share: f64,
+}
+
+struct Gaussian {
+    mean: [f32; 3],
+    log_scale: [f32; 3],
+    quat: [f32; 4],
+    opacity_logit: f32,
+    sh: [[f32; 3]; SH_COEFFICIENTS],
+}
+
+/// An offset that may make a Gaussian.
+struct Candidate {
+    offset: usize,
+    disc: Disc,
+    /// In each view; zero also where the view does not show it.
+    opacities: Vec<f32>,
+}
+
+/// How much of each candidate the views show.
+struct Light {
+    /// Index of an anchor's first candidate.
+    first: Vec<usize>,
+    /// `[views][candidates]`
+    shares: Vec<Vec<f32>>,
+}
+
+impl Light {
+    fn of(sights: &[Sight], candidates: &[Vec<Candidate>]) -> Self {
+        let mut first = Vec::with_capacity(candidates.len());
+        let mut count = 0;
+        for of_anchor in candidates {
+            first.push(count);
+            count += of_anchor.len();
+        }
+        let discs: Vec<Disc> = candidates.iter().flatten().map(|candidate| candidate.disc).collect();
+        let shares = sights
+            .par_iter()
+            .enumerate()
+            .map(|(view, sight)| {
+                let opacities: Vec<f32> =
+                    candidates.iter().flatten().map(|candidate| candidate.opacities[view]).collect();
+                occlusion::shares(sight, &discs, &opacities, NEAR)
+            })
+            .collect();
+        Self { first, shares }
+    }
+}
+
+/// One anchor seen from everywhere.
+struct Look<'a> {
+    scene: &'a AnchorScene,
+    sights: &'a [Sight],
+    settings: BakeSettings,
+    anchor: usize,
+}
+
+impl Look<'_> {
+    /// Its offsets that are on and at a finite place.
+    fn live(&self) -> Vec<(usize, DVec3)> {
+        let Self { scene, anchor, .. } = *self;
+        (0..scene.offsets_per_anchor)
+            .filter(|k| scene.masks[anchor * scene.offsets_per_anchor + k])
+            .map(|k| (k, self.mean(k)))
+            .filter(|(_, mean)| mean.as_vec3().is_finite())
+            .collect()
+    }
+
+    /// The views that may show one of the Gaussians at `means`, and what the networks read in them.
+    fn views<'m>(&self, means: impl Iterator<Item = &'m DVec3> + Clone) -> (Vec<usize>, ViewInputs) {
+        let (position, radius) = (self.position(), self.radius());
+        let (mut from, mut inputs) = (Vec::new(), ViewInputs::default());
+        for (view, sight) in self.sights.iter().enumerate() {
+            if means.clone().any(|mean| sight.sees(*mean, radius, NEAR)) {
+                let ray = position - sight.center;
+                let distance = ray.length().max(1e-12);
+                let direction = ray / distance;
+                inputs.push([direction.x, direction.y, direction.z, distance].map(|value| value as f32));
+                from.push(view);
+            }
+        }
+        (from, inputs)
+    }
+
+    fn network<'n>(&'n self, mlp: &'n Mlp, views: &'n ViewInputs) -> Evaluated<'n> {
+        let width = self.scene.feature_dim;
+        Evaluated::new(mlp, &self.scene.features[self.anchor * width..][..width], views)
+    }
+
+    /// Its offsets that some view shows, with their opacities there.
+    fn candidates(&self) -> Vec<Candidate> {
+        let live = self.live();
+        let (from, views) = self.views(live.iter().map(|(_, mean)| mean));
+        let opacity = self.network(&self.scene.networks.opacity, &views);
+        let covariance = self.network(&self.scene.networks.covariance, &views);
+        let (size, radius) = (self.size(), self.radius());
+        live.into_iter()
+            .filter_map(|(offset, mean)| {
+                let mut opacities = vec![0.0; self.sights.len()];
+                for (view, x) in from.iter().zip(opacity.row(offset)) {
+                    if self.sights[*view].sees(mean, radius, NEAR) {
+                        opacities[*view] = x.tanh().clamp(0.0, 1.0);
+                    }
+                }
+                let most = opacities.iter().fold(0.0_f32, |most, opacity| most.max(*opacity));
+                if f64::from(most) < ALPHA_MIN {
+                    return None;
+                }
+                // The mean over the views of the two larger axes, as one.
+                let mut axes = [0, 1, 2].map(|axis| {
+                    let parts = covariance.row(7 * offset + axis);
+                    let sum: f64 = parts.iter().map(|x| logistic(f64::from(*x))).sum();
+                    size[axis] * sum / parts.len().max(1) as f64
+                });
+                axes.sort_unstable_by(f64::total_cmp);
+                let sigma = (axes[1] * axes[2]).sqrt();
+                Some(Candidate { offset, disc: Disc { mean, sigma }, opacities })
+            })
+            .collect()
+    }
+
+    /// Its visible Gaussians, by offset. `shares` holds how much of each candidate a view shows, those of this anchor from
+    /// `first` on.
+    fn gaussians(&self, candidates: &[Candidate], shares: &[Vec<f32>], first: usize) -> Vec<Gaussian> {
+        let (from, views) = self.views(candidates.iter().map(|candidate| &candidate.disc.mean));
+        let covariance = self.network(&self.scene.networks.covariance, &views);
+        let color = self.network(&self.scene.networks.color, &views);
+        let radius = self.radius();
+        let rows = |network: &Evaluated<'_>, first: usize, count: usize| -> Vec<Vec<f32>> {
+            (first..first + count).map(|row| network.row(row)).collect()
+        };
+        candidates
+            .iter()
+            .enumerate()
+            .filter_map(|(index, candidate)| {
+                let mean = candidate.disc.mean;
+                let seen: Vec<Seen> = from
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, view)| self.sights[**view].sees(mean, radius, NEAR))
+                    .map(|(column, view)| Seen {
+                        column,
+                        view: *view,
+                        opacity: f64::from(candidate.opacities[*view]),
+                        share: f64::from(shares[*view][first + index]).max(LEAST_SHARE),
+                    })
+                    .collect();
+                let (covariance, color) =
+                    (rows(&covariance, 7 * candidate.offset, 7), rows(&color, 3 * candidate.offset, 3));
+                self.reduced(mean, &seen, &covariance, &color)
+            })
+            .collect()
+    }
+
+    /// One Gaussian from all that the views say of it; none if that is not finite or too faint.
+    fn reduced(
+        &self,
+        mean: DVec3,
+        seen: &[Seen],
+        covariance: &[Vec<f32>],
+        color: &[Vec<f32>],
+    ) -> Option<Gaussian> {
+        let size = self.size();
+        let (mut shown, mut weight) = (0.0, 0.0);
+        let (mut log_scale, mut quat) = (DVec3::ZERO, [0.0; 4]);
+        let mut normal = Normal::new(self.settings.degree);
+        for Seen { column, view, opacity, share } in seen {
+            shown += share;
+            if *opacity < ALPHA_MIN {
+                continue;
+            }
+            let opacity = share * opacity;
+            weight += opacity;
+            let at = |rows: &[Vec<f32>], row: usize| f64::from(rows[row][*column]);
+            let scale = size * DVec3::from([0, 1, 2].map(|axis| logistic(at(covariance, axis))));
+            log_scale += opacity * scale.max(DVec3::splat(SMALLEST)).map(f64::ln);
+            add_rotation(&mut quat, [3, 4, 5, 6].map(|row| at(covariance, row)), opacity);
+            let direction = (mean - self.sights[*view].center).normalize_or(DVec3::Z);
+            // A colour is a half plus its harmonics.
+            let rgb = [0, 1, 2].map(|channel| logistic(at(color, channel)) - 0.5);
+            normal.add(&harmonics::basis(direction), rgb, opacity);
+        }
+        let opacity = (weight / shown).min(OPAQUE);
+        if opacity < ALPHA_MIN {
+            return None;
+        }
+        let sh = normal.solve(self.settings.ridge).map(|rgb| rgb.map(|value| value as f32));
+        let length = quat.iter().map(|value| value * value).sum::<f64>().sqrt();
+        let quat = if length > 0.0 { quat.map(|value| value / length) } else { [1.0, 0.0, 0.0, 0.0] };
+        let gaussian = Gaussian {
+            mean: mean.as_vec3().to_array(),
+            log_scale: (log_scale / weight).as_vec3().to_array(),
+            quat: quat.map(|value| value as f32),
+            opacity_logit: (opacity / (1.0 - opacity)).ln() as f32,
+            sh,
+        };
+        let finite = gaussian.log_scale.iter().chain(&gaussian.quat).chain(gaussian.sh.as_flattened());
+        finite.copied().all(f32::is_finite).then_some(gaussian)
+    }
+
+    fn position(&self) -> DVec3 {
+        DVec3::from(self.scene.lattice.position(self.scene.cells[self.anchor]).map(f64::from))
+    }
+
+    /// Scale of the offsets (0) or base size of the Gaussians (1).
+    fn scaling(&self, half: usize) -> DVec3 {
+        let scalings = &self.scene.scalings[6 * self.anchor + 3 * half..][..3];
+        DVec3::new(f64::from(scalings[0]), f64::from(scalings[1]), f64::from(scalings[2]))
+    }
+
+    fn size(&self) -> DVec3 {
+        self.scaling(1)
+    }
+
+    /// How far its Gaussians reach from their means at most.
+    fn radius(&self) -> f64 {
+        REACH * self.size().max_element()
+    }
+
+    fn mean(&self, k: usize) -> DVec3 {
+        let offset = &self.scene.offsets[3 * (self.anchor * self.scene.offsets_per_anchor + k)..][..3];
+        let offset = DVec3::new(f64::from(offset[0]), f64::from(offset[1]), f64::from(offset[2]));
+        self.position() + offset * self.scaling(0)
+    }
+}
+
+/// Adds a rotation to a weighted sum of them; `q` and `-q` are the same one.
+fn add_rotation(sum: &mut [f64; 4], quat: [f64; 4], weight: f64) {
+    let length = quat.iter().map(|value| value * value).sum::<f64>().sqrt();
+    if !(length > 0.0 && length.is_finite()) {
+        return;
+    }
+    let aligned: f64 = sum.iter().zip(quat).map(|(a, b)| a * b).sum();
+    let weight = if aligned < 0.0 { -weight } else { weight } / length;
+    sum.iter_mut().zip(quat).for_each(|(sum, value)| *sum += weight * value);
+}
+
+fn logistic(x: f64) -> f64 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+#[cfg(test)]
+mod tests;

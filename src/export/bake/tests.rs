@@ -1,0 +1,166 @@
+//! Baking on scenes whose outcome is known.
+
+use super::*;
+use crate::domain::{
+    DenseLayer, Intrinsics, Lattice, Mlp, NearPlane, Pose, RenderNetworks, anchors::VIEW_INPUTS,
+};
+
+const FEATURES: usize = 2;
+
+/// A network of one layer: outputs that do not depend on the view but where `slopes` says so (output, view input, slope).
+fn network(bias: &[f32], slopes: &[(usize, usize, f32)]) -> Mlp {
+    let inputs = FEATURES + VIEW_INPUTS;
+    let mut weights = vec![0.0; inputs * bias.len()];
+    for (output, input, slope) in slopes {
+        weights[output * inputs + FEATURES + input] = *slope;
+    }
+    Mlp { layers: vec![DenseLayer { inputs, outputs: bias.len(), weights, bias: bias.to_vec() }] }
+}
+
+/// One anchor at (1, 0, 0) with two offsets, of which the second is half a unit above it.
+fn scene() -> AnchorScene {
+    let offset = [0.0, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0];
+    AnchorScene {
+        near: NearPlane::USUAL,
+        lattice: Lattice { voxel: 0.5, origin: [0.0; 3] },
+        cells: vec![[2, 0, 0]],
+        feature_dim: FEATURES,
+        offsets_per_anchor: 2,
+        features: vec![0.3, -0.1],
+        scalings: vec![0.5, 0.5, 0.5, 0.02, 0.04, 0.08],
+        offsets: vec![0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+        masks: vec![true, true],
+        networks: RenderNetworks {
+            opacity: network(&[0.5, 1.0], &[]),
+            covariance: network(&[offset, offset].concat(), &[]),
+            color: network(&[0.0, 1.0, -1.0, 0.5, 0.5, 0.5], &[]),
+        },
+    }
+}
+
+fn cameras() -> Vec<Camera> {
+    sphere(&[[1.0, 0.0, 0.0], [1.0, 0.0, 0.5], [1.0, 0.5, 0.5]], 60, 64).expect("cameras")
+}
+
+#[test]
+fn a_scene_that_looks_the_same_from_everywhere_is_baked_exactly() {
+    let baked = bake(&scene(), &cameras(), BakeSettings::default()).expect("bakes");
+    assert_eq!((baked.unseen, baked.views, baked.scene.degree), (0, 60, 3));
+    let gaussians = baked.scene;
+    gaussians.check().expect("sound");
+    assert_eq!(gaussians.means, [[1.0, 0.0, 0.0], [1.0, 0.0, 0.5]]);
+    let close =
+        |found: f32, expected: f64| assert!((f64::from(found) - expected).abs() < 1e-5, "{found} {expected}");
+    for (k, logit) in [0.5_f64, 1.0].into_iter().enumerate() {
+        let opacity = logit.tanh();
+        close(gaussians.opacity_logits[k], (opacity / (1.0 - opacity)).ln());
+        let part = [0.5, 0.5, 0.5];
+        for (axis, size) in [0.02, 0.04, 0.08].into_iter().enumerate() {
+            close(gaussians.log_scales[k][axis], f64::ln(size * part[axis]));
+        }
+        let length = 5.0_f64.sqrt();
+        for (found, expected) in gaussians.quats[k].into_iter().zip([1.0 / length, 2.0 / length, 0.0, 0.0]) {
+            close(found, expected);
+        }
+        for channel in 0..3 {
+            let value = [[0.0, 1.0, -1.0], [0.5; 3]][k][channel];
+            close(gaussians.sh[k][0][channel], (logistic(value) - 0.5) / harmonics::CONSTANT);
+        }
+        assert!(
+            gaussians.sh[k][1..].as_flattened().iter().all(|value| value.abs() < 1e-6),
+            "{:?}",
+            gaussians.sh[k]
+        );
+    }
+}
+
+#[test]
+fn a_colour_that_turns_with_the_view_is_met_to_a_percent() {
+    let mut scene = scene();
+    scene.networks.color =
+        network(&[0.0, 0.2, -0.5, 0.0, 0.0, 0.0], &[(0, 0, 1.5), (1, 2, -1.0), (2, 1, 0.7)]);
+    let cameras = cameras();
+    for (degree, bound) in [(3, 0.01), (1, 0.05), (0, 1.0)] {
+        let baked = bake(&scene, &cameras, BakeSettings { degree, ridge: 1e-6 }).expect("bakes");
+        let mut worst: f64 = 0.0;
+        for camera in &cameras {
+            let d = (DVec3::X - camera.pose.center()).normalize();
+            let truth = [1.5 * d.x, 0.2 - d.z, 0.7 * d.y - 0.5].map(logistic);
+            let basis = harmonics::basis(d);
+            for (channel, truth) in truth.into_iter().enumerate() {
+                let sum: f64 =
+                    basis.iter().zip(&baked.scene.sh[0]).map(|(b, c)| b * f64::from(c[channel])).sum();
+                worst = worst.max((sum + 0.5 - truth).abs());
+            }
+        }
+        assert!(worst < bound, "degree {degree}: off by {worst}");
+        assert_eq!(baked.scene.degree, degree);
+        assert!(baked.scene.sh[0][harmonics::functions(degree)..].as_flattened().iter().all(|v| *v == 0.0));
+    }
+}
+
+#[test]
+fn opacity_is_the_mean_over_the_views_that_show_it() {
+    let mut scene = scene();
+    // Born where the view direction has a positive x, one half of the sphere.
+    scene.networks.opacity = network(&[0.0, -1.0], &[(0, 0, 40.0)]);
+    let baked = bake(&scene, &cameras(), BakeSettings::default()).expect("bakes");
+    assert_eq!(baked.unseen, 1, "the second is born nowhere");
+    let opacity = logistic(f64::from(baked.scene.opacity_logits[0]));
+    assert!((opacity - 0.5).abs() < 0.05, "{opacity}");
+    // From where it is not born it has no say in the colour.
+    scene.networks.color = network(&[0.0; 6], &[(0, 0, 40.0)]);
+    let red =
+        bake(&scene, &cameras(), BakeSettings { degree: 0, ridge: 0.0 }).expect("bakes").scene.sh[0][0][0];
+    assert!(f64::from(red) * harmonics::CONSTANT + 0.5 > 0.95, "{red}");
+}
+
+#[test]
+fn rotations_of_either_sign_are_one_rotation() {
+    let mut sum = [0.0; 4];
+    add_rotation(&mut sum, [1.0, 0.1, 0.0, 0.0], 1.0);
+    add_rotation(&mut sum, [-2.0, 0.2, 0.0, 0.0], 1.0);
+    add_rotation(&mut sum, [0.0; 4], 1.0);
+    add_rotation(&mut sum, [f64::NAN; 4], 1.0);
+    assert!(sum[0] > 1.9 && sum[1].abs() < 1e-9, "{sum:?}");
+}
+
+#[test]
+fn what_is_off_or_out_of_sight_is_left_out_and_counted_apart() {
+    let mut scene = scene();
+    scene.masks[0] = false;
+    let baked = bake(&scene, &cameras(), BakeSettings::default()).expect("bakes");
+    assert_eq!((baked.scene.len(), baked.unseen), (1, 0));
+    let k = Intrinsics::from_horizontal_fov(0.5, 32, 32).expect("intrinsics");
+    let away = Pose::look_at(DVec3::new(5.0, 0.0, 0.0), DVec3::new(9.0, 0.0, 0.0), DVec3::Z).expect("a pose");
+    let away = Camera::new(k, away).expect("a camera");
+    let fault = bake(&scene, &[away], BakeSettings::default()).expect_err("nothing is in sight");
+    assert_eq!(fault, BakeError::Empty { offsets: 1, views: 1 });
+}
+
+#[test]
+fn faults_are_named() {
+    let settings = BakeSettings::default();
+    assert_eq!(bake(&scene(), &[], settings), Err(BakeError::NoViews));
+    assert_eq!(bake(&scene(), &cameras(), BakeSettings { degree: 4, ..settings }), Err(BakeError::Degree(4)));
+    let mut torn = scene();
+    torn.features.pop();
+    assert!(matches!(bake(&torn, &cameras(), settings), Err(BakeError::Scene(_))));
+    let mut wild = scene();
+    wild.scalings.fill(f32::MAX);
+    wild.offsets.fill(f32::MAX);
+    if let Ok(baked) = bake(&wild, &cameras(), settings) {
+        baked.scene.check().expect("finite");
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let mut scene = scene();
+    scene.networks.color = network(&[0.0; 6], &[(0, 0, 1.5), (4, 2, -1.0)]);
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| bake(&scene, &cameras(), BakeSettings::default())).expect("bakes")
+    };
+    assert_eq!(with(1), with(4));
+}

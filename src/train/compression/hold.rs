@@ -1,0 +1,145 @@
+//! Holds the steps of anchors whose attributes are frozen while other networks learn to predict them.
+
+use std::sync::Arc;
+
+use crate::{
+    gpu::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source},
+    train::context::{AnchorSample, GroupOutputs},
+};
+
+/// The kernels, and how far the last sample's predictions were off.
+#[derive(Debug)]
+pub(super) struct HeldSteps {
+    hold_steps: Arc<Kernel>,
+    held_gradient: Arc<Kernel>,
+    differences: Buffer<f32>,
+}
+
+impl HeldSteps {
+    /// Room for samples in `capacity` columns.
+    pub(super) fn new(context: &Context, capacity: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            hold_steps: context.kernel(kernel_source!("hold_steps"), &[])?,
+            held_gradient: context.kernel(kernel_source!("held_gradient"), &[])?,
+            differences: context.buffer("differences of steps", 3 * capacity)?,
+        })
+    }
+
+    /// Records that `steps`, `[N][3]`, take the place of the adjustments among `outputs`.
+    pub(super) fn record(
+        &self,
+        recorder: &mut Recorder<'_>,
+        base: [f32; 3],
+        steps: &Buffer<f32>,
+        sample: AnchorSample<'_>,
+        outputs: [GroupOutputs<'_>; 3],
+        channels: [usize; 3],
+    ) -> Result<(), GpuError> {
+        let [features, scalings, offsets] = base;
+        let settings =
+            recorder.uniform(&[[features, scalings, offsets, 0.0], rows(sample, outputs, channels)])?;
+        recorder.dispatch(
+            &self.hold_steps,
+            &[
+                settings.as_ref(),
+                sample.list.as_ref(),
+                steps.as_ref(),
+                outputs[0].values.as_ref(),
+                self.differences.as_ref(),
+            ],
+            sample.count.div_ceil(64) as u32,
+        );
+        Ok(())
+    }
+
+    /// Records the gradients by the predictions, weighed by group.
+    pub(super) fn record_gradient(
+        &self,
+        recorder: &mut Recorder<'_>,
+        weights: [f32; 3],
+        sample: AnchorSample<'_>,
+        outputs: [GroupOutputs<'_>; 3],
+        channels: [usize; 3],
+    ) -> Result<(), GpuError> {
+        let [features, scalings, offsets] = weights;
+        let settings =
+            recorder.uniform(&[[features, scalings, offsets, 0.0], rows(sample, outputs, channels)])?;
+        recorder.dispatch(
+            &self.held_gradient,
+            &[
+                settings.as_ref(),
+                sample.list.as_ref(),
+                self.differences.as_ref(),
+                outputs[0].gradients.as_ref(),
+            ],
+            sample.count.div_ceil(64) as u32,
+        );
+        Ok(())
+    }
+}
+
+/// The bits of the adjustments' rows and of the columns that there is room for. A group's adjustment is its last output.
+fn rows(sample: AnchorSample<'_>, outputs: [GroupOutputs<'_>; 3], channels: [usize; 3]) -> [f32; 4] {
+    let row = |group: usize| f32::from_bits((outputs[group].first_row + 2 * channels[group]) as u32);
+    [row(0), row(1), row(2), f32::from_bits(sample.capacity as u32)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        gpu::AdapterChoice,
+        train::twin::{held_gradient, hold_steps},
+    };
+
+    #[test]
+    fn the_kernels_do_as_their_twins() {
+        let choice =
+            std::env::var("TCGS_ADAPTER").map_or(AdapterChoice::Lavapipe, |name| match name.parse() {
+                Ok(choice) => choice,
+                Err(never) => match never {},
+            });
+        let context =
+            Context::new(&choice).expect("an adapter; install mesa-vulkan-drivers or set TCGS_ADAPTER");
+        // Channels of 2, 1 and 3: rows 5, 3 and 7, of which the last of each is the adjustment.
+        let (channels, first_rows, capacity) = ([2, 1, 3], [0, 5, 8], 100);
+        let sample: Vec<u32> = (0..70).map(|i| 3 * i).collect();
+        let steps: Vec<f32> = (0..3 * 210).map(|i| 0.25 * 1.01_f32.powi(i % 97)).collect();
+        let values: Vec<f32> = (0..15 * capacity).map(|i| (i % 31) as f32 / 8.0 - 2.0).collect();
+        let base = [0.5, 0.125, 2.0];
+        let list: Vec<u32> = std::iter::once(70).chain(sample.iter().copied()).collect();
+        let list = context.upload("list", &list).expect("a list");
+        let (on_device, outputs) = (
+            context.upload("steps", &steps).expect("steps"),
+            context.upload("outputs", &values).expect("outputs"),
+        );
+        let gradients = context.upload("gradients", &vec![9.0_f32; values.len()]).expect("gradients");
+        let held = HeldSteps::new(&context, capacity).expect("kernels");
+        let sampled = AnchorSample { list: &list, count: 70, capacity };
+        let groups =
+            first_rows.map(|first_row| GroupOutputs { values: &outputs, gradients: &gradients, first_row });
+        let weights = [1.0, 0.5, 3.0];
+        let mut recorder = context.recorder("held steps");
+        held.record(&mut recorder, base, &on_device, sampled, groups, channels).expect("recorded");
+        held.record_gradient(&mut recorder, weights, sampled, groups, channels).expect("recorded");
+        recorder.submit().expect("runs");
+        let found = context.read(&outputs).expect("outputs");
+        let d_found = context.read(&gradients).expect("gradients");
+        let mut rest = 0;
+        for (at, (found, d_found)) in found.iter().zip(&d_found).enumerate() {
+            let (row, column) = (at / capacity, at % capacity);
+            let group = (0..3).find(|group| first_rows[*group] + 2 * channels[*group] == row);
+            let Some(group) = group.filter(|_| column < sample.len()) else {
+                assert_eq!((*found, *d_found), (values[at], 9.0));
+                rest += 1;
+                continue;
+            };
+            let step = steps[3 * sample[column] as usize + group];
+            let (expected, difference) = hold_steps(values[at].into(), step.into(), f64::from(base[group]));
+            assert!((f64::from(*found) - expected).abs() < 1e-5, "{found} for {expected}");
+            let expected = held_gradient(difference, f64::from(weights[group]));
+            assert!((f64::from(*d_found) - expected).abs() < 3e-5, "{d_found} for {expected}");
+        }
+        assert_eq!(rest, values.len() - 3 * 70);
+    }
+}

@@ -1,0 +1,235 @@
+//! Steers the weight of the rate term towards a file of a promised size.
+//!
+//! A proportional-integral controller on the logarithm of the weight: what it sees is the logarithm of the estimated size over
+//! the size aimed at. Time is counted in fractions of the steered part of the run, so that runs of any length are steered
+//! alike. The weight never falls below the run's own: a promise makes bytes dearer, never cheaper. What always holds: the weight is a
+//! function of the estimates and the steps that they came at, and of nothing else.
+
+use std::ops::RangeInclusive;
+
+use serde::{Deserialize, Serialize};
+
+/// Size aimed at, as a share of the promised one: the file is made to fit exactly at the end, which is easier from below.
+const AIM: f64 = 0.98;
+
+/// Growth of the logarithm of the weight over the steered part for each unit of error.
+const INTEGRAL: f64 = 18.0;
+
+/// The same at once for each unit by which the error changes.
+const PROPORTIONAL: f64 = 1.5;
+
+/// Error beyond which a larger one moves no faster: estimates jump when the model does.
+const MOST_ERROR: f64 = 0.7;
+
+/// How many times the run's own weight it may become.
+const MOST: f64 = 256.0;
+
+/// What a controller remembers; as bits, since numbers do not always survive JSON.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RateState {
+    /// Natural logarithm of the weight over the run's own.
+    log_ratio: u64,
+    /// The error last seen.
+    error: u64,
+    /// The step that it was seen at; 0 before any.
+    step: u32,
+}
+
+/// A controller of the weight.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RateControl {
+    base: f64,
+    aim: f64,
+    window: RangeInclusive<u32>,
+    log_ratio: f64,
+    error: f64,
+    step: u32,
+}
+
+impl RateControl {
+    /// A controller that begins at the run's own weight `base` and steers in the steps of `window` towards a file of no more
+    /// than `max_bytes`.
+    #[must_use]
+    pub fn new(base: f64, max_bytes: u64, window: RangeInclusive<u32>) -> Self {
+        let aim = AIM * max_bytes.max(1) as f64;
+        Self { base, aim, window, log_ratio: 0.0, error: 0.0, step: 0 }
+    }
+
+    /// The same controller as it was when it gave `state`.
+    #[must_use]
+    pub fn at(self, state: RateState) -> Self {
+        let RateState { log_ratio, error, step } = state;
+        let finite = |bits: u64| Some(f64::from_bits(bits)).filter(|value| value.is_finite()).unwrap_or(0.0);
+        let log_ratio = finite(log_ratio).clamp(0.0, MOST.ln());
+        Self { log_ratio, error: finite(error), step, ..self }
+    }
+
+    /// What it remembers.
+    #[must_use]
+    pub fn state(&self) -> RateState {
+        RateState { log_ratio: self.log_ratio.to_bits(), error: self.error.to_bits(), step: self.step }
+    }
+
+    /// The weight from now on.
+    #[must_use]
+    pub fn lambda(&self) -> f64 {
+        self.base * self.log_ratio.exp()
+    }
+
+    /// Takes the estimate of the file's bytes after `step`. Estimates outside the steered steps, or that are no numbers, change
+    /// nothing.
+    pub fn observe(&mut self, step: u32, bytes: f64) {
+        if !self.window.contains(&step) || step <= self.step || !(bytes.is_finite() && bytes > 0.0) {
+            return;
+        }
+        let (begin, end) = (*self.window.start(), *self.window.end());
+        let length = f64::from(end - begin).max(1.0);
+        let error = (bytes / self.aim).ln().clamp(-MOST_ERROR, MOST_ERROR);
+        let (since, change) =
+            if self.step < begin { (0, 0.0) } else { (step - self.step, error - self.error) };
+        let way = INTEGRAL * error * f64::from(since) / length + PROPORTIONAL * change;
+        self.log_ratio = (self.log_ratio + way).clamp(0.0, MOST.ln());
+        (self.error, self.step) = (error, step);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WINDOW: RangeInclusive<u32> = 1000..=3000;
+
+    /// A scene in training: what its file would take follows the weight with a delay.
+    #[derive(Clone)]
+    struct Plant {
+        /// Bytes at the run's own weight, beside those that no weight changes.
+        free: f64,
+        fixed: f64,
+        /// By how much the logarithm of the size falls for each unit of the weight's.
+        slope: f64,
+        /// Steps in which a change does most of what it does.
+        delay: f64,
+        now: f64,
+    }
+
+    impl Plant {
+        fn new(slope: f64, delay: f64) -> Self {
+            Self { free: 1e6, fixed: 2e4, slope, delay, now: 0.0 }
+        }
+
+        fn step(&mut self, ratio: f64) {
+            self.now += (ratio.ln() - self.now) / self.delay;
+        }
+
+        fn bytes(&self) -> f64 {
+            self.fixed + self.free * (-self.slope * self.now).exp()
+        }
+    }
+
+    fn steer(
+        control: &mut RateControl,
+        plant: &mut Plant,
+        steps: RangeInclusive<u32>,
+        every: u32,
+    ) -> Vec<f64> {
+        let mut seen = Vec::new();
+        for step in steps {
+            plant.step(control.lambda() / control.base);
+            if step.is_multiple_of(every) {
+                // Estimates are of a sample of the anchors, so they are never quite right.
+                let noise = 1.0 + 0.02 * (f64::from(step) * 0.7).sin();
+                control.observe(step, plant.bytes() * noise);
+                seen.push(plant.bytes());
+            }
+        }
+        seen
+    }
+
+    #[test]
+    fn files_come_to_the_promised_size_whatever_the_scene() {
+        for slope in [0.3, 0.5, 0.8] {
+            for delay in [20.0, 80.0, 200.0] {
+                for budget in [700_000, 500_000, 300_000] {
+                    let mut plant = Plant::new(slope, delay);
+                    let mut control = RateControl::new(1e-3, budget, WINDOW);
+                    let seen = steer(&mut control, &mut plant, 1..=3000, 10);
+                    let (last, least) =
+                        (plant.bytes() / budget as f64, seen.iter().copied().fold(f64::INFINITY, f64::min));
+                    let place = format!("slope {slope}, delay {delay}, {budget} bytes");
+                    assert!((0.95..1.04).contains(&last), "{place}: {last}");
+                    assert!(least > 0.9 * budget as f64, "{place}: falls to {least}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn runs_of_any_length_are_steered_alike() {
+        let end = |length: u32, every: u32| {
+            let mut plant = Plant::new(0.5, f64::from(length) * 0.05);
+            let mut control = RateControl::new(1e-3, 400_000, 1..=length);
+            steer(&mut control, &mut plant, 1..=length, every);
+            plant.bytes()
+        };
+        assert!((end(200, 10) / end(20_000, 10) - 1.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn a_promise_that_is_kept_anyway_leaves_the_weight_alone() {
+        let mut plant = Plant::new(0.5, 80.0);
+        let mut control = RateControl::new(2e-3, 5_000_000, WINDOW);
+        steer(&mut control, &mut plant, 1..=3000, 10);
+        assert_eq!(control.lambda(), 2e-3);
+    }
+
+    #[test]
+    fn an_impossible_promise_stops_at_a_bound() {
+        let mut plant = Plant::new(0.5, 80.0);
+        let mut control = RateControl::new(1e-3, 1, WINDOW);
+        steer(&mut control, &mut plant, 1..=3000, 10);
+        assert!((control.lambda() / 1e-3 - MOST).abs() < 1e-6 * MOST);
+    }
+
+    #[test]
+    fn estimates_that_are_none_or_out_of_time_change_nothing() {
+        let mut control = RateControl::new(1e-3, 1000, WINDOW);
+        for (step, bytes) in
+            [(999, 1e9), (3001, 1e9), (1500, f64::NAN), (1500, 0.0), (1500, -5.0), (1500, f64::INFINITY)]
+        {
+            control.observe(step, bytes);
+        }
+        assert_eq!(control, RateControl::new(1e-3, 1000, WINDOW));
+        control.observe(1500, 1e9);
+        let once = control.clone();
+        control.observe(1500, 1e9);
+        control.observe(1400, 1e9);
+        assert_eq!(control, once, "a step counts once, and time goes one way");
+    }
+
+    #[test]
+    fn a_controller_that_goes_on_from_any_state_takes_the_same_way() {
+        let fresh = || RateControl::new(1e-3, 300_000, WINDOW);
+        let (mut whole, mut plant) = (fresh(), Plant::new(0.5, 80.0));
+        steer(&mut whole, &mut plant, 1..=3000, 10);
+        for stop in [1, 999, 1000, 1005, 1010, 2000, 2999] {
+            let (mut first, mut plant) = (fresh(), Plant::new(0.5, 80.0));
+            steer(&mut first, &mut plant, 1..=stop, 10);
+            let kept = serde_json::to_string(&first.state()).expect("JSON");
+            let mut second = fresh().at(serde_json::from_str(&kept).expect("a state"));
+            assert_eq!(second, first);
+            steer(&mut second, &mut plant, stop + 1..=3000, 10);
+            assert_eq!(second.lambda().to_bits(), whole.lambda().to_bits(), "stopped after {stop}");
+        }
+    }
+
+    #[test]
+    fn a_state_that_no_controller_gives_does_no_harm() {
+        for bits in [f64::NAN, f64::INFINITY, -1e300, 1e300].map(f64::to_bits) {
+            let state = RateState { log_ratio: bits, error: bits, step: 1500 };
+            let mut control = RateControl::new(1e-3, 1000, WINDOW).at(state);
+            control.observe(1600, 900.0);
+            assert!((1e-3..=MOST * 1.001e-3).contains(&control.lambda()));
+        }
+    }
+}

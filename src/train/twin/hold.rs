@@ -1,0 +1,14 @@
+//! The steps of anchors whose attributes are frozen.
+
+/// The adjustment in octaves that gives `step`, and how far `predicted` is above it.
+#[must_use]
+pub fn hold_steps(predicted: f64, step: f64, base: f64) -> (f64, f64) {
+    let held = (step / base).log2();
+    (held, predicted - held)
+}
+
+/// The gradient of `weight` times half the squared difference by the prediction.
+#[must_use]
+pub fn held_gradient(difference: f64, weight: f64) -> f64 {
+    weight * difference
+}

@@ -1,0 +1,254 @@
+//! Files of a promised size, and several files of one run.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::LazyLock,
+};
+
+use tcgs::{
+    codec::{DecodeLimits, decode},
+    domain::{CancelFlag, JobMetrics, Phase, Problem, Progress, TrainOptions},
+    sample::{self, Settings},
+    train::Schedule,
+    worker::{
+        pipeline::Pipeline,
+        run::{Checkpoints, JobFailure, JobOutput, Resume, RunJob},
+    },
+};
+use tempfile::TempDir;
+
+use crate::support::{gpu::choice, program::command};
+
+/// Enough for growth, masks, and what the weight of the rate does.
+const STEPS: u32 = 90;
+
+static DATASET: LazyLock<TempDir> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().expect("a folder");
+    sample::write(&folder.path().join("set"), &Settings { side: 40, points: 300, seed: 1 }).expect("writes");
+    folder
+});
+
+fn options() -> TrainOptions {
+    TrainOptions { iterations: Some(STEPS), ..TrainOptions::default() }
+}
+
+fn promised(limit: u64) -> TrainOptions {
+    TrainOptions { max_bytes: Some(limit), ..options() }
+}
+
+fn run_with(
+    options: &TrainOptions,
+    checkpoints: &Checkpoints,
+    report: &mut dyn FnMut(Phase, &Progress),
+    cancel: &CancelFlag,
+) -> Result<JobOutput, JobFailure> {
+    let options = options.clone().validated().expect("possible");
+    Pipeline::new(choice()).run(&DATASET.path().join("set"), &options, checkpoints, report, cancel)
+}
+
+fn run(options: &TrainOptions) -> Result<JobOutput, JobFailure> {
+    run_with(options, &Checkpoints::default(), &mut |_, _| (), &CancelFlag::default())
+}
+
+/// The run without any promise.
+static FREE: LazyLock<JobOutput> = LazyLock::new(|| run(&options()).expect("a file"));
+
+/// The fewest bytes that a promise can be kept with.
+static SMALLEST: LazyLock<u64> = LazyLock::new(|| refused(100).smallest_bytes.expect("told"));
+
+/// So much of what a file of the scene can do without.
+fn share(percent: u64) -> u64 {
+    *SMALLEST + (FREE.file.len() as u64 - *SMALLEST) * percent / 100
+}
+
+fn refused(limit: u64) -> Problem {
+    match run(&promised(limit)) {
+        Err(JobFailure::Fail(problem)) => problem,
+        other => panic!("not refused: {other:?}"),
+    }
+}
+
+fn train_psnr(metrics: &JobMetrics) -> f64 {
+    metrics.train.psnr.expect("training views")
+}
+
+#[test]
+fn the_file_is_no_larger_than_promised_and_hardly_smaller() {
+    assert_eq!(FREE.metrics.byte_budget, None);
+    let mut last = train_psnr(&FREE.metrics) + 0.5;
+    for percent in [90, 60, 30] {
+        let limit = share(percent);
+        let output = run(&promised(limit)).expect("fits");
+        let bytes = output.file.len() as u64;
+        assert!(bytes <= limit, "{bytes} bytes where {limit} were promised");
+        assert_eq!(output.metrics.bytes.total, bytes);
+        let budget = output.metrics.byte_budget.expect("told");
+        assert_eq!(budget.max_bytes, limit);
+        if budget.free_bytes > limit {
+            let used = (bytes - *SMALLEST) * 100 / (limit - *SMALLEST);
+            assert!(used >= 95, "{bytes} bytes leave too much of {limit} unused: {used} % of it is used");
+        }
+        let decoded = decode(&output.file, &DecodeLimits::default()).expect("a whole file");
+        assert_eq!(decoded.manifest.provenance.settings["max_bytes"], limit);
+        let psnr = train_psnr(&output.metrics);
+        assert!(psnr <= last + 0.1, "fewer bytes look better: {psnr} dB at {percent} %, {last} dB before");
+        last = psnr;
+    }
+    assert!(last > train_psnr(&FREE.metrics) - 9.0, "{last} dB of {}", train_psnr(&FREE.metrics));
+}
+
+#[test]
+fn the_same_promise_gives_the_same_bytes() {
+    let options = promised(share(50));
+    let first = run(&options).expect("fits");
+    assert!(first.file == run(&options).expect("fits").file);
+}
+
+#[test]
+fn a_promise_that_is_kept_anyway_changes_nothing_but_what_the_file_says_of_it() {
+    let held = run(&promised(50_000_000)).expect("fits");
+    assert_eq!(held.metrics.decode_sha256, FREE.metrics.decode_sha256);
+    let budget = held.metrics.byte_budget.expect("told");
+    assert_eq!((budget.gaussians_dropped, budget.free_bytes), (0, held.file.len() as u64));
+}
+
+#[test]
+fn a_promise_that_cannot_be_kept_is_refused_with_the_smallest_that_can() {
+    let problem = refused(100);
+    assert_eq!((problem.status, &*problem.kind), (507, "urn:tcgs:problem:max-bytes-unreachable"));
+    let smallest = problem.smallest_bytes.expect("told");
+    assert!(problem.detail.contains(&smallest.to_string()), "{problem}");
+    let output = run(&promised(smallest)).expect("what was said to be possible");
+    assert!(output.file.len() as u64 <= smallest);
+}
+
+fn curve(weights: &[f64]) -> TrainOptions {
+    TrainOptions { rd_curve: weights.to_vec(), ..options() }
+}
+
+const WEIGHTS: [f64; 3] = [0.004, 0.0005, 0.02];
+
+fn files(output: &JobOutput) -> Vec<(Option<f64>, Vec<u8>)> {
+    output.files().map(|(lambda, file)| (lambda, file.to_vec())).collect()
+}
+
+#[test]
+fn every_branch_of_a_curve_is_the_run_that_its_weight_alone_would_be() {
+    let mut reports = Vec::new();
+    let mut report = |_: Phase, progress: &Progress| reports.push((progress.step, progress.total));
+    let nowhere = Checkpoints::default();
+    let output = run_with(&curve(&WEIGHTS), &nowhere, &mut report, &CancelFlag::default()).expect("files");
+    let written = files(&output);
+    assert_eq!(written.iter().map(|file| file.0).collect::<Vec<_>>(), WEIGHTS.map(Some));
+    for (point, (lambda, file)) in output.metrics.rd_curve.iter().zip(&written) {
+        let alone = run(&TrainOptions { lambda: *lambda, ..options() }).expect("a file");
+        assert!(alone.file == *file, "another file for {lambda:?}");
+        assert_eq!((Some(point.lambda), point.bytes), (*lambda, file.len() as u64));
+        assert_eq!((point.psnr, point.ssim), (alone.metrics.test.psnr, alone.metrics.test.ssim));
+        assert_eq!(point.sha256, tcgs::domain::Digest::of(file));
+    }
+    let fork = u64::from(Schedule::new(&options()).fork_step());
+    let total = fork + 3 * (u64::from(STEPS) - fork);
+    assert_eq!(reports.last(), Some(&(total, total)));
+    let train = reports.iter().skip_while(|report| report.0 == 0);
+    assert!(train.clone().zip(train.skip(1)).all(|(a, b)| a.0 <= b.0), "progress goes one way: {reports:?}");
+    assert!(files(&run(&curve(&WEIGHTS)).expect("files")) == written, "the same curve twice");
+}
+
+/// Runs until `when` says so, then again with what is in `root`.
+fn interrupted(root: &Path, options: &TrainOptions, when: impl Fn(Phase, u64) -> bool) -> (JobOutput, u64) {
+    let checkpoints =
+        Checkpoints { keep: Some(root.to_owned()), resume: Resume::IfPossible(root.to_owned()) };
+    let cancel = CancelFlag::default();
+    let mut report = |phase: Phase, progress: &Progress| {
+        if when(phase, progress.step) {
+            cancel.cancel();
+        }
+    };
+    let stopped = run_with(options, &checkpoints, &mut report, &cancel);
+    assert!(matches!(stopped, Err(JobFailure::Cancelled)), "{stopped:?}");
+    let mut first = None;
+    let mut report = |phase: Phase, progress: &Progress| {
+        if phase == Phase::Train && progress.step > 0 {
+            first.get_or_insert(progress.step);
+        }
+    };
+    let output = run_with(options, &checkpoints, &mut report, &CancelFlag::default()).expect("files");
+    (output, first.unwrap_or(0))
+}
+
+#[test]
+fn a_curve_that_was_interrupted_goes_on_where_it_was() {
+    let options = curve(&WEIGHTS[..2]);
+    let whole = files(&run(&options).expect("files"));
+    let fork = u64::from(Schedule::new(&options).fork_step());
+    let folder = |name: &str| -> (TempDir, PathBuf) {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join(name);
+        (folder, path)
+    };
+    let (_kept, root) = folder("trunk");
+    let (output, first) = interrupted(&root, &options, |phase, step| phase == Phase::Train && step >= 10);
+    assert!(files(&output) == whole && (10..=fork).contains(&first), "in the trunk: {first}");
+
+    let (_kept, root) = folder("second");
+    let second = fork + 2 * (u64::from(STEPS) - fork) - 20;
+    let (output, first) = interrupted(&root, &options, |phase, step| phase == Phase::Train && step >= second);
+    assert!(files(&output) == whole, "in the second branch");
+    assert!(root.join("branch-0/finished.tcgs").exists());
+    assert!(!root.join("branch-0/checkpoint.safetensors").exists(), "nobody needs it any more");
+    // The first branch is not trained again: after the trunk, which is at its end, the next report is of the second.
+    assert!(first == fork || first >= second, "{first}");
+
+    // Once all is done, nothing is trained at all.
+    let kept = Checkpoints { keep: Some(root.clone()), resume: Resume::From(root.clone()) };
+    let mut steps = Vec::new();
+    let mut report = |_: Phase, progress: &Progress| steps.push(progress.step);
+    let again = run_with(&options, &kept, &mut report, &CancelFlag::default()).expect("files");
+    assert!(files(&again) == whole && steps.iter().all(|step| *step == 0), "{steps:?}");
+    // What another run left is of no use.
+    let other = TrainOptions { seed: 1, ..options };
+    let fresh = files(&run(&other).expect("files"));
+    let kept = Checkpoints { keep: Some(root.clone()), resume: Resume::IfPossible(root.clone()) };
+    let output = run_with(&other, &kept, &mut |_, _| (), &CancelFlag::default()).expect("files");
+    assert!(files(&output) == fresh && fresh != whole);
+    fs::remove_dir_all(root).expect("removed");
+}
+
+#[test]
+fn the_program_says_how_small_a_file_can_be_and_names_the_files_of_a_curve() {
+    let out = tempfile::tempdir().expect("a folder");
+    let (set, file) = (DATASET.path().join("set"), out.path().join("out.tcgs"));
+    let train = |extra: &[&str]| {
+        let mut command = command();
+        command
+            .arg("train")
+            .arg(&set)
+            .arg("-o")
+            .arg(&file)
+            .args(["--iterations", "12", "--json"])
+            .args(extra);
+        command.output().expect("runs")
+    };
+    let refused = train(&["--max-bytes", "100"]);
+    assert_eq!(refused.status.code(), Some(4));
+    let problem: serde_json::Value = serde_json::from_slice(&refused.stdout).expect("one document");
+    assert_eq!(problem["type"], "urn:tcgs:problem:max-bytes-unreachable");
+    assert!(problem["smallest_bytes"].as_u64() > Some(100), "{problem}");
+    assert!(!file.exists());
+
+    let curve = train(&["--rd-curve", "0.004,0.0005"]);
+    assert!(curve.status.success(), "{}", String::from_utf8_lossy(&curve.stderr));
+    let metrics: serde_json::Value = serde_json::from_slice(&curve.stdout).expect("one document");
+    let names = ["out.lambda-0.004.tcgs", "out.lambda-0.0005.tcgs"].map(|name| out.path().join(name));
+    let listed = metrics["files"].as_array().expect("files");
+    assert_eq!(listed.len(), 2);
+    for ((listed, point), path) in
+        listed.iter().zip(metrics["rd_curve"].as_array().expect("points")).zip(&names)
+    {
+        assert_eq!((&listed["path"], &listed["lambda"]), (&path.to_str().into(), &point["lambda"]));
+        assert_eq!(point["bytes"], fs::metadata(path).expect("a file").len());
+    }
+    assert_eq!(fs::read(&file).expect("a file"), fs::read(&names[0]).expect("a file"), "the first once more");
+}

@@ -1,0 +1,88 @@
+//! What leaving out is said to cost is what it costs.
+
+use tcgs::{
+    domain::{AnchorScene, Background, CancelFlag, Dataset, Frame, Scene, Split},
+    eval::{RemovalCosts, removal_costs},
+    render::SceneRenderer,
+    train::{Checkpoints, train},
+};
+
+use crate::{
+    support::gpu::gpu,
+    train::{dataset, options},
+};
+
+const BACKGROUND: Background = Background::Black;
+
+fn trained(dataset: &Dataset) -> AnchorScene {
+    let cancel = CancelFlag::default();
+    let trained = train(&gpu(), dataset, &options(60, 3), Checkpoints::default(), &mut |_| (), &cancel);
+    match trained.expect("a scene").scene {
+        Scene::Anchors(scene) => scene,
+        Scene::Gaussians(_) => panic!("a scene of anchors"),
+    }
+}
+
+fn seen(dataset: &Dataset) -> Vec<&Frame> {
+    dataset.split(Split::Train).collect()
+}
+
+fn costs(scene: &AnchorScene, frames: &[&Frame]) -> RemovalCosts {
+    removal_costs(&gpu(), scene, frames, BACKGROUND, &mut || true).expect("measures")
+}
+
+/// Sum of squared errors of the frames, in units of the largest sample.
+fn squared_error(renderer: &mut SceneRenderer, scene: &AnchorScene, frames: &[&Frame]) -> f64 {
+    renderer.replace(scene).expect("the same shape");
+    let of = |frame: &&Frame| {
+        let render = renderer.render(&frame.camera).expect("renders");
+        let photograph = frame.image.load().expect("in memory");
+        let pairs = render.samples().iter().zip(photograph.over(BACKGROUND.rgb8()).samples().to_vec());
+        pairs.map(|(a, b)| ((f64::from(*a) - f64::from(b)) / 255.0).powi(2)).sum::<f64>()
+    };
+    frames.iter().map(of).collect::<Vec<f64>>().iter().sum()
+}
+
+#[test]
+fn the_cost_of_an_anchor_is_what_the_views_lose_with_it() {
+    let dataset = dataset();
+    let frames = seen(&dataset);
+    let scene = trained(&dataset);
+    let costs = costs(&scene, &frames);
+    let mut renderer = SceneRenderer::new(&gpu(), &scene, BACKGROUND).expect("a renderer");
+    let whole = squared_error(&mut renderer, &scene, &frames);
+    let k = scene.offsets_per_anchor;
+    let mut anchors: Vec<usize> = (0..scene.len()).collect();
+    anchors.sort_by(|a, b| costs.anchors[*b].total_cmp(&costs.anchors[*a]));
+    // Large ones, whose change eight bits can show.
+    let mut pairs = Vec::new();
+    for anchor in anchors.iter().take(24) {
+        let mut without = scene.clone();
+        without.masks[anchor * k..(anchor + 1) * k].fill(false);
+        let lost = squared_error(&mut renderer, &without, &frames) - whole;
+        pairs.push((costs.anchors[*anchor], lost));
+    }
+    let (said, lost) = pairs.iter().fold((0.0, 0.0), |sum, pair| (sum.0 + pair.0, sum.1 + pair.1));
+    assert!((0.7..1.4).contains(&(said / lost)), "{said} was said, {lost} is lost: {pairs:?}");
+    let ordered = |pairs: &[(f64, f64)]| {
+        let all = pairs.iter().enumerate().flat_map(|(i, a)| pairs[i + 1..].iter().map(move |b| (a, b)));
+        let all: Vec<_> = all.collect();
+        all.iter().filter(|(a, b)| (a.0 > b.0) == (a.1 > b.1)).count() as f64 / all.len() as f64
+    };
+    assert!(ordered(&pairs) > 0.75, "{} of all pairs are in order: {pairs:?}", ordered(&pairs));
+}
+
+#[test]
+fn what_no_view_shows_costs_nothing_and_figures_are_repeated() {
+    let dataset = dataset();
+    let frames = seen(&dataset);
+    let mut scene = trained(&dataset);
+    let k = scene.offsets_per_anchor;
+    scene.masks[..k].fill(false);
+    let once = costs(&scene, &frames);
+    assert_eq!((once.offsets.len(), once.anchors.len()), (scene.len() * k, scene.len()));
+    assert!(once.offsets[..k].iter().all(|cost| *cost == 0.0) && once.anchors[0] == 0.0);
+    assert_eq!(costs(&scene, &frames), once);
+    let none = removal_costs(&gpu(), &scene, &frames, BACKGROUND, &mut || false).expect("measures");
+    assert!(none.anchors.iter().all(|cost| *cost == 0.0), "stopped before the first view");
+}
