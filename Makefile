@@ -9,7 +9,10 @@ DATA ?= $(or $(TCGS_SHARED),../shared)/data
 # Other programs' formats take part in `make results` where their converter runs, which takes Node.
 PEERS ?= $(and $(wildcard scripts/peers.sh),$(shell command -v node),--peers scripts/peers.sh)
 
-.PHONY: help setup build demo results test interop peers lint clean
+# How long `make fuzz` gives each target.
+FUZZ_SECONDS ?= 600
+
+.PHONY: help setup build demo results test interop peers fuzz lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -35,6 +38,9 @@ interop: setup ## hold exports to splat-transform, which comes through npm
 
 peers: ## convert IN (a .ply of plain Gaussians) to .sog and .spz and back, into OUT
 	@scripts/peers.sh "$(IN)" "$(OUT)"
+
+fuzz: setup ## fuzz the decoder, FUZZ_SECONDS a target
+	@scripts/fuzz.sh $(FUZZ_SECONDS)
 
 lint: setup ## formatting, clippy, documentation, licences
 	@$(CARGO) fmt --check

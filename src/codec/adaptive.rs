@@ -31,7 +31,13 @@ impl AdaptiveBit {
     /// Learns one bit; the quotient is rounded towards zero.
     pub(super) fn learn(&mut self, bit: bool) {
         let target = if bit { 1_i32 << FINE_BITS } else { 0 };
-        let step = (target - self.one as i32) / (i32::from(self.seen) + 2);
+        let away = target - self.one as i32;
+        // The same quotient, and most often the divisor is this power of two.
+        let step = if self.seen == SEEN_LIMIT {
+            away / (i32::from(SEEN_LIMIT) + 2)
+        } else {
+            away / (i32::from(self.seen) + 2)
+        };
         self.one = (self.one as i32 + step) as u32;
         self.seen = (self.seen + 1).min(SEEN_LIMIT);
     }

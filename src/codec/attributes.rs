@@ -40,6 +40,7 @@ pub(super) struct CodedGroup {
 
 /// The attributes section, of groups in the order of [`Attribute::ALL`].
 pub(super) fn encode(groups: [&CodedGroup; 3]) -> Vec<u8> {
+    let _stage = tracing::debug_span!("attributes").entered();
     let mut writer = Writer::new();
     groups.iter().for_each(|group| write_parameters(&group.model, &mut writer));
     for chunk in 0..groups[0].streams.len() {
@@ -178,6 +179,7 @@ impl Layout {
         models: [&GroupModel; 3],
         anchors: &AnchorContext,
     ) -> Result<Integers, DecodeError> {
+        let _stage = tracing::debug_span!("attributes").entered();
         let mut symbols = [Vec::new(), Vec::new(), Vec::new()];
         let mut steps = [Vec::new(), Vec::new(), Vec::new()];
         for attribute in Attribute::ALL {

@@ -63,6 +63,7 @@ pub(super) struct Container<'a> {
 impl<'a> Container<'a> {
     /// Reads and checks everything that does not depend on a section's content.
     pub(super) fn parse(bytes: &'a [u8]) -> Result<Self, DecodeError> {
+        let _stage = tracing::debug_span!("container").entered();
         let mut reader = Reader::new(HEADER, bytes);
         if !bytes.starts_with(&MAGIC) {
             return Err(DecodeError::NotTcgs);
@@ -184,6 +185,7 @@ fn parse_sections<'a>(table: &[u8], bytes: &'a [u8]) -> Result<Vec<Section<'a>>,
 
 /// Writes a file of `(id, content)`; those whose id is in `optional` need not be understood, all others are critical.
 pub(super) fn write(sections: &[(SectionId, Vec<u8>)], optional: &[SectionId]) -> Vec<u8> {
+    let _stage = tracing::debug_span!("container").entered();
     let header = FIXED_HEADER + sections.len() * TABLE_ENTRY;
     let length = header + sections.iter().map(|(_, content)| content.len()).sum::<usize>();
     let mut writer = Writer::new();

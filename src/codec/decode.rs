@@ -27,18 +27,34 @@ pub struct DecodeLimits {
     /// Most bytes that the anchors may take, and that the networks, the context's networks and its planes may take, each
     /// with the decoder's own arrays.
     pub max_memory_bytes: u64,
+    /// Most bytes of memory that the anchors may take for each byte of the file, beyond the first 16 MiB: a few bytes can
+    /// spell out millions of equal anchors.
+    pub max_expansion: u64,
 }
+
+/// Bytes of memory that any file may take.
+const JUSTIFIED: u64 = 16 << 20;
 
 impl DecodeLimits {
     /// For files of one's own making.
-    pub const NONE: Self =
-        Self { max_file_bytes: u64::MAX, max_anchors: u64::MAX, max_memory_bytes: u64::MAX };
+    pub const NONE: Self = Self {
+        max_file_bytes: u64::MAX,
+        max_anchors: u64::MAX,
+        max_memory_bytes: u64::MAX,
+        max_expansion: u64::MAX,
+    };
 }
 
 impl Default for DecodeLimits {
-    /// 1 GiB of file, 10 million anchors, 8 GiB of memory: far above any scene that was trained to be sent.
+    /// 1 GiB of file, 10 million anchors, 8 GiB of memory, 4096 times the file: far above any scene that was trained to
+    /// be sent, which takes some hundred times its file.
     fn default() -> Self {
-        Self { max_file_bytes: 1 << 30, max_anchors: 10_000_000, max_memory_bytes: 8 << 30 }
+        Self {
+            max_file_bytes: 1 << 30,
+            max_anchors: 10_000_000,
+            max_memory_bytes: 8 << 30,
+            max_expansion: 4096,
+        }
     }
 }
 
@@ -58,6 +74,7 @@ pub struct Decoded {
 /// # Errors
 /// [`DecodeError`] for bytes that are not exactly one undamaged file of a known version within `limits`.
 pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeError> {
+    let _stage = tracing::debug_span!("decode").entered();
     let Content { manifest, networks, symbols, near, .. } = read(bytes, limits)?;
     let scene = AnchorScene { near, ..quantise::dequantise(symbols, &networks, &manifest) };
     let decode_sha256 = decode_digest(&scene);
@@ -80,19 +97,35 @@ pub(super) struct Content {
 
 /// Reads everything, and does not yet make floats of it.
 pub(super) fn read(bytes: &[u8], limits: &DecodeLimits) -> Result<Content, DecodeError> {
+    let stage = tracing::Span::current();
     within("file bytes", bytes.len() as u64, limits.max_file_bytes)?;
     let container = Container::parse(bytes)?;
     container.check_known(&sections::ALL)?;
     let manifest = Manifest::decode(container.section(sections::MANIFEST, "manifest")?.bytes)?;
     within("anchors", manifest.anchors as u64, limits.max_anchors)?;
-    within("bytes of memory", memory(&manifest), limits.max_memory_bytes)?;
+    let memory = memory(&manifest);
+    within("bytes of memory", memory, limits.max_memory_bytes)?;
+    let justified = JUSTIFIED.saturating_add(limits.max_expansion.saturating_mul(bytes.len() as u64));
+    within("bytes of memory for a file of this length", memory, justified)?;
 
     let (shape, k) = (manifest.shape(), manifest.offsets_per_anchor);
-    let section = container.section(sections::NETWORKS, "networks")?.bytes;
-    let networks = networks::decode(section, manifest.feature_dim, k, limits.max_memory_bytes)?;
-    let cells =
-        positions::decode(container.section(sections::POSITIONS, "positions")?.bytes, manifest.anchors)?;
-    let masks = masks::decode(container.section(sections::MASKS, "masks")?.bytes, manifest.anchors, k)?;
+    let of_networks = container.section(sections::NETWORKS, "networks")?.bytes;
+    let of_positions = container.section(sections::POSITIONS, "positions")?.bytes;
+    let of_masks = container.section(sections::MASKS, "masks")?.bytes;
+    let networks = networks::decode(of_networks, manifest.feature_dim, k, limits.max_memory_bytes)?;
+    if manifest.anchors as u64 >= positions::too_many(of_positions.len()) {
+        return Err(DecodeError::Malformed {
+            part: "positions",
+            what: "number of anchors",
+            value: format!("{} in {} bytes", manifest.anchors, of_positions.len()),
+        });
+    }
+    // Both are one long stream.
+    let (cells, masks) = rayon::join(
+        || stage.in_scope(|| positions::decode(of_positions, manifest.anchors)),
+        || stage.in_scope(|| masks::decode(of_masks, manifest.anchors, k)),
+    );
+    let (cells, masks) = (cells?, masks?);
     let gaussians = masks.iter().filter(|kept| **kept).count();
     if gaussians != manifest.gaussians {
         return Err(DecodeError::Malformed {
@@ -132,6 +165,7 @@ fn context(
     let planes = container.section_if(samples, sections::PLANES, "planes")?;
     let Some(context) = context else { return Ok(([None, None, None], AnchorContext::default())) };
 
+    let _stage = tracing::debug_span!("context").entered();
     let layout = section::Layout::read(context.bytes, kinds)?;
     let planes =
         planes.map(|planes| IntegerPlanes::decode(planes.bytes, limits.max_memory_bytes)).transpose()?;
@@ -171,10 +205,10 @@ fn join(
 }
 
 /// Bytes that decoding takes at its peak: integers, step indices and floats of the attributes, a mask byte an
-/// offset, cells with two levels of Morton codes.
+/// offset, cells, and two levels of the octree with a code, six neighbours and a family a node.
 fn memory(manifest: &Manifest) -> u64 {
     let values = manifest.feature_dim + SCALINGS_PER_ANCHOR + 3 * manifest.offsets_per_anchor;
-    let anchor = 2 * 4 * values + 3 + manifest.offsets_per_anchor + 12 + 16;
+    let anchor = 2 * 4 * values + 3 + manifest.offsets_per_anchor + 12 + 2 * 40;
     manifest.anchors as u64 * anchor as u64
 }
 

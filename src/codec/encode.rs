@@ -33,6 +33,7 @@ pub fn encode(
     context: Option<&ContextCandidates>,
     settings: &EncodeSettings,
 ) -> Result<Encoded, EncodeError> {
+    let stage = tracing::debug_span!("encode").entered();
     check_counts(scene)?;
     scene.check()?;
     networks::check(&scene.networks)?;
@@ -79,13 +80,24 @@ pub fn encode(
         steps: manifest.steps,
         chunks: &chunks,
     };
-    let chosen = search::choose(&anchors, context, &settings.context)?;
+    let (chosen, (networks, rest)) = rayon::join(
+        || stage.in_scope(|| search::choose(&anchors, context, &settings.context)),
+        || {
+            stage.in_scope(|| {
+                let networks = quantise_networks(scene);
+                let rest =
+                    [networks::encode(&networks), positions::encode(&ordered), masks::encode(&masks, k)];
+                (networks, rest)
+            })
+        },
+    );
+    let chosen = chosen?;
     manifest.contexts = chosen.contexts;
-    let networks = quantise_networks(scene);
+    let [of_networks, of_positions, of_masks] = rest;
     let content = [
-        Some((sections::NETWORKS, networks::encode(&networks))),
-        Some((sections::POSITIONS, positions::encode(&ordered))),
-        Some((sections::MASKS, masks::encode(&masks, k))),
+        Some((sections::NETWORKS, of_networks)),
+        Some((sections::POSITIONS, of_positions)),
+        Some((sections::MASKS, of_masks)),
         chosen.context.map(|section| (sections::CONTEXT, section)),
         chosen.planes.map(|section| (sections::PLANES, section)),
         Some((sections::ATTRIBUTES, attributes::encode(chosen.groups.each_ref()))),
@@ -97,16 +109,15 @@ pub fn encode(
         groups: [features.0, scalings.0, offsets.0],
         steps: [features.1, scalings.1, offsets.1],
     };
-    let mut quantised = quantise::dequantise(symbols, &networks, &manifest);
-    quantised.near = scene.near;
-    manifest.decode_sha256 = decode_digest(&quantised);
+    manifest.decode_sha256 = decode_digest(&quantise::dequantise(symbols, &networks, &manifest));
     let mut content: Vec<_> = content.into_iter().flatten().collect();
     content.insert(0, (sections::MANIFEST, manifest.encode()));
     content.extend(view::encode(scene.near).map(|view| (sections::VIEW, view)));
     let bytes = container::write(&content, &[sections::VIEW]);
 
     let decoded = decode(&bytes, &DecodeLimits::NONE).map_err(EncodeError::ReadBack)?;
-    if decoded.scene != quantised {
+    // The hash is of every value: what was read back is what was meant to be written.
+    if decoded.decode_sha256 != manifest.decode_sha256 || decoded.scene.near != scene.near {
         return Err(EncodeError::Verification);
     }
     let byte_counts = inspect(&bytes).map_err(EncodeError::ReadBack)?.byte_counts;
@@ -138,6 +149,7 @@ fn check_counts(scene: &AnchorScene) -> Result<(), EncodeError> {
 }
 
 fn quantise_networks(scene: &AnchorScene) -> QuantisedNetworks {
+    let _stage = tracing::debug_span!("networks").entered();
     let inputs = precision::sample_inputs(scene);
     QuantisedNetworks([
         precision::quantise(&scene.networks.opacity, Activation::Tanh, &inputs),

@@ -15,18 +15,18 @@ const CONSTANT: u8 = SCALES as u8;
 const COARSE: usize = 4;
 
 /// The distribution for `symbols`; without any symbol, the constant zero.
-pub(super) fn fit(mut symbols: Vec<i32>) -> Distribution {
-    symbols.sort_unstable();
-    let (Some(least), Some(most)) = (symbols.first(), symbols.last()) else {
+pub(super) fn fit(symbols: Vec<i32>) -> Distribution {
+    let (Some(least), Some(most)) = (symbols.iter().min().copied(), symbols.iter().max().copied()) else {
         return Distribution::Constant(0);
     };
     if least == most {
-        return Distribution::Constant(*least);
+        return Distribution::Constant(least);
     }
+    let count = symbols.len();
     let sum: i64 = symbols.iter().map(|symbol| i64::from(*symbol)).sum();
-    let mean16 = (16 * sum).div_euclid(symbols.len() as i64) as i32;
-    let median16 = 16 * symbols[symbols.len() / 2];
-    let histogram = histogram(&symbols);
+    let mean16 = (16 * sum).div_euclid(count as i64) as i32;
+    let histogram = histogram(symbols, least, most);
+    let median16 = 16 * median(&histogram, count);
 
     let mut search = Search { histogram: &histogram, best: (f64::INFINITY, Gaussian { mean16, scale: 0 }) };
     for mean16 in [mean16, median16] {
@@ -71,8 +71,30 @@ impl Search<'_> {
     }
 }
 
-fn histogram(sorted: &[i32]) -> Vec<(i32, f64)> {
-    sorted.chunk_by(|a, b| a == b).map(|run| (run[0], run.len() as f64)).collect()
+/// Widest range of symbols that are counted; others are sorted.
+const COUNTED: u32 = 1 << 16;
+
+/// Each symbol that occurs, ascending, with how often it does.
+fn histogram(mut symbols: Vec<i32>, least: i32, most: i32) -> Vec<(i32, f64)> {
+    let range = most.abs_diff(least);
+    if range >= COUNTED {
+        symbols.sort_unstable();
+        return symbols.chunk_by(|a, b| a == b).map(|run| (run[0], run.len() as f64)).collect();
+    }
+    let mut counts = vec![0_u32; range as usize + 1];
+    symbols.iter().for_each(|symbol| counts[symbol.abs_diff(least) as usize] += 1);
+    let occurring = (least..).zip(counts).filter(|(_, count)| *count > 0);
+    occurring.map(|(symbol, count)| (symbol, f64::from(count))).collect()
+}
+
+/// The symbol in the middle of `count`.
+fn median(histogram: &[(i32, f64)], count: usize) -> i32 {
+    let mut before = 0.0;
+    let middle = histogram.iter().find(|(_, count_here)| {
+        before += count_here;
+        before > (count / 2) as f64
+    });
+    middle.map_or(0, |(symbol, _)| *symbol)
 }
 
 /// Stores a distribution: zigzag varint of the mean in sixteenths, then the scale's index (64: constant).

@@ -11,6 +11,7 @@ const PART: &str = "masks";
 
 /// The masks section for `[N][K]` masks.
 pub(super) fn encode(masks: &[bool], per_anchor: usize) -> Vec<u8> {
+    let _stage = tracing::debug_span!("masks").entered();
     let mut stream = StreamEncoder::new();
     let mut contexts = Contexts::new(per_anchor);
     for anchor in masks.chunks_exact(per_anchor) {
@@ -29,6 +30,7 @@ pub(super) fn encode(masks: &[bool], per_anchor: usize) -> Vec<u8> {
 
 /// Reads the masks of `anchors` anchors.
 pub(super) fn decode(section: &[u8], anchors: usize, per_anchor: usize) -> Result<Vec<bool>, DecodeError> {
+    let _stage = tracing::debug_span!("masks").entered();
     let mut stream = StreamDecoder::new(PART, section)?;
     let mut contexts = Contexts::new(per_anchor);
     let mut masks = reserved(PART, anchors * per_anchor)?;
@@ -51,6 +53,8 @@ pub(super) fn decode(section: &[u8], anchors: usize, per_anchor: usize) -> Resul
 struct Contexts {
     per_anchor: usize,
     bits: Vec<AdaptiveBit>,
+    /// Share of the slots so far, by slot and count.
+    shares: Vec<u8>,
     before: Vec<bool>,
     before_share: usize,
     kept: usize,
@@ -58,8 +62,11 @@ struct Contexts {
 
 impl Contexts {
     fn new(per_anchor: usize) -> Self {
+        let shares = (0..per_anchor)
+            .flat_map(|slot| (0..per_anchor).map(move |kept| share(kept.min(slot), slot) as u8));
         Self {
             per_anchor,
+            shares: shares.collect(),
             bits: vec![AdaptiveBit::NEW; per_anchor * 2 * SHARES * SHARES],
             before: vec![true; per_anchor],
             before_share: SHARES - 1,
@@ -77,7 +84,7 @@ impl Contexts {
     }
 
     fn of(&mut self, slot: usize) -> &mut AdaptiveBit {
-        let so_far = share(self.kept, slot);
+        let so_far = usize::from(self.shares[slot * self.per_anchor + self.kept]);
         let place = (slot * 2 + usize::from(self.before[slot])) * SHARES + so_far;
         &mut self.bits[place * SHARES + self.before_share]
     }

@@ -89,7 +89,7 @@ pub(super) fn quantise(mlp: &Mlp, levels: u16) -> QuantisedMlp {
 
 fn quantise_layer(layer: &DenseLayer, levels: f32) -> QuantisedLayer {
     let mut row_scales: Vec<i32> =
-        layer.weights.chunks(layer.inputs).map(|row| upper_half(largest(row) / levels)).collect();
+        layer.weights.chunks(layer.inputs).map(|row| row_scale(row, levels)).collect();
     // A row of zeros may have any scale; the layer's largest costs fewer bits than an outlier.
     let common = row_scales.iter().copied().max().unwrap_or(0);
     row_scales.iter_mut().filter(|scale| **scale == 0).for_each(|scale| *scale = common);
@@ -102,6 +102,17 @@ fn quantise_layer(layer: &DenseLayer, levels: f32) -> QuantisedLayer {
     let bias_scale = largest(&layer.bias) / BIAS_LEVELS;
     let bias = layer.bias.iter().map(|bias| nearest(*bias, bias_scale, BIAS_LEVELS)).collect();
     QuantisedLayer { inputs: layer.inputs, outputs: layer.outputs, row_scales, weights, bias_scale, bias }
+}
+
+/// The least scale at which no weight exceeds its levels; but where the row has been rounded before, the scale of then,
+/// so that a rounded network is stored as it is. Rounding up had made that larger by at most one unit.
+fn row_scale(row: &[f32], levels: f32) -> i32 {
+    let least = upper_half(largest(row) / levels);
+    let exact = |scale: &i32| {
+        let scale = from_upper_half(*scale);
+        row.iter().all(|weight| nearest(*weight, scale, levels) as f32 * scale == *weight)
+    };
+    (least..=(least + 1).min(MAX_SCALE)).find(exact).unwrap_or(least)
 }
 
 fn largest(values: &[f32]) -> f32 {
@@ -143,6 +154,7 @@ pub(super) fn as_decoded(mlp: &QuantisedMlp) -> Mlp {
 
 /// The networks section: the shape and distributions of every layer, then one stream.
 pub(super) fn encode(networks: &QuantisedNetworks) -> Vec<u8> {
+    let _stage = tracing::debug_span!("networks").entered();
     let mut writer = Writer::new();
     let mut stream = StreamEncoder::new();
     for mlp in &networks.0 {
@@ -177,6 +189,7 @@ pub(super) fn decode(
     offsets: usize,
     max_memory_bytes: u64,
 ) -> Result<QuantisedNetworks, DecodeError> {
+    let _stage = tracing::debug_span!("networks").entered();
     let mut reader = Reader::new(PART, section);
     let outputs = [offsets, 7 * offsets, 3 * offsets];
     let heads = [

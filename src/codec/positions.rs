@@ -1,14 +1,15 @@
 //! Anchor cells as an occupancy octree, level by level from the root, with adaptive binary contexts.
 //!
 //! The nodes of a level are known in full before their children are coded, so a child's context can look at
-//! the nodes on the outer sides of its parent. The last level is the cells in Morton order.
+//! the nodes on the outer sides of its parent. The last level is the cells in Morton order. Trained anchors are
+//! sparse: most nodes have one child, which is said first, and makes half as many decisions of them.
 
 use super::{
     adaptive::AdaptiveBit,
     bytes::{Reader, Writer},
     error::{DecodeError, EncodeError},
     morton::{self, AXIS_BITS},
-    range::{StreamDecoder, StreamEncoder},
+    range::{BitCoder, StreamDecoder, StreamEncoder},
 };
 
 const PART: &str = "positions";
@@ -28,6 +29,7 @@ pub(super) struct Ordered {
 
 /// Sorts cells into the order of a file.
 pub(super) fn order(cells: &[[i32; 3]]) -> Result<Ordered, EncodeError> {
+    let _stage = tracing::debug_span!("order").entered();
     let bound = |axis: usize, pick: fn(i32, i32) -> i32| cells.iter().map(|cell| cell[axis]).reduce(pick);
     let mut least = [0; 3];
     let mut widest = 0;
@@ -57,83 +59,163 @@ pub(super) fn order(cells: &[[i32; 3]]) -> Result<Ordered, EncodeError> {
 
 /// The positions section.
 pub(super) fn encode(cells: &Ordered) -> Vec<u8> {
+    let _stage = tracing::debug_span!("positions").entered();
     let mut writer = Writer::new();
     cells.least.iter().for_each(|low| writer.signed(i64::from(*low)));
     writer.u8(cells.depth as u8);
     let mut stream = StreamEncoder::new();
     let mut contexts = Contexts::new();
-    for level in 0..cells.depth {
-        let below = 3 * (cells.depth - 1 - level);
-        let mut children: Vec<u64> = cells.codes.iter().map(|code| code >> below).collect();
-        children.dedup();
-        let families: Vec<&[u64]> = children.chunk_by(|a, b| a >> 3 == b >> 3).collect();
-        let parents: Vec<u64> = families.iter().map(|family| family[0] >> 3).collect();
-        for (index, family) in families.iter().enumerate() {
-            let sides = Sides::of(&parents, index, level);
-            let occupied = family.iter().fold(0_u8, |bits, child| bits | 1 << (child & 7));
-            let mut known = 0_u8;
-            for child in 0..8 {
-                if child == 7 && known == 0 {
-                    break; // A node has a child: the last one is certain.
-                }
-                let bit = occupied >> child & 1 == 1;
-                let leaf = level + 1 == cells.depth;
-                stream.adaptive(contexts.of(child, known, sides, leaf), bit);
-                known |= u8::from(bit) << child;
-            }
+    let mut level = Level::root();
+    for (depth, families) in families(cells).into_iter().enumerate() {
+        let below = cells.depth - 1 - depth as u32;
+        for (sides, family) in level.sides.iter().zip(&families) {
+            // The encoder gives back what it is given, and nothing else.
+            let _ = code_family(&mut stream, &mut contexts, Sides::of(sides), below, *family);
         }
+        level = level.children(&families);
     }
     writer.raw(&stream.finish());
     writer.into_bytes()
 }
 
+/// For each level from the root, for each of its nodes, which children exist.
+fn families(cells: &Ordered) -> Vec<Vec<u8>> {
+    let mut levels = Vec::new();
+    let mut nodes = cells.codes.clone();
+    for _ in 0..cells.depth {
+        let siblings = |a: &u64, b: &u64| a >> 3 == b >> 3;
+        let family = |children: &[u64]| children.iter().fold(0, |bits, child| bits | 1_u8 << (child & 7));
+        levels.push(nodes.chunk_by(siblings).map(family).collect());
+        nodes = nodes.chunk_by(siblings).map(|children| children[0] >> 3).collect();
+    }
+    levels.reverse();
+    levels
+}
+
+/// More anchors than a section of `length` bytes can stand for: an anchor takes at least one decision, and none is likelier
+/// than 65504 in 65536, which is 0.0007 bits.
+pub(super) fn too_many(length: usize) -> u64 {
+    11_400 * (length as u64 + 4)
+}
+
 /// Reads the positions section of a file with `count` anchors, in file order.
 pub(super) fn decode(section: &[u8], count: usize) -> Result<Vec<[i32; 3]>, DecodeError> {
+    let _stage = tracing::debug_span!("positions").entered();
     let mut reader = Reader::new(PART, section);
     let mut least = [0_i64; 3];
     for low in &mut least {
         *low = reader.signed("least cell")?;
     }
     let depth = u32::from(reader.u8("depth")?);
-    let wide = (1_i64 << depth.min(AXIS_BITS)) - 1;
-    let fits = |low: &i64| i32::try_from(*low).is_ok() && i32::try_from(low.saturating_add(wide)).is_ok();
     if depth > AXIS_BITS {
         return Err(reader.malformed("depth", depth));
     }
-    let mut stream = StreamDecoder::new(PART, reader.rest())?;
-    let mut contexts = Contexts::new();
-    let mut nodes = vec![0_u64];
-    for level in 0..depth {
-        let leaf = level + 1 == depth;
-        let mut children = Vec::new();
-        for index in 0..nodes.len() {
-            let sides = Sides::of(&nodes, index, level);
-            let mut known = 0_u8;
-            for child in 0..8 {
-                let certain = child == 7 && known == 0;
-                if certain || stream.adaptive(contexts.of(child, known, sides, leaf))? {
-                    known |= 1 << child;
-                    children.push(nodes[index] << 3 | child as u64);
-                }
-            }
-            if children.len() > count {
-                return Err(reader.malformed("number of cells", format!("over the stated {count}")));
-            }
-        }
-        nodes = children;
-    }
-    stream.finish()?;
-    if nodes.len() != count {
-        return Err(reader.malformed("number of cells", format!("{} where {count} are stated", nodes.len())));
-    }
-    let cell = |code: &u64| {
-        let relative = morton::deinterleave(*code);
-        [0, 1, 2].map(|axis| least[axis] + i64::from(relative[axis]))
-    };
+    let wide = (1_i64 << depth) - 1;
+    let fits = |low: &i64| i32::try_from(*low).is_ok() && i32::try_from(low.saturating_add(wide)).is_ok();
     if !least.iter().all(fits) {
         return Err(reader.malformed("least cell", format!("{least:?}")));
     }
-    Ok(nodes.iter().map(|code| cell(code).map(|coordinate| coordinate as i32)).collect())
+    let mut stream = StreamDecoder::new(PART, reader.rest())?;
+    let mut contexts = Contexts::new();
+    let mut level = Level::root();
+    for below in (0..depth).rev() {
+        let mut families = Vec::with_capacity(level.codes.len());
+        let mut children = 0;
+        for sides in &level.sides {
+            let family = code_family(&mut stream, &mut contexts, Sides::of(sides), below, 0)?;
+            children += family.count_ones() as usize;
+            if children > count {
+                return Err(reader.malformed("number of cells", format!("over the stated {count}")));
+            }
+            families.push(family);
+        }
+        level = level.children(&families);
+    }
+    stream.finish()?;
+    if level.codes.len() != count {
+        let value = format!("{} where {count} are stated", level.codes.len());
+        return Err(reader.malformed("number of cells", value));
+    }
+    let cell = |code: &u64| {
+        let relative = morton::deinterleave(*code);
+        [0, 1, 2].map(|axis| (least[axis] + i64::from(relative[axis])) as i32)
+    };
+    Ok(level.codes.iter().map(cell).collect())
+}
+
+/// Codes which children a node has, at least one; `below` is the number of levels beneath the children's.
+fn code_family(
+    stream: &mut impl BitCoder,
+    contexts: &mut Contexts,
+    sides: Sides,
+    below: u32,
+    family: u8,
+) -> Result<u8, DecodeError> {
+    if stream.code(contexts.single(sides, below), family.count_ones() == 1)? {
+        let mut child = 0;
+        for axis in (0..3).rev() {
+            let bit = stream.code(contexts.octant(sides, below, axis, child), family & HALVES[axis] != 0)?;
+            child |= u8::from(bit) << axis;
+        }
+        return Ok(1 << child);
+    }
+    let mut known = 0_u8;
+    for child in 0..8 {
+        // Of two children or more, the last ones may be certain.
+        let certain = known.count_ones() + (8 - child) == 2;
+        let bit = certain
+            || stream.code(contexts.child(sides, below, child as usize, known), family >> child & 1 == 1)?;
+        known |= u8::from(bit) << child;
+    }
+    Ok(known)
+}
+
+/// For each axis, the children in its upper half.
+const HALVES: [u8; 3] = [0b1010_1010, 0b1100_1100, 0b1111_0000];
+
+/// No such node.
+const NONE: u32 = u32::MAX;
+
+/// The nodes of a level, ascending, each with the places of its face neighbours: `2 axis + forward`.
+struct Level {
+    codes: Vec<u64>,
+    sides: Vec<[u32; 6]>,
+}
+
+impl Level {
+    fn root() -> Self {
+        Self { codes: vec![0], sides: vec![[NONE; 6]] }
+    }
+
+    /// The next level. A child's neighbour is its sibling or a child of its parent's neighbour, so that none is
+    /// searched for.
+    fn children(&self, families: &[u8]) -> Self {
+        let mut starts = Vec::with_capacity(families.len());
+        let mut count = 0_u32;
+        for family in families {
+            starts.push(count);
+            count += family.count_ones();
+        }
+        let place = |node: u32, child: u32| match families.get(node as usize) {
+            Some(family) if family >> child & 1 == 1 => {
+                starts[node as usize] + (family & ((1 << child) - 1)).count_ones()
+            }
+            _ => NONE,
+        };
+        let mut next =
+            Self { codes: Vec::with_capacity(count as usize), sides: Vec::with_capacity(count as usize) };
+        for (node, (code, sides)) in self.codes.iter().zip(&self.sides).enumerate() {
+            for child in (0..8_u32).filter(|child| families[node] >> child & 1 == 1) {
+                next.codes.push(code << 3 | u64::from(child));
+                next.sides.push(std::array::from_fn(|side| {
+                    let (axis, forward) = (side / 2, side as u32 & 1);
+                    let leaves = child >> axis & 1 == forward;
+                    place(if leaves { sides[side] } else { node as u32 }, child ^ 1 << axis)
+                }));
+            }
+        }
+        next
+    }
 }
 
 /// Which of a node's six face neighbours exist: bit `2 axis + forward`.
@@ -141,17 +223,8 @@ pub(super) fn decode(section: &[u8], count: usize) -> Result<Vec<[i32; 3]>, Deco
 struct Sides(u8);
 
 impl Sides {
-    fn of(nodes: &[u64], index: usize, level: u32) -> Self {
-        let mut sides = 0;
-        for axis in 0..3 {
-            for forward in [false, true] {
-                let there = morton::neighbour(nodes[index], axis, forward, level);
-                if there.is_some_and(|code| nodes.binary_search(&code).is_ok()) {
-                    sides |= 1 << (2 * axis + usize::from(forward));
-                }
-            }
-        }
-        Self(sides)
+    fn of(places: &[u32; 6]) -> Self {
+        Self(places.iter().zip(0..).fold(0, |bits, (place, side)| bits | u8::from(*place != NONE) << side))
     }
 
     /// How many of the three neighbours that touch `child` exist.
@@ -163,23 +236,52 @@ impl Sides {
     fn opposite(self, child: usize) -> usize {
         self.touching(!child & 7)
     }
+
+    /// Whether the two neighbours along `axis` exist.
+    fn along(self, axis: usize) -> usize {
+        usize::from(self.0 >> (2 * axis) & 3)
+    }
 }
 
-/// A probability for each combination of child, known siblings and neighbours, apart for the last level.
-struct Contexts(Vec<AdaptiveBit>);
+/// Levels above the cells that are told apart.
+const HEIGHTS: usize = 8;
+
+/// The adaptive bits of the three kinds of decisions.
+struct Contexts {
+    single: Vec<AdaptiveBit>,
+    octant: Vec<AdaptiveBit>,
+    child: Vec<AdaptiveBit>,
+}
 
 impl Contexts {
     fn new() -> Self {
-        Self(vec![AdaptiveBit::NEW; 2 * 8 * 4 * 4 * 4 * 4])
+        Self {
+            single: vec![AdaptiveBit::NEW; HEIGHTS * 7],
+            octant: vec![AdaptiveBit::NEW; 3 * 8 * 4 * 3],
+            child: vec![AdaptiveBit::NEW; 2 * 8 * 4 * 4 * 4 * 4],
+        }
     }
 
-    fn of(&mut self, child: usize, known: u8, sides: Sides, leaf: bool) -> &mut AdaptiveBit {
+    /// Whether a node has one child only: by height and number of neighbours.
+    fn single(&mut self, sides: Sides, below: u32) -> &mut AdaptiveBit {
+        &mut self.single[(below as usize).min(HEIGHTS - 1) * 7 + sides.0.count_ones() as usize]
+    }
+
+    /// Which half of an axis an only child is in: by what is known of the upper axes, and the axis' neighbours.
+    fn octant(&mut self, sides: Sides, below: u32, axis: usize, upper: u8) -> &mut AdaptiveBit {
+        let digits = [(usize::from(upper), 8), (sides.along(axis), 4), (axis, 3)];
+        &mut self.octant
+            [digits.iter().fold((below as usize).min(2), |place, (digit, base)| place * base + digit)]
+    }
+
+    /// Whether a child exists: by its place, known siblings, those across a face, and neighbours.
+    fn child(&mut self, sides: Sides, below: u32, child: usize, known: u8) -> &mut AdaptiveBit {
         let beside =
             (0..3).filter(|axis| child >> axis & 1 == 1 && known >> (child ^ 1 << axis) & 1 == 1).count();
         let siblings = (known.count_ones() as usize).min(3);
         let digits = [siblings, beside, sides.opposite(child), sides.touching(child)];
-        let place = digits.iter().fold(usize::from(leaf) * 8 + child, |place, digit| place * 4 + digit);
-        &mut self.0[place]
+        let place = digits.iter().fold(usize::from(below == 0) * 8 + child, |place, digit| place * 4 + digit);
+        &mut self.child[place]
     }
 }
 
@@ -247,6 +349,30 @@ mod tests {
         let bits = 8.0 * bytes as f64 / cells.len() as f64;
         println!("{} cells, {bits:.3} bits each", cells.len());
         assert!(bits < 2.6, "{bits} bits a cell");
+    }
+
+    #[test]
+    fn neighbours_are_what_a_search_finds() {
+        let cells: Vec<[i32; 3]> = (0..4096_u64)
+            .filter(|code| code * code % 11 < 4)
+            .map(|code| morton::deinterleave(code).map(|c| c as i32))
+            .collect();
+        let ordered = order(&cells).expect("cells fit");
+        let mut level = Level::root();
+        for families in families(&ordered) {
+            level = level.children(&families);
+            let nodes: Vec<[i64; 3]> =
+                level.codes.iter().map(|code| morton::deinterleave(*code).map(i64::from)).collect();
+            for (node, sides) in nodes.iter().zip(&level.sides) {
+                for (side, place) in sides.iter().enumerate() {
+                    let mut beside = *node;
+                    beside[side / 2] += 2 * (side as i64 % 2) - 1;
+                    let expected = nodes.iter().position(|other| *other == beside);
+                    assert_eq!(expected, (*place != NONE).then_some(*place as usize));
+                }
+            }
+        }
+        assert_eq!(level.codes, ordered.codes);
     }
 
     proptest! {

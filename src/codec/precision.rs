@@ -6,13 +6,16 @@
 use super::networks::{self, QuantisedMlp};
 use crate::domain::{AnchorScene, DenseLayer, Mlp, anchors::VIEW_INPUTS};
 
-/// Magnitudes of the weights' integers, coarsest first: 8 to 12 bits.
-const LEVELS: [u16; 5] = [127, 255, 511, 1023, 2047];
+/// Magnitudes of the weights' integers, coarsest first: 4, 6 and 8 bits, which a network may have been trained for,
+/// then up to 12.
+const LEVELS: [u16; 7] = [7, 31, 127, 255, 511, 1023, 2047];
 
-/// Largest root mean square difference after activation. As an error of every pixel it would be 60 dB, which
-/// takes 0.01 dB from an image of 34 dB. Eight bits a weight come to 0.0018 on a network of random weights (see
-/// the test), 55 dB, which takes 0.04 dB; and each further bit costs a kilobyte and halves it.
-const TOLERANCE: f64 = 1e-3;
+/// Largest root mean square difference after activation. Of the difference of a network, a fifth arrives in the pixels at
+/// most: on the held-out views of a trained scene of 27 dB, opacities coarser by 0.0295 cost 0.06 dB, which is 0.0054 of
+/// a pixel, by 0.0055 nothing that shows in a hundredth of a dB; shapes by 0.024 and colours by 0.011 nothing either. So
+/// three networks with this difference each come to 0.001 of a pixel or 60 dB, which takes 0.01 dB from an image of 34 dB
+/// and 0.02 dB from one of 37 dB.
+const TOLERANCE: f64 = 3e-3;
 
 /// Anchors in the sample.
 const SAMPLE: usize = 256;
@@ -141,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn each_bit_halves_the_difference_and_eight_do_not_suffice() {
+    fn each_bit_halves_the_difference_and_eight_suffice() {
         let mut random = Pcg64Mcg::seed_from_u64(9);
         let mut normal = move || {
             let (u, v): (f64, f64) = (random.random(), random.random());
@@ -163,9 +166,29 @@ mod tests {
             difference(&decoded, Activation::Logistic, &inputs, &exact)
         };
         let errors = LEVELS.map(at);
-        println!("root mean square difference of colours by weight bits, from 8: {errors:?}");
-        assert!(errors[0] > 1.5 * TOLERANCE, "{errors:?}");
-        assert!(errors.windows(2).all(|pair| (0.4..0.6).contains(&(pair[1] / pair[0]))), "{errors:?}");
+        println!("root mean square difference of colours with 4, 6, 8 to 12 weight bits: {errors:?}");
+        let bits = LEVELS.map(|levels| f64::from(levels + 1).log2());
+        for (errors, bits) in errors.windows(2).zip(bits.windows(2)) {
+            let halves = (errors[0] / errors[1]).log2() / (bits[1] - bits[0]);
+            assert!((0.75..1.3).contains(&halves), "{errors:?} at {bits:?} bits");
+        }
+        assert!(errors[1] > TOLERANCE && errors[2] <= TOLERANCE, "{errors:?}");
+    }
+
+    #[test]
+    fn a_network_rounded_to_eight_bits_is_stored_as_it_is() {
+        let row = |index: usize| ((index * 389 % 997) as f32 - 498.0) * 0.003;
+        let mlp = Mlp {
+            layers: vec![DenseLayer {
+                inputs: 40,
+                outputs: 60,
+                weights: (0..2400).map(|index| row(index) * (1.0 + 0.013 * (index / 40) as f32)).collect(),
+                bias: vec![0.0; 60],
+            }],
+        };
+        let rounded = networks::as_decoded(&networks::quantise(&mlp, 127));
+        assert_ne!(rounded, mlp);
+        assert_eq!(networks::as_decoded(&networks::quantise(&rounded, 127)), rounded);
     }
 
     #[test]

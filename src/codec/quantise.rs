@@ -81,6 +81,7 @@ fn nearest(what: &'static str, index: usize, value: f32, step: f32) -> Result<i3
 /// The scene that the integers stand for: each value is its integer, exact in f32, times its anchor's step, which is its
 /// group's base step times a factor from a table.
 pub(super) fn dequantise(symbols: Symbols, networks: &QuantisedNetworks, manifest: &Manifest) -> AnchorScene {
+    let _stage = tracing::debug_span!("dequantise").entered();
     let shape = manifest.shape();
     let [features, scalings, offsets] = Attribute::ALL.map(|attribute| {
         let (integers, steps) = (&symbols.groups[attribute as usize], &symbols.steps[attribute as usize]);

@@ -26,6 +26,25 @@ use super::{
 const WORD: usize = 4;
 const STATE_WORDS: usize = 2;
 
+/// Codes adaptive bits in either direction, so that encoder and decoder share what decides the contexts.
+pub(super) trait BitCoder {
+    /// The encoder codes `bit` and gives it back; the decoder gives back what it reads. The context learns it.
+    fn code(&mut self, context: &mut AdaptiveBit, bit: bool) -> Result<bool, DecodeError>;
+}
+
+impl BitCoder for StreamEncoder {
+    fn code(&mut self, context: &mut AdaptiveBit, bit: bool) -> Result<bool, DecodeError> {
+        self.adaptive(context, bit);
+        Ok(bit)
+    }
+}
+
+impl BitCoder for StreamDecoder<'_> {
+    fn code(&mut self, context: &mut AdaptiveBit, _: bool) -> Result<bool, DecodeError> {
+        self.adaptive(context)
+    }
+}
+
 /// Writes one stream.
 pub(super) struct StreamEncoder {
     coder: RangeEncoder<u32, u64>,

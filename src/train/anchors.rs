@@ -418,7 +418,7 @@ impl Learner for AnchorLearner {
         if self.compression.as_ref().is_some_and(|compression| compression.turns_after(step.number)) {
             let (state, _) = self.read()?;
             if let Some(compression) = &mut self.compression {
-                compression.turn(step.number, &state.anchors)?;
+                compression.turn(step.number, &self.adam, &state.anchors, &self.device)?;
             }
         }
         Ok(())
@@ -480,12 +480,12 @@ impl Learner for AnchorLearner {
         if self.anchors.is_empty() {
             return Err(TrainError::NothingLeft { step: self.schedule.steps });
         }
-        let scene = self.anchors.to_scene(self.layout.to_networks(&networks));
-        let scene = Scene::Anchors(AnchorScene { near: NearPlane::of_extent(self.extent), ..scene });
         let context = match self.compression {
-            Some(compression) => compression.finish(&self.adam, &before, &self.anchors, &networks, cancel)?,
+            Some(compression) => compression.finish(&self.adam, &before, &mut self.anchors, &networks)?,
             None => None,
         };
+        let scene = self.anchors.to_scene(self.layout.to_networks(&networks));
+        let scene = Scene::Anchors(AnchorScene { near: NearPlane::of_extent(self.extent), ..scene });
         Ok(Finished { scene, context })
     }
 }

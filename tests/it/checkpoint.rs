@@ -94,7 +94,8 @@ fn a_run_that_goes_on_from_any_step_ends_with_the_same_bits() {
     let (whole, reports) = outcome(&dataset(), &options, checkpoints).expect("a scene");
     assert_eq!(kept.steps(), INTERRUPTED);
     let context = whole.context.as_ref().expect("a context model");
-    assert_eq!(context.candidates.planes.len(), 2, "planes, and smaller ones");
+    let candidates = &context.candidates;
+    assert!(candidates.position[0].is_some() || candidates.planes.len() == 1, "one model is chosen");
     assert!(reports.iter().any(|report| report.bytes.is_some()), "sizes are estimated");
     let grown: std::collections::BTreeSet<u64> = reports.iter().map(|report| report.anchors).collect();
     assert!(grown.len() >= 3, "two rounds of growth are part of the test: {grown:?}");

@@ -32,6 +32,7 @@ impl AnchorContext {
 
     /// Finds each anchor's neighbours.
     pub(in crate::codec) fn find_neighbours(&mut self, cells: &[[i32; 3]]) {
+        let _stage = tracing::debug_span!("neighbours").entered();
         self.neighbours = neighbours(cells);
     }
 
@@ -42,6 +43,7 @@ impl AnchorContext {
 
     /// Samples the planes at each anchor.
     pub(in crate::codec) fn sample(&mut self, planes: &PlaneTexels) {
+        let _stage = tracing::debug_span!("planes").entered();
         self.width = planes.sample_width();
         self.samples = vec![0; self.width * self.coordinates.len()];
         self.samples.par_chunks_mut(self.width).zip(&self.coordinates).with_min_len(TASK).for_each(

@@ -174,11 +174,11 @@ mod tests {
             }
         }
         let mut solution = [[0.0; 3]; SH_COEFFICIENTS];
-        for channel in 0..3 {
-            for row in (0..n).rev() {
+        for row in (0..n).rev() {
+            solution[row] = [0, 1, 2].map(|channel| {
                 let known: f64 = (row + 1..n).map(|k| rows[row].0[k] * solution[k][channel]).sum();
-                solution[row][channel] = (rows[row].1[channel] - known) / rows[row].0[row];
-            }
+                (rows[row].1[channel] - known) / rows[row].0[row]
+            });
         }
         solution
     }

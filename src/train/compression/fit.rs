@@ -1,35 +1,33 @@
-//! What an encoder may choose from once training is over: the trained context model, and others that are fitted to the same
-//! scene, whose attributes no longer change.
+//! Which context model the last stage trains with: the trained one, or one that sees or stores less.
 //!
-//! A scene is trained with the largest context; whether a smaller one takes fewer bytes in all shows in the file. So after the
-//! last step networks that see less (the position alone, the anchor's own planes), and smaller planes, learn what they
-//! can predict: by rate alone, without rendering, at the steps that training gave the anchors.
-
-use std::sync::Arc;
+//! A scene is trained with the largest context; a small scene gains less by it than planes and networks take in a file. So
+//! before everything is rounded, networks that see the position alone or the anchor's own planes, and smaller planes, learn
+//! what they can predict of the scene as it is: by rate alone, without rendering, at the steps that training gave the anchors.
+//! Whichever takes the fewest bytes with all that it stores is trained on. The choice has to come before the rounding:
+//! attributes settle on the multiples of the very steps that they are rounded at, and other steps would undo that.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::{
-    Compression, Stage,
+    Compression,
     hold::HeldSteps,
     learning::{LEVELS, Modelling, Quantising, outputs_of, sample_of, sample_size},
     steps::{static_adjustments, usual_steps},
 };
 use crate::{
     domain::{
-        AttributeGroup, CancelFlag, ContextCandidates, ContextFrame, ContextKind, PlaneContext,
+        AttributeGroup, ContextCandidates, ContextKind, PlaneContext,
         context::{GroupNetworks, STEP_OCTAVES},
     },
     gpu::{Buffer, Recorder},
-    model::AnchorRows,
-    render::DeviceAnchors,
+    render::{DeviceAnchors, RenderError},
     train::{
         Adam, Decay, TrainError, TrainedContext,
         context::{
             ContextAnchors, ContextConfig, ContextLayout, ContextNet, ContextPass, ContextRates,
-            ContextState, GroupStatistics, PlaneConfig, PlaneSource, Quantisation, QuantisationPhase,
-            RateTerm, sample_anchors,
+            ContextState, PlaneConfig, PlaneSource, Quantisation, QuantisationPhase, RateTerm,
+            sample_anchors,
         },
     },
 };
@@ -52,13 +50,15 @@ const FIRST_LATENT: f32 = 0.25;
 /// Least edge of planes that are worth a file's while.
 const LEAST_EDGE: usize = 8;
 
+/// Bytes that an entropy-coded weight or latent of a context model takes, about.
+pub(super) const BYTES_A_PARAMETER: f64 = 0.75;
+
 /// What all fits share.
 struct Fitter<'a> {
     compression: &'a Compression,
     quantising: &'a Quantising,
-    frame: ContextFrame,
-    statistics: &'a [GroupStatistics; 3],
-    anchors: DeviceAnchors,
+    modelling: &'a Modelling,
+    anchors: &'a DeviceAnchors,
     cells: &'a [[i32; 3]],
     adam: &'a Adam,
     held: HeldSteps,
@@ -67,120 +67,170 @@ struct Fitter<'a> {
     d_rows: Buffer<f32>,
     steps: u32,
     sampled: f64,
-    cancel: &'a CancelFlag,
 }
 
 impl Compression {
-    /// What an encoder may choose from for the finished scene `anchors`, whose anchors are some of those at `before`. None if
-    /// the run was too short for a context model.
-    ///
-    /// # Errors
-    /// [`TrainError::Cancelled`] soon after a stop was asked for; faults of the device.
-    pub(in crate::train) fn finish(
-        mut self,
+    /// The context model of the last stage, for the anchors at `cells`; none before there is one to choose from.
+    pub(super) fn choose(
+        &self,
         adam: &Adam,
-        before: &[[i32; 3]],
-        anchors: &AnchorRows,
-        networks: &[f32],
-        cancel: &CancelFlag,
-    ) -> Result<Option<TrainedContext>, TrainError> {
-        let context = Arc::clone(&self.context);
-        if self.schedule.stage(self.schedule.steps) != Stage::Rounded
-            && let Some(modelling) = &self.modelling
-        {
-            let mut recorder = context.recorder("latents of planes");
-            modelling.net.latents_from_planes(&mut recorder)?;
-            recorder.submit()?;
-        }
-        self.replace(before, anchors)?;
-        let Some(Modelling { frame, statistics, mut net, .. }) = self.modelling.take() else {
+        anchors: &DeviceAnchors,
+        cells: &[[i32; 3]],
+    ) -> Result<Option<ContextNet>, TrainError> {
+        let (Some(quantising), Some(modelling)) = (&self.quantising, &self.modelling) else {
             return Ok(None);
         };
-        let Some(quantising) = &self.quantising else { return Ok(None) };
-        let share = self.schedule.sampled.min(MOST_SAMPLED as f64 / anchors.len().max(1) as f64);
-        let capacity = ContextNet::capacity(sample_size(anchors.len(), share));
+        let context = &self.context;
+        let mut recorder = context.recorder("latents of planes");
+        modelling.net.latents_from_planes(&mut recorder)?;
+        recorder.submit()?;
+        let share = self.schedule.sampled.min(MOST_SAMPLED as f64 / cells.len().max(1) as f64);
+        let capacity = ContextNet::capacity(sample_size(cells.len(), share));
         let steps = (f64::from(self.schedule.steps) * STEPS_A_STEP) as u32;
         let fitter = Fitter {
+            compression: self,
             quantising,
-            frame,
-            statistics: &statistics,
-            anchors: DeviceAnchors::upload(&context, anchors, networks)?,
-            cells: &anchors.cells,
+            modelling,
+            anchors,
+            cells,
             adam,
-            held: HeldSteps::new(&context, capacity)?,
-            rate: RateTerm::new(&context, anchors.shape, capacity)?,
+            held: HeldSteps::new(context, capacity)?,
+            rate: RateTerm::new(context, anchors.shape, capacity)?,
             void_mark: context.buffer("never void", 1)?,
-            d_rows: context.buffer("unused gradients of rows", anchors.values.len())?,
+            d_rows: context.buffer("unused gradients of rows", anchors.rows.len())?,
             steps: steps.clamp(LEAST_STEPS, MOST_STEPS),
             sampled: share,
-            cancel,
-            compression: &self,
         };
-        // Every anchor's steps as the finished networks have them, not as the last sample that it was in had them.
-        fitter.whole_scene(&mut net, Steps::Predicted)?;
-        let steps = context.read(quantising.rows.steps())?;
-        tracing::debug!(
-            anchors = anchors.len(),
-            base = ?quantising.base,
-            adjustments = ?static_adjustments(&steps, quantising.base, STEP_OCTAVES),
-            usual = ?usual_steps(&steps),
-            "steps",
-        );
-        let (position, planes) = fitter.candidates(&net)?;
+        fitter.cheapest().map(Some)
+    }
+
+    /// Gives every anchor the steps that the networks predict now, and renders its rows at those: what the file is to hold.
+    pub(super) fn settle(
+        &mut self,
+        anchors: &DeviceAnchors,
+        cells: &[[i32; 3]],
+    ) -> Result<Option<(Vec<f32>, Vec<f32>)>, TrainError> {
+        let (Some(quantising), Some(modelling)) = (&self.quantising, &mut self.modelling) else {
+            return Ok(None);
+        };
+        let context = &self.context;
+        let (void_mark, d_rows) =
+            (context.buffer("never void", 1)?, context.buffer("unused", anchors.rows.len())?);
+        let quantisation = rounding(quantising);
+        let all: Vec<u32> = (0..cells.len() as u32).collect();
+        for sample in all.chunks(modelling.rate.capacity().max(1)) {
+            let mut recorder = context.recorder("steps of the scene");
+            modelling.net.forward(&mut recorder, sample, &stored_pass(false))?;
+            modelling.rate.record(
+                &mut recorder,
+                anchors,
+                &quantising.rows,
+                &quantisation,
+                sample_of(&modelling.net, sample.len()),
+                outputs_of(&modelling.net),
+                0.0,
+                &d_rows,
+                &void_mark,
+            )?;
+            recorder.submit()?;
+        }
+        let mut recorder = context.recorder("rows of the scene");
+        quantising.rows.record_forward(&mut recorder, anchors, &quantisation)?;
+        recorder.submit()?;
+        Ok(Some((context.read(quantising.rows.rows())?, context.read(quantising.rows.steps())?)))
+    }
+
+    /// What an encoder may choose from for the finished scene, whose anchors have these steps.
+    pub(super) fn candidates(&self, steps: &[f32]) -> Result<Option<TrainedContext>, TrainError> {
+        let (Some(quantising), Some(modelling)) = (&self.quantising, &self.modelling) else {
+            return Ok(None);
+        };
+        let layout = modelling.net.layout();
+        let values = modelling.net.save()?.values;
+        let networks: GroupNetworks = AttributeGroup::ALL.map(|group| Some(layout.network(&values, group)));
+        let none = GroupNetworks::default();
+        let (position, own, neighbours) = match layout.config.kind {
+            ContextKind::Position => (networks, none.clone(), none),
+            ContextKind::TriPlane => (none.clone(), networks, none),
+            ContextKind::TriPlaneKnn => (none.clone(), none, networks),
+        };
+        let planes = layout.stored_planes(&values).map(|planes| PlaneContext { planes, own, neighbours });
+        // Tables have one step for all anchors, at which nothing was rounded in training.
+        let static_steps = static_adjustments(steps, quantising.base, STEP_OCTAVES);
+        let static_steps = static_steps.map(|octaves| (octaves - UNTRAINED).max(-STEP_OCTAVES));
+        let usual = usual_steps(steps);
+        tracing::debug!(kind = ?layout.config.kind, base = ?quantising.base, ?usual, ?static_steps, "steps");
         Ok(Some(TrainedContext {
             steps: quantising.steps,
             candidates: ContextCandidates {
-                frame,
-                static_steps: static_adjustments(&steps, quantising.base, STEP_OCTAVES),
+                frame: modelling.frame,
+                static_steps,
                 position,
-                planes,
+                planes: planes.into_iter().collect(),
             },
         }))
     }
 }
 
-/// Whose steps a pass measures at.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Steps {
-    /// Those that the networks predict, which become the anchors' own.
-    Predicted,
-    /// Those that the anchors have.
-    Held,
+/// Octaves by which steps that attributes were not rounded at in training are finer than those that they were: the error
+/// of a second rounding comes on top of the first, and nothing has learnt to make up for it.
+const UNTRAINED: f32 = 0.5;
+
+/// Rounding at each anchor's own steps.
+fn rounding(quantising: &Quantising) -> Quantisation {
+    Quantisation { phase: QuantisationPhase::Rounded, base_steps: quantising.base, key: 0 }
+}
+
+/// The context model as a file holds it.
+pub(super) fn stored_pass(planes_learn: bool) -> ContextPass {
+    ContextPass { source: PlaneSource::Latents, reconstruction: 0.0, levels: Some(LEVELS), planes_learn }
 }
 
 impl Fitter<'_> {
-    /// Networks on positions alone, and planes with the networks on them; `net` is the trained model.
-    fn candidates(&self, net: &ContextNet) -> Result<(GroupNetworks, Vec<PlaneContext>), TrainError> {
-        let config = net.layout().config;
-        let mut net = self.model(config, net.save()?.values)?;
-        self.tell("as trained", &mut net)?;
-        self.fit(&mut net, false, TRAINED)?;
-        self.tell("as fitted", &mut net)?;
-        let values = net.save()?.values;
-        let trained = networks(net.layout(), &values);
-        let Some(planes) = net.layout().stored_planes(&values) else { return Ok((trained, Vec::new())) };
-        let position = self.fresh(ContextConfig { kind: ContextKind::Position, ..config }, None)?;
-        let position = networks(position.layout(), &position.save()?.values);
-        let (own, neighbours) = if config.kind == ContextKind::TriPlaneKnn {
-            let config = ContextConfig { kind: ContextKind::TriPlane, ..config };
-            let own = self.fresh(config, Some((net.layout(), &values)))?;
-            (networks(own.layout(), &own.save()?.values), trained)
-        } else {
-            (trained, GroupNetworks::default())
+    fn cheapest(&self) -> Result<ContextNet, TrainError> {
+        let trained = &self.modelling.net;
+        let config = trained.layout().config;
+        let values = trained.save()?.values;
+        let mut best: Option<(f64, ContextNet)> = None;
+        let mut add = |what: &str, mut net: ContextNet, planes_learn: bool, rates: Decay| {
+            self.fit(&mut net, planes_learn, rates)?;
+            let bytes = self.bytes(&mut net)?;
+            tracing::debug!(anchors = self.cells.len(), ?bytes, "attributes and model with {what}");
+            let bytes = bytes.iter().sum::<f64>();
+            // The first of equals, which is the trained one.
+            if best.as_ref().is_none_or(|(least, _)| bytes < *least) {
+                best = Some((bytes, net));
+            }
+            Ok::<_, TrainError>(())
         };
-        let mut candidates = vec![PlaneContext { planes, own, neighbours }];
-        if let Some(planes) = smaller(config.planes) {
-            let small = self.fresh(ContextConfig { planes, ..config }, None)?;
-            let values = small.save()?.values;
-            let fitted = networks(small.layout(), &values);
-            let (own, neighbours) = match config.kind {
-                ContextKind::TriPlaneKnn => (GroupNetworks::default(), fitted),
-                ContextKind::TriPlane | ContextKind::Position => (fitted, GroupNetworks::default()),
-            };
-            let planes = small.layout().stored_planes(&values);
-            candidates.extend(planes.map(|planes| PlaneContext { planes, own, neighbours }));
+        add("the trained context", self.model(config, values.clone())?, false, TRAINED)?;
+        if config.kind != ContextKind::Position {
+            let position = ContextConfig { kind: ContextKind::Position, ..config };
+            add("positions", self.fresh(position, None)?, false, FRESH)?;
+            if let Some(planes) = smaller(config.planes) {
+                add("smaller planes", self.fresh(ContextConfig { planes, ..config }, None)?, true, FRESH)?;
+            }
         }
-        Ok((position, candidates))
+        if config.kind == ContextKind::TriPlaneKnn {
+            let own = ContextConfig { kind: ContextKind::TriPlane, ..config };
+            add("the own planes", self.fresh(own, Some((trained.layout(), &values)))?, false, FRESH)?;
+        }
+        best.map(|(_, net)| net).ok_or_else(|| RenderError::OutOfStep.into())
+    }
+
+    /// Bytes of the groups' attributes, then of what the model stores.
+    fn bytes(&self, net: &mut ContextNet) -> Result<[f64; 4], TrainError> {
+        let context = &self.compression.context;
+        let all: Vec<u32> = (0..self.cells.len() as u32).collect();
+        let mut bytes = [0.0, 0.0, 0.0, BYTES_A_PARAMETER * stored_parameters(net.layout()) as f64];
+        for sample in all.chunks(self.rate.capacity().max(1)) {
+            let mut recorder = context.recorder("rate of the scene");
+            self.record(&mut recorder, net, sample, false)?;
+            recorder.submit()?;
+            let sums = self.rate.sums(context)?;
+            bytes.iter_mut().zip(sums).for_each(|(bytes, bits)| *bytes += bits / 8.0);
+        }
+        Ok(bytes)
     }
 
     /// A model that begins anew, with planes of its own or those of another.
@@ -191,127 +241,81 @@ impl Fitter<'_> {
     ) -> Result<ContextNet, TrainError> {
         let layout = ContextLayout::new(config)?;
         let mut rng = Pcg64::seed_from_u64(self.compression.schedule.seed);
-        let mut values = layout.initial(self.statistics, &mut rng)?;
+        let mut values = layout.initial(&self.modelling.statistics, &mut rng)?;
         match planes {
             Some((other, from)) => layout.copy_planes(&mut values, other, from)?,
             None => values[layout.latents.clone()]
                 .iter_mut()
                 .for_each(|value| *value = rng.random_range(-FIRST_LATENT..FIRST_LATENT)),
         }
-        let mut net = self.model(config, values)?;
-        self.fit(&mut net, planes.is_none(), FRESH)?;
-        let name = match (config.kind, planes) {
-            (ContextKind::Position, _) => "by position",
-            (_, Some(_)) => "by the own planes",
-            (_, None) => "by smaller planes",
-        };
-        self.tell(name, &mut net)?;
-        Ok(net)
+        self.model(config, values)
     }
 
     /// A model of the scene that remembers nothing of how its parameters came about.
     fn model(&self, config: ContextConfig, values: Vec<f32>) -> Result<ContextNet, TrainError> {
         let mut net = ContextNet::new(&self.compression.context, config, &ContextState::new(values))?;
-        net.place(&ContextAnchors::new(&config, &self.frame, self.cells))?;
+        net.place(&ContextAnchors::new(&config, &self.modelling.frame, self.cells))?;
         Ok(net)
     }
 
     /// Lets a model learn to predict the scene.
     fn fit(&self, net: &mut ContextNet, planes_learn: bool, decay: Decay) -> Result<(), TrainError> {
         let context = &self.compression.context;
-        let schedule = &self.compression.schedule;
         for step in 1..=self.steps {
-            let sample = sample_anchors(schedule.seed, step, self.cells.len(), self.sampled);
+            let seed = self.compression.schedule.seed;
+            let sample = sample_anchors(seed, step, self.cells.len(), self.sampled);
             let mut recorder = context.recorder("fit of a context");
-            self.record(&mut recorder, net, &sample, planes_learn, Steps::Held)?;
+            self.record(&mut recorder, net, &sample, planes_learn)?;
             net.backward(&mut recorder)?;
             let rate = decay.at(f64::from(step) / f64::from(self.steps)) as f32;
             let rates = ContextRates { networks: rate, planes: rate, layers: rate, latents: rate };
-            net.step(&mut recorder, self.adam, step, &self.void_mark, &rates, self.statistics)?;
+            net.step(&mut recorder, self.adam, step, &self.void_mark, &rates, &self.modelling.statistics)?;
             recorder.submit()?;
             if step.is_multiple_of(WAITS_EVERY) {
                 context.wait()?;
-                if self.cancel.is_cancelled() {
-                    return Err(TrainError::Cancelled);
-                }
             }
         }
         Ok(())
     }
 
-    /// Records what a sample costs, with the gradients by a model's outputs.
+    /// Records what a sample costs at the steps that its anchors have, with the gradients by a model's outputs.
     fn record(
         &self,
         recorder: &mut Recorder<'_>,
         net: &mut ContextNet,
         sample: &[u32],
         planes_learn: bool,
-        steps: Steps,
     ) -> Result<(), TrainError> {
-        let pass = ContextPass {
-            source: PlaneSource::Latents,
-            reconstruction: 0.0,
-            levels: Some(LEVELS),
-            planes_learn,
-        };
-        net.forward(recorder, sample, &pass)?;
+        net.forward(recorder, sample, &stored_pass(planes_learn))?;
         let Quantising { base, rows, .. } = self.quantising;
         let channels = net.layout().config.channels;
         let (of_sample, outputs) = (sample_of(net, sample.len()), outputs_of(net));
-        if steps == Steps::Held {
-            self.held.record(recorder, *base, rows.steps(), of_sample, outputs, channels)?;
-        }
-        let quantisation = Quantisation { phase: QuantisationPhase::Rounded, base_steps: *base, key: 0 };
+        self.held.record(recorder, *base, rows.steps(), of_sample, outputs, channels)?;
         self.rate.record(
             recorder,
-            &self.anchors,
+            self.anchors,
             rows,
-            &quantisation,
+            &rounding(self.quantising),
             of_sample,
             outputs,
             1.0,
             &self.d_rows,
             &self.void_mark,
         )?;
-        if steps == Steps::Held {
-            // An octave beside the steps of an anchor counts as a bit for each of its attributes.
-            let bit = self.rate.weight(1.0, sample.len());
-            let weights = channels.map(|channels| bit * channels as f32);
-            self.held.record_gradient(recorder, weights, of_sample, outputs, channels)?;
-        }
-        Ok(())
-    }
-
-    /// Bits of every group over all anchors.
-    fn whole_scene(&self, net: &mut ContextNet, steps: Steps) -> Result<[f64; 3], TrainError> {
-        let context = &self.compression.context;
-        let all: Vec<u32> = (0..self.cells.len() as u32).collect();
-        let mut bits = [0.0; 3];
-        for sample in all.chunks(self.rate.capacity()) {
-            let mut recorder = context.recorder("rate of the scene");
-            self.record(&mut recorder, net, sample, false, steps)?;
-            recorder.submit()?;
-            let sums = self.rate.sums(context)?;
-            bits = std::array::from_fn(|group| bits[group] + sums[group]);
-        }
-        Ok(bits)
-    }
-
-    fn tell(&self, what: &str, net: &mut ContextNet) -> Result<(), TrainError> {
-        if tracing::enabled!(tracing::Level::DEBUG) {
-            let bytes = self.whole_scene(net, Steps::Held)?.map(|bits| (bits / 8.0) as u64);
-            tracing::debug!(anchors = self.cells.len(), ?bytes, "attributes {what}");
-        }
+        // An octave beside the step of an anchor counts as a bit for each of its attributes.
+        let bit = self.rate.weight(1.0, sample.len());
+        let weights = channels.map(|channels| bit * channels as f32);
+        self.held.record_gradient(recorder, weights, of_sample, outputs, channels)?;
         Ok(())
     }
 }
 
-/// Steps of a fit between two looks at whether it is still wanted.
+/// Steps of a fit between two waits for the device, so that not all of it lies recorded at once.
 const WAITS_EVERY: u32 = 16;
 
-/// A model's networks.
-fn networks(layout: &ContextLayout, values: &[f32]) -> GroupNetworks {
-    AttributeGroup::ALL.map(|group| Some(layout.network(values, group)))
+/// Weights and latents of a model that a file holds.
+pub(super) fn stored_parameters(layout: &ContextLayout) -> usize {
+    layout.networks + layout.latents.len() + layout.up.iter().map(|up| up.weight_count()).sum::<usize>()
 }
 
 /// Planes of half the edge.

@@ -11,17 +11,18 @@ use rand_pcg::Pcg64;
 
 use super::{
     BaseSteps, CompressionSchedule, Stage,
+    fit::{BYTES_A_PARAMETER, stored_parameters, stored_pass},
     statistics::group_statistics,
     steps::{carry_steps, usual_steps},
 };
 use crate::{
     codec::context::robust_frame,
-    domain::ContextFrame,
+    domain::{ContextFrame, ContextKind},
     gpu::{Buffer, Context, Recorder, buffer_bytes},
     model::{AnchorRows, NetworkLayout, Shape},
     render::DeviceAnchors,
     train::{
-        Adam, CheckpointError, OffsetMasks, TrainError,
+        Adam, CheckpointError, OffsetMasks, TrainError, TrainedContext,
         context::{
             AnchorSample, ContextAnchors, ContextConfig, ContextNet, ContextPass, ContextRates, ContextState,
             GroupOutputs, GroupStatistics, PlaneConfig, PlaneSource, Quantisation, QuantisationPhase,
@@ -97,7 +98,13 @@ impl Compression {
     }
 
     /// Makes what the stages that begin after `step` need of a scene whose rows are `anchors`. Short runs may pass over a stage.
-    pub(in crate::train) fn turn(&mut self, step: u32, anchors: &AnchorRows) -> Result<(), TrainError> {
+    pub(in crate::train) fn turn(
+        &mut self,
+        step: u32,
+        adam: &Adam,
+        anchors: &AnchorRows,
+        device: &DeviceAnchors,
+    ) -> Result<(), TrainError> {
         let next = self.schedule.stage(step + 1);
         if next >= Stage::Noise && self.quantising.is_none()
             || next >= Stage::Context && self.modelling.is_none()
@@ -112,13 +119,35 @@ impl Compression {
             self.model(anchors)?;
         }
         if next == Stage::Rounded
-            && let Some(modelling) = &self.modelling
+            && let Some(net) = self.choose(adam, device, &anchors.cells)?
+            && let Some(modelling) = &mut self.modelling
         {
-            let mut recorder = self.context.recorder("latents of planes");
-            modelling.net.latents_from_planes(&mut recorder)?;
-            recorder.submit()?;
+            modelling.net = net;
         }
         Ok(())
+    }
+
+    /// What the run found for the encoder, and the rows that the file is to hold: those of `anchors` as the last stage renders
+    /// them. `before` has the cells that anchors were at before some were left out. None if the run was too short for a
+    /// context model; then the rows stay as they are.
+    pub(in crate::train) fn finish(
+        mut self,
+        adam: &Adam,
+        before: &[[i32; 3]],
+        anchors: &mut AnchorRows,
+        networks: &[f32],
+    ) -> Result<Option<TrainedContext>, TrainError> {
+        self.replace(before, anchors)?;
+        let device = DeviceAnchors::upload(&self.context, anchors, networks)?;
+        if self.schedule.stage(self.schedule.steps) != Stage::Rounded
+            && let Some(net) = self.choose(adam, &device, &anchors.cells)?
+            && let Some(modelling) = &mut self.modelling
+        {
+            modelling.net = net;
+        }
+        let Some((rows, steps)) = self.settle(&device, &anchors.cells)? else { return Ok(None) };
+        anchors.values = rows;
+        self.candidates(&steps)
     }
 
     fn quantise(&mut self, steps: BaseSteps, base: [f32; 3], of_anchors: &[f32]) -> Result<(), TrainError> {
@@ -226,9 +255,10 @@ impl Compression {
     /// What the context model does in `step`.
     fn pass(&self, step: u32) -> ContextPass {
         let schedule = &self.schedule;
-        let source = if schedule.stage(step) == Stage::Rounded {
-            PlaneSource::Latents
-        } else if schedule.compresses_planes && step >= schedule.reconstruct_from {
+        if schedule.stage(step) == Stage::Rounded {
+            return stored_pass(true);
+        }
+        let source = if schedule.compresses_planes && step >= schedule.reconstruct_from {
             PlaneSource::Reconstructed
         } else {
             PlaneSource::Raw
@@ -236,7 +266,7 @@ impl Compression {
         ContextPass {
             source,
             reconstruction: schedule.reconstruction_at(step),
-            levels: (schedule.stage(step) == Stage::Rounded).then_some(LEVELS),
+            levels: None,
             planes_learn: true,
         }
     }
@@ -280,7 +310,9 @@ impl Compression {
             layers: planes,
             latents: planes,
         };
-        let t = step.number + 1 - schedule.context_from;
+        // The last stage begins with a model that remembers no gradient.
+        let rounded = schedule.stage(step.number) == Stage::Rounded;
+        let t = step.number + 1 - if rounded { schedule.rounded_from } else { schedule.context_from };
         modelling.net.step(recorder, adam, t, void_mark, &rates, &modelling.statistics)
     }
 
@@ -305,10 +337,8 @@ impl Compression {
         };
         let bits: f64 = modelling.rate.sums(&self.context)?.iter().sum();
         let layout = modelling.net.layout();
-        let stored = layout.networks
-            + layout.latents.len()
-            + layout.up.iter().map(|up| up.weight_count()).sum::<usize>();
-        Ok(Some((bits / modelling.sampled as f64, BYTES_A_PARAMETER * stored as f64)))
+        let stored = stored_parameters(layout) as f64;
+        Ok(Some((bits / modelling.sampled as f64, BYTES_A_PARAMETER * stored)))
     }
 }
 
@@ -328,9 +358,6 @@ pub(in crate::train) fn compression_bytes(
         + 3 * net
         + 2 * buffer_bytes::<f32>(anchors * shape.row())
 }
-
-/// What an entropy-coded weight or latent of the context model takes, about.
-const BYTES_A_PARAMETER: f64 = 0.75;
 
 /// The anchors of a model's last recorded forward pass.
 pub(super) fn sample_of(net: &ContextNet, count: usize) -> AnchorSample<'_> {
@@ -363,7 +390,8 @@ impl Compression {
         let Some(modelling) = &self.modelling else { return Ok(()) };
         let config = &modelling.net.layout().config;
         let PlaneConfig { edge, channels, layers, hidden, latents } = config.planes;
-        let sizes = [edge, channels, layers, hidden, latents].into_iter().chain(config.hidden);
+        let sizes =
+            [config.kind as usize, edge, channels, layers, hidden, latents].into_iter().chain(config.hidden);
         state.put("context.sizes", sizes.map(|size| size as u32).collect());
         state.put("context.centre", modelling.frame.centre.to_vec());
         state.put("context.half", modelling.frame.half.to_vec());
@@ -409,19 +437,23 @@ impl Compression {
     }
 
     fn resume_model(&self, anchors: &AnchorRows, state: &mut LearnerState) -> Result<Modelling, TrainError> {
-        let sizes: Vec<u32> = state.take_exactly("context.sizes", 8)?;
+        let sizes: Vec<u32> = state.take_exactly("context.sizes", 9)?;
         let size = |index: usize| sizes[index] as usize;
         let channels = group_channels(self.layout.shape);
+        let kinds = [ContextKind::Position, ContextKind::TriPlane, ContextKind::TriPlaneKnn];
+        let Some(kind) = kinds.into_iter().find(|kind| *kind as u32 == sizes[0]) else {
+            return Err(CheckpointError::array("context.sizes", "are no model's").into());
+        };
         let config = ContextConfig {
-            kind: self.schedule.kind,
+            kind,
             channels,
-            hidden: [size(5), size(6), size(7)],
+            hidden: [size(6), size(7), size(8)],
             planes: PlaneConfig {
-                edge: size(0),
-                channels: size(1),
-                layers: size(2),
-                hidden: size(3),
-                latents: size(4),
+                edge: size(1),
+                channels: size(2),
+                layers: size(3),
+                hidden: size(4),
+                latents: size(5),
             },
         };
         // Sizes of another model would make the device take what nobody asked for.

@@ -29,13 +29,13 @@ struct Golden {
 const FILES: [Golden; 2] = [
     Golden {
         name: "shell_v1.tcgs",
-        decode_sha256: "158a5a29e6a6718810d158fab8dbed2197388d83e56902ff6786378b03cf603f",
+        decode_sha256: "e27f4bd5e0657803a95a4a53821172000f1b14e857aa9cd41875756e8ba0b75a",
         anchors: 399,
         make: shell,
     },
     Golden {
         name: "context_v1.tcgs",
-        decode_sha256: "d05041becfb5ee12cb153c949e414431c7f7003504276ce507c23a0228046268",
+        decode_sha256: "88337fea6b773ff00934537b2b6390790b3de3ff773891bf2a40e09efba7a62c",
         anchors: 90,
         make: context,
     },
@@ -49,6 +49,11 @@ impl Golden {
     fn bytes(&self) -> Vec<u8> {
         fs::read(self.path()).expect("the golden file is committed")
     }
+}
+
+/// The committed files.
+pub(super) fn files() -> Vec<Vec<u8>> {
+    FILES.iter().map(Golden::bytes).collect()
 }
 
 /// Tables for every group; masks, dropped anchors, escapes, a constant channel, negative cells.

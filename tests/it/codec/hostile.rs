@@ -10,21 +10,25 @@ use super::{
     wire,
 };
 
-const LIMITS: DecodeLimits =
-    DecodeLimits { max_file_bytes: 1 << 20, max_anchors: 100_000, max_memory_bytes: 64 << 20 };
+const LIMITS: DecodeLimits = DecodeLimits {
+    max_file_bytes: 1 << 20,
+    max_anchors: 100_000,
+    max_memory_bytes: 64 << 20,
+    max_expansion: 4096,
+};
 
 fn tiny_file() -> Vec<u8> {
     encode(&tiny(), None, &settings()).expect("encodes").bytes
 }
 
 /// Three anchors with every section and every kind of context.
-fn tiny_context_file() -> Vec<u8> {
+pub(super) fn tiny_context_file() -> Vec<u8> {
     let tiny = dependent(Recipe { seed: 9, anchors: 3, feature_dim: 1, offsets: 1, masked: 0.0 });
     let settings = fixed(KINDS.map(Some), Some(0));
     encode(&tiny.scene, Some(&tiny.candidates), &settings).expect("encodes").bytes
 }
 
-fn tiny_files() -> [Vec<u8>; 2] {
+pub(super) fn tiny_files() -> [Vec<u8>; 2] {
     [tiny_file(), tiny_context_file()]
 }
 
@@ -41,6 +45,60 @@ fn every_truncation_is_refused() {
         assert!(decode(&bytes[..length], &LIMITS).is_err(), "{length} bytes");
         assert!(inspect(&bytes[..length]).is_err(), "{length} bytes");
     }
+}
+
+#[test]
+fn every_truncation_of_the_golden_files_is_refused_behind_good_checksums_too() {
+    for bytes in super::golden::files() {
+        let table = wire::table_end(&bytes).expect("a table");
+        for length in 0..bytes.len() {
+            let mut cut = bytes[..length].to_vec();
+            assert!(decode(&cut, &LIMITS).is_err(), "{length} bytes");
+            if length >= table {
+                cut[16..24].copy_from_slice(&(length as u64).to_le_bytes());
+                let cut = resealed(cut);
+                assert!(decode(&cut, &LIMITS).is_err(), "{length} bytes, sealed");
+                assert!(inspect(&cut).is_err(), "{length} bytes, sealed");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_flipped_bit_of_header_and_table_behind_good_checksums_is_an_error_or_the_same_scene() {
+    for bytes in tiny_files() {
+        let expected = decode(&bytes, &LIMITS).expect("decodes").scene;
+        for bit in 0..8 * wire::table_end(&bytes).expect("a table") {
+            let mut damaged = bytes.clone();
+            damaged[bit / 8] ^= 1 << (bit % 8);
+            // A table that the file has no room for cannot be sealed; it is refused before its checksum.
+            if wire::table_end(&damaged).is_some() {
+                damaged = resealed(damaged);
+            }
+            let _ = inspect(&damaged);
+            if let Ok(decoded) = decode(&damaged, &LIMITS) {
+                assert_eq!(decoded.scene, expected, "bit {bit}");
+            }
+        }
+    }
+}
+
+/// A cube full of anchors whose every symbol is the same.
+#[test]
+fn a_few_bytes_that_stand_for_very_many_anchors_are_refused_unless_asked_for() {
+    let mut scene = tiny();
+    let edge = 48;
+    scene.cells = (0..edge * edge * edge).map(|n| [n % edge, n / edge % edge, n / edge / edge]).collect();
+    let anchors = scene.cells.len();
+    scene.features = vec![1.0; anchors];
+    scene.scalings = vec![0.01; 6 * anchors];
+    scene.offsets = vec![0.0; 3 * anchors];
+    scene.masks = vec![true; anchors];
+    let bytes = encode(&scene, None, &settings()).expect("encodes").bytes;
+    assert!(bytes.len() < 4000, "{} bytes", bytes.len());
+    let strict = DecodeLimits { max_expansion: 100, ..DecodeLimits::default() };
+    assert!(matches!(decode(&bytes, &strict), Err(tcgs::codec::DecodeError::Limit { .. })));
+    assert_eq!(decode(&bytes, &DecodeLimits::NONE).expect("decodes").scene.len(), anchors);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The codec through its public face: round trips, golden file, versions, hostile bytes.
 
 mod context;
+mod corpus;
 mod dependent;
 mod figures;
 mod golden;

@@ -9,7 +9,7 @@ use tcgs::{
 use super::synthetic::{settings, small};
 
 /// What the encoder may take for the weights' levels.
-const LEVELS: [u16; 5] = [127, 255, 511, 1023, 2047];
+const LEVELS: [u16; 7] = [7, 31, 127, 255, 511, 1023, 2047];
 
 fn rounded(layer: &DenseLayer, levels: u16) -> [Vec<f32>; 2] {
     let rows = layer.weights.chunks(layer.inputs);

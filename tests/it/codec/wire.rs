@@ -29,6 +29,12 @@ pub(super) fn reseal_header(bytes: &mut [u8], header: usize) {
     bytes[56..60].copy_from_slice(&crc.to_le_bytes());
 }
 
+/// Where the section table ends; none where the file has no room for it.
+pub(super) fn table_end(bytes: &[u8]) -> Option<usize> {
+    let end = HEADER + ENTRY * bytes.get(12..14).map(|_| u16_at(bytes, 12) as usize)?;
+    (end <= bytes.len()).then_some(end)
+}
+
 /// A section: id, flags, content.
 pub(super) type Part = ([u8; 4], u32, Vec<u8>);
 

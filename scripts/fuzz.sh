@@ -1,0 +1,27 @@
+#!/usr/bin/env bash
+# Fuzzes each target of fuzz/ in turn: scripts/fuzz.sh [SECONDS a target] [TARGET...]. New inputs go into a folder of
+# their own beside the committed corpus; what breaks a promise is kept in fuzz/artifacts.
+#
+# The codec has no unsafe code, so there is no sanitizer, and any toolchain will do.
+set -euo pipefail
+cd "$(dirname "$0")/../fuzz"
+# shellcheck source=scripts/env.sh
+. ../scripts/env.sh
+
+seconds=${1:-600}
+shift || true
+targets=("$@")
+[ ${#targets[@]} -gt 0 ] || targets=(decode decode_header roundtrip)
+
+if ! cargo fuzz --version >/dev/null 2>&1; then
+    cargo install cargo-fuzz --locked
+fi
+
+# One thread, so that a run costs what its input costs.
+export RAYON_NUM_THREADS=1
+for target in "${targets[@]}"; do
+    found="artifacts/corpus/$target"
+    mkdir -p "$found"
+    cargo fuzz run --sanitizer none "$target" "$found" "corpus/$target" -- \
+        -max_total_time="$seconds" -timeout=10 -rss_limit_mb=1024 -malloc_limit_mb=96 -max_len=16384 -print_final_stats=1
+done
