@@ -40,9 +40,6 @@ const ALPHA_MIN: f64 = 1.0 / 255.0;
 /// Opacities are held this far from one, where the logit would be infinite.
 const OPAQUE: f64 = 1.0 - 1e-6;
 
-/// Gaussians whose mean is at this depth or nearer are not shown, as the renderer has it.
-const NEAR: f64 = 0.2;
-
 /// Standard deviations to which a Gaussian reaches.
 const REACH: f64 = 3.0;
 
@@ -116,14 +113,15 @@ pub fn bake(scene: &AnchorScene, cameras: &[Camera], settings: BakeSettings) -> 
     let anchors: Vec<Look<'_>> =
         (0..scene.len()).map(|anchor| Look { scene, sights: &sights, settings, anchor }).collect();
     let candidates: Vec<Vec<Candidate>> = anchors.par_iter().map(Look::candidates).collect();
-    let light = Light::of(&sights, &candidates);
+    let light = Light::of(&sights, &candidates, f64::from(scene.near.depth()));
     let baked: Vec<Vec<Gaussian>> = anchors
         .par_iter()
         .zip(&candidates)
         .enumerate()
         .map(|(anchor, (look, candidates))| look.gaussians(candidates, &light.shares, light.first[anchor]))
         .collect();
-    let mut gaussians = GaussianScene { degree: settings.degree, ..GaussianScene::default() };
+    let mut gaussians =
+        GaussianScene { degree: settings.degree, near: scene.near, ..GaussianScene::default() };
     for gaussian in baked.iter().flatten() {
         gaussians.means.push(gaussian.mean);
         gaussians.log_scales.push(gaussian.log_scale);
@@ -172,7 +170,7 @@ struct Light {
 }
 
 impl Light {
-    fn of(sights: &[Sight], candidates: &[Vec<Candidate>]) -> Self {
+    fn of(sights: &[Sight], candidates: &[Vec<Candidate>], near: f64) -> Self {
         let mut first = Vec::with_capacity(candidates.len());
         let mut count = 0;
         for of_anchor in candidates {
@@ -186,7 +184,7 @@ impl Light {
             .map(|(view, sight)| {
                 let opacities: Vec<f32> =
                     candidates.iter().flatten().map(|candidate| candidate.opacities[view]).collect();
-                occlusion::shares(sight, &discs, &opacities, NEAR)
+                occlusion::shares(sight, &discs, &opacities, near)
             })
             .collect();
         Self { first, shares }
@@ -217,7 +215,7 @@ impl Look<'_> {
         let (position, radius) = (self.position(), self.radius());
         let (mut from, mut inputs) = (Vec::new(), ViewInputs::default());
         for (view, sight) in self.sights.iter().enumerate() {
-            if means.clone().any(|mean| sight.sees(*mean, radius, NEAR)) {
+            if means.clone().any(|mean| sight.sees(*mean, radius, self.near())) {
                 let ray = position - sight.center;
                 let distance = ray.length().max(1e-12);
                 let direction = ray / distance;
@@ -244,7 +242,7 @@ impl Look<'_> {
             .filter_map(|(offset, mean)| {
                 let mut opacities = vec![0.0; self.sights.len()];
                 for (view, x) in from.iter().zip(opacity.row(offset)) {
-                    if self.sights[*view].sees(mean, radius, NEAR) {
+                    if self.sights[*view].sees(mean, radius, self.near()) {
                         opacities[*view] = x.tanh().clamp(0.0, 1.0);
                     }
                 }
@@ -283,7 +281,7 @@ impl Look<'_> {
                 let seen: Vec<Seen> = from
                     .iter()
                     .enumerate()
-                    .filter(|(_, view)| self.sights[**view].sees(mean, radius, NEAR))
+                    .filter(|(_, view)| self.sights[**view].sees(mean, radius, self.near()))
                     .map(|(column, view)| Seen {
                         column,
                         view: *view,
@@ -342,6 +340,11 @@ impl Look<'_> {
         };
         let finite = gaussian.log_scale.iter().chain(&gaussian.quat).chain(gaussian.sh.as_flattened());
         finite.copied().all(f32::is_finite).then_some(gaussian)
+    }
+
+    /// Gaussians whose mean is at this depth or nearer are not shown.
+    fn near(&self) -> f64 {
+        f64::from(self.scene.near.depth())
     }
 
     fn position(&self) -> DVec3 {

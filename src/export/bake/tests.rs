@@ -139,6 +139,20 @@ fn what_is_off_or_out_of_sight_is_left_out_and_counted_apart() {
 }
 
 #[test]
+fn a_scene_in_a_tiny_unit_is_seen_from_its_own_near_plane() {
+    let place = |point: [f32; 3]| point.map(|coordinate| 1e-3 * coordinate);
+    let points = [[1.0, 0.0, 0.0], [1.0, 0.0, 0.5], [1.0, 0.5, 0.5]].map(place);
+    let cameras = sphere(&points, 60, 64).expect("cameras");
+    let mut tiny = scene();
+    tiny.lattice.voxel *= 1e-3;
+    tiny.scalings.iter_mut().for_each(|scaling| *scaling *= 1e-3);
+    assert!(bake(&tiny, &cameras, BakeSettings::default()).is_err(), "all of it is nearer than 0.2");
+    tiny.near = NearPlane::of_extent(1e-3);
+    let baked = bake(&tiny, &cameras, BakeSettings::default()).expect("bakes");
+    assert_eq!((baked.unseen, baked.scene.near, baked.scene.len()), (0, tiny.near, 2));
+}
+
+#[test]
 fn faults_are_named() {
     let settings = BakeSettings::default();
     assert_eq!(bake(&scene(), &[], settings), Err(BakeError::NoViews));
