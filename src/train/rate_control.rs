@@ -12,6 +12,11 @@ use serde::{Deserialize, Serialize};
 /// Size aimed at, as a share of the promised one: the file is made to fit exactly at the end, which is easier from below.
 const AIM: f64 = 0.98;
 
+/// Least size aimed at, over the bytes that no weight changes: what is below is for the end of the run, which drops Gaussians.
+/// So all promises that are smaller are steered alike, and the smallest size that one of them is told can be reached by
+/// the next.
+const LEAST_AIM: f64 = 1.25;
+
 /// Growth of the logarithm of the weight over the steered part for each unit of error.
 const INTEGRAL: f64 = 18.0;
 
@@ -77,15 +82,17 @@ impl RateControl {
         self.base * self.log_ratio.exp()
     }
 
-    /// Takes the estimate of the file's bytes after `step`. Estimates outside the steered steps, or that are no numbers, change
+    /// Takes the estimate of the file's bytes after `step`, `fixed` of which no weight changes. Estimates outside the steered steps, or that are no numbers, change
     /// nothing.
-    pub fn observe(&mut self, step: u32, bytes: f64) {
-        if !self.window.contains(&step) || step <= self.step || !(bytes.is_finite() && bytes > 0.0) {
+    pub fn observe(&mut self, step: u32, bytes: f64, fixed: f64) {
+        let is_size = bytes.is_finite() && bytes > 0.0 && fixed.is_finite() && fixed >= 0.0;
+        if !self.window.contains(&step) || step <= self.step || !is_size {
             return;
         }
+        let aim = self.aim.max(LEAST_AIM * fixed);
         let (begin, end) = (*self.window.start(), *self.window.end());
         let length = f64::from(end - begin).max(1.0);
-        let error = (bytes / self.aim).ln().clamp(-MOST_ERROR, MOST_ERROR);
+        let error = (bytes / aim).ln().clamp(-MOST_ERROR, MOST_ERROR);
         let (since, change) =
             if self.step < begin { (0, 0.0) } else { (step - self.step, error - self.error) };
         let way = INTEGRAL * error * f64::from(since) / length + PROPORTIONAL * change;
@@ -139,7 +146,7 @@ mod tests {
             if step.is_multiple_of(every) {
                 // Estimates are of a sample of the anchors, so they are never quite right.
                 let noise = 1.0 + 0.02 * (f64::from(step) * 0.7).sin();
-                control.observe(step, plant.bytes() * noise);
+                control.observe(step, plant.bytes() * noise, plant.fixed);
                 seen.push(plant.bytes());
             }
         }
@@ -192,18 +199,31 @@ mod tests {
     }
 
     #[test]
+    fn promises_below_what_a_weight_can_do_are_steered_alike() {
+        let end = |max_bytes| {
+            let mut plant = Plant::new(0.8, 80.0);
+            let mut control = RateControl::new(1e-3, max_bytes, WINDOW);
+            steer(&mut control, &mut plant, 1..=3000, 10);
+            control.lambda().to_bits()
+        };
+        assert_eq!(end(100), end(20_000), "20 000 bytes are fixed");
+        assert_ne!(end(100), end(200_000));
+    }
+
+    #[test]
     fn estimates_that_are_none_or_out_of_time_change_nothing() {
         let mut control = RateControl::new(1e-3, 1000, WINDOW);
         for (step, bytes) in
             [(999, 1e9), (3001, 1e9), (1500, f64::NAN), (1500, 0.0), (1500, -5.0), (1500, f64::INFINITY)]
         {
-            control.observe(step, bytes);
+            control.observe(step, bytes, 0.0);
         }
+        control.observe(1500, 1e9, f64::NAN);
         assert_eq!(control, RateControl::new(1e-3, 1000, WINDOW));
-        control.observe(1500, 1e9);
+        control.observe(1500, 1e9, 0.0);
         let once = control.clone();
-        control.observe(1500, 1e9);
-        control.observe(1400, 1e9);
+        control.observe(1500, 1e9, 0.0);
+        control.observe(1400, 1e9, 0.0);
         assert_eq!(control, once, "a step counts once, and time goes one way");
     }
 
@@ -228,7 +248,7 @@ mod tests {
         for bits in [f64::NAN, f64::INFINITY, -1e300, 1e300].map(f64::to_bits) {
             let state = RateState { log_ratio: bits, error: bits, step: 1500 };
             let mut control = RateControl::new(1e-3, 1000, WINDOW).at(state);
-            control.observe(1600, 900.0);
+            control.observe(1600, 900.0, 0.0);
             assert!((1e-3..=MOST * 1.001e-3).contains(&control.lambda()));
         }
     }

@@ -439,7 +439,7 @@ impl<'a> Run<'a> {
         let anchors = self.learner.size()?.anchors as f64;
         self.state.weigh(bits_an_anchor, anchors, other_bytes);
         if let (Some(control), Some(bytes)) = (&mut self.control, self.state.file_bytes()) {
-            control.observe(self.state.step, bytes as f64);
+            control.observe(self.state.step, bytes as f64, other_bytes);
             self.state.steer(control);
         }
         Ok(())

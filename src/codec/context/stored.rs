@@ -9,9 +9,9 @@ use super::{
 };
 use crate::domain::{Mlp, Planes};
 
-/// A context network with weights of `weight_bits` bits (2 to 8; others count as the nearest of these): each row's weights are multiples
-/// of a power of two, the finest with which the largest stays within 2^(bits - 1) - 1 of them; biases are multiples of
-/// 1/256.
+/// A context network with weights of `weight_bits` bits (2 to 8; others count as the nearest of these). Each row's weights are
+/// multiples of a power of two, the finest down to 2^-15 with which the largest stays within 2^(bits - 1) - 1 of them; biases
+/// are multiples of 1/256.
 #[must_use]
 pub fn stored_network(mlp: &Mlp, weight_bits: u8) -> Mlp {
     match WeightBits::new(weight_bits.clamp(2, 8)) {
