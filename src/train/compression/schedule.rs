@@ -13,8 +13,10 @@ const SAMPLED: f64 = 0.15;
 /// Weight of the planes' reconstruction loss (method.md §4.7).
 const RECONSTRUCTION: f32 = 0.01;
 
-/// Weight of the bits an element in the loss, if a job does not state it (method.md §4.7).
-const DEFAULT_LAMBDA: f64 = 1e-3;
+/// Weight of the bits an element in the loss, if a job does not state it: the published one (method.md §4.7), and that of
+/// short runs, in which attributes have fewer steps to make up for what the rate asks of them.
+const PUBLISHED_LAMBDA: f64 = 1e-3;
+const PREVIEW_LAMBDA: f64 = 5e-4;
 
 /// Base steps of short runs.
 const SHORT: BaseStepRule = BaseStepRule::Relative { feature: 0.25, scaling: 0.25, offset: 0.1, finer: 2.0 };
@@ -112,7 +114,11 @@ impl CompressionSchedule {
             rounded_from: part(0.85) + 1,
             steps,
             base: if paper { BaseStepRule::Published } else { SHORT },
-            lambda: options.lambda.unwrap_or(DEFAULT_LAMBDA),
+            lambda: options.lambda.unwrap_or(if options.preset == Preset::Preview {
+                PREVIEW_LAMBDA
+            } else {
+                PUBLISHED_LAMBDA
+            }),
             seed: options.seed,
             sampled: SAMPLED,
             planes: rate,
