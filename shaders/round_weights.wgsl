@@ -16,8 +16,8 @@ struct Row {
     levels: u32,
 }
 
-// Most binary places of a weight.
-const MOST_PLACES: i32 = 24;
+// Most binary places of a weight in a file.
+const MOST_PLACES: i32 = 15;
 
 @group(0) @binding(0) var<uniform> shape: Shape;
 @group(0) @binding(1) var<storage, read> rows: array<Row>;

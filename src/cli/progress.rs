@@ -143,7 +143,8 @@ mod tests {
     fn a_line_holds_every_figure_that_is_known_and_no_other() {
         assert_eq!(
             line(Phase::Train, &report()),
-            "  14.2s train 120/1500  loss 0.0412  PSNR 24.32 dB  anchors 5120  Gaussians 20480  8.4 steps/s  ETA 2:43"
+            "  14.2s train 120/1500  loss 0.0412  PSNR 24.32 dB  anchors 5120  Gaussians 20480  \
+             about 152 kB  8.4 steps/s  ETA 2:43"
         );
         assert_eq!(line(Phase::Ingest, &Progress::default()), "   0.0s ingest");
     }

@@ -314,7 +314,7 @@ mod tests {
         assert_eq!(options.preset, Preset::Standard);
         assert_eq!((options.iterations, options.seed), (Some(900), 7));
         assert_eq!(options.background, Background::White);
-        for flags in [["--iterations", "0"], ["--without", "knn,masks"], ["--max-bytes", "0"]] {
+        for flags in [["--iterations", "0"], ["--lambda", "0"], ["--max-bytes", "0"]] {
             let failure = parse(&flags).train_options().expect_err("impossible");
             assert_eq!(failure.exit_status(), 2);
             assert!(failure.to_string().starts_with(flags[0]), "{failure}");
@@ -352,7 +352,7 @@ mod tests {
             gaussians: 77,
             sha256: tcgs::domain::Digest::of(b"a file"),
         };
-        let text = survey(&[point(0.004, 1200, None), point(1e-3, 3400, Some(0.12345))]);
+        let text = survey(&[point(0.004, 1200, None), point(1e-3, 3400, Some(0.123_44))]);
         assert_eq!(
             text,
             "Submethod,PSNR,SSIM,LPIPS,Size [Bytes],#Gaussians\n\

@@ -32,6 +32,9 @@ use crate::{
     },
 };
 
+/// Rows of anchors as `[N][row]`, and their steps as `[N][3]`.
+type RowsAndSteps = (Vec<f32>, Vec<f32>);
+
 /// Most anchors in the sample of one step of a fit.
 const MOST_SAMPLED: usize = 4096;
 
@@ -109,7 +112,7 @@ impl Compression {
         &mut self,
         anchors: &DeviceAnchors,
         cells: &[[i32; 3]],
-    ) -> Result<Option<(Vec<f32>, Vec<f32>)>, TrainError> {
+    ) -> Result<Option<RowsAndSteps>, TrainError> {
         let (Some(quantising), Some(modelling)) = (&self.quantising, &mut self.modelling) else {
             return Ok(None);
         };

@@ -2,7 +2,7 @@
 //! if nothing were rounded.
 //!
 //! A weight is an integer over a power of two, the largest for each row of weights that the integer's width allows, at most
-//! 2^24: what the codec makes of the same weights. Biases and activations, which it keeps to 1/256, stay as they are.
+//! 2^15: what the codec makes of the same weights. Biases and activations, which it keeps to 1/256, stay as they are.
 
 use std::sync::Arc;
 

@@ -1,7 +1,7 @@
 //! Values in the form in which they are stored, and what the way there costs.
 
-/// Most binary places of a weight.
-const MOST_PLACES: i32 = 24;
+/// Most binary places of a weight in a file.
+const MOST_PLACES: i32 = 15;
 
 /// Latents as the nearest multiples of 1/16 with integers of at most 127.
 #[must_use]
@@ -9,7 +9,7 @@ pub fn round_latents(values: &[f64]) -> Vec<f64> {
     values.iter().map(|value| (16.0 * value).round_ties_even().clamp(-127.0, 127.0) / 16.0).collect()
 }
 
-/// One output's weights as integers of at most `levels` over the largest power of two up to 2^24 that they allow.
+/// One output's weights as integers of at most `levels` over the largest power of two up to 2^15 that they allow.
 #[must_use]
 pub fn round_weights(row: &[f64], levels: u8) -> Vec<f64> {
     let levels = f64::from(levels);
