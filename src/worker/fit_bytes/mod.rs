@@ -115,9 +115,8 @@ pub(super) fn fit_bytes(
     };
     match search(&mut files, places, total, limit, guess)? {
         Some(point) => {
-            let encoded = files.encode(point, limit)?;
-            let [features, scalings, offsets] =
-                files.coarser(point.place).map(|steps| f64::from(steps) * OCTAVES_A_STEP);
+            let (encoded, coarser) = files.finest(point, limit)?;
+            let [features, scalings, offsets] = coarser.map(|steps| f64::from(steps) * OCTAVES_A_STEP);
             let budget = ByteBudget {
                 max_bytes: limit,
                 free_bytes,
@@ -191,11 +190,41 @@ impl Files<'_, '_> {
         self.path[place].rungs.map(|rung| rung as i8 * STEPS_A_RUNG)
     }
 
+    /// The file of a point with what its place left unused spent on finer steps: places are some steps apart. One step of one
+    /// group at a time, the one that looks best, while it fits and looks better.
+    fn finest(&mut self, point: Point, limit: u64) -> Result<(Encoded, [i8; 3]), JobFailure> {
+        let mut coarser = self.coarser(point.place);
+        let mut best = self.encode_at(coarser, point.kept, limit)?;
+        let mut quality = self.psnr(&best.scene)?;
+        loop {
+            let from = coarser;
+            for group in (0..3).filter(|group| from[*group] > 0) {
+                let mut finer = from;
+                finer[group] -= 1;
+                let encoded = self.encode_at(finer, point.kept, limit)?;
+                if encoded.bytes.len() as u64 > limit {
+                    continue;
+                }
+                let psnr = self.psnr(&encoded.scene)?;
+                if psnr > quality {
+                    (best, quality, coarser) = (encoded, psnr, finer);
+                }
+            }
+            if coarser == from {
+                return Ok((best, coarser));
+            }
+        }
+    }
+
     fn encode(&mut self, point: Point, stated: u64) -> Result<Encoded, JobFailure> {
+        self.encode_at(self.coarser(point.place), point.kept, stated)
+    }
+
+    fn encode_at(&mut self, coarser: [i8; 3], kept: usize, stated: u64) -> Result<Encoded, JobFailure> {
         let mut scene = self.budgeted.scene.clone();
         scene.masks.fill(false);
-        self.order[..point.kept].iter().for_each(|worth| scene.masks[worth.offset] = true);
-        self.smaller(&scene, self.coarser(point.place), stated)
+        self.order[..kept].iter().for_each(|worth| scene.masks[worth.offset] = true);
+        self.smaller(&scene, coarser, stated)
     }
 
     /// The smaller of two files: one with the contexts of the whole scene, and one without any, which few Gaussians cannot
