@@ -26,6 +26,24 @@ pub struct LayerSpec {
     pub output_row: usize,
 }
 
+impl LayerSpec {
+    /// The outputs from `first` on, so many of them, as a layer of the domain's; `values` are the flat parameters.
+    #[must_use]
+    pub fn part(&self, values: &[f32], first: usize, outputs: usize) -> DenseLayer {
+        DenseLayer {
+            inputs: self.inputs,
+            outputs,
+            weights: (first..first + outputs)
+                .flat_map(|output| {
+                    (0..self.inputs).map(move |input| self.weights + input * self.outputs + output)
+                })
+                .map(|index| values[index])
+                .collect(),
+            bias: values[self.bias + first..][..outputs].to_vec(),
+        }
+    }
+}
+
 /// Where everything is in the flat array of parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NetworkLayout {
@@ -97,17 +115,7 @@ impl NetworkLayout {
     #[must_use]
     pub fn to_networks(&self, values: &[f32]) -> RenderNetworks {
         let width = self.shape.features;
-        let part = |layer: &LayerSpec, first: usize, outputs: usize| DenseLayer {
-            inputs: layer.inputs,
-            outputs,
-            weights: (first..first + outputs)
-                .flat_map(|output| {
-                    (0..layer.inputs).map(move |input| layer.weights + input * layer.outputs + output)
-                })
-                .map(|index| values[index])
-                .collect(),
-            bias: values[layer.bias + first..layer.bias + first + outputs].to_vec(),
-        };
+        let part = |layer: &LayerSpec, first: usize, outputs: usize| layer.part(values, first, outputs);
         let mlp = |index: usize| Mlp {
             layers: vec![
                 part(&self.hidden, index * width, width),

@@ -12,7 +12,7 @@ use rand::{Rng, RngExt};
 
 use super::{ContextConfig, ContextError};
 use crate::{
-    domain::{AttributeGroup, ContextKind, DenseLayer, Mlp, Planes, UpLayer},
+    domain::{AttributeGroup, ContextKind, Mlp, Planes, UpLayer},
     model::LayerSpec,
 };
 
@@ -274,18 +274,12 @@ impl ContextLayout {
     #[must_use]
     pub fn network(&self, values: &[f32], group: AttributeGroup) -> Mlp {
         let head = &self.heads[group as usize];
-        let part = |layer: &LayerSpec, first: usize, outputs: usize| DenseLayer {
-            inputs: layer.inputs,
-            outputs,
-            weights: (first..first + outputs)
-                .flat_map(|output| {
-                    (0..layer.inputs).map(move |input| layer.weights + input * layer.outputs + output)
-                })
-                .map(|index| values[index])
-                .collect(),
-            bias: values[layer.bias + first..][..outputs].to_vec(),
-        };
-        Mlp { layers: vec![part(&self.hidden, head.input_row, head.inputs), part(head, 0, head.outputs)] }
+        Mlp {
+            layers: vec![
+                self.hidden.part(values, head.input_row, head.inputs),
+                head.part(values, 0, head.outputs),
+            ],
+        }
     }
 
     /// The planes as they are stored: latents and layers up. Meaningful once latents are parameters; values are those of
