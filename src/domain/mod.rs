@@ -4,6 +4,7 @@
 //! rest of the program must never meet (non-finite poses, zero focal lengths, empty images), so every other
 //! layer may rely on them.
 
+pub mod access;
 pub mod anchors;
 pub mod camera;
 pub mod clock;
@@ -25,6 +26,7 @@ pub mod progress;
 pub mod scene;
 pub mod view;
 
+pub use access::{Caller, KeyId, Scope};
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
 pub use clock::{Clock, ManualClock, SystemClock};
@@ -37,7 +39,7 @@ pub use digest::Digest;
 pub use format::SceneFormat;
 pub use gaussians::{GaussianScene, Scene};
 pub use image::{Image, ImageError};
-pub use job::{Event, EventKind, Job, JobId, JobState};
+pub use job::{Event, EventKind, Job, JobId, JobState, SceneId};
 pub use memory::{Bytes, MemoryBudget, MemoryLimits};
 pub use metrics::{
     ByteBudget, ByteCounts, CurvePoint, GroupOctaves, JobMetrics, PhaseSeconds, Scores, ViewScore,

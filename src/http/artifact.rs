@@ -16,7 +16,7 @@ use super::{
     state::AppState,
 };
 use crate::{
-    domain::Digest,
+    domain::{Caller, Digest},
     store::{JobRecord, SceneArtifact},
 };
 
@@ -49,11 +49,12 @@ fn no_such_lambda(record: &JobRecord) -> Fault {
 /// `GET` and `HEAD /v1/jobs/{id}/artifact`.
 pub(super) async fn get(
     State(state): State<AppState>,
+    caller: Caller,
     Path(id): Path<String>,
     RawQuery(query): RawQuery,
     request: HeaderMap,
 ) -> Result<Response, Fault> {
-    let record = find(&state, &id).await?;
+    let record = find(&state, &caller, &id).await?;
     let mut parameters = Parameters::parse(query.as_deref())?;
     let lambda = take_lambda(&mut parameters)?;
     parameters.finish()?;

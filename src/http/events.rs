@@ -8,8 +8,10 @@ use axum::{
 };
 use serde::Serialize;
 
-use super::{accept::accepts, job_body::href, problem::Fault, query::Parameters, state::AppState};
-use crate::domain::{Event, JobId};
+use super::{
+    accept::accepts, job_body::href, jobs::find, problem::Fault, query::Parameters, state::AppState,
+};
+use crate::domain::{Caller, Event};
 
 const DEFAULT_PAGE: u32 = 100;
 const MAX_PAGE: u32 = 1000;
@@ -23,11 +25,12 @@ struct EventPage {
 /// `GET /v1/jobs/{id}/events`.
 pub(super) async fn list(
     State(state): State<AppState>,
+    caller: Caller,
     Path(id): Path<String>,
     RawQuery(query): RawQuery,
     headers: HeaderMap,
 ) -> Result<impl IntoResponse, Fault> {
-    let parsed: JobId = id.parse().map_err(|_| Fault::no_job(&id))?;
+    let parsed = find(&state, &caller, &id).await?.job.id;
     if !accepts(&headers, "application/json") {
         return Err(Fault::new(
             StatusCode::NOT_ACCEPTABLE,

@@ -21,8 +21,8 @@ use super::{
     state::AppState,
 };
 use crate::{
-    domain::{JobId, OptionError, TrainOptions},
-    store::{Cancellation, JobRecord, NewJob, PageKey},
+    domain::{Caller, JobId, OptionError, TrainOptions},
+    store::{Cancellation, JobFilter, JobRecord, NewJob, PageKey},
 };
 
 const DEFAULT_PAGE: u32 = 20;
@@ -31,20 +31,25 @@ const MAX_PAGE: u32 = 100;
 const POLL_SECONDS: u32 = 2;
 
 /// The job that a path names.
-pub(super) async fn find(state: &AppState, id: &str) -> Result<JobRecord, Fault> {
+///
+/// # Errors
+/// 404 if there is none, and if it is another's.
+pub(super) async fn find(state: &AppState, caller: &Caller, id: &str) -> Result<JobRecord, Fault> {
     let parsed: JobId = id.parse().map_err(|_| Fault::no_job(id))?;
-    state.store().job(parsed).await?.ok_or_else(|| Fault::no_job(id))
+    let record = state.store().job(parsed).await?;
+    record.filter(|record| caller.may_see(record.owner)).ok_or_else(|| Fault::no_job(id))
 }
 
 /// `POST /v1/jobs`.
 pub(super) async fn create(
     State(state): State<AppState>,
+    caller: Caller,
     RawQuery(query): RawQuery,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Fault> {
     let mut body = body.into_data_stream();
-    let created = receive(&state, query.as_deref(), &headers, &mut body).await;
+    let created = receive(&state, &caller, query.as_deref(), &headers, &mut body).await;
     if created.as_ref().is_err_and(|fault| !fault.is_about_transfer()) {
         discard(&mut body, &headers).await;
     }
@@ -53,6 +58,7 @@ pub(super) async fn create(
 
 async fn receive(
     state: &AppState,
+    caller: &Caller,
     query: Option<&str>,
     headers: &HeaderMap,
     body: &mut BodyDataStream,
@@ -72,7 +78,8 @@ async fn receive(
     checked?;
     let dataset = state.blobs().publish(&staged).await?;
     let id = new_id(state.services().clock.now());
-    let record = state.store().create_job(NewJob { id, options, dataset, priority: 0 }).await?;
+    let record =
+        state.store().create_job(NewJob { owner: caller.key, ..NewJob::new(id, options, dataset) }).await?;
     tracing::info!(job = %id, bytes = dataset.bytes, "job {id} is queued");
     let location = HeaderValue::try_from(href(id)).map_err(|error| Fault::internal(&error))?;
     let mut response = (StatusCode::CREATED, representation(record)).into_response();
@@ -112,6 +119,7 @@ struct JobList {
 /// `GET /v1/jobs`.
 pub(super) async fn list(
     State(state): State<AppState>,
+    caller: Caller,
     RawQuery(query): RawQuery,
 ) -> Result<impl IntoResponse, Fault> {
     let mut parameters = Parameters::parse(query.as_deref())?;
@@ -119,7 +127,7 @@ pub(super) async fn list(
     let before = parameters.take("cursor").map(|text| parse_cursor(&text)).transpose()?;
     parameters.finish()?;
     // One more than asked for tells whether there is a next page.
-    let mut records = state.store().jobs(before, limit + 1).await?;
+    let mut records = state.store().jobs(&JobFilter { owner: caller.sees_only() }, before, limit + 1).await?;
     let more = records.len() > limit as usize;
     records.truncate(limit as usize);
     let next =
@@ -143,10 +151,11 @@ fn parse_cursor(text: &str) -> Result<PageKey, Fault> {
 /// `GET /v1/jobs/{id}`.
 pub(super) async fn get(
     State(state): State<AppState>,
+    caller: Caller,
     Path(id): Path<String>,
     headers: HeaderMap,
 ) -> Result<Response, Fault> {
-    let record = find(&state, &id).await?;
+    let record = find(&state, &caller, &id).await?;
     let etag = etag(&record);
     if etag.is_in_if_none_match(&headers) {
         return Ok(not_modified(&etag));
@@ -169,8 +178,12 @@ fn representation(record: JobRecord) -> impl IntoResponse {
 }
 
 /// `POST /v1/jobs/{id}/cancel`.
-pub(super) async fn cancel(State(state): State<AppState>, Path(id): Path<String>) -> Result<Response, Fault> {
-    let parsed: JobId = id.parse().map_err(|_| Fault::no_job(&id))?;
+pub(super) async fn cancel(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+) -> Result<Response, Fault> {
+    let parsed = find(&state, &caller, &id).await?.job.id;
     match state.store().cancel(parsed).await?.ok_or_else(|| Fault::no_job(&id))? {
         Cancellation::Done(record) => Ok(representation(record).into_response()),
         Cancellation::Requested(record) => Ok((StatusCode::ACCEPTED, representation(record)).into_response()),

@@ -7,6 +7,7 @@
 mod accept;
 mod artifact;
 mod body;
+mod caller;
 mod camera;
 pub mod config;
 mod etag;

@@ -21,7 +21,7 @@ use super::{
     state::AppState,
 };
 use crate::{
-    domain::{Camera, Digest, NamedCamera, Problem, ViewRequest},
+    domain::{Caller, Camera, Digest, NamedCamera, Problem, ViewRequest},
     store::{ArtifactKind, JobRecord},
 };
 
@@ -39,10 +39,11 @@ struct ViewsBody {
 /// `GET /v1/jobs/{id}/view`.
 pub(super) async fn get(
     State(state): State<AppState>,
+    caller: Caller,
     Path(id): Path<String>,
     RawQuery(query): RawQuery,
 ) -> Result<Response, Fault> {
-    let record = find(&state, &id).await?;
+    let record = find(&state, &caller, &id).await?;
     let mut parameters = Parameters::parse(query.as_deref())?;
     let format = parameters.take_as("format", "one of png, jpeg, webp")?.unwrap_or_default();
     let lambda = take_lambda(&mut parameters)?;
@@ -55,11 +56,12 @@ pub(super) async fn get(
 /// `POST /v1/jobs/{id}/views`.
 pub(super) async fn post(
     State(state): State<AppState>,
+    caller: Caller,
     Path(id): Path<String>,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Fault> {
-    let record = find(&state, &id).await?;
+    let record = find(&state, &caller, &id).await?;
     let content = read_json(&mut body.into_data_stream(), &headers, state.limits()).await?;
     let ViewsBody { views, format, lambda } =
         serde_json::from_slice(&content).map_err(|error| bad_json(&error))?;

@@ -25,7 +25,7 @@ pub use error::StoreError;
 pub use policy::QueuePolicy;
 pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat,
-    JobRecord, Lease, NewJob, Outcome, PageKey, SceneArtifact,
+    JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, SceneArtifact,
 };
 pub use sqlite::SqliteStore;
 
@@ -42,8 +42,13 @@ pub trait Store: Send + Sync + 'static {
     /// The job as it stands.
     fn job(&self, id: JobId) -> Answer<'_, Option<JobRecord>>;
 
-    /// Up to `limit` jobs, newest first, older than `before`.
-    fn jobs(&self, before: Option<PageKey>, limit: u32) -> Answer<'_, Vec<JobRecord>>;
+    /// Up to `limit` jobs that pass the filter, newest first, older than `before`.
+    fn jobs<'a>(
+        &'a self,
+        filter: &'a JobFilter,
+        before: Option<PageKey>,
+        limit: u32,
+    ) -> Answer<'a, Vec<JobRecord>>;
 
     /// Up to `limit` events with numbers above `after`, oldest first; `None` if there is no such job.
     fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>>;

@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use crate::domain::{Digest, Job, JobId, JobMetrics, Problem, SceneFormat, TrainOptions};
+use crate::domain::{Digest, Job, JobId, JobMetrics, KeyId, Problem, SceneFormat, SceneId, TrainOptions};
 
 /// A published blob.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,12 +19,37 @@ pub struct BlobRef {
 pub struct NewJob {
     /// Its identity, chosen by the caller.
     pub id: JobId,
+    /// Whose it is.
+    pub owner: Option<KeyId>,
+    /// The scene that it is made of, if it did not come with its own archive.
+    pub scene: Option<SceneId>,
+    /// The job that it repeats.
+    pub retry_of: Option<JobId>,
+    /// When it is to be given up, finished or not.
+    pub deadline_at: Option<Timestamp>,
     /// What to do.
     pub options: TrainOptions,
     /// The dataset archive, already published.
     pub dataset: BlobRef,
     /// Higher goes first; 0 is usual.
     pub priority: i32,
+}
+
+impl NewJob {
+    /// A job of nobody's, of no scene, without priority or deadline.
+    #[must_use]
+    pub fn new(id: JobId, options: TrainOptions, dataset: BlobRef) -> Self {
+        Self {
+            id,
+            owner: None,
+            scene: None,
+            retry_of: None,
+            deadline_at: None,
+            options,
+            dataset,
+            priority: 0,
+        }
+    }
 }
 
 /// What an artifact is.
@@ -76,6 +101,16 @@ pub struct SceneArtifact {
 pub struct JobRecord {
     /// The job.
     pub job: Job,
+    /// Whose it is; nobody's if it was made while there were no keys.
+    pub owner: Option<KeyId>,
+    /// As in [`NewJob::scene`]; none either once the scene is deleted.
+    pub scene: Option<SceneId>,
+    /// As in [`NewJob::retry_of`]; none either once that job is deleted.
+    pub retry_of: Option<JobId>,
+    /// As in [`NewJob::deadline_at`].
+    pub deadline_at: Option<Timestamp>,
+    /// As in [`NewJob::priority`].
+    pub priority: i32,
     /// Its dataset archive.
     pub dataset: BlobRef,
     /// What it left behind; empty unless it succeeded. Files of a rate-distortion curve are in its order.
@@ -98,6 +133,13 @@ impl JobRecord {
             ArtifactKind::Cameras => None,
         })
     }
+}
+
+/// Which jobs a list shows; the default is all of them.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct JobFilter {
+    /// Only this owner's.
+    pub owner: Option<KeyId>,
 }
 
 /// A place in the list of jobs.

@@ -50,7 +50,7 @@ impl Queue {
     async fn add_with_priority(&self, number: u128, priority: i32) -> JobId {
         let id = JobId(Uuid::from_u128(number));
         let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
-        let new = NewJob { id, options: TrainOptions::default(), dataset, priority };
+        let new = NewJob { priority, ..NewJob::new(id, TrainOptions::default(), dataset) };
         self.store.create_job(new).await.expect("created").job.id
     }
 

@@ -56,7 +56,7 @@ impl Workshop {
     async fn add(&self, wish: &'static str) -> tcgs::domain::JobId {
         let dataset = self.blobs.put(bytes::Bytes::from_static(wish.as_bytes())).await.expect("published");
         let id = tcgs::domain::JobId(Uuid::now_v7());
-        let new = NewJob { id, options: Default::default(), dataset, priority: 0 };
+        let new = NewJob::new(id, Default::default(), dataset);
         self.store.create_job(new).await.expect("created").job.id
     }
 

@@ -19,8 +19,8 @@ use sqlx::{
 };
 
 use super::{
-    Answer, Artifact, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat, JobRecord, Lease, NewJob,
-    Outcome, PageKey, QueuePolicy, Store, StoreError,
+    Answer, Artifact, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat, JobFilter, JobRecord, Lease,
+    NewJob, Outcome, PageKey, QueuePolicy, Store, StoreError,
 };
 use crate::domain::{Clock, Event, EventKind, JobId, JobState, Phase, Progress};
 use rows::{json as text, micros};
@@ -83,11 +83,15 @@ impl SqliteStore {
         let (mut tx, now) = self.begin().await?;
         insert_blob(&mut tx, new.dataset, now).await?;
         sqlx::query(
-            "INSERT INTO jobs (id, dataset, options, state, phase, progress, priority, run_after, max_attempts,
-                 created_at)
-             VALUES (?, ?, ?, 'queued', 'queued', ?, ?, ?, ?, ?)",
+            "INSERT INTO jobs (id, owner, scene, retry_of, deadline_at, dataset, options, state, phase, progress, priority,
+                 run_after, max_attempts, created_at)
+             VALUES (?, ?, ?, ?, ?, ?, ?, 'queued', 'queued', ?, ?, ?, ?, ?)",
         )
         .bind(new.id.to_string())
+        .bind(new.owner.map(|owner| owner.to_string()))
+        .bind(new.scene.map(|scene| scene.to_string()))
+        .bind(new.retry_of.map(|job| job.to_string()))
+        .bind(new.deadline_at.map(micros))
         .bind(new.dataset.digest.to_string())
         .bind(text(&new.options)?)
         .bind(text(&Progress::default())?)
@@ -113,17 +117,24 @@ impl SqliteStore {
         Ok(answer)
     }
 
-    async fn list(&self, before: Option<PageKey>, limit: u32) -> Result<Vec<JobRecord>, StoreError> {
+    async fn list(
+        &self,
+        filter: &JobFilter,
+        before: Option<PageKey>,
+        limit: u32,
+    ) -> Result<Vec<JobRecord>, StoreError> {
         // One snapshot for the jobs and their artifacts.
         let mut tx = self.readers.begin().await?;
         let (at, id) =
             before.map_or((i64::MAX, String::new()), |key| (micros(key.created_at), key.id.to_string()));
         let rows = sqlx::query(
             "SELECT jobs.*, blobs.bytes FROM jobs JOIN blobs ON blobs.digest = jobs.dataset
-             WHERE (jobs.created_at, jobs.id) < (?, ?) ORDER BY jobs.created_at DESC, jobs.id DESC LIMIT ?",
+             WHERE (jobs.created_at, jobs.id) < (?1, ?2) AND (?3 IS NULL OR owner = ?3)
+             ORDER BY jobs.created_at DESC, jobs.id DESC LIMIT ?4",
         )
         .bind(at)
         .bind(id)
+        .bind(filter.owner.map(|owner| owner.to_string()))
         .bind(limit)
         .fetch_all(&mut *tx)
         .await?;
@@ -221,8 +232,13 @@ impl Store for SqliteStore {
         })
     }
 
-    fn jobs(&self, before: Option<PageKey>, limit: u32) -> Answer<'_, Vec<JobRecord>> {
-        Box::pin(self.list(before, limit))
+    fn jobs<'a>(
+        &'a self,
+        filter: &'a JobFilter,
+        before: Option<PageKey>,
+        limit: u32,
+    ) -> Answer<'a, Vec<JobRecord>> {
+        Box::pin(self.list(filter, before, limit))
     }
 
     fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>> {

@@ -57,6 +57,10 @@ fn optional_instant(row: &SqliteRow, column: &'static str) -> Result<Option<Time
     row.try_get::<Option<i64>, _>(column)?.map(|value| instant(column, value)).transpose()
 }
 
+fn optional_id<T: FromStr>(row: &SqliteRow, column: &'static str) -> Result<Option<T>, StoreError> {
+    row.try_get::<Option<String>, _>(column)?.map(|text| parsed(column, &text)).transpose()
+}
+
 fn optional_document<T: DeserializeOwned>(
     row: &SqliteRow,
     column: &'static str,
@@ -98,7 +102,16 @@ pub(super) fn job(row: &SqliteRow, artifacts: Vec<Artifact>) -> Result<JobRecord
         started_at: optional_instant(row, "started_at")?,
         finished_at: optional_instant(row, "finished_at")?,
     };
-    Ok(JobRecord { job, dataset: blob(row, "dataset")?, artifacts })
+    Ok(JobRecord {
+        job,
+        owner: optional_id(row, "owner")?,
+        scene: optional_id(row, "scene")?,
+        retry_of: optional_id(row, "retry_of")?,
+        deadline_at: optional_instant(row, "deadline_at")?,
+        priority: row.try_get("priority")?,
+        dataset: blob(row, "dataset")?,
+        artifacts,
+    })
 }
 
 /// A row of `artifacts` joined with its blob's `bytes`.

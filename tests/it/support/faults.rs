@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex};
 use tcgs::{
     domain::{Event, JobId, JobState, Phase, Progress},
     store::{
-        Answer, AttemptRecord, Cancellation, Claim, Heartbeat, JobRecord, Lease, NewJob, Outcome, PageKey,
-        Store, StoreError,
+        Answer, AttemptRecord, Cancellation, Claim, Heartbeat, JobFilter, JobRecord, Lease, NewJob, Outcome,
+        PageKey, Store, StoreError,
     },
 };
 
@@ -52,8 +52,13 @@ impl Store for FaultStore {
     fn job(&self, id: JobId) -> Answer<'_, Option<JobRecord>> {
         self.guard(self.inner.job(id))
     }
-    fn jobs(&self, before: Option<PageKey>, limit: u32) -> Answer<'_, Vec<JobRecord>> {
-        self.guard(self.inner.jobs(before, limit))
+    fn jobs<'a>(
+        &'a self,
+        filter: &'a JobFilter,
+        before: Option<PageKey>,
+        limit: u32,
+    ) -> Answer<'a, Vec<JobRecord>> {
+        self.guard(self.inner.jobs(filter, before, limit))
     }
     fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>> {
         self.guard(self.inner.events(id, after, limit))

@@ -1,0 +1,127 @@
+//! Who asks, what they may do, and what is theirs.
+//!
+//! What always holds: what has an owner is seen by that owner and by administrators only. While a service has no keys, everybody is
+//! [`Caller::ANYBODY`], who owns nothing and may do everything.
+
+use std::{fmt, str::FromStr};
+
+use serde::{Deserialize, Serialize};
+use uuid::Uuid;
+
+/// A key's identity, which is also the owner of what was made with it: a UUID of version 7.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct KeyId(pub Uuid);
+
+impl fmt::Display for KeyId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl FromStr for KeyId {
+    type Err = uuid::Error;
+
+    fn from_str(text: &str) -> Result<Self, uuid::Error> {
+        text.parse().map(Self)
+    }
+}
+
+/// What a key lets its holder do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum Scope {
+    /// See scenes, jobs, files and views.
+    #[serde(rename = "read")]
+    Read,
+    /// Send and delete scenes.
+    #[serde(rename = "scenes:write")]
+    ScenesWrite,
+    /// Make, cancel and delete jobs.
+    #[serde(rename = "jobs:write")]
+    JobsWrite,
+    /// Everything, of every owner.
+    #[serde(rename = "admin")]
+    Admin,
+}
+
+impl Scope {
+    /// Every scope.
+    pub const ALL: [Self; 4] = [Self::Read, Self::ScenesWrite, Self::JobsWrite, Self::Admin];
+
+    /// The name on the command line, in the database and the API.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Scope::Read => "read",
+            Scope::ScenesWrite => "scenes:write",
+            Scope::JobsWrite => "jobs:write",
+            Scope::Admin => "admin",
+        }
+    }
+}
+
+impl FromStr for Scope {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        Self::ALL.into_iter().find(|scope| scope.name() == text).ok_or_else(|| {
+            let known: Vec<&str> = Self::ALL.iter().map(|scope| scope.name()).collect();
+            format!("'{text}' is not a scope; there are {}", known.join(", "))
+        })
+    }
+}
+
+/// Who sent a request.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Caller {
+    /// The key that it came with, none while the service has no keys.
+    pub key: Option<KeyId>,
+    /// Whether it may see and do everything.
+    pub admin: bool,
+}
+
+impl Caller {
+    /// Whoever asks a service that has no keys.
+    pub const ANYBODY: Self = Self { key: None, admin: true };
+
+    /// Whether what belongs to `owner` is there for this caller.
+    #[must_use]
+    pub fn may_see(&self, owner: Option<KeyId>) -> bool {
+        self.admin || (self.key.is_some() && self.key == owner)
+    }
+
+    /// Whose things a list shows: everybody's for none.
+    #[must_use]
+    pub fn sees_only(&self) -> Option<KeyId> {
+        self.key.filter(|_| !self.admin)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_caller_sees_its_own_and_an_administrator_everything() {
+        let [one, other] = [1, 2].map(|id| KeyId(Uuid::from_u128(id)));
+        let caller = Caller { key: Some(one), admin: false };
+        assert!(caller.may_see(Some(one)));
+        assert!(!caller.may_see(Some(other)));
+        assert!(!caller.may_see(None), "what was made without a key is the administrators'");
+        assert_eq!(caller.sees_only(), Some(one));
+        for all in [Caller::ANYBODY, Caller { key: Some(one), admin: true }] {
+            assert!(all.may_see(Some(other)) && all.may_see(None));
+            assert_eq!(all.sees_only(), None);
+        }
+    }
+
+    #[test]
+    fn scopes_have_names_that_can_be_read_back() {
+        for scope in Scope::ALL {
+            assert_eq!(scope.name().parse(), Ok(scope));
+            assert_eq!(serde_json::to_value(scope).expect("a string"), scope.name());
+        }
+        let fault = "write".parse::<Scope>().expect_err("no scope");
+        assert!(fault.contains("scenes:write"), "{fault}");
+    }
+}

@@ -1,0 +1,93 @@
+//! The finished file: whole, in parts, conditionally, and by its weight of a curve.
+
+use serde_json::{Value, json};
+
+use crate::support::{contract::Coverage, fakes, server::Server};
+
+pub(super) async fn every_file_of_a_curve_is_served_by_its_weight(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let created = server.upload("?rd_curve=0.004,0.0005,1e-7", "succeed curve").await.expect(201);
+    assert_eq!(created.json()["options"]["rd_curve"], json!([0.004, 0.0005, 1e-7]));
+    let path = created.header("location").to_owned();
+    let done = server.reaches(&path, "succeeded").await;
+    let artifacts = done["artifacts"].as_array().expect("artifacts");
+    let weights: Vec<&Value> = artifacts.iter().map(|artifact| &artifact["lambda"]).collect();
+    assert_eq!(weights, [&json!(0.004), &json!(0.0005), &json!(1e-7)], "in the order asked for");
+    for (place, artifact) in artifacts.iter().enumerate() {
+        assert_eq!(artifact["kind"], "tcgs");
+        let point = &done["metrics"]["rd_curve"][place];
+        assert_eq!((&point["lambda"], &point["sha256"]), (&artifact["lambda"], &artifact["sha256"]));
+        let file = server.get(artifact["href"].as_str().expect("a path")).await.expect(200);
+        assert_eq!(file.body, fakes::curve_file(place));
+        let lambda = artifact["lambda"].as_f64().expect("a number");
+        let name = format!(".lambda-{lambda}.tcgs\"");
+        assert!(file.header("content-disposition").ends_with(&name), "{:?}", file.headers);
+    }
+    let first = server.get(&format!("{path}/artifact")).await.expect(200);
+    assert_eq!(first.body, fakes::FILE, "the first is what is meant where none is named");
+    let same = server.get(&format!("{path}/artifact?lambda=5e-4")).await.expect(200);
+    assert_eq!(same.body, fakes::curve_file(1), "a weight is a number, not a text");
+
+    let view = format!("{path}/view?frame=test/r_0");
+    let [first, second] = ["", "&lambda=0.0005"].map(|choice| format!("{view}{choice}"));
+    let (first, second) = (server.get(&first).await.expect(200), server.get(&second).await.expect(200));
+    assert_ne!(first.body, second.body, "views are of the file that was chosen");
+    let views = format!("{path}/views");
+    let body = json!({ "views": [{ "frame": "test/r_0" }], "lambda": 0.0005 });
+    let posted = server.send("POST", &views, |request| request.json(&body)).await.expect(200);
+    assert_eq!(posted.body, second.body);
+
+    for path in [format!("{path}/artifact?lambda=0.1"), format!("{view}&lambda=0.1")] {
+        let detail = server.get(&path).await.expect_problem(404, "no-such-lambda");
+        assert!(detail.contains("0.004, 0.0005, 0.0000001"), "{detail}");
+    }
+    let many = format!("{path}/artifact?lambda=many");
+    server.get(&many).await.expect_problem(422, "invalid-parameter");
+    server.get(&format!("{path}/artifact?size=1")).await.expect_problem(422, "invalid-parameter");
+    let single = server.succeeded().await;
+    let detail = server.get(&format!("{single}/artifact?lambda=0.1")).await;
+    assert!(detail.expect_problem(404, "no-such-lambda").contains("leave out lambda"));
+    assert_eq!(server.get(&single).await.json()["artifacts"][0]["lambda"], json!(null));
+}
+
+pub(super) async fn the_file_is_served_whole_in_parts_and_conditionally(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.succeeded().await;
+    let path = format!("{job}/artifact");
+    let whole = server.get(&path).await.expect(200);
+    assert_eq!(whole.body, fakes::FILE);
+    assert_eq!(whole.header("content-length"), fakes::FILE.len().to_string());
+    let etag = whole.header("etag").to_owned();
+    let with = |name: &'static str, value: String| {
+        let (server, path) = (&server, &path);
+        async move { server.send("GET", path, |request| request.header(name, value)).await }
+    };
+
+    let head = server.send("HEAD", &path, |request| request).await.expect(200);
+    assert!(head.body.is_empty());
+    assert_eq!(head.header("content-length"), whole.header("content-length"));
+    assert_eq!(head.header("repr-digest"), whole.header("repr-digest"));
+
+    let part = with("range", "bytes=5-9".into()).await.expect(206);
+    assert_eq!(part.body, fakes::FILE[5..10]);
+    assert_eq!(part.header("content-range"), format!("bytes 5-9/{}", fakes::FILE.len()));
+    assert_eq!(part.header("repr-digest"), whole.header("repr-digest"), "it covers the whole file");
+    let tail = with("range", "bytes=-4".into()).await.expect(206);
+    assert_eq!(tail.body, fakes::FILE[fakes::FILE.len() - 4..]);
+    let beyond = with("range", "bytes=1000000-".into()).await.expect(416);
+    assert_eq!(beyond.header("content-range"), format!("bytes */{}", fakes::FILE.len()));
+    assert_eq!(with("range", "bytes=0-1,4-5".into()).await.expect(200).body, fakes::FILE);
+
+    let same = with("if-none-match", etag.clone()).await.expect(304);
+    assert_eq!(same.header("etag"), etag);
+    with("if-none-match", "\"other\"".into()).await.expect(200);
+    let stale = server
+        .send("GET", &path, |request| request.header("range", "bytes=0-1").header("if-range", "\"other\""))
+        .await;
+    assert_eq!(stale.expect(200).body, fakes::FILE, "a part of another file is of no use");
+
+    let resource = server.get(&job).await.expect(200);
+    assert!(!resource.headers.contains_key("retry-after"), "nothing will change any more");
+    let etag = resource.header("etag").to_owned();
+    server.send("GET", &job, |request| request.header("if-none-match", etag)).await.expect(304);
+}

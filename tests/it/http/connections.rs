@@ -1,0 +1,136 @@
+//! Connections and bodies that dawdle, break off or come too many at a time.
+
+use std::time::Duration;
+
+use serde_json::json;
+use tokio::{
+    io::{AsyncReadExt as _, AsyncWriteExt as _},
+    net::TcpStream,
+};
+
+use crate::support::{
+    contract::Coverage,
+    server::{Server, Setup},
+};
+
+pub(super) fn tight_limits() -> tcgs::http::config::RequestLimits {
+    tcgs::http::config::RequestLimits {
+        upload_bytes: 10,
+        json_bytes: 100,
+        body_idle: Duration::from_millis(50),
+        ..Default::default()
+    }
+}
+
+/// Sends bytes as they are, then maybe closes the sending half, and reads the answer to its end.
+async fn raw(server: &Server, request: &str, close: bool) -> Vec<u8> {
+    let mut stream = TcpStream::connect(server.address).await.expect("connects");
+    stream.write_all(request.as_bytes()).await.expect("sent");
+    if close {
+        stream.shutdown().await.expect("closed");
+    }
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).await.expect("an end");
+    answer
+}
+
+/// Checks a raw answer against the contract and returns its status.
+fn check_raw(server: &Server, method: &str, path: &str, answer: &[u8]) -> u16 {
+    let text = String::from_utf8_lossy(answer);
+    let (head, body) = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("no answer: {text}"));
+    let mut lines = head.lines();
+    let status = lines.next().and_then(|line| line.split(' ').nth(1)?.parse().ok()).expect("a status");
+    let headers = lines
+        .filter_map(|line| line.split_once(": "))
+        .map(|(name, value)| (name.parse().expect("a name"), value.parse().expect("a value")))
+        .collect();
+    server.coverage.check(method, path, status, &headers, body.as_bytes());
+    status
+}
+
+pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Coverage) {
+    let server = Server::start_with(&coverage, Setup { limits: tight_limits(), ..Setup::default() }).await;
+    let job = server.create("succeed").await;
+    server.reaches(&job, "succeeded").await;
+    for (path, media_type) in
+        [("/v1/jobs".to_owned(), "application/zip"), (format!("{job}/views"), "application/json")]
+    {
+        let head = format!(
+            "POST {path} HTTP/1.1\r\nHost: test\r\nContent-Type: {media_type}\r\nConnection: close\r\n"
+        );
+        let slow = raw(&server, &format!("{head}Content-Length: 9\r\n\r\n{{\"v"), false).await;
+        assert_eq!(check_raw(&server, "POST", &path, &slow), 408);
+        let broken =
+            raw(&server, &format!("{head}Transfer-Encoding: chunked\r\n\r\nnot a length\r\n"), false).await;
+        assert_eq!(check_raw(&server, "POST", &path, &broken), 400);
+    }
+    let views = format!("{job}/views");
+    let long = json!({ "views": vec![json!({ "frame": "test/r_0" }); 50] });
+    server.post_json(&views, &long).await.expect_problem(413, "body-too-large");
+    server.upload("", "succeed").await.expect(201);
+}
+
+#[tokio::test]
+async fn a_connection_that_dawdles_over_its_headers_is_closed() {
+    let setup = Setup { header_timeout: Duration::from_millis(50), ..Setup::default() };
+    let server = Server::start_with(&Coverage::default(), setup).await;
+    let answer = raw(&server, "GET /healthz HTTP/1.1\r\nHost: te", false).await;
+    assert!(!String::from_utf8_lossy(&answer).contains("200"), "the read ended because the server closed");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_early_refusal_reaches_a_client_that_sends_its_whole_body_first() {
+    let server = Server::start(&Coverage::default()).await;
+    let size = 32 << 20;
+    for (query, status) in [("?preset=fast", 422), ("", 413)] {
+        let mut stream = TcpStream::connect(server.address).await.expect("connects");
+        let head = format!(
+            "POST /v1/jobs{query} HTTP/1.1\r\nHost: test\r\nContent-Type: application/zip\r\n\
+             Connection: close\r\nContent-Length: {size}\r\n\r\n"
+        );
+        stream.write_all(head.as_bytes()).await.expect("sent");
+        stream.write_all(&vec![b'x'; size]).await.expect("the server takes the whole body");
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).await.expect("an end");
+        assert_eq!(check_raw(&server, "POST", "/v1/jobs", &answer), status);
+    }
+}
+
+#[tokio::test]
+async fn a_client_that_waits_for_leave_to_send_is_refused_without_it() {
+    let server = Server::start(&Coverage::default()).await;
+    let request = "POST /v1/jobs?preset=fast HTTP/1.1\r\nHost: test\r\nContent-Type: application/zip\r\n\
+                   Expect: 100-continue\r\nContent-Length: 1000\r\nConnection: close\r\n\r\n";
+    let answer = raw(&server, request, false).await;
+    assert_eq!(check_raw(&server, "POST", "/v1/jobs", &answer), 422, "and not 100");
+}
+
+#[tokio::test]
+async fn connections_beyond_the_cap_wait_for_a_place() {
+    let server =
+        Server::start_with(&Coverage::default(), Setup { max_connections: 1, ..Setup::default() }).await;
+    let mut first = TcpStream::connect(server.address).await.expect("connects");
+    first.write_all(b"GET /healthz HTTP/1.1\r\nHost: te").await.expect("sent");
+    let mut second = Box::pin(server.get("/healthz"));
+    let early = tokio::time::timeout(Duration::from_millis(50), &mut second).await;
+    assert!(early.is_err(), "there is no place yet");
+    drop(first);
+    second.await.expect(200);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn shutdown_finishes_open_requests_and_takes_no_more() {
+    let mut server = Server::start(&Coverage::default()).await;
+    let job = server.succeeded().await;
+    let path = format!("{job}/view?position=1,0,0&look_at=0,0,0&width=17");
+    let (open, ()) = tokio::join!(server.get(&path), async {
+        server.renderer.gate.someone_waits().await;
+        server.shutdown.cancel();
+        while TcpStream::connect(server.address).await.is_ok() {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        server.renderer.gate.open();
+    });
+    open.expect(200);
+    (&mut server.serving).await.expect("the accept loop ends");
+}

@@ -1,0 +1,71 @@
+//! The API over a real socket, a file for each part of it. Every answer is held to `openapi.yaml`, and one test asserts that
+//! every operation and status of it was seen.
+
+mod artifacts;
+mod connections;
+mod jobs;
+mod service;
+mod views;
+
+use crate::support::contract::Coverage;
+
+/// Statuses that no test can bring about, with the reason.
+const UNSEEN: &[(&str, &str, &str)] =
+    &[("createJob", "507", "needs a full disk; the mapping has a unit test")];
+
+/// Makes each scenario a test, and one more that runs all of them and asserts that the contract is covered.
+macro_rules! scenarios {
+    ($($part:ident { $($name:ident),+ $(,)? })+) => {
+        mod one_by_one {
+            $(mod $part {
+                use crate::{http, support::contract::Coverage};
+                $(#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+                async fn $name() {
+                    http::$part::$name(Coverage::default()).await;
+                })+
+            })+
+        }
+
+        #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+        async fn every_operation_and_status_of_the_contract_is_seen() {
+            let coverage = Coverage::default();
+            $($(Box::pin($part::$name(coverage.clone())).await;)+)+
+            let mut missing = coverage.missing();
+            for (operation, status, _) in UNSEEN {
+                let listed = missing.remove(&((*operation).to_owned(), (*status).to_owned()));
+                assert!(listed, "{operation} {status} is listed as unseen, but was seen or is not in the contract");
+            }
+            assert!(missing.is_empty(), "never seen: {missing:#?}");
+        }
+    };
+}
+
+scenarios! {
+    service {
+        the_service_describes_itself,
+        unknown_jobs_frames_paths_and_methods_are_problems,
+        a_database_that_fails_is_a_problem_not_a_crash,
+        a_handler_that_panics_answers_500_and_the_server_lives,
+    }
+    connections {
+        bodies_that_break_off_or_dawdle_are_given_up,
+    }
+    jobs {
+        a_dataset_becomes_a_file_with_metrics_and_history,
+        what_is_wrong_with_a_dataset_or_an_option_is_said_before_a_job_is_made,
+        jobs_are_listed_newest_first_page_by_page,
+        a_queued_job_is_cancelled_at_once_and_a_running_one_soon,
+        too_many_uploads_at_once_are_put_off,
+    }
+    artifacts {
+        the_file_is_served_whole_in_parts_and_conditionally,
+        every_file_of_a_curve_is_served_by_its_weight,
+    }
+    views {
+        views_by_frame_pose_and_query_agree,
+        views_come_in_three_formats_and_as_multipart,
+        impossible_views_are_refused_by_name,
+        a_job_without_a_file_has_no_views,
+        a_full_render_queue_and_a_broken_renderer_are_told_apart,
+    }
+}
