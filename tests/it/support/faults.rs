@@ -3,10 +3,10 @@
 use std::sync::{Arc, Mutex};
 
 use tcgs::{
-    domain::{Event, JobId, JobState, Phase, Progress},
+    domain::{Event, JobId, JobState, KeyId, Phase, Progress},
     store::{
-        Answer, AttemptRecord, Cancellation, Claim, Heartbeat, JobFilter, JobRecord, Lease, NewJob, Outcome,
-        PageKey, Store, StoreError,
+        Answer, AttemptRecord, Cancellation, Claim, Heartbeat, Idempotency, JobFilter, JobRecord, Lease,
+        NewJob, Outcome, PageKey, Remembered, Store, StoreError,
     },
 };
 
@@ -45,6 +45,12 @@ impl FaultStore {
     }
 }
 
+impl Idempotency for FaultStore {
+    fn remembered<'a>(&'a self, owner: Option<KeyId>, key: &'a str) -> Answer<'a, Option<Remembered>> {
+        self.guard(self.inner.remembered(owner, key))
+    }
+}
+
 impl Store for FaultStore {
     fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord> {
         self.guard(self.inner.create_job(new))
@@ -62,6 +68,9 @@ impl Store for FaultStore {
     }
     fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>> {
         self.guard(self.inner.events(id, after, limit))
+    }
+    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<(JobId, u64)>> {
+        self.guard(self.inner.newest_events(jobs))
     }
     fn attempts(&self, id: JobId) -> Answer<'_, Vec<AttemptRecord>> {
         self.guard(self.inner.attempts(id))
