@@ -5,9 +5,12 @@
 //! refuses without waiting. Reads have connections of their own. Several processes may share the file; they share
 //! one clock too, which is what leases are measured by.
 
+mod accounts;
 mod events;
 mod queue;
 mod rows;
+mod scenes;
+mod uploads;
 
 use std::{path::Path, sync::Arc, time::Duration};
 
