@@ -19,6 +19,16 @@ pub enum StoreError {
     /// A request with the same `Idempotency-Key` made something before; nothing was written.
     #[error("the Idempotency-Key was used before, for {}", .0.resource)]
     AlreadyMade(Box<Remembered>),
+    /// More than the owner has room for.
+    #[error("{asked} more bytes are over the quota of {quota}: {used} are stored or kept for uploads")]
+    QuotaExceeded {
+        /// What was to be added.
+        asked: u64,
+        /// What is stored or reserved.
+        used: u64,
+        /// How much may be.
+        quota: u64,
+    },
     /// A stored value cannot be read back.
     #[error("the stored {what} is unreadable: {fault}")]
     Corrupt {
