@@ -80,6 +80,8 @@ pub struct RequestLimits {
     pub renders_waiting: usize,
     /// How often changes of jobs are looked for while a request waits for one.
     pub watch_every: Duration,
+    /// How often queued jobs are looked for whose deadline has passed.
+    pub overdue_every: Duration,
     /// Requests that may wait for a job at a time; one more is answered at once.
     pub waits: usize,
 }
@@ -98,6 +100,7 @@ impl Default for RequestLimits {
             renders: 1,
             renders_waiting: 32,
             watch_every: Duration::from_millis(250),
+            overdue_every: Duration::from_secs(1),
             waits: 128,
         }
     }

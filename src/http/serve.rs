@@ -21,7 +21,7 @@ use tokio_util::sync::CancellationToken;
 use super::{
     AppState, Services,
     config::{ExposureError, HttpConfig},
-    router,
+    overdue, router,
 };
 
 const MAX_HEADERS: usize = 100;
@@ -63,6 +63,8 @@ pub async fn serve(
     services: Services,
     shutdown: CancellationToken,
 ) {
+    let store = services.store.clone();
+    tokio::spawn(overdue::give_up(store, config.limits.overdue_every, shutdown.clone()));
     let app = router(AppState::new(services, config.limits.clone(), shutdown.clone()));
     let places = Arc::new(Semaphore::new(config.max_connections));
     let graceful = GracefulShutdown::new();

@@ -86,6 +86,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
         children.environment = driver_cache_in(&options.data);
         let supervisor = supervise::supervise(children, store.clone(), shutdown.clone());
         let census = supervisor.census();
+        let checkpoints = options.data.join(CHECKPOINTS);
         let services = Services {
             store: store.clone(),
             blobs,
@@ -96,6 +97,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
                 Ok(Viewable { scene: file.scene, background: file.background })
             }),
             renderer,
+            forget: Arc::new(move |job| worker::forget_checkpoints(&checkpoints, job)),
             workers: Arc::new(move || WorkerCounts {
                 expected: census.expected(),
                 alive: census.living().len(),
