@@ -15,6 +15,7 @@ mod accounts;
 pub mod blobs;
 mod error;
 pub mod housekeeping;
+mod idempotency;
 mod policy;
 mod records;
 mod scenes;
@@ -27,6 +28,7 @@ use futures_util::future::BoxFuture;
 pub use accounts::{Accounts, Usage};
 pub use blobs::{BlobError, Blobs, Staged, Staging, UploadFile};
 pub use error::StoreError;
+pub use idempotency::{Idempotency, Intent, Remembered};
 pub use policy::QueuePolicy;
 pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat,
@@ -42,8 +44,9 @@ use crate::domain::{Event, JobId, JobState, Phase, Progress};
 pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
-pub trait Store: Accounts + Scenes + Uploads + Send + Sync + 'static {
-    /// Adds a job in state `queued`, together with its dataset's blob row and its first event.
+pub trait Store: Accounts + Idempotency + Scenes + Uploads + Send + Sync + 'static {
+    /// Adds a job in state `queued`, together with its dataset's blob row, its first event and what its request's
+    /// `Idempotency-Key` is to be remembered by; [`StoreError::AlreadyMade`] if that key was used before.
     fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord>;
 
     /// The job as it stands.
@@ -59,6 +62,9 @@ pub trait Store: Accounts + Scenes + Uploads + Send + Sync + 'static {
 
     /// Up to `limit` events with numbers above `after`, oldest first; `None` if there is no such job.
     fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>>;
+
+    /// The number of the newest event of each of these jobs; one that is not there is left out.
+    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<(JobId, u64)>>;
 
     /// Every attempt at the job, oldest first.
     fn attempts(&self, id: JobId) -> Answer<'_, Vec<AttemptRecord>>;
