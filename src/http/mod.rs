@@ -27,6 +27,7 @@ mod problem;
 mod query;
 mod range;
 mod render_queue;
+mod report;
 mod serve;
 mod state;
 mod views;
@@ -55,6 +56,7 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/jobs/{id}/artifact", get(artifact::get))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
+        .route("/v1/jobs/{id}/report", get(report::get))
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/version", get(health::version))

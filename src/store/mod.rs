@@ -14,6 +14,7 @@
 mod accounts;
 pub mod blobs;
 mod error;
+pub mod housekeeping;
 mod idempotency;
 mod policy;
 mod records;
@@ -25,7 +26,7 @@ mod verdict;
 use futures_util::future::BoxFuture;
 
 pub use accounts::{Accounts, Usage};
-pub use blobs::{BlobError, Blobs, Staged, Staging};
+pub use blobs::{BlobError, Blobs, Staged, Staging, UploadFile};
 pub use error::StoreError;
 pub use idempotency::{Idempotency, Intent, Remembered};
 pub use policy::QueuePolicy;

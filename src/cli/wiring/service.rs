@@ -18,7 +18,10 @@ use tcgs::{
     http::{self, HttpConfig, Services, WorkerCounts},
     ingest,
     render::views::Viewable,
-    store::{Blobs, QueuePolicy, SqliteStore},
+    store::{
+        Blobs, QueuePolicy, SqliteStore,
+        housekeeping::{HousekeepingPolicy, keep_house},
+    },
     worker::{self, WorkerConfig, scene_file, supervise},
 };
 use tokio::runtime::Runtime;
@@ -86,6 +89,13 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
         children.environment = driver_cache_in(&options.data);
         let supervisor = supervise::supervise(children, store.clone(), shutdown.clone());
         let census = supervisor.census();
+        let housekeeping = tokio::spawn(keep_house(
+            store.clone(),
+            blobs.clone(),
+            Arc::new(SystemClock),
+            HousekeepingPolicy::default(),
+            shutdown.clone(),
+        ));
         let checkpoints = options.data.join(CHECKPOINTS);
         let services = Services {
             store: store.clone(),
@@ -107,6 +117,9 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
         tracing::info!(%address, data = %options.data.display(), "serving on http://{address}");
         http::serve(listener, config, services, shutdown).await;
         supervisor.stopped().await;
+        if let Err(fault) = housekeeping.await {
+            tracing::warn!(%fault, "clearing away ended early");
+        }
         store.close().await;
         Ok(())
     })
@@ -117,7 +130,7 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
     let runtime = runtime()?;
     let outcome = runtime.block_on(async {
         let lpips = super::lpips(options.lpips.as_deref())?;
-        let runner = super::runner(&options.adapter, options.memory, options.data.clone(), lpips)?;
+        let runner = super::job_runner(&options.adapter, options.memory, options.data.clone(), lpips);
         let (store, blobs) = open(&options.data).await?;
         let shutdown = stop_on_signals()?;
         if options.stop_with_parent {
