@@ -19,7 +19,6 @@ mod picture;
 mod problem;
 mod query;
 mod range;
-mod render_queue;
 mod serve;
 mod state;
 mod views;
@@ -46,6 +45,11 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/jobs/{id}/artifact", get(artifact::get))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
+        .route("/v1/jobs/{id}/stream", get(views::sequence::stream).post(views::sequence::stream_path))
+        .route(
+            "/v1/jobs/{id}/animation",
+            get(views::sequence::animation).post(views::sequence::animation_path),
+        )
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/version", get(health::version))

@@ -5,7 +5,7 @@ use std::{fmt, path::Path, sync::Arc};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::{config::RequestLimits, render_queue::RenderQueue};
+use super::{config::RequestLimits, views::Studio};
 use crate::{
     domain::{Clock, Problem},
     render::{RenderViews, views::Viewable},
@@ -57,7 +57,7 @@ struct Inner {
     services: Services,
     limits: RequestLimits,
     uploads: Semaphore,
-    renders: RenderQueue,
+    studio: Studio,
     draining: CancellationToken,
 }
 
@@ -72,8 +72,8 @@ impl AppState {
     #[must_use]
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         let uploads = Semaphore::new(limits.uploads);
-        let renders = RenderQueue::new(limits.renders, limits.renders_waiting);
-        Self(Arc::new(Inner { services, limits, uploads, renders, draining }))
+        let studio = Studio::new(&services, &limits);
+        Self(Arc::new(Inner { services, limits, uploads, studio, draining }))
     }
 
     pub(super) fn services(&self) -> &Services {
@@ -96,8 +96,13 @@ impl AppState {
         &self.0.uploads
     }
 
-    pub(super) fn renders(&self) -> &RenderQueue {
-        &self.0.renders
+    pub(super) fn studio(&self) -> &Studio {
+        &self.0.studio
+    }
+
+    /// Cancelled when the server begins to stop.
+    pub(super) fn draining(&self) -> &CancellationToken {
+        &self.0.draining
     }
 
     pub(super) fn is_draining(&self) -> bool {
