@@ -90,6 +90,10 @@ pub struct RequestLimits {
     pub animation_pixels: u64,
     /// Bytes of encoded views that are kept for whoever asks again.
     pub view_cache_bytes: u64,
+    /// How often changes of jobs are looked for while a request waits for one.
+    pub watch_every: Duration,
+    /// Requests that may wait for a job at a time; one more is answered at once.
+    pub waits: usize,
 }
 
 impl Default for RequestLimits {
@@ -111,6 +115,8 @@ impl Default for RequestLimits {
             frames: 720,
             animation_pixels: 1 << 26,
             view_cache_bytes: 64 << 20,
+            watch_every: Duration::from_millis(250),
+            waits: 128,
         }
     }
 }

@@ -10,18 +10,23 @@ mod body;
 mod caller;
 mod camera;
 pub mod config;
+mod create_job;
 mod etag;
 mod events;
 mod health;
+mod idempotency;
 mod job_body;
 mod jobs;
 mod picture;
+mod prefer;
 mod problem;
 mod query;
 mod range;
+mod report;
 mod serve;
 mod state;
 mod views;
+mod watch;
 mod wrap;
 
 use axum::{
@@ -38,7 +43,7 @@ pub use state::{AppState, DatasetCheck, SceneLoader, Services, WorkerCensus, Wor
 /// Every route of the API.
 pub fn router(state: AppState) -> Router {
     Router::new()
-        .route("/v1/jobs", get(jobs::list).post(jobs::create))
+        .route("/v1/jobs", get(jobs::list).post(create_job::create))
         .route("/v1/jobs/{id}", get(jobs::get))
         .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
         .route("/v1/jobs/{id}/events", get(events::list))
@@ -50,6 +55,7 @@ pub fn router(state: AppState) -> Router {
             "/v1/jobs/{id}/animation",
             get(views::sequence::animation).post(views::sequence::animation_path),
         )
+        .route("/v1/jobs/{id}/report", get(report::get))
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/version", get(health::version))

@@ -235,7 +235,7 @@ fn npy(plane: &Plane) -> Vec<u8> {
     let mut head =
         format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({}, {}), }}", plane.height, plane.width);
     const PREFIX: usize = 10;
-    while (PREFIX + head.len() + 1) % 64 != 0 {
+    while !(PREFIX + head.len() + 1).is_multiple_of(64) {
         head.push(' ');
     }
     head.push('\n');

@@ -5,15 +5,15 @@ use std::{fmt, path::Path, sync::Arc};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::{config::RequestLimits, views::Studio};
+use super::{config::RequestLimits, idempotency::InFlight, views::Studio, watch::Watcher};
 use crate::{
-    domain::{Clock, Problem},
+    domain::{Clock, DatasetSummary, Problem},
     render::{RenderViews, views::Viewable},
     store::{Blobs, Store},
 };
 
-/// Looks over a dataset archive before a job is made of it; blocks.
-pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<(), Problem> + Send + Sync>;
+/// Looks over a dataset archive before a scene or a job is made of it; blocks.
+pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<DatasetSummary, Problem> + Send + Sync>;
 
 /// Reads a finished scene's file; blocks.
 pub type SceneLoader = Arc<dyn Fn(&[u8]) -> Result<Viewable, Problem> + Send + Sync>;
@@ -58,6 +58,9 @@ struct Inner {
     limits: RequestLimits,
     uploads: Semaphore,
     studio: Studio,
+    watcher: Watcher,
+    in_flight: Arc<InFlight>,
+    waits: Semaphore,
     draining: CancellationToken,
 }
 
@@ -73,7 +76,18 @@ impl AppState {
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         let uploads = Semaphore::new(limits.uploads);
         let studio = Studio::new(&services, &limits);
-        Self(Arc::new(Inner { services, limits, uploads, studio, draining }))
+        let waits = Semaphore::new(limits.waits);
+        let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
+        Self(Arc::new(Inner {
+            services,
+            limits,
+            uploads,
+            studio,
+            watcher,
+            in_flight: Arc::default(),
+            waits,
+            draining,
+        }))
     }
 
     pub(super) fn services(&self) -> &Services {
@@ -100,7 +114,22 @@ impl AppState {
         &self.0.studio
     }
 
-    /// Cancelled when the server begins to stop.
+    /// Keys of requests that are being answered.
+    pub(super) fn in_flight(&self) -> &Arc<InFlight> {
+        &self.0.in_flight
+    }
+
+    /// Places for requests that wait for a job.
+    pub(super) fn waits(&self) -> &Semaphore {
+        &self.0.waits
+    }
+
+    /// Waits for changes of jobs.
+    pub(super) fn watcher(&self) -> &Watcher {
+        &self.0.watcher
+    }
+
+    /// Cancelled once the server shuts down: what waits for something should then answer at once.
     pub(super) fn draining(&self) -> &CancellationToken {
         &self.0.draining
     }

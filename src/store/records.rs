@@ -3,6 +3,7 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
+use super::Intent;
 use crate::domain::{Digest, Job, JobId, JobMetrics, KeyId, Problem, SceneFormat, SceneId, TrainOptions};
 
 /// A published blob.
@@ -33,6 +34,10 @@ pub struct NewJob {
     pub dataset: BlobRef,
     /// Higher goes first; 0 is usual.
     pub priority: i32,
+    /// Whether it may go on from where the job that it repeats stopped.
+    pub from_checkpoint: bool,
+    /// The `Idempotency-Key` of the request that makes it.
+    pub intent: Option<Intent>,
 }
 
 impl NewJob {
@@ -48,6 +53,8 @@ impl NewJob {
             options,
             dataset,
             priority: 0,
+            from_checkpoint: false,
+            intent: None,
         }
     }
 }
@@ -58,6 +65,9 @@ impl NewJob {
 pub enum ArtifactKind {
     /// The dataset's cameras as JSON, for views by frame name.
     Cameras,
+    /// Held-out views as pictures ([`crate::domain::HeldOut`]) as JSON, for the report.
+    #[serde(rename = "held_out")]
+    HeldOut,
     /// The finished scene.
     #[serde(untagged)]
     Scene(SceneFormat),
@@ -69,6 +79,7 @@ impl ArtifactKind {
     pub fn name(self) -> &'static str {
         match self {
             ArtifactKind::Cameras => "cameras",
+            ArtifactKind::HeldOut => "held_out",
             ArtifactKind::Scene(format) => format.name(),
         }
     }
@@ -130,7 +141,7 @@ impl JobRecord {
             ArtifactKind::Scene(format) => {
                 Some(SceneArtifact { format, lambda: artifact.lambda, blob: artifact.blob })
             }
-            ArtifactKind::Cameras => None,
+            ArtifactKind::Cameras | ArtifactKind::HeldOut => None,
         })
     }
 }

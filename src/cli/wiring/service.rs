@@ -90,7 +90,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
             store: store.clone(),
             blobs,
             clock: Arc::new(SystemClock),
-            check: Arc::new(|archive: &Path| ingest::check(archive).map(|_| ())),
+            check: Arc::new(|archive: &Path| ingest::check(archive)),
             load: Arc::new(|bytes: &[u8]| {
                 let file = scene_file::read(bytes)?;
                 Ok(Viewable { scene: file.scene, background: file.background })
@@ -115,7 +115,7 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
     let runtime = runtime()?;
     let outcome = runtime.block_on(async {
         let lpips = super::lpips(options.lpips.as_deref())?;
-        let runner = super::runner(&options.adapter, options.memory, options.data.clone(), lpips)?;
+        let runner = super::job_runner(&options.adapter, options.memory, options.data.clone(), lpips);
         let (store, blobs) = open(&options.data).await?;
         let shutdown = stop_on_signals()?;
         if options.stop_with_parent {

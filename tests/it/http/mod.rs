@@ -4,7 +4,9 @@
 mod artifacts;
 mod connections;
 mod films;
+mod idempotency;
 mod jobs;
+mod report;
 mod service;
 mod views;
 
@@ -58,9 +60,21 @@ scenarios! {
         a_queued_job_is_cancelled_at_once_and_a_running_one_soon,
         too_many_uploads_at_once_are_put_off,
     }
+    idempotency {
+        a_request_that_is_sent_again_makes_nothing_again,
+        what_was_refused_is_not_remembered,
+        fifty_requests_with_one_key_make_one_job,
+        a_request_is_in_flight_until_it_is_answered_and_no_longer,
+        an_answer_waits_for_the_job_as_long_as_is_preferred,
+    }
     artifacts {
         the_file_is_served_whole_in_parts_and_conditionally,
         every_file_of_a_curve_is_served_by_its_weight,
+    }
+    report {
+        a_finished_job_is_reported_on_one_page,
+        a_curve_is_reported_with_each_of_its_files,
+        a_job_without_a_result_is_reported_as_it_stands,
     }
     views {
         views_by_frame_pose_and_query_agree,

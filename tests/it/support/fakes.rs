@@ -13,9 +13,10 @@ use std::{
 use glam::DVec3;
 use tcgs::{
     domain::{
-        AnchorScene, Background, ByteCounts, Camera, CancelFlag, Conventions, CurvePoint, Digest, Image,
-        Intrinsics, JobMetrics, Lattice, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds,
-        Pose, Problem, Progress, RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
+        AnchorScene, Background, ByteCounts, Camera, CancelFlag, Conventions, CurvePoint, DatasetSummary,
+        Digest, HeldOut, HeldOutView, Image, Intrinsics, JobMetrics, Lattice, Layout, LpipsNetwork, Mlp,
+        NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, Progress, RenderNetworks, Scene,
+        SceneFormat, Scores, Split, TrainOptions, ViewScore,
     },
     render::{
         RenderViews,
@@ -111,6 +112,7 @@ impl RunJob for FakeRunner {
             others: others.map(|(place, &lambda)| CurveFile { lambda, file: curve_file(place) }).collect(),
             metrics: JobMetrics { rd_curve: points.collect(), ..metrics() },
             cameras: cameras(),
+            held_out: Some(held_out()),
         })
     }
 }
@@ -149,6 +151,29 @@ pub fn metrics() -> JobMetrics {
         rd_curve: Vec::new(),
     }
 }
+
+/// The pictures of every fake job: one view, whose name is as hostile as a zip may make it.
+pub fn held_out() -> HeldOut {
+    let score = ViewScore { name: HOSTILE.into(), psnr: 30.0, ssim: 0.9, lpips: None };
+    let picture = |colour: &str| colour.to_owned();
+    HeldOut {
+        of: 2,
+        ceiling: 0.2,
+        ramp: vec![[0, 0, 4], [252, 255, 164]],
+        views: vec![HeldOutView {
+            score,
+            camera: cameras()[1].camera,
+            width: 40,
+            height: 32,
+            photograph: picture("cGhvdG8="),
+            render: picture("cmVuZGVy"),
+            error: picture("ZXJyb3I="),
+        }],
+    }
+}
+
+/// A name that would be markup, an attribute's end and a script if it were not escaped.
+pub const HOSTILE: &str = "\"'><script>alert(1)</script><img src=//evil.example/x onerror=alert(1)>&amp;";
 
 /// The dataset cameras of every fake job: an off-centre principal point and unequal focal lengths.
 pub fn cameras() -> Vec<NamedCamera> {
@@ -252,14 +277,21 @@ pub fn load(file: &[u8]) -> Result<Viewable, Problem> {
 }
 
 /// Refuses a dataset that begins with `bad`, panics at `bomb`.
-pub fn check(dataset: &Path) -> Result<(), Problem> {
+pub fn check(dataset: &Path) -> Result<DatasetSummary, Problem> {
     let content = fs::read(dataset).expect("the staged file is readable");
     assert!(!content.starts_with(b"bomb"), "as the test wants it");
     if content.starts_with(b"bad") {
         let fault = "frame 3 has a focal length of 0; it must be a positive number of pixels";
         return Err(Problem::new(422, "invalid-dataset", "Invalid dataset", fault).in_file("transforms.json"));
     }
-    Ok(())
+    Ok(DatasetSummary {
+        layout: Layout::Blender,
+        train: 1,
+        test: 2,
+        pixels: 3 * 40 * 32,
+        points: None,
+        notes: vec!["as the test wants it".into()],
+    })
 }
 
 fn empty_scene() -> AnchorScene {
