@@ -13,6 +13,7 @@
 
 pub mod blobs;
 mod error;
+mod keys;
 mod policy;
 mod records;
 mod sqlite;
@@ -22,6 +23,7 @@ use futures_util::future::BoxFuture;
 
 pub use blobs::{BlobError, Blobs, Staged, Staging};
 pub use error::StoreError;
+pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};
 pub use policy::QueuePolicy;
 pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat,
@@ -35,7 +37,7 @@ use crate::domain::{Event, JobId, JobState, Phase, Progress};
 pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
-pub trait Store: Send + Sync + 'static {
+pub trait Store: Keys + Send + Sync + 'static {
     /// Adds a job in state `queued`, together with its dataset's blob row and its first event.
     fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord>;
 

@@ -6,6 +6,7 @@
 //! one clock too, which is what leases are measured by.
 
 mod events;
+mod keys;
 mod queue;
 mod rows;
 

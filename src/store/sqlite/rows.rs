@@ -32,7 +32,7 @@ fn corrupt(what: &'static str) -> impl Fn(String) -> StoreError {
     move |fault| StoreError::Corrupt { what, fault }
 }
 
-fn instant(what: &'static str, value: i64) -> Result<Timestamp, StoreError> {
+pub(super) fn instant(what: &'static str, value: i64) -> Result<Timestamp, StoreError> {
     Timestamp::from_microsecond(value).map_err(|error| corrupt(what)(error.to_string()))
 }
 
@@ -44,7 +44,7 @@ fn bare<T: DeserializeOwned>(what: &'static str, text: String) -> Result<T, Stor
     serde_json::from_value(serde_json::Value::String(text)).map_err(|error| corrupt(what)(error.to_string()))
 }
 
-fn parsed<T: FromStr>(what: &'static str, text: &str) -> Result<T, StoreError> {
+pub(super) fn parsed<T: FromStr>(what: &'static str, text: &str) -> Result<T, StoreError> {
     text.parse().map_err(|_| corrupt(what)(format!("'{text}'")))
 }
 
@@ -53,7 +53,18 @@ fn unsigned<T: TryFrom<i64>>(row: &SqliteRow, column: &'static str) -> Result<T,
     T::try_from(value).map_err(|_| corrupt(column)(format!("{value} is out of range")))
 }
 
-fn optional_instant(row: &SqliteRow, column: &'static str) -> Result<Option<Timestamp>, StoreError> {
+pub(super) fn optional_unsigned<T: TryFrom<i64>>(
+    row: &SqliteRow,
+    column: &'static str,
+) -> Result<Option<T>, StoreError> {
+    let Some(value) = row.try_get::<Option<i64>, _>(column)? else { return Ok(None) };
+    T::try_from(value).map(Some).map_err(|_| corrupt(column)(format!("{value} is out of range")))
+}
+
+pub(super) fn optional_instant(
+    row: &SqliteRow,
+    column: &'static str,
+) -> Result<Option<Timestamp>, StoreError> {
     row.try_get::<Option<i64>, _>(column)?.map(|value| instant(column, value)).transpose()
 }
 
