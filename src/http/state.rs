@@ -5,7 +5,7 @@ use std::{fmt, path::Path, sync::Arc};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::{config::RequestLimits, render_queue::RenderQueue};
+use super::{auth::Lock, config::RequestLimits, render_queue::RenderQueue, throttle::Throttle};
 use crate::{
     domain::{Clock, Problem},
     render::{RenderViews, views::Viewable},
@@ -59,6 +59,8 @@ struct Inner {
     uploads: Semaphore,
     renders: RenderQueue,
     draining: CancellationToken,
+    lock: Lock,
+    throttle: Throttle,
 }
 
 impl fmt::Debug for AppState {
@@ -73,7 +75,9 @@ impl AppState {
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         let uploads = Semaphore::new(limits.uploads);
         let renders = RenderQueue::new(limits.renders, limits.renders_waiting);
-        Self(Arc::new(Inner { services, limits, uploads, renders, draining }))
+        let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
+        let lock = Lock::default();
+        Self(Arc::new(Inner { services, limits, uploads, renders, draining, lock, throttle }))
     }
 
     pub(super) fn services(&self) -> &Services {
@@ -98,6 +102,14 @@ impl AppState {
 
     pub(super) fn renders(&self) -> &RenderQueue {
         &self.0.renders
+    }
+
+    pub(super) fn lock(&self) -> &Lock {
+        &self.0.lock
+    }
+
+    pub(super) fn throttle(&self) -> &Throttle {
+        &self.0.throttle
     }
 
     pub(super) fn is_draining(&self) -> bool {
