@@ -26,6 +26,7 @@ pub mod photograph;
 pub mod problem;
 pub mod progress;
 pub mod scene;
+pub mod upload;
 pub mod view;
 
 pub use access::{Caller, KeyId, KeyLimits, Scope};
@@ -53,5 +54,6 @@ pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOp
 pub use photograph::{Photograph, PhotographError, PixelSource};
 pub use problem::Problem;
 pub use progress::{CancelFlag, Phase, Progress};
-pub use scene::{Dataset, Frame, Layout, NamedCamera, PointCloud, Split};
+pub use scene::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
+pub use upload::UploadId;
 pub use view::{View, ViewError, ViewRequest};

@@ -7,13 +7,13 @@ use tokio_util::sync::CancellationToken;
 
 use super::{auth::Lock, config::RequestLimits, render_queue::RenderQueue, throttle::Throttle};
 use crate::{
-    domain::{Clock, Problem},
+    domain::{Clock, DatasetSummary, Problem},
     render::{RenderViews, views::Viewable},
     store::{Blobs, Store},
 };
 
-/// Looks over a dataset archive before a job is made of it; blocks.
-pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<(), Problem> + Send + Sync>;
+/// Looks over a dataset archive before a scene or a job is made of it; blocks.
+pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<DatasetSummary, Problem> + Send + Sync>;
 
 /// Reads a finished scene's file; blocks.
 pub type SceneLoader = Arc<dyn Fn(&[u8]) -> Result<Viewable, Problem> + Send + Sync>;

@@ -15,6 +15,16 @@ pub enum StoreError {
         /// The attempt that the worker was given.
         attempt: u32,
     },
+    /// More than the owner has room for.
+    #[error("{asked} more bytes are over the quota of {quota}: {used} are stored or kept for uploads")]
+    QuotaExceeded {
+        /// What was to be added.
+        asked: u64,
+        /// What is stored or reserved.
+        used: u64,
+        /// How much may be.
+        quota: u64,
+    },
     /// A stored value cannot be read back.
     #[error("the stored {what} is unreadable: {fault}")]
     Corrupt {

@@ -1,4 +1,4 @@
-//! Everything that outlives a process: jobs with their attempts and events, and the blobs that they refer to.
+//! Everything that outlives a process: scenes, uploads, jobs with their attempts and events, and the blobs that they refer to.
 //!
 //! SQL and object storage live here and nowhere else. What always holds:
 //!
@@ -11,16 +11,20 @@
 //! - **Cancel against completion**: whichever transaction commits first decides. A job whose cancellation was
 //!   accepted while it ran never becomes `succeeded`.
 
+mod accounts;
 pub mod blobs;
 mod error;
 mod keys;
 mod policy;
 mod records;
+mod scenes;
 mod sqlite;
+mod uploads;
 mod verdict;
 
 use futures_util::future::BoxFuture;
 
+pub use accounts::{Accounts, Usage};
 pub use blobs::{BlobError, Blobs, Staged, Staging};
 pub use error::StoreError;
 pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};
@@ -29,7 +33,9 @@ pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat,
     JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, SceneArtifact,
 };
+pub use scenes::{NewScene, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes};
 pub use sqlite::SqliteStore;
+pub use uploads::{NewUpload, UploadRecord, Uploads};
 
 use crate::domain::{Event, JobId, JobState, Phase, Progress};
 
@@ -37,7 +43,7 @@ use crate::domain::{Event, JobId, JobState, Phase, Progress};
 pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
-pub trait Store: Keys + Send + Sync + 'static {
+pub trait Store: Accounts + Keys + Scenes + Uploads + Send + Sync + 'static {
     /// Adds a job in state `queued`, together with its dataset's blob row and its first event.
     fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord>;
 

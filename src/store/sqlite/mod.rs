@@ -5,10 +5,13 @@
 //! refuses without waiting. Reads have connections of their own. Several processes may share the file; they share
 //! one clock too, which is what leases are measured by.
 
+mod accounts;
 mod events;
 mod keys;
 mod queue;
 mod rows;
+mod scenes;
+mod uploads;
 
 use std::{path::Path, sync::Arc, time::Duration};
 

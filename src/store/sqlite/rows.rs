@@ -36,7 +36,7 @@ pub(super) fn instant(what: &'static str, value: i64) -> Result<Timestamp, Store
     Timestamp::from_microsecond(value).map_err(|error| corrupt(what)(error.to_string()))
 }
 
-fn document<T: DeserializeOwned>(what: &'static str, text: &str) -> Result<T, StoreError> {
+pub(super) fn document<T: DeserializeOwned>(what: &'static str, text: &str) -> Result<T, StoreError> {
     serde_json::from_str(text).map_err(|error| corrupt(what)(error.to_string()))
 }
 
@@ -48,7 +48,7 @@ pub(super) fn parsed<T: FromStr>(what: &'static str, text: &str) -> Result<T, St
     text.parse().map_err(|_| corrupt(what)(format!("'{text}'")))
 }
 
-fn unsigned<T: TryFrom<i64>>(row: &SqliteRow, column: &'static str) -> Result<T, StoreError> {
+pub(super) fn unsigned<T: TryFrom<i64>>(row: &SqliteRow, column: &'static str) -> Result<T, StoreError> {
     let value: i64 = row.try_get(column)?;
     T::try_from(value).map_err(|_| corrupt(column)(format!("{value} is out of range")))
 }
@@ -68,7 +68,10 @@ pub(super) fn optional_instant(
     row.try_get::<Option<i64>, _>(column)?.map(|value| instant(column, value)).transpose()
 }
 
-fn optional_id<T: FromStr>(row: &SqliteRow, column: &'static str) -> Result<Option<T>, StoreError> {
+pub(super) fn optional_id<T: FromStr>(
+    row: &SqliteRow,
+    column: &'static str,
+) -> Result<Option<T>, StoreError> {
     row.try_get::<Option<String>, _>(column)?.map(|text| parsed(column, &text)).transpose()
 }
 

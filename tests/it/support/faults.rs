@@ -1,12 +1,16 @@
 //! A store that fails when told to.
 
+mod keys;
+
 use std::sync::{Arc, Mutex};
 
+use jiff::Timestamp;
 use tcgs::{
-    domain::{Event, JobId, JobState, KeyHash, KeyId, Phase, Progress},
+    domain::{Digest, Event, JobId, JobState, KeyId, Phase, Progress, SceneId, UploadId},
     store::{
-        Answer, AttemptRecord, Cancellation, Claim, Heartbeat, JobFilter, JobRecord, KeyRecord, Keys, Lease,
-        NewJob, NewKey, Outcome, PageKey, Store, StoreError,
+        Accounts, Answer, AttemptRecord, Cancellation, Claim, Heartbeat, JobFilter, JobRecord, Lease, NewJob,
+        NewScene, NewUpload, Outcome, PageKey, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes,
+        Store, StoreError, UploadRecord, Uploads, Usage,
     },
 };
 
@@ -89,26 +93,58 @@ impl Store for FaultStore {
     }
 }
 
-impl Keys for FaultStore {
-    fn create_key(&self, new: NewKey) -> Answer<'_, KeyRecord> {
-        self.guard(self.inner.create_key(new))
+impl Scenes for FaultStore {
+    fn create_scene(&self, new: NewScene) -> Answer<'_, SceneCreation> {
+        self.guard(self.inner.create_scene(new))
     }
-    fn key(&self, id: KeyId) -> Answer<'_, Option<KeyRecord>> {
-        self.guard(self.inner.key(id))
+    fn scene(&self, id: SceneId) -> Answer<'_, Option<SceneRecord>> {
+        self.guard(self.inner.scene(id))
     }
-    fn keys(&self, with_revoked: bool, before: Option<KeyId>, limit: u32) -> Answer<'_, Vec<KeyRecord>> {
-        self.guard(self.inner.keys(with_revoked, before, limit))
+    fn scene_of_dataset(&self, owner: Option<KeyId>, dataset: Digest) -> Answer<'_, Option<SceneRecord>> {
+        self.guard(self.inner.scene_of_dataset(owner, dataset))
     }
-    fn revoke_key(&self, id: KeyId) -> Answer<'_, Option<KeyRecord>> {
-        self.guard(self.inner.revoke_key(id))
+    fn scenes(
+        &self,
+        owner: Option<KeyId>,
+        before: Option<ScenePage>,
+        limit: u32,
+    ) -> Answer<'_, Vec<SceneRecord>> {
+        self.guard(self.inner.scenes(owner, before, limit))
     }
-    fn authenticate(&self, hash: KeyHash) -> Answer<'_, Option<KeyRecord>> {
-        self.guard(self.inner.authenticate(hash))
+    fn delete_scene(&self, id: SceneId, version: Option<u64>) -> Answer<'_, Option<SceneDeletion>> {
+        self.guard(self.inner.delete_scene(id, version))
     }
-    fn has_keys(&self) -> Answer<'_, bool> {
-        self.guard(self.inner.has_keys())
+}
+
+impl Uploads for FaultStore {
+    fn create_upload(&self, new: NewUpload) -> Answer<'_, UploadRecord> {
+        self.guard(self.inner.create_upload(new))
     }
-    fn touch_key(&self, id: KeyId) -> Answer<'_, ()> {
-        self.guard(self.inner.touch_key(id))
+    fn upload(&self, id: UploadId) -> Answer<'_, Option<UploadRecord>> {
+        self.guard(self.inner.upload(id))
+    }
+    fn advance_upload(&self, id: UploadId, received: u64, expires_at: Timestamp) -> Answer<'_, bool> {
+        self.guard(self.inner.advance_upload(id, received, expires_at))
+    }
+    fn delete_upload(&self, id: UploadId) -> Answer<'_, bool> {
+        self.guard(self.inner.delete_upload(id))
+    }
+    fn outstanding_bytes(&self) -> Answer<'_, u64> {
+        self.guard(self.inner.outstanding_bytes())
+    }
+    fn expire_uploads(&self, forget: Timestamp) -> Answer<'_, Vec<UploadId>> {
+        self.guard(self.inner.expire_uploads(forget))
+    }
+    fn open_uploads(&self) -> Answer<'_, Vec<UploadId>> {
+        self.guard(self.inner.open_uploads())
+    }
+}
+
+impl Accounts for FaultStore {
+    fn usage(&self, owner: Option<KeyId>) -> Answer<'_, Usage> {
+        self.guard(self.inner.usage(owner))
+    }
+    fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> Answer<'a, Vec<Digest>> {
+        self.guard(self.inner.forget_blobs(digests))
     }
 }
