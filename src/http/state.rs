@@ -5,7 +5,10 @@ use std::{fmt, path::Path, sync::Arc};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::{auth::Lock, config::RequestLimits, render_queue::RenderQueue, throttle::Throttle};
+use super::{
+    auth::Lock, config::RequestLimits, idempotency::InFlight, render_queue::RenderQueue, throttle::Throttle,
+    watch::Watcher,
+};
 use crate::{
     domain::{Clock, DatasetSummary, Problem},
     render::{RenderViews, views::Viewable},
@@ -58,6 +61,9 @@ struct Inner {
     limits: RequestLimits,
     uploads: Semaphore,
     renders: RenderQueue,
+    watcher: Watcher,
+    in_flight: Arc<InFlight>,
+    waits: Semaphore,
     draining: CancellationToken,
     lock: Lock,
     throttle: Throttle,
@@ -76,8 +82,20 @@ impl AppState {
         let uploads = Semaphore::new(limits.uploads);
         let renders = RenderQueue::new(limits.renders, limits.renders_waiting);
         let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
-        let lock = Lock::default();
-        Self(Arc::new(Inner { services, limits, uploads, renders, draining, lock, throttle }))
+        let waits = Semaphore::new(limits.waits);
+        let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
+        Self(Arc::new(Inner {
+            services,
+            limits,
+            uploads,
+            renders,
+            watcher,
+            in_flight: Arc::default(),
+            waits,
+            draining,
+            lock: Lock::default(),
+            throttle,
+        }))
     }
 
     pub(super) fn services(&self) -> &Services {
@@ -110,6 +128,26 @@ impl AppState {
 
     pub(super) fn throttle(&self) -> &Throttle {
         &self.0.throttle
+    }
+
+    /// Keys of requests that are being answered.
+    pub(super) fn in_flight(&self) -> &Arc<InFlight> {
+        &self.0.in_flight
+    }
+
+    /// Places for requests that wait for a job.
+    pub(super) fn waits(&self) -> &Semaphore {
+        &self.0.waits
+    }
+
+    /// Waits for changes of jobs.
+    pub(super) fn watcher(&self) -> &Watcher {
+        &self.0.watcher
+    }
+
+    /// Cancelled once the server shuts down: what waits for something should then answer at once.
+    pub(super) fn draining(&self) -> &CancellationToken {
+        &self.0.draining
     }
 
     pub(super) fn is_draining(&self) -> bool {

@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 
+use super::Remembered;
 use crate::domain::JobId;
 
 /// A fault of the job table.
@@ -15,6 +16,9 @@ pub enum StoreError {
         /// The attempt that the worker was given.
         attempt: u32,
     },
+    /// A request with the same `Idempotency-Key` made something before; nothing was written.
+    #[error("the Idempotency-Key was used before, for {}", .0.resource)]
+    AlreadyMade(Box<Remembered>),
     /// More than the owner has room for.
     #[error("{asked} more bytes are over the quota of {quota}: {used} are stored or kept for uploads")]
     QuotaExceeded {

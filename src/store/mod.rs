@@ -14,6 +14,7 @@
 mod accounts;
 pub mod blobs;
 mod error;
+mod idempotency;
 mod keys;
 mod policy;
 mod records;
@@ -27,6 +28,7 @@ use futures_util::future::BoxFuture;
 pub use accounts::{Accounts, Usage};
 pub use blobs::{BlobError, Blobs, Staged, Staging};
 pub use error::StoreError;
+pub use idempotency::{Idempotency, Intent, Remembered};
 pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};
 pub use policy::QueuePolicy;
 pub use records::{
@@ -43,8 +45,9 @@ use crate::domain::{Event, JobId, JobState, Phase, Progress};
 pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
-pub trait Store: Accounts + Keys + Scenes + Uploads + Send + Sync + 'static {
-    /// Adds a job in state `queued`, together with its dataset's blob row and its first event.
+pub trait Store: Accounts + Idempotency + Keys + Scenes + Uploads + Send + Sync + 'static {
+    /// Adds a job in state `queued`, together with its dataset's blob row, its first event and what its request's
+    /// `Idempotency-Key` is to be remembered by; [`StoreError::AlreadyMade`] if that key was used before.
     fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord>;
 
     /// The job as it stands.
@@ -60,6 +63,9 @@ pub trait Store: Accounts + Keys + Scenes + Uploads + Send + Sync + 'static {
 
     /// Up to `limit` events with numbers above `after`, oldest first; `None` if there is no such job.
     fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>>;
+
+    /// The number of the newest event of each of these jobs; one that is not there is left out.
+    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<(JobId, u64)>>;
 
     /// Every attempt at the job, oldest first.
     fn attempts(&self, id: JobId) -> Answer<'_, Vec<AttemptRecord>>;

@@ -15,13 +15,16 @@ use crate::{
 const OF_OWNER: &str = "
     SELECT dataset AS digest FROM scenes WHERE owner IS ?1
     UNION SELECT dataset FROM jobs WHERE owner IS ?1
-    UNION SELECT artifacts.digest FROM artifacts JOIN jobs ON jobs.id = artifacts.job_id WHERE jobs.owner IS ?1";
+    UNION SELECT artifacts.digest FROM artifacts JOIN jobs ON jobs.id = artifacts.job_id WHERE jobs.owner IS ?1
+    UNION SELECT exports.digest FROM exports JOIN jobs ON jobs.id = exports.job_id WHERE jobs.owner IS ?1";
 
 /// Whether anything refers to blob `?1`.
 const IS_REFERRED_TO: &str = "
     SELECT EXISTS (SELECT 1 FROM scenes WHERE dataset = ?1)
         OR EXISTS (SELECT 1 FROM jobs WHERE dataset = ?1)
-        OR EXISTS (SELECT 1 FROM artifacts WHERE digest = ?1) AS referred_to";
+        OR EXISTS (SELECT 1 FROM artifacts WHERE digest = ?1)
+        OR EXISTS (SELECT 1 FROM exports WHERE digest = ?1)
+        OR EXISTS (SELECT 1 FROM exports WHERE source = ?1) AS referred_to";
 
 /// What the owner's things take.
 async fn usage(connection: &mut SqliteConnection, owner: Option<KeyId>) -> Result<Usage, StoreError> {

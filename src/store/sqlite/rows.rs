@@ -1,21 +1,29 @@
 //! Between rows and values. Everything read back is checked: a row that makes no sense is an error, not a panic.
 
-use std::str::FromStr;
+use std::{str::FromStr, time::Duration};
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use serde::{Serialize, de::DeserializeOwned};
 use sqlx::{Row as _, sqlite::SqliteRow};
 
 use crate::{
     domain::{Digest, Event, EventKind, Job, JobId, JobState},
     store::{
-        Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, JobRecord, StoreError,
+        Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, JobRecord, Remembered, StoreError,
         verdict::Standing,
     },
 };
 
 pub(super) fn micros(at: Timestamp) -> i64 {
     at.as_microsecond()
+}
+
+/// The instant `delay` before `now`.
+pub(super) fn before(now: Timestamp, delay: Duration) -> Timestamp {
+    SignedDuration::try_from(delay)
+        .ok()
+        .and_then(|delay| now.checked_sub(delay).ok())
+        .unwrap_or(Timestamp::MIN)
 }
 
 pub(super) fn json<T: Serialize>(value: &T) -> Result<String, StoreError> {
@@ -90,6 +98,10 @@ pub(super) fn job_id(row: &SqliteRow) -> Result<JobId, StoreError> {
     parsed("id", row.try_get("id")?)
 }
 
+pub(super) fn newest_event(row: &SqliteRow) -> Result<(JobId, u64), StoreError> {
+    Ok((job_id(row)?, unsigned(row, "last_seq")?))
+}
+
 pub(super) fn dataset(row: &SqliteRow) -> Result<Digest, StoreError> {
     parsed("dataset", row.try_get("dataset")?)
 }
@@ -162,6 +174,14 @@ pub(super) fn attempt(row: &SqliteRow) -> Result<AttemptRecord, StoreError> {
         ended_at: optional_instant(row, "ended_at")?,
         outcome,
         cause: optional_document(row, "cause")?,
+    })
+}
+
+pub(super) fn remembered(row: &SqliteRow) -> Result<Remembered, StoreError> {
+    Ok(Remembered {
+        fingerprint: parsed("fingerprint", row.try_get("fingerprint")?)?,
+        status: unsigned(row, "status")?,
+        resource: row.try_get("resource")?,
     })
 }
 

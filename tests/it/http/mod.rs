@@ -4,6 +4,7 @@
 mod access;
 mod artifacts;
 mod connections;
+mod idempotency;
 mod jobs;
 mod service;
 mod views;
@@ -62,6 +63,13 @@ scenarios! {
         jobs_are_listed_newest_first_page_by_page,
         a_queued_job_is_cancelled_at_once_and_a_running_one_soon,
         too_many_uploads_at_once_are_put_off,
+    }
+    idempotency {
+        a_request_that_is_sent_again_makes_nothing_again,
+        what_was_refused_is_not_remembered,
+        fifty_requests_with_one_key_make_one_job,
+        a_request_is_in_flight_until_it_is_answered_and_no_longer,
+        an_answer_waits_for_the_job_as_long_as_is_preferred,
     }
     artifacts {
         the_file_is_served_whole_in_parts_and_conditionally,

@@ -8,9 +8,9 @@ use jiff::Timestamp;
 use tcgs::{
     domain::{Digest, Event, JobId, JobState, KeyId, Phase, Progress, SceneId, UploadId},
     store::{
-        Accounts, Answer, AttemptRecord, Cancellation, Claim, Heartbeat, JobFilter, JobRecord, Lease, NewJob,
-        NewScene, NewUpload, Outcome, PageKey, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes,
-        Store, StoreError, UploadRecord, Uploads, Usage,
+        Accounts, Answer, AttemptRecord, Cancellation, Claim, Heartbeat, Idempotency, JobFilter, JobRecord,
+        Lease, NewJob, NewScene, NewUpload, Outcome, PageKey, Remembered, SceneCreation, SceneDeletion,
+        ScenePage, SceneRecord, Scenes, Store, StoreError, UploadRecord, Uploads, Usage,
     },
 };
 
@@ -49,6 +49,12 @@ impl FaultStore {
     }
 }
 
+impl Idempotency for FaultStore {
+    fn remembered<'a>(&'a self, owner: Option<KeyId>, key: &'a str) -> Answer<'a, Option<Remembered>> {
+        self.guard(self.inner.remembered(owner, key))
+    }
+}
+
 impl Store for FaultStore {
     fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord> {
         self.guard(self.inner.create_job(new))
@@ -66,6 +72,9 @@ impl Store for FaultStore {
     }
     fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>> {
         self.guard(self.inner.events(id, after, limit))
+    }
+    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<(JobId, u64)>> {
+        self.guard(self.inner.newest_events(jobs))
     }
     fn attempts(&self, id: JobId) -> Answer<'_, Vec<AttemptRecord>> {
         self.guard(self.inner.attempts(id))
