@@ -135,6 +135,16 @@ pub(crate) fn runner(
     Ok(Arc::new(Pipeline::new(adapter.clone()).within(memory, spill).with_lpips(lpips)))
 }
 
+/// The same for the jobs of a service, whose reports show held-out views.
+pub(crate) fn job_runner(
+    adapter: &AdapterChoice,
+    memory: MemoryLimits,
+    spill: PathBuf,
+    lpips: Option<Lpips>,
+) -> Arc<dyn RunJob> {
+    Arc::new(Pipeline::new(adapter.clone()).within(memory, spill).with_lpips(lpips).with_pictures())
+}
+
 /// The weights of LPIPS in a file, if one is named.
 pub(crate) fn lpips(path: Option<&Path>) -> Result<Option<Lpips>, Failure> {
     let Some(path) = path else { return Ok(None) };

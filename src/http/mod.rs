@@ -2,7 +2,8 @@
 //!
 //! Handlers parse, ask the store, and answer. What always holds: every error is an `application/problem+json`
 //! document with the request's id; every body, queue, connection and render is bounded; nothing that a
-//! client sends reaches the file system as a name; no request reaches a handler but through [`auth`]. Workers, SQL and the GPU are not known here.
+//! client sends reaches the file system as a name; no request reaches a handler but through [`auth`]. Workers,
+//! SQL and the GPU are not known here.
 
 mod accept;
 mod artifact;
@@ -25,6 +26,7 @@ mod problem;
 mod query;
 mod range;
 mod render_queue;
+mod report;
 mod scopes;
 mod serve;
 mod state;
@@ -54,6 +56,7 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/jobs/{id}/artifact", get(artifact::get))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
+        .route("/v1/jobs/{id}/report", get(report::get))
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/version", get(health::version))

@@ -26,6 +26,7 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("GET", "/v1/jobs/{id}/artifact", Needs(Read)),
     ("GET", "/v1/jobs/{id}/view", Needs(Read)),
     ("POST", "/v1/jobs/{id}/views", Needs(Read)),
+    ("GET", "/v1/jobs/{id}/report", Needs(Read)),
     ("GET", "/healthz", Open),
     ("GET", "/readyz", Open),
     ("GET", "/version", Open),

@@ -122,7 +122,7 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
     let runtime = runtime()?;
     let outcome = runtime.block_on(async {
         let lpips = super::lpips(options.lpips.as_deref())?;
-        let runner = super::runner(&options.adapter, options.memory, options.data.clone(), lpips)?;
+        let runner = super::job_runner(&options.adapter, options.memory, options.data.clone(), lpips);
         let (store, blobs) = open(&options.data).await?;
         let shutdown = stop_on_signals()?;
         if options.stop_with_parent {

@@ -6,6 +6,7 @@ mod artifacts;
 mod connections;
 mod idempotency;
 mod jobs;
+mod report;
 mod service;
 mod views;
 
@@ -74,6 +75,11 @@ scenarios! {
     artifacts {
         the_file_is_served_whole_in_parts_and_conditionally,
         every_file_of_a_curve_is_served_by_its_weight,
+    }
+    report {
+        a_finished_job_is_reported_on_one_page,
+        a_curve_is_reported_with_each_of_its_files,
+        a_job_without_a_result_is_reported_as_it_stands,
     }
     views {
         views_by_frame_pose_and_query_agree,
