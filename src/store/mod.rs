@@ -14,6 +14,7 @@
 mod accounts;
 pub mod blobs;
 mod error;
+pub mod housekeeping;
 mod idempotency;
 mod keys;
 mod policy;
@@ -26,7 +27,7 @@ mod verdict;
 use futures_util::future::BoxFuture;
 
 pub use accounts::{Accounts, Usage};
-pub use blobs::{BlobError, Blobs, Staged, Staging};
+pub use blobs::{BlobError, Blobs, Staged, Staging, UploadFile};
 pub use error::StoreError;
 pub use idempotency::{Idempotency, Intent, Remembered};
 pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};

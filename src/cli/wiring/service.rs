@@ -21,7 +21,10 @@ use tcgs::{
     },
     ingest,
     render::views::Viewable,
-    store::{Blobs, Keys as _, QueuePolicy, SqliteStore},
+    store::{
+        Blobs, Keys as _, QueuePolicy, SqliteStore,
+        housekeeping::{HousekeepingPolicy, keep_house},
+    },
     worker::{self, WorkerConfig, scene_file, supervise},
 };
 use tokio::runtime::Runtime;
@@ -93,6 +96,13 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
         children.environment = driver_cache_in(&options.data);
         let supervisor = supervise::supervise(children, store.clone(), shutdown.clone());
         let census = supervisor.census();
+        let housekeeping = tokio::spawn(keep_house(
+            store.clone(),
+            blobs.clone(),
+            Arc::new(SystemClock),
+            HousekeepingPolicy::default(),
+            shutdown.clone(),
+        ));
         let services = Services {
             store: store.clone(),
             blobs,
@@ -112,6 +122,9 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
         tracing::info!(%address, data = %options.data.display(), "serving on http://{address}");
         http::serve(listener, config, services, shutdown).await;
         supervisor.stopped().await;
+        if let Err(fault) = housekeeping.await {
+            tracing::warn!(%fault, "clearing away ended early");
+        }
         store.close().await;
         Ok(())
     })
