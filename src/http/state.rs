@@ -5,7 +5,10 @@ use std::{fmt, path::Path, sync::Arc};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::{config::RequestLimits, idempotency::InFlight, render_queue::RenderQueue, watch::Watcher};
+use super::{
+    auth::Lock, config::RequestLimits, idempotency::InFlight, throttle::Throttle, views::Studio,
+    watch::Watcher,
+};
 use crate::{
     domain::{Clock, DatasetSummary, JobId, Problem},
     render::{RenderViews, views::Viewable},
@@ -62,11 +65,13 @@ struct Inner {
     services: Services,
     limits: RequestLimits,
     uploads: Semaphore,
-    renders: RenderQueue,
+    studio: Studio,
     watcher: Watcher,
     in_flight: Arc<InFlight>,
     waits: Semaphore,
     draining: CancellationToken,
+    lock: Lock,
+    throttle: Throttle,
 }
 
 impl fmt::Debug for AppState {
@@ -80,18 +85,21 @@ impl AppState {
     #[must_use]
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         let uploads = Semaphore::new(limits.uploads);
-        let renders = RenderQueue::new(limits.renders, limits.renders_waiting);
+        let studio = Studio::new(&services, &limits);
+        let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
         let waits = Semaphore::new(limits.waits);
         let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
         Self(Arc::new(Inner {
             services,
             limits,
             uploads,
-            renders,
+            studio,
             watcher,
             in_flight: Arc::default(),
             waits,
             draining,
+            lock: Lock::default(),
+            throttle,
         }))
     }
 
@@ -115,8 +123,16 @@ impl AppState {
         &self.0.uploads
     }
 
-    pub(super) fn renders(&self) -> &RenderQueue {
-        &self.0.renders
+    pub(super) fn studio(&self) -> &Studio {
+        &self.0.studio
+    }
+
+    pub(super) fn lock(&self) -> &Lock {
+        &self.0.lock
+    }
+
+    pub(super) fn throttle(&self) -> &Throttle {
+        &self.0.throttle
     }
 
     /// Keys of requests that are being answered.

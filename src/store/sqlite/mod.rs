@@ -8,6 +8,7 @@
 mod accounts;
 mod events;
 mod idempotency;
+mod keys;
 mod lifecycle;
 mod queue;
 mod rows;
