@@ -9,8 +9,8 @@ use sqlx::{Row as _, sqlite::SqliteRow};
 use crate::{
     domain::{Digest, Event, EventKind, Job, JobId, JobState},
     store::{
-        Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, JobRecord, Remembered, StoreError,
-        verdict::Standing,
+        Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, ExportRecord, FileRecord, JobRecord,
+        Remembered, StoreError, verdict::Standing,
     },
 };
 
@@ -180,6 +180,28 @@ pub(super) fn attempt(row: &SqliteRow) -> Result<AttemptRecord, StoreError> {
         ended_at: optional_instant(row, "ended_at")?,
         outcome,
         cause: optional_document(row, "cause")?,
+    })
+}
+
+/// A row of `exports` joined with its blob's `bytes`.
+pub(super) fn export(row: &SqliteRow) -> Result<ExportRecord, StoreError> {
+    Ok(ExportRecord {
+        job: parsed("job_id", row.try_get("job_id")?)?,
+        source: parsed("source", row.try_get("source")?)?,
+        format: bare("export format", row.try_get("format")?)?,
+        blob: blob(row, "digest")?,
+        gaussians: unsigned(row, "gaussians")?,
+        sh_degree: unsigned(row, "sh_degree")?,
+    })
+}
+
+/// A file of a job or of its exports, joined with its blob's `bytes`.
+pub(super) fn file(row: &SqliteRow) -> Result<FileRecord, StoreError> {
+    Ok(FileRecord {
+        job: parsed("job_id", row.try_get("job_id")?)?,
+        kind: bare("artifact kind", row.try_get("kind")?)?,
+        lambda: row.try_get("lambda")?,
+        blob: blob(row, "digest")?,
     })
 }
 

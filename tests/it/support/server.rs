@@ -17,7 +17,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{
     contract::Coverage,
-    fakes::{self, FakeRenderer, FakeRunner},
+    fakes::{self, FakeExporter, FakeRenderer, FakeRunner},
     faults::FaultStore,
 };
 
@@ -75,6 +75,7 @@ pub struct Server {
     pub services: Services,
     pub runner: FakeRunner,
     pub renderer: FakeRenderer,
+    pub exporter: Arc<FakeExporter>,
     pub shutdown: CancellationToken,
     pub serving: JoinHandle<()>,
     pub coverage: Coverage,
@@ -140,6 +141,7 @@ impl Server {
         let store = Arc::new(FaultStore::new(Arc::new(sqlite.expect("a database"))));
         let blobs = Blobs::open(data.path()).expect("a blob store");
         let (runner, renderer) = (FakeRunner::default(), FakeRenderer::default());
+        let exporter = Arc::new(FakeExporter::default());
         let services = Services {
             store: Arc::clone(&store) as Arc<dyn Store>,
             blobs: blobs.clone(),
@@ -147,6 +149,7 @@ impl Server {
             check: Arc::new(fakes::check),
             load: Arc::new(fakes::load),
             renderer: Arc::new(renderer.clone()),
+            export: fakes::exporter(&exporter),
             forget: Arc::new(|_| {}),
             workers: Arc::new(|| WorkerCounts { expected: 1, alive: 1 }),
         };
@@ -173,7 +176,19 @@ impl Server {
         let serving = tokio::spawn(http::serve(listener, config, services.clone(), shutdown.clone()));
         let client = reqwest::Client::builder().timeout(Duration::from_secs(60)).build().expect("a client");
         let coverage = coverage.clone();
-        Self { address, store, services, runner, renderer, shutdown, serving, coverage, client, _data: data }
+        Self {
+            address,
+            store,
+            services,
+            runner,
+            renderer,
+            exporter,
+            shutdown,
+            serving,
+            coverage,
+            client,
+            _data: data,
+        }
     }
 
     /// A key with these scopes.
@@ -289,6 +304,7 @@ impl Drop for Server {
     fn drop(&mut self) {
         self.runner.gate.open();
         self.renderer.gate.open();
+        self.exporter.gate.open();
         self.shutdown.cancel();
     }
 }
