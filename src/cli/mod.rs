@@ -13,6 +13,7 @@ mod export;
 mod failure;
 mod files;
 mod inspect;
+mod keys;
 mod logging;
 mod lpips;
 mod memory;
@@ -83,6 +84,8 @@ enum Command {
     View(remote::view::Args),
     /// Write the bundled ray-traced scene as a dataset
     Sample(sample::Args),
+    /// Make, list and revoke the API keys of a service
+    Keys(keys::Args),
     /// Show what this machine offers, and what is missing
     Doctor(doctor::Args),
 }
@@ -96,6 +99,7 @@ impl Command {
             Command::Eval(args) => args.json,
             Command::Export(args) => args.json,
             Command::Inspect(args) => args.json,
+            Command::Keys(args) => args.json,
             Command::Doctor(args) => args.json,
             Command::Submit(args) => args.json,
             Command::Watch(args) => args.json,
@@ -125,6 +129,7 @@ impl Command {
             | Command::Fetch(_)
             | Command::View(_)
             | Command::Sample(_)
+            | Command::Keys(_)
             | Command::Doctor(_) => Verbosity::Warn,
         }
     }
@@ -145,6 +150,7 @@ impl Command {
             Command::Fetch(args) => remote::fetch::run(&args),
             Command::View(args) => remote::view::run(&args),
             Command::Sample(args) => sample::run(&args),
+            Command::Keys(args) => keys::run(&args),
             Command::Doctor(args) => doctor::run(&args),
         }
     }

@@ -39,7 +39,7 @@ pub(super) async fn follow(connection: &Connection, id: JobId) -> Result<(Value,
         phase: Phase::Queued,
         progress: Progress::default(),
     };
-    let ended = follower.to_the_end().await;
+    let ended = follower.outcome().await;
     follower.display.finish();
     ended
 }
@@ -55,7 +55,7 @@ struct Follower<'a> {
 }
 
 impl Follower<'_> {
-    async fn to_the_end(&mut self) -> Result<(Value, JobView), Failure> {
+    async fn outcome(&mut self) -> Result<(Value, JobView), Failure> {
         let (whole, view) = job::get(self.connection, self.id).await?;
         if view.state.is_terminal() {
             return Ok((whole, view));
