@@ -4,10 +4,11 @@ use std::time::Duration;
 
 use reqwest::{
     Method, RequestBuilder, Response, StatusCode, Url,
-    header::{ACCEPT, AUTHORIZATION, HeaderMap, HeaderValue, RETRY_AFTER},
+    header::{ACCEPT, AUTHORIZATION, CONTENT_TYPE, HeaderMap, HeaderValue, RETRY_AFTER},
 };
 use serde::de::DeserializeOwned;
 use tcgs::domain::Problem;
+use uuid::Uuid;
 
 use crate::cli::Failure;
 
@@ -84,6 +85,16 @@ impl Connection {
             pause *= 2;
         }
         self.send(make().await?).await
+    }
+
+    /// The answer to a JSON document, sent under a key of its own, so that repeating it makes nothing twice.
+    pub(super) async fn post(&self, path: &str, document: &serde_json::Value) -> Result<Response, Failure> {
+        let (key, text) = (Uuid::now_v7().to_string(), document.to_string());
+        let make = async || {
+            let request = self.request(Method::POST, path)?.header("idempotency-key", &key);
+            Ok(request.header(CONTENT_TYPE, "application/json").body(text.clone()))
+        };
+        self.insist(make).await
     }
 
     /// The JSON document at a path.

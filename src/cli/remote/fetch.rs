@@ -11,7 +11,7 @@ use std::{
 };
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::ProgressBar;
 use reqwest::{
     Method, Response, StatusCode,
     header::{CONTENT_RANGE, IF_RANGE, RANGE},
@@ -22,6 +22,7 @@ use tcgs::domain::{Digest, JobId, Problem};
 
 use super::{
     Connection, ServerFlags,
+    bytes_bar::bytes_bar,
     connection::{sleep, unexpected},
     job::{self, ArtifactView},
 };
@@ -90,7 +91,7 @@ async fn download(connection: &Connection, artifact: &ArtifactView, output: &Pat
     let mut hash = Sha256::new();
     let mut have = hash_start(&mut file, &mut hash, artifact.bytes).map_err(unwritable)?;
     let resumed = have;
-    let bar = bar(artifact.bytes);
+    let bar = bytes_bar("download", artifact.bytes);
     let mut breaks = 0;
     while have < artifact.bytes {
         bar.set_position(have);
@@ -197,13 +198,4 @@ async fn receive(
         bar.set_position(*have);
     }
     Ok(())
-}
-
-fn bar(bytes: u64) -> ProgressBar {
-    let style = ProgressStyle::with_template("{bytes}/{total_bytes} [{bar:28}] {bytes_per_sec}");
-    let bar = ProgressBar::with_draw_target(Some(bytes), ProgressDrawTarget::stderr());
-    match style {
-        Ok(style) => bar.with_style(style.progress_chars("=> ")),
-        Err(_) => bar,
-    }
 }

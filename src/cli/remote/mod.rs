@@ -4,12 +4,14 @@
 //! command's failure with the same exit status as if it had happened here; what broke off is gone on with, a bounded number
 //! of times.
 
+mod bytes_bar;
 mod connection;
 pub(super) mod fetch;
 mod follow;
 mod job;
 mod sse;
 pub(super) mod submit;
+mod upload;
 pub(super) mod view;
 pub(super) mod watch;
 
