@@ -56,6 +56,16 @@ impl Fault {
         )
     }
 
+    /// 404 for a scene id that names nothing.
+    pub(super) fn no_scene(id: impl std::fmt::Display) -> Self {
+        Self::new(
+            StatusCode::NOT_FOUND,
+            "scene-not-found",
+            "No such scene",
+            format!("there is no scene '{}'", shown(&id.to_string())),
+        )
+    }
+
     /// 409 for what only a succeeded job has.
     pub(super) fn no_file_yet(id: JobId, state: &str) -> Self {
         Self::new(
@@ -130,7 +140,10 @@ impl From<StoreError> for Fault {
             tracing::warn!(error = &error as &dyn std::error::Error, "the database is busy: {error}");
             return Self::busy("the database is busy");
         }
-        Self::internal(&error)
+        match error {
+            StoreError::NoScene(id) => Self::no_scene(id),
+            error => Self::internal(&error),
+        }
     }
 }
 
