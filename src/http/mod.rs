@@ -20,6 +20,7 @@ mod health;
 mod idempotency;
 mod job_body;
 mod jobs;
+mod keys;
 mod picture;
 mod prefer;
 mod problem;
@@ -57,6 +58,8 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
         .route("/v1/jobs/{id}/report", get(report::get))
+        .route("/v1/keys", get(keys::list).post(keys::create))
+        .route("/v1/keys/{id}", get(keys::get).delete(keys::revoke))
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/version", get(health::version))

@@ -14,6 +14,8 @@ use crate::{
 
 /// Seconds after which a client may try again when the server was busy.
 const RETRY_AFTER_SECONDS: u32 = 2;
+/// The same where a job has to end first.
+const RETRY_WHEN_A_JOB_ENDS: u32 = 30;
 
 /// The error type of every handler.
 #[derive(Debug, Clone)]
@@ -55,6 +57,11 @@ impl Fault {
             "No such job",
             format!("there is no job '{}'", shown(id)),
         )
+    }
+
+    /// 404 for an id that names nothing of its kind.
+    pub(super) fn nothing_called(name: &str, title: &str, kind: &str, id: &str) -> Self {
+        Self::new(StatusCode::NOT_FOUND, name, title, format!("there is no {kind} '{}'", shown(id)))
     }
 
     /// 409 for what only a succeeded job has.
@@ -131,7 +138,18 @@ impl From<StoreError> for Fault {
             tracing::warn!(error = &error as &dyn std::error::Error, "the database is busy: {error}");
             return Self::busy("the database is busy");
         }
-        Self::internal(&error)
+        match error {
+            StoreError::QuotaExceeded { .. } => {
+                let detail = format!("{error}; delete scenes or jobs to make room");
+                Self::new(StatusCode::INSUFFICIENT_STORAGE, "quota-exceeded", "Over the key's quota", detail)
+            }
+            StoreError::TooManyJobs { .. } => {
+                let detail = format!("{error}; wait until one has ended, or cancel one");
+                Self::new(StatusCode::TOO_MANY_REQUESTS, "too-many-jobs", "Too many jobs at a time", detail)
+                    .with(header::RETRY_AFTER, RETRY_WHEN_A_JOB_ENDS.into())
+            }
+            error => Self::internal(&error),
+        }
     }
 }
 

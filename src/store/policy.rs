@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::domain::{Digest, JobId};
+use crate::domain::{Digest, JobId, KeyLimits};
 
 /// The queue's numbers.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,6 +22,8 @@ pub struct QueuePolicy {
     pub progress_event_every: Duration,
     /// How long it is remembered what a request with an `Idempotency-Key` made.
     pub remember: Duration,
+    /// How much a key may take that has no limits of its own.
+    pub limits: KeyLimits,
 }
 
 impl Default for QueuePolicy {
@@ -34,6 +36,7 @@ impl Default for QueuePolicy {
             backoff_cap: Duration::from_secs(600),
             progress_event_every: Duration::from_secs(5),
             remember: Duration::from_secs(24 * 3600),
+            limits: KeyLimits::default(),
         }
     }
 }

@@ -104,6 +104,9 @@ impl SqliteStore {
             let (id, keep) = (new.id.to_string(), self.policy.remember);
             idempotency::remember(tx, intent, CREATED, &id, keep, now).await?;
         }
+        let limits = self.policy.limits;
+        accounts::admit_job(tx, limits.max_active_jobs, new.owner).await?;
+        accounts::admit_blob(tx, limits.max_bytes, new.owner, new.dataset).await?;
         insert_blob(tx, new.dataset, now).await?;
         sqlx::query(
             "INSERT INTO jobs (id, owner, scene, retry_of, deadline_at, dataset, options, state, phase, progress, priority,

@@ -52,9 +52,11 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
     let server = Server::start_with(&coverage, Setup { limits: tight_limits(), ..Setup::default() }).await;
     let job = server.create("succeed").await;
     server.reaches(&job, "succeeded").await;
-    for (path, media_type) in
-        [("/v1/jobs".to_owned(), "application/zip"), (format!("{job}/views"), "application/json")]
-    {
+    for (path, media_type) in [
+        ("/v1/jobs".to_owned(), "application/zip"),
+        (format!("{job}/views"), "application/json"),
+        ("/v1/keys".to_owned(), "application/json"),
+    ] {
         let head = format!(
             "POST {path} HTTP/1.1\r\nHost: test\r\nContent-Type: {media_type}\r\nConnection: close\r\n"
         );
@@ -67,6 +69,7 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
     let views = format!("{job}/views");
     let long = json!({ "views": vec![json!({ "frame": "test/r_0" }); 50] });
     server.post_json(&views, &long).await.expect_problem(413, "body-too-large");
+    server.post_json("/v1/keys", &long).await.expect_problem(413, "body-too-large");
     server.upload("", "succeed").await.expect(201);
 }
 
