@@ -26,7 +26,6 @@ mod prefer;
 mod problem;
 mod query;
 mod range;
-mod render_queue;
 mod report;
 mod scopes;
 mod serve;
@@ -57,6 +56,11 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/jobs/{id}/artifact", get(artifact::get))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
+        .route("/v1/jobs/{id}/stream", get(views::sequence::stream).post(views::sequence::stream_path))
+        .route(
+            "/v1/jobs/{id}/animation",
+            get(views::sequence::animation).post(views::sequence::animation_path),
+        )
         .route("/v1/jobs/{id}/report", get(report::get))
         .route("/v1/keys", get(keys::list).post(keys::create))
         .route("/v1/keys/{id}", get(keys::get).delete(keys::revoke))

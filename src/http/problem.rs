@@ -6,7 +6,6 @@ use axum::{
     response::{IntoResponse, Response},
 };
 
-use super::render_queue::QueueFull;
 use crate::{
     domain::{JobId, Problem},
     store::{BlobError, StoreError},
@@ -168,12 +167,6 @@ impl From<BlobError> for Fault {
             }
             error => Self::internal(&error),
         }
-    }
-}
-
-impl From<QueueFull> for Fault {
-    fn from(_: QueueFull) -> Self {
-        Self::busy("too many views are waiting to be rendered")
     }
 }
 

@@ -6,7 +6,7 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::{
-    auth::Lock, config::RequestLimits, idempotency::InFlight, render_queue::RenderQueue, throttle::Throttle,
+    auth::Lock, config::RequestLimits, idempotency::InFlight, throttle::Throttle, views::Studio,
     watch::Watcher,
 };
 use crate::{
@@ -62,7 +62,7 @@ struct Inner {
     services: Services,
     limits: RequestLimits,
     uploads: Semaphore,
-    renders: RenderQueue,
+    studio: Studio,
     watcher: Watcher,
     in_flight: Arc<InFlight>,
     waits: Semaphore,
@@ -82,7 +82,7 @@ impl AppState {
     #[must_use]
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         let uploads = Semaphore::new(limits.uploads);
-        let renders = RenderQueue::new(limits.renders, limits.renders_waiting);
+        let studio = Studio::new(&services, &limits);
         let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
         let waits = Semaphore::new(limits.waits);
         let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
@@ -90,7 +90,7 @@ impl AppState {
             services,
             limits,
             uploads,
-            renders,
+            studio,
             watcher,
             in_flight: Arc::default(),
             waits,
@@ -120,8 +120,8 @@ impl AppState {
         &self.0.uploads
     }
 
-    pub(super) fn renders(&self) -> &RenderQueue {
-        &self.0.renders
+    pub(super) fn studio(&self) -> &Studio {
+        &self.0.studio
     }
 
     pub(super) fn lock(&self) -> &Lock {

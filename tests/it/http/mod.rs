@@ -4,6 +4,7 @@
 mod access;
 mod artifacts;
 mod connections;
+mod films;
 mod idempotency;
 mod jobs;
 mod report;
@@ -87,8 +88,22 @@ scenarios! {
     views {
         views_by_frame_pose_and_query_agree,
         views_come_in_three_formats_and_as_multipart,
+        depth_and_alpha_are_served_as_pictures_and_as_numbers,
+        a_view_is_tagged_timed_and_rendered_once,
+        a_view_that_many_ask_for_at_once_is_rendered_once,
         impossible_views_are_refused_by_name,
         a_job_without_a_file_has_no_views,
         a_full_render_queue_and_a_broken_renderer_are_told_apart,
+    }
+    films {
+        an_orbit_is_streamed_part_by_part_as_often_as_asked,
+        a_path_is_streamed_and_animated_through_its_views,
+        an_orbit_is_one_file_with_a_tag,
+        impossible_films_are_refused_by_name,
+        films_fail_as_views_do,
+        what_fails_after_the_first_picture_breaks_the_body_off,
+        each_caller_has_its_share_and_all_together_a_limit,
+        whoever_goes_away_is_not_rendered,
+        nothing_is_rendered_that_the_client_does_not_take,
     }
 }

@@ -211,6 +211,33 @@ impl Server {
         Answer { status, headers, body }
     }
 
+    /// Sends a request and hands over the answer, whose body is still to come.
+    pub async fn open(
+        &self,
+        method: &str,
+        path: &str,
+        fill: impl FnOnce(RequestBuilder) -> RequestBuilder,
+    ) -> reqwest::Response {
+        let url = format!("http://{}{path}", self.address);
+        let request = self.client.request(method.parse().expect("a method"), url);
+        fill(request).send().await.expect("an answer")
+    }
+
+    /// Sends a request whose answer may break off; its status, and what of its body came.
+    pub async fn broken(
+        &self,
+        method: &str,
+        path: &str,
+        fill: impl FnOnce(RequestBuilder) -> RequestBuilder,
+    ) -> (u16, Vec<u8>) {
+        let mut open = self.open(method, path, fill).await;
+        let mut body = Vec::new();
+        while let Ok(Some(chunk)) = open.chunk().await {
+            body.extend_from_slice(&chunk);
+        }
+        (open.status().as_u16(), body)
+    }
+
     pub async fn get(&self, path: &str) -> Answer {
         self.send("GET", path, |request| request).await
     }
