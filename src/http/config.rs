@@ -136,6 +136,8 @@ pub struct RequestLimits {
     pub view_cache_bytes: u64,
     /// How often changes of jobs are looked for while a request waits for one.
     pub watch_every: Duration,
+    /// How often queued jobs are looked for whose deadline has passed.
+    pub overdue_every: Duration,
     /// Requests that may wait for a job at a time; one more is answered at once.
     pub waits: usize,
 }
@@ -161,6 +163,7 @@ impl Default for RequestLimits {
             animation_pixels: 1 << 26,
             view_cache_bytes: 64 << 20,
             watch_every: Duration::from_millis(250),
+            overdue_every: Duration::from_secs(1),
             waits: 128,
         }
     }

@@ -18,9 +18,13 @@ mod etag;
 mod events;
 mod health;
 mod idempotency;
+mod job_actions;
 mod job_body;
+mod job_list;
+mod job_wish;
 mod jobs;
 mod keys;
+mod overdue;
 mod picture;
 mod prefer;
 mod problem;
@@ -44,14 +48,15 @@ use tower_http::catch_panic::CatchPanicLayer;
 
 pub use config::HttpConfig;
 pub use serve::{ServeError, bind, serve};
-pub use state::{AppState, DatasetCheck, SceneLoader, Services, WorkerCensus, WorkerCounts};
+pub use state::{AppState, DatasetCheck, ForgetJob, SceneLoader, Services, WorkerCensus, WorkerCounts};
 
 /// Every route of the API.
 pub fn router(state: AppState) -> Router {
     Router::new()
-        .route("/v1/jobs", get(jobs::list).post(create_job::create))
-        .route("/v1/jobs/{id}", get(jobs::get))
-        .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
+        .route("/v1/jobs", get(job_list::list).post(create_job::create))
+        .route("/v1/jobs/{id}", get(jobs::get).delete(job_actions::delete))
+        .route("/v1/jobs/{id}/cancel", post(job_actions::cancel))
+        .route("/v1/jobs/{id}/retry", post(job_actions::retry))
         .route("/v1/jobs/{id}/events", get(events::list))
         .route("/v1/jobs/{id}/artifact", get(artifact::get))
         .route("/v1/jobs/{id}/view", get(views::get))

@@ -63,6 +63,16 @@ impl Fault {
         Self::new(StatusCode::NOT_FOUND, name, title, format!("there is no {kind} '{}'", shown(id)))
     }
 
+    /// 404 for a scene id that names nothing.
+    pub(super) fn no_scene(id: impl std::fmt::Display) -> Self {
+        Self::new(
+            StatusCode::NOT_FOUND,
+            "scene-not-found",
+            "No such scene",
+            format!("there is no scene '{}'", shown(&id.to_string())),
+        )
+    }
+
     /// 409 for what only a succeeded job has.
     pub(super) fn no_file_yet(id: JobId, state: &str) -> Self {
         Self::new(
@@ -147,6 +157,7 @@ impl From<StoreError> for Fault {
                 Self::new(StatusCode::TOO_MANY_REQUESTS, "too-many-jobs", "Too many jobs at a time", detail)
                     .with(header::RETRY_AFTER, RETRY_WHEN_A_JOB_ENDS.into())
             }
+            StoreError::NoScene(id) => Self::no_scene(id),
             error => Self::internal(&error),
         }
     }

@@ -21,6 +21,8 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("POST", "/v1/jobs", Needs(JobsWrite)),
     ("GET", "/v1/jobs", Needs(Read)),
     ("GET", "/v1/jobs/{id}", Needs(Read)),
+    ("DELETE", "/v1/jobs/{id}", Needs(JobsWrite)),
+    ("POST", "/v1/jobs/{id}/retry", Needs(JobsWrite)),
     ("POST", "/v1/jobs/{id}/cancel", Needs(JobsWrite)),
     ("GET", "/v1/jobs/{id}/events", Needs(Read)),
     ("GET", "/v1/jobs/{id}/artifact", Needs(Read)),

@@ -10,7 +10,7 @@ use super::{
     watch::Watcher,
 };
 use crate::{
-    domain::{Clock, DatasetSummary, Entropy, Problem},
+    domain::{Clock, DatasetSummary, Entropy, JobId, Problem},
     render::{RenderViews, views::Viewable},
     store::{Blobs, Store},
 };
@@ -20,6 +20,9 @@ pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<DatasetSummary, Problem> + S
 
 /// Reads a finished scene's file; blocks.
 pub type SceneLoader = Arc<dyn Fn(&[u8]) -> Result<Viewable, Problem> + Send + Sync>;
+
+/// Removes what is kept of a deleted job beside the store and its blobs; blocks.
+pub type ForgetJob = Arc<dyn Fn(JobId) + Send + Sync>;
 
 /// Tells how many worker processes there should be and how many live.
 pub type WorkerCensus = Arc<dyn Fn() -> WorkerCounts + Send + Sync>;
@@ -50,6 +53,8 @@ pub struct Services {
     pub load: SceneLoader,
     /// Renders views.
     pub renderer: Arc<dyn RenderViews>,
+    /// See [`ForgetJob`].
+    pub forget: ForgetJob,
     /// See [`WorkerCensus`].
     pub workers: WorkerCensus,
 }

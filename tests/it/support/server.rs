@@ -37,6 +37,7 @@ impl Default for Setup {
             limits: RequestLimits {
                 upload_bytes: 1 << 20,
                 watch_every: Duration::from_millis(5),
+                overdue_every: Duration::from_millis(5),
                 ..RequestLimits::default()
             },
             header_timeout: Duration::from_secs(10),
@@ -147,6 +148,7 @@ impl Server {
             check: Arc::new(fakes::check),
             load: Arc::new(fakes::load),
             renderer: Arc::new(renderer.clone()),
+            forget: Arc::new(|_| {}),
             workers: Arc::new(|| WorkerCounts { expected: 1, alive: 1 }),
         };
         let shutdown = CancellationToken::new();
