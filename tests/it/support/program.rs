@@ -26,6 +26,8 @@ pub fn command() -> Command {
         "TCGS_REQUESTS_PER_MINUTE",
         "TCGS_MAX_BYTES",
         "TCGS_MAX_ACTIVE_JOBS",
+        "TCGS_SERVER",
+        "TCGS_API_KEY",
     ];
     for name in settings {
         command.env_remove(name);
