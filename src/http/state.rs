@@ -10,7 +10,7 @@ use super::{
     views::Studio, watch::Watcher,
 };
 use crate::{
-    domain::{Camera, Clock, DatasetSummary, JobId, Problem, SceneFormat},
+    domain::{Camera, Clock, DatasetSummary, Entropy, JobId, Problem, SceneFormat},
     render::{RenderViews, views::Viewable},
     store::{Blobs, Store},
 };
@@ -60,6 +60,8 @@ pub struct Services {
     pub blobs: Blobs,
     /// Time.
     pub clock: Arc<dyn Clock>,
+    /// Randomness that nobody may guess.
+    pub entropy: Arc<dyn Entropy>,
     /// See [`DatasetCheck`].
     pub check: DatasetCheck,
     /// See [`SceneLoader`].
