@@ -2,54 +2,78 @@
 //!
 //! Handlers parse, ask the store, and answer. What always holds: every error is an `application/problem+json`
 //! document with the request's id; every body, queue, connection and render is bounded; nothing that a
-//! client sends reaches the file system as a name. Workers, SQL and the GPU are not known here.
+//! client sends reaches the file system as a name; no request reaches a handler but through [`auth`]. Workers,
+//! SQL and the GPU are not known here.
 
 mod accept;
 mod artifact;
+mod auth;
 mod body;
 mod caller;
 mod camera;
+mod client;
 pub mod config;
+mod create_job;
 mod etag;
 mod events;
 mod health;
+mod idempotency;
+mod job_actions;
 mod job_body;
+mod job_list;
+mod job_wish;
 mod jobs;
+mod keys;
+mod overdue;
 mod picture;
+mod prefer;
 mod problem;
 mod query;
 mod range;
-mod render_queue;
+mod report;
+mod scopes;
 mod serve;
 mod state;
+mod throttle;
 mod views;
+mod watch;
 mod wrap;
 
 use axum::{
     Router,
-    middleware::from_fn,
+    middleware::{from_fn, from_fn_with_state},
     routing::{get, post},
 };
 use tower_http::catch_panic::CatchPanicLayer;
 
 pub use config::HttpConfig;
 pub use serve::{ServeError, bind, serve};
-pub use state::{AppState, DatasetCheck, SceneLoader, Services, WorkerCensus, WorkerCounts};
+pub use state::{AppState, DatasetCheck, ForgetJob, SceneLoader, Services, WorkerCensus, WorkerCounts};
 
 /// Every route of the API.
 pub fn router(state: AppState) -> Router {
     Router::new()
-        .route("/v1/jobs", get(jobs::list).post(jobs::create))
-        .route("/v1/jobs/{id}", get(jobs::get))
-        .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
+        .route("/v1/jobs", get(job_list::list).post(create_job::create))
+        .route("/v1/jobs/{id}", get(jobs::get).delete(job_actions::delete))
+        .route("/v1/jobs/{id}/cancel", post(job_actions::cancel))
+        .route("/v1/jobs/{id}/retry", post(job_actions::retry))
         .route("/v1/jobs/{id}/events", get(events::list))
         .route("/v1/jobs/{id}/artifact", get(artifact::get))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
+        .route("/v1/jobs/{id}/stream", get(views::sequence::stream).post(views::sequence::stream_path))
+        .route(
+            "/v1/jobs/{id}/animation",
+            get(views::sequence::animation).post(views::sequence::animation_path),
+        )
+        .route("/v1/jobs/{id}/report", get(report::get))
+        .route("/v1/keys", get(keys::list).post(keys::create))
+        .route("/v1/keys/{id}", get(keys::get).delete(keys::revoke))
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/version", get(health::version))
         .route("/openapi.yaml", get(health::openapi))
+        .layer(from_fn_with_state(state.clone(), auth::authenticate))
         .layer(CatchPanicLayer::custom(wrap::panicked))
         .layer(from_fn(wrap::wrap))
         .with_state(state)

@@ -6,7 +6,6 @@ use axum::{
     response::{IntoResponse, Response},
 };
 
-use super::render_queue::QueueFull;
 use crate::{
     domain::{JobId, Problem},
     store::{BlobError, StoreError},
@@ -14,9 +13,11 @@ use crate::{
 
 /// Seconds after which a client may try again when the server was busy.
 const RETRY_AFTER_SECONDS: u32 = 2;
+/// The same where a job has to end first.
+const RETRY_WHEN_A_JOB_ENDS: u32 = 30;
 
 /// The error type of every handler.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Fault {
     problem: Box<Problem>,
     headers: Vec<(HeaderName, HeaderValue)>,
@@ -54,6 +55,21 @@ impl Fault {
             "job-not-found",
             "No such job",
             format!("there is no job '{}'", shown(id)),
+        )
+    }
+
+    /// 404 for an id that names nothing of its kind.
+    pub(super) fn nothing_called(name: &str, title: &str, kind: &str, id: &str) -> Self {
+        Self::new(StatusCode::NOT_FOUND, name, title, format!("there is no {kind} '{}'", shown(id)))
+    }
+
+    /// 404 for a scene id that names nothing.
+    pub(super) fn no_scene(id: impl std::fmt::Display) -> Self {
+        Self::new(
+            StatusCode::NOT_FOUND,
+            "scene-not-found",
+            "No such scene",
+            format!("there is no scene '{}'", shown(&id.to_string())),
         )
     }
 
@@ -131,7 +147,19 @@ impl From<StoreError> for Fault {
             tracing::warn!(error = &error as &dyn std::error::Error, "the database is busy: {error}");
             return Self::busy("the database is busy");
         }
-        Self::internal(&error)
+        match error {
+            StoreError::QuotaExceeded { .. } => {
+                let detail = format!("{error}; delete scenes or jobs to make room");
+                Self::new(StatusCode::INSUFFICIENT_STORAGE, "quota-exceeded", "Over the key's quota", detail)
+            }
+            StoreError::TooManyJobs { .. } => {
+                let detail = format!("{error}; wait until one has ended, or cancel one");
+                Self::new(StatusCode::TOO_MANY_REQUESTS, "too-many-jobs", "Too many jobs at a time", detail)
+                    .with(header::RETRY_AFTER, RETRY_WHEN_A_JOB_ENDS.into())
+            }
+            StoreError::NoScene(id) => Self::no_scene(id),
+            error => Self::internal(&error),
+        }
     }
 }
 
@@ -150,12 +178,6 @@ impl From<BlobError> for Fault {
             }
             error => Self::internal(&error),
         }
-    }
-}
-
-impl From<QueueFull> for Fault {
-    fn from(_: QueueFull) -> Self {
-        Self::busy("too many views are waiting to be rendered")
     }
 }
 

@@ -5,18 +5,24 @@ use std::{fmt, path::Path, sync::Arc};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::{config::RequestLimits, render_queue::RenderQueue};
+use super::{
+    auth::Lock, config::RequestLimits, idempotency::InFlight, throttle::Throttle, views::Studio,
+    watch::Watcher,
+};
 use crate::{
-    domain::{Clock, Problem},
+    domain::{Clock, DatasetSummary, Entropy, JobId, Problem},
     render::{RenderViews, views::Viewable},
     store::{Blobs, Store},
 };
 
-/// Looks over a dataset archive before a job is made of it; blocks.
-pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<(), Problem> + Send + Sync>;
+/// Looks over a dataset archive before a scene or a job is made of it; blocks.
+pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<DatasetSummary, Problem> + Send + Sync>;
 
 /// Reads a finished scene's file; blocks.
 pub type SceneLoader = Arc<dyn Fn(&[u8]) -> Result<Viewable, Problem> + Send + Sync>;
+
+/// Removes what is kept of a deleted job beside the store and its blobs; blocks.
+pub type ForgetJob = Arc<dyn Fn(JobId) + Send + Sync>;
 
 /// Tells how many worker processes there should be and how many live.
 pub type WorkerCensus = Arc<dyn Fn() -> WorkerCounts + Send + Sync>;
@@ -39,12 +45,16 @@ pub struct Services {
     pub blobs: Blobs,
     /// Time.
     pub clock: Arc<dyn Clock>,
+    /// Randomness that nobody may guess.
+    pub entropy: Arc<dyn Entropy>,
     /// See [`DatasetCheck`].
     pub check: DatasetCheck,
     /// See [`SceneLoader`].
     pub load: SceneLoader,
     /// Renders views.
     pub renderer: Arc<dyn RenderViews>,
+    /// See [`ForgetJob`].
+    pub forget: ForgetJob,
     /// See [`WorkerCensus`].
     pub workers: WorkerCensus,
 }
@@ -57,8 +67,13 @@ struct Inner {
     services: Services,
     limits: RequestLimits,
     uploads: Semaphore,
-    renders: RenderQueue,
+    studio: Studio,
+    watcher: Watcher,
+    in_flight: Arc<InFlight>,
+    waits: Semaphore,
     draining: CancellationToken,
+    lock: Lock,
+    throttle: Throttle,
 }
 
 impl fmt::Debug for AppState {
@@ -72,8 +87,22 @@ impl AppState {
     #[must_use]
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         let uploads = Semaphore::new(limits.uploads);
-        let renders = RenderQueue::new(limits.renders, limits.renders_waiting);
-        Self(Arc::new(Inner { services, limits, uploads, renders, draining }))
+        let studio = Studio::new(&services, &limits);
+        let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
+        let waits = Semaphore::new(limits.waits);
+        let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
+        Self(Arc::new(Inner {
+            services,
+            limits,
+            uploads,
+            studio,
+            watcher,
+            in_flight: Arc::default(),
+            waits,
+            draining,
+            lock: Lock::default(),
+            throttle,
+        }))
     }
 
     pub(super) fn services(&self) -> &Services {
@@ -96,8 +125,36 @@ impl AppState {
         &self.0.uploads
     }
 
-    pub(super) fn renders(&self) -> &RenderQueue {
-        &self.0.renders
+    pub(super) fn studio(&self) -> &Studio {
+        &self.0.studio
+    }
+
+    pub(super) fn lock(&self) -> &Lock {
+        &self.0.lock
+    }
+
+    pub(super) fn throttle(&self) -> &Throttle {
+        &self.0.throttle
+    }
+
+    /// Keys of requests that are being answered.
+    pub(super) fn in_flight(&self) -> &Arc<InFlight> {
+        &self.0.in_flight
+    }
+
+    /// Places for requests that wait for a job.
+    pub(super) fn waits(&self) -> &Semaphore {
+        &self.0.waits
+    }
+
+    /// Waits for changes of jobs.
+    pub(super) fn watcher(&self) -> &Watcher {
+        &self.0.watcher
+    }
+
+    /// Cancelled once the server shuts down: what waits for something should then answer at once.
+    pub(super) fn draining(&self) -> &CancellationToken {
+        &self.0.draining
     }
 
     pub(super) fn is_draining(&self) -> bool {

@@ -2,7 +2,8 @@
 
 use thiserror::Error;
 
-use crate::domain::JobId;
+use super::Remembered;
+use crate::domain::{JobId, SceneId};
 
 /// A fault of the job table.
 #[derive(Debug, Error)]
@@ -15,6 +16,28 @@ pub enum StoreError {
         /// The attempt that the worker was given.
         attempt: u32,
     },
+    /// A request with the same `Idempotency-Key` made something before; nothing was written.
+    #[error("the Idempotency-Key was used before, for {}", .0.resource)]
+    AlreadyMade(Box<Remembered>),
+    /// More than the owner has room for.
+    #[error("{asked} more bytes are over the quota of {quota}: {used} are stored or kept for uploads")]
+    QuotaExceeded {
+        /// What was to be added.
+        asked: u64,
+        /// What is stored or reserved.
+        used: u64,
+        /// How much may be.
+        quota: u64,
+    },
+    /// More jobs than the owner may have at a time.
+    #[error("{active} jobs are queued or running, which is all that the key may have at a time")]
+    TooManyJobs {
+        /// How many there are.
+        active: u32,
+    },
+    /// The scene that a job was to be made of is deleted.
+    #[error("there is no scene {0}")]
+    NoScene(SceneId),
     /// A stored value cannot be read back.
     #[error("the stored {what} is unreadable: {fault}")]
     Corrupt {

@@ -1,4 +1,4 @@
-//! Everything that outlives a process: jobs with their attempts and events, and the blobs that they refer to.
+//! Everything that outlives a process: scenes, uploads, jobs with their attempts and events, and the blobs that they refer to.
 //!
 //! SQL and object storage live here and nowhere else. What always holds:
 //!
@@ -11,23 +11,34 @@
 //! - **Cancel against completion**: whichever transaction commits first decides. A job whose cancellation was
 //!   accepted while it ran never becomes `succeeded`.
 
+mod accounts;
 pub mod blobs;
 mod error;
+pub mod housekeeping;
+mod idempotency;
+mod keys;
 mod policy;
 mod records;
+mod scenes;
 mod sqlite;
+mod uploads;
 mod verdict;
 
 use futures_util::future::BoxFuture;
 
-pub use blobs::{BlobError, Blobs, Staged, Staging};
+pub use accounts::{Accounts, Usage};
+pub use blobs::{BlobError, Blobs, Staged, Staging, UploadFile};
 pub use error::StoreError;
+pub use idempotency::{Idempotency, Intent, Remembered};
+pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};
 pub use policy::QueuePolicy;
 pub use records::{
-    Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat,
-    JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, SceneArtifact,
+    Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat,
+    JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, Repeat, Repetition, SceneArtifact,
 };
+pub use scenes::{NewScene, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes};
 pub use sqlite::SqliteStore;
+pub use uploads::{NewUpload, UploadRecord, Uploads};
 
 use crate::domain::{Event, JobId, JobState, Phase, Progress};
 
@@ -35,8 +46,9 @@ use crate::domain::{Event, JobId, JobState, Phase, Progress};
 pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
-pub trait Store: Send + Sync + 'static {
-    /// Adds a job in state `queued`, together with its dataset's blob row and its first event.
+pub trait Store: Accounts + Idempotency + Keys + Scenes + Uploads + Send + Sync + 'static {
+    /// Adds a job in state `queued`, together with its dataset's blob row, its first event and what its request's
+    /// `Idempotency-Key` is to be remembered by; [`StoreError::AlreadyMade`] if that key was used before.
     fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord>;
 
     /// The job as it stands.
@@ -53,18 +65,36 @@ pub trait Store: Send + Sync + 'static {
     /// Up to `limit` events with numbers above `after`, oldest first; `None` if there is no such job.
     fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>>;
 
+    /// The number of the newest event of each of these jobs; one that is not there is left out.
+    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<(JobId, u64)>>;
+
     /// Every attempt at the job, oldest first.
     fn attempts(&self, id: JobId) -> Answer<'_, Vec<AttemptRecord>>;
 
     /// Stops a queued job at once, or asks the worker of a running one to stop; `None` if there is no such job.
     fn cancel(&self, id: JobId) -> Answer<'_, Option<Cancellation>>;
 
+    /// Queues a job like this one, which must have failed or been cancelled, for the same owner; `None` if there is no such
+    /// job. [`StoreError::AlreadyMade`] as in [`Store::create_job`].
+    fn repeat_job(&self, id: JobId, repeat: Repeat) -> Answer<'_, Option<Repetition>>;
+
+    /// Deletes a job that has ended, with its events, attempts and references to blobs, if it has the wanted version;
+    /// `None` if there is no such job.
+    fn delete_job(&self, id: JobId, version: Option<u64>) -> Answer<'_, Option<Deletion>>;
+
+    /// Fails queued jobs whose deadline has passed, and counts them. Running ones are told by [`Store::heartbeat`].
+    fn give_up_overdue(&self) -> Answer<'_, u64>;
+
+    /// Those of the jobs whose checkpoints may still be gone on from: by themselves, or, for
+    /// [`QueuePolicy::keep_checkpoints`] after they failed or were cancelled, by a job that repeats them.
+    fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<JobId>>;
+
     /// Takes the job of the highest priority, oldest first, whose time has come, for `worker`.
     ///
     /// Jobs whose lease has run out are taken from their workers first, so they can be claimed again here.
     fn claim<'a>(&'a self, worker: &'a str) -> Answer<'a, Option<Claim>>;
 
-    /// Renews a lease and tells whether somebody asked for a stop.
+    /// Renews a lease and tells whether the job is to stop.
     fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Heartbeat>;
 
     /// Records where the attempt is. A change of phase always makes an event, progress at most one per

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::domain::{Digest, JobId};
+use crate::domain::{Digest, JobId, KeyLimits};
 
 /// The queue's numbers.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,6 +20,12 @@ pub struct QueuePolicy {
     pub backoff_cap: Duration,
     /// Shortest time between two `progress` events of a job.
     pub progress_event_every: Duration,
+    /// How long a job that failed or was cancelled keeps its checkpoint, for a job that repeats it.
+    pub keep_checkpoints: Duration,
+    /// How long it is remembered what a request with an `Idempotency-Key` made.
+    pub remember: Duration,
+    /// How much a key may take that has no limits of its own.
+    pub limits: KeyLimits,
 }
 
 impl Default for QueuePolicy {
@@ -31,6 +37,9 @@ impl Default for QueuePolicy {
             backoff_base: Duration::from_secs(10),
             backoff_cap: Duration::from_secs(600),
             progress_event_every: Duration::from_secs(5),
+            keep_checkpoints: Duration::from_secs(24 * 3600),
+            remember: Duration::from_secs(24 * 3600),
+            limits: KeyLimits::default(),
         }
     }
 }

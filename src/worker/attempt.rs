@@ -51,6 +51,8 @@ enum Stop {
     No,
     /// Somebody cancelled the job.
     Asked,
+    /// Its deadline has passed.
+    Late,
     /// The worker shuts down.
     Draining,
     /// The job is no longer this worker's.
@@ -59,7 +61,7 @@ enum Stop {
 
 /// Runs a claimed job to its end.
 pub(super) async fn carry_out(context: &Context, claim: Claim, shutdown: &CancellationToken) -> End {
-    let Claim { lease, dataset, options } = claim;
+    let Claim { lease, dataset, options, adopts } = claim;
     tracing::info!(job = %lease.job, attempt = lease.attempt, "job {} begins", lease.job);
     let dataset = match context.blobs.local_file(dataset).await {
         Ok(path) => path,
@@ -70,7 +72,7 @@ pub(super) async fn carry_out(context: &Context, claim: Claim, shutdown: &Cancel
     };
     let cancel = CancelFlag::default();
     let (progress, watched) = watch::channel((Phase::Ingest, Progress::default()));
-    let checkpoints = checkpoints::of_job(context.config.checkpoints.as_deref(), lease.job);
+    let checkpoints = checkpoints::of_job(context.config.checkpoints.as_deref(), lease.job, adopts);
     let run = Run { dataset, options, checkpoints, cancel: cancel.clone() };
     let result = match start(context, &lease, run, progress) {
         Ok(result) => result,
@@ -196,13 +198,14 @@ impl Watch<'_> {
         }
     }
 
-    /// Asks the run to stop; a lost lease outweighs a shutdown, which outweighs a request.
+    /// Asks the run to stop; a lost lease outweighs a shutdown, which outweighs a deadline, which outweighs a request.
     fn stop(&mut self, why: Stop) {
         let rank = |stop| match stop {
             Stop::No => 0,
             Stop::Asked => 1,
-            Stop::Draining => 2,
-            Stop::Lost => 3,
+            Stop::Late => 2,
+            Stop::Draining => 3,
+            Stop::Lost => 4,
         };
         if rank(why) > rank(self.stop) {
             tracing::info!(job = %self.lease.job, reason = ?why, "stopping job {}", self.lease.job);
@@ -217,6 +220,9 @@ impl Watch<'_> {
                 self.renewed = Instant::now();
                 if heartbeat.cancel_requested {
                     self.stop(Stop::Asked);
+                }
+                if heartbeat.overdue {
+                    self.stop(Stop::Late);
                 }
             }
             Err(error) => self.store_failed("heartbeat", &error),
@@ -266,7 +272,7 @@ async fn conclude(context: &Context, lease: &Lease, result: RunResult, stop: Sto
         (Ok(Err(JobFailure::Fail(problem))), _) => Outcome::Failed(problem),
         (Ok(Err(JobFailure::Retry(problem))), _) => Outcome::Retry(problem),
         (Ok(Err(JobFailure::Cancelled)), Stop::Asked) => Outcome::Cancelled,
-        (Ok(Err(JobFailure::Cancelled)), Stop::Draining) => Outcome::Released,
+        (Ok(Err(JobFailure::Cancelled)), Stop::Late | Stop::Draining) => Outcome::Released,
         (Ok(Err(JobFailure::Cancelled)), Stop::No) => Outcome::Retry(stopped_unasked()),
         (Err(panic), _) => {
             tracing::error!(job = %lease.job, "job {} panicked: {}", lease.job, panic_text(&*panic));
@@ -278,22 +284,24 @@ async fn conclude(context: &Context, lease: &Lease, result: RunResult, stop: Sto
 
 /// Makes the output's blobs durable; only then may the job refer to them.
 async fn publish(context: &Context, lease: &Lease, output: JobOutput) -> Outcome {
-    let cameras = match serde_json::to_vec(&output.cameras) {
-        Ok(cameras) => cameras,
+    let (cameras, held_out) = match documents(&output) {
+        Ok(documents) => documents,
         Err(error) => {
-            tracing::error!(job = %lease.job, "the cameras cannot be written: {error}");
+            tracing::error!(job = %lease.job, "a document cannot be written: {error}");
             return Outcome::Failed(Problem::new(
                 500,
                 "internal",
                 "Internal error",
-                "the dataset's cameras cannot be written as JSON",
+                "the dataset's cameras or held-out views cannot be written as JSON",
             ));
         }
     };
     let scenes = output
         .files()
         .map(|(lambda, file)| (ArtifactKind::Scene(output.format), lambda, Bytes::copy_from_slice(file)));
-    let contents: Vec<_> = scenes.chain([(ArtifactKind::Cameras, None, Bytes::from(cameras))]).collect();
+    let cameras = Some((ArtifactKind::Cameras, None, cameras));
+    let held_out = held_out.map(|document| (ArtifactKind::HeldOut, None, document));
+    let contents: Vec<_> = scenes.chain(cameras).chain(held_out).collect();
     let mut artifacts = Vec::new();
     for (kind, lambda, content) in contents {
         match context.blobs.put(content).await {
@@ -302,6 +310,12 @@ async fn publish(context: &Context, lease: &Lease, output: JobOutput) -> Outcome
         }
     }
     Outcome::Succeeded { metrics: Box::new(output.metrics), artifacts }
+}
+
+/// What goes with the files as JSON: the cameras, and the held-out views if there are any.
+fn documents(output: &JobOutput) -> serde_json::Result<(Bytes, Option<Bytes>)> {
+    let held_out = output.held_out.as_ref().map(serde_json::to_vec).transpose()?;
+    Ok((serde_json::to_vec(&output.cameras)?.into(), held_out.map(Bytes::from)))
 }
 
 /// Writes the end of the attempt, trying again while the lease may still be held: hours of work must not be

@@ -74,7 +74,8 @@ async fn jobs_and_files_of_every_earlier_schema_are_there_after_an_update() {
 
         let store = open(&path).await;
         let id = JOB.parse().expect("an id");
-        let record = store.job(id).await.expect("reads").unwrap_or_else(|| panic!("lost from version {version}"));
+        let record =
+            store.job(id).await.expect("reads").unwrap_or_else(|| panic!("lost from version {version}"));
         assert_eq!(record.job.state, JobState::Succeeded, "version {version}");
         assert_eq!(record.dataset.bytes, 1000, "version {version}");
         assert_eq!(record.owner, None, "version {version}");

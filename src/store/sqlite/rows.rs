@@ -1,21 +1,29 @@
 //! Between rows and values. Everything read back is checked: a row that makes no sense is an error, not a panic.
 
-use std::str::FromStr;
+use std::{str::FromStr, time::Duration};
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use serde::{Serialize, de::DeserializeOwned};
 use sqlx::{Row as _, sqlite::SqliteRow};
 
 use crate::{
     domain::{Digest, Event, EventKind, Job, JobId, JobState},
     store::{
-        Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, JobRecord, StoreError,
+        Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, JobRecord, Remembered, StoreError,
         verdict::Standing,
     },
 };
 
 pub(super) fn micros(at: Timestamp) -> i64 {
     at.as_microsecond()
+}
+
+/// The instant `delay` before `now`.
+pub(super) fn before(now: Timestamp, delay: Duration) -> Timestamp {
+    SignedDuration::try_from(delay)
+        .ok()
+        .and_then(|delay| now.checked_sub(delay).ok())
+        .unwrap_or(Timestamp::MIN)
 }
 
 pub(super) fn json<T: Serialize>(value: &T) -> Result<String, StoreError> {
@@ -32,11 +40,11 @@ fn corrupt(what: &'static str) -> impl Fn(String) -> StoreError {
     move |fault| StoreError::Corrupt { what, fault }
 }
 
-fn instant(what: &'static str, value: i64) -> Result<Timestamp, StoreError> {
+pub(super) fn instant(what: &'static str, value: i64) -> Result<Timestamp, StoreError> {
     Timestamp::from_microsecond(value).map_err(|error| corrupt(what)(error.to_string()))
 }
 
-fn document<T: DeserializeOwned>(what: &'static str, text: &str) -> Result<T, StoreError> {
+pub(super) fn document<T: DeserializeOwned>(what: &'static str, text: &str) -> Result<T, StoreError> {
     serde_json::from_str(text).map_err(|error| corrupt(what)(error.to_string()))
 }
 
@@ -44,20 +52,34 @@ fn bare<T: DeserializeOwned>(what: &'static str, text: String) -> Result<T, Stor
     serde_json::from_value(serde_json::Value::String(text)).map_err(|error| corrupt(what)(error.to_string()))
 }
 
-fn parsed<T: FromStr>(what: &'static str, text: &str) -> Result<T, StoreError> {
+pub(super) fn parsed<T: FromStr>(what: &'static str, text: &str) -> Result<T, StoreError> {
     text.parse().map_err(|_| corrupt(what)(format!("'{text}'")))
 }
 
-fn unsigned<T: TryFrom<i64>>(row: &SqliteRow, column: &'static str) -> Result<T, StoreError> {
+pub(super) fn unsigned<T: TryFrom<i64>>(row: &SqliteRow, column: &'static str) -> Result<T, StoreError> {
     let value: i64 = row.try_get(column)?;
     T::try_from(value).map_err(|_| corrupt(column)(format!("{value} is out of range")))
 }
 
-fn optional_instant(row: &SqliteRow, column: &'static str) -> Result<Option<Timestamp>, StoreError> {
+pub(super) fn optional_unsigned<T: TryFrom<i64>>(
+    row: &SqliteRow,
+    column: &'static str,
+) -> Result<Option<T>, StoreError> {
+    let Some(value) = row.try_get::<Option<i64>, _>(column)? else { return Ok(None) };
+    T::try_from(value).map(Some).map_err(|_| corrupt(column)(format!("{value} is out of range")))
+}
+
+pub(super) fn optional_instant(
+    row: &SqliteRow,
+    column: &'static str,
+) -> Result<Option<Timestamp>, StoreError> {
     row.try_get::<Option<i64>, _>(column)?.map(|value| instant(column, value)).transpose()
 }
 
-fn optional_id<T: FromStr>(row: &SqliteRow, column: &'static str) -> Result<Option<T>, StoreError> {
+pub(super) fn optional_id<T: FromStr>(
+    row: &SqliteRow,
+    column: &'static str,
+) -> Result<Option<T>, StoreError> {
     row.try_get::<Option<String>, _>(column)?.map(|text| parsed(column, &text)).transpose()
 }
 
@@ -74,6 +96,16 @@ pub(super) fn blob(row: &SqliteRow, digest: &'static str) -> Result<BlobRef, Sto
 
 pub(super) fn job_id(row: &SqliteRow) -> Result<JobId, StoreError> {
     parsed("id", row.try_get("id")?)
+}
+
+pub(super) fn newest_event(row: &SqliteRow) -> Result<(JobId, u64), StoreError> {
+    Ok((job_id(row)?, unsigned(row, "last_seq")?))
+}
+
+/// The job whose checkpoint a claimed one may go on from.
+pub(super) fn adopts(row: &SqliteRow) -> Result<Option<JobId>, StoreError> {
+    let may: bool = row.try_get("from_checkpoint")?;
+    Ok(optional_id(row, "retry_of")?.filter(|_| may))
 }
 
 pub(super) fn dataset(row: &SqliteRow) -> Result<Digest, StoreError> {
@@ -151,8 +183,22 @@ pub(super) fn attempt(row: &SqliteRow) -> Result<AttemptRecord, StoreError> {
     })
 }
 
-pub(super) fn standing(row: &SqliteRow) -> Result<Standing, StoreError> {
+pub(super) fn remembered(row: &SqliteRow) -> Result<Remembered, StoreError> {
+    Ok(Remembered {
+        fingerprint: parsed("fingerprint", row.try_get("fingerprint")?)?,
+        status: unsigned(row, "status")?,
+        resource: row.try_get("resource")?,
+    })
+}
+
+/// The deadline of a row that has one.
+pub(super) fn deadline(row: &SqliteRow) -> Result<Timestamp, StoreError> {
+    instant("deadline_at", row.try_get("deadline_at")?)
+}
+
+pub(super) fn standing(row: &SqliteRow, now: Timestamp) -> Result<Standing, StoreError> {
     Ok(Standing {
+        overdue: optional_instant(row, "deadline_at")?.filter(|deadline| *deadline <= now),
         job: job_id(row)?,
         attempt: unsigned(row, "attempt")?,
         charged: unsigned(row, "charged")?,

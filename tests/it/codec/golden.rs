@@ -39,7 +39,12 @@ const FILES: [Golden; 3] = [
         anchors: 90,
         make: context,
     },
-    Golden { name: "direct_v1.tcgs", decode_sha256: "7a0ce6c96aebe558d35a71d9a10092553ad585ae3427f509c742354971dddcb3", anchors: 60, make: direct },
+    Golden {
+        name: "direct_v1.tcgs",
+        decode_sha256: "7a0ce6c96aebe558d35a71d9a10092553ad585ae3427f509c742354971dddcb3",
+        anchors: 60,
+        make: direct,
+    },
 ];
 
 impl Golden {

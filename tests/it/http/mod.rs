@@ -1,17 +1,21 @@
 //! The API over a real socket, a file for each part of it. Every answer is held to `openapi.yaml`, and one test asserts that
 //! every operation and status of it was seen.
 
+mod access;
 mod artifacts;
 mod connections;
+mod films;
+mod idempotency;
+mod job_life;
 mod jobs;
+mod report;
 mod service;
 mod views;
 
 use crate::support::contract::Coverage;
 
 /// Statuses that no test can bring about, with the reason.
-const UNSEEN: &[(&str, &str, &str)] =
-    &[("createJob", "507", "needs a full disk; the mapping has a unit test")];
+const UNSEEN: &[(&str, &str, &str)] = &[("retryJob", "408", "a body that dawdles is seen where it is long")];
 
 /// Makes each scenario a test, and one more that runs all of them and asserts that the contract is covered.
 macro_rules! scenarios {
@@ -47,6 +51,15 @@ scenarios! {
         a_database_that_fails_is_a_problem_not_a_crash,
         a_handler_that_panics_answers_500_and_the_server_lives,
     }
+    access {
+        no_operation_answers_without_the_right_key,
+        the_first_key_closes_the_service_and_revoking_the_last_does_not_open_it,
+        a_key_has_its_rate_and_an_address_a_few_failures,
+        keys_are_made_listed_and_revoked_by_administrators,
+        a_key_has_room_for_some_jobs_and_bytes,
+        what_is_anothers_is_not_there,
+        a_database_that_fails_lets_nobody_in,
+    }
     connections {
         bodies_that_break_off_or_dawdle_are_given_up,
     }
@@ -57,15 +70,49 @@ scenarios! {
         a_queued_job_is_cancelled_at_once_and_a_running_one_soon,
         too_many_uploads_at_once_are_put_off,
     }
+    job_life {
+        a_job_is_made_of_a_scene_by_json,
+        jobs_are_listed_by_state_scene_and_model,
+        a_job_is_given_up_at_its_deadline_begun_or_not,
+        a_failed_or_cancelled_job_is_retried_as_a_new_one,
+        a_job_that_has_ended_is_deleted_with_its_files,
+    }
+    idempotency {
+        a_request_that_is_sent_again_makes_nothing_again,
+        what_was_refused_is_not_remembered,
+        fifty_requests_with_one_key_make_one_job,
+        a_request_is_in_flight_until_it_is_answered_and_no_longer,
+        an_answer_waits_for_the_job_as_long_as_is_preferred,
+    }
     artifacts {
         the_file_is_served_whole_in_parts_and_conditionally,
         every_file_of_a_curve_is_served_by_its_weight,
     }
+    report {
+        a_finished_job_is_reported_on_one_page,
+        a_curve_is_reported_with_each_of_its_files,
+        a_job_without_a_result_is_reported_as_it_stands,
+    }
     views {
         views_by_frame_pose_and_query_agree,
         views_come_in_three_formats_and_as_multipart,
+        depth_and_alpha_are_served_as_pictures_and_as_numbers,
+        a_view_is_tagged_timed_and_rendered_once,
+        a_view_that_many_ask_for_at_once_is_rendered_once,
         impossible_views_are_refused_by_name,
         a_job_without_a_file_has_no_views,
         a_full_render_queue_and_a_broken_renderer_are_told_apart,
+    }
+    films {
+        an_orbit_is_streamed_part_by_part_as_often_as_asked,
+        a_path_is_streamed_and_animated_through_its_views,
+        an_orbit_is_one_file_with_a_tag,
+        impossible_films_are_refused_by_name,
+        films_fail_as_views_do,
+        what_fails_after_the_first_picture_breaks_the_body_off,
+        each_caller_has_its_share_and_all_together_a_limit,
+        whoever_goes_away_is_not_rendered,
+        nothing_is_rendered_that_the_client_does_not_take,
+        films_are_shown_while_a_job_trains,
     }
 }

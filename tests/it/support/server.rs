@@ -6,9 +6,9 @@ use bytes::Bytes;
 use reqwest::{RequestBuilder, header::HeaderMap};
 use serde_json::Value;
 use tcgs::{
-    domain::{Clock, SystemClock},
+    domain::{Clock, KeyId, KeyLimits, Scope, SystemClock, SystemEntropy},
     http::{self, HttpConfig, Services, WorkerCounts, config::RequestLimits},
-    store::{Blobs, QueuePolicy, SqliteStore, Store},
+    store::{Blobs, Keys as _, NewKey, QueuePolicy, SqliteStore, Store},
     worker::{self, WorkerConfig},
 };
 use tempfile::TempDir;
@@ -28,16 +28,23 @@ pub struct Setup {
     pub max_connections: usize,
     pub worker: bool,
     pub policy: QueuePolicy,
+    pub clock: Arc<dyn Clock>,
 }
 
 impl Default for Setup {
     fn default() -> Self {
         Self {
-            limits: RequestLimits { upload_bytes: 1 << 20, ..RequestLimits::default() },
+            limits: RequestLimits {
+                upload_bytes: 1 << 20,
+                watch_every: Duration::from_millis(5),
+                overdue_every: Duration::from_millis(5),
+                ..RequestLimits::default()
+            },
             header_timeout: Duration::from_secs(10),
             max_connections: 512,
             worker: true,
             policy: quick_policy(),
+            clock: Arc::new(SystemClock),
         }
     }
 }
@@ -73,6 +80,13 @@ pub struct Server {
     pub coverage: Coverage,
     client: reqwest::Client,
     _data: TempDir,
+}
+
+/// A key of a test.
+#[derive(Debug, Clone)]
+pub struct TestKey {
+    pub id: KeyId,
+    pub key: String,
 }
 
 /// Reads a picture.
@@ -121,7 +135,7 @@ impl Server {
 
     pub async fn start_with(coverage: &Coverage, setup: Setup) -> Self {
         let data = tempfile::tempdir().expect("a folder");
-        let clock: Arc<dyn Clock> = Arc::new(SystemClock);
+        let clock = setup.clock;
         let sqlite = SqliteStore::open(&data.path().join("tcgs.db"), Arc::clone(&clock), setup.policy).await;
         let store = Arc::new(FaultStore::new(Arc::new(sqlite.expect("a database"))));
         let blobs = Blobs::open(data.path()).expect("a blob store");
@@ -130,9 +144,11 @@ impl Server {
             store: Arc::clone(&store) as Arc<dyn Store>,
             blobs: blobs.clone(),
             clock,
+            entropy: Arc::new(SystemEntropy),
             check: Arc::new(fakes::check),
             load: Arc::new(fakes::load),
             renderer: Arc::new(renderer.clone()),
+            forget: Arc::new(|_| {}),
             workers: Arc::new(|| WorkerCounts { expected: 1, alive: 1 }),
         };
         let shutdown = CancellationToken::new();
@@ -153,12 +169,35 @@ impl Server {
             limits: setup.limits,
             ..HttpConfig::default()
         };
-        let listener = http::bind(&config).await.expect("a port");
+        let listener = http::bind(&config, false).await.expect("a port");
         let address = listener.local_addr().expect("bound");
         let serving = tokio::spawn(http::serve(listener, config, services.clone(), shutdown.clone()));
-        let client = reqwest::Client::builder().timeout(Duration::from_secs(60)).build().expect("a client");
+        let client = tcgs::https::client_builder()
+            .expect("TLS")
+            .timeout(Duration::from_secs(60))
+            .build()
+            .expect("a client");
         let coverage = coverage.clone();
         Self { address, store, services, runner, renderer, shutdown, serving, coverage, client, _data: data }
+    }
+
+    /// A key with these scopes.
+    pub async fn key(&self, scopes: &[Scope]) -> TestKey {
+        self.key_with(scopes, KeyLimits::default()).await
+    }
+
+    /// The same with limits.
+    pub async fn key_with(&self, scopes: &[Scope], limits: KeyLimits) -> TestKey {
+        let now = self.services.clock.now();
+        let drawn = NewKey::draw(&SystemEntropy, now, "a test's", scopes, limits);
+        let (new, key) = drawn.expect("a key");
+        let id = self.store.create_key(new).await.expect("stored").id;
+        TestKey { id, key: key.expose().to_owned() }
+    }
+
+    /// Shuts a key out.
+    pub async fn revoke(&self, key: &TestKey) {
+        self.store.revoke_key(key.id).await.expect("a store").expect("a key");
     }
 
     /// Sends a request and checks the answer against the contract.
@@ -176,6 +215,33 @@ impl Server {
         let body = response.bytes().await.expect("a whole body");
         self.coverage.check(method.as_str(), path, status, &headers, &body);
         Answer { status, headers, body }
+    }
+
+    /// Sends a request and hands over the answer, whose body is still to come.
+    pub async fn open(
+        &self,
+        method: &str,
+        path: &str,
+        fill: impl FnOnce(RequestBuilder) -> RequestBuilder,
+    ) -> reqwest::Response {
+        let url = format!("http://{}{path}", self.address);
+        let request = self.client.request(method.parse().expect("a method"), url);
+        fill(request).send().await.expect("an answer")
+    }
+
+    /// Sends a request whose answer may break off; its status, and what of its body came.
+    pub async fn broken(
+        &self,
+        method: &str,
+        path: &str,
+        fill: impl FnOnce(RequestBuilder) -> RequestBuilder,
+    ) -> (u16, Vec<u8>) {
+        let mut open = self.open(method, path, fill).await;
+        let mut body = Vec::new();
+        while let Ok(Some(chunk)) = open.chunk().await {
+            body.extend_from_slice(&chunk);
+        }
+        (open.status().as_u16(), body)
     }
 
     pub async fn get(&self, path: &str) -> Answer {
