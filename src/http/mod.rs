@@ -23,6 +23,7 @@ mod job_body;
 mod job_list;
 mod job_wish;
 mod jobs;
+mod keys;
 mod overdue;
 mod picture;
 mod prefer;
@@ -66,6 +67,8 @@ pub fn router(state: AppState) -> Router {
             get(views::sequence::animation).post(views::sequence::animation_path),
         )
         .route("/v1/jobs/{id}/report", get(report::get))
+        .route("/v1/keys", get(keys::list).post(keys::create))
+        .route("/v1/keys/{id}", get(keys::get).delete(keys::revoke))
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/version", get(health::version))

@@ -14,6 +14,7 @@ mod first_light;
 mod housekeeping;
 mod http;
 mod ingest;
+mod keys;
 mod layers;
 mod loss;
 mod lpips;
