@@ -77,7 +77,12 @@ async fn the_session_with_curl_goes_as_it_is_written() {
     assert!(said.contains("event: state") && said.contains("job-not-found"), "{said}");
     let file = |name: &str| fs::read(folder.path().join(name)).expect("a file");
     assert_eq!(file("scene.tcgs"), fakes::FILE);
-    for (name, begin) in [("frame.png", &b"\x89PNG"[..]), ("pose.webp", b"RIFF"), ("matrix.png", b"\x89PNG"), ("report.html", b"<!DOCTYPE html>")] {
+    for (name, begin) in [
+        ("frame.png", &b"\x89PNG"[..]),
+        ("pose.webp", b"RIFF"),
+        ("matrix.png", b"\x89PNG"),
+        ("report.html", b"<!DOCTYPE html>"),
+    ] {
         assert!(file(name).starts_with(begin), "{name}");
     }
 }
@@ -106,9 +111,8 @@ async fn the_client_in_python_brings_a_scene_and_a_view() {
     let file = |name: &str| fs::read(folder.path().join(name)).expect("a file");
     assert_eq!(file("scene.tcgs"), fakes::FILE);
     assert!(file("view.png").starts_with(b"\x89PNG"));
-    let job = server.send("GET", &format!("/v1/jobs/{}", told["job"].as_str().expect("an id")), |request| {
-        request.bearer_auth(&key.key)
-    });
+    let path = format!("/v1/jobs/{}", told["job"].as_str().expect("an id"));
+    let job = server.send("GET", &path, |request| request.bearer_auth(&key.key));
     let job = job.await.expect(200).json();
     assert_eq!((&job["options"]["iterations"], &job["options"]["preset"]), (&7.into(), &"standard".into()));
 
