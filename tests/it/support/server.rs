@@ -156,7 +156,11 @@ impl Server {
         let listener = http::bind(&config).await.expect("a port");
         let address = listener.local_addr().expect("bound");
         let serving = tokio::spawn(http::serve(listener, config, services.clone(), shutdown.clone()));
-        let client = reqwest::Client::builder().timeout(Duration::from_secs(60)).build().expect("a client");
+        let client = tcgs::https::client_builder()
+            .expect("TLS")
+            .timeout(Duration::from_secs(60))
+            .build()
+            .expect("a client");
         let coverage = coverage.clone();
         Self { address, store, services, runner, renderer, shutdown, serving, coverage, client, _data: data }
     }
