@@ -20,11 +20,14 @@ pub mod memory;
 pub mod metrics;
 pub mod near;
 pub mod options;
+pub mod outbound;
 pub mod photograph;
 pub mod problem;
 pub mod progress;
 pub mod scene;
+pub mod series;
 pub mod view;
+pub mod webhook;
 
 pub use access::{Caller, KeyId, Scope};
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
@@ -46,8 +49,11 @@ pub use metrics::{
 };
 pub use near::NearPlane;
 pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOptions, Voxel};
+pub use outbound::{OutboundFault, OutboundPolicy};
 pub use photograph::{Photograph, PhotographError, PixelSource};
 pub use problem::Problem;
 pub use progress::{CancelFlag, Phase, Progress};
 pub use scene::{Dataset, Frame, Layout, NamedCamera, PointCloud, Split};
+pub use series::{SERIES_POINTS, SeriesPoint, series_bucket};
 pub use view::{View, ViewError, ViewRequest};
+pub use webhook::{DeliveryId, EndpointId, WebhookEvent};

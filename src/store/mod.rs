@@ -8,6 +8,7 @@
 //!   was given. If the job has moved on, nothing is written and the worker learns [`StoreError::LeaseLost`].
 //! - **Events** of a job are numbered from 1 without gaps, and each is written in the transaction of the change
 //!   that it records.
+//! - **Outbox**: what webhook endpoints are to be told of a job is written in the transaction of its change of state.
 //! - **Cancel against completion**: whichever transaction commits first decides. A job whose cancellation was
 //!   accepted while it ran never becomes `succeeded`.
 
@@ -15,8 +16,10 @@ pub mod blobs;
 mod error;
 mod policy;
 mod records;
+mod series;
 mod sqlite;
 mod verdict;
+mod webhooks;
 
 use futures_util::future::BoxFuture;
 
@@ -27,7 +30,12 @@ pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat,
     JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, SceneArtifact,
 };
+pub use series::Series;
 pub use sqlite::SqliteStore;
+pub use webhooks::{
+    AfterAttempt, DeliveryRecord, DeliveryState, DueDelivery, EndpointRecord, NewEndpoint, Replay, Settled,
+    Webhooks,
+};
 
 use crate::domain::{Event, JobId, JobState, Phase, Progress};
 
@@ -35,7 +43,7 @@ use crate::domain::{Event, JobId, JobState, Phase, Progress};
 pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
-pub trait Store: Send + Sync + 'static {
+pub trait Store: Series + Webhooks + Send + Sync + 'static {
     /// Adds a job in state `queued`, together with its dataset's blob row and its first event.
     fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord>;
 

@@ -8,6 +8,8 @@
 mod events;
 mod queue;
 mod rows;
+mod series;
+mod webhooks;
 
 use std::{path::Path, sync::Arc, time::Duration};
 

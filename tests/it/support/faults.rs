@@ -1,5 +1,8 @@
 //! A store that fails when told to.
 
+mod series;
+mod webhooks;
+
 use std::sync::{Arc, Mutex};
 
 use tcgs::{
