@@ -48,6 +48,7 @@ struct Links {
     #[serde(rename = "self")]
     this: String,
     events: String,
+    series: String,
     cancel: String,
     artifact: String,
     view: String,
@@ -94,6 +95,7 @@ impl From<JobRecord> for JobBody {
             finished_at: job.finished_at,
             links: Links {
                 events: format!("{this}/events"),
+                series: format!("{this}/series"),
                 cancel: format!("{this}/cancel"),
                 artifact,
                 view: format!("{this}/view"),

@@ -20,6 +20,7 @@ mod problem;
 mod query;
 mod range;
 mod render_queue;
+mod series;
 mod serve;
 mod state;
 mod views;
@@ -43,6 +44,7 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/jobs/{id}", get(jobs::get))
         .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
         .route("/v1/jobs/{id}/events", get(events::list))
+        .route("/v1/jobs/{id}/series", get(series::get))
         .route("/v1/jobs/{id}/artifact", get(artifact::get))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))

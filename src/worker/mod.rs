@@ -15,6 +15,7 @@ mod claim;
 mod curve;
 mod fit_bytes;
 pub mod pipeline;
+mod points;
 pub mod run;
 pub mod scene_file;
 mod steps;

@@ -4,6 +4,7 @@
 mod artifacts;
 mod connections;
 mod jobs;
+mod series;
 mod service;
 mod views;
 
@@ -56,6 +57,9 @@ scenarios! {
         jobs_are_listed_newest_first_page_by_page,
         a_queued_job_is_cancelled_at_once_and_a_running_one_soon,
         too_many_uploads_at_once_are_put_off,
+    }
+    series {
+        the_course_of_training_is_served_as_columns,
     }
     artifacts {
         the_file_is_served_whole_in_parts_and_conditionally,
