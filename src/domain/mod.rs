@@ -26,6 +26,7 @@ pub mod problem;
 pub mod progress;
 pub mod scene;
 pub mod series;
+pub mod upload;
 pub mod view;
 pub mod webhook;
 
@@ -53,7 +54,8 @@ pub use outbound::{OutboundFault, OutboundPolicy};
 pub use photograph::{Photograph, PhotographError, PixelSource};
 pub use problem::Problem;
 pub use progress::{CancelFlag, Phase, Progress};
-pub use scene::{Dataset, Frame, Layout, NamedCamera, PointCloud, Split};
+pub use scene::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
 pub use series::{SERIES_POINTS, SeriesPoint, series_bucket};
+pub use upload::UploadId;
 pub use view::{View, ViewError, ViewRequest};
 pub use webhook::{DeliveryId, EndpointId, WebhookEvent};

@@ -44,6 +44,23 @@ pub enum Split {
     Test,
 }
 
+/// What can be told of a dataset without decoding its pixels.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DatasetSummary {
+    /// How its files are laid out.
+    pub layout: Layout,
+    /// Frames to train on.
+    pub train: usize,
+    /// Frames held out.
+    pub test: usize,
+    /// Pixels of all images as they will be trained on.
+    pub pixels: u64,
+    /// Structure-from-motion points, if it has any.
+    pub points: Option<usize>,
+    /// As [`Dataset::notes`].
+    pub notes: Vec<String>,
+}
+
 /// One posed photograph.
 #[derive(Debug, Clone)]
 pub struct Frame {

@@ -78,6 +78,10 @@ pub struct RequestLimits {
     pub renders: usize,
     /// View requests that may wait for their turn.
     pub renders_waiting: usize,
+    /// How often changes of jobs are looked for while a request waits for one.
+    pub watch_every: Duration,
+    /// Requests that may wait for a job at a time; one more is answered at once.
+    pub waits: usize,
 }
 
 impl Default for RequestLimits {
@@ -93,6 +97,8 @@ impl Default for RequestLimits {
             views: 64,
             renders: 1,
             renders_waiting: 32,
+            watch_every: Duration::from_millis(250),
+            waits: 128,
         }
     }
 }

@@ -4,7 +4,7 @@ use jiff::Timestamp;
 use serde::Serialize;
 
 use crate::{
-    domain::{Digest, JobId, JobMetrics, JobState, Phase, Problem, Progress, TrainOptions},
+    domain::{Digest, JobId, JobMetrics, JobState, Phase, Problem, Progress, SceneId, TrainOptions},
     store::{JobRecord, SceneArtifact},
 };
 
@@ -20,6 +20,10 @@ pub(super) struct JobBody {
     error: Option<Problem>,
     attempt: u32,
     cancel_requested: bool,
+    priority: i32,
+    deadline_at: Option<Timestamp>,
+    retry_of: Option<JobId>,
+    scene_id: Option<SceneId>,
     options: TrainOptions,
     dataset: DatasetBody,
     created_at: Timestamp,
@@ -88,6 +92,10 @@ impl From<JobRecord> for JobBody {
             error: job.error,
             attempt: job.attempt,
             cancel_requested: job.cancel_requested,
+            priority: record.priority,
+            deadline_at: record.deadline_at,
+            retry_of: record.retry_of,
+            scene_id: record.scene,
             options: job.options,
             dataset: DatasetBody { bytes: record.dataset.bytes, sha256: record.dataset.digest },
             created_at: job.created_at,

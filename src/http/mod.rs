@@ -10,12 +10,15 @@ mod body;
 mod caller;
 mod camera;
 pub mod config;
+mod create_job;
 mod etag;
 mod events;
 mod health;
+mod idempotency;
 mod job_body;
 mod jobs;
 mod picture;
+mod prefer;
 mod problem;
 mod query;
 mod range;
@@ -24,6 +27,7 @@ mod series;
 mod serve;
 mod state;
 mod views;
+mod watch;
 mod wrap;
 
 use axum::{
@@ -40,7 +44,7 @@ pub use state::{AppState, DatasetCheck, SceneLoader, Services, WorkerCensus, Wor
 /// Every route of the API.
 pub fn router(state: AppState) -> Router {
     Router::new()
-        .route("/v1/jobs", get(jobs::list).post(jobs::create))
+        .route("/v1/jobs", get(jobs::list).post(create_job::create))
         .route("/v1/jobs/{id}", get(jobs::get))
         .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
         .route("/v1/jobs/{id}/events", get(events::list))

@@ -16,7 +16,7 @@ use crate::{
 const RETRY_AFTER_SECONDS: u32 = 2;
 
 /// The error type of every handler.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Fault {
     problem: Box<Problem>,
     headers: Vec<(HeaderName, HeaderValue)>,

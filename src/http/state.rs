@@ -5,15 +5,15 @@ use std::{fmt, path::Path, sync::Arc};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::{config::RequestLimits, render_queue::RenderQueue};
+use super::{config::RequestLimits, idempotency::InFlight, render_queue::RenderQueue, watch::Watcher};
 use crate::{
-    domain::{Clock, Problem},
+    domain::{Clock, DatasetSummary, Problem},
     render::{RenderViews, views::Viewable},
     store::{Blobs, Store},
 };
 
-/// Looks over a dataset archive before a job is made of it; blocks.
-pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<(), Problem> + Send + Sync>;
+/// Looks over a dataset archive before a scene or a job is made of it; blocks.
+pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<DatasetSummary, Problem> + Send + Sync>;
 
 /// Reads a finished scene's file; blocks.
 pub type SceneLoader = Arc<dyn Fn(&[u8]) -> Result<Viewable, Problem> + Send + Sync>;
@@ -58,6 +58,9 @@ struct Inner {
     limits: RequestLimits,
     uploads: Semaphore,
     renders: RenderQueue,
+    watcher: Watcher,
+    in_flight: Arc<InFlight>,
+    waits: Semaphore,
     draining: CancellationToken,
 }
 
@@ -73,7 +76,18 @@ impl AppState {
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         let uploads = Semaphore::new(limits.uploads);
         let renders = RenderQueue::new(limits.renders, limits.renders_waiting);
-        Self(Arc::new(Inner { services, limits, uploads, renders, draining }))
+        let waits = Semaphore::new(limits.waits);
+        let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
+        Self(Arc::new(Inner {
+            services,
+            limits,
+            uploads,
+            renders,
+            watcher,
+            in_flight: Arc::default(),
+            waits,
+            draining,
+        }))
     }
 
     pub(super) fn services(&self) -> &Services {
@@ -98,6 +112,26 @@ impl AppState {
 
     pub(super) fn renders(&self) -> &RenderQueue {
         &self.0.renders
+    }
+
+    /// Keys of requests that are being answered.
+    pub(super) fn in_flight(&self) -> &Arc<InFlight> {
+        &self.0.in_flight
+    }
+
+    /// Places for requests that wait for a job.
+    pub(super) fn waits(&self) -> &Semaphore {
+        &self.0.waits
+    }
+
+    /// Waits for changes of jobs.
+    pub(super) fn watcher(&self) -> &Watcher {
+        &self.0.watcher
+    }
+
+    /// Cancelled once the server shuts down: what waits for something should then answer at once.
+    pub(super) fn draining(&self) -> &CancellationToken {
+        &self.0.draining
     }
 
     pub(super) fn is_draining(&self) -> bool {

@@ -38,7 +38,6 @@ mod tests;
 use std::path::Path;
 
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
 pub use self::{
     error::{Error, Fault},
@@ -51,24 +50,7 @@ use self::{
     survey::{Survey, View, survey},
     tree::Tree,
 };
-use crate::domain::{Bytes, Dataset, Frame, Layout, Photograph, Problem, Split};
-
-/// What can be told about a dataset without decoding its pixels.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Summary {
-    /// How its files are laid out.
-    pub layout: Layout,
-    /// Frames to train on.
-    pub train: usize,
-    /// Frames held out.
-    pub test: usize,
-    /// Pixels of all images as they will be trained on.
-    pub pixels: u64,
-    /// Structure-from-motion points, if it has any.
-    pub points: Option<usize>,
-    /// As [`Dataset::notes`].
-    pub notes: Vec<String>,
-}
+use crate::domain::{Bytes, Dataset, DatasetSummary, Frame, Photograph, Problem, Split};
 
 /// Reads a dataset from a directory or a zip file, told apart by what `path` is.
 ///
@@ -93,7 +75,7 @@ pub fn load_into(path: &Path, room: &Room) -> Result<Dataset, Problem> {
 ///
 /// # Errors
 /// As [`load`].
-pub fn check(path: &Path) -> Result<Summary, Problem> {
+pub fn check(path: &Path) -> Result<DatasetSummary, Problem> {
     Ok(check_within(path, &Limits::default())?)
 }
 
@@ -174,14 +156,14 @@ impl Store {
 ///
 /// # Errors
 /// The first fault, in the order of names.
-pub fn check_within(path: &Path, limits: &Limits) -> Result<Summary, Error> {
+pub fn check_within(path: &Path, limits: &Limits) -> Result<DatasetSummary, Error> {
     let (_, survey) = survey(Tree::open(path, limits)?, limits)?;
     let count = |split| survey.views.iter().filter(|view| view.shot.split == split).count();
     let pixels = survey.views.iter().map(|view| {
         let k = view.camera.intrinsics;
         u64::from(k.width) * u64::from(k.height)
     });
-    Ok(Summary {
+    Ok(DatasetSummary {
         layout: survey.layout,
         train: count(Split::Train),
         test: count(Split::Test),

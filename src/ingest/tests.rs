@@ -9,7 +9,7 @@ use super::{
     fixtures::{SIZE, Set, blender, colmap, file, nerfstudio, png},
     *,
 };
-use crate::domain::Convention;
+use crate::domain::{Convention, DatasetSummary, Layout};
 
 fn refused(set: &Set) -> Problem {
     let directory = set.directory();
@@ -80,7 +80,7 @@ fn nerfstudio_and_colmap_hold_out_every_eighth_image_by_name() {
         let summary = check(&written.path).expect("a summary");
         assert_eq!(
             summary,
-            Summary {
+            DatasetSummary {
                 layout: dataset.layout,
                 train: 7,
                 test: 2,

@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 
+use super::Remembered;
 use crate::domain::JobId;
 
 /// A fault of the job table.
@@ -14,6 +15,19 @@ pub enum StoreError {
         job: JobId,
         /// The attempt that the worker was given.
         attempt: u32,
+    },
+    /// A request with the same `Idempotency-Key` made something before; nothing was written.
+    #[error("the Idempotency-Key was used before, for {}", .0.resource)]
+    AlreadyMade(Box<Remembered>),
+    /// More than the owner has room for.
+    #[error("{asked} more bytes are over the quota of {quota}: {used} are stored or kept for uploads")]
+    QuotaExceeded {
+        /// What was to be added.
+        asked: u64,
+        /// What is stored or reserved.
+        used: u64,
+        /// How much may be.
+        quota: u64,
     },
     /// A stored value cannot be read back.
     #[error("the stored {what} is unreadable: {fault}")]

@@ -1,4 +1,4 @@
-//! Everything that outlives a process: jobs with their attempts and events, and the blobs that they refer to.
+//! Everything that outlives a process: scenes, uploads, jobs with their attempts and events, and the blobs that they refer to.
 //!
 //! SQL and object storage live here and nowhere else. What always holds:
 //!
@@ -12,26 +12,34 @@
 //! - **Cancel against completion**: whichever transaction commits first decides. A job whose cancellation was
 //!   accepted while it ran never becomes `succeeded`.
 
+mod accounts;
 pub mod blobs;
 mod error;
+mod idempotency;
 mod policy;
 mod records;
+mod scenes;
 mod series;
 mod sqlite;
+mod uploads;
 mod verdict;
 mod webhooks;
 
 use futures_util::future::BoxFuture;
 
+pub use accounts::{Accounts, Usage};
 pub use blobs::{BlobError, Blobs, Staged, Staging};
 pub use error::StoreError;
+pub use idempotency::{Idempotency, Intent, Remembered};
 pub use policy::QueuePolicy;
 pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat,
     JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, SceneArtifact,
 };
+pub use scenes::{NewScene, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes};
 pub use series::Series;
 pub use sqlite::SqliteStore;
+pub use uploads::{NewUpload, UploadRecord, Uploads};
 pub use webhooks::{
     AfterAttempt, DeliveryRecord, DeliveryState, DueDelivery, EndpointRecord, NewEndpoint, Replay, Settled,
     Webhooks,
@@ -43,8 +51,11 @@ use crate::domain::{Event, JobId, JobState, Phase, Progress};
 pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
-pub trait Store: Series + Webhooks + Send + Sync + 'static {
-    /// Adds a job in state `queued`, together with its dataset's blob row and its first event.
+pub trait Store:
+    Accounts + Idempotency + Scenes + Series + Uploads + Webhooks + Send + Sync + 'static
+{
+    /// Adds a job in state `queued`, together with its dataset's blob row, its first event and what its request's
+    /// `Idempotency-Key` is to be remembered by; [`StoreError::AlreadyMade`] if that key was used before.
     fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord>;
 
     /// The job as it stands.
@@ -60,6 +71,9 @@ pub trait Store: Series + Webhooks + Send + Sync + 'static {
 
     /// Up to `limit` events with numbers above `after`, oldest first; `None` if there is no such job.
     fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>>;
+
+    /// The number of the newest event of each of these jobs; one that is not there is left out.
+    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<(JobId, u64)>>;
 
     /// Every attempt at the job, oldest first.
     fn attempts(&self, id: JobId) -> Answer<'_, Vec<AttemptRecord>>;

@@ -20,6 +20,8 @@ pub struct QueuePolicy {
     pub backoff_cap: Duration,
     /// Shortest time between two `progress` events of a job.
     pub progress_event_every: Duration,
+    /// How long it is remembered what a request with an `Idempotency-Key` made.
+    pub remember: Duration,
 }
 
 impl Default for QueuePolicy {
@@ -31,6 +33,7 @@ impl Default for QueuePolicy {
             backoff_base: Duration::from_secs(10),
             backoff_cap: Duration::from_secs(600),
             progress_event_every: Duration::from_secs(5),
+            remember: Duration::from_secs(24 * 3600),
         }
     }
 }

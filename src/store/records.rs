@@ -3,6 +3,7 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
+use super::Intent;
 use crate::domain::{Digest, Job, JobId, JobMetrics, KeyId, Problem, SceneFormat, SceneId, TrainOptions};
 
 /// A published blob.
@@ -33,6 +34,10 @@ pub struct NewJob {
     pub dataset: BlobRef,
     /// Higher goes first; 0 is usual.
     pub priority: i32,
+    /// Whether it may go on from where the job that it repeats stopped.
+    pub from_checkpoint: bool,
+    /// The `Idempotency-Key` of the request that makes it.
+    pub intent: Option<Intent>,
 }
 
 impl NewJob {
@@ -48,6 +53,8 @@ impl NewJob {
             options,
             dataset,
             priority: 0,
+            from_checkpoint: false,
+            intent: None,
         }
     }
 }

@@ -27,6 +27,7 @@ mod rate_control;
 mod removal;
 mod sample;
 mod scene_renderer;
+mod scenes;
 mod suite;
 mod support;
 mod train;

@@ -90,7 +90,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
             store: store.clone(),
             blobs,
             clock: Arc::new(SystemClock),
-            check: Arc::new(|archive: &Path| ingest::check(archive).map(|_| ())),
+            check: Arc::new(|archive: &Path| ingest::check(archive)),
             load: Arc::new(|bytes: &[u8]| {
                 let file = scene_file::read(bytes)?;
                 Ok(Viewable { scene: file.scene, background: file.background })

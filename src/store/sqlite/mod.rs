@@ -5,10 +5,14 @@
 //! refuses without waiting. Reads have connections of their own. Several processes may share the file; they share
 //! one clock too, which is what leases are measured by.
 
+mod accounts;
 mod events;
+mod idempotency;
 mod queue;
 mod rows;
+mod scenes;
 mod series;
+mod uploads;
 mod webhooks;
 
 use std::{path::Path, sync::Arc, time::Duration};
@@ -26,6 +30,9 @@ use super::{
 };
 use crate::domain::{Clock, Event, EventKind, JobId, JobState, Phase, Progress};
 use rows::{json as text, micros};
+
+/// HTTP status of an answer to a request that made something.
+const CREATED: u16 = 201;
 
 const READERS: u32 = 4;
 const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
@@ -83,11 +90,26 @@ impl SqliteStore {
 
     async fn insert_job(&self, new: NewJob) -> Result<JobRecord, StoreError> {
         let (mut tx, now) = self.begin().await?;
-        insert_blob(&mut tx, new.dataset, now).await?;
+        let record = self.insert_job_in(&mut tx, new, now).await?;
+        tx.commit().await?;
+        Ok(record)
+    }
+
+    async fn insert_job_in(
+        &self,
+        tx: &mut SqliteConnection,
+        new: NewJob,
+        now: Timestamp,
+    ) -> Result<JobRecord, StoreError> {
+        if let Some(intent) = &new.intent {
+            let (id, keep) = (new.id.to_string(), self.policy.remember);
+            idempotency::remember(tx, intent, CREATED, &id, keep, now).await?;
+        }
+        insert_blob(tx, new.dataset, now).await?;
         sqlx::query(
             "INSERT INTO jobs (id, owner, scene, retry_of, deadline_at, dataset, options, state, phase, progress, priority,
-                 run_after, max_attempts, created_at)
-             VALUES (?, ?, ?, ?, ?, ?, ?, 'queued', 'queued', ?, ?, ?, ?, ?)",
+                 run_after, max_attempts, from_checkpoint, created_at)
+             VALUES (?, ?, ?, ?, ?, ?, ?, 'queued', 'queued', ?, ?, ?, ?, ?, ?)",
         )
         .bind(new.id.to_string())
         .bind(new.owner.map(|owner| owner.to_string()))
@@ -100,14 +122,13 @@ impl SqliteStore {
         .bind(new.priority)
         .bind(micros(now))
         .bind(self.policy.max_attempts)
+        .bind(new.from_checkpoint)
         .bind(micros(now))
         .execute(&mut *tx)
         .await?;
         let data = json!({ "state": JobState::Queued });
-        events::append(&mut tx, new.id, EventKind::State, 0, &data, now).await?;
-        let record = select_job(&mut tx, new.id).await?;
-        tx.commit().await?;
-        record.ok_or(StoreError::Database(sqlx::Error::RowNotFound))
+        events::append(tx, new.id, EventKind::State, 0, &data, now).await?;
+        select_job(tx, new.id).await?.ok_or(StoreError::Database(sqlx::Error::RowNotFound))
     }
 
     async fn cancel_job(&self, id: JobId) -> Result<Option<Cancellation>, StoreError> {
@@ -245,6 +266,17 @@ impl Store for SqliteStore {
 
     fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>> {
         Box::pin(self.read_events(id, after, limit))
+    }
+
+    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<(JobId, u64)>> {
+        Box::pin(async move {
+            let rows =
+                sqlx::query("SELECT id, last_seq FROM jobs WHERE id IN (SELECT value FROM json_each(?))")
+                    .bind(text(&jobs)?)
+                    .fetch_all(&self.readers)
+                    .await?;
+            rows.iter().map(rows::newest_event).collect()
+        })
     }
 
     fn attempts(&self, id: JobId) -> Answer<'_, Vec<AttemptRecord>> {

@@ -1,8 +1,8 @@
 //! Between rows and values. Everything read back is checked: a row that makes no sense is an error, not a panic.
 
-use std::str::FromStr;
+use std::{str::FromStr, time::Duration};
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use secrecy::SecretString;
 use serde::{Serialize, de::DeserializeOwned};
 use sqlx::{Row as _, sqlite::SqliteRow};
@@ -11,7 +11,7 @@ use crate::{
     domain::{Digest, EndpointId, Event, EventKind, Job, JobId, JobState, SeriesPoint, WebhookEvent},
     store::{
         Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, DeliveryRecord, DeliveryState,
-        DueDelivery, EndpointRecord, JobRecord, StoreError, verdict::Standing,
+        DueDelivery, EndpointRecord, JobRecord, Remembered, StoreError, verdict::Standing,
     },
 };
 
@@ -22,6 +22,14 @@ pub(super) fn micros(at: Timestamp) -> i64 {
 /// A count as a column holds it.
 pub(super) fn signed(count: u64) -> i64 {
     i64::try_from(count).unwrap_or(i64::MAX)
+}
+
+/// The instant `delay` before `now`.
+pub(super) fn before(now: Timestamp, delay: Duration) -> Timestamp {
+    SignedDuration::try_from(delay)
+        .ok()
+        .and_then(|delay| now.checked_sub(delay).ok())
+        .unwrap_or(Timestamp::MIN)
 }
 
 pub(super) fn json<T: Serialize>(value: &T) -> Result<String, StoreError> {
@@ -38,11 +46,11 @@ fn corrupt(what: &'static str) -> impl Fn(String) -> StoreError {
     move |fault| StoreError::Corrupt { what, fault }
 }
 
-fn instant(what: &'static str, value: i64) -> Result<Timestamp, StoreError> {
+pub(super) fn instant(what: &'static str, value: i64) -> Result<Timestamp, StoreError> {
     Timestamp::from_microsecond(value).map_err(|error| corrupt(what)(error.to_string()))
 }
 
-fn document<T: DeserializeOwned>(what: &'static str, text: &str) -> Result<T, StoreError> {
+pub(super) fn document<T: DeserializeOwned>(what: &'static str, text: &str) -> Result<T, StoreError> {
     serde_json::from_str(text).map_err(|error| corrupt(what)(error.to_string()))
 }
 
@@ -50,20 +58,26 @@ fn bare<T: DeserializeOwned>(what: &'static str, text: String) -> Result<T, Stor
     serde_json::from_value(serde_json::Value::String(text)).map_err(|error| corrupt(what)(error.to_string()))
 }
 
-fn parsed<T: FromStr>(what: &'static str, text: &str) -> Result<T, StoreError> {
+pub(super) fn parsed<T: FromStr>(what: &'static str, text: &str) -> Result<T, StoreError> {
     text.parse().map_err(|_| corrupt(what)(format!("'{text}'")))
 }
 
-fn unsigned<T: TryFrom<i64>>(row: &SqliteRow, column: &'static str) -> Result<T, StoreError> {
+pub(super) fn unsigned<T: TryFrom<i64>>(row: &SqliteRow, column: &'static str) -> Result<T, StoreError> {
     let value: i64 = row.try_get(column)?;
     T::try_from(value).map_err(|_| corrupt(column)(format!("{value} is out of range")))
 }
 
-fn optional_instant(row: &SqliteRow, column: &'static str) -> Result<Option<Timestamp>, StoreError> {
+pub(super) fn optional_instant(
+    row: &SqliteRow,
+    column: &'static str,
+) -> Result<Option<Timestamp>, StoreError> {
     row.try_get::<Option<i64>, _>(column)?.map(|value| instant(column, value)).transpose()
 }
 
-fn optional_id<T: FromStr>(row: &SqliteRow, column: &'static str) -> Result<Option<T>, StoreError> {
+pub(super) fn optional_id<T: FromStr>(
+    row: &SqliteRow,
+    column: &'static str,
+) -> Result<Option<T>, StoreError> {
     row.try_get::<Option<String>, _>(column)?.map(|text| parsed(column, &text)).transpose()
 }
 
@@ -80,6 +94,10 @@ pub(super) fn blob(row: &SqliteRow, digest: &'static str) -> Result<BlobRef, Sto
 
 pub(super) fn job_id(row: &SqliteRow) -> Result<JobId, StoreError> {
     parsed("id", row.try_get("id")?)
+}
+
+pub(super) fn newest_event(row: &SqliteRow) -> Result<(JobId, u64), StoreError> {
+    Ok((job_id(row)?, unsigned(row, "last_seq")?))
 }
 
 pub(super) fn dataset(row: &SqliteRow) -> Result<Digest, StoreError> {
@@ -154,6 +172,14 @@ pub(super) fn attempt(row: &SqliteRow) -> Result<AttemptRecord, StoreError> {
         ended_at: optional_instant(row, "ended_at")?,
         outcome,
         cause: optional_document(row, "cause")?,
+    })
+}
+
+pub(super) fn remembered(row: &SqliteRow) -> Result<Remembered, StoreError> {
+    Ok(Remembered {
+        fingerprint: parsed("fingerprint", row.try_get("fingerprint")?)?,
+        status: unsigned(row, "status")?,
+        resource: row.try_get("resource")?,
     })
 }
 

@@ -3,6 +3,7 @@
 
 mod artifacts;
 mod connections;
+mod idempotency;
 mod jobs;
 mod series;
 mod service;
@@ -60,6 +61,13 @@ scenarios! {
     }
     series {
         the_course_of_training_is_served_as_columns,
+    }
+    idempotency {
+        a_request_that_is_sent_again_makes_nothing_again,
+        what_was_refused_is_not_remembered,
+        fifty_requests_with_one_key_make_one_job,
+        a_request_is_in_flight_until_it_is_answered_and_no_longer,
+        an_answer_waits_for_the_job_as_long_as_is_preferred,
     }
     artifacts {
         the_file_is_served_whole_in_parts_and_conditionally,

@@ -10,9 +10,10 @@ use std::{
 use glam::DVec3;
 use tcgs::{
     domain::{
-        AnchorScene, Background, ByteCounts, Camera, CancelFlag, Conventions, CurvePoint, Digest, Image,
-        Intrinsics, JobMetrics, Lattice, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds,
-        Pose, Problem, Progress, RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
+        AnchorScene, Background, ByteCounts, Camera, CancelFlag, Conventions, CurvePoint, DatasetSummary,
+        Digest, Image, Intrinsics, JobMetrics, Lattice, Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane,
+        Phase, PhaseSeconds, Pose, Problem, Progress, RenderNetworks, Scene, SceneFormat, Scores, Split,
+        TrainOptions, ViewScore,
     },
     render::{RenderViews, views::Viewable},
     worker::run::{Checkpoints, CurveFile, JobFailure, JobOutput, RunJob},
@@ -202,14 +203,21 @@ pub fn load(file: &[u8]) -> Result<Viewable, Problem> {
 }
 
 /// Refuses a dataset that begins with `bad`, panics at `bomb`.
-pub fn check(dataset: &Path) -> Result<(), Problem> {
+pub fn check(dataset: &Path) -> Result<DatasetSummary, Problem> {
     let content = fs::read(dataset).expect("the staged file is readable");
     assert!(!content.starts_with(b"bomb"), "as the test wants it");
     if content.starts_with(b"bad") {
         let fault = "frame 3 has a focal length of 0; it must be a positive number of pixels";
         return Err(Problem::new(422, "invalid-dataset", "Invalid dataset", fault).in_file("transforms.json"));
     }
-    Ok(())
+    Ok(DatasetSummary {
+        layout: Layout::Blender,
+        train: 1,
+        test: 2,
+        pixels: 3 * 40 * 32,
+        points: None,
+        notes: vec!["as the test wants it".into()],
+    })
 }
 
 fn empty_scene() -> AnchorScene {

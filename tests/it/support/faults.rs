@@ -5,11 +5,13 @@ mod webhooks;
 
 use std::sync::{Arc, Mutex};
 
+use jiff::Timestamp;
 use tcgs::{
-    domain::{Event, JobId, JobState, Phase, Progress},
+    domain::{Digest, Event, JobId, JobState, KeyId, Phase, Progress, SceneId, UploadId},
     store::{
-        Answer, AttemptRecord, Cancellation, Claim, Heartbeat, JobFilter, JobRecord, Lease, NewJob, Outcome,
-        PageKey, Store, StoreError,
+        Accounts, Answer, AttemptRecord, Cancellation, Claim, Heartbeat, Idempotency, JobFilter, JobRecord,
+        Lease, NewJob, NewScene, NewUpload, Outcome, PageKey, Remembered, SceneCreation, SceneDeletion,
+        ScenePage, SceneRecord, Scenes, Store, StoreError, UploadRecord, Uploads, Usage,
     },
 };
 
@@ -48,6 +50,12 @@ impl FaultStore {
     }
 }
 
+impl Idempotency for FaultStore {
+    fn remembered<'a>(&'a self, owner: Option<KeyId>, key: &'a str) -> Answer<'a, Option<Remembered>> {
+        self.guard(self.inner.remembered(owner, key))
+    }
+}
+
 impl Store for FaultStore {
     fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord> {
         self.guard(self.inner.create_job(new))
@@ -65,6 +73,9 @@ impl Store for FaultStore {
     }
     fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>> {
         self.guard(self.inner.events(id, after, limit))
+    }
+    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<(JobId, u64)>> {
+        self.guard(self.inner.newest_events(jobs))
     }
     fn attempts(&self, id: JobId) -> Answer<'_, Vec<AttemptRecord>> {
         self.guard(self.inner.attempts(id))
@@ -89,5 +100,61 @@ impl Store for FaultStore {
     }
     fn ping(&self) -> Answer<'_, ()> {
         self.guard(self.inner.ping())
+    }
+}
+
+impl Scenes for FaultStore {
+    fn create_scene(&self, new: NewScene) -> Answer<'_, SceneCreation> {
+        self.guard(self.inner.create_scene(new))
+    }
+    fn scene(&self, id: SceneId) -> Answer<'_, Option<SceneRecord>> {
+        self.guard(self.inner.scene(id))
+    }
+    fn scene_of_dataset(&self, owner: Option<KeyId>, dataset: Digest) -> Answer<'_, Option<SceneRecord>> {
+        self.guard(self.inner.scene_of_dataset(owner, dataset))
+    }
+    fn scenes(
+        &self,
+        owner: Option<KeyId>,
+        before: Option<ScenePage>,
+        limit: u32,
+    ) -> Answer<'_, Vec<SceneRecord>> {
+        self.guard(self.inner.scenes(owner, before, limit))
+    }
+    fn delete_scene(&self, id: SceneId, version: Option<u64>) -> Answer<'_, Option<SceneDeletion>> {
+        self.guard(self.inner.delete_scene(id, version))
+    }
+}
+
+impl Uploads for FaultStore {
+    fn create_upload(&self, new: NewUpload) -> Answer<'_, UploadRecord> {
+        self.guard(self.inner.create_upload(new))
+    }
+    fn upload(&self, id: UploadId) -> Answer<'_, Option<UploadRecord>> {
+        self.guard(self.inner.upload(id))
+    }
+    fn advance_upload(&self, id: UploadId, received: u64, expires_at: Timestamp) -> Answer<'_, bool> {
+        self.guard(self.inner.advance_upload(id, received, expires_at))
+    }
+    fn delete_upload(&self, id: UploadId) -> Answer<'_, bool> {
+        self.guard(self.inner.delete_upload(id))
+    }
+    fn outstanding_bytes(&self) -> Answer<'_, u64> {
+        self.guard(self.inner.outstanding_bytes())
+    }
+    fn expire_uploads(&self, forget: Timestamp) -> Answer<'_, Vec<UploadId>> {
+        self.guard(self.inner.expire_uploads(forget))
+    }
+    fn open_uploads(&self) -> Answer<'_, Vec<UploadId>> {
+        self.guard(self.inner.open_uploads())
+    }
+}
+
+impl Accounts for FaultStore {
+    fn usage(&self, owner: Option<KeyId>) -> Answer<'_, Usage> {
+        self.guard(self.inner.usage(owner))
+    }
+    fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> Answer<'a, Vec<Digest>> {
+        self.guard(self.inner.forget_blobs(digests))
     }
 }

@@ -33,7 +33,11 @@ pub struct Setup {
 impl Default for Setup {
     fn default() -> Self {
         Self {
-            limits: RequestLimits { upload_bytes: 1 << 20, ..RequestLimits::default() },
+            limits: RequestLimits {
+                upload_bytes: 1 << 20,
+                watch_every: Duration::from_millis(5),
+                ..RequestLimits::default()
+            },
             header_timeout: Duration::from_secs(10),
             max_connections: 512,
             worker: true,

@@ -1,0 +1,227 @@
+//! `POST /v1/jobs`: a job from an archive in the body.
+
+use axum::{
+    body::{Body, BodyDataStream},
+    extract::State,
+    http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header},
+    response::{IntoResponse as _, Response},
+};
+use jiff::{SignedDuration, Timestamp};
+use tokio::task::spawn_blocking;
+use uuid::{NoContext, Uuid};
+
+use super::{
+    body::{discard, expect_media_type, stage},
+    idempotency::{self, Keyed},
+    job_body::href,
+    jobs::representation,
+    prefer,
+    problem::Fault,
+    query::Parameters,
+    state::AppState,
+};
+use crate::{
+    domain::{Caller, JobId, OptionError, TrainOptions},
+    store::{Intent, JobRecord, NewJob, Remembered, StoreError},
+};
+
+/// Longest time that a job may be given, in seconds.
+const MAX_DEADLINE: u32 = 366 * 24 * 3600;
+const MAX_PRIORITY: i32 = 100;
+
+/// A request as far as its headers and address tell.
+struct Asked<'a> {
+    caller: Caller,
+    uri: &'a Uri,
+    headers: &'a HeaderMap,
+}
+
+/// `POST /v1/jobs`.
+pub(super) async fn create(
+    State(state): State<AppState>,
+    caller: Caller,
+    uri: Uri,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Fault> {
+    let mut body = body.into_data_stream();
+    let asked = Asked { caller, uri: &uri, headers: &headers };
+    let made = match make(&state, &asked, &mut body).await {
+        Ok(made) => made,
+        Err(fault) => {
+            if !fault.is_about_transfer() {
+                discard(&mut body, &headers).await;
+            }
+            return Err(fault);
+        }
+    };
+    answer(&state, made, &headers).await
+}
+
+/// What a request that makes a job came to.
+#[derive(Debug)]
+pub(super) enum Made {
+    /// It made this one.
+    Now(JobRecord),
+    /// One like it made this one before.
+    Before(JobRecord),
+}
+
+/// 201 with the job, once it has finished if the request is willing to wait.
+pub(super) async fn answer(state: &AppState, made: Made, headers: &HeaderMap) -> Result<Response, Fault> {
+    let (record, replayed) = match made {
+        Made::Now(record) => (record, false),
+        Made::Before(record) => (record, true),
+    };
+    let id = record.job.id;
+    let (record, waited) = prefer::finished(state, record, prefer::wait(headers)).await?;
+    let record = record.ok_or_else(|| Fault::no_job(&id.to_string()))?;
+    let location = HeaderValue::try_from(href(id)).map_err(|error| Fault::internal(&error))?;
+    let mut response = (StatusCode::CREATED, representation(record)).into_response();
+    let headers = response.headers_mut();
+    headers.insert(header::LOCATION, location);
+    prefer::mark_applied(headers, waited);
+    if replayed {
+        idempotency::mark_replayed(headers);
+    }
+    Ok(response)
+}
+
+async fn make(state: &AppState, asked: &Asked<'_>, body: &mut BodyDataStream) -> Result<Made, Fault> {
+    expect_media_type(asked.headers, &["application/zip", "application/x-zip-compressed"])?;
+    let wish = Wish::from_query(Parameters::parse(asked.uri.query())?)?;
+    let keyed = idempotency::begin(state, &asked.caller, asked.headers)?;
+    let place = state.uploads().try_acquire();
+    let _place = place.map_err(|_| Fault::busy("too many datasets are being received"))?;
+    let staged = stage(body, asked.headers, state.blobs(), state.limits()).await?;
+    let intent =
+        keyed.as_ref().map(|keyed: &Keyed| keyed.intent(&Method::POST, asked.uri, staged.blob().digest));
+    if let Some(before) = made_before(state, intent.as_ref()).await? {
+        return Ok(before);
+    }
+    let check = state.services().check.clone();
+    let (staged, checked) = spawn_blocking(move || {
+        let checked = check(staged.path());
+        (staged, checked)
+    })
+    .await
+    .map_err(|error| Fault::internal(&error))?;
+    checked?;
+    let dataset = state.blobs().publish(&staged).await?;
+    let now = state.services().clock.now();
+    let new = NewJob { owner: asked.caller.key, ..NewJob::new(new_id(now), wish.options, dataset) };
+    let new = NewJob { priority: wish.priority, deadline_at: deadline(now, wish.deadline_s), ..new };
+    queue(state, NewJob { intent, ..new }).await
+}
+
+/// Puts a job into the queue, unless its request's key made one already.
+async fn queue(state: &AppState, new: NewJob) -> Result<Made, Fault> {
+    let (id, intent) = (new.id, new.intent.clone());
+    match state.store().create_job(new).await {
+        Ok(record) => {
+            tracing::info!(job = %id, bytes = record.dataset.bytes, "job {id} is queued");
+            Ok(Made::Now(record))
+        }
+        Err(error) => made_meanwhile(state, intent.as_ref(), error).await,
+    }
+}
+
+/// The job that a request like this one made before.
+pub(super) async fn made_before(state: &AppState, intent: Option<&Intent>) -> Result<Option<Made>, Fault> {
+    let Some(intent) = intent else { return Ok(None) };
+    let Some(found) = idempotency::earlier(state, intent).await? else { return Ok(None) };
+    remembered(state, &found).await.map(Some)
+}
+
+/// The job that a request like this one has just made in another process, if that is what is wrong.
+pub(super) async fn made_meanwhile(
+    state: &AppState,
+    intent: Option<&Intent>,
+    error: StoreError,
+) -> Result<Made, Fault> {
+    match (error, intent) {
+        (StoreError::AlreadyMade(found), Some(intent)) => {
+            remembered(state, &idempotency::same(intent, *found)?).await
+        }
+        (error, _) => Err(error.into()),
+    }
+}
+
+async fn remembered(state: &AppState, found: &Remembered) -> Result<Made, Fault> {
+    let record = match found.resource.parse::<JobId>() {
+        Ok(id) => state.store().job(id).await?,
+        Err(_) => None,
+    };
+    record.map(Made::Before).ok_or_else(|| {
+        Fault::new(
+            StatusCode::NOT_FOUND,
+            "job-not-found",
+            "No such job",
+            format!(
+                "an earlier request with this Idempotency-Key made job {}, which has been deleted; use a fresh key for \
+                 another",
+                found.resource
+            ),
+        )
+    })
+}
+
+/// What is asked for besides the dataset.
+#[derive(Debug, Default)]
+struct Wish {
+    options: TrainOptions,
+    priority: i32,
+    deadline_s: Option<u32>,
+}
+
+impl Wish {
+    fn from_query(mut parameters: Parameters) -> Result<Self, Fault> {
+        let priority = parameters.take_as("priority", "a whole number")?.unwrap_or(0);
+        let deadline_s = parameters.take_as("deadline_s", "a whole number of seconds")?;
+        let mut options = TrainOptions::default();
+        for (name, text) in parameters.rest() {
+            options.set(&name, &text).map_err(invalid_option)?;
+        }
+        Self { options, priority, deadline_s }.validated()
+    }
+
+    fn validated(self) -> Result<Self, Fault> {
+        if !(-MAX_PRIORITY..=MAX_PRIORITY).contains(&self.priority) {
+            let fault = format!("{} is outside -{MAX_PRIORITY}..={MAX_PRIORITY}", self.priority);
+            return Err(Fault::parameter("priority", fault));
+        }
+        if let Some(seconds) = self.deadline_s {
+            check_deadline(seconds)?;
+        }
+        Ok(Self { options: self.options.validated().map_err(invalid_option)?, ..self })
+    }
+}
+
+/// 422 for a deadline that is none.
+pub(super) fn check_deadline(seconds: u32) -> Result<(), Fault> {
+    if (1..=MAX_DEADLINE).contains(&seconds) {
+        return Ok(());
+    }
+    Err(Fault::parameter("deadline_s", format!("{seconds} is outside 1..={MAX_DEADLINE}")))
+}
+
+/// When a job that may take so long from now is given up.
+pub(super) fn deadline(now: Timestamp, seconds: Option<u32>) -> Option<Timestamp> {
+    now.checked_add(SignedDuration::from_secs(seconds?.into())).ok()
+}
+
+fn invalid_option(error: OptionError) -> Fault {
+    Fault::new(
+        StatusCode::UNPROCESSABLE_ENTITY,
+        "invalid-option",
+        "Invalid training option",
+        error.to_string(),
+    )
+}
+
+/// An id whose time part is the service's clock, so that ids sort as jobs were made.
+pub(super) fn new_id(now: Timestamp) -> JobId {
+    let seconds = u64::try_from(now.as_second()).unwrap_or(0);
+    let nanoseconds = u32::try_from(now.subsec_nanosecond()).unwrap_or(0);
+    JobId(Uuid::new_v7(uuid::Timestamp::from_unix(NoContext, seconds, nanoseconds)))
+}

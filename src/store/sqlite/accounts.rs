@@ -1,0 +1,149 @@
+//! Accounts of blobs in SQLite.
+//!
+//! Every table that refers to blobs has its part in both queries below; a test compares them with the schema's foreign keys.
+//! Those keys also keep a row from being deleted that anything refers to, whatever a query has forgotten.
+
+use sqlx::{Row as _, SqliteConnection};
+
+use super::{SqliteStore, rows::unsigned};
+use crate::{
+    domain::{Digest, KeyId},
+    store::{Accounts, Answer, BlobRef, StoreError, Usage},
+};
+
+/// Blobs that the things of owner `?1` refer to, each once.
+const OF_OWNER: &str = "
+    SELECT dataset AS digest FROM scenes WHERE owner IS ?1
+    UNION SELECT dataset FROM jobs WHERE owner IS ?1
+    UNION SELECT artifacts.digest FROM artifacts JOIN jobs ON jobs.id = artifacts.job_id WHERE jobs.owner IS ?1
+    UNION SELECT exports.digest FROM exports JOIN jobs ON jobs.id = exports.job_id WHERE jobs.owner IS ?1";
+
+/// Whether anything refers to blob `?1`.
+const IS_REFERRED_TO: &str = "
+    SELECT EXISTS (SELECT 1 FROM scenes WHERE dataset = ?1)
+        OR EXISTS (SELECT 1 FROM jobs WHERE dataset = ?1)
+        OR EXISTS (SELECT 1 FROM artifacts WHERE digest = ?1)
+        OR EXISTS (SELECT 1 FROM exports WHERE digest = ?1)
+        OR EXISTS (SELECT 1 FROM exports WHERE source = ?1) AS referred_to";
+
+/// What the owner's things take.
+async fn usage(connection: &mut SqliteConnection, owner: Option<KeyId>) -> Result<Usage, StoreError> {
+    let row = sqlx::query(sqlx::AssertSqlSafe(format!(
+        "SELECT (SELECT IFNULL(SUM(bytes), 0) FROM blobs WHERE digest IN ({OF_OWNER})) AS stored,
+                (SELECT IFNULL(SUM(length), 0) FROM uploads WHERE owner IS ?1 AND ended_at IS NULL) AS reserved"
+    )))
+    .bind(owner.map(|owner| owner.to_string()))
+    .fetch_one(connection)
+    .await?;
+    Ok(Usage { stored: unsigned(&row, "stored")?, reserved: unsigned(&row, "reserved")? })
+}
+
+/// Refuses `asked` more bytes if they are over the owner's quota. Part of the transaction that adds them.
+pub(super) async fn admit(
+    connection: &mut SqliteConnection,
+    owner: Option<KeyId>,
+    asked: u64,
+) -> Result<(), StoreError> {
+    let Some(key) = owner else { return Ok(()) };
+    let row = sqlx::query("SELECT max_bytes FROM keys WHERE id = ? AND max_bytes IS NOT NULL")
+        .bind(key.to_string())
+        .fetch_optional(&mut *connection)
+        .await?;
+    let Some(row) = row else { return Ok(()) };
+    let quota = unsigned(&row, "max_bytes")?;
+    let used = usage(connection, owner).await?.total();
+    if used.saturating_add(asked) > quota {
+        return Err(StoreError::QuotaExceeded { asked, used, quota });
+    }
+    Ok(())
+}
+
+/// As [`admit`], of a blob: one that the owner's things refer to already takes no further room.
+pub(super) async fn admit_blob(
+    connection: &mut SqliteConnection,
+    owner: Option<KeyId>,
+    blob: BlobRef,
+) -> Result<(), StoreError> {
+    let row = sqlx::query(sqlx::AssertSqlSafe(format!("SELECT ?2 IN ({OF_OWNER}) AS known")))
+        .bind(owner.map(|owner| owner.to_string()))
+        .bind(blob.digest.to_string())
+        .fetch_one(&mut *connection)
+        .await?;
+    let known: bool = row.try_get("known")?;
+    if known { Ok(()) } else { admit(connection, owner, blob.bytes).await }
+}
+
+async fn is_referred_to(connection: &mut SqliteConnection, digest: Digest) -> Result<bool, StoreError> {
+    let row = sqlx::query(IS_REFERRED_TO).bind(digest.to_string()).fetch_one(connection).await?;
+    Ok(row.try_get("referred_to")?)
+}
+
+impl Accounts for SqliteStore {
+    fn usage(&self, owner: Option<KeyId>) -> Answer<'_, Usage> {
+        Box::pin(async move {
+            let mut tx = self.readers.begin().await?;
+            usage(&mut tx, owner).await
+        })
+    }
+
+    fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> Answer<'a, Vec<Digest>> {
+        Box::pin(async move {
+            let mut unused = Vec::new();
+            // Most are in use; looking first keeps the one writer free.
+            let mut reader = self.readers.begin().await?;
+            for digest in digests {
+                if !is_referred_to(&mut reader, *digest).await? {
+                    unused.push(*digest);
+                }
+            }
+            drop(reader);
+            if unused.is_empty() {
+                return Ok(unused);
+            }
+            let (mut tx, _) = self.begin().await?;
+            let mut forgotten = Vec::with_capacity(unused.len());
+            for digest in unused {
+                if !is_referred_to(&mut tx, digest).await? {
+                    sqlx::query("DELETE FROM blobs WHERE digest = ?")
+                        .bind(digest.to_string())
+                        .execute(&mut *tx)
+                        .await?;
+                    forgotten.push(digest);
+                }
+            }
+            tx.commit().await?;
+            Ok(forgotten)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::{domain::SystemClock, store::QueuePolicy};
+
+    #[tokio::test]
+    async fn every_table_that_refers_to_blobs_is_asked() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("tcgs.db");
+        let store = SqliteStore::open(&path, Arc::new(SystemClock), QueuePolicy::default()).await;
+        let rows = sqlx::query(
+            "SELECT tables.name, keys.\"from\" FROM sqlite_schema AS tables, pragma_foreign_key_list(tables.name) AS keys
+             WHERE tables.type = 'table' AND keys.\"table\" = 'blobs'",
+        )
+        .fetch_all(&store.expect("a database").readers)
+        .await
+        .expect("the schema");
+        assert!(rows.len() >= 3);
+        for row in rows {
+            let (table, column): (String, String) = (row.get(0), row.get(1));
+            assert!(
+                IS_REFERRED_TO.contains(&format!("FROM {table} WHERE {column} = ?1")),
+                "blobs of {table}.{column} would be deleted as nobody's"
+            );
+            assert!(OF_OWNER.contains(&format!("FROM {table}")), "{table}.{column} is on nobody's account");
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! What requests with a key made.
+
+use std::time::Duration;
+
+use jiff::Timestamp;
+use sqlx::SqliteConnection;
+
+use super::{
+    SqliteStore,
+    rows::{self, before, micros},
+};
+use crate::{
+    domain::KeyId,
+    store::{Answer, Idempotency, Intent, Remembered, StoreError},
+};
+
+fn owner_text(owner: Option<KeyId>) -> String {
+    owner.map_or_else(String::new, |owner| owner.to_string())
+}
+
+/// Writes down, within the transaction that makes `resource`, that `intent` made it.
+///
+/// # Errors
+/// [`StoreError::AlreadyMade`] if its key was used before; the transaction must then come to nothing.
+pub(super) async fn remember(
+    connection: &mut SqliteConnection,
+    intent: &Intent,
+    status: u16,
+    resource: &str,
+    keep: Duration,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    sqlx::query("DELETE FROM idempotency WHERE created_at <= ?")
+        .bind(micros(before(now, keep)))
+        .execute(&mut *connection)
+        .await?;
+    if let Some(earlier) = select(connection, intent.owner, &intent.key).await? {
+        return Err(StoreError::AlreadyMade(Box::new(earlier)));
+    }
+    sqlx::query(
+        "INSERT INTO idempotency (owner, key, fingerprint, status, resource, created_at) VALUES (?, ?, ?, ?, ?, ?)",
+    )
+    .bind(owner_text(intent.owner))
+    .bind(&intent.key)
+    .bind(intent.fingerprint.to_string())
+    .bind(i64::from(status))
+    .bind(resource)
+    .bind(micros(now))
+    .execute(connection)
+    .await?;
+    Ok(())
+}
+
+async fn select(
+    connection: &mut SqliteConnection,
+    owner: Option<KeyId>,
+    key: &str,
+) -> Result<Option<Remembered>, StoreError> {
+    let row = sqlx::query("SELECT * FROM idempotency WHERE owner = ? AND key = ?")
+        .bind(owner_text(owner))
+        .bind(key)
+        .fetch_optional(connection)
+        .await?;
+    row.as_ref().map(rows::remembered).transpose()
+}
+
+impl Idempotency for SqliteStore {
+    fn remembered<'a>(&'a self, owner: Option<KeyId>, key: &'a str) -> Answer<'a, Option<Remembered>> {
+        Box::pin(async move {
+            let row = sqlx::query("SELECT * FROM idempotency WHERE owner = ? AND key = ? AND created_at > ?")
+                .bind(owner_text(owner))
+                .bind(key)
+                .bind(micros(before(self.clock.now(), self.policy.remember)))
+                .fetch_optional(&self.readers)
+                .await?;
+            row.as_ref().map(rows::remembered).transpose()
+        })
+    }
+}

@@ -1,0 +1,143 @@
+//! Uploads in SQLite.
+
+use jiff::Timestamp;
+use sqlx::{Row as _, SqliteConnection, sqlite::SqliteRow};
+
+use super::{
+    SqliteStore, accounts,
+    rows::{instant, micros, optional_id, optional_instant, parsed, unsigned},
+};
+use crate::{
+    domain::UploadId,
+    store::{Answer, NewUpload, StoreError, UploadRecord, Uploads},
+};
+
+fn upload(row: &SqliteRow) -> Result<UploadRecord, StoreError> {
+    Ok(UploadRecord {
+        id: upload_id(row)?,
+        owner: optional_id(row, "owner")?,
+        length: unsigned(row, "length")?,
+        received: unsigned(row, "received")?,
+        metadata: row.try_get("metadata")?,
+        scene: optional_id(row, "scene")?,
+        created_at: instant("created_at", row.try_get("created_at")?)?,
+        expires_at: instant("expires_at", row.try_get("expires_at")?)?,
+        ended_at: optional_instant(row, "ended_at")?,
+    })
+}
+
+fn upload_id(row: &SqliteRow) -> Result<UploadId, StoreError> {
+    parsed("id", row.try_get("id")?)
+}
+
+/// A count of bytes as columns hold it.
+fn column(what: &'static str, bytes: u64) -> Result<i64, StoreError> {
+    i64::try_from(bytes).map_err(|_| StoreError::Corrupt { what, fault: bytes.to_string() })
+}
+
+async fn select(connection: &mut SqliteConnection, id: UploadId) -> Result<Option<UploadRecord>, StoreError> {
+    let row = sqlx::query("SELECT * FROM uploads WHERE id = ?")
+        .bind(id.to_string())
+        .fetch_optional(connection)
+        .await?;
+    row.as_ref().map(upload).transpose()
+}
+
+impl SqliteStore {
+    async fn insert_upload(&self, new: NewUpload) -> Result<UploadRecord, StoreError> {
+        let (mut tx, now) = self.begin().await?;
+        accounts::admit(&mut tx, new.owner, new.length).await?;
+        sqlx::query(
+            "INSERT INTO uploads (id, owner, length, metadata, created_at, expires_at) VALUES (?, ?, ?, ?, ?, ?)",
+        )
+        .bind(new.id.to_string())
+        .bind(new.owner.map(|owner| owner.to_string()))
+        .bind(column("upload length", new.length)?)
+        .bind(&new.metadata)
+        .bind(micros(now))
+        .bind(micros(new.expires_at))
+        .execute(&mut *tx)
+        .await?;
+        let record = select(&mut tx, new.id).await?.ok_or(sqlx::Error::RowNotFound)?;
+        tx.commit().await?;
+        Ok(record)
+    }
+}
+
+impl Uploads for SqliteStore {
+    fn create_upload(&self, new: NewUpload) -> Answer<'_, UploadRecord> {
+        Box::pin(self.insert_upload(new))
+    }
+
+    fn upload(&self, id: UploadId) -> Answer<'_, Option<UploadRecord>> {
+        Box::pin(async move {
+            let mut tx = self.readers.begin().await?;
+            select(&mut tx, id).await
+        })
+    }
+
+    fn advance_upload(&self, id: UploadId, received: u64, expires_at: Timestamp) -> Answer<'_, bool> {
+        Box::pin(async move {
+            let (mut tx, _) = self.begin().await?;
+            let done = sqlx::query(
+                "UPDATE uploads SET received = ?, expires_at = ? WHERE id = ? AND ended_at IS NULL",
+            )
+            .bind(column("upload offset", received)?)
+            .bind(micros(expires_at))
+            .bind(id.to_string())
+            .execute(&mut *tx)
+            .await?;
+            tx.commit().await?;
+            Ok(done.rows_affected() == 1)
+        })
+    }
+
+    fn delete_upload(&self, id: UploadId) -> Answer<'_, bool> {
+        Box::pin(async move {
+            let (mut tx, _) = self.begin().await?;
+            let done = sqlx::query("DELETE FROM uploads WHERE id = ? AND ended_at IS NULL")
+                .bind(id.to_string())
+                .execute(&mut *tx)
+                .await?;
+            tx.commit().await?;
+            Ok(done.rows_affected() == 1)
+        })
+    }
+
+    fn outstanding_bytes(&self) -> Answer<'_, u64> {
+        Box::pin(async move {
+            let row = sqlx::query(
+                "SELECT IFNULL(SUM(length - received), 0) AS bytes FROM uploads WHERE ended_at IS NULL",
+            )
+            .fetch_one(&self.readers)
+            .await?;
+            unsigned(&row, "bytes")
+        })
+    }
+
+    fn expire_uploads(&self, forget: Timestamp) -> Answer<'_, Vec<UploadId>> {
+        Box::pin(async move {
+            let (mut tx, now) = self.begin().await?;
+            let rows = sqlx::query(
+                "UPDATE uploads SET ended_at = ?1 WHERE ended_at IS NULL AND expires_at <= ?1 RETURNING id",
+            )
+            .bind(micros(now))
+            .fetch_all(&mut *tx)
+            .await?;
+            sqlx::query("DELETE FROM uploads WHERE ended_at < ?")
+                .bind(micros(forget))
+                .execute(&mut *tx)
+                .await?;
+            tx.commit().await?;
+            rows.iter().map(upload_id).collect()
+        })
+    }
+
+    fn open_uploads(&self) -> Answer<'_, Vec<UploadId>> {
+        Box::pin(async move {
+            let rows =
+                sqlx::query("SELECT id FROM uploads WHERE ended_at IS NULL").fetch_all(&self.readers).await?;
+            rows.iter().map(upload_id).collect()
+        })
+    }
+}

@@ -1,0 +1,171 @@
+//! Requests that are sent again, and answers that wait.
+
+use serde_json::json;
+
+use crate::support::{
+    contract::Coverage,
+    server::{Answer, Server, Setup},
+};
+
+async fn create(server: &Server, key: &str, query: &str, dataset: &'static str) -> Answer {
+    server
+        .send("POST", &format!("/v1/jobs{query}"), |request| {
+            let request = request.header("content-type", "application/zip");
+            request.header("idempotency-key", key).body(dataset)
+        })
+        .await
+}
+
+async fn jobs(server: &Server) -> usize {
+    server.get("/v1/jobs").await.expect(200).json()["jobs"].as_array().map_or(0, Vec::len)
+}
+
+pub(super) async fn a_request_that_is_sent_again_makes_nothing_again(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let first = create(&server, "one", "?seed=1", "succeed").await.expect(201);
+    assert!(!first.headers.contains_key("idempotency-replayed"));
+    let path = first.header("location").to_owned();
+    server.reaches(&path, "succeeded").await;
+    let again = create(&server, "one", "?seed=1", "succeed").await.expect(201);
+    assert_eq!(again.header("idempotency-replayed"), "true");
+    assert_eq!(again.header("location"), path);
+    assert_eq!(again.json()["state"], "succeeded", "the job as it stands now");
+    for (query, dataset) in [("?seed=2", "succeed"), ("?seed=1", "succeed differently"), ("", "succeed")] {
+        let detail = create(&server, "one", query, dataset).await;
+        assert!(detail.expect_problem(422, "idempotency-key-reused").contains("'one'"));
+    }
+    create(&server, "two", "?seed=1", "succeed").await.expect(201);
+    assert_eq!(jobs(&server).await, 2);
+}
+
+pub(super) async fn what_was_refused_is_not_remembered(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    create(&server, "one", "", "bad zip").await.expect(422);
+    create(&server, "one", "?seed=many", "succeed").await.expect(422);
+    let made = create(&server, "one", "", "succeed").await.expect(201);
+    assert!(!made.headers.contains_key("idempotency-replayed"));
+    let long = "x".repeat(256);
+    for key in ["", long.as_str()] {
+        create(&server, key, "", "succeed").await.expect_problem(422, "invalid-idempotency-key");
+    }
+    let twice = server.send("POST", "/v1/jobs", |request| {
+        let request = request.header("content-type", "application/zip").body("succeed");
+        request.header("idempotency-key", "a").header("idempotency-key", "b")
+    });
+    twice.await.expect_problem(422, "invalid-idempotency-key");
+    create(&server, &"x".repeat(255), "", "succeed").await.expect(201);
+}
+
+pub(super) async fn fifty_requests_with_one_key_make_one_job(coverage: Coverage) {
+    let server = Server::start_with(&coverage, Setup { worker: false, ..Setup::default() }).await;
+    let requests = (0..50).map(|_| create(&server, "one", "", "succeed"));
+    let answers = futures_util::future::join_all(requests).await;
+    let mut made = std::collections::BTreeSet::new();
+    for answer in answers {
+        match answer.status {
+            201 => drop(made.insert(answer.header("location").to_owned())),
+            // So many archives are not received at a time.
+            503 => drop(answer.expect_problem(503, "busy")),
+            _ => drop(answer.expect_problem(409, "idempotency-in-flight")),
+        }
+    }
+    assert_eq!((made.len(), jobs(&server).await), (1, 1), "{made:?}");
+}
+
+pub(super) async fn a_request_is_in_flight_until_it_is_answered_and_no_longer(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let (send, receive) = tokio::sync::mpsc::unbounded_channel::<Result<&str, std::io::Error>>();
+    let body = futures_util::stream::unfold(receive, |mut receive| async {
+        receive.recv().await.map(|piece| (piece, receive))
+    });
+    let slow = server.send("POST", "/v1/jobs", |request| {
+        let request = request.header("content-type", "application/zip").header("idempotency-key", "one");
+        request.body(reqwest::Body::wrap_stream(body))
+    });
+    let meanwhile = async {
+        send.send(Ok("succ")).expect("the request is there");
+        loop {
+            // Until the slow one has arrived this asks for what is refused, and so makes nothing.
+            let answer = create(&server, "one", "?seed=many", "succeed").await;
+            assert_ne!(answer.status, 201);
+            let other = create(&server, "one", "", "bad").await;
+            if other.status == 409 {
+                other.expect_problem(409, "idempotency-in-flight");
+                break;
+            }
+        }
+        send.send(Ok("eed")).expect("the request is there");
+        drop(send);
+    };
+    let (slow, ()) = tokio::join!(slow, meanwhile);
+    let made = slow.expect(201);
+    let again = create(&server, "one", "", "succeed").await.expect(201);
+    assert_eq!(again.header("location"), made.header("location"));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_key_whose_request_broke_off_can_be_used_again() {
+    use tokio::io::AsyncWriteExt as _;
+    let server = Server::start(&Coverage::default()).await;
+    let mut broken = tokio::net::TcpStream::connect(server.address).await.expect("a connection");
+    let head = "POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nIdempotency-Key: one\r\n\
+                Content-Length: 100\r\n\r\nsucceed";
+    broken.write_all(head.as_bytes()).await.expect("sent");
+    drop(broken);
+    loop {
+        let answer = create(&server, "one", "", "succeed").await;
+        if answer.status == 201 {
+            break;
+        }
+        answer.expect_problem(409, "idempotency-in-flight");
+    }
+    assert_eq!(jobs(&server).await, 1);
+}
+
+pub(super) async fn an_answer_waits_for_the_job_as_long_as_is_preferred(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let prefer = |method: &'static str, path: String, wait: &'static str, dataset: Option<&'static str>| {
+        let server = &server;
+        async move {
+            let request = server.send(method, &path, |request| {
+                let request = request.header("prefer", format!("respond-async, {wait}"));
+                match dataset {
+                    Some(dataset) => request.header("content-type", "application/zip").body(dataset),
+                    None => request,
+                }
+            });
+            request.await
+        }
+    };
+    let done = prefer("POST", "/v1/jobs".into(), "wait=600", Some("succeed")).await.expect(201);
+    assert_eq!(done.header("preference-applied"), "wait=60");
+    assert_eq!(done.json()["state"], "succeeded");
+    assert!(!done.headers.contains_key("retry-after"));
+
+    let waiting = server.create("wait").await;
+    let shown = prefer("GET", waiting.clone(), "wait=0", None).await.expect(200);
+    assert_eq!(shown.header("preference-applied"), "wait=0");
+    assert_ne!(shown.json()["state"], "cancelled");
+    let (shown, _) = tokio::join!(prefer("GET", waiting.clone(), "wait=60", None), async {
+        server.runner.gate.someone_waits().await;
+        server.post(&format!("{waiting}/cancel")).await.expect(202)
+    });
+    assert_eq!(shown.expect(200).json()["state"], "cancelled");
+    let plain = prefer("GET", waiting, "colour=red", None).await.expect(200);
+    assert!(!plain.headers.contains_key("preference-applied"));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_wait_ends_with_the_server_and_is_not_granted_to_too_many() {
+    let limits = tcgs::http::config::RequestLimits { waits: 1, ..Setup::default().limits };
+    let server =
+        Server::start_with(&Coverage::default(), Setup { worker: false, limits, ..Setup::default() }).await;
+    let job = server.create("succeed").await;
+    let wait = || server.send("GET", &job, |request| request.header("prefer", "wait=60"));
+    let (first, second) = (Box::pin(wait()), Box::pin(wait()));
+    let (refused, waiting) = futures_util::future::select(first, second).await.factor_first();
+    assert!(!refused.expect(200).headers.contains_key("preference-applied"));
+    server.shutdown.cancel();
+    let ended = waiting.await.expect(200);
+    assert_eq!((ended.header("preference-applied"), &ended.json()["state"]), ("wait=60", &json!("queued")));
+}
