@@ -82,6 +82,12 @@ pub struct RequestLimits {
     pub watch_every: Duration,
     /// Requests that may wait for a job at a time; one more is answered at once.
     pub waits: usize,
+    /// Streams of events at a time.
+    pub streams: usize,
+    /// Streams of events of one key at a time.
+    pub streams_each: usize,
+    /// Longest silence on a stream of events.
+    pub keep_alive: Duration,
 }
 
 impl Default for RequestLimits {
@@ -99,6 +105,9 @@ impl Default for RequestLimits {
             renders_waiting: 32,
             watch_every: Duration::from_millis(250),
             waits: 128,
+            streams: 256,
+            streams_each: 128,
+            keep_alive: Duration::from_secs(15),
         }
     }
 }

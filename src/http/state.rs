@@ -5,7 +5,10 @@ use std::{fmt, path::Path, sync::Arc};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::{config::RequestLimits, idempotency::InFlight, render_queue::RenderQueue, watch::Watcher};
+use super::{
+    config::RequestLimits, idempotency::InFlight, render_queue::RenderQueue, stream_places::StreamPlaces,
+    watch::Watcher,
+};
 use crate::{
     domain::{Clock, DatasetSummary, Problem},
     render::{RenderViews, views::Viewable},
@@ -61,6 +64,7 @@ struct Inner {
     watcher: Watcher,
     in_flight: Arc<InFlight>,
     waits: Semaphore,
+    stream_places: StreamPlaces,
     draining: CancellationToken,
 }
 
@@ -78,6 +82,7 @@ impl AppState {
         let renders = RenderQueue::new(limits.renders, limits.renders_waiting);
         let waits = Semaphore::new(limits.waits);
         let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
+        let stream_places = StreamPlaces::new(limits.streams, limits.streams_each);
         Self(Arc::new(Inner {
             services,
             limits,
@@ -86,6 +91,7 @@ impl AppState {
             watcher,
             in_flight: Arc::default(),
             waits,
+            stream_places,
             draining,
         }))
     }
@@ -132,6 +138,10 @@ impl AppState {
     /// Cancelled once the server shuts down: what waits for something should then answer at once.
     pub(super) fn draining(&self) -> &CancellationToken {
         &self.0.draining
+    }
+
+    pub(super) fn stream_places(&self) -> &StreamPlaces {
+        &self.0.stream_places
     }
 
     pub(super) fn is_draining(&self) -> bool {

@@ -3,6 +3,7 @@
 
 mod artifacts;
 mod connections;
+mod events;
 mod idempotency;
 mod jobs;
 mod series;
@@ -58,6 +59,10 @@ scenarios! {
         jobs_are_listed_newest_first_page_by_page,
         a_queued_job_is_cancelled_at_once_and_a_running_one_soon,
         too_many_uploads_at_once_are_put_off,
+    }
+    events {
+        a_stream_tells_everything_once_and_ends_with_the_job,
+        there_are_only_so_many_streams,
     }
     series {
         the_course_of_training_is_served_as_columns,

@@ -15,3 +15,4 @@ pub mod server;
 pub mod service;
 pub mod sh;
 pub mod shared;
+pub mod sse;
