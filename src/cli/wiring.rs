@@ -4,6 +4,7 @@
 //! without a change to any command. Faults arrive as [`Problem`]s.
 
 mod export;
+mod keys;
 mod service;
 
 use std::{
@@ -27,6 +28,7 @@ use tcgs::{
 };
 
 pub(crate) use export::{Baking, Packing, Quality, compare, export};
+pub(crate) use keys::{create_key, keys, revoke_key};
 pub(crate) use service::{ServeOptions, WorkerOptions, serve, worker};
 
 use super::{Failure, files, memory::MemoryFlags};
@@ -131,6 +133,16 @@ pub(crate) fn runner(
     lpips: Option<Lpips>,
 ) -> Result<Arc<dyn RunJob>, Problem> {
     Ok(Arc::new(Pipeline::new(adapter.clone()).within(memory, spill).with_lpips(lpips)))
+}
+
+/// The same for the jobs of a service, whose reports show held-out views.
+pub(crate) fn job_runner(
+    adapter: &AdapterChoice,
+    memory: MemoryLimits,
+    spill: PathBuf,
+    lpips: Option<Lpips>,
+) -> Arc<dyn RunJob> {
+    Arc::new(Pipeline::new(adapter.clone()).within(memory, spill).with_lpips(lpips).with_pictures())
 }
 
 /// The weights of LPIPS in a file, if one is named.

@@ -5,6 +5,7 @@
 //! error over the three channels, means are over views. [`crate::domain::Conventions`] says so beside the figures.
 
 mod bands;
+mod error_map;
 mod haar;
 mod lpips;
 mod measure;
@@ -14,6 +15,7 @@ mod removal_signs;
 mod scores;
 
 pub use bands::{BandErrors, band_errors};
+pub use error_map::{ERROR_CEILING, error_map, error_ramp, shrunk};
 pub use haar::Haar;
 pub use lpips::{Lpips, LpipsError};
 pub use measure::{measure_views, measure_views_with};

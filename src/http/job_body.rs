@@ -57,6 +57,7 @@ struct Links {
     artifact: String,
     view: String,
     views: String,
+    report: String,
 }
 
 /// The path of a job.
@@ -108,6 +109,7 @@ impl From<JobRecord> for JobBody {
                 artifact,
                 view: format!("{this}/view"),
                 views: format!("{this}/views"),
+                report: format!("{this}/report"),
                 this,
             },
         }

@@ -2,13 +2,16 @@
 //!
 //! Handlers parse, ask the store, and answer. What always holds: every error is an `application/problem+json`
 //! document with the request's id; every body, queue, connection and render is bounded; nothing that a
-//! client sends reaches the file system as a name. Workers, SQL and the GPU are not known here.
+//! client sends reaches the file system as a name; no request reaches a handler but through [`auth`]. Workers,
+//! SQL and the GPU are not known here.
 
 mod accept;
 mod artifact;
+mod auth;
 mod body;
 mod caller;
 mod camera;
+mod client;
 pub mod config;
 mod create_job;
 mod etag;
@@ -24,17 +27,20 @@ mod problem;
 mod query;
 mod range;
 mod render_queue;
+mod report;
+mod scopes;
 mod series;
 mod serve;
 mod state;
 mod stream_places;
+mod throttle;
 mod views;
 mod watch;
 mod wrap;
 
 use axum::{
     Router,
-    middleware::from_fn,
+    middleware::{from_fn, from_fn_with_state},
     routing::{get, post},
 };
 use tower_http::catch_panic::CatchPanicLayer;
@@ -54,10 +60,12 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/jobs/{id}/artifact", get(artifact::get))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
+        .route("/v1/jobs/{id}/report", get(report::get))
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/version", get(health::version))
         .route("/openapi.yaml", get(health::openapi))
+        .layer(from_fn_with_state(state.clone(), auth::authenticate))
         .layer(CatchPanicLayer::custom(wrap::panicked))
         .layer(from_fn(wrap::wrap))
         .with_state(state)

@@ -6,8 +6,8 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::{
-    config::RequestLimits, idempotency::InFlight, render_queue::RenderQueue, stream_places::StreamPlaces,
-    watch::Watcher,
+    auth::Lock, config::RequestLimits, idempotency::InFlight, render_queue::RenderQueue,
+    stream_places::StreamPlaces, throttle::Throttle, watch::Watcher,
 };
 use crate::{
     domain::{Clock, DatasetSummary, Problem},
@@ -66,6 +66,8 @@ struct Inner {
     waits: Semaphore,
     stream_places: StreamPlaces,
     draining: CancellationToken,
+    lock: Lock,
+    throttle: Throttle,
 }
 
 impl fmt::Debug for AppState {
@@ -80,6 +82,7 @@ impl AppState {
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         let uploads = Semaphore::new(limits.uploads);
         let renders = RenderQueue::new(limits.renders, limits.renders_waiting);
+        let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
         let waits = Semaphore::new(limits.waits);
         let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
         let stream_places = StreamPlaces::new(limits.streams, limits.streams_each);
@@ -93,6 +96,8 @@ impl AppState {
             waits,
             stream_places,
             draining,
+            lock: Lock::default(),
+            throttle,
         }))
     }
 
@@ -118,6 +123,14 @@ impl AppState {
 
     pub(super) fn renders(&self) -> &RenderQueue {
         &self.0.renders
+    }
+
+    pub(super) fn lock(&self) -> &Lock {
+        &self.0.lock
+    }
+
+    pub(super) fn throttle(&self) -> &Throttle {
+        &self.0.throttle
     }
 
     /// Keys of requests that are being answered.

@@ -4,6 +4,13 @@
 //! `sha256/ab/cd/<digest>` in one atomic step with its bytes and directory entries flushed to disk. A published
 //! blob is complete, never changes, and publishing it again changes nothing. A crash in between leaves a staging file or
 //! an unreferenced blob, never a half-written one.
+//!
+//! A blob's file is as old as its latest publication, and only what is older than a grace time is ever removed. Whoever publishes
+//! a blob has that long to refer to it.
+
+mod age;
+mod staging;
+mod upload;
 
 use std::{
     io,
@@ -19,15 +26,18 @@ use object_store::{
     GetOptions, GetRange, ObjectStore as _, ObjectStoreExt as _, WriteMultipart, local::LocalFileSystem,
     path::Path as ObjectPath,
 };
-use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 use tokio::{
     fs::File,
-    io::{AsyncReadExt as _, AsyncWriteExt as _},
+    io::AsyncReadExt as _,
+    sync::{Notify, futures::Notified},
 };
 
+pub use staging::{Staged, Staging};
+pub use upload::UploadFile;
+
 use super::BlobRef;
-use crate::domain::Digest;
+use crate::domain::{Digest, UploadId};
 
 /// Age beyond which a staging file belongs to nobody.
 const STALE_STAGING: Duration = Duration::from_secs(24 * 3600);
@@ -46,6 +56,16 @@ pub enum BlobError {
     /// There is no such blob.
     #[error("there is no blob {0}")]
     Missing(Digest),
+    /// Bytes of an upload that were on disk are not there any more.
+    #[error("upload {id} has {found} bytes on disk and should have {expected}")]
+    UploadDamaged {
+        /// The upload.
+        id: UploadId,
+        /// What was recorded.
+        expected: u64,
+        /// What is there.
+        found: u64,
+    },
     /// A blob's content does not have the digest that names it.
     #[error("blob {expected} is damaged: its content has the digest {actual}")]
     Damaged {
@@ -86,22 +106,30 @@ pub struct Blobs(Arc<Inner>);
 #[derive(Debug)]
 struct Inner {
     store: LocalFileSystem,
+    /// Where blobs lie; staging and uploads are beside it, on the same file system.
+    root: PathBuf,
     staging: PathBuf,
+    uploads: PathBuf,
+    /// Guards the ages of blobs, in every process that has this store open.
+    lock: PathBuf,
+    let_go: Notify,
 }
 
 impl Blobs {
-    /// Opens the store in `data/blobs`, staging in `data/staging`, and removes staging files that a crash left
-    /// there more than a day ago.
+    /// Opens the store in `data/blobs`, staging in `data/staging`, uploads in `data/uploads`, and removes staging files that a
+    /// crash left there more than a day ago.
     ///
     /// # Errors
     /// [`BlobError::Io`] or [`BlobError::Store`] if the directories cannot be made or read.
     pub fn open(data: &Path) -> Result<Self, BlobError> {
-        let (root, staging) = (data.join("blobs"), data.join("staging"));
-        std::fs::create_dir_all(&root)?;
-        std::fs::create_dir_all(&staging)?;
+        let [root, staging, uploads] = ["blobs", "staging", "uploads"].map(|name| data.join(name));
+        for folder in [&root, &staging, &uploads] {
+            std::fs::create_dir_all(folder)?;
+        }
         sweep(&staging)?;
-        let store = LocalFileSystem::new_with_prefix(root)?.with_fsync(true);
-        Ok(Self(Arc::new(Inner { store, staging })))
+        let store = LocalFileSystem::new_with_prefix(&root)?.with_fsync(true);
+        let lock = data.join("blobs.lock");
+        Ok(Self(Arc::new(Inner { store, root, staging, uploads, lock, let_go: Notify::new() })))
     }
 
     /// Begins a blob of at most `limit` bytes.
@@ -109,9 +137,7 @@ impl Blobs {
     /// # Errors
     /// [`BlobError::Io`].
     pub async fn stage(&self, limit: u64) -> Result<Staging, BlobError> {
-        let (file, path) =
-            tempfile::Builder::new().prefix("upload-").tempfile_in(&self.0.staging)?.into_parts();
-        Ok(Staging { file: File::from_std(file), path, hasher: Sha256::new(), bytes: 0, limit })
+        Ok(Staging::new(tempfile::Builder::new().prefix("upload-").tempfile_in(&self.0.staging)?, limit))
     }
 
     /// Publishes a staged blob; an equal one that is already there is kept.
@@ -119,9 +145,9 @@ impl Blobs {
     /// # Errors
     /// [`BlobError::Io`] or [`BlobError::Store`].
     pub async fn publish(&self, staged: &Staged) -> Result<BlobRef, BlobError> {
-        let location = location(staged.blob.digest);
-        if self.holds(staged.blob).await? {
-            return Ok(staged.blob);
+        let location = location(staged.blob().digest);
+        if self.renew(staged.blob()).await? || self.link(staged).await? {
+            return Ok(staged.blob());
         }
         let mut file = File::open(staged.path()).await?;
         let upload = self.0.store.put_multipart(&location).await?;
@@ -144,7 +170,7 @@ impl Blobs {
             return Err(error);
         }
         writer.finish().await?;
-        Ok(staged.blob)
+        Ok(staged.blob())
     }
 
     /// Publishes bytes from memory.
@@ -153,18 +179,10 @@ impl Blobs {
     /// [`BlobError::Store`].
     pub async fn put(&self, content: Bytes) -> Result<BlobRef, BlobError> {
         let blob = BlobRef { digest: Digest::of(&content), bytes: content.len() as u64 };
-        if !self.holds(blob).await? {
+        if !self.renew(blob).await? {
             self.0.store.put(&location(blob.digest), content.into()).await?;
         }
         Ok(blob)
-    }
-
-    async fn holds(&self, blob: BlobRef) -> Result<bool, BlobError> {
-        match self.0.store.head(&location(blob.digest)).await {
-            Ok(meta) => Ok(meta.size == blob.bytes),
-            Err(object_store::Error::NotFound { .. }) => Ok(false),
-            Err(error) => Err(error.into()),
-        }
     }
 
     /// The whole blob, checked against its name.
@@ -210,9 +228,32 @@ impl Blobs {
     pub async fn probe(&self) -> Result<(), BlobError> {
         let mut probe = self.stage(16).await?;
         probe.write(b"probe").await?;
-        probe.file.flush().await?;
+        probe.finish().await?;
         Ok(())
     }
+
+    /// Bytes that are free where blobs and uploads are kept.
+    ///
+    /// # Errors
+    /// [`BlobError::Io`].
+    pub fn free_bytes(&self) -> Result<u64, BlobError> {
+        Ok(fs4::available_space(&self.0.root)?)
+    }
+
+    /// Tells whoever clears up ([`Blobs::something_let_go`]) that blobs may have become nobody's.
+    pub fn let_go(&self) {
+        self.0.let_go.notify_one();
+    }
+
+    /// Waits until blobs may have become nobody's.
+    pub fn something_let_go(&self) -> Notified<'_> {
+        self.0.let_go.notified()
+    }
+}
+
+/// Does what blocks on a thread that may.
+async fn blocking<T: Send + 'static>(work: impl FnOnce() -> io::Result<T> + Send + 'static) -> io::Result<T> {
+    tokio::task::spawn_blocking(work).await.map_err(io::Error::other)?
 }
 
 fn missing(digest: Digest) -> impl Fn(object_store::Error) -> BlobError {
@@ -246,62 +287,6 @@ fn sweep(staging: &Path) -> io::Result<()> {
         }
     }
     Ok(())
-}
-
-/// A blob that is being written; dropping it removes its file.
-#[derive(Debug)]
-pub struct Staging {
-    file: File,
-    path: tempfile::TempPath,
-    hasher: Sha256,
-    bytes: u64,
-    limit: u64,
-}
-
-impl Staging {
-    /// Appends a piece.
-    ///
-    /// # Errors
-    /// [`BlobError::TooLarge`] once the limit is passed, [`BlobError::Io`].
-    pub async fn write(&mut self, piece: &[u8]) -> Result<(), BlobError> {
-        self.bytes += piece.len() as u64;
-        if self.bytes > self.limit {
-            return Err(BlobError::TooLarge { limit: self.limit });
-        }
-        self.hasher.update(piece);
-        Ok(self.file.write_all(piece).await?)
-    }
-
-    /// Ends the blob.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`].
-    pub async fn finish(mut self) -> Result<Staged, BlobError> {
-        self.file.flush().await?;
-        let digest = Digest::from_bytes(self.hasher.finalize().into());
-        Ok(Staged { path: self.path, blob: BlobRef { digest, bytes: self.bytes } })
-    }
-}
-
-/// A complete blob that is not yet published; dropping it removes its file.
-#[derive(Debug)]
-pub struct Staged {
-    path: tempfile::TempPath,
-    blob: BlobRef,
-}
-
-impl Staged {
-    /// The private file with the content.
-    #[must_use]
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// What it will be published as.
-    #[must_use]
-    pub fn blob(&self) -> BlobRef {
-        self.blob
-    }
 }
 
 #[cfg(test)]
@@ -350,6 +335,7 @@ mod tests {
         let file = blobs.local_file(blob.digest).await.expect("a file");
         std::fs::write(file, b"rotten").expect("writable");
         assert!(matches!(blobs.read(blob.digest).await, Err(BlobError::Damaged { .. })));
+        assert!(blobs.free_bytes().expect("known") > 0);
     }
 
     #[test]
@@ -383,5 +369,65 @@ mod tests {
         let wrapped = object_store::Error::Generic { store: "local", source: Box::new(full()) };
         assert!(BlobError::Store(wrapped).is_storage_full());
         assert!(!BlobError::TooLarge { limit: 1 }.is_storage_full());
+    }
+
+    #[tokio::test]
+    async fn an_upload_goes_on_where_it_was_received_and_becomes_a_blob_without_a_copy() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let blobs = Blobs::open(folder.path()).expect("a store");
+        let id = UploadId(uuid::Uuid::from_u128(1));
+        let mut file = blobs.open_upload(id).await.expect("opens").expect("free");
+        file.write(b"twelve ").await.expect("a write");
+        file.sync().await.expect("on disk");
+        file.write(b"and what the table never heard of").await.expect("a write");
+        file.sync().await.expect("on disk");
+        drop(file);
+        assert_eq!(blobs.uploads().await.expect("a list"), [id]);
+        let mut file = blobs.open_upload(id).await.expect("opens").expect("free");
+        assert!(matches!(
+            file.continue_at(41).await,
+            Err(BlobError::UploadDamaged { expected: 41, found: 40, .. })
+        ));
+        file.continue_at(7).await.expect("at the end of what was received");
+        file.write(b"bytes").await.expect("a write");
+        file.sync().await.expect("on disk");
+        drop(file);
+        let reopen = || async { blobs.open_upload(id).await.expect("opens").expect("free") };
+        assert!(matches!(reopen().await.finish(13).await, Err(BlobError::UploadDamaged { found: 12, .. })));
+        let staged = reopen().await.finish(12).await.expect("whole");
+        assert!(blobs.open_upload(id).await.expect("asked").is_none(), "nobody writes while it is used");
+        let blob = blobs.publish(&staged).await.expect("published");
+        assert_eq!(&blobs.read(blob.digest).await.expect("whole")[..], b"twelve bytes");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::MetadataExt as _;
+            let path = blobs.local_file(blob.digest).await.expect("a file");
+            let [one, other] = [&path, staged.path()].map(|path| std::fs::metadata(path).expect("there"));
+            assert_eq!(one.ino(), other.ino());
+        }
+        assert!(!blobs.remove_upload(id).await.expect("asked"), "it is held");
+        drop(staged);
+        assert!(blobs.remove_upload(id).await.expect("asked"));
+        assert!(blobs.remove_upload(id).await.expect("asked"), "what is gone is gone");
+        assert_eq!(&blobs.read(blob.digest).await.expect("the blob stays")[..], b"twelve bytes");
+    }
+
+    #[tokio::test]
+    async fn an_upload_has_one_writer_until_that_ends() {
+        let folder = tempfile::tempdir().expect("a folder");
+        // As two processes would.
+        let [one, other] = [(); 2].map(|()| Blobs::open(folder.path()).expect("a store"));
+        let id = UploadId(uuid::Uuid::from_u128(1));
+        let writer = one.open_upload(id).await.expect("opens").expect("free");
+        for blobs in [&one, &other] {
+            assert!(blobs.open_upload(id).await.expect("asked").is_none());
+        }
+        let writing = tokio::spawn(async move {
+            let _writer = writer;
+            std::future::pending::<()>().await;
+        });
+        writing.abort();
+        assert!(writing.await.expect_err("it died").is_cancelled());
+        assert!(other.open_upload(id).await.expect("asked").is_some());
     }
 }

@@ -15,7 +15,9 @@
 mod accounts;
 pub mod blobs;
 mod error;
+pub mod housekeeping;
 mod idempotency;
+mod keys;
 mod policy;
 mod records;
 mod scenes;
@@ -28,9 +30,10 @@ mod webhooks;
 use futures_util::future::BoxFuture;
 
 pub use accounts::{Accounts, Usage};
-pub use blobs::{BlobError, Blobs, Staged, Staging};
+pub use blobs::{BlobError, Blobs, Staged, Staging, UploadFile};
 pub use error::StoreError;
 pub use idempotency::{Idempotency, Intent, Remembered};
+pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};
 pub use policy::QueuePolicy;
 pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat,
@@ -52,7 +55,7 @@ pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
 pub trait Store:
-    Accounts + Idempotency + Scenes + Series + Uploads + Webhooks + Send + Sync + 'static
+    Accounts + Idempotency + Keys + Scenes + Series + Uploads + Webhooks + Send + Sync + 'static
 {
     /// Adds a job in state `queued`, together with its dataset's blob row, its first event and what its request's
     /// `Idempotency-Key` is to be remembered by; [`StoreError::AlreadyMade`] if that key was used before.

@@ -65,6 +65,9 @@ impl NewJob {
 pub enum ArtifactKind {
     /// The dataset's cameras as JSON, for views by frame name.
     Cameras,
+    /// Held-out views as pictures ([`crate::domain::HeldOut`]) as JSON, for the report.
+    #[serde(rename = "held_out")]
+    HeldOut,
     /// The finished scene.
     #[serde(untagged)]
     Scene(SceneFormat),
@@ -76,6 +79,7 @@ impl ArtifactKind {
     pub fn name(self) -> &'static str {
         match self {
             ArtifactKind::Cameras => "cameras",
+            ArtifactKind::HeldOut => "held_out",
             ArtifactKind::Scene(format) => format.name(),
         }
     }
@@ -137,7 +141,7 @@ impl JobRecord {
             ArtifactKind::Scene(format) => {
                 Some(SceneArtifact { format, lambda: artifact.lambda, blob: artifact.blob })
             }
-            ArtifactKind::Cameras => None,
+            ArtifactKind::Cameras | ArtifactKind::HeldOut => None,
         })
     }
 }

@@ -297,22 +297,24 @@ async fn conclude(context: &Context, lease: &Lease, result: RunResult, stop: Sto
 
 /// Makes the output's blobs durable; only then may the job refer to them.
 async fn publish(context: &Context, lease: &Lease, output: JobOutput) -> Outcome {
-    let cameras = match serde_json::to_vec(&output.cameras) {
-        Ok(cameras) => cameras,
+    let (cameras, held_out) = match documents(&output) {
+        Ok(documents) => documents,
         Err(error) => {
-            tracing::error!(job = %lease.job, "the cameras cannot be written: {error}");
+            tracing::error!(job = %lease.job, "a document cannot be written: {error}");
             return Outcome::Failed(Problem::new(
                 500,
                 "internal",
                 "Internal error",
-                "the dataset's cameras cannot be written as JSON",
+                "the dataset's cameras or held-out views cannot be written as JSON",
             ));
         }
     };
     let scenes = output
         .files()
         .map(|(lambda, file)| (ArtifactKind::Scene(output.format), lambda, Bytes::copy_from_slice(file)));
-    let contents: Vec<_> = scenes.chain([(ArtifactKind::Cameras, None, Bytes::from(cameras))]).collect();
+    let cameras = Some((ArtifactKind::Cameras, None, cameras));
+    let held_out = held_out.map(|document| (ArtifactKind::HeldOut, None, document));
+    let contents: Vec<_> = scenes.chain(cameras).chain(held_out).collect();
     let mut artifacts = Vec::new();
     for (kind, lambda, content) in contents {
         match context.blobs.put(content).await {
@@ -321,6 +323,12 @@ async fn publish(context: &Context, lease: &Lease, output: JobOutput) -> Outcome
         }
     }
     Outcome::Succeeded { metrics: Box::new(output.metrics), artifacts }
+}
+
+/// What goes with the files as JSON: the cameras, and the held-out views if there are any.
+fn documents(output: &JobOutput) -> serde_json::Result<(Bytes, Option<Bytes>)> {
+    let held_out = output.held_out.as_ref().map(serde_json::to_vec).transpose()?;
+    Ok((serde_json::to_vec(&output.cameras)?.into(), held_out.map(Bytes::from)))
 }
 
 /// Writes the end of the attempt, trying again while the lease may still be held: hours of work must not be

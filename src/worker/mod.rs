@@ -14,6 +14,7 @@ mod checkpoints;
 mod claim;
 mod curve;
 mod fit_bytes;
+mod held_out;
 pub mod pipeline;
 mod points;
 pub mod run;

@@ -4,6 +4,7 @@
 //! that are reported are those of the file as read from its own bytes.
 
 use std::{
+    cell::RefCell,
     path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
     time::Instant,
@@ -12,6 +13,7 @@ use std::{
 use super::{
     curve::run_curve,
     fit_bytes::{Budgeted, Draft, fit_bytes},
+    held_out::{SheetError, held_out},
     run::{Checkpoints, JobFailure, JobOutput, Resume, RunJob},
     scene_file::{self, SceneFile},
     steps::choose_steps,
@@ -19,7 +21,7 @@ use super::{
 use crate::{
     codec::{self, ContextSearch, ContextSettings, EncodeSettings, Encoded, Provenance},
     domain::{
-        AnchorScene, ByteBudget, CancelFlag, Conventions, Dataset, Frame, JobMetrics, MemoryBudget,
+        AnchorScene, ByteBudget, CancelFlag, Conventions, Dataset, Frame, HeldOut, JobMetrics, MemoryBudget,
         MemoryLimits, ModelKind, NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, SceneFormat,
         Scores, Split, SystemClock, TrainOptions,
     },
@@ -52,6 +54,7 @@ pub struct Pipeline {
     memory: MemoryLimits,
     spill: PathBuf,
     lpips: Option<Lpips>,
+    pictures: bool,
     context: Mutex<Option<Arc<Context>>>,
 }
 
@@ -60,7 +63,8 @@ impl Pipeline {
     #[must_use]
     pub fn new(choice: AdapterChoice) -> Self {
         let spill = std::env::temp_dir();
-        Self { choice, memory: MemoryLimits::NONE, spill, lpips: None, context: Mutex::new(None) }
+        let context = Mutex::new(None);
+        Self { choice, memory: MemoryLimits::NONE, spill, lpips: None, pictures: false, context }
     }
 
     /// Within `memory`; photographs that do not fit go to a temporary file in the folder `spill`.
@@ -73,6 +77,12 @@ impl Pipeline {
     #[must_use]
     pub fn with_lpips(self, lpips: Option<Lpips>) -> Self {
         Self { lpips, ..self }
+    }
+
+    /// The same, which also makes pictures of held-out views ([`JobOutput::held_out`]).
+    #[must_use]
+    pub fn with_pictures(self) -> Self {
+        Self { pictures: true, ..self }
     }
 
     fn context(&self) -> Result<Arc<Context>, GpuError> {
@@ -104,7 +114,9 @@ impl RunJob for Pipeline {
     ) -> Result<JobOutput, JobFailure> {
         let began = Instant::now();
         let total = u64::from(Schedule::new(options).steps);
+        let latest = RefCell::new(Progress::default());
         let mut tell = |phase: Phase, progress: &Progress| {
+            latest.replace(progress.clone());
             let elapsed_seconds = began.elapsed().as_secs_f64();
             report(phase, &Progress { elapsed_seconds, ..progress.clone() });
         };
@@ -130,12 +142,18 @@ impl RunJob for Pipeline {
         } else {
             run_curve(&site, options, checkpoints, &mut tell)?
         };
+        let held_out = if self.pictures {
+            let end = latest.borrow().clone();
+            site.pictures(&file, &metrics, &mut || tell(Phase::Evaluate, &end))?
+        } else {
+            None
+        };
         let cameras = dataset
             .frames
             .iter()
             .map(|frame| NamedCamera { name: frame.name.clone(), split: frame.split, camera: frame.camera })
             .collect();
-        Ok(JobOutput { file, format, others, metrics, cameras })
+        Ok(JobOutput { file, format, others, metrics, cameras, held_out })
     }
 }
 
@@ -186,6 +204,34 @@ impl Site<'_> {
         let metrics =
             job.measure(trained.steps, &trained.scene, &file, &mut || tell(Phase::Evaluate, &progress))?;
         Ok(Product { file: bytes, format: file.format, metrics: JobMetrics { byte_budget, ..metrics } })
+    }
+
+    /// Pictures of held-out views of a finished file, or none where something stands against them: a job must not fail for
+    /// want of what only its report shows.
+    fn pictures(
+        &self,
+        file: &[u8],
+        metrics: &JobMetrics,
+        alive: &mut dyn FnMut(),
+    ) -> Result<Option<HeldOut>, JobFailure> {
+        let mut make = || -> Result<Option<HeldOut>, String> {
+            let file = scene_file::read(file).map_err(|fault| fault.detail)?;
+            let frames: Vec<&Frame> = self.dataset.split(Split::Test).collect();
+            let mut renderer = SceneRenderer::of_scene(&self.context, &file.scene, file.background)
+                .map_err(|fault| fault.to_string())?;
+            let mut go_on = || {
+                alive();
+                !self.cancel.is_cancelled()
+            };
+            let pictures = held_out(&mut renderer, &frames, &metrics.test, file.background, &mut go_on);
+            pictures.map_err(|fault: SheetError| fault.to_string())
+        };
+        let pictures = make().unwrap_or_else(|fault| {
+            tracing::warn!("the report will have no held-out views: {fault}");
+            None
+        });
+        stop_if(self.cancel)?;
+        Ok(pictures)
     }
 
     /// Trains by `attempt`, from a checkpoint where there is one to go on from, else from `start`.

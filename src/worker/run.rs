@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 pub use crate::domain::NamedCamera;
-use crate::domain::{CancelFlag, JobMetrics, Phase, Problem, Progress, SceneFormat, TrainOptions};
+use crate::domain::{CancelFlag, HeldOut, JobMetrics, Phase, Problem, Progress, SceneFormat, TrainOptions};
 
 /// A further file of a rate-distortion curve.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,6 +27,8 @@ pub struct JobOutput {
     pub metrics: JobMetrics,
     /// The dataset's cameras.
     pub cameras: Vec<NamedCamera>,
+    /// Held-out views as pictures, if the runner makes them and there are such views.
+    pub held_out: Option<HeldOut>,
 }
 
 impl JobOutput {

@@ -9,6 +9,7 @@ mod container_image;
 mod context;
 mod export;
 mod first_light;
+mod housekeeping;
 mod http;
 mod ingest;
 mod layers;

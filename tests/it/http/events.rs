@@ -170,7 +170,7 @@ async fn a_client_that_follows_across_a_restart_misses_nothing_and_gets_nothing_
     let store: Arc<dyn Store> = Arc::new(reopened.expect("the database"));
     let services = Services { store: Arc::clone(&store), ..server.services.clone() };
     let config = HttpConfig { listen: server.address, ..HttpConfig::default() };
-    let listener = http::bind(&config).await.expect("the same port");
+    let listener = http::bind(&config, false).await.expect("the same port");
     let stop = CancellationToken::new();
     let serving = tokio::spawn(http::serve(listener, config, services, stop.clone()));
     let last = seen.last().map(Frame::number);

@@ -1,11 +1,13 @@
 //! The API over a real socket, a file for each part of it. Every answer is held to `openapi.yaml`, and one test asserts that
 //! every operation and status of it was seen.
 
+mod access;
 mod artifacts;
 mod connections;
 mod events;
 mod idempotency;
 mod jobs;
+mod report;
 mod series;
 mod service;
 mod views;
@@ -50,6 +52,11 @@ scenarios! {
         a_database_that_fails_is_a_problem_not_a_crash,
         a_handler_that_panics_answers_500_and_the_server_lives,
     }
+    access {
+        no_operation_answers_without_the_right_key,
+        the_first_key_closes_the_service_and_revoking_the_last_does_not_open_it,
+        a_key_has_its_rate_and_an_address_a_few_failures,
+    }
     connections {
         bodies_that_break_off_or_dawdle_are_given_up,
     }
@@ -77,6 +84,11 @@ scenarios! {
     artifacts {
         the_file_is_served_whole_in_parts_and_conditionally,
         every_file_of_a_curve_is_served_by_its_weight,
+    }
+    report {
+        a_finished_job_is_reported_on_one_page,
+        a_curve_is_reported_with_each_of_its_files,
+        a_job_without_a_result_is_reported_as_it_stands,
     }
     views {
         views_by_frame_pose_and_query_agree,

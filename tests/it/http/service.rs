@@ -27,7 +27,7 @@ pub(super) async fn unknown_jobs_frames_paths_and_methods_are_problems(coverage:
     for job in [absent, "/v1/jobs/17", "/v1/jobs/..%2F..%2Fetc%2Fpasswd", "/v1/jobs/%00"] {
         server.get(job).await.expect_problem(404, "job-not-found");
         server.post(&format!("{job}/cancel")).await.expect_problem(404, "job-not-found");
-        for part in ["events", "series", "artifact", "view?frame=test/r_0"] {
+        for part in ["events", "series", "artifact", "report", "view?frame=test/r_0"] {
             server.get(&format!("{job}/{part}")).await.expect_problem(404, "job-not-found");
         }
         let views = json!({ "views": [{ "frame": "test/r_0" }] });
@@ -75,6 +75,7 @@ pub(super) async fn a_database_that_fails_is_a_problem_not_a_crash(coverage: Cov
             server.get(&format!("{job}/events")).await,
             server.get(&format!("{job}/series")).await,
             server.get(&format!("{job}/artifact")).await,
+            server.get(&format!("{job}/report")).await,
             server.get(&format!("{job}/view?frame=test/r_0")).await,
             server.post_json(&format!("{job}/views"), &views).await,
         ];

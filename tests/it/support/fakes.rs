@@ -11,9 +11,9 @@ use glam::DVec3;
 use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, Conventions, CurvePoint, DatasetSummary,
-        Digest, Image, Intrinsics, JobMetrics, Lattice, Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane,
-        Phase, PhaseSeconds, Pose, Problem, Progress, RenderNetworks, Scene, SceneFormat, Scores, Split,
-        TrainOptions, ViewScore,
+        Digest, HeldOut, HeldOutView, Image, Intrinsics, JobMetrics, Lattice, Layout, LpipsNetwork, Mlp,
+        NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, Progress, RenderNetworks, Scene,
+        SceneFormat, Scores, Split, TrainOptions, ViewScore,
     },
     render::{RenderViews, views::Viewable},
     worker::run::{Checkpoints, CurveFile, JobFailure, JobOutput, RunJob},
@@ -106,6 +106,7 @@ impl RunJob for FakeRunner {
             others: others.map(|(place, &lambda)| CurveFile { lambda, file: curve_file(place) }).collect(),
             metrics: JobMetrics { rd_curve: points.collect(), ..metrics() },
             cameras: cameras(),
+            held_out: Some(held_out()),
         })
     }
 }
@@ -144,6 +145,29 @@ pub fn metrics() -> JobMetrics {
         rd_curve: Vec::new(),
     }
 }
+
+/// The pictures of every fake job: one view, whose name is as hostile as a zip may make it.
+pub fn held_out() -> HeldOut {
+    let score = ViewScore { name: HOSTILE.into(), psnr: 30.0, ssim: 0.9, lpips: None };
+    let picture = |colour: &str| colour.to_owned();
+    HeldOut {
+        of: 2,
+        ceiling: 0.2,
+        ramp: vec![[0, 0, 4], [252, 255, 164]],
+        views: vec![HeldOutView {
+            score,
+            camera: cameras()[1].camera,
+            width: 40,
+            height: 32,
+            photograph: picture("cGhvdG8="),
+            render: picture("cmVuZGVy"),
+            error: picture("ZXJyb3I="),
+        }],
+    }
+}
+
+/// A name that would be markup, an attribute's end and a script if it were not escaped.
+pub const HOSTILE: &str = "\"'><script>alert(1)</script><img src=//evil.example/x onerror=alert(1)>&amp;";
 
 /// The dataset cameras of every fake job: an off-centre principal point and unequal focal lengths.
 pub fn cameras() -> Vec<NamedCamera> {

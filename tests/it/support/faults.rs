@@ -1,5 +1,6 @@
 //! A store that fails when told to.
 
+mod keys;
 mod series;
 mod webhooks;
 

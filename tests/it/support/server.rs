@@ -6,9 +6,9 @@ use bytes::Bytes;
 use reqwest::{RequestBuilder, header::HeaderMap};
 use serde_json::Value;
 use tcgs::{
-    domain::{Clock, SystemClock},
+    domain::{Clock, KeyId, KeyLimits, Scope, SystemClock, SystemEntropy},
     http::{self, HttpConfig, Services, WorkerCounts, config::RequestLimits},
-    store::{Blobs, QueuePolicy, SqliteStore, Store},
+    store::{Blobs, Keys as _, NewKey, QueuePolicy, SqliteStore, Store},
     worker::{self, WorkerConfig},
 };
 use tempfile::TempDir;
@@ -32,6 +32,7 @@ pub struct Setup {
     pub max_connections: usize,
     pub worker: bool,
     pub policy: QueuePolicy,
+    pub clock: Arc<dyn Clock>,
 }
 
 impl Default for Setup {
@@ -46,6 +47,7 @@ impl Default for Setup {
             max_connections: 512,
             worker: true,
             policy: quick_policy(),
+            clock: Arc::new(SystemClock),
         }
     }
 }
@@ -81,6 +83,13 @@ pub struct Server {
     pub coverage: Coverage,
     client: reqwest::Client,
     data: TempDir,
+}
+
+/// A key of a test.
+#[derive(Debug, Clone)]
+pub struct TestKey {
+    pub id: KeyId,
+    pub key: String,
 }
 
 /// Reads a picture.
@@ -129,7 +138,7 @@ impl Server {
 
     pub async fn start_with(coverage: &Coverage, setup: Setup) -> Self {
         let data = tempfile::tempdir().expect("a folder");
-        let clock: Arc<dyn Clock> = Arc::new(SystemClock);
+        let clock = setup.clock;
         let sqlite = SqliteStore::open(&data.path().join(DATABASE), Arc::clone(&clock), setup.policy).await;
         let store = Arc::new(FaultStore::new(Arc::new(sqlite.expect("a database"))));
         let blobs = Blobs::open(data.path()).expect("a blob store");
@@ -161,7 +170,7 @@ impl Server {
             limits: setup.limits,
             ..HttpConfig::default()
         };
-        let listener = http::bind(&config).await.expect("a port");
+        let listener = http::bind(&config, false).await.expect("a port");
         let address = listener.local_addr().expect("bound");
         let serving = tokio::spawn(http::serve(listener, config, services.clone(), shutdown.clone()));
         let client = tcgs::https::client_builder()
@@ -171,6 +180,25 @@ impl Server {
             .expect("a client");
         let coverage = coverage.clone();
         Self { address, store, services, runner, renderer, shutdown, serving, coverage, client, data }
+    }
+
+    /// A key with these scopes.
+    pub async fn key(&self, scopes: &[Scope]) -> TestKey {
+        self.key_with(scopes, KeyLimits::default()).await
+    }
+
+    /// The same with limits.
+    pub async fn key_with(&self, scopes: &[Scope], limits: KeyLimits) -> TestKey {
+        let now = self.services.clock.now();
+        let drawn = NewKey::draw(&SystemEntropy, now, "a test's", scopes, limits);
+        let (new, key) = drawn.expect("a key");
+        let id = self.store.create_key(new).await.expect("stored").id;
+        TestKey { id, key: key.expose().to_owned() }
+    }
+
+    /// Shuts a key out.
+    pub async fn revoke(&self, key: &TestKey) {
+        self.store.revoke_key(key.id).await.expect("a store").expect("a key");
     }
 
     /// Sends a request and checks the answer against the contract.

@@ -1,0 +1,121 @@
+//! Which curves a job has: quality against time and against size, and loss.
+
+use maud::{Markup, html};
+
+use super::{
+    chart::{Chart, Series},
+    history::History,
+};
+use crate::{domain::Progress, store::JobRecord};
+
+/// The section of curves.
+pub(super) fn curves(record: &JobRecord, history: &History) -> Markup {
+    html! {
+        section {
+            h2 { "Curves" }
+            div.charts {
+                (against_time(record, history))
+                (against_size(record, history))
+                (loss(history))
+            }
+        }
+    }
+}
+
+fn line(name: &'static str, points: Vec<(f64, f64)>) -> Series {
+    Series { name, points, labels: Vec::new() }
+}
+
+fn against_time(record: &JobRecord, history: &History) -> Markup {
+    let mut training = history.points(|report| Some(report.elapsed_seconds), |report| report.psnr);
+    let end = history.reports.last().map(|report| report.elapsed_seconds);
+    let held_out = record.job.metrics.as_ref().and_then(|metrics| metrics.test.psnr);
+    let mut held_out: Vec<(f64, f64)> = end.zip(held_out).into_iter().collect();
+    let unit = TimeUnit::of(end.unwrap_or(0.0));
+    training.iter_mut().chain(&mut held_out).for_each(|(seconds, _)| *seconds /= unit.seconds);
+    Chart {
+        title: "PSNR against time",
+        x: unit.name.to_owned(),
+        y: "dB",
+        series: vec![
+            line("training views, mean of recent steps", training),
+            line("held-out views, the decoded file", held_out),
+        ],
+    }
+    .figure(
+        "Time since the work began, measuring included. Training figures are those of the batches just seen.",
+    )
+}
+
+fn against_size(record: &JobRecord, history: &History) -> Markup {
+    let metrics = record.job.metrics.as_ref();
+    let curve = metrics.map_or(&[][..], |metrics| &metrics.rd_curve);
+    let finished: Vec<(f64, f64, String)> = if curve.is_empty() {
+        let point = metrics.and_then(|metrics| {
+            Some((metrics.bytes.total as f64, metrics.test.psnr?, "the file".to_owned()))
+        });
+        point.into_iter().collect()
+    } else {
+        let mut points: Vec<_> = curve
+            .iter()
+            .filter_map(|point| Some((point.bytes as f64, point.psnr?, format!("λ = {}", point.lambda))))
+            .collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        points
+    };
+    let estimated = |report: &Progress| report.bytes.map(|bytes| bytes as f64);
+    let mut training =
+        if curve.is_empty() { history.points(estimated, |report| report.psnr) } else { Vec::new() };
+    let most = training
+        .iter()
+        .map(|(bytes, _)| *bytes)
+        .chain(finished.iter().map(|(bytes, ..)| *bytes))
+        .fold(0.0, f64::max);
+    let (unit, name) = if most >= 1e6 { (1e6, "MB (10⁶ bytes)") } else { (1e3, "kB (10³ bytes)") };
+    training.iter_mut().for_each(|(bytes, _)| *bytes /= unit);
+    let finished_points = finished.iter().map(|(bytes, psnr, _)| (bytes / unit, *psnr)).collect();
+    let labels = finished.into_iter().map(|(.., label)| label).collect();
+    let caption = if curve.is_empty() {
+        "While training: the size that the file would about have and the training views' PSNR. The dot is the finished \
+         file on the held-out views. A job with rd_curve has a curve of finished files here."
+    } else {
+        "Each dot is a finished file, trained with its own weight of the rate, on the held-out views."
+    };
+    Chart {
+        title: "PSNR against size",
+        x: name.to_owned(),
+        y: "dB",
+        series: vec![
+            line("while training", training),
+            Series { name: "held-out views, finished files", points: finished_points, labels },
+        ],
+    }
+    .figure(caption)
+}
+
+fn loss(history: &History) -> Markup {
+    let points = history.points(|report| Some(report.step as f64), |report| report.loss);
+    Chart {
+        title: "Loss",
+        x: "step".to_owned(),
+        y: "loss",
+        series: vec![line("mean of recent steps", points)],
+    }
+    .figure("What the optimiser minimises: picture, size and regularisation together.")
+}
+
+/// What an axis of time is marked in.
+struct TimeUnit {
+    name: &'static str,
+    seconds: f64,
+}
+
+impl TimeUnit {
+    fn of(longest: f64) -> Self {
+        match longest {
+            ..=600.0 => Self { name: "seconds", seconds: 1.0 },
+            ..=14_400.0 => Self { name: "minutes", seconds: 60.0 },
+            _ => Self { name: "hours", seconds: 3600.0 },
+        }
+    }
+}

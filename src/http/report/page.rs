@@ -1,0 +1,158 @@
+//! The page as a whole: how the job stands, then its curves, bytes, views and settings, and the viewer.
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use super::{
+    bars::bars,
+    curves::curves,
+    history::History,
+    orbit::Orbit,
+    pictures::pictures,
+    settings::settings,
+    units::{bytes, duration, figure, grouped},
+};
+use crate::{
+    domain::{HeldOut, Job, JobMetrics, NamedCamera},
+    http::job_body::href,
+    store::JobRecord,
+};
+
+/// The page's only script and only style; the policy that it is served under names their hashes.
+pub(super) const SCRIPT: &str = include_str!("viewer.js");
+pub(super) const STYLE: &str = include_str!("style.css");
+
+/// Seconds after which the page of an unfinished job is loaded again.
+const REFRESH_SECONDS: u32 = 10;
+
+/// What the page is made from.
+#[derive(Debug)]
+pub(super) struct Page {
+    pub(super) record: JobRecord,
+    pub(super) history: History,
+    pub(super) held_out: Option<HeldOut>,
+    pub(super) cameras: Vec<NamedCamera>,
+}
+
+impl Page {
+    pub(super) fn html(&self) -> Markup {
+        let job = &self.record.job;
+        html! {
+            (DOCTYPE)
+            html lang="en" {
+                head {
+                    meta charset="utf-8";
+                    meta name="viewport" content="width=device-width, initial-scale=1";
+                    @if !job.state.is_terminal() { meta http-equiv="refresh" content=(REFRESH_SECONDS); }
+                    title { "tcgs job " (job.id) }
+                    style { (PreEscaped(STYLE)) }
+                }
+                body {
+                    header {
+                        h1 { "Report of a " (job.options.model.to_string()) " scene" }
+                        p { span.{"state " (job.state.name())} { (job.state.name()) } " job " code { (job.id) } }
+                    }
+                    main { (self.sections()) }
+                    footer { p { "Made by tcgs " (env!("CARGO_PKG_VERSION")) ". Every figure is of the decoded file unless it says otherwise." } }
+                    @if job.metrics.is_some() { script { (PreEscaped(SCRIPT)) } }
+                }
+            }
+        }
+    }
+
+    fn sections(&self) -> Markup {
+        let job = &self.record.job;
+        html! {
+            @match &job.metrics {
+                Some(metrics) => {
+                    (summary(metrics))
+                    (self.viewer())
+                    (curves(&self.record, &self.history))
+                    (bars(&metrics.bytes, metrics.anchors, metrics.gaussians))
+                    (pictures(&metrics.test, self.held_out.as_ref()))
+                }
+                None => {
+                    (standing(job))
+                    (curves(&self.record, &self.history))
+                }
+            }
+            (settings(&self.record))
+        }
+    }
+
+    fn viewer(&self) -> Markup {
+        let Some(orbit) = Orbit::of(&self.cameras) else { return html! {} };
+        let Orbit { position, center, up, fov, aspect } = orbit;
+        let vector = |v: glam::DVec3| format!("{},{},{}", v.x, v.y, v.z);
+        let weights: Vec<f64> = self.record.scenes().filter_map(|scene| scene.lambda).collect();
+        // A picture for those without scripts; the viewer replaces it.
+        let poster = self.held_out.as_ref().and_then(|sheet| sheet.views.last());
+        html! {
+            section.viewer {
+                h2 { "Viewer" }
+                figure #viewer tabindex="0" aria-label="The scene; drag or use the arrow keys to turn it"
+                    data-href=(format!("{}/view", href(self.record.job.id)))
+                    data-position=(vector(position)) data-center=(vector(center)) data-up=(vector(up))
+                    data-fov=(fov) data-aspect=(aspect) {
+                    @match poster {
+                        Some(view) => img src=(format!("data:image/jpeg;base64,{}", view.render)) alt=(format!("render of {}", view.score.name));,
+                        None => img alt="";,
+                    }
+                    figcaption role="status" { "Turning the scene takes a browser with scripts; each picture is rendered by the service." }
+                }
+                p.hint {
+                    "Drag to turn, wheel to come closer, Shift and drag to move, 0 to begin again."
+                    @if !weights.is_empty() {
+                        " " label { "File: " select #viewer-lambda {
+                            @for weight in weights { option value=(weight) { "λ = " (weight) } }
+                        } }
+                    }
+                    " " label #viewer-key hidden { "API key: " input type="password" autocomplete="off"; }
+                }
+            }
+        }
+    }
+}
+
+fn summary(metrics: &JobMetrics) -> Markup {
+    let test = &metrics.test;
+    let card = |name: &str, value: String, note: String| {
+        html! { div.card { dt { (name) } dd { b { (value) } span { (note) } } } }
+    };
+    html! {
+        section {
+            dl.cards {
+                (card("PSNR", format!("{} dB", figure(test.psnr, 2)), format!("{} held-out views", test.views)))
+                (card("SSIM", figure(test.ssim, 4), "held-out views".to_owned()))
+                @if let Some(network) = test.lpips_network { (card("LPIPS", figure(test.lpips, 4), network.to_string())) }
+                (card("Size", bytes(metrics.bytes.total), format!("{} Gaussians", grouped(metrics.gaussians))))
+                (card("Training", duration(metrics.seconds.train), format!("{} steps", grouped(metrics.steps))))
+            }
+        }
+    }
+}
+
+/// How a job stands that has no result.
+fn standing(job: &Job) -> Markup {
+    let progress = &job.progress;
+    html! {
+        section {
+            @match &job.error {
+                Some(problem) => {
+                    h2 { (problem.title) }
+                    p { (problem.detail) @if let Some(file) = &problem.file { " File: " code { (file) } "." } }
+                    p { code { (problem.kind) } }
+                }
+                None if job.state.is_terminal() => h2 { "The job was cancelled" },
+                None => {
+                    h2 { "In progress" }
+                    p {
+                        progress max=(progress.total.max(1)) value=(progress.step) {}
+                        " " (grouped(progress.step)) " of " (grouped(progress.total)) " steps"
+                        @if let Some(eta) = progress.eta_seconds { ", about " (duration(eta)) " of training left" }
+                    }
+                    p.none { "This page loads itself again every " (REFRESH_SECONDS) " seconds." }
+                }
+            }
+        }
+    }
+}

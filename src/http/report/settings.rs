@@ -1,0 +1,129 @@
+//! What the job was made with: options, dataset, adapter, times, digests.
+
+use maud::{Markup, html};
+use serde_json::Value;
+
+use super::units::{bytes, duration, figure, grouped};
+use crate::{domain::JobMetrics, store::JobRecord};
+
+/// The section of settings.
+pub(super) fn settings(record: &JobRecord) -> Markup {
+    let job = &record.job;
+    html! {
+        section {
+            h2 { "Settings and origin" }
+            div.tables {
+                (table("Options", options(record)))
+                (table("Origin", origin(record)))
+                @if let Some(metrics) = &job.metrics {
+                    (table("Course", course(metrics)))
+                    (table("How it was measured", conventions(metrics)))
+                    @if metrics.byte_budget.is_some() { (table("The promised size", budget(metrics))) }
+                }
+            }
+        }
+    }
+}
+
+type Rows = Vec<(String, String)>;
+
+fn row(name: &str, value: impl Into<String>) -> (String, String) {
+    (name.to_owned(), value.into())
+}
+
+fn table(title: &str, rows: Rows) -> Markup {
+    html! {
+        table.pairs {
+            caption { (title) }
+            tbody {
+                @for (name, value) in rows { tr { th scope="row" { (name) } td { (value) } } }
+            }
+        }
+    }
+}
+
+/// Every option by its name in the API.
+fn options(record: &JobRecord) -> Rows {
+    let Ok(Value::Object(options)) = serde_json::to_value(&record.job.options) else { return Rows::new() };
+    let text = |value: &Value| match value {
+        Value::Null => "–".to_owned(),
+        Value::String(text) => text.clone(),
+        Value::Array(items) if items.is_empty() => "–".to_owned(),
+        Value::Array(items) => {
+            let item = |item: &Value| item.as_str().map_or_else(|| item.to_string(), str::to_owned);
+            items.iter().map(item).collect::<Vec<_>>().join(", ")
+        }
+        other => other.to_string(),
+    };
+    options.iter().map(|(name, value)| (name.clone(), text(value))).collect()
+}
+
+fn origin(record: &JobRecord) -> Rows {
+    let job = &record.job;
+    let mut rows = vec![
+        row("job", job.id.to_string()),
+        row("dataset", bytes(record.dataset.bytes)),
+        row("dataset SHA-256", record.dataset.digest.to_string()),
+        row("attempts", job.attempt.to_string()),
+        row("created", job.created_at.to_string()),
+    ];
+    rows.extend(job.started_at.map(|at| row("last begun", at.to_string())));
+    rows.extend(job.finished_at.map(|at| row("finished", at.to_string())));
+    for scene in record.scenes() {
+        let weight = scene.lambda.map_or_else(String::new, |lambda| format!(", λ = {lambda}"));
+        rows.push((format!(".{} SHA-256{weight}", scene.format.name()), scene.blob.digest.to_string()));
+    }
+    if let Some(metrics) = &job.metrics {
+        rows.push(row("decoded SHA-256", metrics.decode_sha256.to_string()));
+        rows.push(row("adapter", metrics.adapter.clone()));
+    }
+    rows.push(row("service", concat!("tcgs ", env!("CARGO_PKG_VERSION"))));
+    rows
+}
+
+fn course(metrics: &JobMetrics) -> Rows {
+    let seconds = &metrics.seconds;
+    vec![
+        row("reading the dataset", duration(seconds.ingest)),
+        row("training", duration(seconds.train)),
+        row("encoding", duration(seconds.encode)),
+        row("decoding", duration(seconds.decode)),
+        row("steps", grouped(metrics.steps)),
+        row("steps a second", figure(Some(metrics.steps_per_second), 2)),
+        row("anchors", grouped(metrics.anchors)),
+        row("Gaussians", grouped(metrics.gaussians)),
+        row("PSNR before quantisation, dB", figure(metrics.psnr_before_quantisation, 2)),
+        row("PSNR of training views, dB", figure(metrics.train.psnr, 2)),
+    ]
+}
+
+fn conventions(metrics: &JobMetrics) -> Rows {
+    let conventions = &metrics.conventions;
+    let mut rows = vec![
+        row("images", conventions.images.clone()),
+        row("background", metrics.background.to_string()),
+        row("PSNR", conventions.psnr.clone()),
+        row("SSIM", conventions.ssim.clone()),
+    ];
+    rows.extend(conventions.lpips.clone().map(|lpips| row("LPIPS", lpips)));
+    rows.push(row("held out", conventions.held_out.clone()));
+    rows.push(row("means", conventions.means.clone()));
+    rows
+}
+
+fn budget(metrics: &JobMetrics) -> Rows {
+    let Some(budget) = &metrics.byte_budget else { return Rows::new() };
+    let octaves = budget.coarser_octaves;
+    vec![
+        row("promised", bytes(budget.max_bytes)),
+        row("without the promise", bytes(budget.free_bytes)),
+        row(
+            "coarser steps, octaves",
+            format!(
+                "features {:.2}, scalings {:.2}, offsets {:.2}",
+                octaves.features, octaves.scalings, octaves.offsets
+            ),
+        ),
+        row("Gaussians left out", grouped(budget.gaussians_dropped)),
+    ]
+}

@@ -1,0 +1,149 @@
+'use strict';
+// Turns the scene: one request at a time, small pictures while it moves, a full one when it rests.
+(() => {
+  const viewer = document.getElementById('viewer');
+  if (!viewer) return;
+  const picture = viewer.querySelector('img');
+  const told = viewer.querySelector('figcaption');
+  const chosen = document.getElementById('viewer-lambda');
+  const key = document.getElementById('viewer-key');
+  if (location.protocol === 'file:') {
+    told.textContent = 'A saved page has no service behind it; open the report at the service to turn the scene.';
+    return;
+  }
+
+  const vector = text => text.split(',').map(Number);
+  const add = (a, b, by) => a.map((v, i) => v + by * b[i]);
+  const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+  const unit = a => a.map(v => v / Math.hypot(...a));
+
+  const fov = Number(viewer.dataset.fov);
+  const aspect = Number(viewer.dataset.aspect);
+  const up = unit(vector(viewer.dataset.up));
+  const east = unit(cross(up, Math.abs(up[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0]));
+  const north = cross(up, east);
+  const FULL = 640;
+  const STEEPEST = 1.5;
+  const AIM_MS = 120;
+
+  const first = () => {
+    const center = vector(viewer.dataset.center);
+    const offset = add(vector(viewer.dataset.position), center, -1);
+    const distance = Math.hypot(...offset);
+    const height = Math.asin(dot(offset, up) / distance);
+    return { center, distance, yaw: Math.atan2(dot(offset, north), dot(offset, east)), pitch: Math.max(-STEEPEST, Math.min(STEEPEST, height)) };
+  };
+  let pose = first();
+  const outward = () => {
+    const flat = Math.cos(pose.pitch);
+    return add(add(up.map(v => v * Math.sin(pose.pitch)), east, flat * Math.cos(pose.yaw)), north, flat * Math.sin(pose.yaw));
+  };
+
+  let coarse = 160;
+  let moving = false;
+  let wanted = null;
+  let busy = false;
+  let resting = 0;
+
+  const query = width => {
+    const tall = Math.max(1, Math.round(width / aspect));
+    const place = add(pose.center, outward(), pose.distance);
+    const fields = { position: place, look_at: pose.center, up, fov, width, height: tall, format: 'jpeg' };
+    if (chosen) fields.lambda = chosen.value;
+    return new URLSearchParams(Object.entries(fields).map(([name, value]) => [name, String(value)]));
+  };
+
+  const draw = async () => {
+    if (busy || wanted === null) return;
+    const width = wanted === 'full' ? FULL : coarse;
+    wanted = null;
+    busy = true;
+    let pause = 0;
+    try {
+      const secret = key.querySelector('input').value;
+      const began = performance.now();
+      const answer = await fetch(`${viewer.dataset.href}?${query(width)}`, secret ? { headers: { authorization: `Bearer ${secret}` } } : {});
+      if (answer.ok) {
+        const old = picture.src;
+        picture.src = URL.createObjectURL(await answer.blob());
+        picture.alt = 'The scene from the chosen place';
+        if (old.startsWith('blob:')) URL.revokeObjectURL(old);
+        const took = performance.now() - began;
+        if (width < FULL) coarse = Math.round(Math.max(96, Math.min(400, width * Math.sqrt(AIM_MS / Math.max(took, 1)))));
+        told.textContent = `${width} pixels wide in ${Math.round(took)} ms`;
+      } else if (answer.status === 429 || answer.status === 503) {
+        pause = 1000 * Math.max(1, Number(answer.headers.get('retry-after')) || 1);
+        wanted = wanted ?? (width < FULL ? 'coarse' : 'full');
+        told.textContent = 'The service is busy; asking again soon.';
+      } else {
+        const problem = await answer.json().catch(() => ({}));
+        told.textContent = problem.detail || `The service answered ${answer.status}.`;
+        if (answer.status === 401 || answer.status === 403) key.hidden = false;
+      }
+    } catch (fault) {
+      told.textContent = 'The service does not answer.';
+    }
+    setTimeout(() => { busy = false; draw(); }, pause);
+  };
+
+  const show = () => {
+    wanted = 'coarse';
+    clearTimeout(resting);
+    if (!moving) rest();
+    draw();
+  };
+  const rest = () => {
+    clearTimeout(resting);
+    resting = setTimeout(() => { wanted = 'full'; draw(); }, 200);
+  };
+
+  const turn = (across, down) => {
+    pose.yaw -= across;
+    pose.pitch = Math.max(-STEEPEST, Math.min(STEEPEST, pose.pitch + down));
+    show();
+  };
+  const shift = (across, down) => {
+    const right = unit(cross(outward().map(v => -v), up));
+    const above = cross(outward(), right);
+    pose.center = add(add(pose.center, right, -across * pose.distance), above, down * pose.distance);
+    show();
+  };
+  const approach = factor => {
+    pose.distance *= factor;
+    show();
+  };
+
+  picture.draggable = false;
+  viewer.classList.add('live');
+  picture.addEventListener('pointerdown', event => {
+    moving = true;
+    picture.setPointerCapture(event.pointerId);
+    event.preventDefault();
+    viewer.focus();
+  });
+  picture.addEventListener('pointermove', event => {
+    if (!moving) return;
+    const scale = 3 / picture.clientWidth;
+    (event.shiftKey ? shift : turn)(event.movementX * scale * (event.shiftKey ? 0.4 : 1), event.movementY * scale * (event.shiftKey ? 0.4 : 1));
+  });
+  for (const end of ['pointerup', 'pointercancel']) {
+    picture.addEventListener(end, () => { moving = false; rest(); });
+  }
+  viewer.addEventListener('wheel', event => {
+    event.preventDefault();
+    approach(Math.exp(0.001 * event.deltaY));
+  }, { passive: false });
+  const keys = {
+    ArrowLeft: () => turn(-0.1, 0), ArrowRight: () => turn(0.1, 0), ArrowUp: () => turn(0, 0.1), ArrowDown: () => turn(0, -0.1),
+    '+': () => approach(0.9), '-': () => approach(1 / 0.9), 0: () => { pose = first(); show(); },
+  };
+  viewer.addEventListener('keydown', event => {
+    const action = keys[event.key];
+    if (action) { event.preventDefault(); action(); }
+  });
+  if (chosen) chosen.addEventListener('change', show);
+  key.querySelector('input').addEventListener('change', show);
+  wanted = 'full';
+  draw();
+})();

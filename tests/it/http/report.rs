@@ -1,0 +1,184 @@
+//! The report page: whole, quiet towards every other host, and deaf to what names would have it run.
+
+use std::collections::BTreeMap;
+
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+use html5gum::{Token, Tokenizer};
+use tcgs::domain::Digest;
+
+use crate::support::{contract::Coverage, fakes, server::Server};
+
+/// Elements that have no end tag.
+const VOID: [&str; 4] = ["meta", "img", "input", "br"];
+
+/// One start tag.
+#[derive(Debug)]
+struct Element {
+    name: String,
+    attributes: BTreeMap<String, String>,
+    /// The text right after it.
+    text: String,
+}
+
+/// The elements of a page, which must be without syntax errors and with every element closed in order.
+fn parse(page: &str) -> Vec<Element> {
+    let (mut elements, mut open): (Vec<Element>, Vec<String>) = (Vec::new(), Vec::new());
+    let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).expect("UTF-8");
+    // The tokenizer has to be told where text is not markup.
+    let mut emitter = html5gum::emitters::default::DefaultEmitter::default();
+    emitter.naively_switch_states(true);
+    for token in Tokenizer::new_with_emitter(page, emitter) {
+        let Ok(token) = token;
+        match token {
+            Token::StartTag(tag) => {
+                let name = text(&tag.name);
+                let attributes =
+                    tag.attributes.iter().map(|(name, value)| (text(name), text(value))).collect();
+                if !VOID.contains(&&*name) && !tag.self_closing {
+                    open.push(name.clone());
+                }
+                elements.push(Element { name, attributes, text: String::new() });
+            }
+            Token::EndTag(tag) => assert_eq!(open.pop(), Some(text(&tag.name)), "elements must nest"),
+            Token::String(string) => {
+                if let Some(element) = elements.last_mut() {
+                    element.text.push_str(&text(&string));
+                }
+            }
+            Token::Error(error) => panic!("not HTML: {error:?}"),
+            Token::Comment(_) | Token::Doctype(_) => {}
+        }
+    }
+    assert!(open.is_empty(), "left open: {open:?}");
+    elements
+}
+
+/// Asserts that the page would load nothing but what it carries, and that its policy lets its own script and style run and
+/// nothing else.
+fn assert_self_contained(page: &str, policy: &str) -> Vec<Element> {
+    let elements = parse(page);
+    let directives: BTreeMap<&str, &str> =
+        policy.split("; ").map(|directive| directive.split_once(' ').expect("a name and sources")).collect();
+    assert_eq!(directives["default-src"], "'none'");
+    assert_eq!(directives["connect-src"], "'self'");
+    assert_eq!(directives["img-src"], "'self' data: blob:");
+    for (element, directive) in [("script", "script-src"), ("style", "style-src")] {
+        for found in elements.iter().filter(|found| found.name == element) {
+            let hash = STANDARD.encode(Digest::of(found.text.as_bytes()).as_bytes());
+            assert_eq!(
+                directives[directive],
+                format!("'sha256-{hash}'"),
+                "the policy must let {element} run"
+            );
+            assert!(found.attributes.is_empty(), "{found:?}");
+        }
+    }
+    for element in &elements {
+        assert!(
+            !["link", "iframe", "object", "embed", "form", "base"].contains(&&*element.name),
+            "{element:?}"
+        );
+        for (name, value) in &element.attributes {
+            assert!(
+                !name.starts_with("on") && name != "style",
+                "the policy would not let {name} work: {element:?}"
+            );
+            if matches!(&**name, "src" | "href" | "srcset" | "poster" | "action") {
+                assert!(value.starts_with("data:image/jpeg;base64,"), "{element:?}");
+            }
+        }
+    }
+    elements
+}
+
+pub(super) async fn a_finished_job_is_reported_on_one_page(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.succeeded().await;
+    let path =
+        server.get(&job).await.expect(200).json()["links"]["report"].as_str().expect("a path").to_owned();
+    let answer = server.get(&path).await.expect(200);
+    assert_eq!(answer.header("content-type"), "text/html; charset=utf-8");
+    let page = String::from_utf8(answer.body.to_vec()).expect("UTF-8");
+    let elements = assert_self_contained(&page, answer.header("content-security-policy"));
+
+    let count = |name: &str| elements.iter().filter(|element| element.name == name).count();
+    assert_eq!((count("script"), count("style"), count("html")), (1, 1, 1));
+    assert_eq!(count("img"), 4, "three pictures of the held-out view and the viewer's first");
+    for said in
+        ["30.00 dB", "Where the bytes went", "Curves", "λ", "fake", &*Digest::of(fakes::FILE).to_string()]
+    {
+        let said = if said == "λ" { "held-out views" } else { said };
+        assert!(page.contains(said), "'{said}' is missing");
+    }
+    for sources in ["cGhvdG8=", "cmVuZGVy", "ZXJyb3I="] {
+        assert!(page.contains(&format!("data:image/jpeg;base64,{sources}")), "{sources}");
+    }
+    // What a name would inject is there as text, and only as that.
+    let hostile = |text: &str| text.contains("<script>alert(1)</script>");
+    assert!(!hostile(&page) && page.contains("&lt;script&gt;alert(1)"));
+    assert!(elements.iter().any(|element| hostile(&element.text)), "the name itself is shown whole");
+    assert!(elements.iter().any(|element| element.attributes.values().any(|value| hostile(value))));
+
+    let viewer =
+        elements.iter().find(|element| element.attributes.get("id").is_some_and(|id| id == "viewer"));
+    let asked = &viewer.expect("a viewer").attributes;
+    let view = format!(
+        "{}?position={}&look_at={}&up={}&fov={}&width=32&height=24&format=jpeg",
+        asked["data-href"], asked["data-position"], asked["data-center"], asked["data-up"], asked["data-fov"]
+    );
+    let view = server.get(&view).await.expect(200);
+    assert_eq!(view.header("content-type"), "image/jpeg", "what the viewer asks first is served");
+
+    let etag = answer.header("etag").to_owned();
+    server.send("GET", &path, |request| request.header("if-none-match", etag)).await.expect(304);
+    let picky = server.send("GET", &path, |request| request.header("accept", "application/json")).await;
+    picky.expect_problem(406, "not-acceptable");
+    server.get(&format!("{path}?width=3")).await.expect_problem(422, "invalid-parameter");
+}
+
+pub(super) async fn a_curve_is_reported_with_each_of_its_files(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job =
+        server.upload("?rd_curve=0.001,0.004", "succeed").await.expect(201).header("location").to_owned();
+    server.reaches(&job, "succeeded").await;
+    let answer = server.get(&format!("{job}/report")).await.expect(200);
+    let page = String::from_utf8(answer.body.to_vec()).expect("UTF-8");
+    let elements = assert_self_contained(&page, answer.header("content-security-policy"));
+    let weights: Vec<&str> = elements
+        .iter()
+        .filter(|element| element.name == "option")
+        .map(|element| &*element.attributes["value"])
+        .collect();
+    assert_eq!(weights, ["0.001", "0.004"]);
+    let dots =
+        elements.iter().filter(|element| element.name == "title" && element.text.starts_with("λ = ")).count();
+    assert_eq!(dots, 2, "each file has its dot");
+}
+
+pub(super) async fn a_job_without_a_result_is_reported_as_it_stands(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let running = server.create("wait").await;
+    server.reaches(&running, "running").await;
+    let failed = server.create("fail").await;
+    let read = async |job: &str| {
+        let answer = server.get(&format!("{job}/report")).await.expect(200);
+        let page = String::from_utf8(answer.body.to_vec()).expect("UTF-8");
+        let elements = assert_self_contained(&page, answer.header("content-security-policy"));
+        (page, elements)
+    };
+    let refreshes = |elements: &[Element]| {
+        elements
+            .iter()
+            .any(|element| element.attributes.get("http-equiv").is_some_and(|what| what == "refresh"))
+    };
+    let (page, elements) = read(&running).await;
+    assert!(page.contains("In progress") && refreshes(&elements));
+    assert!(!elements.iter().any(|element| element.name == "script"), "there is nothing to view yet");
+    server.post(&format!("{running}/cancel")).await;
+    server.reaches(&running, "cancelled").await;
+    let (page, elements) = read(&running).await;
+    assert!(page.contains("was cancelled") && !refreshes(&elements));
+    server.reaches(&failed, "failed").await;
+    let (page, _) = read(&failed).await;
+    assert!(page.contains("as the test wants it") && page.contains("urn:tcgs:problem:fake-fail"), "{page}");
+}
