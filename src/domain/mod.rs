@@ -32,6 +32,7 @@ pub mod series;
 pub mod upload;
 pub mod view;
 pub mod webhook;
+pub mod webhook_secret;
 
 pub use access::{Caller, KeyId, KeyLimits, Scope};
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
@@ -65,3 +66,4 @@ pub use series::{SERIES_POINTS, SeriesPoint, series_bucket};
 pub use upload::UploadId;
 pub use view::{View, ViewError, ViewRequest};
 pub use webhook::{DeliveryId, EndpointId, WebhookEvent};
+pub use webhook_secret::WebhookSecret;

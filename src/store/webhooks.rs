@@ -6,10 +6,9 @@
 use std::time::Duration;
 
 use jiff::Timestamp;
-use secrecy::SecretString;
 
 use super::Answer;
-use crate::domain::{DeliveryId, EndpointId, JobId, KeyId, WebhookEvent};
+use crate::domain::{DeliveryId, EndpointId, JobId, KeyId, WebhookEvent, WebhookSecret};
 
 /// The part of the store that keeps endpoints and deliveries.
 pub trait Webhooks: Send + Sync + 'static {
@@ -61,8 +60,8 @@ pub struct NewEndpoint {
     pub events: Vec<WebhookEvent>,
     /// The owner's note.
     pub description: Option<String>,
-    /// What messages are signed with: `whsec_` and base64.
-    pub secret: SecretString,
+    /// What messages are signed with.
+    pub secret: WebhookSecret,
 }
 
 /// An endpoint, without its secret.
@@ -162,7 +161,7 @@ pub struct DueDelivery {
     /// Where to.
     pub url: String,
     /// What to sign with.
-    pub secret: SecretString,
+    pub secret: WebhookSecret,
     /// The message.
     pub body: String,
     /// Now.

@@ -3,12 +3,13 @@
 use std::{str::FromStr, time::Duration};
 
 use jiff::{SignedDuration, Timestamp};
-use secrecy::SecretString;
 use serde::{Serialize, de::DeserializeOwned};
 use sqlx::{Row as _, sqlite::SqliteRow};
 
 use crate::{
-    domain::{Digest, EndpointId, Event, EventKind, Job, JobId, JobState, SeriesPoint, WebhookEvent},
+    domain::{
+        Digest, EndpointId, Event, EventKind, Job, JobId, JobState, SeriesPoint, WebhookEvent, WebhookSecret,
+    },
     store::{
         Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, DeliveryRecord, DeliveryState,
         DueDelivery, EndpointRecord, JobRecord, Remembered, StoreError, verdict::Standing,
@@ -202,13 +203,6 @@ pub(super) fn standing(row: &SqliteRow) -> Result<Standing, StoreError> {
     })
 }
 
-fn optional_unsigned<T: TryFrom<i64>>(
-    row: &SqliteRow,
-    column: &'static str,
-) -> Result<Option<T>, StoreError> {
-    row.try_get::<Option<i64>, _>(column)?.map(|_| unsigned(row, column)).transpose()
-}
-
 /// A row of `series`.
 pub(super) fn point(row: &SqliteRow) -> Result<SeriesPoint, StoreError> {
     Ok(SeriesPoint {
@@ -273,7 +267,7 @@ pub(super) fn due_delivery(row: &SqliteRow, at: Timestamp) -> Result<DueDelivery
         attempt: unsigned(row, "attempts")?,
         tries: unsigned(row, "tries")?,
         url: row.try_get("url")?,
-        secret: SecretString::from(row.try_get::<String, _>("secret")?),
+        secret: WebhookSecret::stored(row.try_get("secret")?),
         body: row.try_get("body")?,
         at,
     })

@@ -3,7 +3,6 @@
 use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
-use secrecy::ExposeSecret as _;
 use sqlx::{Row as _, SqliteConnection};
 
 use super::{
@@ -86,7 +85,7 @@ impl SqliteStore {
         .bind(new.url)
         .bind(text(&names)?)
         .bind(new.description)
-        .bind(new.secret.expose_secret())
+        .bind(new.secret.expose())
         .bind(micros(now))
         .fetch_one(&mut *tx)
         .await?;
