@@ -29,6 +29,20 @@ impl Etag {
         })
     }
 
+    /// Whether `If-Match` asks for this tag (strong comparison); `None` if it asks for another.
+    pub(super) fn wanted_by_if_match(&self, headers: &HeaderMap) -> Option<bool> {
+        let mut lists = headers.get_all(header::IF_MATCH).iter().peekable();
+        if lists.peek().is_none() {
+            return Some(false);
+        }
+        lists
+            .filter_map(|value| value.to_str().ok())
+            .flat_map(|list| list.split(','))
+            .map(str::trim)
+            .any(|tag| tag == "*" || tag == self.0)
+            .then_some(true)
+    }
+
     /// Whether `If-Range` lets a `Range` stand: absent, or exactly this tag.
     pub(super) fn allows_range(&self, headers: &HeaderMap) -> bool {
         headers.get(header::IF_RANGE).is_none_or(|value| value.as_bytes() == self.0.as_bytes())
@@ -57,6 +71,13 @@ mod tests {
         }
         for other in ["abc", "\"x\"", "\"ABC\""] {
             assert!(!etag.is_in_if_none_match(&with(header::IF_NONE_MATCH, other)), "{other}");
+        }
+        assert_eq!(etag.wanted_by_if_match(&HeaderMap::new()), Some(false));
+        for held in ["\"abc\"", "*", "\"x\" , \"abc\""] {
+            assert_eq!(etag.wanted_by_if_match(&with(header::IF_MATCH, held)), Some(true), "{held}");
+        }
+        for other in ["abc", "\"x\"", "W/\"abc\"", ""] {
+            assert_eq!(etag.wanted_by_if_match(&with(header::IF_MATCH, other)), None, "{other}");
         }
         assert!(etag.allows_range(&HeaderMap::new()));
         assert!(etag.allows_range(&with(header::IF_RANGE, "\"abc\"")));

@@ -6,7 +6,6 @@ use axum::{
     response::{IntoResponse, Response},
 };
 
-use super::render_queue::QueueFull;
 use crate::{
     domain::{JobId, Problem},
     store::{BlobError, StoreError},
@@ -54,6 +53,16 @@ impl Fault {
             "job-not-found",
             "No such job",
             format!("there is no job '{}'", shown(id)),
+        )
+    }
+
+    /// 404 for a scene id that names nothing.
+    pub(super) fn no_scene(id: impl std::fmt::Display) -> Self {
+        Self::new(
+            StatusCode::NOT_FOUND,
+            "scene-not-found",
+            "No such scene",
+            format!("there is no scene '{}'", shown(&id.to_string())),
         )
     }
 
@@ -131,7 +140,10 @@ impl From<StoreError> for Fault {
             tracing::warn!(error = &error as &dyn std::error::Error, "the database is busy: {error}");
             return Self::busy("the database is busy");
         }
-        Self::internal(&error)
+        match error {
+            StoreError::NoScene(id) => Self::no_scene(id),
+            error => Self::internal(&error),
+        }
     }
 }
 
@@ -150,12 +162,6 @@ impl From<BlobError> for Fault {
             }
             error => Self::internal(&error),
         }
-    }
-}
-
-impl From<QueueFull> for Fault {
-    fn from(_: QueueFull) -> Self {
-        Self::busy("too many views are waiting to be rendered")
     }
 }
 

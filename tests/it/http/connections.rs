@@ -52,9 +52,12 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
     let server = Server::start_with(&coverage, Setup { limits: tight_limits(), ..Setup::default() }).await;
     let job = server.create("succeed").await;
     server.reaches(&job, "succeeded").await;
-    for (path, media_type) in
-        [("/v1/jobs".to_owned(), "application/zip"), (format!("{job}/views"), "application/json")]
-    {
+    for (path, media_type) in [
+        ("/v1/jobs".to_owned(), "application/zip"),
+        (format!("{job}/views"), "application/json"),
+        (format!("{job}/stream"), "application/json"),
+        (format!("{job}/animation"), "application/json"),
+    ] {
         let head = format!(
             "POST {path} HTTP/1.1\r\nHost: test\r\nContent-Type: {media_type}\r\nConnection: close\r\n"
         );
@@ -64,9 +67,10 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
             raw(&server, &format!("{head}Transfer-Encoding: chunked\r\n\r\nnot a length\r\n"), false).await;
         assert_eq!(check_raw(&server, "POST", &path, &broken), 400);
     }
-    let views = format!("{job}/views");
-    let long = json!({ "views": vec![json!({ "frame": "test/r_0" }); 50] });
-    server.post_json(&views, &long).await.expect_problem(413, "body-too-large");
+    for part in ["views", "stream", "animation"] {
+        let long = json!({ "views": vec![json!({ "frame": "test/r_0" }); 50] });
+        server.post_json(&format!("{job}/{part}"), &long).await.expect_problem(413, "body-too-large");
+    }
     server.upload("", "succeed").await.expect(201);
 }
 

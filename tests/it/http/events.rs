@@ -97,7 +97,7 @@ pub(super) async fn a_stream_tells_everything_once_and_ends_with_the_job(coverag
 }
 
 pub(super) async fn there_are_only_so_many_streams(coverage: Coverage) {
-    let limits = RequestLimits { streams: 8, streams_each: 2, ..Default::default() };
+    let limits = RequestLimits { event_streams: 8, event_streams_each: 2, ..Default::default() };
     let server = Server::start_with(&coverage, no_worker(limits)).await;
     let job = server.create("succeed").await;
     let events = format!("{job}/events");

@@ -41,6 +41,7 @@ impl Default for Setup {
             limits: RequestLimits {
                 upload_bytes: 1 << 20,
                 watch_every: Duration::from_millis(5),
+                overdue_every: Duration::from_millis(5),
                 ..RequestLimits::default()
             },
             header_timeout: Duration::from_secs(10),
@@ -150,6 +151,7 @@ impl Server {
             check: Arc::new(fakes::check),
             load: Arc::new(fakes::load),
             renderer: Arc::new(renderer.clone()),
+            forget: Arc::new(|_| {}),
             workers: Arc::new(|| WorkerCounts { expected: 1, alive: 1 }),
         };
         let shutdown = CancellationToken::new();
@@ -229,6 +231,33 @@ impl Server {
     /// Where the database is.
     pub fn database(&self) -> PathBuf {
         self.data.path().join(DATABASE)
+    }
+
+    /// Sends a request and hands over the answer, whose body is still to come.
+    pub async fn open(
+        &self,
+        method: &str,
+        path: &str,
+        fill: impl FnOnce(RequestBuilder) -> RequestBuilder,
+    ) -> reqwest::Response {
+        let url = format!("http://{}{path}", self.address);
+        let request = self.client.request(method.parse().expect("a method"), url);
+        fill(request).send().await.expect("an answer")
+    }
+
+    /// Sends a request whose answer may break off; its status, and what of its body came.
+    pub async fn broken(
+        &self,
+        method: &str,
+        path: &str,
+        fill: impl FnOnce(RequestBuilder) -> RequestBuilder,
+    ) -> (u16, Vec<u8>) {
+        let mut open = self.open(method, path, fill).await;
+        let mut body = Vec::new();
+        while let Ok(Some(chunk)) = open.chunk().await {
+            body.extend_from_slice(&chunk);
+        }
+        (open.status().as_u16(), body)
     }
 
     pub async fn get(&self, path: &str) -> Answer {
