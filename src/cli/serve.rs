@@ -2,7 +2,10 @@
 
 use std::{net::SocketAddr, num::NonZeroU32, path::PathBuf};
 
-use tcgs::{domain::Bytes, http::config::AccessRules};
+use tcgs::{
+    domain::{Bytes, OutboundPolicy},
+    http::config::AccessRules,
+};
 
 use super::{
     Failure, Report,
@@ -55,6 +58,10 @@ pub(crate) struct Args {
     #[command(flatten)]
     lpips: LpipsFlag,
 
+    /// Let webhooks be sent to this machine itself, also without TLS; for trying them out
+    #[arg(long, env = "TCGS_WEBHOOKS_ALLOW_LOOPBACK")]
+    webhooks_allow_loopback: bool,
+
     /// Worker processes to start; 0 if workers run elsewhere
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: u16,
@@ -76,6 +83,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
         workers: args.workers,
         memory: args.memory.limits(args.workers),
         view_memory: args.view_memory.0,
+        webhook_targets: OutboundPolicy { allow_loopback: args.webhooks_allow_loopback },
         log_format,
     })?;
     Ok(Report::default())

@@ -8,6 +8,8 @@ use std::{
 
 use thiserror::Error;
 
+use crate::domain::OutboundPolicy;
+
 /// The server's settings.
 #[derive(Debug, Clone)]
 pub struct HttpConfig {
@@ -146,6 +148,10 @@ pub struct RequestLimits {
     pub event_streams_each: usize,
     /// Longest silence on a stream of events.
     pub keep_alive: Duration,
+    /// Webhook endpoints of one key.
+    pub webhook_endpoints: u32,
+    /// Where webhook endpoints may be.
+    pub webhook_targets: OutboundPolicy,
 }
 
 impl Default for RequestLimits {
@@ -174,6 +180,8 @@ impl Default for RequestLimits {
             event_streams: 256,
             event_streams_each: 128,
             keep_alive: Duration::from_secs(15),
+            webhook_endpoints: 10,
+            webhook_targets: OutboundPolicy::default(),
         }
     }
 }

@@ -39,6 +39,7 @@ mod stream_places;
 mod throttle;
 mod views;
 mod watch;
+mod webhooks;
 mod wrap;
 
 use axum::{
@@ -70,6 +71,10 @@ pub fn router(state: AppState) -> Router {
             get(views::sequence::animation).post(views::sequence::animation_path),
         )
         .route("/v1/jobs/{id}/report", get(report::get))
+        .route("/v1/webhook-endpoints", get(webhooks::list).post(webhooks::create))
+        .route("/v1/webhook-endpoints/{id}", get(webhooks::get).delete(webhooks::delete))
+        .route("/v1/webhook-endpoints/{id}/deliveries", get(webhooks::deliveries))
+        .route("/v1/webhook-endpoints/{id}/deliveries/{delivery}/replay", post(webhooks::replay))
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/version", get(health::version))

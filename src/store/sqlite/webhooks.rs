@@ -146,7 +146,8 @@ impl SqliteStore {
         let (mut tx, now) = self.begin().await?;
         let row = sqlx::query(
             "UPDATE webhook_deliveries
-             SET attempts = attempts + 1, tries = tries + 1, lease_until = ?2, attempted_at = ?1
+             SET attempts = attempts + 1, tries = tries + 1, lease_until = ?2, attempted_at = ?1,
+                 answer_status = NULL, answer_fault = NULL
              WHERE seq = (SELECT d.seq FROM webhook_deliveries d
                           WHERE d.state = 'pending' AND d.due_at <= ?1 AND (d.lease_until IS NULL OR d.lease_until <= ?1)
                               AND NOT EXISTS (SELECT 1 FROM webhook_deliveries o

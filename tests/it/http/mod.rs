@@ -13,6 +13,7 @@ mod report;
 mod series;
 mod service;
 mod views;
+mod webhooks;
 
 use crate::support::contract::Coverage;
 
@@ -91,6 +92,14 @@ scenarios! {
         fifty_requests_with_one_key_make_one_job,
         a_request_is_in_flight_until_it_is_answered_and_no_longer,
         an_answer_waits_for_the_job_as_long_as_is_preferred,
+    }
+    webhooks {
+        endpoints_are_made_listed_and_deleted_and_show_their_secret_once,
+        what_is_wrong_with_an_endpoint_is_said,
+        a_jobs_life_is_told_in_signed_messages,
+        a_message_under_way_is_not_sent_again,
+        an_endpoint_that_is_gone_is_told_nothing_more,
+        endpoints_belong_to_their_key,
     }
     artifacts {
         the_file_is_served_whole_in_parts_and_conditionally,

@@ -65,6 +65,8 @@ pub(super) async fn a_database_that_fails_is_a_problem_not_a_crash(coverage: Cov
     let server = Server::start(&coverage).await;
     let job = server.succeeded().await;
     let views = json!({ "views": [{ "frame": "test/r_0" }] });
+    let endpoints = "/v1/webhook-endpoints";
+    let endpoint = format!("{endpoints}/0190a5d8-0000-7000-8000-000000000000");
     for (failing, status, kind) in [(Failing::Busy, 503, "busy"), (Failing::Gone, 500, "internal")] {
         server.store.set(Some(failing));
         let answers: Vec<Answer> = vec![
@@ -78,6 +80,12 @@ pub(super) async fn a_database_that_fails_is_a_problem_not_a_crash(coverage: Cov
             server.get(&format!("{job}/report")).await,
             server.get(&format!("{job}/view?frame=test/r_0")).await,
             server.post_json(&format!("{job}/views"), &views).await,
+            server.post_json(endpoints, &json!({ "url": "https://example.com/" })).await,
+            server.get(endpoints).await,
+            server.get(&endpoint).await,
+            server.send("DELETE", &endpoint, |request| request).await,
+            server.get(&format!("{endpoint}/deliveries")).await,
+            server.post(&format!("{endpoint}/deliveries/17/replay")).await,
         ];
         for answer in answers {
             let detail = answer.expect_problem(status, kind);

@@ -10,6 +10,7 @@ pub mod lpips;
 pub mod oracle;
 pub mod program;
 pub mod random;
+pub mod receiver;
 pub mod scene;
 pub mod server;
 pub mod service;
