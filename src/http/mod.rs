@@ -24,6 +24,7 @@ mod job_body;
 mod job_list;
 mod job_wish;
 mod jobs;
+mod keys;
 mod overdue;
 mod picture;
 mod prefer;
@@ -75,6 +76,8 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/webhook-endpoints/{id}", get(webhooks::get).delete(webhooks::delete))
         .route("/v1/webhook-endpoints/{id}/deliveries", get(webhooks::deliveries))
         .route("/v1/webhook-endpoints/{id}/deliveries/{delivery}/replay", post(webhooks::replay))
+        .route("/v1/keys", get(keys::list).post(keys::create))
+        .route("/v1/keys/{id}", get(keys::get).delete(keys::revoke))
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/version", get(health::version))

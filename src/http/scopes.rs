@@ -14,7 +14,7 @@ pub(super) enum Access {
 }
 
 use Access::{Open, Scope as Needs};
-use Scope::{JobsWrite, Read};
+use Scope::{Admin, JobsWrite, Read};
 
 /// Method and route of every operation, as the router has them, in the order of `openapi.yaml`.
 const OPERATIONS: &[(&str, &str, Access)] = &[
@@ -40,6 +40,10 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("DELETE", "/v1/webhook-endpoints/{id}", Needs(JobsWrite)),
     ("GET", "/v1/webhook-endpoints/{id}/deliveries", Needs(Read)),
     ("POST", "/v1/webhook-endpoints/{id}/deliveries/{delivery}/replay", Needs(JobsWrite)),
+    ("POST", "/v1/keys", Needs(Admin)),
+    ("GET", "/v1/keys", Needs(Admin)),
+    ("GET", "/v1/keys/{id}", Needs(Admin)),
+    ("DELETE", "/v1/keys/{id}", Needs(Admin)),
     ("GET", "/healthz", Open),
     ("GET", "/readyz", Open),
     ("GET", "/version", Open),

@@ -14,7 +14,7 @@ use uuid::{NoContext, Uuid};
 
 use super::{body::read_json, problem::Fault, query::Parameters, state::AppState};
 use crate::{
-    domain::{Caller, EndpointId, JobId, SystemEntropy, WebhookEvent, WebhookSecret},
+    domain::{Caller, EndpointId, JobId, WebhookEvent, WebhookSecret},
     store::{DeliveryRecord, EndpointRecord, NewEndpoint, Replay},
 };
 
@@ -112,7 +112,8 @@ pub(super) async fn create(
     if description.as_ref().is_some_and(|text| text.chars().count() > MAX_DESCRIPTION) {
         return Err(invalid(format!("description: is longer than {MAX_DESCRIPTION} characters")));
     }
-    let secret = WebhookSecret::generate(&SystemEntropy).map_err(|error| Fault::internal(&error))?;
+    let secret =
+        WebhookSecret::generate(&*state.services().entropy).map_err(|error| Fault::internal(&error))?;
     let new = NewEndpoint {
         id: new_id(state.services().clock.now()),
         owner: caller.key,
