@@ -15,6 +15,7 @@ mod client;
 pub mod config;
 mod create_job;
 mod etag;
+mod event_stream;
 mod events;
 mod exports;
 mod file;
@@ -34,11 +35,14 @@ mod query;
 mod range;
 mod report;
 mod scopes;
+mod series;
 mod serve;
 mod state;
+mod stream_places;
 mod throttle;
 mod views;
 mod watch;
+mod webhooks;
 mod wrap;
 
 use axum::{
@@ -63,6 +67,7 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/jobs/{id}/cancel", post(job_actions::cancel))
         .route("/v1/jobs/{id}/retry", post(job_actions::retry))
         .route("/v1/jobs/{id}/events", get(events::list))
+        .route("/v1/jobs/{id}/series", get(series::get))
         .route("/v1/jobs/{id}/artifact", get(artifact::get))
         .route("/v1/jobs/{id}/artifacts", get(artifact::list))
         .route("/v1/jobs/{id}/export", get(exports::get))
@@ -75,6 +80,10 @@ pub fn router(state: AppState) -> Router {
             get(views::sequence::animation).post(views::sequence::animation_path),
         )
         .route("/v1/jobs/{id}/report", get(report::get))
+        .route("/v1/webhook-endpoints", get(webhooks::list).post(webhooks::create))
+        .route("/v1/webhook-endpoints/{id}", get(webhooks::get).delete(webhooks::delete))
+        .route("/v1/webhook-endpoints/{id}/deliveries", get(webhooks::deliveries))
+        .route("/v1/webhook-endpoints/{id}/deliveries/{delivery}/replay", post(webhooks::replay))
         .route("/v1/keys", get(keys::list).post(keys::create))
         .route("/v1/keys/{id}", get(keys::get).delete(keys::revoke))
         .route("/healthz", get(health::healthz))

@@ -6,8 +6,8 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::{
-    auth::Lock, config::RequestLimits, exports::ExportQueue, idempotency::InFlight, throttle::Throttle,
-    views::Studio, watch::Watcher,
+    auth::Lock, config::RequestLimits, exports::ExportQueue, idempotency::InFlight,
+    stream_places::StreamPlaces, throttle::Throttle, views::Studio, watch::Watcher,
 };
 use crate::{
     domain::{Camera, Clock, DatasetSummary, Entropy, JobId, Problem, SceneFormat},
@@ -89,6 +89,7 @@ struct Inner {
     in_flight: Arc<InFlight>,
     exports: ExportQueue,
     waits: Semaphore,
+    stream_places: StreamPlaces,
     draining: CancellationToken,
     lock: Lock,
     throttle: Throttle,
@@ -110,6 +111,7 @@ impl AppState {
         let waits = Semaphore::new(limits.waits);
         let exports = ExportQueue::new(limits.exports, limits.exports_waiting);
         let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
+        let stream_places = StreamPlaces::new(limits.event_streams, limits.event_streams_each);
         Self(Arc::new(Inner {
             services,
             limits,
@@ -119,6 +121,7 @@ impl AppState {
             in_flight: Arc::default(),
             exports,
             waits,
+            stream_places,
             draining,
             lock: Lock::default(),
             throttle,
@@ -180,6 +183,10 @@ impl AppState {
     /// Cancelled once the server shuts down: what waits for something should then answer at once.
     pub(super) fn draining(&self) -> &CancellationToken {
         &self.0.draining
+    }
+
+    pub(super) fn stream_places(&self) -> &StreamPlaces {
+        &self.0.stream_places
     }
 
     pub(super) fn is_draining(&self) -> bool {
