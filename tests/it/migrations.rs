@@ -88,7 +88,7 @@ async fn jobs_and_files_of_every_earlier_schema_are_there_after_an_update() {
         let record =
             store.job(id).await.expect("reads").unwrap_or_else(|| panic!("lost from version {version}"));
         assert_eq!(record.job.state, JobState::Succeeded, "version {version}");
-        assert_eq!(record.job.metrics.expect("figures").test.psnr, Some(30.5), "version {version}");
+        assert_eq!(record.job.metrics.as_ref().expect("figures").test.psnr, Some(30.5), "version {version}");
         assert_eq!(record.dataset.bytes, 1000, "version {version}");
         assert_eq!(record.owner, None, "version {version}");
         let scenes: Vec<_> = record.scenes().collect();
