@@ -30,6 +30,8 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("hyper_util", &["http"]),
     ("tower", &["http"]),
     ("tower_http", &["http"]),
+    ("prometheus_client", &["http"]),
+    ("tokio_io_timeout", &["http"]),
     ("governor", &["http"]),
     ("secrecy", &["domain"]),
     ("subtle", &["domain"]),
@@ -43,6 +45,8 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("kiddo", &["model", "codec"]),
     ("ndarray", &["eval"]),
     ("flate2", &["export"]),
+    ("toml", &["cli"]),
+    ("fs4", &["store"]),
     ("clap", &["cli", "main"]),
     ("indicatif", &["cli"]),
 ];
