@@ -14,6 +14,7 @@
 mod accounts;
 pub mod blobs;
 mod error;
+mod figures;
 pub mod housekeeping;
 mod idempotency;
 mod keys;
@@ -29,6 +30,7 @@ use futures_util::future::BoxFuture;
 pub use accounts::{Accounts, Usage};
 pub use blobs::{BlobError, Blobs, Staged, Staging, UploadFile};
 pub use error::StoreError;
+pub use figures::{AttemptCount, Figures, Overview};
 pub use idempotency::{Idempotency, Intent, Remembered};
 pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};
 pub use policy::QueuePolicy;
@@ -46,7 +48,7 @@ use crate::domain::{Event, JobId, JobState, Phase, Progress};
 pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
-pub trait Store: Accounts + Idempotency + Keys + Scenes + Uploads + Send + Sync + 'static {
+pub trait Store: Accounts + Idempotency + Keys + Overview + Scenes + Uploads + Send + Sync + 'static {
     /// Adds a job in state `queued`, together with its dataset's blob row, its first event and what its request's
     /// `Idempotency-Key` is to be remembered by; [`StoreError::AlreadyMade`] if that key was used before.
     fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord>;
