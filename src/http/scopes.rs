@@ -14,7 +14,7 @@ pub(super) enum Access {
 }
 
 use Access::{Open, Scope as Needs};
-use Scope::{JobsWrite, Read};
+use Scope::{Admin, JobsWrite, Read};
 
 /// Method and route of every operation, as the router has them, in the order of `openapi.yaml`.
 const OPERATIONS: &[(&str, &str, Access)] = &[
@@ -35,6 +35,7 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("GET", "/v1/jobs/{id}/report", Needs(Read)),
     ("GET", "/healthz", Open),
     ("GET", "/readyz", Open),
+    ("GET", "/metrics", Needs(Admin)),
     ("GET", "/version", Open),
     ("GET", "/openapi.yaml", Open),
 ];

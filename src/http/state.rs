@@ -6,7 +6,13 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::{
-    auth::Lock, config::RequestLimits, idempotency::InFlight, throttle::Throttle, views::Studio,
+    auth::Lock,
+    config::RequestLimits,
+    idempotency::InFlight,
+    metrics::{Cache, Meters},
+    readiness::Checks,
+    throttle::Throttle,
+    views::Studio,
     watch::Watcher,
 };
 use crate::{
@@ -66,6 +72,9 @@ struct Inner {
     limits: RequestLimits,
     uploads: Semaphore,
     studio: Studio,
+    meters: Meters,
+    metrics_cache: Cache,
+    checks: Checks,
     watcher: Watcher,
     in_flight: Arc<InFlight>,
     waits: Semaphore,
@@ -94,6 +103,9 @@ impl AppState {
             limits,
             uploads,
             studio,
+            meters: Meters::default(),
+            metrics_cache: Cache::default(),
+            checks: Checks::default(),
             watcher,
             in_flight: Arc::default(),
             waits,
@@ -125,6 +137,19 @@ impl AppState {
 
     pub(super) fn studio(&self) -> &Studio {
         &self.0.studio
+    }
+
+    /// What this process counts of itself.
+    pub(super) fn meters(&self) -> &Meters {
+        &self.0.meters
+    }
+
+    pub(super) fn metrics_cache(&self) -> &Cache {
+        &self.0.metrics_cache
+    }
+
+    pub(super) fn checks(&self) -> &Checks {
+        &self.0.checks
     }
 
     pub(super) fn lock(&self) -> &Lock {
