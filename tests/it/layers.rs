@@ -20,6 +20,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("eval", &["domain", "gpu", "model", "render"]),
     ("train", &["domain", "gpu", "codec", "model", "render", "eval"]),
     ("worker", &["domain", "ingest", "gpu", "codec", "export", "store", "model", "render", "eval", "train"]),
+    ("https", &[]),
     ("http", &["domain", "codec", "store", "render"]),
 ];
 
@@ -32,6 +33,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("tower_http", &["http"]),
     ("prometheus_client", &["http"]),
     ("tokio_io_timeout", &["http"]),
+    ("rustls", &["https"]),
     ("governor", &["http"]),
     ("secrecy", &["domain"]),
     ("subtle", &["domain"]),

@@ -118,5 +118,6 @@ scenarios! {
         each_caller_has_its_share_and_all_together_a_limit,
         whoever_goes_away_is_not_rendered,
         nothing_is_rendered_that_the_client_does_not_take,
+        films_are_shown_while_a_job_trains,
     }
 }

@@ -73,7 +73,13 @@ impl RunJob for FakeRunner {
         report: &mut dyn FnMut(Phase, &Progress),
         cancel: &CancelFlag,
     ) -> Result<JobOutput, JobFailure> {
-        let wish = fs::read_to_string(dataset).expect("the dataset is readable");
+        let wish = fs::read(dataset).expect("the dataset is readable");
+        // A real archive is as good as a wish to succeed.
+        let wish = if wish.starts_with(b"PK") {
+            "succeed".to_owned()
+        } else {
+            String::from_utf8(wish).expect("text")
+        };
         let problem = |name: &str| Problem::new(500, name, "Fake", "as the test wants it");
         let total = u64::from(options.iterations.unwrap_or(10));
         report(Phase::Train, &Progress { step: 1, total, loss: Some(0.5), ..Progress::default() });

@@ -179,7 +179,11 @@ impl Server {
         let address = listener.address().expect("bound");
         let metrics_address = listener.metrics_address().expect("bound");
         let serving = tokio::spawn(http::serve(listener, config, services.clone(), shutdown.clone()));
-        let client = reqwest::Client::builder().timeout(Duration::from_secs(60)).build().expect("a client");
+        let client = tcgs::https::client_builder()
+            .expect("TLS")
+            .timeout(Duration::from_secs(60))
+            .build()
+            .expect("a client");
         let coverage = coverage.clone();
         Self {
             address,
