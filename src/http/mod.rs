@@ -24,6 +24,7 @@ mod job_body;
 mod job_list;
 mod job_wish;
 mod jobs;
+mod keys;
 mod metrics;
 mod overdue;
 mod peers;
@@ -79,6 +80,8 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
             get(views::sequence::animation).post(views::sequence::animation_path),
         )
         .route("/v1/jobs/{id}/report", get(report::get))
+        .route("/v1/keys", get(keys::list).post(keys::create))
+        .route("/v1/keys/{id}", get(keys::get).delete(keys::revoke))
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(readiness::readyz))
         .route("/version", get(health::version))
