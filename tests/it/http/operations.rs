@@ -17,6 +17,12 @@ fn series(text: &str, name: &str) -> f64 {
     line.unwrap_or_else(|| panic!("no {name} in\n{text}")).parse().expect("a number")
 }
 
+/// Asks on a connection of its own.
+async fn afresh(url: &str) -> reqwest::Response {
+    let client = tcgs::https::client_builder().expect("a provider").build().expect("a client");
+    client.get(url).send().await.expect("an answer")
+}
+
 async fn metrics(server: &Server) -> String {
     String::from_utf8(server.get("/metrics").await.expect(200).body.to_vec()).expect("UTF-8")
 }
@@ -118,7 +124,7 @@ pub(super) async fn metrics_have_a_listener_of_their_own_where_one_is_given(cove
     server.get("/metrics").await.expect_problem(404, "not-found");
     let address = server.metrics_address.expect("an address");
     // The one place of the API is taken by the client's own connection, and scrapers get in all the same.
-    let ask = async |path: &str| reqwest::get(format!("http://{address}{path}")).await.expect("an answer");
+    let ask = async |path: &str| afresh(&format!("http://{address}{path}")).await;
     let answer = ask("/metrics").await;
     assert_eq!(
         answer.headers()["content-type"],
@@ -192,7 +198,7 @@ async fn readiness_fails_before_connections_are_refused() {
     let server = Server::start_with(&Coverage::default(), Setup { tune, ..Setup::default() }).await;
     server.get("/readyz").await.expect(200);
     server.shutdown.cancel();
-    let fresh = reqwest::get(format!("http://{}/readyz", server.address)).await.expect("taken");
+    let fresh = afresh(&format!("http://{}/readyz", server.address)).await;
     assert_eq!(fresh.status(), 503);
     let problem: Value = fresh.json().await.expect("a problem");
     assert_eq!(wrong(&problem), ["draining"], "{problem:#}");
