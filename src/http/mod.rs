@@ -15,6 +15,7 @@ mod client;
 pub mod config;
 mod create_job;
 mod etag;
+mod event_stream;
 mod events;
 mod head;
 mod health;
@@ -36,12 +37,15 @@ mod range;
 mod readiness;
 mod report;
 mod scopes;
+mod series;
 mod serve;
 mod state;
+mod stream_places;
 mod throttle;
 mod trace_parent;
 mod views;
 mod watch;
+mod webhooks;
 mod wrap;
 
 use axum::{
@@ -71,6 +75,7 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .route("/v1/jobs/{id}/cancel", post(job_actions::cancel))
         .route("/v1/jobs/{id}/retry", post(job_actions::retry))
         .route("/v1/jobs/{id}/events", get(events::list))
+        .route("/v1/jobs/{id}/series", get(series::get))
         .route("/v1/jobs/{id}/artifact", get(artifact::get))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
@@ -80,6 +85,10 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
             get(views::sequence::animation).post(views::sequence::animation_path),
         )
         .route("/v1/jobs/{id}/report", get(report::get))
+        .route("/v1/webhook-endpoints", get(webhooks::list).post(webhooks::create))
+        .route("/v1/webhook-endpoints/{id}", get(webhooks::get).delete(webhooks::delete))
+        .route("/v1/webhook-endpoints/{id}/deliveries", get(webhooks::deliveries))
+        .route("/v1/webhook-endpoints/{id}/deliveries/{delivery}/replay", post(webhooks::replay))
         .route("/v1/keys", get(keys::list).post(keys::create))
         .route("/v1/keys/{id}", get(keys::get).delete(keys::revoke))
         .route("/healthz", get(health::healthz))

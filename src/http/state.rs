@@ -11,6 +11,7 @@ use super::{
     idempotency::InFlight,
     metrics::{Cache, Meters},
     readiness::Checks,
+    stream_places::StreamPlaces,
     throttle::Throttle,
     views::Studio,
     watch::Watcher,
@@ -80,6 +81,7 @@ struct Inner {
     watcher: Watcher,
     in_flight: Arc<InFlight>,
     waits: Semaphore,
+    stream_places: StreamPlaces,
     draining: CancellationToken,
     lock: Lock,
     throttle: Throttle,
@@ -100,6 +102,7 @@ impl AppState {
         let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
         let waits = Semaphore::new(limits.waits);
         let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
+        let stream_places = StreamPlaces::new(limits.event_streams, limits.event_streams_each);
         Self(Arc::new(Inner {
             services,
             limits,
@@ -111,6 +114,7 @@ impl AppState {
             watcher,
             in_flight: Arc::default(),
             waits,
+            stream_places,
             draining,
             lock: Lock::default(),
             throttle,
@@ -180,6 +184,10 @@ impl AppState {
     /// Cancelled once the server shuts down: what waits for something should then answer at once.
     pub(super) fn draining(&self) -> &CancellationToken {
         &self.0.draining
+    }
+
+    pub(super) fn stream_places(&self) -> &StreamPlaces {
+        &self.0.stream_places
     }
 
     pub(super) fn is_draining(&self) -> bool {

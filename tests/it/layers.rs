@@ -21,6 +21,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("train", &["domain", "gpu", "codec", "model", "render", "eval"]),
     ("worker", &["domain", "ingest", "gpu", "codec", "export", "store", "model", "render", "eval", "train"]),
     ("https", &[]),
+    ("webhooks", &["domain", "store", "https"]),
     ("http", &["domain", "codec", "store", "render"]),
 ];
 
@@ -33,6 +34,8 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("tower_http", &["http"]),
     ("prometheus_client", &["http"]),
     ("tokio_io_timeout", &["http"]),
+    ("hmac", &["webhooks"]),
+    ("reqwest", &["https", "webhooks", "cli"]),
     ("rustls", &["https"]),
     ("governor", &["http"]),
     ("secrecy", &["domain"]),
@@ -54,7 +57,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
 ];
 
 /// `tokio` is for the layers that wait on the network, files or processes.
-const TOKIO: &[&str] = &["store", "worker", "http", "cli", "main"];
+const TOKIO: &[&str] = &["store", "worker", "webhooks", "http", "cli", "main"];
 
 fn sources(folder: &Path, into: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).expect("src is readable") {

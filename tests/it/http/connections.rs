@@ -55,6 +55,7 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
     for (path, media_type) in [
         ("/v1/jobs".to_owned(), "application/zip"),
         (format!("{job}/views"), "application/json"),
+        ("/v1/webhook-endpoints".to_owned(), "application/json"),
         ("/v1/keys".to_owned(), "application/json"),
         (format!("{job}/stream"), "application/json"),
         (format!("{job}/animation"), "application/json"),
@@ -73,6 +74,8 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
         let long = json!({ "views": vec![json!({ "frame": "test/r_0" }); 50] });
         server.post_json(&path, &long).await.expect_problem(413, "body-too-large");
     }
+    let wish = json!({ "url": format!("https://example.com/{}", "a".repeat(200)) });
+    server.post_json("/v1/webhook-endpoints", &wish).await.expect_problem(413, "body-too-large");
     server.upload("", "succeed").await.expect(201);
 }
 
