@@ -7,6 +7,7 @@
 
 mod accounts;
 mod events;
+mod exports;
 mod figures;
 mod idempotency;
 mod keys;

@@ -10,10 +10,10 @@ use jiff::Timestamp;
 use tcgs::{
     domain::{Digest, Event, JobId, JobState, KeyId, Phase, Progress, SceneId, UploadId},
     store::{
-        Accounts, Answer, AttemptRecord, Cancellation, Claim, Deletion, Figures, Heartbeat, Idempotency,
-        JobFilter, JobRecord, Lease, NewJob, NewScene, NewUpload, Outcome, Overview, PageKey, Remembered,
-        Repeat, Repetition, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes, Store, StoreError,
-        UploadRecord, Uploads, Usage,
+        Accounts, Answer, AttemptRecord, Cancellation, Claim, Deletion, ExportRecord, Exports, Figures,
+        FileRecord, Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewJob, NewScene, NewUpload,
+        Outcome, Overview, PageKey, Remembered, Repeat, Repetition, SceneCreation, SceneDeletion, ScenePage,
+        SceneRecord, Scenes, Store, StoreError, UploadRecord, Uploads, Usage,
     },
 };
 
@@ -63,6 +63,18 @@ impl Overview for FaultStore {
             return Box::pin(async { Ok(false) });
         }
         self.guard(self.inner.schema_is_current())
+    }
+}
+
+impl Exports for FaultStore {
+    fn add_export(&self, export: ExportRecord) -> Answer<'_, Option<ExportRecord>> {
+        self.guard(self.inner.add_export(export))
+    }
+    fn exports(&self, job: JobId) -> Answer<'_, Vec<ExportRecord>> {
+        self.guard(self.inner.exports(job))
+    }
+    fn file(&self, digest: Digest, owner: Option<KeyId>) -> Answer<'_, Option<FileRecord>> {
+        self.guard(self.inner.file(digest, owner))
     }
 }
 
