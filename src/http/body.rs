@@ -108,18 +108,20 @@ fn refuse_announced(headers: &HeaderMap, limit: u64) -> Result<(), Fault> {
     Ok(())
 }
 
-struct Pieces<'a> {
+/// A body piece by piece, within the limits on time.
+pub(super) struct Pieces<'a> {
     body: &'a mut BodyDataStream,
     idle: Duration,
     deadline: Instant,
 }
 
 impl<'a> Pieces<'a> {
-    fn new(body: &'a mut BodyDataStream, limits: &RequestLimits) -> Self {
+    pub(super) fn new(body: &'a mut BodyDataStream, limits: &RequestLimits) -> Self {
         Self { body, idle: limits.body_idle, deadline: Instant::now() + limits.body_total }
     }
 
-    async fn next(&mut self) -> Result<Option<Bytes>, Fault> {
+    /// The next piece, none at the end.
+    pub(super) async fn next(&mut self) -> Result<Option<Bytes>, Fault> {
         let piece = timeout_at(self.deadline, timeout(self.idle, self.body.next()));
         match piece.await {
             Ok(Ok(None)) => Ok(None),

@@ -29,6 +29,15 @@ impl Etag {
         })
     }
 
+    /// Whether `If-Match`, if it is there, names this (strong comparison).
+    pub(super) fn passes_if_match(&self, headers: &HeaderMap) -> bool {
+        let mut given = headers.get_all(header::IF_MATCH).iter().peekable();
+        given.peek().is_none()
+            || given
+                .filter_map(|value| value.to_str().ok())
+                .any(|list| list.split(',').map(str::trim).any(|tag| tag == "*" || tag == self.0))
+    }
+
     /// Whether `If-Range` lets a `Range` stand: absent, or exactly this tag.
     pub(super) fn allows_range(&self, headers: &HeaderMap) -> bool {
         headers.get(header::IF_RANGE).is_none_or(|value| value.as_bytes() == self.0.as_bytes())
@@ -58,6 +67,13 @@ mod tests {
         for other in ["abc", "\"x\"", "\"ABC\""] {
             assert!(!etag.is_in_if_none_match(&with(header::IF_NONE_MATCH, other)), "{other}");
         }
+        for passes in ["\"abc\"", "*", "\"x\", \"abc\""] {
+            assert!(etag.passes_if_match(&with(header::IF_MATCH, passes)), "{passes}");
+        }
+        for fails in ["abc", "\"x\"", "W/\"abc\"", ""] {
+            assert!(!etag.passes_if_match(&with(header::IF_MATCH, fails)), "{fails}");
+        }
+        assert!(etag.passes_if_match(&HeaderMap::new()));
         assert!(etag.allows_range(&HeaderMap::new()));
         assert!(etag.allows_range(&with(header::IF_RANGE, "\"abc\"")));
         assert!(!etag.allows_range(&with(header::IF_RANGE, "W/\"abc\"")), "If-Range compares strongly");

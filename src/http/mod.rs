@@ -10,7 +10,9 @@ mod body;
 mod caller;
 mod camera;
 pub mod config;
+mod content_digest;
 mod create_job;
+mod create_scene;
 mod etag;
 mod events;
 mod health;
@@ -24,16 +26,21 @@ mod query;
 mod range;
 mod render_queue;
 mod report;
+mod scene_body;
+mod scenes;
 mod serve;
 mod state;
+mod tus;
+mod upload_part;
+mod uploads;
 mod views;
 mod watch;
 mod wrap;
 
 use axum::{
     Router,
-    middleware::from_fn,
-    routing::{get, post},
+    middleware::{from_fn, map_response},
+    routing::{get, head, options, post},
 };
 use tower_http::catch_panic::CatchPanicLayer;
 
@@ -43,6 +50,10 @@ pub use state::{AppState, DatasetCheck, SceneLoader, Services, WorkerCensus, Wor
 
 /// Every route of the API.
 pub fn router(state: AppState) -> Router {
+    let uploads = Router::new()
+        .route("/v1/uploads", options(uploads::options).post(uploads::create))
+        .route("/v1/uploads/{id}", head(uploads::head).patch(uploads::append).delete(uploads::delete))
+        .layer(map_response(tus::stamp));
     Router::new()
         .route("/v1/jobs", get(jobs::list).post(create_job::create))
         .route("/v1/jobs/{id}", get(jobs::get))
@@ -52,6 +63,9 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
         .route("/v1/jobs/{id}/report", get(report::get))
+        .route("/v1/scenes", get(scenes::list).post(create_scene::create))
+        .route("/v1/scenes/{id}", get(scenes::get).delete(scenes::delete))
+        .merge(uploads)
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/version", get(health::version))

@@ -57,6 +57,28 @@ impl Fault {
         )
     }
 
+    /// 404 for a scene id that names nothing.
+    pub(super) fn no_scene(id: &str) -> Self {
+        let detail = format!("there is no scene '{}'", shown(id));
+        Self::new(StatusCode::NOT_FOUND, "scene-not-found", "No such scene", detail)
+    }
+
+    /// 404 for an upload id that names nothing.
+    pub(super) fn no_upload(id: &str) -> Self {
+        let detail = format!("there is no upload '{}'", shown(id));
+        Self::new(StatusCode::NOT_FOUND, "upload-not-found", "No such upload", detail)
+    }
+
+    /// 507 for want of room on the disk.
+    pub(super) fn storage_full() -> Self {
+        Self::new(
+            StatusCode::INSUFFICIENT_STORAGE,
+            "storage-full",
+            "Storage full",
+            "there is no room left for the file; the operator must make some",
+        )
+    }
+
     /// 409 for what only a succeeded job has.
     pub(super) fn no_file_yet(id: JobId, state: &str) -> Self {
         Self::new(
@@ -131,6 +153,10 @@ impl From<StoreError> for Fault {
             tracing::warn!(error = &error as &dyn std::error::Error, "the database is busy: {error}");
             return Self::busy("the database is busy");
         }
+        if let StoreError::QuotaExceeded { .. } = error {
+            let detail = format!("{error}; delete scenes, jobs or uploads to make room");
+            return Self::new(StatusCode::INSUFFICIENT_STORAGE, "quota-exceeded", "Quota exceeded", detail);
+        }
         Self::internal(&error)
     }
 }
@@ -141,12 +167,7 @@ impl From<BlobError> for Fault {
             BlobError::TooLarge { limit } => Self::too_large(limit),
             error if error.is_storage_full() => {
                 tracing::error!(error = &error as &dyn std::error::Error, "no room left: {error}");
-                Self::new(
-                    StatusCode::INSUFFICIENT_STORAGE,
-                    "storage-full",
-                    "Storage full",
-                    "there is no room left for the file; the operator must make some",
-                )
+                Self::storage_full()
             }
             error => Self::internal(&error),
         }
