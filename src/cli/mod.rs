@@ -13,6 +13,7 @@ mod export;
 mod failure;
 mod files;
 mod inspect;
+mod keys;
 mod logging;
 mod lpips;
 mod memory;
@@ -74,6 +75,8 @@ enum Command {
     Inspect(inspect::Args),
     /// Write the bundled ray-traced scene as a dataset
     Sample(sample::Args),
+    /// Make, list and revoke the API keys of a service
+    Keys(keys::Args),
     /// Show what this machine offers, and what is missing
     Doctor(doctor::Args),
 }
@@ -87,6 +90,7 @@ impl Command {
             Command::Eval(args) => args.json,
             Command::Export(args) => args.json,
             Command::Inspect(args) => args.json,
+            Command::Keys(args) => args.json,
             Command::Doctor(args) => args.json,
             Command::Serve(_)
             | Command::Worker(_)
@@ -108,6 +112,7 @@ impl Command {
             | Command::Export(_)
             | Command::Inspect(_)
             | Command::Sample(_)
+            | Command::Keys(_)
             | Command::Doctor(_) => Verbosity::Warn,
         }
     }
@@ -124,6 +129,7 @@ impl Command {
             Command::Export(args) => export::run(&args),
             Command::Inspect(args) => inspect::run(&args),
             Command::Sample(args) => sample::run(&args),
+            Command::Keys(args) => keys::run(&args),
             Command::Doctor(args) => doctor::run(&args),
         }
     }

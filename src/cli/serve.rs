@@ -1,8 +1,8 @@
 //! `tcgs serve`: the HTTP service with its own worker process.
 
-use std::{net::SocketAddr, path::PathBuf};
+use std::{net::SocketAddr, num::NonZeroU32, path::PathBuf};
 
-use tcgs::domain::Bytes;
+use tcgs::{domain::Bytes, http::config::AccessRules};
 
 use super::{
     Failure, Report,
@@ -19,6 +19,14 @@ pub(crate) struct Args {
     /// Address to listen on; without API keys only a loopback address is served
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", env = "TCGS_LISTEN")]
     listen: SocketAddr,
+
+    /// Ask for no key even if there are some; on a loopback address only
+    #[arg(long, env = "TCGS_WITHOUT_KEYS")]
+    without_keys: bool,
+
+    /// Requests in a minute of a key that has no rate of its own; not bounded if absent
+    #[arg(long, value_name = "N", env = "TCGS_REQUESTS_PER_MINUTE")]
+    requests_per_minute: Option<NonZeroU32>,
 
     /// Folder for the database, uploads and files
     #[arg(long, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
@@ -57,6 +65,11 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
     refuse_shared_storage(args.database.as_deref(), args.blobs.as_deref())?;
     wiring::serve(ServeOptions {
         listen: args.listen,
+        access: AccessRules {
+            without_keys: args.without_keys,
+            requests_per_minute: args.requests_per_minute,
+            ..AccessRules::default()
+        },
         data: args.data,
         adapter: args.adapter.adapter,
         lpips: args.lpips.lpips,

@@ -4,6 +4,7 @@
 //! without a change to any command. Faults arrive as [`Problem`]s.
 
 mod export;
+mod keys;
 mod service;
 
 use std::{
@@ -27,6 +28,7 @@ use tcgs::{
 };
 
 pub(crate) use export::{Baking, Packing, Quality, compare, export};
+pub(crate) use keys::{create_key, keys, revoke_key};
 pub(crate) use service::{ServeOptions, WorkerOptions, serve, worker};
 
 use super::{Failure, files, memory::MemoryFlags};

@@ -3,7 +3,7 @@
 //! What always holds: what has an owner is seen by that owner and by administrators only. While a service has no keys, everybody is
 //! [`Caller::ANYBODY`], who owns nothing and may do everything.
 
-use std::{fmt, str::FromStr};
+use std::{fmt, num::NonZeroU32, str::FromStr};
 
 use serde::{Deserialize, Serialize};
 use uuid::Uuid;
@@ -68,6 +68,29 @@ impl FromStr for Scope {
             let known: Vec<&str> = Self::ALL.iter().map(|scope| scope.name()).collect();
             format!("'{text}' is not a scope; there are {}", known.join(", "))
         })
+    }
+}
+
+/// How much a key's holder may take; what is absent is not bounded.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct KeyLimits {
+    /// Bytes that its scenes, uploads and jobs may keep in storage.
+    pub max_bytes: Option<u64>,
+    /// Jobs that may be queued or running at a time.
+    pub max_active_jobs: Option<u32>,
+    /// Requests in a minute; as many may come at once.
+    pub requests_per_minute: Option<NonZeroU32>,
+}
+
+impl KeyLimits {
+    /// These limits, and those of `default` where there are none.
+    #[must_use]
+    pub fn or(self, default: Self) -> Self {
+        Self {
+            max_bytes: self.max_bytes.or(default.max_bytes),
+            max_active_jobs: self.max_active_jobs.or(default.max_active_jobs),
+            requests_per_minute: self.requests_per_minute.or(default.requests_per_minute),
+        }
     }
 }
 

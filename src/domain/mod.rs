@@ -11,12 +11,14 @@ pub mod clock;
 pub mod context;
 pub mod conventions;
 pub mod digest;
+pub mod entropy;
 pub mod format;
 pub mod gaussians;
 pub mod harmonics;
 pub mod held_out;
 pub mod image;
 pub mod job;
+pub mod key;
 pub mod memory;
 pub mod metrics;
 pub mod near;
@@ -28,7 +30,7 @@ pub mod scene;
 pub mod upload;
 pub mod view;
 
-pub use access::{Caller, KeyId, Scope};
+pub use access::{Caller, KeyId, KeyLimits, Scope};
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
 pub use clock::{Clock, ManualClock, SystemClock};
@@ -38,11 +40,13 @@ pub use context::{
 };
 pub use conventions::{Conventions, LpipsNetwork};
 pub use digest::Digest;
+pub use entropy::{Entropy, EntropyError, SystemEntropy};
 pub use format::SceneFormat;
 pub use gaussians::{GaussianScene, Scene};
 pub use held_out::{HeldOut, HeldOutView};
 pub use image::{Image, ImageError};
 pub use job::{Event, EventKind, Job, JobId, JobState, SceneId};
+pub use key::{ApiKey, KeyHash, MalformedKey};
 pub use memory::{Bytes, MemoryBudget, MemoryLimits};
 pub use metrics::{
     ByteBudget, ByteCounts, CurvePoint, GroupOctaves, JobMetrics, PhaseSeconds, Scores, ViewScore,

@@ -1,16 +1,23 @@
-//! Who sent a request, as handlers take it: what the authentication before them put into the request's extensions, and anybody
-//! where nothing did.
+//! Who sent a request, as handlers take it: what [`super::auth`] made of the request's key.
 
-use std::convert::Infallible;
+use axum::{
+    extract::FromRequestParts,
+    http::request::Parts,
+    response::{IntoResponse as _, Response},
+};
 
-use axum::{extract::FromRequestParts, http::request::Parts};
-
+use super::problem::Fault;
 use crate::domain::Caller;
 
 impl<S: Sync> FromRequestParts<S> for Caller {
-    type Rejection = Infallible;
+    type Rejection = Response;
 
-    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Infallible> {
-        Ok(parts.extensions.get::<Self>().copied().unwrap_or(Self::ANYBODY))
+    /// Refuses what did not pass the authentication: there is a way around it, and nobody may take it.
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Response> {
+        let known = parts.extensions.get::<Self>().copied();
+        known.ok_or_else(|| {
+            let fault = format!("{} reached its handler without authentication", parts.method);
+            Fault::internal(&std::io::Error::other(fault)).into_response()
+        })
     }
 }

@@ -2,6 +2,7 @@
 
 use std::{
     net::{Ipv4Addr, SocketAddr},
+    num::NonZeroU32,
     time::Duration,
 };
 
@@ -35,29 +36,72 @@ impl Default for HttpConfig {
 }
 
 impl HttpConfig {
-    /// Checks that the address may be served.
+    /// Whether others than this machine could reach the address.
+    #[must_use]
+    pub fn is_exposed(&self) -> bool {
+        !self.listen.ip().to_canonical().is_loopback()
+    }
+
+    /// Checks that the address may be served by a service that has keys, or has none.
     ///
     /// # Errors
-    /// [`ExposureError`] for an address that others can reach, because there are no keys to tell them apart.
-    pub fn check_exposure(&self) -> Result<(), ExposureError> {
-        if self.listen.ip().to_canonical().is_loopback() {
+    /// [`ExposureError`] for an address that others can reach where no key is asked for.
+    pub fn check_exposure(&self, has_keys: bool) -> Result<(), ExposureError> {
+        if !self.is_exposed() {
             return Ok(());
         }
-        Err(ExposureError(self.listen))
+        if self.limits.access.without_keys {
+            return Err(ExposureError::WithoutKeys(self.listen));
+        }
+        if !has_keys {
+            return Err(ExposureError::NoKeys(self.listen));
+        }
+        Ok(())
     }
 }
 
 /// An address that must not be served without keys.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[error(
-    "{0} can be reached from other machines, and this version has no API keys: listen on a loopback address such as \
-     127.0.0.1:8080, and let a proxy that authenticates stand between it and the network"
-)]
-pub struct ExposureError(pub SocketAddr);
+pub enum ExposureError {
+    /// There are none.
+    #[error(
+        "{0} can be reached from other machines, and there are no API keys to tell who may: make one with \
+         'tcgs keys create', or listen on a loopback address such as 127.0.0.1:8080"
+    )]
+    NoKeys(SocketAddr),
+    /// They are not to be asked for.
+    #[error(
+        "{0} can be reached from other machines, so keys must be asked for: leave out --without-keys, or listen on 127.0.0.1"
+    )]
+    WithoutKeys(SocketAddr),
+}
+
+/// Who is let in, and how often.
+#[derive(Debug, Clone)]
+pub struct AccessRules {
+    /// Ask for no key even if there are some.
+    pub without_keys: bool,
+    /// Requests in a minute of a key that has no rate of its own; not bounded if there is none.
+    pub requests_per_minute: Option<NonZeroU32>,
+    /// Requests in a minute that may come from one address without a valid key.
+    pub failures_per_minute: NonZeroU32,
+}
+
+impl Default for AccessRules {
+    fn default() -> Self {
+        Self {
+            without_keys: false,
+            requests_per_minute: None,
+            failures_per_minute: const { NonZeroU32::new(30).unwrap() },
+        }
+    }
+}
 
 /// Bounds on what one request may ask for.
 #[derive(Debug, Clone)]
 pub struct RequestLimits {
+    /// Who is let in, and how often.
+    pub access: AccessRules,
     /// Longest dataset archive, in bytes.
     pub upload_bytes: u64,
     /// Longest dataset archive that comes in parts, in bytes.
@@ -91,6 +135,7 @@ pub struct RequestLimits {
 impl Default for RequestLimits {
     fn default() -> Self {
         Self {
+            access: AccessRules::default(),
             upload_bytes: 4 << 30,
             resumable_bytes: 64 << 30,
             upload_life: Duration::from_secs(24 * 3600),
@@ -119,12 +164,22 @@ mod tests {
             listen: listen.parse().expect("an address"),
             ..HttpConfig::default()
         };
+        let open = |listen: &str| {
+            let access = AccessRules { without_keys: true, ..AccessRules::default() };
+            HttpConfig { limits: RequestLimits { access, ..RequestLimits::default() }, ..on(listen) }
+        };
         for listen in ["127.0.0.1:8080", "127.9.9.9:1", "[::1]:8080", "[::ffff:127.0.0.1]:80"] {
-            assert_eq!(on(listen).check_exposure(), Ok(()), "{listen}");
+            for has_keys in [false, true] {
+                assert_eq!(on(listen).check_exposure(has_keys), Ok(()), "{listen}");
+                assert_eq!(open(listen).check_exposure(has_keys), Ok(()), "{listen}");
+            }
         }
         for listen in ["0.0.0.0:8080", "[::]:8080", "192.168.1.4:8080", "[::ffff:10.0.0.1]:80"] {
             let config = on(listen);
-            assert_eq!(config.check_exposure(), Err(ExposureError(config.listen)), "{listen}");
+            assert_eq!(config.check_exposure(false), Err(ExposureError::NoKeys(config.listen)), "{listen}");
+            assert_eq!(config.check_exposure(true), Ok(()), "{listen}");
+            let refused = Err(ExposureError::WithoutKeys(config.listen));
+            assert_eq!(open(listen).check_exposure(true), refused, "{listen}");
         }
     }
 }

@@ -2,13 +2,16 @@
 //!
 //! Handlers parse, ask the store, and answer. What always holds: every error is an `application/problem+json`
 //! document with the request's id; every body, queue, connection and render is bounded; nothing that a
-//! client sends reaches the file system as a name. Workers, SQL and the GPU are not known here.
+//! client sends reaches the file system as a name; no request reaches a handler but through [`auth`]. Workers,
+//! SQL and the GPU are not known here.
 
 mod accept;
 mod artifact;
+mod auth;
 mod body;
 mod caller;
 mod camera;
+mod client;
 pub mod config;
 mod content_digest;
 mod create_job;
@@ -28,8 +31,10 @@ mod render_queue;
 mod report;
 mod scene_body;
 mod scenes;
+mod scopes;
 mod serve;
 mod state;
+mod throttle;
 mod tus;
 mod upload_part;
 mod uploads;
@@ -39,7 +44,7 @@ mod wrap;
 
 use axum::{
     Router,
-    middleware::{from_fn, map_response},
+    middleware::{from_fn, from_fn_with_state, map_response},
     routing::{get, head, options, post},
 };
 use tower_http::catch_panic::CatchPanicLayer;
@@ -70,6 +75,7 @@ pub fn router(state: AppState) -> Router {
         .route("/readyz", get(health::readyz))
         .route("/version", get(health::version))
         .route("/openapi.yaml", get(health::openapi))
+        .layer(from_fn_with_state(state.clone(), auth::authenticate))
         .layer(CatchPanicLayer::custom(wrap::panicked))
         .layer(from_fn(wrap::wrap))
         .with_state(state)

@@ -1,9 +1,9 @@
 //! The accept loop. `axum::serve` has no header timeout, no bound on connections and no deadline for draining;
 //! this one does.
 
-use std::{io, sync::Arc, time::Duration};
+use std::{io, net::SocketAddr, sync::Arc, time::Duration};
 
-use axum::Router;
+use axum::{Extension, Router, middleware::AddExtension};
 use hyper::server::conn::http1;
 use hyper_util::{
     rt::{TokioIo, TokioTimer},
@@ -17,9 +17,11 @@ use tokio::{
     time::{sleep, timeout},
 };
 use tokio_util::sync::CancellationToken;
+use tower::Layer as _;
 
 use super::{
     AppState, Services,
+    client::ClientAddress,
     config::{ExposureError, HttpConfig},
     router,
 };
@@ -46,12 +48,12 @@ pub enum ServeError {
     },
 }
 
-/// Takes hold of the configured address, if it may be served.
+/// Takes hold of the configured address, if it may be served by a service that has keys, or has none.
 ///
 /// # Errors
 /// [`ServeError`].
-pub async fn bind(config: &HttpConfig) -> Result<TcpListener, ServeError> {
-    config.check_exposure()?;
+pub async fn bind(config: &HttpConfig, has_keys: bool) -> Result<TcpListener, ServeError> {
+    config.check_exposure(has_keys)?;
     let address = config.listen;
     TcpListener::bind(address).await.map_err(|source| ServeError::Bind { address, source })
 }
@@ -77,8 +79,8 @@ pub async fn serve(
             accepted = accepted => accepted,
         };
         match accepted {
-            Ok((stream, _)) => {
-                let connection = connection(&config, stream, app.clone());
+            Ok((stream, peer)) => {
+                let connection = connection(&config, stream, peer, app.clone());
                 let watched = graceful.watch(connection);
                 tokio::spawn(async move {
                     if let Err(error) = watched.await {
@@ -102,8 +104,9 @@ pub async fn serve(
 fn connection(
     config: &HttpConfig,
     stream: TcpStream,
+    peer: SocketAddr,
     app: Router,
-) -> http1::Connection<TokioIo<TcpStream>, TowerToHyperService<Router>> {
+) -> http1::Connection<TokioIo<TcpStream>, TowerToHyperService<AddExtension<Router, ClientAddress>>> {
     // Answers are written whole; waiting to fill a packet only adds delay.
     if let Err(error) = stream.set_nodelay(true) {
         tracing::debug!("no TCP_NODELAY: {error}");
@@ -113,5 +116,8 @@ fn connection(
         .header_read_timeout(config.header_timeout)
         .max_headers(MAX_HEADERS)
         .max_buf_size(MAX_HEAD_BYTES)
-        .serve_connection(TokioIo::new(stream), TowerToHyperService::new(app))
+        .serve_connection(
+            TokioIo::new(stream),
+            TowerToHyperService::new(Extension(ClientAddress(peer.ip())).layer(app)),
+        )
 }

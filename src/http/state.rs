@@ -5,7 +5,10 @@ use std::{fmt, path::Path, sync::Arc};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::{config::RequestLimits, idempotency::InFlight, render_queue::RenderQueue, watch::Watcher};
+use super::{
+    auth::Lock, config::RequestLimits, idempotency::InFlight, render_queue::RenderQueue, throttle::Throttle,
+    watch::Watcher,
+};
 use crate::{
     domain::{Clock, DatasetSummary, Problem},
     render::{RenderViews, views::Viewable},
@@ -62,6 +65,8 @@ struct Inner {
     in_flight: Arc<InFlight>,
     waits: Semaphore,
     draining: CancellationToken,
+    lock: Lock,
+    throttle: Throttle,
 }
 
 impl fmt::Debug for AppState {
@@ -76,6 +81,7 @@ impl AppState {
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         let uploads = Semaphore::new(limits.uploads);
         let renders = RenderQueue::new(limits.renders, limits.renders_waiting);
+        let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
         let waits = Semaphore::new(limits.waits);
         let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
         Self(Arc::new(Inner {
@@ -87,6 +93,8 @@ impl AppState {
             in_flight: Arc::default(),
             waits,
             draining,
+            lock: Lock::default(),
+            throttle,
         }))
     }
 
@@ -112,6 +120,14 @@ impl AppState {
 
     pub(super) fn renders(&self) -> &RenderQueue {
         &self.0.renders
+    }
+
+    pub(super) fn lock(&self) -> &Lock {
+        &self.0.lock
+    }
+
+    pub(super) fn throttle(&self) -> &Throttle {
+        &self.0.throttle
     }
 
     /// Keys of requests that are being answered.

@@ -16,6 +16,7 @@ pub mod blobs;
 mod error;
 pub mod housekeeping;
 mod idempotency;
+mod keys;
 mod policy;
 mod records;
 mod scenes;
@@ -29,6 +30,7 @@ pub use accounts::{Accounts, Usage};
 pub use blobs::{BlobError, Blobs, Staged, Staging, UploadFile};
 pub use error::StoreError;
 pub use idempotency::{Idempotency, Intent, Remembered};
+pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};
 pub use policy::QueuePolicy;
 pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat,
@@ -44,7 +46,7 @@ use crate::domain::{Event, JobId, JobState, Phase, Progress};
 pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
-pub trait Store: Accounts + Idempotency + Scenes + Uploads + Send + Sync + 'static {
+pub trait Store: Accounts + Idempotency + Keys + Scenes + Uploads + Send + Sync + 'static {
     /// Adds a job in state `queued`, together with its dataset's blob row, its first event and what its request's
     /// `Idempotency-Key` is to be remembered by; [`StoreError::AlreadyMade`] if that key was used before.
     fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord>;

@@ -15,11 +15,14 @@ use std::{
 use tcgs::{
     domain::{MemoryLimits, Problem, SystemClock},
     gpu::{AdapterChoice, driver_cache},
-    http::{self, HttpConfig, Services, WorkerCounts},
+    http::{
+        self, HttpConfig, Services, WorkerCounts,
+        config::{AccessRules, RequestLimits},
+    },
     ingest,
     render::views::Viewable,
     store::{
-        Blobs, QueuePolicy, SqliteStore,
+        Blobs, Keys as _, QueuePolicy, SqliteStore,
         housekeeping::{HousekeepingPolicy, keep_house},
     },
     worker::{self, WorkerConfig, scene_file, supervise},
@@ -39,9 +42,11 @@ const CHECKPOINTS: &str = "checkpoints";
 const DRIVER_CACHE: &str = "driver-cache";
 
 /// Where a service listens and keeps its data.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub(crate) struct ServeOptions {
     pub(crate) listen: SocketAddr,
+    /// Who is let in, and how often.
+    pub(crate) access: AccessRules,
     pub(crate) data: PathBuf,
     pub(crate) adapter: AdapterChoice,
     /// What each worker may take.
@@ -71,13 +76,15 @@ pub(crate) struct WorkerOptions {
 
 /// Runs the service until a signal comes.
 pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
-    let config = HttpConfig { listen: options.listen, ..HttpConfig::default() };
-    config.check_exposure().map_err(|fault| Failure::Usage(format!("--listen: {fault}")))?;
+    let limits = RequestLimits { access: options.access.clone(), ..RequestLimits::default() };
+    let config = HttpConfig { listen: options.listen, limits, ..HttpConfig::default() };
     runtime()?.block_on(async {
+        let has_keys = has_keys(&options.data).await?;
+        config.check_exposure(has_keys).map_err(|fault| Failure::Usage(format!("--listen: {fault}")))?;
         // Before any worker starts, which would find the same faults.
         super::lpips(options.lpips.as_deref())?;
         let (renderer, _) = super::views(&options.adapter, options.view_memory)?;
-        let listener = http::bind(&config).await.map_err(|fault| unavailable(&fault))?;
+        let listener = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
         let (store, blobs) = open(&options.data).await?;
         let shutdown = stop_on_signals()?;
 
@@ -145,7 +152,7 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
     outcome
 }
 
-async fn open(data: &Path) -> Result<(Arc<SqliteStore>, Blobs), Failure> {
+pub(super) async fn open(data: &Path) -> Result<(Arc<SqliteStore>, Blobs), Failure> {
     fs::create_dir_all(data).map_err(|fault| Failure::unwritable(data, &fault))?;
     let database = data.join(DATABASE);
     let store = SqliteStore::open(&database, Arc::new(SystemClock), QueuePolicy::default())
@@ -153,6 +160,17 @@ async fn open(data: &Path) -> Result<(Arc<SqliteStore>, Blobs), Failure> {
         .map_err(|fault| unavailable(&fault))?;
     let blobs = Blobs::open(data).map_err(|fault| unavailable(&fault))?;
     Ok((Arc::new(store), blobs))
+}
+
+/// Whether the database knows of keys; where there is none yet, none is made to find that out.
+async fn has_keys(data: &Path) -> Result<bool, Failure> {
+    if !data.join(DATABASE).exists() {
+        return Ok(false);
+    }
+    let (store, _) = open(data).await?;
+    let has_keys = store.has_keys().await.map_err(|fault| unavailable(&fault))?;
+    store.close().await;
+    Ok(has_keys)
 }
 
 /// The environment that lets workers find compiled kernels again.
@@ -190,7 +208,7 @@ fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
     arguments
 }
 
-fn runtime() -> Result<Runtime, Failure> {
+pub(super) fn runtime() -> Result<Runtime, Failure> {
     tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(|fault| unavailable(&fault))
 }
 
@@ -221,7 +239,7 @@ fn stop_on_signals() -> Result<CancellationToken, Failure> {
 }
 
 /// Something that this process needs is not to be had; the fault with its causes.
-fn unavailable(fault: &(dyn Error + 'static)) -> Failure {
+pub(super) fn unavailable(fault: &(dyn Error + 'static)) -> Failure {
     let mut detail = fault.to_string();
     let mut source = fault.source();
     while let Some(cause) = source {

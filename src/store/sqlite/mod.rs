@@ -8,6 +8,7 @@
 mod accounts;
 mod events;
 mod idempotency;
+mod keys;
 mod queue;
 mod rows;
 mod scenes;

@@ -61,6 +61,14 @@ pub(super) fn unsigned<T: TryFrom<i64>>(row: &SqliteRow, column: &'static str) -
     T::try_from(value).map_err(|_| corrupt(column)(format!("{value} is out of range")))
 }
 
+pub(super) fn optional_unsigned<T: TryFrom<i64>>(
+    row: &SqliteRow,
+    column: &'static str,
+) -> Result<Option<T>, StoreError> {
+    let Some(value) = row.try_get::<Option<i64>, _>(column)? else { return Ok(None) };
+    T::try_from(value).map(Some).map_err(|_| corrupt(column)(format!("{value} is out of range")))
+}
+
 pub(super) fn optional_instant(
     row: &SqliteRow,
     column: &'static str,

@@ -1,6 +1,7 @@
 //! The API over a real socket, a file for each part of it. Every answer is held to `openapi.yaml`, and one test asserts that
 //! every operation and status of it was seen.
 
+mod access;
 mod artifacts;
 mod connections;
 mod idempotency;
@@ -48,6 +49,11 @@ scenarios! {
         unknown_jobs_frames_paths_and_methods_are_problems,
         a_database_that_fails_is_a_problem_not_a_crash,
         a_handler_that_panics_answers_500_and_the_server_lives,
+    }
+    access {
+        no_operation_answers_without_the_right_key,
+        the_first_key_closes_the_service_and_revoking_the_last_does_not_open_it,
+        a_key_has_its_rate_and_an_address_a_few_failures,
     }
     connections {
         bodies_that_break_off_or_dawdle_are_given_up,

@@ -7,6 +7,7 @@ use std::{
 
 use reqwest::header::HeaderMap;
 use serde_json::{Value, json};
+use tcgs::domain::Scope;
 
 static DOCUMENT: LazyLock<Value> = LazyLock::new(|| {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi.yaml");
@@ -35,7 +36,7 @@ impl Coverage {
             value.to_str().expect("ASCII").split(';').next().unwrap_or_default().trim().to_owned()
         });
         let Some(operation) = operation(method, path) else {
-            assert!(matches!(status, 404 | 405), "{place}: not in the contract");
+            assert!(matches!(status, 401 | 404 | 405), "{place}: not in the contract");
             if status == 405 {
                 assert!(headers.contains_key("allow"), "{place}: no Allow");
             }
@@ -79,6 +80,53 @@ impl Coverage {
     }
 }
 
+/// An operation that needs a key.
+#[derive(Debug, Clone)]
+pub struct Guarded {
+    pub id: String,
+    pub method: &'static str,
+    pub scope: Scope,
+    /// The path with its parameters in braces.
+    pub template: String,
+}
+
+impl Guarded {
+    /// A path of the operation, to something that is not there.
+    pub fn path(&self) -> String {
+        let parts: Vec<&str> = self
+            .template
+            .split('/')
+            .map(|part| if part.starts_with('{') { "0190a5d8-0000-7000-8000-000000000000" } else { part })
+            .collect();
+        parts.join("/")
+    }
+}
+
+/// Every operation of the contract that needs a key.
+pub fn guarded() -> Vec<Guarded> {
+    const METHODS: [(&str, &str); 7] = [
+        ("get", "GET"),
+        ("head", "HEAD"),
+        ("post", "POST"),
+        ("put", "PUT"),
+        ("patch", "PATCH"),
+        ("delete", "DELETE"),
+        ("options", "OPTIONS"),
+    ];
+    let mut all = Vec::new();
+    for (template, item) in DOCUMENT["paths"].as_object().expect("paths") {
+        for (name, method) in METHODS {
+            let Some(operation) = item.get(name) else { continue };
+            let Some(scope) = operation["security"][0]["key"][0].as_str() else { continue };
+            let id = operation["operationId"].as_str().expect("an operationId").to_owned();
+            let scope = scope.parse().expect("a scope");
+            all.push(Guarded { id, method, scope, template: template.clone() });
+        }
+    }
+    assert!(!all.is_empty());
+    all
+}
+
 fn operations() -> BTreeSet<(String, String)> {
     let mut all = BTreeSet::new();
     for path in DOCUMENT["paths"].as_object().expect("paths").values() {
@@ -93,7 +141,6 @@ fn operations() -> BTreeSet<(String, String)> {
 
 fn operation(method: &str, path: &str) -> Option<&'static Value> {
     let path = path.split('?').next().unwrap_or_default();
-    let method = if method == "HEAD" { "get".to_owned() } else { method.to_lowercase() };
     let fits = |template: &str| {
         let (mut left, mut right) = (template.split('/'), path.split('/'));
         loop {
@@ -105,7 +152,8 @@ fn operation(method: &str, path: &str) -> Option<&'static Value> {
         }
     };
     let (_, item) = DOCUMENT["paths"].as_object()?.iter().find(|(template, _)| fits(template))?;
-    item.get(method)
+    let listed = item.get(method.to_lowercase());
+    if method == "HEAD" { listed.or_else(|| item.get("get")) } else { listed }
 }
 
 /// The target of a `$ref`, or the value itself.

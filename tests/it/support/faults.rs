@@ -1,5 +1,7 @@
 //! A store that fails when told to.
 
+mod keys;
+
 use std::sync::{Arc, Mutex};
 
 use jiff::Timestamp;

@@ -6,9 +6,9 @@ use bytes::Bytes;
 use reqwest::{RequestBuilder, header::HeaderMap};
 use serde_json::Value;
 use tcgs::{
-    domain::{Clock, SystemClock},
+    domain::{Clock, KeyId, KeyLimits, Scope, SystemClock, SystemEntropy},
     http::{self, HttpConfig, Services, WorkerCounts, config::RequestLimits},
-    store::{Blobs, QueuePolicy, SqliteStore, Store},
+    store::{Blobs, Keys as _, NewKey, QueuePolicy, SqliteStore, Store},
     worker::{self, WorkerConfig},
 };
 use tempfile::TempDir;
@@ -28,6 +28,7 @@ pub struct Setup {
     pub max_connections: usize,
     pub worker: bool,
     pub policy: QueuePolicy,
+    pub clock: Arc<dyn Clock>,
 }
 
 impl Default for Setup {
@@ -42,6 +43,7 @@ impl Default for Setup {
             max_connections: 512,
             worker: true,
             policy: quick_policy(),
+            clock: Arc::new(SystemClock),
         }
     }
 }
@@ -76,7 +78,15 @@ pub struct Server {
     pub serving: JoinHandle<()>,
     pub coverage: Coverage,
     client: reqwest::Client,
-    _data: TempDir,
+    /// The folder of database and blobs, for another server to go on with.
+    pub data: Arc<TempDir>,
+}
+
+/// A key of a test.
+#[derive(Debug, Clone)]
+pub struct TestKey {
+    pub id: KeyId,
+    pub key: String,
 }
 
 /// Reads a picture.
@@ -124,8 +134,12 @@ impl Server {
     }
 
     pub async fn start_with(coverage: &Coverage, setup: Setup) -> Self {
-        let data = tempfile::tempdir().expect("a folder");
-        let clock: Arc<dyn Clock> = Arc::new(SystemClock);
+        Self::start_in(coverage, setup, Arc::new(tempfile::tempdir().expect("a folder"))).await
+    }
+
+    /// Starts over what an earlier server left in its folder.
+    pub async fn start_in(coverage: &Coverage, setup: Setup, data: Arc<TempDir>) -> Self {
+        let clock = setup.clock;
         let sqlite = SqliteStore::open(&data.path().join("tcgs.db"), Arc::clone(&clock), setup.policy).await;
         let store = Arc::new(FaultStore::new(Arc::new(sqlite.expect("a database"))));
         let blobs = Blobs::open(data.path()).expect("a blob store");
@@ -157,12 +171,31 @@ impl Server {
             limits: setup.limits,
             ..HttpConfig::default()
         };
-        let listener = http::bind(&config).await.expect("a port");
+        let listener = http::bind(&config, false).await.expect("a port");
         let address = listener.local_addr().expect("bound");
         let serving = tokio::spawn(http::serve(listener, config, services.clone(), shutdown.clone()));
         let client = reqwest::Client::builder().timeout(Duration::from_secs(60)).build().expect("a client");
         let coverage = coverage.clone();
-        Self { address, store, services, runner, renderer, shutdown, serving, coverage, client, _data: data }
+        Self { address, store, services, runner, renderer, shutdown, serving, coverage, client, data }
+    }
+
+    /// A key with these scopes.
+    pub async fn key(&self, scopes: &[Scope]) -> TestKey {
+        self.key_with(scopes, KeyLimits::default()).await
+    }
+
+    /// The same with limits.
+    pub async fn key_with(&self, scopes: &[Scope], limits: KeyLimits) -> TestKey {
+        let now = self.services.clock.now();
+        let drawn = NewKey::draw(&SystemEntropy, now, "a test's", scopes, limits);
+        let (new, key) = drawn.expect("a key");
+        let id = self.store.create_key(new).await.expect("stored").id;
+        TestKey { id, key: key.expose().to_owned() }
+    }
+
+    /// Shuts a key out.
+    pub async fn revoke(&self, key: &TestKey) {
+        self.store.revoke_key(key.id).await.expect("a store").expect("a key");
     }
 
     /// Sends a request and checks the answer against the contract.

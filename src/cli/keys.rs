@@ -1,0 +1,169 @@
+//! `tcgs keys`: makes, lists and revokes API keys, also while the service runs.
+
+use std::{num::NonZeroU32, path::PathBuf};
+
+use clap::Subcommand;
+use serde::Serialize;
+use tcgs::{
+    domain::{Bytes, KeyId, KeyLimits, Scope},
+    store::KeyRecord,
+};
+
+use super::{Failure, Report, wiring};
+
+/// Arguments of `tcgs keys`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    action: Action,
+
+    /// Folder of the service's data
+    #[arg(long, global = true, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
+    data: PathBuf,
+
+    /// Print one JSON document instead of text
+    #[arg(long, global = true)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum Action {
+    /// Make a key and print it, this once
+    ///
+    /// From the first key on, the service answers nobody without one, also if it is revoked later.
+    Create(CreateArgs),
+    /// Show the keys, newest first
+    List(ListArgs),
+    /// Shut a key out, from its next request on
+    Revoke(RevokeArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct CreateArgs {
+    /// What the key is for
+    #[arg(long)]
+    name: String,
+
+    /// What it allows, separated by commas: read, scenes:write, jobs:write, or admin for everything, of every key
+    #[arg(long, value_delimiter = ',', default_value = "read,scenes:write,jobs:write")]
+    scopes: Vec<Scope>,
+
+    /// Storage that its scenes, uploads and jobs may take; the service's default if absent
+    #[arg(long, value_name = "BYTES")]
+    max_bytes: Option<Bytes>,
+
+    /// Jobs that it may have queued or running at a time; the service's default if absent
+    #[arg(long, value_name = "N")]
+    max_active_jobs: Option<u32>,
+
+    /// Requests that it may send in a minute; the service's default if absent
+    #[arg(long, value_name = "N")]
+    requests_per_minute: Option<NonZeroU32>,
+}
+
+#[derive(Debug, clap::Args)]
+struct ListArgs {
+    /// Show revoked keys too
+    #[arg(long)]
+    all: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct RevokeArgs {
+    /// The key's id, as `tcgs keys list` shows it
+    id: KeyId,
+}
+
+/// Does what was asked for.
+pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+    match &args.action {
+        Action::Create(create) => {
+            let limits = KeyLimits {
+                max_bytes: create.max_bytes.map(|bytes| bytes.0),
+                max_active_jobs: create.max_active_jobs,
+                requests_per_minute: create.requests_per_minute,
+            };
+            let (record, key) = wiring::create_key(&args.data, &create.name, &create.scopes, limits)?;
+            let text = format!(
+                "{}\n\nThis is the only time that the key is shown. It is '{}', id {}, and allows {}.",
+                key.expose(),
+                record.name,
+                record.id,
+                scopes(&record)
+            );
+            Ok(Report::new(text, &Created { key: key.expose(), shown: Shown::from(&record) }))
+        }
+        Action::List(list) => {
+            let records = wiring::keys(&args.data, list.all)?;
+            let shown: Vec<Shown> = records.iter().map(Shown::from).collect();
+            Ok(Report::new(table(&records), &serde_json::json!({ "keys": shown })))
+        }
+        Action::Revoke(revoke) => {
+            let record = wiring::revoke_key(&args.data, revoke.id)?;
+            let text = format!("The key '{}' ({}...) is revoked.", record.name, record.prefix);
+            Ok(Report::new(text, &Shown::from(&record)))
+        }
+    }
+}
+
+/// A key as `--json` shows it, with the names of the API.
+#[derive(Debug, Serialize)]
+struct Shown<'a> {
+    id: KeyId,
+    name: &'a str,
+    prefix: &'a str,
+    scopes: &'a [Scope],
+    #[serde(flatten)]
+    limits: KeyLimits,
+    created_at: jiff::Timestamp,
+    last_used_at: Option<jiff::Timestamp>,
+    revoked_at: Option<jiff::Timestamp>,
+}
+
+#[derive(Serialize)]
+struct Created<'a> {
+    key: &'a str,
+    #[serde(flatten)]
+    shown: Shown<'a>,
+}
+
+impl<'a> From<&'a KeyRecord> for Shown<'a> {
+    fn from(record: &'a KeyRecord) -> Self {
+        Self {
+            id: record.id,
+            name: &record.name,
+            prefix: &record.prefix,
+            scopes: &record.scopes,
+            limits: record.limits,
+            created_at: record.created_at,
+            last_used_at: record.last_used_at,
+            revoked_at: record.revoked_at,
+        }
+    }
+}
+
+fn scopes(record: &KeyRecord) -> String {
+    record.scopes.iter().map(|scope| scope.name()).collect::<Vec<_>>().join(",")
+}
+
+fn table(records: &[KeyRecord]) -> String {
+    if records.is_empty() {
+        return "There are no keys.".to_owned();
+    }
+    let mut text = format!("{:36}  {:13}  {:28}  {:20}  name\n", "id", "key", "scopes", "last used");
+    for record in records {
+        let used = match (record.revoked_at, record.last_used_at) {
+            (Some(_), _) => "revoked".to_owned(),
+            (None, Some(at)) => at.strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
+            (None, None) => "never".to_owned(),
+        };
+        text += &format!(
+            "{}  {:13}  {:28}  {used:20}  {}\n",
+            record.id,
+            record.prefix,
+            scopes(record),
+            record.name
+        );
+    }
+    text
+}

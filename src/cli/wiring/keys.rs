@@ -1,0 +1,62 @@
+//! Keys in the database of a service, whether it runs or not.
+
+use std::path::Path;
+
+use tcgs::{
+    domain::{ApiKey, Clock as _, KeyId, KeyLimits, Problem, Scope, SystemClock, SystemEntropy},
+    store::{KeyRecord, Keys as _, NewKey, SqliteStore, StoreError},
+};
+
+use super::service::{open, runtime, unavailable};
+use crate::cli::Failure;
+
+/// Keys of a page of the list.
+const PAGE: u32 = 1000;
+
+/// Makes a key.
+pub(crate) fn create_key(
+    data: &Path,
+    name: &str,
+    scopes: &[Scope],
+    limits: KeyLimits,
+) -> Result<(KeyRecord, ApiKey), Failure> {
+    let drawn = NewKey::draw(&SystemEntropy, SystemClock.now(), name, scopes, limits);
+    let (new, key) = drawn.map_err(|fault| Failure::Usage(fault.to_string()))?;
+    let record = with_store(data, async |store| store.create_key(new).await)?;
+    Ok((record, key))
+}
+
+/// The keys, newest first, revoked ones if they are wanted.
+pub(crate) fn keys(data: &Path, with_revoked: bool) -> Result<Vec<KeyRecord>, Failure> {
+    with_store(data, async |store| {
+        let mut all: Vec<KeyRecord> = Vec::new();
+        loop {
+            let page = store.keys(with_revoked, all.last().map(|key| key.id), PAGE).await?;
+            if page.is_empty() {
+                return Ok(all);
+            }
+            all.extend(page);
+        }
+    })
+}
+
+/// Shuts a key out.
+pub(crate) fn revoke_key(data: &Path, id: KeyId) -> Result<KeyRecord, Failure> {
+    let revoked = with_store(data, async |store| store.revoke_key(id).await)?;
+    revoked.ok_or_else(|| {
+        let detail = format!("there is no key {id} in {}; see 'tcgs keys list --all'", data.display());
+        Problem::new(404, "key-not-found", "No such key", detail).into()
+    })
+}
+
+fn with_store<T>(
+    data: &Path,
+    work: impl AsyncFnOnce(&SqliteStore) -> Result<T, StoreError>,
+) -> Result<T, Failure> {
+    runtime()?.block_on(async {
+        let (store, _) = open(data).await?;
+        let outcome = work(&store).await;
+        store.close().await;
+        outcome.map_err(|fault| unavailable(&fault))
+    })
+}

@@ -1,0 +1,211 @@
+//! Who may pass: before any handler, a request is held to the table in [`super::scopes`].
+//!
+//! What always holds, and in each case of doubt the answer is no:
+//!
+//! - While the database has no key, everybody is let in as [`Caller::ANYBODY`]; only loopback is served then
+//!   ([`super::HttpConfig::check_exposure`]). From the first key on, and for as long as the process lives, nothing under `/v1`
+//!   answers without one, revoked keys and unknown paths included.
+//! - Only what passed here has a [`Caller`]; handlers that ask for one cannot run without.
+//! - Behind this, no handler sees the key.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use axum::{
+    body::Body,
+    extract::{MatchedPath, Request, State},
+    http::{HeaderMap, HeaderValue, StatusCode, header},
+    middleware::Next,
+    response::{IntoResponse as _, Response},
+};
+
+use super::{
+    body::discard_little,
+    client::ClientAddress,
+    problem::Fault,
+    scopes::{self, Access},
+    state::AppState,
+    throttle::Wait,
+};
+use crate::{
+    domain::{ApiKey, Caller, Scope},
+    store::KeyRecord,
+};
+
+/// Whether there were keys when last looked at; they never vanish.
+#[derive(Debug, Default)]
+pub(super) struct Lock(AtomicBool);
+
+impl Lock {
+    async fn is_open(&self, state: &AppState) -> Result<bool, Fault> {
+        if self.0.load(Ordering::Relaxed) {
+            return Ok(false);
+        }
+        if state.limits().access.without_keys {
+            return Ok(true);
+        }
+        let closed = state.store().has_keys().await?;
+        self.0.store(closed, Ordering::Relaxed);
+        Ok(!closed)
+    }
+}
+
+/// Lets a request through to its handler, or answers it.
+pub(super) async fn authenticate(
+    State(state): State<AppState>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    let shown = take_key(request.headers_mut());
+    let route = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
+    let needed = match &route {
+        Some(route) => scopes::access(request.method().as_str(), route),
+        // Outside the API there is nothing to hide; within it, not even what there is not is told.
+        None if !is_api(request.uri().path()) => Some(Access::Open),
+        None => None,
+    };
+    if needed == Some(Access::Open) {
+        return next.run(request).await;
+    }
+    let address = request.extensions().get::<ClientAddress>().copied();
+    let caller = match admit(&state, shown, needed, address).await {
+        Ok(caller) => caller,
+        Err(fault) => return refuse(request, fault).await,
+    };
+    if needed.is_some() {
+        request.extensions_mut().insert(caller);
+        return next.run(request).await;
+    }
+    let place = format!("{} {}", request.method(), route.as_deref().unwrap_or("unmatched"));
+    let response = next.run(request).await;
+    // The router knows no such operation either, or there is a row missing.
+    if matches!(response.status(), StatusCode::NOT_FOUND | StatusCode::METHOD_NOT_ALLOWED) {
+        return response;
+    }
+    Fault::internal(&std::io::Error::other(format!("{place} has no row in http/scopes.rs"))).into_response()
+}
+
+fn is_api(path: &str) -> bool {
+    path == "/v1" || path.starts_with("/v1/")
+}
+
+/// What a request shows for a key.
+enum Shown {
+    Nothing,
+    Malformed,
+    Key(ApiKey),
+}
+
+/// Takes the `Authorization` header out of the request, so that nothing behind this can show it.
+fn take_key(headers: &mut HeaderMap) -> Shown {
+    let mut values = headers.get_all(header::AUTHORIZATION).iter();
+    let shown = match (values.next(), values.next()) {
+        (None, _) => Shown::Nothing,
+        (Some(value), None) => bearer(value).map_or(Shown::Malformed, Shown::Key),
+        (Some(_), Some(_)) => Shown::Malformed,
+    };
+    headers.remove(header::AUTHORIZATION);
+    shown
+}
+
+fn bearer(value: &HeaderValue) -> Option<ApiKey> {
+    let (scheme, key) = value.to_str().ok()?.split_once(' ')?;
+    if !scheme.eq_ignore_ascii_case("bearer") {
+        return None;
+    }
+    key.trim().parse().ok()
+}
+
+async fn admit(
+    state: &AppState,
+    shown: Shown,
+    needed: Option<Access>,
+    address: Option<ClientAddress>,
+) -> Result<Caller, Fault> {
+    if state.lock().is_open(state).await? {
+        return Ok(Caller::ANYBODY);
+    }
+    let fail = |fault: Fault| match state.throttle().failure(address) {
+        Ok(()) => fault,
+        Err(wait) => too_many_failures(wait),
+    };
+    let key = match shown {
+        Shown::Key(key) => key,
+        Shown::Nothing => return Err(fail(no_key())),
+        Shown::Malformed => return Err(fail(bad_key())),
+    };
+    // A good key passes however many bad ones came from its address: keys cannot be guessed, and behind a proxy all clients have
+    // one address, so that one of them could lock out the rest.
+    let record = state.store().authenticate(key.hash()).await?.ok_or_else(|| fail(bad_key()))?;
+    state.throttle().request(&record).map_err(|wait| too_many_requests(&record, wait))?;
+    record_use(state, &record);
+    if let Some(Access::Scope(scope)) = needed
+        && !record.allows(scope)
+    {
+        return Err(out_of_scope(&record, scope));
+    }
+    Ok(Caller { key: Some(record.id), admin: record.is_admin() })
+}
+
+/// Writes down that the key is in use, beside the request: nobody need wait for it, and it is no loss if it fails.
+fn record_use(state: &AppState, key: &KeyRecord) {
+    if !state.throttle().is_due(key) {
+        return;
+    }
+    let (state, id) = (state.clone(), key.id);
+    tokio::spawn(async move {
+        if let Err(error) = state.store().touch_key(id).await {
+            tracing::debug!("the use of key {id} was not recorded: {error}");
+        }
+    });
+}
+
+/// Answers in place of the handler.
+async fn refuse(request: Request, fault: Fault) -> Response {
+    let (parts, body) = request.into_parts();
+    discard_little(&mut Body::into_data_stream(body), &parts.headers).await;
+    fault.into_response()
+}
+
+fn no_key() -> Fault {
+    let detail = "this service answers those who have a key: send 'Authorization: Bearer tcgs_...'";
+    Fault::new(StatusCode::UNAUTHORIZED, "no-key", "A key is needed", detail)
+        .with(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer realm=\"tcgs\""))
+}
+
+fn bad_key() -> Fault {
+    let detail = "the Authorization header holds no key that this service knows: it is mistyped, revoked or another service's";
+    let challenge = HeaderValue::from_static("Bearer realm=\"tcgs\", error=\"invalid_token\"");
+    Fault::new(StatusCode::UNAUTHORIZED, "invalid-key", "The key is not valid", detail)
+        .with(header::WWW_AUTHENTICATE, challenge)
+}
+
+fn out_of_scope(key: &KeyRecord, scope: Scope) -> Fault {
+    let has: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
+    let detail =
+        format!("this needs the scope {}; the key '{}' has {}", scope.name(), key.name, has.join(", "));
+    let challenge = match scope {
+        Scope::Read => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"read\"",
+        Scope::ScenesWrite => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"scenes:write\"",
+        Scope::JobsWrite => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"jobs:write\"",
+        Scope::Admin => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"admin\"",
+    };
+    Fault::new(StatusCode::FORBIDDEN, "insufficient-scope", "The key does not allow this", detail)
+        .with(header::WWW_AUTHENTICATE, HeaderValue::from_static(challenge))
+}
+
+fn too_many_requests(key: &KeyRecord, wait: Wait) -> Fault {
+    let detail = format!(
+        "the key '{}' has sent more requests than its rate allows; the next one is taken in {} s",
+        key.name,
+        wait.seconds()
+    );
+    Fault::new(StatusCode::TOO_MANY_REQUESTS, "too-many-requests", "Too many requests", detail)
+        .with(header::RETRY_AFTER, wait.seconds().into())
+}
+
+fn too_many_failures(wait: Wait) -> Fault {
+    let detail =
+        "too many requests without a valid key came from this address; send one with a valid key, or wait";
+    Fault::new(StatusCode::TOO_MANY_REQUESTS, "too-many-failures", "Too many requests without a key", detail)
+        .with(header::RETRY_AFTER, wait.seconds().into())
+}

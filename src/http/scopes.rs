@@ -1,0 +1,148 @@
+//! What each operation asks of its caller, in one table.
+//!
+//! An operation without a row is not served: see [`super::auth`]. A test holds the table against `openapi.yaml`.
+
+use crate::domain::Scope;
+
+/// What an operation asks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Access {
+    /// Nothing: it answers whoever asks.
+    Open,
+    /// A key with this scope, once there are keys.
+    Scope(Scope),
+}
+
+use Access::{Open, Scope as Needs};
+use Scope::{JobsWrite, Read, ScenesWrite};
+
+/// Method and route of every operation, as the router has them, in the order of `openapi.yaml`.
+const OPERATIONS: &[(&str, &str, Access)] = &[
+    ("POST", "/v1/jobs", Needs(JobsWrite)),
+    ("GET", "/v1/jobs", Needs(Read)),
+    ("GET", "/v1/jobs/{id}", Needs(Read)),
+    ("POST", "/v1/jobs/{id}/cancel", Needs(JobsWrite)),
+    ("GET", "/v1/jobs/{id}/events", Needs(Read)),
+    ("GET", "/v1/jobs/{id}/artifact", Needs(Read)),
+    ("GET", "/v1/jobs/{id}/view", Needs(Read)),
+    ("POST", "/v1/jobs/{id}/views", Needs(Read)),
+    ("GET", "/v1/jobs/{id}/report", Needs(Read)),
+    ("POST", "/v1/scenes", Needs(ScenesWrite)),
+    ("GET", "/v1/scenes", Needs(Read)),
+    ("GET", "/v1/scenes/{id}", Needs(Read)),
+    ("DELETE", "/v1/scenes/{id}", Needs(ScenesWrite)),
+    ("OPTIONS", "/v1/uploads", Needs(ScenesWrite)),
+    ("POST", "/v1/uploads", Needs(ScenesWrite)),
+    ("HEAD", "/v1/uploads/{id}", Needs(ScenesWrite)),
+    ("PATCH", "/v1/uploads/{id}", Needs(ScenesWrite)),
+    ("DELETE", "/v1/uploads/{id}", Needs(ScenesWrite)),
+    ("GET", "/healthz", Open),
+    ("GET", "/readyz", Open),
+    ("GET", "/version", Open),
+    ("GET", "/openapi.yaml", Open),
+];
+
+/// What an operation asks for; none if there is no such operation. `HEAD` is `GET` unless it has a row of its own.
+pub(super) fn access(method: &str, route: &str) -> Option<Access> {
+    let find = |method: &str| {
+        let row = OPERATIONS.iter().find(|(known, path, _)| *known == method && *path == route);
+        row.map(|(_, _, access)| *access)
+    };
+    find(method).or_else(|| (method == "HEAD").then(|| find("GET")).flatten())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use serde_json::{Value, json};
+
+    use super::*;
+
+    const METHODS: [&str; 8] = ["get", "put", "post", "delete", "options", "head", "patch", "trace"];
+
+    fn contract() -> BTreeMap<(String, String), Value> {
+        let document: Value = serde_yaml_ng::from_str(include_str!("../../openapi.yaml")).expect("YAML");
+        let mut operations = BTreeMap::new();
+        for (path, item) in document["paths"].as_object().expect("paths") {
+            for method in METHODS {
+                if let Some(operation) = item.get(method) {
+                    operations.insert((method.to_uppercase(), path.clone()), operation.clone());
+                }
+            }
+        }
+        operations
+    }
+
+    #[test]
+    fn every_operation_of_the_contract_has_a_row_and_every_row_an_operation() {
+        let contract = contract();
+        for (method, path) in contract.keys() {
+            let row = OPERATIONS.iter().any(|(m, p, _)| m == method && p == path);
+            assert!(
+                row,
+                "{method} {path} is in openapi.yaml; say in src/http/scopes.rs what it asks of its caller"
+            );
+        }
+        for (index, (method, path, _)) in OPERATIONS.iter().enumerate() {
+            let listed = contract.contains_key(&((*method).to_owned(), (*path).to_owned()));
+            assert!(listed, "{method} {path} has a row in src/http/scopes.rs and is not in openapi.yaml");
+            let again = OPERATIONS[..index].iter().any(|(m, p, _)| m == method && p == path);
+            assert!(!again, "{method} {path} has two rows");
+        }
+    }
+
+    #[test]
+    fn the_contract_states_the_scope_and_the_refusals_of_every_operation() {
+        for ((method, path), operation) in contract() {
+            let place = format!("openapi.yaml: {method} {path}");
+            let Some(access) = access(&method, &path) else {
+                panic!("{place}: no row in src/http/scopes.rs")
+            };
+            let statuses = ["401", "403", "429"];
+            match access {
+                Open => {
+                    assert_eq!(operation["security"], json!([]), "{place}: should say 'security: []'");
+                    for status in &statuses[..2] {
+                        assert!(
+                            operation["responses"].get(status).is_none(),
+                            "{place}: cannot answer {status}"
+                        );
+                    }
+                }
+                Needs(scope) => {
+                    let expected = json!([{ "key": [scope.name()] }]);
+                    let name = scope.name();
+                    assert_eq!(
+                        operation["security"], expected,
+                        "{place}: should say 'security: [{{ key: [{name}] }}]'"
+                    );
+                    for status in statuses {
+                        let listed = operation["responses"].get(status).is_some();
+                        assert!(
+                            listed,
+                            "{place}: any operation that needs a key can answer {status}; list it"
+                        );
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn only_the_service_itself_is_open() {
+        for (method, path, access) in OPERATIONS {
+            assert!(
+                *access != Open || !path.starts_with("/v1"),
+                "{method} {path} is under /v1 and must need a key"
+            );
+        }
+    }
+
+    #[test]
+    fn head_is_get_and_what_is_not_listed_has_no_access() {
+        assert_eq!(access("HEAD", "/v1/jobs/{id}"), Some(Needs(Read)));
+        assert_eq!(access("DELETE", "/v1/jobs"), None);
+        assert_eq!(access("GET", "/v1/jobs/"), None);
+    }
+}

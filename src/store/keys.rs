@@ -1,0 +1,135 @@
+//! API keys, of which only hashes are kept.
+//!
+//! What always holds: a key that was made stays in the table, revoked or not. So a service that had keys once never takes itself
+//! for one that has none.
+
+use jiff::Timestamp;
+use thiserror::Error;
+use uuid::Builder;
+
+use super::Answer;
+use crate::domain::{ApiKey, Entropy, EntropyError, KeyHash, KeyId, KeyLimits, Scope};
+
+/// Longest name of a key, in characters.
+const MAX_NAME: usize = 100;
+
+/// A key to be let in.
+#[derive(Debug, Clone)]
+pub struct NewKey {
+    /// Its identity, chosen by the caller; keys are listed in the order of these.
+    pub id: KeyId,
+    /// What its maker calls it.
+    pub name: String,
+    /// What may be shown of the key itself.
+    pub prefix: String,
+    /// What it is known by.
+    pub hash: KeyHash,
+    /// What it lets its holder do.
+    pub scopes: Vec<Scope>,
+    /// How much of it.
+    pub limits: KeyLimits,
+}
+
+/// Why a key cannot be made.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum NewKeyError {
+    /// The name is of no use.
+    #[error("a key's name has 1 to {MAX_NAME} characters, none of them a control character")]
+    Name,
+    /// It would let its holder do nothing.
+    #[error("a key needs at least one scope")]
+    NoScopes,
+    /// It could not be drawn.
+    #[error(transparent)]
+    Entropy(#[from] EntropyError),
+}
+
+impl NewKey {
+    /// A key to be let in, and the key itself, which nobody will be able to tell again.
+    ///
+    /// # Errors
+    /// [`NewKeyError`].
+    pub fn draw(
+        entropy: &dyn Entropy,
+        now: Timestamp,
+        name: &str,
+        scopes: &[Scope],
+        limits: KeyLimits,
+    ) -> Result<(Self, ApiKey), NewKeyError> {
+        let name = name.trim();
+        if name.is_empty() || name.chars().count() > MAX_NAME || name.chars().any(char::is_control) {
+            return Err(NewKeyError::Name);
+        }
+        let scopes: Vec<Scope> = Scope::ALL.into_iter().filter(|scope| scopes.contains(scope)).collect();
+        if scopes.is_empty() {
+            return Err(NewKeyError::NoScopes);
+        }
+        let mut tail = [0; 10];
+        entropy.fill(&mut tail)?;
+        let millis = u64::try_from(now.as_millisecond()).unwrap_or(0);
+        let id = KeyId(Builder::from_unix_timestamp_millis(millis, &tail).into_uuid());
+        let key = ApiKey::generate(entropy)?;
+        let prefix = key.prefix().to_owned();
+        Ok((Self { id, name: name.to_owned(), prefix, hash: key.hash(), scopes, limits }, key))
+    }
+}
+
+/// A key as it stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KeyRecord {
+    /// As in [`NewKey::id`].
+    pub id: KeyId,
+    /// As in [`NewKey::name`].
+    pub name: String,
+    /// As in [`NewKey::prefix`].
+    pub prefix: String,
+    /// As in [`NewKey::scopes`].
+    pub scopes: Vec<Scope>,
+    /// As in [`NewKey::limits`].
+    pub limits: KeyLimits,
+    /// When it was made.
+    pub created_at: Timestamp,
+    /// When a request last came with it, to about a minute.
+    pub last_used_at: Option<Timestamp>,
+    /// When it was revoked, if it was.
+    pub revoked_at: Option<Timestamp>,
+}
+
+impl KeyRecord {
+    /// Whether its holder may do what needs `scope`.
+    #[must_use]
+    pub fn allows(&self, scope: Scope) -> bool {
+        self.scopes.contains(&scope) || self.is_admin()
+    }
+
+    /// Whether its holder may do everything.
+    #[must_use]
+    pub fn is_admin(&self) -> bool {
+        self.scopes.contains(&Scope::Admin)
+    }
+}
+
+/// The part of a store that knows keys. Every method is one transaction.
+pub trait Keys: Send + Sync + 'static {
+    /// Lets a key in.
+    fn create_key(&self, new: NewKey) -> Answer<'_, KeyRecord>;
+
+    /// A key, revoked or not.
+    fn key(&self, id: KeyId) -> Answer<'_, Option<KeyRecord>>;
+
+    /// Up to `limit` keys, newest first, older than `before`; revoked ones only if they are asked for.
+    fn keys(&self, with_revoked: bool, before: Option<KeyId>, limit: u32) -> Answer<'_, Vec<KeyRecord>>;
+
+    /// Shuts a key out, from the next request on, and returns it as it then is; `None` if there is no such key. A key that is
+    /// revoked stays as it is.
+    fn revoke_key(&self, id: KeyId) -> Answer<'_, Option<KeyRecord>>;
+
+    /// The key with this hash, unless it is revoked.
+    fn authenticate(&self, hash: KeyHash) -> Answer<'_, Option<KeyRecord>>;
+
+    /// Whether there is a key or ever was one.
+    fn has_keys(&self) -> Answer<'_, bool>;
+
+    /// Records that the key is in use.
+    fn touch_key(&self, id: KeyId) -> Answer<'_, ()>;
+}
