@@ -35,7 +35,7 @@ async fn raw(server: &Server, request: &str, close: bool) -> Vec<u8> {
 }
 
 /// Checks a raw answer against the contract and returns its status.
-fn check_raw(server: &Server, method: &str, path: &str, answer: &[u8]) -> u16 {
+pub(super) fn check_raw(server: &Server, method: &str, path: &str, answer: &[u8]) -> u16 {
     let text = String::from_utf8_lossy(answer);
     let (head, body) = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("no answer: {text}"));
     let mut lines = head.lines();
@@ -52,9 +52,12 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
     let server = Server::start_with(&coverage, Setup { limits: tight_limits(), ..Setup::default() }).await;
     let job = server.create("succeed").await;
     server.reaches(&job, "succeeded").await;
-    for (path, media_type) in
-        [("/v1/jobs".to_owned(), "application/zip"), (format!("{job}/views"), "application/json")]
-    {
+    for (path, media_type) in [
+        ("/v1/jobs".to_owned(), "application/zip"),
+        ("/v1/scenes".to_owned(), "application/zip"),
+        ("/v1/scenes".to_owned(), "application/json"),
+        (format!("{job}/views"), "application/json"),
+    ] {
         let head = format!(
             "POST {path} HTTP/1.1\r\nHost: test\r\nContent-Type: {media_type}\r\nConnection: close\r\n"
         );

@@ -6,14 +6,15 @@ use bytes::Bytes;
 use reqwest::{RequestBuilder, header::HeaderMap};
 use serde_json::Value;
 use tcgs::{
-    domain::{Clock, KeyId, KeyLimits, Scope, SystemClock, SystemEntropy},
+    domain::{Clock, KeyId, KeyLimits, SceneId, Scope, SystemClock, SystemEntropy},
     http::{self, HttpConfig, Services, WorkerCounts, config::RequestLimits},
-    store::{Blobs, Keys as _, NewKey, QueuePolicy, SqliteStore, Store},
+    store::{Blobs, Keys as _, NewKey, QueuePolicy, SceneRecord, SqliteStore, Store},
     worker::{self, WorkerConfig},
 };
 use tempfile::TempDir;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
+use uuid::Uuid;
 
 use super::{
     contract::Coverage,
@@ -196,6 +197,11 @@ impl Server {
     /// Shuts a key out.
     pub async fn revoke(&self, key: &TestKey) {
         self.store.revoke_key(key.id).await.expect("a store").expect("a key");
+    }
+
+    /// A scene as it is stored.
+    pub async fn store_scene(&self, id: Uuid) -> SceneRecord {
+        self.services.store.scene(SceneId(id)).await.expect("read").expect("known")
     }
 
     /// Sends a request and checks the answer against the contract.
