@@ -10,6 +10,7 @@ pub mod eval;
 pub mod export;
 pub mod gpu;
 pub mod http;
+pub mod https;
 pub mod ingest;
 pub mod model;
 pub mod render;

@@ -39,8 +39,9 @@ impl Failure {
         match self {
             Failure::Usage(_) => 2,
             Failure::Problem(problem) => match problem.status {
+                // A service's quota is a resource like any other.
+                429 | 503 | 507 => 4,
                 400..=499 => 3,
-                503 | 507 => 4,
                 _ => 1,
             },
             Failure::Stopped => 1,
@@ -70,7 +71,9 @@ mod tests {
 
     #[test]
     fn exit_statuses_tell_input_from_resource_from_fault() {
-        for (status, expected) in [(400, 3), (413, 3), (422, 3), (500, 1), (501, 1), (503, 4), (507, 4)] {
+        for (status, expected) in
+            [(400, 3), (413, 3), (422, 3), (500, 1), (501, 1), (429, 4), (503, 4), (507, 4)]
+        {
             let failure = Failure::from(Problem::new(status, "x", "X", "x"));
             assert_eq!(failure.exit_status(), expected, "{status}");
         }

@@ -20,6 +20,7 @@ mod memory;
 mod picture;
 mod pose;
 mod progress;
+mod remote;
 mod render;
 mod report;
 mod sample;
@@ -73,6 +74,14 @@ enum Command {
     Export(export::Args),
     /// Show where each byte of a file goes
     Inspect(inspect::Args),
+    /// Send a dataset to a service as a job
+    Submit(remote::submit::Args),
+    /// Follow a job of a service to its end
+    Watch(remote::watch::Args),
+    /// Download the file of a job of a service
+    Fetch(remote::fetch::Args),
+    /// Save a view of a job's scene that the service renders
+    View(remote::view::Args),
     /// Write the bundled ray-traced scene as a dataset
     Sample(sample::Args),
     /// Make, list and revoke the API keys of a service
@@ -92,10 +101,14 @@ impl Command {
             Command::Inspect(args) => args.json,
             Command::Keys(args) => args.json,
             Command::Doctor(args) => args.json,
+            Command::Submit(args) => args.json,
+            Command::Watch(args) => args.json,
+            Command::Fetch(args) => args.json,
             Command::Serve(_)
             | Command::Worker(_)
             | Command::Encode(_)
             | Command::Render(_)
+            | Command::View(_)
             | Command::Sample(_) => false,
         }
     }
@@ -111,6 +124,10 @@ impl Command {
             | Command::Eval(_)
             | Command::Export(_)
             | Command::Inspect(_)
+            | Command::Submit(_)
+            | Command::Watch(_)
+            | Command::Fetch(_)
+            | Command::View(_)
             | Command::Sample(_)
             | Command::Keys(_)
             | Command::Doctor(_) => Verbosity::Warn,
@@ -128,6 +145,10 @@ impl Command {
             Command::Eval(args) => eval::run(&args),
             Command::Export(args) => export::run(&args),
             Command::Inspect(args) => inspect::run(&args),
+            Command::Submit(args) => remote::submit::run(&args),
+            Command::Watch(args) => remote::watch::run(&args),
+            Command::Fetch(args) => remote::fetch::run(&args),
+            Command::View(args) => remote::view::run(&args),
             Command::Sample(args) => sample::run(&args),
             Command::Keys(args) => keys::run(&args),
             Command::Doctor(args) => doctor::run(&args),

@@ -67,7 +67,7 @@ pub(crate) struct Args {
 
 /// Training options; the same names as in the query of `POST /v1/jobs`.
 #[derive(Debug, clap::Args)]
-struct Options {
+pub(super) struct Options {
     /// Schedule: preview for a software adapter, standard for a GPU, paper as published
     #[arg(long, value_name = "P", value_parser = choice!(Preset), default_value_t = Preset::Preview)]
     preset: Preset,
@@ -117,7 +117,7 @@ pub(super) fn voxel(text: &str) -> Result<Voxel, String> {
 }
 
 impl Options {
-    fn train_options(&self) -> Result<TrainOptions, Failure> {
+    pub(super) fn train_options(&self) -> Result<TrainOptions, Failure> {
         let options = TrainOptions {
             preset: self.preset,
             iterations: self.iterations,
@@ -249,7 +249,8 @@ pub(super) fn cancel_on_interrupt(cancel: CancelFlag) {
     }
 }
 
-fn text(metrics: &JobMetrics) -> String {
+/// The figures of a finished job, for people.
+pub(super) fn text(metrics: &JobMetrics) -> String {
     let figure = |value: Option<f64>, digits: usize, unit: &str| {
         value.map_or_else(|| "none".to_owned(), |value| format!("{value:.digits$}{unit}"))
     };

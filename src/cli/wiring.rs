@@ -63,6 +63,14 @@ pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
     })
 }
 
+/// Writes a folder as the zip that a service takes.
+pub(crate) fn pack(folder: &Path, archive: &mut std::fs::File) -> Result<(), Problem> {
+    ingest::pack(folder, archive).map_err(|problem| match problem.file {
+        None => problem.in_file(folder.display().to_string()),
+        Some(_) => problem,
+    })
+}
+
 /// Checks a dataset without reading its pixels.
 pub(crate) fn check_dataset(path: &Path) -> Result<(), Problem> {
     ingest::check(path).map(drop)

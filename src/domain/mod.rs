@@ -7,6 +7,7 @@
 pub mod access;
 pub mod anchors;
 pub mod camera;
+pub mod camera_path;
 pub mod clock;
 pub mod context;
 pub mod conventions;
@@ -23,6 +24,7 @@ pub mod memory;
 pub mod metrics;
 pub mod near;
 pub mod options;
+pub mod orbit;
 pub mod photograph;
 pub mod problem;
 pub mod progress;
@@ -53,6 +55,7 @@ pub use metrics::{
 };
 pub use near::NearPlane;
 pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOptions, Voxel};
+pub use orbit::Orbit;
 pub use photograph::{Photograph, PhotographError, PixelSource};
 pub use problem::Problem;
 pub use progress::{CancelFlag, Phase, Progress};

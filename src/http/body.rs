@@ -81,6 +81,25 @@ pub(super) async fn read_json(
     Ok(content)
 }
 
+/// Reads a JSON body into memory, if there is a body.
+pub(super) async fn read_optional_json(
+    body: &mut BodyDataStream,
+    headers: &HeaderMap,
+    limits: &RequestLimits,
+) -> Result<Option<Vec<u8>>, Fault> {
+    if media_type(headers).is_none() {
+        let mut pieces = Pieces::new(body, limits);
+        loop {
+            match pieces.next().await? {
+                None => return Ok(None),
+                Some(piece) if piece.is_empty() => {}
+                Some(_) => expect_media_type(headers, &["application/json"])?,
+            }
+        }
+    }
+    read_json(body, headers, limits).await.map(Some)
+}
+
 /// Reads on after a refusal, within bounds, and throws away what comes.
 ///
 /// Many clients look for an answer only once they have sent their whole body. If the connection were closed

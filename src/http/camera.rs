@@ -3,7 +3,7 @@
 use std::num::NonZeroU32;
 
 use axum::http::StatusCode;
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::{problem::Fault, query::Parameters};
 use crate::domain::{
@@ -21,18 +21,24 @@ const NAMES_SHOWN: usize = 3;
 pub(super) struct CameraSpec(View);
 
 impl CameraSpec {
-    /// Reads `frame` or `position`, `look_at`, `up`, `fov`, and `width`, `height`.
+    /// Reads `frame`, or `position` with either `look_at` and `up` or `quat`, and `fov`, and `width`, `height`.
     pub(super) fn from_query(parameters: &mut Parameters) -> Result<Self, Fault> {
         let width = side(parameters, "width")?;
         let height = side(parameters, "height")?;
         let position = parameters.take_vector("position")?;
         let look_at = parameters.take_vector("look_at")?;
         let up = parameters.take_vector("up")?;
+        let quat = parameters.take_quaternion("quat")?;
         let fov: Option<f64> = parameters.take_as("fov", "a number of degrees")?;
         if let Some(name) = parameters.take("frame") {
-            let given =
-                [("position", position), ("look_at", look_at), ("up", up), ("fov", fov.map(DVec3::splat))];
-            if let Some((other, _)) = given.iter().find(|(_, value)| value.is_some()) {
+            let given = [
+                ("position", position.is_some()),
+                ("look_at", look_at.is_some()),
+                ("up", up.is_some()),
+                ("quat", quat.is_some()),
+                ("fov", fov.is_some()),
+            ];
+            if let Some((other, _)) = given.iter().find(|(_, is_given)| *is_given) {
                 return Err(Fault::parameter(
                     other,
                     "cannot be combined with frame, which has its own camera",
@@ -43,8 +49,22 @@ impl CameraSpec {
         let needed = |name, value: Option<DVec3>| {
             value.ok_or_else(|| Fault::parameter(name, "is needed, unless frame names a dataset camera"))
         };
-        let (position, look_at) = (needed("position", position)?, needed("look_at", look_at)?);
-        let pose = Pose::look_at(position, look_at, up.unwrap_or(DVec3::Z)).map_err(impossible)?;
+        let position = needed("position", position)?;
+        let pose = match quat {
+            Some(quat) => {
+                let given = [("look_at", look_at), ("up", up)];
+                if let Some((other, _)) = given.iter().find(|(_, value)| value.is_some()) {
+                    return Err(Fault::parameter(
+                        other,
+                        "cannot be combined with quat, which turns the camera",
+                    ));
+                }
+                let rotation = DMat3::from_quat(quat).transpose();
+                Pose::from_world_to_camera(rotation, -(rotation * position))
+            }
+            None => Pose::look_at(position, needed("look_at", look_at)?, up.unwrap_or(DVec3::Z)),
+        };
+        let pose = pose.map_err(impossible)?;
         let fov = fov.unwrap_or(DEFAULT_FOV_DEGREES);
         if !(fov > 0.0 && fov < 180.0) {
             return Err(Fault::parameter("fov", format!("{fov} is not between 0 and 180 degrees")));
@@ -55,12 +75,12 @@ impl CameraSpec {
         Ok(Self(View::Camera(Camera { intrinsics, pose })))
     }
 
-    /// Reads one entry of `views`.
-    pub(super) fn from_body(index: usize, view: ViewRequest) -> Result<Self, Fault> {
+    /// Reads one entry of a list of views.
+    pub(super) fn from_body(list: &str, index: usize, view: ViewRequest) -> Result<Self, Fault> {
         match View::try_from(view) {
             Ok(view) => Ok(Self(view)),
-            Err(ViewError::Camera(error)) => Err(impossible_view(format!("views[{index}]: {error}"))),
-            Err(error) => Err(invalid_view(format!("views[{index}]: {error}"))),
+            Err(ViewError::Camera(error)) => Err(impossible_view(format!("{list}[{index}]: {error}"))),
+            Err(error) => Err(invalid_view(format!("{list}[{index}]: {error}"))),
         }
     }
 
@@ -85,14 +105,18 @@ impl CameraSpec {
 }
 
 /// A side in pixels, if it is given.
-fn side(parameters: &mut Parameters, name: &str) -> Result<Option<u32>, Fault> {
+pub(super) fn side(parameters: &mut Parameters, name: &str) -> Result<Option<u32>, Fault> {
     let side = parameters.take_as::<NonZeroU32>(name, "a positive whole number of pixels")?;
     Ok(side.map(NonZeroU32::get))
 }
 
 /// The same view at another size. Pixel centres lie at +0.5, so everything scales by plain factors; a side that is not
 /// given follows the other's.
-fn scaled(from: Intrinsics, width: Option<u32>, height: Option<u32>) -> Result<Intrinsics, CameraError> {
+pub(super) fn scaled(
+    from: Intrinsics,
+    width: Option<u32>,
+    height: Option<u32>,
+) -> Result<Intrinsics, CameraError> {
     let follow = |side: u32, num: u32, den: u32| {
         (f64::from(side) * f64::from(num) / f64::from(den)).round().clamp(1.0, f64::from(u32::MAX)) as u32
     };
@@ -108,11 +132,11 @@ fn scaled(from: Intrinsics, width: Option<u32>, height: Option<u32>) -> Result<I
     intrinsics.validated()
 }
 
-fn impossible(error: CameraError) -> Fault {
+pub(super) fn impossible(error: CameraError) -> Fault {
     impossible_view(error.to_string())
 }
 
-fn impossible_view(detail: String) -> Fault {
+pub(super) fn impossible_view(detail: String) -> Fault {
     Fault::new(StatusCode::UNPROCESSABLE_ENTITY, "impossible-view", "Impossible view", detail)
 }
 

@@ -122,12 +122,26 @@ pub struct RequestLimits {
     pub view_pixels: u64,
     /// Views of a request.
     pub views: usize,
-    /// View requests that render at a time.
+    /// Views rendered at a time.
     pub renders: usize,
     /// View requests that may wait for their turn.
     pub renders_waiting: usize,
+    /// View requests of one caller, those that render included.
+    pub renders_each: usize,
+    /// Streams of views at a time.
+    pub streams: usize,
+    /// Streams of views of one caller.
+    pub streams_each: usize,
+    /// Frames of one round of a stream or animation.
+    pub frames: u32,
+    /// Pixels of all frames of an animation together.
+    pub animation_pixels: u64,
+    /// Bytes of encoded views that are kept for whoever asks again.
+    pub view_cache_bytes: u64,
     /// How often changes of jobs are looked for while a request waits for one.
     pub watch_every: Duration,
+    /// How often queued jobs are looked for whose deadline has passed.
+    pub overdue_every: Duration,
     /// Requests that may wait for a job at a time; one more is answered at once.
     pub waits: usize,
 }
@@ -148,7 +162,14 @@ impl Default for RequestLimits {
             views: 64,
             renders: 1,
             renders_waiting: 32,
+            renders_each: 24,
+            streams: 8,
+            streams_each: 4,
+            frames: 720,
+            animation_pixels: 1 << 26,
+            view_cache_bytes: 64 << 20,
             watch_every: Duration::from_millis(250),
+            overdue_every: Duration::from_secs(1),
             waits: 128,
         }
     }

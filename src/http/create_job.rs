@@ -1,4 +1,4 @@
-//! `POST /v1/jobs`: a job from an archive in the body.
+//! `POST /v1/jobs`: a job of the archive in the body, or of a scene that was sent before.
 
 use axum::{
     body::{Body, BodyDataStream},
@@ -6,14 +6,15 @@ use axum::{
     http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header},
     response::{IntoResponse as _, Response},
 };
-use jiff::{SignedDuration, Timestamp};
+use jiff::Timestamp;
 use tokio::task::spawn_blocking;
 use uuid::{NoContext, Uuid};
 
 use super::{
-    body::{discard, expect_media_type, stage},
+    body::{discard, expect_media_type, media_type, read_json, stage},
     idempotency::{self, Keyed},
     job_body::href,
+    job_wish::{JobWish, deadline},
     jobs::representation,
     prefer,
     problem::Fault,
@@ -21,13 +22,12 @@ use super::{
     state::AppState,
 };
 use crate::{
-    domain::{Caller, JobId, OptionError, TrainOptions},
-    store::{Intent, JobRecord, NewJob, Remembered, StoreError},
+    domain::{Caller, Digest, JobId},
+    store::{BlobRef, Intent, JobRecord, NewJob, Remembered, StoreError},
 };
 
-/// Longest time that a job may be given, in seconds.
-const MAX_DEADLINE: u32 = 366 * 24 * 3600;
-const MAX_PRIORITY: i32 = 100;
+const ZIP: &str = "application/zip";
+const JSON: &str = "application/json";
 
 /// A request as far as its headers and address tell.
 struct Asked<'a> {
@@ -88,14 +88,35 @@ pub(super) async fn answer(state: &AppState, made: Made, headers: &HeaderMap) ->
 }
 
 async fn make(state: &AppState, asked: &Asked<'_>, body: &mut BodyDataStream) -> Result<Made, Fault> {
-    expect_media_type(asked.headers, &["application/zip", "application/x-zip-compressed"])?;
-    let wish = Wish::from_query(Parameters::parse(asked.uri.query())?)?;
+    expect_media_type(asked.headers, &[ZIP, "application/x-zip-compressed", JSON])?;
+    if media_type(asked.headers).as_deref() == Some(JSON) {
+        of_scene(state, asked, body).await
+    } else {
+        of_archive(state, asked, body).await
+    }
+}
+
+async fn of_scene(state: &AppState, asked: &Asked<'_>, body: &mut BodyDataStream) -> Result<Made, Fault> {
+    Parameters::parse(asked.uri.query())?.finish()?;
+    let keyed = idempotency::begin(state, &asked.caller, asked.headers)?;
+    let content = read_json(body, asked.headers, state.limits()).await?;
+    let intent = asked.intent(keyed.as_ref(), Digest::of(&content));
+    if let Some(before) = made_before(state, intent.as_ref()).await? {
+        return Ok(before);
+    }
+    let (id, wish) = JobWish::from_json(&content)?;
+    let scene = state.store().scene(id).await?.filter(|scene| asked.caller.may_see(scene.owner));
+    let scene = scene.ok_or_else(|| Fault::no_scene(id))?;
+    queue(state, NewJob { scene: Some(id), intent, ..asked.job(state, wish, scene.dataset) }).await
+}
+
+async fn of_archive(state: &AppState, asked: &Asked<'_>, body: &mut BodyDataStream) -> Result<Made, Fault> {
+    let wish = JobWish::from_query(Parameters::parse(asked.uri.query())?)?;
     let keyed = idempotency::begin(state, &asked.caller, asked.headers)?;
     let place = state.uploads().try_acquire();
     let _place = place.map_err(|_| Fault::busy("too many datasets are being received"))?;
     let staged = stage(body, asked.headers, state.blobs(), state.limits()).await?;
-    let intent =
-        keyed.as_ref().map(|keyed: &Keyed| keyed.intent(&Method::POST, asked.uri, staged.blob().digest));
+    let intent = asked.intent(keyed.as_ref(), staged.blob().digest);
     if let Some(before) = made_before(state, intent.as_ref()).await? {
         return Ok(before);
     }
@@ -108,10 +129,23 @@ async fn make(state: &AppState, asked: &Asked<'_>, body: &mut BodyDataStream) ->
     .map_err(|error| Fault::internal(&error))?;
     checked?;
     let dataset = state.blobs().publish(&staged).await?;
-    let now = state.services().clock.now();
-    let new = NewJob { owner: asked.caller.key, ..NewJob::new(new_id(now), wish.options, dataset) };
-    let new = NewJob { priority: wish.priority, deadline_at: deadline(now, wish.deadline_s), ..new };
-    queue(state, NewJob { intent, ..new }).await
+    queue(state, NewJob { intent, ..asked.job(state, wish, dataset) }).await
+}
+
+impl Asked<'_> {
+    fn intent(&self, keyed: Option<&Keyed>, body: Digest) -> Option<Intent> {
+        keyed.map(|keyed| keyed.intent(&Method::POST, self.uri, body))
+    }
+
+    fn job(&self, state: &AppState, wish: JobWish, dataset: BlobRef) -> NewJob {
+        let now = state.services().clock.now();
+        NewJob {
+            owner: self.caller.key,
+            priority: wish.priority,
+            deadline_at: deadline(now, wish.deadline_s),
+            ..NewJob::new(new_id(now), wish.options, dataset)
+        }
+    }
 }
 
 /// Puts a job into the queue, unless its request's key made one already.
@@ -164,59 +198,6 @@ async fn remembered(state: &AppState, found: &Remembered) -> Result<Made, Fault>
             ),
         )
     })
-}
-
-/// What is asked for besides the dataset.
-#[derive(Debug, Default)]
-struct Wish {
-    options: TrainOptions,
-    priority: i32,
-    deadline_s: Option<u32>,
-}
-
-impl Wish {
-    fn from_query(mut parameters: Parameters) -> Result<Self, Fault> {
-        let priority = parameters.take_as("priority", "a whole number")?.unwrap_or(0);
-        let deadline_s = parameters.take_as("deadline_s", "a whole number of seconds")?;
-        let mut options = TrainOptions::default();
-        for (name, text) in parameters.rest() {
-            options.set(&name, &text).map_err(invalid_option)?;
-        }
-        Self { options, priority, deadline_s }.validated()
-    }
-
-    fn validated(self) -> Result<Self, Fault> {
-        if !(-MAX_PRIORITY..=MAX_PRIORITY).contains(&self.priority) {
-            let fault = format!("{} is outside -{MAX_PRIORITY}..={MAX_PRIORITY}", self.priority);
-            return Err(Fault::parameter("priority", fault));
-        }
-        if let Some(seconds) = self.deadline_s {
-            check_deadline(seconds)?;
-        }
-        Ok(Self { options: self.options.validated().map_err(invalid_option)?, ..self })
-    }
-}
-
-/// 422 for a deadline that is none.
-pub(super) fn check_deadline(seconds: u32) -> Result<(), Fault> {
-    if (1..=MAX_DEADLINE).contains(&seconds) {
-        return Ok(());
-    }
-    Err(Fault::parameter("deadline_s", format!("{seconds} is outside 1..={MAX_DEADLINE}")))
-}
-
-/// When a job that may take so long from now is given up.
-pub(super) fn deadline(now: Timestamp, seconds: Option<u32>) -> Option<Timestamp> {
-    now.checked_add(SignedDuration::from_secs(seconds?.into())).ok()
-}
-
-fn invalid_option(error: OptionError) -> Fault {
-    Fault::new(
-        StatusCode::UNPROCESSABLE_ENTITY,
-        "invalid-option",
-        "Invalid training option",
-        error.to_string(),
-    )
 }
 
 /// An id whose time part is the service's clock, so that ids sort as jobs were made.

@@ -29,13 +29,18 @@ impl Etag {
         })
     }
 
-    /// Whether `If-Match`, if it is there, names this (strong comparison).
-    pub(super) fn passes_if_match(&self, headers: &HeaderMap) -> bool {
-        let mut given = headers.get_all(header::IF_MATCH).iter().peekable();
-        given.peek().is_none()
-            || given
-                .filter_map(|value| value.to_str().ok())
-                .any(|list| list.split(',').map(str::trim).any(|tag| tag == "*" || tag == self.0))
+    /// Whether `If-Match` asks for this tag (strong comparison); `None` if it asks for another.
+    pub(super) fn wanted_by_if_match(&self, headers: &HeaderMap) -> Option<bool> {
+        let mut lists = headers.get_all(header::IF_MATCH).iter().peekable();
+        if lists.peek().is_none() {
+            return Some(false);
+        }
+        lists
+            .filter_map(|value| value.to_str().ok())
+            .flat_map(|list| list.split(','))
+            .map(str::trim)
+            .any(|tag| tag == "*" || tag == self.0)
+            .then_some(true)
     }
 
     /// Whether `If-Range` lets a `Range` stand: absent, or exactly this tag.
@@ -67,13 +72,13 @@ mod tests {
         for other in ["abc", "\"x\"", "\"ABC\""] {
             assert!(!etag.is_in_if_none_match(&with(header::IF_NONE_MATCH, other)), "{other}");
         }
-        for passes in ["\"abc\"", "*", "\"x\", \"abc\""] {
-            assert!(etag.passes_if_match(&with(header::IF_MATCH, passes)), "{passes}");
+        assert_eq!(etag.wanted_by_if_match(&HeaderMap::new()), Some(false));
+        for held in ["\"abc\"", "*", "\"x\" , \"abc\""] {
+            assert_eq!(etag.wanted_by_if_match(&with(header::IF_MATCH, held)), Some(true), "{held}");
         }
-        for fails in ["abc", "\"x\"", "W/\"abc\"", ""] {
-            assert!(!etag.passes_if_match(&with(header::IF_MATCH, fails)), "{fails}");
+        for other in ["abc", "\"x\"", "W/\"abc\"", ""] {
+            assert_eq!(etag.wanted_by_if_match(&with(header::IF_MATCH, other)), None, "{other}");
         }
-        assert!(etag.passes_if_match(&HeaderMap::new()));
         assert!(etag.allows_range(&HeaderMap::new()));
         assert!(etag.allows_range(&with(header::IF_RANGE, "\"abc\"")));
         assert!(!etag.allows_range(&with(header::IF_RANGE, "W/\"abc\"")), "If-Range compares strongly");

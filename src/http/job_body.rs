@@ -53,6 +53,7 @@ struct Links {
     this: String,
     events: String,
     cancel: String,
+    retry: String,
     artifact: String,
     view: String,
     views: String,
@@ -104,6 +105,7 @@ impl From<JobRecord> for JobBody {
             links: Links {
                 events: format!("{this}/events"),
                 cancel: format!("{this}/cancel"),
+                retry: format!("{this}/retry"),
                 artifact,
                 view: format!("{this}/view"),
                 views: format!("{this}/views"),

@@ -20,14 +20,17 @@ mod etag;
 mod events;
 mod health;
 mod idempotency;
+mod job_actions;
 mod job_body;
+mod job_list;
+mod job_wish;
 mod jobs;
+mod overdue;
 mod picture;
 mod prefer;
 mod problem;
 mod query;
 mod range;
-mod render_queue;
 mod report;
 mod scene_body;
 mod scenes;
@@ -51,7 +54,7 @@ use tower_http::catch_panic::CatchPanicLayer;
 
 pub use config::HttpConfig;
 pub use serve::{ServeError, bind, serve};
-pub use state::{AppState, DatasetCheck, SceneLoader, Services, WorkerCensus, WorkerCounts};
+pub use state::{AppState, DatasetCheck, ForgetJob, SceneLoader, Services, WorkerCensus, WorkerCounts};
 
 /// Every route of the API.
 pub fn router(state: AppState) -> Router {
@@ -60,13 +63,19 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/uploads/{id}", head(uploads::head).patch(uploads::append).delete(uploads::delete))
         .layer(map_response(tus::stamp));
     Router::new()
-        .route("/v1/jobs", get(jobs::list).post(create_job::create))
-        .route("/v1/jobs/{id}", get(jobs::get))
-        .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
+        .route("/v1/jobs", get(job_list::list).post(create_job::create))
+        .route("/v1/jobs/{id}", get(jobs::get).delete(job_actions::delete))
+        .route("/v1/jobs/{id}/cancel", post(job_actions::cancel))
+        .route("/v1/jobs/{id}/retry", post(job_actions::retry))
         .route("/v1/jobs/{id}/events", get(events::list))
         .route("/v1/jobs/{id}/artifact", get(artifact::get))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
+        .route("/v1/jobs/{id}/stream", get(views::sequence::stream).post(views::sequence::stream_path))
+        .route(
+            "/v1/jobs/{id}/animation",
+            get(views::sequence::animation).post(views::sequence::animation_path),
+        )
         .route("/v1/jobs/{id}/report", get(report::get))
         .route("/v1/scenes", get(scenes::list).post(create_scene::create))
         .route("/v1/scenes/{id}", get(scenes::get).delete(scenes::delete))

@@ -6,7 +6,6 @@ use axum::{
     response::{IntoResponse, Response},
 };
 
-use super::render_queue::QueueFull;
 use crate::{
     domain::{JobId, Problem},
     store::{BlobError, StoreError},
@@ -58,8 +57,8 @@ impl Fault {
     }
 
     /// 404 for a scene id that names nothing.
-    pub(super) fn no_scene(id: &str) -> Self {
-        let detail = format!("there is no scene '{}'", shown(id));
+    pub(super) fn no_scene(id: impl std::fmt::Display) -> Self {
+        let detail = format!("there is no scene '{}'", shown(&id.to_string()));
         Self::new(StatusCode::NOT_FOUND, "scene-not-found", "No such scene", detail)
     }
 
@@ -153,11 +152,14 @@ impl From<StoreError> for Fault {
             tracing::warn!(error = &error as &dyn std::error::Error, "the database is busy: {error}");
             return Self::busy("the database is busy");
         }
-        if let StoreError::QuotaExceeded { .. } = error {
-            let detail = format!("{error}; delete scenes, jobs or uploads to make room");
-            return Self::new(StatusCode::INSUFFICIENT_STORAGE, "quota-exceeded", "Quota exceeded", detail);
+        match error {
+            StoreError::NoScene(id) => Self::no_scene(id),
+            StoreError::QuotaExceeded { .. } => {
+                let detail = format!("{error}; delete scenes, jobs or uploads to make room");
+                Self::new(StatusCode::INSUFFICIENT_STORAGE, "quota-exceeded", "Quota exceeded", detail)
+            }
+            error => Self::internal(&error),
         }
-        Self::internal(&error)
     }
 }
 
@@ -171,12 +173,6 @@ impl From<BlobError> for Fault {
             }
             error => Self::internal(&error),
         }
-    }
-}
-
-impl From<QueueFull> for Fault {
-    fn from(_: QueueFull) -> Self {
-        Self::busy("too many views are waiting to be rendered")
     }
 }
 

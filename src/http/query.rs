@@ -2,6 +2,8 @@
 
 use std::str::FromStr;
 
+use glam::{DQuat, DVec3, DVec4};
+
 use super::problem::Fault;
 
 /// The parameters that no one has taken yet.
@@ -44,13 +46,30 @@ impl Parameters {
     }
 
     /// Three numbers separated by commas.
-    pub(super) fn take_vector(&mut self, name: &str) -> Result<Option<glam::DVec3>, Fault> {
+    pub(super) fn take_vector(&mut self, name: &str) -> Result<Option<DVec3>, Fault> {
+        Ok(self.take_numbers(name, "three finite numbers x,y,z")?.map(DVec3::from_array))
+    }
+
+    /// Four numbers w,x,y,z separated by commas, made one of length 1.
+    pub(super) fn take_quaternion(&mut self, name: &str) -> Result<Option<DQuat>, Fault> {
+        let Some([w, x, y, z]) = self.take_numbers(name, "four finite numbers w,x,y,z")? else {
+            return Ok(None);
+        };
+        let direction = DVec4::new(x, y, z, w).try_normalize();
+        let direction = direction.ok_or_else(|| Fault::parameter(name, "has no length"))?;
+        Ok(Some(DQuat::from_vec4(direction)))
+    }
+
+    fn take_numbers<const N: usize>(
+        &mut self,
+        name: &str,
+        expected: &str,
+    ) -> Result<Option<[f64; N]>, Fault> {
         let Some(text) = self.take(name) else { return Ok(None) };
-        let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
-        match (numbers.as_slice(), text.split(',').count()) {
-            (&[x, y, z], 3) if [x, y, z].iter().all(|v| v.is_finite()) => Ok(Some(glam::DVec3::new(x, y, z))),
-            _ => Err(Fault::parameter(name, format!("'{text}' is not three finite numbers x,y,z"))),
-        }
+        let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+        let numbers = numbers.and_then(|numbers| <[f64; N]>::try_from(numbers).ok());
+        let numbers = numbers.filter(|numbers| numbers.iter().all(|number| number.is_finite()));
+        numbers.map(Some).ok_or_else(|| Fault::parameter(name, format!("'{text}' is not {expected}")))
     }
 
     /// What is left, for parameters whose names are decided elsewhere.

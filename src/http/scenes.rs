@@ -118,7 +118,7 @@ pub(super) async fn delete(
             format!("If-Match does not name the scene as it is now, which is \"{}\"", record.version),
         )
     };
-    if !Etag::new(record.version).passes_if_match(&headers) {
+    if Etag::new(record.version).wanted_by_if_match(&headers).is_none() {
         return Err(changed());
     }
     match state.store().delete_scene(record.id, Some(record.version)).await? {

@@ -23,7 +23,7 @@ use super::{
     AppState, Services,
     client::ClientAddress,
     config::{ExposureError, HttpConfig},
-    router,
+    overdue, router,
 };
 
 const MAX_HEADERS: usize = 100;
@@ -65,6 +65,8 @@ pub async fn serve(
     services: Services,
     shutdown: CancellationToken,
 ) {
+    let store = services.store.clone();
+    tokio::spawn(overdue::give_up(store, config.limits.overdue_every, shutdown.clone()));
     let app = router(AppState::new(services, config.limits.clone(), shutdown.clone()));
     let places = Arc::new(Semaphore::new(config.max_connections));
     let graceful = GracefulShutdown::new();

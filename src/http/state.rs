@@ -6,11 +6,11 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::{
-    auth::Lock, config::RequestLimits, idempotency::InFlight, render_queue::RenderQueue, throttle::Throttle,
+    auth::Lock, config::RequestLimits, idempotency::InFlight, throttle::Throttle, views::Studio,
     watch::Watcher,
 };
 use crate::{
-    domain::{Clock, DatasetSummary, Problem},
+    domain::{Clock, DatasetSummary, JobId, Problem},
     render::{RenderViews, views::Viewable},
     store::{Blobs, Store},
 };
@@ -20,6 +20,9 @@ pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<DatasetSummary, Problem> + S
 
 /// Reads a finished scene's file; blocks.
 pub type SceneLoader = Arc<dyn Fn(&[u8]) -> Result<Viewable, Problem> + Send + Sync>;
+
+/// Removes what is kept of a deleted job beside the store and its blobs; blocks.
+pub type ForgetJob = Arc<dyn Fn(JobId) + Send + Sync>;
 
 /// Tells how many worker processes there should be and how many live.
 pub type WorkerCensus = Arc<dyn Fn() -> WorkerCounts + Send + Sync>;
@@ -48,6 +51,8 @@ pub struct Services {
     pub load: SceneLoader,
     /// Renders views.
     pub renderer: Arc<dyn RenderViews>,
+    /// See [`ForgetJob`].
+    pub forget: ForgetJob,
     /// See [`WorkerCensus`].
     pub workers: WorkerCensus,
 }
@@ -60,7 +65,7 @@ struct Inner {
     services: Services,
     limits: RequestLimits,
     uploads: Semaphore,
-    renders: RenderQueue,
+    studio: Studio,
     watcher: Watcher,
     in_flight: Arc<InFlight>,
     waits: Semaphore,
@@ -80,7 +85,7 @@ impl AppState {
     #[must_use]
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         let uploads = Semaphore::new(limits.uploads);
-        let renders = RenderQueue::new(limits.renders, limits.renders_waiting);
+        let studio = Studio::new(&services, &limits);
         let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
         let waits = Semaphore::new(limits.waits);
         let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
@@ -88,7 +93,7 @@ impl AppState {
             services,
             limits,
             uploads,
-            renders,
+            studio,
             watcher,
             in_flight: Arc::default(),
             waits,
@@ -118,8 +123,8 @@ impl AppState {
         &self.0.uploads
     }
 
-    pub(super) fn renders(&self) -> &RenderQueue {
-        &self.0.renders
+    pub(super) fn studio(&self) -> &Studio {
+        &self.0.studio
     }
 
     pub(super) fn lock(&self) -> &Lock {

@@ -21,6 +21,7 @@ mod images;
 mod lens;
 mod limits;
 mod names;
+mod pack;
 mod plan;
 mod ply;
 mod room;
@@ -42,6 +43,7 @@ use rayon::prelude::*;
 pub use self::{
     error::{Error, Fault},
     limits::Limits,
+    pack::pack,
     room::Room,
 };
 use self::{

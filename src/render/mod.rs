@@ -1,6 +1,7 @@
 //! Splatting: forward, backward, and the f64 CPU twin of every kernel; rendering of finished scenes by pose.
 
 mod dense;
+mod depth;
 mod error;
 mod gaussians;
 mod neural;
@@ -12,6 +13,7 @@ pub mod twin;
 pub mod views;
 
 pub use dense::{Columns, DenseLayers, Ending};
+pub use depth::DepthShader;
 pub use error::RenderError;
 pub use gaussians::{GaussianGradients, Gaussians};
 pub use neural::{AnchorGradients, DeviceAnchors, NeuralGaussians};

@@ -1,17 +1,21 @@
-//! Renders finished scenes from any camera into 8-bit images.
+//! Renders finished scenes from any camera into 8-bit images, depths and alphas.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::{
-    DeviceAnchors, Gaussians, NeuralGaussians, RasterSettings, Rasterizer, RenderError, RenderViews,
+    DepthShader, DeviceAnchors, Gaussians, NeuralGaussians, RasterSettings, Rasterizer, RenderError,
+    RenderViews,
     plain::{DeviceRows, PlainGaussians},
-    views::Viewable,
+    views::{ALPHA_SEEN, Plane, PlaneKind, Viewable},
 };
 use crate::{
     domain::{AnchorScene, Background, Camera, Digest, GaussianScene, Image, NearPlane, Problem, Scene},
     gpu::{AdapterChoice, Context, GpuError, Recorder},
     model::{AnchorRows, GaussianRows, NetworkLayout, Shape},
 };
+
+/// Raised with every change that renders the same view to other bits.
+const VERSION: u32 = 1;
 
 /// Scenes that a [`SceneViewer`] keeps on the device.
 const SCENES_KEPT: usize = 4;
@@ -22,6 +26,7 @@ pub struct SceneRenderer {
     context: Arc<Context>,
     source: Source,
     raster: Rasterizer,
+    depth: Option<DepthShader>,
     background: Background,
     near: NearPlane,
 }
@@ -104,7 +109,7 @@ impl SceneRenderer {
     ) -> Result<Self, RenderError> {
         let settings = RasterSettings { near: near.depth(), ..RasterSettings::default() };
         let raster = Rasterizer::new(Arc::clone(context), settings)?;
-        Ok(Self { source, raster, background, near, context: Arc::clone(context) })
+        Ok(Self { source, raster, depth: None, background, near, context: Arc::clone(context) })
     }
 
     /// Shows another scene of the same shape and near plane from now on; the buffers of rendering are kept.
@@ -130,26 +135,57 @@ impl SceneRenderer {
     /// # Errors
     /// Faults of the device.
     pub fn render(&mut self, camera: &Camera) -> Result<Image, RenderError> {
-        let context = Arc::clone(&self.context);
-        loop {
-            let mut recorder = context.recorder("view");
-            let gaussians = self.source.forward(&mut recorder, camera)?;
-            self.raster.forward(&mut recorder, gaussians, camera, self.background.rgb())?;
-            recorder.submit()?;
-            let counts = self.raster.counts()?;
-            if !counts.overflowed {
-                break;
-            }
-            self.raster.grow(&counts)?;
-        }
-        let samples = context
-            .read(self.raster.image())?
+        let samples = self
+            .blend(camera, false)?
             .iter()
             .flat_map(|pixel| [pixel[0], pixel[1], pixel[2]])
             .map(|value| (value.clamp(0.0, 1.0) * 255.0).round() as u8)
             .collect();
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         Image::new(width, height, 3, samples).map_err(|fault| RenderError::Scene(fault.to_string()))
+    }
+
+    /// One number a pixel of the view from `camera`.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn plane(&mut self, camera: &Camera, kind: PlaneKind) -> Result<Plane, RenderError> {
+        let pixels = self.blend(camera, kind == PlaneKind::Depth)?;
+        let value = |[first, _, _, transmittance]: &[f32; 4]| {
+            let alpha = (1.0 - transmittance).clamp(0.0, 1.0);
+            match kind {
+                PlaneKind::Alpha => alpha,
+                PlaneKind::Depth if alpha >= ALPHA_SEEN => first / alpha,
+                PlaneKind::Depth => 0.0,
+            }
+        };
+        let values = pixels.iter().map(value).collect();
+        Ok(Plane { width: camera.intrinsics.width, height: camera.intrinsics.height, values })
+    }
+
+    /// Blends the colours over the background, or the depths over nothing: three channels and the transmittance.
+    fn blend(&mut self, camera: &Camera, depth: bool) -> Result<Vec<[f32; 4]>, RenderError> {
+        let context = Arc::clone(&self.context);
+        if depth && self.depth.is_none() {
+            self.depth = Some(DepthShader::new(&context)?);
+        }
+        loop {
+            let mut recorder = context.recorder("view");
+            let gaussians = self.source.forward(&mut recorder, camera)?;
+            match &mut self.depth {
+                Some(shader) if depth => {
+                    let deep = shader.forward(&context, &mut recorder, gaussians, camera)?;
+                    self.raster.forward(&mut recorder, &deep, camera, [0.0; 3])?;
+                }
+                _ => self.raster.forward(&mut recorder, gaussians, camera, self.background.rgb())?,
+            }
+            recorder.submit()?;
+            let counts = self.raster.counts()?;
+            if !counts.overflowed {
+                return Ok(context.read(self.raster.image())?);
+            }
+            self.raster.grow(&counts)?;
+        }
     }
 }
 
@@ -165,6 +201,7 @@ fn upload(context: &Context, scene: &AnchorScene) -> Result<DeviceAnchors, Rende
 #[derive(Debug)]
 pub struct SceneViewer {
     choice: AdapterChoice,
+    identity: String,
     budget: u64,
     state: Mutex<ViewerState>,
 }
@@ -191,8 +228,9 @@ impl SceneViewer {
     /// # Errors
     /// As [`SceneViewer::open`].
     pub fn within(choice: AdapterChoice, budget: u64) -> Result<Self, GpuError> {
-        let state = Mutex::new(ViewerState::open(&choice, budget)?);
-        Ok(Self { choice, budget, state })
+        let state = ViewerState::open(&choice, budget)?;
+        let identity = format!("{VERSION} on {}", state.context.adapter_line());
+        Ok(Self { choice, identity, budget, state: Mutex::new(state) })
     }
 
     /// Adapter and driver in one line.
@@ -215,30 +253,56 @@ impl SceneViewer {
     fn lock(&self) -> MutexGuard<'_, ViewerState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    fn draw<T>(
+        &self,
+        artifact: Digest,
+        load: &dyn Fn() -> Result<Viewable, Problem>,
+        draw: Draw<'_, T>,
+    ) -> Result<T, Problem> {
+        let mut state = self.lock();
+        if state.context.check().is_err() {
+            *state = ViewerState::open(&self.choice, self.budget)?;
+        }
+        match state.draw(artifact, load, draw) {
+            // A loss may become known only by the commands that fail for it, and those can be given again.
+            Err(fault) if state.context.check().is_err() => {
+                tracing::warn!("opening the device again: {fault}");
+                *state = ViewerState::open(&self.choice, self.budget)?;
+                state.draw(artifact, load, draw)
+            }
+            outcome => outcome,
+        }
+    }
 }
 
 impl RenderViews for SceneViewer {
+    fn identity(&self) -> String {
+        self.identity.clone()
+    }
+
     fn render(
         &self,
         artifact: Digest,
         load: &dyn Fn() -> Result<Viewable, Problem>,
         camera: &Camera,
     ) -> Result<Image, Problem> {
-        let mut state = self.lock();
-        if state.context.check().is_err() {
-            *state = ViewerState::open(&self.choice, self.budget)?;
-        }
-        match state.render(artifact, load, camera) {
-            // A loss may become known only by the commands that fail for it, and those can be given again.
-            Err(fault) if state.context.check().is_err() => {
-                tracing::warn!("opening the device again: {fault}");
-                *state = ViewerState::open(&self.choice, self.budget)?;
-                state.render(artifact, load, camera)
-            }
-            outcome => outcome,
-        }
+        self.draw(artifact, load, &|renderer| renderer.render(camera))
+    }
+
+    fn render_plane(
+        &self,
+        artifact: Digest,
+        load: &dyn Fn() -> Result<Viewable, Problem>,
+        camera: &Camera,
+        kind: PlaneKind,
+    ) -> Result<Plane, Problem> {
+        self.draw(artifact, load, &|renderer| renderer.plane(camera, kind))
     }
 }
+
+/// What is done with a scene's renderer.
+type Draw<'a, T> = &'a dyn Fn(&mut SceneRenderer) -> Result<T, RenderError>;
 
 impl ViewerState {
     fn open(choice: &AdapterChoice, budget: u64) -> Result<Self, GpuError> {
@@ -247,18 +311,18 @@ impl ViewerState {
         Ok(Self { context, kept: Vec::new() })
     }
 
-    fn render(
+    fn draw<T>(
         &mut self,
         artifact: Digest,
         load: &dyn Fn() -> Result<Viewable, Problem>,
-        camera: &Camera,
-    ) -> Result<Image, Problem> {
+        draw: Draw<'_, T>,
+    ) -> Result<T, Problem> {
         let found = self.kept.iter().position(|(digest, _)| *digest == artifact);
         let mut renderer = found.map(|index| self.kept.remove(index).1);
         let mut loaded = None;
         loop {
             let outcome = match &mut renderer {
-                Some(renderer) => renderer.render(camera),
+                Some(renderer) => draw(renderer),
                 None => {
                     let viewable = match loaded.take() {
                         Some(viewable) => viewable,
@@ -266,14 +330,14 @@ impl ViewerState {
                     };
                     let made = SceneRenderer::of_scene(&self.context, &viewable.scene, viewable.background);
                     loaded = Some(viewable);
-                    made.and_then(|made| renderer.insert(made).render(camera))
+                    made.and_then(|made| draw(renderer.insert(made)))
                 }
             };
             match outcome {
-                Ok(image) => {
+                Ok(drawn) => {
                     self.kept.splice(0..0, renderer.map(|renderer| (artifact, renderer)));
                     self.kept.truncate(SCENES_KEPT);
-                    return Ok(image);
+                    return Ok(drawn);
                 }
                 // What was used longest ago goes first, and then what a view before this one made the buffers grow to.
                 Err(RenderError::Gpu(GpuError::OverBudget { .. }))

@@ -11,10 +11,37 @@ pub struct Viewable {
     pub background: Background,
 }
 
+/// What a [`Plane`] tells of each pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum PlaneKind {
+    /// The depth that the pixel expects: the mean, over the Gaussians that it shows and weighted as it shows them, of their
+    /// centres' coordinate along the camera's axis, in world units. 0 where alpha is below [`ALPHA_SEEN`].
+    Depth,
+    /// How much of the background is covered, from 0 to 1.
+    Alpha,
+}
+
+/// Alpha below which a pixel shows nothing: one step of eight bits.
+pub const ALPHA_SEEN: f32 = 1.0 / 255.0;
+
+/// One number a pixel, row by row from the top.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plane {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// `width * height` numbers, finite and not negative.
+    pub values: Vec<f32>,
+}
+
 /// Renders views of finished scenes. Implementations may keep recently used scenes by their file's digest.
 ///
 /// Calls block; an asynchronous caller uses a blocking task.
 pub trait RenderViews: Send + Sync + 'static {
+    /// What decides, beside scene and camera, on every bit of a view: the renderer's version, adapter and driver.
+    fn identity(&self) -> String;
+
     /// The view of the scene of the file `artifact` from `camera`; `load` is called if the scene is not at hand.
     ///
     /// # Errors
@@ -25,4 +52,16 @@ pub trait RenderViews: Send + Sync + 'static {
         load: &dyn Fn() -> Result<Viewable, Problem>,
         camera: &Camera,
     ) -> Result<Image, Problem>;
+
+    /// As [`RenderViews::render`], of one number a pixel instead of colours.
+    ///
+    /// # Errors
+    /// As [`RenderViews::render`].
+    fn render_plane(
+        &self,
+        artifact: Digest,
+        load: &dyn Fn() -> Result<Viewable, Problem>,
+        camera: &Camera,
+        kind: PlaneKind,
+    ) -> Result<Plane, Problem>;
 }

@@ -3,7 +3,7 @@
 use thiserror::Error;
 
 use super::Remembered;
-use crate::domain::JobId;
+use crate::domain::{JobId, SceneId};
 
 /// A fault of the job table.
 #[derive(Debug, Error)]
@@ -29,6 +29,9 @@ pub enum StoreError {
         /// How much may be.
         quota: u64,
     },
+    /// The scene that a job was to be made of is deleted.
+    #[error("there is no scene {0}")]
+    NoScene(SceneId),
     /// A stored value cannot be read back.
     #[error("the stored {what} is unreadable: {fault}")]
     Corrupt {

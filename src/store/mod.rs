@@ -33,8 +33,8 @@ pub use idempotency::{Idempotency, Intent, Remembered};
 pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};
 pub use policy::QueuePolicy;
 pub use records::{
-    Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat,
-    JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, SceneArtifact,
+    Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat,
+    JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, Repeat, Repetition, SceneArtifact,
 };
 pub use scenes::{NewScene, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes};
 pub use sqlite::SqliteStore;
@@ -74,12 +74,27 @@ pub trait Store: Accounts + Idempotency + Keys + Scenes + Uploads + Send + Sync 
     /// Stops a queued job at once, or asks the worker of a running one to stop; `None` if there is no such job.
     fn cancel(&self, id: JobId) -> Answer<'_, Option<Cancellation>>;
 
+    /// Queues a job like this one, which must have failed or been cancelled, for the same owner; `None` if there is no such
+    /// job. [`StoreError::AlreadyMade`] as in [`Store::create_job`].
+    fn repeat_job(&self, id: JobId, repeat: Repeat) -> Answer<'_, Option<Repetition>>;
+
+    /// Deletes a job that has ended, with its events, attempts and references to blobs, if it has the wanted version;
+    /// `None` if there is no such job.
+    fn delete_job(&self, id: JobId, version: Option<u64>) -> Answer<'_, Option<Deletion>>;
+
+    /// Fails queued jobs whose deadline has passed, and counts them. Running ones are told by [`Store::heartbeat`].
+    fn give_up_overdue(&self) -> Answer<'_, u64>;
+
+    /// Those of the jobs whose checkpoints may still be gone on from: by themselves, or, for
+    /// [`QueuePolicy::keep_checkpoints`] after they failed or were cancelled, by a job that repeats them.
+    fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<JobId>>;
+
     /// Takes the job of the highest priority, oldest first, whose time has come, for `worker`.
     ///
     /// Jobs whose lease has run out are taken from their workers first, so they can be claimed again here.
     fn claim<'a>(&'a self, worker: &'a str) -> Answer<'a, Option<Claim>>;
 
-    /// Renews a lease and tells whether somebody asked for a stop.
+    /// Renews a lease and tells whether the job is to stop.
     fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Heartbeat>;
 
     /// Records where the attempt is. A change of phase always makes an event, progress at most one per

@@ -20,6 +20,8 @@ pub struct QueuePolicy {
     pub backoff_cap: Duration,
     /// Shortest time between two `progress` events of a job.
     pub progress_event_every: Duration,
+    /// How long a job that failed or was cancelled keeps its checkpoint, for a job that repeats it.
+    pub keep_checkpoints: Duration,
     /// How long it is remembered what a request with an `Idempotency-Key` made.
     pub remember: Duration,
 }
@@ -33,6 +35,7 @@ impl Default for QueuePolicy {
             backoff_base: Duration::from_secs(10),
             backoff_cap: Duration::from_secs(600),
             progress_event_every: Duration::from_secs(5),
+            keep_checkpoints: Duration::from_secs(24 * 3600),
             remember: Duration::from_secs(24 * 3600),
         }
     }

@@ -4,7 +4,9 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::Intent;
-use crate::domain::{Digest, Job, JobId, JobMetrics, KeyId, Problem, SceneFormat, SceneId, TrainOptions};
+use crate::domain::{
+    Digest, Job, JobId, JobMetrics, JobState, KeyId, ModelKind, Problem, SceneFormat, SceneId, TrainOptions,
+};
 
 /// A published blob.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -151,6 +153,12 @@ impl JobRecord {
 pub struct JobFilter {
     /// Only this owner's.
     pub owner: Option<KeyId>,
+    /// Only those in one of these states; in any if empty.
+    pub states: Vec<JobState>,
+    /// Only those made of this scene.
+    pub scene: Option<SceneId>,
+    /// Only those that train this.
+    pub model: Option<ModelKind>,
 }
 
 /// A place in the list of jobs.
@@ -182,6 +190,8 @@ pub struct Claim {
     pub dataset: Digest,
     /// What to do.
     pub options: TrainOptions,
+    /// The job whose checkpoint it may go on from if it has none of its own.
+    pub adopts: Option<JobId>,
 }
 
 /// The answer to a heartbeat.
@@ -189,6 +199,8 @@ pub struct Claim {
 pub struct Heartbeat {
     /// Somebody asked for the job to stop.
     pub cancel_requested: bool,
+    /// The job's deadline has passed.
+    pub overdue: bool,
 }
 
 /// How an attempt ended, as its worker tells it.
@@ -207,7 +219,7 @@ pub enum Outcome {
     Retry(Problem),
     /// Because somebody asked for it.
     Cancelled,
-    /// Because the worker shuts down; the attempt is not charged.
+    /// Because the worker shuts down, or the job's deadline has passed; the attempt is not charged.
     Released,
 }
 
@@ -262,6 +274,39 @@ pub struct AttemptRecord {
     pub outcome: Option<AttemptOutcome>,
     /// Why it failed, if it did.
     pub cause: Option<Problem>,
+}
+
+/// A job to be repeated.
+#[derive(Debug, Clone)]
+pub struct Repeat {
+    /// The new job's identity, chosen by the caller.
+    pub id: JobId,
+    /// As in [`NewJob::from_checkpoint`].
+    pub from_checkpoint: bool,
+    /// As in [`NewJob::deadline_at`].
+    pub deadline_at: Option<Timestamp>,
+    /// As in [`NewJob::intent`].
+    pub intent: Option<Intent>,
+}
+
+/// What a request to repeat a job came to.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Repetition {
+    /// This job repeats it.
+    Made(Box<JobRecord>),
+    /// The job is in this state: it has not failed and was not cancelled.
+    NotNow(JobState),
+}
+
+/// What a request to delete a job came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Deletion {
+    /// It is gone.
+    Deleted,
+    /// It is in this state, which is not an end.
+    Active(JobState),
+    /// It has another version than the one that was to be deleted.
+    Changed,
 }
 
 /// What a request to cancel came to.

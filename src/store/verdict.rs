@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use jiff::Timestamp;
+
 use super::{AttemptOutcome, Outcome, QueuePolicy};
 use crate::domain::{JobId, Problem};
 
@@ -14,6 +16,8 @@ pub(super) struct Standing {
     pub(super) max_attempts: u32,
     pub(super) silent_deaths: u32,
     pub(super) cancel_requested: bool,
+    /// The deadline, once it has passed.
+    pub(super) overdue: Option<Timestamp>,
 }
 
 /// How an attempt ended.
@@ -44,6 +48,19 @@ pub(super) fn verdict(
         let outcome = if matches!(end, End::Lost) { AttemptOutcome::Lost } else { AttemptOutcome::Cancelled };
         return (outcome, None, Next::Cancel);
     }
+    match (by_end(policy, standing, end), standing.overdue) {
+        // There is no time for another attempt. What was finished is published, however late.
+        ((outcome, cause, Next::Requeue { .. }), Some(deadline)) => {
+            let problem = overdue(deadline, standing.attempt);
+            let outcome = if outcome == AttemptOutcome::Lost { outcome } else { AttemptOutcome::Failed };
+            (outcome, Some(cause.unwrap_or_else(|| problem.clone())), Next::Fail(problem))
+        }
+        (decided, _) => decided,
+    }
+}
+
+/// As if there were no deadline and nobody had cancelled the job.
+fn by_end(policy: &QueuePolicy, standing: &Standing, end: End) -> (AttemptOutcome, Option<Problem>, Next) {
     match end {
         End::Told(succeeded @ Outcome::Succeeded { .. }) => {
             (AttemptOutcome::Succeeded, None, Next::Succeed(succeeded))
@@ -76,6 +93,17 @@ pub(super) fn verdict(
             (AttemptOutcome::Lost, Some(worker_lost()), next)
         }
     }
+}
+
+/// Why a job is given up whose deadline has passed after so many attempts at it.
+pub(super) fn overdue(deadline: Timestamp, attempts: u32) -> Problem {
+    let begun = match attempts {
+        0 => "it was never begun".to_owned(),
+        1 => "it was begun once".to_owned(),
+        _ => format!("it was begun {attempts} times"),
+    };
+    let detail = format!("the job was to be finished by {deadline} and is given up; {begun}");
+    Problem::new(504, "deadline-exceeded", "The deadline has passed", detail)
 }
 
 fn worker_lost() -> Problem {
@@ -112,7 +140,15 @@ mod tests {
 
     fn standing(charged: u32, silent_deaths: u32, cancel_requested: bool) -> Standing {
         let job = JobId(Uuid::from_u128(1));
-        Standing { job, attempt: charged, charged, max_attempts: 3, silent_deaths, cancel_requested }
+        Standing {
+            job,
+            attempt: charged,
+            charged,
+            max_attempts: 3,
+            silent_deaths,
+            cancel_requested,
+            overdue: None,
+        }
     }
 
     fn problem() -> Problem {
@@ -127,6 +163,29 @@ mod tests {
             assert!(matches!(next, Next::Cancel));
         }
         assert!(matches!(verdict(&policy, &standing(1, 0, true), End::Lost).2, Next::Cancel));
+    }
+
+    #[test]
+    fn after_the_deadline_there_is_no_other_attempt_but_what_is_finished_stands() {
+        let policy = QueuePolicy::default();
+        let deadline = Timestamp::from_second(1_800_000_000).expect("an instant");
+        let late = Standing { overdue: Some(deadline), ..standing(1, 0, false) };
+        for (end, attempt, cause) in [
+            (End::Told(Outcome::Released), AttemptOutcome::Failed, "deadline-exceeded"),
+            (End::Told(Outcome::Retry(problem())), AttemptOutcome::Failed, "device-lost"),
+            (End::Lost, AttemptOutcome::Lost, "worker-lost"),
+        ] {
+            let (outcome, why, next) = verdict(&policy, &late, end);
+            assert_eq!(outcome, attempt);
+            assert!(why.expect("a cause").kind.ends_with(cause));
+            let Next::Fail(problem) = next else { panic!("{next:?}") };
+            assert!(problem.kind.ends_with("deadline-exceeded"), "{problem}");
+            assert!(problem.detail.contains("2027-01-15T08:00:00Z") && problem.detail.contains("begun once"));
+        }
+        let asked = Standing { cancel_requested: true, ..late.clone() };
+        assert!(matches!(verdict(&policy, &asked, End::Told(Outcome::Released)).2, Next::Cancel));
+        let failed = verdict(&policy, &late, End::Told(Outcome::Failed(problem()))).2;
+        assert!(matches!(failed, Next::Fail(why) if why == problem()), "its own reason says more");
     }
 
     #[test]

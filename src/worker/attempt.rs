@@ -51,6 +51,8 @@ enum Stop {
     No,
     /// Somebody cancelled the job.
     Asked,
+    /// Its deadline has passed.
+    Late,
     /// The worker shuts down.
     Draining,
     /// The job is no longer this worker's.
@@ -59,7 +61,7 @@ enum Stop {
 
 /// Runs a claimed job to its end.
 pub(super) async fn carry_out(context: &Context, claim: Claim, shutdown: &CancellationToken) -> End {
-    let Claim { lease, dataset, options } = claim;
+    let Claim { lease, dataset, options, adopts } = claim;
     tracing::info!(job = %lease.job, attempt = lease.attempt, "job {} begins", lease.job);
     let dataset = match context.blobs.local_file(dataset).await {
         Ok(path) => path,
@@ -70,7 +72,7 @@ pub(super) async fn carry_out(context: &Context, claim: Claim, shutdown: &Cancel
     };
     let cancel = CancelFlag::default();
     let (progress, watched) = watch::channel((Phase::Ingest, Progress::default()));
-    let checkpoints = checkpoints::of_job(context.config.checkpoints.as_deref(), lease.job);
+    let checkpoints = checkpoints::of_job(context.config.checkpoints.as_deref(), lease.job, adopts);
     let run = Run { dataset, options, checkpoints, cancel: cancel.clone() };
     let result = match start(context, &lease, run, progress) {
         Ok(result) => result,
@@ -196,13 +198,14 @@ impl Watch<'_> {
         }
     }
 
-    /// Asks the run to stop; a lost lease outweighs a shutdown, which outweighs a request.
+    /// Asks the run to stop; a lost lease outweighs a shutdown, which outweighs a deadline, which outweighs a request.
     fn stop(&mut self, why: Stop) {
         let rank = |stop| match stop {
             Stop::No => 0,
             Stop::Asked => 1,
-            Stop::Draining => 2,
-            Stop::Lost => 3,
+            Stop::Late => 2,
+            Stop::Draining => 3,
+            Stop::Lost => 4,
         };
         if rank(why) > rank(self.stop) {
             tracing::info!(job = %self.lease.job, reason = ?why, "stopping job {}", self.lease.job);
@@ -217,6 +220,9 @@ impl Watch<'_> {
                 self.renewed = Instant::now();
                 if heartbeat.cancel_requested {
                     self.stop(Stop::Asked);
+                }
+                if heartbeat.overdue {
+                    self.stop(Stop::Late);
                 }
             }
             Err(error) => self.store_failed("heartbeat", &error),
@@ -266,7 +272,7 @@ async fn conclude(context: &Context, lease: &Lease, result: RunResult, stop: Sto
         (Ok(Err(JobFailure::Fail(problem))), _) => Outcome::Failed(problem),
         (Ok(Err(JobFailure::Retry(problem))), _) => Outcome::Retry(problem),
         (Ok(Err(JobFailure::Cancelled)), Stop::Asked) => Outcome::Cancelled,
-        (Ok(Err(JobFailure::Cancelled)), Stop::Draining) => Outcome::Released,
+        (Ok(Err(JobFailure::Cancelled)), Stop::Late | Stop::Draining) => Outcome::Released,
         (Ok(Err(JobFailure::Cancelled)), Stop::No) => Outcome::Retry(stopped_unasked()),
         (Err(panic), _) => {
             tracing::error!(job = %lease.job, "job {} panicked: {}", lease.job, panic_text(&*panic));

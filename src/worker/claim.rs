@@ -1,8 +1,8 @@
 //! The claim loop.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
-use tokio::time::sleep;
+use tokio::time::{Instant, sleep};
 use tokio_util::sync::CancellationToken;
 
 use super::{
@@ -12,6 +12,9 @@ use super::{
     run::RunJob,
 };
 use crate::store::{Blobs, Store};
+
+/// How often an idle worker looks for checkpoints that nobody needs any more.
+const SWEEP_EVERY: Duration = Duration::from_secs(60);
 
 /// Claims and runs jobs, one at a time, until `shutdown`.
 ///
@@ -31,6 +34,7 @@ pub async fn serve(
     tracing::info!(worker = config.id, "worker {} is ready", config.id);
     let context = Context { store, blobs, runner, config };
     sweep(&context).await;
+    let mut swept = Instant::now();
     while !shutdown.is_cancelled() {
         match context.store.claim(&context.config.id).await {
             Ok(Some(claim)) => {
@@ -39,7 +43,13 @@ pub async fn serve(
                 }
                 sweep(&context).await;
             }
-            Ok(None) => idle(&context.config, &shutdown).await,
+            Ok(None) => {
+                if swept.elapsed() > SWEEP_EVERY {
+                    sweep(&context).await;
+                    swept = Instant::now();
+                }
+                idle(&context.config, &shutdown).await;
+            }
             Err(error) => {
                 tracing::warn!(error = &error as &dyn std::error::Error, "no claim: {error}");
                 idle(&context.config, &shutdown).await;

@@ -1,7 +1,7 @@
 //! Takes jobs from the queue and carries them out, in a process of its own.
 //!
-//! What a run needs to be continued is kept beside it until its job has ended, so an attempt goes on where the one before
-//! it stopped.
+//! What a run needs to be continued is kept beside it until its job has succeeded, so an attempt goes on where the one before
+//! it stopped, and so does a job that repeats one that failed or was cancelled not long ago.
 //!
 //! A worker runs one job at a time on a thread of its own while an asynchronous task keeps the lease, passes
 //! progress on and listens for a stop. It never writes to a job that it no longer holds. The parent process
@@ -27,6 +27,7 @@ use thiserror::Error;
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
+pub use checkpoints::forget as forget_checkpoints;
 pub use claim::serve;
 
 use crate::domain::JobId;

@@ -7,9 +7,13 @@ use std::{
 
 use serde_json::Value;
 
-const COMMANDS: [&str; 11] = [
-    "serve", "worker", "train", "encode", "decode", "render", "eval", "export", "inspect", "sample", "doctor",
+const COMMANDS: [&str; 15] = [
+    "submit", "watch", "fetch", "view", "serve", "worker", "train", "encode", "decode", "render", "eval",
+    "export", "inspect", "sample", "doctor",
 ];
+
+/// An id that could be a job's.
+const JOB: &str = "01a20055-454e-788e-bcc5-854572fb30d3";
 
 fn tcgs(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_tcgs"))
@@ -71,6 +75,13 @@ fn wrong_usage_is_status_2_and_says_what_is_wrong() {
         (&["serve", "--database", "postgres://x"], "--database"),
         (&["worker", "--blobs", "s3://x"], "--blobs"),
         (&["sample", "d", "--side", "2"], "--side"),
+        (&["submit", "d", "--server", "nowhere"], "--server"),
+        (&["submit", "d", "--iterations", "0"], "--iterations"),
+        (&["watch", "17"], "no job id"),
+        (&["fetch", "17", "-o", "o"], "no job id"),
+        (&["view", JOB, "-o", "o.png"], "--frame"),
+        (&["view", JOB, "--position", "1,2,3", "-o", "o.png"], "--look-at"),
+        (&["view", JOB, "--frame", "a", "-o", "o.gif"], ".png"),
         (&["export", "f", "-o", "o"], "--format"),
         (&["export", "f", "-o", "o", "--format", "obj"], "ply, spz"),
         (&["export", "f", "-o", "o", "--format", "spz", "--sh-degree", "4"], "--sh-degree"),

@@ -20,6 +20,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("eval", &["domain", "gpu", "model", "render"]),
     ("train", &["domain", "gpu", "codec", "model", "render", "eval"]),
     ("worker", &["domain", "ingest", "gpu", "codec", "export", "store", "model", "render", "eval", "train"]),
+    ("https", &[]),
     ("http", &["domain", "codec", "store", "render"]),
 ];
 
@@ -30,6 +31,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("hyper_util", &["http"]),
     ("tower", &["http"]),
     ("tower_http", &["http"]),
+    ("rustls", &["https"]),
     ("governor", &["http"]),
     ("secrecy", &["domain"]),
     ("subtle", &["domain"]),

@@ -4,6 +4,7 @@ mod adam;
 mod baselines;
 mod checkpoint;
 mod cli;
+mod clients;
 mod codec;
 mod container_image;
 mod context;

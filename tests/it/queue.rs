@@ -7,12 +7,13 @@ use bytes::Bytes;
 use jiff::{SignedDuration, Timestamp};
 use tcgs::{
     domain::{
-        Clock, Digest, Event, EventKind, JobId, JobState, ManualClock, Phase, Problem, Progress, SceneFormat,
-        TrainOptions,
+        Clock, Digest, Event, EventKind, JobId, JobState, KeyId, ManualClock, Phase, Problem, Progress,
+        SceneFormat, TrainOptions,
     },
     store::{
-        Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, JobRecord, Lease,
-        NewJob, Outcome, QueuePolicy, SqliteStore, Store, StoreError,
+        Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, Deletion, Intent,
+        JobFilter, JobRecord, Lease, NewJob, Outcome, QueuePolicy, Repeat, Repetition, SqliteStore, Store,
+        StoreError,
     },
 };
 use tempfile::TempDir;
@@ -489,6 +490,188 @@ async fn every_change_raises_the_version_and_a_new_attempt_starts_from_nothing()
     rises(&queue.record(id).await);
 }
 
+fn repeat(number: u128, from_checkpoint: bool) -> Repeat {
+    Repeat { id: JobId(Uuid::from_u128(number)), from_checkpoint, deadline_at: None, intent: None }
+}
+
+impl Queue {
+    async fn add_until(&self, number: u128, seconds: i64) -> JobId {
+        let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
+        let deadline_at = self.clock.now().checked_add(SignedDuration::from_secs(seconds)).ok();
+        let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
+        self.store.create_job(NewJob { deadline_at, ..new }).await.expect("created").job.id
+    }
+}
+
+#[tokio::test]
+async fn a_queued_job_past_its_deadline_is_given_up_and_never_begun() {
+    let queue = Queue::new().await;
+    let (late, other) = (queue.add_until(1, 60).await, queue.add(2).await);
+    assert_eq!(queue.store.give_up_overdue().await.expect("looked"), 0);
+    queue.pass(60);
+    assert_eq!(queue.lease().await.job, other, "a claim gives it up too");
+    let record = queue.record(late).await;
+    assert_eq!((record.job.state, record.job.attempt), (JobState::Failed, 0));
+    let error = record.job.error.expect("a reason");
+    assert_eq!(error.kind, "urn:tcgs:problem:deadline-exceeded");
+    let last = queue.events(late).await.pop().expect("an event");
+    assert_eq!((&last.data["state"], &last.data["error"]["type"]), (&"failed".into(), &error.kind.into()));
+    let later = queue.add_until(3, 60).await;
+    queue.pass(61);
+    assert_eq!(queue.store.give_up_overdue().await.expect("looked"), 1);
+    assert_eq!(queue.store.give_up_overdue().await.expect("looked"), 0);
+    assert_eq!(queue.state(later).await, JobState::Failed);
+    let answer = queue.store.cancel(later).await.expect("read").expect("known");
+    assert!(matches!(answer, Cancellation::TooLate(_)));
+}
+
+#[tokio::test]
+async fn a_running_job_learns_of_its_deadline_and_gets_no_other_attempt() {
+    let queue = Queue::new().await;
+    for (number, outcome) in [(1, Outcome::Released), (2, Outcome::Retry(problem()))] {
+        let id = queue.add_until(number, 30).await;
+        let lease = queue.lease().await;
+        assert!(!queue.store.heartbeat(&lease).await.expect("renewed").overdue);
+        queue.pass(30);
+        assert!(queue.store.heartbeat(&lease).await.expect("renewed").overdue);
+        assert_eq!(queue.store.give_up_overdue().await.expect("looked"), 0, "its worker ends it");
+        assert_eq!(queue.store.finish(&lease, outcome).await.expect("ended"), JobState::Failed);
+        let error = queue.record(id).await.job.error.expect("a reason");
+        assert_eq!(error.kind, "urn:tcgs:problem:deadline-exceeded");
+        assert_eq!(queue.outcomes(id).await, [Some(AttemptOutcome::Failed)]);
+    }
+    let silent = queue.add_until(3, 30).await;
+    queue.lease().await;
+    queue.pass(60);
+    assert_eq!(queue.claim().await, None);
+    assert_eq!(queue.state(silent).await, JobState::Failed);
+    assert_eq!(queue.outcomes(silent).await, [Some(AttemptOutcome::Lost)]);
+    let done = queue.add_until(4, 30).await;
+    let lease = queue.lease().await;
+    queue.pass(31);
+    assert_eq!(queue.store.finish(&lease, succeeded()).await.expect("ended"), JobState::Succeeded);
+    assert_eq!(queue.record(done).await.artifacts.len(), 1, "what is finished is not thrown away");
+}
+
+#[tokio::test]
+async fn a_repeated_job_is_a_new_one_that_may_adopt_the_checkpoint() {
+    let queue = Queue::new().await;
+    let id = queue.add_with_priority(1, 7).await;
+    let now = queue.store.repeat_job(id, repeat(2, true)).await.expect("answered").expect("known");
+    assert_eq!(now, Repetition::NotNow(JobState::Queued));
+    queue.store.finish(&queue.lease().await, Outcome::Failed(problem())).await.expect("ended");
+    for (number, from_checkpoint) in [(2, true), (3, false)] {
+        let made = queue.store.repeat_job(id, repeat(number, from_checkpoint)).await.expect("answered");
+        let Some(Repetition::Made(record)) = made else { panic!("{made:?}") };
+        assert_eq!((record.retry_of, record.priority), (Some(id), 7));
+        assert_eq!((record.job.state, record.job.attempt), (JobState::Queued, 0));
+        let claim = queue.claim().await.expect("a job");
+        assert_eq!((claim.lease.job, claim.adopts), (record.job.id, from_checkpoint.then_some(id)));
+        queue.store.finish(&claim.lease, succeeded()).await.expect("ended");
+        let done = queue.store.repeat_job(record.job.id, repeat(9, true)).await.expect("answered");
+        assert_eq!(done, Some(Repetition::NotNow(JobState::Succeeded)));
+    }
+    assert!(
+        queue.store.repeat_job(JobId(Uuid::from_u128(404)), repeat(9, true)).await.expect("read").is_none()
+    );
+}
+
+#[tokio::test]
+async fn a_job_is_deleted_once_it_has_ended_and_as_it_was_seen() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    let delete = |version| queue.store.delete_job(id, version);
+    assert_eq!(delete(None).await.expect("read"), Some(Deletion::Active(JobState::Queued)));
+    let lease = queue.lease().await;
+    assert_eq!(delete(None).await.expect("read"), Some(Deletion::Active(JobState::Running)));
+    queue.store.finish(&lease, succeeded()).await.expect("ended");
+    let version = queue.record(id).await.job.version;
+    assert_eq!(delete(Some(version - 1)).await.expect("read"), Some(Deletion::Changed));
+    assert_eq!(delete(Some(version)).await.expect("deleted"), Some(Deletion::Deleted));
+    assert_eq!(delete(None).await.expect("read"), None);
+    assert!(queue.store.events(id, 0, 10).await.expect("read").is_none());
+    assert_eq!(queue.store.attempts(id).await.expect("read"), []);
+    assert!(is_lost(queue.store.heartbeat(&lease).await));
+    assert_eq!(queue.store.newest_events(&[id]).await.expect("read"), []);
+}
+
+#[tokio::test]
+async fn checkpoints_are_wanted_until_success_and_for_a_while_after_failure() {
+    let queue = Queue::new().await;
+    let [done, failed, waiting] = [queue.add(1).await, queue.add(2).await, queue.add(3).await];
+    queue.store.finish(&queue.lease().await, succeeded()).await.expect("ended");
+    queue.store.finish(&queue.lease().await, Outcome::Failed(problem())).await.expect("ended");
+    let unknown = JobId(Uuid::from_u128(404));
+    let asked = [done, failed, waiting, unknown];
+    assert_eq!(queue.store.resumable(&asked).await.expect("read"), [failed, waiting]);
+    queue.pass(24 * 3600);
+    assert_eq!(queue.store.resumable(&asked).await.expect("read"), [waiting]);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn fifty_processes_with_one_key_make_one_job() {
+    let queue = Queue::new().await;
+    let other: Arc<dyn Store> = Arc::new(open(&queue.folder, &queue.clock, QueuePolicy::default()).await);
+    let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
+    let intent = Intent { owner: None, key: "one".into(), fingerprint: Digest::of(b"request") };
+    let requests = (0..50).map(|number| {
+        let store = if number % 2 == 0 { Arc::clone(&queue.store) } else { Arc::clone(&other) };
+        let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
+        let new = NewJob { intent: Some(intent.clone()), ..new };
+        tokio::spawn(async move { store.create_job(new).await })
+    });
+    let (mut made, mut told) = (Vec::new(), Vec::new());
+    for request in requests.collect::<Vec<_>>() {
+        match request.await.expect("joined") {
+            Ok(record) => made.push(record.job.id.to_string()),
+            Err(StoreError::AlreadyMade(earlier)) => told.push(*earlier),
+            Err(error) => panic!("{error}"),
+        }
+    }
+    assert_eq!((made.len(), told.len()), (1, 49));
+    assert!(told.iter().all(|earlier| {
+        earlier.resource == made[0] && earlier.status == 201 && earlier.fingerprint == intent.fingerprint
+    }));
+    let jobs = queue.store.jobs(&JobFilter::default(), None, 100).await.expect("read");
+    assert_eq!(jobs.len(), 1, "what was refused left nothing behind");
+}
+
+#[tokio::test]
+async fn a_key_is_its_owner_s_and_is_forgotten_after_a_day() {
+    let queue = Queue::new().await;
+    let pool = pool(&queue).await;
+    let owner = KeyId(Uuid::from_u128(77));
+    sqlx::query(
+        "INSERT INTO keys (id, name, prefix, hash, scopes, created_at) VALUES (?, 'k', 'p', 'h', '', 0)",
+    )
+    .bind(owner.to_string())
+    .execute(&pool)
+    .await
+    .expect("a key");
+    let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
+    let create = |number, owner| {
+        let intent = Intent { owner, key: "one".into(), fingerprint: Digest::of(b"request") };
+        let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
+        queue.store.create_job(NewJob { owner, intent: Some(intent), ..new })
+    };
+    create(1, None).await.expect("made");
+    create(2, Some(owner)).await.expect("another's key is another key");
+    assert!(matches!(create(3, None).await, Err(StoreError::AlreadyMade(_))));
+    let remembered = |owner| queue.store.remembered(owner, "one");
+    assert!(remembered(None).await.expect("read").is_some());
+    queue.pass(24 * 3600);
+    assert!(remembered(Some(owner)).await.expect("read").is_none());
+    create(4, None).await.expect("made anew");
+    let rows: i64 =
+        sqlx::query_scalar("SELECT COUNT(*) FROM idempotency").fetch_one(&pool).await.expect("counted");
+    assert_eq!(rows, 1, "old ones are swept");
+}
+
+async fn pool(queue: &Queue) -> sqlx::SqlitePool {
+    let url = format!("sqlite://{}", queue.folder.path().join("tcgs.db").display());
+    sqlx::SqlitePool::connect(&url).await.expect("a connection")
+}
+
 #[tokio::test]
 async fn a_dataset_may_be_used_by_many_jobs() {
     let queue = Queue::new().await;
@@ -500,8 +683,7 @@ async fn a_dataset_may_be_used_by_many_jobs() {
 async fn a_row_that_makes_no_sense_is_an_error_and_not_a_panic() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
-    let url = format!("sqlite://{}", queue.folder.path().join("tcgs.db").display());
-    let pool = sqlx::SqlitePool::connect(&url).await.expect("a connection");
+    let pool = pool(&queue).await;
     for change in [
         "UPDATE jobs SET options = '{\"preset\":\"unheard-of\"}'",
         "UPDATE jobs SET options = 'no JSON'",

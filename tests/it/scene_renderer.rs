@@ -9,7 +9,7 @@ use tcgs::{
     render::{
         Projection, RasterSettings, RenderError, RenderViews, SceneRenderer, SceneViewer,
         twin::{self, neural},
-        views::Viewable,
+        views::{ALPHA_SEEN, PlaneKind, Viewable},
     },
 };
 
@@ -61,6 +61,50 @@ fn a_view_is_the_twins_view_in_8_bits() {
         }
         assert_eq!(renderer.render(&camera), Ok(image), "the same view again, bit for bit");
     }
+}
+
+#[test]
+fn depth_and_alpha_are_the_twins() {
+    let (rows, networks, finished) = scene();
+    let camera = random::camera(45, 37);
+    let mut renderer = SceneRenderer::new(&gpu(), &finished, Background::White).expect("a renderer");
+    let depth = renderer.plane(&camera, PlaneKind::Depth).expect("a view");
+    let alpha = renderer.plane(&camera, PlaneKind::Alpha).expect("a view");
+    assert_eq!((depth.width, depth.height, alpha.width, alpha.height), (45, 37, 45, 37));
+
+    let projection = Projection::new(&camera, &RasterSettings::default());
+    let spawned = neural::neural_forward(&projection, &neural::Anchors::new(&rows, &networks));
+    let deep: Vec<_> = spawned
+        .gaussians
+        .into_iter()
+        .flatten()
+        .map(|gaussian| twin::shade_depth(&projection, &gaussian))
+        .collect();
+    let twin = twin::forward(&projection, &deep, DVec3::ZERO, twin::Cutoffs::default());
+    let (mut seen, mut empty) = (0, 0);
+    for ((depth, alpha), pixel) in depth.values.iter().zip(&alpha.values).zip(&twin.frame.image) {
+        let (depth, alpha) = (f64::from(*depth), f64::from(*alpha));
+        let expected = 1.0 - pixel[3];
+        // A contribution at 1/255 may be decided otherwise in f32; it weighs that much of the depth.
+        assert!((alpha - expected).abs() < 0.005, "{alpha} {expected}");
+        if alpha < f64::from(ALPHA_SEEN) {
+            assert_eq!(depth, 0.0);
+            empty += 1;
+        } else if alpha > 0.1 {
+            let expected = pixel[0] / expected;
+            assert!((depth - expected).abs() < 0.05 * expected, "{depth} {expected}");
+            if (alpha - (1.0 - pixel[3])).abs() < 1e-4 {
+                assert!((depth - expected).abs() < 1e-3 * expected, "{depth} {expected}");
+            }
+            // The scene is about the origin, at distance four.
+            assert!((2.0..6.0).contains(&depth), "{depth}");
+            seen += 1;
+        }
+    }
+    assert!(seen > 100 && empty > 10, "{seen} pixels see something, {empty} nothing");
+    let image = renderer.render(&camera).expect("a view");
+    let mut fresh = SceneRenderer::new(&gpu(), &finished, Background::White).expect("a renderer");
+    assert_eq!(fresh.render(&camera), Ok(image), "colours are what they are without depth before them");
 }
 
 #[test]

@@ -11,7 +11,7 @@ use std::{
 use serde_json::json;
 use tcgs::{
     domain::{JobState, SystemClock},
-    store::{AttemptOutcome, Blobs, NewJob, SqliteStore, Store},
+    store::{AttemptOutcome, Blobs, NewJob, Repeat, SqliteStore, Store},
     worker::{
         self, WorkerConfig, WorkerError,
         supervise::{Census, SuperviseConfig, supervise},
@@ -139,6 +139,42 @@ async fn checkpoints_are_removed_once_their_job_has_ended_and_no_sooner() {
     working.await.expect("joined").expect("a clean end");
     assert!(!running_folder.exists() && !waiting_folder.exists());
     assert!(foreign.exists(), "what is no job's is left alone");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_job_that_repeats_another_goes_on_from_its_checkpoint() {
+    let workshop = Workshop::new().await;
+    let root = workshop.data.path().join("checkpoints");
+    let config = || WorkerConfig { checkpoints: Some(root.clone()), ..quick_worker("w") };
+    workshop.start(config());
+    let failed = workshop.add("fail").await;
+    let folder = |job: tcgs::domain::JobId| root.join(job.to_string());
+    std::fs::create_dir_all(folder(failed)).expect("made");
+    std::fs::write(folder(failed).join("checkpoint.safetensors"), b"state").expect("written");
+    workshop.reaches(failed, JobState::Failed).await;
+    let repeat = |from_checkpoint| {
+        let id = tcgs::domain::JobId(Uuid::now_v7());
+        let repeat = Repeat { id, from_checkpoint, deadline_at: None, intent: None };
+        let store = Arc::clone(&workshop.store);
+        async move {
+            store.repeat_job(failed, repeat).await.expect("answered").expect("known");
+            id
+        }
+    };
+    let fresh = repeat(false).await;
+    workshop.reaches(fresh, JobState::Failed).await;
+    assert!(folder(failed).exists() && !folder(fresh).exists(), "it was not to be used");
+    let adopting = repeat(true).await;
+    workshop.reaches(adopting, JobState::Failed).await;
+    let state = std::fs::read(folder(adopting).join("checkpoint.safetensors")).expect("moved");
+    assert_eq!(state, b"state");
+    assert!(!folder(failed).exists());
+    let second = repeat(true).await;
+    workshop.reaches(second, JobState::Failed).await;
+    assert!(!folder(second).exists(), "there is one checkpoint, and the first has it");
+    worker::forget_checkpoints(&root, adopting);
+    assert!(!folder(adopting).exists());
+    worker::forget_checkpoints(&root, adopting);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -349,6 +385,7 @@ fn api(workshop: &Workshop, census: Census) -> axum::Router {
         check: Arc::new(crate::support::fakes::check),
         load: Arc::new(crate::support::fakes::load),
         renderer: Arc::new(crate::support::fakes::FakeRenderer::default()),
+        forget: Arc::new(|_| {}),
         workers: Arc::new(move || WorkerCounts { expected: census.expected(), alive: census.living().len() }),
     };
     tcgs::http::router(AppState::new(services, Default::default(), CancellationToken::new()))

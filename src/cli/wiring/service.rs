@@ -103,6 +103,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
             HousekeepingPolicy::default(),
             shutdown.clone(),
         ));
+        let checkpoints = options.data.join(CHECKPOINTS);
         let services = Services {
             store: store.clone(),
             blobs,
@@ -113,6 +114,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
                 Ok(Viewable { scene: file.scene, background: file.background })
             }),
             renderer,
+            forget: Arc::new(move |job| worker::forget_checkpoints(&checkpoints, job)),
             workers: Arc::new(move || WorkerCounts {
                 expected: census.expected(),
                 alive: census.living().len(),

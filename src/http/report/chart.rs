@@ -2,8 +2,8 @@
 
 use maud::{Markup, html};
 
-const WIDTH: f64 = 560.0;
-const HEIGHT: f64 = 280.0;
+const WIDTH: f64 = 440.0;
+const HEIGHT: f64 = 260.0;
 const LEFT: f64 = 58.0;
 const RIGHT: f64 = 16.0;
 const TOP: f64 = 12.0;

@@ -28,10 +28,9 @@ fn line(name: &'static str, points: Vec<(f64, f64)>) -> Series {
 
 fn against_time(record: &JobRecord, history: &History) -> Markup {
     let mut training = history.points(|report| Some(report.elapsed_seconds), |report| report.psnr);
-    let end = history.reports.last().map(|report| report.elapsed_seconds);
     let held_out = record.job.metrics.as_ref().and_then(|metrics| metrics.test.psnr);
-    let mut held_out: Vec<(f64, f64)> = end.zip(held_out).into_iter().collect();
-    let unit = TimeUnit::of(end.unwrap_or(0.0));
+    let mut held_out: Vec<(f64, f64)> = held_out.map(|psnr| (history.end, psnr)).into_iter().collect();
+    let unit = TimeUnit::of(history.end);
     training.iter_mut().chain(&mut held_out).for_each(|(seconds, _)| *seconds /= unit.seconds);
     Chart {
         title: "PSNR against time",

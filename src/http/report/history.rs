@@ -16,6 +16,8 @@ const PAGES: usize = 30;
 #[derive(Debug, Default)]
 pub(super) struct History {
     pub(super) reports: Vec<Progress>,
+    /// Seconds of work until the latest report.
+    pub(super) end: f64,
     /// The attempt of the latest report.
     attempt: u32,
     /// Seconds before the latest attempt's own.
@@ -51,6 +53,11 @@ impl History {
             self.before = self.reports.last().map_or(0.0, |report| report.elapsed_seconds);
         }
         let elapsed_seconds = self.before + progress.elapsed_seconds;
+        self.end = elapsed_seconds;
+        // What follows training repeats its last report.
+        if self.reports.last().is_some_and(|last| last.step == progress.step && last.loss == progress.loss) {
+            return;
+        }
         self.reports.push(Progress { elapsed_seconds, ..progress });
     }
 
@@ -91,6 +98,8 @@ mod tests {
         assert_eq!(line(&history), [(5.0, 20.0), (5.5, 21.0), (9.5, 23.0)]);
         history.take(report(3, 0, 1.0, Some(9.0)));
         assert_eq!(line(&history), [(1.0, 9.0)]);
+        history.take(report(3, 0, 7.0, Some(9.0)));
+        assert_eq!((line(&history).len(), history.end), (1, 7.0), "a repeated report only takes time");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The renderer on the CPU in f64, written plainly: every kernel has a function of the same name here, and the kernels
 //! are tested against these, these against independent values and central differences.
 
+mod depth;
 mod lists;
 pub mod neural;
 pub mod plain;
@@ -11,6 +12,7 @@ mod raster_forward;
 
 use glam::{DVec2, DVec3};
 
+pub use depth::shade_depth;
 pub use lists::{Lists, compact, emit, tile_counts, tile_lists, tile_ranges, touches};
 pub use project::{project, rotation};
 pub use project_backward::project_backward;

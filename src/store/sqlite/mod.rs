@@ -9,6 +9,7 @@ mod accounts;
 mod events;
 mod idempotency;
 mod keys;
+mod lifecycle;
 mod queue;
 mod rows;
 mod scenes;
@@ -24,10 +25,10 @@ use sqlx::{
 };
 
 use super::{
-    Answer, Artifact, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat, JobFilter, JobRecord, Lease,
-    NewJob, Outcome, PageKey, QueuePolicy, Store, StoreError,
+    Answer, Artifact, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat, JobFilter, JobRecord,
+    Lease, NewJob, Outcome, PageKey, QueuePolicy, Repeat, Repetition, Store, StoreError,
 };
-use crate::domain::{Clock, Event, EventKind, JobId, JobState, Phase, Progress};
+use crate::domain::{Clock, Event, EventKind, JobId, JobState, ModelKind, Phase, Progress};
 use rows::{json as text, micros};
 
 /// HTTP status of an answer to a request that made something.
@@ -104,6 +105,12 @@ impl SqliteStore {
             let (id, keep) = (new.id.to_string(), self.policy.remember);
             idempotency::remember(tx, intent, CREATED, &id, keep, now).await?;
         }
+        if let Some(scene) = new.scene {
+            let known = sqlx::query("SELECT 1 FROM scenes WHERE id = ?").bind(scene.to_string());
+            if known.fetch_optional(&mut *tx).await?.is_none() {
+                return Err(StoreError::NoScene(scene));
+            }
+        }
         insert_blob(tx, new.dataset, now).await?;
         sqlx::query(
             "INSERT INTO jobs (id, owner, scene, retry_of, deadline_at, dataset, options, state, phase, progress, priority,
@@ -130,10 +137,45 @@ impl SqliteStore {
         select_job(tx, new.id).await?.ok_or(StoreError::Database(sqlx::Error::RowNotFound))
     }
 
+    async fn insert_repetition(&self, id: JobId, repeat: Repeat) -> Result<Option<Repetition>, StoreError> {
+        let (mut tx, now) = self.begin().await?;
+        let made = match lifecycle::repetition(&mut tx, id, repeat).await? {
+            None => return Ok(None),
+            Some(Err(state)) => return Ok(Some(Repetition::NotNow(state))),
+            Some(Ok(new)) => self.insert_job_in(&mut tx, new, now).await?,
+        };
+        tx.commit().await?;
+        Ok(Some(Repetition::Made(Box::new(made))))
+    }
+
+    async fn remove_job(&self, id: JobId, version: Option<u64>) -> Result<Option<Deletion>, StoreError> {
+        let (mut tx, now) = self.begin().await?;
+        // As with a cancellation, a worker that is gone keeps nobody from deleting its job.
+        queue::reap(&mut tx, &self.policy, now).await?;
+        let answer = lifecycle::delete(&mut tx, id, version).await?;
+        tx.commit().await?;
+        Ok(answer)
+    }
+
+    async fn give_up(&self) -> Result<u64, StoreError> {
+        let late = sqlx::query("SELECT 1 FROM jobs WHERE state = 'queued' AND deadline_at <= ? LIMIT 1")
+            .bind(micros(self.clock.now()))
+            .fetch_optional(&self.readers)
+            .await?;
+        if late.is_none() {
+            return Ok(0);
+        }
+        let (mut tx, now) = self.begin().await?;
+        let count = lifecycle::give_up_queued(&mut tx, now).await?;
+        tx.commit().await?;
+        Ok(count)
+    }
+
     async fn cancel_job(&self, id: JobId) -> Result<Option<Cancellation>, StoreError> {
         let (mut tx, now) = self.begin().await?;
         // A job whose worker is gone need not wait for another worker to learn that it is cancelled.
         queue::reap(&mut tx, &self.policy, now).await?;
+        lifecycle::give_up_queued(&mut tx, now).await?;
         let answer = queue::cancel(&mut tx, id, now).await?;
         tx.commit().await?;
         Ok(answer)
@@ -147,16 +189,22 @@ impl SqliteStore {
     ) -> Result<Vec<JobRecord>, StoreError> {
         // One snapshot for the jobs and their artifacts.
         let mut tx = self.readers.begin().await?;
+        let states = (!filter.states.is_empty()).then(|| text(&filter.states)).transpose()?;
         let (at, id) =
             before.map_or((i64::MAX, String::new()), |key| (micros(key.created_at), key.id.to_string()));
         let rows = sqlx::query(
             "SELECT jobs.*, blobs.bytes FROM jobs JOIN blobs ON blobs.digest = jobs.dataset
              WHERE (jobs.created_at, jobs.id) < (?1, ?2) AND (?3 IS NULL OR owner = ?3)
-             ORDER BY jobs.created_at DESC, jobs.id DESC LIMIT ?4",
+                 AND (?4 IS NULL OR state IN (SELECT value FROM json_each(?4))) AND (?5 IS NULL OR scene = ?5)
+                 AND (?6 IS NULL OR json_extract(options, '$.model') = ?6)
+             ORDER BY jobs.created_at DESC, jobs.id DESC LIMIT ?7",
         )
         .bind(at)
         .bind(id)
         .bind(filter.owner.map(|owner| owner.to_string()))
+        .bind(states)
+        .bind(filter.scene.map(|scene| scene.to_string()))
+        .bind(filter.model.map(ModelKind::name))
         .bind(limit)
         .fetch_all(&mut *tx)
         .await?;
@@ -292,6 +340,32 @@ impl Store for SqliteStore {
         Box::pin(self.cancel_job(id))
     }
 
+    fn repeat_job(&self, id: JobId, repeat: Repeat) -> Answer<'_, Option<Repetition>> {
+        Box::pin(self.insert_repetition(id, repeat))
+    }
+
+    fn delete_job(&self, id: JobId, version: Option<u64>) -> Answer<'_, Option<Deletion>> {
+        Box::pin(self.remove_job(id, version))
+    }
+
+    fn give_up_overdue(&self) -> Answer<'_, u64> {
+        Box::pin(self.give_up())
+    }
+
+    fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<JobId>> {
+        Box::pin(async move {
+            let rows = sqlx::query(
+                "SELECT id FROM jobs WHERE id IN (SELECT value FROM json_each(?))
+                     AND (state IN ('queued', 'running') OR (state IN ('failed', 'cancelled') AND finished_at > ?))",
+            )
+            .bind(text(&jobs)?)
+            .bind(micros(rows::before(self.clock.now(), self.policy.keep_checkpoints)))
+            .fetch_all(&self.readers)
+            .await?;
+            rows.iter().map(rows::job_id).collect()
+        })
+    }
+
     fn claim<'a>(&'a self, worker: &'a str) -> Answer<'a, Option<Claim>> {
         Box::pin(async move {
             if !self.anything_due().await? {
@@ -299,6 +373,7 @@ impl Store for SqliteStore {
             }
             let (mut tx, now) = self.begin().await?;
             queue::reap(&mut tx, &self.policy, now).await?;
+            lifecycle::give_up_queued(&mut tx, now).await?;
             let claim = queue::claim(&mut tx, &self.policy, worker, now).await?;
             tx.commit().await?;
             Ok(claim)

@@ -61,7 +61,7 @@ async fn lose(
     now: Timestamp,
 ) -> Result<u64, StoreError> {
     for row in lost {
-        end_attempt(connection, policy, &rows::standing(row)?, End::Lost, now).await?;
+        end_attempt(connection, policy, &rows::standing(row, now)?, End::Lost, now).await?;
     }
     Ok(lost.len() as u64)
 }
@@ -79,7 +79,7 @@ pub(super) async fn claim(
              version = version + 1
          WHERE id = (SELECT id FROM jobs WHERE state = 'queued' AND run_after <= ?
                      ORDER BY priority DESC, created_at, id LIMIT 1)
-         RETURNING id, attempt, dataset, options",
+         RETURNING id, attempt, dataset, options, retry_of, from_checkpoint",
     )
     .bind(text(&Progress::default())?)
     .bind(worker)
@@ -105,6 +105,7 @@ pub(super) async fn claim(
         lease: Lease { job, attempt, worker: worker.to_owned() },
         dataset: rows::dataset(&row)?,
         options: rows::options(&row)?,
+        adopts: rows::adopts(&row)?,
     }))
 }
 
@@ -150,7 +151,7 @@ pub(super) async fn heartbeat(
 ) -> Result<Heartbeat, StoreError> {
     let row = sqlx::query(
         "UPDATE jobs SET lease_until = ?
-         WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running' RETURNING cancel_requested_at",
+         WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running' RETURNING cancel_requested_at, deadline_at",
     )
     .bind(micros(after(now, policy.lease)))
     .bind(lease.job.to_string())
@@ -159,7 +160,11 @@ pub(super) async fn heartbeat(
     .fetch_optional(connection)
     .await?
     .ok_or_else(|| lease_lost(lease))?;
-    Ok(Heartbeat { cancel_requested: row.try_get::<Option<i64>, _>("cancel_requested_at")?.is_some() })
+    let deadline: Option<i64> = row.try_get("deadline_at")?;
+    Ok(Heartbeat {
+        cancel_requested: row.try_get::<Option<i64>, _>("cancel_requested_at")?.is_some(),
+        overdue: deadline.is_some_and(|deadline| deadline <= micros(now)),
+    })
 }
 
 /// Records phase and progress.
@@ -226,7 +231,7 @@ pub(super) async fn finish(
     .fetch_optional(&mut *connection)
     .await?
     .ok_or_else(|| lease_lost(lease))?;
-    end_attempt(connection, policy, &rows::standing(&row)?, End::Told(outcome), now).await
+    end_attempt(connection, policy, &rows::standing(&row, now)?, End::Told(outcome), now).await
 }
 
 async fn end_attempt(

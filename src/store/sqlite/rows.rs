@@ -102,6 +102,12 @@ pub(super) fn newest_event(row: &SqliteRow) -> Result<(JobId, u64), StoreError> 
     Ok((job_id(row)?, unsigned(row, "last_seq")?))
 }
 
+/// The job whose checkpoint a claimed one may go on from.
+pub(super) fn adopts(row: &SqliteRow) -> Result<Option<JobId>, StoreError> {
+    let may: bool = row.try_get("from_checkpoint")?;
+    Ok(optional_id(row, "retry_of")?.filter(|_| may))
+}
+
 pub(super) fn dataset(row: &SqliteRow) -> Result<Digest, StoreError> {
     parsed("dataset", row.try_get("dataset")?)
 }
@@ -185,8 +191,14 @@ pub(super) fn remembered(row: &SqliteRow) -> Result<Remembered, StoreError> {
     })
 }
 
-pub(super) fn standing(row: &SqliteRow) -> Result<Standing, StoreError> {
+/// The deadline of a row that has one.
+pub(super) fn deadline(row: &SqliteRow) -> Result<Timestamp, StoreError> {
+    instant("deadline_at", row.try_get("deadline_at")?)
+}
+
+pub(super) fn standing(row: &SqliteRow, now: Timestamp) -> Result<Standing, StoreError> {
     Ok(Standing {
+        overdue: optional_instant(row, "deadline_at")?.filter(|deadline| *deadline <= now),
         job: job_id(row)?,
         attempt: unsigned(row, "attempt")?,
         charged: unsigned(row, "charged")?,

@@ -57,6 +57,8 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
         ("/v1/scenes".to_owned(), "application/zip"),
         ("/v1/scenes".to_owned(), "application/json"),
         (format!("{job}/views"), "application/json"),
+        (format!("{job}/stream"), "application/json"),
+        (format!("{job}/animation"), "application/json"),
     ] {
         let head = format!(
             "POST {path} HTTP/1.1\r\nHost: test\r\nContent-Type: {media_type}\r\nConnection: close\r\n"
@@ -67,9 +69,10 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
             raw(&server, &format!("{head}Transfer-Encoding: chunked\r\n\r\nnot a length\r\n"), false).await;
         assert_eq!(check_raw(&server, "POST", &path, &broken), 400);
     }
-    let views = format!("{job}/views");
-    let long = json!({ "views": vec![json!({ "frame": "test/r_0" }); 50] });
-    server.post_json(&views, &long).await.expect_problem(413, "body-too-large");
+    for part in ["views", "stream", "animation"] {
+        let long = json!({ "views": vec![json!({ "frame": "test/r_0" }); 50] });
+        server.post_json(&format!("{job}/{part}"), &long).await.expect_problem(413, "body-too-large");
+    }
     server.upload("", "succeed").await.expect(201);
 }
 

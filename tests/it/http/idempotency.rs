@@ -73,34 +73,26 @@ pub(super) async fn fifty_requests_with_one_key_make_one_job(coverage: Coverage)
 }
 
 pub(super) async fn a_request_is_in_flight_until_it_is_answered_and_no_longer(coverage: Coverage) {
+    use tokio::io::{AsyncBufReadExt as _, AsyncReadExt as _, AsyncWriteExt as _, BufReader};
     let server = Server::start(&coverage).await;
-    let (send, receive) = tokio::sync::mpsc::unbounded_channel::<Result<&str, std::io::Error>>();
-    let body = futures_util::stream::unfold(receive, |mut receive| async {
-        receive.recv().await.map(|piece| (piece, receive))
-    });
-    let slow = server.send("POST", "/v1/jobs", |request| {
-        let request = request.header("content-type", "application/zip").header("idempotency-key", "one");
-        request.body(reqwest::Body::wrap_stream(body))
-    });
-    let meanwhile = async {
-        send.send(Ok("succ")).expect("the request is there");
-        loop {
-            // Until the slow one has arrived this asks for what is refused, and so makes nothing.
-            let answer = create(&server, "one", "?seed=many", "succeed").await;
-            assert_ne!(answer.status, 201);
-            let other = create(&server, "one", "", "bad").await;
-            if other.status == 409 {
-                other.expect_problem(409, "idempotency-in-flight");
-                break;
-            }
-        }
-        send.send(Ok("eed")).expect("the request is there");
-        drop(send);
-    };
-    let (slow, ()) = tokio::join!(slow, meanwhile);
-    let made = slow.expect(201);
+    let mut slow =
+        BufReader::new(tokio::net::TcpStream::connect(server.address).await.expect("a connection"));
+    let head = "POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nIdempotency-Key: one\r\n\
+                Expect: 100-continue\r\nConnection: close\r\nContent-Length: 7\r\n\r\n";
+    slow.write_all(head.as_bytes()).await.expect("sent");
+    let mut line = String::new();
+    slow.read_line(&mut line).await.expect("an answer");
+    assert!(line.starts_with("HTTP/1.1 100"), "the body is wanted now: {line}");
+    let detail = create(&server, "one", "", "succeed").await;
+    assert!(detail.expect_problem(409, "idempotency-in-flight").contains("still being answered"));
+    create(&server, "two", "", "succeed").await.expect(201);
+    slow.write_all(b"succeed").await.expect("sent");
+    let mut answer = String::new();
+    slow.read_to_string(&mut answer).await.expect("an answer");
+    assert!(answer.contains("HTTP/1.1 201"), "{answer}");
     let again = create(&server, "one", "", "succeed").await.expect(201);
-    assert_eq!(again.header("location"), made.header("location"));
+    assert_eq!(again.header("idempotency-replayed"), "true");
+    assert!(answer.contains(again.header("location")), "{answer}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -4,7 +4,9 @@
 mod access;
 mod artifacts;
 mod connections;
+mod films;
 mod idempotency;
+mod job_life;
 mod jobs;
 mod report;
 mod scenes;
@@ -18,6 +20,7 @@ use crate::support::contract::Coverage;
 const UNSEEN: &[(&str, &str, &str)] = &[
     ("createJob", "507", "needs a full disk; the mapping has a unit test"),
     ("appendToUpload", "507", "needs a full disk; the mapping has a unit test"),
+    ("retryJob", "408", "a body that dawdles is seen where it is long"),
 ];
 
 /// Makes each scenario a test, and one more that runs all of them and asserts that the contract is covered.
@@ -69,6 +72,13 @@ scenarios! {
         a_queued_job_is_cancelled_at_once_and_a_running_one_soon,
         too_many_uploads_at_once_are_put_off,
     }
+    job_life {
+        a_job_is_made_of_a_scene_by_json,
+        jobs_are_listed_by_state_scene_and_model,
+        a_job_is_given_up_at_its_deadline_begun_or_not,
+        a_failed_or_cancelled_job_is_retried_as_a_new_one,
+        a_job_that_has_ended_is_deleted_with_its_files,
+    }
     idempotency {
         a_request_that_is_sent_again_makes_nothing_again,
         what_was_refused_is_not_remembered,
@@ -106,8 +116,22 @@ scenarios! {
     views {
         views_by_frame_pose_and_query_agree,
         views_come_in_three_formats_and_as_multipart,
+        depth_and_alpha_are_served_as_pictures_and_as_numbers,
+        a_view_is_tagged_timed_and_rendered_once,
+        a_view_that_many_ask_for_at_once_is_rendered_once,
         impossible_views_are_refused_by_name,
         a_job_without_a_file_has_no_views,
         a_full_render_queue_and_a_broken_renderer_are_told_apart,
+    }
+    films {
+        an_orbit_is_streamed_part_by_part_as_often_as_asked,
+        a_path_is_streamed_and_animated_through_its_views,
+        an_orbit_is_one_file_with_a_tag,
+        impossible_films_are_refused_by_name,
+        films_fail_as_views_do,
+        what_fails_after_the_first_picture_breaks_the_body_off,
+        each_caller_has_its_share_and_all_together_a_limit,
+        whoever_goes_away_is_not_rendered,
+        nothing_is_rendered_that_the_client_does_not_take,
     }
 }

@@ -2,6 +2,10 @@
 
 use serde_json::{Value, json};
 
+use glam::{DQuat, DVec3};
+use tcgs::domain::Pose;
+
+use super::films::parts;
 use crate::support::{
     contract::Coverage,
     fakes,
@@ -77,21 +81,106 @@ pub(super) async fn views_come_in_three_formats_and_as_multipart(coverage: Cover
     let body =
         json!({ "views": [{ "frame": "test/r_0" }, { "frame": "train/r_0", "width": 20 }], "format": "png" });
     let many = server.post_json(&format!("{job}/views"), &body).await.expect(200);
-    let boundary =
-        many.header("content-type").strip_prefix("multipart/mixed; boundary=").expect("multipart").to_owned();
-    let mut rest: &[u8] = &many.body;
-    let mut sizes = Vec::new();
-    while let Some(head_end) = rest.windows(4).position(|window| window == b"\r\n\r\n") {
-        let head = std::str::from_utf8(&rest[..head_end]).expect("ASCII");
-        assert!(head.starts_with(&format!("--{boundary}\r\nContent-Type: image/png\r\n")), "{head}");
-        let length = head.lines().find_map(|line| line.strip_prefix("Content-Length: ")).expect("a length");
-        let length: usize = length.parse().expect("a number");
-        let picture = picture_of(&rest[head_end + 4..head_end + 4 + length]);
-        sizes.push((picture.width(), picture.height()));
-        rest = &rest[head_end + 4 + length + 2..];
-    }
+    let parts = parts(&many.body, many.header("content-type"));
+    let sizes: Vec<_> = parts
+        .iter()
+        .enumerate()
+        .map(|(index, (head, content))| {
+            assert!(head.starts_with("Content-Type: image/png\r\n"), "{head}");
+            assert!(head.ends_with(&format!("inline; filename=\"{index}.png\"")), "{head}");
+            let picture = picture_of(content);
+            (picture.width(), picture.height())
+        })
+        .collect();
     assert_eq!(sizes, [(40, 32), (20, 16)]);
-    assert_eq!(rest, format!("--{boundary}--\r\n").as_bytes());
+}
+
+pub(super) async fn depth_and_alpha_are_served_as_pictures_and_as_numbers(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.succeeded().await;
+    let view = |query: &'static str| {
+        let path = format!("{job}/view?frame=test/r_0&{query}");
+        let server = &server;
+        async move { server.get(&path).await.expect(200) }
+    };
+    let floats = |file: &[u8]| -> Vec<f32> {
+        let values = &file[file.len() - 4 * 40 * 32..];
+        values.chunks(4).map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four"))).collect()
+    };
+    let array = view("output=depth&format=npy").await;
+    assert_eq!(array.header("content-type"), "application/x-npy");
+    assert!(!array.headers.contains_key("x-depth-scale"), "its numbers are in the dataset's units");
+    let depths = floats(&array.body);
+    let depth = view("output=depth").await;
+    let scale: f64 = depth.header("x-depth-scale").parse().expect("a number");
+    let image::DynamicImage::ImageLuma16(steps) = picture_of(&depth.body) else { panic!("16-bit grey") };
+    assert_eq!((steps.width(), steps.height(), steps.as_raw()[0]), (40, 32, 0));
+    for (step, depth) in steps.as_raw().iter().zip(&depths) {
+        assert!((f64::from(*step) * scale - f64::from(*depth)).abs() <= 0.5 * scale);
+    }
+    let alphas = floats(&view("output=alpha&format=npy").await.body);
+    let image::DynamicImage::ImageLuma8(levels) = picture_of(&view("output=alpha").await.body) else {
+        panic!("8-bit grey")
+    };
+    for (level, alpha) in levels.as_raw().iter().zip(&alphas) {
+        assert_eq!(f32::from(*level), (alpha * 255.0).round());
+    }
+    let both = json!({ "views": [{ "frame": "test/r_0" }, { "frame": "train/r_0" }], "output": "depth" });
+    let both = server.post_json(&format!("{job}/views"), &both).await.expect(200);
+    let parts = parts(&both.body, both.header("content-type"));
+    assert!(parts[0].0.contains(&format!("X-Depth-Scale: {scale}")), "{}", parts[0].0);
+    assert_eq!(parts[0].1, depth.body);
+}
+
+pub(super) async fn a_view_is_tagged_timed_and_rendered_once(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.succeeded().await;
+    let path = format!("{job}/view?position=4,0,0&look_at=0,0,0&width=64&height=48");
+    let first = server.get(&path).await.expect(200);
+    for stage in ["queue;dur=", "load;dur=", "render;dur=", "encode;dur="] {
+        assert!(first.header("server-timing").contains(stage), "{}", first.header("server-timing"));
+    }
+    assert!(first.header("cache-control").starts_with("private, max-age="));
+    let etag = first.header("etag").to_owned();
+    let pose = Pose::look_at(DVec3::new(4.0, 0.0, 0.0), DVec3::ZERO, DVec3::Z).expect("a view");
+    let turn = DQuat::from_mat3(&pose.rotation().transpose());
+    let quat = format!("quat={},{},{},{}", -2.0 * turn.w, -2.0 * turn.x, -2.0 * turn.y, -2.0 * turn.z);
+    for same in [
+        path.clone(),
+        format!("{path}&up=0,0,2&fov=60&format=png&output=color"),
+        format!("{job}/view?width=64&height=48&position=4,0,0&{quat}"),
+    ] {
+        let again = server.get(&same).await.expect(200);
+        assert_eq!((again.header("etag"), &again.body), (etag.as_str(), &first.body), "{same}");
+        assert_eq!(again.header("server-timing"), "cache;desc=hit", "{same}");
+        let held = server.send("GET", &same, |request| request.header("if-none-match", &etag)).await;
+        let held = held.expect(304);
+        assert_eq!((held.header("etag"), held.body.len()), (etag.as_str(), 0));
+        assert!(held.header("cache-control").starts_with("private"));
+    }
+    assert_eq!(server.renderer.painted(), 1);
+    for other in
+        ["format=webp", "format=jpeg", "format=jpeg&quality=10", "output=alpha", "fov=61", "up=0,1,1"]
+    {
+        let other = server.get(&format!("{path}&{other}")).await.expect(200);
+        assert_ne!(other.header("etag"), etag);
+    }
+}
+
+pub(super) async fn a_view_that_many_ask_for_at_once_is_rendered_once(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.succeeded().await;
+    let path = format!("{job}/view?frame=test/r_0&width=17");
+    let (first, second, third, ()) =
+        tokio::join!(server.get(&path), server.get(&path), server.get(&path), async {
+            server.renderer.gate.someone_waits().await;
+            server.renderer.gate.open();
+        });
+    let first = first.expect(200);
+    for other in [second, third] {
+        assert_eq!(other.expect(200).body, first.body);
+    }
+    assert_eq!(server.renderer.painted(), 1);
 }
 
 pub(super) async fn impossible_views_are_refused_by_name(coverage: Coverage) {
@@ -116,6 +205,16 @@ pub(super) async fn impossible_views_are_refused_by_name(coverage: Coverage) {
         ("position=1,0,0&look_at=0,0,0&width=99999999999", "invalid-parameter", "width"),
         ("frame=test/r_0&fov=60", "invalid-parameter", "fov"),
         ("frame=test/r_0&format=gif", "invalid-parameter", "format"),
+        ("frame=test/r_0&quat=1,0,0,0", "invalid-parameter", "quat"),
+        ("position=1,0,0&quat=0,0,0,0", "invalid-parameter", "quat"),
+        ("position=1,0,0&quat=1,0,0", "invalid-parameter", "quat"),
+        ("position=1,0,0&quat=1,0,0,0&up=0,0,1", "invalid-parameter", "up"),
+        ("quat=1,0,0,0", "invalid-parameter", "position"),
+        ("frame=test/r_0&output=normals", "invalid-parameter", "output"),
+        ("frame=test/r_0&output=depth&format=jpeg", "invalid-parameter", "format"),
+        ("frame=test/r_0&format=npy", "invalid-parameter", "format"),
+        ("frame=test/r_0&quality=90", "invalid-parameter", "quality"),
+        ("frame=test/r_0&format=jpeg&quality=0", "invalid-parameter", "quality"),
         ("frame=test/r_0&zoom=2", "invalid-parameter", "zoom"),
         ("frame=test/r_0&width=1000000", "impossible-view", "1000000"),
     ] {
@@ -132,6 +231,7 @@ pub(super) async fn impossible_views_are_refused_by_name(coverage: Coverage) {
     };
     let views = format!("{job}/views");
     server.post_json(&views, &pose(&|_| {})).await.expect(200);
+    let painted = server.renderer.painted();
     type Change = dyn Fn(&mut Value);
     let faults: [(&Change, &str); 10] = [
         (&|view| view["camera_to_world"][0][0] = json!(2), "rigid"),
@@ -154,9 +254,15 @@ pub(super) async fn impossible_views_are_refused_by_name(coverage: Coverage) {
         );
     }
     let large = json!({ "frame": "test/r_0", "width": 4096, "height": 4096 });
+    for (field, value) in [("output", "normals"), ("format", "gif"), ("format", "npy"), ("speed", "high")] {
+        let body = json!({ "views": [{ "frame": "test/r_0" }], field: value });
+        let detail = server.post_json(&views, &body).await.expect_problem(422, "invalid-view");
+        assert!(detail.contains(value) || detail.contains(field), "{detail}");
+    }
     for views_asked in [json!([]), json!(vec![json!({ "frame": "test/r_0" }); 65]), json!([large, large])] {
         server.post_json(&views, &json!({ "views": views_asked })).await.expect(422);
     }
+    assert_eq!(server.renderer.painted(), painted, "every fault is found before anything is rendered");
     let broken = server
         .send("POST", &views, |request| request.header("content-type", "application/json").body("{\"v"));
     broken.await.expect_problem(400, "malformed-json");

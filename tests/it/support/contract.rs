@@ -56,6 +56,7 @@ impl Coverage {
                     let text = value.to_str().expect("ASCII");
                     let value = match header["schema"]["type"].as_str() {
                         Some("integer") => json!(text.parse::<i64>().expect("an integer")),
+                        Some("number") => json!(text.parse::<f64>().expect("a number")),
                         _ => json!(text),
                     };
                     let body = serde_json::to_vec(&value).expect("JSON");

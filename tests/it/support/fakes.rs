@@ -3,7 +3,10 @@
 use std::{
     fs,
     path::Path,
-    sync::{Arc, Condvar, Mutex},
+    sync::{
+        Arc, Condvar, Mutex,
+        atomic::{AtomicUsize, Ordering},
+    },
     time::Duration,
 };
 
@@ -15,7 +18,10 @@ use tcgs::{
         NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, Progress, RenderNetworks, Scene,
         SceneFormat, Scores, Split, TrainOptions, ViewScore,
     },
-    render::{RenderViews, views::Viewable},
+    render::{
+        RenderViews,
+        views::{Plane, PlaneKind, Viewable},
+    },
     worker::run::{Checkpoints, CurveFile, JobFailure, JobOutput, RunJob},
 };
 
@@ -67,7 +73,13 @@ impl RunJob for FakeRunner {
         report: &mut dyn FnMut(Phase, &Progress),
         cancel: &CancelFlag,
     ) -> Result<JobOutput, JobFailure> {
-        let wish = fs::read_to_string(dataset).expect("the dataset is readable");
+        let wish = fs::read(dataset).expect("the dataset is readable");
+        // A real archive is as good as a wish to succeed.
+        let wish = if wish.starts_with(b"PK") {
+            "succeed".to_owned()
+        } else {
+            String::from_utf8(wish).expect("text")
+        };
         let problem = |name: &str| Problem::new(500, name, "Fake", "as the test wants it");
         let total = u64::from(options.iterations.unwrap_or(10));
         report(Phase::Train, &Progress { step: 1, total, loss: Some(0.5), ..Progress::default() });
@@ -186,37 +198,81 @@ pub fn cameras() -> Vec<NamedCamera> {
         .collect()
 }
 
-/// Paints a picture whose colours tell the camera apart (to six decimals). A width of 13 panics, 14 loses the device, 17 waits
-/// at the gate.
+/// Paints a picture whose colours tell the camera apart (to six decimals). A width of 13 panics, 14 loses the device, 15
+/// lacks memory, 17 waits at the gate; a height of 18 loses the device with every picture of it
+/// but the first.
 #[derive(Debug, Default, Clone)]
 pub struct FakeRenderer {
     pub gate: Arc<Gate>,
+    painted: Arc<AtomicUsize>,
+    unlucky: Arc<AtomicUsize>,
 }
 
-impl RenderViews for FakeRenderer {
-    fn render(
+impl FakeRenderer {
+    /// Pictures painted so far.
+    pub fn painted(&self) -> usize {
+        self.painted.load(Ordering::SeqCst)
+    }
+
+    /// The digest of what is seen.
+    fn paint(
         &self,
         artifact: Digest,
         load: &dyn Fn() -> Result<Viewable, Problem>,
         camera: &Camera,
-    ) -> Result<Image, Problem> {
+    ) -> Result<Digest, Problem> {
         let place = (0..8).find(|place| artifact == Digest::of(&curve_file(*place))).expect("a known file");
+        self.painted.fetch_add(1, Ordering::SeqCst);
         load()?;
         let Intrinsics { fx, fy, cx, cy, width, height } = camera.intrinsics;
-        match width {
-            13 => panic!("as the test wants it"),
-            14 => return Err(Problem::new(500, "device-lost", "Device lost", "as the test wants it")),
-            15 => return Err(Problem::new(507, "gpu-memory", "Too large", "as the test wants it")),
-            17 => self.gate.pass(),
+        let lost = || Err(Problem::new(500, "device-lost", "Device lost", "as the test wants it"));
+        match (width, height) {
+            (13, _) => panic!("as the test wants it"),
+            (14, _) => return lost(),
+            (15, _) => return Err(Problem::new(507, "gpu-memory", "Too large", "as the test wants it")),
+            (17, _) => self.gate.pass(),
+            (_, 18) if self.unlucky.fetch_add(1, Ordering::SeqCst) > 0 => return lost(),
             _ => {}
         }
         let rotation = camera.pose.rotation().to_cols_array();
         let numbers = rotation.into_iter().chain(camera.pose.center().to_array()).chain([fx, fy, cx, cy]);
         // Adding zero turns -0.0 into 0.0.
         let text: Vec<String> = numbers.map(|v| format!("{:.6}", (v * 1e6).round() / 1e6 + 0.0)).collect();
-        let digest = Digest::of(format!("{}{}", text.join(","), "!".repeat(place)).as_bytes());
+        Ok(Digest::of(format!("{}{}", text.join(","), "!".repeat(place)).as_bytes()))
+    }
+}
+
+impl RenderViews for FakeRenderer {
+    fn identity(&self) -> String {
+        "paint".into()
+    }
+
+    fn render(
+        &self,
+        artifact: Digest,
+        load: &dyn Fn() -> Result<Viewable, Problem>,
+        camera: &Camera,
+    ) -> Result<Image, Problem> {
+        let digest = self.paint(artifact, load, camera)?;
+        let Intrinsics { width, height, .. } = camera.intrinsics;
         let samples = (0..width as usize * height as usize * 3).map(|i| digest.as_bytes()[i % 32]).collect();
         Ok(Image::new(width, height, 3, samples).expect("an image"))
+    }
+
+    fn render_plane(
+        &self,
+        artifact: Digest,
+        load: &dyn Fn() -> Result<Viewable, Problem>,
+        camera: &Camera,
+        kind: PlaneKind,
+    ) -> Result<Plane, Problem> {
+        let digest = self.paint(artifact, load, camera)?;
+        let Intrinsics { width, height, .. } = camera.intrinsics;
+        // Nothing in the first pixel, then what the camera decides.
+        let level = |i: usize| if i == 0 { 0.0 } else { f32::from(digest.as_bytes()[i % 32]) / 255.0 };
+        let most = if kind == PlaneKind::Depth { 8.0 } else { 1.0 };
+        let values = (0..width as usize * height as usize).map(|i| most * level(i)).collect();
+        Ok(Plane { width, height, values })
     }
 }
 

@@ -8,9 +8,10 @@ use jiff::Timestamp;
 use tcgs::{
     domain::{Digest, Event, JobId, JobState, KeyId, Phase, Progress, SceneId, UploadId},
     store::{
-        Accounts, Answer, AttemptRecord, Cancellation, Claim, Heartbeat, Idempotency, JobFilter, JobRecord,
-        Lease, NewJob, NewScene, NewUpload, Outcome, PageKey, Remembered, SceneCreation, SceneDeletion,
-        ScenePage, SceneRecord, Scenes, Store, StoreError, UploadRecord, Uploads, Usage,
+        Accounts, Answer, AttemptRecord, Cancellation, Claim, Deletion, Heartbeat, Idempotency, JobFilter,
+        JobRecord, Lease, NewJob, NewScene, NewUpload, Outcome, PageKey, Remembered, Repeat, Repetition,
+        SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes, Store, StoreError, UploadRecord,
+        Uploads, Usage,
     },
 };
 
@@ -81,6 +82,18 @@ impl Store for FaultStore {
     }
     fn cancel(&self, id: JobId) -> Answer<'_, Option<Cancellation>> {
         self.guard(self.inner.cancel(id))
+    }
+    fn repeat_job(&self, id: JobId, repeat: Repeat) -> Answer<'_, Option<Repetition>> {
+        self.guard(self.inner.repeat_job(id, repeat))
+    }
+    fn delete_job(&self, id: JobId, version: Option<u64>) -> Answer<'_, Option<Deletion>> {
+        self.guard(self.inner.delete_job(id, version))
+    }
+    fn give_up_overdue(&self) -> Answer<'_, u64> {
+        self.guard(self.inner.give_up_overdue())
+    }
+    fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<JobId>> {
+        self.guard(self.inner.resumable(jobs))
     }
     fn claim<'a>(&'a self, worker: &'a str) -> Answer<'a, Option<Claim>> {
         self.guard(self.inner.claim(worker))

@@ -22,6 +22,8 @@ pub fn command() -> Command {
         "TCGS_HOST_MEMORY",
         "TCGS_GPU_MEMORY",
         "TCGS_VIEW_MEMORY",
+        "TCGS_SERVER",
+        "TCGS_API_KEY",
     ];
     for name in settings {
         command.env_remove(name);

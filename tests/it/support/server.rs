@@ -38,6 +38,7 @@ impl Default for Setup {
             limits: RequestLimits {
                 upload_bytes: 1 << 20,
                 watch_every: Duration::from_millis(5),
+                overdue_every: Duration::from_millis(5),
                 ..RequestLimits::default()
             },
             header_timeout: Duration::from_secs(10),
@@ -152,6 +153,7 @@ impl Server {
             check: Arc::new(fakes::check),
             load: Arc::new(fakes::load),
             renderer: Arc::new(renderer.clone()),
+            forget: Arc::new(|_| {}),
             workers: Arc::new(|| WorkerCounts { expected: 1, alive: 1 }),
         };
         let shutdown = CancellationToken::new();
@@ -175,7 +177,11 @@ impl Server {
         let listener = http::bind(&config, false).await.expect("a port");
         let address = listener.local_addr().expect("bound");
         let serving = tokio::spawn(http::serve(listener, config, services.clone(), shutdown.clone()));
-        let client = reqwest::Client::builder().timeout(Duration::from_secs(60)).build().expect("a client");
+        let client = tcgs::https::client_builder()
+            .expect("TLS")
+            .timeout(Duration::from_secs(60))
+            .build()
+            .expect("a client");
         let coverage = coverage.clone();
         Self { address, store, services, runner, renderer, shutdown, serving, coverage, client, data }
     }
@@ -219,6 +225,33 @@ impl Server {
         let body = response.bytes().await.expect("a whole body");
         self.coverage.check(method.as_str(), path, status, &headers, &body);
         Answer { status, headers, body }
+    }
+
+    /// Sends a request and hands over the answer, whose body is still to come.
+    pub async fn open(
+        &self,
+        method: &str,
+        path: &str,
+        fill: impl FnOnce(RequestBuilder) -> RequestBuilder,
+    ) -> reqwest::Response {
+        let url = format!("http://{}{path}", self.address);
+        let request = self.client.request(method.parse().expect("a method"), url);
+        fill(request).send().await.expect("an answer")
+    }
+
+    /// Sends a request whose answer may break off; its status, and what of its body came.
+    pub async fn broken(
+        &self,
+        method: &str,
+        path: &str,
+        fill: impl FnOnce(RequestBuilder) -> RequestBuilder,
+    ) -> (u16, Vec<u8>) {
+        let mut open = self.open(method, path, fill).await;
+        let mut body = Vec::new();
+        while let Ok(Some(chunk)) = open.chunk().await {
+            body.extend_from_slice(&chunk);
+        }
+        (open.status().as_u16(), body)
     }
 
     pub async fn get(&self, path: &str) -> Answer {

@@ -59,7 +59,11 @@ impl Service {
             Ok(address) => address,
             Err(_) => panic!("the service did not start:\n{}", log.lock().expect("not poisoned").join("\n")),
         };
-        let client = reqwest::Client::builder().timeout(Duration::from_secs(120)).build().expect("a client");
+        let client = tcgs::https::client_builder()
+            .expect("TLS")
+            .timeout(Duration::from_secs(120))
+            .build()
+            .expect("a client");
         Self { child, base: format!("http://{address}"), client, coverage: Coverage::default(), log }
     }
 

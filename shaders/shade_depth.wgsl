@@ -1,0 +1,22 @@
+// Gives each Gaussian its depth in place of a colour: what the rasteriser blends of it is the depth that a pixel expects,
+// times the pixel's alpha.
+
+struct Depths {
+    // The third row of the world-to-camera rotation; w is the translation.
+    forward: vec4<f32>,
+    count: u32,
+}
+
+@group(0) @binding(0) var<uniform> depths: Depths;
+@group(0) @binding(1) var<storage, read> means_opacity: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read_write> colors: array<vec4<f32>>;
+
+@compute @workgroup_size(64)
+fn shade_depth(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let i = (group.x + group.y * 65535u) * 64u + local;
+    if i >= depths.count {
+        return;
+    }
+    let depth = dot(depths.forward, vec4<f32>(means_opacity[i].xyz, 1.0));
+    colors[i] = vec4<f32>(depth, 0.0, 0.0, 0.0);
+}

@@ -1,0 +1,205 @@
+//! Requests to one service. Faults of transport and answers that are not success become problems.
+
+use std::time::Duration;
+
+use reqwest::{
+    Method, RequestBuilder, Response, StatusCode, Url,
+    header::{ACCEPT, AUTHORIZATION, CONTENT_TYPE, HeaderMap, HeaderValue, RETRY_AFTER},
+};
+use serde::de::DeserializeOwned;
+use tcgs::domain::Problem;
+use uuid::Uuid;
+
+use crate::cli::Failure;
+
+/// Longest wait for a connection, and for the next piece of an answer.
+const CONNECT: Duration = Duration::from_secs(10);
+const SILENCE: Duration = Duration::from_secs(120);
+/// Longest answer that is read as a document.
+const DOCUMENT_BYTES: usize = 64 << 20;
+/// How often a request is made that may be repeated, and the pauses between.
+const TRIES: u32 = 5;
+const FIRST_PAUSE: Duration = Duration::from_millis(200);
+const LONGEST_PAUSE: Duration = Duration::from_secs(30);
+
+/// A service and the key that is shown to it.
+#[derive(Debug, Clone)]
+pub(super) struct Connection {
+    client: reqwest::Client,
+    base: Url,
+}
+
+impl Connection {
+    /// A connection to the service at `server`; nothing is asked yet.
+    pub(super) fn new(server: &str, key: Option<&str>) -> Result<Self, Failure> {
+        let base =
+            Url::parse(server).map_err(|fault| Failure::Usage(format!("--server: '{server}': {fault}")))?;
+        if !matches!(base.scheme(), "http" | "https") || base.host_str().is_none() {
+            return Err(Failure::Usage(format!("--server: '{server}' is not an http or https address")));
+        }
+        let mut headers = HeaderMap::new();
+        if let Some(key) = key {
+            let mut value = HeaderValue::try_from(format!("Bearer {key}"))
+                .map_err(|_| Failure::Usage("the API key has characters that no key has".to_owned()))?;
+            value.set_sensitive(true);
+            headers.insert(AUTHORIZATION, value);
+        }
+        let unusable = |fault: String| Problem::new(503, "no-client", "No HTTP client", fault);
+        let builder = tcgs::https::client_builder().map_err(|fault| unusable(fault.to_string()))?;
+        let client = builder
+            .default_headers(headers)
+            .connect_timeout(CONNECT)
+            .read_timeout(SILENCE)
+            // A key must not follow to wherever an answer points.
+            .redirect(reqwest::redirect::Policy::none())
+            .build()
+            .map_err(|fault| unusable(fault.to_string()))?;
+        Ok(Self { client, base })
+    }
+
+    /// A request to a path of the service, which is taken as it is.
+    pub(super) fn request(&self, method: Method, path: &str) -> Result<RequestBuilder, Failure> {
+        let url = format!("{}{path}", self.base.as_str().trim_end_matches('/'));
+        let url = Url::parse(&url).map_err(|fault| Failure::Usage(format!("'{path}': {fault}")))?;
+        Ok(self.client.request(method, url))
+    }
+
+    /// Sends a request once; an answer that is no success is the problem that it tells of.
+    pub(super) async fn send(&self, request: RequestBuilder) -> Result<Response, Failure> {
+        let response = request.send().await.map_err(|fault| unreachable(&self.base, &fault))?;
+        accepted(response).await
+    }
+
+    /// Sends what `make` makes, again and again while the service is away or busy; only for what may be done twice.
+    pub(super) async fn insist(
+        &self,
+        make: impl AsyncFn() -> Result<RequestBuilder, Failure>,
+    ) -> Result<Response, Failure> {
+        let mut pause = FIRST_PAUSE;
+        for _ in 1..TRIES {
+            match make().await?.send().await {
+                Ok(response) if !is_busy(response.status()) => return accepted(response).await,
+                Ok(response) => sleep(wanted_pause(&response).unwrap_or(pause)).await,
+                Err(_) => sleep(pause).await,
+            }
+            pause *= 2;
+        }
+        self.send(make().await?).await
+    }
+
+    /// The answer to a JSON document, sent under a key of its own, so that repeating it makes nothing twice.
+    pub(super) async fn post(&self, path: &str, document: &serde_json::Value) -> Result<Response, Failure> {
+        let (key, text) = (Uuid::now_v7().to_string(), document.to_string());
+        let make = async || {
+            let request = self.request(Method::POST, path)?.header("idempotency-key", &key);
+            Ok(request.header(CONTENT_TYPE, "application/json").body(text.clone()))
+        };
+        self.insist(make).await
+    }
+
+    /// The JSON document at a path.
+    pub(super) async fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
+        let ask = async || Ok(self.request(Method::GET, path)?.header(ACCEPT, "application/json"));
+        document(self.insist(ask).await?).await
+    }
+}
+
+/// Waits, but not for longer than a person would.
+pub(super) async fn sleep(pause: Duration) {
+    tokio::time::sleep(pause.min(LONGEST_PAUSE)).await;
+}
+
+/// The JSON body of an answer.
+pub(super) async fn document<T: DeserializeOwned>(response: Response) -> Result<T, Failure> {
+    let body = body(response).await?;
+    serde_json::from_slice(&body)
+        .map_err(|fault| unexpected(format!("its answer is not what was expected: {fault}")))
+}
+
+/// The whole body of an answer, of bounded length.
+pub(super) async fn body(mut response: Response) -> Result<Vec<u8>, Failure> {
+    let mut body = Vec::new();
+    let broken = |fault: reqwest::Error| unexpected(format!("its answer broke off: {}", root(&fault)));
+    while let Some(piece) = response.chunk().await.map_err(broken)? {
+        if body.len() + piece.len() > DOCUMENT_BYTES {
+            return Err(unexpected(format!("its answer is longer than {DOCUMENT_BYTES} bytes")));
+        }
+        body.extend_from_slice(&piece);
+    }
+    Ok(body)
+}
+
+/// A fault of the service's, not of the request.
+pub(super) fn unexpected(detail: impl AsRef<str>) -> Failure {
+    Problem::new(502, "unexpected-answer", "The service answered oddly", detail.as_ref()).into()
+}
+
+/// A fault of transport.
+pub(super) fn unreachable(base: &Url, fault: &reqwest::Error) -> Failure {
+    let detail = format!("{base} does not answer: {}", root(fault));
+    Problem::new(503, "unreachable", "The service cannot be reached", detail).into()
+}
+
+/// What lies behind an error, in one line, without the address that the caller names anyway.
+fn root(fault: &reqwest::Error) -> String {
+    let mut deepest: &dyn std::error::Error = fault;
+    while let Some(source) = deepest.source() {
+        deepest = source;
+    }
+    deepest.to_string()
+}
+
+fn is_busy(status: StatusCode) -> bool {
+    matches!(
+        status,
+        StatusCode::TOO_MANY_REQUESTS
+            | StatusCode::BAD_GATEWAY
+            | StatusCode::SERVICE_UNAVAILABLE
+            | StatusCode::GATEWAY_TIMEOUT
+    )
+}
+
+/// How long the service asks to be left alone.
+pub(super) fn wanted_pause(response: &Response) -> Option<Duration> {
+    let seconds = response.headers().get(RETRY_AFTER)?.to_str().ok()?.parse().ok()?;
+    Some(Duration::from_secs(seconds))
+}
+
+async fn accepted(response: Response) -> Result<Response, Failure> {
+    let status = response.status();
+    if status.is_success() || status == StatusCode::NOT_MODIFIED {
+        return Ok(response);
+    }
+    let body = body(response).await?;
+    let problem = serde_json::from_slice::<Problem>(&body).unwrap_or_else(|_| {
+        let said: String = String::from_utf8_lossy(&body).chars().take(200).collect();
+        let detail = format!("the service answered {status}: {}", said.trim());
+        Problem::new(status.as_u16(), "refused", "The service refused", detail)
+    });
+    Err(problem.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_and_keys_that_cannot_be_are_wrong_usage() {
+        for server in ["", "localhost:8080", "ftp://a", "http://", "file:///tmp"] {
+            let fault = Connection::new(server, None).expect_err(server);
+            assert_eq!(fault.exit_status(), 2, "{server}: {fault}");
+        }
+        let fault = Connection::new("http://a", Some("line\nbreak")).expect_err("no header");
+        assert!(fault.exit_status() == 2 && !fault.to_string().contains("break"), "{fault}");
+    }
+
+    #[test]
+    fn the_key_is_not_shown_and_paths_are_put_behind_the_address() {
+        let connection =
+            Connection::new("http://a.example/tcgs/", Some("tcgs_secret")).expect("a connection");
+        let request = connection.request(Method::GET, "/v1/jobs?limit=1").expect("a request");
+        let request = request.build().expect("whole");
+        assert_eq!(request.url().as_str(), "http://a.example/tcgs/v1/jobs?limit=1");
+        assert!(!format!("{connection:?} {request:?}").contains("secret"));
+    }
+}

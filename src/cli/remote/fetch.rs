@@ -1,0 +1,201 @@
+//! `tcgs fetch`: a job's file from a service.
+//!
+//! The file appears under its name only when it is whole and has the digest that the service states. Until then it lies beside
+//! it under a name that holds the digest, so a download that broke off is gone on with, and never with another file's bytes.
+
+use std::{
+    fs::{File, OpenOptions},
+    io::{self, Read as _, Seek as _, SeekFrom, Write as _},
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+use indicatif::ProgressBar;
+use reqwest::{
+    Method, Response, StatusCode,
+    header::{CONTENT_RANGE, IF_RANGE, RANGE},
+};
+use serde_json::json;
+use sha2::{Digest as _, Sha256};
+use tcgs::domain::{Digest, JobId, Problem};
+
+use super::{
+    Connection, ServerFlags,
+    bytes_bar::bytes_bar,
+    connection::{sleep, unexpected},
+    job::{self, ArtifactView},
+};
+use crate::cli::{Failure, Report, files};
+
+/// How often in a row a download may break off without a single byte.
+const MOST_BREAKS: u32 = 5;
+const PAUSE: Duration = Duration::from_millis(500);
+
+/// Arguments of `tcgs fetch`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The job: its id, or an address that ends with it
+    #[arg(value_parser = job::parse)]
+    job: JobId,
+
+    /// The file to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+
+    #[command(flatten)]
+    server: ServerFlags,
+
+    /// Which file of a job with --rd-curve; its first if absent
+    #[arg(long, value_name = "X")]
+    lambda: Option<f64>,
+
+    /// Print what was fetched as one JSON document
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// Downloads the file, or the rest of it.
+pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+    files::check_writable(&args.output)?;
+    let connection = args.server.connect()?;
+    super::run(async {
+        let (_, job) = job::get(&connection, args.job).await?;
+        let state = job.state.name();
+        let found =
+            job.artifacts.into_iter().find(|file| args.lambda.is_none() || file.lambda == args.lambda);
+        let Some(artifact) = found else { return Err(no_file(args, state)) };
+        let resumed = download(&connection, &artifact, &args.output).await?;
+        let ArtifactView { kind, bytes, sha256, .. } = artifact;
+        let path = &args.output;
+        let value =
+            json!({ "path": path, "kind": kind, "bytes": bytes, "sha256": sha256, "resumed_at": resumed });
+        Ok(Report::new(format!("wrote {} ({bytes} bytes, SHA-256 {sha256})", path.display()), &value))
+    })
+}
+
+fn no_file(args: &Args, state: &str) -> Failure {
+    let detail = match args.lambda {
+        Some(lambda) => format!("job {} is {state} and has no file of lambda {lambda}", args.job),
+        None => format!("job {} is {state}; only a succeeded job has a file", args.job),
+    };
+    Problem::new(409, "no-artifact", "No file yet", detail).into()
+}
+
+/// Brings the file to `output`, and tells where a download that had broken off was gone on with.
+async fn download(connection: &Connection, artifact: &ArtifactView, output: &Path) -> Result<u64, Failure> {
+    let part = part_of(output, artifact.sha256);
+    let unwritable = |fault: io::Error| Failure::unwritable(&part, &fault);
+    let open = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&part);
+    let mut file = open.map_err(unwritable)?;
+    let mut hash = Sha256::new();
+    let mut have = hash_start(&mut file, &mut hash, artifact.bytes).map_err(unwritable)?;
+    let resumed = have;
+    let bar = bytes_bar("download", artifact.bytes);
+    let mut breaks = 0;
+    while have < artifact.bytes {
+        bar.set_position(have);
+        let before = have;
+        let response = ask(connection, artifact, have).await?;
+        if response.status() != StatusCode::PARTIAL_CONTENT && have > 0 {
+            // The service sends all of it, so what is there counts for nothing.
+            (have, hash) = (0, Sha256::new());
+            file.set_len(0).and_then(|()| file.rewind()).map_err(unwritable)?;
+        }
+        let end = receive(response, &mut file, &mut hash, &mut have, &bar).await;
+        end.map_err(unwritable)?;
+        if have > artifact.bytes {
+            return Err(unexpected(format!(
+                "it sent more than the {} bytes that the file has",
+                artifact.bytes
+            )));
+        }
+        breaks = if have > before { 0 } else { breaks + 1 };
+        if breaks == MOST_BREAKS {
+            let detail = format!(
+                "the download broke off at byte {have} of {}; the same command goes on there",
+                artifact.bytes
+            );
+            return Err(Problem::new(503, "unreachable", "The service cannot be reached", detail).into());
+        }
+        if have < artifact.bytes {
+            sleep(PAUSE).await;
+        }
+    }
+    bar.finish_and_clear();
+    let found = Digest::from_bytes(hash.finalize().into());
+    if found != artifact.sha256 {
+        // It cannot become right by more bytes.
+        let _ = std::fs::remove_file(&part);
+        return Err(unexpected(format!("the file came as {found}, not as {}", artifact.sha256)));
+    }
+    file.sync_all().map_err(unwritable)?;
+    std::fs::rename(&part, output).map_err(|fault| Failure::unwritable(output, &fault))?;
+    Ok(resumed)
+}
+
+fn part_of(output: &Path, digest: Digest) -> PathBuf {
+    let name = output.file_name().unwrap_or_default().to_string_lossy();
+    output.with_file_name(format!("{name}.{}.part", &digest.to_string()[..16]))
+}
+
+/// Hashes what is there already, at most `most` bytes, and tells how much that is.
+fn hash_start(file: &mut File, hash: &mut Sha256, most: u64) -> io::Result<u64> {
+    if file.metadata()?.len() > most {
+        file.set_len(0)?;
+    }
+    let (mut have, mut piece) = (0, vec![0; 1 << 16]);
+    loop {
+        let read = file.read(&mut piece)?;
+        if read == 0 {
+            break;
+        }
+        hash.update(&piece[..read]);
+        have += read as u64;
+    }
+    file.seek(SeekFrom::Start(have))?;
+    Ok(have)
+}
+
+/// Asks for the file from byte `from` on, and holds the answer's own account of it against the job's.
+async fn ask(connection: &Connection, artifact: &ArtifactView, from: u64) -> Result<Response, Failure> {
+    let make = async || {
+        let request = connection.request(Method::GET, &artifact.href)?;
+        Ok(match from {
+            0 => request,
+            _ => request
+                .header(RANGE, format!("bytes={from}-"))
+                .header(IF_RANGE, format!("\"{}\"", artifact.sha256)),
+        })
+    };
+    let response = connection.insist(make).await?;
+    let header = |name: &str| response.headers().get(name).and_then(|value| value.to_str().ok());
+    let stated = format!("sha-256=:{}:", STANDARD.encode(artifact.sha256.as_bytes()));
+    if let Some(digest) = header("repr-digest").filter(|digest| *digest != stated) {
+        return Err(unexpected(format!("it states {digest} for the file, where the job states {stated}")));
+    }
+    if response.status() == StatusCode::PARTIAL_CONTENT {
+        let range = format!("bytes {from}-{}/{}", artifact.bytes - 1, artifact.bytes);
+        if header(CONTENT_RANGE.as_str()) != Some(&*range) {
+            return Err(unexpected(format!("it sent another part than {range}")));
+        }
+    }
+    Ok(response)
+}
+
+/// Writes what comes until the answer ends or breaks off.
+async fn receive(
+    mut response: Response,
+    file: &mut File,
+    hash: &mut Sha256,
+    have: &mut u64,
+    bar: &ProgressBar,
+) -> io::Result<()> {
+    while let Ok(Some(piece)) = response.chunk().await {
+        file.write_all(&piece)?;
+        hash.update(&piece);
+        *have += piece.len() as u64;
+        bar.set_position(*have);
+    }
+    Ok(())
+}

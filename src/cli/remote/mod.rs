@@ -1,0 +1,62 @@
+//! The commands that work at a service: `submit`, `watch`, `fetch`, `view`.
+//!
+//! What always holds: the key comes from the environment or a file and is shown nowhere; an answer that says what is wrong is the
+//! command's failure with the same exit status as if it had happened here; what broke off is gone on with, a bounded number
+//! of times.
+
+mod bytes_bar;
+mod connection;
+pub(super) mod fetch;
+mod follow;
+mod job;
+mod sse;
+pub(super) mod submit;
+mod upload;
+pub(super) mod view;
+pub(super) mod watch;
+
+use std::{future::Future, path::PathBuf};
+
+use tcgs::domain::Problem;
+
+use super::{Failure, files};
+use connection::Connection;
+
+/// Where the service is and who asks.
+#[derive(Debug, clap::Args)]
+pub(crate) struct ServerFlags {
+    /// Address of the service
+    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:8080", env = "TCGS_SERVER")]
+    server: String,
+
+    /// Environment variable that holds the API key, where the service wants one
+    #[arg(long, value_name = "NAME", default_value = "TCGS_API_KEY")]
+    key_env: String,
+
+    /// File that holds the API key, instead of the environment
+    #[arg(long, value_name = "FILE")]
+    key_file: Option<PathBuf>,
+}
+
+impl ServerFlags {
+    /// A connection that sends the key, if there is one.
+    fn connect(&self) -> Result<Connection, Failure> {
+        let key = match &self.key_file {
+            Some(path) => {
+                let text = String::from_utf8(files::read(path)?);
+                Some(text.map_err(|_| Failure::Usage(format!("--key-file: {} is not text", path.display())))?)
+            }
+            None => std::env::var(&self.key_env).ok(),
+        };
+        Connection::new(&self.server, key.as_deref().map(str::trim).filter(|key| !key.is_empty()))
+    }
+}
+
+/// Runs a command's requests to their end.
+fn run<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    let runtime = runtime.map_err(|fault| {
+        Problem::new(503, "resource-exhausted", "Resource exhausted", format!("no runtime: {fault}"))
+    })?;
+    runtime.block_on(work)
+}

@@ -1,0 +1,111 @@
+//! Sends a large archive in parts, by the tus protocol 1.0.0, and makes a scene of it. A part that did not arrive is sent again
+//! from where the service says that it is.
+
+use std::time::Duration;
+
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+use reqwest::{
+    Method, Response, StatusCode,
+    header::{CONTENT_TYPE, LOCATION},
+};
+use serde_json::{Value, json};
+use sha2::{Digest as _, Sha256};
+
+use super::{
+    Connection,
+    bytes_bar::bytes_bar,
+    connection::{document, sleep, unexpected},
+    submit::Archive,
+};
+use crate::cli::Failure;
+
+const VERSION: (&str, &str) = ("tus-resumable", "1.0.0");
+/// How often in a row a part may fail to arrive.
+const MOST_BREAKS: u32 = 8;
+const PAUSE: Duration = Duration::from_millis(500);
+
+/// The id of a scene made of the archive, or nothing where the archive fits into one part or the service takes no parts.
+pub(super) async fn scene_of(
+    connection: &Connection,
+    archive: &Archive,
+    part_bytes: u64,
+) -> Result<Option<String>, Failure> {
+    if archive.bytes <= part_bytes || !takes_parts(connection).await? {
+        return Ok(None);
+    }
+    let begin = connection
+        .request(Method::POST, "/v1/uploads")?
+        .header(VERSION.0, VERSION.1)
+        .header("upload-length", archive.bytes);
+    let begun = connection.send(begin).await?;
+    let upload =
+        text(&begun, LOCATION.as_str()).ok_or_else(|| unexpected("it names no place for the upload"))?;
+    send_parts(connection, archive, part_bytes, &upload).await?;
+    let id = upload.rsplit('/').next().unwrap_or_default();
+    let scene: Value = document(connection.post("/v1/scenes", &json!({ "upload_id": id })).await?).await?;
+    let id = scene["id"].as_str().ok_or_else(|| unexpected("its scene has no id"))?;
+    Ok(Some(id.to_owned()))
+}
+
+async fn takes_parts(connection: &Connection) -> Result<bool, Failure> {
+    let make = async || connection.request(Method::OPTIONS, "/v1/uploads");
+    match connection.insist(make).await {
+        Ok(answer) => Ok(text(&answer, "tus-version").is_some_and(|versions| versions.contains(VERSION.1))),
+        Err(Failure::Problem(problem)) if matches!(problem.status, 404 | 405) => Ok(false),
+        Err(fault) => Err(fault),
+    }
+}
+
+async fn send_parts(
+    connection: &Connection,
+    archive: &Archive,
+    part_bytes: u64,
+    upload: &str,
+) -> Result<(), Failure> {
+    let bar = bytes_bar("upload", archive.bytes);
+    let (mut offset, mut breaks) = (0, 0);
+    while offset < archive.bytes {
+        bar.set_position(offset);
+        let part = archive.part(offset, part_bytes)?;
+        let request = connection
+            .request(Method::PATCH, upload)?
+            .header(VERSION.0, VERSION.1)
+            .header("upload-offset", offset)
+            .header("upload-checksum", format!("sha256 {}", STANDARD.encode(Sha256::digest(&part))))
+            .header(CONTENT_TYPE, "application/offset+octet-stream")
+            .body(part);
+        match connection.send(request).await {
+            Ok(answer) => (offset, breaks) = (offset_of(&answer)?, 0),
+            Err(fault) if breaks < MOST_BREAKS && may_pass(&fault) => {
+                breaks += 1;
+                sleep(PAUSE * breaks).await;
+                let make =
+                    async || Ok(connection.request(Method::HEAD, upload)?.header(VERSION.0, VERSION.1));
+                offset = offset_of(&connection.insist(make).await?)?;
+            }
+            Err(fault) => return Err(fault),
+        }
+    }
+    bar.finish_and_clear();
+    Ok(())
+}
+
+/// Whether a part may arrive the next time: the connection broke, the service was busy or is still busy with the part
+/// before, or it holds another offset or sum than the part had.
+fn may_pass(fault: &Failure) -> bool {
+    match fault {
+        Failure::Problem(problem) => matches!(problem.status, 408 | 409 | 423 | 429 | 460 | 502..=504),
+        Failure::Usage(_) | Failure::Stopped => false,
+    }
+}
+
+fn offset_of(answer: &Response) -> Result<u64, Failure> {
+    let offset = text(answer, "upload-offset").and_then(|offset| offset.parse().ok());
+    offset.ok_or_else(|| {
+        unexpected(format!("its answer ({}) tells no offset", StatusCode::as_u16(&answer.status())))
+    })
+}
+
+fn text(answer: &Response, header: &str) -> Option<String> {
+    answer.headers().get(header)?.to_str().ok().map(str::to_owned)
+}

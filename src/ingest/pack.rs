@@ -1,0 +1,120 @@
+//! A directory as the zip archive that the service takes.
+//!
+//! The bytes are a function of names and contents: whoever sends a directory twice sends the same archive, which is then
+//! stored once.
+
+use std::{
+    fs::File,
+    io::{self, BufWriter, Seek, Write},
+    path::Path,
+};
+
+use zip::{CompressionMethod, ZipWriter, result::ZipError, write::SimpleFileOptions};
+
+use super::{Limits, folder, names::is_litter};
+use crate::domain::Problem;
+
+/// Files whose own format has no room left.
+const PACKED: [&str; 5] = ["jpg", "jpeg", "png", "webp", "zip"];
+
+/// Writes the regular files under `folder` into `archive`; hidden ones, links and litter stay behind.
+///
+/// # Errors
+/// 413 for a folder of more files than a dataset may have, 422 for what cannot be read or is empty, 507 where the archive cannot
+/// be written.
+pub fn pack(folder: &Path, archive: &mut (impl Write + Seek)) -> Result<(), Problem> {
+    let listing = folder::list(folder, &Limits::default())?;
+    let mut names: Vec<&str> = listing.files.iter().map(|(name, _)| &**name).collect();
+    names.retain(|name| !is_litter(name) && !name.split('/').any(|part| part.starts_with('.')));
+    names.sort_unstable();
+    if names.is_empty() {
+        let detail = "there are no files in it that a dataset could have";
+        return Err(Problem::new(422, "invalid-dataset", "Invalid dataset", detail)
+            .in_file(folder.display().to_string()));
+    }
+    let mut zip = ZipWriter::new(BufWriter::new(archive));
+    for name in names {
+        let unreadable = |fault: &io::Error| {
+            Problem::new(422, "unreadable-input", "The input cannot be read", fault.to_string()).in_file(name)
+        };
+        let mut file = File::open(folder.join(name)).map_err(|fault| unreadable(&fault))?;
+        let length = file.metadata().map_err(|fault| unreadable(&fault))?.len();
+        zip.start_file(name, options(name, length)).map_err(|fault| unwritable(&fault))?;
+        io::copy(&mut file, &mut zip).map_err(|fault| unwritable(&ZipError::Io(fault)))?;
+    }
+    let mut rest = zip.finish().map_err(|fault| unwritable(&fault))?;
+    rest.flush().map_err(|fault| unwritable(&ZipError::Io(fault)))
+}
+
+fn options(name: &str, length: u64) -> SimpleFileOptions {
+    let packed = name
+        .rsplit_once('.')
+        .is_some_and(|(_, extension)| PACKED.iter().any(|packed| packed.eq_ignore_ascii_case(extension)));
+    let method = if packed { CompressionMethod::Stored } else { CompressionMethod::Deflated };
+    SimpleFileOptions::default()
+        .compression_method(method)
+        .last_modified_time(zip::DateTime::default())
+        .large_file(length > u64::from(u32::MAX))
+}
+
+fn unwritable(fault: &ZipError) -> Problem {
+    let detail = format!("the archive of the dataset cannot be written: {fault}");
+    Problem::new(507, "unwritable-output", "The output cannot be written", detail)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{fs, io::Cursor};
+
+    use super::*;
+
+    #[test]
+    fn a_folder_packs_twice_to_the_same_bytes_without_what_is_hidden() {
+        let root = tempfile::tempdir().expect("a folder");
+        let contents = [
+            ("b/two.JPG", "picture"),
+            ("one.json", "table"),
+            (".git/config", "mine"),
+            ("Thumbs.db", "litter"),
+        ];
+        for (name, content) in contents {
+            let path = root.path().join(name);
+            fs::create_dir_all(path.parent().expect("a parent")).expect("a folder");
+            fs::write(path, content).expect("writes");
+        }
+        let packed = || {
+            let mut archive = Cursor::new(Vec::new());
+            pack(root.path(), &mut archive).expect("packs");
+            archive.into_inner()
+        };
+        let bytes = packed();
+        assert!(bytes == packed(), "two runs differ");
+        let mut zip = zip::ZipArchive::new(Cursor::new(bytes)).expect("a zip");
+        let mut found = Vec::new();
+        for index in 0..zip.len() {
+            let mut entry = zip.by_index(index).expect("an entry");
+            let content = io::read_to_string(&mut entry).expect("text");
+            found.push((entry.name().expect("a name").into_owned(), entry.compression(), content));
+        }
+        let entry = |name: &str, method, content: &str| (name.to_owned(), method, content.to_owned());
+        let expected = [
+            entry("b/two.JPG", CompressionMethod::Stored, "picture"),
+            entry("one.json", CompressionMethod::Deflated, "table"),
+        ];
+        assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn a_folder_of_nothing_is_refused() {
+        let root = tempfile::tempdir().expect("a folder");
+        let fault = pack(root.path(), &mut Cursor::new(Vec::new())).expect_err("nothing to send");
+        assert_eq!(fault.status, 422);
+        let missing = root.path().join("missing");
+        assert!(
+            pack(&missing, &mut Cursor::new(Vec::new()))
+                .expect_err("no folder")
+                .to_string()
+                .contains("missing")
+        );
+    }
+}

@@ -1,0 +1,66 @@
+//! Depth on the device: Gaussians whose colour is their depth, which the rasteriser then blends as any colour.
+//!
+//! So depth is seen through exactly the Gaussians, and with exactly the weights, that colour is.
+
+use std::sync::Arc;
+
+use super::{Gaussians, RenderError};
+use crate::{
+    domain::Camera,
+    gpu::{Buffer, Context, Kernel, Recorder, kernel_source},
+};
+
+/// `Depths` of `shaders/shade_depth.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct DepthUniform {
+    forward: [f32; 4],
+    count: u32,
+    unused: [u32; 3],
+}
+
+/// Makes Gaussians of a view into ones that show their depth.
+#[derive(Debug)]
+pub struct DepthShader {
+    kernel: Arc<Kernel>,
+    uniform: Buffer<DepthUniform>,
+    colors: Buffer<[f32; 4]>,
+}
+
+impl DepthShader {
+    /// Prepares the kernel; the buffer comes with the first view.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn new(context: &Context) -> Result<Self, RenderError> {
+        Ok(Self {
+            kernel: context.kernel(kernel_source!("shade_depth"), &[])?,
+            uniform: context.buffer("view of depths", 1)?,
+            colors: context.buffer("depths as colours", 0)?,
+        })
+    }
+
+    /// Records the making of Gaussians like `gaussians` whose red is their depth: the coordinate of their centre along the
+    /// camera's axis. Green and blue are 0.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn forward(
+        &mut self,
+        context: &Context,
+        recorder: &mut Recorder<'_>,
+        gaussians: &Gaussians,
+        camera: &Camera,
+    ) -> Result<Gaussians, RenderError> {
+        if self.colors.len() != gaussians.capacity {
+            self.colors = context.buffer("depths as colours", gaussians.capacity)?;
+        }
+        let forward = camera.pose.rotation().row(2).extend(camera.pose.translation().z);
+        let count = u32::try_from(gaussians.capacity).unwrap_or(u32::MAX);
+        let uniform = DepthUniform { forward: forward.as_vec4().to_array(), count, unused: [0; 3] };
+        recorder.write(&self.uniform, &[uniform]);
+        let buffers = [self.uniform.as_ref(), gaussians.means_opacity.as_ref(), self.colors.as_ref()];
+        recorder.dispatch(&self.kernel, &buffers, count.div_ceil(64));
+        Ok(Gaussians { colors: self.colors.clone(), ..gaussians.clone() })
+    }
+}

@@ -1,0 +1,328 @@
+//! The commands that work at a service, run as scripts would run them, against a service on a real socket.
+
+use std::{
+    ffi::OsString,
+    fs,
+    path::Path,
+    process::Output,
+    sync::{Arc, Mutex},
+};
+
+use axum::{
+    Router,
+    extract::State,
+    http::{HeaderMap, StatusCode, header},
+    response::{IntoResponse as _, Response},
+    routing::get,
+};
+use serde_json::{Value, json};
+use tcgs::{
+    domain::{Digest, JobId},
+    ingest, sample,
+};
+
+use crate::support::{contract::Coverage, fakes, program, server::Server};
+
+/// Runs a command beside the service.
+async fn run(arguments: Vec<OsString>) -> Output {
+    run_with(arguments, Vec::new()).await
+}
+
+async fn run_with(arguments: Vec<OsString>, environment: Vec<(&'static str, String)>) -> Output {
+    let command =
+        move || program::command().args(arguments).envs(environment).output().expect("the binary runs");
+    tokio::task::spawn_blocking(command).await.expect("ran")
+}
+
+/// Arguments of several types as one line.
+macro_rules! line {
+    ($($argument:expr),+ $(,)?) => { vec![$(OsString::from(&$argument)),+] };
+}
+
+fn text(stream: &[u8]) -> &str {
+    std::str::from_utf8(stream).expect("UTF-8")
+}
+
+#[track_caller]
+fn succeeded(output: &Output) -> Value {
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap_or(Value::Null)
+}
+
+/// Asserts an exit status and gives the problem on standard output.
+#[track_caller]
+fn failed(output: &Output, status: i32) -> Value {
+    assert_eq!(output.status.code(), Some(status), "{}", text(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap_or(Value::Null)
+}
+
+fn dataset(folder: &Path, wish: &str) -> std::path::PathBuf {
+    let path = folder.join("dataset.zip");
+    fs::write(&path, wish).expect("writes");
+    path
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_dataset_is_submitted_watched_fetched_and_viewed() {
+    let server = Server::start(&Coverage::default()).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let url = format!("http://{}", server.address);
+    let zip = dataset(folder.path(), "succeed");
+    let submitted =
+        run(line!["submit", zip, "--server", url, "--iterations", "7", "--seed", "3", "--json"]).await;
+    let job = succeeded(&submitted);
+    assert_eq!((&job["options"]["iterations"], &job["options"]["seed"]), (&json!(7), &json!(3)));
+    let id = job["id"].as_str().expect("an id").to_owned();
+
+    let watched = succeeded(&run(line!["watch", id, "--server", url, "--json"]).await);
+    assert_eq!((&watched["state"], &watched["id"]), (&json!("succeeded"), &json!(id)));
+    let again = run(line!["watch", format!("{url}/v1/jobs/{id}"), "--server", url]).await;
+    succeeded(&again);
+    assert!(text(&again.stdout).contains("PSNR 30.00 dB"), "{}", text(&again.stdout));
+
+    let file = folder.path().join("out/scene.tcgs");
+    let fetched = succeeded(&run(line!["fetch", id, "--server", url, "-o", file, "--json"]).await);
+    assert_eq!(fs::read(&file).expect("a file"), fakes::FILE);
+    assert_eq!(fetched["sha256"], Digest::of(fakes::FILE).to_string());
+    assert_eq!(
+        fs::read_dir(folder.path().join("out")).expect("a folder").count(),
+        1,
+        "nothing is left beside it"
+    );
+
+    let pose = json!({ "camera_to_world": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -4], [0, 0, 0, 1]],
+        "fx": 30, "width": 32, "height": 24 });
+    for (camera, size) in [
+        (vec!["--frame".to_owned(), "test/r_0".to_owned(), "--width".to_owned(), "20".to_owned()], (20, 16)),
+        (
+            ["--position", "-4,0,1", "--look-at", "0,0,0", "--fov", "50", "--width", "30", "--height", "20"]
+                .map(str::to_owned)
+                .to_vec(),
+            (30, 20),
+        ),
+        (vec!["--pose".to_owned(), pose.to_string()], (32, 24)),
+    ] {
+        for name in ["view.png", "view.jpg", "view.webp"] {
+            let out = folder.path().join(name);
+            let mut arguments = line!["view", id, "--server", url, "-o", out];
+            arguments.extend(camera.iter().map(OsString::from));
+            succeeded(&run(arguments).await);
+            let picture = crate::support::server::picture(&fs::read(&out).expect("a file"));
+            assert_eq!((picture.width(), picture.height()), size, "{camera:?} {name}");
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_folder_is_packed_on_the_way_and_waited_for() {
+    let server = Server::start(&Coverage::default()).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = folder.path().join("scene");
+    sample::write(&scene, &sample::Settings { side: 16, points: 50, seed: 1 }).expect("writes");
+    let url = format!("http://{}", server.address);
+    let submit =
+        || run(line!["submit", scene, "--server", url, "--wait", "--rd-curve", "0.001,0.004", "--json"]);
+    let (job, other) = (succeeded(&submit().await), succeeded(&submit().await));
+    assert_eq!(job["state"], "succeeded");
+    assert_ne!(job["id"], other["id"]);
+    assert_eq!(job["dataset"], other["dataset"], "the same folder is the same archive");
+    // What was packed is the dataset that the folder is.
+    let archive = folder.path().join("packed.zip");
+    ingest::pack(&scene, &mut fs::File::create(&archive).expect("a file")).expect("packs");
+    assert_eq!(job["dataset"]["sha256"], Digest::of(&fs::read(&archive).expect("a file")).to_string());
+    let digest = |path: &Path| ingest::load(path).expect("a dataset").digest;
+    assert_eq!(digest(&archive), digest(&scene));
+
+    let id = job["id"].as_str().expect("an id");
+    let file = folder.path().join("second.tcgs");
+    succeeded(&run(line!["fetch", id, "--server", url, "-o", file, "--lambda", "0.004"]).await);
+    assert_eq!(fs::read(&file).expect("a file"), fakes::curve_file(1));
+    let fault =
+        failed(&run(line!["fetch", id, "--server", url, "-o", file, "--lambda", "7", "--json"]).await, 3);
+    assert!(fault["detail"].as_str().expect("a detail").contains("lambda 7"), "{fault}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_download_that_broke_off_is_gone_on_with_and_a_wrong_one_is_not_kept() {
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.succeeded().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let url = format!("http://{}", server.address);
+    let file = folder.path().join("scene.tcgs");
+    let digest = Digest::of(fakes::FILE).to_string();
+    let part = folder.path().join(format!("scene.tcgs.{}.part", &digest[..16]));
+    let fetch = || run(line!["fetch", job, "--server", url, "-o", file, "--json"]);
+
+    fs::write(&part, &fakes::FILE[..10]).expect("writes");
+    assert_eq!(succeeded(&fetch().await)["resumed_at"], 10);
+    assert_eq!(fs::read(&file).expect("a file"), fakes::FILE);
+
+    fs::remove_file(&file).expect("removes");
+    fs::write(&part, b"not these bytes").expect("writes");
+    let fault = failed(&fetch().await, 1);
+    assert_eq!(fault["type"], "urn:tcgs:problem:unexpected-answer", "{fault}");
+    assert!(!file.exists() && !part.exists(), "neither a wrong file nor its beginning stays");
+    assert_eq!(succeeded(&fetch().await)["resumed_at"], 0);
+
+    let longer = [fakes::FILE, b"more"].concat();
+    fs::write(&part, longer).expect("writes");
+    succeeded(&fetch().await);
+    assert_eq!(fs::read(&file).expect("a file"), fakes::FILE);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_the_service_refuses_and_what_fails_there_is_the_commands_failure() {
+    let server = Server::start(&Coverage::default()).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let url = format!("http://{}", server.address);
+    let submit =
+        |wish: &str| run(line!["submit", dataset(folder.path(), wish), "--server", url, "--wait", "--json"]);
+
+    let refused = failed(&submit("bad zip").await, 3);
+    assert_eq!(
+        (&refused["type"], &refused["file"]),
+        (&json!("urn:tcgs:problem:invalid-dataset"), &json!("transforms.json"))
+    );
+    let broke = failed(&submit("fail").await, 1);
+    assert_eq!(broke["type"], "urn:tcgs:problem:fake-fail");
+    let missing = line!["submit", folder.path().join("missing"), "--server", url];
+    assert!(text(&run(missing).await.stderr).contains("missing"));
+
+    let absent = "0190a5d8-0000-7000-8000-000000000000";
+    for command in
+        [line!["watch", absent, "--json"], line!["fetch", absent, "-o", folder.path().join("f"), "--json"]]
+    {
+        let fault = failed(&run([command, line!["--server", url]].concat()).await, 3);
+        assert_eq!(fault["type"], "urn:tcgs:problem:job-not-found");
+    }
+    let running = server.create("wait").await;
+    let fault = failed(
+        &run(line!["fetch", running, "--server", url, "-o", folder.path().join("f"), "--json"]).await,
+        3,
+    );
+    assert_eq!(fault["type"], "urn:tcgs:problem:no-artifact");
+    let watching = tokio::spawn(run(line!["watch", running, "--server", url, "--json"]));
+    server.reaches(&running, "running").await;
+    server.post(&format!("{running}/cancel")).await;
+    let stopped = failed(&watching.await.expect("ran"), 1);
+    assert_eq!(stopped["type"], "urn:tcgs:problem:stopped");
+
+    // Nobody listens on a port that was just given back.
+    let free = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let nobody = format!("http://{}", free.local_addr().expect("bound"));
+    drop(free);
+    let fault = failed(&run(line!["watch", absent, "--server", nobody, "--json"]).await, 4);
+    assert_eq!(fault["type"], "urn:tcgs:problem:unreachable");
+}
+
+/// A service that ends its streams of events early, and keeps what it was asked with.
+#[derive(Clone)]
+struct Moody {
+    asked: Arc<Mutex<Vec<(String, HeaderMap)>>>,
+    streams: bool,
+    job: JobId,
+}
+
+impl Moody {
+    async fn start(streams: bool) -> (Self, String) {
+        let job = JobId("01a20055-454e-788e-bcc5-854572fb30d3".parse().expect("a UUID"));
+        let this = Self { asked: Arc::default(), streams, job };
+        let app = Router::new()
+            .route("/v1/jobs/{id}", get(Self::job))
+            .route("/v1/jobs/{id}/events", get(Self::events))
+            .with_state(this.clone());
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a port");
+        let url = format!("http://{}", listener.local_addr().expect("bound"));
+        tokio::spawn(async move { axum::serve(listener, app).await });
+        (this, url)
+    }
+
+    fn count(&self, what: &str) -> usize {
+        self.asked.lock().expect("not poisoned").iter().filter(|(asked, _)| asked == what).count()
+    }
+
+    /// Runs until its events were all told, or until it was asked for a third time.
+    async fn job(State(this): State<Self>, headers: HeaderMap) -> Response {
+        this.asked.lock().expect("not poisoned").push(("job".to_owned(), headers));
+        let ended = if this.streams { this.count("events") >= 3 } else { this.count("job") >= 3 };
+        let state = if ended { "succeeded" } else { "running" };
+        let progress = serde_json::to_value(tcgs::domain::Progress::default()).expect("JSON");
+        let body = json!({ "id": this.job, "state": state, "phase": "train", "progress": progress,
+            "metrics": ended.then(fakes::metrics), "error": null, "artifacts": [] });
+        ([(header::CONTENT_TYPE, "application/json")], body.to_string()).into_response()
+    }
+
+    /// Two events a connection; the last of five ends the job.
+    async fn events(State(this): State<Self>, headers: HeaderMap) -> Response {
+        let last = headers.get("last-event-id").and_then(|value| value.to_str().ok()?.parse::<u64>().ok());
+        this.asked.lock().expect("not poisoned").push(("events".to_owned(), headers));
+        if !this.streams {
+            return StatusCode::NOT_ACCEPTABLE.into_response();
+        }
+        let first = last.unwrap_or(0) + 1;
+        let event = |seq: u64| {
+            let (kind, data) = match seq {
+                5 => ("state", json!({ "state": "succeeded" })),
+                2 => ("phase", json!({ "phase": "train" })),
+                _ => {
+                    ("progress", json!(tcgs::domain::Progress { step: seq, total: 5, ..Default::default() }))
+                }
+            };
+            let data =
+                json!({ "seq": seq, "at": "2026-01-01T00:00:00Z", "kind": kind, "attempt": 1, "data": data });
+            format!("id: {seq}\nevent: {kind}\ndata: {data}\n\n")
+        };
+        let body: String = (first..=5).take(2).map(event).collect();
+        ([(header::CONTENT_TYPE, "text/event-stream")], format!(": hello\n\n{body}id: 99\ndata: {{\"cut"))
+            .into_response()
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_stream_that_breaks_off_is_gone_on_with_where_it_was() {
+    let (service, url) = Moody::start(true).await;
+    let watched = run(line!["watch", service.job.to_string(), "--server", url, "--json"]).await;
+    assert_eq!(succeeded(&watched)["state"], "succeeded");
+    let asked = service.asked.lock().expect("not poisoned").clone();
+    let last: Vec<&str> = asked
+        .iter()
+        .filter(|(what, _)| what == "events")
+        .map(|(_, headers)| headers["last-event-id"].to_str().expect("ASCII"))
+        .collect();
+    assert_eq!(last, ["0", "2", "4"], "each stream begins after the last whole event of the one before");
+    assert!(
+        text(&watched.stderr).contains("train 4/5") || text(&watched.stderr).contains("train 1/5"),
+        "{}",
+        text(&watched.stderr)
+    );
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_service_without_streams_is_asked_and_the_key_is_sent_and_never_shown() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("key");
+    fs::write(&file, "tcgs_from_file\n").expect("writes");
+    let other = ("MY_KEY", "tcgs_from_elsewhere".to_owned());
+    let usual = ("TCGS_API_KEY", "tcgs_from_environment".to_owned());
+    for (flags, environment, key) in [
+        (Vec::new(), vec![usual.clone(), other.clone()], Some("tcgs_from_environment")),
+        (line!["--key-env", "MY_KEY"], vec![usual.clone(), other], Some("tcgs_from_elsewhere")),
+        (line!["--key-file", file], vec![usual], Some("tcgs_from_file")),
+        (Vec::new(), Vec::new(), None),
+    ] {
+        let (service, url) = Moody::start(false).await;
+        let watch = line!["watch", service.job.to_string(), "--server", url, "--json"];
+        let output =
+            run_with([watch, flags].concat(), [environment, vec![("RUST_LOG", "trace".to_owned())]].concat())
+                .await;
+        assert_eq!(succeeded(&output)["state"], "succeeded");
+        let asked = service.asked.lock().expect("not poisoned").clone();
+        assert!(asked.len() >= 4, "the stream once and the job until it has ended");
+        for (what, headers) in asked {
+            let sent =
+                headers.get(header::AUTHORIZATION).map(|value| value.to_str().expect("ASCII").to_owned());
+            assert_eq!(sent, key.map(|key| format!("Bearer {key}")), "{what}");
+        }
+        assert!(!text(&output.stderr).contains("tcgs_from") && !text(&output.stdout).contains("tcgs_from"));
+    }
+}
