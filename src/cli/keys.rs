@@ -91,55 +91,25 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
                 record.id,
                 scopes(&record)
             );
-            Ok(Report::new(text, &Created { key: key.expose(), shown: Shown::from(&record) }))
+            Ok(Report::new(text, &Created { key: key.expose(), record: &record }))
         }
         Action::List(list) => {
             let records = wiring::keys(&args.data, list.all)?;
-            let shown: Vec<Shown> = records.iter().map(Shown::from).collect();
-            Ok(Report::new(table(&records), &serde_json::json!({ "keys": shown })))
+            Ok(Report::new(table(&records), &serde_json::json!({ "keys": records })))
         }
         Action::Revoke(revoke) => {
             let record = wiring::revoke_key(&args.data, revoke.id)?;
             let text = format!("The key '{}' ({}...) is revoked.", record.name, record.prefix);
-            Ok(Report::new(text, &Shown::from(&record)))
+            Ok(Report::new(text, &record))
         }
     }
-}
-
-/// A key as `--json` shows it, with the names of the API.
-#[derive(Debug, Serialize)]
-struct Shown<'a> {
-    id: KeyId,
-    name: &'a str,
-    prefix: &'a str,
-    scopes: &'a [Scope],
-    #[serde(flatten)]
-    limits: KeyLimits,
-    created_at: jiff::Timestamp,
-    last_used_at: Option<jiff::Timestamp>,
-    revoked_at: Option<jiff::Timestamp>,
 }
 
 #[derive(Serialize)]
 struct Created<'a> {
     key: &'a str,
     #[serde(flatten)]
-    shown: Shown<'a>,
-}
-
-impl<'a> From<&'a KeyRecord> for Shown<'a> {
-    fn from(record: &'a KeyRecord) -> Self {
-        Self {
-            id: record.id,
-            name: &record.name,
-            prefix: &record.prefix,
-            scopes: &record.scopes,
-            limits: record.limits,
-            created_at: record.created_at,
-            last_used_at: record.last_used_at,
-            revoked_at: record.revoked_at,
-        }
-    }
+    record: &'a KeyRecord,
 }
 
 fn scopes(record: &KeyRecord) -> String {

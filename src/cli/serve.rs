@@ -2,7 +2,10 @@
 
 use std::{net::SocketAddr, num::NonZeroU32, path::PathBuf};
 
-use tcgs::{domain::Bytes, http::config::AccessRules};
+use tcgs::{
+    domain::{Bytes, KeyLimits},
+    http::config::AccessRules,
+};
 
 use super::{
     Failure, Report,
@@ -27,6 +30,14 @@ pub(crate) struct Args {
     /// Requests in a minute of a key that has no rate of its own; not bounded if absent
     #[arg(long, value_name = "N", env = "TCGS_REQUESTS_PER_MINUTE")]
     requests_per_minute: Option<NonZeroU32>,
+
+    /// Storage that the scenes, uploads and jobs of such a key may take; not bounded if absent
+    #[arg(long, value_name = "BYTES", env = "TCGS_MAX_BYTES")]
+    max_bytes: Option<Bytes>,
+
+    /// Jobs that such a key may have queued or running at a time; not bounded if absent
+    #[arg(long, value_name = "N", env = "TCGS_MAX_ACTIVE_JOBS")]
+    max_active_jobs: Option<u32>,
 
     /// Folder for the database, uploads and files
     #[arg(long, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
@@ -65,6 +76,11 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
     refuse_shared_storage(args.database.as_deref(), args.blobs.as_deref())?;
     wiring::serve(ServeOptions {
         listen: args.listen,
+        limits: KeyLimits {
+            max_bytes: args.max_bytes.map(|bytes| bytes.0),
+            max_active_jobs: args.max_active_jobs,
+            requests_per_minute: args.requests_per_minute,
+        },
         access: AccessRules {
             without_keys: args.without_keys,
             requests_per_minute: args.requests_per_minute,

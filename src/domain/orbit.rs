@@ -6,6 +6,9 @@ use super::{Camera, CameraError, Pose};
 
 /// Weight of the guess that decides where the cameras' axes do not: along the axes of parallel cameras.
 const GUESS_WEIGHT: f64 = 1e-3;
+/// Weight of the mean upward axis beside the horizontal axes: what cameras roll by chance weighs less.
+const MEAN_UP_WEIGHT: f64 = 0.02;
+const EIGEN_STEPS: usize = 50;
 
 /// A circle of camera positions that look at its middle axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,7 +27,7 @@ pub struct Orbit {
 
 impl Orbit {
     /// The circle that `cameras` lie on as well as they lie on any: around the point nearest to all their axes, at their mean
-    /// distance and height, with their mean upward direction, from where the first of them is. None without cameras.
+    /// distance and height, upright as they are, from where the first of them is. None without cameras.
     #[must_use]
     pub fn around(cameras: &[Camera]) -> Option<Self> {
         let count = cameras.len() as f64;
@@ -32,7 +35,7 @@ impl Orbit {
             cameras.iter().map(|camera| of(&camera.pose)).sum::<DVec3>() / count
         };
         let first = cameras.first()?.pose.center();
-        let up = mean(&|pose| -pose.rotation().row(1)).normalize_or(DVec3::Z);
+        let up = upright(cameras, mean(&|pose| -pose.rotation().row(1)).normalize_or(DVec3::Z));
         let middle = mean(&Pose::center);
         let ahead = mean(&|pose| pose.rotation().row(2));
         let spread = cameras.iter().map(|camera| camera.pose.center().distance(middle)).sum::<f64>() / count;
@@ -84,6 +87,20 @@ impl Orbit {
     }
 }
 
+/// The direction that the cameras' horizontal axes are most at right angles to. The mean of their upward axes leans to where
+/// most of them are; it decides where the horizontal axes do not, as when all are parallel.
+fn upright(cameras: &[Camera], mean_up: DVec3) -> DVec3 {
+    let outer = |v: DVec3| DMat3::from_cols(v * v.x, v * v.y, v * v.z);
+    let mut spread = MEAN_UP_WEIGHT * (DMat3::IDENTITY - outer(mean_up));
+    for camera in cameras {
+        spread += outer(camera.pose.rotation().row(0)) * (1.0 / cameras.len() as f64);
+    }
+    // The eigenvector of the smallest value, by inverse iteration; the last term keeps the matrix regular.
+    let inverse = (spread + DMat3::from_diagonal(DVec3::splat(1e-6))).inverse();
+    let found = (0..EIGEN_STEPS).fold(mean_up, |up, _| (inverse * up).normalize_or(up));
+    if found.dot(mean_up) < 0.0 { -found } else { found }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -119,6 +136,28 @@ mod tests {
             let low = found.at_elevation(0.0).scaled(2.0);
             assert!((low.radius - 2.0 * 3.0_f64.hypot(1.5)).abs() < 0.1 && low.height.abs() < 1e-9);
         }
+    }
+
+    #[test]
+    fn cameras_that_are_mostly_on_one_side_do_not_tilt_the_circle() {
+        let at = |azimuth: f64, elevation: f64| {
+            let (sin, cos) = azimuth.sin_cos();
+            let position = 4.0 * DVec3::new(cos * elevation.cos(), sin * elevation.cos(), elevation.sin());
+            camera(position, DVec3::ZERO, DVec3::Z)
+        };
+        let cameras: Vec<Camera> =
+            (0..20).map(|i| at(0.12 * f64::from(i), 0.3 + 0.05 * f64::from(i % 7))).collect();
+        let mean_up = cameras.iter().map(|camera| -camera.pose.rotation().row(1)).sum::<DVec3>().normalize();
+        let orbit = Orbit::around(&cameras).expect("cameras");
+        let degrees = |up: DVec3| up.angle_between(DVec3::Z).to_degrees();
+        assert!(degrees(mean_up) > 15.0, "{}", degrees(mean_up));
+        assert!(degrees(orbit.up) < 1.5, "{}", degrees(orbit.up));
+        // All in a row: only the mean tells up from ahead.
+        let row: Vec<Camera> = (0..5)
+            .map(|i| camera(DVec3::new(f64::from(i), 0.0, 1.0), DVec3::new(f64::from(i), 5.0, 0.0), DVec3::Z))
+            .collect();
+        let orbit = Orbit::around(&row).expect("cameras");
+        assert!(degrees(orbit.up) < 15.0, "{:?}", orbit.up);
     }
 
     #[test]

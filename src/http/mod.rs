@@ -25,6 +25,7 @@ mod job_body;
 mod job_list;
 mod job_wish;
 mod jobs;
+mod keys;
 mod overdue;
 mod picture;
 mod prefer;
@@ -80,6 +81,8 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/scenes", get(scenes::list).post(create_scene::create))
         .route("/v1/scenes/{id}", get(scenes::get).delete(scenes::delete))
         .merge(uploads)
+        .route("/v1/keys", get(keys::list).post(keys::create))
+        .route("/v1/keys/{id}", get(keys::get).delete(keys::revoke))
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/version", get(health::version))

@@ -13,6 +13,8 @@ use crate::{
 
 /// Seconds after which a client may try again when the server was busy.
 const RETRY_AFTER_SECONDS: u32 = 2;
+/// The same where a job has to end first.
+const RETRY_WHEN_A_JOB_ENDS: u32 = 30;
 
 /// The error type of every handler.
 #[derive(Debug, Clone)]
@@ -54,6 +56,11 @@ impl Fault {
             "No such job",
             format!("there is no job '{}'", shown(id)),
         )
+    }
+
+    /// 404 for an id that names nothing of its kind.
+    pub(super) fn nothing_called(name: &str, title: &str, kind: &str, id: &str) -> Self {
+        Self::new(StatusCode::NOT_FOUND, name, title, format!("there is no {kind} '{}'", shown(id)))
     }
 
     /// 404 for a scene id that names nothing.
@@ -153,11 +160,16 @@ impl From<StoreError> for Fault {
             return Self::busy("the database is busy");
         }
         match error {
-            StoreError::NoScene(id) => Self::no_scene(id),
             StoreError::QuotaExceeded { .. } => {
-                let detail = format!("{error}; delete scenes, jobs or uploads to make room");
-                Self::new(StatusCode::INSUFFICIENT_STORAGE, "quota-exceeded", "Quota exceeded", detail)
+                let detail = format!("{error}; delete scenes, uploads or jobs to make room");
+                Self::new(StatusCode::INSUFFICIENT_STORAGE, "quota-exceeded", "Over the key's quota", detail)
             }
+            StoreError::TooManyJobs { .. } => {
+                let detail = format!("{error}; wait until one has ended, or cancel one");
+                Self::new(StatusCode::TOO_MANY_REQUESTS, "too-many-jobs", "Too many jobs at a time", detail)
+                    .with(header::RETRY_AFTER, RETRY_WHEN_A_JOB_ENDS.into())
+            }
+            StoreError::NoScene(id) => Self::no_scene(id),
             error => Self::internal(&error),
         }
     }

@@ -14,7 +14,7 @@ pub(super) enum Access {
 }
 
 use Access::{Open, Scope as Needs};
-use Scope::{JobsWrite, Read, ScenesWrite};
+use Scope::{Admin, JobsWrite, Read, ScenesWrite};
 
 /// Method and route of every operation, as the router has them, in the order of `openapi.yaml`.
 const OPERATIONS: &[(&str, &str, Access)] = &[
@@ -42,6 +42,10 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("HEAD", "/v1/uploads/{id}", Needs(ScenesWrite)),
     ("PATCH", "/v1/uploads/{id}", Needs(ScenesWrite)),
     ("DELETE", "/v1/uploads/{id}", Needs(ScenesWrite)),
+    ("POST", "/v1/keys", Needs(Admin)),
+    ("GET", "/v1/keys", Needs(Admin)),
+    ("GET", "/v1/keys/{id}", Needs(Admin)),
+    ("DELETE", "/v1/keys/{id}", Needs(Admin)),
     ("GET", "/healthz", Open),
     ("GET", "/readyz", Open),
     ("GET", "/version", Open),

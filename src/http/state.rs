@@ -10,7 +10,7 @@ use super::{
     watch::Watcher,
 };
 use crate::{
-    domain::{Clock, DatasetSummary, JobId, Problem},
+    domain::{Clock, DatasetSummary, Entropy, JobId, Problem},
     render::{RenderViews, views::Viewable},
     store::{Blobs, Store},
 };
@@ -45,6 +45,8 @@ pub struct Services {
     pub blobs: Blobs,
     /// Time.
     pub clock: Arc<dyn Clock>,
+    /// Randomness that nobody may guess.
+    pub entropy: Arc<dyn Entropy>,
     /// See [`DatasetCheck`].
     pub check: DatasetCheck,
     /// See [`SceneLoader`].

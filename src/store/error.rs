@@ -29,6 +29,12 @@ pub enum StoreError {
         /// How much may be.
         quota: u64,
     },
+    /// More jobs than the owner may have at a time.
+    #[error("{active} jobs are queued or running, which is all that the key may have at a time")]
+    TooManyJobs {
+        /// How many there are.
+        active: u32,
+    },
     /// The scene that a job was to be made of is deleted.
     #[error("there is no scene {0}")]
     NoScene(SceneId),

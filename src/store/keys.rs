@@ -4,6 +4,7 @@
 //! for one that has none.
 
 use jiff::Timestamp;
+use serde::Serialize;
 use thiserror::Error;
 use uuid::Builder;
 
@@ -74,8 +75,8 @@ impl NewKey {
     }
 }
 
-/// A key as it stands.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// A key as it stands, and as the API shows it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct KeyRecord {
     /// As in [`NewKey::id`].
     pub id: KeyId,
@@ -86,6 +87,7 @@ pub struct KeyRecord {
     /// As in [`NewKey::scopes`].
     pub scopes: Vec<Scope>,
     /// As in [`NewKey::limits`].
+    #[serde(flatten)]
     pub limits: KeyLimits,
     /// When it was made.
     pub created_at: Timestamp,

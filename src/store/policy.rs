@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::domain::{Digest, JobId};
+use crate::domain::{Digest, JobId, KeyLimits};
 
 /// The queue's numbers.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,6 +24,8 @@ pub struct QueuePolicy {
     pub keep_checkpoints: Duration,
     /// How long it is remembered what a request with an `Idempotency-Key` made.
     pub remember: Duration,
+    /// How much a key may take that has no limits of its own.
+    pub limits: KeyLimits,
 }
 
 impl Default for QueuePolicy {
@@ -37,6 +39,7 @@ impl Default for QueuePolicy {
             progress_event_every: Duration::from_secs(5),
             keep_checkpoints: Duration::from_secs(24 * 3600),
             remember: Duration::from_secs(24 * 3600),
+            limits: KeyLimits::default(),
         }
     }
 }

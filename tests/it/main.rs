@@ -13,6 +13,7 @@ mod first_light;
 mod housekeeping;
 mod http;
 mod ingest;
+mod keys;
 mod layers;
 mod loss;
 mod lpips;

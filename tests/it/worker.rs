@@ -382,6 +382,7 @@ fn api(workshop: &Workshop, census: Census) -> axum::Router {
         store: Arc::clone(&workshop.store),
         blobs: workshop.blobs.clone(),
         clock: Arc::new(SystemClock),
+        entropy: Arc::new(tcgs::domain::SystemEntropy),
         check: Arc::new(crate::support::fakes::check),
         load: Arc::new(crate::support::fakes::load),
         renderer: Arc::new(crate::support::fakes::FakeRenderer::default()),

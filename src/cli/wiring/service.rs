@@ -13,7 +13,7 @@ use std::{
 };
 
 use tcgs::{
-    domain::{MemoryLimits, Problem, SystemClock},
+    domain::{KeyLimits, MemoryLimits, Problem, SystemClock, SystemEntropy},
     gpu::{AdapterChoice, driver_cache},
     http::{
         self, HttpConfig, Services, WorkerCounts,
@@ -47,6 +47,8 @@ pub(crate) struct ServeOptions {
     pub(crate) listen: SocketAddr,
     /// Who is let in, and how often.
     pub(crate) access: AccessRules,
+    /// How much a key may take that has no limits of its own.
+    pub(crate) limits: KeyLimits,
     pub(crate) data: PathBuf,
     pub(crate) adapter: AdapterChoice,
     /// What each worker may take.
@@ -85,7 +87,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
         super::lpips(options.lpips.as_deref())?;
         let (renderer, _) = super::views(&options.adapter, options.view_memory)?;
         let listener = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
-        let (store, blobs) = open(&options.data).await?;
+        let (store, blobs) = open_with(&options.data, options.limits).await?;
         let shutdown = stop_on_signals()?;
 
         let mut children = supervise::SuperviseConfig::this_program(
@@ -108,6 +110,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
             store: store.clone(),
             blobs,
             clock: Arc::new(SystemClock),
+            entropy: Arc::new(SystemEntropy),
             check: Arc::new(|archive: &Path| ingest::check(archive)),
             load: Arc::new(|bytes: &[u8]| {
                 let file = scene_file::read(bytes)?;
@@ -155,9 +158,15 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
 }
 
 pub(super) async fn open(data: &Path) -> Result<(Arc<SqliteStore>, Blobs), Failure> {
+    open_with(data, KeyLimits::default()).await
+}
+
+/// The same, with limits for keys that have none of their own.
+async fn open_with(data: &Path, limits: KeyLimits) -> Result<(Arc<SqliteStore>, Blobs), Failure> {
     fs::create_dir_all(data).map_err(|fault| Failure::unwritable(data, &fault))?;
     let database = data.join(DATABASE);
-    let store = SqliteStore::open(&database, Arc::new(SystemClock), QueuePolicy::default())
+    let policy = QueuePolicy { limits, ..QueuePolicy::default() };
+    let store = SqliteStore::open(&database, Arc::new(SystemClock), policy)
         .await
         .map_err(|fault| unavailable(&fault))?;
     let blobs = Blobs::open(data).map_err(|fault| unavailable(&fault))?;

@@ -1,10 +1,14 @@
 //! Pictures in a row as one body, each sent as soon as it is there.
 //!
 //! What always holds: a picture is rendered only when the client has taken the one before the last, so memory is bounded by two
-//! pictures whatever is asked for; what can go wrong with the first picture is told as a problem, before the answer begins;
+//! pictures whatever is asked for; while a job trains, a film rests after each picture for as long as the picture took, so it
+//! takes no more than half of an adapter that the two share; what can go wrong with the first picture is told as a problem, before the answer begins;
 //! a body that ends early is broken off, never ended as if it were whole.
 
-use std::{io, time::Duration};
+use std::{
+    io,
+    time::{Duration, Instant},
+};
 
 use axum::{
     body::Body,
@@ -15,7 +19,7 @@ use bytes::Bytes;
 use futures_util::stream;
 use tokio::{
     sync::mpsc::{self, Sender},
-    time::{Interval, MissedTickBehavior, interval, timeout},
+    time::{Interval, MissedTickBehavior, interval, sleep, timeout},
 };
 use tracing::Instrument as _;
 
@@ -25,7 +29,11 @@ use super::{
     queue::Place,
     studio::{in_turn, picture},
 };
-use crate::http::{picture::Picture, problem::Fault, state::AppState};
+use crate::{
+    domain::JobState,
+    http::{picture::Picture, problem::Fault, state::AppState},
+    store::JobFilter,
+};
 
 /// What is shown, how often and how fast.
 #[derive(Debug)]
@@ -85,12 +93,12 @@ impl Film {
             clock.set_missed_tick_behavior(MissedTickBehavior::Delay);
             clock.tick().await;
         }
-        let first = maker.piece(state, &mut place, self.shots[0], 0, self.len() == 1).await?;
+        let (first, worked) = maker.piece(state, &mut place, self.shots[0], 0, self.len() == 1).await?;
         let (sender, receiver) = mpsc::channel(1);
         // There is room for one.
         let _ = sender.try_send(Piece::More(first));
         let patience = state.limits().body_idle;
-        let crew = Crew { state: state.clone(), place, maker, film: self, patience };
+        let crew = Crew { state: state.clone(), place, maker, film: self, patience, worked };
         tokio::spawn(crew.shoot(clock, sender).in_current_span());
         let body = stream::unfold(Some(receiver), |receiver| async {
             let mut receiver = receiver?;
@@ -144,6 +152,8 @@ struct Crew {
     film: Film,
     /// How long a client may take nothing.
     patience: Duration,
+    /// What the last picture took to make.
+    worked: Duration,
 }
 
 impl Crew {
@@ -178,16 +188,28 @@ impl Crew {
     }
 
     async fn piece(&mut self, clock: &mut Option<Interval>, index: u64) -> Result<Bytes, Fault> {
+        if !self.worked.is_zero() && training(&self.state).await {
+            sleep(self.worked).await;
+        }
         if let Some(clock) = clock {
             clock.tick().await;
         }
         let shot = self.film.shots[(index % self.film.shots.len() as u64) as usize];
         let is_last = index + 1 == self.film.len();
-        self.maker.piece(&self.state, &mut self.place, shot, index, is_last).await
+        let (bytes, worked) = self.maker.piece(&self.state, &mut self.place, shot, index, is_last).await?;
+        self.worked = worked;
+        Ok(bytes)
     }
 }
 
+/// Whether a job is being worked on; not, if the database does not tell.
+async fn training(state: &AppState) -> bool {
+    let running = JobFilter { states: vec![JobState::Running], ..JobFilter::default() };
+    state.store().jobs(&running, None, 1).await.is_ok_and(|jobs| !jobs.is_empty())
+}
+
 impl Maker {
+    /// The bytes of the next picture, and what it took to make it.
     async fn piece(
         &mut self,
         state: &AppState,
@@ -195,20 +217,21 @@ impl Maker {
         shot: Shot,
         index: u64,
         is_last: bool,
-    ) -> Result<Bytes, Fault> {
+    ) -> Result<(Bytes, Duration), Fault> {
         match self {
             Maker::Parts { parts, boundary } => {
-                let (picture, _) = picture(state, place, shot).await?;
-                Ok(part(*parts, boundary, &picture, index, is_last))
+                let (picture, timing) = picture(state, place, shot).await?;
+                Ok((part(*parts, boundary, &picture, index, is_last), timing.worked()))
             }
             Maker::Apng(file) => {
                 place.begin_picture();
                 let turn = place.turn().await;
                 let frame = file.take().ok_or_else(|| Fault::internal(&io::Error::other("no file")))?;
+                let began = Instant::now();
                 let (next, bytes) =
                     in_turn(state, turn, shot, move |rendered, _| frame.add(&rendered, is_last)).await?;
                 *file = next;
-                Ok(bytes)
+                Ok((bytes, began.elapsed()))
             }
         }
     }

@@ -57,6 +57,11 @@ pub(super) struct Timing {
 }
 
 impl Timing {
+    /// What making it took, without waiting; nothing if it was at hand.
+    pub(super) fn worked(&self) -> Duration {
+        self.load + self.render + self.encode
+    }
+
     /// The value of `Server-Timing`.
     pub(super) fn header(&self) -> HeaderValue {
         if self.cached {

@@ -5,7 +5,10 @@
 
 use sqlx::{Row as _, SqliteConnection};
 
-use super::{SqliteStore, rows::unsigned};
+use super::{
+    SqliteStore,
+    rows::{optional_unsigned, unsigned},
+};
 use crate::{
     domain::{Digest, KeyId},
     store::{Accounts, Answer, BlobRef, StoreError, Usage},
@@ -38,19 +41,20 @@ async fn usage(connection: &mut SqliteConnection, owner: Option<KeyId>) -> Resul
     Ok(Usage { stored: unsigned(&row, "stored")?, reserved: unsigned(&row, "reserved")? })
 }
 
-/// Refuses `asked` more bytes if they are over the owner's quota. Part of the transaction that adds them.
+/// Refuses `asked` more bytes if they are over the owner's quota, which is `default` for keys without one. Part of the transaction
+/// that adds them.
 pub(super) async fn admit(
     connection: &mut SqliteConnection,
+    default: Option<u64>,
     owner: Option<KeyId>,
     asked: u64,
 ) -> Result<(), StoreError> {
     let Some(key) = owner else { return Ok(()) };
-    let row = sqlx::query("SELECT max_bytes FROM keys WHERE id = ? AND max_bytes IS NOT NULL")
+    let row = sqlx::query("SELECT max_bytes FROM keys WHERE id = ?")
         .bind(key.to_string())
-        .fetch_optional(&mut *connection)
+        .fetch_one(&mut *connection)
         .await?;
-    let Some(row) = row else { return Ok(()) };
-    let quota = unsigned(&row, "max_bytes")?;
+    let Some(quota) = optional_unsigned(&row, "max_bytes")?.or(default) else { return Ok(()) };
     let used = usage(connection, owner).await?.total();
     if used.saturating_add(asked) > quota {
         return Err(StoreError::QuotaExceeded { asked, used, quota });
@@ -61,6 +65,7 @@ pub(super) async fn admit(
 /// As [`admit`], of a blob: one that the owner's things refer to already takes no further room.
 pub(super) async fn admit_blob(
     connection: &mut SqliteConnection,
+    default: Option<u64>,
     owner: Option<KeyId>,
     blob: BlobRef,
 ) -> Result<(), StoreError> {
@@ -70,7 +75,30 @@ pub(super) async fn admit_blob(
         .fetch_one(&mut *connection)
         .await?;
     let known: bool = row.try_get("known")?;
-    if known { Ok(()) } else { admit(connection, owner, blob.bytes).await }
+    if known { Ok(()) } else { admit(connection, default, owner, blob.bytes).await }
+}
+
+/// Refuses another job if the owner has as many queued and running as they may, which is `default` for keys that do not say. Part of
+/// the transaction that adds it.
+pub(super) async fn admit_job(
+    connection: &mut SqliteConnection,
+    default: Option<u32>,
+    owner: Option<KeyId>,
+) -> Result<(), StoreError> {
+    let Some(key) = owner else { return Ok(()) };
+    let row = sqlx::query(
+        "SELECT max_active_jobs, (SELECT COUNT(*) FROM jobs WHERE owner = keys.id AND state IN ('queued', 'running'))
+             AS active FROM keys WHERE id = ?",
+    )
+    .bind(key.to_string())
+    .fetch_one(connection)
+    .await?;
+    let active: u32 = unsigned(&row, "active")?;
+    let most: Option<u32> = optional_unsigned(&row, "max_active_jobs")?.or(default);
+    if most.is_some_and(|most| active >= most) {
+        return Err(StoreError::TooManyJobs { active });
+    }
+    Ok(())
 }
 
 async fn is_referred_to(connection: &mut SqliteConnection, digest: Digest) -> Result<bool, StoreError> {

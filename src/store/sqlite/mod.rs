@@ -105,6 +105,9 @@ impl SqliteStore {
             let (id, keep) = (new.id.to_string(), self.policy.remember);
             idempotency::remember(tx, intent, CREATED, &id, keep, now).await?;
         }
+        let limits = self.policy.limits;
+        accounts::admit_job(tx, limits.max_active_jobs, new.owner).await?;
+        accounts::admit_blob(tx, limits.max_bytes, new.owner, new.dataset).await?;
         if let Some(scene) = new.scene {
             let known = sqlx::query("SELECT 1 FROM scenes WHERE id = ?").bind(scene.to_string());
             if known.fetch_optional(&mut *tx).await?.is_none() {

@@ -64,7 +64,7 @@ impl SqliteStore {
                     .execute(&mut *tx)
                     .await?;
             }
-            accounts::admit_blob(&mut tx, new.owner, new.dataset).await?;
+            accounts::admit_blob(&mut tx, self.policy.limits.max_bytes, new.owner, new.dataset).await?;
             insert_blob(&mut tx, new.dataset, now).await?;
             sqlx::query(
                 "INSERT INTO scenes (id, owner, dataset, name, summary, created_at) VALUES (?, ?, ?, ?, ?, ?)",

@@ -46,7 +46,7 @@ async fn select(connection: &mut SqliteConnection, id: UploadId) -> Result<Optio
 impl SqliteStore {
     async fn insert_upload(&self, new: NewUpload) -> Result<UploadRecord, StoreError> {
         let (mut tx, now) = self.begin().await?;
-        accounts::admit(&mut tx, new.owner, new.length).await?;
+        accounts::admit(&mut tx, self.policy.limits.max_bytes, new.owner, new.length).await?;
         sqlx::query(
             "INSERT INTO uploads (id, owner, length, metadata, created_at, expires_at) VALUES (?, ?, ?, ?, ?, ?)",
         )

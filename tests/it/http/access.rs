@@ -1,16 +1,24 @@
 //! Keys: who is let in, to what, and how often.
 
-use std::{num::NonZeroU32, sync::Arc};
+use std::{
+    collections::BTreeSet,
+    num::NonZeroU32,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
 
 use jiff::SignedDuration;
+use serde_json::{Value, json};
 use tcgs::{
-    domain::{KeyLimits, ManualClock, Scope},
+    domain::{Digest, KeyLimits, ManualClock, Scope},
     http::config::{AccessRules, RequestLimits},
+    store::QueuePolicy,
 };
 
 use crate::support::{
     contract::{self, Coverage},
-    server::{Answer, Server, Setup},
+    faults::Failing,
+    server::{Answer, Server, Setup, TestKey, quick_policy},
 };
 
 /// A key of the right form that no service knows.
@@ -141,4 +149,335 @@ pub(super) async fn a_key_has_its_rate_and_an_address_a_few_failures(coverage: C
     with_key(&server, "GET", "/v1/jobs", &other.key).await.expect(200);
     clock.advance(SignedDuration::from_secs(20));
     server.get("/v1/jobs").await.expect_problem(401, "no-key");
+}
+
+pub(super) async fn keys_are_made_listed_and_revoked_by_administrators(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let wish = json!({ "name": "CI", "scopes": ["jobs:write", "read"], "max_active_jobs": 3 });
+    let first = server.post_json("/v1/keys", &wish).await.expect_problem(409, "no-keys-yet");
+    assert!(first.contains("tcgs keys create"), "{first}");
+    server.get("/v1/jobs").await.expect(200);
+
+    let admin = server.key(&[Scope::Admin]).await.key;
+    let post = async |body: Value| {
+        server.send("POST", "/v1/keys", |request| request.bearer_auth(&admin).json(&body)).await
+    };
+    let made = post(wish).await.expect(201);
+    let (path, body) = (made.header("location").to_owned(), made.json());
+    let key = body["key"].as_str().expect("a key").to_owned();
+    assert_eq!(body["prefix"], key[..13]);
+    assert_eq!((&body["scopes"], &body["max_active_jobs"]), (&json!(["read", "jobs:write"]), &json!(3)));
+    with_key(&server, "GET", "/v1/jobs", &key).await.expect(200);
+    with_key(&server, "GET", &path, &key).await.expect_problem(403, "insufficient-scope");
+
+    let shown = loop {
+        let shown = with_key(&server, "GET", &path, &admin).await.expect(200).json();
+        if shown["last_used_at"].is_string() {
+            break shown;
+        }
+        tokio::task::yield_now().await;
+    };
+    assert_eq!(shown["id"], body["id"]);
+    assert!(shown.get("key").is_none(), "the key itself is shown once");
+
+    for (wish, named) in [
+        (json!({ "name": "", "scopes": ["read"] }), "name"),
+        (json!({ "name": "a\nb", "scopes": ["read"] }), "name"),
+        (json!({ "name": "x".repeat(101), "scopes": ["read"] }), "name"),
+        (json!({ "name": "x", "scopes": [] }), "scope"),
+        (json!({ "name": "x", "scopes": ["write"] }), "write"),
+        (json!({ "name": "x", "scopes": ["read"], "requests_per_minute": 0 }), "nonzero"),
+        (json!({ "name": "x", "scopes": ["read"], "max_bytes": -1 }), "-1"),
+        (json!({ "name": "x", "scopes": ["read"], "colour": "red" }), "colour"),
+        (json!({ "scopes": ["read"] }), "name"),
+    ] {
+        let detail = post(wish.clone()).await.expect_problem(422, "invalid-key-request");
+        assert!(detail.contains(named), "{wish}: {detail}");
+    }
+    let text = async |kind: &str, body: &'static str| {
+        server
+            .send("POST", "/v1/keys", |request| {
+                request.bearer_auth(&admin).header("content-type", kind).body(body)
+            })
+            .await
+    };
+    text("application/json", "{").await.expect_problem(400, "malformed-json");
+    text("text/plain", "{}").await.expect_problem(415, "unsupported-media-type");
+
+    let list = async |path: &str| with_key(&server, "GET", path, &admin).await.expect(200).json();
+    let page = list("/v1/keys?limit=1").await;
+    assert_eq!(page["keys"].as_array().map(Vec::len), Some(1));
+    let rest = list(page["next"].as_str().expect("another page")).await;
+    assert_eq!((rest["keys"].as_array().map(Vec::len), &rest["next"]), (Some(1), &Value::Null));
+    for query in ["?limit=0", "?cursor=17", "?revoked=maybe", "?colour=red"] {
+        with_key(&server, "GET", &format!("/v1/keys{query}"), &admin)
+            .await
+            .expect_problem(422, "invalid-parameter");
+    }
+
+    with_key(&server, "DELETE", &path, &admin).await.expect(204);
+    with_key(&server, "GET", "/v1/jobs", &key).await.expect_problem(401, "invalid-key");
+    for absent in [&path, "/v1/keys/17", "/v1/keys/0190a5d8-0000-7000-8000-000000000000"] {
+        for method in ["GET", "DELETE"] {
+            with_key(&server, method, absent, &admin).await.expect_problem(404, "key-not-found");
+        }
+    }
+    assert_eq!(list("/v1/keys").await["keys"].as_array().map(Vec::len), Some(1));
+    let all = list("/v1/keys?revoked=true").await;
+    assert_eq!(all["keys"].as_array().map(Vec::len), Some(2));
+    assert!(all["keys"].as_array().expect("keys").iter().any(|key| key["revoked_at"].is_string()));
+}
+
+pub(super) async fn a_key_has_room_for_some_jobs_and_bytes(coverage: Coverage) {
+    let server = Server::start_with(&coverage, Setup { worker: false, ..Setup::default() }).await;
+    let limits = KeyLimits { max_active_jobs: Some(1), max_bytes: Some(20), ..KeyLimits::default() };
+    let scopes = [Scope::Read, Scope::JobsWrite];
+    let (key, other) = (server.key_with(&scopes, limits).await, server.key(&scopes).await);
+    let upload = async |key: &TestKey, dataset: &'static str| {
+        server
+            .send("POST", "/v1/jobs", |request| {
+                request.bearer_auth(&key.key).header("content-type", "application/zip").body(dataset)
+            })
+            .await
+    };
+    let job = upload(&key, "succeed 1").await.expect(201).header("location").to_owned();
+    let second = upload(&key, "succeed 2").await.expect(429);
+    assert!(!second.header("retry-after").is_empty());
+    second.expect_problem(429, "too-many-jobs");
+    upload(&other, "succeed 2").await.expect(201);
+    with_key(&server, "POST", &format!("{job}/cancel"), &key.key).await.expect(200);
+    upload(&key, "succeed 1").await.expect(201);
+    let next = with_key(&server, "GET", "/v1/jobs", &key.key).await.expect(200).json();
+    let active = next["jobs"][0]["links"]["cancel"].as_str().expect("a path").to_owned();
+    with_key(&server, "POST", &active, &key.key).await.expect(200);
+    let detail = upload(&key, "succeed with more").await.expect_problem(507, "quota-exceeded");
+    assert!(detail.contains("quota of 20") && detail.contains("9 are"), "{detail}");
+    upload(&key, "succeed 3").await.expect(201);
+
+    let limits = KeyLimits { max_active_jobs: Some(0), ..KeyLimits::default() };
+    let policy = QueuePolicy { limits, ..quick_policy() };
+    let server = Server::start_with(&coverage, Setup { worker: false, policy, ..Setup::default() }).await;
+    server.create("succeed").await;
+    let (plain, own) = (
+        server.key(&scopes).await,
+        server.key_with(&scopes, KeyLimits { max_active_jobs: Some(1), ..KeyLimits::default() }).await,
+    );
+    let upload = async |key: &TestKey| {
+        server
+            .send("POST", "/v1/jobs", |request| {
+                request.bearer_auth(&key.key).header("content-type", "application/zip").body("succeed")
+            })
+            .await
+    };
+    upload(&plain).await.expect_problem(429, "too-many-jobs");
+    upload(&own).await.expect(201);
+}
+
+/// Something of a key's for each kind of thing that paths name: its path, and what lists show it by.
+async fn possessions(server: &Server, key: &TestKey) -> Vec<(String, String)> {
+    let created = server
+        .send("POST", "/v1/jobs", |request| {
+            request.bearer_auth(&key.key).header("content-type", "application/zip").body("succeed")
+        })
+        .await
+        .expect(201);
+    let job = created.header("location").to_owned();
+    let done = loop {
+        let now = with_key(server, "GET", &job, &key.key).await.expect(200).json();
+        if now["state"] == "succeeded" {
+            break now;
+        }
+        assert!(now["finished_at"].is_null(), "{now:#}");
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    };
+    let id = |path: &str| path.rsplit('/').next().expect("an id").to_owned();
+    let mut all = vec![("/v1/jobs/{".to_owned(), id(&job))];
+    let digest = done["artifacts"][0]["sha256"].as_str().expect("a digest").to_owned();
+    all.push(("/v1/artifacts/{".to_owned(), digest));
+    for (prefix, media_type, body) in [
+        ("/v1/scenes", "application/zip", "succeed with a scene"),
+        ("/v1/uploads", "application/offset+octet-stream", ""),
+        ("/v1/webhook-endpoints", "application/json", r#"{"url": "https://example.com/hook"}"#),
+    ] {
+        let template = format!("{prefix}/{{");
+        if !contract::guarded().iter().any(|operation| operation.template.starts_with(&template)) {
+            continue;
+        }
+        let made = server
+            .send("POST", prefix, |request| {
+                let request = request.bearer_auth(&key.key).header("content-type", media_type);
+                request.header("tus-resumable", "1.0.0").header("upload-length", "9").body(body)
+            })
+            .await
+            .expect(201);
+        all.push((template, id(made.header("location"))));
+    }
+    all
+}
+
+pub(super) async fn what_is_anothers_is_not_there(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let all_but_admin = [Scope::Read, Scope::ScenesWrite, Scope::JobsWrite];
+    let owner = server.key(&all_but_admin).await;
+    let things = possessions(&server, &owner).await;
+    let other = server.key(&all_but_admin).await;
+    let admin = server.key(&[Scope::Admin]).await;
+
+    let ask = async |operation: &contract::Guarded, path: &str, key: &TestKey| {
+        let media_type = match operation.template.as_str() {
+            "/v1/uploads/{id}" => "application/offset+octet-stream",
+            _ => "application/json",
+        };
+        server
+            .send(operation.method, path, |request| {
+                let request = request.bearer_auth(&key.key);
+                let request = request.header("tus-resumable", "1.0.0").header("upload-offset", "0");
+                if matches!(operation.method, "POST" | "PATCH") {
+                    request.header("content-type", media_type).body(r#"{"views": [{"frame": "test/r_0"}]}"#)
+                } else {
+                    request
+                }
+            })
+            .await
+    };
+    let guarded: Vec<_> = contract::guarded().into_iter().filter(|one| one.scope != Scope::Admin).collect();
+    for operation in guarded.iter().filter(|operation| operation.template.contains('{')) {
+        let template = &operation.template;
+        let thing = things.iter().find(|(prefix, _)| template.starts_with(prefix));
+        let Some((_, id)) = thing else {
+            panic!(
+                "{template} names things of a key: make one in possessions(), so that this test can ask for another's"
+            )
+        };
+        let parts: Vec<&str> =
+            template.split('/').map(|part| if part.starts_with('{') { id.as_str() } else { part }).collect();
+        let path = parts.join("/");
+        let answer = ask(operation, &path, &other).await;
+        assert_eq!(answer.status, 404, "{}: {}", operation.id, String::from_utf8_lossy(&answer.body));
+        // What changes nothing shows that the path itself was right; others would take the thing from those that follow.
+        if matches!(operation.method, "GET" | "HEAD") {
+            for key in [&owner, &admin] {
+                let answer = ask(operation, &path, key).await;
+                let known = answer.status != 404
+                    || operation.id == "getArtifact"
+                    || template.matches('{').count() > 1;
+                assert!(known, "{}: {}", operation.id, String::from_utf8_lossy(&answer.body));
+            }
+        }
+    }
+    for operation in guarded.iter().filter(|one| one.method == "GET" && !one.template.contains('{')) {
+        let shown = async |key: &TestKey| {
+            let answer = ask(operation, &operation.template, key).await.expect(200);
+            let body = String::from_utf8_lossy(&answer.body).into_owned();
+            things.iter().any(|(_, id)| body.contains(id))
+        };
+        assert!(!shown(&other).await, "{} shows what is another's", operation.id);
+        assert!(shown(&owner).await && shown(&admin).await, "{} does not show what is there", operation.id);
+    }
+}
+
+pub(super) async fn a_database_that_fails_lets_nobody_in(coverage: Coverage) {
+    let server = Server::start_with(&coverage, Setup { worker: false, ..Setup::default() }).await;
+    for (failing, status, kind) in [(Failing::Busy, 503, "busy"), (Failing::Gone, 500, "internal")] {
+        server.store.set(Some(failing));
+        for operation in contract::guarded() {
+            let answer = server.send(operation.method, &operation.path(), |request| request).await;
+            assert_eq!(answer.status, status, "{}", operation.id);
+            if operation.method != "HEAD" {
+                answer.expect_problem(status, kind);
+            }
+        }
+        server.store.set(None);
+    }
+    let key = server.key(&[Scope::Read]).await;
+    server.store.set(Some(Failing::Busy));
+    with_key(&server, "GET", "/v1/jobs", &key.key).await.expect_problem(503, "busy");
+}
+
+/// Where a subscriber writes.
+#[derive(Clone, Default)]
+struct Log(Arc<Mutex<Vec<u8>>>);
+
+impl std::io::Write for Log {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.lock().expect("not poisoned").extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[tokio::test]
+async fn keys_are_in_no_log_and_no_answer() {
+    let log = Log::default();
+    let writer = log.clone();
+    // The server runs on this thread, so this is where it logs.
+    let subscriber = tracing_subscriber::fmt()
+        .with_max_level(tracing::Level::TRACE)
+        .with_ansi(false)
+        .with_span_events(tracing_subscriber::fmt::format::FmtSpan::FULL)
+        .with_writer(move || writer.clone())
+        .finish();
+    let _guard = tracing::subscriber::set_default(subscriber);
+
+    let server = Server::start(&Coverage::default()).await;
+    let known = server.key(&Scope::ALL).await;
+    let revoked = server.key(&[Scope::Admin]).await;
+    server.revoke(&revoked).await;
+    let narrow = server.key(&[Scope::ScenesWrite]).await;
+    let mut secrets = vec![UNKNOWN.to_owned(), known.key.clone(), revoked.key.clone(), narrow.key.clone()];
+    let made = json!({ "name": "made", "scopes": ["read"] });
+    let made = server.send("POST", "/v1/keys", |request| request.bearer_auth(&known.key).json(&made)).await;
+    secrets.push(made.expect(201).json()["key"].as_str().expect("a key").to_owned());
+
+    let upload = async |dataset: &'static str| {
+        server
+            .send("POST", "/v1/jobs", |request| {
+                request.bearer_auth(&known.key).header("content-type", "application/zip").body(dataset)
+            })
+            .await
+    };
+    let mut answers = vec![upload("bad zip").await, upload("bomb").await];
+    let job = upload("succeed").await.expect(201).header("location").to_owned();
+    while with_key(&server, "GET", &job, &known.key).await.json()["state"] != "succeeded" {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    let panics = format!("{job}/view?position=1,0,0&look_at=0,0,0&width=13");
+    answers.push(with_key(&server, "GET", &panics, &known.key).await);
+    for operation in contract::guarded() {
+        for key in &secrets {
+            answers.push(with_key(&server, operation.method, &operation.path(), key).await);
+        }
+    }
+    let broken =
+        [format!("bearer{}", known.key), format!("Basic {}", known.key), format!("Bearer {}x", known.key)];
+    for header in broken {
+        answers.push(server.send("GET", "/v1/jobs", |request| request.header("authorization", header)).await);
+    }
+    for failing in [Failing::Busy, Failing::Gone] {
+        server.store.set(Some(failing));
+        answers.push(with_key(&server, "GET", "/v1/jobs", &known.key).await);
+    }
+    let statuses: BTreeSet<u16> = answers.iter().map(|answer| answer.status).collect();
+    assert!(
+        [200, 401, 403, 404, 422, 500, 503].iter().all(|status| statuses.contains(status)),
+        "{statuses:?}"
+    );
+
+    let log = String::from_utf8(log.0.lock().expect("not poisoned").clone()).expect("UTF-8");
+    for caught in ["GET /v1/jobs 401", " DEBUG "] {
+        assert!(log.contains(caught), "the log was not caught: {caught} is not in {} bytes", log.len());
+    }
+    for secret in &secrets {
+        let hash = Digest::of(secret.as_bytes()).to_string();
+        // A part is as bad as the whole: what may be shown of a key are its first thirteen characters.
+        for part in [&secret[14..30], &hash[..16]] {
+            assert!(!log.contains(part), "the log shows a key or its hash");
+            for answer in &answers {
+                let shown = format!("{:?} {}", answer.headers, String::from_utf8_lossy(&answer.body));
+                assert!(!shown.contains(part), "an answer shows a key or its hash: {shown}");
+            }
+        }
+    }
 }

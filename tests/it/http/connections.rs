@@ -57,6 +57,7 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
         ("/v1/scenes".to_owned(), "application/zip"),
         ("/v1/scenes".to_owned(), "application/json"),
         (format!("{job}/views"), "application/json"),
+        ("/v1/keys".to_owned(), "application/json"),
         (format!("{job}/stream"), "application/json"),
         (format!("{job}/animation"), "application/json"),
     ] {
@@ -69,9 +70,10 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
             raw(&server, &format!("{head}Transfer-Encoding: chunked\r\n\r\nnot a length\r\n"), false).await;
         assert_eq!(check_raw(&server, "POST", &path, &broken), 400);
     }
-    for part in ["views", "stream", "animation"] {
+    let in_job = ["views", "stream", "animation"].map(|part| format!("{job}/{part}"));
+    for path in in_job.into_iter().chain(["/v1/keys".to_owned()]) {
         let long = json!({ "views": vec![json!({ "frame": "test/r_0" }); 50] });
-        server.post_json(&format!("{job}/{part}"), &long).await.expect_problem(413, "body-too-large");
+        server.post_json(&path, &long).await.expect_problem(413, "body-too-large");
     }
     server.upload("", "succeed").await.expect(201);
 }

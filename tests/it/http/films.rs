@@ -321,6 +321,19 @@ pub(super) async fn nothing_is_rendered_that_the_client_does_not_take(coverage: 
     drop(open);
 }
 
+pub(super) async fn films_are_shown_while_a_job_trains(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.succeeded().await;
+    let training = server.create("gate").await;
+    server.reaches(&training, "running").await;
+    let stream = server.get(&format!("{job}/stream?frames=4&fps=60")).await.expect(200);
+    assert_eq!(parts(&stream.body, stream.header("content-type")).len(), 4);
+    let file = server.get(&format!("{job}/animation?frames=3")).await.expect(200);
+    assert_eq!(frames_of(&file.body).len(), 3);
+    server.runner.gate.open();
+    server.reaches(&training, "succeeded").await;
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stream_ends_when_the_server_stops() {
     let mut server = Server::start(&Coverage::default()).await;

@@ -18,7 +18,6 @@ use crate::support::contract::Coverage;
 
 /// Statuses that no test can bring about, with the reason.
 const UNSEEN: &[(&str, &str, &str)] = &[
-    ("createJob", "507", "needs a full disk; the mapping has a unit test"),
     ("appendToUpload", "507", "needs a full disk; the mapping has a unit test"),
     ("retryJob", "408", "a body that dawdles is seen where it is long"),
 ];
@@ -61,6 +60,10 @@ scenarios! {
         no_operation_answers_without_the_right_key,
         the_first_key_closes_the_service_and_revoking_the_last_does_not_open_it,
         a_key_has_its_rate_and_an_address_a_few_failures,
+        keys_are_made_listed_and_revoked_by_administrators,
+        a_key_has_room_for_some_jobs_and_bytes,
+        what_is_anothers_is_not_there,
+        a_database_that_fails_lets_nobody_in,
     }
     connections {
         bodies_that_break_off_or_dawdle_are_given_up,
@@ -133,5 +136,6 @@ scenarios! {
         each_caller_has_its_share_and_all_together_a_limit,
         whoever_goes_away_is_not_rendered,
         nothing_is_rendered_that_the_client_does_not_take,
+        films_are_shown_while_a_job_trains,
     }
 }

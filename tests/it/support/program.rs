@@ -22,6 +22,10 @@ pub fn command() -> Command {
         "TCGS_HOST_MEMORY",
         "TCGS_GPU_MEMORY",
         "TCGS_VIEW_MEMORY",
+        "TCGS_WITHOUT_KEYS",
+        "TCGS_REQUESTS_PER_MINUTE",
+        "TCGS_MAX_BYTES",
+        "TCGS_MAX_ACTIVE_JOBS",
         "TCGS_SERVER",
         "TCGS_API_KEY",
     ];

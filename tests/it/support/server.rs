@@ -150,6 +150,7 @@ impl Server {
             store: Arc::clone(&store) as Arc<dyn Store>,
             blobs: blobs.clone(),
             clock,
+            entropy: Arc::new(SystemEntropy),
             check: Arc::new(fakes::check),
             load: Arc::new(fakes::load),
             renderer: Arc::new(renderer.clone()),
