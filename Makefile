@@ -12,7 +12,7 @@ PEERS ?= $(and $(wildcard scripts/peers.sh),$(shell command -v node),--peers scr
 # How long `make fuzz` gives each target.
 FUZZ_SECONDS ?= 600
 
-.PHONY: help setup build demo results test interop peers fuzz lint clean
+.PHONY: help setup build demo results test examples interop peers fuzz lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -31,6 +31,9 @@ results: build ## train every model on every set of DATA and rewrite docs/RESULT
 
 test: setup ## all tests
 	@$(CARGO) test --locked --no-fail-fast
+
+examples: setup ## run the documented session with curl and the client in Python against a service
+	@$(CARGO) test --locked --test it examples::
 
 interop: setup ## hold exports to splat-transform, which comes through npm
 	@scripts/splat_transform.sh --version

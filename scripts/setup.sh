@@ -45,6 +45,9 @@ install_basics() {
     command -v cc >/dev/null || missing+=(build-essential)
     command -v make >/dev/null || missing+=(make)
     command -v curl >/dev/null || missing+=(curl ca-certificates)
+    # For the documented sessions, which tests run.
+    command -v openssl >/dev/null || missing+=(openssl)
+    python3 -c 'import requests' 2>/dev/null || missing+=(python3 python3-requests)
     [ ${#missing[@]} -gt 0 ] || return 0
     need_apt "${missing[*]}"
     say "installing ${missing[*]}"

@@ -17,4 +17,5 @@ pub mod render;
 pub mod sample;
 pub mod store;
 pub mod train;
+pub mod webhooks;
 pub mod worker;

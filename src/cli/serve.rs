@@ -3,7 +3,7 @@
 use std::{net::SocketAddr, num::NonZeroU32, path::PathBuf};
 
 use tcgs::{
-    domain::{Bytes, KeyLimits},
+    domain::{Bytes, KeyLimits, OutboundPolicy},
     http::config::AccessRules,
 };
 
@@ -66,6 +66,10 @@ pub(crate) struct Args {
     #[command(flatten)]
     lpips: LpipsFlag,
 
+    /// Let webhooks be sent to this machine itself, also without TLS; for trying them out
+    #[arg(long, env = "TCGS_WEBHOOKS_ALLOW_LOOPBACK")]
+    webhooks_allow_loopback: bool,
+
     /// Worker processes to start; 0 if workers run elsewhere
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: u16,
@@ -92,6 +96,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
         workers: args.workers,
         memory: args.memory.limits(args.workers),
         view_memory: args.view_memory.0,
+        webhook_targets: OutboundPolicy { allow_loopback: args.webhooks_allow_loopback },
         log_format,
     })?;
     Ok(Report::default())

@@ -15,7 +15,11 @@ use super::{
     shape::Attribute,
     view,
 };
-use crate::domain::{AnchorScene, Digest, NearPlane, anchors::SCALINGS_PER_ANCHOR, context::ContextKind};
+use crate::domain::{
+    AnchorScene, Digest, NearPlane,
+    anchors::SCALINGS_PER_ANCHOR,
+    context::{ContextKind, NEIGHBOURS},
+};
 
 /// What a caller is willing to decode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,8 +78,25 @@ pub struct Decoded {
 /// # Errors
 /// [`DecodeError`] for bytes that are not exactly one undamaged file of a known version within `limits`.
 pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeError> {
+    decode_with(bytes, limits, None)
+}
+
+/// Neighbours of cells as the encoder found them. They follow from the cells alone, so whoever reads the same cells back
+/// need not search again.
+pub(super) struct KnownNeighbours<'a> {
+    pub(super) cells: &'a [[i32; 3]],
+    /// Of each cell.
+    pub(super) neighbours: Vec<[u32; NEIGHBOURS]>,
+}
+
+/// As [`decode`], without a search for neighbours that are known.
+pub(super) fn decode_with(
+    bytes: &[u8],
+    limits: &DecodeLimits,
+    known: Option<KnownNeighbours<'_>>,
+) -> Result<Decoded, DecodeError> {
     let _stage = tracing::debug_span!("decode").entered();
-    let Content { manifest, networks, symbols, near, .. } = read(bytes, limits)?;
+    let Content { manifest, networks, symbols, near, .. } = read_with(bytes, limits, known)?;
     let scene = AnchorScene { near, ..quantise::dequantise(symbols, &networks, &manifest) };
     let decode_sha256 = decode_digest(&scene);
     if decode_sha256 != manifest.decode_sha256 {
@@ -97,6 +118,14 @@ pub(super) struct Content {
 
 /// Reads everything, and does not yet make floats of it.
 pub(super) fn read(bytes: &[u8], limits: &DecodeLimits) -> Result<Content, DecodeError> {
+    read_with(bytes, limits, None)
+}
+
+fn read_with(
+    bytes: &[u8],
+    limits: &DecodeLimits,
+    known: Option<KnownNeighbours<'_>>,
+) -> Result<Content, DecodeError> {
     let stage = tracing::Span::current();
     within("file bytes", bytes.len() as u64, limits.max_file_bytes)?;
     let container = Container::parse(bytes)?;
@@ -134,7 +163,7 @@ pub(super) fn read(bytes: &[u8], limits: &DecodeLimits) -> Result<Content, Decod
             value: format!("{gaussians} where {} are stated", manifest.gaussians),
         });
     }
-    let (networks_of_groups, anchors) = context(&container, &manifest, &cells, limits)?;
+    let (networks_of_groups, anchors) = context(&container, &manifest, &cells, limits, known)?;
     let section = container.section(sections::ATTRIBUTES, "attributes")?.bytes;
     let mut layout = attributes::Layout::read(section, shape, manifest.chunk_anchors, manifest.kinds())?;
     let tables = std::mem::take(&mut layout.tables);
@@ -156,6 +185,7 @@ fn context(
     manifest: &Manifest,
     cells: &[[i32; 3]],
     limits: &DecodeLimits,
+    known: Option<KnownNeighbours<'_>>,
 ) -> Result<([Option<GroupModel>; 3], AnchorContext), DecodeError> {
     let kinds = manifest.kinds();
     let any = |wanted: fn(ContextKind) -> bool| kinds.iter().flatten().any(|kind| wanted(*kind));
@@ -187,7 +217,10 @@ fn context(
         anchors.sample(&planes.texels());
     }
     if neighbours {
-        anchors.find_neighbours(cells);
+        match known.filter(|known| known.cells == cells && known.neighbours.len() == cells.len()) {
+            Some(known) => anchors.set_neighbours(known.neighbours),
+            None => anchors.find_neighbours(cells),
+        }
     }
     Ok((networks.map(|network| network.map(GroupModel::Network)), anchors))
 }

@@ -2,7 +2,7 @@
 
 use super::{
     EncodeSettings, Encoded, attributes, container,
-    decode::{DecodeLimits, decode},
+    decode::{DecodeLimits, KnownNeighbours, decode_with},
     digest::decode_digest,
     error::EncodeError,
     inspect::inspect,
@@ -109,13 +109,15 @@ pub fn encode(
         groups: [features.0, scalings.0, offsets.0],
         steps: [features.1, scalings.1, offsets.1],
     };
-    manifest.decode_sha256 = decode_digest(&quantise::dequantise(symbols, &networks, &manifest));
+    let meant = quantise::dequantise(symbols, &networks, &manifest);
+    manifest.decode_sha256 = decode_digest(&meant);
     let mut content: Vec<_> = content.into_iter().flatten().collect();
     content.insert(0, (sections::MANIFEST, manifest.encode()));
     content.extend(view::encode(scene.near).map(|view| (sections::VIEW, view)));
     let bytes = container::write(&content, &[sections::VIEW]);
 
-    let decoded = decode(&bytes, &DecodeLimits::NONE).map_err(EncodeError::ReadBack)?;
+    let known = KnownNeighbours { cells: &meant.cells, neighbours: chosen.neighbours };
+    let decoded = decode_with(&bytes, &DecodeLimits::NONE, Some(known)).map_err(EncodeError::ReadBack)?;
     // The hash is of every value: what was read back is what was meant to be written.
     if decoded.decode_sha256 != manifest.decode_sha256 || decoded.scene.near != scene.near {
         return Err(EncodeError::Verification);

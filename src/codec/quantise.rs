@@ -70,12 +70,19 @@ impl Quantiser<'_> {
 /// The multiple of `step` nearest to `value`, ties to the even one: an absolute grid that contains zero
 /// (method.md §7, item 6).
 fn nearest(what: &'static str, index: usize, value: f32, step: f32) -> Result<i32, EncodeError> {
-    let quotient = (value / step).round_ties_even();
-    if quotient.abs() <= MAX_SYMBOL as f32 {
+    let quotient = round_ties_even(value / step);
+    if quotient.abs() <= f64::from(MAX_SYMBOL) {
         Ok(quotient as i32)
     } else {
         Err(EncodeError::OutOfRange { what, index, value, step })
     }
+}
+
+/// The nearest integer: in the doubles from 2^52 to 2^53 they are all there is. Processors without an instruction for it take ten
+/// times as long over the standard library's.
+fn round_ties_even(value: f32) -> f64 {
+    const INTEGERS: f64 = 1.5 * (1_u64 << 52) as f64;
+    (f64::from(value) + INTEGERS) - INTEGERS
 }
 
 /// The scene that the integers stand for: each value is its integer, exact in f32, times its anchor's step, which is its

@@ -22,7 +22,7 @@ use super::{
 };
 use crate::domain::{
     AnchorScene, AttributeGroup, ContextCandidates, ContextFrame, Mlp,
-    context::{ContextKind, GroupNetworks},
+    context::{ContextKind, GroupNetworks, NEIGHBOURS},
 };
 
 /// Bits of a weight that are tried.
@@ -56,6 +56,8 @@ pub(super) struct Chosen {
     pub(super) context: Option<Vec<u8>>,
     /// The planes section, where a network samples planes.
     pub(super) planes: Option<Vec<u8>>,
+    /// Of each anchor, where a candidate asked for them.
+    pub(super) neighbours: Vec<[u32; NEIGHBOURS]>,
 }
 
 /// Codes the groups as `settings` ask.
@@ -353,7 +355,7 @@ impl<'a> Search<'a> {
     }
 
     /// Takes the cheapest of each group.
-    fn finish(&self, planes: Option<(usize, Vec<u8>)>, tried: [Vec<Tried>; 3], scope: Scope) -> Chosen {
+    fn finish(&mut self, planes: Option<(usize, Vec<u8>)>, tried: [Vec<Tried>; 3], scope: Scope) -> Chosen {
         let chosen = tried.map(|tried| {
             let mut costs = GroupCosts::default();
             for tried in &tried {
@@ -378,7 +380,8 @@ impl<'a> Search<'a> {
         let networks = std::array::from_fn(|group: usize| groups[group].network());
         let context =
             kinds.iter().any(Option::is_some).then(|| section::encode(&self.candidates.frame, networks));
-        Chosen { choice, contexts, context, planes: section, groups }
+        let neighbours = self.context.take_neighbours();
+        Chosen { choice, contexts, context, planes: section, groups, neighbours }
     }
 }
 

@@ -4,6 +4,24 @@ use axum::http::{HeaderMap, header};
 
 /// Whether the `Accept` header, if there is one, lets `media_type` through.
 pub(super) fn accepts(headers: &HeaderMap, media_type: &str) -> bool {
+    weigh(headers, media_type).quality > 0.0
+}
+
+/// Whether the `Accept` header would rather have `media_type` than `other`: by its weight, then because it names it.
+pub(super) fn prefers(headers: &HeaderMap, media_type: &str, other: &str) -> bool {
+    let (this, other) = (weigh(headers, media_type), weigh(headers, other));
+    this.quality > 0.0 && this > other
+}
+
+/// What the header says of a media type; the order is that of preference.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+struct Weight {
+    quality: f32,
+    /// How closely it was named: 3 by itself, 2 by its kind, 1 with everything, 0 not at all.
+    specificity: u8,
+}
+
+fn weigh(headers: &HeaderMap, media_type: &str) -> Weight {
     let mut ranges = headers
         .get_all(header::ACCEPT)
         .iter()
@@ -13,11 +31,11 @@ pub(super) fn accepts(headers: &HeaderMap, media_type: &str) -> bool {
         .filter(|range| !range.is_empty())
         .peekable();
     if ranges.peek().is_none() {
-        return true;
+        return Weight { quality: 1.0, specificity: 0 };
     }
     let kind = media_type.split('/').next().unwrap_or_default();
     // The most specific range that matches decides.
-    let mut best: Option<(u8, bool)> = None;
+    let mut best = Weight { quality: 0.0, specificity: 0 };
     for range in ranges {
         let mut parts = range.split(';').map(str::trim);
         let name = parts.next().unwrap_or_default().to_ascii_lowercase();
@@ -27,15 +45,13 @@ pub(super) fn accepts(headers: &HeaderMap, media_type: &str) -> bool {
             "*/*" => 1,
             _ => continue,
         };
-        let refused = parts.any(|part| {
-            let weight = part.strip_prefix("q=").or_else(|| part.strip_prefix("Q="));
-            weight.is_some_and(|weight| weight.parse::<f32>().is_ok_and(|weight| weight <= 0.0))
-        });
-        if best.is_none_or(|(known, _)| specificity > known) {
-            best = Some((specificity, !refused));
+        let weight = parts.find_map(|part| part.strip_prefix("q=").or_else(|| part.strip_prefix("Q=")));
+        let quality = weight.and_then(|weight| weight.parse().ok()).filter(|weight: &f32| weight.is_finite());
+        if specificity > best.specificity {
+            best = Weight { quality: quality.unwrap_or(1.0), specificity };
         }
     }
-    best.is_some_and(|(_, accepted)| accepted)
+    best
 }
 
 #[cfg(test)]
@@ -57,6 +73,36 @@ mod tests {
         }
         for no in ["text/event-stream", "text/*", "application/json;q=0", "*/*, application/json; q=0.0"] {
             assert!(!accept(no), "{no}");
+        }
+    }
+
+    #[test]
+    fn what_is_weighed_more_or_named_is_preferred() {
+        let prefers = |value: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::ACCEPT, HeaderValue::from_static(value));
+            prefers(&headers, "text/event-stream", "application/json")
+        };
+        for yes in [
+            "text/event-stream",
+            "text/*",
+            "text/event-stream, */*",
+            "*/*, text/event-stream",
+            "text/event-stream, application/json;q=0.9",
+        ] {
+            assert!(prefers(yes), "{yes}");
+        }
+        for no in [
+            "",
+            "*/*",
+            "application/json",
+            "application/json, text/event-stream",
+            "application/json, text/event-stream;q=0.5",
+            "application/json, */*",
+            "text/event-stream;q=0",
+            "image/png",
+        ] {
+            assert!(!prefers(no), "{no}");
         }
     }
 }

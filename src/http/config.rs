@@ -8,6 +8,8 @@ use std::{
 
 use thiserror::Error;
 
+use crate::domain::OutboundPolicy;
+
 /// The server's settings.
 #[derive(Debug, Clone)]
 pub struct HttpConfig {
@@ -144,6 +146,16 @@ pub struct RequestLimits {
     pub overdue_every: Duration,
     /// Requests that may wait for a job at a time; one more is answered at once.
     pub waits: usize,
+    /// Streams of events at a time.
+    pub event_streams: usize,
+    /// Streams of events of one key at a time.
+    pub event_streams_each: usize,
+    /// Longest silence on a stream of events.
+    pub keep_alive: Duration,
+    /// Webhook endpoints of one key.
+    pub webhook_endpoints: u32,
+    /// Where webhook endpoints may be.
+    pub webhook_targets: OutboundPolicy,
 }
 
 impl Default for RequestLimits {
@@ -171,6 +183,11 @@ impl Default for RequestLimits {
             watch_every: Duration::from_millis(250),
             overdue_every: Duration::from_secs(1),
             waits: 128,
+            event_streams: 256,
+            event_streams_each: 128,
+            keep_alive: Duration::from_secs(15),
+            webhook_endpoints: 10,
+            webhook_targets: OutboundPolicy::default(),
         }
     }
 }

@@ -52,6 +52,7 @@ struct Links {
     #[serde(rename = "self")]
     this: String,
     events: String,
+    series: String,
     cancel: String,
     retry: String,
     artifact: String,
@@ -104,6 +105,7 @@ impl From<JobRecord> for JobBody {
             finished_at: job.finished_at,
             links: Links {
                 events: format!("{this}/events"),
+                series: format!("{this}/series"),
                 cancel: format!("{this}/cancel"),
                 retry: format!("{this}/retry"),
                 artifact,

@@ -17,6 +17,7 @@ mod content_digest;
 mod create_job;
 mod create_scene;
 mod etag;
+mod event_stream;
 mod events;
 mod health;
 mod idempotency;
@@ -36,14 +37,17 @@ mod report;
 mod scene_body;
 mod scenes;
 mod scopes;
+mod series;
 mod serve;
 mod state;
+mod stream_places;
 mod throttle;
 mod tus;
 mod upload_part;
 mod uploads;
 mod views;
 mod watch;
+mod webhooks;
 mod wrap;
 
 use axum::{
@@ -69,6 +73,7 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/jobs/{id}/cancel", post(job_actions::cancel))
         .route("/v1/jobs/{id}/retry", post(job_actions::retry))
         .route("/v1/jobs/{id}/events", get(events::list))
+        .route("/v1/jobs/{id}/series", get(series::get))
         .route("/v1/jobs/{id}/artifact", get(artifact::get))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
@@ -81,6 +86,10 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/scenes", get(scenes::list).post(create_scene::create))
         .route("/v1/scenes/{id}", get(scenes::get).delete(scenes::delete))
         .merge(uploads)
+        .route("/v1/webhook-endpoints", get(webhooks::list).post(webhooks::create))
+        .route("/v1/webhook-endpoints/{id}", get(webhooks::get).delete(webhooks::delete))
+        .route("/v1/webhook-endpoints/{id}/deliveries", get(webhooks::deliveries))
+        .route("/v1/webhook-endpoints/{id}/deliveries/{delivery}/replay", post(webhooks::replay))
         .route("/v1/keys", get(keys::list).post(keys::create))
         .route("/v1/keys/{id}", get(keys::get).delete(keys::revoke))
         .route("/healthz", get(health::healthz))

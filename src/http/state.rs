@@ -6,8 +6,8 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::{
-    auth::Lock, config::RequestLimits, idempotency::InFlight, throttle::Throttle, views::Studio,
-    watch::Watcher,
+    auth::Lock, config::RequestLimits, idempotency::InFlight, stream_places::StreamPlaces,
+    throttle::Throttle, views::Studio, watch::Watcher,
 };
 use crate::{
     domain::{Clock, DatasetSummary, Entropy, JobId, Problem},
@@ -71,6 +71,7 @@ struct Inner {
     watcher: Watcher,
     in_flight: Arc<InFlight>,
     waits: Semaphore,
+    stream_places: StreamPlaces,
     draining: CancellationToken,
     lock: Lock,
     throttle: Throttle,
@@ -91,6 +92,7 @@ impl AppState {
         let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
         let waits = Semaphore::new(limits.waits);
         let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
+        let stream_places = StreamPlaces::new(limits.event_streams, limits.event_streams_each);
         Self(Arc::new(Inner {
             services,
             limits,
@@ -99,6 +101,7 @@ impl AppState {
             watcher,
             in_flight: Arc::default(),
             waits,
+            stream_places,
             draining,
             lock: Lock::default(),
             throttle,
@@ -155,6 +158,10 @@ impl AppState {
     /// Cancelled once the server shuts down: what waits for something should then answer at once.
     pub(super) fn draining(&self) -> &CancellationToken {
         &self.0.draining
+    }
+
+    pub(super) fn stream_places(&self) -> &StreamPlaces {
+        &self.0.stream_places
     }
 
     pub(super) fn is_draining(&self) -> bool {

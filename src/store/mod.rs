@@ -8,6 +8,7 @@
 //!   was given. If the job has moved on, nothing is written and the worker learns [`StoreError::LeaseLost`].
 //! - **Events** of a job are numbered from 1 without gaps, and each is written in the transaction of the change
 //!   that it records.
+//! - **Outbox**: what webhook endpoints are to be told of a job is written in the transaction of its change of state.
 //! - **Cancel against completion**: whichever transaction commits first decides. A job whose cancellation was
 //!   accepted while it ran never becomes `succeeded`.
 
@@ -20,9 +21,11 @@ mod keys;
 mod policy;
 mod records;
 mod scenes;
+mod series;
 mod sqlite;
 mod uploads;
 mod verdict;
+mod webhooks;
 
 use futures_util::future::BoxFuture;
 
@@ -37,8 +40,13 @@ pub use records::{
     JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, Repeat, Repetition, SceneArtifact,
 };
 pub use scenes::{NewScene, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes};
+pub use series::Series;
 pub use sqlite::SqliteStore;
 pub use uploads::{NewUpload, UploadRecord, Uploads};
+pub use webhooks::{
+    AfterAttempt, DeliveryRecord, DeliveryState, DueDelivery, EndpointRecord, NewEndpoint, Replay, Settled,
+    Webhooks,
+};
 
 use crate::domain::{Event, JobId, JobState, Phase, Progress};
 
@@ -46,7 +54,9 @@ use crate::domain::{Event, JobId, JobState, Phase, Progress};
 pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
-pub trait Store: Accounts + Idempotency + Keys + Scenes + Uploads + Send + Sync + 'static {
+pub trait Store:
+    Accounts + Idempotency + Keys + Scenes + Series + Uploads + Webhooks + Send + Sync + 'static
+{
     /// Adds a job in state `queued`, together with its dataset's blob row, its first event and what its request's
     /// `Idempotency-Key` is to be remembered by; [`StoreError::AlreadyMade`] if that key was used before.
     fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord>;

@@ -408,7 +408,7 @@ impl Learner for AnchorLearner {
         self.schedule.densifies(step.number) || self.settles_masks(step.number) || turns
     }
 
-    fn adapt(&mut self, step: &Step, rng: &mut Pcg64) -> Result<(), TrainError> {
+    fn adapt(&mut self, step: &Step, rng: &mut Pcg64, cancel: &CancelFlag) -> Result<(), TrainError> {
         if self.schedule.densifies(step.number) {
             self.densify(step.number, rng)?;
         }
@@ -418,7 +418,7 @@ impl Learner for AnchorLearner {
         if self.compression.as_ref().is_some_and(|compression| compression.turns_after(step.number)) {
             let (state, _) = self.read()?;
             if let Some(compression) = &mut self.compression {
-                compression.turn(step.number, &self.adam, &state.anchors, &self.device)?;
+                compression.turn(step.number, &self.adam, &state.anchors, &self.device, cancel)?;
             }
         }
         Ok(())
@@ -481,7 +481,9 @@ impl Learner for AnchorLearner {
             return Err(TrainError::NothingLeft { step: self.schedule.steps });
         }
         let context = match self.compression {
-            Some(compression) => compression.finish(&self.adam, &before, &mut self.anchors, &networks)?,
+            Some(compression) => {
+                compression.finish(&self.adam, &before, &mut self.anchors, &networks, cancel)?
+            }
             None => None,
         };
         let scene = self.anchors.to_scene(self.layout.to_networks(&networks));

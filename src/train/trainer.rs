@@ -321,7 +321,7 @@ impl<'a> Run<'a> {
                 keeper.keep(self);
                 return Err(TrainError::Cancelled);
             }
-            self.advance(&mut |step| step == last || keeper.wants(step))?;
+            self.advance(&mut |step| step == last || keeper.wants(step), cancel)?;
             let step = self.state.step;
             if step.is_multiple_of(REPORT_EVERY) || step == self.steps {
                 let sums = self.sums()?;
@@ -354,7 +354,11 @@ impl<'a> Run<'a> {
     ///
     /// Nothing is read back in between. If a pass found no room for its intersections, it and those after it changed
     /// nothing; they are done again with more. Returns how many were recorded, with those that were void.
-    fn advance(&mut self, wanted: &mut dyn FnMut(u32) -> bool) -> Result<u32, TrainError> {
+    fn advance(
+        &mut self,
+        wanted: &mut dyn FnMut(u32) -> bool,
+        cancel: &CancelFlag,
+    ) -> Result<u32, TrainError> {
         let began = Instant::now();
         let most = self.batch.length();
         let mut before = Vec::new();
@@ -383,7 +387,7 @@ impl<'a> Run<'a> {
         };
         self.batch.learn(recorded, began.elapsed().as_secs_f64());
         if self.learner.adapts(&last) {
-            self.learner.adapt(&last, &mut self.state.rng)?;
+            self.learner.adapt(&last, &mut self.state.rng, cancel)?;
         }
         Ok(recorded)
     }

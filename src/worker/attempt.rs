@@ -17,6 +17,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{
     WorkerConfig, WorkerError, checkpoints,
+    points::Points,
     run::{Checkpoints, JobFailure, JobOutput, RunJob},
 };
 use crate::{
@@ -72,9 +73,10 @@ pub(super) async fn carry_out(context: &Context, claim: Claim, shutdown: &Cancel
     };
     let cancel = CancelFlag::default();
     let (progress, watched) = watch::channel((Phase::Ingest, Progress::default()));
+    let points = Points::default();
     let checkpoints = checkpoints::of_job(context.config.checkpoints.as_deref(), lease.job, adopts);
     let run = Run { dataset, options, checkpoints, cancel: cancel.clone() };
-    let result = match start(context, &lease, run, progress) {
+    let result = match start(context, &lease, run, progress, points.clone()) {
         Ok(result) => result,
         Err(error) => {
             settle(context, &lease, Outcome::Retry(no_thread(&error)), Instant::now()).await;
@@ -86,6 +88,7 @@ pub(super) async fn carry_out(context: &Context, claim: Claim, shutdown: &Cancel
         lease: &lease,
         cancel,
         progress: watched,
+        points,
         stop: Stop::No,
         renewed: Instant::now(),
         moved: Instant::now(),
@@ -128,11 +131,13 @@ fn start(
     lease: &Lease,
     run: Run,
     progress: watch::Sender<(Phase, Progress)>,
+    points: Points,
 ) -> std::io::Result<oneshot::Receiver<RunResult>> {
     let runner = Arc::clone(&context.runner);
     let (send, receive) = oneshot::channel();
     std::thread::Builder::new().name(format!("job-{}", lease.job)).spawn(move || {
         let mut report = |phase: Phase, state: &Progress| {
+            points.add(phase, state);
             progress.send_replace((phase, state.clone()));
         };
         let Run { dataset, options, checkpoints, cancel } = run;
@@ -157,6 +162,7 @@ struct Watch<'a> {
     lease: &'a Lease,
     cancel: CancelFlag,
     progress: watch::Receiver<(Phase, Progress)>,
+    points: Points,
     stop: Stop,
     renewed: Instant,
     moved: Instant,
@@ -236,8 +242,21 @@ impl Watch<'_> {
         }
         let (phase, progress) = self.progress.borrow_and_update().clone();
         self.moved = Instant::now();
+        // Points first: whoever sees the job's new version sees them too.
+        self.pass_points_on().await;
         if let Err(error) = self.context.store.report(self.lease, phase, &progress).await {
             self.store_failed("report", &error);
+        }
+    }
+
+    async fn pass_points_on(&mut self) {
+        let points = self.points.take();
+        if points.is_empty() {
+            return;
+        }
+        if let Err(error) = self.context.store.record(self.lease, &points).await {
+            self.points.put_back(points);
+            self.store_failed("points", &error);
         }
     }
 

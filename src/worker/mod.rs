@@ -16,6 +16,7 @@ mod curve;
 mod fit_bytes;
 mod held_out;
 pub mod pipeline;
+mod points;
 pub mod run;
 pub mod scene_file;
 mod steps;

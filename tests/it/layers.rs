@@ -21,6 +21,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("train", &["domain", "gpu", "codec", "model", "render", "eval"]),
     ("worker", &["domain", "ingest", "gpu", "codec", "export", "store", "model", "render", "eval", "train"]),
     ("https", &[]),
+    ("webhooks", &["domain", "store", "https"]),
     ("http", &["domain", "codec", "store", "render"]),
 ];
 
@@ -31,6 +32,8 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("hyper_util", &["http"]),
     ("tower", &["http"]),
     ("tower_http", &["http"]),
+    ("hmac", &["webhooks"]),
+    ("reqwest", &["https", "webhooks", "cli"]),
     ("rustls", &["https"]),
     ("governor", &["http"]),
     ("secrecy", &["domain"]),
@@ -50,7 +53,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
 ];
 
 /// `tokio` is for the layers that wait on the network, files or processes.
-const TOKIO: &[&str] = &["store", "worker", "http", "cli", "main"];
+const TOKIO: &[&str] = &["store", "worker", "webhooks", "http", "cli", "main"];
 
 fn sources(folder: &Path, into: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).expect("src is readable") {

@@ -18,6 +18,7 @@ mod layers;
 mod loss;
 mod lpips;
 mod memory;
+mod migrations;
 mod neural;
 mod plain;
 mod primitives;

@@ -10,10 +10,11 @@ use std::{
     net::SocketAddr,
     path::{Path, PathBuf},
     sync::Arc,
+    time::Duration,
 };
 
 use tcgs::{
-    domain::{KeyLimits, MemoryLimits, Problem, SystemClock, SystemEntropy},
+    domain::{KeyLimits, MemoryLimits, OutboundPolicy, Problem, SystemClock, SystemEntropy},
     gpu::{AdapterChoice, driver_cache},
     http::{
         self, HttpConfig, Services, WorkerCounts,
@@ -25,6 +26,7 @@ use tcgs::{
         Blobs, Keys as _, QueuePolicy, SqliteStore,
         housekeeping::{HousekeepingPolicy, keep_house},
     },
+    webhooks::{self, DeliveryConfig, Sender},
     worker::{self, WorkerConfig, scene_file, supervise},
 };
 use tokio::runtime::Runtime;
@@ -40,6 +42,9 @@ const CHECKPOINTS: &str = "checkpoints";
 
 /// Name of the folder in the data folder for what drivers keep of kernels, where their user has no home.
 const DRIVER_CACHE: &str = "driver-cache";
+
+/// How long an endpoint may take to answer a webhook.
+const WEBHOOK_TIMEOUT: Duration = Duration::from_secs(15);
 
 /// Where a service listens and keeps its data.
 #[derive(Debug, Clone)]
@@ -59,6 +64,8 @@ pub(crate) struct ServeOptions {
     pub(crate) lpips: Option<PathBuf>,
     /// Worker processes to start.
     pub(crate) workers: u16,
+    /// Where webhooks may be sent.
+    pub(crate) webhook_targets: OutboundPolicy,
     /// How this process logs, and so its workers.
     pub(crate) log_format: Format,
 }
@@ -78,7 +85,11 @@ pub(crate) struct WorkerOptions {
 
 /// Runs the service until a signal comes.
 pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
-    let limits = RequestLimits { access: options.access.clone(), ..RequestLimits::default() };
+    let limits = RequestLimits {
+        access: options.access.clone(),
+        webhook_targets: options.webhook_targets,
+        ..RequestLimits::default()
+    };
     let config = HttpConfig { listen: options.listen, limits, ..HttpConfig::default() };
     runtime()?.block_on(async {
         let has_keys = has_keys(&options.data).await?;
@@ -106,6 +117,14 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
             shutdown.clone(),
         ));
         let checkpoints = options.data.join(CHECKPOINTS);
+        let sender = Sender::new(options.webhook_targets, webhooks::system_lookup(), WEBHOOK_TIMEOUT)
+            .map_err(|fault| unavailable(&*fault))?;
+        let delivering = tokio::spawn(webhooks::deliver(
+            store.clone(),
+            sender,
+            DeliveryConfig::default(),
+            shutdown.clone(),
+        ));
         let services = Services {
             store: store.clone(),
             blobs,
@@ -129,6 +148,9 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
         supervisor.stopped().await;
         if let Err(fault) = housekeeping.await {
             tracing::warn!(%fault, "clearing away ended early");
+        }
+        if let Err(fault) = delivering.await {
+            tracing::warn!(%fault, "the delivery of webhooks ended early");
         }
         store.close().await;
         Ok(())

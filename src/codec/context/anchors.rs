@@ -36,6 +36,16 @@ impl AnchorContext {
         self.neighbours = neighbours(cells);
     }
 
+    /// Takes over what [`Self::find_neighbours`] would find.
+    pub(in crate::codec) fn set_neighbours(&mut self, neighbours: Vec<[u32; NEIGHBOURS]>) {
+        self.neighbours = neighbours;
+    }
+
+    /// The neighbours that were found, which stay behind empty.
+    pub(in crate::codec) fn take_neighbours(&mut self) -> Vec<[u32; NEIGHBOURS]> {
+        std::mem::take(&mut self.neighbours)
+    }
+
     /// Whether they were found.
     pub(in crate::codec) fn has_neighbours(&self) -> bool {
         !self.neighbours.is_empty()

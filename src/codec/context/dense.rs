@@ -9,6 +9,8 @@
 //! and no i32 overflows: inputs are at most 2^14 - 1 in magnitude, weights at most 127, inputs at most 512, so that the sum
 //! is at most 127 x 16383 x 512 = 1 065 288 192 < 2^30; half is at most 2^14, the bias at most 2^24.
 
+use pulp::{Arch, Simd, WithSimd};
+
 use crate::{
     codec::{
         bytes::{Reader, Writer},
@@ -73,11 +75,47 @@ pub(in crate::codec) fn padded(width: usize) -> usize {
 }
 
 /// The sum of products of two padded rows. By the module's proof it fits.
+#[inline(always)]
 pub(in crate::codec) fn dot(a: &[i16], b: &[i16]) -> i32 {
-    a.iter().zip(b).map(|(a, b)| i32::from(*a) * i32::from(*b)).sum()
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<{ 4 * LANES }>(), b.as_chunks());
+    let mut sum = 0;
+    for (a, b) in a.iter().zip(b) {
+        sum += products(a, b);
+    }
+    for (a, b) in a_rest.as_chunks::<LANES>().0.iter().zip(b_rest.as_chunks().0) {
+        sum += products(a, b);
+    }
+    sum
+}
+
+/// With the length known, compilers use the instruction that multiplies and adds pairs, and add up lanes once.
+#[inline(always)]
+fn products<const N: usize>(a: &[i16; N], b: &[i16; N]) -> i32 {
+    let mut sum = 0;
+    for lane in 0..N {
+        sum += i32::from(a[lane]) * i32::from(b[lane]);
+    }
+    sum
+}
+
+/// A network's pass over one anchor, to be compiled for each kind of vectors that processors have.
+struct Forward<'a> {
+    network: &'a IntegerMlp,
+    activations: &'a mut Activations,
+    outputs: &'a mut Vec<i32>,
+}
+
+impl WithSimd for Forward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        self.network.forward(self.activations, self.outputs);
+    }
 }
 
 /// A sum of products as an activation: rounded to 2^-8, and the bias added.
+#[inline(always)]
 pub(in crate::codec) fn shifted(sum: i32, shift: u8, bias: i32) -> i32 {
     let half = (1_i32 << shift) >> 1;
     ((sum + half) >> shift) + bias
@@ -138,16 +176,20 @@ impl IntegerLayer {
         }
     }
 
+    #[inline(always)]
     fn row(&self, row: usize, input: &[i16]) -> i32 {
         let stride = padded(self.inputs);
         let sum = dot(&self.weights[row * stride..(row + 1) * stride], &input[..stride]);
         shifted(sum, self.shifts[row], self.bias[row])
     }
 
+    #[inline(always)]
     fn hidden(&self, input: &[i16], output: &mut Vec<i16>) {
         output.clear();
-        output.extend((0..self.outputs()).map(|row| self.row(row, input).clamp(0, MAX_ACTIVATION) as i16));
         output.resize(padded(self.outputs()), 0);
+        for (row, output) in output[..self.outputs()].iter_mut().enumerate() {
+            *output = self.row(row, input).clamp(0, MAX_ACTIVATION) as i16;
+        }
     }
 }
 
@@ -179,14 +221,21 @@ impl IntegerMlp {
 
     /// Outputs in 2^-8 for `activations.input`, which is padded; the input is lost.
     pub(in crate::codec) fn outputs(&self, activations: &mut Activations, outputs: &mut Vec<i32>) {
+        // The same integers whatever the machine's vectors are; wider ones are only faster.
+        Arch::new().dispatch(Forward { network: self, activations, outputs });
+    }
+
+    #[inline(always)]
+    fn forward(&self, activations: &mut Activations, outputs: &mut Vec<i32>) {
         let last = self.hidden(activations);
-        outputs.clear();
-        outputs.extend(
-            (0..last.outputs()).map(|row| last.row(row, &activations.input).clamp(-MAX_OUTPUT, MAX_OUTPUT)),
-        );
+        outputs.resize(last.outputs(), 0);
+        for (row, output) in outputs.iter_mut().enumerate() {
+            *output = last.row(row, &activations.input).clamp(-MAX_OUTPUT, MAX_OUTPUT);
+        }
     }
 
     /// Runs all layers but the last, which is returned; its input is `activations.input`.
+    #[inline(always)]
     fn hidden(&self, activations: &mut Activations) -> &IntegerLayer {
         let (last, before) = self.layers.split_last().expect("a network has a layer");
         for layer in before {

@@ -42,6 +42,8 @@ impl Page {
                 head {
                     meta charset="utf-8";
                     meta name="viewport" content="width=device-width, initial-scale=1";
+                    // Or browsers would ask the service for one.
+                    link rel="icon" href="data:,";
                     @if !job.state.is_terminal() { meta http-equiv="refresh" content=(REFRESH_SECONDS); }
                     title { "tcgs job " (job.id) }
                     style { (PreEscaped(STYLE)) }

@@ -4,9 +4,12 @@ use jiff::Timestamp;
 use serde_json::Value;
 use sqlx::{Row as _, SqliteConnection};
 
-use super::rows::{json, micros, name};
+use super::{
+    rows::{json, micros, name},
+    webhooks,
+};
 use crate::{
-    domain::{EventKind, JobId},
+    domain::{EventKind, JobId, JobState},
     store::StoreError,
 };
 
@@ -31,7 +34,19 @@ pub(super) async fn append(
         .bind(name(&kind)?)
         .bind(attempt)
         .bind(json(data)?)
-        .execute(connection)
+        .execute(&mut *connection)
         .await?;
+    // Here and not at each change, so that no change can forget it.
+    if let Some(state) = entered(kind, data) {
+        webhooks::tell(connection, job, state, attempt, u64::try_from(seq).unwrap_or(0), now).await?;
+    }
     Ok(())
+}
+
+/// The state that an event says the job has entered.
+fn entered(kind: EventKind, data: &Value) -> Option<JobState> {
+    if kind != EventKind::State || data.get("cancel_requested").is_some() {
+        return None;
+    }
+    data.get("state")?.as_str()?.parse().ok()
 }

@@ -13,7 +13,9 @@ mod lifecycle;
 mod queue;
 mod rows;
 mod scenes;
+mod series;
 mod uploads;
+mod webhooks;
 
 use std::{path::Path, sync::Arc, time::Duration};
 

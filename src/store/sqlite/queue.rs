@@ -20,7 +20,7 @@ use crate::{
     },
 };
 
-fn after(now: Timestamp, delay: Duration) -> Timestamp {
+pub(super) fn after(now: Timestamp, delay: Duration) -> Timestamp {
     SignedDuration::try_from(delay)
         .ok()
         .and_then(|delay| now.checked_add(delay).ok())
@@ -138,7 +138,7 @@ pub(super) async fn cancel(
     Ok(Some(if was_queued { Cancellation::Done(record) } else { Cancellation::Requested(record) }))
 }
 
-fn lease_lost(lease: &Lease) -> StoreError {
+pub(super) fn lease_lost(lease: &Lease) -> StoreError {
     StoreError::LeaseLost { job: lease.job, attempt: lease.attempt }
 }
 

@@ -7,15 +7,22 @@ use serde::{Serialize, de::DeserializeOwned};
 use sqlx::{Row as _, sqlite::SqliteRow};
 
 use crate::{
-    domain::{Digest, Event, EventKind, Job, JobId, JobState},
+    domain::{
+        Digest, EndpointId, Event, EventKind, Job, JobId, JobState, SeriesPoint, WebhookEvent, WebhookSecret,
+    },
     store::{
-        Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, JobRecord, Remembered, StoreError,
-        verdict::Standing,
+        Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, DeliveryRecord, DeliveryState,
+        DueDelivery, EndpointRecord, JobRecord, Remembered, StoreError, verdict::Standing,
     },
 };
 
 pub(super) fn micros(at: Timestamp) -> i64 {
     at.as_microsecond()
+}
+
+/// A count as a column holds it.
+pub(super) fn signed(count: u64) -> i64 {
+    i64::try_from(count).unwrap_or(i64::MAX)
 }
 
 /// The instant `delay` before `now`.
@@ -205,5 +212,75 @@ pub(super) fn standing(row: &SqliteRow, now: Timestamp) -> Result<Standing, Stor
         max_attempts: unsigned(row, "max_attempts")?,
         silent_deaths: unsigned(row, "silent_deaths")?,
         cancel_requested: row.try_get::<Option<i64>, _>("cancel_requested_at")?.is_some(),
+    })
+}
+
+/// A row of `series`.
+pub(super) fn point(row: &SqliteRow) -> Result<SeriesPoint, StoreError> {
+    Ok(SeriesPoint {
+        attempt: unsigned(row, "attempt")?,
+        step: unsigned(row, "step")?,
+        seconds: row.try_get("seconds")?,
+        loss: row.try_get("loss")?,
+        psnr: row.try_get("psnr")?,
+        anchors: unsigned(row, "anchors")?,
+        gaussians: unsigned(row, "gaussians")?,
+        bytes: optional_unsigned(row, "bytes")?,
+    })
+}
+
+pub(super) fn endpoint_id(row: &SqliteRow) -> Result<EndpointId, StoreError> {
+    parsed("id", row.try_get("id")?)
+}
+
+/// A row of `webhook_endpoints`.
+pub(super) fn endpoint(row: &SqliteRow) -> Result<EndpointRecord, StoreError> {
+    let names: Vec<String> = document("events", row.try_get("events")?)?;
+    let events: Result<Vec<WebhookEvent>, StoreError> =
+        names.iter().map(|name| parsed("events", name)).collect();
+    Ok(EndpointRecord {
+        id: endpoint_id(row)?,
+        owner: optional_id(row, "owner")?,
+        url: row.try_get("url")?,
+        events: events?,
+        description: row.try_get("description")?,
+        created_at: instant("created_at", row.try_get("created_at")?)?,
+        disabled_at: optional_instant(row, "disabled_at")?,
+    })
+}
+
+/// A row of `webhook_deliveries`.
+pub(super) fn delivery(row: &SqliteRow) -> Result<DeliveryRecord, StoreError> {
+    let state: String = row.try_get("state")?;
+    let state = DeliveryState::ALL
+        .into_iter()
+        .find(|known| known.name() == state)
+        .ok_or_else(|| corrupt("state")(format!("'{state}'")))?;
+    Ok(DeliveryRecord {
+        seq: unsigned(row, "seq")?,
+        id: parsed("id", row.try_get("id")?)?,
+        job: parsed("job", row.try_get("job")?)?,
+        event: parsed("event", row.try_get("event")?)?,
+        state,
+        attempts: unsigned(row, "attempts")?,
+        due_at: optional_instant(row, "due_at")?,
+        created_at: instant("created_at", row.try_get("created_at")?)?,
+        attempted_at: optional_instant(row, "attempted_at")?,
+        delivered_at: optional_instant(row, "delivered_at")?,
+        answer_status: optional_unsigned(row, "answer_status")?,
+        answer_fault: row.try_get("answer_fault")?,
+    })
+}
+
+/// A delivery with its endpoint's address and secret.
+pub(super) fn due_delivery(row: &SqliteRow, at: Timestamp) -> Result<DueDelivery, StoreError> {
+    Ok(DueDelivery {
+        id: parsed("id", row.try_get("id")?)?,
+        attempt: unsigned(row, "attempts")?,
+        tries: unsigned(row, "tries")?,
+        url: row.try_get("url")?,
+        secret: WebhookSecret::stored(row.try_get("secret")?),
+        body: row.try_get("body")?,
+        at,
     })
 }

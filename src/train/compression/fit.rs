@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     domain::{
-        AttributeGroup, ContextCandidates, ContextKind, PlaneContext,
+        AttributeGroup, CancelFlag, ContextCandidates, ContextKind, PlaneContext,
         context::{GroupNetworks, STEP_OCTAVES},
     },
     gpu::{Buffer, Recorder},
@@ -70,6 +70,7 @@ struct Fitter<'a> {
     d_rows: Buffer<f32>,
     steps: u32,
     sampled: f64,
+    cancel: &'a CancelFlag,
 }
 
 impl Compression {
@@ -79,6 +80,7 @@ impl Compression {
         adam: &Adam,
         anchors: &DeviceAnchors,
         cells: &[[i32; 3]],
+        cancel: &CancelFlag,
     ) -> Result<Option<ContextNet>, TrainError> {
         let (Some(quantising), Some(modelling)) = (&self.quantising, &self.modelling) else {
             return Ok(None);
@@ -103,6 +105,7 @@ impl Compression {
             d_rows: context.buffer("unused gradients of rows", anchors.rows.len())?,
             steps: steps.clamp(LEAST_STEPS, MOST_STEPS),
             sampled: share,
+            cancel,
         };
         fitter.cheapest().map(Some)
     }
@@ -265,6 +268,9 @@ impl Fitter<'_> {
     fn fit(&self, net: &mut ContextNet, planes_learn: bool, decay: Decay) -> Result<(), TrainError> {
         let context = &self.compression.context;
         for step in 1..=self.steps {
+            if self.cancel.is_cancelled() {
+                return Err(TrainError::Cancelled);
+            }
             let seed = self.compression.schedule.seed;
             let sample = sample_anchors(seed, step, self.cells.len(), self.sampled);
             let mut recorder = context.recorder("fit of a context");

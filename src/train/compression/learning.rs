@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     codec::context::robust_frame,
-    domain::{ContextFrame, ContextKind},
+    domain::{CancelFlag, ContextFrame, ContextKind},
     gpu::{Buffer, Context, Recorder, buffer_bytes},
     model::{AnchorRows, NetworkLayout, Shape},
     render::DeviceAnchors,
@@ -104,6 +104,7 @@ impl Compression {
         adam: &Adam,
         anchors: &AnchorRows,
         device: &DeviceAnchors,
+        cancel: &CancelFlag,
     ) -> Result<(), TrainError> {
         let next = self.schedule.stage(step + 1);
         if next >= Stage::Noise && self.quantising.is_none()
@@ -119,7 +120,7 @@ impl Compression {
             self.model(anchors)?;
         }
         if next == Stage::Rounded
-            && let Some(net) = self.choose(adam, device, &anchors.cells)?
+            && let Some(net) = self.choose(adam, device, &anchors.cells, cancel)?
             && let Some(modelling) = &mut self.modelling
         {
             modelling.net = net;
@@ -136,11 +137,12 @@ impl Compression {
         before: &[[i32; 3]],
         anchors: &mut AnchorRows,
         networks: &[f32],
+        cancel: &CancelFlag,
     ) -> Result<Option<TrainedContext>, TrainError> {
         self.replace(before, anchors)?;
         let device = DeviceAnchors::upload(&self.context, anchors, networks)?;
         if self.schedule.stage(self.schedule.steps) != Stage::Rounded
-            && let Some(net) = self.choose(adam, &device, &anchors.cells)?
+            && let Some(net) = self.choose(adam, &device, &anchors.cells, cancel)?
             && let Some(modelling) = &mut self.modelling
         {
             modelling.net = net;

@@ -57,7 +57,7 @@ fn neither_batches_nor_a_want_of_room_change_a_bit() {
         }
         let (mut recorded, mut losses) = (0, Vec::new());
         while run.state.step < STEPS {
-            recorded += run.advance(&mut |step| step % 9 == 8).expect("steps");
+            recorded += run.advance(&mut |step| step % 9 == 8, &CancelFlag::default()).expect("steps");
             if run.state.step.is_multiple_of(REPORT_EVERY) {
                 losses.push(run.sums().expect("losses"));
             }
@@ -72,4 +72,22 @@ fn neither_batches_nor_a_want_of_room_change_a_bit() {
         assert!(other == scene && others == losses, "batches of {batch} with room for {room:?}");
         assert_eq!(again > STEPS, room.is_some(), "{again} steps recorded with room for {room:?}");
     }
+}
+
+#[test]
+fn the_choice_of_a_context_model_does_not_keep_a_cancelled_run_waiting() {
+    let (context, dataset) = (context(), dataset());
+    let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
+    let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
+    let mut run = Run::begin(&context, &dataset, &options, &budget, None).expect("begins");
+    let cancelled = CancelFlag::default();
+    cancelled.cancel();
+    let ended = loop {
+        match run.advance(&mut |_| true, &cancelled) {
+            Ok(_) => assert!(run.state.step < STEPS, "models were fitted to their end"),
+            Err(error) => break error,
+        }
+    };
+    assert!(matches!(ended, TrainError::Cancelled), "{ended}");
+    assert!(run.state.step > STEPS / 2, "single steps are not asked");
 }

@@ -8,7 +8,7 @@ use std::{collections::BTreeSet, fs, path::PathBuf};
 
 use tcgs::{
     codec::{DecodeLimits, Encoded, decode, encode, inspect},
-    domain::{AnchorScene, ContextKind},
+    domain::{AnchorScene, ContextKind, NearPlane, Planes},
 };
 
 use super::{
@@ -26,7 +26,7 @@ struct Golden {
     make: fn() -> Encoded,
 }
 
-const FILES: [Golden; 2] = [
+const FILES: [Golden; 3] = [
     Golden {
         name: "shell_v1.tcgs",
         decode_sha256: "e27f4bd5e0657803a95a4a53821172000f1b14e857aa9cd41875756e8ba0b75a",
@@ -38,6 +38,12 @@ const FILES: [Golden; 2] = [
         decode_sha256: "88337fea6b773ff00934537b2b6390790b3de3ff773891bf2a40e09efba7a62c",
         anchors: 90,
         make: context,
+    },
+    Golden {
+        name: "direct_v1.tcgs",
+        decode_sha256: "7a0ce6c96aebe558d35a71d9a10092553ad585ae3427f509c742354971dddcb3",
+        anchors: 60,
+        make: direct,
     },
 ];
 
@@ -74,6 +80,19 @@ fn context() -> Encoded {
     encode(&dependent.scene, Some(&dependent.candidates), &fixed(KINDS.map(Some), Some(0))).expect("encodes")
 }
 
+/// Planes that are stored as they are, and a near plane of its own.
+fn direct() -> Encoded {
+    let recipe = Recipe { seed: 2026, anchors: 60, feature_dim: 5, offsets: 2, masked: 0.3 };
+    let mut dependent = dependent(recipe);
+    let planes = &mut dependent.candidates.planes[0].planes;
+    let (edge, channels) = (planes.plane_edge(), planes.plane_channels());
+    let wave = |index: usize| ((index * 37 % 101) as f32 - 50.0) / 16.0;
+    let latents = (0..3 * channels * edge * edge).map(wave).collect();
+    *planes = Planes { edge, channels, latents, layers: Vec::new() };
+    dependent.scene.near = NearPlane::new(0.0125).expect("a depth");
+    encode(&dependent.scene, Some(&dependent.candidates), &fixed(KINDS.map(Some), Some(0))).expect("encodes")
+}
+
 #[test]
 fn the_golden_files_decode_to_their_hashes() {
     for golden in FILES {
@@ -94,7 +113,7 @@ fn the_golden_files_have_every_section_and_every_context() {
         sections.extend(inspection.sections.into_iter().map(|section| section.name));
         contexts.extend(inspection.manifest.contexts.map(|context| context.kind));
     }
-    let all = ["manifest", "networks", "positions", "masks", "context", "planes", "attributes"];
+    let all = ["manifest", "networks", "positions", "masks", "context", "planes", "attributes", "view"];
     assert_eq!(sections, all.map(str::to_owned).into());
     for kind in KINDS.map(Some).into_iter().chain([None]) {
         assert!(contexts.contains(&kind), "{kind:?}");

@@ -57,6 +57,7 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
         ("/v1/scenes".to_owned(), "application/zip"),
         ("/v1/scenes".to_owned(), "application/json"),
         (format!("{job}/views"), "application/json"),
+        ("/v1/webhook-endpoints".to_owned(), "application/json"),
         ("/v1/keys".to_owned(), "application/json"),
         (format!("{job}/stream"), "application/json"),
         (format!("{job}/animation"), "application/json"),
@@ -75,6 +76,8 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
         let long = json!({ "views": vec![json!({ "frame": "test/r_0" }); 50] });
         server.post_json(&path, &long).await.expect_problem(413, "body-too-large");
     }
+    let wish = json!({ "url": format!("https://example.com/{}", "a".repeat(200)) });
+    server.post_json("/v1/webhook-endpoints", &wish).await.expect_problem(413, "body-too-large");
     server.upload("", "succeed").await.expect(201);
 }
 

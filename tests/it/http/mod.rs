@@ -4,15 +4,18 @@
 mod access;
 mod artifacts;
 mod connections;
+mod events;
 mod films;
 mod idempotency;
 mod job_life;
 mod jobs;
 mod report;
 mod scenes;
+mod series;
 mod service;
 mod uploads;
 mod views;
+mod webhooks;
 
 use crate::support::contract::Coverage;
 
@@ -75,6 +78,13 @@ scenarios! {
         a_queued_job_is_cancelled_at_once_and_a_running_one_soon,
         too_many_uploads_at_once_are_put_off,
     }
+    events {
+        a_stream_tells_everything_once_and_ends_with_the_job,
+        there_are_only_so_many_streams,
+    }
+    series {
+        the_course_of_training_is_served_as_columns,
+    }
     job_life {
         a_job_is_made_of_a_scene_by_json,
         jobs_are_listed_by_state_scene_and_model,
@@ -106,6 +116,14 @@ scenarios! {
         room_is_kept_from_the_beginning,
         bodies_of_parts_that_dawdle_or_break_off_keep_what_came,
         one_request_at_a_time_writes,
+    }
+    webhooks {
+        endpoints_are_made_listed_and_deleted_and_show_their_secret_once,
+        what_is_wrong_with_an_endpoint_is_said,
+        a_jobs_life_is_told_in_signed_messages,
+        a_message_under_way_is_not_sent_again,
+        an_endpoint_that_is_gone_is_told_nothing_more,
+        endpoints_belong_to_their_key,
     }
     artifacts {
         the_file_is_served_whole_in_parts_and_conditionally,

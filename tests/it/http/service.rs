@@ -27,7 +27,7 @@ pub(super) async fn unknown_jobs_frames_paths_and_methods_are_problems(coverage:
     for job in [absent, "/v1/jobs/17", "/v1/jobs/..%2F..%2Fetc%2Fpasswd", "/v1/jobs/%00"] {
         server.get(job).await.expect_problem(404, "job-not-found");
         server.post(&format!("{job}/cancel")).await.expect_problem(404, "job-not-found");
-        for part in ["events", "artifact", "report", "view?frame=test/r_0"] {
+        for part in ["events", "series", "artifact", "report", "view?frame=test/r_0"] {
             server.get(&format!("{job}/{part}")).await.expect_problem(404, "job-not-found");
         }
         let views = json!({ "views": [{ "frame": "test/r_0" }] });
@@ -50,8 +50,8 @@ pub(super) async fn unknown_jobs_frames_paths_and_methods_are_problems(coverage:
         assert_eq!(answer.header("allow"), allow);
     }
     let events = format!("{done}/events");
-    let stream = server.send("GET", &events, |request| request.header("accept", "text/event-stream"));
-    stream.await.expect_problem(406, "not-acceptable");
+    let picture = server.send("GET", &events, |request| request.header("accept", "image/png"));
+    picture.await.expect_problem(406, "not-acceptable");
     for (query, named) in
         [("?after=x", "after"), ("?limit=0", "limit"), ("?limit=1001", "limit"), ("?since=1", "since")]
     {
@@ -77,6 +77,8 @@ pub(super) async fn a_database_that_fails_is_a_problem_not_a_crash(coverage: Cov
     });
     let upload = upload.await.expect(201).header("location").to_owned();
     let scene = super::scenes::keep(&server, "", "succeed").await.expect(201).header("location").to_owned();
+    let endpoints = "/v1/webhook-endpoints";
+    let endpoint = format!("{endpoints}/0190a5d8-0000-7000-8000-000000000000");
     for (failing, status, kind) in [(Failing::Busy, 503, "busy"), (Failing::Gone, 500, "internal")] {
         server.store.set(Some(failing));
         let answers: Vec<Answer> = vec![
@@ -85,6 +87,7 @@ pub(super) async fn a_database_that_fails_is_a_problem_not_a_crash(coverage: Cov
             server.get(&job).await,
             server.post(&format!("{job}/cancel")).await,
             server.get(&format!("{job}/events")).await,
+            server.get(&format!("{job}/series")).await,
             server.get(&format!("{job}/artifact")).await,
             server.get(&format!("{job}/report")).await,
             server.get(&format!("{job}/view?frame=test/r_0")).await,
@@ -97,6 +100,12 @@ pub(super) async fn a_database_that_fails_is_a_problem_not_a_crash(coverage: Cov
             server.send("POST", "/v1/uploads", tus).await,
             server.send("PATCH", &upload, tus).await,
             server.send("DELETE", &upload, tus).await,
+            server.post_json(endpoints, &json!({ "url": "https://example.com/" })).await,
+            server.get(endpoints).await,
+            server.get(&endpoint).await,
+            server.send("DELETE", &endpoint, |request| request).await,
+            server.get(&format!("{endpoint}/deliveries")).await,
+            server.post(&format!("{endpoint}/deliveries/17/replay")).await,
         ];
         server.send("HEAD", &upload, tus).await.expect(status);
         for answer in answers {

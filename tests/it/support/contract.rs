@@ -71,8 +71,14 @@ impl Coverage {
             (Some(content), Some(media_type)) => {
                 let listed = content.get(media_type);
                 let listed = listed.unwrap_or_else(|| panic!("{place}: {media_type} is not listed"));
-                if let (Some(schema), true) = (listed.get("schema"), method != "HEAD") {
-                    validate(&place, schema, body);
+                match listed.get("schema") {
+                    Some(schema) if media_type == "text/event-stream" => {
+                        super::sse::frames(body)
+                            .iter()
+                            .for_each(|frame| validate_frame(&place, schema, frame));
+                    }
+                    Some(schema) if method != "HEAD" => validate(&place, schema, body),
+                    _ => {}
                 }
             }
         }
@@ -163,6 +169,13 @@ fn resolved(value: &'static Value) -> &'static Value {
         Some(reference) => DOCUMENT.pointer(&reference[1..]).expect("the reference leads somewhere"),
         None => value,
     }
+}
+
+/// A frame of an event stream, and what its data holds.
+fn validate_frame(place: &str, schema: &'static Value, frame: &super::sse::Frame) {
+    let fields = json!({ "id": frame.id, "event": frame.event, "data": frame.data });
+    validate(place, schema, &serde_json::to_vec(&fields).expect("JSON"));
+    validate(place, &resolved(schema)["properties"]["data"]["contentSchema"], frame.data.as_bytes());
 }
 
 fn validate(place: &str, schema: &Value, body: &[u8]) {

@@ -1,6 +1,8 @@
 //! A store that fails when told to.
 
 mod keys;
+mod series;
+mod webhooks;
 
 use std::sync::{Arc, Mutex};
 

@@ -1,6 +1,6 @@
 //! The whole service on a real socket, with fake training and rendering.
 
-use std::{net::SocketAddr, sync::Arc, time::Duration};
+use std::{net::SocketAddr, path::PathBuf, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use reqwest::{RequestBuilder, header::HeaderMap};
@@ -20,7 +20,11 @@ use super::{
     contract::Coverage,
     fakes::{self, FakeRenderer, FakeRunner},
     faults::FaultStore,
+    sse::Reader,
 };
+
+/// Name of the database's file.
+const DATABASE: &str = "tcgs.db";
 
 /// How a test's server differs from the usual one.
 pub struct Setup {
@@ -142,7 +146,7 @@ impl Server {
     /// Starts over what an earlier server left in its folder.
     pub async fn start_in(coverage: &Coverage, setup: Setup, data: Arc<TempDir>) -> Self {
         let clock = setup.clock;
-        let sqlite = SqliteStore::open(&data.path().join("tcgs.db"), Arc::clone(&clock), setup.policy).await;
+        let sqlite = SqliteStore::open(&data.path().join(DATABASE), Arc::clone(&clock), setup.policy).await;
         let store = Arc::new(FaultStore::new(Arc::new(sqlite.expect("a database"))));
         let blobs = Blobs::open(data.path()).expect("a blob store");
         let (runner, renderer) = (FakeRunner::default(), FakeRenderer::default());
@@ -226,6 +230,19 @@ impl Server {
         let body = response.bytes().await.expect("a whole body");
         self.coverage.check(method.as_str(), path, status, &headers, &body);
         Answer { status, headers, body }
+    }
+
+    /// Opens a stream of events, after the one seen last.
+    pub async fn stream(&self, path: &str, seen: Option<u64>) -> Reader {
+        let request = self.client.get(format!("http://{}{path}", self.address));
+        let request = request.header("accept", "text/event-stream");
+        let request = seen.into_iter().fold(request, |request, seen| request.header("last-event-id", seen));
+        Reader::new(request.send().await.expect("an answer"))
+    }
+
+    /// Where the database is.
+    pub fn database(&self) -> PathBuf {
+        self.data.path().join(DATABASE)
     }
 
     /// Sends a request and hands over the answer, whose body is still to come.

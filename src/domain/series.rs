@@ -1,0 +1,50 @@
+//! How a training run went, as points over its steps: enough of them for a curve, and never more than [`SERIES_POINTS`].
+
+use super::Progress;
+
+/// Points that are kept of a run.
+pub const SERIES_POINTS: u32 = 1000;
+
+/// One point of a run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SeriesPoint {
+    /// The attempt that came by here.
+    pub attempt: u32,
+    /// Steps done.
+    pub step: u64,
+    /// Seconds since the attempt began.
+    pub seconds: f64,
+    /// Training loss, averaged over recent steps.
+    pub loss: Option<f64>,
+    /// Training PSNR in dB, averaged over recent steps.
+    pub psnr: Option<f64>,
+    /// Anchors at that time.
+    pub anchors: u64,
+    /// Gaussians of the view rendered last.
+    pub gaussians: u64,
+    /// Bytes that the file would about have had, once training measures them.
+    pub bytes: Option<u64>,
+}
+
+/// Which of the run's [`SERIES_POINTS`] equal parts a report falls into, from 0.
+#[must_use]
+pub fn series_bucket(progress: &Progress) -> u32 {
+    let last = SERIES_POINTS - 1;
+    let part = u128::from(progress.step) * u128::from(last) / u128::from(progress.total.max(1));
+    u32::try_from(part).unwrap_or(last).min(last)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_cover_the_run_evenly_and_nothing_falls_outside() {
+        let bucket = |step, total| series_bucket(&Progress { step, total, ..Progress::default() });
+        assert_eq!([bucket(0, 30_000), bucket(15_000, 30_000), bucket(30_000, 30_000)], [0, 499, 999]);
+        assert_eq!([bucket(1, 10), bucket(10, 10)], [99, 999]);
+        for (step, total) in [(0, 0), (5, 0), (11, 10), (u64::MAX, 1), (u64::MAX, u64::MAX)] {
+            assert!(bucket(step, total) < SERIES_POINTS, "{step} of {total}");
+        }
+    }
+}

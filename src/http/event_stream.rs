@@ -1,0 +1,111 @@
+//! A job's history as a stream of server-sent events, from any place in it to its end.
+//!
+//! What always holds: every event is sent once and in order, whichever server sends it, since their numbers are the job's
+//! own; at most a page of them is held, and more is read only once the client has taken it; the stream ends after the event
+//! that ends the job, and when the server stops.
+
+use std::{collections::VecDeque, convert::Infallible, time::Duration};
+
+use axum::{
+    http::{HeaderName, HeaderValue, header},
+    response::{
+        IntoResponse as _, Response,
+        sse::{self, KeepAlive, Sse},
+    },
+};
+use futures_util::{Stream, StreamExt as _, stream};
+
+use super::{state::AppState, stream_places::StreamPlace};
+use crate::domain::{Event, EventKind, JobId, JobState};
+
+/// Events read at a time.
+const PAGE: u32 = 100;
+/// How long a client is to wait before it connects again.
+const RETRY: Duration = Duration::from_millis(3000);
+/// Tells proxies of the kind of nginx to pass on what they have.
+const X_ACCEL_BUFFERING: HeaderName = HeaderName::from_static("x-accel-buffering");
+
+/// The answer that sends what comes after event `after`.
+pub(super) fn answer(state: AppState, job: JobId, after: u64, place: StreamPlace) -> Response {
+    let keep_alive = KeepAlive::new().interval(state.limits().keep_alive).text("");
+    let first = Ok(sse::Event::default().retry(RETRY));
+    let follower = Follower { state, job, after, page: VecDeque::new(), ended: false, _place: place };
+    let all = stream::once(async { first }).chain(events(follower));
+    let headers = [
+        (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
+        (X_ACCEL_BUFFERING, HeaderValue::from_static("no")),
+    ];
+    (headers, Sse::new(all).keep_alive(keep_alive).into_response()).into_response()
+}
+
+fn events(follower: Follower) -> impl Stream<Item = Result<sse::Event, Infallible>> {
+    stream::unfold(follower, |mut follower| async move {
+        let event = follower.next().await?;
+        Some((Ok(frame(&event)), follower))
+    })
+}
+
+fn frame(event: &Event) -> sse::Event {
+    // An `Event` has string keys only, so writing it cannot fail; and JSON has no line breaks, so it is one line.
+    let data = serde_json::to_string(event).unwrap_or_default();
+    sse::Event::default().id(event.seq.to_string()).event(kind(event.kind)).data(data)
+}
+
+fn kind(kind: EventKind) -> &'static str {
+    match kind {
+        EventKind::State => "state",
+        EventKind::Phase => "phase",
+        EventKind::Progress => "progress",
+        EventKind::Attempt => "attempt",
+    }
+}
+
+/// A place in a job's history.
+struct Follower {
+    state: AppState,
+    job: JobId,
+    after: u64,
+    page: VecDeque<Event>,
+    ended: bool,
+    _place: StreamPlace,
+}
+
+impl Follower {
+    /// The next event, once there is one.
+    async fn next(&mut self) -> Option<Event> {
+        let draining = self.state.draining().clone();
+        while self.page.is_empty() && !self.ended {
+            tokio::select! {
+                // The client comes again, to another server or to the next one here, and goes on where it was.
+                () = draining.cancelled() => return None,
+                () = self.read_on() => {}
+            }
+        }
+        let event = self.page.pop_front().filter(|_| !draining.is_cancelled())?;
+        self.after = event.seq;
+        self.ended |= ends_the_job(&event);
+        Some(event)
+    }
+
+    /// Reads a page, or waits until there is something to read.
+    async fn read_on(&mut self) {
+        match self.state.store().events(self.job, self.after, PAGE).await {
+            Ok(Some(events)) if events.is_empty() => {
+                // Deleted.
+                self.ended = self.state.watcher().changed(self.job, self.after).await.is_none();
+            }
+            Ok(Some(events)) => self.page = events.into(),
+            Ok(None) => self.ended = true,
+            Err(error) => {
+                let job = self.job;
+                tracing::warn!(%job, error = &error as &dyn std::error::Error, "a stream ends early: {error}");
+                self.ended = true;
+            }
+        }
+    }
+}
+
+fn ends_the_job(event: &Event) -> bool {
+    let state = event.data.get("state").and_then(|state| state.as_str()?.parse::<JobState>().ok());
+    event.kind == EventKind::State && state.is_some_and(JobState::is_terminal)
+}

@@ -1,0 +1,128 @@
+//! How a job's training went, as columns that can be drawn as they are.
+
+use axum::{
+    Json,
+    extract::{Path, RawQuery, State},
+    http::{HeaderMap, HeaderValue, header},
+    response::{IntoResponse as _, Response},
+};
+use serde::Serialize;
+
+use super::{
+    etag::{Etag, not_modified},
+    jobs::find,
+    problem::Fault,
+    query::Parameters,
+    state::AppState,
+};
+use crate::domain::{Caller, SERIES_POINTS, SeriesPoint};
+
+/// `#/components/schemas/Series` of the contract: columns of one length.
+#[derive(Debug, Default, PartialEq, Serialize)]
+struct SeriesBody {
+    attempt: Vec<u32>,
+    step: Vec<u64>,
+    seconds: Vec<f64>,
+    loss: Vec<Option<f64>>,
+    psnr: Vec<Option<f64>>,
+    anchors: Vec<u64>,
+    gaussians: Vec<u64>,
+    bytes: Vec<Option<u64>>,
+}
+
+/// `GET /v1/jobs/{id}/series`.
+pub(super) async fn get(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+    RawQuery(query): RawQuery,
+    headers: HeaderMap,
+) -> Result<Response, Fault> {
+    let job = find(&state, &caller, &id).await?.job;
+    let mut parameters = Parameters::parse(query.as_deref())?;
+    let at_most = parameters.take_count("points", SERIES_POINTS, SERIES_POINTS)?;
+    parameters.finish()?;
+    let etag = Etag::new(job.version);
+    if etag.is_in_if_none_match(&headers) {
+        return Ok(not_modified(&etag));
+    }
+    let points = state.store().series(job.id).await?.ok_or_else(|| Fault::no_job(&id))?;
+    let cache = (header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+    let body = columns(thin(with_running_time(points), at_most as usize));
+    Ok(([(header::ETAG, etag.value()), cache], Json(body)).into_response())
+}
+
+/// The same points with seconds of training in all: those of an attempt that went on from a checkpoint are added to the time
+/// that it took to come there.
+fn with_running_time(mut points: Vec<SeriesPoint>) -> Vec<SeriesPoint> {
+    let (mut before, mut attempt, mut latest) = (0.0, None, 0.0);
+    for point in &mut points {
+        if attempt.is_some_and(|attempt| attempt != point.attempt) {
+            before = latest;
+        }
+        attempt = Some(point.attempt);
+        point.seconds += before;
+        latest = point.seconds;
+    }
+    points
+}
+
+/// At most so many of the points, evenly chosen, the first and the last among them; the last alone for one.
+fn thin(points: Vec<SeriesPoint>, at_most: usize) -> Vec<SeriesPoint> {
+    let count = points.len();
+    if count <= at_most {
+        return points;
+    }
+    let (last, gaps) = (count - 1, at_most.saturating_sub(1));
+    let mut wanted = (0..=gaps).map(|place| (place * last).checked_div(gaps).unwrap_or(last)).peekable();
+    let is_wanted = |(index, point)| (wanted.next_if_eq(&index)).map(|_| point);
+    points.into_iter().enumerate().filter_map(is_wanted).collect()
+}
+
+fn columns(points: Vec<SeriesPoint>) -> SeriesBody {
+    let mut body = SeriesBody::default();
+    for SeriesPoint { attempt, step, seconds, loss, psnr, anchors, gaussians, bytes } in points {
+        body.attempt.push(attempt);
+        body.step.push(step);
+        body.seconds.push(seconds);
+        body.loss.push(loss);
+        body.psnr.push(psnr);
+        body.anchors.push(anchors);
+        body.gaussians.push(gaussians);
+        body.bytes.push(bytes);
+    }
+    body
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(attempt: u32, step: u64, seconds: f64) -> SeriesPoint {
+        SeriesPoint { attempt, step, seconds, loss: None, psnr: None, anchors: 0, gaussians: 0, bytes: None }
+    }
+
+    #[test]
+    fn points_are_thinned_evenly_between_the_first_and_the_last() {
+        let steps = |count, at_most| -> Vec<u64> {
+            let points = (0..count).map(|step| point(1, step, 0.0)).collect();
+            thin(points, at_most).into_iter().map(|point| point.step).collect()
+        };
+        assert_eq!(steps(9, 3), [0, 4, 8]);
+        assert_eq!(steps(10, 4), [0, 3, 6, 9]);
+        assert_eq!(steps(3, 3), [0, 1, 2]);
+        assert_eq!(steps(5, 1), [4]);
+        assert_eq!(steps(0, 5), [0; 0]);
+        for (count, at_most) in [(1000, 999), (1000, 2), (7, 5)] {
+            let kept = steps(count, at_most);
+            assert_eq!((kept.len(), kept[0], kept.last()), (at_most, 0, Some(&(count - 1))));
+        }
+    }
+
+    #[test]
+    fn time_goes_on_where_an_attempt_went_on() {
+        let points = vec![point(1, 1, 10.0), point(1, 2, 20.0), point(3, 3, 5.0), point(3, 4, 15.0)];
+        let seconds: Vec<f64> = with_running_time(points).into_iter().map(|point| point.seconds).collect();
+        assert_eq!(seconds, [10.0, 20.0, 25.0, 35.0]);
+    }
+}

@@ -1,0 +1,314 @@
+//! Webhook endpoints and what was delivered to them. What always holds: a secret is in the answer that makes its endpoint, and
+//! in no other.
+
+use axum::{
+    Json,
+    body::Body,
+    extract::{Path, RawQuery, State},
+    http::{HeaderMap, HeaderValue, StatusCode, header},
+    response::{IntoResponse as _, Response},
+};
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use uuid::{NoContext, Uuid};
+
+use super::{body::read_json, problem::Fault, query::Parameters, state::AppState};
+use crate::{
+    domain::{Caller, EndpointId, JobId, WebhookEvent, WebhookSecret},
+    store::{DeliveryRecord, EndpointRecord, NewEndpoint, Replay},
+};
+
+const DEFAULT_PAGE: u32 = 20;
+const MAX_PAGE: u32 = 100;
+const MAX_DESCRIPTION: usize = 200;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Wish {
+    url: String,
+    events: Option<Vec<String>>,
+    description: Option<String>,
+}
+
+/// `#/components/schemas/WebhookEndpoint` of the contract.
+#[derive(Serialize)]
+struct EndpointBody {
+    id: EndpointId,
+    url: String,
+    events: Vec<&'static str>,
+    description: Option<String>,
+    created_at: Timestamp,
+    disabled_at: Option<Timestamp>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    secret: Option<String>,
+    links: EndpointLinks,
+}
+
+#[derive(Serialize)]
+struct EndpointLinks {
+    #[serde(rename = "self")]
+    this: String,
+    deliveries: String,
+}
+
+/// `#/components/schemas/WebhookDelivery` of the contract.
+#[derive(Debug, Serialize)]
+struct DeliveryBody {
+    id: String,
+    event: &'static str,
+    job_id: JobId,
+    state: &'static str,
+    attempts: u32,
+    next_attempt_at: Option<Timestamp>,
+    created_at: Timestamp,
+    attempted_at: Option<Timestamp>,
+    delivered_at: Option<Timestamp>,
+    answer_status: Option<u16>,
+    fault: Option<String>,
+    links: DeliveryLinks,
+}
+
+#[derive(Debug, Serialize)]
+struct DeliveryLinks {
+    job: String,
+    replay: String,
+}
+
+#[derive(Serialize)]
+struct EndpointList {
+    endpoints: Vec<EndpointBody>,
+    next: Option<String>,
+}
+
+#[derive(Serialize)]
+struct DeliveryList {
+    deliveries: Vec<DeliveryBody>,
+    next: Option<String>,
+}
+
+fn href(id: EndpointId) -> String {
+    format!("/v1/webhook-endpoints/{id}")
+}
+
+/// `POST /v1/webhook-endpoints`.
+pub(super) async fn create(
+    State(state): State<AppState>,
+    caller: Caller,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Fault> {
+    let content = read_json(&mut body.into_data_stream(), &headers, state.limits()).await?;
+    let Wish { url, events, description } =
+        serde_json::from_slice(&content).map_err(|error| bad_json(&error))?;
+    let at_most = state.limits().webhook_endpoints;
+    let url = state.limits().webhook_targets.check_url(&url).map_err(|fault| {
+        Fault::new(
+            StatusCode::UNPROCESSABLE_ENTITY,
+            "url-not-allowed",
+            "URL not allowed",
+            format!("url: {fault}"),
+        )
+    })?;
+    if description.as_ref().is_some_and(|text| text.chars().count() > MAX_DESCRIPTION) {
+        return Err(invalid(format!("description: is longer than {MAX_DESCRIPTION} characters")));
+    }
+    let secret =
+        WebhookSecret::generate(&*state.services().entropy).map_err(|error| Fault::internal(&error))?;
+    let new = NewEndpoint {
+        id: new_id(state.services().clock.now()),
+        owner: caller.key,
+        url: url.into(),
+        events: wanted(events)?,
+        description,
+        secret: secret.clone(),
+    };
+    let Some(record) = state.store().create_endpoint(new, at_most).await? else {
+        return Err(Fault::new(
+            StatusCode::CONFLICT,
+            "too-many-endpoints",
+            "Too many endpoints",
+            format!("there are {at_most} endpoints already, and there may be no more; delete one first"),
+        ));
+    };
+    tracing::info!(endpoint = %record.id, "endpoint {} is told of jobs", record.id);
+    let location = HeaderValue::try_from(href(record.id)).map_err(|error| Fault::internal(&error))?;
+    let body = Json(EndpointBody { secret: Some(secret.expose().to_owned()), ..record.into() });
+    let headers =
+        [(header::LOCATION, location), (header::CACHE_CONTROL, HeaderValue::from_static("no-store"))];
+    Ok((StatusCode::CREATED, headers, body).into_response())
+}
+
+fn wanted(names: Option<Vec<String>>) -> Result<Vec<WebhookEvent>, Fault> {
+    let Some(names) = names else { return Ok(WebhookEvent::ALL.to_vec()) };
+    let mut events = Vec::new();
+    for name in names {
+        let event: WebhookEvent = name.parse().map_err(|fault| invalid(format!("events: {fault}")))?;
+        if events.contains(&event) {
+            return Err(invalid(format!("events: '{name}' is given twice")));
+        }
+        events.push(event);
+    }
+    if events.is_empty() {
+        return Err(invalid("events: is empty; leave it out to be told of all".into()));
+    }
+    Ok(events)
+}
+
+/// An id whose time part is the service's clock, so that ids sort as endpoints were made.
+fn new_id(now: Timestamp) -> EndpointId {
+    let seconds = u64::try_from(now.as_second()).unwrap_or(0);
+    let nanoseconds = u32::try_from(now.subsec_nanosecond()).unwrap_or(0);
+    EndpointId(Uuid::new_v7(uuid::Timestamp::from_unix(NoContext, seconds, nanoseconds)))
+}
+
+fn invalid(detail: String) -> Fault {
+    Fault::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid-endpoint", "Invalid webhook endpoint", detail)
+}
+
+fn bad_json(error: &serde_json::Error) -> Fault {
+    if error.is_data() {
+        return invalid(format!("the body is not a webhook endpoint: {error}"));
+    }
+    let detail = format!("the body is not JSON: {error}");
+    Fault::new(StatusCode::BAD_REQUEST, "malformed-json", "Malformed JSON", detail)
+}
+
+/// `GET /v1/webhook-endpoints`.
+pub(super) async fn list(
+    State(state): State<AppState>,
+    caller: Caller,
+    RawQuery(query): RawQuery,
+) -> Result<Response, Fault> {
+    let (limit, before) = page(query.as_deref())?;
+    let mut records = state.store().endpoints(caller.sees_only(), before, limit + 1).await?;
+    let more = records.len() > limit as usize;
+    records.truncate(limit as usize);
+    let last = records.last().filter(|_| more);
+    let next = last.map(|last| format!("/v1/webhook-endpoints?limit={limit}&cursor={}", last.id));
+    let endpoints = records.into_iter().map(EndpointBody::from).collect();
+    Ok((no_store(), Json(EndpointList { endpoints, next })).into_response())
+}
+
+/// `GET /v1/webhook-endpoints/{id}`.
+pub(super) async fn get(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+) -> Result<Response, Fault> {
+    let record = find(&state, &caller, &id).await?;
+    Ok((no_store(), Json(EndpointBody::from(record))).into_response())
+}
+
+/// `DELETE /v1/webhook-endpoints/{id}`.
+pub(super) async fn delete(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+) -> Result<StatusCode, Fault> {
+    let record = find(&state, &caller, &id).await?;
+    // Somebody else may have deleted it since; it is gone either way.
+    state.store().delete_endpoint(record.id).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// `GET /v1/webhook-endpoints/{id}/deliveries`.
+pub(super) async fn deliveries(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+    RawQuery(query): RawQuery,
+) -> Result<Response, Fault> {
+    let endpoint = find(&state, &caller, &id).await?.id;
+    let (limit, before) = page(query.as_deref())?;
+    let mut records = state.store().deliveries(endpoint, before, limit + 1).await?;
+    let more = records.len() > limit as usize;
+    records.truncate(limit as usize);
+    let last = records.last().filter(|_| more);
+    let next = last.map(|last| format!("{}/deliveries?limit={limit}&cursor={}", href(endpoint), last.seq));
+    let deliveries = records.into_iter().map(|record| delivery(endpoint, record)).collect();
+    Ok((no_store(), Json(DeliveryList { deliveries, next })).into_response())
+}
+
+/// `POST /v1/webhook-endpoints/{id}/deliveries/{delivery}/replay`.
+pub(super) async fn replay(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path((id, wanted)): Path<(String, String)>,
+) -> Result<Response, Fault> {
+    let endpoint = find(&state, &caller, &id).await?.id;
+    let unknown = || {
+        let detail = format!("endpoint {endpoint} has no such delivery");
+        Fault::new(StatusCode::NOT_FOUND, "delivery-not-found", "No such delivery", detail)
+    };
+    let parsed = wanted.parse().map_err(|_| unknown())?;
+    let refused = |name, detail: &str| {
+        Err(Fault::new(StatusCode::CONFLICT, name, "The delivery cannot be made again", detail))
+    };
+    match state.store().replay(endpoint, parsed).await?.ok_or_else(unknown)? {
+        Replay::Due(record) => {
+            Ok((StatusCode::ACCEPTED, no_store(), Json(delivery(endpoint, record))).into_response())
+        }
+        Replay::UnderWay => refused("delivery-under-way", "an attempt is being made right now"),
+        Replay::Disabled => {
+            refused("endpoint-disabled", "the endpoint answered 410 and is told nothing more; make a new one")
+        }
+    }
+}
+
+async fn find(state: &AppState, caller: &Caller, id: &str) -> Result<EndpointRecord, Fault> {
+    let unknown = || {
+        let detail = "there is no such webhook endpoint";
+        Fault::new(StatusCode::NOT_FOUND, "endpoint-not-found", "No such webhook endpoint", detail)
+    };
+    let parsed = id.parse().map_err(|_| unknown())?;
+    let record = state.store().endpoint(parsed).await?;
+    record.filter(|record| caller.may_see(record.owner)).ok_or_else(unknown)
+}
+
+fn page<T: std::str::FromStr>(query: Option<&str>) -> Result<(u32, Option<T>), Fault> {
+    let mut parameters = Parameters::parse(query)?;
+    let limit = parameters.take_count("limit", DEFAULT_PAGE, MAX_PAGE)?;
+    let before = parameters.take_as("cursor", "one that this service gave out")?;
+    parameters.finish()?;
+    Ok((limit, before))
+}
+
+fn no_store() -> [(header::HeaderName, &'static str); 1] {
+    [(header::CACHE_CONTROL, "no-store")]
+}
+
+impl From<EndpointRecord> for EndpointBody {
+    fn from(record: EndpointRecord) -> Self {
+        let this = href(record.id);
+        Self {
+            id: record.id,
+            url: record.url,
+            events: record.events.into_iter().map(WebhookEvent::name).collect(),
+            description: record.description,
+            created_at: record.created_at,
+            disabled_at: record.disabled_at,
+            secret: None,
+            links: EndpointLinks { deliveries: format!("{this}/deliveries"), this },
+        }
+    }
+}
+
+fn delivery(endpoint: EndpointId, record: DeliveryRecord) -> DeliveryBody {
+    DeliveryBody {
+        id: record.id.to_string(),
+        event: record.event.name(),
+        job_id: record.job,
+        state: record.state.name(),
+        attempts: record.attempts,
+        next_attempt_at: record.due_at,
+        created_at: record.created_at,
+        attempted_at: record.attempted_at,
+        delivered_at: record.delivered_at,
+        answer_status: record.answer_status,
+        fault: record.answer_fault,
+        links: DeliveryLinks {
+            job: super::job_body::href(record.job),
+            replay: format!("{}/deliveries/{}/replay", href(endpoint), record.id),
+        },
+    }
+}

@@ -1,0 +1,15 @@
+//! How training goes, point by point.
+
+use super::{Answer, Lease};
+use crate::domain::{JobId, Progress, SeriesPoint};
+
+/// The part of the store that keeps series.
+pub trait Series: Send + Sync + 'static {
+    /// Adds points of an attempt, in their order. A point takes the place of every one at a later step, which an earlier
+    /// attempt left, and of the one in its [bucket](crate::domain::series_bucket); one without a loss, which an attempt
+    /// begins with, takes no one's place.
+    fn record<'a>(&'a self, lease: &'a Lease, points: &'a [Progress]) -> Answer<'a, ()>;
+
+    /// The points of a job by their steps; `None` if there is no such job.
+    fn series(&self, job: JobId) -> Answer<'_, Option<Vec<SeriesPoint>>>;
+}

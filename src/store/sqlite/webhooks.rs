@@ -1,0 +1,302 @@
+//! Endpoints and the outbox.
+
+use std::time::Duration;
+
+use jiff::{SignedDuration, Timestamp};
+use sqlx::{Row as _, SqliteConnection};
+
+use super::{
+    SqliteStore,
+    queue::after,
+    rows::{self, json as text, micros},
+};
+use crate::{
+    domain::{DeliveryId, EndpointId, JobId, JobState, KeyId, WebhookEvent},
+    store::{
+        AfterAttempt, Answer, DeliveryRecord, DueDelivery, EndpointRecord, NewEndpoint, Replay, Settled,
+        StoreError, Webhooks,
+    },
+};
+
+/// How long a delivery is remembered after it was made, once nothing more will come of it.
+const KEPT: SignedDuration = SignedDuration::from_hours(30 * 24);
+
+/// Writes what the job's owner's endpoints are to be told, within the transaction of the change.
+pub(super) async fn tell(
+    connection: &mut SqliteConnection,
+    job: JobId,
+    state: JobState,
+    attempt: u32,
+    seq: u64,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let event = WebhookEvent(state);
+    let endpoints = sqlx::query(
+        "SELECT id FROM webhook_endpoints
+         WHERE owner IS (SELECT owner FROM jobs WHERE id = ?) AND disabled_at IS NULL
+             AND EXISTS (SELECT 1 FROM json_each(events) WHERE value = ?)
+         ORDER BY id",
+    )
+    .bind(job.to_string())
+    .bind(event.name())
+    .fetch_all(&mut *connection)
+    .await?;
+    for row in &endpoints {
+        let endpoint = rows::endpoint_id(row)?;
+        sqlx::query(
+            "INSERT INTO webhook_deliveries (id, endpoint, job, event, body, state, due_at, created_at)
+             VALUES (?, ?, ?, ?, ?, 'pending', ?, ?)",
+        )
+        .bind(DeliveryId::of(endpoint, job, seq).to_string())
+        .bind(endpoint.to_string())
+        .bind(job.to_string())
+        .bind(event.name())
+        .bind(event.message(job, attempt, seq, now))
+        .bind(micros(now))
+        .bind(micros(now))
+        .execute(&mut *connection)
+        .await?;
+    }
+    Ok(())
+}
+
+impl SqliteStore {
+    async fn insert_endpoint(
+        &self,
+        new: NewEndpoint,
+        at_most: u32,
+    ) -> Result<Option<EndpointRecord>, StoreError> {
+        let (mut tx, now) = self.begin().await?;
+        let owner = new.owner.map(|owner| owner.to_string());
+        let row = sqlx::query("SELECT count(*) AS had FROM webhook_endpoints WHERE owner IS ?")
+            .bind(&owner)
+            .fetch_one(&mut *tx)
+            .await?;
+        if row.try_get::<i64, _>("had")? >= i64::from(at_most) {
+            return Ok(None);
+        }
+        let names: Vec<&str> = new.events.iter().map(|event| event.name()).collect();
+        let row = sqlx::query(
+            "INSERT INTO webhook_endpoints (id, owner, url, events, description, secret, created_at)
+             VALUES (?, ?, ?, ?, ?, ?, ?) RETURNING *",
+        )
+        .bind(new.id.to_string())
+        .bind(owner)
+        .bind(new.url)
+        .bind(text(&names)?)
+        .bind(new.description)
+        .bind(new.secret.expose())
+        .bind(micros(now))
+        .fetch_one(&mut *tx)
+        .await?;
+        tx.commit().await?;
+        rows::endpoint(&row).map(Some)
+    }
+
+    async fn replay_delivery(
+        &self,
+        endpoint: EndpointId,
+        id: DeliveryId,
+    ) -> Result<Option<Replay>, StoreError> {
+        let (mut tx, now) = self.begin().await?;
+        let row = sqlx::query(
+            "SELECT d.lease_until, e.disabled_at
+             FROM webhook_deliveries d JOIN webhook_endpoints e ON e.id = d.endpoint
+             WHERE d.endpoint = ? AND d.id = ?",
+        )
+        .bind(endpoint.to_string())
+        .bind(id.to_string())
+        .fetch_optional(&mut *tx)
+        .await?;
+        let Some(row) = row else { return Ok(None) };
+        if row.try_get::<Option<i64>, _>("disabled_at")?.is_some() {
+            return Ok(Some(Replay::Disabled));
+        }
+        if row.try_get::<Option<i64>, _>("lease_until")?.is_some_and(|until| until > micros(now)) {
+            return Ok(Some(Replay::UnderWay));
+        }
+        let row = sqlx::query(
+            "UPDATE webhook_deliveries SET state = 'pending', tries = 0, due_at = ?, lease_until = NULL, delivered_at = NULL
+             WHERE id = ? RETURNING *",
+        )
+        .bind(micros(now))
+        .bind(id.to_string())
+        .fetch_one(&mut *tx)
+        .await?;
+        tx.commit().await?;
+        rows::delivery(&row).map(|record| Some(Replay::Due(record)))
+    }
+
+    /// Whether there could be anything to take, so that idle polling takes no write lock.
+    async fn any_delivery_due(&self) -> Result<bool, StoreError> {
+        let row = sqlx::query(
+            "SELECT EXISTS (SELECT 1 FROM webhook_deliveries
+                            WHERE state = 'pending' AND due_at <= ?1 AND (lease_until IS NULL OR lease_until <= ?1)) AS due",
+        )
+        .bind(micros(self.clock.now()))
+        .fetch_one(&self.readers)
+        .await?;
+        Ok(row.try_get("due")?)
+    }
+
+    async fn lease_delivery(&self, lease: Duration) -> Result<Option<DueDelivery>, StoreError> {
+        if !self.any_delivery_due().await? {
+            return Ok(None);
+        }
+        let (mut tx, now) = self.begin().await?;
+        let row = sqlx::query(
+            "UPDATE webhook_deliveries
+             SET attempts = attempts + 1, tries = tries + 1, lease_until = ?2, attempted_at = ?1,
+                 answer_status = NULL, answer_fault = NULL
+             WHERE seq = (SELECT d.seq FROM webhook_deliveries d
+                          WHERE d.state = 'pending' AND d.due_at <= ?1 AND (d.lease_until IS NULL OR d.lease_until <= ?1)
+                              AND NOT EXISTS (SELECT 1 FROM webhook_deliveries o
+                                              WHERE o.endpoint = d.endpoint AND o.lease_until > ?1)
+                          ORDER BY d.due_at, d.seq LIMIT 1)
+             RETURNING id, attempts, tries, body,
+                 (SELECT url FROM webhook_endpoints e WHERE e.id = endpoint) AS url,
+                 (SELECT secret FROM webhook_endpoints e WHERE e.id = endpoint) AS secret",
+        )
+        .bind(micros(now))
+        .bind(micros(after(now, lease)))
+        .fetch_optional(&mut *tx)
+        .await?;
+        tx.commit().await?;
+        row.map(|row| rows::due_delivery(&row, now)).transpose()
+    }
+
+    async fn settle(&self, id: DeliveryId, attempt: u32, settled: Settled) -> Result<(), StoreError> {
+        let (mut tx, now) = self.begin().await?;
+        let (state, due_at) = match settled.next {
+            AfterAttempt::Done => ("delivered", None),
+            AfterAttempt::Again(delay) => ("pending", Some(after(now, delay))),
+            AfterAttempt::GiveUp | AfterAttempt::Disable => ("failed", None),
+        };
+        let row = sqlx::query(
+            "UPDATE webhook_deliveries
+             SET state = ?1, due_at = ?2, lease_until = NULL, answer_status = ?3, answer_fault = ?4,
+                 delivered_at = CASE WHEN ?1 = 'delivered' THEN ?5 END
+             WHERE id = ?6 AND attempts = ?7 AND lease_until IS NOT NULL RETURNING endpoint AS id",
+        )
+        .bind(state)
+        .bind(due_at.map(micros))
+        .bind(settled.status)
+        .bind(settled.fault)
+        .bind(micros(now))
+        .bind(id.to_string())
+        .bind(attempt)
+        .fetch_optional(&mut *tx)
+        .await?;
+        if let (Some(row), AfterAttempt::Disable) = (row, settled.next) {
+            disable(&mut tx, rows::endpoint_id(&row)?, now).await?;
+        }
+        let forget = now.checked_sub(KEPT).unwrap_or(Timestamp::MIN);
+        sqlx::query("DELETE FROM webhook_deliveries WHERE state <> 'pending' AND created_at < ?")
+            .bind(micros(forget))
+            .execute(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        Ok(())
+    }
+}
+
+async fn disable(
+    connection: &mut SqliteConnection,
+    endpoint: EndpointId,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE webhook_endpoints SET disabled_at = ? WHERE id = ? AND disabled_at IS NULL")
+        .bind(micros(now))
+        .bind(endpoint.to_string())
+        .execute(&mut *connection)
+        .await?;
+    sqlx::query(
+        "UPDATE webhook_deliveries
+         SET state = 'failed', due_at = NULL, lease_until = NULL, answer_fault = 'the endpoint is disabled'
+         WHERE endpoint = ? AND state = 'pending'",
+    )
+    .bind(endpoint.to_string())
+    .execute(connection)
+    .await?;
+    Ok(())
+}
+
+impl Webhooks for SqliteStore {
+    fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> Answer<'_, Option<EndpointRecord>> {
+        Box::pin(self.insert_endpoint(new, at_most))
+    }
+
+    fn endpoint(&self, id: EndpointId) -> Answer<'_, Option<EndpointRecord>> {
+        Box::pin(async move {
+            let row = sqlx::query("SELECT * FROM webhook_endpoints WHERE id = ?")
+                .bind(id.to_string())
+                .fetch_optional(&self.readers)
+                .await?;
+            row.as_ref().map(rows::endpoint).transpose()
+        })
+    }
+
+    fn endpoints(
+        &self,
+        owner: Option<KeyId>,
+        before: Option<EndpointId>,
+        limit: u32,
+    ) -> Answer<'_, Vec<EndpointRecord>> {
+        Box::pin(async move {
+            // Identities are in the order of creation.
+            let rows = sqlx::query(
+                "SELECT * FROM webhook_endpoints WHERE (?1 IS NULL OR owner = ?1) AND (?2 IS NULL OR id < ?2)
+                 ORDER BY id DESC LIMIT ?3",
+            )
+            .bind(owner.map(|owner| owner.to_string()))
+            .bind(before.map(|id| id.to_string()))
+            .bind(limit)
+            .fetch_all(&self.readers)
+            .await?;
+            rows.iter().map(rows::endpoint).collect()
+        })
+    }
+
+    fn delete_endpoint(&self, id: EndpointId) -> Answer<'_, bool> {
+        Box::pin(async move {
+            let (mut tx, _) = self.begin().await?;
+            let gone = sqlx::query("DELETE FROM webhook_endpoints WHERE id = ?")
+                .bind(id.to_string())
+                .execute(&mut *tx)
+                .await?;
+            tx.commit().await?;
+            Ok(gone.rows_affected() > 0)
+        })
+    }
+
+    fn deliveries(
+        &self,
+        endpoint: EndpointId,
+        before: Option<u64>,
+        limit: u32,
+    ) -> Answer<'_, Vec<DeliveryRecord>> {
+        Box::pin(async move {
+            let rows = sqlx::query(
+                "SELECT * FROM webhook_deliveries WHERE endpoint = ? AND seq < ? ORDER BY seq DESC LIMIT ?",
+            )
+            .bind(endpoint.to_string())
+            .bind(before.map_or(i64::MAX, rows::signed))
+            .bind(limit)
+            .fetch_all(&self.readers)
+            .await?;
+            rows.iter().map(rows::delivery).collect()
+        })
+    }
+
+    fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> Answer<'_, Option<Replay>> {
+        Box::pin(self.replay_delivery(endpoint, id))
+    }
+
+    fn take_delivery(&self, lease: Duration) -> Answer<'_, Option<DueDelivery>> {
+        Box::pin(self.lease_delivery(lease))
+    }
+
+    fn settle_delivery(&self, id: DeliveryId, attempt: u32, settled: Settled) -> Answer<'_, ()> {
+        Box::pin(self.settle(id, attempt, settled))
+    }
+}

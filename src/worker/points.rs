@@ -1,0 +1,62 @@
+//! The points of a run's series on their way from its thread to the store.
+//!
+//! A run may report many times between two looks of its worker, and progress keeps the latest report only. Points keep one for
+//! each of the run's parts, so that a run of seconds has a curve too.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crate::domain::{Phase, Progress, series_bucket};
+
+/// Points that wait; clones share them. At most [`SERIES_POINTS`](crate::domain::SERIES_POINTS) of a run's course.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Points(Arc<Mutex<Vec<Progress>>>);
+
+impl Points {
+    /// Adds a report, if it tells of training, in place of the one before it if that is of the same part.
+    pub(super) fn add(&self, phase: Phase, progress: &Progress) {
+        if phase != Phase::Train {
+            return;
+        }
+        let mut waiting = self.lock();
+        if waiting.last().is_some_and(|last| series_bucket(last) == series_bucket(progress)) {
+            waiting.pop();
+        }
+        waiting.push(progress.clone());
+    }
+
+    /// Takes what waits.
+    pub(super) fn take(&self) -> Vec<Progress> {
+        std::mem::take(&mut *self.lock())
+    }
+
+    /// Puts back what could not be stored, before what came since.
+    pub(super) fn put_back(&self, points: Vec<Progress>) {
+        self.lock().splice(..0, points);
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<Progress>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_part_of_a_run_keeps_its_latest_report() {
+        let points = Points::default();
+        let report = |step| Progress { step, total: 10_000, ..Progress::default() };
+        for step in 1..=10_000 {
+            points.add(Phase::Train, &report(step));
+        }
+        points.add(Phase::Encode, &report(10_000));
+        let taken = points.take();
+        assert_eq!(taken.len(), 1000);
+        assert_eq!((taken[0].step, taken[999].step), (10, 10_000));
+        assert!(points.take().is_empty());
+        points.add(Phase::Train, &report(20));
+        points.put_back(taken);
+        assert_eq!(points.take().last().map(|last| last.step), Some(20));
+    }
+}

@@ -1,0 +1,209 @@
+//! Following a job: streams from any place in its history to its end, across connections and servers.
+
+use std::{sync::Arc, time::Duration};
+
+use serde_json::{Value, json};
+use tcgs::{
+    domain::{Phase, Problem, Progress, SystemClock},
+    http::{self, HttpConfig, Services, config::RequestLimits},
+    store::{Outcome, SqliteStore, Store},
+};
+use tokio_util::sync::CancellationToken;
+
+use crate::support::{
+    contract::Coverage,
+    server::{Server, Setup, quick_policy},
+    sse::{Frame, Reader, frames},
+};
+
+async fn history(server: &Server, job: &str) -> Vec<Value> {
+    let page = server.get(&format!("{job}/events?limit=1000")).await.expect(200).json();
+    page["events"].as_array().expect("events").clone()
+}
+
+fn told(frames: &[Frame]) -> Vec<Value> {
+    frames.iter().map(Frame::json).collect()
+}
+
+async fn to_the_end(mut stream: Reader) -> Vec<Frame> {
+    let mut all = Vec::new();
+    while let Some(frame) = stream.next().await {
+        all.push(frame);
+    }
+    all
+}
+
+fn no_worker(limits: RequestLimits) -> Setup {
+    Setup { worker: false, limits, ..Setup::default() }
+}
+
+pub(super) async fn a_stream_tells_everything_once_and_ends_with_the_job(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.create("gate").await;
+    let events = format!("{job}/events");
+    let stream = server.stream(&events, None).await;
+    let headers = stream.response().headers();
+    assert_eq!(stream.response().status(), 200);
+    for (name, value) in
+        [("content-type", "text/event-stream"), ("cache-control", "no-store"), ("x-accel-buffering", "no")]
+    {
+        assert_eq!(headers[name], value);
+    }
+    let following = tokio::spawn(to_the_end(stream));
+    server.reaches(&job, "running").await;
+    server.runner.gate.open();
+    let live = following.await.expect("the stream ends by itself");
+    let past = history(&server, &job).await;
+    assert_eq!(told(&live), past);
+    assert_eq!(live.last().map(|last| last.json()["data"]["state"].clone()), Some(json!("succeeded")));
+    for frame in &live {
+        let event = frame.json();
+        assert_eq!((&event["seq"], &event["kind"]), (&json!(frame.number()), &json!(frame.event)));
+    }
+
+    let as_stream = |path: String, last: Option<String>| {
+        let server = &server;
+        async move {
+            let answer = server.send("GET", &path, |request| {
+                let request = request.header("accept", "text/event-stream");
+                last.into_iter().fold(request, |request, last| request.header("last-event-id", last))
+            });
+            answer.await
+        }
+    };
+    let whole = as_stream(events.clone(), None).await.expect(200);
+    assert!(whole.body.starts_with(b"retry: 3000\n\n") || whole.body.starts_with(b"retry:3000\n\n"));
+    assert_eq!(told(&frames(&whole.body)), past);
+    for seen in 0..past.len() {
+        let rest = as_stream(events.clone(), Some(seen.to_string())).await.expect(200);
+        assert_eq!(told(&frames(&rest.body)), past[seen..]);
+        let rest = as_stream(format!("{events}?after={seen}"), None).await.expect(200);
+        assert_eq!(told(&frames(&rest.body)), past[seen..]);
+    }
+    // A browser that comes again repeats the address that it began with.
+    let again = as_stream(format!("{events}?after=0"), Some("2".into())).await.expect(200);
+    assert_eq!(told(&frames(&again.body)), past[2..]);
+    let done = as_stream(events.clone(), Some(past.len().to_string())).await.expect(204);
+    assert_eq!((done.header("cache-control"), done.body.len()), ("no-store", 0));
+
+    for wrong in ["x", "-1", "1.5", ""] {
+        let detail = as_stream(events.clone(), Some(wrong.into())).await;
+        assert!(detail.expect_problem(422, "invalid-parameter").starts_with("Last-Event-ID"));
+    }
+    let both = server.send("GET", &events, |request| {
+        request.header("accept", "text/event-stream;q=0.1, application/json")
+    });
+    both.await.expect(200).json();
+}
+
+pub(super) async fn there_are_only_so_many_streams(coverage: Coverage) {
+    let limits = RequestLimits { event_streams: 8, event_streams_each: 2, ..Default::default() };
+    let server = Server::start_with(&coverage, no_worker(limits)).await;
+    let job = server.create("succeed").await;
+    let events = format!("{job}/events");
+    let first = server.stream(&events, None).await;
+    let _second = server.stream(&events, None).await;
+    let ask = || server.send("GET", &events, |request| request.header("accept", "text/event-stream"));
+    let refused = ask().await;
+    refused.header("retry-after").parse::<u32>().expect("seconds");
+    assert!(refused.expect_problem(429, "too-many-streams").contains("2 streams"));
+    server.get(&events).await.expect(200);
+    drop(first);
+    // The place is free once the server has noticed.
+    while server.stream(&events, None).await.response().status() == 429 {
+        tokio::task::yield_now().await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_silent_stream_shows_that_it_lives() {
+    let limits = RequestLimits { keep_alive: Duration::from_millis(5), ..Default::default() };
+    let server = Server::start_with(&Coverage::default(), no_worker(limits)).await;
+    let job = server.create("succeed").await;
+    let mut stream = server.stream(&format!("{job}/events"), Some(1)).await;
+    let mut comments = 0;
+    while comments < 3 {
+        let block = stream.block().await.expect("the stream goes on");
+        comments += usize::from(block.starts_with(b":"));
+    }
+    server.post(&format!("{job}/cancel")).await.expect(200);
+    let last = stream.next().await.expect("the end of the job");
+    assert_eq!((last.number(), &last.json()["data"]["state"]), (2, &json!("cancelled")));
+    assert_eq!(stream.next().await, None);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_stream_that_waits_outlives_a_failing_database() {
+    let server = Server::start_with(&Coverage::default(), no_worker(RequestLimits::default())).await;
+    let job = server.create("succeed").await;
+    let mut stream = server.stream(&format!("{job}/events"), None).await;
+    assert_eq!(stream.next().await.map(|frame| frame.number()), Some(1));
+    server.store.set(Some(crate::support::faults::Failing::Gone));
+    let mut other = server.stream(&format!("{job}/events"), None).await;
+    assert_eq!(other.response().status(), 500);
+    assert_eq!(other.next().await, None);
+    server.store.set(None);
+    server.post(&format!("{job}/cancel")).await.expect(200);
+    assert_eq!(stream.next().await.map(|frame| frame.number()), Some(2), "a wait outlives a failure");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_client_that_follows_across_a_restart_misses_nothing_and_gets_nothing_twice() {
+    let mut server = Server::start_with(&Coverage::default(), no_worker(RequestLimits::default())).await;
+    let job = server.create("succeed").await;
+    let events = format!("{job}/events");
+    let lease = server.store.claim("test").await.expect("a claim").expect("a job").lease;
+    let mut stream = server.stream(&events, None).await;
+    let mut seen = Vec::new();
+    for _ in 0..3 {
+        seen.push(stream.next().await.expect("an event"));
+    }
+
+    // The server stops with the stream open; the worker, another process, goes on.
+    server.shutdown.cancel();
+    assert_eq!(stream.next().await, None, "the stream ends so that the server can stop");
+    (&mut server.serving).await.expect("the server stops");
+    let progress = |step| Progress { step, total: 10, ..Progress::default() };
+    server.store.report(&lease, Phase::Train, &progress(5)).await.expect("stored");
+
+    let reopened = SqliteStore::open(&server.database(), Arc::new(SystemClock), quick_policy()).await;
+    let store: Arc<dyn Store> = Arc::new(reopened.expect("the database"));
+    let services = Services { store: Arc::clone(&store), ..server.services.clone() };
+    let config = HttpConfig { listen: server.address, ..HttpConfig::default() };
+    let listener = http::bind(&config, false).await.expect("the same port");
+    let stop = CancellationToken::new();
+    let serving = tokio::spawn(http::serve(listener, config, services, stop.clone()));
+    let last = seen.last().map(Frame::number);
+    let mut stream = server.stream(&events, last).await;
+    seen.push(stream.next().await.expect("what happened between the servers"));
+    server.store.report(&lease, Phase::Encode, &progress(10)).await.expect("stored");
+    let failed = Outcome::Failed(Problem::new(500, "test", "Test", "as the test wants it"));
+    server.store.finish(&lease, failed).await.expect("ended");
+    seen.extend(to_the_end(stream).await);
+
+    let past = store.events(lease.job, 0, 1000).await.expect("read").expect("a job");
+    let past: Vec<Value> = past.iter().map(|event| serde_json::to_value(event).expect("JSON")).collect();
+    assert_eq!(told(&seen), past);
+    assert_eq!(past.last().map(|last| &last["data"]["state"]), Some(&json!("failed")));
+    stop.cancel();
+    serving.await.expect("the second server stops");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_hundred_clients_follow_a_job() {
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.create("gate").await;
+    let mut following = Vec::new();
+    for _ in 0..100 {
+        let stream = server.stream(&format!("{job}/events"), None).await;
+        assert_eq!(stream.response().status(), 200);
+        following.push(tokio::spawn(to_the_end(stream)));
+    }
+    server.runner.gate.open();
+    let mut all = Vec::new();
+    for stream in following {
+        all.push(told(&stream.await.expect("the stream ends")));
+    }
+    let past = history(&server, &job).await;
+    assert!(all.iter().all(|told| *told == past));
+}

@@ -1,0 +1,92 @@
+//! Databases of earlier versions: what they hold is there after an update.
+
+use std::{borrow::Cow, path::Path, sync::Arc};
+
+use sqlx::{
+    SqlitePool,
+    migrate::Migrator,
+    sqlite::{SqliteConnectOptions, SqlitePoolOptions},
+};
+use tcgs::{
+    domain::{JobState, SystemClock},
+    store::{ArtifactKind, QueuePolicy, SqliteStore, Store},
+};
+
+static ALL: Migrator = sqlx::migrate!("migrations/sqlite");
+
+/// A database as it was after `version`.
+async fn database(path: &Path, version: i64) -> SqlitePool {
+    let options = SqliteConnectOptions::new().filename(path).create_if_missing(true).foreign_keys(true);
+    let pool = SqlitePoolOptions::new().max_connections(1).connect_with(options).await.expect("a database");
+    let known = ALL.iter().filter(|migration| migration.version <= version).cloned().collect();
+    let migrator = Migrator { migrations: Cow::Owned(known), ..Migrator::DEFAULT };
+    migrator.run(&pool).await.expect("the schema of that time");
+    pool
+}
+
+const JOB: &str = "01890a5d-ac96-774b-bcce-b302099a8057";
+
+async fn open(path: &Path) -> SqliteStore {
+    SqliteStore::open(path, Arc::new(SystemClock), QueuePolicy::default()).await.expect("opens")
+}
+
+#[tokio::test]
+async fn jobs_and_files_of_every_earlier_schema_are_there_after_an_update() {
+    let versions: Vec<i64> = ALL.iter().map(|migration| migration.version).collect();
+    assert_eq!(versions.first(), Some(&1));
+    for version in versions {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("tcgs.sqlite");
+        let old = database(&path, version).await;
+        let (dataset, file) = ("a".repeat(64), "b".repeat(64));
+        for (digest, bytes) in [(&dataset, 1000), (&file, 77)] {
+            sqlx::query("INSERT INTO blobs (digest, bytes, created_at) VALUES (?, ?, 5)")
+                .bind(digest)
+                .bind(bytes)
+                .execute(&old)
+                .await
+                .expect("a blob");
+        }
+        sqlx::query(
+            "INSERT INTO jobs (id, dataset, options, state, phase, progress, priority, run_after, attempt, charged, max_attempts,
+                 last_seq, created_at, started_at, finished_at)
+             VALUES (?, ?, '{}', 'succeeded', 'done', '{}', 0, 5, 1, 1, 3, 1, 5, 6, 7)",
+        )
+        .bind(JOB)
+        .bind(&dataset)
+        .execute(&old)
+        .await
+        .expect("a job");
+        sqlx::query(
+            "INSERT INTO events (job_id, seq, at, kind, attempt, data) VALUES (?, 1, 5, 'state', 0, '{\"state\":\"queued\"}')",
+        )
+        .bind(JOB)
+        .execute(&old)
+        .await
+        .expect("an event");
+        let place = if version >= 3 { ("place, ", "0, ") } else { ("", "") };
+        let insert = format!(
+            "INSERT INTO artifacts (job_id, kind, {}digest, attempt) VALUES ('{JOB}', 'tcgs', {}'{file}', 1)",
+            place.0, place.1
+        );
+        sqlx::query(sqlx::AssertSqlSafe(insert)).execute(&old).await.expect("an artifact");
+        old.close().await;
+
+        let store = open(&path).await;
+        let id = JOB.parse().expect("an id");
+        let record =
+            store.job(id).await.expect("reads").unwrap_or_else(|| panic!("lost from version {version}"));
+        assert_eq!(record.job.state, JobState::Succeeded, "version {version}");
+        assert_eq!(record.dataset.bytes, 1000, "version {version}");
+        assert_eq!(record.owner, None, "version {version}");
+        let scenes: Vec<_> = record.scenes().collect();
+        assert_eq!(scenes.len(), 1, "version {version}");
+        assert_eq!(ArtifactKind::Scene(scenes[0].format).name(), "tcgs", "version {version}");
+        assert_eq!((scenes[0].lambda, scenes[0].blob.bytes), (None, 77), "version {version}");
+        let events = store.events(id, 0, 10).await.expect("reads").expect("the job is there");
+        assert_eq!(events.len(), 1, "version {version}");
+        store.close().await;
+        // Once more: an update that was made is not made again.
+        open(&path).await.close().await;
+    }
+}

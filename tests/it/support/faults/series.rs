@@ -1,0 +1,17 @@
+//! Series that fail when told to.
+
+use tcgs::{
+    domain::{JobId, Progress, SeriesPoint},
+    store::{Answer, Lease, Series},
+};
+
+use super::FaultStore;
+
+impl Series for FaultStore {
+    fn record<'a>(&'a self, lease: &'a Lease, points: &'a [Progress]) -> Answer<'a, ()> {
+        self.guard(self.inner.record(lease, points))
+    }
+    fn series(&self, job: JobId) -> Answer<'_, Option<Vec<SeriesPoint>>> {
+        self.guard(self.inner.series(job))
+    }
+}

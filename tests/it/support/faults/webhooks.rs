@@ -1,0 +1,47 @@
+//! Webhooks that fail when told to.
+
+use std::time::Duration;
+
+use tcgs::{
+    domain::{DeliveryId, EndpointId, KeyId},
+    store::{Answer, DeliveryRecord, DueDelivery, EndpointRecord, NewEndpoint, Replay, Settled, Webhooks},
+};
+
+use super::FaultStore;
+
+impl Webhooks for FaultStore {
+    fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> Answer<'_, Option<EndpointRecord>> {
+        self.guard(self.inner.create_endpoint(new, at_most))
+    }
+    fn endpoint(&self, id: EndpointId) -> Answer<'_, Option<EndpointRecord>> {
+        self.guard(self.inner.endpoint(id))
+    }
+    fn endpoints(
+        &self,
+        owner: Option<KeyId>,
+        before: Option<EndpointId>,
+        limit: u32,
+    ) -> Answer<'_, Vec<EndpointRecord>> {
+        self.guard(self.inner.endpoints(owner, before, limit))
+    }
+    fn delete_endpoint(&self, id: EndpointId) -> Answer<'_, bool> {
+        self.guard(self.inner.delete_endpoint(id))
+    }
+    fn deliveries(
+        &self,
+        endpoint: EndpointId,
+        before: Option<u64>,
+        limit: u32,
+    ) -> Answer<'_, Vec<DeliveryRecord>> {
+        self.guard(self.inner.deliveries(endpoint, before, limit))
+    }
+    fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> Answer<'_, Option<Replay>> {
+        self.guard(self.inner.replay(endpoint, id))
+    }
+    fn take_delivery(&self, lease: Duration) -> Answer<'_, Option<DueDelivery>> {
+        self.guard(self.inner.take_delivery(lease))
+    }
+    fn settle_delivery(&self, id: DeliveryId, attempt: u32, settled: Settled) -> Answer<'_, ()> {
+        self.guard(self.inner.settle_delivery(id, attempt, settled))
+    }
+}
