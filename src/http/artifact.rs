@@ -1,23 +1,23 @@
-//! The finished file: whole or in part, with a digest of the whole.
+//! A job's files: the finished one, a list of all, and any of them by its hash.
 
 use axum::{
-    body::Body,
+    Json,
     extract::{Path, RawQuery, State},
-    http::{HeaderMap, HeaderValue, StatusCode, header},
-    response::{IntoResponse as _, Response},
+    http::{HeaderMap, StatusCode, header},
+    response::{IntoResponse, Response},
 };
+use serde::Serialize;
 
 use super::{
-    etag::{Etag, not_modified},
+    file::{File, media_type, serve},
     jobs::find,
     problem::Fault,
     query::Parameters,
-    range::{Wanted, wanted},
     state::AppState,
 };
 use crate::{
     domain::{Caller, Digest},
-    store::{JobRecord, SceneArtifact},
+    store::{ArtifactKind, BlobRef, JobRecord, SceneArtifact},
 };
 
 /// Takes the parameter that chooses among the files of a rate-distortion curve.
@@ -58,85 +58,80 @@ pub(super) async fn get(
     let mut parameters = Parameters::parse(query.as_deref())?;
     let lambda = take_lambda(&mut parameters)?;
     parameters.finish()?;
-    let SceneArtifact { format, lambda, blob: file } = file_of(&record, lambda)?;
-    let etag = Etag::new(file.digest);
-    if etag.is_in_if_none_match(&request) {
-        return Ok(not_modified(&etag));
-    }
-    let range = request.get(header::RANGE).filter(|_| etag.allows_range(&request));
-    let (status, part) = match wanted(range.and_then(|value| value.to_str().ok()), file.bytes) {
-        Wanted::Whole => (StatusCode::OK, 0..file.bytes),
-        Wanted::Part(part) => (StatusCode::PARTIAL_CONTENT, part),
-        Wanted::Unsatisfiable => return Err(unsatisfiable(file.bytes)),
-    };
-    let body = if part.is_empty() {
-        Body::empty()
-    } else {
-        Body::from_stream(state.blobs().stream(file.digest, part.clone()).await?)
-    };
-    let mut response = (status, body).into_response();
-    let headers = response.headers_mut();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
-    headers.insert(header::CONTENT_LENGTH, HeaderValue::from(part.end - part.start));
-    headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
-    headers.insert(header::ETAG, etag.value());
-    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("private, max-age=31536000, immutable"));
-    let mut text = |name: &'static str, value: String| {
-        HeaderValue::try_from(value).map(|value| headers.insert(name, value))
-    };
-    let point = lambda.map_or_else(String::new, |lambda| format!(".lambda-{lambda}"));
-    let name = format!("{}{point}.{}", record.job.id, format.name());
-    let named = text("content-disposition", format!("attachment; filename=\"{name}\""))
-        .and(text("repr-digest", format!("sha-256=:{}:", base64(&file.digest))));
-    named.map_err(|error| Fault::internal(&error))?;
-    if status == StatusCode::PARTIAL_CONTENT {
-        let value = format!("bytes {}-{}/{}", part.start, part.end - 1, file.bytes);
-        headers.insert(
-            header::CONTENT_RANGE,
-            HeaderValue::try_from(value).map_err(|error| Fault::internal(&error))?,
-        );
-    }
-    Ok(response)
+    let SceneArtifact { format, lambda, blob } = file_of(&record, lambda)?;
+    serve(&state, &request, File::new(record.job.id, ArtifactKind::Scene(format), lambda, blob)).await
 }
 
-fn unsatisfiable(length: u64) -> Fault {
-    let fault = Fault::new(
-        StatusCode::RANGE_NOT_SATISFIABLE,
-        "range-not-satisfiable",
-        "Range not satisfiable",
-        format!("the file has {length} bytes"),
-    );
-    match HeaderValue::try_from(format!("bytes */{length}")) {
-        Ok(value) => fault.with(header::CONTENT_RANGE, value),
-        Err(_) => fault,
-    }
+/// `GET` and `HEAD /v1/artifacts/{sha256}`.
+pub(super) async fn by_hash(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(hash): Path<String>,
+    request: HeaderMap,
+) -> Result<Response, Fault> {
+    let found = match hash.parse::<Digest>() {
+        Ok(digest) => state.store().file(digest, caller.sees_only()).await?,
+        Err(_) => None,
+    };
+    let found = found.ok_or_else(|| {
+        let detail = "no file of yours has this SHA-256; the artifacts of a job list what it has";
+        Fault::new(StatusCode::NOT_FOUND, "artifact-not-found", "No such file", detail)
+    })?;
+    serve(&state, &request, found.into()).await
 }
 
-/// RFC 4648 base64 with padding, as structured headers carry bytes.
-fn base64(digest: &Digest) -> String {
-    const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = String::with_capacity(44);
-    for chunk in digest.as_bytes().chunks(3) {
-        let word =
-            chunk.iter().enumerate().fold(0_u32, |word, (at, &b)| word | u32::from(b) << (16 - 8 * at));
-        for position in 0..4 {
-            if position <= chunk.len() {
-                text.push(char::from(ALPHABET[(word >> (18 - 6 * position)) as usize & 63]));
-            } else {
-                text.push('=');
-            }
+#[derive(Debug, Serialize)]
+struct ArtifactList {
+    artifacts: Vec<ListedFile>,
+}
+
+#[derive(Debug, Serialize)]
+struct ListedFile {
+    kind: &'static str,
+    origin: &'static str,
+    lambda: Option<f64>,
+    bytes: u64,
+    sha256: Digest,
+    media_type: &'static str,
+    gaussians: Option<u64>,
+    sh_degree: Option<u8>,
+    href: String,
+}
+
+impl ListedFile {
+    fn new(origin: &'static str, kind: ArtifactKind, lambda: Option<f64>, blob: BlobRef) -> Self {
+        Self {
+            kind: kind.name(),
+            origin,
+            lambda,
+            bytes: blob.bytes,
+            sha256: blob.digest,
+            media_type: media_type(kind),
+            gaussians: None,
+            sh_degree: None,
+            href: format!("/v1/artifacts/{}", blob.digest),
         }
     }
-    text
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn digests_are_written_in_base64() {
-        assert_eq!(base64(&Digest::of(b"abc")), "ungWv48Bz+pBQUDeXa4iI7ADYaOWF3qctBD/YfIAFa0=");
-        assert_eq!(base64(&Digest::of(b"")), "47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU=");
-    }
+/// `GET /v1/jobs/{id}/artifacts`.
+pub(super) async fn list(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+) -> Result<impl IntoResponse, Fault> {
+    let record = find(&state, &caller, &id).await?;
+    let exports = state.store().exports(record.job.id).await?;
+    let made = record.artifacts.iter().map(|file| ListedFile::new("job", file.kind, file.lambda, file.blob));
+    let exported = exports.iter().map(|export| {
+        let source = record.artifacts.iter().find(|file| file.blob.digest == export.source);
+        let lambda = source.and_then(|file| file.lambda);
+        ListedFile {
+            gaussians: Some(export.gaussians),
+            sh_degree: Some(export.sh_degree),
+            ..ListedFile::new("export", ArtifactKind::Scene(export.format), lambda, export.blob)
+        }
+    });
+    let artifacts = made.chain(exported).collect();
+    Ok(([(header::CACHE_CONTROL, "no-cache")], Json(ArtifactList { artifacts })))
 }

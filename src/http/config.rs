@@ -140,6 +140,10 @@ pub struct RequestLimits {
     pub animation_pixels: u64,
     /// Bytes of encoded views that are kept for whoever asks again.
     pub view_cache_bytes: u64,
+    /// Scenes that are exported at a time.
+    pub exports: usize,
+    /// Scenes that may wait to be exported.
+    pub exports_waiting: usize,
     /// How often changes of jobs are looked for while a request waits for one.
     pub watch_every: Duration,
     /// How often queued jobs are looked for whose deadline has passed.
@@ -180,6 +184,8 @@ impl Default for RequestLimits {
             frames: 720,
             animation_pixels: 1 << 26,
             view_cache_bytes: 64 << 20,
+            exports: 1,
+            exports_waiting: 8,
             watch_every: Duration::from_millis(250),
             overdue_every: Duration::from_secs(1),
             waits: 128,

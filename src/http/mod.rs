@@ -19,6 +19,8 @@ mod create_scene;
 mod etag;
 mod event_stream;
 mod events;
+mod exports;
+mod file;
 mod health;
 mod idempotency;
 mod job_actions;
@@ -59,7 +61,10 @@ use tower_http::catch_panic::CatchPanicLayer;
 
 pub use config::HttpConfig;
 pub use serve::{ServeError, bind, serve};
-pub use state::{AppState, DatasetCheck, ForgetJob, SceneLoader, Services, WorkerCensus, WorkerCounts};
+pub use state::{
+    AppState, DatasetCheck, ExportedScene, ForgetJob, SceneExporter, SceneLoader, Services, WorkerCensus,
+    WorkerCounts,
+};
 
 /// Every route of the API.
 pub fn router(state: AppState) -> Router {
@@ -75,6 +80,9 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/jobs/{id}/events", get(events::list))
         .route("/v1/jobs/{id}/series", get(series::get))
         .route("/v1/jobs/{id}/artifact", get(artifact::get))
+        .route("/v1/jobs/{id}/artifacts", get(artifact::list))
+        .route("/v1/jobs/{id}/export", get(exports::get))
+        .route("/v1/artifacts/{sha256}", get(artifact::by_hash))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
         .route("/v1/jobs/{id}/stream", get(views::sequence::stream).post(views::sequence::stream_path))

@@ -6,11 +6,11 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::{
-    auth::Lock, config::RequestLimits, idempotency::InFlight, stream_places::StreamPlaces,
-    throttle::Throttle, views::Studio, watch::Watcher,
+    auth::Lock, config::RequestLimits, exports::ExportQueue, idempotency::InFlight,
+    stream_places::StreamPlaces, throttle::Throttle, views::Studio, watch::Watcher,
 };
 use crate::{
-    domain::{Clock, DatasetSummary, Entropy, JobId, Problem},
+    domain::{Camera, Clock, DatasetSummary, Entropy, JobId, Problem, SceneFormat},
     render::{RenderViews, views::Viewable},
     store::{Blobs, Store},
 };
@@ -20,6 +20,21 @@ pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<DatasetSummary, Problem> + S
 
 /// Reads a finished scene's file; blocks.
 pub type SceneLoader = Arc<dyn Fn(&[u8]) -> Result<Viewable, Problem> + Send + Sync>;
+
+/// Writes a finished scene in another format so that it looks alike from these cameras; blocks.
+pub type SceneExporter =
+    Arc<dyn Fn(&[u8], SceneFormat, &[Camera]) -> Result<ExportedScene, Problem> + Send + Sync>;
+
+/// A finished scene in another format.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ExportedScene {
+    /// The file.
+    pub bytes: Vec<u8>,
+    /// How many Gaussians it has.
+    pub gaussians: u64,
+    /// Highest degree of its spherical harmonics.
+    pub sh_degree: u8,
+}
 
 /// Removes what is kept of a deleted job beside the store and its blobs; blocks.
 pub type ForgetJob = Arc<dyn Fn(JobId) + Send + Sync>;
@@ -53,6 +68,8 @@ pub struct Services {
     pub load: SceneLoader,
     /// Renders views.
     pub renderer: Arc<dyn RenderViews>,
+    /// See [`SceneExporter`].
+    pub export: SceneExporter,
     /// See [`ForgetJob`].
     pub forget: ForgetJob,
     /// See [`WorkerCensus`].
@@ -70,6 +87,7 @@ struct Inner {
     studio: Studio,
     watcher: Watcher,
     in_flight: Arc<InFlight>,
+    exports: ExportQueue,
     waits: Semaphore,
     stream_places: StreamPlaces,
     draining: CancellationToken,
@@ -91,6 +109,7 @@ impl AppState {
         let studio = Studio::new(&services, &limits);
         let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
         let waits = Semaphore::new(limits.waits);
+        let exports = ExportQueue::new(limits.exports, limits.exports_waiting);
         let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
         let stream_places = StreamPlaces::new(limits.event_streams, limits.event_streams_each);
         Self(Arc::new(Inner {
@@ -100,6 +119,7 @@ impl AppState {
             studio,
             watcher,
             in_flight: Arc::default(),
+            exports,
             waits,
             stream_places,
             draining,
@@ -148,6 +168,11 @@ impl AppState {
     /// Places for requests that wait for a job.
     pub(super) fn waits(&self) -> &Semaphore {
         &self.0.waits
+    }
+
+    /// Exports that are being made.
+    pub(super) fn exports(&self) -> &ExportQueue {
+        &self.0.exports
     }
 
     /// Waits for changes of jobs.

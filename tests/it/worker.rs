@@ -386,6 +386,7 @@ fn api(workshop: &Workshop, census: Census) -> axum::Router {
         check: Arc::new(crate::support::fakes::check),
         load: Arc::new(crate::support::fakes::load),
         renderer: Arc::new(crate::support::fakes::FakeRenderer::default()),
+        export: crate::support::fakes::exporter(&Arc::default()),
         forget: Arc::new(|_| {}),
         workers: Arc::new(move || WorkerCounts { expected: census.expected(), alive: census.living().len() }),
     };

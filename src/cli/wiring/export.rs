@@ -55,6 +55,8 @@ pub(crate) struct Packing {
 pub(crate) struct Exported {
     /// The file.
     pub(crate) bytes: Vec<u8>,
+    /// How many Gaussians it has.
+    pub(crate) gaussians: usize,
     /// Highest degree of its spherical harmonics.
     pub(crate) degree: u8,
     /// How anchors became Gaussians.
@@ -112,7 +114,8 @@ pub(crate) fn export(
         }
         _ => (scene_file::write_gaussians(&scene, file.background, file.dataset), None),
     };
-    Ok(Exported { bytes, degree, baking, packing })
+    let left_out = packing.as_ref().map_or(0, |packing: &Packing| packing.left_out);
+    Ok(Exported { bytes, gaussians: scene.means.len() - left_out, degree, baking, packing })
 }
 
 /// Renders `source` and `exported`, as read back from its bytes, from the same cameras. With photographs, they must be over

@@ -14,10 +14,12 @@ use std::{
 };
 
 use tcgs::{
-    domain::{KeyLimits, MemoryLimits, OutboundPolicy, Problem, SystemClock, SystemEntropy},
+    domain::{
+        Camera, KeyLimits, MemoryLimits, OutboundPolicy, Problem, SceneFormat, SystemClock, SystemEntropy,
+    },
     gpu::{AdapterChoice, driver_cache},
     http::{
-        self, HttpConfig, Services, WorkerCounts,
+        self, ExportedScene, HttpConfig, Services, WorkerCounts,
         config::{AccessRules, RequestLimits},
     },
     ingest,
@@ -136,6 +138,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
                 Ok(Viewable { scene: file.scene, background: file.background })
             }),
             renderer,
+            export: Arc::new(export),
             forget: Arc::new(move |job| worker::forget_checkpoints(&checkpoints, job)),
             workers: Arc::new(move || WorkerCounts {
                 expected: census.expected(),
@@ -204,6 +207,18 @@ async fn has_keys(data: &Path) -> Result<bool, Failure> {
     let has_keys = store.has_keys().await.map_err(|fault| unavailable(&fault))?;
     store.close().await;
     Ok(has_keys)
+}
+
+/// Highest degree of the spherical harmonics of scenes that are exported on demand.
+const EXPORT_DEGREE: u8 = 3;
+
+/// A finished scene in another format, made to look alike from `cameras`, or from all around where there are none.
+fn export(bytes: &[u8], format: SceneFormat, cameras: &[Camera]) -> Result<ExportedScene, Problem> {
+    let file = scene_file::read(bytes)?;
+    let cameras = (!cameras.is_empty()).then_some(cameras);
+    let exported = super::export(&file, format, EXPORT_DEGREE, cameras)?;
+    let gaussians = u64::try_from(exported.gaussians).unwrap_or(u64::MAX);
+    Ok(ExportedScene { bytes: exported.bytes, gaussians, sh_degree: exported.degree })
 }
 
 /// The environment that lets workers find compiled kernels again.

@@ -7,6 +7,7 @@
 
 mod accounts;
 mod events;
+mod exports;
 mod idempotency;
 mod keys;
 mod lifecycle;

@@ -12,7 +12,8 @@ use crate::{
     },
     store::{
         Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, DeliveryRecord, DeliveryState,
-        DueDelivery, EndpointRecord, JobRecord, Remembered, StoreError, verdict::Standing,
+        DueDelivery, EndpointRecord, ExportRecord, FileRecord, JobRecord, Remembered, StoreError,
+        verdict::Standing,
     },
 };
 
@@ -187,6 +188,28 @@ pub(super) fn attempt(row: &SqliteRow) -> Result<AttemptRecord, StoreError> {
         ended_at: optional_instant(row, "ended_at")?,
         outcome,
         cause: optional_document(row, "cause")?,
+    })
+}
+
+/// A row of `exports` joined with its blob's `bytes`.
+pub(super) fn export(row: &SqliteRow) -> Result<ExportRecord, StoreError> {
+    Ok(ExportRecord {
+        job: parsed("job_id", row.try_get("job_id")?)?,
+        source: parsed("source", row.try_get("source")?)?,
+        format: bare("export format", row.try_get("format")?)?,
+        blob: blob(row, "digest")?,
+        gaussians: unsigned(row, "gaussians")?,
+        sh_degree: unsigned(row, "sh_degree")?,
+    })
+}
+
+/// A file of a job or of its exports, joined with its blob's `bytes`.
+pub(super) fn file(row: &SqliteRow) -> Result<FileRecord, StoreError> {
+    Ok(FileRecord {
+        job: parsed("job_id", row.try_get("job_id")?)?,
+        kind: bare("artifact kind", row.try_get("kind")?)?,
+        lambda: row.try_get("lambda")?,
+        blob: blob(row, "digest")?,
     })
 }
 

@@ -419,6 +419,9 @@ async fn keys_are_in_no_log_and_no_answer() {
         .with_span_events(tracing_subscriber::fmt::format::FmtSpan::FULL)
         .with_writer(move || writer.clone())
         .finish();
+    // While there is only one subscriber, an event that a thread without it comes to first stays off for all (tracing asks the
+    // thread's own subscriber alone); with two, all are asked.
+    let _second = tracing::Dispatch::new(tracing_subscriber::registry());
     let _guard = tracing::subscriber::set_default(subscriber);
 
     let server = Server::start(&Coverage::default()).await;

@@ -5,6 +5,7 @@ mod access;
 mod artifacts;
 mod connections;
 mod events;
+mod exports;
 mod films;
 mod idempotency;
 mod job_life;
@@ -22,6 +23,7 @@ use crate::support::contract::Coverage;
 /// Statuses that no test can bring about, with the reason.
 const UNSEEN: &[(&str, &str, &str)] = &[
     ("appendToUpload", "507", "needs a full disk; the mapping has a unit test"),
+    ("exportScene", "507", "needs a full disk; the mapping has a unit test"),
     ("retryJob", "408", "a body that dawdles is seen where it is long"),
 ];
 
@@ -116,6 +118,12 @@ scenarios! {
         room_is_kept_from_the_beginning,
         bodies_of_parts_that_dawdle_or_break_off_keep_what_came,
         one_request_at_a_time_writes,
+    }
+    exports {
+        every_file_of_a_job_is_listed_and_served_by_its_hash,
+        a_scene_is_exported_once_and_kept,
+        an_export_that_cannot_be_is_said_so,
+        few_exports_are_made_at_a_time_and_each_for_all_who_ask,
     }
     webhooks {
         endpoints_are_made_listed_and_deleted_and_show_their_secret_once,

@@ -315,3 +315,29 @@ fn empty_scene() -> AnchorScene {
         near: NearPlane::default(),
     }
 }
+
+/// Writes a line in place of an export, and counts how often. A file of the second weight of a curve waits at the gate first, one
+/// of the third cannot be exported.
+#[derive(Debug, Default)]
+pub struct FakeExporter {
+    pub gate: Gate,
+    pub made: std::sync::atomic::AtomicUsize,
+}
+
+/// What a service is given.
+pub fn exporter(fake: &Arc<FakeExporter>) -> tcgs::http::SceneExporter {
+    let fake = Arc::clone(fake);
+    Arc::new(move |file, format, cameras| {
+        if file == curve_file(1) {
+            fake.gate.pass();
+        }
+        if file == curve_file(2) {
+            let detail = "as the test wants it";
+            return Err(Problem::new(422, "not-exportable", "The scene cannot be exported", detail));
+        }
+        assert!(file != curve_file(3), "as the test wants it");
+        fake.made.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
+        let text = format!("{} from {} cameras of {} bytes", format.name(), cameras.len(), file.len());
+        Ok(tcgs::http::ExportedScene { bytes: text.into_bytes(), gaussians: 5, sh_degree: 3 })
+    })
+}

@@ -10,10 +10,10 @@ use jiff::Timestamp;
 use tcgs::{
     domain::{Digest, Event, JobId, JobState, KeyId, Phase, Progress, SceneId, UploadId},
     store::{
-        Accounts, Answer, AttemptRecord, Cancellation, Claim, Deletion, Heartbeat, Idempotency, JobFilter,
-        JobRecord, Lease, NewJob, NewScene, NewUpload, Outcome, PageKey, Remembered, Repeat, Repetition,
-        SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes, Store, StoreError, UploadRecord,
-        Uploads, Usage,
+        Accounts, Answer, AttemptRecord, Cancellation, Claim, Deletion, ExportRecord, Exports, FileRecord,
+        Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewJob, NewScene, NewUpload, Outcome, PageKey,
+        Remembered, Repeat, Repetition, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes, Store,
+        StoreError, UploadRecord, Uploads, Usage,
     },
 };
 
@@ -49,6 +49,18 @@ impl FaultStore {
             Some(Failing::Gone) => sqlx::Error::PoolClosed,
         };
         Box::pin(async move { Err(StoreError::Database(error)) })
+    }
+}
+
+impl Exports for FaultStore {
+    fn add_export(&self, export: ExportRecord) -> Answer<'_, Option<ExportRecord>> {
+        self.guard(self.inner.add_export(export))
+    }
+    fn exports(&self, job: JobId) -> Answer<'_, Vec<ExportRecord>> {
+        self.guard(self.inner.exports(job))
+    }
+    fn file(&self, digest: Digest, owner: Option<KeyId>) -> Answer<'_, Option<FileRecord>> {
+        self.guard(self.inner.file(digest, owner))
     }
 }
 

@@ -18,7 +18,7 @@ use uuid::Uuid;
 
 use super::{
     contract::Coverage,
-    fakes::{self, FakeRenderer, FakeRunner},
+    fakes::{self, FakeExporter, FakeRenderer, FakeRunner},
     faults::FaultStore,
     sse::Reader,
 };
@@ -80,6 +80,7 @@ pub struct Server {
     pub services: Services,
     pub runner: FakeRunner,
     pub renderer: FakeRenderer,
+    pub exporter: Arc<FakeExporter>,
     pub shutdown: CancellationToken,
     pub serving: JoinHandle<()>,
     pub coverage: Coverage,
@@ -150,6 +151,7 @@ impl Server {
         let store = Arc::new(FaultStore::new(Arc::new(sqlite.expect("a database"))));
         let blobs = Blobs::open(data.path()).expect("a blob store");
         let (runner, renderer) = (FakeRunner::default(), FakeRenderer::default());
+        let exporter = Arc::new(FakeExporter::default());
         let services = Services {
             store: Arc::clone(&store) as Arc<dyn Store>,
             blobs: blobs.clone(),
@@ -158,6 +160,7 @@ impl Server {
             check: Arc::new(fakes::check),
             load: Arc::new(fakes::load),
             renderer: Arc::new(renderer.clone()),
+            export: fakes::exporter(&exporter),
             forget: Arc::new(|_| {}),
             workers: Arc::new(|| WorkerCounts { expected: 1, alive: 1 }),
         };
@@ -188,7 +191,19 @@ impl Server {
             .build()
             .expect("a client");
         let coverage = coverage.clone();
-        Self { address, store, services, runner, renderer, shutdown, serving, coverage, client, data }
+        Self {
+            address,
+            store,
+            services,
+            runner,
+            renderer,
+            exporter,
+            shutdown,
+            serving,
+            coverage,
+            client,
+            data,
+        }
     }
 
     /// A key with these scopes.
@@ -322,6 +337,7 @@ impl Drop for Server {
     fn drop(&mut self) {
         self.runner.gate.open();
         self.renderer.gate.open();
+        self.exporter.gate.open();
         self.shutdown.cancel();
     }
 }

@@ -1,0 +1,46 @@
+//! Finished scenes in formats that other programs read, and files by their hash.
+
+use super::{Answer, ArtifactKind, BlobRef};
+use crate::domain::{Digest, JobId, KeyId, SceneFormat};
+
+/// A finished scene in another format.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ExportRecord {
+    /// The job whose scene it is.
+    pub job: JobId,
+    /// The job's file that it was made of.
+    pub source: Digest,
+    /// Its format.
+    pub format: SceneFormat,
+    /// Where it is.
+    pub blob: BlobRef,
+    /// How many Gaussians it has.
+    pub gaussians: u64,
+    /// Highest degree of its spherical harmonics.
+    pub sh_degree: u8,
+}
+
+/// A file that a job made, or that was made of its scene.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FileRecord {
+    /// The job; the newest, if several made the same.
+    pub job: JobId,
+    /// What it is.
+    pub kind: ArtifactKind,
+    /// As in [`super::Artifact::lambda`].
+    pub lambda: Option<f64>,
+    /// Where it is.
+    pub blob: BlobRef,
+}
+
+/// Part of a [`super::Store`]: exports, and files by hash. Every method is one transaction.
+pub trait Exports: Send + Sync + 'static {
+    /// Keeps an export, unless there is one like it, and gives back the one that is kept; `None` if the job is gone.
+    fn add_export(&self, export: ExportRecord) -> Answer<'_, Option<ExportRecord>>;
+
+    /// The exports of a job's scene.
+    fn exports(&self, job: JobId) -> Answer<'_, Vec<ExportRecord>>;
+
+    /// The file with this hash among those of the owner's jobs, or of everybody's. Datasets are not among them.
+    fn file(&self, digest: Digest, owner: Option<KeyId>) -> Answer<'_, Option<FileRecord>>;
+}

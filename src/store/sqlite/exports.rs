@@ -1,0 +1,83 @@
+//! Exports, and files by their hash.
+
+use sqlx::SqliteConnection;
+
+use super::{
+    SqliteStore, insert_blob,
+    rows::{self, micros},
+};
+use crate::{
+    domain::{Digest, JobId, KeyId},
+    store::{Answer, ExportRecord, Exports, FileRecord, StoreError},
+};
+
+async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<ExportRecord>, StoreError> {
+    let rows = sqlx::query(
+        "SELECT exports.*, blobs.bytes FROM exports JOIN blobs ON blobs.digest = exports.digest WHERE job_id = ?
+         ORDER BY created_at, source, format",
+    )
+    .bind(job.to_string())
+    .fetch_all(connection)
+    .await?;
+    rows.iter().map(rows::export).collect()
+}
+
+impl Exports for SqliteStore {
+    fn add_export(&self, export: ExportRecord) -> Answer<'_, Option<ExportRecord>> {
+        Box::pin(async move {
+            let (mut tx, now) = self.begin().await?;
+            let known = sqlx::query("SELECT 1 FROM jobs WHERE id = ?").bind(export.job.to_string());
+            if known.fetch_optional(&mut *tx).await?.is_none() {
+                return Ok(None);
+            }
+            insert_blob(&mut tx, export.blob, now).await?;
+            sqlx::query(
+                "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, created_at)
+                 VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+            )
+            .bind(export.job.to_string())
+            .bind(export.source.to_string())
+            .bind(export.format.name())
+            .bind(export.blob.digest.to_string())
+            .bind(i64::try_from(export.gaussians).unwrap_or(i64::MAX))
+            .bind(export.sh_degree)
+            .bind(micros(now))
+            .execute(&mut *tx)
+            .await?;
+            let kept = of_job(&mut tx, export.job).await?;
+            tx.commit().await?;
+            Ok(kept.into_iter().find(|kept| (kept.source, kept.format) == (export.source, export.format)))
+        })
+    }
+
+    fn exports(&self, job: JobId) -> Answer<'_, Vec<ExportRecord>> {
+        Box::pin(async move {
+            let mut tx = self.readers.begin().await?;
+            of_job(&mut tx, job).await
+        })
+    }
+
+    fn file(&self, digest: Digest, owner: Option<KeyId>) -> Answer<'_, Option<FileRecord>> {
+        Box::pin(async move {
+            let row = sqlx::query(
+                "SELECT files.*, blobs.bytes FROM (
+                     SELECT job_id, kind, lambda, digest FROM artifacts WHERE digest = ?1
+                     UNION ALL
+                     SELECT job_id, format AS kind,
+                         (SELECT lambda FROM artifacts
+                          WHERE artifacts.job_id = exports.job_id AND artifacts.digest = source) AS lambda, digest
+                     FROM exports WHERE digest = ?1
+                 ) AS files
+                 JOIN blobs ON blobs.digest = files.digest
+                 JOIN jobs ON jobs.id = files.job_id
+                 WHERE ?2 IS NULL OR jobs.owner = ?2
+                 ORDER BY jobs.created_at DESC, jobs.id DESC LIMIT 1",
+            )
+            .bind(digest.to_string())
+            .bind(owner.map(|owner| owner.to_string()))
+            .fetch_optional(&self.readers)
+            .await?;
+            row.as_ref().map(rows::file).transpose()
+        })
+    }
+}

@@ -1,0 +1,188 @@
+//! Files by their hash, and scenes in other formats, made on demand.
+
+use std::sync::atomic::Ordering;
+
+use serde_json::{Value, json};
+
+use crate::support::{
+    contract::Coverage,
+    fakes,
+    faults::Failing,
+    server::{Server, Setup},
+};
+
+/// A finished job with three files, and its path.
+async fn curve(server: &Server) -> String {
+    let made = server.upload("?rd_curve=0.004,0.0005,0.001,0.002", "succeed curve").await.expect(201);
+    let path = made.header("location").to_owned();
+    server.reaches(&path, "succeeded").await;
+    path
+}
+
+async fn listed(server: &Server, job: &str) -> Vec<Value> {
+    let list = server.get(&format!("{job}/artifacts")).await.expect(200).json();
+    list["artifacts"].as_array().expect("files").clone()
+}
+
+pub(super) async fn every_file_of_a_job_is_listed_and_served_by_its_hash(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = curve(&server).await;
+    let files = listed(&server, &job).await;
+    let scenes: Vec<&Value> = files.iter().filter(|file| file["kind"] == "tcgs").collect();
+    assert_eq!(scenes.len(), 4);
+    assert!(files.iter().any(|file| file["kind"] == "cameras" && file["media_type"] == "application/json"));
+    for file in &files {
+        assert_eq!((&file["origin"], &file["gaussians"]), (&json!("job"), &Value::Null));
+        let path = file["href"].as_str().expect("a path");
+        let whole = server.get(path).await.expect(200);
+        assert_eq!(whole.body.len() as u64, file["bytes"].as_u64().expect("a length"));
+        assert_eq!(whole.header("content-type"), file["media_type"]);
+        assert_eq!(whole.header("etag"), format!("\"{}\"", file["sha256"].as_str().expect("a hash")));
+        assert!(whole.header("cache-control").contains("immutable"));
+    }
+    let path = scenes[1]["href"].as_str().expect("a path");
+    let whole = server.get(path).await.expect(200);
+    assert_eq!(whole.body, fakes::curve_file(1));
+    assert!(whole.header("content-disposition").contains(".lambda-0.0005.tcgs"), "{:?}", whole.headers);
+    let with = |name: &'static str, value: String| {
+        let server = &server;
+        async move { server.send("GET", path, |request| request.header(name, value)).await }
+    };
+    let part = with("range", "bytes=5-9".into()).await.expect(206);
+    assert_eq!(part.body, whole.body[5..10]);
+    assert_eq!(part.header("repr-digest"), whole.header("repr-digest"));
+    with("range", "bytes=1000000-".into()).await.expect(416);
+    let tag = whole.header("etag").to_owned();
+    with("if-none-match", tag.clone()).await.expect(304);
+    with("if-match", tag).await.expect(200);
+    with("if-match", "\"other\"".into()).await.expect_problem(412, "precondition-failed");
+    let head = server.send("HEAD", path, |request| request).await.expect(200);
+    assert_eq!((head.body.len(), head.header("content-length")), (0, whole.header("content-length")));
+    let artifact = format!("{job}/artifact");
+    let other = server.send("GET", &artifact, |request| request.header("if-match", "\"other\"")).await;
+    other.expect_problem(412, "precondition-failed");
+
+    let dataset = server.get(&job).await.json()["dataset"]["sha256"].as_str().expect("a hash").to_owned();
+    for unknown in [dataset.as_str(), &"0".repeat(64), "17"] {
+        let path = format!("/v1/artifacts/{unknown}");
+        server.get(&path).await.expect_problem(404, "artifact-not-found");
+    }
+    for (failing, status) in [(Failing::Busy, 503), (Failing::Gone, 500)] {
+        server.store.set(Some(failing));
+        for path in [path.to_owned(), format!("{job}/artifacts"), format!("{job}/export?format=ply")] {
+            server.get(&path).await.expect(status);
+        }
+        server.store.set(None);
+    }
+    server.get("/v1/jobs/17/artifacts").await.expect_problem(404, "job-not-found");
+    server.send("DELETE", &job, |request| request).await.expect(204);
+    server.get(path).await.expect_problem(404, "artifact-not-found");
+}
+
+pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = curve(&server).await;
+    let path = format!("{job}/export?format=ply");
+    let first = server.get(&path).await.expect(200);
+    let cameras = fakes::cameras().iter().filter(|camera| camera.name.starts_with("train")).count();
+    assert_eq!(first.body, format!("ply from {cameras} cameras of {} bytes", fakes::FILE.len()));
+    assert!(first.header("content-disposition").contains(".lambda-0.004.ply"), "{:?}", first.headers);
+    let again = server.get(&path).await.expect(200);
+    assert_eq!((&again.body, again.header("etag")), (&first.body, first.header("etag")));
+    assert_eq!(server.exporter.made.load(Ordering::SeqCst), 1);
+    let part = server.send("GET", &path, |request| request.header("range", "bytes=0-2")).await.expect(206);
+    assert_eq!(&part.body[..], b"ply");
+    let tag = first.header("etag").to_owned();
+    server.send("GET", &path, |request| request.header("if-none-match", tag)).await.expect(304);
+    server.send("GET", &path, |request| request.header("if-match", "\"x\"")).await.expect(412);
+    server.send("GET", &path, |request| request.header("range", "bytes=999-")).await.expect(416);
+    server.get(&format!("{job}/export?format=spz")).await.expect(200);
+
+    let exports: Vec<Value> =
+        listed(&server, &job).await.into_iter().filter(|file| file["origin"] == "export").collect();
+    let kinds: Vec<&Value> = exports.iter().map(|file| &file["kind"]).collect();
+    assert_eq!(kinds, ["ply", "spz"]);
+    for file in &exports {
+        assert_eq!((&file["gaussians"], &file["sh_degree"]), (&json!(5), &json!(3)));
+        assert_eq!(file["lambda"], 0.004);
+        server.get(file["href"].as_str().expect("a path")).await.expect(200);
+    }
+
+    let plain = server.upload("?model=3dgs", "succeed plain").await.expect(201);
+    let plain = plain.header("location").to_owned();
+    server.reaches(&plain, "succeeded").await;
+    let same = server.get(&format!("{plain}/export?format=ply")).await.expect(200);
+    assert_eq!(same.body, fakes::FILE, "it is written so already");
+    assert_eq!(server.exporter.made.load(Ordering::SeqCst), 2);
+
+    server.send("DELETE", &job, |request| request).await.expect(204);
+    server.get(exports[0]["href"].as_str().expect("a path")).await.expect(404);
+    server.get(&path).await.expect_problem(404, "job-not-found");
+}
+
+pub(super) async fn an_export_that_cannot_be_is_said_so(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = curve(&server).await;
+    for (query, named) in [
+        ("", "format"),
+        ("?format=glb", "format"),
+        ("?format=tcgs", "format"),
+        ("?format=ply&lambda=x", "lambda"),
+        ("?format=ply&size=1", "size"),
+    ] {
+        let detail = server.get(&format!("{job}/export{query}")).await;
+        assert!(detail.expect_problem(422, "invalid-parameter").starts_with(named));
+    }
+    let fails = format!("{job}/export?format=ply&lambda=0.001");
+    for _ in 0..2 {
+        server.get(&fails).await.expect_problem(422, "not-exportable");
+    }
+    server.get(&format!("{job}/export?format=ply&lambda=0.002")).await.expect_problem(500, "internal");
+    server.get(&format!("{job}/export?format=ply&lambda=7")).await.expect_problem(404, "no-such-lambda");
+    let failed = server.create("fail").await;
+    server.reaches(&failed, "failed").await;
+    server.get(&format!("{failed}/export?format=ply")).await.expect_problem(409, "no-artifact");
+    server.get(&format!("{job}/export?format=spz")).await.expect(200);
+}
+
+pub(super) async fn few_exports_are_made_at_a_time_and_each_for_all_who_ask(coverage: Coverage) {
+    let limits =
+        tcgs::http::config::RequestLimits { exports: 1, exports_waiting: 0, ..Setup::default().limits };
+    let server = Server::start_with(&coverage, Setup { limits, ..Setup::default() }).await;
+    let job = curve(&server).await;
+    let slow = format!("{job}/export?format=ply&lambda=0.0005");
+    // One who asks and goes away again: what was begun for it serves those who ask after it.
+    let gone = format!("http://{}{slow}", server.address);
+    let asking = tokio::spawn(reqwest::get(gone));
+    server.exporter.gate.someone_waits().await;
+    asking.abort();
+    let other = server.get(&format!("{job}/export?format=ply")).await;
+    assert!(other.expect_problem(503, "busy").contains("exported"));
+    let waiting = futures_util::future::join_all((0..5).map(|_| server.get(&slow)));
+    let (answers, ()) = tokio::join!(waiting, async { server.exporter.gate.open() });
+    for answer in answers {
+        assert_eq!(answer.expect(200).body.len(), answers_length());
+    }
+    assert_eq!(server.exporter.made.load(Ordering::SeqCst), 1);
+    server.get(&format!("{job}/export?format=ply")).await.expect(200);
+}
+
+/// Length of what the fake exporter writes of the curve's second file.
+fn answers_length() -> usize {
+    format!("ply from 1 cameras of {} bytes", fakes::curve_file(1).len()).len()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_file_is_its_owner_s_alone() {
+    use tcgs::{
+        domain::{Digest, KeyId},
+        store::Exports as _,
+    };
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.succeeded().await;
+    let digest: Digest =
+        listed(&server, &job).await[0]["sha256"].as_str().expect("a hash").parse().expect("a digest");
+    let stranger = KeyId(uuid::Uuid::from_u128(5));
+    assert!(server.store.file(digest, None).await.expect("read").is_some());
+    assert_eq!(server.store.file(digest, Some(stranger)).await.expect("read"), None);
+}
