@@ -140,7 +140,8 @@ fn refuse_announced(headers: &HeaderMap, limit: u64) -> Result<(), Fault> {
     Ok(())
 }
 
-struct Pieces<'a> {
+/// A body piece by piece, within the limits on time.
+pub(super) struct Pieces<'a> {
     body: &'a mut BodyDataStream,
     idle: Duration,
     /// Bytes a second, on average since the begin.
@@ -151,13 +152,14 @@ struct Pieces<'a> {
 }
 
 impl<'a> Pieces<'a> {
-    fn new(body: &'a mut BodyDataStream, limits: &RequestLimits) -> Self {
+    pub(super) fn new(body: &'a mut BodyDataStream, limits: &RequestLimits) -> Self {
         let begun = Instant::now();
         let deadline = begun + limits.body_total;
         Self { body, idle: limits.body_idle, rate: limits.body_rate, begun, deadline, received: 0 }
     }
 
-    async fn next(&mut self) -> Result<Option<Bytes>, Fault> {
+    /// The next piece, none at the end.
+    pub(super) async fn next(&mut self) -> Result<Option<Bytes>, Fault> {
         let piece = timeout_at(self.deadline, timeout(self.idle, self.body.next()));
         match piece.await {
             Ok(Ok(None)) => Ok(None),

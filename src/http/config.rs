@@ -118,6 +118,10 @@ pub struct RequestLimits {
     pub access: AccessRules,
     /// Longest dataset archive, in bytes.
     pub upload_bytes: u64,
+    /// Longest dataset archive that comes in parts, in bytes.
+    pub resumable_bytes: u64,
+    /// How long an upload waits for its next part.
+    pub upload_life: Duration,
     /// Archives received at a time.
     pub uploads: usize,
     /// Longest JSON body, in bytes.
@@ -179,6 +183,8 @@ impl Default for RequestLimits {
         Self {
             access: AccessRules::default(),
             upload_bytes: 4 << 30,
+            resumable_bytes: 64 << 30,
+            upload_life: Duration::from_secs(24 * 3600),
             uploads: 8,
             json_bytes: 1 << 20,
             body_idle: Duration::from_secs(30),

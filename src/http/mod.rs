@@ -13,7 +13,9 @@ mod caller;
 mod camera;
 mod client;
 pub mod config;
+mod content_digest;
 mod create_job;
+mod create_scene;
 mod etag;
 mod event_stream;
 mod events;
@@ -38,6 +40,8 @@ mod query;
 mod range;
 mod readiness;
 mod report;
+mod scene_body;
+mod scenes;
 mod scopes;
 mod series;
 mod serve;
@@ -45,6 +49,9 @@ mod state;
 mod stream_places;
 mod throttle;
 mod trace_parent;
+mod tus;
+mod upload_part;
+mod uploads;
 mod views;
 mod watch;
 mod webhooks;
@@ -52,8 +59,8 @@ mod wrap;
 
 use axum::{
     Router,
-    middleware::{from_fn, from_fn_with_state},
-    routing::{get, post},
+    middleware::{from_fn, from_fn_with_state, map_response},
+    routing::{get, head, options, post},
 };
 use tower_http::catch_panic::CatchPanicLayer;
 
@@ -75,6 +82,10 @@ fn router_without_metrics(state: AppState) -> Router {
 }
 
 fn routes(state: AppState, more: Router<AppState>) -> Router {
+    let uploads = Router::new()
+        .route("/v1/uploads", options(uploads::options).post(uploads::create))
+        .route("/v1/uploads/{id}", head(uploads::head).patch(uploads::append).delete(uploads::delete))
+        .layer(map_response(tus::stamp));
     more.route("/v1/jobs", get(job_list::list).post(create_job::create))
         .route("/v1/jobs/{id}", get(jobs::get).delete(job_actions::delete))
         .route("/v1/jobs/{id}/cancel", post(job_actions::cancel))
@@ -93,6 +104,9 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
             get(views::sequence::animation).post(views::sequence::animation_path),
         )
         .route("/v1/jobs/{id}/report", get(report::get))
+        .route("/v1/scenes", get(scenes::list).post(create_scene::create))
+        .route("/v1/scenes/{id}", get(scenes::get).delete(scenes::delete))
+        .merge(uploads)
         .route("/v1/webhook-endpoints", get(webhooks::list).post(webhooks::create))
         .route("/v1/webhook-endpoints/{id}", get(webhooks::get).delete(webhooks::delete))
         .route("/v1/webhook-endpoints/{id}/deliveries", get(webhooks::deliveries))

@@ -65,11 +65,23 @@ impl Fault {
 
     /// 404 for a scene id that names nothing.
     pub(super) fn no_scene(id: impl std::fmt::Display) -> Self {
+        let detail = format!("there is no scene '{}'", shown(&id.to_string()));
+        Self::new(StatusCode::NOT_FOUND, "scene-not-found", "No such scene", detail)
+    }
+
+    /// 404 for an upload id that names nothing.
+    pub(super) fn no_upload(id: &str) -> Self {
+        let detail = format!("there is no upload '{}'", shown(id));
+        Self::new(StatusCode::NOT_FOUND, "upload-not-found", "No such upload", detail)
+    }
+
+    /// 507 for want of room on the disk.
+    pub(super) fn storage_full() -> Self {
         Self::new(
-            StatusCode::NOT_FOUND,
-            "scene-not-found",
-            "No such scene",
-            format!("there is no scene '{}'", shown(&id.to_string())),
+            StatusCode::INSUFFICIENT_STORAGE,
+            "storage-full",
+            "Storage full",
+            "there is no room left for the file; the operator must make some",
         )
     }
 
@@ -149,7 +161,7 @@ impl From<StoreError> for Fault {
         }
         match error {
             StoreError::QuotaExceeded { .. } => {
-                let detail = format!("{error}; delete scenes or jobs to make room");
+                let detail = format!("{error}; delete scenes, uploads or jobs to make room");
                 Self::new(StatusCode::INSUFFICIENT_STORAGE, "quota-exceeded", "Over the key's quota", detail)
             }
             StoreError::TooManyJobs { .. } => {
@@ -169,12 +181,7 @@ impl From<BlobError> for Fault {
             BlobError::TooLarge { limit } => Self::too_large(limit),
             error if error.is_storage_full() => {
                 tracing::error!(error = &error as &dyn std::error::Error, "no room left: {error}");
-                Self::new(
-                    StatusCode::INSUFFICIENT_STORAGE,
-                    "storage-full",
-                    "Storage full",
-                    "there is no room left for the file; the operator must make some",
-                )
+                Self::storage_full()
             }
             error => Self::internal(&error),
         }

@@ -14,7 +14,7 @@ pub(super) enum Access {
 }
 
 use Access::{Open, Scope as Needs};
-use Scope::{Admin, JobsWrite, Read};
+use Scope::{Admin, JobsWrite, Read, ScenesWrite};
 
 /// Method and route of every operation, as the router has them, in the order of `openapi.yaml`.
 const OPERATIONS: &[(&str, &str, Access)] = &[
@@ -37,6 +37,15 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("GET", "/v1/jobs/{id}/animation", Needs(Read)),
     ("POST", "/v1/jobs/{id}/animation", Needs(Read)),
     ("GET", "/v1/jobs/{id}/report", Needs(Read)),
+    ("POST", "/v1/scenes", Needs(ScenesWrite)),
+    ("GET", "/v1/scenes", Needs(Read)),
+    ("GET", "/v1/scenes/{id}", Needs(Read)),
+    ("DELETE", "/v1/scenes/{id}", Needs(ScenesWrite)),
+    ("OPTIONS", "/v1/uploads", Needs(ScenesWrite)),
+    ("POST", "/v1/uploads", Needs(ScenesWrite)),
+    ("HEAD", "/v1/uploads/{id}", Needs(ScenesWrite)),
+    ("PATCH", "/v1/uploads/{id}", Needs(ScenesWrite)),
+    ("DELETE", "/v1/uploads/{id}", Needs(ScenesWrite)),
     ("POST", "/v1/webhook-endpoints", Needs(JobsWrite)),
     ("GET", "/v1/webhook-endpoints", Needs(Read)),
     ("GET", "/v1/webhook-endpoints/{id}", Needs(Read)),

@@ -2,7 +2,7 @@
 
 use jiff::Timestamp;
 
-use super::{Answer, BlobRef};
+use super::{Answer, BlobRef, Intent};
 use crate::domain::{DatasetSummary, Digest, KeyId, SceneId, UploadId};
 
 /// A dataset to be kept.
@@ -20,6 +20,8 @@ pub struct NewScene {
     pub summary: DatasetSummary,
     /// The upload that the archive came by, which ends with this.
     pub upload: Option<UploadId>,
+    /// The `Idempotency-Key` of the request that makes it.
+    pub intent: Option<Intent>,
 }
 
 /// A kept dataset.
@@ -85,7 +87,8 @@ pub trait Scenes: Send + Sync + 'static {
     /// Keeps a dataset, unless its owner has one with the same archive.
     ///
     /// # Errors
-    /// [`super::StoreError::QuotaExceeded`] if the archive is more than its owner has room for.
+    /// [`super::StoreError::QuotaExceeded`] if the archive is more than its owner has room for,
+    /// [`super::StoreError::AlreadyMade`] if the request's key was used before.
     fn create_scene(&self, new: NewScene) -> Answer<'_, SceneCreation>;
 
     /// The scene as it stands.

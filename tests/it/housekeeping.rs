@@ -60,7 +60,7 @@ impl House {
             notes: Vec::new(),
         };
         let id = SceneId(Uuid::new_v4());
-        let new = NewScene { id, owner: None, name: None, dataset, summary, upload: None };
+        let new = NewScene { id, owner: None, name: None, dataset, summary, upload: None, intent: None };
         self.store.create_scene(new).await.expect("kept").record().id
     }
 

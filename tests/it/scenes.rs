@@ -85,6 +85,7 @@ fn scene(number: u128, owner: Option<KeyId>, content: &str) -> NewScene {
             notes: vec!["a note".into()],
         },
         upload: None,
+        intent: None,
     }
 }
 

@@ -3,7 +3,7 @@
 use sqlx::{Row as _, SqliteConnection, sqlite::SqliteRow};
 
 use super::{
-    SqliteStore, accounts, insert_blob,
+    SqliteStore, accounts, idempotency, insert_blob,
     rows::{blob, document, instant, json, micros, optional_id, parsed, unsigned},
 };
 use crate::{
@@ -85,6 +85,11 @@ impl SqliteStore {
                 .bind(upload.to_string())
                 .execute(&mut *tx)
                 .await?;
+        }
+        if let Some(intent) = &new.intent {
+            let status = if known.is_some() { 200 } else { 201 };
+            let resource = id.to_string();
+            idempotency::remember(&mut tx, intent, status, &resource, self.policy.remember, now).await?;
         }
         let creation = match known {
             Some(known) => SceneCreation::Known(known),

@@ -35,7 +35,7 @@ async fn raw(server: &Server, request: &str, close: bool) -> Vec<u8> {
 }
 
 /// Checks a raw answer against the contract and returns its status.
-fn check_raw(server: &Server, method: &str, path: &str, answer: &[u8]) -> u16 {
+pub(super) fn check_raw(server: &Server, method: &str, path: &str, answer: &[u8]) -> u16 {
     let text = String::from_utf8_lossy(answer);
     let (head, body) = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("no answer: {text}"));
     let mut lines = head.lines();
@@ -54,6 +54,8 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
     server.reaches(&job, "succeeded").await;
     for (path, media_type) in [
         ("/v1/jobs".to_owned(), "application/zip"),
+        ("/v1/scenes".to_owned(), "application/zip"),
+        ("/v1/scenes".to_owned(), "application/json"),
         (format!("{job}/views"), "application/json"),
         ("/v1/webhook-endpoints".to_owned(), "application/json"),
         ("/v1/keys".to_owned(), "application/json"),

@@ -32,6 +32,7 @@ async fn scene(server: &Server, dataset: &'static str) -> SceneId {
             notes: Vec::new(),
         },
         upload: None,
+        intent: None,
     };
     server.store.create_scene(new).await.expect("kept").record().id
 }

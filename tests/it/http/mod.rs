@@ -12,8 +12,10 @@ mod job_life;
 mod jobs;
 mod operations;
 mod report;
+mod scenes;
 mod series;
 mod service;
+mod uploads;
 mod views;
 mod webhooks;
 
@@ -21,6 +23,7 @@ use crate::support::contract::Coverage;
 
 /// Statuses that no test can bring about, with the reason.
 const UNSEEN: &[(&str, &str, &str)] = &[
+    ("appendToUpload", "507", "needs a full disk; the mapping has a unit test"),
     ("exportScene", "507", "needs a full disk; the mapping has a unit test"),
     ("retryJob", "408", "a body that dawdles is seen where it is long"),
 ];
@@ -103,6 +106,24 @@ scenarios! {
         fifty_requests_with_one_key_make_one_job,
         a_request_is_in_flight_until_it_is_answered_and_no_longer,
         an_answer_waits_for_the_job_as_long_as_is_preferred,
+    }
+    scenes {
+        a_dataset_is_kept_once_and_found_again,
+        what_cannot_be_a_scene_is_refused_before_there_is_one,
+        a_body_is_held_to_its_announced_digest,
+        a_scene_sent_twice_with_one_key_is_made_once,
+        scenes_are_listed_newest_first_page_by_page,
+        a_scene_is_deleted_once_no_job_needs_it,
+        scenes_of_another_key_are_not_there_and_bytes_have_a_quota,
+    }
+    uploads {
+        a_dataset_comes_in_parts_and_becomes_a_scene,
+        headers_that_make_no_sense_are_named,
+        parts_that_do_not_fit_change_nothing,
+        an_upload_that_waits_too_long_is_over,
+        room_is_kept_from_the_beginning,
+        bodies_of_parts_that_dawdle_or_break_off_keep_what_came,
+        one_request_at_a_time_writes,
     }
     exports {
         every_file_of_a_job_is_listed_and_served_by_its_hash,

@@ -65,6 +65,18 @@ pub(super) async fn a_database_that_fails_is_a_problem_not_a_crash(coverage: Cov
     let server = Server::start(&coverage).await;
     let job = server.succeeded().await;
     let views = json!({ "views": [{ "frame": "test/r_0" }] });
+    let tus = |request: reqwest::RequestBuilder| {
+        request
+            .header("tus-resumable", "1.0.0")
+            .header("upload-length", 9)
+            .header("upload-offset", 0)
+            .header("content-type", "application/offset+octet-stream")
+    };
+    let upload = server.send("POST", "/v1/uploads", |request| {
+        request.header("tus-resumable", "1.0.0").header("upload-length", 9)
+    });
+    let upload = upload.await.expect(201).header("location").to_owned();
+    let scene = super::scenes::keep(&server, "", "succeed").await.expect(201).header("location").to_owned();
     let endpoints = "/v1/webhook-endpoints";
     let endpoint = format!("{endpoints}/0190a5d8-0000-7000-8000-000000000000");
     for (failing, status, kind) in [(Failing::Busy, 503, "busy"), (Failing::Gone, 500, "internal")] {
@@ -80,6 +92,14 @@ pub(super) async fn a_database_that_fails_is_a_problem_not_a_crash(coverage: Cov
             server.get(&format!("{job}/report")).await,
             server.get(&format!("{job}/view?frame=test/r_0")).await,
             server.post_json(&format!("{job}/views"), &views).await,
+            super::scenes::keep(&server, "", "succeed").await,
+            server.get("/v1/scenes").await,
+            server.get(&scene).await,
+            server.send("DELETE", &scene, |request| request).await,
+            server.send("OPTIONS", "/v1/uploads", |request| request).await,
+            server.send("POST", "/v1/uploads", tus).await,
+            server.send("PATCH", &upload, tus).await,
+            server.send("DELETE", &upload, tus).await,
             server.post_json(endpoints, &json!({ "url": "https://example.com/" })).await,
             server.get(endpoints).await,
             server.get(&endpoint).await,
@@ -87,6 +107,7 @@ pub(super) async fn a_database_that_fails_is_a_problem_not_a_crash(coverage: Cov
             server.get(&format!("{endpoint}/deliveries")).await,
             server.post(&format!("{endpoint}/deliveries/17/replay")).await,
         ];
+        server.send("HEAD", &upload, tus).await.expect(status);
         for answer in answers {
             let detail = answer.expect_problem(status, kind);
             assert!(!detail.to_lowercase().contains("pool"), "what is inside stays inside: {detail}");

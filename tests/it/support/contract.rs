@@ -152,7 +152,6 @@ fn operations() -> BTreeSet<(String, String)> {
 
 fn operation(method: &str, path: &str) -> Option<&'static Value> {
     let path = path.split('?').next().unwrap_or_default();
-    let method = if method == "HEAD" { "get".to_owned() } else { method.to_lowercase() };
     let fits = |template: &str| {
         let (mut left, mut right) = (template.split('/'), path.split('/'));
         loop {
@@ -164,7 +163,8 @@ fn operation(method: &str, path: &str) -> Option<&'static Value> {
         }
     };
     let (_, item) = DOCUMENT["paths"].as_object()?.iter().find(|(template, _)| fits(template))?;
-    item.get(method)
+    let listed = item.get(method.to_lowercase());
+    if method == "HEAD" { listed.or_else(|| item.get("get")) } else { listed }
 }
 
 /// The target of a `$ref`, or the value itself.

@@ -6,14 +6,15 @@ use bytes::Bytes;
 use reqwest::{RequestBuilder, header::HeaderMap};
 use serde_json::Value;
 use tcgs::{
-    domain::{Clock, KeyId, KeyLimits, Scope, SystemClock, SystemEntropy},
+    domain::{Clock, KeyId, KeyLimits, SceneId, Scope, SystemClock, SystemEntropy},
     http::{self, HttpConfig, Services, WorkerCounts, config::RequestLimits},
-    store::{Blobs, Keys as _, NewKey, QueuePolicy, SqliteStore, Store},
+    store::{Blobs, Keys as _, NewKey, QueuePolicy, SceneRecord, SqliteStore, Store},
     worker::{self, WorkerConfig},
 };
 use tempfile::TempDir;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
+use uuid::Uuid;
 
 use super::{
     contract::Coverage,
@@ -90,7 +91,8 @@ pub struct Server {
     pub serving: JoinHandle<()>,
     pub coverage: Coverage,
     client: reqwest::Client,
-    pub data: TempDir,
+    /// The folder of database and blobs, for another server to go on with.
+    pub data: Arc<TempDir>,
 }
 
 /// A key of a test.
@@ -145,7 +147,11 @@ impl Server {
     }
 
     pub async fn start_with(coverage: &Coverage, setup: Setup) -> Self {
-        let data = tempfile::tempdir().expect("a folder");
+        Self::start_in(coverage, setup, Arc::new(tempfile::tempdir().expect("a folder"))).await
+    }
+
+    /// Starts over what an earlier server left in its folder.
+    pub async fn start_in(coverage: &Coverage, setup: Setup, data: Arc<TempDir>) -> Self {
         let clock = setup.clock;
         let sqlite = SqliteStore::open(&data.path().join(DATABASE), Arc::clone(&clock), setup.policy).await;
         let store = Arc::new(FaultStore::new(Arc::new(sqlite.expect("a database"))));
@@ -226,6 +232,11 @@ impl Server {
     /// Shuts a key out.
     pub async fn revoke(&self, key: &TestKey) {
         self.store.revoke_key(key.id).await.expect("a store").expect("a key");
+    }
+
+    /// A scene as it is stored.
+    pub async fn store_scene(&self, id: Uuid) -> SceneRecord {
+        self.services.store.scene(SceneId(id)).await.expect("read").expect("known")
     }
 
     /// Sends a request and checks the answer against the contract.

@@ -1,0 +1,141 @@
+//! Scenes: list, get, delete.
+
+use axum::{
+    Json,
+    extract::{Path, RawQuery, State},
+    http::{HeaderMap, HeaderValue, StatusCode, header},
+    response::{IntoResponse, Response},
+};
+use jiff::Timestamp;
+use serde::Serialize;
+
+use super::{
+    etag::{Etag, not_modified},
+    problem::Fault,
+    query::Parameters,
+    scene_body::SceneBody,
+    state::AppState,
+};
+use crate::{
+    domain::{Caller, SceneId},
+    store::{SceneDeletion, ScenePage, SceneRecord},
+};
+
+const DEFAULT_PAGE: u32 = 20;
+const MAX_PAGE: u32 = 100;
+
+/// The scene that a path or a body names.
+///
+/// # Errors
+/// 404 if there is none, and if it is another's.
+pub(super) async fn find(state: &AppState, caller: &Caller, id: &str) -> Result<SceneRecord, Fault> {
+    let parsed: SceneId = id.parse().map_err(|_| Fault::no_scene(id))?;
+    let record = state.store().scene(parsed).await?;
+    record.filter(|record| caller.may_see(record.owner)).ok_or_else(|| Fault::no_scene(id))
+}
+
+#[derive(Debug, Serialize)]
+struct SceneList {
+    scenes: Vec<SceneBody>,
+    next: Option<String>,
+}
+
+/// `GET /v1/scenes`.
+pub(super) async fn list(
+    State(state): State<AppState>,
+    caller: Caller,
+    RawQuery(query): RawQuery,
+) -> Result<Response, Fault> {
+    let mut parameters = Parameters::parse(query.as_deref())?;
+    let limit = parameters.take_count("limit", DEFAULT_PAGE, MAX_PAGE)?;
+    let before = parameters.take("cursor").map(|text| parse_cursor(&text)).transpose()?;
+    parameters.finish()?;
+    // One more than asked for tells whether there is a next page.
+    let mut records = state.store().scenes(caller.sees_only(), before, limit + 1).await?;
+    let more = records.len() > limit as usize;
+    records.truncate(limit as usize);
+    let next = records
+        .last()
+        .filter(|_| more)
+        .map(|last| format!("/v1/scenes?limit={limit}&cursor={}", cursor(last)));
+    let link = next.as_ref().map(|next| HeaderValue::try_from(format!("<{next}>; rel=\"next\"")));
+    let scenes = records.into_iter().map(SceneBody::from).collect();
+    let mut response =
+        ([(header::CACHE_CONTROL, "no-store")], Json(SceneList { scenes, next })).into_response();
+    if let Some(link) = link.transpose().map_err(|error| Fault::internal(&error))? {
+        response.headers_mut().insert(header::LINK, link);
+    }
+    Ok(response)
+}
+
+fn cursor(last: &SceneRecord) -> String {
+    format!("{}.{}", last.created_at.as_microsecond(), last.id)
+}
+
+fn parse_cursor(text: &str) -> Result<ScenePage, Fault> {
+    let page = text.split_once('.').and_then(|(at, id)| {
+        let created_at = Timestamp::from_microsecond(at.parse().ok()?).ok()?;
+        Some(ScenePage { created_at, id: id.parse().ok()? })
+    });
+    page.ok_or_else(|| Fault::parameter("cursor", "is not one that this service gave out"))
+}
+
+/// `GET /v1/scenes/{id}`.
+pub(super) async fn get(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+) -> Result<Response, Fault> {
+    let record = find(&state, &caller, &id).await?;
+    let etag = Etag::new(record.version);
+    if etag.is_in_if_none_match(&headers) {
+        return Ok(not_modified(&etag));
+    }
+    Ok(representation(record))
+}
+
+/// 200 with the scene.
+pub(super) fn representation(record: SceneRecord) -> Response {
+    let etag = Etag::new(record.version).value();
+    let caching = HeaderValue::from_static("no-cache");
+    ([(header::ETAG, etag), (header::CACHE_CONTROL, caching)], Json(SceneBody::from(record))).into_response()
+}
+
+/// `DELETE /v1/scenes/{id}`.
+pub(super) async fn delete(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+) -> Result<StatusCode, Fault> {
+    let record = find(&state, &caller, &id).await?;
+    let changed = || {
+        Fault::new(
+            StatusCode::PRECONDITION_FAILED,
+            "precondition-failed",
+            "Precondition failed",
+            format!("If-Match does not name the scene as it is now, which is \"{}\"", record.version),
+        )
+    };
+    if Etag::new(record.version).wanted_by_if_match(&headers).is_none() {
+        return Err(changed());
+    }
+    match state.store().delete_scene(record.id, Some(record.version)).await? {
+        Some(SceneDeletion::Deleted) => {
+            state.blobs().let_go();
+            tracing::info!(scene = %record.id, "scene {} is deleted", record.id);
+            Ok(StatusCode::NO_CONTENT)
+        }
+        Some(SceneDeletion::InUse(jobs)) => Err(Fault::new(
+            StatusCode::CONFLICT,
+            "scene-in-use",
+            "The scene is in use",
+            format!(
+                "{jobs} queued or running jobs are made of scene {id}; cancel them or wait for their end"
+            ),
+        )),
+        Some(SceneDeletion::Changed) => Err(changed()),
+        None => Err(Fault::no_scene(&id)),
+    }
+}

@@ -1,0 +1,256 @@
+//! Uploads that come in parts, over tus 1.0.0: begin, ask how far, send a part, give up.
+//!
+//! The room for an upload is kept from its beginning. Its file has one writer at a time; a second is answered 423.
+
+use axum::{
+    body::{Body, BodyDataStream},
+    extract::{Path, RawQuery, State},
+    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
+    response::{IntoResponse as _, Response},
+};
+use jiff::{SignedDuration, Timestamp};
+use tracing::Instrument as _;
+
+use super::{
+    body::{discard, expect_media_type},
+    create_scene::new_uuid,
+    problem::Fault,
+    query::Parameters,
+    state::AppState,
+    tus::{self, Checksum, Metadata},
+    upload_part::Part,
+};
+use crate::{
+    domain::{Caller, UploadId},
+    store::{NewUpload, UploadFile, UploadRecord},
+};
+
+/// Bytes that are left free on the disk for everything else.
+const FREE_FLOOR: u64 = 256 << 20;
+
+/// The upload that a path or a body names.
+///
+/// # Errors
+/// 404 if there is none, and if it is another's.
+pub(super) async fn find(state: &AppState, caller: &Caller, id: &str) -> Result<UploadRecord, Fault> {
+    let parsed: UploadId = id.parse().map_err(|_| Fault::no_upload(id))?;
+    let record = state.store().upload(parsed).await?;
+    record.filter(|record| caller.may_see(record.owner)).ok_or_else(|| Fault::no_upload(id))
+}
+
+/// 410 unless the upload still takes bytes.
+fn expect_open(state: &AppState, record: UploadRecord) -> Result<UploadRecord, Fault> {
+    if record.is_open(state.services().clock.now()) { Ok(record) } else { Err(gone(record.id)) }
+}
+
+/// 410.
+pub(super) fn gone(id: UploadId) -> Fault {
+    Fault::new(
+        StatusCode::GONE,
+        "upload-gone",
+        "The upload is over",
+        format!("upload {id} has expired or was made a scene; begin another"),
+    )
+}
+
+/// Takes hold of an upload's file, and reads how far the upload is once nobody else can change it.
+///
+/// # Errors
+/// `held` if somebody else holds it, 410 if it is over.
+pub(super) async fn take_hold(
+    state: &AppState,
+    id: UploadId,
+    held: StatusCode,
+) -> Result<(UploadRecord, UploadFile), Fault> {
+    let file = state.blobs().open_upload(id).await?.ok_or_else(|| {
+        Fault::new(
+            held,
+            "upload-locked",
+            "The upload is being written",
+            format!("another request writes to upload {id}; wait for its end and ask how far it came"),
+        )
+    })?;
+    let record = state.store().upload(id).await?.ok_or_else(|| gone(id))?;
+    Ok((expect_open(state, record)?, file))
+}
+
+/// When an upload that is written to now is given up.
+pub(super) fn expiry(state: &AppState) -> Timestamp {
+    let life = SignedDuration::try_from(state.limits().upload_life).unwrap_or(SignedDuration::MAX);
+    state.services().clock.now().checked_add(life).unwrap_or(Timestamp::MAX)
+}
+
+/// `OPTIONS /v1/uploads`.
+pub(super) async fn options(State(state): State<AppState>) -> Response {
+    let headers = [
+        (tus::TUS_VERSION, tus::VERSION),
+        (tus::EXTENSION, tus::EXTENSIONS),
+        (tus::MAX_SIZE, HeaderValue::from(state.limits().resumable_bytes)),
+        (tus::CHECKSUM_ALGORITHM, tus::ALGORITHMS),
+    ];
+    (StatusCode::NO_CONTENT, headers).into_response()
+}
+
+/// `POST /v1/uploads`.
+pub(super) async fn create(
+    State(state): State<AppState>,
+    caller: Caller,
+    RawQuery(query): RawQuery,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Fault> {
+    let begun = begin(&state, &caller, query.as_deref(), &headers).await;
+    if begun.is_err() {
+        discard(&mut body.into_data_stream(), &headers).await;
+    }
+    let record = begun?;
+    tracing::info!(upload = %record.id, bytes = record.length, "upload {} begins", record.id);
+    let location = HeaderValue::try_from(format!("/v1/uploads/{}", record.id));
+    let location = location.map_err(|error| Fault::internal(&error))?;
+    let headers = [
+        (header::LOCATION, location),
+        (tus::OFFSET, HeaderValue::from(record.received)),
+        (tus::EXPIRES, tus::date(record.expires_at)?),
+    ];
+    Ok((StatusCode::CREATED, headers).into_response())
+}
+
+async fn begin(
+    state: &AppState,
+    caller: &Caller,
+    query: Option<&str>,
+    headers: &HeaderMap,
+) -> Result<UploadRecord, Fault> {
+    tus::expect_version(headers)?;
+    Parameters::parse(query)?.finish()?;
+    if headers.contains_key("upload-defer-length") {
+        let name = HeaderName::from_static("upload-defer-length");
+        return Err(tus::bad_header(&name, "is not possible here; give Upload-Length"));
+    }
+    if tus::has_body(headers) {
+        return Err(tus::bad_header(&header::CONTENT_LENGTH, "is not 0; bytes are sent with PATCH"));
+    }
+    let length = tus::count(headers, &tus::LENGTH)?;
+    let metadata = Metadata::of(headers)?.map(Metadata::into_text);
+    let limit = state.limits().resumable_bytes;
+    if length > limit {
+        return Err(Fault::too_large(limit).with(tus::MAX_SIZE, HeaderValue::from(limit)));
+    }
+    let outstanding = state.store().outstanding_bytes().await?;
+    let needed = outstanding.saturating_add(length).saturating_add(FREE_FLOOR);
+    if needed > state.blobs().free_bytes()? {
+        return Err(Fault::storage_full());
+    }
+    let now = state.services().clock.now();
+    let id = UploadId(new_uuid(now));
+    let new = NewUpload { id, owner: caller.key, length, metadata, expires_at: expiry(state) };
+    Ok(state.store().create_upload(new).await?)
+}
+
+/// `HEAD /v1/uploads/{id}`.
+pub(super) async fn head(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+) -> Result<Response, Fault> {
+    tus::expect_version(&headers)?;
+    let record = expect_open(&state, find(&state, &caller, &id).await?)?;
+    let mut response = StatusCode::OK.into_response();
+    let headers = response.headers_mut();
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    headers.insert(tus::OFFSET, HeaderValue::from(record.received));
+    headers.insert(tus::LENGTH, HeaderValue::from(record.length));
+    headers.insert(tus::EXPIRES, tus::date(record.expires_at)?);
+    if let Some(metadata) = record.metadata {
+        let metadata = HeaderValue::try_from(metadata).map_err(|error| Fault::internal(&error))?;
+        headers.insert(tus::METADATA, metadata);
+    }
+    Ok(response)
+}
+
+/// `PATCH /v1/uploads/{id}`.
+pub(super) async fn append(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Fault> {
+    let mut body = body.into_data_stream();
+    let part = match admit(&state, &caller, &id, &headers).await {
+        Ok(part) => part,
+        Err(fault) => {
+            discard(&mut body, &headers).await;
+            return Err(fault);
+        }
+    };
+    let record = receive(state, part, body, headers).await?;
+    let headers =
+        [(tus::OFFSET, HeaderValue::from(record.received)), (tus::EXPIRES, tus::date(record.expires_at)?)];
+    Ok((StatusCode::NO_CONTENT, headers).into_response())
+}
+
+/// Lets the request write a part if it is one that comes next.
+async fn admit(state: &AppState, caller: &Caller, id: &str, headers: &HeaderMap) -> Result<Part, Fault> {
+    tus::expect_version(headers)?;
+    expect_media_type(headers, &[tus::PART])?;
+    let offset = tus::count(headers, &tus::OFFSET)?;
+    let checksum = Checksum::of(headers)?;
+    let found = expect_open(state, find(state, caller, id).await?)?;
+    let (record, file) = take_hold(state, found.id, StatusCode::LOCKED).await?;
+    if offset != record.received {
+        let detail = format!(
+            "the part begins at byte {offset}, and upload {} has {} bytes; go on from there",
+            record.id, record.received
+        );
+        return Err(Fault::new(StatusCode::CONFLICT, "offset-mismatch", "Offset mismatch", detail)
+            .with(tus::OFFSET, HeaderValue::from(record.received)));
+    }
+    let left = record.length - record.received;
+    let announced = headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse().ok());
+    if announced.is_some_and(|announced: u64| announced > left) {
+        return Err(Fault::too_large(left));
+    }
+    Part::new(record, file, checksum).await
+}
+
+/// Writes a part, to its end even if the client is no longer there to be answered: what has come is to be kept.
+async fn receive(
+    state: AppState,
+    part: Part,
+    mut body: BodyDataStream,
+    headers: HeaderMap,
+) -> Result<UploadRecord, Fault> {
+    let writing = async move {
+        let place = state.uploads().try_acquire();
+        let busy = |_| Fault::busy("too many datasets are being received");
+        let received = match place.map_err(busy) {
+            Ok(_place) => part.receive(&state, &mut body).await,
+            Err(fault) => Err(fault),
+        };
+        if received.as_ref().is_err_and(|fault| !fault.is_about_transfer()) {
+            discard(&mut body, &headers).await;
+        }
+        received
+    };
+    tokio::spawn(writing.in_current_span()).await.map_err(|error| Fault::internal(&error))?
+}
+
+/// `DELETE /v1/uploads/{id}`.
+pub(super) async fn delete(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+) -> Result<StatusCode, Fault> {
+    tus::expect_version(&headers)?;
+    let found = expect_open(&state, find(&state, &caller, &id).await?)?;
+    let (record, file) = take_hold(&state, found.id, StatusCode::LOCKED).await?;
+    if !state.store().delete_upload(record.id).await? {
+        return Err(gone(record.id));
+    }
+    drop(file);
+    state.blobs().remove_upload(record.id).await?;
+    Ok(StatusCode::NO_CONTENT)
+}

@@ -1,0 +1,211 @@
+//! Scenes: kept, found again, listed and deleted.
+
+use serde_json::{Value, json};
+use tcgs::{
+    domain::{Digest, JobId, KeyLimits, Scope, TrainOptions},
+    store::NewJob,
+};
+use uuid::Uuid;
+
+use super::connections::tight_limits;
+use crate::support::{
+    contract::Coverage,
+    server::{Answer, Server, Setup},
+};
+
+pub(super) async fn keep(server: &Server, query: &str, dataset: &str) -> Answer {
+    server
+        .send("POST", &format!("/v1/scenes{query}"), |request| {
+            request.header("content-type", "application/zip").body(dataset.to_owned())
+        })
+        .await
+}
+
+fn idle() -> Setup {
+    Setup { worker: false, ..Setup::default() }
+}
+
+pub(super) async fn a_dataset_is_kept_once_and_found_again(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let made = keep(&server, "?name=Garden", "succeed").await.expect(201);
+    let path = made.header("location").to_owned();
+    let body = made.json();
+    assert_eq!(body["links"]["self"], path);
+    assert_eq!((&body["name"], &body["state"]), (&json!("Garden"), &json!("ready")));
+    let sha256 = Digest::of(b"succeed").to_string();
+    assert_eq!(body["dataset"], json!({ "bytes": 7, "sha256": sha256 }));
+    assert_eq!(body["summary"]["train"], 1);
+
+    let again = keep(&server, "?name=Other", "succeed").await.expect(200);
+    assert_eq!((again.header("location"), again.json()), (path.as_str(), body.clone()));
+    let got = server.get(&path).await.expect(200);
+    assert_eq!(got.json(), body);
+    let etag = got.header("etag").to_owned();
+    assert_eq!(made.header("etag"), etag);
+    let same = server.send("GET", &path, |request| request.header("if-none-match", &etag)).await;
+    same.expect(304);
+    assert_eq!(server.get("/v1/scenes").await.expect(200).json()["scenes"], json!([body]));
+}
+
+pub(super) async fn what_cannot_be_a_scene_is_refused_before_there_is_one(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let bad = keep(&server, "", "bad zip").await.expect(422).json();
+    assert_eq!(bad["file"], "transforms.json");
+    for (query, named) in [("?name=", "name"), ("?name=a%07", "name"), ("?preset=preview", "preset")] {
+        let detail = keep(&server, query, "succeed").await.expect_problem(422, "invalid-parameter");
+        assert!(detail.starts_with(named), "{query}: {detail}");
+    }
+    let long = "x".repeat(201);
+    keep(&server, &format!("?name={long}"), "succeed").await.expect_problem(422, "invalid-parameter");
+    let text = server.send("POST", "/v1/scenes", |request| request.header("content-type", "text/plain"));
+    text.await.expect_problem(415, "unsupported-media-type");
+    for (body, status, kind) in [
+        ("{", 400, "malformed-json"),
+        ("{}", 422, "invalid-parameter"),
+        (r#"{"upload_id": 7}"#, 422, "invalid-parameter"),
+        (r#"{"upload_id": "7", "colour": 1}"#, 422, "invalid-parameter"),
+        (r#"{"upload_id": "7", "name": ""}"#, 422, "invalid-parameter"),
+        (r#"{"upload_id": "7"}"#, 404, "upload-not-found"),
+    ] {
+        let answer = server.send("POST", "/v1/scenes", |request| {
+            request.header("content-type", "application/json").body(body)
+        });
+        answer.await.expect_problem(status, kind);
+    }
+    assert_eq!(server.get("/v1/scenes").await.expect(200).json()["scenes"], json!([]), "none is a scene");
+    for scene in ["/v1/scenes/0190a5d8-0000-7000-8000-000000000000", "/v1/scenes/17", "/v1/scenes/%00"] {
+        server.get(scene).await.expect_problem(404, "scene-not-found");
+        let deleted = server.send("DELETE", scene, |request| request).await;
+        deleted.expect_problem(404, "scene-not-found");
+    }
+    keep(&server, "", "bomb").await.expect_problem(500, "internal");
+
+    let server = Server::start_with(&coverage, Setup { limits: tight_limits(), ..idle() }).await;
+    keep(&server, "", "succeed but too long").await.expect_problem(413, "body-too-large");
+    let busy = tcgs::http::config::RequestLimits { uploads: 0, ..tight_limits() };
+    let server = Server::start_with(&coverage, Setup { limits: busy, ..idle() }).await;
+    keep(&server, "", "succeed").await.expect_problem(503, "busy");
+}
+
+pub(super) async fn a_body_is_held_to_its_announced_digest(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let send = |digest: &'static str| {
+        server.send("POST", "/v1/scenes", move |request| {
+            request.header("content-type", "application/zip").header("content-digest", digest).body("abc")
+        })
+    };
+    let of_abd = "sha-256=:qVLRhsIJC1d+3WH/F6w6CqQbQ6sVj6F9zl7YnZ9zq2Y=:";
+    let detail = send(of_abd).await.expect_problem(400, "digest-mismatch");
+    assert!(detail.contains(&Digest::of(b"abc").to_string()), "{detail}");
+    send("sha-256=abc").await.expect_problem(400, "invalid-header");
+    send("sha-256=:ungWv48Bz+pBQUDeXa4iI7ADYaOWF3qctBD/YfIAFa0=:").await.expect(201);
+    send("unixsum=:AAA=:").await.expect(200);
+}
+
+pub(super) async fn a_scene_sent_twice_with_one_key_is_made_once(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let send = |body: &'static str| {
+        server.send("POST", "/v1/scenes", move |request| {
+            request.header("content-type", "application/zip").header("idempotency-key", "k1").body(body)
+        })
+    };
+    let first = send("succeed").await.expect(201);
+    assert!(!first.headers.contains_key("idempotency-replayed"));
+    let second = send("succeed").await.expect(201);
+    assert_eq!((second.header("idempotency-replayed"), second.json()), ("true", first.json()));
+    send("succeed other").await.expect_problem(422, "idempotency-key-reused");
+    let path = first.header("location").to_owned();
+    server.send("DELETE", &path, |request| request).await.expect(204);
+    let detail = send("succeed").await.expect_problem(404, "scene-not-found");
+    assert!(detail.contains("deleted"), "{detail}");
+}
+
+pub(super) async fn scenes_are_listed_newest_first_page_by_page(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let mut made = Vec::new();
+    for index in 0..5 {
+        made.push(keep(&server, "", &format!("succeed {index}")).await.expect(201).json());
+    }
+    made.reverse();
+    let mut next = Some("/v1/scenes?limit=2".to_owned());
+    let (mut listed, mut pages) = (Vec::new(), 0);
+    while let Some(path) = next {
+        let page = server.get(&path).await.expect(200);
+        let body = page.json();
+        listed.extend(body["scenes"].as_array().expect("scenes").clone());
+        next = body["next"].as_str().map(str::to_owned);
+        let link = page.headers.get("link").map(|link| link.to_str().expect("ASCII").to_owned());
+        assert_eq!(link, next.as_ref().map(|next| format!("<{next}>; rel=\"next\"")));
+        pages += 1;
+    }
+    assert_eq!((listed, pages), (made, 3));
+    for (query, named) in [("?limit=0", "limit"), ("?cursor=abc", "cursor"), ("?page=2", "page")] {
+        let detail = server.get(&format!("/v1/scenes{query}")).await.expect_problem(422, "invalid-parameter");
+        assert!(detail.starts_with(named), "{detail}");
+    }
+}
+
+pub(super) async fn a_scene_is_deleted_once_no_job_needs_it(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let made = keep(&server, "", "succeed").await.expect(201);
+    let path = made.header("location").to_owned();
+    let id = made.json()["id"].as_str().expect("an id").parse().expect("a UUID");
+    let scene = server.store_scene(id).await;
+    let job = JobId(Uuid::from_u128(1));
+    let new = NewJob::new(job, TrainOptions::default(), scene.dataset);
+    let store = &server.services.store;
+    store.create_job(NewJob { scene: Some(scene.id), ..new }).await.expect("queued");
+    let delete = |tag: &'static str| {
+        server.send("DELETE", &path, move |request| match tag {
+            "" => request,
+            tag => request.header("if-match", tag),
+        })
+    };
+    let detail = delete("").await.expect_problem(409, "scene-in-use");
+    assert!(detail.starts_with("1 "), "{detail}");
+    store.cancel(job).await.expect("cancelled");
+    delete("\"2\"").await.expect_problem(412, "precondition-failed");
+    delete("\"1\"").await.expect(204);
+    server.get(&path).await.expect_problem(404, "scene-not-found");
+    server.get(&format!("/v1/jobs/{job}")).await.expect(200);
+}
+
+pub(super) async fn scenes_of_another_key_are_not_there_and_bytes_have_a_quota(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let scopes = [Scope::Read, Scope::ScenesWrite];
+    let one = server.key_with(&scopes, KeyLimits { max_bytes: Some(16), ..KeyLimits::default() }).await;
+    let other = server.key(&scopes).await;
+    let admin = server.key(&[Scope::Admin]).await;
+    let send = |key: &str, dataset: &'static str| {
+        let key = key.to_owned();
+        server.send("POST", "/v1/scenes", move |request| {
+            request.bearer_auth(key).header("content-type", "application/zip").body(dataset)
+        })
+    };
+    let as_key = |method: &'static str, path: String, key: &str| {
+        let key = key.to_owned();
+        let server = &server;
+        async move { server.send(method, &path, |request| request.bearer_auth(key)).await }
+    };
+    let mine = send(&one.key, "succeed").await.expect(201);
+    let path = mine.header("location").to_owned();
+    for method in ["GET", "DELETE"] {
+        as_key(method, path.clone(), &other.key).await.expect_problem(404, "scene-not-found");
+    }
+    let theirs = send(&other.key, "succeed").await.expect(201);
+    assert_ne!(theirs.header("location"), path, "another owner's scene is not given away");
+    let listed = |answer: Answer| answer.expect(200).json()["scenes"].as_array().map_or(0, Vec::len);
+    assert_eq!(listed(as_key("GET", "/v1/scenes".into(), &one.key).await), 1);
+    assert_eq!(listed(as_key("GET", "/v1/scenes".into(), &admin.key).await), 2);
+    as_key("GET", path.clone(), &admin.key).await.expect(200);
+
+    send(&one.key, "succeed").await.expect(200);
+    let detail = send(&one.key, "succeed ten").await.expect_problem(507, "quota-exceeded");
+    assert!(detail.contains("quota of 16") && detail.contains("7 are stored"), "{detail}");
+    as_key("DELETE", path, &one.key).await.expect(204);
+    send(&one.key, "succeed ten").await.expect(201);
+    let usage: Value =
+        serde_json::to_value(server.services.store.usage(Some(one.id)).await.expect("read").stored)
+            .expect("a number");
+    assert_eq!(usage, 11);
+}
