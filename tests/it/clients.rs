@@ -326,3 +326,24 @@ async fn a_service_without_streams_is_asked_and_the_key_is_sent_and_never_shown(
         assert!(!text(&output.stderr).contains("tcgs_from") && !text(&output.stdout).contains("tcgs_from"));
     }
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_large_dataset_goes_in_parts_and_becomes_a_job_of_a_scene() {
+    let server = Server::start(&Coverage::default()).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let url = format!("http://{}", server.address);
+    let zip = folder.path().join("scene.zip");
+    sample::write(&zip, &sample::Settings { side: 16, points: 50, seed: 1 }).expect("writes");
+    let bytes = fs::metadata(&zip).expect("a file").len();
+    for part in [bytes / 4, bytes - 1] {
+        let line =
+            line!["submit", zip, "--server", url, "--part-bytes", part.to_string(), "--wait", "--json"];
+        let job = succeeded(&run([line, line!["--without", "knn,masks", "--priority", "-3"]].concat()).await);
+        assert!(job["scene_id"].is_string(), "what came in parts is a scene: {job:#}");
+        assert_eq!(job["dataset"]["sha256"], Digest::of(&fs::read(&zip).expect("a file")).to_string());
+        assert_eq!(job["options"]["without"], json!(["knn", "masks"]));
+        assert_eq!(job["priority"], -3);
+    }
+    let whole = run(line!["submit", zip, "--server", url, "--part-bytes", bytes.to_string(), "--json"]).await;
+    assert!(succeeded(&whole)["scene_id"].is_null(), "one part is one request");
+}
