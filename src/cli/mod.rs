@@ -5,6 +5,7 @@
 //! standard error. Output files appear whole or not at all.
 
 mod adapter;
+mod config;
 mod decode;
 mod doctor;
 mod encode;
@@ -14,6 +15,7 @@ mod failure;
 mod files;
 mod inspect;
 mod keys;
+mod limits;
 mod logging;
 mod lpips;
 mod memory;
@@ -32,7 +34,7 @@ mod worker;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 use failure::Failure;
 use logging::{Format, Verbosity};
@@ -113,6 +115,14 @@ impl Command {
         }
     }
 
+    fn only_prints_settings(&self) -> bool {
+        match self {
+            Command::Serve(args) => args.config.print_config,
+            Command::Worker(args) => args.config.print_config,
+            _ => false,
+        }
+    }
+
     /// Services tell what they do; single commands speak up only when something is off.
     fn verbosity(&self) -> Verbosity {
         match self {
@@ -158,7 +168,15 @@ impl Command {
 
 /// Parses the arguments, runs the command, prints what came of it.
 pub(crate) fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let settings = match config::parse(Cli::command(), std::env::args_os()) {
+        Ok(settings) => settings,
+        Err(failure) => return report::conclude(Err(failure), false),
+    };
+    // The same parsers have taken every value already.
+    let cli = Cli::from_arg_matches(&settings.matches).unwrap_or_else(|fault| fault.exit());
+    if cli.command.only_prints_settings() {
+        return report::conclude(Ok(settings.printed()), false);
+    }
     logging::start(cli.log_format, cli.command.verbosity());
     let json = cli.command.wants_json();
     report::conclude(cli.command.run(cli.log_format), json)
@@ -166,8 +184,6 @@ pub(crate) fn main() -> ExitCode {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
-
     use super::*;
 
     #[test]

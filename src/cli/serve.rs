@@ -10,6 +10,8 @@ use tcgs::{
 use super::{
     Failure, Report,
     adapter::AdapterFlag,
+    config::ConfigFlags,
+    limits::LimitFlags,
     logging::Format,
     lpips::LpipsFlag,
     memory::MemoryFlags,
@@ -19,9 +21,16 @@ use super::{
 /// Arguments of `tcgs serve`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
+    #[command(flatten)]
+    pub(crate) config: ConfigFlags,
+
     /// Address to listen on; without API keys only a loopback address is served
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", env = "TCGS_LISTEN")]
     listen: SocketAddr,
+
+    /// Serve /metrics at this address instead, where no key is asked for
+    #[arg(long, value_name = "ADDR", env = "TCGS_METRICS_LISTEN")]
+    metrics_listen: Option<SocketAddr>,
 
     /// Ask for no key even if there are some; on a loopback address only
     #[arg(long, env = "TCGS_WITHOUT_KEYS")]
@@ -71,24 +80,30 @@ pub(crate) struct Args {
     webhooks_allow_loopback: bool,
 
     /// Worker processes to start; 0 if workers run elsewhere
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, env = "TCGS_WORKERS")]
     workers: u16,
+
+    #[command(flatten)]
+    limits: LimitFlags,
 }
 
 /// Serves until a signal comes.
 pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
     refuse_shared_storage(args.database.as_deref(), args.blobs.as_deref())?;
     wiring::serve(ServeOptions {
-        listen: args.listen,
+        http: args.limits.config(
+            args.listen,
+            args.metrics_listen,
+            AccessRules {
+                without_keys: args.without_keys,
+                requests_per_minute: args.requests_per_minute,
+                ..AccessRules::default()
+            },
+        ),
         limits: KeyLimits {
             max_bytes: args.max_bytes.map(|bytes| bytes.0),
             max_active_jobs: args.max_active_jobs,
             requests_per_minute: args.requests_per_minute,
-        },
-        access: AccessRules {
-            without_keys: args.without_keys,
-            requests_per_minute: args.requests_per_minute,
-            ..AccessRules::default()
         },
         data: args.data,
         adapter: args.adapter.adapter,

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::{
     Failure, Report,
     adapter::AdapterFlag,
+    config::ConfigFlags,
     lpips::LpipsFlag,
     memory::MemoryFlags,
     serve::refuse_shared_storage,
@@ -14,6 +15,9 @@ use super::{
 /// Arguments of `tcgs worker`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
+    #[command(flatten)]
+    pub(crate) config: ConfigFlags,
+
     /// The data folder of a service on this machine
     #[arg(long, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
     data: PathBuf,

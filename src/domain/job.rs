@@ -63,6 +63,9 @@ pub enum JobState {
 }
 
 impl JobState {
+    /// Every state.
+    pub const ALL: [Self; 5] = [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
+
     /// The name in the database and the API.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -99,7 +102,7 @@ impl FromStr for JobState {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        [JobState::Queued, JobState::Running, JobState::Succeeded, JobState::Failed, JobState::Cancelled]
+        Self::ALL
             .into_iter()
             .find(|state| state.name() == text)
             .ok_or_else(|| format!("'{text}' is not a job state"))

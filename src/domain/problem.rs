@@ -1,7 +1,7 @@
 //! What went wrong, in the shape of RFC 9457: the one form in which faults reach a user, over HTTP, in a failed
 //! job and on the command line.
 
-use std::fmt;
+use std::{collections::BTreeMap, fmt};
 
 use serde::{Deserialize, Serialize};
 
@@ -26,6 +26,9 @@ pub struct Problem {
     /// Where a file was to be smaller than it can be: the fewest bytes that it can have.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub smallest_bytes: Option<u64>,
+    /// Of a service that is not ready: each thing that was looked at, with `ok` or what is wrong with it.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty", default)]
+    pub checks: BTreeMap<String, String>,
     /// Request id, if there was a request.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub instance: Option<String>,
@@ -42,6 +45,7 @@ impl Problem {
             detail: detail.into(),
             file: None,
             smallest_bytes: None,
+            checks: BTreeMap::new(),
             instance: None,
         }
     }

@@ -29,6 +29,7 @@ pub enum Phase {
 
 /// A report of progress, as the API and the progress bar show it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Progress {
     /// Steps done.
     pub step: u64,

@@ -144,12 +144,18 @@ fn refuse_announced(headers: &HeaderMap, limit: u64) -> Result<(), Fault> {
 pub(super) struct Pieces<'a> {
     body: &'a mut BodyDataStream,
     idle: Duration,
+    /// Bytes a second, on average since the begin.
+    rate: u64,
+    begun: Instant,
     deadline: Instant,
+    received: u64,
 }
 
 impl<'a> Pieces<'a> {
     pub(super) fn new(body: &'a mut BodyDataStream, limits: &RequestLimits) -> Self {
-        Self { body, idle: limits.body_idle, deadline: Instant::now() + limits.body_total }
+        let begun = Instant::now();
+        let deadline = begun + limits.body_total;
+        Self { body, idle: limits.body_idle, rate: limits.body_rate, begun, deadline, received: 0 }
     }
 
     /// The next piece, none at the end.
@@ -157,22 +163,37 @@ impl<'a> Pieces<'a> {
         let piece = timeout_at(self.deadline, timeout(self.idle, self.body.next()));
         match piece.await {
             Ok(Ok(None)) => Ok(None),
-            Ok(Ok(Some(Ok(piece)))) => Ok(Some(piece)),
+            Ok(Ok(Some(Ok(piece)))) => {
+                self.received += piece.len() as u64;
+                if self.dribbles() { Err(self.too_slow()) } else { Ok(Some(piece)) }
+            }
             Ok(Ok(Some(Err(error)))) => Err(Fault::new(
                 StatusCode::BAD_REQUEST,
                 "body-incomplete",
                 "Body incomplete",
                 format!("the body could not be read to its end: {error}"),
             )),
-            Ok(Err(_)) | Err(_) => Err(Fault::new(
-                StatusCode::REQUEST_TIMEOUT,
-                "body-timeout",
-                "Body too slow",
-                format!(
-                    "the body paused for more than {} s or was not complete in time",
-                    self.idle.as_secs()
-                ),
-            )),
+            Ok(Err(_)) | Err(_) => Err(self.too_slow()),
         }
+    }
+
+    /// Whether the pieces, none of which was late, together bring too little: what a client does that means to keep a place
+    /// for as long as it can.
+    fn dribbles(&self) -> bool {
+        let elapsed = self.begun.elapsed();
+        elapsed > self.idle && (self.received as f64) < self.rate as f64 * elapsed.as_secs_f64()
+    }
+
+    fn too_slow(&self) -> Fault {
+        Fault::new(
+            StatusCode::REQUEST_TIMEOUT,
+            "body-timeout",
+            "Body too slow",
+            format!(
+                "the body paused for more than {} s, brought less than {} bytes a second, or was not complete in time",
+                self.idle.as_secs_f64(),
+                self.rate
+            ),
+        )
     }
 }

@@ -15,10 +15,18 @@ use crate::domain::OutboundPolicy;
 pub struct HttpConfig {
     /// Where to listen.
     pub listen: SocketAddr,
+    /// Where to serve `/metrics` without keys, instead of among the rest.
+    pub metrics_listen: Option<SocketAddr>,
     /// Connections served at a time; more wait in the system's queue.
     pub max_connections: usize,
+    /// Connections of one address served at a time; more are closed.
+    pub max_connections_per_address: usize,
     /// Longest time from a connection's begin, or from the previous response, to the end of a request's headers.
     pub header_timeout: Duration,
+    /// Longest time in which a client takes nothing of a response.
+    pub write_timeout: Duration,
+    /// How long readiness already fails on shutdown before connections are refused.
+    pub drain_notice: Duration,
     /// Longest time that open requests may take once the server shuts down.
     pub drain: Duration,
     /// Bounds on requests.
@@ -29,8 +37,12 @@ impl Default for HttpConfig {
     fn default() -> Self {
         Self {
             listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8080)),
+            metrics_listen: None,
             max_connections: 512,
+            max_connections_per_address: 256,
             header_timeout: Duration::from_secs(10),
+            write_timeout: Duration::from_secs(30),
+            drain_notice: Duration::ZERO,
             drain: Duration::from_secs(20),
             limits: RequestLimits::default(),
         }
@@ -118,6 +130,10 @@ pub struct RequestLimits {
     pub body_idle: Duration,
     /// Longest time for a whole body.
     pub body_total: Duration,
+    /// Bytes a second that a body has to bring on average, once the longest pause has passed since its begin.
+    pub body_rate: u64,
+    /// Free bytes on the blobs' disk below which the server is not ready.
+    pub min_free_space: u64,
     /// Longest side of a view, in pixels.
     pub view_side: u32,
     /// Pixels of all views of a request together.
@@ -173,6 +189,8 @@ impl Default for RequestLimits {
             json_bytes: 1 << 20,
             body_idle: Duration::from_secs(30),
             body_total: Duration::from_secs(3600),
+            body_rate: 1 << 10,
+            min_free_space: 512 << 20,
             view_side: 4096,
             view_pixels: 1 << 24,
             views: 64,

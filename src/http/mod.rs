@@ -21,6 +21,7 @@ mod event_stream;
 mod events;
 mod exports;
 mod file;
+mod head;
 mod health;
 mod idempotency;
 mod job_actions;
@@ -29,12 +30,15 @@ mod job_list;
 mod job_wish;
 mod jobs;
 mod keys;
+mod metrics;
 mod overdue;
+mod peers;
 mod picture;
 mod prefer;
 mod problem;
 mod query;
 mod range;
+mod readiness;
 mod report;
 mod scene_body;
 mod scenes;
@@ -44,6 +48,7 @@ mod serve;
 mod state;
 mod stream_places;
 mod throttle;
+mod trace_parent;
 mod tus;
 mod upload_part;
 mod uploads;
@@ -60,7 +65,7 @@ use axum::{
 use tower_http::catch_panic::CatchPanicLayer;
 
 pub use config::HttpConfig;
-pub use serve::{ServeError, bind, serve};
+pub use serve::{Listeners, ServeError, bind, serve};
 pub use state::{
     AppState, DatasetCheck, ExportedScene, ForgetJob, SceneExporter, SceneLoader, Services, WorkerCensus,
     WorkerCounts,
@@ -68,12 +73,20 @@ pub use state::{
 
 /// Every route of the API.
 pub fn router(state: AppState) -> Router {
+    routes(state, Router::new().route("/metrics", get(metrics::get)))
+}
+
+/// Every route of the API but the metrics, which have a listener of their own.
+fn router_without_metrics(state: AppState) -> Router {
+    routes(state, Router::new())
+}
+
+fn routes(state: AppState, more: Router<AppState>) -> Router {
     let uploads = Router::new()
         .route("/v1/uploads", options(uploads::options).post(uploads::create))
         .route("/v1/uploads/{id}", head(uploads::head).patch(uploads::append).delete(uploads::delete))
         .layer(map_response(tus::stamp));
-    Router::new()
-        .route("/v1/jobs", get(job_list::list).post(create_job::create))
+    more.route("/v1/jobs", get(job_list::list).post(create_job::create))
         .route("/v1/jobs/{id}", get(jobs::get).delete(job_actions::delete))
         .route("/v1/jobs/{id}/cancel", post(job_actions::cancel))
         .route("/v1/jobs/{id}/retry", post(job_actions::retry))
@@ -101,11 +114,12 @@ pub fn router(state: AppState) -> Router {
         .route("/v1/keys", get(keys::list).post(keys::create))
         .route("/v1/keys/{id}", get(keys::get).delete(keys::revoke))
         .route("/healthz", get(health::healthz))
-        .route("/readyz", get(health::readyz))
+        .route("/readyz", get(readiness::readyz))
         .route("/version", get(health::version))
         .route("/openapi.yaml", get(health::openapi))
         .layer(from_fn_with_state(state.clone(), auth::authenticate))
         .layer(CatchPanicLayer::custom(wrap::panicked))
-        .layer(from_fn(wrap::wrap))
+        .layer(from_fn(head::bounded))
+        .layer(from_fn_with_state(state.clone(), wrap::wrap))
         .with_state(state)
 }

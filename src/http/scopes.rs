@@ -58,6 +58,7 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("DELETE", "/v1/keys/{id}", Needs(Admin)),
     ("GET", "/healthz", Open),
     ("GET", "/readyz", Open),
+    ("GET", "/metrics", Needs(Admin)),
     ("GET", "/version", Open),
     ("GET", "/openapi.yaml", Open),
 ];

@@ -6,8 +6,16 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::{
-    auth::Lock, config::RequestLimits, exports::ExportQueue, idempotency::InFlight,
-    stream_places::StreamPlaces, throttle::Throttle, views::Studio, watch::Watcher,
+    auth::Lock,
+    config::RequestLimits,
+    exports::ExportQueue,
+    idempotency::InFlight,
+    metrics::{Cache, Meters},
+    readiness::Checks,
+    stream_places::StreamPlaces,
+    throttle::Throttle,
+    views::Studio,
+    watch::Watcher,
 };
 use crate::{
     domain::{Camera, Clock, DatasetSummary, Entropy, JobId, Problem, SceneFormat},
@@ -85,6 +93,9 @@ struct Inner {
     limits: RequestLimits,
     uploads: Semaphore,
     studio: Studio,
+    meters: Meters,
+    metrics_cache: Cache,
+    checks: Checks,
     watcher: Watcher,
     in_flight: Arc<InFlight>,
     exports: ExportQueue,
@@ -117,6 +128,9 @@ impl AppState {
             limits,
             uploads,
             studio,
+            meters: Meters::default(),
+            metrics_cache: Cache::default(),
+            checks: Checks::default(),
             watcher,
             in_flight: Arc::default(),
             exports,
@@ -150,6 +164,19 @@ impl AppState {
 
     pub(super) fn studio(&self) -> &Studio {
         &self.0.studio
+    }
+
+    /// What this process counts of itself.
+    pub(super) fn meters(&self) -> &Meters {
+        &self.0.meters
+    }
+
+    pub(super) fn metrics_cache(&self) -> &Cache {
+        &self.0.metrics_cache
+    }
+
+    pub(super) fn checks(&self) -> &Checks {
+        &self.0.checks
     }
 
     pub(super) fn lock(&self) -> &Lock {

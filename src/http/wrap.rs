@@ -4,27 +4,39 @@ use std::{any::Any, time::Instant};
 
 use axum::{
     body::Body,
-    extract::{MatchedPath, Request},
+    extract::{MatchedPath, Request, State},
     http::{HeaderName, HeaderValue, header},
     middleware::Next,
     response::{IntoResponse as _, Response},
 };
+use futures_util::TryStreamExt as _;
+use hyper::body::Body as _;
+use prometheus_client::metrics::counter::Counter;
 use tracing::Instrument as _;
 use uuid::Uuid;
 
-use super::problem::{Fault, internal, plain};
+use super::{
+    problem::{Fault, internal, plain},
+    state::AppState,
+    trace_parent::trace_id,
+};
 use crate::domain::Problem;
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 const MAX_REQUEST_ID: usize = 128;
 
 /// Gives the request an id, records it, and finishes its answer.
-pub(super) async fn wrap(request: Request, next: Next) -> Response {
+pub(super) async fn wrap(State(state): State<AppState>, request: Request, next: Next) -> Response {
+    let active = state.meters().request_begun();
     let id = request_id(&request);
     let method = request.method().clone();
     let path = request.uri().path().to_owned();
-    let route = request.extensions().get::<MatchedPath>().map_or("unmatched", MatchedPath::as_str).to_owned();
-    let span = tracing::info_span!("request", request_id = id, %method, route);
+    let matched = request.extensions().get::<MatchedPath>().cloned();
+    let route = matched.as_ref().map(MatchedPath::as_str);
+    let shown = route.unwrap_or("unmatched");
+    let trace_id = trace_id(request.headers());
+    let span = tracing::info_span!("request", request_id = id, trace_id, %method, route = shown);
+    let request = counted(request, state.meters().body_bytes(route));
     let began = Instant::now();
     let mut response = next.run(request).instrument(span.clone()).await;
     let status = response.status();
@@ -38,11 +50,27 @@ pub(super) async fn wrap(request: Request, next: Next) -> Response {
     if let Ok(id) = HeaderValue::from_str(&id) {
         headers.insert(REQUEST_ID, id);
     }
-    let duration_ms = began.elapsed().as_secs_f64() * 1e3;
+    drop(active);
+    let duration = began.elapsed();
+    state.meters().request_answered(&method, route, status.as_u16(), duration);
+    let duration_ms = duration.as_secs_f64() * 1e3;
     span.in_scope(|| {
-        tracing::info!(status = status.as_u16(), duration_ms, "{method} {route} {}", status.as_u16())
+        tracing::info!(status = status.as_u16(), duration_ms, "{method} {shown} {}", status.as_u16())
     });
     response
+}
+
+/// The request with a body that counts its bytes as they come.
+fn counted(request: Request, bytes: Counter) -> Request {
+    request.map(|body| {
+        if body.is_end_stream() {
+            return body;
+        }
+        let pieces = body.into_data_stream();
+        Body::from_stream(pieces.inspect_ok(move |piece| {
+            bytes.inc_by(piece.len() as u64);
+        }))
+    })
 }
 
 /// The client's own id if it is fit to be logged, else a fresh one.

@@ -16,6 +16,7 @@ mod accounts;
 pub mod blobs;
 mod error;
 mod exports;
+mod figures;
 pub mod housekeeping;
 mod idempotency;
 mod keys;
@@ -34,6 +35,7 @@ pub use accounts::{Accounts, Usage};
 pub use blobs::{BlobError, Blobs, Staged, Staging, UploadFile};
 pub use error::StoreError;
 pub use exports::{ExportRecord, Exports, FileRecord};
+pub use figures::{AttemptCount, Figures, Overview};
 pub use idempotency::{Idempotency, Intent, Remembered};
 pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};
 pub use policy::QueuePolicy;
@@ -57,7 +59,18 @@ pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
 pub trait Store:
-    Accounts + Exports + Idempotency + Keys + Scenes + Series + Uploads + Webhooks + Send + Sync + 'static
+    Accounts
+    + Exports
+    + Idempotency
+    + Keys
+    + Overview
+    + Scenes
+    + Series
+    + Uploads
+    + Webhooks
+    + Send
+    + Sync
+    + 'static
 {
     /// Adds a job in state `queued`, together with its dataset's blob row, its first event and what its request's
     /// `Idempotency-Key` is to be remembered by; [`StoreError::AlreadyMade`] if that key was used before.

@@ -32,6 +32,8 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("hyper_util", &["http"]),
     ("tower", &["http"]),
     ("tower_http", &["http"]),
+    ("prometheus_client", &["http"]),
+    ("tokio_io_timeout", &["http"]),
     ("hmac", &["webhooks"]),
     ("reqwest", &["https", "webhooks", "cli"]),
     ("rustls", &["https"]),
@@ -48,6 +50,8 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("kiddo", &["model", "codec"]),
     ("ndarray", &["eval"]),
     ("flate2", &["export"]),
+    ("toml", &["cli"]),
+    ("fs4", &["store"]),
     ("clap", &["cli", "main"]),
     ("indicatif", &["cli"]),
 ];

@@ -24,6 +24,16 @@ async fn database(path: &Path, version: i64) -> SqlitePool {
     pool
 }
 
+/// Figures as the first version wrote them.
+const METRICS: &str = r#"{
+    "test": {"psnr": 30.5, "ssim": 0.97, "lpips": null, "views": 3}, "train": {"psnr": 31.0, "ssim": 0.98, "lpips": null, "views": 9},
+    "bytes": {"total": 77, "positions": 1, "networks": 2, "planes": 0, "masks": 3, "features": 4, "scalings": 5, "offsets": 6,
+        "container": 56},
+    "seconds": {"ingest": 1.0, "train": 60.0, "encode": 0.5, "decode": 0.1}, "steps": 400, "steps_per_second": 6.5,
+    "anchors": 10, "gaussians": 20, "psnr_before_quantisation": 30.6, "adapter": "llvmpipe", "background": "black",
+    "decode_sha256": "cccccccccccccccccccccccccccccccccccccccccccccccccccccccccccccccc"
+}"#;
+
 const JOB: &str = "01890a5d-ac96-774b-bcce-b302099a8057";
 
 async fn open(path: &Path) -> SqliteStore {
@@ -48,12 +58,13 @@ async fn jobs_and_files_of_every_earlier_schema_are_there_after_an_update() {
                 .expect("a blob");
         }
         sqlx::query(
-            "INSERT INTO jobs (id, dataset, options, state, phase, progress, priority, run_after, attempt, charged, max_attempts,
+            "INSERT INTO jobs (id, dataset, options, state, phase, progress, metrics, priority, run_after, attempt, charged, max_attempts,
                  last_seq, created_at, started_at, finished_at)
-             VALUES (?, ?, '{}', 'succeeded', 'done', '{}', 0, 5, 1, 1, 3, 1, 5, 6, 7)",
+             VALUES (?, ?, '{}', 'succeeded', 'done', '{}', ?, 0, 5, 1, 1, 3, 1, 5, 6, 7)",
         )
         .bind(JOB)
         .bind(&dataset)
+        .bind(METRICS)
         .execute(&old)
         .await
         .expect("a job");
@@ -77,6 +88,7 @@ async fn jobs_and_files_of_every_earlier_schema_are_there_after_an_update() {
         let record =
             store.job(id).await.expect("reads").unwrap_or_else(|| panic!("lost from version {version}"));
         assert_eq!(record.job.state, JobState::Succeeded, "version {version}");
+        assert_eq!(record.job.metrics.as_ref().expect("figures").test.psnr, Some(30.5), "version {version}");
         assert_eq!(record.dataset.bytes, 1000, "version {version}");
         assert_eq!(record.owner, None, "version {version}");
         let scenes: Vec<_> = record.scenes().collect();

@@ -7,7 +7,6 @@ use std::{
     error::Error,
     ffi::OsString,
     fs, io,
-    net::SocketAddr,
     path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
@@ -18,10 +17,7 @@ use tcgs::{
         Camera, KeyLimits, MemoryLimits, OutboundPolicy, Problem, SceneFormat, SystemClock, SystemEntropy,
     },
     gpu::{AdapterChoice, driver_cache},
-    http::{
-        self, ExportedScene, HttpConfig, Services, WorkerCounts,
-        config::{AccessRules, RequestLimits},
-    },
+    http::{self, ExportedScene, HttpConfig, Services, WorkerCounts},
     ingest,
     render::views::Viewable,
     store::{
@@ -51,9 +47,7 @@ const WEBHOOK_TIMEOUT: Duration = Duration::from_secs(15);
 /// Where a service listens and keeps its data.
 #[derive(Debug, Clone)]
 pub(crate) struct ServeOptions {
-    pub(crate) listen: SocketAddr,
-    /// Who is let in, and how often.
-    pub(crate) access: AccessRules,
+    pub(crate) http: HttpConfig,
     /// How much a key may take that has no limits of its own.
     pub(crate) limits: KeyLimits,
     pub(crate) data: PathBuf,
@@ -87,19 +81,15 @@ pub(crate) struct WorkerOptions {
 
 /// Runs the service until a signal comes.
 pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
-    let limits = RequestLimits {
-        access: options.access.clone(),
-        webhook_targets: options.webhook_targets,
-        ..RequestLimits::default()
-    };
-    let config = HttpConfig { listen: options.listen, limits, ..HttpConfig::default() };
+    let mut config = options.http.clone();
+    config.limits.webhook_targets = options.webhook_targets;
     runtime()?.block_on(async {
         let has_keys = has_keys(&options.data).await?;
         config.check_exposure(has_keys).map_err(|fault| Failure::Usage(format!("--listen: {fault}")))?;
         // Before any worker starts, which would find the same faults.
         super::lpips(options.lpips.as_deref())?;
         let (renderer, _) = super::views(&options.adapter, options.view_memory)?;
-        let listener = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
+        let listeners = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
         let (store, blobs) = open_with(&options.data, options.limits).await?;
         let shutdown = stop_on_signals()?;
 
@@ -145,9 +135,12 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
                 alive: census.living().len(),
             }),
         };
-        let address = listener.local_addr().unwrap_or(options.listen);
+        let address = listeners.address().unwrap_or(options.http.listen);
+        if let Ok(Some(address)) = listeners.metrics_address() {
+            tracing::info!(metrics_address = %address, "metrics are on http://{address}/metrics");
+        }
         tracing::info!(%address, data = %options.data.display(), "serving on http://{address}");
-        http::serve(listener, config, services, shutdown).await;
+        http::serve(listeners, config, services, shutdown).await;
         supervisor.stopped().await;
         if let Err(fault) = housekeeping.await {
             tracing::warn!(%fault, "clearing away ended early");

@@ -207,6 +207,12 @@ impl RenderQueue {
         Self(Arc::new(Shared { bounds, line: Mutex::default() }))
     }
 
+    /// How many pictures are rendered and how many wait for their turn.
+    pub(super) fn depth(&self) -> (usize, usize) {
+        let line = self.0.line();
+        (line.turns, line.lanes.iter().map(|lane| lane.waiting.len()).sum())
+    }
+
     /// Lets a caller's request or stream in.
     pub(super) fn enter(&self, who: Who, visit: Visit) -> Result<Place, Refused> {
         let Bounds { at_once, requests, streams } = self.0.bounds;

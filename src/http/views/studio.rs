@@ -98,6 +98,11 @@ impl Studio {
         Self { queue, identity: services.renderer.identity(), cache }
     }
 
+    /// How many pictures are rendered and how many wait for their turn.
+    pub(in crate::http) fn depth(&self) -> (usize, usize) {
+        self.queue.depth()
+    }
+
     /// The key of a shot.
     pub(super) fn key(&self, shot: &Shot) -> Key {
         Key::new(&self.identity, shot)
@@ -150,6 +155,7 @@ pub(super) async fn in_turn<T: Send + 'static>(
         let _span = span.entered();
         let _turn = turn;
         let (rendered, timing) = render(state.services(), &runtime, &shot)?;
+        state.meters().rendered(timing.render);
         finish(rendered, timing)
     });
     Ok(made.await.map_err(|error| Fault::internal(&error))??)

@@ -8,6 +8,7 @@
 mod accounts;
 mod events;
 mod exports;
+mod figures;
 mod idempotency;
 mod keys;
 mod lifecycle;
@@ -34,6 +35,8 @@ use super::{
 use crate::domain::{Clock, Event, EventKind, JobId, JobState, ModelKind, Phase, Progress};
 use rows::{json as text, micros};
 
+/// Every change of the schema, in order.
+static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("migrations/sqlite");
 /// HTTP status of an answer to a request that made something.
 const CREATED: u16 = 201;
 
@@ -69,7 +72,7 @@ impl SqliteStore {
             .connect_with(options.clone())
             .await
             .map_err(open_error)?;
-        sqlx::migrate!("migrations/sqlite").run(&writer).await?;
+        MIGRATIONS.run(&writer).await?;
         let readers = SqlitePoolOptions::new()
             .max_connections(READERS)
             .acquire_timeout(ACQUIRE_TIMEOUT)

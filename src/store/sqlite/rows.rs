@@ -171,16 +171,18 @@ pub(super) fn event(row: &SqliteRow) -> Result<Event, StoreError> {
     })
 }
 
+/// How an ended attempt ended.
+pub(super) fn outcome(row: &SqliteRow) -> Result<AttemptOutcome, StoreError> {
+    let text: String = row.try_get("outcome")?;
+    AttemptOutcome::ALL
+        .into_iter()
+        .find(|outcome| outcome.name() == text)
+        .ok_or_else(|| corrupt("outcome")(format!("'{text}'")))
+}
+
 pub(super) fn attempt(row: &SqliteRow) -> Result<AttemptRecord, StoreError> {
-    let outcome = match row.try_get::<Option<String>, _>("outcome")? {
-        None => None,
-        Some(text) => Some(
-            AttemptOutcome::ALL
-                .into_iter()
-                .find(|outcome| outcome.name() == text)
-                .ok_or_else(|| corrupt("outcome")(format!("'{text}'")))?,
-        ),
-    };
+    let ended = row.try_get::<Option<String>, _>("outcome")?.is_some();
+    let outcome = if ended { Some(outcome(row)?) } else { None };
     Ok(AttemptRecord {
         number: unsigned(row, "number")?,
         worker: row.try_get("worker")?,

@@ -145,3 +145,78 @@ async fn shutdown_finishes_open_requests_and_takes_no_more() {
     open.expect(200);
     (&mut server.serving).await.expect("the accept loop ends");
 }
+
+#[tokio::test]
+async fn a_body_that_only_dribbles_is_given_up_though_it_never_pauses() {
+    let limits = tcgs::http::config::RequestLimits {
+        body_idle: Duration::from_millis(200),
+        body_rate: 1 << 20,
+        ..Default::default()
+    };
+    let server = Server::start_with(&Coverage::default(), Setup { limits, ..Setup::default() }).await;
+    let stream = TcpStream::connect(server.address).await.expect("connects");
+    let (mut from, mut to) = stream.into_split();
+    let head = "POST /v1/jobs HTTP/1.1\r\nHost: test\r\nContent-Type: application/zip\r\nConnection: close\r\n\
+                Content-Length: 100000\r\n\r\n";
+    to.write_all(head.as_bytes()).await.expect("sent");
+    let dribble = tokio::spawn(async move {
+        while to.write_all(b"x").await.is_ok() {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    });
+    let mut answer = Vec::new();
+    // The server may close while there are bytes that it has not read, which resets the connection after the answer.
+    let _ = from.read_to_end(&mut answer).await;
+    assert_eq!(check_raw(&server, "POST", "/v1/jobs", &answer), 408);
+    dribble.abort();
+}
+
+#[tokio::test]
+async fn a_client_that_takes_nothing_of_its_answers_loses_its_connection() {
+    let tune = |config: &mut tcgs::http::HttpConfig| config.write_timeout = Duration::from_millis(50);
+    let server = Server::start_with(&Coverage::default(), Setup { tune, ..Setup::default() }).await;
+    let connections = async || {
+        let text = server.get("/metrics").await.expect(200).body;
+        let text = String::from_utf8(text.to_vec()).expect("UTF-8");
+        let line = text.lines().find_map(|line| line.strip_prefix("http_connections "));
+        line.expect("the series").parse::<u32>().expect("a count")
+    };
+    let mut idle = TcpStream::connect(server.address).await.expect("connects");
+    while connections().await < 2 {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    // More answers than any socket's buffers hold.
+    let requests = "GET /openapi.yaml HTTP/1.1\r\nHost: test\r\n\r\n".repeat(1000);
+    idle.write_all(requests.as_bytes()).await.expect("sent");
+    while connections().await > 1 {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+}
+
+#[tokio::test]
+async fn one_address_cannot_take_every_place() {
+    let tune = |config: &mut tcgs::http::HttpConfig| config.max_connections_per_address = 1;
+    let server = Server::start_with(&Coverage::default(), Setup { tune, ..Setup::default() }).await;
+    let mut first = TcpStream::connect(server.address).await.expect("connects");
+    first.write_all(b"GET /healthz HTTP/1.1\r\nHost: te").await.expect("sent");
+    let mut second = TcpStream::connect(server.address).await.expect("the system connects");
+    let mut answer = Vec::new();
+    let ended = second.read_to_end(&mut answer).await;
+    assert!(ended.is_err() || answer.is_empty(), "closed without an answer");
+    first.write_all(b"st\r\nConnection: close\r\n\r\n").await.expect("sent");
+    first.read_to_end(&mut answer).await.expect("an end");
+    assert_eq!(check_raw(&server, "GET", "/healthz", &answer), 200, "the first has its place");
+}
+
+#[tokio::test]
+async fn heads_that_are_too_long_are_problems() {
+    let server = Server::start(&Coverage::default()).await;
+    let uri = server.get(&format!("/v1/jobs?cursor={}", "x".repeat(9 << 10))).await;
+    assert!(uri.expect_problem(414, "uri-too-long").contains("8192"));
+    let long = "x".repeat(33 << 10);
+    let headers = server.send("GET", "/v1/jobs", |request| request.header("x-long", &long)).await;
+    assert!(headers.expect_problem(431, "headers-too-large").contains("32768"));
+    // Beyond the connection's buffer there is no request to answer, but still a status.
+    let endless = format!("GET /healthz HTTP/1.1\r\nHost: test\r\nX-Long: {}", "x".repeat(70 << 10));
+    assert!(raw(&server, &endless, false).await.starts_with(b"HTTP/1.1 431 "));
+}

@@ -3,6 +3,7 @@
 use std::sync::atomic::Ordering;
 
 use serde_json::{Value, json};
+use tokio::io::AsyncWriteExt as _;
 
 use crate::support::{
     contract::Coverage,
@@ -152,10 +153,11 @@ pub(super) async fn few_exports_are_made_at_a_time_and_each_for_all_who_ask(cove
     let job = curve(&server).await;
     let slow = format!("{job}/export?format=ply&lambda=0.0005");
     // One who asks and goes away again: what was begun for it serves those who ask after it.
-    let gone = format!("http://{}{slow}", server.address);
-    let asking = tokio::spawn(reqwest::get(gone));
+    let mut gone = tokio::net::TcpStream::connect(server.address).await.expect("a connection");
+    let request = format!("GET {slow} HTTP/1.1\r\nHost: x\r\n\r\n");
+    gone.write_all(request.as_bytes()).await.expect("sent");
     server.exporter.gate.someone_waits().await;
-    asking.abort();
+    drop(gone);
     let other = server.get(&format!("{job}/export?format=ply")).await;
     assert!(other.expect_problem(503, "busy").contains("exported"));
     let waiting = futures_util::future::join_all((0..5).map(|_| server.get(&slow)));

@@ -10,6 +10,7 @@ mod films;
 mod idempotency;
 mod job_life;
 mod jobs;
+mod operations;
 mod report;
 mod scenes;
 mod series;
@@ -72,6 +73,11 @@ scenarios! {
     }
     connections {
         bodies_that_break_off_or_dawdle_are_given_up,
+    }
+    operations {
+        metrics_tell_of_requests_jobs_and_the_machine,
+        metrics_have_a_listener_of_their_own_where_one_is_given,
+        readiness_names_what_is_wrong,
     }
     jobs {
         a_dataset_becomes_a_file_with_metrics_and_history,

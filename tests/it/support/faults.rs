@@ -10,10 +10,10 @@ use jiff::Timestamp;
 use tcgs::{
     domain::{Digest, Event, JobId, JobState, KeyId, Phase, Progress, SceneId, UploadId},
     store::{
-        Accounts, Answer, AttemptRecord, Cancellation, Claim, Deletion, ExportRecord, Exports, FileRecord,
-        Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewJob, NewScene, NewUpload, Outcome, PageKey,
-        Remembered, Repeat, Repetition, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes, Store,
-        StoreError, UploadRecord, Uploads, Usage,
+        Accounts, Answer, AttemptRecord, Cancellation, Claim, Deletion, ExportRecord, Exports, Figures,
+        FileRecord, Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewJob, NewScene, NewUpload,
+        Outcome, Overview, PageKey, Remembered, Repeat, Repetition, SceneCreation, SceneDeletion, ScenePage,
+        SceneRecord, Scenes, Store, StoreError, UploadRecord, Uploads, Usage,
     },
 };
 
@@ -24,6 +24,8 @@ pub enum Failing {
     Busy,
     /// Like one that is gone.
     Gone,
+    /// Not at all, but a newer program has changed the schema.
+    Migrated,
 }
 
 /// Passes calls on to a store, or fails them.
@@ -44,11 +46,23 @@ impl FaultStore {
 
     fn guard<'a, T: Send + 'a>(&self, answer: Answer<'a, T>) -> Answer<'a, T> {
         let error = match *self.failing.lock().expect("not poisoned") {
-            None => return answer,
+            None | Some(Failing::Migrated) => return answer,
             Some(Failing::Busy) => sqlx::Error::PoolTimedOut,
             Some(Failing::Gone) => sqlx::Error::PoolClosed,
         };
         Box::pin(async move { Err(StoreError::Database(error)) })
+    }
+}
+
+impl Overview for FaultStore {
+    fn figures(&self) -> Answer<'_, Figures> {
+        self.guard(self.inner.figures())
+    }
+    fn schema_is_current(&self) -> Answer<'_, bool> {
+        if *self.failing.lock().expect("not poisoned") == Some(Failing::Migrated) {
+            return Box::pin(async { Ok(false) });
+        }
+        self.guard(self.inner.schema_is_current())
     }
 }
 

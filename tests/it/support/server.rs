@@ -33,6 +33,8 @@ pub struct Setup {
     pub max_connections: usize,
     pub worker: bool,
     pub policy: QueuePolicy,
+    /// Whatever else is to be otherwise.
+    pub tune: fn(&mut HttpConfig),
     pub clock: Arc<dyn Clock>,
 }
 
@@ -41,6 +43,7 @@ impl Default for Setup {
         Self {
             limits: RequestLimits {
                 upload_bytes: 1 << 20,
+                min_free_space: 1,
                 watch_every: Duration::from_millis(5),
                 overdue_every: Duration::from_millis(5),
                 ..RequestLimits::default()
@@ -49,6 +52,7 @@ impl Default for Setup {
             max_connections: 512,
             worker: true,
             policy: quick_policy(),
+            tune: |_| {},
             clock: Arc::new(SystemClock),
         }
     }
@@ -76,6 +80,8 @@ pub fn quick_worker(id: &str) -> WorkerConfig {
 /// A running service and a client that holds every answer to the contract.
 pub struct Server {
     pub address: SocketAddr,
+    /// The metrics' own address, if they have one.
+    pub metrics_address: Option<SocketAddr>,
     pub store: Arc<FaultStore>,
     pub services: Services,
     pub runner: FakeRunner,
@@ -175,15 +181,17 @@ impl Server {
             );
             tokio::spawn(worker);
         }
-        let config = HttpConfig {
+        let mut config = HttpConfig {
             listen: "127.0.0.1:0".parse().expect("an address"),
             header_timeout: setup.header_timeout,
             max_connections: setup.max_connections,
             limits: setup.limits,
             ..HttpConfig::default()
         };
+        (setup.tune)(&mut config);
         let listener = http::bind(&config, false).await.expect("a port");
-        let address = listener.local_addr().expect("bound");
+        let address = listener.address().expect("bound");
+        let metrics_address = listener.metrics_address().expect("bound");
         let serving = tokio::spawn(http::serve(listener, config, services.clone(), shutdown.clone()));
         let client = tcgs::https::client_builder()
             .expect("TLS")
@@ -193,6 +201,7 @@ impl Server {
         let coverage = coverage.clone();
         Self {
             address,
+            metrics_address,
             store,
             services,
             runner,

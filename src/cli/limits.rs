@@ -1,0 +1,157 @@
+//! The flags that bound what the HTTP service bears, and how patiently.
+
+use std::{fmt, net::SocketAddr, str::FromStr, time::Duration};
+
+use jiff::SignedDuration;
+use tcgs::{
+    domain::Bytes,
+    http::{
+        HttpConfig,
+        config::{AccessRules, RequestLimits},
+    },
+};
+
+/// A length of time as people write it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Span(pub(crate) Duration);
+
+impl FromStr for Span {
+    type Err = String;
+
+    /// A number of seconds, or numbers with units such as `500ms`, `90s`, `1h 30m`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let fault = || format!("'{text}' is not a length of time such as 30s, 5m or 1h");
+        if let Ok(seconds) = text.trim().parse::<u64>() {
+            return Ok(Self(Duration::from_secs(seconds)));
+        }
+        let span: SignedDuration = text.trim().parse().map_err(|_| fault())?;
+        Duration::try_from(span).map(Self).map_err(|_| fault())
+    }
+}
+
+impl fmt::Display for Span {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}", self.0)
+    }
+}
+
+/// The service's bounds; `HttpConfig` has what each means in full.
+#[derive(Debug, Clone, clap::Args)]
+#[command(next_help_heading = "Limits")]
+pub(crate) struct LimitFlags {
+    /// Connections served at a time; more wait in the system's queue
+    #[arg(long, value_name = "N", default_value_t = 512, env = "TCGS_MAX_CONNECTIONS")]
+    max_connections: usize,
+
+    /// Connections of one address served at a time; more are closed
+    #[arg(long, value_name = "N", default_value_t = 256, env = "TCGS_MAX_CONNECTIONS_PER_ADDRESS")]
+    max_connections_per_address: usize,
+
+    /// Longest time from a connection's begin, or from the previous answer, to the end of a request's headers
+    #[arg(long, value_name = "TIME", default_value = "10s", env = "TCGS_HEADER_TIMEOUT")]
+    header_timeout: Span,
+
+    /// Longest time in which a client takes nothing of an answer
+    #[arg(long, value_name = "TIME", default_value = "30s", env = "TCGS_WRITE_TIMEOUT")]
+    write_timeout: Span,
+
+    /// Longest pause within a request's body
+    #[arg(long, value_name = "TIME", default_value = "30s", env = "TCGS_BODY_PAUSE")]
+    body_pause: Span,
+
+    /// Longest time for a whole body
+    #[arg(long, value_name = "TIME", default_value = "1h", env = "TCGS_BODY_TIMEOUT")]
+    body_timeout: Span,
+
+    /// Bytes a second that a body has to bring on average once --body-pause has passed
+    #[arg(long, value_name = "BYTES", default_value = "1KiB", env = "TCGS_BODY_RATE")]
+    body_rate: Bytes,
+
+    /// Longest dataset archive
+    #[arg(long, value_name = "BYTES", default_value = "4GiB", env = "TCGS_MAX_UPLOAD")]
+    max_upload: Bytes,
+
+    /// Datasets received at a time
+    #[arg(long, value_name = "N", default_value_t = 8, env = "TCGS_MAX_UPLOADS")]
+    max_uploads: usize,
+
+    /// Requests for views that may wait for their turn
+    #[arg(long, value_name = "N", default_value_t = 32, env = "TCGS_VIEW_QUEUE")]
+    view_queue: usize,
+
+    /// Free room on the data folder's disk below which the service is not ready
+    #[arg(long, value_name = "BYTES", default_value = "512MiB", env = "TCGS_MIN_FREE_SPACE")]
+    min_free_space: Bytes,
+
+    /// How long /readyz already fails on a stop before connections are refused, so that a proxy can look elsewhere
+    #[arg(long, value_name = "TIME", default_value = "0s", env = "TCGS_DRAIN_NOTICE")]
+    drain_notice: Span,
+
+    /// Longest time that open requests may take once the service stops
+    #[arg(long, value_name = "TIME", default_value = "20s", env = "TCGS_DRAIN")]
+    drain: Span,
+}
+
+impl LimitFlags {
+    /// The settings of a server at `listen`.
+    pub(crate) fn config(
+        &self,
+        listen: SocketAddr,
+        metrics_listen: Option<SocketAddr>,
+        access: AccessRules,
+    ) -> HttpConfig {
+        HttpConfig {
+            listen,
+            metrics_listen,
+            max_connections: self.max_connections,
+            max_connections_per_address: self.max_connections_per_address,
+            header_timeout: self.header_timeout.0,
+            write_timeout: self.write_timeout.0,
+            drain_notice: self.drain_notice.0,
+            drain: self.drain.0,
+            limits: RequestLimits {
+                access,
+                upload_bytes: self.max_upload.0,
+                uploads: self.max_uploads,
+                body_idle: self.body_pause.0,
+                body_total: self.body_timeout.0,
+                body_rate: self.body_rate.0,
+                min_free_space: self.min_free_space.0,
+                renders_waiting: self.view_queue,
+                ..RequestLimits::default()
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Limits {
+        #[command(flatten)]
+        limits: LimitFlags,
+    }
+
+    #[test]
+    fn without_flags_the_limits_are_the_server_s_own() {
+        let own = HttpConfig::default();
+        let flags = Limits::parse_from(["limits"]).limits.config(own.listen, None, AccessRules::default());
+        assert_eq!(format!("{flags:?}"), format!("{own:?}"));
+    }
+
+    #[test]
+    fn spans_are_read_as_people_write_them() {
+        for (text, milliseconds) in
+            [("0s", 0), ("90", 90_000), (" 500ms ", 500), ("1h 30m", 5_400_000), ("2m", 120_000)]
+        {
+            assert_eq!(text.parse(), Ok(Span(Duration::from_millis(milliseconds))), "{text}");
+        }
+        for text in ["", "-1s", "soon", "1 fortnight", "-1"] {
+            assert!(text.parse::<Span>().is_err(), "{text}");
+        }
+    }
+}

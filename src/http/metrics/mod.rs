@@ -1,0 +1,222 @@
+//! What the process counts of itself, and `/metrics`, which tells it together with what the database and the disk say.
+//!
+//! Every label has a bounded set of values: a method is one of the usual ones, a path is its route's template, a cause is a
+//! problem's type. Nothing that a client invents becomes a series.
+
+mod scrape;
+
+use std::{fmt, sync::Arc, time::Duration};
+
+use axum::http::Method;
+use prometheus_client::{
+    encoding::EncodeLabelSet,
+    metrics::{counter::Counter, family::Family, gauge::Gauge, histogram::Histogram, info::Info},
+    registry::Registry,
+};
+
+pub(super) use scrape::{Cache, get, router};
+
+/// Upper ends of the buckets of requests, in seconds.
+const REQUEST_SECONDS: [f64; 11] = [0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0];
+/// Upper ends of the buckets of renders, in seconds: a software adapter takes long.
+const RENDER_SECONDS: [f64; 11] = [0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0];
+/// Methods that have series of their own.
+const METHODS: [&str; 7] = ["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"];
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct RequestLabels {
+    method: &'static str,
+    route: String,
+    status: u16,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct RouteLabel {
+    route: String,
+}
+
+fn shown(route: Option<&str>) -> String {
+    route.unwrap_or("unmatched").to_owned()
+}
+
+type Requests = Family<RequestLabels, Histogram, fn() -> Histogram>;
+
+/// The process's own counts; clones share them.
+#[derive(Clone)]
+pub(super) struct Meters(Arc<Counts>);
+
+struct Counts {
+    registry: Registry,
+    requests: Requests,
+    active_requests: Gauge,
+    connections: Gauge,
+    connections_refused: Counter,
+    body_bytes: Family<RouteLabel, Counter>,
+    renders: Histogram,
+    event_streams: Gauge,
+}
+
+impl fmt::Debug for Meters {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Meters").finish_non_exhaustive()
+    }
+}
+
+/// Something that is counted while it is held.
+#[derive(Debug)]
+pub(super) struct Held(Gauge);
+
+impl Held {
+    fn one_of(gauge: &Gauge) -> Self {
+        gauge.inc();
+        Self(gauge.clone())
+    }
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.0.dec();
+    }
+}
+
+impl Default for Meters {
+    fn default() -> Self {
+        let counts = Counts {
+            registry: Registry::default(),
+            requests: Requests::new_with_constructor(|| Histogram::new(REQUEST_SECONDS)),
+            active_requests: Gauge::default(),
+            connections: Gauge::default(),
+            connections_refused: Counter::default(),
+            body_bytes: Family::default(),
+            renders: Histogram::new(RENDER_SECONDS),
+            event_streams: Gauge::default(),
+        };
+        Self(Arc::new(registered(counts)))
+    }
+}
+
+/// Gives every count its name.
+fn registered(mut counts: Counts) -> Counts {
+    let registry = &mut counts.registry;
+    registry.register(
+        "http_request_duration_seconds",
+        "Time until a request's answer began",
+        counts.requests.clone(),
+    );
+    registry.register(
+        "http_active_requests",
+        "Requests whose answer has not begun",
+        counts.active_requests.clone(),
+    );
+    registry.register("http_connections", "Open connections", counts.connections.clone());
+    registry.register(
+        "http_connections_refused",
+        "Connections closed because their address had too many",
+        counts.connections_refused.clone(),
+    );
+    registry.register(
+        "http_request_body_bytes",
+        "Bytes of request bodies received, datasets among them",
+        counts.body_bytes.clone(),
+    );
+    registry.register(
+        "tcgs_render_seconds",
+        "Time that the renderer took for a picture",
+        counts.renders.clone(),
+    );
+    registry.register("tcgs_event_streams", "Open event streams", counts.event_streams.clone());
+    let build = Info::new(vec![("version", env!("CARGO_PKG_VERSION"))]);
+    registry.register("tcgs_build", "What runs", build);
+    counts
+}
+
+impl Meters {
+    /// A request has come; hold it until its answer begins.
+    pub(super) fn request_begun(&self) -> Held {
+        Held::one_of(&self.0.active_requests)
+    }
+
+    /// A request's answer has begun; `route` is a template and none for paths that have none.
+    pub(super) fn request_answered(
+        &self,
+        method: &Method,
+        route: Option<&str>,
+        status: u16,
+        after: Duration,
+    ) {
+        let known = METHODS.into_iter().find(|known| *known == method.as_str());
+        let labels = RequestLabels { method: known.unwrap_or("other"), route: shown(route), status };
+        self.0.requests.get_or_create(&labels).observe(after.as_secs_f64());
+    }
+
+    /// A connection is served; hold it until it ends.
+    pub(super) fn connection_opened(&self) -> Held {
+        Held::one_of(&self.0.connections)
+    }
+
+    /// A connection was closed unserved.
+    pub(super) fn connection_refused(&self) {
+        self.0.connections_refused.inc();
+    }
+
+    /// The count of bytes that come in bodies of requests for a route.
+    pub(super) fn body_bytes(&self, route: Option<&str>) -> Counter {
+        let label = RouteLabel { route: shown(route) };
+        self.0.body_bytes.get_or_create_owned(&label)
+    }
+
+    /// A picture took the renderer this long.
+    pub(super) fn rendered(&self, time: Duration) {
+        self.0.renders.observe(time.as_secs_f64());
+    }
+
+    /// An event stream has begun; hold it until it ends.
+    #[allow(dead_code, reason = "event streams come with their own change")]
+    pub(super) fn stream_opened(&self) -> Held {
+        Held::one_of(&self.0.event_streams)
+    }
+
+    fn registry(&self) -> &Registry {
+        &self.0.registry
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use prometheus_client::encoding::text::encode;
+
+    use super::*;
+
+    fn text(meters: &Meters) -> String {
+        let mut text = String::new();
+        encode(&mut text, meters.registry()).expect("encodes");
+        text
+    }
+
+    #[test]
+    fn what_is_held_is_counted_until_it_is_let_go() {
+        let meters = Meters::default();
+        let held = (meters.request_begun(), meters.connection_opened(), meters.stream_opened());
+        let names = ["http_active_requests", "http_connections", "tcgs_event_streams"];
+        for name in names {
+            assert!(text(&meters).contains(&format!("\n{name} 1\n")), "{name}");
+        }
+        drop(held);
+        for name in names {
+            assert!(text(&meters).contains(&format!("\n{name} 0\n")), "{name}");
+        }
+    }
+
+    #[test]
+    fn invented_methods_and_paths_share_one_series() {
+        let meters = Meters::default();
+        for invented in ["BREW", "WHEN", "x"] {
+            let method = Method::from_bytes(invented.as_bytes()).expect("a token");
+            meters.request_answered(&method, None, 404, Duration::from_millis(3));
+        }
+        let text = text(&meters);
+        let count =
+            "http_request_duration_seconds_count{method=\"other\",route=\"unmatched\",status=\"404\"} 3\n";
+        assert!(text.contains(count), "{text}");
+    }
+}

@@ -1,0 +1,164 @@
+//! `GET /metrics`: the process's own counts, then what the database and the disk say, asked at most once a second.
+
+use std::{
+    sync::atomic::AtomicU64,
+    time::{Duration, Instant},
+};
+
+use axum::{
+    Router,
+    extract::State,
+    http::{HeaderValue, header},
+    middleware::{from_fn, from_fn_with_state},
+    response::{IntoResponse, Response},
+    routing,
+};
+use jiff::Timestamp;
+use prometheus_client::{
+    encoding::text::{encode_eof, encode_registry},
+    metrics::{counter::Counter, family::Family, gauge::Gauge},
+    registry::Registry,
+};
+use tokio::sync::Mutex;
+
+use super::super::{health, problem::Fault, state::AppState, wrap};
+use crate::store::Figures;
+
+/// How long what the database says is told again.
+const FRESH: Duration = Duration::from_secs(1);
+const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+type Labels = Vec<(&'static str, String)>;
+type Gauges = Family<Labels, Gauge<f64, AtomicU64>>;
+type Counters = Family<Labels, Counter<f64, AtomicU64>>;
+
+/// What the database said last, so that scrapers cannot keep it busy.
+#[derive(Debug, Default)]
+pub(in super::super) struct Cache(Mutex<Option<(Instant, Figures)>>);
+
+/// The routes of a listener for metrics alone.
+pub(in super::super) fn router(state: AppState) -> Router {
+    Router::new()
+        .route("/metrics", routing::get(get))
+        .route("/healthz", routing::get(health::healthz))
+        .layer(from_fn(super::super::head::bounded))
+        .layer(from_fn_with_state(state.clone(), wrap::wrap))
+        .with_state(state)
+}
+
+/// `GET /metrics`.
+pub(in super::super) async fn get(State(state): State<AppState>) -> Result<Response, Fault> {
+    let figures = figures(&state).await?;
+    let registry = registry(&state, &figures);
+    let mut text = String::new();
+    encode_registry(&mut text, state.meters().registry())
+        .and_then(|()| encode_registry(&mut text, &registry))
+        .and_then(|()| encode_eof(&mut text))
+        .map_err(|error| Fault::internal(&error))?;
+    let headers = [
+        (header::CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE)),
+        (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
+    ];
+    Ok((headers, text).into_response())
+}
+
+async fn figures(state: &AppState) -> Result<Figures, Fault> {
+    // Those who ask meanwhile wait for the same answer.
+    let mut cached = state.metrics_cache().0.lock().await;
+    if let Some((at, figures)) = &*cached
+        && at.elapsed() < FRESH
+    {
+        return Ok(figures.clone());
+    }
+    let figures = state.store().figures().await?;
+    *cached = Some((Instant::now(), figures.clone()));
+    Ok(figures)
+}
+
+fn registry(state: &AppState, figures: &Figures) -> Registry {
+    let mut registry = Registry::with_prefix("tcgs");
+    jobs(&mut registry, figures, state.services().clock.now());
+    attempts(&mut registry, figures);
+    machine(&mut registry, state, figures);
+    registry
+}
+
+fn jobs(registry: &mut Registry, figures: &Figures, now: Timestamp) {
+    let states = figures.jobs.iter().map(|(state, count)| ("state", state.name().to_owned(), *count as f64));
+    gauges(registry, "jobs", "Jobs by state", states);
+    let age = figures.oldest_queued_at.map_or(0.0, |at| now.duration_since(at).as_secs_f64().max(0.0));
+    gauge(registry, "oldest_queued_job_age_seconds", "Age of the oldest job that waits", age);
+    let speed = "Training steps a second of the jobs that run, together";
+    gauge(registry, "training_steps_per_second", speed, figures.steps_per_second);
+    let phases =
+        figures.phase_seconds.iter().map(|(phase, seconds)| ("phase", (*phase).to_owned(), *seconds));
+    counters(registry, "phase_seconds", "Time that succeeded jobs took in each phase", phases);
+}
+
+fn attempts(registry: &mut Registry, figures: &Figures) {
+    counter(registry, "claims", "Attempts begun", figures.claims as f64);
+    let ended = Counters::default();
+    for attempt in &figures.attempts {
+        let labels = vec![
+            ("outcome", attempt.outcome.name().to_owned()),
+            ("cause", attempt.cause.clone().unwrap_or_default()),
+        ];
+        ended.get_or_create(&labels).inc_by(attempt.count as f64);
+    }
+    registry.register("attempts_ended", "Attempts ended, by outcome and the problem that caused it", ended);
+}
+
+fn machine(registry: &mut Registry, state: &AppState, figures: &Figures) {
+    let workers = (state.services().workers)();
+    let counts = [("expected", workers.expected), ("alive", workers.alive)];
+    let counts = counts.map(|(name, count)| ("state", name.to_owned(), count as f64));
+    gauges(registry, "workers", "Worker processes that this service keeps", counts.into_iter());
+    gauge(registry, "blobs", "Stored blobs", figures.blobs as f64);
+    gauge(registry, "blob_bytes", "Bytes of stored blobs", figures.blob_bytes as f64);
+    match state.blobs().free_bytes() {
+        Ok(free) => gauge(registry, "disk_free_bytes", "Free room on the blobs' disk", free as f64),
+        Err(error) => tracing::warn!("the disk does not say how much room is free: {error}"),
+    }
+    let (rendering, waiting) = state.studio().depth();
+    let depth = [("rendering", rendering), ("waiting", waiting)];
+    let depth = depth.map(|(name, count)| ("state", name.to_owned(), count as f64));
+    gauges(registry, "render_queue", "Pictures in the line for the renderer", depth.into_iter());
+}
+
+fn gauge(registry: &mut Registry, name: &str, help: &str, value: f64) {
+    let gauge = Gauge::<f64, AtomicU64>::default();
+    gauge.set(value);
+    registry.register(name, help, gauge);
+}
+
+fn counter(registry: &mut Registry, name: &str, help: &str, value: f64) {
+    let counter = Counter::<f64, AtomicU64>::default();
+    counter.inc_by(value);
+    registry.register(name, help, counter);
+}
+
+fn gauges(
+    registry: &mut Registry,
+    name: &str,
+    help: &str,
+    values: impl Iterator<Item = (&'static str, String, f64)>,
+) {
+    let family = Gauges::default();
+    for (label, value, number) in values {
+        family.get_or_create(&vec![(label, value)]).set(number);
+    }
+    registry.register(name, help, family);
+}
+
+fn counters(
+    registry: &mut Registry,
+    name: &str,
+    help: &str,
+    values: impl Iterator<Item = (&'static str, String, f64)>,
+) {
+    let family = Counters::default();
+    for (label, value, number) in values {
+        family.get_or_create(&vec![(label, value)]).inc_by(number);
+    }
+    registry.register(name, help, family);
+}
