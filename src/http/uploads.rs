@@ -25,9 +25,6 @@ use crate::{
     store::{NewUpload, UploadFile, UploadRecord},
 };
 
-/// Bytes that are left free on the disk for everything else.
-const FREE_FLOOR: u64 = 256 << 20;
-
 /// The upload that a path or a body names.
 ///
 /// # Errors
@@ -137,7 +134,7 @@ async fn begin(
         return Err(Fault::too_large(limit).with(tus::MAX_SIZE, HeaderValue::from(limit)));
     }
     let outstanding = state.store().outstanding_bytes().await?;
-    let needed = outstanding.saturating_add(length).saturating_add(FREE_FLOOR);
+    let needed = outstanding.saturating_add(length).saturating_add(state.limits().min_free_space);
     if needed > state.blobs().free_bytes()? {
         return Err(Fault::storage_full());
     }
