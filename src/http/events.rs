@@ -55,8 +55,9 @@ pub(super) async fn list(
     let after: u64 = parameters.take_as("after", "an event number")?.unwrap_or(0);
     parameters.finish()?;
     let no_store = [(header::CACHE_CONTROL, "no-store")];
+    let seen = last_event_id(&headers)?;
     if stream {
-        let after = last_event_id(&headers)?.unwrap_or(after);
+        let after = seen.unwrap_or(after);
         let more = state.store().events(job.id, after, 1).await?.ok_or_else(|| Fault::no_job(&id))?;
         if job.state.is_terminal() && more.is_empty() {
             return Ok((StatusCode::NO_CONTENT, no_store).into_response());

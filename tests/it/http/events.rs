@@ -89,6 +89,8 @@ pub(super) async fn a_stream_tells_everything_once_and_ends_with_the_job(coverag
     for wrong in ["x", "-1", "1.5", ""] {
         let detail = as_stream(events.clone(), Some(wrong.into())).await;
         assert!(detail.expect_problem(422, "invalid-parameter").starts_with("Last-Event-ID"));
+        let page = server.send("GET", &events, |request| request.header("last-event-id", wrong)).await;
+        page.expect_problem(422, "invalid-parameter");
     }
     let both = server.send("GET", &events, |request| {
         request.header("accept", "text/event-stream;q=0.1, application/json")
