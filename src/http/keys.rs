@@ -60,7 +60,7 @@ pub(super) async fn create(
     let services = state.services();
     let drawn = NewKey::draw(&*services.entropy, services.clock.now(), &wish.name, &wish.scopes, limits);
     let (new, key) = drawn.map_err(|error| match error {
-        NewKeyError::Name | NewKeyError::NoScopes => invalid(&error),
+        NewKeyError::Name | NewKeyError::NoScopes | NewKeyError::MaxBytes(_) => invalid(&error),
         NewKeyError::Entropy(error) => Fault::internal(&error),
     })?;
     let record = state.store().create_key(new).await?;

@@ -40,6 +40,9 @@ pub enum NewKeyError {
     /// It would let its holder do nothing.
     #[error("a key needs at least one scope")]
     NoScopes,
+    /// The database has no such numbers.
+    #[error("max_bytes: {0} where at most 9223372036854775807 are possible")]
+    MaxBytes(u64),
     /// It could not be drawn.
     #[error(transparent)]
     Entropy(#[from] EntropyError),
@@ -64,6 +67,9 @@ impl NewKey {
         let scopes: Vec<Scope> = Scope::ALL.into_iter().filter(|scope| scopes.contains(scope)).collect();
         if scopes.is_empty() {
             return Err(NewKeyError::NoScopes);
+        }
+        if let Some(bytes) = limits.max_bytes.filter(|bytes| i64::try_from(*bytes).is_err()) {
+            return Err(NewKeyError::MaxBytes(bytes));
         }
         let mut tail = [0; 10];
         entropy.fill(&mut tail)?;

@@ -185,6 +185,7 @@ pub(super) async fn keys_are_made_listed_and_revoked_by_administrators(coverage:
         (json!({ "name": "a\nb", "scopes": ["read"] }), "name"),
         (json!({ "name": "x".repeat(101), "scopes": ["read"] }), "name"),
         (json!({ "name": "x", "scopes": [] }), "scope"),
+        (json!({ "name": "x", "scopes": ["read"], "max_bytes": 1_u64 << 63 }), "max_bytes"),
         (json!({ "name": "x", "scopes": ["write"] }), "write"),
         (json!({ "name": "x", "scopes": ["read"], "requests_per_minute": 0 }), "nonzero"),
         (json!({ "name": "x", "scopes": ["read"], "max_bytes": -1 }), "-1"),
