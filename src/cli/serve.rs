@@ -40,6 +40,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", env = "TCGS_REQUESTS_PER_MINUTE")]
     requests_per_minute: Option<NonZeroU32>,
 
+    /// Requests in a minute that may come from one address without a valid key
+    #[arg(long, value_name = "N", default_value = "30", env = "TCGS_FAILURES_PER_MINUTE")]
+    failures_per_minute: NonZeroU32,
+
     /// Storage that the scenes, uploads and jobs of such a key may take; not bounded if absent
     #[arg(long, value_name = "BYTES", env = "TCGS_MAX_BYTES")]
     max_bytes: Option<Bytes>,
@@ -97,7 +101,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
             AccessRules {
                 without_keys: args.without_keys,
                 requests_per_minute: args.requests_per_minute,
-                ..AccessRules::default()
+                failures_per_minute: args.failures_per_minute,
             },
         ),
         limits: KeyLimits {
