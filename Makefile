@@ -12,7 +12,7 @@ PEERS ?= $(and $(wildcard scripts/peers.sh),$(shell command -v node),--peers scr
 # How long `make fuzz` gives each target.
 FUZZ_SECONDS ?= 600
 
-.PHONY: help setup build demo results test examples interop peers fuzz lint clean
+.PHONY: help setup build demo results test examples schemathesis interop peers fuzz lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -34,6 +34,10 @@ test: setup ## all tests
 
 examples: setup ## run the documented session with curl and the client in Python against a service
 	@$(CARGO) test --locked --test it examples::
+
+schemathesis: setup ## hold a running service to openapi.yaml with schemathesis, which comes through PyPI
+	@$(CARGO) build --locked --quiet
+	@scripts/schemathesis.sh
 
 interop: setup ## hold exports to splat-transform, which comes through npm
 	@scripts/splat_transform.sh --version

@@ -48,6 +48,8 @@ install_basics() {
     # For the documented sessions, which tests run.
     command -v openssl >/dev/null || missing+=(openssl)
     python3 -c 'import requests' 2>/dev/null || missing+=(python3 python3-requests)
+    # For schemathesis, in an environment of its own.
+    python3 -c 'import ensurepip' 2>/dev/null || missing+=(python3-venv)
     [ ${#missing[@]} -gt 0 ] || return 0
     need_apt "${missing[*]}"
     say "installing ${missing[*]}"
