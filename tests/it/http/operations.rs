@@ -96,6 +96,25 @@ pub(super) async fn metrics_tell_of_requests_jobs_and_the_machine(coverage: Cove
     }
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn open_event_streams_are_counted() {
+    let server = Server::start_with(&Coverage::default(), Setup { worker: false, ..Setup::default() }).await;
+    let job = server.create("succeed").await;
+    let events = format!("{job}/events");
+    let open = async |count: f64| {
+        metrics_until(&server, |text| series(text, "tcgs_event_streams") == count).await;
+    };
+    let (first, mut second) = (server.stream(&events, None).await, server.stream(&events, None).await);
+    assert_eq!(series(&metrics(&server).await, "tcgs_event_streams"), 2.0);
+    server.get(&events).await.expect(200);
+    assert_eq!(series(&metrics(&server).await, "tcgs_event_streams"), 2.0, "a page is no stream");
+    drop(first);
+    open(1.0).await;
+    server.post(&format!("{job}/cancel")).await.expect(200);
+    while second.next().await.is_some() {}
+    open(0.0).await;
+}
+
 #[tokio::test]
 async fn paths_that_clients_invent_make_no_series() {
     let server = Server::start(&Coverage::default()).await;
