@@ -33,6 +33,7 @@ mod removal;
 mod sample;
 mod scene_renderer;
 mod scenes;
+mod signals;
 mod suite;
 mod support;
 mod train;
