@@ -8,6 +8,7 @@ mod clients;
 mod codec;
 mod container_image;
 mod context;
+mod deployment;
 mod examples;
 mod export;
 mod first_light;
