@@ -3,7 +3,10 @@
 use std::time::Duration;
 
 use serde_json::{Value, json};
-use tcgs::{domain::Phase, store::Outcome};
+use tcgs::{
+    domain::Phase,
+    store::{AfterAttempt, Outcome, Settled, Webhooks as _},
+};
 
 use crate::support::{
     contract::Coverage,
@@ -113,6 +116,29 @@ async fn open_event_streams_are_counted() {
     server.post(&format!("{job}/cancel")).await.expect(200);
     while second.next().await.is_some() {}
     open(0.0).await;
+}
+
+#[tokio::test]
+async fn messages_to_webhooks_are_counted_by_what_became_of_them() {
+    let server = Server::start_with(&Coverage::default(), Setup { worker: false, ..Setup::default() }).await;
+    let wish = json!({ "url": "https://example.com/hook", "events": ["job.queued"] });
+    server.post_json("/v1/webhook-endpoints", &wish).await.expect(201);
+    for dataset in ["succeed", "succeed 2", "succeed 3"] {
+        server.create(dataset).await;
+    }
+    let fault = Some("as the test wants it".to_owned());
+    for settled in [
+        Settled { status: Some(204), fault: None, next: AfterAttempt::Done },
+        Settled { status: Some(500), fault, next: AfterAttempt::GiveUp },
+    ] {
+        let due =
+            server.store.take_delivery(Duration::from_secs(60)).await.expect("an answer").expect("a message");
+        server.store.settle_delivery(due.id, due.attempt, settled).await.expect("settled");
+    }
+    let text = metrics(&server).await;
+    for state in ["pending", "delivered", "failed"] {
+        assert_eq!(series(&text, &format!("tcgs_webhook_deliveries{{state=\"{state}\"}}")), 1.0, "{state}");
+    }
 }
 
 #[tokio::test]
