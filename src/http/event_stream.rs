@@ -15,7 +15,7 @@ use axum::{
 };
 use futures_util::{Stream, StreamExt as _, stream};
 
-use super::{state::AppState, stream_places::StreamPlace};
+use super::{metrics::Held, state::AppState, stream_places::StreamPlace};
 use crate::domain::{Event, EventKind, JobId, JobState};
 
 /// Events read at a time.
@@ -29,7 +29,9 @@ const X_ACCEL_BUFFERING: HeaderName = HeaderName::from_static("x-accel-buffering
 pub(super) fn answer(state: AppState, job: JobId, after: u64, place: StreamPlace) -> Response {
     let keep_alive = KeepAlive::new().interval(state.limits().keep_alive).text("");
     let first = Ok(sse::Event::default().retry(RETRY));
-    let follower = Follower { state, job, after, page: VecDeque::new(), ended: false, _place: place };
+    let counted = state.meters().stream_opened();
+    let follower =
+        Follower { state, job, after, page: VecDeque::new(), ended: false, _place: place, _counted: counted };
     let all = stream::once(async { first }).chain(events(follower));
     let headers = [
         (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
@@ -68,6 +70,7 @@ struct Follower {
     page: VecDeque<Event>,
     ended: bool,
     _place: StreamPlace,
+    _counted: Held,
 }
 
 impl Follower {

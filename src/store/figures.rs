@@ -2,7 +2,7 @@
 
 use jiff::Timestamp;
 
-use super::{Answer, AttemptOutcome};
+use super::{Answer, AttemptOutcome, DeliveryState};
 use crate::domain::JobState;
 
 /// Attempts that ended alike.
@@ -35,6 +35,8 @@ pub struct Figures {
     pub blobs: u64,
     /// Their bytes.
     pub blob_bytes: u64,
+    /// Messages to webhooks in each state, every one of them named. Ended ones are kept for a while.
+    pub deliveries: Vec<(DeliveryState, u64)>,
 }
 
 /// The part of a store that looks at all of it.

@@ -14,6 +14,7 @@ use tokio::{
     time::{Instant, MissedTickBehavior, interval_at, sleep, sleep_until},
 };
 use tokio_util::sync::CancellationToken;
+use tracing::{Instrument as _, Span};
 
 use super::{
     WorkerConfig, WorkerError, checkpoints,
@@ -60,10 +61,17 @@ enum Stop {
     Lost,
 }
 
-/// Runs a claimed job to its end.
+/// Runs a claimed job to its end. Whatever is logged meanwhile, here or by the run, carries the job and the attempt.
 pub(super) async fn carry_out(context: &Context, claim: Claim, shutdown: &CancellationToken) -> End {
+    let Claim { lease: Lease { job, attempt, .. }, .. } = claim;
+    // Of the highest level, so that lines carry it however little is logged.
+    let span = tracing::error_span!("job", %job, attempt);
+    attempt_at(context, claim, shutdown).instrument(span).await
+}
+
+async fn attempt_at(context: &Context, claim: Claim, shutdown: &CancellationToken) -> End {
     let Claim { lease, dataset, options, adopts } = claim;
-    tracing::info!(job = %lease.job, attempt = lease.attempt, "job {} begins", lease.job);
+    tracing::info!("job {} begins", lease.job);
     let dataset = match context.blobs.local_file(dataset).await {
         Ok(path) => path,
         Err(error) => {
@@ -103,14 +111,14 @@ pub(super) async fn carry_out(context: &Context, claim: Claim, shutdown: &Cancel
             End::Free
         }
         Waited::DrainOver => {
-            tracing::warn!(job = %lease.job, "job {} did not stop in time; releasing it", lease.job);
+            tracing::warn!("job {} did not stop in time; releasing it", lease.job);
             settle(context, &lease, Outcome::Released, watch.renewed).await;
             End::Free
         }
         Waited::Stalled => {
             let limit = context.config.stall_limit;
             let error = WorkerError::Stalled { job: lease.job, attempt: lease.attempt, limit };
-            tracing::error!(job = %lease.job, "{error}");
+            tracing::error!("{error}");
             settle(context, &lease, Outcome::Retry(stalled(limit)), watch.renewed).await;
             End::Stalled(error)
         }
@@ -135,7 +143,9 @@ fn start(
 ) -> std::io::Result<oneshot::Receiver<RunResult>> {
     let runner = Arc::clone(&context.runner);
     let (send, receive) = oneshot::channel();
+    let span = Span::current();
     std::thread::Builder::new().name(format!("job-{}", lease.job)).spawn(move || {
+        let _of_the_job = span.entered();
         let mut report = |phase: Phase, state: &Progress| {
             points.add(phase, state);
             progress.send_replace((phase, state.clone()));
@@ -214,7 +224,7 @@ impl Watch<'_> {
             Stop::Lost => 4,
         };
         if rank(why) > rank(self.stop) {
-            tracing::info!(job = %self.lease.job, reason = ?why, "stopping job {}", self.lease.job);
+            tracing::info!(reason = ?why, "stopping job {}", self.lease.job);
             self.stop = why;
         }
         self.cancel.cancel();
@@ -272,7 +282,7 @@ impl Watch<'_> {
     }
 
     fn store_failed(&mut self, what: &str, error: &StoreError) {
-        tracing::warn!(job = %self.lease.job, error = error as &dyn std::error::Error, "{what}: {error}");
+        tracing::warn!(error = error as &dyn std::error::Error, "{what}: {error}");
         let gone = matches!(error, StoreError::LeaseLost { .. });
         // Without a database the run may go on until others may take the job.
         if gone || self.renewed.elapsed() > self.context.config.lease {
@@ -284,17 +294,17 @@ impl Watch<'_> {
 async fn conclude(context: &Context, lease: &Lease, result: RunResult, stop: Stop, renewed: Instant) {
     let outcome = match (result, stop) {
         (_, Stop::Lost) => {
-            tracing::warn!(job = %lease.job, "job {} was lost; its result is dropped", lease.job);
+            tracing::warn!("job {} was lost; its result is dropped", lease.job);
             return;
         }
-        (Ok(Ok(output)), _) => publish(context, lease, output).await,
+        (Ok(Ok(output)), _) => publish(context, output).await,
         (Ok(Err(JobFailure::Fail(problem))), _) => Outcome::Failed(problem),
         (Ok(Err(JobFailure::Retry(problem))), _) => Outcome::Retry(problem),
         (Ok(Err(JobFailure::Cancelled)), Stop::Asked) => Outcome::Cancelled,
         (Ok(Err(JobFailure::Cancelled)), Stop::Late | Stop::Draining) => Outcome::Released,
         (Ok(Err(JobFailure::Cancelled)), Stop::No) => Outcome::Retry(stopped_unasked()),
         (Err(panic), _) => {
-            tracing::error!(job = %lease.job, "job {} panicked: {}", lease.job, panic_text(&*panic));
+            tracing::error!("job {} panicked: {}", lease.job, panic_text(&*panic));
             Outcome::Retry(panicked())
         }
     };
@@ -302,11 +312,11 @@ async fn conclude(context: &Context, lease: &Lease, result: RunResult, stop: Sto
 }
 
 /// Makes the output's blobs durable; only then may the job refer to them.
-async fn publish(context: &Context, lease: &Lease, output: JobOutput) -> Outcome {
+async fn publish(context: &Context, output: JobOutput) -> Outcome {
     let (cameras, held_out) = match documents(&output) {
         Ok(documents) => documents,
         Err(error) => {
-            tracing::error!(job = %lease.job, "a document cannot be written: {error}");
+            tracing::error!("a document cannot be written: {error}");
             return Outcome::Failed(Problem::new(
                 500,
                 "internal",
@@ -343,20 +353,20 @@ async fn settle(context: &Context, lease: &Lease, outcome: Outcome, renewed: Ins
     loop {
         match context.store.finish(lease, outcome.clone()).await {
             Ok(state) => {
-                let (job, state) = (lease.job, state.name());
-                tracing::info!(%job, attempt = lease.attempt, state, "job {job} is {state}");
+                let state = state.name();
+                tracing::info!(state, "job {} is {state}", lease.job);
                 return;
             }
             Err(error @ StoreError::LeaseLost { .. }) => {
-                tracing::warn!(job = %lease.job, "{error}");
+                tracing::warn!("{error}");
                 return;
             }
             Err(error) if renewed.elapsed() > context.config.lease => {
-                tracing::error!(job = %lease.job, error = &error as &dyn std::error::Error, "giving up: {error}");
+                tracing::error!(error = &error as &dyn std::error::Error, "giving up: {error}");
                 return;
             }
             Err(error) => {
-                tracing::warn!(job = %lease.job, error = &error as &dyn std::error::Error, "trying again: {error}");
+                tracing::warn!(error = &error as &dyn std::error::Error, "trying again: {error}");
                 sleep(SETTLE_PAUSE).await;
             }
         }

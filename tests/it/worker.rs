@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-use serde_json::json;
+use serde_json::{Value, json};
 use tcgs::{
     domain::{JobState, SystemClock},
     store::{AttemptOutcome, Blobs, NewJob, Repeat, SqliteStore, Store},
@@ -274,6 +274,79 @@ fn child_process() {
         let config = WorkerConfig { drain: Duration::from_millis(50), ..quick_worker(&id) };
         worker::serve(store, blobs, Arc::new(runner), config, stop).await.expect("a clean end");
     });
+}
+
+/// Not a test of its own either: carries out what is queued and logs as the program does, which only a process of its own can.
+#[test]
+#[ignore = "the test of the logs runs it as a child process"]
+fn logging_child_process() {
+    let Some(data) = std::env::var_os(CHILD_DATA).map(PathBuf::from) else { return };
+    tracing_subscriber::fmt().json().flatten_event(true).with_writer(std::io::stderr).init();
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
+    runtime.block_on(async move {
+        let (store, blobs) = open(&data).await;
+        let stop = CancellationToken::new();
+        let runner = Arc::new(FakeRunner::default());
+        let work = worker::serve(Arc::clone(&store), blobs, runner, quick_worker("w"), stop.clone());
+        let watch = async {
+            while store
+                .jobs(&tcgs::store::JobFilter::default(), None, 10)
+                .await
+                .expect("read")
+                .iter()
+                .any(|record| !record.job.state.is_terminal())
+            {
+                tokio::time::sleep(Duration::from_millis(2)).await;
+            }
+            stop.cancel();
+        };
+        let (worked, ()) = tokio::join!(work, watch);
+        worked.expect("a clean end");
+    });
+}
+
+#[tokio::test]
+async fn every_line_that_a_worker_logs_of_a_job_names_it() {
+    let workshop = Workshop::new().await;
+    let done = workshop.add("succeed").await;
+    let panics = workshop.add("panic").await;
+    let without = workshop.add("succeed without").await;
+    let dataset = workshop.store.job(without).await.expect("read").expect("known").dataset;
+    let file = workshop.blobs.local_file(dataset.digest).await.expect("published");
+    std::fs::remove_file(file).expect("removed");
+    let child = tokio::process::Command::new(std::env::current_exe().expect("a program"))
+        .args(["worker::logging_child_process", "--exact", "--ignored", "--test-threads=1"])
+        .env(CHILD_DATA, workshop.data.path())
+        .kill_on_drop(true)
+        .output();
+    let output = child.await.expect("the binary runs");
+    let log = String::from_utf8(output.stderr).expect("UTF-8");
+    assert!(output.status.success(), "{log}");
+    let lines = log.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+    let of_jobs = |line: &Value| {
+        let target = line["target"].as_str().expect("a target");
+        target == "tcgs::worker::attempt" || target.starts_with("it::")
+    };
+    let lines: Vec<Value> = lines.filter(of_jobs).collect();
+    for (job, attempts, said) in [
+        (done, 1, "is succeeded"),
+        (panics, 3, "panicked: as the test wants it"),
+        (panics, 3, "the run begins"),
+        (without, 3, "begins"),
+    ] {
+        let told: Vec<_> = lines
+            .iter()
+            .filter(|line| line["span"]["job"] == json!(job))
+            .filter(|line| line["message"].as_str().expect("a message").contains(said))
+            .map(|line| line["span"]["attempt"].as_u64().expect("a number"))
+            .collect();
+        assert!(told.contains(&attempts), "{job}, {said}: {told:?}\n{log}");
+    }
+    assert_eq!(lines.iter().find(|line| line["span"]["job"].is_null()), None);
+    assert!(
+        lines.iter().any(|line| line["level"] == "ERROR" && line["span"]["job"] == json!(without)),
+        "{log}"
+    );
 }
 
 fn child_config(data: &Path) -> SuperviseConfig {

@@ -1,7 +1,7 @@
 //! Assembles the two kinds of process: the API with its supervised workers, and a worker.
 //!
 //! Both stop in order when a signal asks them to: no new work, open work to its end or back to the queue, then the
-//! database.
+//! database. A second signal ends them at once, which loses nothing that was acknowledged: leases and transactions see to that.
 
 use std::{
     error::Error,
@@ -253,30 +253,73 @@ pub(super) fn runtime() -> Result<Runtime, Failure> {
     tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(|fault| unavailable(&fault))
 }
 
-/// Cancelled by the first interrupt or termination signal.
+/// How long after a signal another one is taken for the same wish: wrappers such as `timeout` send each twice.
+const ONE_WISH: Duration = Duration::from_millis(500);
+
+/// Cancelled by the first interrupt or termination signal. A second ends the process at once.
 fn stop_on_signals() -> Result<CancellationToken, Failure> {
     let stop = CancellationToken::new();
     let cancel = stop.clone();
-    #[cfg(unix)]
-    let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())
-        .map_err(|fault| unavailable(&fault))?;
+    // Heard from here on, not only once the task runs.
+    let mut signals = Signals::listen().map_err(|fault| unavailable(&fault))?;
     tokio::spawn(async move {
-        let interrupt = tokio::signal::ctrl_c();
-        #[cfg(unix)]
-        let received: io::Result<()> = tokio::select! {
-            received = interrupt => received,
-            _ = terminate.recv() => Ok(()),
-        };
-        #[cfg(not(unix))]
-        let received: io::Result<()> = interrupt.await;
-        if let Err(fault) = received {
-            tracing::warn!(%fault, "signals cannot be received");
-            return;
-        }
-        tracing::info!("stopping");
+        signals.next().await;
+        tracing::info!("stopping; another signal ends this at once");
         cancel.cancel();
+        tokio::time::sleep(ONE_WISH).await;
+        // Those that came meanwhile are not heard by new listeners.
+        match Signals::listen() {
+            Ok(mut signals) => {
+                let status = signals.next().await;
+                tracing::warn!(
+                    "ending at once; jobs under way go back to the queue, at the latest when their leases run out"
+                );
+                std::process::exit(status);
+            }
+            Err(fault) => tracing::warn!(%fault, "a second signal cannot be received"),
+        }
     });
     Ok(stop)
+}
+
+/// The signals that ask a process to stop.
+#[cfg(unix)]
+struct Signals {
+    interrupt: tokio::signal::unix::Signal,
+    terminate: tokio::signal::unix::Signal,
+}
+
+#[cfg(unix)]
+impl Signals {
+    fn listen() -> io::Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())? })
+    }
+
+    /// Waits for one, and returns the exit status of a process that it ends, as shells have it.
+    async fn next(&mut self) -> i32 {
+        tokio::select! {
+            _ = self.interrupt.recv() => 128 + 2,
+            _ = self.terminate.recv() => 128 + 15,
+        }
+    }
+}
+
+/// The signal that asks a process to stop.
+#[cfg(windows)]
+struct Signals(tokio::signal::windows::CtrlC);
+
+#[cfg(windows)]
+impl Signals {
+    fn listen() -> io::Result<Self> {
+        tokio::signal::windows::ctrl_c().map(Self)
+    }
+
+    /// Waits for one, and returns the exit status of a process that it ends.
+    async fn next(&mut self) -> i32 {
+        self.0.recv().await;
+        130
+    }
 }
 
 /// Something that this process needs is not to be had; the fault with its causes.

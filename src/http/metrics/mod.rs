@@ -171,7 +171,6 @@ impl Meters {
     }
 
     /// An event stream has begun; hold it until it ends.
-    #[allow(dead_code, reason = "event streams come with their own change")]
     pub(super) fn stream_opened(&self) -> Held {
         Held::one_of(&self.0.event_streams)
     }

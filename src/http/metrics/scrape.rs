@@ -79,6 +79,9 @@ fn registry(state: &AppState, figures: &Figures) -> Registry {
     let mut registry = Registry::with_prefix("tcgs");
     jobs(&mut registry, figures, state.services().clock.now());
     attempts(&mut registry, figures);
+    let states = figures.deliveries.iter();
+    let states = states.map(|(state, count)| ("state", state.name().to_owned(), *count as f64));
+    gauges(&mut registry, "webhook_deliveries", "Kept messages to webhooks by state", states);
     machine(&mut registry, state, figures);
     registry
 }

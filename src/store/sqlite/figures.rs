@@ -1,11 +1,13 @@
 //! [`Overview`] on SQLite.
 
+use std::collections::BTreeMap;
+
 use sqlx::{Row as _, SqliteConnection, migrate::Migrator};
 
 use super::{SqliteStore, rows};
 use crate::{
     domain::{JobState, problem::TYPE_PREFIX},
-    store::{Answer, AttemptCount, Figures, Overview, StoreError},
+    store::{Answer, AttemptCount, DeliveryState, Figures, Overview, StoreError},
 };
 
 /// The phases of a job's `metrics.seconds`.
@@ -29,6 +31,7 @@ impl Overview for SqliteStore {
                 steps_per_second: steps_per_second(&mut tx).await?,
                 blobs: rows::unsigned(&blobs, "count")?,
                 blob_bytes: rows::unsigned(&blobs, "bytes")?,
+                deliveries: deliveries(&mut tx).await?,
             })
         })
     }
@@ -52,16 +55,24 @@ async fn count(connection: &mut SqliteConnection, query: &'static str) -> Result
 }
 
 async fn jobs(connection: &mut SqliteConnection) -> Result<Vec<(JobState, u64)>, StoreError> {
-    let rows =
-        sqlx::query("SELECT state, count(*) AS count FROM jobs GROUP BY state").fetch_all(connection).await?;
-    let mut counts = JobState::ALL.map(|state| (state, 0)).to_vec();
-    for row in rows {
-        let name: String = row.try_get("state")?;
-        if let Some((_, count)) = counts.iter_mut().find(|(state, _)| state.name() == name) {
-            *count = rows::unsigned(&row, "count")?;
-        }
-    }
-    Ok(counts)
+    let found = by_state(connection, "SELECT state, count(*) AS count FROM jobs GROUP BY state").await?;
+    let of = |name| found.get(name).copied().unwrap_or(0);
+    Ok(JobState::ALL.map(|state| (state, of(state.name()))).to_vec())
+}
+
+async fn deliveries(connection: &mut SqliteConnection) -> Result<Vec<(DeliveryState, u64)>, StoreError> {
+    let query = "SELECT state, count(*) AS count FROM webhook_deliveries GROUP BY state";
+    let found = by_state(connection, query).await?;
+    let of = |name| found.get(name).copied().unwrap_or(0);
+    Ok(DeliveryState::ALL.map(|state| (state, of(state.name()))).to_vec())
+}
+
+async fn by_state(
+    connection: &mut SqliteConnection,
+    query: &'static str,
+) -> Result<BTreeMap<String, u64>, StoreError> {
+    let rows = sqlx::query(query).fetch_all(connection).await?;
+    rows.iter().map(|row| Ok((row.try_get("state")?, rows::unsigned(row, "count")?))).collect()
 }
 
 async fn oldest_queued_at(connection: &mut SqliteConnection) -> Result<Option<jiff::Timestamp>, StoreError> {

@@ -3,7 +3,10 @@
 use std::time::Duration;
 
 use serde_json::{Value, json};
-use tcgs::{domain::Phase, store::Outcome};
+use tcgs::{
+    domain::Phase,
+    store::{AfterAttempt, Outcome, Settled, Webhooks as _},
+};
 
 use crate::support::{
     contract::Coverage,
@@ -93,6 +96,48 @@ pub(super) async fn metrics_tell_of_requests_jobs_and_the_machine(coverage: Cove
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
         server.get("/metrics").await.expect(status);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn open_event_streams_are_counted() {
+    let server = Server::start_with(&Coverage::default(), Setup { worker: false, ..Setup::default() }).await;
+    let job = server.create("succeed").await;
+    let events = format!("{job}/events");
+    let open = async |count: f64| {
+        metrics_until(&server, |text| series(text, "tcgs_event_streams") == count).await;
+    };
+    let (first, mut second) = (server.stream(&events, None).await, server.stream(&events, None).await);
+    assert_eq!(series(&metrics(&server).await, "tcgs_event_streams"), 2.0);
+    server.get(&events).await.expect(200);
+    assert_eq!(series(&metrics(&server).await, "tcgs_event_streams"), 2.0, "a page is no stream");
+    drop(first);
+    open(1.0).await;
+    server.post(&format!("{job}/cancel")).await.expect(200);
+    while second.next().await.is_some() {}
+    open(0.0).await;
+}
+
+#[tokio::test]
+async fn messages_to_webhooks_are_counted_by_what_became_of_them() {
+    let server = Server::start_with(&Coverage::default(), Setup { worker: false, ..Setup::default() }).await;
+    let wish = json!({ "url": "https://example.com/hook", "events": ["job.queued"] });
+    server.post_json("/v1/webhook-endpoints", &wish).await.expect(201);
+    for dataset in ["succeed", "succeed 2", "succeed 3"] {
+        server.create(dataset).await;
+    }
+    let fault = Some("as the test wants it".to_owned());
+    for settled in [
+        Settled { status: Some(204), fault: None, next: AfterAttempt::Done },
+        Settled { status: Some(500), fault, next: AfterAttempt::GiveUp },
+    ] {
+        let due =
+            server.store.take_delivery(Duration::from_secs(60)).await.expect("an answer").expect("a message");
+        server.store.settle_delivery(due.id, due.attempt, settled).await.expect("settled");
+    }
+    let text = metrics(&server).await;
+    for state in ["pending", "delivered", "failed"] {
+        assert_eq!(series(&text, &format!("tcgs_webhook_deliveries{{state=\"{state}\"}}")), 1.0, "{state}");
     }
 }
 

@@ -80,6 +80,7 @@ impl RunJob for FakeRunner {
         } else {
             String::from_utf8(wish).expect("text")
         };
+        tracing::info!("the run begins");
         let problem = |name: &str| Problem::new(500, name, "Fake", "as the test wants it");
         let total = u64::from(options.iterations.unwrap_or(10));
         report(Phase::Train, &Progress { step: 1, total, loss: Some(0.5), ..Progress::default() });

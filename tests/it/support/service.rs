@@ -144,6 +144,24 @@ impl Service {
     }
 }
 
+impl Service {
+    /// Where it listens, as `ADDRESS:PORT`.
+    pub fn address(&self) -> &str {
+        self.base.trim_start_matches("http://")
+    }
+
+    /// Asks the service to stop.
+    #[cfg(unix)]
+    pub fn ask_to_stop(&self) {
+        kill("-TERM", self.child.id().expect("running"));
+    }
+
+    /// How the service ended, if it has.
+    pub fn ended(&mut self) -> Option<ExitStatus> {
+        self.child.try_wait().expect("a child")
+    }
+}
+
 /// Sends a signal to one process.
 #[cfg(unix)]
 pub fn kill(signal: &str, pid: u32) {

@@ -1,0 +1,48 @@
+//! How the program stops when it is told to more than once.
+
+use std::time::Duration;
+
+use tokio::{io::AsyncWriteExt as _, net::TcpStream};
+
+use crate::support::service::Service;
+
+/// Looks again and again until it is so.
+async fn until(mut so: impl AsyncFnMut() -> bool) {
+    while !so().await {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+#[tokio::test]
+async fn the_second_signal_ends_a_service_that_waits_for_a_client() {
+    let data = tempfile::tempdir().expect("a folder");
+    let patient = ["--workers", "0", "--drain", "5m", "--body-pause", "5m"];
+    let mut service = Service::start_with(data.path(), patient).await;
+    let mut client = TcpStream::connect(service.address()).await.expect("connected");
+    let part =
+        "POST /v1/jobs HTTP/1.1\r\nhost: x\r\ncontent-type: application/zip\r\ncontent-length: 9\r\n\r\nPK";
+    client.write_all(part.as_bytes()).await.expect("sent");
+    until(async || {
+        let metrics = service.get("/metrics").await.expect(200).body.to_vec();
+        String::from_utf8(metrics).expect("UTF-8").contains("\nhttp_active_requests 2\n")
+    })
+    .await;
+
+    // As `timeout` does it, which means one stop.
+    service.ask_to_stop();
+    service.ask_to_stop();
+    until(async || service.log().contains("stopping")).await;
+    assert_eq!(service.ended(), None, "the upload may still come to its end");
+    let mut status = None;
+    until(async || {
+        status = service.ended();
+        if status.is_none() {
+            service.ask_to_stop();
+        }
+        status.is_some()
+    })
+    .await;
+    assert_eq!(status.expect("ended").code(), Some(128 + 15), "{}", service.log());
+    // The pipe may be read to its end only after the process is gone.
+    until(async || service.log().contains("ending at once")).await;
+}
