@@ -58,16 +58,18 @@ load() { # what, path, script
     read -r -a figures < <(wrk -t2 -c16 -d "${seconds}s" -s "$scratch/$3.lua" "$base$2" | tail -n 1)
     row "$1" "${figures[@]}"
 }
+asked=0
 views() { # what, side
-    python3 - "$base$finished/view" "$2" "$seconds" "$1" <<'PY'
+    asked=$((asked + 1))
+    python3 - "$base$finished/view" "$2" "$seconds" "$1" "$asked" <<'PY'
 import sys, time, urllib.request
 
-url, side, seconds, what = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), sys.argv[4]
+url, side, seconds, what, row = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), sys.argv[4], int(sys.argv[5])
 times, end = [], time.monotonic() + seconds
 while time.monotonic() < end or len(times) < 5:
     turn = len(times) * 0.37
     # Every view is another, so that none comes from the cache.
-    query = f"?position={3 + turn % 1},{-3 + turn % 2},1.5&look_at=0,0,0.5&width={side}&height={side}&format=jpeg"
+    query = f"?position={3 + turn % 1},{-3 + turn % 2},1.5&look_at=0,0,{0.5 + row / 100}&width={side}&height={side}&format=jpeg"
     began = time.monotonic()
     urllib.request.urlopen(url + query, timeout=60).read()
     times.append(1e3 * (time.monotonic() - began))
