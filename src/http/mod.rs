@@ -2,7 +2,7 @@
 //!
 //! Handlers parse, ask the store, and answer. What always holds: every error is an `application/problem+json`
 //! document with the request's id; every body, queue, connection and render is bounded; nothing that a
-//! client sends reaches the file system as a name; no request reaches a handler but through [`auth`]. Workers,
+//! client sends reaches the file system as a name; no request reaches a handler but through `auth`. Workers,
 //! SQL and the GPU are not known here.
 
 mod accept;
