@@ -3,20 +3,21 @@
 use axum::{
     Json,
     extract::{RawQuery, State},
-    http::{HeaderMap, HeaderValue, header},
     response::IntoResponse,
 };
-use jiff::Timestamp;
 use serde::Serialize;
 
-use super::{job_body::JobBody, problem::Fault, query::Parameters, state::AppState};
+use super::{
+    job_body::JobBody,
+    listing::{self, DEFAULT_PAGE, MAX_PAGE, cursor, parse_cursor},
+    problem::Fault,
+    query::Parameters,
+    state::AppState,
+};
 use crate::{
     domain::{Caller, JobState},
     store::{JobFilter, JobRecord, PageKey},
 };
-
-const DEFAULT_PAGE: u32 = 20;
-const MAX_PAGE: u32 = 100;
 
 #[derive(Debug, Serialize)]
 struct JobList {
@@ -33,6 +34,7 @@ pub(super) async fn list(
     let mut parameters = Parameters::parse(query.as_deref())?;
     let limit = parameters.take_count("limit", DEFAULT_PAGE, MAX_PAGE)?;
     let before = parameters.take("cursor").map(|text| parse_cursor(&text)).transpose()?;
+    let before = before.map(|(created_at, id)| PageKey { created_at, id });
     let filter = JobFilter {
         owner: caller.sees_only(),
         states: parameters.take("state").map(|text| parse_states(&text)).transpose()?.unwrap_or_default(),
@@ -45,12 +47,7 @@ pub(super) async fn list(
     let more = records.len() > limit as usize;
     records.truncate(limit as usize);
     let next = records.last().filter(|_| more).map(|last| next_page(&filter, limit, last));
-    let mut headers = HeaderMap::new();
-    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    if let Some(next) = &next {
-        let link = HeaderValue::try_from(format!("<{next}>; rel=\"next\""));
-        headers.insert(header::LINK, link.map_err(|error| Fault::internal(&error))?);
-    }
+    let headers = listing::headers(next.as_deref())?;
     let jobs = records.into_iter().map(JobBody::from).collect();
     Ok((headers, Json(JobList { jobs, next })))
 }
@@ -74,14 +71,6 @@ fn next_page(filter: &JobFilter, limit: u32, last: &JobRecord) -> String {
     if let Some(model) = filter.model {
         path.push_str(&format!("&model={model}"));
     }
-    path.push_str(&format!("&cursor={}.{}", last.job.created_at.as_microsecond(), last.job.id));
+    path.push_str(&format!("&cursor={}", cursor(last.job.created_at, last.job.id)));
     path
-}
-
-fn parse_cursor(text: &str) -> Result<PageKey, Fault> {
-    let key = text.split_once('.').and_then(|(at, id)| {
-        let created_at = Timestamp::from_microsecond(at.parse().ok()?).ok()?;
-        Some(PageKey { created_at, id: id.parse().ok()? })
-    });
-    key.ok_or_else(|| Fault::parameter("cursor", "is not one that this service gave out"))
 }

@@ -30,6 +30,7 @@ mod job_list;
 mod job_wish;
 mod jobs;
 mod keys;
+mod listing;
 mod metrics;
 mod overdue;
 mod peers;

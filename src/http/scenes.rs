@@ -6,11 +6,11 @@ use axum::{
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
-use jiff::Timestamp;
 use serde::Serialize;
 
 use super::{
     etag::{Etag, not_modified},
+    listing::{self, DEFAULT_PAGE, MAX_PAGE, cursor, parse_cursor},
     problem::Fault,
     query::Parameters,
     scene_body::SceneBody,
@@ -20,9 +20,6 @@ use crate::{
     domain::{Caller, SceneId},
     store::{SceneDeletion, ScenePage, SceneRecord},
 };
-
-const DEFAULT_PAGE: u32 = 20;
-const MAX_PAGE: u32 = 100;
 
 /// The scene that a path or a body names.
 ///
@@ -49,6 +46,7 @@ pub(super) async fn list(
     let mut parameters = Parameters::parse(query.as_deref())?;
     let limit = parameters.take_count("limit", DEFAULT_PAGE, MAX_PAGE)?;
     let before = parameters.take("cursor").map(|text| parse_cursor(&text)).transpose()?;
+    let before = before.map(|(created_at, id)| ScenePage { created_at, id });
     parameters.finish()?;
     // One more than asked for tells whether there is a next page.
     let mut records = state.store().scenes(caller.sees_only(), before, limit + 1).await?;
@@ -57,27 +55,10 @@ pub(super) async fn list(
     let next = records
         .last()
         .filter(|_| more)
-        .map(|last| format!("/v1/scenes?limit={limit}&cursor={}", cursor(last)));
-    let link = next.as_ref().map(|next| HeaderValue::try_from(format!("<{next}>; rel=\"next\"")));
+        .map(|last| format!("/v1/scenes?limit={limit}&cursor={}", cursor(last.created_at, last.id)));
+    let headers = listing::headers(next.as_deref())?;
     let scenes = records.into_iter().map(SceneBody::from).collect();
-    let mut response =
-        ([(header::CACHE_CONTROL, "no-store")], Json(SceneList { scenes, next })).into_response();
-    if let Some(link) = link.transpose().map_err(|error| Fault::internal(&error))? {
-        response.headers_mut().insert(header::LINK, link);
-    }
-    Ok(response)
-}
-
-fn cursor(last: &SceneRecord) -> String {
-    format!("{}.{}", last.created_at.as_microsecond(), last.id)
-}
-
-fn parse_cursor(text: &str) -> Result<ScenePage, Fault> {
-    let page = text.split_once('.').and_then(|(at, id)| {
-        let created_at = Timestamp::from_microsecond(at.parse().ok()?).ok()?;
-        Some(ScenePage { created_at, id: id.parse().ok()? })
-    });
-    page.ok_or_else(|| Fault::parameter("cursor", "is not one that this service gave out"))
+    Ok((headers, Json(SceneList { scenes, next })).into_response())
 }
 
 /// `GET /v1/scenes/{id}`.
