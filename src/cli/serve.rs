@@ -83,6 +83,10 @@ pub(crate) struct Args {
     #[arg(long, env = "TCGS_WEBHOOKS_ALLOW_LOOPBACK")]
     webhooks_allow_loopback: bool,
 
+    /// PEM file of authorities whose certificates endpoints of webhooks may show, besides the system's
+    #[arg(long, value_name = "FILE", env = "TCGS_WEBHOOKS_CA")]
+    webhooks_ca: Option<PathBuf>,
+
     /// Worker processes to start; 0 if workers run elsewhere
     #[arg(long, value_name = "N", default_value_t = 1, env = "TCGS_WORKERS")]
     workers: u16,
@@ -116,6 +120,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
         memory: args.memory.limits(args.workers),
         view_memory: args.view_memory.0,
         webhook_targets: OutboundPolicy { allow_loopback: args.webhooks_allow_loopback },
+        webhook_roots: args.webhooks_ca,
         log_format,
     })?;
     Ok(Report::default())

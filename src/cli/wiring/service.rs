@@ -18,6 +18,7 @@ use tcgs::{
     },
     gpu::{AdapterChoice, driver_cache},
     http::{self, ExportedScene, HttpConfig, Services, WorkerCounts},
+    https::ExtraRoots,
     ingest,
     render::views::Viewable,
     store::{
@@ -30,7 +31,7 @@ use tcgs::{
 use tokio::runtime::Runtime;
 use tokio_util::sync::CancellationToken;
 
-use crate::cli::{Failure, logging::Format};
+use crate::cli::{Failure, files, logging::Format};
 
 /// Name of the database in the data folder.
 const DATABASE: &str = "tcgs.sqlite";
@@ -62,6 +63,8 @@ pub(crate) struct ServeOptions {
     pub(crate) workers: u16,
     /// Where webhooks may be sent.
     pub(crate) webhook_targets: OutboundPolicy,
+    /// PEM file of authorities that are trusted there besides the system's.
+    pub(crate) webhook_roots: Option<PathBuf>,
     /// How this process logs, and so its workers.
     pub(crate) log_format: Format,
 }
@@ -88,6 +91,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
         config.check_exposure(has_keys).map_err(|fault| Failure::Usage(format!("--listen: {fault}")))?;
         // Before any worker starts, which would find the same faults.
         super::lpips(options.lpips.as_deref())?;
+        let roots = webhook_roots(options.webhook_roots.as_deref())?;
         let (renderer, _) = super::views(&options.adapter, options.view_memory)?;
         let listeners = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
         let (store, blobs) = open_with(&options.data, options.limits).await?;
@@ -109,7 +113,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
             shutdown.clone(),
         ));
         let checkpoints = options.data.join(CHECKPOINTS);
-        let sender = Sender::new(options.webhook_targets, webhooks::system_lookup(), WEBHOOK_TIMEOUT)
+        let sender = Sender::new(options.webhook_targets, webhooks::system_lookup(), WEBHOOK_TIMEOUT, &roots)
             .map_err(|fault| unavailable(&*fault))?;
         let delivering = tokio::spawn(webhooks::deliver(
             store.clone(),
@@ -189,6 +193,13 @@ async fn open_with(data: &Path, limits: KeyLimits) -> Result<(Arc<SqliteStore>, 
         .map_err(|fault| unavailable(&fault))?;
     let blobs = Blobs::open(data).map_err(|fault| unavailable(&fault))?;
     Ok((Arc::new(store), blobs))
+}
+
+/// The authorities in a file, if one is named.
+fn webhook_roots(path: Option<&Path>) -> Result<ExtraRoots, Failure> {
+    let Some(path) = path else { return Ok(ExtraRoots::default()) };
+    ExtraRoots::from_pem(&files::read(path)?)
+        .map_err(|fault| Failure::Usage(format!("--webhooks-ca: {} {fault}", path.display())))
 }
 
 /// Whether the database knows of keys; where there is none yet, none is made to find that out.
