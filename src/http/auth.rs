@@ -11,7 +11,6 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use axum::{
-    body::Body,
     extract::{MatchedPath, Request, State},
     http::{HeaderMap, HeaderValue, StatusCode, header},
     middleware::Next,
@@ -19,12 +18,12 @@ use axum::{
 };
 
 use super::{
-    body::discard_little,
     client::ClientAddress,
     problem::Fault,
     scopes::{self, Access},
     state::AppState,
     throttle::Wait,
+    unread::LetIn,
 };
 use crate::{
     domain::{ApiKey, Caller, Scope},
@@ -69,11 +68,13 @@ pub(super) async fn authenticate(
     let address = request.extensions().get::<ClientAddress>().copied();
     let caller = match admit(&state, shown, needed, address).await {
         Ok(caller) => caller,
-        Err(fault) => return refuse(request, fault).await,
+        Err(fault) => return fault.into_response(),
     };
     if needed.is_some() {
         request.extensions_mut().insert(caller);
-        return next.run(request).await;
+        let mut response = next.run(request).await;
+        response.extensions_mut().insert(LetIn);
+        return response;
     }
     let place = format!("{} {}", request.method(), route.as_deref().unwrap_or("unmatched"));
     let response = next.run(request).await;
@@ -157,13 +158,6 @@ fn record_use(state: &AppState, key: &KeyRecord) {
             tracing::debug!("the use of key {id} was not recorded: {error}");
         }
     });
-}
-
-/// Answers in place of the handler.
-async fn refuse(request: Request, fault: Fault) -> Response {
-    let (parts, body) = request.into_parts();
-    discard_little(&mut Body::into_data_stream(body), &parts.headers).await;
-    fault.into_response()
 }
 
 fn no_key() -> Fault {

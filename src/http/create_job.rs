@@ -11,7 +11,7 @@ use tokio::task::spawn_blocking;
 use uuid::{NoContext, Uuid};
 
 use super::{
-    body::{discard, expect_media_type, media_type, read_json, stage},
+    body::{expect_media_type, media_type, read_json, stage},
     idempotency::{self, Keyed},
     job_body::href,
     job_wish::{JobWish, deadline},
@@ -44,17 +44,8 @@ pub(super) async fn create(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Fault> {
-    let mut body = body.into_data_stream();
     let asked = Asked { caller, uri: &uri, headers: &headers };
-    let made = match make(&state, &asked, &mut body).await {
-        Ok(made) => made,
-        Err(fault) => {
-            if !fault.is_about_transfer() {
-                discard(&mut body, &headers).await;
-            }
-            return Err(fault);
-        }
-    };
+    let made = make(&state, &asked, &mut body.into_data_stream()).await?;
     answer(&state, made, &headers).await
 }
 

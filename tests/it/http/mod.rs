@@ -25,7 +25,6 @@ use crate::support::contract::Coverage;
 const UNSEEN: &[(&str, &str, &str)] = &[
     ("appendToUpload", "507", "needs a full disk; the mapping has a unit test"),
     ("exportScene", "507", "needs a full disk; the mapping has a unit test"),
-    ("retryJob", "408", "a body that dawdles is seen where it is long"),
 ];
 
 /// Makes each scenario a test, and one more that runs all of them and asserts that the contract is covered.
