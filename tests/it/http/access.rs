@@ -1,16 +1,11 @@
 //! Keys: who is let in, to what, and how often.
 
-use std::{
-    collections::BTreeSet,
-    num::NonZeroU32,
-    sync::{Arc, Mutex},
-    time::Duration,
-};
+use std::{num::NonZeroU32, sync::Arc, time::Duration};
 
 use jiff::SignedDuration;
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{Digest, KeyLimits, ManualClock, Scope},
+    domain::{KeyLimits, ManualClock, Scope},
     http::config::{AccessRules, RequestLimits},
     store::QueuePolicy,
 };
@@ -22,7 +17,7 @@ use crate::support::{
 };
 
 /// A key of the right form that no service knows.
-const UNKNOWN: &str = "tcgs_000102030405060708090a0b0c0d0e0f10111213b57d5e69";
+pub(super) const UNKNOWN: &str = "tcgs_000102030405060708090a0b0c0d0e0f10111213b57d5e69";
 
 /// A service whose time stands still, so that no bucket fills while a test takes its time.
 fn stopped_clock() -> (Setup, Arc<ManualClock>) {
@@ -32,7 +27,7 @@ fn stopped_clock() -> (Setup, Arc<ManualClock>) {
     (Setup { clock: clock.clone(), worker: false, limits, ..Setup::default() }, clock)
 }
 
-async fn with_key(server: &Server, method: &str, path: &str, key: &str) -> Answer {
+pub(super) async fn with_key(server: &Server, method: &str, path: &str, key: &str) -> Answer {
     server.send(method, path, |request| request.bearer_auth(key)).await
 }
 
@@ -393,95 +388,4 @@ pub(super) async fn a_database_that_fails_lets_nobody_in(coverage: Coverage) {
     let key = server.key(&[Scope::Read]).await;
     server.store.set(Some(Failing::Busy));
     with_key(&server, "GET", "/v1/jobs", &key.key).await.expect_problem(503, "busy");
-}
-
-/// Where a subscriber writes.
-#[derive(Clone, Default)]
-struct Log(Arc<Mutex<Vec<u8>>>);
-
-impl std::io::Write for Log {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.lock().expect("not poisoned").extend_from_slice(bytes);
-        Ok(bytes.len())
-    }
-    fn flush(&mut self) -> std::io::Result<()> {
-        Ok(())
-    }
-}
-
-#[tokio::test]
-async fn keys_are_in_no_log_and_no_answer() {
-    let log = Log::default();
-    let writer = log.clone();
-    // The server runs on this thread, so this is where it logs.
-    let subscriber = tracing_subscriber::fmt()
-        .with_max_level(tracing::Level::TRACE)
-        .with_ansi(false)
-        .with_span_events(tracing_subscriber::fmt::format::FmtSpan::FULL)
-        .with_writer(move || writer.clone())
-        .finish();
-    // While there is only one subscriber, an event that a thread without it comes to first stays off for all (tracing asks the
-    // thread's own subscriber alone); with two, all are asked.
-    let _second = tracing::Dispatch::new(tracing_subscriber::registry());
-    let _guard = tracing::subscriber::set_default(subscriber);
-
-    let server = Server::start(&Coverage::default()).await;
-    let known = server.key(&Scope::ALL).await;
-    let revoked = server.key(&[Scope::Admin]).await;
-    server.revoke(&revoked).await;
-    let narrow = server.key(&[Scope::ScenesWrite]).await;
-    let mut secrets = vec![UNKNOWN.to_owned(), known.key.clone(), revoked.key.clone(), narrow.key.clone()];
-    let made = json!({ "name": "made", "scopes": ["read"] });
-    let made = server.send("POST", "/v1/keys", |request| request.bearer_auth(&known.key).json(&made)).await;
-    secrets.push(made.expect(201).json()["key"].as_str().expect("a key").to_owned());
-
-    let upload = async |dataset: &'static str| {
-        server
-            .send("POST", "/v1/jobs", |request| {
-                request.bearer_auth(&known.key).header("content-type", "application/zip").body(dataset)
-            })
-            .await
-    };
-    let mut answers = vec![upload("bad zip").await, upload("bomb").await];
-    let job = upload("succeed").await.expect(201).header("location").to_owned();
-    while with_key(&server, "GET", &job, &known.key).await.json()["state"] != "succeeded" {
-        tokio::time::sleep(Duration::from_millis(5)).await;
-    }
-    let panics = format!("{job}/view?position=1,0,0&look_at=0,0,0&width=13");
-    answers.push(with_key(&server, "GET", &panics, &known.key).await);
-    for operation in contract::guarded() {
-        for key in &secrets {
-            answers.push(with_key(&server, operation.method, &operation.path(), key).await);
-        }
-    }
-    let broken =
-        [format!("bearer{}", known.key), format!("Basic {}", known.key), format!("Bearer {}x", known.key)];
-    for header in broken {
-        answers.push(server.send("GET", "/v1/jobs", |request| request.header("authorization", header)).await);
-    }
-    for failing in [Failing::Busy, Failing::Gone] {
-        server.store.set(Some(failing));
-        answers.push(with_key(&server, "GET", "/v1/jobs", &known.key).await);
-    }
-    let statuses: BTreeSet<u16> = answers.iter().map(|answer| answer.status).collect();
-    assert!(
-        [200, 401, 403, 404, 422, 500, 503].iter().all(|status| statuses.contains(status)),
-        "{statuses:?}"
-    );
-
-    let log = String::from_utf8(log.0.lock().expect("not poisoned").clone()).expect("UTF-8");
-    for caught in ["GET /v1/jobs 401", " DEBUG "] {
-        assert!(log.contains(caught), "the log was not caught: {caught} is not in {} bytes", log.len());
-    }
-    for secret in &secrets {
-        let hash = Digest::of(secret.as_bytes()).to_string();
-        // A part is as bad as the whole: what may be shown of a key are its first thirteen characters.
-        for part in [&secret[14..30], &hash[..16]] {
-            assert!(!log.contains(part), "the log shows a key or its hash");
-            for answer in &answers {
-                let shown = format!("{:?} {}", answer.headers, String::from_utf8_lossy(&answer.body));
-                assert!(!shown.contains(part), "an answer shows a key or its hash: {shown}");
-            }
-        }
-    }
 }

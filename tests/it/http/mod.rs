@@ -13,6 +13,7 @@ mod jobs;
 mod operations;
 mod report;
 mod scenes;
+mod secrets;
 mod series;
 mod service;
 mod uploads;

@@ -30,9 +30,9 @@ use crate::support::{
 };
 
 const ENDPOINTS: &str = "/v1/webhook-endpoints";
-const LOCAL: OutboundPolicy = OutboundPolicy { allow_loopback: true };
+pub(super) const LOCAL: OutboundPolicy = OutboundPolicy { allow_loopback: true };
 
-fn setup() -> Setup {
+pub(super) fn setup() -> Setup {
     let limits = RequestLimits { webhook_targets: LOCAL, webhook_endpoints: 3, ..Default::default() };
     Setup { limits, ..Setup::default() }
 }
@@ -44,7 +44,7 @@ fn stopped() -> (Setup, Arc<ManualClock>) {
 }
 
 /// Delivers for a server until it stops.
-fn deliver(server: &Server, policy: OutboundPolicy, lookup: Lookup) -> JoinHandle<()> {
+pub(super) fn deliver(server: &Server, policy: OutboundPolicy, lookup: Lookup) -> JoinHandle<()> {
     deliver_trusting(server, policy, lookup, &ExtraRoots::default())
 }
 
