@@ -32,8 +32,9 @@ impl Exports for SqliteStore {
             }
             insert_blob(&mut tx, export.blob, now).await?;
             sqlx::query(
-                "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, created_at)
-                 VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+                "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, likeness_psnr, likeness_views,
+                     created_at)
+                 VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
             )
             .bind(export.job.to_string())
             .bind(export.source.to_string())
@@ -41,6 +42,8 @@ impl Exports for SqliteStore {
             .bind(export.blob.digest.to_string())
             .bind(i64::try_from(export.gaussians).unwrap_or(i64::MAX))
             .bind(export.sh_degree)
+            .bind(export.likeness.map(|likeness| likeness.psnr))
+            .bind(export.likeness.map(|likeness| likeness.views))
             .bind(micros(now))
             .execute(&mut *tx)
             .await?;
