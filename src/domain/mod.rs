@@ -65,7 +65,7 @@ pub use photograph::{Photograph, PhotographError, PixelSource};
 pub use problem::Problem;
 pub use progress::{CancelFlag, Phase, Progress};
 pub use scene::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
-pub use series::{SERIES_POINTS, SeriesPoint, series_bucket};
+pub use series::{SERIES_POINTS, SeriesPoint, in_running_time, series_bucket};
 pub use upload::UploadId;
 pub use view::{View, ViewError, ViewRequest};
 pub use webhook::{DeliveryId, EndpointId, WebhookEvent};

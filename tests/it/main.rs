@@ -16,6 +16,7 @@ mod housekeeping;
 mod http;
 mod ingest;
 mod keys;
+mod killed;
 mod layers;
 mod loss;
 mod lpips;
