@@ -2,6 +2,7 @@
 
 use std::{num::NonZeroU32, sync::Arc, time::Duration};
 
+use base64::{Engine as _, engine::general_purpose::STANDARD};
 use jiff::SignedDuration;
 use serde_json::{Value, json};
 use tcgs::{
@@ -116,6 +117,96 @@ pub(super) async fn the_first_key_closes_the_service_and_revoking_the_last_does_
     server.revoke(&key).await;
     with_key(&server, "GET", "/v1/jobs", &key.key).await.expect_problem(401, "invalid-key");
     server.get("/v1/jobs").await.expect_problem(401, "no-key");
+}
+
+/// The header of HTTP Basic for a user's name and a password.
+fn basic(name: &[u8], password: &str) -> String {
+    format!("Basic {}", STANDARD.encode([name, b":", password.as_bytes()].concat()))
+}
+
+async fn with_header(server: &Server, method: &str, path: &str, header: &str) -> Answer {
+    server.send(method, path, |request| request.header("authorization", header)).await
+}
+
+/// What an answer asks its client for.
+fn challenges(answer: &Answer) -> Vec<&str> {
+    let all = answer.headers.get_all("www-authenticate").into_iter();
+    all.map(|challenge| challenge.to_str().expect("ASCII")).collect()
+}
+
+pub(super) async fn a_browser_shows_its_key_by_basic_and_changes_nothing_by_it(coverage: Coverage) {
+    let (mut setup, _) = stopped_clock();
+    setup.worker = true;
+    let server = Server::start_with(&coverage, setup).await;
+    let report = format!("{}/report", server.succeeded().await);
+    let key = server.key(&Scope::ALL).await;
+    let by_basic = basic(b"", &key.key);
+
+    for operation in contract::guarded() {
+        let (method, path, id) = (operation.method, operation.path(), &operation.id);
+        let reads = matches!(method, "GET" | "HEAD");
+        let answer = with_header(&server, method, &path, &by_basic).await;
+        if reads {
+            assert!(!matches!(answer.status, 401 | 403), "{id}: {answer:?}");
+        } else {
+            assert_eq!(challenges(&answer), ["Bearer realm=\"tcgs\""], "{id}");
+            answer.expect_problem(401, "bearer-needed");
+        }
+        let asked = server.send(method, &path, |request| request).await;
+        let schemes: &[&str] = if reads {
+            &["Bearer realm=\"tcgs\"", "Basic realm=\"tcgs\""]
+        } else {
+            &["Bearer realm=\"tcgs\""]
+        };
+        assert_eq!((asked.status, challenges(&asked)), (401, schemes.to_vec()), "{id}");
+    }
+    with_header(&server, "HEAD", "/v1/jobs", &by_basic).await.expect(200);
+    with_header(&server, "GET", "/v1/nothing", &by_basic).await.expect_problem(404, "not-found");
+    with_header(&server, "DELETE", "/v1/jobs", &by_basic).await.expect_problem(401, "bearer-needed");
+
+    for name in [&b"me"[..], b"tcgs", b"two words", "Zo\u{eb}".as_bytes(), b"Zo\xeb"] {
+        let page = with_header(&server, "GET", &report, &basic(name, &key.key)).await.expect(200);
+        assert!(page.header("content-type").starts_with("text/html"));
+    }
+    with_header(&server, "GET", &report, &by_basic.replace("Basic", "bASIC")).await.expect(200);
+
+    let revoked = server.key(&Scope::ALL).await;
+    server.revoke(&revoked).await;
+    let encoded = by_basic.trim_start_matches("Basic ");
+    for wrong in [
+        basic(b"me", UNKNOWN),
+        basic(b"me", &revoked.key),
+        basic(b"me", ""),
+        basic(b"me", &format!("{} ", key.key)),
+        basic(b"me", &format!("x:{}", key.key)),
+        basic(key.key.as_bytes(), ""),
+        format!("Basic {}", STANDARD.encode(&key.key)),
+        format!("Basic {}", key.key),
+        "Basic".to_owned(),
+        "Basic ".to_owned(),
+        "Basic !".to_owned(),
+        format!("Bearer {encoded}"),
+        format!("Digest {encoded}"),
+    ] {
+        let answer = with_header(&server, "GET", &report, &wrong).await;
+        let asked = ["Bearer realm=\"tcgs\", error=\"invalid_token\"", "Basic realm=\"tcgs\""];
+        assert_eq!(challenges(&answer), asked, "{wrong}");
+        answer.expect_problem(401, "invalid-key");
+    }
+    let both = server
+        .send("GET", &report, |request| request.header("authorization", &by_basic).bearer_auth(&key.key));
+    both.await.expect_problem(401, "invalid-key");
+
+    let narrow = server.key(&[Scope::ScenesWrite]).await;
+    let answer = with_header(&server, "GET", "/v1/jobs", &basic(b"me", &narrow.key)).await;
+    answer.expect_problem(403, "insufficient-scope");
+    let other = server.key(&[Scope::Read]).await;
+    let answer = with_header(&server, "GET", &report, &basic(b"me", &other.key)).await;
+    answer.expect_problem(404, "job-not-found");
+    let once = KeyLimits { requests_per_minute: NonZeroU32::new(1), ..KeyLimits::default() };
+    let once = server.key_with(&[Scope::Read], once).await;
+    with_header(&server, "GET", "/v1/jobs", &basic(b"me", &once.key)).await.expect(200);
+    with_key(&server, "GET", "/v1/jobs", &once.key).await.expect_problem(429, "too-many-requests");
 }
 
 pub(super) async fn a_key_has_its_rate_and_an_address_a_few_failures(coverage: Coverage) {

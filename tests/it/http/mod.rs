@@ -65,6 +65,7 @@ scenarios! {
     access {
         no_operation_answers_without_the_right_key,
         the_first_key_closes_the_service_and_revoking_the_last_does_not_open_it,
+        a_browser_shows_its_key_by_basic_and_changes_nothing_by_it,
         a_key_has_its_rate_and_an_address_a_few_failures,
         keys_are_made_listed_and_revoked_by_administrators,
         a_key_has_room_for_some_jobs_and_bytes,
