@@ -14,13 +14,14 @@ use std::{
 
 use tcgs::{
     domain::{
-        Camera, KeyLimits, MemoryLimits, OutboundPolicy, Problem, SceneFormat, SystemClock, SystemEntropy,
+        Camera, Digest, KeyLimits, MemoryLimits, NamedCamera, OutboundPolicy, Problem, SceneFormat, Split,
+        SystemClock, SystemEntropy,
     },
     gpu::{AdapterChoice, driver_cache},
     http::{self, ExportedScene, HttpConfig, Services, WorkerCounts},
     https::ExtraRoots,
     ingest,
-    render::views::Viewable,
+    render::{RenderViews, views::Viewable},
     store::{
         Blobs, Keys as _, QueuePolicy, SqliteStore,
         housekeeping::{HousekeepingPolicy, keep_house},
@@ -31,6 +32,7 @@ use tcgs::{
 use tokio::runtime::Runtime;
 use tokio_util::sync::CancellationToken;
 
+use super::Renderer;
 use crate::cli::{Failure, files, logging::Format};
 
 /// Name of the database in the data folder.
@@ -131,8 +133,11 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
                 let file = scene_file::read(bytes)?;
                 Ok(Viewable { scene: file.scene, background: file.background })
             }),
+            export: {
+                let views = Arc::clone(&renderer);
+                Arc::new(move |bytes, format, cameras| export(&views, bytes, format, cameras))
+            },
             renderer,
-            export: Arc::new(export),
             forget: Arc::new(move |job| worker::forget_checkpoints(&checkpoints, job)),
             workers: Arc::new(move || WorkerCounts {
                 expected: census.expected(),
@@ -216,13 +221,31 @@ async fn has_keys(data: &Path) -> Result<bool, Failure> {
 /// Highest degree of the spherical harmonics of scenes that are exported on demand.
 const EXPORT_DEGREE: u8 = 3;
 
-/// A finished scene in another format, made to look alike from `cameras`, or from all around where there are none.
-fn export(bytes: &[u8], format: SceneFormat, cameras: &[Camera]) -> Result<ExportedScene, Problem> {
+/// A finished scene in another format, made to look alike from the training cameras, or from all around where there are none.
+fn export(
+    views: &Arc<dyn RenderViews>,
+    bytes: &[u8],
+    format: SceneFormat,
+    cameras: &[NamedCamera],
+) -> Result<ExportedScene, Problem> {
     let file = scene_file::read(bytes)?;
-    let cameras = (!cameras.is_empty()).then_some(cameras);
-    let exported = super::export(&file, format, EXPORT_DEGREE, cameras)?;
+    let trained = of_split(cameras, Split::Train);
+    let from = (!trained.is_empty()).then_some(&*trained);
+    let exported = super::export(&file, format, EXPORT_DEGREE, from)?;
     let gaussians = u64::try_from(exported.gaussians).unwrap_or(u64::MAX);
-    Ok(ExportedScene { bytes: exported.bytes, gaussians, sh_degree: exported.degree })
+    let held_out = of_split(cameras, Split::Test);
+    let cameras = if held_out.is_empty() { trained } else { held_out };
+    // The key of its views too, so that a scene that is being looked at is not loaded again.
+    let source = Renderer::over(Arc::clone(views), Digest::of(bytes), file);
+    let likeness = super::likeness(&source, &exported.bytes, &cameras).unwrap_or_else(|fault| {
+        tracing::warn!("how alike an export looks cannot be told: {fault}");
+        None
+    });
+    Ok(ExportedScene { bytes: exported.bytes, gaussians, sh_degree: exported.degree, likeness })
+}
+
+fn of_split(cameras: &[NamedCamera], split: Split) -> Vec<Camera> {
+    cameras.iter().filter(|camera| camera.split == split).map(|camera| camera.camera).collect()
 }
 
 /// The environment that lets workers find compiled kernels again.

@@ -52,8 +52,9 @@ impl Exports for SqliteStore {
             accounts::admit_blob(&mut tx, self.policy.limits.max_bytes, owner, export.blob).await?;
             insert_blob(&mut tx, export.blob, now).await?;
             sqlx::query(
-                "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, created_at)
-                 VALUES (?, ?, ?, ?, ?, ?, ?)",
+                "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, likeness_psnr, likeness_views,
+                     created_at)
+                 VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
             )
             .bind(export.job.to_string())
             .bind(export.source.to_string())
@@ -61,6 +62,8 @@ impl Exports for SqliteStore {
             .bind(export.blob.digest.to_string())
             .bind(i64::try_from(export.gaussians).unwrap_or(i64::MAX))
             .bind(export.sh_degree)
+            .bind(export.likeness.map(|likeness| likeness.psnr))
+            .bind(export.likeness.map(|likeness| likeness.views))
             .bind(micros(now))
             .execute(&mut *tx)
             .await?;

@@ -39,6 +39,7 @@ pub(super) async fn every_file_of_a_job_is_listed_and_served_by_its_hash(coverag
     assert!(files.iter().any(|file| file["kind"] == "cameras" && file["media_type"] == "application/json"));
     for file in &files {
         assert_eq!((&file["origin"], &file["gaussians"]), (&json!("job"), &Value::Null));
+        assert_eq!(file["likeness"], Value::Null);
         let path = file["href"].as_str().expect("a path");
         let whole = server.get(path).await.expect(200);
         assert_eq!(whole.body.len() as u64, file["bytes"].as_u64().expect("a length"));
@@ -102,12 +103,18 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
     server.send("GET", &path, |request| request.header("if-none-match", tag)).await.expect(304);
     server.send("GET", &path, |request| request.header("if-match", "\"x\"")).await.expect(412);
     server.send("GET", &path, |request| request.header("range", "bytes=999-")).await.expect(416);
-    server.get(&format!("{job}/export?format=spz")).await.expect(200);
+    for answer in [&first, &again, &part] {
+        assert_eq!(answer.header("x-likeness-psnr"), "41.26");
+    }
+    let unknown = server.get(&format!("{job}/export?format=spz")).await.expect(200);
+    assert!(!unknown.headers.contains_key("x-likeness-psnr"));
 
     let exports: Vec<Value> =
         listed(&server, &job).await.into_iter().filter(|file| file["origin"] == "export").collect();
     let kinds: Vec<&Value> = exports.iter().map(|file| &file["kind"]).collect();
     assert_eq!(kinds, ["ply", "spz"]);
+    let likeness: Vec<&Value> = exports.iter().map(|file| &file["likeness"]).collect();
+    assert_eq!(likeness, [&json!({ "psnr": 41.256, "views": 2 }), &Value::Null]);
     for file in &exports {
         assert_eq!((&file["gaussians"], &file["sh_degree"]), (&json!(5), &json!(3)));
         assert_eq!(file["lambda"], 0.004);
@@ -119,6 +126,7 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
     server.reaches(&plain, "succeeded").await;
     let same = server.get(&format!("{plain}/export?format=ply")).await.expect(200);
     assert_eq!(same.body, fakes::FILE, "it is written so already");
+    assert!(!same.headers.contains_key("x-likeness-psnr"));
     assert_eq!(server.exporter.made.load(Ordering::SeqCst), 2);
 
     server.send("DELETE", &job, |request| request).await.expect(204);
