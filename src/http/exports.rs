@@ -167,6 +167,8 @@ async fn make(
     if let Some(kept) = kept(&state, job, source, format).await? {
         return Ok(kept);
     }
+    // How long the file will be is known once it is made; then its bytes are counted as well.
+    state.store().admit_export(job).await?;
     let place = state.exports().places.try_acquire();
     let _place = place.map_err(|_| Fault::busy("too many scenes are being exported"))?;
     let _turn = state.exports().turns.acquire().await.map_err(|error| Fault::internal(&error))?;

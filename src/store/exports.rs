@@ -46,7 +46,11 @@ pub struct FileRecord {
 
 /// Part of a [`super::Store`]: exports, and files by hash. Every method is one transaction.
 pub trait Exports: Send + Sync + 'static {
-    /// Keeps an export, unless there is one like it, and gives back the one that is kept; `None` if the job is gone.
+    /// Refuses with [`super::StoreError::QuotaExceeded`] if the job's owner has no room left for an export, however small.
+    fn admit_export(&self, job: JobId) -> Answer<'_, ()>;
+
+    /// Keeps an export, unless there is one like it, and gives back the one that is kept; `None` if the job is gone. It counts
+    /// against the quota of the job's owner, and is refused if that has no room for it.
     fn add_export(&self, export: ExportRecord) -> Answer<'_, Option<ExportRecord>>;
 
     /// The exports of a job's scene.
