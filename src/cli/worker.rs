@@ -8,6 +8,7 @@ use super::{
     config::ConfigFlags,
     lpips::LpipsFlag,
     memory::MemoryFlags,
+    priority::NiceFlag,
     serve::refuse_shared_storage,
     wiring::{self, WorkerOptions},
 };
@@ -39,6 +40,9 @@ pub(crate) struct Args {
     #[command(flatten)]
     lpips: LpipsFlag,
 
+    #[command(flatten)]
+    nice: NiceFlag,
+
     /// Stop when standard input closes, as it does when the service that started this worker ends
     #[arg(long, hide = true)]
     stop_with_parent: bool,
@@ -47,6 +51,7 @@ pub(crate) struct Args {
 /// Works until a signal comes.
 pub(crate) fn run(args: Args) -> Result<Report, Failure> {
     refuse_shared_storage(args.database.as_deref(), args.blobs.as_deref())?;
+    args.nice.stand_back()?;
     wiring::worker(WorkerOptions {
         data: args.data,
         adapter: args.adapter.adapter,
