@@ -28,6 +28,7 @@ mod render;
 mod report;
 mod sample;
 mod serve;
+mod storage;
 mod suite;
 mod train;
 mod wiring;

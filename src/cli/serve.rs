@@ -16,6 +16,7 @@ use super::{
     lpips::LpipsFlag,
     memory::MemoryFlags,
     priority::NiceFlag,
+    storage::StorageFlags,
     wiring::{self, ServeOptions},
 };
 
@@ -53,18 +54,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", env = "TCGS_MAX_ACTIVE_JOBS")]
     max_active_jobs: Option<u32>,
 
-    /// Folder for the database, uploads and files
-    #[arg(long, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
-    data: PathBuf,
-
-    /// Database, if not SQLite in the data folder
-    // Shared databases and blobs come with a later version; until then they are refused rather than unknown.
-    #[arg(long, value_name = "URL", env = "TCGS_DATABASE", hide = true)]
-    database: Option<String>,
-
-    /// Blob storage, if not the data folder
-    #[arg(long, value_name = "URL", env = "TCGS_BLOBS", hide = true)]
-    blobs: Option<String>,
+    #[command(flatten)]
+    storage: StorageFlags,
 
     #[command(flatten)]
     adapter: AdapterFlag,
@@ -101,7 +92,7 @@ pub(crate) struct Args {
 
 /// Serves until a signal comes.
 pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
-    refuse_shared_storage(args.database.as_deref(), args.blobs.as_deref())?;
+    let data = args.storage.folder()?;
     wiring::serve(ServeOptions {
         http: args.limits.config(
             args.listen,
@@ -117,7 +108,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
             max_active_jobs: args.max_active_jobs,
             requests_per_minute: args.requests_per_minute,
         },
-        data: args.data,
+        data,
         adapter: args.adapter.adapter,
         lpips: args.lpips.lpips,
         workers: args.workers,
@@ -129,14 +120,4 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
         log_format,
     })?;
     Ok(Report::default())
-}
-
-/// Refuses what would make a queue of several machines, which this version does not have.
-pub(super) fn refuse_shared_storage(database: Option<&str>, blobs: Option<&str>) -> Result<(), Failure> {
-    for (flag, value) in [("--database", database), ("--blobs", blobs)] {
-        if value.is_some() {
-            return Err(Failure::Usage(format!("{flag}: this version keeps SQLite and blobs in --data")));
-        }
-    }
-    Ok(())
 }

@@ -111,7 +111,10 @@ pub(super) async fn endpoints_are_made_listed_and_deleted_and_show_their_secret_
     let mut listed = Vec::new();
     let mut next = Some(format!("{ENDPOINTS}?limit=2"));
     while let Some(path) = next {
-        let page = server.get(&path).await.expect(200).json();
+        let answer = server.get(&path).await.expect(200);
+        let page = answer.json();
+        let link = answer.headers.get("link").map(|link| link.to_str().expect("ASCII").to_owned());
+        assert_eq!(link, page["next"].as_str().map(|next| format!("<{next}>; rel=\"next\"")));
         listed.extend(page["endpoints"].as_array().expect("endpoints").clone());
         next = page["next"].as_str().map(str::to_owned);
     }
