@@ -21,6 +21,7 @@ mod lpips;
 mod memory;
 mod picture;
 mod pose;
+mod priority;
 mod progress;
 mod remote;
 mod render;

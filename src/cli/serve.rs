@@ -15,6 +15,7 @@ use super::{
     logging::Format,
     lpips::LpipsFlag,
     memory::MemoryFlags,
+    priority::NiceFlag,
     storage::StorageFlags,
     wiring::{self, ServeOptions},
 };
@@ -83,6 +84,9 @@ pub(crate) struct Args {
     workers: u16,
 
     #[command(flatten)]
+    nice: NiceFlag,
+
+    #[command(flatten)]
     limits: LimitFlags,
 }
 
@@ -108,6 +112,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
         adapter: args.adapter.adapter,
         lpips: args.lpips.lpips,
         workers: args.workers,
+        worker_nice: args.nice.value()?,
         memory: args.memory.limits(args.workers),
         view_memory: args.view_memory.0,
         webhook_targets: OutboundPolicy { allow_loopback: args.webhooks_allow_loopback },

@@ -6,6 +6,7 @@ use super::{
     config::ConfigFlags,
     lpips::LpipsFlag,
     memory::MemoryFlags,
+    priority::NiceFlag,
     storage::StorageFlags,
     wiring::{self, WorkerOptions},
 };
@@ -28,6 +29,9 @@ pub(crate) struct Args {
     #[command(flatten)]
     lpips: LpipsFlag,
 
+    #[command(flatten)]
+    nice: NiceFlag,
+
     /// Stop when standard input closes, as it does when the service that started this worker ends
     #[arg(long, hide = true)]
     stop_with_parent: bool,
@@ -35,6 +39,7 @@ pub(crate) struct Args {
 
 /// Works until a signal comes.
 pub(crate) fn run(args: Args) -> Result<Report, Failure> {
+    args.nice.stand_back()?;
     wiring::worker(WorkerOptions {
         data: args.storage.folder()?,
         adapter: args.adapter.adapter,

@@ -25,6 +25,7 @@ mod migrations;
 mod neural;
 mod plain;
 mod primitives;
+mod priority;
 mod queue;
 mod raster_device;
 mod raster_oracles;

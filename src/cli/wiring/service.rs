@@ -63,6 +63,8 @@ pub(crate) struct ServeOptions {
     pub(crate) lpips: Option<PathBuf>,
     /// Worker processes to start.
     pub(crate) workers: u16,
+    /// How far they let other processes go first.
+    pub(crate) worker_nice: u8,
     /// Where webhooks may be sent.
     pub(crate) webhook_targets: OutboundPolicy,
     /// PEM file of authorities that are trusted there besides the system's.
@@ -273,6 +275,8 @@ fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
         "--stop-with-parent".into(),
         "--host-memory".into(),
         options.memory.host.to_string().into(),
+        "--worker-nice".into(),
+        options.worker_nice.to_string().into(),
     ];
     if let Some(gpu) = options.memory.gpu {
         arguments.extend(["--gpu-memory".into(), gpu.to_string().into()]);
