@@ -25,7 +25,7 @@ struct House {
     blobs: Blobs,
     /// Begins with the machine's time, by which files are dated.
     clock: Arc<ManualClock>,
-    _folder: TempDir,
+    folder: TempDir,
 }
 
 impl House {
@@ -35,7 +35,7 @@ impl House {
         let path = folder.path().join("tcgs.db");
         let store = SqliteStore::open(&path, clock.clone(), QueuePolicy::default()).await;
         let blobs = Blobs::open(folder.path()).expect("a blob store");
-        Self { store: Arc::new(store.expect("a database")), blobs, clock, _folder: folder }
+        Self { store: Arc::new(store.expect("a database")), blobs, clock, folder }
     }
 
     async fn put(&self, content: &'static str) -> BlobRef {
@@ -98,6 +98,20 @@ async fn a_blob_waits_for_its_reference_as_long_as_the_grace_time() {
     assert_eq!(house.clear().await.blobs, 1, "it was published long ago");
     assert!(!house.is_there(kept).await);
     assert_eq!(house.clear().await, Cleared::default());
+}
+
+#[tokio::test]
+async fn what_a_process_that_is_gone_was_receiving_goes_and_what_a_living_one_receives_stays() {
+    let house = House::new().await;
+    let mut staging = house.blobs.stage(100).await.expect("room");
+    staging.write(b"half").await.expect("written");
+    let left = house.folder.path().join("staging/process-of-another");
+    std::fs::create_dir(&left).expect("made");
+    std::fs::write(left.join("upload-half"), "half").expect("written");
+    house.clear().await;
+    assert!(!left.exists());
+    let staged = staging.finish().await.expect("whole");
+    assert_eq!(house.blobs.publish(&staged).await.expect("published").bytes, 4);
 }
 
 #[tokio::test]

@@ -24,8 +24,9 @@ const HELD: &str = "held";
 /// A process's own folder; it goes with this value.
 #[derive(Debug)]
 pub(super) struct Room {
-    folder: TempDir,
+    // Let go first: some systems remove no file that is open.
     _held: File,
+    folder: TempDir,
 }
 
 impl Room {
@@ -37,7 +38,7 @@ impl Room {
         let folder = tempfile::Builder::new().prefix("process-").tempdir_in(staging)?;
         let held = File::create_new(folder.path().join(HELD))?;
         held.lock()?;
-        Ok(Self { folder, _held: held })
+        Ok(Self { _held: held, folder })
     }
 
     pub(super) fn path(&self) -> &Path {
