@@ -71,6 +71,14 @@ pub(crate) struct LimitFlags {
     #[arg(long, value_name = "BYTES", default_value = "4GiB", env = "TCGS_MAX_UPLOAD")]
     max_upload: Bytes,
 
+    /// Longest dataset archive that comes in parts
+    #[arg(long, value_name = "BYTES", default_value = "64GiB", env = "TCGS_MAX_RESUMABLE")]
+    max_resumable: Bytes,
+
+    /// How long an upload in parts waits for its next part
+    #[arg(long, value_name = "TIME", default_value = "24h", env = "TCGS_UPLOAD_LIFE")]
+    upload_life: Span,
+
     /// Datasets received at a time
     #[arg(long, value_name = "N", default_value_t = 8, env = "TCGS_MAX_UPLOADS")]
     max_uploads: usize,
@@ -78,6 +86,14 @@ pub(crate) struct LimitFlags {
     /// Requests for views that may wait for their turn
     #[arg(long, value_name = "N", default_value_t = 32, env = "TCGS_VIEW_QUEUE")]
     view_queue: usize,
+
+    /// Streams of views at a time, half of which one key may have
+    #[arg(long, value_name = "N", default_value_t = 8, env = "TCGS_VIEW_STREAMS")]
+    view_streams: usize,
+
+    /// Main memory for pictures that are kept for whoever asks again
+    #[arg(long, value_name = "BYTES", default_value = "64MiB", env = "TCGS_VIEW_CACHE")]
+    view_cache: Bytes,
 
     /// Free room on the data folder's disk below which the service is not ready
     #[arg(long, value_name = "BYTES", default_value = "512MiB", env = "TCGS_MIN_FREE_SPACE")]
@@ -112,12 +128,17 @@ impl LimitFlags {
             limits: RequestLimits {
                 access,
                 upload_bytes: self.max_upload.0,
+                resumable_bytes: self.max_resumable.0,
+                upload_life: self.upload_life.0,
                 uploads: self.max_uploads,
                 body_idle: self.body_pause.0,
                 body_total: self.body_timeout.0,
                 body_rate: self.body_rate.0,
                 min_free_space: self.min_free_space.0,
                 renders_waiting: self.view_queue,
+                streams: self.view_streams,
+                streams_each: self.view_streams.div_ceil(2),
+                view_cache_bytes: self.view_cache.0,
                 ..RequestLimits::default()
             },
         }
@@ -141,6 +162,24 @@ mod tests {
         let own = HttpConfig::default();
         let flags = Limits::parse_from(["limits"]).limits.config(own.listen, None, AccessRules::default());
         assert_eq!(format!("{flags:?}"), format!("{own:?}"));
+    }
+
+    #[test]
+    fn each_flag_sets_its_own_limit() {
+        let set = |flag: &str, value: &str| {
+            let flags = Limits::parse_from(["limits", flag, value]).limits;
+            flags.config(HttpConfig::default().listen, None, AccessRules::default()).limits
+        };
+        assert_eq!(set("--max-upload", "1KiB").upload_bytes, 1 << 10);
+        assert_eq!(set("--max-resumable", "2KiB").resumable_bytes, 2 << 10);
+        assert_eq!(set("--upload-life", "90m").upload_life, Duration::from_secs(5400));
+        assert_eq!(set("--max-uploads", "3").uploads, 3);
+        assert_eq!(set("--view-queue", "4").renders_waiting, 4);
+        let streams = set("--view-streams", "5");
+        assert_eq!((streams.streams, streams.streams_each), (5, 3));
+        assert_eq!(set("--view-cache", "6MiB").view_cache_bytes, 6 << 20);
+        assert_eq!(set("--body-rate", "7").body_rate, 7);
+        assert_eq!(set("--min-free-space", "8").min_free_space, 8);
     }
 
     #[test]

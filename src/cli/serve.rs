@@ -15,6 +15,8 @@ use super::{
     logging::Format,
     lpips::LpipsFlag,
     memory::MemoryFlags,
+    priority::NiceFlag,
+    storage::StorageFlags,
     wiring::{self, ServeOptions},
 };
 
@@ -52,18 +54,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", env = "TCGS_MAX_ACTIVE_JOBS")]
     max_active_jobs: Option<u32>,
 
-    /// Folder for the database, uploads and files
-    #[arg(long, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
-    data: PathBuf,
-
-    /// Database, if not SQLite in the data folder
-    // Shared databases and blobs come with a later version; until then they are refused rather than unknown.
-    #[arg(long, value_name = "URL", env = "TCGS_DATABASE", hide = true)]
-    database: Option<String>,
-
-    /// Blob storage, if not the data folder
-    #[arg(long, value_name = "URL", env = "TCGS_BLOBS", hide = true)]
-    blobs: Option<String>,
+    #[command(flatten)]
+    storage: StorageFlags,
 
     #[command(flatten)]
     adapter: AdapterFlag,
@@ -83,9 +75,16 @@ pub(crate) struct Args {
     #[arg(long, env = "TCGS_WEBHOOKS_ALLOW_LOOPBACK")]
     webhooks_allow_loopback: bool,
 
+    /// PEM file of authorities whose certificates endpoints of webhooks may show, besides the system's
+    #[arg(long, value_name = "FILE", env = "TCGS_WEBHOOKS_CA")]
+    webhooks_ca: Option<PathBuf>,
+
     /// Worker processes to start; 0 if workers run elsewhere
     #[arg(long, value_name = "N", default_value_t = 1, env = "TCGS_WORKERS")]
     workers: u16,
+
+    #[command(flatten)]
+    nice: NiceFlag,
 
     #[command(flatten)]
     limits: LimitFlags,
@@ -93,7 +92,7 @@ pub(crate) struct Args {
 
 /// Serves until a signal comes.
 pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
-    refuse_shared_storage(args.database.as_deref(), args.blobs.as_deref())?;
+    let data = args.storage.folder()?;
     wiring::serve(ServeOptions {
         http: args.limits.config(
             args.listen,
@@ -109,24 +108,16 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
             max_active_jobs: args.max_active_jobs,
             requests_per_minute: args.requests_per_minute,
         },
-        data: args.data,
+        data,
         adapter: args.adapter.adapter,
         lpips: args.lpips.lpips,
         workers: args.workers,
+        worker_nice: args.nice.value()?,
         memory: args.memory.limits(args.workers),
         view_memory: args.view_memory.0,
         webhook_targets: OutboundPolicy { allow_loopback: args.webhooks_allow_loopback },
+        webhook_roots: args.webhooks_ca,
         log_format,
     })?;
     Ok(Report::default())
-}
-
-/// Refuses what would make a queue of several machines, which this version does not have.
-pub(super) fn refuse_shared_storage(database: Option<&str>, blobs: Option<&str>) -> Result<(), Failure> {
-    for (flag, value) in [("--database", database), ("--blobs", blobs)] {
-        if value.is_some() {
-            return Err(Failure::Usage(format!("{flag}: this version keeps SQLite and blobs in --data")));
-        }
-    }
-    Ok(())
 }

@@ -27,6 +27,7 @@ use tcgs::{
     worker::{pipeline::Pipeline, run::RunJob, scene_file},
 };
 
+use export::likeness;
 pub(crate) use export::{Baking, Packing, Quality, compare, export};
 pub(crate) use keys::{create_key, keys, revoke_key};
 pub(crate) use service::{ServeOptions, WorkerOptions, serve, worker};
@@ -194,6 +195,12 @@ impl Renderer {
         let viewable = Viewable { scene: file.scene, background: file.background };
         // The hash of what was decoded tells scenes apart as well as the hash of a file would.
         Ok(Self { adapter, views, key: file.decode_sha256, viewable })
+    }
+
+    /// What is opened already, for the scene of a file of this hash.
+    pub(crate) fn over(views: Arc<dyn RenderViews>, key: Digest, file: SceneFile) -> Self {
+        let viewable = Viewable { scene: file.scene, background: file.background };
+        Self { adapter: views.identity(), views, key, viewable }
     }
 
     /// Another scene on the same adapter.

@@ -204,6 +204,14 @@ impl Intrinsics {
         Ok(self)
     }
 
+    /// The same view in a picture of other sides. Pixel centres lie at +0.5, so everything scales by plain factors.
+    #[must_use]
+    pub fn resized(self, width: u32, height: u32) -> Self {
+        let x = f64::from(width) / f64::from(self.width);
+        let y = f64::from(height) / f64::from(self.height);
+        Self { fx: self.fx * x, fy: self.fy * y, cx: self.cx * x, cy: self.cy * y, width, height }
+    }
+
     /// Intrinsics of a centred camera with square pixels from its horizontal field of view in radians.
     ///
     /// # Errors

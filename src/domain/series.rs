@@ -6,7 +6,7 @@ use super::Progress;
 pub const SERIES_POINTS: u32 = 1000;
 
 /// One point of a run.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct SeriesPoint {
     /// The attempt that came by here.
     pub attempt: u32,
@@ -34,9 +34,34 @@ pub fn series_bucket(progress: &Progress) -> u32 {
     u32::try_from(part).unwrap_or(last).min(last)
 }
 
+/// The same points with seconds of training in all: those of an attempt that went on from a checkpoint are added to the time
+/// that it took to come there.
+#[must_use]
+pub fn in_running_time(mut points: Vec<SeriesPoint>) -> Vec<SeriesPoint> {
+    let (mut before, mut attempt, mut latest) = (0.0, None, 0.0);
+    for point in &mut points {
+        if attempt.is_some_and(|attempt| attempt != point.attempt) {
+            before = latest;
+        }
+        attempt = Some(point.attempt);
+        point.seconds += before;
+        latest = point.seconds;
+    }
+    points
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn time_goes_on_where_an_attempt_went_on() {
+        let points = [(1, 1, 10.0), (1, 2, 20.0), (3, 3, 5.0), (3, 4, 15.0)]
+            .map(|(attempt, step, seconds)| SeriesPoint { attempt, step, seconds, ..SeriesPoint::default() });
+        let seconds: Vec<f64> =
+            in_running_time(points.into()).into_iter().map(|point| point.seconds).collect();
+        assert_eq!(seconds, [10.0, 20.0, 25.0, 35.0]);
+    }
 
     #[test]
     fn parts_cover_the_run_evenly_and_nothing_falls_outside() {

@@ -1,23 +1,11 @@
 //! What endpoints are told of jobs: the events, and the message about one.
 
-use std::{fmt, str::FromStr};
+use std::str::FromStr;
 
 use jiff::Timestamp;
-use serde::{Deserialize, Serialize};
 use serde_json::json;
-use uuid::Uuid;
 
-use super::{Digest, JobId, JobState};
-
-/// An endpoint's identity: a UUID of version 7.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct EndpointId(pub Uuid);
-
-/// A message's identity to one endpoint, the same in every attempt to deliver it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct DeliveryId(pub Uuid);
+use super::{DeliveryId, Digest, EndpointId, JobId, JobState};
 
 impl DeliveryId {
     /// The message to `endpoint` about the event number `seq` of `job`: a UUID of version 8 that those three decide, so that it
@@ -30,26 +18,6 @@ impl DeliveryId {
         Self(uuid::Builder::from_custom_bytes(bytes).into_uuid())
     }
 }
-
-macro_rules! as_text {
-    ($($id:ident),+) => {
-        $(impl fmt::Display for $id {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                self.0.fmt(f)
-            }
-        }
-
-        impl FromStr for $id {
-            type Err = uuid::Error;
-
-            fn from_str(text: &str) -> Result<Self, uuid::Error> {
-                text.parse().map(Self)
-            }
-        })+
-    };
-}
-
-as_text!(EndpointId, DeliveryId);
 
 /// What an endpoint can be told of: that a job entered a state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -109,6 +77,8 @@ impl FromStr for WebhookEvent {
 
 #[cfg(test)]
 mod tests {
+    use uuid::Uuid;
+
     use super::*;
 
     #[test]

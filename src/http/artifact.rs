@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     domain::{Caller, Digest},
-    store::{ArtifactKind, BlobRef, JobRecord, SceneArtifact},
+    store::{ArtifactKind, BlobRef, JobRecord, Likeness, SceneArtifact},
 };
 
 /// Takes the parameter that chooses among the files of a rate-distortion curve.
@@ -95,7 +95,14 @@ struct ListedFile {
     media_type: &'static str,
     gaussians: Option<u64>,
     sh_degree: Option<u8>,
+    likeness: Option<LikenessBody>,
     href: String,
+}
+
+#[derive(Debug, Serialize)]
+struct LikenessBody {
+    psnr: f64,
+    views: u32,
 }
 
 impl ListedFile {
@@ -109,6 +116,7 @@ impl ListedFile {
             media_type: media_type(kind),
             gaussians: None,
             sh_degree: None,
+            likeness: None,
             href: format!("/v1/artifacts/{}", blob.digest),
         }
     }
@@ -129,6 +137,7 @@ pub(super) async fn list(
         ListedFile {
             gaussians: Some(export.gaussians),
             sh_degree: Some(export.sh_degree),
+            likeness: export.likeness.map(|Likeness { psnr, views }| LikenessBody { psnr, views }),
             ..ListedFile::new("export", ArtifactKind::Scene(export.format), lambda, export.blob)
         }
     });

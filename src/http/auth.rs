@@ -5,26 +5,28 @@
 //! - While the database has no key, everybody is let in as [`Caller::ANYBODY`]; only loopback is served then
 //!   ([`super::HttpConfig::check_exposure`]). From the first key on, and for as long as the process lives, nothing under `/v1`
 //!   answers without one, revoked keys and unknown paths included.
+//! - A browser shows a key as the password of HTTP Basic, and does so by itself also where another site's page sends it. So that is
+//!   taken only for requests that change nothing.
 //! - Only what passed here has a [`Caller`]; handlers that ask for one cannot run without.
 //! - Behind this, no handler sees the key.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use axum::{
-    body::Body,
     extract::{MatchedPath, Request, State},
-    http::{HeaderMap, HeaderValue, StatusCode, header},
+    http::{HeaderMap, HeaderValue, Method, StatusCode, header},
     middleware::Next,
     response::{IntoResponse as _, Response},
 };
+use base64::{Engine as _, engine::general_purpose::STANDARD};
 
 use super::{
-    body::discard_little,
     client::ClientAddress,
     problem::Fault,
     scopes::{self, Access},
     state::AppState,
     throttle::Wait,
+    unread::LetIn,
 };
 use crate::{
     domain::{ApiKey, Caller, Scope},
@@ -55,7 +57,7 @@ pub(super) async fn authenticate(
     mut request: Request,
     next: Next,
 ) -> Response {
-    let shown = take_key(request.headers_mut());
+    let (shown, reads) = (take_key(request.headers_mut()), is_read(request.method()));
     let route = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
     let needed = match &route {
         Some(route) => scopes::access(request.method().as_str(), route),
@@ -67,13 +69,15 @@ pub(super) async fn authenticate(
         return next.run(request).await;
     }
     let address = request.extensions().get::<ClientAddress>().copied();
-    let caller = match admit(&state, shown, needed, address).await {
+    let caller = match admit(&state, shown, reads, needed, address).await {
         Ok(caller) => caller,
-        Err(fault) => return refuse(request, fault).await,
+        Err(fault) => return fault.into_response(),
     };
     if needed.is_some() {
         request.extensions_mut().insert(caller);
-        return next.run(request).await;
+        let mut response = next.run(request).await;
+        response.extensions_mut().insert(LetIn);
+        return response;
     }
     let place = format!("{} {}", request.method(), route.as_deref().unwrap_or("unmatched"));
     let response = next.run(request).await;
@@ -88,11 +92,19 @@ fn is_api(path: &str) -> bool {
     path == "/v1" || path.starts_with("/v1/")
 }
 
+/// Whether a request with this method changes nothing.
+fn is_read(method: &Method) -> bool {
+    matches!(*method, Method::GET | Method::HEAD)
+}
+
 /// What a request shows for a key.
 enum Shown {
     Nothing,
     Malformed,
-    Key(ApiKey),
+    /// As a program shows it.
+    Bearer(ApiKey),
+    /// As a browser does.
+    Basic(ApiKey),
 }
 
 /// Takes the `Authorization` header out of the request, so that nothing behind this can show it.
@@ -100,24 +112,35 @@ fn take_key(headers: &mut HeaderMap) -> Shown {
     let mut values = headers.get_all(header::AUTHORIZATION).iter();
     let shown = match (values.next(), values.next()) {
         (None, _) => Shown::Nothing,
-        (Some(value), None) => bearer(value).map_or(Shown::Malformed, Shown::Key),
+        (Some(value), None) => credentials(value).unwrap_or(Shown::Malformed),
         (Some(_), Some(_)) => Shown::Malformed,
     };
     headers.remove(header::AUTHORIZATION);
     shown
 }
 
-fn bearer(value: &HeaderValue) -> Option<ApiKey> {
-    let (scheme, key) = value.to_str().ok()?.split_once(' ')?;
-    if !scheme.eq_ignore_ascii_case("bearer") {
-        return None;
+fn credentials(value: &HeaderValue) -> Option<Shown> {
+    let (scheme, given) = value.to_str().ok()?.split_once(' ')?;
+    if scheme.eq_ignore_ascii_case("bearer") {
+        given.trim().parse().ok().map(Shown::Bearer)
+    } else if scheme.eq_ignore_ascii_case("basic") {
+        password(given.trim()).map(Shown::Basic)
+    } else {
+        None
     }
-    key.trim().parse().ok()
+}
+
+/// The key in the credentials of HTTP Basic (RFC 7617): their password. The user's name, in whatever encoding, is passed over.
+fn password(credentials: &str) -> Option<ApiKey> {
+    let decoded = STANDARD.decode(credentials).ok()?;
+    let colon = decoded.iter().position(|byte| *byte == b':')?;
+    std::str::from_utf8(&decoded[colon + 1..]).ok()?.parse().ok()
 }
 
 async fn admit(
     state: &AppState,
     shown: Shown,
+    reads: bool,
     needed: Option<Access>,
     address: Option<ClientAddress>,
 ) -> Result<Caller, Fault> {
@@ -129,13 +152,15 @@ async fn admit(
         Err(wait) => too_many_failures(wait),
     };
     let key = match shown {
-        Shown::Key(key) => key,
-        Shown::Nothing => return Err(fail(no_key())),
-        Shown::Malformed => return Err(fail(bad_key())),
+        Shown::Bearer(key) => key,
+        Shown::Basic(key) if reads => key,
+        Shown::Basic(_) => return Err(fail(not_by_basic())),
+        Shown::Nothing => return Err(fail(no_key(reads))),
+        Shown::Malformed => return Err(fail(bad_key(reads))),
     };
     // A good key passes however many bad ones came from its address: keys cannot be guessed, and behind a proxy all clients have
     // one address, so that one of them could lock out the rest.
-    let record = state.store().authenticate(key.hash()).await?.ok_or_else(|| fail(bad_key()))?;
+    let record = state.store().authenticate(key.hash()).await?.ok_or_else(|| fail(bad_key(reads)))?;
     state.throttle().request(&record).map_err(|wait| too_many_requests(&record, wait))?;
     record_use(state, &record);
     if let Some(Access::Scope(scope)) = needed
@@ -159,24 +184,37 @@ fn record_use(state: &AppState, key: &KeyRecord) {
     });
 }
 
-/// Answers in place of the handler.
-async fn refuse(request: Request, fault: Fault) -> Response {
-    let (parts, body) = request.into_parts();
-    discard_little(&mut Body::into_data_stream(body), &parts.headers).await;
-    fault.into_response()
+fn no_key(reads: bool) -> Fault {
+    let detail = if reads {
+        "this service answers those who have a key: send 'Authorization: Bearer tcgs_...', or give a browser the key as password"
+    } else {
+        "this service answers those who have a key: send 'Authorization: Bearer tcgs_...'"
+    };
+    challenge(reads, Fault::new(StatusCode::UNAUTHORIZED, "no-key", "A key is needed", detail), BEARER)
 }
 
-fn no_key() -> Fault {
-    let detail = "this service answers those who have a key: send 'Authorization: Bearer tcgs_...'";
-    Fault::new(StatusCode::UNAUTHORIZED, "no-key", "A key is needed", detail)
-        .with(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer realm=\"tcgs\""))
-}
-
-fn bad_key() -> Fault {
+fn bad_key(reads: bool) -> Fault {
     let detail = "the Authorization header holds no key that this service knows: it is mistyped, revoked or another service's";
-    let challenge = HeaderValue::from_static("Bearer realm=\"tcgs\", error=\"invalid_token\"");
-    Fault::new(StatusCode::UNAUTHORIZED, "invalid-key", "The key is not valid", detail)
-        .with(header::WWW_AUTHENTICATE, challenge)
+    let fault = Fault::new(StatusCode::UNAUTHORIZED, "invalid-key", "The key is not valid", detail);
+    challenge(reads, fault, BEARER_INVALID)
+}
+
+fn not_by_basic() -> Fault {
+    let detail =
+        "HTTP Basic is taken for GET and HEAD only; send the key as 'Authorization: Bearer tcgs_...'";
+    let fault =
+        Fault::new(StatusCode::UNAUTHORIZED, "bearer-needed", "The key is needed as a bearer's", detail);
+    challenge(false, fault, BEARER)
+}
+
+const BEARER: &str = "Bearer realm=\"tcgs\"";
+const BEARER_INVALID: &str = "Bearer realm=\"tcgs\", error=\"invalid_token\"";
+const BASIC: &str = "Basic realm=\"tcgs\"";
+
+/// Says by which schemes a key is taken. A browser asks its user for one where it may be sent by its own.
+fn challenge(reads: bool, fault: Fault, bearer: &'static str) -> Fault {
+    let fault = fault.with(header::WWW_AUTHENTICATE, HeaderValue::from_static(bearer));
+    if reads { fault.with(header::WWW_AUTHENTICATE, HeaderValue::from_static(BASIC)) } else { fault }
 }
 
 fn out_of_scope(key: &KeyRecord, scope: Scope) -> Fault {

@@ -13,15 +13,6 @@ use tokio::time::{Instant, timeout, timeout_at};
 use super::{config::RequestLimits, problem::Fault};
 use crate::store::{Blobs, Staged};
 
-/// How much of a refused body is read.
-const DISCARD_BYTES: usize = 256 << 20;
-/// How long a refused body is read.
-const DISCARD_TIME: Duration = Duration::from_secs(10);
-/// How much is read of the body of whoever is not let in.
-const DISCARD_LITTLE_BYTES: usize = 1 << 20;
-/// How long it is read.
-const DISCARD_LITTLE_TIME: Duration = Duration::from_secs(1);
-
 /// The media type of a request, without its parameters, in lower case.
 pub(super) fn media_type(headers: &HeaderMap) -> Option<String> {
     let value = headers.get(header::CONTENT_TYPE)?.to_str().ok()?;
@@ -98,37 +89,6 @@ pub(super) async fn read_optional_json(
         }
     }
     read_json(body, headers, limits).await.map(Some)
-}
-
-/// Reads on after a refusal, within bounds, and throws away what comes.
-///
-/// Many clients look for an answer only once they have sent their whole body. If the connection were closed
-/// before that, they would see it break instead of the reason. A client that waits for `100 Continue` has sent
-/// nothing and must not be made to.
-pub(super) async fn discard(body: &mut BodyDataStream, headers: &HeaderMap) {
-    discard_within(body, headers, DISCARD_BYTES, DISCARD_TIME).await;
-}
-
-/// The same for those who are not let in, who are read no further than is cheap.
-pub(super) async fn discard_little(body: &mut BodyDataStream, headers: &HeaderMap) {
-    discard_within(body, headers, DISCARD_LITTLE_BYTES, DISCARD_LITTLE_TIME).await;
-}
-
-async fn discard_within(body: &mut BodyDataStream, headers: &HeaderMap, bytes: usize, time: Duration) {
-    if headers.contains_key(header::EXPECT) {
-        return;
-    }
-    let read = async {
-        let mut left = bytes;
-        while let Some(Ok(piece)) = body.next().await {
-            left = left.saturating_sub(piece.len());
-            if left == 0 {
-                break;
-            }
-        }
-    };
-    // Running out of time is as good an end as any.
-    let _ = timeout(time, read).await;
 }
 
 fn refuse_announced(headers: &HeaderMap, limit: u64) -> Result<(), Fault> {

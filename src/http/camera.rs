@@ -110,8 +110,7 @@ pub(super) fn side(parameters: &mut Parameters, name: &str) -> Result<Option<u32
     Ok(side.map(NonZeroU32::get))
 }
 
-/// The same view at another size. Pixel centres lie at +0.5, so everything scales by plain factors; a side that is not
-/// given follows the other's.
+/// The same view at another size; a side that is not given follows the other's.
 pub(super) fn scaled(
     from: Intrinsics,
     width: Option<u32>,
@@ -126,10 +125,7 @@ pub(super) fn scaled(
         (None, Some(height)) => (follow(from.width, height, from.height), height),
         (Some(width), Some(height)) => (width, height),
     };
-    let (x, y) = (f64::from(width) / f64::from(from.width), f64::from(height) / f64::from(from.height));
-    let intrinsics =
-        Intrinsics { fx: from.fx * x, fy: from.fy * y, cx: from.cx * x, cy: from.cy * y, width, height };
-    intrinsics.validated()
+    from.resized(width, height).validated()
 }
 
 pub(super) fn impossible(error: CameraError) -> Fault {

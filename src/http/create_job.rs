@@ -8,10 +8,10 @@ use axum::{
 };
 use jiff::Timestamp;
 use tokio::task::spawn_blocking;
-use uuid::{NoContext, Uuid};
 
 use super::{
-    body::{discard, expect_media_type, media_type, read_json, stage},
+    body::{expect_media_type, media_type, read_json, stage},
+    create_scene::new_uuid,
     idempotency::{self, Keyed},
     job_body::href,
     job_wish::{JobWish, deadline},
@@ -44,17 +44,8 @@ pub(super) async fn create(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Fault> {
-    let mut body = body.into_data_stream();
     let asked = Asked { caller, uri: &uri, headers: &headers };
-    let made = match make(&state, &asked, &mut body).await {
-        Ok(made) => made,
-        Err(fault) => {
-            if !fault.is_about_transfer() {
-                discard(&mut body, &headers).await;
-            }
-            return Err(fault);
-        }
-    };
+    let made = make(&state, &asked, &mut body.into_data_stream()).await?;
     answer(&state, made, &headers).await
 }
 
@@ -202,7 +193,5 @@ async fn remembered(state: &AppState, found: &Remembered) -> Result<Made, Fault>
 
 /// An id whose time part is the service's clock, so that ids sort as jobs were made.
 pub(super) fn new_id(now: Timestamp) -> JobId {
-    let seconds = u64::try_from(now.as_second()).unwrap_or(0);
-    let nanoseconds = u32::try_from(now.subsec_nanosecond()).unwrap_or(0);
-    JobId(Uuid::new_v7(uuid::Timestamp::from_unix(NoContext, seconds, nanoseconds)))
+    JobId(new_uuid(now))
 }

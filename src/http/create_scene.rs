@@ -12,7 +12,7 @@ use tokio::task::spawn_blocking;
 use uuid::{NoContext, Uuid};
 
 use super::{
-    body::{discard, media_type, read_json, stage},
+    body::{media_type, read_json, stage},
     content_digest,
     idempotency::{self, Keyed},
     problem::Fault,
@@ -69,17 +69,8 @@ pub(super) async fn create(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Fault> {
-    let mut body = body.into_data_stream();
     let asked = Asked { state: &state, caller, uri: &uri, headers: &headers };
-    let made = match asked.make(&mut body).await {
-        Ok(made) => made,
-        Err(fault) => {
-            if !fault.is_about_transfer() {
-                discard(&mut body, &headers).await;
-            }
-            return Err(fault);
-        }
-    };
+    let made = asked.make(&mut body.into_data_stream()).await?;
     let location = HeaderValue::try_from(href(made.record.id)).map_err(|error| Fault::internal(&error))?;
     let mut response = representation(made.record);
     *response.status_mut() = made.status;

@@ -11,7 +11,7 @@ use std::{
 
 use axum::{
     extract::{Path, RawQuery, State},
-    http::HeaderMap,
+    http::{HeaderMap, HeaderName, HeaderValue},
     response::Response,
 };
 use bytes::Bytes;
@@ -27,15 +27,18 @@ use super::{
     jobs::find,
     problem::Fault,
     query::Parameters,
-    state::AppState,
+    state::{AppState, ExportedScene},
 };
 use crate::{
-    domain::{Caller, Camera, Digest, JobId, NamedCamera, SceneFormat, Split},
-    store::{ArtifactKind, ExportRecord, JobRecord},
+    domain::{Caller, Digest, JobId, NamedCamera, SceneFormat},
+    store::{ArtifactKind, ExportRecord, JobRecord, Likeness},
 };
 
 /// The formats that scenes are exported to.
 const FORMATS: [SceneFormat; 2] = [SceneFormat::Ply, SceneFormat::Spz];
+
+/// Mean PSNR in dB of the export's pictures against the scene's.
+const LIKENESS: HeaderName = HeaderName::from_static("x-likeness-psnr");
 
 /// Which export; the format by its name, which has an order.
 type Wanted = (JobId, Digest, &'static str);
@@ -80,12 +83,21 @@ pub(super) async fn get(
     let lambda = take_lambda(&mut parameters)?;
     parameters.finish()?;
     let source = file_of(&record, lambda)?;
-    let blob = if source.format == format {
-        source.blob
+    let (blob, likeness) = if source.format == format {
+        (source.blob, None)
     } else {
-        export(&state, &record, source.blob.digest, format).await?.blob
+        let export = export(&state, &record, source.blob.digest, format).await?;
+        (export.blob, export.likeness)
     };
-    serve(&state, &request, File::new(record.job.id, ArtifactKind::Scene(format), source.lambda, blob)).await
+    let file = File::new(record.job.id, ArtifactKind::Scene(format), source.lambda, blob);
+    let mut response = serve(&state, &request, file).await?;
+    if response.status().is_success()
+        && let Some(Likeness { psnr, .. }) = likeness
+        && let Ok(psnr) = HeaderValue::try_from(format!("{psnr:.2}"))
+    {
+        response.headers_mut().insert(LIKENESS, psnr);
+    }
+    Ok(response)
 }
 
 fn take_format(parameters: &mut Parameters) -> Result<SceneFormat, Fault> {
@@ -155,28 +167,27 @@ async fn make(
     if let Some(kept) = kept(&state, job, source, format).await? {
         return Ok(kept);
     }
+    // How long the file will be is known once it is made; then its bytes are counted as well.
+    state.store().admit_export(job).await?;
     let place = state.exports().places.try_acquire();
     let _place = place.map_err(|_| Fault::busy("too many scenes are being exported"))?;
     let _turn = state.exports().turns.acquire().await.map_err(|error| Fault::internal(&error))?;
     let file = state.blobs().read(source).await?;
-    let cameras = training_cameras(&state, &record).await?;
+    let cameras = cameras_of(&state, &record).await?;
     let write = state.services().export.clone();
     let exported = spawn_blocking(move || write(&file, format, &cameras)).await;
     let exported = exported.map_err(|error| Fault::internal(&error))??;
-    let blob = state.blobs().put(Bytes::from(exported.bytes)).await?;
-    let (gaussians, sh_degree) = (exported.gaussians, exported.sh_degree);
-    let export = ExportRecord { job, source, format, blob, gaussians, sh_degree };
+    let ExportedScene { bytes, gaussians, sh_degree, likeness } = exported;
+    let blob = state.blobs().put(Bytes::from(bytes)).await?;
+    let export = ExportRecord { job, source, format, blob, gaussians, sh_degree, likeness };
     let kept = state.store().add_export(export).await?;
     tracing::info!(%job, bytes = blob.bytes, "job {job} is exported as .{}", format.name());
     kept.ok_or_else(|| Fault::no_job(&job.to_string()))
 }
 
-/// The cameras that the scene was trained from, which its export is to look like from.
-async fn training_cameras(state: &AppState, record: &JobRecord) -> Result<Vec<Camera>, Fault> {
+/// The dataset's cameras, from which the export is to look like the scene.
+async fn cameras_of(state: &AppState, record: &JobRecord) -> Result<Vec<NamedCamera>, Fault> {
     let Some(blob) = record.artifact(ArtifactKind::Cameras) else { return Ok(Vec::new()) };
     let content = state.blobs().read(blob.digest).await?;
-    let cameras: Vec<NamedCamera> =
-        serde_json::from_slice(&content).map_err(|error| Fault::internal(&error))?;
-    let trained = cameras.into_iter().filter(|camera| camera.split == Split::Train);
-    Ok(trained.map(|camera| camera.camera).collect())
+    serde_json::from_slice(&content).map_err(|error| Fault::internal(&error))
 }

@@ -3,6 +3,7 @@
 use jiff::Timestamp;
 use serde::Serialize;
 
+use super::scene_body::DatasetBody;
 use crate::{
     domain::{Digest, JobId, JobMetrics, JobState, Phase, Problem, Progress, SceneId, TrainOptions},
     store::{JobRecord, SceneArtifact},
@@ -39,12 +40,6 @@ struct ArtifactBody {
     bytes: u64,
     sha256: Digest,
     href: String,
-}
-
-#[derive(Debug, Serialize)]
-struct DatasetBody {
-    bytes: u64,
-    sha256: Digest,
 }
 
 #[derive(Debug, Serialize)]
@@ -101,7 +96,7 @@ impl From<JobRecord> for JobBody {
             retry_of: record.retry_of,
             scene_id: record.scene,
             options: job.options,
-            dataset: DatasetBody { bytes: record.dataset.bytes, sha256: record.dataset.digest },
+            dataset: record.dataset.into(),
             created_at: job.created_at,
             started_at: job.started_at,
             finished_at: job.finished_at,

@@ -12,14 +12,17 @@ use axum::{
 };
 use serde::{Deserialize, Serialize};
 
-use super::{body::read_json, problem::Fault, query::Parameters, state::AppState};
+use super::{
+    body::read_json,
+    listing::{self, Page},
+    problem::Fault,
+    query::Parameters,
+    state::AppState,
+};
 use crate::{
     domain::{Caller, KeyId, KeyLimits, Scope},
     store::{KeyRecord, NewKey, NewKeyError},
 };
-
-const DEFAULT_PAGE: u32 = 20;
-const MAX_PAGE: u32 = 100;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -84,19 +87,12 @@ pub(super) async fn list(
     RawQuery(query): RawQuery,
 ) -> Result<impl IntoResponse, Fault> {
     let mut parameters = Parameters::parse(query.as_deref())?;
-    let limit = parameters.take_count("limit", DEFAULT_PAGE, MAX_PAGE)?;
+    let page = Page::take(&mut parameters, |text| text.parse().ok())?;
     let revoked = parameters.take_as("revoked", "true or false")?.unwrap_or(false);
-    let before = parameters.take_as("cursor", "one that this service gave out")?;
     parameters.finish()?;
-    // One more than asked for tells whether there is a next page.
-    let mut keys = state.store().keys(revoked, before, limit + 1).await?;
-    let more = keys.len() > limit as usize;
-    keys.truncate(limit as usize);
-    let next = keys
-        .last()
-        .filter(|_| more)
-        .map(|last| format!("/v1/keys?limit={limit}&revoked={revoked}&cursor={}", last.id));
-    Ok(([(header::CACHE_CONTROL, "no-store")], Json(KeyList { keys, next })))
+    let mut keys = state.store().keys(revoked, page.after, page.to_read()).await?;
+    let next = page.cut(&mut keys, &format!("/v1/keys?revoked={revoked}"), |last| last.id);
+    Ok((listing::headers(next.as_deref())?, Json(KeyList { keys, next })))
 }
 
 /// `GET /v1/keys/{id}`.

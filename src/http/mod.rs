@@ -51,6 +51,7 @@ mod stream_places;
 mod throttle;
 mod trace_parent;
 mod tus;
+mod unread;
 mod upload_part;
 mod uploads;
 mod views;
@@ -121,6 +122,7 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .layer(from_fn_with_state(state.clone(), auth::authenticate))
         .layer(CatchPanicLayer::custom(wrap::panicked))
         .layer(from_fn(head::bounded))
+        .layer(from_fn(unread::discard))
         .layer(from_fn_with_state(state.clone(), wrap::wrap))
         .with_state(state)
 }

@@ -33,11 +33,6 @@ impl Fault {
         self
     }
 
-    /// Whether the request's body was the trouble, so that reading more of it is of no use.
-    pub(super) fn is_about_transfer(&self) -> bool {
-        matches!(self.problem.status, 400 | 408)
-    }
-
     /// 422 about one query parameter.
     pub(super) fn parameter(name: &str, fault: impl std::fmt::Display) -> Self {
         Self::new(

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use crate::{
     domain::{DatasetSummary, Digest, SceneId},
-    store::SceneRecord,
+    store::{BlobRef, SceneRecord},
 };
 
 /// `#/components/schemas/Scene` of the contract.
@@ -21,10 +21,17 @@ pub(super) struct SceneBody {
     links: Links,
 }
 
+/// The archive that a scene or a job is made of.
 #[derive(Debug, Serialize)]
-struct DatasetBody {
+pub(super) struct DatasetBody {
     bytes: u64,
     sha256: Digest,
+}
+
+impl From<BlobRef> for DatasetBody {
+    fn from(BlobRef { digest, bytes }: BlobRef) -> Self {
+        Self { bytes, sha256: digest }
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -45,7 +52,7 @@ impl From<SceneRecord> for SceneBody {
             id: record.id,
             state: "ready",
             name: record.name,
-            dataset: DatasetBody { bytes: record.dataset.bytes, sha256: record.dataset.digest },
+            dataset: record.dataset.into(),
             summary: record.summary,
             created_at: record.created_at,
             links: Links { this: href(record.id), jobs: format!("/v1/jobs?scene_id={}", record.id) },

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::{
     etag::{Etag, not_modified},
-    listing::{self, DEFAULT_PAGE, MAX_PAGE, cursor, parse_cursor},
+    listing::{self, Page, cursor, parse_cursor},
     problem::Fault,
     query::Parameters,
     scene_body::SceneBody,
@@ -44,18 +44,13 @@ pub(super) async fn list(
     RawQuery(query): RawQuery,
 ) -> Result<Response, Fault> {
     let mut parameters = Parameters::parse(query.as_deref())?;
-    let limit = parameters.take_count("limit", DEFAULT_PAGE, MAX_PAGE)?;
-    let before = parameters.take("cursor").map(|text| parse_cursor(&text)).transpose()?;
-    let before = before.map(|(created_at, id)| ScenePage { created_at, id });
+    let page = Page::take(&mut parameters, |text| {
+        let (created_at, id) = parse_cursor(text)?;
+        Some(ScenePage { created_at, id })
+    })?;
     parameters.finish()?;
-    // One more than asked for tells whether there is a next page.
-    let mut records = state.store().scenes(caller.sees_only(), before, limit + 1).await?;
-    let more = records.len() > limit as usize;
-    records.truncate(limit as usize);
-    let next = records
-        .last()
-        .filter(|_| more)
-        .map(|last| format!("/v1/scenes?limit={limit}&cursor={}", cursor(last.created_at, last.id)));
+    let mut records = state.store().scenes(caller.sees_only(), page.after, page.to_read()).await?;
+    let next = page.cut(&mut records, "/v1/scenes", |last| cursor(last.created_at, last.id));
     let headers = listing::headers(next.as_deref())?;
     let scenes = records.into_iter().map(SceneBody::from).collect();
     Ok((headers, Json(SceneList { scenes, next })).into_response())

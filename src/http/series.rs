@@ -15,7 +15,7 @@ use super::{
     query::Parameters,
     state::AppState,
 };
-use crate::domain::{Caller, SERIES_POINTS, SeriesPoint};
+use crate::domain::{Caller, SERIES_POINTS, SeriesPoint, in_running_time};
 
 /// `#/components/schemas/Series` of the contract: columns of one length.
 #[derive(Debug, Default, PartialEq, Serialize)]
@@ -48,23 +48,8 @@ pub(super) async fn get(
     }
     let points = state.store().series(job.id).await?.ok_or_else(|| Fault::no_job(&id))?;
     let cache = (header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
-    let body = columns(thin(with_running_time(points), at_most as usize));
+    let body = columns(thin(in_running_time(points), at_most as usize));
     Ok(([(header::ETAG, etag.value()), cache], Json(body)).into_response())
-}
-
-/// The same points with seconds of training in all: those of an attempt that went on from a checkpoint are added to the time
-/// that it took to come there.
-fn with_running_time(mut points: Vec<SeriesPoint>) -> Vec<SeriesPoint> {
-    let (mut before, mut attempt, mut latest) = (0.0, None, 0.0);
-    for point in &mut points {
-        if attempt.is_some_and(|attempt| attempt != point.attempt) {
-            before = latest;
-        }
-        attempt = Some(point.attempt);
-        point.seconds += before;
-        latest = point.seconds;
-    }
-    points
 }
 
 /// At most so many of the points, evenly chosen, the first and the last among them; the last alone for one.
@@ -98,14 +83,10 @@ fn columns(points: Vec<SeriesPoint>) -> SeriesBody {
 mod tests {
     use super::*;
 
-    fn point(attempt: u32, step: u64, seconds: f64) -> SeriesPoint {
-        SeriesPoint { attempt, step, seconds, loss: None, psnr: None, anchors: 0, gaussians: 0, bytes: None }
-    }
-
     #[test]
     fn points_are_thinned_evenly_between_the_first_and_the_last() {
         let steps = |count, at_most| -> Vec<u64> {
-            let points = (0..count).map(|step| point(1, step, 0.0)).collect();
+            let points = (0..count).map(|step| SeriesPoint { step, ..SeriesPoint::default() }).collect();
             thin(points, at_most).into_iter().map(|point| point.step).collect()
         };
         assert_eq!(steps(9, 3), [0, 4, 8]);
@@ -117,12 +98,5 @@ mod tests {
             let kept = steps(count, at_most);
             assert_eq!((kept.len(), kept[0], kept.last()), (at_most, 0, Some(&(count - 1))));
         }
-    }
-
-    #[test]
-    fn time_goes_on_where_an_attempt_went_on() {
-        let points = vec![point(1, 1, 10.0), point(1, 2, 20.0), point(3, 3, 5.0), point(3, 4, 15.0)];
-        let seconds: Vec<f64> = with_running_time(points).into_iter().map(|point| point.seconds).collect();
-        assert_eq!(seconds, [10.0, 20.0, 25.0, 35.0]);
     }
 }

@@ -18,9 +18,9 @@ use super::{
     watch::Watcher,
 };
 use crate::{
-    domain::{Camera, Clock, DatasetSummary, Entropy, JobId, Problem, SceneFormat},
+    domain::{Clock, DatasetSummary, Entropy, JobId, NamedCamera, Problem, SceneFormat},
     render::{RenderViews, views::Viewable},
-    store::{Blobs, Store},
+    store::{Blobs, Likeness, Store},
 };
 
 /// Looks over a dataset archive before a scene or a job is made of it; blocks.
@@ -29,12 +29,12 @@ pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<DatasetSummary, Problem> + S
 /// Reads a finished scene's file; blocks.
 pub type SceneLoader = Arc<dyn Fn(&[u8]) -> Result<Viewable, Problem> + Send + Sync>;
 
-/// Writes a finished scene in another format so that it looks alike from these cameras; blocks.
+/// Writes a finished scene in another format so that it looks alike from the dataset's cameras, and looks how alike; blocks.
 pub type SceneExporter =
-    Arc<dyn Fn(&[u8], SceneFormat, &[Camera]) -> Result<ExportedScene, Problem> + Send + Sync>;
+    Arc<dyn Fn(&[u8], SceneFormat, &[NamedCamera]) -> Result<ExportedScene, Problem> + Send + Sync>;
 
 /// A finished scene in another format.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct ExportedScene {
     /// The file.
     pub bytes: Vec<u8>,
@@ -42,6 +42,8 @@ pub struct ExportedScene {
     pub gaussians: u64,
     /// Highest degree of its spherical harmonics.
     pub sh_degree: u8,
+    /// How alike it looks, if that can be told.
+    pub likeness: Option<Likeness>,
 }
 
 /// Removes what is kept of a deleted job beside the store and its blobs; blocks.

@@ -12,7 +12,7 @@ use jiff::{SignedDuration, Timestamp};
 use tracing::Instrument as _;
 
 use super::{
-    body::{discard, expect_media_type},
+    body::expect_media_type,
     create_scene::new_uuid,
     problem::Fault,
     query::Parameters,
@@ -94,13 +94,8 @@ pub(super) async fn create(
     caller: Caller,
     RawQuery(query): RawQuery,
     headers: HeaderMap,
-    body: Body,
 ) -> Result<Response, Fault> {
-    let begun = begin(&state, &caller, query.as_deref(), &headers).await;
-    if begun.is_err() {
-        discard(&mut body.into_data_stream(), &headers).await;
-    }
-    let record = begun?;
+    let record = begin(&state, &caller, query.as_deref(), &headers).await?;
     tracing::info!(upload = %record.id, bytes = record.length, "upload {} begins", record.id);
     let location = HeaderValue::try_from(format!("/v1/uploads/{}", record.id));
     let location = location.map_err(|error| Fault::internal(&error))?;
@@ -174,15 +169,8 @@ pub(super) async fn append(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Fault> {
-    let mut body = body.into_data_stream();
-    let part = match admit(&state, &caller, &id, &headers).await {
-        Ok(part) => part,
-        Err(fault) => {
-            discard(&mut body, &headers).await;
-            return Err(fault);
-        }
-    };
-    let record = receive(state, part, body, headers).await?;
+    let part = admit(&state, &caller, &id, &headers).await?;
+    let record = receive(state, part, body.into_data_stream()).await?;
     let headers =
         [(tus::OFFSET, HeaderValue::from(record.received)), (tus::EXPIRES, tus::date(record.expires_at)?)];
     Ok((StatusCode::NO_CONTENT, headers).into_response())
@@ -213,23 +201,11 @@ async fn admit(state: &AppState, caller: &Caller, id: &str, headers: &HeaderMap)
 }
 
 /// Writes a part, to its end even if the client is no longer there to be answered: what has come is to be kept.
-async fn receive(
-    state: AppState,
-    part: Part,
-    mut body: BodyDataStream,
-    headers: HeaderMap,
-) -> Result<UploadRecord, Fault> {
+async fn receive(state: AppState, part: Part, mut body: BodyDataStream) -> Result<UploadRecord, Fault> {
     let writing = async move {
         let place = state.uploads().try_acquire();
-        let busy = |_| Fault::busy("too many datasets are being received");
-        let received = match place.map_err(busy) {
-            Ok(_place) => part.receive(&state, &mut body).await,
-            Err(fault) => Err(fault),
-        };
-        if received.as_ref().is_err_and(|fault| !fault.is_about_transfer()) {
-            discard(&mut body, &headers).await;
-        }
-        received
+        let _place = place.map_err(|_| Fault::busy("too many datasets are being received"))?;
+        part.receive(&state, &mut body).await
     };
     tokio::spawn(writing.in_current_span()).await.map_err(|error| Fault::internal(&error))?
 }

@@ -1,6 +1,8 @@
 //! Webhook endpoints and what was delivered to them. What always holds: a secret is in the answer that makes its endpoint, and
 //! in no other.
 
+use std::str::FromStr;
+
 use axum::{
     Json,
     body::Body,
@@ -10,16 +12,20 @@ use axum::{
 };
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
-use uuid::{NoContext, Uuid};
 
-use super::{body::read_json, problem::Fault, query::Parameters, state::AppState};
+use super::{
+    body::read_json,
+    create_scene::new_uuid,
+    listing::{self, Page},
+    problem::Fault,
+    query::Parameters,
+    state::AppState,
+};
 use crate::{
     domain::{Caller, EndpointId, JobId, WebhookEvent, WebhookSecret},
     store::{DeliveryRecord, EndpointRecord, NewEndpoint, Replay},
 };
 
-const DEFAULT_PAGE: u32 = 20;
-const MAX_PAGE: u32 = 100;
 const MAX_DESCRIPTION: usize = 200;
 
 #[derive(Debug, Deserialize)]
@@ -115,7 +121,7 @@ pub(super) async fn create(
     let secret =
         WebhookSecret::generate(&*state.services().entropy).map_err(|error| Fault::internal(&error))?;
     let new = NewEndpoint {
-        id: new_id(state.services().clock.now()),
+        id: EndpointId(new_uuid(state.services().clock.now())),
         owner: caller.key,
         url: url.into(),
         events: wanted(events)?,
@@ -154,13 +160,6 @@ fn wanted(names: Option<Vec<String>>) -> Result<Vec<WebhookEvent>, Fault> {
     Ok(events)
 }
 
-/// An id whose time part is the service's clock, so that ids sort as endpoints were made.
-fn new_id(now: Timestamp) -> EndpointId {
-    let seconds = u64::try_from(now.as_second()).unwrap_or(0);
-    let nanoseconds = u32::try_from(now.subsec_nanosecond()).unwrap_or(0);
-    EndpointId(Uuid::new_v7(uuid::Timestamp::from_unix(NoContext, seconds, nanoseconds)))
-}
-
 fn invalid(detail: String) -> Fault {
     Fault::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid-endpoint", "Invalid webhook endpoint", detail)
 }
@@ -179,14 +178,12 @@ pub(super) async fn list(
     caller: Caller,
     RawQuery(query): RawQuery,
 ) -> Result<Response, Fault> {
-    let (limit, before) = page(query.as_deref())?;
-    let mut records = state.store().endpoints(caller.sees_only(), before, limit + 1).await?;
-    let more = records.len() > limit as usize;
-    records.truncate(limit as usize);
-    let last = records.last().filter(|_| more);
-    let next = last.map(|last| format!("/v1/webhook-endpoints?limit={limit}&cursor={}", last.id));
+    let page = page(query.as_deref())?;
+    let mut records = state.store().endpoints(caller.sees_only(), page.after, page.to_read()).await?;
+    let next = page.cut(&mut records, "/v1/webhook-endpoints", |last| last.id);
+    let headers = listing::headers(next.as_deref())?;
     let endpoints = records.into_iter().map(EndpointBody::from).collect();
-    Ok((no_store(), Json(EndpointList { endpoints, next })).into_response())
+    Ok((headers, Json(EndpointList { endpoints, next })).into_response())
 }
 
 /// `GET /v1/webhook-endpoints/{id}`.
@@ -219,14 +216,12 @@ pub(super) async fn deliveries(
     RawQuery(query): RawQuery,
 ) -> Result<Response, Fault> {
     let endpoint = find(&state, &caller, &id).await?.id;
-    let (limit, before) = page(query.as_deref())?;
-    let mut records = state.store().deliveries(endpoint, before, limit + 1).await?;
-    let more = records.len() > limit as usize;
-    records.truncate(limit as usize);
-    let last = records.last().filter(|_| more);
-    let next = last.map(|last| format!("{}/deliveries?limit={limit}&cursor={}", href(endpoint), last.seq));
+    let page = page(query.as_deref())?;
+    let mut records = state.store().deliveries(endpoint, page.after, page.to_read()).await?;
+    let next = page.cut(&mut records, &format!("{}/deliveries", href(endpoint)), |last| last.seq);
+    let headers = listing::headers(next.as_deref())?;
     let deliveries = records.into_iter().map(|record| delivery(endpoint, record)).collect();
-    Ok((no_store(), Json(DeliveryList { deliveries, next })).into_response())
+    Ok((headers, Json(DeliveryList { deliveries, next })).into_response())
 }
 
 /// `POST /v1/webhook-endpoints/{id}/deliveries/{delivery}/replay`.
@@ -265,12 +260,11 @@ async fn find(state: &AppState, caller: &Caller, id: &str) -> Result<EndpointRec
     record.filter(|record| caller.may_see(record.owner)).ok_or_else(unknown)
 }
 
-fn page<T: std::str::FromStr>(query: Option<&str>) -> Result<(u32, Option<T>), Fault> {
+fn page<C: FromStr>(query: Option<&str>) -> Result<Page<C>, Fault> {
     let mut parameters = Parameters::parse(query)?;
-    let limit = parameters.take_count("limit", DEFAULT_PAGE, MAX_PAGE)?;
-    let before = parameters.take_as("cursor", "one that this service gave out")?;
+    let page = Page::take(&mut parameters, |text| text.parse().ok())?;
     parameters.finish()?;
-    Ok((limit, before))
+    Ok(page)
 }
 
 fn no_store() -> [(header::HeaderName, &'static str); 1] {

@@ -9,6 +9,7 @@
 //! a blob has that long to refer to it.
 
 mod age;
+mod room;
 mod staging;
 mod upload;
 
@@ -17,7 +18,6 @@ use std::{
     ops::Range,
     path::{Path, PathBuf},
     sync::Arc,
-    time::Duration,
 };
 
 use bytes::Bytes;
@@ -33,14 +33,13 @@ use tokio::{
     sync::{Notify, futures::Notified},
 };
 
+use room::Room;
 pub use staging::{Staged, Staging};
 pub use upload::UploadFile;
 
 use super::BlobRef;
 use crate::domain::{Digest, UploadId};
 
-/// Age beyond which a staging file belongs to nobody.
-const STALE_STAGING: Duration = Duration::from_secs(24 * 3600);
 const PART_BYTES: usize = 8 << 20;
 const PARTS_IN_FLIGHT: usize = 2;
 
@@ -109,6 +108,8 @@ struct Inner {
     /// Where blobs lie; staging and uploads are beside it, on the same file system.
     root: PathBuf,
     staging: PathBuf,
+    /// This process's part of it.
+    room: Room,
     uploads: PathBuf,
     /// Guards the ages of blobs, in every process that has this store open.
     lock: PathBuf,
@@ -116,8 +117,8 @@ struct Inner {
 }
 
 impl Blobs {
-    /// Opens the store in `data/blobs`, staging in `data/staging`, uploads in `data/uploads`, and removes staging files that a
-    /// crash left there more than a day ago.
+    /// Opens the store in `data/blobs`, staging in `data/staging`, uploads in `data/uploads`, and removes what a
+    /// process that is gone has staged.
     ///
     /// # Errors
     /// [`BlobError::Io`] or [`BlobError::Store`] if the directories cannot be made or read.
@@ -126,10 +127,10 @@ impl Blobs {
         for folder in [&root, &staging, &uploads] {
             std::fs::create_dir_all(folder)?;
         }
-        sweep(&staging)?;
-        let store = LocalFileSystem::new_with_prefix(&root)?.with_fsync(true);
         let lock = data.join("blobs.lock");
-        Ok(Self(Arc::new(Inner { store, root, staging, uploads, lock, let_go: Notify::new() })))
+        let room = Room::open(&staging, &lock)?;
+        let store = LocalFileSystem::new_with_prefix(&root)?.with_fsync(true);
+        Ok(Self(Arc::new(Inner { store, root, staging, room, uploads, lock, let_go: Notify::new() })))
     }
 
     /// Begins a blob of at most `limit` bytes.
@@ -137,7 +138,7 @@ impl Blobs {
     /// # Errors
     /// [`BlobError::Io`].
     pub async fn stage(&self, limit: u64) -> Result<Staging, BlobError> {
-        Ok(Staging::new(tempfile::Builder::new().prefix("upload-").tempfile_in(&self.0.staging)?, limit))
+        Ok(Staging::new(tempfile::Builder::new().prefix("upload-").tempfile_in(self.0.room.path())?, limit))
     }
 
     /// Publishes a staged blob; an equal one that is already there is kept.
@@ -268,27 +269,6 @@ fn location(digest: Digest) -> ObjectPath {
     ObjectPath::from_iter(["sha256", &hex[..2], &hex[2..4], &hex])
 }
 
-fn sweep(staging: &Path) -> io::Result<()> {
-    for entry in std::fs::read_dir(staging)? {
-        let entry = entry?;
-        // The file system's stamps are by the machine's clock, whatever clock jobs are measured by.
-        let age = entry.metadata().and_then(|meta| meta.modified()).map(|at| at.elapsed());
-        if let Ok(Ok(age)) = age
-            && age > STALE_STAGING
-        {
-            // Another process may be sweeping too, and litter is no reason not to start.
-            match std::fs::remove_file(entry.path()) {
-                Ok(()) => tracing::info!(file = %entry.path().display(), "removed a stale staging file"),
-                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-                Err(error) => {
-                    tracing::warn!(file = %entry.path().display(), "a stale staging file stays: {error}");
-                }
-            }
-        }
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -336,30 +316,6 @@ mod tests {
         std::fs::write(file, b"rotten").expect("writable");
         assert!(matches!(blobs.read(blob.digest).await, Err(BlobError::Damaged { .. })));
         assert!(blobs.free_bytes().expect("known") > 0);
-    }
-
-    #[test]
-    fn opening_removes_what_a_crash_left_and_nothing_that_is_being_written() {
-        let folder = tempfile::tempdir().expect("a folder");
-        Blobs::open(folder.path()).expect("opens");
-        let [old, young] =
-            ["upload-old", "upload-young"].map(|name| folder.path().join("staging").join(name));
-        std::fs::write(&young, b"half").expect("writes");
-        let file = std::fs::File::create(&old).expect("made");
-        file.set_modified(std::time::SystemTime::UNIX_EPOCH).expect("dated back");
-        Blobs::open(folder.path()).expect("opens again");
-        assert!(!old.exists() && young.exists());
-    }
-
-    #[test]
-    fn litter_that_cannot_be_removed_does_not_keep_the_store_from_opening() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let litter = folder.path().join("staging").join("not-a-file");
-        std::fs::create_dir_all(&litter).expect("made");
-        let handle = std::fs::File::open(&litter).expect("opened");
-        handle.set_modified(std::time::SystemTime::UNIX_EPOCH).expect("dated back");
-        Blobs::open(folder.path()).expect("opens all the same");
-        assert!(litter.exists());
     }
 
     #[test]

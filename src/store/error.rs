@@ -20,9 +20,11 @@ pub enum StoreError {
     #[error("the Idempotency-Key was used before, for {}", .0.resource)]
     AlreadyMade(Box<Remembered>),
     /// More than the owner has room for.
-    #[error("{asked} more bytes are over the quota of {quota}: {used} are stored or kept for uploads")]
+    #[error(
+        "over the quota of {quota} bytes: {used} are stored or kept for uploads, and there has to be room for {asked} more"
+    )]
     QuotaExceeded {
-        /// What was to be added.
+        /// What was to be added, at least.
         asked: u64,
         /// What is stored or reserved.
         used: u64,

@@ -3,8 +3,17 @@
 use super::{Answer, ArtifactKind, BlobRef};
 use crate::domain::{Digest, JobId, KeyId, SceneFormat};
 
+/// How alike pictures of an export and of the scene that it was made of are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Likeness {
+    /// Mean PSNR of the one's pictures against the other's, in dB.
+    pub psnr: f64,
+    /// How many views were compared, more than none.
+    pub views: u32,
+}
+
 /// A finished scene in another format.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExportRecord {
     /// The job whose scene it is.
     pub job: JobId,
@@ -18,6 +27,8 @@ pub struct ExportRecord {
     pub gaussians: u64,
     /// Highest degree of its spherical harmonics.
     pub sh_degree: u8,
+    /// What the other format cost, if it could be measured.
+    pub likeness: Option<Likeness>,
 }
 
 /// A file that a job made, or that was made of its scene.
@@ -35,7 +46,11 @@ pub struct FileRecord {
 
 /// Part of a [`super::Store`]: exports, and files by hash. Every method is one transaction.
 pub trait Exports: Send + Sync + 'static {
-    /// Keeps an export, unless there is one like it, and gives back the one that is kept; `None` if the job is gone.
+    /// Refuses with [`super::StoreError::QuotaExceeded`] if the job's owner has no room left for an export, however small.
+    fn admit_export(&self, job: JobId) -> Answer<'_, ()>;
+
+    /// Keeps an export, unless there is one like it, and gives back the one that is kept; `None` if the job is gone. It counts
+    /// against the quota of the job's owner, and is refused if that has no room for it.
     fn add_export(&self, export: ExportRecord) -> Answer<'_, Option<ExportRecord>>;
 
     /// The exports of a job's scene.

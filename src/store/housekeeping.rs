@@ -1,5 +1,5 @@
-//! Clears away what nobody wants any more: uploads whose time is over, files of uploads that have ended, blobs that nothing
-//! refers to.
+//! Clears away what nobody wants any more: uploads whose time is over, files of uploads that have ended, what processes that
+//! are gone were staging, blobs that nothing refers to.
 //!
 //! A blob is published before anything refers to it, so it has a grace time from its latest publication. After that the order is:
 //! the table forgets it, in a transaction that finds no reference; then its file goes, unless it was published again meanwhile.
@@ -76,6 +76,7 @@ pub async fn clear(
 ) -> Result<Cleared, HousekeepingError> {
     let mut cleared =
         Cleared { uploads: clear_uploads(store, blobs, policy, now).await?, ..Cleared::default() };
+    blobs.clear_staging().await?;
     let before = earlier(now, policy.blob_grace);
     for batch in blobs.older_than(before).await?.chunks(BATCH) {
         for digest in store.forget_blobs(batch).await? {

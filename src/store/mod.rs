@@ -34,7 +34,7 @@ use futures_util::future::BoxFuture;
 pub use accounts::{Accounts, Usage};
 pub use blobs::{BlobError, Blobs, Staged, Staging, UploadFile};
 pub use error::StoreError;
-pub use exports::{ExportRecord, Exports, FileRecord};
+pub use exports::{ExportRecord, Exports, FileRecord, Likeness};
 pub use figures::{AttemptCount, Figures, Overview};
 pub use idempotency::{Idempotency, Intent, Remembered};
 pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};

@@ -17,7 +17,7 @@ use thiserror::Error;
 use super::sign::{SecretFault, sign};
 use crate::{
     domain::{OutboundFault, OutboundPolicy},
-    https,
+    https::{self, ExtraRoots},
     store::DueDelivery,
 };
 
@@ -47,9 +47,12 @@ pub enum SendError {
     /// No answer in time.
     #[error("no answer within {0} s")]
     Timeout(u64),
-    /// No connection, or none with TLS that can be trusted.
+    /// No connection, or none with TLS.
     #[error("no connection to the endpoint")]
     Connect,
+    /// Who answered cannot show who they are.
+    #[error("the endpoint's certificate {0}")]
+    Certificate(&'static str),
     /// The connection broke, or what came was not HTTP.
     #[error("the connection broke before there was an answer")]
     Broken,
@@ -73,12 +76,17 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// A sender that gives an attempt so much time.
+    /// A sender that gives an attempt so much time and trusts the system's authorities and `roots`.
     ///
     /// # Errors
     /// If there is no client with TLS to be had.
-    pub fn new(policy: OutboundPolicy, lookup: Lookup, limit: Duration) -> Result<Self, Box<dyn Error>> {
-        let client = https::client_builder()?
+    pub fn new(
+        policy: OutboundPolicy,
+        lookup: Lookup,
+        limit: Duration,
+        roots: &ExtraRoots,
+    ) -> Result<Self, Box<dyn Error>> {
+        let client = https::client_builder_trusting(roots)?
             .dns_resolver(Arc::new(Checked { policy, lookup }))
             .redirect(Policy::none())
             // A proxy would ask in its own name for addresses that nobody here has looked at.
@@ -115,6 +123,9 @@ impl Sender {
                 return refused.clone().into();
             }
             source = cause.source();
+        }
+        if let Some(reason) = https::certificate_fault(error) {
+            return SendError::Certificate(reason);
         }
         match () {
             () if error.is_timeout() => SendError::Timeout(self.limit.as_secs()),

@@ -150,6 +150,7 @@ async fn a_dataset_goes_in_over_http_and_a_file_and_views_come_out() {
     check_evaluation(&scene, &file, &job);
     check_events(&service, &path).await;
     check_views(&service, &path, &scene, &file).await;
+    check_export(&service, &path).await;
 
     assert!(artifact.body == reference().file, "the service and the command line give different files");
     let again = scene.at("again.tcgs");
@@ -301,6 +302,19 @@ async fn check_events(service: &Service, path: &str) {
 }
 
 /// One camera gives one picture, however it is asked for.
+/// An export says how alike it looks, and where the job's files are listed.
+async fn check_export(service: &Service, job: &str) {
+    let export = service.get(&format!("{job}/export?format=ply")).await.expect(200);
+    let psnr: f64 = export.header("x-likeness-psnr").parse().expect("a number");
+    assert!((20.0..100.0).contains(&psnr), "{psnr} dB");
+    let listed = service.get(&format!("{job}/artifacts")).await.expect(200).json();
+    let listed =
+        listed["artifacts"].as_array().expect("files").iter().find(|file| file["origin"] == "export");
+    let likeness = &listed.expect("the export")["likeness"];
+    assert!((number(&likeness["psnr"]) - psnr).abs() < 0.006, "{likeness}");
+    assert_eq!(likeness["views"], 8, "all that were held out");
+}
+
 async fn check_views(service: &Service, path: &str, scene: &Scene, file: &Path) {
     let by_frame = service.get(&format!("{path}/view?frame={HELD_OUT}")).await.expect(200);
     assert_eq!(by_frame.header("content-type"), "image/png");

@@ -4,12 +4,13 @@ use std::time::Instant;
 
 use serde::Serialize;
 use tcgs::{
-    domain::{Background, Camera, GaussianScene, Problem, Scene, SceneFormat, harmonics},
+    domain::{Background, Camera, GaussianScene, Image, Intrinsics, Problem, Scene, SceneFormat, harmonics},
     eval::{mean_scores_with, psnr, score_view},
     export::{
         bake::{self, BakeSettings},
         spz::{Packed, to_spz},
     },
+    store::Likeness,
     worker::scene_file,
 };
 
@@ -23,6 +24,10 @@ const SPHERE_CHECKS: usize = 16;
 
 /// Width and height of the pictures that are compared there.
 const SPHERE_SIDE: u32 = 320;
+
+/// Views from which a service looks how alike an export is, and their longer side.
+const LIKENESS_VIEWS: usize = 8;
+const LIKENESS_SIDE: u32 = 256;
 
 /// What an anchor scene was baked from.
 #[derive(Debug, Serialize)]
@@ -124,34 +129,28 @@ pub(crate) fn compare(
     source: &Renderer,
     exported: &[u8],
     background: Background,
-    photographs: Option<&[(String, Camera, tcgs::domain::Image)]>,
+    photographs: Option<&[(String, Camera, Image)]>,
 ) -> Result<Quality, Problem> {
     let mut file = scene_file::read(exported)?;
     file.background = background;
     let exported = source.beside(file);
-    let different =
-        || Problem::new(500, "internal", "Internal error", "two renders of one view differ in size");
     let mut to_source = Vec::new();
-    let mut pair = |camera: &Camera| {
-        let (a, b) = (source.view(camera)?, exported.view(camera)?);
-        to_source.push(psnr(&a, &b).ok_or_else(different)?);
-        Ok::<_, Problem>((a, b))
-    };
     let (mut of_source, mut of_exported) = (None, None);
     match photographs {
         Some(photographs) => {
             let (mut before, mut after) = (Vec::new(), Vec::new());
             for (name, camera, photograph) in photographs {
-                let (a, b) = pair(camera)?;
-                before.push(score_view(name, &a, photograph).ok_or_else(different)?);
-                after.push(score_view(name, &b, photograph).ok_or_else(different)?);
+                let pair = pair(source, &exported, camera)?;
+                to_source.push(pair.psnr);
+                before.push(score_view(name, &pair.source, photograph).ok_or_else(different)?);
+                after.push(score_view(name, &pair.exported, photograph).ok_or_else(different)?);
             }
             of_source = mean_scores_with(&before, None).psnr;
             of_exported = mean_scores_with(&after, None).psnr;
         }
         None => {
             for camera in sphere_of(&source.viewable.scene, SPHERE_CHECKS)? {
-                pair(&camera)?;
+                to_source.push(pair(source, &exported, &camera)?.psnr);
             }
         }
     }
@@ -164,6 +163,50 @@ pub(crate) fn compare(
         psnr_lost: of_source.zip(of_exported).map(|(source, exported)| source - exported),
         adapter: source.adapter.clone(),
     })
+}
+
+/// How alike a scene and its export look from a few of `cameras`, in small pictures; none without cameras.
+pub(super) fn likeness(
+    source: &Renderer,
+    exported: &[u8],
+    cameras: &[Camera],
+) -> Result<Option<Likeness>, Problem> {
+    let mut file = scene_file::read(exported)?;
+    file.background = source.viewable.background;
+    let exported = source.beside(file);
+    let views = cameras.len().min(LIKENESS_VIEWS);
+    let mut sum = 0.0;
+    for place in 0..views {
+        sum += pair(source, &exported, &small(&cameras[place * cameras.len() / views]))?.psnr;
+    }
+    let count = u32::try_from(views).unwrap_or(u32::MAX);
+    Ok((views > 0).then(|| Likeness { psnr: sum / f64::from(count), views: count }))
+}
+
+/// The same view with sides of at most [`LIKENESS_SIDE`].
+fn small(camera: &Camera) -> Camera {
+    let Intrinsics { width, height, .. } = camera.intrinsics;
+    let longer = width.max(height).max(LIKENESS_SIDE);
+    let side = |side: u32| (u64::from(side) * u64::from(LIKENESS_SIDE) / u64::from(longer)).max(1) as u32;
+    Camera { intrinsics: camera.intrinsics.resized(side(width), side(height)), pose: camera.pose }
+}
+
+/// A view of two scenes.
+struct Pair {
+    source: Image,
+    exported: Image,
+    /// Of the one against the other.
+    psnr: f64,
+}
+
+fn pair(source: &Renderer, exported: &Renderer, camera: &Camera) -> Result<Pair, Problem> {
+    let (source, exported) = (source.view(camera)?, exported.view(camera)?);
+    let psnr = psnr(&source, &exported).ok_or_else(different)?;
+    Ok(Pair { source, exported, psnr })
+}
+
+fn different() -> Problem {
+    Problem::new(500, "internal", "Internal error", "two pictures of one view differ in size")
 }
 
 fn sphere(file: &SceneFile, count: usize) -> Result<Vec<Camera>, Problem> {
@@ -195,4 +238,27 @@ fn lowered(mut scene: GaussianScene, degree: u8) -> GaussianScene {
 
 fn not_exportable(fault: impl std::fmt::Display) -> Problem {
     Problem::new(422, "not-exportable", "The scene cannot be exported", fault.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use tcgs::domain::Pose;
+
+    use super::*;
+
+    #[test]
+    fn views_to_compare_are_small_and_show_the_same() {
+        let of = |width: u32, height: u32| {
+            let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 4.0);
+            let intrinsics = Intrinsics { fx: 1000.0, fy: 900.0, cx, cy, width, height };
+            let pose = Pose::look_at(glam::DVec3::X, glam::DVec3::ZERO, glam::DVec3::Z).expect("a pose");
+            small(&Camera { intrinsics, pose }).intrinsics
+        };
+        let shrunk = of(1600, 1200);
+        assert_eq!((shrunk.width, shrunk.height), (256, 192));
+        assert_eq!([shrunk.fx, shrunk.fy, shrunk.cx, shrunk.cy], [160.0, 144.0, 128.0, 48.0]);
+        assert_eq!((of(1200, 1600).width, of(1200, 1600).height), (192, 256));
+        assert_eq!((of(48, 32).width, of(48, 32).height), (48, 32), "and none is enlarged");
+        assert_eq!((of(10_000, 1).width, of(10_000, 1).height), (256, 1));
+    }
 }

@@ -14,12 +14,14 @@ use std::{
 
 use tcgs::{
     domain::{
-        Camera, KeyLimits, MemoryLimits, OutboundPolicy, Problem, SceneFormat, SystemClock, SystemEntropy,
+        Camera, Digest, KeyLimits, MemoryLimits, NamedCamera, OutboundPolicy, Problem, SceneFormat, Split,
+        SystemClock, SystemEntropy,
     },
     gpu::{AdapterChoice, driver_cache},
     http::{self, ExportedScene, HttpConfig, Services, WorkerCounts},
+    https::ExtraRoots,
     ingest,
-    render::views::Viewable,
+    render::{RenderViews, views::Viewable},
     store::{
         Blobs, Keys as _, QueuePolicy, SqliteStore,
         housekeeping::{HousekeepingPolicy, keep_house},
@@ -30,7 +32,8 @@ use tcgs::{
 use tokio::runtime::Runtime;
 use tokio_util::sync::CancellationToken;
 
-use crate::cli::{Failure, logging::Format};
+use super::Renderer;
+use crate::cli::{Failure, files, logging::Format};
 
 /// Name of the database in the data folder.
 const DATABASE: &str = "tcgs.sqlite";
@@ -60,8 +63,12 @@ pub(crate) struct ServeOptions {
     pub(crate) lpips: Option<PathBuf>,
     /// Worker processes to start.
     pub(crate) workers: u16,
+    /// How far they let other processes go first.
+    pub(crate) worker_nice: u8,
     /// Where webhooks may be sent.
     pub(crate) webhook_targets: OutboundPolicy,
+    /// PEM file of authorities that are trusted there besides the system's.
+    pub(crate) webhook_roots: Option<PathBuf>,
     /// How this process logs, and so its workers.
     pub(crate) log_format: Format,
 }
@@ -88,6 +95,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
         config.check_exposure(has_keys).map_err(|fault| Failure::Usage(format!("--listen: {fault}")))?;
         // Before any worker starts, which would find the same faults.
         super::lpips(options.lpips.as_deref())?;
+        let roots = webhook_roots(options.webhook_roots.as_deref())?;
         let (renderer, _) = super::views(&options.adapter, options.view_memory)?;
         let listeners = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
         let (store, blobs) = open_with(&options.data, options.limits).await?;
@@ -109,7 +117,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
             shutdown.clone(),
         ));
         let checkpoints = options.data.join(CHECKPOINTS);
-        let sender = Sender::new(options.webhook_targets, webhooks::system_lookup(), WEBHOOK_TIMEOUT)
+        let sender = Sender::new(options.webhook_targets, webhooks::system_lookup(), WEBHOOK_TIMEOUT, &roots)
             .map_err(|fault| unavailable(&*fault))?;
         let delivering = tokio::spawn(webhooks::deliver(
             store.clone(),
@@ -127,8 +135,11 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
                 let file = scene_file::read(bytes)?;
                 Ok(Viewable { scene: file.scene, background: file.background })
             }),
+            export: {
+                let views = Arc::clone(&renderer);
+                Arc::new(move |bytes, format, cameras| export(&views, bytes, format, cameras))
+            },
             renderer,
-            export: Arc::new(export),
             forget: Arc::new(move |job| worker::forget_checkpoints(&checkpoints, job)),
             workers: Arc::new(move || WorkerCounts {
                 expected: census.expected(),
@@ -191,6 +202,13 @@ async fn open_with(data: &Path, limits: KeyLimits) -> Result<(Arc<SqliteStore>, 
     Ok((Arc::new(store), blobs))
 }
 
+/// The authorities in a file, if one is named.
+fn webhook_roots(path: Option<&Path>) -> Result<ExtraRoots, Failure> {
+    let Some(path) = path else { return Ok(ExtraRoots::default()) };
+    ExtraRoots::from_pem(&files::read(path)?)
+        .map_err(|fault| Failure::Usage(format!("--webhooks-ca: {} {fault}", path.display())))
+}
+
 /// Whether the database knows of keys; where there is none yet, none is made to find that out.
 async fn has_keys(data: &Path) -> Result<bool, Failure> {
     if !data.join(DATABASE).exists() {
@@ -205,13 +223,31 @@ async fn has_keys(data: &Path) -> Result<bool, Failure> {
 /// Highest degree of the spherical harmonics of scenes that are exported on demand.
 const EXPORT_DEGREE: u8 = 3;
 
-/// A finished scene in another format, made to look alike from `cameras`, or from all around where there are none.
-fn export(bytes: &[u8], format: SceneFormat, cameras: &[Camera]) -> Result<ExportedScene, Problem> {
+/// A finished scene in another format, made to look alike from the training cameras, or from all around where there are none.
+fn export(
+    views: &Arc<dyn RenderViews>,
+    bytes: &[u8],
+    format: SceneFormat,
+    cameras: &[NamedCamera],
+) -> Result<ExportedScene, Problem> {
     let file = scene_file::read(bytes)?;
-    let cameras = (!cameras.is_empty()).then_some(cameras);
-    let exported = super::export(&file, format, EXPORT_DEGREE, cameras)?;
+    let trained = of_split(cameras, Split::Train);
+    let from = (!trained.is_empty()).then_some(&*trained);
+    let exported = super::export(&file, format, EXPORT_DEGREE, from)?;
     let gaussians = u64::try_from(exported.gaussians).unwrap_or(u64::MAX);
-    Ok(ExportedScene { bytes: exported.bytes, gaussians, sh_degree: exported.degree })
+    let held_out = of_split(cameras, Split::Test);
+    let cameras = if held_out.is_empty() { trained } else { held_out };
+    // The key of its views too, so that a scene that is being looked at is not loaded again.
+    let source = Renderer::over(Arc::clone(views), Digest::of(bytes), file);
+    let likeness = super::likeness(&source, &exported.bytes, &cameras).unwrap_or_else(|fault| {
+        tracing::warn!("how alike an export looks cannot be told: {fault}");
+        None
+    });
+    Ok(ExportedScene { bytes: exported.bytes, gaussians, sh_degree: exported.degree, likeness })
+}
+
+fn of_split(cameras: &[NamedCamera], split: Split) -> Vec<Camera> {
+    cameras.iter().filter(|camera| camera.split == split).map(|camera| camera.camera).collect()
 }
 
 /// The environment that lets workers find compiled kernels again.
@@ -239,6 +275,8 @@ fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
         "--stop-with-parent".into(),
         "--host-memory".into(),
         options.memory.host.to_string().into(),
+        "--worker-nice".into(),
+        options.worker_nice.to_string().into(),
     ];
     if let Some(gpu) = options.memory.gpu {
         arguments.extend(["--gpu-memory".into(), gpu.to_string().into()]);

@@ -21,7 +21,7 @@ use prometheus_client::{
 };
 use tokio::sync::Mutex;
 
-use super::super::{health, problem::Fault, state::AppState, wrap};
+use super::super::{head, health, problem::Fault, state::AppState, unread, wrap};
 use crate::store::Figures;
 
 /// How long what the database says is told again.
@@ -41,7 +41,8 @@ pub(in super::super) fn router(state: AppState) -> Router {
     Router::new()
         .route("/metrics", routing::get(get))
         .route("/healthz", routing::get(health::healthz))
-        .layer(from_fn(super::super::head::bounded))
+        .layer(from_fn(head::bounded))
+        .layer(from_fn(unread::discard))
         .layer(from_fn_with_state(state.clone(), wrap::wrap))
         .with_state(state)
 }

@@ -6,7 +6,7 @@ use super::{
     chart::{Chart, Series},
     history::History,
 };
-use crate::{domain::Progress, store::JobRecord};
+use crate::{domain::SeriesPoint, store::JobRecord};
 
 /// The section of curves.
 pub(super) fn curves(record: &JobRecord, history: &History) -> Markup {
@@ -27,7 +27,7 @@ fn line(name: &'static str, points: Vec<(f64, f64)>) -> Series {
 }
 
 fn against_time(record: &JobRecord, history: &History) -> Markup {
-    let mut training = history.points(|report| Some(report.elapsed_seconds), |report| report.psnr);
+    let mut training = history.points(|point| Some(point.seconds), |point| point.psnr);
     let held_out = record.job.metrics.as_ref().and_then(|metrics| metrics.test.psnr);
     let mut held_out: Vec<(f64, f64)> = held_out.map(|psnr| (history.end, psnr)).into_iter().collect();
     let unit = TimeUnit::of(history.end);
@@ -62,9 +62,9 @@ fn against_size(record: &JobRecord, history: &History) -> Markup {
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
         points
     };
-    let estimated = |report: &Progress| report.bytes.map(|bytes| bytes as f64);
+    let estimated = |point: &SeriesPoint| point.bytes.map(|bytes| bytes as f64);
     let mut training =
-        if curve.is_empty() { history.points(estimated, |report| report.psnr) } else { Vec::new() };
+        if curve.is_empty() { history.points(estimated, |point| point.psnr) } else { Vec::new() };
     let most = training
         .iter()
         .map(|(bytes, _)| *bytes)
@@ -93,7 +93,7 @@ fn against_size(record: &JobRecord, history: &History) -> Markup {
 }
 
 fn loss(history: &History) -> Markup {
-    let points = history.points(|report| Some(report.step as f64), |report| report.loss);
+    let points = history.points(|point| Some(point.step as f64), |point| point.loss);
     Chart {
         title: "Loss",
         x: "step".to_owned(),

@@ -1,112 +1,59 @@
-//! What a job's events tell of its course: one line of reports, whatever interruptions there were.
-
-use serde_json::Value;
+//! What is kept of a job's course: one line of points, whatever interruptions there were.
 
 use crate::{
-    domain::{Event, EventKind, JobId, Progress},
+    domain::{Job, SeriesPoint, in_running_time},
     store::{Store, StoreError},
 };
 
-/// Events that are read at a time, and how often at most.
-const PAGE: u32 = 1000;
-const PAGES: usize = 30;
-
-/// The reports that led to where the job is now, oldest first. What an attempt did again is there once; its seconds go on from
-/// those of the attempt before it.
+/// The points that led to where the job is now, by their steps, in seconds of work in all.
 #[derive(Debug, Default)]
 pub(super) struct History {
-    pub(super) reports: Vec<Progress>,
-    /// Seconds of work until the latest report.
+    points: Vec<SeriesPoint>,
+    /// Seconds of work until the latest report, measuring included.
     pub(super) end: f64,
-    /// The attempt of the latest report.
-    attempt: u32,
-    /// Seconds before the latest attempt's own.
-    before: f64,
 }
 
 impl History {
-    /// Reads the events of a job; of one with more than tens of thousands, the first of them.
-    pub(super) async fn read(store: &dyn Store, job: JobId) -> Result<Self, StoreError> {
-        let (mut history, mut after) = (Self::default(), 0);
-        for _ in 0..PAGES {
-            let Some(events) = store.events(job, after, PAGE).await? else { break };
-            let Some(last) = events.last() else { break };
-            after = last.seq;
-            let is_last = events.len() < PAGE as usize;
-            events.into_iter().for_each(|event| history.take(event));
-            if is_last {
-                break;
-            }
-        }
-        Ok(history)
+    /// Reads the course of a job.
+    pub(super) async fn read(store: &dyn Store, job: &Job) -> Result<Self, StoreError> {
+        let points = store.series(job.id).await?.unwrap_or_default();
+        Ok(Self::of(points, job.attempt, job.progress.elapsed_seconds))
     }
 
-    fn take(&mut self, event: Event) {
-        if event.kind != EventKind::Progress {
-            return;
-        }
-        let Ok(progress) = serde_json::from_value::<Progress>(Value::clone(&event.data)) else { return };
-        if event.attempt != self.attempt {
-            self.attempt = event.attempt;
-            // The first report of an attempt that goes on from a checkpoint tells where from.
-            self.reports.retain(|report| report.step < progress.step);
-            self.before = self.reports.last().map_or(0.0, |report| report.elapsed_seconds);
-        }
-        let elapsed_seconds = self.before + progress.elapsed_seconds;
-        self.end = elapsed_seconds;
-        // What follows training repeats its last report.
-        if self.reports.last().is_some_and(|last| last.step == progress.step && last.loss == progress.loss) {
-            return;
-        }
-        self.reports.push(Progress { elapsed_seconds, ..progress });
+    /// Of a job whose latest attempt has taken `elapsed_seconds` of its own.
+    fn of(points: Vec<SeriesPoint>, attempt: u32, elapsed_seconds: f64) -> Self {
+        let points = in_running_time(points);
+        let before = points.iter().rfind(|point| point.attempt != attempt).map_or(0.0, |point| point.seconds);
+        Self { points, end: before + elapsed_seconds }
     }
 
     /// The pairs of figures that both are known for, as `x` and `y` give them.
     pub(super) fn points(
         &self,
-        x: impl Fn(&Progress) -> Option<f64>,
-        y: impl Fn(&Progress) -> Option<f64>,
+        x: impl Fn(&SeriesPoint) -> Option<f64>,
+        y: impl Fn(&SeriesPoint) -> Option<f64>,
     ) -> Vec<(f64, f64)> {
-        let finite = |value: f64| value.is_finite().then_some(value);
-        self.reports.iter().filter_map(|report| Some((finite(x(report)?)?, finite(y(report)?)?))).collect()
+        self.points.iter().filter_map(|point| Some((x(point)?, y(point)?))).collect()
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use jiff::Timestamp;
-
     use super::*;
 
-    fn report(attempt: u32, step: u64, elapsed_seconds: f64, psnr: Option<f64>) -> Event {
-        let data = Progress { step, elapsed_seconds, psnr, ..Progress::default() };
-        let data = serde_json::to_value(data).expect("JSON");
-        Event { seq: 1, at: Timestamp::UNIX_EPOCH, kind: EventKind::Progress, attempt, data }
+    fn point(attempt: u32, step: u64, seconds: f64, psnr: Option<f64>) -> SeriesPoint {
+        SeriesPoint { attempt, step, seconds, psnr, ..SeriesPoint::default() }
     }
 
     #[test]
-    fn an_attempt_that_goes_on_continues_the_line_and_one_that_starts_over_begins_it_anew() {
-        let mut history = History::default();
-        for event in [report(1, 0, 1.0, None), report(1, 10, 5.0, Some(20.0)), report(1, 30, 9.0, Some(22.0))]
-        {
-            history.take(event);
-        }
-        history.take(report(2, 20, 0.5, Some(21.0)));
-        history.take(report(2, 40, 4.5, Some(23.0)));
-        let line =
-            |history: &History| history.points(|report| Some(report.elapsed_seconds), |report| report.psnr);
-        assert_eq!(line(&history), [(5.0, 20.0), (5.5, 21.0), (9.5, 23.0)]);
-        history.take(report(3, 0, 1.0, Some(9.0)));
-        assert_eq!(line(&history), [(1.0, 9.0)]);
-        history.take(report(3, 0, 7.0, Some(9.0)));
-        assert_eq!((line(&history).len(), history.end), (1, 7.0), "a repeated report only takes time");
-    }
-
-    #[test]
-    fn what_is_no_report_is_passed_over() {
-        let mut history = History::default();
-        history.take(Event { kind: EventKind::State, ..report(1, 1, 1.0, Some(1.0)) });
-        history.take(Event { data: serde_json::json!("odd"), ..report(1, 1, 1.0, Some(1.0)) });
-        assert!(history.reports.is_empty());
+    fn an_attempt_that_goes_on_continues_the_line_and_the_work_ends_after_its_last_point() {
+        let first = [point(1, 0, 1.0, None), point(1, 10, 5.0, Some(20.0))];
+        let went_on = [point(2, 20, 0.5, Some(21.0)), point(2, 40, 4.5, Some(23.0))];
+        let history = History::of([first.clone(), went_on].concat(), 2, 6.0);
+        let line = history.points(|point| Some(point.seconds), |point| point.psnr);
+        assert_eq!(line, [(5.0, 20.0), (5.5, 21.0), (9.5, 23.0)]);
+        assert_eq!(history.end, 11.0);
+        assert_eq!(History::of(first.into(), 1, 7.0).end, 7.0);
+        assert_eq!(History::of(Vec::new(), 0, 0.0).end, 0.0);
     }
 }

@@ -76,7 +76,7 @@ pub(super) async fn get(
     if etag.is_in_if_none_match(&headers) {
         return Ok(not_modified(&etag));
     }
-    let history = History::read(state.store(), record.job.id).await?;
+    let history = History::read(state.store(), &record.job).await?;
     let held_out: Option<HeldOut> = document(&state, &record, ArtifactKind::HeldOut).await?;
     let cameras: Option<Vec<NamedCamera>> = document(&state, &record, ArtifactKind::Cameras).await?;
     let page = Page { record, history, held_out, cameras: cameras.unwrap_or_default() }.html().into_string();

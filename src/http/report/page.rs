@@ -108,7 +108,6 @@ impl Page {
                             @for weight in weights { option value=(weight) { "λ = " (weight) } }
                         } }
                     }
-                    " " label #viewer-key hidden { "API key: " input type="password" autocomplete="off"; }
                 }
             }
         }

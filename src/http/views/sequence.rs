@@ -14,6 +14,7 @@ use super::{
     bad_field, cameras, check_pixels, check_sides, dataset_cameras,
     film::{Film, Parts, Wrapping},
     keep_a_day,
+    key::Shot,
     queue::Visit,
     read, shots_of_any_size, specs, take_kind,
 };
@@ -56,13 +57,8 @@ pub(in crate::http) async fn stream(
     let lambda = take_lambda(&mut parameters)?;
     let orbit = OrbitSpec::take(&mut parameters, state.limits().frames)?;
     parameters.finish()?;
-    let film = Film {
-        shots: shots_of_any_size(&record, lambda, &orbit.cameras(&state, &record).await?, kind)?,
-        rounds,
-        every: Some(Duration::from_secs(1) / rate),
-        until_drain: true,
-    };
-    streamed(&state, &caller, film).await
+    let cameras = orbit.cameras(&state, &record).await?;
+    streamed(&state, &caller, shots_of_any_size(&record, lambda, &cameras, kind)?, rounds, rate).await
 }
 
 /// `POST /v1/jobs/{id}/stream`.
@@ -93,13 +89,8 @@ pub(in crate::http) async fn stream_path(
     let path = PathSpec { keys: body.path, frames: body.frames, closed: body.closed };
     let rate = count("fps", body.fps, DEFAULT_RATE, MAX_RATE)?;
     let rounds = count("rounds", body.rounds, 1, MAX_ROUNDS)?;
-    let film = Film {
-        shots: shots_of_any_size(&record, body.lambda, &path.cameras(&state, &record).await?, kind)?,
-        rounds,
-        every: Some(Duration::from_secs(1) / rate),
-        until_drain: true,
-    };
-    streamed(&state, &caller, film).await
+    let cameras = path.cameras(&state, &record).await?;
+    streamed(&state, &caller, shots_of_any_size(&record, body.lambda, &cameras, kind)?, rounds, rate).await
 }
 
 /// `GET /v1/jobs/{id}/animation`.
@@ -155,7 +146,16 @@ pub(in crate::http) async fn animation_path(
     Ok(response)
 }
 
-async fn streamed(state: &AppState, caller: &Caller, film: Film) -> Result<Response, Fault> {
+/// Plays the shots `rounds` times, so many a second.
+async fn streamed(
+    state: &AppState,
+    caller: &Caller,
+    shots: Vec<Shot>,
+    rounds: u32,
+    rate: u32,
+) -> Result<Response, Fault> {
+    let every = Some(Duration::from_secs(1) / rate);
+    let film = Film { shots, rounds, every, until_drain: true };
     let place = state.studio().queue.enter(caller.key, Visit::Stream)?;
     let mut response = film.answer(state, place, Wrapping::Parts(Parts::Replace)).await?;
     let headers = response.headers_mut();

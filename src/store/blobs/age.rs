@@ -136,7 +136,7 @@ pub(super) fn age_of(path: &Path) -> io::Result<Option<Timestamp>> {
 }
 
 /// Each process and each task opens the lock for itself; it is let go when the file is closed.
-fn open_lock(path: &Path) -> io::Result<File> {
+pub(super) fn open_lock(path: &Path) -> io::Result<File> {
     File::options().create(true).truncate(false).write(true).open(path)
 }
 

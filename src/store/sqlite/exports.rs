@@ -3,7 +3,7 @@
 use sqlx::SqliteConnection;
 
 use super::{
-    SqliteStore, insert_blob,
+    SqliteStore, accounts, insert_blob,
     rows::{self, micros},
 };
 use crate::{
@@ -22,18 +22,39 @@ async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<Exp
     rows.iter().map(rows::export).collect()
 }
 
+/// Whose job it is, if there is one.
+async fn owner_of(
+    connection: &mut SqliteConnection,
+    job: JobId,
+) -> Result<Option<Option<KeyId>>, StoreError> {
+    let row = sqlx::query("SELECT owner FROM jobs WHERE id = ?").bind(job.to_string());
+    let Some(row) = row.fetch_optional(connection).await? else { return Ok(None) };
+    rows::optional_id(&row, "owner").map(Some)
+}
+
 impl Exports for SqliteStore {
+    fn admit_export(&self, job: JobId) -> Answer<'_, ()> {
+        Box::pin(async move {
+            let mut tx = self.readers.begin().await?;
+            let Some(owner) = owner_of(&mut tx, job).await? else { return Ok(()) };
+            accounts::admit(&mut tx, self.policy.limits.max_bytes, owner, 1).await
+        })
+    }
+
     fn add_export(&self, export: ExportRecord) -> Answer<'_, Option<ExportRecord>> {
         Box::pin(async move {
             let (mut tx, now) = self.begin().await?;
-            let known = sqlx::query("SELECT 1 FROM jobs WHERE id = ?").bind(export.job.to_string());
-            if known.fetch_optional(&mut *tx).await?.is_none() {
-                return Ok(None);
+            let Some(owner) = owner_of(&mut tx, export.job).await? else { return Ok(None) };
+            let same = |kept: &ExportRecord| (kept.source, kept.format) == (export.source, export.format);
+            if let Some(kept) = of_job(&mut tx, export.job).await?.into_iter().find(same) {
+                return Ok(Some(kept));
             }
+            accounts::admit_blob(&mut tx, self.policy.limits.max_bytes, owner, export.blob).await?;
             insert_blob(&mut tx, export.blob, now).await?;
             sqlx::query(
-                "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, created_at)
-                 VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+                "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, likeness_psnr, likeness_views,
+                     created_at)
+                 VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
             )
             .bind(export.job.to_string())
             .bind(export.source.to_string())
@@ -41,12 +62,13 @@ impl Exports for SqliteStore {
             .bind(export.blob.digest.to_string())
             .bind(i64::try_from(export.gaussians).unwrap_or(i64::MAX))
             .bind(export.sh_degree)
+            .bind(export.likeness.map(|likeness| likeness.psnr))
+            .bind(export.likeness.map(|likeness| likeness.views))
             .bind(micros(now))
             .execute(&mut *tx)
             .await?;
-            let kept = of_job(&mut tx, export.job).await?;
             tx.commit().await?;
-            Ok(kept.into_iter().find(|kept| (kept.source, kept.format) == (export.source, export.format)))
+            Ok(Some(export))
         })
     }
 

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
 use serde_json::{Value, json};
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::{Row as _, SqliteConnection, sqlite::SqliteRow};
 
 use super::{
     events::append,
@@ -138,7 +138,7 @@ pub(super) async fn cancel(
     Ok(Some(if was_queued { Cancellation::Done(record) } else { Cancellation::Requested(record) }))
 }
 
-pub(super) fn lease_lost(lease: &Lease) -> StoreError {
+fn lease_lost(lease: &Lease) -> StoreError {
     StoreError::LeaseLost { job: lease.job, attempt: lease.attempt }
 }
 
@@ -176,16 +176,7 @@ pub(super) async fn report(
     progress: &Progress,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    let row = sqlx::query(
-        "SELECT phase, progress_event_at FROM jobs
-         WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running'",
-    )
-    .bind(lease.job.to_string())
-    .bind(lease.attempt)
-    .bind(&lease.worker)
-    .fetch_optional(&mut *connection)
-    .await?
-    .ok_or_else(|| lease_lost(lease))?;
+    let row = held(connection, lease).await?;
     let phase_name = name(&phase)?;
     let turned = row.try_get::<String, _>("phase")? != phase_name;
     let last_event: Option<i64> = row.try_get("progress_event_at")?;
@@ -214,6 +205,19 @@ pub(super) async fn report(
     Ok(())
 }
 
+/// The job's row while the lease holds; else [`StoreError::LeaseLost`].
+pub(super) async fn held(connection: &mut SqliteConnection, lease: &Lease) -> Result<SqliteRow, StoreError> {
+    let row = sqlx::query(
+        "SELECT * FROM jobs WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running'",
+    )
+    .bind(lease.job.to_string())
+    .bind(lease.attempt)
+    .bind(&lease.worker)
+    .fetch_optional(connection)
+    .await?;
+    row.ok_or_else(|| lease_lost(lease))
+}
+
 /// Ends the attempt as its worker tells it.
 pub(super) async fn finish(
     connection: &mut SqliteConnection,
@@ -222,15 +226,7 @@ pub(super) async fn finish(
     outcome: Outcome,
     now: Timestamp,
 ) -> Result<JobState, StoreError> {
-    let row = sqlx::query(
-        "SELECT * FROM jobs WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running'",
-    )
-    .bind(lease.job.to_string())
-    .bind(lease.attempt)
-    .bind(&lease.worker)
-    .fetch_optional(&mut *connection)
-    .await?
-    .ok_or_else(|| lease_lost(lease))?;
+    let row = held(connection, lease).await?;
     end_attempt(connection, policy, &rows::standing(&row, now)?, End::Told(outcome), now).await
 }
 

@@ -12,7 +12,7 @@ use crate::{
     },
     store::{
         Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, DeliveryRecord, DeliveryState,
-        DueDelivery, EndpointRecord, ExportRecord, FileRecord, JobRecord, Remembered, StoreError,
+        DueDelivery, EndpointRecord, ExportRecord, FileRecord, JobRecord, Likeness, Remembered, StoreError,
         verdict::Standing,
     },
 };
@@ -202,7 +202,13 @@ pub(super) fn export(row: &SqliteRow) -> Result<ExportRecord, StoreError> {
         blob: blob(row, "digest")?,
         gaussians: unsigned(row, "gaussians")?,
         sh_degree: unsigned(row, "sh_degree")?,
+        likeness: likeness(row)?,
     })
+}
+
+fn likeness(row: &SqliteRow) -> Result<Option<Likeness>, StoreError> {
+    let psnr: Option<f64> = row.try_get("likeness_psnr")?;
+    psnr.map(|psnr| Ok(Likeness { psnr, views: unsigned(row, "likeness_views")? })).transpose()
 }
 
 /// A file of a job or of its exports, joined with its blob's `bytes`.

@@ -2,7 +2,7 @@
 
 use sqlx::SqliteConnection;
 
-use super::{SqliteStore, queue::lease_lost, rows};
+use super::{SqliteStore, queue::held, rows};
 use crate::{
     domain::{JobId, Progress, SeriesPoint, series_bucket},
     store::{Answer, Lease, Series, StoreError},
@@ -12,7 +12,7 @@ impl Series for SqliteStore {
     fn record<'a>(&'a self, lease: &'a Lease, points: &'a [Progress]) -> Answer<'a, ()> {
         Box::pin(async move {
             let (mut tx, _) = self.begin().await?;
-            fence(&mut tx, lease).await?;
+            held(&mut tx, lease).await?;
             let mut reached = u64::MAX;
             for point in points {
                 if point.step <= reached {
@@ -40,18 +40,6 @@ impl Series for SqliteStore {
             rows.iter().map(rows::point).collect::<Result<_, _>>().map(Some)
         })
     }
-}
-
-async fn fence(connection: &mut SqliteConnection, lease: &Lease) -> Result<(), StoreError> {
-    let held = sqlx::query(
-        "SELECT 1 FROM jobs WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running'",
-    )
-    .bind(lease.job.to_string())
-    .bind(lease.attempt)
-    .bind(&lease.worker)
-    .fetch_optional(connection)
-    .await?;
-    held.map(|_| ()).ok_or_else(|| lease_lost(lease))
 }
 
 async fn forget_after(connection: &mut SqliteConnection, job: JobId, step: u64) -> Result<(), StoreError> {

@@ -1,15 +1,16 @@
 //! Connections and bodies that dawdle, break off or come too many at a time.
 
-use std::time::Duration;
+use std::{collections::BTreeSet, num::NonZeroU32, sync::Arc, time::Duration};
 
 use serde_json::json;
+use tcgs::domain::{KeyLimits, ManualClock, Scope};
 use tokio::{
     io::{AsyncReadExt as _, AsyncWriteExt as _},
     net::TcpStream,
 };
 
 use crate::support::{
-    contract::Coverage,
+    contract::{self, Coverage},
     server::{Server, Setup},
 };
 
@@ -57,6 +58,7 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
         ("/v1/scenes".to_owned(), "application/zip"),
         ("/v1/scenes".to_owned(), "application/json"),
         (format!("{job}/views"), "application/json"),
+        (format!("{job}/retry"), "application/json"),
         ("/v1/webhook-endpoints".to_owned(), "application/json"),
         ("/v1/keys".to_owned(), "application/json"),
         (format!("{job}/stream"), "application/json"),
@@ -107,13 +109,72 @@ async fn an_early_refusal_reaches_a_client_that_sends_its_whole_body_first() {
     }
 }
 
+/// Asks every operation, and what is none, with a body that is longer than what is read on the way, and returns the statuses.
+async fn send_whole_bodies_first(server: &Server, headers: &str) -> BTreeSet<u16> {
+    let body = vec![b'x'; 768 << 10];
+    let guarded = contract::guarded();
+    let guarded = guarded.iter().map(|operation| (operation.method, operation.path()));
+    let others = [("POST", "/healthz"), ("PUT", "/v1/jobs"), ("POST", "/v1/nothing"), ("POST", "/elsewhere")];
+    let mut seen = BTreeSet::new();
+    for (method, path) in guarded.chain(others.map(|(method, path)| (method, path.to_owned()))) {
+        let head = format!(
+            "{method} {path} HTTP/1.1\r\nHost: test\r\n{headers}Connection: close\r\nContent-Length: {}\r\n\r\n",
+            body.len()
+        );
+        let mut stream = TcpStream::connect(server.address).await.expect("connects");
+        let sent = async {
+            stream.write_all(head.as_bytes()).await?;
+            stream.write_all(&body).await?;
+            let mut answer = Vec::new();
+            stream.read_to_end(&mut answer).await?;
+            Ok::<_, std::io::Error>(answer)
+        };
+        let answer = sent.await.unwrap_or_else(|error| panic!("{method} {path}: {error}"));
+        seen.insert(check_raw(server, method, &path, &answer));
+    }
+    seen
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn whatever_is_answered_reaches_a_client_that_sends_its_whole_body_first() {
+    let clock = Arc::new(ManualClock::new("2026-11-21T12:00:00Z".parse().expect("an instant")));
+    let mut setup = Setup { worker: false, clock, ..Setup::default() };
+    setup.limits.access.failures_per_minute = NonZeroU32::new(10).expect("ten");
+    let server = Server::start_with(&Coverage::default(), setup).await;
+    let seen = send_whole_bodies_first(&server, "").await;
+    assert!([200, 204, 404, 405, 412, 415].iter().all(|status| seen.contains(status)), "{seen:?}");
+    let typed = "Content-Type: application/json\r\nTus-Resumable: 1.0.0\r\n";
+    let seen = send_whole_bodies_first(&server, typed).await;
+    assert!([200, 204, 400, 404, 405].iter().all(|status| seen.contains(status)), "{seen:?}");
+
+    let narrow = server.key(&[Scope::ScenesWrite]).await;
+    let slow = KeyLimits { requests_per_minute: NonZeroU32::new(1), ..KeyLimits::default() };
+    let slow = server.key_with(&Scope::ALL, slow).await;
+    for (key, status) in [(None, 401), (Some(narrow.key), 403), (Some(slow.key), 429)] {
+        let header = key.map(|key| format!("Authorization: Bearer {key}\r\n")).unwrap_or_default();
+        let seen = send_whole_bodies_first(&server, &header).await;
+        assert!(seen.contains(&status), "{seen:?}");
+    }
+}
+
 #[tokio::test]
 async fn a_client_that_waits_for_leave_to_send_is_refused_without_it() {
     let server = Server::start(&Coverage::default()).await;
-    let request = "POST /v1/jobs?preset=fast HTTP/1.1\r\nHost: test\r\nContent-Type: application/zip\r\n\
-                   Expect: 100-continue\r\nContent-Length: 1000\r\nConnection: close\r\n\r\n";
-    let answer = raw(&server, request, false).await;
-    assert_eq!(check_raw(&server, "POST", "/v1/jobs", &answer), 422, "and not 100");
+    for (path, status) in
+        [("/v1/jobs?preset=fast", 422), ("/v1/jobs/17/retry", 404), ("/v1/jobs/17/cancel", 404)]
+    {
+        let request = format!(
+            "POST {path} HTTP/1.1\r\nHost: test\r\nContent-Type: application/zip\r\nExpect: 100-continue\r\n\
+             Content-Length: 1000\r\n\r\n"
+        );
+        let answer = raw(&server, &request, false).await;
+        assert_eq!(check_raw(&server, "POST", path, &answer), status, "and not 100");
+        let text = String::from_utf8_lossy(&answer).to_lowercase();
+        assert!(
+            text.contains("connection: close\r\n"),
+            "what comes next cannot be told from the body: {text}"
+        );
+    }
 }
 
 #[tokio::test]

@@ -3,13 +3,18 @@
 use std::sync::atomic::Ordering;
 
 use serde_json::{Value, json};
+use tcgs::{
+    domain::{KeyLimits, Scope},
+    store::Accounts as _,
+};
 use tokio::io::AsyncWriteExt as _;
 
+use super::access::with_key;
 use crate::support::{
     contract::Coverage,
     fakes,
     faults::Failing,
-    server::{Server, Setup},
+    server::{Server, Setup, TestKey},
 };
 
 /// A finished job with three files, and its path.
@@ -34,6 +39,7 @@ pub(super) async fn every_file_of_a_job_is_listed_and_served_by_its_hash(coverag
     assert!(files.iter().any(|file| file["kind"] == "cameras" && file["media_type"] == "application/json"));
     for file in &files {
         assert_eq!((&file["origin"], &file["gaussians"]), (&json!("job"), &Value::Null));
+        assert_eq!(file["likeness"], Value::Null);
         let path = file["href"].as_str().expect("a path");
         let whole = server.get(path).await.expect(200);
         assert_eq!(whole.body.len() as u64, file["bytes"].as_u64().expect("a length"));
@@ -97,12 +103,18 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
     server.send("GET", &path, |request| request.header("if-none-match", tag)).await.expect(304);
     server.send("GET", &path, |request| request.header("if-match", "\"x\"")).await.expect(412);
     server.send("GET", &path, |request| request.header("range", "bytes=999-")).await.expect(416);
-    server.get(&format!("{job}/export?format=spz")).await.expect(200);
+    for answer in [&first, &again, &part] {
+        assert_eq!(answer.header("x-likeness-psnr"), "41.26");
+    }
+    let unknown = server.get(&format!("{job}/export?format=spz")).await.expect(200);
+    assert!(!unknown.headers.contains_key("x-likeness-psnr"));
 
     let exports: Vec<Value> =
         listed(&server, &job).await.into_iter().filter(|file| file["origin"] == "export").collect();
     let kinds: Vec<&Value> = exports.iter().map(|file| &file["kind"]).collect();
     assert_eq!(kinds, ["ply", "spz"]);
+    let likeness: Vec<&Value> = exports.iter().map(|file| &file["likeness"]).collect();
+    assert_eq!(likeness, [&json!({ "psnr": 41.256, "views": 2 }), &Value::Null]);
     for file in &exports {
         assert_eq!((&file["gaussians"], &file["sh_degree"]), (&json!(5), &json!(3)));
         assert_eq!(file["lambda"], 0.004);
@@ -114,6 +126,7 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
     server.reaches(&plain, "succeeded").await;
     let same = server.get(&format!("{plain}/export?format=ply")).await.expect(200);
     assert_eq!(same.body, fakes::FILE, "it is written so already");
+    assert!(!same.headers.contains_key("x-likeness-psnr"));
     assert_eq!(server.exporter.made.load(Ordering::SeqCst), 2);
 
     server.send("DELETE", &job, |request| request).await.expect(204);
@@ -144,6 +157,57 @@ pub(super) async fn an_export_that_cannot_be_is_said_so(coverage: Coverage) {
     server.reaches(&failed, "failed").await;
     server.get(&format!("{failed}/export?format=ply")).await.expect_problem(409, "no-artifact");
     server.get(&format!("{job}/export?format=spz")).await.expect(200);
+}
+
+/// A finished job of a key, and its path.
+async fn finished(server: &Server, key: &TestKey) -> String {
+    let made = server.send("POST", "/v1/jobs", |request| {
+        request.bearer_auth(&key.key).header("content-type", "application/zip").body("succeed")
+    });
+    let job = made.await.expect(201).header("location").to_owned();
+    while with_key(server, "GET", &job, &key.key).await.expect(200).json()["state"] != "succeeded" {
+        tokio::time::sleep(std::time::Duration::from_millis(5)).await;
+    }
+    job
+}
+
+pub(super) async fn an_export_needs_room_within_its_owners_quota(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let scopes = [Scope::Read, Scope::JobsWrite];
+    let free = server.key(&scopes).await;
+    let admin = server.key(&[Scope::Admin]).await;
+    let job = finished(&server, &free).await;
+    let stored = server.store.usage(Some(free.id)).await.expect("read").total();
+    let of_free = with_key(&server, "GET", &format!("{job}/export?format=ply"), &free.key).await.expect(200);
+    let length = of_free.body.len() as u64;
+    let made = || server.exporter.made.load(Ordering::SeqCst);
+    assert_eq!(made(), 1);
+
+    // (room beyond the job's own files, whether an export is made before it is refused)
+    for (room, tried) in [(0, 0), (length - 1, 1)] {
+        let quota = KeyLimits { max_bytes: Some(stored + room), ..KeyLimits::default() };
+        let key = server.key_with(&scopes, quota).await;
+        let path = format!("{}/export?format=ply", finished(&server, &key).await);
+        for asking in [&key, &admin] {
+            let before = made();
+            let refused = with_key(&server, "GET", &path, &asking.key).await;
+            let detail = refused.expect_problem(507, "quota-exceeded");
+            assert!(detail.contains(&format!("{stored} are stored")), "{detail}");
+            assert_eq!(made(), before + tried);
+        }
+        assert_eq!(server.store.usage(Some(key.id)).await.expect("read").total(), stored);
+    }
+
+    let quota = KeyLimits { max_bytes: Some(stored + length), ..KeyLimits::default() };
+    let key = server.key_with(&scopes, quota).await;
+    let job = finished(&server, &key).await;
+    for _ in 0..2 {
+        with_key(&server, "GET", &format!("{job}/export?format=ply"), &key.key).await.expect(200);
+    }
+    let before = made();
+    let other = with_key(&server, "GET", &format!("{job}/export?format=spz"), &key.key).await;
+    other.expect_problem(507, "quota-exceeded");
+    assert_eq!(made(), before, "what cannot be kept is not made");
 }
 
 pub(super) async fn few_exports_are_made_at_a_time_and_each_for_all_who_ask(coverage: Coverage) {

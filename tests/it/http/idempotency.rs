@@ -1,6 +1,10 @@
 //! Requests that are sent again, and answers that wait.
 
 use serde_json::json;
+use tokio::{
+    io::{AsyncBufReadExt as _, AsyncReadExt as _, AsyncWriteExt as _, BufReader},
+    net::TcpStream,
+};
 
 use crate::support::{
     contract::Coverage,
@@ -72,17 +76,24 @@ pub(super) async fn fifty_requests_with_one_key_make_one_job(coverage: Coverage)
     assert_eq!((made.len(), jobs(&server).await), (1, 1), "{made:?}");
 }
 
-pub(super) async fn a_request_is_in_flight_until_it_is_answered_and_no_longer(coverage: Coverage) {
-    use tokio::io::{AsyncBufReadExt as _, AsyncReadExt as _, AsyncWriteExt as _, BufReader};
-    let server = Server::start(&coverage).await;
-    let mut slow =
-        BufReader::new(tokio::net::TcpStream::connect(server.address).await.expect("a connection"));
-    let head = "POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nIdempotency-Key: one\r\n\
-                Expect: 100-continue\r\nConnection: close\r\nContent-Length: 7\r\n\r\n";
-    slow.write_all(head.as_bytes()).await.expect("sent");
+/// A request with the key `one`, up to where the service wants its body. It asks for that only once it has taken the key, so
+/// that whatever is sent after this comes while the key is in use.
+async fn begun(server: &Server, length: usize) -> BufReader<TcpStream> {
+    let mut stream = BufReader::new(TcpStream::connect(server.address).await.expect("a connection"));
+    let head = format!(
+        "POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nIdempotency-Key: one\r\n\
+         Expect: 100-continue\r\nConnection: close\r\nContent-Length: {length}\r\n\r\n"
+    );
+    stream.write_all(head.as_bytes()).await.expect("sent");
     let mut line = String::new();
-    slow.read_line(&mut line).await.expect("an answer");
+    stream.read_line(&mut line).await.expect("an answer");
     assert!(line.starts_with("HTTP/1.1 100"), "the body is wanted now: {line}");
+    stream
+}
+
+pub(super) async fn a_request_is_in_flight_until_it_is_answered_and_no_longer(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let mut slow = begun(&server, 7).await;
     let detail = create(&server, "one", "", "succeed").await;
     assert!(detail.expect_problem(409, "idempotency-in-flight").contains("still being answered"));
     create(&server, "two", "", "succeed").await.expect(201);
@@ -97,16 +108,15 @@ pub(super) async fn a_request_is_in_flight_until_it_is_answered_and_no_longer(co
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_key_whose_request_broke_off_can_be_used_again() {
-    use tokio::io::AsyncWriteExt as _;
     let server = Server::start(&Coverage::default()).await;
-    let mut broken = tokio::net::TcpStream::connect(server.address).await.expect("a connection");
-    let head = "POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nIdempotency-Key: one\r\n\
-                Content-Length: 100\r\n\r\nsucceed";
-    broken.write_all(head.as_bytes()).await.expect("sent");
+    let mut broken = begun(&server, 100).await;
+    broken.write_all(b"succeed").await.expect("sent");
+    create(&server, "one", "", "succeed").await.expect_problem(409, "idempotency-in-flight");
     drop(broken);
     loop {
         let answer = create(&server, "one", "", "succeed").await;
         if answer.status == 201 {
+            assert!(!answer.headers.contains_key("idempotency-replayed"), "the broken one made nothing");
             break;
         }
         answer.expect_problem(409, "idempotency-in-flight");

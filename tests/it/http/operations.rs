@@ -197,10 +197,11 @@ pub(super) async fn readiness_names_what_is_wrong(coverage: Coverage) {
         server.store.set(None);
     }
     // A staging folder that is gone is one that cannot be written, also for root.
-    std::fs::remove_dir_all(server.data.path().join("staging")).expect("removed");
+    let [staging, gone] = ["staging", "gone"].map(|name| server.data.path().join(name));
+    std::fs::rename(&staging, &gone).expect("moved");
     let problem = until_wrong(&server).await;
     assert_eq!(wrong(&problem), ["blobs"], "{problem:#}");
-    std::fs::create_dir(server.data.path().join("staging")).expect("made");
+    std::fs::rename(&gone, &staging).expect("moved back");
     while server.get("/readyz").await.status != 200 {
         tokio::time::sleep(Duration::from_millis(50)).await;
     }

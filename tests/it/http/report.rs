@@ -4,9 +4,16 @@ use std::collections::BTreeMap;
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use html5gum::{Token, Tokenizer};
-use tcgs::domain::Digest;
+use tcgs::{
+    domain::{Digest, Phase, Problem, Progress},
+    store::{Outcome, Series as _, Store as _},
+};
 
-use crate::support::{contract::Coverage, fakes, server::Server};
+use crate::support::{
+    contract::Coverage,
+    fakes,
+    server::{Server, Setup},
+};
 
 /// Elements that have no end tag.
 const VOID: [&str; 4] = ["meta", "img", "input", "link"];
@@ -101,6 +108,7 @@ pub(super) async fn a_finished_job_is_reported_on_one_page(coverage: Coverage) {
 
     let count = |name: &str| elements.iter().filter(|element| element.name == name).count();
     assert_eq!((count("script"), count("style"), count("html")), (1, 1, 1));
+    assert_eq!(count("input"), 0, "the page asks nobody for a key: the browser has it");
     assert_eq!(count("img"), 4, "three pictures of the held-out view and the viewer's first");
     for said in
         ["30.00 dB", "Where the bytes went", "Curves", "λ", "fake", &*Digest::of(fakes::FILE).to_string()]
@@ -132,6 +140,66 @@ pub(super) async fn a_finished_job_is_reported_on_one_page(coverage: Coverage) {
     let picky = server.send("GET", &path, |request| request.header("accept", "application/json")).await;
     picky.expect_problem(406, "not-acceptable");
     server.get(&format!("{path}?width=3")).await.expect_problem(422, "invalid-parameter");
+}
+
+/// The lines of a page's curves, in their order.
+fn lines(elements: &[Element]) -> Vec<&str> {
+    let lines = elements.iter().filter(|element| element.name == "polyline");
+    lines.map(|line| &*line.attributes["points"]).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn curves_are_of_the_course_that_led_to_where_the_job_is() {
+    let server = Server::start_with(&Coverage::default(), Setup { worker: false, ..Setup::default() }).await;
+    let job = server.create("succeed").await;
+    let report = |step: u64, elapsed_seconds: f64, psnr: Option<f64>| Progress {
+        step,
+        total: 100,
+        elapsed_seconds,
+        loss: psnr.map(|psnr| 2.0 / psnr),
+        psnr,
+        bytes: psnr.map(|psnr| 10_000 + 100 * psnr as u64),
+        ..Progress::default()
+    };
+    let run = async |phase: Phase, reports: &[Progress]| {
+        let lease = server.store.claim("test").await.expect("a claim").expect("a job").lease;
+        for one in reports {
+            server.store.record(&lease, std::slice::from_ref(one)).await.expect("stored");
+            server.store.report(&lease, Phase::Train, one).await.expect("stored");
+        }
+        let last = reports.last().expect("a report").clone();
+        let later = Progress { elapsed_seconds: last.elapsed_seconds + 2.0, ..last };
+        server.store.report(&lease, phase, &later).await.expect("stored");
+        lease
+    };
+    // The second attempt goes on from a checkpoint, which it tells of before it has any figures.
+    let first = [(10, 1.0, 10.0), (20, 2.0, 14.0), (30, 3.0, 16.0), (40, 4.0, 17.0)];
+    let first = run(Phase::Train, &first.map(|(step, at, psnr)| report(step, at, Some(psnr)))).await;
+    let problem = Problem::new(500, "test", "Test", "as the test wants it");
+    server.store.finish(&first, Outcome::Retry(problem)).await.expect("ended");
+    run(
+        Phase::Evaluate,
+        &[
+            report(25, 0.5, None),
+            report(30, 1.0, Some(16.5)),
+            report(60, 4.0, Some(18.0)),
+            report(100, 8.0, Some(20.0)),
+        ],
+    )
+    .await;
+
+    let answer = server.get(&format!("{job}/report")).await.expect(200);
+    let page = String::from_utf8(answer.body.to_vec()).expect("UTF-8");
+    let elements = parse(&page);
+    // PSNR over 0 to 10 s and over 11.0 to 12.0 kB, loss over 0 to 100 steps; y is 214 at the bottom and 12 at the top.
+    assert_eq!(
+        lines(&elements),
+        [
+            "94.6,214.0 131.2,133.2 167.8,82.7 277.6,52.4 424.0,12.0",
+            "58.0,214.0 204.4,133.2 277.6,82.7 350.8,52.4 424.0,12.0",
+            "94.6,12.0 131.2,127.4 167.8,171.2 277.6,191.6 424.0,214.0",
+        ]
+    );
 }
 
 pub(super) async fn a_curve_is_reported_with_each_of_its_files(coverage: Coverage) {

@@ -167,6 +167,19 @@ pub(super) async fn a_view_is_tagged_timed_and_rendered_once(coverage: Coverage)
     }
 }
 
+#[tokio::test]
+async fn pictures_may_be_kept_in_as_much_memory_as_an_operator_says() {
+    for (view_cache_bytes, painted) in [(0, 2), (64 << 20, 1), (u64::MAX, 1)] {
+        let limits = tcgs::http::config::RequestLimits { view_cache_bytes, ..Setup::default().limits };
+        let server = Server::start_with(&Coverage::default(), Setup { limits, ..Setup::default() }).await;
+        let path = format!("{}/view?frame=test/r_0&width=64", server.succeeded().await);
+        for _ in 0..2 {
+            server.get(&path).await.expect(200);
+        }
+        assert_eq!(server.renderer.painted(), painted, "with {view_cache_bytes} bytes");
+    }
+}
+
 pub(super) async fn a_view_that_many_ask_for_at_once_is_rendered_once(coverage: Coverage) {
     let server = Server::start(&coverage).await;
     let job = server.succeeded().await;

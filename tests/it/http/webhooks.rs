@@ -1,6 +1,7 @@
 //! Webhooks: endpoints, and messages that arrive, signed, until they are taken or given up.
 
 use std::{
+    ffi::OsStr,
     sync::{
         Arc,
         atomic::{AtomicUsize, Ordering},
@@ -13,21 +14,25 @@ use serde_json::{Value, json};
 use tcgs::{
     domain::{ManualClock, OutboundPolicy, Scope, WebhookSecret},
     http::config::RequestLimits,
+    https::ExtraRoots,
     store::{AfterAttempt, Settled, Store, Webhooks as _},
     webhooks::{self, DeliveryConfig, Lookup, Sender, sign, system_lookup},
 };
 use tokio::{sync::Notify, task::JoinHandle};
 
 use crate::support::{
+    authority::Authority,
     contract::Coverage,
+    dataset, program,
     receiver::{Manner, Received, Receiver},
     server::{Server, Setup},
+    service::Service,
 };
 
 const ENDPOINTS: &str = "/v1/webhook-endpoints";
-const LOCAL: OutboundPolicy = OutboundPolicy { allow_loopback: true };
+pub(super) const LOCAL: OutboundPolicy = OutboundPolicy { allow_loopback: true };
 
-fn setup() -> Setup {
+pub(super) fn setup() -> Setup {
     let limits = RequestLimits { webhook_targets: LOCAL, webhook_endpoints: 3, ..Default::default() };
     Setup { limits, ..Setup::default() }
 }
@@ -39,8 +44,17 @@ fn stopped() -> (Setup, Arc<ManualClock>) {
 }
 
 /// Delivers for a server until it stops.
-fn deliver(server: &Server, policy: OutboundPolicy, lookup: Lookup) -> JoinHandle<()> {
-    let sender = Sender::new(policy, lookup, Duration::from_secs(15)).expect("a sender");
+pub(super) fn deliver(server: &Server, policy: OutboundPolicy, lookup: Lookup) -> JoinHandle<()> {
+    deliver_trusting(server, policy, lookup, &ExtraRoots::default())
+}
+
+fn deliver_trusting(
+    server: &Server,
+    policy: OutboundPolicy,
+    lookup: Lookup,
+    roots: &ExtraRoots,
+) -> JoinHandle<()> {
+    let sender = Sender::new(policy, lookup, Duration::from_secs(15), roots).expect("a sender");
     let config = DeliveryConfig { poll: Duration::from_millis(2), ..DeliveryConfig::default() };
     let store = Arc::clone(&server.store) as Arc<dyn Store>;
     tokio::spawn(webhooks::deliver(store, sender, config, server.shutdown.clone()))
@@ -97,7 +111,10 @@ pub(super) async fn endpoints_are_made_listed_and_deleted_and_show_their_secret_
     let mut listed = Vec::new();
     let mut next = Some(format!("{ENDPOINTS}?limit=2"));
     while let Some(path) = next {
-        let page = server.get(&path).await.expect(200).json();
+        let answer = server.get(&path).await.expect(200);
+        let page = answer.json();
+        let link = answer.headers.get("link").map(|link| link.to_str().expect("ASCII").to_owned());
+        assert_eq!(link, page["next"].as_str().map(|next| format!("<{next}>; rel=\"next\"")));
         listed.extend(page["endpoints"].as_array().expect("endpoints").clone());
         next = page["next"].as_str().map(str::to_owned);
     }
@@ -414,6 +431,102 @@ async fn who_does_not_speak_tls_or_does_not_answer_is_a_fault() {
         assert_eq!((&failed["state"], &failed["answer_status"]), (&json!("pending"), &Value::Null));
         assert_eq!(failed["fault"], "no connection to the endpoint");
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn messages_go_over_tls_to_who_shows_a_certificate_that_is_trusted_and_to_nobody_else() {
+    let (mut setup, clock) = stopped();
+    setup.limits.webhook_endpoints = 5;
+    let server = Server::start_with(&Coverage::default(), setup).await;
+    let [trusted, unknown, namesake] = ["ours", "theirs", "ours"].map(Authority::new);
+    let mut sound = Receiver::start_tls(trusted.acceptor("localhost")).await;
+    let mut by_number = Receiver::start_tls(trusted.acceptor("127.0.0.1")).await;
+    let mut other_name = Receiver::start_tls(trusted.acceptor("hooks.example")).await;
+    let mut stranger = Receiver::start_tls(unknown.acceptor("localhost")).await;
+    let mut pretender = Receiver::start_tls(namesake.acceptor("localhost")).await;
+    let mut made = Vec::new();
+    for (receiver, host) in [
+        (&sound, "localhost"),
+        (&by_number, "127.0.0.1"),
+        (&other_name, "localhost"),
+        (&stranger, "localhost"),
+        (&pretender, "localhost"),
+    ] {
+        let wish = json!({ "url": receiver.https_url(host), "events": ["job.queued"] });
+        made.push(endpoint(&server, wish).await);
+    }
+    let local: Lookup = lookups(&[&["127.0.0.1"]]);
+    let delivering = deliver_trusting(&server, LOCAL, Arc::clone(&local), &trusted.roots());
+    server.create("succeed").await;
+    for (receiver, made) in [(&mut sound, &made[0]), (&mut by_number, &made[1])] {
+        let received = receiver.next().await;
+        check_signature(&received, made);
+        assert_eq!(received.json()["type"], "job.queued");
+        let done = until(&server, made, |delivery| delivery["state"] == "delivered").await;
+        assert_eq!(
+            (&done["answer_status"], &done["attempts"], &done["fault"]),
+            (&json!(200), &json!(1), &json!(null))
+        );
+    }
+    let unknown_to_us = "the endpoint's certificate is signed by no authority that is trusted here";
+    for (made, fault) in [
+        (&made[2], "the endpoint's certificate is for another name"),
+        (&made[3], unknown_to_us),
+        (&made[4], unknown_to_us),
+    ] {
+        let failed = until(&server, made, |delivery| !delivery["fault"].is_null()).await;
+        assert_eq!((&failed["fault"], &failed["answer_status"]), (&json!(fault), &Value::Null));
+        assert_eq!(
+            (&failed["state"], &failed["attempts"]),
+            (&json!("pending"), &json!(1)),
+            "to be tried again"
+        );
+    }
+    for receiver in [&mut other_name, &mut stranger, &mut pretender] {
+        assert!(receiver.is_quiet(), "not a word of the message was sent");
+    }
+
+    // It is the second attempt that succeeds once the second authority is trusted.
+    delivering.abort();
+    let both = format!("{}{}", trusted.pem(), unknown.pem());
+    let both = ExtraRoots::from_pem(both.as_bytes()).expect("two certificates");
+    let delivering = deliver_trusting(&server, LOCAL, Arc::clone(&local), &both);
+    clock.advance(SignedDuration::from_secs(10));
+    check_signature(&stranger.next().await, &made[3]);
+    let done = until(&server, &made[3], |delivery| delivery["state"] == "delivered").await;
+    assert_eq!(done["attempts"], 2);
+
+    // A trusted authority opens no address that is not allowed.
+    delivering.abort();
+    let _delivering = deliver_trusting(&server, OutboundPolicy::default(), local, &both);
+    server.create("succeed again").await;
+    let refused = until(&server, &made[0], |delivery| !delivery["fault"].is_null()).await;
+    assert!(refused["fault"].as_str().is_some_and(|fault| fault.contains("loopback")), "{refused}");
+    assert!(sound.is_quiet());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_program_trusts_the_authorities_of_a_file() {
+    let authority = Authority::new("ours");
+    let mut receiver = Receiver::start_tls(authority.acceptor("localhost")).await;
+    let data = tempfile::tempdir().expect("a folder");
+    let file = data.path().join("ca.pem");
+    std::fs::write(&file, authority.pem()).expect("written");
+    let flags = ["--workers", "0", "--webhooks-allow-loopback", "--webhooks-ca"].map(OsStr::new);
+    let service = Service::start_with(data.path(), flags.into_iter().chain([file.as_os_str()])).await;
+    let wish = json!({ "url": receiver.https_url("localhost"), "events": ["job.queued"] });
+    let made = service.post_json(ENDPOINTS, &wish).await.expect(201).json();
+    service.upload("", dataset::zip()).await.expect(201);
+    check_signature(&receiver.next().await, &made);
+    service.stop().await;
+
+    std::fs::write(&file, "no certificate").expect("written");
+    let mut command = program::command();
+    command.args(["serve", "--listen", "127.0.0.1:0", "--data"]).arg(data.path());
+    let refused = command.arg("--webhooks-ca").arg(&file).output().expect("the binary runs");
+    let told = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert_eq!(refused.status.code(), Some(2), "{told}");
+    assert!(told.contains("--webhooks-ca") && told.contains("ca.pem holds no certificate"), "{told}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -67,6 +67,9 @@ impl Overview for FaultStore {
 }
 
 impl Exports for FaultStore {
+    fn admit_export(&self, job: JobId) -> Answer<'_, ()> {
+        self.guard(self.inner.admit_export(job))
+    }
     fn add_export(&self, export: ExportRecord) -> Answer<'_, Option<ExportRecord>> {
         self.guard(self.inner.add_export(export))
     }

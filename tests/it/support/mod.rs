@@ -2,7 +2,9 @@
 
 #![allow(dead_code, unreachable_pub, reason = "a test module uses what it needs")]
 
+pub mod authority;
 pub mod contract;
+pub mod dataset;
 pub mod fakes;
 pub mod faults;
 pub mod gpu;

@@ -5,12 +5,13 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-use axum::{Router, body::Bytes, http::HeaderMap, response::Response};
+use axum::{Router, body::Bytes, http::HeaderMap, response::Response, serve::Listener};
 use tokio::{
-    net::TcpListener,
+    net::{TcpListener, TcpStream},
     sync::{Notify, mpsc},
     task::JoinHandle,
 };
+use tokio_rustls::{TlsAcceptor, server::TlsStream};
 
 /// A message as it came.
 #[derive(Debug, Clone)]
@@ -39,6 +40,30 @@ pub enum Manner {
     After(Arc<Notify>),
 }
 
+/// Connections whose handshake went well; the others are dropped.
+struct TlsListener {
+    tcp: TcpListener,
+    tls: TlsAcceptor,
+}
+
+impl Listener for TlsListener {
+    type Io = TlsStream<TcpStream>;
+    type Addr = SocketAddr;
+
+    async fn accept(&mut self) -> (Self::Io, Self::Addr) {
+        loop {
+            let (stream, peer) = Listener::accept(&mut self.tcp).await;
+            if let Ok(stream) = self.tls.accept(stream).await {
+                return (stream, peer);
+            }
+        }
+    }
+
+    fn local_addr(&self) -> std::io::Result<Self::Addr> {
+        self.tcp.local_addr()
+    }
+}
+
 /// A listening endpoint.
 pub struct Receiver {
     pub address: SocketAddr,
@@ -49,6 +74,15 @@ pub struct Receiver {
 
 impl Receiver {
     pub async fn start() -> Self {
+        Self::start_on(|tcp| tcp).await
+    }
+
+    /// One that speaks TLS.
+    pub async fn start_tls(tls: TlsAcceptor) -> Self {
+        Self::start_on(|tcp| TlsListener { tcp, tls }).await
+    }
+
+    async fn start_on<L: Listener<Addr: std::fmt::Debug>>(over: impl FnOnce(TcpListener) -> L) -> Self {
         let manner = Arc::new(Mutex::new(Manner::Status(200, Vec::new())));
         let (send, received) = mpsc::unbounded_channel();
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
@@ -72,6 +106,7 @@ impl Receiver {
             answer.body(axum::body::Body::from("taken")).expect("an answer")
         };
         let app = Router::new().fallback(take);
+        let listener = over(listener);
         let serving = tokio::spawn(async move { axum::serve(listener, app).await.expect("serves") });
         Self { address, manner, received, serving }
     }
@@ -86,6 +121,11 @@ impl Receiver {
 
     pub fn url(&self, path: &str) -> String {
         format!("http://{}{path}", self.address)
+    }
+
+    /// A URL that needs a name.
+    pub fn https_url(&self, host: &str) -> String {
+        format!("https://{host}:{}/", self.address.port())
     }
 
     /// The next message.

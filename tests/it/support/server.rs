@@ -109,7 +109,7 @@ pub fn picture(file: &[u8]) -> image::DynamicImage {
 }
 
 /// A checked answer.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Answer {
     pub status: u16,
     pub headers: HeaderMap,

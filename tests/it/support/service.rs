@@ -136,6 +136,11 @@ impl Service {
             .collect()
     }
 
+    /// Ends the service as a power cut would.
+    pub async fn kill(mut self) {
+        self.child.kill().await.expect("killed");
+    }
+
     /// Asks the service to stop and waits until it has.
     #[cfg(unix)]
     pub async fn stop(mut self) -> ExitStatus {
