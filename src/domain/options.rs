@@ -216,6 +216,20 @@ impl Default for TrainOptions {
 }
 
 impl TrainOptions {
+    /// The name of every option.
+    pub const NAMES: [&str; 10] = [
+        "preset",
+        "iterations",
+        "seed",
+        "background",
+        "model",
+        "voxel",
+        "without",
+        "lambda",
+        "max_bytes",
+        "rd_curve",
+    ];
+
     /// Sets one option from its query-string or flag text; `without` and `rd_curve` take comma-separated lists, the latter
     /// with or without the brackets that JSON has.
     ///
@@ -241,7 +255,13 @@ impl TrainOptions {
                 self.rd_curve =
                     list.split(',').map(|text| number("rd_curve", text.trim())).collect::<Result<_, _>>()?;
             }
-            _ => return Err(OptionError::new("query", format!("'{option}' is not an option"))),
+            _ => {
+                let known = Self::NAMES.join(", ");
+                return Err(OptionError::new(
+                    "query",
+                    format!("'{option}' is not an option; there are {known}"),
+                ));
+            }
         }
         Ok(())
     }
@@ -357,6 +377,17 @@ mod tests {
         assert_eq!(fault.to_string(), "preset: 'fast' is not one of preview, standard, paper");
         assert!(options.set("seed", "-1").is_err());
         assert!(options.set("colour", "red").is_err());
+    }
+
+    #[test]
+    fn every_option_has_its_name_in_the_list() {
+        let fields = serde_json::to_value(TrainOptions::default()).expect("JSON");
+        let fields: Vec<&String> = fields.as_object().expect("an object").keys().collect();
+        assert_eq!(fields, TrainOptions::NAMES.each_ref());
+        for name in TrainOptions::NAMES {
+            let unknown = |fault: OptionError| fault.to_string().contains("is not an option");
+            assert!(!TrainOptions::default().set(name, "?").is_err_and(unknown), "{name}");
+        }
     }
 
     #[test]

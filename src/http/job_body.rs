@@ -55,6 +55,8 @@ struct Links {
     export: String,
     view: String,
     views: String,
+    stream: String,
+    animation: String,
     report: String,
 }
 
@@ -110,6 +112,8 @@ impl From<JobRecord> for JobBody {
                 export: format!("{this}/export"),
                 view: format!("{this}/view"),
                 views: format!("{this}/views"),
+                stream: format!("{this}/stream"),
+                animation: format!("{this}/animation"),
                 report: format!("{this}/report"),
                 this,
             },

@@ -10,6 +10,8 @@ use crate::domain::{OptionError, SceneId, TrainOptions};
 /// Longest time that a job may be given, in seconds.
 const MAX_DEADLINE: u32 = 366 * 24 * 3600;
 const MAX_PRIORITY: i32 = 100;
+/// Characters of an unknown name that are said again.
+const LONGEST_NAME: usize = 100;
 
 /// What is asked for besides the dataset.
 #[derive(Debug, Default)]
@@ -26,6 +28,7 @@ impl JobWish {
         let deadline_s = parameters.take_as("deadline_s", "a whole number of seconds")?;
         let mut options = TrainOptions::default();
         for (name, text) in parameters.rest() {
+            expect_known(&name)?;
             options.set(&name, &text).map_err(|error| invalid_option(&error))?;
         }
         Self { options, priority, deadline_s }.validated()
@@ -71,6 +74,7 @@ fn options(fields: Map<String, Value>) -> Result<TrainOptions, Fault> {
     let mut lists = TrainOptions::default();
     let mut whole = Map::new();
     for (name, value) in fields {
+        expect_known(&name)?;
         match (name.as_str(), &value) {
             ("without" | "rd_curve", Value::String(text)) => {
                 lists.set(&name, text).map_err(|error| invalid_option(&error))?;
@@ -87,6 +91,19 @@ fn options(fields: Map<String, Value>) -> Result<TrainOptions, Fault> {
         }
     }
     serde_json::from_value(Value::Object(whole)).map_err(|error| invalid_field("options", &error))
+}
+
+/// 422 for a name that says nothing about a job.
+fn expect_known(name: &str) -> Result<(), Fault> {
+    if TrainOptions::NAMES.contains(&name) {
+        return Ok(());
+    }
+    let shown: String = name.chars().take(LONGEST_NAME).collect();
+    let detail = format!(
+        "{shown}: is not an option; there are priority, deadline_s, {}",
+        TrainOptions::NAMES.join(", ")
+    );
+    Err(Fault::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid-option", "Invalid training option", detail))
 }
 
 fn invalid_field(name: &str, error: &serde_json::Error) -> Fault {
@@ -160,6 +177,19 @@ mod tests {
             assert_eq!(object.options, query.options);
             assert_eq!((object.priority, object.deadline_s), (query.priority, query.deadline_s));
         }
+    }
+
+    #[test]
+    fn who_mistypes_a_name_is_told_which_there_are() {
+        let query = Parameters::parse(Some("iteratons=7")).expect("a query");
+        let query = JobWish::from_query(query).expect_err("no such option");
+        for fault in [format!("{query:?}"), read(json!({ "iteratons": 7 })).expect_err("no such option")] {
+            for named in ["iteratons: is not", "deadline_s, preset, iterations,", "rd_curve"] {
+                assert!(fault.contains(named), "{fault}");
+            }
+        }
+        let long = read(json!({ "x".repeat(5000): 1 })).expect_err("no such option");
+        assert!(long.len() < 1000);
     }
 
     #[test]

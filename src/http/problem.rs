@@ -123,7 +123,9 @@ pub(super) fn internal() -> Problem {
 pub(super) fn plain(status: StatusCode, method: &str, path: &str) -> Problem {
     let path = shown(path);
     let (name, detail) = match status {
-        StatusCode::NOT_FOUND => ("not-found", format!("there is nothing at {path}")),
+        StatusCode::NOT_FOUND => {
+            ("not-found", format!("there is nothing at {path}; /openapi.yaml lists what there is"))
+        }
         StatusCode::METHOD_NOT_ALLOWED => (
             "method-not-allowed",
             format!("{path} does not take {method}; the Allow header lists what it takes"),

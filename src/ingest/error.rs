@@ -32,7 +32,7 @@ pub enum Fault {
     Io(#[from] io::Error),
 
     /// Neither a directory nor a zip archive.
-    #[error("is not a zip archive ({0}); send the dataset as one zip file")]
+    #[error("this is not a zip archive ({0}); send the dataset as one zip file")]
     NotAZip(String),
     /// The archive's structure or an entry's data is damaged.
     #[error("the archive is damaged: {0}")]

@@ -17,11 +17,13 @@ use axum::{
 };
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{Digest, JobId},
+    domain::{Digest, JobId, Scope},
     ingest, sample,
 };
 
-use crate::support::{contract::Coverage, fakes, program, server::Server};
+use crate::support::{
+    authority::Authority, contract::Coverage, fakes, program, receiver::Receiver, server::Server,
+};
 
 /// Runs a command beside the service.
 async fn run(arguments: Vec<OsString>) -> Output {
@@ -295,6 +297,42 @@ async fn a_stream_that_breaks_off_is_gone_on_with_where_it_was() {
         "{}",
         text(&watched.stderr)
     );
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_is_not_let_in_is_told_where_the_command_takes_its_key_from() {
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.succeeded().await;
+    let job = job.rsplit('/').next().expect("an id");
+    server.key(&[Scope::Read]).await;
+    let output = run(line!["watch", job, "--server", format!("http://{}", server.address)]).await;
+    failed(&output, 3);
+    assert!(text(&output.stderr).contains("TCGS_API_KEY"), "{}", text(&output.stderr));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_service_that_cannot_show_who_it_is_gets_no_word() {
+    let theirs = Authority::new("theirs");
+    let mut stranger = Receiver::start_tls(theirs.acceptor("localhost")).await;
+    let job = JobId(uuid::Uuid::nil()).to_string();
+    let watch = line!["watch", job, "--server", stranger.https_url("localhost")];
+    let output = run(watch.clone()).await;
+    failed(&output, 4);
+    let told = text(&output.stderr);
+    assert!(told.contains("is signed by no authority that is trusted here"), "{told}");
+    assert!(stranger.is_quiet());
+
+    if cfg!(target_os = "linux") {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("ca.pem");
+        fs::write(&file, theirs.pem()).expect("written");
+        let trusted = ("SSL_CERT_FILE", file.to_str().expect("UTF-8").to_owned());
+        run_with(watch, vec![trusted]).await;
+        assert!(
+            stranger.next().await.path.ends_with(&job),
+            "who is among the system's authorities is trusted"
+        );
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

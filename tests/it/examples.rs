@@ -8,8 +8,9 @@ use std::{
 
 use serde_json::Value;
 use tcgs::{
-    domain::Scope,
+    domain::{Scope, WebhookSecret},
     sample::{self, Settings},
+    webhooks::sign,
 };
 
 use crate::support::{contract::Coverage, fakes, server::Server};
@@ -41,19 +42,23 @@ fn scene(folder: &Path) -> std::path::PathBuf {
     path
 }
 
-/// The commands of a document: its blocks marked `sh`.
-fn commands(document: &str) -> String {
-    let mut commands = String::from("set -euo pipefail\n");
-    let mut inside = false;
+/// The session with curl.
+fn session() -> String {
+    fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/API.md")).expect("readable")
+}
+
+/// The blocks of a document that are marked `language`.
+fn blocks(document: &str, language: &str) -> String {
+    let (begin, mut inside, mut text) = (format!("```{language}"), false, String::new());
     for line in document.lines() {
         match line {
-            "```sh" => inside = true,
+            line if line == begin => inside = true,
             "```" => inside = false,
-            _ if inside => commands.extend([line, "\n"]),
+            _ if inside => text.extend([line, "\n"]),
             _ => {}
         }
     }
-    commands
+    text
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -66,8 +71,7 @@ async fn the_session_with_curl_goes_as_it_is_written() {
     let key = server.key(&[Scope::Read, Scope::ScenesWrite, Scope::JobsWrite]).await;
     let folder = tempfile::tempdir().expect("a folder");
     let script = folder.path().join("session.sh");
-    let document = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/API.md");
-    fs::write(&script, commands(&fs::read_to_string(document).expect("readable"))).expect("writes");
+    fs::write(&script, format!("set -euo pipefail\n{}", blocks(&session(), "sh"))).expect("writes");
     let mut session = Command::new("bash");
     session.arg(&script).current_dir(folder.path()).stdin(Stdio::null());
     session.env("TCGS_SERVER", format!("http://{}", server.address)).env(KEY, &key.key);
@@ -86,6 +90,35 @@ async fn the_session_with_curl_goes_as_it_is_written() {
         assert!(file(name).starts_with(begin), "{name}");
     }
 }
+
+#[tokio::test]
+async fn the_check_of_a_message_tells_the_services_own_from_others() {
+    if !there_is("python3", &["--version"]) {
+        return;
+    }
+    let secret = WebhookSecret::stored("whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw".into());
+    let body = "{\"type\": \"job.succeeded\"}";
+    let signature = sign(&secret, "msg_1", 1_614_265_330, body).expect("signed");
+    let mut check = Command::new("python3");
+    check.args(["-c", &format!("{}{CHECKS}", blocks(&session(), "python"))]);
+    check.args([secret.expose(), &signature, body]);
+    finishes(check).await;
+}
+
+/// Asks the function of the document about a message and about others that differ from it.
+const CHECKS: &str = r#"
+import sys
+
+secret, signature, body = sys.argv[1:]
+
+def asked(secret=secret, id="msg_1", time="1614265330", signature=signature, body=body):
+    headers = {"webhook-id": id, "webhook-timestamp": time, "webhook-signature": signature}
+    return is_from_the_service(secret, headers, body.encode())
+
+assert asked() and asked(signature="v1,AAAA " + signature)
+for other in [{"id": "msg_2"}, {"time": "1614265331"}, {"body": body + " "}, {"signature": "v1,AAAA"}, {"secret": "whsec_AAAA"}]:
+    assert not asked(**other), other
+"#;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_client_in_python_brings_a_scene_and_a_view() {

@@ -136,7 +136,10 @@ pub(super) fn unexpected(detail: impl AsRef<str>) -> Failure {
 
 /// A fault of transport.
 pub(super) fn unreachable(base: &Url, fault: &reqwest::Error) -> Failure {
-    let detail = format!("{base} does not answer: {}", root(fault));
+    let detail = match tcgs::https::certificate_fault(fault) {
+        Some(reason) => format!("the certificate of {base} {reason}"),
+        None => format!("{base} does not answer: {}", root(fault)),
+    };
     Problem::new(503, "unreachable", "The service cannot be reached", detail).into()
 }
 
@@ -171,11 +174,16 @@ async fn accepted(response: Response) -> Result<Response, Failure> {
         return Ok(response);
     }
     let body = body(response).await?;
-    let problem = serde_json::from_slice::<Problem>(&body).unwrap_or_else(|_| {
+    let mut problem = serde_json::from_slice::<Problem>(&body).unwrap_or_else(|_| {
         let said: String = String::from_utf8_lossy(&body).chars().take(200).collect();
         let detail = format!("the service answered {status}: {}", said.trim());
         Problem::new(status.as_u16(), "refused", "The service refused", detail)
     });
+    if status == StatusCode::UNAUTHORIZED {
+        problem
+            .detail
+            .push_str(". This command takes the key from the variable TCGS_API_KEY, or see --key-file");
+    }
     Err(problem.into())
 }
 

@@ -29,6 +29,12 @@ pub(super) async fn a_dataset_becomes_a_file_with_metrics_and_history(coverage: 
     assert_eq!(artifact["bytes"], fakes::FILE.len());
     let file = server.get(artifact["href"].as_str().expect("a path")).await.expect(200);
     assert_eq!(file.body, fakes::FILE);
+    for (name, link) in done["links"].as_object().expect("links") {
+        // What takes another method or a parameter says so; every address is one.
+        let status = server.get(link.as_str().expect("a path")).await.status;
+        let is_action = ["cancel", "retry", "views"].contains(&&**name);
+        assert_eq!((status == 405, status == 404), (is_action, false), "{name}: {status}");
+    }
 
     let mut next = format!("{path}/events?limit=2");
     let mut events = Vec::new();
