@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # How the service answers while a job trains: requests a second and waiting times of a job's state and of parts of a file, how many
-# clients can follow a job at once, and how long views take. Loopback only; SECONDS_EACH seconds a row. Prints a table.
+# clients can follow a job at once, how long views take, and what a stream of them takes from training. Loopback only;
+# SECONDS_EACH seconds a row. Prints two tables.
 #   scripts/load.sh    needs wrk and python3 beside what make demo needs
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -92,6 +93,25 @@ load "64 KiB of a file beside training" "$finished/artifact" range
 views "a view of 256x256 beside training" 256
 views "a view of 512x512 beside training" 512
 
+# Growth makes later steps slower, so what runs alone is measured on both sides.
+step() { curl -sSf "$base$running" | grep -o '"step":[0-9]*' | head -n 1 | cut -d: -f2; }
+pace() { # what
+    local from to began ended
+    from=$(step) began=$(date +%s.%N)
+    sleep "$seconds"
+    to=$(step) ended=$(date +%s.%N)
+    awk -v what="$1" -v steps=$((to - from)) -v began="$began" -v ended="$ended" \
+        'BEGIN { printf "| %s | %.2f |\n", what, steps / (ended - began) }' >>"$scratch/pace"
+}
+pace "alone"
+for width in 256 512; do
+    curl -sN "$base$finished/stream?orbit=1000&fps=60&width=$width" -o /dev/null &
+    stream=$!
+    pace "beside a stream of views of $width pixels"
+    kill $stream 2>/dev/null; wait $stream 2>/dev/null || true
+    pace "alone again"
+done
+
 # Every client has to see the same events, from the first to the one that ends the job.
 for client in $(seq "$clients"); do
     curl -sN --max-time 120 -H 'Accept: text/event-stream' "$base$running/events" >"$scratch/stream.$client" &
@@ -104,3 +124,7 @@ wait "${followers[@]}"
 echo
 echo "$clients clients followed the job to its end; different histories among them: $(grep -h '^id:' "$scratch"/stream.* | sort | uniq -c |
     awk -v all="$clients" '$1 != all' | wc -l) events not seen by all"
+echo
+echo "| training | steps/s |"
+echo "|---|--:|"
+cat "$scratch/pace"

@@ -136,6 +136,15 @@ pub struct CurvePoint {
     pub sha256: Digest,
 }
 
+/// How near the attributes of a file come to what their model allows; ratios of bytes, one being perfect.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CodingEfficiency {
+    /// Bytes in the file over the sum of -log2 p by the integer model that codes them.
+    pub over_ideal: f64,
+    /// That sum over the same by the float networks that the integer ones were made of; null where no group has one.
+    pub over_floats: Option<f64>,
+}
+
 /// All figures of a finished job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JobMetrics {
@@ -169,6 +178,9 @@ pub struct JobMetrics {
     /// What `max_bytes` came to; null where it was not asked for.
     #[serde(default)]
     pub byte_budget: Option<ByteBudget>,
+    /// How near its attributes come to what their model allows; null where nothing was coded.
+    #[serde(default)]
+    pub coding: Option<CodingEfficiency>,
     /// The points of `rd_curve` in the order asked for, the first being what the other figures are of; else empty.
     #[serde(default)]
     pub rd_curve: Vec<CurvePoint>,

@@ -56,7 +56,8 @@ pub use job::{Event, EventKind, Job, JobState};
 pub use key::{ApiKey, KeyHash, MalformedKey};
 pub use memory::{Bytes, MemoryBudget, MemoryLimits};
 pub use metrics::{
-    ByteBudget, ByteCounts, CurvePoint, GroupOctaves, JobMetrics, PhaseSeconds, Scores, ViewScore,
+    ByteBudget, ByteCounts, CodingEfficiency, CurvePoint, GroupOctaves, JobMetrics, PhaseSeconds, Scores,
+    ViewScore,
 };
 pub use near::NearPlane;
 pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOptions, Voxel};

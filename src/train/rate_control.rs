@@ -26,6 +26,10 @@ const PROPORTIONAL: f64 = 1.5;
 /// Error beyond which a larger one moves no faster: estimates jump when the model does.
 const MOST_ERROR: f64 = 0.7;
 
+/// Share of the steps at the begin in which nothing is steered yet: estimates still fall by themselves there, since masks and
+/// context model have not done their part, and what a larger weight takes from a scene meanwhile does not come back.
+const SETTLING: f64 = 0.25;
+
 /// How many times the run's own weight it may become.
 const MOST: f64 = 256.0;
 
@@ -53,11 +57,14 @@ pub struct RateControl {
 }
 
 impl RateControl {
-    /// A controller that begins at the run's own weight `base` and steers in the steps of `window` towards a file of no more
-    /// than `max_bytes`.
+    /// A controller that begins at the run's own weight `base` and steers in the steps of `window`, but for its
+    /// first quarter, towards a file of no more than `max_bytes`.
     #[must_use]
     pub fn new(base: f64, max_bytes: u64, window: RangeInclusive<u32>) -> Self {
         let aim = AIM * max_bytes.max(1) as f64;
+        let (begin, end) = window.into_inner();
+        let settled = begin + (f64::from(end.saturating_sub(begin)) * SETTLING) as u32;
+        let window = settled..=end;
         Self { base, aim, window, log_ratio: 0.0, error: 0.0, step: 0 }
     }
 
@@ -118,19 +125,42 @@ mod tests {
         /// Steps in which a change does most of what it does.
         delay: f64,
         now: f64,
+        /// Share of the free bytes that goes by itself, with `settling` as the time constant in steps, after `since`.
+        decline: f64,
+        settling: f64,
+        since: f64,
+        /// Share of what the weight took that does not come back.
+        lost: f64,
+        lowest: f64,
     }
 
     impl Plant {
         fn new(slope: f64, delay: f64) -> Self {
-            Self { free: 1e6, fixed: 2e4, slope, delay, now: 0.0 }
+            let (decline, settling, since) = (0.0, 1.0, 0.0);
+            Self {
+                free: 1e6,
+                fixed: 2e4,
+                slope,
+                delay,
+                now: 0.0,
+                decline,
+                settling,
+                since,
+                lost: 0.0,
+                lowest: 1.0,
+            }
         }
 
         fn step(&mut self, ratio: f64) {
             self.now += (ratio.ln() - self.now) / self.delay;
+            self.since -= 1.0;
+            self.lowest = self.lowest.min((-self.slope * self.lost * self.now).exp());
         }
 
         fn bytes(&self) -> f64 {
-            self.fixed + self.free * (-self.slope * self.now).exp()
+            let unsettled = 1.0 + self.decline * (self.since.min(0.0) / self.settling).exp();
+            let taken = (-self.slope * (1.0 - self.lost) * self.now).exp() * self.lowest;
+            self.fixed + self.free * unsettled * taken
         }
     }
 
@@ -167,6 +197,24 @@ mod tests {
                     assert!((0.95..1.04).contains(&last), "{place}: {last}");
                     assert!(least > 0.9 * budget as f64, "{place}: falls to {least}");
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn estimates_that_fall_by_themselves_do_not_cost_a_short_run_its_bytes() {
+        for slope in [0.3, 0.5, 0.8] {
+            for lost in [0.5, 0.9] {
+                let short =
+                    Plant { decline: 0.8, settling: 40.0, since: 100.0, lost, ..Plant::new(slope, 30.0) };
+                let mut plant = short.clone();
+                let mut control = RateControl::new(1e-3, 1_100_000, 100..=255);
+                steer(&mut control, &mut plant, 1..=255, 5);
+                let used = plant.bytes() / 1.1e6;
+                assert!(
+                    (0.88..1.0).contains(&used),
+                    "slope {slope}, {lost} lost: {used} of the promise is used"
+                );
             }
         }
     }

@@ -9,6 +9,9 @@ use crate::{
     model::{Shape, VoxelRule},
 };
 
+/// The largest factor of the anchors' rates in short runs.
+const MOST_SPEED: f64 = 3.2;
+
 /// How many times faster than published masks learn in short runs, at most: beyond, a step is as large as the way.
 const MOST_MASK_SPEED: f64 = 125.0;
 
@@ -32,6 +35,13 @@ impl Decay {
 
 const fn constant(rate: f64) -> Decay {
     Decay { start: rate, end: rate }
+}
+
+/// By how much the rates of anchors are larger than published in a run of `steps` steps: they are made for 30 000, and Adam
+/// moves a parameter by no more than the sum of its rates. The fourth root is what the baseline of plain Gaussians
+/// has for what does not move in space, so that neither model learns with rates that the other has not.
+fn speed(steps: u32) -> f64 {
+    (30_000.0 / f64::from(steps.max(1))).sqrt().sqrt().clamp(1.0, MOST_SPEED)
 }
 
 /// Cells between neighbouring points, which growth begins with: the coarsest growth cell is as large as their spacing.
@@ -123,6 +133,8 @@ impl Schedule {
         };
         let steps = options.iterations.unwrap_or(default_steps);
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
+        let speed = speed(steps);
+        let faster = |rate: Decay| Decay { start: speed * rate.start, end: rate.end };
         Self {
             steps,
             shape: Shape { features, offsets: 10 },
@@ -141,10 +153,14 @@ impl Schedule {
             growth_threshold: 2e-4,
             max_anchors,
             random_points,
-            offset: Decay { start: 0.01, end: 1e-4 },
-            feature: constant(0.0075),
-            scaling: constant(0.007),
-            networks: [Decay { start: 2e-3, end: 2e-5 }, constant(4e-3), Decay { start: 8e-3, end: 5e-5 }],
+            offset: faster(Decay { start: 0.01, end: 1e-4 }),
+            feature: faster(constant(0.0075)),
+            scaling: faster(constant(0.007)),
+            networks: [
+                faster(Decay { start: 2e-3, end: 2e-5 }),
+                faster(constant(4e-3)),
+                faster(Decay { start: 8e-3, end: 5e-5 }),
+            ],
             volume_weight: 0.01,
             masks: masks(options, steps),
             drops_unused: options.model == ModelKind::Tcgs,
@@ -251,6 +267,25 @@ mod tests {
             let schedule = Schedule::new(&options);
             let grows = (1..=steps).filter(|step| schedule.densifies(*step)).count();
             assert_eq!(grows, rounds, "{steps} steps");
+        }
+    }
+
+    #[test]
+    fn anchors_of_shorter_runs_begin_faster_and_end_as_published() {
+        let of =
+            |steps: u32| Schedule::new(&TrainOptions { iterations: Some(steps), ..TrainOptions::default() });
+        let rates = |schedule: &Schedule| {
+            let [opacity, covariance, color] = schedule.networks;
+            [schedule.offset, schedule.feature, schedule.scaling, opacity, covariance, color]
+        };
+        let published = rates(&of(30_000));
+        assert_eq!(published.map(|rate| rate.start), [0.01, 0.0075, 0.007, 2e-3, 4e-3, 8e-3]);
+        assert_eq!(rates(&of(100_000)), published);
+        for (steps, factor) in [(10_000, 1.316), (2_000, 1.968), (300, 3.162), (1, MOST_SPEED)] {
+            for (rate, published) in rates(&of(steps)).iter().zip(published) {
+                assert!((rate.start / published.start - factor).abs() < 1e-3, "{steps} steps: {rate:?}");
+                assert!((rate.end / published.end - 1.0).abs() < 1e-12, "{steps} steps: {rate:?}");
+            }
         }
     }
 

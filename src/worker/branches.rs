@@ -122,6 +122,7 @@ mod tests {
             background: Background::White,
             conventions: Conventions::new(None),
             byte_budget: None,
+            coding: None,
             rd_curve: Vec::new(),
         };
         Finished { file: b"a file".to_vec(), metrics }

@@ -19,11 +19,14 @@ use super::{
     steps::choose_steps,
 };
 use crate::{
-    codec::{self, ContextSearch, ContextSettings, EncodeSettings, Encoded, Provenance},
+    codec::{
+        self, ContextChoice, ContextSearch, ContextSettings, DecodeLimits, EncodeSettings, Encoded,
+        Provenance,
+    },
     domain::{
-        AnchorScene, ByteBudget, CancelFlag, Conventions, Dataset, Frame, HeldOut, JobMetrics, MemoryBudget,
-        MemoryLimits, ModelKind, NamedCamera, Phase, PhaseSeconds, Problem, Progress, Scene, SceneFormat,
-        Scores, Split, SystemClock, TrainOptions,
+        AnchorScene, ByteBudget, CancelFlag, CodingEfficiency, Conventions, Dataset, Frame, GroupOctaves,
+        HeldOut, JobMetrics, MemoryBudget, MemoryLimits, ModelKind, NamedCamera, Phase, PhaseSeconds,
+        Problem, Progress, Scene, SceneFormat, Scores, Split, SystemClock, TrainOptions,
     },
     eval::{Lpips, mean_scores_with, measure_views_with},
     gpu::{AdapterChoice, Context, GpuError},
@@ -199,11 +202,16 @@ impl Site<'_> {
         let (context, dataset, cancel) = (Arc::clone(&self.context), self.dataset, self.cancel);
         let mut job = Job { context, dataset, options, cancel, lpips: self.lpips, seconds };
         tell(Phase::Encode, &progress);
-        let (bytes, file, byte_budget) = job.write(&trained, &mut || tell(Phase::Encode, &progress))?;
+        let Written { bytes, file, budget: byte_budget, coding } =
+            job.write(&trained, &mut || tell(Phase::Encode, &progress))?;
         tell(Phase::Evaluate, &progress);
         let metrics =
             job.measure(trained.steps, &trained.scene, &file, &mut || tell(Phase::Evaluate, &progress))?;
-        Ok(Product { file: bytes, format: file.format, metrics: JobMetrics { byte_budget, ..metrics } })
+        Ok(Product {
+            file: bytes,
+            format: file.format,
+            metrics: JobMetrics { byte_budget, coding, ..metrics },
+        })
     }
 
     /// Pictures of held-out views of a finished file, or none where something stands against them: a job must not fail for
@@ -273,6 +281,14 @@ impl Site<'_> {
     }
 }
 
+/// A file as it was written, and as it reads.
+struct Written {
+    bytes: Vec<u8>,
+    file: SceneFile,
+    budget: Option<ByteBudget>,
+    coding: Option<CodingEfficiency>,
+}
+
 /// What the stages after training share.
 struct Job<'a> {
     context: Arc<Context>,
@@ -284,26 +300,38 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Writes the file and reads it back; tells what a promise on its size came to.
-    fn write(
-        &mut self,
-        trained: &Trained,
-        alive: &mut dyn FnMut(),
-    ) -> Result<(Vec<u8>, SceneFile, Option<ByteBudget>), JobFailure> {
+    /// Writes the file and reads it back.
+    fn write(&mut self, trained: &Trained, alive: &mut dyn FnMut()) -> Result<Written, JobFailure> {
         let began = Instant::now();
         let (background, dataset) = (self.options.background, Some(self.dataset.digest));
-        let (bytes, budget) = match (&trained.scene, self.options.model) {
+        let (bytes, budget, context) = match (&trained.scene, self.options.model) {
             (Scene::Anchors(scene), ModelKind::Scaffold) => {
-                (scene_file::write_anchors(scene, background, dataset).map_err(JobFailure::Fail)?, None)
+                let bytes =
+                    scene_file::write_anchors(scene, background, dataset).map_err(JobFailure::Fail)?;
+                (bytes, None, None)
             }
-            (Scene::Anchors(scene), _) => self.encode(scene, trained.context.as_ref(), alive)?,
-            (Scene::Gaussians(scene), _) => (scene_file::write_gaussians(scene, background, dataset), None),
+            (Scene::Anchors(scene), _) => {
+                let (encoded, budget) = self.encode(scene, trained.context.as_ref(), alive)?;
+                (encoded.bytes, budget, Some(encoded.context))
+            }
+            (Scene::Gaussians(scene), _) => {
+                (scene_file::write_gaussians(scene, background, dataset), None, None)
+            }
         };
         self.seconds.encode = began.elapsed().as_secs_f64();
         let began = Instant::now();
         let file = scene_file::read(&bytes).map_err(|fault| JobFailure::Fail(internal(&fault.detail)))?;
         self.seconds.decode = began.elapsed().as_secs_f64();
-        Ok((bytes, file, budget))
+        let coding = match context {
+            // The float networks speak of the steps of training.
+            Some(choice) => {
+                let as_trained =
+                    budget.is_none_or(|budget| budget.coarser_octaves == GroupOctaves::default());
+                coding(&bytes, trained.context.as_ref().filter(|_| as_trained), &choice)?
+            }
+            None => None,
+        };
+        Ok(Written { bytes, file, budget, coding })
     }
 
     /// Codes, with the steps that the scene was trained with, within the bytes that were promised. Where it was not trained
@@ -313,7 +341,7 @@ impl Job<'_> {
         scene: &AnchorScene,
         context: Option<&TrainedContext>,
         alive: &mut dyn FnMut(),
-    ) -> Result<(Vec<u8>, Option<ByteBudget>), JobFailure> {
+    ) -> Result<(Encoded, Option<ByteBudget>), JobFailure> {
         let background = self.options.background;
         let seen = |wanted| spread(self.dataset.split(Split::Train).collect(), wanted);
         let steps = match context {
@@ -328,7 +356,7 @@ impl Job<'_> {
         let mut write = |draft: Draft<'_>| self.write_draft(draft, steps, context);
         let Some(limit) = self.options.max_bytes else {
             let draft = Draft { scene, coarser: [0; 3], search: ContextSearch::Cheapest, stated: None };
-            return Ok((write(draft)?.bytes, None));
+            return Ok((write(draft)?, None));
         };
         let budgeted = Budgeted {
             context: &self.context,
@@ -344,7 +372,7 @@ impl Job<'_> {
             stop_if(self.cancel)
         };
         let (encoded, budget) = fit_bytes(&budgeted, &mut write, &mut go_on, from_render)?;
-        Ok((encoded.bytes, Some(budget)))
+        Ok((encoded, Some(budget)))
     }
 
     fn write_draft(
@@ -405,6 +433,7 @@ impl Job<'_> {
             background: self.options.background,
             conventions: Conventions::new(self.lpips.map(Lpips::network)),
             byte_budget: None,
+            coding: None,
             rd_curve: Vec::new(),
         })
     }
@@ -435,6 +464,19 @@ impl Job<'_> {
 fn spread(frames: Vec<&Frame>, wanted: usize) -> Vec<&Frame> {
     let count = frames.len().min(wanted);
     (0..count).map(|index| frames[index * frames.len() / count]).collect()
+}
+
+/// How near the file comes to what its model allows; none where it codes nothing.
+fn coding(
+    bytes: &[u8],
+    context: Option<&TrainedContext>,
+    choice: &ContextChoice,
+) -> Result<Option<CodingEfficiency>, JobFailure> {
+    let trained = context.map(|context| (&context.candidates, choice));
+    let efficiency = codec::efficiency(bytes, &DecodeLimits::NONE, trained)
+        .map_err(|fault| JobFailure::Fail(internal(&fault.to_string())))?;
+    let over_ideal = efficiency.over_ideal();
+    Ok(over_ideal.is_finite().then(|| CodingEfficiency { over_ideal, over_floats: efficiency.over_floats() }))
 }
 
 fn stop_if(cancel: &CancelFlag) -> Result<(), JobFailure> {

@@ -27,10 +27,10 @@ fn bytes(text: &mut String, runs: &[&Record]) {
     let _ = writeln!(text, "### Bytes by section, and what each part of the method is worth\n");
     let _ = writeln!(
         text,
-        "| set | entry | {} | total | PSNR dB | SSIM | 3dgs / it | scaffold / it | ΔPSNR to scaffold | ΔPSNR to tcgs |",
+        "| set | entry | {} | total | PSNR dB | SSIM | / ideal | / floats | 3dgs / it | scaffold / it | ΔPSNR to scaffold | ΔPSNR to tcgs |",
         names.join(" | ")
     );
-    let _ = writeln!(text, "|---|---|{}--:|--:|--:|--:|--:|--:|--:|", "--:|".repeat(names.len()));
+    let _ = writeln!(text, "|---|---|{}--:|--:|--:|--:|--:|--:|--:|--:|--:|", "--:|".repeat(names.len()));
     for run in runs {
         let counts = &run.metrics.bytes;
         let parts = match is_coded(run) {
@@ -53,12 +53,14 @@ fn bytes(text: &mut String, runs: &[&Record]) {
         };
         let _ = writeln!(
             text,
-            "| {} | {} | {parts} | {} | {} | {} | {} | {} | {} | {} |",
+            "| {} | {} | {parts} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
             run.set,
             run.entry,
             counts.total,
             figure(run.metrics.test.psnr, 2),
             figure(run.metrics.test.ssim, 4),
+            figure(run.metrics.coding.map(|coding| coding.over_ideal), 4),
+            figure(run.metrics.coding.and_then(|coding| coding.over_floats), 4),
             ratio("3dgs"),
             ratio("scaffold"),
             gain("scaffold"),

@@ -13,10 +13,10 @@ use std::{
 use glam::DVec3;
 use tcgs::{
     domain::{
-        AnchorScene, Background, ByteCounts, Camera, CancelFlag, Conventions, CurvePoint, DatasetSummary,
-        Digest, HeldOut, HeldOutView, Image, Intrinsics, JobMetrics, Lattice, Layout, LpipsNetwork, Mlp,
-        NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, Progress, RenderNetworks, Scene,
-        SceneFormat, Scores, Split, TrainOptions, ViewScore,
+        AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, Conventions, CurvePoint,
+        DatasetSummary, Digest, HeldOut, HeldOutView, Image, Intrinsics, JobMetrics, Lattice, Layout,
+        LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, Progress,
+        RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
     },
     render::{
         RenderViews,
@@ -156,6 +156,7 @@ pub fn metrics() -> JobMetrics {
         background: Background::White,
         conventions: Conventions::new(Some(LpipsNetwork::Vgg)),
         byte_budget: None,
+        coding: Some(CodingEfficiency { over_ideal: 1.001, over_floats: Some(1.002) }),
         rd_curve: Vec::new(),
     }
 }
