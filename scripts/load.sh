@@ -105,10 +105,14 @@ pace() { # what
 }
 pace "alone"
 for width in 256 512; do
-    curl -sN "$base$finished/stream?orbit=1000&fps=60&width=$width" -o /dev/null &
+    curl -sSfN "$base$finished/stream?orbit=1000&fps=60&width=$width" -o "$scratch/pictures" &
     stream=$!
+    until [ -s "$scratch/pictures" ]; do kill -0 $stream; sleep 0.1; done
     pace "beside a stream of views of $width pixels"
-    kill $stream 2>/dev/null; wait $stream 2>/dev/null || true
+    kill $stream
+    wait $stream 2>/dev/null || true
+    echo "| pictures in that time | $(grep -ac '^Content-Type' "$scratch/pictures") |" >>"$scratch/pace"
+    rm "$scratch/pictures"
     pace "alone again"
 done
 
