@@ -37,11 +37,16 @@ const fn constant(rate: f64) -> Decay {
     Decay { start: rate, end: rate }
 }
 
-/// By how much the rates of anchors are larger than published in a run of `steps` steps: they are made for 30 000, and Adam
-/// moves a parameter by no more than the sum of its rates. The fourth root is what the baseline of plain Gaussians
-/// has for what does not move in space, so that neither model learns with rates that the other has not.
+/// How many times shorter a run of `steps` steps is than the one that the published rates are made for.
+pub(super) fn shortness(steps: u32) -> f64 {
+    30_000.0 / f64::from(steps.max(1))
+}
+
+/// By how much the rates of anchors are larger than published in a run of `steps` steps: Adam moves a parameter by no
+/// more than the sum of its rates. The fourth root is what the baseline of plain Gaussians has for what does not move in
+/// space, so that no model owes its lead to faster rates.
 fn speed(steps: u32) -> f64 {
-    (30_000.0 / f64::from(steps.max(1))).sqrt().sqrt().clamp(1.0, MOST_SPEED)
+    shortness(steps).sqrt().sqrt().clamp(1.0, MOST_SPEED)
 }
 
 /// Cells between neighbouring points, which growth begins with: the coarsest growth cell is as large as their spacing.
@@ -230,7 +235,7 @@ fn masks(options: &TrainOptions, steps: u32) -> Option<MaskSchedule> {
     if options.preset == Preset::Paper {
         return Some(published);
     }
-    let scale = (30_000.0 / f64::from(steps.max(1))).clamp(1.0, MOST_MASK_SPEED);
+    let scale = shortness(steps).clamp(1.0, MOST_MASK_SPEED);
     Some(MaskSchedule {
         from: part(0.5) + 1,
         loss_from: part(0.5) + 1,

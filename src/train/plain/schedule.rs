@@ -19,7 +19,7 @@
 
 use crate::{
     domain::{Background, Preset, TrainOptions},
-    train::Decay,
+    train::{Decay, schedule::shortness},
 };
 
 /// Steps that a reset of opacities needs to be made good.
@@ -67,7 +67,7 @@ impl PlainSchedule {
         let part = |of_30_000: f64| (f64::from(steps) * of_30_000 / 30_000.0).round() as u32;
         let densify_until = part(15_000.0);
         let reset_every = part(3_000.0).max(RECOVERY);
-        let speed = (30_000.0 / f64::from(steps.max(1))).sqrt().clamp(1.0, MOST_SPEED);
+        let speed = shortness(steps).sqrt().clamp(1.0, MOST_SPEED);
         let slower = speed.sqrt() as f32;
         Self {
             densify_from: part(500.0),
