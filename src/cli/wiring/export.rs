@@ -131,9 +131,7 @@ pub(crate) fn compare(
     background: Background,
     photographs: Option<&[(String, Camera, Image)]>,
 ) -> Result<Quality, Problem> {
-    let mut file = scene_file::read(exported)?;
-    file.background = background;
-    let exported = source.beside(file);
+    let exported = exported_beside(source, exported, background)?;
     let mut to_source = Vec::new();
     let (mut of_source, mut of_exported) = (None, None);
     match photographs {
@@ -171,9 +169,7 @@ pub(super) fn likeness(
     exported: &[u8],
     cameras: &[Camera],
 ) -> Result<Option<Likeness>, Problem> {
-    let mut file = scene_file::read(exported)?;
-    file.background = source.viewable.background;
-    let exported = source.beside(file);
+    let exported = exported_beside(source, exported, source.viewable.background)?;
     let views = cameras.len().min(LIKENESS_VIEWS);
     let mut sum = 0.0;
     for place in 0..views {
@@ -181,6 +177,13 @@ pub(super) fn likeness(
     }
     let count = u32::try_from(views).unwrap_or(u32::MAX);
     Ok((views > 0).then(|| Likeness { psnr: sum / f64::from(count), views: count }))
+}
+
+/// An exported file's scene, to be rendered on `background` as the source is: not every format knows one.
+fn exported_beside(source: &Renderer, exported: &[u8], background: Background) -> Result<Renderer, Problem> {
+    let mut file = scene_file::read(exported)?;
+    file.background = background;
+    Ok(source.beside(file))
 }
 
 /// The same view with sides of at most [`LIKENESS_SIDE`].
