@@ -1,84 +1,47 @@
-// First half of SSIM's window: along rows, the moments x, y, x^2 + y^2 and xy of render and photograph. The squares
-// are needed only as their sum. A field is a plane: moments[(3 * moment + channel) * pixels + pixel].
-#import tcgs::ssim::{Image, Line, Windows, REACH, RUN, times, plus, unpack, windows}
+// First half of SSIM's window: along rows, the moments x, y, x^2 + y^2 and xy of render and photograph, of a channel each
+// invocation. The squares are needed only as their sum.
+#import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, four, held, inside, places, run_of, slide, unpack}
 
 @group(0) @binding(0) var<uniform> image: Image;
 @group(0) @binding(1) var<storage, read> render: array<f32>;
 @group(0) @binding(2) var<storage, read> photograph: array<u32>;
-@group(0) @binding(3) var<storage, read_write> moments: array<f32>;
-
-// Outside the image there is zero.
-fn sample(row: u32, column: i32, channel: u32) -> f32 {
-    let width = i32(image.size.x);
-    let pixel = row * image.size.x + u32(clamp(column, 0, width - 1));
-    return select(0.0, render[4u * pixel + channel], column >= 0 && column < width);
-}
-
-fn samples(row: u32, column: i32, channel: u32) -> vec4f {
-    return vec4f(
-        sample(row, column, channel),
-        sample(row, column + 1, channel),
-        sample(row, column + 2, channel),
-        sample(row, column + 3, channel),
-    );
-}
-
-fn packed(row: u32, column: i32) -> u32 {
-    let width = i32(image.size.x);
-    let pixel = row * image.size.x + u32(clamp(column, 0, width - 1));
-    return select(0u, photograph[pixel], column >= 0 && column < width);
-}
-
-fn packed4(row: u32, column: i32) -> vec4u {
-    return vec4u(packed(row, column), packed(row, column + 1), packed(row, column + 2), packed(row, column + 3));
-}
-
-fn store(plane: u32, row: u32, first: u32, sums: Windows) {
-    let width = image.size.x;
-    let base = (plane * image.size.y + row) * width + first;
-    for (var i = 0u; i < 4u; i++) {
-        if first + i < width {
-            moments[base + i] = sums.low[i];
-        }
-        if first + 4u + i < width {
-            moments[base + 4u + i] = sums.high[i];
-        }
-    }
-}
+@group(0) @binding(3) var<storage, read_write> moments: array<vec4f>;
 
 @compute @workgroup_size(64)
 fn ssim_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
-    let runs = (image.size.x + RUN - 1u) / RUN;
-    let row = index / runs;
-    if row >= image.size.y {
+    let width = image.size.x;
+    let run = run_of(image, (group.x + group.y * 65535u) * 64u + local, image.size.y, width);
+    if run.channel == 3u {
         return;
     }
-    let first = (index - row * runs) * RUN;
-    let reach = i32(first) - REACH;
-    let p0 = packed4(row, reach);
-    let p1 = packed4(row, reach + 4);
-    let p2 = packed4(row, reach + 8);
-    let p3 = packed4(row, reach + 12);
-    let p4 = vec4u(packed(row, reach + 16), packed(row, reach + 17), 0u, 0u);
-    for (var channel = 0u; channel < 3u; channel++) {
-        let x = Line(
-            samples(row, reach, channel),
-            samples(row, reach + 4, channel),
-            samples(row, reach + 8, channel),
-            samples(row, reach + 12, channel),
-            vec2f(sample(row, reach + 16, channel), sample(row, reach + 17, channel)),
-        );
-        let y = Line(
-            unpack(p0, channel),
-            unpack(p1, channel),
-            unpack(p2, channel),
-            unpack(p3, channel),
-            unpack(p4, channel).xy,
-        );
-        store(channel, row, first, windows(x));
-        store(3u + channel, row, first, windows(y));
-        store(6u + channel, row, first, windows(plus(times(x, x), times(y, y))));
-        store(9u + channel, row, first, windows(times(x, y)));
+    var xs = Tail();
+    var ys = Tail();
+    var squares = Tail();
+    var products = Tail();
+    // So that the sums begin with the run, a whole number of strides before it.
+    for (var column = run.first + REACH - 3 * STRIDE; column < run.last + REACH; column += STRIDE) {
+        let columns = four(column);
+        let counts = inside(columns, width);
+        let pixels = run.line * width + held(columns, width);
+        let at = 4u * pixels + run.channel;
+        let packed = vec4u(photograph[pixels.x], photograph[pixels.y], photograph[pixels.z], photograph[pixels.w]);
+        // Outside the image there is zero.
+        let x = select(vec4f(0.0), vec4f(render[at.x], render[at.y], render[at.z], render[at.w]), counts);
+        let y = select(vec4f(0.0), unpack(packed, run.channel), counts);
+        let sums = transpose(mat4x4f(
+            slide(&xs, x),
+            slide(&ys, y),
+            slide(&squares, x * x + y * y),
+            slide(&products, x * y),
+        ));
+        let centre = column - REACH;
+        if centre >= run.first {
+            // Of the last four some may lie beyond the image, but not beyond their block.
+            let to = places(image, run.channel, vec4u(four(centre))) + run.line * BLOCK;
+            moments[to.x] = sums[0];
+            moments[to.y] = sums[1];
+            moments[to.z] = sums[2];
+            moments[to.w] = sums[3];
+        }
     }
 }

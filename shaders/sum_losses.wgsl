@@ -1,4 +1,4 @@
-// Sums the pixels' losses in runs of 4096 pixels; the host adds the runs.
+// Sums the shares of the losses in runs of 4096; the host adds the runs.
 #import tcgs::ssim::Image
 
 const LANES: u32 = 64u;
@@ -13,11 +13,10 @@ var<workgroup> shared_sums: array<vec4f, LANES>;
 @compute @workgroup_size(LANES)
 fn sum_losses(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let run = group.x + group.y * 65535u;
-    let pixels = image.size.x * image.size.y;
-    let last = min((run + 1u) * RUN, pixels);
+    let last = min((run + 1u) * RUN, image.size.w);
     var sum = vec4f(0.0);
-    for (var pixel = run * RUN + local; pixel < last; pixel += LANES) {
-        sum += losses[pixel];
+    for (var share = run * RUN + local; share < last; share += LANES) {
+        sum += losses[share];
     }
     shared_sums[local] = sum;
     workgroupBarrier();
@@ -27,7 +26,7 @@ fn sum_losses(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_ind
         }
         workgroupBarrier();
     }
-    if local == 0u && run * RUN < pixels {
+    if local == 0u && run < arrayLength(&sums) {
         sums[run] = shared_sums[0];
     }
 }

@@ -1,11 +1,13 @@
 // The wavelet constraint: the weighted absolute bands of two Haar levels of render minus photograph, which is what the
-// bands differ by, since the transform is linear. Adds its gradient to the image's and writes its share of the loss to
-// the fourth component of the losses (method.md section 4.8). Both levels lie within blocks of 4 x 4 pixels: one block an
+// bands differ by, since the transform is linear. Adds its gradient to the image's and writes each block's share of the loss,
+// after the shares of the other losses (method.md section 4.8). Both levels lie within blocks of 4 x 4 pixels: one block an
 // invocation. What lies outside the image is zero in both, so it differs by nothing and needs no gradient.
 
 struct Constraint {
     // width, height, blocks in a row, blocks
     size: vec4u,
+    // place of the first share of the loss, unused, unused, unused
+    places: vec4u,
     // weights of a sample of LH, HL and HH of the first level; the low band's place is 0
     fine: vec4f,
     // of LL, LH, HL and HH of the second
@@ -21,10 +23,10 @@ const HAAR: mat4x4f = mat4x4f(
 );
 
 @group(0) @binding(0) var<uniform> constraint: Constraint;
-@group(0) @binding(1) var<storage, read> render: array<f32>;
+@group(0) @binding(1) var<storage, read> render: array<vec4f>;
 @group(0) @binding(2) var<storage, read> photograph: array<u32>;
-@group(0) @binding(3) var<storage, read_write> losses: array<f32>;
-@group(0) @binding(4) var<storage, read_write> d_image: array<f32>;
+@group(0) @binding(3) var<storage, read_write> losses: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> d_image: array<vec4f>;
 
 fn inside(place: vec2u) -> bool {
     return place.x < constraint.size.x && place.y < constraint.size.y;
@@ -34,8 +36,7 @@ fn difference(place: vec2u) -> vec3f {
     let held = min(place, constraint.size.xy - 1u);
     let pixel = held.y * constraint.size.x + held.x;
     let packed = vec3u(photograph[pixel]) >> vec3u(0u, 8u, 16u);
-    let x = vec3f(render[4u * pixel], render[4u * pixel + 1u], render[4u * pixel + 2u]);
-    return select(vec3f(0.0), x - vec3f(packed & vec3u(255u)) / 255.0, inside(place));
+    return select(vec3f(0.0), render[pixel].xyz - vec3f(packed & vec3u(255u)) / 255.0, inside(place));
 }
 
 // The bands of a 2 x 2 block, a column each.
@@ -68,10 +69,7 @@ fn d_bands(block: mat4x3f, weights: vec4f) -> mat4x3f {
 
 fn add(place: vec2u, gradient: vec3f) {
     if inside(place) {
-        let at = 4u * (place.y * constraint.size.x + place.x);
-        d_image[at] += gradient.x;
-        d_image[at + 1u] += gradient.y;
-        d_image[at + 2u] += gradient.z;
+        d_image[place.y * constraint.size.x + place.x] += vec4f(gradient, 0.0);
     }
 }
 
@@ -101,7 +99,7 @@ fn wavelet(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index)
     let d = bands(across);
     let coarse = mat4x3f(a[0], b[0], c[0], d[0]) * HAAR;
     let fine = loss(a, constraint.fine) + loss(b, constraint.fine) + loss(c, constraint.fine) + loss(d, constraint.fine);
-    losses[4u * (place.y * constraint.size.x + place.x) + 3u] = fine + loss(coarse, constraint.coarse);
+    losses[constraint.places.x + index] = vec4f(0.0, 0.0, 0.0, fine + loss(coarse, constraint.coarse));
     let d_low = d_bands(coarse, constraint.coarse) * HAAR;
     add_block(place, a, d_low[0]);
     add_block(right, b, d_low[1]);

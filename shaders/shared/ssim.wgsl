@@ -6,41 +6,78 @@ const TAPS: array<f32, 6> = array<f32, 6>(
     0.0010283801, 0.0075987581, 0.0360007721, 0.1093606895, 0.2130055377, 0.2660117249,
 );
 
-// Pixels in line that an invocation makes: their windows overlap, so that 18 reads serve eight windows of 11.
-const RUN: u32 = 8u;
+// Pixels of a line that an invocation takes at a time.
+const STRIDE: i32 = 4;
+
+// Columns in a block of a field.
+const BLOCK: u32 = 8u;
 
 struct Image {
-    // width, height, unused, unused
+    // width, height, pixels in line that an invocation makes (a multiple of STRIDE), shares of the losses
     size: vec4u,
     // weight of L1 a sample, weight of SSIM a sample, unused, unused
     weights: vec4f,
 }
 
-// The samples in line that the windows of a run reach: its eight and REACH on either side.
-struct Line {
+// The part of a line of one channel that an invocation makes: from `first` up to, not including, `last`.
+struct Run {
+    channel: u32,
+    line: u32,
+    first: i32,
+    last: i32,
+}
+
+// Runs in lines of `length` samples.
+fn runs(image: Image, length: u32) -> u32 {
+    return (length + image.size.z - 1u) / image.size.z;
+}
+
+// The run of an invocation: neighbours take neighbouring lines. Past the last run the channel is 3.
+fn run_of(image: Image, index: u32, lines: u32, length: u32) -> Run {
+    let runs = runs(image, length);
+    let row = index / lines;
+    let channel = row / runs;
+    let first = (row - channel * runs) * image.size.z;
+    return Run(min(channel, 3u), index - row * lines, i32(first), i32(min(first + image.size.z, length)));
+}
+
+// Four samples in line, of which the first is `at`.
+fn four(at: i32) -> vec4i {
+    return at + vec4i(0, 1, 2, 3);
+}
+
+fn inside(at: vec4i, length: u32) -> vec4<bool> {
+    return at >= vec4i(0) & at < vec4i(i32(length));
+}
+
+fn held(at: vec4i, length: u32) -> vec4u {
+    return vec4u(clamp(at, vec4i(0), vec4i(i32(length) - 1)));
+}
+
+// Where a field keeps a sample of its row 0. Rows follow one another within blocks of columns, so that whoever walks along a
+// column walks along memory, and neighbouring columns are still neighbours. Rows are BLOCK apart, and as many as are a
+// multiple of STRIDE.
+fn places(image: Image, channel: u32, columns: vec4u) -> vec4u {
+    let blocks = (image.size.x + BLOCK - 1u) / BLOCK;
+    let rows = (image.size.y + 3u) / 4u * 4u;
+    return (channel * blocks + columns / BLOCK) * rows * BLOCK + columns % BLOCK;
+}
+
+// The last ten samples of a line.
+struct Tail {
     a: vec4f,
     b: vec4f,
-    c: vec4f,
-    d: vec4f,
-    e: vec2f,
+    c: vec2f,
 }
 
-// The windowed sums of a run's first and last four pixels.
-struct Windows {
-    low: vec4f,
-    high: vec4f,
-}
-
-fn times(left: Line, right: Line) -> Line {
-    return Line(left.a * right.a, left.b * right.b, left.c * right.c, left.d * right.d, left.e * right.e);
-}
-
-fn plus(left: Line, right: Line) -> Line {
-    return Line(left.a + right.a, left.b + right.b, left.c + right.c, left.d + right.d, left.e + right.e);
-}
-
-// Four neighbouring windows over 14 samples; equal taps share a product.
-fn four_windows(a: vec4f, b: vec4f, c: vec4f, d: vec2f) -> vec4f {
+// Takes the next four samples of a line and gives the windowed sums around the four that lie REACH before them. Equal taps
+// share a product.
+fn slide(tail: ptr<function, Tail>, next: vec4f) -> vec4f {
+    let a = (*tail).a;
+    let b = (*tail).b;
+    let c = vec4f((*tail).c, next.xy);
+    let d = next.zw;
+    *tail = Tail(b, c, d);
     return TAPS[0] * (a + vec4f(c.zw, d))
         + TAPS[1] * (vec4f(a.yzw, b.x) + vec4f(c.yzw, d.x))
         + TAPS[2] * (vec4f(a.zw, b.xy) + c)
@@ -49,14 +86,11 @@ fn four_windows(a: vec4f, b: vec4f, c: vec4f, d: vec2f) -> vec4f {
         + TAPS[5] * vec4f(b.yzw, c.x);
 }
 
-fn windows(line: Line) -> Windows {
-    return Windows(
-        four_windows(line.a, line.b, line.c, line.d.xy),
-        four_windows(line.b, line.c, line.d, line.e),
-    );
-}
-
 // One channel of packed 8-bit colours.
 fn unpack(packed: vec4u, channel: u32) -> vec4f {
     return vec4f((packed >> vec4u(8u * channel)) & vec4u(255u)) / 255.0;
+}
+
+fn total(values: vec4f) -> f32 {
+    return values.x + values.y + values.z + values.w;
 }

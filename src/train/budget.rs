@@ -198,7 +198,11 @@ impl<'a> Needs<'a> {
                 part("model and optimiser", model.model_bytes(size)),
                 part("Gaussians of a view", model.view_bytes(size)),
                 part("rasteriser", raster(gaussians, pairs) + (sizes - 1) * raster(0, 0)),
-                part("loss", sizes * ImageLoss::bytes(self.largest) + 4 * u64::from(REPORT_EVERY) * pixels),
+                part(
+                    "loss",
+                    sizes * ImageLoss::bytes(self.adapter, self.largest)
+                        + 4 * u64::from(REPORT_EVERY) * pixels,
+                ),
             ],
             host: vec![
                 part("photographs", self.photographs),

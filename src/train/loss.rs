@@ -4,16 +4,17 @@
 use std::sync::Arc;
 
 use super::WaveletWeights;
-use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+use crate::gpu::{AdapterReport, Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
 
 /// Weight of the SSIM part; L1 has the rest.
 const SSIM_WEIGHT: f64 = 0.2;
 
-/// Pixels that one partial sum covers, as in `shaders/sum_losses.wgsl`.
+/// Shares that one partial sum covers, as in `shaders/sum_losses.wgsl`.
 const SUM_RUN: usize = 4096;
 
-/// Pixels in line that one invocation of a windowed kernel makes, as in `shaders/shared/ssim.wgsl`.
-const WINDOW_RUN: usize = 8;
+/// Columns in a block of a field, and what its rows are a multiple of, as in `shaders/shared/ssim.wgsl`.
+const BLOCK: usize = 8;
+const STRIDE: usize = 4;
 
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -26,13 +27,14 @@ struct ImageUniform {
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct ConstraintUniform {
     size: [u32; 4],
+    places: [u32; 4],
     fine: [f32; 4],
     coarse: [f32; 4],
 }
 
 impl ConstraintUniform {
     /// Every weight divided by the samples of its band.
-    fn new([width, height]: [u32; 2], weights: &WaveletWeights) -> Self {
+    fn new([width, height]: [u32; 2], first_share: u32, weights: &WaveletWeights) -> Self {
         let halves = [width.div_ceil(2), height.div_ceil(2)];
         let quarters = [width.div_ceil(4), height.div_ceil(4)];
         let share = |[across, down]: [u32; 2], low: f64, [lh, hl, hh]: [f64; 3]| {
@@ -41,6 +43,7 @@ impl ConstraintUniform {
         };
         Self {
             size: [width, height, quarters[0], quarters[0] * quarters[1]],
+            places: [first_share, 0, 0, 0],
             fine: share(halves, 0.0, weights.fine),
             coarse: share(quarters, weights.low, weights.coarse),
         }
@@ -51,19 +54,61 @@ impl ConstraintUniform {
 struct Kernels {
     rows: Arc<Kernel>,
     columns: Arc<Kernel>,
-    gradient_rows: Arc<Kernel>,
     gradient: Arc<Kernel>,
     wavelet: Arc<Kernel>,
     sums: Arc<Kernel>,
 }
 
+/// How an image is divided among invocations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Division {
+    size: [u32; 2],
+    /// Pixels in line that an invocation makes; a multiple of `STRIDE`.
+    run: u32,
+}
+
+impl Division {
+    /// Invocations that go along rows, each along one channel.
+    fn by_rows(self) -> u32 {
+        3 * self.size[1] * self.size[0].div_ceil(self.run)
+    }
+
+    /// Invocations that go along columns.
+    fn by_columns(self) -> u32 {
+        3 * self.size[0] * self.size[1].div_ceil(self.run)
+    }
+
+    /// Blocks of the wavelet constraint.
+    fn blocks(self) -> u32 {
+        self.size[0].div_ceil(4) * self.size[1].div_ceil(4)
+    }
+
+    /// Each invocation's share of the losses that are always there.
+    fn shares(self) -> u32 {
+        self.by_columns() + self.by_rows()
+    }
+
+    fn most_shares(self) -> usize {
+        (self.shares() + self.blocks()) as usize
+    }
+
+    fn pixels(self) -> usize {
+        self.size[0] as usize * self.size[1] as usize
+    }
+
+    /// Elements of a field of all channels.
+    fn field(self) -> usize {
+        let [width, height] = self.size.map(|side| side as usize);
+        3 * width.next_multiple_of(BLOCK) * height.next_multiple_of(STRIDE)
+    }
+}
+
 #[derive(Debug)]
 struct Fields {
-    size: [u32; 2],
+    division: Division,
     photograph: Buffer<u32>,
-    moments: Buffer<f32>,
-    derivatives: Buffer<f32>,
-    blurred: Buffer<f32>,
+    moments: Buffer<[f32; 4]>,
+    derivatives: Buffer<[f32; 4]>,
     losses: Buffer<[f32; 4]>,
     sums: Buffer<[f32; 4]>,
     gradient: Buffer<[f32; 4]>,
@@ -101,6 +146,7 @@ impl LossSums {
 pub struct ImageLoss {
     context: Arc<Context>,
     kernels: Kernels,
+    run: u32,
     fields: Option<Fields>,
 }
 
@@ -110,28 +156,42 @@ impl ImageLoss {
     /// # Errors
     /// Faults of the device.
     pub fn new(context: Arc<Context>) -> Result<Self, GpuError> {
+        let run = Self::run(context.adapter());
+        Self::with_run(context, run)
+    }
+
+    /// As [`ImageLoss::new`], with invocations that make `run` pixels in line, a multiple of 4.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn with_run(context: Arc<Context>, run: u32) -> Result<Self, GpuError> {
         let kernels = Kernels {
             rows: context.kernel(kernel_source!("ssim_rows"), &[])?,
             columns: context.kernel(kernel_source!("ssim_columns"), &[])?,
-            gradient_rows: context.kernel(kernel_source!("ssim_gradient_rows"), &[])?,
             gradient: context.kernel(kernel_source!("image_gradient"), &[])?,
             wavelet: context.kernel(kernel_source!("wavelet"), &[])?,
             sums: context.kernel(kernel_source!("sum_losses"), &[])?,
         };
-        Ok(Self { context, kernels, fields: None })
+        Ok(Self { context, kernels, run, fields: None })
+    }
+
+    /// A run is made with what lies up to ten pixels before and after it, so long ones repeat less work; hardware wants many
+    /// invocations.
+    fn run(adapter: &AdapterReport) -> u32 {
+        if adapter.is_software() { 256 } else { 16 }
     }
 
     /// Bytes on the device once images of `size` were compared.
     #[must_use]
-    pub fn bytes(size: [u32; 2]) -> u64 {
-        let pixels = size[0] as usize * size[1] as usize;
+    pub fn bytes(adapter: &AdapterReport, size: [u32; 2]) -> u64 {
+        let division = Division { size, run: Self::run(adapter) };
         buffer_bytes::<ImageUniform>(1)
             + buffer_bytes::<ConstraintUniform>(1)
-            + buffer_bytes::<u32>(pixels)
-            + buffer_bytes::<f32>(4 * 3 * pixels)
-            + 2 * buffer_bytes::<f32>(3 * 3 * pixels)
-            + 2 * buffer_bytes::<[f32; 4]>(pixels)
-            + buffer_bytes::<[f32; 4]>(pixels.div_ceil(SUM_RUN))
+            + buffer_bytes::<u32>(division.pixels())
+            + 2 * buffer_bytes::<[f32; 4]>(division.field())
+            + buffer_bytes::<[f32; 4]>(division.most_shares())
+            + buffer_bytes::<[f32; 4]>(division.most_shares().div_ceil(SUM_RUN))
+            + buffer_bytes::<[f32; 4]>(division.pixels())
     }
 
     /// Records the loss of `render` against `photograph` (packed 8-bit RGB, one word a pixel) and its gradient;
@@ -147,72 +207,62 @@ impl ImageLoss {
         photograph: &[u32],
         wavelet: Option<&WaveletWeights>,
     ) -> Result<&Buffer<[f32; 4]>, GpuError> {
-        let pixels = size[0] as usize * size[1] as usize;
+        let division = Division { size, run: self.run };
         let fields = match self.fields.take() {
-            Some(fields) if fields.size == size => self.fields.insert(fields),
+            Some(fields) if fields.division == division => self.fields.insert(fields),
             _ => self.fields.insert(Fields {
-                size,
-                photograph: self.context.buffer("photograph", pixels)?,
-                moments: self.context.buffer("SSIM moments", 4 * 3 * pixels)?,
-                derivatives: self.context.buffer("SSIM derivatives", 3 * 3 * pixels)?,
-                blurred: self.context.buffer("SSIM derivatives by rows", 3 * 3 * pixels)?,
-                losses: self.context.buffer("losses", pixels)?,
-                sums: self.context.buffer("loss sums", pixels.div_ceil(SUM_RUN))?,
-                gradient: self.context.buffer("image gradient", pixels)?,
+                division,
+                photograph: self.context.buffer("photograph", division.pixels())?,
+                moments: self.context.buffer("SSIM moments", division.field())?,
+                derivatives: self.context.buffer("SSIM derivatives", division.field())?,
+                losses: self.context.buffer("losses", division.most_shares())?,
+                sums: self.context.buffer("loss sums", division.most_shares().div_ceil(SUM_RUN))?,
+                gradient: self.context.buffer("image gradient", division.pixels())?,
             }),
         };
         recorder.write(&fields.photograph, photograph);
-        let samples = (3 * pixels) as f64;
+        let samples = (3 * division.pixels()) as f64;
+        let blocks = if wavelet.is_some() { division.blocks() } else { 0 };
         let uniform = recorder.uniform(&[ImageUniform {
-            size: [size[0], size[1], 0, 0],
+            size: [size[0], size[1], division.run, division.shares() + blocks],
             weights: [((1.0 - SSIM_WEIGHT) / samples) as f32, (SSIM_WEIGHT / samples) as f32, 0.0, 0.0],
         }])?;
-        let [width, height] = size.map(|side| side as usize);
-        let row_groups = (height * width.div_ceil(WINDOW_RUN)).div_ceil(64) as u32;
-        let column_groups = (width * height.div_ceil(WINDOW_RUN)).div_ceil(64) as u32;
         let (uniform, render) = (uniform.as_ref(), render.as_ref());
         let photograph = fields.photograph.as_ref();
         recorder.dispatch(
             &self.kernels.rows,
             &[uniform, render, photograph, fields.moments.as_ref()],
-            row_groups,
+            division.by_rows().div_ceil(64),
         );
         recorder.dispatch(
             &self.kernels.columns,
+            &[uniform, fields.moments.as_ref(), fields.derivatives.as_ref(), fields.losses.as_ref()],
+            division.by_columns().div_ceil(64),
+        );
+        recorder.dispatch(
+            &self.kernels.gradient,
             &[
                 uniform,
                 render,
                 photograph,
-                fields.moments.as_ref(),
                 fields.derivatives.as_ref(),
                 fields.losses.as_ref(),
+                fields.gradient.as_ref(),
             ],
-            column_groups,
-        );
-        recorder.dispatch(
-            &self.kernels.gradient_rows,
-            &[uniform, fields.derivatives.as_ref(), fields.blurred.as_ref()],
-            row_groups,
-        );
-        recorder.dispatch(
-            &self.kernels.gradient,
-            &[uniform, render, photograph, fields.blurred.as_ref(), fields.gradient.as_ref()],
-            column_groups,
+            division.by_rows().div_ceil(64),
         );
         if let Some(weights) = wavelet {
-            let constraint = ConstraintUniform::new(fields.size, weights);
-            let groups = constraint.size[3].div_ceil(64);
-            let constraint = recorder.uniform(&[constraint])?;
+            let constraint = recorder.uniform(&[ConstraintUniform::new(size, division.shares(), weights)])?;
             recorder.dispatch(
                 &self.kernels.wavelet,
                 &[constraint.as_ref(), render, photograph, fields.losses.as_ref(), fields.gradient.as_ref()],
-                groups,
+                blocks.div_ceil(64),
             );
         }
         recorder.dispatch(
             &self.kernels.sums,
             &[uniform, fields.losses.as_ref(), fields.sums.as_ref()],
-            pixels.div_ceil(SUM_RUN) as u32,
+            fields.sums.len() as u32,
         );
         Ok(&fields.gradient)
     }
@@ -224,7 +274,7 @@ impl ImageLoss {
     pub fn sums(&self) -> Result<Option<LossSums>, GpuError> {
         let Some(fields) = &self.fields else { return Ok(None) };
         let sums = self.context.read(&fields.sums)?;
-        let samples = 3.0 * f64::from(fields.size[0]) * f64::from(fields.size[1]);
+        let samples = (3 * fields.division.pixels()) as f64;
         let sum = |part: usize| sums.iter().map(|run| f64::from(run[part])).sum::<f64>();
         let mean = |part: usize| sum(part) / samples;
         Ok(Some(LossSums { ssim: mean(0), l1: mean(1), mse: mean(2), wavelet: sum(3) }))

@@ -114,10 +114,22 @@ fn assert_matches_twin(loss: &mut ImageLoss, pair: &Pair, bound: f64) {
 fn the_loss_matches_the_twin_whatever_the_size() {
     let mut loss = ImageLoss::new(gpu()).expect("the kernels");
     assert!(loss.sums().expect("nothing to read").is_none(), "no figures before the first loss");
-    // 64 x 65 is more than one run of the sum; sizes shrink and grow in one instance.
-    for (width, height) in [(13, 17), (3, 5), (64, 65), (1, 1), (1, 40), (40, 1), (130, 70), (13, 17)] {
+    // Sizes shrink and grow in one instance, and some are more than one run of an invocation.
+    for (width, height) in [(13, 17), (3, 5), (64, 65), (1, 1), (1, 40), (270, 3), (5, 259), (13, 17)] {
         let pair = Pair::noise((width * height) as u64, width, height);
         assert_matches_twin(&mut loss, &pair, 1e-5);
+    }
+}
+
+#[test]
+fn the_loss_matches_the_twin_however_an_image_is_divided() {
+    for run in [4, 8, 16, 64] {
+        let mut loss = ImageLoss::with_run(gpu(), run).expect("the kernels");
+        // 130 x 70 has more shares of the loss than one run of the sum, where runs are short.
+        for (width, height) in [(130, 70), (16, 16), (17, 15), (1, 33), (40, 1)] {
+            let pair = Pair::noise((width * height) as u64, width, height);
+            assert_matches_twin(&mut loss, &pair, 1e-5);
+        }
     }
 }
 

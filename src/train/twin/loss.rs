@@ -50,51 +50,43 @@ pub fn ssim_rows(size: USizeVec2, render: &[DVec3], photograph: &[DVec3]) -> Vec
     blur(size, 0, &products)
 }
 
-/// The second half, along columns; the derivatives of SSIM and the losses of each pixel.
+/// The second half, along columns; of each pixel's derivatives of SSIM the first half of the window's adjoint, along columns
+/// too; and each pixel's SSIM, summed over the channels. The window is symmetric and zero-padded: its own adjoint.
 #[must_use]
-pub fn ssim_columns(
-    size: USizeVec2,
-    render: &[DVec3],
-    photograph: &[DVec3],
-    rows: &[Moments],
-) -> (Vec<SsimGradient>, Vec<Losses>) {
-    let compare = |[x, y, xx, yy, xy]: Moments, pixel: usize| {
+pub fn ssim_columns(size: USizeVec2, rows: &[Moments]) -> (Vec<SsimGradient>, Vec<f64>) {
+    let compare = |[x, y, xx, yy, xy]: Moments| {
         let (a1, a2) = (2.0 * x * y + C1, 2.0 * (xy - x * y) + C2);
         let (b1, b2) = (x * x + y * y + C1, xx - x * x + yy - y * y + C2);
         let ssim = a1 * a2 / (b1 * b2);
         // Product rule and quotient rule over the four factors; the means of x² and xy are held.
         let by_mean = 2.0 * y * (a2 - a1) / (b1 * b2) - ssim * (2.0 * x / b1 - 2.0 * x / b2);
-        let difference = render[pixel] - photograph[pixel];
-        let losses =
-            [ssim.element_sum(), difference.abs().element_sum(), (difference * difference).element_sum()];
-        ([by_mean, -ssim / b2, 2.0 * a1 / (b1 * b2)], losses)
+        ([by_mean, -ssim / b2, 2.0 * a1 / (b1 * b2)], ssim.element_sum())
     };
-    blur(size, 1, rows).into_iter().zip(0..).map(|(moments, pixel)| compare(moments, pixel)).unzip()
+    let (derivatives, ssim): (Vec<SsimGradient>, Vec<f64>) =
+        blur(size, 1, rows).into_iter().map(compare).unzip();
+    (blur(size, 1, &derivatives), ssim)
 }
 
-/// The first half of the window's adjoint, along rows. The window is symmetric and zero-padded: its own adjoint.
-#[must_use]
-pub fn ssim_gradient_rows(size: USizeVec2, derivatives: &[SsimGradient]) -> Vec<SsimGradient> {
-    blur(size, 0, derivatives)
-}
-
-/// The gradient of `l1_weight |x - y| - ssim_weight SSIM`, summed over all samples, by each sample of the render.
+/// The gradient of `l1_weight |x - y| - ssim_weight SSIM`, summed over all samples, by each sample of the render; and each
+/// pixel's absolute and squared difference, summed over the channels.
 #[must_use]
 pub fn image_gradient(
     size: USizeVec2,
     render: &[DVec3],
     photograph: &[DVec3],
-    rows: &[SsimGradient],
+    columns: &[SsimGradient],
     [l1_weight, ssim_weight]: [f64; 2],
-) -> Vec<DVec3> {
+) -> (Vec<DVec3>, Vec<[f64; 2]>) {
     let sign = |v: f64| if v == 0.0 { 0.0 } else { v.signum() };
-    let pixels = blur(size, 1, rows).into_iter().zip(render).zip(photograph);
+    let pixels = blur(size, 0, columns).into_iter().zip(render).zip(photograph);
     pixels
         .map(|(([by_mean, by_square, by_product], x), y)| {
+            let difference = x - y;
             let d_ssim = by_mean + 2.0 * x * by_square + y * by_product;
-            l1_weight * (x - y).map(sign) - ssim_weight * d_ssim
+            let losses = [difference.abs().element_sum(), (difference * difference).element_sum()];
+            (l1_weight * difference.map(sign) - ssim_weight * d_ssim, losses)
         })
-        .collect()
+        .unzip()
 }
 
 /// The sums over all pixels.
@@ -108,8 +100,13 @@ pub fn sum_losses(losses: &[Losses]) -> Losses {
 pub fn image_loss(size: USizeVec2, render: &[DVec3], photograph: &[DVec3]) -> (Losses, Vec<DVec3>) {
     let samples = (3 * render.len()) as f64;
     let rows = ssim_rows(size, render, photograph);
-    let (derivatives, losses) = ssim_columns(size, render, photograph, &rows);
-    let rows = ssim_gradient_rows(size, &derivatives);
-    let gradient = image_gradient(size, render, photograph, &rows, [0.8 / samples, 0.2 / samples]);
+    let (columns, ssim) = ssim_columns(size, &rows);
+    let (gradient, differences) =
+        image_gradient(size, render, photograph, &columns, [0.8 / samples, 0.2 / samples]);
+    let losses: Vec<Losses> = ssim
+        .iter()
+        .zip(&differences)
+        .map(|(ssim, [absolute, squared])| [*ssim, *absolute, *squared])
+        .collect();
     (sum_losses(&losses).map(|sum| sum / samples), gradient)
 }

@@ -15,8 +15,7 @@ pub use adam::{AdamElement, adam};
 pub use gaussian::{SymbolBits, symbol_bits};
 pub use hold::{held_gradient, hold_steps};
 pub use loss::{
-    Losses, Moments, SsimGradient, image_gradient, image_loss, ssim_columns, ssim_gradient_rows, ssim_rows,
-    sum_losses,
+    Losses, Moments, SsimGradient, image_gradient, image_loss, ssim_columns, ssim_rows, sum_losses,
 };
 pub use masks::{mask_bits, mask_gradient, mask_loss, mask_rate};
 pub use quantise::{noise, quantise_gradient, quantise_rows, round_rows};
