@@ -1,4 +1,5 @@
-// Gathers the networks' input of each visible anchor: feature, unit view direction, distance (method.md section 1.3).
+// Gathers the networks' input of each visible anchor: feature, unit view direction, distance in the scene's unit (method.md
+// section 1.3, where that is always the world's).
 // Column-major: input[row * capacity + visible index]. A feature value that is not finite reads as zero: it would make
 // the gradients of the weights that all anchors share NaN.
 #import tcgs::anchor_view::View
@@ -29,5 +30,5 @@ fn network_input(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_
     input[FEATURES * capacity + index] = direction.x;
     input[(FEATURES + 1u) * capacity + index] = direction.y;
     input[(FEATURES + 2u) * capacity + index] = direction.z;
-    input[(FEATURES + 3u) * capacity + index] = distance;
+    input[(FEATURES + 3u) * capacity + index] = distance * view.center.w;
 }

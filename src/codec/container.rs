@@ -14,7 +14,8 @@ use crate::domain::Digest;
 /// transfer altered the bytes as text.
 pub(super) const MAGIC: [u8; 8] = *b"\x89TCGS\r\n\x1a";
 
-/// Format version that this program writes. Another major is refused; a minor may only add optional sections.
+/// Format version that this program writes. Another major is refused; a minor may only add sections, critical ones for files
+/// that could not be shown rightly without them.
 pub(super) const VERSION: (u16, u16) = (1, 0);
 
 /// The integer arithmetic between bytes and symbols (`FORMAT.md`). A file of another profile would decode to something

@@ -16,7 +16,7 @@ use super::{
     view,
 };
 use crate::domain::{
-    AnchorScene, Digest, NearPlane,
+    AnchorScene, Digest, DistanceUnit, NearPlane,
     anchors::SCALINGS_PER_ANCHOR,
     context::{ContextKind, NEIGHBOURS},
 };
@@ -96,8 +96,8 @@ pub(super) fn decode_with(
     known: Option<KnownNeighbours<'_>>,
 ) -> Result<Decoded, DecodeError> {
     let _stage = tracing::debug_span!("decode").entered();
-    let Content { manifest, networks, symbols, near, .. } = read_with(bytes, limits, known)?;
-    let scene = AnchorScene { near, ..quantise::dequantise(symbols, &networks, &manifest) };
+    let Content { manifest, networks, symbols, near, unit, .. } = read_with(bytes, limits, known)?;
+    let scene = AnchorScene { near, unit, ..quantise::dequantise(symbols, &networks, &manifest) };
     let decode_sha256 = decode_digest(&scene);
     if decode_sha256 != manifest.decode_sha256 {
         return Err(DecodeError::DecodeDigest { stated: manifest.decode_sha256, actual: decode_sha256 });
@@ -114,6 +114,8 @@ pub(super) struct Content {
     pub(super) anchors: AnchorContext,
     /// Where cameras begin to see.
     pub(super) near: NearPlane,
+    /// What the render networks are told distances in.
+    pub(super) unit: DistanceUnit,
 }
 
 /// Reads everything, and does not yet make floats of it.
@@ -171,8 +173,9 @@ fn read_with(
     let (groups, steps) = layout.decode(section, shape, &masks, models.each_ref(), &anchors)?;
 
     let symbols = Symbols { cells, masks, groups, steps };
-    let near = view::decode(container.find(sections::VIEW))?;
-    Ok(Content { manifest, networks, symbols, models, anchors, near })
+    let near = view::decode_near(container.find(sections::VIEW))?;
+    let unit = view::decode_unit(container.find(sections::UNIT))?;
+    Ok(Content { manifest, networks, symbols, models, anchors, near, unit })
 }
 
 /// Most multiplications that a file's networks may take: 27 000 an anchor for ten million anchors. Anchors that are easily

@@ -113,13 +113,15 @@ pub fn encode(
     manifest.decode_sha256 = decode_digest(&meant);
     let mut content: Vec<_> = content.into_iter().flatten().collect();
     content.insert(0, (sections::MANIFEST, manifest.encode()));
-    content.extend(view::encode(scene.near).map(|view| (sections::VIEW, view)));
+    content.extend(view::encode_unit(scene.unit).map(|unit| (sections::UNIT, unit)));
+    content.extend(view::encode_near(scene.near).map(|view| (sections::VIEW, view)));
     let bytes = container::write(&content, &[sections::VIEW]);
 
     let known = KnownNeighbours { cells: &meant.cells, neighbours: chosen.neighbours };
     let decoded = decode_with(&bytes, &DecodeLimits::NONE, Some(known)).map_err(EncodeError::ReadBack)?;
-    // The hash is of every value: what was read back is what was meant to be written.
-    if decoded.decode_sha256 != manifest.decode_sha256 || decoded.scene.near != scene.near {
+    // The hash is of every other value: what was read back is what was meant to be written.
+    let seen = |scene: &AnchorScene| (scene.near, scene.unit);
+    if decoded.decode_sha256 != manifest.decode_sha256 || seen(&decoded.scene) != seen(scene) {
         return Err(EncodeError::Verification);
     }
     let byte_counts = inspect(&bytes).map_err(EncodeError::ReadBack)?.byte_counts;

@@ -14,8 +14,9 @@ use super::{
     manifest::{GroupCosts, Manifest},
     sections,
     shape::Attribute,
+    view,
 };
-use crate::domain::{ByteCounts, Digest, context::ContextKind};
+use crate::domain::{ByteCounts, Digest, DistanceUnit, context::ContextKind};
 
 /// What a byte range is for; the groups of [`ByteCounts`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -93,6 +94,8 @@ pub struct Inspection {
     pub content_sha256: Digest,
     /// Counts, choices and provenance.
     pub manifest: Manifest,
+    /// What the networks are told distances in, in world units.
+    pub distance_unit: DistanceUnit,
     /// Sections in file order.
     pub sections: Vec<SectionReport>,
     /// Every byte of the file, in order.
@@ -138,6 +141,7 @@ pub fn inspect(bytes: &[u8]) -> Result<Inspection, DecodeError> {
         profile: ARITHMETIC_PROFILE,
         content_sha256: container.digest,
         manifest,
+        distance_unit: view::decode_unit(container.find(sections::UNIT))?,
         sections: container.sections.iter().map(report).collect(),
         byte_counts: count(&map.ranges),
         ranges: map.ranges,
@@ -183,6 +187,7 @@ fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Res
                 }
             }
         }
+        sections::UNIT => map.push(length, ByteGroup::Container, "what the networks are told distances in"),
         sections::VIEW => map.push(length, ByteGroup::Container, "where views begin"),
         _ => map.push(length, ByteGroup::Container, "optional section of a later version"),
     }
@@ -248,6 +253,7 @@ impl fmt::Display for Inspection {
             ("anchors a chunk", manifest.chunk_anchors.to_string()),
             ("voxel", voxel.to_string()),
             ("origin", format!("{x} {y} {z}")),
+            ("distance unit", self.distance_unit.length().to_string()),
             ("feature step", manifest.steps.feature.to_string()),
             (
                 "scaling step",

@@ -7,7 +7,7 @@ use super::{
     context::steps::factor, error::EncodeError, manifest::Manifest, networks::QuantisedNetworks,
     shape::Attribute, symbols::MAX_SYMBOL,
 };
-use crate::domain::{AnchorScene, NearPlane};
+use crate::domain::{AnchorScene, DistanceUnit, NearPlane};
 
 /// The integers of a file, anchors in file order.
 #[derive(Debug, Clone, PartialEq)]
@@ -117,6 +117,7 @@ pub(super) fn dequantise(symbols: Symbols, networks: &QuantisedNetworks, manifes
         masks: symbols.masks,
         networks: networks.dequantise(),
         near: NearPlane::USUAL,
+        unit: DistanceUnit::USUAL,
     }
 }
 

@@ -17,12 +17,14 @@ pub(super) const PLANES: SectionId = *b"PLAN";
 /// Features, scalings, offsets.
 pub(super) const ATTRIBUTES: SectionId = *b"ATTR";
 
+/// What the render networks are told distances in, where that is not the world's unit.
+pub(super) const UNIT: SectionId = *b"UNIT";
 /// Where views begin: optional, for scenes that are not seen from the usual depth.
 pub(super) const VIEW: SectionId = *b"VIEW";
 
 /// Every section that a decoder of this version understands.
-pub(super) const ALL: [SectionId; 8] =
-    [MANIFEST, NETWORKS, POSITIONS, MASKS, CONTEXT, PLANES, ATTRIBUTES, VIEW];
+pub(super) const ALL: [SectionId; 9] =
+    [MANIFEST, NETWORKS, POSITIONS, MASKS, CONTEXT, PLANES, ATTRIBUTES, UNIT, VIEW];
 
 /// Those that every file has.
 pub(super) const ALWAYS: [SectionId; 5] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES];
@@ -37,6 +39,7 @@ pub(super) fn name(id: SectionId) -> &'static str {
         CONTEXT => "context",
         PLANES => "planes",
         ATTRIBUTES => "attributes",
+        UNIT => "unit",
         VIEW => "view",
         _ => "unknown",
     }

@@ -1,28 +1,51 @@
-//! The optional section on showing the scene: the depth from which cameras see. Absent, that is the usual one.
+//! The sections on showing the scene: the depth from which cameras see, and the length that the networks are told distances
+//! in. Absent, each is the usual one.
 
 use super::{
     bytes::{Reader, Writer},
     container::Section,
     error::DecodeError,
 };
-use crate::domain::NearPlane;
+use crate::domain::{DistanceUnit, NearPlane};
 
-const PART: &str = "view";
+const VIEW: &str = "view";
+const UNIT: &str = "unit";
 
-/// The section, if one is needed.
-pub(super) fn encode(near: NearPlane) -> Option<Vec<u8>> {
-    (!near.is_usual()).then(|| {
-        let mut writer = Writer::new();
-        writer.f32(near.depth());
-        writer.into_bytes()
-    })
+/// The section of the near plane, if one is needed.
+pub(super) fn encode_near(near: NearPlane) -> Option<Vec<u8>> {
+    (!near.is_usual()).then(|| one(near.depth()))
 }
 
-/// What the section says, or the usual where there is none.
-pub(super) fn decode(section: Option<Section<'_>>) -> Result<NearPlane, DecodeError> {
-    let Some(section) = section else { return Ok(NearPlane::USUAL) };
-    let mut reader = Reader::new(PART, section.bytes);
-    let depth = reader.f32("near plane")?;
+/// What that section says, or the usual where there is none.
+pub(super) fn decode_near(section: Option<Section<'_>>) -> Result<NearPlane, DecodeError> {
+    decode(section, VIEW, "near plane", NearPlane::new)
+}
+
+/// The section of the distance unit, if one is needed.
+pub(super) fn encode_unit(unit: DistanceUnit) -> Option<Vec<u8>> {
+    (!unit.is_usual()).then(|| one(unit.length()))
+}
+
+/// What that section says, or the usual where there is none.
+pub(super) fn decode_unit(section: Option<Section<'_>>) -> Result<DistanceUnit, DecodeError> {
+    decode(section, UNIT, "distance unit", DistanceUnit::new)
+}
+
+fn one(value: f32) -> Vec<u8> {
+    let mut writer = Writer::new();
+    writer.f32(value);
+    writer.into_bytes()
+}
+
+fn decode<T: Default>(
+    section: Option<Section<'_>>,
+    part: &'static str,
+    what: &'static str,
+    allowed: impl Fn(f32) -> Option<T>,
+) -> Result<T, DecodeError> {
+    let Some(section) = section else { return Ok(T::default()) };
+    let mut reader = Reader::new(part, section.bytes);
+    let value = reader.f32(what)?;
     reader.end()?;
-    NearPlane::new(depth).ok_or_else(|| reader.malformed("near plane", depth))
+    allowed(value).ok_or_else(|| reader.malformed(what, value))
 }

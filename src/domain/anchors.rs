@@ -6,9 +6,10 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::NearPlane;
+use super::{DistanceUnit, NearPlane};
 
-/// Extra inputs that every render network gets beside the anchor feature: the unit view direction and the distance.
+/// Extra inputs that every render network gets beside the anchor feature: the unit view direction and the distance
+/// in the scene's [`DistanceUnit`].
 pub const VIEW_INPUTS: usize = 4;
 
 /// Values per anchor in `scalings`: three scale the offsets, three are the base size of its Gaussians.
@@ -53,7 +54,7 @@ pub struct Mlp {
 
 /// The networks that turn an anchor feature and a view into neural Gaussians (method.md §1.3).
 ///
-/// Each takes `[feature, view direction (3), distance (1)]`; hidden width equals the feature width.
+/// Each takes `[feature, view direction (3), distance in the scene's unit (1)]`; hidden width equals the feature width.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RenderNetworks {
     /// Outputs one opacity an offset, through tanh.
@@ -87,6 +88,8 @@ pub struct AnchorScene {
     pub networks: RenderNetworks,
     /// Where views begin, as in training.
     pub near: NearPlane,
+    /// What the networks are told distances in, as in training.
+    pub unit: DistanceUnit,
 }
 
 /// An [`AnchorScene`] whose parts do not fit together.

@@ -12,6 +12,7 @@ pub mod clock;
 pub mod context;
 pub mod conventions;
 pub mod digest;
+pub mod distance_unit;
 pub mod entropy;
 pub mod format;
 pub mod gaussians;
@@ -46,6 +47,7 @@ pub use context::{
 };
 pub use conventions::{Conventions, LpipsNetwork};
 pub use digest::Digest;
+pub use distance_unit::DistanceUnit;
 pub use entropy::{Entropy, EntropyError, SystemEntropy};
 pub use format::SceneFormat;
 pub use gaussians::{GaussianScene, Scene};

@@ -100,7 +100,7 @@ impl<'a> Probe<'a> {
         Ok(Self {
             context,
             anchors: DeviceAnchors::upload(context, &AnchorRows::from_scene(scene), &networks)?,
-            neural: NeuralGaussians::new(Arc::clone(context), shape, settings.near)?,
+            neural: NeuralGaussians::new(Arc::clone(context), shape, settings.near, scene.unit)?,
             raster: Rasterizer::new(Arc::clone(context), settings)?,
             background,
         })

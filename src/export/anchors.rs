@@ -6,8 +6,9 @@
 //! and for each network `opacity`, `covariance`, `color` and layer i: `NETWORK.i.weight` f32 `[outputs, inputs]`,
 //! `NETWORK.i.bias` f32 `[outputs]`. Where some offsets are off there is also `masks` bool `[N, K]`. An anchor's position
 //! is `cells * voxel + origin`: cells take the four bytes a coordinate that floats would, and keep the lattice. The
-//! metadata key `tcgs` holds a JSON object with `version`, `background`, `dataset` if it is known, and `near` where views do not
-//! begin at the usual depth.
+//! metadata key `tcgs` holds a JSON object with `version`, `background`, `dataset` if it is known, `near` where views do not
+//! begin at the usual depth, and `unit` where the networks are not told distances in the world's unit; `version` is 2 then,
+//! and 1 everywhere else.
 
 use std::collections::HashMap;
 
@@ -16,11 +17,15 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::domain::{
-    AnchorScene, Background, ByteCounts, DenseLayer, Digest, Lattice, Mlp, NearPlane, RenderNetworks,
+    AnchorScene, Background, ByteCounts, DenseLayer, Digest, DistanceUnit, Lattice, Mlp, NearPlane,
+    RenderNetworks,
 };
 
 /// Version of this layout of tensors.
 const VERSION: u32 = 1;
+
+/// Version of files that state a distance unit: who does not know of one would show another picture, and must refuse.
+const VERSION_WITH_UNIT: u32 = 2;
 
 /// More layers than any network of this program has; a bound on what a file may claim.
 const MAX_LAYERS: usize = 16;
@@ -68,6 +73,8 @@ struct Metadata {
     dataset: Option<Digest>,
     #[serde(default, skip_serializing_if = "NearPlane::is_usual")]
     near: NearPlane,
+    #[serde(default, skip_serializing_if = "DistanceUnit::is_usual")]
+    unit: DistanceUnit,
 }
 
 /// The bytes of a file; the same content gives the same bytes.
@@ -109,9 +116,10 @@ pub fn write(
         .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
         .map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
     // One key: several would be written in the random order of a hash map.
-    let metadata =
-        serde_json::to_string(&Metadata { version: VERSION, background, dataset, near: scene.near })
-            .map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
+    let version = if scene.unit.is_usual() { VERSION } else { VERSION_WITH_UNIT };
+    let (near, unit) = (scene.near, scene.unit);
+    let metadata = serde_json::to_string(&Metadata { version, background, dataset, near, unit })
+        .map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
     safetensors::serialize(views, Some(HashMap::from([("tcgs".to_owned(), metadata)])))
         .map_err(|fault| AnchorFileError::Scene(fault.to_string()))
 }
@@ -156,8 +164,9 @@ pub fn read(bytes: &[u8]) -> Result<AnchorFile, AnchorFileError> {
         .ok_or_else(|| AnchorFileError::Metadata("is missing".to_owned()))?;
     let metadata: Metadata = serde_json::from_str(text)
         .map_err(|fault| AnchorFileError::Metadata(format!("cannot be read ({fault})")))?;
-    if metadata.version != VERSION {
-        return Err(AnchorFileError::Metadata(format!("has version {}, not {VERSION}", metadata.version)));
+    if ![VERSION, VERSION_WITH_UNIT].contains(&metadata.version) {
+        let known = format!("{VERSION} or {VERSION_WITH_UNIT}");
+        return Err(AnchorFileError::Metadata(format!("has version {}, not {known}", metadata.version)));
     }
 
     let mut reader = Reader { tensors, taken: 0 };
@@ -187,6 +196,7 @@ pub fn read(bytes: &[u8]) -> Result<AnchorFile, AnchorFileError> {
             color: reader.network("color")?,
         },
         near: metadata.near,
+        unit: metadata.unit,
     };
     reader.finish()?;
     scene.check().map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
@@ -316,6 +326,7 @@ mod tests {
             masks: vec![true, false, true, true, false, true],
             networks: RenderNetworks { opacity: mlp(2), covariance: mlp(14), color: mlp(6) },
             near: NearPlane::of_extent(1.0),
+            unit: DistanceUnit::USUAL,
         }
     }
 
@@ -332,6 +343,38 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn a_distance_unit_makes_a_file_that_programs_without_one_refuse() {
+        let unit = DistanceUnit::of_typical(0.004);
+        let scene = AnchorScene { unit, ..scene() };
+        let bytes = write(&scene, Background::White, None).expect("writes");
+        assert_eq!(read(&bytes).expect("reads").scene, scene);
+        // The length of the header is no text and comes before it.
+        let text = |bytes: &[u8]| {
+            let length = u64::from_le_bytes(bytes[..8].try_into().expect("eight bytes"));
+            String::from_utf8(bytes[8..8 + length as usize].to_vec()).expect("text")
+        };
+        let usual = text(&write(&self::scene(), Background::White, None).expect("writes"));
+        assert!(usual.contains(r#"\"version\":1"#) && !usual.contains("unit"), "{usual}");
+
+        let key = |name: &str| {
+            let key = format!(r#"\"{name}\":"#);
+            8 + text(&bytes).find(&key).expect("stated") + key.len()
+        };
+        let from = key("unit");
+        let to = from + text(&bytes)[from - 8..].find(['}', ',']).expect("an end");
+        for hostile in ["0", "-1", "1e-45", "1e39", "3e38", "null"] {
+            let mut bytes = bytes.clone();
+            bytes[from..to].copy_from_slice(format!("{hostile:>width$}", width = to - from).as_bytes());
+            let fault = read(&bytes).expect_err("refused").to_string();
+            assert!(fault.contains("cannot be read"), "{hostile}: {fault}");
+        }
+        let mut later = bytes.clone();
+        assert_eq!(later[key("version")], b'2');
+        later[key("version")] = b'3';
+        assert!(read(&later).expect_err("refused").to_string().contains("has version 3, not 1 or 2"));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use super::{Columns, DenseLayers, Ending, GaussianGradients, Gaussians, RenderError};
 use crate::{
-    domain::Camera,
+    domain::{Camera, DistanceUnit},
     gpu::{AdapterReport, Buffer, Context, Kernel, Recorder, buffer_bytes, kernel_source},
     model::{AnchorRows, NetworkLayout, Shape},
 };
@@ -202,30 +202,43 @@ pub struct NeuralGaussians {
     forward: Activations,
     backward: Option<Backward>,
     near: f32,
+    unit: DistanceUnit,
 }
 
 impl NeuralGaussians {
-    /// Prepares the kernels for a shape of model.
+    /// Prepares the kernels for a shape of model whose views begin at `near`, in world units, and whose networks are told
+    /// distances in `unit`.
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn new(context: Arc<Context>, shape: Shape, near: f32) -> Result<Self, RenderError> {
+    pub fn new(
+        context: Arc<Context>,
+        shape: Shape,
+        near: f32,
+        unit: DistanceUnit,
+    ) -> Result<Self, RenderError> {
         let subgroups = context.subgroup_size();
-        Self::with_subgroups(context, shape, near, subgroups)
+        Self::with_subgroups(context, shape, near, unit, subgroups)
     }
 
     /// As [`NeuralGaussians::new`], with the kernels that need no subgroups: for adapters whose subgroups misbehave.
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn without_subgroups(context: Arc<Context>, shape: Shape, near: f32) -> Result<Self, RenderError> {
-        Self::with_subgroups(context, shape, near, None)
+    pub fn without_subgroups(
+        context: Arc<Context>,
+        shape: Shape,
+        near: f32,
+        unit: DistanceUnit,
+    ) -> Result<Self, RenderError> {
+        Self::with_subgroups(context, shape, near, unit, None)
     }
 
     fn with_subgroups(
         context: Arc<Context>,
         shape: Shape,
         near: f32,
+        unit: DistanceUnit,
         subgroups: Option<u32>,
     ) -> Result<Self, RenderError> {
         let layout = NetworkLayout::new(shape);
@@ -236,6 +249,7 @@ impl NeuralGaussians {
             forward: Activations::new(&context, &layout, 0)?,
             backward: None,
             near,
+            unit,
             layout,
             context,
         })
@@ -522,7 +536,7 @@ impl NeuralGaussians {
                 row(rotation.y_axis, translation.y),
                 row(rotation.z_axis, translation.z),
             ],
-            center: row(center, 0.0),
+            center: row(center, f64::from(self.unit.length().recip())),
             intrinsics: [k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32],
             image: [k.width as f32, k.height as f32, self.near, volume_weight],
             counts: [anchors as u32, self.capacity as u32, 0, 0],

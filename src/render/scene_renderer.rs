@@ -9,7 +9,10 @@ use super::{
     views::{ALPHA_SEEN, Plane, PlaneKind, Viewable},
 };
 use crate::{
-    domain::{AnchorScene, Background, Camera, Digest, GaussianScene, Image, NearPlane, Problem, Scene},
+    domain::{
+        AnchorScene, Background, Camera, Digest, DistanceUnit, GaussianScene, Image, NearPlane, Problem,
+        Scene,
+    },
     gpu::{AdapterChoice, Context, GpuError, Recorder},
     model::{AnchorRows, GaussianRows, NetworkLayout, Shape},
 };
@@ -34,7 +37,7 @@ pub struct SceneRenderer {
 /// What a view's Gaussians are made from.
 #[derive(Debug)]
 enum Source {
-    Anchors { anchors: DeviceAnchors, neural: Box<NeuralGaussians> },
+    Anchors { anchors: DeviceAnchors, neural: Box<NeuralGaussians>, unit: DistanceUnit },
     Gaussians { rows: DeviceRows, plain: Box<PlainGaussians> },
 }
 
@@ -42,7 +45,7 @@ impl Source {
     /// Records the making of the Gaussians that `camera` sees.
     fn forward(&mut self, recorder: &mut Recorder<'_>, camera: &Camera) -> Result<&Gaussians, RenderError> {
         match self {
-            Source::Anchors { anchors, neural } => {
+            Source::Anchors { anchors, neural, .. } => {
                 neural.forward(recorder, anchors, camera, 0.0)?;
                 Ok(neural.gaussians())
             }
@@ -80,8 +83,10 @@ impl SceneRenderer {
         background: Background,
     ) -> Result<Self, RenderError> {
         let anchors = upload(context, scene)?;
-        let neural = Box::new(NeuralGaussians::new(Arc::clone(context), anchors.shape, scene.near.depth())?);
-        Self::of_source(context, Source::Anchors { anchors, neural }, background, scene.near)
+        let (shape, near) = (anchors.shape, scene.near.depth());
+        let neural = Box::new(NeuralGaussians::new(Arc::clone(context), shape, near, scene.unit)?);
+        let source = Source::Anchors { anchors, neural, unit: scene.unit };
+        Self::of_source(context, source, background, scene.near)
     }
 
     /// Uploads plain Gaussians.
@@ -112,19 +117,22 @@ impl SceneRenderer {
         Ok(Self { source, raster, depth: None, background, near, context: Arc::clone(context) })
     }
 
-    /// Shows another scene of the same shape and near plane from now on; the buffers of rendering are kept.
+    /// Shows another scene of the same shape, near plane and distance unit from now on; the buffers of rendering are kept.
     ///
     /// # Errors
     /// [`RenderError::Scene`] for networks that this renderer does not know or another shape; faults of the device.
     pub fn replace(&mut self, scene: &AnchorScene) -> Result<(), RenderError> {
         let next = upload(&self.context, scene)?;
         match &mut self.source {
-            Source::Anchors { anchors, .. } if anchors.shape == next.shape && scene.near == self.near => {
+            Source::Anchors { anchors, unit, .. }
+                if anchors.shape == next.shape && scene.near == self.near && scene.unit == *unit =>
+            {
                 *anchors = next;
                 Ok(())
             }
             Source::Anchors { .. } | Source::Gaussians { .. } => {
-                let fault = "its widths or its near plane are not those of the scene before it";
+                let fault =
+                    "its widths, its near plane or its distance unit are not those of the scene before it";
                 Err(RenderError::Scene(fault.to_owned()))
             }
         }

@@ -14,7 +14,7 @@ use super::{
     unused::drop_unused,
 };
 use crate::{
-    domain::{AnchorScene, Camera, CancelFlag, Frame, Lattice, NearPlane, Scene},
+    domain::{AnchorScene, Camera, CancelFlag, DistanceUnit, Frame, Lattice, NearPlane, Scene},
     gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
     model::{AnchorRows, MAX_CELL, NetworkLayout, Shape, initial_rows},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians},
@@ -35,6 +35,7 @@ pub(super) struct AnchorLearner {
     schedule: Schedule,
     shape: Shape,
     extent: f32,
+    unit: DistanceUnit,
     layout: NetworkLayout,
     owners: Vec<u8>,
     anchors: AnchorRows,
@@ -60,6 +61,7 @@ struct Parts {
     /// The networks' parameters and their moments.
     networks: [Vec<f32>; 3],
     compression: Option<Compression>,
+    unit: DistanceUnit,
 }
 
 fn lattice_values(values: &[f32]) -> Result<[f32; 4], CheckpointError> {
@@ -69,13 +71,23 @@ fn lattice_values(values: &[f32]) -> Result<[f32; 4], CheckpointError> {
     }
 }
 
+/// The usual one where a state has none.
+fn unit_of(state: &mut LearnerState) -> Result<DistanceUnit, CheckpointError> {
+    if !state.has("unit") {
+        return Ok(DistanceUnit::USUAL);
+    }
+    let unit = state.take_exactly::<f32>("unit", 1)?.first().and_then(|length| DistanceUnit::new(*length));
+    unit.ok_or_else(|| CheckpointError::array("unit", "is no length that distances can be told in"))
+}
+
 impl AnchorLearner {
-    /// Anchors at `points` and fresh networks; `extent` is the scene's, in world units.
+    /// Anchors at `points` and fresh networks, which are told distances in `unit`; `extent` is the scene's, in world units.
     pub(super) fn begin(
         context: &Arc<Context>,
         schedule: Schedule,
         points: &[[f32; 3]],
         extent: f32,
+        unit: DistanceUnit,
         rng: &mut Pcg64,
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
@@ -87,6 +99,7 @@ impl AnchorLearner {
         let zeros = |len| vec![0.0; len];
         let compression = schedule.compression.clone();
         let parts = Parts {
+            unit,
             networks: [networks, zeros(parameters), zeros(parameters)],
             compression: compression.map(|schedule| Compression::begin(context, schedule, shape)),
             statistics: Statistics::zero(shape, anchors.len()),
@@ -122,10 +135,12 @@ impl AnchorLearner {
         let rows = anchors * shape.row();
         let offsets = anchors * shape.offsets;
         let parameters = NetworkLayout::new(shape).parameters;
+        let unit = unit_of(&mut state)?;
         let masks = state.take_exactly("anchors.masks", anchors)?;
         let learning = state.has("masks.logits");
         let mut floats = |name: &str, len: usize| state.take_exactly::<f32>(name, len);
         let mut parts = Parts {
+            unit,
             compression: None,
             statistics: Statistics { shape, values: floats("growth", anchors * Statistics::width(shape))? },
             networks: [
@@ -169,7 +184,8 @@ impl AnchorLearner {
         parts: Parts,
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
-        let Parts { state, statistics, networks: [networks, first, second], compression } = parts;
+        let Parts { state, statistics, networks: [networks, first, second], compression, unit } = parts;
+        let near = NearPlane::of_extent(extent).depth();
         let Trainable { anchors, .. } = &state;
         let masks = state.masks.as_ref().map(|masks| OffsetMasks::upload(context, shape, masks));
         let layout = NetworkLayout::new(shape);
@@ -177,6 +193,7 @@ impl AnchorLearner {
             schedule,
             shape,
             extent,
+            unit,
             owners: layout.owners(),
             device: DeviceAnchors::upload(context, anchors, &networks)?,
             gradients: AnchorGradients::new(context, shape, anchors.len())?,
@@ -186,7 +203,7 @@ impl AnchorLearner {
             masks: masks.transpose()?,
             compression,
             shown: None,
-            neural: NeuralGaussians::new(Arc::clone(context), shape, NearPlane::of_extent(extent).depth())?,
+            neural: NeuralGaussians::new(Arc::clone(context), shape, near, unit)?,
             adam: Adam::new(context)?,
             context: Arc::clone(context),
             layout,
@@ -197,8 +214,16 @@ impl AnchorLearner {
     fn row_rates(&self, fraction: f64) -> Vec<f32> {
         let mut rates = vec![self.schedule.feature.at(fraction) as f32; self.shape.row()];
         rates[self.shape.scaling_column()..].fill(self.schedule.scaling.at(fraction) as f32);
-        rates[self.shape.offset_column()..].fill(self.schedule.offset.at(fraction) as f32 * self.extent);
+        rates[self.shape.offset_column()..]
+            .fill(self.schedule.offset.at(fraction) as f32 * self.extent / self.unit.length());
         rates
+    }
+
+    /// Weight of volumes in world units where the schedule's is of those in the scene's unit.
+    fn volume_weight(&self) -> f32 {
+        let volume = f64::from(self.unit.length()).powi(3);
+        // A weight that is not finite would make NaN of volumes that underflow.
+        (f64::from(self.schedule.volume_weight) / volume).min(f64::from(f32::MAX)) as f32
     }
 
     fn network_rates(&self, fraction: f64) -> Vec<f32> {
@@ -341,7 +366,7 @@ impl Learner for AnchorLearner {
             None => None,
         };
         let shown = self.shown.as_ref().unwrap_or(&self.device);
-        self.neural.forward(recorder, shown, camera, self.schedule.volume_weight)?;
+        self.neural.forward(recorder, shown, camera, self.volume_weight())?;
         Ok(())
     }
 
@@ -442,6 +467,9 @@ impl Learner for AnchorLearner {
         let Lattice { voxel, origin: [x, y, z] } = anchors.lattice;
         let mut state = LearnerState::default();
         state.put("lattice", vec![voxel, x, y, z]);
+        if !self.unit.is_usual() {
+            state.put("unit", vec![self.unit.length()]);
+        }
         state.put("anchors.cells", anchors.cells.into_flattened());
         state.put("anchors.masks", anchors.masks);
         state.put("anchors.rows", anchors.values);
@@ -487,7 +515,29 @@ impl Learner for AnchorLearner {
             None => None,
         };
         let scene = self.anchors.to_scene(self.layout.to_networks(&networks));
-        let scene = Scene::Anchors(AnchorScene { near: NearPlane::of_extent(self.extent), ..scene });
+        let near = NearPlane::of_extent(self.extent);
+        let scene = Scene::Anchors(AnchorScene { near, unit: self.unit, ..scene });
         Ok(Finished { scene, context })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_unit_of_a_state_is_the_one_that_was_kept_or_the_usual_one() {
+        assert!(unit_of(&mut LearnerState::default()).expect("the usual").is_usual());
+        let read = |values: Vec<f32>| {
+            let mut state = LearnerState::default();
+            state.put("unit", values);
+            let unit = unit_of(&mut state)?;
+            state.finish().map(|()| unit.length())
+        };
+        assert_eq!(read(vec![0.0025]).expect("a length"), 0.0025);
+        for hostile in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e-45, f32::MAX] {
+            assert!(read(vec![hostile]).expect_err("refused").to_string().contains("'unit'"), "{hostile}");
+        }
+        assert!(read(vec![]).is_err() && read(vec![1.0, 2.0]).is_err());
     }
 }

@@ -25,6 +25,7 @@ mod state;
 mod statistics;
 mod trainer;
 pub mod twin;
+mod typical_distance;
 mod unused;
 mod wavelet;
 

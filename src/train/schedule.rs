@@ -109,7 +109,7 @@ pub struct Schedule {
     pub max_anchors: usize,
     /// Points that a set without a point cloud begins with.
     pub random_points: usize,
-    /// Learning rate of offsets, before it is multiplied by the scene's extent.
+    /// Learning rate of offsets, before it is multiplied by the scene's extent in its distance unit.
     pub offset: Decay,
     /// Of features.
     pub feature: Decay,
@@ -117,7 +117,7 @@ pub struct Schedule {
     pub scaling: Decay,
     /// Of the opacity, covariance and colour networks.
     pub networks: [Decay; 3],
-    /// Weight of the volume regulariser.
+    /// Weight of the volume regulariser, for volumes in the scene's distance unit.
     pub volume_weight: f32,
     /// Offset masks; none where they are off.
     pub masks: Option<MaskSchedule>,

@@ -19,11 +19,12 @@ use super::{
     plain::{PlainLearner, PlainSchedule},
     start_box::start_box,
     state::LearnerState,
+    typical_distance::typical_distance,
 };
 use crate::{
     domain::{
-        Background, CancelFlag, Component, ContextCandidates, Dataset, Frame, MemoryBudget, ModelKind,
-        NearPlane, Progress, Scene, Split, TrainOptions,
+        Background, CancelFlag, Component, ContextCandidates, Dataset, DistanceUnit, Frame, MemoryBudget,
+        ModelKind, NearPlane, Progress, Scene, Split, TrainOptions,
     },
     gpu::Context,
     model::random_points,
@@ -200,7 +201,10 @@ impl Setting<'_> {
         let (context, extent) = (self.context, camera_extent(self.frames));
         Ok(match self.options.model {
             ModelKind::Tcgs | ModelKind::Scaffold => {
-                Box::new(AnchorLearner::begin(context, self.anchors(), &points, extent, rng)?)
+                let typical = typical_distance(self.frames, &points);
+                let unit = DistanceUnit::of_typical(typical);
+                tracing::debug!(typical, unit = unit.length(), "what distances are told in");
+                Box::new(AnchorLearner::begin(context, self.anchors(), &points, extent, unit, rng)?)
             }
             ModelKind::Gaussians3d => {
                 Box::new(PlainLearner::begin(context, self.plain(), &points, colors, extent, rng)?)

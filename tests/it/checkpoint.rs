@@ -15,7 +15,7 @@ use tcgs::{
 
 use crate::{
     support::gpu::gpu,
-    train::{dataset, options},
+    train::{dataset, options, scaled},
 };
 
 /// Growth comes every 25 steps from a twentieth of the run to its half: here at 25 and 50; its statistics begin
@@ -121,6 +121,20 @@ fn a_run_of_plain_gaussians_goes_on_from_any_step_too() {
     let (whole, _) = outcome(&dataset(), &options, checkpoints).expect("a scene");
     for (step, checkpoint) in &kept.checkpoints {
         assert!(resumed(checkpoint, &options).0.scene == whole.scene, "another scene after step {step}");
+    }
+}
+
+#[test]
+fn a_run_in_a_unit_of_its_own_goes_on_in_it() {
+    let (tiny, options) = (scaled(&dataset(), 1e-3), options(32, 7));
+    let mut kept = Kept::at(|step| [3, 30].contains(&step));
+    let checkpoints = Checkpoints { resume: None, keep: Some(&mut kept) };
+    let (whole, _) = outcome(&tiny, &options, checkpoints).expect("a scene");
+    assert!(!whole.scene.as_anchors().expect("anchors").unit.is_usual());
+    for (step, checkpoint) in &kept.checkpoints {
+        let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), keep: None };
+        let (resumed, _) = outcome(&tiny, &options, checkpoints).expect("goes on");
+        assert!(resumed.scene == whole.scene, "another scene after step {step}");
     }
 }
 

@@ -291,7 +291,7 @@ fn plain_gaussians_of_one_seed_are_the_same_bits_and_of_another_are_not() {
 }
 
 /// The same scene in a unit that is `1 / factor` as long.
-fn scaled(dataset: &Dataset, factor: f64) -> Dataset {
+pub(crate) fn scaled(dataset: &Dataset, factor: f64) -> Dataset {
     let mut scaled = dataset.clone();
     for frame in &mut scaled.frames {
         let pose = frame.camera.pose;
@@ -306,16 +306,19 @@ fn scaled(dataset: &Dataset, factor: f64) -> Dataset {
 
 #[test]
 fn the_unit_of_the_scene_does_not_decide_what_is_learnt() {
-    // Roundings differ, and growth makes more of them. The anchors' networks are told the distance as a bare number, so they
-    // learn a little differently, by 1 to 3 dB as the seed will have it, and not at all where it is in the thousands. A scene
-    // behind the near plane costs ten and more.
-    let cases = [(plain(120, 0), &[1.0, 1e-3, 1e3][..], 1.5), (options(120, 0), &[1.0, 1e-3], 4.0)];
-    for (options, factors, most) in cases {
-        let scores: Vec<f64> = Vec::from_iter(factors.iter().map(|&factor| {
+    // Roundings differ, and growth makes more of them; anchors in a unit of their own are told other numbers too. Of eight seeds
+    // none differs by more than 1.3 dB, and none is worse by more than 0.7. A scene behind the near plane, or distances and
+    // volumes in the world's unit, cost ten and more.
+    let cases = [(plain(120, 0), 1.5), (options(120, 0), 2.0)];
+    for (options, most) in cases {
+        let scores: Vec<f64> = Vec::from_iter([1.0, 1e-3, 1e3].map(|factor| {
             let dataset = scaled(&dataset(), factor);
             let (trained, _) = run(&dataset, &options);
             let near = trained.scene.near();
             assert!(f64::from(near.depth()) < 0.1 * 3.0 * factor, "{near:?} at {factor}");
+            if let Some(scene) = trained.scene.as_anchors() {
+                assert_eq!(scene.unit.is_usual(), factor == 1.0, "{:?} at {factor}", scene.unit);
+            }
             psnr(&trained.scene, &dataset, Split::Train)
         }));
         let model = options.model;

@@ -219,7 +219,8 @@ impl Look<'_> {
                 let ray = position - sight.center;
                 let distance = ray.length().max(1e-12);
                 let direction = ray / distance;
-                inputs.push([direction.x, direction.y, direction.z, distance].map(|value| value as f32));
+                let told = distance / f64::from(self.scene.unit.length());
+                inputs.push([direction.x, direction.y, direction.z, told].map(|value| value as f32));
                 from.push(view);
             }
         }

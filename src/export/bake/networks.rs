@@ -5,7 +5,7 @@
 
 use crate::domain::{DenseLayer, Mlp, anchors::VIEW_INPUTS};
 
-/// What the networks read beside the feature: unit direction and distance, `[VIEW_INPUTS][views]`.
+/// What the networks read beside the feature: unit direction and distance in the scene's unit, `[VIEW_INPUTS][views]`.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ViewInputs {
     rows: [Vec<f32>; VIEW_INPUTS],

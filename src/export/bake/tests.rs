@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::domain::{
-    DenseLayer, Intrinsics, Lattice, Mlp, NearPlane, Pose, RenderNetworks, anchors::VIEW_INPUTS,
+    DenseLayer, DistanceUnit, Intrinsics, Lattice, Mlp, NearPlane, Pose, RenderNetworks, anchors::VIEW_INPUTS,
 };
 
 const FEATURES: usize = 2;
@@ -22,6 +22,7 @@ fn scene() -> AnchorScene {
     let offset = [0.0, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0];
     AnchorScene {
         near: NearPlane::USUAL,
+        unit: DistanceUnit::USUAL,
         lattice: Lattice { voxel: 0.5, origin: [0.0; 3] },
         cells: vec![[2, 0, 0]],
         feature_dim: FEATURES,
@@ -150,6 +151,30 @@ fn a_scene_in_a_tiny_unit_is_seen_from_its_own_near_plane() {
     tiny.near = NearPlane::of_extent(1e-3);
     let baked = bake(&tiny, &cameras, BakeSettings::default()).expect("bakes");
     assert_eq!((baked.unseen, baked.scene.near, baked.scene.len()), (0, tiny.near, 2));
+}
+
+#[test]
+fn the_networks_are_told_distances_in_the_scenes_unit() {
+    let mut world = scene();
+    // The first offset's opacity and red tell the distance.
+    world.networks.opacity = network(&[0.2, 1.0], &[(0, 3, 0.1)]);
+    world.networks.color = network(&[0.0, 1.0, -1.0, 0.5, 0.5, 0.5], &[(0, 3, 0.2)]);
+    let expected = bake(&world, &cameras(), BakeSettings::default()).expect("bakes").scene;
+    let points = [[4.0, 0.0, 0.0], [4.0, 0.0, 2.0], [4.0, 2.0, 2.0]];
+    let cameras = sphere(&points, 60, 64).expect("cameras");
+    let mut scaled = world;
+    scaled.lattice.voxel *= 4.0;
+    scaled.scalings.iter_mut().for_each(|scaling| *scaling *= 4.0);
+    let differ = |scaled: &AnchorScene| {
+        let found = bake(scaled, &cameras, BakeSettings::default()).expect("bakes").scene;
+        let opacities = found.opacity_logits.iter().zip(&expected.opacity_logits);
+        let colors =
+            found.sh.as_flattened().as_flattened().iter().zip(expected.sh.as_flattened().as_flattened());
+        opacities.chain(colors).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    };
+    assert!(differ(&scaled) > 0.1, "told in the world's unit, it is another scene");
+    scaled.unit = DistanceUnit::new(4.0).expect("a length");
+    assert!(differ(&scaled) < 1e-4, "{}", differ(&scaled));
 }
 
 #[test]

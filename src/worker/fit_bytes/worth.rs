@@ -119,7 +119,7 @@ fn shares(values: &[f32], channels: usize, kept: &[bool], step: f32, total: u64)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::domain::{Lattice, Mlp, NearPlane, RenderNetworks};
+    use crate::domain::{DistanceUnit, Lattice, Mlp, NearPlane, RenderNetworks};
 
     /// Anchors of two offsets, all alike.
     fn scene(anchors: usize) -> AnchorScene {
@@ -127,6 +127,7 @@ mod tests {
         let same = |count: usize| vec![1.0; count];
         AnchorScene {
             near: NearPlane::USUAL,
+            unit: DistanceUnit::USUAL,
             lattice: Lattice { voxel: 1.0, origin: [0.0; 3] },
             cells: (0..anchors as i32).map(|x| [x, 0, 0]).collect(),
             feature_dim: 5,

@@ -8,7 +8,7 @@ use std::{collections::BTreeSet, fs, path::PathBuf};
 
 use tcgs::{
     codec::{DecodeLimits, Encoded, decode, encode, inspect},
-    domain::{AnchorScene, ContextKind, NearPlane, Planes},
+    domain::{AnchorScene, ContextKind, DistanceUnit, NearPlane, Planes},
 };
 
 use super::{
@@ -26,7 +26,7 @@ struct Golden {
     make: fn() -> Encoded,
 }
 
-const FILES: [Golden; 3] = [
+const FILES: [Golden; 4] = [
     Golden {
         name: "shell_v1.tcgs",
         decode_sha256: "e27f4bd5e0657803a95a4a53821172000f1b14e857aa9cd41875756e8ba0b75a",
@@ -45,7 +45,16 @@ const FILES: [Golden; 3] = [
         anchors: 60,
         make: direct,
     },
+    Golden {
+        name: "unit_v1.tcgs",
+        decode_sha256: "ec8bf1282b00d9ad754415674c3ee3ca4dc706f44171dbf8eb2ee07ee9215969",
+        anchors: 40,
+        make: unit,
+    },
 ];
+
+/// That of the file that has one, in world units.
+const UNIT: f32 = 0.0025;
 
 impl Golden {
     fn path(&self) -> PathBuf {
@@ -93,6 +102,13 @@ fn direct() -> Encoded {
     encode(&dependent.scene, Some(&dependent.candidates), &fixed(KINDS.map(Some), Some(0))).expect("encodes")
 }
 
+/// Networks that are told distances in a unit of the scene's own.
+fn unit() -> Encoded {
+    let scene = scene(Recipe { seed: 2027, anchors: 40, feature_dim: 4, offsets: 2, masked: 0.3 });
+    let unit = DistanceUnit::new(UNIT).expect("a length");
+    encode(&AnchorScene { unit, ..scene }, None, &settings()).expect("encodes")
+}
+
 #[test]
 fn the_golden_files_decode_to_their_hashes() {
     for golden in FILES {
@@ -101,6 +117,8 @@ fn the_golden_files_decode_to_their_hashes() {
         let decoded = decode(&bytes, &DecodeLimits::default()).expect("decodes");
         assert_eq!(decoded.decode_sha256.to_string(), golden.decode_sha256, "{}", golden.name);
         assert_eq!(decoded.scene.len(), golden.anchors, "{}", golden.name);
+        let unit = if golden.name == "unit_v1.tcgs" { UNIT } else { 1.0 };
+        assert_eq!(decoded.scene.unit.length(), unit, "{}", golden.name);
     }
 }
 
@@ -113,7 +131,8 @@ fn the_golden_files_have_every_section_and_every_context() {
         sections.extend(inspection.sections.into_iter().map(|section| section.name));
         contexts.extend(inspection.manifest.contexts.map(|context| context.kind));
     }
-    let all = ["manifest", "networks", "positions", "masks", "context", "planes", "attributes", "view"];
+    let all =
+        ["manifest", "networks", "positions", "masks", "context", "planes", "attributes", "unit", "view"];
     assert_eq!(sections, all.map(str::to_owned).into());
     for kind in KINDS.map(Some).into_iter().chain([None]) {
         assert!(contexts.contains(&kind), "{kind:?}");

@@ -2,7 +2,7 @@
 
 use tcgs::{
     codec::{DecodeError, DecodeLimits, decode, encode, inspect},
-    domain::{AnchorScene, NearPlane},
+    domain::{AnchorScene, DistanceUnit, NearPlane},
 };
 
 use super::{
@@ -94,6 +94,45 @@ fn a_near_plane_that_is_not_the_usual_one_takes_an_optional_section_of_four_byte
         let fault =
             decode(&wire::file((1, 0), &parts), &DecodeLimits::default()).expect_err("must be refused");
         assert!(fault.to_string().contains("view"), "{fault}");
+    }
+}
+
+#[test]
+fn a_distance_unit_that_is_not_the_usual_one_takes_a_critical_section_of_four_bytes() {
+    let unit = DistanceUnit::of_typical(0.004);
+    let bytes = encode(&AnchorScene { unit, ..small() }, None, &settings()).expect("encodes").bytes;
+    let decoded = decode(&bytes, &DecodeLimits::default()).expect("decodes");
+    assert_eq!(decoded.scene.unit, unit);
+    let parts = wire::parts(&bytes);
+    assert_eq!(parts.last(), Some(&(*b"UNIT", 1, unit.length().to_le_bytes().to_vec())));
+    let inspection = inspect(&bytes).expect("inspects");
+    assert_eq!(inspection.sections.last().expect("sections").name, "unit");
+    assert_eq!(inspection.distance_unit, unit);
+    assert!(
+        inspection.to_string().contains(&format!("distance unit      {}\n", unit.length())),
+        "{inspection}"
+    );
+
+    // With both, the near plane comes last as it always did.
+    let near = NearPlane::of_extent(0.01);
+    let both = encode(&AnchorScene { unit, near, ..small() }, None, &settings()).expect("encodes").bytes;
+    let ids: Vec<[u8; 4]> = wire::parts(&both)[5..].iter().map(|part| part.0).collect();
+    assert_eq!(ids, [*b"UNIT", *b"VIEW"]);
+    let scene = decode(&both, &DecodeLimits::default()).expect("decodes").scene;
+    assert_eq!((scene.unit, scene.near), (unit, near));
+
+    let usual = decode(&small_file(), &DecodeLimits::default()).expect("decodes");
+    assert!(
+        usual.scene.unit.is_usual() && inspect(&small_file()).expect("inspects").distance_unit.is_usual()
+    );
+    let numbers =
+        [0.0, -0.0, -2.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e-45, f32::MAX].map(f32::to_le_bytes);
+    let contents = numbers.iter().map(|number| &number[..]).chain([&[][..], &[0; 3], &[0; 5]]);
+    for content in contents {
+        let mut parts = parts.clone();
+        parts.last_mut().expect("sections").2 = content.to_vec();
+        let fault = fault(&wire::file((1, 0), &parts));
+        assert!(fault.to_string().contains("unit"), "{fault}");
     }
 }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use tcgs::{
-    domain::{Camera, Pose},
+    domain::{Camera, DistanceUnit, Pose},
     model::{NetworkLayout, Shape},
     render::{
         NeuralGaussians, RasterSettings, RenderError,
@@ -21,8 +21,12 @@ const NEAR: f32 = 0.2;
 const BOUND: f64 = 1e-4;
 
 fn neural(shape: Shape, subgroups: bool) -> NeuralGaussians {
+    neural_in(DistanceUnit::USUAL, shape, subgroups)
+}
+
+fn neural_in(unit: DistanceUnit, shape: Shape, subgroups: bool) -> NeuralGaussians {
     let make = if subgroups { NeuralGaussians::new } else { NeuralGaussians::without_subgroups };
-    make(gpu(), shape, NEAR).expect("the kernels")
+    make(gpu(), shape, NEAR, unit).expect("the kernels")
 }
 
 fn assert_near(what: &str, found: &[f64], expected: &[f64]) {
@@ -119,6 +123,21 @@ fn a_few_anchors_match_the_twin() {
         for subgroups in [true, false] {
             assert_eq!(check(SMALL, anchors, 0.8, subgroups), anchors, "all are in view");
         }
+    }
+}
+
+#[test]
+fn distances_in_another_unit_match_the_twin() {
+    let (context, camera) = (gpu(), random::camera(40, 30));
+    for length in [0.003, 0.7, 250.0] {
+        let unit = DistanceUnit::new(length).expect("a length");
+        let scene = Scene::random_in(unit, 11, SMALL, 129, 0.8, &projection(&camera));
+        let gradients = random_gradients(11, 129 * SMALL.offsets);
+        let mut neural = neural_in(unit, SMALL, true);
+        let found = run(&context, &mut neural, &scene, &camera, 7.0, &gradients);
+        assert_matches_twin(&found, &scene, &camera, 7.0, 11);
+        let in_the_worlds = run(&context, &mut self::neural(SMALL, true), &scene, &camera, 7.0, &gradients);
+        assert_ne!(bits(&found), bits(&in_the_worlds), "{length}");
     }
 }
 
@@ -237,8 +256,9 @@ fn statistics_before_a_backward_pass_are_refused() {
     let context = gpu();
     let camera = random::camera(40, 30);
     let scene = Scene::random(6, SMALL, 3, 0.8, &projection(&camera));
-    let neural = NeuralGaussians::new(Arc::clone(&context), SMALL, RasterSettings::default().near)
-        .expect("the kernels");
+    let near = RasterSettings::default().near;
+    let neural =
+        NeuralGaussians::new(Arc::clone(&context), SMALL, near, DistanceUnit::USUAL).expect("the kernels");
     let device =
         tcgs::render::DeviceAnchors::upload(&context, &scene.anchors, &scene.networks).expect("room");
     let statistics = context.buffer("statistics", 3 * 8).expect("room");

@@ -1,6 +1,6 @@
 //! Numbers that are none: an anchor that holds one is alone in its misery.
 
-use tcgs::render::NeuralGaussians;
+use tcgs::{domain::DistanceUnit, render::NeuralGaussians};
 
 use super::scene::{Found, SMALL, Scene, projection, random_gradients, run};
 use crate::support::{gpu::gpu, random};
@@ -9,7 +9,7 @@ const ANCHORS: usize = 66;
 
 fn found(scene: &Scene, subgroups: bool) -> Found {
     let make = if subgroups { NeuralGaussians::new } else { NeuralGaussians::without_subgroups };
-    let mut neural = make(gpu(), SMALL, 0.2).expect("the kernels");
+    let mut neural = make(gpu(), SMALL, 0.2, DistanceUnit::USUAL).expect("the kernels");
     let gradients = random_gradients(1, ANCHORS * SMALL.offsets);
     run(&gpu(), &mut neural, scene, &random::camera(40, 30), 7.0, &gradients)
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
-    domain::Camera,
+    domain::{Camera, DistanceUnit},
     model::{Shape, all_offsets},
     render::{
         DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer,
@@ -94,7 +94,8 @@ fn check_against_twins(shape: Shape, count: usize) {
     let camera = random::camera(40, 30);
     let (scene, rows) = masked_scene(count as u64, shape, count, &camera);
     let device = DeviceAnchors::upload(&context, &scene.anchors, &scene.networks).expect("anchors");
-    let mut gaussians = NeuralGaussians::new(Arc::clone(&context), shape, 0.2).expect("the kernels");
+    let mut gaussians =
+        NeuralGaussians::new(Arc::clone(&context), shape, 0.2, DistanceUnit::USUAL).expect("the kernels");
     let mut recorder = context.recorder("forward");
     gaussians.forward(&mut recorder, &device, &camera, 0.0).expect("recorded");
     recorder.submit().expect("submitted");
@@ -157,7 +158,8 @@ fn masked_offsets_reach_neither_the_count_of_gaussians_nor_the_rasteriser() {
         let mut scene = scene.clone();
         scene.anchors.masks.iter_mut().for_each(|mask| *mask = masks(*mask));
         let device = DeviceAnchors::upload(&context, &scene.anchors, &scene.networks).expect("anchors");
-        let mut gaussians = NeuralGaussians::new(Arc::clone(&context), SMALL, 0.2).expect("the kernels");
+        let mut gaussians =
+            NeuralGaussians::new(Arc::clone(&context), SMALL, 0.2, DistanceUnit::USUAL).expect("the kernels");
         let mut raster =
             Rasterizer::new(Arc::clone(&context), RasterSettings::default()).expect("a rasteriser");
         loop {

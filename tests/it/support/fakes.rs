@@ -14,8 +14,8 @@ use glam::DVec3;
 use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, Conventions, CurvePoint,
-        DatasetSummary, Digest, HeldOut, HeldOutView, Image, Intrinsics, JobMetrics, Lattice, Layout,
-        LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, Progress,
+        DatasetSummary, Digest, DistanceUnit, HeldOut, HeldOutView, Image, Intrinsics, JobMetrics, Lattice,
+        Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, Progress,
         RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
     },
     render::{
@@ -316,6 +316,7 @@ fn empty_scene() -> AnchorScene {
         masks: Vec::new(),
         networks: RenderNetworks { opacity: mlp(), covariance: mlp(), color: mlp() },
         near: NearPlane::default(),
+        unit: DistanceUnit::default(),
     }
 }
 

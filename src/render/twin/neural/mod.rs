@@ -14,7 +14,10 @@ pub use spawn::{count_gaussians, spawn_gaussians, spawn_gradient, volume};
 pub use visibility::{anchor_statistics, anchor_visible, compact_anchors, feature_gradient, network_input};
 
 use super::{Gaussian, GaussianGradient, Projection};
-use crate::model::{AnchorRows, NetworkLayout, Shape};
+use crate::{
+    domain::DistanceUnit,
+    model::{AnchorRows, NetworkLayout, Shape},
+};
 
 /// Magnitudes from here on count as infinite.
 const LIMIT: f64 = 1e30;
@@ -35,12 +38,14 @@ pub struct Anchors {
     pub masks: Vec<u32>,
     /// The networks' flat parameters.
     pub networks: Vec<f64>,
+    /// What the networks are told distances in.
+    pub unit: DistanceUnit,
 }
 
 impl Anchors {
     /// The numbers that the device gets, in f64.
     #[must_use]
-    pub fn new(anchors: &AnchorRows, networks: &[f32]) -> Self {
+    pub fn new(anchors: &AnchorRows, networks: &[f32], unit: DistanceUnit) -> Self {
         let position = |p: &[f32; 4]| DVec3::new(f64::from(p[0]), f64::from(p[1]), f64::from(p[2]));
         Self {
             shape: anchors.shape,
@@ -48,6 +53,7 @@ impl Anchors {
             rows: anchors.values.iter().map(|v| f64::from(*v)).collect(),
             masks: anchors.masks.clone(),
             networks: networks.iter().map(|v| f64::from(*v)).collect(),
+            unit,
         }
     }
 
@@ -101,7 +107,7 @@ pub fn neural_forward(projection: &Projection, anchors: &Anchors) -> Spawned {
     };
     for anchor in spawned.list.iter().map(|anchor| *anchor as usize) {
         let (position, row, mask) = (anchors.positions[anchor], anchors.row(anchor), anchors.masks[anchor]);
-        let input = network_input(projection, position, anchors.shape, row);
+        let input = network_input(projection, position, anchors.shape, row, anchors.unit);
         let hidden = relu(dense(&layout.hidden, &anchors.networks, &input));
         let outputs: Vec<f64> =
             layout.heads.iter().flat_map(|head| dense(head, &anchors.networks, &hidden)).collect();

@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 
 use super::{Gaussian, LIMIT, Projection};
-use crate::{model::Shape, render::twin::SplatGradient};
+use crate::{domain::DistanceUnit, model::Shape, render::twin::SplatGradient};
 
 /// Whether the three-sigma box of the anchor, projected as an axis-aligned Gaussian of its offset scale, touches the
 /// image (method.md §1.4).
@@ -35,16 +35,23 @@ pub fn compact_anchors(visible: &[bool]) -> Vec<u32> {
     (0..).zip(visible).filter(|(_, visible)| **visible).map(|(anchor, _)| anchor).collect()
 }
 
-/// Feature, unit view direction, distance (method.md §1.3). A feature value that is not finite reads as zero.
+/// Feature, unit view direction, distance in units of `unit` (method.md §1.3). A feature value that is not finite reads as
+/// zero.
 #[must_use]
-pub fn network_input(projection: &Projection, position: DVec3, shape: Shape, row: &[f64]) -> Vec<f64> {
+pub fn network_input(
+    projection: &Projection,
+    position: DVec3,
+    shape: Shape,
+    row: &[f64],
+    unit: DistanceUnit,
+) -> Vec<f64> {
     let center = -(projection.rotation.transpose() * projection.translation);
     let ray = position - center;
     let distance = ray.length().max(1e-12);
     let usable = |value: &f64| if value.abs() < LIMIT { *value } else { 0.0 };
     let mut input: Vec<f64> = row[..shape.features].iter().map(usable).collect();
     input.extend((ray / distance).to_array());
-    input.push(distance);
+    input.push(distance / f64::from(unit.length()));
     input
 }
 
