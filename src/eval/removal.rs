@@ -96,7 +96,7 @@ impl<'a> Probe<'a> {
         shape.check().map_err(RenderError::Scene)?;
         let networks =
             NetworkLayout::new(shape).from_networks(&scene.networks).map_err(RenderError::Scene)?;
-        let settings = RasterSettings::default();
+        let settings = RasterSettings { near: scene.near.depth(), ..RasterSettings::default() };
         Ok(Self {
             context,
             anchors: DeviceAnchors::upload(context, &AnchorRows::from_scene(scene), &networks)?,

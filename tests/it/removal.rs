@@ -1,7 +1,7 @@
 //! What leaving out is said to cost is what it costs.
 
 use tcgs::{
-    domain::{AnchorScene, Background, CancelFlag, Dataset, Frame, Scene, Split},
+    domain::{AnchorScene, Background, CancelFlag, Dataset, DistanceUnit, Frame, NearPlane, Scene, Split},
     eval::{RemovalCosts, removal_costs},
     render::SceneRenderer,
     train::{Checkpoints, train},
@@ -9,7 +9,7 @@ use tcgs::{
 
 use crate::{
     support::gpu::gpu,
-    train::{dataset, options},
+    train::{dataset, options, scaled},
 };
 
 const BACKGROUND: Background = Background::Black;
@@ -85,4 +85,24 @@ fn what_no_view_shows_costs_nothing_and_figures_are_repeated() {
     assert_eq!(costs(&scene, &frames), once);
     let none = removal_costs(&gpu(), &scene, &frames, BACKGROUND, &mut || false).expect("measures");
     assert!(none.anchors.iter().all(|cost| *cost == 0.0), "stopped before the first view");
+}
+
+#[test]
+fn in_a_scene_of_another_unit_leaving_out_costs_the_same() {
+    let dataset = dataset();
+    let mut scene = trained(&dataset);
+    let expected = costs(&scene, &seen(&dataset));
+    assert!(expected.anchors.iter().any(|cost| *cost > 0.1), "something costs: {expected:?}");
+    // A power of two, so that every rounding is the same.
+    let factor = 1.0 / 1024.0;
+    let small = scaled(&dataset, f64::from(factor));
+    scene.lattice.voxel *= factor;
+    scene.lattice.origin = scene.lattice.origin.map(|coordinate| coordinate * factor);
+    scene.scalings.iter_mut().for_each(|scaling| *scaling *= factor);
+    scene.near = NearPlane::new(scene.near.depth() * factor).expect("a depth");
+    scene.unit = DistanceUnit::new(factor).expect("a length");
+    let found = costs(&scene, &seen(&small));
+    for (found, expected) in found.anchors.iter().zip(&expected.anchors) {
+        assert!((found - expected).abs() < 1e-3 * (1.0 + expected.abs()), "{found} {expected}");
+    }
 }
