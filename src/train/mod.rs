@@ -39,7 +39,7 @@ pub use error::TrainError;
 pub use loss::{ImageLoss, LossSums};
 pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
 pub use rate_control::{RateControl, RateState};
-pub use schedule::{Decay, MaskSchedule, Schedule};
+pub use schedule::{Decay, Fall, MaskSchedule, Schedule};
 pub use schedule_table::schedule_table;
 pub use statistics::Statistics;
 pub use trainer::{Checkpoints, Trained, TrainedContext, train, train_trunk, train_within};

@@ -15,26 +15,47 @@ const MOST_SPEED: f64 = 3.2;
 /// How many times faster than published masks learn in short runs, at most: beyond, a step is as large as the way.
 const MOST_MASK_SPEED: f64 = 125.0;
 
-/// A learning rate that goes from `start` to `end` exponentially (method.md §1.6).
+/// How a learning rate goes from its first value to its last.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fall {
+    /// By the same factor every step (method.md §1.6).
+    Exponential,
+    /// With the square of what is left of the run.
+    Quadratic,
+}
+
+/// A learning rate that goes from `start` to `end`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Decay {
     /// At the first step.
     pub start: f64,
     /// At the last step.
     pub end: f64,
+    /// The way between.
+    pub fall: Fall,
 }
 
 impl Decay {
+    /// A rate that falls by the same factor every step, as the published ones.
+    #[must_use]
+    pub const fn exponential(start: f64, end: f64) -> Self {
+        Self { start, end, fall: Fall::Exponential }
+    }
+
+    const fn constant(rate: f64) -> Self {
+        Self::exponential(rate, rate)
+    }
+
     /// The rate at a fraction of the run.
     #[must_use]
     pub fn at(&self, fraction: f64) -> f64 {
         let fraction = fraction.clamp(0.0, 1.0);
-        ((1.0 - fraction) * self.start.ln() + fraction * self.end.ln()).exp()
+        let left = 1.0 - fraction;
+        match self.fall {
+            Fall::Exponential => (left * self.start.ln() + fraction * self.end.ln()).exp(),
+            Fall::Quadratic => self.end + left * left * (self.start - self.end),
+        }
     }
-}
-
-const fn constant(rate: f64) -> Decay {
-    Decay { start: rate, end: rate }
 }
 
 /// How many times shorter a run of `steps` steps is than the one that the published rates are made for.
@@ -42,11 +63,17 @@ pub(super) fn shortness(steps: u32) -> f64 {
     30_000.0 / f64::from(steps.max(1))
 }
 
-/// By how much the rates of anchors are larger than published in a run of `steps` steps: Adam moves a parameter by no
-/// more than the sum of its rates. The fourth root is what the baseline of plain Gaussians has for what does not move in
-/// space, so that no model owes its lead to faster rates.
-fn speed(steps: u32) -> f64 {
-    shortness(steps).sqrt().sqrt().clamp(1.0, MOST_SPEED)
+/// A published rate of anchors in a run of `steps` steps: Adam moves a parameter by no more than the sum of its rates, so
+/// in shorter runs they begin larger and stay so for longer. A fall in a line would have a larger sum yet, but leaves too
+/// much of the rates to the end, where masks are settled and all is rounded. The fourth root is what the baseline of
+/// plain Gaussians has for what does not move in space, so that no model owes its lead to faster rates.
+fn of_anchors(published: Decay, steps: u32) -> Decay {
+    let shortness = shortness(steps);
+    if shortness <= 1.0 {
+        return published;
+    }
+    let speed = shortness.sqrt().sqrt().min(MOST_SPEED);
+    Decay { start: speed * published.start, end: published.end, fall: Fall::Quadratic }
 }
 
 /// Cells between neighbouring points, which growth begins with: the coarsest growth cell is as large as their spacing.
@@ -138,8 +165,7 @@ impl Schedule {
         };
         let steps = options.iterations.unwrap_or(default_steps);
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
-        let speed = speed(steps);
-        let faster = |rate: Decay| Decay { start: speed * rate.start, end: rate.end };
+        let rate = |published: Decay| of_anchors(published, steps);
         Self {
             steps,
             shape: Shape { features, offsets: 10 },
@@ -158,13 +184,13 @@ impl Schedule {
             growth_threshold: 2e-4,
             max_anchors,
             random_points,
-            offset: faster(Decay { start: 0.01, end: 1e-4 }),
-            feature: faster(constant(0.0075)),
-            scaling: faster(constant(0.007)),
+            offset: rate(Decay::exponential(0.01, 1e-4)),
+            feature: rate(Decay::constant(0.0075)),
+            scaling: rate(Decay::constant(0.007)),
             networks: [
-                faster(Decay { start: 2e-3, end: 2e-5 }),
-                faster(constant(4e-3)),
-                faster(Decay { start: 8e-3, end: 5e-5 }),
+                rate(Decay::exponential(2e-3, 2e-5)),
+                rate(Decay::constant(4e-3)),
+                rate(Decay::exponential(8e-3, 5e-5)),
             ],
             volume_weight: 0.01,
             masks: masks(options, steps),
@@ -228,7 +254,7 @@ fn masks(options: &TrainOptions, steps: u32) -> Option<MaskSchedule> {
         from: 1,
         loss_from: part(1.0 / 3.0) + 1,
         until: part(0.7),
-        rate: Decay { start: 1e-2, end: 1e-4 },
+        rate: Decay::exponential(1e-2, 1e-4),
         weight: 5e-4,
         level: logit(0.01),
     };
@@ -240,7 +266,7 @@ fn masks(options: &TrainOptions, steps: u32) -> Option<MaskSchedule> {
         from: part(0.5) + 1,
         loss_from: part(0.5) + 1,
         until: part(0.75),
-        rate: Decay { start: scale * published.rate.start, end: scale * published.rate.end },
+        rate: Decay::exponential(scale * published.rate.start, scale * published.rate.end),
         weight: 1e-2,
         level: logit(0.2),
     })
@@ -257,8 +283,10 @@ mod tests {
     use crate::domain::ModelKind;
 
     #[test]
-    fn rates_decay_exponentially_between_their_ends() {
-        let decay = Decay { start: 1e-2, end: 1e-4 };
+    fn rates_fall_between_their_ends() {
+        let square = Decay { start: 3.0, end: 1.0, fall: Fall::Quadratic };
+        assert_eq!([-1.0, 0.0, 0.5, 1.0, 2.0].map(|fraction| square.at(fraction)), [3.0, 3.0, 1.5, 1.0, 1.0]);
+        let decay = Decay::exponential(1e-2, 1e-4);
         assert!((decay.at(0.0) - 1e-2).abs() < 1e-12);
         assert!((decay.at(0.5) - 1e-3).abs() < 1e-12);
         assert!((decay.at(1.0) - 1e-4).abs() < 1e-12);
@@ -276,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn anchors_of_shorter_runs_begin_faster_and_end_as_published() {
+    fn rates_of_anchors_in_shorter_runs_begin_faster_stay_so_longer_and_end_as_published() {
         let of =
             |steps: u32| Schedule::new(&TrainOptions { iterations: Some(steps), ..TrainOptions::default() });
         let rates = |schedule: &Schedule| {
@@ -290,6 +318,7 @@ mod tests {
             for (rate, published) in rates(&of(steps)).iter().zip(published) {
                 assert!((rate.start / published.start - factor).abs() < 1e-3, "{steps} steps: {rate:?}");
                 assert!((rate.end / published.end - 1.0).abs() < 1e-12, "{steps} steps: {rate:?}");
+                assert_eq!((rate.fall, published.fall), (Fall::Quadratic, Fall::Exponential));
             }
         }
     }
@@ -303,7 +332,7 @@ mod tests {
         let options = TrainOptions { preset: Preset::Paper, ..TrainOptions::default() };
         let masks = masks_of(options).expect("masks");
         assert_eq!((masks.from, masks.loss_from, masks.until), (1, 10_001, 21_000));
-        assert_eq!((masks.rate, masks.weight), (Decay { start: 1e-2, end: 1e-4 }, 5e-4));
+        assert_eq!((masks.rate, masks.weight), (Decay::exponential(1e-2, 1e-4), 5e-4));
         assert!((masks.level + 4.595_12).abs() < 1e-5);
         assert_eq!([10_000, 10_001].map(|step| masks.weight_at(step)), [0.0, 5e-4]);
         assert!(masks.learns(1) && masks.learns(21_000) && !masks.learns(21_001));

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::{BaseStepRule, CompressionSchedule, Decay, Schedule, WaveletWeights, plain::PlainSchedule};
+use super::{BaseStepRule, CompressionSchedule, Decay, Fall, Schedule, WaveletWeights, plain::PlainSchedule};
 use crate::domain::{Preset, TrainOptions};
 
 /// One preset's schedules: of anchors, and of plain Gaussians.
@@ -154,10 +154,11 @@ fn plain(row: &mut Row<'_>) {
 }
 
 fn rate(decay: Decay) -> String {
-    if decay.start == decay.end {
-        format!("{:?}", decay.start)
-    } else {
-        format!("{:.3e} → {:.3e}", decay.start, decay.end)
+    let Decay { start, end, fall } = decay;
+    match fall {
+        _ if start == end => format!("{start:?}"),
+        Fall::Exponential => format!("{start:.3e} → {end:.3e}"),
+        Fall::Quadratic => format!("{start:.3e} ↘ {end:.3e}"),
     }
 }
 

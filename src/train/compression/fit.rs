@@ -44,8 +44,8 @@ const LEAST_STEPS: u32 = 10;
 const MOST_STEPS: u32 = 600;
 
 /// Rates of networks that begin anew, and of those that were trained.
-const FRESH: Decay = Decay { start: 1e-2, end: 1e-4 };
-const TRAINED: Decay = Decay { start: 1e-3, end: 1e-5 };
+const FRESH: Decay = Decay::exponential(1e-2, 1e-4);
+const TRAINED: Decay = Decay::exponential(1e-3, 1e-5);
 
 /// How far latents of smaller planes begin from zero: a few of the multiples of 1/16 that are stored.
 const FIRST_LATENT: f32 = 0.25;

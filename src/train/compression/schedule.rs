@@ -106,7 +106,7 @@ impl CompressionSchedule {
         }
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
         let paper = options.preset == Preset::Paper;
-        let rate = Decay { start: 5e-3, end: 1e-5 };
+        let rate = Decay::exponential(5e-3, 1e-5);
         Some(Self {
             noise_from: part(0.1) + 1,
             context_from: part(1.0 / 3.0) + 1,

@@ -82,7 +82,7 @@ impl PlainSchedule {
                 Preset::Standard => 500_000,
                 Preset::Paper => 2_000_000,
             },
-            mean: Decay { start: speed * 1.6e-4, end: speed * 1.6e-6 },
+            mean: Decay::exponential(speed * 1.6e-4, speed * 1.6e-6),
             color: slower * 0.0025,
             coefficients: slower * 0.0025 / 20.0,
             opacity: 0.05,
@@ -139,7 +139,7 @@ mod tests {
         assert_eq!([999, 1_000, 2_500, 3_000, 30_000].map(|step| plain.degree(step)), [0, 1, 2, 3, 3]);
         assert!(!plain.prunes_large(3_000) && plain.prunes_large(3_100));
         assert!(plain.gathers_statistics(1) && !plain.gathers_statistics(15_000));
-        assert_eq!(plain.mean, Decay { start: 1.6e-4, end: 1.6e-6 });
+        assert_eq!(plain.mean, Decay::exponential(1.6e-4, 1.6e-6));
         let rates = [plain.color, plain.coefficients, plain.opacity, plain.log_scale, plain.quat];
         assert_eq!(rates, [0.0025, 0.0025 / 20.0, 0.05, 0.005, 0.001]);
         assert_eq!(schedule(100_000, Background::Black).mean, plain.mean);
