@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 const ORDINARY: std::ops::RangeInclusive<f64> = 0.25..=64.0;
 
 /// What the typical distance is told as in any other scene. Of 1, 2, 3 and 4 it is the one with which a scene in thousandths or
-/// thousands is learnt as well as in its own unit (three seeds); 4 takes 0.8 to 2.7 dB.
+/// thousands was learnt best, and as well as in its own unit (three seeds); 4 took 0.8 to 2.7 dB.
 const TYPICAL: f64 = 3.0;
 
 /// A length in world units: positive and normal, and so is one over it.

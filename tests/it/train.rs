@@ -307,19 +307,22 @@ pub(crate) fn scaled(dataset: &Dataset, factor: f64) -> Dataset {
 #[test]
 fn the_unit_of_the_scene_does_not_decide_what_is_learnt() {
     // Roundings differ, and growth makes more of them; anchors in a unit of their own are told other numbers too. Of eight seeds
-    // none differs by more than 1.3 dB, and none is worse by more than 0.7. A scene behind the near plane, or distances and
-    // volumes in the world's unit, cost ten and more.
-    let cases = [(plain(120, 0), 1.5), (options(120, 0), 2.0)];
-    for (options, most) in cases {
+    // of anchors single ones differ by -1.7 to 2.4 dB, means of three by -0.8 to 1.1. A scene behind the near plane, or
+    // distances and volumes in the world's unit, cost ten and more.
+    let cases = [(plain(120, 0), 1, 1.5), (options(120, 0), 3, 2.0)];
+    for (options, seeds, most) in cases {
         let scores: Vec<f64> = Vec::from_iter([1.0, 1e-3, 1e3].map(|factor| {
             let dataset = scaled(&dataset(), factor);
-            let (trained, _) = run(&dataset, &options);
-            let near = trained.scene.near();
-            assert!(f64::from(near.depth()) < 0.1 * 3.0 * factor, "{near:?} at {factor}");
-            if let Some(scene) = trained.scene.as_anchors() {
-                assert_eq!(scene.unit.is_usual(), factor == 1.0, "{:?} at {factor}", scene.unit);
-            }
-            psnr(&trained.scene, &dataset, Split::Train)
+            let score = |seed: u64| {
+                let (trained, _) = run(&dataset, &TrainOptions { seed, ..options.clone() });
+                let near = trained.scene.near();
+                assert!(f64::from(near.depth()) < 0.1 * 3.0 * factor, "{near:?} at {factor}");
+                if let Some(scene) = trained.scene.as_anchors() {
+                    assert_eq!(scene.unit.is_usual(), factor == 1.0, "{:?} at {factor}", scene.unit);
+                }
+                psnr(&trained.scene, &dataset, Split::Train)
+            };
+            (0..seeds).map(score).sum::<f64>() / seeds as f64
         }));
         let model = options.model;
         assert!(scores.iter().all(|score| (score - scores[0]).abs() < most), "{model}: {scores:.2?} dB");
