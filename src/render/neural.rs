@@ -283,6 +283,12 @@ impl NeuralGaussians {
             + ROUNDING
     }
 
+    /// What the networks are told distances in.
+    #[must_use]
+    pub fn unit(&self) -> DistanceUnit {
+        self.unit
+    }
+
     /// The Gaussians of the last forward pass.
     #[must_use]
     pub fn gaussians(&self) -> &Gaussians {

@@ -9,10 +9,7 @@ use super::{
     views::{ALPHA_SEEN, Plane, PlaneKind, Viewable},
 };
 use crate::{
-    domain::{
-        AnchorScene, Background, Camera, Digest, DistanceUnit, GaussianScene, Image, NearPlane, Problem,
-        Scene,
-    },
+    domain::{AnchorScene, Background, Camera, Digest, GaussianScene, Image, NearPlane, Problem, Scene},
     gpu::{AdapterChoice, Context, GpuError, Recorder},
     model::{AnchorRows, GaussianRows, NetworkLayout, Shape},
 };
@@ -37,7 +34,7 @@ pub struct SceneRenderer {
 /// What a view's Gaussians are made from.
 #[derive(Debug)]
 enum Source {
-    Anchors { anchors: DeviceAnchors, neural: Box<NeuralGaussians>, unit: DistanceUnit },
+    Anchors { anchors: DeviceAnchors, neural: Box<NeuralGaussians> },
     Gaussians { rows: DeviceRows, plain: Box<PlainGaussians> },
 }
 
@@ -45,7 +42,7 @@ impl Source {
     /// Records the making of the Gaussians that `camera` sees.
     fn forward(&mut self, recorder: &mut Recorder<'_>, camera: &Camera) -> Result<&Gaussians, RenderError> {
         match self {
-            Source::Anchors { anchors, neural, .. } => {
+            Source::Anchors { anchors, neural } => {
                 neural.forward(recorder, anchors, camera, 0.0)?;
                 Ok(neural.gaussians())
             }
@@ -85,8 +82,7 @@ impl SceneRenderer {
         let anchors = upload(context, scene)?;
         let (shape, near) = (anchors.shape, scene.near.depth());
         let neural = Box::new(NeuralGaussians::new(Arc::clone(context), shape, near, scene.unit)?);
-        let source = Source::Anchors { anchors, neural, unit: scene.unit };
-        Self::of_source(context, source, background, scene.near)
+        Self::of_source(context, Source::Anchors { anchors, neural }, background, scene.near)
     }
 
     /// Uploads plain Gaussians.
@@ -124,8 +120,8 @@ impl SceneRenderer {
     pub fn replace(&mut self, scene: &AnchorScene) -> Result<(), RenderError> {
         let next = upload(&self.context, scene)?;
         match &mut self.source {
-            Source::Anchors { anchors, unit, .. }
-                if anchors.shape == next.shape && scene.near == self.near && scene.unit == *unit =>
+            Source::Anchors { anchors, neural }
+                if anchors.shape == next.shape && scene.near == self.near && scene.unit == neural.unit() =>
             {
                 *anchors = next;
                 Ok(())

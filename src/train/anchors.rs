@@ -35,7 +35,6 @@ pub(super) struct AnchorLearner {
     schedule: Schedule,
     shape: Shape,
     extent: f32,
-    unit: DistanceUnit,
     layout: NetworkLayout,
     owners: Vec<u8>,
     anchors: AnchorRows,
@@ -193,7 +192,6 @@ impl AnchorLearner {
             schedule,
             shape,
             extent,
-            unit,
             owners: layout.owners(),
             device: DeviceAnchors::upload(context, anchors, &networks)?,
             gradients: AnchorGradients::new(context, shape, anchors.len())?,
@@ -215,13 +213,13 @@ impl AnchorLearner {
         let mut rates = vec![self.schedule.feature.at(fraction) as f32; self.shape.row()];
         rates[self.shape.scaling_column()..].fill(self.schedule.scaling.at(fraction) as f32);
         rates[self.shape.offset_column()..]
-            .fill(self.schedule.offset.at(fraction) as f32 * self.extent / self.unit.length());
+            .fill(self.schedule.offset.at(fraction) as f32 * self.extent / self.neural.unit().length());
         rates
     }
 
     /// Weight of volumes in world units where the schedule's is of those in the scene's unit.
     fn volume_weight(&self) -> f32 {
-        let volume = f64::from(self.unit.length()).powi(3);
+        let volume = f64::from(self.neural.unit().length()).powi(3);
         // A weight that is not finite would make NaN of volumes that underflow.
         (f64::from(self.schedule.volume_weight) / volume).min(f64::from(f32::MAX)) as f32
     }
@@ -467,8 +465,8 @@ impl Learner for AnchorLearner {
         let Lattice { voxel, origin: [x, y, z] } = anchors.lattice;
         let mut state = LearnerState::default();
         state.put("lattice", vec![voxel, x, y, z]);
-        if !self.unit.is_usual() {
-            state.put("unit", vec![self.unit.length()]);
+        if !self.neural.unit().is_usual() {
+            state.put("unit", vec![self.neural.unit().length()]);
         }
         state.put("anchors.cells", anchors.cells.into_flattened());
         state.put("anchors.masks", anchors.masks);
@@ -516,7 +514,7 @@ impl Learner for AnchorLearner {
         };
         let scene = self.anchors.to_scene(self.layout.to_networks(&networks));
         let near = NearPlane::of_extent(self.extent);
-        let scene = Scene::Anchors(AnchorScene { near, unit: self.unit, ..scene });
+        let scene = Scene::Anchors(AnchorScene { near, unit: self.neural.unit(), ..scene });
         Ok(Finished { scene, context })
     }
 }
