@@ -20,6 +20,9 @@ const LAST: i32 = 63;
 // Values, means and logarithms from here on count as numbers that are none.
 const LIMIT: f32 = 1e15;
 
+// What an escape takes beside twice the logarithm of its distance, in bits.
+const ESCAPE_BITS: f32 = 26.0;
+
 // A value's derivatives, counted in steps and octaves, go no further: one stray value must not drown all others.
 const STEEPEST: f32 = 1e4;
 
@@ -46,7 +49,7 @@ struct Settings {
 @group(0) @binding(7) var<storage, read_write> d_outputs: array<f32>;
 @group(0) @binding(8) var<storage, read_write> d_rows: array<f32>;
 @group(0) @binding(9) var<storage, read_write> steps: array<f32>;
-// Column-major: the three groups' bits, then each offset's.
+// Column-major: what a file takes for the three groups, where values far out are escapes, then each offset's bits.
 @group(0) @binding(10) var<storage, read_write> bits: array<f32>;
 
 fn is_number(value: f32) -> bool {
@@ -122,6 +125,7 @@ fn rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
             }
             let found = symbol_bits(symbol, centre, exp2(coded), 1.0);
             cost = found.x;
+            sum += min(cost, ESCAPE_BITS + 2.0 * log2(1.0 + abs(symbol - centre)));
             let by_value = clamp(found.y, -STEEPEST, STEEPEST);
             let by_coded = clamp(found.z, -STEEPEST, STEEPEST);
             by_mean = -by_value / in_base;
@@ -142,7 +146,6 @@ fn rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
             }
             d_rows[anchor * ROW + column] += weight * by_row;
         }
-        sum += cost;
         d_outputs[mean_at] = weight * by_mean;
         d_outputs[scale_at] = weight * by_scale;
         if place == 2u {

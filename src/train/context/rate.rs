@@ -16,6 +16,10 @@
 //! | 30 to 100 | 6.4e-5 | 4.3e-7 | 3.9e-7 | 3.6e-7 |
 //! | 100 to 10^9 | 1.3e-6, relative | 6.4e-7 | 4.3e-7 | 6.3e-7 |
 //!
+//! A group's bits are what a file takes: a value far out costs no more than an escape there, 26 bits and twice the base-2 logarithm of
+//! one more than its distance in steps (`FORMAT.md`), or one stray anchor would make an estimate of the file's size of its own.
+//! Gradients, and the offsets' bits that masks learn from, are the distribution's own, so that strays are pulled back.
+//!
 //! What always holds: every gradient is finite, whatever rows and networks hold; a number that is none costs nothing and
 //! teaches nothing. Where the decoder knows no finer or wider distribution (standard deviations from 2^-3.5 to 2^10.28
 //! steps), the nearest that it knows is taken, and of the gradient by the standard deviation only what leads back inside
@@ -175,14 +179,14 @@ impl RateTerm {
         Ok(())
     }
 
-    /// Bits of the last recorded sample, column-major with [`Self::capacity`]: a row for each group, then one for each
-    /// offset, which is zero where it is masked.
+    /// Bits of the last recorded sample, column-major with [`Self::capacity`]: a row for each group, of what a file takes, then
+    /// one for each offset under the distribution, which is zero where it is masked.
     #[must_use]
     pub fn bits(&self) -> &Buffer<f32> {
         &self.bits
     }
 
-    /// Bits of the last submitted sample by group. Waits for the device; free beside another figure that is read back.
+    /// Bits that a file takes for the last submitted sample, by group. Waits for the device; free beside another figure that is read back.
     ///
     /// # Errors
     /// Faults of the device.

@@ -16,14 +16,19 @@ const FINEST: f64 = -3.5;
 const SPACING: f64 = 7.0 / 32.0;
 const LAST: i64 = 63;
 
+/// What an escape takes beside twice the logarithm of its distance, in bits.
+const ESCAPE_BITS: f64 = 26.0;
+
 /// A value's derivatives, counted in steps and octaves, go no further.
 const STEEPEST: f64 = 1e4;
 
 /// What a group of one anchor costs, and the gradients.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RateGradients {
-    /// Bits a channel.
+    /// Bits a channel under the distribution, which the gradients are of.
     pub bits: Vec<f64>,
+    /// Bits a channel that a file takes, where values far out are escapes.
+    pub stored: Vec<f64>,
     /// The step that the network asks for.
     pub step: f64,
     /// `weight` times the bits' derivatives by the network's outputs; the adjustment's includes what rendering says.
@@ -64,6 +69,7 @@ pub fn rate(
     let quantiser = Quantiser { by, anchor };
     let mut found = RateGradients {
         bits: vec![0.0; channels],
+        stored: vec![0.0; channels],
         step,
         outputs: vec![0.0; 2 * channels + 1],
         row: vec![0.0; channels],
@@ -93,6 +99,7 @@ pub fn rate(
         };
         let cost = symbol_bits(symbol, centre, coded.exp2(), 1.0);
         found.bits[channel] = cost.bits;
+        found.stored[channel] = cost.bits.min(ESCAPE_BITS + 2.0 * (1.0 + (symbol - centre).abs()).log2());
         let by_value = cost.by_value.clamp(-STEEPEST, STEEPEST);
         let by_coded = cost.by_log_deviation.clamp(-STEEPEST, STEEPEST);
         let mut by_adjustment = -LN_2 * by_value * (symbol - quantised.by_width - centre);

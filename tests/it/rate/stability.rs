@@ -53,7 +53,9 @@ fn a_value_a_million_steps_away_is_pulled_back_and_drowns_nobody() {
             let after = found(&case, phase);
             let what = format!("{phase:?} {column}");
             assert_sound(&after, &what);
-            assert!(after.bits[group][place] > 1e6, "{what}: {}", after.bits[group][place]);
+            let more = after.bits[group][place] - before.bits[group][place];
+            assert!((20.0..90.0).contains(&more), "{what}: a file takes an escape for it, not {more} bits");
+            assert!(group != 2 || after.bits[3][place] > 1e6, "{what}: {}", after.bits[3][place]);
             assert!(after.rows[anchor * SMALL.row() + column] > 0.0, "{what}: the value is pulled down");
             assert!(after.outputs[group][place][0] < 0.0, "{what}: the mean is pulled up");
             assert!(after.outputs[group][place][channels] < 0.0, "{what}: the deviation is widened");

@@ -122,6 +122,58 @@ fn beyond_the_coded_deviations_only_what_leads_back_passes() {
 }
 
 #[test]
+fn what_is_far_out_is_stored_as_an_escape_and_pulled_back_all_the_same() {
+    let by = tcgs::train::context::Quantisation {
+        base_steps: [1.0; 3],
+        ..quantisation(QuantisationPhase::Rounded)
+    };
+    let at = |value: f64| rate(&by, 0, AttributeGroup::Features, 0, &[value], 0, &[0.0; 3], 0.0, 1.0);
+    let near = at(4.0);
+    assert_eq!(near.stored, near.bits, "within the table");
+    for value in [8.0, 100.0, -1e4, 1e6] {
+        let far = at(value);
+        // A file: 24 bits of the escape, a sign, and an Exp-Golomb code of the distance to the table's end, 7 steps out.
+        let escape = 24.0 + 2.0 + 2.0 * (value.abs() - 7.0).log2().floor();
+        assert!(far.bits[0] > far.stored[0], "{value}: {far:?}");
+        assert!((-0.1..7.0).contains(&(far.stored[0] - escape)), "{value}: {} {escape}", far.stored[0]);
+        assert!(far.row[0] * value.signum() >= at(4.0).row[0], "{value}: {far:?}");
+    }
+}
+
+#[test]
+fn a_stray_anchor_does_not_decide_what_a_scene_is_said_to_take() {
+    const COUNT: usize = 40;
+    let context = gpu();
+    let by = quantisation(QuantisationPhase::Rounded);
+    let mut case = Case::random(44, SMALL, COUNT, COUNT);
+    let sums = |case: &Case| {
+        let device = OnDevice::upload(&context, case, &random_gradients(45, COUNT * SMALL.row()));
+        device.run(&context, &by);
+        device.rate.sums(&context).expect("read")
+    };
+    let before = sums(&case);
+    let stray = case.sample[3] as usize;
+    case.anchors.values[stray * SMALL.row()..][..SMALL.features].fill(1e6);
+    let after = sums(&case);
+    let stored: f64 = case
+        .sample
+        .iter()
+        .zip(&case.outputs[0])
+        .map(|(anchor, outputs)| {
+            let (row, outputs) = (f64s(case.anchors.row(*anchor as usize)), f64s(outputs));
+            let group = AttributeGroup::Features;
+            on_twin(by.phase, SMALL, *anchor as usize, group, &row, 0, &outputs, 0.0, 1.0)
+                .stored
+                .iter()
+                .sum::<f64>()
+        })
+        .sum();
+    assert!((after[0] - stored).abs() < 2e-5 * stored, "{} {stored}", after[0]);
+    assert!(after[0] - before[0] < 80.0 * SMALL.features as f64, "{before:?} {after:?}");
+    assert_eq!(after[1..], before[1..]);
+}
+
+#[test]
 fn rounded_bits_are_those_of_the_decoders_numbers() {
     const COUNT: usize = 10;
     let case = Case::random(22, SMALL, COUNT, COUNT);
@@ -198,7 +250,7 @@ fn check_against_twin(shape: Shape, count: usize, sampled: usize, phase: Quantis
                 d_rows[anchor * shape.row() + columns(shape)[group as usize] + channel] += d;
             }
             steps[3 * anchor + group as usize] = expected.step;
-            let cost: f64 = expected.bits.iter().sum();
+            let cost: f64 = expected.stored.iter().sum();
             let error = (bits[group as usize][place] - cost).abs();
             assert!(error < 2e-5 * (1.0 + cost), "{what}: {} {cost}", bits[group as usize][place]);
             costs.push(cost);
