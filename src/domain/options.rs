@@ -121,7 +121,7 @@ named_choice! {
         TriPlane = "triplane",
         /// The neighbours' context.
         Knn = "knn",
-        /// The planes' down and up sampling.
+        /// The planes' down and up sampling, a part of runs of 30 000 steps and more only.
         PlaneCompression = "plane-compression",
         /// The wavelet constraint.
         Wavelet = "wavelet",

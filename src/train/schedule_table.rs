@@ -103,7 +103,13 @@ fn compression(row: &mut Row<'_>) {
         }),
         ("noise as wide as base steps from", |c, s| c.at(s.noise_from)),
         ("context model and rate from", |c, s| c.at(s.context_from)),
-        ("planes are reconstructed from", |c, s| c.at(s.reconstruct_from)),
+        ("planes are reconstructed from", |c, s| {
+            if s.compresses_planes {
+                c.at(s.reconstruct_from)
+            } else {
+                "never, stored as they are".to_owned()
+            }
+        }),
         ("all is rounded as in the file from", |c, s| c.at(s.rounded_from)),
         ("base steps of features, scalings, offsets", |_, s| match s.base {
             BaseStepRule::Published => "1, 0.001 world units, 0.2".to_owned(),
@@ -116,7 +122,9 @@ fn compression(row: &mut Row<'_>) {
         ("share of the anchors in a step's sample", |_, s| s.sampled.to_string()),
         ("rate of planes and their layers, over the context model's steps", |_, s| rate(s.planes)),
         ("rate of the context networks, over the same", |_, s| rate(s.networks)),
-        ("weight of the planes' reconstruction", |_, s| s.reconstruction.to_string()),
+        ("weight of the planes' reconstruction", |_, s| {
+            if s.compresses_planes { s.reconstruction.to_string() } else { "–".to_owned() }
+        }),
     ];
     row("**compression** (`tcgs`)", &|_| String::new());
     for (what, value) in rows {
