@@ -65,6 +65,8 @@ struct Fitter<'a> {
     cells: &'a [[i32; 3]],
     adam: &'a Adam,
     held: HeldSteps,
+    /// Octaves beside the base steps that the anchors' steps are usually at.
+    usual: [f32; 3],
     rate: RateTerm,
     void_mark: Buffer<u32>,
     d_rows: Buffer<f32>,
@@ -92,6 +94,7 @@ impl Compression {
         let share = self.schedule.sampled.min(MOST_SAMPLED as f64 / cells.len().max(1) as f64);
         let capacity = ContextNet::capacity(sample_size(cells.len(), share));
         let steps = (f64::from(self.schedule.steps) * STEPS_A_STEP) as u32;
+        let usual = usual_steps(&context.read(quantising.rows.steps())?);
         let fitter = Fitter {
             compression: self,
             quantising,
@@ -100,6 +103,7 @@ impl Compression {
             cells,
             adam,
             held: HeldSteps::new(context, capacity)?,
+            usual: std::array::from_fn(|group| octaves_beside(usual[group], quantising.base[group])),
             rate: RateTerm::new(context, anchors.shape, capacity)?,
             void_mark: context.buffer("never void", 1)?,
             d_rows: context.buffer("unused gradients of rows", anchors.rows.len())?,
@@ -187,6 +191,21 @@ fn rounding(quantising: &Quantising) -> Quantisation {
     Quantisation { phase: QuantisationPhase::Rounded, base_steps: quantising.base, key: 0 }
 }
 
+/// Octaves from `base` to `step`, as far as adjustments go.
+fn octaves_beside(step: f32, base: f32) -> f32 {
+    let octaves = (step / base).log2();
+    if octaves.is_finite() { octaves.clamp(-STEP_OCTAVES, STEP_OCTAVES) } else { 0.0 }
+}
+
+/// Lets the adjustments that a model predicts begin at `octaves`. What is chosen gives the anchors their steps from then on: a
+/// model that had still to find them would undo what the steps have learnt.
+pub(super) fn begin_at(layout: &ContextLayout, octaves: [f32; 3], values: &mut [f32]) {
+    for (head, octaves) in layout.heads.iter().zip(octaves) {
+        // The last output of a group is its step adjustment.
+        values[head.bias + head.outputs - 1] = octaves;
+    }
+}
+
 /// The context model as a file holds it.
 pub(super) fn stored_pass(planes_learn: bool) -> ContextPass {
     ContextPass { source: PlaneSource::Latents, reconstruction: 0.0, levels: Some(LEVELS), planes_learn }
@@ -248,6 +267,7 @@ impl Fitter<'_> {
         let layout = ContextLayout::new(config)?;
         let mut rng = Pcg64::seed_from_u64(self.compression.schedule.seed);
         let mut values = layout.initial(&self.modelling.statistics, &mut rng)?;
+        begin_at(&layout, self.usual, &mut values);
         match planes {
             Some((other, from)) => layout.copy_planes(&mut values, other, from)?,
             None => values[layout.latents.clone()]
@@ -331,4 +351,30 @@ pub(super) fn stored_parameters(layout: &ContextLayout) -> usize {
 fn smaller(planes: PlaneConfig) -> Option<PlaneConfig> {
     let smaller = PlaneConfig { edge: planes.edge / 2, ..planes };
     (smaller.edge >= LEAST_EDGE).then_some(smaller)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::context::GroupStatistics;
+
+    #[test]
+    fn models_that_begin_anew_begin_at_the_steps_that_anchors_have() {
+        let channels = [4, 6, 6];
+        let config = ContextConfig::for_anchors(ContextKind::Position, channels, 100);
+        let layout = ContextLayout::new(config).expect("a model");
+        let statistics = channels
+            .map(|channels| GroupStatistics { means: vec![0.5; channels], deviations: vec![2.0; channels] });
+        let mut values = layout.initial(&statistics, &mut Pcg64::seed_from_u64(1)).expect("values");
+        let before = values.clone();
+        begin_at(&layout, [1.25, -2.0, 0.5], &mut values);
+        for ((head, octaves), channels) in layout.heads.iter().zip([1.25, -2.0, 0.5]).zip(channels) {
+            assert_eq!(values[head.bias + 2 * channels], octaves);
+        }
+        let changed = values.iter().zip(&before).filter(|(now, before)| now != before).count();
+        assert_eq!(changed, 3, "means and deviations stay");
+        let octaves = [(1.0, 0.25), (0.1, 0.4), (1e9, 1.0), (0.0, 1.0), (f32::NAN, 1.0)];
+        let found = octaves.map(|(step, base)| octaves_beside(step, base));
+        assert_eq!(found, [2.0, -2.0, STEP_OCTAVES, 0.0, 0.0]);
+    }
 }

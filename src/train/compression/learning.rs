@@ -11,7 +11,7 @@ use rand_pcg::Pcg64;
 
 use super::{
     BaseSteps, CompressionSchedule, Stage,
-    fit::{BYTES_A_PARAMETER, stored_parameters, stored_pass},
+    fit::{BYTES_A_PARAMETER, begin_at, stored_parameters, stored_pass},
     statistics::group_statistics,
     steps::{carry_steps, usual_steps},
 };
@@ -168,10 +168,7 @@ impl Compression {
         // Of its own: how many numbers a model needs must not decide how the scene goes on.
         let mut rng = Pcg64::seed_from_u64(self.schedule.seed);
         let mut values = layout.initial(&statistics, &mut rng)?;
-        for head in &layout.heads {
-            // The last output of a group is its step adjustment.
-            values[head.bias + head.outputs - 1] = -self.schedule.base.finer();
-        }
+        begin_at(&layout, [-self.schedule.base.finer(); 3], &mut values);
         let state = ContextState::new(values);
         let frame = robust_frame(&anchors.cells);
         self.modelling = Some(self.modelling_of(config, &state, frame, statistics, &anchors.cells)?);
