@@ -11,7 +11,7 @@ use super::{
     densify::{Trainable, densify, drop_masked},
     learner::{Finished, Learner, SampleRate, Size, Step},
     state::LearnerState,
-    unused::drop_unused,
+    unused::mask_unused,
 };
 use crate::{
     domain::{AnchorScene, Camera, CancelFlag, DistanceUnit, Frame, Lattice, NearPlane, Scene},
@@ -248,13 +248,45 @@ impl AnchorLearner {
         self.schedule.masks.is_some_and(|masks| masks.until == step)
     }
 
-    /// The masks learn no more; anchors that they left without an offset go.
-    fn settle_masks(&mut self, step: u32) -> Result<(), TrainError> {
+    /// The masks learn no more; anchors that they left without an offset that some view of `frames` shows go.
+    fn settle_masks(&mut self, step: u32, frames: &[&Frame], cancel: &CancelFlag) -> Result<(), TrainError> {
         let (mut state, mut statistics) = self.read()?;
         state.masks = None;
+        self.mask_unused(step, &mut state.anchors, frames, cancel)?;
         let dropped = drop_masked(&mut state, &mut statistics);
         tracing::debug!(step, dropped, anchors = state.anchors.len(), "masks settled");
         self.write(state, &statistics, step)
+    }
+
+    /// Leaves out what no view of `frames` shows any more after `step`: what takes no part in a picture would only cost, in the
+    /// file as in the context models that are chosen for it.
+    fn drop_unused(&mut self, step: u32, frames: &[&Frame], cancel: &CancelFlag) -> Result<(), TrainError> {
+        let (mut state, mut statistics) = self.read()?;
+        self.mask_unused(step + 1, &mut state.anchors, frames, cancel)?;
+        let dropped = drop_masked(&mut state, &mut statistics);
+        tracing::debug!(step, dropped, anchors = state.anchors.len(), "unused anchors left out");
+        self.write(state, &statistics, step)
+    }
+
+    /// Switches off what no view of `frames` shows of `anchors`, which are those on the device, as rendering sees them at `step`.
+    fn mask_unused(
+        &mut self,
+        step: u32,
+        anchors: &mut AnchorRows,
+        frames: &[&Frame],
+        cancel: &CancelFlag,
+    ) -> Result<(), TrainError> {
+        if !self.schedule.drops_unused {
+            return Ok(());
+        }
+        let mut recorder = self.context.recorder("what is shown");
+        let shown = match &self.compression {
+            Some(compression) => compression.forward(&mut recorder, &self.device, step)?,
+            None => None,
+        };
+        recorder.submit()?;
+        let shown = shown.as_ref().unwrap_or(&self.device);
+        mask_unused(&self.context, &mut self.neural, shown, anchors, frames, cancel)
     }
 
     /// All that belongs to anchors, from the device.
@@ -431,12 +463,21 @@ impl Learner for AnchorLearner {
         self.schedule.densifies(step.number) || self.settles_masks(step.number) || turns
     }
 
-    fn adapt(&mut self, step: &Step, rng: &mut Pcg64, cancel: &CancelFlag) -> Result<(), TrainError> {
+    fn adapt(
+        &mut self,
+        step: &Step,
+        rng: &mut Pcg64,
+        frames: &[&Frame],
+        cancel: &CancelFlag,
+    ) -> Result<(), TrainError> {
         if self.schedule.densifies(step.number) {
             self.densify(step.number, rng)?;
         }
         if self.settles_masks(step.number) {
-            self.settle_masks(step.number)?;
+            self.settle_masks(step.number, frames, cancel)?;
+        }
+        if self.compression.as_ref().is_some_and(|compression| compression.rounds_after(step.number)) {
+            self.drop_unused(step.number, frames, cancel)?;
         }
         if self.compression.as_ref().is_some_and(|compression| compression.turns_after(step.number)) {
             let (state, _) = self.read()?;
@@ -489,30 +530,21 @@ impl Learner for AnchorLearner {
     }
 
     fn finish(mut self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Finished, TrainError> {
-        self.anchors.values = self.context.read(&self.device.rows)?;
-        self.anchors.masks = self.context.read(&self.device.masks)?;
-        let networks = self.context.read(&self.device.networks)?;
         let before = self.anchors.cells.clone();
-        if self.schedule.drops_unused {
-            let mut recorder = self.context.recorder("what is shown at the end");
-            let shown = match &self.compression {
-                Some(compression) => compression.forward(&mut recorder, &self.device, self.schedule.steps)?,
-                None => None,
-            };
-            recorder.submit()?;
-            let shown = shown.as_ref().unwrap_or(&self.device);
-            drop_unused(&self.context, &mut self.neural, shown, &mut self.anchors, frames, cancel)?;
-        }
-        if self.anchors.is_empty() {
+        let mut anchors = self.anchors.clone();
+        anchors.values = self.context.read(&self.device.rows)?;
+        anchors.masks = self.context.read(&self.device.masks)?;
+        let networks = self.context.read(&self.device.networks)?;
+        self.mask_unused(self.schedule.steps, &mut anchors, frames, cancel)?;
+        anchors.drop_empty();
+        if anchors.is_empty() {
             return Err(TrainError::NothingLeft { step: self.schedule.steps });
         }
         let context = match self.compression {
-            Some(compression) => {
-                compression.finish(&self.adam, &before, &mut self.anchors, &networks, cancel)?
-            }
+            Some(compression) => compression.finish(&self.adam, &before, &mut anchors, &networks, cancel)?,
             None => None,
         };
-        let scene = self.anchors.to_scene(self.layout.to_networks(&networks));
+        let scene = anchors.to_scene(self.layout.to_networks(&networks));
         let near = NearPlane::of_extent(self.extent);
         let scene = Scene::Anchors(AnchorScene { near, unit: self.neural.unit(), ..scene });
         Ok(Finished { scene, context })

@@ -80,9 +80,15 @@ pub(super) trait Learner {
     /// Whether the schedule wants [`Learner::adapt`] after a step.
     fn adapts(&self, step: &Step) -> bool;
 
-    /// Grows, prunes and resets after a submitted step. May wait for the device; ends as [`TrainError::Cancelled`] where it
-    /// would take long.
-    fn adapt(&mut self, step: &Step, rng: &mut Pcg64, cancel: &CancelFlag) -> Result<(), TrainError>;
+    /// Grows, prunes and resets after a submitted step; `frames` are the photographs that it learns from. May wait for the
+    /// device; ends as [`TrainError::Cancelled`] where it would take long.
+    fn adapt(
+        &mut self,
+        step: &Step,
+        rng: &mut Pcg64,
+        frames: &[&Frame],
+        cancel: &CancelFlag,
+    ) -> Result<(), TrainError>;
 
     /// How large the model is. May wait for the device.
     fn size(&self) -> Result<Size, TrainError>;

@@ -278,7 +278,13 @@ impl Learner for PlainLearner {
         self.schedule.densifies(step.number) || self.schedule.resets(step.number)
     }
 
-    fn adapt(&mut self, step: &Step, rng: &mut Pcg64, _cancel: &CancelFlag) -> Result<(), TrainError> {
+    fn adapt(
+        &mut self,
+        step: &Step,
+        rng: &mut Pcg64,
+        _frames: &[&Frame],
+        _cancel: &CancelFlag,
+    ) -> Result<(), TrainError> {
         let (grows, resets) = (self.schedule.densifies(step.number), self.schedule.resets(step.number));
         if grows || resets {
             let mut state = self.download()?;

@@ -391,7 +391,7 @@ impl<'a> Run<'a> {
         };
         self.batch.learn(recorded, began.elapsed().as_secs_f64());
         if self.learner.adapts(&last) {
-            self.learner.adapt(&last, &mut self.state.rng, cancel)?;
+            self.learner.adapt(&last, &mut self.state.rng, &self.frames, cancel)?;
         }
         Ok(recorded)
     }

@@ -1,4 +1,4 @@
-//! Finds the offsets that no training view ever shows, so that the file need not carry them.
+//! Finds the offsets that no training view ever shows, so that nothing more is spent on them.
 
 use super::TrainError;
 use crate::{
@@ -11,12 +11,12 @@ use crate::{
 /// An opacity below this never reaches a pixel (method.md §2.1).
 const LEAST_OPACITY: f32 = 1.0 / 255.0;
 
-/// Switches off the offsets of `anchors` whose opacity stays below what a pixel takes in every view of `frames`, and
-/// drops the anchors that keep none. Anchors that no view shows at all are dropped with them.
+/// Switches off the offsets of `anchors` whose opacity stays below what a pixel takes in every view of `frames`, as `device` has
+/// them. Anchors that no view shows at all keep none.
 ///
 /// # Errors
 /// [`TrainError::Cancelled`] before the next view once a stop was asked for; faults of the device.
-pub(super) fn drop_unused(
+pub(super) fn mask_unused(
     context: &Context,
     neural: &mut NeuralGaussians,
     device: &DeviceAnchors,
@@ -43,6 +43,5 @@ pub(super) fn drop_unused(
     for (mask, used) in anchors.masks.iter_mut().zip(&used) {
         *mask &= used;
     }
-    anchors.drop_empty();
     Ok(())
 }

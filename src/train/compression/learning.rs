@@ -97,6 +97,11 @@ impl Compression {
         self.schedule.turns_after(step)
     }
 
+    /// Whether everything is rounded from the step after `step` on.
+    pub(in crate::train) fn rounds_after(&self, step: u32) -> bool {
+        self.turns_after(step) && self.schedule.stage(step + 1) == Stage::Rounded
+    }
+
     /// Makes what the stages that begin after `step` need of a scene whose rows are `anchors`. Short runs may pass over a stage.
     pub(in crate::train) fn turn(
         &mut self,
