@@ -225,8 +225,8 @@ impl RunState {
     /// Takes notice of what an anchor of a sample cost, on average, where there are `anchors` anchors and the rest of the
     /// file takes `other_bytes`.
     pub(super) fn weigh(&mut self, anchor_bits: f64, anchors: f64, other_bytes: f64) {
-        // One sample is a few hundred anchors, so a few samples say enough, and old ones are of another scene.
-        let mean = self.anchor_bits.map_or(anchor_bits, |old| 0.7 * f64::from_bits(old) + 0.3 * anchor_bits);
+        // One sample is a few hundred anchors and good to some hundredths; short runs change faster than a longer average would.
+        let mean = self.anchor_bits.map_or(anchor_bits, |old| 0.3 * f64::from_bits(old) + 0.7 * anchor_bits);
         self.anchor_bits = Some(mean.to_bits());
         self.file_bytes = Some((anchors * mean / 8.0 + other_bytes) as u64);
     }
