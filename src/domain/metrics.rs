@@ -111,7 +111,7 @@ pub struct ByteBudget {
     pub max_bytes: u64,
     /// Bytes that it would have had, as it was trained.
     pub free_bytes: u64,
-    /// By how much steps are coarser than they would have been.
+    /// By how much steps are coarser than they would have been, on average over the anchors.
     pub coarser_octaves: GroupOctaves,
     /// Gaussians that were left out.
     pub gaussians_dropped: u64,

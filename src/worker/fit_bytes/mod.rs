@@ -3,9 +3,11 @@
 //! A file is made smaller by coarser quantisation steps and by leaving Gaussians out. Which steps become coarser first is
 //! measured by encoding and rendering each attribute group at every rung of its steps ([`path`]); which Gaussians go first, by
 //! what each is worth to the training views against its bytes ([`worth`]). The balance between the two is found by search over
-//! real files ([`search`]), so that what is promised is promised of the bytes that are written, every one of them. The same
-//! scene, views and budget give the same file on one adapter.
+//! real files ([`search`]), and what it leaves unused goes to finer steps again, of a group or of the anchors worth most
+//! ([`blend`]). So what is promised is promised of the bytes that are written, every one of them. The same scene, views and
+//! budget give the same file on one adapter.
 
+mod blend;
 mod path;
 mod search;
 mod worth;
@@ -13,14 +15,15 @@ mod worth;
 use std::sync::Arc;
 
 use self::{
+    blend::Blend,
     path::{Place, Rung, path},
-    search::{Point, Trials, search},
+    search::{FINAL_SLACK, FINAL_TRIES, Point, Trials, most, search},
     worth::{Worth, by_worth},
 };
 use super::run::JobFailure;
 use crate::{
     codec::{ContextChoice, ContextSearch, Encoded},
-    domain::{AnchorScene, Background, ByteBudget, Frame, GroupOctaves, Problem},
+    domain::{AnchorScene, AttributeGroup, Background, ByteBudget, Frame, GroupOctaves, Problem},
     eval::{mean_scores, measure_views, removal_costs},
     gpu::Context,
     render::{RenderError, SceneRenderer},
@@ -115,8 +118,8 @@ pub(super) fn fit_bytes(
     };
     match search(&mut files, places, total, limit, guess)? {
         Some(point) => {
-            let (encoded, coarser) = files.finest(point, limit)?;
-            let [features, scalings, offsets] = coarser.map(|steps| f64::from(steps) * OCTAVES_A_STEP);
+            let (encoded, coarser) = files.finest(point, &costs.anchors)?;
+            let [features, scalings, offsets] = coarser.map(|steps| steps * OCTAVES_A_STEP);
             let budget = ByteBudget {
                 max_bytes: limit,
                 free_bytes,
@@ -183,25 +186,39 @@ impl Files<'_, '_> {
                 }
             }
         }
-        Ok(path([&groups[0], &groups[1], &groups[2]]))
+        let places = path([&groups[0], &groups[1], &groups[2]]);
+        tracing::debug!(?groups, ?places, "rungs of features, scalings and offsets, and the path over them");
+        Ok(places)
     }
 
     fn coarser(&self, place: usize) -> [i8; 3] {
         self.path[place].rungs.map(|rung| rung as i8 * STEPS_A_RUNG)
     }
 
-    /// The file of a point with what its place left unused spent on finer steps: places are some steps apart. One step of one
-    /// group at a time, the one that looks best, while it fits and looks better.
-    fn finest(&mut self, point: Point, limit: u64) -> Result<(Encoded, [i8; 3]), JobFailure> {
+    /// The file of a point with what its place left unused spent, and the steps of the step table by which its groups are
+    /// coarser, on average over the anchors. Either on finer steps or on the anchors worth most, whichever looks better.
+    fn finest(&mut self, point: Point, costs: &[f64]) -> Result<(Encoded, [f64; 3]), JobFailure> {
+        let (file, quality, coarser) = self.finer_steps(point)?;
+        let finer = (file, coarser.map(f64::from));
+        match self.finer_anchors(point, costs)? {
+            Some((file, blended, coarser)) if blended > quality => Ok((file, coarser)),
+            _ => Ok(finer),
+        }
+    }
+
+    /// A point's file with finer steps: places are some steps apart. One step of one group at a time, the one that looks
+    /// best, while it fits and looks better.
+    fn finer_steps(&mut self, point: Point) -> Result<(Encoded, f64, [i8; 3]), JobFailure> {
+        let limit = self.budgeted.limit;
         let mut coarser = self.coarser(point.place);
-        let mut best = self.encode_at(coarser, point.kept, limit)?;
+        let mut best = self.encode(point, limit)?;
         let mut quality = self.psnr(&best.scene)?;
         loop {
             let from = coarser;
             for group in (0..3).filter(|group| from[*group] > 0) {
                 let mut finer = from;
                 finer[group] -= 1;
-                let encoded = self.encode_at(finer, point.kept, limit)?;
+                let encoded = self.smaller(&self.kept(point.kept), finer, limit)?;
                 if encoded.bytes.len() as u64 > limit {
                     continue;
                 }
@@ -211,20 +228,72 @@ impl Files<'_, '_> {
                 }
             }
             if coarser == from {
-                return Ok((best, coarser));
+                return Ok((best, quality, coarser));
             }
         }
     }
 
-    fn encode(&mut self, point: Point, stated: u64) -> Result<Encoded, JobFailure> {
-        self.encode_at(self.coarser(point.place), point.kept, stated)
+    /// A point's file with as many anchors as fit at the place before, those first that are worth most; none where not one
+    /// fits. Attributes that were trained on multiples of their steps suffer from any step between the finest and one at which most
+    /// of them are zero, so groups take large strides, of which this is a part.
+    fn finer_anchors(
+        &mut self,
+        point: Point,
+        costs: &[f64],
+    ) -> Result<Option<(Encoded, f64, [f64; 3])>, JobFailure> {
+        let limit = self.budgeted.limit;
+        let Some(before) = point.place.checked_sub(1) else { return Ok(None) };
+        let [from, to] = [before, point.place].map(|place| self.coarser(place));
+        let Some(group) =
+            AttributeGroup::ALL.into_iter().find(|group| from[*group as usize] != to[*group as usize])
+        else {
+            return Ok(None);
+        };
+        let scene = self.kept(point.kept);
+        let coarse = self.encode(point, limit)?.scene;
+        let blend = Blend::new(&scene, coarse, group, costs);
+        let mut at = |finer: usize| {
+            let mut scene = scene.clone();
+            blend.apply(&mut scene, finer);
+            self.smaller(&scene, from, limit)
+        };
+        let Some(finer) =
+            most(
+                blend.anchors(),
+                limit,
+                FINAL_SLACK,
+                FINAL_TRIES,
+                |finer| Ok(at(finer)?.bytes.len() as u64),
+            )?
+        else {
+            return Ok(None);
+        };
+        let file = at(finer)?;
+        let quality = self.psnr(&file.scene)?;
+        let share = finer as f64 / blend.anchors() as f64;
+        let mut coarser = to.map(f64::from);
+        coarser[group as usize] += share * (f64::from(from[group as usize]) - coarser[group as usize]);
+        tracing::debug!(
+            ?point,
+            ?group,
+            share,
+            bytes = file.bytes.len(),
+            quality,
+            "the worthiest anchors finer"
+        );
+        Ok(Some((file, quality, coarser)))
     }
 
-    fn encode_at(&mut self, coarser: [i8; 3], kept: usize, stated: u64) -> Result<Encoded, JobFailure> {
+    fn encode(&mut self, point: Point, stated: u64) -> Result<Encoded, JobFailure> {
+        self.smaller(&self.kept(point.kept), self.coarser(point.place), stated)
+    }
+
+    /// The scene with so many Gaussians.
+    fn kept(&self, kept: usize) -> AnchorScene {
         let mut scene = self.budgeted.scene.clone();
         scene.masks.fill(false);
         self.order[..kept].iter().for_each(|worth| scene.masks[worth.offset] = true);
-        self.smaller(&scene, coarser, stated)
+        scene
     }
 
     /// The smaller of two files: one with the contexts of the whole scene, and one without any, which few Gaussians cannot
@@ -279,6 +348,8 @@ impl Trials for Files<'_, '_> {
 
     fn quality(&mut self, point: Point) -> Result<f64, JobFailure> {
         let encoded = self.encode(point, self.budgeted.limit)?;
-        self.psnr(&encoded.scene)
+        let psnr = self.psnr(&encoded.scene)?;
+        tracing::debug!(?point, bytes = encoded.bytes.len(), psnr, "a file that fits");
+        Ok(psnr)
     }
 }

@@ -9,11 +9,11 @@ use std::collections::BTreeMap;
 /// Share of what Gaussians may take that may be left unused while places are compared.
 const SLACK: f64 = 0.01;
 /// The same for the file that is chosen.
-const FINAL_SLACK: f64 = 0.001;
+pub(super) const FINAL_SLACK: f64 = 0.001;
 /// Sizes that are tried to find the most that fits at one place.
 const TRIES: usize = 7;
 /// The same for the place that is chosen.
-const FINAL_TRIES: usize = 14;
+pub(super) const FINAL_TRIES: usize = 14;
 /// How far the first look around goes.
 const FIRST_STRIDE: usize = 4;
 
@@ -51,6 +51,13 @@ pub(super) fn search<T: Trials>(
     let finest = search.most(0, SLACK, TRIES)?;
     let mut best = guess(finest).min(places - 1);
     let mut most = search.judge(best)?;
+    // Where Gaussians are hard to do without, files that lack any look much the same: then the way to coarser ones that lack
+    // none is not seen from here.
+    if let Some(whole) = search.first_whole(places)?
+        && search.judge(whole)? > most
+    {
+        (best, most) = (whole, search.judge(whole)?);
+    }
     let mut stride = FIRST_STRIDE;
     while stride > 0 {
         let around = [best + stride, best.wrapping_sub(stride)];
@@ -106,35 +113,61 @@ impl<T: Trials> Search<'_, T> {
     /// Gaussians of a file at `place` that fits and leaves no more than a share `slack` unused, or the most that were found
     /// to fit within `tries`.
     fn most(&mut self, place: usize, slack: f64, tries: usize) -> Result<Option<usize>, T::Fault> {
-        let at = |kept| Point { place, kept };
-        let (mut low, mut high) = (1, self.total);
-        let mut high_bytes = self.bytes(at(high))?;
-        if high_bytes <= self.limit {
-            return Ok(Some(high));
-        }
-        let mut low_bytes = self.bytes(at(low))?;
-        if low_bytes > self.limit {
-            return Ok(None);
-        }
-        let enough = self.limit - ((self.limit - low_bytes) as f64 * slack) as u64;
-        for attempt in 0..tries {
-            if high - low <= 1 || low_bytes >= enough {
-                break;
-            }
-            // Sizes grow almost in a line with what is kept; every third time by halves, for where they do not.
-            let share = (self.limit - low_bytes) as f64 / (high_bytes - low_bytes).max(1) as f64;
-            let share = if attempt % 3 == 2 { 0.5 } else { share * (1.0 - slack / 2.0) };
-            let middle = low + ((high - low) as f64 * share) as usize;
-            let middle = middle.clamp(low + 1, high - 1);
-            let bytes = self.bytes(at(middle))?;
-            if bytes <= self.limit {
-                (low, low_bytes) = (middle, bytes);
-            } else {
-                (high, high_bytes) = (middle, bytes);
-            }
-        }
-        Ok(Some(low))
+        let (total, limit) = (self.total, self.limit);
+        most(total, limit, slack, tries, |kept| self.bytes(Point { place, kept }))
     }
+
+    /// The first place at which nothing has to be dropped, if there is one among `places`.
+    fn first_whole(&mut self, places: usize) -> Result<Option<usize>, T::Fault> {
+        let (mut low, mut high) = (0, places);
+        while low < high {
+            let middle = usize::midpoint(low, high);
+            if self.bytes(Point { place: middle, kept: self.total })? <= self.limit {
+                high = middle;
+            } else {
+                low = middle + 1;
+            }
+        }
+        Ok((high < places).then_some(high))
+    }
+}
+
+/// The number of things, of `total`, whose file fits into `limit` and leaves no more than a share `slack` of what they take
+/// unused, or the most that were found to fit within `tries`; none if not even one fits.
+pub(super) fn most<F>(
+    total: usize,
+    limit: u64,
+    slack: f64,
+    tries: usize,
+    mut bytes: impl FnMut(usize) -> Result<u64, F>,
+) -> Result<Option<usize>, F> {
+    let (mut low, mut high) = (1, total);
+    let mut high_bytes = bytes(high)?;
+    if high_bytes <= limit {
+        return Ok(Some(high));
+    }
+    let mut low_bytes = bytes(low)?;
+    if low_bytes > limit {
+        return Ok(None);
+    }
+    let enough = limit - ((limit - low_bytes) as f64 * slack) as u64;
+    for attempt in 0..tries {
+        if high - low <= 1 || low_bytes >= enough {
+            break;
+        }
+        // Sizes grow almost in a line with what is kept; every third time by halves, for where they do not.
+        let share = (limit - low_bytes) as f64 / (high_bytes - low_bytes).max(1) as f64;
+        let share = if attempt % 3 == 2 { 0.5 } else { share * (1.0 - slack / 2.0) };
+        let middle = low + ((high - low) as f64 * share) as usize;
+        let middle = middle.clamp(low + 1, high - 1);
+        let size = bytes(middle)?;
+        if size <= limit {
+            (low, low_bytes) = (middle, size);
+        } else {
+            (high, high_bytes) = (middle, size);
+        }
+    }
+    Ok(Some(low))
 }
 
 #[cfg(test)]
@@ -188,6 +221,28 @@ mod tests {
                 assert!(quality > wanted - 0.02, "{limit}, {best}: {found:?} has {quality} of {wanted}");
             }
         }
+    }
+
+    /// Files of a scene that suffers from every Gaussian that is left out.
+    struct Dense;
+
+    impl Trials for Dense {
+        type Fault = std::convert::Infallible;
+
+        fn bytes(&mut self, Point { place, kept }: Point) -> Result<u64, Self::Fault> {
+            let steps = [300, 295, 290, 285, 280, 275, 250, 245, 240, 235];
+            Ok(1000 * steps[place] * (kept as u64 + 1000) / 2000)
+        }
+
+        fn quality(&mut self, Point { place, kept }: Point) -> Result<f64, Self::Fault> {
+            Ok(if kept == 1000 { 25.0 } else { 20.0 } - 0.01 * place as f64)
+        }
+    }
+
+    #[test]
+    fn files_that_lack_nothing_are_found_behind_others_that_all_look_bad() {
+        let found = search(&mut Dense, 10, 1000, 260_000, |_| 0).expect("no fault");
+        assert_eq!(found, Some(Point { place: 6, kept: 1000 }));
     }
 
     #[test]
