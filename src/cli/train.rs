@@ -97,6 +97,10 @@ pub(super) struct Options {
     #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',')]
     without: Vec<Component>,
 
+    /// Parts that a run of so few steps would do without: plane-compression is in runs of 30000 steps and more
+    #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',')]
+    with: Vec<Component>,
+
     /// Weight of the file's size in the loss: larger makes smaller files
     #[arg(long, value_name = "X")]
     lambda: Option<f64>,
@@ -126,6 +130,7 @@ impl Options {
             model: self.model,
             voxel: self.voxel,
             without: self.without.iter().copied().collect(),
+            with: self.with.iter().copied().collect(),
             lambda: self.lambda,
             max_bytes: self.max_bytes,
             rd_curve: self.rd_curve.clone(),

@@ -121,7 +121,7 @@ named_choice! {
         TriPlane = "triplane",
         /// The neighbours' context.
         Knn = "knn",
-        /// The planes' down and up sampling, a part of runs of 30 000 steps and more only.
+        /// The planes' down and up sampling, a part of runs of 30 000 steps and more only, if not asked for.
         PlaneCompression = "plane-compression",
         /// The wavelet constraint.
         Wavelet = "wavelet",
@@ -189,6 +189,9 @@ pub struct TrainOptions {
     pub voxel: Voxel,
     /// Parts of the method that are off.
     pub without: BTreeSet<Component>,
+    /// Parts that are on in runs that would do without them. Told only where there are some.
+    #[serde(skip_serializing_if = "BTreeSet::is_empty")]
+    pub with: BTreeSet<Component>,
     /// Weight of the rate term; the preset's own if absent.
     pub lambda: Option<f64>,
     /// Promise on the size of the written file, every byte of it.
@@ -208,6 +211,7 @@ impl Default for TrainOptions {
             model: ModelKind::Tcgs,
             voxel: Voxel::Auto,
             without: BTreeSet::new(),
+            with: BTreeSet::new(),
             lambda: None,
             max_bytes: None,
             rd_curve: Vec::new(),
@@ -217,7 +221,7 @@ impl Default for TrainOptions {
 
 impl TrainOptions {
     /// The name of every option.
-    pub const NAMES: [&str; 10] = [
+    pub const NAMES: [&str; 11] = [
         "preset",
         "iterations",
         "seed",
@@ -225,12 +229,13 @@ impl TrainOptions {
         "model",
         "voxel",
         "without",
+        "with",
         "lambda",
         "max_bytes",
         "rd_curve",
     ];
 
-    /// Sets one option from its query-string or flag text; `without` and `rd_curve` take comma-separated lists, the latter
+    /// Sets one option from its query-string or flag text; `without`, `with` and `rd_curve` take comma-separated lists, the last
     /// with or without the brackets that JSON has.
     ///
     /// # Errors
@@ -246,6 +251,12 @@ impl TrainOptions {
             "without" => {
                 for name in text.split(',').filter(|name| !name.is_empty()) {
                     self.without.insert(name.parse()?);
+                }
+            }
+            "with" => {
+                for name in text.split(',').filter(|name| !name.is_empty()) {
+                    let named: Result<Component, OptionError> = name.parse();
+                    self.with.insert(named.map_err(|fault| OptionError::new("with", fault.fault))?);
                 }
             }
             "lambda" => self.lambda = Some(number("lambda", text)?),
@@ -270,6 +281,12 @@ impl TrainOptions {
     #[must_use]
     pub fn has(&self, part: Component) -> bool {
         self.model == ModelKind::Tcgs && !self.without.contains(&part)
+    }
+
+    /// Whether the parts are those that such a run has by itself.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        self.without.is_empty() && self.with.is_empty()
     }
 
     /// Checks that the options can be carried out by this version.
@@ -299,9 +316,26 @@ impl TrainOptions {
                 return Err(OptionError::new("lambda", fault));
             }
         }
+        self.check_with()?;
         self.check_max_bytes()?;
         self.check_rd_curve()?;
         Ok(self)
+    }
+
+    fn check_with(&self) -> Result<(), OptionError> {
+        let fault = |text: String| Err(OptionError::new("with", text));
+        for part in &self.with {
+            if *part != Component::PlaneCompression {
+                return fault(format!("'{part}' is in every run that does not leave it out"));
+            }
+            if !self.has(*part) || !self.has(Component::TriPlane) {
+                return fault(format!(
+                    "'{part}' has no part in a run of model '{}' without its planes",
+                    self.model
+                ));
+            }
+        }
+        Ok(())
     }
 
     fn check_max_bytes(&self) -> Result<(), OptionError> {
@@ -381,7 +415,8 @@ mod tests {
 
     #[test]
     fn every_option_has_its_name_in_the_list() {
-        let fields = serde_json::to_value(TrainOptions::default()).expect("JSON");
+        let all = TrainOptions { with: Component::ALL.iter().copied().collect(), ..TrainOptions::default() };
+        let fields = serde_json::to_value(all).expect("JSON");
         let fields: Vec<&String> = fields.as_object().expect("an object").keys().collect();
         assert_eq!(fields, TrainOptions::NAMES.each_ref());
         for name in TrainOptions::NAMES {
@@ -400,6 +435,32 @@ mod tests {
         for model in [ModelKind::Scaffold, ModelKind::Gaussians3d] {
             let baseline = TrainOptions { model, ..TrainOptions::default() };
             assert!(!baseline.has(Component::Wavelet));
+        }
+    }
+
+    #[test]
+    fn only_what_runs_do_without_by_themselves_can_be_asked_for() {
+        let asked = |model, without: &[Component], with: &str| {
+            let without = without.iter().copied().collect();
+            let mut options = TrainOptions { model, without, ..TrainOptions::default() };
+            options.set("with", with)?;
+            options.validated()
+        };
+        let options = asked(ModelKind::Tcgs, &[], "plane-compression").expect("possible");
+        assert_eq!(
+            serde_json::to_value(&options).expect("JSON")["with"],
+            serde_json::json!(["plane-compression"])
+        );
+        let usual = serde_json::to_value(TrainOptions::default()).expect("JSON");
+        assert!(usual.get("with").is_none(), "files say nothing of what was not asked for");
+        for fault in [
+            asked(ModelKind::Tcgs, &[], "masks"),
+            asked(ModelKind::Tcgs, &[], "hope"),
+            asked(ModelKind::Tcgs, &[Component::PlaneCompression], "plane-compression"),
+            asked(ModelKind::Tcgs, &[Component::TriPlane], "plane-compression"),
+            asked(ModelKind::Scaffold, &[], "plane-compression"),
+        ] {
+            assert_eq!(fault.expect_err("refused").option, "with");
         }
     }
 

@@ -76,10 +76,11 @@ fn options(fields: Map<String, Value>) -> Result<TrainOptions, Fault> {
     for (name, value) in fields {
         expect_known(&name)?;
         match (name.as_str(), &value) {
-            ("without" | "rd_curve", Value::String(text)) => {
+            ("without" | "with" | "rd_curve", Value::String(text)) => {
                 lists.set(&name, text).map_err(|error| invalid_option(&error))?;
                 let parsed = serde_json::to_value(&lists).map_err(|error| Fault::internal(&error))?;
-                whole.insert(name.clone(), parsed[&name].clone());
+                // Not there if there is nothing in it.
+                whole.extend(parsed.get(&name).map(|list| (name.clone(), list.clone())));
             }
             _ => {
                 // One at a time, so that the fault names its field.
@@ -163,15 +164,16 @@ mod tests {
     #[test]
     fn an_object_means_what_the_query_string_means() {
         let query = "preset=standard&iterations=7&seed=3&background=white&without=masks,wavelet&voxel=0.5&\
+                     with=plane-compression&\
                      rd_curve=0.004,1e-3&priority=-5&deadline_s=60";
         let query = JobWish::from_query(Parameters::parse(Some(query)).expect("a query")).expect("possible");
-        for (without, rd_curve) in [
-            (json!(["masks", "wavelet"]), json!([0.004, 0.001])),
-            (json!("masks,wavelet"), json!("0.004,1e-3")),
+        for (without, with, rd_curve) in [
+            (json!(["masks", "wavelet"]), json!(["plane-compression"]), json!([0.004, 0.001])),
+            (json!("masks,wavelet"), json!("plane-compression"), json!("0.004,1e-3")),
         ] {
             let object = read(json!({
                 "preset": "standard", "iterations": 7, "seed": 3, "background": "white", "without": without,
-                "voxel": 0.5, "rd_curve": rd_curve, "priority": -5, "deadline_s": 60, "lambda": null,
+                "with": with, "voxel": 0.5, "rd_curve": rd_curve, "priority": -5, "deadline_s": 60, "lambda": null,
             }))
             .expect("possible");
             assert_eq!(object.options, query.options);
@@ -203,6 +205,8 @@ mod tests {
             (json!({ "preset": null }), "preset"),
             (json!({ "without": ["everything"] }), "without"),
             (json!({ "without": "everything" }), "without"),
+            (json!({ "with": ["masks"] }), "with"),
+            (json!({ "with": "everything" }), "with"),
             (json!({ "rd_curve": [0.001, 0.001] }), "rd_curve"),
             (json!({ "priority": 101 }), "priority"),
             (json!({ "priority": "high" }), "priority"),

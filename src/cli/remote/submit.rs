@@ -186,6 +186,7 @@ mod tests {
             ("background", "white"),
             ("voxel", "0.25"),
             ("without", "masks,knn"),
+            ("with", "plane-compression"),
             ("rd_curve", "0.001,0.004"),
         ];
         for (name, value) in settings {

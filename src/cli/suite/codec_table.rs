@@ -82,11 +82,11 @@ fn curve(text: &mut String, runs: &[&Record]) {
         let of_set: Vec<&&Record> = runs.iter().filter(|run| run.set == set).collect();
         let coded: Vec<(f64, u64)> = of_set
             .iter()
-            .filter(|run| is_coded(run) && run.options.without.is_empty())
+            .filter(|run| is_coded(run) && run.options.is_whole())
             .filter_map(|run| Some((run.metrics.test.psnr?, run.metrics.bytes.total)))
             .collect();
         let mut files = Vec::new();
-        for run in of_set.iter().filter(|run| run.options.without.is_empty()) {
+        for run in of_set.iter().filter(|run| run.options.is_whole()) {
             let test = &run.metrics.test;
             let equal = if is_coded(run) { None } else { bytes_at(&coded, test.psnr) };
             files.push((run.metrics.bytes.total, run.entry.clone(), test.psnr, test.ssim, equal));

@@ -1,8 +1,12 @@
-//! What competes: a model, the method without one of its parts, or the method at another operating point.
+//! What competes: a model, the method without one of its parts or with one that such runs do without, or the method at another
+//! operating point.
 
 use std::{collections::BTreeSet, fmt, str::FromStr};
 
-use tcgs::domain::{Component, ModelKind, TrainOptions};
+use tcgs::{
+    domain::{Component, ModelKind, TrainOptions},
+    train::Schedule,
+};
 
 /// Weights of the rate that draw the method's curve, beside its own.
 const LAMBDAS: [f64; 3] = [0.000_5, 0.001, 0.004];
@@ -18,28 +22,40 @@ pub(crate) struct Entry {
     pub(crate) model: ModelKind,
     /// The part that is left out.
     pub(crate) without: Option<Component>,
+    /// The part that is there though runs of so few steps do without it.
+    pub(crate) with: Option<Component>,
     /// Weight of the rate, if not the preset's own.
     pub(crate) lambda: Option<f64>,
 }
 
 impl Entry {
     fn whole(model: ModelKind) -> Self {
-        Self { model, without: None, lambda: None }
+        Self { model, without: None, with: None, lambda: None }
     }
 
-    /// The baselines, the method, the method without each part that this version can leave out, and its curve.
+    /// The baselines, the method, the method without each part that this version can leave out and with each that runs may
+    /// do without, and its curve.
     pub(crate) fn defaults() -> Vec<Self> {
         let models = [ModelKind::Gaussians3d, ModelKind::Scaffold, ModelKind::Tcgs].map(Self::whole);
         let tcgs = Self::whole(ModelKind::Tcgs);
         let ablations = PARTS.map(|part| Self { without: Some(part), ..tcgs.clone() });
         let curve = LAMBDAS.map(|lambda| Self { lambda: Some(lambda), ..tcgs.clone() });
+        let more = PARTS.map(|part| Self { with: Some(part), ..tcgs.clone() });
         let possible = |entry: &Self| entry.options(&TrainOptions::default()).validated().is_ok();
-        models.into_iter().chain(ablations).chain(curve).filter(possible).collect()
+        models.into_iter().chain(ablations).chain(more).chain(curve).filter(possible).collect()
     }
 
     /// Whether it competes for the same seconds too; ablations and curves are compared step by step.
     pub(crate) fn is_whole(&self) -> bool {
-        self.without.is_none() && self.lambda.is_none()
+        self.without.is_none() && self.with.is_none() && self.lambda.is_none()
+    }
+
+    /// Whether runs with these options and the method's own are one and the same: runs of few steps have no compressed planes
+    /// to leave out, and those of many have them without being asked.
+    pub(crate) fn says_nothing(&self, shared: &TrainOptions) -> bool {
+        let changes = self.without == Some(Component::PlaneCompression) || self.with.is_some();
+        let whole = Self { without: None, with: None, ..self.clone() };
+        changes && Schedule::new(&self.options(shared)) == Schedule::new(&whole.options(shared))
     }
 
     /// The options of its runs, from those that all runs share.
@@ -47,6 +63,7 @@ impl Entry {
         TrainOptions {
             model: self.model,
             without: self.without.into_iter().collect::<BTreeSet<_>>(),
+            with: self.with.into_iter().collect::<BTreeSet<_>>(),
             lambda: self.lambda,
             ..shared.clone()
         }
@@ -59,6 +76,9 @@ impl fmt::Display for Entry {
         if let Some(part) = self.without {
             text.push_str(&format!("-{part}"));
         }
+        if let Some(part) = self.with {
+            text.push_str(&format!("+{part}"));
+        }
         if let Some(lambda) = self.lambda {
             text.push_str(&format!("@{lambda}"));
         }
@@ -69,7 +89,7 @@ impl fmt::Display for Entry {
 impl FromStr for Entry {
     type Err = String;
 
-    /// `3dgs`, `scaffold`, `tcgs`, `tcgs-PART`, `tcgs@LAMBDA` or `tcgs-PART@LAMBDA`.
+    /// `3dgs`, `scaffold` or `tcgs`, the last with `-PART`, `+PART` or `@LAMBDA` after it, in this order.
     fn from_str(text: &str) -> Result<Self, String> {
         let (name, lambda) = match text.split_once('@') {
             None => (text, None),
@@ -78,18 +98,23 @@ impl FromStr for Entry {
                 (name, Some(number))
             }
         };
+        let part = |text: &str| text.parse::<Component>().map_err(|fault| fault.fault);
+        let (name, with) = match name.split_once('+') {
+            None => (name, None),
+            Some((name, text)) => (name, Some(part(text)?)),
+        };
         let (model, without) = match name.split_once('-') {
             None => (name, None),
-            Some((model, part)) => (model, Some(part.parse::<Component>().map_err(|fault| fault.fault)?)),
+            Some((model, text)) => (model, Some(part(text)?)),
         };
         let model: ModelKind = model.parse().map_err(|fault: tcgs::domain::OptionError| fault.fault)?;
-        if without.is_some() && model != ModelKind::Tcgs {
-            return Err(format!("'{text}': only tcgs has parts to leave out"));
+        if (without.is_some() || with.is_some()) && model != ModelKind::Tcgs {
+            return Err(format!("'{text}': only tcgs has parts to leave out or to ask for"));
         }
         if lambda.is_some() && model != ModelKind::Tcgs {
             return Err(format!("'{text}': only tcgs weighs a rate"));
         }
-        let entry = Self { model, without, lambda };
+        let entry = Self { model, without, with, lambda };
         entry.options(&TrainOptions::default()).validated().map_err(|fault| fault.fault)?;
         Ok(entry)
     }
@@ -101,7 +126,9 @@ mod tests {
 
     #[test]
     fn entries_are_read_as_they_are_written() {
-        for text in ["3dgs", "scaffold", "tcgs", "tcgs-wavelet"] {
+        let whole = ["3dgs", "scaffold", "tcgs"];
+        let parts = ["tcgs-wavelet", "tcgs+plane-compression", "tcgs-masks+plane-compression@0.001"];
+        for text in whole.into_iter().chain(parts) {
             assert_eq!(text.parse::<Entry>().expect(text).to_string(), text);
         }
         let refused = [
@@ -110,6 +137,9 @@ mod tests {
             "tcgs-",
             "tcgs-hope",
             "3dgs-wavelet",
+            "tcgs+masks",
+            "tcgs-plane-compression+plane-compression",
+            "scaffold+plane-compression",
             "scaffold-wavelet",
             "3dgs@0.1",
             "tcgs@",
@@ -118,7 +148,7 @@ mod tests {
         for text in refused {
             assert!(text.parse::<Entry>().is_err(), "{text}");
         }
-        let point = Entry { lambda: Some(0.0005), without: None, model: ModelKind::Tcgs };
+        let point = Entry { lambda: Some(0.0005), ..Entry::whole(ModelKind::Tcgs) };
         assert_eq!(point.to_string(), "tcgs@0.0005");
         assert!(!point.is_whole() && Entry::whole(ModelKind::Tcgs).is_whole());
     }
@@ -134,5 +164,16 @@ mod tests {
         let swept = |lambda| TrainOptions { lambda: Some(lambda), ..shared.clone() }.validated().is_ok();
         let points = entries.iter().filter(|entry| entry.lambda.is_some()).count();
         assert_eq!(points, LAMBDAS.iter().filter(|lambda| swept(**lambda)).count());
+    }
+
+    #[test]
+    fn what_trains_the_same_model_twice_says_nothing() {
+        let silent = |steps: u32| {
+            let shared = TrainOptions { iterations: Some(steps), ..TrainOptions::default() };
+            let silent = Entry::defaults().into_iter().filter(|entry| entry.says_nothing(&shared));
+            silent.map(|entry| entry.to_string()).collect::<Vec<_>>()
+        };
+        assert_eq!(silent(300), ["tcgs-plane-compression"]);
+        assert_eq!(silent(30_000), ["tcgs+plane-compression"]);
     }
 }

@@ -55,8 +55,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR", conflicts_with_all = ["file", "save"])]
     pub(crate) suite: Option<PathBuf>,
 
-    /// Models to compare: 3dgs, scaffold, tcgs, tcgs-PART for the method without a part, tcgs@LAMBDA for
-    /// another weight of the rate
+    /// Models to compare: 3dgs, scaffold, tcgs, tcgs-PART for the method without a part, tcgs+PART for it with
+    /// a part that short runs do without, tcgs@LAMBDA for another weight of the rate
     #[arg(long, value_name = "LIST", value_delimiter = ',', requires = "suite")]
     models: Vec<Entry>,
 
@@ -280,7 +280,7 @@ impl Suite<'_> {
     /// The run of every entry with the set's steps, as far as they succeed.
     fn equal_steps(&mut self, set: &Set<'_>) -> Result<Vec<Record>, Failure> {
         let mut done = Vec::new();
-        for entry in self.entries.clone() {
+        for entry in self.entries.clone().into_iter().filter(|entry| !entry.says_nothing(&set.options)) {
             let options = entry.options(&set.options).validated()?;
             let kept = self.kept(set, &entry, &options, Contest::Steps);
             let wants_peers = self.wants_peers(&options);

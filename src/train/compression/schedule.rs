@@ -136,7 +136,8 @@ impl CompressionSchedule {
             } else {
                 ContextKind::TriPlaneKnn
             },
-            compresses_planes: options.has(Component::PlaneCompression) && steps >= LAYERS_FROM,
+            compresses_planes: options.has(Component::PlaneCompression)
+                && (steps >= LAYERS_FROM || options.with.contains(&Component::PlaneCompression)),
         })
     }
 
@@ -218,6 +219,9 @@ mod tests {
         assert!(!short.compresses_planes && long.compresses_planes);
         assert!((1..=29_999).all(|step| short.reconstruction_at(step) == 0.0));
         assert_eq!(long.reconstruction_at(16_000), 0.01);
+        let with = [Component::PlaneCompression].into();
+        let asked = schedule(&TrainOptions { iterations: Some(300), with, ..TrainOptions::default() });
+        assert!(asked.compresses_planes && asked.reconstruction_at(160) == 0.01);
     }
 
     #[test]
