@@ -9,7 +9,7 @@ use tcgs::{
 };
 
 /// Weights of the rate that draw the method's curve, beside its own.
-const LAMBDAS: [f64; 3] = [0.000_5, 0.001, 0.004];
+const LAMBDAS: [f64; 3] = [0.001, 0.002, 0.005];
 
 /// The parts that the method's ablation leaves out, in the order of the published table.
 const PARTS: [Component; 5] =
@@ -50,12 +50,13 @@ impl Entry {
         self.without.is_none() && self.with.is_none() && self.lambda.is_none()
     }
 
-    /// Whether runs with these options and the method's own are one and the same: runs of few steps have no compressed planes
-    /// to leave out, and those of many have them without being asked.
-    pub(crate) fn says_nothing(&self, shared: &TrainOptions) -> bool {
-        let changes = self.without == Some(Component::PlaneCompression) || self.with.is_some();
-        let whole = Self { without: None, with: None, ..self.clone() };
-        changes && Schedule::new(&self.options(shared)) == Schedule::new(&whole.options(shared))
+    /// The plainer entry whose runs with these options are one and the same: runs of few steps have no compressed planes to leave
+    /// out, those of many have them without being asked, and a weight may be the preset's own.
+    pub(crate) fn twin(&self, shared: &TrainOptions) -> Option<Self> {
+        let without = self.without.filter(|part| *part != Component::PlaneCompression);
+        let plainer = Self { without, with: None, lambda: None, ..self.clone() };
+        let same = Schedule::new(&self.options(shared)) == Schedule::new(&plainer.options(shared));
+        (same && plainer != *self).then_some(plainer)
     }
 
     /// The options of its runs, from those that all runs share.
@@ -167,13 +168,24 @@ mod tests {
     }
 
     #[test]
-    fn what_trains_the_same_model_twice_says_nothing() {
-        let silent = |steps: u32| {
+    fn what_trains_the_same_model_twice_has_a_twin() {
+        let twins = |steps: u32, names: &[&str]| {
             let shared = TrainOptions { iterations: Some(steps), ..TrainOptions::default() };
-            let silent = Entry::defaults().into_iter().filter(|entry| entry.says_nothing(&shared));
-            silent.map(|entry| entry.to_string()).collect::<Vec<_>>()
+            let twin = |name: &&str| {
+                let entry: Entry = name.parse().expect("an entry");
+                entry.twin(&shared).map(|twin| twin.to_string())
+            };
+            names.iter().map(twin).collect::<Vec<_>>()
         };
-        assert_eq!(silent(300), ["tcgs-plane-compression"]);
-        assert_eq!(silent(30_000), ["tcgs+plane-compression"]);
+        let names = ["tcgs-plane-compression", "tcgs+plane-compression", "tcgs-wavelet", "tcgs"];
+        let tcgs = || Some("tcgs".to_owned());
+        assert_eq!(twins(300, &names), [tcgs(), None, None, None]);
+        assert_eq!(twins(30_000, &names), [None, tcgs(), None, None]);
+        let weighed = ["tcgs@0.0005", "tcgs@0.001", "tcgs-wavelet@0.0005"];
+        assert_eq!(twins(300, &weighed), [tcgs(), None, Some("tcgs-wavelet".to_owned())]);
+        let preview = TrainOptions { iterations: Some(300), ..TrainOptions::default() };
+        let defaults = Entry::defaults();
+        let doubled = defaults.iter().filter(|entry| entry.twin(&preview).is_some()).count();
+        assert_eq!(doubled, 1, "all points of the curve are other than the method's own");
     }
 }

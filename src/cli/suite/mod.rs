@@ -280,7 +280,10 @@ impl Suite<'_> {
     /// The run of every entry with the set's steps, as far as they succeed.
     fn equal_steps(&mut self, set: &Set<'_>) -> Result<Vec<Record>, Failure> {
         let mut done = Vec::new();
-        for entry in self.entries.clone().into_iter().filter(|entry| !entry.says_nothing(&set.options)) {
+        for entry in self.entries.clone() {
+            if entry.twin(&set.options).is_some_and(|twin| self.entries.contains(&twin)) {
+                continue;
+            }
             let options = entry.options(&set.options).validated()?;
             let kept = self.kept(set, &entry, &options, Contest::Steps);
             let wants_peers = self.wants_peers(&options);
