@@ -153,7 +153,10 @@ impl From<Problem> for Fault {
 impl From<StoreError> for Fault {
     fn from(error: StoreError) -> Self {
         if error.is_disk_full() {
-            tracing::error!(error = &error as &dyn std::error::Error, "no room left for the database: {error}");
+            tracing::error!(
+                error = &error as &dyn std::error::Error,
+                "no room left for the database: {error}"
+            );
             return Self::storage_full();
         }
         if error.is_transient() {

@@ -17,7 +17,7 @@ use tokio::{sync::Mutex, time::timeout};
 use super::{problem::Fault, state::AppState};
 use crate::domain::Problem;
 
-/// How long what the disk said is told again: asking it costs a file.
+/// How long what the disk said is told again: asking it costs a file and a transaction.
 const FRESH: Duration = Duration::from_secs(2);
 /// Longest that one thing that is looked at may take.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -30,6 +30,7 @@ pub(super) struct Checks(Mutex<Option<(Instant, Disk)>>);
 /// What there is to say of the disk; `ok`, or a fault.
 #[derive(Debug, Clone)]
 struct Disk {
+    database: String,
     blobs: String,
     space: String,
 }
@@ -40,8 +41,10 @@ struct Disk {
 pub(super) async fn readyz(State(state): State<AppState>) -> Result<Response, Fault> {
     let disk = disk(&state).await;
     let drain = if state.is_draining() { "the server is shutting down" } else { OK };
+    let answers = database(&state).await;
+    let database = if answers == OK { disk.database } else { answers };
     let checks: BTreeMap<String, String> = [
-        ("database", database(&state).await),
+        ("database", database),
         ("migrations", migrations(&state).await),
         ("blobs", disk.blobs),
         ("free_space", disk.space),
@@ -82,6 +85,23 @@ async fn database(state: &AppState) -> String {
     }
 }
 
+/// A database may answer and yet take nothing: on a full disk, or behind a lock that is never let go.
+async fn writes(state: &AppState) -> String {
+    match timeout(PATIENCE, state.store().probe()).await {
+        Ok(Ok(())) => OK.to_owned(),
+        Ok(Err(error)) => {
+            tracing::error!(
+                error = &error as &dyn std::error::Error,
+                "the database cannot be written: {error}"
+            );
+            let fault =
+                if error.is_disk_full() { "no room is left on its disk" } else { "it cannot be written" };
+            fault.to_owned()
+        }
+        Err(_) => "it cannot be written in time".to_owned(),
+    }
+}
+
 async fn migrations(state: &AppState) -> String {
     match timeout(PATIENCE, state.store().schema_is_current()).await {
         Ok(Ok(true)) => OK.to_owned(),
@@ -98,7 +118,7 @@ async fn disk(state: &AppState) -> Disk {
     {
         return disk.clone();
     }
-    let disk = Disk { blobs: blobs(state).await, space: space(state) };
+    let disk = Disk { database: writes(state).await, blobs: blobs(state).await, space: space(state) };
     *cached = Some((Instant::now(), disk.clone()));
     disk
 }
@@ -108,7 +128,12 @@ async fn blobs(state: &AppState) -> String {
         Ok(Ok(())) => OK.to_owned(),
         Ok(Err(error)) => {
             tracing::error!(error = &error as &dyn std::error::Error, "blobs cannot be written: {error}");
-            "files cannot be written".to_owned()
+            let fault = if error.is_disk_full() {
+                "no room is left on their disk"
+            } else {
+                "files cannot be written"
+            };
+            fault.to_owned()
         }
         Err(_) => "files cannot be written in time".to_owned(),
     }

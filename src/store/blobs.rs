@@ -14,7 +14,7 @@ mod staging;
 mod upload;
 
 use std::{
-    io,
+    io::{self, Write as _},
     ops::Range,
     path::{Path, PathBuf},
     sync::Arc,
@@ -42,6 +42,8 @@ use crate::domain::{Digest, UploadId};
 
 const PART_BYTES: usize = 8 << 20;
 const PARTS_IN_FLIGHT: usize = 2;
+/// As much as a file system gives out at a time.
+const PROBE_BYTES: usize = 4096;
 
 /// A fault of the blob store.
 #[derive(Debug, Error)]
@@ -213,15 +215,19 @@ impl Blobs {
         Ok(self.0.store.path_to_filesystem(&location)?)
     }
 
-    /// Writes and removes a small file, to show that blobs can be written.
+    /// Writes a small file to disk and removes it, to show that blobs can be written.
     ///
     /// # Errors
     /// [`BlobError::Io`].
     pub async fn probe(&self) -> Result<(), BlobError> {
-        let mut probe = self.stage(16).await?;
-        probe.write(b"probe").await?;
-        probe.finish().await?;
-        Ok(())
+        let folder = self.0.room.path().to_owned();
+        let probed = blocking(move || {
+            let mut file = tempfile::Builder::new().prefix("probe-").tempfile_in(folder)?;
+            file.write_all(&[0; PROBE_BYTES])?;
+            // Some file systems find out only here that there is no room.
+            file.as_file().sync_data()
+        });
+        Ok(probed.await?)
     }
 
     /// Bytes that are free where blobs and uploads are kept.

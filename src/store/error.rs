@@ -57,6 +57,32 @@ pub enum StoreError {
         #[source]
         source: sqlx::Error,
     },
+    /// The schema is older than this program, and was not to be changed.
+    #[error(
+        "the schema of {path} has version {found}, older than this program's {needed}: stop the service that uses it, then run \
+         'tcgs migrate' or start 'tcgs serve' of this version"
+    )]
+    SchemaOlder {
+        /// The database.
+        path: String,
+        /// Its version.
+        found: i64,
+        /// The program's.
+        needed: i64,
+    },
+    /// The schema is newer than this program.
+    #[error(
+        "the schema of {path} has version {found}, newer than this program's {needed}: use the version of tcgs that changed it, or a \
+         later one"
+    )]
+    SchemaNewer {
+        /// The database.
+        path: String,
+        /// Its version.
+        found: i64,
+        /// The program's.
+        needed: i64,
+    },
     /// The schema cannot be brought to this version.
     #[error("the database schema cannot be brought up to date")]
     Migrate(#[from] sqlx::migrate::MigrateError),
@@ -78,7 +104,9 @@ impl StoreError {
     pub fn is_transient(&self) -> bool {
         let StoreError::Database(error) = self else { return false };
         match error {
-            sqlx::Error::PoolTimedOut | sqlx::Error::Io(_) | sqlx::Error::WorkerCrashed => !self.is_disk_full(),
+            sqlx::Error::PoolTimedOut | sqlx::Error::Io(_) | sqlx::Error::WorkerCrashed => {
+                !self.is_disk_full()
+            }
             error => result_code(error).is_some_and(|code| {
                 matches!(code & 0xff, BUSY | LOCKED | IOERR | CANTOPEN) && !self.is_disk_full()
             }),

@@ -16,18 +16,18 @@ pub struct AttemptCount {
     pub count: u64,
 }
 
-/// Sums over all that is stored; deleting jobs makes them fall.
+/// Figures of all that is stored, and of all that ever happened: what is counted since the beginning never falls.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Figures {
     /// Jobs in each state, every one of them named.
     pub jobs: Vec<(JobState, u64)>,
     /// Creation of the oldest job that is queued.
     pub oldest_queued_at: Option<Timestamp>,
-    /// Attempts that were ever begun.
+    /// Attempts begun since the beginning.
     pub claims: u64,
-    /// Attempts that have ended.
+    /// Attempts ended since the beginning.
     pub attempts: Vec<AttemptCount>,
-    /// Seconds that succeeded jobs took, by phase.
+    /// Seconds that succeeded jobs took since the beginning, by phase.
     pub phase_seconds: Vec<(&'static str, f64)>,
     /// Steps a second of the jobs that run, together.
     pub steps_per_second: f64,
@@ -46,4 +46,7 @@ pub trait Overview: Send + Sync + 'static {
 
     /// Whether the schema is the one that this program was built with; another program may have brought it further since.
     fn schema_is_current(&self) -> Answer<'_, bool>;
+
+    /// Commits a small change, to show that the database can be written.
+    fn probe(&self) -> Answer<'_, ()>;
 }

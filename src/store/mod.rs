@@ -47,7 +47,7 @@ pub use records::{
 };
 pub use scenes::{NewScene, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes};
 pub use series::Series;
-pub use sqlite::SqliteStore;
+pub use sqlite::{SchemaChange, SqliteStore};
 pub use uploads::{NewUpload, UploadRecord, Uploads};
 pub use webhooks::{
     AfterAttempt, DeliveryRecord, DeliveryState, DueDelivery, EndpointRecord, NewEndpoint, Replay, Settled,

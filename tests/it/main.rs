@@ -39,6 +39,7 @@ mod scenes;
 mod signals;
 mod suite;
 mod support;
+mod totals;
 mod train;
 mod wavelet;
 mod worker;

@@ -1,10 +1,8 @@
 //! [`Overview`] on SQLite.
 
-use std::collections::BTreeMap;
-
 use sqlx::{Row as _, SqliteConnection, migrate::Migrator};
 
-use super::{SqliteStore, rows};
+use super::{SqliteStore, open::MIGRATIONS, rows};
 use crate::{
     domain::{JobState, problem::TYPE_PREFIX},
     store::{Answer, AttemptCount, DeliveryState, Figures, Overview, StoreError},
@@ -13,31 +11,65 @@ use crate::{
 /// The phases of a job's `metrics.seconds`.
 const PHASES: [&str; 4] = ["ingest", "train", "encode", "decode"];
 
+const TOTALS: &str = "SELECT name, label, value FROM totals";
+const COUNTERS: &str = "SELECT name, label, cause, value FROM counters ORDER BY name, label, cause";
+const OLDEST_QUEUED: &str = "SELECT min(created_at) AS oldest FROM jobs WHERE state = 'queued'";
+const SPEED: &str =
+    "SELECT total(json_extract(progress, '$.steps_per_second')) AS speed FROM jobs WHERE state = 'running'";
+
+/// What each scrape asks; it must not grow with what is stored.
+#[cfg(test)]
+pub(super) const STATEMENTS: [&str; 4] = [TOTALS, COUNTERS, OLDEST_QUEUED, SPEED];
+
 impl Overview for SqliteStore {
     fn figures(&self) -> Answer<'_, Figures> {
         Box::pin(async move {
             // One snapshot, so that the figures fit together.
             let mut tx = self.readers.begin().await?;
-            let blobs = sqlx::query("SELECT count(*) AS count, coalesce(sum(bytes), 0) AS bytes FROM blobs")
-                .fetch_one(&mut *tx)
-                .await?;
-            let attempts = attempts(&mut tx).await?;
+            let totals = totals(&mut tx).await?;
+            let total = |name: &str, label: &str| {
+                totals
+                    .iter()
+                    .find(|total| (&*total.name, &*total.label) == (name, label))
+                    .map_or(0, |total| total.value)
+            };
+            let counters = counters(&mut tx).await?;
+            let counted = |name| counters.iter().filter(move |counter| counter.name == name);
             Ok(Figures {
-                jobs: jobs(&mut tx).await?,
+                jobs: JobState::ALL.map(|state| (state, total("jobs", state.name()))).to_vec(),
                 oldest_queued_at: oldest_queued_at(&mut tx).await?,
-                claims: count(&mut tx, "SELECT count(*) AS count FROM attempts").await?,
-                attempts,
-                phase_seconds: phase_seconds(&mut tx).await?,
+                claims: counted("claims").map(|counter| whole(counter.value)).sum(),
+                attempts: counted("attempts_ended").map(attempts_ended).collect::<Result<_, _>>()?,
+                phase_seconds: PHASES
+                    .map(|phase| {
+                        let seconds = counted("phase_seconds").find(|counter| counter.label == phase);
+                        (phase, seconds.map_or(0.0, |counter| counter.value))
+                    })
+                    .to_vec(),
                 steps_per_second: steps_per_second(&mut tx).await?,
-                blobs: rows::unsigned(&blobs, "count")?,
-                blob_bytes: rows::unsigned(&blobs, "bytes")?,
-                deliveries: deliveries(&mut tx).await?,
+                blobs: total("blobs", ""),
+                blob_bytes: total("blob_bytes", ""),
+                deliveries: DeliveryState::ALL
+                    .map(|state| (state, total("deliveries", state.name())))
+                    .to_vec(),
             })
         })
     }
 
     fn schema_is_current(&self) -> Answer<'_, bool> {
-        Box::pin(async move { is_current(&mut *self.readers.acquire().await?, &super::MIGRATIONS).await })
+        Box::pin(async move { is_current(&mut *self.readers.acquire().await?, &MIGRATIONS).await })
+    }
+
+    fn probe(&self) -> Answer<'_, ()> {
+        Box::pin(async move {
+            let (mut tx, now) = self.begin().await?;
+            sqlx::query("INSERT INTO write_probe (id, at) VALUES (1, ?) ON CONFLICT (id) DO UPDATE SET at = excluded.at")
+                .bind(rows::micros(now))
+                .execute(&mut *tx)
+                .await?;
+            tx.commit().await?;
+            Ok(())
+        })
     }
 }
 
@@ -50,74 +82,66 @@ async fn is_current(connection: &mut SqliteConnection, known: &Migrator) -> Resu
     Ok(version == newest && row.try_get::<Option<bool>, _>("success")? != Some(false))
 }
 
-async fn count(connection: &mut SqliteConnection, query: &'static str) -> Result<u64, StoreError> {
-    rows::unsigned(&sqlx::query(query).fetch_one(connection).await?, "count")
+/// A row of `totals`.
+struct Total {
+    name: String,
+    label: String,
+    value: u64,
 }
 
-async fn jobs(connection: &mut SqliteConnection) -> Result<Vec<(JobState, u64)>, StoreError> {
-    let found = by_state(connection, "SELECT state, count(*) AS count FROM jobs GROUP BY state").await?;
-    let of = |name| found.get(name).copied().unwrap_or(0);
-    Ok(JobState::ALL.map(|state| (state, of(state.name()))).to_vec())
-}
-
-async fn deliveries(connection: &mut SqliteConnection) -> Result<Vec<(DeliveryState, u64)>, StoreError> {
-    let query = "SELECT state, count(*) AS count FROM webhook_deliveries GROUP BY state";
-    let found = by_state(connection, query).await?;
-    let of = |name| found.get(name).copied().unwrap_or(0);
-    Ok(DeliveryState::ALL.map(|state| (state, of(state.name()))).to_vec())
-}
-
-async fn by_state(
-    connection: &mut SqliteConnection,
-    query: &'static str,
-) -> Result<BTreeMap<String, u64>, StoreError> {
-    let rows = sqlx::query(query).fetch_all(connection).await?;
-    rows.iter().map(|row| Ok((row.try_get("state")?, rows::unsigned(row, "count")?))).collect()
-}
-
-async fn oldest_queued_at(connection: &mut SqliteConnection) -> Result<Option<jiff::Timestamp>, StoreError> {
-    let row = sqlx::query("SELECT min(created_at) AS oldest FROM jobs WHERE state = 'queued'")
-        .fetch_one(connection)
-        .await?;
-    rows::optional_instant(&row, "oldest")
-}
-
-async fn attempts(connection: &mut SqliteConnection) -> Result<Vec<AttemptCount>, StoreError> {
-    let rows = sqlx::query(
-        "SELECT outcome, json_extract(cause, '$.type') AS cause, count(*) AS count FROM attempts
-         WHERE outcome IS NOT NULL GROUP BY 1, 2 ORDER BY 1, 2",
-    )
-    .fetch_all(connection)
-    .await?;
+async fn totals(connection: &mut SqliteConnection) -> Result<Vec<Total>, StoreError> {
+    let rows = sqlx::query(TOTALS).fetch_all(connection).await?;
     rows.iter()
         .map(|row| {
-            let cause: Option<String> = row.try_get("cause")?;
-            let cause = cause.map(|kind| kind.trim_start_matches(TYPE_PREFIX).to_owned());
-            Ok(AttemptCount { outcome: rows::outcome(row)?, cause, count: rows::unsigned(row, "count")? })
+            let value = rows::unsigned(row, "value")?;
+            Ok(Total { name: row.try_get("name")?, label: row.try_get("label")?, value })
         })
         .collect()
 }
 
-async fn phase_seconds(connection: &mut SqliteConnection) -> Result<Vec<(&'static str, f64)>, StoreError> {
-    let row = sqlx::query(
-        "SELECT total(json_extract(metrics, '$.seconds.ingest')) AS ingest,
-             total(json_extract(metrics, '$.seconds.train')) AS train,
-             total(json_extract(metrics, '$.seconds.encode')) AS encode,
-             total(json_extract(metrics, '$.seconds.decode')) AS decode
-         FROM jobs WHERE metrics IS NOT NULL",
-    )
-    .fetch_one(connection)
-    .await?;
-    PHASES.into_iter().map(|phase| Ok((phase, row.try_get(phase)?))).collect()
+/// A row of `counters`.
+struct Counter {
+    name: String,
+    label: String,
+    cause: String,
+    value: f64,
+}
+
+async fn counters(connection: &mut SqliteConnection) -> Result<Vec<Counter>, StoreError> {
+    let rows = sqlx::query(COUNTERS).fetch_all(connection).await?;
+    rows.iter()
+        .map(|row| {
+            Ok(Counter {
+                name: row.try_get("name")?,
+                label: row.try_get("label")?,
+                cause: row.try_get("cause")?,
+                value: row.try_get("value")?,
+            })
+        })
+        .collect()
+}
+
+/// The value of a counter that counts by ones.
+fn whole(value: f64) -> u64 {
+    value as u64
+}
+
+fn attempts_ended(counter: &Counter) -> Result<AttemptCount, StoreError> {
+    let cause = counter.cause.trim_start_matches(TYPE_PREFIX);
+    Ok(AttemptCount {
+        outcome: rows::outcome_named(&counter.label)?,
+        cause: (!cause.is_empty()).then(|| cause.to_owned()),
+        count: whole(counter.value),
+    })
+}
+
+async fn oldest_queued_at(connection: &mut SqliteConnection) -> Result<Option<jiff::Timestamp>, StoreError> {
+    let row = sqlx::query(OLDEST_QUEUED).fetch_one(connection).await?;
+    rows::optional_instant(&row, "oldest")
 }
 
 async fn steps_per_second(connection: &mut SqliteConnection) -> Result<f64, StoreError> {
-    let row = sqlx::query(
-        "SELECT total(json_extract(progress, '$.steps_per_second')) AS speed FROM jobs WHERE state = 'running'",
-    )
-    .fetch_one(connection)
-    .await?;
-    Ok(row.try_get("speed")?)
+    Ok(sqlx::query(SPEED).fetch_one(connection).await?.try_get("speed")?)
 }
 
 #[cfg(test)]

@@ -3,7 +3,8 @@
 //! WAL with `synchronous = FULL`: a committed change survives a power cut. Writes go through one connection
 //! and begin with `BEGIN IMMEDIATE`, so no transaction ever has to turn from reader into writer, which SQLite
 //! refuses without waiting. Reads have connections of their own. Several processes may share the file; they share
-//! one clock too, which is what leases are measured by.
+//! one clock too, which is what leases are measured by. Totals that grow with the history are kept by triggers of the schema and
+//! never counted.
 
 mod accounts;
 mod events;
@@ -12,6 +13,8 @@ mod figures;
 mod idempotency;
 mod keys;
 mod lifecycle;
+mod lists;
+mod open;
 mod queue;
 mod rows;
 mod scenes;
@@ -19,30 +22,22 @@ mod series;
 mod uploads;
 mod webhooks;
 
-use std::{path::Path, sync::Arc, time::Duration};
+use std::sync::Arc;
 
 use jiff::Timestamp;
 use serde_json::json;
-use sqlx::{
-    Row as _, Sqlite, SqliteConnection, SqlitePool, Transaction,
-    sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous},
-};
+use sqlx::{Row as _, Sqlite, SqliteConnection, SqlitePool, Transaction};
 
 use super::{
     Answer, Artifact, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat, JobFilter, JobRecord,
     Lease, NewJob, Outcome, PageKey, QueuePolicy, Repeat, Repetition, Store, StoreError,
 };
-use crate::domain::{Clock, Event, EventKind, JobId, JobState, ModelKind, Phase, Progress};
+use crate::domain::{Clock, Event, EventKind, JobId, JobState, Phase, Progress};
+pub use open::SchemaChange;
 use rows::{json as text, micros};
 
-/// Every change of the schema, in order.
-static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("migrations/sqlite");
 /// HTTP status of an answer to a request that made something.
 const CREATED: u16 = 201;
-
-const READERS: u32 = 4;
-const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
-const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// [`Store`] on SQLite.
 pub struct SqliteStore {
@@ -53,35 +48,6 @@ pub struct SqliteStore {
 }
 
 impl SqliteStore {
-    /// Opens the database at `path`, creating it and bringing its schema up to date.
-    ///
-    /// # Errors
-    /// [`StoreError::Open`] or [`StoreError::Migrate`].
-    pub async fn open(path: &Path, clock: Arc<dyn Clock>, policy: QueuePolicy) -> Result<Self, StoreError> {
-        let options = SqliteConnectOptions::new()
-            .filename(path)
-            .create_if_missing(true)
-            .journal_mode(SqliteJournalMode::Wal)
-            .synchronous(SqliteSynchronous::Full)
-            .busy_timeout(BUSY_TIMEOUT)
-            .foreign_keys(true);
-        let open_error = |source| StoreError::Open { path: path.display().to_string(), source };
-        let writer = SqlitePoolOptions::new()
-            .max_connections(1)
-            .acquire_timeout(ACQUIRE_TIMEOUT)
-            .connect_with(options.clone())
-            .await
-            .map_err(open_error)?;
-        MIGRATIONS.run(&writer).await?;
-        let readers = SqlitePoolOptions::new()
-            .max_connections(READERS)
-            .acquire_timeout(ACQUIRE_TIMEOUT)
-            .connect_with(options.read_only(true).create_if_missing(false))
-            .await
-            .map_err(open_error)?;
-        Ok(Self { writer, readers, clock, policy })
-    }
-
     /// Closes every connection; what was committed is on disk.
     pub async fn close(&self) {
         self.readers.close().await;
@@ -198,25 +164,7 @@ impl SqliteStore {
     ) -> Result<Vec<JobRecord>, StoreError> {
         // One snapshot for the jobs and their artifacts.
         let mut tx = self.readers.begin().await?;
-        let states = (!filter.states.is_empty()).then(|| text(&filter.states)).transpose()?;
-        let (at, id) =
-            before.map_or((i64::MAX, String::new()), |key| (micros(key.created_at), key.id.to_string()));
-        let rows = sqlx::query(
-            "SELECT jobs.*, blobs.bytes FROM jobs JOIN blobs ON blobs.digest = jobs.dataset
-             WHERE (jobs.created_at, jobs.id) < (?1, ?2) AND (?3 IS NULL OR owner = ?3)
-                 AND (?4 IS NULL OR state IN (SELECT value FROM json_each(?4))) AND (?5 IS NULL OR scene = ?5)
-                 AND (?6 IS NULL OR json_extract(options, '$.model') = ?6)
-             ORDER BY jobs.created_at DESC, jobs.id DESC LIMIT ?7",
-        )
-        .bind(at)
-        .bind(id)
-        .bind(filter.owner.map(|owner| owner.to_string()))
-        .bind(states)
-        .bind(filter.scene.map(|scene| scene.to_string()))
-        .bind(filter.model.map(ModelKind::name))
-        .bind(limit)
-        .fetch_all(&mut *tx)
-        .await?;
+        let rows = lists::jobs(filter, before, limit).build().fetch_all(&mut *tx).await?;
         let mut records = Vec::with_capacity(rows.len());
         for row in &rows {
             let artifacts = select_artifacts(&mut tx, rows::job_id(row)?).await?;

@@ -173,7 +173,11 @@ pub(super) fn event(row: &SqliteRow) -> Result<Event, StoreError> {
 
 /// How an ended attempt ended.
 pub(super) fn outcome(row: &SqliteRow) -> Result<AttemptOutcome, StoreError> {
-    let text: String = row.try_get("outcome")?;
+    outcome_named(row.try_get("outcome")?)
+}
+
+/// The outcome with that name.
+pub(super) fn outcome_named(text: &str) -> Result<AttemptOutcome, StoreError> {
     AttemptOutcome::ALL
         .into_iter()
         .find(|outcome| outcome.name() == text)

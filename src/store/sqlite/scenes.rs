@@ -3,7 +3,7 @@
 use sqlx::{Row as _, SqliteConnection, sqlite::SqliteRow};
 
 use super::{
-    SqliteStore, accounts, idempotency, insert_blob,
+    SqliteStore, accounts, idempotency, insert_blob, lists,
     rows::{blob, document, instant, json, micros, optional_id, parsed, unsigned},
 };
 use crate::{
@@ -105,19 +105,7 @@ impl SqliteStore {
         before: Option<ScenePage>,
         limit: u32,
     ) -> Result<Vec<SceneRecord>, StoreError> {
-        let (at, id) =
-            before.map_or((i64::MAX, String::new()), |page| (micros(page.created_at), page.id.to_string()));
-        let rows = sqlx::query(
-            "SELECT scenes.*, blobs.bytes FROM scenes JOIN blobs ON blobs.digest = scenes.dataset
-             WHERE (scenes.created_at, scenes.id) < (?1, ?2) AND (?3 IS NULL OR owner = ?3)
-             ORDER BY scenes.created_at DESC, scenes.id DESC LIMIT ?4",
-        )
-        .bind(at)
-        .bind(id)
-        .bind(owner.map(|owner| owner.to_string()))
-        .bind(limit)
-        .fetch_all(&self.readers)
-        .await?;
+        let rows = lists::scenes(owner, before, limit).build().fetch_all(&self.readers).await?;
         rows.iter().map(scene).collect()
     }
 
@@ -132,7 +120,8 @@ impl SqliteStore {
             return Ok(Some(SceneDeletion::Changed));
         }
         let row = sqlx::query(
-            "SELECT COUNT(*) AS active FROM jobs WHERE scene = ? AND state IN ('queued', 'running')",
+            "SELECT COUNT(*) AS active FROM jobs INDEXED BY jobs_active_by_scene
+             WHERE scene = ? AND state IN ('queued', 'running')",
         )
         .bind(id.to_string())
         .fetch_one(&mut *tx)

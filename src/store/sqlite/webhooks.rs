@@ -6,7 +6,7 @@ use jiff::{SignedDuration, Timestamp};
 use sqlx::{Row as _, SqliteConnection};
 
 use super::{
-    SqliteStore,
+    SqliteStore, lists,
     queue::after,
     rows::{self, json as text, micros},
 };
@@ -243,16 +243,7 @@ impl Webhooks for SqliteStore {
         limit: u32,
     ) -> Answer<'_, Vec<EndpointRecord>> {
         Box::pin(async move {
-            // Identities are in the order of creation.
-            let rows = sqlx::query(
-                "SELECT * FROM webhook_endpoints WHERE (?1 IS NULL OR owner = ?1) AND (?2 IS NULL OR id < ?2)
-                 ORDER BY id DESC LIMIT ?3",
-            )
-            .bind(owner.map(|owner| owner.to_string()))
-            .bind(before.map(|id| id.to_string()))
-            .bind(limit)
-            .fetch_all(&self.readers)
-            .await?;
+            let rows = lists::endpoints(owner, before, limit).build().fetch_all(&self.readers).await?;
             rows.iter().map(rows::endpoint).collect()
         })
     }

@@ -476,6 +476,14 @@ pub(super) async fn a_database_that_fails_lets_nobody_in(coverage: Coverage) {
         }
         server.store.set(None);
     }
+    server.store.set(Some(Failing::Full));
+    for operation in
+        contract::guarded().iter().filter(|one| matches!(one.method, "POST" | "PATCH" | "DELETE"))
+    {
+        let answer = server.send(operation.method, &operation.path(), |request| request).await;
+        answer.expect_problem(507, "storage-full");
+    }
+    server.store.set(None);
     let key = server.key(&[Scope::Read]).await;
     server.store.set(Some(Failing::Busy));
     with_key(&server, "GET", "/v1/jobs", &key.key).await.expect_problem(503, "busy");

@@ -195,6 +195,7 @@ pub(super) async fn readiness_names_what_is_wrong(coverage: Coverage) {
         let problem = server.get("/readyz").await.expect(503).json();
         assert_eq!(wrong(&problem), checks, "{problem:#}");
         server.store.set(None);
+        server.until_ready().await;
     }
     // A staging folder that is gone is one that cannot be written, also for root.
     let [staging, gone] = ["staging", "gone"].map(|name| server.data.path().join(name));
@@ -202,9 +203,7 @@ pub(super) async fn readiness_names_what_is_wrong(coverage: Coverage) {
     let problem = until_wrong(&server).await;
     assert_eq!(wrong(&problem), ["blobs"], "{problem:#}");
     std::fs::rename(&gone, &staging).expect("moved back");
-    while server.get("/readyz").await.status != 200 {
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    server.until_ready().await;
 }
 
 /// The names of checks that found something.

@@ -4,7 +4,10 @@ mod keys;
 mod series;
 mod webhooks;
 
-use std::sync::{Arc, Mutex};
+use std::{
+    io,
+    sync::{Arc, Mutex},
+};
 
 use jiff::Timestamp;
 use tcgs::{
@@ -24,6 +27,8 @@ pub enum Failing {
     Busy,
     /// Like one that is gone.
     Gone,
+    /// Like one on a full disk.
+    Full,
     /// Not at all, but a newer program has changed the schema.
     Migrated,
 }
@@ -49,6 +54,7 @@ impl FaultStore {
             None | Some(Failing::Migrated) => return answer,
             Some(Failing::Busy) => sqlx::Error::PoolTimedOut,
             Some(Failing::Gone) => sqlx::Error::PoolClosed,
+            Some(Failing::Full) => sqlx::Error::Io(io::ErrorKind::StorageFull.into()),
         };
         Box::pin(async move { Err(StoreError::Database(error)) })
     }
@@ -63,6 +69,9 @@ impl Overview for FaultStore {
             return Box::pin(async { Ok(false) });
         }
         self.guard(self.inner.schema_is_current())
+    }
+    fn probe(&self) -> Answer<'_, ()> {
+        self.guard(self.inner.probe())
     }
 }
 

@@ -18,6 +18,7 @@ pub fn command() -> Command {
         "TCGS_LISTEN",
         "TCGS_LPIPS",
         "TCGS_DATA",
+        "TCGS_MIN_FREE_SPACE",
         "TCGS_WORKER_ID",
         "TCGS_HOST_MEMORY",
         "TCGS_GPU_MEMORY",

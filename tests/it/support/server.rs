@@ -300,6 +300,17 @@ impl Server {
         self.send("GET", path, |request| request).await
     }
 
+    /// Asks until the service is ready: what was found last is told again for a while.
+    pub async fn until_ready(&self) {
+        for _ in 0..600 {
+            if self.get("/readyz").await.status == 200 {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        panic!("the service did not become ready");
+    }
+
     pub async fn post(&self, path: &str) -> Answer {
         self.send("POST", path, |request| request).await
     }

@@ -1,0 +1,81 @@
+//! What a long history costs: `cargo bench --bench store`.
+//!
+//! One key has 100 000 finished jobs with two files each (an argument chooses another number), another key has one. Timed are the
+//! transactions behind `POST /v1/jobs` of either key, a list of the other key's jobs, and what each scrape of `/metrics` asks. None
+//! should take longer the more jobs there are.
+
+#![allow(clippy::unwrap_used, reason = "a benchmark stops at the first fault")]
+
+mod history;
+
+use std::{
+    future::Future,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use tcgs::{
+    domain::{Digest, JobId, KeyId, KeyLimits, SystemClock, TrainOptions},
+    store::{BlobRef, JobFilter, NewJob, Overview as _, QueuePolicy, SqliteStore, Store as _},
+};
+use uuid::Uuid;
+
+const JOBS: usize = 100_000;
+const RUNS: usize = 9;
+
+/// The times of some runs, sorted.
+async fn times<F: Future>(mut run: impl FnMut() -> F) -> Vec<Duration> {
+    let mut times = Vec::with_capacity(RUNS);
+    for _ in 0..RUNS {
+        let start = Instant::now();
+        run().await;
+        times.push(start.elapsed());
+    }
+    times.sort();
+    times
+}
+
+fn line(what: &str, times: &[Duration]) {
+    let milliseconds = |time: Duration| time.as_secs_f64() * 1e3;
+    println!(
+        "{what:40} {:>12.3} {:>12.3}",
+        milliseconds(times[times.len() / 2]),
+        milliseconds(times[times.len() - 1])
+    );
+}
+
+async fn add_job(store: &SqliteStore, owner: KeyId) {
+    let dataset = BlobRef { digest: Digest::of(b"a dataset"), bytes: 9 };
+    let id = JobId(Uuid::now_v7());
+    let new = NewJob { owner: Some(owner), ..NewJob::new(id, TrainOptions::default(), dataset) };
+    store.create_job(new).await.unwrap();
+}
+
+async fn list(store: &SqliteStore, owner: KeyId) {
+    let filter = JobFilter { owner: Some(owner), ..JobFilter::default() };
+    assert!(!store.jobs(&filter, None, 20).await.unwrap().is_empty());
+}
+
+#[tokio::main]
+async fn main() {
+    let jobs = std::env::args().skip(1).find_map(|argument| argument.parse().ok()).unwrap_or(JOBS);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("tcgs.sqlite");
+    // Both are bounded, so that both bounds are looked at.
+    let limits =
+        KeyLimits { max_bytes: Some(1 << 50), max_active_jobs: Some(1 << 20), requests_per_minute: None };
+    let policy = QueuePolicy { limits, ..QueuePolicy::default() };
+    let store = SqliteStore::open(&path, Arc::new(SystemClock), policy).await.unwrap();
+    let [busy, quiet] = [1, 2].map(|number| KeyId(Uuid::from_u128(number)));
+    history::write(&path, busy, quiet, jobs).await;
+    add_job(&store, quiet).await;
+
+    println!("{jobs} finished jobs of one key, {RUNS} runs\n");
+    println!("{:40} {:>12} {:>12}", "", "median ms", "longest ms");
+    line("POST /v1/jobs, the key with the history", &times(|| add_job(&store, busy)).await);
+    line("POST /v1/jobs, another key", &times(|| add_job(&store, quiet)).await);
+    line("GET /v1/jobs, the key with the history", &times(|| list(&store, busy)).await);
+    line("GET /v1/jobs, another key", &times(|| list(&store, quiet)).await);
+    line("GET /metrics", &times(|| async { store.figures().await.unwrap() }).await);
+    store.close().await;
+}

@@ -1,0 +1,354 @@
+//! The totals that the schema's triggers keep are those that counting would give, whatever happens, and what is counted since the
+//! beginning never falls.
+
+use std::{path::PathBuf, sync::Arc, time::Duration};
+
+use jiff::{SignedDuration, Timestamp};
+use sqlx::{ConnectOptions as _, Row as _, SqliteConnection, sqlite::SqliteConnectOptions};
+use tcgs::{
+    domain::{
+        Clock as _, DatasetSummary, DeliveryId, Digest, EndpointId, JobId, KeyId, Layout, ManualClock,
+        Problem, SceneFormat, SceneId, TrainOptions, UploadId, WebhookEvent, WebhookSecret,
+    },
+    store::{
+        AfterAttempt, Artifact, ArtifactKind, BlobRef, ExportRecord, Figures, NewEndpoint, NewJob, NewScene,
+        NewUpload, Outcome, QueuePolicy, Repeat, Settled, SqliteStore, Store, Usage,
+    },
+};
+use tempfile::TempDir;
+use uuid::Uuid;
+
+use crate::support::fakes;
+
+/// The same as the totals, by counting.
+const RECOUNTS: [(&str, &str); 4] = [
+    (
+        "SELECT owner, digest, uses FROM owner_blobs ORDER BY 1, 2",
+        "SELECT owner, digest, count(*) FROM (
+             SELECT IFNULL(owner, '') AS owner, dataset AS digest FROM scenes
+             UNION ALL SELECT IFNULL(owner, ''), dataset FROM jobs
+             UNION ALL SELECT IFNULL(jobs.owner, ''), artifacts.digest FROM artifacts JOIN jobs ON jobs.id = job_id
+             UNION ALL SELECT IFNULL(jobs.owner, ''), exports.digest FROM exports JOIN jobs ON jobs.id = job_id
+         ) GROUP BY 1, 2 ORDER BY 1, 2",
+    ),
+    (
+        "SELECT owner, stored_bytes, active_jobs FROM owner_totals WHERE stored_bytes <> 0 OR active_jobs <> 0 ORDER BY 1",
+        "SELECT owner, sum(bytes), (SELECT count(*) FROM jobs WHERE IFNULL(jobs.owner, '') = used.owner
+             AND state IN ('queued', 'running'))
+         FROM (SELECT IFNULL(owner, '') AS owner, dataset AS digest FROM scenes
+             UNION SELECT IFNULL(owner, ''), dataset FROM jobs
+             UNION SELECT IFNULL(jobs.owner, ''), artifacts.digest FROM artifacts JOIN jobs ON jobs.id = job_id
+             UNION SELECT IFNULL(jobs.owner, ''), exports.digest FROM exports JOIN jobs ON jobs.id = job_id) AS used
+         JOIN blobs USING (digest) GROUP BY 1 ORDER BY 1",
+    ),
+    (
+        "SELECT owner, '', reserved_bytes FROM owner_totals WHERE reserved_bytes <> 0 ORDER BY 1",
+        "SELECT IFNULL(owner, ''), '', sum(length) FROM uploads WHERE ended_at IS NULL GROUP BY 1 HAVING sum(length) <> 0 ORDER BY 1",
+    ),
+    (
+        "SELECT name, label, value FROM totals WHERE value <> 0 ORDER BY 1, 2",
+        "SELECT 'blob_bytes', '', sum(bytes) FROM blobs HAVING count(*) > 0
+         UNION ALL SELECT 'blobs', '', count(*) FROM blobs HAVING count(*) > 0
+         UNION ALL SELECT 'deliveries', state, count(*) FROM webhook_deliveries GROUP BY state
+         UNION ALL SELECT 'jobs', state, count(*) FROM jobs GROUP BY state ORDER BY 1, 2",
+    ),
+];
+
+struct Office {
+    store: Arc<dyn Store>,
+    clock: Arc<ManualClock>,
+    database: SqliteConnection,
+    folder: TempDir,
+    seen: Figures,
+}
+
+fn path(folder: &TempDir) -> PathBuf {
+    folder.path().join("tcgs.db")
+}
+
+async fn rows(database: &mut SqliteConnection, query: &'static str) -> Vec<(String, String, String)> {
+    let rows = sqlx::query(query).fetch_all(database).await.expect("read");
+    let cell = |row: &sqlx::sqlite::SqliteRow, at: usize| match row.try_get::<i64, _>(at) {
+        Ok(number) => number.to_string(),
+        Err(_) => row.get(at),
+    };
+    rows.iter().map(|row| (cell(row, 0), cell(row, 1), cell(row, 2))).collect()
+}
+
+impl Office {
+    async fn new() -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let start: Timestamp = "2026-11-21T12:00:00Z".parse().expect("an instant");
+        let clock = Arc::new(ManualClock::new(start));
+        let store = SqliteStore::open(&path(&folder), clock.clone(), QueuePolicy::default()).await;
+        let database = SqliteConnectOptions::new().filename(path(&folder)).connect().await;
+        let (store, database) = (Arc::new(store.expect("a database")), database.expect("a database"));
+        Self { store, clock, database, folder, seen: Figures::default() }
+    }
+
+    async fn key(&mut self, number: u128) -> KeyId {
+        let key = KeyId(Uuid::from_u128(number));
+        sqlx::query(
+            "INSERT INTO keys (id, name, prefix, hash, scopes, created_at) VALUES (?, 'k', 'p', ?, '', 0)",
+        )
+        .bind(key.to_string())
+        .bind(format!("hash {number}"))
+        .execute(&mut self.database)
+        .await
+        .expect("added");
+        key
+    }
+
+    /// Compares totals with a recount, and counters with what they were.
+    async fn check(&mut self, what: &str) {
+        for (totals, recount) in RECOUNTS {
+            let [totals, recount] =
+                [rows(&mut self.database, totals).await, rows(&mut self.database, recount).await];
+            assert_eq!(totals, recount, "after {what}");
+        }
+        let figures = self.store.figures().await.expect("read");
+        assert!(figures.claims >= self.seen.claims, "after {what}");
+        for (now, before) in figures.phase_seconds.iter().zip(&self.seen.phase_seconds) {
+            assert!(now.1 >= before.1, "after {what}: {now:?} and {before:?}");
+        }
+        for before in &self.seen.attempts {
+            let now = figures
+                .attempts
+                .iter()
+                .find(|now| (now.outcome, &now.cause) == (before.outcome, &before.cause));
+            assert!(now.is_some_and(|now| now.count >= before.count), "after {what}: {before:?}");
+        }
+        self.seen = figures;
+    }
+
+    async fn job(&self, number: u128, owner: Option<KeyId>, scene: Option<SceneId>, content: &str) -> JobId {
+        let id = JobId(Uuid::from_u128(number));
+        let new = NewJob { owner, scene, ..NewJob::new(id, TrainOptions::default(), blob(content)) };
+        self.store.create_job(new).await.expect("created").job.id
+    }
+
+    async fn finish(&self, outcome: Outcome) {
+        let claim = self.store.claim("worker").await.expect("an answer").expect("a job");
+        self.store.finish(&claim.lease, outcome).await.expect("ended");
+    }
+}
+
+fn blob(content: &str) -> BlobRef {
+    BlobRef { digest: Digest::of(content.as_bytes()), bytes: content.len() as u64 }
+}
+
+fn succeeded(file: &str) -> Outcome {
+    let mut metrics = fakes::metrics();
+    metrics.seconds.train = 2.5;
+    let artifact = |kind, content| Artifact { kind, lambda: None, blob: blob(content) };
+    let artifacts = vec![
+        artifact(ArtifactKind::Scene(SceneFormat::Tcgs), file),
+        artifact(ArtifactKind::Cameras, "the same cameras"),
+    ];
+    Outcome::Succeeded { metrics: Box::new(metrics), artifacts }
+}
+
+fn problem() -> Problem {
+    Problem::new(500, "device-lost", "Device lost", "the adapter went away")
+}
+
+#[tokio::test]
+async fn totals_are_what_counting_gives_after_every_change() {
+    let mut office = Office::new().await;
+    let (one, other) = (office.key(1).await, office.key(2).await);
+    office.check("the beginning").await;
+
+    // Endpoints first, so that every change of a job is told.
+    for owner in [Some(one), None] {
+        let new = NewEndpoint {
+            id: EndpointId(Uuid::now_v7()),
+            owner,
+            url: "https://example.com/".into(),
+            events: WebhookEvent::ALL.to_vec(),
+            description: None,
+            secret: WebhookSecret::generate(&tcgs::domain::SystemEntropy).expect("drawn"),
+        };
+        office.store.create_endpoint(new, 9).await.expect("made").expect("room");
+    }
+    let mut scenes = Vec::new();
+    for (number, (owner, content)) in
+        [(Some(one), "a scene"), (Some(other), "a scene"), (None, "another")].into_iter().enumerate()
+    {
+        let id = SceneId(Uuid::from_u128(number as u128 + 1));
+        let summary = DatasetSummary {
+            layout: Layout::Colmap,
+            train: 1,
+            test: 1,
+            pixels: 1,
+            points: None,
+            notes: vec![],
+        };
+        let new =
+            NewScene { id, owner, name: None, dataset: blob(content), summary, upload: None, intent: None };
+        office.store.create_scene(new.clone()).await.expect("created");
+        office.store.create_scene(NewScene { id: SceneId(Uuid::now_v7()), ..new }).await.expect("known");
+        office.check("a scene").await;
+        scenes.push(id);
+    }
+
+    let first = office.job(1, Some(one), Some(scenes[0]), "a scene").await;
+    let second = office.job(2, Some(one), None, "a dataset").await;
+    let third = office.job(3, Some(other), None, "a dataset").await;
+    let fourth = office.job(4, None, None, "a dataset").await;
+    office.check("four jobs").await;
+    office.finish(succeeded("a file")).await;
+    office.check("a success").await;
+    office.finish(Outcome::Retry(problem())).await;
+    office.check("a retry").await;
+    office.finish(succeeded("a file")).await;
+    office.check("the same file of another").await;
+    office.finish(Outcome::Failed(problem())).await;
+    office.check("a failure").await;
+    office.store.cancel(second).await.expect("an answer").expect("known");
+    office.check("a cancellation").await;
+    let repeat =
+        Repeat { id: JobId(Uuid::from_u128(5)), from_checkpoint: false, deadline_at: None, intent: None };
+    office.store.repeat_job(second, repeat).await.expect("an answer").expect("known");
+    office.check("a repetition").await;
+    office.clock.advance(SignedDuration::from_secs(1));
+    let claim = office.store.claim("worker").await.expect("an answer").expect("a job");
+    office.store.expire_worker("worker").await.expect("an answer");
+    office.check("a lost worker").await;
+    office.store.cancel(claim.lease.job).await.expect("an answer").expect("known");
+
+    for (format, content) in [(SceneFormat::Ply, "as ply"), (SceneFormat::Spz, "as spz")] {
+        let source = blob("a file").digest;
+        let export = ExportRecord {
+            job: first,
+            source,
+            format,
+            blob: blob(content),
+            gaussians: 1,
+            sh_degree: 0,
+            likeness: None,
+        };
+        office.store.add_export(export).await.expect("kept").expect("known");
+        office.store.add_export(export).await.expect("kept").expect("known");
+    }
+    office.check("exports").await;
+
+    for (number, owner) in [(1, Some(one)), (2, Some(one)), (3, None)] {
+        let id = UploadId(Uuid::from_u128(number));
+        let expires_at = office.clock.now() + SignedDuration::from_hours(number as i64);
+        let new = NewUpload { id, owner, length: 100, metadata: None, expires_at };
+        office.store.create_upload(new).await.expect("begun");
+        office.store.advance_upload(id, 10, expires_at).await.expect("advanced");
+        office.check("an upload").await;
+    }
+    let usage = office.store.usage(Some(one)).await.expect("read");
+    let stored = ["a scene", "a dataset", "a file", "the same cameras", "as ply", "as spz"];
+    assert_eq!(usage, Usage { stored: stored.map(str::len).iter().sum::<usize>() as u64, reserved: 200 });
+    office.store.delete_upload(UploadId(Uuid::from_u128(2))).await.expect("deleted");
+    office.check("a deleted upload").await;
+    office.clock.advance(SignedDuration::from_mins(90));
+    office.store.expire_uploads(Timestamp::MIN).await.expect("expired");
+    office.check("an expired upload").await;
+    office.store.expire_uploads(Timestamp::MAX).await.expect("expired");
+    office.check("a forgotten upload").await;
+
+    for next in [AfterAttempt::Done, AfterAttempt::Again(Duration::from_secs(1)), AfterAttempt::Disable] {
+        let due =
+            office.store.take_delivery(Duration::from_secs(60)).await.expect("read").expect("one is due");
+        let settled = Settled { status: Some(200), fault: None, next };
+        office.store.settle_delivery(due.id, due.attempt, settled).await.expect("settled");
+        office.check("a delivery").await;
+        let endpoint = endpoint_of(&mut office.database, due.id).await;
+        office.store.replay(endpoint, due.id).await.expect("an answer");
+        office.check("a replay").await;
+    }
+
+    let before = office.store.figures().await.expect("read");
+    assert_eq!(before.phase_seconds[1], ("train", 5.0));
+    assert!(
+        before.claims >= 5
+            && before.attempts.iter().any(|ended| ended.cause.as_deref() == Some("device-lost"))
+    );
+    for job in [first, second, third, fourth, claim.lease.job] {
+        office.store.delete_job(job, None).await.expect("an answer").expect("known");
+        office.check("a deleted job").await;
+    }
+    for scene in scenes {
+        office.store.delete_scene(scene, None).await.expect("an answer").expect("known");
+        office.check("a deleted scene").await;
+    }
+    let all = ["a scene", "another", "a dataset", "a file", "the same cameras", "as ply", "as spz"];
+    let digests: Vec<Digest> = all.map(|content| blob(content).digest).to_vec();
+    assert_eq!(office.store.forget_blobs(&digests).await.expect("an answer").len(), digests.len());
+    office.check("forgotten blobs").await;
+    for endpoint in office.store.endpoints(None, None, 9).await.expect("read") {
+        assert!(office.store.delete_endpoint(endpoint.id).await.expect("an answer"));
+        office.check("a deleted endpoint").await;
+    }
+    let after = office.store.figures().await.expect("read");
+    assert_eq!(
+        (after.claims, &after.attempts, &after.phase_seconds),
+        (before.claims, &before.attempts, &before.phase_seconds)
+    );
+    assert_eq!((after.blobs, after.blob_bytes), (0, 0));
+    assert!(after.jobs.iter().all(|(_, count)| *count == 0));
+    drop(office.folder);
+}
+
+async fn endpoint_of(database: &mut SqliteConnection, delivery: DeliveryId) -> EndpointId {
+    let row = sqlx::query("SELECT endpoint FROM webhook_deliveries WHERE id = ?").bind(delivery.to_string());
+    row.fetch_one(database).await.expect("read").get::<String, _>(0).parse().expect("an id")
+}
+
+/// A schema from before there were totals, with something of everything in it.
+#[tokio::test]
+async fn an_older_database_gets_its_totals_by_counting() {
+    let mut office = Office::new().await;
+    let one = office.key(1).await;
+    office.job(1, Some(one), None, "a dataset").await;
+    office.job(2, None, None, "a dataset").await;
+    office.finish(succeeded("a file")).await;
+    let expires_at = office.clock.now() + SignedDuration::from_hours(1);
+    let new = NewUpload {
+        id: UploadId(Uuid::from_u128(1)),
+        owner: Some(one),
+        length: 100,
+        metadata: None,
+        expires_at,
+    };
+    office.store.create_upload(new).await.expect("begun");
+    let figures = office.store.figures().await.expect("read");
+    // Back to before, by what the two migrations made.
+    for kind in ["trigger", "table", "index"] {
+        let made = sqlx::query(
+            "SELECT name FROM sqlite_schema WHERE type = ? AND sql IS NOT NULL AND name IN (SELECT value FROM json_each(?))",
+        );
+        let script = concat!(
+            include_str!("../../migrations/sqlite/0011_running_totals.sql"),
+            include_str!("../../migrations/sqlite/0012_indices_probe.sql")
+        );
+        let names: Vec<&str> = script
+            .lines()
+            .filter_map(|line| line.strip_prefix("CREATE ")?.split_whitespace().nth(1))
+            .collect();
+        let names = serde_json::to_string(&names).expect("JSON");
+        let found = made.bind(kind).bind(names).fetch_all(&mut office.database).await.expect("read");
+        for row in &found {
+            let drop = format!("DROP {kind} {}", row.get::<String, _>(0));
+            sqlx::query(sqlx::AssertSqlSafe(drop)).execute(&mut office.database).await.expect("dropped");
+        }
+    }
+    for statement in [
+        "CREATE INDEX jobs_by_scene ON jobs (scene) WHERE scene IS NOT NULL",
+        "DELETE FROM _sqlx_migrations WHERE version > 10",
+    ] {
+        sqlx::query(statement).execute(&mut office.database).await.expect("as before");
+    }
+    let store = SqliteStore::open(&path(&office.folder), office.clock.clone(), QueuePolicy::default()).await;
+    office.store = Arc::new(store.expect("migrated"));
+    office.check("the migration").await;
+    assert_eq!(office.seen, figures);
+    let usage = office.store.usage(Some(one)).await.expect("read");
+    assert_eq!((usage.stored > 0, usage.reserved), (true, 100));
+    office.finish(Outcome::Failed(problem())).await;
+    office.check("a change after it").await;
+}
