@@ -1,4 +1,7 @@
-//! Log lines on standard error, as text or as JSON, chosen by `RUST_LOG`.
+//! Log lines on standard error, as text or as JSON, chosen by `RUST_LOG`. An error that is recorded as one
+//! (`error = &error as &dyn Error`) is told with all of its causes in either form.
+
+mod causes;
 
 use std::{
     fmt,
@@ -6,7 +9,13 @@ use std::{
 };
 
 use clap::ValueEnum;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::{
+    EnvFilter,
+    fmt::{MakeWriter, format},
+    util::SubscriberInitExt as _,
+};
+
+use causes::WithCauses;
 
 /// How a log line is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -41,13 +50,21 @@ pub(crate) fn start(format: Format, verbosity: Verbosity) {
         // The GPU crates' own chatter at this level tells an operator nothing.
         Verbosity::Info => "info,wgpu_core=warn,wgpu_hal=warn,naga=warn",
     };
-    let filter = match std::env::var("RUST_LOG") {
-        Ok(wanted) if !wanted.trim().is_empty() => EnvFilter::new(wanted),
-        _ => EnvFilter::new(default),
-    };
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr);
+    let wanted = std::env::var("RUST_LOG").ok().filter(|wanted| !wanted.trim().is_empty());
+    subscriber(format, wanted.as_deref().unwrap_or(default), io::stderr).init();
+}
+
+/// What writes the lines that `filter` lets through.
+fn subscriber<W>(format: Format, filter: &str, writer: W) -> Box<dyn tracing::Subscriber + Send + Sync>
+where
+    W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
+{
+    let builder = tracing_subscriber::fmt().with_env_filter(EnvFilter::new(filter)).with_writer(writer);
     match format {
-        Format::Text => builder.with_ansi(io::stderr().is_terminal()).init(),
-        Format::Json => builder.json().flatten_event(true).init(),
+        Format::Text => Box::new(builder.with_ansi(io::stderr().is_terminal()).finish()),
+        Format::Json => {
+            let lines = WithCauses(format::format().json().flatten_event(true));
+            Box::new(builder.json().event_format(lines).finish())
+        }
     }
 }

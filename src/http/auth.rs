@@ -179,7 +179,10 @@ fn record_use(state: &AppState, key: &KeyRecord) {
     let (state, id) = (state.clone(), key.id);
     tokio::spawn(async move {
         if let Err(error) = state.store().touch_key(id).await {
-            tracing::debug!("the use of key {id} was not recorded: {error}");
+            tracing::debug!(
+                error = &error as &dyn std::error::Error,
+                "the use of key {id} was not recorded: {error}"
+            );
         }
     });
 }

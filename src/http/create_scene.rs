@@ -151,7 +151,7 @@ impl Asked<'_> {
         let name = name.or_else(told);
         let made = self.keep(staged, Wish { name, upload: Some(record.id), intent }).await?;
         if let Err(error) = self.state.blobs().remove_upload(record.id).await {
-            tracing::warn!(upload = %record.id, "the file of upload {} stays for a while: {error}", record.id);
+            tracing::warn!(upload = %record.id, error = &error as &dyn std::error::Error, "the file of upload {} stays for a while: {error}", record.id);
         }
         Ok(made)
     }

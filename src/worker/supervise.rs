@@ -145,7 +145,14 @@ async fn keep_alive(
                     Ok(jobs) => {
                         tracing::warn!(worker = id, jobs, "took {jobs} jobs from the dead worker {id}")
                     }
-                    Err(error) => tracing::error!(worker = id, "the leases of {id} must run out: {error}"),
+                    Err(error) => {
+                        let cause = &error as &dyn std::error::Error;
+                        tracing::error!(
+                            worker = id,
+                            error = cause,
+                            "the leases of {id} must run out: {error}"
+                        );
+                    }
                 }
             }
             Err(error) => tracing::error!(program = %config.program.display(), "no worker starts: {error}"),

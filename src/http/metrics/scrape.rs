@@ -121,7 +121,10 @@ fn machine(registry: &mut Registry, state: &AppState, figures: &Figures) {
     gauge(registry, "blob_bytes", "Bytes of stored blobs", figures.blob_bytes as f64);
     match state.blobs().free_bytes() {
         Ok(free) => gauge(registry, "disk_free_bytes", "Free room on the blobs' disk", free as f64),
-        Err(error) => tracing::warn!("the disk does not say how much room is free: {error}"),
+        Err(error) => {
+            let cause = &error as &dyn std::error::Error;
+            tracing::warn!(error = cause, "the disk does not say how much room is free: {error}");
+        }
     }
     let (rendering, waiting) = state.studio().depth();
     let depth = [("rendering", rendering), ("waiting", waiting)];
