@@ -35,6 +35,11 @@ impl fmt::Display for Span {
     }
 }
 
+/// A number of bytes, or 0.
+fn bytes_or_none(text: &str) -> Result<Bytes, String> {
+    if text.trim() == "0" { Ok(Bytes(0)) } else { text.parse() }
+}
+
 /// The service's bounds; `HttpConfig` has what each means in full.
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Limits")]
@@ -95,8 +100,8 @@ pub(crate) struct LimitFlags {
     #[arg(long, value_name = "BYTES", default_value = "64MiB", env = "TCGS_VIEW_CACHE")]
     view_cache: Bytes,
 
-    /// Free room on the data folder's disk below which the service is not ready
-    #[arg(long, value_name = "BYTES", default_value = "512MiB", env = "TCGS_MIN_FREE_SPACE")]
+    /// Free room on the data folder's disk below which the service is not ready; 0 for no such bound
+    #[arg(long, value_name = "BYTES", default_value = "512MiB", env = "TCGS_MIN_FREE_SPACE", value_parser = bytes_or_none)]
     min_free_space: Bytes,
 
     /// How long /readyz already fails on a stop before connections are refused, so that a proxy can look elsewhere
@@ -180,6 +185,7 @@ mod tests {
         assert_eq!(set("--view-cache", "6MiB").view_cache_bytes, 6 << 20);
         assert_eq!(set("--body-rate", "7").body_rate, 7);
         assert_eq!(set("--min-free-space", "8").min_free_space, 8);
+        assert_eq!(set("--min-free-space", "0").min_free_space, 0);
     }
 
     #[test]
