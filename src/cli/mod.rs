@@ -19,6 +19,7 @@ mod limits;
 mod logging;
 mod lpips;
 mod memory;
+mod migrate;
 mod picture;
 mod pose;
 mod priority;
@@ -90,6 +91,8 @@ enum Command {
     Sample(sample::Args),
     /// Make, list and revoke the API keys of a service
     Keys(keys::Args),
+    /// Bring the database of a service up to this version
+    Migrate(migrate::Args),
     /// Show what this machine offers, and what is missing
     Doctor(doctor::Args),
 }
@@ -104,6 +107,7 @@ impl Command {
             Command::Export(args) => args.json,
             Command::Inspect(args) => args.json,
             Command::Keys(args) => args.json,
+            Command::Migrate(args) => args.json,
             Command::Doctor(args) => args.json,
             Command::Submit(args) => args.json,
             Command::Watch(args) => args.json,
@@ -142,6 +146,7 @@ impl Command {
             | Command::View(_)
             | Command::Sample(_)
             | Command::Keys(_)
+            | Command::Migrate(_)
             | Command::Doctor(_) => Verbosity::Warn,
         }
     }
@@ -163,6 +168,7 @@ impl Command {
             Command::View(args) => remote::view::run(&args),
             Command::Sample(args) => sample::run(&args),
             Command::Keys(args) => keys::run(&args),
+            Command::Migrate(args) => migrate::run(&args),
             Command::Doctor(args) => doctor::run(&args),
         }
     }

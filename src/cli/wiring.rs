@@ -5,6 +5,7 @@
 
 mod export;
 mod keys;
+mod private;
 mod service;
 
 use std::{
@@ -30,7 +31,7 @@ use tcgs::{
 use export::likeness;
 pub(crate) use export::{Baking, Packing, Quality, compare, export};
 pub(crate) use keys::{create_key, keys, revoke_key};
-pub(crate) use service::{ServeOptions, WorkerOptions, serve, worker};
+pub(crate) use service::{ServeOptions, WorkerOptions, migrate, serve, worker};
 
 use super::{Failure, files, memory::MemoryFlags};
 

@@ -8,10 +8,13 @@ mod clients;
 mod codec;
 mod container_image;
 mod context;
+mod data_folder;
 mod deployment;
 mod examples;
 mod export;
 mod first_light;
+#[cfg(target_os = "linux")]
+mod full_disk;
 mod housekeeping;
 mod http;
 mod ingest;

@@ -7,7 +7,7 @@ use tcgs::{
     store::{KeyRecord, Keys as _, NewKey, SqliteStore, StoreError},
 };
 
-use super::service::{open, runtime, unavailable};
+use super::service::{OlderSchema, open_store, runtime, unavailable};
 use crate::cli::Failure;
 
 /// Keys of a page of the list.
@@ -54,7 +54,8 @@ fn with_store<T>(
     work: impl AsyncFnOnce(&SqliteStore) -> Result<T, StoreError>,
 ) -> Result<T, Failure> {
     runtime()?.block_on(async {
-        let (store, _) = open(data).await?;
+        // A service of another version may be using it.
+        let store = open_store(data, KeyLimits::default(), OlderSchema::Refuse).await?;
         let outcome = work(&store).await;
         store.close().await;
         outcome.map_err(|fault| unavailable(&fault))

@@ -23,7 +23,7 @@ use tcgs::{
     ingest,
     render::{RenderViews, views::Viewable},
     store::{
-        Blobs, Keys as _, QueuePolicy, SqliteStore,
+        Blobs, Keys as _, QueuePolicy, SchemaChange, SqliteStore,
         housekeeping::{HousekeepingPolicy, keep_house},
     },
     webhooks::{self, DeliveryConfig, Sender},
@@ -32,7 +32,7 @@ use tcgs::{
 use tokio::runtime::Runtime;
 use tokio_util::sync::CancellationToken;
 
-use super::Renderer;
+use super::{Renderer, private};
 use crate::cli::{Failure, files, logging::Format};
 
 /// Name of the database in the data folder.
@@ -98,7 +98,9 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
         let roots = webhook_roots(options.webhook_roots.as_deref())?;
         let (renderer, _) = super::views(&options.adapter, options.view_memory)?;
         let listeners = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
-        let (store, blobs) = open_with(&options.data, options.limits).await?;
+        let store = open_store(&options.data, options.limits, OlderSchema::Migrate).await?;
+        let blobs = open_blobs(&options.data)?;
+        private::close_all(&options.data);
         let shutdown = stop_on_signals()?;
 
         let mut children = supervise::SuperviseConfig::this_program(
@@ -170,7 +172,9 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
     let outcome = runtime.block_on(async {
         let lpips = super::lpips(options.lpips.as_deref())?;
         let runner = super::job_runner(&options.adapter, options.memory, options.data.clone(), lpips);
-        let (store, blobs) = open(&options.data).await?;
+        // A service whose worker this is has brought the schema up to date; one of another version is left alone.
+        let store = open_store(&options.data, KeyLimits::default(), OlderSchema::Refuse).await?;
+        let blobs = open_blobs(&options.data)?;
         let shutdown = stop_on_signals()?;
         if options.stop_with_parent {
             worker::stop_when_stdin_closes(shutdown.clone()).map_err(|fault| unavailable(&fault))?;
@@ -186,20 +190,50 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
     outcome
 }
 
-pub(super) async fn open(data: &Path) -> Result<(Arc<SqliteStore>, Blobs), Failure> {
-    open_with(data, KeyLimits::default()).await
+/// Brings the schema of the database in a data folder up to date.
+pub(crate) fn migrate(data: &Path) -> Result<SchemaChange, Failure> {
+    runtime()?.block_on(async {
+        private_folder(data)?;
+        let database = data.join(DATABASE);
+        let migrated = SqliteStore::migrate(&database, Arc::new(SystemClock), QueuePolicy::default()).await;
+        let (store, change) = migrated.map_err(|fault| unavailable(&fault))?;
+        store.close().await;
+        Ok(change)
+    })
 }
 
-/// The same, with limits for keys that have none of their own.
-async fn open_with(data: &Path, limits: KeyLimits) -> Result<(Arc<SqliteStore>, Blobs), Failure> {
-    fs::create_dir_all(data).map_err(|fault| Failure::unwritable(data, &fault))?;
-    let database = data.join(DATABASE);
+/// What is done with a database that an earlier version has made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum OlderSchema {
+    Migrate,
+    Refuse,
+}
+
+/// The database in a data folder, with limits for keys that have none of their own.
+pub(super) async fn open_store(
+    data: &Path,
+    limits: KeyLimits,
+    older: OlderSchema,
+) -> Result<Arc<SqliteStore>, Failure> {
+    private_folder(data)?;
+    let (database, clock) = (data.join(DATABASE), Arc::new(SystemClock));
     let policy = QueuePolicy { limits, ..QueuePolicy::default() };
-    let store = SqliteStore::open(&database, Arc::new(SystemClock), policy)
-        .await
-        .map_err(|fault| unavailable(&fault))?;
-    let blobs = Blobs::open(data).map_err(|fault| unavailable(&fault))?;
-    Ok((Arc::new(store), blobs))
+    let store = match older {
+        OlderSchema::Migrate => SqliteStore::open(&database, clock, policy).await,
+        OlderSchema::Refuse => SqliteStore::open_current(&database, clock, policy).await,
+    };
+    store.map(Arc::new).map_err(|fault| unavailable(&fault))
+}
+
+fn open_blobs(data: &Path) -> Result<Blobs, Failure> {
+    Blobs::open(data).map_err(|fault| unavailable(&fault))
+}
+
+/// Makes the folder, and sees to it that nobody else can read what it holds.
+fn private_folder(data: &Path) -> Result<(), Failure> {
+    private::create(data).map_err(|fault| Failure::unwritable(data, &fault))?;
+    private::close(data, &["", "-wal", "-shm", ".lock"].map(|suffix| format!("{DATABASE}{suffix}")));
+    Ok(())
 }
 
 /// The authorities in a file, if one is named.
@@ -214,7 +248,7 @@ async fn has_keys(data: &Path) -> Result<bool, Failure> {
     if !data.join(DATABASE).exists() {
         return Ok(false);
     }
-    let (store, _) = open(data).await?;
+    let store = open_store(data, KeyLimits::default(), OlderSchema::Migrate).await?;
     let has_keys = store.has_keys().await.map_err(|fault| unavailable(&fault))?;
     store.close().await;
     Ok(has_keys)
