@@ -21,7 +21,7 @@ const METRICS: &str = r#"{
 }"#;
 
 /// Adds the keys and the jobs of the first of them.
-pub async fn write(path: &Path, busy: KeyId, quiet: KeyId, jobs: usize) {
+pub(crate) async fn write(path: &Path, busy: KeyId, quiet: KeyId, jobs: usize) {
     // What a crash would lose can be made again.
     let options = SqliteConnectOptions::new().filename(path).synchronous(SqliteSynchronous::Off);
     let mut database = SqliteConnection::connect_with(&options).await.unwrap();
