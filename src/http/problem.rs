@@ -76,7 +76,7 @@ impl Fault {
             StatusCode::INSUFFICIENT_STORAGE,
             "storage-full",
             "Storage full",
-            "there is no room left for the file; the operator must make some",
+            "there is no room left on the server's disk, and nothing was kept; try again when the operator has made some",
         )
     }
 
@@ -152,6 +152,10 @@ impl From<Problem> for Fault {
 
 impl From<StoreError> for Fault {
     fn from(error: StoreError) -> Self {
+        if error.is_disk_full() {
+            tracing::error!(error = &error as &dyn std::error::Error, "no room left for the database: {error}");
+            return Self::storage_full();
+        }
         if error.is_transient() {
             tracing::warn!(error = &error as &dyn std::error::Error, "the database is busy: {error}");
             return Self::busy("the database is busy");
@@ -176,7 +180,7 @@ impl From<BlobError> for Fault {
     fn from(error: BlobError) -> Self {
         match error {
             BlobError::TooLarge { limit } => Self::too_large(limit),
-            error if error.is_storage_full() => {
+            error if error.is_disk_full() => {
                 tracing::error!(error = &error as &dyn std::error::Error, "no room left: {error}");
                 Self::storage_full()
             }

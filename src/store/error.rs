@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::Remembered;
+use super::{Remembered, is_disk_full};
 use crate::domain::{JobId, SceneId};
 
 /// A fault of the job table.
@@ -66,18 +66,33 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Whether the same call may succeed a moment later: the database was busy or out of connections.
+    /// Whether there is no room left for the database. Nothing was written, and the same call may succeed once there is room.
+    #[must_use]
+    pub fn is_disk_full(&self) -> bool {
+        is_disk_full(self)
+    }
+
+    /// Whether the same call may succeed a moment later: the database was busy, out of connections, or its file could not be read or
+    /// written. A full disk ([`StoreError::is_disk_full`]) is told apart, since somebody has to make room first.
     #[must_use]
     pub fn is_transient(&self) -> bool {
         let StoreError::Database(error) = self else { return false };
         match error {
-            sqlx::Error::PoolTimedOut | sqlx::Error::Io(_) => true,
-            // Primary result codes 5 (SQLITE_BUSY) and 6 (SQLITE_LOCKED), in the low byte of extended codes.
-            sqlx::Error::Database(error) => error
-                .code()
-                .and_then(|code| code.parse::<u32>().ok())
-                .is_some_and(|code| matches!(code & 0xff, 5 | 6)),
-            _ => false,
+            sqlx::Error::PoolTimedOut | sqlx::Error::Io(_) | sqlx::Error::WorkerCrashed => !self.is_disk_full(),
+            error => result_code(error).is_some_and(|code| {
+                matches!(code & 0xff, BUSY | LOCKED | IOERR | CANTOPEN) && !self.is_disk_full()
+            }),
         }
     }
+}
+
+/// SQLite's primary result codes, in the low byte of extended ones.
+const BUSY: u32 = 5;
+const LOCKED: u32 = 6;
+const IOERR: u32 = 10;
+const CANTOPEN: u32 = 14;
+
+/// SQLite's extended result code.
+pub(super) fn result_code(error: &sqlx::Error) -> Option<u32> {
+    error.as_database_error()?.code()?.parse().ok()
 }

@@ -14,6 +14,7 @@
 
 mod accounts;
 pub mod blobs;
+mod disk_full;
 mod error;
 mod exports;
 mod figures;
@@ -33,6 +34,7 @@ use futures_util::future::BoxFuture;
 
 pub use accounts::{Accounts, Usage};
 pub use blobs::{BlobError, Blobs, Staged, Staging, UploadFile};
+pub use disk_full::is_disk_full;
 pub use error::StoreError;
 pub use exports::{ExportRecord, Exports, FileRecord, Likeness};
 pub use figures::{AttemptCount, Figures, Overview};

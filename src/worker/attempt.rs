@@ -383,7 +383,7 @@ fn panic_text(panic: &(dyn Any + Send)) -> &str {
 
 fn blob_problem(error: &BlobError) -> Problem {
     tracing::error!(error = error as &dyn std::error::Error, "{error}");
-    if error.is_storage_full() {
+    if error.is_disk_full() {
         return Problem::new(
             507,
             "storage-full",
