@@ -153,7 +153,10 @@ impl From<Problem> for Fault {
 impl From<StoreError> for Fault {
     fn from(error: StoreError) -> Self {
         if error.is_disk_full() {
-            tracing::error!(error = &error as &dyn std::error::Error, "no room left for the database: {error}");
+            tracing::error!(
+                error = &error as &dyn std::error::Error,
+                "no room left for the database: {error}"
+            );
             return Self::storage_full();
         }
         if error.is_transient() {
@@ -171,6 +174,7 @@ impl From<StoreError> for Fault {
                     .with(header::RETRY_AFTER, RETRY_WHEN_A_JOB_ENDS.into())
             }
             StoreError::NoScene(id) => Self::no_scene(id),
+            StoreError::PriorityTooHigh { .. } => Self::parameter("priority", error),
             error => Self::internal(&error),
         }
     }

@@ -12,6 +12,7 @@ mod figures;
 mod idempotency;
 mod keys;
 mod lifecycle;
+mod priority;
 mod queue;
 mod rows;
 mod scenes;
@@ -114,6 +115,10 @@ impl SqliteStore {
         let limits = self.policy.limits;
         accounts::admit_job(tx, limits.max_active_jobs, new.owner).await?;
         accounts::admit_blob(tx, limits.max_bytes, new.owner, new.dataset).await?;
+        // A job that repeats another has the priority that was admitted then.
+        if new.retry_of.is_none() {
+            priority::admit(tx, limits.max_priority, new.owner, new.priority).await?;
+        }
         if let Some(scene) = new.scene {
             let known = sqlx::query("SELECT 1 FROM scenes WHERE id = ?").bind(scene.to_string());
             if known.fetch_optional(&mut *tx).await?.is_none() {
