@@ -66,7 +66,7 @@ async fn lose(
     Ok(lost.len() as u64)
 }
 
-/// Gives the next job to `worker`.
+/// Gives the next job to `worker`. The plus keeps SQLite from counting through all jobs that an owner ever had.
 pub(super) async fn claim(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
@@ -77,8 +77,12 @@ pub(super) async fn claim(
         "UPDATE jobs SET state = 'running', phase = 'ingest', progress = ?, attempt = attempt + 1,
              charged = charged + 1, lease_owner = ?, lease_until = ?, started_at = ?, progress_event_at = NULL,
              version = version + 1
-         WHERE id = (SELECT id FROM jobs WHERE state = 'queued' AND run_after <= ?
-                     ORDER BY priority DESC, created_at, id LIMIT 1)
+         WHERE id = (SELECT waiting.id FROM jobs AS waiting
+                     WHERE waiting.state = 'queued' AND waiting.run_after <= ?
+                     ORDER BY waiting.priority DESC,
+                         (SELECT COUNT(*) FROM jobs AS busy WHERE busy.state = 'running' AND +busy.owner IS waiting.owner),
+                         waiting.created_at, waiting.id
+                     LIMIT 1)
          RETURNING id, attempt, dataset, options, retry_of, from_checkpoint",
     )
     .bind(text(&Progress::default())?)
