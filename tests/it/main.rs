@@ -24,6 +24,7 @@ mod memory;
 mod migrations;
 mod neural;
 mod plain;
+mod power_cuts;
 mod primitives;
 mod priority;
 mod queue;

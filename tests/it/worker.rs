@@ -11,7 +11,7 @@ use std::{
 use serde_json::{Value, json};
 use tcgs::{
     domain::{JobState, SystemClock},
-    store::{AttemptOutcome, Blobs, NewJob, Repeat, SqliteStore, Store},
+    store::{AttemptOutcome, Blobs, Death, NewJob, Repeat, SqliteStore, Store},
     worker::{
         self, WorkerConfig, WorkerError,
         supervise::{Census, SuperviseConfig, supervise},
@@ -206,7 +206,7 @@ async fn a_worker_that_lost_its_lease_drops_the_result_and_goes_on() {
     workshop.start(quick_worker("w"));
     let id = workshop.add("gate").await;
     workshop.runner.gate.someone_waits().await;
-    assert_eq!(workshop.store.expire_worker("w").await.expect("taken"), 1);
+    assert_eq!(workshop.store.expire_worker("w", Death::Alone).await.expect("taken"), 1);
     // Another worker takes it while the first still runs, and is interrupted.
     let other = workshop.store.claim("other").await.expect("a claim").expect("the job").lease;
     workshop.runner.gate.open();

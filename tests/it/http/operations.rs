@@ -56,7 +56,6 @@ pub(super) async fn metrics_tell_of_requests_jobs_and_the_machine(coverage: Cove
     let running = store.claim("test").await.expect("an answer").expect("a job");
     let progress = tcgs::domain::Progress { steps_per_second: Some(12.5), ..Default::default() };
     store.report(&running.lease, Phase::Train, &progress).await.expect("reported");
-    store.expire_worker("nobody").await.expect("an answer");
     server.get(&first).await.expect(200);
 
     let text = metrics(&server).await;

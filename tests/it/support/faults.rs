@@ -4,16 +4,19 @@ mod keys;
 mod series;
 mod webhooks;
 
-use std::sync::{Arc, Mutex};
+use std::{
+    io,
+    sync::{Arc, Mutex},
+};
 
 use jiff::Timestamp;
 use tcgs::{
     domain::{Digest, Event, JobId, JobState, KeyId, Phase, Progress, SceneId, UploadId},
     store::{
-        Accounts, Answer, AttemptRecord, Cancellation, Claim, Deletion, ExportRecord, Exports, Figures,
-        FileRecord, Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewJob, NewScene, NewUpload,
-        Outcome, Overview, PageKey, Remembered, Repeat, Repetition, SceneCreation, SceneDeletion, ScenePage,
-        SceneRecord, Scenes, Store, StoreError, UploadRecord, Uploads, Usage,
+        Accounts, Answer, AttemptRecord, Cancellation, Claim, Death, Deletion, ExportRecord, Exports,
+        Figures, FileRecord, Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewJob, NewScene,
+        NewUpload, Outcome, Overview, PageKey, Remembered, Repeat, Repetition, SceneCreation, SceneDeletion,
+        ScenePage, SceneRecord, Scenes, Store, StoreError, UploadRecord, Uploads, Usage,
     },
 };
 
@@ -24,6 +27,8 @@ pub enum Failing {
     Busy,
     /// Like one that is gone.
     Gone,
+    /// Like one on a full disk.
+    Full,
     /// Not at all, but a newer program has changed the schema.
     Migrated,
 }
@@ -49,6 +54,7 @@ impl FaultStore {
             None | Some(Failing::Migrated) => return answer,
             Some(Failing::Busy) => sqlx::Error::PoolTimedOut,
             Some(Failing::Gone) => sqlx::Error::PoolClosed,
+            Some(Failing::Full) => sqlx::Error::Io(io::ErrorKind::StorageFull.into()),
         };
         Box::pin(async move { Err(StoreError::Database(error)) })
     }
@@ -138,8 +144,11 @@ impl Store for FaultStore {
     fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> Answer<'a, JobState> {
         self.guard(self.inner.finish(lease, outcome))
     }
-    fn expire_worker<'a>(&'a self, worker: &'a str) -> Answer<'a, u64> {
-        self.guard(self.inner.expire_worker(worker))
+    fn expire_worker<'a>(&'a self, worker: &'a str, death: Death) -> Answer<'a, u64> {
+        self.guard(self.inner.expire_worker(worker, death))
+    }
+    fn expire_leases(&self) -> Answer<'_, u64> {
+        self.guard(self.inner.expire_leases())
     }
     fn ping(&self) -> Answer<'_, ()> {
         self.guard(self.inner.ping())
