@@ -82,7 +82,7 @@ async fn attempt_at(context: &Context, claim: Claim, shutdown: &CancellationToke
     let cancel = CancelFlag::default();
     let (progress, watched) = watch::channel((Phase::Ingest, Progress::default()));
     let points = Points::default();
-    let checkpoints = checkpoints::of_job(context.config.checkpoints.as_deref(), lease.job, adopts);
+    let checkpoints = checkpoints::of_attempt(context.config.checkpoints.as_deref(), &lease, adopts);
     let run = Run { dataset, options, checkpoints, cancel: cancel.clone() };
     let result = match start(context, &lease, run, progress, points.clone()) {
         Ok(result) => result,

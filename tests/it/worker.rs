@@ -149,8 +149,8 @@ async fn a_job_that_repeats_another_goes_on_from_its_checkpoint() {
     workshop.start(config());
     let failed = workshop.add("fail").await;
     let folder = |job: tcgs::domain::JobId| root.join(job.to_string());
-    std::fs::create_dir_all(folder(failed)).expect("made");
-    std::fs::write(folder(failed).join("checkpoint.safetensors"), b"state").expect("written");
+    std::fs::create_dir_all(folder(failed).join("attempt-1")).expect("made");
+    std::fs::write(folder(failed).join("attempt-1/checkpoint.safetensors"), b"state").expect("written");
     workshop.reaches(failed, JobState::Failed).await;
     let repeat = |from_checkpoint| {
         let id = tcgs::domain::JobId(Uuid::now_v7());
@@ -166,7 +166,7 @@ async fn a_job_that_repeats_another_goes_on_from_its_checkpoint() {
     assert!(folder(failed).exists() && !folder(fresh).exists(), "it was not to be used");
     let adopting = repeat(true).await;
     workshop.reaches(adopting, JobState::Failed).await;
-    let state = std::fs::read(folder(adopting).join("checkpoint.safetensors")).expect("moved");
+    let state = std::fs::read(folder(adopting).join("attempt-1/checkpoint.safetensors")).expect("moved");
     assert_eq!(state, b"state");
     assert!(!folder(failed).exists());
     let second = repeat(true).await;
