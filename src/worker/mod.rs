@@ -22,6 +22,7 @@ mod presence;
 pub mod run;
 pub mod scene_file;
 mod steps;
+mod storage;
 pub mod supervise;
 
 use std::{path::PathBuf, time::Duration};

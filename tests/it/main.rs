@@ -12,6 +12,7 @@ mod deployment;
 mod examples;
 mod export;
 mod first_light;
+mod held;
 mod housekeeping;
 mod http;
 mod ingest;

@@ -25,12 +25,17 @@ use uuid::Uuid;
 use crate::support::{
     contract::Coverage,
     fakes::FakeRunner,
-    faults::Failing,
+    faults::{Failing, FaultStore},
     server::{Server, quick_policy, quick_worker},
 };
 
 /// Where the child of the supervisor tests finds its data.
 const CHILD_DATA: &str = "TCGS_TEST_CHILD_DATA";
+
+/// What a future comes to, which must be within a time that nothing here takes.
+async fn within<T>(future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(Duration::from_secs(120), future).await.expect("it comes to an end")
+}
 
 struct Workshop {
     store: Arc<dyn Store>,
@@ -48,7 +53,11 @@ impl Workshop {
     }
 
     fn start(&self, config: WorkerConfig) -> JoinHandle<Result<(), WorkerError>> {
-        let (store, blobs) = (Arc::clone(&self.store), self.blobs.clone());
+        self.start_on(Arc::clone(&self.store), config)
+    }
+
+    fn start_on(&self, store: Arc<dyn Store>, config: WorkerConfig) -> JoinHandle<Result<(), WorkerError>> {
+        let blobs = self.blobs.clone();
         let runner = Arc::new(self.runner.clone());
         tokio::spawn(worker::serve(store, blobs, runner, config, self.shutdown.clone()))
     }
@@ -61,14 +70,17 @@ impl Workshop {
     }
 
     async fn reaches(&self, id: tcgs::domain::JobId, state: JobState) -> tcgs::domain::Job {
-        loop {
-            let job = self.store.job(id).await.expect("read").expect("known").job;
-            if job.state == state {
-                return job;
+        let reached = async {
+            loop {
+                let job = self.store.job(id).await.expect("read").expect("known").job;
+                if job.state == state {
+                    return job;
+                }
+                assert!(!job.state.is_terminal(), "the job can no longer become {state:?}: {job:?}");
+                tokio::time::sleep(Duration::from_millis(2)).await;
             }
-            assert!(!job.state.is_terminal(), "the job can no longer become {state:?}: {job:?}");
-            tokio::time::sleep(Duration::from_millis(2)).await;
-        }
+        };
+        within(reached).await
     }
 
     async fn outcomes(&self, id: tcgs::domain::JobId) -> Vec<Option<AttemptOutcome>> {
@@ -233,6 +245,51 @@ async fn a_short_outage_of_the_database_does_not_cost_the_run() {
     server.store.set(None);
     let done = server.reaches(&job, "succeeded").await;
     assert_eq!(done["attempt"], 1);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_job_for_which_there_is_no_room_is_held_until_there_is_some() {
+    let workshop = Workshop::new().await;
+    workshop.start(quick_worker("w"));
+    let id = workshop.add("hold").await;
+    // More often than a job may fail.
+    let held = async {
+        while workshop.outcomes(id).await.len() < 7 {
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+    };
+    within(held).await;
+    workshop.runner.gate.open();
+    workshop.reaches(id, JobState::Succeeded).await;
+    let mut attempts = workshop.store.attempts(id).await.expect("read");
+    assert_eq!(attempts.pop().expect("one").outcome, Some(AttemptOutcome::Succeeded));
+    for attempt in attempts {
+        assert_eq!(attempt.outcome, Some(AttemptOutcome::Released));
+        let cause = attempt.cause.expect("a cause");
+        assert_eq!(cause.kind, "urn:tcgs:problem:storage-full");
+        assert!(
+            cause.detail.contains("goes on once there is room") && !cause.detail.contains("/srv"),
+            "{cause}"
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_disk_that_is_full_for_longer_than_a_lease_does_not_cost_the_run() {
+    let workshop = Workshop::new().await;
+    let store = Arc::new(FaultStore::new(Arc::clone(&workshop.store)));
+    let lease = Duration::from_millis(40);
+    workshop.start_on(Arc::clone(&store) as Arc<dyn Store>, WorkerConfig { lease, ..quick_worker("w") });
+    let id = workshop.add("gate").await;
+    within(workshop.runner.gate.someone_waits()).await;
+    store.set(Some(Failing::Full));
+    // Heartbeats and reports fail for longer than the lease lasts, and so does the end of the attempt.
+    tokio::time::sleep(5 * lease).await;
+    workshop.runner.gate.open();
+    tokio::time::sleep(5 * lease).await;
+    store.set(None);
+    let job = workshop.reaches(id, JobState::Succeeded).await;
+    assert_eq!(job.attempt, 1);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -18,4 +18,5 @@ pub mod server;
 pub mod service;
 pub mod sh;
 pub mod shared;
+pub mod small_disk;
 pub mod sse;
