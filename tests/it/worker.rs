@@ -490,19 +490,34 @@ async fn a_child_that_will_not_go_is_killed() {
     assert!(census.living().is_empty());
 }
 
+#[cfg(unix)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_program_that_does_not_start_is_tried_again_and_does_not_end_the_api() {
+    use std::os::unix::fs::PermissionsExt as _;
+
     let workshop = Workshop::new().await;
-    let mut config = SuperviseConfig::program("/nowhere/tcgs".into(), Vec::new(), 1);
+    let program = workshop.data.path().join("late.sh");
+    let mut config = SuperviseConfig::program(program.clone(), Vec::new(), 1);
     config.backoff_base = Duration::from_millis(1);
+    config.grace = Duration::from_millis(10);
     let supervisor = supervise(config, Arc::clone(&workshop.store), workshop.shutdown.clone());
     let census = supervisor.census();
-    tokio::time::sleep(Duration::from_millis(20)).await;
-    assert!(census.living().is_empty());
-    let api = api(&workshop, census);
-    assert_eq!(answer(&api, "/readyz").await.0, 200);
+    let api = api(&workshop, census.clone());
+    let ready = async || {
+        let (status, ready) = answer(&api, "/readyz").await;
+        assert_eq!(status, 200);
+        ready["workers"].clone()
+    };
+    assert_eq!(ready().await, json!({ "expected": 1, "alive": 0 }));
+    // Written elsewhere first: a file that is open for writing cannot be run.
+    let draft = workshop.data.path().join("draft.sh");
+    std::fs::write(&draft, "#!/bin/sh\nexec sleep 1000\n").expect("written");
+    std::fs::set_permissions(&draft, std::fs::Permissions::from_mode(0o700)).expect("made a program");
+    std::fs::rename(&draft, &program).expect("in its place");
+    within(one_living(&census, 0)).await;
+    assert_eq!(ready().await, json!({ "expected": 1, "alive": 1 }));
     workshop.shutdown.cancel();
-    supervisor.stopped().await;
+    within(supervisor.stopped()).await;
 }
 
 /// The API as `serve` would wire it, over the workshop's store and a supervisor's census.
