@@ -59,6 +59,11 @@ struct CreateArgs {
     /// Requests that it may send in a minute; the service's default if absent
     #[arg(long, value_name = "N")]
     requests_per_minute: Option<NonZeroU32>,
+
+    /// Highest priority that its jobs may have, -100 to 100; the service's default if absent. Keys with the scope admin have no
+    /// such ceiling
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    max_priority: Option<i32>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -82,6 +87,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
                 max_bytes: create.max_bytes.map(|bytes| bytes.0),
                 max_active_jobs: create.max_active_jobs,
                 requests_per_minute: create.requests_per_minute,
+                max_priority: create.max_priority,
             };
             let (record, key) = wiring::create_key(&args.data, &create.name, &create.scopes, limits)?;
             let text = format!(

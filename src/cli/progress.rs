@@ -136,6 +136,7 @@ mod tests {
             loss: Some(0.041_23),
             psnr: Some(24.317),
             bytes: Some(152_340),
+            checkpoint_step: 0,
         }
     }
 

@@ -3,7 +3,7 @@
 use std::{net::SocketAddr, num::NonZeroU32, path::PathBuf};
 
 use tcgs::{
-    domain::{Bytes, KeyLimits, OutboundPolicy},
+    domain::{Bytes, DEFAULT_MAX_PRIORITY, KeyLimits, MAX_PRIORITY, OutboundPolicy},
     http::config::AccessRules,
 };
 
@@ -53,6 +53,17 @@ pub(crate) struct Args {
     /// Jobs that such a key may have queued or running at a time; not bounded if absent
     #[arg(long, value_name = "N", env = "TCGS_MAX_ACTIVE_JOBS")]
     max_active_jobs: Option<u32>,
+
+    /// Highest priority that the jobs of such a key may have
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = DEFAULT_MAX_PRIORITY,
+        allow_negative_numbers = true,
+        value_parser = clap::value_parser!(i32).range(-i64::from(MAX_PRIORITY)..=i64::from(MAX_PRIORITY)),
+        env = "TCGS_MAX_PRIORITY"
+    )]
+    max_priority: i32,
 
     #[command(flatten)]
     storage: StorageFlags,
@@ -107,6 +118,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
             max_bytes: args.max_bytes.map(|bytes| bytes.0),
             max_active_jobs: args.max_active_jobs,
             requests_per_minute: args.requests_per_minute,
+            max_priority: Some(args.max_priority),
         },
         data,
         adapter: args.adapter.adapter,

@@ -171,7 +171,9 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
         JobFailure::Fail(problem) if reached == Phase::Ingest && problem.file.is_none() => {
             Failure::Problem(problem.in_file(args.dataset.display().to_string()))
         }
-        JobFailure::Fail(problem) | JobFailure::Retry(problem) => Failure::Problem(problem),
+        JobFailure::Fail(problem) | JobFailure::Retry(problem) | JobFailure::Hold(problem) => {
+            Failure::Problem(problem)
+        }
         JobFailure::Cancelled => Failure::Stopped,
     })?;
     files::write(&args.output, &output.file)?;

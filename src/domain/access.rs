@@ -53,7 +53,7 @@ impl FromStr for Scope {
     }
 }
 
-/// How much a key's holder may take; what is absent is not bounded.
+/// How much a key's holder may take; what is absent is not bounded, but for the priority.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeyLimits {
     /// Bytes that its scenes, uploads and jobs may keep in storage.
@@ -62,7 +62,16 @@ pub struct KeyLimits {
     pub max_active_jobs: Option<u32>,
     /// Requests in a minute; as many may come at once.
     pub requests_per_minute: Option<NonZeroU32>,
+    /// Highest priority of its jobs. Where it is absent, [`DEFAULT_MAX_PRIORITY`].
+    pub max_priority: Option<i32>,
 }
+
+/// Highest priority of the jobs of a key that neither has a ceiling of its own nor is an administrator's: its jobs take their turn,
+/// or stand back.
+pub const DEFAULT_MAX_PRIORITY: i32 = 0;
+
+/// Highest priority of any job, and the lowest with the other sign.
+pub const MAX_PRIORITY: i32 = 100;
 
 impl KeyLimits {
     /// These limits, and those of `default` where there are none.
@@ -72,6 +81,7 @@ impl KeyLimits {
             max_bytes: self.max_bytes.or(default.max_bytes),
             max_active_jobs: self.max_active_jobs.or(default.max_active_jobs),
             requests_per_minute: self.requests_per_minute.or(default.requests_per_minute),
+            max_priority: self.max_priority.or(default.max_priority),
         }
     }
 }

@@ -1,6 +1,9 @@
 //! Time is asked of a [`Clock`] that the caller hands in, so tests decide what time it is.
 
-use std::sync::Mutex;
+use std::{
+    sync::{LazyLock, Mutex, PoisonError},
+    time::{Duration, Instant},
+};
 
 use jiff::{SignedDuration, Timestamp};
 
@@ -8,7 +11,13 @@ use jiff::{SignedDuration, Timestamp};
 pub trait Clock: Send + Sync + 'static {
     /// The current instant.
     fn now(&self) -> Timestamp;
+
+    /// Time since some moment in the life of this process, which setting the clock does not change.
+    fn elapsed(&self) -> Duration;
 }
+
+/// The moment that [`SystemClock::elapsed`] counts from.
+static BEGIN: LazyLock<Instant> = LazyLock::new(Instant::now);
 
 /// The machine's clock.
 #[derive(Debug, Clone, Copy, Default)]
@@ -19,28 +28,52 @@ impl Clock for SystemClock {
     fn now(&self) -> Timestamp {
         Timestamp::now()
     }
+
+    fn elapsed(&self) -> Duration {
+        BEGIN.elapsed()
+    }
 }
 
 /// A clock that moves only when told to.
 #[derive(Debug)]
-pub struct ManualClock(Mutex<Timestamp>);
+pub struct ManualClock(Mutex<Reading>);
+
+#[derive(Debug, Clone, Copy)]
+struct Reading {
+    now: Timestamp,
+    elapsed: Duration,
+}
 
 impl ManualClock {
     /// A clock that stands at `start`.
     #[must_use]
     pub fn new(start: Timestamp) -> Self {
-        Self(Mutex::new(start))
+        Self(Mutex::new(Reading { now: start, elapsed: Duration::ZERO }))
     }
 
-    /// Moves the clock forward.
+    /// Lets time pass; none passes by less than nothing.
     pub fn advance(&self, by: SignedDuration) {
-        let mut now = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        *now += by;
+        self.set_by(by);
+        let mut reading = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        reading.elapsed += Duration::try_from(by).unwrap_or_default();
+    }
+
+    /// Sets the clock forward or back, in no time.
+    pub fn set_by(&self, by: SignedDuration) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).now += by;
+    }
+
+    fn read(&self) -> Reading {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Clock for ManualClock {
     fn now(&self) -> Timestamp {
-        *self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+        self.read().now
+    }
+
+    fn elapsed(&self) -> Duration {
+        self.read().elapsed
     }
 }

@@ -37,7 +37,7 @@ pub mod view;
 pub mod webhook;
 pub mod webhook_secret;
 
-pub use access::{Caller, KeyLimits, Scope};
+pub use access::{Caller, DEFAULT_MAX_PRIORITY, KeyLimits, MAX_PRIORITY, Scope};
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
 pub use clock::{Clock, ManualClock, SystemClock};

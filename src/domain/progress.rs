@@ -51,6 +51,9 @@ pub struct Progress {
     pub psnr: Option<f64>,
     /// Bytes that the file would about have, once training measures them.
     pub bytes: Option<u64>,
+    /// Step of the newest checkpoint, 0 before the first. For the queue alone: it shows whether an attempt got any further.
+    #[serde(skip)]
+    pub checkpoint_step: u64,
 }
 
 /// Set once by whoever wants the work to stop; read by whoever does it.

@@ -5,11 +5,10 @@ use jiff::{SignedDuration, Timestamp};
 use serde_json::{Map, Value};
 
 use super::{problem::Fault, query::Parameters};
-use crate::domain::{OptionError, SceneId, TrainOptions};
+use crate::domain::{MAX_PRIORITY, OptionError, SceneId, TrainOptions};
 
 /// Longest time that a job may be given, in seconds.
 const MAX_DEADLINE: u32 = 366 * 24 * 3600;
-const MAX_PRIORITY: i32 = 100;
 /// Characters of an unknown name that are said again.
 const LONGEST_NAME: usize = 100;
 

@@ -32,6 +32,7 @@ struct Wish {
     max_bytes: Option<u64>,
     max_active_jobs: Option<u32>,
     requests_per_minute: Option<NonZeroU32>,
+    max_priority: Option<i32>,
 }
 
 #[derive(Serialize)]
@@ -59,11 +60,15 @@ pub(super) async fn create(
         max_bytes: wish.max_bytes,
         max_active_jobs: wish.max_active_jobs,
         requests_per_minute: wish.requests_per_minute,
+        max_priority: wish.max_priority,
     };
     let services = state.services();
     let drawn = NewKey::draw(&*services.entropy, services.clock.now(), &wish.name, &wish.scopes, limits);
     let (new, key) = drawn.map_err(|error| match error {
-        NewKeyError::Name | NewKeyError::NoScopes | NewKeyError::MaxBytes(_) => invalid(&error),
+        NewKeyError::Name
+        | NewKeyError::NoScopes
+        | NewKeyError::MaxBytes(_)
+        | NewKeyError::MaxPriority(_) => invalid(&error),
         NewKeyError::Entropy(error) => Fault::internal(&error),
     })?;
     let record = state.store().create_key(new).await?;

@@ -1,11 +1,12 @@
-//! Gives up queued jobs whose deadline has passed, also while every worker is busy or there is none.
+//! Ends what time ends, also while every worker is busy or there is none: gives up queued jobs whose deadline has passed, and takes
+//! running ones from workers that have fallen silent.
 
 use std::{sync::Arc, time::Duration};
 
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
-use crate::store::Store;
+use crate::store::{Store, StoreError};
 
 /// Looks for such jobs every so often until `shutdown`.
 pub(super) async fn give_up(store: Arc<dyn Store>, every: Duration, shutdown: CancellationToken) {
@@ -16,12 +17,20 @@ pub(super) async fn give_up(store: Arc<dyn Store>, every: Duration, shutdown: Ca
             () = shutdown.cancelled() => return,
             _ = tick.tick() => {}
         }
-        match store.give_up_overdue().await {
-            Ok(0) => {}
-            Ok(count) => tracing::info!(count, "{count} jobs are given up: their deadline has passed"),
-            Err(error) => {
-                tracing::warn!(error = &error as &dyn std::error::Error, "overdue jobs stay: {error}");
-            }
+        tell(store.give_up_overdue().await, "given up: their deadline has passed");
+        tell(store.expire_leases().await, "taken from workers that have fallen silent");
+    }
+}
+
+fn tell(done: Result<u64, StoreError>, what: &str) {
+    match done {
+        Ok(0) => {}
+        Ok(count) => tracing::info!(count, "{count} jobs are {what}"),
+        Err(error) => {
+            tracing::warn!(
+                error = &error as &dyn std::error::Error,
+                "jobs stay that were to be {what}: {error}"
+            );
         }
     }
 }

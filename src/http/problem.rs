@@ -174,6 +174,7 @@ impl From<StoreError> for Fault {
                     .with(header::RETRY_AFTER, RETRY_WHEN_A_JOB_ENDS.into())
             }
             StoreError::NoScene(id) => Self::no_scene(id),
+            StoreError::PriorityTooHigh { .. } => Self::parameter("priority", error),
             error => Self::internal(&error),
         }
     }

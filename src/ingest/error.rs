@@ -278,6 +278,9 @@ pub enum Fault {
         /// The system's words.
         error: io::Error,
     },
+    /// Whoever reads it has been told to stop.
+    #[error("the reading of the dataset was stopped")]
+    Stopped,
     /// Too many pixels in all images together.
     #[error("the images have {pixels} pixels together after downscaling; at most {limit} are accepted")]
     TooManyScenePixels {
@@ -300,6 +303,7 @@ impl Fault {
             Self::NotFound => (404, "dataset-not-found", "No such dataset"),
             Self::Io(_) => (500, "dataset-unreadable", "The dataset cannot be read"),
             Self::DecodeMemory { .. } => (507, "host-memory", "Not enough memory"),
+            Self::Stopped => (503, "reading-stopped", "The reading was stopped"),
             Self::SpillFull { .. } => (507, "storage-full", "Storage full"),
             Self::Spill { .. } => (500, "storage-failed", "Storage failed"),
             Self::NotAZip(_) => (400, "not-a-zip", "Not a zip archive"),

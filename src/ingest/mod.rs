@@ -69,7 +69,16 @@ pub fn load(path: &Path) -> Result<Dataset, Problem> {
 /// # Errors
 /// As [`load`].
 pub fn load_into(path: &Path, room: &Room) -> Result<Dataset, Problem> {
-    Ok(load_within(path, &Limits::default(), room)?)
+    Ok(load_watched(path, room, &|| true)?)
+}
+
+/// As [`load_into`]; `go_on` is asked before each image's header and again before its pixels, by whichever thread reads them; once it says no,
+/// the reading ends.
+///
+/// # Errors
+/// As [`load_within`], and [`Fault::Stopped`].
+pub fn load_watched(path: &Path, room: &Room, go_on: &(dyn Fn() -> bool + Sync)) -> Result<Dataset, Error> {
+    load_asking(path, &Limits::default(), room, go_on)
 }
 
 /// Checks a dataset as far as possible without decoding pixels: the archive, the layout, poses, cameras, points, and
@@ -86,13 +95,25 @@ pub fn check(path: &Path) -> Result<DatasetSummary, Problem> {
 /// # Errors
 /// The first fault, in the order of names.
 pub fn load_within(path: &Path, limits: &Limits, room: &Room) -> Result<Dataset, Error> {
-    let (tree, survey) = survey(Tree::open(path, limits)?, limits)?;
+    load_asking(path, limits, room, &|| true)
+}
+
+fn load_asking(
+    path: &Path,
+    limits: &Limits,
+    room: &Room,
+    go_on: &(dyn Fn() -> bool + Sync),
+) -> Result<Dataset, Error> {
+    let (tree, survey) = survey(Tree::open(path, limits)?, limits, go_on)?;
     let store = Store::new(&tree, &survey, room)?;
     // Collected before the first fault is taken, so that the same fault is reported whatever thread is faster.
     let frames: Vec<Result<Frame, Error>> = survey
         .views
         .into_par_iter()
         .map(|view| {
+            if !go_on() {
+                return Err(Fault::Stopped.into());
+            }
             let image = store.photograph(&tree, &view, limits)?;
             Ok(Frame { name: view.shot.name, camera: view.camera, image, split: view.shot.split })
         })
@@ -159,7 +180,7 @@ impl Store {
 /// # Errors
 /// The first fault, in the order of names.
 pub fn check_within(path: &Path, limits: &Limits) -> Result<DatasetSummary, Error> {
-    let (_, survey) = survey(Tree::open(path, limits)?, limits)?;
+    let (_, survey) = survey(Tree::open(path, limits)?, limits, &|| true)?;
     let count = |split| survey.views.iter().filter(|view| view.shot.split == split).count();
     let pixels = survey.views.iter().map(|view| {
         let k = view.camera.intrinsics;

@@ -96,7 +96,11 @@ impl View {
 ///
 /// # Errors
 /// The first fault by the order of names.
-pub(super) fn survey(mut tree: Tree, limits: &Limits) -> Result<(Tree, Survey), Error> {
+pub(super) fn survey(
+    mut tree: Tree,
+    limits: &Limits,
+    go_on: &(dyn Fn() -> bool + Sync),
+) -> Result<(Tree, Survey), Error> {
     let plan = match plan(&tree) {
         None if tree.enter_only_folder() => plan(&tree),
         plan => plan,
@@ -105,7 +109,10 @@ pub(super) fn survey(mut tree: Tree, limits: &Limits) -> Result<(Tree, Survey), 
     let Plan { layout, lenses, shots, points, mut notes } = plan;
 
     // Collected before the first fault is taken, so that the same fault is reported whatever thread is faster.
-    let headers: Vec<_> = shots.par_iter().map(|shot| images::header(&tree, &shot.file, limits)).collect();
+    let header = |shot: &Shot| {
+        if go_on() { images::header(&tree, &shot.file, limits) } else { Err(Fault::Stopped.into()) }
+    };
+    let headers: Vec<_> = shots.par_iter().map(header).collect();
     let mut crops = BTreeMap::new();
     let mut views = Vec::with_capacity(shots.len());
     let mut changes = Changes::default();

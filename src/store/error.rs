@@ -37,6 +37,14 @@ pub enum StoreError {
         /// How many there are.
         active: u32,
     },
+    /// A higher priority than the owner's jobs may have.
+    #[error("priority {asked} is above {most}, the highest that jobs of this key may have")]
+    PriorityTooHigh {
+        /// What was wished for.
+        asked: i32,
+        /// What there may be.
+        most: i32,
+    },
     /// The scene that a job was to be made of is deleted.
     #[error("there is no scene {0}")]
     NoScene(SceneId),

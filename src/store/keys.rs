@@ -9,7 +9,7 @@ use thiserror::Error;
 use uuid::Builder;
 
 use super::Answer;
-use crate::domain::{ApiKey, Entropy, EntropyError, KeyHash, KeyId, KeyLimits, Scope};
+use crate::domain::{ApiKey, Entropy, EntropyError, KeyHash, KeyId, KeyLimits, MAX_PRIORITY, Scope};
 
 /// Longest name of a key, in characters.
 const MAX_NAME: usize = 100;
@@ -43,6 +43,9 @@ pub enum NewKeyError {
     /// The database has no such numbers.
     #[error("max_bytes: {0} where at most 9223372036854775807 are possible")]
     MaxBytes(u64),
+    /// No job has such a priority.
+    #[error("max_priority: {0} is outside -{MAX_PRIORITY}..={MAX_PRIORITY}")]
+    MaxPriority(i32),
     /// It could not be drawn.
     #[error(transparent)]
     Entropy(#[from] EntropyError),
@@ -70,6 +73,11 @@ impl NewKey {
         }
         if let Some(bytes) = limits.max_bytes.filter(|bytes| i64::try_from(*bytes).is_err()) {
             return Err(NewKeyError::MaxBytes(bytes));
+        }
+        if let Some(priority) =
+            limits.max_priority.filter(|most| !(-MAX_PRIORITY..=MAX_PRIORITY).contains(most))
+        {
+            return Err(NewKeyError::MaxPriority(priority));
         }
         let mut tail = [0; 10];
         entropy.fill(&mut tail)?;

@@ -6,6 +6,8 @@
 //!   exactly one attempt are ever linked to it.
 //! - **Fence.** A claim raises the job's attempt number, and every write of a worker names the attempt that it
 //!   was given. If the job has moved on, nothing is written and the worker learns [`StoreError::LeaseLost`].
+//! - **Lease**: a job is taken from a worker that its supervisor saw die, or that a process has itself seen renew nothing for the
+//!   length of a lease. What the clock shows decides nothing of that.
 //! - **Events** of a job are numbered from 1 without gaps, and each is written in the transaction of the change
 //!   that it records.
 //! - **Outbox**: what webhook endpoints are to be told of a job is written in the transaction of its change of state.
@@ -21,6 +23,7 @@ mod figures;
 pub mod housekeeping;
 mod idempotency;
 mod keys;
+mod leases;
 mod policy;
 mod records;
 mod scenes;
@@ -42,8 +45,8 @@ pub use idempotency::{Idempotency, Intent, Remembered};
 pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};
 pub use policy::QueuePolicy;
 pub use records::{
-    Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat,
-    JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, Repeat, Repetition, SceneArtifact,
+    Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Death, Deletion,
+    Heartbeat, JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, Repeat, Repetition, SceneArtifact,
 };
 pub use scenes::{NewScene, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes};
 pub use series::Series;
@@ -116,9 +119,10 @@ pub trait Store:
     /// [`QueuePolicy::keep_checkpoints`] after they failed or were cancelled, by a job that repeats them.
     fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<JobId>>;
 
-    /// Takes the job of the highest priority, oldest first, whose time has come, for `worker`.
+    /// Takes for `worker` a job whose time has come: of those of the highest priority one of the owner with the fewest running
+    /// jobs, the oldest first.
     ///
-    /// Jobs whose lease has run out are taken from their workers first, so they can be claimed again here.
+    /// As [`Store::expire_leases`] first, so jobs that are taken from their workers can be claimed again here.
     fn claim<'a>(&'a self, worker: &'a str) -> Answer<'a, Option<Claim>>;
 
     /// Renews a lease and tells whether the job is to stop.
@@ -131,8 +135,12 @@ pub trait Store:
     /// Ends the attempt and returns the state that the job is in now.
     fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> Answer<'a, JobState>;
 
-    /// Takes every job from a worker that is known to be dead, as if its leases had run out, and counts them.
-    fn expire_worker<'a>(&'a self, worker: &'a str) -> Answer<'a, u64>;
+    /// Takes every job from a worker that is known to be dead, and counts them.
+    fn expire_worker<'a>(&'a self, worker: &'a str, death: Death) -> Answer<'a, u64>;
+
+    /// Takes every job from its worker whose lease has run out while this process looked, and counts them. To be called often:
+    /// what happens between two calls is not seen.
+    fn expire_leases(&self) -> Answer<'_, u64>;
 
     /// One round trip to the database.
     fn ping(&self) -> Answer<'_, ()>;

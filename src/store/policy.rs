@@ -11,9 +11,14 @@ pub struct QueuePolicy {
     pub lease: Duration,
     /// Attempts that are charged before a job fails.
     pub max_attempts: u32,
-    /// Consecutive attempts that may end without a word (killed, out of memory) before the job is held to be
-    /// what kills the worker.
+    /// Consecutive attempts whose worker alone may end without a word (killed, out of memory), with no newer checkpoint in
+    /// between, before the job is held to be what ends it.
     pub max_silent_deaths: u32,
+    /// Consecutive attempts that may end together with whoever watched their worker, with no newer checkpoint in between,
+    /// before the next one is delayed. Such a job is never given up, but it may be what ends the machine.
+    pub prompt_restarts: u32,
+    /// How long a job that is held waits until it is tried again.
+    pub hold: Duration,
     /// Delay before the second attempt; each further one doubles it.
     pub backoff_base: Duration,
     /// Longest delay between attempts.
@@ -34,6 +39,8 @@ impl Default for QueuePolicy {
             lease: Duration::from_secs(60),
             max_attempts: 3,
             max_silent_deaths: 2,
+            prompt_restarts: 3,
+            hold: Duration::from_secs(10),
             backoff_base: Duration::from_secs(10),
             backoff_cap: Duration::from_secs(600),
             progress_event_every: Duration::from_secs(5),

@@ -203,6 +203,15 @@ pub struct Heartbeat {
     pub overdue: bool,
 }
 
+/// How a worker died, as far as anybody can tell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Death {
+    /// While who watched it lived on: its job may be what ended it.
+    Alone,
+    /// With who watched it, by its hand, or unwatched. A power cut is one such end.
+    Together,
+}
+
 /// How an attempt ended, as its worker tells it.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outcome {
@@ -217,6 +226,9 @@ pub enum Outcome {
     Failed(Problem),
     /// By the machine's fault: another attempt may help.
     Retry(Problem),
+    /// For want of something that time or an operator brings, such as room on the disk. The job waits; the attempt is not
+    /// charged.
+    Held(Problem),
     /// Because somebody asked for it.
     Cancelled,
     /// Because the worker shuts down, or the job's deadline has passed; the attempt is not charged.
@@ -234,7 +246,7 @@ pub enum AttemptOutcome {
     Retried,
     /// It was stopped on request.
     Cancelled,
-    /// Its worker shut down.
+    /// It was given back without a charge: its worker shut down, or the job is held, then with a cause.
     Released,
     /// Its worker fell silent.
     Lost,

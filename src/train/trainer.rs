@@ -137,6 +137,11 @@ impl Keeper<'_> {
         self.keep.as_mut().is_some_and(|keep| keep.wants(step))
     }
 
+    /// The report, with the step of the newest checkpoint.
+    fn marked(&self, progress: Progress) -> Progress {
+        Progress { checkpoint_step: u64::from(self.kept), ..progress }
+    }
+
     /// A run without a checkpoint is better than none, so a failure is told and no more.
     fn keep(&mut self, run: &Run<'_>) {
         let step = run.state.step;
@@ -318,7 +323,7 @@ impl<'a> Run<'a> {
     ) -> Result<(), TrainError> {
         let mut keeper = Keeper { keep, kept: self.state.step };
         if self.state.step > 0 {
-            report(&self.progress(None)?);
+            report(&keeper.marked(self.progress(None)?));
         }
         while self.state.step < last {
             if cancel.is_cancelled() {
@@ -327,13 +332,18 @@ impl<'a> Run<'a> {
             }
             self.advance(&mut |step| step == last || keeper.wants(step), cancel)?;
             let step = self.state.step;
+            let mut progress = None;
             if step.is_multiple_of(REPORT_EVERY) || step == self.steps {
                 let sums = self.sums()?;
                 self.weigh()?;
-                report(&self.progress(Some(sums))?);
+                progress = Some(self.progress(Some(sums))?);
             }
+            // Before the report, which tells of it.
             if keeper.wants(step) || step == last {
                 keeper.keep(self);
+            }
+            if let Some(progress) = progress {
+                report(&keeper.marked(progress));
             }
         }
         Ok(())
@@ -485,6 +495,7 @@ impl<'a> Run<'a> {
             loss: average.map(|average| average.loss()),
             psnr: average.map(|average| average.psnr()),
             bytes: self.state.file_bytes(),
+            checkpoint_step: 0,
         })
     }
 

@@ -20,10 +20,11 @@ use super::{
     WorkerConfig, WorkerError, checkpoints,
     points::Points,
     run::{Checkpoints, JobFailure, JobOutput, RunJob},
+    storage,
 };
 use crate::{
     domain::{CancelFlag, Phase, Problem, Progress, TrainOptions},
-    store::{Artifact, ArtifactKind, BlobError, Blobs, Claim, Lease, Outcome, Store, StoreError},
+    store::{Artifact, ArtifactKind, Blobs, Claim, Lease, Outcome, Store, StoreError},
 };
 
 /// Pause between tries to write the end of an attempt.
@@ -75,19 +76,19 @@ async fn attempt_at(context: &Context, claim: Claim, shutdown: &CancellationToke
     let dataset = match context.blobs.local_file(dataset).await {
         Ok(path) => path,
         Err(error) => {
-            settle(context, &lease, Outcome::Retry(blob_problem(&error)), Instant::now()).await;
+            settle(context, &lease, storage::outcome(&error), Instant::now(), shutdown).await;
             return End::Free;
         }
     };
     let cancel = CancelFlag::default();
     let (progress, watched) = watch::channel((Phase::Ingest, Progress::default()));
     let points = Points::default();
-    let checkpoints = checkpoints::of_job(context.config.checkpoints.as_deref(), lease.job, adopts);
+    let checkpoints = checkpoints::of_attempt(context.config.checkpoints.as_deref(), &lease, adopts);
     let run = Run { dataset, options, checkpoints, cancel: cancel.clone() };
     let result = match start(context, &lease, run, progress, points.clone()) {
         Ok(result) => result,
         Err(error) => {
-            settle(context, &lease, Outcome::Retry(no_thread(&error)), Instant::now()).await;
+            settle(context, &lease, Outcome::Retry(no_thread(&error)), Instant::now(), shutdown).await;
             return End::Free;
         }
     };
@@ -107,19 +108,19 @@ async fn attempt_at(context: &Context, claim: Claim, shutdown: &CancellationToke
             if matches!(*result, Ok(Ok(_))) {
                 watch.enter_publication().await;
             }
-            conclude(context, &lease, *result, watch.stop, watch.renewed).await;
+            conclude(context, &lease, *result, watch.stop, watch.renewed, shutdown).await;
             End::Free
         }
         Waited::DrainOver => {
             tracing::warn!("job {} did not stop in time; releasing it", lease.job);
-            settle(context, &lease, Outcome::Released, watch.renewed).await;
+            settle(context, &lease, Outcome::Released, watch.renewed, shutdown).await;
             End::Free
         }
         Waited::Stalled => {
             let limit = context.config.stall_limit;
             let error = WorkerError::Stalled { job: lease.job, attempt: lease.attempt, limit };
             tracing::error!("{error}");
-            settle(context, &lease, Outcome::Retry(stalled(limit)), watch.renewed).await;
+            settle(context, &lease, Outcome::Retry(stalled(limit)), watch.renewed, shutdown).await;
             End::Stalled(error)
         }
     }
@@ -284,6 +285,10 @@ impl Watch<'_> {
     fn store_failed(&mut self, what: &str, error: &StoreError) {
         tracing::warn!(error = error as &dyn std::error::Error, "{what}: {error}");
         let gone = matches!(error, StoreError::LeaseLost { .. });
+        // Where nothing can be written, nobody else can take the job either.
+        if error.is_disk_full() {
+            return;
+        }
         // Without a database the run may go on until others may take the job.
         if gone || self.renewed.elapsed() > self.context.config.lease {
             self.stop(Stop::Lost);
@@ -291,15 +296,24 @@ impl Watch<'_> {
     }
 }
 
-async fn conclude(context: &Context, lease: &Lease, result: RunResult, stop: Stop, renewed: Instant) {
+async fn conclude(
+    context: &Context,
+    lease: &Lease,
+    result: RunResult,
+    stop: Stop,
+    renewed: Instant,
+    shutdown: &CancellationToken,
+) {
     let outcome = match (result, stop) {
         (_, Stop::Lost) => {
             tracing::warn!("job {} was lost; its result is dropped", lease.job);
-            return;
+            // If nobody has taken it, since the database was out of everybody's reach, this worker has not died.
+            Outcome::Released
         }
         (Ok(Ok(output)), _) => publish(context, output).await,
         (Ok(Err(JobFailure::Fail(problem))), _) => Outcome::Failed(problem),
-        (Ok(Err(JobFailure::Retry(problem))), _) => Outcome::Retry(problem),
+        (Ok(Err(JobFailure::Retry(problem))), _) => Outcome::Retry(storage::shown(problem)),
+        (Ok(Err(JobFailure::Hold(problem))), _) => Outcome::Held(storage::shown(problem)),
         (Ok(Err(JobFailure::Cancelled)), Stop::Asked) => Outcome::Cancelled,
         (Ok(Err(JobFailure::Cancelled)), Stop::Late | Stop::Draining) => Outcome::Released,
         (Ok(Err(JobFailure::Cancelled)), Stop::No) => Outcome::Retry(stopped_unasked()),
@@ -308,7 +322,7 @@ async fn conclude(context: &Context, lease: &Lease, result: RunResult, stop: Sto
             Outcome::Retry(panicked())
         }
     };
-    settle(context, lease, outcome, renewed).await;
+    settle(context, lease, outcome, renewed, shutdown).await;
 }
 
 /// Makes the output's blobs durable; only then may the job refer to them.
@@ -335,7 +349,7 @@ async fn publish(context: &Context, output: JobOutput) -> Outcome {
     for (kind, lambda, content) in contents {
         match context.blobs.put(content).await {
             Ok(blob) => artifacts.push(Artifact { kind, lambda, blob }),
-            Err(error) => return Outcome::Retry(blob_problem(&error)),
+            Err(error) => return storage::outcome(&error),
         }
     }
     Outcome::Succeeded { metrics: Box::new(output.metrics), artifacts }
@@ -348,8 +362,14 @@ fn documents(output: &JobOutput) -> serde_json::Result<(Bytes, Option<Bytes>)> {
 }
 
 /// Writes the end of the attempt, trying again while the lease may still be held: hours of work must not be
-/// lost to a database that is busy for a moment.
-async fn settle(context: &Context, lease: &Lease, outcome: Outcome, renewed: Instant) {
+/// lost to a database that is busy for a moment, nor to a disk that is full until somebody comes.
+async fn settle(
+    context: &Context,
+    lease: &Lease,
+    outcome: Outcome,
+    renewed: Instant,
+    shutdown: &CancellationToken,
+) {
     loop {
         match context.store.finish(lease, outcome.clone()).await {
             Ok(state) => {
@@ -361,7 +381,10 @@ async fn settle(context: &Context, lease: &Lease, outcome: Outcome, renewed: Ins
                 tracing::warn!("{error}");
                 return;
             }
-            Err(error) if renewed.elapsed() > context.config.lease => {
+            Err(error)
+                if renewed.elapsed() > context.config.lease
+                    && (shutdown.is_cancelled() || !error.is_disk_full()) =>
+            {
                 tracing::error!(error = &error as &dyn std::error::Error, "giving up: {error}");
                 return;
             }
@@ -379,19 +402,6 @@ fn panic_text(panic: &(dyn Any + Send)) -> &str {
         .copied()
         .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
         .unwrap_or("without a message")
-}
-
-fn blob_problem(error: &BlobError) -> Problem {
-    tracing::error!(error = error as &dyn std::error::Error, "{error}");
-    if error.is_disk_full() {
-        return Problem::new(
-            507,
-            "storage-full",
-            "Storage full",
-            "there is no room left for the job's files",
-        );
-    }
-    Problem::new(500, "storage-failed", "Storage failed", "the job's files cannot be read or written")
 }
 
 fn no_thread(error: &std::io::Error) -> Problem {

@@ -1,5 +1,8 @@
 //! Where the checkpoints of jobs are, and their removal once nobody can need them: when the job has succeeded or is deleted, and
 //! some time after it failed or was cancelled.
+//!
+//! Each attempt writes to a folder of its own, which the next one takes over under its own name. So an attempt that was overtaken
+//! and has not noticed yet writes where nobody looks any more.
 
 use std::{
     collections::BTreeSet,
@@ -8,28 +11,58 @@ use std::{
 };
 
 use super::run::{Checkpoints, Resume};
-use crate::{domain::JobId, store::Store};
+use crate::{
+    domain::JobId,
+    store::{Lease, Store},
+};
+
+/// What the folder of an attempt is called, before its number.
+const ATTEMPT: &str = "attempt-";
 
 fn folder(root: &Path, job: JobId) -> PathBuf {
     root.join(job.to_string())
 }
 
-/// The checkpoints of a job below `root`: kept in a folder of its own, and gone on from if an earlier attempt left one, or else
-/// the job that this one `adopts`.
-pub(super) fn of_job(root: Option<&Path>, job: JobId, adopts: Option<JobId>) -> Checkpoints {
+/// The checkpoints of an attempt below `root`, with what an earlier attempt at the job left, or else one at the job that this one
+/// `adopts`.
+pub(super) fn of_attempt(root: Option<&Path>, lease: &Lease, adopts: Option<JobId>) -> Checkpoints {
     let Some(root) = root else { return Checkpoints { keep: None, resume: Resume::Fresh } };
-    let own = folder(root, job);
-    if let Some(adopts) = adopts
-        && !own.exists()
-    {
+    let job = folder(root, lease.job);
+    let own = job.join(format!("{ATTEMPT}{}", lease.attempt));
+    if let Some(earlier) = newest(&job, lease.attempt) {
+        take_over(&earlier, &own, lease.job);
+    } else if let Some(adopts) = adopts {
+        let adopted = folder(root, adopts);
         // Moved rather than copied: nobody else runs it, and of two jobs that repeat it one is enough to go on.
-        match fs::rename(folder(root, adopts), &own) {
-            Ok(()) => tracing::info!(%job, "job {job} goes on from where job {adopts} stopped"),
-            Err(fault) if fault.kind() == io::ErrorKind::NotFound => {}
-            Err(fault) => tracing::warn!(%job, "job {job} cannot go on from job {adopts}: {fault}"),
+        if let Some(earlier) = newest(&adopted, u32::MAX)
+            && take_over(&earlier, &own, lease.job)
+        {
+            tracing::info!("job {} goes on from where job {adopts} stopped", lease.job);
+            remove(&adopted);
         }
     }
     Checkpoints { keep: Some(own.clone()), resume: Resume::IfPossible(own) }
+}
+
+/// Moves what an attempt left to where the next one keeps its own, and says whether that is done.
+fn take_over(earlier: &Path, own: &Path, job: JobId) -> bool {
+    let moved = own.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| fs::rename(earlier, own));
+    match moved {
+        Ok(()) => true,
+        Err(fault) if fault.kind() == io::ErrorKind::NotFound => false,
+        Err(fault) => {
+            tracing::warn!(%job, "job {job} cannot go on from {}: {fault}", earlier.display());
+            false
+        }
+    }
+}
+
+/// The folder of the newest attempt before `attempt` in the folder of a job.
+fn newest(job: &Path, attempt: u32) -> Option<PathBuf> {
+    let number = |path: &Path| path.file_name()?.to_str()?.strip_prefix(ATTEMPT)?.parse::<u32>().ok();
+    let folders = fs::read_dir(job).ok()?.flatten().map(|entry| entry.path());
+    let numbered = folders.filter_map(|path| Some((number(&path)?, path)));
+    numbered.filter(|(number, _)| *number < attempt).max().map(|(_, path)| path)
 }
 
 /// Removes what is kept below `root` of a job that is deleted.
@@ -73,4 +106,62 @@ fn folders(root: &Path) -> Vec<(JobId, PathBuf)> {
         .flatten()
         .filter_map(|entry| Some((entry.file_name().to_str()?.parse().ok()?, entry.path())))
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use uuid::Uuid;
+
+    use super::*;
+
+    fn lease(job: u128, attempt: u32) -> Lease {
+        Lease { job: JobId(Uuid::from_u128(job)), attempt, worker: "w".into() }
+    }
+
+    /// The folder that an attempt writes to, which is the one that it begins with.
+    fn begin(root: &Path, lease: &Lease, adopts: Option<JobId>) -> PathBuf {
+        let Checkpoints { keep, resume } = of_attempt(Some(root), lease, adopts);
+        let keep = keep.expect("a folder");
+        assert_eq!(resume, Resume::IfPossible(keep.clone()));
+        keep
+    }
+
+    fn write(folder: &Path, content: &str) {
+        fs::create_dir_all(folder).expect("made");
+        fs::write(folder.join("checkpoint"), content).expect("written");
+    }
+
+    fn read(folder: &Path) -> String {
+        fs::read_to_string(folder.join("checkpoint")).expect("there")
+    }
+
+    #[test]
+    fn an_attempt_that_was_overtaken_writes_where_nobody_looks() {
+        let root = tempfile::tempdir().expect("a folder");
+        let stale = begin(root.path(), &lease(1, 1), None);
+        write(&stale, "step 100");
+        let live = begin(root.path(), &lease(1, 2), None);
+        assert_eq!(read(&live), "step 100", "the next attempt goes on from it");
+        assert!(!stale.exists());
+        write(&live, "step 300");
+        write(&stale, "step 200");
+        assert_eq!(read(&live), "step 300", "and is not set back by it");
+        let next = begin(root.path(), &lease(1, 4), None);
+        assert_eq!(read(&next), "step 300", "also after one that never began");
+    }
+
+    #[test]
+    fn a_job_adopts_what_another_left_unless_it_has_its_own() {
+        let root = tempfile::tempdir().expect("a folder");
+        let other = Some(lease(1, 1).job);
+        write(&begin(root.path(), &lease(1, 3), None), "another's");
+        let own = begin(root.path(), &lease(2, 1), other);
+        assert_eq!(read(&own), "another's");
+        assert!(!folder(root.path(), lease(1, 1).job).exists());
+        write(&begin(root.path(), &lease(1, 4), None), "later");
+        assert_eq!(read(&begin(root.path(), &lease(2, 2), other)), "another's", "its own by now");
+        forget(root.path(), lease(2, 1).job);
+        assert!(!folder(root.path(), lease(2, 1).job).exists());
+        assert_eq!(of_attempt(None, &lease(1, 1), other), Checkpoints::default());
+    }
 }

@@ -9,6 +9,7 @@ use super::{
     WorkerConfig, WorkerError,
     attempt::{self, Context, End},
     checkpoints,
+    presence::Presence,
     run::RunJob,
 };
 use crate::store::{Blobs, Store};
@@ -31,6 +32,12 @@ pub async fn serve(
     config: WorkerConfig,
     shutdown: CancellationToken,
 ) -> Result<(), WorkerError> {
+    let _presence = config.presence.as_deref().and_then(|folder| {
+        Presence::announce(folder, &config.id)
+            // Without it a power cut costs its job the rest of the lease.
+            .inspect_err(|fault| tracing::warn!("no sign of life in {}: {fault}", folder.display()))
+            .ok()
+    });
     tracing::info!(worker = config.id, "worker {} is ready", config.id);
     let context = Context { store, blobs, runner, config };
     sweep(&context).await;

@@ -113,14 +113,17 @@ impl Course {
 
     /// A report of the trunk, or of a branch by its number, as one of the whole.
     fn place(&self, branch: Option<usize>, progress: &Progress) -> Progress {
-        let step = progress.step + branch.map_or(0, |number| number as u64 * self.each);
+        let before = branch.map_or(0, |number| number as u64 * self.each);
+        let step = progress.step + before;
+        let checkpoint_step =
+            if progress.checkpoint_step > 0 { progress.checkpoint_step + before } else { 0 };
         let total = self.fork + self.branches * self.each;
         // A part tells of the steps to its own end.
         let told = self.steps.saturating_sub(progress.step);
         let left = total.saturating_sub(step);
         let eta_seconds =
             progress.eta_seconds.filter(|_| told > 0).map(|eta| eta * left as f64 / told.max(1) as f64);
-        Progress { step, total, eta_seconds, ..progress.clone() }
+        Progress { step, total, eta_seconds, checkpoint_step, ..progress.clone() }
     }
 }
 
@@ -140,5 +143,12 @@ mod tests {
         assert_eq!(at(Some(0), 40, Some(6.0)), (40, 220, Some(18.0)));
         assert_eq!(at(Some(2), 70, Some(3.0)), (190, 220, Some(3.0)));
         assert_eq!(at(Some(2), 100, None), (220, 220, None));
+        let kept = |branch, checkpoint_step| {
+            course
+                .place(branch, &Progress { step: 70, checkpoint_step, ..Progress::default() })
+                .checkpoint_step
+        };
+        assert_eq!([kept(None, 0), kept(None, 30), kept(Some(0), 40)], [0, 30, 40]);
+        assert_eq!([kept(Some(1), 0), kept(Some(1), 40), kept(Some(2), 70)], [0, 100, 190]);
     }
 }

@@ -6,7 +6,8 @@
 //! A worker runs one job at a time on a thread of its own while an asynchronous task keeps the lease, passes
 //! progress on and listens for a stop. It never writes to a job that it no longer holds. The parent process
 //! keeps workers alive through [`supervise`]: a worker that is killed, or that ends itself because a job
-//! hangs, is started again, and its job is taken from it at once.
+//! hangs, is started again, and its job is taken from it at once. One that died with its parent is found dead by the next
+//! parent ([`presence`]).
 
 mod attempt;
 mod branches;
@@ -17,9 +18,11 @@ mod fit_bytes;
 mod held_out;
 pub mod pipeline;
 mod points;
+mod presence;
 pub mod run;
 pub mod scene_file;
 mod steps;
+mod storage;
 pub mod supervise;
 
 use std::{path::PathBuf, time::Duration};
@@ -57,6 +60,8 @@ pub struct WorkerConfig {
     pub drain: Duration,
     /// Folder for a folder of checkpoints a running job, if they are to be kept: a later attempt goes on from there.
     pub checkpoints: Option<PathBuf>,
+    /// Folder in which a supervised worker shows that it is alive ([`supervise::SuperviseConfig::presence`]).
+    pub presence: Option<PathBuf>,
 }
 
 impl WorkerConfig {
@@ -78,6 +83,7 @@ impl WorkerConfig {
             stall_limit: Duration::from_secs(600),
             drain: Duration::from_secs(20),
             checkpoints: None,
+            presence: None,
         }
     }
 }

@@ -5,10 +5,14 @@
 
 use std::{
     cell::RefCell,
+    panic::resume_unwind,
     path::{Path, PathBuf},
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex, PoisonError, mpsc},
+    thread,
     time::Instant,
 };
+
+use tracing::Span;
 
 use super::{
     curve::run_curve,
@@ -30,8 +34,9 @@ use crate::{
     },
     eval::{Lpips, mean_scores_with, measure_views_with},
     gpu::{AdapterChoice, Context, GpuError},
-    ingest::{self, Room},
+    ingest::{self, Fault, Room},
     render::{RenderError, SceneRenderer},
+    store::is_disk_full,
     train::{
         self, BaseSteps, Checkpoint, CheckpointError, CheckpointFolder, KeepCheckpoints, Schedule,
         TrainError, Trained, TrainedContext, train_within,
@@ -130,7 +135,7 @@ impl RunJob for Pipeline {
         let budget = self.budget(&context);
         // Training needs the other half.
         let room = Room { memory: budget.host / 2, spill: self.spill.clone() };
-        let dataset = ingest::load_into(dataset, &room).map_err(JobFailure::Fail)?;
+        let dataset = load(dataset, &room, &mut || tell(Phase::Ingest, &start), cancel)?;
         for note in &dataset.notes {
             tracing::info!("dataset: {note}");
         }
@@ -157,6 +162,36 @@ impl RunJob for Pipeline {
             .map(|frame| NamedCamera { name: frame.name.clone(), split: frame.split, camera: frame.camera })
             .collect();
         Ok(JobOutput { file, format, others, metrics, cameras, held_out })
+    }
+}
+
+/// Reads the dataset on a thread of its own, so that this one can tell of every image, and stops soon after `cancel`.
+fn load(
+    dataset: &Path,
+    room: &Room,
+    alive: &mut dyn FnMut(),
+    cancel: &CancelFlag,
+) -> Result<Dataset, JobFailure> {
+    let (send, images) = mpsc::channel();
+    let span = Span::current();
+    let loaded = thread::scope(|scope| {
+        let loading = scope.spawn(move || {
+            let _of_the_job = span.entered();
+            let go_on = || {
+                // Whoever listens does so until this thread ends.
+                let _ = send.send(());
+                !cancel.is_cancelled()
+            };
+            ingest::load_watched(dataset, room, &go_on)
+        });
+        for () in images {
+            alive();
+        }
+        loading.join()
+    });
+    match loaded {
+        Ok(loaded) => loaded.map_err(from_ingest),
+        Err(panic) => resume_unwind(panic),
     }
 }
 
@@ -487,6 +522,17 @@ pub(super) fn internal(detail: &str) -> Problem {
     Problem::new(500, "internal", "Internal error", detail)
 }
 
+/// A disk that is full has room some day, and one that failed may work again; a dataset does not change.
+fn from_ingest(error: ingest::Error) -> JobFailure {
+    match error.fault {
+        Fault::Stopped => JobFailure::Cancelled,
+        Fault::SpillFull { .. } => JobFailure::Hold(error.into()),
+        Fault::Io(ref fault) if is_disk_full(fault) => JobFailure::Hold(error.into()),
+        Fault::Spill { .. } => JobFailure::Retry(error.into()),
+        _ => JobFailure::Fail(error.into()),
+    }
+}
+
 /// A device that failed may work again; a scene that is too large for it will not shrink.
 fn from_gpu(fault: GpuError) -> JobFailure {
     match fault {
@@ -514,5 +560,36 @@ pub(super) fn from_training(fault: TrainError) -> JobFailure {
         TrainError::Render(fault) => from_render(fault),
         TrainError::Photograph(fault) => JobFailure::Retry(fault.into()),
         other => JobFailure::Fail(other.into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+
+    use super::*;
+
+    #[test]
+    fn a_disk_without_room_holds_a_job_and_a_broken_one_costs_it_an_attempt() {
+        let folder = || "/somewhere".to_owned();
+        let spill = |kind: io::ErrorKind| Fault::Spill { folder: folder(), error: kind.into() };
+        for (fault, expected) in [
+            (Fault::SpillFull { folder: folder(), bytes: 3 }, "hold"),
+            (Fault::Io(io::ErrorKind::StorageFull.into()), "hold"),
+            (Fault::Io(io::ErrorKind::QuotaExceeded.into()), "hold"),
+            (spill(io::ErrorKind::PermissionDenied), "retry"),
+            (Fault::NoImages, "fail"),
+            (Fault::Io(io::ErrorKind::InvalidData.into()), "fail"),
+            (Fault::Stopped, "cancelled"),
+        ] {
+            let said = fault.to_string();
+            let came = match from_ingest(fault.into()) {
+                JobFailure::Hold(_) => "hold",
+                JobFailure::Retry(_) => "retry",
+                JobFailure::Fail(_) => "fail",
+                JobFailure::Cancelled => "cancelled",
+            };
+            assert_eq!(came, expected, "{said}");
+        }
     }
 }

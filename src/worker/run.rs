@@ -66,8 +66,10 @@ pub struct Checkpoints {
 pub enum JobFailure {
     /// The input or the options are at fault: trying again cannot help.
     Fail(Problem),
-    /// The machine is at fault (device lost, disk full): another attempt may succeed.
+    /// The machine is at fault (device lost): another attempt may succeed.
     Retry(Problem),
+    /// Something is lacking that time or an operator brings, such as room on the disk: another attempt will succeed then.
+    Hold(Problem),
     /// The cancel flag was seen.
     Cancelled,
 }

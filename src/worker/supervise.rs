@@ -21,8 +21,8 @@ use tokio::{
 };
 use tokio_util::sync::CancellationToken;
 
-use super::{WORKER_ID_VARIABLE, fresh_id};
-use crate::store::Store;
+use super::{WORKER_ID_VARIABLE, fresh_id, presence};
+use crate::store::{Death, Store};
 
 /// What to run and how patiently.
 #[derive(Debug, Clone)]
@@ -43,6 +43,11 @@ pub struct SuperviseConfig {
     pub backoff_cap: Duration,
     /// A child that lived this long did not die young.
     pub healthy_after: Duration,
+    /// Pause after a child's end before its job is held to be what ended it: who kills a whole group of processes ends this one
+    /// next.
+    pub aftermath: Duration,
+    /// Folder in which children show that they are alive ([`super::WorkerConfig::presence`]), if they do.
+    pub presence: Option<PathBuf>,
 }
 
 impl SuperviseConfig {
@@ -66,6 +71,8 @@ impl SuperviseConfig {
             backoff_base: Duration::from_millis(250),
             backoff_cap: Duration::from_secs(30),
             healthy_after: Duration::from_secs(60),
+            aftermath: Duration::from_millis(250),
+            presence: None,
         }
     }
 }
@@ -131,6 +138,9 @@ async fn keep_alive(
 ) {
     let mut early_deaths = 0_u32;
     while !shutdown.is_cancelled() {
+        if let Some(folder) = &config.presence {
+            presence::expire_dead(folder, &*store).await;
+        }
         let id = fresh_id();
         let born = Instant::now();
         match start(&config, &id) {
@@ -140,7 +150,8 @@ async fn keep_alive(
                 pid.send_replace(None);
                 tracing::info!(worker = id, ?status, "worker {id} has ended");
                 // It can write nothing more, so its job need not wait for the lease to run out.
-                match store.expire_worker(&id).await {
+                let death = circumstances(&config, &shutdown).await;
+                match store.expire_worker(&id, death).await {
                     Ok(0) => {}
                     Ok(jobs) => {
                         tracing::warn!(worker = id, jobs, "took {jobs} jobs from the dead worker {id}")
@@ -163,6 +174,15 @@ async fn keep_alive(
             () = sleep(doubled.min(config.backoff_cap)) => {}
             () = shutdown.cancelled() => {}
         }
+    }
+}
+
+/// How a child that has just ended did so.
+async fn circumstances(config: &SuperviseConfig, shutdown: &CancellationToken) -> Death {
+    tokio::select! {
+        biased;
+        () = shutdown.cancelled() => Death::Together,
+        () = sleep(config.aftermath) => Death::Alone,
     }
 }
 

@@ -1,13 +1,18 @@
 //! Blobs and uploads that nobody wants any more are cleared away, and nothing else is.
 
-use std::sync::Arc;
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
+    time::Duration,
+};
 
 use bytes::Bytes;
 use jiff::{SignedDuration, Timestamp};
 use tcgs::{
     domain::{
-        Clock, DatasetSummary, Digest, JobId, Layout, ManualClock, SceneId, SystemClock, TrainOptions,
-        UploadId,
+        Clock, DatasetSummary, JobId, Layout, ManualClock, SceneId, SystemClock, TrainOptions, UploadId,
     },
     store::{
         BlobError, BlobRef, Blobs, NewJob, NewScene, NewUpload, QueuePolicy, SqliteStore, Store,
@@ -18,6 +23,8 @@ use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
+/// Longest wait for a round.
+const LONGEST: Duration = Duration::from_secs(120);
 const GRACE: SignedDuration = SignedDuration::from_hours(1);
 
 struct House {
@@ -167,18 +174,20 @@ async fn a_round_that_broke_off_between_table_and_file_is_made_good_by_the_next(
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_referred_to_is_there_however_clearing_and_publishing_interleave() {
     let house = Arc::new(House::new().await);
-    let stop = CancellationToken::new();
+    let (stop, cleared) = (CancellationToken::new(), Arc::new(AtomicUsize::new(0)));
     let clearing = tokio::spawn({
-        let (house, stop) = (Arc::clone(&house), stop.clone());
+        let (house, stop, cleared) = (Arc::clone(&house), stop.clone(), Arc::clone(&cleared));
         async move {
-            let mut blobs = 0;
             while !stop.is_cancelled() {
-                blobs += house.clear().await.blobs;
+                cleared.fetch_add(house.clear().await.blobs, Ordering::SeqCst);
             }
-            blobs
         }
     });
-    for _ in 0..100 {
+    let mut turns = 0;
+    // Until it was cleared away often enough in between, which is what could go wrong.
+    while cleared.load(Ordering::SeqCst) < 20 {
+        turns += 1;
+        assert!(turns <= 20_000, "hardly anything is ever cleared away");
         let blob = house.put("wanted and unwanted").await;
         let scene = house.keep(blob).await;
         let file = house.blobs.local_file(blob.digest).await.expect("what a scene refers to is there");
@@ -215,23 +224,37 @@ async fn files_of_uploads_go_with_them_unless_somebody_holds_them() {
 #[tokio::test]
 async fn the_house_is_kept_until_it_is_told_to_stop_and_soon_after_something_is_let_go() {
     let house = House::new().await;
+    // No round comes by itself after the first.
     let policy = HousekeepingPolicy {
-        at_most_every: std::time::Duration::ZERO,
+        every: Duration::from_secs(24 * 3600),
+        at_most_every: Duration::ZERO,
         blob_grace: GRACE,
         ..HousekeepingPolicy::default()
     };
+    let gone = async |blob: BlobRef| {
+        let gone = async {
+            while house.is_there(blob).await {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        };
+        tokio::time::timeout(LONGEST, gone).await.expect("it is cleared away");
+    };
+    let first = house.put("there before the first round").await;
+    house.pass(61);
     let stop = CancellationToken::new();
     let clock: Arc<dyn Clock> = house.clock.clone();
     let keeping =
         tokio::spawn(keep_house(house.store.clone(), house.blobs.clone(), clock, policy, stop.clone()));
-    let blob = house.put("let go").await;
-    house.pass(61);
-    // The first round may have come before the blob was old.
-    while house.is_there(blob).await {
+    gone(first).await;
+    for content in ["let go once", "let go again"] {
+        let blob = house.put(content).await;
         house.blobs.let_go();
-        tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+        gone(blob).await;
     }
+    assert!(!keeping.is_finished(), "it goes on until it is told to stop");
     stop.cancel();
-    keeping.await.expect("it ends");
-    assert_ne!(blob.digest, Digest::of(b""));
+    tokio::time::timeout(LONGEST, keeping).await.expect("it stops").expect("in order");
+    let kept = house.put("after the end").await;
+    house.blobs.let_go();
+    assert!(house.is_there(kept).await);
 }

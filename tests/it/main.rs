@@ -15,6 +15,7 @@ mod export;
 mod first_light;
 #[cfg(target_os = "linux")]
 mod full_disk;
+mod held;
 mod housekeeping;
 mod http;
 mod ingest;
@@ -27,6 +28,7 @@ mod memory;
 mod migrations;
 mod neural;
 mod plain;
+mod power_cuts;
 mod primitives;
 mod priority;
 mod queue;

@@ -1,14 +1,18 @@
 //! What runs take: the estimate against what is allocated, budgets that are held, photographs that stream from disk.
 
-use std::{fs, path::Path};
+use std::{
+    fs,
+    path::Path,
+    sync::atomic::{AtomicUsize, Ordering},
+};
 
 use glam::DVec3;
 use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use serde_json::{Value, json};
 use tcgs::{
     domain::{
-        CancelFlag, Convention, Dataset, MemoryBudget, MemoryLimits, ModelKind, PointCloud, Pose, Problem,
-        Progress, TrainOptions,
+        CancelFlag, Convention, Dataset, MemoryBudget, MemoryLimits, ModelKind, Phase, PointCloud, Pose,
+        Problem, Progress, TrainOptions,
     },
     gpu::{Context, GpuError},
     ingest::{self, Room},
@@ -20,7 +24,7 @@ use tcgs::{
 };
 use tempfile::TempDir;
 
-use crate::support::{gpu, program};
+use crate::support::{gpu, program, small_disk::SmallDisk};
 
 /// A folder of photographs of a colourful ball of nothing, from a circle around it, with the sizes repeated in turn.
 fn folder(frames: usize, sizes: &[(u32, u32)]) -> TempDir {
@@ -236,6 +240,65 @@ fn a_job_over_its_budget_fails_for_good_before_it_trains() {
             other => panic!("{:?}", other.map(|_| ())),
         }
     }
+}
+
+#[test]
+fn a_full_disk_of_temporary_files_holds_a_job() {
+    let Some(disk) = SmallDisk::mount(1) else { return };
+    let folder = folder(9, &[(32, 32)]);
+    let run = || {
+        // Room for a few of the photographs.
+        let limits = MemoryLimits { host: 64 << 10, gpu: Some(8 << 30) };
+        let pipeline = Pipeline::new(gpu::choice()).within(limits, disk.path().to_owned());
+        let nothing = Checkpoints::default();
+        pipeline.run(folder.path(), &options(3), &nothing, &mut |_, _| {}, &CancelFlag::default())
+    };
+    disk.fill();
+    match run() {
+        Err(JobFailure::Hold(problem)) => assert!(problem.kind.ends_with("storage-full"), "{problem}"),
+        other => panic!("{:?}", other.map(|_| ())),
+    }
+    disk.make_room();
+    match run() {
+        // They are read now, and training says that it needs more memory than that.
+        Err(JobFailure::Fail(problem)) => assert!(problem.kind.ends_with("memory-budget"), "{problem}"),
+        other => panic!("{:?}", other.map(|_| ())),
+    }
+}
+
+#[test]
+fn each_image_that_is_read_is_a_sign_of_life_and_a_chance_to_stop() {
+    let folder = folder(9, &[(32, 32)]);
+    let asked = AtomicUsize::new(0);
+    let up_to = |most: usize| {
+        asked.store(0, Ordering::SeqCst);
+        ingest::load_watched(folder.path(), &Room::default(), &|| asked.fetch_add(1, Ordering::SeqCst) < most)
+    };
+    assert_eq!(up_to(usize::MAX).expect("a dataset").frames.len(), 9);
+    assert_eq!(asked.load(Ordering::SeqCst), 18, "each header, then each image");
+    for most in [0, 3, 9, 17] {
+        let error = up_to(most).expect_err("it was to stop");
+        assert!(matches!(error.fault, ingest::Fault::Stopped), "{error}");
+    }
+
+    let pipeline = Pipeline::new(gpu::choice());
+    let run = |stop_at: usize| {
+        let (cancel, mut reports) = (CancelFlag::default(), Vec::new());
+        let mut report = |phase: Phase, _: &Progress| {
+            reports.push(phase);
+            if reports.len() == stop_at {
+                cancel.cancel();
+            }
+        };
+        let ended = pipeline.run(folder.path(), &options(3), &Checkpoints::default(), &mut report, &cancel);
+        assert!(matches!(ended, Err(JobFailure::Cancelled)), "{:?}", ended.map(|_| ()));
+        reports
+    };
+    let reports = run(5);
+    assert!(reports.iter().all(|phase| *phase == Phase::Ingest), "{reports:?}");
+    let reports = run(20);
+    let reading = reports.iter().filter(|phase| **phase == Phase::Ingest).count();
+    assert_eq!(reading, 1 + 18, "as it begins, and for each header and image");
 }
 
 #[test]

@@ -1,17 +1,17 @@
 //! The queue's promises, one test each, on a clock that moves only when told to. Written against the trait, so a second
 //! database can be held to the same.
 
-use std::{sync::Arc, time::Duration};
+use std::{path::PathBuf, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use jiff::{SignedDuration, Timestamp};
 use tcgs::{
     domain::{
         Clock, Digest, Event, EventKind, JobId, JobState, KeyId, ManualClock, Phase, Problem, Progress,
-        SceneFormat, TrainOptions,
+        SceneFormat, SystemClock, TrainOptions,
     },
     store::{
-        Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, Deletion, Intent,
+        Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, Death, Deletion, Intent,
         JobFilter, JobRecord, Lease, NewJob, Outcome, QueuePolicy, Repeat, Repetition, SqliteStore, Store,
         StoreError,
     },
@@ -20,6 +20,9 @@ use tempfile::TempDir;
 use uuid::Uuid;
 
 use crate::support::fakes;
+
+/// Longest wait for another process.
+const LONGEST: Duration = Duration::from_secs(120);
 
 struct Queue {
     store: Arc<dyn Store>,
@@ -134,30 +137,75 @@ async fn claims_are_exclusive_under_32_concurrent_claimers() {
     assert_eq!(taken, (0..20).map(|number| JobId(Uuid::from_u128(number))).collect::<Vec<_>>());
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+/// Where a child of [`two_processes_share_the_file_without_a_double_claim`] finds the database, and where it writes what it claimed.
+const CHILD_DATA: &str = "TCGS_TEST_CLAIMING_CHILD_DATA";
+const CHILD_NAME: &str = "TCGS_TEST_CLAIMING_CHILD_NAME";
+
+/// Not a test of its own: a process that claims what it can get once the file `go` is there.
+#[tokio::test]
+#[ignore = "the test of two processes runs it as a child process"]
+async fn claiming_child_process() {
+    let [Some(data), Some(name)] = [CHILD_DATA, CHILD_NAME].map(std::env::var_os) else { return };
+    let (data, name) = (PathBuf::from(data), name.into_string().expect("UTF-8"));
+    let database = data.join("tcgs.db");
+    let store = SqliteStore::open(&database, Arc::new(SystemClock), QueuePolicy::default()).await;
+    let store = store.expect("a database");
+    std::fs::write(data.join(format!("{name}.ready")), "").expect("written");
+    while !data.join("go").exists() {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    let mut taken = String::new();
+    while let Some(claim) = store.claim(&name).await.expect("a claim") {
+        store.heartbeat(&claim.lease).await.expect("a heartbeat");
+        taken += &format!("{}\n", claim.lease.job);
+    }
+    std::fs::write(data.join(format!("{name}.taken")), taken).expect("written");
+}
+
+#[tokio::test]
 async fn two_processes_share_the_file_without_a_double_claim() {
     let queue = Queue::new().await;
-    for number in 0..20 {
-        queue.add(number).await;
+    let mut jobs = Vec::new();
+    for number in 0..60 {
+        jobs.push(queue.add(number).await.to_string());
     }
-    let other = open(&queue.folder, &queue.clock, QueuePolicy::default()).await;
-    let drain = |store: Arc<dyn Store>, worker: &'static str| async move {
-        let mut taken = Vec::new();
-        while let Some(claim) = store.claim(worker).await.expect("a claim") {
-            store.heartbeat(&claim.lease).await.expect("a heartbeat");
-            taken.push(claim.lease.job);
-        }
-        taken
+    let data = queue.folder.path();
+    let start = |name: &str| {
+        tokio::process::Command::new(std::env::current_exe().expect("a program"))
+            .args(["queue::claiming_child_process", "--exact", "--ignored", "--test-threads=1"])
+            .env(CHILD_DATA, data)
+            .env(CHILD_NAME, name)
+            .stdout(std::process::Stdio::null())
+            .kill_on_drop(true)
+            .spawn()
+            .expect("the binary runs")
     };
-    let (mut taken, more) = tokio::join!(
-        tokio::spawn(drain(Arc::clone(&queue.store), "one")),
-        tokio::spawn(drain(Arc::new(other), "two"))
-    );
-    let taken = taken.as_mut().expect("joined");
-    taken.extend(more.expect("joined"));
-    taken.sort();
-    taken.dedup();
-    assert_eq!(taken.len(), 20);
+    let mut children = ["one", "two"].map(start);
+    let ready = async {
+        while !["one", "two"].iter().all(|name| data.join(format!("{name}.ready")).exists()) {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    };
+    tokio::time::timeout(LONGEST, ready).await.expect("both have opened the database");
+    std::fs::write(data.join("go"), "").expect("written");
+    for child in &mut children {
+        let status = tokio::time::timeout(LONGEST, child.wait()).await.expect("it ends").expect("a child");
+        assert!(status.success());
+    }
+    let taken = ["one", "two"].map(|name| {
+        let taken = std::fs::read_to_string(data.join(format!("{name}.taken"))).expect("written");
+        taken.lines().map(str::to_owned).collect::<Vec<_>>()
+    });
+    let mut all = taken.concat();
+    all.sort();
+    assert_eq!(all, jobs, "each job is claimed once: {taken:#?}");
+    for (name, taken) in ["one", "two"].iter().zip(&taken) {
+        for job in taken {
+            let attempts = queue.store.attempts(job.parse().expect("an id")).await.expect("read");
+            assert_eq!(attempts.len(), 1);
+            assert_eq!(attempts[0].worker, *name);
+        }
+    }
 }
 
 #[tokio::test]
@@ -354,7 +402,7 @@ async fn a_job_that_twice_kills_its_worker_is_not_given_to_a_third() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     queue.lease().await;
-    assert_eq!(queue.store.expire_worker("worker").await.expect("taken"), 1);
+    assert_eq!(queue.store.expire_worker("worker", Death::Alone).await.expect("taken"), 1);
     queue.lease().await;
     queue.pass(60);
     assert_eq!(queue.claim().await, None);
@@ -363,15 +411,254 @@ async fn a_job_that_twice_kills_its_worker_is_not_given_to_a_third() {
     assert_eq!(queue.outcomes(id).await, [Some(AttemptOutcome::Lost), Some(AttemptOutcome::Lost)]);
 }
 
+/// Another process on the same database, of which nothing is known when it starts.
+async fn another(queue: &Queue) -> SqliteStore {
+    open(&queue.folder, &queue.clock, QueuePolicy::default()).await
+}
+
+#[tokio::test]
+async fn no_number_of_power_cuts_costs_a_job() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    for cut in 0..12 {
+        // Every other time a supervisor finds its predecessor's worker dead; else the lease has to run out.
+        let store = another(&queue).await;
+        let claim = store.claim("worker").await.expect("a claim").expect("the job");
+        assert_eq!(claim.lease.attempt, cut + 1);
+        drop(store);
+        let after = another(&queue).await;
+        if cut % 2 == 0 {
+            assert_eq!(after.expire_worker("worker", Death::Together).await.expect("taken"), 1);
+        } else {
+            assert_eq!(after.expire_leases().await.expect("looked"), 0, "it has seen nothing yet");
+            queue.pass(59);
+            assert_eq!(after.claim("next").await.expect("a claim"), None);
+            queue.pass(1);
+            assert_eq!(after.expire_leases().await.expect("looked"), 1);
+        }
+        assert_eq!(queue.state(id).await, JobState::Queued);
+        // A job that gets nowhere waits longer and longer.
+        queue.pass(3600);
+    }
+    let lost = queue.store.attempts(id).await.expect("read");
+    assert!(lost.iter().all(|attempt| attempt.outcome == Some(AttemptOutcome::Lost)));
+    let cause = lost[0].cause.as_ref().expect("a cause");
+    assert!(cause.detail.contains("does not count against the job"), "{cause}");
+    // All its retries are left to it.
+    for attempt in 1..=3 {
+        let state = queue.store.finish(&queue.lease().await, Outcome::Retry(problem())).await.expect("ended");
+        assert_eq!(state, if attempt < 3 { JobState::Queued } else { JobState::Failed });
+        queue.pass(3600);
+    }
+}
+
+#[tokio::test]
+async fn the_first_power_cuts_delay_nothing_and_those_without_progress_then_do() {
+    let queue = Queue::new().await;
+    queue.add(1).await;
+    let lose = async || {
+        let lease = queue.lease().await;
+        queue.store.expire_worker("worker", Death::Together).await.expect("taken");
+        lease.attempt
+    };
+    for attempt in 1..=4 {
+        assert_eq!(lose().await, attempt);
+    }
+    assert_eq!(queue.claim().await, None, "the fourth in a row is followed by a pause");
+    queue.pass(11);
+    let lease = queue.lease().await;
+    let progress = Progress { checkpoint_step: 7, ..Progress::default() };
+    queue.store.report(&lease, Phase::Train, &progress).await.expect("reported");
+    queue.store.expire_worker("worker", Death::Together).await.expect("taken");
+    assert_eq!(lose().await, 6, "whoever gets on is not kept waiting");
+}
+
+#[tokio::test]
+async fn a_worker_that_died_alone_counts_against_its_job_only_where_that_got_no_further() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    let die_at = async |checkpoint_step| {
+        let lease = queue.lease().await;
+        let progress = Progress { checkpoint_step, ..Progress::default() };
+        queue.store.report(&lease, Phase::Train, &progress).await.expect("reported");
+        queue.store.expire_worker("worker", Death::Alone).await.expect("taken");
+        // An attempt that was overtaken can say nothing of checkpoints.
+        let late = Progress { checkpoint_step: 1_000_000, ..Progress::default() };
+        assert!(is_lost(queue.store.report(&lease, Phase::Train, &late).await));
+    };
+    for checkpoint in [0, 100, 200, 300, 400, 500] {
+        die_at(checkpoint).await;
+        assert_eq!(queue.state(id).await, JobState::Queued);
+    }
+    die_at(500).await;
+    let error = queue.record(id).await.job.error.expect("a reason");
+    assert_eq!(error.kind, "urn:tcgs:problem:resource-exhausted");
+    assert!(
+        error.detail.contains("2 attempts in a row") && error.detail.contains("checkpoint at step 500"),
+        "{error}"
+    );
+}
+
+#[tokio::test]
+async fn a_process_that_saw_the_worker_alive_knows_that_it_died_alone() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    let service = another(&queue).await;
+    assert_eq!(service.expire_leases().await.expect("looked"), 0);
+    for _ in 0..2 {
+        another(&queue).await.claim("worker").await.expect("a claim").expect("the job");
+        assert_eq!(service.expire_leases().await.expect("looked"), 0, "this is when it came");
+        queue.pass(60);
+        assert_eq!(service.expire_leases().await.expect("looked"), 1);
+    }
+    let error = queue.record(id).await.job.error.expect("a reason");
+    assert!(error.detail.contains("2 attempts in a row ended before its first checkpoint"), "{error}");
+}
+
+#[tokio::test]
+async fn a_clock_that_jumps_takes_no_job_from_its_worker() {
+    let queue = Queue::new().await;
+    let running = queue.add(1).await;
+    let lease = queue.lease().await;
+    let other = queue.add(2).await;
+    for hours in [1, -2, 24 * 365, -24 * 365 * 2] {
+        queue.clock.set_by(SignedDuration::from_hours(hours));
+        assert_eq!(queue.store.expire_leases().await.expect("looked"), 0);
+        let waiting = queue.claim().await.expect("the other job").lease;
+        assert_eq!(waiting.job, other, "the first is still its worker's");
+        queue.store.finish(&waiting, Outcome::Released).await.expect("released");
+        queue.pass(59);
+        assert!(!queue.store.heartbeat(&lease).await.expect("renewed").cancel_requested);
+    }
+    assert_eq!(queue.outcomes(running).await, [None]);
+}
+
+#[tokio::test]
+async fn a_clock_that_is_set_back_keeps_no_job_from_running() {
+    let queue = Queue::new().await;
+    let back = || queue.clock.set_by(SignedDuration::from_hours(-1));
+    let id = queue.add(1).await;
+    back();
+    let lease = queue.lease().await;
+    assert_eq!(lease.job, id, "a job that was made later than now");
+    queue.store.finish(&lease, Outcome::Retry(problem())).await.expect("ended");
+    assert_eq!(queue.claim().await, None, "it waits out its delay");
+    back();
+    let lease = queue.lease().await;
+    assert_eq!(lease.attempt, 2, "but not an hour more");
+    queue.store.finish(&lease, Outcome::Held(problem())).await.expect("ended");
+    back();
+    assert_eq!(queue.lease().await.attempt, 3);
+    // A lease that lasts into the future is over when nobody has renewed it.
+    back();
+    queue.pass(60);
+    assert_eq!(queue.lease().await.attempt, 4);
+}
+
+#[tokio::test]
+async fn what_is_done_to_one_job_ends_no_lease_of_another() {
+    let queue = Queue::new().await;
+    let [theirs, cancelled, deleted] = [queue.add(1).await, queue.add(2).await, queue.add(3).await];
+    for _ in 0..3 {
+        queue.lease().await;
+    }
+    queue.pass(60);
+    assert!(matches!(queue.store.cancel(cancelled).await.expect("written"), Some(Cancellation::Done(_))));
+    queue.store.delete_job(deleted, None).await.expect("answered");
+    assert_eq!(queue.outcomes(cancelled).await, [Some(AttemptOutcome::Lost)]);
+    assert_eq!(queue.outcomes(deleted).await, [Some(AttemptOutcome::Lost)]);
+    assert_eq!((queue.state(theirs).await, queue.outcomes(theirs).await), (JobState::Running, vec![None]));
+}
+
+#[tokio::test]
+async fn a_held_job_says_why_and_is_tried_again_without_a_charge() {
+    let queue = Queue::new().await;
+    let id = queue.add(1).await;
+    let full = Problem::new(507, "storage-full", "Storage full", "no room");
+    for attempt in 1..=5 {
+        let lease = queue.lease().await;
+        assert_eq!(lease.attempt, attempt);
+        let state = queue.store.finish(&lease, Outcome::Held(full.clone())).await.expect("ended");
+        assert_eq!(state, JobState::Queued);
+        assert_eq!(queue.claim().await, None, "it waits");
+        queue.pass(10);
+    }
+    assert_eq!(queue.record(id).await.job.error, None, "it has not failed");
+    let events = queue.events(id).await;
+    let held: Vec<_> = events.iter().filter(|event| event.kind == EventKind::Attempt).collect();
+    assert_eq!(held.len(), 5);
+    assert!(held.iter().all(|event| {
+        event.data["outcome"] == "released" && event.data["cause"]["type"] == full.kind.as_str()
+    }));
+    for _ in 0..2 {
+        queue.store.finish(&queue.lease().await, Outcome::Retry(problem())).await.expect("ended");
+        queue.pass(3600);
+    }
+    assert_eq!(
+        queue.store.finish(&queue.lease().await, succeeded()).await.expect("ended"),
+        JobState::Succeeded
+    );
+}
+
+async fn key(pool: &sqlx::SqlitePool, number: u128) -> KeyId {
+    let id = KeyId(Uuid::from_u128(number));
+    sqlx::query(
+        "INSERT INTO keys (id, name, prefix, hash, scopes, created_at) VALUES (?1, 'k', 'p', ?1, '', 0)",
+    )
+    .bind(id.to_string())
+    .execute(pool)
+    .await
+    .expect("a key");
+    id
+}
+
+#[tokio::test]
+async fn among_equals_the_owner_with_the_fewest_running_jobs_is_served_first() {
+    let queue = Queue::new().await;
+    let pool = pool(&queue).await;
+    let (busy, other) = (key(&pool, 100).await, key(&pool, 101).await);
+    let add = async |number, owner, priority| {
+        queue.pass(1);
+        let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
+        let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
+        queue.store.create_job(NewJob { owner, priority, ..new }).await.expect("created").job.id
+    };
+    let of_busy = [
+        add(1, Some(busy), 0).await,
+        add(2, Some(busy), 0).await,
+        add(3, Some(busy), 0).await,
+        add(4, Some(busy), -1).await,
+    ];
+    let of_other = [add(5, Some(other), 0).await, add(6, Some(other), 0).await];
+    let nobody = add(7, None, 0).await;
+    let mut order = Vec::new();
+    let mut leases = Vec::new();
+    while let Some(claim) = queue.claim().await {
+        order.push(claim.lease.job);
+        leases.push(claim.lease);
+    }
+    assert_eq!(
+        order,
+        [of_busy[0], of_other[0], nobody, of_busy[1], of_other[1], of_busy[2], of_busy[3]],
+        "in turn, the oldest of each, and those of low priority last"
+    );
+    for lease in &leases {
+        queue.store.finish(lease, succeeded()).await.expect("ended");
+    }
+    // Jobs that have ended are no reason to wait.
+    let (older, younger) = (add(8, Some(busy), 0).await, add(9, Some(other), 0).await);
+    assert_eq!([queue.lease().await.job, queue.lease().await.job], [older, younger]);
+}
+
 #[tokio::test]
 async fn an_attempt_that_says_why_it_failed_breaks_the_row_of_silent_deaths() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     queue.lease().await;
-    queue.store.expire_worker("worker").await.expect("taken");
+    queue.store.expire_worker("worker", Death::Alone).await.expect("taken");
     queue.store.finish(&queue.lease().await, Outcome::Released).await.expect("released");
     queue.lease().await;
-    queue.store.expire_worker("worker").await.expect("taken");
+    queue.store.expire_worker("worker", Death::Alone).await.expect("taken");
     assert_eq!(queue.state(id).await, JobState::Queued);
 }
 
@@ -381,8 +668,8 @@ async fn a_dead_worker_s_jobs_are_free_at_once_and_no_one_else_s() {
     let (first, second) = (queue.add(1).await, queue.add(2).await);
     let kept = queue.store.claim("alive").await.expect("a claim").expect("a job").lease;
     queue.store.claim("dead").await.expect("a claim").expect("a job");
-    assert_eq!(queue.store.expire_worker("dead").await.expect("taken"), 1);
-    assert_eq!(queue.store.expire_worker("dead").await.expect("nothing left"), 0);
+    assert_eq!(queue.store.expire_worker("dead", Death::Alone).await.expect("taken"), 1);
+    assert_eq!(queue.store.expire_worker("dead", Death::Alone).await.expect("nothing left"), 0);
     assert_eq!(kept.job, first);
     queue.store.heartbeat(&kept).await.expect("still held");
     assert_eq!(queue.lease().await.job, second);
@@ -394,7 +681,7 @@ async fn a_cancelled_job_whose_worker_dies_ends_cancelled() {
     let id = queue.add(1).await;
     queue.lease().await;
     queue.store.cancel(id).await.expect("written");
-    queue.store.expire_worker("worker").await.expect("taken");
+    queue.store.expire_worker("worker", Death::Alone).await.expect("taken");
     assert_eq!(queue.state(id).await, JobState::Cancelled);
 }
 
@@ -676,7 +963,22 @@ async fn pool(queue: &Queue) -> sqlx::SqlitePool {
 async fn a_dataset_may_be_used_by_many_jobs() {
     let queue = Queue::new().await;
     let (first, second) = (queue.add(1).await, queue.add(2).await);
-    assert_eq!(queue.record(first).await.dataset, queue.record(second).await.dataset);
+    let dataset = queue.record(first).await.dataset;
+    assert_eq!(queue.record(second).await.dataset, dataset);
+    let pool = pool(&queue).await;
+    let rows: i64 = sqlx::query_scalar("SELECT COUNT(*) FROM blobs").fetch_one(&pool).await.expect("counted");
+    assert_eq!(rows, 1, "it is kept once");
+    for job in [first, second] {
+        let claim = queue.claim().await.expect("a job");
+        assert_eq!((claim.lease.job, claim.dataset), (job, dataset.digest));
+        queue.store.finish(&claim.lease, Outcome::Failed(problem())).await.expect("ended");
+    }
+    let forget = async || queue.store.forget_blobs(&[dataset.digest]).await.expect("asked");
+    queue.store.delete_job(first, None).await.expect("deleted");
+    assert_eq!(forget().await, [], "the other job refers to it");
+    assert_eq!(queue.record(second).await.dataset, dataset);
+    queue.store.delete_job(second, None).await.expect("deleted");
+    assert_eq!(forget().await, [dataset.digest], "nobody does");
 }
 
 #[tokio::test]

@@ -11,7 +11,7 @@ use tcgs::{
         Problem, SceneFormat, SceneId, TrainOptions, UploadId, WebhookEvent, WebhookSecret,
     },
     store::{
-        AfterAttempt, Artifact, ArtifactKind, BlobRef, ExportRecord, Figures, NewEndpoint, NewJob, NewScene,
+        AfterAttempt, Artifact, ArtifactKind, BlobRef, Death, ExportRecord, Figures, NewEndpoint, NewJob, NewScene,
         NewUpload, Outcome, QueuePolicy, Repeat, Settled, SqliteStore, Store, Usage,
     },
 };
@@ -212,7 +212,7 @@ async fn totals_are_what_counting_gives_after_every_change() {
     office.check("a repetition").await;
     office.clock.advance(SignedDuration::from_secs(1));
     let claim = office.store.claim("worker").await.expect("an answer").expect("a job");
-    office.store.expire_worker("worker").await.expect("an answer");
+    office.store.expire_worker("worker", Death::Alone).await.expect("an answer");
     office.check("a lost worker").await;
     office.store.cancel(claim.lease.job).await.expect("an answer").expect("known");
 

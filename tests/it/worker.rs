@@ -11,7 +11,7 @@ use std::{
 use serde_json::{Value, json};
 use tcgs::{
     domain::{JobState, SystemClock},
-    store::{AttemptOutcome, Blobs, NewJob, Repeat, SqliteStore, Store},
+    store::{AttemptOutcome, Blobs, Death, NewJob, Repeat, SqliteStore, Store},
     worker::{
         self, WorkerConfig, WorkerError,
         supervise::{Census, SuperviseConfig, supervise},
@@ -25,12 +25,17 @@ use uuid::Uuid;
 use crate::support::{
     contract::Coverage,
     fakes::FakeRunner,
-    faults::Failing,
+    faults::{Failing, FaultStore},
     server::{Server, quick_policy, quick_worker},
 };
 
 /// Where the child of the supervisor tests finds its data.
 const CHILD_DATA: &str = "TCGS_TEST_CHILD_DATA";
+
+/// What a future comes to, which must be within a time that nothing here takes.
+async fn within<T>(future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(Duration::from_secs(120), future).await.expect("it comes to an end")
+}
 
 struct Workshop {
     store: Arc<dyn Store>,
@@ -48,7 +53,11 @@ impl Workshop {
     }
 
     fn start(&self, config: WorkerConfig) -> JoinHandle<Result<(), WorkerError>> {
-        let (store, blobs) = (Arc::clone(&self.store), self.blobs.clone());
+        self.start_on(Arc::clone(&self.store), config)
+    }
+
+    fn start_on(&self, store: Arc<dyn Store>, config: WorkerConfig) -> JoinHandle<Result<(), WorkerError>> {
+        let blobs = self.blobs.clone();
         let runner = Arc::new(self.runner.clone());
         tokio::spawn(worker::serve(store, blobs, runner, config, self.shutdown.clone()))
     }
@@ -61,14 +70,17 @@ impl Workshop {
     }
 
     async fn reaches(&self, id: tcgs::domain::JobId, state: JobState) -> tcgs::domain::Job {
-        loop {
-            let job = self.store.job(id).await.expect("read").expect("known").job;
-            if job.state == state {
-                return job;
+        let reached = async {
+            loop {
+                let job = self.store.job(id).await.expect("read").expect("known").job;
+                if job.state == state {
+                    return job;
+                }
+                assert!(!job.state.is_terminal(), "the job can no longer become {state:?}: {job:?}");
+                tokio::time::sleep(Duration::from_millis(2)).await;
             }
-            assert!(!job.state.is_terminal(), "the job can no longer become {state:?}: {job:?}");
-            tokio::time::sleep(Duration::from_millis(2)).await;
-        }
+        };
+        within(reached).await
     }
 
     async fn outcomes(&self, id: tcgs::domain::JobId) -> Vec<Option<AttemptOutcome>> {
@@ -149,8 +161,8 @@ async fn a_job_that_repeats_another_goes_on_from_its_checkpoint() {
     workshop.start(config());
     let failed = workshop.add("fail").await;
     let folder = |job: tcgs::domain::JobId| root.join(job.to_string());
-    std::fs::create_dir_all(folder(failed)).expect("made");
-    std::fs::write(folder(failed).join("checkpoint.safetensors"), b"state").expect("written");
+    std::fs::create_dir_all(folder(failed).join("attempt-1")).expect("made");
+    std::fs::write(folder(failed).join("attempt-1/checkpoint.safetensors"), b"state").expect("written");
     workshop.reaches(failed, JobState::Failed).await;
     let repeat = |from_checkpoint| {
         let id = tcgs::domain::JobId(Uuid::now_v7());
@@ -166,7 +178,7 @@ async fn a_job_that_repeats_another_goes_on_from_its_checkpoint() {
     assert!(folder(failed).exists() && !folder(fresh).exists(), "it was not to be used");
     let adopting = repeat(true).await;
     workshop.reaches(adopting, JobState::Failed).await;
-    let state = std::fs::read(folder(adopting).join("checkpoint.safetensors")).expect("moved");
+    let state = std::fs::read(folder(adopting).join("attempt-1/checkpoint.safetensors")).expect("moved");
     assert_eq!(state, b"state");
     assert!(!folder(failed).exists());
     let second = repeat(true).await;
@@ -206,7 +218,7 @@ async fn a_worker_that_lost_its_lease_drops_the_result_and_goes_on() {
     workshop.start(quick_worker("w"));
     let id = workshop.add("gate").await;
     workshop.runner.gate.someone_waits().await;
-    assert_eq!(workshop.store.expire_worker("w").await.expect("taken"), 1);
+    assert_eq!(workshop.store.expire_worker("w", Death::Alone).await.expect("taken"), 1);
     // Another worker takes it while the first still runs, and is interrupted.
     let other = workshop.store.claim("other").await.expect("a claim").expect("the job").lease;
     workshop.runner.gate.open();
@@ -233,6 +245,51 @@ async fn a_short_outage_of_the_database_does_not_cost_the_run() {
     server.store.set(None);
     let done = server.reaches(&job, "succeeded").await;
     assert_eq!(done["attempt"], 1);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_job_for_which_there_is_no_room_is_held_until_there_is_some() {
+    let workshop = Workshop::new().await;
+    workshop.start(quick_worker("w"));
+    let id = workshop.add("hold").await;
+    // More often than a job may fail.
+    let held = async {
+        while workshop.outcomes(id).await.len() < 7 {
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+    };
+    within(held).await;
+    workshop.runner.gate.open();
+    workshop.reaches(id, JobState::Succeeded).await;
+    let mut attempts = workshop.store.attempts(id).await.expect("read");
+    assert_eq!(attempts.pop().expect("one").outcome, Some(AttemptOutcome::Succeeded));
+    for attempt in attempts {
+        assert_eq!(attempt.outcome, Some(AttemptOutcome::Released));
+        let cause = attempt.cause.expect("a cause");
+        assert_eq!(cause.kind, "urn:tcgs:problem:storage-full");
+        assert!(
+            cause.detail.contains("goes on once there is room") && !cause.detail.contains("/srv"),
+            "{cause}"
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_disk_that_is_full_for_longer_than_a_lease_does_not_cost_the_run() {
+    let workshop = Workshop::new().await;
+    let store = Arc::new(FaultStore::new(Arc::clone(&workshop.store)));
+    let lease = Duration::from_millis(40);
+    workshop.start_on(Arc::clone(&store) as Arc<dyn Store>, WorkerConfig { lease, ..quick_worker("w") });
+    let id = workshop.add("gate").await;
+    within(workshop.runner.gate.someone_waits()).await;
+    store.set(Some(Failing::Full));
+    // Heartbeats and reports fail for longer than the lease lasts, and so does the end of the attempt.
+    tokio::time::sleep(5 * lease).await;
+    workshop.runner.gate.open();
+    tokio::time::sleep(5 * lease).await;
+    store.set(None);
+    let job = workshop.reaches(id, JobState::Succeeded).await;
+    assert_eq!(job.attempt, 1);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -433,19 +490,34 @@ async fn a_child_that_will_not_go_is_killed() {
     assert!(census.living().is_empty());
 }
 
+#[cfg(unix)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_program_that_does_not_start_is_tried_again_and_does_not_end_the_api() {
+    use std::os::unix::fs::PermissionsExt as _;
+
     let workshop = Workshop::new().await;
-    let mut config = SuperviseConfig::program("/nowhere/tcgs".into(), Vec::new(), 1);
+    let program = workshop.data.path().join("late.sh");
+    let mut config = SuperviseConfig::program(program.clone(), Vec::new(), 1);
     config.backoff_base = Duration::from_millis(1);
+    config.grace = Duration::from_millis(10);
     let supervisor = supervise(config, Arc::clone(&workshop.store), workshop.shutdown.clone());
     let census = supervisor.census();
-    tokio::time::sleep(Duration::from_millis(20)).await;
-    assert!(census.living().is_empty());
-    let api = api(&workshop, census);
-    assert_eq!(answer(&api, "/readyz").await.0, 200);
+    let api = api(&workshop, census.clone());
+    let ready = async || {
+        let (status, ready) = answer(&api, "/readyz").await;
+        assert_eq!(status, 200);
+        ready["workers"].clone()
+    };
+    assert_eq!(ready().await, json!({ "expected": 1, "alive": 0 }));
+    // Written elsewhere first: a file that is open for writing cannot be run.
+    let draft = workshop.data.path().join("draft.sh");
+    std::fs::write(&draft, "#!/bin/sh\nexec sleep 1000\n").expect("written");
+    std::fs::set_permissions(&draft, std::fs::Permissions::from_mode(0o700)).expect("made a program");
+    std::fs::rename(&draft, &program).expect("in its place");
+    within(one_living(&census, 0)).await;
+    assert_eq!(ready().await, json!({ "expected": 1, "alive": 1 }));
     workshop.shutdown.cancel();
-    supervisor.stopped().await;
+    within(supervisor.stopped()).await;
 }
 
 /// The API as `serve` would wire it, over the workshop's store and a supervisor's census.

@@ -354,7 +354,7 @@ impl Suite<'_> {
         let output = match outcome {
             Ok(output) => output,
             Err(JobFailure::Cancelled) => return Err(Failure::Stopped),
-            Err(JobFailure::Fail(problem) | JobFailure::Retry(problem)) => {
+            Err(JobFailure::Fail(problem) | JobFailure::Retry(problem) | JobFailure::Hold(problem)) => {
                 eprintln!("tcgs: {} {entry} failed: {problem}", set.name);
                 self.failed.push(problem.in_file(format!("{} {entry}", set.name)));
                 return Ok(None);

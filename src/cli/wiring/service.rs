@@ -41,6 +41,9 @@ const DATABASE: &str = "tcgs.sqlite";
 /// Name of the folder for the checkpoints of running jobs in the data folder.
 const CHECKPOINTS: &str = "checkpoints";
 
+/// Name of the folder in the data folder where supervised workers show that they are alive.
+const WORKERS: &str = "workers";
+
 /// Name of the folder in the data folder for what drivers keep of kernels, where their user has no home.
 const DRIVER_CACHE: &str = "driver-cache";
 
@@ -109,6 +112,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
         )
         .map_err(|fault| unavailable(&fault))?;
         children.environment = driver_cache_in(&options.data);
+        children.presence = Some(options.data.join(WORKERS));
         let supervisor = supervise::supervise(children, store.clone(), shutdown.clone());
         let census = supervisor.census();
         let housekeeping = tokio::spawn(keep_house(
@@ -180,7 +184,9 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
             worker::stop_when_stdin_closes(shutdown.clone()).map_err(|fault| unavailable(&fault))?;
         }
         let checkpoints = Some(options.data.join(CHECKPOINTS));
-        let config = WorkerConfig { checkpoints, ..WorkerConfig::from_environment() };
+        // Its supervisor looks there; who has none is known by its lease alone.
+        let presence = options.stop_with_parent.then(|| options.data.join(WORKERS));
+        let config = WorkerConfig { checkpoints, presence, ..WorkerConfig::from_environment() };
         let outcome = worker::serve(store.clone(), blobs, runner, config, shutdown).await;
         store.close().await;
         outcome.map_err(|fault| Failure::from(Problem::new(500, "stalled", "A job hangs", fault.to_string())))

@@ -16,8 +16,8 @@ impl Keys for SqliteStore {
             let (mut tx, now) = self.begin().await?;
             let row = sqlx::query(
                 "INSERT INTO keys (id, name, prefix, hash, scopes, max_bytes, max_active_jobs, requests_per_minute,
-                     created_at)
-                 VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING *",
+                     max_priority, created_at)
+                 VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING *",
             )
             .bind(new.id.to_string())
             .bind(&new.name)
@@ -28,6 +28,7 @@ impl Keys for SqliteStore {
             .bind(new.limits.max_bytes.map(|bytes| i64::try_from(bytes).unwrap_or(i64::MAX)))
             .bind(new.limits.max_active_jobs)
             .bind(new.limits.requests_per_minute.map(NonZeroU32::get))
+            .bind(new.limits.max_priority)
             .bind(micros(now))
             .fetch_one(&mut *tx)
             .await?;
@@ -129,6 +130,7 @@ fn key(row: &SqliteRow) -> Result<KeyRecord, StoreError> {
             max_active_jobs: rows::optional_unsigned(row, "max_active_jobs")?,
             requests_per_minute: rows::optional_unsigned(row, "requests_per_minute")?
                 .and_then(NonZeroU32::new),
+            max_priority: row.try_get("max_priority")?,
         },
         created_at: rows::instant("created_at", row.try_get("created_at")?)?,
         last_used_at: rows::optional_instant(row, "last_used_at")?,

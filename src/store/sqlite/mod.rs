@@ -2,9 +2,8 @@
 //!
 //! WAL with `synchronous = FULL`: a committed change survives a power cut. Writes go through one connection
 //! and begin with `BEGIN IMMEDIATE`, so no transaction ever has to turn from reader into writer, which SQLite
-//! refuses without waiting. Reads have connections of their own. Several processes may share the file; they share
-//! one clock too, which is what leases are measured by. Totals that grow with the history are kept by triggers of the schema and
-//! never counted.
+//! refuses without waiting. Reads have connections of their own. Several processes may share the file. Totals that grow
+//! with the history are kept by triggers of the schema and never counted.
 
 mod accounts;
 mod events;
@@ -12,9 +11,11 @@ mod exports;
 mod figures;
 mod idempotency;
 mod keys;
+mod leases;
 mod lifecycle;
 mod lists;
 mod open;
+mod priority;
 mod queue;
 mod rows;
 mod scenes;
@@ -22,15 +23,16 @@ mod series;
 mod uploads;
 mod webhooks;
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use jiff::Timestamp;
 use serde_json::json;
 use sqlx::{Row as _, Sqlite, SqliteConnection, SqlitePool, Transaction};
 
 use super::{
-    Answer, Artifact, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat, JobFilter, JobRecord,
-    Lease, NewJob, Outcome, PageKey, QueuePolicy, Repeat, Repetition, Store, StoreError,
+    Answer, Artifact, AttemptRecord, BlobRef, Cancellation, Claim, Death, Deletion, Heartbeat, JobFilter,
+    JobRecord, Lease, NewJob, Outcome, PageKey, QueuePolicy, Repeat, Repetition, Store, StoreError,
+    leases::LeaseWatch,
 };
 use crate::domain::{Clock, Event, EventKind, JobId, JobState, Phase, Progress};
 pub use open::SchemaChange;
@@ -45,6 +47,7 @@ pub struct SqliteStore {
     readers: SqlitePool,
     clock: Arc<dyn Clock>,
     policy: QueuePolicy,
+    leases: Mutex<LeaseWatch>,
 }
 
 impl SqliteStore {
@@ -80,6 +83,10 @@ impl SqliteStore {
         let limits = self.policy.limits;
         accounts::admit_job(tx, limits.max_active_jobs, new.owner).await?;
         accounts::admit_blob(tx, limits.max_bytes, new.owner, new.dataset).await?;
+        // A job that repeats another has the priority that was admitted then.
+        if new.retry_of.is_none() {
+            priority::admit(tx, limits.max_priority, new.owner, new.priority).await?;
+        }
         if let Some(scene) = new.scene {
             let known = sqlx::query("SELECT 1 FROM scenes WHERE id = ?").bind(scene.to_string());
             if known.fetch_optional(&mut *tx).await?.is_none() {
@@ -90,7 +97,7 @@ impl SqliteStore {
         sqlx::query(
             "INSERT INTO jobs (id, owner, scene, retry_of, deadline_at, dataset, options, state, phase, progress, priority,
                  run_after, max_attempts, from_checkpoint, created_at)
-             VALUES (?, ?, ?, ?, ?, ?, ?, 'queued', 'queued', ?, ?, ?, ?, ?, ?)",
+             VALUES (?, ?, ?, ?, ?, ?, ?, 'queued', 'queued', ?, ?, 0, ?, ?, ?)",
         )
         .bind(new.id.to_string())
         .bind(new.owner.map(|owner| owner.to_string()))
@@ -101,7 +108,6 @@ impl SqliteStore {
         .bind(text(&new.options)?)
         .bind(text(&Progress::default())?)
         .bind(new.priority)
-        .bind(micros(now))
         .bind(self.policy.max_attempts)
         .bind(new.from_checkpoint)
         .bind(micros(now))
@@ -124,9 +130,10 @@ impl SqliteStore {
     }
 
     async fn remove_job(&self, id: JobId, version: Option<u64>) -> Result<Option<Deletion>, StoreError> {
-        let (mut tx, now) = self.begin().await?;
         // As with a cancellation, a worker that is gone keeps nobody from deleting its job.
-        queue::reap(&mut tx, &self.policy, now).await?;
+        let expired = self.expired_of(id).await?;
+        let (mut tx, now) = self.begin().await?;
+        queue::reap(&mut tx, &self.policy, &expired, now).await?;
         let answer = lifecycle::delete(&mut tx, id, version).await?;
         tx.commit().await?;
         Ok(answer)
@@ -147,9 +154,10 @@ impl SqliteStore {
     }
 
     async fn cancel_job(&self, id: JobId) -> Result<Option<Cancellation>, StoreError> {
-        let (mut tx, now) = self.begin().await?;
         // A job whose worker is gone need not wait for another worker to learn that it is cancelled.
-        queue::reap(&mut tx, &self.policy, now).await?;
+        let expired = self.expired_of(id).await?;
+        let (mut tx, now) = self.begin().await?;
+        queue::reap(&mut tx, &self.policy, &expired, now).await?;
         lifecycle::give_up_queued(&mut tx, now).await?;
         let answer = queue::cancel(&mut tx, id, now).await?;
         tx.commit().await?;
@@ -196,8 +204,7 @@ impl SqliteStore {
     async fn anything_due(&self) -> Result<bool, StoreError> {
         let now = micros(self.clock.now());
         let row = sqlx::query(
-            "SELECT EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND run_after <= ?1)
-                 OR EXISTS (SELECT 1 FROM jobs WHERE state = 'running' AND lease_until <= ?1) AS due",
+            "SELECT EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND (run_after <= ?1 OR waits_since > ?1)) AS due",
         )
         .bind(now)
         .fetch_one(&self.readers)
@@ -325,24 +332,15 @@ impl Store for SqliteStore {
 
     fn claim<'a>(&'a self, worker: &'a str) -> Answer<'a, Option<Claim>> {
         Box::pin(async move {
-            if !self.anything_due().await? {
-                return Ok(None);
-            }
-            let (mut tx, now) = self.begin().await?;
-            queue::reap(&mut tx, &self.policy, now).await?;
-            lifecycle::give_up_queued(&mut tx, now).await?;
-            let claim = queue::claim(&mut tx, &self.policy, worker, now).await?;
-            tx.commit().await?;
-            Ok(claim)
+            let claimed = self.claim_next(worker).await;
+            self.watched(claimed.map(Option::unzip))
         })
     }
 
     fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Heartbeat> {
         Box::pin(async move {
-            let (mut tx, now) = self.begin().await?;
-            let heartbeat = queue::heartbeat(&mut tx, &self.policy, lease, now).await?;
-            tx.commit().await?;
-            Ok(heartbeat)
+            let renewed = self.renew(lease).await;
+            self.watched(renewed.map(|(row, heartbeat)| (Some(row), heartbeat)))
         })
     }
 
@@ -364,12 +362,19 @@ impl Store for SqliteStore {
         })
     }
 
-    fn expire_worker<'a>(&'a self, worker: &'a str) -> Answer<'a, u64> {
+    fn expire_worker<'a>(&'a self, worker: &'a str, death: Death) -> Answer<'a, u64> {
         Box::pin(async move {
             let (mut tx, now) = self.begin().await?;
-            let count = queue::expire_worker(&mut tx, &self.policy, worker, now).await?;
+            let count = queue::expire_worker(&mut tx, &self.policy, worker, death, now).await?;
             tx.commit().await?;
             Ok(count)
+        })
+    }
+
+    fn expire_leases(&self) -> Answer<'_, u64> {
+        Box::pin(async move {
+            let expired = self.reap_expired().await;
+            self.watched(expired.map(|count| (None, count)))
         })
     }
 

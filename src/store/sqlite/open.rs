@@ -105,7 +105,7 @@ async fn open(
     };
     let readers = options.read_only(true).create_if_missing(false);
     let readers = pool(READERS).connect_with(readers).await.map_err(open_error)?;
-    Ok((SqliteStore { writer, readers, clock, policy }, change))
+    Ok((SqliteStore { writer, readers, clock, policy, leases: std::sync::Mutex::default() }, change))
 }
 
 async fn bring_up_to_date(

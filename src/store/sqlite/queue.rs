@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
 use serde_json::{Value, json};
-use sqlx::{Row as _, SqliteConnection, sqlite::SqliteRow};
+use sqlx::{Row as _, SqliteConnection, SqlitePool, sqlite::SqliteRow};
 
 use super::{
     events::append,
@@ -15,7 +15,8 @@ use super::{
 use crate::{
     domain::{EventKind, JobId, JobState, Phase, Progress},
     store::{
-        Cancellation, Claim, Heartbeat, Lease, Outcome, QueuePolicy, StoreError,
+        Cancellation, Claim, Death, Heartbeat, Lease, Outcome, QueuePolicy, StoreError,
+        leases::LeaseRow,
         verdict::{End, Next, Standing, verdict},
     },
 };
@@ -27,17 +28,32 @@ pub(super) fn after(now: Timestamp, delay: Duration) -> Timestamp {
         .unwrap_or(Timestamp::MAX)
 }
 
-/// Takes every job whose lease has run out from its worker.
+/// The leases of all running jobs.
+pub(super) async fn leases(pool: &SqlitePool) -> Result<Vec<LeaseRow>, StoreError> {
+    let rows = sqlx::query("SELECT id, attempt, lease_until FROM jobs WHERE state = 'running'");
+    rows.fetch_all(pool).await?.iter().map(rows::lease).collect()
+}
+
+/// Takes jobs whose leases have run out from their workers, and counts them; those that were renewed meanwhile stay.
 pub(super) async fn reap(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
+    expired: &[(LeaseRow, Death)],
     now: Timestamp,
 ) -> Result<u64, StoreError> {
-    let lost = sqlx::query("SELECT * FROM jobs WHERE state = 'running' AND lease_until <= ?")
-        .bind(micros(now))
+    let mut count = 0;
+    for (lease, death) in expired {
+        let lost = sqlx::query(
+            "SELECT * FROM jobs WHERE id = ? AND attempt = ? AND lease_until = ? AND state = 'running'",
+        )
+        .bind(lease.job.to_string())
+        .bind(lease.attempt)
+        .bind(lease.until)
         .fetch_all(&mut *connection)
         .await?;
-    lose(connection, policy, &lost, now).await
+        count += lose(connection, policy, &lost, *death, now).await?;
+    }
+    Ok(count)
 }
 
 /// Takes every job from one worker.
@@ -45,41 +61,47 @@ pub(super) async fn expire_worker(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
     worker: &str,
+    death: Death,
     now: Timestamp,
 ) -> Result<u64, StoreError> {
     let lost = sqlx::query("SELECT * FROM jobs WHERE state = 'running' AND lease_owner = ?")
         .bind(worker)
         .fetch_all(&mut *connection)
         .await?;
-    lose(connection, policy, &lost, now).await
+    lose(connection, policy, &lost, death, now).await
 }
 
 async fn lose(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
-    lost: &[sqlx::sqlite::SqliteRow],
+    lost: &[SqliteRow],
+    death: Death,
     now: Timestamp,
 ) -> Result<u64, StoreError> {
     for row in lost {
-        end_attempt(connection, policy, &rows::standing(row, now)?, End::Lost, now).await?;
+        end_attempt(connection, policy, &rows::standing(row, now)?, End::Lost(death), now).await?;
     }
     Ok(lost.len() as u64)
 }
 
-/// Gives the next job to `worker`.
+/// Gives the next job to `worker`. The plus keeps SQLite from counting through all jobs that an owner ever had.
 pub(super) async fn claim(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
     worker: &str,
     now: Timestamp,
-) -> Result<Option<Claim>, StoreError> {
+) -> Result<Option<(LeaseRow, Claim)>, StoreError> {
     let row = sqlx::query(
-        "UPDATE jobs SET state = 'running', phase = 'ingest', progress = ?, attempt = attempt + 1,
-             charged = charged + 1, lease_owner = ?, lease_until = ?, started_at = ?, progress_event_at = NULL,
+        "UPDATE jobs SET state = 'running', phase = 'ingest', progress = ?1, attempt = attempt + 1,
+             charged = charged + 1, lease_owner = ?2, lease_until = ?3, started_at = ?4, progress_event_at = NULL,
              version = version + 1
-         WHERE id = (SELECT id FROM jobs WHERE state = 'queued' AND run_after <= ?
-                     ORDER BY priority DESC, created_at, id LIMIT 1)
-         RETURNING id, attempt, dataset, options, retry_of, from_checkpoint",
+         WHERE id = (SELECT waiting.id FROM jobs AS waiting
+                     WHERE waiting.state = 'queued' AND (waiting.run_after <= ?5 OR waiting.waits_since > ?5)
+                     ORDER BY waiting.priority DESC,
+                         (SELECT COUNT(*) FROM jobs AS busy WHERE busy.state = 'running' AND +busy.owner IS waiting.owner),
+                         waiting.created_at, waiting.id
+                     LIMIT 1)
+         RETURNING id, attempt, lease_until, dataset, options, retry_of, from_checkpoint",
     )
     .bind(text(&Progress::default())?)
     .bind(worker)
@@ -101,12 +123,13 @@ pub(super) async fn claim(
     let data = json!({ "state": JobState::Running });
     append(connection, job, EventKind::State, attempt, &data, now).await?;
     append(connection, job, EventKind::Phase, attempt, &json!({ "phase": Phase::Ingest }), now).await?;
-    Ok(Some(Claim {
+    let claim = Claim {
         lease: Lease { job, attempt, worker: worker.to_owned() },
         dataset: rows::dataset(&row)?,
         options: rows::options(&row)?,
         adopts: rows::adopts(&row)?,
-    }))
+    };
+    Ok(Some((rows::lease(&row)?, claim)))
 }
 
 /// Stops a queued job, or asks for a running one to be stopped.
@@ -142,16 +165,18 @@ fn lease_lost(lease: &Lease) -> StoreError {
     StoreError::LeaseLost { job: lease.job, attempt: lease.attempt }
 }
 
-/// Renews the lease.
+/// Renews the lease. Two renewals never give the same one, whatever the clock does: whoever watches leases tells them apart
+/// by their end.
 pub(super) async fn heartbeat(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
     lease: &Lease,
     now: Timestamp,
-) -> Result<Heartbeat, StoreError> {
+) -> Result<(LeaseRow, Heartbeat), StoreError> {
     let row = sqlx::query(
-        "UPDATE jobs SET lease_until = ?
-         WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running' RETURNING cancel_requested_at, deadline_at",
+        "UPDATE jobs SET lease_until = CASE WHEN lease_until = ?1 THEN ?1 + 1 ELSE ?1 END
+         WHERE id = ?2 AND attempt = ?3 AND lease_owner = ?4 AND state = 'running'
+         RETURNING id, attempt, lease_until, cancel_requested_at, deadline_at",
     )
     .bind(micros(after(now, policy.lease)))
     .bind(lease.job.to_string())
@@ -161,10 +186,11 @@ pub(super) async fn heartbeat(
     .await?
     .ok_or_else(|| lease_lost(lease))?;
     let deadline: Option<i64> = row.try_get("deadline_at")?;
-    Ok(Heartbeat {
+    let heartbeat = Heartbeat {
         cancel_requested: row.try_get::<Option<i64>, _>("cancel_requested_at")?.is_some(),
         overdue: deadline.is_some_and(|deadline| deadline <= micros(now)),
-    })
+    };
+    Ok((rows::lease(&row)?, heartbeat))
 }
 
 /// Records phase and progress.
@@ -181,14 +207,16 @@ pub(super) async fn report(
     let turned = row.try_get::<String, _>("phase")? != phase_name;
     let last_event: Option<i64> = row.try_get("progress_event_at")?;
     let every = i64::try_from(policy.progress_event_every.as_micros()).unwrap_or(i64::MAX);
-    let due = last_event.is_none_or(|last| micros(now).saturating_sub(last) >= every);
+    // A clock that was set back must not put the next one off.
+    let due = last_event.is_none_or(|last| micros(now).saturating_sub(last).saturating_abs() >= every);
     sqlx::query(
         "UPDATE jobs SET phase = ?, progress = ?, version = version + 1,
-             progress_event_at = CASE WHEN ? THEN ? ELSE progress_event_at END
+             checkpoint_step = MAX(checkpoint_step, ?), progress_event_at = CASE WHEN ? THEN ? ELSE progress_event_at END
          WHERE id = ?",
     )
     .bind(phase_name)
     .bind(text(progress)?)
+    .bind(rows::signed(progress.checkpoint_step))
     .bind(due)
     .bind(micros(now))
     .bind(lease.job.to_string())
@@ -248,16 +276,18 @@ async fn end_attempt(
         .execute(&mut *connection)
         .await?;
     let state = match next {
-        Next::Requeue { delay, refund, silent_deaths } => {
+        Next::Requeue { delay, refund, setbacks } => {
             let run_after = after(now, delay);
             sqlx::query(
-                "UPDATE jobs SET state = 'queued', phase = 'queued', run_after = ?, charged = charged - ?,
-                     silent_deaths = ?, lease_owner = NULL, lease_until = NULL, version = version + 1
+                "UPDATE jobs SET state = 'queued', phase = 'queued', run_after = ?, waits_since = ?, charged = charged - ?,
+                     silent_deaths = ?, setbacks = ?, setback_step = checkpoint_step, lease_owner = NULL, lease_until = NULL, version = version + 1
                  WHERE id = ?",
             )
             .bind(micros(run_after))
+            .bind(micros(now))
             .bind(i64::from(refund))
-            .bind(silent_deaths)
+            .bind(setbacks.alone)
+            .bind(setbacks.together)
             .bind(job.to_string())
             .execute(&mut *connection)
             .await?;

@@ -13,7 +13,8 @@ use crate::{
     store::{
         Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, DeliveryRecord, DeliveryState,
         DueDelivery, EndpointRecord, ExportRecord, FileRecord, JobRecord, Likeness, Remembered, StoreError,
-        verdict::Standing,
+        leases::LeaseRow,
+        verdict::{Setbacks, Standing},
     },
 };
 
@@ -239,15 +240,23 @@ pub(super) fn deadline(row: &SqliteRow) -> Result<Timestamp, StoreError> {
 }
 
 pub(super) fn standing(row: &SqliteRow, now: Timestamp) -> Result<Standing, StoreError> {
+    let checkpoint: u64 = unsigned(row, "checkpoint_step")?;
     Ok(Standing {
         overdue: optional_instant(row, "deadline_at")?.filter(|deadline| *deadline <= now),
         job: job_id(row)?,
         attempt: unsigned(row, "attempt")?,
         charged: unsigned(row, "charged")?,
         max_attempts: unsigned(row, "max_attempts")?,
-        silent_deaths: unsigned(row, "silent_deaths")?,
+        setbacks: Setbacks { alone: unsigned(row, "silent_deaths")?, together: unsigned(row, "setbacks")? },
+        checkpoint,
+        progressed: checkpoint > unsigned::<u64>(row, "setback_step")?,
         cancel_requested: row.try_get::<Option<i64>, _>("cancel_requested_at")?.is_some(),
     })
+}
+
+/// The lease of a running job.
+pub(super) fn lease(row: &SqliteRow) -> Result<LeaseRow, StoreError> {
+    Ok(LeaseRow { job: job_id(row)?, attempt: unsigned(row, "attempt")?, until: row.try_get("lease_until")? })
 }
 
 /// A row of `series`.

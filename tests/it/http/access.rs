@@ -488,3 +488,62 @@ pub(super) async fn a_database_that_fails_lets_nobody_in(coverage: Coverage) {
     server.store.set(Some(Failing::Busy));
     with_key(&server, "GET", "/v1/jobs", &key.key).await.expect_problem(503, "busy");
 }
+
+#[tokio::test]
+async fn a_key_has_a_ceiling_for_the_priority_of_its_jobs() {
+    let setup = || Setup { worker: false, ..Setup::default() };
+    let server = Server::start_with(&Coverage::default(), setup()).await;
+    let scopes = [Scope::Read, Scope::JobsWrite, Scope::ScenesWrite];
+    let ceiling = |most| KeyLimits { max_priority: Some(most), ..KeyLimits::default() };
+    server.upload("?priority=100", "succeed").await.expect(201);
+    let (plain, high, low, admin) = (
+        server.key(&scopes).await,
+        server.key_with(&scopes, ceiling(70)).await,
+        server.key_with(&scopes, ceiling(-5)).await,
+        server.key_with(&[Scope::Admin], ceiling(-5)).await,
+    );
+    let ask = async |server: &Server, key: &TestKey, priority: i32| {
+        let path = format!("/v1/jobs?priority={priority}");
+        let upload = |request: reqwest::RequestBuilder| {
+            request.bearer_auth(&key.key).header("content-type", "application/zip").body("succeed")
+        };
+        server.send("POST", &path, upload).await
+    };
+    for (key, most) in [(&plain, 0), (&high, 70), (&low, -5), (&admin, 100)] {
+        let made = ask(&server, key, most).await.expect(201).json();
+        assert_eq!(made["priority"], most);
+        let detail = ask(&server, key, most + 1).await.expect_problem(422, "invalid-parameter");
+        assert!(detail.contains("priority") && detail.contains(&format!("{most}")), "{detail}");
+    }
+    // By JSON too, and a job that is repeated keeps what it was given.
+    let scene = server.send("POST", "/v1/scenes", |request| {
+        request.bearer_auth(&high.key).header("content-type", "application/zip").body("succeed")
+    });
+    let scene = scene.await.expect(201).json()["id"].clone();
+    let by_json = async |priority: i32| {
+        let body = json!({ "scene_id": scene, "priority": priority });
+        server.send("POST", "/v1/jobs", |request| request.bearer_auth(&high.key).json(&body)).await
+    };
+    by_json(71).await.expect_problem(422, "invalid-parameter");
+    let job = by_json(70).await.expect(201).header("location").to_owned();
+    with_key(&server, "POST", &format!("{job}/cancel"), &high.key).await.expect(200);
+    let again = with_key(&server, "POST", &format!("{job}/retry"), &high.key).await.expect(201).json();
+    assert_eq!(again["priority"], 70);
+
+    // The service's own default, for keys without a ceiling.
+    let policy = QueuePolicy { limits: ceiling(20), ..quick_policy() };
+    let server = Server::start_with(&Coverage::default(), Setup { policy, ..setup() }).await;
+    let (plain, low) = (server.key(&scopes).await, server.key_with(&scopes, ceiling(-5)).await);
+    ask(&server, &plain, 20).await.expect(201);
+    ask(&server, &plain, 21).await.expect_problem(422, "invalid-parameter");
+    ask(&server, &low, -4).await.expect_problem(422, "invalid-parameter");
+
+    let admin = server.key(&[Scope::Admin]).await;
+    let make = async |most: i32| {
+        let body = json!({ "name": "k", "scopes": ["jobs:write"], "max_priority": most });
+        server.send("POST", "/v1/keys", |request| request.bearer_auth(&admin.key).json(&body)).await
+    };
+    assert_eq!(make(-100).await.expect(201).json()["max_priority"], -100);
+    let detail = make(101).await.expect_problem(422, "invalid-key-request");
+    assert!(detail.contains("max_priority: 101"), "{detail}");
+}

@@ -1,15 +1,17 @@
 //! What operators look at: metrics and readiness.
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
+use jiff::SignedDuration;
 use serde_json::{Value, json};
 use tcgs::{
-    domain::Phase,
-    store::{AfterAttempt, Outcome, Settled, Webhooks as _},
+    domain::{JobMetrics, ManualClock, Phase, PhaseSeconds, SceneFormat},
+    store::{AfterAttempt, Artifact, ArtifactKind, Outcome, Settled, Webhooks as _},
 };
 
 use crate::support::{
     contract::Coverage,
+    fakes,
     faults::Failing,
     server::{Server, Setup},
 };
@@ -42,7 +44,9 @@ async fn metrics_until(server: &Server, mut done: impl FnMut(&str) -> bool) -> S
 }
 
 pub(super) async fn metrics_tell_of_requests_jobs_and_the_machine(coverage: Coverage) {
-    let server = Server::start_with(&coverage, Setup { worker: false, ..Setup::default() }).await;
+    let clock = Arc::new(ManualClock::new("2026-11-21T12:00:00Z".parse().expect("an instant")));
+    let setup = Setup { worker: false, clock: clock.clone(), ..Setup::default() };
+    let server = Server::start_with(&coverage, setup).await;
     let [first, _, _] =
         [server.create("succeed").await, server.create("succeed 2").await, server.create("bytes").await];
     let store = &server.services.store;
@@ -56,8 +60,9 @@ pub(super) async fn metrics_tell_of_requests_jobs_and_the_machine(coverage: Cove
     let running = store.claim("test").await.expect("an answer").expect("a job");
     let progress = tcgs::domain::Progress { steps_per_second: Some(12.5), ..Default::default() };
     store.report(&running.lease, Phase::Train, &progress).await.expect("reported");
-    store.expire_worker("nobody").await.expect("an answer");
     server.get(&first).await.expect(200);
+    // The third job has been waiting since.
+    clock.advance(SignedDuration::from_millis(12_500));
 
     let text = metrics(&server).await;
     assert!(text.ends_with("# EOF\n"), "{text}");
@@ -70,7 +75,7 @@ pub(super) async fn metrics_tell_of_requests_jobs_and_the_machine(coverage: Cove
     for (state, count) in [("queued", 1), ("running", 1), ("failed", 1), ("succeeded", 0), ("cancelled", 0)] {
         assert_eq!(series(&text, &format!("tcgs_jobs{{state=\"{state}\"}}")), f64::from(count), "{state}");
     }
-    assert!(series(&text, "tcgs_oldest_queued_job_age_seconds") > 0.0);
+    assert_eq!(series(&text, "tcgs_oldest_queued_job_age_seconds"), 12.5);
     assert_eq!(series(&text, "tcgs_claims_total"), 3.0);
     for (outcome, cause) in [("failed", "bad-set"), ("retried", "device-lost")] {
         let name = format!("tcgs_attempts_ended_total{{outcome=\"{outcome}\",cause=\"{cause}\"}}");
@@ -86,10 +91,26 @@ pub(super) async fn metrics_tell_of_requests_jobs_and_the_machine(coverage: Cove
     assert_eq!(series(&text, &format!("tcgs_build_info{{version=\"{}\"}}", env!("CARGO_PKG_VERSION"))), 1.0);
 
     // A job's end is told once what was told before is a second old; until then a database that fails does no harm.
-    let end = Outcome::Succeeded { metrics: Box::new(crate::support::fakes::metrics()), artifacts: vec![] };
+    let seconds = PhaseSeconds { ingest: 1.5, train: 60.25, encode: 2.5, decode: 0.125 };
+    let figures = JobMetrics { seconds, ..fakes::metrics() };
+    let blob = server.services.blobs.put(fakes::FILE.into()).await.expect("published");
+    let file = Artifact { kind: ArtifactKind::Scene(SceneFormat::Tcgs), lambda: None, blob };
+    let end = Outcome::Succeeded { metrics: Box::new(figures), artifacts: vec![file] };
     store.finish(&running.lease, end).await.expect("ended");
     let text = metrics_until(&server, |text| series(text, "tcgs_jobs{state=\"succeeded\"}") == 1.0).await;
-    assert_eq!(series(&text, "tcgs_phase_seconds_total{phase=\"train\"}"), 0.0, "fake jobs take no time");
+    for (phase, seconds) in [("ingest", 1.5), ("train", 60.25), ("encode", 2.5), ("decode", 0.125)] {
+        assert_eq!(
+            series(&text, &format!("tcgs_phase_seconds_total{{phase=\"{phase}\"}}")),
+            seconds,
+            "{phase}"
+        );
+    }
+    for (state, count) in [("queued", 1), ("running", 0), ("failed", 1), ("succeeded", 1), ("cancelled", 0)] {
+        assert_eq!(series(&text, &format!("tcgs_jobs{{state=\"{state}\"}}")), f64::from(count), "{state}");
+    }
+    assert_eq!(series(&text, "tcgs_training_steps_per_second"), 0.0, "no job runs any more");
+    assert_eq!(series(&text, "tcgs_blobs"), 4.0);
+    assert_eq!(series(&text, "tcgs_blob_bytes"), 21.0 + fakes::FILE.len() as f64);
     for (failing, status) in [(Failing::Busy, 503), (Failing::Gone, 500)] {
         server.store.set(Some(failing));
         while server.get("/metrics").await.status == 200 {

@@ -46,6 +46,10 @@ impl Gate {
         self.arrived.notified().await;
     }
 
+    fn is_open(&self) -> bool {
+        *self.open.lock().expect("not poisoned")
+    }
+
     fn pass(&self) {
         self.arrived.notify_one();
         let mut open = self.open.lock().expect("not poisoned");
@@ -59,7 +63,7 @@ impl Gate {
 pub const FILE: &[u8] = b"this is not really a compressed scene, but it has bytes";
 
 /// Does what the dataset's text says: `succeed`, `fail`, `retry`, `panic`, `wait` (until cancelled), `gate`
-/// (until the gate opens, whatever the cancel flag says), then a suffix that makes datasets differ.
+/// (until the gate opens, whatever the cancel flag says), `hold` (for want of room, until the gate is open), then a suffix that makes datasets differ.
 #[derive(Debug, Default, Clone)]
 pub struct FakeRunner {
     pub gate: Arc<Gate>,
@@ -89,6 +93,11 @@ impl RunJob for FakeRunner {
             "succeed" => {}
             "fail" => return Err(JobFailure::Fail(problem("fake-fail"))),
             "retry" => return Err(JobFailure::Retry(problem("fake-retry"))),
+            "hold" if self.gate.is_open() => {}
+            "hold" => {
+                let detail = "there is no room in /srv/tcgs for 3 bytes more";
+                return Err(JobFailure::Hold(Problem::new(507, "storage-full", "Storage full", detail)));
+            }
             "panic" => panic!("as the test wants it"),
             "wait" => {
                 self.gate.arrived.notify_one();

@@ -13,10 +13,10 @@ use jiff::Timestamp;
 use tcgs::{
     domain::{Digest, Event, JobId, JobState, KeyId, Phase, Progress, SceneId, UploadId},
     store::{
-        Accounts, Answer, AttemptRecord, Cancellation, Claim, Deletion, ExportRecord, Exports, Figures,
-        FileRecord, Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewJob, NewScene, NewUpload,
-        Outcome, Overview, PageKey, Remembered, Repeat, Repetition, SceneCreation, SceneDeletion, ScenePage,
-        SceneRecord, Scenes, Store, StoreError, UploadRecord, Uploads, Usage,
+        Accounts, Answer, AttemptRecord, Cancellation, Claim, Death, Deletion, ExportRecord, Exports,
+        Figures, FileRecord, Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewJob, NewScene,
+        NewUpload, Outcome, Overview, PageKey, Remembered, Repeat, Repetition, SceneCreation, SceneDeletion,
+        ScenePage, SceneRecord, Scenes, Store, StoreError, UploadRecord, Uploads, Usage,
     },
 };
 
@@ -147,8 +147,11 @@ impl Store for FaultStore {
     fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> Answer<'a, JobState> {
         self.guard(self.inner.finish(lease, outcome))
     }
-    fn expire_worker<'a>(&'a self, worker: &'a str) -> Answer<'a, u64> {
-        self.guard(self.inner.expire_worker(worker))
+    fn expire_worker<'a>(&'a self, worker: &'a str, death: Death) -> Answer<'a, u64> {
+        self.guard(self.inner.expire_worker(worker, death))
+    }
+    fn expire_leases(&self) -> Answer<'_, u64> {
+        self.guard(self.inner.expire_leases())
     }
     fn ping(&self) -> Answer<'_, ()> {
         self.guard(self.inner.ping())

@@ -27,6 +27,7 @@ pub fn command() -> Command {
         "TCGS_REQUESTS_PER_MINUTE",
         "TCGS_MAX_BYTES",
         "TCGS_MAX_ACTIVE_JOBS",
+        "TCGS_MAX_PRIORITY",
         "TCGS_SERVER",
         "TCGS_API_KEY",
     ];

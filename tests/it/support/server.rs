@@ -62,6 +62,7 @@ impl Default for Setup {
 pub fn quick_policy() -> QueuePolicy {
     QueuePolicy {
         backoff_base: Duration::ZERO,
+        hold: Duration::ZERO,
         progress_event_every: Duration::ZERO,
         ..QueuePolicy::default()
     }

@@ -141,6 +141,16 @@ impl Service {
         self.child.kill().await.expect("killed");
     }
 
+    /// Ends the service and its workers at once, so that neither sees the other's end, as a power cut would.
+    #[cfg(target_os = "linux")]
+    pub async fn cut_power(self) {
+        kill("-STOP", self.child.id().expect("running"));
+        for worker in self.workers() {
+            kill("-KILL", worker);
+        }
+        self.kill().await;
+    }
+
     /// Asks the service to stop and waits until it has.
     #[cfg(unix)]
     pub async fn stop(mut self) -> ExitStatus {

@@ -1,0 +1,72 @@
+//! Faults of the disk, as the owner of a job may hear of them: without the server's folders, which only the log names.
+
+use crate::{
+    domain::{Problem, problem::TYPE_PREFIX},
+    store::{BlobError, Outcome, is_disk_full},
+};
+
+const FULL: &str = "storage-full";
+const FAILED: &str = "storage-failed";
+
+/// How an attempt ends whose blobs cannot be read or written.
+pub(super) fn outcome(error: &BlobError) -> Outcome {
+    tracing::error!(error = error as &dyn std::error::Error, "{error}");
+    if is_disk_full(error) { Outcome::Held(full()) } else { Outcome::Retry(failed()) }
+}
+
+/// The problem that a run ended with, which the log has in full.
+pub(super) fn shown(problem: Problem) -> Problem {
+    match problem.kind.strip_prefix(TYPE_PREFIX) {
+        Some(FULL) => {
+            tracing::warn!("the job is held: {problem}");
+            full()
+        }
+        Some(FAILED) => {
+            tracing::error!("{problem}");
+            failed()
+        }
+        _ => problem,
+    }
+}
+
+fn full() -> Problem {
+    let detail =
+        "the service's disk has no room for the job's files; the job waits and goes on once there is room";
+    Problem::new(507, FULL, "Storage full", detail)
+}
+
+fn failed() -> Problem {
+    Problem::new(500, FAILED, "Storage failed", "the job's files cannot be read or written")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+
+    use super::*;
+
+    #[test]
+    fn a_full_disk_holds_the_job_and_another_fault_of_it_costs_an_attempt() {
+        for kind in [io::ErrorKind::StorageFull, io::ErrorKind::QuotaExceeded] {
+            let Outcome::Held(problem) = outcome(&BlobError::Io(kind.into())) else { panic!("not held") };
+            assert_eq!((problem.status, &*problem.kind), (507, "urn:tcgs:problem:storage-full"));
+        }
+        let source = Box::new(io::Error::from(io::ErrorKind::StorageFull));
+        let wrapped = BlobError::Store(object_store::Error::Generic { store: "local", source });
+        assert!(matches!(outcome(&wrapped), Outcome::Held(_)));
+        let broken = outcome(&BlobError::Io(io::ErrorKind::PermissionDenied.into()));
+        assert!(matches!(broken, Outcome::Retry(problem) if problem.kind.ends_with("storage-failed")));
+    }
+
+    #[test]
+    fn folders_of_the_server_are_not_told() {
+        for kind in [FULL, FAILED] {
+            let problem = Problem::new(507, kind, "Title", "no room in /srv/tcgs/data for 3 bytes");
+            let shown = shown(problem.clone());
+            assert_eq!(shown.kind, problem.kind);
+            assert!(!shown.detail.contains("/srv"), "{shown}");
+        }
+        let other = Problem::new(422, "dataset-rejected", "Title", "images/a.png is no image");
+        assert_eq!(shown(other.clone()), other);
+    }
+}
