@@ -157,6 +157,37 @@ async fn whatever_is_answered_reaches_a_client_that_sends_its_whole_body_first()
     }
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_read_of_a_strangers_body_has_an_end() {
+    let server = Server::start(&Coverage::default()).await;
+    let key = server.key(&[Scope::JobsWrite]).await;
+    for (authorization, bytes, closes) in [
+        (String::new(), 1 << 20, false),
+        (String::new(), (1 << 20) + 1, true),
+        (format!("Authorization: Bearer {}\r\n", key.key), 2 << 20, false),
+    ] {
+        let head = format!(
+            "POST /v1/jobs?preset=fast HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\n{authorization}\
+             Content-Length: {bytes}\r\n\r\n"
+        );
+        let (mut from, mut to) = TcpStream::connect(server.address).await.expect("connects").into_split();
+        let sending = tokio::spawn(async move {
+            // The service may stop reading.
+            let _ = to.write_all(head.as_bytes()).await;
+            let _ = to.write_all(&vec![b'x'; bytes]).await;
+            to
+        });
+        let mut answer = Vec::new();
+        while !answer.windows(4).any(|window| window == b"\r\n\r\n") {
+            assert!(from.read_buf(&mut answer).await.expect("an answer") > 0, "{bytes} bytes");
+        }
+        let head = String::from_utf8_lossy(&answer).to_lowercase();
+        assert_eq!(head.contains("connection: close\r\n"), closes, "{bytes} bytes: {head}");
+        drop(from);
+        drop(sending.await.expect("joined"));
+    }
+}
+
 #[tokio::test]
 async fn a_client_that_waits_for_leave_to_send_is_refused_without_it() {
     let server = Server::start(&Coverage::default()).await;
