@@ -95,7 +95,7 @@ pub(crate) struct LimitFlags {
     #[arg(long, value_name = "BYTES", default_value = "64MiB", env = "TCGS_VIEW_CACHE")]
     view_cache: Bytes,
 
-    /// Free room on the data folder's disk below which the service is not ready
+    /// Free room on the data folder's disk below which the service is not ready and takes neither datasets nor jobs
     #[arg(long, value_name = "BYTES", default_value = "512MiB", env = "TCGS_MIN_FREE_SPACE")]
     min_free_space: Bytes,
 

@@ -27,6 +27,8 @@ use super::{
     jobs::find,
     problem::Fault,
     query::Parameters,
+    received::take_back,
+    space::{Space, expect_above_floor},
     state::{AppState, ExportedScene},
 };
 use crate::{
@@ -169,6 +171,7 @@ async fn make(
     }
     // How long the file will be is known once it is made; then its bytes are counted as well.
     state.store().admit_export(job).await?;
+    expect_above_floor(&state, 0)?;
     let place = state.exports().places.try_acquire();
     let _place = place.map_err(|_| Fault::busy("too many scenes are being exported"))?;
     let _turn = state.exports().turns.acquire().await.map_err(|error| Fault::internal(&error))?;
@@ -178,9 +181,15 @@ async fn make(
     let exported = spawn_blocking(move || write(&file, format, &cameras)).await;
     let exported = exported.map_err(|error| Fault::internal(&error))??;
     let ExportedScene { bytes, gaussians, sh_degree, likeness } = exported;
-    let blob = state.blobs().put(Bytes::from(bytes)).await?;
+    let _reservation = Space::reserve(&state, record.owner, bytes.len() as u64).await?;
+    let published = state.blobs().put_new(Bytes::from(bytes)).await?;
+    let blob = published.blob;
     let export = ExportRecord { job, source, format, blob, gaussians, sh_degree, likeness };
-    let kept = state.store().add_export(export).await?;
+    let kept = state.store().add_export(export).await;
+    if !matches!(&kept, Ok(Some(kept)) if kept.blob == blob) {
+        take_back(&state, published).await;
+    }
+    let kept = kept?;
     tracing::info!(%job, bytes = blob.bytes, "job {job} is exported as .{}", format.name());
     kept.ok_or_else(|| Fault::no_job(&job.to_string()))
 }

@@ -16,6 +16,7 @@ mod scenes;
 mod secrets;
 mod series;
 mod service;
+mod space;
 mod uploads;
 mod views;
 mod webhooks;
@@ -23,8 +24,7 @@ mod webhooks;
 use crate::support::contract::Coverage;
 
 /// Statuses that no test can bring about, with the reason.
-const UNSEEN: &[(&str, &str, &str)] =
-    &[("appendToUpload", "507", "needs a full disk; the mapping has a unit test")];
+const UNSEEN: &[(&str, &str, &str)] = &[];
 
 /// Makes each scenario a test, and one more that runs all of them and asserts that the contract is covered.
 macro_rules! scenarios {
@@ -72,6 +72,9 @@ scenarios! {
     }
     connections {
         bodies_that_break_off_or_dawdle_are_given_up,
+    }
+    space {
+        below_the_floor_of_free_space_nothing_is_taken_in,
     }
     operations {
         metrics_tell_of_requests_jobs_and_the_machine,
