@@ -8,6 +8,7 @@ use std::{
 
 use thiserror::Error;
 
+use super::client::TrustedProxies;
 use crate::domain::OutboundPolicy;
 
 /// The server's settings.
@@ -99,6 +100,8 @@ pub struct AccessRules {
     pub requests_per_minute: Option<NonZeroU32>,
     /// Requests in a minute that may come from one address without a valid key.
     pub failures_per_minute: NonZeroU32,
+    /// Proxies that are believed where a request comes from.
+    pub trusted_proxies: TrustedProxies,
 }
 
 impl Default for AccessRules {
@@ -107,6 +110,7 @@ impl Default for AccessRules {
             without_keys: false,
             requests_per_minute: None,
             failures_per_minute: const { NonZeroU32::new(30).unwrap() },
+            trusted_proxies: TrustedProxies::default(),
         }
     }
 }

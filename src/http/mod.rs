@@ -68,6 +68,7 @@ use axum::{
 };
 use tower_http::catch_panic::CatchPanicLayer;
 
+pub use client::{ProxyNetwork, TrustedProxies};
 pub use config::HttpConfig;
 pub use serve::{Listeners, ServeError, bind, serve};
 pub use state::{

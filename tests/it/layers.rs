@@ -38,6 +38,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("reqwest", &["https", "webhooks", "cli"]),
     ("rustls", &["https"]),
     ("governor", &["http"]),
+    ("ipnet", &["http"]),
     ("secrecy", &["domain"]),
     ("subtle", &["domain"]),
     ("getrandom", &["domain"]),
