@@ -10,6 +10,7 @@ use std::{
 };
 
 use axum::{
+    Extension,
     extract::{Path, RawQuery, State},
     http::{HeaderMap, HeaderName, HeaderValue},
     response::Response,
@@ -23,6 +24,7 @@ use tokio::{sync::Semaphore, task::spawn_blocking};
 
 use super::{
     artifact::{file_of, take_lambda},
+    cross_site::{FollowedLink, expect_own_doing},
     file::{File, serve},
     jobs::find,
     problem::Fault,
@@ -77,6 +79,7 @@ pub(super) async fn get(
     caller: Caller,
     Path(id): Path<String>,
     RawQuery(query): RawQuery,
+    link: Option<Extension<FollowedLink>>,
     request: HeaderMap,
 ) -> Result<Response, Fault> {
     let record = find(&state, &caller, &id).await?;
@@ -88,7 +91,13 @@ pub(super) async fn get(
     let (blob, likeness) = if source.format == format {
         (source.blob, None)
     } else {
-        let export = export(&state, &record, source.blob.digest, format).await?;
+        let export = match kept(&state, record.job.id, source.blob.digest, format).await? {
+            Some(kept) => kept,
+            None => {
+                expect_own_doing(link.as_deref())?;
+                export(&state, &record, source.blob.digest, format).await?
+            }
+        };
         (export.blob, export.likeness)
     };
     let file = File::new(record.job.id, ArtifactKind::Scene(format), source.lambda, blob);
@@ -117,9 +126,6 @@ async fn export(
     source: Digest,
     format: SceneFormat,
 ) -> Result<ExportRecord, Fault> {
-    if let Some(kept) = kept(state, record.job.id, source, format).await? {
-        return Ok(kept);
-    }
     let wanted = (record.job.id, source, format.name());
     let making = {
         let mut making = state.exports().making.lock().unwrap_or_else(PoisonError::into_inner);

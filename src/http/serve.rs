@@ -111,11 +111,14 @@ pub async fn serve(
     let store = services.store.clone();
     tokio::spawn(overdue::give_up(store, config.limits.overdue_every, shutdown.clone()));
     let state = AppState::new(services, config.limits.clone(), shutdown.clone());
+    state.lock().prime(&state).await;
     let closed = CancellationToken::new();
     let app = if listeners.metrics.is_some() { router_without_metrics } else { router };
     let api = Door::new(app(state.clone()), &config, state.meters());
     // Scrapers must get in when clients have taken every place.
-    let own = Door::new(metrics::router(state.clone()), &config, state.meters());
+    let metrics_on_loopback =
+        config.metrics_listen.is_some_and(|address| address.ip().to_canonical().is_loopback());
+    let own = Door::new(metrics::router(state.clone(), metrics_on_loopback), &config, state.meters());
     let notice = async {
         shutdown.cancelled().await;
         sleep(config.drain_notice).await;

@@ -4,6 +4,7 @@
 mod access;
 mod artifacts;
 mod connections;
+mod cross_site;
 mod events;
 mod exports;
 mod films;
