@@ -20,12 +20,14 @@ pub struct HttpConfig {
     pub metrics_listen: Option<SocketAddr>,
     /// Connections served at a time; more wait in the system's queue.
     pub max_connections: usize,
-    /// Connections of one address served at a time; more are closed.
+    /// Connections of one address, or one IPv6 network of 64 bits, served at a time; more are closed. Trusted proxies have no such bound.
     pub max_connections_per_address: usize,
     /// Longest time from a connection's begin, or from the previous response, to the end of a request's headers.
     pub header_timeout: Duration,
     /// Longest time in which a client takes nothing of a response.
     pub write_timeout: Duration,
+    /// Bytes a second of a response that a client has to take on average, once that time has been waited for it.
+    pub answer_rate: u64,
     /// How long readiness already fails on shutdown before connections are refused.
     pub drain_notice: Duration,
     /// Longest time that open requests may take once the server shuts down.
@@ -40,9 +42,10 @@ impl Default for HttpConfig {
             listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8080)),
             metrics_listen: None,
             max_connections: 512,
-            max_connections_per_address: 256,
+            max_connections_per_address: 128,
             header_timeout: Duration::from_secs(10),
             write_timeout: Duration::from_secs(30),
+            answer_rate: 4 << 10,
             drain_notice: Duration::ZERO,
             drain: Duration::from_secs(20),
             limits: RequestLimits::default(),

@@ -35,6 +35,7 @@ mod keys;
 mod listing;
 mod metrics;
 mod overdue;
+mod paced;
 mod peers;
 mod picture;
 mod prefer;

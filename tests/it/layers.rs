@@ -33,7 +33,6 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("tower", &["http"]),
     ("tower_http", &["http"]),
     ("prometheus_client", &["http"]),
-    ("tokio_io_timeout", &["http"]),
     ("hmac", &["webhooks"]),
     ("reqwest", &["https", "webhooks", "cli"]),
     ("rustls", &["https"]),

@@ -285,6 +285,26 @@ async fn a_client_that_takes_nothing_of_its_answers_loses_its_connection() {
     }
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_that_takes_too_little_of_its_answers_loses_its_connection() {
+    let tune = |config: &mut tcgs::http::HttpConfig| {
+        config.write_timeout = Duration::from_millis(500);
+        config.answer_rate = 1 << 40;
+    };
+    let server = Server::start_with(&Coverage::default(), Setup { tune, ..Setup::default() }).await;
+    let mut stream = TcpStream::connect(server.address).await.expect("connects");
+    let (requests, each) = (500, server.get("/openapi.yaml").await.expect(200).body.len());
+    let text = "GET /openapi.yaml HTTP/1.1\r\nHost: localhost\r\n\r\n".repeat(requests);
+    stream.write_all(text.as_bytes()).await.expect("sent");
+    let (mut taken, mut piece) = (0, vec![0; 64 << 10]);
+    while let Ok(bytes @ 1..) = stream.read(&mut piece).await {
+        taken += bytes;
+        // It never stops for long, but the service waits for it all the same.
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    assert!(taken < requests * each, "{taken} bytes were sent");
+}
+
 #[tokio::test]
 async fn one_address_cannot_take_every_place() {
     let tune = |config: &mut tcgs::http::HttpConfig| config.max_connections_per_address = 1;
@@ -298,6 +318,29 @@ async fn one_address_cannot_take_every_place() {
     first.write_all(b"alhost\r\nConnection: close\r\n\r\n").await.expect("sent");
     first.read_to_end(&mut answer).await.expect("an end");
     assert_eq!(check_raw(&server, "GET", "/healthz", &answer), 200, "the first has its place");
+}
+
+#[tokio::test]
+async fn a_trusted_proxy_has_the_places_of_all_its_clients() {
+    let tune = |config: &mut tcgs::http::HttpConfig| {
+        config.max_connections_per_address = 1;
+        let network = "127.0.0.1".parse().expect("a network");
+        config.limits.access.trusted_proxies = tcgs::http::TrustedProxies(vec![network]);
+    };
+    let server = Server::start_with(&Coverage::default(), Setup { tune, ..Setup::default() }).await;
+    let mut open = Vec::new();
+    for _ in 0..3 {
+        open.push(TcpStream::connect(server.address).await.expect("connects"));
+    }
+    for stream in &mut open {
+        stream
+            .write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+            .await
+            .expect("sent");
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).await.expect("an end");
+        assert_eq!(check_raw(&server, "GET", "/healthz", &answer), 200);
+    }
 }
 
 #[tokio::test]
