@@ -179,6 +179,8 @@ pub struct RequestLimits {
     pub event_streams_each: usize,
     /// Longest silence on a stream of events.
     pub keep_alive: Duration,
+    /// How often it is looked whether the key of an open stream of events has been revoked.
+    pub recheck_keys_every: Duration,
     /// Webhook endpoints of one key.
     pub webhook_endpoints: u32,
     /// Where webhook endpoints may be.
@@ -217,6 +219,7 @@ impl Default for RequestLimits {
             event_streams: 256,
             event_streams_each: 128,
             keep_alive: Duration::from_secs(15),
+            recheck_keys_every: Duration::from_secs(2),
             webhook_endpoints: 10,
             webhook_targets: OutboundPolicy::default(),
         }

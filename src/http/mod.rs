@@ -45,6 +45,7 @@ mod range;
 mod readiness;
 mod received;
 mod report;
+mod revocation;
 mod scene_body;
 mod scenes;
 mod scopes;

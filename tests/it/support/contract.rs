@@ -183,7 +183,10 @@ fn resolved(value: &'static Value) -> &'static Value {
 
 /// A frame of an event stream, and what its data holds.
 fn validate_frame(place: &str, schema: &'static Value, frame: &super::sse::Frame) {
-    let fields = json!({ "id": frame.id, "event": frame.event, "data": frame.data });
+    let mut fields = json!({ "event": frame.event, "data": frame.data });
+    if !frame.id.is_empty() {
+        fields["id"] = json!(frame.id);
+    }
     validate(place, schema, &serde_json::to_vec(&fields).expect("JSON"));
     validate(place, &resolved(schema)["properties"]["data"]["contentSchema"], frame.data.as_bytes());
 }
