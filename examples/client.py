@@ -135,6 +135,9 @@ def follow(service, job):
 
 
 def show(event):
+    if "kind" not in event:
+        # Not the job's: the stream says why it ends.
+        return
     data = event["data"]
     if event["kind"] == "progress":
         known = [f"{name} {data[name]:.4g}" for name in ("loss", "psnr") if data[name] is not None]

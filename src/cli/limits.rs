@@ -48,8 +48,8 @@ pub(crate) struct LimitFlags {
     #[arg(long, value_name = "N", default_value_t = 512, env = "TCGS_MAX_CONNECTIONS")]
     max_connections: usize,
 
-    /// Connections of one address served at a time; more are closed
-    #[arg(long, value_name = "N", default_value_t = 256, env = "TCGS_MAX_CONNECTIONS_PER_ADDRESS")]
+    /// Connections of one address, or one IPv6 /64, served at a time; more are closed
+    #[arg(long, value_name = "N", default_value_t = 128, env = "TCGS_MAX_CONNECTIONS_PER_ADDRESS")]
     max_connections_per_address: usize,
 
     /// Longest time from a connection's begin, or from the previous answer, to the end of a request's headers
@@ -59,6 +59,10 @@ pub(crate) struct LimitFlags {
     /// Longest time in which a client takes nothing of an answer
     #[arg(long, value_name = "TIME", default_value = "30s", env = "TCGS_WRITE_TIMEOUT")]
     write_timeout: Span,
+
+    /// Bytes a second of an answer that a client has to take on average once --write-timeout has been waited for it
+    #[arg(long, value_name = "BYTES", default_value = "4KiB", env = "TCGS_ANSWER_RATE")]
+    answer_rate: Bytes,
 
     /// Longest pause within a request's body
     #[arg(long, value_name = "TIME", default_value = "30s", env = "TCGS_BODY_PAUSE")]
@@ -100,7 +104,8 @@ pub(crate) struct LimitFlags {
     #[arg(long, value_name = "BYTES", default_value = "64MiB", env = "TCGS_VIEW_CACHE")]
     view_cache: Bytes,
 
-    /// Free room on the data folder's disk below which the service is not ready; 0 for no such bound
+    /// Free room on the data folder's disk below which the service is not ready and takes neither datasets nor jobs; 0 for
+    /// no such bound
     #[arg(long, value_name = "BYTES", default_value = "512MiB", env = "TCGS_MIN_FREE_SPACE", value_parser = bytes_or_none)]
     min_free_space: Bytes,
 
@@ -128,6 +133,7 @@ impl LimitFlags {
             max_connections_per_address: self.max_connections_per_address,
             header_timeout: self.header_timeout.0,
             write_timeout: self.write_timeout.0,
+            answer_rate: self.answer_rate.0,
             drain_notice: self.drain_notice.0,
             drain: self.drain.0,
             limits: RequestLimits {

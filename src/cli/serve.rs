@@ -4,7 +4,7 @@ use std::{net::SocketAddr, num::NonZeroU32, path::PathBuf};
 
 use tcgs::{
     domain::{Bytes, DEFAULT_MAX_PRIORITY, KeyLimits, MAX_PRIORITY, OutboundPolicy},
-    http::config::AccessRules,
+    http::{ProxyNetwork, TrustedProxies, config::AccessRules},
 };
 
 use super::{
@@ -45,6 +45,10 @@ pub(crate) struct Args {
     /// Requests in a minute that may come from one address without a valid key
     #[arg(long, value_name = "N", default_value = "30", env = "TCGS_FAILURES_PER_MINUTE")]
     failures_per_minute: NonZeroU32,
+
+    /// Networks of proxies, separated by commas, that are believed where a request comes from (X-Forwarded-For, Forwarded)
+    #[arg(long, value_name = "CIDR", value_delimiter = ',', env = "TCGS_TRUSTED_PROXIES")]
+    trusted_proxies: Vec<ProxyNetwork>,
 
     /// Storage that the scenes, uploads and jobs of such a key may take; not bounded if absent
     #[arg(long, value_name = "BYTES", env = "TCGS_MAX_BYTES")]
@@ -112,6 +116,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, Failure> {
                 without_keys: args.without_keys,
                 requests_per_minute: args.requests_per_minute,
                 failures_per_minute: args.failures_per_minute,
+                trusted_proxies: TrustedProxies(args.trusted_proxies),
             },
         ),
         limits: KeyLimits {

@@ -5,6 +5,8 @@
 //! - While the database has no key, everybody is let in as [`Caller::ANYBODY`]; only loopback is served then
 //!   ([`super::HttpConfig::check_exposure`]). From the first key on, and for as long as the process lives, nothing under `/v1`
 //!   answers without one, revoked keys and unknown paths included.
+//! - While everybody is let in, the service answers to loopback names only ([`super::host`]), and with keys or without it refuses what pages
+//!   of other sites make browsers send ([`cross_site`]).
 //! - A browser shows a key as the password of HTTP Basic, and does so by itself also where another site's page sends it. So that is
 //!   taken only for requests that change nothing.
 //! - Only what passed here has a [`Caller`]; handlers that ask for one cannot run without.
@@ -21,7 +23,9 @@ use axum::{
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 
 use super::{
-    client::ClientAddress,
+    client::{ClientAddress, TrustedProxies},
+    cross_site::{self, Doing, FollowedLink},
+    host::{Hosts, only},
     problem::Fault,
     scopes::{self, Access},
     state::AppState,
@@ -38,8 +42,20 @@ use crate::{
 pub(super) struct Lock(AtomicBool);
 
 impl Lock {
+    /// Looks whether there are keys, so that it is known from the first request on.
+    pub(super) async fn prime(&self, state: &AppState) {
+        if let Err(fault) = self.is_open(state).await {
+            tracing::warn!("whether there are keys is not known yet: {fault:?}");
+        }
+    }
+
+    /// Whether there were keys when last looked at.
+    fn is_closed(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
     async fn is_open(&self, state: &AppState) -> Result<bool, Fault> {
-        if self.0.load(Ordering::Relaxed) {
+        if self.is_closed() {
             return Ok(false);
         }
         if state.limits().access.without_keys {
@@ -57,7 +73,7 @@ pub(super) async fn authenticate(
     mut request: Request,
     next: Next,
 ) -> Response {
-    let (shown, reads) = (take_key(request.headers_mut()), is_read(request.method()));
+    let shown = take_key(request.headers_mut());
     let route = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
     let needed = match &route {
         Some(route) => scopes::access(request.method().as_str(), route),
@@ -65,11 +81,18 @@ pub(super) async fn authenticate(
         None if !is_api(request.uri().path()) => Some(Access::Open),
         None => None,
     };
-    if needed == Some(Access::Open) {
+    let is_open_to_all = needed == Some(Access::Open);
+    // What tells whether the process lives does not wait for the database.
+    let open =
+        if is_open_to_all { Ok(!state.lock().is_closed()) } else { state.lock().is_open(&state).await };
+    if let Err(fault) = admit_page(&mut request, &open, &shown) {
+        return fault.into_response();
+    }
+    if is_open_to_all {
         return next.run(request).await;
     }
-    let address = request.extensions().get::<ClientAddress>().copied();
-    let caller = match admit(&state, shown, reads, needed, address).await {
+    let stranger = Stranger::of(&request, &state.limits().access.trusted_proxies);
+    let caller = match admit(&state, open, shown, needed, &stranger).await {
         Ok(caller) => caller,
         Err(fault) => return fault.into_response(),
     };
@@ -86,6 +109,68 @@ pub(super) async fn authenticate(
         return response;
     }
     Fault::internal(&std::io::Error::other(format!("{place} has no row in http/scopes.rs"))).into_response()
+}
+
+/// Refuses names that are not the service's and what pages of other sites make browsers send. In doubt whether keys are asked for,
+/// none are.
+fn admit_page(request: &mut Request, open: &Result<bool, Fault>, shown: &Shown) -> Result<(), Fault> {
+    let hosts = Hosts::of(request)?;
+    let asks_for_keys = matches!(open, Ok(false));
+    if !asks_for_keys {
+        hosts.expect_loopback()?;
+    }
+    if asks_for_keys && matches!(shown, Shown::Bearer(_)) {
+        return Ok(());
+    }
+    if cross_site::judge(request.method(), request.headers(), &hosts)? == Doing::FollowedLink {
+        request.extensions_mut().insert(FollowedLink);
+    }
+    Ok(())
+}
+
+/// Lets a request through to a listener that asks for no key; on a loopback address it answers to loopback names only.
+pub(super) async fn admit_without_keys(
+    State(on_loopback): State<bool>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let admitted = Hosts::of(&request).and_then(|hosts| {
+        if on_loopback {
+            hosts.expect_loopback()?;
+        }
+        cross_site::judge(request.method(), request.headers(), &hosts)
+    });
+    match admitted {
+        Ok(_) => next.run(request).await,
+        Err(fault) => fault.into_response(),
+    }
+}
+
+/// What is known of who sends a request before their key is looked at.
+struct Stranger {
+    address: Option<ClientAddress>,
+    /// Whether the request changes nothing.
+    reads: bool,
+    /// Whether a browser is to show the answer as a page.
+    wants_page: bool,
+}
+
+impl Stranger {
+    fn of(request: &Request, proxies: &TrustedProxies) -> Self {
+        let headers = request.headers();
+        let peer = request.extensions().get::<ClientAddress>().copied();
+        let wants_page = match only(headers, "sec-fetch-mode") {
+            Some(mode) => mode == "navigate",
+            None => headers
+                .get(header::ACCEPT)
+                .is_some_and(|accept| accept.to_str().is_ok_and(|text| text.contains("text/html"))),
+        };
+        Self {
+            address: peer.map(|peer| peer.behind(proxies, headers)),
+            reads: is_read(request.method()),
+            wants_page,
+        }
+    }
 }
 
 fn is_api(path: &str) -> bool {
@@ -139,22 +224,25 @@ fn password(credentials: &str) -> Option<ApiKey> {
 
 async fn admit(
     state: &AppState,
+    open: Result<bool, Fault>,
     shown: Shown,
-    reads: bool,
     needed: Option<Access>,
-    address: Option<ClientAddress>,
+    stranger: &Stranger,
 ) -> Result<Caller, Fault> {
-    if state.lock().is_open(state).await? {
+    if open? {
         return Ok(Caller::ANYBODY);
     }
-    let fail = |fault: Fault| match state.throttle().failure(address) {
+    let reads = stranger.reads;
+    let fail = |fault: Fault| match state.throttle().failure(stranger.address) {
         Ok(()) => fault,
-        Err(wait) => too_many_failures(wait),
+        Err(wait) => too_many_failures(reads, wait),
     };
     let key = match shown {
         Shown::Bearer(key) => key,
         Shown::Basic(key) if reads => key,
         Shown::Basic(_) => return Err(fail(not_by_basic())),
+        // Browsers ask their users for a key only when they are answered 401.
+        Shown::Nothing if reads && stranger.wants_page => return Err(no_key(reads)),
         Shown::Nothing => return Err(fail(no_key(reads))),
         Shown::Malformed => return Err(fail(bad_key(reads))),
     };
@@ -244,9 +332,14 @@ fn too_many_requests(key: &KeyRecord, wait: Wait) -> Fault {
         .with(header::RETRY_AFTER, wait.seconds().into())
 }
 
-fn too_many_failures(wait: Wait) -> Fault {
+fn too_many_failures(reads: bool, wait: Wait) -> Fault {
     let detail =
         "too many requests without a valid key came from this address; send one with a valid key, or wait";
-    Fault::new(StatusCode::TOO_MANY_REQUESTS, "too-many-failures", "Too many requests without a key", detail)
-        .with(header::RETRY_AFTER, wait.seconds().into())
+    let fault = Fault::new(
+        StatusCode::TOO_MANY_REQUESTS,
+        "too-many-failures",
+        "Too many requests without a key",
+        detail,
+    );
+    challenge(reads, fault.with(header::RETRY_AFTER, wait.seconds().into()), BEARER)
 }

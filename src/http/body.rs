@@ -11,7 +11,6 @@ use futures_util::StreamExt as _;
 use tokio::time::{Instant, timeout, timeout_at};
 
 use super::{config::RequestLimits, problem::Fault};
-use crate::store::{Blobs, Staged};
 
 /// The media type of a request, without its parameters, in lower case.
 pub(super) fn media_type(headers: &HeaderMap) -> Option<String> {
@@ -37,22 +36,6 @@ pub(super) fn expect_media_type(headers: &HeaderMap, accepted: &[&str]) -> Resul
     ))
 }
 
-/// Streams a body into a staged blob.
-pub(super) async fn stage(
-    body: &mut BodyDataStream,
-    headers: &HeaderMap,
-    blobs: &Blobs,
-    limits: &RequestLimits,
-) -> Result<Staged, Fault> {
-    refuse_announced(headers, limits.upload_bytes)?;
-    let mut staging = blobs.stage(limits.upload_bytes).await?;
-    let mut pieces = Pieces::new(body, limits);
-    while let Some(piece) = pieces.next().await? {
-        staging.write(&piece).await?;
-    }
-    Ok(staging.finish().await?)
-}
-
 /// Reads a JSON body into memory.
 pub(super) async fn read_json(
     body: &mut BodyDataStream,
@@ -60,7 +43,7 @@ pub(super) async fn read_json(
     limits: &RequestLimits,
 ) -> Result<Vec<u8>, Fault> {
     expect_media_type(headers, &["application/json"])?;
-    refuse_announced(headers, limits.json_bytes)?;
+    announced_length(headers, limits.json_bytes)?;
     let mut content = Vec::new();
     let mut pieces = Pieces::new(body, limits);
     while let Some(piece) = pieces.next().await? {
@@ -91,13 +74,17 @@ pub(super) async fn read_optional_json(
     read_json(body, headers, limits).await.map(Some)
 }
 
-fn refuse_announced(headers: &HeaderMap, limit: u64) -> Result<(), Fault> {
+/// The length that a body is announced to have, if it is.
+///
+/// # Errors
+/// 413 for more than `limit`.
+pub(super) fn announced_length(headers: &HeaderMap, limit: u64) -> Result<Option<u64>, Fault> {
     let announced =
         headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse::<u64>().ok());
     if announced.is_some_and(|announced| announced > limit) {
         return Err(Fault::too_large(limit));
     }
-    Ok(())
+    Ok(announced)
 }
 
 /// A body piece by piece, within the limits on time.

@@ -8,6 +8,7 @@ use std::{
 
 use thiserror::Error;
 
+use super::client::TrustedProxies;
 use crate::domain::OutboundPolicy;
 
 /// The server's settings.
@@ -19,12 +20,14 @@ pub struct HttpConfig {
     pub metrics_listen: Option<SocketAddr>,
     /// Connections served at a time; more wait in the system's queue.
     pub max_connections: usize,
-    /// Connections of one address served at a time; more are closed.
+    /// Connections of one address, or one IPv6 network of 64 bits, served at a time; more are closed. Trusted proxies have no such bound.
     pub max_connections_per_address: usize,
     /// Longest time from a connection's begin, or from the previous response, to the end of a request's headers.
     pub header_timeout: Duration,
     /// Longest time in which a client takes nothing of a response.
     pub write_timeout: Duration,
+    /// Bytes a second of a response that a client has to take on average, once that time has been waited for it.
+    pub answer_rate: u64,
     /// How long readiness already fails on shutdown before connections are refused.
     pub drain_notice: Duration,
     /// Longest time that open requests may take once the server shuts down.
@@ -39,9 +42,10 @@ impl Default for HttpConfig {
             listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8080)),
             metrics_listen: None,
             max_connections: 512,
-            max_connections_per_address: 256,
+            max_connections_per_address: 128,
             header_timeout: Duration::from_secs(10),
             write_timeout: Duration::from_secs(30),
+            answer_rate: 4 << 10,
             drain_notice: Duration::ZERO,
             drain: Duration::from_secs(20),
             limits: RequestLimits::default(),
@@ -99,6 +103,8 @@ pub struct AccessRules {
     pub requests_per_minute: Option<NonZeroU32>,
     /// Requests in a minute that may come from one address without a valid key.
     pub failures_per_minute: NonZeroU32,
+    /// Proxies that are believed where a request comes from.
+    pub trusted_proxies: TrustedProxies,
 }
 
 impl Default for AccessRules {
@@ -107,6 +113,7 @@ impl Default for AccessRules {
             without_keys: false,
             requests_per_minute: None,
             failures_per_minute: const { NonZeroU32::new(30).unwrap() },
+            trusted_proxies: TrustedProxies::default(),
         }
     }
 }
@@ -172,6 +179,8 @@ pub struct RequestLimits {
     pub event_streams_each: usize,
     /// Longest silence on a stream of events.
     pub keep_alive: Duration,
+    /// How often it is looked whether the key of an open stream of events has been revoked.
+    pub recheck_keys_every: Duration,
     /// Webhook endpoints of one key.
     pub webhook_endpoints: u32,
     /// Where webhook endpoints may be.
@@ -210,6 +219,7 @@ impl Default for RequestLimits {
             event_streams: 256,
             event_streams_each: 128,
             keep_alive: Duration::from_secs(15),
+            recheck_keys_every: Duration::from_secs(2),
             webhook_endpoints: 10,
             webhook_targets: OutboundPolicy::default(),
         }

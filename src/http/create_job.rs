@@ -1,5 +1,7 @@
 //! `POST /v1/jobs`: a job of the archive in the body, or of a scene that was sent before.
 
+use std::sync::Arc;
+
 use axum::{
     body::{Body, BodyDataStream},
     extract::State,
@@ -10,7 +12,7 @@ use jiff::Timestamp;
 use tokio::task::spawn_blocking;
 
 use super::{
-    body::{expect_media_type, media_type, read_json, stage},
+    body::{expect_media_type, media_type, read_json},
     create_scene::new_uuid,
     idempotency::{self, Keyed},
     job_body::href,
@@ -19,6 +21,8 @@ use super::{
     prefer,
     problem::Fault,
     query::Parameters,
+    received::receive,
+    space::expect_above_floor,
     state::AppState,
 };
 use crate::{
@@ -98,7 +102,9 @@ async fn of_scene(state: &AppState, asked: &Asked<'_>, body: &mut BodyDataStream
     let (id, wish) = JobWish::from_json(&content)?;
     let scene = state.store().scene(id).await?.filter(|scene| asked.caller.may_see(scene.owner));
     let scene = scene.ok_or_else(|| Fault::no_scene(id))?;
-    queue(state, NewJob { scene: Some(id), intent, ..asked.job(state, wish, scene.dataset) }).await
+    expect_above_floor(state, 0)?;
+    let new = NewJob { scene: Some(id), intent: intent.clone(), ..asked.job(state, wish, scene.dataset) };
+    queued(state, state.store().create_job(new).await, intent.as_ref()).await
 }
 
 async fn of_archive(state: &AppState, asked: &Asked<'_>, body: &mut BodyDataStream) -> Result<Made, Fault> {
@@ -106,21 +112,23 @@ async fn of_archive(state: &AppState, asked: &Asked<'_>, body: &mut BodyDataStre
     let keyed = idempotency::begin(state, &asked.caller, asked.headers)?;
     let place = state.uploads().try_acquire();
     let _place = place.map_err(|_| Fault::busy("too many datasets are being received"))?;
-    let staged = stage(body, asked.headers, state.blobs(), state.limits()).await?;
-    let intent = asked.intent(keyed.as_ref(), staged.blob().digest);
+    let received = receive(state, asked.caller.key, asked.headers, body).await?;
+    let intent = asked.intent(keyed.as_ref(), received.blob().digest);
     if let Some(before) = made_before(state, intent.as_ref()).await? {
         return Ok(before);
     }
     let check = state.services().check.clone();
-    let (staged, checked) = spawn_blocking(move || {
-        let checked = check(staged.path());
-        (staged, checked)
+    let (received, checked) = spawn_blocking(move || {
+        let checked = check(received.path());
+        (received, checked)
     })
     .await
     .map_err(|error| Fault::internal(&error))?;
     checked?;
-    let dataset = state.blobs().publish(&staged).await?;
-    queue(state, NewJob { intent, ..asked.job(state, wish, dataset) }).await
+    let new = NewJob { intent: intent.clone(), ..asked.job(state, wish, received.blob()) };
+    let store = Arc::clone(&state.services().store);
+    let created = received.keep(state, async move { store.create_job(new).await }).await?;
+    queued(state, created, intent.as_ref()).await
 }
 
 impl Asked<'_> {
@@ -139,15 +147,19 @@ impl Asked<'_> {
     }
 }
 
-/// Puts a job into the queue, unless its request's key made one already.
-async fn queue(state: &AppState, new: NewJob) -> Result<Made, Fault> {
-    let (id, intent) = (new.id, new.intent.clone());
-    match state.store().create_job(new).await {
+/// The job that was put into the queue, or the one that its request's key made already.
+async fn queued(
+    state: &AppState,
+    created: Result<JobRecord, StoreError>,
+    intent: Option<&Intent>,
+) -> Result<Made, Fault> {
+    match created {
         Ok(record) => {
+            let id = record.job.id;
             tracing::info!(job = %id, bytes = record.dataset.bytes, "job {id} is queued");
             Ok(Made::Now(record))
         }
-        Err(error) => made_meanwhile(state, intent.as_ref(), error).await,
+        Err(error) => made_meanwhile(state, intent, error).await,
     }
 }
 

@@ -1,5 +1,7 @@
 //! `POST /v1/scenes`: a scene of an archive in the body, or of a finished upload.
 
+use std::sync::Arc;
+
 use axum::{
     body::{Body, BodyDataStream},
     extract::State,
@@ -12,11 +14,12 @@ use tokio::task::spawn_blocking;
 use uuid::{NoContext, Uuid};
 
 use super::{
-    body::{media_type, read_json, stage},
+    body::{media_type, read_json},
     content_digest,
     idempotency::{self, Keyed},
     problem::Fault,
     query::Parameters,
+    received::{Received, receive},
     scene_body::href,
     scenes::{find, representation},
     state::AppState,
@@ -25,7 +28,7 @@ use super::{
 };
 use crate::{
     domain::{Caller, DatasetSummary, Digest, SceneId, UploadId},
-    store::{Intent, NewScene, Remembered, SceneCreation, SceneRecord, Staged, StoreError},
+    store::{Intent, NewScene, Remembered, SceneCreation, SceneRecord, StoreError},
 };
 
 /// Longest name, in characters.
@@ -106,13 +109,13 @@ impl Asked<'_> {
         let keyed = idempotency::begin(self.state, &self.caller, self.headers)?;
         let place = self.state.uploads().try_acquire();
         let _place = place.map_err(|_| Fault::busy("too many datasets are being received"))?;
-        let staged = stage(body, self.headers, self.state.blobs(), self.state.limits()).await?;
-        content_digest::check(announced, staged.blob().digest)?;
-        let intent = self.intent(keyed.as_ref(), staged.blob().digest);
+        let received = receive(self.state, self.caller.key, self.headers, body).await?;
+        content_digest::check(announced, received.blob().digest)?;
+        let intent = self.intent(keyed.as_ref(), received.blob().digest);
         if let Some(before) = self.made_before(intent.as_ref()).await? {
             return Ok(before);
         }
-        self.keep(staged, Wish { name, upload: None, intent }).await
+        self.keep(received, Wish { name, upload: None, intent }).await
     }
 
     async fn of_upload(&self, body: &mut BodyDataStream) -> Result<Made, Fault> {
@@ -142,14 +145,14 @@ impl Asked<'_> {
                 ),
             ));
         }
-        let staged = file.finish(record.length).await?;
+        let received = Received::of_upload(file.finish(record.length).await?);
         let told = || {
             let metadata = Metadata::parse(record.metadata.as_deref()?).ok()?;
             let name = metadata.get("name").or_else(|| metadata.get("filename"))?;
             checked_name("name", name.to_owned()).ok()
         };
         let name = name.or_else(told);
-        let made = self.keep(staged, Wish { name, upload: Some(record.id), intent }).await?;
+        let made = self.keep(received, Wish { name, upload: Some(record.id), intent }).await?;
         if let Err(error) = self.state.blobs().remove_upload(record.id).await {
             tracing::warn!(upload = %record.id, error = &error as &dyn std::error::Error, "the file of upload {} stays for a while: {error}", record.id);
         }
@@ -161,19 +164,19 @@ impl Asked<'_> {
     }
 
     /// Checks and publishes the archive and makes a scene of it, unless its owner has one.
-    async fn keep(&self, staged: Staged, wish: Wish) -> Result<Made, Fault> {
-        let owner = self.caller.key;
-        let known = self.state.store().scene_of_dataset(owner, staged.blob().digest).await?;
-        let (staged, summary) = match known {
-            Some(known) => (staged, known.summary),
-            None => self.check(staged).await?,
+    async fn keep(&self, received: Received, wish: Wish) -> Result<Made, Fault> {
+        let (owner, dataset) = (self.caller.key, received.blob());
+        let known = self.state.store().scene_of_dataset(owner, dataset.digest).await?;
+        let (received, summary) = match known {
+            Some(known) => (received, known.summary),
+            None => self.check(received).await?,
         };
-        let dataset = self.state.blobs().publish(&staged).await?;
         let id = new_id(self.state.services().clock.now());
         let intent = wish.intent.clone();
         let Wish { name, upload, .. } = wish;
         let new = NewScene { id, owner, name, dataset, summary, upload, intent: wish.intent };
-        match self.state.store().create_scene(new).await {
+        let store = Arc::clone(&self.state.services().store);
+        match received.keep(self.state, async move { store.create_scene(new).await }).await? {
             Ok(SceneCreation::Created(record)) => {
                 tracing::info!(scene = %record.id, bytes = dataset.bytes, "scene {} is kept", record.id);
                 Ok(Made { status: StatusCode::CREATED, record, replayed: false })
@@ -190,14 +193,14 @@ impl Asked<'_> {
         }
     }
 
-    async fn check(&self, staged: Staged) -> Result<(Staged, DatasetSummary), Fault> {
+    async fn check(&self, received: Received) -> Result<(Received, DatasetSummary), Fault> {
         let check = self.state.services().check.clone();
         let checked = spawn_blocking(move || {
-            let checked = check(staged.path());
-            (staged, checked)
+            let checked = check(received.path());
+            (received, checked)
         });
-        let (staged, checked) = checked.await.map_err(|error| Fault::internal(&error))?;
-        Ok((staged, checked?))
+        let (received, checked) = checked.await.map_err(|error| Fault::internal(&error))?;
+        Ok((received, checked?))
     }
 
     async fn made_before(&self, intent: Option<&Intent>) -> Result<Option<Made>, Fault> {

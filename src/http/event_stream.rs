@@ -2,7 +2,7 @@
 //!
 //! What always holds: every event is sent once and in order, whichever server sends it, since their numbers are the job's
 //! own; at most a page of them is held, and more is read only once the client has taken it; the stream ends after the event
-//! that ends the job, and when the server stops.
+//! that ends the job, when the server stops, and, after an event that says so, soon after the caller's key is revoked.
 
 use std::{collections::VecDeque, convert::Infallible, time::Duration};
 
@@ -15,8 +15,10 @@ use axum::{
 };
 use futures_util::{Stream, StreamExt as _, stream};
 
-use super::{metrics::Held, state::AppState, stream_places::StreamPlace};
-use crate::domain::{Event, EventKind, JobId, JobState};
+use tokio_util::sync::CancellationToken;
+
+use super::{metrics::Held, revocation::revoked, state::AppState, stream_places::StreamPlace};
+use crate::domain::{Caller, Event, EventKind, JobId, JobState};
 
 /// Events read at a time.
 const PAGE: u32 = 100;
@@ -26,13 +28,28 @@ const RETRY: Duration = Duration::from_millis(3000);
 const X_ACCEL_BUFFERING: HeaderName = HeaderName::from_static("x-accel-buffering");
 
 /// The answer that sends what comes after event `after`.
-pub(super) fn answer(state: AppState, job: JobId, after: u64, place: StreamPlace) -> Response {
+pub(super) fn answer(
+    state: AppState,
+    caller: &Caller,
+    job: JobId,
+    after: u64,
+    place: StreamPlace,
+) -> Response {
     let keep_alive = KeepAlive::new().interval(state.limits().keep_alive).text("");
     let first = Ok(sse::Event::default().retry(RETRY));
     let counted = state.meters().stream_opened();
+    let shut_out = CancellationToken::new();
+    let (watched, told) = (revoked(state.clone(), caller.key), shut_out.clone());
+    let until_revoked = async move {
+        watched.await;
+        told.cancel();
+    };
     let follower =
         Follower { state, job, after, page: VecDeque::new(), ended: false, _place: place, _counted: counted };
-    let all = stream::once(async { first }).chain(events(follower));
+    let closing = stream::once(async move { shut_out.is_cancelled().then(|| Ok(closing())) });
+    let all = stream::once(async { first })
+        .chain(events(follower).take_until(until_revoked))
+        .chain(closing.filter_map(std::future::ready));
     let headers = [
         (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
         (X_ACCEL_BUFFERING, HeaderValue::from_static("no")),
@@ -45,6 +62,11 @@ fn events(follower: Follower) -> impl Stream<Item = Result<sse::Event, Infallibl
         let event = follower.next().await?;
         Some((Ok(frame(&event)), follower))
     })
+}
+
+/// What a stream ends with before the job does. It has no number, for it is no event of the job's.
+fn closing() -> sse::Event {
+    sse::Event::default().event("closed").data(r#"{"reason":"key-revoked"}"#)
 }
 
 fn frame(event: &Event) -> sse::Event {

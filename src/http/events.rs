@@ -63,7 +63,7 @@ pub(super) async fn list(
             return Ok((StatusCode::NO_CONTENT, no_store).into_response());
         }
         let place = state.stream_places().take(&caller)?;
-        return Ok(event_stream::answer(state, job.id, after, place));
+        return Ok(event_stream::answer(state, &caller, job.id, after, place));
     }
     let events = state.store().events(job.id, after, limit).await?.ok_or_else(|| Fault::no_job(&id))?;
     let last = events.last().map_or(after, |event| event.seq);

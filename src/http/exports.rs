@@ -10,6 +10,7 @@ use std::{
 };
 
 use axum::{
+    Extension,
     extract::{Path, RawQuery, State},
     http::{HeaderMap, HeaderName, HeaderValue},
     response::Response,
@@ -23,10 +24,13 @@ use tokio::{sync::Semaphore, task::spawn_blocking};
 
 use super::{
     artifact::{file_of, take_lambda},
+    cross_site::{FollowedLink, expect_own_doing},
     file::{File, serve},
     jobs::find,
     problem::Fault,
     query::Parameters,
+    received::take_back,
+    space::{Space, expect_above_floor},
     state::{AppState, ExportedScene},
 };
 use crate::{
@@ -75,6 +79,7 @@ pub(super) async fn get(
     caller: Caller,
     Path(id): Path<String>,
     RawQuery(query): RawQuery,
+    link: Option<Extension<FollowedLink>>,
     request: HeaderMap,
 ) -> Result<Response, Fault> {
     let record = find(&state, &caller, &id).await?;
@@ -86,7 +91,13 @@ pub(super) async fn get(
     let (blob, likeness) = if source.format == format {
         (source.blob, None)
     } else {
-        let export = export(&state, &record, source.blob.digest, format).await?;
+        let export = match kept(&state, record.job.id, source.blob.digest, format).await? {
+            Some(kept) => kept,
+            None => {
+                expect_own_doing(link.as_deref())?;
+                export(&state, &record, source.blob.digest, format).await?
+            }
+        };
         (export.blob, export.likeness)
     };
     let file = File::new(record.job.id, ArtifactKind::Scene(format), source.lambda, blob);
@@ -115,9 +126,6 @@ async fn export(
     source: Digest,
     format: SceneFormat,
 ) -> Result<ExportRecord, Fault> {
-    if let Some(kept) = kept(state, record.job.id, source, format).await? {
-        return Ok(kept);
-    }
     let wanted = (record.job.id, source, format.name());
     let making = {
         let mut making = state.exports().making.lock().unwrap_or_else(PoisonError::into_inner);
@@ -169,6 +177,7 @@ async fn make(
     }
     // How long the file will be is known once it is made; then its bytes are counted as well.
     state.store().admit_export(job).await?;
+    expect_above_floor(&state, 0)?;
     let place = state.exports().places.try_acquire();
     let _place = place.map_err(|_| Fault::busy("too many scenes are being exported"))?;
     let _turn = state.exports().turns.acquire().await.map_err(|error| Fault::internal(&error))?;
@@ -178,9 +187,15 @@ async fn make(
     let exported = spawn_blocking(move || write(&file, format, &cameras)).await;
     let exported = exported.map_err(|error| Fault::internal(&error))??;
     let ExportedScene { bytes, gaussians, sh_degree, likeness } = exported;
-    let blob = state.blobs().put(Bytes::from(bytes)).await?;
+    let _reservation = Space::reserve(&state, record.owner, bytes.len() as u64).await?;
+    let published = state.blobs().put_new(Bytes::from(bytes)).await?;
+    let blob = published.blob;
     let export = ExportRecord { job, source, format, blob, gaussians, sh_degree, likeness };
-    let kept = state.store().add_export(export).await?;
+    let kept = state.store().add_export(export).await;
+    if !matches!(&kept, Ok(Some(kept)) if kept.blob == blob) {
+        take_back(&state, published).await;
+    }
+    let kept = kept?;
     tracing::info!(%job, bytes = blob.bytes, "job {job} is exported as .{}", format.name());
     kept.ok_or_else(|| Fault::no_job(&job.to_string()))
 }

@@ -16,6 +16,7 @@ use super::{
     job_wish::{bad_json, check_deadline, deadline},
     jobs::{etag, find, representation},
     problem::Fault,
+    space::expect_above_floor,
     state::AppState,
 };
 use crate::{
@@ -77,6 +78,7 @@ pub(super) async fn retry(
     if let Some(seconds) = wish.deadline_s {
         check_deadline(seconds)?;
     }
+    expect_above_floor(&state, 0)?;
     let now = state.services().clock.now();
     let repeat = Repeat {
         id: new_id(now),

@@ -4,7 +4,6 @@
 use std::{
     io,
     net::{IpAddr, SocketAddr},
-    pin::Pin,
     sync::Arc,
     time::Duration,
 };
@@ -22,7 +21,6 @@ use tokio::{
     sync::Semaphore,
     time::{sleep, timeout},
 };
-use tokio_io_timeout::TimeoutStream;
 use tokio_util::sync::CancellationToken;
 use tower::Layer as _;
 
@@ -32,6 +30,7 @@ use super::{
     config::{ExposureError, HttpConfig},
     metrics::{self, Meters},
     overdue,
+    paced::{Pace, Paced},
     peers::Peers,
     router, router_without_metrics,
 };
@@ -111,11 +110,14 @@ pub async fn serve(
     let store = services.store.clone();
     tokio::spawn(overdue::give_up(store, config.limits.overdue_every, shutdown.clone()));
     let state = AppState::new(services, config.limits.clone(), shutdown.clone());
+    state.lock().prime(&state).await;
     let closed = CancellationToken::new();
     let app = if listeners.metrics.is_some() { router_without_metrics } else { router };
     let api = Door::new(app(state.clone()), &config, state.meters());
     // Scrapers must get in when clients have taken every place.
-    let own = Door::new(metrics::router(state.clone()), &config, state.meters());
+    let metrics_on_loopback =
+        config.metrics_listen.is_some_and(|address| address.ip().to_canonical().is_loopback());
+    let own = Door::new(metrics::router(state.clone(), metrics_on_loopback), &config, state.meters());
     let notice = async {
         shutdown.cancelled().await;
         sleep(config.drain_notice).await;
@@ -141,7 +143,8 @@ struct Door<'a> {
 impl<'a> Door<'a> {
     fn new(app: Router, config: &'a HttpConfig, meters: &Meters) -> Self {
         let places = Arc::new(Semaphore::new(config.max_connections));
-        let peers = Peers::new(config.max_connections_per_address);
+        let proxies = config.limits.access.trusted_proxies.clone();
+        let peers = Peers::new(config.max_connections_per_address, proxies);
         Self { app, config, meters: meters.clone(), places, peers }
     }
 
@@ -179,7 +182,7 @@ impl<'a> Door<'a> {
         place: impl Send + 'static,
         graceful: &GracefulShutdown,
     ) {
-        let Some(peer) = self.peers.admit(address) else {
+        let Some(peer) = self.peers.admit(ClientAddress(address)) else {
             self.meters.connection_refused();
             tracing::debug!(%address, "{address} has too many connections open; closing one more");
             return;
@@ -199,22 +202,18 @@ impl<'a> Door<'a> {
         if let Err(error) = stream.set_nodelay(true) {
             tracing::debug!("no TCP_NODELAY: {error}");
         }
-        // Reads have limits where it is known what is read: a head, a body, or nothing because an answer is being made.
-        let mut stream = Box::pin(TimeoutStream::new(stream));
-        stream.as_mut().set_write_timeout_pinned(Some(self.config.write_timeout));
+        let pace = Pace { patience: self.config.write_timeout, rate: self.config.answer_rate };
         http1::Builder::new()
             .timer(TokioTimer::new())
             .header_read_timeout(self.config.header_timeout)
             .max_headers(MAX_HEADERS)
             .max_buf_size(MAX_HEAD_BYTES)
             .serve_connection(
-                TokioIo::new(stream),
+                TokioIo::new(Paced::new(stream, pace)),
                 TowerToHyperService::new(Extension(ClientAddress(address)).layer(self.app.clone())),
             )
     }
 }
 
-type Connection = http1::Connection<
-    TokioIo<Pin<Box<TimeoutStream<TcpStream>>>>,
-    TowerToHyperService<AddExtension<Router, ClientAddress>>,
->;
+type Connection =
+    http1::Connection<TokioIo<Paced<TcpStream>>, TowerToHyperService<AddExtension<Router, ClientAddress>>>;

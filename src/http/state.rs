@@ -12,6 +12,7 @@ use super::{
     idempotency::InFlight,
     metrics::{Cache, Meters},
     readiness::Checks,
+    space::Space,
     stream_places::StreamPlaces,
     throttle::Throttle,
     views::Studio,
@@ -106,6 +107,7 @@ struct Inner {
     draining: CancellationToken,
     lock: Lock,
     throttle: Throttle,
+    space: Space,
 }
 
 impl fmt::Debug for AppState {
@@ -141,6 +143,7 @@ impl AppState {
             draining,
             lock: Lock::default(),
             throttle,
+            space: Space::default(),
         }))
     }
 
@@ -183,6 +186,11 @@ impl AppState {
 
     pub(super) fn lock(&self) -> &Lock {
         &self.0.lock
+    }
+
+    /// Room that requests have reserved.
+    pub(super) fn space(&self) -> &Space {
+        &self.0.space
     }
 
     pub(super) fn throttle(&self) -> &Throttle {

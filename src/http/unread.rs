@@ -87,3 +87,39 @@ impl Patience {
         timeout(self.time, read).await.unwrap_or(false)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use bytes::Bytes;
+
+    use super::*;
+
+    /// A body of so many whole MiB and bytes, of which one piece is in memory.
+    fn body(mebibytes: usize, more: usize) -> BodyDataStream {
+        let piece = Bytes::from(vec![0; 1 << 20]);
+        let rest = piece.slice(..more);
+        let pieces = std::iter::repeat_n(piece, mebibytes).chain((more > 0).then_some(rest));
+        Body::from_stream(stream::iter(pieces.map(Ok::<_, std::io::Error>))).into_data_stream()
+    }
+
+    #[tokio::test]
+    async fn as_much_is_read_on_as_the_contract_says() {
+        let contract = include_str!("../../openapi.yaml").split_whitespace().collect::<Vec<_>>().join(" ");
+        for (patience, mebibytes, seconds) in [(WITH_CALLERS, 256, 10), (WITH_STRANGERS, 1, 1)] {
+            let said = format!("up to {mebibytes} MiB for {seconds} s");
+            assert!(contract.contains(&said), "{said}");
+            assert_eq!(patience.time, Duration::from_secs(seconds));
+            assert!(patience.exhaust(body(mebibytes, 0)).await, "to its end");
+            assert!(!patience.exhaust(body(mebibytes, 1)).await, "and no further");
+        }
+    }
+
+    #[tokio::test]
+    async fn what_does_not_come_or_breaks_off_is_not_waited_for() {
+        let patience = Patience { bytes: 1 << 20, time: Duration::from_millis(20) };
+        let endless = Body::from_stream(stream::pending::<Result<Bytes, std::io::Error>>());
+        assert!(!patience.exhaust(endless.into_data_stream()).await);
+        let broken = stream::iter([Err::<Bytes, _>(std::io::Error::other("as the test wants it"))]);
+        assert!(!WITH_CALLERS.exhaust(Body::from_stream(broken).into_data_stream()).await);
+    }
+}

@@ -16,6 +16,7 @@ use super::{
     create_scene::new_uuid,
     problem::Fault,
     query::Parameters,
+    space::{Space, expect_above_floor},
     state::AppState,
     tus::{self, Checksum, Metadata},
     upload_part::Part,
@@ -128,11 +129,8 @@ async fn begin(
     if length > limit {
         return Err(Fault::too_large(limit).with(tus::MAX_SIZE, HeaderValue::from(limit)));
     }
-    let outstanding = state.store().outstanding_bytes().await?;
-    let needed = outstanding.saturating_add(length).saturating_add(state.limits().min_free_space);
-    if needed > state.blobs().free_bytes()? {
-        return Err(Fault::storage_full());
-    }
+    // Until the upload's own row keeps the room.
+    let _reservation = Space::reserve(state, caller.key, length).await?;
     let now = state.services().clock.now();
     let id = UploadId(new_uuid(now));
     let new = NewUpload { id, owner: caller.key, length, metadata, expires_at: expiry(state) };
@@ -197,6 +195,7 @@ async fn admit(state: &AppState, caller: &Caller, id: &str, headers: &HeaderMap)
     if announced.is_some_and(|announced: u64| announced > left) {
         return Err(Fault::too_large(left));
     }
+    expect_above_floor(state, announced.unwrap_or(0))?;
     Part::new(record, file, checksum).await
 }
 

@@ -23,6 +23,7 @@ use super::{
 use crate::domain::Problem;
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 const MAX_REQUEST_ID: usize = 128;
 
 /// Gives the request an id, records it, and finishes its answer.
@@ -47,6 +48,8 @@ pub(super) async fn wrap(State(state): State<AppState>, request: Request, next: 
     }
     let headers = response.headers_mut();
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    // No page of another origin shows or runs an answer as a picture, a script or the like.
+    headers.insert(CROSS_ORIGIN_RESOURCE_POLICY, HeaderValue::from_static("same-origin"));
     if let Ok(id) = HeaderValue::from_str(&id) {
         headers.insert(REQUEST_ID, id);
     }

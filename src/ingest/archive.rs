@@ -5,7 +5,7 @@
 
 use std::{
     fs::File,
-    io::{BufReader, Read as _, Seek as _},
+    io::{self, BufReader, Read as _, Seek as _},
     path::Path,
     sync::{Mutex, PoisonError},
 };
@@ -13,6 +13,7 @@ use std::{
 use zip::{CompressionMethod, ZipArchive, result::ZipError};
 
 use super::{
+    central_directory::first_repeated_name,
     error::{Error, Fault},
     limits::Limits,
     names::{is_litter, safe_name},
@@ -65,7 +66,7 @@ pub(super) fn list(path: &Path, limits: &Limits) -> Result<Listing, Error> {
         return Err(Fault::TooManyEntries { limit: limits.entries }.into());
     }
     if zip.has_duplicate_names() {
-        return Err(Fault::DuplicateEntry.at(path_name(path)));
+        return Err(duplicate(path, zip.central_directory_start(), limits));
     }
     if zip.has_overlapping_entries().map_err(entry_fault)? {
         return Err(Fault::OverlappingEntries.into());
@@ -124,6 +125,15 @@ fn entry_fault(error: ZipError) -> Fault {
     }
 }
 
-fn path_name(path: &Path) -> String {
-    path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
+/// Names the entry that is there twice: the file's own name is the sender's or, in a service, a temporary one.
+fn duplicate(path: &Path, directory: u64, limits: &Limits) -> Error {
+    let name = File::open(path).and_then(|mut file| {
+        file.seek(io::SeekFrom::Start(directory))?;
+        first_repeated_name(BufReader::new(file), limits.entries)
+    });
+    match name {
+        Ok(Some(name)) => Fault::DuplicateEntry.at(name),
+        Ok(None) => Fault::DuplicateEntry.into(),
+        Err(error) => Fault::Io(error).into(),
+    }
 }

@@ -13,6 +13,7 @@
 
 mod archive;
 mod bytes;
+mod central_directory;
 mod colmap;
 mod distortion;
 mod error;

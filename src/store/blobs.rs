@@ -22,6 +22,7 @@ use std::{
 
 use bytes::Bytes;
 use futures_util::{StreamExt as _, TryStreamExt as _, stream::BoxStream};
+use jiff::Timestamp;
 use object_store::{
     GetOptions, GetRange, ObjectStore as _, ObjectStoreExt as _, WriteMultipart, local::LocalFileSystem,
     path::Path as ObjectPath,
@@ -34,7 +35,7 @@ use tokio::{
 };
 
 use room::Room;
-pub use staging::{Staged, Staging};
+pub use staging::{ContentHash, Staged, Staging};
 pub use upload::UploadFile;
 
 use super::{BlobRef, is_disk_full};
@@ -91,6 +92,15 @@ impl BlobError {
     }
 }
 
+/// A blob that was published.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Published {
+    /// The blob.
+    pub blob: BlobRef,
+    /// The age that this publication gave it; none if it was there before.
+    new_since: Option<Timestamp>,
+}
+
 /// The blob store; clones share it.
 #[derive(Debug, Clone)]
 pub struct Blobs(Arc<Inner>);
@@ -134,17 +144,26 @@ impl Blobs {
         Ok(Staging::new(tempfile::Builder::new().prefix("upload-").tempfile_in(self.0.room.path())?, limit))
     }
 
-    /// Publishes a staged blob; an equal one that is already there is kept.
+    /// Publishes a staged blob; an equal one that is already there is kept. No second copy is written where the file system has
+    /// hard links.
     ///
     /// # Errors
     /// [`BlobError::Io`] or [`BlobError::Store`].
-    pub async fn publish(&self, staged: &Staged) -> Result<BlobRef, BlobError> {
-        let location = location(staged.blob().digest);
-        if self.renew(staged.blob()).await? || self.link(staged).await? {
-            return Ok(staged.blob());
+    pub async fn publish(&self, staged: &Staged) -> Result<Published, BlobError> {
+        let blob = staged.blob();
+        if self.renew(blob).await?.is_some() {
+            return Ok(Published { blob, new_since: None });
         }
+        if let Some(published) = self.link(staged).await? {
+            return Ok(published);
+        }
+        self.copy(staged).await?;
+        Ok(Published { blob, new_since: self.renew(blob).await? })
+    }
+
+    async fn copy(&self, staged: &Staged) -> Result<(), BlobError> {
         let mut file = File::open(staged.path()).await?;
-        let upload = self.0.store.put_multipart(&location).await?;
+        let upload = self.0.store.put_multipart(&location(staged.blob().digest)).await?;
         let mut writer = WriteMultipart::new_with_chunk_size(upload, PART_BYTES);
         let copied: Result<(), BlobError> = async {
             let mut buffer = vec![0; 1 << 20];
@@ -164,7 +183,19 @@ impl Blobs {
             return Err(error);
         }
         writer.finish().await?;
-        Ok(staged.blob())
+        Ok(())
+    }
+
+    /// Publishes again what is there already, and gives its file; none if it is not there.
+    ///
+    /// # Errors
+    /// [`BlobError::Io`] or [`BlobError::Store`].
+    pub async fn publish_again(&self, blob: BlobRef) -> Result<Option<(Published, PathBuf)>, BlobError> {
+        if self.renew(blob).await?.is_none() {
+            return Ok(None);
+        }
+        let path = self.0.store.path_to_filesystem(&location(blob.digest))?;
+        Ok(Some((Published { blob, new_since: None }, path)))
     }
 
     /// Publishes bytes from memory.
@@ -172,11 +203,20 @@ impl Blobs {
     /// # Errors
     /// [`BlobError::Store`].
     pub async fn put(&self, content: Bytes) -> Result<BlobRef, BlobError> {
+        Ok(self.put_new(content).await?.blob)
+    }
+
+    /// The same for who may have to take it back ([`Blobs::unpublish`]).
+    ///
+    /// # Errors
+    /// [`BlobError::Store`].
+    pub async fn put_new(&self, content: Bytes) -> Result<Published, BlobError> {
         let blob = BlobRef { digest: Digest::of(&content), bytes: content.len() as u64 };
-        if !self.renew(blob).await? {
-            self.0.store.put(&location(blob.digest), content.into()).await?;
+        if self.renew(blob).await?.is_some() {
+            return Ok(Published { blob, new_since: None });
         }
-        Ok(blob)
+        self.0.store.put(&location(blob.digest), content.into()).await?;
+        Ok(Published { blob, new_since: self.renew(blob).await? })
     }
 
     /// The whole blob, checked against its name.
@@ -284,8 +324,9 @@ mod tests {
         let blobs = Blobs::open(folder.path()).expect("a store");
         let upload = staged(&blobs, b"twelve bytes").await;
         let blob = blobs.publish(&upload).await.expect("published");
+        let blob = blob.blob;
         assert_eq!(blob, BlobRef { digest: Digest::of(b"twelve bytes"), bytes: 12 });
-        assert_eq!(blobs.publish(&upload).await.expect("published again"), blob);
+        assert_eq!(blobs.publish(&upload).await.expect("published again").blob, blob);
         assert_eq!(blobs.put(Bytes::from_static(b"twelve bytes")).await.expect("the same"), blob);
         assert_eq!(&blobs.read(blob.digest).await.expect("whole")[..], b"twelve bytes");
         let part: Vec<Bytes> =
@@ -296,6 +337,61 @@ mod tests {
         let path = upload.path().to_owned();
         drop(upload);
         assert!(!path.exists(), "a staging file must not outlive its handle");
+    }
+
+    #[cfg(unix)]
+    #[tokio::test]
+    async fn what_is_received_at_once_becomes_a_blob_without_a_copy() {
+        use std::os::unix::fs::MetadataExt as _;
+
+        let folder = tempfile::tempdir().expect("a folder");
+        let blobs = Blobs::open(folder.path()).expect("a store");
+        let upload = staged(&blobs, b"twelve bytes").await;
+        let staged_as = std::fs::metadata(upload.path()).expect("there").ino();
+        let blob = blobs.publish(&upload).await.expect("published").blob;
+        drop(upload);
+        let path = blobs.local_file(blob.digest).await.expect("a file");
+        let metadata = std::fs::metadata(path).expect("there");
+        assert_eq!((metadata.ino(), metadata.nlink()), (staged_as, 1), "one file, now by its own name alone");
+    }
+
+    #[tokio::test]
+    async fn a_publication_is_taken_back_only_by_who_made_the_blob_and_nobody_since() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let blobs = Blobs::open(folder.path()).expect("a store");
+        let is_there = async |published: Published| blobs.local_file(published.blob.digest).await.is_ok();
+        let content = Bytes::from_static(b"twelve bytes");
+        let put = blobs.put_new(content.clone()).await.expect("published");
+        assert!(blobs.unpublish(put).await.expect("asked") && !is_there(put).await);
+        assert!(!blobs.unpublish(put).await.expect("asked"), "it is gone");
+
+        let upload = staged(&blobs, &content).await;
+        let first = blobs.publish(&upload).await.expect("published");
+        let second = blobs.put_new(content.clone()).await.expect("published again");
+        assert!(!blobs.unpublish(first).await.expect("asked"), "another counts on it");
+        assert!(!blobs.unpublish(second).await.expect("asked"), "it was there before");
+        assert!(is_there(first).await);
+        let again = blobs.publish_again(first.blob).await.expect("asked").expect("there");
+        assert_eq!(std::fs::read(again.1).expect("readable"), &content[..]);
+        let absent = BlobRef { digest: Digest::of(b"absent"), bytes: 6 };
+        assert!(blobs.publish_again(absent).await.expect("asked").is_none());
+    }
+
+    #[tokio::test]
+    async fn content_that_is_not_kept_is_hashed_all_the_same() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let blobs = Blobs::open(folder.path()).expect("a store");
+        let mut staging = blobs.stage(1 << 30).await.expect("room");
+        staging.write(b"twelve").await.expect("a write");
+        let files = || std::fs::read_dir(blobs.0.room.path()).expect("a folder").count();
+        let before = files();
+        let mut content = staging.forget_bytes(12).await.expect("forgotten");
+        assert_eq!(files(), before - 1);
+        content.update(b" bytes").expect("as long as may be");
+        assert!(matches!(content.update(b"!"), Err(BlobError::TooLarge { limit: 12 })));
+        let mut content = ContentHash::new(12);
+        content.update(b"twelve bytes").expect("as long as may be");
+        assert_eq!(content.finish(), BlobRef { digest: Digest::of(b"twelve bytes"), bytes: 12 });
     }
 
     #[tokio::test]
@@ -340,7 +436,7 @@ mod tests {
         assert!(matches!(reopen().await.finish(13).await, Err(BlobError::UploadDamaged { found: 12, .. })));
         let staged = reopen().await.finish(12).await.expect("whole");
         assert!(blobs.open_upload(id).await.expect("asked").is_none(), "nobody writes while it is used");
-        let blob = blobs.publish(&staged).await.expect("published");
+        let blob = blobs.publish(&staged).await.expect("published").blob;
         assert_eq!(&blobs.read(blob.digest).await.expect("whole")[..], b"twelve bytes");
         #[cfg(unix)]
         {

@@ -12,7 +12,7 @@ use thiserror::Error;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
-use super::{BlobError, Blobs, Store, StoreError};
+use super::{BlobError, Blobs, Published, Store, StoreError};
 use crate::domain::{Clock, UploadId};
 
 /// Blobs that one transaction looks at, so that it never keeps other writers waiting for long.
@@ -87,6 +87,22 @@ pub async fn clear(
         }
     }
     Ok(cleared)
+}
+
+/// Takes back a publication that came to nothing: the blob goes unless something refers to it or somebody publishes it too.
+///
+/// # Errors
+/// The first fault; the blob is then left to a round.
+pub async fn withdraw(
+    store: &dyn Store,
+    blobs: &Blobs,
+    published: Published,
+) -> Result<bool, HousekeepingError> {
+    // In the order of a round, and for its reasons.
+    if store.forget_blobs(&[published.blob.digest]).await?.is_empty() {
+        return Ok(false);
+    }
+    Ok(blobs.unpublish(published).await?)
 }
 
 async fn clear_uploads(

@@ -35,8 +35,8 @@ mod webhooks;
 
 use futures_util::future::BoxFuture;
 
-pub use accounts::{Accounts, Usage};
-pub use blobs::{BlobError, Blobs, Staged, Staging, UploadFile};
+pub use accounts::{Accounts, Room, Usage};
+pub use blobs::{BlobError, Blobs, ContentHash, Published, Staged, Staging, UploadFile};
 pub use disk_full::is_disk_full;
 pub use error::StoreError;
 pub use exports::{ExportRecord, Exports, FileRecord, Likeness};

@@ -16,7 +16,7 @@ use tcgs::{
     },
     store::{
         BlobError, BlobRef, Blobs, NewJob, NewScene, NewUpload, QueuePolicy, SqliteStore, Store,
-        housekeeping::{Cleared, HousekeepingPolicy, clear, keep_house},
+        housekeeping::{Cleared, HousekeepingPolicy, clear, keep_house, withdraw},
     },
 };
 use tempfile::TempDir;
@@ -118,7 +118,18 @@ async fn what_a_process_that_is_gone_was_receiving_goes_and_what_a_living_one_re
     house.clear().await;
     assert!(!left.exists());
     let staged = staging.finish().await.expect("whole");
-    assert_eq!(house.blobs.publish(&staged).await.expect("published").bytes, 4);
+    assert_eq!(house.blobs.publish(&staged).await.expect("published").blob.bytes, 4);
+}
+
+#[tokio::test]
+async fn a_publication_that_came_to_nothing_is_withdrawn_unless_something_refers_to_it() {
+    let house = House::new().await;
+    let publish = async |content: &'static str| house.blobs.put_new(content.into()).await.expect("published");
+    let (lost, kept) = (publish("lost").await, publish("kept").await);
+    house.keep(kept.blob).await;
+    let withdraw = async |published| withdraw(&*house.store, &house.blobs, published).await.expect("asked");
+    assert!(withdraw(lost).await && !withdraw(kept).await);
+    assert!(!house.is_there(lost.blob).await && house.is_there(kept.blob).await);
 }
 
 #[tokio::test]

@@ -55,7 +55,7 @@ impl<'a> Client<'a> {
     async fn half_a_part(&self, service: &Service, from: usize, until: usize, more: &str) -> TcpStream {
         let mut stream = TcpStream::connect(service.address()).await.expect("connected");
         let head = format!(
-            "PATCH {} HTTP/1.1\r\nHost: test\r\nTus-Resumable: 1.0.0\r\nContent-Type: application/offset+octet-stream\r\n\
+            "PATCH {} HTTP/1.1\r\nHost: localhost\r\nTus-Resumable: 1.0.0\r\nContent-Type: application/offset+octet-stream\r\n\
              Upload-Offset: {from}\r\nContent-Length: {}\r\n{more}\r\n",
             self.upload,
             self.archive.len() - from,
@@ -125,7 +125,7 @@ async fn an_archive_that_was_half_sent_when_the_service_was_killed_leaves_nothin
     let service = Service::start_with(data.path(), ["--workers", "0"]).await;
     let mut stream = TcpStream::connect(service.address()).await.expect("connected");
     let head = format!(
-        "POST /v1/jobs HTTP/1.1\r\nHost: test\r\nContent-Type: application/zip\r\nContent-Length: {}\r\n\r\n",
+        "POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\nContent-Length: {}\r\n\r\n",
         archive.len()
     );
     stream.write_all(head.as_bytes()).await.expect("sent");

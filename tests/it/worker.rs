@@ -540,7 +540,8 @@ fn api(workshop: &Workshop, census: Census) -> axum::Router {
 
 async fn answer(api: &axum::Router, path: &str) -> (u16, serde_json::Value) {
     use tower::ServiceExt as _;
-    let request = axum::http::Request::get(path).body(axum::body::Body::empty()).expect("a request");
+    let request = axum::http::Request::get(path).header("host", "localhost");
+    let request = request.body(axum::body::Body::empty()).expect("a request");
     let response = api.clone().oneshot(request).await.expect("an answer");
     let status = response.status().as_u16();
     let body = axum::body::to_bytes(response.into_body(), 1 << 20).await.expect("a body");

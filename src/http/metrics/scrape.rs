@@ -21,7 +21,7 @@ use prometheus_client::{
 };
 use tokio::sync::Mutex;
 
-use super::super::{head, health, problem::Fault, state::AppState, unread, wrap};
+use super::super::{auth, head, health, problem::Fault, state::AppState, unread, wrap};
 use crate::store::Figures;
 
 /// How long what the database says is told again.
@@ -36,11 +36,12 @@ type Counters = Family<Labels, Counter<f64, AtomicU64>>;
 #[derive(Debug, Default)]
 pub(in super::super) struct Cache(Mutex<Option<(Instant, Figures)>>);
 
-/// The routes of a listener for metrics alone.
-pub(in super::super) fn router(state: AppState) -> Router {
+/// The routes of a listener for metrics alone, on a loopback address or another.
+pub(in super::super) fn router(state: AppState, on_loopback: bool) -> Router {
     Router::new()
         .route("/metrics", routing::get(get))
         .route("/healthz", routing::get(health::healthz))
+        .layer(from_fn_with_state(on_loopback, auth::admit_without_keys))
         .layer(from_fn(head::bounded))
         .layer(from_fn(unread::discard))
         .layer(from_fn_with_state(state.clone(), wrap::wrap))

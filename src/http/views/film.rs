@@ -7,6 +7,7 @@
 
 use std::{
     io,
+    pin::pin,
     time::{Duration, Instant},
 };
 
@@ -30,8 +31,8 @@ use super::{
     studio::{in_turn, picture},
 };
 use crate::{
-    domain::JobState,
-    http::{picture::Picture, problem::Fault, state::AppState},
+    domain::{JobState, KeyId},
+    http::{picture::Picture, problem::Fault, revocation::revoked, state::AppState},
     store::JobFilter,
 };
 
@@ -43,8 +44,28 @@ pub(super) struct Film {
     pub(super) rounds: u32,
     /// Time from one picture to the next, if it is not as fast as can be.
     pub(super) every: Option<Duration>,
-    /// Whether it ends when the server begins to stop; the others are finished.
-    pub(super) until_drain: bool,
+    pub(super) ends: Ends,
+}
+
+/// When a film ends.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Ends {
+    /// After its last picture.
+    WhenDone,
+    /// Earlier if the server begins to stop or this key, if it is a key's, is revoked.
+    With(Option<KeyId>),
+}
+
+impl Ends {
+    async fn early(self, state: AppState) {
+        match self {
+            Self::WhenDone => std::future::pending().await,
+            Self::With(key) => tokio::select! {
+                () = state.draining().cancelled() => {}
+                () = revoked(state.clone(), key) => {}
+            },
+        }
+    }
 }
 
 /// How pictures become a body.
@@ -159,11 +180,11 @@ struct Crew {
 impl Crew {
     /// Makes and sends pictures until the last, or until the client is gone or has stopped reading.
     async fn shoot(mut self, mut clock: Option<Interval>, sender: Sender<Piece>) {
-        let draining = self.state.draining().clone();
+        let mut early = pin!(self.film.ends.early(self.state.clone()));
         for index in 1..self.film.len() {
             // A slot first, so that nothing is rendered that the client does not keep up with.
             let slot = tokio::select! {
-                () = draining.cancelled(), if self.film.until_drain => break,
+                () = &mut early => break,
                 slot = timeout(self.patience, sender.reserve()) => slot,
             };
             let Ok(Ok(slot)) = slot else {
@@ -172,7 +193,7 @@ impl Crew {
             };
             let piece = tokio::select! {
                 () = sender.closed() => return,
-                () = draining.cancelled(), if self.film.until_drain => break,
+                () = &mut early => break,
                 piece = self.piece(&mut clock, index) => piece,
             };
             match piece {

@@ -18,7 +18,7 @@ use serde::{Deserialize, de::DeserializeOwned};
 
 pub(super) use self::studio::Studio;
 use self::{
-    film::{Film, Parts, Wrapping},
+    film::{Ends, Film, Parts, Wrapping},
     key::Shot,
     queue::Visit,
     studio::{Timing, picture},
@@ -108,7 +108,7 @@ pub(super) async fn post(
         single(&state, &caller, shots.remove(0)).await?
     } else {
         let place = state.studio().queue.enter(caller.key, Visit::Request(shots.len()))?;
-        let film = Film { shots, rounds: 1, every: None, until_drain: false };
+        let film = Film { shots, rounds: 1, every: None, ends: Ends::WhenDone };
         film.answer(&state, place, Wrapping::Parts(Parts::Mixed)).await?
     };
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));

@@ -12,7 +12,7 @@ use serde::Deserialize;
 
 use super::{
     bad_field, cameras, check_pixels, check_sides, dataset_cameras,
-    film::{Film, Parts, Wrapping},
+    film::{Ends, Film, Parts, Wrapping},
     keep_a_day,
     key::Shot,
     queue::Visit,
@@ -155,7 +155,7 @@ async fn streamed(
     rate: u32,
 ) -> Result<Response, Fault> {
     let every = Some(Duration::from_secs(1) / rate);
-    let film = Film { shots, rounds, every, until_drain: true };
+    let film = Film { shots, rounds, every, ends: Ends::With(caller.key) };
     let place = state.studio().queue.enter(caller.key, Visit::Stream)?;
     let mut response = film.answer(state, place, Wrapping::Parts(Parts::Replace)).await?;
     let headers = response.headers_mut();
@@ -174,7 +174,7 @@ fn animated(
     check_pixels(cameras, state.limits().animation_pixels)?;
     let kind = PictureKind { output: Output::Color, format: Format::Png, quality: 0 };
     let shots = shots_of_any_size(record, lambda, cameras, kind)?;
-    Ok(Film { shots, rounds: 1, every: None, until_drain: false })
+    Ok(Film { shots, rounds: 1, every: None, ends: Ends::WhenDone })
 }
 
 async fn shown(state: &AppState, caller: &Caller, film: Film, rate: u32) -> Result<Response, Fault> {

@@ -12,15 +12,15 @@ use std::{
 
 use jiff::Timestamp;
 
-use super::{BlobError, Blobs, Staged, blocking, location};
+use super::{BlobError, Blobs, Published, Staged, blocking, location};
 use crate::{
     domain::{Clock as _, Digest, SystemClock},
     store::BlobRef,
 };
 
 impl Blobs {
-    /// Whether the blob is there; if so, its age begins anew.
-    pub(super) async fn renew(&self, blob: BlobRef) -> Result<bool, BlobError> {
+    /// When the blob's age began anew, which is now; none if it is not there.
+    pub(super) async fn renew(&self, blob: BlobRef) -> Result<Option<Timestamp>, BlobError> {
         let path = self.0.store.path_to_filesystem(&location(blob.digest))?;
         let lock = self.0.lock.clone();
         let renewed = blocking(move || {
@@ -28,48 +28,59 @@ impl Blobs {
             lock.lock_shared()?;
             let file = match File::options().write(true).open(&path) {
                 Ok(file) => file,
-                Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
                 Err(error) => return Err(error),
             };
             if file.metadata()?.len() != blob.bytes {
-                return Ok(false);
+                return Ok(None);
             }
-            touch(&file)?;
-            Ok(true)
+            touch(&file).map(Some)
         });
         Ok(renewed.await?)
     }
 
-    /// Publishes a finished upload by giving its file the blob's name as well; false if it has to be copied.
-    pub(super) async fn link(&self, staged: &Staged) -> Result<bool, BlobError> {
-        if !staged.is_final() {
-            return Ok(false);
-        }
+    /// Publishes a blob by giving its file the blob's name as well; none if it has to be copied.
+    pub(super) async fn link(&self, staged: &Staged) -> Result<Option<Published>, BlobError> {
+        let blob = staged.blob();
         let from = staged.path().to_owned();
-        let to = self.0.store.path_to_filesystem(&location(staged.blob().digest))?;
+        let to = self.0.store.path_to_filesystem(&location(blob.digest))?;
         let root = self.0.root.clone();
         let linked = blocking(move || {
             let file = File::options().write(true).open(&from)?;
-            touch(&file)?;
+            let touched = touch(&file)?;
             file.sync_all()?;
             let folder = to.parent().unwrap_or(&root);
             fs::create_dir_all(folder)?;
-            match fs::hard_link(&from, &to) {
-                Ok(()) => {}
-                // Published by somebody else meanwhile.
-                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            let linked = match fs::hard_link(&from, &to) {
+                Ok(()) => Linked::Now(touched),
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Linked::Before,
                 Err(error) => {
                     tracing::debug!("{} is copied, it cannot be linked: {error}", from.display());
-                    return Ok(false);
+                    return Ok(Linked::Not);
                 }
-            }
+            };
             for folder in folder.ancestors().take_while(|folder| folder.starts_with(&root)) {
                 sync_folder(folder)?;
             }
-            Ok(true)
+            Ok(linked)
         });
-        // A file of another length under that name is damage, which a copy mends.
-        Ok(linked.await? && self.renew(staged.blob()).await?)
+        Ok(match linked.await? {
+            Linked::Now(touched) => Some(Published { blob, new_since: Some(touched) }),
+            // Published by somebody else meanwhile. A file of another length under that name is damage, which a copy mends.
+            Linked::Before => self.renew(blob).await?.map(|_| Published { blob, new_since: None }),
+            Linked::Not => None,
+        })
+    }
+
+    /// Takes a publication back: removes the blob if this publication made it and nobody has published it since. Whoever calls this
+    /// has made sure that nothing refers to it. Tells whether it was removed.
+    ///
+    /// # Errors
+    /// [`BlobError::Io`] or [`BlobError::Store`].
+    pub async fn unpublish(&self, published: Published) -> Result<bool, BlobError> {
+        let Some(since) = published.new_since else { return Ok(false) };
+        let removed = self.remove_if(published.blob.digest, move |at| at == since).await?;
+        Ok(removed.is_some())
     }
 
     /// The blobs that were last published before `before`.
@@ -105,12 +116,21 @@ impl Blobs {
     /// # Errors
     /// [`BlobError::Io`] or [`BlobError::Store`].
     pub async fn remove_older(&self, digest: Digest, before: Timestamp) -> Result<Option<u64>, BlobError> {
+        self.remove_if(digest, move |at| at < before).await
+    }
+
+    /// Removes the blob if its latest publication is as wanted, and tells how many bytes that freed.
+    async fn remove_if(
+        &self,
+        digest: Digest,
+        wanted: impl FnOnce(Timestamp) -> bool + Send + 'static,
+    ) -> Result<Option<u64>, BlobError> {
         let path = self.0.store.path_to_filesystem(&location(digest))?;
         let lock = self.0.lock.clone();
         let removed = blocking(move || {
             let lock = open_lock(&lock)?;
             lock.lock()?;
-            if age_of(&path)?.is_none_or(|at| at >= before) {
+            if !age_of(&path)?.is_some_and(wanted) {
                 return Ok(None);
             }
             let bytes = fs::metadata(&path)?.len();
@@ -121,9 +141,21 @@ impl Blobs {
     }
 }
 
+/// Whether a staged file has a blob's name.
+enum Linked {
+    /// Since it was given it, with this age.
+    Now(Timestamp),
+    /// No: another file has that name.
+    Before,
+    /// No: the file system does not do this.
+    Not,
+}
+
 /// File systems measure ages by the machine's clock, whatever clock jobs are measured by.
-fn touch(file: &File) -> io::Result<()> {
-    file.set_modified(SystemClock.now().into())
+fn touch(file: &File) -> io::Result<Timestamp> {
+    let now = SystemClock.now();
+    file.set_modified(now.into())?;
+    Ok(now)
 }
 
 /// When the file was last touched; none if there is no such file.

@@ -6,23 +6,56 @@ use sha2::{Digest as _, Sha256};
 use tempfile::{NamedTempFile, TempPath};
 use tokio::{fs::File, io::AsyncWriteExt as _};
 
-use super::{BlobError, UploadFile};
+use super::{BlobError, UploadFile, blocking};
 use crate::{domain::Digest, store::BlobRef};
+
+/// Hashes and counts content of a bounded length.
+#[derive(Debug)]
+pub struct ContentHash {
+    hasher: Sha256,
+    bytes: u64,
+    limit: u64,
+}
+
+impl ContentHash {
+    /// Of nothing yet, for at most `limit` bytes.
+    #[must_use]
+    pub fn new(limit: u64) -> Self {
+        Self { hasher: Sha256::new(), bytes: 0, limit }
+    }
+
+    /// Appends a piece.
+    ///
+    /// # Errors
+    /// [`BlobError::TooLarge`] once the limit is passed.
+    pub fn update(&mut self, piece: &[u8]) -> Result<(), BlobError> {
+        self.bytes += piece.len() as u64;
+        if self.bytes > self.limit {
+            return Err(BlobError::TooLarge { limit: self.limit });
+        }
+        self.hasher.update(piece);
+        Ok(())
+    }
+
+    /// The blob that the content would be published as.
+    #[must_use]
+    pub fn finish(self) -> BlobRef {
+        BlobRef { digest: Digest::from_bytes(self.hasher.finalize().into()), bytes: self.bytes }
+    }
+}
 
 /// A blob that is being written; dropping it removes its file.
 #[derive(Debug)]
 pub struct Staging {
     file: File,
     path: TempPath,
-    hasher: Sha256,
-    bytes: u64,
-    limit: u64,
+    content: ContentHash,
 }
 
 impl Staging {
     pub(super) fn new(file: NamedTempFile, limit: u64) -> Self {
         let (file, path) = file.into_parts();
-        Self { file: File::from_std(file), path, hasher: Sha256::new(), bytes: 0, limit }
+        Self { file: File::from_std(file), path, content: ContentHash::new(limit) }
     }
 
     /// Appends a piece.
@@ -30,12 +63,19 @@ impl Staging {
     /// # Errors
     /// [`BlobError::TooLarge`] once the limit is passed, [`BlobError::Io`].
     pub async fn write(&mut self, piece: &[u8]) -> Result<(), BlobError> {
-        self.bytes += piece.len() as u64;
-        if self.bytes > self.limit {
-            return Err(BlobError::TooLarge { limit: self.limit });
-        }
-        self.hasher.update(piece);
+        self.content.update(piece)?;
         Ok(self.file.write_all(piece).await?)
+    }
+
+    /// Removes the file; what was written stays hashed, and at most `limit` bytes in all may follow.
+    ///
+    /// # Errors
+    /// [`BlobError::Io`].
+    pub async fn forget_bytes(self, limit: u64) -> Result<ContentHash, BlobError> {
+        let Self { file, path, content } = self;
+        drop(file);
+        blocking(move || path.close()).await?;
+        Ok(ContentHash { limit, ..content })
     }
 
     /// Ends the blob.
@@ -44,17 +84,18 @@ impl Staging {
     /// [`BlobError::Io`].
     pub async fn finish(mut self) -> Result<Staged, BlobError> {
         self.file.flush().await?;
-        let digest = Digest::from_bytes(self.hasher.finalize().into());
-        let blob = BlobRef { digest, bytes: self.bytes };
-        Ok(Staged { path: self.path.to_path_buf(), source: Source::Staging { _removed: self.path }, blob })
+        // Nobody writes to the file from here on, so it may get the blob's name as well.
+        drop(self.file);
+        let blob = self.content.finish();
+        Ok(Staged { path: self.path.to_path_buf(), _source: Source::Staging { _removed: self.path }, blob })
     }
 }
 
-/// A complete blob that is not yet published.
+/// A complete blob that is not yet published. Nobody writes to its file any more.
 #[derive(Debug)]
 pub struct Staged {
     path: PathBuf,
-    source: Source,
+    _source: Source,
     blob: BlobRef,
 }
 
@@ -69,7 +110,7 @@ enum Source {
 
 impl Staged {
     pub(super) fn of_upload(path: PathBuf, file: UploadFile, blob: BlobRef) -> Self {
-        Self { path, source: Source::Upload { _locked: file }, blob }
+        Self { path, _source: Source::Upload { _locked: file }, blob }
     }
 
     /// The file with the content.
@@ -82,10 +123,5 @@ impl Staged {
     #[must_use]
     pub fn blob(&self) -> BlobRef {
         self.blob
-    }
-
-    /// Whether nobody will ever write to the file again, so that the blob may be the same file.
-    pub(super) fn is_final(&self) -> bool {
-        matches!(self.source, Source::Upload { .. })
     }
 }

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     domain::{Digest, KeyId},
-    store::{Accounts, Answer, BlobRef, StoreError, Usage},
+    store::{Accounts, Answer, BlobRef, Room, StoreError, Usage},
 };
 
 /// Whether anything refers to blob `?1`.
@@ -50,6 +50,20 @@ async fn usage(connection: &mut SqliteConnection, owner: Option<KeyId>) -> Resul
     Ok(Usage { stored: unsigned(&row, "stored_bytes")?, reserved: unsigned(&row, "reserved_bytes")? })
 }
 
+/// How much the owner may store, which is `default` for keys that do not say.
+async fn quota(
+    connection: &mut SqliteConnection,
+    default: Option<u64>,
+    owner: Option<KeyId>,
+) -> Result<Option<u64>, StoreError> {
+    let Some(key) = owner else { return Ok(None) };
+    let row = sqlx::query("SELECT max_bytes FROM keys WHERE id = ?")
+        .bind(key.to_string())
+        .fetch_one(connection)
+        .await?;
+    Ok(optional_unsigned(&row, "max_bytes")?.or(default))
+}
+
 /// Refuses `asked` more bytes if they are over the owner's quota, which is `default` for keys without one. Part of the transaction
 /// that adds them.
 pub(super) async fn admit(
@@ -58,17 +72,9 @@ pub(super) async fn admit(
     owner: Option<KeyId>,
     asked: u64,
 ) -> Result<(), StoreError> {
-    let Some(key) = owner else { return Ok(()) };
-    let row = sqlx::query("SELECT max_bytes FROM keys WHERE id = ?")
-        .bind(key.to_string())
-        .fetch_one(&mut *connection)
-        .await?;
-    let Some(quota) = optional_unsigned(&row, "max_bytes")?.or(default) else { return Ok(()) };
-    let used = usage(connection, owner).await?.total();
-    if used.saturating_add(asked) > quota {
-        return Err(StoreError::QuotaExceeded { asked, used, quota });
-    }
-    Ok(())
+    let Some(quota) = quota(connection, default, owner).await? else { return Ok(()) };
+    let usage = usage(connection, owner).await?;
+    Room { usage, quota: Some(quota), ..Room::default() }.admit(0, asked)
 }
 
 /// As [`admit`], of a blob: one that the owner's things refer to already takes no further room.
@@ -114,6 +120,40 @@ impl Accounts for SqliteStore {
         Box::pin(async move {
             let mut tx = self.readers.begin().await?;
             usage(&mut tx, owner).await
+        })
+    }
+
+    fn room(&self, owner: Option<KeyId>) -> Answer<'_, Room> {
+        Box::pin(async move {
+            let mut tx = self.readers.begin().await?;
+            let quota = quota(&mut tx, self.policy.limits.max_bytes, owner).await?;
+            if quota.is_none() {
+                return Ok(Room::default());
+            }
+            let row = sqlx::query(
+                "SELECT IFNULL(MAX(bytes), 0) AS largest FROM blobs WHERE digest IN (
+                     SELECT dataset FROM scenes WHERE owner IS ?1 UNION SELECT dataset FROM jobs WHERE owner IS ?1)",
+            )
+            .bind(owner.map(|owner| owner.to_string()))
+            .fetch_one(&mut *tx)
+            .await?;
+            let usage = usage(&mut tx, owner).await?;
+            Ok(Room { usage, quota, largest_dataset: unsigned(&row, "largest")? })
+        })
+    }
+
+    fn dataset(&self, owner: Option<KeyId>, content: Digest) -> Answer<'_, Option<BlobRef>> {
+        Box::pin(async move {
+            let row = sqlx::query(
+                "SELECT bytes FROM blobs WHERE digest = ?1
+                     AND (EXISTS (SELECT 1 FROM scenes WHERE dataset = ?1 AND owner IS ?2)
+                          OR EXISTS (SELECT 1 FROM jobs WHERE dataset = ?1 AND owner IS ?2))",
+            )
+            .bind(content.to_string())
+            .bind(owner.map(|owner| owner.to_string()))
+            .fetch_optional(&self.readers)
+            .await?;
+            row.map(|row| Ok(BlobRef { digest: content, bytes: unsigned(&row, "bytes")? })).transpose()
         })
     }
 

@@ -230,11 +230,52 @@ pub(super) async fn a_key_has_its_rate_and_an_address_a_few_failures(coverage: C
     }
     let answer = server.get("/v1/jobs").await.expect(429);
     assert_eq!(answer.header("retry-after"), "20");
+    assert_eq!(challenges(&answer), ["Bearer realm=\"tcgs\"", "Basic realm=\"tcgs\""]);
     answer.expect_problem(429, "too-many-failures");
+    let answer = server.post("/v1/jobs").await.expect(429);
+    assert_eq!(challenges(&answer), ["Bearer realm=\"tcgs\""]);
+    // Browsers ask for a key where they are answered 401 and nowhere else.
+    for (name, value) in [("accept", "text/html,*/*;q=0.8"), ("sec-fetch-mode", "navigate")] {
+        let page = server.send("GET", "/v1/jobs", |request| request.header(name, value)).await;
+        assert_eq!(challenges(&page), ["Bearer realm=\"tcgs\"", "Basic realm=\"tcgs\""]);
+        page.expect_problem(401, "no-key");
+        let wrong = server.send("GET", "/v1/jobs", |request| {
+            request.header(name, value).header("authorization", basic(b"me", UNKNOWN))
+        });
+        wrong.await.expect_problem(429, "too-many-failures");
+    }
     let other = server.key(&[Scope::Read]).await;
     with_key(&server, "GET", "/v1/jobs", &other.key).await.expect(200);
     clock.advance(SignedDuration::from_secs(20));
     server.get("/v1/jobs").await.expect_problem(401, "no-key");
+}
+
+/// Fails to show a key, as a client of a proxy's.
+async fn fail_behind(server: &Server, forwarded: &str) -> u16 {
+    server.send("GET", "/v1/jobs", |request| request.header("x-forwarded-for", forwarded)).await.status
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn clients_of_a_trusted_proxy_have_their_failures_each_to_themselves() {
+    for is_trusted in [false, true] {
+        let (mut setup, _clock) = stopped_clock();
+        let access = &mut setup.limits.access;
+        access.failures_per_minute = NonZeroU32::new(2).expect("two");
+        if is_trusted {
+            let network = "127.0.0.0/8".parse().expect("a network");
+            access.trusted_proxies = tcgs::http::TrustedProxies(vec![network]);
+        }
+        let server = Server::start_with(&Coverage::default(), setup).await;
+        server.key(&[Scope::Read]).await;
+        for expected in [401, 401, 429] {
+            // What the client itself has put there, before the proxy added its address, makes no difference.
+            let made_up = format!("10.0.0.{expected}, 203.0.113.1");
+            assert_eq!(fail_behind(&server, &made_up).await, expected);
+        }
+        let other = if is_trusted { 401 } else { 429 };
+        assert_eq!(fail_behind(&server, "203.0.113.2").await, other, "trusted: {is_trusted}");
+        assert_eq!(fail_behind(&server, "203.0.113.1").await, 429);
+    }
 }
 
 pub(super) async fn keys_are_made_listed_and_revoked_by_administrators(coverage: Coverage) {

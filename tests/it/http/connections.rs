@@ -65,7 +65,7 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
         (format!("{job}/animation"), "application/json"),
     ] {
         let head = format!(
-            "POST {path} HTTP/1.1\r\nHost: test\r\nContent-Type: {media_type}\r\nConnection: close\r\n"
+            "POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: {media_type}\r\nConnection: close\r\n"
         );
         let slow = raw(&server, &format!("{head}Content-Length: 9\r\n\r\n{{\"v"), false).await;
         assert_eq!(check_raw(&server, "POST", &path, &slow), 408);
@@ -87,7 +87,7 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
 async fn a_connection_that_dawdles_over_its_headers_is_closed() {
     let setup = Setup { header_timeout: Duration::from_millis(50), ..Setup::default() };
     let server = Server::start_with(&Coverage::default(), setup).await;
-    let answer = raw(&server, "GET /healthz HTTP/1.1\r\nHost: te", false).await;
+    let answer = raw(&server, "GET /healthz HTTP/1.1\r\nHost: loc", false).await;
     assert!(!String::from_utf8_lossy(&answer).contains("200"), "the read ended because the server closed");
 }
 
@@ -98,7 +98,7 @@ async fn an_early_refusal_reaches_a_client_that_sends_its_whole_body_first() {
     for (query, status) in [("?preset=fast", 422), ("", 413)] {
         let mut stream = TcpStream::connect(server.address).await.expect("connects");
         let head = format!(
-            "POST /v1/jobs{query} HTTP/1.1\r\nHost: test\r\nContent-Type: application/zip\r\n\
+            "POST /v1/jobs{query} HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\n\
              Connection: close\r\nContent-Length: {size}\r\n\r\n"
         );
         stream.write_all(head.as_bytes()).await.expect("sent");
@@ -118,7 +118,7 @@ async fn send_whole_bodies_first(server: &Server, headers: &str) -> BTreeSet<u16
     let mut seen = BTreeSet::new();
     for (method, path) in guarded.chain(others.map(|(method, path)| (method, path.to_owned()))) {
         let head = format!(
-            "{method} {path} HTTP/1.1\r\nHost: test\r\n{headers}Connection: close\r\nContent-Length: {}\r\n\r\n",
+            "{method} {path} HTTP/1.1\r\nHost: localhost\r\n{headers}Connection: close\r\nContent-Length: {}\r\n\r\n",
             body.len()
         );
         let mut stream = TcpStream::connect(server.address).await.expect("connects");
@@ -157,6 +157,37 @@ async fn whatever_is_answered_reaches_a_client_that_sends_its_whole_body_first()
     }
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_read_of_a_strangers_body_has_an_end() {
+    let server = Server::start(&Coverage::default()).await;
+    let key = server.key(&[Scope::JobsWrite]).await;
+    for (authorization, bytes, closes) in [
+        (String::new(), 1 << 20, false),
+        (String::new(), (1 << 20) + 1, true),
+        (format!("Authorization: Bearer {}\r\n", key.key), 2 << 20, false),
+    ] {
+        let head = format!(
+            "POST /v1/jobs?preset=fast HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\n{authorization}\
+             Content-Length: {bytes}\r\n\r\n"
+        );
+        let (mut from, mut to) = TcpStream::connect(server.address).await.expect("connects").into_split();
+        let sending = tokio::spawn(async move {
+            // The service may stop reading.
+            let _ = to.write_all(head.as_bytes()).await;
+            let _ = to.write_all(&vec![b'x'; bytes]).await;
+            to
+        });
+        let mut answer = Vec::new();
+        while !answer.windows(4).any(|window| window == b"\r\n\r\n") {
+            assert!(from.read_buf(&mut answer).await.expect("an answer") > 0, "{bytes} bytes");
+        }
+        let head = String::from_utf8_lossy(&answer).to_lowercase();
+        assert_eq!(head.contains("connection: close\r\n"), closes, "{bytes} bytes: {head}");
+        drop(from);
+        drop(sending.await.expect("joined"));
+    }
+}
+
 #[tokio::test]
 async fn a_client_that_waits_for_leave_to_send_is_refused_without_it() {
     let server = Server::start(&Coverage::default()).await;
@@ -164,7 +195,7 @@ async fn a_client_that_waits_for_leave_to_send_is_refused_without_it() {
         [("/v1/jobs?preset=fast", 422), ("/v1/jobs/17/retry", 404), ("/v1/jobs/17/cancel", 404)]
     {
         let request = format!(
-            "POST {path} HTTP/1.1\r\nHost: test\r\nContent-Type: application/zip\r\nExpect: 100-continue\r\n\
+            "POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\nExpect: 100-continue\r\n\
              Content-Length: 1000\r\n\r\n"
         );
         let answer = raw(&server, &request, false).await;
@@ -182,7 +213,7 @@ async fn connections_beyond_the_cap_wait_for_a_place() {
     let server =
         Server::start_with(&Coverage::default(), Setup { max_connections: 1, ..Setup::default() }).await;
     let mut first = TcpStream::connect(server.address).await.expect("connects");
-    first.write_all(b"GET /healthz HTTP/1.1\r\nHost: te").await.expect("sent");
+    first.write_all(b"GET /healthz HTTP/1.1\r\nHost: loc").await.expect("sent");
     let mut second = Box::pin(server.get("/healthz"));
     let early = tokio::time::timeout(Duration::from_millis(50), &mut second).await;
     assert!(early.is_err(), "there is no place yet");
@@ -217,7 +248,7 @@ async fn a_body_that_only_dribbles_is_given_up_though_it_never_pauses() {
     let server = Server::start_with(&Coverage::default(), Setup { limits, ..Setup::default() }).await;
     let stream = TcpStream::connect(server.address).await.expect("connects");
     let (mut from, mut to) = stream.into_split();
-    let head = "POST /v1/jobs HTTP/1.1\r\nHost: test\r\nContent-Type: application/zip\r\nConnection: close\r\n\
+    let head = "POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\nConnection: close\r\n\
                 Content-Length: 100000\r\n\r\n";
     to.write_all(head.as_bytes()).await.expect("sent");
     let dribble = tokio::spawn(async move {
@@ -247,11 +278,31 @@ async fn a_client_that_takes_nothing_of_its_answers_loses_its_connection() {
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     // More answers than any socket's buffers hold.
-    let requests = "GET /openapi.yaml HTTP/1.1\r\nHost: test\r\n\r\n".repeat(1000);
+    let requests = "GET /openapi.yaml HTTP/1.1\r\nHost: localhost\r\n\r\n".repeat(1000);
     idle.write_all(requests.as_bytes()).await.expect("sent");
     while connections().await > 1 {
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_that_takes_too_little_of_its_answers_loses_its_connection() {
+    let tune = |config: &mut tcgs::http::HttpConfig| {
+        config.write_timeout = Duration::from_millis(500);
+        config.answer_rate = 1 << 40;
+    };
+    let server = Server::start_with(&Coverage::default(), Setup { tune, ..Setup::default() }).await;
+    let mut stream = TcpStream::connect(server.address).await.expect("connects");
+    let (requests, each) = (500, server.get("/openapi.yaml").await.expect(200).body.len());
+    let text = "GET /openapi.yaml HTTP/1.1\r\nHost: localhost\r\n\r\n".repeat(requests);
+    stream.write_all(text.as_bytes()).await.expect("sent");
+    let (mut taken, mut piece) = (0, vec![0; 64 << 10]);
+    while let Ok(bytes @ 1..) = stream.read(&mut piece).await {
+        taken += bytes;
+        // It never stops for long, but the service waits for it all the same.
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    assert!(taken < requests * each, "{taken} bytes were sent");
 }
 
 #[tokio::test]
@@ -259,14 +310,37 @@ async fn one_address_cannot_take_every_place() {
     let tune = |config: &mut tcgs::http::HttpConfig| config.max_connections_per_address = 1;
     let server = Server::start_with(&Coverage::default(), Setup { tune, ..Setup::default() }).await;
     let mut first = TcpStream::connect(server.address).await.expect("connects");
-    first.write_all(b"GET /healthz HTTP/1.1\r\nHost: te").await.expect("sent");
+    first.write_all(b"GET /healthz HTTP/1.1\r\nHost: loc").await.expect("sent");
     let mut second = TcpStream::connect(server.address).await.expect("the system connects");
     let mut answer = Vec::new();
     let ended = second.read_to_end(&mut answer).await;
     assert!(ended.is_err() || answer.is_empty(), "closed without an answer");
-    first.write_all(b"st\r\nConnection: close\r\n\r\n").await.expect("sent");
+    first.write_all(b"alhost\r\nConnection: close\r\n\r\n").await.expect("sent");
     first.read_to_end(&mut answer).await.expect("an end");
     assert_eq!(check_raw(&server, "GET", "/healthz", &answer), 200, "the first has its place");
+}
+
+#[tokio::test]
+async fn a_trusted_proxy_has_the_places_of_all_its_clients() {
+    let tune = |config: &mut tcgs::http::HttpConfig| {
+        config.max_connections_per_address = 1;
+        let network = "127.0.0.1".parse().expect("a network");
+        config.limits.access.trusted_proxies = tcgs::http::TrustedProxies(vec![network]);
+    };
+    let server = Server::start_with(&Coverage::default(), Setup { tune, ..Setup::default() }).await;
+    let mut open = Vec::new();
+    for _ in 0..3 {
+        open.push(TcpStream::connect(server.address).await.expect("connects"));
+    }
+    for stream in &mut open {
+        stream
+            .write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+            .await
+            .expect("sent");
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).await.expect("an end");
+        assert_eq!(check_raw(&server, "GET", "/healthz", &answer), 200);
+    }
 }
 
 #[tokio::test]
@@ -278,6 +352,6 @@ async fn heads_that_are_too_long_are_problems() {
     let headers = server.send("GET", "/v1/jobs", |request| request.header("x-long", &long)).await;
     assert!(headers.expect_problem(431, "headers-too-large").contains("32768"));
     // Beyond the connection's buffer there is no request to answer, but still a status.
-    let endless = format!("GET /healthz HTTP/1.1\r\nHost: test\r\nX-Long: {}", "x".repeat(70 << 10));
+    let endless = format!("GET /healthz HTTP/1.1\r\nHost: localhost\r\nX-Long: {}", "x".repeat(70 << 10));
     assert!(raw(&server, &endless, false).await.starts_with(b"HTTP/1.1 431 "));
 }

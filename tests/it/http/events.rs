@@ -4,15 +4,16 @@ use std::{sync::Arc, time::Duration};
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{Phase, Problem, Progress, SystemClock},
+    domain::{Phase, Problem, Progress, Scope, SystemClock},
     http::{self, HttpConfig, Services, config::RequestLimits},
     store::{Outcome, SqliteStore, Store},
 };
 use tokio_util::sync::CancellationToken;
 
+use super::access::with_key;
 use crate::support::{
     contract::Coverage,
-    server::{Server, Setup, quick_policy},
+    server::{Server, Setup, TestKey, quick_policy},
     sse::{Frame, Reader, frames},
 };
 
@@ -208,4 +209,34 @@ async fn a_hundred_clients_follow_a_job() {
     }
     let past = history(&server, &job).await;
     assert!(all.iter().all(|told| *told == past));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_stream_ends_with_a_word_soon_after_its_key_is_revoked() {
+    let limits = RequestLimits { recheck_keys_every: Duration::from_millis(5), ..Setup::default().limits };
+    let server = Server::start_with(&Coverage::default(), no_worker(limits)).await;
+    let [mine, other] =
+        [server.key(&[Scope::JobsWrite, Scope::Read]).await, server.key(&[Scope::Admin]).await];
+    let created = server.send("POST", "/v1/jobs", |request| {
+        request.bearer_auth(&mine.key).header("content-type", "application/zip").body("succeed")
+    });
+    let events = format!("{}/events", created.await.expect(201).header("location"));
+    let follow = async |key: &TestKey| {
+        let open = server.open("GET", &events, |request| {
+            request.bearer_auth(&key.key).header("accept", "text/event-stream")
+        });
+        Reader::new(open.await)
+    };
+    let (mut stream, mut others) = (follow(&mine).await, follow(&other).await);
+    assert_eq!(stream.next().await.map(|frame| frame.event).as_deref(), Some("state"));
+    server.revoke(&mine).await;
+    let last = stream.next().await.expect("a word");
+    assert_eq!((&*last.event, &*last.id, last.json()), ("closed", "", json!({ "reason": "key-revoked" })));
+    assert_eq!(stream.next().await, None, "and the end");
+    with_key(&server, "POST", &events.replace("/events", "/cancel"), &other.key).await.expect(200);
+    let mut kinds = Vec::new();
+    while let Some(frame) = others.next().await {
+        kinds.push(frame.event);
+    }
+    assert_eq!(kinds, ["state", "state"], "another key's stream goes on to the job's end");
 }

@@ -218,7 +218,7 @@ pub(super) async fn few_exports_are_made_at_a_time_and_each_for_all_who_ask(cove
     let slow = format!("{job}/export?format=ply&lambda=0.0005");
     // One who asks and goes away again: what was begun for it serves those who ask after it.
     let mut gone = tokio::net::TcpStream::connect(server.address).await.expect("a connection");
-    let request = format!("GET {slow} HTTP/1.1\r\nHost: x\r\n\r\n");
+    let request = format!("GET {slow} HTTP/1.1\r\nHost: localhost\r\n\r\n");
     gone.write_all(request.as_bytes()).await.expect("sent");
     server.exporter.gate.someone_waits().await;
     drop(gone);

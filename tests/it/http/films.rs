@@ -2,7 +2,7 @@
 
 use image::AnimationDecoder as _;
 use serde_json::{Value, json};
-use tcgs::http::config::RequestLimits;
+use tcgs::{domain::Scope, http::config::RequestLimits};
 
 use crate::support::{
     contract::Coverage,
@@ -358,4 +358,19 @@ async fn a_stream_whose_client_has_gone_makes_room() {
     while server.get(&format!("{job}/stream?frames=1")).await.status == 503 {
         tokio::task::yield_now().await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_stream_of_views_ends_soon_after_its_key_is_revoked() {
+    let limits =
+        RequestLimits { recheck_keys_every: std::time::Duration::from_millis(5), ..Setup::default().limits };
+    let server = Server::start_with(&Coverage::default(), Setup { limits, ..Setup::default() }).await;
+    let job = server.succeeded().await;
+    let key = server.key(&[Scope::Admin]).await;
+    let path = format!("{job}/stream?orbit=1000&frames=3&fps=1&width=20");
+    let mut stream = server.open("GET", &path, |request| request.bearer_auth(&key.key)).await;
+    stream.chunk().await.expect("a picture").expect("before the end");
+    server.revoke(&key).await;
+    // Fifty minutes of it are left.
+    while let Ok(Some(_)) = stream.chunk().await {}
 }

@@ -81,7 +81,7 @@ pub(super) async fn fifty_requests_with_one_key_make_one_job(coverage: Coverage)
 async fn begun(server: &Server, length: usize) -> BufReader<TcpStream> {
     let mut stream = BufReader::new(TcpStream::connect(server.address).await.expect("a connection"));
     let head = format!(
-        "POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nIdempotency-Key: one\r\n\
+        "POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\nIdempotency-Key: one\r\n\
          Expect: 100-continue\r\nConnection: close\r\nContent-Length: {length}\r\n\r\n"
     );
     stream.write_all(head.as_bytes()).await.expect("sent");

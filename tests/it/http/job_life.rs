@@ -258,7 +258,8 @@ pub(super) async fn a_job_that_has_ended_is_deleted_with_its_files(coverage: Cov
         tcgs::http::AppState::new(services, Setup::default().limits, server.shutdown.clone())
     };
     use tower::ServiceExt as _;
-    let request = axum::http::Request::delete(&retry).body(axum::body::Body::empty()).expect("a request");
+    let request = axum::http::Request::delete(&retry).header("host", "localhost");
+    let request = request.body(axum::body::Body::empty()).expect("a request");
     let answer = tcgs::http::router(state).oneshot(request).await.expect("an answer");
     assert_eq!(answer.status(), 204);
     let forgotten: Vec<String> =

@@ -4,6 +4,7 @@
 mod access;
 mod artifacts;
 mod connections;
+mod cross_site;
 mod events;
 mod exports;
 mod films;
@@ -16,6 +17,7 @@ mod scenes;
 mod secrets;
 mod series;
 mod service;
+mod space;
 mod uploads;
 mod views;
 mod webhooks;
@@ -64,6 +66,9 @@ scenarios! {
     }
     connections {
         bodies_that_break_off_or_dawdle_are_given_up,
+    }
+    space {
+        below_the_floor_of_free_space_nothing_is_taken_in,
     }
     operations {
         metrics_tell_of_requests_jobs_and_the_machine,

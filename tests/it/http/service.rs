@@ -144,7 +144,8 @@ async fn a_server_that_drains_is_not_ready() {
     let draining = tokio_util::sync::CancellationToken::new();
     draining.cancel();
     let state = tcgs::http::AppState::new(server.services.clone(), Default::default(), draining);
-    let request = axum::http::Request::get("/readyz").body(axum::body::Body::empty()).expect("a request");
+    let request = axum::http::Request::get("/readyz").header("host", "localhost");
+    let request = request.body(axum::body::Body::empty()).expect("a request");
     let answer = tcgs::http::router(state).oneshot(request).await.expect("an answer");
     assert_eq!(answer.status(), 503);
 }

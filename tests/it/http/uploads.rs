@@ -95,7 +95,7 @@ async fn half_a_part(
 ) -> TcpStream {
     let mut stream = TcpStream::connect(server.address).await.expect("connects");
     let head = format!(
-        "PATCH {upload} HTTP/1.1\r\nHost: test\r\nTus-Resumable: 1.0.0\r\nContent-Type: {PART}\r\n\
+        "PATCH {upload} HTTP/1.1\r\nHost: localhost\r\nTus-Resumable: 1.0.0\r\nContent-Type: {PART}\r\n\
          Upload-Offset: {}\r\nContent-Length: {}\r\n{more}Connection: close\r\n\r\n",
         place.start,
         place.len(),
@@ -320,7 +320,7 @@ pub(super) async fn bodies_of_parts_that_dawdle_or_break_off_keep_what_came(cove
 
     let mut stream = TcpStream::connect(server.address).await.expect("connects");
     let head = format!(
-        "PATCH {upload} HTTP/1.1\r\nHost: test\r\nTus-Resumable: 1.0.0\r\nContent-Type: {PART}\r\n\
+        "PATCH {upload} HTTP/1.1\r\nHost: localhost\r\nTus-Resumable: 1.0.0\r\nContent-Type: {PART}\r\n\
          Upload-Offset: 5\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n2\r\n67\r\nno length\r\n"
     );
     stream.write_all(head.as_bytes()).await.expect("sent");

@@ -434,6 +434,46 @@ async fn who_does_not_speak_tls_or_does_not_answer_is_a_fault() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_takes_a_message_and_stays_mute_is_given_up() {
+    let (setup, _clock) = stopped();
+    let server = Server::start_with(&Coverage::default(), setup).await;
+    let mute = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let url = format!("http://{}/", mute.local_addr().expect("bound"));
+    let made = endpoint(&server, json!({ "url": url, "events": ["job.queued"] })).await;
+    let sender = Sender::new(LOCAL, system_lookup(), Duration::from_secs(1), &ExtraRoots::default());
+    let config = DeliveryConfig { poll: Duration::from_millis(2), ..DeliveryConfig::default() };
+    let store = Arc::clone(&server.store) as Arc<dyn Store>;
+    tokio::spawn(webhooks::deliver(store, sender.expect("a sender"), config, server.shutdown.clone()));
+    server.create("succeed").await;
+    // Taken, and held open without a word.
+    let (_held, _) = mute.accept().await.expect("a connection");
+    let waited = tokio::time::timeout(Duration::from_secs(60), async {
+        until(&server, &made, |delivery| !delivery["fault"].is_null()).await
+    });
+    let failed = waited.await.expect("it does not wait for ever");
+    assert_eq!((&failed["fault"], &failed["state"]), (&json!("no answer within 1 s"), &json!("pending")));
+    assert_eq!(failed["answer_status"], Value::Null);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn messages_go_to_their_endpoint_and_through_no_proxy() {
+    let (mut endpoint, mut proxy) = (Receiver::start().await, Receiver::start().await);
+    let data = tempfile::tempdir().expect("a folder");
+    let names = ["http_proxy", "HTTP_PROXY", "https_proxy", "HTTPS_PROXY", "all_proxy", "ALL_PROXY"];
+    let mut environment: Vec<_> = names.iter().map(|name| (*name, proxy.url(""))).collect();
+    environment.extend(["no_proxy", "NO_PROXY"].map(|name| (name, String::new())));
+    let flags = ["--workers", "0", "--webhooks-allow-loopback"];
+    let service = Service::start_in(data.path(), flags, &environment).await;
+    let wish = json!({ "url": endpoint.url("/hook"), "events": ["job.queued"] });
+    let made = service.post_json(ENDPOINTS, &wish).await.expect(201).json();
+    service.upload("", dataset::zip()).await.expect(201);
+    let received = tokio::time::timeout(Duration::from_secs(60), endpoint.next()).await.expect("in time");
+    assert_eq!(received.path, "/hook");
+    check_signature(&received, &made);
+    assert!(proxy.is_quiet());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn messages_go_over_tls_to_who_shows_a_certificate_that_is_trusted_and_to_nobody_else() {
     let (mut setup, clock) = stopped();
     setup.limits.webhook_endpoints = 5;

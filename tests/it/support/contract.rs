@@ -32,10 +32,16 @@ impl Coverage {
     pub fn check(&self, method: &str, path: &str, status: u16, headers: &HeaderMap, body: &[u8]) {
         let place = format!("{method} {path} -> {status}");
         assert!(headers.contains_key("x-request-id"), "{place}: no X-Request-Id");
+        let shown_by = headers.get("cross-origin-resource-policy").map(|value| value.as_bytes());
+        assert_eq!(shown_by, Some(&b"same-origin"[..]), "{place}: no Cross-Origin-Resource-Policy");
         let media_type = headers.get("content-type").map(|value| {
             value.to_str().expect("ASCII").split(';').next().unwrap_or_default().trim().to_owned()
         });
-        if matches!(status, 414 | 431) {
+        let is_cross_site = || {
+            let problem: Value = serde_json::from_slice(body).unwrap_or_default();
+            problem["type"] == "urn:tcgs:problem:cross-site-request"
+        };
+        if matches!(status, 414 | 421 | 431) || (status == 403 && is_cross_site()) {
             // For any operation, as the contract's common rules say.
             return validate(&place, &json!({ "$ref": "#/components/schemas/Problem" }), body);
         }
@@ -177,7 +183,10 @@ fn resolved(value: &'static Value) -> &'static Value {
 
 /// A frame of an event stream, and what its data holds.
 fn validate_frame(place: &str, schema: &'static Value, frame: &super::sse::Frame) {
-    let fields = json!({ "id": frame.id, "event": frame.event, "data": frame.data });
+    let mut fields = json!({ "event": frame.event, "data": frame.data });
+    if !frame.id.is_empty() {
+        fields["id"] = json!(frame.id);
+    }
     validate(place, schema, &serde_json::to_vec(&fields).expect("JSON"));
     validate(place, &resolved(schema)["properties"]["data"]["contentSchema"], frame.data.as_bytes());
 }

@@ -13,10 +13,10 @@ use jiff::Timestamp;
 use tcgs::{
     domain::{Digest, Event, JobId, JobState, KeyId, Phase, Progress, SceneId, UploadId},
     store::{
-        Accounts, Answer, AttemptRecord, Cancellation, Claim, Death, Deletion, ExportRecord, Exports,
+        Accounts, Answer, AttemptRecord, BlobRef, Cancellation, Claim, Death, Deletion, ExportRecord, Exports,
         Figures, FileRecord, Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewJob, NewScene,
-        NewUpload, Outcome, Overview, PageKey, Remembered, Repeat, Repetition, SceneCreation, SceneDeletion,
-        ScenePage, SceneRecord, Scenes, Store, StoreError, UploadRecord, Uploads, Usage,
+        NewUpload, Outcome, Overview, PageKey, Remembered, Repeat, Repetition, Room, SceneCreation,
+        SceneDeletion, ScenePage, SceneRecord, Scenes, Store, StoreError, UploadRecord, Uploads, Usage,
     },
 };
 
@@ -208,6 +208,12 @@ impl Uploads for FaultStore {
 impl Accounts for FaultStore {
     fn usage(&self, owner: Option<KeyId>) -> Answer<'_, Usage> {
         self.guard(self.inner.usage(owner))
+    }
+    fn room(&self, owner: Option<KeyId>) -> Answer<'_, Room> {
+        self.guard(self.inner.room(owner))
+    }
+    fn dataset(&self, owner: Option<KeyId>, content: Digest) -> Answer<'_, Option<BlobRef>> {
+        self.guard(self.inner.dataset(owner, content))
     }
     fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> Answer<'a, Vec<Digest>> {
         self.guard(self.inner.forget_blobs(digests))

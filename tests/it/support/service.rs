@@ -35,7 +35,17 @@ impl Service {
 
     /// The same with more arguments.
     pub async fn start_with<A: AsRef<OsStr>>(data: &Path, more: impl IntoIterator<Item = A>) -> Self {
+        Self::start_in(data, more, &[]).await
+    }
+
+    /// The same with these variables.
+    pub async fn start_in<A: AsRef<OsStr>>(
+        data: &Path,
+        more: impl IntoIterator<Item = A>,
+        environment: &[(&str, String)],
+    ) -> Self {
         let mut command = Command::from(program::command());
+        command.envs(environment.iter().map(|(name, value)| (name, value)));
         command.args(["serve", "--listen", "127.0.0.1:0", "--log-format", "json", "--data"]).arg(data);
         command.args(more);
         let mut child = command.stderr(Stdio::piped()).kill_on_drop(true).spawn().expect("the binary runs");
