@@ -12,6 +12,8 @@ mod deployment;
 mod examples;
 mod export;
 mod first_light;
+#[cfg(target_os = "linux")]
+mod hostile_uploads;
 mod housekeeping;
 mod http;
 mod ingest;
