@@ -182,6 +182,15 @@ pub enum Fault {
         /// What is wrong with the value.
         message: String,
     },
+    /// Masks, which nothing here uses.
+    #[error(
+        "{place} there are masks, which are not supported: the whole of every photograph would be trained on. Remove them to \
+         train on whole photographs, or send photographs that are transparent (RGBA) where the masks are 0"
+    )]
+    Masks {
+        /// Where they are.
+        place: String,
+    },
     /// A camera model without a pinhole equivalent here.
     #[error(
         "{place}: camera model {model} is not supported; supported are SIMPLE_PINHOLE, PINHOLE, \

@@ -32,6 +32,8 @@ pub(super) struct FrameFields {
     pub(super) camera: CameraFields,
     pub(super) file_path: String,
     pub(super) transform_matrix: Matrix,
+    /// Whether the frame has a mask.
+    pub(super) masked: bool,
 }
 
 /// What may be stated once for all frames or for each of them.
@@ -74,6 +76,7 @@ enum Field {
     TestFilenames,
     FilePath,
     TransformMatrix,
+    MaskPath,
     CameraModel,
     IsFisheye,
     FlX,
@@ -184,17 +187,18 @@ impl<'de> Deserialize<'de> for FrameFields {
 
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<FrameFields, A::Error> {
                 let mut camera = CameraFields::default();
-                let (mut file_path, mut matrix) = (None, None);
+                let (mut file_path, mut matrix, mut masked) = (None, None, false);
                 while let Some(field) = map.next_key()? {
                     match field {
                         Field::FilePath => file_path = Some(map.next_value()?),
                         Field::TransformMatrix => matrix = Some(map.next_value()?),
+                        Field::MaskPath => masked = map.next_value::<Option<IgnoredAny>>()?.is_some(),
                         other => camera.read(other, &mut map)?,
                     }
                 }
                 let file_path = file_path.ok_or_else(|| A::Error::missing_field("file_path"))?;
                 let matrix = matrix.ok_or_else(|| A::Error::missing_field("transform_matrix"))?;
-                Ok(FrameFields { camera, file_path, transform_matrix: matrix })
+                Ok(FrameFields { camera, file_path, transform_matrix: matrix, masked })
             }
         }
 
@@ -348,7 +352,7 @@ mod tests {
         assert_eq!(document.camera.camera_model.as_deref(), Some("OPENCV"));
         assert_eq!(document.test_filenames.expect("a list").0, ["a"]);
         let frame = &document.frames[0];
-        assert_eq!(frame.file_path, "a");
+        assert_eq!((frame.file_path.as_str(), frame.masked), ("a", false));
         let matrix = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 6.0], [0.0, 0.0, 1.0, 7.0], [0.0, 0.0, 0.0, 1.0]];
         assert_eq!(frame.transform_matrix, Matrix(Some(matrix)));
     }

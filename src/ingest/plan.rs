@@ -16,6 +16,9 @@ use crate::domain::{Layout, Pose, Split, scene::HOLD_OUT_EVERY};
 /// How many missing images a message names.
 const MISSING_SHOWN: usize = 5;
 
+/// Folders in which tools look for masks, beside the folder of the photographs.
+const MASK_FOLDERS: [&str; 2] = ["masks", "mask"];
+
 /// A dataset as its tables state it.
 pub(super) struct Plan {
     pub(super) layout: Layout,
@@ -132,6 +135,21 @@ impl Plan {
             self.notes.push(format!("{unlisted} {images} {are} not listed in {listing} and not used"));
         }
     }
+}
+
+/// Demands that no folder of masks lies in the dataset: trained on as if it were not there, it would give another scene than
+/// its owner expects.
+///
+/// # Errors
+/// [`Fault::Masks`].
+pub(super) fn refuse_masks(tree: &Tree) -> Result<(), Error> {
+    let mask = tree.names().find(|name| {
+        name.split_once('/').is_some_and(|(folder, _)| MASK_FOLDERS.contains(&folder)) && is_image_name(name)
+    });
+    mask.map_or(Ok(()), |mask| {
+        let place = format!("in {}/", mask.split_once('/').map_or("", |(folder, _)| folder));
+        Err(Fault::Masks { place }.at(mask))
+    })
 }
 
 fn folder_of(name: &str) -> &str {

@@ -9,7 +9,7 @@ use super::{
     images,
     lens::resized,
     limits::Limits,
-    plan::{Plan, Shot},
+    plan::{Plan, Shot, refuse_masks},
     points::Points,
     transforms,
     tree::Tree,
@@ -104,6 +104,7 @@ pub(super) fn survey(mut tree: Tree, limits: &Limits) -> Result<(Tree, Survey), 
         plan => plan,
     }
     .ok_or(Fault::NoLayout)??;
+    refuse_masks(&tree)?;
     let Plan { layout, lenses, shots, points, mut notes } = plan;
 
     let mut crops = BTreeMap::new();

@@ -359,6 +359,23 @@ fn headers_behind_previews_are_found_up_to_a_bound() {
 }
 
 #[test]
+fn masks_are_refused_with_what_to_do() {
+    for folder in ["masks", "mask"] {
+        let name = format!("{folder}/0.png");
+        for set in [nerfstudio(), colmap(), blender()] {
+            let set = set.with(&name, png(SIZE, [255; 4]));
+            assert_refused(&set, &name, &format!("in {folder}/ there are masks, which are not supported"));
+        }
+    }
+    assert!(load(&colmap().with("masks/readme.txt", "none").directory().path).is_ok());
+    let path = r#""file_path": "images/1.png", "mask_path": "other/1.png""#;
+    let masked = nerfstudio().edited("transforms.json", "\"file_path\": \"images/1.png\"", path);
+    assert_refused(&masked, "transforms.json", "at /frames/1/mask_path there are masks");
+    let unmasked = masked.edited("transforms.json", "\"other/1.png\"", "null");
+    assert!(load(&unmasked.directory().path).is_ok());
+}
+
+#[test]
 fn no_refusal_names_a_folder_of_the_machine() {
     let nothing = Set::default().with("readme.txt", "hello");
     let cut = nerfstudio().archive();

@@ -102,6 +102,9 @@ fn add_frames(
     let mut images = ImageFiles::new(tree, file);
     for (index, frame) in document.frames.iter().enumerate() {
         let place = format!("/frames/{index}");
+        if frame.masked {
+            return Err(Fault::Masks { place: format!("at {place}/mask_path") }.at(file));
+        }
         let found = images.find("", &frame.file_path, &format!("{place}/file_path"))?;
         let pose = pose(frame.transform_matrix, &place).map_err(|fault| fault.at(file))?;
         let lens = lens(&frame.camera, &document.camera, &place).map_err(|fault| fault.at(file))?;
