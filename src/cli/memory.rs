@@ -24,11 +24,18 @@ pub(crate) struct MemoryFlags {
 impl MemoryFlags {
     /// What each of `runs` runs at a time may take.
     pub(crate) fn limits(self, runs: u16) -> MemoryLimits {
-        let host = self
-            .host_memory
-            .map_or_else(|| (available() / 4 * 3 / u64::from(runs.max(1))).max(1), |bytes| bytes.0);
+        self.limits_of(runs, available)
+    }
+
+    fn limits_of(self, runs: u16, available: impl FnOnce() -> u64) -> MemoryLimits {
+        let host = self.host_memory.map_or_else(|| share(available(), runs), |bytes| bytes.0);
         MemoryLimits { host, gpu: self.gpu_memory.map(|bytes| bytes.0) }
     }
+}
+
+/// What each of `runs` runs may take of `available` bytes: three quarters of them, in equal parts.
+fn share(available: u64, runs: u16) -> u64 {
+    (available / 4 * 3 / u64::from(runs.max(1))).max(1)
 }
 
 /// Bytes of main memory that nobody uses, within what a control group allows this process.
@@ -75,8 +82,24 @@ mod tests {
     #[test]
     fn stated_limits_are_taken_as_they_are_and_runs_share_what_is_not_stated() {
         let stated = MemoryFlags { host_memory: Some(Bytes(1000)), gpu_memory: Some(Bytes(10)) };
-        assert_eq!(stated.limits(4), MemoryLimits { host: 1000, gpu: Some(10) });
-        let found = MemoryFlags::default();
-        assert!(found.limits(1).host > found.limits(8).host && found.limits(1).gpu.is_none());
+        let limits = stated.limits_of(4, || panic!("what is stated is not asked for"));
+        assert_eq!(limits, MemoryLimits { host: 1000, gpu: Some(10) });
+        for (available, runs, host) in [(8000, 1, 6000), (8000, 4, 1500), (8000, 0, 6000), (0, 3, 1)] {
+            let limits = MemoryFlags::default().limits_of(runs, || available);
+            assert_eq!(limits, MemoryLimits { host, gpu: None }, "{available} bytes for {runs}");
+        }
+        let only_gpu = MemoryFlags { host_memory: None, gpu_memory: Some(Bytes(10)) };
+        assert_eq!(only_gpu.limits_of(2, || 8000), MemoryLimits { host: 3000, gpu: Some(10) });
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn the_machine_says_what_is_available() {
+        let total = mem_available(
+            &fs::read_to_string("/proc/meminfo").expect("a machine").replace("MemTotal:", "MemAvailable:"),
+        );
+        let available = available();
+        assert_ne!(available, UNKNOWN, "it was read");
+        assert!((1 << 20..=total.expect("a total")).contains(&available), "{available}");
     }
 }

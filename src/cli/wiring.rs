@@ -56,26 +56,26 @@ pub(crate) struct Inspection {
 /// Reads a dataset; half of the memory that is there holds photographs.
 pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
     let host = MemoryFlags::default().limits(1).host;
-    ingest::load_into(path, &Room { memory: host / 2, ..Room::default() }).map_err(|problem| {
-        match problem.file {
-            // The service has no name for an upload; here it has one.
-            None => problem.in_file(path.display().to_string()),
-            Some(_) => problem,
-        }
-    })
+    let room = Room { memory: host / 2, ..Room::default() };
+    ingest::load_into(path, &room).map_err(|problem| named(problem, path))
+}
+
+/// Names the dataset where no file in it is at fault: the service has no name for an upload, but here it has one.
+fn named(problem: Problem, path: &Path) -> Problem {
+    match problem.file {
+        None => problem.in_file(path.display().to_string()),
+        Some(_) => problem,
+    }
 }
 
 /// Writes a folder as the zip that a service takes.
 pub(crate) fn pack(folder: &Path, archive: &mut std::fs::File) -> Result<(), Problem> {
-    ingest::pack(folder, archive).map_err(|problem| match problem.file {
-        None => problem.in_file(folder.display().to_string()),
-        Some(_) => problem,
-    })
+    ingest::pack(folder, archive).map_err(|problem| named(problem, folder))
 }
 
 /// Checks a dataset without reading its pixels.
 pub(crate) fn check_dataset(path: &Path) -> Result<(), Problem> {
-    ingest::check(path).map(drop)
+    ingest::check(path).map(drop).map_err(|problem| named(problem, path))
 }
 
 /// The mean over held-out views of the error in the high wavelet bands, or none without such views.

@@ -41,10 +41,10 @@ impl fmt::Display for AdapterChoice {
 }
 
 impl AdapterChoice {
-    fn accepts(&self, info: &wgpu::AdapterInfo) -> bool {
-        let name = info.name.to_lowercase();
+    fn accepts(&self, name: &str, kind: wgpu::DeviceType) -> bool {
+        let name = name.to_lowercase();
         match self {
-            Self::Auto => info.device_type != wgpu::DeviceType::Other,
+            Self::Auto => kind != wgpu::DeviceType::Other,
             Self::Lavapipe => name.contains("llvmpipe"),
             Self::Named(wanted) => name.contains(&wanted.to_lowercase()),
         }
@@ -129,8 +129,17 @@ pub(super) fn adapters() -> Vec<wgpu::Adapter> {
     pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()))
 }
 
-fn rank(info: &wgpu::AdapterInfo) -> u8 {
-    match info.device_type {
+/// An adapter as far as a choice asks.
+struct Candidate<T> {
+    name: String,
+    kind: wgpu::DeviceType,
+    usable: bool,
+    adapter: T,
+}
+
+/// Places on the list of adapters, best first.
+fn rank(kind: wgpu::DeviceType) -> u8 {
+    match kind {
         wgpu::DeviceType::DiscreteGpu => 0,
         wgpu::DeviceType::IntegratedGpu => 1,
         wgpu::DeviceType::VirtualGpu => 2,
@@ -139,23 +148,34 @@ fn rank(info: &wgpu::AdapterInfo) -> u8 {
     }
 }
 
+/// The best of the candidates that the choice accepts and this program can run on; among equals the first.
+fn best<T>(choice: &AdapterChoice, mut candidates: Vec<Candidate<T>>) -> Option<T> {
+    candidates.sort_by_key(|candidate| rank(candidate.kind));
+    let found = candidates.into_iter().find(|one| one.usable && choice.accepts(&one.name, one.kind));
+    found.map(|candidate| candidate.adapter)
+}
+
 pub(super) fn choose(choice: &AdapterChoice) -> Result<wgpu::Adapter, GpuError> {
-    let mut all = adapters();
-    all.sort_by_key(|adapter| rank(&adapter.get_info()));
-    let available: Vec<String> = all.iter().map(|adapter| adapter.get_info().name).collect();
-    all.into_iter()
-        .find(|adapter| choice.accepts(&adapter.get_info()) && describe(adapter).usable)
-        .ok_or_else(|| GpuError::NoAdapter {
-            wanted: choice.to_string(),
-            available: if available.is_empty() { "none".to_owned() } else { available.join(", ") },
+    let candidates: Vec<Candidate<wgpu::Adapter>> = adapters()
+        .into_iter()
+        .map(|adapter| {
+            let info = adapter.get_info();
+            let usable = describe(&adapter).usable;
+            Candidate { name: info.name, kind: info.device_type, usable, adapter }
         })
+        .collect();
+    let available: Vec<String> = candidates.iter().map(|candidate| candidate.name.clone()).collect();
+    best(choice, candidates).ok_or_else(|| GpuError::NoAdapter {
+        wanted: choice.to_string(),
+        available: if available.is_empty() { "none".to_owned() } else { available.join(", ") },
+    })
 }
 
 /// Every adapter of the machine, best first.
 #[must_use]
 pub fn report() -> Vec<AdapterReport> {
     let mut all = adapters();
-    all.sort_by_key(|adapter| rank(&adapter.get_info()));
+    all.sort_by_key(|adapter| rank(adapter.get_info().device_type));
     all.iter().map(describe).collect()
 }
 
@@ -174,5 +194,47 @@ mod tests {
     fn an_adapter_that_does_not_exist_is_refused_by_name() {
         let fault = choose(&AdapterChoice::Named("no such adapter".to_owned())).expect_err("refused");
         assert!(matches!(fault, GpuError::NoAdapter { wanted, .. } if wanted == "no such adapter"));
+    }
+
+    #[test]
+    fn the_best_usable_adapter_is_chosen_whatever_order_drivers_list_them_in() {
+        use wgpu::DeviceType::{Cpu, DiscreteGpu, IntegratedGpu, Other, VirtualGpu};
+        let machine = [
+            ("a display", Other, true),
+            ("llvmpipe (LLVM 19)", Cpu, true),
+            ("Virtio", VirtualGpu, true),
+            ("UHD 630", IntegratedGpu, true),
+            ("RTX 4090", DiscreteGpu, true),
+            ("RTX 4080", DiscreteGpu, true),
+            ("GeForce 6800", DiscreteGpu, false),
+        ];
+        let chosen = |choice: &str, without: &[&str], turned: usize| {
+            let mut machine = machine;
+            machine.rotate_left(turned);
+            let candidates = machine
+                .into_iter()
+                .filter(|(name, ..)| !without.contains(name))
+                .map(|(name, kind, usable)| Candidate { name: name.to_owned(), kind, usable, adapter: name });
+            best(&choice.parse().expect("any text"), candidates.collect())
+        };
+        let discrete = ["RTX 4090", "RTX 4080"];
+        for turned in 0..machine.len() {
+            let none = chosen("auto", &[], turned).expect("an adapter");
+            assert!(discrete.contains(&none), "{none}");
+            assert_eq!(chosen("auto", &discrete, turned), Some("UHD 630"));
+            let gpus = [&discrete[..], &["UHD 630"]].concat();
+            assert_eq!(chosen("auto", &gpus, turned), Some("Virtio"));
+            let hardware = [&gpus[..], &["Virtio"]].concat();
+            assert_eq!(chosen("auto", &hardware, turned), Some("llvmpipe (LLVM 19)"));
+            let all = [&hardware[..], &["llvmpipe (LLVM 19)"]].concat();
+            assert_eq!(chosen("auto", &all, turned), None, "what is neither is taken by name alone");
+            assert_eq!(chosen("a display", &[], turned), Some("a display"));
+            assert_eq!(chosen("lavapipe", &[], turned), Some("llvmpipe (LLVM 19)"));
+            assert_eq!(chosen("rtx 4080", &[], turned), Some("RTX 4080"));
+            assert_eq!(chosen("geforce", &[], turned), None, "this program cannot run on it");
+        }
+        assert_eq!(chosen("auto", &[], 0), Some("RTX 4090"), "the first of its kind");
+        assert_eq!(chosen("auto", &[], 5), Some("RTX 4080"), "the first of its kind");
+        assert_eq!(chosen("rtx", &[], 0), Some("RTX 4090"));
     }
 }

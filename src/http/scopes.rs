@@ -83,7 +83,7 @@ mod tests {
     const METHODS: [&str; 8] = ["get", "put", "post", "delete", "options", "head", "patch", "trace"];
 
     fn contract() -> BTreeMap<(String, String), Value> {
-        let document: Value = serde_yaml_ng::from_str(include_str!("../../openapi.yaml")).expect("YAML");
+        let document: Value = yaml_serde::from_str(include_str!("../../openapi.yaml")).expect("YAML");
         let mut operations = BTreeMap::new();
         for (path, item) in document["paths"].as_object().expect("paths") {
             for method in METHODS {

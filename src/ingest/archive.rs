@@ -1,23 +1,29 @@
 //! A zip archive as a source of files.
 //!
-//! The whole central directory is judged before any entry is opened, and nothing is extracted: entries are read
-//! into memory by index, bounded by their stated size.
+//! The end record is judged before the central directory is read, the whole directory before any entry is opened, and nothing
+//! is extracted: entries are read as streams by index, bounded by their stated size.
 
 use std::{
     fs::File,
-    io::{self, BufReader, Read as _, Seek as _},
+    io::{self, BufReader, Read, Seek as _},
     path::Path,
     sync::{Mutex, PoisonError},
 };
 
-use zip::{CompressionMethod, ZipArchive, result::ZipError};
+use zip::{
+    CompressionMethod, ZipArchive,
+    read::{ArchiveOffset, Config},
+    result::ZipError,
+};
 
 use super::{
     central_directory::first_repeated_name,
+    deadline::Deadline,
     error::{Error, Fault},
     limits::Limits,
     names::{is_litter, safe_name},
     tree::{Listing, Source},
+    view::{Directory, View},
 };
 
 /// The bits of a Unix mode that tell the kind of file, and its values for plain files and folders.
@@ -27,21 +33,21 @@ const KIND_LINK: u32 = 0o120_000;
 
 struct Archive {
     // One reader for all threads: unpacking is a small part of decoding an image, which happens outside of the lock.
-    zip: Mutex<ZipArchive<BufReader<File>>>,
+    zip: Mutex<ZipArchive<BufReader<View<File>>>>,
     /// Index in the archive of each listed file.
     indices: Vec<usize>,
 }
 
 impl Source for Archive {
-    fn read(&self, index: usize, limit: u64) -> Result<Vec<u8>, Fault> {
+    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<(), Fault> {
         let mut zip = self.zip.lock().unwrap_or_else(PoisonError::into_inner);
-        let entry = zip.by_index(self.indices[index]).map_err(entry_fault)?;
-        let mut bytes = Vec::new();
-        entry
-            .take(limit)
-            .read_to_end(&mut bytes)
-            .map_err(|error| Fault::CorruptArchive(error.to_string()))?;
-        Ok(bytes)
+        let mut entry = zip.by_index(self.indices[index]).map_err(entry_fault)?;
+        visit(&mut entry);
+        Ok(())
+    }
+
+    fn fault(&self, error: io::Error) -> Fault {
+        Fault::CorruptArchive(error.to_string())
     }
 }
 
@@ -50,21 +56,23 @@ impl Source for Archive {
 /// # Errors
 /// [`Fault::NotAZip`], [`Fault::CorruptArchive`], and every fault that an entry can have: encrypted, unknown
 /// compression, special file, duplicate, overlapping, too many, too large, too well compressed.
-pub(super) fn list(path: &Path, limits: &Limits) -> Result<Listing, Error> {
+pub(super) fn list(path: &Path, limits: &Limits, deadline: Deadline) -> Result<Listing, Error> {
+    // Whatever fails after the deadline fails because of it.
+    listed(path, limits, deadline).map_err(|error| deadline.check().err().map_or(error, Error::from))
+}
+
+fn listed(path: &Path, limits: &Limits, deadline: Deadline) -> Result<Listing, Error> {
     let mut file = File::open(path).map_err(Fault::Io)?;
     let mut magic = Vec::new();
     file.by_ref().take(2).read_to_end(&mut magic).map_err(Fault::Io)?;
     file.rewind().map_err(Fault::Io)?;
-    let mut zip = ZipArchive::new(BufReader::new(file)).map_err(|error| {
-        if magic == b"PK" {
-            Fault::CorruptArchive(format!("{error}; it may have been cut short"))
-        } else {
-            Fault::NotAZip(error.to_string())
+    let mut zip = index(file, limits, deadline).map_err(|fault| match fault {
+        Fault::CorruptArchive(message) if magic == b"PK" => {
+            Fault::CorruptArchive(format!("{message}; it may have been cut short"))
         }
+        Fault::CorruptArchive(message) => Fault::NotAZip(message),
+        other => other,
     })?;
-    if zip.len() > limits.entries {
-        return Err(Fault::TooManyEntries { limit: limits.entries }.into());
-    }
     if zip.has_duplicate_names() {
         return Err(duplicate(path, zip.central_directory_start(), limits));
     }
@@ -115,6 +123,17 @@ pub(super) fn list(path: &Path, limits: &Limits) -> Result<Listing, Error> {
         indices.push(index);
     }
     Ok(Listing { files, special: Vec::new(), source: Box::new(Archive { zip: Mutex::new(zip), indices }) })
+}
+
+fn index(
+    mut file: File,
+    limits: &Limits,
+    deadline: Deadline,
+) -> Result<ZipArchive<BufReader<View<File>>>, Fault> {
+    let directory = Directory::find(&mut file, limits)?;
+    let config = Config { archive_offset: ArchiveOffset::Known(directory.shift) };
+    ZipArchive::with_config(config, BufReader::new(View::new(file, &directory, deadline)))
+        .map_err(|error| Fault::CorruptArchive(error.to_string()))
 }
 
 fn entry_fault(error: ZipError) -> Fault {

@@ -1,11 +1,17 @@
-//! A reader of little-endian binary tables that can only move inside the bytes it was given.
+//! A reader of little-endian binary tables that only moves forward and never beyond the length it was given.
+
+use std::io::{BufRead, Read as _};
 
 use super::error::Fault;
 
-/// A position in a byte slice.
+/// Longest text that is held; file names are shorter.
+const LONGEST_TEXT: usize = 4096;
+
+/// A position in a table.
 pub(super) struct Bytes<'a> {
-    bytes: &'a [u8],
+    reader: &'a mut dyn BufRead,
     at: usize,
+    length: usize,
 }
 
 macro_rules! number {
@@ -18,9 +24,9 @@ macro_rules! number {
 }
 
 impl<'a> Bytes<'a> {
-    /// Starts at the first byte.
-    pub(super) fn new(bytes: &'a [u8]) -> Self {
-        Self { bytes, at: 0 }
+    /// Starts at the first of `length` bytes.
+    pub(super) fn new(reader: &'a mut dyn BufRead, length: u64) -> Self {
+        Self { reader, at: 0, length: usize::try_from(length).unwrap_or(usize::MAX) }
     }
 
     number! { u8: u8, u32: u32, i32: i32, u64: u64, f64: f64 }
@@ -37,19 +43,35 @@ impl<'a> Bytes<'a> {
     }
 
     /// Text up to a zero byte, which is passed over.
-    pub(super) fn zero_terminated(&mut self, what: &'static str) -> Result<&'a [u8], Fault> {
-        let rest = &self.bytes[self.at..];
-        let Some(length) = rest.iter().position(|byte| *byte == 0) else {
-            return Err(self.truncated(what, rest.len() + 1));
-        };
-        self.at += length + 1;
-        Ok(&rest[..length])
+    pub(super) fn zero_terminated(&mut self, what: &'static str) -> Result<Vec<u8>, Fault> {
+        let most = self.left().min(LONGEST_TEXT + 1);
+        let mut text = Vec::new();
+        let read = (&mut *self.reader).take(most as u64).read_until(0, &mut text);
+        if read.is_err() || text.pop_if(|last| *last == 0).is_none() {
+            return Err(if most > LONGEST_TEXT {
+                let message = format!("{what} is longer than {LONGEST_TEXT} bytes");
+                Fault::Record { place: format!("byte {}", self.at), message }
+            } else {
+                self.truncated(what, most + 1)
+            });
+        }
+        self.at += text.len() + 1;
+        Ok(text)
     }
 
     /// Passes over `length` bytes.
     pub(super) fn skip(&mut self, what: &'static str, length: usize) -> Result<(), Fault> {
         if length > self.left() {
             return Err(self.truncated(what, length));
+        }
+        let mut left = length;
+        while left > 0 {
+            let there = self.reader.fill_buf().map_or(0, <[u8]>::len).min(left);
+            if there == 0 {
+                return Err(self.truncated(what, length));
+            }
+            self.reader.consume(there);
+            left -= there;
         }
         self.at += length;
         Ok(())
@@ -64,17 +86,18 @@ impl<'a> Bytes<'a> {
     }
 
     fn array<const N: usize>(&mut self, what: &'static str) -> Result<[u8; N], Fault> {
-        match self.bytes[self.at..].first_chunk() {
-            Some(chunk) => {
-                self.at += N;
-                Ok(*chunk)
-            }
-            None => Err(self.truncated(what, N)),
+        if self.left() < N {
+            return Err(self.truncated(what, N));
         }
+        let mut bytes = [0; N];
+        // Where the source itself failed, whoever gave it reports that instead.
+        self.reader.read_exact(&mut bytes).map_err(|_| self.truncated(what, N))?;
+        self.at += N;
+        Ok(bytes)
     }
 
     fn left(&self) -> usize {
-        self.bytes.len() - self.at
+        self.length - self.at
     }
 
     fn truncated(&self, what: &'static str, needed: usize) -> Fault {
@@ -88,7 +111,8 @@ mod tests {
 
     #[test]
     fn reads_end_where_the_bytes_end() {
-        let mut bytes = Bytes::new(&[1, 2, 0, 0, 0, b'a', b'b', 0, 9]);
+        let mut table = &[1, 2, 0, 0, 0, b'a', b'b', 0, 9][..];
+        let mut bytes = Bytes::new(&mut table, 9);
         assert_eq!(bytes.u8("a byte").expect("there"), 1);
         assert_eq!(bytes.u32("a number").expect("there"), 2);
         assert_eq!(bytes.zero_terminated("a name").expect("there"), b"ab");
@@ -104,7 +128,27 @@ mod tests {
         for (count, fits) in [(0_u64, true), (2, true), (3, false), (u64::MAX, false)] {
             let mut table = count.to_le_bytes().to_vec();
             table.extend([0; 16]);
-            assert_eq!(Bytes::new(&table).count("records", 8).is_ok(), fits, "{count}");
+            let fitted = Bytes::new(&mut &table[..], 24).count("records", 8).is_ok();
+            assert_eq!(fitted, fits, "{count}");
         }
+    }
+
+    #[test]
+    fn a_table_that_is_shorter_than_was_stated_ends_early() {
+        let ended = |read: fn(&mut Bytes) -> Result<(), Fault>| {
+            let mut table = &[1_u8, 2, 3][..];
+            let fault = read(&mut Bytes::new(&mut table, 100)).expect_err("three bytes");
+            assert!(matches!(fault, Fault::Truncated { .. }), "{fault}");
+        };
+        ended(|bytes| bytes.f64("a value").map(drop));
+        ended(|bytes| bytes.skip("a list", 50));
+        ended(|bytes| bytes.zero_terminated("a name").map(drop));
+    }
+
+    #[test]
+    fn text_without_an_end_is_not_gathered() {
+        let table = vec![b'a'; LONGEST_TEXT + 2];
+        let fault = Bytes::new(&mut &table[..], table.len() as u64).zero_terminated("a name");
+        assert_eq!(fault.expect_err("too long").to_string(), "byte 0: a name is longer than 4096 bytes");
     }
 }

@@ -61,6 +61,48 @@ pub enum Fault {
         /// Most entries that are accepted.
         limit: usize,
     },
+    /// The list of an archive's entries is too long.
+    #[error(
+        "the list of its entries takes {bytes} bytes; at most {limit} are accepted. Send fewer files, or shorter names"
+    )]
+    DirectoryTooLarge {
+        /// Bytes of the central directory, as the archive states them.
+        bytes: u64,
+        /// Most bytes that are accepted.
+        limit: u64,
+    },
+    /// A table that lists more frames or cameras than are accepted.
+    #[error("lists more than {limit} {what}, which is the most that is accepted")]
+    TooManyRecords {
+        /// What is listed.
+        what: &'static str,
+        /// Most that are accepted.
+        limit: usize,
+    },
+    /// A table whose file names are too long together.
+    #[error("the file names in it have more than {limit} bytes together, which is the most that is accepted")]
+    TooManyNameBytes {
+        /// Most bytes that are accepted.
+        limit: usize,
+    },
+    /// A point cloud of more points than are accepted.
+    #[error("has more than {limit} points; thin the cloud out")]
+    TooManyPoints {
+        /// Most points that are accepted.
+        limit: usize,
+    },
+    /// A check that took too long.
+    #[error(
+        "the check of the dataset was ended after {seconds} s; photographs and their tables take a fraction of that. Send \
+         smaller tables and fewer files"
+    )]
+    CheckTimeout {
+        /// How long it may take.
+        seconds: u64,
+    },
+    /// Too many checks at a time.
+    #[error("other datasets are being checked; try again later")]
+    ChecksBusy,
     /// The files are too large together.
     #[error("the files have {bytes} bytes together; at most {limit} are accepted")]
     TooManyBytes {
@@ -124,6 +166,14 @@ pub enum Fault {
     /// Not JSON, or not of the expected shape. The message carries line and column.
     #[error("is not a valid transforms file: {0}")]
     Json(#[from] serde_json::Error),
+    /// Text of a JSON file that is not given to a parser.
+    #[error("is not a valid transforms file: line {line}: {message}")]
+    JsonText {
+        /// The line, from 1.
+        line: usize,
+        /// What is wrong with it.
+        message: &'static str,
+    },
     /// A value in a JSON file that cannot be used.
     #[error("{pointer}: {message}")]
     Field {
@@ -131,6 +181,15 @@ pub enum Fault {
         pointer: String,
         /// What is wrong with the value.
         message: String,
+    },
+    /// Masks, which nothing here uses.
+    #[error(
+        "{place} there are masks, which are not supported: the whole of every photograph would be trained on. Remove them to \
+         train on whole photographs, or send photographs that are transparent (RGBA) where the masks are 0"
+    )]
+    Masks {
+        /// Where they are.
+        place: String,
     },
     /// A camera model without a pinhole equivalent here.
     #[error(
@@ -215,6 +274,17 @@ pub enum Fault {
     /// An image whose header or pixels cannot be decoded.
     #[error("is not a readable PNG, JPEG or WebP image: {0}")]
     Image(String),
+    /// An image whose header cannot be found near its beginning.
+    #[error(
+        "no PNG, JPEG or WebP header ends within its first {limit} bytes ({message}); if the image opens elsewhere, remove \
+         the previews and metadata in it (`exiftool -all= FILE`)"
+    )]
+    ImageHeader {
+        /// How much is looked at.
+        limit: u64,
+        /// What the decoder says.
+        message: String,
+    },
     /// An image of another size than its camera.
     #[error(
         "the image has {}x{} pixels and its camera {}x{}; the sizes must be equal, or the image an evenly \
@@ -259,25 +329,16 @@ pub enum Fault {
     },
     /// The disk has no room for what memory has no room for.
     #[error(
-        "the photographs do not fit into memory, and the disk of the folder for temporary files, {folder}, has no \
-         room for {bytes} bytes more; make room there, or allow more memory with --host-memory"
+        "the photographs do not fit into memory, and the disk for temporary files has no room for {bytes} bytes more; \
+         make room there, or allow more memory with --host-memory"
     )]
     SpillFull {
-        /// The folder of temporary files.
-        folder: String,
         /// Bytes of the photograph that did not fit.
         bytes: u64,
     },
     /// The temporary file cannot be written.
-    #[error(
-        "the photographs do not fit into memory, and no temporary file can be written in {folder}: {error}"
-    )]
-    Spill {
-        /// The folder of temporary files.
-        folder: String,
-        /// The system's words.
-        error: io::Error,
-    },
+    #[error("the photographs do not fit into memory, and no temporary file can be written: {0}")]
+    Spill(io::Error),
     /// Whoever reads it has been told to stop.
     #[error("the reading of the dataset was stopped")]
     Stopped,
@@ -305,7 +366,7 @@ impl Fault {
             Self::DecodeMemory { .. } => (507, "host-memory", "Not enough memory"),
             Self::Stopped => (503, "reading-stopped", "The reading was stopped"),
             Self::SpillFull { .. } => (507, "storage-full", "Storage full"),
-            Self::Spill { .. } => (500, "storage-failed", "Storage failed"),
+            Self::Spill(_) => (500, "storage-failed", "Storage failed"),
             Self::NotAZip(_) => (400, "not-a-zip", "Not a zip archive"),
             Self::CorruptArchive(_)
             | Self::Encrypted
@@ -314,7 +375,13 @@ impl Fault {
             | Self::NotARegularFile(_)
             | Self::DuplicateEntry
             | Self::OverlappingEntries => (422, "archive-rejected", "The archive was refused"),
+            Self::ChecksBusy => (503, "busy", "Busy"),
             Self::TooManyEntries { .. }
+            | Self::DirectoryTooLarge { .. }
+            | Self::TooManyRecords { .. }
+            | Self::TooManyNameBytes { .. }
+            | Self::TooManyPoints { .. }
+            | Self::CheckTimeout { .. }
             | Self::TooManyBytes { .. }
             | Self::FileTooLarge { .. }
             | Self::CompressionRatio { .. }

@@ -2,7 +2,7 @@
 
 use std::{
     fs::{self, File},
-    io::Read as _,
+    io::{self, Read},
     path::{Path, PathBuf},
 };
 
@@ -18,10 +18,13 @@ struct Folder {
 }
 
 impl Source for Folder {
-    fn read(&self, index: usize, limit: u64) -> Result<Vec<u8>, Fault> {
-        let mut bytes = Vec::new();
-        File::open(&self.paths[index])?.take(limit).read_to_end(&mut bytes)?;
-        Ok(bytes)
+    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<(), Fault> {
+        visit(&mut File::open(&self.paths[index])?);
+        Ok(())
+    }
+
+    fn fault(&self, error: io::Error) -> Fault {
+        Fault::Io(error)
     }
 }
 
@@ -38,12 +41,15 @@ pub(super) fn list(root: &Path, limits: &Limits) -> Result<Listing, Error> {
     let mut entries = 0;
     let mut pending = vec![(root.to_owned(), String::new())];
     while let Some((folder, prefix)) = pending.pop() {
-        let unreadable = |error| Fault::Io(error).at(folder.display().to_string());
+        let unreadable = |error| match prefix.trim_end_matches('/') {
+            "" => Error::from(Fault::Io(error)),
+            name => Fault::Io(error).at(name),
+        };
         for entry in fs::read_dir(&folder).map_err(unreadable)? {
             let entry = entry.map_err(unreadable)?;
             entries += 1;
             if entries > limits.entries {
-                return Err(Fault::TooManyEntries { limit: limits.entries }.at(root.display().to_string()));
+                return Err(Fault::TooManyEntries { limit: limits.entries }.into());
             }
             let file_name = entry.file_name();
             let Some(name) = file_name.to_str().map(|name| format!("{prefix}{name}")) else { continue };

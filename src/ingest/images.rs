@@ -1,7 +1,7 @@
 //! Stored images: their size from the header alone, and their pixels as 8-bit RGB or RGBA.
 //!
-//! A size is known and judged before any pixel is decoded, and the decoder may not allocate more than the
-//! largest accepted image needs.
+//! A size is known and judged before any pixel is decoded. Of a file only the beginning is looked at for that, and the decoder may
+//! not allocate more than the image needs that its header states.
 
 use std::io::Cursor;
 
@@ -15,7 +15,10 @@ use super::{
 use crate::domain::{Image, camera::MAX_IMAGE_SIDE};
 
 /// How much of a file is tried first for its header; a photograph's preview and profiles rarely need more.
-const HEADER_BYTES: u64 = 64 << 10;
+const FIRST_BYTES: u64 = 64 << 10;
+
+/// What a decoder may allocate besides pixels, for colour profiles and the like.
+const DECODER_BYTES: u64 = 4 << 20;
 
 /// Extensions of the formats that are read, lower case.
 pub(super) const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
@@ -38,22 +41,33 @@ pub(super) struct Header {
     pub(super) alpha: bool,
 }
 
+impl Header {
+    fn pixels(&self) -> u64 {
+        u64::from(self.size.0) * u64::from(self.size.1)
+    }
+}
+
 /// The header of a stored image.
 ///
 /// # Errors
-/// [`Fault::Image`], [`Fault::TooManyPixels`], or a fault of reading the file.
+/// [`Fault::Image`], [`Fault::ImageHeader`], [`Fault::TooManyPixels`], or a fault of reading the file.
 pub(super) fn header(tree: &Tree, name: &str, limits: &Limits) -> Result<Header, Error> {
-    let head = tree.read_up_to(name, HEADER_BYTES)?;
-    let header = match header_of(&head, limits) {
+    let head = tree.read_up_to(name, FIRST_BYTES)?;
+    let header = match header_of(&head) {
         // The header may simply be longer: some cameras embed large previews before the image.
-        Err(_) if head.len() as u64 == HEADER_BYTES => {
-            header_of(&tree.read_up_to(name, limits.file_bytes)?, limits)
+        Err(_) if head.len() as u64 == FIRST_BYTES => {
+            let head = tree.read_up_to(name, Limits::HEADER_BYTES)?;
+            header_of(&head).map_err(|fault| match fault {
+                Fault::Image(message) if head.len() as u64 == Limits::HEADER_BYTES => {
+                    Fault::ImageHeader { limit: Limits::HEADER_BYTES, message }
+                }
+                other => other,
+            })
         }
         known => known,
     }
     .map_err(|fault| fault.at(name))?;
-    let (width, height) = header.size;
-    let pixels = u64::from(width) * u64::from(height);
+    let pixels = header.pixels();
     if pixels > limits.image_pixels {
         return Err(Fault::TooManyPixels { pixels, limit: limits.image_pixels }.at(name));
     }
@@ -69,7 +83,12 @@ pub(super) fn decode(bytes: &[u8], limits: &Limits) -> Result<Image, Fault> {
     if bytes.starts_with(&[0xff, 0xd8]) && !jpeg_is_complete(bytes) {
         return Err(Fault::Image("the JPEG data ends early".to_owned()));
     }
-    let decoded = DynamicImage::from_decoder(decoder(bytes, limits)?).map_err(unreadable)?;
+    let pixels = header_of(bytes)?.pixels();
+    if pixels > limits.image_pixels {
+        return Err(Fault::TooManyPixels { pixels, limit: limits.image_pixels });
+    }
+    let decoder = decoder(bytes, pixels * WIDEST_PIXEL + DECODER_BYTES)?;
+    let decoded = DynamicImage::from_decoder(decoder).map_err(unreadable)?;
     let (width, height) = (decoded.width(), decoded.height());
     let (channels, samples) = if decoded.color().has_alpha() {
         let rgba = decoded.into_rgba8();
@@ -84,16 +103,32 @@ pub(super) fn decode(bytes: &[u8], limits: &Limits) -> Result<Image, Fault> {
     Image::new(width, height, channels, samples).map_err(|error| Fault::Image(error.to_string()))
 }
 
-fn header_of(bytes: &[u8], limits: &Limits) -> Result<Header, Fault> {
-    let decoder = decoder(bytes, limits)?;
+fn header_of(bytes: &[u8]) -> Result<Header, Fault> {
+    if let Some(header) = extended_webp(bytes) {
+        return Ok(header);
+    }
+    let decoder = decoder(bytes, DECODER_BYTES)?;
     Ok(Header { size: decoder.dimensions(), alpha: decoder.color_type().has_alpha() })
 }
 
-fn decoder<'a>(bytes: &'a [u8], limits: &Limits) -> Result<impl ImageDecoder + 'a, Fault> {
+/// The canvas of an extended WebP file, whose decoder looks for metadata behind the pixels before it tells a size.
+fn extended_webp(bytes: &[u8]) -> Option<Header> {
+    const ALPHA: u8 = 0x10;
+    let head: &[u8; 30] = bytes.first_chunk()?;
+    if !(head.starts_with(b"RIFF") && head[8..16] == *b"WEBPVP8X") {
+        return None;
+    }
+    let side = |at: usize| 1 + u32::from_le_bytes([head[at], head[at + 1], head[at + 2], 0]);
+    let size = (side(24), side(27));
+    let fits = size.0.max(size.1) <= MAX_IMAGE_SIDE;
+    fits.then_some(Header { size, alpha: head[20] & ALPHA != 0 })
+}
+
+fn decoder(bytes: &[u8], most_bytes: u64) -> Result<impl ImageDecoder + '_, Fault> {
     let mut allowed = image::Limits::no_limits();
     allowed.max_image_width = Some(MAX_IMAGE_SIDE);
     allowed.max_image_height = Some(MAX_IMAGE_SIDE);
-    allowed.max_alloc = Some(limits.image_pixels.saturating_mul(WIDEST_PIXEL).max(WIDEST_PIXEL << 20));
+    allowed.max_alloc = Some(most_bytes);
     let mut reader = ImageReader::new(Cursor::new(bytes))
         .with_guessed_format()
         .map_err(|error| Fault::Image(error.to_string()))?;
@@ -101,8 +136,10 @@ fn decoder<'a>(bytes: &'a [u8], limits: &Limits) -> Result<impl ImageDecoder + '
     reader.into_decoder().map_err(unreadable)
 }
 
+/// The decoder's words in one line.
 fn unreadable(error: image::ImageError) -> Fault {
-    Fault::Image(error.to_string())
+    let words = error.to_string();
+    Fault::Image(words.split_whitespace().collect::<Vec<_>>().join(" "))
 }
 
 /// Whether an end-of-image marker follows the first scan. The decoder fills what is missing from a shortened
@@ -149,7 +186,7 @@ mod tests {
             (encoded(clear, ImageFormat::Png), 4, [1, 2, 3, 4].repeat(2)),
             (encoded(opaque, ImageFormat::Png), 3, [1, 2, 3].repeat(2)),
         ] {
-            let header = header_of(&bytes, &limits).expect("a header");
+            let header = header_of(&bytes).expect("a header");
             assert_eq!(header.size, (2, 1));
             assert!(header.alpha || channels == 3, "what has no alpha by its header gets none");
             let image = decode(&bytes, &limits).expect("decodes");
@@ -182,6 +219,35 @@ mod tests {
         claims[16..24].copy_from_slice(&[0, 0, 0xea, 0x60, 0, 0, 0xea, 0x60]);
         assert!(decode(&claims, &small).is_err());
         assert!(decode(&claims, &Limits::default()).is_err());
+    }
+
+    #[test]
+    fn the_size_of_an_extended_webp_is_in_its_first_bytes() {
+        let mut head = b"RIFF\x00\x00\x10\x00WEBPVP8X\x0a\x00\x00\x00\x1c\x00\x00\x00".to_vec();
+        head.extend([0x7f, 0x07, 0, 0x37, 0x04, 0]);
+        assert_eq!(header_of(&head).expect("a header"), Header { size: (1920, 1080), alpha: true });
+        head[20] = 0x0c;
+        assert!(!header_of(&head).expect("a header").alpha);
+        head[26] = 0xff;
+        assert!(header_of(&head).is_err(), "wider than any image");
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn arbitrary_bytes_behind_any_signature_never_panic(
+            signature in proptest::sample::select(vec![
+                &b"\x89PNG\r\n\x1a\n\x00\x00\x00\x0dIHDR"[..],
+                b"\xff\xd8\xff\xe0",
+                b"RIFF\xff\xff\x00\x00WEBPVP8 ",
+                b"RIFF\xff\xff\x00\x00WEBPVP8X",
+                b"",
+            ]),
+            rest in proptest::collection::vec(proptest::prelude::any::<u8>(), 0..200),
+        ) {
+            let bytes = [signature, &rest].concat();
+            let small = Limits { image_pixels: 1 << 16, ..Limits::default() };
+            let _outcomes = (header_of(&bytes).is_ok(), decode(&bytes, &small).is_ok());
+        }
     }
 
     #[test]

@@ -1,16 +1,25 @@
 //! How much a dataset may hold. Everything is checked before the memory for it is asked for.
+//!
+//! What is not bounded here by name is read as a stream: the memory that a check takes depends on these numbers, never on how
+//! long a file is.
 
 /// Bounds on what is read from a dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
     /// Entries of the archive or the directory tree, folders and litter included.
     pub entries: usize,
+    /// Bytes of an archive's central directory, which lists its entries and is held in memory.
+    pub directory_bytes: u64,
     /// Unpacked bytes of all files together.
     pub total_bytes: u64,
     /// Unpacked bytes of one file.
     pub file_bytes: u64,
+    /// Bytes of one file of JSON.
+    pub json_bytes: u64,
     /// Unpacked over packed size of one archive entry; only entries above [`Limits::RATIO_FREE_BYTES`] are judged.
     pub ratio: u64,
+    /// Points of a dataset.
+    pub points: usize,
     /// Pixels of one stored image.
     pub image_pixels: u64,
     /// Pixels of all images together, as they are kept for training.
@@ -23,17 +32,31 @@ impl Limits {
 
     /// Images wider than this are downscaled to it (method.md §1.1), pixels.
     pub const TRAINING_WIDTH: u32 = 1600;
+
+    /// Frames that a table may list, and cameras. Each takes about 2 KiB of memory while a dataset is checked.
+    pub const FRAMES: usize = 20_000;
+
+    /// Bytes of all file names together that a table may list.
+    pub const NAME_BYTES: usize = 6 << 20;
+
+    /// Bytes of an image within which its header must be.
+    pub const HEADER_BYTES: u64 = 1 << 20;
 }
 
 impl Default for Limits {
     /// Room for some thousands of photographs: 64 Mi pixels an image, 8 Gi pixels a scene, which is a thousand upright
     /// 4K frames twice over. As RGB those are 24 GiB; what does not fit into memory goes to disk ([`super::Room`]).
+    ///
+    /// A central directory of 6 MiB has some 50 000 entries of usual names. Its index takes up to ten times as much memory.
     fn default() -> Self {
         Self {
             entries: 100_000,
+            directory_bytes: 6 << 20,
             total_bytes: 64 << 30,
             file_bytes: 2 << 30,
+            json_bytes: 64 << 20,
             ratio: 200,
+            points: 32 << 20,
             image_pixels: 64 << 20,
             scene_pixels: 8 << 30,
         }

@@ -1,7 +1,7 @@
 //! Zip archive or directory in, checked [`Dataset`] out.
 //!
-//! The road, one file a step: `tree` (files by safe names, from `folder` or `archive`, within `limits`), then
-//! `transforms` or `colmap` (tables to a `plan`: frames, lenses, poses), then `survey` (sizes from image headers,
+//! The road, one file a step: `tree` (files by safe names, from `folder` or `archive` and its `view`, within `limits`), then
+//! `transforms` (by `json` and `fields`) or `colmap` (tables to a `plan`: frames, lenses, poses), then `survey` (sizes from image headers,
 //! final cameras), then `images`, `distortion` and `sampling` (pixels).
 //!
 //! Memory is bounded by a [`Room`]: photographs are decoded in parallel as far as it has room for what that takes, stay in
@@ -9,28 +9,35 @@
 //!
 //! Input is untrusted. Whatever it is, the outcome is a dataset that keeps the promises of
 //! [`crate::domain::scene`] or an [`Error`] that names the file and the fault: nothing panics, nothing is written outside of the
-//! room, and no memory is asked for on the word of a header alone.
+//! room, and no memory is asked for on the word of a header alone. A check takes less than 128 MiB, whatever it is given
+//! ([`Limits`]), and [`Checks`] bounds how many run at a time and how long each may take.
 
 mod archive;
 mod bytes;
 mod central_directory;
+mod checks;
 mod colmap;
+mod deadline;
 mod distortion;
 mod error;
+mod fields;
 mod folder;
 mod images;
+mod json;
 mod lens;
 mod limits;
 mod names;
 mod pack;
 mod plan;
 mod ply;
+mod points;
 mod room;
 mod sampling;
 mod spill;
 mod survey;
 mod transforms;
 mod tree;
+mod view;
 
 #[cfg(test)]
 mod fixtures;
@@ -42,16 +49,18 @@ use std::path::Path;
 use rayon::prelude::*;
 
 pub use self::{
+    checks::Checks,
     error::{Error, Fault},
     limits::Limits,
     pack::pack,
     room::Room,
 };
 use self::{
+    deadline::Deadline,
     room::Permits,
     spill::Spill,
     survey::{Survey, View, survey},
-    tree::Tree,
+    tree::{Purpose, Tree},
 };
 use crate::domain::{Bytes, Dataset, DatasetSummary, Frame, Photograph, Problem, Split};
 
@@ -181,7 +190,12 @@ impl Store {
 /// # Errors
 /// The first fault, in the order of names.
 pub fn check_within(path: &Path, limits: &Limits) -> Result<DatasetSummary, Error> {
-    let (_, survey) = survey(Tree::open(path, limits)?, limits, &|| true)?;
+    check_by(Deadline::NONE, path, limits)
+}
+
+fn check_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, Error> {
+    let tree = Tree::open_for(Purpose::Check(deadline), path, limits)?;
+    let (_, survey) = survey(tree, limits, &|| true)?;
     let count = |split| survey.views.iter().filter(|view| view.shot.split == split).count();
     let pixels = survey.views.iter().map(|view| {
         let k = view.camera.intrinsics;
@@ -192,7 +206,7 @@ pub fn check_within(path: &Path, limits: &Limits) -> Result<DatasetSummary, Erro
         train: count(Split::Train),
         test: count(Split::Test),
         pixels: pixels.sum(),
-        points: survey.points.as_ref().map(|points| points.positions.len()),
+        points: survey.point_count,
         notes: survey.notes,
     })
 }

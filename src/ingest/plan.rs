@@ -6,13 +6,18 @@ use super::{
     error::{Error, Fault},
     images::{EXTENSIONS, is_image_name},
     lens::Lens,
+    limits::Limits,
     names::safe_name,
+    points::Points,
     tree::Tree,
 };
-use crate::domain::{Layout, PointCloud, Pose, Split, scene::HOLD_OUT_EVERY};
+use crate::domain::{Layout, Pose, Split, scene::HOLD_OUT_EVERY};
 
 /// How many missing images a message names.
 const MISSING_SHOWN: usize = 5;
+
+/// Folders in which tools look for masks, beside the folder of the photographs.
+const MASK_FOLDERS: [&str; 2] = ["masks", "mask"];
 
 /// A dataset as its tables state it.
 pub(super) struct Plan {
@@ -20,8 +25,46 @@ pub(super) struct Plan {
     /// The distinct cameras.
     pub(super) lenses: Vec<Lens>,
     pub(super) shots: Vec<Shot>,
-    pub(super) points: Option<PointCloud>,
+    pub(super) points: Option<Points>,
     pub(super) notes: Vec<String>,
+}
+
+/// How much a table has listed so far.
+pub(super) struct Tally {
+    what: &'static str,
+    records: usize,
+    name_bytes: usize,
+}
+
+impl Tally {
+    /// Nothing yet of `what`.
+    pub(super) fn of(what: &'static str) -> Self {
+        Self { what, records: 0, name_bytes: 0 }
+    }
+
+    /// Counts records.
+    ///
+    /// # Errors
+    /// [`Fault::TooManyRecords`].
+    pub(super) fn add(&mut self, records: usize) -> Result<(), Fault> {
+        self.records = self.records.saturating_add(records);
+        if self.records > Limits::FRAMES {
+            return Err(Fault::TooManyRecords { what: self.what, limit: Limits::FRAMES });
+        }
+        Ok(())
+    }
+
+    /// Counts a file name.
+    ///
+    /// # Errors
+    /// [`Fault::TooManyNameBytes`].
+    pub(super) fn name(&mut self, name: &str) -> Result<(), Fault> {
+        self.name_bytes = self.name_bytes.saturating_add(name.len());
+        if self.name_bytes > Limits::NAME_BYTES {
+            return Err(Fault::TooManyNameBytes { limit: Limits::NAME_BYTES });
+        }
+        Ok(())
+    }
 }
 
 /// One listed frame.
@@ -94,6 +137,21 @@ impl Plan {
     }
 }
 
+/// Demands that no folder of masks lies in the dataset: trained on as if it were not there, it would give another scene than
+/// its owner expects.
+///
+/// # Errors
+/// [`Fault::Masks`].
+pub(super) fn refuse_masks(tree: &Tree) -> Result<(), Error> {
+    let mask = tree.names().find(|name| {
+        name.split_once('/').is_some_and(|(folder, _)| MASK_FOLDERS.contains(&folder)) && is_image_name(name)
+    });
+    mask.map_or(Ok(()), |mask| {
+        let place = format!("in {}/", mask.split_once('/').map_or("", |(folder, _)| folder));
+        Err(Fault::Masks { place }.at(mask))
+    })
+}
+
 fn folder_of(name: &str) -> &str {
     name.rsplit_once('/').map_or("", |(folder, _)| folder)
 }
@@ -103,13 +161,14 @@ pub(super) struct ImageFiles<'a> {
     tree: &'a Tree,
     listing: &'a str,
     listed: usize,
-    missing: Vec<String>,
+    missing: usize,
+    first_missing: Vec<String>,
 }
 
 impl<'a> ImageFiles<'a> {
     /// For the images listed in the file `listing`.
     pub(super) fn new(tree: &'a Tree, listing: &'a str) -> Self {
-        Self { tree, listing, listed: 0, missing: Vec::new() }
+        Self { tree, listing, listed: 0, missing: 0, first_missing: Vec::new() }
     }
 
     /// The frame's name and the file under `folder` ("" or ending in a slash) that `stated` means: that name, or with an image extension added.
@@ -137,7 +196,10 @@ impl<'a> ImageFiles<'a> {
         });
         let found = std::iter::once(exact.clone()).chain(with_extensions).find(|file| self.tree.has(file));
         if found.is_none() {
-            self.missing.push(exact);
+            self.missing += 1;
+            if self.first_missing.len() < MISSING_SHOWN {
+                self.first_missing.push(exact);
+            }
         }
         Ok(found.map(|file| (name.to_owned(), file)))
     }
@@ -147,12 +209,12 @@ impl<'a> ImageFiles<'a> {
     /// # Errors
     /// [`Fault::MissingImages`] if any was missing.
     pub(super) fn finish(self) -> Result<(), Error> {
-        let Some(first) = self.missing.first() else { return Ok(()) };
+        let Some(first) = self.first_missing.first() else { return Ok(()) };
         let hint = self.tree.names().find(|name| name.eq_ignore_ascii_case(first)).map(str::to_owned);
         Err(Fault::MissingImages {
-            count: self.missing.len(),
+            count: self.missing,
             listed: self.listed,
-            first: self.missing.iter().take(MISSING_SHOWN).cloned().collect(),
+            first: self.first_missing,
             hint,
         }
         .at(self.listing))

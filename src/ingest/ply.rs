@@ -1,15 +1,20 @@
 //! Point clouds in PLY files, ASCII and binary of both byte orders.
 //!
-//! Only the `vertex` element is read: x, y, z and, where stated, red, green, blue. Points without colour are mid-grey.
+//! Only the `vertex` element is read: x, y, z and, where stated, red, green, blue. Points without colour are mid-grey. The file is
+//! read as a stream, one vertex at a time.
 
-use super::error::Fault;
-use crate::domain::PointCloud;
+use std::io::{self, BufRead, Read as _};
+
+use super::{error::Fault, points::Points};
 
 /// Colour of points in a file without colours.
 const GREY: u8 = 128;
 
 /// Largest header; real ones have a few hundred bytes.
 const LARGEST_HEADER: usize = 64 << 10;
+
+/// Longest number in ASCII; real ones have some twenty bytes.
+const LONGEST_NUMBER: usize = 400;
 
 #[derive(Clone, Copy, PartialEq)]
 enum Encoding {
@@ -94,9 +99,9 @@ struct Header {
 /// # Errors
 /// [`Fault::Ply`] for a header that is not understood or values that are not finite, [`Fault::Count`] for more
 /// vertices than the file can hold.
-pub(super) fn points(bytes: &[u8]) -> Result<PointCloud, Fault> {
-    let header = header(bytes)?;
-    let data = &bytes[header.data..];
+pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) -> Result<(), Fault> {
+    let header = header(reader)?;
+    let data = length.saturating_sub(header.data as u64);
     let column = |name: &str| header.properties.iter().position(|property| property.name == name);
     let [Some(x), Some(y), Some(z)] = ["x", "y", "z"].map(column) else {
         return Err(refused("its vertices lack x, y or z"));
@@ -112,45 +117,48 @@ pub(super) fn points(bytes: &[u8]) -> Result<PointCloud, Fault> {
         _ => header.properties.iter().map(|property| property.scalar.size()).sum(),
     };
     let needed = u128::from(header.vertices) * record as u128;
-    let left = data.len() + usize::from(header.encoding == Encoding::Ascii);
-    if needed > left as u128 {
-        return Err(Fault::Count { what: "vertices", count: header.vertices, needed, left: data.len() });
+    let left = u128::from(data) + u128::from(header.encoding == Encoding::Ascii);
+    if needed > left {
+        return Err(Fault::Count { what: "vertices", count: header.vertices, needed, left: data as usize });
     }
     let count = header.vertices as usize;
+    cloud.reserve(count)?;
 
-    let mut cloud = PointCloud { positions: Vec::with_capacity(count), colors: Vec::with_capacity(count) };
     let mut add = |index: usize, row: &[f64]| {
         let position = [x, y, z].map(|column| row[column] as f32);
         if position.iter().any(|value| !value.is_finite()) {
             return Err(refused(format!("vertex {index} is not finite")));
         }
-        cloud.positions.push(position);
-        cloud.colors.push(colors.map_or([GREY; 3], |columns| {
+        let color = colors.map_or([GREY; 3], |columns| {
             columns.map(|column| {
                 let fraction = matches!(header.properties[column].scalar, Scalar::F32 | Scalar::F64);
                 let value = if fraction { row[column] * 255.0 } else { row[column] };
                 value.round().clamp(0.0, 255.0) as u8
             })
-        }));
-        Ok(())
+        });
+        cloud.push(position, color)
     };
 
     let mut row = vec![0.0; header.properties.len()];
     if header.encoding == Encoding::Ascii {
-        let text = std::str::from_utf8(data).map_err(|_| refused("its data is not text"))?;
-        let mut tokens = text.split_ascii_whitespace();
+        let mut token = Vec::new();
         for index in 0..count {
             for (value, property) in row.iter_mut().zip(&header.properties) {
-                let token =
-                    tokens.next().ok_or_else(|| refused(format!("it ends in vertex {index} of {count}")))?;
-                *value = token.parse().map_err(|_| {
-                    refused(format!("{} of vertex {index} is '{token:.20}', not a number", property.name))
+                if !next_token(reader, &mut token)? {
+                    return Err(refused(format!("it ends in vertex {index} of {count}")));
+                }
+                let text = std::str::from_utf8(&token).map_err(|_| refused("its data is not text"))?;
+                *value = text.parse().map_err(|_| {
+                    refused(format!("{} of vertex {index} is '{text:.20}', not a number", property.name))
                 })?;
             }
             add(index, &row)?;
         }
     } else {
-        for (index, bytes) in data.chunks_exact(record).take(count).enumerate() {
+        let mut bytes = vec![0; record];
+        for index in 0..count {
+            let read = reader.read_exact(&mut bytes);
+            read.map_err(|_| refused(format!("it ends in vertex {index} of {count}")))?;
             let mut at = 0;
             for (value, property) in row.iter_mut().zip(&header.properties) {
                 *value = property.scalar.read(&bytes[at..], header.encoding);
@@ -159,23 +167,54 @@ pub(super) fn points(bytes: &[u8]) -> Result<PointCloud, Fault> {
             add(index, &row)?;
         }
     }
-    Ok(cloud)
+    Ok(())
 }
 
-fn header(bytes: &[u8]) -> Result<Header, Fault> {
+/// Reads what stands between the next white space, and says whether there was anything. Of a longer token than any number the
+/// beginning is kept.
+fn next_token(reader: &mut dyn BufRead, token: &mut Vec<u8>) -> Result<bool, Fault> {
+    token.clear();
+    loop {
+        let bytes = match reader.fill_buf() {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+            read => read?,
+        };
+        if bytes.is_empty() {
+            return Ok(!token.is_empty());
+        }
+        let start = if token.is_empty() {
+            bytes.iter().position(|byte| !byte.is_ascii_whitespace()).unwrap_or(bytes.len())
+        } else {
+            0
+        };
+        let word = &bytes[start..];
+        let end = word.iter().position(u8::is_ascii_whitespace);
+        let word = &word[..end.unwrap_or(word.len())];
+        token.extend_from_slice(&word[..word.len().min(LONGEST_NUMBER.saturating_sub(token.len()))]);
+        let passed = start + word.len();
+        reader.consume(passed);
+        if end.is_some() {
+            return Ok(true);
+        }
+    }
+}
+
+fn header(reader: &mut dyn BufRead) -> Result<Header, Fault> {
     let mut encoding = None;
     let mut vertices = None;
     let mut properties = Vec::new();
     let mut in_vertex = false;
+    let mut line = Vec::new();
     let mut at = 0;
     for number in 1.. {
-        let rest = &bytes[at..bytes.len().min(LARGEST_HEADER)];
-        let Some(length) = rest.iter().position(|byte| *byte == b'\n') else {
+        line.clear();
+        (&mut *reader).take((LARGEST_HEADER - at) as u64).read_until(b'\n', &mut line)?;
+        at += line.len();
+        if line.pop_if(|last| *last == b'\n').is_none() {
             return Err(refused("its header has no end_header"));
-        };
-        at += length + 1;
-        let line = std::str::from_utf8(&rest[..length])
-            .map_err(|_| refused(format!("header line {number} is not text")))?;
+        }
+        let line =
+            std::str::from_utf8(&line).map_err(|_| refused(format!("header line {number} is not text")))?;
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         match words.as_slice() {
             ["ply"] if number == 1 => {}
@@ -229,6 +268,13 @@ fn refused(message: impl Into<String>) -> Fault {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::domain::PointCloud;
+
+    fn points(bytes: &[u8]) -> Result<PointCloud, Fault> {
+        let mut points = Points::new(true, 100);
+        super::points(&mut &*bytes, bytes.len() as u64, &mut points)?;
+        Ok(points.into_cloud().expect("kept"))
+    }
 
     fn file(format: &str, properties: &str, data: &[u8]) -> Vec<u8> {
         let mut bytes =
@@ -311,6 +357,33 @@ mod tests {
         ] {
             let fault = points(&bytes).expect_err(reason).to_string();
             assert!(fault.contains(reason), "'{fault}' should say '{reason}'");
+        }
+    }
+
+    #[test]
+    fn numbers_and_headers_without_an_end_are_not_gathered() {
+        let long = "1".repeat(100_000);
+        let fault = points(&file("ascii", PLAIN, format!("{long}x 2 3 1 2 3 0 0 0 0 0 0").as_bytes()));
+        assert!(fault.expect_err("not finite").to_string().contains("not finite"));
+        let endless = [&b"ply\ncomment "[..], &vec![b'a'; 2 * LARGEST_HEADER]].concat();
+        assert!(points(&endless).expect_err("no end").to_string().contains("no end_header"));
+        let many = format!("ply\n{}", "property float x\n".repeat(LARGEST_HEADER));
+        assert!(points(many.as_bytes()).expect_err("no end").to_string().contains("no end_header"));
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn arbitrary_bytes_never_panic(
+            format in proptest::sample::select(vec!["ascii", "binary_little_endian", "binary_big_endian"]),
+            data in proptest::collection::vec(proptest::prelude::any::<u8>(), 0..200),
+        ) {
+            let _outcome = points(&file(format, PLAIN, &data));
+            let _outcome = points(&data);
+        }
+
+        #[test]
+        fn arbitrary_headers_never_panic(text in "(ply\n)?([a-z_ 0-9.\n]{0,40}|element vertex [0-9]{1,20}\n|property [a-z]{3,6} [xyz]\n|end_header\n){0,8}") {
+            let _outcome = points(text.as_bytes());
         }
     }
 }

@@ -2,8 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use rayon::prelude::*;
-
 use super::{
     colmap,
     distortion::{Crop, Distortion},
@@ -11,7 +9,8 @@ use super::{
     images,
     lens::resized,
     limits::Limits,
-    plan::{Plan, Shot},
+    plan::{Plan, Shot, refuse_masks},
+    points::Points,
     transforms,
     tree::Tree,
 };
@@ -25,7 +24,10 @@ pub(super) struct Survey {
     pub(super) layout: Layout,
     /// By name.
     pub(super) views: Vec<View>,
+    /// The points, if they are kept.
     pub(super) points: Option<PointCloud>,
+    /// How many there are, if the dataset has any.
+    pub(super) point_count: Option<usize>,
     pub(super) notes: Vec<String>,
 }
 
@@ -106,19 +108,20 @@ pub(super) fn survey(
         plan => plan,
     }
     .ok_or(Fault::NoLayout)??;
+    refuse_masks(&tree)?;
     let Plan { layout, lenses, shots, points, mut notes } = plan;
 
-    // Collected before the first fault is taken, so that the same fault is reported whatever thread is faster.
-    let header = |shot: &Shot| {
-        if go_on() { images::header(&tree, &shot.file, limits) } else { Err(Fault::Stopped.into()) }
-    };
-    let headers: Vec<_> = shots.par_iter().map(header).collect();
     let mut crops = BTreeMap::new();
     let mut views = Vec::with_capacity(shots.len());
     let mut changes = Changes::default();
     let mut pixels = 0;
-    for (shot, header) in shots.into_iter().zip(headers) {
-        let images::Header { size, alpha } = header?;
+    // One after another: each is a small read, and several at a time would each need memory for a header.
+    for shot in shots {
+        if !go_on() {
+            return Err(Fault::Stopped.into());
+        }
+        tree.check_time().map_err(|fault| fault.at(&shot.file))?;
+        let images::Header { size, alpha } = images::header(&tree, &shot.file, limits)?;
         let lens = &lenses[shot.lens];
         let (file, distortion) = (shot.file.clone(), lens.distortion);
         let stored = lens.intrinsics(size).map_err(|fault| fault.at(&file))?;
@@ -147,7 +150,9 @@ pub(super) fn survey(
         views.push(View { shot, camera, stored, alpha, distortion, crop });
     }
     changes.note(&mut notes);
-    Ok((tree, Survey { layout, views, points, notes }))
+    let point_count = points.as_ref().map(Points::count);
+    let points = points.and_then(Points::into_cloud);
+    Ok((tree, Survey { layout, views, points, point_count, notes }))
 }
 
 /// The plan by whichever layout the files are in; `None` if in none. `transforms.json` states its own cameras, so

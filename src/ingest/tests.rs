@@ -331,6 +331,66 @@ fn images_that_do_not_fit_their_camera_are_refused() {
 }
 
 #[test]
+fn headers_behind_previews_are_found_up_to_a_bound() {
+    let mut bytes = Cursor::new(Vec::new());
+    image::DynamicImage::new_rgb8(SIZE.0, SIZE.1)
+        .write_to(&mut bytes, image::ImageFormat::Jpeg)
+        .expect("encodes");
+    let plain = bytes.into_inner();
+    let with_segments = |count: usize| {
+        // Pixels and profiles of previews, which cannot be compressed.
+        let noise =
+            std::iter::successors(Some(1_u32), |last| Some(last.wrapping_mul(747_796_405).wrapping_add(1)));
+        let mut noise = noise.map(|value| (value >> 24) as u8);
+        let mut bytes = plain[..2].to_vec();
+        for _ in 0..count {
+            bytes.extend([0xff, 0xe1, 0xff, 0xff]);
+            bytes.extend(noise.by_ref().take(0xfffd));
+        }
+        bytes.extend(&plain[2..]);
+        bytes
+    };
+    let set = |segments| {
+        let table = "1 1 0 0 0 0 0 0 1 a.jpg\n\n";
+        colmap().with("sparse/0/images.txt", table).with("images/a.jpg", with_segments(segments))
+    };
+    assert!(load(&set(4).directory().path).is_ok());
+    assert_refused(&set(20), "images/a.jpg", "header ends within its first 1048576 bytes");
+}
+
+#[test]
+fn masks_are_refused_with_what_to_do() {
+    for folder in ["masks", "mask"] {
+        let name = format!("{folder}/0.png");
+        for set in [nerfstudio(), colmap(), blender()] {
+            let set = set.with(&name, png(SIZE, [255; 4]));
+            assert_refused(&set, &name, &format!("in {folder}/ there are masks, which are not supported"));
+        }
+    }
+    assert!(load(&colmap().with("masks/readme.txt", "none").directory().path).is_ok());
+    let path = r#""file_path": "images/1.png", "mask_path": "other/1.png""#;
+    let masked = nerfstudio().edited("transforms.json", "\"file_path\": \"images/1.png\"", path);
+    assert_refused(&masked, "transforms.json", "at /frames/1/mask_path there are masks");
+    let unmasked = masked.edited("transforms.json", "\"other/1.png\"", "null");
+    assert!(load(&unmasked.directory().path).is_ok());
+}
+
+#[test]
+fn no_refusal_names_a_folder_of_the_machine() {
+    let nothing = Set::default().with("readme.txt", "hello");
+    let cut = nerfstudio().archive();
+    for written in [nothing.directory(), file(&nothing.archive()), file(&cut[..cut.len() / 2]), file(b"PK")] {
+        let problem = check(&written.path).expect_err("no dataset");
+        let folder = written.path.parent().expect("a folder").to_string_lossy().into_owned();
+        assert!(!problem.to_string().contains(&folder), "{problem}");
+    }
+    let limits = Limits { entries: 0, ..Limits::default() };
+    let written = nerfstudio().directory();
+    let problem = Problem::from(check_within(&written.path, &limits).expect_err("too many"));
+    assert_eq!((problem.status, problem.file), (413, None));
+}
+
+#[test]
 fn pixels_that_cannot_be_decoded_are_refused_when_loading() {
     let mut cut = png(SIZE, [1, 2, 3, 255]);
     cut.truncate(cut.len() - 20);
@@ -348,7 +408,7 @@ fn nothing_that_looks_like_a_dataset_is_refused_as_such() {
     let two_folders = Set(nerfstudio().inside("a").0.into_iter().chain(colmap().inside("b").0).collect());
     assert!(refused(&two_folders).detail.contains("no dataset was found"));
     let absent = check(Path::new("/nonexistent/dataset")).expect_err("there is none");
-    assert_eq!((absent.status, absent.file.as_deref()), (404, Some("/nonexistent/dataset")));
+    assert_eq!((absent.status, absent.file.as_deref()), (404, None), "the path is the caller's to name");
 }
 
 #[test]
@@ -487,6 +547,7 @@ fn limits_are_held_and_name_what_was_over_them() {
     for (limits, words) in [
         (Limits { entries: 11, ..wide }, "more than 11 entries"),
         (Limits { file_bytes: largest - 1, ..wide }, "are accepted in one file"),
+        (Limits { points: 1, ..wide }, "more than 1 points"),
         (Limits { image_pixels: 47, ..wide }, "the image has 48 pixels; at most 47"),
         (Limits { scene_pixels: 9 * 48 - 1, ..wide }, "the images have 432 pixels together"),
     ] {
@@ -498,6 +559,18 @@ fn limits_are_held_and_name_what_was_over_them() {
     }
     let total: u64 = set.0.values().map(|content| content.len() as u64).sum();
     let archive = file(&set.archive());
+    let fault = check_within(&archive.path, &Limits { directory_bytes: 100, ..wide }).expect_err("too long");
+    assert!(fault.to_string().contains("the list of its entries takes"), "{fault}");
+    let table = nerfstudio();
+    let json = table.0["transforms.json"].len() as u64;
+    for (json_bytes, fits) in [(json, true), (json - 1, false)] {
+        let limits = Limits { json_bytes, ..wide };
+        assert_eq!(
+            check_within(&table.directory().path, &limits).is_ok(),
+            fits,
+            "{json_bytes} of {json} bytes"
+        );
+    }
     let fits = |total_bytes| check_within(&archive.path, &Limits { total_bytes, ..wide }).is_ok();
     assert!(fits(total) && !fits(total - 1));
     let exact = Limits {
@@ -506,6 +579,7 @@ fn limits_are_held_and_name_what_was_over_them() {
         image_pixels: 48,
         scene_pixels: 9 * 48,
         total_bytes: total,
+        points: 2,
         ..wide
     };
     assert!(load_within(&archive.path, &exact, &Room::default()).is_ok());

@@ -9,11 +9,12 @@
 use std::collections::BTreeSet;
 
 use glam::{DMat4, DVec4};
-use serde::Deserialize;
 
 use super::{
     distortion::Distortion,
     error::{Error, Fault},
+    fields::{CameraFields, Document, Matrix, Names},
+    json,
     lens::{Focal, Lens},
     names::safe_name,
     plan::{ImageFiles, Plan, Shot},
@@ -31,46 +32,6 @@ const VALIDATION: &str = "transforms_val.json";
 
 /// Camera models whose distortion is the polynomial that [`Distortion`] holds.
 const POLYNOMIAL_MODELS: [&str; 5] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
-
-#[derive(Deserialize)]
-struct Document {
-    #[serde(flatten)]
-    camera: CameraFields,
-    frames: Vec<FrameFields>,
-    ply_file_path: Option<String>,
-    train_filenames: Option<Vec<String>>,
-    val_filenames: Option<Vec<String>>,
-    test_filenames: Option<Vec<String>>,
-}
-
-#[derive(Deserialize)]
-struct FrameFields {
-    #[serde(flatten)]
-    camera: CameraFields,
-    file_path: String,
-    transform_matrix: Vec<Vec<f64>>,
-}
-
-/// What may be stated once for all frames or for each of them.
-#[derive(Deserialize, Default)]
-struct CameraFields {
-    camera_model: Option<String>,
-    is_fisheye: Option<bool>,
-    fl_x: Option<f64>,
-    fl_y: Option<f64>,
-    camera_angle_x: Option<f64>,
-    camera_angle_y: Option<f64>,
-    cx: Option<f64>,
-    cy: Option<f64>,
-    w: Option<f64>,
-    h: Option<f64>,
-    k1: Option<f64>,
-    k2: Option<f64>,
-    k3: Option<f64>,
-    k4: Option<f64>,
-    p1: Option<f64>,
-    p2: Option<f64>,
-}
 
 /// Plans a Blender set: `transforms_train.json` is trained on and `transforms_test.json` held out.
 ///
@@ -109,8 +70,12 @@ pub(super) fn nerfstudio(tree: &Tree) -> Result<Plan, Error> {
             let name = safe_name(path).map_err(|fault| {
                 field("/ply_file_path".to_owned(), format!("'{path}': {fault}")).at(TRANSFORMS)
             })?;
-            let points = ply::points(&tree.read(name)?).map_err(|fault| fault.at(name))?;
-            if points.positions.is_empty() {
+            let points = tree.parse(name, u64::MAX, |reader, length| {
+                let mut points = tree.points();
+                ply::points(reader, length, &mut points)?;
+                Ok(points)
+            })?;
+            if points.count() == 0 {
                 plan.notes.push(format!("{name} has no points: training starts from random ones"));
             } else {
                 plan.points = Some(points);
@@ -124,7 +89,7 @@ pub(super) fn nerfstudio(tree: &Tree) -> Result<Plan, Error> {
 }
 
 fn read(tree: &Tree, file: &str) -> Result<Document, Error> {
-    serde_json::from_slice(&tree.read(file)?).map_err(|error| Fault::Json(error).at(file))
+    tree.parse(file, tree.limits().json_bytes, |reader, _| json::read(reader))
 }
 
 fn add_frames(
@@ -137,8 +102,11 @@ fn add_frames(
     let mut images = ImageFiles::new(tree, file);
     for (index, frame) in document.frames.iter().enumerate() {
         let place = format!("/frames/{index}");
+        if frame.masked {
+            return Err(Fault::Masks { place: format!("at {place}/mask_path") }.at(file));
+        }
         let found = images.find("", &frame.file_path, &format!("{place}/file_path"))?;
-        let pose = pose(&frame.transform_matrix, &place).map_err(|fault| fault.at(file))?;
+        let pose = pose(frame.transform_matrix, &place).map_err(|fault| fault.at(file))?;
         let lens = lens(&frame.camera, &document.camera, &place).map_err(|fault| fault.at(file))?;
         let lens = plan.lens(lens);
         if let Some((name, file)) = found {
@@ -155,10 +123,10 @@ fn split(plan: &mut Plan, document: &Document) -> Result<(), Error> {
         plan.hold_out();
         return Ok(());
     }
-    let listed = |list: &'static str, names: &Option<Vec<String>>| {
+    let listed = |list: &'static str, names: &Option<Names>| {
         let known: BTreeSet<&str> = plan.shots.iter().map(|shot| shot.name.as_str()).collect();
         let mut listed = BTreeSet::new();
-        for stated in names.iter().flatten() {
+        for stated in names.iter().flat_map(|names| &names.0) {
             match safe_name(stated) {
                 Ok(name) if known.contains(name) => listed.insert(name.to_owned()),
                 _ => return Err(Fault::UnknownFrame { list, name: stated.clone() }.at(TRANSFORMS)),
@@ -187,21 +155,12 @@ fn split(plan: &mut Plan, document: &Document) -> Result<(), Error> {
     Ok(())
 }
 
-fn pose(rows: &[Vec<f64>], place: &str) -> Result<Pose, Fault> {
-    let shape = || {
-        field(
-            format!("{place}/transform_matrix"),
-            "must be a matrix of 4 rows (or 3) of 4 numbers".to_owned(),
-        )
+fn pose(rows: Matrix, place: &str) -> Result<Pose, Fault> {
+    let Matrix(Some(rows)) = rows else {
+        let message = "must be a matrix of 4 rows (or 3) of 4 numbers".to_owned();
+        return Err(field(format!("{place}/transform_matrix"), message));
     };
-    if !(3..=4).contains(&rows.len()) {
-        return Err(shape());
-    }
-    let mut matrix = [DVec4::W; 4];
-    for (row, values) in matrix.iter_mut().zip(rows) {
-        let values: &[f64; 4] = values.as_slice().try_into().map_err(|_| shape())?;
-        *row = DVec4::from_array(*values);
-    }
+    let matrix = rows.map(DVec4::from_array);
     let [x, y, z, w] = matrix;
     Pose::from_camera_to_world(DMat4::from_cols(x, y, z, w).transpose(), Convention::Opengl)
         .map_err(|source| Fault::Camera { place: format!("{place}/transform_matrix"), source })

@@ -1,12 +1,13 @@
 //! The files of a dataset by name, from a directory or a zip archive, read within limits.
 //!
-//! Names are safe relative paths ([`safe_name`]). Nothing is ever written. Every file that is read whole is
+//! Names are safe relative paths ([`safe_name`]). Nothing is ever written. Every file that is read to its end is
 //! remembered with the digest of its content, so the dataset's digest covers exactly what was used and is the
-//! same for a directory and for a zip of it.
+//! same for a directory and for a zip of it. Tables are parsed as they are read: how long they are decides on time, not on memory.
 
 use std::{
     collections::BTreeMap,
     fs,
+    io::{self, BufRead, BufReader, Read},
     path::Path,
     sync::{Mutex, PoisonError},
 };
@@ -15,17 +16,34 @@ use sha2::{Digest as _, Sha256};
 
 use super::{
     archive,
+    deadline::Deadline,
     error::{Error, Fault},
     folder,
     limits::Limits,
     names::{is_litter, safe_name},
+    points::Points,
 };
 use crate::domain::Digest;
 
+/// What a table is read through.
+const BUFFER_BYTES: usize = 64 << 10;
+
 /// Where the bytes of a file come from.
 pub(super) trait Source: Sync {
-    /// The first `limit` bytes of a file (all of it, if it has fewer). `index` is as in [`Listing::files`].
-    fn read(&self, index: usize, limit: u64) -> Result<Vec<u8>, Fault>;
+    /// Shows a file's bytes to `visit`. `index` is as in [`Listing::files`].
+    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<(), Fault>;
+
+    /// What an error of reading them means.
+    fn fault(&self, error: io::Error) -> Fault;
+}
+
+/// What a dataset is read for.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Purpose {
+    /// To know whether it can be trained on; what it holds is counted and not kept.
+    Check(Deadline),
+    /// To train on it.
+    Load,
 }
 
 /// What a source found when it was opened.
@@ -44,6 +62,7 @@ pub(super) struct Tree {
     special: BTreeMap<String, &'static str>,
     source: Box<dyn Source>,
     limits: Limits,
+    purpose: Purpose,
     used: Mutex<BTreeMap<String, (u64, [u8; 32])>>,
 }
 
@@ -53,22 +72,31 @@ struct Entry {
 }
 
 impl Tree {
-    /// Opens a directory or a zip archive, told apart by what `path` is.
+    /// Opens a directory or a zip archive to load it, told apart by what `path` is.
     ///
     /// # Errors
     /// Faults of the path, of the archive's structure and of its limits.
     pub(super) fn open(path: &Path, limits: &Limits) -> Result<Self, Error> {
-        let metadata = fs::metadata(path).map_err(|error| {
-            let fault =
-                if error.kind() == std::io::ErrorKind::NotFound { Fault::NotFound } else { error.into() };
-            fault.at(path.display().to_string())
-        })?;
-        let listing =
-            if metadata.is_dir() { folder::list(path, limits)? } else { archive::list(path, limits)? };
-        Self::new(listing, *limits)
+        Self::open_for(Purpose::Load, path, limits)
     }
 
-    fn new(listing: Listing, limits: Limits) -> Result<Self, Error> {
+    /// As [`Tree::open`], for a purpose.
+    ///
+    /// # Errors
+    /// As [`Tree::open`].
+    pub(super) fn open_for(purpose: Purpose, path: &Path, limits: &Limits) -> Result<Self, Error> {
+        let metadata = fs::metadata(path).map_err(|error| {
+            if error.kind() == io::ErrorKind::NotFound { Fault::NotFound } else { error.into() }
+        })?;
+        let listing = if metadata.is_dir() {
+            folder::list(path, limits)?
+        } else {
+            archive::list(path, limits, purpose.deadline())?
+        };
+        Self::new(listing, *limits, purpose)
+    }
+
+    fn new(listing: Listing, limits: Limits, purpose: Purpose) -> Result<Self, Error> {
         let mut files = BTreeMap::new();
         for (index, (name, size)) in listing.files.into_iter().enumerate() {
             let safe = safe_name(&name).map_err(|fault| fault.at(name.clone()))?.to_owned();
@@ -80,7 +108,25 @@ impl Tree {
             }
         }
         let special = listing.special.into_iter().collect();
-        Ok(Self { files, special, source: listing.source, limits, used: Mutex::default() })
+        Ok(Self { files, special, source: listing.source, limits, purpose, used: Mutex::default() })
+    }
+
+    /// An empty cloud of points, which keeps what it is given if the dataset is loaded.
+    pub(super) fn points(&self) -> Points {
+        Points::new(matches!(self.purpose, Purpose::Load), self.limits.points)
+    }
+
+    /// What the dataset may hold.
+    pub(super) fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    /// Whether there is time left.
+    ///
+    /// # Errors
+    /// [`Fault::CheckTimeout`].
+    pub(super) fn check_time(&self) -> Result<(), Fault> {
+        self.purpose.deadline().check()
     }
 
     /// Takes the only top-level folder as the root, if there is exactly one and no file beside it.
@@ -143,13 +189,61 @@ impl Tree {
     pub(super) fn read(&self, name: &str) -> Result<Vec<u8>, Error> {
         let limit = self.limits.file_bytes;
         let bytes = self.read_up_to(name, limit.saturating_add(1))?;
-        if bytes.len() as u64 > limit {
-            return Err(Fault::FileTooLarge { bytes: bytes.len() as u64, limit }.at(name));
+        let length = bytes.len() as u64;
+        if length > limit {
+            return Err(Fault::FileTooLarge { bytes: length, limit }.at(name));
         }
-        let content = Sha256::digest(&bytes).into();
-        let mut used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
-        used.insert(name.to_owned(), (bytes.len() as u64, content));
+        // Here and not on the way, where it would hold up whoever waits for the source.
+        self.use_content(name, length, Sha256::digest(&bytes).into());
         Ok(bytes)
+    }
+
+    fn use_content(&self, name: &str, length: u64, hash: [u8; 32]) {
+        let mut used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
+        used.insert(name.to_owned(), (length, hash));
+    }
+
+    /// What broke off reading a file: its fault, unless there was no time left.
+    fn broken_off(&self, name: &str, fault: Fault) -> Error {
+        self.check_time().err().unwrap_or(fault).at(name)
+    }
+
+    /// What `parse` makes of the content of a file of at most `largest` bytes, given with its stated length. All of it is read,
+    /// whatever `parse` leaves, and it counts as used.
+    ///
+    /// # Errors
+    /// As [`Tree::read`]; else those of `parse`.
+    pub(super) fn parse<T>(
+        &self,
+        name: &str,
+        largest: u64,
+        parse: impl FnOnce(&mut dyn BufRead, u64) -> Result<T, Fault>,
+    ) -> Result<T, Error> {
+        let largest = largest.min(self.limits.file_bytes);
+        let entry = self.entry(name, largest)?;
+        let (mut parse, mut outcome) = (Some(parse), None);
+        let visited = self.source.open(entry.index, &mut |file| {
+            let Some(parse) = parse.take() else { return };
+            let mut content = Content::new(file, largest, self.purpose.deadline());
+            let parsed = parse(&mut BufReader::with_capacity(BUFFER_BYTES, &mut content), entry.size);
+            // What ends this early is kept in `content`.
+            let _rest = io::copy(&mut content, &mut io::sink());
+            let Content { hash, length, end, .. } = content;
+            outcome = Some((parsed, end, length, hash.finalize().into()));
+        });
+        visited.map_err(|fault| self.broken_off(name, fault))?;
+        let Some((parsed, end, length, hash)) = outcome else {
+            return Err(Fault::MissingFile("it cannot be opened").at(name));
+        };
+        // What broke off reading also breaks whatever was made of it, so it goes first.
+        match end {
+            Some(End::Fault(fault)) => return Err(fault.at(name)),
+            Some(End::Source(error)) => return Err(self.broken_off(name, self.source.fault(error))),
+            None => {}
+        }
+        let parsed = parsed.map_err(|fault| fault.at(name))?;
+        self.use_content(name, length, hash);
+        Ok(parsed)
     }
 
     /// The first `limit` bytes of a file. It does not count as used.
@@ -157,16 +251,26 @@ impl Tree {
     /// # Errors
     /// As [`Tree::read`].
     pub(super) fn read_up_to(&self, name: &str, limit: u64) -> Result<Vec<u8>, Error> {
+        let entry = self.entry(name, self.limits.file_bytes)?;
+        let mut outcome = Ok(Vec::new());
+        let visited = self.source.open(entry.index, &mut |file| {
+            let mut bytes = Vec::new();
+            outcome = file.take(limit).read_to_end(&mut bytes).map(|_| bytes);
+        });
+        visited.map_err(|fault| self.broken_off(name, fault))?;
+        outcome.map_err(|error| self.broken_off(name, self.source.fault(error)))
+    }
+
+    fn entry(&self, name: &str, largest: u64) -> Result<&Entry, Error> {
         let Some(entry) = self.files.get(name) else {
             return Err(self.special_on_the_way(name).unwrap_or_else(|| {
                 Fault::MissingFile("it is named by another file of the dataset").at(name)
             }));
         };
-        let largest = self.limits.file_bytes;
         if entry.size > largest {
             return Err(Fault::FileTooLarge { bytes: entry.size, limit: largest }.at(name));
         }
-        self.source.read(entry.index, limit).map_err(|fault| fault.at(name))
+        Ok(entry)
     }
 
     /// SHA-256 over (length of the name, name, length of the content, SHA-256 of the content) of every used file
@@ -180,5 +284,65 @@ impl Tree {
             hash.update(content);
         }
         Digest::from_bytes(hash.finalize().into())
+    }
+}
+
+impl Purpose {
+    fn deadline(self) -> Deadline {
+        match self {
+            Self::Check(deadline) => deadline,
+            Self::Load => Deadline::NONE,
+        }
+    }
+}
+
+/// A file's content on its way to a parser: hashed, counted, and ended by the first fault.
+struct Content<'a> {
+    file: &'a mut dyn Read,
+    hash: Sha256,
+    length: u64,
+    largest: u64,
+    deadline: Deadline,
+    end: Option<End>,
+}
+
+/// Why a content was not read to its end.
+enum End {
+    Source(io::Error),
+    Fault(Fault),
+}
+
+impl<'a> Content<'a> {
+    fn new(file: &'a mut dyn Read, largest: u64, deadline: Deadline) -> Self {
+        Self { file, hash: Sha256::new(), length: 0, largest, deadline, end: None }
+    }
+
+    fn next(&mut self, into: &mut [u8]) -> Result<usize, End> {
+        self.deadline.check().map_err(End::Fault)?;
+        let count = loop {
+            match self.file.read(into) {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                read => break read.map_err(End::Source)?,
+            }
+        };
+        self.length += count as u64;
+        if self.length > self.largest {
+            return Err(End::Fault(Fault::FileTooLarge { bytes: self.length, limit: self.largest }));
+        }
+        self.hash.update(&into[..count]);
+        Ok(count)
+    }
+}
+
+impl Read for Content<'_> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        let ended = || io::Error::other("reading was ended");
+        if self.end.is_some() {
+            return Err(ended());
+        }
+        self.next(into).map_err(|end| {
+            self.end = Some(end);
+            ended()
+        })
     }
 }

@@ -528,7 +528,7 @@ fn from_ingest(error: ingest::Error) -> JobFailure {
         Fault::Stopped => JobFailure::Cancelled,
         Fault::SpillFull { .. } => JobFailure::Hold(error.into()),
         Fault::Io(ref fault) if is_disk_full(fault) => JobFailure::Hold(error.into()),
-        Fault::Spill { .. } => JobFailure::Retry(error.into()),
+        Fault::Spill(_) => JobFailure::Retry(error.into()),
         _ => JobFailure::Fail(error.into()),
     }
 }
@@ -571,10 +571,9 @@ mod tests {
 
     #[test]
     fn a_disk_without_room_holds_a_job_and_a_broken_one_costs_it_an_attempt() {
-        let folder = || "/somewhere".to_owned();
-        let spill = |kind: io::ErrorKind| Fault::Spill { folder: folder(), error: kind.into() };
+        let spill = |kind: io::ErrorKind| Fault::Spill(kind.into());
         for (fault, expected) in [
-            (Fault::SpillFull { folder: folder(), bytes: 3 }, "hold"),
+            (Fault::SpillFull { bytes: 3 }, "hold"),
             (Fault::Io(io::ErrorKind::StorageFull.into()), "hold"),
             (Fault::Io(io::ErrorKind::QuotaExceeded.into()), "hold"),
             (spill(io::ErrorKind::PermissionDenied), "retry"),

@@ -7,9 +7,11 @@ use std::{
 
 use serde_json::Value;
 
-const COMMANDS: [&str; 15] = [
-    "submit", "watch", "fetch", "view", "serve", "worker", "train", "encode", "decode", "render", "eval",
-    "export", "inspect", "sample", "doctor",
+use crate::support::program;
+
+const COMMANDS: [&str; 16] = [
+    "keys", "submit", "watch", "fetch", "view", "serve", "worker", "train", "encode", "decode", "render",
+    "eval", "export", "inspect", "sample", "doctor",
 ];
 
 /// An id that could be a job's.
@@ -40,18 +42,36 @@ fn path(path: &Path) -> &str {
     path.to_str().expect("UTF-8")
 }
 
+/// The commands that a help lists, by the rows under its heading.
+fn listed_commands(help: &str) -> Vec<&str> {
+    help.lines()
+        .skip_while(|line| *line != "Commands:")
+        .skip(1)
+        .take_while(|line| !line.is_empty())
+        .filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next())
+        .collect()
+}
+
 #[test]
 fn help_and_version_go_to_standard_output() {
     let help = tcgs(&["--help"]);
     assert_eq!(help.status.code(), Some(0));
+    assert!(help.stderr.is_empty(), "{}", text(&help.stderr));
+    let listed = listed_commands(text(&help.stdout));
     for command in COMMANDS {
-        assert!(text(&help.stdout).contains(command), "the help does not name {command}");
+        assert!(listed.contains(&command), "the help lists {listed:?}, without {command}");
+    }
+    for command in listed.into_iter().filter(|command| *command != "help") {
         let own = tcgs(&[command, "--help"]);
         assert_eq!(own.status.code(), Some(0), "{command}");
-        assert!(text(&own.stdout).contains("Usage: tcgs"), "{command}");
+        let usage = text(&own.stdout).lines().find_map(|line| line.strip_prefix("Usage: tcgs "));
+        let named = usage.and_then(|usage| usage.split_whitespace().next());
+        assert_eq!(named, Some(command), "{usage:?}");
+        assert!(own.stderr.is_empty(), "{command}: {}", text(&own.stderr));
     }
     let version = tcgs(&["--version"]);
-    assert_eq!(text(&version.stdout).trim(), format!("tcgs {}", env!("CARGO_PKG_VERSION")));
+    assert_eq!(text(&version.stdout), format!("tcgs {}\n", env!("CARGO_PKG_VERSION")));
+    assert!(version.stderr.is_empty() && version.status.success());
 }
 
 #[test]
@@ -184,22 +204,32 @@ fn with_json_a_failure_is_one_problem_document() {
 
 #[test]
 fn with_json_and_all_logs_on_standard_output_is_still_one_document() {
-    let output = Command::new(env!("CARGO_BIN_EXE_tcgs"))
-        .args(["doctor", "--json", "--log-format", "json"])
-        .env("RUST_LOG", "trace")
-        .output()
-        .expect("the binary runs");
-    let document = json(&output);
-    match output.status.code() {
-        Some(0) => {
-            let adapters = document["adapters"].as_array().expect("adapters");
-            assert!(adapters.iter().any(|adapter| adapter["usable"] == true), "{document}");
-            assert!(document["threads"].as_u64().expect("threads") >= 1);
+    let doctor = |drivers: Option<&str>| {
+        let mut command = program::command();
+        command.args(["doctor", "--json", "--log-format", "json"]).env("RUST_LOG", "trace");
+        for name in ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"] {
+            drivers.map(|drivers| command.env(name, drivers));
         }
-        // A machine without any Vulkan driver is told so.
-        Some(4) => assert_eq!(document["type"], "urn:tcgs:problem:no-adapter"),
-        other => panic!("status {other:?}: {}", text(&output.stderr)),
-    }
+        command.output().expect("the binary runs")
+    };
+    let output = doctor(None);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let document = json(&output);
+    let adapters = document["adapters"].as_array().expect("adapters");
+    assert!(adapters.iter().any(|adapter| adapter["usable"] == true), "{document}");
+    assert!(document["threads"].as_u64().expect("threads") >= 1);
+    let logs = |output: &Output| -> Vec<Value> {
+        let lines = text(&output.stderr).lines();
+        lines.filter_map(|line| serde_json::from_str(line).ok()).collect()
+    };
+    let levels: Vec<Value> = logs(&output).iter().map(|entry| entry["level"].clone()).collect();
+    assert!(levels.iter().any(|level| level == "DEBUG" || level == "TRACE"), "all logs are on: {levels:?}");
+
+    // A machine without any driver of Vulkan is told so.
+    let output = doctor(Some("/nonexistent/driver.json"));
+    assert_eq!(output.status.code(), Some(4), "{}", text(&output.stderr));
+    assert_eq!(json(&output)["type"], "urn:tcgs:problem:no-adapter");
+    assert!(!logs(&output).is_empty());
 }
 
 #[test]

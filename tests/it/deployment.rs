@@ -129,7 +129,7 @@ fn the_image_and_the_compose_file_set_what_the_service_reads_and_ask_whether_it_
         assert_is_a_variable_of_serve(name, &help, "docker/Dockerfile");
     }
     let compose: serde_json::Value =
-        serde_yaml_ng::from_str(&text("docker/compose.yaml")).expect("the compose file is YAML");
+        yaml_serde::from_str(&text("docker/compose.yaml")).expect("the compose file is YAML");
     let service = &compose["services"]["tcgs"];
     let variables = service["environment"].as_object().expect("variables");
     for name in variables.keys().filter(|name| name.starts_with("TCGS_")) {

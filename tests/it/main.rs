@@ -16,6 +16,8 @@ mod first_light;
 #[cfg(target_os = "linux")]
 mod full_disk;
 mod held;
+#[cfg(target_os = "linux")]
+mod hostile_uploads;
 mod housekeeping;
 mod http;
 mod ingest;

@@ -334,23 +334,30 @@ fn peak_resident_bytes() -> u64 {
     line.trim().trim_end_matches("kB").trim().parse::<u64>().expect("a number") * 1024
 }
 
-/// The real thing: `cargo test --test it -- --ignored --nocapture a_thousand`. It reads for minutes and needs 5 GB of disk.
+/// The real thing: `cargo test --test it -- --ignored --nocapture a_thousand`. It reads for minutes and needs 5 GB of disk for
+/// the folder of temporary files (`TMPDIR`), which are gone when it ends. It does not begin where they would fill the disk.
 #[cfg(target_os = "linux")]
 #[test]
 #[ignore = "takes minutes and 5 GB of disk"]
 fn a_thousand_photographs_of_4k_fit_into_a_gigabyte() {
     const FRAMES: usize = 1000;
+    const DISK: u64 = 5 << 30;
     let folder = tempfile::tempdir().expect("a temporary folder");
+    let free = fs4::available_space(folder.path()).expect("a disk");
+    assert!(free > 2 * DISK, "{free} bytes are free in {}; others need room too", folder.path().display());
     let mut jpeg = std::io::Cursor::new(Vec::new());
     let image = RgbImage::from_fn(3840, 2160, |x, y| {
         let wave = |v: u32, by: f64| (127.0 + 120.0 * (f64::from(v) / by).sin()) as u8;
         Rgb([wave(x, 211.0), wave(y, 97.0), wave(x + 3 * y, 509.0)])
     });
     DynamicImage::from(image).write_to(&mut jpeg, ImageFormat::Jpeg).expect("encodes");
+    let photograph = folder.path().join("photograph");
+    fs::write(&photograph, jpeg.get_ref()).expect("written");
     let listed = (0..FRAMES)
         .map(|index| {
             let name = format!("{index:04}.jpg");
-            fs::write(folder.path().join(&name), jpeg.get_ref()).expect("written");
+            // One file under a thousand names.
+            fs::hard_link(&photograph, folder.path().join(&name)).expect("linked");
             let mut frame = pose(index, FRAMES);
             frame["file_path"] = json!(name);
             frame["fl_x"] = json!(4000.0);
@@ -373,4 +380,7 @@ fn a_thousand_photographs_of_4k_fit_into_a_gigabyte() {
     assert_eq!(dataset.frames.len(), FRAMES);
     assert!(peak - before < room.memory + (256 << 20), "the room is the bound, allocator and stacks aside");
     assert!(dataset.frames[FRAMES - 1].image.load().is_ok());
+    drop(dataset);
+    let left = fs::read_dir(folder.path()).expect("a folder").count();
+    assert_eq!(left, FRAMES + 2, "the photographs and their table are as they were");
 }

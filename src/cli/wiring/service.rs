@@ -20,7 +20,7 @@ use tcgs::{
     gpu::{AdapterChoice, driver_cache},
     http::{self, ExportedScene, HttpConfig, Services, WorkerCounts},
     https::ExtraRoots,
-    ingest,
+    ingest::Checks,
     render::{RenderViews, views::Viewable},
     store::{
         Blobs, Keys as _, QueuePolicy, SchemaChange, SqliteStore,
@@ -49,6 +49,13 @@ const DRIVER_CACHE: &str = "driver-cache";
 
 /// How long an endpoint may take to answer a webhook.
 const WEBHOOK_TIMEOUT: Duration = Duration::from_secs(15);
+
+/// Datasets that are checked at a time: one that takes its time does not hold up all others, and the memory of all checks
+/// together stays below 256 MiB.
+const CHECKS: usize = 2;
+
+/// How long the check of a dataset may take, and how long another waits for its turn.
+const CHECK_TIME: Duration = Duration::from_secs(60);
 
 /// Where a service listens and keeps its data.
 #[derive(Debug, Clone)]
@@ -136,7 +143,10 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
             blobs,
             clock: Arc::new(SystemClock),
             entropy: Arc::new(SystemEntropy),
-            check: Arc::new(|archive: &Path| ingest::check(archive)),
+            check: {
+                let checks = Checks::new(CHECKS, CHECK_TIME);
+                Arc::new(move |archive: &Path| checks.check(archive))
+            },
             load: Arc::new(|bytes: &[u8]| {
                 let file = scene_file::read(bytes)?;
                 Ok(Viewable { scene: file.scene, background: file.background })

@@ -1,12 +1,11 @@
 //! Binary tables: little-endian records behind a 64-bit count, which is never believed beyond the bytes there are.
 
 use super::{
-    super::{bytes::Bytes, error::Fault},
-    ImageRecord,
+    super::{bytes::Bytes, error::Fault, points::Points},
+    ImageRecord, Tally,
     cameras::{CameraRecord, FEWEST_PARAMETERS, model_by_number},
     push_point,
 };
-use crate::domain::PointCloud;
 
 /// id, model, width, height and the fewest parameters.
 const SMALLEST_CAMERA: usize = 4 + 4 + 8 + 8 + FEWEST_PARAMETERS * 8;
@@ -20,9 +19,9 @@ const SMALLEST_POINT: usize = 8 + 24 + 3 + 8 + 8;
 const TRACK_ELEMENT: usize = 8;
 
 /// `cameras.bin`.
-pub(super) fn cameras(bytes: &[u8]) -> Result<Vec<CameraRecord>, Fault> {
-    let mut bytes = Bytes::new(bytes);
+pub(super) fn cameras(mut bytes: Bytes) -> Result<Vec<CameraRecord>, Fault> {
     let count = bytes.count("cameras", SMALLEST_CAMERA)?;
+    Tally::of("cameras").add(count)?;
     let mut cameras = Vec::with_capacity(count);
     for _ in 0..count {
         let id = bytes.u32("a camera's id")?;
@@ -38,9 +37,10 @@ pub(super) fn cameras(bytes: &[u8]) -> Result<Vec<CameraRecord>, Fault> {
 }
 
 /// `images.bin`.
-pub(super) fn images(bytes: &[u8]) -> Result<Vec<ImageRecord>, Fault> {
-    let mut bytes = Bytes::new(bytes);
+pub(super) fn images(mut bytes: Bytes) -> Result<Vec<ImageRecord>, Fault> {
     let count = bytes.count("images", SMALLEST_IMAGE)?;
+    let mut tally = Tally::of("images");
+    tally.add(count)?;
     let mut images = Vec::with_capacity(count);
     for _ in 0..count {
         let id = bytes.u32("an image's id")?;
@@ -50,28 +50,22 @@ pub(super) fn images(bytes: &[u8]) -> Result<Vec<ImageRecord>, Fault> {
         }
         let [w, x, y, z, tx, ty, tz] = pose;
         let camera = bytes.u32("an image's camera")?;
-        let name = std::str::from_utf8(bytes.zero_terminated("an image's name")?).map_err(|_| {
+        let name = String::from_utf8(bytes.zero_terminated("an image's name")?).map_err(|_| {
             Fault::Record { place: format!("image {id}"), message: "the name is not UTF-8 text".to_owned() }
         })?;
+        tally.name(&name)?;
         let observations = bytes.count("observations", OBSERVATION)?;
         bytes.skip("observations", observations * OBSERVATION)?;
-        images.push(ImageRecord {
-            id,
-            quaternion: [w, x, y, z],
-            translation: [tx, ty, tz],
-            camera,
-            name: name.to_owned(),
-        });
+        images.push(ImageRecord { id, quaternion: [w, x, y, z], translation: [tx, ty, tz], camera, name });
     }
     bytes.finish()?;
     Ok(images)
 }
 
 /// `points3D.bin`.
-pub(super) fn points(bytes: &[u8]) -> Result<PointCloud, Fault> {
-    let mut bytes = Bytes::new(bytes);
+pub(super) fn points(mut bytes: Bytes, cloud: &mut Points) -> Result<(), Fault> {
     let count = bytes.count("points", SMALLEST_POINT)?;
-    let mut cloud = PointCloud { positions: Vec::with_capacity(count), colors: Vec::with_capacity(count) };
+    cloud.reserve(count)?;
     for _ in 0..count {
         let id = bytes.u64("a point's id")?;
         let position = [bytes.f64("a point's x")?, bytes.f64("a point's y")?, bytes.f64("a point's z")?];
@@ -79,15 +73,29 @@ pub(super) fn points(bytes: &[u8]) -> Result<PointCloud, Fault> {
         bytes.f64("a point's error")?;
         let track = bytes.count("track elements", TRACK_ELEMENT)?;
         bytes.skip("track elements", track * TRACK_ELEMENT)?;
-        push_point(&mut cloud, id, position, color)?;
+        push_point(cloud, id, position, color)?;
     }
-    bytes.finish()?;
-    Ok(cloud)
+    bytes.finish()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{super::super::limits::Limits, *};
+    use crate::domain::PointCloud;
+
+    fn cameras(table: &[u8]) -> Result<Vec<CameraRecord>, Fault> {
+        super::cameras(Bytes::new(&mut &*table, table.len() as u64))
+    }
+
+    fn images(table: &[u8]) -> Result<Vec<ImageRecord>, Fault> {
+        super::images(Bytes::new(&mut &*table, table.len() as u64))
+    }
+
+    fn points(table: &[u8]) -> Result<PointCloud, Fault> {
+        let mut points = Points::new(true, 100);
+        super::points(Bytes::new(&mut &*table, table.len() as u64), &mut points)?;
+        Ok(points.into_cloud().expect("kept"))
+    }
 
     fn camera_table() -> Vec<u8> {
         let mut table = 2_u64.to_le_bytes().to_vec();
@@ -189,6 +197,34 @@ mod tests {
             for fault in [cameras(&claims).map(drop), images(&claims).map(drop), points(&claims).map(drop)] {
                 assert!(matches!(fault, Err(Fault::Count { count: u64::MAX, .. })));
             }
+        }
+    }
+
+    #[test]
+    fn more_frames_and_longer_names_than_are_accepted_are_refused_before_they_are_gathered() {
+        let mut many = (Limits::FRAMES as u64 + 1).to_le_bytes().to_vec();
+        many.resize(8 + SMALLEST_IMAGE * (Limits::FRAMES + 1), 0);
+        for fault in [cameras(&many).err(), images(&many).err()] {
+            assert!(matches!(fault, Some(Fault::TooManyRecords { limit: Limits::FRAMES, .. })), "{fault:?}");
+        }
+        let count = Limits::NAME_BYTES / 4000 + 1;
+        let mut long = (count as u64).to_le_bytes().to_vec();
+        for _ in 0..count {
+            long.extend([0; SMALLEST_IMAGE - 9]);
+            long.extend(vec![b'a'; 4000]);
+            long.extend([0; 9]);
+        }
+        assert!(matches!(images(&long), Err(Fault::TooManyNameBytes { .. })));
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn arbitrary_tables_never_panic(
+            count in 0_u64..5,
+            rest in proptest::collection::vec(proptest::prelude::any::<u8>(), 0..400),
+        ) {
+            let table = [&count.to_le_bytes()[..], &rest].concat();
+            let _outcomes = (cameras(&table).is_ok(), images(&table).is_ok(), points(&table).is_ok());
         }
     }
 

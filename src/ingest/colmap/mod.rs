@@ -11,12 +11,15 @@ use std::collections::BTreeMap;
 
 use glam::{DMat3, DQuat, DVec3};
 
+use self::text::Lines;
 use super::{
+    bytes::Bytes,
     error::{Error, Fault},
-    plan::{ImageFiles, Plan, Shot},
+    plan::{ImageFiles, Plan, Shot, Tally},
+    points::Points,
     tree::Tree,
 };
-use crate::domain::{CameraError, Layout, PointCloud, Pose, Split};
+use crate::domain::{CameraError, Layout, Pose, Split};
 
 /// Where a model may lie, in the order of preference.
 const FOLDERS: [&str; 3] = ["sparse/0/", "sparse/", "colmap/sparse/0/"];
@@ -72,7 +75,12 @@ pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, Error> {
     }
     let cameras = parse(tree, &cameras_file, binary::cameras, text::cameras)?;
     let images = parse(tree, &images_file, binary::images, text::images)?;
-    let points: PointCloud = parse(tree, &points_file, binary::points, text::points)?;
+    let points = parse(
+        tree,
+        &points_file,
+        |bytes| kept(tree, |points| binary::points(bytes, points)),
+        |lines| kept(tree, |points| text::points(lines, points)),
+    )?;
 
     let mut plan = Plan::new(Layout::Colmap);
     let mut lenses = BTreeMap::new();
@@ -104,7 +112,7 @@ pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, Error> {
         plan.notes.push("there is more than one model under sparse/: sparse/0 is used".to_owned());
     }
     let plan = plan.ordered(&images_file)?;
-    if points.positions.is_empty() {
+    if points.count() == 0 {
         let message = "the model has no points; training starts from them".to_owned();
         return Err(Fault::Record { place: "points".to_owned(), message }.at(points_file));
     }
@@ -114,22 +122,19 @@ pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, Error> {
 fn parse<T>(
     tree: &Tree,
     file: &str,
-    binary: fn(&[u8]) -> Result<T, Fault>,
-    text: fn(&str) -> Result<T, Fault>,
+    binary: impl FnOnce(Bytes) -> Result<T, Fault>,
+    text: impl FnOnce(&mut Lines) -> Result<T, Fault>,
 ) -> Result<T, Error> {
-    let bytes = tree.read(file)?;
-    let parsed = if file.ends_with(".bin") {
-        binary(&bytes)
-    } else {
-        match std::str::from_utf8(&bytes) {
-            Ok(content) => text(content),
-            Err(error) => Err(Fault::Record {
-                place: format!("byte {}", error.valid_up_to()),
-                message: "is not UTF-8 text".to_owned(),
-            }),
-        }
-    };
-    parsed.map_err(|fault| fault.at(file))
+    let is_binary = file.ends_with(".bin");
+    tree.parse(file, u64::MAX, |reader, length| {
+        if is_binary { binary(Bytes::new(reader, length)) } else { text(&mut Lines::new(reader)) }
+    })
+}
+
+fn kept(tree: &Tree, fill: impl FnOnce(&mut Points) -> Result<(), Fault>) -> Result<Points, Fault> {
+    let mut points = tree.points();
+    fill(&mut points)?;
+    Ok(points)
 }
 
 fn pose(image: &ImageRecord, place: &str) -> Result<Pose, Fault> {
@@ -148,15 +153,13 @@ fn pose(image: &ImageRecord, place: &str) -> Result<Pose, Fault> {
 }
 
 /// Adds a point with the checks that both encodings share.
-fn push_point(cloud: &mut PointCloud, id: u64, position: [f64; 3], color: [u8; 3]) -> Result<(), Fault> {
+fn push_point(cloud: &mut Points, id: u64, position: [f64; 3], color: [u8; 3]) -> Result<(), Fault> {
     let position = position.map(|value| value as f32);
     if position.iter().any(|value| !value.is_finite()) {
         let message = "the position is not finite".to_owned();
         return Err(Fault::Record { place: format!("point {id}"), message });
     }
-    cloud.positions.push(position);
-    cloud.colors.push(color);
-    Ok(())
+    cloud.push(position, color)
 }
 
 #[cfg(test)]

@@ -1,19 +1,31 @@
 //! Text tables: one record a line (two for images), `#` starts a comment line.
+//!
+//! Lines are read one at a time. Of a long line only its beginning is held, which has all fields that are read; observations and
+//! tracks follow it.
 
-use std::str::FromStr;
+use std::{
+    io::{self, BufRead},
+    str::FromStr,
+};
 
 use super::{
-    super::error::Fault,
-    ImageRecord,
+    super::{error::Fault, points::Points},
+    ImageRecord, Tally,
     cameras::{CameraRecord, model_by_name},
     push_point,
 };
-use crate::domain::PointCloud;
+
+/// How much of a line is held: a name of 4096 bytes with the numbers before it, and to spare.
+const HEAD_BYTES: usize = 16 << 10;
+
+/// How much of a word of observations is held: any 64-bit number, and to spare.
+const WORD_BYTES: usize = 24;
 
 /// `cameras.txt`: `CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]`.
-pub(super) fn cameras(text: &str) -> Result<Vec<CameraRecord>, Fault> {
+pub(super) fn cameras(lines: &mut Lines) -> Result<Vec<CameraRecord>, Fault> {
     let mut cameras = Vec::new();
-    for line in records(text) {
+    let mut tally = Tally::of("cameras");
+    while let Some(line) = lines.next_record()? {
         let mut fields = line.fields();
         let id = fields.next("CAMERA_ID")?;
         let (model, count) = model_by_name(id, fields.word("MODEL")?)?;
@@ -23,55 +35,145 @@ pub(super) fn cameras(text: &str) -> Result<Vec<CameraRecord>, Fault> {
         if fields.words.next().is_some() {
             return Err(line.fault(format!("{model} has {count} parameters and more are given")));
         }
+        tally.add(1)?;
         cameras.push(CameraRecord { id, model, width, height, parameters });
     }
     Ok(cameras)
 }
 
 /// `images.txt`: `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, then a line of `X Y POINT3D_ID` triples.
-pub(super) fn images(text: &str) -> Result<Vec<ImageRecord>, Fault> {
+pub(super) fn images(lines: &mut Lines) -> Result<Vec<ImageRecord>, Fault> {
     let mut images = Vec::new();
-    let mut lines = Line::all(text);
-    while let Some(line) = lines.next() {
-        if !line.is_record() {
-            continue;
-        }
+    let mut tally = Tally::of("images");
+    while let Some(line) = lines.next_record()? {
         let mut fields = line.fields();
         let id = fields.next("IMAGE_ID")?;
         let quaternion = [fields.next("QW")?, fields.next("QX")?, fields.next("QY")?, fields.next("QZ")?];
         let translation = [fields.next("TX")?, fields.next("TY")?, fields.next("TZ")?];
         let camera = fields.next("CAMERA_ID")?;
         // Names may contain spaces, so the name is all that is left.
-        let name = line.after(9).ok_or_else(|| line.fault("NAME is missing".to_owned()))?;
-        images.push(ImageRecord { id, quaternion, translation, camera, name: name.to_owned() });
+        let name = line.after(9).ok_or_else(|| line.fault("NAME is missing".to_owned()))?.to_owned();
+        tally.add(1)?;
+        tally.name(&name)?;
+        images.push(ImageRecord { id, quaternion, translation, camera, name });
         // The line of points is there even if the image has none; it is only checked for being one, because
         // without it every second image would be taken for points and lost.
-        if let Some(points) = lines.next()
-            && !points.is_triples()
-        {
-            return Err(points
-                .fault("expected the POINTS2D line of the image above (X Y POINT3D_ID triples)".to_owned()));
+        if !lines.pass_triples()? {
+            let message = "expected the POINTS2D line of the image above (X Y POINT3D_ID triples)";
+            return Err(fault(lines.number, message.to_owned()));
         }
     }
     Ok(images)
 }
 
 /// `points3D.txt`: `POINT3D_ID X Y Z R G B ERROR TRACK[]`.
-pub(super) fn points(text: &str) -> Result<PointCloud, Fault> {
-    let mut cloud = PointCloud::default();
-    for line in records(text) {
+pub(super) fn points(lines: &mut Lines, cloud: &mut Points) -> Result<(), Fault> {
+    while let Some(line) = lines.next_record()? {
         let mut fields = line.fields();
         let id = fields.next("POINT3D_ID")?;
         let position = [fields.next("X")?, fields.next("Y")?, fields.next("Z")?];
         let color = [fields.next("R")?, fields.next("G")?, fields.next("B")?];
         let _: f64 = fields.next("ERROR")?;
-        push_point(&mut cloud, id, position, color)?;
+        push_point(cloud, id, position, color)?;
     }
-    Ok(cloud)
+    Ok(())
 }
 
-fn records(text: &str) -> impl Iterator<Item = Line<'_>> {
-    Line::all(text).filter(Line::is_record)
+/// The lines of a table.
+pub(super) struct Lines<'a> {
+    reader: &'a mut dyn BufRead,
+    /// Of the line that was read last, from 1.
+    number: usize,
+    head: Vec<u8>,
+}
+
+impl<'a> Lines<'a> {
+    /// From the first line on.
+    pub(super) fn new(reader: &'a mut dyn BufRead) -> Self {
+        Self { reader, number: 0, head: Vec::new() }
+    }
+
+    /// The beginning of the next line that is a record.
+    fn next_record(&mut self) -> Result<Option<Line<'_>>, Fault> {
+        loop {
+            let mut head = std::mem::take(&mut self.head);
+            head.clear();
+            let read = self.pass_line(|bytes| {
+                let room = HEAD_BYTES.saturating_sub(head.len());
+                head.extend_from_slice(&bytes[..bytes.len().min(room)]);
+            })?;
+            self.head = head;
+            if !read {
+                return Ok(None);
+            }
+            let text = self.head.trim_ascii_start();
+            if !text.is_empty() && !text.starts_with(b"#") {
+                break;
+            }
+        }
+        let text = match std::str::from_utf8(&self.head) {
+            Ok(text) => text,
+            // Cut off within a character.
+            Err(error) if error.error_len().is_none() && self.head.len() == HEAD_BYTES => {
+                std::str::from_utf8(&self.head[..error.valid_up_to()]).unwrap_or_default()
+            }
+            Err(_) => return Err(fault(self.number, "it is not UTF-8 text".to_owned())),
+        };
+        Ok(Some(Line { number: self.number, text: text.trim() }))
+    }
+
+    /// Passes over a line and tells whether it has triples of which the third is a whole number, and nothing else. The end
+    /// of the table is such a line too.
+    fn pass_triples(&mut self) -> Result<bool, Fault> {
+        let (mut words, mut word, mut good) = (0_usize, Vec::with_capacity(WORD_BYTES), true);
+        let mut end = |word: &mut Vec<u8>| {
+            if !word.is_empty() {
+                words += 1;
+                let text = std::str::from_utf8(word).unwrap_or_default();
+                good &= words % 3 != 0 || text.parse::<i64>().is_ok();
+                word.clear();
+            }
+        };
+        self.pass_line(|bytes| {
+            for byte in bytes {
+                if byte.is_ascii_whitespace() {
+                    end(&mut word);
+                } else if word.len() < WORD_BYTES {
+                    word.push(*byte);
+                }
+            }
+        })?;
+        end(&mut word);
+        Ok(good && words % 3 == 0)
+    }
+
+    /// Shows a line's bytes, piece by piece and without its end, and says whether there was one.
+    fn pass_line(&mut self, mut show: impl FnMut(&[u8])) -> Result<bool, Fault> {
+        let mut any = false;
+        loop {
+            let bytes = match self.reader.fill_buf() {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                read => read?,
+            };
+            if bytes.is_empty() {
+                break;
+            }
+            any = true;
+            let end = bytes.iter().position(|byte| *byte == b'\n');
+            let length = end.unwrap_or(bytes.len());
+            show(&bytes[..length]);
+            self.reader.consume(length + usize::from(end.is_some()));
+            if end.is_some() {
+                break;
+            }
+        }
+        self.number += usize::from(any);
+        Ok(any)
+    }
+}
+
+fn fault(line: usize, message: String) -> Fault {
+    Fault::Record { place: format!("line {line}"), message }
 }
 
 #[derive(Clone, Copy)]
@@ -81,19 +183,6 @@ struct Line<'a> {
 }
 
 impl<'a> Line<'a> {
-    fn all(text: &'a str) -> impl Iterator<Item = Self> {
-        text.lines().enumerate().map(|(index, text)| Self { number: index + 1, text: text.trim() })
-    }
-
-    fn is_record(&self) -> bool {
-        !self.text.is_empty() && !self.text.starts_with('#')
-    }
-
-    fn is_triples(&self) -> bool {
-        let words = || self.text.split_ascii_whitespace();
-        words().count() % 3 == 0 && words().skip(2).step_by(3).all(|id| id.parse::<i64>().is_ok())
-    }
-
     fn fields(self) -> Fields<'a> {
         Fields { line: self, words: self.text.split_ascii_whitespace() }
     }
@@ -109,7 +198,7 @@ impl<'a> Line<'a> {
     }
 
     fn fault(&self, message: String) -> Fault {
-        Fault::Record { place: format!("line {}", self.number), message }
+        fault(self.number, message)
     }
 }
 
@@ -132,6 +221,21 @@ impl<'a> Fields<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::domain::PointCloud;
+
+    fn cameras(text: &str) -> Result<Vec<CameraRecord>, Fault> {
+        super::cameras(&mut Lines::new(&mut text.as_bytes()))
+    }
+
+    fn images(text: &str) -> Result<Vec<ImageRecord>, Fault> {
+        super::images(&mut Lines::new(&mut text.as_bytes()))
+    }
+
+    fn points(text: &str) -> Result<PointCloud, Fault> {
+        let mut points = Points::new(true, 100);
+        super::points(&mut Lines::new(&mut text.as_bytes()), &mut points)?;
+        Ok(points.into_cloud().expect("kept"))
+    }
 
     const CAMERAS: &str =
         "# a comment\n\n1 PINHOLE 768 512 689.87 691.04 380.1 251.7\r\n2 SIMPLE_RADIAL 64 48 50 32 24 -0.1\n";
@@ -183,6 +287,34 @@ mod tests {
                 let cut = &table[..length];
                 let _outcomes = (cameras(cut).is_ok(), images(cut).is_ok(), points(cut).is_ok());
             }
+        }
+    }
+
+    #[test]
+    fn of_long_lines_only_the_beginning_is_held() {
+        let track = " 1 2".repeat(HEAD_BYTES);
+        let cloud = points(&format!("7 1 2 3 4 5 6 0.5{track}\n8 1 2 3 4 5 6 0.5\n")).expect("points");
+        assert_eq!(cloud.positions.len(), 2);
+        let seen = "1.5 2.5 -1 ".repeat(HEAD_BYTES);
+        let two = format!("1 1 0 0 0 0 0 0 1 a.png\n{seen}\n2 1 0 0 0 0 0 0 1 b.png\n\n");
+        assert_eq!(images(&two).expect("images").len(), 2);
+        let broken = format!("1 1 0 0 0 0 0 0 1 a.png\n{seen}x\n");
+        assert!(images(&broken).expect_err("no triples").to_string().starts_with("line 2: expected"));
+        let name = "ä".repeat(HEAD_BYTES);
+        let long = images(&format!("1 1 0 0 0 0 0 0 1 {name}\n\n")).expect("an image");
+        assert!(long[0].name.len() <= HEAD_BYTES, "the rule on names refuses it");
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn arbitrary_tables_never_panic(text in "[ -~\n\u{e4}#0-9.]{0,300}") {
+            let _outcomes = (cameras(&text).is_ok(), images(&text).is_ok(), points(&text).is_ok());
+        }
+
+        #[test]
+        fn arbitrary_bytes_never_panic(bytes in proptest::collection::vec(proptest::prelude::any::<u8>(), 0..300)) {
+            let _images = super::images(&mut Lines::new(&mut &bytes[..])).is_ok();
+            let _points = super::points(&mut Lines::new(&mut &bytes[..]), &mut Points::new(true, 9)).is_ok();
         }
     }
 }

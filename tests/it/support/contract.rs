@@ -12,7 +12,7 @@ use tcgs::domain::Scope;
 static DOCUMENT: LazyLock<Value> = LazyLock::new(|| {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi.yaml");
     let text = std::fs::read_to_string(path).expect("openapi.yaml is readable");
-    let mut document = serde_yaml_ng::from_str(&text).expect("openapi.yaml is YAML");
+    let mut document = yaml_serde::from_str(&text).expect("openapi.yaml is YAML");
     close_objects(&mut document);
     document
 });

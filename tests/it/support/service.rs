@@ -130,6 +130,11 @@ impl Service {
         self.log.lock().expect("not poisoned").join("\n")
     }
 
+    /// Process id of the service.
+    pub fn pid(&self) -> u32 {
+        self.child.id().expect("running")
+    }
+
     /// Process ids of the service's children.
     #[cfg(target_os = "linux")]
     pub fn workers(&self) -> Vec<u32> {

@@ -1,0 +1,401 @@
+//! The fields of a transforms file, read one by one as they come.
+//!
+//! What no field is named after is passed over without being held, and what is held is bounded: frames and names by
+//! [`super::Limits`], a matrix by its shape.
+
+use std::fmt;
+
+use serde::{
+    Deserialize, Deserializer,
+    de::{Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor},
+};
+
+use super::plan::Tally;
+
+/// How much of a camera model's name is kept.
+const MODEL_CHARS: usize = 40;
+
+/// A transforms file.
+#[derive(Debug)]
+pub(super) struct Document {
+    pub(super) camera: CameraFields,
+    pub(super) frames: Vec<FrameFields>,
+    pub(super) ply_file_path: Option<String>,
+    pub(super) train_filenames: Option<Names>,
+    pub(super) val_filenames: Option<Names>,
+    pub(super) test_filenames: Option<Names>,
+}
+
+/// One frame of it.
+#[derive(Debug)]
+pub(super) struct FrameFields {
+    pub(super) camera: CameraFields,
+    pub(super) file_path: String,
+    pub(super) transform_matrix: Matrix,
+    /// Whether the frame has a mask.
+    pub(super) masked: bool,
+}
+
+/// What may be stated once for all frames or for each of them.
+#[derive(Debug, Default)]
+pub(super) struct CameraFields {
+    pub(super) camera_model: Option<String>,
+    pub(super) is_fisheye: Option<bool>,
+    pub(super) fl_x: Option<f64>,
+    pub(super) fl_y: Option<f64>,
+    pub(super) camera_angle_x: Option<f64>,
+    pub(super) camera_angle_y: Option<f64>,
+    pub(super) cx: Option<f64>,
+    pub(super) cy: Option<f64>,
+    pub(super) w: Option<f64>,
+    pub(super) h: Option<f64>,
+    pub(super) k1: Option<f64>,
+    pub(super) k2: Option<f64>,
+    pub(super) k3: Option<f64>,
+    pub(super) k4: Option<f64>,
+    pub(super) p1: Option<f64>,
+    pub(super) p2: Option<f64>,
+}
+
+/// Rows of numbers; `None` if they are no matrix of 4 rows (or 3) of 4 numbers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Matrix(pub(super) Option<[[f64; 4]; 4]>);
+
+/// File names.
+#[derive(Debug, Default)]
+pub(super) struct Names(pub(super) Vec<String>);
+
+/// The name of a field.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(field_identifier, rename_all = "snake_case")]
+enum Field {
+    Frames,
+    PlyFilePath,
+    TrainFilenames,
+    ValFilenames,
+    TestFilenames,
+    FilePath,
+    TransformMatrix,
+    MaskPath,
+    CameraModel,
+    IsFisheye,
+    FlX,
+    FlY,
+    CameraAngleX,
+    CameraAngleY,
+    Cx,
+    Cy,
+    W,
+    H,
+    K1,
+    K2,
+    K3,
+    K4,
+    P1,
+    P2,
+    #[serde(other)]
+    Other,
+}
+
+impl CameraFields {
+    /// Reads the value of a field, which is passed over if it is none of a camera's.
+    fn read<'de, A: MapAccess<'de>>(&mut self, field: Field, map: &mut A) -> Result<(), A::Error> {
+        let number = match field {
+            Field::CameraModel => {
+                self.camera_model = map.next_value::<Option<ModelName>>()?.map(|name| name.0);
+                return Ok(());
+            }
+            Field::IsFisheye => {
+                self.is_fisheye = map.next_value()?;
+                return Ok(());
+            }
+            Field::FlX => &mut self.fl_x,
+            Field::FlY => &mut self.fl_y,
+            Field::CameraAngleX => &mut self.camera_angle_x,
+            Field::CameraAngleY => &mut self.camera_angle_y,
+            Field::Cx => &mut self.cx,
+            Field::Cy => &mut self.cy,
+            Field::W => &mut self.w,
+            Field::H => &mut self.h,
+            Field::K1 => &mut self.k1,
+            Field::K2 => &mut self.k2,
+            Field::K3 => &mut self.k3,
+            Field::K4 => &mut self.k4,
+            Field::P1 => &mut self.p1,
+            Field::P2 => &mut self.p2,
+            _ => return map.next_value::<IgnoredAny>().map(drop),
+        };
+        *number = map.next_value()?;
+        Ok(())
+    }
+}
+
+impl<'de> Deserialize<'de> for Document {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Fields;
+
+        impl<'de> Visitor<'de> for Fields {
+            type Value = Document;
+
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("an object with frames")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Document, A::Error> {
+                let mut camera = CameraFields::default();
+                let mut frames: Option<Frames> = None;
+                let mut ply_file_path = None;
+                let (mut train_filenames, mut val_filenames, mut test_filenames) = (None, None, None);
+                while let Some(field) = map.next_key()? {
+                    match field {
+                        Field::Frames if frames.is_some() => return Err(A::Error::duplicate_field("frames")),
+                        Field::Frames => frames = Some(map.next_value()?),
+                        Field::PlyFilePath => ply_file_path = map.next_value()?,
+                        Field::TrainFilenames => train_filenames = map.next_value()?,
+                        Field::ValFilenames => val_filenames = map.next_value()?,
+                        Field::TestFilenames => test_filenames = map.next_value()?,
+                        other => camera.read(other, &mut map)?,
+                    }
+                }
+                let frames = frames.ok_or_else(|| A::Error::missing_field("frames"))?.0;
+                let (train, val, test) = (train_filenames, val_filenames, test_filenames);
+                Ok(Document {
+                    camera,
+                    frames,
+                    ply_file_path,
+                    train_filenames: train,
+                    val_filenames: val,
+                    test_filenames: test,
+                })
+            }
+        }
+
+        deserializer.deserialize_map(Fields)
+    }
+}
+
+impl<'de> Deserialize<'de> for FrameFields {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Fields;
+
+        impl<'de> Visitor<'de> for Fields {
+            type Value = FrameFields;
+
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("an object with file_path and transform_matrix")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<FrameFields, A::Error> {
+                let mut camera = CameraFields::default();
+                let (mut file_path, mut matrix, mut masked) = (None, None, false);
+                while let Some(field) = map.next_key()? {
+                    match field {
+                        Field::FilePath => file_path = Some(map.next_value()?),
+                        Field::TransformMatrix => matrix = Some(map.next_value()?),
+                        Field::MaskPath => masked = map.next_value::<Option<IgnoredAny>>()?.is_some(),
+                        other => camera.read(other, &mut map)?,
+                    }
+                }
+                let file_path = file_path.ok_or_else(|| A::Error::missing_field("file_path"))?;
+                let matrix = matrix.ok_or_else(|| A::Error::missing_field("transform_matrix"))?;
+                Ok(FrameFields { camera, file_path, transform_matrix: matrix, masked })
+            }
+        }
+
+        deserializer.deserialize_map(Fields)
+    }
+}
+
+/// The frames, as many as may be listed.
+struct Frames(Vec<FrameFields>);
+
+impl<'de> Deserialize<'de> for Frames {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let mut tally = Tally::of("frames");
+        gathered(deserializer, "an array of frames", move |frame: &FrameFields| {
+            tally.add(1)?;
+            tally.name(&frame.file_path)
+        })
+        .map(Self)
+    }
+}
+
+impl<'de> Deserialize<'de> for Names {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let mut tally = Tally::of("file names");
+        gathered(deserializer, "an array of file names", move |name: &String| {
+            tally.add(1)?;
+            tally.name(name)
+        })
+        .map(Self)
+    }
+}
+
+/// An array whose elements are counted by `count`, which may refuse one.
+fn gathered<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+    deserializer: D,
+    expected: &'static str,
+    count: impl FnMut(&T) -> Result<(), super::Fault>,
+) -> Result<Vec<T>, D::Error> {
+    struct Elements<T, F>(&'static str, F, std::marker::PhantomData<T>);
+
+    impl<'de, T: Deserialize<'de>, F: FnMut(&T) -> Result<(), super::Fault>> Visitor<'de> for Elements<T, F> {
+        type Value = Vec<T>;
+
+        fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+            f.write_str(self.0)
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(mut self, mut sequence: A) -> Result<Vec<T>, A::Error> {
+            let mut elements = Vec::new();
+            while let Some(element) = sequence.next_element()? {
+                (self.1)(&element).map_err(A::Error::custom)?;
+                elements.push(element);
+            }
+            Ok(elements)
+        }
+    }
+
+    deserializer.deserialize_seq(Elements(expected, count, std::marker::PhantomData))
+}
+
+impl<'de> Deserialize<'de> for Matrix {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let rows = UpToFour::<UpToFour<f64>>::deserialize(deserializer)?;
+        if !(3..=4).contains(&rows.count) || rows.values[..rows.count].iter().any(|row| row.count != 4) {
+            return Ok(Self(None));
+        }
+        let mut matrix = [[0.0; 4], [0.0; 4], [0.0; 4], [0.0, 0.0, 0.0, 1.0]];
+        for (row, read) in matrix.iter_mut().zip(&rows.values[..rows.count]) {
+            *row = read.values;
+        }
+        Ok(Self(Some(matrix)))
+    }
+}
+
+/// The first four elements of an array, and how many there were.
+#[derive(Clone, Copy, Default)]
+struct UpToFour<T> {
+    values: [T; 4],
+    count: usize,
+}
+
+impl<'de, T: Deserialize<'de> + Default + Copy> Deserialize<'de> for UpToFour<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Elements<T>(std::marker::PhantomData<T>);
+
+        impl<'de, T: Deserialize<'de> + Default + Copy> Visitor<'de> for Elements<T> {
+            type Value = UpToFour<T>;
+
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("rows of numbers")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<UpToFour<T>, A::Error> {
+                let mut sized = UpToFour { values: [T::default(); 4], count: 0 };
+                while let Some(value) = sequence.next_element()? {
+                    if let Some(place) = sized.values.get_mut(sized.count) {
+                        *place = value;
+                    }
+                    sized.count += 1;
+                }
+                Ok(sized)
+            }
+        }
+
+        deserializer.deserialize_seq(Elements(std::marker::PhantomData))
+    }
+}
+
+/// The beginning of a camera model's name.
+struct ModelName(String);
+
+impl<'de> Deserialize<'de> for ModelName {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Name;
+
+        impl Visitor<'_> for Name {
+            type Value = ModelName;
+
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("the name of a camera model")
+            }
+
+            fn visit_str<E>(self, name: &str) -> Result<ModelName, E> {
+                Ok(ModelName(name.chars().take(MODEL_CHARS).collect()))
+            }
+        }
+
+        deserializer.deserialize_str(Name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{super::Limits, *};
+
+    fn parsed(text: &str) -> serde_json::Result<Document> {
+        serde_json::from_str(text)
+    }
+
+    const FRAME: &str = r#"{"file_path": "a", "transform_matrix": [[1,0,0,5],[0,1,0,6],[0,0,1,7]]}"#;
+
+    #[test]
+    fn fields_are_found_in_any_order_among_others() {
+        let document = parsed(&format!(
+            r#"{{"other": [[], {{"fl_x": 3}}], "frames": [{FRAME}], "fl_x": 2, "camera_model": "OPENCV", "w": null,
+                "k4": 0.5, "test_filenames": ["a"], "is_fisheye": false, "camera_angle_y": 1.5}}"#
+        ))
+        .expect("a document");
+        assert_eq!((document.camera.fl_x, document.camera.k4), (Some(2.0), Some(0.5)));
+        assert_eq!((document.camera.w, document.camera.camera_angle_y), (None, Some(1.5)));
+        assert_eq!(document.camera.camera_model.as_deref(), Some("OPENCV"));
+        assert_eq!(document.test_filenames.expect("a list").0, ["a"]);
+        let frame = &document.frames[0];
+        assert_eq!((frame.file_path.as_str(), frame.masked), ("a", false));
+        let matrix = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 6.0], [0.0, 0.0, 1.0, 7.0], [0.0, 0.0, 0.0, 1.0]];
+        assert_eq!(frame.transform_matrix, Matrix(Some(matrix)));
+    }
+
+    #[test]
+    fn matrices_of_other_shapes_are_none_and_of_other_types_refused() {
+        for rows in
+            ["[]", "[[]]", "[[1,2,3,4],[1,2,3,4]]", "[[1,2,3,4],[1,2,3,4],[1,2,3]]", "[[1,2,3,4,5],[],[]]"]
+        {
+            assert_eq!(serde_json::from_str::<Matrix>(rows).expect(rows), Matrix(None), "{rows}");
+        }
+        for rows in ["[1,2,3,4]", "{}", "[[\"1\"]]", "[[null]]"] {
+            assert!(serde_json::from_str::<Matrix>(rows).is_err(), "{rows}");
+        }
+    }
+
+    #[test]
+    fn what_is_missing_twice_or_too_much_is_refused_by_name() {
+        let names = |name: &str, count: usize| format!("[{}]", vec![format!("\"{name}\""); count].join(","));
+        let frames = vec![FRAME; Limits::FRAMES + 1].join(",");
+        for (text, words) in [
+            ("{}".to_owned(), "missing field `frames`"),
+            (r#"{"frames": [{"file_path": "a"}]}"#.to_owned(), "missing field `transform_matrix`"),
+            (r#"{"frames": [], "frames": []}"#.to_owned(), "duplicate field `frames`"),
+            (format!(r#"{{"frames": [{frames}]}}"#), "lists more than 20000 frames"),
+            (
+                format!(r#"{{"frames": [], "val_filenames": {}}}"#, names("a", Limits::FRAMES + 1)),
+                "more than 20000 file names",
+            ),
+            (
+                format!(r#"{{"frames": [], "val_filenames": {}}}"#, names(&"a".repeat(10_000), 700)),
+                "bytes together",
+            ),
+        ] {
+            let fault = parsed(&text).expect_err(words).to_string();
+            assert!(fault.contains(words), "'{fault}' should say '{words}'");
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn arbitrary_documents_never_panic(text in r#"(\{|\}|\[|\]|,|:|"frames"|"file_path"|"transform_matrix"|"fl_x"|[0-9]{1,3}|null){0,40}"#) {
+            let _outcome = parsed(&text);
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! Where readers of point clouds put what they read.
+
+use super::error::Fault;
+use crate::domain::PointCloud;
+
+/// Points, kept or only counted.
+pub(super) struct Points {
+    count: usize,
+    limit: usize,
+    cloud: Option<PointCloud>,
+}
+
+impl Points {
+    /// None yet; at most `limit`.
+    pub(super) fn new(keep: bool, limit: usize) -> Self {
+        Self { count: 0, limit, cloud: keep.then(PointCloud::default) }
+    }
+
+    /// Makes room for `count` points, which the bytes of a file were found to have room for.
+    ///
+    /// # Errors
+    /// [`Fault::TooManyPoints`].
+    pub(super) fn reserve(&mut self, count: usize) -> Result<(), Fault> {
+        if count > self.limit {
+            return Err(Fault::TooManyPoints { limit: self.limit });
+        }
+        if let Some(cloud) = &mut self.cloud {
+            cloud.positions.reserve_exact(count);
+            cloud.colors.reserve_exact(count);
+        }
+        Ok(())
+    }
+
+    /// Adds a point.
+    ///
+    /// # Errors
+    /// [`Fault::TooManyPoints`].
+    pub(super) fn push(&mut self, position: [f32; 3], color: [u8; 3]) -> Result<(), Fault> {
+        if self.count == self.limit {
+            return Err(Fault::TooManyPoints { limit: self.limit });
+        }
+        self.count += 1;
+        if let Some(cloud) = &mut self.cloud {
+            cloud.positions.push(position);
+            cloud.colors.push(color);
+        }
+        Ok(())
+    }
+
+    /// How many there are.
+    pub(super) fn count(&self) -> usize {
+        self.count
+    }
+
+    /// The points, if they were kept.
+    pub(super) fn into_cloud(self) -> Option<PointCloud> {
+        self.cloud
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_are_counted_and_kept_only_where_they_are_wanted() {
+        for keep in [false, true] {
+            let mut points = Points::new(keep, 2);
+            assert!(points.reserve(2).is_ok());
+            assert!(matches!(points.reserve(3), Err(Fault::TooManyPoints { limit: 2 })));
+            assert!(points.push([1.0; 3], [1; 3]).is_ok() && points.push([2.0; 3], [2; 3]).is_ok());
+            assert!(matches!(points.push([3.0; 3], [3; 3]), Err(Fault::TooManyPoints { limit: 2 })));
+            assert_eq!(points.count(), 2);
+            assert_eq!(points.into_cloud().map(|cloud| cloud.positions.len()), keep.then_some(2));
+        }
+    }
+}
