@@ -1,8 +1,9 @@
 // Turns the networks' outputs into the Gaussians of a view (method.md section 1.4): Gaussian `index * OFFSETS + k` is
-// offset k of the index-th visible anchor. An opacity that is not positive, a mask that is off, or a place or size that
-// is not finite makes no Gaussian.
+// offset k of the index-th visible anchor. An opacity that is not positive or comes of no number, a mask that is off, or a
+// place or size that is not finite makes no Gaussian.
 #import tcgs::anchor_view::View
-#import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, COVARIANCE_OUT, COLOR_OUT, LIMIT, logistic}
+#import tcgs::finite::{below, each_below, finite}
+#import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, COVARIANCE_OUT, COLOR_OUT, LIMIT, logistic, tanh_bounded}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
@@ -33,14 +34,14 @@ fn spawn_gaussians(@builtin(workgroup_id) group: vec3u, @builtin(local_invocatio
     var born = 0u;
     for (var k = 0u; k < OFFSETS; k++) {
         let gaussian = index * OFFSETS + k;
-        var opacity = tanh(outputs[k * capacity + index]);
-        if ((mask >> k) & 1u) == 0u {
+        let output = outputs[k * capacity + index];
+        var opacity = tanh_bounded(output);
+        if ((mask >> k) & 1u) == 0u || !finite(output) {
             opacity = 0.0;
         }
         let o = row + OFFSET_COLUMN + 3u * k;
         let mean = position + vec3f(rows[o], rows[o + 1u], rows[o + 2u]) * reach;
-        // NaN fails the comparisons.
-        if !(opacity > 0.0 && all(abs(mean) < vec3f(LIMIT)) && size.x * size.y * size.z < LIMIT) {
+        if !(opacity > 0.0 && all(each_below(vec4f(mean, 0.0), LIMIT)) && below(size.x * size.y * size.z, LIMIT)) {
             means_opacity[gaussian] = vec4f(0.0);
             continue;
         }

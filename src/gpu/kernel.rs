@@ -34,6 +34,7 @@ pub use kernel_source;
 const SHARED: &[(&str, &str)] = &[
     ("view", include_str!("../../shaders/shared/view.wgsl")),
     ("splat", include_str!("../../shaders/shared/splat.wgsl")),
+    ("finite", include_str!("../../shaders/shared/finite.wgsl")),
     ("anchor_view", include_str!("../../shaders/shared/anchor_view.wgsl")),
     ("model", include_str!("../../shaders/shared/model.wgsl")),
     ("plain", include_str!("../../shaders/shared/plain.wgsl")),

@@ -11,6 +11,7 @@ mod context;
 mod deployment;
 mod examples;
 mod export;
+mod finite;
 mod first_light;
 mod housekeeping;
 mod http;
