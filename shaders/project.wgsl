@@ -2,24 +2,23 @@
 
 #import tcgs::view::View
 #import tcgs::finite::all_finite
+#import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::splat::{ALPHA_MIN, ridges_of, tile_bounds, touches_tile}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> count: array<u32>;
-@group(0) @binding(2) var<storage, read> means_opacity: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> scales: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> quats: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read> colors: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> geometry: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> colors: array<vec4<f32>>;
 // Three vectors a Gaussian: place, conic, colour.
-@group(0) @binding(6) var<storage, read_write> splats: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read_write> depths: array<u32>;
-@group(0) @binding(8) var<storage, read_write> tiles: array<u32>;
-@group(0) @binding(9) var<storage, read_write> visible: array<u32>;
+@group(0) @binding(4) var<storage, read_write> splats: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> depths: array<u32>;
+@group(0) @binding(6) var<storage, read_write> tiles: array<u32>;
+@group(0) @binding(7) var<storage, read_write> visible: array<u32>;
 
 fn project_one(i: u32) -> u32 {
-    let mean_opacity = means_opacity[i];
-    let scale = scales[i].xyz;
-    let raw = quats[i];
+    let mean_opacity = geometry[i];
+    let scale = geometry[scale_row(view.gaussian_capacity, i)].xyz;
+    let raw = geometry[quat_row(view.gaussian_capacity, i)];
     let color = colors[i].xyz;
     if !all_finite(mean_opacity) || !all_finite(vec4<f32>(scale, 0.0)) || !all_finite(raw) || !all_finite(vec4<f32>(color, 0.0)) {
         return 0u;

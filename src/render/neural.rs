@@ -327,8 +327,8 @@ impl NeuralGaussians {
     pub fn visible_opacities(&self) -> Result<(Vec<u32>, Vec<f32>), RenderError> {
         let count = self.context.read_range(&self.forward.list, 0, 1)?[0] as usize;
         let list = self.context.read_range(&self.forward.list, 1, count)?;
-        let gaussians = &self.forward.gaussians.means_opacity;
-        let opacities = self.context.read_range(gaussians, 0, count * self.layout.shape.offsets)?;
+        let geometry = &self.forward.gaussians.geometry;
+        let opacities = self.context.read_range(geometry, 0, count * self.layout.shape.offsets)?;
         Ok((list, opacities.iter().map(|gaussian| gaussian[3]).collect()))
     }
 
@@ -381,9 +381,7 @@ impl NeuralGaussians {
                 anchors.rows.as_ref(),
                 on.outputs.as_ref(),
                 anchors.masks.as_ref(),
-                on.gaussians.means_opacity.as_ref(),
-                on.gaussians.scales.as_ref(),
-                on.gaussians.quats.as_ref(),
+                on.gaussians.geometry.as_ref(),
                 on.gaussians.colors.as_ref(),
                 on.alive.as_ref(),
             ],
@@ -421,10 +419,8 @@ impl NeuralGaussians {
                 on.gaussians.count.as_ref(),
                 anchors.rows.as_ref(),
                 on.outputs.as_ref(),
-                on.gaussians.means_opacity.as_ref(),
-                back.d_gaussians.means_opacity.as_ref(),
-                back.d_gaussians.scales.as_ref(),
-                back.d_gaussians.quats.as_ref(),
+                on.gaussians.geometry.as_ref(),
+                back.d_gaussians.geometry.as_ref(),
                 back.d_gaussians.colors.as_ref(),
                 back.d_outputs.as_ref(),
                 out.rows.as_ref(),
@@ -503,7 +499,7 @@ impl NeuralGaussians {
             &[
                 self.view.as_ref(),
                 self.forward.list.as_ref(),
-                self.forward.gaussians.means_opacity.as_ref(),
+                self.forward.gaussians.geometry.as_ref(),
                 back.d_gaussians.means2d.as_ref(),
                 statistics.as_ref(),
                 void_mark.as_ref(),

@@ -11,7 +11,7 @@
 use std::sync::Arc;
 
 use super::{
-    GaussianGradients, Gaussians, RasterSettings, RenderError,
+    GEOMETRY_SECTIONS, GaussianGradients, Gaussians, RasterSettings, RenderError,
     projection::{Projection, TILE, View},
 };
 use crate::{
@@ -447,14 +447,10 @@ impl Rasterizer {
             &[
                 view,
                 gaussians.count.as_ref(),
-                gaussians.means_opacity.as_ref(),
-                gaussians.scales.as_ref(),
-                gaussians.quats.as_ref(),
+                gaussians.geometry.as_ref(),
                 own.tiles.as_ref(),
                 own.v_splats.as_ref(),
-                out.means_opacity.as_ref(),
-                out.scales.as_ref(),
-                out.quats.as_ref(),
+                out.geometry.as_ref(),
                 out.colors.as_ref(),
                 out.means2d.as_ref(),
             ],
@@ -497,9 +493,7 @@ impl Rasterizer {
             &[
                 view,
                 gaussians.count.as_ref(),
-                gaussians.means_opacity.as_ref(),
-                gaussians.scales.as_ref(),
-                gaussians.quats.as_ref(),
+                gaussians.geometry.as_ref(),
                 gaussians.colors.as_ref(),
                 own.splats.as_ref(),
                 own.depths.as_ref(),
@@ -612,17 +606,13 @@ fn check(what: &'static str, found: usize, expected: usize) -> Result<(), Render
 
 fn check_columns(gaussians: &Gaussians) -> Result<(), RenderError> {
     let expected = gaussians.capacity;
-    check("means and opacities", gaussians.means_opacity.len(), expected)?;
-    check("scales", gaussians.scales.len(), expected)?;
-    check("quaternions", gaussians.quats.len(), expected)?;
+    check("the geometry", gaussians.geometry.len(), GEOMETRY_SECTIONS * expected)?;
     check("colours", gaussians.colors.len(), expected)?;
     check("the count", gaussians.count.len().min(1), 1)
 }
 
 fn check_gradients(out: &GaussianGradients, expected: usize) -> Result<(), RenderError> {
-    check("gradients of means and opacities", out.means_opacity.len(), expected)?;
-    check("gradients of scales", out.scales.len(), expected)?;
-    check("gradients of quaternions", out.quats.len(), expected)?;
+    check("gradients of the geometry", out.geometry.len(), GEOMETRY_SECTIONS * expected)?;
     check("gradients of colours", out.colors.len(), expected)?;
     check("gradients of projected centres", out.means2d.len(), expected)
 }

@@ -188,7 +188,7 @@ fn rows_beyond_the_count_are_left_out_and_have_no_gradient() {
     recorder.submit().expect("submitted");
     let image = context.read(rasterizer.image()).expect("an image");
     assert!(image.iter().all(|pixel| *pixel == [0.2, 0.4, 0.8, 1.0]));
-    assert!(context.read(&out.scales).expect("gradients").iter().all(|row| *row == [0.0; 4]));
+    assert!(context.read(&out.geometry).expect("gradients").iter().all(|row| *row == [0.0; 4]));
 }
 
 #[test]
