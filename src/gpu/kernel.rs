@@ -41,6 +41,7 @@ const SHARED: &[(&str, &str)] = &[
     ("plain", include_str!("../../shaders/shared/plain.wgsl")),
     ("gaussian", include_str!("../../shaders/shared/gaussian.wgsl")),
     ("quantise", include_str!("../../shaders/shared/quantise.wgsl")),
+    ("rate", include_str!("../../shaders/shared/rate.wgsl")),
     ("context", include_str!("../../shaders/shared/context.wgsl")),
     ("convolution", include_str!("../../shaders/shared/convolution.wgsl")),
     ("ssim", include_str!("../../shaders/shared/ssim.wgsl")),
