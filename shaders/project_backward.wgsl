@@ -1,4 +1,4 @@
-// Gradients of the Gaussians from those of their projections; zero where culled.
+// Gradients of the Gaussians from those of their projections; zero where culled. Rows beyond the count are left as they are.
 
 #import tcgs::view::View
 #import tcgs::geometry::{quat_row, scale_row}
@@ -119,8 +119,8 @@ fn project_one_backward(i: u32) {
 @compute @workgroup_size(64)
 fn project_backward(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let total = min(count[0], view.gaussian_capacity);
-    for (var i = id.x; i < view.gaussian_capacity; i += groups.x * 64u) {
-        if i < total && tiles[i] != 0u {
+    for (var i = id.x; i < total; i += groups.x * 64u) {
+        if tiles[i] != 0u {
             project_one_backward(i);
         } else {
             clear(i);

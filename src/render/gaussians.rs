@@ -45,7 +45,8 @@ impl Gaussians {
     }
 }
 
-/// The loss's gradients, in the layouts of [`Gaussians`]; zero in every row that is culled or unused.
+/// The loss's gradients, in the layouts of [`Gaussians`]; zero where a Gaussian is culled. Rows beyond the count are never
+/// written.
 #[derive(Debug, Clone)]
 pub struct GaussianGradients {
     /// By position and opacity, by the standard deviations, and by the quaternion as given, before it is normalised.
