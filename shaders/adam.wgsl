@@ -5,6 +5,8 @@
 // An invocation steps four neighbours, which shares the remainder: lanes divide integers one after the other.
 // Buffers end on 16 bytes, so the last four may reach past the elements but not past the buffer.
 
+#import tcgs::finite::each_below
+
 struct Settings {
     // elements, length of the rate table, unused, unused
     shape: vec4u,
@@ -42,16 +44,16 @@ fn adam(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         return;
     }
     let gradient = gradients[i];
-    // NaN and infinity fail it, and what f32 cannot hold the square of.
-    let finite = abs(gradient) < vec4f(1e18);
-    let g = select(vec4f(0.0), gradient, finite);
+    // Of what is beyond it f32 cannot hold the square.
+    let counts = each_below(gradient, 1e18);
+    let g = select(vec4f(0.0), gradient, counts);
     let old_m = first[i];
     let old_v = second[i];
     let m = settings.moments.x * old_m + settings.extra.y * g;
     let v = settings.moments.y * old_v + settings.extra.z * g * g;
-    first[i] = select(old_m, m, finite);
-    second[i] = select(old_v, v, finite);
+    first[i] = select(old_m, m, counts);
+    second[i] = select(old_v, v, counts);
     let scale = sqrt(v) * settings.moments.w + settings.extra.x;
     let step = rates_from(4u * i) * (m * settings.moments.z) / scale;
-    values[i] -= select(vec4f(0.0), step, finite);
+    values[i] -= select(vec4f(0.0), step, counts);
 }

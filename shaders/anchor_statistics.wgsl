@@ -8,7 +8,7 @@ const ROW: u32 = 2u * OFFSETS + 2u;
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
-@group(0) @binding(2) var<storage, read> means_opacity: array<vec4f>;
+@group(0) @binding(2) var<storage, read> geometry: array<vec4f>;
 @group(0) @binding(3) var<storage, read> d_means2d: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> statistics: array<f32>;
 // Not 0 in a step that has to be done again.
@@ -24,7 +24,7 @@ fn anchor_statistics(@builtin(workgroup_id) group: vec3u, @builtin(local_invocat
     var opacities = 0.0;
     for (var k = 0u; k < OFFSETS; k++) {
         let gaussian = index * OFFSETS + k;
-        let opacity = means_opacity[gaussian].w;
+        let opacity = geometry[gaussian].w;
         if !(opacity > 0.0) {
             continue;
         }

@@ -89,29 +89,30 @@ fn put(at: u32, value: f32, column: u32, count: u32) {
     if column < count {
         results[at] = value;
     }
+    return;
 }
 
 fn finish(output: u32, columns: vec4u, count: u32, sums: vec4f) {
-    if output >= layer.shape.y {
-        return;
+    if output < layer.shape.y {
+        let capacity = layer.shape.z;
+        var values = sums;
+        if layer.access.z != NONE {
+            values += parameters[layer.access.z + output];
+        }
+        if layer.access.w == 1u {
+            values = max(values, vec4f(0.0));
+        }
+        if layer.access.w == 2u {
+            let at = (layer.rows.z + output) * capacity + min(columns, vec4u(capacity - 1u));
+            values = select(vec4f(0.0), values, vec4f(gate[at.x], gate[at.y], gate[at.z], gate[at.w]) > vec4f(0.0));
+        }
+        let at = (layer.rows.y + output) * capacity + columns;
+        put(at.x, values.x, columns.x, count);
+        put(at.y, values.y, columns.y, count);
+        put(at.z, values.z, columns.z, count);
+        put(at.w, values.w, columns.w, count);
     }
-    let capacity = layer.shape.z;
-    var values = sums;
-    if layer.access.z != NONE {
-        values += parameters[layer.access.z + output];
-    }
-    if layer.access.w == 1u {
-        values = max(values, vec4f(0.0));
-    }
-    if layer.access.w == 2u {
-        let at = (layer.rows.z + output) * capacity + min(columns, vec4u(capacity - 1u));
-        values = select(vec4f(0.0), values, vec4f(gate[at.x], gate[at.y], gate[at.z], gate[at.w]) > vec4f(0.0));
-    }
-    let at = (layer.rows.y + output) * capacity + columns;
-    put(at.x, values.x, columns.x, count);
-    put(at.y, values.y, columns.y, count);
-    put(at.z, values.z, columns.z, count);
-    put(at.w, values.w, columns.w, count);
+    return;
 }
 
 fn finish_four(output: u32, columns: vec4u, count: u32, sums: mat4x4f) {

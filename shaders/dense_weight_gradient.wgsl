@@ -129,11 +129,8 @@ fn outer(inputs: vec4f, gradients: vec4f) -> mat4x4f {
 }
 
 fn store(base: u32, output: u32, input: u32, sums: vec4f) {
-    if output >= layer.shape.y {
-        return;
-    }
     for (var i = 0u; i < 4u; i++) {
-        if input + i < layer.shape.x {
+        if output < layer.shape.y && input + i < layer.shape.x {
             partials[base + layer.shape.w + output * layer.access.x + (input + i) * layer.access.y] = sums[i];
         }
     }

@@ -1,21 +1,19 @@
 // Writes one (tile, slot) pair for each tile that a visible Gaussian touches, nearest Gaussian first. Counts the passes that
 // had room for all pairs, up to the first that had not, and says what that one needs.
 
-#import tcgs::view::View
+#import tcgs::view::{INTERSECTIONS, LACKING, SOUND, VISIBLE, View}
 #import tcgs::splat::{NONE, ridges_of, tile_bounds, touches_tile}
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> counts: array<u32>;
+@group(0) @binding(1) var<storage, read_write> counters: array<u32>;
 @group(0) @binding(2) var<storage, read> ids: array<u32>;
-@group(0) @binding(3) var<storage, read> tiles: array<u32>;
-@group(0) @binding(4) var<storage, read> starts: array<u32>;
-@group(0) @binding(5) var<storage, read> splats: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read_write> keys: array<u32>;
-@group(0) @binding(7) var<storage, read_write> slots: array<u32>;
-@group(0) @binding(8) var<storage, read_write> slot_ids: array<u32>;
-@group(0) @binding(9) var<storage, read_write> first_slots: array<u32>;
-// Pairs that the first pass without room needs, or 0; passes before it.
-@group(0) @binding(10) var<storage, read_write> passes: array<u32>;
+// The first slot of each visible Gaussian: prefix sums of the tiles that they touch.
+@group(0) @binding(3) var<storage, read> starts: array<u32>;
+@group(0) @binding(4) var<storage, read> splats: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> keys: array<u32>;
+@group(0) @binding(6) var<storage, read_write> slots: array<u32>;
+@group(0) @binding(7) var<storage, read_write> slot_ids: array<u32>;
+@group(0) @binding(8) var<storage, read_write> first_slots: array<u32>;
 
 fn put(slot: u32, tile: u32, id: u32) {
     keys[slot] = tile;
@@ -25,14 +23,15 @@ fn put(slot: u32, tile: u32, id: u32) {
 
 @compute @workgroup_size(64)
 fn emit(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    if id.x == 0u && passes[0] == 0u {
-        if counts[1] > view.intersection_capacity {
-            passes[0] = counts[1];
+    let all = counters[INTERSECTIONS];
+    if id.x == 0u && counters[LACKING] == 0u {
+        if all > view.intersection_capacity {
+            counters[LACKING] = all;
         } else {
-            passes[1] += 1u;
+            counters[SOUND] += 1u;
         }
     }
-    let total = min(counts[0], view.gaussian_capacity);
+    let total = min(counters[VISIBLE], view.gaussian_capacity);
     for (var i = id.x; i < total; i += groups.x * 64u) {
         let gaussian = ids[i];
         let place = splats[3u * gaussian];
@@ -41,7 +40,11 @@ fn emit(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         var slot = starts[i];
         first_slots[gaussian] = slot;
         // Exactly as many slots as were counted, even if this kernel rounds differently from the one that counted.
-        let end = slot + min(tiles[gaussian], view.intersection_capacity - min(slot, view.intersection_capacity));
+        var next = all;
+        if i + 1u < total {
+            next = starts[i + 1u];
+        }
+        let end = slot + min(next - slot, view.intersection_capacity - min(slot, view.intersection_capacity));
         let ridges = ridges_of(conic.xyz);
         let bounds = tile_bounds(place.xy, extent, view.tiles);
         for (var y = bounds.y; y < bounds.w; y++) {

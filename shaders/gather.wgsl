@@ -1,4 +1,4 @@
-// Sums each Gaussian's slots in order; zero where it touches no tile.
+// Sums each Gaussian's slots in order. Rows of Gaussians that touch no tile are left as they are: nothing reads them.
 
 #import tcgs::view::View
 
@@ -14,18 +14,19 @@
 fn gather(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let total = min(count[0], view.gaussian_capacity);
     for (var i = id.x; i < total; i += groups.x * 64u) {
+        if tiles[i] == 0u {
+            continue;
+        }
         var place = vec4<f32>(0.0);
         var conic = vec4<f32>(0.0);
         var color = vec4<f32>(0.0);
-        if tiles[i] != 0u {
-            let first = min(first_slots[i], view.intersection_capacity);
-            let end = first + min(tiles[i], view.intersection_capacity - first);
-            for (var slot = first; slot < end; slot++) {
-                let j = 9u * slot;
-                place += vec4<f32>(slot_gradients[j], slot_gradients[j + 1u], slot_gradients[j + 2u], 0.0);
-                conic += vec4<f32>(slot_gradients[j + 3u], slot_gradients[j + 4u], slot_gradients[j + 5u], 0.0);
-                color += vec4<f32>(slot_gradients[j + 6u], slot_gradients[j + 7u], slot_gradients[j + 8u], 0.0);
-            }
+        let first = min(first_slots[i], view.intersection_capacity);
+        let end = first + min(tiles[i], view.intersection_capacity - first);
+        for (var slot = first; slot < end; slot++) {
+            let j = 9u * slot;
+            place += vec4<f32>(slot_gradients[j], slot_gradients[j + 1u], slot_gradients[j + 2u], 0.0);
+            conic += vec4<f32>(slot_gradients[j + 3u], slot_gradients[j + 4u], slot_gradients[j + 5u], 0.0);
+            color += vec4<f32>(slot_gradients[j + 6u], slot_gradients[j + 7u], slot_gradients[j + 8u], 0.0);
         }
         v_splats[3u * i] = place;
         v_splats[3u * i + 1u] = conic;

@@ -4,8 +4,8 @@
 #import tcgs::model::{OFFSETS, logistic}
 
 @group(0) @binding(0) var<storage, read> list: array<u32>;
-@group(0) @binding(1) var<storage, read> means_opacity: array<vec4f>;
-@group(0) @binding(2) var<storage, read> d_means_opacity: array<vec4f>;
+@group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
+@group(0) @binding(2) var<storage, read> d_geometry: array<vec4f>;
 @group(0) @binding(3) var<storage, read> logits: array<f32>;
 @group(0) @binding(4) var<storage, read_write> d_logits: array<f32>;
 
@@ -18,11 +18,11 @@ fn mask_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_
     let first = list[1u + index] * OFFSETS;
     for (var k = 0u; k < OFFSETS; k++) {
         let gaussian = index * OFFSETS + k;
-        let opacity = means_opacity[gaussian].w;
+        let opacity = geometry[gaussian].w;
         if !(opacity > 0.0) {
             continue;
         }
         let share = logistic(logits[first + k]);
-        d_logits[first + k] += d_means_opacity[gaussian].w * opacity * share * (1.0 - share);
+        d_logits[first + k] += d_geometry[gaussian].w * opacity * share * (1.0 - share);
     }
 }

@@ -3,6 +3,7 @@
 // Column-major: input[row * capacity + visible index]. A feature value that is not finite reads as zero: it would make
 // the gradients of the weights that all anchors share NaN.
 #import tcgs::anchor_view::View
+#import tcgs::finite::below
 #import tcgs::model::{FEATURES, LIMIT, ROW}
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -21,8 +22,7 @@ fn network_input(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_
     let capacity = view.counts.y;
     for (var feature = 0u; feature < FEATURES; feature++) {
         let value = rows[anchor * ROW + feature];
-        // NaN fails the comparison.
-        input[feature * capacity + index] = select(0.0, value, abs(value) < LIMIT);
+        input[feature * capacity + index] = select(0.0, value, below(value, LIMIT));
     }
     let ray = positions[anchor].xyz - view.center.xyz;
     let distance = max(length(ray), 1e-12);

@@ -1,37 +1,32 @@
 // Projects each Gaussian onto the image and counts the tiles it touches; zero tiles means culled.
 
 #import tcgs::view::View
+#import tcgs::finite::all_finite
+#import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::splat::{ALPHA_MIN, ridges_of, tile_bounds, touches_tile}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> count: array<u32>;
-@group(0) @binding(2) var<storage, read> means_opacity: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> scales: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> quats: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read> colors: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> geometry: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> colors: array<vec4<f32>>;
 // Three vectors a Gaussian: place, conic, colour.
-@group(0) @binding(6) var<storage, read_write> splats: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read_write> depths: array<u32>;
-@group(0) @binding(8) var<storage, read_write> tiles: array<u32>;
-@group(0) @binding(9) var<storage, read_write> visible: array<u32>;
-
-// By the bits, because a shader may be compiled as if there were no NaN.
-fn finite(v: vec4<f32>) -> bool {
-    return all((bitcast<vec4<u32>>(v) & vec4<u32>(0x7f800000u)) != vec4<u32>(0x7f800000u));
-}
+@group(0) @binding(4) var<storage, read_write> splats: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> depths: array<u32>;
+@group(0) @binding(6) var<storage, read_write> tiles: array<u32>;
+@group(0) @binding(7) var<storage, read_write> visible: array<u32>;
 
 fn project_one(i: u32) -> u32 {
-    let mean_opacity = means_opacity[i];
-    let scale = scales[i].xyz;
-    let raw = quats[i];
+    let mean_opacity = geometry[i];
+    let scale = geometry[scale_row(view.gaussian_capacity, i)].xyz;
+    let raw = geometry[quat_row(view.gaussian_capacity, i)];
     let color = colors[i].xyz;
-    if !finite(mean_opacity) || !finite(vec4<f32>(scale, 0.0)) || !finite(raw) || !finite(vec4<f32>(color, 0.0)) {
+    if !all_finite(mean_opacity) || !all_finite(vec4<f32>(scale, 0.0)) || !all_finite(raw) || !all_finite(vec4<f32>(color, 0.0)) {
         return 0u;
     }
     let mean = vec4<f32>(mean_opacity.xyz, 1.0);
     let t = vec3<f32>(dot(view.right, mean), dot(view.down, mean), dot(view.forward, mean));
     let norm = dot(raw, raw);
-    if !finite(vec4<f32>(t, norm)) || !(t.z > view.near) || !(norm > 1e-30) {
+    if !all_finite(vec4<f32>(t, norm)) || !(t.z > view.near) || !(norm > 1e-30) {
         return 0u;
     }
     let q = raw * inverseSqrt(norm);
@@ -82,7 +77,7 @@ fn project_one(i: u32) -> u32 {
     let extent = sqrt(2.0 * max(level, 0.0) * vec2<f32>(a, c)) * 1.001 + 0.05;
     let place = vec4<f32>(center, opacity, level);
     let conic = vec3<f32>(c, -b, a) / determinant;
-    if !finite(place) || !finite(vec4<f32>(conic, extent.x)) || !finite(vec4<f32>(extent.y, rz, 0.0, 0.0))
+    if !all_finite(place) || !all_finite(vec4<f32>(conic, extent.x)) || !all_finite(vec4<f32>(extent.y, rz, 0.0, 0.0))
         || !(conic.x > 0.0) || !(conic.z > 0.0) {
         return 0u;
     }

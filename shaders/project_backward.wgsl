@@ -1,33 +1,30 @@
-// Gradients of the Gaussians from those of their projections; zero where culled.
+// Gradients of the Gaussians from those of their projections; zero where culled. Rows beyond the count are left as they are.
 
 #import tcgs::view::View
+#import tcgs::geometry::{quat_row, scale_row}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> count: array<u32>;
-@group(0) @binding(2) var<storage, read> means_opacity: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> scales: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> quats: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read> tiles: array<u32>;
-@group(0) @binding(6) var<storage, read> v_splats: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read_write> v_means_opacity: array<vec4<f32>>;
-@group(0) @binding(8) var<storage, read_write> v_scales: array<vec4<f32>>;
-@group(0) @binding(9) var<storage, read_write> v_quats: array<vec4<f32>>;
-@group(0) @binding(10) var<storage, read_write> v_colors: array<vec4<f32>>;
-@group(0) @binding(11) var<storage, read_write> v_means_image: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> geometry: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> tiles: array<u32>;
+@group(0) @binding(4) var<storage, read> v_splats: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> v_geometry: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> v_colors: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> v_means_image: array<vec4<f32>>;
 
 fn clear(i: u32) {
-    v_means_opacity[i] = vec4<f32>(0.0);
-    v_scales[i] = vec4<f32>(0.0);
-    v_quats[i] = vec4<f32>(0.0);
+    v_geometry[i] = vec4<f32>(0.0);
+    v_geometry[scale_row(view.gaussian_capacity, i)] = vec4<f32>(0.0);
+    v_geometry[quat_row(view.gaussian_capacity, i)] = vec4<f32>(0.0);
     v_colors[i] = vec4<f32>(0.0);
     v_means_image[i] = vec4<f32>(0.0);
 }
 
 fn project_one_backward(i: u32) {
-    let mean = vec4<f32>(means_opacity[i].xyz, 1.0);
-    let opacity = means_opacity[i].w;
-    let scale = scales[i].xyz;
-    let raw = quats[i];
+    let mean = vec4<f32>(geometry[i].xyz, 1.0);
+    let opacity = geometry[i].w;
+    let scale = geometry[scale_row(view.gaussian_capacity, i)].xyz;
+    let raw = geometry[quat_row(view.gaussian_capacity, i)];
     let v_place = v_splats[3u * i];
     let v_conic = v_splats[3u * i + 1u].xyz;
     let v_color = v_splats[3u * i + 2u];
@@ -109,9 +106,9 @@ fn project_one_backward(i: u32) {
     let v_z = dot(scale_z, curve - along - t.xy * v_center);
     let v_mean = v_xy.x * view.right.xyz + v_xy.y * view.down.xyz + v_z * view.forward.xyz;
 
-    v_means_opacity[i] = vec4<f32>(v_mean, v_opacity);
-    v_scales[i] = vec4<f32>(v_scale, 0.0);
-    v_quats[i] = v_raw;
+    v_geometry[i] = vec4<f32>(v_mean, v_opacity);
+    v_geometry[scale_row(view.gaussian_capacity, i)] = vec4<f32>(v_scale, 0.0);
+    v_geometry[quat_row(view.gaussian_capacity, i)] = v_raw;
     v_colors[i] = v_color;
     // Three standard deviations along the longer axis.
     let middle = 0.5 * (a + c);
@@ -122,8 +119,8 @@ fn project_one_backward(i: u32) {
 @compute @workgroup_size(64)
 fn project_backward(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let total = min(count[0], view.gaussian_capacity);
-    for (var i = id.x; i < view.gaussian_capacity; i += groups.x * 64u) {
-        if i < total && tiles[i] != 0u {
+    for (var i = id.x; i < total; i += groups.x * 64u) {
+        if tiles[i] != 0u {
             project_one_backward(i);
         } else {
             clear(i);

@@ -78,31 +78,32 @@ fn fetch(stage: Stage, k: u32) -> Stage {
 }
 #endif
 
+// Lanes that take nothing have to be back with the others before the next shuffle, and nothing but the end of an `if` says
+// that they are. The return at the end is written, for naga would put it into the branches of a last `if`.
 fn visit(k: u32, mask: u32, base: u32, stage: Stage, pixel: ptr<function, Pixel>, gradient: ptr<function, Gradient>) {
-    if (mask & (1u << k)) == 0u {
-        return;
+    if (mask & (1u << k)) != 0u {
+        let splat = fetch(stage, k);
+        let d = splat.place.xy - (*pixel).center;
+        let power = power_at(splat.conic.xyz, d);
+        let falloff = exp(-power);
+        let raw = splat.place.z * falloff;
+        let alpha = min(ALPHA_MAX, raw);
+        if !(base + k >= (*pixel).last || power < 0.0 || alpha < ALPHA_MIN) {
+            let weight = alpha * (*pixel).transmittance;
+            let value = dot((*pixel).weight, vec4<f32>(splat.color.xyz, 1.0));
+            (*pixel).remainder -= weight * value;
+            let v_alpha = (*pixel).transmittance * value - (*pixel).remainder / (1.0 - alpha);
+            (*pixel).transmittance *= 1.0 - alpha;
+            let v_raw = select(v_alpha, 0.0, raw > ALPHA_MAX);
+            let v_power = -raw * v_raw;
+            let v_color = weight * (*pixel).weight.xyz;
+            let v_center = v_power * vec2<f32>(dot(splat.conic.xy, d), dot(splat.conic.yz, d));
+            (*gradient).a += vec4<f32>(v_center, falloff * v_raw, 0.5 * d.x * d.x * v_power);
+            (*gradient).b += vec4<f32>(d.x * d.y * v_power, 0.5 * d.y * d.y * v_power, v_color.xy);
+            (*gradient).c += v_color.z;
+        }
     }
-    let splat = fetch(stage, k);
-    let d = splat.place.xy - (*pixel).center;
-    let power = power_at(splat.conic.xyz, d);
-    let falloff = exp(-power);
-    let raw = splat.place.z * falloff;
-    let alpha = min(ALPHA_MAX, raw);
-    if base + k >= (*pixel).last || power < 0.0 || alpha < ALPHA_MIN {
-        return;
-    }
-    let weight = alpha * (*pixel).transmittance;
-    let value = dot((*pixel).weight, vec4<f32>(splat.color.xyz, 1.0));
-    (*pixel).remainder -= weight * value;
-    let v_alpha = (*pixel).transmittance * value - (*pixel).remainder / (1.0 - alpha);
-    (*pixel).transmittance *= 1.0 - alpha;
-    let v_raw = select(v_alpha, 0.0, raw > ALPHA_MAX);
-    let v_power = -raw * v_raw;
-    let v_color = weight * (*pixel).weight.xyz;
-    let v_center = v_power * vec2<f32>(dot(splat.conic.xy, d), dot(splat.conic.yz, d));
-    (*gradient).a += vec4<f32>(v_center, falloff * v_raw, 0.5 * d.x * d.x * v_power);
-    (*gradient).b += vec4<f32>(d.x * d.y * v_power, 0.5 * d.y * d.y * v_power, v_color.xy);
-    (*gradient).c += v_color.z;
+    return;
 }
 
 fn store(slot: u32, a: vec4<f32>, b: vec4<f32>, c: f32) {
@@ -237,29 +238,28 @@ fn raster_backward(
             let low = vec2<f32>(origin + tile_pixel(block)) + 0.5;
             let high = vec2<f32>(origin + tile_pixel(block + LANES - 1u)) + 0.5;
             let mask = subgroupBallot(present && touches(stage.place, stage.conic.xyz, ridges, low, high)).x;
-            if mask == 0u {
-                continue;
-            }
-            let taken = lasts[p];
-            if subgroupAll(taken <= base) {
-                continue;
+            var is_reached = mask != 0u;
+            if is_reached {
+                is_reached = subgroupAny(lasts[p] > base);
             }
 #else
             let mask = 0xffu;
-            let taken = lasts[p];
+            let is_reached = true;
 #endif
-            let center = vec2<f32>(origin + tile_pixel(p)) + 0.5;
-            var pixel = Pixel(center, weights[p], taken, transmittances[p], remainders[p]);
-            visit(0u, mask, base, stage, &pixel, &g0);
-            visit(1u, mask, base, stage, &pixel, &g1);
-            visit(2u, mask, base, stage, &pixel, &g2);
-            visit(3u, mask, base, stage, &pixel, &g3);
-            visit(4u, mask, base, stage, &pixel, &g4);
-            visit(5u, mask, base, stage, &pixel, &g5);
-            visit(6u, mask, base, stage, &pixel, &g6);
-            visit(7u, mask, base, stage, &pixel, &g7);
-            transmittances[p] = pixel.transmittance;
-            remainders[p] = pixel.remainder;
+            if is_reached {
+                let center = vec2<f32>(origin + tile_pixel(p)) + 0.5;
+                var pixel = Pixel(center, weights[p], lasts[p], transmittances[p], remainders[p]);
+                visit(0u, mask, base, stage, &pixel, &g0);
+                visit(1u, mask, base, stage, &pixel, &g1);
+                visit(2u, mask, base, stage, &pixel, &g2);
+                visit(3u, mask, base, stage, &pixel, &g3);
+                visit(4u, mask, base, stage, &pixel, &g4);
+                visit(5u, mask, base, stage, &pixel, &g5);
+                visit(6u, mask, base, stage, &pixel, &g6);
+                visit(7u, mask, base, stage, &pixel, &g7);
+                transmittances[p] = pixel.transmittance;
+                remainders[p] = pixel.remainder;
+            }
         }
 #ifdef SUBGROUPS
         let a = sum_lanes(lane, g0.a, g1.a, g2.a, g3.a, g4.a, g5.a, g6.a, g7.a);

@@ -20,20 +20,22 @@ struct Pixel {
     done: bool,
 }
 
+// Lanes that take nothing have to be back with the others before the next shuffle, and nothing but the end of an `if` says
+// that they are. The return at the end of functions is written, for naga would put it into the branches of a last `if`.
 fn blend(pixel: ptr<function, Pixel>, place: vec3<f32>, conic: vec3<f32>, color: vec3<f32>, index: u32) {
     let power = power_at(conic, place.xy - (*pixel).center);
     let alpha = min(ALPHA_MAX, place.z * exp(-power));
-    if (*pixel).done || power < 0.0 || alpha < ALPHA_MIN {
-        return;
+    if !((*pixel).done || power < 0.0 || alpha < ALPHA_MIN) {
+        let next = (*pixel).transmittance * (1.0 - alpha);
+        if next <= TRANSMITTANCE_MIN {
+            (*pixel).done = true;
+        } else {
+            (*pixel).color += alpha * (*pixel).transmittance * color;
+            (*pixel).transmittance = next;
+            (*pixel).last = index + 1u;
+        }
     }
-    let next = (*pixel).transmittance * (1.0 - alpha);
-    if next <= TRANSMITTANCE_MIN {
-        (*pixel).done = true;
-        return;
-    }
-    (*pixel).color += alpha * (*pixel).transmittance * color;
-    (*pixel).transmittance = next;
-    (*pixel).last = index + 1u;
+    return;
 }
 
 const PIXELS_A_LANE: u32 = 4u;
@@ -53,6 +55,7 @@ fn finish(pixel: Pixel, position: vec2<u32>) {
         image[i] = vec4<f32>(pixel.color + pixel.transmittance * view.background.xyz, pixel.transmittance);
         last[i] = pixel.last;
     }
+    return;
 }
 
 #ifdef SUBGROUPS
@@ -76,6 +79,7 @@ fn blend_if(
             base + k,
         );
     }
+    return;
 }
 
 // Blends the Gaussians of a chunk that touch the block of pixels that the subgroup's pixels form. Written out, because
@@ -92,17 +96,17 @@ fn blend_chunk(
 ) {
     let open = subgroupAny(!(*pixel).done);
     let mask = subgroupBallot(open && touches(place, conic, ridges, low, high)).x;
-    if mask == 0u {
-        return;
+    if mask != 0u {
+        blend_if(pixel, mask, 0u, place, conic, color, base);
+        blend_if(pixel, mask, 1u, place, conic, color, base);
+        blend_if(pixel, mask, 2u, place, conic, color, base);
+        blend_if(pixel, mask, 3u, place, conic, color, base);
+        blend_if(pixel, mask, 4u, place, conic, color, base);
+        blend_if(pixel, mask, 5u, place, conic, color, base);
+        blend_if(pixel, mask, 6u, place, conic, color, base);
+        blend_if(pixel, mask, 7u, place, conic, color, base);
     }
-    blend_if(pixel, mask, 0u, place, conic, color, base);
-    blend_if(pixel, mask, 1u, place, conic, color, base);
-    blend_if(pixel, mask, 2u, place, conic, color, base);
-    blend_if(pixel, mask, 3u, place, conic, color, base);
-    blend_if(pixel, mask, 4u, place, conic, color, base);
-    blend_if(pixel, mask, 5u, place, conic, color, base);
-    blend_if(pixel, mask, 6u, place, conic, color, base);
-    blend_if(pixel, mask, 7u, place, conic, color, base);
+    return;
 }
 #else
 // Blends the Gaussians of a chunk that touch the block of pixels that the subgroup's pixels form.

@@ -1,40 +1,24 @@
 // The rate of one attribute group of the sampled anchors: bits of each quantised value under the distribution that the
-// group's network predicts, with gradients by the network's outputs (stored) and by the rows (added to what is there), and
-// the anchors' fresh steps. Everything is counted in steps, so that a rounded value is its symbol.
+// group's network predicts, with gradients by the network's outputs (stored) and by the rows (added to what is there).
+// Everything is counted in steps, so that a rounded value is its symbol.
 //
 // A sampled anchor is one invocation's alone. Numbers that are none cost nothing and teach nothing.
 #import tcgs::gaussian::symbol_bits
 #import tcgs::model::ROW
-#import tcgs::quantise::{Quantisation, Quantised, ROUNDED, quantise, quantise_scaling, scaling_of, stream_of, through_floor}
+#import tcgs::quantise::{Quantised, ROUNDED, quantise, quantise_scaling, scaling_of, stream_of, through_floor}
+#import tcgs::rate::{SPACING, STEP_OCTAVES, Settings, adjustment_of, is_number, spacings}
 
 const LOG_TWO: f32 = 0.69314718;
 
-// Octaves by which a step may differ from its base step.
-const STEP_OCTAVES: f32 = 3.5;
-
-// The coded standard deviations: the finest in octaves of steps, octaves from one to the next, and the last.
+// The coded standard deviations: the finest in octaves of steps, and the last.
 const FINEST: f32 = -3.5;
-const SPACING: f32 = 0.21875;
 const LAST: i32 = 63;
-
-// Values, means and logarithms from here on count as numbers that are none.
-const LIMIT: f32 = 1e15;
 
 // What an escape takes beside twice the logarithm of its distance, in bits.
 const ESCAPE_BITS: f32 = 26.0;
 
 // A value's derivatives, counted in steps and octaves, go no further: one stray value must not drown all others.
 const STEEPEST: f32 = 1e4;
-
-struct Settings {
-    quantisation: Quantisation,
-    // first column in a row, channels, place among the groups, first row of outputs
-    group: vec4u,
-    // columns that the outputs have room for, that the bits have, unused, unused
-    room: vec4u,
-    // of a bit, of rendering's gradient by a log step, unused, unused
-    weights: vec4f,
-}
 
 @group(0) @binding(0) var<uniform> settings: Settings;
 // How many anchors are sampled, then which.
@@ -44,22 +28,10 @@ struct Settings {
 // Column-major: a mean a channel in base steps, a log deviation a channel in octaves of base steps, a step adjustment.
 @group(0) @binding(4) var<storage, read> outputs: array<f32>;
 @group(0) @binding(5) var<storage, read> d_log_steps: array<f32>;
-// Not 0 in a step that has to be done again.
-@group(0) @binding(6) var<storage, read> void_mark: array<u32>;
-@group(0) @binding(7) var<storage, read_write> d_outputs: array<f32>;
-@group(0) @binding(8) var<storage, read_write> d_rows: array<f32>;
-@group(0) @binding(9) var<storage, read_write> steps: array<f32>;
+@group(0) @binding(6) var<storage, read_write> d_outputs: array<f32>;
+@group(0) @binding(7) var<storage, read_write> d_rows: array<f32>;
 // Column-major: what a file takes for the three groups, where values far out are escapes, then each offset's bits.
-@group(0) @binding(10) var<storage, read_write> bits: array<f32>;
-
-fn is_number(value: f32) -> bool {
-    return abs(value) < LIMIT;
-}
-
-// The multiple of the spacing that the decoder's integers make of octaves.
-fn spacings(octaves: f32) -> i32 {
-    return (i32(floor(octaves * 256.0 + 0.5)) * 1170 + 32768) >> 16u;
-}
+@group(0) @binding(8) var<storage, read_write> bits: array<f32>;
 
 @compute @workgroup_size(64)
 fn rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
@@ -77,14 +49,9 @@ fn rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     let mask = masks[anchor];
     let weight = settings.weights.x;
 
-    let wanted = outputs[output + 2u * channels * room];
-    let adjusts = is_number(wanted);
-    var octaves = clamp(select(0.0, wanted, adjusts), -STEP_OCTAVES, STEP_OCTAVES);
-    var index = 0;
-    if phase == ROUNDED {
-        index = clamp(spacings(octaves), -16, 16);
-        octaves = f32(index) * SPACING;
-    }
+    let adjustment = adjustment_of(outputs[output + 2u * channels * room], phase);
+    let adjusts = adjustment.is_number;
+    let octaves = adjustment.octaves;
     let base_width = settings.quantisation.base[place];
     let in_base = exp2(octaves);
     let width = base_width * in_base;
@@ -120,7 +87,7 @@ fn rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
             var centre = mean;
             if phase == ROUNDED {
                 let bounded_scale = clamp(scale, -100.0, 100.0);
-                coded = FINEST + SPACING * f32(clamp(spacings(bounded_scale) + 16 - index, 0, LAST));
+                coded = FINEST + SPACING * f32(clamp(spacings(bounded_scale) + 16 - adjustment.index, 0, LAST));
                 centre = floor(16.0 * mean + 0.5) / 16.0;
             }
             let found = symbol_bits(symbol, centre, exp2(coded), 1.0);
@@ -162,8 +129,6 @@ fn rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     if is_number(rendered) {
         d_wanted += settings.weights.y * rendered;
     }
-    d_outputs[output + 2u * channels * room] = select(0.0, d_wanted, adjusts && abs(wanted) <= STEP_OCTAVES);
-    if adjusts && void_mark[0] == 0u {
-        steps[3u * anchor + place] = width;
-    }
+    let is_free = adjusts && abs(adjustment.wanted) <= STEP_OCTAVES;
+    d_outputs[output + 2u * channels * room] = select(0.0, d_wanted, is_free);
 }

@@ -8,7 +8,7 @@ struct Depths {
 }
 
 @group(0) @binding(0) var<uniform> depths: Depths;
-@group(0) @binding(1) var<storage, read> means_opacity: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read> geometry: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read_write> colors: array<vec4<f32>>;
 
 @compute @workgroup_size(64)
@@ -17,6 +17,6 @@ fn shade_depth(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     if i >= depths.count {
         return;
     }
-    let depth = dot(depths.forward, vec4<f32>(means_opacity[i].xyz, 1.0));
+    let depth = dot(depths.forward, vec4<f32>(geometry[i].xyz, 1.0));
     colors[i] = vec4<f32>(depth, 0.0, 0.0, 0.0);
 }

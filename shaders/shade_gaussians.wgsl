@@ -1,6 +1,7 @@
 // Plain Gaussians from their parameters: exponential of the log-scales, logistic of the opacity, and the colour that
 // spherical harmonics give towards the camera, no less than zero. What lies behind the near plane or is too transparent
 // to reach a pixel gets opacity zero, and its coefficients are not read.
+#import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::plain::{
     View, BASE, LOG_SCALE, QUAT, OPACITY, COLOR, DEGREE, ALPHA_MIN, SH_ZERO, bands_at, basis_of_one, basis_of_two,
     basis_of_three,
@@ -9,10 +10,8 @@
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> base: array<f32>;
 @group(0) @binding(2) var<storage, read> bands: array<f32>;
-@group(0) @binding(3) var<storage, read_write> means_opacity: array<vec4f>;
-@group(0) @binding(4) var<storage, read_write> scales: array<vec4f>;
-@group(0) @binding(5) var<storage, read_write> quats: array<vec4f>;
-@group(0) @binding(6) var<storage, read_write> colors: array<vec4f>;
+@group(0) @binding(3) var<storage, read_write> geometry: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;
 
 fn coefficient(at: u32) -> vec3f {
     return vec3f(bands[at], bands[at + 1u], bands[at + 2u]);
@@ -29,15 +28,15 @@ fn shade_gaussians(@builtin(workgroup_id) group: vec3u, @builtin(local_invocatio
     let opacity = 1.0 / (1.0 + exp(-base[row + OPACITY]));
     let depth = dot(view.forward.xyz, mean) + view.forward.w;
     if !(depth > view.eye.w && opacity >= ALPHA_MIN) {
-        means_opacity[i] = vec4f(0.0);
+        geometry[i] = vec4f(0.0);
         return;
     }
     let s = row + LOG_SCALE;
     let q = row + QUAT;
     let c = row + COLOR;
-    means_opacity[i] = vec4f(mean, opacity);
-    scales[i] = vec4f(exp(vec3f(base[s], base[s + 1u], base[s + 2u])), 0.0);
-    quats[i] = vec4f(base[q], base[q + 1u], base[q + 2u], base[q + 3u]);
+    geometry[i] = vec4f(mean, opacity);
+    geometry[scale_row(view.count, i)] = vec4f(exp(vec3f(base[s], base[s + 1u], base[s + 2u])), 0.0);
+    geometry[quat_row(view.count, i)] = vec4f(base[q], base[q + 1u], base[q + 2u], base[q + 3u]);
     var color = 0.5 + SH_ZERO * vec3f(base[c], base[c + 1u], base[c + 2u]);
     if DEGREE > 0u {
         let at = bands_at(view, i);

@@ -1,5 +1,6 @@
 // Gradients of `shade_gaussians`: from the Gaussians back to their parameters. A colour moves with the direction too, so
 // its gradient reaches the mean; a channel that is held at zero passes nothing on. Culled Gaussians get zeros.
+#import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::plain::{
     View, BASE, LOG_SCALE, QUAT, OPACITY, COLOR, BAND_VALUES, DEGREE, SH_ZERO, bands_at, basis_of_one, basis_of_two,
     basis_of_three, slope_of_one, slope_of_two, slope_of_three,
@@ -7,16 +8,13 @@
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> bands: array<f32>;
-@group(0) @binding(2) var<storage, read> means_opacity: array<vec4f>;
-@group(0) @binding(3) var<storage, read> scales: array<vec4f>;
-@group(0) @binding(4) var<storage, read> colors: array<vec4f>;
-@group(0) @binding(5) var<storage, read> d_means_opacity: array<vec4f>;
-@group(0) @binding(6) var<storage, read> d_scales: array<vec4f>;
-@group(0) @binding(7) var<storage, read> d_quats: array<vec4f>;
-@group(0) @binding(8) var<storage, read> d_colors: array<vec4f>;
-@group(0) @binding(9) var<storage, read> d_centers: array<vec4f>;
-@group(0) @binding(10) var<storage, read_write> d_base: array<f32>;
-@group(0) @binding(11) var<storage, read_write> d_bands: array<f32>;
+@group(0) @binding(2) var<storage, read> geometry: array<vec4f>;
+@group(0) @binding(3) var<storage, read> colors: array<vec4f>;
+@group(0) @binding(4) var<storage, read> d_geometry: array<vec4f>;
+@group(0) @binding(5) var<storage, read> d_colors: array<vec4f>;
+@group(0) @binding(6) var<storage, read> d_centers: array<vec4f>;
+@group(0) @binding(7) var<storage, read_write> d_base: array<f32>;
+@group(0) @binding(8) var<storage, read_write> d_bands: array<f32>;
 
 fn coefficient(at: u32) -> vec3f {
     return vec3f(bands[at], bands[at + 1u], bands[at + 2u]);
@@ -110,8 +108,8 @@ fn shade_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
         clear(i);
         return;
     }
-    let mean_opacity = means_opacity[i];
-    let d = d_means_opacity[i];
+    let mean_opacity = geometry[i];
+    let d = d_geometry[i];
     let v = select(vec3f(0.0), d_colors[i].xyz, colors[i].xyz > vec3f(0.0));
     var d_mean = d.xyz;
     if DEGREE > 0u {
@@ -123,8 +121,9 @@ fn shade_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
     }
     let row = i * BASE;
     store_base(row, d_mean);
-    store_base(row + LOG_SCALE, d_scales[i].xyz * scales[i].xyz);
-    let d_quat = d_quats[i];
+    let scale = scale_row(view.count, i);
+    store_base(row + LOG_SCALE, d_geometry[scale].xyz * geometry[scale].xyz);
+    let d_quat = d_geometry[quat_row(view.count, i)];
     d_base[row + QUAT] = d_quat.x;
     d_base[row + QUAT + 1u] = d_quat.y;
     d_base[row + QUAT + 2u] = d_quat.z;

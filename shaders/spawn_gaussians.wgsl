@@ -1,8 +1,10 @@
 // Turns the networks' outputs into the Gaussians of a view (method.md section 1.4): Gaussian `index * OFFSETS + k` is
-// offset k of the index-th visible anchor. An opacity that is not positive, a mask that is off, or a place or size that
-// is not finite makes no Gaussian.
+// offset k of the index-th visible anchor. An opacity that is not positive or comes of no number, a mask that is off, or a
+// place or size that is not finite makes no Gaussian.
 #import tcgs::anchor_view::View
-#import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, COVARIANCE_OUT, COLOR_OUT, LIMIT, logistic}
+#import tcgs::finite::{below, each_below, finite}
+#import tcgs::geometry::{quat_row, scale_row}
+#import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, COVARIANCE_OUT, COLOR_OUT, LIMIT, logistic, tanh_bounded}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
@@ -10,11 +12,9 @@
 @group(0) @binding(3) var<storage, read> rows: array<f32>;
 @group(0) @binding(4) var<storage, read> outputs: array<f32>;
 @group(0) @binding(5) var<storage, read> masks: array<u32>;
-@group(0) @binding(6) var<storage, read_write> means_opacity: array<vec4f>;
-@group(0) @binding(7) var<storage, read_write> scales: array<vec4f>;
-@group(0) @binding(8) var<storage, read_write> quats: array<vec4f>;
-@group(0) @binding(9) var<storage, read_write> colors: array<vec4f>;
-@group(0) @binding(10) var<storage, read_write> alive: array<u32>;
+@group(0) @binding(6) var<storage, read_write> geometry: array<vec4f>;
+@group(0) @binding(7) var<storage, read_write> colors: array<vec4f>;
+@group(0) @binding(8) var<storage, read_write> alive: array<u32>;
 
 @compute @workgroup_size(64)
 fn spawn_gaussians(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
@@ -24,6 +24,7 @@ fn spawn_gaussians(@builtin(workgroup_id) group: vec3u, @builtin(local_invocatio
     }
     let anchor = list[1u + index];
     let capacity = view.counts.y;
+    let gaussians = capacity * OFFSETS;
     let row = anchor * ROW;
     let position = positions[anchor].xyz;
     let s = row + SCALING_COLUMN;
@@ -33,15 +34,15 @@ fn spawn_gaussians(@builtin(workgroup_id) group: vec3u, @builtin(local_invocatio
     var born = 0u;
     for (var k = 0u; k < OFFSETS; k++) {
         let gaussian = index * OFFSETS + k;
-        var opacity = tanh(outputs[k * capacity + index]);
-        if ((mask >> k) & 1u) == 0u {
+        let output = outputs[k * capacity + index];
+        var opacity = tanh_bounded(output);
+        if ((mask >> k) & 1u) == 0u || !finite(output) {
             opacity = 0.0;
         }
         let o = row + OFFSET_COLUMN + 3u * k;
         let mean = position + vec3f(rows[o], rows[o + 1u], rows[o + 2u]) * reach;
-        // NaN fails the comparisons.
-        if !(opacity > 0.0 && all(abs(mean) < vec3f(LIMIT)) && size.x * size.y * size.z < LIMIT) {
-            means_opacity[gaussian] = vec4f(0.0);
+        if !(opacity > 0.0 && all(each_below(vec4f(mean, 0.0), LIMIT)) && below(size.x * size.y * size.z, LIMIT)) {
+            geometry[gaussian] = vec4f(0.0);
             continue;
         }
         born++;
@@ -52,9 +53,9 @@ fn spawn_gaussians(@builtin(workgroup_id) group: vec3u, @builtin(local_invocatio
             logistic(outputs[c + 2u * capacity]),
         );
         let rgb = (COLOR_OUT + 3u * k) * capacity + index;
-        means_opacity[gaussian] = vec4f(mean, opacity);
-        scales[gaussian] = vec4f(size * shape, 0.0);
-        quats[gaussian] = vec4f(
+        geometry[gaussian] = vec4f(mean, opacity);
+        geometry[scale_row(gaussians, gaussian)] = vec4f(size * shape, 0.0);
+        geometry[quat_row(gaussians, gaussian)] = vec4f(
             outputs[c + 3u * capacity],
             outputs[c + 4u * capacity],
             outputs[c + 5u * capacity],

@@ -1,20 +1,19 @@
 // Gradients of `spawn_gaussians`: from the Gaussians back to the networks' outputs, the offsets and the log-scalings,
-// with the volume regulariser (weight times the mean product of scales over living Gaussians) added on the way.
+// with the volume regulariser (weight times the mean product of scales over living Gaussians) added on the way. The gradients
+// by the outputs take the outputs' place.
 #import tcgs::anchor_view::View
+#import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, COVARIANCE_OUT, COLOR_OUT, logistic}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
 @group(0) @binding(2) var<storage, read> counts: array<u32>;
 @group(0) @binding(3) var<storage, read> rows: array<f32>;
-@group(0) @binding(4) var<storage, read> outputs: array<f32>;
-@group(0) @binding(5) var<storage, read> means_opacity: array<vec4f>;
-@group(0) @binding(6) var<storage, read> d_means_opacity: array<vec4f>;
-@group(0) @binding(7) var<storage, read> d_scales: array<vec4f>;
-@group(0) @binding(8) var<storage, read> d_quats: array<vec4f>;
-@group(0) @binding(9) var<storage, read> d_colors: array<vec4f>;
-@group(0) @binding(10) var<storage, read_write> d_outputs: array<f32>;
-@group(0) @binding(11) var<storage, read_write> d_rows: array<f32>;
+@group(0) @binding(4) var<storage, read> geometry: array<vec4f>;
+@group(0) @binding(5) var<storage, read> d_geometry: array<vec4f>;
+@group(0) @binding(6) var<storage, read> d_colors: array<vec4f>;
+@group(0) @binding(7) var<storage, read_write> outputs: array<f32>;
+@group(0) @binding(8) var<storage, read_write> d_rows: array<f32>;
 
 @compute @workgroup_size(64)
 fn spawn_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
@@ -24,6 +23,7 @@ fn spawn_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
     }
     let anchor = list[1u + index];
     let capacity = view.counts.y;
+    let gaussians = capacity * OFFSETS;
     let row = anchor * ROW;
     let s = row + SCALING_COLUMN;
     let reach = exp(vec3f(rows[s], rows[s + 1u], rows[s + 2u]));
@@ -37,25 +37,25 @@ fn spawn_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
         let c = (COVARIANCE_OUT + 7u * k) * capacity + index;
         let rgb = (COLOR_OUT + 3u * k) * capacity + index;
         let o = row + OFFSET_COLUMN + 3u * k;
-        let opacity = means_opacity[gaussian].w;
+        let opacity = geometry[gaussian].w;
         if !(opacity > 0.0) {
-            d_outputs[k * capacity + index] = 0.0;
+            outputs[k * capacity + index] = 0.0;
             for (var i = 0u; i < 7u; i++) {
-                d_outputs[c + i * capacity] = 0.0;
+                outputs[c + i * capacity] = 0.0;
             }
             for (var i = 0u; i < 3u; i++) {
-                d_outputs[rgb + i * capacity] = 0.0;
+                outputs[rgb + i * capacity] = 0.0;
             }
             continue;
         }
-        let d = d_means_opacity[gaussian];
+        let d = d_geometry[gaussian];
         let offset = vec3f(rows[o], rows[o + 1u], rows[o + 2u]);
         let d_offset = d.xyz * reach;
         d_rows[o] = d_offset.x;
         d_rows[o + 1u] = d_offset.y;
         d_rows[o + 2u] = d_offset.z;
         d_reach += d.xyz * offset;
-        d_outputs[k * capacity + index] = d.w * (1.0 - opacity * opacity);
+        outputs[k * capacity + index] = d.w * (1.0 - opacity * opacity);
 
         let shape = vec3f(
             logistic(outputs[c]),
@@ -63,17 +63,17 @@ fn spawn_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
             logistic(outputs[c + 2u * capacity]),
         );
         let scale = size * shape;
-        let d_scale = d_scales[gaussian].xyz + volume_weight * scale.yzx * scale.zxy;
+        let d_scale = d_geometry[scale_row(gaussians, gaussian)].xyz + volume_weight * scale.yzx * scale.zxy;
         d_size += d_scale * shape;
         let d_shape = d_scale * size * shape * (1.0 - shape);
-        d_outputs[c] = d_shape.x;
-        d_outputs[c + capacity] = d_shape.y;
-        d_outputs[c + 2u * capacity] = d_shape.z;
-        let d_quat = d_quats[gaussian];
-        d_outputs[c + 3u * capacity] = d_quat.x;
-        d_outputs[c + 4u * capacity] = d_quat.y;
-        d_outputs[c + 5u * capacity] = d_quat.z;
-        d_outputs[c + 6u * capacity] = d_quat.w;
+        outputs[c] = d_shape.x;
+        outputs[c + capacity] = d_shape.y;
+        outputs[c + 2u * capacity] = d_shape.z;
+        let d_quat = d_geometry[quat_row(gaussians, gaussian)];
+        outputs[c + 3u * capacity] = d_quat.x;
+        outputs[c + 4u * capacity] = d_quat.y;
+        outputs[c + 5u * capacity] = d_quat.z;
+        outputs[c + 6u * capacity] = d_quat.w;
 
         let color = vec3f(
             logistic(outputs[rgb]),
@@ -81,9 +81,9 @@ fn spawn_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
             logistic(outputs[rgb + 2u * capacity]),
         );
         let d_color = d_colors[gaussian].xyz * color * (1.0 - color);
-        d_outputs[rgb] = d_color.x;
-        d_outputs[rgb + capacity] = d_color.y;
-        d_outputs[rgb + 2u * capacity] = d_color.z;
+        outputs[rgb] = d_color.x;
+        outputs[rgb + capacity] = d_color.y;
+        outputs[rgb + 2u * capacity] = d_color.z;
     }
     let d_log_reach = d_reach * reach;
     let d_log_size = d_size * size;

@@ -1,16 +1,16 @@
 // The tile counts of the visible Gaussians, nearest first.
 
-#import tcgs::view::View
+#import tcgs::view::{VISIBLE, View}
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> counts: array<u32>;
+@group(0) @binding(1) var<storage, read> counters: array<u32>;
 @group(0) @binding(2) var<storage, read> ids: array<u32>;
 @group(0) @binding(3) var<storage, read> tiles: array<u32>;
 @group(0) @binding(4) var<storage, read_write> sorted_tiles: array<u32>;
 
 @compute @workgroup_size(64)
 fn tile_counts(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let total = min(counts[0], view.gaussian_capacity);
+    let total = min(counters[VISIBLE], view.gaussian_capacity);
     for (var i = id.x; i < total; i += groups.x * 64u) {
         sorted_tiles[i] = tiles[ids[i]];
     }

@@ -1,9 +1,9 @@
 // Finds where each tile's list begins and ends (the ranges start zeroed), and names its Gaussians.
 
-#import tcgs::view::View
+#import tcgs::view::{INTERSECTIONS, View}
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> counts: array<u32>;
+@group(0) @binding(1) var<storage, read> counters: array<u32>;
 @group(0) @binding(2) var<storage, read> keys: array<u32>;
 @group(0) @binding(3) var<storage, read> slots: array<u32>;
 @group(0) @binding(4) var<storage, read> slot_ids: array<u32>;
@@ -12,7 +12,7 @@
 
 @compute @workgroup_size(64)
 fn tile_ranges(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let total = min(counts[1], view.intersection_capacity);
+    let total = min(counters[INTERSECTIONS], view.intersection_capacity);
     for (var i = id.x; i < total; i += groups.x * 64u) {
         list[i] = slot_ids[slots[i]];
         let tile = keys[i];

@@ -102,7 +102,7 @@ impl Bench {
         neural.forward(&mut recorder, &anchors, &camera, 0.01)?;
         recorder.submit()?;
         let gradients = neural.gaussian_gradients()?;
-        for buffer in [&gradients.means_opacity, &gradients.scales, &gradients.quats, &gradients.colors] {
+        for buffer in [&gradients.geometry, &gradients.colors] {
             let values: Vec<[f32; 4]> =
                 (0..buffer.len()).map(|_| [0; 4].map(|_| rng.random_range(-1.0..1.0))).collect();
             context.write(buffer, &values);
@@ -225,10 +225,10 @@ impl Bench {
             Ok::<_, RenderError>(self.context.read(buffer)?.into_iter().flatten().collect::<Vec<f32>>())
         };
         Ok(format!(
-            "image {:.6e}, by places {:.6e}, by conics {:.6e}, by rows {:.6e}, by networks {:.6e}",
+            "image {:.6e}, by geometry {:.6e}, by colours {:.6e}, by rows {:.6e}, by networks {:.6e}",
             checksum(&flat(self.rasterizer.image())?),
-            checksum(&flat(&self.d_gaussians.means_opacity)?),
-            checksum(&flat(&self.d_gaussians.scales)?),
+            checksum(&flat(&self.d_gaussians.geometry)?),
+            checksum(&flat(&self.d_gaussians.colors)?),
             checksum(&self.context.read(&self.d_anchors.rows)?),
             checksum(&self.context.read(&self.d_anchors.networks)?),
         ))

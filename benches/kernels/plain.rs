@@ -77,8 +77,9 @@ fn rows(
     rng: &mut Pcg64,
 ) -> Result<GaussianRows, RenderError> {
     let mut rows = GaussianRows::zero(shell.capacity);
-    let (means, scales) = (context.read(&shell.means_opacity)?, context.read(&shell.scales)?);
-    let (quats, colors) = (context.read(&shell.quats)?, context.read(&shell.colors)?);
+    let (geometry, colors) = (context.read(&shell.geometry)?, context.read(&shell.colors)?);
+    let (means, rest) = geometry.split_at(shell.capacity);
+    let (scales, quats) = rest.split_at(shell.capacity);
     for (i, row) in rows.base.chunks_exact_mut(tcgs::model::plain::BASE).enumerate() {
         let opacity = means[i][3].min(0.99);
         row[..3].copy_from_slice(&means[i][..3]);

@@ -45,9 +45,7 @@ pub(crate) fn shell(context: &Context, count: usize) -> Gaussians {
     Gaussians {
         count: context.upload("count", &[count as u32]).unwrap(),
         capacity: count,
-        means_opacity: context.upload("means", &means).unwrap(),
-        scales: context.upload("scales", &scales).unwrap(),
-        quats: context.upload("quats", &quats).unwrap(),
+        geometry: context.upload("geometry", &[means, scales, quats].concat()).unwrap(),
         colors: context.upload("colors", &colors).unwrap(),
     }
 }

@@ -14,6 +14,11 @@ const COLOR_OUT: u32 = 8u * OFFSETS;
 // Magnitudes from here on count as infinite: their products would be.
 const LIMIT: f32 = 1e30;
 
+// WGSL says nothing of tanh where its exponential overflows, and some devices give NaN there. From 10 on it is 1 in f32.
+fn tanh_bounded(x: f32) -> f32 {
+    return tanh(clamp(x, -10.0, 10.0));
+}
+
 fn logistic(x: f32) -> f32 {
     return 1.0 / (1.0 + exp(-x));
 }

@@ -160,7 +160,7 @@ impl<'a> Probe<'a> {
         self.raster.backward(&mut recorder, &gaussians, &frame.camera, &v_image, &gradients)?;
         recorder.submit()?;
         let count = self.neural.counts()?[0] as usize;
-        let rows = self.context.read_range(&gradients.means_opacity, 0, count)?;
+        let rows = self.context.read_range(&gradients.geometry, 0, count)?;
         Ok(rows.iter().map(|row| row[3]).collect())
     }
 }

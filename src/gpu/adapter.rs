@@ -96,8 +96,8 @@ impl AdapterReport {
     }
 }
 
-/// Storage buffers that the widest kernel binds.
-pub(super) const STORAGE_BUFFERS_NEEDED: u32 = 12;
+/// Storage buffers that a kernel may bind: what every device of WebGPU's default limits has, browsers among them.
+pub(super) const STORAGE_BUFFERS_NEEDED: u32 = 8;
 
 pub(super) fn describe(adapter: &wgpu::Adapter) -> AdapterReport {
     let info = adapter.get_info();

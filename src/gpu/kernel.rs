@@ -34,11 +34,14 @@ pub use kernel_source;
 const SHARED: &[(&str, &str)] = &[
     ("view", include_str!("../../shaders/shared/view.wgsl")),
     ("splat", include_str!("../../shaders/shared/splat.wgsl")),
+    ("finite", include_str!("../../shaders/shared/finite.wgsl")),
+    ("geometry", include_str!("../../shaders/shared/geometry.wgsl")),
     ("anchor_view", include_str!("../../shaders/shared/anchor_view.wgsl")),
     ("model", include_str!("../../shaders/shared/model.wgsl")),
     ("plain", include_str!("../../shaders/shared/plain.wgsl")),
     ("gaussian", include_str!("../../shaders/shared/gaussian.wgsl")),
     ("quantise", include_str!("../../shaders/shared/quantise.wgsl")),
+    ("rate", include_str!("../../shaders/shared/rate.wgsl")),
     ("context", include_str!("../../shaders/shared/context.wgsl")),
     ("convolution", include_str!("../../shaders/shared/convolution.wgsl")),
     ("ssim", include_str!("../../shaders/shared/ssim.wgsl")),
@@ -137,6 +140,9 @@ impl Kernel {
 }
 
 #[cfg(test)]
+mod portable;
+
+#[cfg(test)]
 mod tests {
     use std::{
         collections::BTreeMap,
@@ -157,7 +163,7 @@ mod tests {
         }
     }
 
-    fn kernels() -> Vec<(&'static str, &'static str)> {
+    pub(super) fn kernels() -> Vec<(&'static str, &'static str)> {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");
         let mut kernels = Vec::new();
         for entry in fs::read_dir(folder).expect("shaders") {
@@ -171,28 +177,32 @@ mod tests {
         kernels
     }
 
-    /// Definitions that any kernel may ask for, with the values of the model that is trained.
-    const SHAPE: &[(&str, u32)] = &[("FEATURES", 32), ("OFFSETS", 10), ("GRADIENT_LANES", 32), ("DEGREE", 3)];
+    /// Definitions of the model that is trained.
+    const SHAPE: &[(&str, u32)] = &[("FEATURES", 32), ("OFFSETS", 10)];
+
+    /// Every set of definitions that a kernel is compiled with, but for the model's shape.
+    pub(super) fn variants(text: &str) -> Vec<Vec<(&'static str, u32)>> {
+        let with = |more: &[(&'static str, u32)]| [SHAPE, more].concat();
+        if text.contains("SUBGROUPS") {
+            let of = |size| vec![("SUBGROUPS", size), ("GRADIENT_LANES", size)];
+            let mut variants: Vec<_> = [8, 16, 32, 64].map(|size| with(&of(size))).to_vec();
+            variants.push(with(&[of(8), vec![("EIGHT_LANES", 1)]].concat()));
+            variants.push(with(&[("GRADIENT_LANES", 64)]));
+            variants
+        } else if text.contains("tcgs::plain") {
+            (0..=3).map(|degree| with(&[("DEGREE", degree)])).collect()
+        } else {
+            vec![with(&[])]
+        }
+    }
 
     #[test]
     fn every_kernel_validates_and_is_named_as_its_file() {
         let mut faults = Vec::new();
         let mut composer = composer().expect("the shared files");
         for (name, text) in kernels() {
-            let variants: &[&[(&str, u32)]] = if text.contains("SUBGROUPS") {
-                &[
-                    &[],
-                    &[("SUBGROUPS", 8)],
-                    &[("SUBGROUPS", 8), ("EIGHT_LANES", 1)],
-                    &[("SUBGROUPS", 32)],
-                    &[("SUBGROUPS", 64)],
-                ]
-            } else {
-                &[&[]]
-            };
-            for variant in variants {
-                let defs = &[*variant, SHAPE].concat()[..];
-                match compose(&mut composer, KernelSource { name, text }, defs) {
+            for defs in variants(text) {
+                match compose(&mut composer, KernelSource { name, text }, &defs) {
                     Ok(module) => {
                         let entries: Vec<_> = module.entry_points.iter().map(|e| e.name.clone()).collect();
                         if entries != [name] {

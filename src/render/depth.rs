@@ -59,7 +59,7 @@ impl DepthShader {
         let count = u32::try_from(gaussians.capacity).unwrap_or(u32::MAX);
         let uniform = DepthUniform { forward: forward.as_vec4().to_array(), count, unused: [0; 3] };
         recorder.write(&self.uniform, &[uniform]);
-        let buffers = [self.uniform.as_ref(), gaussians.means_opacity.as_ref(), self.colors.as_ref()];
+        let buffers = [self.uniform.as_ref(), gaussians.geometry.as_ref(), self.colors.as_ref()];
         recorder.dispatch(&self.kernel, &buffers, count.div_ceil(64));
         Ok(Gaussians { colors: self.colors.clone(), ..gaussians.clone() })
     }

@@ -1,20 +1,23 @@
-//! Gaussians on the device and their gradients: plain columns of four floats, one row a Gaussian.
+//! Gaussians on the device and their gradients: rows of four floats.
+//!
+//! A WebGPU kernel binds eight storage buffers, so what describes a Gaussian's geometry lies in one: three sections of as many
+//! rows as there is room for Gaussians (`shaders/shared/geometry.wgsl`).
 
 use crate::gpu::{Buffer, Context, GpuError, buffer_bytes};
+
+/// Sections of a geometry buffer: position and opacity, scales, quaternion.
+pub const GEOMETRY_SECTIONS: usize = 3;
 
 /// Gaussians on the device; the first `count[0]` of `capacity` rows are candidates.
 #[derive(Debug, Clone)]
 pub struct Gaussians {
     /// How many rows are used, in element 0; more than `capacity` reads as `capacity`.
     pub count: Buffer<u32>,
-    /// Rows of every column.
+    /// Rows of the colours and of every section of the geometry.
     pub capacity: usize,
-    /// World position, and opacity (linear; below 1/255 is culled).
-    pub means_opacity: Buffer<[f32; 4]>,
-    /// Standard deviations along the axes, in world units; the fourth is unused.
-    pub scales: Buffer<[f32; 4]>,
-    /// Rotation w, x, y, z, of any length; one without length is culled.
-    pub quats: Buffer<[f32; 4]>,
+    /// `[3][capacity]`: world position, and opacity (linear; below 1/255 is culled); then standard deviations along the axes, in
+    /// world units, the fourth unused; then rotation w, x, y, z, of any length (one without length is culled).
+    pub geometry: Buffer<[f32; 4]>,
     /// Red, green, blue as blended; the fourth is unused.
     pub colors: Buffer<[f32; 4]>,
 }
@@ -23,7 +26,9 @@ impl Gaussians {
     /// Bytes on the device.
     #[must_use]
     pub fn bytes(capacity: usize) -> u64 {
-        buffer_bytes::<u32>(4) + 4 * buffer_bytes::<[f32; 4]>(capacity)
+        buffer_bytes::<u32>(4)
+            + buffer_bytes::<[f32; 4]>(GEOMETRY_SECTIONS * capacity)
+            + buffer_bytes::<[f32; 4]>(capacity)
     }
 
     /// Room for `capacity` Gaussians, all zero, none used.
@@ -34,23 +39,18 @@ impl Gaussians {
         Ok(Self {
             count: context.buffer("gaussian count", 1)?,
             capacity,
-            means_opacity: context.buffer("means and opacities", capacity)?,
-            scales: context.buffer("scales", capacity)?,
-            quats: context.buffer("quaternions", capacity)?,
+            geometry: context.buffer("geometry", GEOMETRY_SECTIONS * capacity)?,
             colors: context.buffer("colours", capacity)?,
         })
     }
 }
 
-/// The loss's gradients, in the layouts of [`Gaussians`]; zero in every row that is culled or unused.
+/// The loss's gradients, in the layouts of [`Gaussians`]; zero where a Gaussian is culled. Rows beyond the count are never
+/// written.
 #[derive(Debug, Clone)]
 pub struct GaussianGradients {
-    /// By position and opacity.
-    pub means_opacity: Buffer<[f32; 4]>,
-    /// By the standard deviations.
-    pub scales: Buffer<[f32; 4]>,
-    /// By the quaternion as given, before it is normalised.
-    pub quats: Buffer<[f32; 4]>,
+    /// By position and opacity, by the standard deviations, and by the quaternion as given, before it is normalised.
+    pub geometry: Buffer<[f32; 4]>,
     /// By the colour.
     pub colors: Buffer<[f32; 4]>,
     /// By the projected centre in pixels (u, v), then the number of tiles touched (0 = culled) and the radius: three
@@ -62,7 +62,7 @@ impl GaussianGradients {
     /// Bytes on the device.
     #[must_use]
     pub fn bytes(capacity: usize) -> u64 {
-        5 * buffer_bytes::<[f32; 4]>(capacity)
+        buffer_bytes::<[f32; 4]>(GEOMETRY_SECTIONS * capacity) + 2 * buffer_bytes::<[f32; 4]>(capacity)
     }
 
     /// Room for the gradients of `capacity` Gaussians.
@@ -71,9 +71,7 @@ impl GaussianGradients {
     /// As [`Context::buffer`].
     pub fn new(context: &Context, capacity: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            means_opacity: context.buffer("gradients of means and opacities", capacity)?,
-            scales: context.buffer("gradients of scales", capacity)?,
-            quats: context.buffer("gradients of quaternions", capacity)?,
+            geometry: context.buffer("gradients of geometry", GEOMETRY_SECTIONS * capacity)?,
             colors: context.buffer("gradients of colours", capacity)?,
             means2d: context.buffer("gradients of projected centres", capacity)?,
         })

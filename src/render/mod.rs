@@ -15,7 +15,7 @@ pub mod views;
 pub use dense::{Columns, DenseLayers, Ending};
 pub use depth::DepthShader;
 pub use error::RenderError;
-pub use gaussians::{GaussianGradients, Gaussians};
+pub use gaussians::{GEOMETRY_SECTIONS, GaussianGradients, Gaussians};
 pub use neural::{AnchorGradients, DeviceAnchors, NeuralGaussians};
 pub use plain::{DeviceRows, PlainGaussians, STATISTICS};
 pub use projection::{Projection, RasterSettings, TILE};

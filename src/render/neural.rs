@@ -132,6 +132,7 @@ struct Activations {
     list: Buffer<u32>,
     input: Buffer<f32>,
     hidden: Buffer<f32>,
+    /// What the networks say; after a backward pass, the gradients by that.
     outputs: Buffer<f32>,
     alive: Buffer<u32>,
     gaussians: Gaussians,
@@ -165,14 +166,13 @@ impl Activations {
 struct Backward {
     d_input: Buffer<f32>,
     d_hidden: Buffer<f32>,
-    d_outputs: Buffer<f32>,
     partials: Buffer<f32>,
     d_gaussians: GaussianGradients,
 }
 
 impl Backward {
     fn bytes(layout: &NetworkLayout, capacity: usize) -> u64 {
-        let rows = layout.shape.features + layout.hidden.outputs + layout.output_rows();
+        let rows = layout.shape.features + layout.hidden.outputs;
         let runs = DenseLayers::runs(capacity);
         buffer_bytes::<f32>(rows * capacity)
             + buffer_bytes::<f32>(runs * layout.parameters)
@@ -184,7 +184,6 @@ impl Backward {
         Ok(Self {
             d_input: context.buffer("gradients of input", layout.shape.features * capacity)?,
             d_hidden: context.buffer("gradients of hidden values", layout.hidden.outputs * capacity)?,
-            d_outputs: context.buffer("gradients of output", layout.output_rows() * capacity)?,
             partials: context.buffer("partial weight gradients", runs * layout.parameters)?,
             d_gaussians: GaussianGradients::new(context, capacity * layout.shape.offsets)?,
         })
@@ -201,6 +200,8 @@ pub struct NeuralGaussians {
     capacity: usize,
     forward: Activations,
     backward: Option<Backward>,
+    /// Whether `forward.outputs` holds outputs, which a backward pass turns into gradients.
+    holds_outputs: bool,
     near: f32,
     unit: DistanceUnit,
 }
@@ -248,6 +249,7 @@ impl NeuralGaussians {
             capacity: 0,
             forward: Activations::new(&context, &layout, 0)?,
             backward: None,
+            holds_outputs: false,
             near,
             unit,
             layout,
@@ -327,8 +329,8 @@ impl NeuralGaussians {
     pub fn visible_opacities(&self) -> Result<(Vec<u32>, Vec<f32>), RenderError> {
         let count = self.context.read_range(&self.forward.list, 0, 1)?[0] as usize;
         let list = self.context.read_range(&self.forward.list, 1, count)?;
-        let gaussians = &self.forward.gaussians.means_opacity;
-        let opacities = self.context.read_range(gaussians, 0, count * self.layout.shape.offsets)?;
+        let geometry = &self.forward.gaussians.geometry;
+        let opacities = self.context.read_range(geometry, 0, count * self.layout.shape.offsets)?;
         Ok((list, opacities.iter().map(|gaussian| gaussian[3]).collect()))
     }
 
@@ -344,6 +346,7 @@ impl NeuralGaussians {
         volume_weight: f32,
     ) -> Result<(), RenderError> {
         self.fit(anchors.count)?;
+        self.holds_outputs = true;
         recorder.write(&self.view, &[self.view_uniform(anchors.count, camera, volume_weight)]);
         let (kernels, on) = (&self.kernels, &self.forward);
         let view = self.view.as_ref();
@@ -381,9 +384,7 @@ impl NeuralGaussians {
                 anchors.rows.as_ref(),
                 on.outputs.as_ref(),
                 anchors.masks.as_ref(),
-                on.gaussians.means_opacity.as_ref(),
-                on.gaussians.scales.as_ref(),
-                on.gaussians.quats.as_ref(),
+                on.gaussians.geometry.as_ref(),
                 on.gaussians.colors.as_ref(),
                 on.alive.as_ref(),
             ],
@@ -397,16 +398,20 @@ impl NeuralGaussians {
         Ok(())
     }
 
-    /// Records the gradients by rows and networks from those by the Gaussians of the last forward pass.
+    /// Records the gradients by rows and networks from those by the Gaussians of the last forward pass, which can be gone back
+    /// from once: gradients take the place of what the networks said.
     ///
     /// # Errors
-    /// Faults of the device.
+    /// [`RenderError::OutOfStep`] without a forward pass since the last backward pass; faults of the device.
     pub fn backward(
         &mut self,
         recorder: &mut Recorder<'_>,
         anchors: &DeviceAnchors,
         out: &AnchorGradients,
     ) -> Result<(), RenderError> {
+        if !std::mem::take(&mut self.holds_outputs) {
+            return Err(RenderError::OutOfStep);
+        }
         self.prepare_backward()?;
         let back = self.backward.as_ref().ok_or(RenderError::OutOfStep)?;
         let (kernels, on) = (&self.kernels, &self.forward);
@@ -420,13 +425,10 @@ impl NeuralGaussians {
                 on.list.as_ref(),
                 on.gaussians.count.as_ref(),
                 anchors.rows.as_ref(),
-                on.outputs.as_ref(),
-                on.gaussians.means_opacity.as_ref(),
-                back.d_gaussians.means_opacity.as_ref(),
-                back.d_gaussians.scales.as_ref(),
-                back.d_gaussians.quats.as_ref(),
+                on.gaussians.geometry.as_ref(),
+                back.d_gaussians.geometry.as_ref(),
                 back.d_gaussians.colors.as_ref(),
-                back.d_outputs.as_ref(),
+                on.outputs.as_ref(),
                 out.rows.as_ref(),
             ],
             groups,
@@ -440,7 +442,7 @@ impl NeuralGaussians {
                 head,
                 parameters,
                 &on.hidden,
-                &back.d_outputs,
+                &on.outputs,
                 &back.partials,
             )?;
             dense.input_gradient(
@@ -449,7 +451,7 @@ impl NeuralGaussians {
                 head,
                 head.inputs,
                 networks,
-                &back.d_outputs,
+                &on.outputs,
                 Some(&on.hidden),
                 &back.d_hidden,
             )?;
@@ -503,7 +505,7 @@ impl NeuralGaussians {
             &[
                 self.view.as_ref(),
                 self.forward.list.as_ref(),
-                self.forward.gaussians.means_opacity.as_ref(),
+                self.forward.gaussians.geometry.as_ref(),
                 back.d_gaussians.means2d.as_ref(),
                 statistics.as_ref(),
                 void_mark.as_ref(),

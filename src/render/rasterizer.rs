@@ -11,7 +11,7 @@
 use std::sync::Arc;
 
 use super::{
-    GaussianGradients, Gaussians, RasterSettings, RenderError,
+    GEOMETRY_SECTIONS, GaussianGradients, Gaussians, RasterSettings, RenderError,
     projection::{Projection, TILE, View},
 };
 use crate::{
@@ -22,9 +22,12 @@ use crate::{
     },
 };
 
-/// Elements of the counter buffer.
-const VISIBLE: u32 = 0;
-const INTERSECTIONS: u32 = 1;
+/// Elements of the counter buffer, as in `shaders/shared/view.wgsl`.
+const LACKING: usize = 0;
+const SOUND: usize = 1;
+const VISIBLE: u32 = 2;
+const INTERSECTIONS: u32 = 3;
+const COUNTERS: usize = 4;
 
 /// Bits of a depth that order it. Depths are positive floats: their bits order as integers, and the sign is always clear.
 const DEPTH_BITS: u32 = 31;
@@ -209,7 +212,6 @@ pub struct Rasterizer {
     kernels: Kernels,
     view: Buffer<View>,
     counters: Buffer<u32>,
-    passes: Buffer<u32>,
     first_room: Option<usize>,
     gaussians: PerGaussian,
     intersections: PerIntersection,
@@ -247,8 +249,7 @@ impl Rasterizer {
             settings,
             kernels,
             view: context.buffer("view", 1)?,
-            counters: context.buffer("counters", 2)?,
-            passes: context.buffer("passes", 2)?,
+            counters: context.buffer("counters", COUNTERS)?,
             first_room: None,
             gaussians: PerGaussian::new(&context, 0)?,
             intersections: PerIntersection::new(&context, 0, 0)?,
@@ -269,7 +270,7 @@ impl Rasterizer {
     #[must_use]
     pub fn bytes(adapter: &AdapterReport, gaussians: usize, intersections: usize, size: [u32; 2]) -> u64 {
         buffer_bytes::<View>(1)
-            + 2 * buffer_bytes::<u32>(2)
+            + buffer_bytes::<u32>(COUNTERS)
             + PerGaussian::bytes(adapter, gaussians)
             + PerIntersection::bytes(adapter, intersections, tile_bits(tiles(size)))
             + PerImage::bytes(size)
@@ -364,7 +365,7 @@ impl Rasterizer {
     /// comes of such passes must change nothing that lasts.
     #[must_use]
     pub fn void_mark(&self) -> &Buffer<u32> {
-        &self.passes
+        &self.counters
     }
 
     /// What became of the forward passes since this was last asked. Waits for the device. Where one lacked room: make it,
@@ -373,10 +374,10 @@ impl Rasterizer {
     /// # Errors
     /// Faults of the device.
     pub fn passes(&self) -> Result<Passes, RenderError> {
-        let passes = self.context.read(&self.passes)?;
-        self.context.write(&self.passes, &[0, 0]);
-        let needed = passes[0] as usize;
-        Ok(Passes { sound: passes[1], lacking: (needed > 0).then_some(needed) })
+        let counters = self.context.read(&self.counters)?;
+        self.context.write_at(&self.counters, LACKING, &[0_u32; SOUND + 1]);
+        let needed = counters[LACKING] as usize;
+        Ok(Passes { sound: counters[SOUND], lacking: (needed > 0).then_some(needed) })
     }
 
     /// Records the gradients of a loss whose derivatives by the image (red, green, blue, alpha = 1 - transmittance) are
@@ -446,14 +447,10 @@ impl Rasterizer {
             &[
                 view,
                 gaussians.count.as_ref(),
-                gaussians.means_opacity.as_ref(),
-                gaussians.scales.as_ref(),
-                gaussians.quats.as_ref(),
+                gaussians.geometry.as_ref(),
                 own.tiles.as_ref(),
                 own.v_splats.as_ref(),
-                out.means_opacity.as_ref(),
-                out.scales.as_ref(),
-                out.quats.as_ref(),
+                out.geometry.as_ref(),
                 out.colors.as_ref(),
                 out.means2d.as_ref(),
             ],
@@ -496,9 +493,7 @@ impl Rasterizer {
             &[
                 view,
                 gaussians.count.as_ref(),
-                gaussians.means_opacity.as_ref(),
-                gaussians.scales.as_ref(),
-                gaussians.quats.as_ref(),
+                gaussians.geometry.as_ref(),
                 gaussians.colors.as_ref(),
                 own.splats.as_ref(),
                 own.depths.as_ref(),
@@ -542,14 +537,12 @@ impl Rasterizer {
                 view,
                 self.counters.as_ref(),
                 sorted.values.as_ref(),
-                own.tiles.as_ref(),
                 own.starts.as_ref(),
                 own.splats.as_ref(),
                 by_tile.keys.as_ref(),
                 by_tile.values.as_ref(),
                 self.intersections.slot_ids.as_ref(),
                 own.first_slots.as_ref(),
-                self.passes.as_ref(),
             ],
             groups,
         );
@@ -613,17 +606,13 @@ fn check(what: &'static str, found: usize, expected: usize) -> Result<(), Render
 
 fn check_columns(gaussians: &Gaussians) -> Result<(), RenderError> {
     let expected = gaussians.capacity;
-    check("means and opacities", gaussians.means_opacity.len(), expected)?;
-    check("scales", gaussians.scales.len(), expected)?;
-    check("quaternions", gaussians.quats.len(), expected)?;
+    check("the geometry", gaussians.geometry.len(), GEOMETRY_SECTIONS * expected)?;
     check("colours", gaussians.colors.len(), expected)?;
     check("the count", gaussians.count.len().min(1), 1)
 }
 
 fn check_gradients(out: &GaussianGradients, expected: usize) -> Result<(), RenderError> {
-    check("gradients of means and opacities", out.means_opacity.len(), expected)?;
-    check("gradients of scales", out.scales.len(), expected)?;
-    check("gradients of quaternions", out.quats.len(), expected)?;
+    check("gradients of the geometry", out.geometry.len(), GEOMETRY_SECTIONS * expected)?;
     check("gradients of colours", out.colors.len(), expected)?;
     check("gradients of projected centres", out.means2d.len(), expected)
 }

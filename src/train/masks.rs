@@ -127,13 +127,13 @@ impl OffsetMasks {
             &[settings.as_ref(), self.logits.as_ref(), self.gradients.as_ref()],
             offsets.div_ceil(64) as u32,
         );
-        let d_opacities = neural.gaussian_gradients()?.means_opacity.clone();
+        let d_geometry = neural.gaussian_gradients()?.geometry.clone();
         recorder.dispatch(
             &self.kernels.mask_gradient,
             &[
                 neural.visible_list().as_ref(),
-                neural.gaussians().means_opacity.as_ref(),
-                d_opacities.as_ref(),
+                neural.gaussians().geometry.as_ref(),
+                d_geometry.as_ref(),
                 self.logits.as_ref(),
                 self.gradients.as_ref(),
             ],

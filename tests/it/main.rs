@@ -12,6 +12,7 @@ mod data_folder;
 mod deployment;
 mod examples;
 mod export;
+mod finite;
 mod first_light;
 #[cfg(target_os = "linux")]
 mod full_disk;

@@ -27,7 +27,7 @@ use crate::support::{
     gpu::gpu,
     oracle::{Oracle, relative_l2},
     random,
-    scene::flat,
+    scene::{flat, sections},
     shared::shared,
 };
 
@@ -112,20 +112,22 @@ fn run(context: &Arc<Context>, plain: &mut PlainGaussians, rows: &GaussianRows, 
     recorder.submit().expect("submitted");
     let out = plain.gaussians().clone();
     assert_eq!(context.read(&out.count).expect("a count")[0] as usize, rows.len());
-    let read = |column| context.read(column).expect("a column");
-    let gaussians = [&out.means_opacity, &out.scales, &out.quats, &out.colors].map(read);
+    let [means, scales, quats] = sections(context, &out.geometry, rows.len());
+    let gaussians = [means, scales, quats, context.read(&out.colors).expect("a column")];
 
     let d = plain.gaussian_gradients().expect("room").clone();
     let given = gradients(9, rows.len());
     let nan = f64::NAN;
-    let write = |column, row: &dyn Fn(&Given) -> [f64; 4]| {
-        let rows: Vec<[f32; 4]> = given.iter().map(|given| row(given).map(|v| v as f32)).collect();
-        context.write(column, &rows);
+    let column = |row: &dyn Fn(&Given) -> [f64; 4]| -> Vec<[f32; 4]> {
+        given.iter().map(|given| row(given).map(|v| v as f32)).collect()
     };
-    write(&d.means_opacity, &|(v, ..)| v.mean.extend(v.opacity).to_array());
-    write(&d.scales, &|(v, ..)| v.scale.extend(nan).to_array());
-    write(&d.quats, &|(v, ..)| v.quat);
-    write(&d.colors, &|(v, ..)| v.color.extend(nan).to_array());
+    let geometry = [
+        column(&|(v, ..)| v.mean.extend(v.opacity).to_array()),
+        column(&|(v, ..)| v.scale.extend(nan).to_array()),
+        column(&|(v, ..)| v.quat),
+    ];
+    context.write(&d.geometry, &geometry.concat());
+    context.write(&d.colors, &column(&|(v, ..)| v.color.extend(nan).to_array()));
     // What is culled has no gradient, and whatever it says must not count.
     let opacity = |index: usize| gaussians[0][index][3];
     let centers: Vec<[f32; 4]> = given

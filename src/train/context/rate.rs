@@ -79,6 +79,7 @@ pub struct GroupOutputs<'a> {
 #[derive(Debug)]
 pub struct RateTerm {
     rate: Arc<Kernel>,
+    refresh_steps: Arc<Kernel>,
     sum_bits: Arc<Kernel>,
     shape: Shape,
     capacity: usize,
@@ -100,6 +101,7 @@ impl RateTerm {
     pub fn new(context: &Context, shape: Shape, capacity: usize) -> Result<Self, GpuError> {
         Ok(Self {
             rate: context.kernel(kernel_source!("rate"), &shape.defs())?,
+            refresh_steps: context.kernel(kernel_source!("refresh_steps"), &[])?,
             sum_bits: context.kernel(kernel_source!("sum_bits"), &[])?,
             shape,
             capacity,
@@ -144,6 +146,7 @@ impl RateTerm {
         let shape = self.shape;
         let columns = [0, shape.scaling_column(), shape.offset_column(), shape.row()];
         let scaled_up = anchors.count as f64 / sample.count.max(1) as f64;
+        let groups = sample.count.div_ceil(64) as u32;
         for (place, output) in outputs.into_iter().enumerate() {
             let [first, end] = [columns[place], columns[place + 1]];
             let settings = recorder.uniform(&[RateUniform {
@@ -161,13 +164,22 @@ impl RateTerm {
                     anchors.masks.as_ref(),
                     output.values.as_ref(),
                     quantised.log_step_gradients().as_ref(),
-                    void_mark.as_ref(),
                     output.gradients.as_ref(),
                     d_rows.as_ref(),
-                    quantised.steps().as_ref(),
                     self.bits.as_ref(),
                 ],
-                sample.count.div_ceil(64) as u32,
+                groups,
+            );
+            recorder.dispatch(
+                &self.refresh_steps,
+                &[
+                    settings.as_ref(),
+                    sample.list.as_ref(),
+                    output.values.as_ref(),
+                    void_mark.as_ref(),
+                    quantised.steps().as_ref(),
+                ],
+                groups,
             );
         }
         let room = recorder.uniform(&[[self.capacity as u32, 0, 0, 0]])?;

@@ -19,5 +19,5 @@ pub use loss::{
 };
 pub use masks::{mask_bits, mask_gradient, mask_loss, mask_rate};
 pub use quantise::{noise, quantise_gradient, quantise_rows, round_rows};
-pub use rate::{RateGradients, rate, sum_bits};
+pub use rate::{RateGradients, rate, refresh_steps, sum_bits};
 pub use wavelet::wavelet;

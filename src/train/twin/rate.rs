@@ -29,8 +29,6 @@ pub struct RateGradients {
     pub bits: Vec<f64>,
     /// Bits a channel that a file takes, where values far out are escapes.
     pub stored: Vec<f64>,
-    /// The step that the network asks for.
-    pub step: f64,
     /// `weight` times the bits' derivatives by the network's outputs; the adjustment's includes what rendering says.
     pub outputs: Vec<f64>,
     /// `weight` times the bits' derivatives by the group's part of the row.
@@ -40,6 +38,20 @@ pub struct RateGradients {
 /// The multiple of the spacing that the decoder's integers make of octaves (`FORMAT.md`).
 fn spacings(octaves: f64) -> i64 {
     (((octaves * 256.0 + 0.5).floor() as i64) * 1170 + 32768) >> 16
+}
+
+/// Octaves of base steps that a group's step is for the adjustment `wanted`, and which multiple of the spacing when rounding.
+fn octaves_of(phase: QuantisationPhase, wanted: f64) -> (f64, i64) {
+    let bounded = wanted.clamp(-f64::from(STEP_OCTAVES), f64::from(STEP_OCTAVES));
+    let index = spacings(bounded).clamp(-16, 16);
+    let octaves = if phase == QuantisationPhase::Rounded { index as f64 * SPACING } else { bounded };
+    (octaves, index)
+}
+
+/// The step of an attribute group for the adjustment `wanted` of its network.
+#[must_use]
+pub fn refresh_steps(by: &Quantisation, group: AttributeGroup, wanted: f64) -> f64 {
+    f64::from(by.base_steps[group as usize]) * octaves_of(by.phase, wanted).0.exp2()
 }
 
 /// The rate of `row`, the part of an anchor's row from column `first` on that belongs to `group`, under the network's
@@ -59,18 +71,14 @@ pub fn rate(
     weight: f64,
 ) -> RateGradients {
     let channels = row.len();
-    let base = f64::from(by.base_steps[group as usize]);
-    let bound = f64::from(STEP_OCTAVES);
     let wanted = outputs[2 * channels];
     let rounds = by.phase == QuantisationPhase::Rounded;
-    let index = spacings(wanted.clamp(-bound, bound)).clamp(-16, 16);
-    let octaves = if rounds { index as f64 * SPACING } else { wanted.clamp(-bound, bound) };
-    let (in_base, step) = (octaves.exp2(), base * octaves.exp2());
+    let (octaves, index) = octaves_of(by.phase, wanted);
+    let (in_base, step) = (octaves.exp2(), refresh_steps(by, group, wanted));
     let quantiser = Quantiser { by, anchor };
     let mut found = RateGradients {
         bits: vec![0.0; channels],
         stored: vec![0.0; channels],
-        step,
         outputs: vec![0.0; 2 * channels + 1],
         row: vec![0.0; channels],
     };
@@ -118,7 +126,7 @@ pub fn rate(
         let by_row = if is_scaling { through_floor(value, step, by_row) * value } else { by_row };
         found.row[channel] = weight * by_row;
     }
-    if wanted.abs() <= bound {
+    if wanted.abs() <= f64::from(STEP_OCTAVES) {
         found.outputs[2 * channels] = weight * by_octaves + d_log_step;
     }
     found

@@ -6,7 +6,7 @@ use tcgs::{
     domain::{Camera, DistanceUnit, Pose},
     model::{NetworkLayout, Shape},
     render::{
-        NeuralGaussians, RasterSettings, RenderError,
+        AnchorGradients, DeviceAnchors, NeuralGaussians, RasterSettings, RenderError,
         twin::{GaussianGradient, neural as twin},
     },
 };
@@ -266,6 +266,23 @@ fn statistics_before_a_backward_pass_are_refused() {
     let mark = context.buffer("void mark", 1).expect("room");
     let refused = neural.statistics(&mut recorder, &device, &statistics, &mark);
     assert_eq!(refused, Err(RenderError::OutOfStep));
+}
+
+#[test]
+fn a_forward_pass_can_be_gone_back_from_once() {
+    let context = gpu();
+    let camera = random::camera(40, 30);
+    let scene = Scene::random(4, SMALL, 5, 0.8, &projection(&camera));
+    let anchors = DeviceAnchors::upload(&context, &scene.anchors, &scene.networks).expect("anchors");
+    let out = AnchorGradients::new(&context, SMALL, anchors.count).expect("room");
+    let mut neural = neural(SMALL, true);
+    let mut recorder = context.recorder("passes");
+    assert_eq!(neural.backward(&mut recorder, &anchors, &out), Err(RenderError::OutOfStep));
+    for _ in 0..2 {
+        neural.forward(&mut recorder, &anchors, &camera, 0.0).expect("recorded");
+        assert_eq!(neural.backward(&mut recorder, &anchors, &out), Ok(()));
+        assert_eq!(neural.backward(&mut recorder, &anchors, &out), Err(RenderError::OutOfStep));
+    }
 }
 
 #[test]

@@ -1,6 +1,10 @@
 //! Numbers that are none: an anchor that holds one is alone in its misery.
 
-use tcgs::{domain::DistanceUnit, render::NeuralGaussians};
+use tcgs::{
+    domain::DistanceUnit,
+    model::{NetworkLayout, all_offsets},
+    render::NeuralGaussians,
+};
 
 use super::scene::{Found, SMALL, Scene, projection, random_gradients, run};
 use crate::support::{gpu::gpu, random};
@@ -69,5 +73,42 @@ fn networks_that_are_not_finite_do_not_stop_the_device() {
         let found = found(&scene, true);
         assert_eq!(found.counts[2] as usize, ANCHORS);
         assert!(found.gaussians[0].iter().all(|row| row[3] >= 0.0), "no opacity is NaN");
+    }
+}
+
+/// The opacities, and the gradients by the networks, where the first head says `output` of every offset of every anchor.
+fn with_opacity_output(output: f32) -> Found {
+    let mut scene = scene();
+    scene.anchors.masks.fill(all_offsets(SMALL));
+    let head = NetworkLayout::new(SMALL).heads[0];
+    scene.networks[head.weights..head.weights + head.inputs * head.outputs].fill(0.0);
+    scene.networks[head.bias..head.bias + head.outputs].fill(output);
+    found(&scene, true)
+}
+
+#[test]
+fn an_output_however_large_is_an_opacity_of_one_or_none() {
+    for output in [10.0, 100.0, 1e30, f32::MAX] {
+        let opaque = with_opacity_output(output);
+        assert!(
+            opaque.counts[1] > 0 && opaque.counts[1] == opaque.counts[0],
+            "{output}: {:?}",
+            opaque.counts
+        );
+        assert!(opaque.gaussians[0].iter().all(|row| row[3] == 1.0), "{output}");
+        assert!(opaque.d_networks.iter().all(|value| value.is_finite()), "{output}");
+        let none = with_opacity_output(-output);
+        assert_eq!(none.counts[1], 0, "-{output}");
+        assert!(none.gaussians[0].iter().all(|row| *row == [0.0; 4]), "-{output}");
+    }
+}
+
+#[test]
+fn an_output_that_is_no_number_makes_no_gaussian() {
+    for output in [f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        let found = with_opacity_output(output);
+        assert_eq!(found.counts[1], 0, "{output}");
+        assert!(found.gaussians[0].iter().all(|row| *row == [0.0; 4]), "{output}");
+        assert!(found.d_networks.iter().all(|value| value.is_finite()), "{output}");
     }
 }

@@ -102,7 +102,7 @@ fn check_against_twins(shape: Shape, count: usize) {
     let v: Vec<GaussianGradient> =
         random_gradients(7, count * shape.offsets).into_iter().map(|(v, ..)| v).collect();
     let by_opacity: Vec<[f32; 4]> = v.iter().map(|v| [0.0, 0.0, 0.0, v.opacity as f32]).collect();
-    context.write(&gaussians.gaussian_gradients().expect("room").means_opacity, &by_opacity);
+    context.write(&gaussians.gaussian_gradients().expect("room").geometry, &by_opacity);
 
     let masks = OffsetMasks::upload(&context, shape, &rows).expect("room");
     // The weight of one offset is of the size of what the view says.

@@ -15,6 +15,8 @@ use tcgs::{
     },
 };
 
+use crate::support::scene::sections;
+
 /// Sizes that leave every tile of the kernels partly filled.
 pub(super) const SMALL: Shape = Shape { features: 8, offsets: 3 };
 
@@ -160,9 +162,9 @@ pub(super) fn run(
     let counts = neural.counts().expect("counts");
     let candidates = counts[0] as usize;
     let gaussians = neural.gaussians().clone();
-    let read = |column| context.read_range(column, 0, candidates).expect("a column");
-    let mut columns =
-        [&gaussians.means_opacity, &gaussians.scales, &gaussians.quats, &gaussians.colors].map(read);
+    let [means, scales, quats] = sections(context, &gaussians.geometry, candidates);
+    let colors = context.read_range(&gaussians.colors, 0, candidates).expect("a column");
+    let mut columns = [means, scales, quats, colors];
     // What no opacity says nothing about is whatever the buffer held before.
     let dead: Vec<usize> = (0..candidates).filter(|row| columns[0][*row][3] <= 0.0).collect();
     for column in &mut columns[1..] {
@@ -170,18 +172,22 @@ pub(super) fn run(
     }
 
     let d = neural.gaussian_gradients().expect("room").clone();
-    let fill = |column, row: &dyn Fn(&Said) -> [f64; 4]| {
+    let column = |row: &dyn Fn(&Said) -> [f64; 4]| {
         let mut rows = vec![[f32::NAN; 4]; gaussians.capacity];
         for (to, from) in rows.iter_mut().take(candidates).zip(gradients) {
             *to = row(from).map(|v| v as f32);
         }
-        context.write(column, &rows);
+        rows
     };
-    fill(&d.means_opacity, &|(v, ..)| v.mean.extend(v.opacity).to_array());
-    fill(&d.scales, &|(v, ..)| v.scale.extend(f64::NAN).to_array());
-    fill(&d.quats, &|(v, ..)| v.quat);
-    fill(&d.colors, &|(v, ..)| v.color.extend(f64::NAN).to_array());
-    fill(&d.means2d, &|(_, v, tiles)| [v.center.x, v.center.y, f64::from(*tiles), f64::NAN]);
+    let geometry = [
+        column(&|(v, ..)| v.mean.extend(v.opacity).to_array()),
+        column(&|(v, ..)| v.scale.extend(f64::NAN).to_array()),
+        column(&|(v, ..)| v.quat),
+    ];
+    context.write(&d.geometry, &geometry.concat());
+    context.write(&d.colors, &column(&|(v, ..)| v.color.extend(f64::NAN).to_array()));
+    let centers = column(&|(_, v, tiles)| [v.center.x, v.center.y, f64::from(*tiles), f64::NAN]);
+    context.write(&d.means2d, &centers);
 
     let spoiled = |len| context.upload("spoiled", &vec![f32::NAN; len]).expect("a buffer");
     let out = AnchorGradients {

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use glam::DVec3;
 use tcgs::{
     domain::Camera,
-    gpu::Context,
-    render::{Counts, GaussianGradients, Gaussians, Rasterizer, twin::Gaussian},
+    gpu::{Buffer, Context},
+    render::{Counts, GEOMETRY_SECTIONS, GaussianGradients, Gaussians, Rasterizer, twin::Gaussian},
 };
 
 /// Gaussians on the host.
@@ -34,13 +34,16 @@ impl Scene {
         self.means_opacity.len()
     }
 
+    /// The sections as the device holds them.
+    pub fn geometry(&self) -> Vec<[f32; 4]> {
+        [&self.means_opacity[..], &self.scales, &self.quats].concat()
+    }
+
     pub fn upload(&self, context: &Context) -> Gaussians {
         Gaussians {
             count: context.upload("count", &[self.len() as u32]).expect("count"),
             capacity: self.len(),
-            means_opacity: context.upload("means", &self.means_opacity).expect("means"),
-            scales: context.upload("scales", &self.scales).expect("scales"),
-            quats: context.upload("quats", &self.quats).expect("quats"),
+            geometry: context.upload("geometry", &self.geometry()).expect("geometry"),
             colors: context.upload("colors", &self.colors).expect("colors"),
         }
     }
@@ -58,15 +61,19 @@ pub struct Rendered {
     pub v_means2d: Vec<[f32; 4]>,
 }
 
+/// The first `count` rows of each section of a geometry: positions and opacities, scales, quaternions.
+pub fn sections(context: &Context, geometry: &Buffer<[f32; 4]>, count: usize) -> [Vec<[f32; 4]>; 3] {
+    let capacity = geometry.len() / GEOMETRY_SECTIONS;
+    [0, 1, 2].map(|section| context.read_range(geometry, section * capacity, count).expect("a section"))
+}
+
 /// Gradients on the device, full of NaN, so that a row that is never written shows.
 pub fn spoiled_gradients(context: &Context, capacity: usize) -> GaussianGradients {
-    let spoiled = || context.upload("spoiled", &vec![[f32::NAN; 4]; capacity]).expect("a buffer");
+    let spoiled = |rows| context.upload("spoiled", &vec![[f32::NAN; 4]; rows]).expect("a buffer");
     GaussianGradients {
-        means_opacity: spoiled(),
-        scales: spoiled(),
-        quats: spoiled(),
-        colors: spoiled(),
-        means2d: spoiled(),
+        geometry: spoiled(GEOMETRY_SECTIONS * capacity),
+        colors: spoiled(capacity),
+        means2d: spoiled(capacity),
     }
 }
 
@@ -96,12 +103,13 @@ pub fn render(
     rasterizer.backward(&mut recorder, &gaussians, camera, &v_image, &out).expect("recorded");
     recorder.submit().expect("submitted");
     let read = |buffer| context.read(buffer).expect("read");
+    let [v_means_opacity, v_scales, v_quats] = sections(context, &out.geometry, scene.len());
     Rendered {
         counts,
         image: read(rasterizer.image()),
-        v_means_opacity: read(&out.means_opacity),
-        v_scales: read(&out.scales),
-        v_quats: read(&out.quats),
+        v_means_opacity,
+        v_scales,
+        v_quats,
         v_colors: read(&out.colors),
         v_means2d: read(&out.means2d),
     }

@@ -28,8 +28,8 @@ fn outputs_of(shape: Shape, k: usize) -> (usize, usize) {
     (shape.offsets + 7 * k, 8 * shape.offsets + 3 * k)
 }
 
-/// The K Gaussians of one anchor; none for an opacity that is not positive, a mask that is off, or a place or size that is
-/// not finite.
+/// The K Gaussians of one anchor; none for an opacity that is not positive or comes of no number, a mask that is off, or a
+/// place or size that is not finite.
 #[must_use]
 pub fn spawn_gaussians(
     position: DVec3,
@@ -52,7 +52,7 @@ pub fn spawn_gaussians(
             };
             let finite =
                 gaussian.mean.abs().cmplt(DVec3::splat(LIMIT)).all() && size.element_product() < LIMIT;
-            ((mask >> k) & 1 == 1 && opacity > 0.0 && finite).then_some(gaussian)
+            ((mask >> k) & 1 == 1 && outputs[k].is_finite() && opacity > 0.0 && finite).then_some(gaussian)
         })
         .collect()
 }

@@ -1,0 +1,28 @@
+// The sampled anchors' steps of one attribute group as its network asks for them, counted from the group's base step. An
+// adjustment that is no number leaves the step as it was; a void step leaves all.
+//
+// A kernel of its own, because with the steps `rate` would bind more buffers than a WebGPU kernel may.
+#import tcgs::rate::{Settings, adjustment_of}
+
+@group(0) @binding(0) var<uniform> settings: Settings;
+// How many anchors are sampled, then which.
+@group(0) @binding(1) var<storage, read> list: array<u32>;
+// Column-major; the group's last row is the adjustment.
+@group(0) @binding(2) var<storage, read> outputs: array<f32>;
+// Not 0 in a step that has to be done again.
+@group(0) @binding(3) var<storage, read> void_mark: array<u32>;
+@group(0) @binding(4) var<storage, read_write> steps: array<f32>;
+
+@compute @workgroup_size(64)
+fn refresh_steps(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let sampled = (group.x + group.y * 65535u) * 64u + local;
+    if sampled >= list[0] || void_mark[0] != 0u {
+        return;
+    }
+    let place = settings.group.z;
+    let row = settings.group.w + 2u * settings.group.y;
+    let adjustment = adjustment_of(outputs[row * settings.room.x + sampled], settings.quantisation.shape.y);
+    if adjustment.is_number {
+        steps[3u * list[1u + sampled] + place] = settings.quantisation.base[place] * exp2(adjustment.octaves);
+    }
+}
