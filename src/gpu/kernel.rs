@@ -172,7 +172,8 @@ mod tests {
     }
 
     /// Definitions that any kernel may ask for, with the values of the model that is trained.
-    const SHAPE: &[(&str, u32)] = &[("FEATURES", 32), ("OFFSETS", 10), ("GRADIENT_LANES", 32), ("DEGREE", 3)];
+    const SHAPE: &[(&str, u32)] =
+        &[("FEATURES", 32), ("OFFSETS", 10), ("GRADIENT_LANES", 32), ("LANES", 32), ("DEGREE", 3)];
 
     #[test]
     fn every_kernel_validates_and_is_named_as_its_file() {
@@ -186,6 +187,8 @@ mod tests {
                     &[("SUBGROUPS", 8), ("EIGHT_LANES", 1)],
                     &[("SUBGROUPS", 32)],
                     &[("SUBGROUPS", 64)],
+                    &[("SUBGROUPS", 8), ("EIGHT_LANES", 1), ("ONE_SUBGROUP", 1)],
+                    &[("SUBGROUPS", 32), ("ONE_SUBGROUP", 1)],
                 ]
             } else {
                 &[&[]]

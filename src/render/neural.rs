@@ -217,7 +217,7 @@ impl NeuralGaussians {
         near: f32,
         unit: DistanceUnit,
     ) -> Result<Self, RenderError> {
-        let subgroups = context.subgroup_size();
+        let subgroups = context.subgroups().lanes();
         Self::with_subgroups(context, shape, near, unit, subgroups)
     }
 

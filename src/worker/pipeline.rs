@@ -490,7 +490,9 @@ pub(super) fn internal(detail: &str) -> Problem {
 /// A device that failed may work again; a scene that is too large for it will not shrink.
 fn from_gpu(fault: GpuError) -> JobFailure {
     match fault {
-        GpuError::DeviceLost(_) | GpuError::Rejected(_) => JobFailure::Retry(fault.into()),
+        GpuError::DeviceLost(_) | GpuError::Timeout { .. } | GpuError::Rejected(_) => {
+            JobFailure::Retry(fault.into())
+        }
         GpuError::NoAdapter { .. }
         | GpuError::Open { .. }
         | GpuError::Kernel { .. }
