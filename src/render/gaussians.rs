@@ -26,6 +26,11 @@ impl Gaussians {
         buffer_bytes::<u32>(4) + 4 * buffer_bytes::<[f32; 4]>(capacity)
     }
 
+    /// Bytes of the widest buffer.
+    pub(super) fn widest_bytes(capacity: usize) -> u64 {
+        buffer_bytes::<[f32; 4]>(capacity)
+    }
+
     /// Room for `capacity` Gaussians, all zero, none used.
     ///
     /// # Errors
@@ -63,6 +68,11 @@ impl GaussianGradients {
     #[must_use]
     pub fn bytes(capacity: usize) -> u64 {
         5 * buffer_bytes::<[f32; 4]>(capacity)
+    }
+
+    /// Bytes of the widest buffer.
+    pub(super) fn widest_bytes(capacity: usize) -> u64 {
+        buffer_bytes::<[f32; 4]>(capacity)
     }
 
     /// Room for the gradients of `capacity` Gaussians.
