@@ -9,10 +9,13 @@ DATA ?= $(or $(TCGS_SHARED),../shared)/data
 # Other programs' formats take part in `make results` where their converter runs, which takes Node.
 PEERS ?= $(and $(wildcard scripts/peers.sh),$(shell command -v node),--peers scripts/peers.sh)
 
+# What `make swiftshader` runs: kernels against their twins, gradients, repeated runs, and whole jobs.
+SWIFTSHADER_TESTS ?= primitives raster_device loss:: neural:: first_light::
+
 # How long `make fuzz` gives each target.
 FUZZ_SECONDS ?= 600
 
-.PHONY: help setup build demo results test examples schemathesis interop peers fuzz lint clean
+.PHONY: help setup build demo results test examples schemathesis swiftshader validation interop peers fuzz lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -38,6 +41,14 @@ examples: setup ## run the documented session with curl and the client in Python
 schemathesis: setup ## hold a running service to openapi.yaml with schemathesis, which comes through PyPI
 	@$(CARGO) build --locked --quiet
 	@scripts/schemathesis.sh
+
+swiftshader: setup ## tests of kernels and whole jobs on SwiftShader, a driver with narrow limits, from a Debian package
+	@. scripts/env.sh && cargo test --locked --no-run --test it
+	@. scripts/env.sh && scripts/swiftshader.sh cargo test --locked --test it -- $(SWIFTSHADER_TESTS)
+
+validation: setup ## one short job under the Khronos validation layer, which comes from a Debian package
+	@$(CARGO) build --locked --quiet
+	@scripts/validation.sh
 
 interop: setup ## hold exports to splat-transform, which comes through npm
 	@scripts/splat_transform.sh --version

@@ -4,7 +4,7 @@
 // Lanes stand for pixels; a block of as many pixels as there are lanes is visited at a time and skipped if none of the
 // eight Gaussians reaches it. Each lane keeps eight private sums, which are added over the lanes once per eight Gaussians.
 //
-// With subgroups, a workgroup is exactly one subgroup: subgroups of all kernels have the same size there.
+// With subgroups, a workgroup is one subgroup, or the first lanes of one that is wider.
 
 #import tcgs::view::{TILE, View, tile_pixel}
 #import tcgs::splat::{ALPHA_MAX, ALPHA_MIN, NONE, power_at, ridges_of, touches}

@@ -44,6 +44,14 @@ const LANES: u32 = #{SUBGROUPS}u;
 #else
 const LANES: u32 = 64u;
 #endif
+// Invocations of a workgroup. Where subgroups may be wider than LANES, each workgroup is one subgroup's first lanes and does
+// its part of a tile.
+#ifdef ONE_SUBGROUP
+const GROUP: u32 = LANES;
+#else
+const GROUP: u32 = 64u;
+#endif
+const GROUPS_A_TILE: u32 = 64u / GROUP;
 
 fn start(position: vec2<u32>) -> Pixel {
     return Pixel(vec2<f32>(position) + 0.5, vec3<f32>(0.0), 1.0, 0u, any(position >= view.size));
@@ -139,15 +147,17 @@ fn blend_chunk(
 #endif
 #endif
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(GROUP)
 fn raster_forward(
     @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
+    @builtin(local_invocation_index) invocation: u32,
 #ifdef SUBGROUPS
     @builtin(subgroup_invocation_id) lane: u32,
 #endif
 ) {
-    let tile = group.x + group.y * 65535u;
+    let linear = group.x + group.y * 65535u;
+    let tile = linear / GROUPS_A_TILE;
+    let local = linear % GROUPS_A_TILE * GROUP + invocation;
     if tile >= view.tiles.x * view.tiles.y {
         return;
     }

@@ -5,17 +5,35 @@ use std::{sync::Arc, time::Duration};
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use tcgs::gpu::{Binding, Context, KernelSource};
+use tcgs::gpu::{Binding, Context, KernelSource, KernelVariant};
 
 /// Of each probe the fastest of this many runs.
 const RUNS: usize = 40;
 
-/// Floats in the buffers of the probes: more than what is private to a core, and few enough that a run is as short as a
-/// kernel of a step, since what disturbs long runs must not lower the ceiling of short ones.
-const FLOATS: usize = 2 << 20;
+/// How large the probes are.
+#[derive(Debug, Clone, Copy)]
+struct Extent {
+    /// Floats in each buffer.
+    floats: usize,
+    /// Workgroups of 64, each invocation of which has a place for four floats.
+    groups: u32,
+}
 
-/// Workgroups of the probes.
-const GROUPS: u32 = 512;
+impl Extent {
+    /// On a CPU, buffers hold more than what is private to a core, and few enough floats that a run is as short as a kernel of a
+    /// step, since what disturbs long runs must not lower the ceiling of short ones. On a GPU they have to be larger than its
+    /// last cache, some 50 to 100 MB, and workgroups more than fill it.
+    fn of(context: &Context) -> Self {
+        let (floats, groups) = match context.variant() {
+            KernelVariant::Software => (2 << 20, 512),
+            KernelVariant::Hardware => (64 << 20, 16_384),
+        };
+        let adapter = context.adapter();
+        let bindable = adapter.max_binding_bytes.min(adapter.max_buffer_bytes) as usize / size_of::<f32>();
+        let floats = floats.min(bindable);
+        Self { floats, groups: groups.min((floats / (4 * 64)) as u32) }
+    }
+}
 
 /// Floating-point operations of an invocation of `multiply_add.wgsl`: turns, steps, chains, and two operations each.
 const OPERATIONS: f64 = 16.0 * 16.0 * 16.0 * 2.0;
@@ -39,23 +57,24 @@ pub(crate) struct Ceilings {
 
 impl Ceilings {
     pub(crate) fn measure(context: &Arc<Context>) -> Self {
+        let Extent { floats, groups } = Extent::of(context);
         let mut rng = Pcg64::seed_from_u64(1);
-        let from = context.upload("from", &vec![1.0_f32; FLOATS]).unwrap();
-        let to = context.buffer::<f32>("to", FLOATS).unwrap();
-        let places: Vec<u32> = (0..FLOATS).map(|_| rng.random_range(0..FLOATS as u32)).collect();
+        let from = context.upload("from", &vec![1.0_f32; floats]).unwrap();
+        let to = context.buffer::<f32>("to", floats).unwrap();
+        let places: Vec<u32> = (0..floats).map(|_| rng.random_range(0..floats as u32)).collect();
         let places = context.upload("places", &places).unwrap();
         let seeds = context.upload("seeds", &[[0.5_f32; 4], [0.25; 4], [1.0; 4]]).unwrap();
         let seconds = |source: KernelSource, bindings: &[Binding<'_>]| {
             let kernel = context.kernel(source, &[]).unwrap();
             let time = (0..RUNS).map(|_| {
                 let mut recorder = context.timed_recorder("probe");
-                recorder.dispatch(&kernel, bindings, GROUPS);
+                recorder.dispatch(&kernel, bindings, groups);
                 recorder.submit_timed().unwrap().iter().map(|kernel| kernel.time).sum::<Duration>()
             });
             time.min().unwrap_or_default().as_secs_f64()
         };
-        let bytes = (FLOATS * size_of::<f32>()) as f64;
-        let invocations = f64::from(64 * GROUPS);
+        let bytes = (floats * size_of::<f32>()) as f64;
+        let invocations = f64::from(64 * groups);
         Self {
             copy: 2.0 * bytes / seconds(probe!("streaming_copy"), &[from.as_ref(), to.as_ref()]),
             gather: bytes / seconds(probe!("random_reads"), &[places.as_ref(), from.as_ref(), to.as_ref()]),

@@ -111,6 +111,8 @@ fn text(machine: &Machine) -> String {
 
 #[cfg(test)]
 mod tests {
+    use tcgs::gpu::KernelVariant;
+
     use super::*;
 
     fn lavapipe(driver: &str) -> AdapterReport {
@@ -128,6 +130,7 @@ mod tests {
             subgroups: true,
             timestamps: true,
             usable: true,
+            variant: KernelVariant::Software,
         }
     }
 

@@ -4,7 +4,7 @@ use std::{fmt, str::FromStr};
 
 use serde::Serialize;
 
-use super::GpuError;
+use super::{GpuError, KernelVariant};
 
 /// Which adapter to open.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -80,6 +80,9 @@ pub struct AdapterReport {
     pub timestamps: bool,
     /// Whether this program can run on it.
     pub usable: bool,
+    /// How kernels divide their work on it.
+    #[serde(skip)]
+    pub variant: KernelVariant,
 }
 
 impl AdapterReport {
@@ -103,6 +106,7 @@ pub(super) fn describe(adapter: &wgpu::Adapter) -> AdapterReport {
     let info = adapter.get_info();
     let limits = adapter.limits();
     let features = adapter.features();
+    let is_software = info.device_type == wgpu::DeviceType::Cpu;
     AdapterReport {
         name: info.name.clone(),
         backend: info.backend.to_string(),
@@ -118,12 +122,15 @@ pub(super) fn describe(adapter: &wgpu::Adapter) -> AdapterReport {
         timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
         usable: limits.max_storage_buffers_per_shader_stage >= STORAGE_BUFFERS_NEEDED
             && limits.max_compute_invocations_per_workgroup >= 256,
+        variant: if is_software { KernelVariant::Software } else { KernelVariant::Hardware },
     }
 }
 
 pub(super) fn adapters() -> Vec<wgpu::Adapter> {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
         backends: wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12,
+        // Not by the kind of build: a validation layer that happens to be installed must not slow down tests.
+        flags: wgpu::InstanceFlags::empty().with_env(),
         ..wgpu::InstanceDescriptor::new_without_display_handle()
     });
     pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()))

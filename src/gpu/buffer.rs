@@ -13,7 +13,7 @@ pub struct RawBuffer {
     _reservation: Reservation,
 }
 
-/// A device buffer of `len` elements; usable as storage, for indirect dispatch, and as source and target of copies.
+/// A device buffer of `len` elements; usable as storage and as source and target of copies.
 #[derive(Debug, Clone)]
 pub struct Buffer<T> {
     inner: Arc<RawBuffer>,
@@ -40,6 +40,12 @@ impl<T: bytemuck::Pod> Buffer<T> {
         Self { inner: Arc::clone(&self.inner), len: len.min(self.len), kind: PhantomData }
     }
 
+    /// The same buffer with `len` elements, whatever they hold, if it has room for them.
+    fn with_len(&self, len: usize) -> Option<Self> {
+        let has_room = buffer_bytes::<T>(len) <= self.raw().size();
+        has_room.then(|| Self { inner: Arc::clone(&self.inner), len, kind: PhantomData })
+    }
+
     pub(super) fn raw(&self) -> &wgpu::Buffer {
         &self.inner.inner
     }
@@ -55,6 +61,36 @@ impl<T> AsRef<RawBuffer> for Buffer<T> {
 #[must_use]
 pub fn buffer_bytes<T>(len: usize) -> u64 {
     (len.max(1) as u64).saturating_mul(size_of::<T>() as u64).div_ceil(16).saturating_mul(16)
+}
+
+/// A buffer before it is made: estimates and limits read the sizes that the buffers then have.
+#[derive(Debug, Clone, Copy)]
+pub struct BufferPlan<T> {
+    label: &'static str,
+    len: usize,
+    kind: PhantomData<T>,
+}
+
+impl<T: bytemuck::Pod> BufferPlan<T> {
+    /// `len` elements for what `label` names.
+    #[must_use]
+    pub fn new(label: &'static str, len: usize) -> Self {
+        Self { label, len, kind: PhantomData }
+    }
+
+    /// Bytes on the device.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        buffer_bytes::<T>(self.len)
+    }
+
+    /// Makes the buffer.
+    ///
+    /// # Errors
+    /// As [`Context::buffer`].
+    pub fn make(&self, context: &Context) -> Result<Buffer<T>, GpuError> {
+        context.buffer(self.label, self.len)
+    }
 }
 
 impl Context {
@@ -77,12 +113,28 @@ impl Context {
             usage: wgpu::BufferUsages::STORAGE
                 | wgpu::BufferUsages::COPY_SRC
                 | wgpu::BufferUsages::COPY_DST
-                | wgpu::BufferUsages::INDIRECT
                 | wgpu::BufferUsages::UNIFORM,
             mapped_at_creation: false,
         });
         let inner = Arc::new(RawBuffer { inner, _reservation: reservation });
         Ok(Buffer { inner, len, kind: PhantomData })
+    }
+
+    /// Gives `buffer` a length: it stays the same where it has room, whatever it holds, and is a new one, zeroed, where it has not.
+    ///
+    /// # Errors
+    /// As [`Context::buffer`]; `buffer` is unchanged.
+    pub fn resize<T: bytemuck::Pod>(
+        &self,
+        buffer: &mut Buffer<T>,
+        label: &str,
+        len: usize,
+    ) -> Result<(), GpuError> {
+        *buffer = match buffer.with_len(len) {
+            Some(kept) => kept,
+            None => self.buffer(label, len)?,
+        };
+        Ok(())
     }
 
     /// A new buffer that holds `values`.
@@ -93,5 +145,32 @@ impl Context {
         let buffer = self.buffer(label, values.len())?;
         self.write(&buffer, values);
         Ok(buffer)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::gpu::testing::lavapipe;
+
+    #[test]
+    fn a_buffer_is_for_kernels_and_copies_only() {
+        // For a buffer that dispatches may read their counts from, wgpu makes bind groups of its own.
+        let buffer = lavapipe().buffer::<u32>("one", 1).expect("room");
+        assert!(!buffer.raw().usage().contains(wgpu::BufferUsages::INDIRECT));
+    }
+
+    #[test]
+    fn a_buffer_that_has_room_is_kept_and_another_is_made_beyond() {
+        let context = lavapipe();
+        let mut buffer = context.upload("kept", &[1_u32, 2, 3, 4, 5, 6, 7, 8]).expect("room");
+        let (made, bytes) = (context.buffers_made(), context.allocated_bytes());
+        for len in [3, 8, 0, 1] {
+            context.resize(&mut buffer, "kept", len).expect("has room");
+            assert_eq!(buffer.len(), len);
+        }
+        assert_eq!((context.buffers_made(), context.allocated_bytes()), (made, bytes));
+        context.resize(&mut buffer, "kept", 9).expect("room");
+        assert_eq!(context.buffers_made(), made + 1);
+        assert_eq!(context.read(&buffer).expect("read"), [0; 9]);
     }
 }

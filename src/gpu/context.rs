@@ -2,14 +2,16 @@
 
 use std::{
     collections::HashMap,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex, OnceLock, PoisonError, RwLock},
+    thread,
+    time::Duration,
 };
 
 use naga_oil::compose::Composer;
 
 use super::{
-    AdapterChoice, AdapterReport, Buffer, GpuError, Kernel, KernelSource, Recorder, adapter, kernel,
-    ledger::Ledger,
+    AdapterChoice, AdapterReport, Buffer, ContextSettings, GpuError, Kernel, KernelSource, KernelVariant,
+    Recorder, Subgroups, adapter, kernel, ledger::Ledger,
 };
 
 /// Largest workgroup-per-dispatch count that a dimension takes everywhere.
@@ -20,6 +22,8 @@ pub(super) const MAX_GROUPS_PER_DIMENSION: u32 = 65_535;
 pub(super) struct Faults {
     lost: Mutex<Option<String>>,
     rejected: Mutex<Option<String>>,
+    /// How long it was waited for in vain.
+    hung: OnceLock<Duration>,
 }
 
 /// The kernels made so far, by name and definitions, and what makes the next one.
@@ -35,6 +39,8 @@ pub struct Context {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     report: AdapterReport,
+    subgroups: Subgroups,
+    max_wait: RwLock<Duration>,
     faults: Arc<Faults>,
     kernels: Mutex<Kernels>,
     pub(super) ledger: Arc<Ledger>,
@@ -46,8 +52,16 @@ impl Context {
     /// # Errors
     /// [`GpuError::NoAdapter`] or [`GpuError::Open`].
     pub fn new(choice: &AdapterChoice) -> Result<Arc<Self>, GpuError> {
+        Self::with_settings(choice, &ContextSettings::default())
+    }
+
+    /// As [`Context::new`], with what `settings` says in place of what suits the adapter.
+    ///
+    /// # Errors
+    /// As [`Context::new`]; faults of the device where its subgroups have to be tried out.
+    pub fn with_settings(choice: &AdapterChoice, settings: &ContextSettings) -> Result<Arc<Self>, GpuError> {
         let adapter = adapter::choose(choice)?;
-        let report = adapter::describe(&adapter);
+        let report = settings.apply(adapter::describe(&adapter));
         let wanted = wgpu::Features::SUBGROUP | wgpu::Features::TIMESTAMP_QUERY;
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("tcgs"),
@@ -74,14 +88,20 @@ impl Context {
             backend = report.backend,
             "device opened"
         );
-        Ok(Arc::new(Self {
+        let mut context = Self {
             device,
             queue,
+            subgroups: Subgroups::Unused,
+            max_wait: RwLock::new(settings.max_wait(&report)),
             report,
             faults,
             kernels: Mutex::new(Kernels { composer: kernel::composer()?, made: HashMap::new() }),
             ledger: Arc::new(Ledger::new()),
-        }))
+        };
+        let wanted = settings.subgroups.unwrap_or_else(|| Subgroups::of(&context.report));
+        context.subgroups = wanted.tried(&context)?;
+        tracing::debug!(variant = ?context.report.variant, subgroups = ?context.subgroups, "kernels chosen");
+        Ok(Arc::new(context))
     }
 
     /// The adapter and what it offers.
@@ -96,17 +116,16 @@ impl Context {
         format!("{} ({}, {})", self.report.name, self.report.driver, self.report.backend)
     }
 
-    /// The size of every subgroup, if subgroup operations may be used and the size is the same for all kernels.
+    /// What kernels may rely on of subgroups.
     #[must_use]
-    pub fn subgroup_size(&self) -> Option<u32> {
-        let [smallest, largest] = self.report.subgroup_sizes;
-        (self.report.subgroups && smallest == largest && (4..=64).contains(&smallest)).then_some(smallest)
+    pub fn subgroups(&self) -> Subgroups {
+        self.subgroups
     }
 
-    /// Whether kernels run on the CPU: few lanes, and a price for each dispatch and barrier.
+    /// How kernels divide their work.
     #[must_use]
-    pub fn is_software(&self) -> bool {
-        self.report.is_software()
+    pub fn variant(&self) -> KernelVariant {
+        self.report.variant
     }
 
     /// Bytes in live buffers of this context, those of transfers under way among them.
@@ -119,6 +138,12 @@ impl Context {
     #[must_use]
     pub fn peak_bytes(&self) -> u64 {
         self.ledger.peak()
+    }
+
+    /// Buffers made so far, those of transfers among them.
+    #[must_use]
+    pub fn buffers_made(&self) -> u64 {
+        self.ledger.made()
     }
 
     /// Bytes that live buffers may take together; without a bound until one is set.
@@ -135,8 +160,11 @@ impl Context {
     /// Whether the device still works.
     ///
     /// # Errors
-    /// [`GpuError::DeviceLost`] or [`GpuError::Rejected`] with the first fault since the device was opened.
+    /// [`GpuError::Timeout`], [`GpuError::DeviceLost`] or [`GpuError::Rejected`] with the first fault since the device was opened.
     pub fn check(&self) -> Result<(), GpuError> {
+        if let Some(waited) = self.faults.hung.get() {
+            return Err(GpuError::Timeout { waited: *waited });
+        }
         if let Some(reason) = &*self.faults.lost.lock().unwrap_or_else(PoisonError::into_inner) {
             return Err(GpuError::DeviceLost(reason.clone()));
         }
@@ -176,15 +204,33 @@ impl Context {
         Recorder::timed(self, label)
     }
 
-    /// Waits until everything submitted so far is done.
+    /// Waits until everything submitted so far is done, but no longer than the device may take. One that takes longer counts as
+    /// hung from then on.
     ///
     /// # Errors
     /// As [`Context::check`].
     pub fn wait(&self) -> Result<(), GpuError> {
-        self.device
-            .poll(wgpu::PollType::wait_indefinitely())
-            .map_err(|fault| GpuError::DeviceLost(fault.to_string()))?;
+        self.check()?;
+        let waited = *self.max_wait.read().unwrap_or_else(PoisonError::into_inner);
+        let answer = match waited {
+            Duration::ZERO => Err(wgpu::PollError::Timeout),
+            _ => self.device.poll(wgpu::PollType::Wait { submission_index: None, timeout: Some(waited) }),
+        };
+        match answer {
+            Ok(_) => {}
+            Err(wgpu::PollError::Timeout) => {
+                tracing::error!(?waited, "the device does not answer");
+                // Whoever waited before and in vain has set it.
+                let _ = self.faults.hung.set(waited);
+            }
+            Err(fault) => return Err(GpuError::DeviceLost(fault.to_string())),
+        }
         self.check()
+    }
+
+    /// From now on the device may take so long before it counts as hung; without any time it hangs at the next wait.
+    pub fn set_max_wait(&self, limit: Duration) {
+        *self.max_wait.write().unwrap_or_else(PoisonError::into_inner) = limit;
     }
 
     /// Destroys the device, as a driver reset would; for tests of the recovery.
@@ -248,6 +294,16 @@ impl Context {
                 (start * size_of::<T>()) as u64,
                 bytemuck::cast_slice(values),
             );
+        }
+    }
+}
+
+impl Drop for Context {
+    /// wgpu waits without a limit for a queue that it drops. For one that hangs, a thread of its own does.
+    fn drop(&mut self) {
+        if self.faults.hung.get().is_some() {
+            let hung = (self.queue.clone(), self.device.clone());
+            thread::spawn(move || drop(hung));
         }
     }
 }

@@ -1,5 +1,7 @@
 //! What can go wrong on the device.
 
+use std::time::Duration;
+
 use thiserror::Error;
 
 use crate::domain::{Bytes, Problem};
@@ -28,6 +30,16 @@ pub enum GpuError {
     /// The device was lost; everything on it is gone.
     #[error("the device was lost: {0}")]
     DeviceLost(String),
+    /// The device did not finish in time what it was given; nothing more is asked of it.
+    #[error(
+        "the device did not answer within {} s; its driver may hang: choose another adapter with --adapter, or smaller images or \
+         a smaller preset if it is just slow",
+        waited.as_secs_f64()
+    )]
+    Timeout {
+        /// How long it was waited for.
+        waited: Duration,
+    },
     /// The driver rejected a command: a fault of this program or of the driver.
     #[error("the device rejected a command: {0}")]
     Rejected(String),
@@ -68,6 +80,7 @@ impl From<GpuError> for Problem {
         let (name, title) = match &error {
             GpuError::NoAdapter { .. } | GpuError::Open { .. } => ("no-adapter", "No usable adapter"),
             GpuError::DeviceLost(_) => ("device-lost", "The device was lost"),
+            GpuError::Timeout { .. } => ("device-timeout", "The device did not answer"),
             GpuError::Rejected(_) | GpuError::Kernel { .. } => {
                 ("device-fault", "The device rejected a command")
             }

@@ -187,8 +187,12 @@ mod tests {
             let of = |size| vec![("SUBGROUPS", size), ("GRADIENT_LANES", size)];
             let mut variants: Vec<_> = [8, 16, 32, 64].map(|size| with(&of(size))).to_vec();
             variants.push(with(&[of(8), vec![("EIGHT_LANES", 1)]].concat()));
+            variants.push(with(&[of(8), vec![("EIGHT_LANES", 1), ("ONE_SUBGROUP", 1)]].concat()));
+            variants.push(with(&[of(32), vec![("ONE_SUBGROUP", 1)]].concat()));
             variants.push(with(&[("GRADIENT_LANES", 64)]));
             variants
+        } else if text.contains("#{LANES}") {
+            [8, 16, 32, 64].map(|lanes| with(&[("LANES", lanes)])).to_vec()
         } else if text.contains("tcgs::plain") {
             (0..=3).map(|degree| with(&[("DEGREE", degree)])).collect()
         } else {

@@ -11,11 +11,12 @@ use std::sync::{
 use super::GpuError;
 use crate::domain::Bytes;
 
-/// Bytes in use, the most that were, and the bound.
+/// Bytes in use, the most that were, how often some were asked for, and the bound.
 #[derive(Debug)]
 pub(super) struct Ledger {
     used: AtomicU64,
     peak: AtomicU64,
+    made: AtomicU64,
     budget: AtomicU64,
 }
 
@@ -28,7 +29,12 @@ pub(super) struct Reservation {
 
 impl Ledger {
     pub(super) fn new() -> Self {
-        Self { used: AtomicU64::new(0), peak: AtomicU64::new(0), budget: AtomicU64::new(u64::MAX) }
+        Self {
+            used: AtomicU64::new(0),
+            peak: AtomicU64::new(0),
+            made: AtomicU64::new(0),
+            budget: AtomicU64::new(u64::MAX),
+        }
     }
 
     /// Counts `bytes` more for what `label` names.
@@ -41,6 +47,7 @@ impl Ledger {
         match self.used.fetch_update(Ordering::Relaxed, Ordering::Relaxed, more) {
             Ok(before) => {
                 self.peak.fetch_max(before + bytes, Ordering::Relaxed);
+                self.made.fetch_add(1, Ordering::Relaxed);
                 Ok(Reservation { ledger: Arc::clone(self), bytes })
             }
             Err(used) => Err(GpuError::OverBudget {
@@ -58,6 +65,11 @@ impl Ledger {
 
     pub(super) fn peak(&self) -> u64 {
         self.peak.load(Ordering::Relaxed)
+    }
+
+    /// Reservations made so far.
+    pub(super) fn made(&self) -> u64 {
+        self.made.load(Ordering::Relaxed)
     }
 
     pub(super) fn budget(&self) -> u64 {

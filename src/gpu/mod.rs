@@ -2,7 +2,8 @@
 //! that everything on the device is built from.
 //!
 //! What always holds: the adapter is the one that was asked for or there is an error; a lost device is remembered
-//! and reported as [`GpuError::DeviceLost`] from then on; every buffer is counted in bytes, and no buffer is made that would take them
+//! and reported as [`GpuError::DeviceLost`] from then on, and one that did not answer as [`GpuError::Timeout`]; no wait for a device is
+//! without an end; every buffer is counted in bytes, and no buffer is made that would take them
 //! beyond [`Context::budget_bytes`].
 
 mod adapter;
@@ -14,17 +15,25 @@ mod kernel;
 mod ledger;
 mod recorder;
 mod scan;
+mod settings;
 mod sort;
+mod subgroups;
+#[cfg(test)]
+pub(crate) mod testing;
 mod timing;
 pub mod twin;
+mod variant;
 
 pub use adapter::{AdapterChoice, AdapterReport, report};
-pub use buffer::{Buffer, RawBuffer, buffer_bytes};
+pub use buffer::{Buffer, BufferPlan, RawBuffer, buffer_bytes};
 pub use context::Context;
 pub use driver_cache::driver_cache;
 pub use error::GpuError;
 pub use kernel::{Kernel, KernelSource, kernel_source};
 pub use recorder::{Binding, Recorder};
 pub use scan::{Scan, ScanSlots};
+pub use settings::ContextSettings;
 pub use sort::{Pairs, RadixSort};
+pub use subgroups::Subgroups;
 pub use timing::KernelTime;
+pub use variant::KernelVariant;

@@ -50,21 +50,6 @@ impl<'a> Recorder<'a> {
         pass.dispatch_workgroups(x, y, 1);
     }
 
-    /// Runs `kernel` over the workgroup counts (x, y, z) that `counts` holds from element `first` on.
-    pub fn dispatch_indirect(
-        &mut self,
-        kernel: &Kernel,
-        bindings: &[Binding<'_>],
-        counts: &Buffer<u32>,
-        first: usize,
-    ) {
-        let group = self.bind(kernel, bindings);
-        let pass = self.pass(kernel);
-        pass.set_pipeline(&kernel.pipeline);
-        pass.set_bind_group(0, &group, &[]);
-        pass.dispatch_workgroups_indirect(counts.raw(), first as u64 * 4);
-    }
-
     /// Copies whole elements from one buffer to another.
     pub fn copy<T: bytemuck::Pod>(
         &mut self,
@@ -104,7 +89,8 @@ impl<'a> Recorder<'a> {
         let staging = self.context.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("recorded write"),
             size,
-            usage: wgpu::BufferUsages::COPY_SRC,
+            // Without the right to map, wgpu would hand out a buffer of its own and copy that into this one.
+            usage: wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::MAP_WRITE,
             mapped_at_creation: true,
         });
         match staging.slice(..).get_mapped_range_mut() {
@@ -210,6 +196,24 @@ fn spread(groups: u32) -> (u32, u32) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gpu::testing::lavapipe;
+
+    #[test]
+    fn a_recorded_write_is_staged_once() {
+        const LEN: usize = 1 << 18;
+        let context = lavapipe();
+        let buffer = context.buffer::<u32>("target", LEN).expect("room");
+        let allocated =
+            || context.device.generate_allocator_report().expect("a report").total_allocated_bytes;
+        let before = allocated();
+        let values: Vec<u32> = (0..LEN as u32).collect();
+        let mut recorder = context.recorder("write");
+        recorder.write(&buffer, &values);
+        let staged = allocated() - before;
+        assert!((4 * LEN as u64..6 * LEN as u64).contains(&staged), "{staged} bytes for {}", 4 * LEN);
+        recorder.submit().expect("submitted");
+        assert!(context.read(&buffer).expect("read") == values);
+    }
 
     #[test]
     fn group_counts_are_spread_over_two_dimensions() {

@@ -38,7 +38,7 @@ pub struct Scan {
 
 impl Scan {
     fn runs(adapter: &AdapterReport) -> u32 {
-        if adapter.is_software() { 512 } else { 8192 }
+        adapter.variant.choose(512, 8192)
     }
 
     /// Bytes on the device.

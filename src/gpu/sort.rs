@@ -46,16 +46,27 @@ impl Pairs {
     }
 }
 
+/// The passes of a sort by so many bits.
+#[derive(Debug)]
+struct Passes {
+    bits: u32,
+    /// What each pass is given, and its digits.
+    params: Vec<(Buffer<SortParams>, u32)>,
+}
+
 /// A sort of up to `capacity` pairs by the low bits of their keys.
 #[derive(Debug)]
 pub struct RadixSort {
     count: Arc<Kernel>,
     offsets: Arc<Kernel>,
     scatter: Arc<Kernel>,
-    passes: Vec<(Buffer<SortParams>, u32)>,
+    /// One for each number of bits that was asked for; the current one is the last.
+    passes: Vec<Passes>,
     counters: Buffer<u32>,
     totals: Buffer<u32>,
     runs: u32,
+    count_index: u32,
+    capacity: u32,
 }
 
 /// Bits of each pass, lowest first: as few passes as `widest` allows, of equal width or one less.
@@ -68,17 +79,23 @@ impl RadixSort {
     /// Runs, and the bits of the widest pass. Software adapters have few lanes and pay for each dispatch: wide digits and few
     /// runs, the best of 32 to 1024 runs by 4 to 11 bits on lavapipe. Hardware wants many runs.
     fn runs_and_widest(adapter: &AdapterReport) -> (u32, u32) {
-        if adapter.is_software() { (128, 8) } else { (1024, 4) }
+        adapter.variant.choose((128, 8), (1024, 4))
     }
 
     /// Bytes on the device of a sort by the lowest `bits` bits, besides the pairs.
     #[must_use]
     pub fn bytes(adapter: &AdapterReport, bits: u32) -> u64 {
         let (runs, widest) = Self::runs_and_widest(adapter);
-        let passes = widths(bits.min(32), widest).len() as u64;
-        passes * buffer_bytes::<SortParams>(1)
+        Self::pass_bytes(adapter, bits)
             + buffer_bytes::<u32>((runs as usize) << widest)
             + buffer_bytes::<u32>(1 << widest)
+    }
+
+    /// Bytes on the device of what [`RadixSort::set_bits`] adds for a number of bits that is new.
+    #[must_use]
+    pub fn pass_bytes(adapter: &AdapterReport, bits: u32) -> u64 {
+        let (_, widest) = Self::runs_and_widest(adapter);
+        widths(bits.min(32), widest).len() as u64 * buffer_bytes::<SortParams>(1)
     }
 
     /// Prepares a sort by the lowest `bits` bits (at most 32); `count_index` is the element of the count buffer that
@@ -88,29 +105,51 @@ impl RadixSort {
     /// As [`Context::buffer`] and [`Context::kernel`].
     pub fn new(context: &Context, capacity: usize, bits: u32, count_index: u32) -> Result<Self, GpuError> {
         let (runs, widest) = Self::runs_and_widest(context.adapter());
-        let mut passes = Vec::new();
+        let mut sort = Self {
+            count: context.kernel(kernel_source!("sort_count"), &[])?,
+            offsets: context.kernel(kernel_source!("sort_offsets"), &[])?,
+            scatter: context.kernel(kernel_source!("sort_scatter"), &[])?,
+            passes: Vec::new(),
+            counters: context.buffer("sort counters", (runs as usize) << widest)?,
+            totals: context.buffer("sort totals", 1 << widest)?,
+            runs,
+            count_index,
+            capacity: u32::try_from(capacity).unwrap_or(u32::MAX),
+        };
+        sort.set_bits(context, bits)?;
+        Ok(sort)
+    }
+
+    /// Sorts by another number of bits from the next recording on.
+    ///
+    /// # Errors
+    /// As [`Context::buffer`], where that number is new.
+    pub fn set_bits(&mut self, context: &Context, bits: u32) -> Result<(), GpuError> {
+        let passes = match self.passes.iter().position(|passes| passes.bits == bits) {
+            Some(known) => self.passes.remove(known),
+            None => self.new_passes(context, bits)?,
+        };
+        self.passes.push(passes);
+        Ok(())
+    }
+
+    fn new_passes(&self, context: &Context, bits: u32) -> Result<Passes, GpuError> {
+        let (runs, widest) = Self::runs_and_widest(context.adapter());
+        let mut passes = Passes { bits, params: Vec::new() };
         let mut shift = 0;
         for width in widths(bits.min(32), widest) {
             let params = SortParams {
                 runs,
-                count_index,
-                capacity: u32::try_from(capacity).unwrap_or(u32::MAX),
+                count_index: self.count_index,
+                capacity: self.capacity,
                 shift,
                 digits: 1 << width,
                 unused: [0; 3],
             };
-            passes.push((context.upload("sort params", &[params])?, params.digits));
+            passes.params.push((context.upload("sort params", &[params])?, params.digits));
             shift += width;
         }
-        Ok(Self {
-            count: context.kernel(kernel_source!("sort_count"), &[])?,
-            offsets: context.kernel(kernel_source!("sort_offsets"), &[])?,
-            scatter: context.kernel(kernel_source!("sort_scatter"), &[])?,
-            passes,
-            counters: context.buffer("sort counters", (runs as usize) << widest)?,
-            totals: context.buffer("sort totals", 1 << widest)?,
-            runs,
-        })
+        Ok(passes)
     }
 
     /// Records the sort and says which of the two holds the result: `pairs`, or `spare` after an odd number of passes.
@@ -124,7 +163,7 @@ impl RadixSort {
     ) -> &'p Pairs {
         let (mut from, mut to) = (pairs, spare);
         let groups = self.runs.div_ceil(16);
-        for (params, digits) in &self.passes {
+        for (params, digits) in self.passes.last().into_iter().flat_map(|passes| &passes.params) {
             let (params, counters, totals) = (params.as_ref(), self.counters.as_ref(), self.totals.as_ref());
             recorder.dispatch(&self.count, &[params, counts.as_ref(), from.keys.as_ref(), counters], groups);
             recorder.dispatch(&self.offsets, &[params, counters, totals], digits.div_ceil(16));

@@ -21,6 +21,21 @@ pub fn radix_sort(pairs: &[(u32, u32)], bits: u32) -> Vec<(u32, u32)> {
     sorted
 }
 
+/// What each invocation of `groups` workgroups of `lanes` finds where a workgroup lies in the first lanes of one subgroup: the
+/// mirrored lane's index, the sum of all of the workgroup's indices, and the ballot of every third lane.
+#[must_use]
+pub fn subgroup_probe(lanes: u32, groups: u32) -> Vec<[u32; 4]> {
+    let ballot = (0..lanes).filter(|lane| lane % 3 == 0).fold(0_u64, |bits, lane| bits | 1 << lane);
+    (0..groups * lanes)
+        .map(|index| {
+            let first = index / lanes * lanes;
+            let mirrored = first + lanes - 1 - index % lanes;
+            let sum = (first..first + lanes).sum();
+            [mirrored, sum, ballot as u32, (ballot >> 32) as u32]
+        })
+        .collect()
+}
+
 /// The part of `count` elements that invocation `run` of `runs` owns.
 fn owned(count: usize, runs: usize, run: usize) -> std::ops::Range<usize> {
     let length = count.div_ceil(runs);

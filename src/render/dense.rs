@@ -50,7 +50,7 @@ pub struct DenseLayers {
 }
 
 impl DenseLayers {
-    /// Prepares the kernels; `subgroups` is the size of every subgroup where they may be used.
+    /// Prepares the kernels; `subgroups` are the lanes that a subgroup has at least, where they may be used.
     ///
     /// # Errors
     /// Faults of the device.

@@ -31,6 +31,11 @@ impl Gaussians {
             + buffer_bytes::<[f32; 4]>(capacity)
     }
 
+    /// Bytes of the widest buffer.
+    pub(super) fn widest_bytes(capacity: usize) -> u64 {
+        buffer_bytes::<[f32; 4]>(GEOMETRY_SECTIONS * capacity)
+    }
+
     /// Room for `capacity` Gaussians, all zero, none used.
     ///
     /// # Errors
@@ -63,6 +68,11 @@ impl GaussianGradients {
     #[must_use]
     pub fn bytes(capacity: usize) -> u64 {
         buffer_bytes::<[f32; 4]>(GEOMETRY_SECTIONS * capacity) + 2 * buffer_bytes::<[f32; 4]>(capacity)
+    }
+
+    /// Bytes of the widest buffer.
+    pub(super) fn widest_bytes(capacity: usize) -> u64 {
+        buffer_bytes::<[f32; 4]>(GEOMETRY_SECTIONS * capacity)
     }
 
     /// Room for the gradients of `capacity` Gaussians.

@@ -6,12 +6,15 @@
 
 use std::sync::Arc;
 
-use super::{Columns, DenseLayers, Ending, GaussianGradients, Gaussians, RenderError};
+use super::{Columns, DenseLayers, Ending, GaussianGradients, Gaussians, Rasterizer, RenderError};
 use crate::{
     domain::{Camera, DistanceUnit},
-    gpu::{AdapterReport, Buffer, Context, Kernel, Recorder, buffer_bytes, kernel_source},
+    gpu::{AdapterReport, Buffer, BufferPlan, Context, Kernel, Recorder, buffer_bytes, kernel_source},
     model::{AnchorRows, NetworkLayout, Shape},
 };
+
+/// More anchors than any adapter has room for; sums of their bytes stay far below what integers hold.
+const MOST_ANCHORS: usize = 1 << 36;
 
 /// The uniform that describes one view to the kernels; `shaders/shared/view.wgsl`.
 #[repr(C)]
@@ -138,24 +141,55 @@ struct Activations {
     gaussians: Gaussians,
 }
 
-impl Activations {
-    fn bytes(layout: &NetworkLayout, capacity: usize) -> u64 {
-        let rows = layout.hidden.inputs + layout.hidden.outputs + layout.output_rows();
-        3 * buffer_bytes::<u32>(capacity + 1)
-            + buffer_bytes::<f32>(rows * capacity)
-            + Gaussians::bytes(capacity * layout.shape.offsets)
+/// The sizes of [`Activations`]: what is made and what is estimated and bounded come from here.
+struct ActivationPlan {
+    visible: BufferPlan<u32>,
+    list: BufferPlan<u32>,
+    input: BufferPlan<f32>,
+    hidden: BufferPlan<f32>,
+    outputs: BufferPlan<f32>,
+    alive: BufferPlan<u32>,
+    /// Rows.
+    gaussians: usize,
+}
+
+impl ActivationPlan {
+    fn new(layout: &NetworkLayout, capacity: usize) -> Self {
+        Self {
+            visible: BufferPlan::new("visible anchors", capacity),
+            list: BufferPlan::new("visible list", capacity + 1),
+            input: BufferPlan::new("network input", layout.hidden.inputs * capacity),
+            hidden: BufferPlan::new("hidden values", layout.hidden.outputs * capacity),
+            outputs: BufferPlan::new("network output", layout.output_rows() * capacity),
+            alive: BufferPlan::new("living gaussians", capacity),
+            gaussians: capacity * layout.shape.offsets,
+        }
     }
 
-    fn new(context: &Context, layout: &NetworkLayout, capacity: usize) -> Result<Self, RenderError> {
-        let mut gaussians = Gaussians::new(context, capacity * layout.shape.offsets)?;
+    /// Of each buffer but those of the Gaussians.
+    fn each(&self) -> [u64; 6] {
+        let Self { visible, list, input, hidden, outputs, alive, gaussians: _ } = self;
+        [visible.bytes(), list.bytes(), input.bytes(), hidden.bytes(), outputs.bytes(), alive.bytes()]
+    }
+
+    fn bytes(&self) -> u64 {
+        self.each().iter().sum::<u64>() + Gaussians::bytes(self.gaussians)
+    }
+
+    fn widest_bytes(&self) -> u64 {
+        self.each().into_iter().fold(Gaussians::widest_bytes(self.gaussians), u64::max)
+    }
+
+    fn make(&self, context: &Context) -> Result<Activations, RenderError> {
+        let mut gaussians = Gaussians::new(context, self.gaussians)?;
         gaussians.count = context.buffer("gaussian counts", 4)?;
-        Ok(Self {
-            visible: context.buffer("visible anchors", capacity)?,
-            list: context.buffer("visible list", capacity + 1)?,
-            input: context.buffer("network input", layout.hidden.inputs * capacity)?,
-            hidden: context.buffer("hidden values", layout.hidden.outputs * capacity)?,
-            outputs: context.buffer("network output", layout.output_rows() * capacity)?,
-            alive: context.buffer("living gaussians", capacity)?,
+        Ok(Activations {
+            visible: self.visible.make(context)?,
+            list: self.list.make(context)?,
+            input: self.input.make(context)?,
+            hidden: self.hidden.make(context)?,
+            outputs: self.outputs.make(context)?,
+            alive: self.alive.make(context)?,
             gaussians,
         })
     }
@@ -170,22 +204,46 @@ struct Backward {
     d_gaussians: GaussianGradients,
 }
 
-impl Backward {
-    fn bytes(layout: &NetworkLayout, capacity: usize) -> u64 {
-        let rows = layout.shape.features + layout.hidden.outputs;
+/// The sizes of [`Backward`], as [`ActivationPlan`] has those of the forward pass.
+struct BackwardPlan {
+    d_input: BufferPlan<f32>,
+    d_hidden: BufferPlan<f32>,
+    partials: BufferPlan<f32>,
+    /// Rows.
+    gaussians: usize,
+}
+
+impl BackwardPlan {
+    fn new(layout: &NetworkLayout, capacity: usize) -> Self {
         let runs = DenseLayers::runs(capacity);
-        buffer_bytes::<f32>(rows * capacity)
-            + buffer_bytes::<f32>(runs * layout.parameters)
-            + GaussianGradients::bytes(capacity * layout.shape.offsets)
+        Self {
+            d_input: BufferPlan::new("gradients of input", layout.shape.features * capacity),
+            d_hidden: BufferPlan::new("gradients of hidden values", layout.hidden.outputs * capacity),
+            partials: BufferPlan::new("partial weight gradients", runs * layout.parameters),
+            gaussians: capacity * layout.shape.offsets,
+        }
     }
 
-    fn new(context: &Context, layout: &NetworkLayout, capacity: usize) -> Result<Self, RenderError> {
-        let runs = DenseLayers::runs(capacity);
-        Ok(Self {
-            d_input: context.buffer("gradients of input", layout.shape.features * capacity)?,
-            d_hidden: context.buffer("gradients of hidden values", layout.hidden.outputs * capacity)?,
-            partials: context.buffer("partial weight gradients", runs * layout.parameters)?,
-            d_gaussians: GaussianGradients::new(context, capacity * layout.shape.offsets)?,
+    /// Of each buffer but those of the Gaussians' gradients.
+    fn each(&self) -> [u64; 3] {
+        let Self { d_input, d_hidden, partials, gaussians: _ } = self;
+        [d_input.bytes(), d_hidden.bytes(), partials.bytes()]
+    }
+
+    fn bytes(&self) -> u64 {
+        self.each().iter().sum::<u64>() + GaussianGradients::bytes(self.gaussians)
+    }
+
+    fn widest_bytes(&self) -> u64 {
+        self.each().into_iter().fold(GaussianGradients::widest_bytes(self.gaussians), u64::max)
+    }
+
+    fn make(&self, context: &Context) -> Result<Backward, RenderError> {
+        Ok(Backward {
+            d_input: self.d_input.make(context)?,
+            d_hidden: self.d_hidden.make(context)?,
+            partials: self.partials.make(context)?,
+            d_gaussians: GaussianGradients::new(context, self.gaussians)?,
         })
     }
 }
@@ -218,7 +276,7 @@ impl NeuralGaussians {
         near: f32,
         unit: DistanceUnit,
     ) -> Result<Self, RenderError> {
-        let subgroups = context.subgroup_size();
+        let subgroups = context.subgroups().lanes();
         Self::with_subgroups(context, shape, near, unit, subgroups)
     }
 
@@ -247,7 +305,7 @@ impl NeuralGaussians {
             kernels: Kernels::new(&context, shape, subgroups)?,
             view: context.buffer("view of anchors", 1)?,
             capacity: 0,
-            forward: Activations::new(&context, &layout, 0)?,
+            forward: ActivationPlan::new(&layout, 0).make(&context)?,
             backward: None,
             holds_outputs: false,
             near,
@@ -257,13 +315,38 @@ impl NeuralGaussians {
         })
     }
 
-    /// Most anchors of a shape whose widest buffer the adapter binds, with the spare room of [`Self::forward`].
+    /// Most anchors of a shape whose widest buffer the adapter binds: here, among the anchors' own and in the rasteriser, with the
+    /// spare room of [`Self::forward`].
     #[must_use]
     pub fn most_anchors(adapter: &AdapterReport, shape: Shape) -> usize {
-        // The rasteriser keeps three rows of four floats a Gaussian in one buffer; spare room is a quarter.
-        let bytes = (3 * size_of::<[f32; 4]>() * shape.offsets * 5 / 4) as u64;
         let limit = adapter.max_binding_bytes.min(adapter.max_buffer_bytes);
-        usize::try_from(limit / bytes.max(1)).unwrap_or(usize::MAX)
+        let layout = NetworkLayout::new(shape);
+        let fits = |anchors: usize| Self::widest_bytes(&layout, anchors) <= limit;
+        // An anchor takes more than a byte in the widest buffer.
+        let (mut most, mut too_many) = (0, usize::try_from(limit).unwrap_or(usize::MAX).min(MOST_ANCHORS));
+        while too_many - most > 1 {
+            let middle = most + (too_many - most) / 2;
+            if fits(middle) {
+                most = middle;
+            } else {
+                too_many = middle;
+            }
+        }
+        most
+    }
+
+    /// Bytes of the widest buffer that views of `anchors` anchors and their gradients take.
+    fn widest_bytes(layout: &NetworkLayout, anchors: usize) -> u64 {
+        let (shape, capacity) = (layout.shape, Self::capacity(anchors));
+        [
+            buffer_bytes::<[f32; 4]>(anchors),
+            buffer_bytes::<f32>(anchors * shape.row()),
+            ActivationPlan::new(layout, capacity).widest_bytes(),
+            BackwardPlan::new(layout, capacity).widest_bytes(),
+            Rasterizer::widest_bytes(capacity * shape.offsets),
+        ]
+        .into_iter()
+        .fold(0, u64::max)
     }
 
     /// Rows of the buffers for views of `anchors` anchors: a quarter more, so that growth rarely makes new ones.
@@ -280,8 +363,8 @@ impl NeuralGaussians {
         // Columns are rounded up one by one, and each layer has its uniform.
         const ROUNDING: u64 = 1024;
         buffer_bytes::<ViewUniform>(1)
-            + Activations::bytes(&layout, capacity)
-            + Backward::bytes(&layout, capacity)
+            + ActivationPlan::new(&layout, capacity).bytes()
+            + BackwardPlan::new(&layout, capacity).bytes()
             + ROUNDING
     }
 
@@ -519,7 +602,7 @@ impl NeuralGaussians {
         if anchors > self.capacity {
             let capacity = Self::capacity(anchors);
             self.backward = None;
-            self.forward = Activations::new(&self.context, &self.layout, capacity)?;
+            self.forward = ActivationPlan::new(&self.layout, capacity).make(&self.context)?;
             self.capacity = capacity;
         }
         Ok(())
@@ -527,7 +610,7 @@ impl NeuralGaussians {
 
     fn prepare_backward(&mut self) -> Result<(), RenderError> {
         if self.backward.is_none() {
-            self.backward = Some(Backward::new(&self.context, &self.layout, self.capacity)?);
+            self.backward = Some(BackwardPlan::new(&self.layout, self.capacity).make(&self.context)?);
         }
         Ok(())
     }

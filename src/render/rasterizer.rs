@@ -18,7 +18,7 @@ use crate::{
     domain::Camera,
     gpu::{
         AdapterReport, Buffer, Context, GpuError, Kernel, Pairs, RadixSort, Recorder, Scan, ScanSlots,
-        buffer_bytes, kernel_source,
+        Subgroups, buffer_bytes, kernel_source,
     },
 };
 
@@ -31,6 +31,15 @@ const COUNTERS: usize = 4;
 
 /// Bits of a depth that order it. Depths are positive floats: their bits order as integers, and the sign is always clear.
 const DEPTH_BITS: u32 = 31;
+
+/// Rows of four floats of a Gaussian as projected: place, conic, colour.
+const SPLAT_ROWS: usize = 3;
+
+/// Fewest lanes of a subgroup that kernels have a variant for: those that hold a chunk of the backward pass.
+const FEWEST_LANES: u32 = 8;
+
+/// Lanes of a tile, four pixels each.
+const TILE_LANES: u32 = TILE * TILE / 4;
 
 /// Floats of each slot of the backward pass: centre 2, opacity, conic 3, colour 3.
 const SLOT_FLOATS: usize = 9;
@@ -66,14 +75,24 @@ struct Kernels {
     raster_backward: Arc<Kernel>,
     gather: Arc<Kernel>,
     project_backward: Arc<Kernel>,
+    /// Workgroups of the forward kernel for each tile.
+    groups_a_tile: u32,
 }
 
 impl Kernels {
-    fn new(context: &Context, subgroups: Option<u32>) -> Result<Self, GpuError> {
-        let eight = subgroups.filter(|size| *size == 8).map(|_| ("EIGHT_LANES", 1));
-        let subgroups: Vec<_> = subgroups.map(|size| ("SUBGROUPS", size)).into_iter().collect();
-        let forward: Vec<_> = subgroups.iter().copied().chain(eight).collect();
+    fn new(context: &Context, subgroups: Subgroups) -> Result<Self, GpuError> {
+        // A subgroup that may be wider than the lanes that are counted on has to be a workgroup of its own.
+        let narrow = match subgroups {
+            Subgroups::AtLeast(lanes) => Some(lanes),
+            Subgroups::Exactly(_) | Subgroups::Unused => None,
+        };
+        let lanes = subgroups.lanes();
+        let eight = lanes.filter(|lanes| *lanes == 8).map(|_| ("EIGHT_LANES", 1));
+        let subgroups: Vec<_> = lanes.map(|lanes| ("SUBGROUPS", lanes)).into_iter().collect();
+        let one = narrow.map(|_| ("ONE_SUBGROUP", 1));
+        let forward: Vec<_> = subgroups.iter().copied().chain(eight).chain(one).collect();
         Ok(Self {
+            groups_a_tile: narrow.map_or(1, |lanes| TILE_LANES / lanes),
             project: context.kernel(kernel_source!("project"), &[])?,
             compact: context.kernel(kernel_source!("compact"), &[])?,
             tile_counts: context.kernel(kernel_source!("tile_counts"), &[])?,
@@ -109,7 +128,7 @@ struct PerGaussian {
 impl PerGaussian {
     /// Bytes on the device.
     fn bytes(adapter: &AdapterReport, capacity: usize) -> u64 {
-        2 * buffer_bytes::<[f32; 4]>(3 * capacity)
+        2 * buffer_bytes::<[f32; 4]>(SPLAT_ROWS * capacity)
             + 7 * buffer_bytes::<u32>(capacity)
             + 2 * Pairs::bytes(capacity)
             + 2 * Scan::bytes(adapter)
@@ -119,8 +138,8 @@ impl PerGaussian {
     fn new(context: &Context, capacity: usize) -> Result<Self, GpuError> {
         Ok(Self {
             capacity,
-            splats: context.buffer("splats", 3 * capacity)?,
-            v_splats: context.buffer("gradients of splats", 3 * capacity)?,
+            splats: context.buffer("splats", SPLAT_ROWS * capacity)?,
+            v_splats: context.buffer("gradients of splats", SPLAT_ROWS * capacity)?,
             depths: context.buffer("depths", capacity)?,
             tiles: context.buffer("tiles touched", capacity)?,
             visible: context.buffer("visible", capacity)?,
@@ -140,7 +159,6 @@ impl PerGaussian {
 #[derive(Debug)]
 struct PerIntersection {
     capacity: usize,
-    tile_bits: u32,
     by_tile: [Pairs; 2],
     slot_ids: Buffer<u32>,
     list: Buffer<u32>,
@@ -154,13 +172,14 @@ impl PerIntersection {
         2 * Pairs::bytes(capacity)
             + 2 * buffer_bytes::<u32>(capacity)
             + RadixSort::bytes(adapter, tile_bits)
+            // Smaller images have passes of their own.
+            + (0..tile_bits).map(|bits| RadixSort::pass_bytes(adapter, bits)).sum::<u64>()
             + buffer_bytes::<f32>(SLOT_FLOATS * capacity)
     }
 
     fn new(context: &Context, capacity: usize, tile_bits: u32) -> Result<Self, GpuError> {
         Ok(Self {
             capacity,
-            tile_bits,
             by_tile: [Pairs::new(context, capacity)?, Pairs::new(context, capacity)?],
             slot_ids: context.buffer("slot ids", capacity)?,
             list: context.buffer("tile lists", capacity)?,
@@ -170,10 +189,9 @@ impl PerIntersection {
     }
 }
 
-/// Buffers with a row for each pixel or tile.
+/// Buffers with a row for each pixel or tile of the last view; those of smaller images have room to spare.
 #[derive(Debug)]
 struct PerImage {
-    size: [u32; 2],
     tiles: u32,
     image: Buffer<[f32; 4]>,
     last: Buffer<u32>,
@@ -189,16 +207,21 @@ impl PerImage {
             + buffer_bytes::<[u32; 2]>(tiles(size) as usize)
     }
 
-    fn new(context: &Context, projection: &Projection) -> Result<Self, GpuError> {
-        let pixels = projection.size.x as usize * projection.size.y as usize;
-        let tiles = projection.tiles().x * projection.tiles().y;
+    fn new(context: &Context) -> Result<Self, GpuError> {
         Ok(Self {
-            size: projection.size.to_array(),
-            tiles,
-            image: context.buffer("image", pixels)?,
-            last: context.buffer("last contributors", pixels)?,
-            ranges: context.buffer("tile ranges", tiles as usize)?,
+            tiles: 0,
+            image: context.buffer("image", 0)?,
+            last: context.buffer("last contributors", 0)?,
+            ranges: context.buffer("tile ranges", 0)?,
         })
+    }
+
+    fn fit(&mut self, context: &Context, projection: &Projection) -> Result<(), GpuError> {
+        let pixels = projection.size.x as usize * projection.size.y as usize;
+        self.tiles = projection.tiles().x * projection.tiles().y;
+        context.resize(&mut self.image, "image", pixels)?;
+        context.resize(&mut self.last, "last contributors", pixels)?;
+        context.resize(&mut self.ranges, "tile ranges", self.tiles as usize)
     }
 }
 
@@ -226,8 +249,7 @@ impl Rasterizer {
     /// # Errors
     /// Faults of the device.
     pub fn new(context: Arc<Context>, settings: RasterSettings) -> Result<Self, RenderError> {
-        // Smaller subgroups than a chunk of the backward pass are not worth a kernel of their own.
-        let subgroups = context.subgroup_size().filter(|size| *size >= 8);
+        let subgroups = context.subgroups();
         Self::with_subgroups(context, settings, subgroups)
     }
 
@@ -236,15 +258,16 @@ impl Rasterizer {
     /// # Errors
     /// Faults of the device.
     pub fn without_subgroups(context: Arc<Context>, settings: RasterSettings) -> Result<Self, RenderError> {
-        Self::with_subgroups(context, settings, None)
+        Self::with_subgroups(context, settings, Subgroups::Unused)
     }
 
     fn with_subgroups(
         context: Arc<Context>,
         settings: RasterSettings,
-        subgroups: Option<u32>,
+        subgroups: Subgroups,
     ) -> Result<Self, RenderError> {
-        let kernels = Kernels::new(&context, subgroups)?;
+        let enough = subgroups.lanes().is_some_and(|lanes| lanes >= FEWEST_LANES);
+        let kernels = Kernels::new(&context, if enough { subgroups } else { Subgroups::Unused })?;
         Ok(Self {
             settings,
             kernels,
@@ -253,13 +276,7 @@ impl Rasterizer {
             first_room: None,
             gaussians: PerGaussian::new(&context, 0)?,
             intersections: PerIntersection::new(&context, 0, 0)?,
-            image: PerImage {
-                size: [0; 2],
-                tiles: 0,
-                image: context.buffer("image", 0)?,
-                last: context.buffer("last contributors", 0)?,
-                ranges: context.buffer("tile ranges", 0)?,
-            },
+            image: PerImage::new(&context)?,
             rendered: None,
             context,
         })
@@ -274,6 +291,11 @@ impl Rasterizer {
             + PerGaussian::bytes(adapter, gaussians)
             + PerIntersection::bytes(adapter, intersections, tile_bits(tiles(size)))
             + PerImage::bytes(size)
+    }
+
+    /// Bytes of the widest buffer with a row for each of `gaussians` Gaussians.
+    pub(super) fn widest_bytes(gaussians: usize) -> u64 {
+        buffer_bytes::<[f32; 4]>(SPLAT_ROWS * gaussians)
     }
 
     /// Pairs that there is room for before any view was seen to need more: enough for most scenes, and no more than the
@@ -350,7 +372,7 @@ impl Rasterizer {
     /// As [`Rasterizer::grow`].
     pub fn make_room(&mut self, wanted: usize) -> Result<(), RenderError> {
         self.rendered = None;
-        let tile_bits = self.intersections.tile_bits;
+        let tile_bits = tile_bits(self.image.tiles);
         let room = room_for(wanted, Self::bindable_intersections(self.context.adapter()));
         self.intersections = PerIntersection::new(&self.context, room, tile_bits)?;
         Ok(())
@@ -464,23 +486,21 @@ impl Rasterizer {
         if self.gaussians.capacity != capacity {
             self.gaussians = PerGaussian::new(&self.context, capacity)?;
         }
-        if self.image.size != projection.size.to_array() {
-            self.image = PerImage::new(&self.context, projection)?;
-        }
+        self.image.fit(&self.context, projection)?;
         let tile_bits = tile_bits(self.image.tiles);
         // `make_room` makes the rest, which is kept.
         let usual = Self::usual_intersections(self.context.adapter(), capacity);
         let usual = self.first_room.unwrap_or(usual);
         let intersections = self.intersections.capacity.max(usual);
-        if self.intersections.capacity != intersections || self.intersections.tile_bits != tile_bits {
+        if self.intersections.capacity != intersections {
             self.intersections = PerIntersection::new(&self.context, intersections, tile_bits)?;
         }
-        Ok(())
+        self.intersections.sort_tile.set_bits(&self.context, tile_bits)
     }
 
     /// Workgroups of 64 for `items`; kernels loop where there are fewer invocations than items.
     fn groups(&self, items: usize) -> u32 {
-        let most = if self.context.is_software() { 128 } else { 4096 };
+        let most = self.context.variant().choose(128, 4096);
         u32::try_from(items.div_ceil(64)).unwrap_or(most).clamp(1, most)
     }
 
@@ -582,7 +602,7 @@ impl Rasterizer {
                 image.image.as_ref(),
                 image.last.as_ref(),
             ],
-            image.tiles,
+            self.kernels.groups_a_tile * image.tiles,
         );
     }
 }

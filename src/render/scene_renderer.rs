@@ -1,6 +1,9 @@
 //! Renders finished scenes from any camera into 8-bit images, depths and alphas.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::{
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
 
 use super::{
     DepthShader, DeviceAnchors, Gaussians, NeuralGaussians, RasterSettings, Rasterizer, RenderError,
@@ -201,7 +204,7 @@ fn upload(context: &Context, scene: &AnchorScene) -> Result<DeviceAnchors, Rende
     DeviceAnchors::upload(context, &rows, &networks)
 }
 
-/// Renders views of many scenes; keeps the latest used on the device, which is opened again after it was lost.
+/// Renders views of many scenes; keeps the latest used on the device, which is opened again after it was lost or hung.
 #[derive(Debug)]
 pub struct SceneViewer {
     choice: AdapterChoice,
@@ -254,6 +257,11 @@ impl SceneViewer {
         self.lock().context.destroy();
     }
 
+    /// Lets the device have no time at all, as if it hung; for tests of the recovery.
+    pub fn hang_device(&self) {
+        self.lock().context.set_max_wait(Duration::ZERO);
+    }
+
     fn lock(&self) -> MutexGuard<'_, ViewerState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -269,8 +277,11 @@ impl SceneViewer {
             *state = ViewerState::open(&self.choice, self.budget)?;
         }
         match state.draw(artifact, load, draw) {
-            // A loss may become known only by the commands that fail for it, and those can be given again.
-            Err(fault) if state.context.check().is_err() => {
+            // A loss may become known only by the commands that fail for it, and those can be given again. Commands that made
+            // the device hang would do so again, and others wait: the next view opens it.
+            Err(fault)
+                if matches!(state.context.check(), Err(GpuError::DeviceLost(_) | GpuError::Rejected(_))) =>
+            {
                 tracing::warn!("opening the device again: {fault}");
                 *state = ViewerState::open(&self.choice, self.budget)?;
                 state.draw(artifact, load, draw)

@@ -488,6 +488,10 @@ impl Learner for AnchorLearner {
         Ok(())
     }
 
+    fn anchors(&self) -> usize {
+        self.anchors.len()
+    }
+
     fn size(&self) -> Result<Size, TrainError> {
         Ok(Size { anchors: self.anchors.len(), gaussians: self.neural.counts()?[1] as usize })
     }

@@ -3,7 +3,9 @@
 /// The number of steps in a batch; what comes of them does not depend on it.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Batch {
-    /// As many as take about a second, so that a cancelled run stops soon and little has to be done again.
+    /// As many as take about a second, so that a cancelled run stops soon and little has to be done again. Where a second is more
+    /// than `REPORT_EVERY` steps, those end the batch: reports and the weight of the rate go by steps, not by time, so that runs
+    /// repeat.
     Timed { seconds_a_step: f64 },
     /// That many.
     #[cfg(test)]

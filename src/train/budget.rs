@@ -186,7 +186,7 @@ impl<'a> Needs<'a> {
         let gaussians = model.gaussians(size);
         let [width, height] = self.largest.map(u64::from);
         let pixels = width * height;
-        // Buffers of another size are made before those of the last are given back.
+        // Buffers for larger images are made before those for smaller ones are given back.
         let sizes = if self.mixed { 2 } else { 1 };
         let raster = |gaussians, pairs| Rasterizer::bytes(self.adapter, gaussians, pairs, self.largest);
         let pairs = self.pairs(gaussians);
@@ -257,7 +257,7 @@ mod tests {
     use super::*;
     use crate::{
         domain::{Camera, Digest, Frame, Image, Intrinsics, Layout, PointCloud, Pose, Split},
-        gpu::AdapterReport,
+        gpu::{AdapterReport, KernelVariant},
     };
 
     const MIB: u64 = 1 << 20;
@@ -277,6 +277,7 @@ mod tests {
             subgroups: true,
             timestamps: true,
             usable: true,
+            variant: KernelVariant::Software,
         }
     }
 

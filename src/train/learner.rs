@@ -90,6 +90,9 @@ pub(super) trait Learner {
         cancel: &CancelFlag,
     ) -> Result<(), TrainError>;
 
+    /// Anchors; zero in a model that has none.
+    fn anchors(&self) -> usize;
+
     /// How large the model is. May wait for the device.
     fn size(&self) -> Result<Size, TrainError>;
 

@@ -92,6 +92,11 @@ impl Division {
         (self.shares() + self.blocks()) as usize
     }
 
+    /// Partial sums of the losses.
+    fn sums(self) -> usize {
+        self.most_shares().div_ceil(SUM_RUN)
+    }
+
     fn pixels(self) -> usize {
         self.size[0] as usize * self.size[1] as usize
     }
@@ -103,6 +108,7 @@ impl Division {
     }
 }
 
+/// Buffers of the last images; those of smaller images have room to spare.
 #[derive(Debug)]
 struct Fields {
     division: Division,
@@ -112,6 +118,31 @@ struct Fields {
     losses: Buffer<[f32; 4]>,
     sums: Buffer<[f32; 4]>,
     gradient: Buffer<[f32; 4]>,
+}
+
+impl Fields {
+    fn new(context: &Context, division: Division) -> Result<Self, GpuError> {
+        Ok(Self {
+            division,
+            photograph: context.buffer("photograph", division.pixels())?,
+            moments: context.buffer("SSIM moments", division.field())?,
+            derivatives: context.buffer("SSIM derivatives", division.field())?,
+            losses: context.buffer("losses", division.most_shares())?,
+            sums: context.buffer("loss sums", division.sums())?,
+            gradient: context.buffer("image gradient", division.pixels())?,
+        })
+    }
+
+    /// For images of another size; buffers that have room for it are kept.
+    fn fit(&mut self, context: &Context, division: Division) -> Result<(), GpuError> {
+        self.division = division;
+        context.resize(&mut self.photograph, "photograph", division.pixels())?;
+        context.resize(&mut self.moments, "SSIM moments", division.field())?;
+        context.resize(&mut self.derivatives, "SSIM derivatives", division.field())?;
+        context.resize(&mut self.losses, "losses", division.most_shares())?;
+        context.resize(&mut self.sums, "loss sums", division.sums())?;
+        context.resize(&mut self.gradient, "image gradient", division.pixels())
+    }
 }
 
 /// What render and photograph differ by: means over all samples of an image.
@@ -178,7 +209,7 @@ impl ImageLoss {
     /// A run is made with what lies up to ten pixels before and after it, so long ones repeat less work; hardware wants many
     /// invocations.
     fn run(adapter: &AdapterReport) -> u32 {
-        if adapter.is_software() { 256 } else { 16 }
+        adapter.variant.choose(256, 16)
     }
 
     /// Bytes on the device once images of `size` were compared.
@@ -190,7 +221,7 @@ impl ImageLoss {
             + buffer_bytes::<u32>(division.pixels())
             + 2 * buffer_bytes::<[f32; 4]>(division.field())
             + buffer_bytes::<[f32; 4]>(division.most_shares())
-            + buffer_bytes::<[f32; 4]>(division.most_shares().div_ceil(SUM_RUN))
+            + buffer_bytes::<[f32; 4]>(division.sums())
             + buffer_bytes::<[f32; 4]>(division.pixels())
     }
 
@@ -208,17 +239,12 @@ impl ImageLoss {
         wavelet: Option<&WaveletWeights>,
     ) -> Result<&Buffer<[f32; 4]>, GpuError> {
         let division = Division { size, run: self.run };
-        let fields = match self.fields.take() {
-            Some(fields) if fields.division == division => self.fields.insert(fields),
-            _ => self.fields.insert(Fields {
-                division,
-                photograph: self.context.buffer("photograph", division.pixels())?,
-                moments: self.context.buffer("SSIM moments", division.field())?,
-                derivatives: self.context.buffer("SSIM derivatives", division.field())?,
-                losses: self.context.buffer("losses", division.most_shares())?,
-                sums: self.context.buffer("loss sums", division.most_shares().div_ceil(SUM_RUN))?,
-                gradient: self.context.buffer("image gradient", division.pixels())?,
-            }),
+        let fields = match &mut self.fields {
+            Some(fields) => {
+                fields.fit(&self.context, division)?;
+                fields
+            }
+            none => none.insert(Fields::new(&self.context, division)?),
         };
         recorder.write(&fields.photograph, photograph);
         let samples = (3 * division.pixels()) as f64;

@@ -299,6 +299,10 @@ impl Learner for PlainLearner {
         Ok(())
     }
 
+    fn anchors(&self) -> usize {
+        0
+    }
+
     fn size(&self) -> Result<Size, TrainError> {
         Ok(Size { anchors: 0, gaussians: self.rows.count })
     }

@@ -454,7 +454,7 @@ impl<'a> Run<'a> {
     /// Takes the last step's sample into the estimate of the file's bytes.
     fn weigh(&mut self) -> Result<(), TrainError> {
         let Some(SampleRate { bits_an_anchor, other_bytes }) = self.learner.rate()? else { return Ok(()) };
-        let anchors = self.learner.size()?.anchors as f64;
+        let anchors = self.learner.anchors() as f64;
         self.state.weigh(bits_an_anchor, anchors, other_bytes);
         if let (Some(control), Some(bytes)) = (&mut self.control, self.state.file_bytes()) {
             control.observe(self.state.step, bytes as f64, other_bytes);

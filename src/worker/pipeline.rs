@@ -536,7 +536,9 @@ fn from_ingest(error: ingest::Error) -> JobFailure {
 /// A device that failed may work again; a scene that is too large for it will not shrink.
 fn from_gpu(fault: GpuError) -> JobFailure {
     match fault {
-        GpuError::DeviceLost(_) | GpuError::Rejected(_) => JobFailure::Retry(fault.into()),
+        GpuError::DeviceLost(_) | GpuError::Timeout { .. } | GpuError::Rejected(_) => {
+            JobFailure::Retry(fault.into())
+        }
         GpuError::NoAdapter { .. }
         | GpuError::Open { .. }
         | GpuError::Kernel { .. }

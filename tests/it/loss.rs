@@ -1,16 +1,22 @@
 //! The image loss: its twin against central differences, the kernels against the twin, and SSIM against the final metric's
 //! and a plain two-dimensional window.
 
+use std::sync::Arc;
+
 use glam::{DVec3, USizeVec2};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::Image,
     eval,
+    gpu::{Context, ContextSettings},
     train::{ImageLoss, LossSums, twin},
 };
 
-use crate::support::{gpu::gpu, oracle::relative_l2};
+use crate::support::{
+    gpu::{gpu, gpu_with},
+    oracle::relative_l2,
+};
 
 /// An image pair: the render in f32, the photograph in 8 bits.
 struct Pair {
@@ -86,7 +92,10 @@ fn the_twins_gradient_is_that_of_its_loss() {
 
 /// Sums and gradient from the device; what the kernels must not read is NaN or noise.
 fn on_device(loss: &mut ImageLoss, pair: &Pair) -> (LossSums, Vec<[f32; 4]>) {
-    let context = gpu();
+    on(&gpu(), loss, pair)
+}
+
+fn on(context: &Context, loss: &mut ImageLoss, pair: &Pair) -> (LossSums, Vec<[f32; 4]>) {
     let render: Vec<[f32; 4]> = pair.render.iter().map(|[r, g, b]| [*r, *g, *b, f32::NAN]).collect();
     let render = context.upload("render", &render).expect("a buffer");
     let packed: Vec<u32> =
@@ -118,6 +127,27 @@ fn the_loss_matches_the_twin_whatever_the_size() {
     for (width, height) in [(13, 17), (3, 5), (64, 65), (1, 1), (1, 40), (270, 3), (5, 259), (13, 17)] {
         let pair = Pair::noise((width * height) as u64, width, height);
         assert_matches_twin(&mut loss, &pair, 1e-5);
+    }
+}
+
+#[test]
+fn alternating_image_sizes_make_no_buffers_and_change_no_bits() {
+    let context = gpu_with(ContextSettings::default());
+    let mut loss = ImageLoss::new(Arc::clone(&context)).expect("the kernels");
+    let pairs = [(70, 61), (61, 70), (13, 130), (3, 5)].map(|(width, height)| Pair::noise(7, width, height));
+    let mut made = |pair: &Pair| {
+        let before = (context.buffers_made(), context.allocated_bytes());
+        let found = on(&context, &mut loss, pair);
+        let fresh = on_device(&mut ImageLoss::new(gpu()).expect("the kernels"), pair);
+        assert!(found == fresh, "{}", pair.size);
+        (context.buffers_made() - before.0, context.allocated_bytes() - before.1)
+    };
+    for pair in &pairs {
+        made(pair);
+    }
+    let again = made(&pairs[3]);
+    for pair in pairs.iter().chain(&pairs) {
+        assert_eq!(made(pair), again, "{}", pair.size);
     }
 }
 

@@ -1,10 +1,14 @@
-//! Scan and sort on the device against their twins.
+//! Scan and sort on the device against their twins, in both variants; the device's limits and its recovery.
+
+use std::time::Duration;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use tcgs::gpu::{Context, Pairs, RadixSort, Scan, ScanSlots, twin};
+use tcgs::gpu::{
+    Context, ContextSettings, GpuError, KernelVariant, Pairs, RadixSort, Scan, ScanSlots, Subgroups, twin,
+};
 
-use crate::support::gpu::gpu;
+use crate::support::gpu::{gpu, gpu_with, variants};
 
 const SIZES: [usize; 9] = [0, 1, 2, 127, 128, 129, 5_000, 77_777, 1_000_003];
 
@@ -14,68 +18,143 @@ fn junk(context: &Context, len: usize) -> tcgs::gpu::Buffer<u32> {
 
 #[test]
 fn scan_matches_its_twin() {
-    let context = gpu();
-    let mut rng = Pcg64::seed_from_u64(1);
-    for size in SIZES {
-        let values: Vec<u32> = (0..size).map(|_| rng.random_range(0..50)).collect();
-        let scan = Scan::new(&context, size, ScanSlots { count: 1, total: 2 }).expect("a scan");
-        let counts = context.upload("counts", &[7, size as u32, 9]).expect("counts");
-        let input = context.upload("values", &values).expect("values");
-        let (sums, totals) = (junk(&context, size), junk(&context, 4));
-        let mut recorder = context.recorder("scan");
-        scan.record(&mut recorder, &counts, &input, &sums, &totals);
-        recorder.submit().expect("submitted");
-        let (expected, total) = twin::scan(&values);
-        assert_eq!(context.read(&sums).expect("sums"), expected, "{size}");
-        assert_eq!(
-            context.read(&totals).expect("totals"),
-            [0xdead_beef, 0xdead_beef, total, 0xdead_beef],
-            "{size}"
-        );
+    for context in variants() {
+        let mut rng = Pcg64::seed_from_u64(1);
+        for size in SIZES {
+            let values: Vec<u32> = (0..size).map(|_| rng.random_range(0..50)).collect();
+            let scan = Scan::new(&context, size, ScanSlots { count: 1, total: 2 }).expect("a scan");
+            let counts = context.upload("counts", &[7, size as u32, 9]).expect("counts");
+            let input = context.upload("values", &values).expect("values");
+            let (sums, totals) = (junk(&context, size), junk(&context, 4));
+            let mut recorder = context.recorder("scan");
+            scan.record(&mut recorder, &counts, &input, &sums, &totals);
+            recorder.submit().expect("submitted");
+            let (expected, total) = twin::scan(&values);
+            let variant = context.variant();
+            assert_eq!(context.read(&sums).expect("sums"), expected, "{size}, {variant:?}");
+            assert_eq!(
+                context.read(&totals).expect("totals"),
+                [0xdead_beef, 0xdead_beef, total, 0xdead_beef],
+                "{size}, {variant:?}"
+            );
+        }
     }
 }
 
 #[test]
 fn scan_saturates_and_stops_at_the_count() {
-    let context = gpu();
-    let values = vec![u32::MAX / 3; 1000];
-    let scan = Scan::new(&context, 1000, ScanSlots { count: 0, total: 0 }).expect("a scan");
-    let counts = context.upload("counts", &[600_u32]).expect("counts");
-    let input = context.upload("values", &values).expect("values");
-    let (sums, totals) = (junk(&context, 1000), junk(&context, 1));
-    let mut recorder = context.recorder("scan");
-    scan.record(&mut recorder, &counts, &input, &sums, &totals);
+    for context in variants() {
+        let values = vec![u32::MAX / 3; 1000];
+        let scan = Scan::new(&context, 1000, ScanSlots { count: 0, total: 0 }).expect("a scan");
+        let counts = context.upload("counts", &[600_u32]).expect("counts");
+        let input = context.upload("values", &values).expect("values");
+        let (sums, totals) = (junk(&context, 1000), junk(&context, 1));
+        let mut recorder = context.recorder("scan");
+        scan.record(&mut recorder, &counts, &input, &sums, &totals);
+        recorder.submit().expect("submitted");
+        let sums = context.read(&sums).expect("sums");
+        assert_eq!(sums[..600], twin::scan(&values[..600]).0);
+        assert!(sums[600..].iter().all(|sum| *sum == 0xdead_beef), "beyond the count nothing is written");
+        assert_eq!(context.read(&totals).expect("totals"), [u32::MAX]);
+    }
+}
+
+/// Holds a sort by `bits` bits against its twin.
+fn assert_sorts(context: &Context, sort: &RadixSort, keys: &[u32], bits: u32) {
+    let size = keys.len();
+    let values: Vec<u32> = (0..size as u32).collect();
+    let counts = context.upload("counts", &[size as u32]).expect("counts");
+    let pairs = Pairs {
+        keys: context.upload("keys", keys).expect("keys"),
+        values: context.upload("values", &values).expect("values"),
+    };
+    let spare = Pairs { keys: junk(context, size), values: junk(context, size) };
+    let mut recorder = context.recorder("sort");
+    let sorted = sort.record(&mut recorder, &counts, &pairs, &spare);
     recorder.submit().expect("submitted");
-    let sums = context.read(&sums).expect("sums");
-    assert_eq!(sums[..600], twin::scan(&values[..600]).0);
-    assert!(sums[600..].iter().all(|sum| *sum == 0xdead_beef), "beyond the count nothing is written");
-    assert_eq!(context.read(&totals).expect("totals"), [u32::MAX]);
+    let pairs: Vec<(u32, u32)> = keys.iter().copied().zip(values).collect();
+    let (keys, values): (Vec<u32>, Vec<u32>) = twin::radix_sort(&pairs, bits).into_iter().unzip();
+    let what = format!("{size} by {bits} bits, {:?}", context.variant());
+    assert!(context.read(&sorted.keys).expect("keys") == keys, "keys: {what}");
+    assert!(context.read(&sorted.values).expect("values") == values, "values: {what}");
 }
 
 #[test]
 fn sort_matches_its_twin_and_is_stable() {
-    let context = gpu();
-    let mut rng = Pcg64::seed_from_u64(2);
-    for size in SIZES {
-        for bits in [1, 7, 9, 32] {
-            let keys: Vec<u32> = (0..size).map(|_| rng.random::<u32>() >> rng.random_range(0..24)).collect();
-            let values: Vec<u32> = (0..size as u32).collect();
-            let sort = RadixSort::new(&context, size, bits, 0).expect("a sort");
-            let counts = context.upload("counts", &[size as u32]).expect("counts");
-            let pairs = Pairs {
-                keys: context.upload("keys", &keys).expect("keys"),
-                values: context.upload("values", &values).expect("values"),
-            };
-            let spare = Pairs { keys: junk(&context, size), values: junk(&context, size) };
-            let mut recorder = context.recorder("sort");
-            let sorted = sort.record(&mut recorder, &counts, &pairs, &spare);
-            recorder.submit().expect("submitted");
-            let pairs: Vec<(u32, u32)> = keys.into_iter().zip(values).collect();
-            let (keys, values): (Vec<u32>, Vec<u32>) = twin::radix_sort(&pairs, bits).into_iter().unzip();
-            assert!(context.read(&sorted.keys).expect("keys") == keys, "{size} keys by {bits} bits");
-            assert!(context.read(&sorted.values).expect("values") == values, "{size} values by {bits} bits");
+    for context in variants() {
+        let mut rng = Pcg64::seed_from_u64(2);
+        for size in SIZES {
+            for bits in [1, 7, 9, 32] {
+                let keys: Vec<u32> =
+                    (0..size).map(|_| rng.random::<u32>() >> rng.random_range(0..24)).collect();
+                let sort = RadixSort::new(&context, size, bits, 0).expect("a sort");
+                assert_sorts(&context, &sort, &keys, bits);
+            }
         }
     }
+}
+
+#[test]
+fn a_sort_by_a_number_of_bits_that_it_knows_makes_no_buffers() {
+    let context = gpu_with(ContextSettings::default());
+    let mut rng = Pcg64::seed_from_u64(3);
+    let keys: Vec<u32> = (0..5000).map(|_| rng.random()).collect();
+    let mut sort = RadixSort::new(&context, keys.len(), 9, 0).expect("a sort");
+    for bits in [12, 0, 9] {
+        sort.set_bits(&context, bits).expect("room");
+    }
+    let made = context.buffers_made();
+    for bits in [0, 12, 9, 9, 12] {
+        sort.set_bits(&context, bits).expect("room");
+    }
+    assert_eq!(context.buffers_made(), made);
+    for bits in [12, 9, 0] {
+        sort.set_bits(&context, bits).expect("room");
+        assert_sorts(&context, &sort, &keys, bits);
+    }
+}
+
+#[test]
+fn kernels_divide_their_work_as_suits_the_adapter_unless_told() {
+    let usual = if gpu().adapter().is_software() { KernelVariant::Software } else { KernelVariant::Hardware };
+    assert_eq!(gpu().variant(), usual);
+    assert_eq!(
+        variants().map(|context| context.variant()),
+        [KernelVariant::Software, KernelVariant::Hardware]
+    );
+}
+
+#[test]
+fn subgroups_that_are_narrower_than_a_workgroup_are_found_out() {
+    let found = |lanes: u32| {
+        let subgroups = Some(Subgroups::AtLeast(lanes));
+        gpu_with(ContextSettings { subgroups, ..ContextSettings::default() }).subgroups()
+    };
+    if let Subgroups::Exactly(lanes) = gpu().subgroups() {
+        assert_eq!(found(lanes), Subgroups::AtLeast(lanes));
+        assert_eq!(found(2 * lanes), Subgroups::Unused);
+    }
+}
+
+#[test]
+fn a_device_that_does_not_answer_in_time_counts_as_hung_from_then_on() {
+    let limit = Duration::from_millis(1);
+    let context = gpu_with(ContextSettings { max_wait: Some(limit), ..ContextSettings::default() });
+    let (pairs, spare) = (Pairs::new(&context, 1 << 20), Pairs::new(&context, 1 << 20));
+    let (pairs, spare) = (pairs.expect("room"), spare.expect("room"));
+    let counts = context.upload("counts", &[1_u32 << 20]).expect("counts");
+    let sort = RadixSort::new(&context, 1 << 20, 32, 0).expect("a sort");
+    let mut recorder = context.recorder("more than fits in a millisecond");
+    for _ in 0..10 {
+        let _ = sort.record(&mut recorder, &counts, &pairs, &spare);
+    }
+    recorder.submit().expect("submitted");
+    let hung = GpuError::Timeout { waited: limit };
+    assert_eq!(context.wait(), Err(hung.clone()));
+    assert_eq!(context.check(), Err(hung.clone()));
+    context.set_max_wait(Duration::from_secs(600));
+    assert_eq!(context.read(&counts), Err(hung.clone()), "it is not asked again");
+    assert_eq!(context.buffer::<u32>("more", 1).map(|_| ()), Err(hung));
 }
 
 #[test]

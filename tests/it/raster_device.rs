@@ -5,13 +5,14 @@ use std::sync::Arc;
 use glam::DVec3;
 use tcgs::{
     domain::Camera,
+    gpu::{Context, ContextSettings, Subgroups},
     render::{
         GaussianGradients, Gaussians, Passes, Projection, RasterSettings, Rasterizer, RenderError, twin,
     },
 };
 
 use crate::support::{
-    gpu::gpu,
+    gpu::{gpu, gpu_with, has_wide_subgroups, variants},
     oracle::relative_l2,
     random,
     scene::{Rendered, Scene, flat, render, spoiled_gradients},
@@ -20,10 +21,13 @@ use crate::support::{
 const BACKGROUND: [f32; 3] = [0.2, 0.4, 0.8];
 
 fn run(settings: RasterSettings, scene: &Scene, camera: &Camera) -> Rendered {
-    let context = gpu();
-    let mut rasterizer = Rasterizer::new(Arc::clone(&context), settings).expect("a rasteriser");
+    run_on(&gpu(), settings, scene, camera)
+}
+
+fn run_on(context: &Arc<Context>, settings: RasterSettings, scene: &Scene, camera: &Camera) -> Rendered {
+    let mut rasterizer = Rasterizer::new(Arc::clone(context), settings).expect("a rasteriser");
     let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
-    render(&context, &mut rasterizer, scene, camera, BACKGROUND, &random::v_image(9, pixels))
+    render(context, &mut rasterizer, scene, camera, BACKGROUND, &random::v_image(9, pixels))
 }
 
 fn gradients(rendered: &Rendered) -> Vec<f64> {
@@ -34,9 +38,20 @@ fn gradients(rendered: &Rendered) -> Vec<f64> {
 /// Bounds: f32 has 6e-8 of rounding; a few dozen operations and a few hundred terms a sum give 1e-6 to 1e-5. A decision at
 /// 1/255 that f32 takes differently shows as up to 4e-3 in a pixel, so the image is bounded in L2.
 fn matches_twin(seed: u64, count: usize, size: f64, width: u32, height: u32, settings: RasterSettings) {
-    let camera = random::camera(width, height);
+    let scene = (seed, count, size);
+    matches_twin_on(&gpu(), scene, random::camera(width, height), settings);
+}
+
+/// As [`matches_twin`], of a scene by its seed, count and size.
+fn matches_twin_on(
+    context: &Arc<Context>,
+    (seed, count, size): (u64, usize, f64),
+    camera: Camera,
+    settings: RasterSettings,
+) {
+    let [width, height] = [camera.intrinsics.width, camera.intrinsics.height];
     let gaussians = random::gaussians(seed, count, size);
-    let found = run(settings, &Scene::new(&gaussians), &camera);
+    let found = run_on(context, settings, &Scene::new(&gaussians), &camera);
     let projection = Projection::new(&camera, &settings);
     let background = DVec3::from(BACKGROUND.map(f64::from));
     let cutoffs = twin::Cutoffs::default();
@@ -91,6 +106,68 @@ fn without_subgroups_the_result_is_the_same_up_to_rounding() {
     let usual = run(RasterSettings::default(), &scene, &camera);
     assert!(relative_l2(&flat(&plain.image, 4), &flat(&usual.image, 4)) < 1e-6);
     assert!(relative_l2(&gradients(&plain), &gradients(&usual)) < 1e-5);
+}
+
+#[test]
+fn both_variants_match_the_twin_and_give_the_same_bits() {
+    let camera = random::camera(150, 70);
+    let rendered = variants().map(|context| {
+        matches_twin_on(&context, (2, 2000, 0.05), random::camera(67, 35), RasterSettings::default());
+        // More Gaussians than the software variant has invocations.
+        run_on(&context, RasterSettings::default(), &Scene::new(&random::gaussians(19, 9000, 0.03)), &camera)
+    });
+    assert!(rendered[0] == rendered[1]);
+}
+
+#[test]
+fn workgroups_of_one_subgroup_give_the_same_bits() {
+    let Some(lanes) = gpu().subgroups().lanes() else { return println!("an adapter without subgroups") };
+    let context = gpu_with(ContextSettings {
+        subgroups: Some(Subgroups::AtLeast(lanes)),
+        ..ContextSettings::default()
+    });
+    assert_eq!(context.subgroups(), Subgroups::AtLeast(lanes));
+    let camera = random::camera(150, 70);
+    let scene = Scene::new(&random::gaussians(20, 2000, 0.05));
+    let usual = run(RasterSettings::default(), &scene, &camera);
+    assert!(run_on(&context, RasterSettings::default(), &scene, &camera) == usual);
+}
+
+#[test]
+fn subgroups_that_are_wider_than_a_workgroup_match_the_twin() {
+    if !has_wide_subgroups("raster_device::subgroups_that_are_wider_than_a_workgroup_match_the_twin") {
+        return;
+    }
+    let subgroups = Some(Subgroups::AtLeast(8));
+    let context = gpu_with(ContextSettings { subgroups, ..ContextSettings::default() });
+    assert_eq!(context.subgroups(), Subgroups::AtLeast(8));
+    matches_twin_on(&context, (2, 2000, 0.05), random::camera(67, 35), RasterSettings::default());
+    matches_twin_on(&context, (3, 50, 1.0), random::camera(32, 80), RasterSettings::default());
+}
+
+#[test]
+fn alternating_image_sizes_make_no_buffers_once_the_largest_was_seen() {
+    // Others must not make buffers here meanwhile.
+    let context = gpu_with(ContextSettings::default());
+    let mut rasterizer = Rasterizer::new(Arc::clone(&context), RasterSettings::default()).expect("one");
+    let scene = Scene::new(&random::gaussians(21, 300, 0.1));
+    let sizes = [(64, 48), (48, 64), (200, 30), (16, 16)];
+    let mut view = |(width, height): (u32, u32)| {
+        let camera = random::camera(width, height);
+        let v_image = random::v_image(9, (width * height) as usize);
+        let before = (context.buffers_made(), context.allocated_bytes());
+        let found = render(&context, &mut rasterizer, &scene, &camera, BACKGROUND, &v_image);
+        let fresh = run(RasterSettings::default(), &scene, &camera);
+        assert!(found == fresh, "{width}x{height} after others");
+        (context.buffers_made() - before.0, context.allocated_bytes() - before.1)
+    };
+    for size in sizes {
+        view(size);
+    }
+    let again = view(sizes[3]);
+    for size in [sizes, sizes].concat() {
+        assert_eq!(view(size), again, "a view of another size after one of {size:?}");
+    }
 }
 
 #[test]

@@ -198,3 +198,22 @@ fn the_viewer_loads_a_scene_once_forgets_the_oldest_and_survives_a_lost_device()
         "the device is opened again and the scene loaded again"
     );
 }
+
+#[test]
+fn a_hung_device_costs_one_view_and_is_opened_again_for_the_next() {
+    let viewer = SceneViewer::open(choice()).expect("an adapter");
+    let (_, _, finished) = scene();
+    let camera = random::camera(20, 20);
+    let loads = Cell::new(0);
+    let load = || {
+        loads.set(loads.get() + 1);
+        Ok(Viewable { scene: Scene::Anchors(finished.clone()), background: Background::Black })
+    };
+    let view = || viewer.render(Digest::of(b"a"), &load, &camera);
+    let first = view().expect("a view");
+    viewer.hang_device();
+    let fault = view().expect_err("it does not answer");
+    assert_eq!((fault.status, &*fault.kind), (503, "urn:tcgs:problem:device-timeout"), "{fault:?}");
+    assert_eq!(loads.get(), 1, "what made a device hang is not tried on the next");
+    assert_eq!((view().expect("a view"), loads.get()), (first, 2));
+}

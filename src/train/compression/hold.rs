@@ -88,19 +88,13 @@ fn rows(sample: AnchorSample<'_>, outputs: [GroupOutputs<'_>; 3], channels: [usi
 mod tests {
     use super::*;
     use crate::{
-        gpu::AdapterChoice,
+        gpu::testing::lavapipe,
         train::twin::{held_gradient, hold_steps},
     };
 
     #[test]
     fn the_kernels_do_as_their_twins() {
-        let choice =
-            std::env::var("TCGS_ADAPTER").map_or(AdapterChoice::Lavapipe, |name| match name.parse() {
-                Ok(choice) => choice,
-                Err(never) => match never {},
-            });
-        let context =
-            Context::new(&choice).expect("an adapter; install mesa-vulkan-drivers or set TCGS_ADAPTER");
+        let context = lavapipe();
         // Channels of 2, 1 and 3: rows 5, 3 and 7, of which the last of each is the adjustment.
         let (channels, first_rows, capacity) = ([2, 1, 3], [0, 5, 8], 100);
         let sample: Vec<u32> = (0..70).map(|i| 3 * i).collect();

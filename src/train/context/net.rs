@@ -174,7 +174,7 @@ impl ContextNet {
         }
         let planes = (config.kind.sampled() > 0).then(|| PlanePass::new(context, &layout)).transpose()?;
         Ok(Self {
-            dense: DenseLayers::new(context, context.subgroup_size())?,
+            dense: DenseLayers::new(context, context.subgroups().lanes())?,
             sampling: Sampling::new(context)?,
             planes,
             rounded: RoundedWeights::new(context, &layout)?,

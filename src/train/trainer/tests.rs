@@ -4,19 +4,11 @@ use rand::RngExt;
 use super::*;
 use crate::{
     domain::{Camera, Digest, Image, Intrinsics, Layout, PointCloud, Pose},
-    gpu::AdapterChoice,
+    gpu::testing::lavapipe,
 };
 
 /// Growth comes at step 25; noise after 5, the context model after 18, and everything is rounded after 46.
 const STEPS: u32 = 54;
-
-fn context() -> Arc<Context> {
-    let choice = std::env::var("TCGS_ADAPTER").map_or(AdapterChoice::Lavapipe, |name| match name.parse() {
-        Ok(choice) => choice,
-        Err(never) => match never {},
-    });
-    Context::new(&choice).expect("an adapter; install mesa-vulkan-drivers or set TCGS_ADAPTER")
-}
 
 /// Photographs of noise around random points, each camera nearer than the one before.
 fn dataset() -> Dataset {
@@ -46,7 +38,7 @@ fn dataset() -> Dataset {
 
 #[test]
 fn neither_batches_nor_a_want_of_room_change_a_bit() {
-    let (context, dataset) = (context(), dataset());
+    let (context, dataset) = (lavapipe(), dataset());
     let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
     let run = |batch: usize, room: Option<usize>| {
         let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
@@ -75,8 +67,24 @@ fn neither_batches_nor_a_want_of_room_change_a_bit() {
 }
 
 #[test]
+fn the_estimate_of_the_files_bytes_reads_the_samples_rate_and_no_more() {
+    let (context, dataset) = (lavapipe(), dataset());
+    let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
+    let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
+    let mut run = Run::begin(&context, &dataset, &options, &budget, None).expect("begins");
+    while run.state.step < STEPS / 2 {
+        run.advance(&mut |_| false, &CancelFlag::default()).expect("steps");
+    }
+    let made = context.buffers_made();
+    run.learner.rate().expect("read").expect("the context model learns");
+    let of_rate = context.buffers_made() - made;
+    run.weigh().expect("weighed");
+    assert_eq!(context.buffers_made() - made, 2 * of_rate);
+}
+
+#[test]
 fn the_choice_of_a_context_model_does_not_keep_a_cancelled_run_waiting() {
-    let (context, dataset) = (context(), dataset());
+    let (context, dataset) = (lavapipe(), dataset());
     let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
     let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
     let mut run = Run::begin(&context, &dataset, &options, &budget, None).expect("begins");

@@ -1,8 +1,11 @@
 //! One open device per test process, and the adapter that it and child processes use.
 
-use std::sync::{Arc, OnceLock};
+use std::{
+    process::Command,
+    sync::{Arc, OnceLock},
+};
 
-use tcgs::gpu::{AdapterChoice, Context};
+use tcgs::gpu::{AdapterChoice, Context, ContextSettings, KernelVariant};
 
 /// The adapter of `TCGS_ADAPTER`, lavapipe unless told.
 pub fn choice() -> AdapterChoice {
@@ -18,4 +21,34 @@ pub fn gpu() -> Arc<Context> {
     Arc::clone(CONTEXT.get_or_init(|| {
         Context::new(&choice()).expect("an adapter; install mesa-vulkan-drivers or set TCGS_ADAPTER")
     }))
+}
+
+/// A device of its own on the same adapter.
+pub fn gpu_with(settings: ContextSettings) -> Arc<Context> {
+    Context::with_settings(&choice(), &settings).expect("an adapter")
+}
+
+/// The devices of both variants of kernels.
+pub fn variants() -> [Arc<Context>; 2] {
+    static CONTEXTS: OnceLock<[Arc<Context>; 2]> = OnceLock::new();
+    let make = |variant| gpu_with(ContextSettings { variant: Some(variant), ..ContextSettings::default() });
+    CONTEXTS.get_or_init(|| [KernelVariant::Software, KernelVariant::Hardware].map(make)).clone()
+}
+
+/// Whether this process has a software adapter whose subgroups are twice as wide as usual. If not, the test of that name is run in
+/// another process that has. The driver reads the width once a process.
+pub fn has_wide_subgroups(test: &str) -> bool {
+    const WIDTH: &str = "LP_NATIVE_VECTOR_WIDTH";
+    if std::env::var_os(WIDTH).is_some() {
+        assert_eq!(gpu().adapter().subgroup_sizes, [16, 16]);
+        return true;
+    }
+    if !gpu().adapter().name.contains("llvmpipe") {
+        println!("only lavapipe's subgroups can be made wider");
+        return false;
+    }
+    let program = std::env::current_exe().expect("this program");
+    let status = Command::new(program).args([test, "--exact"]).env(WIDTH, "512").status().expect("started");
+    assert!(status.success(), "{test} with wide subgroups");
+    false
 }

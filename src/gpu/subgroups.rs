@@ -1,0 +1,120 @@
+//! What kernels may rely on of a device's subgroups.
+//!
+//! wgpu asks drivers for subgroups of any size that they like, and has no way to ask for one size. Where the adapter
+//! states a range, a kernel's workgroup is as wide as the smallest of it, so that it lies in the first lanes of one subgroup,
+//! however wide that is. Whether it does is tried out on the device when it is opened.
+
+use super::{AdapterReport, Context, GpuError, kernel_source, twin};
+
+/// Smallest subgroup that kernels have a variant for: eight lanes share what they read.
+const FEWEST_LANES: u32 = 8;
+
+/// Largest subgroup that kernels have a variant for: their ballots are read as two words.
+const MOST_LANES: u32 = 64;
+
+/// SIMD width of every GPU that Apple makes; Metal states no size, so wgpu reports 4 to 64 for all that it drives.
+const APPLE_LANES: u32 = 32;
+
+/// Workgroups that try subgroups out.
+const PROBES: u32 = 64;
+
+/// What kernels may rely on of the device's subgroups.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Subgroups {
+    /// Nothing: kernels share values through workgroup memory.
+    Unused,
+    /// Every subgroup has this many lanes.
+    Exactly(u32),
+    /// A workgroup of this many lanes lies in the first lanes of one subgroup, which may have more.
+    AtLeast(u32),
+}
+
+impl Subgroups {
+    /// Lanes that kernels may share values among.
+    #[must_use]
+    pub fn lanes(self) -> Option<u32> {
+        match self {
+            Self::Unused => None,
+            Self::Exactly(lanes) | Self::AtLeast(lanes) => Some(lanes),
+        }
+    }
+
+    /// What the adapter's own figures promise.
+    pub(super) fn of(adapter: &AdapterReport) -> Self {
+        let [smallest, largest] = adapter.subgroup_sizes;
+        let is_known = |lanes: u32| (FEWEST_LANES..=MOST_LANES).contains(&lanes) && lanes.is_power_of_two();
+        if !adapter.subgroups {
+            Self::Unused
+        } else if smallest == largest {
+            if is_known(smallest) { Self::Exactly(smallest) } else { Self::Unused }
+        } else if adapter.backend == "metal" && adapter.name.starts_with("Apple") {
+            Self::AtLeast(APPLE_LANES)
+        } else if is_known(smallest) {
+            Self::AtLeast(smallest)
+        } else {
+            Self::Unused
+        }
+    }
+
+    /// The same if workgroups behave as this says, else [`Subgroups::Unused`]. Equal sizes need no trial.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub(super) fn tried(self, context: &Context) -> Result<Self, GpuError> {
+        let Self::AtLeast(lanes) = self else { return Ok(self) };
+        let kernel = context.kernel(kernel_source!("subgroup_probe"), &[("LANES", lanes)])?;
+        let found = context.buffer::<[u32; 4]>("subgroup probe", (PROBES * lanes) as usize)?;
+        let mut recorder = context.recorder("subgroup probe");
+        recorder.dispatch(&kernel, &[found.as_ref()], PROBES);
+        recorder.submit()?;
+        if context.read(&found)? == twin::subgroup_probe(lanes, PROBES) {
+            return Ok(self);
+        }
+        tracing::warn!(lanes, "subgroups are not as the adapter states them; kernels go without");
+        Ok(Self::Unused)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::KernelVariant;
+
+    fn adapter(backend: &str, name: &str, subgroup_sizes: [u32; 2]) -> AdapterReport {
+        AdapterReport {
+            name: name.to_owned(),
+            backend: backend.to_owned(),
+            kind: "discretegpu".to_owned(),
+            driver: String::new(),
+            max_buffer_bytes: 1 << 30,
+            max_binding_bytes: 1 << 30,
+            max_storage_buffers: 8,
+            max_workgroup_invocations: 256,
+            max_workgroup_bytes: 16_384,
+            subgroup_sizes,
+            subgroups: true,
+            timestamps: false,
+            usable: true,
+            variant: KernelVariant::Hardware,
+        }
+    }
+
+    #[test]
+    fn a_range_of_sizes_is_used_by_its_smallest() {
+        for (backend, name, sizes, expected) in [
+            ("vulkan", "llvmpipe", [8, 8], Subgroups::Exactly(8)),
+            ("vulkan", "NVIDIA H100", [32, 32], Subgroups::Exactly(32)),
+            ("vulkan", "AMD Radeon RX 7900", [32, 64], Subgroups::AtLeast(32)),
+            ("dx12", "Intel Arc A770", [8, 32], Subgroups::AtLeast(8)),
+            ("vulkan", "Adreno 740", [64, 128], Subgroups::AtLeast(64)),
+            ("metal", "Apple M2", [4, 64], Subgroups::AtLeast(32)),
+            ("metal", "AMD Radeon Pro 5500M", [4, 64], Subgroups::Unused),
+            ("vulkan", "SwiftShader", [4, 4], Subgroups::Unused),
+            ("dx12", "Microsoft Basic Render Driver", [4, 128], Subgroups::Unused),
+        ] {
+            assert_eq!(Subgroups::of(&adapter(backend, name, sizes)), expected, "{name}");
+        }
+        let without = AdapterReport { subgroups: false, ..adapter("vulkan", "old", [32, 32]) };
+        assert_eq!(Subgroups::of(&without), Subgroups::Unused);
+    }
+}

@@ -1,0 +1,14 @@
+//! Devices for this crate's own tests.
+
+use std::sync::Arc;
+
+use super::{AdapterChoice, Context};
+
+/// A device of its own on the adapter of `TCGS_ADAPTER`, lavapipe unless told.
+pub(crate) fn lavapipe() -> Arc<Context> {
+    let choice = std::env::var("TCGS_ADAPTER").map_or(AdapterChoice::Lavapipe, |name| match name.parse() {
+        Ok(choice) => choice,
+        Err(never) => match never {},
+    });
+    Context::new(&choice).expect("an adapter; install mesa-vulkan-drivers or set TCGS_ADAPTER")
+}

@@ -1,0 +1,23 @@
+//! How kernels divide their work: for the few wide cores of a CPU or for the many lanes of a GPU.
+//!
+//! What always holds: the variants of a kernel compute the same, and integer kernels the same bits.
+
+/// How kernels divide their work among invocations. It follows the adapter unless
+/// [`ContextSettings::variant`](super::ContextSettings::variant) says otherwise.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum KernelVariant {
+    /// Few lanes, and a price for each dispatch and barrier: long runs for each invocation, few dispatches.
+    Software,
+    /// Many lanes: short runs for each of many invocations.
+    Hardware,
+}
+
+impl KernelVariant {
+    /// One value for each variant.
+    pub(crate) fn choose<T>(self, software: T, hardware: T) -> T {
+        match self {
+            Self::Software => software,
+            Self::Hardware => hardware,
+        }
+    }
+}
