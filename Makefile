@@ -12,10 +12,10 @@ PEERS ?= $(and $(wildcard scripts/peers.sh),$(shell command -v node),--peers scr
 # How long `make fuzz` gives each target.
 FUZZ_SECONDS ?= 600
 
-.PHONY: help setup build demo results test examples schemathesis interop peers fuzz lint clean
+.PHONY: help setup build demo results test examples schemathesis generated-client interop peers fuzz lint clean
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
 
 setup: ## install what this machine lacks (apt, rustup); silent when nothing is missing
 	@scripts/setup.sh
@@ -38,6 +38,10 @@ examples: setup ## run the documented session with curl and the client in Python
 schemathesis: setup ## hold a running service to openapi.yaml with schemathesis, which comes through PyPI
 	@$(CARGO) build --locked --quiet
 	@scripts/schemathesis.sh
+
+generated-client: setup ## generate a client in Python from openapi.yaml, through PyPI, and use it for a session
+	@$(CARGO) build --locked --quiet
+	@scripts/generated_client.sh
 
 interop: setup ## hold exports to splat-transform, which comes through npm
 	@scripts/splat_transform.sh --version
