@@ -26,6 +26,7 @@ mod neural;
 mod plain;
 mod primitives;
 mod priority;
+mod problems;
 mod queue;
 mod raster_device;
 mod raster_oracles;
