@@ -8,13 +8,6 @@ use std::{
 
 use reqwest::StatusCode;
 
-/// A type in the code: what stands in its place for the title, and the statuses that stand before it as literals.
-#[derive(Debug, Default)]
-struct Used {
-    titles: BTreeSet<String>,
-    statuses: BTreeSet<u16>,
-}
-
 fn rust_files(folder: &Path, into: &mut Vec<String>) {
     for entry in fs::read_dir(folder).expect("src is readable") {
         let path = entry.expect("an entry").path();
@@ -57,22 +50,21 @@ fn status_before(text: &str) -> Option<u16> {
     })
 }
 
-/// Every type in the code: a kebab-case literal followed by a title, which begins with a capital.
-fn used() -> BTreeMap<String, Used> {
+/// Every type in the code, which is a kebab-case literal followed by a title that begins with a capital, with the statuses that
+/// stand before it.
+fn used() -> BTreeMap<String, BTreeSet<u16>> {
     let mut files = Vec::new();
     rust_files(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), &mut files);
-    let mut used: BTreeMap<String, Used> = BTreeMap::new();
+    let mut used: BTreeMap<String, BTreeSet<u16>> = BTreeMap::new();
     for code in &files {
         for (at, _) in code.match_indices('"') {
             let Some((name, rest)) = literal(&code[at..]).filter(|(name, _)| is_type(name)) else { continue };
             let Some(rest) = rest.strip_prefix(',').map(str::trim_start) else { continue };
-            let title = literal(rest)
-                .map(|(title, _)| title)
-                .filter(|title| title.starts_with(|c: char| c.is_ascii_uppercase()));
-            let Some(title) = title else { continue };
-            let entry = used.entry(name.to_owned()).or_default();
-            entry.titles.insert(title.to_owned());
-            entry.statuses.extend(status_before(&code[..at]));
+            let has_title =
+                literal(rest).is_some_and(|(title, _)| title.starts_with(|c: char| c.is_ascii_uppercase()));
+            if has_title {
+                used.entry(name.to_owned()).or_default().extend(status_before(&code[..at]));
+            }
         }
     }
     // What the HTTP library answers by itself has HTTP's own words for a title.
@@ -111,7 +103,7 @@ fn the_catalogue_lists_every_problem_type_and_no_other() {
 #[test]
 fn the_catalogue_states_the_statuses_that_the_code_has() {
     let listed = listed();
-    for (name, Used { statuses, .. }) in used() {
+    for (name, statuses) in used() {
         let stated = &listed[&name];
         for status in statuses {
             assert!(
