@@ -15,10 +15,10 @@ SWIFTSHADER_TESTS ?= primitives raster_device loss:: neural:: first_light::
 # How long `make fuzz` gives each target.
 FUZZ_SECONDS ?= 600
 
-.PHONY: help setup build demo results test examples schemathesis swiftshader validation interop peers fuzz lint clean
+.PHONY: help setup build demo results test examples schemathesis generated-client swiftshader validation interop peers fuzz lint clean
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
 
 setup: ## install what this machine lacks (apt, rustup); silent when nothing is missing
 	@scripts/setup.sh
@@ -49,6 +49,10 @@ swiftshader: setup ## tests of kernels and whole jobs on SwiftShader, a driver w
 validation: setup ## one short job under the Khronos validation layer, which comes from a Debian package
 	@$(CARGO) build --locked --quiet
 	@scripts/validation.sh
+
+generated-client: setup ## generate a client in Python from openapi.yaml, through PyPI, and use it for a session
+	@$(CARGO) build --locked --quiet
+	@scripts/generated_client.sh
 
 interop: setup ## hold exports to splat-transform, which comes through npm
 	@scripts/splat_transform.sh --version

@@ -13,8 +13,10 @@ use super::{Failure, Report, adapter::AdapterFlag, files, wiring};
 enum Format {
     /// The field's file of floats, before activation
     Ply,
-    /// Small integers in gzip, version 3: a tenth of the size
+    /// Small integers, version 4 of the format: a tenth of the size
     Spz,
+    /// The same integers in version 3, for viewers that do not read version 4
+    Spz3,
 }
 
 /// Arguments of `tcgs export`.
@@ -97,6 +99,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     let format = match args.format {
         Format::Ply => SceneFormat::Ply,
         Format::Spz => SceneFormat::Spz,
+        Format::Spz3 => SceneFormat::Spz3,
     };
     let cameras = dataset.as_ref().map(training_cameras);
     let exported = wiring::export(&file, format, args.sh_degree, cameras.as_deref()).map_err(in_file)?;
@@ -147,7 +150,7 @@ fn text(summary: &Summary) -> String {
     let Summary { source, baked, spz, quality, .. } = summary;
     let mut lines = vec![format!(
         "source    .{}, {} bytes; {} anchors, {} Gaussians",
-        source.format.name(),
+        source.format.extension(),
         source.bytes,
         source.anchors,
         source.gaussians

@@ -7,8 +7,11 @@ use super::ModelKind;
 /// First bytes of a `.tcgs` file (FORMAT.md).
 const TCGS: &[u8] = b"\x89TCGS";
 
-/// First bytes of a `.spz` file: gzip up to version 3, its own mark after that.
-const SPZ: [&[u8]; 2] = [b"\x1f\x8b", b"NGSP"];
+/// First bytes of a `.spz` file from version 4 on.
+const SPZ: &[u8] = b"NGSP";
+
+/// First bytes of a `.spz` file up to version 3: those of gzip.
+const SPZ3: &[u8] = b"\x1f\x8b";
 
 /// A kind of file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -20,15 +23,17 @@ pub enum SceneFormat {
     Safetensors,
     /// Plain Gaussians as floats.
     Ply,
-    /// Plain Gaussians as small integers. No model is published as such; scenes are exported to it.
+    /// Plain Gaussians as small integers, version 4. No model is published as such; scenes are exported to it.
     Spz,
+    /// The same integers in version 3, for viewers that read no later one.
+    Spz3,
 }
 
 impl SceneFormat {
     /// Every kind.
-    pub const ALL: [Self; 4] = [Self::Tcgs, Self::Safetensors, Self::Ply, Self::Spz];
+    pub const ALL: [Self; 5] = [Self::Tcgs, Self::Safetensors, Self::Ply, Self::Spz, Self::Spz3];
 
-    /// The name in the API, which is also the extension of a file's name.
+    /// The name in the API.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -36,6 +41,16 @@ impl SceneFormat {
             SceneFormat::Safetensors => "safetensors",
             SceneFormat::Ply => "ply",
             SceneFormat::Spz => "spz",
+            SceneFormat::Spz3 => "spz3",
+        }
+    }
+
+    /// The extension of a file's name.
+    #[must_use]
+    pub fn extension(self) -> &'static str {
+        match self {
+            SceneFormat::Spz3 => SceneFormat::Spz.name(),
+            format => format.name(),
         }
     }
 
@@ -44,7 +59,9 @@ impl SceneFormat {
     pub fn media_type(self) -> &'static str {
         match self {
             SceneFormat::Tcgs => "application/vnd.tcgs",
-            SceneFormat::Safetensors | SceneFormat::Ply | SceneFormat::Spz => "application/octet-stream",
+            SceneFormat::Safetensors | SceneFormat::Ply | SceneFormat::Spz | SceneFormat::Spz3 => {
+                "application/octet-stream"
+            }
         }
     }
 
@@ -66,7 +83,8 @@ impl SceneFormat {
         let holds_object = bytes.get(8) == Some(&b'{');
         match bytes {
             _ if bytes.starts_with(TCGS) => SceneFormat::Tcgs,
-            _ if SPZ.iter().any(|mark| bytes.starts_with(mark)) => SceneFormat::Spz,
+            _ if bytes.starts_with(SPZ) => SceneFormat::Spz,
+            _ if bytes.starts_with(SPZ3) => SceneFormat::Spz3,
             [b'p', b'l', b'y', b'\n' | b'\r', ..] => SceneFormat::Ply,
             _ if holds_object => SceneFormat::Safetensors,
             _ => SceneFormat::Tcgs,
@@ -85,7 +103,7 @@ mod tests {
             (b"ply\nformat binary_little_endian 1.0\n", SceneFormat::Ply),
             (b"ply\r\nformat ascii 1.0\r\n", SceneFormat::Ply),
             (b"\x40\0\0\0\0\0\0\0{\"cells\":", SceneFormat::Safetensors),
-            (b"\x1f\x8b\x08\0\0\0\0\0{", SceneFormat::Spz),
+            (b"\x1f\x8b\x08\0\0\0\0\0{", SceneFormat::Spz3),
             (b"NGSP\x04\0\0\0", SceneFormat::Spz),
             (b"plyometrics", SceneFormat::Tcgs),
             (b"", SceneFormat::Tcgs),
@@ -98,10 +116,11 @@ mod tests {
     fn every_model_has_a_kind_of_its_own_and_names_are_those_of_the_api() {
         let mut kinds: Vec<SceneFormat> =
             ModelKind::ALL.iter().map(|model| SceneFormat::of_model(*model)).collect();
-        kinds.push(SceneFormat::Spz);
+        kinds.extend([SceneFormat::Spz, SceneFormat::Spz3]);
         assert_eq!(kinds, SceneFormat::ALL);
         for format in SceneFormat::ALL {
             assert_eq!(serde_json::to_value(format).expect("a name"), format.name());
+            assert!(format.name().starts_with(format.extension()));
         }
     }
 }

@@ -22,7 +22,7 @@ pub struct OptionError {
 }
 
 impl OptionError {
-    fn new(option: &'static str, fault: impl Into<String>) -> Self {
+    pub(crate) fn new(option: &'static str, fault: impl Into<String>) -> Self {
         Self { option, fault: fault.into() }
     }
 }

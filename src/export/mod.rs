@@ -13,4 +13,4 @@ pub mod spz;
 pub use bake::bake;
 pub use ply::{PlyError, from_ply, ply_bytes, to_ply};
 pub use ply_note::PlyNote;
-pub use spz::{SpzError, from_spz, to_spz};
+pub use spz::{SpzError, SpzVersion, from_spz, to_spz};

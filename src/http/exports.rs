@@ -39,7 +39,7 @@ use crate::{
 };
 
 /// The formats that scenes are exported to.
-const FORMATS: [SceneFormat; 2] = [SceneFormat::Ply, SceneFormat::Spz];
+const FORMATS: [SceneFormat; 3] = [SceneFormat::Ply, SceneFormat::Spz, SceneFormat::Spz3];
 
 /// Mean PSNR in dB of the export's pictures against the scene's.
 const LIKENESS: HeaderName = HeaderName::from_static("x-likeness-psnr");

@@ -31,7 +31,7 @@ impl File {
     pub(super) fn new(job: JobId, kind: ArtifactKind, lambda: Option<f64>, blob: BlobRef) -> Self {
         let point = lambda.map_or_else(String::new, |lambda| format!(".lambda-{lambda}"));
         let name = match kind {
-            ArtifactKind::Scene(format) => format!("{job}{point}.{}", format.name()),
+            ArtifactKind::Scene(format) => format!("{job}{point}.{}", format.extension()),
             _ => format!("{job}.{}.json", kind.name()),
         };
         Self { blob, media_type: media_type(kind), name }

@@ -9,6 +9,8 @@ use crate::domain::{MAX_PRIORITY, OptionError, SceneId, TrainOptions};
 
 /// Longest time that a job may be given, in seconds.
 const MAX_DEADLINE: u32 = 366 * 24 * 3600;
+/// Largest integer that JSON readers with 64-bit floats alone, JavaScript's among them, read and write exactly.
+const MAX_SEED: u64 = (1 << 53) - 1;
 /// Characters of an unknown name that are said again.
 const LONGEST_NAME: usize = 100;
 
@@ -58,6 +60,11 @@ impl JobWish {
         }
         if let Some(seconds) = self.deadline_s {
             check_deadline(seconds)?;
+        }
+        let seed = self.options.seed;
+        if seed > MAX_SEED {
+            let fault = OptionError::new("seed", format!("{seed} is outside 0..={MAX_SEED}"));
+            return Err(invalid_option(&fault));
         }
         Ok(Self { options: self.options.validated().map_err(|error| invalid_option(&error))?, ..self })
     }
@@ -194,12 +201,25 @@ mod tests {
     }
 
     #[test]
+    fn seeds_are_taken_as_far_as_every_language_s_json_is_exact() {
+        let largest = read(json!({ "seed": MAX_SEED })).expect("a job");
+        assert_eq!(
+            (largest.options.seed, MAX_SEED),
+            (9_007_199_254_740_991, (1_u64 << f64::MANTISSA_DIGITS) - 1)
+        );
+        let query = Parameters::parse(Some("seed=18446744073709551615")).expect("a query");
+        let fault = format!("{:?}", JobWish::from_query(query).expect_err("too large"));
+        assert!(fault.contains("seed: 18446744073709551615 is outside 0..=9007199254740991"), "{fault}");
+    }
+
+    #[test]
     fn faults_name_their_field() {
         for (fields, named) in [
             (json!({ "colour": "red" }), "colour"),
             (json!({ "iterations": "7" }), "iterations"),
             (json!({ "iterations": 0 }), "iterations"),
             (json!({ "seed": -1 }), "seed"),
+            (json!({ "seed": (1_u64 << 53) }), "seed"),
             (json!({ "preset": "fast" }), "preset"),
             (json!({ "preset": null }), "preset"),
             (json!({ "without": ["everything"] }), "without"),

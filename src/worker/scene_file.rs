@@ -3,7 +3,7 @@
 use crate::{
     codec::{self, DecodeLimits},
     domain::{AnchorScene, Background, ByteCounts, Digest, GaussianScene, Problem, Scene, SceneFormat},
-    export::{PlyNote, anchors, from_ply, from_spz, to_ply},
+    export::{PlyNote, SpzError, anchors, from_ply, from_spz, spz, to_ply},
 };
 
 /// What is in a file.
@@ -33,7 +33,7 @@ pub fn read(bytes: &[u8]) -> Result<SceneFile, Problem> {
         SceneFormat::Tcgs => read_tcgs(bytes),
         SceneFormat::Safetensors => read_anchors(bytes),
         SceneFormat::Ply => read_gaussians(bytes),
-        SceneFormat::Spz => read_packed_gaussians(bytes),
+        format @ (SceneFormat::Spz | SceneFormat::Spz3) => read_packed_gaussians(bytes, format),
     }
 }
 
@@ -97,17 +97,24 @@ fn read_gaussians(bytes: &[u8]) -> Result<SceneFile, Problem> {
     })
 }
 
-fn read_packed_gaussians(bytes: &[u8]) -> Result<SceneFile, Problem> {
-    let scene = from_spz(bytes).map_err(|fault| undecodable(&fault.to_string()))?;
-    Ok(SceneFile {
-        format: SceneFormat::Spz,
-        decode_sha256: Digest::of(&to_ply(&scene)),
+fn read_packed_gaussians(bytes: &[u8], format: SceneFormat) -> Result<SceneFile, Problem> {
+    let refused = |fault: SpzError| undecodable(&fault.to_string());
+    let scene = from_spz(bytes).map_err(refused)?;
+    let total = bytes.len() as u64;
+    let byte_counts = if format == SceneFormat::Spz {
+        let [positions, opacities, colors, scales, rotations, harmonics] =
+            spz::packed_lengths(bytes).map_err(refused)?;
+        let (features, scalings) = (opacities + colors + harmonics, scales + rotations);
+        let container = total.saturating_sub(positions + features + scalings);
+        ByteCounts { total, positions, features, scalings, container, ..ByteCounts::default() }
+    } else {
         // One stream of gzip: no byte belongs to a part.
-        byte_counts: ByteCounts {
-            total: bytes.len() as u64,
-            container: bytes.len() as u64,
-            ..ByteCounts::default()
-        },
+        ByteCounts { total, container: total, ..ByteCounts::default() }
+    };
+    Ok(SceneFile {
+        format,
+        decode_sha256: Digest::of(&to_ply(&scene)),
+        byte_counts,
         background: Background::Black,
         dataset: None,
         scene: Scene::Gaussians(scene),

@@ -8,12 +8,17 @@ use std::{
 
 use serde_json::Value;
 use tcgs::{
-    domain::{Scope, WebhookSecret},
+    domain::{Digest, Scope, WebhookSecret},
     sample::{self, Settings},
     webhooks::sign,
 };
 
-use crate::support::{contract::Coverage, fakes, server::Server};
+use crate::support::{
+    contract::Coverage,
+    cutter::{Cutter, Fault, Rule},
+    fakes,
+    server::{Server, TestKey},
+};
 
 const KEY: &str = "TCGS_API_KEY";
 
@@ -75,12 +80,18 @@ async fn the_session_with_curl_goes_as_it_is_written() {
     let mut session = Command::new("bash");
     session.arg(&script).current_dir(folder.path()).stdin(Stdio::null());
     session.env("TCGS_SERVER", format!("http://{}", server.address)).env(KEY, &key.key);
-    session.env("DATASET", scene(folder.path())).env("FRAME", "test/r_0");
+    let dataset = scene(folder.path());
+    let part = fs::metadata(&dataset).expect("a file").len() / 3;
+    session.env("DATASET", dataset).env("FRAME", "test/r_0").env("PART", part.to_string());
     let output = finishes(session).await;
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(said.contains("event: state") && said.contains("job-not-found"), "{said}");
     let file = |name: &str| fs::read(folder.path().join(name)).expect("a file");
     assert_eq!(file("scene.tcgs"), fakes::FILE);
+    let jobs =
+        server.send("GET", "/v1/jobs", |request| request.bearer_auth(&key.key)).await.expect(200).json();
+    let jobs = jobs["jobs"].as_array().expect("jobs").len();
+    assert_eq!(jobs, 1, "of two jobs one was deleted");
     for (name, begin) in [
         ("frame.png", &b"\x89PNG"[..]),
         ("pose.webp", b"RIFF"),
@@ -131,7 +142,8 @@ async fn the_client_in_python_brings_a_scene_and_a_view() {
     let dataset = scene(folder.path());
     let part = (fs::metadata(&dataset).expect("a file").len() / 3).to_string();
     // A download that broke off is gone on with.
-    fs::write(folder.path().join("scene.tcgs.part"), &fakes::FILE[..7]).expect("writes");
+    let part_of_file = format!("scene.tcgs.{}.part", &Digest::of(fakes::FILE).to_string()[..16]);
+    fs::write(folder.path().join(part_of_file), &fakes::FILE[..7]).expect("writes");
     let mut client = Command::new("python3");
     client.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/client.py")).arg(&dataset);
     client.args(["--server", &format!("http://{}", server.address), "--frame", "test/r_0", "--part", &part]);
@@ -156,4 +168,84 @@ async fn the_client_in_python_brings_a_scene_and_a_view() {
     let output = tokio::task::spawn_blocking(move || refused.output().expect("starts")).await.expect("ran");
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(!output.status.success() && said.contains("401") && !said.contains("Traceback"), "{said}");
+}
+
+/// Targets of requests in the order in which rules look at them: what a name is part of stands behind it.
+const TARGETS: [&str; 9] = [
+    "POST /v1/uploads",
+    "PATCH /v1/uploads",
+    "HEAD /v1/uploads",
+    "POST /v1/scenes",
+    "POST /v1/jobs",
+    "/events",
+    "/artifact",
+    "/view",
+    "GET /v1/jobs/",
+];
+
+/// Runs the client through a proxy to its end and returns what it says on standard error.
+async fn runs_through(server: &Server, key: &TestKey, rules: Vec<Rule>) -> String {
+    let cutter = Cutter::start(server.address, rules).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let dataset = scene(folder.path());
+    let part = (fs::metadata(&dataset).expect("a file").len() / 3).to_string();
+    let mut client = Command::new("python3");
+    client.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/client.py")).arg(&dataset);
+    client.args(["--server", &format!("http://{}", cutter.address), "--frame", "test/r_0", "--part", &part]);
+    client.args(["--option", "iterations=7", "--pause", "0.001"]);
+    client.current_dir(folder.path()).env(KEY, &key.key).env("PYTHONDONTWRITEBYTECODE", "1");
+    let output = finishes(client).await;
+    assert_eq!(cutter.left(), 0, "every rule has met its request");
+    assert_eq!(fs::read(folder.path().join("scene.tcgs")).expect("a file"), fakes::FILE);
+    assert!(fs::read(folder.path().join("view.png")).expect("a file").starts_with(b"\x89PNG"));
+    String::from_utf8(output.stderr).expect("UTF-8")
+}
+
+async fn count(server: &Server, key: &TestKey, list: &str) -> usize {
+    let path = format!("/v1/{list}");
+    let answer = server.send("GET", &path, |request| request.bearer_auth(&key.key)).await.expect(200).json();
+    answer[list].as_array().expect("a list").len()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_client_in_python_survives_connections_that_break_at_any_byte() {
+    if !there_is("python3", &["-c", "import requests"]) {
+        return;
+    }
+    let server = Server::start(&Coverage::default()).await;
+    let key = server.key(&[Scope::Read, Scope::ScenesWrite, Scope::JobsWrite]).await;
+    // Within the status, within headers, at their end, within bodies.
+    let cuts = [[1, 12, 17], [40, 80, 130], [190, 260, 330], [390, 450, 520], [580, 700, 1000]];
+    for (round, cuts) in cuts.into_iter().enumerate() {
+        let mut rules = Vec::new();
+        for bytes in cuts {
+            rules.extend(TARGETS.map(|target| Rule { target, fault: Fault::Answer(bytes) }));
+            // Within the request's head and its body.
+            rules.push(Rule { target: "PATCH /v1/uploads", fault: Fault::Request(bytes * 8) });
+            rules.push(Rule { target: "POST /v1/jobs", fault: Fault::Request(bytes) });
+        }
+        runs_through(&server, &key, rules).await;
+        assert_eq!(count(&server, &key, "jobs").await, round + 1, "a repeated request makes nothing again");
+        assert_eq!(count(&server, &key, "scenes").await, 1);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_client_in_python_comes_again_when_it_is_asked_to() {
+    if !there_is("python3", &["-c", "import requests"]) {
+        return;
+    }
+    let server = Server::start(&Coverage::default()).await;
+    let key = server.key(&[Scope::Read, Scope::ScenesWrite, Scope::JobsWrite]).await;
+    let many =
+        "HTTP/1.1 429 Too Many Requests\r\nRetry-After: 0\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+    let busy = "HTTP/1.1 503 Service Unavailable\r\nRetry-After: 1\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+    let mut rules: Vec<Rule> =
+        TARGETS.map(|target| Rule { target, fault: Fault::Says(many) }).into_iter().collect();
+    rules.push(Rule { target: "POST /v1/jobs", fault: Fault::Says(busy) });
+    rules.push(Rule { target: "/artifact", fault: Fault::Says(busy) });
+    let said = runs_through(&server, &key, rules).await;
+    let asked = |seconds: &str| said.matches(&format!("the service asks to wait {seconds} s")).count();
+    assert_eq!((asked("0"), asked("1")), (TARGETS.len(), 2), "{said}");
+    assert_eq!(count(&server, &key, "jobs").await, 1);
 }

@@ -11,12 +11,15 @@ use rand::SeedableRng;
 use serde_json::Value;
 use tcgs::{
     domain::{AnchorScene, Background, GaussianScene, Lattice},
-    export::{anchors, from_ply, from_spz, to_spz},
+    export::{SpzVersion, anchors, from_ply, from_spz, to_spz},
     model::{AnchorRows, NetworkLayout, Shape},
     sample::{self, Settings},
 };
 
-use crate::support::program::{answers, succeeds, tcgs};
+use crate::support::{
+    program::{answers, succeeds, tcgs},
+    shared::shared,
+};
 
 /// Arguments of several types as one line.
 macro_rules! line {
@@ -61,13 +64,18 @@ fn anchors_are_baked_and_the_loss_is_said_with_and_without_a_dataset() {
     let folder = tempfile::tempdir().expect("a folder");
     let (file, dataset) = (scene_file(folder.path()), folder.path().join("photographs"));
     sample::write(&dataset, &Settings { side: 32, points: 300, seed: 1 }).expect("writes");
-    for format in ["ply", "spz"] {
+    for format in ["ply", "spz", "spz3"] {
         let out = folder.path().join(format!("out.{format}"));
         let said = answers(line!["export", file, "--format", format, "-o", out, "--json"]);
         assert_eq!((&said["format"], &said["source"]["format"]), (&format.into(), &"safetensors".into()));
         assert_eq!(said["bytes"], std::fs::metadata(&out).expect("a file").len());
         assert_eq!((&said["sh_degree"], &said["baked"]["from"]), (&3.into(), &"sphere".into()));
-        assert_eq!(said["spz"].is_null(), format == "ply");
+        let version = match format {
+            "ply" => Value::Null,
+            "spz" => 4.into(),
+            _ => 3.into(),
+        };
+        assert_eq!(said["spz"]["version"], version);
         let quality = &said["quality"];
         assert_eq!((&quality["from"], &quality["psnr_lost"]), (&"sphere".into(), &Value::Null));
         // Networks that nobody trained turn mildly with the view; a wrong frame or order of coefficients costs more.
@@ -130,10 +138,16 @@ fn plain_gaussians_go_from_one_format_to_the_other_and_lower_degrees_are_smaller
     let at = |name: &str| folder.path().join(name);
     let source = interop("gaussians.ply");
     succeeds(line!["export", source, "--format", "spz", "-o", at("a.spz"), "--unmeasured"]);
+    succeeds(line!["export", source, "--format", "spz3", "-o", at("a3.spz"), "--unmeasured"]);
     succeeds(line!["export", at("a.spz"), "--format", "ply", "-o", at("a.ply"), "--unmeasured"]);
     let read = |name: &str| std::fs::read(at(name)).expect("a file");
     let (packed, back) = (from_spz(&read("a.spz")).expect("reads"), from_ply(&read("a.ply")).expect("reads"));
     assert_eq!(packed, back, "nothing is lost between a .spz and the .ply made of it");
+    assert_eq!(from_spz(&read("a3.spz")).expect("reads"), packed, "the versions hold the same");
+    let counts = answers(line!["inspect", at("a.spz"), "--json"])["byte_counts"].clone();
+    let parts = ["positions", "features", "scalings", "container"].map(|part| number(&counts[part]));
+    assert!(parts.iter().all(|bytes| *bytes > 0.0), "{counts}");
+    assert_eq!(parts.iter().sum::<f64>(), read("a.spz").len() as f64);
     let said = answers(line![
         "export",
         source,
@@ -159,10 +173,10 @@ fn what_cannot_be_exported_is_refused() {
     let (file, out) = (scene_file(folder.path()), folder.path().join("out.ply"));
     let status = |arguments: Vec<&OsStr>| tcgs(arguments).status.code();
     let newer = folder.path().join("newer.spz");
-    std::fs::write(&newer, b"NGSP\x04\0\0\0\0\0\0\0").expect("writes");
+    std::fs::write(&newer, b"NGSP\x05\0\0\0\0\0\0\0").expect("writes");
     let output = tcgs(line!["export", newer, "--format", "ply", "-o", out]);
     assert_eq!(output.status.code(), Some(3));
-    assert!(String::from_utf8_lossy(&output.stderr).contains("version 4"));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("version 5"));
     assert_eq!(status(line!["export", file, "--format", "ply", "-o", folder.path()]), Some(4));
     assert_eq!(status(line!["export", file, "--format", "ply", "-o", out, "--dataset", "none"]), Some(3));
     assert!(!out.exists());
@@ -174,6 +188,12 @@ fn interop(name: &str) -> PathBuf {
 
 fn bytes_of(path: impl AsRef<Path>) -> Vec<u8> {
     std::fs::read(&path).unwrap_or_else(|fault| panic!("{}: {fault}", path.as_ref().display()))
+}
+
+/// The arrays of a file of version 4, one after another.
+fn arrays(bytes: &[u8]) -> Vec<u8> {
+    // A frame follows the other.
+    zstd::stream::decode_all(&bytes[32 + 16 * 6..]).expect("zstd")
 }
 
 /// What is in a file of gzip.
@@ -206,16 +226,39 @@ fn agree(ours: &GaussianScene, theirs: &GaussianScene) {
 fn another_reader_reads_what_was_written_here() {
     let written = bytes_of(interop("gaussians.spz"));
     let scene = from_ply(&bytes_of(interop("gaussians.ply"))).expect("a scene");
-    assert_eq!(payload(&to_spz(&scene).expect("packs").bytes), payload(&written), "the writer has changed");
+    let three = to_spz(&scene, SpzVersion::V3).expect("packs").bytes;
+    assert_eq!(payload(&three), payload(&written), "the writer has changed");
+    let written_4 = bytes_of(interop("gaussians_v4.spz"));
+    let four = to_spz(&scene, SpzVersion::V4).expect("packs").bytes;
+    assert_eq!(
+        (&four[..32], arrays(&four)),
+        (&written_4[..32], arrays(&written_4)),
+        "the writer has changed"
+    );
     let theirs = from_ply(&bytes_of(interop("gaussians_by_splat_transform.ply"))).expect("a scene");
     agree(&from_spz(&written).expect("a scene"), &theirs);
+    agree(&from_spz(&written_4).expect("a scene"), &theirs);
 }
 
 #[test]
 fn another_writer_writes_the_same_integers() {
     let theirs = bytes_of(interop("spz_by_splat_transform.spz"));
     let (ours, theirs) = (payload(&bytes_of(interop("gaussians.spz"))), payload(&theirs));
-    let harmonics = 16 + (9 + 1 + 3 + 3 + 4) * 48;
+    same_integers(&ours[16..], &theirs[16..]);
+    assert_eq!(ours[..16], theirs[..16]);
+    let theirs = bytes_of(interop("spz4_by_splat_transform.spz"));
+    let ours = to_spz(&from_ply(&bytes_of(interop("gaussians.ply"))).expect("a scene"), SpzVersion::V4);
+    let ours = ours.expect("packs").bytes;
+    assert_eq!(ours[..32], theirs[..32]);
+    same_integers(&arrays(&ours), &arrays(&theirs));
+    assert_eq!(from_spz(&theirs).expect("a scene").len(), 48);
+}
+
+/// Holds the arrays of two programs against each other.
+#[track_caller]
+fn same_integers(ours: &[u8], theirs: &[u8]) {
+    assert_eq!(ours.len(), theirs.len());
+    let harmonics = (9 + 1 + 3 + 3 + 4) * 48;
     assert_eq!(ours[..harmonics], theirs[..harmonics]);
     // It rounds harmonics to 1/128 first and to 1/16 or 1/8 then, so a value in the middle may go the other way.
     let differing: Vec<(u8, u8)> = ours[harmonics..]
@@ -247,8 +290,8 @@ fn splat_transform_reads_and_writes_the_same_scenes() {
         assert!(status.expect("splat-transform runs").success());
     };
     let file = scene_file(folder.path());
-    for format in ["ply", "spz"] {
-        let ours = at(&format!("ours.{format}"));
+    for format in ["ply", "spz", "spz3"] {
+        let ours = at(&format!("ours_{format}.{}", &format[..3]));
         succeeds(line!["export", file, "--format", format, "-o", ours, "--unmeasured"]);
         let theirs = at(&format!("theirs_from_{format}.ply"));
         convert(&ours, &theirs, &[]);
@@ -256,10 +299,129 @@ fn splat_transform_reads_and_writes_the_same_scenes() {
             if format == "ply" { from_ply(&bytes_of(&ours)).ok() } else { from_spz(&bytes_of(&ours)).ok() };
         agree(&read.expect("a scene"), &from_ply(&bytes_of(theirs)).expect("a scene"));
     }
-    convert(&at("ours.ply"), &at("theirs.spz"), &["--spz-version", "3"]);
-    convert(&at("theirs.spz"), &at("theirs_back.ply"), &[]);
-    agree(
-        &from_spz(&bytes_of(at("theirs.spz"))).expect("a scene"),
-        &from_ply(&bytes_of(at("theirs_back.ply"))).expect("a scene"),
-    );
+    for version in ["3", "4"] {
+        let (packed, back) = (at(&format!("theirs_{version}.spz")), at(&format!("back_{version}.ply")));
+        convert(&at("ours_ply.ply"), &packed, &["--spz-version", version]);
+        convert(&packed, &back, &[]);
+        agree(&from_spz(&bytes_of(packed)).expect("a scene"), &from_ply(&bytes_of(back)).expect("a scene"));
+    }
+}
+
+/// A `.compressed.ply` as PlayCanvas defines it: blocks of 256 Gaussians with bounds, then four words for each Gaussian.
+struct CompressedPly {
+    bytes: Vec<u8>,
+    body: usize,
+    chunks: usize,
+    count: usize,
+}
+
+/// A value and how far its rounding may have moved it.
+type Rounded = (f64, f64);
+
+impl CompressedPly {
+    fn open(path: &Path) -> Self {
+        const END: &[u8] = b"end_header\n";
+        let bytes = bytes_of(path);
+        let body = bytes.windows(END.len()).position(|window| window == END).expect("a header") + END.len();
+        let header = String::from_utf8_lossy(&bytes[..body]).into_owned();
+        let count_of = |element: &str| -> usize {
+            let line = header.lines().find_map(|line| line.strip_prefix(element)).expect("an element");
+            line.trim().parse().expect("a count")
+        };
+        let (chunks, count) = (count_of("element chunk "), count_of("element vertex "));
+        Self { bytes, body, chunks, count }
+    }
+
+    fn word(&self, at: usize) -> u32 {
+        let at = self.body + 4 * at;
+        u32::from_le_bytes(self.bytes[at..at + 4].try_into().expect("four bytes"))
+    }
+
+    /// One of the four words of a Gaussian.
+    fn packed(&self, index: usize, which: usize) -> u32 {
+        self.word(18 * self.chunks + 4 * index + which)
+    }
+
+    /// A level between the bounds of the Gaussian's block, which stand at `column` and, three columns on, at its end.
+    fn between(&self, index: usize, column: usize, level: u32, levels: u32) -> Rounded {
+        let bound = |column: usize| f64::from(f32::from_bits(self.word(18 * (index / 256) + column)));
+        let (low, high) = (bound(column), bound(column + 3));
+        let step = (high - low) / f64::from(levels);
+        (low + step * f64::from(level), step / 2.0)
+    }
+
+    /// Three values in 11, 10 and 11 bits.
+    fn triple(&self, index: usize, which: usize, column: usize) -> [Rounded; 3] {
+        let word = self.packed(index, which);
+        [(21, 2047), (11, 1023), (0, 2047)]
+            .map(|(shift, levels)| (word >> shift & levels, levels))
+            .into_iter()
+            .zip(column..)
+            .map(|((level, levels), column)| self.between(index, column, level, levels))
+            .collect::<Vec<_>>()
+            .try_into()
+            .expect("three")
+    }
+
+    /// w, x, y, z: the largest one's place in two bits, then the others in ten each.
+    fn rotation(&self, index: usize) -> [f64; 4] {
+        let word = self.packed(index, 1);
+        let largest = (word >> 30) as usize;
+        let mut quat = [0.0; 4];
+        let mut shift = 30;
+        for (k, value) in quat.iter_mut().enumerate() {
+            if k != largest {
+                shift -= 10;
+                *value = (f64::from(word >> shift & 1023) / 1023.0 - 0.5) * std::f64::consts::SQRT_2;
+            }
+        }
+        quat[largest] = (1.0 - quat.iter().map(|value| value * value).sum::<f64>()).max(0.0).sqrt();
+        quat
+    }
+}
+
+#[test]
+fn a_file_of_another_program_in_version_4_is_what_its_compressed_ply_is() {
+    let (Some(packed), Some(other)) =
+        (shared("data/interop/biker.spz"), shared("data/interop/biker.compressed.ply"))
+    else {
+        return;
+    };
+    let bytes = bytes_of(packed);
+    let scene = from_spz(&bytes).expect("a scene");
+    let other = CompressedPly::open(&other);
+    assert_eq!((scene.len(), scene.degree, other.count), (152_746, 0, 152_746));
+    let near = |index: usize, what: &str, ours: f64, rounding: f64, (theirs, theirs_rounding): Rounded| {
+        let bound = (rounding + theirs_rounding) * 1.000_01 + 1e-6;
+        assert!(
+            (ours - theirs).abs() <= bound,
+            "{what} of {index}: {ours} and {theirs}, {bound} apart at most"
+        );
+    };
+    // The range of log-scales ends at -10 and 5.9375 in a .spz alone.
+    let held = |scale: f32| scale <= -10.0 || scale >= 5.9375;
+    let harmonic = 0.5 / std::f64::consts::PI.sqrt();
+    for index in 0..scene.len() {
+        for (ours, theirs) in scene.means[index].into_iter().zip(other.triple(index, 0, 0)) {
+            near(index, "position", ours.into(), 0.5 / 4096.0, theirs);
+        }
+        for (ours, theirs) in scene.log_scales[index].into_iter().zip(other.triple(index, 2, 6)) {
+            if !held(ours) {
+                near(index, "log-scale", ours.into(), 0.5 / 16.0, theirs);
+            }
+        }
+        let color = other.packed(index, 3);
+        for (channel, ours) in scene.sh[index][0].into_iter().enumerate() {
+            let theirs = other.between(index, 12 + channel, color >> (24 - 8 * channel) & 255, 255);
+            near(index, "colour", 0.5 + harmonic * f64::from(ours), harmonic * 0.5 / (0.15 * 255.0), theirs);
+        }
+        let opacity = 1.0 / (1.0 + f64::from(-scene.opacity_logits[index]).exp());
+        near(index, "opacity", opacity, 0.5 / 255.0, (f64::from(color & 255) / 255.0, 0.5 / 255.0));
+        let theirs = other.rotation(index);
+        let same: f64 = scene.quats[index].iter().zip(theirs).map(|(a, b)| f64::from(*a) * b).sum();
+        assert!(same.abs() > 1.0 - 1e-6, "rotation of {index}: {:?} and {theirs:?}", scene.quats[index]);
+    }
+    let again = to_spz(&scene, SpzVersion::V4).expect("packs");
+    // What no pixel shows is left out: here nothing but Gaussians of opacity zero.
+    assert!(again.left_out + again.gaussians == scene.len() && again.clamped == 0);
 }

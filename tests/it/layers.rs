@@ -50,6 +50,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("kiddo", &["model", "codec"]),
     ("ndarray", &["eval"]),
     ("flate2", &["export"]),
+    ("zstd", &["export"]),
     ("toml", &["cli"]),
     ("fs4", &["store"]),
     ("clap", &["cli", "main"]),

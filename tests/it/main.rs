@@ -34,6 +34,7 @@ mod plain;
 mod power_cuts;
 mod primitives;
 mod priority;
+mod problems;
 mod queue;
 mod raster_device;
 mod raster_oracles;

@@ -9,7 +9,7 @@ use sqlx::{
 };
 use tcgs::{
     domain::{JobState, SystemClock},
-    store::{ArtifactKind, QueuePolicy, SqliteStore, Store},
+    store::{ArtifactKind, Exports as _, QueuePolicy, SqliteStore, Store},
 };
 
 static ALL: Migrator = sqlx::migrate!("migrations/sqlite");
@@ -101,4 +101,35 @@ async fn jobs_and_files_of_every_earlier_schema_are_there_after_an_update() {
         // Once more: an update that was made is not made again.
         open(&path).await.close().await;
     }
+}
+
+#[tokio::test]
+async fn exports_that_were_kept_as_spz_are_of_version_3_after_an_update() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("tcgs.sqlite");
+    let old = database(&path, 10).await;
+    let (dataset, ply, spz) = ("a".repeat(64), "b".repeat(64), "c".repeat(64));
+    for digest in [&dataset, &ply, &spz] {
+        let insert = sqlx::query("INSERT INTO blobs (digest, bytes, created_at) VALUES (?, 9, 5)");
+        insert.bind(digest).execute(&old).await.expect("a blob");
+    }
+    let job = "INSERT INTO jobs (id, dataset, options, state, phase, progress, metrics, priority, run_after, attempt, charged,
+            max_attempts, last_seq, created_at, started_at, finished_at)
+        VALUES (?, ?, '{}', 'succeeded', 'done', '{}', ?, 0, 5, 1, 1, 3, 0, 5, 6, 7)";
+    sqlx::query(job).bind(JOB).bind(&dataset).bind(METRICS).execute(&old).await.expect("a job");
+    for (format, digest, likeness) in [("ply", &ply, Some(40.5)), ("spz", &spz, None)] {
+        let insert = "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, created_at, likeness_psnr, likeness_views)
+            VALUES (?, ?, ?, ?, 7, 3, 5, ?, ?)";
+        let insert = sqlx::query(insert).bind(JOB).bind(&dataset).bind(format).bind(digest);
+        insert.bind(likeness).bind(likeness.map(|_| 2)).execute(&old).await.expect("an export");
+    }
+    old.close().await;
+    let store = open(&path).await;
+    let exports = store.exports(JOB.parse().expect("an id")).await.expect("reads");
+    let kept: Vec<_> =
+        exports.iter().map(|export| (export.format.name(), export.blob.digest.to_string())).collect();
+    assert_eq!(kept, [("ply", ply), ("spz3", spz)]);
+    assert_eq!(exports[0].likeness.map(|likeness| (likeness.psnr, likeness.views)), Some((40.5, 2)));
+    assert_eq!((exports[1].likeness, exports[1].gaussians), (None, 7));
+    store.close().await;
 }

@@ -8,7 +8,7 @@ use tcgs::{
     eval::{mean_scores_with, psnr, score_view},
     export::{
         bake::{self, BakeSettings},
-        spz::{Packed, to_spz},
+        spz::{Packed, SpzVersion, to_spz},
     },
     store::Likeness,
     worker::scene_file,
@@ -111,13 +111,18 @@ pub(crate) fn export(
         }
     };
     let degree = scene.degree;
-    let (bytes, packing) = match format {
-        SceneFormat::Spz => {
+    let version = match format {
+        SceneFormat::Spz => Some(SpzVersion::V4),
+        SceneFormat::Spz3 => Some(SpzVersion::V3),
+        SceneFormat::Ply | SceneFormat::Tcgs | SceneFormat::Safetensors => None,
+    };
+    let (bytes, packing) = match version {
+        Some(version) => {
             let Packed { bytes, fractional_bits, clamped, left_out, .. } =
-                to_spz(&scene).map_err(not_exportable)?;
-            (bytes, Some(Packing { version: 3, fractional_bits, clamped, left_out }))
+                to_spz(&scene, version).map_err(not_exportable)?;
+            (bytes, Some(Packing { version: version.number(), fractional_bits, clamped, left_out }))
         }
-        _ => (scene_file::write_gaussians(&scene, file.background, file.dataset), None),
+        None => (scene_file::write_gaussians(&scene, file.background, file.dataset), None),
     };
     let left_out = packing.as_ref().map_or(0, |packing: &Packing| packing.left_out);
     Ok(Exported { bytes, gaussians: scene.means.len() - left_out, degree, baking, packing })

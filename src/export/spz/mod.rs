@@ -1,10 +1,12 @@
-//! Plain Gaussians in the `.spz` file: gzip around a header and six arrays of small integers.
+//! Plain Gaussians in the `.spz` file: a header and six arrays of small integers, packed.
 //!
-//! Written is version 3, which has rotations to 10 bits and needs nothing but gzip to read: viewers that read any version
-//! read it, while the newer version 4, the same integers in other wrapping, is unknown to many. Read are 2 and 3.
+//! Versions 3 and 4 hold the same integers in other containers (`container.rs`) and both are written, since no version is
+//! read by every viewer. Version 2 is read too.
 //!
 //! ```text
-//! header     u32 magic 'NGSP', u32 version, u32 count, u8 degree, u8 fractional bits, u8 flags, u8 zero
+//! header     u32 magic 'NGSP', u32 version, u32 count, u8 degree, u8 fractional bits, u8 flags, u8 arrays
+//!            version 4 only: u32 start of the table, 12 zeros, and at that start for each array u64 packed and u64
+//!            unpacked length; before version 4 `arrays` is zero
 //! positions  [count][3]  i24, in units of 2^-fractional bits
 //! opacities  [count]     u8,  opacity * 255
 //! colours    [count][3]  u8,  constant coefficient * 0.15 * 255 + 127.5
@@ -14,7 +16,9 @@
 //! harmonics  [count][(degree + 1)^2 - 1][3]  u8, coefficient * 128 + 128, a multiple of 8 at degree 1 and of 16 above
 //! ```
 //!
-//! All little endian. **Frame**: the file's axes are right, up, back, where `.ply` is taken for right, down, front by every
+//! All little endian. Up to version 3 all of it is one stream of gzip; in version 4 header and table are plain and each array
+//! is a zstd frame, with the frame's checksum when this program writes it.
+//! **Frame**: the file's axes are right, up, back, where `.ply` is taken for right, down, front by every
 //! converter; so y and z change their signs on the way, and with them the rotations and harmonics that are odd in them. A
 //! `.spz` and a `.ply` of one scene lie on each other in a viewer.
 //!
@@ -23,6 +27,7 @@
 //! 1/510 in opacity, 0.0037 in a colour, and 1/32 or 1/16 in a coefficient above the constant one: these are where the
 //! loss is. Values out of range are held at its ends and counted.
 
+mod container;
 mod pack;
 mod unpack;
 
@@ -30,15 +35,15 @@ use glam::DVec3;
 use thiserror::Error;
 
 pub use pack::{Packed, to_spz};
-pub use unpack::from_spz;
+pub use unpack::{from_spz, packed_lengths};
 
 use crate::domain::{gaussians::SH_COEFFICIENTS, harmonics};
 
 /// First bytes of the payload, and of a whole file of version 4.
 pub const MAGIC: [u8; 4] = *b"NGSP";
 
-/// Bytes of the header.
-const HEADER: usize = 16;
+/// Arrays behind the header.
+const ARRAYS: usize = 6;
 
 /// Constant coefficients are stored in this unit.
 const COLOR_UNIT: f64 = 0.15 * 255.0;
@@ -49,29 +54,64 @@ const POSITION_BITS: u32 = 24;
 /// Largest magnitude of a rotation's stored component.
 const ROTATION_MAX: u32 = 511;
 
+/// A version that is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SpzVersion {
+    /// One stream of gzip.
+    V3,
+    /// A zstd frame for each array.
+    V4,
+}
+
+impl SpzVersion {
+    /// The number in the header.
+    #[must_use]
+    pub fn number(self) -> u32 {
+        match self {
+            SpzVersion::V3 => 3,
+            SpzVersion::V4 => 4,
+        }
+    }
+}
+
 /// What is wrong with a `.spz` file, or with a scene that is to become one.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum SpzError {
     /// The file is not gzip, or damaged.
-    #[error("the file cannot be unpacked: {0}")]
+    #[error("the file cannot be unpacked with gzip: {0}")]
     Gzip(String),
+    /// An array of version 4 is not zstd, or damaged.
+    #[error("an array cannot be unpacked with zstd: {0}")]
+    Zstd(String),
     /// The payload begins with something else.
     #[error("the payload does not begin with 'NGSP'")]
     NotSpz,
     /// A version that is not read.
-    #[error("the file is of version {0}; versions 2 and 3 are read")]
+    #[error("the file is of version {0}; versions 2 to 4 are read")]
     Version(u32),
+    /// A version in the other versions' container.
+    #[error("the header states version {0}, which has another container; gzip holds versions 2 and 3")]
+    Container(u32),
+    /// The file ends before what its header or table states.
+    #[error("the file ends too early; it was cut short")]
+    Cut,
+    /// The table of a version 4 file does not list the arrays that its header states, or bytes follow them.
+    #[error("the table of arrays does not fit the header and the file's length")]
+    Table,
     /// A degree that is not read.
     #[error("spherical harmonics of degree {0}; 0 to 3 are read")]
     Degree(u8),
     /// A unit that makes no sense.
     #[error("positions have {0} fractional bits of {POSITION_BITS}")]
     FractionalBits(u8),
-    /// Vendors' extensions may change what the numbers mean.
-    #[error("the file has extensions, which are not read (flags {0:#04x})")]
+    /// Extensions behind the arrays of an earlier version.
+    #[error("the file has extensions, which are read in version 4 only (flags {0:#04x})")]
     Extensions(u8),
+    /// Other axes than right, up, back.
+    #[error("the file's coordinate system is number {0}; only right, up, back (4) is read")]
+    CoordinateSystem(u32),
     /// The header's count and the bytes after it do not agree.
-    #[error("{count} Gaussians take {needed} bytes, and {found} follow the header")]
+    #[error("{count} Gaussians take {needed} bytes, and the file holds {found}")]
     Length {
         /// The header's count.
         count: u32,
@@ -122,7 +162,7 @@ fn flip_harmonics() -> [f32; SH_COEFFICIENTS] {
 }
 
 /// Bytes of a Gaussian in each array behind the header, in the arrays' order.
-fn strides(version: u32, degree: u8) -> [usize; 6] {
+fn strides(version: u32, degree: u8) -> [usize; ARRAYS] {
     [9, 1, 3, 3, if version >= 3 { 4 } else { 3 }, 3 * rest(degree)]
 }
 

@@ -1,17 +1,11 @@
 //! Rounds Gaussians to the integers of a `.spz` file and writes it.
 
-use std::io::Write as _;
-
-use flate2::{Compression, write::GzEncoder};
-
 use super::{
-    COLOR_UNIT, FLIP, FLIP_ROTATION, HEADER, MAGIC, POSITION_BITS, ROTATION_MAX, SpzError, flip_harmonics,
-    harmonic_step, rest, strides,
+    COLOR_UNIT, FLIP, FLIP_ROTATION, POSITION_BITS, ROTATION_MAX, SpzError, SpzVersion,
+    container::{self, Header},
+    flip_harmonics, harmonic_step, rest,
 };
 use crate::domain::{GaussianScene, harmonics};
-
-/// The version that is written.
-const VERSION: u32 = 3;
 
 /// Fewest fractional bits where they fit: what the format's own writer takes.
 const USUAL_BITS: u32 = 12;
@@ -40,82 +34,76 @@ pub struct Packed {
     pub clamped: usize,
 }
 
-/// The `.spz` file of a scene. The same scene gives the same payload.
+/// The `.spz` file of a scene. The same scene gives the same file.
 ///
 /// # Errors
-/// [`SpzError::Scene`], [`SpzError::TooMany`], [`SpzError::TooFar`]; [`SpzError::Gzip`] if memory does not suffice.
-pub fn to_spz(scene: &GaussianScene) -> Result<Packed, SpzError> {
+/// [`SpzError::Scene`], [`SpzError::TooMany`], [`SpzError::TooFar`]; [`SpzError::Gzip`] or [`SpzError::Zstd`] if memory does
+/// not suffice.
+pub fn to_spz(scene: &GaussianScene, version: SpzVersion) -> Result<Packed, SpzError> {
     scene.check()?;
     let kept: Vec<usize> =
         (0..scene.len()).filter(|index| opacity(scene.opacity_logits[*index]) >= ALPHA_MIN).collect();
     let count = u32::try_from(kept.len()).map_err(|_| SpzError::TooMany(kept.len()))?;
     let bits = fractional_bits(scene, &kept)?;
-    let size: usize = strides(VERSION, scene.degree).iter().sum();
-    let mut payload = Payload { bytes: Vec::with_capacity(HEADER + kept.len() * size), clamped: 0 };
-    payload.bytes.extend(MAGIC);
-    payload.bytes.extend(VERSION.to_le_bytes());
-    payload.bytes.extend(count.to_le_bytes());
-    payload.bytes.extend([scene.degree, bits, 0, 0]);
 
     let unit = f64::from(1_u32 << bits);
+    let mut positions = Vec::with_capacity(9 * kept.len());
     for index in &kept {
         for (coordinate, flip) in scene.means[*index].into_iter().zip(FLIP) {
             let fixed = (f64::from(flip * coordinate) * unit).round() as i32;
-            payload.bytes.extend(&fixed.to_le_bytes()[..3]);
+            positions.extend(&fixed.to_le_bytes()[..3]);
         }
     }
+    let opacities = kept
+        .iter()
+        .map(|index| (255.0 * opacity(scene.opacity_logits[*index])).round().min(MOST_OPACITY) as u8)
+        .collect();
+    let mut rounder = Rounder { clamped: 0 };
+    let (mut colors, mut scales) = (Vec::new(), Vec::new());
     for index in &kept {
-        let level = (255.0 * opacity(scene.opacity_logits[*index])).round();
-        payload.bytes.push(level.min(MOST_OPACITY) as u8);
+        colors.extend(
+            scene.sh[*index][0].map(|value| rounder.byte(f64::from(value) * COLOR_UNIT + 127.5, 1.0)),
+        );
+        scales.extend(
+            scene.log_scales[*index].map(|value| rounder.byte((f64::from(value) + 10.0) * 16.0, 1.0)),
+        );
     }
-    for index in &kept {
-        for value in scene.sh[*index][0] {
-            payload.byte(f64::from(value) * COLOR_UNIT + 127.5, 1.0);
-        }
-    }
-    for index in &kept {
-        for value in scene.log_scales[*index] {
-            payload.byte((f64::from(value) + 10.0) * 16.0, 1.0);
-        }
-    }
-    for index in &kept {
-        payload.bytes.extend(rotation(scene.quats[*index]).to_le_bytes());
-    }
+    let rotations = kept.iter().flat_map(|index| rotation(scene.quats[*index]).to_le_bytes()).collect();
     let signs = flip_harmonics();
+    let mut above_constant = Vec::with_capacity(3 * rest(scene.degree) * kept.len());
     for index in &kept {
         let above = scene.sh[*index].iter().zip(signs).enumerate().skip(1);
         for (function, (rgb, sign)) in above.take(rest(scene.degree)) {
             let step = harmonic_step(harmonics::degree_of(function));
-            for value in rgb {
-                payload.byte(f64::from(sign * value) * 128.0 + 128.0, step);
-            }
+            above_constant
+                .extend(rgb.map(|value| rounder.byte(f64::from(sign * value) * 128.0 + 128.0, step)));
         }
     }
 
-    let packed = |fault: std::io::Error| SpzError::Gzip(fault.to_string());
-    let mut gzip = GzEncoder::new(Vec::new(), Compression::default());
-    gzip.write_all(&payload.bytes).map_err(packed)?;
+    let header =
+        Header { version: version.number(), count, degree: scene.degree, fractional_bits: bits, flags: 0 };
+    let arrays = [positions, opacities, colors, scales, rotations, above_constant];
     Ok(Packed {
-        bytes: gzip.finish().map_err(packed)?,
+        bytes: container::write(version, header, &arrays)?,
         gaussians: kept.len(),
         left_out: scene.len() - kept.len(),
         fractional_bits: bits,
-        clamped: payload.clamped,
+        clamped: rounder.clamped,
     })
 }
 
-struct Payload {
-    bytes: Vec<u8>,
+/// Rounds to bytes and counts what was out of range.
+struct Rounder {
     clamped: usize,
 }
 
-impl Payload {
+impl Rounder {
     /// The multiple of `step` nearest to `value`, held in a byte.
-    fn byte(&mut self, value: f64, step: f64) {
+    fn byte(&mut self, value: f64, step: f64) -> u8 {
         let rounded = (value / step).round() * step;
         // The last multiple below 256 is 255.
         self.clamped += usize::from(!(-0.5..=256.0).contains(&rounded));
-        self.bytes.push(rounded.clamp(0.0, 255.0) as u8);
+        rounded.clamp(0.0, 255.0) as u8
     }
 }
 

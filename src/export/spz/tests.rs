@@ -8,6 +8,21 @@ use proptest::prelude::*;
 use super::*;
 use crate::domain::{GaussianScene, NearPlane};
 
+/// Bytes of the header up to version 3.
+const HEADER: usize = 16;
+
+const VERSIONS: [SpzVersion; 2] = [SpzVersion::V3, SpzVersion::V4];
+
+/// The scene in version 3.
+fn to_spz3(scene: &GaussianScene) -> Result<Packed, SpzError> {
+    to_spz(scene, SpzVersion::V3)
+}
+
+/// The scene in version 4.
+fn to_spz4(scene: &GaussianScene) -> Vec<u8> {
+    to_spz(scene, SpzVersion::V4).expect("packs").bytes
+}
+
 #[test]
 fn harmonics_change_sign_with_the_axes() {
     let signs = flip_harmonics();
@@ -64,10 +79,11 @@ fn opacity(logit: f32) -> f32 {
 proptest! {
     #[test]
     fn what_is_read_again_is_what_was_written_up_to_its_rounding(scene in scenes()) {
-        let packed = to_spz(&scene).expect("packs");
+        let packed = to_spz3(&scene).expect("packs");
         prop_assert_eq!((packed.gaussians, packed.left_out, packed.clamped), (scene.len(), 0, 0));
         let back = from_spz(&packed.bytes).expect("reads");
         back.check().expect("sound");
+        prop_assert_eq!(&from_spz(&to_spz4(&scene)).expect("reads"), &back, "both versions hold the same integers");
         prop_assert_eq!((back.len(), back.degree), (scene.len(), scene.degree));
         let close = |a: &[f32], b: &[f32], bound: f32| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= bound);
         let half_unit = 0.5001 * (-f32::from(packed.fractional_bits)).exp2();
@@ -86,7 +102,7 @@ proptest! {
             }
         }
         // Nothing is rounded twice.
-        let again = to_spz(&back).expect("packs");
+        let again = to_spz3(&back).expect("packs");
         if again.fractional_bits == packed.fractional_bits {
             let (first, second) = (gunzip(&packed.bytes), gunzip(&again.bytes));
             let rotations = HEADER + 16 * scene.len()..HEADER + 20 * scene.len();
@@ -101,14 +117,17 @@ proptest! {
         at in any::<prop::sample::Index>(),
         byte in any::<u8>(),
     ) {
-        let packed = to_spz(&scene).expect("packs").bytes;
-        let mut payload = gunzip(&packed);
+        let mut payload = gunzip(&to_spz3(&scene).expect("packs").bytes);
         let place = at.index(payload.len());
         payload[place] = byte;
-        let mut spoiled = packed;
-        let place = at.index(spoiled.len());
-        spoiled[place] = byte;
-        for bytes in [gzip(&payload), spoiled] {
+        let spoiled = VERSIONS.map(|version| {
+            let mut spoiled = to_spz(&scene, version).expect("packs").bytes;
+            let place = at.index(spoiled.len());
+            spoiled[place] = byte;
+            spoiled
+        });
+        let [three, four] = spoiled;
+        for bytes in [gzip(&payload), three, four] {
             if let Ok(scene) = from_spz(&bytes) {
                 scene.check().expect("what is read is sound");
             }
@@ -120,6 +139,7 @@ proptest! {
         let _ = from_spz(&bytes);
         let _ = from_spz(&gzip(&bytes));
         let _ = from_spz(&gzip(&[&MAGIC[..], &[3, 0, 0, 0], &bytes].concat()));
+        let _ = from_spz(&[&MAGIC[..], &[4, 0, 0, 0], &bytes].concat());
     }
 }
 
@@ -142,7 +162,7 @@ fn one() -> GaussianScene {
 
 #[test]
 fn the_bytes_are_those_of_the_format() {
-    let packed = to_spz(&one()).expect("packs");
+    let packed = to_spz3(&one()).expect("packs");
     let mut expected = b"NGSP\x03\0\0\0\x01\0\0\0\x01\x0c\0\0".to_vec();
     // 1, -2 and 3 in units of 2^-12.
     expected.extend([0x00, 0x10, 0x00, 0x00, 0xe0, 0xff, 0x00, 0x30, 0x00]);
@@ -174,7 +194,7 @@ fn a_file_of_version_2_is_read() {
 
 #[test]
 fn what_is_not_read_is_named() {
-    let payload = gunzip(&to_spz(&one()).expect("packs").bytes);
+    let payload = gunzip(&to_spz3(&one()).expect("packs").bytes);
     let fault = |at: usize, value: u8| {
         let mut changed = payload.clone();
         changed[at] = value;
@@ -190,12 +210,111 @@ fn what_is_not_read_is_named() {
     assert_eq!(fault(8, 0), SpzError::Length { count: 0, needed: 0, found: 1 });
     // A count of sixteen million in a file of a hundred bytes costs no memory.
     assert!(matches!(fault(11, 1), SpzError::Length { count: 0x0100_0001, .. }));
-    assert_eq!(from_spz(b"NGSP\x04\0\0\0more"), Err(SpzError::Version(4)));
+    assert_eq!(fault(4, 4), SpzError::Container(4));
+    assert_eq!(from_spz(b"NGSP\x05\0\0\0more"), Err(SpzError::Version(5)));
+    assert_eq!(from_spz(b"NGSP\x04\0\0\0more"), Err(SpzError::Cut));
     assert!(matches!(from_spz(b"nothing of the kind"), Err(SpzError::Gzip(_))));
-    let whole = to_spz(&one()).expect("packs").bytes;
+    let whole = to_spz3(&one()).expect("packs").bytes;
     for length in 0..whole.len() {
         from_spz(&whole[..length]).expect_err("half a file");
     }
+}
+
+#[test]
+fn version_4_has_a_plain_header_a_table_and_a_frame_for_each_array() {
+    let bytes = to_spz4(&one());
+    let mut expected = b"NGSP\x04\0\0\0\x01\0\0\0\x01\x0c\0\x06\x20\0\0\0".to_vec();
+    expected.resize(32, 0);
+    assert_eq!(bytes[..32], expected);
+    let word = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().expect("eight bytes"));
+    let table: Vec<(u64, u64)> = (0..6).map(|array| (word(32 + 16 * array), word(40 + 16 * array))).collect();
+    assert_eq!(table.iter().map(|entry| entry.1).collect::<Vec<u64>>(), [9, 1, 3, 3, 4, 9]);
+    assert_eq!(bytes.len() as u64, 32 + 6 * 16 + table.iter().map(|entry| entry.0).sum::<u64>());
+    assert!(packed_lengths(&bytes).expect("a table").iter().eq(table.iter().map(|entry| &entry.0)));
+    let mut begin = 32 + 6 * 16;
+    let mut payload = Vec::new();
+    for (packed, _) in &table {
+        let frame = &bytes[begin..][..*packed as usize];
+        assert_eq!(frame[..4], [0x28, 0xb5, 0x2f, 0xfd], "a zstd frame");
+        assert_eq!(frame[4] & 4, 4, "with a checksum");
+        payload.extend(zstd::stream::decode_all(frame).expect("a frame"));
+        begin += *packed as usize;
+    }
+    assert_eq!(payload, gunzip(&to_spz3(&one()).expect("packs").bytes)[HEADER..]);
+
+    let flat = GaussianScene { degree: 0, sh: vec![[[0.0; 3]; SH_COEFFICIENTS]], ..one() };
+    assert_eq!(to_spz4(&flat)[15], 5, "degree 0 has no harmonics");
+    assert_eq!(from_spz(&to_spz4(&flat)).expect("reads").len(), 1);
+    let empty = GaussianScene { degree: 3, ..GaussianScene::default() };
+    assert_eq!(from_spz(&to_spz4(&empty)).expect("reads").len(), 0);
+    // Another writer lists no array that has no bytes.
+    let mut bare = to_spz4(&empty)[..32].to_vec();
+    bare[15] = 0;
+    assert_eq!(from_spz(&bare).expect("reads").len(), 0);
+}
+
+#[test]
+fn extensions_of_version_4_are_skipped_unless_they_change_the_axes() {
+    let plain = to_spz4(&one());
+    let with = |records: &[u8]| {
+        let mut bytes = [&plain[..32], records, &plain[32..]].concat();
+        bytes[14] |= 2;
+        bytes[16..20].copy_from_slice(&(32 + records.len() as u32).to_le_bytes());
+        from_spz(&bytes)
+    };
+    let record = |kind: u32, content: &[u8]| {
+        [&kind.to_le_bytes()[..], &(content.len() as u32).to_le_bytes(), content].concat()
+    };
+    let axes = |value: u32| record(0xadbe_0003, &value.to_le_bytes());
+    let expected = from_spz(&plain);
+    for records in [Vec::new(), axes(4), axes(0), [record(0xadbe_0002, &[0; 12]), axes(4)].concat()] {
+        assert_eq!(with(&records), expected);
+    }
+    assert_eq!(with(&axes(6)), Err(SpzError::CoordinateSystem(6)));
+    for cut in [&axes(4)[..11], &axes(4)[..5], &record(0xadbe_0003, &[4])[..]] {
+        assert_eq!(with(cut), Err(SpzError::Cut));
+    }
+}
+
+#[test]
+fn a_spoiled_file_of_version_4_is_refused_with_its_fault() {
+    let whole = to_spz4(&one());
+    let fault = |at: usize, value: u8| {
+        let mut changed = whole.clone();
+        changed[at] = value;
+        from_spz(&changed).expect_err("a fault")
+    };
+    assert_eq!(fault(4, 3), SpzError::Container(3));
+    assert_eq!(fault(4, 5), SpzError::Version(5));
+    assert_eq!(fault(12, 4), SpzError::Degree(4));
+    assert_eq!(fault(13, 24), SpzError::FractionalBits(24));
+    assert_eq!(fault(15, 5), SpzError::Table);
+    assert_eq!(fault(16, 31), SpzError::Table);
+    assert_eq!(fault(19, 1), SpzError::Cut);
+    assert_eq!(fault(8, 2), SpzError::Length { count: 2, needed: 18, found: 9 });
+    assert!(matches!(fault(12, 2), SpzError::Length { .. }));
+    // The last byte is of a checksum.
+    let last = whole.len() - 1;
+    assert!(matches!(fault(last, whole[last] ^ 1), SpzError::Zstd(_)));
+    for length in 0..whole.len() {
+        from_spz(&whole[..length]).expect_err("half a file");
+    }
+    let longer = [&whole[..], b"x"].concat();
+    assert_eq!(from_spz(&longer), Err(SpzError::Table));
+    // A table may claim any length: it is held to what a frame of its bytes can hold, and then to what it does hold.
+    let mut huge = whole.clone();
+    let count = 0x0fff_ffff_u32;
+    huge[8..12].copy_from_slice(&count.to_le_bytes());
+    for (array, stride) in [9, 1, 3, 3, 4, 9_u64].into_iter().enumerate() {
+        huge[40 + 16 * array..][..8].copy_from_slice(&(stride * u64::from(count)).to_le_bytes());
+    }
+    assert!(matches!(from_spz(&huge), Err(SpzError::Length { count: 0x0fff_ffff, .. })));
+    let mut more = whole.clone();
+    more[8] = 2;
+    for (array, stride) in [9, 1, 3, 3, 4, 9_u8].into_iter().enumerate() {
+        more[40 + 16 * array] = 2 * stride;
+    }
+    assert_eq!(from_spz(&more), Err(SpzError::Length { count: 2, needed: 18, found: 9 }));
 }
 
 #[test]
@@ -208,7 +327,7 @@ fn invisible_gaussians_are_left_out_and_opaque_ones_stay_finite_for_others() {
         scene.opacity_logits.push(logit);
         scene.sh.push([[0.0; 3]; SH_COEFFICIENTS]);
     }
-    let packed = to_spz(&scene).expect("packs");
+    let packed = to_spz3(&scene).expect("packs");
     assert_eq!((packed.gaussians, packed.left_out), (2, 1));
     assert_eq!(gunzip(&packed.bytes)[HEADER + 18..][..2], [128, 254]);
 }
@@ -218,7 +337,7 @@ fn positions_are_as_fine_as_sizes_ask_and_as_coarse_as_distances() {
     let bits = |mean: f32, log_scale: f32| {
         let scene =
             GaussianScene { means: vec![[mean, 0.0, 0.0]], log_scales: vec![[log_scale; 3]], ..one() };
-        to_spz(&scene).map(|packed| packed.fractional_bits)
+        to_spz3(&scene).map(|packed| packed.fractional_bits)
     };
     assert_eq!(bits(1.0, 0.0), Ok(12));
     // Sixteen units to a size of e^-8: 2^16.
@@ -234,7 +353,7 @@ fn values_out_of_range_are_held_and_counted() {
     let mut scene = one();
     scene.log_scales[0] = [-30.0, 9.0, 0.0];
     scene.sh[0][2] = [-7.0, 7.0, 0.0];
-    let packed = to_spz(&scene).expect("packs");
+    let packed = to_spz3(&scene).expect("packs");
     assert_eq!(packed.clamped, 4);
     let back = from_spz(&packed.bytes).expect("reads");
     assert_eq!(back.log_scales[0], [-10.0, 5.9375, 0.0]);

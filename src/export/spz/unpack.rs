@@ -1,69 +1,32 @@
 //! Reads a `.spz` file back into Gaussians.
 
-use std::io::Read as _;
-
-use flate2::read::GzDecoder;
-
 use super::{
-    COLOR_UNIT, FLIP, FLIP_ROTATION, HEADER, MAGIC, POSITION_BITS, ROTATION_MAX, SpzError, flip_harmonics,
-    rest, strides,
+    ARRAYS, COLOR_UNIT, FLIP, FLIP_ROTATION, ROTATION_MAX, SpzError, container, flip_harmonics, rest, strides,
 };
 use crate::domain::{GaussianScene, gaussians::SH_COEFFICIENTS};
-
-/// No deflated byte stands for more: what a count may claim is bounded by what is there.
-const MOST_EXPANSION: u64 = 1032;
-
-/// Vendors' extensions are present.
-const HAS_EXTENSIONS: u8 = 2;
 
 /// Opacities 0 and 255 would have infinite logits; they read as if they lay this far from the ends.
 const OPACITY_MARGIN: f64 = 1e-4;
 
-/// Reads a file of version 2 or 3.
+/// Bytes of each array in a file of version 4, packed, in the file's order.
+///
+/// # Errors
+/// [`SpzError`], one variant a fault. Files of earlier versions have one stream for all arrays and are refused.
+pub fn packed_lengths(bytes: &[u8]) -> Result<[u64; ARRAYS], SpzError> {
+    let (_, frames) = container::frames(bytes)?;
+    Ok(frames.map(|frame| frame.len() as u64))
+}
+
+/// Reads a file of version 2, 3 or 4.
 ///
 /// # Errors
 /// [`SpzError`], one variant a fault.
 pub fn from_spz(bytes: &[u8]) -> Result<GaussianScene, SpzError> {
-    if let [b'N', b'G', b'S', b'P', a, b, c, d, ..] = bytes {
-        // From version 4 on the header lies bare.
-        return Err(SpzError::Version(u32::from_le_bytes([*a, *b, *c, *d])));
-    }
-    let mut gzip = GzDecoder::new(bytes);
-    let fault = |fault: std::io::Error| SpzError::Gzip(fault.to_string());
-    let mut header = [0; HEADER];
-    gzip.read_exact(&mut header).map_err(fault)?;
-    let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
-    let (version, count, degree, bits, flags) = (word(4), word(8), header[12], header[13], header[14]);
-    if header[..4] != MAGIC {
-        return Err(SpzError::NotSpz);
-    }
-    if !matches!(version, 2 | 3) {
-        return Err(SpzError::Version(version));
-    }
-    if degree > 3 {
-        return Err(SpzError::Degree(degree));
-    }
-    if u32::from(bits) >= POSITION_BITS {
-        return Err(SpzError::FractionalBits(bits));
-    }
-    if flags & HAS_EXTENSIONS != 0 {
-        return Err(SpzError::Extensions(flags));
-    }
-    let strides = strides(version, degree);
-    let needed = u64::from(count) * strides.iter().sum::<usize>() as u64;
-    let length = |found: u64| SpzError::Length { count, needed, found };
-    let most = MOST_EXPANSION * bytes.len() as u64;
-    if needed > most {
-        return Err(length(most));
-    }
-    let mut payload = Vec::with_capacity(needed as usize + 1);
-    gzip.take(needed + 1).read_to_end(&mut payload).map_err(fault)?;
-    if payload.len() as u64 != needed {
-        return Err(length(payload.len() as u64));
-    }
-
-    let count = count as usize;
-    let mut left = payload.as_slice();
+    let (header, arrays) = container::read(bytes)?;
+    let (degree, bits) = (header.degree, header.fractional_bits);
+    let strides = strides(header.version, degree);
+    let count = header.count as usize;
+    let mut left = arrays.as_slice();
     let [positions, opacities, colors, scales, rotations, harmonics] = strides.map(|stride| {
         let (part, rest) = left.split_at(stride * count);
         left = rest;

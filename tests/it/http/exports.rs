@@ -108,13 +108,18 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
     }
     let unknown = server.get(&format!("{job}/export?format=spz")).await.expect(200);
     assert!(!unknown.headers.contains_key("x-likeness-psnr"));
+    let older = server.get(&format!("{job}/export?format=spz3")).await.expect(200);
+    assert!(older.body.starts_with(b"spz3 from"));
+    for packed in [&unknown, &older] {
+        assert!(packed.header("content-disposition").contains(".lambda-0.004.spz\""), "{:?}", packed.headers);
+    }
 
     let exports: Vec<Value> =
         listed(&server, &job).await.into_iter().filter(|file| file["origin"] == "export").collect();
     let kinds: Vec<&Value> = exports.iter().map(|file| &file["kind"]).collect();
-    assert_eq!(kinds, ["ply", "spz"]);
+    assert_eq!(kinds, ["ply", "spz", "spz3"]);
     let likeness: Vec<&Value> = exports.iter().map(|file| &file["likeness"]).collect();
-    assert_eq!(likeness, [&json!({ "psnr": 41.256, "views": 2 }), &Value::Null]);
+    assert_eq!(likeness, [&json!({ "psnr": 41.256, "views": 2 }), &Value::Null, &Value::Null]);
     for file in &exports {
         assert_eq!((&file["gaussians"], &file["sh_degree"]), (&json!(5), &json!(3)));
         assert_eq!(file["lambda"], 0.004);
@@ -127,7 +132,7 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
     let same = server.get(&format!("{plain}/export?format=ply")).await.expect(200);
     assert_eq!(same.body, fakes::FILE, "it is written so already");
     assert!(!same.headers.contains_key("x-likeness-psnr"));
-    assert_eq!(server.exporter.made.load(Ordering::SeqCst), 2);
+    assert_eq!(server.exporter.made.load(Ordering::SeqCst), 3);
 
     server.send("DELETE", &job, |request| request).await.expect(204);
     server.get(exports[0]["href"].as_str().expect("a path")).await.expect(404);

@@ -237,3 +237,199 @@ fn every_reference_in_the_contract_leads_somewhere() {
     }
     walk(&DOCUMENT);
 }
+
+/// The objects of OpenAPI 3.1 that the contract uses, each with its fields and what they hold: `text` is prose, `any` anything,
+/// `[x]` a list and `{x}` a map of x, else the name of an object.
+const OBJECTS: &[(&str, &[(&str, &str)])] = &[
+    (
+        "document",
+        &[
+            ("openapi", "any"),
+            ("info", "info"),
+            ("servers", "any"),
+            ("tags", "any"),
+            ("paths", "{path}"),
+            ("components", "components"),
+        ],
+    ),
+    (
+        "info",
+        &[
+            ("title", "any"),
+            ("version", "any"),
+            ("summary", "text"),
+            ("license", "any"),
+            ("description", "text"),
+        ],
+    ),
+    (
+        "components",
+        &[
+            ("securitySchemes", "{security}"),
+            ("parameters", "{parameter}"),
+            ("headers", "{header}"),
+            ("responses", "{response}"),
+            ("schemas", "{schema}"),
+            ("examples", "{example}"),
+        ],
+    ),
+    ("security", &[("type", "any"), ("scheme", "any"), ("bearerFormat", "any"), ("description", "text")]),
+    (
+        "path",
+        &[
+            ("parameters", "[parameter]"),
+            ("get", "operation"),
+            ("head", "operation"),
+            ("post", "operation"),
+            ("put", "operation"),
+            ("patch", "operation"),
+            ("delete", "operation"),
+            ("options", "operation"),
+        ],
+    ),
+    (
+        "operation",
+        &[
+            ("operationId", "any"),
+            ("security", "any"),
+            ("tags", "any"),
+            ("summary", "text"),
+            ("description", "text"),
+            ("parameters", "[parameter]"),
+            ("requestBody", "body"),
+            ("responses", "{response}"),
+        ],
+    ),
+    (
+        "parameter",
+        &[
+            ("$ref", "any"),
+            ("name", "any"),
+            ("in", "any"),
+            ("required", "any"),
+            ("description", "text"),
+            ("style", "any"),
+            ("explode", "any"),
+            ("schema", "schema"),
+            ("example", "any"),
+        ],
+    ),
+    ("body", &[("required", "any"), ("description", "text"), ("content", "{media}")]),
+    ("media", &[("schema", "schema"), ("example", "any"), ("examples", "{example}")]),
+    ("example", &[("$ref", "any"), ("summary", "text"), ("value", "any")]),
+    (
+        "response",
+        &[("$ref", "any"), ("description", "text"), ("headers", "{header}"), ("content", "{media}")],
+    ),
+    ("header", &[("$ref", "any"), ("required", "any"), ("description", "text"), ("schema", "schema")]),
+    (
+        "schema",
+        &[
+            ("$ref", "any"),
+            ("type", "any"),
+            ("description", "text"),
+            ("properties", "{schema}"),
+            ("required", "any"),
+            ("additionalProperties", "schema"),
+            ("items", "schema"),
+            ("enum", "any"),
+            ("const", "any"),
+            ("anyOf", "[schema]"),
+            ("oneOf", "[schema]"),
+            ("allOf", "[schema]"),
+            ("minimum", "any"),
+            ("maximum", "any"),
+            ("exclusiveMinimum", "any"),
+            ("exclusiveMaximum", "any"),
+            ("minItems", "any"),
+            ("maxItems", "any"),
+            ("uniqueItems", "any"),
+            ("minLength", "any"),
+            ("maxLength", "any"),
+            ("pattern", "any"),
+            ("format", "any"),
+            ("default", "any"),
+            ("examples", "any"),
+            ("contentMediaType", "any"),
+            ("contentSchema", "schema"),
+        ],
+    ),
+];
+
+/// Adds what is wrong with `value` as a `kind` to `faults`.
+fn find_faults(value: &Value, kind: &str, place: &str, faults: &mut Vec<String>) {
+    let inner = |open: char, close: char| kind.strip_prefix(open).and_then(|kind| kind.strip_suffix(close));
+    if let Some(kind) = inner('[', ']') {
+        let items = value.as_array().into_iter().flatten().enumerate();
+        items.for_each(|(index, item)| find_faults(item, kind, &format!("{place}[{index}]"), faults));
+    } else if let Some(kind) = inner('{', '}') {
+        let fields = value.as_object().into_iter().flatten();
+        fields.for_each(|(name, field)| find_faults(field, kind, &format!("{place}/{name}"), faults));
+    } else if kind == "text" {
+        let text = value.as_str().unwrap_or_default().trim_end();
+        let is_code = text.lines().last().is_some_and(|line| line.starts_with("    "));
+        if !(text.ends_with('.') || is_code) {
+            faults.push(format!("{place} does not end: {value}"));
+        }
+    } else if let (Some((_, known)), Some(fields)) =
+        (OBJECTS.iter().find(|(name, _)| *name == kind), value.as_object())
+    {
+        for (name, field) in fields {
+            let place = format!("{place}/{name}");
+            match known.iter().find(|(known, _)| known == name) {
+                Some((_, kind)) => find_faults(field, kind, &place, faults),
+                None => faults.push(format!("{place} is no field of a {kind}: {field}")),
+            }
+        }
+    }
+}
+
+#[test]
+fn the_contract_parses_into_what_it_means() {
+    let mut faults = Vec::new();
+    find_faults(&DOCUMENT, "document", "", &mut faults);
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+    // What an unquoted comma within braces makes of a description.
+    let broken = json!({ "description": "Training PSNR in dB", "averaged over recent steps.": null });
+    find_faults(&broken, "schema", "psnr", &mut faults);
+    assert_eq!(faults.len(), 2, "{faults:?}");
+}
+
+#[test]
+fn examples_are_what_their_schemas_say() {
+    fn walk(value: &Value, place: &str, seen: &mut usize) {
+        match value {
+            Value::Object(map) => {
+                if let (Some(schema), Some(example)) = (map.get("schema"), map.get("example")) {
+                    validate(place, schema, &serde_json::to_vec(example).expect("JSON"));
+                    *seen += 1;
+                }
+                map.iter().for_each(|(name, value)| walk(value, &format!("{place}/{name}"), seen));
+            }
+            Value::Array(items) => items.iter().for_each(|item| walk(item, place, seen)),
+            _ => {}
+        }
+    }
+    let mut seen = 0;
+    walk(&DOCUMENT["paths"], "", &mut seen);
+    assert!(seen >= 10, "{seen} examples");
+}
+
+/// A client that sends every default has to be answered as one that sends none; where that is not so, the description says
+/// what holds if a parameter is absent.
+#[test]
+fn parameters_have_defaults_only_where_they_may_always_be_sent() {
+    for id in ["createJob", "getView"] {
+        let items = DOCUMENT["paths"].as_object().expect("paths").values();
+        let operation = items
+            .flat_map(|item| item.as_object().expect("a path").values())
+            .find(|it| it["operationId"] == id);
+        for parameter in
+            operation.expect("there").get("parameters").and_then(Value::as_array).expect("parameters")
+        {
+            let parameter = resolved(parameter);
+            let alone = matches!(parameter["name"].as_str(), Some("output" | "format"));
+            assert!(alone || parameter["schema"].get("default").is_none(), "{id}: {parameter}");
+        }
+    }
+}

@@ -4,6 +4,7 @@
 
 pub mod authority;
 pub mod contract;
+pub mod cutter;
 pub mod dataset;
 pub mod fakes;
 pub mod faults;
