@@ -281,7 +281,10 @@ mod tests {
         }
     }
 
-    /// What becomes of a job whose attempts are lost one after another: each by its death and the step of its checkpoint then.
+    /// How attempts are lost one after another: each with the step of the newest checkpoint then.
+    type Ends = &'static [(Death, u64)];
+
+    /// What becomes of a job whose attempts are lost so.
     fn lose(ends: &[(Death, u64)]) -> Result<(Setbacks, Vec<u64>), Problem> {
         let policy = QueuePolicy::default();
         let (mut setbacks, mut reached, mut delays) = (Setbacks::default(), 0, Vec::new());
@@ -309,7 +312,7 @@ mod tests {
     fn a_job_is_given_up_once_its_worker_alone_died_twice_at_the_same_step_and_for_no_other_loss() {
         use Death::{Alone, Together};
         // The row of ends, and after how many deaths at which step the job is given up, if it is.
-        let table: [(&[(Death, u64)], Option<&str>); 9] = [
+        let table: [(Ends, Option<&str>); 9] = [
             (&[(Alone, 0)], None),
             (&[(Alone, 0), (Alone, 0)], Some("2 attempts in a row ended before its first checkpoint")),
             (&[(Alone, 70), (Alone, 70)], Some("2 attempts in a row ended after its checkpoint at step 70")),

@@ -7,7 +7,7 @@
 //! progress on and listens for a stop. It never writes to a job that it no longer holds. The parent process
 //! keeps workers alive through [`supervise`]: a worker that is killed, or that ends itself because a job
 //! hangs, is started again, and its job is taken from it at once. One that died with its parent is found dead by the next
-//! parent ([`presence`]).
+//! parent (`presence`).
 
 mod attempt;
 mod branches;

@@ -51,9 +51,6 @@ mod tests {
             let Outcome::Held(problem) = outcome(&BlobError::Io(kind.into())) else { panic!("not held") };
             assert_eq!((problem.status, &*problem.kind), (507, "urn:tcgs:problem:storage-full"));
         }
-        let source = Box::new(io::Error::from(io::ErrorKind::StorageFull));
-        let wrapped = BlobError::Store(object_store::Error::Generic { store: "local", source });
-        assert!(matches!(outcome(&wrapped), Outcome::Held(_)));
         let broken = outcome(&BlobError::Io(io::ErrorKind::PermissionDenied.into()));
         assert!(matches!(broken, Outcome::Retry(problem) if problem.kind.ends_with("storage-failed")));
     }

@@ -1,12 +1,6 @@
 //! Blobs and uploads that nobody wants any more are cleared away, and nothing else is.
 
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicUsize, Ordering},
-    },
-    time::Duration,
-};
+use std::{sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use jiff::{SignedDuration, Timestamp};
@@ -181,24 +175,26 @@ async fn a_round_that_broke_off_between_table_and_file_is_made_good_by_the_next(
     assert!(house.is_there(blob).await);
 }
 
-/// One blob is published, referred to, dated back and let go over and over, while rounds go on without pause.
+/// One blob is published, referred to, dated back and let go over and over, while rounds go on without pause. It is published again
+/// at once, or in the middle of a round, or after a whole one, which has cleared it away.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_referred_to_is_there_however_clearing_and_publishing_interleave() {
+    const TURNS: u32 = 60;
     let house = Arc::new(House::new().await);
-    let (stop, cleared) = (CancellationToken::new(), Arc::new(AtomicUsize::new(0)));
+    let stop = CancellationToken::new();
+    let (ended, mut rounds) = tokio::sync::watch::channel(0_u32);
     let clearing = tokio::spawn({
-        let (house, stop, cleared) = (Arc::clone(&house), stop.clone(), Arc::clone(&cleared));
+        let (house, stop) = (Arc::clone(&house), stop.clone());
         async move {
+            let mut blobs = 0;
             while !stop.is_cancelled() {
-                cleared.fetch_add(house.clear().await.blobs, Ordering::SeqCst);
+                blobs += house.clear().await.blobs;
+                ended.send_modify(|rounds| *rounds += 1);
             }
+            blobs
         }
     });
-    let mut turns = 0;
-    // Until it was cleared away often enough in between, which is what could go wrong.
-    while cleared.load(Ordering::SeqCst) < 20 {
-        turns += 1;
-        assert!(turns <= 20_000, "hardly anything is ever cleared away");
+    for turn in 0..TURNS {
         let blob = house.put("wanted and unwanted").await;
         let scene = house.keep(blob).await;
         let file = house.blobs.local_file(blob.digest).await.expect("what a scene refers to is there");
@@ -206,9 +202,14 @@ async fn what_is_referred_to_is_there_however_clearing_and_publishing_interleave
         file.set_modified(std::time::SystemTime::UNIX_EPOCH).expect("dated back");
         assert!(house.is_there(blob).await, "however old it is");
         house.delete(scene).await;
+        // The round that is under way has perhaps not seen it; the next one does.
+        let until = *rounds.borrow() + turn % 3;
+        let waited = tokio::time::timeout(LONGEST, rounds.wait_for(|rounds| *rounds >= until)).await;
+        waited.expect("rounds go on").expect("no round failed");
     }
     stop.cancel();
-    clearing.await.expect("no round failed");
+    let cleared = tokio::time::timeout(LONGEST, clearing).await.expect("it stops").expect("no round failed");
+    assert!(cleared >= (TURNS / 3) as usize, "cleared away {cleared} times");
 }
 
 #[tokio::test]
