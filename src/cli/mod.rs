@@ -62,7 +62,7 @@ const EXIT_STATUSES: &str = "Exit status: 0 done; 2 wrong usage; 3 the input was
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Run the HTTP service with its own worker process
-    Serve(serve::Args),
+    Serve(Box<serve::Args>),
     /// Take jobs from a queue and carry them out
     Worker(worker::Args),
     /// Train a scene from a dataset and write it as one compressed file
@@ -153,7 +153,7 @@ impl Command {
 
     fn run(self, log_format: Format) -> Result<Report, Failure> {
         match self {
-            Command::Serve(args) => serve::run(args, log_format),
+            Command::Serve(args) => serve::run(*args, log_format),
             Command::Worker(args) => worker::run(args),
             Command::Train(args) => train::run(&args),
             Command::Encode(args) => encode::run(&args),
