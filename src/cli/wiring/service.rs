@@ -54,8 +54,9 @@ const WEBHOOK_TIMEOUT: Duration = Duration::from_secs(15);
 /// together stays below 256 MiB.
 const CHECKS: usize = 2;
 
-/// How long the check of a dataset may take, and how long another waits for its turn.
-const CHECK_TIME: Duration = Duration::from_secs(60);
+/// How long the check of a dataset may take, and how long another waits for its turn: enough for some thousand photographs on
+/// a disk that has to seek for each.
+const CHECK_TIME: Duration = Duration::from_secs(120);
 
 /// Where a service listens and keeps its data.
 #[derive(Debug, Clone)]

@@ -131,6 +131,7 @@ impl Service {
     }
 
     /// Process id of the service.
+    #[cfg(target_os = "linux")]
     pub fn pid(&self) -> u32 {
         self.child.id().expect("running")
     }
