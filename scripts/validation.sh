@@ -26,10 +26,11 @@ trap 'rm -rf "$scratch"' EXIT
 "$program" sample "$scratch/scene.zip" --side 32 >/dev/null
 adapter=${TCGS_ADAPTER:-lavapipe}
 pose='{"camera_to_world":[[1,0,0,0],[0,1,0,0],[0,0,1,-3],[0,0,0,1]],"fx":30,"width":32,"height":32}'
+render() { "$program" render "$scratch/scene.tcgs" --adapter "$adapter" --pose "$pose" -o "$scratch/view.png"; }
 status=0
 {
     "$program" train "$scratch/scene.zip" -o "$scratch/scene.tcgs" --adapter "$adapter" --iterations "$steps" --json &&
-        "$program" render "$scratch/scene.tcgs" --adapter "$adapter" --pose "$pose" -o "$scratch/view.png"
+        render
 } >/dev/null 2>"$log" || status=$?
 
 if [ "$status" -ne 0 ]; then
@@ -37,9 +38,13 @@ if [ "$status" -ne 0 ]; then
     echo "validation: the job failed" >&2
     exit "$status"
 fi
-# A layer that is not found is a warning, too.
 if grep -E 'wgpu_hal|VUID|UNASSIGNED|[Vv]alidation' "$log" >&2; then
     echo "validation: the messages above are in $log" >&2
+    exit 1
+fi
+# Its advice on habits is never empty, so that a layer that is not there shows.
+if ! VK_LAYER_ENABLES=VK_VALIDATION_FEATURE_ENABLE_BEST_PRACTICES_EXT render 2>&1 >/dev/null | grep -c BestPractices >/dev/null; then
+    echo "validation: the layer was not asked" >&2
     exit 1
 fi
 echo "validation: $steps steps and a view without a message"
