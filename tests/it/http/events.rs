@@ -12,6 +12,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::support::{
     contract::Coverage,
+    eventually::eventually,
     server::{Server, Setup, quick_policy},
     sse::{Frame, Reader, frames},
 };
@@ -112,9 +113,8 @@ pub(super) async fn there_are_only_so_many_streams(coverage: Coverage) {
     server.get(&events).await.expect(200);
     drop(first);
     // The place is free once the server has noticed.
-    while server.stream(&events, None).await.response().status() == 429 {
-        tokio::task::yield_now().await;
-    }
+    let is_free = async || server.stream(&events, None).await.response().status() != 429;
+    eventually("the place is free", is_free).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -5,6 +5,7 @@
 pub mod authority;
 pub mod contract;
 pub mod dataset;
+pub mod eventually;
 pub mod fakes;
 pub mod faults;
 pub mod gpu;
