@@ -19,4 +19,5 @@ pub mod server;
 pub mod service;
 pub mod sh;
 pub mod shared;
+pub mod skip;
 pub mod sse;
