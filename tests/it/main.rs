@@ -9,6 +9,7 @@ mod codec;
 mod container_image;
 mod context;
 mod deployment;
+mod durability;
 mod examples;
 mod export;
 mod first_light;

@@ -6,6 +6,8 @@
 //! one clock too, which is what leases are measured by.
 
 mod accounts;
+#[cfg(test)]
+mod durability_tests;
 mod events;
 mod exports;
 mod figures;
