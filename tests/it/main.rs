@@ -25,6 +25,7 @@ mod memory;
 mod migrations;
 mod neural;
 mod plain;
+mod presets;
 mod primitives;
 mod priority;
 mod queue;

@@ -6,6 +6,7 @@ mod artifacts;
 mod connections;
 mod events;
 mod exports;
+mod figures;
 mod films;
 mod idempotency;
 mod job_life;
