@@ -42,5 +42,6 @@ mod signals;
 mod suite;
 mod support;
 mod train;
+mod viewer;
 mod wavelet;
 mod worker;

@@ -3,6 +3,7 @@
 #![allow(dead_code, unreachable_pub, reason = "a test module uses what it needs")]
 
 pub mod authority;
+pub mod browser;
 pub mod contract;
 pub mod dataset;
 pub mod eventually;
