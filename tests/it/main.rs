@@ -11,6 +11,7 @@ mod context;
 mod deployment;
 mod durability;
 mod examples;
+mod examples_real;
 mod export;
 mod first_light;
 mod housekeeping;
