@@ -15,6 +15,7 @@ pub mod oracle;
 pub mod program;
 pub mod random;
 pub mod receiver;
+pub mod recorded;
 pub mod scene;
 pub mod server;
 pub mod service;
