@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Installs what a fresh Debian-like machine lacks to build, test and run: a C compiler, curl, the Vulkan loader with
 # Mesa's software driver (lavapipe), and a Rust toolchain. Changes nothing, and says nothing, where all is there.
+#   scripts/setup.sh [--for-tests]    also what single tests run: Chromium, npm and systemd-analyze, without which they are skipped
 set -euo pipefail
 cd "$(dirname "$0")/.."
 # shellcheck source=scripts/env.sh
@@ -50,6 +51,18 @@ install_basics() {
     python3 -c 'import requests' 2>/dev/null || missing+=(python3 python3-requests)
     # For schemathesis, in an environment of its own.
     python3 -c 'import ensurepip' 2>/dev/null || missing+=(python3-venv)
+    [ ${#missing[@]} -gt 0 ] || return 0
+    need_apt "${missing[*]}"
+    say "installing ${missing[*]}"
+    apt_update
+    apt_install "${missing[@]}" >&2
+}
+
+install_for_tests() {
+    local missing=()
+    command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null || missing+=(chromium)
+    command -v npm >/dev/null || missing+=(npm)
+    command -v systemd-analyze >/dev/null || missing+=(systemd)
     [ ${#missing[@]} -gt 0 ] || return 0
     need_apt "${missing[*]}"
     say "installing ${missing[*]}"
@@ -132,3 +145,8 @@ install_rust() {
 install_basics
 install_vulkan
 install_rust
+case ${1:-} in
+--for-tests) install_for_tests ;;
+"") ;;
+*) give_up "unknown argument $1" ;;
+esac

@@ -28,6 +28,7 @@ use tempfile::TempDir;
 use crate::support::{
     gpu, lpips,
     program::{answers, succeeds, tcgs},
+    recorded::{assert_bytes, assert_psnr, assert_ssim},
     server::{Answer, picture},
     service::Service,
 };
@@ -187,11 +188,11 @@ async fn refusals(service: &Service, scene: &Scene) {
 
 fn check_metrics(job: &Value) {
     let metrics = &job["metrics"];
-    for (split, views) in [("test", 8_usize), ("train", 16)] {
+    for (split, views, psnr, ssim) in [("test", 8_usize, 13.61, 0.358), ("train", 16, 13.78, 0.366)] {
         let scores = &metrics[split];
         assert_eq!(scores["views"], views);
-        assert!((8.0..60.0).contains(&number(&scores["psnr"])), "{scores}");
-        assert!((0.0..=1.0).contains(&number(&scores["ssim"])), "{scores}");
+        assert_psnr(&format!("{split} views"), number(&scores["psnr"]), psnr);
+        assert_ssim(&format!("{split} views"), number(&scores["ssim"]), ssim);
         assert_eq!(scores["lpips_network"], "lpips-alex");
         let per_view = scores["per_view"].as_array().expect("a list");
         assert_eq!(per_view.len(), views);
@@ -205,7 +206,8 @@ fn check_metrics(job: &Value) {
     let stated = metrics["conventions"]["lpips"].as_str().expect("a phrase");
     assert!(stated.starts_with("lpips-alex-v0.1"), "{stated}");
     let lost = number(&metrics["psnr_before_quantisation"]) - number(&metrics["test"]["psnr"]);
-    assert!(lost.abs() < 1.0, "quantisation costs {lost} dB");
+    assert_psnr("what quantisation costs", lost, 0.0);
+    assert_bytes("the file", number(&metrics["bytes"]["total"]) as u64, 28_132);
     let bytes = metrics["bytes"].as_object().expect("byte counts");
     let parts: u64 =
         bytes.iter().filter(|(name, _)| *name != "total").map(|(_, n)| n.as_u64().expect("n")).sum();
@@ -222,6 +224,7 @@ fn check_metrics(job: &Value) {
     assert_eq!((&job["phase"], &job["attempt"], &job["error"]), (&json!("done"), &json!(1), &Value::Null));
     // The clock of the progress runs on after training.
     let spent = ["ingest", "train", "encode", "decode"].map(|phase| number(&metrics["seconds"][phase]));
+    assert!(spent.iter().all(|seconds| *seconds > 0.0), "a phase took no time: {spent:?}");
     assert!(number(&job["progress"]["elapsed_seconds"]) >= spent.iter().sum::<f64>(), "{job:#}");
 }
 
@@ -306,7 +309,7 @@ async fn check_events(service: &Service, path: &str) {
 async fn check_export(service: &Service, job: &str) {
     let export = service.get(&format!("{job}/export?format=ply")).await.expect(200);
     let psnr: f64 = export.header("x-likeness-psnr").parse().expect("a number");
-    assert!((20.0..100.0).contains(&psnr), "{psnr} dB");
+    assert_psnr("the export against its source", psnr, 38.74);
     let listed = service.get(&format!("{job}/artifacts")).await.expect(200).json();
     let listed =
         listed["artifacts"].as_array().expect("files").iter().find(|file| file["origin"] == "export");

@@ -9,7 +9,7 @@ use sha2::{Digest as _, Sha256};
 use tcgs::domain::Digest;
 use tokio::{io::AsyncWriteExt as _, net::TcpStream};
 
-use crate::support::{dataset, service::Service};
+use crate::support::{dataset, eventually::eventually, service::Service};
 
 /// A part without a sum is brought to disk and acknowledged each 16 MiB.
 const ACKNOWLEDGED: usize = 16 << 20;
@@ -62,9 +62,8 @@ impl<'a> Client<'a> {
         );
         stream.write_all(head.as_bytes()).await.expect("sent");
         stream.write_all(&self.archive[from..until]).await.expect("sent");
-        while std::fs::metadata(self.file()).map_or(0, |file| file.len()) < until as u64 {
-            tokio::time::sleep(std::time::Duration::from_millis(5)).await;
-        }
+        let length = || std::fs::metadata(self.file()).map_or(0, |file| file.len());
+        eventually("the bytes are in the file", async || length() >= until as u64).await;
         stream
     }
 
@@ -94,9 +93,7 @@ async fn an_upload_goes_on_from_what_was_acknowledged_before_the_service_was_kil
     let sent = ACKNOWLEDGED + (4 << 20);
     let stream = client.half_a_part(&service, 0, sent, "").await;
     // What is acknowledged while the part is still on its way.
-    while client.offset(&service).await < ACKNOWLEDGED {
-        tokio::time::sleep(std::time::Duration::from_millis(5)).await;
-    }
+    eventually("a part is acknowledged", async || client.offset(&service).await >= ACKNOWLEDGED).await;
     service.kill().await;
     drop(stream);
 
@@ -137,9 +134,7 @@ async fn an_archive_that_was_half_sent_when_the_service_was_killed_leaves_nothin
             rooms.flat_map(|room| std::fs::read_dir(room.expect("an entry").path()).expect("a folder"));
         files.filter(|file| file.as_ref().expect("an entry").file_name() != "held").count()
     };
-    while staged() == 0 {
-        tokio::time::sleep(std::time::Duration::from_millis(5)).await;
-    }
+    eventually("a staged file", async || staged() > 0).await;
     service.kill().await;
     drop(stream);
     assert!(staged() > 0, "nobody cleared it away");

@@ -1,105 +1,163 @@
 //! Databases of earlier versions: what they hold is there after an update.
+//!
+//! `tests/schemas` has a database of every schema that there was, as `sqlite3 tcgs.db .dump` prints it. Migrations that databases
+//! in the world have seen never change, which their checksums hold.
 
-use std::{borrow::Cow, path::Path, sync::Arc};
+use std::{collections::BTreeSet, fs, path::Path, sync::Arc};
 
 use sqlx::{
-    SqlitePool,
     migrate::Migrator,
     sqlite::{SqliteConnectOptions, SqlitePoolOptions},
 };
 use tcgs::{
     domain::{JobState, SystemClock},
-    store::{ArtifactKind, Exports as _, QueuePolicy, SqliteStore, Store},
+    store::{
+        ArtifactKind, Exports as _, Keys as _, QueuePolicy, Scenes as _, Series as _, SqliteStore, Store,
+        Uploads as _, Webhooks as _,
+    },
 };
 
 static ALL: Migrator = sqlx::migrate!("migrations/sqlite");
 
-/// A database as it was after `version`.
-async fn database(path: &Path, version: i64) -> SqlitePool {
-    let options = SqliteConnectOptions::new().filename(path).create_if_missing(true).foreign_keys(true);
-    let pool = SqlitePoolOptions::new().max_connections(1).connect_with(options).await.expect("a database");
-    let known = ALL.iter().filter(|migration| migration.version <= version).cloned().collect();
-    let migrator = Migrator { migrations: Cow::Owned(known), ..Migrator::DEFAULT };
-    migrator.run(&pool).await.expect("the schema of that time");
-    pool
+/// SHA-384 of every migration, by version. A new migration gets a line here, and a line never changes. There was no version 8.
+const CHECKSUMS: &[(i64, &str)] = &[
+    (1, "60e652c7ddc7596bd55c2bb65dc6c1613a536cac773a1959fac183bfb3c3969d82e9d4502167c5e41cb48f1b6bec9f23"),
+    (2, "3f5f8814d83c7880ee8d84f166d6becec54a8116e4fb29e181f17d8975ec4287e94b9e9602d2de281f0ed9f1cfab23e5"),
+    (3, "e9c00975df3a32f1adc1e29ce24719b0f869ee53217bec43c429b4e2428185bc57ec586214a5c983c1ae795feff98818"),
+    (4, "84f5349ac4febc170184f3b1b06b3768d2dac804c5f4c771606ee9df3503c32b6187444a757be96a654cea6b5e3b3d7c"),
+    (5, "7a0a1de5f54b195fe2c4596f700b62338ba3b8f9ad39eca4a11f8b6379cedd9d61c863ef394954f709b274750636a00f"),
+    (6, "16103169be6bdc1733f342f8de90636c1cfae8e9f74b776c19300d73ea391f3ea70b8f9a14878e171fe0c73b97a21c8d"),
+    (7, "e89cab99f5074576a03004babce6555eb46567db49a11efd7599d2341f2c8dc1d7125a97d80dd5bd4c5cad429cbd7f79"),
+    (9, "399fde53492e205f23d37fb40236ba92e168aabf6a8b9ebdea3d50b23d299e91dd7b27d7bf79c2a404cb644160005c43"),
+    (10, "79a4b9b44124b28ae5b541376d6614ea1ca02b700b84a5ac97969e2cc0c023d5750ee1456384b37eb91921feebc47ed8"),
+    (11, "518911bc1d79279eefdde277723a526ff4b12362dd3269c5858f087eb78fd1273d83c36b11ed22df6bdd66487c461c01"),
+    (12, "b2f8d0138018ba745ee7ff809072c17d7cfb9b1743ff6ba75e67fc1e335658b0f04feba3bc246bae2cf95eaf4af4dade"),
+    (13, "fbb2290e7ad1cfeaa6010d06250ea051d9667e6285c3ed58cd9535df6aea968819330eb4dd3f04e227b442e93b306cf3"),
+    (14, "e2ffec4ff61382a7ad7573314bf4f7ac3a08e24e77ec577122faffaf013e7a43439f90d5cce13ecfd04a351e9e059695"),
+    (15, "65c38600bc09f7925eaac217cafef701fa191e55aea527ab540ffc1dcff4700f62212a9b75eb383e202e073ff5a3fd07"),
+];
+
+/// Versions whose databases are in `tests/schemas`. A schema is added once a program with it is out.
+const DUMPED: &[i64] = &[1, 2, 3, 4, 5, 6, 7, 9, 10];
+
+fn folder() -> &'static Path {
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/schemas"))
 }
 
-/// Figures as the first version wrote them.
-const METRICS: &str = r#"{
-    "test": {"psnr": 30.5, "ssim": 0.97, "lpips": null, "views": 3}, "train": {"psnr": 31.0, "ssim": 0.98, "lpips": null, "views": 9},
-    "bytes": {"total": 77, "positions": 1, "networks": 2, "planes": 0, "masks": 3, "features": 4, "scalings": 5, "offsets": 6,
-        "container": 56},
-    "seconds": {"ingest": 1.0, "train": 60.0, "encode": 0.5, "decode": 0.1}, "steps": 400, "steps_per_second": 6.5,
-    "anchors": 10, "gaussians": 20, "psnr_before_quantisation": 30.6, "adapter": "llvmpipe", "background": "black",
-    "decode_sha256": "cccccccccccccccccccccccccccccccccccccccccccccccccccccccccccccccc"
-}"#;
-
-const JOB: &str = "01890a5d-ac96-774b-bcce-b302099a8057";
+/// Makes a database as a program of that version left it.
+async fn restore(path: &Path, version: i64) {
+    let dump = fs::read_to_string(folder().join(format!("{version:04}.sql"))).expect("a dump");
+    // A dump lists tables by name, so a row may come before the one that it refers to.
+    let options = SqliteConnectOptions::new().filename(path).create_if_missing(true).foreign_keys(false);
+    let pool = SqlitePoolOptions::new().max_connections(1).connect_with(options).await.expect("a database");
+    sqlx::raw_sql(sqlx::AssertSqlSafe(dump)).execute(&pool).await.expect("the dump runs");
+    pool.close().await;
+}
 
 async fn open(path: &Path) -> SqliteStore {
     SqliteStore::open(path, Arc::new(SystemClock), QueuePolicy::default()).await.expect("opens")
 }
 
+/// An identity of the dumps; jobs, keys and the rest count through one row of numbers.
+fn id<T: std::str::FromStr>(number: u32) -> T {
+    let text = format!("01890a5d-ac96-774b-bcce-b3020{number:07}");
+    text.parse().ok().expect("an id")
+}
+
+const FINISHED_JOB: &str = "01890a5d-ac96-774b-bcce-b302099a8057";
+const KEY: u32 = 1;
+const SCENE: u32 = 2;
+const QUEUED_JOB: u32 = 3;
+const UPLOAD: u32 = 4;
+const ENDPOINT: u32 = 5;
+
+#[test]
+fn migrations_that_databases_have_seen_are_never_edited() {
+    let found: Vec<(i64, String)> = ALL
+        .iter()
+        .map(|migration| {
+            let hex = migration.checksum.iter().map(|byte| format!("{byte:02x}")).collect();
+            (migration.version, hex)
+        })
+        .collect();
+    for (version, checksum) in &found {
+        let stated = CHECKSUMS.iter().find(|(stated, _)| stated == version).map(|(_, sum)| *sum);
+        assert_eq!(stated, Some(checksum.as_str()), "a new migration's line is ({version}, \"{checksum}\"),");
+    }
+    assert_eq!(found.len(), CHECKSUMS.len(), "a migration is gone");
+    let newest = DUMPED.iter().max().expect("dumps");
+    let past = found.iter().map(|(version, _)| *version).filter(|version| version <= newest);
+    assert_eq!(past.collect::<Vec<_>>(), DUMPED, "a schema between others has no dump");
+    let names = fs::read_dir(folder()).expect("a folder").map(|entry| entry.expect("an entry").file_name());
+    let names: BTreeSet<_> = names.map(|name| name.into_string().expect("UTF-8")).collect();
+    assert_eq!(names, DUMPED.iter().map(|version| format!("{version:04}.sql")).collect());
+}
+
 #[tokio::test]
-async fn jobs_and_files_of_every_earlier_schema_are_there_after_an_update() {
-    let versions: Vec<i64> = ALL.iter().map(|migration| migration.version).collect();
-    assert_eq!(versions.first(), Some(&1));
-    for version in versions {
+async fn what_databases_of_every_earlier_schema_hold_is_there_after_an_update() {
+    for version in DUMPED.iter().copied() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("tcgs.sqlite");
-        let old = database(&path, version).await;
-        let (dataset, file) = ("a".repeat(64), "b".repeat(64));
-        for (digest, bytes) in [(&dataset, 1000), (&file, 77)] {
-            sqlx::query("INSERT INTO blobs (digest, bytes, created_at) VALUES (?, ?, 5)")
-                .bind(digest)
-                .bind(bytes)
-                .execute(&old)
-                .await
-                .expect("a blob");
-        }
-        sqlx::query(
-            "INSERT INTO jobs (id, dataset, options, state, phase, progress, metrics, priority, run_after, attempt, charged, max_attempts,
-                 last_seq, created_at, started_at, finished_at)
-             VALUES (?, ?, '{}', 'succeeded', 'done', '{}', ?, 0, 5, 1, 1, 3, 1, 5, 6, 7)",
-        )
-        .bind(JOB)
-        .bind(&dataset)
-        .bind(METRICS)
-        .execute(&old)
-        .await
-        .expect("a job");
-        sqlx::query(
-            "INSERT INTO events (job_id, seq, at, kind, attempt, data) VALUES (?, 1, 5, 'state', 0, '{\"state\":\"queued\"}')",
-        )
-        .bind(JOB)
-        .execute(&old)
-        .await
-        .expect("an event");
-        let place = if version >= 3 { ("place, ", "0, ") } else { ("", "") };
-        let insert = format!(
-            "INSERT INTO artifacts (job_id, kind, {}digest, attempt) VALUES ('{JOB}', 'tcgs', {}'{file}', 1)",
-            place.0, place.1
-        );
-        sqlx::query(sqlx::AssertSqlSafe(insert)).execute(&old).await.expect("an artifact");
-        old.close().await;
-
+        restore(&path, version).await;
         let store = open(&path).await;
-        let id = JOB.parse().expect("an id");
-        let record =
-            store.job(id).await.expect("reads").unwrap_or_else(|| panic!("lost from version {version}"));
-        assert_eq!(record.job.state, JobState::Succeeded, "version {version}");
-        assert_eq!(record.job.metrics.as_ref().expect("figures").test.psnr, Some(30.5), "version {version}");
-        assert_eq!(record.dataset.bytes, 1000, "version {version}");
-        assert_eq!(record.owner, None, "version {version}");
-        let scenes: Vec<_> = record.scenes().collect();
-        assert_eq!(scenes.len(), 1, "version {version}");
-        assert_eq!(ArtifactKind::Scene(scenes[0].format).name(), "tcgs", "version {version}");
-        assert_eq!((scenes[0].lambda, scenes[0].blob.bytes), (None, 77), "version {version}");
-        let events = store.events(id, 0, 10).await.expect("reads").expect("the job is there");
-        assert_eq!(events.len(), 1, "version {version}");
+        assert_finished_job(&store, version).await;
+        assert_queued_job(&store, version).await;
+        assert_later_tables(&store, version).await;
         store.close().await;
         // Once more: an update that was made is not made again.
         open(&path).await.close().await;
+    }
+}
+
+async fn assert_finished_job(store: &SqliteStore, version: i64) {
+    let id = FINISHED_JOB.parse().expect("an id");
+    let record = store.job(id).await.expect("reads").unwrap_or_else(|| panic!("lost from version {version}"));
+    assert_eq!(record.job.state, JobState::Succeeded, "version {version}");
+    assert_eq!(record.job.metrics.as_ref().expect("figures").test.psnr, Some(30.5), "version {version}");
+    assert_eq!(record.dataset.bytes, 1000, "version {version}");
+    assert_eq!(record.owner, None, "version {version}");
+    let scenes: Vec<_> = record.scenes().collect();
+    assert_eq!(scenes.len(), 1, "version {version}");
+    assert_eq!(ArtifactKind::Scene(scenes[0].format).name(), "tcgs", "version {version}");
+    assert_eq!((scenes[0].lambda, scenes[0].blob.bytes), (None, 77), "version {version}");
+    let events = store.events(id, 0, 10).await.expect("reads").expect("the job is there");
+    assert_eq!(events.len(), 1, "version {version}");
+    let attempts = store.attempts(id).await.expect("reads");
+    assert_eq!((attempts.len(), &*attempts[0].worker), (1, "a worker"), "version {version}");
+}
+
+/// The queue goes on with what waited in it.
+async fn assert_queued_job(store: &SqliteStore, version: i64) {
+    let claim = store.claim("test").await.expect("a claim").expect("the job that waited");
+    assert_eq!(claim.lease.job, id(QUEUED_JOB), "version {version}");
+}
+
+/// What only later schemas have.
+async fn assert_later_tables(store: &SqliteStore, version: i64) {
+    let finished = FINISHED_JOB.parse().expect("an id");
+    if version >= 4 {
+        let key = store.key(id(KEY)).await.expect("reads").expect("the key is there");
+        assert_eq!((&*key.name, key.scopes.len()), ("a key", 2), "version {version}");
+        let scene = store.scene(id(SCENE)).await.expect("reads").expect("the scene is there");
+        assert_eq!((scene.owner, scene.summary.train), (Some(id(KEY)), 9), "version {version}");
+        let job = store.job(id(QUEUED_JOB)).await.expect("reads").expect("the job is there");
+        assert_eq!((job.owner, job.scene), (Some(id(KEY)), Some(id(SCENE))), "version {version}");
+    }
+    if version >= 5 {
+        let upload = store.upload(id(UPLOAD)).await.expect("reads").expect("the upload is there");
+        assert_eq!((upload.length, upload.received), (100, 40), "version {version}");
+    }
+    if version >= 6 {
+        let exports = store.exports(finished).await.expect("reads");
+        assert_eq!((exports.len(), exports[0].gaussians), (1, 20), "version {version}");
+        let likeness = exports[0].likeness.map(|likeness| (likeness.psnr, likeness.views));
+        assert_eq!(likeness, (version >= 10).then_some((41.25, 3)), "version {version}");
+    }
+    if version >= 7 {
+        let series = store.series(finished).await.expect("reads").expect("the job is there");
+        assert_eq!((series.len(), series[0].step), (1, 400), "version {version}");
+        let endpoint = store.endpoint(id(ENDPOINT)).await.expect("reads").expect("the endpoint is there");
+        assert_eq!(endpoint.url, "https://example.com/hook", "version {version}");
     }
 }
 
@@ -107,29 +165,22 @@ async fn jobs_and_files_of_every_earlier_schema_are_there_after_an_update() {
 async fn exports_that_were_kept_as_spz_are_of_version_3_after_an_update() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("tcgs.sqlite");
-    let old = database(&path, 10).await;
-    let (dataset, ply, spz) = ("a".repeat(64), "b".repeat(64), "c".repeat(64));
-    for digest in [&dataset, &ply, &spz] {
-        let insert = sqlx::query("INSERT INTO blobs (digest, bytes, created_at) VALUES (?, 9, 5)");
-        insert.bind(digest).execute(&old).await.expect("a blob");
-    }
-    let job = "INSERT INTO jobs (id, dataset, options, state, phase, progress, metrics, priority, run_after, attempt, charged,
-            max_attempts, last_seq, created_at, started_at, finished_at)
-        VALUES (?, ?, '{}', 'succeeded', 'done', '{}', ?, 0, 5, 1, 1, 3, 0, 5, 6, 7)";
-    sqlx::query(job).bind(JOB).bind(&dataset).bind(METRICS).execute(&old).await.expect("a job");
-    for (format, digest, likeness) in [("ply", &ply, Some(40.5)), ("spz", &spz, None)] {
-        let insert = "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, created_at, likeness_psnr, likeness_views)
-            VALUES (?, ?, ?, ?, 7, 3, 5, ?, ?)";
-        let insert = sqlx::query(insert).bind(JOB).bind(&dataset).bind(format).bind(digest);
-        insert.bind(likeness).bind(likeness.map(|_| 2)).execute(&old).await.expect("an export");
-    }
+    restore(&path, 10).await;
+    let options = SqliteConnectOptions::new().filename(&path);
+    let old = SqlitePoolOptions::new().max_connections(1).connect_with(options).await.expect("a database");
+    let (source, spz) = ("b".repeat(64), "c".repeat(64));
+    let blob = sqlx::query("INSERT INTO blobs (digest, bytes, created_at) VALUES (?, 9, 5)").bind(&spz);
+    blob.execute(&old).await.expect("a blob");
+    let export = "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, created_at) VALUES (?, ?, 'spz', ?, 7, 3, 5)";
+    let export = sqlx::query(export).bind(FINISHED_JOB).bind(&source).bind(&spz);
+    export.execute(&old).await.expect("an export");
     old.close().await;
+
     let store = open(&path).await;
-    let exports = store.exports(JOB.parse().expect("an id")).await.expect("reads");
-    let kept: Vec<_> =
-        exports.iter().map(|export| (export.format.name(), export.blob.digest.to_string())).collect();
-    assert_eq!(kept, [("ply", ply), ("spz3", spz)]);
-    assert_eq!(exports[0].likeness.map(|likeness| (likeness.psnr, likeness.views)), Some((40.5, 2)));
-    assert_eq!((exports[1].likeness, exports[1].gaussians), (None, 7));
+    let exports = store.exports(FINISHED_JOB.parse().expect("an id")).await.expect("reads");
+    let kept: Vec<_> = exports.iter().map(|export| (export.format.name(), export.gaussians)).collect();
+    assert_eq!(kept, [("ply", 20), ("spz3", 7)]);
+    assert_eq!(exports[0].likeness.map(|likeness| (likeness.psnr, likeness.views)), Some((41.25, 3)));
+    assert_eq!(exports[1].likeness, None);
     store.close().await;
 }

@@ -2,9 +2,9 @@
 
 #![cfg(target_os = "linux")]
 
-use std::{fs, time::Duration};
+use std::fs;
 
-use crate::support::service::Service;
+use crate::support::{eventually::eventually, service::Service};
 
 /// Places of what [`fields`] returns.
 const PARENT: usize = 0;
@@ -29,13 +29,13 @@ fn niceness(process: &str) -> Vec<i64> {
 async fn workers_let_the_service_go_first_by_as_much_as_was_said() {
     let data = tempfile::tempdir().expect("a folder");
     let service = Service::start_with(data.path(), ["--worker-nice", "3"]).await;
-    let worker = loop {
+    let mut worker = String::new();
+    eventually("a worker", async || {
+        worker = service.workers().first().map(u32::to_string).unwrap_or_default();
         // It has one thread until it has its priority.
-        match service.workers().first() {
-            Some(worker) if niceness(&worker.to_string()).len() > 1 => break worker.to_string(),
-            _ => tokio::time::sleep(Duration::from_millis(20)).await,
-        }
-    };
+        !worker.is_empty() && niceness(&worker).len() > 1
+    })
+    .await;
     let of_process = fields(&format!("/proc/{worker}/stat"));
     let own = fields(&format!("/proc/{}/stat", of_process[PARENT]))[NICE];
     // The test itself may run with less than the usual priority, and there is an end to it.

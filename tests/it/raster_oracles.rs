@@ -1,4 +1,4 @@
-//! The rasteriser against independent values: every case of `shared/oracles`, on the device and in the f64 twin.
+//! The rasteriser against independent values: every case of `tests/oracles/splatting`, on the device and in the f64 twin.
 
 use std::sync::Arc;
 
@@ -6,7 +6,7 @@ use tcgs::render::{Rasterizer, twin};
 
 use crate::support::{
     gpu::gpu,
-    oracle::{CASES, Oracle, relative_l2},
+    oracle::{CASES, LARGE_CASE, Oracle, relative_l2},
     scene::{Scene, flat, render},
     sh::sh_backward,
 };
@@ -109,31 +109,38 @@ fn in_the_twin(oracle: &Oracle) -> Found {
     }
 }
 
-fn device_matches(subgroups: bool) {
-    let mut faults = Vec::new();
-    for (case, bound) in CASES {
-        let Some(oracle) = Oracle::load(case) else { return };
-        faults.extend(compare(case, &oracle, &on_the_device(&oracle, subgroups), DEVICE_RGB, bound));
-    }
+fn device_fault(case: (&str, f64), oracle: &Oracle, subgroups: bool) -> Option<String> {
+    compare(case.0, oracle, &on_the_device(oracle, subgroups), DEVICE_RGB, case.1)
+}
+
+fn twin_fault(case: &str, oracle: &Oracle) -> Option<String> {
+    compare(case, oracle, &in_the_twin(oracle), TWIN_RGB, TWIN_GRADIENTS)
+}
+
+#[track_caller]
+fn assert_none(faults: impl IntoIterator<Item = String>) {
+    let faults = Vec::from_iter(faults);
     assert!(faults.is_empty(), "beyond the bounds:\n{}", faults.join("\n"));
 }
 
 #[test]
 fn the_device_matches_the_oracles() {
-    device_matches(true);
+    assert_none(CASES.iter().filter_map(|case| device_fault(*case, &Oracle::load(case.0), true)));
 }
 
 #[test]
 fn the_kernels_without_subgroups_match_the_oracles() {
-    device_matches(false);
+    assert_none(CASES.iter().filter_map(|case| device_fault(*case, &Oracle::load(case.0), false)));
 }
 
 #[test]
 fn the_twin_matches_the_oracles() {
-    let mut faults = Vec::new();
-    for (case, _) in CASES {
-        let Some(oracle) = Oracle::load(case) else { return };
-        faults.extend(compare(case, &oracle, &in_the_twin(&oracle), TWIN_RGB, TWIN_GRADIENTS));
-    }
-    assert!(faults.is_empty(), "beyond the bounds:\n{}", faults.join("\n"));
+    assert_none(CASES.iter().filter_map(|(case, _)| twin_fault(case, &Oracle::load(case))));
+}
+
+#[test]
+fn two_thousand_layers_that_saturate_match_the_oracle() {
+    let Some(oracle) = Oracle::load_large() else { return };
+    let device = [true, false].map(|subgroups| device_fault(LARGE_CASE, &oracle, subgroups));
+    assert_none(device.into_iter().flatten().chain(twin_fault(LARGE_CASE.0, &oracle)));
 }

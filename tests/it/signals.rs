@@ -1,17 +1,8 @@
 //! How the program stops when it is told to more than once.
 
-use std::time::Duration;
-
 use tokio::{io::AsyncWriteExt as _, net::TcpStream};
 
-use crate::support::service::Service;
-
-/// Looks again and again until it is so.
-async fn until(mut so: impl AsyncFnMut() -> bool) {
-    while !so().await {
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
-}
+use crate::support::{eventually::eventually, service::Service};
 
 #[tokio::test]
 async fn the_second_signal_ends_a_service_that_waits_for_a_client() {
@@ -22,7 +13,7 @@ async fn the_second_signal_ends_a_service_that_waits_for_a_client() {
     let part =
         "POST /v1/jobs HTTP/1.1\r\nhost: x\r\ncontent-type: application/zip\r\ncontent-length: 9\r\n\r\nPK";
     client.write_all(part.as_bytes()).await.expect("sent");
-    until(async || {
+    eventually("the upload is under way", async || {
         let metrics = service.get("/metrics").await.expect(200).body.to_vec();
         String::from_utf8(metrics).expect("UTF-8").contains("\nhttp_active_requests 2\n")
     })
@@ -31,10 +22,10 @@ async fn the_second_signal_ends_a_service_that_waits_for_a_client() {
     // As `timeout` does it, which means one stop.
     service.ask_to_stop();
     service.ask_to_stop();
-    until(async || service.log().contains("stopping")).await;
+    eventually("it stops", async || service.log().contains("stopping")).await;
     assert_eq!(service.ended(), None, "the upload may still come to its end");
     let mut status = None;
-    until(async || {
+    eventually("it has ended", async || {
         status = service.ended();
         if status.is_none() {
             service.ask_to_stop();
@@ -44,5 +35,5 @@ async fn the_second_signal_ends_a_service_that_waits_for_a_client() {
     .await;
     assert_eq!(status.expect("ended").code(), Some(128 + 15), "{}", service.log());
     // The pipe may be read to its end only after the process is gone.
-    until(async || service.log().contains("ending at once")).await;
+    eventually("it says so", async || service.log().contains("ending at once")).await;
 }

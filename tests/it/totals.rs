@@ -317,7 +317,7 @@ async fn an_older_database_gets_its_totals_by_counting() {
     };
     office.store.create_upload(new).await.expect("begun");
     let figures = office.store.figures().await.expect("read");
-    // Back to before, by what the two migrations made.
+    // Back to before the two migrations, by what they made; later ones stay.
     for kind in ["trigger", "table", "index"] {
         let made = sqlx::query(
             "SELECT name FROM sqlite_schema WHERE type = ? AND sql IS NOT NULL AND name IN (SELECT value FROM json_each(?))",
@@ -339,7 +339,7 @@ async fn an_older_database_gets_its_totals_by_counting() {
     }
     for statement in [
         "CREATE INDEX jobs_by_scene ON jobs (scene) WHERE scene IS NOT NULL",
-        "DELETE FROM _sqlx_migrations WHERE version > 10",
+        "DELETE FROM _sqlx_migrations WHERE version IN (11, 12)",
     ] {
         sqlx::query(statement).execute(&mut office.database).await.expect("as before");
     }

@@ -6,6 +6,8 @@
 //! with the history are kept by triggers of the schema and never counted.
 
 mod accounts;
+#[cfg(test)]
+mod durability_tests;
 mod events;
 mod exports;
 mod figures;

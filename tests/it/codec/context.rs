@@ -10,21 +10,13 @@ use tcgs::{
 
 use super::{
     dependent::{Dependent, KINDS, UNIT_FRAME, dependent, predictions},
+    fixtures::fixed,
     synthetic::{Recipe, scene, settings},
     wire,
 };
 
 fn recipe(anchors: usize) -> Recipe {
     Recipe { seed: 31, anchors, feature_dim: 12, offsets: 4, masked: 0.3 }
-}
-
-pub(super) fn fixed(groups: [Option<ContextKind>; 3], planes: Option<usize>) -> EncodeSettings {
-    let group = |kind: Option<ContextKind>| {
-        kind.map_or(GroupChoice::Static, |kind| GroupChoice::Network { kind, weight_bits: 8 })
-    };
-    let choice = ContextChoice { planes, groups: groups.map(group) };
-    let context = ContextSettings { search: ContextSearch::Fixed(choice), ..ContextSettings::default() };
-    EncodeSettings { context, ..settings() }
 }
 
 fn kinds(encoded: &Encoded) -> [Option<ContextKind>; 3] {

@@ -4,9 +4,8 @@ use proptest::prelude::*;
 use tcgs::codec::{DecodeLimits, decode, encode, inspect};
 
 use super::{
-    context::fixed,
-    dependent::{KINDS, dependent},
-    synthetic::{Recipe, settings, small, tiny},
+    fixtures::tiny_context_file,
+    synthetic::{settings, small, tiny},
     wire,
 };
 
@@ -19,13 +18,6 @@ const LIMITS: DecodeLimits = DecodeLimits {
 
 fn tiny_file() -> Vec<u8> {
     encode(&tiny(), None, &settings()).expect("encodes").bytes
-}
-
-/// Three anchors with every section and every kind of context.
-pub(super) fn tiny_context_file() -> Vec<u8> {
-    let tiny = dependent(Recipe { seed: 9, anchors: 3, feature_dim: 1, offsets: 1, masked: 0.0 });
-    let settings = fixed(KINDS.map(Some), Some(0));
-    encode(&tiny.scene, Some(&tiny.candidates), &settings).expect("encodes").bytes
 }
 
 pub(super) fn tiny_files() -> [Vec<u8>; 2] {

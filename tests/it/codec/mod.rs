@@ -4,6 +4,7 @@ mod context;
 mod corpus;
 mod dependent;
 mod figures;
+mod fixtures;
 mod golden;
 mod hostile;
 mod round_trip;

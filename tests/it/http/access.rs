@@ -1,6 +1,6 @@
 //! Keys: who is let in, to what, and how often.
 
-use std::{num::NonZeroU32, sync::Arc, time::Duration};
+use std::{num::NonZeroU32, sync::Arc};
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use jiff::SignedDuration;
@@ -13,6 +13,7 @@ use tcgs::{
 
 use crate::support::{
     contract::{self, Coverage},
+    eventually::eventually,
     faults::Failing,
     server::{Answer, Server, Setup, TestKey, quick_policy},
 };
@@ -297,13 +298,12 @@ pub(super) async fn keys_are_made_listed_and_revoked_by_administrators(coverage:
     with_key(&server, "GET", "/v1/jobs", &key).await.expect(200);
     with_key(&server, "GET", &path, &key).await.expect_problem(403, "insufficient-scope");
 
-    let shown = loop {
-        let shown = with_key(&server, "GET", &path, &admin).await.expect(200).json();
-        if shown["last_used_at"].is_string() {
-            break shown;
-        }
-        tokio::task::yield_now().await;
-    };
+    let mut shown = json!(null);
+    eventually("the key's use is noted", async || {
+        shown = with_key(&server, "GET", &path, &admin).await.expect(200).json();
+        shown["last_used_at"].is_string()
+    })
+    .await;
     assert_eq!(shown["id"], body["id"]);
     assert!(shown.get("key").is_none(), "the key itself is shown once");
 
@@ -410,14 +410,13 @@ async fn possessions(server: &Server, key: &TestKey) -> Vec<(String, String)> {
         .await
         .expect(201);
     let job = created.header("location").to_owned();
-    let done = loop {
-        let now = with_key(server, "GET", &job, &key.key).await.expect(200).json();
-        if now["state"] == "succeeded" {
-            break now;
-        }
-        assert!(now["finished_at"].is_null(), "{now:#}");
-        tokio::time::sleep(Duration::from_millis(5)).await;
-    };
+    let mut done = json!(null);
+    eventually("the job has succeeded", async || {
+        done = with_key(server, "GET", &job, &key.key).await.expect(200).json();
+        assert!(done["finished_at"].is_null() || done["state"] == "succeeded", "{done:#}");
+        done["state"] == "succeeded"
+    })
+    .await;
     let id = |path: &str| path.rsplit('/').next().expect("an id").to_owned();
     let mut all = vec![("/v1/jobs/{".to_owned(), id(&job))];
     let digest = done["artifacts"][0]["sha256"].as_str().expect("a digest").to_owned();

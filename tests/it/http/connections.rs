@@ -11,6 +11,7 @@ use tokio::{
 
 use crate::support::{
     contract::{self, Coverage},
+    eventually::{eventually, within},
     server::{Server, Setup},
 };
 
@@ -229,9 +230,8 @@ async fn shutdown_finishes_open_requests_and_takes_no_more() {
     let (open, ()) = tokio::join!(server.get(&path), async {
         server.renderer.gate.someone_waits().await;
         server.shutdown.cancel();
-        while TcpStream::connect(server.address).await.is_ok() {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        let is_closed = async || TcpStream::connect(server.address).await.is_err();
+        eventually("nobody listens", is_closed).await;
         server.renderer.gate.open();
     });
     open.expect(200);
@@ -258,7 +258,7 @@ async fn a_body_that_only_dribbles_is_given_up_though_it_never_pauses() {
     });
     let mut answer = Vec::new();
     // The server may close while there are bytes that it has not read, which resets the connection after the answer.
-    let _ = from.read_to_end(&mut answer).await;
+    let _ = within("an answer", from.read_to_end(&mut answer)).await;
     assert_eq!(check_raw(&server, "POST", "/v1/jobs", &answer), 408);
     dribble.abort();
 }
@@ -274,15 +274,11 @@ async fn a_client_that_takes_nothing_of_its_answers_loses_its_connection() {
         line.expect("the series").parse::<u32>().expect("a count")
     };
     let mut idle = TcpStream::connect(server.address).await.expect("connects");
-    while connections().await < 2 {
-        tokio::time::sleep(Duration::from_millis(5)).await;
-    }
+    eventually("both connections are counted", async || connections().await >= 2).await;
     // More answers than any socket's buffers hold.
     let requests = "GET /openapi.yaml HTTP/1.1\r\nHost: localhost\r\n\r\n".repeat(1000);
     idle.write_all(requests.as_bytes()).await.expect("sent");
-    while connections().await > 1 {
-        tokio::time::sleep(Duration::from_millis(5)).await;
-    }
+    eventually("the idle connection is closed", async || connections().await <= 1).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -13,6 +13,7 @@ use tokio_util::sync::CancellationToken;
 use super::access::with_key;
 use crate::support::{
     contract::Coverage,
+    eventually::eventually,
     server::{Server, Setup, TestKey, quick_policy},
     sse::{Frame, Reader, frames},
 };
@@ -113,9 +114,8 @@ pub(super) async fn there_are_only_so_many_streams(coverage: Coverage) {
     server.get(&events).await.expect(200);
     drop(first);
     // The place is free once the server has noticed.
-    while server.stream(&events, None).await.response().status() == 429 {
-        tokio::task::yield_now().await;
-    }
+    let is_free = async || server.stream(&events, None).await.response().status() != 429;
+    eventually("the place is free", is_free).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

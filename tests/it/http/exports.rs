@@ -12,6 +12,7 @@ use tokio::io::AsyncWriteExt as _;
 use super::access::with_key;
 use crate::support::{
     contract::Coverage,
+    eventually::eventually,
     fakes,
     faults::Failing,
     server::{Server, Setup, TestKey},
@@ -170,9 +171,10 @@ async fn finished(server: &Server, key: &TestKey) -> String {
         request.bearer_auth(&key.key).header("content-type", "application/zip").body("succeed")
     });
     let job = made.await.expect(201).header("location").to_owned();
-    while with_key(server, "GET", &job, &key.key).await.expect(200).json()["state"] != "succeeded" {
-        tokio::time::sleep(std::time::Duration::from_millis(5)).await;
-    }
+    eventually("the job has succeeded", async || {
+        with_key(server, "GET", &job, &key.key).await.expect(200).json()["state"] == "succeeded"
+    })
+    .await;
     job
 }
 

@@ -6,6 +6,7 @@ use tcgs::{domain::Scope, http::config::RequestLimits};
 
 use crate::support::{
     contract::Coverage,
+    eventually::{eventually, within},
     server::{Server, Setup, picture as picture_of},
 };
 
@@ -284,12 +285,10 @@ pub(super) async fn whoever_goes_away_is_not_rendered(coverage: Coverage) {
         let batch = server.post_json(&many, &body);
         tokio::select! {
             answer = batch => panic!("it cannot have a turn: {}", answer.status),
-            () = async { while advice(&server, &job).await < 10 { tokio::task::yield_now().await } } => {}
+            () = eventually("the batch is in the line", async || advice(&server, &job).await >= 10) => {}
         }
         // The connection is closed now; when the server knows, nobody is ahead but the first.
-        while advice(&server, &job).await > 1 {
-            tokio::task::yield_now().await;
-        }
+        eventually("the batch has left the line", async || advice(&server, &job).await <= 1).await;
         server.renderer.gate.open();
     });
     made.expect(200);
@@ -341,7 +340,8 @@ async fn a_stream_ends_when_the_server_stops() {
     let mut open = server.open("GET", &format!("{job}/stream?orbit=1000&frames=2&fps=60"), |r| r).await;
     open.chunk().await.expect("a body").expect("a first part");
     server.shutdown.cancel();
-    while open.chunk().await.expect("not broken off").is_some() {}
+    let end = async { while open.chunk().await.expect("not broken off").is_some() {} };
+    within("the stream's end", end).await;
     (&mut server.serving).await.expect("the accept loop ends");
 }
 
@@ -355,9 +355,8 @@ async fn a_stream_whose_client_has_gone_makes_room() {
     open.chunk().await.expect("a body").expect("a first part");
     server.get(&endless).await.expect_problem(503, "busy");
     drop(open);
-    while server.get(&format!("{job}/stream?frames=1")).await.status == 503 {
-        tokio::task::yield_now().await;
-    }
+    let is_free = async || server.get(&format!("{job}/stream?frames=1")).await.status != 503;
+    eventually("there is room", is_free).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

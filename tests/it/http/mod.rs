@@ -7,6 +7,7 @@ mod connections;
 mod cross_site;
 mod events;
 mod exports;
+mod figures;
 mod films;
 mod idempotency;
 mod job_life;

@@ -3,7 +3,6 @@
 use std::{
     collections::BTreeSet,
     sync::{Arc, Mutex},
-    time::Duration,
 };
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
@@ -20,6 +19,7 @@ use super::{
 };
 use crate::support::{
     contract::{self, Coverage},
+    eventually::eventually,
     faults::Failing,
     receiver::Receiver,
     server::{Answer, Server, TestKey},
@@ -109,9 +109,8 @@ impl Seen {
     /// A job of a dataset, once it is as it stays.
     async fn job(&mut self, dataset: &'static str) -> String {
         let job = self.upload(dataset).await.header("location").to_owned();
-        while self.ask("GET", &job).await.json()["finished_at"].is_null() {
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
+        let has_ended = async || !self.ask("GET", &job).await.json()["finished_at"].is_null();
+        eventually("the job has ended", has_ended).await;
         job
     }
 
@@ -150,14 +149,15 @@ impl Seen {
         let links = &listed["endpoints"][0]["links"];
         let [own, deliveries] = ["self", "deliveries"].map(|link| links[link].as_str().expect("a path"));
         self.ask("GET", own).await;
-        let sent = loop {
+        let mut sent = None;
+        eventually("a message is delivered", async || {
             let listed = self.ask("GET", deliveries).await.json();
             let listed = listed["deliveries"].as_array().expect("a list").clone();
-            if let Some(sent) = listed.into_iter().find(|delivery| delivery["state"] == "delivered") {
-                break sent;
-            }
-            tokio::time::sleep(Duration::from_millis(2)).await;
-        };
+            sent = listed.into_iter().find(|delivery| delivery["state"] == "delivered");
+            sent.is_some()
+        })
+        .await;
+        let sent = sent.expect("delivered");
         let id = sent["id"].as_str().expect("an id");
         self.ask("POST", &format!("{deliveries}/{id}/replay")).await.clone().expect(202);
         let wish = json!({ "url": receiver.url("/hook"), "secret": self.webhook_secret });

@@ -20,6 +20,7 @@ use tokio::{
 use super::connections::tight_limits;
 use crate::support::{
     contract::Coverage,
+    eventually::{eventually, within},
     server::{Answer, Server, Setup},
 };
 
@@ -47,16 +48,19 @@ async fn part(server: &Server, upload: &str, offset: usize, bytes: &[u8]) -> Ans
 
 /// The same once nobody else writes: a request that was given up may for a moment still be about to.
 async fn part_in_turn(server: &Server, upload: &str, at: usize, bytes: &[u8], sum: Option<&str>) -> Answer {
-    loop {
-        let answer = part_with(server, upload, at, bytes, |request| match sum {
-            Some(sum) => request.header("upload-checksum", sum),
-            None => request,
-        });
-        let answer = answer.await;
-        if answer.status != 423 {
-            return answer;
+    within("the part's turn", async {
+        loop {
+            let answer = part_with(server, upload, at, bytes, |request| match sum {
+                Some(sum) => request.header("upload-checksum", sum),
+                None => request,
+            });
+            let answer = answer.await;
+            if answer.status != 423 {
+                return answer;
+            }
         }
-    }
+    })
+    .await
 }
 
 async fn part_with(
@@ -108,17 +112,15 @@ async fn half_a_part(
 /// Waits until nobody holds the upload.
 async fn until_free(server: &Server, upload: &str) {
     let id: UploadId = upload.rsplit('/').next().and_then(|id| id.parse().ok()).expect("an id");
-    while server.services.blobs.open_upload(id).await.expect("asked").is_none() {
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
+    let is_free = async || server.services.blobs.open_upload(id).await.expect("asked").is_some();
+    eventually("nobody holds the upload", is_free).await;
 }
 
 /// Waits until some of the upload is written; asking for its lock here could keep the writer out.
 async fn until_written(server: &Server, upload: &str) {
     let path = server.data.path().join("uploads").join(upload.rsplit('/').next().expect("an id"));
-    while std::fs::metadata(&path).map_or(0, |file| file.len()) == 0 {
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
+    let is_there = async || std::fs::metadata(&path).is_ok_and(|file| file.len() > 0);
+    eventually("some of the upload is written", is_there).await;
 }
 
 pub(super) async fn a_dataset_comes_in_parts_and_becomes_a_scene(coverage: Coverage) {

@@ -3,6 +3,7 @@
 mod device;
 mod faults;
 mod gradients;
+mod independent;
 mod masks;
 mod scene;
 mod visibility;

@@ -8,7 +8,7 @@ use tcgs::{
     train::twin::{SymbolBits, symbol_bits},
 };
 
-use crate::support::{gpu::gpu, shared::shared};
+use crate::support::{gpu::gpu, oracle::committed};
 
 /// Value, mean, standard deviation, width of the bin.
 type Row = [f32; 4];
@@ -19,9 +19,8 @@ struct Oracle {
 }
 
 impl Oracle {
-    fn load() -> Option<Self> {
-        let path = shared("oracles/entropy/entropy.safetensors")?;
-        let bytes = std::fs::read(path).expect("a readable oracle");
+    fn load() -> Self {
+        let bytes = committed("entropy.safetensors.gz");
         let tensors = SafeTensors::deserialize(&bytes).expect("safetensors");
         let numbers = |name: &str| -> Vec<f64> {
             let tensor = tensors.tensor(name).expect(name);
@@ -45,7 +44,7 @@ impl Oracle {
                 by_log_width: d_q[i] * columns[3][i] * LN_2,
             })
             .collect();
-        Some(Self { rows, expected })
+        Self { rows, expected }
     }
 }
 
@@ -69,7 +68,7 @@ fn on_device(rows: &[Row]) -> Vec<[f32; 4]> {
 /// where the next test has one of its rows in 60 digits.
 #[test]
 fn the_twin_agrees_with_the_independent_values() {
-    let Some(oracle) = Oracle::load() else { return };
+    let oracle = Oracle::load();
     for (row, expected) in oracle.rows.iter().zip(&oracle.expected) {
         let found = on_twin(*row);
         let near = |found: f64, expected: f64, bound: f64| {
@@ -165,7 +164,7 @@ const NOTHING: f64 = 1e-6;
 
 #[test]
 fn the_device_is_right_on_every_row_of_the_oracle() {
-    let Some(oracle) = Oracle::load() else { return };
+    let oracle = Oracle::load();
     let found = on_device(&oracle.rows);
     let mut worst = [[0.0_f64; 4]; CLASSES.len()];
     for ((row, found), expected) in oracle.rows.iter().zip(&found).zip(&oracle.expected) {

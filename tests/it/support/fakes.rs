@@ -26,6 +26,8 @@ use tcgs::{
     worker::run::{Checkpoints, CurveFile, JobFailure, JobOutput, RunJob},
 };
 
+use super::eventually::{PATIENCE, within};
+
 /// A door that runs and renders can be made to wait at.
 #[derive(Debug, Default)]
 pub struct Gate {
@@ -43,7 +45,7 @@ impl Gate {
 
     /// Waits until somebody stands at the gate.
     pub async fn someone_waits(&self) {
-        self.arrived.notified().await;
+        within("somebody stands at the gate", self.arrived.notified()).await;
     }
 
     fn is_open(&self) -> bool {
@@ -54,7 +56,9 @@ impl Gate {
         self.arrived.notify_one();
         let mut open = self.open.lock().expect("not poisoned");
         while !*open {
-            open = self.changed.wait(open).expect("not poisoned");
+            let (guard, waited) = self.changed.wait_timeout(open, PATIENCE).expect("not poisoned");
+            assert!(!waited.timed_out(), "nobody opens the gate");
+            open = guard;
         }
     }
 }

@@ -3,9 +3,11 @@
 #![allow(dead_code, unreachable_pub, reason = "a test module uses what it needs")]
 
 pub mod authority;
+pub mod browser;
 pub mod contract;
 pub mod cutter;
 pub mod dataset;
+pub mod eventually;
 pub mod fakes;
 pub mod faults;
 pub mod gpu;
@@ -14,10 +16,12 @@ pub mod oracle;
 pub mod program;
 pub mod random;
 pub mod receiver;
+pub mod recorded;
 pub mod scene;
 pub mod server;
 pub mod service;
 pub mod sh;
 pub mod shared;
 pub mod small_disk;
+pub mod skip;
 pub mod sse;

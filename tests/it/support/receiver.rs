@@ -13,6 +13,8 @@ use tokio::{
 };
 use tokio_rustls::{TlsAcceptor, server::TlsStream};
 
+use super::eventually::within;
+
 /// A message as it came.
 #[derive(Debug, Clone)]
 pub struct Received {
@@ -130,7 +132,7 @@ impl Receiver {
 
     /// The next message.
     pub async fn next(&mut self) -> Received {
-        self.received.recv().await.expect("the receiver lives")
+        within("a message", self.received.recv()).await.expect("the receiver lives")
     }
 
     /// Whether nothing has come that was not looked at.

@@ -18,6 +18,7 @@ use uuid::Uuid;
 
 use super::{
     contract::Coverage,
+    eventually::eventually,
     fakes::{self, FakeExporter, FakeRenderer, FakeRunner},
     faults::FaultStore,
     sse::Reader,
@@ -335,15 +336,16 @@ impl Server {
 
     /// Asks for a job until it is in `state`.
     pub async fn reaches(&self, job: &str, state: &str) -> Value {
-        loop {
-            let now = self.get(job).await.expect(200).json();
-            if now["state"] == state {
-                return now;
-            }
-            let waiting = now["finished_at"].is_null();
-            assert!(waiting, "the job can no longer become {state}: {now:#}");
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
+        let mut now = Value::Null;
+        eventually(&format!("{job} is {state}"), async || {
+            now = self.get(job).await.expect(200).json();
+            let is_there = now["state"] == state;
+            let waits = now["finished_at"].is_null();
+            assert!(is_there || waits, "the job can no longer become {state}: {now:#}");
+            is_there
+        })
+        .await;
+        now
     }
 
     /// Creates a job and waits until it has succeeded.

@@ -16,7 +16,12 @@ use tokio::{
     sync::oneshot,
 };
 
-use super::{contract::Coverage, program, server::Answer};
+use super::{
+    contract::Coverage,
+    eventually::{PATIENCE, within},
+    program,
+    server::Answer,
+};
 
 /// A running service. Dropping it kills it, and its worker sees that and ends.
 pub struct Service {
@@ -35,7 +40,7 @@ impl Service {
 
     /// The same with more arguments.
     pub async fn start_with<A: AsRef<OsStr>>(data: &Path, more: impl IntoIterator<Item = A>) -> Self {
-        Self::start_in(data, more, &[]).await
+        Self::start_as(program::command(), data, more).await
     }
 
     /// The same with these variables.
@@ -44,8 +49,18 @@ impl Service {
         more: impl IntoIterator<Item = A>,
         environment: &[(&str, String)],
     ) -> Self {
-        let mut command = Command::from(program::command());
+        let mut command = program::command();
         command.envs(environment.iter().map(|(name, value)| (name, value)));
+        Self::start_as(command, data, more).await
+    }
+
+    /// The same of a program with settings of its own.
+    pub async fn start_as<A: AsRef<OsStr>>(
+        program: std::process::Command,
+        data: &Path,
+        more: impl IntoIterator<Item = A>,
+    ) -> Self {
+        let mut command = Command::from(program);
         command.args(["serve", "--listen", "127.0.0.1:0", "--log-format", "json", "--data"]).arg(data);
         command.args(more);
         let mut child = command.stderr(Stdio::piped()).kill_on_drop(true).spawn().expect("the binary runs");
@@ -65,7 +80,7 @@ impl Service {
                 kept.lock().expect("not poisoned").push(line);
             }
         });
-        let address = match address.await {
+        let address = match within("the service listens", address).await {
             Ok(address) => address,
             Err(_) => panic!("the service did not start:\n{}", log.lock().expect("not poisoned").join("\n")),
         };
@@ -110,14 +125,20 @@ impl Service {
 
     /// Asks for a job until `done` says so, and returns it as it then is.
     pub async fn job_until(&self, job: &str, mut done: impl FnMut(&Value) -> bool) -> Value {
-        loop {
-            let now = self.get(job).await.expect(200).json();
-            if done(&now) {
-                return now;
+        let wait = async {
+            loop {
+                let now = self.get(job).await.expect(200).json();
+                if done(&now) {
+                    return now;
+                }
+                assert!(now["finished_at"].is_null(), "the job ended: {now:#}\n{}", self.log());
+                tokio::time::sleep(Duration::from_millis(50)).await;
             }
-            assert!(now["finished_at"].is_null(), "the job ended: {now:#}\n{}", self.log());
-            tokio::time::sleep(Duration::from_millis(50)).await;
-        }
+        };
+        // Training with a cold cache of kernels takes minutes where processors are few.
+        tokio::time::timeout(4 * PATIENCE, wait)
+            .await
+            .unwrap_or_else(|_| panic!("{job} stays as it is:\n{}", self.log()))
     }
 
     /// Waits until a job has succeeded.
@@ -171,7 +192,7 @@ impl Service {
     #[cfg(unix)]
     pub async fn stop(mut self) -> ExitStatus {
         kill("-TERM", self.child.id().expect("running"));
-        self.child.wait().await.expect("ended")
+        within("the service has ended", self.child.wait()).await.expect("ended")
     }
 }
 

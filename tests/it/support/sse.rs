@@ -3,6 +3,8 @@
 use bytes::{Bytes, BytesMut};
 use serde_json::Value;
 
+use super::eventually::within;
+
 /// An event of a stream.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Frame {
@@ -63,7 +65,8 @@ impl Reader {
             if let Some(end) = self.unread.windows(2).position(|pair| pair == b"\n\n") {
                 return Some(self.unread.split_to(end + 2).freeze());
             }
-            self.unread.extend_from_slice(&self.response.chunk().await.ok()??);
+            let chunk = within("the next event", self.response.chunk()).await;
+            self.unread.extend_from_slice(&chunk.ok()??);
         }
     }
 

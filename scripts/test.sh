@@ -1,0 +1,65 @@
+#!/usr/bin/env bash
+# Runs the tests and counts them. Which were skipped, and why, comes last, before the line `N passed, M failed, K skipped`.
+#   scripts/test.sh [ARGUMENT...]    arguments of `cargo test`
+# Where no test ends for TCGS_TEST_SILENCE seconds, 1200 if not given, all is stopped and the tests that hang are named.
+set -uo pipefail
+cd "$(dirname "$0")/.."
+# shellcheck source=scripts/env.sh
+. scripts/env.sh
+
+silence=${TCGS_TEST_SILENCE:-1200}
+scratch=$(mktemp -d)
+log=$scratch/log
+export TCGS_TEST_SKIPS=$scratch/skips
+: >"$log"
+: >"$TCGS_TEST_SKIPS"
+
+# A group of its own, so that the tests can be stopped with all that they started.
+set -m
+(
+    cargo test --locked --no-fail-fast "$@" 2>&1 | tee "$log"
+    exit "${PIPESTATUS[0]}"
+) &
+run=$!
+set +m
+stop() { kill -KILL -- "-$run" 2>/dev/null || true; }
+trap 'stop; rm -rf "$scratch"' EXIT
+trap 'exit 130' INT TERM
+
+hangs() {
+    awk '/^test .* has been running for over/ { running[$2] } /^test .* \.\.\. / { delete running[$2] } END { for (name in running) print name }' "$log"
+}
+
+hung=
+while kill -0 "$run" 2>/dev/null; do
+    sleep 1
+    if [ $(($(date +%s) - $(stat -c %Y "$log"))) -gt "$silence" ]; then
+        hung=$(hangs)
+        : "${hung:=none that is known}"
+        stop
+        printf '\nno test has ended for %d s; running when they were stopped:\n%s\n' "$silence" "$hung"
+        break
+    fi
+done
+wait "$run" 2>/dev/null
+status=$?
+
+[ ! -s "$TCGS_TEST_SKIPS" ] || { printf '\n'; sort -u "$TCGS_TEST_SKIPS"; }
+skipped=$(sed -n 's/^SKIPPED \([^:]*\(::[^:]*\)*\): .*/\1/p' "$TCGS_TEST_SKIPS" | sort -u | wc -l)
+awk -v skipped="$skipped" -v hung="${hung//$'\n'/,}" '
+    /^test .* \.\.\. ok$/ { ok++ }
+    /^test .* \.\.\. FAILED$/ { broken++ }
+    /^test result:/ {
+        for (i = 2; i <= NF; i++) {
+            if ($i ~ /^passed/) passed += $(i - 1)
+            if ($i ~ /^failed/) failed += $(i - 1)
+            if ($i ~ /^ignored/) ignored += $(i - 1)
+        }
+    }
+    END {
+        # A test binary that was stopped has told no result of its own.
+        if (hung != "") { passed = ok; failed = broken + split(hung, names, ",") }
+        # A skipped test has returned, so it is among those that passed.
+        printf "\n%d passed, %d failed, %d skipped\n", passed - skipped, failed, skipped + ignored
+    }' "$log"
+exit "$status"

@@ -1,0 +1,75 @@
+//! The way from a file to a view's Gaussians against `tests/oracles/gaussians.py`, which was written from `FORMAT.md` and has its
+//! own decoder. The twin is held to it here; other tests hold the device to the twin.
+
+use std::{path::Path, process::Command};
+
+use glam::DVec3;
+use tcgs::{
+    codec::{DecodeLimits, decode},
+    domain::{Camera, Intrinsics, Pose},
+    model::{AnchorRows, NetworkLayout},
+    render::twin::neural as twin,
+};
+
+use super::scene::projection;
+use crate::support::skip::skip;
+
+/// Rows keep scalings as logarithms in f32, which costs some 1e-6 of them.
+const BOUND: f64 = 1e-5;
+
+#[test]
+fn a_trained_file_has_the_gaussians_that_its_format_says() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let file = root.join("tests/golden/trained_v1.tcgs");
+    let eye = DVec3::new(2.75, -2.25, 1.75);
+    let mut script = Command::new("python3");
+    script
+        .arg(root.join("tests/oracles/gaussians.py"))
+        .arg(&file)
+        .args(eye.to_array().map(|v| v.to_string()));
+    let Ok(output) = script.env("PYTHONDONTWRITEBYTECODE", "1").output() else {
+        return skip("python3 is not installed");
+    };
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let expected: Vec<Vec<Option<[f64; 14]>>> = serde_json::from_slice(&output.stdout).expect("JSON");
+
+    let bytes = std::fs::read(file).expect("the golden file is committed");
+    let scene = decode(&bytes, &DecodeLimits::default()).expect("decodes").scene;
+    let rows = AnchorRows::from_scene(&scene);
+    let networks = NetworkLayout::new(rows.shape).from_networks(&scene.networks).expect("a known shape");
+    let anchors = twin::Anchors::new(&rows, &networks, scene.unit);
+    let pose = Pose::look_at(eye, DVec3::new(0.12, 0.1, 0.32), DVec3::Z).expect("a view");
+    let camera = Camera::new(Intrinsics::from_horizontal_fov(1.2, 64, 64).expect("a camera"), pose);
+    let spawned = twin::neural_forward(&projection(&camera.expect("a camera")), &anchors);
+    assert!(spawned.list.len() > 300, "{} anchors are in view", spawned.list.len());
+
+    let mut made = 0;
+    for (anchor, found) in spawned.list.iter().zip(spawned.gaussians.chunks_exact(rows.shape.offsets)) {
+        for (slot, (found, expected)) in found.iter().zip(&expected[*anchor as usize]).enumerate() {
+            let found = found.as_ref().map(|g| -> Vec<f64> {
+                let parts = [&g.mean.to_array()[..], &g.scale.to_array(), &g.quat, &g.color.to_array()];
+                [&[g.opacity], &parts.concat()[..]].concat()
+            });
+            match (&found, expected) {
+                (None, None) => {}
+                (Some(found), Some(expected)) => {
+                    made += 1;
+                    // A quaternion is as good before it is normalised.
+                    let length = found[7..11].iter().map(|v| v * v).sum::<f64>().sqrt();
+                    for (index, expected) in expected.iter().enumerate() {
+                        let scale = if (7..11).contains(&index) { length } else { 1.0 };
+                        let off = (found[index] / scale - expected).abs();
+                        let at = format!("anchor {anchor}, slot {slot}, number {index}");
+                        assert!(off <= BOUND * expected.abs().max(1.0), "{at}: {} {expected}", found[index]);
+                    }
+                }
+                // On the edge of being none.
+                _ => {
+                    let opacity = found.map_or_else(|| expected.map_or(0.0, |e| e[0]), |found| found[0]);
+                    assert!(opacity.abs() < BOUND, "anchor {anchor}, slot {slot}: {opacity}");
+                }
+            }
+        }
+    }
+    assert!(made > 500, "{made} Gaussians");
+}
