@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Holds a running service to openapi.yaml with schemathesis: starts `tcgs serve` on a port of the system's choice with a fresh
-# data folder and no workers, so that nothing trains, sends what the contract allows and what it forbids, and stops it.
+# Holds a running service to openapi.yaml with schemathesis: trains one small scene with `tcgs serve` on a port of the system's choice
+# and a fresh data folder, starts it again without workers, so that nothing more trains, sends what the contract allows and what it
+# forbids, first about a cancelled job and then about the finished one, and stops it.
 #   scripts/schemathesis.sh [EXAMPLES]    examples an operation, 20 if not given
 # The program is target/debug/tcgs unless TCGS names another. Its log is in target/schemathesis.
 set -euo pipefail
@@ -33,42 +34,106 @@ trap stop EXIT
 
 key=$("$program" keys create --name contract --scopes admin --data "$scratch/data" --json | grep -o 'tcgs_[0-9a-f]*' | head -n 1)
 
-# Places are for clients that come one after another here; a small upload limit keeps what is sent small.
-"$program" --log-format json serve --listen 127.0.0.1:0 --data "$scratch/data" --workers 0 --failures-per-minute 1000000 --max-upload 8MiB \
-    --body-pause 2s --drain 2s 2>"$out/service.log" &
-server=$!
-address=
-for _ in $(seq 300); do
-    address=$(sed -n 's/.*"address":"\([^"]*\)".*/\1/p' "$out/service.log" | head -n 1)
-    [ -z "$address" ] || break
-    kill -0 "$server" 2>/dev/null || { cat "$out/service.log" >&2; exit 1; }
-    sleep 0.1
-done
-[ -n "$address" ] || { echo "schemathesis: the service did not start" >&2; cat "$out/service.log" >&2; exit 1; }
-
-# Something to ask about: a job that has ended, so that its events do too.
-"$program" sample "$scratch/scene.zip" >/dev/null
-call() { curl -sSf -H "Authorization: Bearer $key" "$@"; }
-job=$(call -X POST -H 'Content-Type: application/zip' --data-binary "@$scratch/scene.zip" "http://$address/v1/jobs" -o /dev/null -D - |
-    tr -d '\r' | sed -n 's,^location: /v1/jobs/,,Ip')
-call -X POST "http://$address/v1/jobs/$job/cancel" -o /dev/null
-{
-    cat scripts/schemathesis.toml
-    printf '\n[[operations]]\ninclude-path-regex = "^/v1/jobs/[{]id[}]"\nexclude-method = "DELETE"\n'
-    # A preference to wait is granted for longer than schemathesis waits.
-    printf 'parameters = { "path.id" = "%s", "header.Prefer" = "wait=1" }\n' "$job"
-} >"$scratch/schemathesis.toml"
-
-# Failures have to come back the same on the next run, so the seed is fixed; SCHEMATHESIS_SEED tries another.
-status=0
-PYTHONPATH=scripts PYTHONDONTWRITEBYTECODE=1 timeout "${SCHEMATHESIS_SECONDS:-900}" "$venv/bin/schemathesis" --config-file "$scratch/schemathesis.toml" run openapi.yaml \
-    --header "Authorization: Bearer $key" --url "http://$address" --max-examples "$examples" --seed "${SCHEMATHESIS_SEED:-20261121}" \
-    --generation-database none || status=$?
-if ! kill -0 "$server" 2>/dev/null; then
-    echo "schemathesis: the service has ended" >&2
-    tail -n 20 "$out/service.log" >&2
+# start ARGUMENT...: the service, and where it listens in $address. Places are for clients that come one after another here; a small
+# upload limit keeps what is sent small.
+start() {
+    local _
+    "$program" --log-format json serve --listen 127.0.0.1:0 --data "$scratch/data" --failures-per-minute 1000000 --max-upload 8MiB \
+        --body-pause 2s --drain 2s "$@" 2>"$out/service.log" &
+    server=$!
+    address=
+    for _ in $(seq 300); do
+        address=$(sed -n 's/.*"address":"\([^"]*\)".*/\1/p' "$out/service.log" | head -n 1)
+        [ -z "$address" ] || return 0
+        kill -0 "$server" 2>/dev/null || break
+        sleep 0.1
+    done
+    echo "schemathesis: the service did not start" >&2
+    cat "$out/service.log" >&2
     exit 1
-fi
+}
+
+call() { curl -sSf -H "Authorization: Bearer $key" "$@"; }
+
+# create QUERY: makes a job of the bundled scene and prints its id.
+create() {
+    call -X POST -H 'Content-Type: application/zip' --data-binary "@$scratch/scene.zip" "http://$address/v1/jobs?$1" -o /dev/null -D - |
+        tr -d '\r' | sed -n 's,^location: /v1/jobs/,,Ip'
+}
+
+"$program" sample --side 32 "$scratch/scene.zip" >/dev/null
+start --workers 1
+finished=$(create 'iterations=20&preset=preview')
+state=
+for _ in $(seq 600); do
+    state=$(call "http://$address/v1/jobs/$finished" | tr -d '\n' | grep -o '"state" *: *"[a-z]*"' | head -n 1 | tr -d ' ' | cut -d '"' -f 4)
+    case $state in queued | running) sleep 0.5 ;; *) break ;; esac
+done
+[ "$state" = succeeded ] || {
+    echo "schemathesis: the job that was to finish is '$state'" >&2
+    exit 1
+}
+kill "$server"
+wait "$server" || true
+
+start --workers 0
+# What takes long the first time is made before anything waits for it.
+for format in ply spz; do
+    call "http://$address/v1/jobs/$finished/export?format=$format" -o /dev/null
+done
+call "http://$address/v1/jobs/$finished/view?frame=images/view_06.png" -o /dev/null
+cancelled=$(create iterations=20)
+call -X POST "http://$address/v1/jobs/$cancelled/cancel" -o /dev/null
+
+# hold JOB SEED CONFIG FLAG...: one run, whose ids of jobs are JOB. A preference to wait is granted for longer than schemathesis waits.
+status=0
+hold() {
+    local job=$1 seed=$2 config=$3
+    shift 3
+    {
+        cat "$config"
+        printf '\n[[operations]]\ninclude-path-regex = "^/v1/jobs/[{]id[}]"\nexclude-method = "DELETE"\n'
+        printf 'parameters = { "path.id" = "%s", "header.Prefer" = "wait=1" }\n' "$job"
+    } >"$scratch/schemathesis.toml"
+    printf '\nschemathesis: %s, seed %s\n' "$config" "$seed"
+    PYTHONPATH=scripts PYTHONDONTWRITEBYTECODE=1 timeout "${SCHEMATHESIS_SECONDS:-900}" "$venv/bin/schemathesis" \
+        --config-file "$scratch/schemathesis.toml" run openapi.yaml --header "Authorization: Bearer $key" --url "http://$address" \
+        --request-timeout 60 --max-examples "$examples" --seed "$seed" --generation-database none "$@" || status=$?
+    kill -0 "$server" 2>/dev/null || {
+        echo "schemathesis: the service has ended" >&2
+        tail -n 20 "$out/service.log" >&2
+        exit 1
+    }
+}
+
+# Failures have to come back the same on the next run, so seeds are fixed; SCHEMATHESIS_SEED tries others.
+seed=${SCHEMATHESIS_SEED:-20261121}
+hold "$cancelled" "$seed" scripts/schemathesis.toml
+# Films take as long as they have pictures, and the contract allows many.
+before=$(call "http://$address/metrics")
+hold "$finished" "$((seed + 1))" scripts/schemathesis_finished.toml --include-path-regex '^/v1/jobs/[{]id[}]' --exclude-method DELETE \
+    --exclude-path-regex '/(stream|animation)$'
+after=$(call "http://$address/metrics")
+
+# answered METRICS ROUTE: how many requests got what they asked for.
+answered() {
+    awk -v route="route=\"/v1/jobs/{id}/$2\"" '/^http_request_duration_seconds_count/ && index($0, route) && /status="20[06]"/ { sum += $NF } END { print sum + 0 }' <<<"$1"
+}
+for route in artifact artifacts export view events series report; do
+    [ "$(answered "$after" $route)" -gt "$(answered "$before" $route)" ] || {
+        echo "schemathesis: /v1/jobs/{id}/$route never answered with what was asked for" >&2
+        status=1
+    }
+done
+
+# What names a frame is refused where that is not there, so what it answers is seen once here.
+frame='{"views": [{"frame": "images/view_06.png", "width": 16, "height": 16}]}'
+for route in views stream animation; do
+    call -H 'Content-Type: application/json' -d "$frame" "http://$address/v1/jobs/$finished/$route" -o /dev/null || {
+        echo "schemathesis: /v1/jobs/{id}/$route does not answer" >&2
+        status=1
+    }
+done
 if grep -E '"level":"ERROR"' "$out/service.log" >&2; then
     echo "schemathesis: the service logged the errors above" >&2
     exit 1
