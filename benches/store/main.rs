@@ -62,8 +62,12 @@ async fn main() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("tcgs.sqlite");
     // Both are bounded, so that both bounds are looked at.
-    let limits =
-        KeyLimits { max_bytes: Some(1 << 50), max_active_jobs: Some(1 << 20), requests_per_minute: None };
+    let limits = KeyLimits {
+        max_bytes: Some(1 << 50),
+        max_active_jobs: Some(1 << 20),
+        requests_per_minute: None,
+        max_priority: None,
+    };
     let policy = QueuePolicy { limits, ..QueuePolicy::default() };
     let store = SqliteStore::open(&path, Arc::new(SystemClock), policy).await.unwrap();
     let [busy, quiet] = [1, 2].map(|number| KeyId(Uuid::from_u128(number)));

@@ -47,7 +47,7 @@ fn every_preset_has_its_schedule_and_trains() {
         let schedule = Schedule::new(&TrainOptions { preset, ..TrainOptions::default() });
         assert_eq!((schedule.steps, schedule.lambda()), (steps, lambda), "{preset}");
         assert_eq!((schedule.shape.features, schedule.shape.offsets), (features, 10), "{preset}");
-        assert_eq!(schedule.max_anchors as usize, max_anchors, "{preset}");
+        assert_eq!(schedule.max_anchors, max_anchors, "{preset}");
 
         // Enough for every phase of the schedule to begin.
         let options = TrainOptions { preset, iterations: Some(40), ..TrainOptions::default() };

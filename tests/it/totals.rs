@@ -11,8 +11,8 @@ use tcgs::{
         Problem, SceneFormat, SceneId, TrainOptions, UploadId, WebhookEvent, WebhookSecret,
     },
     store::{
-        AfterAttempt, Artifact, ArtifactKind, BlobRef, Death, ExportRecord, Figures, NewEndpoint, NewJob, NewScene,
-        NewUpload, Outcome, QueuePolicy, Repeat, Settled, SqliteStore, Store, Usage,
+        AfterAttempt, Artifact, ArtifactKind, BlobRef, Death, ExportRecord, Figures, NewEndpoint, NewJob,
+        NewScene, NewUpload, Outcome, QueuePolicy, Repeat, Settled, SqliteStore, Store, Usage,
     },
 };
 use tempfile::TempDir;

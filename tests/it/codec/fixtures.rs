@@ -12,8 +12,11 @@ use super::{
     wire,
 };
 
+/// Makes a golden file.
+type Maker = fn() -> Encoded;
+
 /// Name and maker of every golden file but the trained one.
-pub(super) const GOLDENS: [(&str, fn() -> Encoded); 4] = [
+pub(super) const GOLDENS: [(&str, Maker); 4] = [
     ("shell_v1.tcgs", shell),
     ("context_v1.tcgs", context),
     ("direct_v1.tcgs", direct),

@@ -13,8 +13,8 @@ use jiff::Timestamp;
 use tcgs::{
     domain::{Digest, Event, JobId, JobState, KeyId, Phase, Progress, SceneId, UploadId},
     store::{
-        Accounts, Answer, AttemptRecord, BlobRef, Cancellation, Claim, Death, Deletion, ExportRecord, Exports,
-        Figures, FileRecord, Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewJob, NewScene,
+        Accounts, Answer, AttemptRecord, BlobRef, Cancellation, Claim, Death, Deletion, ExportRecord,
+        Exports, Figures, FileRecord, Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewJob, NewScene,
         NewUpload, Outcome, Overview, PageKey, Remembered, Repeat, Repetition, Room, SceneCreation,
         SceneDeletion, ScenePage, SceneRecord, Scenes, Store, StoreError, UploadRecord, Uploads, Usage,
     },

@@ -22,6 +22,6 @@ pub mod server;
 pub mod service;
 pub mod sh;
 pub mod shared;
-pub mod small_disk;
 pub mod skip;
+pub mod small_disk;
 pub mod sse;
