@@ -55,7 +55,7 @@ pub(super) async fn read_json(
     Ok(content)
 }
 
-/// Reads a JSON body into memory, if there is a body.
+/// Reads a JSON body into memory, if there is a body. An empty one is none: generated clients name its type nevertheless.
 pub(super) async fn read_optional_json(
     body: &mut BodyDataStream,
     headers: &HeaderMap,
@@ -71,7 +71,8 @@ pub(super) async fn read_optional_json(
             }
         }
     }
-    read_json(body, headers, limits).await.map(Some)
+    let content = read_json(body, headers, limits).await?;
+    Ok((!content.is_empty()).then_some(content))
 }
 
 /// The length that a body is announced to have, if it is.

@@ -171,7 +171,7 @@ async fn exports_that_were_kept_as_spz_are_of_version_3_after_an_update() {
     let (source, spz) = ("b".repeat(64), "c".repeat(64));
     let blob = sqlx::query("INSERT INTO blobs (digest, bytes, created_at) VALUES (?, 9, 5)").bind(&spz);
     blob.execute(&old).await.expect("a blob");
-    let export = "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, created_at) VALUES (?, ?, 'spz', ?, 7, 3, 5)";
+    let export = "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, created_at) VALUES (?, ?, 'spz', ?, 7, 3, 9)";
     let export = sqlx::query(export).bind(FINISHED_JOB).bind(&source).bind(&spz);
     export.execute(&old).await.expect("an export");
     old.close().await;

@@ -198,6 +198,7 @@ pub(super) async fn a_failed_or_cancelled_job_is_retried_as_a_new_one(coverage: 
     let typed = |body: String| {
         server.send("POST", &retry, |request| request.header("content-type", "application/json").body(body))
     };
+    typed(String::new()).await.expect(201);
     typed("{\"from".into()).await.expect_problem(400, "malformed-json");
     typed(" ".repeat(2 << 20)).await.expect_problem(413, "body-too-large");
     for (failing, status) in [(Failing::Busy, 503), (Failing::Gone, 500)] {
