@@ -1,58 +1,19 @@
-//! All integration tests in one binary: one link, one GPU context per process.
+//! All integration tests in one binary: one link, one GPU context per process. The folders are those of `src`; `system` has the
+//! tests of the whole program, `documents` those that hold documents to it.
 
-mod adam;
-mod baselines;
-mod checkpoint;
 mod cli;
-mod clients;
 mod codec;
-mod container_image;
-mod context;
-mod data_folder;
-mod deployment;
-mod durability;
-mod examples;
-mod examples_real;
+mod documents;
+mod eval;
 mod export;
-mod finite;
-mod first_light;
-#[cfg(target_os = "linux")]
-mod full_disk;
-mod held;
-#[cfg(target_os = "linux")]
-mod hostile_uploads;
-mod housekeeping;
+mod gpu;
 mod http;
 mod ingest;
-mod keys;
-mod killed;
 mod layers;
-mod loss;
-mod lpips;
-mod memory;
-mod migrations;
-mod neural;
-mod plain;
-mod power_cuts;
-mod presets;
-mod primitives;
-mod priority;
-mod problems;
-mod queue;
-mod raster_device;
-mod raster_oracles;
-mod raster_twin;
-mod rate;
-mod rate_control;
-mod removal;
+mod render;
 mod sample;
-mod scene_renderer;
-mod scenes;
-mod signals;
-mod suite;
+mod store;
 mod support;
-mod totals;
+mod system;
 mod train;
-mod viewer;
-mod wavelet;
 mod worker;

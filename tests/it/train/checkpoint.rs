@@ -15,7 +15,7 @@ use tcgs::{
 
 use crate::{
     support::gpu::gpu,
-    train::{dataset, options, scaled},
+    train::training::{dataset, options, scaled},
 };
 
 /// Growth comes every 25 steps from a twentieth of the run to its half: here at 25 and 50; its statistics begin

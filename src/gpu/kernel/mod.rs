@@ -32,19 +32,19 @@ pub use kernel_source;
 
 /// Files that kernels import, by the path in their `#define_import_path` line, in dependency order.
 const SHARED: &[(&str, &str)] = &[
-    ("view", include_str!("../../shaders/shared/view.wgsl")),
-    ("splat", include_str!("../../shaders/shared/splat.wgsl")),
-    ("finite", include_str!("../../shaders/shared/finite.wgsl")),
-    ("geometry", include_str!("../../shaders/shared/geometry.wgsl")),
-    ("anchor_view", include_str!("../../shaders/shared/anchor_view.wgsl")),
-    ("model", include_str!("../../shaders/shared/model.wgsl")),
-    ("plain", include_str!("../../shaders/shared/plain.wgsl")),
-    ("gaussian", include_str!("../../shaders/shared/gaussian.wgsl")),
-    ("quantise", include_str!("../../shaders/shared/quantise.wgsl")),
-    ("rate", include_str!("../../shaders/shared/rate.wgsl")),
-    ("context", include_str!("../../shaders/shared/context.wgsl")),
-    ("convolution", include_str!("../../shaders/shared/convolution.wgsl")),
-    ("ssim", include_str!("../../shaders/shared/ssim.wgsl")),
+    ("view", include_str!("../../../shaders/shared/view.wgsl")),
+    ("splat", include_str!("../../../shaders/shared/splat.wgsl")),
+    ("finite", include_str!("../../../shaders/shared/finite.wgsl")),
+    ("geometry", include_str!("../../../shaders/shared/geometry.wgsl")),
+    ("anchor_view", include_str!("../../../shaders/shared/anchor_view.wgsl")),
+    ("model", include_str!("../../../shaders/shared/model.wgsl")),
+    ("plain", include_str!("../../../shaders/shared/plain.wgsl")),
+    ("gaussian", include_str!("../../../shaders/shared/gaussian.wgsl")),
+    ("quantise", include_str!("../../../shaders/shared/quantise.wgsl")),
+    ("rate", include_str!("../../../shaders/shared/rate.wgsl")),
+    ("context", include_str!("../../../shaders/shared/context.wgsl")),
+    ("convolution", include_str!("../../../shaders/shared/convolution.wgsl")),
+    ("ssim", include_str!("../../../shaders/shared/ssim.wgsl")),
 ];
 
 /// A compiled kernel.
@@ -222,7 +222,7 @@ mod tests {
 
     #[test]
     fn a_kernel_does_not_depend_on_those_composed_before() {
-        let text = include_str!("../../shaders/spawn_gaussians.wgsl");
+        let text = include_str!("../../../shaders/spawn_gaussians.wgsl");
         let source = KernelSource { name: "spawn_gaussians", text };
         let made = |composer: &mut Composer, features: u32| {
             let defs = [("FEATURES", features), ("OFFSETS", 10)];

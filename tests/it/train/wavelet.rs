@@ -106,7 +106,8 @@ fn cases() -> Vec<Case> {
     struct Oracle {
         cases: Vec<Case>,
     }
-    let oracle: Oracle = serde_json::from_str(include_str!("../oracles/wavelet.json")).expect("the oracle");
+    let oracle: Oracle =
+        serde_json::from_str(include_str!("../../oracles/wavelet.json")).expect("the oracle");
     assert_eq!(oracle.cases.len(), 8);
     oracle.cases
 }

@@ -9,7 +9,7 @@ use tcgs::{
 
 use crate::{
     support::gpu::gpu,
-    train::{dataset, options, scaled},
+    train::training::{dataset, options, scaled},
 };
 
 const BACKGROUND: Background = Background::Black;

@@ -9,7 +9,7 @@ use tcgs::{
 };
 
 use crate::{
-    examples::{finishes, there_is},
+    documents::examples::{finishes, there_is},
     support::{server::picture, service::Service},
 };
 

@@ -323,8 +323,8 @@ async fn an_older_database_gets_its_totals_by_counting() {
             "SELECT name FROM sqlite_schema WHERE type = ? AND sql IS NOT NULL AND name IN (SELECT value FROM json_each(?))",
         );
         let script = concat!(
-            include_str!("../../migrations/sqlite/0011_running_totals.sql"),
-            include_str!("../../migrations/sqlite/0012_indices_probe.sql")
+            include_str!("../../../migrations/sqlite/0011_running_totals.sql"),
+            include_str!("../../../migrations/sqlite/0012_indices_probe.sql")
         );
         let names: Vec<&str> = script
             .lines()

@@ -21,7 +21,8 @@ struct Expected {
 }
 
 fn expected(net: &str) -> Vec<Expected> {
-    let all: Vec<Expected> = serde_json::from_str(include_str!("../oracles/lpips.json")).expect("the values");
+    let all: Vec<Expected> =
+        serde_json::from_str(include_str!("../../oracles/lpips.json")).expect("the values");
     all.into_iter().filter(|expected| expected.net == net).collect()
 }
 

@@ -1,0 +1,10 @@
+//! The command line, run as scripts and operators run it.
+
+mod baselines;
+mod clients;
+mod data_folder;
+mod keys;
+mod priority;
+mod scripting;
+mod signals;
+mod suite;

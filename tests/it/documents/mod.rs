@@ -1,0 +1,6 @@
+//! Documents and what operators copy: each holds true of the program.
+
+mod container_image;
+mod deployment;
+pub(crate) mod examples;
+mod problems;

@@ -1,0 +1,4 @@
+//! Measures: LPIPS against its package, and the costs of removal against removal itself.
+
+mod lpips;
+mod removal;

@@ -1,0 +1,13 @@
+//! The whole program with nothing faked: real processes, real disks, real power cuts.
+
+mod durability;
+mod examples_real;
+mod first_light;
+#[cfg(target_os = "linux")]
+mod full_disk;
+#[cfg(target_os = "linux")]
+mod hostile_uploads;
+mod killed;
+mod power_cuts;
+mod presets;
+mod viewer;

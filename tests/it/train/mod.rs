@@ -1,0 +1,11 @@
+//! Training: the loss, the rate and its networks, the optimiser, checkpoints, memory, and runs from end to end.
+
+mod adam;
+mod checkpoint;
+mod context;
+mod loss;
+mod memory;
+mod rate;
+mod rate_control;
+pub(crate) mod training;
+mod wavelet;
