@@ -80,7 +80,7 @@ fn rows(
     let (geometry, colors) = (context.read(&shell.geometry)?, context.read(&shell.colors)?);
     let (means, rest) = geometry.split_at(shell.capacity);
     let (scales, quats) = rest.split_at(shell.capacity);
-    for (i, row) in rows.base.chunks_exact_mut(tcgs::model::plain::BASE).enumerate() {
+    for (i, row) in rows.base.chunks_exact_mut(tcgs::model::gaussian_rows::BASE).enumerate() {
         let opacity = means[i][3].min(0.99);
         row[..3].copy_from_slice(&means[i][..3]);
         row[3..6].copy_from_slice(&[0, 1, 2].map(|axis| scales[i][axis].ln()));

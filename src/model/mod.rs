@@ -2,14 +2,14 @@
 //!
 //! An anchor is an integer cell from the start; no cell holds two anchors.
 
+mod anchor_rows;
+pub mod gaussian_rows;
 mod init;
 mod lattice;
 mod networks;
-pub mod plain;
-mod rows;
 
+pub use anchor_rows::{AnchorRows, Shape};
+pub use gaussian_rows::{GaussianRows, initial_gaussians};
 pub use init::{InitError, all_offsets, initial_rows, random_points};
 pub use lattice::{MAX_CELL, VoxelRule, cell_of, choose_lattice, coarse, median_spacing, voxelise};
 pub use networks::{LayerSpec, NetworkLayout};
-pub use plain::{GaussianRows, initial_gaussians};
-pub use rows::{AnchorRows, Shape};

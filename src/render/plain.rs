@@ -11,7 +11,7 @@ use crate::{
     gpu::{AdapterReport, Buffer, Context, Kernel, Recorder, buffer_bytes, kernel_source},
     model::{
         GaussianRows,
-        plain::{BANDS, BASE, band_values},
+        gaussian_rows::{BANDS, BASE, band_values},
     },
 };
 

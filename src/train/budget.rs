@@ -10,9 +10,7 @@ use std::fmt;
 use thiserror::Error;
 
 use super::{
-    ImageLoss, Schedule,
-    anchors::AnchorFootprint,
-    plain::{PlainFootprint, PlainSchedule},
+    ImageLoss, Schedule, anchor_trainer::AnchorFootprint, plain::PlainFootprint, schedule::PlainSchedule,
     trainer::REPORT_EVERY,
 };
 use crate::{

@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 use super::{Gaussian, GaussianGradient, Projection};
 use crate::{
     domain::harmonics::{CONSTANT, basis},
-    model::plain::{BASE, COLOR, LOG_SCALE, OPACITY, QUAT},
+    model::gaussian_rows::{BASE, COLOR, LOG_SCALE, OPACITY, QUAT},
 };
 
 /// Opacities below this reach no pixel.

@@ -10,10 +10,9 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
 use super::{
-    BaseSteps, CompressionSchedule, Stage,
-    fit::{BYTES_A_PARAMETER, begin_at, stored_parameters, stored_pass},
+    context_fit::{BYTES_A_PARAMETER, begin_at, stored_parameters, stored_pass},
+    quant_steps::{carry_steps, usual_steps},
     statistics::group_statistics,
-    steps::{carry_steps, usual_steps},
 };
 use crate::{
     codec::context::robust_frame,
@@ -22,14 +21,15 @@ use crate::{
     model::{AnchorRows, NetworkLayout, Shape},
     render::DeviceAnchors,
     train::{
-        Adam, CheckpointError, OffsetMasks, TrainError, TrainedContext,
+        Adam, BaseSteps, CheckpointError, CompressionSchedule, OffsetMasks, Stage, TrainError,
+        TrainedContext,
+        checkpoint::LearnerState,
         context::{
             AnchorSample, ContextAnchors, ContextConfig, ContextNet, ContextPass, ContextRates, ContextState,
             GroupOutputs, GroupStatistics, PlaneConfig, PlaneSource, Quantisation, QuantisationPhase,
             QuantisedRows, RateTerm, RoundedNetworks, sample_anchors,
         },
-        learner::Step,
-        state::LearnerState,
+        model_trainer::Step,
     },
 };
 

@@ -3,14 +3,10 @@
 //! Rendering sees attributes as the decoder will, first with noise and at last rounded; a sample of the anchors is
 //! measured for its rate each step, and the context model learns with them.
 
-mod base_steps;
-mod fit;
-mod hold;
+mod context_fit;
+mod frozen_quant_steps;
 mod learning;
-mod schedule;
+mod quant_steps;
 mod statistics;
-mod steps;
 
-pub use base_steps::BaseSteps;
 pub(super) use learning::{Compression, compression_bytes};
-pub use schedule::{BaseStepRule, CompressionSchedule, Stage};

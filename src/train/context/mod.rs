@@ -6,21 +6,22 @@
 //! fixed order, so the same state, sample and adapter give the same bits; and parameters change in
 //! [`ContextNet::step`] and [`ContextNet::latents_from_planes`] alone.
 
-mod anchors;
+mod anchor_sample;
+mod anchor_tables;
 mod config;
-mod conv;
+mod convolution;
 mod error;
 mod layout;
 mod net;
+mod plane_sampling;
 mod planes;
 mod quantise;
 mod rate;
 mod render_networks;
-mod sample;
-mod sampling;
 mod weights;
 
-pub use anchors::ContextAnchors;
+pub use anchor_sample::sample_anchors;
+pub use anchor_tables::ContextAnchors;
 pub use config::{ContextConfig, PlaneConfig};
 pub use error::ContextError;
 pub use layout::{ContextLayout, ContextPart, ContextRates, ConvSpec, GroupStatistics};
@@ -29,4 +30,3 @@ pub(super) use quantise::scramble;
 pub use quantise::{Quantisation, QuantisationPhase, QuantisedRows};
 pub use rate::{AnchorSample, GroupOutputs, RateTerm};
 pub use render_networks::RoundedNetworks;
-pub use sample::sample_anchors;

@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use super::{
     ContextAnchors, ContextConfig, ContextError, ContextLayout, ContextRates, GroupStatistics,
-    anchors::DeviceTables, conv::Tensor, planes::PlanePass, sampling::Sampling, weights::RoundedWeights,
+    anchor_tables::DeviceTables, convolution::Tensor, plane_sampling::Sampling, planes::PlanePass,
+    weights::RoundedWeights,
 };
 use crate::{
     gpu::{Buffer, Context, Recorder, buffer_bytes},

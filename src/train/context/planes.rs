@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use super::{
     ContextConfig, PlaneSource,
-    conv::{Convolutions, Finish, Tensor, Way},
+    convolution::{Convolutions, Finish, Tensor, Way},
     layout::ContextLayout,
 };
 use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};

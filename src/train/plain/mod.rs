@@ -2,7 +2,6 @@
 //! optimiser of the other models.
 
 mod grow;
-mod schedule;
 
 use std::sync::Arc;
 
@@ -11,20 +10,21 @@ use rand_pcg::Pcg64;
 use super::{
     Adam, CheckpointError, Moments, TrainError,
     budget::Footprint,
-    learner::{Finished, Learner, SampleRate, Size, Step},
-    state::LearnerState,
+    checkpoint::LearnerState,
+    model_trainer::{Finished, Learner, SampleRate, Size, Step},
+    schedule::PlainSchedule,
 };
 use crate::{
     domain::{Camera, CancelFlag, Frame, GaussianScene, NearPlane, Scene},
     gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
     model::{
-        GaussianRows, initial_gaussians,
-        plain::{BANDS, BASE, COLOR, LOG_SCALE, OPACITY, QUAT, band_values},
+        GaussianRows,
+        gaussian_rows::{BANDS, BASE, COLOR, LOG_SCALE, OPACITY, QUAT, band_values},
+        initial_gaussians,
     },
     render::{DeviceRows, GaussianGradients, Gaussians, PlainGaussians, STATISTICS},
 };
 use grow::{Growth, PlainState, grow_and_prune, reset_opacities};
-pub(super) use schedule::PlainSchedule;
 
 /// Names of the arrays of a checkpoint: parameters, first and second moments.
 const ROWS: [&str; 3] = ["gaussians", "gaussians.first", "gaussians.second"];

@@ -11,14 +11,14 @@ use rand_pcg::Pcg64;
 use super::{
     BaseSteps, Checkpoint, Estimate, ImageLoss, KeepCheckpoints, LossSums, Needs, RateControl, Schedule,
     TrainError, WaveletWeights,
-    anchors::AnchorLearner,
+    anchor_trainer::AnchorLearner,
     batch::Batch,
-    checkpoint::{Origin, RunState},
-    learner::{Finished, Learner, SampleRate, Step},
+    checkpoint::{LearnerState, Origin, RunState},
+    init_bounds::start_box,
     loss::pack,
-    plain::{PlainLearner, PlainSchedule},
-    start_box::start_box,
-    state::LearnerState,
+    model_trainer::{Finished, Learner, SampleRate, Step},
+    plain::PlainLearner,
+    schedule::PlainSchedule,
     typical_distance::typical_distance,
 };
 use crate::{

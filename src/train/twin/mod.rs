@@ -3,8 +3,8 @@
 
 mod adam;
 pub mod context;
+mod frozen_quant_steps;
 mod gaussian;
-mod hold;
 mod loss;
 mod masks;
 mod quantise;
@@ -12,8 +12,8 @@ mod rate;
 mod wavelet;
 
 pub use adam::{AdamElement, adam};
+pub use frozen_quant_steps::{held_gradient, hold_steps};
 pub use gaussian::{SymbolBits, symbol_bits};
-pub use hold::{held_gradient, hold_steps};
 pub use loss::{
     Losses, Moments, SsimGradient, image_gradient, image_loss, ssim_columns, ssim_rows, sum_losses,
 };

@@ -12,7 +12,7 @@ use tcgs::{
     gpu::Context,
     model::{
         GaussianRows,
-        plain::{BASE, COLOR, LOG_SCALE, OPACITY, QUAT},
+        gaussian_rows::{BASE, COLOR, LOG_SCALE, OPACITY, QUAT},
     },
     render::{
         DeviceRows, PlainGaussians, Projection, RasterSettings, Rasterizer, RenderError, STATISTICS,

@@ -10,7 +10,7 @@ use rand::{Rng, RngExt};
 use crate::{
     model::{
         GaussianRows,
-        plain::{LOG_SCALE, OPACITY, QUAT, logit},
+        gaussian_rows::{LOG_SCALE, OPACITY, QUAT, logit},
     },
     render::STATISTICS,
 };

@@ -3,7 +3,7 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
 use super::*;
-use crate::model::plain::{BANDS, BASE, COLOR};
+use crate::model::gaussian_rows::{BANDS, BASE, COLOR};
 
 const EXTENT: f32 = 2.0;
 

@@ -17,10 +17,8 @@
 //! would end before Gaussians are where they belong. Hence the factors, which are one from 30 000 steps on and stay at their
 //! values of 300 steps below those.
 
-use crate::{
-    domain::{Background, Preset, TrainOptions},
-    train::{Decay, schedule::shortness},
-};
+use super::{Decay, shortness};
+use crate::domain::{Background, Preset, TrainOptions};
 
 /// Steps that a reset of opacities needs to be made good.
 const RECOVERY: u32 = 600;
@@ -92,28 +90,28 @@ impl PlainSchedule {
     }
 
     /// Whether the views of `step` count for growth.
-    pub(super) fn gathers_statistics(&self, step: u32) -> bool {
+    pub(in crate::train) fn gathers_statistics(&self, step: u32) -> bool {
         step < self.densify_until
     }
 
     /// Whether Gaussians grow and are pruned after `step`.
-    pub(super) fn densifies(&self, step: u32) -> bool {
+    pub(in crate::train) fn densifies(&self, step: u32) -> bool {
         step > self.densify_from && step < self.densify_until && step.is_multiple_of(self.densify_every)
     }
 
     /// Whether opacities are reset after `step`.
-    pub(super) fn resets(&self, step: u32) -> bool {
+    pub(in crate::train) fn resets(&self, step: u32) -> bool {
         let first = self.reset_first && step == self.densify_from;
         step < self.densify_until && (first || step.is_multiple_of(self.reset_every))
     }
 
     /// Whether what is too large is pruned at `step`: once opacities were reset.
-    pub(super) fn prunes_large(&self, step: u32) -> bool {
+    pub(in crate::train) fn prunes_large(&self, step: u32) -> bool {
         step > self.reset_every
     }
 
     /// Degree of spherical harmonics at `step`.
-    pub(super) fn degree(&self, step: u32) -> u32 {
+    pub(in crate::train) fn degree(&self, step: u32) -> u32 {
         (step / self.degree_every).min(3)
     }
 }

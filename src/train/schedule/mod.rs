@@ -1,9 +1,17 @@
 //! The schedule in fractions of the run, so that a preview and a run of 30 000 steps share one shape. `docs/SCHEDULE.md`
 //! has it as one table for all presets.
 
+mod compression;
+mod plain;
+mod table;
+
 use std::ops::Range;
 
-use super::{CompressionSchedule, RateControl};
+pub use compression::{BaseStepRule, CompressionSchedule, Stage};
+pub(super) use plain::PlainSchedule;
+pub use table::schedule_table;
+
+use super::RateControl;
 use crate::{
     domain::{Component, ModelKind, Preset, TrainOptions, Voxel},
     model::{Shape, VoxelRule},

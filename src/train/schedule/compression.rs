@@ -2,10 +2,8 @@
 //!
 //! What always holds: the stages come in the order of [`Stage`], and each begins after some step, when the host sets it up.
 
-use crate::{
-    domain::{Component, ContextKind, ModelKind, Preset, TrainOptions},
-    train::Decay,
-};
+use super::Decay;
+use crate::domain::{Component, ContextKind, ModelKind, Preset, TrainOptions};
 
 /// Share of the anchors whose rate a step measures (method.md §4.6).
 const SAMPLED: f64 = 0.15;

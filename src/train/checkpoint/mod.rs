@@ -7,6 +7,9 @@
 //! layout), `run` (JSON: program, options, dataset, step, random generator, order of the photographs still to come) and
 //! `crc32c` (of `run`, then of the names and bytes of the tensors in the order of their names).
 
+mod folder;
+mod model_state;
+
 use std::{
     collections::{BTreeMap, HashMap},
     io,
@@ -19,10 +22,11 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use thiserror::Error;
 
-use super::{
-    LossSums, RateControl, RateState, Schedule,
-    state::{Array, LearnerState},
-};
+pub use folder::{CheckpointFolder, KeepCheckpoints};
+use model_state::Array;
+pub(super) use model_state::LearnerState;
+
+use super::{LossSums, RateControl, RateState, Schedule};
 use crate::domain::{Digest, Problem, TrainOptions};
 
 /// Version of the layout of the file.

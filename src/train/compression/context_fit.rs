@@ -11,9 +11,9 @@ use rand_pcg::Pcg64;
 
 use super::{
     Compression,
-    hold::HeldSteps,
+    frozen_quant_steps::HeldSteps,
     learning::{LEVELS, Modelling, Quantising, outputs_of, sample_of, sample_size},
-    steps::{static_adjustments, usual_steps},
+    quant_steps::{static_adjustments, usual_steps},
 };
 use crate::{
     domain::{

@@ -5,13 +5,14 @@ use std::sync::Arc;
 use rand_pcg::Pcg64;
 
 use super::{
-    Adam, CheckpointError, Decay, Densify, MaskRows, Moments, OffsetMasks, Schedule, Statistics, TrainError,
+    Adam, CheckpointError, CompressionSchedule, Decay, Densify, MaskRows, Moments, OffsetMasks, Schedule,
+    Statistics, TrainError,
     budget::Footprint,
-    compression::{Compression, CompressionSchedule, compression_bytes},
+    checkpoint::LearnerState,
+    compression::{Compression, compression_bytes},
     densify::{Trainable, densify, drop_masked},
-    learner::{Finished, Learner, SampleRate, Size, Step},
-    state::LearnerState,
-    unused::mask_unused,
+    model_trainer::{Finished, Learner, SampleRate, Size, Step},
+    prune_invisible::mask_unused,
 };
 use crate::{
     domain::{AnchorScene, Camera, CancelFlag, DistanceUnit, Frame, Lattice, NearPlane, Scene},

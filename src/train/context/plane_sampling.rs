@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{ContextConfig, anchors::DeviceTables, conv::Tensor};
+use super::{ContextConfig, anchor_tables::DeviceTables, convolution::Tensor};
 use crate::{
     gpu::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source},
     render::Columns,

@@ -6,7 +6,7 @@ use super::CheckpointError;
 
 /// An array of one of the types that states are made of.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Array {
+pub(in crate::train) enum Array {
     /// Reals.
     F32(Vec<f32>),
     /// Signed integers.
@@ -16,7 +16,7 @@ pub(super) enum Array {
 }
 
 /// What an [`Array`] may hold.
-pub(super) trait Element: Sized {
+pub(in crate::train) trait Element: Sized {
     /// The array that owns `values`.
     fn wrap(values: Vec<Self>) -> Array;
     /// The values of an array of this type.
@@ -46,16 +46,16 @@ element!(u32, U32);
 
 /// Everything that a learner's next step depends on, by name.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct LearnerState(pub(super) BTreeMap<String, Array>);
+pub(in crate::train) struct LearnerState(pub(super) BTreeMap<String, Array>);
 
 impl LearnerState {
     /// Adds an array.
-    pub(super) fn put<T: Element>(&mut self, name: &str, values: Vec<T>) {
+    pub(in crate::train) fn put<T: Element>(&mut self, name: &str, values: Vec<T>) {
         self.0.insert(name.to_owned(), T::wrap(values));
     }
 
     /// Whether there is an array of this name.
-    pub(super) fn has(&self, name: &str) -> bool {
+    pub(in crate::train) fn has(&self, name: &str) -> bool {
         self.0.contains_key(name)
     }
 
@@ -63,7 +63,7 @@ impl LearnerState {
     ///
     /// # Errors
     /// [`CheckpointError::Array`] if it is missing or of another type.
-    pub(super) fn take<T: Element>(&mut self, name: &str) -> Result<Vec<T>, CheckpointError> {
+    pub(in crate::train) fn take<T: Element>(&mut self, name: &str) -> Result<Vec<T>, CheckpointError> {
         let array = self.0.remove(name).ok_or_else(|| CheckpointError::array(name, "is missing"))?;
         T::unwrap(array).ok_or_else(|| CheckpointError::array(name, "is of another type"))
     }
@@ -72,7 +72,7 @@ impl LearnerState {
     ///
     /// # Errors
     /// [`CheckpointError::Array`] if it is missing, of another type or of another length.
-    pub(super) fn take_exactly<T: Element>(
+    pub(in crate::train) fn take_exactly<T: Element>(
         &mut self,
         name: &str,
         len: usize,
@@ -88,7 +88,7 @@ impl LearnerState {
     ///
     /// # Errors
     /// [`CheckpointError::Array`] naming an array that the learner does not know.
-    pub(super) fn finish(self) -> Result<(), CheckpointError> {
+    pub(in crate::train) fn finish(self) -> Result<(), CheckpointError> {
         match self.0.keys().next() {
             Some(name) => Err(CheckpointError::array(name, "is not part of this model")),
             None => Ok(()),

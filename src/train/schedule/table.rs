@@ -2,8 +2,11 @@
 
 use std::fmt::Write as _;
 
-use super::{BaseStepRule, CompressionSchedule, Decay, Fall, Schedule, WaveletWeights, plain::PlainSchedule};
-use crate::domain::{Preset, TrainOptions};
+use super::{BaseStepRule, CompressionSchedule, Decay, Fall, PlainSchedule, Schedule};
+use crate::{
+    domain::{Preset, TrainOptions},
+    train::WaveletWeights,
+};
 
 /// One preset's schedules: of anchors, and of plain Gaussians.
 struct Column {

@@ -7,7 +7,7 @@
 
 use rand_pcg::Pcg64;
 
-use super::{TrainError, TrainedContext, state::LearnerState};
+use super::{TrainError, TrainedContext, checkpoint::LearnerState};
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
     gpu::{Buffer, Recorder},
