@@ -13,6 +13,7 @@ pub mod http;
 pub mod https;
 pub mod ingest;
 pub mod model;
+pub mod pipeline;
 pub mod render;
 pub mod sample;
 pub mod store;

@@ -12,7 +12,7 @@ use tcgs::{
         Background, CancelFlag, Component, CurvePoint, JobMetrics, ModelKind, OptionError, Phase, Preset,
         TrainOptions, Voxel,
     },
-    worker::run::{Checkpoints, JobFailure, Resume},
+    pipeline::{Checkpoints, JobError, Resume},
 };
 
 use super::{
@@ -168,13 +168,13 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     display.finish();
     let output = outcome.map_err(|failure| match failure {
         // The service has no name for an upload; here it has one.
-        JobFailure::Fail(problem) if reached == Phase::Ingest && problem.file.is_none() => {
+        JobError::Fail(problem) if reached == Phase::Ingest && problem.file.is_none() => {
             Failure::Problem(problem.in_file(args.dataset.display().to_string()))
         }
-        JobFailure::Fail(problem) | JobFailure::Retry(problem) | JobFailure::Hold(problem) => {
+        JobError::Fail(problem) | JobError::Retry(problem) | JobError::Hold(problem) => {
             Failure::Problem(problem)
         }
-        JobFailure::Cancelled => Failure::Stopped,
+        JobError::Cancelled => Failure::Stopped,
     })?;
     files::write(&args.output, &output.file)?;
     let mut written = vec![args.output.clone()];

@@ -16,14 +16,10 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use tracing::{Instrument as _, Span};
 
-use super::{
-    WorkerConfig, WorkerError, checkpoints,
-    points::Points,
-    run::{Checkpoints, JobFailure, JobOutput, RunJob},
-    storage,
-};
+use super::{WorkerConfig, WorkerError, checkpoints, points::Points, storage};
 use crate::{
     domain::{CancelFlag, Phase, Problem, Progress, TrainOptions},
+    pipeline::{Checkpoints, JobError, JobOutput, RunJob},
     store::{Artifact, ArtifactKind, Blobs, Claim, Lease, Outcome, Store, StoreError},
 };
 
@@ -46,7 +42,7 @@ pub(super) enum End {
     Stalled(WorkerError),
 }
 
-type RunResult = Result<Result<JobOutput, JobFailure>, Box<dyn Any + Send>>;
+type RunResult = Result<Result<JobOutput, JobError>, Box<dyn Any + Send>>;
 
 /// What happened to the lease while the job ran.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -311,12 +307,12 @@ async fn conclude(
             Outcome::Released
         }
         (Ok(Ok(output)), _) => publish(context, output).await,
-        (Ok(Err(JobFailure::Fail(problem))), _) => Outcome::Failed(problem),
-        (Ok(Err(JobFailure::Retry(problem))), _) => Outcome::Retry(storage::shown(problem)),
-        (Ok(Err(JobFailure::Hold(problem))), _) => Outcome::Held(storage::shown(problem)),
-        (Ok(Err(JobFailure::Cancelled)), Stop::Asked) => Outcome::Cancelled,
-        (Ok(Err(JobFailure::Cancelled)), Stop::Late | Stop::Draining) => Outcome::Released,
-        (Ok(Err(JobFailure::Cancelled)), Stop::No) => Outcome::Retry(stopped_unasked()),
+        (Ok(Err(JobError::Fail(problem))), _) => Outcome::Failed(problem),
+        (Ok(Err(JobError::Retry(problem))), _) => Outcome::Retry(storage::shown(problem)),
+        (Ok(Err(JobError::Hold(problem))), _) => Outcome::Held(storage::shown(problem)),
+        (Ok(Err(JobError::Cancelled)), Stop::Asked) => Outcome::Cancelled,
+        (Ok(Err(JobError::Cancelled)), Stop::Late | Stop::Draining) => Outcome::Released,
+        (Ok(Err(JobError::Cancelled)), Stop::No) => Outcome::Retry(stopped_unasked()),
         (Err(panic), _) => {
             tracing::error!("job {} panicked: {}", lease.job, panic_text(&*panic));
             Outcome::Retry(panicked())

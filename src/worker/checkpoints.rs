@@ -10,9 +10,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::run::{Checkpoints, Resume};
 use crate::{
     domain::JobId,
+    pipeline::{Checkpoints, Resume},
     store::{Lease, Store},
 };
 

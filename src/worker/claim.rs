@@ -10,9 +10,11 @@ use super::{
     attempt::{self, Context, End},
     checkpoints,
     presence::Presence,
-    run::RunJob,
 };
-use crate::store::{Blobs, Store};
+use crate::{
+    pipeline::RunJob,
+    store::{Blobs, Store},
+};
 
 /// How often an idle worker looks for checkpoints that nobody needs any more.
 const SWEEP_EVERY: Duration = Duration::from_secs(60);

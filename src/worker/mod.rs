@@ -10,18 +10,10 @@
 //! parent (`presence`).
 
 mod attempt;
-mod branches;
 mod checkpoints;
 mod claim;
-mod curve;
-mod fit_bytes;
-mod held_out;
-pub mod pipeline;
 mod points;
 mod presence;
-pub mod run;
-pub mod scene_file;
-mod steps;
 mod storage;
 pub mod supervise;
 

@@ -22,7 +22,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde_json::json;
 use tcgs::{
     domain::{Background, CancelFlag, Dataset, ModelKind, Phase, Preset, Problem, TrainOptions, Voxel},
-    worker::run::{Checkpoints, JobFailure, JobOutput, RunJob},
+    pipeline::{Checkpoints, JobError, JobOutput, RunJob},
 };
 
 use self::{
@@ -353,8 +353,8 @@ impl Suite<'_> {
         display.finish();
         let output = match outcome {
             Ok(output) => output,
-            Err(JobFailure::Cancelled) => return Err(Failure::Stopped),
-            Err(JobFailure::Fail(problem) | JobFailure::Retry(problem) | JobFailure::Hold(problem)) => {
+            Err(JobError::Cancelled) => return Err(Failure::Stopped),
+            Err(JobError::Fail(problem) | JobError::Retry(problem) | JobError::Hold(problem)) => {
                 eprintln!("tcgs: {} {entry} failed: {problem}", set.name);
                 self.failed.push(problem.in_file(format!("{} {entry}", set.name)));
                 return Ok(None);

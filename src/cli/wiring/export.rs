@@ -10,8 +10,8 @@ use tcgs::{
         bake::{self, BakeSettings},
         spz::{Packed, SpzVersion, to_spz},
     },
+    pipeline::scene_file,
     store::Likeness,
-    worker::scene_file,
 };
 
 use super::{Renderer, SceneFile};

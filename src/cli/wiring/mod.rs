@@ -23,9 +23,9 @@ use tcgs::{
     export::anchors,
     gpu::AdapterChoice,
     ingest::{self, Room},
+    pipeline::{Pipeline, RunJob, scene_file},
     render::{RenderViews, SceneViewer, views::Viewable},
     train::{CheckpointError, CheckpointFolder},
-    worker::{pipeline::Pipeline, run::RunJob, scene_file},
 };
 
 use export::likeness;

@@ -21,13 +21,14 @@ use tcgs::{
     http::{self, ExportedScene, HttpConfig, Services, WorkerCounts},
     https::ExtraRoots,
     ingest::Checks,
+    pipeline::scene_file,
     render::{RenderViews, views::Viewable},
     store::{
         Blobs, Keys as _, QueuePolicy, SchemaChange, SqliteStore,
         housekeeping::{HousekeepingPolicy, keep_house},
     },
     webhooks::{self, DeliveryConfig, Sender},
-    worker::{self, WorkerConfig, scene_file, supervise},
+    worker::{self, WorkerConfig, supervise},
 };
 use tokio::runtime::Runtime;
 use tokio_util::sync::CancellationToken;

@@ -18,12 +18,12 @@ use tcgs::{
         Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, Progress,
         RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
     },
+    pipeline::{Checkpoints, CurveFile, JobError, JobOutput, RunJob},
     render::{
         RenderViews,
         views::{Plane, PlaneKind, Viewable},
     },
     store::Likeness,
-    worker::run::{Checkpoints, CurveFile, JobFailure, JobOutput, RunJob},
 };
 
 use super::eventually::{PATIENCE, within};
@@ -81,7 +81,7 @@ impl RunJob for FakeRunner {
         _checkpoints: &Checkpoints,
         report: &mut dyn FnMut(Phase, &Progress),
         cancel: &CancelFlag,
-    ) -> Result<JobOutput, JobFailure> {
+    ) -> Result<JobOutput, JobError> {
         let wish = fs::read(dataset).expect("the dataset is readable");
         // A real archive is as good as a wish to succeed.
         let wish = if wish.starts_with(b"PK") {
@@ -95,12 +95,12 @@ impl RunJob for FakeRunner {
         report(Phase::Train, &Progress { step: 1, total, loss: Some(0.5), ..Progress::default() });
         match wish.split_whitespace().next().unwrap_or_default() {
             "succeed" => {}
-            "fail" => return Err(JobFailure::Fail(problem("fake-fail"))),
-            "retry" => return Err(JobFailure::Retry(problem("fake-retry"))),
+            "fail" => return Err(JobError::Fail(problem("fake-fail"))),
+            "retry" => return Err(JobError::Retry(problem("fake-retry"))),
             "hold" if self.gate.is_open() => {}
             "hold" => {
                 let detail = "there is no room in /srv/tcgs for 3 bytes more";
-                return Err(JobFailure::Hold(Problem::new(507, "storage-full", "Storage full", detail)));
+                return Err(JobError::Hold(Problem::new(507, "storage-full", "Storage full", detail)));
             }
             "panic" => panic!("as the test wants it"),
             "wait" => {
@@ -111,7 +111,7 @@ impl RunJob for FakeRunner {
                     report(Phase::Train, &Progress { step, total, ..Progress::default() });
                     std::thread::sleep(Duration::from_millis(2));
                 }
-                return Err(JobFailure::Cancelled);
+                return Err(JobError::Cancelled);
             }
             "gate" => self.gate.pass(),
             other => panic!("the test wants '{other}'"),

@@ -16,12 +16,9 @@ use tcgs::{
     domain::{
         Camera, CancelFlag, Convention, Digest, Image, Intrinsics, Phase, Pose, Progress, TrainOptions,
     },
+    pipeline::{Checkpoints, JobError, Pipeline, Resume, RunJob as _},
     render::{RenderViews as _, SceneViewer, views::Viewable},
     sample::{self, Settings},
-    worker::{
-        pipeline::Pipeline,
-        run::{Checkpoints, JobFailure, Resume, RunJob as _},
-    },
 };
 use tempfile::TempDir;
 
@@ -503,7 +500,7 @@ fn a_checkpoint_that_cannot_be_used_makes_a_job_start_over_and_a_resumed_run_fai
         output.map(|output| (output.file, steps))
     };
     match run(Resume::From(kept.clone())) {
-        Err(JobFailure::Fail(problem)) => assert!(problem.detail.contains("not a whole"), "{problem}"),
+        Err(JobError::Fail(problem)) => assert!(problem.detail.contains("not a whole"), "{problem}"),
         other => panic!("not refused: {other:?}"),
     }
     let (afresh, steps) = run(Resume::IfPossible(kept.clone())).expect("a file");
@@ -555,7 +552,7 @@ fn a_run_reports_every_phase_and_figure_and_stops_when_asked() {
         }
     };
     let stopped = pipeline.run(&scene.directory(), &options, &fresh, &mut stop, &cancel);
-    assert!(matches!(stopped, Err(JobFailure::Cancelled)), "{stopped:?}");
+    assert!(matches!(stopped, Err(JobError::Cancelled)), "{stopped:?}");
     assert!(steps < u64::from(STEPS));
 }
 

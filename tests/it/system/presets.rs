@@ -5,12 +5,9 @@ use std::sync::LazyLock;
 use tcgs::{
     codec::{DecodeLimits, Decoded, decode, inspect},
     domain::{CancelFlag, Component, Preset, TrainOptions},
+    pipeline::{Checkpoints, JobOutput, Pipeline, RunJob as _},
     sample::{self, Settings},
     train::Schedule,
-    worker::{
-        pipeline::Pipeline,
-        run::{Checkpoints, JobOutput, RunJob as _},
-    },
 };
 use tempfile::TempDir;
 

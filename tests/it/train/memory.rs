@@ -16,11 +16,8 @@ use tcgs::{
     },
     gpu::{Context, GpuError},
     ingest::{self, Room},
+    pipeline::{Checkpoints, JobError, Pipeline, RunJob as _},
     train::{self, Needs, TrainError, train},
-    worker::{
-        pipeline::Pipeline,
-        run::{Checkpoints, JobFailure, RunJob as _},
-    },
 };
 use tempfile::TempDir;
 
@@ -233,7 +230,7 @@ fn a_job_over_its_budget_fails_for_good_before_it_trains() {
         [MemoryLimits { host: ample, gpu: Some(1 << 20) }, MemoryLimits { host: 1 << 20, gpu: Some(ample) }]
     {
         match run(limits) {
-            Err(JobFailure::Fail(problem)) => {
+            Err(JobError::Fail(problem)) => {
                 assert_eq!(problem.status, 507, "{problem}");
                 assert!(problem.kind.ends_with("memory-budget"), "{problem}");
             }
@@ -255,13 +252,13 @@ fn a_full_disk_of_temporary_files_holds_a_job() {
     };
     disk.fill();
     match run() {
-        Err(JobFailure::Hold(problem)) => assert!(problem.kind.ends_with("storage-full"), "{problem}"),
+        Err(JobError::Hold(problem)) => assert!(problem.kind.ends_with("storage-full"), "{problem}"),
         other => panic!("{:?}", other.map(|_| ())),
     }
     disk.make_room();
     match run() {
         // They are read now, and training says that it needs more memory than that.
-        Err(JobFailure::Fail(problem)) => assert!(problem.kind.ends_with("memory-budget"), "{problem}"),
+        Err(JobError::Fail(problem)) => assert!(problem.kind.ends_with("memory-budget"), "{problem}"),
         other => panic!("{:?}", other.map(|_| ())),
     }
 }
@@ -291,7 +288,7 @@ fn each_image_that_is_read_is_a_sign_of_life_and_a_chance_to_stop() {
             }
         };
         let ended = pipeline.run(folder.path(), &options(3), &Checkpoints::default(), &mut report, &cancel);
-        assert!(matches!(ended, Err(JobFailure::Cancelled)), "{:?}", ended.map(|_| ()));
+        assert!(matches!(ended, Err(JobError::Cancelled)), "{:?}", ended.map(|_| ()));
         reports
     };
     let reports = run(5);

@@ -9,12 +9,9 @@ use std::{
 use tcgs::{
     codec::{DecodeLimits, decode},
     domain::{CancelFlag, JobMetrics, Phase, Problem, Progress, TrainOptions},
+    pipeline::{Checkpoints, JobError, JobOutput, Pipeline, Resume, RunJob},
     sample::{self, Settings},
     train::Schedule,
-    worker::{
-        pipeline::Pipeline,
-        run::{Checkpoints, JobFailure, JobOutput, Resume, RunJob},
-    },
 };
 use tempfile::TempDir;
 
@@ -46,12 +43,12 @@ fn run_with(
     checkpoints: &Checkpoints,
     report: &mut dyn FnMut(Phase, &Progress),
     cancel: &CancelFlag,
-) -> Result<JobOutput, JobFailure> {
+) -> Result<JobOutput, JobError> {
     let options = options.clone().validated().expect("possible");
     Pipeline::new(choice()).run(&DATASET.path().join("set"), &options, checkpoints, report, cancel)
 }
 
-fn run(options: &TrainOptions) -> Result<JobOutput, JobFailure> {
+fn run(options: &TrainOptions) -> Result<JobOutput, JobError> {
     run_with(options, &Checkpoints::default(), &mut |_, _| (), &CancelFlag::default())
 }
 
@@ -68,7 +65,7 @@ fn share(percent: u64) -> u64 {
 
 fn refused(limit: u64) -> Problem {
     match run(&promised(limit)) {
-        Err(JobFailure::Fail(problem)) => problem,
+        Err(JobError::Fail(problem)) => problem,
         other => panic!("not refused: {other:?}"),
     }
 }
@@ -172,7 +169,7 @@ fn interrupted(root: &Path, options: &TrainOptions, when: impl Fn(Phase, u64) ->
         }
     };
     let stopped = run_with(options, &checkpoints, &mut report, &cancel);
-    assert!(matches!(stopped, Err(JobFailure::Cancelled)), "{stopped:?}");
+    assert!(matches!(stopped, Err(JobError::Cancelled)), "{stopped:?}");
     let mut first = None;
     let mut report = |phase: Phase, progress: &Progress| {
         if phase == Phase::Train && progress.step > 0 {

@@ -1,8 +1,8 @@
-//! Finished branches of a rate-distortion curve in the folder of the run's checkpoints, so that an interruption costs no more
-//! than the branch that it fell into.
+//! Finished branches of a rate-distortion curve in the folder of the run's checkpoints, so that an interruption repeats at most
+//! one branch.
 //!
-//! A branch has a folder of its own beside the trunk's checkpoint: its checkpoint while it runs, then its file and its
-//! figures. What is read back is used only if it is whole and of the same program, dataset and options.
+//! A branch has a folder of its own beside the trunk's checkpoint, with its checkpoint while it runs, then its file and a record.
+//! They are used only if they are intact and were written by the same version of the program for the same dataset and options.
 
 use std::{
     fs,
@@ -15,19 +15,17 @@ use tempfile::NamedTempFile;
 
 use crate::domain::{Digest, JobMetrics, TrainOptions};
 
-/// The figures, written last: where they are, the file is.
-const FIGURES: &str = "finished.json";
-/// The file.
+/// The record, written last: if it is there, so is the file.
+const RECORD: &str = "finished.json";
 const FILE: &str = "finished.tcgs";
-/// What wrote them.
 const GENERATOR: &str = concat!("tcgs ", env!("CARGO_PKG_VERSION"));
 
-/// What belongs to one branch and no other.
+/// What a branch was made from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Identity {
     generator: String,
     dataset: Digest,
-    /// As text, since numbers do not always survive being parsed.
+    /// As text, since parsing does not always preserve numbers.
     options: String,
 }
 
@@ -38,15 +36,15 @@ impl Identity {
 }
 
 #[derive(Debug, Serialize, Deserialize)]
-struct Figures {
+struct Record {
     identity: Identity,
     sha256: Digest,
     metrics: JobMetrics,
 }
 
-/// A branch that is done.
+/// A finished branch.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Finished {
+pub(super) struct FinishedBranch {
     pub(super) file: Vec<u8>,
     pub(super) metrics: JobMetrics,
 }
@@ -56,24 +54,24 @@ pub(super) fn folder(root: &Path, number: usize) -> PathBuf {
     root.join(format!("branch-{number}"))
 }
 
-/// Keeps a finished branch, whose checkpoint nobody needs any more.
+/// Writes a finished branch to its folder; its checkpoint is then no longer needed.
 pub(super) fn keep(
     folder: &Path,
     dataset: Digest,
     options: &TrainOptions,
-    finished: &Finished,
+    finished: &FinishedBranch,
 ) -> io::Result<()> {
     fs::create_dir_all(folder)?;
-    let figures = Figures {
+    let record = Record {
         identity: Identity::new(dataset, options)?,
         sha256: Digest::of(&finished.file),
         metrics: finished.metrics.clone(),
     };
     write(&folder.join(FILE), &finished.file)?;
-    write(&folder.join(FIGURES), &serde_json::to_vec(&figures)?)
+    write(&folder.join(RECORD), &serde_json::to_vec(&record)?)
 }
 
-/// Replaces the file at `path` by a whole one.
+/// Replaces the file at `path` atomically.
 fn write(path: &Path, content: &[u8]) -> io::Result<()> {
     let folder = path.parent().unwrap_or(Path::new("."));
     let mut file = NamedTempFile::new_in(folder)?;
@@ -83,14 +81,14 @@ fn write(path: &Path, content: &[u8]) -> io::Result<()> {
     Ok(())
 }
 
-/// The finished branch in `folder`, if there is one of these options.
-pub(super) fn load(folder: &Path, dataset: Digest, options: &TrainOptions) -> Option<Finished> {
-    let figures = fs::read(folder.join(FIGURES)).ok()?;
-    let figures: Figures = serde_json::from_slice(&figures).ok()?;
+/// The finished branch in `folder`, if it is intact and was made from this dataset and these options.
+pub(super) fn load(folder: &Path, dataset: Digest, options: &TrainOptions) -> Option<FinishedBranch> {
+    let record = fs::read(folder.join(RECORD)).ok()?;
+    let record: Record = serde_json::from_slice(&record).ok()?;
     let file = fs::read(folder.join(FILE)).ok()?;
-    let is_it =
-        figures.identity == Identity::new(dataset, options).ok()? && figures.sha256 == Digest::of(&file);
-    is_it.then_some(Finished { file, metrics: figures.metrics })
+    let matches =
+        record.identity == Identity::new(dataset, options).ok()? && record.sha256 == Digest::of(&file);
+    matches.then_some(FinishedBranch { file, metrics: record.metrics })
 }
 
 #[cfg(test)]
@@ -98,7 +96,7 @@ mod tests {
     use super::*;
     use crate::domain::{Background, ByteCounts, Conventions, PhaseSeconds, Scores};
 
-    fn finished() -> Finished {
+    fn finished() -> FinishedBranch {
         let scores = Scores {
             psnr: Some(30.25),
             ssim: None,
@@ -125,11 +123,11 @@ mod tests {
             coding: None,
             rd_curve: Vec::new(),
         };
-        Finished { file: b"a file".to_vec(), metrics }
+        FinishedBranch { file: b"a file".to_vec(), metrics }
     }
 
     #[test]
-    fn a_finished_branch_comes_back_whole_or_not_at_all() {
+    fn a_finished_branch_is_read_back_intact_or_not_at_all() {
         let root = tempfile::tempdir().expect("a folder");
         let folder = folder(root.path(), 3);
         let (set, options) =
@@ -143,7 +141,7 @@ mod tests {
         fs::write(folder.join(FILE), b"a torn").expect("writes");
         assert_eq!(load(&folder, set, &options), None);
         keep(&folder, set, &options, &finished()).expect("kept again");
-        fs::write(folder.join(FIGURES), b"{").expect("writes");
+        fs::write(folder.join(RECORD), b"{").expect("writes");
         assert_eq!(load(&folder, set, &options), None);
     }
 }

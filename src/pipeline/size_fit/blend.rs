@@ -1,21 +1,21 @@
-//! Files between two places of the path: a group's values as at the finer place where they are worth most, and those of the
-//! coarser one, which are multiples of larger steps and mostly zeros, everywhere else.
+//! Files between two points of the coarsening path: the most important anchors have one group's values of the finer point, all others
+//! those of the coarser one, which are multiples of larger steps and mostly zeros.
 
 use std::collections::HashMap;
 
 use crate::domain::{AnchorScene, AttributeGroup, anchors::SCALINGS_PER_ANCHOR};
 
-/// The group's values that anchors have in a file of a coarser place, and the order in which anchors are to have them.
+/// The group's values that anchors have in a file of the coarser point, and the order in which anchors get the finer ones.
 pub(super) struct Blend {
     group: AttributeGroup,
     width: usize,
     values: Vec<f32>,
-    /// Anchors of the scene, those worth most first, each with its row among the values.
+    /// Anchors of the scene, the most important first, each with its row among the values.
     order: Vec<(usize, usize)>,
 }
 
 impl Blend {
-    /// Of `group` as in `coarser`, which has no anchors but some of `scene`'s. An anchor of the scene is worth `costs`.
+    /// Of `group` as in `coarser`, which has only anchors of `scene`. `costs` is the importance of each anchor of `scene`.
     pub(super) fn new(
         scene: &AnchorScene,
         coarser: AnchorScene,
@@ -30,7 +30,7 @@ impl Blend {
             .enumerate()
             .filter_map(|(anchor, cell)| Some((anchor, *rows.get(cell)?)))
             .collect();
-        // Stable: what is equally worthy stays in the scene's order.
+        // Stable: equal costs keep the scene's order.
         order.sort_by(|(a, _), (b, _)| costs[*b].total_cmp(&costs[*a]));
         let (width, values) = match group {
             AttributeGroup::Features => (scene.feature_dim, coarser.features),
@@ -40,12 +40,12 @@ impl Blend {
         Self { group, width, values, order }
     }
 
-    /// Anchors that may have either values.
+    /// Number of anchors that may have either values.
     pub(super) fn anchors(&self) -> usize {
         self.order.len()
     }
 
-    /// Gives all but the `finer` worthiest anchors of the scene the coarser values.
+    /// Gives all but the `finer` most important anchors of the scene the coarser values.
     pub(super) fn apply(&self, scene: &mut AnchorScene, finer: usize) {
         let values = match self.group {
             AttributeGroup::Features => &mut scene.features,
@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn the_least_worthy_anchors_become_coarse_wherever_the_file_has_them() {
+    fn the_least_important_anchors_of_the_file_become_coarse() {
         let [a, b, c, d] = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]];
         let fine = scene(vec![a, b, c, d], 0.0);
         // In another order, and one of them is not in the file.

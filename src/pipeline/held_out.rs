@@ -1,6 +1,6 @@
 //! Pictures of held-out views for the report: photograph, render and error, the worst views first.
 //!
-//! They are made of the finished file's scene once everything is measured, and change nothing about it.
+//! They are rendered from the finished file's scene after everything is measured, and change nothing about it.
 
 use std::io::Cursor;
 
@@ -8,15 +8,16 @@ use base64::{Engine as _, engine::general_purpose::STANDARD};
 use image::{ExtendedColorType, ImageEncoder as _, codecs::jpeg::JpegEncoder};
 use thiserror::Error;
 
+use super::{error::JobError, inputs::RunInputs, scene_file};
 use crate::{
-    domain::{Background, Frame, HeldOut, HeldOutView, Image, PhotographError, Scores, ViewScore},
+    domain::{Frame, HeldOut, HeldOutView, Image, PhotographError, Problem, Scores, ViewScore},
     eval::{ERROR_CEILING, error_map, error_ramp, shrunk},
     render::{RenderError, SceneRenderer},
 };
 
-/// Views that are shown.
+/// Views in the report.
 const SHOWN: usize = 12;
-/// Of them, where there are more: the best, for comparison.
+/// How many of them are the best, for comparison, if there are more.
 const BEST: usize = 2;
 /// Longest side of a picture.
 const SIDE: u32 = 512;
@@ -24,37 +25,53 @@ const JPEG_QUALITY: u8 = 88;
 
 /// Why there are no pictures.
 #[derive(Debug, Error)]
-pub(super) enum SheetError {
-    /// A view cannot be rendered.
+enum HeldOutError {
+    #[error("{}", .0.detail)]
+    File(Problem),
     #[error(transparent)]
     Render(#[from] RenderError),
-    /// A photograph cannot be had.
     #[error(transparent)]
     Photograph(#[from] PhotographError),
-    /// Render and photograph are of different shapes.
-    #[error("the render of {0} is not of its photograph's shape")]
-    Shape(String),
-    /// A picture cannot be written.
-    #[error("a picture cannot be written: {0}")]
+    #[error("render and photograph of {0} differ in size")]
+    Size(String),
+    #[error("a picture cannot be encoded: {0}")]
     Jpeg(#[from] image::ImageError),
 }
 
-/// Renders the views that are to be shown; `go_on` is asked before each, and there is no result once it says no.
-pub(super) fn held_out(
-    renderer: &mut SceneRenderer,
-    frames: &[&Frame],
+/// Pictures of held-out views of a finished file, or none where they cannot be made: that must not fail the job, since only its
+/// report shows them. Calls `heartbeat` before each view.
+pub(super) fn held_out_or_warn(
+    inputs: &RunInputs<'_>,
+    file: &[u8],
     scores: &Scores,
-    background: Background,
-    go_on: &mut dyn FnMut() -> bool,
-) -> Result<Option<HeldOut>, SheetError> {
+    heartbeat: &mut dyn FnMut(),
+) -> Result<Option<HeldOut>, JobError> {
+    let pictures = held_out(inputs, file, scores, heartbeat).unwrap_or_else(|error| {
+        tracing::warn!("the report will have no held-out views: {error}");
+        None
+    });
+    inputs.check_cancelled()?;
+    Ok(pictures)
+}
+
+fn held_out(
+    inputs: &RunInputs<'_>,
+    file: &[u8],
+    scores: &Scores,
+    heartbeat: &mut dyn FnMut(),
+) -> Result<Option<HeldOut>, HeldOutError> {
+    let file = scene_file::read(file).map_err(HeldOutError::File)?;
+    let mut renderer = SceneRenderer::of_scene(&inputs.device, &file.scene, file.background)?;
+    let frames = inputs.test_views();
     let mut views = Vec::new();
     for score in chosen(&scores.per_view) {
         let Some(frame) = frames.iter().find(|frame| frame.name == score.name) else { continue };
-        if !go_on() {
+        heartbeat();
+        if inputs.cancel.is_cancelled() {
             return Ok(None);
         }
         let render = renderer.render(&frame.camera)?;
-        let photograph = frame.image.load()?.over(background.rgb8());
+        let photograph = frame.image.load()?.over(file.background.rgb8());
         views.push(view(score, frame, &render, &photograph)?);
     }
     let sheet = HeldOut { of: frames.len(), ceiling: ERROR_CEILING, ramp: error_ramp(), views };
@@ -76,10 +93,10 @@ fn view(
     frame: &Frame,
     render: &Image,
     photograph: &Image,
-) -> Result<HeldOutView, SheetError> {
-    let shape = || SheetError::Shape(frame.name.clone());
-    let error = error_map(render, photograph, SIDE).ok_or_else(shape)?;
-    let small = |image| shrunk(image, SIDE).ok_or_else(shape);
+) -> Result<HeldOutView, HeldOutError> {
+    let size = || HeldOutError::Size(frame.name.clone());
+    let error = error_map(render, photograph, SIDE).ok_or_else(size)?;
+    let small = |image| shrunk(image, SIDE).ok_or_else(size);
     Ok(HeldOutView {
         score: score.clone(),
         camera: frame.camera,

@@ -1,29 +1,29 @@
-//! The order in which Gaussians are worth their bytes.
+//! The order of Gaussians by importance: by the squared error that removal costs for each byte that it saves.
 //!
-//! An anchor costs bytes of its own, its cell, feature and scalings, and some for each offset. So the first offsets of an
-//! anchor pay for it together, and the others only for themselves: the least worthy go first, one by one, and the anchor with
-//! the last of those that pay for it.
+//! An anchor costs bytes of its own (its cell, feature and scalings) and some for each offset. So the first offsets of an anchor share
+//! its own bytes, and the others count only theirs: the least important offsets are dropped one by one, and the anchor with the last
+//! offset that shares its bytes.
 
 use crate::{
     domain::{AnchorScene, ByteCounts, anchors::SCALINGS_PER_ANCHOR},
     eval::RemovalCosts,
 };
 
-/// Standard deviation of a channel in steps below which its table cannot follow it.
-const LEAST_DEVIATION: f64 = 0.25;
+/// Smallest standard deviation of a channel, in quantisation steps, that its table can follow.
+const MIN_DEVIATION: f64 = 0.25;
 
-/// A Gaussian that may be left out.
+/// A Gaussian that may be dropped.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Worth {
-    /// Its place among the scene's offsets, `anchor * K + offset`.
+pub(super) struct Importance {
+    /// Its index among the scene's offsets, `anchor * K + offset`.
     pub(super) offset: usize,
-    /// Squared error that leaving it out costs for each byte that it saves.
+    /// Squared error that dropping it costs for each byte that it saves.
     pub(super) price: f64,
 }
 
-/// The Gaussians of `scene`, the most worthy first. `counts` are the bytes of a file of the scene with `steps` for
-/// features, scalings (in world units) and offsets.
-pub(super) fn by_worth(
+/// The Gaussians of `scene`, the most important first. `counts` are the bytes of a file of the scene with `steps` for features,
+/// scalings (in world units) and offsets.
+pub(super) fn by_importance(
     scene: &AnchorScene,
     costs: &RemovalCosts,
     counts: &ByteCounts,
@@ -36,37 +36,37 @@ pub(super) fn by_worth(
         let first = order.len();
         let kept = (anchor * k..(anchor + 1) * k).filter(|offset| scene.masks[*offset]);
         let alone: f64 = kept.clone().map(|offset| costs.offsets[offset]).sum();
-        // What covers the same pixels counts more, or less, together than alone.
+        // Offsets that cover the same pixels cost more, or less, together than alone.
         let together = costs.anchors[anchor] / alone;
         let scale = if alone > 0.0 && together > 0.0 { together } else { 1.0 };
         order.extend(kept.map(|offset| {
             let price = scale * costs.offsets[offset] / bytes.offsets[offset];
-            Worth { offset, price }
+            Importance { offset, price }
         }));
         let own = &mut order[first..];
         own.sort_by(|a, b| b.price.total_cmp(&a.price));
-        pay_together(own, bytes.anchors[anchor], |worth| bytes.offsets[worth.offset]);
+        share_anchor(own, bytes.anchors[anchor], |gaussian| bytes.offsets[gaussian.offset]);
     }
-    // Stable: what is equally worthy stays in the scene's order.
+    // Stable: equal prices keep the scene's order.
     order.sort_by(|a, b| b.price.total_cmp(&a.price));
     order
 }
 
-/// Lets the first of an anchor's offsets, as many as make the best price together, pay `anchor` bytes too.
-fn pay_together(own: &mut [Worth], anchor: f64, bytes: impl Fn(&Worth) -> f64) {
-    let (mut error, mut paid) = (0.0, anchor);
+/// Divides the anchor's own bytes among its first offsets, as many as make the best price together.
+fn share_anchor(own: &mut [Importance], anchor_bytes: f64, bytes: impl Fn(&Importance) -> f64) {
+    let (mut error, mut saved) = (0.0, anchor_bytes);
     let mut best = f64::NEG_INFINITY;
-    for worth in own.iter() {
-        error += worth.price * bytes(worth);
-        paid += bytes(worth);
-        best = best.max(error / paid);
+    for gaussian in own.iter() {
+        error += gaussian.price * bytes(gaussian);
+        saved += bytes(gaussian);
+        best = best.max(error / saved);
     }
-    for worth in own {
-        worth.price = worth.price.min(best);
+    for gaussian in own {
+        gaussian.price = gaussian.price.min(best);
     }
 }
 
-/// Bytes that leaving out saves: shares of the file's parts by what a table of each channel would charge.
+/// Bytes that dropping saves: shares of the file's sections by the bits that a table of each channel would need.
 struct Bytes {
     anchors: Vec<f64>,
     offsets: Vec<f64>,
@@ -96,7 +96,7 @@ fn shares(values: &[f32], channels: usize, kept: &[bool], step: f32, total: u64)
             let column = || rows().map(|row| f64::from(row[channel] / step));
             let mean = column().sum::<f64>() / count;
             let variance = column().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
-            (mean, variance.sqrt().max(LEAST_DEVIATION))
+            (mean, variance.sqrt().max(MIN_DEVIATION))
         })
         .collect();
     let bits = |row: &[f32]| -> f64 {
@@ -153,36 +153,36 @@ mod tests {
 
     fn order(scene: &AnchorScene, offsets: Vec<f64>) -> Vec<usize> {
         let anchors = offsets.chunks_exact(2).map(|pair| pair.iter().sum()).collect();
-        let worths = by_worth(scene, &RemovalCosts { offsets, anchors }, &counts(), [1.0; 3]);
-        assert!(worths.windows(2).all(|pair| pair[0].price >= pair[1].price));
-        worths.iter().map(|worth| worth.offset).collect()
+        let order = by_importance(scene, &RemovalCosts { offsets, anchors }, &counts(), [1.0; 3]);
+        assert!(order.windows(2).all(|pair| pair[0].price >= pair[1].price));
+        order.iter().map(|gaussian| gaussian.offset).collect()
     }
 
     #[test]
-    fn an_anchors_good_offset_pays_for_it_and_its_bad_one_goes_early() {
-        // The first anchor has one good offset and one that only costs; the second two of middling worth; the third none.
+    fn an_anchors_important_offset_shares_its_bytes_and_its_unimportant_one_is_dropped_early() {
+        // The first anchor has one important offset and one that is not; the second two of medium importance; the third none.
         assert_eq!(order(&scene(3), vec![90.0, 0.1, 20.0, 20.0, 0.2, 0.2]), [0, 2, 3, 1, 4, 5]);
     }
 
     #[test]
-    fn offsets_that_are_off_are_not_in_the_order() {
+    fn masked_offsets_are_not_in_the_order() {
         let mut scene = scene(2);
         scene.masks[1] = false;
         assert_eq!(order(&scene, vec![1.0, 0.0, 2.0, 2.0]), [2, 3, 0]);
     }
 
     #[test]
-    fn what_counts_for_nothing_together_is_worth_less() {
+    fn offsets_that_cancel_each_other_are_less_important() {
         let scene = scene(2);
         let offsets = vec![10.0, 10.0, 9.0, 9.0];
         let together = |first: f64| RemovalCosts { offsets: offsets.clone(), anchors: vec![first, 18.0] };
-        let first = |costs: &RemovalCosts| by_worth(&scene, costs, &counts(), [1.0; 3])[0].offset;
+        let first = |costs: &RemovalCosts| by_importance(&scene, costs, &counts(), [1.0; 3])[0].offset;
         assert_eq!(first(&together(20.0)), 0);
-        assert_eq!(first(&together(2.0)), 2, "two that cancel each other are no loss");
+        assert_eq!(first(&together(2.0)), 2, "removing both changes nothing");
     }
 
     #[test]
-    fn shares_add_up_and_the_rare_costs_more() {
+    fn shares_add_up_and_rare_values_cost_more() {
         let values = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0];
         let mut kept = [true; 8];
         kept[0] = false;

@@ -1,30 +1,32 @@
-//! The file that a finished scene is kept in, whichever kind it is, and the scene that is in a file.
+//! Reads and writes finished scenes in every format that jobs and commands accept.
+
+use std::fmt::Display;
 
 use crate::{
     codec::{self, DecodeLimits},
     domain::{AnchorScene, Background, ByteCounts, Digest, GaussianScene, Problem, Scene, SceneFormat},
-    export::{PlyNote, SpzError, anchors, from_ply, from_spz, spz, to_ply},
+    export::{PlyNote, anchors, from_ply, from_spz, spz, to_ply},
 };
 
-/// What is in a file.
+/// A scene as read from a file.
 #[derive(Debug, Clone)]
 pub struct SceneFile {
-    /// The kind of file.
+    /// The file's format.
     pub format: SceneFormat,
     /// The scene.
     pub scene: Scene,
-    /// The background that it was trained on; black for a `.spz`, and a `.ply` of another program.
+    /// The background that it was trained on; black for a `.spz`, and for a `.ply` of another program.
     pub background: Background,
     /// SHA-256 of the attributes: of anchors as `FORMAT.md` defines it; of plain Gaussians that of their `.ply` as this
     /// program writes it.
     pub decode_sha256: Digest,
-    /// Digest of the dataset that it was trained on, if the file states it.
+    /// Digest of the dataset that it was trained on, if the file has it.
     pub dataset: Option<Digest>,
     /// Where the file's bytes go.
     pub byte_counts: ByteCounts,
 }
 
-/// Reads a file of any kind; its content tells which it is.
+/// Reads a file; its format is recognised by its content.
 ///
 /// # Errors
 /// A problem of status 422 that says what is wrong with the file.
@@ -46,21 +48,20 @@ pub fn write_anchors(
     background: Background,
     dataset: Option<Digest>,
 ) -> Result<Vec<u8>, Problem> {
-    anchors::write(scene, background, dataset).map_err(|fault| {
-        Problem::new(500, "internal", "Internal error", format!("the scene cannot be written: {fault}"))
+    anchors::write(scene, background, dataset).map_err(|error| {
+        Problem::new(500, "internal", "Internal error", format!("the scene cannot be written: {error}"))
     })
 }
 
-/// Writes the `3dgs` baseline: the field's `.ply`, with its origin in a comment.
+/// Writes the `3dgs` baseline: the `.ply` of the reference implementation, with its provenance in a comment.
 #[must_use]
 pub fn write_gaussians(scene: &GaussianScene, background: Background, dataset: Option<Digest>) -> Vec<u8> {
     PlyNote { background, dataset, near: scene.near }.add_to(to_ply(scene))
 }
 
 fn read_tcgs(bytes: &[u8]) -> Result<SceneFile, Problem> {
-    let byte_counts = codec::inspect(bytes).map_err(|fault| undecodable(&fault.to_string()))?.byte_counts;
-    let decoded =
-        codec::decode(bytes, &DecodeLimits::default()).map_err(|fault| undecodable(&fault.to_string()))?;
+    let byte_counts = codec::inspect(bytes).map_err(undecodable)?.byte_counts;
+    let decoded = codec::decode(bytes, &DecodeLimits::default()).map_err(undecodable)?;
     Ok(SceneFile {
         format: SceneFormat::Tcgs,
         scene: Scene::Anchors(decoded.scene),
@@ -72,7 +73,7 @@ fn read_tcgs(bytes: &[u8]) -> Result<SceneFile, Problem> {
 }
 
 fn read_anchors(bytes: &[u8]) -> Result<SceneFile, Problem> {
-    let file = anchors::read(bytes).map_err(|fault| undecodable(&fault.to_string()))?;
+    let file = anchors::read(bytes).map_err(undecodable)?;
     Ok(SceneFile {
         format: SceneFormat::Safetensors,
         decode_sha256: codec::decode_digest(&file.scene),
@@ -84,7 +85,7 @@ fn read_anchors(bytes: &[u8]) -> Result<SceneFile, Problem> {
 }
 
 fn read_gaussians(bytes: &[u8]) -> Result<SceneFile, Problem> {
-    let mut scene = from_ply(bytes).map_err(|fault| undecodable(&fault.to_string()))?;
+    let mut scene = from_ply(bytes).map_err(undecodable)?;
     let note = PlyNote::find(bytes);
     scene.near = note.map_or(scene.near, |note| note.near);
     Ok(SceneFile {
@@ -98,17 +99,16 @@ fn read_gaussians(bytes: &[u8]) -> Result<SceneFile, Problem> {
 }
 
 fn read_packed_gaussians(bytes: &[u8], format: SceneFormat) -> Result<SceneFile, Problem> {
-    let refused = |fault: SpzError| undecodable(&fault.to_string());
-    let scene = from_spz(bytes).map_err(refused)?;
+    let scene = from_spz(bytes).map_err(undecodable)?;
     let total = bytes.len() as u64;
     let byte_counts = if format == SceneFormat::Spz {
         let [positions, opacities, colors, scales, rotations, harmonics] =
-            spz::packed_lengths(bytes).map_err(refused)?;
+            spz::packed_lengths(bytes).map_err(undecodable)?;
         let (features, scalings) = (opacities + colors + harmonics, scales + rotations);
         let container = total.saturating_sub(positions + features + scalings);
         ByteCounts { total, positions, features, scalings, container, ..ByteCounts::default() }
     } else {
-        // One stream of gzip: no byte belongs to a part.
+        // One gzip stream: no byte belongs to one group.
         ByteCounts { total, container: total, ..ByteCounts::default() }
     };
     Ok(SceneFile {
@@ -121,19 +121,18 @@ fn read_packed_gaussians(bytes: &[u8], format: SceneFormat) -> Result<SceneFile,
     })
 }
 
-/// Where the bytes of a `.ply` go, in the groups that anchors have: means are positions, log-scales and rotations are
-/// scalings, spherical harmonics and opacities are features; the rest, with the published format's three unused normals,
-/// is the container.
+/// The bytes of a `.ply` in the attribute groups of anchors: means are positions, log-scales and rotations are scalings, spherical
+/// harmonics and opacities are features; the rest, with the format's three unused normals, is the container.
 fn ply_counts(scene: &GaussianScene, total: u64) -> ByteCounts {
     let floats = |each: u64| 4 * each * scene.len() as u64;
     let (positions, scalings) = (floats(3), floats(3 + 4));
-    // A file of another program may leave out bands that are zero; this one writes all of them.
+    // A file of another program may omit bands that are zero; this one writes all of them.
     let features = floats(1 + 48).min(total.saturating_sub(positions + scalings));
     let container = total.saturating_sub(positions + scalings + features);
     ByteCounts { total, positions, features, scalings, container, ..ByteCounts::default() }
 }
 
-/// A file that cannot be read.
-pub fn undecodable(detail: &str) -> Problem {
-    Problem::new(422, "undecodable", "The file cannot be decoded", detail)
+/// The problem of a file that cannot be decoded.
+pub fn undecodable(cause: impl Display) -> Problem {
+    Problem::new(422, "undecodable", "The file cannot be decoded", cause.to_string())
 }

@@ -1,0 +1,165 @@
+//! Writes the file of a trained scene, and reads it back.
+//!
+//! The kind of file follows the model: `tcgs` is quantised and coded, the baselines are written as floats.
+
+use std::time::Instant;
+
+use super::{
+    error::JobError,
+    inputs::RunInputs,
+    quant_steps::choose_quant_steps,
+    scene_file::{self, SceneFile},
+    size_fit::{EncodeAttempt, SizeFit, fit_size},
+};
+use crate::{
+    codec::{
+        self, ContextChoice, ContextSearch, ContextSettings, DecodeLimits, EncodeSettings, Encoded,
+        Provenance,
+    },
+    domain::{
+        AnchorScene, ByteBudget, CodingEfficiency, GroupOctaves, ModelKind, Problem, Scene, TrainOptions,
+    },
+    train::{BaseSteps, Trained, TrainedContext},
+};
+
+/// Training views that decide how finely to quantise.
+const STEP_VIEWS: usize = 4;
+
+/// Training views that measure the quality of files of a target size.
+const QUALITY_VIEWS: usize = 8;
+
+/// Training views that measure how important each Gaussian is for a target size.
+const IMPORTANCE_VIEWS: usize = 64;
+
+/// A file as written, and as it reads back.
+pub(super) struct Written {
+    pub(super) bytes: Vec<u8>,
+    pub(super) file: SceneFile,
+    pub(super) budget: Option<ByteBudget>,
+    pub(super) coding: Option<CodingEfficiency>,
+    pub(super) encode_seconds: f64,
+    pub(super) decode_seconds: f64,
+}
+
+/// Writes the file and reads it back. Calls `heartbeat` between the parts of a long encoding.
+pub(super) fn write_file(
+    inputs: &RunInputs<'_>,
+    options: &TrainOptions,
+    trained: &Trained,
+    heartbeat: &mut dyn FnMut(),
+) -> Result<Written, JobError> {
+    let began = Instant::now();
+    let (background, dataset) = (options.background, Some(inputs.dataset.digest));
+    let context = trained.context.as_ref();
+    let (bytes, budget, choice) = match (&trained.scene, options.model) {
+        (Scene::Anchors(scene), ModelKind::Scaffold) => {
+            let bytes = scene_file::write_anchors(scene, background, dataset).map_err(JobError::Fail)?;
+            (bytes, None, None)
+        }
+        (Scene::Anchors(scene), _) => {
+            let (encoded, budget) = Encoder { inputs, options, context }.encode(scene, heartbeat)?;
+            (encoded.bytes, budget, Some(encoded.context))
+        }
+        (Scene::Gaussians(scene), _) => (scene_file::write_gaussians(scene, background, dataset), None, None),
+    };
+    let encode_seconds = began.elapsed().as_secs_f64();
+    let began = Instant::now();
+    let file = scene_file::read(&bytes).map_err(|problem| JobError::internal(problem.detail))?;
+    let decode_seconds = began.elapsed().as_secs_f64();
+    let coding = match choice {
+        Some(choice) => {
+            // The float networks predict for the quantisation steps of training.
+            let as_trained = budget.is_none_or(|budget| budget.coarser_octaves == GroupOctaves::default());
+            coding_efficiency(&bytes, context.filter(|_| as_trained), &choice)?
+        }
+        None => None,
+    };
+    Ok(Written { bytes, file, budget, coding, encode_seconds, decode_seconds })
+}
+
+/// Codes anchors into `.tcgs` files.
+struct Encoder<'a> {
+    inputs: &'a RunInputs<'a>,
+    options: &'a TrainOptions,
+    context: Option<&'a TrainedContext>,
+}
+
+impl Encoder<'_> {
+    /// Codes within the target size, if there is one, with the quantisation steps of training. Chooses the steps if the run ended
+    /// before any were trained.
+    fn encode(
+        &self,
+        scene: &AnchorScene,
+        heartbeat: &mut dyn FnMut(),
+    ) -> Result<(Encoded, Option<ByteBudget>), JobError> {
+        let Self { inputs, options, context } = self;
+        let background = options.background;
+        let steps = match context {
+            Some(context) => context.steps,
+            None => {
+                let views = inputs.train_views(STEP_VIEWS);
+                choose_quant_steps(&inputs.device, scene, &views, background, &mut || {
+                    heartbeat();
+                    !inputs.cancel.is_cancelled()
+                })?
+            }
+        };
+        inputs.check_cancelled()?;
+        let mut encode = |attempt: EncodeAttempt<'_>| self.encode_attempt(attempt, steps);
+        let Some(limit) = options.max_bytes else {
+            let search = ContextSearch::Cheapest;
+            let attempt = EncodeAttempt { scene, coarser: [0; 3], search, max_bytes: None };
+            return Ok((encode(attempt)?, None));
+        };
+        let target = SizeFit {
+            device: &inputs.device,
+            scene,
+            steps: [steps.feature, steps.scaling * scene.lattice.voxel, steps.offset],
+            quality_views: &inputs.train_views(QUALITY_VIEWS),
+            importance_views: &inputs.train_views(IMPORTANCE_VIEWS),
+            background,
+            limit,
+        };
+        let mut check = || {
+            heartbeat();
+            inputs.check_cancelled()
+        };
+        let (encoded, budget) = fit_size(&target, &mut encode, &mut check)?;
+        Ok((encoded, Some(budget)))
+    }
+
+    fn encode_attempt(&self, attempt: EncodeAttempt<'_>, steps: BaseSteps) -> Result<Encoded, JobError> {
+        let EncodeAttempt { scene, coarser, search, max_bytes } = attempt;
+        let options = TrainOptions { max_bytes, ..self.options.clone() };
+        let settings = EncodeSettings {
+            background: self.options.background,
+            feature_step: steps.feature,
+            scaling_step: steps.scaling,
+            offset_step: steps.offset,
+            context: ContextSettings { search, coarser },
+            provenance: Provenance {
+                generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),
+                dataset: Some(self.inputs.dataset.digest),
+                adapter: Some(self.inputs.device.adapter_line()),
+                settings: serde_json::to_value(options)
+                    .map_err(|error| JobError::internal(error.to_string()))?,
+            },
+        };
+        codec::encode(scene, self.context.map(|context| &context.candidates), &settings).map_err(|error| {
+            JobError::Fail(Problem::new(422, "not-encodable", "Encoding failed", error.to_string()))
+        })
+    }
+}
+
+/// How far the file is above the entropy of its model; `None` if it codes nothing.
+fn coding_efficiency(
+    bytes: &[u8],
+    context: Option<&TrainedContext>,
+    choice: &ContextChoice,
+) -> Result<Option<CodingEfficiency>, JobError> {
+    let trained = context.map(|context| (&context.candidates, choice));
+    let efficiency = codec::efficiency(bytes, &DecodeLimits::NONE, trained)
+        .map_err(|error| JobError::internal(error.to_string()))?;
+    let over_ideal = efficiency.over_ideal();
+    Ok(over_ideal.is_finite().then(|| CodingEfficiency { over_ideal, over_floats: efficiency.over_floats() }))
+}

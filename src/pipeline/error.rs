@@ -1,0 +1,114 @@
+//! Why a job ended without output, and whether another attempt may help.
+
+use std::io;
+
+use crate::{
+    domain::Problem,
+    gpu::GpuError,
+    ingest::{self, Fault},
+    render::RenderError,
+    train::TrainError,
+};
+
+/// Why a job ended without output.
+#[derive(Debug, Clone, PartialEq)]
+pub enum JobError {
+    /// The input or the options are at fault: another attempt cannot help.
+    Fail(Problem),
+    /// The machine is at fault (device lost): another attempt may succeed.
+    Retry(Problem),
+    /// Something is missing that time or an operator provides, such as disk space: another attempt will succeed then.
+    Hold(Problem),
+    /// The cancel flag was set.
+    Cancelled,
+}
+
+impl JobError {
+    /// A fault of this program.
+    pub(super) fn internal(detail: impl Into<String>) -> Self {
+        Self::Fail(Problem::new(500, "internal", "Internal error", detail.into()))
+    }
+}
+
+/// A full disk may have space later, and one that failed may work again; a dataset does not change.
+impl From<ingest::Error> for JobError {
+    fn from(error: ingest::Error) -> Self {
+        match error.fault {
+            Fault::Stopped => Self::Cancelled,
+            Fault::SpillFull { .. } => Self::Hold(error.into()),
+            Fault::Io(ref cause)
+                if matches!(cause.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded) =>
+            {
+                Self::Hold(error.into())
+            }
+            Fault::Spill(_) => Self::Retry(error.into()),
+            _ => Self::Fail(error.into()),
+        }
+    }
+}
+
+/// A device that failed may work again; a scene that is too large for it will not shrink.
+impl From<GpuError> for JobError {
+    fn from(error: GpuError) -> Self {
+        match error {
+            GpuError::DeviceLost(_) | GpuError::Timeout { .. } | GpuError::Rejected(_) => {
+                Self::Retry(error.into())
+            }
+            GpuError::NoAdapter { .. }
+            | GpuError::Open { .. }
+            | GpuError::Kernel { .. }
+            | GpuError::BufferTooLarge { .. }
+            | GpuError::OverBudget { .. } => Self::Fail(error.into()),
+        }
+    }
+}
+
+impl From<RenderError> for JobError {
+    fn from(error: RenderError) -> Self {
+        match error {
+            RenderError::Gpu(error) => error.into(),
+            RenderError::Photograph(error) => Self::Retry(error.into()),
+            other => Self::Fail(other.into()),
+        }
+    }
+}
+
+impl From<TrainError> for JobError {
+    fn from(error: TrainError) -> Self {
+        match error {
+            TrainError::Cancelled => Self::Cancelled,
+            TrainError::Gpu(error) => error.into(),
+            TrainError::Render(error) => error.into(),
+            TrainError::Photograph(error) => Self::Retry(error.into()),
+            other => Self::Fail(other.into()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_disk_holds_a_job_and_a_broken_one_costs_it_an_attempt() {
+        let spill = |kind: io::ErrorKind| Fault::Spill(kind.into());
+        for (fault, expected) in [
+            (Fault::SpillFull { bytes: 3 }, "hold"),
+            (Fault::Io(io::ErrorKind::StorageFull.into()), "hold"),
+            (Fault::Io(io::ErrorKind::QuotaExceeded.into()), "hold"),
+            (spill(io::ErrorKind::PermissionDenied), "retry"),
+            (Fault::NoImages, "fail"),
+            (Fault::Io(io::ErrorKind::InvalidData.into()), "fail"),
+            (Fault::Stopped, "cancelled"),
+        ] {
+            let message = fault.to_string();
+            let outcome = match JobError::from(ingest::Error::from(fault)) {
+                JobError::Hold(_) => "hold",
+                JobError::Retry(_) => "retry",
+                JobError::Fail(_) => "fail",
+                JobError::Cancelled => "cancelled",
+            };
+            assert_eq!(outcome, expected, "{message}");
+        }
+    }
+}

@@ -1,0 +1,40 @@
+//! What all files of one job are made from.
+
+use std::sync::Arc;
+
+use super::error::JobError;
+use crate::{
+    domain::{CancelFlag, Dataset, Frame, MemoryBudget, Split},
+    eval::Lpips,
+    gpu::Context,
+};
+
+/// What all files of one job share: several, if it makes a rate-distortion curve.
+pub(super) struct RunInputs<'a> {
+    pub(super) device: Arc<Context>,
+    pub(super) dataset: &'a Dataset,
+    pub(super) budget: MemoryBudget,
+    pub(super) cancel: &'a CancelFlag,
+    /// Weights of LPIPS, if it is measured.
+    pub(super) lpips: Option<&'a Lpips>,
+    /// Seconds that the dataset took to read.
+    pub(super) ingest_seconds: f64,
+}
+
+impl<'a> RunInputs<'a> {
+    pub(super) fn test_views(&self) -> Vec<&'a Frame> {
+        self.dataset.split(Split::Test).collect()
+    }
+
+    /// At most `max` of the training views, evenly spread.
+    pub(super) fn train_views(&self, max: usize) -> Vec<&'a Frame> {
+        let frames: Vec<&Frame> = self.dataset.split(Split::Train).collect();
+        let count = frames.len().min(max);
+        (0..count).map(|index| frames[index * frames.len() / count]).collect()
+    }
+
+    /// Fails once the job is cancelled.
+    pub(super) fn check_cancelled(&self) -> Result<(), JobError> {
+        if self.cancel.is_cancelled() { Err(JobError::Cancelled) } else { Ok(()) }
+    }
+}

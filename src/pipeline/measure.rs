@@ -1,0 +1,61 @@
+//! The figures of a finished file: of its scene as read back, not of the scene that was trained.
+
+use super::{encode::Written, error::JobError, inputs::RunInputs};
+use crate::{
+    domain::{Background, Conventions, Frame, JobMetrics, PhaseSeconds, Scene, Scores},
+    eval::{Lpips, mean_scores_with, measure_views_with},
+    render::SceneRenderer,
+    train::Trained,
+};
+
+/// Training views that the reported training figures are measured on, evenly spread.
+const MEASURED_TRAIN_VIEWS: usize = 16;
+
+/// Measures the file, and the held-out views of the scene before quantisation if the file differs from it. Calls `heartbeat`
+/// before each view.
+pub(super) fn measure(
+    inputs: &RunInputs<'_>,
+    background: Background,
+    trained: &Trained,
+    written: &Written,
+    heartbeat: &mut dyn FnMut(),
+) -> Result<JobMetrics, JobError> {
+    let file = &written.file;
+    let mut score = |scene: &Scene, frames: &[&Frame], lpips| -> Result<Scores, JobError> {
+        let mut renderer = SceneRenderer::of_scene(&inputs.device, scene, background)?;
+        let mut views = Vec::with_capacity(frames.len());
+        for frame in frames {
+            inputs.check_cancelled()?;
+            heartbeat();
+            views.extend(measure_views_with(&mut renderer, &[*frame], background, lpips)?);
+        }
+        Ok(mean_scores_with(&views, lpips.map(Lpips::network)))
+    };
+    let held_out = inputs.test_views();
+    let test = score(&file.scene, &held_out, inputs.lpips)?;
+    let before =
+        if trained.scene == file.scene { test.psnr } else { score(&trained.scene, &held_out, None)?.psnr };
+    Ok(JobMetrics {
+        test,
+        train: score(&file.scene, &inputs.train_views(MEASURED_TRAIN_VIEWS), inputs.lpips)?,
+        bytes: file.byte_counts.clone(),
+        seconds: PhaseSeconds {
+            ingest: inputs.ingest_seconds,
+            train: trained.seconds,
+            encode: written.encode_seconds,
+            decode: written.decode_seconds,
+        },
+        steps: u64::from(trained.steps),
+        steps_per_second: f64::from(trained.steps) / trained.seconds.max(1e-9),
+        anchors: file.scene.anchors() as u64,
+        gaussians: file.scene.gaussians() as u64,
+        psnr_before_quantisation: before,
+        decode_sha256: file.decode_sha256,
+        adapter: inputs.device.adapter_line(),
+        background,
+        conventions: Conventions::new(inputs.lpips.map(Lpips::network)),
+        byte_budget: written.budget,
+        coding: written.coding,
+        rd_curve: Vec::new(),
+    })
+}

@@ -1,0 +1,187 @@
+//! One job from dataset to measured file: ingest, train, encode, read back, evaluate.
+//!
+//! The reported figures are those of the file as read back from its own bytes.
+
+mod branches;
+mod curve;
+mod encode;
+mod error;
+mod held_out;
+mod inputs;
+mod job;
+mod measure;
+mod quant_steps;
+pub mod scene_file;
+mod size_fit;
+mod train_file;
+
+use std::{
+    cell::RefCell,
+    panic::resume_unwind,
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex, PoisonError, mpsc},
+    thread,
+    time::Instant,
+};
+
+use tracing::Span;
+
+pub use error::JobError;
+pub use job::{Checkpoints, CurveFile, JobOutput, Resume, RunJob};
+
+use self::{
+    curve::run_curve,
+    held_out::held_out_or_warn,
+    inputs::RunInputs,
+    train_file::{TrainedFile, train_file},
+};
+use crate::{
+    domain::{CancelFlag, Dataset, MemoryBudget, MemoryLimits, NamedCamera, Phase, Progress, TrainOptions},
+    eval::Lpips,
+    gpu::{AdapterChoice, Context, GpuError},
+    ingest::{self, Room},
+    train::Schedule,
+};
+
+/// Runs jobs on an adapter, which is opened for the first job and again after it was lost.
+#[derive(Debug)]
+pub struct Pipeline {
+    adapter: AdapterChoice,
+    memory: MemoryLimits,
+    spill_dir: PathBuf,
+    lpips: Option<Lpips>,
+    has_held_out_pictures: bool,
+    device: Mutex<Option<Arc<Context>>>,
+}
+
+impl Pipeline {
+    /// A pipeline on the chosen adapter, limited only by the machine's memory.
+    #[must_use]
+    pub fn new(adapter: AdapterChoice) -> Self {
+        Self {
+            adapter,
+            memory: MemoryLimits::NONE,
+            spill_dir: std::env::temp_dir(),
+            lpips: None,
+            has_held_out_pictures: false,
+            device: Mutex::new(None),
+        }
+    }
+
+    /// Within `memory`; photographs that do not fit go to a temporary file in `spill_dir`.
+    #[must_use]
+    pub fn within(self, memory: MemoryLimits, spill_dir: PathBuf) -> Self {
+        Self { memory, spill_dir, ..self }
+    }
+
+    /// Also measures LPIPS, if there are weights for it.
+    #[must_use]
+    pub fn with_lpips(self, lpips: Option<Lpips>) -> Self {
+        Self { lpips, ..self }
+    }
+
+    /// Also makes pictures of held-out views ([`JobOutput::held_out`]).
+    #[must_use]
+    pub fn with_pictures(self) -> Self {
+        Self { has_held_out_pictures: true, ..self }
+    }
+
+    fn device(&self) -> Result<Arc<Context>, GpuError> {
+        let mut kept = self.device.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(device) = kept.as_ref().filter(|device| device.check().is_ok()) {
+            return Ok(Arc::clone(device));
+        }
+        let device = Context::new(&self.adapter)?;
+        device.set_budget_bytes(self.budget(&device).gpu);
+        *kept = Some(Arc::clone(&device));
+        Ok(device)
+    }
+
+    fn budget(&self, device: &Context) -> MemoryBudget {
+        self.memory.budget(device.adapter().shares_main_memory())
+    }
+}
+
+impl RunJob for Pipeline {
+    fn run(
+        &self,
+        dataset: &Path,
+        options: &TrainOptions,
+        checkpoints: &Checkpoints,
+        report: &mut dyn FnMut(Phase, &Progress),
+        cancel: &CancelFlag,
+    ) -> Result<JobOutput, JobError> {
+        let began = Instant::now();
+        let total = u64::from(Schedule::new(options).steps);
+        let latest = RefCell::new(Progress::default());
+        let mut report = |phase: Phase, progress: &Progress| {
+            latest.replace(progress.clone());
+            let elapsed_seconds = began.elapsed().as_secs_f64();
+            report(phase, &Progress { elapsed_seconds, ..progress.clone() });
+        };
+        let start = Progress { total, ..Progress::default() };
+        report(Phase::Ingest, &start);
+        // How much memory photographs may take depends on whether the adapter has its own.
+        let device = self.device()?;
+        let budget = self.budget(&device);
+        // Training needs the other half.
+        let room = Room { memory: budget.host / 2, spill: self.spill_dir.clone() };
+        let dataset = load(dataset, &room, &mut || report(Phase::Ingest, &start), cancel)?;
+        for note in &dataset.notes {
+            tracing::info!("dataset: {note}");
+        }
+        let ingest_seconds = began.elapsed().as_secs_f64();
+        let lpips = self.lpips.as_ref();
+        let inputs = RunInputs { device, dataset: &dataset, budget, cancel, lpips, ingest_seconds };
+        inputs.check_cancelled()?;
+        // Training's first own report follows after some steps, which may take minutes.
+        report(Phase::Train, &start);
+        let (TrainedFile { file, format, metrics }, others) = if options.rd_curve.is_empty() {
+            (train_file(&inputs, options, checkpoints, None, &mut report)?, Vec::new())
+        } else {
+            run_curve(&inputs, options, checkpoints, &mut report)?
+        };
+        let held_out = if self.has_held_out_pictures {
+            let end = latest.borrow().clone();
+            held_out_or_warn(&inputs, &file, &metrics.test, &mut || report(Phase::Evaluate, &end))?
+        } else {
+            None
+        };
+        let cameras = dataset
+            .frames
+            .iter()
+            .map(|frame| NamedCamera { name: frame.name.clone(), split: frame.split, camera: frame.camera })
+            .collect();
+        Ok(JobOutput { file, format, others, metrics, cameras, held_out })
+    }
+}
+
+/// Reads the dataset on a thread of its own, so that this one can report each image; stops soon after `cancel`.
+fn load(
+    dataset: &Path,
+    room: &Room,
+    heartbeat: &mut dyn FnMut(),
+    cancel: &CancelFlag,
+) -> Result<Dataset, JobError> {
+    let (send, images) = mpsc::channel();
+    let span = Span::current();
+    let loaded = thread::scope(|scope| {
+        let loading = scope.spawn(move || {
+            let _entered = span.entered();
+            let go_on = || {
+                // The receiver lives until this thread ends.
+                let _ = send.send(());
+                !cancel.is_cancelled()
+            };
+            ingest::load_watched(dataset, room, &go_on)
+        });
+        for () in images {
+            heartbeat();
+        }
+        loading.join()
+    });
+    match loaded {
+        Ok(loaded) => Ok(loaded?),
+        Err(panic) => resume_unwind(panic),
+    }
+}

@@ -1,0 +1,87 @@
+//! One file: trained from the dataset or a checkpoint, encoded, read back and measured.
+
+use std::sync::Arc;
+
+use super::{
+    encode::write_file,
+    error::JobError,
+    inputs::RunInputs,
+    job::{Checkpoints, Resume},
+    measure::measure,
+};
+use crate::{
+    domain::{JobMetrics, Phase, Progress, SceneFormat, SystemClock, TrainOptions},
+    train::{self, Checkpoint, CheckpointError, CheckpointFolder, KeepCheckpoints, TrainError, train_within},
+};
+
+/// One finished file with its figures.
+pub(super) struct TrainedFile {
+    pub(super) file: Vec<u8>,
+    pub(super) format: SceneFormat,
+    pub(super) metrics: JobMetrics,
+}
+
+/// Trains, writes and measures one file. A run for which there is no checkpoint begins at `start`.
+pub(super) fn train_file(
+    inputs: &RunInputs<'_>,
+    options: &TrainOptions,
+    checkpoints: &Checkpoints,
+    start: Option<Checkpoint>,
+    report: &mut dyn FnMut(Phase, &Progress),
+) -> Result<TrainedFile, JobError> {
+    let mut progress = Progress::default();
+    let mut report_training = |now: &Progress| {
+        progress = now.clone();
+        report(Phase::Train, now);
+    };
+    let trained = with_checkpoints(checkpoints, start, &mut |checkpoints| {
+        let RunInputs { device, dataset, budget, cancel, .. } = inputs;
+        train_within(device, dataset, options, budget, checkpoints, &mut report_training, cancel)
+    })?;
+    // Training's estimate of the time left does not cover what follows it.
+    progress.eta_seconds = None;
+    report(Phase::Encode, &progress);
+    let written = write_file(inputs, options, &trained, &mut || report(Phase::Encode, &progress))?;
+    report(Phase::Evaluate, &progress);
+    let metrics = measure(inputs, options.background, &trained, &written, &mut || {
+        report(Phase::Evaluate, &progress);
+    })?;
+    Ok(TrainedFile { file: written.bytes, format: written.file.format, metrics })
+}
+
+/// Runs `train` from a checkpoint if there is one to resume from, else from `start`.
+pub(super) fn with_checkpoints<T>(
+    checkpoints: &Checkpoints,
+    start: Option<Checkpoint>,
+    train: &mut dyn FnMut(train::Checkpoints<'_>) -> Result<T, TrainError>,
+) -> Result<T, JobError> {
+    let mut folder = match &checkpoints.keep {
+        Some(path) => match CheckpointFolder::open(path, Arc::new(SystemClock)) {
+            Ok(folder) => Some(folder),
+            // Only an interruption would need checkpoints, so their absence must not fail the job.
+            Err(error) => {
+                tracing::warn!("no checkpoints are kept: {error}");
+                None
+            }
+        },
+        None => None,
+    };
+    let mut train = |resume: Option<Checkpoint>| {
+        let keep = folder.as_mut().map(|folder| folder as &mut dyn KeepCheckpoints);
+        train(train::Checkpoints { resume, keep })
+    };
+    let load = |path| CheckpointFolder::load(path).map_err(TrainError::from);
+    let trained = match &checkpoints.resume {
+        Resume::Fresh => train(start),
+        Resume::From(path) => load(path).and_then(|checkpoint| train(Some(checkpoint))),
+        Resume::IfPossible(path) => match load(path).and_then(|checkpoint| train(Some(checkpoint))) {
+            Err(TrainError::Checkpoint(CheckpointError::Missing(_))) => train(start),
+            Err(TrainError::Checkpoint(error)) => {
+                tracing::warn!("the run starts over: {error}");
+                train(start)
+            }
+            other => other,
+        },
+    };
+    Ok(trained?)
+}
