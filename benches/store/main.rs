@@ -80,6 +80,6 @@ async fn main() {
     line("POST /v1/jobs, another key", &times(|| add_job(&store, quiet)).await);
     line("GET /v1/jobs, the key with the history", &times(|| list(&store, busy)).await);
     line("GET /v1/jobs, another key", &times(|| list(&store, quiet)).await);
-    line("GET /metrics", &times(|| async { store.figures().await.unwrap() }).await);
+    line("GET /metrics", &times(|| async { store.stats().await.unwrap() }).await);
     store.close().await;
 }

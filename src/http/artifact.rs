@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     domain::{Caller, Digest},
-    store::{ArtifactKind, BlobRef, JobRecord, Likeness, SceneArtifact},
+    store::{ArtifactKind, BlobRef, ExportFidelity, JobRecord, SceneArtifact},
 };
 
 /// Takes the parameter that chooses among the files of a rate-distortion curve.
@@ -95,12 +95,12 @@ struct ListedFile {
     media_type: &'static str,
     gaussians: Option<u64>,
     sh_degree: Option<u8>,
-    likeness: Option<LikenessBody>,
+    likeness: Option<ExportFidelityBody>,
     href: String,
 }
 
 #[derive(Debug, Serialize)]
-struct LikenessBody {
+struct ExportFidelityBody {
     psnr: f64,
     views: u32,
 }
@@ -137,7 +137,9 @@ pub(super) async fn list(
         ListedFile {
             gaussians: Some(export.gaussians),
             sh_degree: Some(export.sh_degree),
-            likeness: export.likeness.map(|Likeness { psnr, views }| LikenessBody { psnr, views }),
+            likeness: export
+                .fidelity
+                .map(|ExportFidelity { psnr, views }| ExportFidelityBody { psnr, views }),
             ..ListedFile::new("export", ArtifactKind::Scene(export.format), lambda, export.blob)
         }
     });

@@ -27,7 +27,7 @@ use super::{
 };
 use crate::{
     domain::{Caller, Digest, JobId},
-    store::{BlobRef, Intent, JobRecord, NewJob, Remembered, StoreError},
+    store::{BlobRef, IdempotentRequest, JobRecord, NewJob, PriorRequest, StoreError},
 };
 
 const ZIP: &str = "application/zip";
@@ -100,7 +100,7 @@ async fn of_scene(state: &AppState, asked: &Asked<'_>, body: &mut BodyDataStream
         return Ok(before);
     }
     let (id, wish) = JobWish::from_json(&content)?;
-    let scene = state.store().scene(id).await?.filter(|scene| asked.caller.may_see(scene.owner));
+    let scene = state.store().dataset(id).await?.filter(|scene| asked.caller.may_see(scene.owner));
     let scene = scene.ok_or_else(|| Fault::no_scene(id))?;
     expect_above_floor(state, 0)?;
     let new = NewJob { scene: Some(id), intent: intent.clone(), ..asked.job(state, wish, scene.dataset) };
@@ -132,7 +132,7 @@ async fn of_archive(state: &AppState, asked: &Asked<'_>, body: &mut BodyDataStre
 }
 
 impl Asked<'_> {
-    fn intent(&self, keyed: Option<&Keyed>, body: Digest) -> Option<Intent> {
+    fn intent(&self, keyed: Option<&Keyed>, body: Digest) -> Option<IdempotentRequest> {
         keyed.map(|keyed| keyed.intent(&Method::POST, self.uri, body))
     }
 
@@ -151,7 +151,7 @@ impl Asked<'_> {
 async fn queued(
     state: &AppState,
     created: Result<JobRecord, StoreError>,
-    intent: Option<&Intent>,
+    intent: Option<&IdempotentRequest>,
 ) -> Result<Made, Fault> {
     match created {
         Ok(record) => {
@@ -164,7 +164,10 @@ async fn queued(
 }
 
 /// The job that a request like this one made before.
-pub(super) async fn made_before(state: &AppState, intent: Option<&Intent>) -> Result<Option<Made>, Fault> {
+pub(super) async fn made_before(
+    state: &AppState,
+    intent: Option<&IdempotentRequest>,
+) -> Result<Option<Made>, Fault> {
     let Some(intent) = intent else { return Ok(None) };
     let Some(found) = idempotency::earlier(state, intent).await? else { return Ok(None) };
     remembered(state, &found).await.map(Some)
@@ -173,18 +176,18 @@ pub(super) async fn made_before(state: &AppState, intent: Option<&Intent>) -> Re
 /// The job that a request like this one has just made in another process, if that is what is wrong.
 pub(super) async fn made_meanwhile(
     state: &AppState,
-    intent: Option<&Intent>,
+    intent: Option<&IdempotentRequest>,
     error: StoreError,
 ) -> Result<Made, Fault> {
     match (error, intent) {
-        (StoreError::AlreadyMade(found), Some(intent)) => {
+        (StoreError::IdempotencyKeyUsed(found), Some(intent)) => {
             remembered(state, &idempotency::same(intent, *found)?).await
         }
         (error, _) => Err(error.into()),
     }
 }
 
-async fn remembered(state: &AppState, found: &Remembered) -> Result<Made, Fault> {
+async fn remembered(state: &AppState, found: &PriorRequest) -> Result<Made, Fault> {
     let record = match found.resource.parse::<JobId>() {
         Ok(id) => state.store().job(id).await?,
         Err(_) => None,

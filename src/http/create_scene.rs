@@ -28,7 +28,7 @@ use super::{
 };
 use crate::{
     domain::{Caller, DatasetSummary, Digest, SceneId, UploadId},
-    store::{Intent, NewScene, Remembered, SceneCreation, SceneRecord, StoreError},
+    store::{DatasetCreation, DatasetRecord, IdempotentRequest, NewDataset, PriorRequest, StoreError},
 };
 
 /// Longest name, in characters.
@@ -45,7 +45,7 @@ struct Asked<'a> {
 /// What a request came to.
 struct Made {
     status: StatusCode,
-    record: SceneRecord,
+    record: DatasetRecord,
     replayed: bool,
 }
 
@@ -53,7 +53,7 @@ struct Made {
 struct Wish {
     name: Option<String>,
     upload: Option<UploadId>,
-    intent: Option<Intent>,
+    intent: Option<IdempotentRequest>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -159,14 +159,14 @@ impl Asked<'_> {
         Ok(made)
     }
 
-    fn intent(&self, keyed: Option<&Keyed>, body: Digest) -> Option<Intent> {
+    fn intent(&self, keyed: Option<&Keyed>, body: Digest) -> Option<IdempotentRequest> {
         keyed.map(|keyed| keyed.intent(&Method::POST, self.uri, body))
     }
 
     /// Checks and publishes the archive and makes a scene of it, unless its owner has one.
     async fn keep(&self, received: Received, wish: Wish) -> Result<Made, Fault> {
         let (owner, dataset) = (self.caller.key, received.blob());
-        let known = self.state.store().scene_of_dataset(owner, dataset.digest).await?;
+        let known = self.state.store().dataset_by_archive(owner, dataset.digest).await?;
         let (received, summary) = match known {
             Some(known) => (received, known.summary),
             None => self.check(received).await?,
@@ -174,15 +174,17 @@ impl Asked<'_> {
         let id = new_id(self.state.services().clock.now());
         let intent = wish.intent.clone();
         let Wish { name, upload, .. } = wish;
-        let new = NewScene { id, owner, name, dataset, summary, upload, intent: wish.intent };
+        let new = NewDataset { id, owner, name, dataset, summary, upload, intent: wish.intent };
         let store = Arc::clone(&self.state.services().store);
-        match received.keep(self.state, async move { store.create_scene(new).await }).await? {
-            Ok(SceneCreation::Created(record)) => {
+        match received.keep(self.state, async move { store.create_dataset(new).await }).await? {
+            Ok(DatasetCreation::Created(record)) => {
                 tracing::info!(scene = %record.id, bytes = dataset.bytes, "scene {} is kept", record.id);
                 Ok(Made { status: StatusCode::CREATED, record, replayed: false })
             }
-            Ok(SceneCreation::Known(record)) => Ok(Made { status: StatusCode::OK, record, replayed: false }),
-            Err(StoreError::AlreadyMade(found)) if intent.is_some() => {
+            Ok(DatasetCreation::Existing(record)) => {
+                Ok(Made { status: StatusCode::OK, record, replayed: false })
+            }
+            Err(StoreError::IdempotencyKeyUsed(found)) if intent.is_some() => {
                 let found = match &intent {
                     Some(intent) => idempotency::same(intent, *found)?,
                     None => *found,
@@ -203,15 +205,15 @@ impl Asked<'_> {
         Ok((received, checked?))
     }
 
-    async fn made_before(&self, intent: Option<&Intent>) -> Result<Option<Made>, Fault> {
+    async fn made_before(&self, intent: Option<&IdempotentRequest>) -> Result<Option<Made>, Fault> {
         let Some(intent) = intent else { return Ok(None) };
         let Some(found) = idempotency::earlier(self.state, intent).await? else { return Ok(None) };
         self.remembered(&found).await.map(Some)
     }
 
-    async fn remembered(&self, found: &Remembered) -> Result<Made, Fault> {
+    async fn remembered(&self, found: &PriorRequest) -> Result<Made, Fault> {
         let record = match found.resource.parse::<SceneId>() {
-            Ok(id) => self.state.store().scene(id).await?,
+            Ok(id) => self.state.store().dataset(id).await?,
             Err(_) => None,
         };
         let record = record.ok_or_else(|| {

@@ -35,7 +35,7 @@ use super::{
 };
 use crate::{
     domain::{Caller, Digest, JobId, NamedCamera, SceneFormat},
-    store::{ArtifactKind, ExportRecord, JobRecord, Likeness},
+    store::{ArtifactKind, ExportFidelity, ExportRecord, JobRecord},
 };
 
 /// The formats that scenes are exported to.
@@ -88,7 +88,7 @@ pub(super) async fn get(
     let lambda = take_lambda(&mut parameters)?;
     parameters.finish()?;
     let source = file_of(&record, lambda)?;
-    let (blob, likeness) = if source.format == format {
+    let (blob, fidelity) = if source.format == format {
         (source.blob, None)
     } else {
         let export = match kept(&state, record.job.id, source.blob.digest, format).await? {
@@ -98,12 +98,12 @@ pub(super) async fn get(
                 export(&state, &record, source.blob.digest, format).await?
             }
         };
-        (export.blob, export.likeness)
+        (export.blob, export.fidelity)
     };
     let file = File::new(record.job.id, ArtifactKind::Scene(format), source.lambda, blob);
     let mut response = serve(&state, &request, file).await?;
     if response.status().is_success()
-        && let Some(Likeness { psnr, .. }) = likeness
+        && let Some(ExportFidelity { psnr, .. }) = fidelity
         && let Ok(psnr) = HeaderValue::try_from(format!("{psnr:.2}"))
     {
         response.headers_mut().insert(LIKENESS, psnr);
@@ -186,11 +186,11 @@ async fn make(
     let write = state.services().export.clone();
     let exported = spawn_blocking(move || write(&file, format, &cameras)).await;
     let exported = exported.map_err(|error| Fault::internal(&error))??;
-    let ExportedScene { bytes, gaussians, sh_degree, likeness } = exported;
+    let ExportedScene { bytes, gaussians, sh_degree, fidelity } = exported;
     let _reservation = Space::reserve(&state, record.owner, bytes.len() as u64).await?;
     let published = state.blobs().put_new(Bytes::from(bytes)).await?;
     let blob = published.blob;
-    let export = ExportRecord { job, source, format, blob, gaussians, sh_degree, likeness };
+    let export = ExportRecord { job, source, format, blob, gaussians, sh_degree, fidelity };
     let kept = state.store().add_export(export).await;
     if !matches!(&kept, Ok(Some(kept)) if kept.blob == blob) {
         take_back(&state, published).await;

@@ -15,7 +15,7 @@ use sha2::{Digest as _, Sha256};
 use super::{problem::Fault, state::AppState};
 use crate::{
     domain::{Caller, Digest, KeyId},
-    store::{Intent, Remembered},
+    store::{IdempotentRequest, PriorRequest},
 };
 
 const HEADER: &str = "idempotency-key";
@@ -71,14 +71,14 @@ pub(super) fn begin(state: &AppState, caller: &Caller, headers: &HeaderMap) -> R
 
 impl Keyed {
     /// What the store is to remember; `body` is the digest of the request's body.
-    pub(super) fn intent(&self, method: &Method, uri: &Uri, body: Digest) -> Intent {
+    pub(super) fn intent(&self, method: &Method, uri: &Uri, body: Digest) -> IdempotentRequest {
         let mut hasher = Sha256::new();
         // None of the three can hold a line break.
         hasher.update(format!("{method}\n{}\n{}\n", uri.path(), uri.query().unwrap_or_default()));
         hasher.update(body.as_bytes());
         let fingerprint = Digest::from_bytes(hasher.finalize().into());
         let (owner, key) = self.place.clone();
-        Intent { owner, key, fingerprint }
+        IdempotentRequest { owner, key, fingerprint }
     }
 }
 
@@ -86,8 +86,11 @@ impl Keyed {
 ///
 /// # Errors
 /// 422 if the request that used the key asked for something else.
-pub(super) async fn earlier(state: &AppState, intent: &Intent) -> Result<Option<Remembered>, Fault> {
-    let found = state.store().remembered(intent.owner, &intent.key).await?;
+pub(super) async fn earlier(
+    state: &AppState,
+    intent: &IdempotentRequest,
+) -> Result<Option<PriorRequest>, Fault> {
+    let found = state.store().prior_request(intent.owner, &intent.key).await?;
     found.map(|found| same(intent, found)).transpose()
 }
 
@@ -95,7 +98,7 @@ pub(super) async fn earlier(state: &AppState, intent: &Intent) -> Result<Option<
 ///
 /// # Errors
 /// 422 if they differ.
-pub(super) fn same(intent: &Intent, found: Remembered) -> Result<Remembered, Fault> {
+pub(super) fn same(intent: &IdempotentRequest, found: PriorRequest) -> Result<PriorRequest, Fault> {
     if found.fingerprint == intent.fingerprint {
         return Ok(found);
     }

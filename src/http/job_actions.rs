@@ -21,7 +21,7 @@ use super::{
 };
 use crate::{
     domain::{Caller, Digest, JobState},
-    store::{Cancellation, Deletion, Repeat, Repetition},
+    store::{Cancellation, Deletion, RetryOutcome, RetryRequest},
 };
 
 /// `POST /v1/jobs/{id}/cancel`.
@@ -80,16 +80,16 @@ pub(super) async fn retry(
     }
     expect_above_floor(&state, 0)?;
     let now = state.services().clock.now();
-    let repeat = Repeat {
+    let repeat = RetryRequest {
         id: new_id(now),
         from_checkpoint: wish.from_checkpoint.unwrap_or(true),
         deadline_at: deadline(now, wish.deadline_s),
         intent: intent.clone(),
     };
-    let made = match state.store().repeat_job(parsed, repeat).await {
+    let made = match state.store().retry_job(parsed, repeat).await {
         Ok(None) => return Err(Fault::no_job(&id)),
-        Ok(Some(Repetition::NotNow(job))) => return Err(not_to_repeat(&id, job)),
-        Ok(Some(Repetition::Made(record))) => {
+        Ok(Some(RetryOutcome::NotRetryable(job))) => return Err(not_to_repeat(&id, job)),
+        Ok(Some(RetryOutcome::Created(record))) => {
             let new = record.job.id;
             tracing::info!(job = %new, retry_of = %parsed, "job {new} is queued; it repeats job {parsed}");
             Made::Now(*record)
@@ -118,7 +118,7 @@ pub(super) async fn delete(
     let version = wanted.then_some(record.job.version);
     match state.store().delete_job(job, version).await?.ok_or_else(|| Fault::no_job(&id))? {
         Deletion::Deleted => {}
-        Deletion::Changed => return Err(changed(&id)),
+        Deletion::VersionMismatch => return Err(changed(&id)),
         Deletion::Active(now) => {
             let detail = format!("job {id} is {}; cancel it first and wait until it has ended", now.name());
             return Err(Fault::new(StatusCode::CONFLICT, "job-active", "The job is active", detail));

@@ -17,7 +17,7 @@ pub(super) async fn give_up(store: Arc<dyn Store>, every: Duration, shutdown: Ca
             () = shutdown.cancelled() => return,
             _ = tick.tick() => {}
         }
-        tell(store.give_up_overdue().await, "given up: their deadline has passed");
+        tell(store.fail_expired().await, "given up: their deadline has passed");
         tell(store.expire_leases().await, "taken from workers that have fallen silent");
     }
 }

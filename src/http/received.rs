@@ -20,7 +20,7 @@ use super::{
 };
 use crate::{
     domain::KeyId,
-    store::{BlobRef, ContentHash, Published, Staged, Staging, StoreError, housekeeping::withdraw},
+    store::{BlobRef, BlobWriter, ContentHasher, Published, StagedBlob, StoreError, garbage::withdraw},
 };
 
 /// A dataset that has come whole.
@@ -34,16 +34,16 @@ pub(super) struct Received {
 
 #[derive(Debug)]
 enum Content {
-    Staged(Staged),
+    Staged(StagedBlob),
     /// The owner has it.
     Known(Published, PathBuf),
 }
 
 /// Where a body goes.
 enum Sink {
-    Disk(Staging, Reservation),
+    Disk(BlobWriter, Reservation),
     /// Nowhere; it is refused with the fault unless its owner has it.
-    Hash(ContentHash, Fault),
+    Hash(ContentHasher, Fault),
 }
 
 /// Receives a body.
@@ -72,7 +72,7 @@ impl Sink {
                 Ok(Self::Disk(state.blobs().stage(state.limits().upload_bytes).await?, reservation))
             }
             Err(Refusal::Quota { fault, largest_dataset }) if announced <= largest_dataset => {
-                Ok(Self::Hash(ContentHash::new(largest_dataset), fault))
+                Ok(Self::Hash(ContentHasher::new(largest_dataset), fault))
             }
             Err(refusal) => Err(refusal.into()),
         }
@@ -89,7 +89,7 @@ impl Sink {
                         Ok(Self::Disk(staging, reservation))
                     }
                     Err(Refusal::Quota { fault, largest_dataset }) => {
-                        let content = staging.forget_bytes(largest_dataset).await?;
+                        let content = staging.into_hasher(largest_dataset).await?;
                         Self::hash(content, piece, fault)
                     }
                     Err(refusal) => Err(refusal.into()),
@@ -99,7 +99,7 @@ impl Sink {
         }
     }
 
-    fn hash(mut content: ContentHash, piece: &[u8], fault: Fault) -> Result<Self, Fault> {
+    fn hash(mut content: ContentHasher, piece: &[u8], fault: Fault) -> Result<Self, Fault> {
         match content.update(piece) {
             Ok(()) => Ok(Self::Hash(content, fault)),
             Err(_) => Err(fault),
@@ -118,9 +118,9 @@ impl Sink {
                 })
             }
             Self::Hash(content, fault) => {
-                let known = state.store().dataset(owner, content.finish().digest).await?;
+                let known = state.store().owned_archive(owner, content.finish().digest).await?;
                 let there = match known {
-                    Some(blob) => state.blobs().publish_again(blob).await?,
+                    Some(blob) => state.blobs().republish(blob).await?,
                     None => None,
                 };
                 let (published, path) = there.ok_or(fault)?;
@@ -133,7 +133,7 @@ impl Sink {
 
 impl Received {
     /// What came in parts.
-    pub(super) fn of_upload(staged: Staged) -> Self {
+    pub(super) fn of_upload(staged: StagedBlob) -> Self {
         Self { blob: staged.blob(), content: Content::Staged(staged), reservation: None }
     }
 

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use crate::{
     domain::{DatasetSummary, Digest, SceneId},
-    store::{BlobRef, SceneRecord},
+    store::{BlobRef, DatasetRecord},
 };
 
 /// `#/components/schemas/Scene` of the contract.
@@ -46,8 +46,8 @@ pub(super) fn href(id: SceneId) -> String {
     format!("/v1/scenes/{id}")
 }
 
-impl From<SceneRecord> for SceneBody {
-    fn from(record: SceneRecord) -> Self {
+impl From<DatasetRecord> for SceneBody {
+    fn from(record: DatasetRecord) -> Self {
         Self {
             id: record.id,
             state: "ready",

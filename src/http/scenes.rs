@@ -18,16 +18,16 @@ use super::{
 };
 use crate::{
     domain::{Caller, SceneId},
-    store::{SceneDeletion, ScenePage, SceneRecord},
+    store::{DatasetDeletion, DatasetPageKey, DatasetRecord},
 };
 
 /// The scene that a path or a body names.
 ///
 /// # Errors
 /// 404 if there is none, and if it is another's.
-pub(super) async fn find(state: &AppState, caller: &Caller, id: &str) -> Result<SceneRecord, Fault> {
+pub(super) async fn find(state: &AppState, caller: &Caller, id: &str) -> Result<DatasetRecord, Fault> {
     let parsed: SceneId = id.parse().map_err(|_| Fault::no_scene(id))?;
-    let record = state.store().scene(parsed).await?;
+    let record = state.store().dataset(parsed).await?;
     record.filter(|record| caller.may_see(record.owner)).ok_or_else(|| Fault::no_scene(id))
 }
 
@@ -46,10 +46,10 @@ pub(super) async fn list(
     let mut parameters = Parameters::parse(query.as_deref())?;
     let page = Page::take(&mut parameters, |text| {
         let (created_at, id) = parse_cursor(text)?;
-        Some(ScenePage { created_at, id })
+        Some(DatasetPageKey { created_at, id })
     })?;
     parameters.finish()?;
-    let mut records = state.store().scenes(caller.sees_only(), page.after, page.to_read()).await?;
+    let mut records = state.store().datasets(caller.sees_only(), page.after, page.to_read()).await?;
     let next = page.cut(&mut records, "/v1/scenes", |last| cursor(last.created_at, last.id));
     let headers = listing::headers(next.as_deref())?;
     let scenes = records.into_iter().map(SceneBody::from).collect();
@@ -72,7 +72,7 @@ pub(super) async fn get(
 }
 
 /// 200 with the scene.
-pub(super) fn representation(record: SceneRecord) -> Response {
+pub(super) fn representation(record: DatasetRecord) -> Response {
     let etag = Etag::new(record.version).value();
     let caching = HeaderValue::from_static("no-cache");
     ([(header::ETAG, etag), (header::CACHE_CONTROL, caching)], Json(SceneBody::from(record))).into_response()
@@ -97,13 +97,13 @@ pub(super) async fn delete(
     if Etag::new(record.version).wanted_by_if_match(&headers).is_none() {
         return Err(changed());
     }
-    match state.store().delete_scene(record.id, Some(record.version)).await? {
-        Some(SceneDeletion::Deleted) => {
-            state.blobs().let_go();
+    match state.store().delete_dataset(record.id, Some(record.version)).await? {
+        Some(DatasetDeletion::Deleted) => {
+            state.blobs().request_collection();
             tracing::info!(scene = %record.id, "scene {} is deleted", record.id);
             Ok(StatusCode::NO_CONTENT)
         }
-        Some(SceneDeletion::InUse(jobs)) => Err(Fault::new(
+        Some(DatasetDeletion::InUse(jobs)) => Err(Fault::new(
             StatusCode::CONFLICT,
             "scene-in-use",
             "The scene is in use",
@@ -111,7 +111,7 @@ pub(super) async fn delete(
                 "{jobs} queued or running jobs are made of scene {id}; cancel them or wait for their end"
             ),
         )),
-        Some(SceneDeletion::Changed) => Err(changed()),
+        Some(DatasetDeletion::VersionMismatch) => Err(changed()),
         None => Err(Fault::no_scene(&id)),
     }
 }

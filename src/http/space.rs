@@ -97,7 +97,7 @@ async fn free_bytes(state: &AppState) -> Result<u64, Fault> {
 
 impl Reservation {
     async fn grow(&mut self, state: &AppState, more: u64) -> Result<(), Refusal> {
-        let room = state.store().room(self.owner).await.map_err(|error| Refusal::Other(error.into()))?;
+        let room = state.store().capacity(self.owner).await.map_err(|error| Refusal::Other(error.into()))?;
         let free = free_bytes(state).await.map_err(Refusal::Other)?;
         let mut pending = self.space.lock();
         let own = pending.by_owner.get(&self.owner).copied().unwrap_or(0);

@@ -21,7 +21,7 @@ use super::{
 use crate::{
     domain::{Clock, DatasetSummary, Entropy, JobId, NamedCamera, Problem, SceneFormat},
     render::{RenderViews, views::Viewable},
-    store::{Blobs, Likeness, Store},
+    store::{Blobs, ExportFidelity, Store},
 };
 
 /// Looks over a dataset archive before a scene or a job is made of it; blocks.
@@ -44,7 +44,7 @@ pub struct ExportedScene {
     /// Highest degree of its spherical harmonics.
     pub sh_degree: u8,
     /// How alike it looks, if that can be told.
-    pub likeness: Option<Likeness>,
+    pub fidelity: Option<ExportFidelity>,
 }
 
 /// Removes what is kept of a deleted job beside the store and its blobs; blocks.

@@ -1,6 +1,6 @@
 //! Whose bytes fill the disk, and which nobody's are.
 
-use super::{Answer, BlobRef, StoreError};
+use super::{BlobRef, StoreError, StoreFuture};
 use crate::domain::{Digest, KeyId};
 
 /// What somebody's things take.
@@ -22,7 +22,7 @@ impl Usage {
 
 /// What an owner may still store.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Room {
+pub struct Capacity {
     /// What their things take.
     pub usage: Usage,
     /// How much that may be; not bounded if absent.
@@ -31,7 +31,7 @@ pub struct Room {
     pub largest_dataset: u64,
 }
 
-impl Room {
+impl Capacity {
     /// Refuses `asked` more bytes, beside `pending` that are about to be stored, if they are over the quota.
     ///
     /// # Errors
@@ -50,14 +50,14 @@ impl Room {
 /// Accounts of the blobs. Every method is one transaction.
 pub trait Accounts: Send + Sync + 'static {
     /// What the owner's things take.
-    fn usage(&self, owner: Option<KeyId>) -> Answer<'_, Usage>;
+    fn usage(&self, owner: Option<KeyId>) -> StoreFuture<'_, Usage>;
 
     /// What the owner may still store.
-    fn room(&self, owner: Option<KeyId>) -> Answer<'_, Room>;
+    fn capacity(&self, owner: Option<KeyId>) -> StoreFuture<'_, Capacity>;
 
     /// The dataset with this content, if a scene or a job of the owner's is made of it.
-    fn dataset(&self, owner: Option<KeyId>, content: Digest) -> Answer<'_, Option<BlobRef>>;
+    fn owned_archive(&self, owner: Option<KeyId>, content: Digest) -> StoreFuture<'_, Option<BlobRef>>;
 
     /// Those of the digests that nothing refers to; what is known of them is forgotten.
-    fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> Answer<'a, Vec<Digest>>;
+    fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> StoreFuture<'a, Vec<Digest>>;
 }

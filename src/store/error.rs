@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::{Remembered, is_disk_full};
+use super::{PriorRequest, is_disk_full};
 use crate::domain::{JobId, SceneId};
 
 /// A fault of the job table.
@@ -18,7 +18,7 @@ pub enum StoreError {
     },
     /// A request with the same `Idempotency-Key` made something before; nothing was written.
     #[error("the Idempotency-Key was used before, for {}", .0.resource)]
-    AlreadyMade(Box<Remembered>),
+    IdempotencyKeyUsed(Box<PriorRequest>),
     /// More than the owner has room for.
     #[error(
         "over the quota of {quota} bytes: {used} are stored or kept for uploads, and there has to be room for {asked} more"

@@ -1,11 +1,11 @@
 //! Finished scenes in formats that other programs read, and files by their hash.
 
-use super::{Answer, ArtifactKind, BlobRef};
+use super::{ArtifactKind, BlobRef, StoreFuture};
 use crate::domain::{Digest, JobId, KeyId, SceneFormat};
 
 /// How alike pictures of an export and of the scene that it was made of are.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Likeness {
+pub struct ExportFidelity {
     /// Mean PSNR of the one's pictures against the other's, in dB.
     pub psnr: f64,
     /// How many views were compared, more than none.
@@ -28,7 +28,7 @@ pub struct ExportRecord {
     /// Highest degree of its spherical harmonics.
     pub sh_degree: u8,
     /// What the other format cost, if it could be measured.
-    pub likeness: Option<Likeness>,
+    pub fidelity: Option<ExportFidelity>,
 }
 
 /// A file that a job made, or that was made of its scene.
@@ -47,15 +47,15 @@ pub struct FileRecord {
 /// Part of a [`super::Store`]: exports, and files by hash. Every method is one transaction.
 pub trait Exports: Send + Sync + 'static {
     /// Refuses with [`super::StoreError::QuotaExceeded`] if the job's owner has no room left for an export, however small.
-    fn admit_export(&self, job: JobId) -> Answer<'_, ()>;
+    fn admit_export(&self, job: JobId) -> StoreFuture<'_, ()>;
 
     /// Keeps an export, unless there is one like it, and gives back the one that is kept; `None` if the job is gone. It counts
     /// against the quota of the job's owner, and is refused if that has no room for it.
-    fn add_export(&self, export: ExportRecord) -> Answer<'_, Option<ExportRecord>>;
+    fn add_export(&self, export: ExportRecord) -> StoreFuture<'_, Option<ExportRecord>>;
 
     /// The exports of a job's scene.
-    fn exports(&self, job: JobId) -> Answer<'_, Vec<ExportRecord>>;
+    fn exports(&self, job: JobId) -> StoreFuture<'_, Vec<ExportRecord>>;
 
     /// The file with this hash among those of the owner's jobs, or of everybody's. Datasets are not among them.
-    fn file(&self, digest: Digest, owner: Option<KeyId>) -> Answer<'_, Option<FileRecord>>;
+    fn file(&self, digest: Digest, owner: Option<KeyId>) -> StoreFuture<'_, Option<FileRecord>>;
 }

@@ -3,12 +3,12 @@
 //! What always holds: the row is written in the transaction that makes the thing, so there is never one without the other,
 //! and (owner, key) is unique, so two requests with one key make one thing, whichever processes they reach.
 
-use super::Answer;
+use super::StoreFuture;
 use crate::domain::{Digest, KeyId};
 
 /// A request's claim on its `Idempotency-Key`.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Intent {
+pub struct IdempotentRequest {
     /// Whose key it is.
     pub owner: Option<KeyId>,
     /// What the client chose.
@@ -19,7 +19,7 @@ pub struct Intent {
 
 /// What a request with a key made.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Remembered {
+pub struct PriorRequest {
     /// SHA-256 of what that request asked for.
     pub fingerprint: Digest,
     /// HTTP status that it was answered with.
@@ -30,6 +30,10 @@ pub struct Remembered {
 
 /// Part of a [`super::Store`]: what requests with an `Idempotency-Key` made.
 pub trait Idempotency: Send + Sync + 'static {
-    /// What the owner's request with this key made, unless [`super::QueuePolicy::remember`] has passed since.
-    fn remembered<'a>(&'a self, owner: Option<KeyId>, key: &'a str) -> Answer<'a, Option<Remembered>>;
+    /// What the owner's request with this key made, unless [`super::QueuePolicy::idempotency_ttl`] has passed since.
+    fn prior_request<'a>(
+        &'a self,
+        owner: Option<KeyId>,
+        key: &'a str,
+    ) -> StoreFuture<'a, Option<PriorRequest>>;
 }

@@ -8,7 +8,7 @@ use serde::Serialize;
 use thiserror::Error;
 use uuid::Builder;
 
-use super::Answer;
+use super::StoreFuture;
 use crate::domain::{ApiKey, Entropy, EntropyError, KeyHash, KeyId, KeyLimits, MAX_PRIORITY, Scope};
 
 /// Longest name of a key, in characters.
@@ -128,24 +128,24 @@ impl KeyRecord {
 /// The part of a store that knows keys. Every method is one transaction.
 pub trait Keys: Send + Sync + 'static {
     /// Lets a key in.
-    fn create_key(&self, new: NewKey) -> Answer<'_, KeyRecord>;
+    fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord>;
 
     /// A key, revoked or not.
-    fn key(&self, id: KeyId) -> Answer<'_, Option<KeyRecord>>;
+    fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>>;
 
     /// Up to `limit` keys, newest first, older than `before`; revoked ones only if they are asked for.
-    fn keys(&self, with_revoked: bool, before: Option<KeyId>, limit: u32) -> Answer<'_, Vec<KeyRecord>>;
+    fn keys(&self, with_revoked: bool, before: Option<KeyId>, limit: u32) -> StoreFuture<'_, Vec<KeyRecord>>;
 
     /// Shuts a key out, from the next request on, and returns it as it then is; `None` if there is no such key. A key that is
     /// revoked stays as it is.
-    fn revoke_key(&self, id: KeyId) -> Answer<'_, Option<KeyRecord>>;
+    fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>>;
 
     /// The key with this hash, unless it is revoked.
-    fn authenticate(&self, hash: KeyHash) -> Answer<'_, Option<KeyRecord>>;
+    fn authenticate(&self, hash: KeyHash) -> StoreFuture<'_, Option<KeyRecord>>;
 
     /// Whether there is a key or ever was one.
-    fn has_keys(&self) -> Answer<'_, bool>;
+    fn has_keys(&self) -> StoreFuture<'_, bool>;
 
     /// Records that the key is in use.
-    fn touch_key(&self, id: KeyId) -> Answer<'_, ()>;
+    fn touch_key(&self, id: KeyId) -> StoreFuture<'_, ()>;
 }

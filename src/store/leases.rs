@@ -6,7 +6,7 @@
 
 use std::{collections::HashMap, time::Duration};
 
-use super::Death;
+use super::WorkerDeath;
 use crate::domain::JobId;
 
 /// A lease as the database has it. Every renewal changes `until`.
@@ -39,7 +39,7 @@ impl LeaseWatch {
         rows: &[LeaseRow],
         lease: Duration,
         now: Duration,
-    ) -> Vec<(LeaseRow, Death)> {
+    ) -> Vec<(LeaseRow, WorkerDeath)> {
         let before = self.seen.take();
         let seen = rows.iter().map(|&row| {
             let known =
@@ -48,7 +48,9 @@ impl LeaseWatch {
         });
         let seen = self.seen.insert(seen.collect());
         let expired = seen.values().filter(|seen| now.saturating_sub(seen.since) >= lease);
-        expired.map(|seen| (seen.row, if seen.in_use { Death::Alone } else { Death::Together })).collect()
+        expired
+            .map(|seen| (seen.row, if seen.in_use { WorkerDeath::Alone } else { WorkerDeath::WithService }))
+            .collect()
     }
 
     /// A lease was given out or renewed through this process.
@@ -77,7 +79,7 @@ mod tests {
     }
 
     /// What comes of looks at these seconds, each at one lease.
-    fn looks(watch: &mut LeaseWatch, looks: &[(u64, LeaseRow)]) -> Vec<Option<Death>> {
+    fn looks(watch: &mut LeaseWatch, looks: &[(u64, LeaseRow)]) -> Vec<Option<WorkerDeath>> {
         let look = |(seconds, row): &(u64, LeaseRow)| {
             let expired = watch.look(&[*row], LEASE, Duration::from_secs(*seconds));
             assert!(expired.iter().all(|(expired, _)| expired == row));
@@ -90,13 +92,13 @@ mod tests {
     fn a_lease_runs_out_once_it_was_seen_unrenewed_for_its_length() {
         for (seen, expected) in [
             // Found at the first look: nobody knows what its worker did before.
-            (vec![(0, row(1, 7)), (59, row(1, 7)), (60, row(1, 7))], Some(Death::Together)),
+            (vec![(0, row(1, 7)), (59, row(1, 7)), (60, row(1, 7))], Some(WorkerDeath::WithService)),
             // A renewal begins the time anew, and says that its worker lived.
             (vec![(0, row(1, 7)), (59, row(1, 8)), (118, row(1, 8))], None),
-            (vec![(0, row(1, 7)), (59, row(1, 8)), (119, row(1, 8))], Some(Death::Alone)),
+            (vec![(0, row(1, 7)), (59, row(1, 8)), (119, row(1, 8))], Some(WorkerDeath::Alone)),
             // So does one to an earlier time, by a clock that was set back.
             (vec![(0, row(1, 7)), (59, row(1, 3)), (118, row(1, 3))], None),
-            (vec![(0, row(1, 7)), (59, row(2, 7)), (119, row(2, 7))], Some(Death::Alone)),
+            (vec![(0, row(1, 7)), (59, row(2, 7)), (119, row(2, 7))], Some(WorkerDeath::Alone)),
         ] {
             let ends = looks(&mut LeaseWatch::default(), &seen);
             assert_eq!(ends.last(), Some(&expected), "{seen:?}");
@@ -108,7 +110,7 @@ mod tests {
     fn a_lease_that_came_while_this_process_looked_on_was_in_use() {
         let mut watch = LeaseWatch::default();
         assert_eq!(watch.look(&[], LEASE, Duration::ZERO), []);
-        assert_eq!(looks(&mut watch, &[(1, row(1, 7)), (61, row(1, 7))]), [None, Some(Death::Alone)]);
+        assert_eq!(looks(&mut watch, &[(1, row(1, 7)), (61, row(1, 7))]), [None, Some(WorkerDeath::Alone)]);
     }
 
     #[test]
@@ -118,7 +120,7 @@ mod tests {
         watch.forget();
         assert_eq!(
             looks(&mut watch, &[(110, row(1, 8)), (169, row(1, 8)), (170, row(1, 8))]),
-            [None, None, Some(Death::Together)]
+            [None, None, Some(WorkerDeath::WithService)]
         );
     }
 
@@ -127,7 +129,10 @@ mod tests {
         let mut watch = LeaseWatch::default();
         assert_eq!(looks(&mut watch, &[(0, row(1, 7))]), [None]);
         watch.renewed(row(1, 9), Duration::from_secs(50));
-        assert_eq!(looks(&mut watch, &[(109, row(1, 9)), (110, row(1, 9))]), [None, Some(Death::Alone)]);
+        assert_eq!(
+            looks(&mut watch, &[(109, row(1, 9)), (110, row(1, 9))]),
+            [None, Some(WorkerDeath::Alone)]
+        );
         assert_eq!(watch.look(&[], LEASE, Duration::from_secs(300)), [], "a job that has ended is forgotten");
     }
 }

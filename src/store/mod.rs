@@ -16,51 +16,52 @@
 
 mod accounts;
 pub mod blobs;
+mod datasets;
 mod disk_full;
 mod error;
 mod exports;
-mod figures;
-pub mod housekeeping;
+pub mod garbage;
 mod idempotency;
 mod keys;
 mod leases;
 mod policy;
 mod records;
-mod scenes;
+mod retry;
 mod series;
 mod sqlite;
+mod stats;
 mod uploads;
-mod verdict;
 mod webhooks;
 
 use futures_util::future::BoxFuture;
 
-pub use accounts::{Accounts, Room, Usage};
-pub use blobs::{BlobError, Blobs, ContentHash, Published, Staged, Staging, UploadFile};
+pub use accounts::{Accounts, Capacity, Usage};
+pub use blobs::{BlobError, BlobWriter, Blobs, ContentHasher, Published, StagedBlob, UploadFile};
+pub use datasets::{DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, Datasets, NewDataset};
 pub use disk_full::is_disk_full;
 pub use error::StoreError;
-pub use exports::{ExportRecord, Exports, FileRecord, Likeness};
-pub use figures::{AttemptCount, Figures, Overview};
-pub use idempotency::{Idempotency, Intent, Remembered};
+pub use exports::{ExportFidelity, ExportRecord, Exports, FileRecord};
+pub use idempotency::{Idempotency, IdempotentRequest, PriorRequest};
 pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};
 pub use policy::QueuePolicy;
 pub use records::{
-    Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Death, Deletion,
-    Heartbeat, JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, Repeat, Repetition, SceneArtifact,
+    Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat,
+    JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, RetryOutcome, RetryRequest, SceneArtifact,
+    WorkerDeath,
 };
-pub use scenes::{NewScene, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes};
 pub use series::Series;
 pub use sqlite::{SchemaChange, SqliteStore};
+pub use stats::{AttemptCount, Overview, StoreStats};
 pub use uploads::{NewUpload, UploadRecord, Uploads};
 pub use webhooks::{
-    AfterAttempt, DeliveryRecord, DeliveryState, DueDelivery, EndpointRecord, NewEndpoint, Replay, Settled,
-    Webhooks,
+    AfterAttempt, DeliveryRecord, DeliveryResult, DeliveryState, DueDelivery, EndpointRecord, NewEndpoint,
+    Replay, Webhooks,
 };
 
 use crate::domain::{Event, JobId, JobState, Phase, Progress};
 
 /// What a store method returns; boxed so that a store can be held as `Arc<dyn Store>`.
-pub type Answer<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
+pub type StoreFuture<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
 pub trait Store:
@@ -69,7 +70,7 @@ pub trait Store:
     + Idempotency
     + Keys
     + Overview
-    + Scenes
+    + Datasets
     + Series
     + Uploads
     + Webhooks
@@ -78,11 +79,11 @@ pub trait Store:
     + 'static
 {
     /// Adds a job in state `queued`, together with its dataset's blob row, its first event and what its request's
-    /// `Idempotency-Key` is to be remembered by; [`StoreError::AlreadyMade`] if that key was used before.
-    fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord>;
+    /// `Idempotency-Key` is to be remembered by; [`StoreError::IdempotencyKeyUsed`] if that key was used before.
+    fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord>;
 
     /// The job as it stands.
-    fn job(&self, id: JobId) -> Answer<'_, Option<JobRecord>>;
+    fn job(&self, id: JobId) -> StoreFuture<'_, Option<JobRecord>>;
 
     /// Up to `limit` jobs that pass the filter, newest first, older than `before`.
     fn jobs<'a>(
@@ -90,58 +91,58 @@ pub trait Store:
         filter: &'a JobFilter,
         before: Option<PageKey>,
         limit: u32,
-    ) -> Answer<'a, Vec<JobRecord>>;
+    ) -> StoreFuture<'a, Vec<JobRecord>>;
 
     /// Up to `limit` events with numbers above `after`, oldest first; `None` if there is no such job.
-    fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>>;
+    fn events(&self, id: JobId, after: u64, limit: u32) -> StoreFuture<'_, Option<Vec<Event>>>;
 
     /// The number of the newest event of each of these jobs; one that is not there is left out.
-    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<(JobId, u64)>>;
+    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<(JobId, u64)>>;
 
     /// Every attempt at the job, oldest first.
-    fn attempts(&self, id: JobId) -> Answer<'_, Vec<AttemptRecord>>;
+    fn attempts(&self, id: JobId) -> StoreFuture<'_, Vec<AttemptRecord>>;
 
     /// Stops a queued job at once, or asks the worker of a running one to stop; `None` if there is no such job.
-    fn cancel(&self, id: JobId) -> Answer<'_, Option<Cancellation>>;
+    fn cancel(&self, id: JobId) -> StoreFuture<'_, Option<Cancellation>>;
 
     /// Queues a job like this one, which must have failed or been cancelled, for the same owner; `None` if there is no such
-    /// job. [`StoreError::AlreadyMade`] as in [`Store::create_job`].
-    fn repeat_job(&self, id: JobId, repeat: Repeat) -> Answer<'_, Option<Repetition>>;
+    /// job. [`StoreError::IdempotencyKeyUsed`] as in [`Store::create_job`].
+    fn retry_job(&self, id: JobId, repeat: RetryRequest) -> StoreFuture<'_, Option<RetryOutcome>>;
 
     /// Deletes a job that has ended, with its events, attempts and references to blobs, if it has the wanted version;
     /// `None` if there is no such job.
-    fn delete_job(&self, id: JobId, version: Option<u64>) -> Answer<'_, Option<Deletion>>;
+    fn delete_job(&self, id: JobId, version: Option<u64>) -> StoreFuture<'_, Option<Deletion>>;
 
     /// Fails queued jobs whose deadline has passed, and counts them. Running ones are told by [`Store::heartbeat`].
-    fn give_up_overdue(&self) -> Answer<'_, u64>;
+    fn fail_expired(&self) -> StoreFuture<'_, u64>;
 
     /// Those of the jobs whose checkpoints may still be gone on from: by themselves, or, for
-    /// [`QueuePolicy::keep_checkpoints`] after they failed or were cancelled, by a job that repeats them.
-    fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<JobId>>;
+    /// [`QueuePolicy::checkpoint_ttl`] after they failed or were cancelled, by a job that repeats them.
+    fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<JobId>>;
 
     /// Takes for `worker` a job whose time has come: of those of the highest priority one of the owner with the fewest running
     /// jobs, the oldest first.
     ///
     /// As [`Store::expire_leases`] first, so jobs that are taken from their workers can be claimed again here.
-    fn claim<'a>(&'a self, worker: &'a str) -> Answer<'a, Option<Claim>>;
+    fn claim<'a>(&'a self, worker: &'a str) -> StoreFuture<'a, Option<Claim>>;
 
     /// Renews a lease and tells whether the job is to stop.
-    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Heartbeat>;
+    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> StoreFuture<'a, Heartbeat>;
 
     /// Records where the attempt is. A change of phase always makes an event, progress at most one per
     /// [`QueuePolicy::progress_event_every`].
-    fn report<'a>(&'a self, lease: &'a Lease, phase: Phase, progress: &'a Progress) -> Answer<'a, ()>;
+    fn report<'a>(&'a self, lease: &'a Lease, phase: Phase, progress: &'a Progress) -> StoreFuture<'a, ()>;
 
     /// Ends the attempt and returns the state that the job is in now.
-    fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> Answer<'a, JobState>;
+    fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> StoreFuture<'a, JobState>;
 
     /// Takes every job from a worker that is known to be dead, and counts them.
-    fn expire_worker<'a>(&'a self, worker: &'a str, death: Death) -> Answer<'a, u64>;
+    fn expire_worker<'a>(&'a self, worker: &'a str, death: WorkerDeath) -> StoreFuture<'a, u64>;
 
     /// Takes every job from its worker whose lease has run out while this process looked, and counts them. To be called often:
     /// what happens between two calls is not seen.
-    fn expire_leases(&self) -> Answer<'_, u64>;
+    fn expire_leases(&self) -> StoreFuture<'_, u64>;
 
     /// One round trip to the database.
-    fn ping(&self) -> Answer<'_, ()>;
+    fn ping(&self) -> StoreFuture<'_, ()>;
 }

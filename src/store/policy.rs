@@ -13,12 +13,12 @@ pub struct QueuePolicy {
     pub max_attempts: u32,
     /// Consecutive attempts whose worker alone may end without a word (killed, out of memory), with no newer checkpoint in
     /// between, before the job is held to be what ends it.
-    pub max_silent_deaths: u32,
+    pub max_worker_crashes: u32,
     /// Consecutive attempts that may end together with whoever watched their worker, with no newer checkpoint in between,
     /// before the next one is delayed. Such a job is never given up, but it may be what ends the machine.
-    pub prompt_restarts: u32,
+    pub immediate_restarts: u32,
     /// How long a job that is held waits until it is tried again.
-    pub hold: Duration,
+    pub hold_delay: Duration,
     /// Delay before the second attempt; each further one doubles it.
     pub backoff_base: Duration,
     /// Longest delay between attempts.
@@ -26,9 +26,9 @@ pub struct QueuePolicy {
     /// Shortest time between two `progress` events of a job.
     pub progress_event_every: Duration,
     /// How long a job that failed or was cancelled keeps its checkpoint, for a job that repeats it.
-    pub keep_checkpoints: Duration,
+    pub checkpoint_ttl: Duration,
     /// How long it is remembered what a request with an `Idempotency-Key` made.
-    pub remember: Duration,
+    pub idempotency_ttl: Duration,
     /// How much a key may take that has no limits of its own.
     pub limits: KeyLimits,
 }
@@ -38,14 +38,14 @@ impl Default for QueuePolicy {
         Self {
             lease: Duration::from_secs(60),
             max_attempts: 3,
-            max_silent_deaths: 2,
-            prompt_restarts: 3,
-            hold: Duration::from_secs(10),
+            max_worker_crashes: 2,
+            immediate_restarts: 3,
+            hold_delay: Duration::from_secs(10),
             backoff_base: Duration::from_secs(10),
             backoff_cap: Duration::from_secs(600),
             progress_event_every: Duration::from_secs(5),
-            keep_checkpoints: Duration::from_secs(24 * 3600),
-            remember: Duration::from_secs(24 * 3600),
+            checkpoint_ttl: Duration::from_secs(24 * 3600),
+            idempotency_ttl: Duration::from_secs(24 * 3600),
             limits: KeyLimits::default(),
         }
     }

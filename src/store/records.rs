@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::Intent;
+use super::IdempotentRequest;
 use crate::domain::{
     Digest, Job, JobId, JobMetrics, JobState, KeyId, ModelKind, Problem, SceneFormat, SceneId, TrainOptions,
 };
@@ -39,7 +39,7 @@ pub struct NewJob {
     /// Whether it may go on from where the job that it repeats stopped.
     pub from_checkpoint: bool,
     /// The `Idempotency-Key` of the request that makes it.
-    pub intent: Option<Intent>,
+    pub intent: Option<IdempotentRequest>,
 }
 
 impl NewJob {
@@ -191,7 +191,7 @@ pub struct Claim {
     /// What to do.
     pub options: TrainOptions,
     /// The job whose checkpoint it may go on from if it has none of its own.
-    pub adopts: Option<JobId>,
+    pub resume_from: Option<JobId>,
 }
 
 /// The answer to a heartbeat.
@@ -200,16 +200,16 @@ pub struct Heartbeat {
     /// Somebody asked for the job to stop.
     pub cancel_requested: bool,
     /// The job's deadline has passed.
-    pub overdue: bool,
+    pub deadline_passed: bool,
 }
 
 /// How a worker died, as far as anybody can tell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Death {
+pub enum WorkerDeath {
     /// While who watched it lived on: its job may be what ended it.
     Alone,
     /// With who watched it, by its hand, or unwatched. A power cut is one such end.
-    Together,
+    WithService,
 }
 
 /// How an attempt ended, as its worker tells it.
@@ -290,7 +290,7 @@ pub struct AttemptRecord {
 
 /// A job to be repeated.
 #[derive(Debug, Clone)]
-pub struct Repeat {
+pub struct RetryRequest {
     /// The new job's identity, chosen by the caller.
     pub id: JobId,
     /// As in [`NewJob::from_checkpoint`].
@@ -298,16 +298,16 @@ pub struct Repeat {
     /// As in [`NewJob::deadline_at`].
     pub deadline_at: Option<Timestamp>,
     /// As in [`NewJob::intent`].
-    pub intent: Option<Intent>,
+    pub intent: Option<IdempotentRequest>,
 }
 
 /// What a request to repeat a job came to.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Repetition {
+pub enum RetryOutcome {
     /// This job repeats it.
-    Made(Box<JobRecord>),
+    Created(Box<JobRecord>),
     /// The job is in this state: it has not failed and was not cancelled.
-    NotNow(JobState),
+    NotRetryable(JobState),
 }
 
 /// What a request to delete a job came to.
@@ -318,7 +318,7 @@ pub enum Deletion {
     /// It is in this state, which is not an end.
     Active(JobState),
     /// It has another version than the one that was to be deleted.
-    Changed,
+    VersionMismatch,
 }
 
 /// What a request to cancel came to.

@@ -2,7 +2,7 @@
 
 use jiff::Timestamp;
 
-use super::Answer;
+use super::StoreFuture;
 use crate::domain::{KeyId, SceneId, UploadId};
 
 /// An upload to be begun.
@@ -65,24 +65,24 @@ pub trait Uploads: Send + Sync + 'static {
     ///
     /// # Errors
     /// [`super::StoreError::QuotaExceeded`] if that is more than its owner has room for.
-    fn create_upload(&self, new: NewUpload) -> Answer<'_, UploadRecord>;
+    fn create_upload(&self, new: NewUpload) -> StoreFuture<'_, UploadRecord>;
 
     /// The upload as it stands.
-    fn upload(&self, id: UploadId) -> Answer<'_, Option<UploadRecord>>;
+    fn upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadRecord>>;
 
     /// Records that `received` bytes are on disk and puts off the end; false if the upload has ended.
-    fn advance_upload(&self, id: UploadId, received: u64, expires_at: Timestamp) -> Answer<'_, bool>;
+    fn advance_upload(&self, id: UploadId, received: u64, expires_at: Timestamp) -> StoreFuture<'_, bool>;
 
     /// Forgets an upload and gives its room back; false if there is none that is open.
-    fn delete_upload(&self, id: UploadId) -> Answer<'_, bool>;
+    fn delete_upload(&self, id: UploadId) -> StoreFuture<'_, bool>;
 
     /// Bytes of open uploads that have not come yet.
-    fn outstanding_bytes(&self) -> Answer<'_, u64>;
+    fn outstanding_bytes(&self) -> StoreFuture<'_, u64>;
 
     /// Ends the uploads whose time is over and returns them. Their rows stay, to say so, until they have been ended since
     /// before `forget`.
-    fn expire_uploads(&self, forget: Timestamp) -> Answer<'_, Vec<UploadId>>;
+    fn expire_uploads(&self, forget: Timestamp) -> StoreFuture<'_, Vec<UploadId>>;
 
     /// Every upload that is open: whose file must stay.
-    fn open_uploads(&self) -> Answer<'_, Vec<UploadId>>;
+    fn open_uploads(&self) -> StoreFuture<'_, Vec<UploadId>>;
 }

@@ -7,16 +7,16 @@ use std::time::Duration;
 
 use jiff::Timestamp;
 
-use super::Answer;
+use super::StoreFuture;
 use crate::domain::{DeliveryId, EndpointId, JobId, KeyId, WebhookEvent, WebhookSecret};
 
 /// The part of the store that keeps endpoints and deliveries.
 pub trait Webhooks: Send + Sync + 'static {
     /// Adds an endpoint, unless its owner has `at_most` already.
-    fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> Answer<'_, Option<EndpointRecord>>;
+    fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> StoreFuture<'_, Option<EndpointRecord>>;
 
     /// An endpoint.
-    fn endpoint(&self, id: EndpointId) -> Answer<'_, Option<EndpointRecord>>;
+    fn endpoint(&self, id: EndpointId) -> StoreFuture<'_, Option<EndpointRecord>>;
 
     /// Up to `limit` endpoints, of one owner if one is named, newest first, older than `before`.
     fn endpoints(
@@ -24,10 +24,10 @@ pub trait Webhooks: Send + Sync + 'static {
         owner: Option<KeyId>,
         before: Option<EndpointId>,
         limit: u32,
-    ) -> Answer<'_, Vec<EndpointRecord>>;
+    ) -> StoreFuture<'_, Vec<EndpointRecord>>;
 
     /// Removes an endpoint with its deliveries and tells whether it was there.
-    fn delete_endpoint(&self, id: EndpointId) -> Answer<'_, bool>;
+    fn delete_endpoint(&self, id: EndpointId) -> StoreFuture<'_, bool>;
 
     /// Up to `limit` deliveries to an endpoint, newest first, with numbers below `before`.
     fn deliveries(
@@ -35,16 +35,16 @@ pub trait Webhooks: Send + Sync + 'static {
         endpoint: EndpointId,
         before: Option<u64>,
         limit: u32,
-    ) -> Answer<'_, Vec<DeliveryRecord>>;
+    ) -> StoreFuture<'_, Vec<DeliveryRecord>>;
 
     /// Makes a delivery due now, with its whole schedule before it; `None` if the endpoint has no such delivery.
-    fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> Answer<'_, Option<Replay>>;
+    fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> StoreFuture<'_, Option<Replay>>;
 
     /// Takes the delivery that has been due for longest, for as long as `lease`; at most one at a time of an endpoint.
-    fn take_delivery(&self, lease: Duration) -> Answer<'_, Option<DueDelivery>>;
+    fn take_delivery(&self, lease: Duration) -> StoreFuture<'_, Option<DueDelivery>>;
 
     /// Records what an attempt came to. An attempt that was overtaken, or whose endpoint is gone, changes nothing.
-    fn settle_delivery(&self, id: DeliveryId, attempt: u32, settled: Settled) -> Answer<'_, ()>;
+    fn finish_delivery(&self, id: DeliveryId, attempt: u32, settled: DeliveryResult) -> StoreFuture<'_, ()>;
 }
 
 /// An endpoint to be added.
@@ -170,7 +170,7 @@ pub struct DueDelivery {
 
 /// What an attempt came to.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Settled {
+pub struct DeliveryResult {
     /// Status of the answer, if there was one.
     pub status: Option<u16>,
     /// Why it failed, if it did.
@@ -185,9 +185,9 @@ pub enum AfterAttempt {
     /// Nothing: it was taken.
     Done,
     /// Another one, that much later.
-    Again(Duration),
+    RetryAfter(Duration),
     /// Nothing: it has been tried often enough.
     GiveUp,
     /// Nothing, for this and all other messages: the endpoint is gone.
-    Disable,
+    DisableEndpoint,
 }

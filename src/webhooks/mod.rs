@@ -96,7 +96,7 @@ async fn attempt(store: Arc<dyn Store>, sender: Sender, due: DueDelivery) {
             tracing::info!(%delivery, attempt = due.attempt, status, "webhook {delivery} is not delivered: {fault}");
         }
     }
-    if let Err(error) = store.settle_delivery(due.id, due.attempt, settled).await {
+    if let Err(error) = store.finish_delivery(due.id, due.attempt, settled).await {
         // Its lease will run out, and it will be sent again.
         tracing::warn!(%delivery, error = &error as &dyn std::error::Error, "webhook {delivery}: {error}");
     }

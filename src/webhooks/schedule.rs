@@ -7,7 +7,7 @@ use jiff::{Timestamp, fmt::rfc2822};
 use super::send::{Answered, SendError};
 use crate::{
     domain::{DeliveryId, Digest},
-    store::{AfterAttempt, DueDelivery, Settled},
+    store::{AfterAttempt, DeliveryResult, DueDelivery},
 };
 
 const MINUTE: u64 = 60;
@@ -19,17 +19,17 @@ const PAUSES: [u64; 9] =
 const LONGEST: Duration = Duration::from_secs(24 * HOUR);
 
 /// What an attempt came to and what follows.
-pub(super) fn settle(due: &DueDelivery, sent: Result<Answered, SendError>) -> Settled {
+pub(super) fn settle(due: &DueDelivery, sent: Result<Answered, SendError>) -> DeliveryResult {
     let (status, asked, fault) = match sent {
         Ok(answer) => (Some(answer.status), answer.retry_after, fault(answer.status)),
         Err(error) => (None, None, Some(error.to_string())),
     };
     let next = match (status, &fault) {
         (_, None) => AfterAttempt::Done,
-        (Some(410), _) => AfterAttempt::Disable,
+        (Some(410), _) => AfterAttempt::DisableEndpoint,
         _ => again(due, asked.as_deref()),
     };
-    Settled { status, fault, next }
+    DeliveryResult { status, fault, next }
 }
 
 fn fault(status: u16) -> Option<String> {
@@ -46,7 +46,7 @@ fn again(due: &DueDelivery, asked: Option<&str>) -> AfterAttempt {
     let Some(seconds) = PAUSES.get(place) else { return AfterAttempt::GiveUp };
     let pause = Duration::from_secs(*seconds).mul_f64(spread(due.id, due.tries));
     let asked = asked.and_then(|text| retry_after(text, due.at)).unwrap_or_default();
-    AfterAttempt::Again(pause.max(asked.min(LONGEST)))
+    AfterAttempt::RetryAfter(pause.max(asked.min(LONGEST)))
 }
 
 /// A factor in [0.9, 1.1] that the delivery and the try decide, so that endpoints which failed together are not asked together.
@@ -91,7 +91,7 @@ mod tests {
     #[test]
     fn attempts_that_fail_are_made_again_ten_times_in_all() {
         for (tries, seconds) in (1..).zip(PAUSES) {
-            let AfterAttempt::Again(pause) = settle(&due(tries), answered(500, None)).next else {
+            let AfterAttempt::RetryAfter(pause) = settle(&due(tries), answered(500, None)).next else {
                 panic!("try {tries} is the last");
             };
             let ratio = pause.as_secs_f64() / seconds as f64;
@@ -107,10 +107,10 @@ mod tests {
             let settled = settle(&due(1), answered(status, None));
             assert_eq!((settled.next, settled.fault), (AfterAttempt::Done, None));
         }
-        assert_eq!(settle(&due(1), answered(410, None)).next, AfterAttempt::Disable);
+        assert_eq!(settle(&due(1), answered(410, None)).next, AfterAttempt::DisableEndpoint);
         for status in [100, 301, 302, 307, 400, 404, 429, 500, 502] {
             let settled = settle(&due(1), answered(status, None));
-            assert!(matches!(settled.next, AfterAttempt::Again(_)), "{status}");
+            assert!(matches!(settled.next, AfterAttempt::RetryAfter(_)), "{status}");
             assert!(settled.fault.is_some_and(|fault| fault.contains(&status.to_string())));
         }
     }
@@ -118,7 +118,7 @@ mod tests {
     #[test]
     fn an_endpoint_may_ask_for_a_longer_pause_and_not_for_a_shorter_one() {
         let pause = |tries, asked| match settle(&due(tries), answered(503, Some(asked))).next {
-            AfterAttempt::Again(pause) => pause.as_secs(),
+            AfterAttempt::RetryAfter(pause) => pause.as_secs(),
             other => panic!("{other:?}"),
         };
         assert_eq!(pause(1, "120"), 120);

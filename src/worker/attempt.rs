@@ -16,7 +16,7 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use tracing::{Instrument as _, Span};
 
-use super::{WorkerConfig, WorkerError, checkpoints, points::Points, storage};
+use super::{WorkerConfig, WorkerError, checkpoints, series_buffer::SeriesBuffer, storage};
 use crate::{
     domain::{CancelFlag, Phase, Problem, Progress, TrainOptions},
     pipeline::{Checkpoints, JobError, JobOutput, RunJob},
@@ -24,10 +24,10 @@ use crate::{
 };
 
 /// Pause between tries to write the end of an attempt.
-const SETTLE_PAUSE: Duration = Duration::from_secs(1);
+const FINISH_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
 /// What every attempt needs.
-pub(super) struct Context {
+pub(super) struct WorkerDeps {
     pub(super) store: Arc<dyn Store>,
     pub(super) blobs: Blobs,
     pub(super) runner: Arc<dyn RunJob>,
@@ -35,7 +35,7 @@ pub(super) struct Context {
 }
 
 /// How an attempt left the worker.
-pub(super) enum End {
+pub(super) enum AttemptEnd {
     /// Free for the next job.
     Free,
     /// With a thread that hangs.
@@ -44,86 +44,86 @@ pub(super) enum End {
 
 type RunResult = Result<Result<JobOutput, JobError>, Box<dyn Any + Send>>;
 
-/// What happened to the lease while the job ran.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Stop {
-    No,
+/// Why the run is to stop; a later reason outweighs an earlier one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum StopReason {
+    None,
     /// Somebody cancelled the job.
-    Asked,
+    Cancelled,
     /// Its deadline has passed.
-    Late,
+    DeadlinePassed,
     /// The worker shuts down.
-    Draining,
+    ShuttingDown,
     /// The job is no longer this worker's.
-    Lost,
+    LeaseLost,
 }
 
 /// Runs a claimed job to its end. Whatever is logged meanwhile, here or by the run, carries the job and the attempt.
-pub(super) async fn carry_out(context: &Context, claim: Claim, shutdown: &CancellationToken) -> End {
+pub(super) async fn run_attempt(deps: &WorkerDeps, claim: Claim, shutdown: &CancellationToken) -> AttemptEnd {
     let Claim { lease: Lease { job, attempt, .. }, .. } = claim;
     // Of the highest level, so that lines carry it however little is logged.
     let span = tracing::error_span!("job", %job, attempt);
-    attempt_at(context, claim, shutdown).instrument(span).await
+    run_in_span(deps, claim, shutdown).instrument(span).await
 }
 
-async fn attempt_at(context: &Context, claim: Claim, shutdown: &CancellationToken) -> End {
-    let Claim { lease, dataset, options, adopts } = claim;
+async fn run_in_span(deps: &WorkerDeps, claim: Claim, shutdown: &CancellationToken) -> AttemptEnd {
+    let Claim { lease, dataset, options, resume_from } = claim;
     tracing::info!("job {} begins", lease.job);
-    let dataset = match context.blobs.local_file(dataset).await {
+    let dataset = match deps.blobs.local_file(dataset).await {
         Ok(path) => path,
         Err(error) => {
-            settle(context, &lease, storage::outcome(&error), Instant::now(), shutdown).await;
-            return End::Free;
+            finish(deps, &lease, storage::outcome(&error), Instant::now(), shutdown).await;
+            return AttemptEnd::Free;
         }
     };
     let cancel = CancelFlag::default();
     let (progress, watched) = watch::channel((Phase::Ingest, Progress::default()));
-    let points = Points::default();
-    let checkpoints = checkpoints::of_attempt(context.config.checkpoints.as_deref(), &lease, adopts);
-    let run = Run { dataset, options, checkpoints, cancel: cancel.clone() };
-    let result = match start(context, &lease, run, progress, points.clone()) {
+    let points = SeriesBuffer::default();
+    let checkpoints = checkpoints::of_attempt(deps.config.checkpoints.as_deref(), &lease, resume_from);
+    let run = RunArgs { dataset, options, checkpoints, cancel: cancel.clone() };
+    let result = match start(deps, &lease, run, progress, points.clone()) {
         Ok(result) => result,
         Err(error) => {
-            settle(context, &lease, Outcome::Retry(no_thread(&error)), Instant::now(), shutdown).await;
-            return End::Free;
+            finish(deps, &lease, Outcome::Retry(no_thread(&error)), Instant::now(), shutdown).await;
+            return AttemptEnd::Free;
         }
     };
-    let mut watch = Watch {
-        context,
+    let mut keeper = LeaseKeeper {
+        deps,
         lease: &lease,
         cancel,
         progress: watched,
         points,
-        stop: Stop::No,
-        renewed: Instant::now(),
-        moved: Instant::now(),
+        stop: StopReason::None,
+        last_renewed: Instant::now(),
+        last_progress: Instant::now(),
     };
-    match watch.until(result, shutdown).await {
-        Waited::Ended(result) => {
-            watch.pass_progress_on().await;
+    match keeper.until(result, shutdown).await {
+        RunEnd::Ended(result) => {
+            keeper.pass_progress_on().await;
             if matches!(*result, Ok(Ok(_))) {
-                watch.enter_publication().await;
+                keeper.enter_publication().await;
             }
-            conclude(context, &lease, *result, watch.stop, watch.renewed, shutdown).await;
-            End::Free
+            finish_run(deps, &lease, *result, keeper.stop, keeper.last_renewed, shutdown).await;
+            AttemptEnd::Free
         }
-        Waited::DrainOver => {
+        RunEnd::DrainOver => {
             tracing::warn!("job {} did not stop in time; releasing it", lease.job);
-            settle(context, &lease, Outcome::Released, watch.renewed, shutdown).await;
-            End::Free
+            finish(deps, &lease, Outcome::Released, keeper.last_renewed, shutdown).await;
+            AttemptEnd::Free
         }
-        Waited::Stalled => {
-            let limit = context.config.stall_limit;
+        RunEnd::Stalled => {
+            let limit = deps.config.stall_limit;
             let error = WorkerError::Stalled { job: lease.job, attempt: lease.attempt, limit };
             tracing::error!("{error}");
-            settle(context, &lease, Outcome::Retry(stalled(limit)), watch.renewed, shutdown).await;
-            End::Stalled(error)
+            finish(deps, &lease, Outcome::Retry(stalled(limit)), keeper.last_renewed, shutdown).await;
+            AttemptEnd::Stalled(error)
         }
     }
 }
 
 /// What a run is told.
-struct Run {
+struct RunArgs {
     dataset: PathBuf,
     options: TrainOptions,
     checkpoints: Checkpoints,
@@ -132,13 +132,13 @@ struct Run {
 
 /// Starts the run on a thread of its own: it may take hours, and tokio's pool is not for that.
 fn start(
-    context: &Context,
+    deps: &WorkerDeps,
     lease: &Lease,
-    run: Run,
+    run: RunArgs,
     progress: watch::Sender<(Phase, Progress)>,
-    points: Points,
+    points: SeriesBuffer,
 ) -> std::io::Result<oneshot::Receiver<RunResult>> {
-    let runner = Arc::clone(&context.runner);
+    let runner = Arc::clone(&deps.runner);
     let (send, receive) = oneshot::channel();
     let span = Span::current();
     std::thread::Builder::new().name(format!("job-{}", lease.job)).spawn(move || {
@@ -147,7 +147,7 @@ fn start(
             points.add(phase, state);
             progress.send_replace((phase, state.clone()));
         };
-        let Run { dataset, options, checkpoints, cancel } = run;
+        let RunArgs { dataset, options, checkpoints, cancel } = run;
         let result = catch_unwind(AssertUnwindSafe(|| {
             runner.run(&dataset, &options, &checkpoints, &mut report, &cancel)
         }));
@@ -157,31 +157,31 @@ fn start(
     Ok(receive)
 }
 
-enum Waited {
+enum RunEnd {
     Ended(Box<RunResult>),
     DrainOver,
     Stalled,
 }
 
 /// Keeps the lease while the run goes on.
-struct Watch<'a> {
-    context: &'a Context,
+struct LeaseKeeper<'a> {
+    deps: &'a WorkerDeps,
     lease: &'a Lease,
     cancel: CancelFlag,
     progress: watch::Receiver<(Phase, Progress)>,
-    points: Points,
-    stop: Stop,
-    renewed: Instant,
-    moved: Instant,
+    points: SeriesBuffer,
+    stop: StopReason,
+    last_renewed: Instant,
+    last_progress: Instant,
 }
 
-impl Watch<'_> {
+impl LeaseKeeper<'_> {
     async fn until(
         &mut self,
         mut result: oneshot::Receiver<RunResult>,
         shutdown: &CancellationToken,
-    ) -> Waited {
-        let config = &self.context.config;
+    ) -> RunEnd {
+        let config = &self.deps.config;
         let mut heartbeat = interval_at(Instant::now() + config.heartbeat, config.heartbeat);
         heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut report = interval_at(Instant::now() + config.report_every, config.report_every);
@@ -191,51 +191,44 @@ impl Watch<'_> {
             tokio::select! {
                 ended = &mut result => {
                     let vanished = |_| Err(Box::new("the run's thread vanished") as _);
-                    return Waited::Ended(Box::new(ended.unwrap_or_else(vanished)));
+                    return RunEnd::Ended(Box::new(ended.unwrap_or_else(vanished)));
                 }
                 () = shutdown.cancelled(), if drain_until.is_none() => {
                     drain_until = Some(Instant::now() + config.drain);
-                    self.stop(Stop::Draining);
+                    self.stop(StopReason::ShuttingDown);
                 }
                 () = sleep_until(drain_until.unwrap_or_else(Instant::now)), if drain_until.is_some() => {
-                    return Waited::DrainOver;
+                    return RunEnd::DrainOver;
                 }
-                _ = heartbeat.tick(), if self.stop != Stop::Lost => self.beat().await,
+                _ = heartbeat.tick(), if self.stop != StopReason::LeaseLost => self.heartbeat().await,
                 _ = report.tick() => {
                     self.pass_progress_on().await;
-                    if self.moved.elapsed() > config.stall_limit {
-                        return Waited::Stalled;
+                    if self.last_progress.elapsed() > config.stall_limit {
+                        return RunEnd::Stalled;
                     }
                 }
             }
         }
     }
 
-    /// Asks the run to stop; a lost lease outweighs a shutdown, which outweighs a deadline, which outweighs a request.
-    fn stop(&mut self, why: Stop) {
-        let rank = |stop| match stop {
-            Stop::No => 0,
-            Stop::Asked => 1,
-            Stop::Late => 2,
-            Stop::Draining => 3,
-            Stop::Lost => 4,
-        };
-        if rank(why) > rank(self.stop) {
+    /// Asks the run to stop.
+    fn stop(&mut self, why: StopReason) {
+        if why > self.stop {
             tracing::info!(reason = ?why, "stopping job {}", self.lease.job);
             self.stop = why;
         }
         self.cancel.cancel();
     }
 
-    async fn beat(&mut self) {
-        match self.context.store.heartbeat(self.lease).await {
+    async fn heartbeat(&mut self) {
+        match self.deps.store.heartbeat(self.lease).await {
             Ok(heartbeat) => {
-                self.renewed = Instant::now();
+                self.last_renewed = Instant::now();
                 if heartbeat.cancel_requested {
-                    self.stop(Stop::Asked);
+                    self.stop(StopReason::Cancelled);
                 }
-                if heartbeat.overdue {
-                    self.stop(Stop::Late);
+                if heartbeat.deadline_passed {
+                    self.stop(StopReason::DeadlinePassed);
                 }
             }
             Err(error) => self.store_failed("heartbeat", &error),
@@ -244,14 +237,14 @@ impl Watch<'_> {
 
     async fn pass_progress_on(&mut self) {
         // An error means only that the run has ended; what it reported last is still there.
-        if !self.progress.has_changed().unwrap_or(true) || self.stop == Stop::Lost {
+        if !self.progress.has_changed().unwrap_or(true) || self.stop == StopReason::LeaseLost {
             return;
         }
         let (phase, progress) = self.progress.borrow_and_update().clone();
-        self.moved = Instant::now();
+        self.last_progress = Instant::now();
         // Points first: whoever sees the job's new version sees them too.
         self.pass_points_on().await;
-        if let Err(error) = self.context.store.report(self.lease, phase, &progress).await {
+        if let Err(error) = self.deps.store.report(self.lease, phase, &progress).await {
             self.store_failed("report", &error);
         }
     }
@@ -261,7 +254,7 @@ impl Watch<'_> {
         if points.is_empty() {
             return;
         }
-        if let Err(error) = self.context.store.record(self.lease, &points).await {
+        if let Err(error) = self.deps.store.record(self.lease, &points).await {
             self.points.put_back(points);
             self.store_failed("points", &error);
         }
@@ -269,10 +262,10 @@ impl Watch<'_> {
 
     /// Renews the lease for the time that publication takes, and says so.
     async fn enter_publication(&mut self) {
-        self.beat().await;
+        self.heartbeat().await;
         let (_, progress) = self.progress.borrow().clone();
-        if self.stop != Stop::Lost
-            && let Err(error) = self.context.store.report(self.lease, Phase::Publish, &progress).await
+        if self.stop != StopReason::LeaseLost
+            && let Err(error) = self.deps.store.report(self.lease, Phase::Publish, &progress).await
         {
             self.store_failed("report", &error);
         }
@@ -286,43 +279,45 @@ impl Watch<'_> {
             return;
         }
         // Without a database the run may go on until others may take the job.
-        if gone || self.renewed.elapsed() > self.context.config.lease {
-            self.stop(Stop::Lost);
+        if gone || self.last_renewed.elapsed() > self.deps.config.lease {
+            self.stop(StopReason::LeaseLost);
         }
     }
 }
 
-async fn conclude(
-    context: &Context,
+async fn finish_run(
+    deps: &WorkerDeps,
     lease: &Lease,
     result: RunResult,
-    stop: Stop,
-    renewed: Instant,
+    stop: StopReason,
+    last_renewed: Instant,
     shutdown: &CancellationToken,
 ) {
     let outcome = match (result, stop) {
-        (_, Stop::Lost) => {
+        (_, StopReason::LeaseLost) => {
             tracing::warn!("job {} was lost; its result is dropped", lease.job);
             // If nobody has taken it, since the database was out of everybody's reach, this worker has not died.
             Outcome::Released
         }
-        (Ok(Ok(output)), _) => publish(context, output).await,
+        (Ok(Ok(output)), _) => publish(deps, output).await,
         (Ok(Err(JobError::Fail(problem))), _) => Outcome::Failed(problem),
-        (Ok(Err(JobError::Retry(problem))), _) => Outcome::Retry(storage::shown(problem)),
-        (Ok(Err(JobError::Hold(problem))), _) => Outcome::Held(storage::shown(problem)),
-        (Ok(Err(JobError::Cancelled)), Stop::Asked) => Outcome::Cancelled,
-        (Ok(Err(JobError::Cancelled)), Stop::Late | Stop::Draining) => Outcome::Released,
-        (Ok(Err(JobError::Cancelled)), Stop::No) => Outcome::Retry(stopped_unasked()),
+        (Ok(Err(JobError::Retry(problem))), _) => Outcome::Retry(storage::redacted(problem)),
+        (Ok(Err(JobError::Hold(problem))), _) => Outcome::Held(storage::redacted(problem)),
+        (Ok(Err(JobError::Cancelled)), StopReason::Cancelled) => Outcome::Cancelled,
+        (Ok(Err(JobError::Cancelled)), StopReason::DeadlinePassed | StopReason::ShuttingDown) => {
+            Outcome::Released
+        }
+        (Ok(Err(JobError::Cancelled)), StopReason::None) => Outcome::Retry(stopped_unasked()),
         (Err(panic), _) => {
             tracing::error!("job {} panicked: {}", lease.job, panic_text(&*panic));
             Outcome::Retry(panicked())
         }
     };
-    settle(context, lease, outcome, renewed, shutdown).await;
+    finish(deps, lease, outcome, last_renewed, shutdown).await;
 }
 
 /// Makes the output's blobs durable; only then may the job refer to them.
-async fn publish(context: &Context, output: JobOutput) -> Outcome {
+async fn publish(deps: &WorkerDeps, output: JobOutput) -> Outcome {
     let (cameras, held_out) = match documents(&output) {
         Ok(documents) => documents,
         Err(error) => {
@@ -343,7 +338,7 @@ async fn publish(context: &Context, output: JobOutput) -> Outcome {
     let contents: Vec<_> = scenes.chain(cameras).chain(held_out).collect();
     let mut artifacts = Vec::new();
     for (kind, lambda, content) in contents {
-        match context.blobs.put(content).await {
+        match deps.blobs.put(content).await {
             Ok(blob) => artifacts.push(Artifact { kind, lambda, blob }),
             Err(error) => return storage::outcome(&error),
         }
@@ -359,15 +354,15 @@ fn documents(output: &JobOutput) -> serde_json::Result<(Bytes, Option<Bytes>)> {
 
 /// Writes the end of the attempt, trying again while the lease may still be held: hours of work must not be
 /// lost to a database that is busy for a moment, nor to a disk that is full until somebody comes.
-async fn settle(
-    context: &Context,
+async fn finish(
+    deps: &WorkerDeps,
     lease: &Lease,
     outcome: Outcome,
-    renewed: Instant,
+    last_renewed: Instant,
     shutdown: &CancellationToken,
 ) {
     loop {
-        match context.store.finish(lease, outcome.clone()).await {
+        match deps.store.finish(lease, outcome.clone()).await {
             Ok(state) => {
                 let state = state.name();
                 tracing::info!(state, "job {} is {state}", lease.job);
@@ -378,7 +373,7 @@ async fn settle(
                 return;
             }
             Err(error)
-                if renewed.elapsed() > context.config.lease
+                if last_renewed.elapsed() > deps.config.lease
                     && (shutdown.is_cancelled() || !error.is_disk_full()) =>
             {
                 tracing::error!(error = &error as &dyn std::error::Error, "giving up: {error}");
@@ -386,7 +381,7 @@ async fn settle(
             }
             Err(error) => {
                 tracing::warn!(error = &error as &dyn std::error::Error, "trying again: {error}");
-                sleep(SETTLE_PAUSE).await;
+                sleep(FINISH_RETRY_PAUSE).await;
             }
         }
     }

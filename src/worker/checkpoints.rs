@@ -24,20 +24,20 @@ fn folder(root: &Path, job: JobId) -> PathBuf {
 }
 
 /// The checkpoints of an attempt below `root`, with what an earlier attempt at the job left, or else one at the job that this one
-/// `adopts`.
-pub(super) fn of_attempt(root: Option<&Path>, lease: &Lease, adopts: Option<JobId>) -> Checkpoints {
+/// `resume_from`.
+pub(super) fn of_attempt(root: Option<&Path>, lease: &Lease, resume_from: Option<JobId>) -> Checkpoints {
     let Some(root) = root else { return Checkpoints { keep: None, resume: Resume::Fresh } };
     let job = folder(root, lease.job);
     let own = job.join(format!("{ATTEMPT}{}", lease.attempt));
     if let Some(earlier) = newest(&job, lease.attempt) {
         take_over(&earlier, &own, lease.job);
-    } else if let Some(adopts) = adopts {
-        let adopted = folder(root, adopts);
+    } else if let Some(resume_from) = resume_from {
+        let adopted = folder(root, resume_from);
         // Moved rather than copied: nobody else runs it, and of two jobs that repeat it one is enough to go on.
         if let Some(earlier) = newest(&adopted, u32::MAX)
             && take_over(&earlier, &own, lease.job)
         {
-            tracing::info!("job {} goes on from where job {adopts} stopped", lease.job);
+            tracing::info!("job {} goes on from where job {resume_from} stopped", lease.job);
             remove(&adopted);
         }
     }
@@ -119,8 +119,8 @@ mod tests {
     }
 
     /// The folder that an attempt writes to, which is the one that it begins with.
-    fn begin(root: &Path, lease: &Lease, adopts: Option<JobId>) -> PathBuf {
-        let Checkpoints { keep, resume } = of_attempt(Some(root), lease, adopts);
+    fn begin(root: &Path, lease: &Lease, resume_from: Option<JobId>) -> PathBuf {
+        let Checkpoints { keep, resume } = of_attempt(Some(root), lease, resume_from);
         let keep = keep.expect("a folder");
         assert_eq!(resume, Resume::IfPossible(keep.clone()));
         keep

@@ -7,9 +7,9 @@ use tokio_util::sync::CancellationToken;
 
 use super::{
     WorkerConfig, WorkerError,
-    attempt::{self, Context, End},
+    attempt::{self, AttemptEnd, WorkerDeps},
     checkpoints,
-    presence::Presence,
+    liveness::LivenessLock,
 };
 use crate::{
     pipeline::RunJob,
@@ -34,45 +34,45 @@ pub async fn serve(
     config: WorkerConfig,
     shutdown: CancellationToken,
 ) -> Result<(), WorkerError> {
-    let _presence = config.presence.as_deref().and_then(|folder| {
-        Presence::announce(folder, &config.id)
+    let _liveness = config.liveness_dir.as_deref().and_then(|folder| {
+        LivenessLock::announce(folder, &config.id)
             // Without it a power cut costs its job the rest of the lease.
             .inspect_err(|fault| tracing::warn!("no sign of life in {}: {fault}", folder.display()))
             .ok()
     });
     tracing::info!(worker = config.id, "worker {} is ready", config.id);
-    let context = Context { store, blobs, runner, config };
-    sweep(&context).await;
+    let deps = WorkerDeps { store, blobs, runner, config };
+    sweep(&deps).await;
     let mut swept = Instant::now();
     while !shutdown.is_cancelled() {
-        match context.store.claim(&context.config.id).await {
+        match deps.store.claim(&deps.config.id).await {
             Ok(Some(claim)) => {
-                if let End::Stalled(error) = attempt::carry_out(&context, claim, &shutdown).await {
+                if let AttemptEnd::Stalled(error) = attempt::run_attempt(&deps, claim, &shutdown).await {
                     return Err(error);
                 }
-                sweep(&context).await;
+                sweep(&deps).await;
             }
             Ok(None) => {
                 if swept.elapsed() > SWEEP_EVERY {
-                    sweep(&context).await;
+                    sweep(&deps).await;
                     swept = Instant::now();
                 }
-                idle(&context.config, &shutdown).await;
+                idle(&deps.config, &shutdown).await;
             }
             Err(error) => {
                 tracing::warn!(error = &error as &dyn std::error::Error, "no claim: {error}");
-                idle(&context.config, &shutdown).await;
+                idle(&deps.config, &shutdown).await;
             }
         }
     }
-    tracing::info!(worker = context.config.id, "worker {} has stopped", context.config.id);
+    tracing::info!(worker = deps.config.id, "worker {} has stopped", deps.config.id);
     Ok(())
 }
 
 /// Jobs may end without their worker, so ended ones are looked for rather than told of.
-async fn sweep(context: &Context) {
-    if let Some(root) = &context.config.checkpoints {
-        checkpoints::sweep(root, &*context.store).await;
+async fn sweep(deps: &WorkerDeps) {
+    if let Some(root) = &deps.config.checkpoints {
+        checkpoints::sweep(root, &*deps.store).await;
     }
 }
 

@@ -7,13 +7,13 @@
 //! progress on and listens for a stop. It never writes to a job that it no longer holds. The parent process
 //! keeps workers alive through [`supervise`]: a worker that is killed, or that ends itself because a job
 //! hangs, is started again, and its job is taken from it at once. One that died with its parent is found dead by the next
-//! parent (`presence`).
+//! parent (`liveness`).
 
 mod attempt;
 mod checkpoints;
 mod claim;
-mod points;
-mod presence;
+mod liveness;
+mod series_buffer;
 mod storage;
 pub mod supervise;
 
@@ -52,8 +52,8 @@ pub struct WorkerConfig {
     pub drain: Duration,
     /// Folder for a folder of checkpoints a running job, if they are to be kept: a later attempt goes on from there.
     pub checkpoints: Option<PathBuf>,
-    /// Folder in which a supervised worker shows that it is alive ([`supervise::SuperviseConfig::presence`]).
-    pub presence: Option<PathBuf>,
+    /// Folder in which a supervised worker shows that it is alive ([`supervise::SuperviseConfig::liveness_dir`]).
+    pub liveness_dir: Option<PathBuf>,
 }
 
 impl WorkerConfig {
@@ -75,7 +75,7 @@ impl WorkerConfig {
             stall_limit: Duration::from_secs(600),
             drain: Duration::from_secs(20),
             checkpoints: None,
-            presence: None,
+            liveness_dir: None,
         }
     }
 }

@@ -15,7 +15,7 @@ pub(super) fn outcome(error: &BlobError) -> Outcome {
 }
 
 /// The problem that a run ended with, which the log has in full.
-pub(super) fn shown(problem: Problem) -> Problem {
+pub(super) fn redacted(problem: Problem) -> Problem {
     match problem.kind.strip_prefix(TYPE_PREFIX) {
         Some(FULL) => {
             tracing::warn!("the job is held: {problem}");
@@ -59,11 +59,11 @@ mod tests {
     fn folders_of_the_server_are_not_told() {
         for kind in [FULL, FAILED] {
             let problem = Problem::new(507, kind, "Title", "no room in /srv/tcgs/data for 3 bytes");
-            let shown = shown(problem.clone());
-            assert_eq!(shown.kind, problem.kind);
-            assert!(!shown.detail.contains("/srv"), "{shown}");
+            let redacted = redacted(problem.clone());
+            assert_eq!(redacted.kind, problem.kind);
+            assert!(!redacted.detail.contains("/srv"), "{redacted}");
         }
         let other = Problem::new(422, "dataset-rejected", "Title", "images/a.png is no image");
-        assert_eq!(shown(other.clone()), other);
+        assert_eq!(redacted(other.clone()), other);
     }
 }

@@ -21,8 +21,8 @@ use tokio::{
 };
 use tokio_util::sync::CancellationToken;
 
-use super::{WORKER_ID_VARIABLE, fresh_id, presence};
-use crate::store::{Death, Store};
+use super::{WORKER_ID_VARIABLE, fresh_id, liveness};
+use crate::store::{Store, WorkerDeath};
 
 /// What to run and how patiently.
 #[derive(Debug, Clone)]
@@ -45,9 +45,9 @@ pub struct SuperviseConfig {
     pub healthy_after: Duration,
     /// Pause after a child's end before its job is held to be what ended it: who kills a whole group of processes ends this one
     /// next.
-    pub aftermath: Duration,
-    /// Folder in which children show that they are alive ([`super::WorkerConfig::presence`]), if they do.
-    pub presence: Option<PathBuf>,
+    pub blame_delay: Duration,
+    /// Folder in which children show that they are alive ([`super::WorkerConfig::liveness_dir`]), if they do.
+    pub liveness_dir: Option<PathBuf>,
 }
 
 impl SuperviseConfig {
@@ -71,8 +71,8 @@ impl SuperviseConfig {
             backoff_base: Duration::from_millis(250),
             backoff_cap: Duration::from_secs(30),
             healthy_after: Duration::from_secs(60),
-            aftermath: Duration::from_millis(250),
-            presence: None,
+            blame_delay: Duration::from_millis(250),
+            liveness_dir: None,
         }
     }
 }
@@ -86,9 +86,9 @@ pub struct Supervisor {
 
 /// A cheap view of which children live, for readiness answers.
 #[derive(Debug, Clone)]
-pub struct Census(Vec<watch::Receiver<Option<u32>>>);
+pub struct LiveWorkers(Vec<watch::Receiver<Option<u32>>>);
 
-impl Census {
+impl LiveWorkers {
     /// How many children there should be.
     #[must_use]
     pub fn expected(&self) -> usize {
@@ -120,8 +120,8 @@ pub fn supervise(config: SuperviseConfig, store: Arc<dyn Store>, shutdown: Cance
 impl Supervisor {
     /// Which children live.
     #[must_use]
-    pub fn census(&self) -> Census {
-        Census(self.children.clone())
+    pub fn live_workers(&self) -> LiveWorkers {
+        LiveWorkers(self.children.clone())
     }
 
     /// Waits until every child has exited after `shutdown`.
@@ -138,19 +138,19 @@ async fn keep_alive(
 ) {
     let mut early_deaths = 0_u32;
     while !shutdown.is_cancelled() {
-        if let Some(folder) = &config.presence {
-            presence::expire_dead(folder, &*store).await;
+        if let Some(folder) = &config.liveness_dir {
+            liveness::expire_dead_workers(folder, &*store).await;
         }
         let id = fresh_id();
         let born = Instant::now();
         match start(&config, &id) {
             Ok(mut child) => {
                 pid.send_replace(child.id());
-                let status = attend(&config, &mut child, &shutdown).await;
+                let status = wait_or_stop(&config, &mut child, &shutdown).await;
                 pid.send_replace(None);
                 tracing::info!(worker = id, ?status, "worker {id} has ended");
                 // It can write nothing more, so its job need not wait for the lease to run out.
-                let death = circumstances(&config, &shutdown).await;
+                let death = classify_death(&config, &shutdown).await;
                 match store.expire_worker(&id, death).await {
                     Ok(0) => {}
                     Ok(jobs) => {
@@ -178,11 +178,11 @@ async fn keep_alive(
 }
 
 /// How a child that has just ended did so.
-async fn circumstances(config: &SuperviseConfig, shutdown: &CancellationToken) -> Death {
+async fn classify_death(config: &SuperviseConfig, shutdown: &CancellationToken) -> WorkerDeath {
     tokio::select! {
         biased;
-        () = shutdown.cancelled() => Death::Together,
-        () = sleep(config.aftermath) => Death::Alone,
+        () = shutdown.cancelled() => WorkerDeath::WithService,
+        () = sleep(config.blame_delay) => WorkerDeath::Alone,
     }
 }
 
@@ -199,16 +199,16 @@ fn start(config: &SuperviseConfig, id: &str) -> std::io::Result<Child> {
 }
 
 /// Waits for the child's end, or brings it about on shutdown.
-async fn attend(
+async fn wait_or_stop(
     config: &SuperviseConfig,
     child: &mut Child,
     shutdown: &CancellationToken,
 ) -> std::io::Result<ExitStatus> {
     // `wait` closes the child's input unless it is taken out first, and that would ask it to stop.
-    let lifeline = child.stdin.take();
+    let stdin = child.stdin.take();
     tokio::select! {
         status = child.wait() => return status,
-        () = shutdown.cancelled() => drop(lifeline),
+        () = shutdown.cancelled() => drop(stdin),
     }
     if let Ok(status) = timeout(config.grace, child.wait()).await {
         return status;

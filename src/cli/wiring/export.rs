@@ -11,7 +11,7 @@ use tcgs::{
         spz::{Packed, SpzVersion, to_spz},
     },
     pipeline::scene_file,
-    store::Likeness,
+    store::ExportFidelity,
 };
 
 use super::{Renderer, SceneFile};
@@ -169,11 +169,11 @@ pub(crate) fn compare(
 }
 
 /// How alike a scene and its export look from a few of `cameras`, in small pictures; none without cameras.
-pub(super) fn likeness(
+pub(super) fn fidelity(
     source: &Renderer,
     exported: &[u8],
     cameras: &[Camera],
-) -> Result<Option<Likeness>, Problem> {
+) -> Result<Option<ExportFidelity>, Problem> {
     let exported = exported_beside(source, exported, source.viewable.background)?;
     let views = cameras.len().min(LIKENESS_VIEWS);
     let mut sum = 0.0;
@@ -181,7 +181,7 @@ pub(super) fn likeness(
         sum += pair(source, &exported, &small(&cameras[place * cameras.len() / views]))?.psnr;
     }
     let count = u32::try_from(views).unwrap_or(u32::MAX);
-    Ok((views > 0).then(|| Likeness { psnr: sum / f64::from(count), views: count }))
+    Ok((views > 0).then(|| ExportFidelity { psnr: sum / f64::from(count), views: count }))
 }
 
 /// An exported file's scene, to be rendered on `background` as the source is: not every format knows one.

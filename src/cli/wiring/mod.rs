@@ -28,7 +28,7 @@ use tcgs::{
     train::{CheckpointError, CheckpointFolder},
 };
 
-use export::likeness;
+use export::fidelity;
 pub(crate) use export::{Baking, Packing, Quality, compare, export};
 pub(crate) use keys::{create_key, keys, revoke_key};
 pub(crate) use service::{ServeOptions, WorkerOptions, migrate, serve, worker};

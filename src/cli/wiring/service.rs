@@ -25,7 +25,7 @@ use tcgs::{
     render::{RenderViews, views::Viewable},
     store::{
         Blobs, Keys as _, QueuePolicy, SchemaChange, SqliteStore,
-        housekeeping::{HousekeepingPolicy, keep_house},
+        garbage::{GarbagePolicy, collect_garbage},
     },
     webhooks::{self, DeliveryConfig, Sender},
     worker::{self, WorkerConfig, supervise},
@@ -121,14 +121,14 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
         )
         .map_err(|fault| unavailable(&fault))?;
         children.environment = driver_cache_in(&options.data);
-        children.presence = Some(options.data.join(WORKERS));
+        children.liveness_dir = Some(options.data.join(WORKERS));
         let supervisor = supervise::supervise(children, store.clone(), shutdown.clone());
-        let census = supervisor.census();
-        let housekeeping = tokio::spawn(keep_house(
+        let live_workers = supervisor.live_workers();
+        let housekeeping = tokio::spawn(collect_garbage(
             store.clone(),
             blobs.clone(),
             Arc::new(SystemClock),
-            HousekeepingPolicy::default(),
+            GarbagePolicy::default(),
             shutdown.clone(),
         ));
         let checkpoints = options.data.join(CHECKPOINTS);
@@ -160,8 +160,8 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
             renderer,
             forget: Arc::new(move |job| worker::forget_checkpoints(&checkpoints, job)),
             workers: Arc::new(move || WorkerCounts {
-                expected: census.expected(),
-                alive: census.living().len(),
+                expected: live_workers.expected(),
+                alive: live_workers.living().len(),
             }),
         };
         let address = listeners.address().unwrap_or(options.http.listen);
@@ -197,8 +197,8 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
         }
         let checkpoints = Some(options.data.join(CHECKPOINTS));
         // Its supervisor looks there; who has none is known by its lease alone.
-        let presence = options.stop_with_parent.then(|| options.data.join(WORKERS));
-        let config = WorkerConfig { checkpoints, presence, ..WorkerConfig::from_environment() };
+        let liveness_dir = options.stop_with_parent.then(|| options.data.join(WORKERS));
+        let config = WorkerConfig { checkpoints, liveness_dir, ..WorkerConfig::from_environment() };
         let outcome = worker::serve(store.clone(), blobs, runner, config, shutdown).await;
         store.close().await;
         outcome.map_err(|fault| Failure::from(Problem::new(500, "stalled", "A job hangs", fault.to_string())))
@@ -291,11 +291,11 @@ fn export(
     let cameras = if held_out.is_empty() { trained } else { held_out };
     // The key of its views too, so that a scene that is being looked at is not loaded again.
     let source = Renderer::over(Arc::clone(views), Digest::of(bytes), file);
-    let likeness = super::likeness(&source, &exported.bytes, &cameras).unwrap_or_else(|fault| {
+    let fidelity = super::fidelity(&source, &exported.bytes, &cameras).unwrap_or_else(|fault| {
         tracing::warn!("how alike an export looks cannot be told: {fault}");
         None
     });
-    Ok(ExportedScene { bytes: exported.bytes, gaussians, sh_degree: exported.degree, likeness })
+    Ok(ExportedScene { bytes: exported.bytes, gaussians, sh_degree: exported.degree, fidelity })
 }
 
 fn of_split(cameras: &[NamedCamera], split: Split) -> Vec<Camera> {

@@ -22,7 +22,7 @@ use prometheus_client::{
 use tokio::sync::Mutex;
 
 use super::super::{auth, head, health, problem::Fault, state::AppState, unread, wrap};
-use crate::store::Figures;
+use crate::store::StoreStats;
 
 /// How long what the database says is told again.
 const FRESH: Duration = Duration::from_secs(1);
@@ -34,7 +34,7 @@ type Counters = Family<Labels, Counter<f64, AtomicU64>>;
 
 /// What the database said last, so that scrapers cannot keep it busy.
 #[derive(Debug, Default)]
-pub(in super::super) struct Cache(Mutex<Option<(Instant, Figures)>>);
+pub(in super::super) struct Cache(Mutex<Option<(Instant, StoreStats)>>);
 
 /// The routes of a listener for metrics alone, on a loopback address or another.
 pub(in super::super) fn router(state: AppState, on_loopback: bool) -> Router {
@@ -64,7 +64,7 @@ pub(in super::super) async fn get(State(state): State<AppState>) -> Result<Respo
     Ok((headers, text).into_response())
 }
 
-async fn figures(state: &AppState) -> Result<Figures, Fault> {
+async fn figures(state: &AppState) -> Result<StoreStats, Fault> {
     // Those who ask meanwhile wait for the same answer.
     let mut cached = state.metrics_cache().0.lock().await;
     if let Some((at, figures)) = &*cached
@@ -72,12 +72,12 @@ async fn figures(state: &AppState) -> Result<Figures, Fault> {
     {
         return Ok(figures.clone());
     }
-    let figures = state.store().figures().await?;
+    let figures = state.store().stats().await?;
     *cached = Some((Instant::now(), figures.clone()));
     Ok(figures)
 }
 
-fn registry(state: &AppState, figures: &Figures) -> Registry {
+fn registry(state: &AppState, figures: &StoreStats) -> Registry {
     let mut registry = Registry::with_prefix("tcgs");
     jobs(&mut registry, figures, state.services().clock.now());
     attempts(&mut registry, figures);
@@ -88,7 +88,7 @@ fn registry(state: &AppState, figures: &Figures) -> Registry {
     registry
 }
 
-fn jobs(registry: &mut Registry, figures: &Figures, now: Timestamp) {
+fn jobs(registry: &mut Registry, figures: &StoreStats, now: Timestamp) {
     let states = figures.jobs.iter().map(|(state, count)| ("state", state.name().to_owned(), *count as f64));
     gauges(registry, "jobs", "Jobs by state", states);
     let age = figures.oldest_queued_at.map_or(0.0, |at| now.duration_since(at).as_secs_f64().max(0.0));
@@ -100,7 +100,7 @@ fn jobs(registry: &mut Registry, figures: &Figures, now: Timestamp) {
     counters(registry, "phase_seconds", "Time that succeeded jobs took in each phase", phases);
 }
 
-fn attempts(registry: &mut Registry, figures: &Figures) {
+fn attempts(registry: &mut Registry, figures: &StoreStats) {
     counter(registry, "claims", "Attempts begun", figures.claims as f64);
     let ended = Counters::default();
     for attempt in &figures.attempts {
@@ -113,7 +113,7 @@ fn attempts(registry: &mut Registry, figures: &Figures) {
     registry.register("attempts_ended", "Attempts ended, by outcome and the problem that caused it", ended);
 }
 
-fn machine(registry: &mut Registry, state: &AppState, figures: &Figures) {
+fn machine(registry: &mut Registry, state: &AppState, figures: &StoreStats) {
     let workers = (state.services().workers)();
     let counts = [("expected", workers.expected), ("alive", workers.alive)];
     let counts = counts.map(|(name, count)| ("state", name.to_owned(), count as f64));

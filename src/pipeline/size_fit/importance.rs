@@ -28,7 +28,7 @@ pub(super) fn by_importance(
     costs: &RemovalCosts,
     counts: &ByteCounts,
     steps: [f32; 3],
-) -> Vec<Worth> {
+) -> Vec<Importance> {
     let k = scene.offsets_per_anchor;
     let bytes = Bytes::of(scene, counts, steps);
     let mut order = Vec::with_capacity(scene.gaussians());

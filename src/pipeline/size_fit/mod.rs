@@ -85,8 +85,8 @@ pub(super) fn fit_size(
     check: &mut dyn FnMut() -> Result<(), JobError>,
 ) -> Result<(Encoded, ByteBudget), JobError> {
     let SizeFit { device, scene, background, limit, .. } = *target;
-    let search = ContextSearch::Cheapest;
-    let free = encode(EncodeAttempt { scene, coarser: [0; 3], search, max_bytes: Some(limit) })?;
+    let cheapest = ContextSearch::Cheapest;
+    let free = encode(EncodeAttempt { scene, coarser: [0; 3], search: cheapest, max_bytes: Some(limit) })?;
     let free_bytes = free.bytes.len() as u64;
     if free_bytes <= limit {
         let coarser_octaves = GroupOctaves::default();

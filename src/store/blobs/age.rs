@@ -12,7 +12,7 @@ use std::{
 
 use jiff::Timestamp;
 
-use super::{BlobError, Blobs, Published, Staged, blocking, location};
+use super::{BlobError, Blobs, Published, StagedBlob, blocking, location};
 use crate::{
     domain::{Clock as _, Digest, SystemClock},
     store::BlobRef,
@@ -40,7 +40,7 @@ impl Blobs {
     }
 
     /// Publishes a blob by giving its file the blob's name as well; none if it has to be copied.
-    pub(super) async fn link(&self, staged: &Staged) -> Result<Option<Published>, BlobError> {
+    pub(super) async fn link(&self, staged: &StagedBlob) -> Result<Option<Published>, BlobError> {
         let blob = staged.blob();
         let from = staged.path().to_owned();
         let to = self.0.store.path_to_filesystem(&location(blob.digest))?;
@@ -65,9 +65,9 @@ impl Blobs {
             Ok(linked)
         });
         Ok(match linked.await? {
-            Linked::Now(touched) => Some(Published { blob, new_since: Some(touched) }),
+            Linked::Now(touched) => Some(Published { blob, created_at: Some(touched) }),
             // Published by somebody else meanwhile. A file of another length under that name is damage, which a copy mends.
-            Linked::Before => self.renew(blob).await?.map(|_| Published { blob, new_since: None }),
+            Linked::Before => self.renew(blob).await?.map(|_| Published { blob, created_at: None }),
             Linked::Not => None,
         })
     }
@@ -78,7 +78,7 @@ impl Blobs {
     /// # Errors
     /// [`BlobError::Io`] or [`BlobError::Store`].
     pub async fn unpublish(&self, published: Published) -> Result<bool, BlobError> {
-        let Some(since) = published.new_since else { return Ok(false) };
+        let Some(since) = published.created_at else { return Ok(false) };
         let removed = self.remove_if(published.blob.digest, move |at| at == since).await?;
         Ok(removed.is_some())
     }

@@ -9,8 +9,8 @@
 //! a blob has that long to refer to it.
 
 mod age;
-mod room;
 mod staging;
+mod staging_dir;
 mod upload;
 
 use std::{
@@ -34,8 +34,8 @@ use tokio::{
     sync::{Notify, futures::Notified},
 };
 
-use room::Room;
-pub use staging::{ContentHash, Staged, Staging};
+pub use staging::{BlobWriter, ContentHasher, StagedBlob};
+use staging_dir::StagingDir;
 pub use upload::UploadFile;
 
 use super::{BlobRef, is_disk_full};
@@ -98,7 +98,7 @@ pub struct Published {
     /// The blob.
     pub blob: BlobRef,
     /// The age that this publication gave it; none if it was there before.
-    new_since: Option<Timestamp>,
+    created_at: Option<Timestamp>,
 }
 
 /// The blob store; clones share it.
@@ -112,11 +112,11 @@ struct Inner {
     root: PathBuf,
     staging: PathBuf,
     /// This process's part of it.
-    room: Room,
+    staging_dir: StagingDir,
     uploads: PathBuf,
     /// Guards the ages of blobs, in every process that has this store open.
     lock: PathBuf,
-    let_go: Notify,
+    request_collection: Notify,
 }
 
 impl Blobs {
@@ -131,17 +131,28 @@ impl Blobs {
             std::fs::create_dir_all(folder)?;
         }
         let lock = data.join("blobs.lock");
-        let room = Room::open(&staging, &lock)?;
+        let staging_dir = StagingDir::open(&staging, &lock)?;
         let store = LocalFileSystem::new_with_prefix(&root)?.with_fsync(true);
-        Ok(Self(Arc::new(Inner { store, root, staging, room, uploads, lock, let_go: Notify::new() })))
+        Ok(Self(Arc::new(Inner {
+            store,
+            root,
+            staging,
+            staging_dir,
+            uploads,
+            lock,
+            request_collection: Notify::new(),
+        })))
     }
 
     /// Begins a blob of at most `limit` bytes.
     ///
     /// # Errors
     /// [`BlobError::Io`].
-    pub async fn stage(&self, limit: u64) -> Result<Staging, BlobError> {
-        Ok(Staging::new(tempfile::Builder::new().prefix("upload-").tempfile_in(self.0.room.path())?, limit))
+    pub async fn stage(&self, limit: u64) -> Result<BlobWriter, BlobError> {
+        Ok(BlobWriter::new(
+            tempfile::Builder::new().prefix("upload-").tempfile_in(self.0.staging_dir.path())?,
+            limit,
+        ))
     }
 
     /// Publishes a staged blob; an equal one that is already there is kept. No second copy is written where the file system has
@@ -149,19 +160,19 @@ impl Blobs {
     ///
     /// # Errors
     /// [`BlobError::Io`] or [`BlobError::Store`].
-    pub async fn publish(&self, staged: &Staged) -> Result<Published, BlobError> {
+    pub async fn publish(&self, staged: &StagedBlob) -> Result<Published, BlobError> {
         let blob = staged.blob();
         if self.renew(blob).await?.is_some() {
-            return Ok(Published { blob, new_since: None });
+            return Ok(Published { blob, created_at: None });
         }
         if let Some(published) = self.link(staged).await? {
             return Ok(published);
         }
         self.copy(staged).await?;
-        Ok(Published { blob, new_since: self.renew(blob).await? })
+        Ok(Published { blob, created_at: self.renew(blob).await? })
     }
 
-    async fn copy(&self, staged: &Staged) -> Result<(), BlobError> {
+    async fn copy(&self, staged: &StagedBlob) -> Result<(), BlobError> {
         let mut file = File::open(staged.path()).await?;
         let upload = self.0.store.put_multipart(&location(staged.blob().digest)).await?;
         let mut writer = WriteMultipart::new_with_chunk_size(upload, PART_BYTES);
@@ -190,12 +201,12 @@ impl Blobs {
     ///
     /// # Errors
     /// [`BlobError::Io`] or [`BlobError::Store`].
-    pub async fn publish_again(&self, blob: BlobRef) -> Result<Option<(Published, PathBuf)>, BlobError> {
+    pub async fn republish(&self, blob: BlobRef) -> Result<Option<(Published, PathBuf)>, BlobError> {
         if self.renew(blob).await?.is_none() {
             return Ok(None);
         }
         let path = self.0.store.path_to_filesystem(&location(blob.digest))?;
-        Ok(Some((Published { blob, new_since: None }, path)))
+        Ok(Some((Published { blob, created_at: None }, path)))
     }
 
     /// Publishes bytes from memory.
@@ -213,10 +224,10 @@ impl Blobs {
     pub async fn put_new(&self, content: Bytes) -> Result<Published, BlobError> {
         let blob = BlobRef { digest: Digest::of(&content), bytes: content.len() as u64 };
         if self.renew(blob).await?.is_some() {
-            return Ok(Published { blob, new_since: None });
+            return Ok(Published { blob, created_at: None });
         }
         self.0.store.put(&location(blob.digest), content.into()).await?;
-        Ok(Published { blob, new_since: self.renew(blob).await? })
+        Ok(Published { blob, created_at: self.renew(blob).await? })
     }
 
     /// The whole blob, checked against its name.
@@ -260,7 +271,7 @@ impl Blobs {
     /// # Errors
     /// [`BlobError::Io`].
     pub async fn probe(&self) -> Result<(), BlobError> {
-        let folder = self.0.room.path().to_owned();
+        let folder = self.0.staging_dir.path().to_owned();
         let probed = blocking(move || {
             let mut file = tempfile::Builder::new().prefix("probe-").tempfile_in(folder)?;
             file.write_all(&[0; PROBE_BYTES])?;
@@ -278,14 +289,14 @@ impl Blobs {
         Ok(fs4::available_space(&self.0.root)?)
     }
 
-    /// Tells whoever clears up ([`Blobs::something_let_go`]) that blobs may have become nobody's.
-    pub fn let_go(&self) {
-        self.0.let_go.notify_one();
+    /// Tells whoever clears up ([`Blobs::collection_requested`]) that blobs may have become nobody's.
+    pub fn request_collection(&self) {
+        self.0.request_collection.notify_one();
     }
 
     /// Waits until blobs may have become nobody's.
-    pub fn something_let_go(&self) -> Notified<'_> {
-        self.0.let_go.notified()
+    pub fn collection_requested(&self) -> Notified<'_> {
+        self.0.request_collection.notified()
     }
 }
 
@@ -310,7 +321,7 @@ fn location(digest: Digest) -> ObjectPath {
 mod tests {
     use super::*;
 
-    async fn staged(blobs: &Blobs, content: &[u8]) -> Staged {
+    async fn staged(blobs: &Blobs, content: &[u8]) -> StagedBlob {
         let mut staging = blobs.stage(1 << 30).await.expect("room");
         for piece in content.chunks(3) {
             staging.write(piece).await.expect("a write");
@@ -371,10 +382,10 @@ mod tests {
         assert!(!blobs.unpublish(first).await.expect("asked"), "another counts on it");
         assert!(!blobs.unpublish(second).await.expect("asked"), "it was there before");
         assert!(is_there(first).await);
-        let again = blobs.publish_again(first.blob).await.expect("asked").expect("there");
+        let again = blobs.republish(first.blob).await.expect("asked").expect("there");
         assert_eq!(std::fs::read(again.1).expect("readable"), &content[..]);
         let absent = BlobRef { digest: Digest::of(b"absent"), bytes: 6 };
-        assert!(blobs.publish_again(absent).await.expect("asked").is_none());
+        assert!(blobs.republish(absent).await.expect("asked").is_none());
     }
 
     #[tokio::test]
@@ -383,13 +394,13 @@ mod tests {
         let blobs = Blobs::open(folder.path()).expect("a store");
         let mut staging = blobs.stage(1 << 30).await.expect("room");
         staging.write(b"twelve").await.expect("a write");
-        let files = || std::fs::read_dir(blobs.0.room.path()).expect("a folder").count();
+        let files = || std::fs::read_dir(blobs.0.staging_dir.path()).expect("a folder").count();
         let before = files();
-        let mut content = staging.forget_bytes(12).await.expect("forgotten");
+        let mut content = staging.into_hasher(12).await.expect("forgotten");
         assert_eq!(files(), before - 1);
         content.update(b" bytes").expect("as long as may be");
         assert!(matches!(content.update(b"!"), Err(BlobError::TooLarge { limit: 12 })));
-        let mut content = ContentHash::new(12);
+        let mut content = ContentHasher::new(12);
         content.update(b"twelve bytes").expect("as long as may be");
         assert_eq!(content.finish(), BlobRef { digest: Digest::of(b"twelve bytes"), bytes: 12 });
     }

@@ -11,13 +11,13 @@ use crate::{domain::Digest, store::BlobRef};
 
 /// Hashes and counts content of a bounded length.
 #[derive(Debug)]
-pub struct ContentHash {
+pub struct ContentHasher {
     hasher: Sha256,
     bytes: u64,
     limit: u64,
 }
 
-impl ContentHash {
+impl ContentHasher {
     /// Of nothing yet, for at most `limit` bytes.
     #[must_use]
     pub fn new(limit: u64) -> Self {
@@ -46,16 +46,16 @@ impl ContentHash {
 
 /// A blob that is being written; dropping it removes its file.
 #[derive(Debug)]
-pub struct Staging {
+pub struct BlobWriter {
     file: File,
     path: TempPath,
-    content: ContentHash,
+    content: ContentHasher,
 }
 
-impl Staging {
+impl BlobWriter {
     pub(super) fn new(file: NamedTempFile, limit: u64) -> Self {
         let (file, path) = file.into_parts();
-        Self { file: File::from_std(file), path, content: ContentHash::new(limit) }
+        Self { file: File::from_std(file), path, content: ContentHasher::new(limit) }
     }
 
     /// Appends a piece.
@@ -71,29 +71,33 @@ impl Staging {
     ///
     /// # Errors
     /// [`BlobError::Io`].
-    pub async fn forget_bytes(self, limit: u64) -> Result<ContentHash, BlobError> {
+    pub async fn into_hasher(self, limit: u64) -> Result<ContentHasher, BlobError> {
         let Self { file, path, content } = self;
         drop(file);
         blocking(move || path.close()).await?;
-        Ok(ContentHash { limit, ..content })
+        Ok(ContentHasher { limit, ..content })
     }
 
     /// Ends the blob.
     ///
     /// # Errors
     /// [`BlobError::Io`].
-    pub async fn finish(mut self) -> Result<Staged, BlobError> {
+    pub async fn finish(mut self) -> Result<StagedBlob, BlobError> {
         self.file.flush().await?;
         // Nobody writes to the file from here on, so it may get the blob's name as well.
         drop(self.file);
         let blob = self.content.finish();
-        Ok(Staged { path: self.path.to_path_buf(), _source: Source::Staging { _removed: self.path }, blob })
+        Ok(StagedBlob {
+            path: self.path.to_path_buf(),
+            _source: Source::Staging { _removed: self.path },
+            blob,
+        })
     }
 }
 
 /// A complete blob that is not yet published. Nobody writes to its file any more.
 #[derive(Debug)]
-pub struct Staged {
+pub struct StagedBlob {
     path: PathBuf,
     _source: Source,
     blob: BlobRef,
@@ -108,7 +112,7 @@ enum Source {
     Upload { _locked: UploadFile },
 }
 
-impl Staged {
+impl StagedBlob {
     pub(super) fn of_upload(path: PathBuf, file: UploadFile, blob: BlobRef) -> Self {
         Self { path, _source: Source::Upload { _locked: file }, blob }
     }

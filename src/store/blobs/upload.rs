@@ -17,7 +17,7 @@ use tokio::{
 };
 
 use super::{
-    BlobError, Blobs, Staged,
+    BlobError, Blobs, StagedBlob,
     age::{entries, sync_folder},
     blocking,
 };
@@ -133,7 +133,7 @@ impl UploadFile {
     ///
     /// # Errors
     /// [`BlobError::UploadDamaged`] if the file has not `length` bytes, [`BlobError::Io`].
-    pub async fn finish(self, length: u64) -> Result<Staged, BlobError> {
+    pub async fn finish(self, length: u64) -> Result<StagedBlob, BlobError> {
         let path = self.path.clone();
         let (digest, found) = blocking(move || {
             let mut file = StdFile::open(path)?;
@@ -151,6 +151,6 @@ impl UploadFile {
         if found != length {
             return Err(BlobError::UploadDamaged { id: self.id, expected: length, found });
         }
-        Ok(Staged::of_upload(self.path.clone(), self, BlobRef { digest, bytes: length }))
+        Ok(StagedBlob::of_upload(self.path.clone(), self, BlobRef { digest, bytes: length }))
     }
 }

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     domain::{Digest, KeyId},
-    store::{Accounts, Answer, BlobRef, Room, StoreError, Usage},
+    store::{Accounts, BlobRef, Capacity, StoreError, StoreFuture, Usage},
 };
 
 /// Whether anything refers to blob `?1`.
@@ -74,7 +74,7 @@ pub(super) async fn admit(
 ) -> Result<(), StoreError> {
     let Some(quota) = quota(connection, default, owner).await? else { return Ok(()) };
     let usage = usage(connection, owner).await?;
-    Room { usage, quota: Some(quota), ..Room::default() }.admit(0, asked)
+    Capacity { usage, quota: Some(quota), ..Capacity::default() }.admit(0, asked)
 }
 
 /// As [`admit`], of a blob: one that the owner's things refer to already takes no further room.
@@ -116,19 +116,19 @@ async fn is_referred_to(connection: &mut SqliteConnection, digest: Digest) -> Re
 }
 
 impl Accounts for SqliteStore {
-    fn usage(&self, owner: Option<KeyId>) -> Answer<'_, Usage> {
+    fn usage(&self, owner: Option<KeyId>) -> StoreFuture<'_, Usage> {
         Box::pin(async move {
             let mut tx = self.readers.begin().await?;
             usage(&mut tx, owner).await
         })
     }
 
-    fn room(&self, owner: Option<KeyId>) -> Answer<'_, Room> {
+    fn capacity(&self, owner: Option<KeyId>) -> StoreFuture<'_, Capacity> {
         Box::pin(async move {
             let mut tx = self.readers.begin().await?;
             let quota = quota(&mut tx, self.policy.limits.max_bytes, owner).await?;
             if quota.is_none() {
-                return Ok(Room::default());
+                return Ok(Capacity::default());
             }
             let row = sqlx::query(
                 "SELECT IFNULL(MAX(bytes), 0) AS largest FROM blobs WHERE digest IN (
@@ -138,11 +138,11 @@ impl Accounts for SqliteStore {
             .fetch_one(&mut *tx)
             .await?;
             let usage = usage(&mut tx, owner).await?;
-            Ok(Room { usage, quota, largest_dataset: unsigned(&row, "largest")? })
+            Ok(Capacity { usage, quota, largest_dataset: unsigned(&row, "largest")? })
         })
     }
 
-    fn dataset(&self, owner: Option<KeyId>, content: Digest) -> Answer<'_, Option<BlobRef>> {
+    fn owned_archive(&self, owner: Option<KeyId>, content: Digest) -> StoreFuture<'_, Option<BlobRef>> {
         Box::pin(async move {
             let row = sqlx::query(
                 "SELECT bytes FROM blobs WHERE digest = ?1
@@ -157,7 +157,7 @@ impl Accounts for SqliteStore {
         })
     }
 
-    fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> Answer<'a, Vec<Digest>> {
+    fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> StoreFuture<'a, Vec<Digest>> {
         Box::pin(async move {
             let mut unused = Vec::new();
             // Most are in use; looking first keeps the one writer free.

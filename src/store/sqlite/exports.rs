@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     domain::{Digest, JobId, KeyId},
-    store::{Answer, ExportRecord, Exports, FileRecord, StoreError},
+    store::{ExportRecord, Exports, FileRecord, StoreError, StoreFuture},
 };
 
 async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<ExportRecord>, StoreError> {
@@ -33,7 +33,7 @@ async fn owner_of(
 }
 
 impl Exports for SqliteStore {
-    fn admit_export(&self, job: JobId) -> Answer<'_, ()> {
+    fn admit_export(&self, job: JobId) -> StoreFuture<'_, ()> {
         Box::pin(async move {
             let mut tx = self.readers.begin().await?;
             let Some(owner) = owner_of(&mut tx, job).await? else { return Ok(()) };
@@ -41,7 +41,7 @@ impl Exports for SqliteStore {
         })
     }
 
-    fn add_export(&self, export: ExportRecord) -> Answer<'_, Option<ExportRecord>> {
+    fn add_export(&self, export: ExportRecord) -> StoreFuture<'_, Option<ExportRecord>> {
         Box::pin(async move {
             let (mut tx, now) = self.begin().await?;
             let Some(owner) = owner_of(&mut tx, export.job).await? else { return Ok(None) };
@@ -62,8 +62,8 @@ impl Exports for SqliteStore {
             .bind(export.blob.digest.to_string())
             .bind(i64::try_from(export.gaussians).unwrap_or(i64::MAX))
             .bind(export.sh_degree)
-            .bind(export.likeness.map(|likeness| likeness.psnr))
-            .bind(export.likeness.map(|likeness| likeness.views))
+            .bind(export.fidelity.map(|fidelity| fidelity.psnr))
+            .bind(export.fidelity.map(|fidelity| fidelity.views))
             .bind(micros(now))
             .execute(&mut *tx)
             .await?;
@@ -72,14 +72,14 @@ impl Exports for SqliteStore {
         })
     }
 
-    fn exports(&self, job: JobId) -> Answer<'_, Vec<ExportRecord>> {
+    fn exports(&self, job: JobId) -> StoreFuture<'_, Vec<ExportRecord>> {
         Box::pin(async move {
             let mut tx = self.readers.begin().await?;
             of_job(&mut tx, job).await
         })
     }
 
-    fn file(&self, digest: Digest, owner: Option<KeyId>) -> Answer<'_, Option<FileRecord>> {
+    fn file(&self, digest: Digest, owner: Option<KeyId>) -> StoreFuture<'_, Option<FileRecord>> {
         Box::pin(async move {
             let row = sqlx::query(
                 "SELECT files.*, blobs.bytes FROM (

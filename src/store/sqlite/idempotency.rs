@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     domain::KeyId,
-    store::{Answer, Idempotency, Intent, Remembered, StoreError},
+    store::{Idempotency, IdempotentRequest, PriorRequest, StoreError, StoreFuture},
 };
 
 fn owner_text(owner: Option<KeyId>) -> String {
@@ -21,10 +21,10 @@ fn owner_text(owner: Option<KeyId>) -> String {
 /// Writes down, within the transaction that makes `resource`, that `intent` made it.
 ///
 /// # Errors
-/// [`StoreError::AlreadyMade`] if its key was used before; the transaction must then come to nothing.
+/// [`StoreError::IdempotencyKeyUsed`] if its key was used before; the transaction must then come to nothing.
 pub(super) async fn remember(
     connection: &mut SqliteConnection,
-    intent: &Intent,
+    intent: &IdempotentRequest,
     status: u16,
     resource: &str,
     keep: Duration,
@@ -35,7 +35,7 @@ pub(super) async fn remember(
         .execute(&mut *connection)
         .await?;
     if let Some(earlier) = select(connection, intent.owner, &intent.key).await? {
-        return Err(StoreError::AlreadyMade(Box::new(earlier)));
+        return Err(StoreError::IdempotencyKeyUsed(Box::new(earlier)));
     }
     sqlx::query(
         "INSERT INTO idempotency (owner, key, fingerprint, status, resource, created_at) VALUES (?, ?, ?, ?, ?, ?)",
@@ -55,25 +55,29 @@ async fn select(
     connection: &mut SqliteConnection,
     owner: Option<KeyId>,
     key: &str,
-) -> Result<Option<Remembered>, StoreError> {
+) -> Result<Option<PriorRequest>, StoreError> {
     let row = sqlx::query("SELECT * FROM idempotency WHERE owner = ? AND key = ?")
         .bind(owner_text(owner))
         .bind(key)
         .fetch_optional(connection)
         .await?;
-    row.as_ref().map(rows::remembered).transpose()
+    row.as_ref().map(rows::prior_request).transpose()
 }
 
 impl Idempotency for SqliteStore {
-    fn remembered<'a>(&'a self, owner: Option<KeyId>, key: &'a str) -> Answer<'a, Option<Remembered>> {
+    fn prior_request<'a>(
+        &'a self,
+        owner: Option<KeyId>,
+        key: &'a str,
+    ) -> StoreFuture<'a, Option<PriorRequest>> {
         Box::pin(async move {
             let row = sqlx::query("SELECT * FROM idempotency WHERE owner = ? AND key = ? AND created_at > ?")
                 .bind(owner_text(owner))
                 .bind(key)
-                .bind(micros(before(self.clock.now(), self.policy.remember)))
+                .bind(micros(before(self.clock.now(), self.policy.idempotency_ttl)))
                 .fetch_optional(&self.readers)
                 .await?;
-            row.as_ref().map(rows::remembered).transpose()
+            row.as_ref().map(rows::prior_request).transpose()
         })
     }
 }

@@ -7,11 +7,11 @@ use sqlx::{Row as _, sqlite::SqliteRow};
 use super::{SqliteStore, rows, rows::micros};
 use crate::{
     domain::{KeyHash, KeyId, KeyLimits, Scope},
-    store::{Answer, KeyRecord, Keys, NewKey, StoreError},
+    store::{KeyRecord, Keys, NewKey, StoreError, StoreFuture},
 };
 
 impl Keys for SqliteStore {
-    fn create_key(&self, new: NewKey) -> Answer<'_, KeyRecord> {
+    fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord> {
         Box::pin(async move {
             let (mut tx, now) = self.begin().await?;
             let row = sqlx::query(
@@ -37,7 +37,7 @@ impl Keys for SqliteStore {
         })
     }
 
-    fn key(&self, id: KeyId) -> Answer<'_, Option<KeyRecord>> {
+    fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
         Box::pin(async move {
             let row = sqlx::query("SELECT * FROM keys WHERE id = ?")
                 .bind(id.to_string())
@@ -47,7 +47,7 @@ impl Keys for SqliteStore {
         })
     }
 
-    fn keys(&self, with_revoked: bool, before: Option<KeyId>, limit: u32) -> Answer<'_, Vec<KeyRecord>> {
+    fn keys(&self, with_revoked: bool, before: Option<KeyId>, limit: u32) -> StoreFuture<'_, Vec<KeyRecord>> {
         Box::pin(async move {
             let rows = sqlx::query(
                 "SELECT * FROM keys WHERE (?1 OR revoked_at IS NULL) AND (?2 IS NULL OR id < ?2)
@@ -62,7 +62,7 @@ impl Keys for SqliteStore {
         })
     }
 
-    fn revoke_key(&self, id: KeyId) -> Answer<'_, Option<KeyRecord>> {
+    fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
         Box::pin(async move {
             let (mut tx, now) = self.begin().await?;
             let row =
@@ -76,7 +76,7 @@ impl Keys for SqliteStore {
         })
     }
 
-    fn authenticate(&self, hash: KeyHash) -> Answer<'_, Option<KeyRecord>> {
+    fn authenticate(&self, hash: KeyHash) -> StoreFuture<'_, Option<KeyRecord>> {
         Box::pin(async move {
             let row = sqlx::query("SELECT * FROM keys WHERE hash = ? AND revoked_at IS NULL")
                 .bind(hash.expose())
@@ -91,7 +91,7 @@ impl Keys for SqliteStore {
         })
     }
 
-    fn has_keys(&self) -> Answer<'_, bool> {
+    fn has_keys(&self) -> StoreFuture<'_, bool> {
         Box::pin(async move {
             let row =
                 sqlx::query("SELECT EXISTS (SELECT 1 FROM keys) AS found").fetch_one(&self.readers).await?;
@@ -99,7 +99,7 @@ impl Keys for SqliteStore {
         })
     }
 
-    fn touch_key(&self, id: KeyId) -> Answer<'_, ()> {
+    fn touch_key(&self, id: KeyId) -> StoreFuture<'_, ()> {
         Box::pin(async move {
             let (mut tx, now) = self.begin().await?;
             sqlx::query("UPDATE keys SET last_used_at = MAX(COALESCE(last_used_at, 0), ?) WHERE id = ?")

@@ -2,24 +2,24 @@
 
 use std::sync::{MutexGuard, PoisonError};
 
-use super::{SqliteStore, lifecycle, queue};
+use super::{SqliteStore, job_changes, queue};
 use crate::{
     domain::JobId,
     store::{
-        Claim, Death, Heartbeat, Lease, StoreError,
+        Claim, Heartbeat, Lease, StoreError, WorkerDeath,
         leases::{LeaseRow, LeaseWatch},
     },
 };
 
 impl SqliteStore {
     /// Looks at all leases, and returns those that have run out.
-    async fn expired(&self) -> Result<Vec<(LeaseRow, Death)>, StoreError> {
+    async fn expired(&self) -> Result<Vec<(LeaseRow, WorkerDeath)>, StoreError> {
         let rows = queue::leases(&self.readers).await?;
         Ok(self.lease_watch().look(&rows, self.policy.lease, self.clock.elapsed()))
     }
 
     /// The lease of one job, if it has run out.
-    pub(super) async fn expired_of(&self, job: JobId) -> Result<Vec<(LeaseRow, Death)>, StoreError> {
+    pub(super) async fn expired_of(&self, job: JobId) -> Result<Vec<(LeaseRow, WorkerDeath)>, StoreError> {
         let mut expired = self.expired().await?;
         expired.retain(|(lease, _)| lease.job == job);
         Ok(expired)
@@ -32,7 +32,7 @@ impl SqliteStore {
         }
         let (mut tx, now) = self.begin().await?;
         queue::reap(&mut tx, &self.policy, &expired, now).await?;
-        lifecycle::give_up_queued(&mut tx, now).await?;
+        job_changes::fail_expired(&mut tx, now).await?;
         let claimed = queue::claim(&mut tx, &self.policy, worker, now).await?;
         tx.commit().await?;
         Ok(claimed)

@@ -6,7 +6,7 @@ use sqlx::{QueryBuilder, Sqlite};
 use super::rows::micros;
 use crate::{
     domain::{EndpointId, KeyId, ModelKind},
-    store::{JobFilter, PageKey, ScenePage},
+    store::{DatasetPageKey, JobFilter, PageKey},
 };
 
 /// Rows of `jobs` with their dataset's `bytes`, newest first.
@@ -40,7 +40,11 @@ pub(super) fn jobs(filter: &JobFilter, before: Option<PageKey>, limit: u32) -> Q
 }
 
 /// Rows of `scenes` with their dataset's `bytes`, newest first.
-pub(super) fn scenes(owner: Option<KeyId>, before: Option<ScenePage>, limit: u32) -> QueryBuilder<Sqlite> {
+pub(super) fn scenes(
+    owner: Option<KeyId>,
+    before: Option<DatasetPageKey>,
+    limit: u32,
+) -> QueryBuilder<Sqlite> {
     let mut query = QueryBuilder::new(
         "SELECT scenes.*, blobs.bytes FROM scenes JOIN blobs ON blobs.digest = scenes.dataset WHERE true",
     );
@@ -84,7 +88,7 @@ mod tests {
         domain::{JobId, JobState, SceneId, SystemClock},
         store::{
             QueuePolicy, SqliteStore,
-            sqlite::{accounts, figures},
+            sqlite::{accounts, stats},
         },
     };
 
@@ -105,7 +109,7 @@ mod tests {
         let scene = Some(SceneId(Uuid::from_u128(1)));
         let at = jiff::Timestamp::UNIX_EPOCH;
         let job = Some(PageKey { created_at: at, id: JobId(Uuid::from_u128(1)) });
-        let page = Some(ScenePage { created_at: at, id: SceneId(Uuid::from_u128(1)) });
+        let page = Some(DatasetPageKey { created_at: at, id: SceneId(Uuid::from_u128(1)) });
         let all = JobFilter::default();
         let of_owner = JobFilter { owner, ..JobFilter::default() };
         let of_scene = JobFilter { scene, ..JobFilter::default() };
@@ -141,7 +145,7 @@ mod tests {
         // The few rows of totals and counters, and an index of jobs that run.
         let whole =
             ["SCAN CONSTANT ROW", "SCAN totals", "SCAN counters", "SCAN jobs USING INDEX jobs_by_lease"];
-        for statement in accounts::STATEMENTS.into_iter().chain(figures::STATEMENTS) {
+        for statement in accounts::STATEMENTS.into_iter().chain(stats::STATEMENTS) {
             for step in plan(&store, statement).await {
                 assert!(!step.starts_with("SCAN") || whole.contains(&&*step), "{statement}: {step}");
             }

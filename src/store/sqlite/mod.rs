@@ -6,22 +6,22 @@
 //! with the history are kept by triggers of the schema and never counted.
 
 mod accounts;
+mod datasets;
 #[cfg(test)]
 mod durability_tests;
 mod events;
 mod exports;
-mod figures;
 mod idempotency;
+mod job_changes;
 mod keys;
 mod leases;
-mod lifecycle;
 mod lists;
 mod open;
 mod priority;
 mod queue;
 mod rows;
-mod scenes;
 mod series;
+mod stats;
 mod uploads;
 mod webhooks;
 
@@ -32,9 +32,9 @@ use serde_json::json;
 use sqlx::{Row as _, Sqlite, SqliteConnection, SqlitePool, Transaction};
 
 use super::{
-    Answer, Artifact, AttemptRecord, BlobRef, Cancellation, Claim, Death, Deletion, Heartbeat, JobFilter,
-    JobRecord, Lease, NewJob, Outcome, PageKey, QueuePolicy, Repeat, Repetition, Store, StoreError,
-    leases::LeaseWatch,
+    Artifact, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat, JobFilter, JobRecord, Lease,
+    NewJob, Outcome, PageKey, QueuePolicy, RetryOutcome, RetryRequest, Store, StoreError, StoreFuture,
+    WorkerDeath, leases::LeaseWatch,
 };
 use crate::domain::{Clock, Event, EventKind, JobId, JobState, Phase, Progress};
 pub use open::SchemaChange;
@@ -79,7 +79,7 @@ impl SqliteStore {
         now: Timestamp,
     ) -> Result<JobRecord, StoreError> {
         if let Some(intent) = &new.intent {
-            let (id, keep) = (new.id.to_string(), self.policy.remember);
+            let (id, keep) = (new.id.to_string(), self.policy.idempotency_ttl);
             idempotency::remember(tx, intent, CREATED, &id, keep, now).await?;
         }
         let limits = self.policy.limits;
@@ -120,15 +120,19 @@ impl SqliteStore {
         select_job(tx, new.id).await?.ok_or(StoreError::Database(sqlx::Error::RowNotFound))
     }
 
-    async fn insert_repetition(&self, id: JobId, repeat: Repeat) -> Result<Option<Repetition>, StoreError> {
+    async fn insert_retry(
+        &self,
+        id: JobId,
+        repeat: RetryRequest,
+    ) -> Result<Option<RetryOutcome>, StoreError> {
         let (mut tx, now) = self.begin().await?;
-        let made = match lifecycle::repetition(&mut tx, id, repeat).await? {
+        let made = match job_changes::retry_of(&mut tx, id, repeat).await? {
             None => return Ok(None),
-            Some(Err(state)) => return Ok(Some(Repetition::NotNow(state))),
+            Some(Err(state)) => return Ok(Some(RetryOutcome::NotRetryable(state))),
             Some(Ok(new)) => self.insert_job_in(&mut tx, new, now).await?,
         };
         tx.commit().await?;
-        Ok(Some(Repetition::Made(Box::new(made))))
+        Ok(Some(RetryOutcome::Created(Box::new(made))))
     }
 
     async fn remove_job(&self, id: JobId, version: Option<u64>) -> Result<Option<Deletion>, StoreError> {
@@ -136,7 +140,7 @@ impl SqliteStore {
         let expired = self.expired_of(id).await?;
         let (mut tx, now) = self.begin().await?;
         queue::reap(&mut tx, &self.policy, &expired, now).await?;
-        let answer = lifecycle::delete(&mut tx, id, version).await?;
+        let answer = job_changes::delete(&mut tx, id, version).await?;
         tx.commit().await?;
         Ok(answer)
     }
@@ -150,7 +154,7 @@ impl SqliteStore {
             return Ok(0);
         }
         let (mut tx, now) = self.begin().await?;
-        let count = lifecycle::give_up_queued(&mut tx, now).await?;
+        let count = job_changes::fail_expired(&mut tx, now).await?;
         tx.commit().await?;
         Ok(count)
     }
@@ -160,7 +164,7 @@ impl SqliteStore {
         let expired = self.expired_of(id).await?;
         let (mut tx, now) = self.begin().await?;
         queue::reap(&mut tx, &self.policy, &expired, now).await?;
-        lifecycle::give_up_queued(&mut tx, now).await?;
+        job_changes::fail_expired(&mut tx, now).await?;
         let answer = queue::cancel(&mut tx, id, now).await?;
         tx.commit().await?;
         Ok(answer)
@@ -257,11 +261,11 @@ async fn select_artifacts(connection: &mut SqliteConnection, id: JobId) -> Resul
 }
 
 impl Store for SqliteStore {
-    fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord> {
+    fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord> {
         Box::pin(self.insert_job(new))
     }
 
-    fn job(&self, id: JobId) -> Answer<'_, Option<JobRecord>> {
+    fn job(&self, id: JobId) -> StoreFuture<'_, Option<JobRecord>> {
         Box::pin(async move {
             let mut tx = self.readers.begin().await?;
             select_job(&mut tx, id).await
@@ -273,15 +277,15 @@ impl Store for SqliteStore {
         filter: &'a JobFilter,
         before: Option<PageKey>,
         limit: u32,
-    ) -> Answer<'a, Vec<JobRecord>> {
+    ) -> StoreFuture<'a, Vec<JobRecord>> {
         Box::pin(self.list(filter, before, limit))
     }
 
-    fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>> {
+    fn events(&self, id: JobId, after: u64, limit: u32) -> StoreFuture<'_, Option<Vec<Event>>> {
         Box::pin(self.read_events(id, after, limit))
     }
 
-    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<(JobId, u64)>> {
+    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<(JobId, u64)>> {
         Box::pin(async move {
             let rows =
                 sqlx::query("SELECT id, last_seq FROM jobs WHERE id IN (SELECT value FROM json_each(?))")
@@ -292,7 +296,7 @@ impl Store for SqliteStore {
         })
     }
 
-    fn attempts(&self, id: JobId) -> Answer<'_, Vec<AttemptRecord>> {
+    fn attempts(&self, id: JobId) -> StoreFuture<'_, Vec<AttemptRecord>> {
         Box::pin(async move {
             let rows = sqlx::query("SELECT * FROM attempts WHERE job_id = ? ORDER BY number")
                 .bind(id.to_string())
@@ -302,51 +306,51 @@ impl Store for SqliteStore {
         })
     }
 
-    fn cancel(&self, id: JobId) -> Answer<'_, Option<Cancellation>> {
+    fn cancel(&self, id: JobId) -> StoreFuture<'_, Option<Cancellation>> {
         Box::pin(self.cancel_job(id))
     }
 
-    fn repeat_job(&self, id: JobId, repeat: Repeat) -> Answer<'_, Option<Repetition>> {
-        Box::pin(self.insert_repetition(id, repeat))
+    fn retry_job(&self, id: JobId, repeat: RetryRequest) -> StoreFuture<'_, Option<RetryOutcome>> {
+        Box::pin(self.insert_retry(id, repeat))
     }
 
-    fn delete_job(&self, id: JobId, version: Option<u64>) -> Answer<'_, Option<Deletion>> {
+    fn delete_job(&self, id: JobId, version: Option<u64>) -> StoreFuture<'_, Option<Deletion>> {
         Box::pin(self.remove_job(id, version))
     }
 
-    fn give_up_overdue(&self) -> Answer<'_, u64> {
+    fn fail_expired(&self) -> StoreFuture<'_, u64> {
         Box::pin(self.give_up())
     }
 
-    fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<JobId>> {
+    fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<JobId>> {
         Box::pin(async move {
             let rows = sqlx::query(
                 "SELECT id FROM jobs WHERE id IN (SELECT value FROM json_each(?))
                      AND (state IN ('queued', 'running') OR (state IN ('failed', 'cancelled') AND finished_at > ?))",
             )
             .bind(text(&jobs)?)
-            .bind(micros(rows::before(self.clock.now(), self.policy.keep_checkpoints)))
+            .bind(micros(rows::before(self.clock.now(), self.policy.checkpoint_ttl)))
             .fetch_all(&self.readers)
             .await?;
             rows.iter().map(rows::job_id).collect()
         })
     }
 
-    fn claim<'a>(&'a self, worker: &'a str) -> Answer<'a, Option<Claim>> {
+    fn claim<'a>(&'a self, worker: &'a str) -> StoreFuture<'a, Option<Claim>> {
         Box::pin(async move {
             let claimed = self.claim_next(worker).await;
             self.watched(claimed.map(Option::unzip))
         })
     }
 
-    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Heartbeat> {
+    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> StoreFuture<'a, Heartbeat> {
         Box::pin(async move {
             let renewed = self.renew(lease).await;
             self.watched(renewed.map(|(row, heartbeat)| (Some(row), heartbeat)))
         })
     }
 
-    fn report<'a>(&'a self, lease: &'a Lease, phase: Phase, progress: &'a Progress) -> Answer<'a, ()> {
+    fn report<'a>(&'a self, lease: &'a Lease, phase: Phase, progress: &'a Progress) -> StoreFuture<'a, ()> {
         Box::pin(async move {
             let (mut tx, now) = self.begin().await?;
             queue::report(&mut tx, &self.policy, lease, phase, progress, now).await?;
@@ -355,7 +359,7 @@ impl Store for SqliteStore {
         })
     }
 
-    fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> Answer<'a, JobState> {
+    fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> StoreFuture<'a, JobState> {
         Box::pin(async move {
             let (mut tx, now) = self.begin().await?;
             let state = queue::finish(&mut tx, &self.policy, lease, outcome, now).await?;
@@ -364,7 +368,7 @@ impl Store for SqliteStore {
         })
     }
 
-    fn expire_worker<'a>(&'a self, worker: &'a str, death: Death) -> Answer<'a, u64> {
+    fn expire_worker<'a>(&'a self, worker: &'a str, death: WorkerDeath) -> StoreFuture<'a, u64> {
         Box::pin(async move {
             let (mut tx, now) = self.begin().await?;
             let count = queue::expire_worker(&mut tx, &self.policy, worker, death, now).await?;
@@ -373,14 +377,14 @@ impl Store for SqliteStore {
         })
     }
 
-    fn expire_leases(&self) -> Answer<'_, u64> {
+    fn expire_leases(&self) -> StoreFuture<'_, u64> {
         Box::pin(async move {
             let expired = self.reap_expired().await;
             self.watched(expired.map(|count| (None, count)))
         })
     }
 
-    fn ping(&self) -> Answer<'_, ()> {
+    fn ping(&self) -> StoreFuture<'_, ()> {
         Box::pin(async move {
             sqlx::query("SELECT 1").fetch_one(&self.readers).await?;
             Ok(())

@@ -15,9 +15,9 @@ use super::{
 use crate::{
     domain::{EventKind, JobId, JobState, Phase, Progress},
     store::{
-        Cancellation, Claim, Death, Heartbeat, Lease, Outcome, QueuePolicy, StoreError,
+        Cancellation, Claim, Heartbeat, Lease, Outcome, QueuePolicy, StoreError, WorkerDeath,
         leases::LeaseRow,
-        verdict::{End, Next, Standing, verdict},
+        retry::{AttemptEnd, AttemptState, NextState, decide},
     },
 };
 
@@ -38,7 +38,7 @@ pub(super) async fn leases(pool: &SqlitePool) -> Result<Vec<LeaseRow>, StoreErro
 pub(super) async fn reap(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
-    expired: &[(LeaseRow, Death)],
+    expired: &[(LeaseRow, WorkerDeath)],
     now: Timestamp,
 ) -> Result<u64, StoreError> {
     let mut count = 0;
@@ -61,7 +61,7 @@ pub(super) async fn expire_worker(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
     worker: &str,
-    death: Death,
+    death: WorkerDeath,
     now: Timestamp,
 ) -> Result<u64, StoreError> {
     let lost = sqlx::query("SELECT * FROM jobs WHERE state = 'running' AND lease_owner = ?")
@@ -75,11 +75,12 @@ async fn lose(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
     lost: &[SqliteRow],
-    death: Death,
+    death: WorkerDeath,
     now: Timestamp,
 ) -> Result<u64, StoreError> {
     for row in lost {
-        end_attempt(connection, policy, &rows::standing(row, now)?, End::Lost(death), now).await?;
+        end_attempt(connection, policy, &rows::attempt_state(row, now)?, AttemptEnd::Lost(death), now)
+            .await?;
     }
     Ok(lost.len() as u64)
 }
@@ -127,7 +128,7 @@ pub(super) async fn claim(
         lease: Lease { job, attempt, worker: worker.to_owned() },
         dataset: rows::dataset(&row)?,
         options: rows::options(&row)?,
-        adopts: rows::adopts(&row)?,
+        resume_from: rows::resume_from(&row)?,
     };
     Ok(Some((rows::lease(&row)?, claim)))
 }
@@ -188,7 +189,7 @@ pub(super) async fn heartbeat(
     let deadline: Option<i64> = row.try_get("deadline_at")?;
     let heartbeat = Heartbeat {
         cancel_requested: row.try_get::<Option<i64>, _>("cancel_requested_at")?.is_some(),
-        overdue: deadline.is_some_and(|deadline| deadline <= micros(now)),
+        deadline_passed: deadline.is_some_and(|deadline| deadline <= micros(now)),
     };
     Ok((rows::lease(&row)?, heartbeat))
 }
@@ -255,18 +256,19 @@ pub(super) async fn finish(
     now: Timestamp,
 ) -> Result<JobState, StoreError> {
     let row = held(connection, lease).await?;
-    end_attempt(connection, policy, &rows::standing(&row, now)?, End::Told(outcome), now).await
+    end_attempt(connection, policy, &rows::attempt_state(&row, now)?, AttemptEnd::Reported(outcome), now)
+        .await
 }
 
 async fn end_attempt(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
-    standing: &Standing,
-    end: End,
+    attempt_state: &AttemptState,
+    end: AttemptEnd,
     now: Timestamp,
 ) -> Result<JobState, StoreError> {
-    let (outcome, cause, next) = verdict(policy, standing, end);
-    let (job, attempt) = (standing.job, standing.attempt);
+    let (outcome, cause, next) = decide(policy, attempt_state, end);
+    let (job, attempt) = (attempt_state.job, attempt_state.attempt);
     sqlx::query("UPDATE attempts SET ended_at = ?, outcome = ?, cause = ? WHERE job_id = ? AND number = ?")
         .bind(micros(now))
         .bind(outcome.name())
@@ -276,7 +278,7 @@ async fn end_attempt(
         .execute(&mut *connection)
         .await?;
     let state = match next {
-        Next::Requeue { delay, refund, setbacks } => {
+        NextState::Requeue { delay, refund, setbacks } => {
             let run_after = after(now, delay);
             sqlx::query(
                 "UPDATE jobs SET state = 'queued', phase = 'queued', run_after = ?, waits_since = ?, charged = charged - ?,
@@ -287,7 +289,7 @@ async fn end_attempt(
             .bind(micros(now))
             .bind(i64::from(refund))
             .bind(setbacks.alone)
-            .bind(setbacks.together)
+            .bind(setbacks.with_service)
             .bind(job.to_string())
             .execute(&mut *connection)
             .await?;
@@ -297,7 +299,7 @@ async fn end_attempt(
             append(connection, job, EventKind::State, attempt, &data, now).await?;
             return Ok(JobState::Queued);
         }
-        Next::Succeed(Outcome::Succeeded { metrics, artifacts }) => {
+        NextState::Succeed(Outcome::Succeeded { metrics, artifacts }) => {
             for (number, artifact) in artifacts.iter().enumerate() {
                 insert_blob(connection, artifact.blob, now).await?;
                 let before = artifacts[..number].iter();
@@ -314,7 +316,7 @@ async fn end_attempt(
                     .execute(&mut *connection)
                     .await?;
             }
-            close(connection, standing, JobState::Succeeded, now).await?;
+            close(connection, attempt_state, JobState::Succeeded, now).await?;
             sqlx::query("UPDATE jobs SET metrics = ? WHERE id = ?")
                 .bind(text(&metrics)?)
                 .bind(job.to_string())
@@ -322,8 +324,8 @@ async fn end_attempt(
                 .await?;
             JobState::Succeeded
         }
-        Next::Fail(problem) => {
-            close(connection, standing, JobState::Failed, now).await?;
+        NextState::Fail(problem) => {
+            close(connection, attempt_state, JobState::Failed, now).await?;
             sqlx::query("UPDATE jobs SET error = ? WHERE id = ?")
                 .bind(text(&problem)?)
                 .bind(job.to_string())
@@ -333,8 +335,8 @@ async fn end_attempt(
             append(connection, job, EventKind::State, attempt, &data, now).await?;
             return Ok(JobState::Failed);
         }
-        Next::Succeed(_) | Next::Cancel => {
-            close(connection, standing, JobState::Cancelled, now).await?;
+        NextState::Succeed(_) | NextState::Cancel => {
+            close(connection, attempt_state, JobState::Cancelled, now).await?;
             JobState::Cancelled
         }
     };
@@ -344,7 +346,7 @@ async fn end_attempt(
 
 async fn close(
     connection: &mut SqliteConnection,
-    standing: &Standing,
+    attempt_state: &AttemptState,
     state: JobState,
     now: Timestamp,
 ) -> Result<(), StoreError> {
@@ -355,7 +357,7 @@ async fn close(
     )
     .bind(state.name())
     .bind(micros(now))
-    .bind(standing.job.to_string())
+    .bind(attempt_state.job.to_string())
     .execute(connection)
     .await?;
     Ok(())

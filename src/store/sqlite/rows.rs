@@ -12,9 +12,10 @@ use crate::{
     },
     store::{
         Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, DeliveryRecord, DeliveryState,
-        DueDelivery, EndpointRecord, ExportRecord, FileRecord, JobRecord, Likeness, Remembered, StoreError,
+        DueDelivery, EndpointRecord, ExportFidelity, ExportRecord, FileRecord, JobRecord, PriorRequest,
+        StoreError,
         leases::LeaseRow,
-        verdict::{Setbacks, Standing},
+        retry::{AttemptState, LossStreak},
     },
 };
 
@@ -112,7 +113,7 @@ pub(super) fn newest_event(row: &SqliteRow) -> Result<(JobId, u64), StoreError> 
 }
 
 /// The job whose checkpoint a claimed one may go on from.
-pub(super) fn adopts(row: &SqliteRow) -> Result<Option<JobId>, StoreError> {
+pub(super) fn resume_from(row: &SqliteRow) -> Result<Option<JobId>, StoreError> {
     let may: bool = row.try_get("from_checkpoint")?;
     Ok(optional_id(row, "retry_of")?.filter(|_| may))
 }
@@ -207,13 +208,13 @@ pub(super) fn export(row: &SqliteRow) -> Result<ExportRecord, StoreError> {
         blob: blob(row, "digest")?,
         gaussians: unsigned(row, "gaussians")?,
         sh_degree: unsigned(row, "sh_degree")?,
-        likeness: likeness(row)?,
+        fidelity: fidelity(row)?,
     })
 }
 
-fn likeness(row: &SqliteRow) -> Result<Option<Likeness>, StoreError> {
+fn fidelity(row: &SqliteRow) -> Result<Option<ExportFidelity>, StoreError> {
     let psnr: Option<f64> = row.try_get("likeness_psnr")?;
-    psnr.map(|psnr| Ok(Likeness { psnr, views: unsigned(row, "likeness_views")? })).transpose()
+    psnr.map(|psnr| Ok(ExportFidelity { psnr, views: unsigned(row, "likeness_views")? })).transpose()
 }
 
 /// A file of a job or of its exports, joined with its blob's `bytes`.
@@ -226,8 +227,8 @@ pub(super) fn file(row: &SqliteRow) -> Result<FileRecord, StoreError> {
     })
 }
 
-pub(super) fn remembered(row: &SqliteRow) -> Result<Remembered, StoreError> {
-    Ok(Remembered {
+pub(super) fn prior_request(row: &SqliteRow) -> Result<PriorRequest, StoreError> {
+    Ok(PriorRequest {
         fingerprint: parsed("fingerprint", row.try_get("fingerprint")?)?,
         status: unsigned(row, "status")?,
         resource: row.try_get("resource")?,
@@ -239,17 +240,20 @@ pub(super) fn deadline(row: &SqliteRow) -> Result<Timestamp, StoreError> {
     instant("deadline_at", row.try_get("deadline_at")?)
 }
 
-pub(super) fn standing(row: &SqliteRow, now: Timestamp) -> Result<Standing, StoreError> {
+pub(super) fn attempt_state(row: &SqliteRow, now: Timestamp) -> Result<AttemptState, StoreError> {
     let checkpoint: u64 = unsigned(row, "checkpoint_step")?;
-    Ok(Standing {
-        overdue: optional_instant(row, "deadline_at")?.filter(|deadline| *deadline <= now),
+    Ok(AttemptState {
+        missed_deadline: optional_instant(row, "deadline_at")?.filter(|deadline| *deadline <= now),
         job: job_id(row)?,
         attempt: unsigned(row, "attempt")?,
         charged: unsigned(row, "charged")?,
         max_attempts: unsigned(row, "max_attempts")?,
-        setbacks: Setbacks { alone: unsigned(row, "silent_deaths")?, together: unsigned(row, "setbacks")? },
+        setbacks: LossStreak {
+            alone: unsigned(row, "silent_deaths")?,
+            with_service: unsigned(row, "setbacks")?,
+        },
         checkpoint,
-        progressed: checkpoint > unsigned::<u64>(row, "setback_step")?,
+        checkpoint_advanced: checkpoint > unsigned::<u64>(row, "setback_step")?,
         cancel_requested: row.try_get::<Option<i64>, _>("cancel_requested_at")?.is_some(),
     })
 }

@@ -5,11 +5,11 @@ use sqlx::SqliteConnection;
 use super::{SqliteStore, queue::held, rows};
 use crate::{
     domain::{JobId, Progress, SeriesPoint, series_bucket},
-    store::{Answer, Lease, Series, StoreError},
+    store::{Lease, Series, StoreError, StoreFuture},
 };
 
 impl Series for SqliteStore {
-    fn record<'a>(&'a self, lease: &'a Lease, points: &'a [Progress]) -> Answer<'a, ()> {
+    fn record<'a>(&'a self, lease: &'a Lease, points: &'a [Progress]) -> StoreFuture<'a, ()> {
         Box::pin(async move {
             let (mut tx, _) = self.begin().await?;
             held(&mut tx, lease).await?;
@@ -26,7 +26,7 @@ impl Series for SqliteStore {
         })
     }
 
-    fn series(&self, job: JobId) -> Answer<'_, Option<Vec<SeriesPoint>>> {
+    fn series(&self, job: JobId) -> StoreFuture<'_, Option<Vec<SeriesPoint>>> {
         Box::pin(async move {
             let mut tx = self.readers.begin().await?;
             let known = sqlx::query("SELECT 1 FROM jobs WHERE id = ?").bind(job.to_string());

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     domain::UploadId,
-    store::{Answer, NewUpload, StoreError, UploadRecord, Uploads},
+    store::{NewUpload, StoreError, StoreFuture, UploadRecord, Uploads},
 };
 
 fn upload(row: &SqliteRow) -> Result<UploadRecord, StoreError> {
@@ -65,18 +65,18 @@ impl SqliteStore {
 }
 
 impl Uploads for SqliteStore {
-    fn create_upload(&self, new: NewUpload) -> Answer<'_, UploadRecord> {
+    fn create_upload(&self, new: NewUpload) -> StoreFuture<'_, UploadRecord> {
         Box::pin(self.insert_upload(new))
     }
 
-    fn upload(&self, id: UploadId) -> Answer<'_, Option<UploadRecord>> {
+    fn upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadRecord>> {
         Box::pin(async move {
             let mut tx = self.readers.begin().await?;
             select(&mut tx, id).await
         })
     }
 
-    fn advance_upload(&self, id: UploadId, received: u64, expires_at: Timestamp) -> Answer<'_, bool> {
+    fn advance_upload(&self, id: UploadId, received: u64, expires_at: Timestamp) -> StoreFuture<'_, bool> {
         Box::pin(async move {
             let (mut tx, _) = self.begin().await?;
             let done = sqlx::query(
@@ -92,7 +92,7 @@ impl Uploads for SqliteStore {
         })
     }
 
-    fn delete_upload(&self, id: UploadId) -> Answer<'_, bool> {
+    fn delete_upload(&self, id: UploadId) -> StoreFuture<'_, bool> {
         Box::pin(async move {
             let (mut tx, _) = self.begin().await?;
             let done = sqlx::query("DELETE FROM uploads WHERE id = ? AND ended_at IS NULL")
@@ -104,7 +104,7 @@ impl Uploads for SqliteStore {
         })
     }
 
-    fn outstanding_bytes(&self) -> Answer<'_, u64> {
+    fn outstanding_bytes(&self) -> StoreFuture<'_, u64> {
         Box::pin(async move {
             let row = sqlx::query(
                 "SELECT IFNULL(SUM(length - received), 0) AS bytes FROM uploads WHERE ended_at IS NULL",
@@ -115,7 +115,7 @@ impl Uploads for SqliteStore {
         })
     }
 
-    fn expire_uploads(&self, forget: Timestamp) -> Answer<'_, Vec<UploadId>> {
+    fn expire_uploads(&self, forget: Timestamp) -> StoreFuture<'_, Vec<UploadId>> {
         Box::pin(async move {
             let (mut tx, now) = self.begin().await?;
             let rows = sqlx::query(
@@ -133,7 +133,7 @@ impl Uploads for SqliteStore {
         })
     }
 
-    fn open_uploads(&self) -> Answer<'_, Vec<UploadId>> {
+    fn open_uploads(&self) -> StoreFuture<'_, Vec<UploadId>> {
         Box::pin(async move {
             let rows =
                 sqlx::query("SELECT id FROM uploads WHERE ended_at IS NULL").fetch_all(&self.readers).await?;

@@ -13,8 +13,8 @@ use super::{
 use crate::{
     domain::{DeliveryId, EndpointId, JobId, JobState, KeyId, WebhookEvent},
     store::{
-        AfterAttempt, Answer, DeliveryRecord, DueDelivery, EndpointRecord, NewEndpoint, Replay, Settled,
-        StoreError, Webhooks,
+        AfterAttempt, DeliveryRecord, DeliveryResult, DueDelivery, EndpointRecord, NewEndpoint, Replay,
+        StoreError, StoreFuture, Webhooks,
     },
 };
 
@@ -165,12 +165,12 @@ impl SqliteStore {
         row.map(|row| rows::due_delivery(&row, now)).transpose()
     }
 
-    async fn settle(&self, id: DeliveryId, attempt: u32, settled: Settled) -> Result<(), StoreError> {
+    async fn settle(&self, id: DeliveryId, attempt: u32, settled: DeliveryResult) -> Result<(), StoreError> {
         let (mut tx, now) = self.begin().await?;
         let (state, due_at) = match settled.next {
             AfterAttempt::Done => ("delivered", None),
-            AfterAttempt::Again(delay) => ("pending", Some(after(now, delay))),
-            AfterAttempt::GiveUp | AfterAttempt::Disable => ("failed", None),
+            AfterAttempt::RetryAfter(delay) => ("pending", Some(after(now, delay))),
+            AfterAttempt::GiveUp | AfterAttempt::DisableEndpoint => ("failed", None),
         };
         let row = sqlx::query(
             "UPDATE webhook_deliveries
@@ -187,7 +187,7 @@ impl SqliteStore {
         .bind(attempt)
         .fetch_optional(&mut *tx)
         .await?;
-        if let (Some(row), AfterAttempt::Disable) = (row, settled.next) {
+        if let (Some(row), AfterAttempt::DisableEndpoint) = (row, settled.next) {
             disable(&mut tx, rows::endpoint_id(&row)?, now).await?;
         }
         let forget = now.checked_sub(KEPT).unwrap_or(Timestamp::MIN);
@@ -222,11 +222,11 @@ async fn disable(
 }
 
 impl Webhooks for SqliteStore {
-    fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> Answer<'_, Option<EndpointRecord>> {
+    fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> StoreFuture<'_, Option<EndpointRecord>> {
         Box::pin(self.insert_endpoint(new, at_most))
     }
 
-    fn endpoint(&self, id: EndpointId) -> Answer<'_, Option<EndpointRecord>> {
+    fn endpoint(&self, id: EndpointId) -> StoreFuture<'_, Option<EndpointRecord>> {
         Box::pin(async move {
             let row = sqlx::query("SELECT * FROM webhook_endpoints WHERE id = ?")
                 .bind(id.to_string())
@@ -241,14 +241,14 @@ impl Webhooks for SqliteStore {
         owner: Option<KeyId>,
         before: Option<EndpointId>,
         limit: u32,
-    ) -> Answer<'_, Vec<EndpointRecord>> {
+    ) -> StoreFuture<'_, Vec<EndpointRecord>> {
         Box::pin(async move {
             let rows = lists::endpoints(owner, before, limit).build().fetch_all(&self.readers).await?;
             rows.iter().map(rows::endpoint).collect()
         })
     }
 
-    fn delete_endpoint(&self, id: EndpointId) -> Answer<'_, bool> {
+    fn delete_endpoint(&self, id: EndpointId) -> StoreFuture<'_, bool> {
         Box::pin(async move {
             let (mut tx, _) = self.begin().await?;
             let gone = sqlx::query("DELETE FROM webhook_endpoints WHERE id = ?")
@@ -265,7 +265,7 @@ impl Webhooks for SqliteStore {
         endpoint: EndpointId,
         before: Option<u64>,
         limit: u32,
-    ) -> Answer<'_, Vec<DeliveryRecord>> {
+    ) -> StoreFuture<'_, Vec<DeliveryRecord>> {
         Box::pin(async move {
             let rows = sqlx::query(
                 "SELECT * FROM webhook_deliveries WHERE endpoint = ? AND seq < ? ORDER BY seq DESC LIMIT ?",
@@ -279,15 +279,15 @@ impl Webhooks for SqliteStore {
         })
     }
 
-    fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> Answer<'_, Option<Replay>> {
+    fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> StoreFuture<'_, Option<Replay>> {
         Box::pin(self.replay_delivery(endpoint, id))
     }
 
-    fn take_delivery(&self, lease: Duration) -> Answer<'_, Option<DueDelivery>> {
+    fn take_delivery(&self, lease: Duration) -> StoreFuture<'_, Option<DueDelivery>> {
         Box::pin(self.lease_delivery(lease))
     }
 
-    fn settle_delivery(&self, id: DeliveryId, attempt: u32, settled: Settled) -> Answer<'_, ()> {
+    fn finish_delivery(&self, id: DeliveryId, attempt: u32, settled: DeliveryResult) -> StoreFuture<'_, ()> {
         Box::pin(self.settle(id, attempt, settled))
     }
 }

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use serde_json::{Value, json};
 use tcgs::{
     domain::{DatasetSummary, Layout, SceneId},
-    store::{NewScene, Scenes as _},
+    store::{Datasets as _, NewDataset},
 };
 use uuid::Uuid;
 
@@ -18,7 +18,7 @@ use crate::support::{
 /// Keeps a dataset as a scene and returns its id.
 async fn scene(server: &Server, dataset: &'static str) -> SceneId {
     let dataset = server.services.blobs.put(bytes::Bytes::from_static(dataset.as_bytes())).await;
-    let new = NewScene {
+    let new = NewDataset {
         id: SceneId(Uuid::now_v7()),
         owner: None,
         name: None,
@@ -34,7 +34,7 @@ async fn scene(server: &Server, dataset: &'static str) -> SceneId {
         upload: None,
         intent: None,
     };
-    server.store.create_scene(new).await.expect("kept").record().id
+    server.store.create_dataset(new).await.expect("kept").record().id
 }
 
 pub(super) async fn a_job_is_made_of_a_scene_by_json(coverage: Coverage) {

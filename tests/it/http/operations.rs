@@ -6,7 +6,7 @@ use jiff::SignedDuration;
 use serde_json::{Value, json};
 use tcgs::{
     domain::{JobMetrics, ManualClock, Phase, PhaseSeconds, SceneFormat},
-    store::{AfterAttempt, Artifact, ArtifactKind, Outcome, Settled, Webhooks as _},
+    store::{AfterAttempt, Artifact, ArtifactKind, DeliveryResult, Outcome, Webhooks as _},
 };
 
 use crate::support::{
@@ -149,12 +149,12 @@ async fn messages_to_webhooks_are_counted_by_what_became_of_them() {
     }
     let fault = Some("as the test wants it".to_owned());
     for settled in [
-        Settled { status: Some(204), fault: None, next: AfterAttempt::Done },
-        Settled { status: Some(500), fault, next: AfterAttempt::GiveUp },
+        DeliveryResult { status: Some(204), fault: None, next: AfterAttempt::Done },
+        DeliveryResult { status: Some(500), fault, next: AfterAttempt::GiveUp },
     ] {
         let due =
             server.store.take_delivery(Duration::from_secs(60)).await.expect("an answer").expect("a message");
-        server.store.settle_delivery(due.id, due.attempt, settled).await.expect("settled");
+        server.store.finish_delivery(due.id, due.attempt, settled).await.expect("settled");
     }
     let text = metrics(&server).await;
     for state in ["pending", "delivered", "failed"] {

@@ -15,7 +15,7 @@ use tcgs::{
     domain::{ManualClock, OutboundPolicy, Scope, WebhookSecret},
     http::config::RequestLimits,
     https::ExtraRoots,
-    store::{AfterAttempt, Settled, Store, Webhooks as _},
+    store::{AfterAttempt, DeliveryResult, Store, Webhooks as _},
     webhooks::{self, DeliveryConfig, Lookup, Sender, sign, system_lookup},
 };
 use tokio::{sync::Notify, task::JoinHandle};
@@ -583,8 +583,8 @@ async fn a_delivery_whose_server_died_is_made_by_another() {
     clock.advance(SignedDuration::from_secs(61));
     assert_eq!(receiver.next().await.header("webhook-id"), dead.id.to_string());
     until(&server, &made, |delivery| delivery["state"] == "delivered").await;
-    let late = Settled { status: None, fault: Some("too late".into()), next: AfterAttempt::GiveUp };
-    server.store.settle_delivery(dead.id, dead.attempt, late).await.expect("no fault");
+    let late = DeliveryResult { status: None, fault: Some("too late".into()), next: AfterAttempt::GiveUp };
+    server.store.finish_delivery(dead.id, dead.attempt, late).await.expect("no fault");
     let after = deliveries(&server, &made).await.remove(0);
     assert_eq!(after["state"], "delivered", "who comes too late changes nothing");
 }

@@ -12,7 +12,7 @@ use sqlx::{
 use tcgs::{
     domain::{JobState, SystemClock},
     store::{
-        ArtifactKind, Exports as _, Keys as _, QueuePolicy, Scenes as _, Series as _, SqliteStore, Store,
+        ArtifactKind, Datasets as _, Exports as _, Keys as _, QueuePolicy, Series as _, SqliteStore, Store,
         Uploads as _, Webhooks as _,
     },
 };
@@ -138,7 +138,7 @@ async fn assert_later_tables(store: &SqliteStore, version: i64) {
     if version >= 4 {
         let key = store.key(id(KEY)).await.expect("reads").expect("the key is there");
         assert_eq!((&*key.name, key.scopes.len()), ("a key", 2), "version {version}");
-        let scene = store.scene(id(SCENE)).await.expect("reads").expect("the scene is there");
+        let scene = store.dataset(id(SCENE)).await.expect("reads").expect("the scene is there");
         assert_eq!((scene.owner, scene.summary.train), (Some(id(KEY)), 9), "version {version}");
         let job = store.job(id(QUEUED_JOB)).await.expect("reads").expect("the job is there");
         assert_eq!((job.owner, job.scene), (Some(id(KEY)), Some(id(SCENE))), "version {version}");
@@ -150,8 +150,8 @@ async fn assert_later_tables(store: &SqliteStore, version: i64) {
     if version >= 6 {
         let exports = store.exports(finished).await.expect("reads");
         assert_eq!((exports.len(), exports[0].gaussians), (1, 20), "version {version}");
-        let likeness = exports[0].likeness.map(|likeness| (likeness.psnr, likeness.views));
-        assert_eq!(likeness, (version >= 10).then_some((41.25, 3)), "version {version}");
+        let fidelity = exports[0].fidelity.map(|fidelity| (fidelity.psnr, fidelity.views));
+        assert_eq!(fidelity, (version >= 10).then_some((41.25, 3)), "version {version}");
     }
     if version >= 7 {
         let series = store.series(finished).await.expect("reads").expect("the job is there");
@@ -180,7 +180,7 @@ async fn exports_that_were_kept_as_spz_are_of_version_3_after_an_update() {
     let exports = store.exports(FINISHED_JOB.parse().expect("an id")).await.expect("reads");
     let kept: Vec<_> = exports.iter().map(|export| (export.format.name(), export.gaussians)).collect();
     assert_eq!(kept, [("ply", 20), ("spz3", 7)]);
-    assert_eq!(exports[0].likeness.map(|likeness| (likeness.psnr, likeness.views)), Some((41.25, 3)));
-    assert_eq!(exports[1].likeness, None);
+    assert_eq!(exports[0].fidelity.map(|fidelity| (fidelity.psnr, fidelity.views)), Some((41.25, 3)));
+    assert_eq!(exports[1].fidelity, None);
     store.close().await;
 }

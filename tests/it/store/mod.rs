@@ -1,7 +1,7 @@
 //! The store: jobs, datasets, totals and housekeeping on a manual clock, and databases of earlier versions.
 
-mod housekeeping;
+mod datasets;
+mod garbage;
 mod migrations;
 mod queue;
-mod scenes;
 mod totals;

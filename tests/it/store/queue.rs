@@ -11,9 +11,9 @@ use tcgs::{
         SceneFormat, SystemClock, TrainOptions,
     },
     store::{
-        Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, Death, Deletion, Intent,
-        JobFilter, JobRecord, Lease, NewJob, Outcome, QueuePolicy, Repeat, Repetition, SqliteStore, Store,
-        StoreError,
+        Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, Deletion,
+        IdempotentRequest, JobFilter, JobRecord, Lease, NewJob, Outcome, QueuePolicy, RetryOutcome,
+        RetryRequest, SqliteStore, Store, StoreError, WorkerDeath,
     },
 };
 use tempfile::TempDir;
@@ -402,7 +402,7 @@ async fn a_job_that_twice_kills_its_worker_is_not_given_to_a_third() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     queue.lease().await;
-    assert_eq!(queue.store.expire_worker("worker", Death::Alone).await.expect("taken"), 1);
+    assert_eq!(queue.store.expire_worker("worker", WorkerDeath::Alone).await.expect("taken"), 1);
     queue.lease().await;
     queue.pass(60);
     assert_eq!(queue.claim().await, None);
@@ -428,7 +428,7 @@ async fn no_number_of_power_cuts_costs_a_job() {
         drop(store);
         let after = another(&queue).await;
         if cut % 2 == 0 {
-            assert_eq!(after.expire_worker("worker", Death::Together).await.expect("taken"), 1);
+            assert_eq!(after.expire_worker("worker", WorkerDeath::WithService).await.expect("taken"), 1);
         } else {
             assert_eq!(after.expire_leases().await.expect("looked"), 0, "it has seen nothing yet");
             queue.pass(59);
@@ -458,7 +458,7 @@ async fn the_first_power_cuts_delay_nothing_and_those_without_progress_then_do()
     queue.add(1).await;
     let lose = async || {
         let lease = queue.lease().await;
-        queue.store.expire_worker("worker", Death::Together).await.expect("taken");
+        queue.store.expire_worker("worker", WorkerDeath::WithService).await.expect("taken");
         lease.attempt
     };
     for attempt in 1..=4 {
@@ -469,7 +469,7 @@ async fn the_first_power_cuts_delay_nothing_and_those_without_progress_then_do()
     let lease = queue.lease().await;
     let progress = Progress { checkpoint_step: 7, ..Progress::default() };
     queue.store.report(&lease, Phase::Train, &progress).await.expect("reported");
-    queue.store.expire_worker("worker", Death::Together).await.expect("taken");
+    queue.store.expire_worker("worker", WorkerDeath::WithService).await.expect("taken");
     assert_eq!(lose().await, 6, "whoever gets on is not kept waiting");
 }
 
@@ -481,7 +481,7 @@ async fn a_worker_that_died_alone_counts_against_its_job_only_where_that_got_no_
         let lease = queue.lease().await;
         let progress = Progress { checkpoint_step, ..Progress::default() };
         queue.store.report(&lease, Phase::Train, &progress).await.expect("reported");
-        queue.store.expire_worker("worker", Death::Alone).await.expect("taken");
+        queue.store.expire_worker("worker", WorkerDeath::Alone).await.expect("taken");
         // An attempt that was overtaken can say nothing of checkpoints.
         let late = Progress { checkpoint_step: 1_000_000, ..Progress::default() };
         assert!(is_lost(queue.store.report(&lease, Phase::Train, &late).await));
@@ -655,10 +655,10 @@ async fn an_attempt_that_says_why_it_failed_breaks_the_row_of_silent_deaths() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     queue.lease().await;
-    queue.store.expire_worker("worker", Death::Alone).await.expect("taken");
+    queue.store.expire_worker("worker", WorkerDeath::Alone).await.expect("taken");
     queue.store.finish(&queue.lease().await, Outcome::Released).await.expect("released");
     queue.lease().await;
-    queue.store.expire_worker("worker", Death::Alone).await.expect("taken");
+    queue.store.expire_worker("worker", WorkerDeath::Alone).await.expect("taken");
     assert_eq!(queue.state(id).await, JobState::Queued);
 }
 
@@ -668,8 +668,8 @@ async fn a_dead_worker_s_jobs_are_free_at_once_and_no_one_else_s() {
     let (first, second) = (queue.add(1).await, queue.add(2).await);
     let kept = queue.store.claim("alive").await.expect("a claim").expect("a job").lease;
     queue.store.claim("dead").await.expect("a claim").expect("a job");
-    assert_eq!(queue.store.expire_worker("dead", Death::Alone).await.expect("taken"), 1);
-    assert_eq!(queue.store.expire_worker("dead", Death::Alone).await.expect("nothing left"), 0);
+    assert_eq!(queue.store.expire_worker("dead", WorkerDeath::Alone).await.expect("taken"), 1);
+    assert_eq!(queue.store.expire_worker("dead", WorkerDeath::Alone).await.expect("nothing left"), 0);
     assert_eq!(kept.job, first);
     queue.store.heartbeat(&kept).await.expect("still held");
     assert_eq!(queue.lease().await.job, second);
@@ -681,7 +681,7 @@ async fn a_cancelled_job_whose_worker_dies_ends_cancelled() {
     let id = queue.add(1).await;
     queue.lease().await;
     queue.store.cancel(id).await.expect("written");
-    queue.store.expire_worker("worker", Death::Alone).await.expect("taken");
+    queue.store.expire_worker("worker", WorkerDeath::Alone).await.expect("taken");
     assert_eq!(queue.state(id).await, JobState::Cancelled);
 }
 
@@ -777,8 +777,8 @@ async fn every_change_raises_the_version_and_a_new_attempt_starts_from_nothing()
     rises(&queue.record(id).await);
 }
 
-fn repeat(number: u128, from_checkpoint: bool) -> Repeat {
-    Repeat { id: JobId(Uuid::from_u128(number)), from_checkpoint, deadline_at: None, intent: None }
+fn repeat(number: u128, from_checkpoint: bool) -> RetryRequest {
+    RetryRequest { id: JobId(Uuid::from_u128(number)), from_checkpoint, deadline_at: None, intent: None }
 }
 
 impl Queue {
@@ -794,7 +794,7 @@ impl Queue {
 async fn a_queued_job_past_its_deadline_is_given_up_and_never_begun() {
     let queue = Queue::new().await;
     let (late, other) = (queue.add_until(1, 60).await, queue.add(2).await);
-    assert_eq!(queue.store.give_up_overdue().await.expect("looked"), 0);
+    assert_eq!(queue.store.fail_expired().await.expect("looked"), 0);
     queue.pass(60);
     assert_eq!(queue.lease().await.job, other, "a claim gives it up too");
     let record = queue.record(late).await;
@@ -805,8 +805,8 @@ async fn a_queued_job_past_its_deadline_is_given_up_and_never_begun() {
     assert_eq!((&last.data["state"], &last.data["error"]["type"]), (&"failed".into(), &error.kind.into()));
     let later = queue.add_until(3, 60).await;
     queue.pass(61);
-    assert_eq!(queue.store.give_up_overdue().await.expect("looked"), 1);
-    assert_eq!(queue.store.give_up_overdue().await.expect("looked"), 0);
+    assert_eq!(queue.store.fail_expired().await.expect("looked"), 1);
+    assert_eq!(queue.store.fail_expired().await.expect("looked"), 0);
     assert_eq!(queue.state(later).await, JobState::Failed);
     let answer = queue.store.cancel(later).await.expect("read").expect("known");
     assert!(matches!(answer, Cancellation::TooLate(_)));
@@ -818,10 +818,10 @@ async fn a_running_job_learns_of_its_deadline_and_gets_no_other_attempt() {
     for (number, outcome) in [(1, Outcome::Released), (2, Outcome::Retry(problem()))] {
         let id = queue.add_until(number, 30).await;
         let lease = queue.lease().await;
-        assert!(!queue.store.heartbeat(&lease).await.expect("renewed").overdue);
+        assert!(!queue.store.heartbeat(&lease).await.expect("renewed").deadline_passed);
         queue.pass(30);
-        assert!(queue.store.heartbeat(&lease).await.expect("renewed").overdue);
-        assert_eq!(queue.store.give_up_overdue().await.expect("looked"), 0, "its worker ends it");
+        assert!(queue.store.heartbeat(&lease).await.expect("renewed").deadline_passed);
+        assert_eq!(queue.store.fail_expired().await.expect("looked"), 0, "its worker ends it");
         assert_eq!(queue.store.finish(&lease, outcome).await.expect("ended"), JobState::Failed);
         let error = queue.record(id).await.job.error.expect("a reason");
         assert_eq!(error.kind, "urn:tcgs:problem:deadline-exceeded");
@@ -844,22 +844,22 @@ async fn a_running_job_learns_of_its_deadline_and_gets_no_other_attempt() {
 async fn a_repeated_job_is_a_new_one_that_may_adopt_the_checkpoint() {
     let queue = Queue::new().await;
     let id = queue.add_with_priority(1, 7).await;
-    let now = queue.store.repeat_job(id, repeat(2, true)).await.expect("answered").expect("known");
-    assert_eq!(now, Repetition::NotNow(JobState::Queued));
+    let now = queue.store.retry_job(id, repeat(2, true)).await.expect("answered").expect("known");
+    assert_eq!(now, RetryOutcome::NotRetryable(JobState::Queued));
     queue.store.finish(&queue.lease().await, Outcome::Failed(problem())).await.expect("ended");
     for (number, from_checkpoint) in [(2, true), (3, false)] {
-        let made = queue.store.repeat_job(id, repeat(number, from_checkpoint)).await.expect("answered");
-        let Some(Repetition::Made(record)) = made else { panic!("{made:?}") };
+        let made = queue.store.retry_job(id, repeat(number, from_checkpoint)).await.expect("answered");
+        let Some(RetryOutcome::Created(record)) = made else { panic!("{made:?}") };
         assert_eq!((record.retry_of, record.priority), (Some(id), 7));
         assert_eq!((record.job.state, record.job.attempt), (JobState::Queued, 0));
         let claim = queue.claim().await.expect("a job");
-        assert_eq!((claim.lease.job, claim.adopts), (record.job.id, from_checkpoint.then_some(id)));
+        assert_eq!((claim.lease.job, claim.resume_from), (record.job.id, from_checkpoint.then_some(id)));
         queue.store.finish(&claim.lease, succeeded()).await.expect("ended");
-        let done = queue.store.repeat_job(record.job.id, repeat(9, true)).await.expect("answered");
-        assert_eq!(done, Some(Repetition::NotNow(JobState::Succeeded)));
+        let done = queue.store.retry_job(record.job.id, repeat(9, true)).await.expect("answered");
+        assert_eq!(done, Some(RetryOutcome::NotRetryable(JobState::Succeeded)));
     }
     assert!(
-        queue.store.repeat_job(JobId(Uuid::from_u128(404)), repeat(9, true)).await.expect("read").is_none()
+        queue.store.retry_job(JobId(Uuid::from_u128(404)), repeat(9, true)).await.expect("read").is_none()
     );
 }
 
@@ -873,7 +873,7 @@ async fn a_job_is_deleted_once_it_has_ended_and_as_it_was_seen() {
     assert_eq!(delete(None).await.expect("read"), Some(Deletion::Active(JobState::Running)));
     queue.store.finish(&lease, succeeded()).await.expect("ended");
     let version = queue.record(id).await.job.version;
-    assert_eq!(delete(Some(version - 1)).await.expect("read"), Some(Deletion::Changed));
+    assert_eq!(delete(Some(version - 1)).await.expect("read"), Some(Deletion::VersionMismatch));
     assert_eq!(delete(Some(version)).await.expect("deleted"), Some(Deletion::Deleted));
     assert_eq!(delete(None).await.expect("read"), None);
     assert!(queue.store.events(id, 0, 10).await.expect("read").is_none());
@@ -900,7 +900,7 @@ async fn fifty_processes_with_one_key_make_one_job() {
     let queue = Queue::new().await;
     let other: Arc<dyn Store> = Arc::new(open(&queue.folder, &queue.clock, QueuePolicy::default()).await);
     let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
-    let intent = Intent { owner: None, key: "one".into(), fingerprint: Digest::of(b"request") };
+    let intent = IdempotentRequest { owner: None, key: "one".into(), fingerprint: Digest::of(b"request") };
     let requests = (0..50).map(|number| {
         let store = if number % 2 == 0 { Arc::clone(&queue.store) } else { Arc::clone(&other) };
         let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
@@ -911,7 +911,7 @@ async fn fifty_processes_with_one_key_make_one_job() {
     for request in requests.collect::<Vec<_>>() {
         match request.await.expect("joined") {
             Ok(record) => made.push(record.job.id.to_string()),
-            Err(StoreError::AlreadyMade(earlier)) => told.push(*earlier),
+            Err(StoreError::IdempotencyKeyUsed(earlier)) => told.push(*earlier),
             Err(error) => panic!("{error}"),
         }
     }
@@ -937,14 +937,14 @@ async fn a_key_is_its_owner_s_and_is_forgotten_after_a_day() {
     .expect("a key");
     let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
     let create = |number, owner| {
-        let intent = Intent { owner, key: "one".into(), fingerprint: Digest::of(b"request") };
+        let intent = IdempotentRequest { owner, key: "one".into(), fingerprint: Digest::of(b"request") };
         let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
         queue.store.create_job(NewJob { owner, intent: Some(intent), ..new })
     };
     create(1, None).await.expect("made");
     create(2, Some(owner)).await.expect("another's key is another key");
-    assert!(matches!(create(3, None).await, Err(StoreError::AlreadyMade(_))));
-    let remembered = |owner| queue.store.remembered(owner, "one");
+    assert!(matches!(create(3, None).await, Err(StoreError::IdempotencyKeyUsed(_))));
+    let remembered = |owner| queue.store.prior_request(owner, "one");
     assert!(remembered(None).await.expect("read").is_some());
     queue.pass(24 * 3600);
     assert!(remembered(Some(owner)).await.expect("read").is_none());

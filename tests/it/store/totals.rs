@@ -11,8 +11,9 @@ use tcgs::{
         Problem, SceneFormat, SceneId, TrainOptions, UploadId, WebhookEvent, WebhookSecret,
     },
     store::{
-        AfterAttempt, Artifact, ArtifactKind, BlobRef, Death, ExportRecord, Figures, NewEndpoint, NewJob,
-        NewScene, NewUpload, Outcome, QueuePolicy, Repeat, Settled, SqliteStore, Store, Usage,
+        AfterAttempt, Artifact, ArtifactKind, BlobRef, DeliveryResult, ExportRecord, NewDataset, NewEndpoint,
+        NewJob, NewUpload, Outcome, QueuePolicy, RetryRequest, SqliteStore, Store, StoreStats, Usage,
+        WorkerDeath,
     },
 };
 use tempfile::TempDir;
@@ -59,7 +60,7 @@ struct Office {
     clock: Arc<ManualClock>,
     database: SqliteConnection,
     folder: TempDir,
-    seen: Figures,
+    seen: StoreStats,
 }
 
 fn path(folder: &TempDir) -> PathBuf {
@@ -83,7 +84,7 @@ impl Office {
         let store = SqliteStore::open(&path(&folder), clock.clone(), QueuePolicy::default()).await;
         let database = SqliteConnectOptions::new().filename(path(&folder)).connect().await;
         let (store, database) = (Arc::new(store.expect("a database")), database.expect("a database"));
-        Self { store, clock, database, folder, seen: Figures::default() }
+        Self { store, clock, database, folder, seen: StoreStats::default() }
     }
 
     async fn key(&mut self, number: u128) -> KeyId {
@@ -106,7 +107,7 @@ impl Office {
                 [rows(&mut self.database, totals).await, rows(&mut self.database, recount).await];
             assert_eq!(totals, recount, "after {what}");
         }
-        let figures = self.store.figures().await.expect("read");
+        let figures = self.store.stats().await.expect("read");
         assert!(figures.claims >= self.seen.claims, "after {what}");
         for (now, before) in figures.phase_seconds.iter().zip(&self.seen.phase_seconds) {
             assert!(now.1 >= before.1, "after {what}: {now:?} and {before:?}");
@@ -184,9 +185,9 @@ async fn totals_are_what_counting_gives_after_every_change() {
             notes: vec![],
         };
         let new =
-            NewScene { id, owner, name: None, dataset: blob(content), summary, upload: None, intent: None };
-        office.store.create_scene(new.clone()).await.expect("created");
-        office.store.create_scene(NewScene { id: SceneId(Uuid::now_v7()), ..new }).await.expect("known");
+            NewDataset { id, owner, name: None, dataset: blob(content), summary, upload: None, intent: None };
+        office.store.create_dataset(new.clone()).await.expect("created");
+        office.store.create_dataset(NewDataset { id: SceneId(Uuid::now_v7()), ..new }).await.expect("known");
         office.check("a scene").await;
         scenes.push(id);
     }
@@ -206,13 +207,17 @@ async fn totals_are_what_counting_gives_after_every_change() {
     office.check("a failure").await;
     office.store.cancel(second).await.expect("an answer").expect("known");
     office.check("a cancellation").await;
-    let repeat =
-        Repeat { id: JobId(Uuid::from_u128(5)), from_checkpoint: false, deadline_at: None, intent: None };
-    office.store.repeat_job(second, repeat).await.expect("an answer").expect("known");
+    let repeat = RetryRequest {
+        id: JobId(Uuid::from_u128(5)),
+        from_checkpoint: false,
+        deadline_at: None,
+        intent: None,
+    };
+    office.store.retry_job(second, repeat).await.expect("an answer").expect("known");
     office.check("a repetition").await;
     office.clock.advance(SignedDuration::from_secs(1));
     let claim = office.store.claim("worker").await.expect("an answer").expect("a job");
-    office.store.expire_worker("worker", Death::Alone).await.expect("an answer");
+    office.store.expire_worker("worker", WorkerDeath::Alone).await.expect("an answer");
     office.check("a lost worker").await;
     office.store.cancel(claim.lease.job).await.expect("an answer").expect("known");
 
@@ -225,7 +230,7 @@ async fn totals_are_what_counting_gives_after_every_change() {
             blob: blob(content),
             gaussians: 1,
             sh_degree: 0,
-            likeness: None,
+            fidelity: None,
         };
         office.store.add_export(export).await.expect("kept").expect("known");
         office.store.add_export(export).await.expect("kept").expect("known");
@@ -251,18 +256,20 @@ async fn totals_are_what_counting_gives_after_every_change() {
     office.store.expire_uploads(Timestamp::MAX).await.expect("expired");
     office.check("a forgotten upload").await;
 
-    for next in [AfterAttempt::Done, AfterAttempt::Again(Duration::from_secs(1)), AfterAttempt::Disable] {
+    for next in
+        [AfterAttempt::Done, AfterAttempt::RetryAfter(Duration::from_secs(1)), AfterAttempt::DisableEndpoint]
+    {
         let due =
             office.store.take_delivery(Duration::from_secs(60)).await.expect("read").expect("one is due");
-        let settled = Settled { status: Some(200), fault: None, next };
-        office.store.settle_delivery(due.id, due.attempt, settled).await.expect("settled");
+        let settled = DeliveryResult { status: Some(200), fault: None, next };
+        office.store.finish_delivery(due.id, due.attempt, settled).await.expect("settled");
         office.check("a delivery").await;
         let endpoint = endpoint_of(&mut office.database, due.id).await;
         office.store.replay(endpoint, due.id).await.expect("an answer");
         office.check("a replay").await;
     }
 
-    let before = office.store.figures().await.expect("read");
+    let before = office.store.stats().await.expect("read");
     assert_eq!(before.phase_seconds[1], ("train", 5.0));
     assert!(
         before.claims >= 5
@@ -273,7 +280,7 @@ async fn totals_are_what_counting_gives_after_every_change() {
         office.check("a deleted job").await;
     }
     for scene in scenes {
-        office.store.delete_scene(scene, None).await.expect("an answer").expect("known");
+        office.store.delete_dataset(scene, None).await.expect("an answer").expect("known");
         office.check("a deleted scene").await;
     }
     let all = ["a scene", "another", "a dataset", "a file", "the same cameras", "as ply", "as spz"];
@@ -284,7 +291,7 @@ async fn totals_are_what_counting_gives_after_every_change() {
         assert!(office.store.delete_endpoint(endpoint.id).await.expect("an answer"));
         office.check("a deleted endpoint").await;
     }
-    let after = office.store.figures().await.expect("read");
+    let after = office.store.stats().await.expect("read");
     assert_eq!(
         (after.claims, &after.attempts, &after.phase_seconds),
         (before.claims, &before.attempts, &before.phase_seconds)
@@ -316,7 +323,7 @@ async fn an_older_database_gets_its_totals_by_counting() {
         expires_at,
     };
     office.store.create_upload(new).await.expect("begun");
-    let figures = office.store.figures().await.expect("read");
+    let figures = office.store.stats().await.expect("read");
     // Back to before the two migrations, by what they made; later ones stay.
     for kind in ["trigger", "table", "index"] {
         let made = sqlx::query(

@@ -23,7 +23,7 @@ use tcgs::{
         RenderViews,
         views::{Plane, PlaneKind, Viewable},
     },
-    store::Likeness,
+    store::ExportFidelity,
 };
 
 use super::eventually::{PATIENCE, within};
@@ -356,7 +356,7 @@ pub fn exporter(fake: &Arc<FakeExporter>) -> tcgs::http::SceneExporter {
         fake.made.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
         let trained = cameras.iter().filter(|camera| camera.split == Split::Train).count();
         let text = format!("{} from {trained} cameras of {} bytes", format.name(), file.len());
-        let likeness = (format == SceneFormat::Ply).then_some(Likeness { psnr: 41.256, views: 2 });
-        Ok(tcgs::http::ExportedScene { bytes: text.into_bytes(), gaussians: 5, sh_degree: 3, likeness })
+        let fidelity = (format == SceneFormat::Ply).then_some(ExportFidelity { psnr: 41.256, views: 2 });
+        Ok(tcgs::http::ExportedScene { bytes: text.into_bytes(), gaussians: 5, sh_degree: 3, fidelity })
     })
 }

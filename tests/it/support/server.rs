@@ -8,7 +8,7 @@ use serde_json::Value;
 use tcgs::{
     domain::{Clock, KeyId, KeyLimits, SceneId, Scope, SystemClock, SystemEntropy},
     http::{self, HttpConfig, Services, WorkerCounts, config::RequestLimits},
-    store::{Blobs, Keys as _, NewKey, QueuePolicy, SceneRecord, SqliteStore, Store},
+    store::{Blobs, DatasetRecord, Keys as _, NewKey, QueuePolicy, SqliteStore, Store},
     worker::{self, WorkerConfig},
 };
 use tempfile::TempDir;
@@ -63,7 +63,7 @@ impl Default for Setup {
 pub fn quick_policy() -> QueuePolicy {
     QueuePolicy {
         backoff_base: Duration::ZERO,
-        hold: Duration::ZERO,
+        hold_delay: Duration::ZERO,
         progress_event_every: Duration::ZERO,
         ..QueuePolicy::default()
     }
@@ -237,8 +237,8 @@ impl Server {
     }
 
     /// A scene as it is stored.
-    pub async fn store_scene(&self, id: Uuid) -> SceneRecord {
-        self.services.store.scene(SceneId(id)).await.expect("read").expect("known")
+    pub async fn store_scene(&self, id: Uuid) -> DatasetRecord {
+        self.services.store.dataset(SceneId(id)).await.expect("read").expect("known")
     }
 
     /// Sends a request and checks the answer against the contract.

@@ -11,10 +11,10 @@ use std::{
 use serde_json::{Value, json};
 use tcgs::{
     domain::{JobState, SystemClock},
-    store::{AttemptOutcome, Blobs, Death, NewJob, Repeat, SqliteStore, Store},
+    store::{AttemptOutcome, Blobs, NewJob, RetryRequest, SqliteStore, Store, WorkerDeath},
     worker::{
         self, WorkerConfig, WorkerError,
-        supervise::{Census, SuperviseConfig, supervise},
+        supervise::{LiveWorkers, SuperviseConfig, supervise},
     },
 };
 use tempfile::TempDir;
@@ -166,10 +166,10 @@ async fn a_job_that_repeats_another_goes_on_from_its_checkpoint() {
     workshop.reaches(failed, JobState::Failed).await;
     let repeat = |from_checkpoint| {
         let id = tcgs::domain::JobId(Uuid::now_v7());
-        let repeat = Repeat { id, from_checkpoint, deadline_at: None, intent: None };
+        let repeat = RetryRequest { id, from_checkpoint, deadline_at: None, intent: None };
         let store = Arc::clone(&workshop.store);
         async move {
-            store.repeat_job(failed, repeat).await.expect("answered").expect("known");
+            store.retry_job(failed, repeat).await.expect("answered").expect("known");
             id
         }
     };
@@ -218,7 +218,7 @@ async fn a_worker_that_lost_its_lease_drops_the_result_and_goes_on() {
     workshop.start(quick_worker("w"));
     let id = workshop.add("gate").await;
     workshop.runner.gate.someone_waits().await;
-    assert_eq!(workshop.store.expire_worker("w", Death::Alone).await.expect("taken"), 1);
+    assert_eq!(workshop.store.expire_worker("w", WorkerDeath::Alone).await.expect("taken"), 1);
     // Another worker takes it while the first still runs, and is interrupted.
     let other = workshop.store.claim("other").await.expect("a claim").expect("the job").lease;
     workshop.runner.gate.open();
@@ -414,9 +414,9 @@ fn child_config(data: &Path) -> SuperviseConfig {
     config
 }
 
-async fn one_living(census: &Census, but_not: u32) -> u32 {
+async fn one_living(live_workers: &LiveWorkers, but_not: u32) -> u32 {
     loop {
-        match census.living().first() {
+        match live_workers.living().first() {
             Some(&pid) if pid != but_not => return pid,
             _ => tokio::time::sleep(Duration::from_millis(2)).await,
         }
@@ -433,14 +433,14 @@ async fn killing_the_worker_leaves_the_api_answering_and_the_job_is_run_again() 
     let workshop = Workshop::new().await;
     let store = Arc::clone(&workshop.store);
     let supervisor = supervise(child_config(workshop.data.path()), store, workshop.shutdown.clone());
-    let census = supervisor.census();
-    let api = api(&workshop, census.clone());
+    let live_workers = supervisor.live_workers();
+    let api = api(&workshop, live_workers.clone());
     let id = workshop.add("gate").await;
-    let first = one_living(&census, 0).await;
+    let first = one_living(&live_workers, 0).await;
     workshop.reaches(id, JobState::Running).await;
 
     kill(first);
-    let second = one_living(&census, first).await;
+    let second = one_living(&live_workers, first).await;
     let seen = answer(&api, "/healthz").await;
     assert_eq!(seen, (200, json!({ "status": "ok" })));
     let (status, ready) = answer(&api, "/readyz").await;
@@ -452,11 +452,11 @@ async fn killing_the_worker_leaves_the_api_answering_and_the_job_is_run_again() 
     assert_eq!(workshop.outcomes(id).await, [Some(AttemptOutcome::Lost), Some(AttemptOutcome::Succeeded)]);
     let (_, shown) = answer(&api, &format!("/v1/jobs/{id}")).await;
     assert_eq!(shown["state"], "succeeded");
-    assert_eq!(census.living(), [second], "the second worker is still there for the next job");
+    assert_eq!(live_workers.living(), [second], "the second worker is still there for the next job");
 
     workshop.shutdown.cancel();
     supervisor.stopped().await;
-    assert_eq!(census.living(), [0_u32; 0]);
+    assert_eq!(live_workers.living(), [0_u32; 0]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -480,14 +480,14 @@ async fn a_child_that_will_not_go_is_killed() {
     let mut config = SuperviseConfig::program("/bin/sh".into(), arguments, 2);
     config.grace = Duration::from_millis(10);
     let supervisor = supervise(config, Arc::clone(&workshop.store), workshop.shutdown.clone());
-    let census = supervisor.census();
-    assert_eq!(census.expected(), 2);
-    while census.living().len() < 2 {
+    let live_workers = supervisor.live_workers();
+    assert_eq!(live_workers.expected(), 2);
+    while live_workers.living().len() < 2 {
         tokio::time::sleep(Duration::from_millis(2)).await;
     }
     workshop.shutdown.cancel();
     supervisor.stopped().await;
-    assert!(census.living().is_empty());
+    assert!(live_workers.living().is_empty());
 }
 
 #[cfg(unix)]
@@ -501,8 +501,8 @@ async fn a_program_that_does_not_start_is_tried_again_and_does_not_end_the_api()
     config.backoff_base = Duration::from_millis(1);
     config.grace = Duration::from_millis(10);
     let supervisor = supervise(config, Arc::clone(&workshop.store), workshop.shutdown.clone());
-    let census = supervisor.census();
-    let api = api(&workshop, census.clone());
+    let live_workers = supervisor.live_workers();
+    let api = api(&workshop, live_workers.clone());
     let ready = async || {
         let (status, ready) = answer(&api, "/readyz").await;
         assert_eq!(status, 200);
@@ -514,14 +514,14 @@ async fn a_program_that_does_not_start_is_tried_again_and_does_not_end_the_api()
     std::fs::write(&draft, "#!/bin/sh\nexec sleep 1000\n").expect("written");
     std::fs::set_permissions(&draft, std::fs::Permissions::from_mode(0o700)).expect("made a program");
     std::fs::rename(&draft, &program).expect("in its place");
-    within(one_living(&census, 0)).await;
+    within(one_living(&live_workers, 0)).await;
     assert_eq!(ready().await, json!({ "expected": 1, "alive": 1 }));
     workshop.shutdown.cancel();
     within(supervisor.stopped()).await;
 }
 
-/// The API as `serve` would wire it, over the workshop's store and a supervisor's census.
-fn api(workshop: &Workshop, census: Census) -> axum::Router {
+/// The API as `serve` would wire it, over the workshop's store and a supervisor's live workers.
+fn api(workshop: &Workshop, live_workers: LiveWorkers) -> axum::Router {
     use tcgs::http::{AppState, Services, WorkerCounts};
     let services = Services {
         store: Arc::clone(&workshop.store),
@@ -533,7 +533,10 @@ fn api(workshop: &Workshop, census: Census) -> axum::Router {
         renderer: Arc::new(crate::support::fakes::FakeRenderer::default()),
         export: crate::support::fakes::exporter(&Arc::default()),
         forget: Arc::new(|_| {}),
-        workers: Arc::new(move || WorkerCounts { expected: census.expected(), alive: census.living().len() }),
+        workers: Arc::new(move || WorkerCounts {
+            expected: live_workers.expected(),
+            alive: live_workers.living().len(),
+        }),
     };
     tcgs::http::router(AppState::new(services, Default::default(), CancellationToken::new()))
 }

@@ -2,31 +2,31 @@
 
 use tcgs::{
     domain::{KeyHash, KeyId},
-    store::{Answer, KeyRecord, Keys, NewKey},
+    store::{KeyRecord, Keys, NewKey, StoreFuture},
 };
 
 use super::FaultStore;
 
 impl Keys for FaultStore {
-    fn create_key(&self, new: NewKey) -> Answer<'_, KeyRecord> {
+    fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord> {
         self.guard(self.inner.create_key(new))
     }
-    fn key(&self, id: KeyId) -> Answer<'_, Option<KeyRecord>> {
+    fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
         self.guard(self.inner.key(id))
     }
-    fn keys(&self, with_revoked: bool, before: Option<KeyId>, limit: u32) -> Answer<'_, Vec<KeyRecord>> {
+    fn keys(&self, with_revoked: bool, before: Option<KeyId>, limit: u32) -> StoreFuture<'_, Vec<KeyRecord>> {
         self.guard(self.inner.keys(with_revoked, before, limit))
     }
-    fn revoke_key(&self, id: KeyId) -> Answer<'_, Option<KeyRecord>> {
+    fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
         self.guard(self.inner.revoke_key(id))
     }
-    fn authenticate(&self, hash: KeyHash) -> Answer<'_, Option<KeyRecord>> {
+    fn authenticate(&self, hash: KeyHash) -> StoreFuture<'_, Option<KeyRecord>> {
         self.guard(self.inner.authenticate(hash))
     }
-    fn has_keys(&self) -> Answer<'_, bool> {
+    fn has_keys(&self) -> StoreFuture<'_, bool> {
         self.guard(self.inner.has_keys())
     }
-    fn touch_key(&self, id: KeyId) -> Answer<'_, ()> {
+    fn touch_key(&self, id: KeyId) -> StoreFuture<'_, ()> {
         self.guard(self.inner.touch_key(id))
     }
 }

@@ -13,10 +13,11 @@ use jiff::Timestamp;
 use tcgs::{
     domain::{Digest, Event, JobId, JobState, KeyId, Phase, Progress, SceneId, UploadId},
     store::{
-        Accounts, Answer, AttemptRecord, BlobRef, Cancellation, Claim, Death, Deletion, ExportRecord,
-        Exports, Figures, FileRecord, Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewJob, NewScene,
-        NewUpload, Outcome, Overview, PageKey, Remembered, Repeat, Repetition, Room, SceneCreation,
-        SceneDeletion, ScenePage, SceneRecord, Scenes, Store, StoreError, UploadRecord, Uploads, Usage,
+        Accounts, AttemptRecord, BlobRef, Cancellation, Capacity, Claim, DatasetCreation, DatasetDeletion,
+        DatasetPageKey, DatasetRecord, Datasets, Deletion, ExportRecord, Exports, FileRecord, Heartbeat,
+        Idempotency, JobFilter, JobRecord, Lease, NewDataset, NewJob, NewUpload, Outcome, Overview, PageKey,
+        PriorRequest, RetryOutcome, RetryRequest, Store, StoreError, StoreFuture, StoreStats, UploadRecord,
+        Uploads, Usage, WorkerDeath,
     },
 };
 
@@ -49,7 +50,7 @@ impl FaultStore {
         *self.failing.lock().expect("not poisoned") = failing;
     }
 
-    fn guard<'a, T: Send + 'a>(&self, answer: Answer<'a, T>) -> Answer<'a, T> {
+    fn guard<'a, T: Send + 'a>(&self, answer: StoreFuture<'a, T>) -> StoreFuture<'a, T> {
         let error = match *self.failing.lock().expect("not poisoned") {
             None | Some(Failing::Migrated) => return answer,
             Some(Failing::Busy) => sqlx::Error::PoolTimedOut,
@@ -61,46 +62,50 @@ impl FaultStore {
 }
 
 impl Overview for FaultStore {
-    fn figures(&self) -> Answer<'_, Figures> {
-        self.guard(self.inner.figures())
+    fn stats(&self) -> StoreFuture<'_, StoreStats> {
+        self.guard(self.inner.stats())
     }
-    fn schema_is_current(&self) -> Answer<'_, bool> {
+    fn schema_is_current(&self) -> StoreFuture<'_, bool> {
         if *self.failing.lock().expect("not poisoned") == Some(Failing::Migrated) {
             return Box::pin(async { Ok(false) });
         }
         self.guard(self.inner.schema_is_current())
     }
-    fn probe(&self) -> Answer<'_, ()> {
+    fn probe(&self) -> StoreFuture<'_, ()> {
         self.guard(self.inner.probe())
     }
 }
 
 impl Exports for FaultStore {
-    fn admit_export(&self, job: JobId) -> Answer<'_, ()> {
+    fn admit_export(&self, job: JobId) -> StoreFuture<'_, ()> {
         self.guard(self.inner.admit_export(job))
     }
-    fn add_export(&self, export: ExportRecord) -> Answer<'_, Option<ExportRecord>> {
+    fn add_export(&self, export: ExportRecord) -> StoreFuture<'_, Option<ExportRecord>> {
         self.guard(self.inner.add_export(export))
     }
-    fn exports(&self, job: JobId) -> Answer<'_, Vec<ExportRecord>> {
+    fn exports(&self, job: JobId) -> StoreFuture<'_, Vec<ExportRecord>> {
         self.guard(self.inner.exports(job))
     }
-    fn file(&self, digest: Digest, owner: Option<KeyId>) -> Answer<'_, Option<FileRecord>> {
+    fn file(&self, digest: Digest, owner: Option<KeyId>) -> StoreFuture<'_, Option<FileRecord>> {
         self.guard(self.inner.file(digest, owner))
     }
 }
 
 impl Idempotency for FaultStore {
-    fn remembered<'a>(&'a self, owner: Option<KeyId>, key: &'a str) -> Answer<'a, Option<Remembered>> {
-        self.guard(self.inner.remembered(owner, key))
+    fn prior_request<'a>(
+        &'a self,
+        owner: Option<KeyId>,
+        key: &'a str,
+    ) -> StoreFuture<'a, Option<PriorRequest>> {
+        self.guard(self.inner.prior_request(owner, key))
     }
 }
 
 impl Store for FaultStore {
-    fn create_job(&self, new: NewJob) -> Answer<'_, JobRecord> {
+    fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord> {
         self.guard(self.inner.create_job(new))
     }
-    fn job(&self, id: JobId) -> Answer<'_, Option<JobRecord>> {
+    fn job(&self, id: JobId) -> StoreFuture<'_, Option<JobRecord>> {
         self.guard(self.inner.job(id))
     }
     fn jobs<'a>(
@@ -108,114 +113,118 @@ impl Store for FaultStore {
         filter: &'a JobFilter,
         before: Option<PageKey>,
         limit: u32,
-    ) -> Answer<'a, Vec<JobRecord>> {
+    ) -> StoreFuture<'a, Vec<JobRecord>> {
         self.guard(self.inner.jobs(filter, before, limit))
     }
-    fn events(&self, id: JobId, after: u64, limit: u32) -> Answer<'_, Option<Vec<Event>>> {
+    fn events(&self, id: JobId, after: u64, limit: u32) -> StoreFuture<'_, Option<Vec<Event>>> {
         self.guard(self.inner.events(id, after, limit))
     }
-    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<(JobId, u64)>> {
+    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<(JobId, u64)>> {
         self.guard(self.inner.newest_events(jobs))
     }
-    fn attempts(&self, id: JobId) -> Answer<'_, Vec<AttemptRecord>> {
+    fn attempts(&self, id: JobId) -> StoreFuture<'_, Vec<AttemptRecord>> {
         self.guard(self.inner.attempts(id))
     }
-    fn cancel(&self, id: JobId) -> Answer<'_, Option<Cancellation>> {
+    fn cancel(&self, id: JobId) -> StoreFuture<'_, Option<Cancellation>> {
         self.guard(self.inner.cancel(id))
     }
-    fn repeat_job(&self, id: JobId, repeat: Repeat) -> Answer<'_, Option<Repetition>> {
-        self.guard(self.inner.repeat_job(id, repeat))
+    fn retry_job(&self, id: JobId, repeat: RetryRequest) -> StoreFuture<'_, Option<RetryOutcome>> {
+        self.guard(self.inner.retry_job(id, repeat))
     }
-    fn delete_job(&self, id: JobId, version: Option<u64>) -> Answer<'_, Option<Deletion>> {
+    fn delete_job(&self, id: JobId, version: Option<u64>) -> StoreFuture<'_, Option<Deletion>> {
         self.guard(self.inner.delete_job(id, version))
     }
-    fn give_up_overdue(&self) -> Answer<'_, u64> {
-        self.guard(self.inner.give_up_overdue())
+    fn fail_expired(&self) -> StoreFuture<'_, u64> {
+        self.guard(self.inner.fail_expired())
     }
-    fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> Answer<'a, Vec<JobId>> {
+    fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<JobId>> {
         self.guard(self.inner.resumable(jobs))
     }
-    fn claim<'a>(&'a self, worker: &'a str) -> Answer<'a, Option<Claim>> {
+    fn claim<'a>(&'a self, worker: &'a str) -> StoreFuture<'a, Option<Claim>> {
         self.guard(self.inner.claim(worker))
     }
-    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Heartbeat> {
+    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> StoreFuture<'a, Heartbeat> {
         self.guard(self.inner.heartbeat(lease))
     }
-    fn report<'a>(&'a self, lease: &'a Lease, phase: Phase, progress: &'a Progress) -> Answer<'a, ()> {
+    fn report<'a>(&'a self, lease: &'a Lease, phase: Phase, progress: &'a Progress) -> StoreFuture<'a, ()> {
         self.guard(self.inner.report(lease, phase, progress))
     }
-    fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> Answer<'a, JobState> {
+    fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> StoreFuture<'a, JobState> {
         self.guard(self.inner.finish(lease, outcome))
     }
-    fn expire_worker<'a>(&'a self, worker: &'a str, death: Death) -> Answer<'a, u64> {
+    fn expire_worker<'a>(&'a self, worker: &'a str, death: WorkerDeath) -> StoreFuture<'a, u64> {
         self.guard(self.inner.expire_worker(worker, death))
     }
-    fn expire_leases(&self) -> Answer<'_, u64> {
+    fn expire_leases(&self) -> StoreFuture<'_, u64> {
         self.guard(self.inner.expire_leases())
     }
-    fn ping(&self) -> Answer<'_, ()> {
+    fn ping(&self) -> StoreFuture<'_, ()> {
         self.guard(self.inner.ping())
     }
 }
 
-impl Scenes for FaultStore {
-    fn create_scene(&self, new: NewScene) -> Answer<'_, SceneCreation> {
-        self.guard(self.inner.create_scene(new))
+impl Datasets for FaultStore {
+    fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation> {
+        self.guard(self.inner.create_dataset(new))
     }
-    fn scene(&self, id: SceneId) -> Answer<'_, Option<SceneRecord>> {
-        self.guard(self.inner.scene(id))
+    fn dataset(&self, id: SceneId) -> StoreFuture<'_, Option<DatasetRecord>> {
+        self.guard(self.inner.dataset(id))
     }
-    fn scene_of_dataset(&self, owner: Option<KeyId>, dataset: Digest) -> Answer<'_, Option<SceneRecord>> {
-        self.guard(self.inner.scene_of_dataset(owner, dataset))
-    }
-    fn scenes(
+    fn dataset_by_archive(
         &self,
         owner: Option<KeyId>,
-        before: Option<ScenePage>,
-        limit: u32,
-    ) -> Answer<'_, Vec<SceneRecord>> {
-        self.guard(self.inner.scenes(owner, before, limit))
+        dataset: Digest,
+    ) -> StoreFuture<'_, Option<DatasetRecord>> {
+        self.guard(self.inner.dataset_by_archive(owner, dataset))
     }
-    fn delete_scene(&self, id: SceneId, version: Option<u64>) -> Answer<'_, Option<SceneDeletion>> {
-        self.guard(self.inner.delete_scene(id, version))
+    fn datasets(
+        &self,
+        owner: Option<KeyId>,
+        before: Option<DatasetPageKey>,
+        limit: u32,
+    ) -> StoreFuture<'_, Vec<DatasetRecord>> {
+        self.guard(self.inner.datasets(owner, before, limit))
+    }
+    fn delete_dataset(&self, id: SceneId, version: Option<u64>) -> StoreFuture<'_, Option<DatasetDeletion>> {
+        self.guard(self.inner.delete_dataset(id, version))
     }
 }
 
 impl Uploads for FaultStore {
-    fn create_upload(&self, new: NewUpload) -> Answer<'_, UploadRecord> {
+    fn create_upload(&self, new: NewUpload) -> StoreFuture<'_, UploadRecord> {
         self.guard(self.inner.create_upload(new))
     }
-    fn upload(&self, id: UploadId) -> Answer<'_, Option<UploadRecord>> {
+    fn upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadRecord>> {
         self.guard(self.inner.upload(id))
     }
-    fn advance_upload(&self, id: UploadId, received: u64, expires_at: Timestamp) -> Answer<'_, bool> {
+    fn advance_upload(&self, id: UploadId, received: u64, expires_at: Timestamp) -> StoreFuture<'_, bool> {
         self.guard(self.inner.advance_upload(id, received, expires_at))
     }
-    fn delete_upload(&self, id: UploadId) -> Answer<'_, bool> {
+    fn delete_upload(&self, id: UploadId) -> StoreFuture<'_, bool> {
         self.guard(self.inner.delete_upload(id))
     }
-    fn outstanding_bytes(&self) -> Answer<'_, u64> {
+    fn outstanding_bytes(&self) -> StoreFuture<'_, u64> {
         self.guard(self.inner.outstanding_bytes())
     }
-    fn expire_uploads(&self, forget: Timestamp) -> Answer<'_, Vec<UploadId>> {
+    fn expire_uploads(&self, forget: Timestamp) -> StoreFuture<'_, Vec<UploadId>> {
         self.guard(self.inner.expire_uploads(forget))
     }
-    fn open_uploads(&self) -> Answer<'_, Vec<UploadId>> {
+    fn open_uploads(&self) -> StoreFuture<'_, Vec<UploadId>> {
         self.guard(self.inner.open_uploads())
     }
 }
 
 impl Accounts for FaultStore {
-    fn usage(&self, owner: Option<KeyId>) -> Answer<'_, Usage> {
+    fn usage(&self, owner: Option<KeyId>) -> StoreFuture<'_, Usage> {
         self.guard(self.inner.usage(owner))
     }
-    fn room(&self, owner: Option<KeyId>) -> Answer<'_, Room> {
-        self.guard(self.inner.room(owner))
+    fn capacity(&self, owner: Option<KeyId>) -> StoreFuture<'_, Capacity> {
+        self.guard(self.inner.capacity(owner))
     }
-    fn dataset(&self, owner: Option<KeyId>, content: Digest) -> Answer<'_, Option<BlobRef>> {
-        self.guard(self.inner.dataset(owner, content))
+    fn owned_archive(&self, owner: Option<KeyId>, content: Digest) -> StoreFuture<'_, Option<BlobRef>> {
+        self.guard(self.inner.owned_archive(owner, content))
     }
-    fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> Answer<'a, Vec<Digest>> {
+    fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> StoreFuture<'a, Vec<Digest>> {
         self.guard(self.inner.forget_blobs(digests))
     }
 }

@@ -2,16 +2,16 @@
 
 use tcgs::{
     domain::{JobId, Progress, SeriesPoint},
-    store::{Answer, Lease, Series},
+    store::{Lease, Series, StoreFuture},
 };
 
 use super::FaultStore;
 
 impl Series for FaultStore {
-    fn record<'a>(&'a self, lease: &'a Lease, points: &'a [Progress]) -> Answer<'a, ()> {
+    fn record<'a>(&'a self, lease: &'a Lease, points: &'a [Progress]) -> StoreFuture<'a, ()> {
         self.guard(self.inner.record(lease, points))
     }
-    fn series(&self, job: JobId) -> Answer<'_, Option<Vec<SeriesPoint>>> {
+    fn series(&self, job: JobId) -> StoreFuture<'_, Option<Vec<SeriesPoint>>> {
         self.guard(self.inner.series(job))
     }
 }

@@ -4,16 +4,19 @@ use std::time::Duration;
 
 use tcgs::{
     domain::{DeliveryId, EndpointId, KeyId},
-    store::{Answer, DeliveryRecord, DueDelivery, EndpointRecord, NewEndpoint, Replay, Settled, Webhooks},
+    store::{
+        DeliveryRecord, DeliveryResult, DueDelivery, EndpointRecord, NewEndpoint, Replay, StoreFuture,
+        Webhooks,
+    },
 };
 
 use super::FaultStore;
 
 impl Webhooks for FaultStore {
-    fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> Answer<'_, Option<EndpointRecord>> {
+    fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> StoreFuture<'_, Option<EndpointRecord>> {
         self.guard(self.inner.create_endpoint(new, at_most))
     }
-    fn endpoint(&self, id: EndpointId) -> Answer<'_, Option<EndpointRecord>> {
+    fn endpoint(&self, id: EndpointId) -> StoreFuture<'_, Option<EndpointRecord>> {
         self.guard(self.inner.endpoint(id))
     }
     fn endpoints(
@@ -21,10 +24,10 @@ impl Webhooks for FaultStore {
         owner: Option<KeyId>,
         before: Option<EndpointId>,
         limit: u32,
-    ) -> Answer<'_, Vec<EndpointRecord>> {
+    ) -> StoreFuture<'_, Vec<EndpointRecord>> {
         self.guard(self.inner.endpoints(owner, before, limit))
     }
-    fn delete_endpoint(&self, id: EndpointId) -> Answer<'_, bool> {
+    fn delete_endpoint(&self, id: EndpointId) -> StoreFuture<'_, bool> {
         self.guard(self.inner.delete_endpoint(id))
     }
     fn deliveries(
@@ -32,16 +35,16 @@ impl Webhooks for FaultStore {
         endpoint: EndpointId,
         before: Option<u64>,
         limit: u32,
-    ) -> Answer<'_, Vec<DeliveryRecord>> {
+    ) -> StoreFuture<'_, Vec<DeliveryRecord>> {
         self.guard(self.inner.deliveries(endpoint, before, limit))
     }
-    fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> Answer<'_, Option<Replay>> {
+    fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> StoreFuture<'_, Option<Replay>> {
         self.guard(self.inner.replay(endpoint, id))
     }
-    fn take_delivery(&self, lease: Duration) -> Answer<'_, Option<DueDelivery>> {
+    fn take_delivery(&self, lease: Duration) -> StoreFuture<'_, Option<DueDelivery>> {
         self.guard(self.inner.take_delivery(lease))
     }
-    fn settle_delivery(&self, id: DeliveryId, attempt: u32, settled: Settled) -> Answer<'_, ()> {
-        self.guard(self.inner.settle_delivery(id, attempt, settled))
+    fn finish_delivery(&self, id: DeliveryId, attempt: u32, settled: DeliveryResult) -> StoreFuture<'_, ()> {
+        self.guard(self.inner.finish_delivery(id, attempt, settled))
     }
 }

@@ -23,13 +23,13 @@ const HELD: &str = "held";
 
 /// A process's own folder; it goes with this value.
 #[derive(Debug)]
-pub(super) struct Room {
+pub(super) struct StagingDir {
     // Let go first: some systems remove no file that is open.
     _held: File,
     folder: TempDir,
 }
 
-impl Room {
+impl StagingDir {
     /// A new one in `staging`; what processes that are gone have left there is removed. `lock` is the store's.
     pub(super) fn open(staging: &Path, lock: &Path) -> io::Result<Self> {
         let guard = open_lock(lock)?;

@@ -8,12 +8,15 @@ use super::{
 };
 use crate::{
     domain::{Digest, KeyId, SceneId},
-    store::{Answer, NewScene, SceneCreation, SceneDeletion, ScenePage, SceneRecord, Scenes, StoreError},
+    store::{
+        DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, Datasets, NewDataset, StoreError,
+        StoreFuture,
+    },
 };
 
 /// A row of `scenes` joined with its dataset's `bytes`.
-fn scene(row: &SqliteRow) -> Result<SceneRecord, StoreError> {
-    Ok(SceneRecord {
+fn dataset(row: &SqliteRow) -> Result<DatasetRecord, StoreError> {
+    Ok(DatasetRecord {
         id: parsed("id", row.try_get("id")?)?,
         owner: optional_id(row, "owner")?,
         name: row.try_get("name")?,
@@ -24,36 +27,36 @@ fn scene(row: &SqliteRow) -> Result<SceneRecord, StoreError> {
     })
 }
 
-async fn select(connection: &mut SqliteConnection, id: SceneId) -> Result<Option<SceneRecord>, StoreError> {
+async fn select(connection: &mut SqliteConnection, id: SceneId) -> Result<Option<DatasetRecord>, StoreError> {
     let row = sqlx::query(
         "SELECT scenes.*, blobs.bytes FROM scenes JOIN blobs ON blobs.digest = scenes.dataset WHERE scenes.id = ?",
     )
     .bind(id.to_string())
     .fetch_optional(connection)
     .await?;
-    row.as_ref().map(scene).transpose()
+    row.as_ref().map(dataset).transpose()
 }
 
-async fn select_of_dataset(
+async fn select_by_archive(
     connection: &mut SqliteConnection,
     owner: Option<KeyId>,
-    dataset: Digest,
-) -> Result<Option<SceneRecord>, StoreError> {
+    archive: Digest,
+) -> Result<Option<DatasetRecord>, StoreError> {
     let row = sqlx::query(
         "SELECT scenes.*, blobs.bytes FROM scenes JOIN blobs ON blobs.digest = scenes.dataset
          WHERE scenes.dataset = ?1 AND scenes.owner IS ?2",
     )
-    .bind(dataset.to_string())
+    .bind(archive.to_string())
     .bind(owner.map(|owner| owner.to_string()))
     .fetch_optional(connection)
     .await?;
-    row.as_ref().map(scene).transpose()
+    row.as_ref().map(dataset).transpose()
 }
 
 impl SqliteStore {
-    async fn insert_scene(&self, new: NewScene) -> Result<SceneCreation, StoreError> {
+    async fn insert_dataset(&self, new: NewDataset) -> Result<DatasetCreation, StoreError> {
         let (mut tx, now) = self.begin().await?;
-        let known = select_of_dataset(&mut tx, new.owner, new.dataset.digest).await?;
+        let known = select_by_archive(&mut tx, new.owner, new.dataset.digest).await?;
         let id = known.as_ref().map_or(new.id, |known| known.id);
         if known.is_none() {
             // The upload's own room becomes the scene's.
@@ -89,35 +92,36 @@ impl SqliteStore {
         if let Some(intent) = &new.intent {
             let status = if known.is_some() { 200 } else { 201 };
             let resource = id.to_string();
-            idempotency::remember(&mut tx, intent, status, &resource, self.policy.remember, now).await?;
+            idempotency::remember(&mut tx, intent, status, &resource, self.policy.idempotency_ttl, now)
+                .await?;
         }
         let creation = match known {
-            Some(known) => SceneCreation::Known(known),
-            None => SceneCreation::Created(select(&mut tx, id).await?.ok_or(sqlx::Error::RowNotFound)?),
+            Some(known) => DatasetCreation::Existing(known),
+            None => DatasetCreation::Created(select(&mut tx, id).await?.ok_or(sqlx::Error::RowNotFound)?),
         };
         tx.commit().await?;
         Ok(creation)
     }
 
-    async fn list_scenes(
+    async fn list_datasets(
         &self,
         owner: Option<KeyId>,
-        before: Option<ScenePage>,
+        before: Option<DatasetPageKey>,
         limit: u32,
-    ) -> Result<Vec<SceneRecord>, StoreError> {
+    ) -> Result<Vec<DatasetRecord>, StoreError> {
         let rows = lists::scenes(owner, before, limit).build().fetch_all(&self.readers).await?;
-        rows.iter().map(scene).collect()
+        rows.iter().map(dataset).collect()
     }
 
-    async fn remove_scene(
+    async fn remove_dataset(
         &self,
         id: SceneId,
         version: Option<u64>,
-    ) -> Result<Option<SceneDeletion>, StoreError> {
+    ) -> Result<Option<DatasetDeletion>, StoreError> {
         let (mut tx, _) = self.begin().await?;
         let Some(record) = select(&mut tx, id).await? else { return Ok(None) };
         if version.is_some_and(|version| version != record.version) {
-            return Ok(Some(SceneDeletion::Changed));
+            return Ok(Some(DatasetDeletion::VersionMismatch));
         }
         let row = sqlx::query(
             "SELECT COUNT(*) AS active FROM jobs INDEXED BY jobs_active_by_scene
@@ -128,43 +132,47 @@ impl SqliteStore {
         .await?;
         let active: u64 = unsigned(&row, "active")?;
         if active > 0 {
-            return Ok(Some(SceneDeletion::InUse(active)));
+            return Ok(Some(DatasetDeletion::InUse(active)));
         }
         sqlx::query("DELETE FROM scenes WHERE id = ?").bind(id.to_string()).execute(&mut *tx).await?;
         tx.commit().await?;
-        Ok(Some(SceneDeletion::Deleted))
+        Ok(Some(DatasetDeletion::Deleted))
     }
 }
 
-impl Scenes for SqliteStore {
-    fn create_scene(&self, new: NewScene) -> Answer<'_, SceneCreation> {
-        Box::pin(self.insert_scene(new))
+impl Datasets for SqliteStore {
+    fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation> {
+        Box::pin(self.insert_dataset(new))
     }
 
-    fn scene(&self, id: SceneId) -> Answer<'_, Option<SceneRecord>> {
+    fn dataset(&self, id: SceneId) -> StoreFuture<'_, Option<DatasetRecord>> {
         Box::pin(async move {
             let mut tx = self.readers.begin().await?;
             select(&mut tx, id).await
         })
     }
 
-    fn scene_of_dataset(&self, owner: Option<KeyId>, dataset: Digest) -> Answer<'_, Option<SceneRecord>> {
+    fn dataset_by_archive(
+        &self,
+        owner: Option<KeyId>,
+        dataset: Digest,
+    ) -> StoreFuture<'_, Option<DatasetRecord>> {
         Box::pin(async move {
             let mut tx = self.readers.begin().await?;
-            select_of_dataset(&mut tx, owner, dataset).await
+            select_by_archive(&mut tx, owner, dataset).await
         })
     }
 
-    fn scenes(
+    fn datasets(
         &self,
         owner: Option<KeyId>,
-        before: Option<ScenePage>,
+        before: Option<DatasetPageKey>,
         limit: u32,
-    ) -> Answer<'_, Vec<SceneRecord>> {
-        Box::pin(self.list_scenes(owner, before, limit))
+    ) -> StoreFuture<'_, Vec<DatasetRecord>> {
+        Box::pin(self.list_datasets(owner, before, limit))
     }
 
-    fn delete_scene(&self, id: SceneId, version: Option<u64>) -> Answer<'_, Option<SceneDeletion>> {
-        Box::pin(self.remove_scene(id, version))
+    fn delete_dataset(&self, id: SceneId, version: Option<u64>) -> StoreFuture<'_, Option<DatasetDeletion>> {
+        Box::pin(self.remove_dataset(id, version))
     }
 }

@@ -20,7 +20,7 @@ const BATCH: usize = 100;
 
 /// How long things are kept, and how often that is looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct HousekeepingPolicy {
+pub struct GarbagePolicy {
     /// Time between two rounds where nothing calls for one earlier.
     pub every: Duration,
     /// Shortest time between two rounds.
@@ -31,7 +31,7 @@ pub struct HousekeepingPolicy {
     pub upload_memory: SignedDuration,
 }
 
-impl Default for HousekeepingPolicy {
+impl Default for GarbagePolicy {
     fn default() -> Self {
         Self {
             every: Duration::from_secs(600),
@@ -44,7 +44,7 @@ impl Default for HousekeepingPolicy {
 
 /// What a round cleared away.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Cleared {
+pub struct Collected {
     /// Uploads that were given up.
     pub uploads: usize,
     /// Blobs.
@@ -55,7 +55,7 @@ pub struct Cleared {
 
 /// Why a round did not come to its end.
 #[derive(Debug, Error)]
-pub enum HousekeepingError {
+pub enum GarbageError {
     /// The database failed.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -71,11 +71,11 @@ pub enum HousekeepingError {
 pub async fn clear(
     store: &dyn Store,
     blobs: &Blobs,
-    policy: &HousekeepingPolicy,
+    policy: &GarbagePolicy,
     now: Timestamp,
-) -> Result<Cleared, HousekeepingError> {
+) -> Result<Collected, GarbageError> {
     let mut cleared =
-        Cleared { uploads: clear_uploads(store, blobs, policy, now).await?, ..Cleared::default() };
+        Collected { uploads: clear_uploads(store, blobs, policy, now).await?, ..Collected::default() };
     blobs.clear_staging().await?;
     let before = earlier(now, policy.blob_grace);
     for batch in blobs.older_than(before).await?.chunks(BATCH) {
@@ -93,11 +93,7 @@ pub async fn clear(
 ///
 /// # Errors
 /// The first fault; the blob is then left to a round.
-pub async fn withdraw(
-    store: &dyn Store,
-    blobs: &Blobs,
-    published: Published,
-) -> Result<bool, HousekeepingError> {
+pub async fn withdraw(store: &dyn Store, blobs: &Blobs, published: Published) -> Result<bool, GarbageError> {
     // In the order of a round, and for its reasons.
     if store.forget_blobs(&[published.blob.digest]).await?.is_empty() {
         return Ok(false);
@@ -108,9 +104,9 @@ pub async fn withdraw(
 async fn clear_uploads(
     store: &dyn Store,
     blobs: &Blobs,
-    policy: &HousekeepingPolicy,
+    policy: &GarbagePolicy,
     now: Timestamp,
-) -> Result<usize, HousekeepingError> {
+) -> Result<usize, GarbageError> {
     let expired = store.expire_uploads(earlier(now, policy.upload_memory)).await?;
     // The files first: an upload is in the table before it has one.
     let files = blobs.uploads().await?;
@@ -128,19 +124,19 @@ fn earlier(now: Timestamp, by: SignedDuration) -> Timestamp {
     now.checked_sub(by).unwrap_or(Timestamp::MIN)
 }
 
-/// Clears away until `stop`: now and then, and soon after something was let go ([`Blobs::let_go`]).
-pub async fn keep_house(
+/// Clears away until `stop`: now and then, and soon after something was let go ([`Blobs::request_collection`]).
+pub async fn collect_garbage(
     store: Arc<dyn Store>,
     blobs: Blobs,
     clock: Arc<dyn Clock>,
-    policy: HousekeepingPolicy,
+    policy: GarbagePolicy,
     stop: CancellationToken,
 ) {
     loop {
         let began = Instant::now();
         match clear(&*store, &blobs, &policy, clock.now()).await {
-            Ok(Cleared { uploads: 0, blobs: 0, .. }) => {}
-            Ok(Cleared { uploads, blobs, bytes }) => {
+            Ok(Collected { uploads: 0, blobs: 0, .. }) => {}
+            Ok(Collected { uploads, blobs, bytes }) => {
                 tracing::info!(uploads, blobs, bytes, "cleared away {uploads} uploads and {blobs} blobs");
             }
             Err(error) => {
@@ -151,7 +147,7 @@ pub async fn keep_house(
             sleep_until(began + policy.at_most_every).await;
             tokio::select! {
                 () = sleep_until(began + policy.every) => {}
-                () = blobs.something_let_go() => {}
+                () = blobs.collection_requested() => {}
             }
         };
         tokio::select! {

@@ -10,17 +10,17 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::store::{Death, Store};
+use crate::store::{Store, WorkerDeath};
 
 /// A worker's sign of life; it goes with this value, or with the process.
 #[derive(Debug)]
-pub(super) struct Presence {
+pub(super) struct LivenessLock {
     path: PathBuf,
     /// Let go by the system.
     _held: File,
 }
 
-impl Presence {
+impl LivenessLock {
     /// Shows that the worker `id` is alive.
     pub(super) fn announce(folder: &Path, id: &str) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
@@ -31,7 +31,7 @@ impl Presence {
     }
 }
 
-impl Drop for Presence {
+impl Drop for LivenessLock {
     fn drop(&mut self) {
         if let Err(fault) = fs::remove_file(&self.path) {
             tracing::debug!("{} stays: {fault}", self.path.display());
@@ -41,7 +41,7 @@ impl Drop for Presence {
 
 /// Takes their jobs from workers that have died in silence. What cannot be looked at or written now is left to the next call,
 /// and at last to the leases.
-pub(super) async fn expire_dead(folder: &Path, store: &dyn Store) {
+pub(super) async fn expire_dead_workers(folder: &Path, store: &dyn Store) {
     let dead = match dead(folder) {
         Ok(dead) => dead,
         Err(fault) if fault.kind() == io::ErrorKind::NotFound => return,
@@ -51,7 +51,7 @@ pub(super) async fn expire_dead(folder: &Path, store: &dyn Store) {
         }
     };
     for (id, path) in dead {
-        match store.expire_worker(&id, Death::Together).await {
+        match store.expire_worker(&id, WorkerDeath::WithService).await {
             Ok(jobs) => {
                 if jobs > 0 {
                     tracing::warn!(worker = id, jobs, "took {jobs} jobs from {id}, which ended unseen");
@@ -95,13 +95,13 @@ mod tests {
         let workers = folder.path().join("workers");
         assert!(dead(&workers).is_err_and(|fault| fault.kind() == io::ErrorKind::NotFound));
         let [ended, alive] =
-            ["ended", "alive"].map(|id| Presence::announce(&workers, id).expect("announced"));
+            ["ended", "alive"].map(|id| LivenessLock::announce(&workers, id).expect("announced"));
         fs::write(workers.join("killed"), "").expect("left behind");
         let names = || dead(&workers).expect("told").into_iter().map(|(id, _)| id).collect::<Vec<_>>();
         assert_eq!(names(), ["killed"]);
         drop(ended);
         assert_eq!(names(), ["killed"], "who ends in order leaves nothing");
-        assert!(Presence::announce(&workers, "alive").is_err(), "no two workers share a name");
+        assert!(LivenessLock::announce(&workers, "alive").is_err(), "no two workers share a name");
         drop(alive);
     }
 }

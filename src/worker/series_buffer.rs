@@ -1,17 +1,17 @@
 //! The points of a run's series on their way from its thread to the store.
 //!
-//! A run may report many times between two looks of its worker, and progress keeps the latest report only. Points keep one for
+//! A run may report many times between two looks of its worker, and progress keeps the latest report only. SeriesBuffer keep one for
 //! each of the run's parts, so that a run of seconds has a curve too.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::domain::{Phase, Progress, series_bucket};
 
-/// Points that wait; clones share them. At most [`SERIES_POINTS`](crate::domain::SERIES_POINTS) of a run's course.
+/// SeriesBuffer that wait; clones share them. At most [`SERIES_POINTS`](crate::domain::SERIES_POINTS) of a run's course.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Points(Arc<Mutex<Vec<Progress>>>);
+pub(super) struct SeriesBuffer(Arc<Mutex<Vec<Progress>>>);
 
-impl Points {
+impl SeriesBuffer {
     /// Adds a report, if it tells of training, in place of the one before it if that is of the same part.
     pub(super) fn add(&self, phase: Phase, progress: &Progress) {
         if phase != Phase::Train {
@@ -45,7 +45,7 @@ mod tests {
 
     #[test]
     fn every_part_of_a_run_keeps_its_latest_report() {
-        let points = Points::default();
+        let points = SeriesBuffer::default();
         let report = |step| Progress { step, total: 10_000, ..Progress::default() };
         for step in 1..=10_000 {
             points.add(Phase::Train, &report(step));

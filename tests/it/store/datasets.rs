@@ -10,8 +10,8 @@ use tcgs::{
         UploadId,
     },
     store::{
-        BlobRef, NewJob, NewScene, NewUpload, QueuePolicy, SceneCreation, SceneDeletion, ScenePage,
-        SceneRecord, SqliteStore, Store, StoreError, Usage,
+        BlobRef, DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, NewDataset, NewJob,
+        NewUpload, QueuePolicy, SqliteStore, Store, StoreError, Usage,
     },
 };
 use tempfile::TempDir;
@@ -50,8 +50,8 @@ impl Shelf {
         key
     }
 
-    async fn add(&self, number: u128, owner: Option<KeyId>, content: &str) -> SceneCreation {
-        self.store.create_scene(scene(number, owner, content)).await.expect("created")
+    async fn add(&self, number: u128, owner: Option<KeyId>, content: &str) -> DatasetCreation {
+        self.store.create_dataset(scene(number, owner, content)).await.expect("created")
     }
 
     async fn begin(&self, number: u128, owner: Option<KeyId>, length: u64) -> Result<UploadId, StoreError> {
@@ -70,8 +70,8 @@ fn blob(content: &str) -> BlobRef {
     BlobRef { digest: Digest::of(content.as_bytes()), bytes: content.len() as u64 }
 }
 
-fn scene(number: u128, owner: Option<KeyId>, content: &str) -> NewScene {
-    NewScene {
+fn scene(number: u128, owner: Option<KeyId>, content: &str) -> NewDataset {
+    NewDataset {
         id: SceneId(Uuid::from_u128(number)),
         owner,
         name: Some(format!("scene {number}")),
@@ -89,7 +89,7 @@ fn scene(number: u128, owner: Option<KeyId>, content: &str) -> NewScene {
     }
 }
 
-fn job(number: u128, owner: Option<KeyId>, scene: &SceneRecord) -> NewJob {
+fn job(number: u128, owner: Option<KeyId>, scene: &DatasetRecord) -> NewJob {
     let id = JobId(Uuid::from_u128(number));
     let new = NewJob::new(id, TrainOptions::default(), scene.dataset);
     NewJob { owner, scene: Some(scene.id), ..new }
@@ -99,11 +99,11 @@ fn job(number: u128, owner: Option<KeyId>, scene: &SceneRecord) -> NewJob {
 async fn a_scene_reads_back_as_it_was_kept() {
     let shelf = Shelf::new().await;
     let new = scene(1, None, "dataset");
-    let SceneCreation::Created(made) = shelf.add(1, None, "dataset").await else { panic!("it is new") };
+    let DatasetCreation::Created(made) = shelf.add(1, None, "dataset").await else { panic!("it is new") };
     assert_eq!((made.id, &made.name, made.dataset), (new.id, &new.name, new.dataset));
     assert_eq!((&made.summary, made.version, made.created_at), (&new.summary, 1, shelf.clock.now()));
-    assert_eq!(shelf.store.scene(new.id).await.expect("read"), Some(made));
-    assert_eq!(shelf.store.scene(SceneId(Uuid::from_u128(2))).await.expect("read"), None);
+    assert_eq!(shelf.store.dataset(new.id).await.expect("read"), Some(made));
+    assert_eq!(shelf.store.dataset(SceneId(Uuid::from_u128(2))).await.expect("read"), None);
 }
 
 #[tokio::test]
@@ -112,20 +112,20 @@ async fn an_owner_has_a_dataset_once_and_another_owner_has_a_scene_of_its_own() 
     let [one, other] = [shelf.key(1, None).await, shelf.key(2, None).await].map(Some);
     for owner in [None, one, other] {
         let number = 10 + owner.map_or(0, |key| key.0.as_u128());
-        let SceneCreation::Created(made) = shelf.add(number, owner, "dataset").await else {
+        let DatasetCreation::Created(made) = shelf.add(number, owner, "dataset").await else {
             panic!("nothing of another owner's is seen")
         };
         let again = shelf.add(number + 10, owner, "dataset").await;
-        assert_eq!(again, SceneCreation::Known(made.clone()));
-        let found = shelf.store.scene_of_dataset(owner, made.dataset.digest).await.expect("read");
+        assert_eq!(again, DatasetCreation::Existing(made.clone()));
+        let found = shelf.store.dataset_by_archive(owner, made.dataset.digest).await.expect("read");
         assert_eq!(found, Some(made));
         assert_eq!(shelf.usage(owner).await, Usage { stored: 7, reserved: 0 });
     }
-    let list = |owner| shelf.store.scenes(owner, None, 10);
+    let list = |owner| shelf.store.datasets(owner, None, 10);
     assert_eq!(list(None).await.expect("all").len(), 3);
     let own = list(one).await.expect("own");
     assert_eq!(own.iter().map(|scene| scene.owner).collect::<Vec<_>>(), [one]);
-    let absent = shelf.store.scene_of_dataset(one, Digest::of(b"other")).await.expect("read");
+    let absent = shelf.store.dataset_by_archive(one, Digest::of(b"other")).await.expect("read");
     assert_eq!(absent, None);
 }
 
@@ -141,9 +141,9 @@ async fn scenes_are_listed_newest_first_without_gaps_or_repeats() {
     ids.reverse();
     let (mut listed, mut before) = (Vec::new(), None);
     loop {
-        let page = shelf.store.scenes(None, before, 2).await.expect("a page");
+        let page = shelf.store.datasets(None, before, 2).await.expect("a page");
         let Some(last) = page.last() else { break };
-        before = Some(ScenePage { created_at: last.created_at, id: last.id });
+        before = Some(DatasetPageKey { created_at: last.created_at, id: last.id });
         listed.extend(page.iter().map(|scene| scene.id));
     }
     assert_eq!(listed, ids);
@@ -157,17 +157,17 @@ async fn a_scene_is_deleted_unless_a_job_that_is_not_over_is_made_of_it() {
     for new in jobs.clone() {
         shelf.store.create_job(new).await.expect("queued");
     }
-    let delete = |version| shelf.store.delete_scene(made.id, version);
-    assert_eq!(delete(None).await.expect("asked"), Some(SceneDeletion::InUse(2)));
+    let delete = |version| shelf.store.delete_dataset(made.id, version);
+    assert_eq!(delete(None).await.expect("asked"), Some(DatasetDeletion::InUse(2)));
     let claim = shelf.store.claim("worker").await.expect("a claim").expect("a job");
-    assert_eq!(delete(None).await.expect("asked"), Some(SceneDeletion::InUse(2)));
+    assert_eq!(delete(None).await.expect("asked"), Some(DatasetDeletion::InUse(2)));
     for new in &jobs {
         shelf.store.cancel(new.id).await.expect("cancelled");
     }
-    assert_eq!(delete(None).await.expect("asked"), Some(SceneDeletion::InUse(1)));
+    assert_eq!(delete(None).await.expect("asked"), Some(DatasetDeletion::InUse(1)));
     shelf.store.finish(&claim.lease, tcgs::store::Outcome::Cancelled).await.expect("ended");
-    assert_eq!(delete(Some(2)).await.expect("asked"), Some(SceneDeletion::Changed));
-    assert_eq!(delete(Some(1)).await.expect("asked"), Some(SceneDeletion::Deleted));
+    assert_eq!(delete(Some(2)).await.expect("asked"), Some(DatasetDeletion::VersionMismatch));
+    assert_eq!(delete(Some(1)).await.expect("asked"), Some(DatasetDeletion::Deleted));
     assert_eq!(delete(None).await.expect("asked"), None);
     let kept = shelf.store.job(jobs[0].id).await.expect("read").expect("the job stays");
     assert_eq!((kept.scene, kept.dataset), (None, made.dataset));
@@ -197,15 +197,15 @@ async fn an_upload_keeps_its_room_until_it_is_a_scene_or_given_up() {
     shelf.store.advance_upload(used, 61, later).await.expect_err("more than was announced");
 
     let content = "x".repeat(60);
-    let new = NewScene { upload: Some(used), ..scene(1, owner, &content) };
-    let made = shelf.store.create_scene(new).await.expect("its room becomes the scene's");
+    let new = NewDataset { upload: Some(used), ..scene(1, owner, &content) };
+    let made = shelf.store.create_dataset(new).await.expect("its room becomes the scene's");
     assert_eq!(shelf.usage(owner).await, Usage { stored: 60, reserved: 0 });
     let record = shelf.store.upload(used).await.expect("read").expect("known");
     assert_eq!((record.scene, record.ended_at), (Some(made.record().id), Some(shelf.clock.now())));
     assert!(!shelf.store.advance_upload(used, 60, later).await.expect("asked"), "it has ended");
     assert!(!shelf.store.delete_upload(used).await.expect("asked"), "it has ended");
 
-    let refused = shelf.store.create_scene(scene(2, owner, &"y".repeat(41))).await.expect_err("60 + 41");
+    let refused = shelf.store.create_dataset(scene(2, owner, &"y".repeat(41))).await.expect_err("60 + 41");
     assert!(matches!(refused, StoreError::QuotaExceeded { asked: 41, used: 60, quota: 100 }), "{refused}");
 }
 
@@ -240,11 +240,11 @@ async fn only_blobs_that_nothing_refers_to_are_forgotten() {
     let all = [made.dataset.digest, unknown];
     assert_eq!(shelf.store.forget_blobs(&all).await.expect("asked"), [unknown]);
     shelf.store.cancel(JobId(Uuid::from_u128(1))).await.expect("cancelled");
-    shelf.store.delete_scene(made.id, None).await.expect("deleted");
+    shelf.store.delete_dataset(made.id, None).await.expect("deleted");
     assert_eq!(shelf.store.forget_blobs(&all).await.expect("asked"), [unknown], "the job refers to it still");
     assert_eq!(shelf.usage(None).await.stored, 7);
     let lone = shelf.add(2, None, "lone").await.record().clone();
-    shelf.store.delete_scene(lone.id, None).await.expect("deleted");
+    shelf.store.delete_dataset(lone.id, None).await.expect("deleted");
     assert_eq!(shelf.store.forget_blobs(&[lone.dataset.digest]).await.expect("asked"), [lone.dataset.digest]);
     shelf.add(3, None, "lone").await;
 }

@@ -2,12 +2,12 @@
 
 use jiff::Timestamp;
 
-use super::{Answer, BlobRef, Intent};
+use super::{BlobRef, IdempotentRequest, StoreFuture};
 use crate::domain::{DatasetSummary, Digest, KeyId, SceneId, UploadId};
 
 /// A dataset to be kept.
 #[derive(Debug, Clone)]
-pub struct NewScene {
+pub struct NewDataset {
     /// Its identity, chosen by the caller.
     pub id: SceneId,
     /// Whose it is.
@@ -21,12 +21,12 @@ pub struct NewScene {
     /// The upload that the archive came by, which ends with this.
     pub upload: Option<UploadId>,
     /// The `Idempotency-Key` of the request that makes it.
-    pub intent: Option<Intent>,
+    pub intent: Option<IdempotentRequest>,
 }
 
 /// A kept dataset.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SceneRecord {
+pub struct DatasetRecord {
     /// Identity.
     pub id: SceneId,
     /// Whose it is; nobody's if it was made while there were no keys.
@@ -45,37 +45,37 @@ pub struct SceneRecord {
 
 /// What a request to keep a dataset came to.
 #[derive(Debug, Clone, PartialEq)]
-pub enum SceneCreation {
+pub enum DatasetCreation {
     /// It is kept.
-    Created(SceneRecord),
+    Created(DatasetRecord),
     /// Its owner had it already.
-    Known(SceneRecord),
+    Existing(DatasetRecord),
 }
 
-impl SceneCreation {
+impl DatasetCreation {
     /// The scene, new or old.
     #[must_use]
-    pub fn record(&self) -> &SceneRecord {
+    pub fn record(&self) -> &DatasetRecord {
         match self {
-            Self::Created(record) | Self::Known(record) => record,
+            Self::Created(record) | Self::Existing(record) => record,
         }
     }
 }
 
 /// What a request to delete a scene came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SceneDeletion {
+pub enum DatasetDeletion {
     /// It is gone.
     Deleted,
     /// So many queued or running jobs are made of it.
     InUse(u64),
     /// It has another version than the one that was to be deleted.
-    Changed,
+    VersionMismatch,
 }
 
 /// A place in the list of scenes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ScenePage {
+pub struct DatasetPageKey {
     /// Creation of the last scene seen.
     pub created_at: Timestamp,
     /// Its identity.
@@ -83,29 +83,33 @@ pub struct ScenePage {
 }
 
 /// The table of scenes. Every method is one transaction.
-pub trait Scenes: Send + Sync + 'static {
+pub trait Datasets: Send + Sync + 'static {
     /// Keeps a dataset, unless its owner has one with the same archive.
     ///
     /// # Errors
     /// [`super::StoreError::QuotaExceeded`] if the archive is more than its owner has room for,
-    /// [`super::StoreError::AlreadyMade`] if the request's key was used before.
-    fn create_scene(&self, new: NewScene) -> Answer<'_, SceneCreation>;
+    /// [`super::StoreError::IdempotencyKeyUsed`] if the request's key was used before.
+    fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation>;
 
     /// The scene as it stands.
-    fn scene(&self, id: SceneId) -> Answer<'_, Option<SceneRecord>>;
+    fn dataset(&self, id: SceneId) -> StoreFuture<'_, Option<DatasetRecord>>;
 
     /// The scene of `owner` with this archive.
-    fn scene_of_dataset(&self, owner: Option<KeyId>, dataset: Digest) -> Answer<'_, Option<SceneRecord>>;
-
-    /// Up to `limit` scenes, newest first, older than `before`; of one owner, or of all.
-    fn scenes(
+    fn dataset_by_archive(
         &self,
         owner: Option<KeyId>,
-        before: Option<ScenePage>,
+        dataset: Digest,
+    ) -> StoreFuture<'_, Option<DatasetRecord>>;
+
+    /// Up to `limit` scenes, newest first, older than `before`; of one owner, or of all.
+    fn datasets(
+        &self,
+        owner: Option<KeyId>,
+        before: Option<DatasetPageKey>,
         limit: u32,
-    ) -> Answer<'_, Vec<SceneRecord>>;
+    ) -> StoreFuture<'_, Vec<DatasetRecord>>;
 
     /// Deletes the scene unless a queued or running job is made of it, or it has not the wanted version; `None` if there
     /// is no such scene. Finished jobs keep the archive that they were made of.
-    fn delete_scene(&self, id: SceneId, version: Option<u64>) -> Answer<'_, Option<SceneDeletion>>;
+    fn delete_dataset(&self, id: SceneId, version: Option<u64>) -> StoreFuture<'_, Option<DatasetDeletion>>;
 }

@@ -9,8 +9,8 @@ use tcgs::{
         Clock, DatasetSummary, JobId, Layout, ManualClock, SceneId, SystemClock, TrainOptions, UploadId,
     },
     store::{
-        BlobError, BlobRef, Blobs, NewJob, NewScene, NewUpload, QueuePolicy, SqliteStore, Store,
-        housekeeping::{Cleared, HousekeepingPolicy, clear, keep_house, withdraw},
+        BlobError, BlobRef, Blobs, NewDataset, NewJob, NewUpload, QueuePolicy, SqliteStore, Store,
+        garbage::{Collected, GarbagePolicy, clear, collect_garbage, withdraw},
     },
 };
 use tempfile::TempDir;
@@ -61,16 +61,16 @@ impl House {
             notes: Vec::new(),
         };
         let id = SceneId(Uuid::new_v4());
-        let new = NewScene { id, owner: None, name: None, dataset, summary, upload: None, intent: None };
-        self.store.create_scene(new).await.expect("kept").record().id
+        let new = NewDataset { id, owner: None, name: None, dataset, summary, upload: None, intent: None };
+        self.store.create_dataset(new).await.expect("kept").record().id
     }
 
     async fn delete(&self, scene: SceneId) {
-        self.store.delete_scene(scene, None).await.expect("asked").expect("known");
+        self.store.delete_dataset(scene, None).await.expect("asked").expect("known");
     }
 
-    async fn clear(&self) -> Cleared {
-        let policy = HousekeepingPolicy { blob_grace: GRACE, ..HousekeepingPolicy::default() };
+    async fn clear(&self) -> Collected {
+        let policy = GarbagePolicy { blob_grace: GRACE, ..GarbagePolicy::default() };
         clear(&*self.store, &self.blobs, &policy, self.clock.now()).await.expect("a round")
     }
 
@@ -90,15 +90,15 @@ async fn a_blob_waits_for_its_reference_as_long_as_the_grace_time() {
     let [lost, kept, late] = [house.put("lost").await, house.put("kept").await, house.put("late").await];
     let scene = house.keep(kept).await;
     house.pass(59);
-    assert_eq!(house.clear().await, Cleared::default());
+    assert_eq!(house.clear().await, Collected::default());
     house.keep(late).await;
     house.pass(2);
-    assert_eq!(house.clear().await, Cleared { blobs: 1, bytes: 4, uploads: 0 });
+    assert_eq!(house.clear().await, Collected { blobs: 1, bytes: 4, uploads: 0 });
     assert!(!house.is_there(lost).await && house.is_there(kept).await && house.is_there(late).await);
     house.delete(scene).await;
     assert_eq!(house.clear().await.blobs, 1, "it was published long ago");
     assert!(!house.is_there(kept).await);
-    assert_eq!(house.clear().await, Cleared::default());
+    assert_eq!(house.clear().await, Collected::default());
 }
 
 #[tokio::test]
@@ -136,7 +136,7 @@ async fn a_job_keeps_its_dataset_after_the_scene_is_gone() {
     house.store.cancel(JobId(Uuid::from_u128(1))).await.expect("cancelled");
     house.delete(scene).await;
     house.pass(90);
-    assert_eq!(house.clear().await, Cleared::default());
+    assert_eq!(house.clear().await, Collected::default());
     assert!(house.is_there(dataset).await);
 }
 
@@ -157,7 +157,7 @@ async fn a_blob_that_is_published_again_is_young_again() {
     house.put("again").await;
     assert_eq!(house.blobs.remove_older(blob.digest, before).await.expect("asked"), None);
     house.keep(blob).await;
-    assert_eq!(house.clear().await, Cleared::default());
+    assert_eq!(house.clear().await, Collected::default());
     assert!(house.is_there(blob).await);
 }
 
@@ -237,11 +237,11 @@ async fn files_of_uploads_go_with_them_unless_somebody_holds_them() {
 async fn the_house_is_kept_until_it_is_told_to_stop_and_soon_after_something_is_let_go() {
     let house = House::new().await;
     // No round comes by itself after the first.
-    let policy = HousekeepingPolicy {
+    let policy = GarbagePolicy {
         every: Duration::from_secs(24 * 3600),
         at_most_every: Duration::ZERO,
         blob_grace: GRACE,
-        ..HousekeepingPolicy::default()
+        ..GarbagePolicy::default()
     };
     let gone = async |blob: BlobRef| {
         let gone = async {
@@ -256,17 +256,17 @@ async fn the_house_is_kept_until_it_is_told_to_stop_and_soon_after_something_is_
     let stop = CancellationToken::new();
     let clock: Arc<dyn Clock> = house.clock.clone();
     let keeping =
-        tokio::spawn(keep_house(house.store.clone(), house.blobs.clone(), clock, policy, stop.clone()));
+        tokio::spawn(collect_garbage(house.store.clone(), house.blobs.clone(), clock, policy, stop.clone()));
     gone(first).await;
     for content in ["let go once", "let go again"] {
         let blob = house.put(content).await;
-        house.blobs.let_go();
+        house.blobs.request_collection();
         gone(blob).await;
     }
     assert!(!keeping.is_finished(), "it goes on until it is told to stop");
     stop.cancel();
     tokio::time::timeout(LONGEST, keeping).await.expect("it stops").expect("in order");
     let kept = house.put("after the end").await;
-    house.blobs.let_go();
+    house.blobs.request_collection();
     assert!(house.is_there(kept).await);
 }

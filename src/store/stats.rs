@@ -2,7 +2,7 @@
 
 use jiff::Timestamp;
 
-use super::{Answer, AttemptOutcome, DeliveryState};
+use super::{AttemptOutcome, DeliveryState, StoreFuture};
 use crate::domain::JobState;
 
 /// Attempts that ended alike.
@@ -16,9 +16,9 @@ pub struct AttemptCount {
     pub count: u64,
 }
 
-/// Figures of all that is stored, and of all that ever happened: what is counted since the beginning never falls.
+/// Counts over everything that is stored, and counters since the database was created, which never fall.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Figures {
+pub struct StoreStats {
     /// Jobs in each state, every one of them named.
     pub jobs: Vec<(JobState, u64)>,
     /// Creation of the oldest job that is queued.
@@ -42,11 +42,11 @@ pub struct Figures {
 /// The part of a store that looks at all of it.
 pub trait Overview: Send + Sync + 'static {
     /// The figures as they stand.
-    fn figures(&self) -> Answer<'_, Figures>;
+    fn stats(&self) -> StoreFuture<'_, StoreStats>;
 
     /// Whether the schema is the one that this program was built with; another program may have brought it further since.
-    fn schema_is_current(&self) -> Answer<'_, bool>;
+    fn schema_is_current(&self) -> StoreFuture<'_, bool>;
 
     /// Commits a small change, to show that the database can be written.
-    fn probe(&self) -> Answer<'_, ()>;
+    fn probe(&self) -> StoreFuture<'_, ()>;
 }

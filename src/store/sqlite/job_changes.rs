@@ -12,11 +12,11 @@ use super::{
 };
 use crate::{
     domain::{EventKind, JobId, JobState},
-    store::{Deletion, NewJob, Repeat, StoreError, verdict::overdue},
+    store::{Deletion, NewJob, RetryRequest, StoreError, retry::deadline_exceeded},
 };
 
 /// Fails every queued job whose deadline has passed, and counts them.
-pub(super) async fn give_up_queued(
+pub(super) async fn fail_expired(
     connection: &mut SqliteConnection,
     now: Timestamp,
 ) -> Result<u64, StoreError> {
@@ -27,7 +27,7 @@ pub(super) async fn give_up_queued(
             .await?;
     for row in &late {
         let (job, attempt) = (rows::job_id(row)?, row.try_get("attempt")?);
-        let problem = overdue(rows::deadline(row)?, attempt);
+        let problem = deadline_exceeded(rows::deadline(row)?, attempt);
         sqlx::query(
             "UPDATE jobs SET state = 'failed', phase = 'done', error = ?, finished_at = ?, version = version + 1
              WHERE id = ?",
@@ -44,16 +44,16 @@ pub(super) async fn give_up_queued(
 }
 
 /// The job that repeats `id`, or in what state that is if it cannot be repeated; `None` if there is no such job.
-pub(super) async fn repetition(
+pub(super) async fn retry_of(
     connection: &mut SqliteConnection,
     id: JobId,
-    repeat: Repeat,
+    repeat: RetryRequest,
 ) -> Result<Option<Result<NewJob, JobState>>, StoreError> {
     let Some(record) = select_job(connection, id).await? else { return Ok(None) };
     if !matches!(record.job.state, JobState::Failed | JobState::Cancelled) {
         return Ok(Some(Err(record.job.state)));
     }
-    let Repeat { id: new, from_checkpoint, deadline_at, intent } = repeat;
+    let RetryRequest { id: new, from_checkpoint, deadline_at, intent } = repeat;
     Ok(Some(Ok(NewJob {
         owner: record.owner,
         scene: record.scene,
@@ -74,7 +74,7 @@ pub(super) async fn delete(
 ) -> Result<Option<Deletion>, StoreError> {
     let Some(record) = select_job(connection, id).await? else { return Ok(None) };
     if version.is_some_and(|version| version != record.job.version) {
-        return Ok(Some(Deletion::Changed));
+        return Ok(Some(Deletion::VersionMismatch));
     }
     if !record.job.state.is_terminal() {
         return Ok(Some(Deletion::Active(record.job.state)));

@@ -5,7 +5,7 @@ use sqlx::{Row as _, SqliteConnection, migrate::Migrator};
 use super::{SqliteStore, open::MIGRATIONS, rows};
 use crate::{
     domain::{JobState, problem::TYPE_PREFIX},
-    store::{Answer, AttemptCount, DeliveryState, Figures, Overview, StoreError},
+    store::{AttemptCount, DeliveryState, Overview, StoreError, StoreFuture, StoreStats},
 };
 
 /// The phases of a job's `metrics.seconds`.
@@ -22,7 +22,7 @@ const SPEED: &str =
 pub(super) const STATEMENTS: [&str; 4] = [TOTALS, COUNTERS, OLDEST_QUEUED, SPEED];
 
 impl Overview for SqliteStore {
-    fn figures(&self) -> Answer<'_, Figures> {
+    fn stats(&self) -> StoreFuture<'_, StoreStats> {
         Box::pin(async move {
             // One snapshot, so that the figures fit together.
             let mut tx = self.readers.begin().await?;
@@ -35,7 +35,7 @@ impl Overview for SqliteStore {
             };
             let counters = counters(&mut tx).await?;
             let counted = |name| counters.iter().filter(move |counter| counter.name == name);
-            Ok(Figures {
+            Ok(StoreStats {
                 jobs: JobState::ALL.map(|state| (state, total("jobs", state.name()))).to_vec(),
                 oldest_queued_at: oldest_queued_at(&mut tx).await?,
                 claims: counted("claims").map(|counter| whole(counter.value)).sum(),
@@ -56,11 +56,11 @@ impl Overview for SqliteStore {
         })
     }
 
-    fn schema_is_current(&self) -> Answer<'_, bool> {
+    fn schema_is_current(&self) -> StoreFuture<'_, bool> {
         Box::pin(async move { is_current(&mut *self.readers.acquire().await?, &MIGRATIONS).await })
     }
 
-    fn probe(&self) -> Answer<'_, ()> {
+    fn probe(&self) -> StoreFuture<'_, ()> {
         Box::pin(async move {
             let (mut tx, now) = self.begin().await?;
             sqlx::query("INSERT INTO write_probe (id, at) VALUES (1, ?) ON CONFLICT (id) DO UPDATE SET at = excluded.at")
