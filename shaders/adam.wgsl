@@ -1,4 +1,4 @@
-// One Adam step (method.md section 1.6): bias-corrected moments, epsilon outside the root. The learning rate of element i
+// One Adam step (METHOD.md §2.5): bias-corrected moments, epsilon outside the root. The learning rate of element i
 // is rates[i % rates_len]. A gradient that is not finite, or whose square would not be, leaves its element
 // untouched. In a void step all are left untouched.
 //

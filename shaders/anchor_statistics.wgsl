@@ -1,4 +1,4 @@
-// Adds one view to the statistics that growth and pruning go by (method.md section 1.7). An anchor's row of
+// Adds one view to the statistics that growth and pruning go by (METHOD.md §2.6). An anchor's row of
 // statistics: OFFSETS sums of screen-gradient norms, OFFSETS counts of views, a sum of positive opacities, visits.
 // Screen gradients are in half-image units: pixels times half the width and height. A void step adds nothing.
 #import tcgs::anchor_view::View

@@ -1,5 +1,5 @@
 // Flags the anchors that may reach the image: each is projected as an axis-aligned Gaussian of its offset scale
-// (method.md section 1.4), and the three-sigma box of the projection must touch the image.
+// (METHOD.md §2.3), and the three-sigma box of the projection must touch the image.
 #import tcgs::anchor_view::{View, to_camera}
 #import tcgs::model::{ROW, SCALING_COLUMN}
 

@@ -1,5 +1,5 @@
 // The gradient of the image loss by each rendered sample: L1's sign, and SSIM's through the second half of the window's
-// adjoint, along rows (method.md section 1.5). The fourth component, the gradient by alpha, stays zero. Also each run's
+// adjoint, along rows (METHOD.md §2.4). The fourth component, the gradient by alpha, stays zero. Also each run's
 // share of L1 and of the squared error. A channel each invocation.
 #import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, four, held, inside, places, run_of, runs, slide, total, unpack}
 

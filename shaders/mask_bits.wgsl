@@ -1,4 +1,4 @@
-// The binary masks of the logits (method.md section 3.4): bit k of an anchor's word is set where the logit of its offset k
+// The binary masks of the logits (METHOD.md §4.1): bit k of an anchor's word is set where the logit of its offset k
 // is above the level.
 #import tcgs::model::OFFSETS
 

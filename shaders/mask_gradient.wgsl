@@ -1,4 +1,4 @@
-// Adds the rendering loss's gradient by the mask logits of the visible anchors (method.md section 3.4). The mask multiplies
+// Adds the rendering loss's gradient by the mask logits of the visible anchors (METHOD.md §4.1). The mask multiplies
 // the opacity, so its gradient is the opacity's times the opacity; the step of the mask passes it on as if it were the
 // logistic of the logit. A masked offset was not rendered and gets none. Each anchor is visible once.
 #import tcgs::model::{OFFSETS, logistic}

@@ -1,5 +1,5 @@
-// Gathers the networks' input of each visible anchor: feature, unit view direction, distance in the scene's unit (method.md
-// section 1.3, where that is always the world's).
+// Gathers the networks' input of each visible anchor: feature, unit view direction, distance in the scene's unit
+// (METHOD.md §2.2; in the published code always the world's).
 // Column-major: input[row * capacity + visible index]. A feature value that is not finite reads as zero: it would make
 // the gradients of the weights that all anchors share NaN.
 #import tcgs::anchor_view::View

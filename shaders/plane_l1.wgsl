@@ -1,5 +1,5 @@
 // Adds the gradients of the weighted mean absolute difference of planes and their reconstruction, to both
-// (method.md section 4.7). One value an invocation.
+// (TC-GS (5), METHOD.md §4.6). One value an invocation.
 
 struct Shape {
     // values, first value of the planes and of their gradients, bits of the weight over the values, unused

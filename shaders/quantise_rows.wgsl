@@ -1,5 +1,5 @@
-// The rows that are rendered: every value plus noise of its step's width, or the nearest multiple of its step (method.md
-// section 4.6). Masked offsets are copied.
+// The rows that are rendered: every value plus noise of its step's width, or the nearest multiple of its step
+// (METHOD.md §4.2). Masked offsets are copied.
 #import tcgs::model::{OFFSET_COLUMN, ROW, SCALING_COLUMN}
 #import tcgs::quantise::{FIXED_NOISE, Quantisation, quantise, quantise_scaling, scaling_of, stream_of}
 

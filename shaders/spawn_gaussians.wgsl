@@ -1,4 +1,4 @@
-// Turns the networks' outputs into the Gaussians of a view (method.md section 1.4): Gaussian `index * OFFSETS + k` is
+// Turns the networks' outputs into the Gaussians of a view (METHOD.md §2.3): Gaussian `index * OFFSETS + k` is
 // offset k of the index-th visible anchor. An opacity that is not positive or comes of no number, a mask that is off, or a
 // place or size that is not finite makes no Gaussian.
 #import tcgs::anchor_view::View

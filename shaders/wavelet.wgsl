@@ -1,7 +1,7 @@
 // The wavelet constraint: the weighted absolute bands of two Haar levels of render minus photograph, which is what the
 // bands differ by, since the transform is linear. Adds its gradient to the image's and writes each block's share of the loss,
-// after the shares of the other losses (method.md section 4.8). Both levels lie within blocks of 4 x 4 pixels: one block an
-// invocation. What lies outside the image is zero in both, so it differs by nothing and needs no gradient.
+// after the shares of the other losses (TC-GS (6), METHOD.md §4.7). Both levels lie within blocks of 4 x 4 pixels:
+// one block an invocation. What lies outside the image is zero in both, so it differs by nothing and needs no gradient.
 
 struct Constraint {
     // width, height, blocks in a row, blocks

@@ -1,6 +1,6 @@
 #define_import_path tcgs::ssim
 
-// The 11-tap Gaussian window of SSIM, sigma 1.5, normalised (method.md section 1.5); symmetric, centre last.
+// The 11-tap Gaussian window of SSIM, sigma 1.5, normalised (METHOD.md §1.2); symmetric, centre last.
 const REACH: i32 = 5;
 const TAPS: array<f32, 6> = array<f32, 6>(
     0.0010283801, 0.0075987581, 0.0360007721, 0.1093606895, 0.2130055377, 0.2660117249,

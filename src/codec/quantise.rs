@@ -68,7 +68,7 @@ impl Quantiser<'_> {
 }
 
 /// The multiple of `step` nearest to `value`, ties to the even one: an absolute grid that contains zero
-/// (method.md §7, item 6).
+/// (METHOD.md §4.2).
 fn nearest(what: &'static str, index: usize, value: f32, step: f32) -> Result<i32, EncodeError> {
     let quotient = round_ties_even(value / step);
     if quotient.abs() <= f64::from(MAX_SYMBOL) {

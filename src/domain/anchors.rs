@@ -1,7 +1,7 @@
 //! The trained scene on the host: anchors on an integer lattice, their attributes, and the three render networks.
 //!
 //! All per-anchor arrays are anchor-major with the lengths that [`AnchorScene::check`] demands. Scalings are held
-//! linear (the exponential of the trained logarithm), as the codec quantises them (method.md §3.1).
+//! linear (the exponential of the trained logarithm), as the codec quantises them (METHOD.md §4.2).
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -52,7 +52,7 @@ pub struct Mlp {
     pub layers: Vec<DenseLayer>,
 }
 
-/// The networks that turn an anchor feature and a view into neural Gaussians (method.md §1.3).
+/// The networks that turn an anchor feature and a view into neural Gaussians (METHOD.md §2.2).
 ///
 /// Each takes `[feature, view direction (3), distance in the scene's unit (1)]`; hidden width equals the feature width.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

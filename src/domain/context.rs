@@ -1,5 +1,5 @@
 //! The context model as training leaves it, in floats: tri-planes and the small networks that predict what an anchor's
-//! attributes are likely to be (method.md §3.2, §4.5).
+//! attributes are likely to be (METHOD.md §4.4).
 //!
 //! This is what training hands to the encoder. A file stores it as integers, and only its integers decide anything; how
 //! the one becomes the other is the codec's business (`FORMAT.md`).

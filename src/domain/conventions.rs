@@ -1,7 +1,7 @@
 //! What the reported figures of image quality mean, in words that travel with the figures.
 //!
 //! A figure without its convention cannot be compared: each of the choices below moves published numbers by a tenth of a
-//! dB or more, and LPIPS on AlexNet is a third to a half of LPIPS on VGG (method.md §4.12).
+//! dB or more, and LPIPS on AlexNet is a third to a half of LPIPS on VGG (METHOD.md §1.2).
 
 use std::fmt;
 

@@ -21,7 +21,7 @@ pub struct ViewScore {
 /// Image quality over a set of views, from 8-bit images: the mean over views of each view's figure.
 ///
 /// PSNR pools the squared error over a view's three channels; SSIM uses an 11x11 Gaussian window (sigma 1.5)
-/// with zero padding (method.md §1.1, §1.5).
+/// with zero padding (METHOD.md §1.2).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
     /// dB, or null without views.

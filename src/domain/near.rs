@@ -17,7 +17,7 @@ pub struct NearPlane(f32);
 impl Eq for NearPlane {}
 
 impl NearPlane {
-    /// The published depth (method.md §2.3), and that of files that state none.
+    /// The published depth (METHOD.md §3.1), and that of files that state none.
     pub const USUAL: Self = Self(0.2);
 
     /// The near plane of a scene of this extent (its cameras' radius, in world units): the usual one, but no more than a

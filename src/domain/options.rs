@@ -137,7 +137,7 @@ pub enum Voxel {
     /// A fraction of the points' spacing: right whatever the unit of the scene.
     #[default]
     Auto,
-    /// As the published code chooses it: a squared distance taken for a length (method.md §1.2).
+    /// As the published code chooses it: a squared distance taken for a length (METHOD.md §2.1).
     Published,
     /// So many world units.
     #[serde(untagged)]

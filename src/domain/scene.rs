@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Camera, Digest, Photograph};
 
-/// Every how many images, by name, one is held out where the layout has no test split (method.md §1.1).
+/// Every how many images, by name, one is held out where the layout has no test split (METHOD.md §1.1).
 pub const HOLD_OUT_EVERY: usize = 8;
 
 /// How the files of a dataset are laid out.

@@ -1,6 +1,6 @@
 //! One level of the two-dimensional Haar transform and its adjoint, in f64.
 //!
-//! Orthonormal; an odd side is padded with one zero at its end (method.md §4.8, as PyWavelets' mode `zero`). Images and
+//! Orthonormal; an odd side is padded with one zero at its end (METHOD.md §4.7, as PyWavelets' mode `zero`). Images and
 //! bands are one RGB triple a place, rows from the top.
 
 use glam::{DVec3, USizeVec2};

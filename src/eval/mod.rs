@@ -1,7 +1,7 @@
 //! Image quality from 8-bit images: PSNR, SSIM and LPIPS, per view and as means over views, errors by wavelet band, and what
 //! each Gaussian is worth to views.
 //!
-//! Conventions are those of the field's final metrics (method.md §1.1): both images are 8-bit, PSNR pools the squared
+//! Conventions are those of the field's final metrics (METHOD.md §1.2): both images are 8-bit, PSNR pools the squared
 //! error over the three channels, means are over views. [`crate::domain::Conventions`] says so beside the figures.
 
 mod bands;

@@ -27,7 +27,7 @@ pub fn psnr(a: &Image, b: &Image) -> Option<f64> {
     Some(if mse > 0.0 { (-10.0 * mse.log10()).min(PSNR_CEILING) } else { PSNR_CEILING })
 }
 
-/// Mean SSIM over pixels and channels: Gaussian window of 11 taps and sigma 1.5 with zero padding (method.md §1.5);
+/// Mean SSIM over pixels and channels: Gaussian window of 11 taps and sigma 1.5 with zero padding (METHOD.md §1.2);
 /// `None` if the sizes differ or there is alpha.
 #[must_use]
 pub fn ssim(a: &Image, b: &Image) -> Option<f64> {

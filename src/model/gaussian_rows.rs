@@ -24,11 +24,11 @@ pub const BANDS: [usize; 3] = [9, 15, 21];
 /// The constant basis function of spherical harmonics: a colour is this times the coefficient, plus a half.
 pub const SH_CONSTANT: f32 = 0.282_094_8;
 
-/// Opacity that a Gaussian begins with (method.md §1.2).
+/// Opacity that a Gaussian begins with (METHOD.md §5).
 const FIRST_OPACITY: f32 = 0.1;
 /// Least that a channel begins with: one that is held at zero has no gradient and would stay black for good.
 const LEAST_COLOR: f32 = 1.0 / 255.0;
-/// Least distance to the neighbours that a size is made of: the root of the published 1e-7 (method.md §1.2).
+/// Least distance to the neighbours that a size is made of: the root of the published 1e-7 (METHOD.md §5).
 const LEAST_SPACING: f32 = 3.162_277_7e-4;
 
 /// Values of the first `degree` bands together.

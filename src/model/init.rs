@@ -21,14 +21,14 @@ pub enum InitError {
     NonFinite(usize),
 }
 
-/// `count` points uniform in the box, for sets without a point cloud (method.md §1.1).
+/// `count` points uniform in the box, for sets without a point cloud (METHOD.md §1.1).
 #[must_use]
 pub fn random_points(rng: &mut impl Rng, count: usize, low: [f32; 3], high: [f32; 3]) -> Vec<[f32; 3]> {
     (0..count).map(|_| std::array::from_fn(|axis| rng.random_range(low[axis]..high[axis]))).collect()
 }
 
 /// Anchors from points: voxelised, offsets and features zero, all six log-scalings the logarithm of the distance to
-/// the anchor's neighbours (method.md §1.2). A cloud that would make more than `most` anchors is thinned evenly.
+/// the anchor's neighbours (METHOD.md §2.1). A cloud that would make more than `most` anchors is thinned evenly.
 ///
 /// # Errors
 /// [`InitError`] for an empty or non-finite point set.

@@ -15,7 +15,7 @@ pub enum VoxelRule {
     /// This fraction of the median distance between neighbouring points: a length, whatever the unit of the scene.
     OfSpacing(f32),
     /// The median of the mean squared distance to the three nearest points, taken for a length as the published code
-    /// does (method.md §1.2).
+    /// does (METHOD.md §2.1).
     Published,
     /// A fixed edge in world units.
     Fixed(f32),
@@ -112,7 +112,7 @@ pub fn coarse(cell: [i32; 3], factor: i32) -> [i32; 3] {
     cell.map(|c| (f64::from(c) / f64::from(factor)).round_ties_even() as i32)
 }
 
-/// The distinct cells of a set of points, ascending (method.md §1.2).
+/// The distinct cells of a set of points, ascending (METHOD.md §2.1).
 #[must_use]
 pub fn voxelise(lattice: &Lattice, points: &[[f32; 3]]) -> Vec<[i32; 3]> {
     let cells: BTreeSet<[i32; 3]> = points.iter().map(|point| cell_of(lattice, *point)).collect();

@@ -82,7 +82,7 @@ impl NetworkLayout {
         11 * self.shape.offsets
     }
 
-    /// Fresh parameters, uniform in plus or minus the inverse root of the input width (method.md §1.3).
+    /// Fresh parameters, uniform in plus or minus the inverse root of the input width (METHOD.md §2.2).
     #[must_use]
     pub fn initial(&self, rng: &mut impl Rng) -> Vec<f32> {
         let mut values = vec![0.0; self.parameters];

@@ -1,5 +1,5 @@
 //! Neural Gaussians on the device: from anchors and a camera to the Gaussians of a view, and their gradients back to the
-//! anchors' rows and the networks' parameters (method.md §1.3, §1.4).
+//! anchors' rows and the networks' parameters (METHOD.md §2.2, §2.3).
 //!
 //! Every anchor is visible at most once in a view and owns its rows, so gradients are stored, never added up
 //! concurrently: the same input gives the same bits.
@@ -570,7 +570,7 @@ impl NeuralGaussians {
         Ok(())
     }
 
-    /// Records the adding of the view to the growth statistics, `[N][2 K + 2]` (method.md §1.7), unless `void_mark` is
+    /// Records the adding of the view to the growth statistics, `[N][2 K + 2]` (METHOD.md §2.6), unless `void_mark` is
     /// set by then.
     ///
     /// # Errors

@@ -63,7 +63,7 @@ impl Projection {
     }
 
     /// Bounds of x/z and y/z inside the Jacobian: the image's edges and three tenths of its half width beyond
-    /// (method.md §2.3).
+    /// (METHOD.md §3.1).
     #[must_use]
     pub fn slopes(&self) -> (DVec2, DVec2) {
         let size = self.size.as_dvec2();

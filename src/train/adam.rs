@@ -1,4 +1,4 @@
-//! Adam on the device (method.md §1.6).
+//! Adam on the device (METHOD.md §2.5).
 
 use std::sync::Arc;
 

@@ -6,7 +6,7 @@
 use super::BaseStepRule;
 use crate::{domain::anchors::SCALINGS_PER_ANCHOR, model::AnchorRows};
 
-/// The published base steps of features, scalings in world units, and offsets (method.md §4.13).
+/// The published base steps of features, scalings in world units, and offsets (METHOD.md §4.2).
 const PUBLISHED: [f32; 3] = [1.0, 1e-3, 0.2];
 
 /// Base steps of a scene.

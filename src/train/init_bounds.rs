@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 
 use crate::domain::{Frame, Layout};
 
-/// Half the side of the box that Blender sets are made in (method.md §1.1).
+/// Half the side of the box that Blender sets are made in (METHOD.md §1.1).
 const BLENDER_HALF_SIDE: f64 = 1.3;
 
 /// Half the side of any other box, in median distances of the cameras from what they look at.

@@ -1,4 +1,4 @@
-//! The image loss on the device: 0.8 L1 + 0.2 (1 - SSIM) (method.md §1.5) and, where asked for, the wavelet constraint;
+//! The image loss on the device: 0.8 L1 + 0.2 (1 - SSIM) (METHOD.md §2.4) and, where asked for, the wavelet constraint;
 //! with its gradient.
 
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Learnt offset masks (method.md §3.4, §4.10): one logit an offset, whose sign against a level decides whether the offset
+//! Learnt offset masks (TC-GS II-C, METHOD.md §4.1): one logit an offset, whose sign against a level decides whether the offset
 //! makes a Gaussian at all.
 //!
 //! The rendered mask is binary and its gradient straight-through: opacities pass on what the rendering loss says, the mask

@@ -8,7 +8,7 @@ use crate::{
     render::{DeviceAnchors, NeuralGaussians},
 };
 
-/// An opacity below this never reaches a pixel (method.md §2.1).
+/// An opacity below this never reaches a pixel (METHOD.md §3.2).
 const LEAST_OPACITY: f32 = 1.0 / 255.0;
 
 /// Switches off the offsets of `anchors` whose opacity stays below what a pixel takes in every view of `frames`, as `device` has

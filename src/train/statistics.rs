@@ -1,4 +1,4 @@
-//! What growth and pruning go by, gathered over views (method.md §1.7).
+//! What growth and pruning go by, gathered over views (METHOD.md §2.6).
 
 use crate::model::Shape;
 

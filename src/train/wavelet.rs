@@ -1,7 +1,7 @@
 //! The adaptive wavelet constraint: how much each band of the two-level Haar transform counts in the loss, and when.
 //!
-//! The published formula, as it was designed (method.md §4.8): early in a run what the low band misses counts, later what
-//! the high bands miss. The published program never passes the step, so that its high bands count nothing.
+//! The published formula, as it was designed (TC-GS (6), METHOD.md §4.7): early in a run what the low band misses counts,
+//! later what the high bands miss. The published program never passes the step, so that its high bands count nothing.
 //!
 //! | fraction t of the run | low | LH, HL, HH of the finest level | of the second level |
 //! |---|---|---|---|
@@ -35,7 +35,7 @@ pub struct WaveletWeights {
 }
 
 impl WaveletWeights {
-    /// The published weights at a fraction of the run (λ_w included; PAPER III-E).
+    /// The published weights at a fraction of the run (λ_w included; TC-GS II-E).
     #[must_use]
     pub fn at(fraction: f64) -> Self {
         let fraction = fraction.clamp(0.0, 1.0);

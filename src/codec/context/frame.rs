@@ -59,7 +59,7 @@ fn relative(frame: &ContextFrame, cell: [i32; 3]) -> [i64; 3] {
     })
 }
 
-/// The contraction of method.md §4.13: the identity within distance 1, (2 - 1 / n) u / n at distance n beyond.
+/// The contraction of TC-GS (3) (METHOD.md §4.3): the identity within distance 1, (2 - 1 / n) u / n at distance n beyond.
 fn contract(u: [i64; 3]) -> [i32; 3] {
     // Each square is at most 2^52, so the sum is below 2^54.
     let square: i64 = u.iter().map(|x| x * x).sum();

@@ -1,6 +1,6 @@
 //! From anchors and networks to plain Gaussians, which no longer ask where they are seen from but for their colour.
 //!
-//! In this model opacity, size, rotation and colour of a Gaussian all depend on the view (method.md §1.3, §1.4). The plain
+//! In this model opacity, size, rotation and colour of a Gaussian all depend on the view (METHOD.md §2.2, §2.3). The plain
 //! form keeps one of each but the colour, so each Gaussian is looked at from given cameras and reduced:
 //!
 //! - **opacity**: the mean over the views that show it, each with the share of its light that nothing before it takes

@@ -1,4 +1,4 @@
-//! Projection of one Gaussian (method.md §2.1, §2.3).
+//! Projection of one Gaussian (METHOD.md §3.1).
 
 use glam::{DMat3, DVec2, DVec3};
 

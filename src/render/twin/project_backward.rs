@@ -1,4 +1,4 @@
-//! Gradients of the projection (method.md §2.2, with the clamp and the antialiasing of §2.3).
+//! Gradients of the projection (METHOD.md §3.3), with the clamp and the antialiasing of §3.1.
 
 use glam::{DMat2, DMat3, DVec2, DVec3};
 

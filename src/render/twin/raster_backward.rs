@@ -1,4 +1,4 @@
-//! Gradients of blending (method.md §2.2), one for each slot, and their sums for each Gaussian.
+//! Gradients of blending (METHOD.md §3.3), one for each slot, and their sums for each Gaussian.
 
 use glam::{DVec2, DVec3};
 

@@ -1,4 +1,4 @@
-//! Blending front to back (method.md §2.1, pixel centres at +0.5).
+//! Blending front to back (METHOD.md §3.2, pixel centres at +0.5).
 
 use glam::{DVec2, DVec3};
 

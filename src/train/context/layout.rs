@@ -16,7 +16,7 @@ use crate::{
     model::LayerSpec,
 };
 
-/// Bound of a fresh plane's values (method.md §4.2).
+/// Bound of a fresh plane's values (METHOD.md §4.3).
 const FIRST_PLANE: f32 = 0.01;
 
 /// Least standard deviation in base steps that outputs begin with: below it all symbols are equal anyway.
@@ -177,7 +177,7 @@ impl ContextLayout {
         Ok(Self { config, hidden, heads, networks, planes, down, up, parameters: latents.end, latents })
     }
 
-    /// Fresh parameters: planes and hidden layers uniform (method.md §4.2), output layers such that every prediction is the
+    /// Fresh parameters: planes and hidden layers uniform (METHOD.md §4.3), output layers such that every prediction is the
     /// channel's mean and standard deviation.
     ///
     /// # Errors

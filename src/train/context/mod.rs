@@ -1,4 +1,4 @@
-//! The context model in training (method.md §3.2, §4.3 to §4.9 with the mended points of §4.13): planes, neighbours and the
+//! The context model in training (TC-GS II-B and II-D, METHOD.md §4.2 to §4.6): planes, neighbours and the
 //! networks that expect an anchor's attributes of them, what those attributes then cost, and the quantisation that all of
 //! it is trained through.
 //!

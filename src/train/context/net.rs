@@ -33,8 +33,8 @@ pub enum PlaneSource {
 pub struct ContextPass {
     /// Which planes the networks sample.
     pub source: PlaneSource,
-    /// Weight of the mean absolute difference of raw planes and their reconstruction (method.md §4.7: 0.01); zero for none.
-    /// Without meaning where latents are parameters.
+    /// Weight of the mean absolute difference of raw planes and their reconstruction (TC-GS (5), METHOD.md §4.6: 0.01); zero
+    /// for none. Without meaning where latents are parameters.
     pub reconstruction: f32,
     /// Where weights are used in the form in which they will be stored, the largest integer of one in a network: 127, 31 or 7
     /// for 8, 6 or 4 bits. Those of layers up have 127.

@@ -1,5 +1,5 @@
 //! Rows as they are rendered while training prepares them for a file: with noise of the steps' width, then rounded
-//! (method.md §4.6).
+//! (METHOD.md §4.2).
 //!
 //! Noise is a hash of seed, step, anchor and column; nothing is drawn and nothing kept, so a step that is done again has the
 //! same noise. Scalings are quantised as they are, not as logarithms, and are at least one step, as a file keeps them.

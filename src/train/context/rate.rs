@@ -1,5 +1,5 @@
 //! What the sampled anchors would cost in a file: bits under the distributions that the context networks predict
-//! (method.md §4.6, §4.7), in a form that stays right where symbols are badly predicted.
+//! (TC-GS (4), METHOD.md §4.5), in a form that stays right where symbols are badly predicted.
 //!
 //! A value costs -log2 of the normal distribution's mass in its bin. The usual difference of two error functions in f32 is
 //! wrong beyond 16 bits and flat beyond 20, so that what is predicted worst is never pulled back; here each case has a form

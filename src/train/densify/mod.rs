@@ -1,4 +1,4 @@
-//! Growth and pruning of anchors (method.md §1.8, §1.9), on the host.
+//! Growth and pruning of anchors (METHOD.md §2.7), on the host.
 //!
 //! Cells stay distinct: a candidate whose coarse cell already holds an anchor is dropped, and an anchor that is added
 //! stands at its coarse cell's lattice point.
@@ -12,7 +12,7 @@ use crate::model::{AnchorRows, MAX_CELL, all_offsets, cell_of, coarse};
 
 /// Anchors whose mean opacity is below this are pruned.
 const MIN_OPACITY: f32 = 0.005;
-/// Largest log of a base size, in units of the logarithm of the scene's extent (method.md §1.8, made relative).
+/// Largest log of a base size, in units of the logarithm of the scene's extent (METHOD.md §2.7, made relative).
 const MAX_LOG_SIZE: f32 = 0.05;
 /// Levels of growth.
 const LEVELS: u32 = 3;

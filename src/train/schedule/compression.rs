@@ -1,17 +1,17 @@
-//! When a run begins to feel what its file will cost, in fractions of the run (method.md §4.6, §4.13).
+//! When a run begins to feel what its file will cost, in fractions of the run (METHOD.md §4.2).
 //!
 //! What always holds: the stages come in the order of [`Stage`], and each begins after some step, when the host sets it up.
 
 use super::Decay;
 use crate::domain::{Component, ContextKind, ModelKind, Preset, TrainOptions};
 
-/// Share of the anchors whose rate a step measures (method.md §4.6).
+/// Share of the anchors whose rate a step measures (METHOD.md §4.5).
 const SAMPLED: f64 = 0.15;
 
-/// Weight of the planes' reconstruction loss (method.md §4.7).
+/// Weight of the planes' reconstruction loss (METHOD.md §4.6).
 const RECONSTRUCTION: f32 = 0.01;
 
-/// Weight of the bits an element in the loss, if a job does not state it: the published one (method.md §4.7), and that of
+/// Weight of the bits an element in the loss, if a job does not state it: the published one (METHOD.md §4.8), and that of
 /// short runs, in which attributes have fewer steps to make up for what the rate asks of them.
 const PUBLISHED_LAMBDA: f64 = 1e-3;
 const PREVIEW_LAMBDA: f64 = 5e-4;
@@ -40,7 +40,7 @@ pub enum Stage {
 /// How the base steps of the attribute groups are chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BaseStepRule {
-    /// 1 for features, 0.001 world units for scalings, 0.2 for offsets (method.md §4.13).
+    /// 1 for features, 0.001 world units for scalings, 0.2 for offsets (METHOD.md §4.2).
     Published,
     /// Steps for features and offsets, and a share of the median scaling, whatever the unit of the world. Noise begins as many
     /// octaves finer: features of short runs are still so small that the published noise would drown them, and

@@ -26,7 +26,7 @@ const MOST_MASK_SPEED: f64 = 125.0;
 /// How a learning rate goes from its first value to its last.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fall {
-    /// By the same factor every step (method.md §1.6).
+    /// By the same factor every step (METHOD.md §2.5).
     Exponential,
     /// With the square of what is left of the run.
     Quadratic,
@@ -245,7 +245,7 @@ impl Schedule {
     }
 }
 
-/// The `paper` preset has the published rates, weight and level (method.md §3.4, §4.7): masks learn from the first step, and
+/// The `paper` preset has the published rates, weight and level (METHOD.md §4.1): masks learn from the first step, and
 /// their loss counts from a third of the run. In shorter runs a rate that is made for 30 000 steps would leave every logit
 /// where it began, so there
 /// - rates grow as runs shorten: what a logit can travel is the same share of the run;

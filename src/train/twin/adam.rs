@@ -1,4 +1,4 @@
-//! One Adam step of one element (method.md §1.6).
+//! One Adam step of one element (METHOD.md §2.5).
 
 /// A parameter with its moments.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

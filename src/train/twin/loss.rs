@@ -1,4 +1,4 @@
-//! L1 and SSIM of two images and their gradient (method.md §1.5). An image is one RGB triple a pixel, rows from the top.
+//! L1 and SSIM of two images and their gradient (METHOD.md §2.4). An image is one RGB triple a pixel, rows from the top.
 
 use glam::{DVec3, USizeVec2};
 

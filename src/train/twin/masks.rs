@@ -1,4 +1,4 @@
-//! Offset masks (method.md §3.4): their loss, what the rendering says of them, and their bits.
+//! Offset masks (TC-GS II-C, METHOD.md §4.1): their loss, what the rendering says of them, and their bits.
 
 use crate::render::twin::{Gaussian, GaussianGradient};
 

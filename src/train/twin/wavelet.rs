@@ -1,4 +1,4 @@
-//! The wavelet constraint over whole bands (method.md §4.8).
+//! The wavelet constraint over whole bands (TC-GS (6), METHOD.md §4.7).
 
 use glam::{DVec3, USizeVec2};
 

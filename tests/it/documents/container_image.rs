@@ -1,10 +1,8 @@
 //! The container image builds from part of the tree; these tests hold that the part is enough.
 
-use std::{collections::BTreeSet, fs, path::Path};
+use std::{collections::BTreeSet, path::Path};
 
-fn text(name: &str) -> String {
-    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).expect("a file of the tree")
-}
+use crate::support::tree::{root, text};
 
 /// What `.dockerignore` lets into the build.
 fn let_in() -> BTreeSet<String> {
@@ -44,7 +42,7 @@ fn the_image_s_build_has_every_file_that_cargo_asks_for() {
     for file in
         targets.iter().map(String::as_str).chain(["Cargo.lock", "shaders", "migrations", "openapi.yaml"])
     {
-        assert!(Path::new(env!("CARGO_MANIFEST_DIR")).join(file).exists(), "{file} is not there");
+        assert!(root().join(file).exists(), "{file} is not there");
         let covered = Path::new(file).ancestors().any(|part| let_in.contains(&*part.to_string_lossy()));
         assert!(covered, ".dockerignore keeps {file} out, and cargo refuses a manifest without it");
     }

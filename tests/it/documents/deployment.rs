@@ -1,14 +1,10 @@
 //! What operators copy names what the program has: the table of settings, the systemd unit, the compose file and the image.
 
-use std::{collections::BTreeMap, fs, path::Path, process::Command, time::Duration};
+use std::{collections::BTreeMap, fs, process::Command, time::Duration};
 
-use crate::support::{program, skip::skip};
+use crate::support::{program, skip::skip, tree::text};
 
 const UNIT: &str = "docker/tcgs.service";
-
-fn text(name: &str) -> String {
-    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).expect("a file of the tree")
-}
 
 /// Standard output of `tcgs serve` with the one argument, and nothing of this process's settings.
 fn serve(argument: &str) -> String {

@@ -25,3 +25,4 @@ pub mod shared;
 pub mod skip;
 pub mod small_disk;
 pub mod sse;
+pub mod tree;

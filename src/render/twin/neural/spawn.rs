@@ -1,4 +1,4 @@
-//! From the networks' outputs to Gaussians and back (method.md §1.4).
+//! From the networks' outputs to Gaussians and back (METHOD.md §2.3).
 
 use glam::DVec3;
 
@@ -63,7 +63,7 @@ pub fn count_gaussians(shape: Shape, list: &[u32], gaussians: &[Option<Gaussian>
     [list.len() * shape.offsets, gaussians.iter().flatten().count(), list.len()].map(|count| count as u32)
 }
 
-/// The volume regulariser: the mean product of the scales over the Gaussians (method.md §1.5).
+/// The volume regulariser: the mean product of the scales over the Gaussians (METHOD.md §2.4).
 #[must_use]
 pub fn volume(gaussians: &[Option<Gaussian>]) -> f64 {
     let living = gaussians.iter().flatten().count().max(1);

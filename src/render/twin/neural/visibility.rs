@@ -6,7 +6,7 @@ use super::{Gaussian, LIMIT, Projection};
 use crate::{domain::DistanceUnit, model::Shape, render::twin::SplatGradient};
 
 /// Whether the three-sigma box of the anchor, projected as an axis-aligned Gaussian of its offset scale, touches the
-/// image (method.md §1.4).
+/// image (METHOD.md §2.3).
 #[must_use]
 pub fn anchor_visible(projection: &Projection, position: DVec3, shape: Shape, row: &[f64]) -> bool {
     // The filter's own constant, whatever the rasteriser uses.
@@ -35,7 +35,7 @@ pub fn compact_anchors(visible: &[bool]) -> Vec<u32> {
     (0..).zip(visible).filter(|(_, visible)| **visible).map(|(anchor, _)| anchor).collect()
 }
 
-/// Feature, unit view direction, distance in units of `unit` (method.md §1.3). A feature value that is not finite reads as
+/// Feature, unit view direction, distance in units of `unit` (METHOD.md §2.2). A feature value that is not finite reads as
 /// zero.
 #[must_use]
 pub fn network_input(
@@ -60,7 +60,7 @@ pub fn feature_gradient(shape: Shape, d_input: &[f64], d_row: &mut [f64]) {
     d_row[..shape.features].copy_from_slice(&d_input[..shape.features]);
 }
 
-/// Adds one view to an anchor's row of statistics (method.md §1.7): K sums of screen-gradient norms in half-image units,
+/// Adds one view to an anchor's row of statistics (METHOD.md §2.6): K sums of screen-gradient norms in half-image units,
 /// K counts of views, the sum of positive opacities, visits. `tiles` is what each Gaussian touches; 0 is culled.
 pub fn anchor_statistics(
     projection: &Projection,
