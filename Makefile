@@ -31,6 +31,7 @@ demo: setup ## the bundled scene through the service: train, download, render in
 
 results: build ## train every model on every set of DATA and rewrite docs/RESULTS.md; hours on a CPU
 	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" eval --suite "$(DATA)" --table docs/RESULTS.md $(PEERS) $(RESULTS_FLAGS)
+	@scripts/plots.py
 
 test: setup ## all tests, with a count of those that were skipped
 	@scripts/test.sh

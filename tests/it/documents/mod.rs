@@ -1,7 +1,10 @@
 //! Documents and what operators copy: each holds true of the program.
 
 mod citations;
+mod command_line;
 mod container_image;
 mod deployment;
 pub(crate) mod examples;
+mod plots;
 mod problems;
+mod retired_words;
