@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
-# Unpacks a Debian package without installing it: scripts/debian_package.sh PACKAGE prints the folder that holds its files,
-# target/packages/PACKAGE, and fetches it first where it is not there. So a driver or a layer is there for those who ask for it
-# and changes nothing for other programs.
+# Unpacks a Debian package without installing it, so that a driver or layer does not affect other programs:
+# scripts/debian_package.sh PACKAGE prints the folder of its files, target/packages/PACKAGE, and downloads it if missing.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -23,7 +22,7 @@ refresh_lists() {
     fi
 }
 
-# As root, apt would hand the file to a user that may not write here.
+# As root, apt would download as a user without write permission here.
 fetch() { apt-get -qq -o APT::Sandbox::User=root download "$package"; }
 
 if [ ! -d "$folder" ]; then
@@ -36,7 +35,7 @@ if [ ! -d "$folder" ]; then
     scratch=$(mktemp -d "$folder.XXXXXX")
     trap 'rm -rf "$scratch"' EXIT
     say "fetching $package"
-    # A list that is older than the archive names files that are gone.
+    # An outdated package list names files that are no longer in the archive.
     (cd "$scratch" && { fetch || { refresh_lists && fetch; }; }) >&2
     mkdir "$scratch/files"
     dpkg-deb --extract "$scratch"/*.deb "$scratch/files"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The whole road once: starts the service, sends the bundled scene, follows the job, downloads the file, asks for a
-# view by frame and one by pose. Results lie in out/demo. DEMO_ITERATIONS sets the length of the training.
+# One session from start to end: starts the service, sends the bundled scene, follows the job, downloads the file, requests
+# a view by frame and one by pose. Results are in out/demo. DEMO_ITERATIONS sets the length of the training.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 # shellcheck source=scripts/env.sh
@@ -18,13 +18,13 @@ fail() {
     exit 1
 }
 
-# The first value of a key in a JSON text: enough for the flat facts that this script shows.
+# The first value of a key in a JSON text; enough for the flat values shown here.
 value() { tr -d '\n' | grep -oE "\"$1\" *: *(\"[^\"]*\"|[^],}]*)" | head -n 1 | sed -E 's/^"[^"]*" *: *//; s/^"//; s/"$//'; }
 
-# A number to so many decimals, in C's notation whatever the locale; a dash for what is not known yet.
+# A number to so many decimals, in C's notation whatever the locale; a dash for values not known yet.
 rounded() { case $2 in '' | null) echo - ;; *) LC_ALL=C printf "%.$1f\n" "$2" ;; esac; }
 
-# A loopback port that nobody answers on.
+# A free loopback port.
 free_port() {
     local port
     for port in $(seq $((20000 + RANDOM % 20000)) 65000); do

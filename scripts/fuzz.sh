@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Fuzzes each target of fuzz/ in turn: scripts/fuzz.sh [SECONDS a target] [TARGET...]. New inputs go into a folder of
-# their own beside the committed corpus; what breaks a promise is kept in fuzz/artifacts.
+# Fuzzes each target of fuzz/ in turn: scripts/fuzz.sh [SECONDS a target] [TARGET...]. New inputs go into a folder beside
+# the committed corpus; inputs that fail are kept in fuzz/artifacts.
 #
 # The codec has no unsafe code, so there is no sanitizer, and any toolchain will do.
 set -euo pipefail

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Generates a client in Python from openapi.yaml with openapi-python-client, which comes through PyPI, and has it go through one
-# whole session (scripts/generated_client.py) with a service that really trains, for a few steps. A warning of the generator is
-# a failure: it leaves out what it warns of.
+# Generates a Python client from openapi.yaml with openapi-python-client (from PyPI) and runs a whole session with it
+# (scripts/generated_client.py) against a service that trains for a few steps. A warning of the generator is a failure,
+# because it omits what it warns about.
 #   scripts/generated_client.sh [STEPS]    training steps, 20 if not given
 # The program is target/debug/tcgs unless TCGS names another. Client and log are in target/generated-client.
 set -euo pipefail

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# How the service answers while a job trains: requests a second and waiting times of a job's state and of parts of a file, how many
-# clients can follow a job at once, how long views take, and what a stream of them takes from training. Loopback only;
-# SECONDS_EACH seconds a row. Prints two tables.
+# Measures the service while a job trains: request rate and latency of a job's state and of parts of a file, many clients that
+# follow one job, latency of views, and the cost of a stream of views to training. Loopback only; SECONDS_EACH seconds a
+# row. Prints two tables.
 #   scripts/load.sh    needs wrk and python3 beside what make demo needs
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -69,7 +69,7 @@ url, side, seconds, what, row = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]
 times, end = [], time.monotonic() + seconds
 while time.monotonic() < end or len(times) < 5:
     turn = len(times) * 0.37
-    # Every view is another, so that none comes from the cache.
+    # Every view differs, so that none comes from the cache.
     query = f"?position={3 + turn % 1},{-3 + turn % 2},1.5&look_at=0,0,{0.5 + row / 100}&width={side}&height={side}&format=jpeg"
     began = time.monotonic()
     urllib.request.urlopen(url + query, timeout=60).read()
@@ -93,7 +93,7 @@ load "64 KiB of a file beside training" "$finished/artifact" range
 views "a view of 256x256 beside training" 256
 views "a view of 512x512 beside training" 512
 
-# Growth makes later steps slower, so what runs alone is measured on both sides.
+# Growth makes later steps slower, so the undisturbed rate is measured before and after.
 step() { curl -sSf "$base$running" | grep -o '"step":[0-9]*' | head -n 1 | cut -d: -f2; }
 pace() { # what
     local from to began ended
@@ -116,7 +116,7 @@ for width in 256 512; do
     pace "alone again"
 done
 
-# Every client has to see the same events, from the first to the one that ends the job.
+# Every client has to see the same events, from the first to the last.
 for client in $(seq "$clients"); do
     curl -sN --max-time 120 -H 'Accept: text/event-stream' "$base$running/events" >"$scratch/stream.$client" &
     followers+=($!)

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Holds a running service to openapi.yaml with schemathesis: trains one small scene with `tcgs serve` on a port of the system's choice
-# and a fresh data folder, starts it again without workers, so that nothing more trains, sends what the contract allows and what it
-# forbids, first about a cancelled job and then about the finished one, and stops it.
+# Tests a running service against openapi.yaml with schemathesis: trains one small scene with `tcgs serve` in a fresh data
+# folder, restarts it without workers, sends valid and invalid requests, first about a cancelled job and then about the
+# finished one, and stops it.
 #   scripts/schemathesis.sh [EXAMPLES]    examples an operation, 20 if not given
 # The program is target/debug/tcgs unless TCGS names another. Its log is in target/schemathesis.
 set -euo pipefail
@@ -34,8 +34,7 @@ trap stop EXIT
 
 key=$("$program" keys create --name contract --scopes admin --data "$scratch/data" --json | grep -o 'tcgs_[0-9a-f]*' | head -n 1)
 
-# start ARGUMENT...: the service, and where it listens in $address. Places are for clients that come one after another here; a small
-# upload limit keeps what is sent small.
+# start ARGUMENT...: starts the service and sets $address. A small upload limit keeps generated bodies small.
 start() {
     local _
     "$program" --log-format json serve --listen 127.0.0.1:0 --data "$scratch/data" --failures-per-minute 1000000 --max-upload 8MiB \
@@ -77,7 +76,7 @@ kill "$server"
 wait "$server" || true
 
 start --workers 0
-# What takes long the first time is made before anything waits for it.
+# Slow on first use, so done before schemathesis waits for it.
 for format in ply spz; do
     call "http://$address/v1/jobs/$finished/export?format=$format" -o /dev/null
 done
@@ -85,7 +84,7 @@ call "http://$address/v1/jobs/$finished/view?frame=images/view_06.png" -o /dev/n
 cancelled=$(create iterations=20)
 call -X POST "http://$address/v1/jobs/$cancelled/cancel" -o /dev/null
 
-# hold JOB SEED CONFIG FLAG...: one run, whose ids of jobs are JOB. A preference to wait is granted for longer than schemathesis waits.
+# hold JOB SEED CONFIG FLAG...: one run, whose ids of jobs are JOB. `Prefer: wait` may take longer than schemathesis waits.
 status=0
 hold() {
     local job=$1 seed=$2 config=$3
@@ -106,16 +105,16 @@ hold() {
     }
 }
 
-# Failures have to come back the same on the next run, so seeds are fixed; SCHEMATHESIS_SEED tries others.
+# Seeds are fixed so that failures are reproducible; SCHEMATHESIS_SEED tries others.
 seed=${SCHEMATHESIS_SEED:-20261121}
 hold "$cancelled" "$seed" scripts/schemathesis.toml
-# Films take as long as they have pictures, and the contract allows many.
+# Animations take a time proportional to their pictures, and the contract allows many.
 before=$(call "http://$address/metrics")
 hold "$finished" "$((seed + 1))" scripts/schemathesis_finished.toml --include-path-regex '^/v1/jobs/[{]id[}]' --exclude-method DELETE \
     --exclude-path-regex '/(stream|animation)$'
 after=$(call "http://$address/metrics")
 
-# answered METRICS ROUTE: how many requests got what they asked for.
+# answered METRICS ROUTE: how many requests succeeded.
 answered() {
     awk -v route="route=\"/v1/jobs/{id}/$2\"" '/^http_request_duration_seconds_count/ && index($0, route) && /status="20[06]"/ { sum += $NF } END { print sum + 0 }' <<<"$1"
 }
@@ -126,7 +125,7 @@ for route in artifact artifacts export events series report; do
     }
 done
 
-# What names a frame is refused where that is not there, so what it answers is seen once here.
+# Generated frame names do not exist and are refused, so a valid one is requested once here.
 view='{"frame": "images/view_06.png", "width": 16, "height": 16}'
 path="{\"path\": [$view], \"frames\": 2}"
 # shows ROUTE BODY

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs what a fresh Debian-like machine lacks to build, test and run: a C compiler, curl, the Vulkan loader with
-# Mesa's software driver (lavapipe), and a Rust toolchain. Changes nothing, and says nothing, where all is there.
-#   scripts/setup.sh [--for-tests]    also what single tests run: Chromium, npm and systemd-analyze, without which they are skipped
+# Mesa's software driver (lavapipe), and a Rust toolchain. Does nothing, silently, if all is present.
+#   scripts/setup.sh [--for-tests]    also programs that single tests need, or are skipped: Chromium, npm, systemd-analyze
 set -euo pipefail
 cd "$(dirname "$0")/.."
 # shellcheck source=scripts/env.sh
@@ -49,7 +49,7 @@ install_basics() {
     # For the documented sessions, which tests run.
     command -v openssl >/dev/null || missing+=(openssl)
     python3 -c 'import requests' 2>/dev/null || missing+=(python3 python3-requests)
-    # For schemathesis, in an environment of its own.
+    # For schemathesis, in its own virtual environment.
     python3 -c 'import ensurepip' 2>/dev/null || missing+=(python3-venv)
     [ ${#missing[@]} -gt 0 ] || return 0
     need_apt "${missing[*]}"
@@ -74,8 +74,8 @@ has_loader() { { ldconfig -p 2>/dev/null || /sbin/ldconfig -p; } | grep 'libvulk
 
 has_lavapipe() { compgen -G '/usr/share/vulkan/icd.d/lvp_icd*.json' >/dev/null || compgen -G '/etc/vulkan/icd.d/lvp_icd*.json' >/dev/null; }
 
-# Debian 12's own Mesa is half as fast as the one in its backports. Prints the release to install from, if that one
-# can be had; adds the archive to apt's list if it is not there yet.
+# Debian 12's own Mesa is half as fast as the one in its backports. Prints the release to install from if backports are
+# reachable; adds the archive to apt's list if needed.
 backports() {
     local id version codename list uri
     # shellcheck source=/dev/null
@@ -133,7 +133,7 @@ install_rust() {
     command -v rustup >/dev/null || return 0
     local channel
     channel=$(sed -n 's/^channel = "\(.*\)"/\1/p' rust-toolchain.toml)
-    # An override by environment stands; otherwise the named toolchain has to be there with both components.
+    # RUSTUP_TOOLCHAIN takes precedence; otherwise the named toolchain needs both components.
     [ -z "${RUSTUP_TOOLCHAIN:-}" ] || return 0
     if ! rustup run "$channel" cargo clippy --version >/dev/null 2>&1 ||
         ! rustup run "$channel" cargo fmt --version >/dev/null 2>&1; then

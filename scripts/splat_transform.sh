@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# PlayCanvas splat-transform, an independent reader and writer of .ply, .spz and .sog, at one version: installed through npm
-# into target/tools if it is not there, then run with the arguments; --where prints its path. TCGS_SPLAT_TRANSFORM names another one to run instead.
+# Runs PlayCanvas splat-transform, an independent reader and writer of .ply, .spz and .sog, at a fixed version, installed
+# through npm into target/tools if missing; --where prints its path. TCGS_SPLAT_TRANSFORM names another one to run instead.
 set -euo pipefail
 version=2.7.1
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Runs the tests and counts them. Which were skipped, and why, comes last, before the line `N passed, M failed, K skipped`.
+# Runs the tests and counts them. Skipped tests are listed last, with reasons, before `N passed, M failed, K skipped`.
 #   scripts/test.sh [ARGUMENT...]    arguments of `cargo test`
-# Where no test ends for TCGS_TEST_SILENCE seconds, 1200 if not given, all is stopped and the tests that hang are named.
+# If no test ends for TCGS_TEST_SILENCE seconds (default 1200), all are stopped and the hanging tests are named.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 # shellcheck source=scripts/env.sh
@@ -14,7 +14,7 @@ export TCGS_TEST_SKIPS=$scratch/skips
 : >"$log"
 : >"$TCGS_TEST_SKIPS"
 
-# A group of its own, so that the tests can be stopped with all that they started.
+# Its own process group, so that the tests can be stopped with their children.
 set -m
 (
     cargo test --locked --no-fail-fast "$@" 2>&1 | tee "$log"
@@ -57,9 +57,9 @@ awk -v skipped="$skipped" -v hung="${hung//$'\n'/,}" '
         }
     }
     END {
-        # A test binary that was stopped has told no result of its own.
+        # A stopped test binary has printed no result.
         if (hung != "") { passed = ok; failed = broken + split(hung, names, ",") }
-        # A skipped test has returned, so it is among those that passed.
+        # Skipped tests count as passed in the output of libtest.
         printf "\n%d passed, %d failed, %d skipped\n", passed - skipped, failed, skipped + ignored
     }' "$log"
 exit "$status"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Runs one short job under the Khronos validation layer, from Debian's vulkan-validationlayers package: trains the bundled scene far
-# enough for every stage, encodes, decodes and measures it, and renders a view. Fails on any message of the layer.
+# Runs one short job under the Khronos validation layer, from Debian's vulkan-validationlayers package: trains the bundled scene
+# long enough for every stage, encodes, decodes and measures it, and renders a view. Fails on any message of the layer.
 #   scripts/validation.sh [STEPS]    training steps, 60 if not given
 # The program is target/debug/tcgs unless TCGS names another. The messages are in target/validation.log.
 set -euo pipefail
@@ -18,7 +18,7 @@ library=$(find "$folder" -name libVkLayer_khronos_validation.so | head -n 1)
 [ -n "$library" ] || { echo "validation: $folder holds no validation layer" >&2; exit 4; }
 export VK_LAYER_PATH=$folder/usr/share/vulkan/explicit_layer.d
 export LD_LIBRARY_PATH=$(dirname "$library")${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
-# wgpu asks for the layer, and its log carries the layer's messages.
+# wgpu enables the layer and logs its messages.
 export WGPU_VALIDATION=1 WGPU_DEBUG=1 RUST_LOG=warn
 
 scratch=$(mktemp -d)
@@ -42,7 +42,7 @@ if grep -E 'wgpu_hal|VUID|UNASSIGNED|[Vv]alidation' "$log" >&2; then
     echo "validation: the messages above are in $log" >&2
     exit 1
 fi
-# Its advice on habits is never empty, so that a layer that is not there shows.
+# Its best-practice messages are never empty, so their absence means that the layer is missing.
 if ! VK_LAYER_ENABLES=VK_VALIDATION_FEATURE_ENABLE_BEST_PRACTICES_EXT render 2>&1 >/dev/null | grep -c BestPractices >/dev/null; then
     echo "validation: the layer was not asked" >&2
     exit 1
