@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Installs what a fresh Debian-like machine lacks to build, test and run: a C compiler, curl, the Vulkan loader with
 # Mesa's software driver (lavapipe), and a Rust toolchain. Does nothing, silently, if all is present.
-#   scripts/setup.sh [--for-tests]    also programs that single tests need, or are skipped: Chromium, npm, systemd-analyze
+#   scripts/setup.sh [--for-tests]    also programs that single tests need, or are skipped: Chromium, npm, systemd-analyze,
+#                                     Rust's WebAssembly target
 set -euo pipefail
 cd "$(dirname "$0")/.."
 # shellcheck source=scripts/env.sh
@@ -142,11 +143,23 @@ install_rust() {
     fi
 }
 
+# Not needed by any other check, so an archive that lacks it fails nothing.
+install_wasm_target() {
+    local target=wasm32-unknown-unknown
+    command -v rustup >/dev/null || return 0
+    [ ! -d "$(rustc --print sysroot)/lib/rustlib/$target" ] || return 0
+    say "installing Rust's target $target"
+    rustup target add "$target" >&2 || say "$target is not available; scripts/decoder.sh skips its WebAssembly check"
+}
+
 install_basics
 install_vulkan
 install_rust
 case ${1:-} in
---for-tests) install_for_tests ;;
+--for-tests)
+    install_for_tests
+    install_wasm_target
+    ;;
 "") ;;
 *) give_up "unknown argument $1" ;;
 esac

@@ -1,9 +1,32 @@
-//! The `.tcgs` file: container, entropy coding, encode, decode, inspect. No GPU, no tokio, only `domain`.
+//! The `.tcgs` file: [`decode`], [`inspect`], [`encode`]. Depends on [`domain`](crate::domain) only: no GPU, no I/O, no async.
 //!
-//! `FORMAT.md` specifies the file. Between its bytes and its symbols there are integers only, so that a file
-//! decodes to the same bits on every machine and whatever the number of threads; attributes are one exact f32
-//! multiplication away from their symbols. Bytes are never trusted: a count is checked against the bytes left
-//! and the caller's limits before anything is allocated, and no input makes the decoder panic.
+//! ```
+//! use tcgs::codec::{DecodeError, DecodeLimits, decode};
+//!
+//! # let file = include_bytes!("../../tests/golden/shell_v1.tcgs");
+//! let decoded = decode(file, &DecodeLimits::default())?;
+//! let scene = &decoded.scene;
+//! assert_eq!(scene.features.len(), scene.len() * scene.feature_dim);
+//! let [x, y, z] = scene.lattice.position(scene.cells[0]); // of the first anchor, in world units
+//!
+//! // A damaged file is an error that says what is wrong and where.
+//! let error = decode(&file[..1000], &DecodeLimits::default()).unwrap_err();
+//! assert!(matches!(error, DecodeError::FileLength { actual: 1000, .. }));
+//! # Ok::<(), DecodeError>(())
+//! ```
+//!
+//! **Result.** [`Decoded`] holds the [`AnchorScene`] (anchors in Morton order, all arrays anchor-major) and the [`Manifest`].
+//! Positions and scalings are in the world units of the training cameras, [`Manifest::world_frame`] names the axes;
+//! scalings are linear and multiply the offsets. Opacities, colours and covariances of the Gaussians come from the scene's
+//! three networks, given an anchor's features and the view direction. `docs/DECODER.md` walks through it.
+//!
+//! **Untrusted bytes.** A count is checked against the bytes left and the caller's [`DecodeLimits`] before anything is
+//! allocated, and no input makes the decoder panic. A file is accepted as a whole or not at all.
+//!
+//! **Reproducible.** `FORMAT.md` specifies the file. Between its bytes and its symbols there are integers only, so a file
+//! decodes to the same bits on every machine and with any number of threads; attributes are one exact f32 multiplication
+//! away from their symbols. [`decode`] compares the result with the hash that the encoder stored. Threads come from
+//! rayon's current pool; where the target has no threads, everything runs on the calling one.
 
 mod adaptive;
 mod attributes;

@@ -303,39 +303,3 @@ fn the_documented_layers_are_those_that_are_held() {
     });
     assert_eq!(documented, held.collect());
 }
-
-/// The fuzz targets compile the codec and the domain by themselves, and nothing else builds them.
-#[test]
-fn what_is_fuzzed_has_the_crates_that_its_sources_use() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    // A crate a line: the manifests are written so.
-    let crates = |manifest: &str| -> BTreeMap<String, String> {
-        let text = fs::read_to_string(root.join(manifest)).expect("a manifest");
-        let lines = text.lines().skip_while(|line| *line != "[dependencies]").skip(1);
-        let lines = lines.take_while(|line| !line.starts_with('['));
-        lines.filter_map(|line| line.split_once(" = ")).map(|(a, b)| (a.to_owned(), b.to_owned())).collect()
-    };
-    let (project, fuzzed) = (crates("Cargo.toml"), crates("fuzz/Cargo.toml"));
-    let (mut files, mut found) = (Vec::new(), 0);
-    for module in ["codec", "domain"] {
-        sources(&root.join("src").join(module), &mut files);
-    }
-    let texts: Vec<String> =
-        files.iter().map(|file| fs::read_to_string(file).expect("a source file")).collect();
-    for (name, wanted) in &project {
-        let place = name.replace('-', "_");
-        let is_module = files.iter().any(|file| file.file_stem().is_some_and(|stem| stem == place.as_str()));
-        let path = format!("{place}::");
-        let is_used = texts.iter().any(|text| {
-            text.match_indices(&path).any(|(at, _)| {
-                !text[..at]
-                    .ends_with(|before: char| before.is_alphanumeric() || before == '_' || before == ':')
-            })
-        });
-        if is_used && !is_module {
-            found += 1;
-            assert_eq!(fuzzed.get(name), Some(wanted), "{name} in fuzz/Cargo.toml");
-        }
-    }
-    assert!(found > 10, "{found}");
-}

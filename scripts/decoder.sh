@@ -1,0 +1,35 @@
+#!/usr/bin/env bash
+# Checks that the decoder stands without the service: builds the library without default features, for this machine and
+# for WebAssembly, and decodes the golden files with both.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+# shellcheck source=scripts/env.sh
+. scripts/env.sh
+
+target=wasm32-unknown-unknown
+build=${CARGO_TARGET_DIR:-$PWD/target}/decoder
+
+crates=$(cargo tree --locked --no-default-features --edges normal --prefix none --format '{p}' | cut -d ' ' -f 1 | sort -u)
+printf 'the decoder depends on %s crates\n' "$(($(wc -l <<<"$crates") - 1))"
+if grep -xE 'axum|hyper|reqwest|sqlx|tokio|wgpu' <<<"$crates"; then
+    printf 'these are dependencies of the service\n' >&2
+    exit 1
+fi
+
+cargo clippy --locked --no-default-features --lib -- -D warnings
+
+# A package of its own, since `cargo run --example decode` would also build the dependencies of the tests.
+embed() { cargo build --locked --quiet --manifest-path examples/embed/Cargo.toml --target-dir "$build" "$@"; }
+embed --bin decode
+"$build/debug/decode" tests/golden/*.tcgs
+
+if [ ! -d "$(rustc --print sysroot)/lib/rustlib/$target" ]; then
+    printf 'SKIPPED: no WebAssembly check, since Rust has no target %s here (rustup target add %s)\n' "$target" "$target"
+    exit 0
+fi
+embed --lib --target "$target"
+if ! command -v node >/dev/null; then
+    printf 'SKIPPED: built for WebAssembly but not run, since node is not installed\n'
+    exit 0
+fi
+node examples/embed/decode.mjs "$build/$target/debug/tcgs_wasm.wasm" tests/golden/*.tcgs
