@@ -27,6 +27,8 @@ pub mod model;
 #[cfg(feature = "service")]
 pub mod pipeline;
 #[cfg(feature = "service")]
+pub mod ply;
+#[cfg(feature = "service")]
 pub mod render;
 #[cfg(feature = "service")]
 pub mod sample;

@@ -8,9 +8,9 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::{
+    alloc::{reserve, zeros},
     bytes::{Reader, Writer},
-    context::{AnchorContext, GroupModel, steps::MAX_STEP},
-    decode::{reserved, zeroed},
+    context::{AnchorContext, GroupModel, quant_steps::MAX_STEP_INDEX},
     error::DecodeError,
     fit,
     range::StreamDecoder,
@@ -24,7 +24,7 @@ const PART: &str = "attributes";
 const STREAMS: [&str; 3] = ["features", "scalings", "offsets"];
 
 /// Fewest bytes of a chunk's index entry: three varints and a checksum.
-const MIN_ENTRY: usize = 7;
+const MIN_ENTRY_BYTES: usize = 7;
 
 /// An attribute group as the encoder coded it.
 pub(super) struct CodedGroup {
@@ -64,10 +64,10 @@ pub(super) fn write_parameters(model: &GroupModel, writer: &mut Writer) {
 
 fn read_tables(reader: &mut Reader<'_>, channels: usize) -> Result<GroupModel, DecodeError> {
     let step = reader.signed("a step")?;
-    if step.abs() > i64::from(MAX_STEP) {
+    if step.abs() > i64::from(MAX_STEP_INDEX) {
         return Err(reader.malformed("a step", step));
     }
-    let mut distributions = reserved("channels", channels)?;
+    let mut distributions = reserve("channels", channels)?;
     for _ in 0..channels {
         distributions.push(fit::read(reader)?);
     }
@@ -136,16 +136,16 @@ impl Layout {
         }
         let index_start = reader.position();
         let count = shape.anchors.div_ceil(chunk_anchors);
-        if count > reader.left() / MIN_ENTRY {
+        if count > reader.left() / MIN_ENTRY_BYTES {
             return Err(DecodeError::Truncated {
                 part: PART,
                 what: "chunk index",
                 offset: index_start,
-                needed: count as u64 * MIN_ENTRY as u64,
+                needed: count as u64 * MIN_ENTRY_BYTES as u64,
                 left: reader.left() as u64,
             });
         }
-        let mut entries = reserved("chunk index", count)?;
+        let mut entries = reserve("chunk index", count)?;
         for _ in 0..count {
             let lengths = [
                 reader.varint("length of features")?,
@@ -155,7 +155,7 @@ impl Layout {
             entries.push((lengths, reader.u32("chunk checksum")?));
         }
         let index = index_start..reader.position();
-        let mut chunks = reserved("chunk index", count)?;
+        let mut chunks = reserve("chunk index", count)?;
         for (anchors, (lengths, checksum)) in ranges(shape.anchors, chunk_anchors).into_iter().zip(entries) {
             let mut streams = [0..0, 0..0, 0..0];
             for (place, length) in streams.iter_mut().zip(lengths) {
@@ -183,8 +183,8 @@ impl Layout {
         let mut symbols = [Vec::new(), Vec::new(), Vec::new()];
         let mut steps = [Vec::new(), Vec::new(), Vec::new()];
         for attribute in Attribute::ALL {
-            symbols[attribute as usize] = zeroed("attributes", shape.anchors * shape.channels(attribute))?;
-            steps[attribute as usize] = zeroed("steps", shape.anchors)?;
+            symbols[attribute as usize] = zeros("attributes", shape.anchors * shape.channels(attribute))?;
+            steps[attribute as usize] = zeros("steps", shape.anchors)?;
         }
         let mut chunks: Vec<ChunkTask<'_>> = self
             .chunks

@@ -92,7 +92,7 @@ impl<'a> Reader<'a> {
         Err(self.malformed(what, "a varint above 64 bits"))
     }
 
-    /// A varint that must lie in `range`.
+    /// A varint in `range`.
     pub(super) fn count(
         &mut self,
         what: &'static str,

@@ -1,6 +1,7 @@
-//! From a file to a scene: a pure function of the bytes, within limits that the caller sets.
+//! Decodes a file into a scene: a pure function of the bytes, within limits that the caller sets.
 
 use super::{
+    alloc::check_limit,
     attributes,
     container::Container,
     context::{AnchorContext, GroupModel, IntegerPlanes, section},
@@ -36,11 +37,11 @@ pub struct DecodeLimits {
     pub max_expansion: u64,
 }
 
-/// Bytes of memory that any file may take.
-const JUSTIFIED: u64 = 16 << 20;
+/// Bytes of memory that any file may take, however short it is.
+const FREE_MEMORY_BYTES: u64 = 16 << 20;
 
 impl DecodeLimits {
-    /// For files of one's own making.
+    /// No limits, for files from a trusted source.
     pub const NONE: Self = Self {
         max_file_bytes: u64::MAX,
         max_anchors: u64::MAX,
@@ -81,8 +82,7 @@ pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeErro
     decode_with(bytes, limits, None)
 }
 
-/// Neighbours of cells as the encoder found them. They follow from the cells alone, so whoever reads the same cells back
-/// need not search again.
+/// Neighbours of cells as the encoder found them. They depend on the cells alone, so decoding the same cells needs no second search.
 pub(super) struct KnownNeighbours<'a> {
     pub(super) cells: &'a [[i32; 3]],
     /// Of each cell.
@@ -114,7 +114,7 @@ pub(super) struct Content {
     pub(super) anchors: AnchorContext,
     /// Where cameras begin to see.
     pub(super) near: NearPlane,
-    /// What the render networks are told distances in.
+    /// Unit of the distances that the render networks get.
     pub(super) unit: DistanceUnit,
 }
 
@@ -129,22 +129,24 @@ fn read_with(
     known: Option<KnownNeighbours<'_>>,
 ) -> Result<Content, DecodeError> {
     let stage = tracing::Span::current();
-    within("file bytes", bytes.len() as u64, limits.max_file_bytes)?;
+    check_limit("file bytes", bytes.len() as u64, limits.max_file_bytes)?;
     let container = Container::parse(bytes)?;
     container.check_known(&sections::ALL)?;
     let manifest = Manifest::decode(container.section(sections::MANIFEST, "manifest")?.bytes)?;
-    within("anchors", manifest.anchors as u64, limits.max_anchors)?;
+    check_limit("anchors", manifest.anchors as u64, limits.max_anchors)?;
     let memory = memory(&manifest);
-    within("bytes of memory", memory, limits.max_memory_bytes)?;
-    let justified = JUSTIFIED.saturating_add(limits.max_expansion.saturating_mul(bytes.len() as u64));
-    within("bytes of memory for a file of this length", memory, justified)?;
+    // No allocation is larger, so with this bound no product of counts overflows, even where `usize` has 32 bits.
+    check_limit("bytes of memory", memory, limits.max_memory_bytes.min(isize::MAX as u64))?;
+    let max_for_length =
+        FREE_MEMORY_BYTES.saturating_add(limits.max_expansion.saturating_mul(bytes.len() as u64));
+    check_limit("bytes of memory for a file of this length", memory, max_for_length)?;
 
     let (shape, k) = (manifest.shape(), manifest.offsets_per_anchor);
     let of_networks = container.section(sections::NETWORKS, "networks")?.bytes;
     let of_positions = container.section(sections::POSITIONS, "positions")?.bytes;
     let of_masks = container.section(sections::MASKS, "masks")?.bytes;
     let networks = networks::decode(of_networks, manifest.feature_dim, k, limits.max_memory_bytes)?;
-    if manifest.anchors as u64 >= positions::too_many(of_positions.len()) {
+    if manifest.anchors as u64 >= positions::max_anchors_exclusive(of_positions.len()) {
         return Err(DecodeError::Malformed {
             part: "positions",
             what: "number of anchors",
@@ -212,8 +214,8 @@ fn context(
         let (part, what) = ("context", "multiplications for all anchors");
         return Err(DecodeError::Malformed { part, what, value: work.to_string() });
     }
-    let memory = cells.len() as u64 * AnchorContext::bytes_an_anchor(channels, neighbours);
-    within("bytes of memory for the context", memory, limits.max_memory_bytes)?;
+    let memory = cells.len() as u64 * AnchorContext::bytes_per_anchor(channels, neighbours);
+    check_limit("bytes of memory for the context", memory, limits.max_memory_bytes)?;
 
     let mut anchors = AnchorContext::new(&layout.frame, cells);
     if let Some(planes) = planes {
@@ -246,27 +248,4 @@ fn memory(manifest: &Manifest) -> u64 {
     let values = manifest.feature_dim + SCALINGS_PER_ANCHOR + 3 * manifest.offsets_per_anchor;
     let anchor = 2 * 4 * values + 3 + manifest.offsets_per_anchor + 12 + 2 * 40;
     manifest.anchors as u64 * anchor as u64
-}
-
-/// Holds a value that a file asks for against the caller's limit.
-pub(super) fn within(what: &'static str, value: u64, limit: u64) -> Result<(), DecodeError> {
-    if value <= limit { Ok(()) } else { Err(DecodeError::Limit { what, value, limit }) }
-}
-
-/// An empty vector with room for `count`, or an error where the allocator has none.
-pub(super) fn reserved<T>(what: &'static str, count: usize) -> Result<Vec<T>, DecodeError> {
-    let mut vector = Vec::new();
-    match vector.try_reserve_exact(count) {
-        Ok(()) => Ok(vector),
-        Err(_) => {
-            Err(DecodeError::OutOfMemory { what, bytes: count as u64 * std::mem::size_of::<T>() as u64 })
-        }
-    }
-}
-
-/// `count` zeros, or an error where the allocator has no room. Memory straight from the system is zero already and is
-/// first touched by whoever fills it.
-pub(super) fn zeroed<T: Clone + Default>(what: &'static str, count: usize) -> Result<Vec<T>, DecodeError> {
-    drop(reserved::<T>(what, count)?);
-    Ok(vec![T::default(); count])
 }

@@ -1,6 +1,6 @@
-//! The decode hash: one number that says whether two machines decoded the same scene.
+//! The decode hash, which is equal on two machines if they decoded the same scene.
 //!
-//! It is a hash of hashes of runs of anchors, so that the runs can be hashed side by side.
+//! It is a hash of hashes of runs of anchors, so that the runs can be hashed in parallel.
 
 use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};

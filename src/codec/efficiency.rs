@@ -1,11 +1,11 @@
-//! How near a file's attributes come to what their model allows: figures for tables of results.
+//! How close the coded attributes come to the entropy under their model: figures for result tables.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
     attributes::is_coded,
-    context::{ContextChoice, GroupChoice, GroupModel, floats::FloatAnchors, steps},
+    context::{ContextChoice, GroupChoice, GroupModel, floats::FloatAnchors, quant_steps},
     decode::{Content, DecodeLimits, read},
     error::DecodeError,
     inspect::inspect,
@@ -14,7 +14,7 @@ use super::{
 use crate::domain::{ContextCandidates, Mlp, context::ContextKind};
 
 /// Least probability that a float network is taken at, so that one symbol far away does not hide all others.
-const LEAST: f64 = 1e-300;
+const MIN_PROBABILITY: f64 = 1e-300;
 
 /// Bytes of the attributes against the information in them; features, scalings, offsets.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -23,7 +23,7 @@ pub struct Efficiency {
     pub bytes: [u64; 3],
     /// Sum of -log2 p over the symbols, by the integer tables that code them.
     pub table_bits: [f64; 3],
-    /// The same by the normal distributions of the float network, of groups that have one and for which it was given. Steps
+    /// The same by the normal distributions of the float network, of groups that have one and for which it was given. QuantSteps
     /// and symbols are those of the file.
     pub float_bits: [Option<f64>; 3],
 }
@@ -118,14 +118,14 @@ fn by_floats(
         .into_par_iter()
         .map(|anchor| {
             let outputs = anchors.outputs(mlp, kind, anchor);
-            let step = f64::from(steps::factor(content.symbols.steps[attribute as usize][anchor]));
+            let step = f64::from(quant_steps::factor(content.symbols.steps[attribute as usize][anchor]));
             let bits = |(channel, symbol): (usize, i32)| {
                 let mean = outputs[channel] / step;
                 let sigma = libm::exp2(outputs[channels + channel]) / step;
                 // The upper tail beyond the mean, where the difference of two small numbers loses nothing.
                 let distance = (f64::from(symbol) - mean).abs();
                 let tail = |x: f64| 0.5 * libm::erfc(x / sigma * std::f64::consts::FRAC_1_SQRT_2);
-                -libm::log2((tail(distance - 0.5) - tail(distance + 0.5)).max(LEAST))
+                -libm::log2((tail(distance - 0.5) - tail(distance + 0.5)).max(MIN_PROBABILITY))
             };
             coded(content, attribute, anchor).map(bits).sum()
         })

@@ -1,12 +1,13 @@
-//! From a scene to a file, verified by reading the file back.
+//! Encodes a scene as a file and verifies it by decoding it.
 
 use super::{
-    EncodeSettings, Encoded, attributes, container,
+    EncodeSettings, Encoded, attributes,
+    container::{self, SectionId},
     decode::{DecodeLimits, KnownNeighbours, decode_with},
     digest::decode_digest,
     error::EncodeError,
     inspect::inspect,
-    manifest::{ColorSpace, MAX_FEATURE_DIM, MAX_OFFSETS, Manifest, Steps, WorldFrame},
+    manifest::{ColorSpace, MAX_FEATURE_DIM, MAX_OFFSETS, Manifest, QuantSteps, WorldFrame},
     masks,
     networks::{self, QuantisedNetworks},
     positions,
@@ -15,7 +16,7 @@ use super::{
     search::{self, Anchors},
     sections, view,
 };
-use crate::domain::{AnchorScene, ContextCandidates};
+use crate::domain::{AnchorScene, ContextCandidates, Digest};
 
 /// Anchors in a chunk: about 100 kB of attributes, enough that index and stream endings are a thousandth.
 const CHUNK_ANCHORS: usize = 4096;
@@ -38,35 +39,12 @@ pub fn encode(
     scene.check()?;
     networks::check(&scene.networks)?;
 
-    let k = scene.offsets_per_anchor;
-    let kept: Vec<usize> = (0..scene.len())
-        .filter(|anchor| scene.masks[anchor * k..(anchor + 1) * k].iter().any(|kept| *kept))
-        .collect();
-    let ordered = positions::order(&kept.iter().map(|anchor| scene.cells[*anchor]).collect::<Vec<_>>())?;
-    let order: Vec<usize> = ordered.order.iter().map(|index| kept[*index]).collect();
+    let AnchorOrder { ordered, order } = order_anchors(scene)?;
 
-    let mut manifest = Manifest {
-        contexts: Default::default(),
-        anchors: order.len(),
-        gaussians: scene.gaussians(),
-        feature_dim: scene.feature_dim,
-        offsets_per_anchor: k,
-        chunk_anchors: CHUNK_ANCHORS,
-        lattice: scene.lattice,
-        steps: Steps {
-            feature: settings.feature_step,
-            scaling: settings.scaling_step * scene.lattice.voxel,
-            offset: settings.offset_step,
-        },
-        world_frame: WorldFrame::Dataset,
-        color_space: ColorSpace::Srgb,
-        background: settings.background,
-        decode_sha256: crate::domain::Digest::from_bytes([0; 32]),
-        provenance: settings.provenance.clone(),
-    };
+    let mut manifest = new_manifest(scene, order.len(), settings);
     manifest.check_numbers()?;
 
-    let shape = manifest.shape();
+    let (shape, k) = (manifest.shape(), scene.offsets_per_anchor);
     let cells: Vec<[i32; 3]> = order.iter().map(|anchor| scene.cells[*anchor]).collect();
     let masks: Vec<bool> =
         order.iter().flat_map(|anchor| &scene.masks[anchor * k..(anchor + 1) * k]).copied().collect();
@@ -93,15 +71,7 @@ pub fn encode(
     );
     let chosen = chosen?;
     manifest.contexts = chosen.contexts;
-    let [of_networks, of_positions, of_masks] = rest;
-    let content = [
-        Some((sections::NETWORKS, of_networks)),
-        Some((sections::POSITIONS, of_positions)),
-        Some((sections::MASKS, of_masks)),
-        chosen.context.map(|section| (sections::CONTEXT, section)),
-        chosen.planes.map(|section| (sections::PLANES, section)),
-        Some((sections::ATTRIBUTES, attributes::encode(chosen.groups.each_ref()))),
-    ];
+    let attributes = attributes::encode(chosen.groups.each_ref());
     let [features, scalings, offsets] = chosen.groups.map(|group| (group.symbols, group.steps));
     let symbols = Symbols {
         cells,
@@ -109,19 +79,24 @@ pub fn encode(
         groups: [features.0, scalings.0, offsets.0],
         steps: [features.1, scalings.1, offsets.1],
     };
-    let meant = quantise::dequantise(symbols, &networks, &manifest);
-    manifest.decode_sha256 = decode_digest(&meant);
-    let mut content: Vec<_> = content.into_iter().flatten().collect();
-    content.insert(0, (sections::MANIFEST, manifest.encode()));
-    content.extend(view::encode_unit(scene.unit).map(|unit| (sections::UNIT, unit)));
-    content.extend(view::encode_near(scene.near).map(|view| (sections::VIEW, view)));
-    let bytes = container::write(&content, &[sections::VIEW]);
+    let expected = quantise::dequantise(symbols, &networks, &manifest);
+    manifest.decode_sha256 = decode_digest(&expected);
+    let [networks, positions, masks] = rest;
+    let payload = [
+        Some((sections::NETWORKS, networks)),
+        Some((sections::POSITIONS, positions)),
+        Some((sections::MASKS, masks)),
+        chosen.context.map(|section| (sections::CONTEXT, section)),
+        chosen.planes.map(|section| (sections::PLANES, section)),
+        Some((sections::ATTRIBUTES, attributes)),
+    ];
+    let bytes = assemble_sections(&manifest, payload, scene);
 
-    let known = KnownNeighbours { cells: &meant.cells, neighbours: chosen.neighbours };
+    let known = KnownNeighbours { cells: &expected.cells, neighbours: chosen.neighbours };
     let decoded = decode_with(&bytes, &DecodeLimits::NONE, Some(known)).map_err(EncodeError::ReadBack)?;
-    // The hash is of every other value: what was read back is what was meant to be written.
-    let seen = |scene: &AnchorScene| (scene.near, scene.unit);
-    if decoded.decode_sha256 != manifest.decode_sha256 || seen(&decoded.scene) != seen(scene) {
+    // The hash covers every other value.
+    let view = |scene: &AnchorScene| (scene.near, scene.unit);
+    if decoded.decode_sha256 != manifest.decode_sha256 || view(&decoded.scene) != view(scene) {
         return Err(EncodeError::Verification);
     }
     let byte_counts = inspect(&bytes).map_err(EncodeError::ReadBack)?.byte_counts;
@@ -132,6 +107,61 @@ pub fn encode(
         byte_counts,
         context: chosen.choice,
     })
+}
+
+/// The anchors that a file holds.
+struct AnchorOrder {
+    /// Their cells, sorted.
+    ordered: positions::Ordered,
+    /// Their indices in the scene, in file order.
+    order: Vec<usize>,
+}
+
+/// Drops the anchors without a kept offset and puts the others into Morton order.
+fn order_anchors(scene: &AnchorScene) -> Result<AnchorOrder, EncodeError> {
+    let k = scene.offsets_per_anchor;
+    let kept: Vec<usize> = (0..scene.len())
+        .filter(|anchor| scene.masks[anchor * k..(anchor + 1) * k].iter().any(|kept| *kept))
+        .collect();
+    let ordered = positions::order(&kept.iter().map(|anchor| scene.cells[*anchor]).collect::<Vec<_>>())?;
+    let order = ordered.order.iter().map(|index| kept[*index]).collect();
+    Ok(AnchorOrder { ordered, order })
+}
+
+/// The manifest of a file of `anchors` anchors, before contexts are chosen and the decode hash is known.
+fn new_manifest(scene: &AnchorScene, anchors: usize, settings: &EncodeSettings) -> Manifest {
+    Manifest {
+        contexts: Default::default(),
+        anchors,
+        gaussians: scene.gaussians(),
+        feature_dim: scene.feature_dim,
+        offsets_per_anchor: scene.offsets_per_anchor,
+        chunk_anchors: CHUNK_ANCHORS,
+        lattice: scene.lattice,
+        steps: QuantSteps {
+            feature: settings.feature_step,
+            scaling: settings.scaling_step * scene.lattice.voxel,
+            offset: settings.offset_step,
+        },
+        world_frame: WorldFrame::Dataset,
+        color_space: ColorSpace::Srgb,
+        background: settings.background,
+        decode_sha256: Digest::from_bytes([0; 32]),
+        provenance: settings.provenance.clone(),
+    }
+}
+
+/// The whole file: manifest, payload, and the optional sections whose values are not the default.
+fn assemble_sections(
+    manifest: &Manifest,
+    payload: [Option<(SectionId, Vec<u8>)>; 6],
+    scene: &AnchorScene,
+) -> Vec<u8> {
+    let mut content = vec![(sections::MANIFEST, manifest.encode())];
+    content.extend(payload.into_iter().flatten());
+    content.extend(view::encode_unit(scene.unit).map(|unit| (sections::UNIT, unit)));
+    content.extend(view::encode_near(scene.near).map(|view| (sections::VIEW, view)));
+    container::write(&content, &[sections::VIEW])
 }
 
 /// Refuses widths of zero, which no array could be split by, and counts that the format cannot state.

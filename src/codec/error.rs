@@ -1,4 +1,4 @@
-//! What can be wrong with a scene to be encoded and with bytes to be decoded: one variant per fault.
+//! Errors of encoding and decoding, one variant for each thing that can be wrong.
 
 use thiserror::Error;
 
@@ -52,8 +52,7 @@ pub enum EncodeError {
         /// The value.
         value: f32,
     },
-    /// A context that training left does not fit the scene, or the format cannot state it, or a choice names what is not
-    /// there.
+    /// A context candidate does not fit the scene or exceeds the format, or a choice names one that does not exist.
     #[error("the context's {what} cannot be used: {fault}")]
     Candidate {
         /// Which part.

@@ -1,4 +1,4 @@
-//! The encoder's choice of a distribution for a set of symbols: the one under which they take the fewest bits.
+//! Fits the distribution under which a set of symbols takes the fewest bits.
 
 use super::{
     bytes::{Reader, Writer},
@@ -72,12 +72,12 @@ impl Search<'_> {
 }
 
 /// Widest range of symbols that are counted; others are sorted.
-const COUNTED: u32 = 1 << 16;
+const MAX_COUNTED_RANGE: u32 = 1 << 16;
 
 /// Each symbol that occurs, ascending, with how often it does.
 fn histogram(mut symbols: Vec<i32>, least: i32, most: i32) -> Vec<(i32, f64)> {
     let range = most.abs_diff(least);
-    if range >= COUNTED {
+    if range >= MAX_COUNTED_RANGE {
         symbols.sort_unstable();
         return symbols.chunk_by(|a, b| a == b).map(|run| (run[0], run.len() as f64)).collect();
     }

@@ -27,7 +27,7 @@ pub(super) struct Gaussian {
 }
 
 impl Gaussian {
-    /// The integer that the table's middle entry stands for: the mean rounded down.
+    /// The integer of the table's middle entry: the mean rounded down.
     pub(super) fn centre(self) -> i32 {
         self.mean16 >> 4
     }

@@ -1,7 +1,7 @@
 //! The two integer tables that every Gaussian of the format is made from. They are part of the format.
 //!
-//! Committed rather than computed, so that no floating-point function stands between a file and its symbols.
-//! Each entry is the correctly rounded value of an exact mathematical expression, so anybody can make them again.
+//! They are committed rather than computed, so that no floating-point function stands between a file and its symbols. Each entry is the
+//! correctly rounded value of an exact expression, so anybody can reproduce them.
 
 /// Number of scales.
 pub(super) const SCALES: usize = 64;

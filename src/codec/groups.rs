@@ -1,4 +1,4 @@
-//! Coding an attribute group by a model, whole or in part: what the encoder's choices are made of.
+//! Codes an attribute group by a model, whole or in part, for the encoder's search.
 
 use std::ops::Range;
 
@@ -96,7 +96,7 @@ impl GroupCoder<'_> {
         Ok(coded)
     }
 
-    /// Bytes of all streams, judged by every `stride`-th chunk.
+    /// Bytes of all streams, extrapolated from every `stride`-th chunk.
     pub(super) fn estimate(&self, network: &ContextNetwork, stride: usize) -> Result<u64, EncodeError> {
         let model = GroupModel::Network(network.clone());
         let chunks: Vec<&Range<usize>> = self.chunks.iter().step_by(stride.max(1)).collect();

@@ -94,7 +94,7 @@ pub struct Inspection {
     pub content_sha256: Digest,
     /// Counts, choices and provenance.
     pub manifest: Manifest,
-    /// What the networks are told distances in, in world units.
+    /// Unit of the distances that the networks get, in world units.
     pub distance_unit: DistanceUnit,
     /// Sections in file order.
     pub sections: Vec<SectionReport>,

@@ -1,11 +1,11 @@
-//! The manifest section: what a decoder must know before any payload, and where the file comes from.
+//! The manifest section: what a decoder must know before any payload, and the file's provenance.
 
 use serde::{Deserialize, Serialize};
 
 use super::{
     Provenance,
     bytes::{Reader, Writer},
-    context::steps::{self, MAX_STEP},
+    context::quant_steps::{self, MAX_STEP_INDEX},
     error::{DecodeError, EncodeError},
     shape::{Attribute, Shape},
     symbols::MAX_SYMBOL,
@@ -25,7 +25,7 @@ const MAX_CHUNK: usize = 1 << 16;
 
 /// Absolute quantisation steps: a decoded value is an integer times its step.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Steps {
+pub struct QuantSteps {
     /// Of features.
     pub feature: f32,
     /// Of linear scalings, in world units.
@@ -34,7 +34,7 @@ pub struct Steps {
     pub offset: f32,
 }
 
-impl Steps {
+impl QuantSteps {
     /// The base step of a group.
     pub(super) fn of(self, attribute: Attribute) -> f32 {
         match attribute {
@@ -129,7 +129,7 @@ pub struct Manifest {
     /// Where cells are in the world.
     pub lattice: Lattice,
     /// Quantisation steps.
-    pub steps: Steps,
+    pub steps: QuantSteps,
     /// How features, scalings and offsets are predicted.
     pub contexts: [GroupContext; 3],
     /// Frame of the world.
@@ -204,7 +204,7 @@ impl Manifest {
                 voxel: reader.f32("voxel")?,
                 origin: [reader.f32("origin")?, reader.f32("origin")?, reader.f32("origin")?],
             },
-            steps: Steps {
+            steps: QuantSteps {
                 feature: reader.f32("feature step")?,
                 scaling: reader.f32("scaling step")?,
                 offset: reader.f32("offset step")?,
@@ -240,7 +240,7 @@ impl Manifest {
 
     /// Checks that every decoded position and value will be finite.
     pub(super) fn check_numbers(&self) -> Result<(), EncodeError> {
-        let Steps { feature, scaling, offset } = self.steps;
+        let QuantSteps { feature, scaling, offset } = self.steps;
         let multipliers = [
             ("voxel", self.lattice.voxel),
             ("feature step", feature),
@@ -248,7 +248,7 @@ impl Manifest {
             ("offset step", offset),
         ];
         // A group's step is at most that many octaves from its base step.
-        let (finest, coarsest) = (steps::factor(-MAX_STEP), steps::factor(MAX_STEP));
+        let (finest, coarsest) = (quant_steps::factor(-MAX_STEP_INDEX), quant_steps::factor(MAX_STEP_INDEX));
         for (name, value) in multipliers {
             let usable =
                 |value: f32| value.is_normal() && value > 0.0 && (value * MAX_SYMBOL as f32).is_finite();

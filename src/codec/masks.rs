@@ -2,7 +2,7 @@
 
 use super::{
     adaptive::AdaptiveBit,
-    decode::reserved,
+    alloc::reserve,
     error::DecodeError,
     range::{StreamDecoder, StreamEncoder},
 };
@@ -33,7 +33,7 @@ pub(super) fn decode(section: &[u8], anchors: usize, per_anchor: usize) -> Resul
     let _stage = tracing::debug_span!("masks").entered();
     let mut stream = StreamDecoder::new(PART, section)?;
     let mut contexts = Contexts::new(per_anchor);
-    let mut masks = reserved(PART, anchors * per_anchor)?;
+    let mut masks = reserve(PART, anchors * per_anchor)?;
     for _ in 0..anchors {
         contexts.begin();
         let start = masks.len();
@@ -99,7 +99,7 @@ impl Contexts {
     }
 }
 
-/// Shares that are told apart: below a third, below two thirds, below all, all.
+/// Classes of shares: below a third, below two thirds, below all, all.
 const SHARES: usize = 4;
 
 fn share(part: usize, whole: usize) -> usize {

@@ -29,6 +29,7 @@
 //! rayon's current pool; where the target has no threads, everything runs on the calling one.
 
 mod adaptive;
+mod alloc;
 mod attributes;
 mod bytes;
 mod container;
@@ -68,7 +69,7 @@ pub use efficiency::{Efficiency, efficiency};
 pub use encode::encode;
 pub use error::{DecodeError, EncodeError};
 pub use inspect::{ByteGroup, ByteRange, Inspection, SectionReport, inspect};
-pub use manifest::{ColorSpace, GroupContext, GroupCosts, Manifest, Steps, WorldFrame};
+pub use manifest::{ColorSpace, GroupContext, GroupCosts, Manifest, QuantSteps, WorldFrame};
 
 /// What the file says about how it was made.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

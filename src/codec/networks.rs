@@ -5,8 +5,8 @@
 //! distribution. How fine the integers are is the encoder's choice and not part of the format.
 
 use super::{
+    alloc::{check_limit, reserve},
     bytes::{Reader, Writer},
-    decode::{reserved, within},
     error::{DecodeError, EncodeError},
     fit,
     range::{StreamDecoder, StreamEncoder},
@@ -55,7 +55,7 @@ pub(super) type QuantisedMlp = Vec<QuantisedLayer>;
 pub(super) struct QuantisedNetworks(pub(super) [QuantisedMlp; 3]);
 
 impl QuantisedNetworks {
-    /// The networks that the integers stand for.
+    /// The networks as floats.
     pub(super) fn dequantise(&self) -> RenderNetworks {
         let [opacity, covariance, color] = &self.0;
         RenderNetworks {
@@ -199,7 +199,7 @@ pub(super) fn decode(
     ];
     let size = |head: &LayerHead| (head.inputs + 2) as u64 * head.outputs as u64;
     let memory = heads.iter().flatten().map(size).sum::<u64>() * PARAMETER_BYTES;
-    within("bytes of memory for networks", memory, max_memory_bytes)?;
+    check_limit("bytes of memory for networks", memory, max_memory_bytes)?;
     let mut stream = StreamDecoder::new(PART, reader.rest())?;
     let mut networks = QuantisedNetworks([Vec::new(), Vec::new(), Vec::new()]);
     for (mlp, heads) in networks.0.iter_mut().zip(heads) {
@@ -238,7 +238,7 @@ fn read_heads(reader: &mut Reader<'_>, inputs: usize, outputs: usize) -> Result<
 
 fn read_layer(stream: &mut StreamDecoder<'_>, head: &LayerHead) -> Result<QuantisedLayer, DecodeError> {
     let mut integers = |distribution: Distribution, count: usize| {
-        let mut integers = reserved("network parameters", count)?;
+        let mut integers = reserve("network parameters", count)?;
         for _ in 0..count {
             integers.push(distribution.decode(stream)?);
         }

@@ -1,8 +1,8 @@
 //! Anchor cells as an occupancy octree, level by level from the root, with adaptive binary contexts.
 //!
-//! The nodes of a level are known in full before their children are coded, so a child's context can look at
-//! the nodes on the outer sides of its parent. The last level is the cells in Morton order. Trained anchors are
-//! sparse: most nodes have one child, which is said first, and makes half as many decisions of them.
+//! A level is known in full before its children are coded, so a child's context can include the nodes at the outer sides of its parent.
+//! The last level is the cells in Morton order. Trained anchors are sparse and most nodes have one child, so that is coded first, which
+//! halves the number of decisions.
 
 use super::{
     adaptive::AdaptiveBit,
@@ -92,9 +92,9 @@ fn families(cells: &Ordered) -> Vec<Vec<u8>> {
     levels
 }
 
-/// More anchors than a section of `length` bytes can stand for: an anchor takes at least one decision, and none is likelier
+/// More anchors than a section of `length` bytes can hold: an anchor takes at least one decision, and none is likelier
 /// than 65504 in 65536, which is 0.0007 bits.
-pub(super) fn too_many(length: usize) -> u64 {
+pub(super) fn max_anchors_exclusive(length: usize) -> u64 {
     11_400 * (length as u64 + 4)
 }
 
@@ -243,7 +243,7 @@ impl Sides {
     }
 }
 
-/// Levels above the cells that are told apart.
+/// Levels above the cells that have contexts of their own.
 const HEIGHTS: usize = 8;
 
 /// The adaptive bits of the three kinds of decisions.
@@ -267,7 +267,7 @@ impl Contexts {
         &mut self.single[(below as usize).min(HEIGHTS - 1) * 7 + sides.0.count_ones() as usize]
     }
 
-    /// Which half of an axis an only child is in: by what is known of the upper axes, and the axis' neighbours.
+    /// Which half of an axis an only child is in, by the halves of the axes before it and the axis' neighbours.
     fn octant(&mut self, sides: Sides, below: u32, axis: usize, upper: u8) -> &mut AdaptiveBit {
         let digits = [(usize::from(upper), 8), (sides.along(axis), 4), (axis, 3)];
         &mut self.octant

@@ -1,7 +1,7 @@
-//! The encoder's choice of how finely each network's weights are kept: the coarsest that its outputs allow.
+//! Chooses how finely each network's weights are quantised: as coarsely as its outputs allow.
 //!
-//! A network is run on a sample of the scene's own anchors as it is and as its decoder will have it; the
-//! difference is measured after the activations, where it is a difference in opacity, shape or colour.
+//! A network is run on a sample of the scene's own anchors before and after quantisation; the difference is measured after the
+//! activations, as a difference in opacity, shape or colour.
 
 use super::networks::{self, QuantisedMlp};
 use crate::domain::{AnchorScene, DenseLayer, Mlp, anchors::VIEW_INPUTS};

@@ -1,10 +1,10 @@
-//! From floats to the integers of a file and back. The way back is one f32 multiplication a value and one a step, in one
-//! place, used by encoder and decoder alike.
+//! From floats to the integers of a file and back. Dequantisation is one f32 multiplication a value and one a step, in one function that
+//! encoder and decoder share.
 
 use rayon::prelude::*;
 
 use super::{
-    context::steps::factor, error::EncodeError, manifest::Manifest, networks::QuantisedNetworks,
+    context::quant_steps::factor, error::EncodeError, manifest::Manifest, networks::QuantisedNetworks,
     shape::Attribute, symbols::MAX_SYMBOL,
 };
 use crate::domain::{AnchorScene, DistanceUnit, NearPlane};
@@ -85,7 +85,7 @@ fn round_ties_even(value: f32) -> f64 {
     (f64::from(value) + INTEGERS) - INTEGERS
 }
 
-/// The scene that the integers stand for: each value is its integer, exact in f32, times its anchor's step, which is its
+/// The scene of the integers: each value is its integer, exact in f32, times its anchor's step, which is its
 /// group's base step times a factor from a table.
 pub(super) fn dequantise(symbols: Symbols, networks: &QuantisedNetworks, manifest: &Manifest) -> AnchorScene {
     let _stage = tracing::debug_span!("dequantise").entered();

@@ -62,7 +62,7 @@ impl StreamEncoder {
     }
 
     /// Codes a bit of probability one half.
-    pub(super) fn even(&mut self, bit: bool) {
+    pub(super) fn bypass(&mut self, bit: bool) {
         self.bit(1 << (BIT_PRECISION - 1), bit);
     }
 
@@ -116,7 +116,7 @@ impl<'a> StreamDecoder<'a> {
         Ok(bit)
     }
 
-    pub(super) fn even(&mut self) -> Result<bool, DecodeError> {
+    pub(super) fn bypass(&mut self) -> Result<bool, DecodeError> {
         self.bit(1 << (BIT_PRECISION - 1))
     }
 

@@ -1,9 +1,8 @@
-//! The encoder's choice of contexts: whatever takes the fewest bytes in the file.
+//! The encoder's choice of contexts: those with the fewest bytes in the file.
 //!
-//! For each attribute group there are tables, and networks of three kinds at three weights' widths; for all groups together
-//! at most one set of planes. Widths and planes are chosen by the bytes of a sample of chunks (all of them in a small
-//! scene) with the bytes of the networks and the planes; what is left, one candidate of each kind, is coded whole, and the
-//! bytes that it really takes decide.
+//! An attribute group can be coded with tables, or with networks of three kinds at three widths of weights; all groups together use at
+//! most one set of planes. Widths and planes are chosen on a sample of chunks (all of them in a small scene), with the bytes of networks and
+//! planes included. The remaining candidates, one of each kind, are coded whole and compared by their actual bytes.
 
 use std::ops::Range;
 
@@ -11,12 +10,12 @@ use super::{
     attributes::CodedGroup,
     context::{
         AnchorContext, ContextChoice, ContextNetwork, ContextSearch, ContextSettings, GroupChoice,
-        IntegerMlp, IntegerPlanes, WeightBits, section, steps,
+        IntegerMlp, IntegerPlanes, WeightBits, quant_steps, section,
     },
     decode::MAX_MULTIPLICATIONS,
     error::EncodeError,
     groups::GroupCoder,
-    manifest::{GroupContext, GroupCosts, Steps},
+    manifest::{GroupContext, GroupCosts, QuantSteps},
     quantise::Quantiser,
     shape::{Attribute, Shape},
 };
@@ -28,11 +27,11 @@ use crate::domain::{
 /// Bits of a weight that are tried.
 const WEIGHT_BITS: [u8; 3] = [8, 6, 4];
 
-/// Chunks of the sample.
-const SAMPLE: usize = 8;
+/// Chunks that widths and planes are chosen by.
+const SAMPLE_CHUNKS: usize = 8;
 
 /// Bytes of an entry in the section table, which every further section costs.
-const SECTION: u64 = super::container::TABLE_ENTRY as u64;
+const SECTION_BYTES: u64 = super::container::TABLE_ENTRY as u64;
 
 /// Anchors in file order, to be coded.
 #[derive(Debug, Clone, Copy)]
@@ -42,7 +41,7 @@ pub(super) struct Anchors<'a> {
     pub(super) cells: &'a [[i32; 3]],
     pub(super) masks: &'a [bool],
     pub(super) shape: Shape,
-    pub(super) steps: Steps,
+    pub(super) steps: QuantSteps,
     pub(super) chunks: &'a [Range<usize>],
 }
 
@@ -131,7 +130,7 @@ struct Estimated {
 }
 
 /// A group coded one way.
-struct Tried {
+struct CodedCandidate {
     choice: GroupChoice,
     coded: CodedGroup,
     /// Attributes and network.
@@ -152,13 +151,13 @@ impl<'a> Search<'a> {
         GroupCoder { quantiser, shape, masks, chunks, anchors: &self.context }
     }
 
-    fn with_tables(&self, attribute: Attribute) -> Result<Tried, EncodeError> {
+    fn with_tables(&self, attribute: Attribute) -> Result<CodedCandidate, EncodeError> {
         let group = attribute as usize;
         let coarser = i16::from(self.settings.coarser[group]);
-        let step = i16::from(steps::nearest_index(self.candidates.static_steps[group])) + coarser;
-        let limit = i16::from(steps::MAX_STEP);
+        let step = i16::from(quant_steps::nearest_index(self.candidates.static_steps[group])) + coarser;
+        let limit = i16::from(quant_steps::MAX_STEP_INDEX);
         let coded = self.coder(attribute).with_tables(step.clamp(-limit, limit) as i8)?;
-        Ok(Tried { choice: GroupChoice::Static, bytes: coded.bytes(), coded })
+        Ok(CodedCandidate { choice: GroupChoice::Static, bytes: coded.bytes(), coded })
     }
 
     fn with_network(
@@ -166,11 +165,11 @@ impl<'a> Search<'a> {
         attribute: Attribute,
         network: ContextNetwork,
         weight_bits: u8,
-    ) -> Result<Tried, EncodeError> {
+    ) -> Result<CodedCandidate, EncodeError> {
         let choice = GroupChoice::Network { kind: network.kind, weight_bits };
         let own = network_bytes(&network);
         let coded = self.coder(attribute).with_network(network)?;
-        Ok(Tried { choice, bytes: coded.bytes() + own, coded })
+        Ok(CodedCandidate { choice, bytes: coded.bytes() + own, coded })
     }
 
     fn quantised(
@@ -185,20 +184,20 @@ impl<'a> Search<'a> {
             fault: format!("{weight_bits} bits a weight"),
         })?;
         let mut mlp = IntegerMlp::quantise(mlp, bits);
-        mlp.shift_last_output(steps::index_as_octaves(self.settings.coarser[attribute as usize]));
+        mlp.shift_last_output(quant_steps::index_as_octaves(self.settings.coarser[attribute as usize]));
         Ok(ContextNetwork { kind, mlp })
     }
 
     /// The width that seems cheapest for a network, none where there is no network or where its steps do not suit the
     /// attributes.
-    fn narrowest(
+    fn best_width(
         &self,
         attribute: Attribute,
         mlp: Option<&Mlp>,
         kind: ContextKind,
     ) -> Result<Option<Estimated>, EncodeError> {
         let Some(mlp) = mlp else { return Ok(None) };
-        let stride = self.anchors.chunks.len().div_ceil(SAMPLE);
+        let stride = self.anchors.chunks.len().div_ceil(SAMPLE_CHUNKS);
         let mut best: Option<Estimated> = None;
         for weight_bits in WEIGHT_BITS {
             let network = self.quantised(attribute, mlp, kind, weight_bits)?;
@@ -215,12 +214,12 @@ impl<'a> Search<'a> {
     }
 
     fn cheapest(&mut self) -> Result<Chosen, EncodeError> {
-        let mut tried: [Vec<Tried>; 3] = Default::default();
+        let mut tried: [Vec<CodedCandidate>; 3] = Default::default();
         for attribute in Attribute::ALL {
             let group = attribute as usize;
             tried[group].push(self.with_tables(attribute)?);
             let mlp = self.candidates.position[group].as_ref();
-            if let Some(found) = self.narrowest(attribute, mlp, ContextKind::Position)? {
+            if let Some(found) = self.best_width(attribute, mlp, ContextKind::Position)? {
                 self.try_network(attribute, found, &mut tried[group])?;
             }
         }
@@ -240,8 +239,8 @@ impl<'a> Search<'a> {
         for scope in [Scope::Tables, Scope::NoPlanes, Scope::All] {
             let sections = match (scope, &planes) {
                 (Scope::Tables, _) => 0,
-                (Scope::NoPlanes, _) => SECTION + frame,
-                (Scope::All, Some((_, section))) => 2 * SECTION + frame + section.len() as u64,
+                (Scope::NoPlanes, _) => SECTION_BYTES + frame,
+                (Scope::All, Some((_, section))) => 2 * SECTION_BYTES + frame + section.len() as u64,
                 (Scope::All, None) => continue,
             };
             let total = sections + tried.iter().map(|tried| least(tried, scope)).sum::<u64>();
@@ -257,7 +256,7 @@ impl<'a> Search<'a> {
         &self,
         attribute: Attribute,
         found: Estimated,
-        tried: &mut Vec<Tried>,
+        tried: &mut Vec<CodedCandidate>,
     ) -> Result<(), EncodeError> {
         match self.with_network(attribute, found.network, found.weight_bits) {
             Ok(network) => tried.push(network),
@@ -277,7 +276,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The planes that seem cheapest, if some group might gain by them: their number, section, and networks.
+    /// The planes with the lowest estimate, if any group could gain from them: their number, section, and networks.
     #[allow(clippy::type_complexity, reason = "named by its parts in the line above")]
     fn best_planes(
         &mut self,
@@ -298,7 +297,7 @@ impl<'a> Search<'a> {
                     (set.neighbours[group].as_ref(), ContextKind::TriPlaneKnn),
                 ];
                 for (mlp, kind) in kinds {
-                    found[group].extend(self.narrowest(attribute, mlp, kind)?);
+                    found[group].extend(self.best_width(attribute, mlp, kind)?);
                 }
                 total += found[group].iter().map(|found| found.bytes).fold(without[group], u64::min);
             }
@@ -333,7 +332,7 @@ impl<'a> Search<'a> {
                 self.context.find_neighbours(self.anchors.cells);
             }
         }
-        let mut tried: [Vec<Tried>; 3] = Default::default();
+        let mut tried: [Vec<CodedCandidate>; 3] = Default::default();
         for attribute in Attribute::ALL {
             let group = attribute as usize;
             let GroupChoice::Network { kind, weight_bits } = choice.groups[group] else {
@@ -355,7 +354,12 @@ impl<'a> Search<'a> {
     }
 
     /// Takes the cheapest of each group.
-    fn finish(&mut self, planes: Option<(usize, Vec<u8>)>, tried: [Vec<Tried>; 3], scope: Scope) -> Chosen {
+    fn finish(
+        &mut self,
+        planes: Option<(usize, Vec<u8>)>,
+        tried: [Vec<CodedCandidate>; 3],
+        scope: Scope,
+    ) -> Chosen {
         let chosen = tried.map(|tried| {
             let mut costs = GroupCosts::default();
             for tried in &tried {
@@ -407,7 +411,7 @@ impl Scope {
 }
 
 /// Bytes of the cheapest that is allowed.
-fn least(tried: &[Tried], scope: Scope) -> u64 {
+fn least(tried: &[CodedCandidate], scope: Scope) -> u64 {
     let allowed = tried.iter().filter(|tried| scope.allows(tried.choice));
     allowed.map(|tried| tried.bytes).min().unwrap_or(u64::MAX)
 }

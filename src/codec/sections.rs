@@ -1,4 +1,4 @@
-//! The sections of this version. Without the critical ones there is no scene, or another one.
+//! The sections of this version. A decoder must understand the critical ones.
 
 use super::container::SectionId;
 
@@ -17,7 +17,7 @@ pub(super) const PLANES: SectionId = *b"PLAN";
 /// Features, scalings, offsets.
 pub(super) const ATTRIBUTES: SectionId = *b"ATTR";
 
-/// What the render networks are told distances in, where that is not the world's unit.
+/// Unit of the distances that the render networks get, if it is not the world's.
 pub(super) const UNIT: SectionId = *b"UNIT";
 /// Where views begin: optional, for scenes that are not seen from the usual depth.
 pub(super) const VIEW: SectionId = *b"VIEW";

@@ -1,4 +1,4 @@
-//! The widths of a scene, as all sections share them.
+//! The widths of a scene that all sections share.
 
 pub(super) use crate::domain::AttributeGroup as Attribute;
 use crate::domain::anchors::SCALINGS_PER_ANCHOR;

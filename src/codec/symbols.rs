@@ -39,12 +39,12 @@ impl Distribution {
             return;
         }
         stream.table(table, table.escape());
-        stream.even(difference < 0);
+        stream.bypass(difference < 0);
         // `outside` is at least one, as Exp-Golomb wants it.
         let prefix = outside.ilog2();
-        (0..prefix).for_each(|_| stream.even(true));
-        stream.even(false);
-        (0..prefix).rev().for_each(|bit| stream.even(outside >> bit & 1 == 1));
+        (0..prefix).for_each(|_| stream.bypass(true));
+        stream.bypass(false);
+        (0..prefix).rev().for_each(|bit| stream.bypass(outside >> bit & 1 == 1));
     }
 
     /// Reads a symbol.
@@ -58,9 +58,9 @@ impl Distribution {
         if index != table.escape() {
             return checked(stream.part(), gaussian.centre() + index as i32 - table.radius());
         }
-        let negative = stream.even()?;
+        let negative = stream.bypass()?;
         let mut prefix = 0;
-        while stream.even()? {
+        while stream.bypass()? {
             prefix += 1;
             if prefix > MAX_PREFIX {
                 return Err(DecodeError::Stream { part: stream.part(), fault: "has an endless escape" });
@@ -68,7 +68,7 @@ impl Distribution {
         }
         let mut outside = 1;
         for _ in 0..prefix {
-            outside = outside << 1 | i32::from(stream.even()?);
+            outside = outside << 1 | i32::from(stream.bypass()?);
         }
         let difference = table.radius() + outside;
         checked(stream.part(), gaussian.centre() + if negative { -difference } else { difference })

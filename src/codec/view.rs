@@ -1,5 +1,4 @@
-//! The sections on showing the scene: the depth from which cameras see, and the length that the networks are told distances
-//! in. Absent, each is the usual one.
+//! The optional sections that rendering needs: near plane and distance unit. A file without one has the default.
 
 use super::{
     bytes::{Reader, Writer},

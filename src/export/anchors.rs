@@ -7,7 +7,7 @@
 //! `NETWORK.i.bias` f32 `[outputs]`. Where some offsets are off there is also `masks` bool `[N, K]`. An anchor's position
 //! is `cells * voxel + origin`: cells take the four bytes a coordinate that floats would, and keep the lattice. The
 //! metadata key `tcgs` holds a JSON object with `version`, `background`, `dataset` if it is known, `near` where views do not
-//! begin at the usual depth, and `unit` where the networks are not told distances in the world's unit; `version` is 2 then,
+//! begin at the usual depth, and `unit` if the networks' distances are not in the world's unit; `version` is 2 then,
 //! and 1 everywhere else.
 
 use std::collections::HashMap;
@@ -24,7 +24,7 @@ use crate::domain::{
 /// Version of this layout of tensors.
 const VERSION: u32 = 1;
 
-/// Version of files that state a distance unit: who does not know of one would show another picture, and must refuse.
+/// Version of files that state a distance unit: a reader that ignored it would render another image, and must refuse.
 const VERSION_WITH_UNIT: u32 = 2;
 
 /// More layers than any network of this program has; a bound on what a file may claim.
@@ -42,12 +42,12 @@ pub enum AnchorFileError {
     )]
     Metadata(String),
     /// A tensor is missing, of another type, or of another shape.
-    #[error("tensor '{name}' {fault}")]
+    #[error("tensor '{name}' {problem}")]
     Tensor {
         /// Its name.
         name: String,
         /// What is wrong.
-        fault: String,
+        problem: String,
     },
     /// The tensors do not fit together.
     #[error("{0}")]
@@ -114,14 +114,14 @@ pub fn write(
         .iter()
         .map(|(name, dtype, shape, bytes)| Ok((name, TensorView::new(*dtype, shape.clone(), bytes)?)))
         .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
-        .map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
+        .map_err(|error| AnchorFileError::Scene(error.to_string()))?;
     // One key: several would be written in the random order of a hash map.
     let version = if scene.unit.is_usual() { VERSION } else { VERSION_WITH_UNIT };
     let (near, unit) = (scene.near, scene.unit);
     let metadata = serde_json::to_string(&Metadata { version, background, dataset, near, unit })
-        .map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
+        .map_err(|error| AnchorFileError::Scene(error.to_string()))?;
     safetensors::serialize(views, Some(HashMap::from([("tcgs".to_owned(), metadata)])))
-        .map_err(|fault| AnchorFileError::Scene(fault.to_string()))
+        .map_err(|error| AnchorFileError::Scene(error.to_string()))
 }
 
 /// Where the bytes of a file of `total` bytes that holds `scene` go; header and lattice are the container.
@@ -152,9 +152,9 @@ fn has_masks(scene: &AnchorScene) -> bool {
 /// The content of a file, checked.
 ///
 /// # Errors
-/// [`AnchorFileError`] naming the first fault.
+/// [`AnchorFileError`] naming the first error.
 pub fn read(bytes: &[u8]) -> Result<AnchorFile, AnchorFileError> {
-    let format = |fault: safetensors::SafeTensorError| AnchorFileError::Format(fault.to_string());
+    let format = |error: safetensors::SafeTensorError| AnchorFileError::Format(error.to_string());
     let tensors = SafeTensors::deserialize(bytes).map_err(format)?;
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(format)?;
     let text = header
@@ -163,7 +163,7 @@ pub fn read(bytes: &[u8]) -> Result<AnchorFile, AnchorFileError> {
         .and_then(|metadata| metadata.get("tcgs"))
         .ok_or_else(|| AnchorFileError::Metadata("is missing".to_owned()))?;
     let metadata: Metadata = serde_json::from_str(text)
-        .map_err(|fault| AnchorFileError::Metadata(format!("cannot be read ({fault})")))?;
+        .map_err(|error| AnchorFileError::Metadata(format!("cannot be read ({error})")))?;
     if ![VERSION, VERSION_WITH_UNIT].contains(&metadata.version) {
         let known = format!("{VERSION} or {VERSION_WITH_UNIT}");
         return Err(AnchorFileError::Metadata(format!("has version {}, not {known}", metadata.version)));
@@ -199,7 +199,7 @@ pub fn read(bytes: &[u8]) -> Result<AnchorFile, AnchorFileError> {
         unit: metadata.unit,
     };
     reader.finish()?;
-    scene.check().map_err(|fault| AnchorFileError::Scene(fault.to_string()))?;
+    scene.check().map_err(|error| AnchorFileError::Scene(error.to_string()))?;
     Ok(AnchorFile { scene, background: metadata.background, dataset: metadata.dataset })
 }
 
@@ -215,7 +215,7 @@ struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     fn tensor(&self, name: &str) -> Result<TensorView<'a>, AnchorFileError> {
-        self.tensors.tensor(name).map_err(|_| fault(name, "is missing"))
+        self.tensors.tensor(name).map_err(|_| tensor_error(name, "is missing"))
     }
 
     /// The shape of a tensor, whose sides must be those of `wanted` where it names one.
@@ -228,12 +228,15 @@ impl<'a> Reader<'a> {
         let shape: [usize; R] = tensor
             .shape()
             .try_into()
-            .map_err(|_| fault(name, format!("has shape {:?}, not {R} sides", tensor.shape())))?;
+            .map_err(|_| tensor_error(name, format!("has shape {:?}, not {R} sides", tensor.shape())))?;
         for (side, (actual, wanted)) in shape.iter().zip(wanted).enumerate() {
             if let Some(wanted) = wanted
                 && *actual != wanted
             {
-                return Err(fault(name, format!("has {actual} along side {side} where {wanted} are needed")));
+                return Err(tensor_error(
+                    name,
+                    format!("has {actual} along side {side} where {wanted} are needed"),
+                ));
             }
         }
         Ok(shape)
@@ -265,7 +268,7 @@ impl<'a> Reader<'a> {
     fn bytes(&mut self, name: &str, dtype: Dtype) -> Result<&'a [u8], AnchorFileError> {
         let tensor = self.tensor(name)?;
         if tensor.dtype() != dtype {
-            return Err(fault(name, format!("is of type {:?}, not {dtype:?}", tensor.dtype())));
+            return Err(tensor_error(name, format!("is of type {:?}, not {dtype:?}", tensor.dtype())));
         }
         self.taken += 1;
         Ok(tensor.data())
@@ -300,8 +303,8 @@ impl<'a> Reader<'a> {
     }
 }
 
-fn fault(name: &str, fault: impl Into<String>) -> AnchorFileError {
-    AnchorFileError::Tensor { name: name.to_owned(), fault: fault.into() }
+fn tensor_error(name: &str, problem: impl Into<String>) -> AnchorFileError {
+    AnchorFileError::Tensor { name: name.to_owned(), problem: problem.into() }
 }
 
 #[cfg(test)]
@@ -368,8 +371,8 @@ mod tests {
         for hostile in ["0", "-1", "1e-45", "1e39", "3e38", "null"] {
             let mut bytes = bytes.clone();
             bytes[from..to].copy_from_slice(format!("{hostile:>width$}", width = to - from).as_bytes());
-            let fault = read(&bytes).expect_err("refused").to_string();
-            assert!(fault.contains("cannot be read"), "{hostile}: {fault}");
+            let error = read(&bytes).expect_err("refused").to_string();
+            assert!(error.contains("cannot be read"), "{hostile}: {error}");
         }
         let mut later = bytes.clone();
         assert_eq!(later[key("version")], b'2');
@@ -411,8 +414,8 @@ mod tests {
         }
         let mut nan = scene();
         nan.features[3] = f32::NAN;
-        let fault = read(&write(&nan, Background::Black, None).expect("writes")).expect_err("refused");
-        assert_eq!(fault, AnchorFileError::Scene("inconsistent scene: features[3] is not finite".to_owned()));
+        let error = read(&write(&nan, Background::Black, None).expect("writes")).expect_err("refused");
+        assert_eq!(error, AnchorFileError::Scene("inconsistent scene: features[3] is not finite".to_owned()));
     }
 
     #[test]

@@ -1,8 +1,7 @@
-//! Scenes in open formats: anchors with their networks as safetensors, plain Gaussians as the field's `.ply` and `.spz`, and
-//! anchors as plain Gaussians.
+//! Scenes in open formats: anchors with their networks as safetensors, plain Gaussians as `.ply` and `.spz`, and baking of anchors
+//! into plain Gaussians.
 //!
-//! What is written in floats is read back bit for bit; bytes are never trusted, and what is no scene is refused with its
-//! fault.
+//! Floats are read back bit for bit. Input is untrusted: a file that is not a scene gives an error that names the reason.
 
 pub mod anchors;
 pub mod bake;

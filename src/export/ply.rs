@@ -1,14 +1,14 @@
-//! Plain Gaussians in the field's `.ply` file: binary little endian, 62 floats a Gaussian, before activation.
+//! Plain Gaussians as `.ply`: binary little endian, 62 floats a Gaussian, before activation.
 //!
-//! Columns: `x y z nx ny nz f_dc_0..2 f_rest_0..44 opacity scale_0..2 rot_0..3`. Normals are zero. The coefficients above
-//! the constant one are channel by channel: fifteen of red, fifteen of green, fifteen of blue. The rotation is w, x, y, z.
+//! Columns: `x y z nx ny nz f_dc_0..2 f_rest_0..44 opacity scale_0..2 rot_0..3`. Normals are zero. The coefficients above the constant one
+//! are channel by channel: fifteen of red, fifteen of green, fifteen of blue. The rotation is w, x, y, z.
 
 use thiserror::Error;
 
-use crate::domain::{GaussianScene, gaussians::SH_COEFFICIENTS};
-
-/// Largest header that is read; real ones have some 1 500 bytes.
-const LARGEST_HEADER: usize = 64 << 10;
+use crate::{
+    domain::{GaussianScene, gaussians::SH_COEFFICIENTS},
+    ply::{Header, HeaderError, Profile, Property, Scalar},
+};
 
 /// Coefficients of a channel above the constant one.
 const REST: usize = SH_COEFFICIENTS - 1;
@@ -22,42 +22,12 @@ const OPAQUE_LOGIT: f32 = 13.8;
 /// What is wrong with a `.ply` file of Gaussians.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum PlyError {
-    /// The first line is another.
-    #[error("the file does not start with 'ply'")]
-    NotPly,
-    /// No `end_header` where one should be.
-    #[error("the header has no end_header in its first {LARGEST_HEADER} bytes")]
-    Unterminated,
-    /// A line of the header that means nothing.
-    #[error("header line {number} is not understood: '{line:.60}'")]
-    Line {
-        /// From 1.
-        number: usize,
-        /// What it says.
-        line: String,
-    },
-    /// Text or big endian.
-    #[error("the format is '{0:.40}', not binary_little_endian 1.0")]
-    Encoding(String),
-    /// Something else than vertices, or vertices twice.
-    #[error(
-        "element '{0:.40}' where the only one should be the vertices: this is no file of plain Gaussians"
-    )]
-    Element(String),
-    /// The header has no format or no vertices.
-    #[error("the header lacks its {0}")]
-    Missing(&'static str),
-    /// A type that is no number of fixed size, or a column of Gaussians that is not of floats.
-    #[error("property '{name:.40}' is of type '{kind:.40}'")]
-    PropertyType {
-        /// Which.
-        name: String,
-        /// What it says that it is.
-        kind: String,
-    },
-    /// Two columns of one name.
-    #[error("property '{0:.40}' comes twice")]
-    Twice(String),
+    /// The header.
+    #[error(transparent)]
+    Header(#[from] HeaderError),
+    /// A column of Gaussians that is not of floats.
+    #[error("property '{0}' is not of type float")]
+    NotFloat(String),
     /// A column that Gaussians need is not there.
     #[error("property '{0}' is missing")]
     MissingProperty(String),
@@ -138,19 +108,19 @@ fn header(count: usize) -> String {
 /// number type left out. The scene's degree is the highest with a coefficient that is not zero.
 ///
 /// # Errors
-/// [`PlyError`], one variant a fault.
+/// [`PlyError`], one variant for each thing that can be wrong.
 pub fn from_ply(bytes: &[u8]) -> Result<GaussianScene, PlyError> {
-    let head = Head::parse(bytes)?;
+    let head = Header::parse(bytes, Profile::Gaussians)?;
     let data = &bytes[head.length..];
     let needed = u128::from(head.vertices) * head.stride as u128;
     if needed != data.len() as u128 || head.stride == 0 {
         return Err(PlyError::Length { vertices: head.vertices, needed, found: data.len() });
     }
-    let rest = head.rest()?;
+    let rest = rest_per_channel(&head)?;
     let columns = names(rest)
         .into_iter()
         .filter(|name| !["nx", "ny", "nz"].contains(&name.as_str()))
-        .map(|name| head.column(name))
+        .map(|name| column(&head, name))
         .collect::<Result<Vec<Column>, PlyError>>()?;
     let count = head.vertices as usize;
     let mut scene = GaussianScene {
@@ -206,102 +176,21 @@ struct Column {
     offset: usize,
 }
 
-/// A property as the header states it.
-struct Property {
-    name: String,
-    kind: String,
-    offset: usize,
-}
-
-/// What the header says.
-struct Head {
-    vertices: u64,
-    properties: Vec<Property>,
-    /// Bytes of a vertex.
-    stride: usize,
-    /// Bytes of the header.
-    length: usize,
-}
-
-impl Head {
-    fn parse(bytes: &[u8]) -> Result<Self, PlyError> {
-        let mut encoded = false;
-        let mut vertices = None;
-        let mut properties: Vec<Property> = Vec::new();
-        let mut stride = 0;
-        let mut length = 0;
-        for number in 1.. {
-            let rest = &bytes[length..bytes.len().min(LARGEST_HEADER)];
-            let end = rest.iter().position(|byte| *byte == b'\n');
-            let text = String::from_utf8_lossy(&rest[..end.unwrap_or(rest.len().min(80))]);
-            let words: Vec<&str> = text.split_ascii_whitespace().collect();
-            if number == 1 && words != ["ply"] {
-                return Err(PlyError::NotPly);
-            }
-            length += end.ok_or(PlyError::Unterminated)? + 1;
-            let not_understood = || PlyError::Line { number, line: text.to_string() };
-            match words[..] {
-                ["ply"] if number == 1 => {}
-                ["comment" | "obj_info", ..] => {}
-                ["format", "binary_little_endian", "1.0"] => encoded = true,
-                ["format", ..] => return Err(PlyError::Encoding(words[1..].join(" "))),
-                ["element", "vertex", count] if vertices.is_none() => {
-                    vertices = Some(count.parse::<u64>().map_err(|_| not_understood())?);
-                }
-                ["element", name, ..] => return Err(PlyError::Element(name.to_owned())),
-                ["property", kind, name] if vertices.is_some() => {
-                    if properties.iter().any(|property| property.name == name) {
-                        return Err(PlyError::Twice(name.to_owned()));
-                    }
-                    let (name, kind) = (name.to_owned(), kind.to_owned());
-                    let Some(size) = bytes_of(&kind) else {
-                        return Err(PlyError::PropertyType { name, kind });
-                    };
-                    properties.push(Property { name, kind, offset: stride });
-                    stride += size;
-                }
-                ["property", "list", .., name] => {
-                    return Err(PlyError::PropertyType { name: name.to_owned(), kind: "list".to_owned() });
-                }
-                ["end_header"] => break,
-                _ => return Err(not_understood()),
-            }
-        }
-        if !encoded {
-            return Err(PlyError::Missing("format"));
-        }
-        let vertices = vertices.ok_or(PlyError::Missing("vertices"))?;
-        Ok(Self { vertices, properties, stride, length })
-    }
-
-    /// Coefficients of a channel above the constant one.
-    fn rest(&self) -> Result<usize, PlyError> {
-        let found = self.properties.iter().filter(|property| property.name.starts_with("f_rest_")).count();
-        match found {
-            0 | 9 | 24 | 45 => Ok(found / 3),
-            _ => Err(PlyError::RestCount(found)),
-        }
-    }
-
-    fn column(&self, name: String) -> Result<Column, PlyError> {
-        let Some(property) = self.properties.iter().find(|property| property.name == name) else {
-            return Err(PlyError::MissingProperty(name));
-        };
-        match property.kind.as_str() {
-            "float" | "float32" => Ok(Column { name, offset: property.offset }),
-            kind => Err(PlyError::PropertyType { name, kind: kind.to_owned() }),
-        }
+/// Coefficients of a channel above the constant one.
+fn rest_per_channel(header: &Header) -> Result<usize, PlyError> {
+    let found = header.properties.iter().filter(|property| property.name.starts_with("f_rest_")).count();
+    match found {
+        0 | 9 | 24 | 45 => Ok(found / 3),
+        _ => Err(PlyError::RestCount(found)),
     }
 }
 
-fn bytes_of(kind: &str) -> Option<usize> {
-    Some(match kind {
-        "char" | "int8" | "uchar" | "uint8" => 1,
-        "short" | "int16" | "ushort" | "uint16" => 2,
-        "int" | "int32" | "uint" | "uint32" | "float" | "float32" => 4,
-        "double" | "float64" => 8,
-        _ => return None,
-    })
+fn column(header: &Header, name: String) -> Result<Column, PlyError> {
+    match header.property(&name) {
+        Some(Property { scalar: Scalar::F32, offset, .. }) => Ok(Column { name, offset: *offset }),
+        Some(_) => Err(PlyError::NotFloat(name)),
+        None => Err(PlyError::MissingProperty(name)),
+    }
 }
 
 #[cfg(test)]
@@ -453,30 +342,40 @@ mod tests {
             let text = header(2).replacen(from, to, 1);
             from_ply(&[text.into_bytes(), whole[header(2).len()..].to_vec()].concat()).expect_err(to)
         };
-        assert_eq!(changed("ply", "PLY"), PlyError::NotPly);
-        assert_eq!(changed("end_header\n", "comment"), PlyError::Unterminated);
-        assert_eq!(changed("binary_little_endian", "ascii"), PlyError::Encoding("ascii 1.0".to_owned()));
-        assert_eq!(changed("format binary_little_endian 1.0\n", ""), PlyError::Missing("format"));
-        assert_eq!(changed("vertex 2", "chunk 2"), PlyError::Element("chunk".to_owned()));
-        assert!(matches!(changed("vertex 2", "vertex -2"), PlyError::Line { number: 3, .. }));
-        assert!(matches!(changed("property float x", "preposition x"), PlyError::Line { number: 4, .. }));
+        assert_eq!(changed("ply", "PLY"), HeaderError::NotPly.into());
+        assert_eq!(changed("end_header\n", "comment"), HeaderError::Unterminated.into());
+        assert_eq!(
+            changed("binary_little_endian", "ascii"),
+            HeaderError::Encoding("ascii 1.0".to_owned()).into()
+        );
+        assert_eq!(changed("format binary_little_endian 1.0\n", ""), HeaderError::Missing("format").into());
+        assert_eq!(changed("vertex 2", "chunk 2"), HeaderError::Element("chunk".to_owned()).into());
+        assert!(matches!(
+            changed("vertex 2", "vertex -2"),
+            PlyError::Header(HeaderError::Line { number: 3, .. })
+        ));
+        assert!(matches!(
+            changed("property float x", "preposition x"),
+            PlyError::Header(HeaderError::Line { number: 4, .. })
+        ));
         let huge = "vertex 18446744073709551615";
         assert!(matches!(changed("vertex 2", huge), PlyError::Length { found: 496, .. }));
-        assert_eq!(changed("float y", "float x"), PlyError::Twice("x".to_owned()));
+        assert_eq!(changed("float y", "float x"), HeaderError::Twice("x".to_owned()).into());
         assert_eq!(changed("float opacity", "float opaque"), PlyError::MissingProperty("opacity".to_owned()));
         assert_eq!(changed("float f_rest_44", "float other"), PlyError::RestCount(44));
         assert_eq!(changed("float f_rest_44", "float f_rest_45"), {
             PlyError::MissingProperty("f_rest_44".to_owned())
         });
-        for (kind, found) in [("int", "int"), ("quad", "quad"), ("list uchar int", "list")] {
-            let fault = PlyError::PropertyType { name: "x".to_owned(), kind: found.to_owned() };
-            assert_eq!(changed("float x", &format!("{kind} x")), fault);
+        assert_eq!(changed("float x", "int x"), PlyError::NotFloat("x".to_owned()));
+        for (kind, found) in [("quad", "quad"), ("list uchar int", "list")] {
+            let error = HeaderError::PropertyType { name: "x".to_owned(), kind: found.to_owned() };
+            assert_eq!(changed("float x", &format!("{kind} x")), error.into());
         }
         let mut spoiled = to_ply(&scene());
         let last = spoiled.len() - 4;
         spoiled[last..].copy_from_slice(&f32::NAN.to_le_bytes());
-        let fault = PlyError::NotFinite { index: 1, property: "rot_3".to_owned() };
-        assert_eq!(from_ply(&spoiled), Err(fault));
+        let error = PlyError::NotFinite { index: 1, property: "rot_3".to_owned() };
+        assert_eq!(from_ply(&spoiled), Err(error));
     }
 
     #[test]
@@ -489,7 +388,7 @@ mod tests {
             assert!((found - opacity).abs() < 1e-5, "{found}");
         }
         let spoiled = GaussianScene { opacity_logits: vec![f32::NAN, 0.5], ..scene() };
-        let fault = PlyError::NotFinite { index: 0, property: "opacity".to_owned() };
-        assert_eq!(from_ply(&to_ply(&spoiled)), Err(fault));
+        let error = PlyError::NotFinite { index: 0, property: "opacity".to_owned() };
+        assert_eq!(from_ply(&to_ply(&spoiled)), Err(error));
     }
 }

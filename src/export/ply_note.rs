@@ -1,5 +1,4 @@
-//! What a `.ply` of this program says of itself in a comment of its header, which other programs pass over: the background
-//! and the dataset that it was trained on, and where views begin if that is not the usual depth.
+//! A comment in the header of our `.ply` files, which other programs skip: background, dataset, and near plane if it is not the default.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,7 @@
-//! A zip archive as a source of files.
+//! Reads datasets from zip archives.
 //!
-//! The end record is judged before the central directory is read, the whole directory before any entry is opened, and nothing
-//! is extracted: entries are read as streams by index, bounded by their stated size.
+//! The end record is checked before the central directory is read, and the whole directory before any entry is opened. Nothing is
+//! extracted: entries are read as streams by index, bounded by their stated size.
 
 use std::{
     fs::File,
@@ -19,11 +19,11 @@ use zip::{
 use super::{
     central_directory::first_repeated_name,
     deadline::Deadline,
-    error::{Error, Fault},
+    end_record::{CheckedArchive, Directory},
+    error::{IngestError, IngestErrorKind},
     limits::Limits,
-    names::{is_litter, safe_name},
-    tree::{Listing, Source},
-    view::{Directory, View},
+    names::{is_os_metadata, safe_name},
+    source::{FileSource, Listing},
 };
 
 /// The bits of a Unix mode that tell the kind of file, and its values for plain files and folders.
@@ -33,91 +33,91 @@ const KIND_LINK: u32 = 0o120_000;
 
 struct Archive {
     // One reader for all threads: unpacking is a small part of decoding an image, which happens outside of the lock.
-    zip: Mutex<ZipArchive<BufReader<View<File>>>>,
+    zip: Mutex<ZipArchive<BufReader<CheckedArchive<File>>>>,
     /// Index in the archive of each listed file.
     indices: Vec<usize>,
 }
 
-impl Source for Archive {
-    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<(), Fault> {
+impl FileSource for Archive {
+    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<(), IngestErrorKind> {
         let mut zip = self.zip.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut entry = zip.by_index(self.indices[index]).map_err(entry_fault)?;
+        let mut entry = zip.by_index(self.indices[index]).map_err(entry_error)?;
         visit(&mut entry);
         Ok(())
     }
 
-    fn fault(&self, error: io::Error) -> Fault {
-        Fault::CorruptArchive(error.to_string())
+    fn read_error(&self, error: io::Error) -> IngestErrorKind {
+        IngestErrorKind::CorruptArchive(error.to_string())
     }
 }
 
 /// Lists the files of a zip archive.
 ///
 /// # Errors
-/// [`Fault::NotAZip`], [`Fault::CorruptArchive`], and every fault that an entry can have: encrypted, unknown
+/// [`IngestErrorKind::NotAZip`], [`IngestErrorKind::CorruptArchive`], and every error that an entry can have: encrypted, unknown
 /// compression, special file, duplicate, overlapping, too many, too large, too well compressed.
-pub(super) fn list(path: &Path, limits: &Limits, deadline: Deadline) -> Result<Listing, Error> {
+pub(super) fn list(path: &Path, limits: &Limits, deadline: Deadline) -> Result<Listing, IngestError> {
     // Whatever fails after the deadline fails because of it.
-    listed(path, limits, deadline).map_err(|error| deadline.check().err().map_or(error, Error::from))
+    listed(path, limits, deadline).map_err(|error| deadline.check().err().map_or(error, IngestError::from))
 }
 
-fn listed(path: &Path, limits: &Limits, deadline: Deadline) -> Result<Listing, Error> {
-    let mut file = File::open(path).map_err(Fault::Io)?;
+fn listed(path: &Path, limits: &Limits, deadline: Deadline) -> Result<Listing, IngestError> {
+    let mut file = File::open(path).map_err(IngestErrorKind::Io)?;
     let mut magic = Vec::new();
-    file.by_ref().take(2).read_to_end(&mut magic).map_err(Fault::Io)?;
-    file.rewind().map_err(Fault::Io)?;
-    let mut zip = index(file, limits, deadline).map_err(|fault| match fault {
-        Fault::CorruptArchive(message) if magic == b"PK" => {
-            Fault::CorruptArchive(format!("{message}; it may have been cut short"))
+    file.by_ref().take(2).read_to_end(&mut magic).map_err(IngestErrorKind::Io)?;
+    file.rewind().map_err(IngestErrorKind::Io)?;
+    let mut zip = index(file, limits, deadline).map_err(|error| match error {
+        IngestErrorKind::CorruptArchive(message) if magic == b"PK" => {
+            IngestErrorKind::CorruptArchive(format!("{message}; it may have been cut short"))
         }
-        Fault::CorruptArchive(message) => Fault::NotAZip(message),
+        IngestErrorKind::CorruptArchive(message) => IngestErrorKind::NotAZip(message),
         other => other,
     })?;
     if zip.has_duplicate_names() {
         return Err(duplicate(path, zip.central_directory_start(), limits));
     }
-    if zip.has_overlapping_entries().map_err(entry_fault)? {
-        return Err(Fault::OverlappingEntries.into());
+    if zip.has_overlapping_entries().map_err(entry_error)? {
+        return Err(IngestErrorKind::OverlappingEntries.into());
     }
 
     let mut files = Vec::new();
     let mut indices = Vec::new();
     let mut total: u64 = 0;
     for index in 0..zip.len() {
-        let entry = zip.by_index_raw(index).map_err(entry_fault)?;
-        let name = entry.name().map_err(entry_fault)?.into_owned();
-        if is_litter(&name) {
+        let entry = zip.by_index_raw(index).map_err(entry_error)?;
+        let name = entry.name().map_err(entry_error)?.into_owned();
+        if is_os_metadata(&name) {
             continue;
         }
-        let refuse = |fault: Fault| Err(fault.at(name.clone()));
+        let refuse = |error: IngestErrorKind| Err(error.at(name.clone()));
         if entry.is_dir() {
-            // A folder's name is judged like a file's: no tool writes an unsafe one by accident.
+            // Same rule as for files: no tool writes an unsafe name by accident.
             let folder = name.trim_end_matches('/');
             if folder != "." {
-                safe_name(folder).map_err(|fault| fault.at(name.clone()))?;
+                safe_name(folder).map_err(|error| error.at(name.clone()))?;
             }
             continue;
         }
         match entry.unix_mode().map(|mode| mode & KIND_MASK) {
             None | Some(0 | KIND_FILE) => {}
-            Some(KIND_LINK) => return refuse(Fault::NotARegularFile("symbolic link")),
-            Some(_) => return refuse(Fault::NotARegularFile("special file")),
+            Some(KIND_LINK) => return refuse(IngestErrorKind::NotARegularFile("symbolic link")),
+            Some(_) => return refuse(IngestErrorKind::NotARegularFile("special file")),
         }
         if entry.encrypted() {
-            return refuse(Fault::Encrypted);
+            return refuse(IngestErrorKind::Encrypted);
         }
         let method = entry.compression();
         if !matches!(method, CompressionMethod::Stored | CompressionMethod::Deflated) {
-            return refuse(Fault::Compression(method.to_string()));
+            return refuse(IngestErrorKind::Compression(method.to_string()));
         }
         let size = entry.size();
         total = total.saturating_add(size);
         if total > limits.total_bytes {
-            return Err(Fault::TooManyBytes { bytes: total, limit: limits.total_bytes }.into());
+            return Err(IngestErrorKind::TooManyBytes { bytes: total, limit: limits.total_bytes }.into());
         }
         let ratio = size / entry.compressed_size().max(1);
         if size > Limits::RATIO_FREE_BYTES && ratio > limits.ratio {
-            return refuse(Fault::CompressionRatio { ratio, limit: limits.ratio });
+            return refuse(IngestErrorKind::CompressionRatio { ratio, limit: limits.ratio });
         }
         files.push((name, size));
         indices.push(index);
@@ -129,30 +129,30 @@ fn index(
     mut file: File,
     limits: &Limits,
     deadline: Deadline,
-) -> Result<ZipArchive<BufReader<View<File>>>, Fault> {
+) -> Result<ZipArchive<BufReader<CheckedArchive<File>>>, IngestErrorKind> {
     let directory = Directory::find(&mut file, limits)?;
     let config = Config { archive_offset: ArchiveOffset::Known(directory.shift) };
-    ZipArchive::with_config(config, BufReader::new(View::new(file, &directory, deadline)))
-        .map_err(|error| Fault::CorruptArchive(error.to_string()))
+    ZipArchive::with_config(config, BufReader::new(CheckedArchive::new(file, &directory, deadline)))
+        .map_err(|error| IngestErrorKind::CorruptArchive(error.to_string()))
 }
 
-fn entry_fault(error: ZipError) -> Fault {
+fn entry_error(error: ZipError) -> IngestErrorKind {
     match error {
-        ZipError::CompressionMethodNotSupported(method) => Fault::Compression(method.to_string()),
-        ZipError::UnsupportedArchive(ZipError::PASSWORD_REQUIRED) => Fault::Encrypted,
-        other => Fault::CorruptArchive(other.to_string()),
+        ZipError::CompressionMethodNotSupported(method) => IngestErrorKind::Compression(method.to_string()),
+        ZipError::UnsupportedArchive(ZipError::PASSWORD_REQUIRED) => IngestErrorKind::Encrypted,
+        other => IngestErrorKind::CorruptArchive(other.to_string()),
     }
 }
 
 /// Names the entry that is there twice: the file's own name is the sender's or, in a service, a temporary one.
-fn duplicate(path: &Path, directory: u64, limits: &Limits) -> Error {
+fn duplicate(path: &Path, directory: u64, limits: &Limits) -> IngestError {
     let name = File::open(path).and_then(|mut file| {
         file.seek(io::SeekFrom::Start(directory))?;
         first_repeated_name(BufReader::new(file), limits.entries)
     });
     match name {
-        Ok(Some(name)) => Fault::DuplicateEntry.at(name),
-        Ok(None) => Fault::DuplicateEntry.into(),
-        Err(error) => Fault::Io(error).into(),
+        Ok(Some(name)) => IngestErrorKind::DuplicateEntry.at(name),
+        Ok(None) => IngestErrorKind::DuplicateEntry.into(),
+        Err(error) => IngestErrorKind::Io(error).into(),
     }
 }

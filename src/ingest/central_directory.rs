@@ -1,4 +1,4 @@
-//! The central directory of a zip archive as it stands in the file, with entries that a reader by name takes for one.
+//! Finds repeated names in the raw central directory of a zip archive, which readers that index by name merge.
 
 use std::{
     collections::HashSet,

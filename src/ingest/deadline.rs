@@ -1,10 +1,10 @@
-//! By when a check has to be done.
+//! The time by which a check must finish.
 
 use std::time::{Duration, Instant};
 
-use super::error::Fault;
+use super::error::IngestErrorKind;
 
-/// A point in time after which reading ends with [`Fault::CheckTimeout`]; a load has none.
+/// A point in time after which reading ends with [`IngestErrorKind::CheckTimeout`]; a load has none.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Deadline(Option<(Instant, Duration)>);
 
@@ -20,10 +20,12 @@ impl Deadline {
     /// Whether it has not passed.
     ///
     /// # Errors
-    /// [`Fault::CheckTimeout`].
-    pub(super) fn check(self) -> Result<(), Fault> {
+    /// [`IngestErrorKind::CheckTimeout`].
+    pub(super) fn check(self) -> Result<(), IngestErrorKind> {
         match self.0 {
-            Some((at, time)) if Instant::now() >= at => Err(Fault::CheckTimeout { seconds: time.as_secs() }),
+            Some((at, time)) if Instant::now() >= at => {
+                Err(IngestErrorKind::CheckTimeout { seconds: time.as_secs() })
+            }
             _ => Ok(()),
         }
     }

@@ -1,14 +1,13 @@
-//! Removing lens distortion: a distorted photograph in, a pinhole photograph with the same focal lengths out.
+//! Removes lens distortion: a distorted photograph in, a pinhole photograph with the same focal lengths out.
 //!
-//! The output pixel at `p` shows what the forward model says the lens put at `distort(p)`, so no inverse is
-//! needed. Where that lies outside of the photograph there is nothing to show; such borders are cropped away
-//! (never filled), and the principal point moves with the crop. The pinhole focal lengths stay as they are.
+//! The output pixel at `p` shows the input at `distort(p)`, so no inverse is needed. Where that lies outside of the photograph there is
+//! nothing to show; such borders are cropped, never filled, and the principal point moves with the crop.
 
-use super::{error::Fault, sampling::bilinear};
+use super::{error::IngestErrorKind, sampling::bilinear};
 use crate::domain::{Image, Intrinsics};
 
 /// Least part of the width and of the height that must remain after cropping.
-const LEAST_REMAINING: f64 = 0.5;
+const MIN_REMAINING: f64 = 0.5;
 
 /// Steps in which the radius is searched for the fold of the distortion polynomial.
 const FOLD_STEPS: u32 = 4096;
@@ -85,8 +84,8 @@ impl Distortion {
     /// in the image's proportions as far as it goes, then to each side as far as that goes.
     ///
     /// # Errors
-    /// [`Fault::DistortionTooStrong`] if less than half of a side would remain.
-    pub(super) fn covered(&self, k: &Intrinsics) -> Result<Crop, Fault> {
+    /// [`IngestErrorKind::DistortionTooStrong`] if less than half of a side would remain.
+    pub(super) fn covered(&self, k: &Intrinsics) -> Result<Crop, IngestErrorKind> {
         let (width, height) = (k.width, k.height);
         if self.is_none() {
             return Ok(Crop { left: 0, top: 0, width, height });
@@ -119,11 +118,11 @@ impl Distortion {
         }
         let crop =
             Crop { left: edges[0], top: edges[1], width: edges[2] - edges[0], height: edges[3] - edges[1] };
-        let remains = |part: u32, whole: u32| f64::from(part) >= LEAST_REMAINING * f64::from(whole);
+        let remains = |part: u32, whole: u32| f64::from(part) >= MIN_REMAINING * f64::from(whole);
         if remains(crop.width, width) && remains(crop.height, height) {
             Ok(crop)
         } else {
-            Err(Fault::DistortionTooStrong)
+            Err(IngestErrorKind::DistortionTooStrong)
         }
     }
 
@@ -308,7 +307,7 @@ mod tests {
             distortion([0.0; 4], [1e6, 0.0]),
             distortion([1e300, 1e300, 1e300, 1e300], [1e300, -1e300]),
         ] {
-            assert!(matches!(lens.covered(&K), Err(Fault::DistortionTooStrong)), "{lens:?}");
+            assert!(matches!(lens.covered(&K), Err(IngestErrorKind::DistortionTooStrong)), "{lens:?}");
         }
         let far_off = Intrinsics { cx: -1e6, ..K };
         assert!(distortion([0.1, 0.0, 0.0, 0.0], [0.0; 2]).covered(&far_off).is_err());

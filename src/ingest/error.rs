@@ -1,6 +1,6 @@
-//! Every way in which a dataset can be refused, one variant a fault, and how each reaches the user.
+//! The reasons for refusing a dataset, one variant each, and the HTTP problem of each.
 //!
-//! A message says what was wrong with which values; the file at fault travels beside it in [`Error::file`].
+//! A message says what is wrong with which values; the file is in [`IngestError::file`].
 
 use std::io;
 
@@ -9,21 +9,21 @@ use thiserror::Error;
 use crate::domain::{Bytes, CameraError, Problem};
 
 /// Longest file name repeated in a message; names in an upload may be up to 64 KiB long.
-const LONGEST_NAME_SHOWN: usize = 200;
+const MAX_NAME_CHARS_SHOWN: usize = 200;
 
-/// A refused dataset: the fault and the file that has it.
+/// Why a dataset is refused, and which file.
 #[derive(Debug, Error)]
-#[error("{}{fault}", file.as_ref().map(|file| format!("{file}: ")).unwrap_or_default())]
-pub struct Error {
-    /// The file at fault, relative to the dataset's root, if one is.
+#[error("{}{kind}", file.as_ref().map(|file| format!("{file}: ")).unwrap_or_default())]
+pub struct IngestError {
+    /// The file that is wrong, relative to the dataset's root, if it is one.
     pub file: Option<String>,
-    /// What is wrong with it.
-    pub fault: Fault,
+    /// What is wrong.
+    pub kind: IngestErrorKind,
 }
 
 /// What can be wrong with a dataset.
 #[derive(Debug, Error)]
-pub enum Fault {
+pub enum IngestErrorKind {
     /// The path does not exist.
     #[error("there is no such file or directory")]
     NotFound,
@@ -339,7 +339,7 @@ pub enum Fault {
     /// The temporary file cannot be written.
     #[error("the photographs do not fit into memory, and no temporary file can be written: {0}")]
     Spill(io::Error),
-    /// Whoever reads it has been told to stop.
+    /// The caller asked to stop.
     #[error("the reading of the dataset was stopped")]
     Stopped,
     /// Too many pixels in all images together.
@@ -352,13 +352,13 @@ pub enum Fault {
     },
 }
 
-impl Fault {
-    /// The fault with the file that has it.
-    pub(super) fn at(self, file: impl Into<String>) -> Error {
-        Error { file: Some(file.into()), fault: self }
+impl IngestErrorKind {
+    /// The error in this file.
+    pub(super) fn at(self, file: impl Into<String>) -> IngestError {
+        IngestError { file: Some(file.into()), kind: self }
     }
 
-    /// Status, kind and title of the problem that reports this fault.
+    /// Status, kind and title of the problem that reports this error.
     fn class(&self) -> (u16, &'static str, &'static str) {
         match self {
             Self::NotFound => (404, "dataset-not-found", "No such dataset"),
@@ -392,16 +392,16 @@ impl Fault {
     }
 }
 
-impl From<Fault> for Error {
-    fn from(fault: Fault) -> Self {
-        Self { file: None, fault }
+impl From<IngestErrorKind> for IngestError {
+    fn from(kind: IngestErrorKind) -> Self {
+        Self { file: None, kind }
     }
 }
 
-impl From<Error> for Problem {
-    fn from(error: Error) -> Self {
-        let (status, kind, title) = error.fault.class();
-        let problem = Problem::new(status, kind, title, error.fault.to_string());
+impl From<IngestError> for Problem {
+    fn from(error: IngestError) -> Self {
+        let (status, kind, title) = error.kind.class();
+        let problem = Problem::new(status, kind, title, error.kind.to_string());
         match error.file {
             Some(file) => problem.in_file(shown(&file)),
             None => problem,
@@ -411,9 +411,12 @@ impl From<Error> for Problem {
 
 /// A name from an upload made fit for a message: no control characters, bounded length.
 fn shown(name: &str) -> String {
-    let mut text: String =
-        name.chars().take(LONGEST_NAME_SHOWN).map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
-    if name.chars().nth(LONGEST_NAME_SHOWN).is_some() {
+    let mut text: String = name
+        .chars()
+        .take(MAX_NAME_CHARS_SHOWN)
+        .map(|c| if c.is_control() { '\u{fffd}' } else { c })
+        .collect();
+    if name.chars().nth(MAX_NAME_CHARS_SHOWN).is_some() {
         text.push('…');
     }
     text
@@ -436,20 +439,23 @@ mod tests {
 
     #[test]
     fn a_problem_carries_status_file_and_fault() {
-        let problem = Problem::from(Fault::Encrypted.at("images/a.png"));
+        let problem = Problem::from(IngestErrorKind::Encrypted.at("images/a.png"));
         assert_eq!((problem.status, problem.file.as_deref()), (422, Some("images/a.png")));
         assert_eq!(problem.kind, "urn:tcgs:problem:archive-rejected");
-        let problem = Problem::from(Error::from(Fault::NotAZip("no end record".into())));
+        let problem = Problem::from(IngestError::from(IngestErrorKind::NotAZip("no end record".into())));
         assert_eq!((problem.status, problem.file), (400, None));
-        assert_eq!(Problem::from(Error::from(Fault::TooManyEntries { limit: 1 })).status, 413);
+        assert_eq!(
+            Problem::from(IngestError::from(IngestErrorKind::TooManyEntries { limit: 1 })).status,
+            413
+        );
     }
 
     #[test]
     fn hostile_names_are_shown_short_and_printable() {
         let name = format!("a\u{1b}[2J{}", "x".repeat(1000));
-        let file = Problem::from(Fault::Encrypted.at(name)).file.expect("a file");
+        let file = Problem::from(IngestErrorKind::Encrypted.at(name)).file.expect("a file");
         assert!(file.starts_with("a\u{fffd}[2J"), "{file}");
-        assert_eq!(file.chars().count(), LONGEST_NAME_SHOWN + 1);
+        assert_eq!(file.chars().count(), MAX_NAME_CHARS_SHOWN + 1);
     }
 
     #[test]

@@ -1,7 +1,7 @@
-//! The fields of a transforms file, read one by one as they come.
+//! The fields of a transforms file, deserialised as they are read.
 //!
-//! What no field is named after is passed over without being held, and what is held is bounded: frames and names by
-//! [`super::Limits`], a matrix by its shape.
+//! Unknown fields are skipped without being stored, and known ones are bounded: frames and names by [`super::Limits`], a matrix by its
+//! shape.
 
 use std::fmt;
 
@@ -10,7 +10,7 @@ use serde::{
     de::{Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor},
 };
 
-use super::plan::Tally;
+use super::plan::RecordCounter;
 
 /// How much of a camera model's name is kept.
 const MODEL_CHARS: usize = 40;
@@ -98,7 +98,7 @@ enum Field {
 }
 
 impl CameraFields {
-    /// Reads the value of a field, which is passed over if it is none of a camera's.
+    /// Reads the value of a field, or skips it if it is not one of a camera.
     fn read<'de, A: MapAccess<'de>>(&mut self, field: Field, map: &mut A) -> Result<(), A::Error> {
         let number = match field {
             Field::CameraModel => {
@@ -211,10 +211,10 @@ struct Frames(Vec<FrameFields>);
 
 impl<'de> Deserialize<'de> for Frames {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let mut tally = Tally::of("frames");
+        let mut counter = RecordCounter::of("frames");
         gathered(deserializer, "an array of frames", move |frame: &FrameFields| {
-            tally.add(1)?;
-            tally.name(&frame.file_path)
+            counter.add(1)?;
+            counter.name(&frame.file_path)
         })
         .map(Self)
     }
@@ -222,10 +222,10 @@ impl<'de> Deserialize<'de> for Frames {
 
 impl<'de> Deserialize<'de> for Names {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let mut tally = Tally::of("file names");
+        let mut counter = RecordCounter::of("file names");
         gathered(deserializer, "an array of file names", move |name: &String| {
-            tally.add(1)?;
-            tally.name(name)
+            counter.add(1)?;
+            counter.name(name)
         })
         .map(Self)
     }
@@ -235,11 +235,13 @@ impl<'de> Deserialize<'de> for Names {
 fn gathered<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
     deserializer: D,
     expected: &'static str,
-    count: impl FnMut(&T) -> Result<(), super::Fault>,
+    count: impl FnMut(&T) -> Result<(), super::IngestErrorKind>,
 ) -> Result<Vec<T>, D::Error> {
     struct Elements<T, F>(&'static str, F, std::marker::PhantomData<T>);
 
-    impl<'de, T: Deserialize<'de>, F: FnMut(&T) -> Result<(), super::Fault>> Visitor<'de> for Elements<T, F> {
+    impl<'de, T: Deserialize<'de>, F: FnMut(&T) -> Result<(), super::IngestErrorKind>> Visitor<'de>
+        for Elements<T, F>
+    {
         type Value = Vec<T>;
 
         fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
@@ -387,8 +389,8 @@ mod tests {
                 "bytes together",
             ),
         ] {
-            let fault = parsed(&text).expect_err(words).to_string();
-            assert!(fault.contains(words), "'{fault}' should say '{words}'");
+            let error = parsed(&text).expect_err(words).to_string();
+            assert!(error.contains(words), "'{error}' should say '{words}'");
         }
     }
 

@@ -1,4 +1,4 @@
-//! A directory as a source of files. Symbolic links and special files are listed but never followed or opened.
+//! Reads datasets from directories. Symbolic links and special files are listed but never followed or opened.
 
 use std::{
     fs::{self, File},
@@ -7,34 +7,34 @@ use std::{
 };
 
 use super::{
-    error::{Error, Fault},
+    error::{IngestError, IngestErrorKind},
     limits::Limits,
     names::safe_name,
-    tree::{Listing, Source},
+    source::{FileSource, Listing},
 };
 
 struct Folder {
     paths: Vec<PathBuf>,
 }
 
-impl Source for Folder {
-    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<(), Fault> {
+impl FileSource for Folder {
+    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<(), IngestErrorKind> {
         visit(&mut File::open(&self.paths[index])?);
         Ok(())
     }
 
-    fn fault(&self, error: io::Error) -> Fault {
-        Fault::Io(error)
+    fn read_error(&self, error: io::Error) -> IngestErrorKind {
+        IngestErrorKind::Io(error)
     }
 }
 
 /// Lists all regular files under `root`.
 ///
-/// Names that are not UTF-8, or that no dataset could refer to, are passed over: a directory may hold anything.
+/// Names that are not UTF-8, or that no dataset could refer to, are skipped: a directory may contain anything.
 ///
 /// # Errors
-/// [`Fault::TooManyEntries`], or [`Fault::Io`] where a folder cannot be listed.
-pub(super) fn list(root: &Path, limits: &Limits) -> Result<Listing, Error> {
+/// [`IngestErrorKind::TooManyEntries`], or [`IngestErrorKind::Io`] where a folder cannot be listed.
+pub(super) fn list(root: &Path, limits: &Limits) -> Result<Listing, IngestError> {
     let mut files = Vec::new();
     let mut paths = Vec::new();
     let mut special = Vec::new();
@@ -42,14 +42,14 @@ pub(super) fn list(root: &Path, limits: &Limits) -> Result<Listing, Error> {
     let mut pending = vec![(root.to_owned(), String::new())];
     while let Some((folder, prefix)) = pending.pop() {
         let unreadable = |error| match prefix.trim_end_matches('/') {
-            "" => Error::from(Fault::Io(error)),
-            name => Fault::Io(error).at(name),
+            "" => IngestError::from(IngestErrorKind::Io(error)),
+            name => IngestErrorKind::Io(error).at(name),
         };
         for entry in fs::read_dir(&folder).map_err(unreadable)? {
             let entry = entry.map_err(unreadable)?;
             entries += 1;
             if entries > limits.entries {
-                return Err(Fault::TooManyEntries { limit: limits.entries }.into());
+                return Err(IngestErrorKind::TooManyEntries { limit: limits.entries }.into());
             }
             let file_name = entry.file_name();
             let Some(name) = file_name.to_str().map(|name| format!("{prefix}{name}")) else { continue };

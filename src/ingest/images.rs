@@ -1,14 +1,14 @@
 //! Stored images: their size from the header alone, and their pixels as 8-bit RGB or RGBA.
 //!
-//! A size is known and judged before any pixel is decoded. Of a file only the beginning is looked at for that, and the decoder may
-//! not allocate more than the image needs that its header states.
+//! A size is checked before any pixel is decoded, from the beginning of the file only. The decoder may not allocate more than an
+//! image of that size needs.
 
 use std::io::Cursor;
 
 use image::{DynamicImage, ImageDecoder, ImageReader};
 
 use super::{
-    error::{Error, Fault},
+    error::{IngestError, IngestErrorKind},
     limits::Limits,
     tree::Tree,
 };
@@ -24,7 +24,7 @@ const DECODER_BYTES: u64 = 4 << 20;
 pub(super) const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
 
 /// Bytes a pixel of the widest pixel format that is decoded (16-bit RGBA).
-const WIDEST_PIXEL: u64 = 8;
+const MAX_PIXEL_BYTES: u64 = 8;
 
 /// Whether a name has the extension of an image.
 pub(super) fn is_image_name(name: &str) -> bool {
@@ -50,26 +50,26 @@ impl Header {
 /// The header of a stored image.
 ///
 /// # Errors
-/// [`Fault::Image`], [`Fault::ImageHeader`], [`Fault::TooManyPixels`], or a fault of reading the file.
-pub(super) fn header(tree: &Tree, name: &str, limits: &Limits) -> Result<Header, Error> {
+/// [`IngestErrorKind::Image`], [`IngestErrorKind::ImageHeader`], [`IngestErrorKind::TooManyPixels`], or a fault of reading the file.
+pub(super) fn header(tree: &Tree, name: &str, limits: &Limits) -> Result<Header, IngestError> {
     let head = tree.read_up_to(name, FIRST_BYTES)?;
     let header = match header_of(&head) {
         // The header may simply be longer: some cameras embed large previews before the image.
         Err(_) if head.len() as u64 == FIRST_BYTES => {
             let head = tree.read_up_to(name, Limits::HEADER_BYTES)?;
-            header_of(&head).map_err(|fault| match fault {
-                Fault::Image(message) if head.len() as u64 == Limits::HEADER_BYTES => {
-                    Fault::ImageHeader { limit: Limits::HEADER_BYTES, message }
+            header_of(&head).map_err(|error| match error {
+                IngestErrorKind::Image(message) if head.len() as u64 == Limits::HEADER_BYTES => {
+                    IngestErrorKind::ImageHeader { limit: Limits::HEADER_BYTES, message }
                 }
                 other => other,
             })
         }
         known => known,
     }
-    .map_err(|fault| fault.at(name))?;
+    .map_err(|error| error.at(name))?;
     let pixels = header.pixels();
     if pixels > limits.image_pixels {
-        return Err(Fault::TooManyPixels { pixels, limit: limits.image_pixels }.at(name));
+        return Err(IngestErrorKind::TooManyPixels { pixels, limit: limits.image_pixels }.at(name));
     }
     Ok(header)
 }
@@ -78,16 +78,16 @@ pub(super) fn header(tree: &Tree, name: &str, limits: &Limits) -> Result<Header,
 /// kept where any pixel is not opaque.
 ///
 /// # Errors
-/// [`Fault::Image`].
-pub(super) fn decode(bytes: &[u8], limits: &Limits) -> Result<Image, Fault> {
+/// [`IngestErrorKind::Image`].
+pub(super) fn decode(bytes: &[u8], limits: &Limits) -> Result<Image, IngestErrorKind> {
     if bytes.starts_with(&[0xff, 0xd8]) && !jpeg_is_complete(bytes) {
-        return Err(Fault::Image("the JPEG data ends early".to_owned()));
+        return Err(IngestErrorKind::Image("the JPEG data ends early".to_owned()));
     }
     let pixels = header_of(bytes)?.pixels();
     if pixels > limits.image_pixels {
-        return Err(Fault::TooManyPixels { pixels, limit: limits.image_pixels });
+        return Err(IngestErrorKind::TooManyPixels { pixels, limit: limits.image_pixels });
     }
-    let decoder = decoder(bytes, pixels * WIDEST_PIXEL + DECODER_BYTES)?;
+    let decoder = decoder(bytes, pixels * MAX_PIXEL_BYTES + DECODER_BYTES)?;
     let decoded = DynamicImage::from_decoder(decoder).map_err(unreadable)?;
     let (width, height) = (decoded.width(), decoded.height());
     let (channels, samples) = if decoded.color().has_alpha() {
@@ -100,10 +100,10 @@ pub(super) fn decode(bytes: &[u8], limits: &Limits) -> Result<Image, Fault> {
     } else {
         (3, decoded.into_rgb8().into_raw())
     };
-    Image::new(width, height, channels, samples).map_err(|error| Fault::Image(error.to_string()))
+    Image::new(width, height, channels, samples).map_err(|error| IngestErrorKind::Image(error.to_string()))
 }
 
-fn header_of(bytes: &[u8]) -> Result<Header, Fault> {
+fn header_of(bytes: &[u8]) -> Result<Header, IngestErrorKind> {
     if let Some(header) = extended_webp(bytes) {
         return Ok(header);
     }
@@ -111,7 +111,7 @@ fn header_of(bytes: &[u8]) -> Result<Header, Fault> {
     Ok(Header { size: decoder.dimensions(), alpha: decoder.color_type().has_alpha() })
 }
 
-/// The canvas of an extended WebP file, whose decoder looks for metadata behind the pixels before it tells a size.
+/// The canvas of an extended WebP file, whose decoder looks for metadata behind the pixels before it reports a size.
 fn extended_webp(bytes: &[u8]) -> Option<Header> {
     const ALPHA: u8 = 0x10;
     let head: &[u8; 30] = bytes.first_chunk()?;
@@ -124,22 +124,22 @@ fn extended_webp(bytes: &[u8]) -> Option<Header> {
     fits.then_some(Header { size, alpha: head[20] & ALPHA != 0 })
 }
 
-fn decoder(bytes: &[u8], most_bytes: u64) -> Result<impl ImageDecoder + '_, Fault> {
+fn decoder(bytes: &[u8], most_bytes: u64) -> Result<impl ImageDecoder + '_, IngestErrorKind> {
     let mut allowed = image::Limits::no_limits();
     allowed.max_image_width = Some(MAX_IMAGE_SIDE);
     allowed.max_image_height = Some(MAX_IMAGE_SIDE);
     allowed.max_alloc = Some(most_bytes);
     let mut reader = ImageReader::new(Cursor::new(bytes))
         .with_guessed_format()
-        .map_err(|error| Fault::Image(error.to_string()))?;
+        .map_err(|error| IngestErrorKind::Image(error.to_string()))?;
     reader.limits(allowed);
     reader.into_decoder().map_err(unreadable)
 }
 
 /// The decoder's words in one line.
-fn unreadable(error: image::ImageError) -> Fault {
+fn unreadable(error: image::ImageError) -> IngestErrorKind {
     let words = error.to_string();
-    Fault::Image(words.split_whitespace().collect::<Vec<_>>().join(" "))
+    IngestErrorKind::Image(words.split_whitespace().collect::<Vec<_>>().join(" "))
 }
 
 /// Whether an end-of-image marker follows the first scan. The decoder fills what is missing from a shortened

@@ -1,6 +1,6 @@
-//! A camera as a dataset states it, before its image has been seen, and the pinhole intrinsics it comes to.
+//! A camera as the dataset states it, before its image is read, and the pinhole intrinsics that follow from it.
 
-use super::{distortion::Distortion, error::Fault};
+use super::{distortion::Distortion, error::IngestErrorKind};
 use crate::domain::{CameraError, Intrinsics};
 
 /// Largest difference in pixels between a stored side and the evenly scaled stated side that rounding explains.
@@ -44,15 +44,15 @@ impl Lens {
     /// An image that is an evenly scaled-down copy of the stated size gets scaled intrinsics.
     ///
     /// # Errors
-    /// [`Fault::ImageSize`] or [`Fault::ImageRotated`] for a size that does not fit, [`Fault::Camera`] for values
+    /// [`IngestErrorKind::ImageSize`] or [`IngestErrorKind::ImageRotated`] for a size that does not fit, [`IngestErrorKind::Camera`] for values
     /// that describe no camera.
-    pub(super) fn intrinsics(&self, actual: (u32, u32)) -> Result<Intrinsics, Fault> {
+    pub(super) fn intrinsics(&self, actual: (u32, u32)) -> Result<Intrinsics, IngestErrorKind> {
         let stated = self.size.unwrap_or(actual);
         if !fits(actual, stated) {
             return Err(if actual == (stated.1, stated.0) {
-                Fault::ImageRotated { actual, stated }
+                IngestErrorKind::ImageRotated { actual, stated }
             } else {
-                Fault::ImageSize { actual, stated }
+                IngestErrorKind::ImageSize { actual, stated }
             });
         }
         let (width, height) = (f64::from(stated.0), f64::from(stated.1));
@@ -75,11 +75,11 @@ impl Lens {
         // Scaling by exactly 1 keeps every bit, so the usual case needs no branch.
         let intrinsics = resized(full, stated, actual)
             .validated()
-            .map_err(|source| Fault::Camera { place: "its camera".to_owned(), source })?;
+            .map_err(|source| IngestErrorKind::Camera { place: "its camera".to_owned(), source })?;
         plausible(intrinsics)
     }
 
-    /// Checks all that can be told without the image.
+    /// Checks everything that does not depend on the image.
     ///
     /// # Errors
     /// What is wrong with the focal length, the principal point or the size.
@@ -98,18 +98,22 @@ impl Lens {
 }
 
 /// Checks that focal lengths and principal point are of the order of the image.
-fn plausible(k: Intrinsics) -> Result<Intrinsics, Fault> {
+fn plausible(k: Intrinsics) -> Result<Intrinsics, IngestErrorKind> {
     let sides = [f64::from(k.width), f64::from(k.height)];
     for (focal, side) in [k.fx, k.fy].into_iter().zip(sides) {
         if !(1e-2..=1e4).contains(&(focal / side)) {
             let range = "0.01 to 10000 times the side of the image";
-            return Err(Fault::Implausible { what: "the focal length", value: focal, range });
+            return Err(IngestErrorKind::Implausible { what: "the focal length", value: focal, range });
         }
     }
     for (principal, side) in [k.cx, k.cy].into_iter().zip(sides) {
         if !(-10.0..=10.0).contains(&(principal / side)) {
             let range = "within 10 times the side of the image";
-            return Err(Fault::Implausible { what: "the principal point", value: principal, range });
+            return Err(IngestErrorKind::Implausible {
+                what: "the principal point",
+                value: principal,
+                range,
+            });
         }
     }
     Ok(k)
@@ -163,15 +167,15 @@ mod tests {
         assert_eq!((same.fx, same.cx, same.cy), (800.0, 410.0, 300.0));
         assert!(lens((1001, 667)).intrinsics((250, 166)).is_ok(), "a quarter, rounded down");
         for actual in [(400, 290), (1600, 1200), (799, 600), (800, 599), (400, 600)] {
-            let fault = lens((800, 600)).intrinsics(actual);
+            let error = lens((800, 600)).intrinsics(actual);
             // One pixel is within rounding only when the width shrank too.
             if actual == (799, 600) {
-                assert!(fault.is_ok());
+                assert!(error.is_ok());
             } else {
-                assert!(matches!(fault, Err(Fault::ImageSize { .. })), "{actual:?}: {fault:?}");
+                assert!(matches!(error, Err(IngestErrorKind::ImageSize { .. })), "{actual:?}: {error:?}");
             }
         }
-        assert!(matches!(lens((800, 600)).intrinsics((600, 800)), Err(Fault::ImageRotated { .. })));
+        assert!(matches!(lens((800, 600)).intrinsics((600, 800)), Err(IngestErrorKind::ImageRotated { .. })));
     }
 
     #[test]
@@ -213,9 +217,9 @@ mod tests {
             );
         }
         for poison in [-1e300, 1e300] {
-            let fault =
+            let error =
                 Lens { principal: [Some(4.0), Some(poison)], ..lens((800, 800)) }.intrinsics((800, 800));
-            assert!(matches!(fault, Err(Fault::Implausible { .. })), "{fault:?}");
+            assert!(matches!(error, Err(IngestErrorKind::Implausible { .. })), "{error:?}");
         }
         assert!(Lens { principal: [Some(f64::NAN), None], ..lens((8, 8)) }.check().is_err());
         assert!(lens((0, 8)).check().is_err());

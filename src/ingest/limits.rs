@@ -1,12 +1,11 @@
-//! How much a dataset may hold. Everything is checked before the memory for it is asked for.
+//! Limits on the content of a dataset. Each is checked before the memory for it is allocated.
 //!
-//! What is not bounded here by name is read as a stream: the memory that a check takes depends on these numbers, never on how
-//! long a file is.
+//! Everything else is read as a stream, so the memory of a check depends on these numbers and not on the size of a file.
 
 /// Bounds on what is read from a dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Entries of the archive or the directory tree, folders and litter included.
+    /// Entries of the archive or the directory tree, folders and files of the operating system included.
     pub entries: usize,
     /// Bytes of an archive's central directory, which lists its entries and is held in memory.
     pub directory_bytes: u64,
@@ -16,7 +15,7 @@ pub struct Limits {
     pub file_bytes: u64,
     /// Bytes of one file of JSON.
     pub json_bytes: u64,
-    /// Unpacked over packed size of one archive entry; only entries above [`Limits::RATIO_FREE_BYTES`] are judged.
+    /// Unpacked over packed size of one archive entry; only checked for entries above [`Limits::RATIO_FREE_BYTES`].
     pub ratio: u64,
     /// Points of a dataset.
     pub points: usize,
@@ -44,8 +43,8 @@ impl Limits {
 }
 
 impl Default for Limits {
-    /// Room for some thousands of photographs: 64 Mi pixels an image, 8 Gi pixels a scene, which is a thousand upright
-    /// 4K frames twice over. As RGB those are 24 GiB; what does not fit into memory goes to disk ([`super::Room`]).
+    /// LoadBudget for some thousands of photographs: 64 Mi pixels an image, 8 Gi pixels a scene, which is a thousand upright
+    /// 4K frames twice over. As RGB those are 24 GiB; what does not fit into memory goes to disk ([`super::LoadBudget`]).
     ///
     /// A central directory of 6 MiB has some 50 000 entries of usual names. Its index takes up to ten times as much memory.
     fn default() -> Self {

@@ -1,29 +1,29 @@
-//! Zip archive or directory in, checked [`Dataset`] out.
+//! Reads a dataset from a zip archive or a directory into a checked [`Dataset`].
 //!
-//! The road, one file a step: `tree` (files by safe names, from `folder` or `archive` and its `view`, within `limits`), then
-//! `transforms` (by `json` and `fields`) or `colmap` (tables to a `plan`: frames, lenses, poses), then `survey` (sizes from image headers,
-//! final cameras), then `images`, `distortion` and `sampling` (pixels).
+//! In order: `tree` lists files by safe names (from `folder`, or `archive` behind `end_record`) within `limits`; `transforms` (with
+//! `bounded_json` and `fields`) or `colmap` reads the tables into a `plan` of frames, lenses and poses; `survey` reads image headers and
+//! computes the final cameras; `images`, `distortion` and `sampling` produce the pixels.
 //!
-//! Memory is bounded by a [`Room`]: photographs are decoded in parallel as far as it has room for what that takes, stay in
-//! memory as long as they fit, and go to a temporary file (`spill`) from there on.
+//! Memory is bounded by a [`LoadBudget`]: as many photographs are decoded in parallel as it allows, they stay in memory as long as they
+//! fit, and the others go to a temporary file (`spill`).
 //!
-//! Input is untrusted. Whatever it is, the outcome is a dataset that keeps the promises of
-//! [`crate::domain::scene`] or an [`Error`] that names the file and the fault: nothing panics, nothing is written outside of the
-//! room, and no memory is asked for on the word of a header alone. A check takes less than 128 MiB, whatever it is given
-//! ([`Limits`]), and [`Checks`] bounds how many run at a time and how long each may take.
+//! Input is untrusted. Whatever it is, the result is a dataset that satisfies [`crate::domain::scene`] or an [`IngestError`] that names
+//! the file and the reason: nothing panics, nothing is written outside of the spill file, and no allocation follows a header's claim
+//! alone. A check takes less than 128 MiB for any input ([`Limits`]); [`DatasetChecker`] limits how many run at a time and for how long.
 
 mod archive;
-mod bytes;
+mod bounded_json;
+mod budget;
 mod central_directory;
-mod checks;
+mod checker;
 mod colmap;
 mod deadline;
 mod distortion;
+mod end_record;
 mod error;
 mod fields;
 mod folder;
 mod images;
-mod json;
 mod lens;
 mod limits;
 mod names;
@@ -31,13 +31,13 @@ mod pack;
 mod plan;
 mod ply;
 mod points;
-mod room;
 mod sampling;
+mod source;
 mod spill;
 mod survey;
+mod table_reader;
 mod transforms;
 mod tree;
-mod view;
 
 #[cfg(test)]
 mod fixtures;
@@ -48,50 +48,54 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
+use self::{
+    budget::ByteSemaphore,
+    deadline::Deadline,
+    spill::Spill,
+    survey::{Survey, SurveyedFrame, survey},
+    tree::{Purpose, Tree},
+};
 pub use self::{
-    checks::Checks,
-    error::{Error, Fault},
+    budget::LoadBudget,
+    checker::DatasetChecker,
+    error::{IngestError, IngestErrorKind},
     limits::Limits,
     pack::pack,
-    room::Room,
-};
-use self::{
-    deadline::Deadline,
-    room::Permits,
-    spill::Spill,
-    survey::{Survey, View, survey},
-    tree::{Purpose, Tree},
 };
 use crate::domain::{Bytes, Dataset, DatasetSummary, Frame, Photograph, Problem, Split};
 
-/// Reads a dataset from a directory or a zip file, told apart by what `path` is.
+/// Reads a dataset from a directory or a zip file, whichever `path` is.
 ///
 /// # Errors
-/// A [`Problem`] that names the file and the fault: 400 for what is no zip archive, 413 for what is over the
+/// A [`Problem`] that names the file and the error: 400 for a file that is not a zip archive, 413 for a dataset over the
 /// default [`Limits`], 404 for a path that does not exist, 500 for one that cannot be read, 507 for what memory or disk have
-/// no room for, else 422.
+/// no budget for, else 422.
 pub fn load(path: &Path) -> Result<Dataset, Problem> {
-    load_into(path, &Room::default())
+    load_with_budget(path, &LoadBudget::default())
 }
 
 /// As [`load`], with memory and a place for temporary files of the caller's choice.
 ///
 /// # Errors
 /// As [`load`].
-pub fn load_into(path: &Path, room: &Room) -> Result<Dataset, Problem> {
-    Ok(load_watched(path, room, &|| true)?)
+pub fn load_with_budget(path: &Path, budget: &LoadBudget) -> Result<Dataset, Problem> {
+    Ok(load_cancellable(path, budget, &|| true)?)
 }
 
-/// As [`load_into`]; `go_on` is asked before each image's header and again before its pixels, by whichever thread reads them; once it says no,
+/// As [`load_with_budget`]; `should_continue` is asked before each image's header and again before its pixels, by whichever thread reads them; once it says no,
 /// the reading ends.
 ///
 /// # Errors
-/// As [`load_within`], and [`Fault::Stopped`].
-pub fn load_watched(path: &Path, room: &Room, go_on: &(dyn Fn() -> bool + Sync)) -> Result<Dataset, Error> {
-    load_asking(path, &Limits::default(), room, go_on)
+/// As [`load_within`], and [`IngestErrorKind::Stopped`].
+pub fn load_cancellable(
+    path: &Path,
+    budget: &LoadBudget,
+    should_continue: &(dyn Fn() -> bool + Sync),
+) -> Result<Dataset, IngestError> {
+    load_with(path, &Limits::default(), budget, should_continue)
 }
 
-/// Checks a dataset as far as possible without decoding pixels: the archive, the layout, poses, cameras, points, and
+/// DatasetChecker a dataset as far as possible without decoding pixels: the archive, the layout, poses, cameras, points, and
 /// the presence and size of every image.
 ///
 /// # Errors
@@ -103,29 +107,29 @@ pub fn check(path: &Path) -> Result<DatasetSummary, Problem> {
 /// As [`load`], within other limits.
 ///
 /// # Errors
-/// The first fault, in the order of names.
-pub fn load_within(path: &Path, limits: &Limits, room: &Room) -> Result<Dataset, Error> {
-    load_asking(path, limits, room, &|| true)
+/// The first error, in the order of names.
+pub fn load_within(path: &Path, limits: &Limits, budget: &LoadBudget) -> Result<Dataset, IngestError> {
+    load_with(path, limits, budget, &|| true)
 }
 
-fn load_asking(
+fn load_with(
     path: &Path,
     limits: &Limits,
-    room: &Room,
-    go_on: &(dyn Fn() -> bool + Sync),
-) -> Result<Dataset, Error> {
-    let (tree, survey) = survey(Tree::open(path, limits)?, limits, go_on)?;
-    let store = Store::new(&tree, &survey, room)?;
-    // Collected before the first fault is taken, so that the same fault is reported whatever thread is faster.
-    let frames: Vec<Result<Frame, Error>> = survey
+    budget: &LoadBudget,
+    should_continue: &(dyn Fn() -> bool + Sync),
+) -> Result<Dataset, IngestError> {
+    let (tree, survey) = survey(Tree::open(path, limits)?, limits, should_continue)?;
+    let store = Store::new(&tree, &survey, budget)?;
+    // Collected before the first error is taken, so that the same error is reported whatever thread is faster.
+    let frames: Vec<Result<Frame, IngestError>> = survey
         .views
         .into_par_iter()
         .map(|view| {
-            if !go_on() {
-                return Err(Fault::Stopped.into());
+            if !should_continue() {
+                return Err(IngestErrorKind::Stopped.into());
             }
             let image = store.photograph(&tree, &view, limits)?;
-            Ok(Frame { name: view.shot.name, camera: view.camera, image, split: view.shot.split })
+            Ok(Frame { name: view.frame.name, camera: view.camera, image, split: view.frame.split })
         })
         .collect();
     Ok(Dataset {
@@ -139,45 +143,50 @@ fn load_asking(
 
 /// Where photographs go once they are decoded, and how many are decoded at a time.
 struct Store {
-    decoding: Permits,
-    kept: Permits,
+    decoding: ByteSemaphore,
+    kept: ByteSemaphore,
     spill: Spill,
 }
 
 impl Store {
-    /// A quarter of the room is for decoding, or as much as the largest image takes; the rest keeps images.
+    /// A quarter of the budget is for decoding, or as much as the largest image takes; the rest keeps images.
     ///
     /// # Errors
-    /// [`Fault::DecodeMemory`] if the room is too small for the largest image.
-    fn new(tree: &Tree, survey: &Survey, room: &Room) -> Result<Self, Error> {
-        let needed = survey.views.iter().map(|view| (Self::decode_bytes(tree, view), &view.shot.file)).max();
-        let (largest, file) = needed.ok_or(Fault::NoImages)?;
-        if largest > room.memory {
-            let (bytes, budget) = (Bytes(largest), Bytes(room.memory));
-            return Err(Fault::DecodeMemory { bytes, budget }.at(file));
+    /// [`IngestErrorKind::DecodeMemory`] if the budget is too small for the largest image.
+    fn new(tree: &Tree, survey: &Survey, budget: &LoadBudget) -> Result<Self, IngestError> {
+        let needed = survey.views.iter().map(|view| (Self::decode_bytes(tree, view), &view.frame.file)).max();
+        let (largest, file) = needed.ok_or(IngestErrorKind::NoImages)?;
+        if largest > budget.memory_bytes {
+            let (bytes, budget) = (Bytes(largest), Bytes(budget.memory_bytes));
+            return Err(IngestErrorKind::DecodeMemory { bytes, budget }.at(file));
         }
         let threads = rayon::current_num_threads() as u64;
-        let decoding = largest.saturating_mul(threads).min(room.memory / 4).max(largest);
+        let decoding = largest.saturating_mul(threads).min(budget.memory_bytes / 4).max(largest);
         Ok(Self {
-            decoding: Permits::new(decoding),
-            kept: Permits::new(room.memory - decoding),
-            spill: Spill::new(&room.spill),
+            decoding: ByteSemaphore::new(decoding),
+            kept: ByteSemaphore::new(budget.memory_bytes - decoding),
+            spill: Spill::new(&budget.spill_dir),
         })
     }
 
-    /// The file, which is read into a buffer that doubles as it grows, and what is made of it.
-    fn decode_bytes(tree: &Tree, view: &View) -> u64 {
-        view.decode_bytes().saturating_add(tree.size(&view.shot.file).saturating_mul(2))
+    /// Bytes for the file, whose buffer doubles as it grows, and for decoding it.
+    fn decode_bytes(tree: &Tree, view: &SurveyedFrame) -> u64 {
+        view.decode_bytes().saturating_add(tree.size(&view.frame.file).saturating_mul(2))
     }
 
-    fn photograph(&self, tree: &Tree, view: &View, limits: &Limits) -> Result<Photograph, Error> {
-        let _permit = self.decoding.take(Self::decode_bytes(tree, view));
-        let file = &view.shot.file;
+    fn photograph(
+        &self,
+        tree: &Tree,
+        view: &SurveyedFrame,
+        limits: &Limits,
+    ) -> Result<Photograph, IngestError> {
+        let _held = self.decoding.acquire(Self::decode_bytes(tree, view));
+        let file = &view.frame.file;
         let bytes = tree.read(file)?;
         let image = images::decode(&bytes, limits)
             .and_then(|image| view.finish(image))
-            .map_err(|fault| fault.at(file))?;
-        if self.kept.keep(image.samples().len() as u64) {
+            .map_err(|error| error.at(file))?;
+        if self.kept.try_keep(image.samples().len() as u64) {
             Ok(image.into())
         } else {
             Ok(self.spill.put(&image)?)
@@ -188,15 +197,15 @@ impl Store {
 /// As [`check`], within other limits.
 ///
 /// # Errors
-/// The first fault, in the order of names.
-pub fn check_within(path: &Path, limits: &Limits) -> Result<DatasetSummary, Error> {
+/// The first error, in the order of names.
+pub fn check_within(path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
     check_by(Deadline::NONE, path, limits)
 }
 
-fn check_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, Error> {
+fn check_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
     let tree = Tree::open_for(Purpose::Check(deadline), path, limits)?;
     let (_, survey) = survey(tree, limits, &|| true)?;
-    let count = |split| survey.views.iter().filter(|view| view.shot.split == split).count();
+    let count = |split| survey.views.iter().filter(|view| view.frame.split == split).count();
     let pixels = survey.views.iter().map(|view| {
         let k = view.camera.intrinsics;
         u64::from(k.width) * u64::from(k.height)

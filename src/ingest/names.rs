@@ -1,20 +1,20 @@
-//! Which file names are accepted, and in which one spelling they are held.
+//! Which file names are accepted, and their normal form.
 //!
-//! The same rule serves archive entries and the paths written in JSON and COLMAP tables, so a name that passed
-//! can be looked up in the tree as it is and can never point outside of it.
+//! The same rule applies to archive entries and to the paths in JSON and COLMAP tables, so an accepted name can be looked up in the tree as
+//! it is and never points outside of it.
 
-use super::error::Fault;
+use super::error::IngestErrorKind;
 
 /// Longest accepted name in bytes, the usual `PATH_MAX`.
-const LONGEST_NAME: usize = 4096;
+const MAX_NAME_BYTES: usize = 4096;
 
 /// `name` as a relative path with `/` between its parts and without a leading `./`.
 ///
 /// # Errors
-/// [`Fault::UnsafeName`] for an empty or overlong name, an absolute path, a drive letter, a backslash, control
+/// [`IngestErrorKind::UnsafeName`] for an empty or overlong name, an absolute path, a drive letter, a backslash, control
 /// characters, and the parts `..`, `.` and the empty one.
-pub(super) fn safe_name(name: &str) -> Result<&str, Fault> {
-    let refuse = |why| Err(Fault::UnsafeName(why));
+pub(super) fn safe_name(name: &str) -> Result<&str, IngestErrorKind> {
+    let refuse = |why| Err(IngestErrorKind::UnsafeName(why));
     let mut name = name;
     while let Some(rest) = name.strip_prefix("./") {
         name = rest;
@@ -22,7 +22,7 @@ pub(super) fn safe_name(name: &str) -> Result<&str, Fault> {
     if name.is_empty() {
         return refuse("it is empty");
     }
-    if name.len() > LONGEST_NAME {
+    if name.len() > MAX_NAME_BYTES {
         return refuse("it is longer than 4096 bytes");
     }
     if name.chars().any(char::is_control) {
@@ -49,7 +49,7 @@ pub(super) fn safe_name(name: &str) -> Result<&str, Fault> {
 }
 
 /// Whether a file is litter of an operating system and not part of any dataset.
-pub(super) fn is_litter(name: &str) -> bool {
+pub(super) fn is_os_metadata(name: &str) -> bool {
     name.split('/').any(|part| {
         part == "__MACOSX"
             || part == ".DS_Store"
@@ -92,17 +92,20 @@ mod tests {
             "a\nb",
             long.as_str(),
         ] {
-            assert!(matches!(safe_name(name), Err(Fault::UnsafeName(_))), "{name:?} must be refused");
+            assert!(
+                matches!(safe_name(name), Err(IngestErrorKind::UnsafeName(_))),
+                "{name:?} must be refused"
+            );
         }
     }
 
     #[test]
     fn litter_is_told_from_files() {
         for name in ["__MACOSX/fox/._a", ".DS_Store", "fox/.DS_Store", "images/._0001.jpg", "Thumbs.db"] {
-            assert!(is_litter(name), "{name}");
+            assert!(is_os_metadata(name), "{name}");
         }
         for name in ["images/0001.jpg", "_a", "DS_Store", "transforms.json"] {
-            assert!(!is_litter(name), "{name}");
+            assert!(!is_os_metadata(name), "{name}");
         }
     }
 }

@@ -1,7 +1,6 @@
-//! A directory as the zip archive that the service takes.
+//! Packs a directory into a zip archive for upload.
 //!
-//! The bytes are a function of names and contents: whoever sends a directory twice sends the same archive, which is then
-//! stored once.
+//! The bytes depend on names and contents only: the same directory gives the same archive, which the service then stores once.
 
 use std::{
     fs::File,
@@ -11,7 +10,7 @@ use std::{
 
 use zip::{CompressionMethod, ZipWriter, result::ZipError, write::SimpleFileOptions};
 
-use super::{Limits, folder, names::is_litter};
+use super::{Limits, folder, names::is_os_metadata};
 use crate::domain::Problem;
 
 /// Files whose own format has no room left.
@@ -25,7 +24,7 @@ const PACKED: [&str; 5] = ["jpg", "jpeg", "png", "webp", "zip"];
 pub fn pack(folder: &Path, archive: &mut (impl Write + Seek)) -> Result<(), Problem> {
     let listing = folder::list(folder, &Limits::default())?;
     let mut names: Vec<&str> = listing.files.iter().map(|(name, _)| &**name).collect();
-    names.retain(|name| !is_litter(name) && !name.split('/').any(|part| part.starts_with('.')));
+    names.retain(|name| !is_os_metadata(name) && !name.split('/').any(|part| part.starts_with('.')));
     names.sort_unstable();
     if names.is_empty() {
         let detail = "there are no files in it that a dataset could have";
@@ -33,16 +32,16 @@ pub fn pack(folder: &Path, archive: &mut (impl Write + Seek)) -> Result<(), Prob
     }
     let mut zip = ZipWriter::new(BufWriter::new(archive));
     for name in names {
-        let unreadable = |fault: &io::Error| {
-            Problem::new(422, "unreadable-input", "The input cannot be read", fault.to_string()).in_file(name)
+        let unreadable = |error: &io::Error| {
+            Problem::new(422, "unreadable-input", "The input cannot be read", error.to_string()).in_file(name)
         };
-        let mut file = File::open(folder.join(name)).map_err(|fault| unreadable(&fault))?;
-        let length = file.metadata().map_err(|fault| unreadable(&fault))?.len();
-        zip.start_file(name, options(name, length)).map_err(|fault| unwritable(&fault))?;
-        io::copy(&mut file, &mut zip).map_err(|fault| unwritable(&ZipError::Io(fault)))?;
+        let mut file = File::open(folder.join(name)).map_err(|error| unreadable(&error))?;
+        let length = file.metadata().map_err(|error| unreadable(&error))?.len();
+        zip.start_file(name, options(name, length)).map_err(|error| unwritable(&error))?;
+        io::copy(&mut file, &mut zip).map_err(|error| unwritable(&ZipError::Io(error)))?;
     }
-    let mut rest = zip.finish().map_err(|fault| unwritable(&fault))?;
-    rest.flush().map_err(|fault| unwritable(&ZipError::Io(fault)))
+    let mut rest = zip.finish().map_err(|error| unwritable(&error))?;
+    rest.flush().map_err(|error| unwritable(&ZipError::Io(error)))
 }
 
 fn options(name: &str, length: u64) -> SimpleFileOptions {
@@ -56,8 +55,8 @@ fn options(name: &str, length: u64) -> SimpleFileOptions {
         .large_file(length > u64::from(u32::MAX))
 }
 
-fn unwritable(fault: &ZipError) -> Problem {
-    let detail = format!("the archive of the dataset cannot be written: {fault}");
+fn unwritable(error: &ZipError) -> Problem {
+    let detail = format!("the archive of the dataset cannot be written: {error}");
     Problem::new(507, "unwritable-output", "The output cannot be written", detail)
 }
 
@@ -106,10 +105,10 @@ mod tests {
     #[test]
     fn a_folder_of_nothing_is_refused() {
         let root = tempfile::tempdir().expect("a folder");
-        let fault = pack(root.path(), &mut Cursor::new(Vec::new())).expect_err("nothing to send");
-        assert_eq!(fault.status, 422);
+        let error = pack(root.path(), &mut Cursor::new(Vec::new())).expect_err("nothing to send");
+        assert_eq!(error.status, 422);
         let missing = root.path().join("missing");
-        let fault = pack(&missing, &mut Cursor::new(Vec::new())).expect_err("no folder");
-        assert_eq!((fault.status, fault.file), (500, None), "the folder's own name is the caller's to add");
+        let error = pack(&missing, &mut Cursor::new(Vec::new())).expect_err("no folder");
+        assert_eq!((error.status, error.file), (500, None), "the folder's own name is the caller's to add");
     }
 }

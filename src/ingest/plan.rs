@@ -1,9 +1,9 @@
-//! What the layouts have in common: a list of frames with lenses, poses and image files, before any image is opened.
+//! The common result of all layouts: frames with lenses, poses and image files, before any image is opened.
 
 use std::collections::BTreeSet;
 
 use super::{
-    error::{Error, Fault},
+    error::{IngestError, IngestErrorKind},
     images::{EXTENSIONS, is_image_name},
     lens::Lens,
     limits::Limits,
@@ -14,7 +14,7 @@ use super::{
 use crate::domain::{Layout, Pose, Split, scene::HOLD_OUT_EVERY};
 
 /// How many missing images a message names.
-const MISSING_SHOWN: usize = 5;
+const MAX_MISSING_SHOWN: usize = 5;
 
 /// Folders in which tools look for masks, beside the folder of the photographs.
 const MASK_FOLDERS: [&str; 2] = ["masks", "mask"];
@@ -24,19 +24,19 @@ pub(super) struct Plan {
     pub(super) layout: Layout,
     /// The distinct cameras.
     pub(super) lenses: Vec<Lens>,
-    pub(super) shots: Vec<Shot>,
+    pub(super) frames: Vec<PlannedFrame>,
     pub(super) points: Option<Points>,
     pub(super) notes: Vec<String>,
 }
 
 /// How much a table has listed so far.
-pub(super) struct Tally {
+pub(super) struct RecordCounter {
     what: &'static str,
     records: usize,
     name_bytes: usize,
 }
 
-impl Tally {
+impl RecordCounter {
     /// Nothing yet of `what`.
     pub(super) fn of(what: &'static str) -> Self {
         Self { what, records: 0, name_bytes: 0 }
@@ -45,11 +45,11 @@ impl Tally {
     /// Counts records.
     ///
     /// # Errors
-    /// [`Fault::TooManyRecords`].
-    pub(super) fn add(&mut self, records: usize) -> Result<(), Fault> {
+    /// [`IngestErrorKind::TooManyRecords`].
+    pub(super) fn add(&mut self, records: usize) -> Result<(), IngestErrorKind> {
         self.records = self.records.saturating_add(records);
         if self.records > Limits::FRAMES {
-            return Err(Fault::TooManyRecords { what: self.what, limit: Limits::FRAMES });
+            return Err(IngestErrorKind::TooManyRecords { what: self.what, limit: Limits::FRAMES });
         }
         Ok(())
     }
@@ -57,11 +57,11 @@ impl Tally {
     /// Counts a file name.
     ///
     /// # Errors
-    /// [`Fault::TooManyNameBytes`].
-    pub(super) fn name(&mut self, name: &str) -> Result<(), Fault> {
+    /// [`IngestErrorKind::TooManyNameBytes`].
+    pub(super) fn name(&mut self, name: &str) -> Result<(), IngestErrorKind> {
         self.name_bytes = self.name_bytes.saturating_add(name.len());
         if self.name_bytes > Limits::NAME_BYTES {
-            return Err(Fault::TooManyNameBytes { limit: Limits::NAME_BYTES });
+            return Err(IngestErrorKind::TooManyNameBytes { limit: Limits::NAME_BYTES });
         }
         Ok(())
     }
@@ -69,7 +69,7 @@ impl Tally {
 
 /// One listed frame.
 #[derive(Debug)]
-pub(super) struct Shot {
+pub(super) struct PlannedFrame {
     /// Name of the frame.
     pub(super) name: String,
     /// Its image in the tree.
@@ -83,34 +83,34 @@ pub(super) struct Shot {
 impl Plan {
     /// A plan without frames.
     pub(super) fn new(layout: Layout) -> Self {
-        Self { layout, lenses: Vec::new(), shots: Vec::new(), points: None, notes: Vec::new() }
+        Self { layout, lenses: Vec::new(), frames: Vec::new(), points: None, notes: Vec::new() }
     }
 
     /// Sorts the frames by name and checks that names and image files are unique and that there is one to train on.
     ///
     /// # Errors
-    /// [`Fault::DuplicateName`] or [`Fault::NoImages`], at `listing`.
-    pub(super) fn ordered(mut self, listing: &str) -> Result<Self, Error> {
-        self.shots.sort_by(|a, b| a.name.cmp(&b.name));
-        if let Some(pair) = self.shots.windows(2).find(|pair| pair[0].name == pair[1].name) {
-            return Err(Fault::DuplicateName(pair[0].name.clone()).at(listing));
+    /// [`IngestErrorKind::DuplicateName`] or [`IngestErrorKind::NoImages`], at `listing`.
+    pub(super) fn ordered(mut self, listing: &str) -> Result<Self, IngestError> {
+        self.frames.sort_by(|a, b| a.name.cmp(&b.name));
+        if let Some(pair) = self.frames.windows(2).find(|pair| pair[0].name == pair[1].name) {
+            return Err(IngestErrorKind::DuplicateName(pair[0].name.clone()).at(listing));
         }
         let mut files = BTreeSet::new();
-        if let Some(shot) = self.shots.iter().find(|shot| !files.insert(&shot.file)) {
-            return Err(Fault::DuplicateName(shot.file.clone()).at(listing));
+        if let Some(frame) = self.frames.iter().find(|frame| !files.insert(&frame.file)) {
+            return Err(IngestErrorKind::DuplicateName(frame.file.clone()).at(listing));
         }
-        if !self.shots.iter().any(|shot| shot.split == Split::Train) {
-            return Err(Fault::NoImages.at(listing));
+        if !self.frames.iter().any(|frame| frame.split == Split::Train) {
+            return Err(IngestErrorKind::NoImages.at(listing));
         }
         Ok(self)
     }
 
     /// Holds out every eighth frame by name, the first among them; a single frame is for training.
     pub(super) fn hold_out(&mut self) {
-        self.shots.sort_by(|a, b| a.name.cmp(&b.name));
-        let alone = self.shots.len() == 1;
-        for (index, shot) in self.shots.iter_mut().enumerate() {
-            shot.split = if index % HOLD_OUT_EVERY == 0 && !alone { Split::Test } else { Split::Train };
+        self.frames.sort_by(|a, b| a.name.cmp(&b.name));
+        let alone = self.frames.len() == 1;
+        for (index, frame) in self.frames.iter_mut().enumerate() {
+            frame.split = if index % HOLD_OUT_EVERY == 0 && !alone { Split::Test } else { Split::Train };
         }
     }
 
@@ -122,9 +122,9 @@ impl Plan {
         self.lenses.len() - 1
     }
 
-    /// Notes how many images lie beside the listed ones without being listed.
+    /// Adds a note with the number of images beside the listed ones that are not listed.
     pub(super) fn note_unlisted(&mut self, tree: &Tree, listing: &str) {
-        let listed: BTreeSet<&str> = self.shots.iter().map(|shot| shot.file.as_str()).collect();
+        let listed: BTreeSet<&str> = self.frames.iter().map(|frame| frame.file.as_str()).collect();
         let folders: BTreeSet<&str> = listed.iter().map(|file| folder_of(file)).collect();
         let unlisted = tree
             .names()
@@ -137,18 +137,17 @@ impl Plan {
     }
 }
 
-/// Demands that no folder of masks lies in the dataset: trained on as if it were not there, it would give another scene than
-/// its owner expects.
+/// Refuses datasets with a folder of masks: ignoring it would train another scene than its owner expects.
 ///
 /// # Errors
-/// [`Fault::Masks`].
-pub(super) fn refuse_masks(tree: &Tree) -> Result<(), Error> {
+/// [`IngestErrorKind::Masks`].
+pub(super) fn refuse_masks(tree: &Tree) -> Result<(), IngestError> {
     let mask = tree.names().find(|name| {
         name.split_once('/').is_some_and(|(folder, _)| MASK_FOLDERS.contains(&folder)) && is_image_name(name)
     });
     mask.map_or(Ok(()), |mask| {
         let place = format!("in {}/", mask.split_once('/').map_or("", |(folder, _)| folder));
-        Err(Fault::Masks { place }.at(mask))
+        Err(IngestErrorKind::Masks { place }.at(mask))
     })
 }
 
@@ -175,20 +174,20 @@ impl<'a> ImageFiles<'a> {
     /// `None` if there is none; [`ImageFiles::finish`] reports it.
     ///
     /// # Errors
-    /// [`Fault::Field`] (at `place`) if the name is unsafe, [`Fault::NotARegularFile`] if it lies behind a link.
+    /// [`IngestErrorKind::Field`] (at `place`) if the name is unsafe, [`IngestErrorKind::NotARegularFile`] if it is behind a link.
     pub(super) fn find(
         &mut self,
         folder: &str,
         stated: &str,
         place: &str,
-    ) -> Result<Option<(String, String)>, Error> {
-        let name = safe_name(stated).map_err(|fault| {
-            Fault::Field { pointer: place.to_owned(), message: format!("'{stated}': {fault}") }
+    ) -> Result<Option<(String, String)>, IngestError> {
+        let name = safe_name(stated).map_err(|error| {
+            IngestErrorKind::Field { pointer: place.to_owned(), message: format!("'{stated}': {error}") }
                 .at(self.listing)
         })?;
         self.listed += 1;
         let exact = format!("{folder}{name}");
-        if let Some(link) = self.tree.special_on_the_way(&exact) {
+        if let Some(link) = self.tree.special_on_path(&exact) {
             return Err(link);
         }
         let with_extensions = EXTENSIONS.iter().flat_map(|extension| {
@@ -197,7 +196,7 @@ impl<'a> ImageFiles<'a> {
         let found = std::iter::once(exact.clone()).chain(with_extensions).find(|file| self.tree.has(file));
         if found.is_none() {
             self.missing += 1;
-            if self.first_missing.len() < MISSING_SHOWN {
+            if self.first_missing.len() < MAX_MISSING_SHOWN {
                 self.first_missing.push(exact);
             }
         }
@@ -207,11 +206,11 @@ impl<'a> ImageFiles<'a> {
     /// Ends the search.
     ///
     /// # Errors
-    /// [`Fault::MissingImages`] if any was missing.
-    pub(super) fn finish(self) -> Result<(), Error> {
+    /// [`IngestErrorKind::MissingImages`] if any was missing.
+    pub(super) fn finish(self) -> Result<(), IngestError> {
         let Some(first) = self.first_missing.first() else { return Ok(()) };
         let hint = self.tree.names().find(|name| name.eq_ignore_ascii_case(first)).map(str::to_owned);
-        Err(Fault::MissingImages {
+        Err(IngestErrorKind::MissingImages {
             count: self.missing,
             listed: self.listed,
             first: self.first_missing,

@@ -3,105 +3,30 @@
 //! Only the `vertex` element is read: x, y, z and, where stated, red, green, blue. Points without colour are mid-grey. The file is
 //! read as a stream, one vertex at a time.
 
-use std::io::{self, BufRead, Read as _};
+use std::io::{self, BufRead};
 
-use super::{error::Fault, points::Points};
+use super::{error::IngestErrorKind, points::Points};
+use crate::ply::{Encoding, Header, Profile, Scalar};
 
 /// Colour of points in a file without colours.
 const GREY: u8 = 128;
 
-/// Largest header; real ones have a few hundred bytes.
-const LARGEST_HEADER: usize = 64 << 10;
-
 /// Longest number in ASCII; real ones have some twenty bytes.
-const LONGEST_NUMBER: usize = 400;
-
-#[derive(Clone, Copy, PartialEq)]
-enum Encoding {
-    Ascii,
-    Little,
-    Big,
-}
-
-#[derive(Clone, Copy, PartialEq)]
-enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Scalar {
-    fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-
-    /// The value in the first bytes of `bytes`, which hold at least [`Scalar::size`].
-    fn read(self, bytes: &[u8], encoding: Encoding) -> f64 {
-        let mut raw = [0; 8];
-        let size = self.size();
-        raw[..size].copy_from_slice(&bytes[..size]);
-        if encoding == Encoding::Big {
-            raw[..size].reverse();
-        }
-        let [a, b, c, d, ..] = raw;
-        match self {
-            Self::I8 => f64::from(a as i8),
-            Self::U8 => f64::from(a),
-            Self::I16 => f64::from(i16::from_le_bytes([a, b])),
-            Self::U16 => f64::from(u16::from_le_bytes([a, b])),
-            Self::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
-            Self::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
-            Self::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
-            Self::F64 => f64::from_le_bytes(raw),
-        }
-    }
-}
-
-struct Property {
-    name: String,
-    scalar: Scalar,
-}
-
-struct Header {
-    encoding: Encoding,
-    vertices: u64,
-    properties: Vec<Property>,
-    /// Where the data starts.
-    data: usize,
-}
+const MAX_NUMBER_BYTES: usize = 400;
 
 /// Reads the vertices.
 ///
 /// # Errors
-/// [`Fault::Ply`] for a header that is not understood or values that are not finite, [`Fault::Count`] for more
+/// [`IngestErrorKind::Ply`] for a header that is not understood or values that are not finite, [`IngestErrorKind::Count`] for more
 /// vertices than the file can hold.
-pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) -> Result<(), Fault> {
-    let header = header(reader)?;
-    let data = length.saturating_sub(header.data as u64);
+pub(super) fn points(
+    reader: &mut dyn BufRead,
+    length: u64,
+    cloud: &mut Points,
+) -> Result<(), IngestErrorKind> {
+    let header = Header::parse(&Header::read_bytes(reader)?, Profile::Points)
+        .map_err(|error| refused(error.to_string()))?;
+    let data = length.saturating_sub(header.length as u64);
     let column = |name: &str| header.properties.iter().position(|property| property.name == name);
     let [Some(x), Some(y), Some(z)] = ["x", "y", "z"].map(column) else {
         return Err(refused("its vertices lack x, y or z"));
@@ -114,12 +39,17 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
     // A number takes at least a digit and a separator in ASCII (the last may lack the separator).
     let record = match header.encoding {
         Encoding::Ascii => 2 * header.properties.len(),
-        _ => header.properties.iter().map(|property| property.scalar.size()).sum(),
+        _ => header.stride,
     };
     let needed = u128::from(header.vertices) * record as u128;
     let left = u128::from(data) + u128::from(header.encoding == Encoding::Ascii);
     if needed > left {
-        return Err(Fault::Count { what: "vertices", count: header.vertices, needed, left: data as usize });
+        return Err(IngestErrorKind::Count {
+            what: "vertices",
+            count: header.vertices,
+            needed,
+            left: data as usize,
+        });
     }
     let count = header.vertices as usize;
     cloud.reserve(count)?;
@@ -159,10 +89,8 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
         for index in 0..count {
             let read = reader.read_exact(&mut bytes);
             read.map_err(|_| refused(format!("it ends in vertex {index} of {count}")))?;
-            let mut at = 0;
             for (value, property) in row.iter_mut().zip(&header.properties) {
-                *value = property.scalar.read(&bytes[at..], header.encoding);
-                at += property.scalar.size();
+                *value = property.scalar.read(&bytes[property.offset..], header.encoding);
             }
             add(index, &row)?;
         }
@@ -172,7 +100,7 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
 
 /// Reads what stands between the next white space, and says whether there was anything. Of a longer token than any number the
 /// beginning is kept.
-fn next_token(reader: &mut dyn BufRead, token: &mut Vec<u8>) -> Result<bool, Fault> {
+fn next_token(reader: &mut dyn BufRead, token: &mut Vec<u8>) -> Result<bool, IngestErrorKind> {
     token.clear();
     loop {
         let bytes = match reader.fill_buf() {
@@ -190,7 +118,7 @@ fn next_token(reader: &mut dyn BufRead, token: &mut Vec<u8>) -> Result<bool, Fau
         let word = &bytes[start..];
         let end = word.iter().position(u8::is_ascii_whitespace);
         let word = &word[..end.unwrap_or(word.len())];
-        token.extend_from_slice(&word[..word.len().min(LONGEST_NUMBER.saturating_sub(token.len()))]);
+        token.extend_from_slice(&word[..word.len().min(MAX_NUMBER_BYTES.saturating_sub(token.len()))]);
         let passed = start + word.len();
         reader.consume(passed);
         if end.is_some() {
@@ -199,78 +127,16 @@ fn next_token(reader: &mut dyn BufRead, token: &mut Vec<u8>) -> Result<bool, Fau
     }
 }
 
-fn header(reader: &mut dyn BufRead) -> Result<Header, Fault> {
-    let mut encoding = None;
-    let mut vertices = None;
-    let mut properties = Vec::new();
-    let mut in_vertex = false;
-    let mut line = Vec::new();
-    let mut at = 0;
-    for number in 1.. {
-        line.clear();
-        (&mut *reader).take((LARGEST_HEADER - at) as u64).read_until(b'\n', &mut line)?;
-        at += line.len();
-        if line.pop_if(|last| *last == b'\n').is_none() {
-            return Err(refused("its header has no end_header"));
-        }
-        let line =
-            std::str::from_utf8(&line).map_err(|_| refused(format!("header line {number} is not text")))?;
-        let words: Vec<&str> = line.split_ascii_whitespace().collect();
-        match words.as_slice() {
-            ["ply"] if number == 1 => {}
-            _ if number == 1 => return Err(refused("it does not start with 'ply'")),
-            ["format", name, _version] => {
-                encoding = Some(match *name {
-                    "ascii" => Encoding::Ascii,
-                    "binary_little_endian" => Encoding::Little,
-                    "binary_big_endian" => Encoding::Big,
-                    _ => return Err(refused(format!("its format '{name:.40}' is unknown"))),
-                });
-            }
-            ["element", "vertex", count] => {
-                if vertices.is_some() {
-                    return Err(refused("it has two vertex elements"));
-                }
-                vertices = Some(
-                    count.parse().map_err(|_| refused(format!("'{count:.40}' is no number of vertices")))?,
-                );
-                in_vertex = true;
-            }
-            ["element", name, _] => {
-                if vertices.is_none() {
-                    return Err(refused(format!("element '{name:.40}' comes before the vertices")));
-                }
-                in_vertex = false;
-            }
-            ["property", "list", ..] if in_vertex => return Err(refused("its vertices have lists")),
-            ["property", scalar, name] if in_vertex => {
-                let scalar = Scalar::parse(scalar).ok_or_else(|| {
-                    refused(format!("property '{name:.40}' has the unknown type '{scalar:.40}'"))
-                })?;
-                properties.push(Property { name: (*name).to_owned(), scalar });
-            }
-            ["end_header"] => break,
-            _ => {}
-        }
-    }
-    Ok(Header {
-        encoding: encoding.ok_or_else(|| refused("its header has no format"))?,
-        vertices: vertices.ok_or_else(|| refused("it has no vertices"))?,
-        properties,
-        data: at,
-    })
-}
-
-fn refused(message: impl Into<String>) -> Fault {
-    Fault::Ply(message.into())
+fn refused(message: impl Into<String>) -> IngestErrorKind {
+    IngestErrorKind::Ply(message.into())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::domain::PointCloud;
+    use crate::{domain::PointCloud, ply::MAX_HEADER_BYTES};
 
-    fn points(bytes: &[u8]) -> Result<PointCloud, Fault> {
+    fn points(bytes: &[u8]) -> Result<PointCloud, IngestErrorKind> {
         let mut points = Points::new(true, 100);
         super::points(&mut &*bytes, bytes.len() as u64, &mut points)?;
         Ok(points.into_cloud().expect("kept"))
@@ -345,29 +211,29 @@ mod tests {
         let claimed = String::from_utf8(file("ascii", PLAIN, b"1 2 3 1 2 3")).expect("text");
         for (bytes, reason) in [
             (b"PLY\n".to_vec(), "start with"),
-            (file("ascii", "property list uchar int x\n", b""), "lists"),
-            (file("ascii", "property quad x\n", b""), "unknown type"),
+            (file("ascii", "property list uchar int x\n", b""), "type 'list'"),
+            (file("ascii", "property quad x\n", b""), "unsupported type 'quad'"),
             (file("ascii", "property float x\nproperty float y\n", b"1 2 3 4"), "lack x, y or z"),
-            (file("utf9", PLAIN, b""), "unknown"),
+            (file("utf9", PLAIN, b""), "'utf9 1.0' is not supported"),
             (file("ascii", PLAIN, b"1 2 nan 1 2 3 0 0 0 0 0 0"), "vertex 0 is not finite"),
             (file("ascii", PLAIN, b"1 2 1e300 1 2 3 0 0 0 0 0 0"), "vertex 0 is not finite"),
             (file("ascii", PLAIN, b"1 2 three 1 2 3 0 0 0 0 0 0"), "'three'"),
             (claimed.replace("vertex 2", "vertex 18446744073709551615").into_bytes(), "claims"),
-            (claimed.replace("vertex 2", "vertex -1").into_bytes(), "no number of vertices"),
+            (claimed.replace("vertex 2", "vertex -1").into_bytes(), "line 4 is not understood"),
         ] {
-            let fault = points(&bytes).expect_err(reason).to_string();
-            assert!(fault.contains(reason), "'{fault}' should say '{reason}'");
+            let error = points(&bytes).expect_err(reason).to_string();
+            assert!(error.contains(reason), "'{error}' should say '{reason}'");
         }
     }
 
     #[test]
     fn numbers_and_headers_without_an_end_are_not_gathered() {
         let long = "1".repeat(100_000);
-        let fault = points(&file("ascii", PLAIN, format!("{long}x 2 3 1 2 3 0 0 0 0 0 0").as_bytes()));
-        assert!(fault.expect_err("not finite").to_string().contains("not finite"));
-        let endless = [&b"ply\ncomment "[..], &vec![b'a'; 2 * LARGEST_HEADER]].concat();
+        let error = points(&file("ascii", PLAIN, format!("{long}x 2 3 1 2 3 0 0 0 0 0 0").as_bytes()));
+        assert!(error.expect_err("not finite").to_string().contains("not finite"));
+        let endless = [&b"ply\ncomment "[..], &vec![b'a'; 2 * MAX_HEADER_BYTES]].concat();
         assert!(points(&endless).expect_err("no end").to_string().contains("no end_header"));
-        let many = format!("ply\n{}", "property float x\n".repeat(LARGEST_HEADER));
+        let many = format!("ply\n{}", "property float x\n".repeat(MAX_HEADER_BYTES));
         assert!(points(many.as_bytes()).expect_err("no end").to_string().contains("no end_header"));
     }
 

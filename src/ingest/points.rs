@@ -1,6 +1,6 @@
-//! Where readers of point clouds put what they read.
+//! The point cloud under construction, kept or only counted.
 
-use super::error::Fault;
+use super::error::IngestErrorKind;
 use crate::domain::PointCloud;
 
 /// Points, kept or only counted.
@@ -19,10 +19,10 @@ impl Points {
     /// Makes room for `count` points, which the bytes of a file were found to have room for.
     ///
     /// # Errors
-    /// [`Fault::TooManyPoints`].
-    pub(super) fn reserve(&mut self, count: usize) -> Result<(), Fault> {
+    /// [`IngestErrorKind::TooManyPoints`].
+    pub(super) fn reserve(&mut self, count: usize) -> Result<(), IngestErrorKind> {
         if count > self.limit {
-            return Err(Fault::TooManyPoints { limit: self.limit });
+            return Err(IngestErrorKind::TooManyPoints { limit: self.limit });
         }
         if let Some(cloud) = &mut self.cloud {
             cloud.positions.reserve_exact(count);
@@ -34,10 +34,10 @@ impl Points {
     /// Adds a point.
     ///
     /// # Errors
-    /// [`Fault::TooManyPoints`].
-    pub(super) fn push(&mut self, position: [f32; 3], color: [u8; 3]) -> Result<(), Fault> {
+    /// [`IngestErrorKind::TooManyPoints`].
+    pub(super) fn push(&mut self, position: [f32; 3], color: [u8; 3]) -> Result<(), IngestErrorKind> {
         if self.count == self.limit {
-            return Err(Fault::TooManyPoints { limit: self.limit });
+            return Err(IngestErrorKind::TooManyPoints { limit: self.limit });
         }
         self.count += 1;
         if let Some(cloud) = &mut self.cloud {
@@ -67,9 +67,12 @@ mod tests {
         for keep in [false, true] {
             let mut points = Points::new(keep, 2);
             assert!(points.reserve(2).is_ok());
-            assert!(matches!(points.reserve(3), Err(Fault::TooManyPoints { limit: 2 })));
+            assert!(matches!(points.reserve(3), Err(IngestErrorKind::TooManyPoints { limit: 2 })));
             assert!(points.push([1.0; 3], [1; 3]).is_ok() && points.push([2.0; 3], [2; 3]).is_ok());
-            assert!(matches!(points.push([3.0; 3], [3; 3]), Err(Fault::TooManyPoints { limit: 2 })));
+            assert!(matches!(
+                points.push([3.0; 3], [3; 3]),
+                Err(IngestErrorKind::TooManyPoints { limit: 2 })
+            ));
             assert_eq!(points.count(), 2);
             assert_eq!(points.into_cloud().map(|cloud| cloud.positions.len()), keep.then_some(2));
         }

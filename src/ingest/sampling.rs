@@ -1,5 +1,5 @@
-//! Resampling of 8-bit images: bilinear look-up and downscaling. Straight alpha is weighted by coverage, so
-//! invisible pixels never lend their colour to visible ones.
+//! Resampling of 8-bit images: bilinear lookup and downscaling. Colours are weighted by alpha, so invisible pixels do not bleed into
+//! visible ones.
 
 use image::{ImageBuffer, Rgb, Rgba, imageops};
 

@@ -1,6 +1,6 @@
-//! Photographs that memory has no room for: raw 8-bit samples, one after another in a temporary file.
+//! Photographs that exceed the memory budget: raw 8-bit samples, one after another in a temporary file.
 //!
-//! The file has no name where the system allows that and goes with its last handle, whatever ends the process.
+//! The file is anonymous where the system allows it and disappears with its last handle, however the process ends.
 
 use std::{
     fs::File,
@@ -9,7 +9,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use super::error::Fault;
+use super::error::IngestErrorKind;
 use crate::domain::{Image, Photograph, PhotographError, PixelSource};
 
 /// Takes photographs; the file is made for the first.
@@ -40,8 +40,8 @@ impl Spill {
     /// Writes the samples of `image` and gives the handle that reads them.
     ///
     /// # Errors
-    /// [`Fault::SpillFull`] where the disk has no room left, [`Fault::Spill`] for any other fault of it.
-    pub(super) fn put(&self, image: &Image) -> Result<Photograph, Fault> {
+    /// [`IngestErrorKind::SpillFull`] where the disk has no room left, [`IngestErrorKind::Spill`] for any other error of it.
+    pub(super) fn put(&self, image: &Image) -> Result<Photograph, IngestErrorKind> {
         let bytes = image.samples().len();
         let stored = self.file().and_then(|file| {
             let offset = file.append(image.samples())?;
@@ -50,7 +50,7 @@ impl Spill {
         let shape = (image.width(), image.height(), image.channels());
         match stored {
             Ok(stored) => Ok(Photograph::stored(shape, Arc::new(stored))),
-            Err(error) => Err(fault(&self.folder, bytes as u64, error)),
+            Err(error) => Err(write_error(&self.folder, bytes as u64, error)),
         }
     }
 
@@ -64,14 +64,14 @@ impl Spill {
     }
 }
 
-/// The folder is the operator's: it goes to the log, not to whoever sent the dataset.
-fn fault(folder: &Path, bytes: u64, error: io::Error) -> Fault {
+/// The folder's path is for the operator: it is logged and not sent to the client.
+fn write_error(folder: &Path, bytes: u64, error: io::Error) -> IngestErrorKind {
     tracing::warn!(folder = %folder.display(), %error, "photographs cannot be written to a temporary file: {error}");
     match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge => {
-            Fault::SpillFull { bytes }
+            IngestErrorKind::SpillFull { bytes }
         }
-        _ => Fault::Spill(error),
+        _ => IngestErrorKind::Spill(error),
     }
 }
 
@@ -146,8 +146,8 @@ mod tests {
     #[test]
     fn a_folder_that_is_not_there_is_an_error_that_keeps_its_name_back() {
         let folder = tempfile::tempdir().expect("a temporary folder").path().join("gone");
-        let fault = Spill::new(&folder).put(&image(1)).expect_err("nowhere to write");
-        assert!(matches!(fault, Fault::Spill(_)) && !fault.to_string().contains("gone"), "{fault}");
+        let error = Spill::new(&folder).put(&image(1)).expect_err("nowhere to write");
+        assert!(matches!(error, IngestErrorKind::Spill(_)) && !error.to_string().contains("gone"), "{error}");
     }
 
     #[cfg(target_os = "linux")]
@@ -155,9 +155,9 @@ mod tests {
     fn a_full_disk_is_told_apart() {
         let full = File::options().write(true).open("/dev/full").expect("the device that is always full");
         let error = SpillFile::new(full).append(&[1, 2, 3]).expect_err("no room");
-        let fault = fault(Path::new("/somewhere"), 3, error);
-        assert!(matches!(fault, Fault::SpillFull { bytes: 3 }), "{fault}");
-        assert_eq!(crate::domain::Problem::from(super::super::Error::from(fault)).status, 507);
+        let error = write_error(Path::new("/somewhere"), 3, error);
+        assert!(matches!(error, IngestErrorKind::SpillFull { bytes: 3 }), "{error}");
+        assert_eq!(crate::domain::Problem::from(super::super::IngestError::from(error)).status, 507);
     }
 
     #[test]

@@ -1,15 +1,15 @@
-//! The plan of a dataset checked against its stored images: every final camera, without decoding a pixel.
+//! Checks the plan of a dataset against its image headers and computes the final cameras, without decoding a pixel.
 
 use std::collections::BTreeMap;
 
 use super::{
     colmap,
     distortion::{Crop, Distortion},
-    error::{Error, Fault},
+    error::{IngestError, IngestErrorKind},
     images,
     lens::resized,
     limits::Limits,
-    plan::{Plan, Shot, refuse_masks},
+    plan::{Plan, PlannedFrame, refuse_masks},
     points::Points,
     transforms,
     tree::Tree,
@@ -17,13 +17,13 @@ use super::{
 use crate::domain::{Camera, Image, Intrinsics, Layout, PointCloud};
 
 /// Farthest camera from the origin that single precision can still work with.
-const FARTHEST: f64 = 1e9;
+const MAX_CAMERA_DISTANCE: f64 = 1e9;
 
 /// A dataset of which only the pixels are unknown.
 pub(super) struct Survey {
     pub(super) layout: Layout,
     /// By name.
-    pub(super) views: Vec<View>,
+    pub(super) views: Vec<SurveyedFrame>,
     /// The points, if they are kept.
     pub(super) points: Option<PointCloud>,
     /// How many there are, if the dataset has any.
@@ -32,8 +32,8 @@ pub(super) struct Survey {
 }
 
 /// One frame and what has to be done to its image.
-pub(super) struct View {
-    pub(super) shot: Shot,
+pub(super) struct SurveyedFrame {
+    pub(super) frame: PlannedFrame,
     /// The camera of the finished image.
     pub(super) camera: Camera,
     /// Pinhole intrinsics of the stored image, distortion aside.
@@ -50,7 +50,7 @@ const DECODE_BYTES: u64 = 12;
 /// Bytes a pixel of an image in single precision, as the filter that downscales works on it.
 const FILTER_BYTES: u64 = 16;
 
-impl View {
+impl SurveyedFrame {
     /// The most memory that decoding and finishing the image takes, besides the stored file.
     pub(super) fn decode_bytes(&self) -> u64 {
         let (from, to) = (&self.stored, &self.camera.intrinsics);
@@ -74,11 +74,13 @@ impl View {
     /// The finished image from the stored one.
     ///
     /// # Errors
-    /// [`Fault::Image`] if the pixels are not of the size that the header promised.
-    pub(super) fn finish(&self, image: Image) -> Result<Image, Fault> {
+    /// [`IngestErrorKind::Image`] if the pixels are not of the size that the header promised.
+    pub(super) fn finish(&self, image: Image) -> Result<Image, IngestErrorKind> {
         let (actual, expected) = ((image.width(), image.height()), (self.stored.width, self.stored.height));
         if actual != expected {
-            return Err(Fault::Image(format!("the header says {expected:?} pixels and the data {actual:?}")));
+            return Err(IngestErrorKind::Image(format!(
+                "the header says {expected:?} pixels and the data {actual:?}"
+            )));
         }
         let image = if self.distortion.is_none() {
             image
@@ -97,57 +99,62 @@ impl View {
 /// Surveys the dataset in `tree`, whose root may be its only top-level folder.
 ///
 /// # Errors
-/// The first fault by the order of names.
+/// The first error by the order of names.
 pub(super) fn survey(
     mut tree: Tree,
     limits: &Limits,
-    go_on: &(dyn Fn() -> bool + Sync),
-) -> Result<(Tree, Survey), Error> {
+    should_continue: &(dyn Fn() -> bool + Sync),
+) -> Result<(Tree, Survey), IngestError> {
     let plan = match plan(&tree) {
         None if tree.enter_only_folder() => plan(&tree),
         plan => plan,
     }
-    .ok_or(Fault::NoLayout)??;
+    .ok_or(IngestErrorKind::NoLayout)??;
     refuse_masks(&tree)?;
-    let Plan { layout, lenses, shots, points, mut notes } = plan;
+    let Plan { layout, lenses, frames, points, mut notes } = plan;
 
     let mut crops = BTreeMap::new();
-    let mut views = Vec::with_capacity(shots.len());
+    let mut views = Vec::with_capacity(frames.len());
     let mut changes = Changes::default();
     let mut pixels = 0;
     // One after another: each is a small read, and several at a time would each need memory for a header.
-    for shot in shots {
-        if !go_on() {
-            return Err(Fault::Stopped.into());
+    for frame in frames {
+        if !should_continue() {
+            return Err(IngestErrorKind::Stopped.into());
         }
-        tree.check_time().map_err(|fault| fault.at(&shot.file))?;
-        let images::Header { size, alpha } = images::header(&tree, &shot.file, limits)?;
-        let lens = &lenses[shot.lens];
-        let (file, distortion) = (shot.file.clone(), lens.distortion);
-        let stored = lens.intrinsics(size).map_err(|fault| fault.at(&file))?;
-        let crop = match crops.get(&(shot.lens, size)) {
+        tree.check_time().map_err(|error| error.at(&frame.file))?;
+        let images::Header { size, alpha } = images::header(&tree, &frame.file, limits)?;
+        let lens = &lenses[frame.lens];
+        let (file, distortion) = (frame.file.clone(), lens.distortion);
+        let stored = lens.intrinsics(size).map_err(|error| error.at(&file))?;
+        let crop = match crops.get(&(frame.lens, size)) {
             Some(crop) => *crop,
             None => {
-                let crop = distortion.covered(&stored).map_err(|fault| fault.at(&file))?;
-                crops.insert((shot.lens, size), crop);
+                let crop = distortion.covered(&stored).map_err(|error| error.at(&file))?;
+                crops.insert((frame.lens, size), crop);
                 crop
             }
         };
         let cropped = crop.of(stored);
         let finished = for_training(cropped);
-        let camera = Camera::new(finished, shot.pose)
-            .map_err(|source| Fault::Camera { place: shot.name.clone(), source }.at(&file))?;
-        let distance = shot.pose.center().abs().max_element();
-        if distance > FARTHEST {
+        let camera = Camera::new(finished, frame.pose)
+            .map_err(|source| IngestErrorKind::Camera { place: frame.name.clone(), source }.at(&file))?;
+        let distance = frame.pose.center().abs().max_element();
+        if distance > MAX_CAMERA_DISTANCE {
             let range = "at most 1e9 units from the origin";
-            return Err(Fault::Implausible { what: "the camera's position", value: distance, range }.at(file));
+            return Err(IngestErrorKind::Implausible {
+                what: "the camera's position",
+                value: distance,
+                range,
+            }
+            .at(file));
         }
         changes.count(lens.size, &stored, &distortion, &cropped, &finished);
         pixels += u64::from(finished.width) * u64::from(finished.height);
         if pixels > limits.scene_pixels {
-            return Err(Fault::TooManyScenePixels { pixels, limit: limits.scene_pixels }.at(file));
+            return Err(IngestErrorKind::TooManyScenePixels { pixels, limit: limits.scene_pixels }.at(file));
         }
-        views.push(View { shot, camera, stored, alpha, distortion, crop });
+        views.push(SurveyedFrame { frame, camera, stored, alpha, distortion, crop });
     }
     changes.note(&mut notes);
     let point_count = points.as_ref().map(Points::count);
@@ -156,8 +163,8 @@ pub(super) fn survey(
 }
 
 /// The plan by whichever layout the files are in; `None` if in none. `transforms.json` states its own cameras, so
-/// it goes before a reconstruction that lies beside it; the Blender files also state the split, so they go first.
-fn plan(tree: &Tree) -> Option<Result<Plan, Error>> {
+/// it takes precedence over a reconstruction beside it; the Blender files also state the split, so they go first.
+fn plan(tree: &Tree) -> Option<Result<Plan, IngestError>> {
     if tree.has(transforms::TRAIN) {
         return Some(transforms::blender(tree));
     }

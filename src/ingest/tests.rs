@@ -1,5 +1,5 @@
-//! Whole datasets through the front door: what is accepted comes out right, and everything that is refused is
-//! refused with the right status, file and words, from a directory and from a zip alike.
+//! Whole datasets through the public functions: accepted ones are read correctly, and each refused one gives the right status, file
+//! and message, as a directory and as a zip.
 
 use std::io::{Cursor, Write as _};
 
@@ -559,8 +559,8 @@ fn limits_are_held_and_name_what_was_over_them() {
     }
     let total: u64 = set.0.values().map(|content| content.len() as u64).sum();
     let archive = file(&set.archive());
-    let fault = check_within(&archive.path, &Limits { directory_bytes: 100, ..wide }).expect_err("too long");
-    assert!(fault.to_string().contains("the list of its entries takes"), "{fault}");
+    let error = check_within(&archive.path, &Limits { directory_bytes: 100, ..wide }).expect_err("too long");
+    assert!(error.to_string().contains("the list of its entries takes"), "{error}");
     let table = nerfstudio();
     let json = table.0["transforms.json"].len() as u64;
     for (json_bytes, fits) in [(json, true), (json - 1, false)] {
@@ -582,7 +582,7 @@ fn limits_are_held_and_name_what_was_over_them() {
         points: 2,
         ..wide
     };
-    assert!(load_within(&archive.path, &exact, &Room::default()).is_ok());
+    assert!(load_within(&archive.path, &exact, &LoadBudget::default()).is_ok());
 }
 
 #[cfg(unix)]

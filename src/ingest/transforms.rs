@@ -11,13 +11,13 @@ use std::collections::BTreeSet;
 use glam::{DMat4, DVec4};
 
 use super::{
+    bounded_json,
     distortion::Distortion,
-    error::{Error, Fault},
+    error::{IngestError, IngestErrorKind},
     fields::{CameraFields, Document, Matrix, Names},
-    json,
     lens::{Focal, Lens},
     names::safe_name,
-    plan::{ImageFiles, Plan, Shot},
+    plan::{ImageFiles, Plan, PlannedFrame},
     ply,
     tree::Tree,
 };
@@ -37,7 +37,7 @@ const POLYNOMIAL_MODELS: [&str; 5] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SI
 ///
 /// # Errors
 /// Everything that is wrong with the files or the images they list.
-pub(super) fn blender(tree: &Tree) -> Result<Plan, Error> {
+pub(super) fn blender(tree: &Tree) -> Result<Plan, IngestError> {
     let mut plan = Plan::new(Layout::Blender);
     add_frames(&mut plan, tree, TRAIN, &read(tree, TRAIN)?, Split::Train)?;
     if tree.has(TEST) {
@@ -59,7 +59,7 @@ pub(super) fn blender(tree: &Tree) -> Result<Plan, Error> {
 ///
 /// # Errors
 /// Everything that is wrong with the file, the images it lists or its point cloud.
-pub(super) fn nerfstudio(tree: &Tree) -> Result<Plan, Error> {
+pub(super) fn nerfstudio(tree: &Tree) -> Result<Plan, IngestError> {
     let mut plan = Plan::new(Layout::Nerfstudio);
     let document = read(tree, TRANSFORMS)?;
     add_frames(&mut plan, tree, TRANSFORMS, &document, Split::Train)?;
@@ -67,8 +67,8 @@ pub(super) fn nerfstudio(tree: &Tree) -> Result<Plan, Error> {
     split(&mut plan, &document)?;
     match &document.ply_file_path {
         Some(path) => {
-            let name = safe_name(path).map_err(|fault| {
-                field("/ply_file_path".to_owned(), format!("'{path}': {fault}")).at(TRANSFORMS)
+            let name = safe_name(path).map_err(|error| {
+                field("/ply_file_path".to_owned(), format!("'{path}': {error}")).at(TRANSFORMS)
             })?;
             let points = tree.parse(name, u64::MAX, |reader, length| {
                 let mut points = tree.points();
@@ -88,8 +88,8 @@ pub(super) fn nerfstudio(tree: &Tree) -> Result<Plan, Error> {
     plan.ordered(TRANSFORMS)
 }
 
-fn read(tree: &Tree, file: &str) -> Result<Document, Error> {
-    tree.parse(file, tree.limits().json_bytes, |reader, _| json::read(reader))
+fn read(tree: &Tree, file: &str) -> Result<Document, IngestError> {
+    tree.parse(file, tree.limits().json_bytes, |reader, _| bounded_json::read(reader))
 }
 
 fn add_frames(
@@ -98,38 +98,38 @@ fn add_frames(
     file: &str,
     document: &Document,
     split: Split,
-) -> Result<(), Error> {
+) -> Result<(), IngestError> {
     let mut images = ImageFiles::new(tree, file);
     for (index, frame) in document.frames.iter().enumerate() {
         let place = format!("/frames/{index}");
         if frame.masked {
-            return Err(Fault::Masks { place: format!("at {place}/mask_path") }.at(file));
+            return Err(IngestErrorKind::Masks { place: format!("at {place}/mask_path") }.at(file));
         }
         let found = images.find("", &frame.file_path, &format!("{place}/file_path"))?;
-        let pose = pose(frame.transform_matrix, &place).map_err(|fault| fault.at(file))?;
-        let lens = lens(&frame.camera, &document.camera, &place).map_err(|fault| fault.at(file))?;
+        let pose = pose(frame.transform_matrix, &place).map_err(|error| error.at(file))?;
+        let lens = lens(&frame.camera, &document.camera, &place).map_err(|error| error.at(file))?;
         let lens = plan.lens(lens);
         if let Some((name, file)) = found {
-            plan.shots.push(Shot { name, file, lens, pose, split });
+            plan.frames.push(PlannedFrame { name, file, lens, pose, split });
         }
     }
     images.finish()
 }
 
 /// Splits by the file's own lists, if it has them, else by the hold-out rule.
-fn split(plan: &mut Plan, document: &Document) -> Result<(), Error> {
+fn split(plan: &mut Plan, document: &Document) -> Result<(), IngestError> {
     let (train, test) = (&document.train_filenames, &document.test_filenames);
     if train.is_none() && test.is_none() && document.val_filenames.is_none() {
         plan.hold_out();
         return Ok(());
     }
     let listed = |list: &'static str, names: &Option<Names>| {
-        let known: BTreeSet<&str> = plan.shots.iter().map(|shot| shot.name.as_str()).collect();
+        let known: BTreeSet<&str> = plan.frames.iter().map(|frame| frame.name.as_str()).collect();
         let mut listed = BTreeSet::new();
         for stated in names.iter().flat_map(|names| &names.0) {
             match safe_name(stated) {
                 Ok(name) if known.contains(name) => listed.insert(name.to_owned()),
-                _ => return Err(Fault::UnknownFrame { list, name: stated.clone() }.at(TRANSFORMS)),
+                _ => return Err(IngestErrorKind::UnknownFrame { list, name: stated.clone() }.at(TRANSFORMS)),
             };
         }
         Ok(listed)
@@ -141,21 +141,21 @@ fn split(plan: &mut Plan, document: &Document) -> Result<(), Error> {
         held_out = validated;
         plan.notes.push("test_filenames names no image: val_filenames is held out instead".to_owned());
     }
-    let before = plan.shots.len();
-    for shot in &mut plan.shots {
-        shot.split = if held_out.contains(&shot.name) { Split::Test } else { Split::Train };
+    let before = plan.frames.len();
+    for frame in &mut plan.frames {
+        frame.split = if held_out.contains(&frame.name) { Split::Test } else { Split::Train };
     }
     if train.is_some() {
-        plan.shots.retain(|shot| shot.split == Split::Test || trained.contains(&shot.name));
+        plan.frames.retain(|frame| frame.split == Split::Test || trained.contains(&frame.name));
     }
-    let unused = before - plan.shots.len();
+    let unused = before - plan.frames.len();
     if unused > 0 {
         plan.notes.push(format!("{unused} frames are in no split list that is used and are left out"));
     }
     Ok(())
 }
 
-fn pose(rows: Matrix, place: &str) -> Result<Pose, Fault> {
+fn pose(rows: Matrix, place: &str) -> Result<Pose, IngestErrorKind> {
     let Matrix(Some(rows)) = rows else {
         let message = "must be a matrix of 4 rows (or 3) of 4 numbers".to_owned();
         return Err(field(format!("{place}/transform_matrix"), message));
@@ -163,17 +163,20 @@ fn pose(rows: Matrix, place: &str) -> Result<Pose, Fault> {
     let matrix = rows.map(DVec4::from_array);
     let [x, y, z, w] = matrix;
     Pose::from_camera_to_world(DMat4::from_cols(x, y, z, w).transpose(), Convention::Opengl)
-        .map_err(|source| Fault::Camera { place: format!("{place}/transform_matrix"), source })
+        .map_err(|source| IngestErrorKind::Camera { place: format!("{place}/transform_matrix"), source })
 }
 
-fn lens(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Lens, Fault> {
+fn lens(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Lens, IngestErrorKind> {
     if let Some(model) = frame.camera_model.as_ref().or(shared.camera_model.as_ref())
         && !POLYNOMIAL_MODELS.contains(&model.as_str())
     {
-        return Err(Fault::CameraModel { place: place.to_owned(), model: model.clone() });
+        return Err(IngestErrorKind::CameraModel { place: place.to_owned(), model: model.clone() });
     }
     if frame.is_fisheye.or(shared.is_fisheye) == Some(true) {
-        return Err(Fault::CameraModel { place: place.to_owned(), model: "fisheye (is_fisheye)".to_owned() });
+        return Err(IngestErrorKind::CameraModel {
+            place: place.to_owned(),
+            model: "fisheye (is_fisheye)".to_owned(),
+        });
     }
     // A frame that states any focal length states all of it: half of it from elsewhere would be another camera.
     let owner = if frame.fl_x.or(frame.camera_angle_x).is_some() { frame } else { shared };
@@ -209,14 +212,14 @@ fn lens(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Lens
         },
     };
     if !lens.distortion.is_finite() {
-        return Err(Fault::NonFiniteDistortion { place: place.to_owned() });
+        return Err(IngestErrorKind::NonFiniteDistortion { place: place.to_owned() });
     }
-    lens.check().map_err(|source| Fault::Camera { place: place.to_owned(), source })?;
+    lens.check().map_err(|source| IngestErrorKind::Camera { place: place.to_owned(), source })?;
     Ok(lens)
 }
 
 /// A side in pixels. Some converters write it as `1920.0`.
-fn side(value: f64, place: &str, name: &str) -> Result<u32, Fault> {
+fn side(value: f64, place: &str, name: &str) -> Result<u32, IngestErrorKind> {
     if value.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(&value) {
         Ok(value as u32)
     } else {
@@ -227,6 +230,6 @@ fn side(value: f64, place: &str, name: &str) -> Result<u32, Fault> {
     }
 }
 
-fn field(pointer: String, message: String) -> Fault {
-    Fault::Field { pointer, message }
+fn field(pointer: String, message: String) -> IngestErrorKind {
+    IngestErrorKind::Field { pointer, message }
 }

@@ -1,8 +1,8 @@
 //! The files of a dataset by name, from a directory or a zip archive, read within limits.
 //!
-//! Names are safe relative paths ([`safe_name`]). Nothing is ever written. Every file that is read to its end is
-//! remembered with the digest of its content, so the dataset's digest covers exactly what was used and is the
-//! same for a directory and for a zip of it. Tables are parsed as they are read: how long they are decides on time, not on memory.
+//! Names are safe relative paths ([`safe_name`]). Nothing is written. The digest of every file that is read to its end is kept, so the
+//! dataset's digest covers exactly the files that were used and is the same for a directory and for a zip of it. Tables are parsed as a
+//! stream, so their length costs time and not memory.
 
 use std::{
     collections::BTreeMap,
@@ -17,25 +17,17 @@ use sha2::{Digest as _, Sha256};
 use super::{
     archive,
     deadline::Deadline,
-    error::{Error, Fault},
+    error::{IngestError, IngestErrorKind},
     folder,
     limits::Limits,
-    names::{is_litter, safe_name},
+    names::{is_os_metadata, safe_name},
     points::Points,
+    source::{FileSource, Listing},
 };
 use crate::domain::Digest;
 
 /// What a table is read through.
 const BUFFER_BYTES: usize = 64 << 10;
-
-/// Where the bytes of a file come from.
-pub(super) trait Source: Sync {
-    /// Shows a file's bytes to `visit`. `index` is as in [`Listing::files`].
-    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<(), Fault>;
-
-    /// What an error of reading them means.
-    fn fault(&self, error: io::Error) -> Fault;
-}
 
 /// What a dataset is read for.
 #[derive(Debug, Clone, Copy)]
@@ -46,21 +38,11 @@ pub(super) enum Purpose {
     Load,
 }
 
-/// What a source found when it was opened.
-pub(super) struct Listing {
-    /// Name as the source has it, size in bytes.
-    pub(super) files: Vec<(String, u64)>,
-    /// Links and other special files that are not read, with the kind of each.
-    pub(super) special: Vec<(String, &'static str)>,
-    /// Reads the files.
-    pub(super) source: Box<dyn Source>,
-}
-
 /// The readable files of a dataset.
 pub(super) struct Tree {
     files: BTreeMap<String, Entry>,
     special: BTreeMap<String, &'static str>,
-    source: Box<dyn Source>,
+    source: Box<dyn FileSource>,
     limits: Limits,
     purpose: Purpose,
     used: Mutex<BTreeMap<String, (u64, [u8; 32])>>,
@@ -72,11 +54,11 @@ struct Entry {
 }
 
 impl Tree {
-    /// Opens a directory or a zip archive to load it, told apart by what `path` is.
+    /// Opens a directory or a zip archive to load it, whichever `path` is.
     ///
     /// # Errors
     /// Faults of the path, of the archive's structure and of its limits.
-    pub(super) fn open(path: &Path, limits: &Limits) -> Result<Self, Error> {
+    pub(super) fn open(path: &Path, limits: &Limits) -> Result<Self, IngestError> {
         Self::open_for(Purpose::Load, path, limits)
     }
 
@@ -84,9 +66,9 @@ impl Tree {
     ///
     /// # Errors
     /// As [`Tree::open`].
-    pub(super) fn open_for(purpose: Purpose, path: &Path, limits: &Limits) -> Result<Self, Error> {
+    pub(super) fn open_for(purpose: Purpose, path: &Path, limits: &Limits) -> Result<Self, IngestError> {
         let metadata = fs::metadata(path).map_err(|error| {
-            if error.kind() == io::ErrorKind::NotFound { Fault::NotFound } else { error.into() }
+            if error.kind() == io::ErrorKind::NotFound { IngestErrorKind::NotFound } else { error.into() }
         })?;
         let listing = if metadata.is_dir() {
             folder::list(path, limits)?
@@ -96,15 +78,15 @@ impl Tree {
         Self::new(listing, *limits, purpose)
     }
 
-    fn new(listing: Listing, limits: Limits, purpose: Purpose) -> Result<Self, Error> {
+    fn new(listing: Listing, limits: Limits, purpose: Purpose) -> Result<Self, IngestError> {
         let mut files = BTreeMap::new();
         for (index, (name, size)) in listing.files.into_iter().enumerate() {
-            let safe = safe_name(&name).map_err(|fault| fault.at(name.clone()))?.to_owned();
-            if is_litter(&safe) {
+            let safe = safe_name(&name).map_err(|error| error.at(name.clone()))?.to_owned();
+            if is_os_metadata(&safe) {
                 continue;
             }
             if files.insert(safe, Entry { index, size }).is_some() {
-                return Err(Fault::DuplicateEntry.at(name));
+                return Err(IngestErrorKind::DuplicateEntry.at(name));
             }
         }
         let special = listing.special.into_iter().collect();
@@ -124,8 +106,8 @@ impl Tree {
     /// Whether there is time left.
     ///
     /// # Errors
-    /// [`Fault::CheckTimeout`].
-    pub(super) fn check_time(&self) -> Result<(), Fault> {
+    /// [`IngestErrorKind::CheckTimeout`].
+    pub(super) fn check_time(&self) -> Result<(), IngestErrorKind> {
         self.purpose.deadline().check()
     }
 
@@ -171,29 +153,29 @@ impl Tree {
         self.files.keys().map(String::as_str)
     }
 
-    /// The kind of special file (such as a symbolic link) that `name` is or lies behind, with its name.
-    pub(super) fn special_on_the_way(&self, name: &str) -> Option<Error> {
+    /// The error for a special file (such as a symbolic link) that `name` is or is behind, if there is one.
+    pub(super) fn special_on_path(&self, name: &str) -> Option<IngestError> {
         self.special
             .iter()
             .find(|(special, _)| {
                 name.strip_prefix(special.as_str())
                     .is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
             })
-            .map(|(special, kind)| Fault::NotARegularFile(kind).at(special))
+            .map(|(special, kind)| IngestErrorKind::NotARegularFile(kind).at(special))
     }
 
     /// The whole content of a file. It counts as used.
     ///
     /// # Errors
-    /// [`Fault::MissingFile`], [`Fault::NotARegularFile`], [`Fault::FileTooLarge`] or a fault of the source.
-    pub(super) fn read(&self, name: &str) -> Result<Vec<u8>, Error> {
+    /// [`IngestErrorKind::MissingFile`], [`IngestErrorKind::NotARegularFile`], [`IngestErrorKind::FileTooLarge`] or a fault of the source.
+    pub(super) fn read(&self, name: &str) -> Result<Vec<u8>, IngestError> {
         let limit = self.limits.file_bytes;
         let bytes = self.read_up_to(name, limit.saturating_add(1))?;
         let length = bytes.len() as u64;
         if length > limit {
-            return Err(Fault::FileTooLarge { bytes: length, limit }.at(name));
+            return Err(IngestErrorKind::FileTooLarge { bytes: length, limit }.at(name));
         }
-        // Here and not on the way, where it would hold up whoever waits for the source.
+        // Hashed after reading, since the source may be locked during it.
         self.use_content(name, length, Sha256::digest(&bytes).into());
         Ok(bytes)
     }
@@ -203,9 +185,9 @@ impl Tree {
         used.insert(name.to_owned(), (length, hash));
     }
 
-    /// What broke off reading a file: its fault, unless there was no time left.
-    fn broken_off(&self, name: &str, fault: Fault) -> Error {
-        self.check_time().err().unwrap_or(fault).at(name)
+    /// What broke off reading a file: its error, unless there was no time left.
+    fn read_failure(&self, name: &str, error: IngestErrorKind) -> IngestError {
+        self.check_time().err().unwrap_or(error).at(name)
     }
 
     /// What `parse` makes of the content of a file of at most `largest` bytes, given with its stated length. All of it is read,
@@ -217,8 +199,8 @@ impl Tree {
         &self,
         name: &str,
         largest: u64,
-        parse: impl FnOnce(&mut dyn BufRead, u64) -> Result<T, Fault>,
-    ) -> Result<T, Error> {
+        parse: impl FnOnce(&mut dyn BufRead, u64) -> Result<T, IngestErrorKind>,
+    ) -> Result<T, IngestError> {
         let largest = largest.min(self.limits.file_bytes);
         let entry = self.entry(name, largest)?;
         let (mut parse, mut outcome) = (Some(parse), None);
@@ -231,17 +213,17 @@ impl Tree {
             let Content { hash, length, end, .. } = content;
             outcome = Some((parsed, end, length, hash.finalize().into()));
         });
-        visited.map_err(|fault| self.broken_off(name, fault))?;
+        visited.map_err(|error| self.read_failure(name, error))?;
         let Some((parsed, end, length, hash)) = outcome else {
-            return Err(Fault::MissingFile("it cannot be opened").at(name));
+            return Err(IngestErrorKind::MissingFile("it cannot be opened").at(name));
         };
         // What broke off reading also breaks whatever was made of it, so it goes first.
         match end {
-            Some(End::Fault(fault)) => return Err(fault.at(name)),
-            Some(End::Source(error)) => return Err(self.broken_off(name, self.source.fault(error))),
+            Some(End::Refused(error)) => return Err(error.at(name)),
+            Some(End::Source(error)) => return Err(self.read_failure(name, self.source.read_error(error))),
             None => {}
         }
-        let parsed = parsed.map_err(|fault| fault.at(name))?;
+        let parsed = parsed.map_err(|error| error.at(name))?;
         self.use_content(name, length, hash);
         Ok(parsed)
     }
@@ -250,25 +232,25 @@ impl Tree {
     ///
     /// # Errors
     /// As [`Tree::read`].
-    pub(super) fn read_up_to(&self, name: &str, limit: u64) -> Result<Vec<u8>, Error> {
+    pub(super) fn read_up_to(&self, name: &str, limit: u64) -> Result<Vec<u8>, IngestError> {
         let entry = self.entry(name, self.limits.file_bytes)?;
         let mut outcome = Ok(Vec::new());
         let visited = self.source.open(entry.index, &mut |file| {
             let mut bytes = Vec::new();
             outcome = file.take(limit).read_to_end(&mut bytes).map(|_| bytes);
         });
-        visited.map_err(|fault| self.broken_off(name, fault))?;
-        outcome.map_err(|error| self.broken_off(name, self.source.fault(error)))
+        visited.map_err(|error| self.read_failure(name, error))?;
+        outcome.map_err(|error| self.read_failure(name, self.source.read_error(error)))
     }
 
-    fn entry(&self, name: &str, largest: u64) -> Result<&Entry, Error> {
+    fn entry(&self, name: &str, largest: u64) -> Result<&Entry, IngestError> {
         let Some(entry) = self.files.get(name) else {
-            return Err(self.special_on_the_way(name).unwrap_or_else(|| {
-                Fault::MissingFile("it is named by another file of the dataset").at(name)
+            return Err(self.special_on_path(name).unwrap_or_else(|| {
+                IngestErrorKind::MissingFile("it is named by another file of the dataset").at(name)
             }));
         };
         if entry.size > largest {
-            return Err(Fault::FileTooLarge { bytes: entry.size, limit: largest }.at(name));
+            return Err(IngestErrorKind::FileTooLarge { bytes: entry.size, limit: largest }.at(name));
         }
         Ok(entry)
     }
@@ -296,7 +278,7 @@ impl Purpose {
     }
 }
 
-/// A file's content on its way to a parser: hashed, counted, and ended by the first fault.
+/// A file's content on its way to a parser: hashed, counted, and ended by the first error.
 struct Content<'a> {
     file: &'a mut dyn Read,
     hash: Sha256,
@@ -309,7 +291,7 @@ struct Content<'a> {
 /// Why a content was not read to its end.
 enum End {
     Source(io::Error),
-    Fault(Fault),
+    Refused(IngestErrorKind),
 }
 
 impl<'a> Content<'a> {
@@ -318,7 +300,7 @@ impl<'a> Content<'a> {
     }
 
     fn next(&mut self, into: &mut [u8]) -> Result<usize, End> {
-        self.deadline.check().map_err(End::Fault)?;
+        self.deadline.check().map_err(End::Refused)?;
         let count = loop {
             match self.file.read(into) {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
@@ -327,7 +309,10 @@ impl<'a> Content<'a> {
         };
         self.length += count as u64;
         if self.length > self.largest {
-            return Err(End::Fault(Fault::FileTooLarge { bytes: self.length, limit: self.largest }));
+            return Err(End::Refused(IngestErrorKind::FileTooLarge {
+                bytes: self.length,
+                limit: self.largest,
+            }));
         }
         self.hash.update(&into[..count]);
         Ok(count)

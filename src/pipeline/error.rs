@@ -5,7 +5,7 @@ use std::io;
 use crate::{
     domain::Problem,
     gpu::GpuError,
-    ingest::{self, Fault},
+    ingest::{self, IngestErrorKind},
     render::RenderError,
     train::TrainError,
 };
@@ -31,17 +31,17 @@ impl JobError {
 }
 
 /// A full disk may have space later, and one that failed may work again; a dataset does not change.
-impl From<ingest::Error> for JobError {
-    fn from(error: ingest::Error) -> Self {
-        match error.fault {
-            Fault::Stopped => Self::Cancelled,
-            Fault::SpillFull { .. } => Self::Hold(error.into()),
-            Fault::Io(ref cause)
+impl From<ingest::IngestError> for JobError {
+    fn from(error: ingest::IngestError) -> Self {
+        match error.kind {
+            IngestErrorKind::Stopped => Self::Cancelled,
+            IngestErrorKind::SpillFull { .. } => Self::Hold(error.into()),
+            IngestErrorKind::Io(ref cause)
                 if matches!(cause.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded) =>
             {
                 Self::Hold(error.into())
             }
-            Fault::Spill(_) => Self::Retry(error.into()),
+            IngestErrorKind::Spill(_) => Self::Retry(error.into()),
             _ => Self::Fail(error.into()),
         }
     }
@@ -91,18 +91,18 @@ mod tests {
 
     #[test]
     fn a_full_disk_holds_a_job_and_a_broken_one_costs_it_an_attempt() {
-        let spill = |kind: io::ErrorKind| Fault::Spill(kind.into());
+        let spill = |kind: io::ErrorKind| IngestErrorKind::Spill(kind.into());
         for (fault, expected) in [
-            (Fault::SpillFull { bytes: 3 }, "hold"),
-            (Fault::Io(io::ErrorKind::StorageFull.into()), "hold"),
-            (Fault::Io(io::ErrorKind::QuotaExceeded.into()), "hold"),
+            (IngestErrorKind::SpillFull { bytes: 3 }, "hold"),
+            (IngestErrorKind::Io(io::ErrorKind::StorageFull.into()), "hold"),
+            (IngestErrorKind::Io(io::ErrorKind::QuotaExceeded.into()), "hold"),
             (spill(io::ErrorKind::PermissionDenied), "retry"),
-            (Fault::NoImages, "fail"),
-            (Fault::Io(io::ErrorKind::InvalidData.into()), "fail"),
-            (Fault::Stopped, "cancelled"),
+            (IngestErrorKind::NoImages, "fail"),
+            (IngestErrorKind::Io(io::ErrorKind::InvalidData.into()), "fail"),
+            (IngestErrorKind::Stopped, "cancelled"),
         ] {
             let message = fault.to_string();
-            let outcome = match JobError::from(ingest::Error::from(fault)) {
+            let outcome = match JobError::from(ingest::IngestError::from(fault)) {
                 JobError::Hold(_) => "hold",
                 JobError::Retry(_) => "retry",
                 JobError::Fail(_) => "fail",

@@ -39,7 +39,7 @@ use crate::{
     domain::{CancelFlag, Dataset, MemoryBudget, MemoryLimits, NamedCamera, Phase, Progress, TrainOptions},
     eval::Lpips,
     gpu::{AdapterChoice, Context, GpuError},
-    ingest::{self, Room},
+    ingest::{self, LoadBudget},
     train::Schedule,
 };
 
@@ -125,8 +125,8 @@ impl RunJob for Pipeline {
         let device = self.device()?;
         let budget = self.budget(&device);
         // Training needs the other half.
-        let room = Room { memory: budget.host / 2, spill: self.spill_dir.clone() };
-        let dataset = load(dataset, &room, &mut || report(Phase::Ingest, &start), cancel)?;
+        let load_budget = LoadBudget { memory_bytes: budget.host / 2, spill_dir: self.spill_dir.clone() };
+        let dataset = load(dataset, &load_budget, &mut || report(Phase::Ingest, &start), cancel)?;
         for note in &dataset.notes {
             tracing::info!("dataset: {note}");
         }
@@ -159,7 +159,7 @@ impl RunJob for Pipeline {
 /// Reads the dataset on a thread of its own, so that this one can report each image; stops soon after `cancel`.
 fn load(
     dataset: &Path,
-    room: &Room,
+    load_budget: &LoadBudget,
     heartbeat: &mut dyn FnMut(),
     cancel: &CancelFlag,
 ) -> Result<Dataset, JobError> {
@@ -173,7 +173,7 @@ fn load(
                 let _ = send.send(());
                 !cancel.is_cancelled()
             };
-            ingest::load_watched(dataset, room, &go_on)
+            ingest::load_cancellable(dataset, load_budget, &go_on)
         });
         for () in images {
             heartbeat();

@@ -1,10 +1,8 @@
-//! The bundled scene: a small still life, ray-traced here, so that the whole road can be tried without anybody's
-//! photographs.
+//! The bundled scene: a small ray-traced still life, to try everything without photographs of one's own.
 //!
-//! It asks of a reconstruction what photographs do: fine texture, sharp and soft shadows, a highlight that moves
-//! with the camera, wires of about a pixel, and a background that is far but not at infinity. The bytes are a
-//! function of [`Settings`] alone: every transcendental function comes from `libm` and every random number from a
-//! seeded generator, so that each machine writes the same files.
+//! It has what makes photographs hard: fine texture, sharp and soft shadows, a highlight that moves with the camera, wires about a pixel
+//! wide, and a background that is far but not at infinity. The bytes are a function of [`Settings`] alone: every transcendental function
+//! comes from `libm` and every random number from a seeded generator, so each machine writes the same files.
 
 mod files;
 mod points;

@@ -1,5 +1,5 @@
-//! The point cloud that structure from motion would have found: surface points that several cameras see, a little
-//! off, with the colours they have there.
+//! A point cloud as structure from motion would find it: surface points that several cameras see, slightly displaced, with the colours
+//! seen there.
 
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};

@@ -1,4 +1,4 @@
-//! The solids: where a ray meets them, which way their surface faces, and points spread evenly over it.
+//! The solids: ray intersection, surface normals, and points spread evenly over the surface.
 //!
 //! Rays have unit directions, normals are unit vectors that point out of the solid, lengths are world units.
 

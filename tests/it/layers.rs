@@ -11,12 +11,13 @@ use proc_macro2::{TokenStream, TokenTree};
 /// Each module with the modules that it may use.
 const LAYERS: &[(&str, &[&str])] = &[
     ("domain", &[]),
-    ("ingest", &["domain"]),
+    ("ply", &[]),
+    ("ingest", &["domain", "ply"]),
     ("gpu", &["domain"]),
     ("codec", &["domain"]),
     ("store", &["domain"]),
     ("sample", &["domain"]),
-    ("export", &["domain"]),
+    ("export", &["domain", "ply"]),
     ("model", &["domain", "gpu"]),
     ("render", &["domain", "gpu", "model"]),
     ("eval", &["domain", "gpu", "model", "render"]),

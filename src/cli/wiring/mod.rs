@@ -22,7 +22,7 @@ use tcgs::{
     eval::{Lpips, band_errors, mean_scores_with, score_view},
     export::anchors,
     gpu::AdapterChoice,
-    ingest::{self, Room},
+    ingest::{self, LoadBudget},
     pipeline::{Pipeline, RunJob, scene_file},
     render::{RenderViews, SceneViewer, views::Viewable},
     train::{CheckpointError, CheckpointFolder},
@@ -56,8 +56,8 @@ pub(crate) struct Inspection {
 /// Reads a dataset; half of the memory that is there holds photographs.
 pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
     let host = MemoryFlags::default().limits(1).host;
-    let room = Room { memory: host / 2, ..Room::default() };
-    ingest::load_into(path, &room).map_err(|problem| named(problem, path))
+    let load_budget = LoadBudget { memory_bytes: host / 2, ..LoadBudget::default() };
+    ingest::load_with_budget(path, &load_budget).map_err(|problem| named(problem, path))
 }
 
 /// Names the dataset where no file in it is at fault: the service has no name for an upload, but here it has one.

@@ -20,7 +20,7 @@ use tcgs::{
     gpu::{AdapterChoice, driver_cache},
     http::{self, ExportedScene, HttpConfig, Services, WorkerCounts},
     https::ExtraRoots,
-    ingest::Checks,
+    ingest::DatasetChecker,
     pipeline::scene_file,
     render::{RenderViews, views::Viewable},
     store::{
@@ -146,7 +146,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
             clock: Arc::new(SystemClock),
             entropy: Arc::new(SystemEntropy),
             check: {
-                let checks = Checks::new(CHECKS, CHECK_TIME);
+                let checks = DatasetChecker::new(CHECKS, CHECK_TIME);
                 Arc::new(move |archive: &Path| checks.check(archive))
             },
             load: Arc::new(|bytes: &[u8]| {

@@ -1,8 +1,8 @@
-//! What the networks are given about each anchor: samples of the planes at the anchor and its neighbours, and where it is.
+//! The inputs of the context networks for each anchor: samples of the planes at the anchor and at its neighbours, and its position.
 
 use rayon::prelude::*;
 
-use super::{coordinates, neighbours, planes::PlaneTexels, position_inputs, texels};
+use super::{coordinates, neighbours, position_inputs, texels, texels::PlaneTexels};
 use crate::domain::{
     ContextFrame,
     context::{ContextKind, NEIGHBOURS},
@@ -64,7 +64,7 @@ impl AnchorContext {
     }
 
     /// Bytes that an anchor takes where planes have `channels` channels in all and neighbours are asked for or not.
-    pub(in crate::codec) fn bytes_an_anchor(channels: usize, neighbours: bool) -> u64 {
+    pub(in crate::codec) fn bytes_per_anchor(channels: usize, neighbours: bool) -> u64 {
         // Coordinates; samples; neighbours by rank and by index, and the sort keys and boxes of their search.
         12 + 2 * channels as u64 + if neighbours { 2 * 16 + 24 + 4 + 8 } else { 0 }
     }

@@ -1,4 +1,4 @@
-//! What an encoder may be told about contexts, and what it answers.
+//! Settings and result of the search for contexts.
 
 use serde::{Deserialize, Serialize};
 
@@ -44,7 +44,7 @@ pub enum ContextSearch {
     Fixed(ContextChoice),
 }
 
-/// Everything that an encoder may be told about contexts.
+/// How an encoder chooses contexts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ContextSettings {
     /// Which contexts to use.

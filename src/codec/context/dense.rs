@@ -13,8 +13,8 @@ use pulp::{Arch, Simd, WithSimd};
 
 use crate::{
     codec::{
+        alloc::{check_limit, reserve},
         bytes::{Reader, Writer},
-        decode::{reserved, within},
         error::DecodeError,
         fit,
         range::{StreamDecoder, StreamEncoder},
@@ -214,7 +214,7 @@ impl IntegerMlp {
         Self { layers: mlp.layers.iter().map(|layer| IntegerLayer::quantise(layer, bits)).collect(), bits }
     }
 
-    /// The network that the integers stand for.
+    /// The network as floats.
     pub(in crate::codec) fn as_floats(&self) -> Mlp {
         Mlp { layers: self.layers.iter().map(IntegerLayer::as_floats).collect() }
     }
@@ -258,7 +258,7 @@ impl IntegerMlp {
         }
     }
 
-    /// Refuses a network that integers cannot stand for, in words.
+    /// Checks that a network can be stored as integers; the error is a description.
     pub(in crate::codec) fn check(mlp: &Mlp, inputs: usize, outputs: usize) -> Result<(), String> {
         if mlp.layers.is_empty() || mlp.layers.len() > MAX_LAYERS {
             return Err(format!("{} layers where 1 to {MAX_LAYERS} are possible", mlp.layers.len()));
@@ -317,14 +317,14 @@ impl IntegerMlp {
         // A weight is held twice while its row is read.
         let size = |(inputs, outputs, _): &(usize, usize, _)| (padded(*inputs) + 8) as u64 * *outputs as u64;
         let memory = heads.iter().map(size).sum::<u64>() * 4;
-        within("bytes of memory for context networks", memory, max_memory_bytes)?;
+        check_limit("bytes of memory for context networks", memory, max_memory_bytes)?;
         let mut stream = StreamDecoder::new(part, reader.rest())?;
         let mut layers = Vec::new();
         for (inputs, outputs, [of_shifts, of_weights, of_bias]) in heads {
             let shifts =
                 decode_integers(&mut stream, of_shifts, outputs, 0, i32::from(MAX_SHIFT), "a shift")?;
             let stride = padded(inputs);
-            let mut weights = reserved("context weights", outputs * stride)?;
+            let mut weights = reserve("context weights", outputs * stride)?;
             for _ in 0..outputs {
                 let limit = bits.limit();
                 let row = decode_integers(&mut stream, of_weights, inputs, -limit, limit, "a weight")?;
@@ -362,7 +362,7 @@ pub(in crate::codec) fn decode_integers(
     high: i32,
     what: &'static str,
 ) -> Result<Vec<i32>, DecodeError> {
-    let mut integers = reserved(what, count)?;
+    let mut integers = reserve(what, count)?;
     for _ in 0..count {
         let integer = distribution.decode(stream)?;
         if !(low..=high).contains(&integer) {

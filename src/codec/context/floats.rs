@@ -1,5 +1,4 @@
-//! The context model in floats, as training left it: what the integers of a file are measured against. No file depends on
-//! it.
+//! The context model in floats, as trained: the reference for the integers of a file. No file depends on it.
 
 use super::{coordinates, neighbours, position_inputs, texels};
 use crate::domain::{ContextFrame, Mlp, Planes, context::ContextKind};

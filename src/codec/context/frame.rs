@@ -1,4 +1,4 @@
-//! Where an anchor lies between the middle of the scene and infinity: coordinates in [-2, 2], in 2^-16.
+//! Contracted coordinates of anchors, from the middle of the scene to infinity: [-2, 2], in 2^-16.
 //!
 //! The box of a [`ContextFrame`] keeps its shape up to distance 1 from the middle; beyond, distance d becomes 2 - 1 / d
 //! (the paper's contraction), so that far anchors share the rim of a plane and near ones its middle.
@@ -10,7 +10,7 @@ use crate::domain::ContextFrame;
 /// One, in the units of coordinates.
 const ONE: i64 = 1 << 16;
 
-/// Cells beyond this many halves from the middle are taken to lie there.
+/// Distances from the middle are clamped to this many halves.
 const FARTHEST: i64 = 1 << 26;
 
 /// Largest magnitude of a coordinate: 2 in 2^-16.

@@ -1,14 +1,17 @@
-//! Latents of planes as adaptive bits: each value predicted from the one before it and the one above, where that pays.
+//! Latents of planes as adaptive bits: each value is predicted from the previous one and the one above, if that pays.
 //!
-//! A plane's channels differ in how large and how smooth they are, and there are few values to learn it from. So nothing is
-//! sent about them but one bit, whether to predict; the size of a value is coded in the light of its neighbours' sizes.
+//! A plane's channels differ in amplitude and smoothness, and there are few values to learn them from. So the only side information is one
+//! bit a channel, whether to predict; the magnitude of a value is coded in the context of its neighbours' magnitudes.
 
 use crate::codec::{
     adaptive::AdaptiveBit,
-    decode::reserved,
+    alloc::reserve,
     error::DecodeError,
     range::{StreamDecoder, StreamEncoder},
 };
+
+/// Section that has the latents, as errors name it.
+pub(in crate::codec) const PART: &str = "planes";
 
 /// Largest magnitude of a latent, in 2^-4.
 pub(in crate::codec) const MAX_LATENT: i32 = 127;
@@ -37,19 +40,13 @@ pub(in crate::codec) fn decode(
     stream: &mut StreamDecoder<'_>,
 ) -> Result<Vec<i8>, DecodeError> {
     let size = edge * edge;
-    let mut latents = reserved("latents of planes", count * size)?;
+    let mut latents = reserve("latents of planes", count * size)?;
     let mut contexts = Contexts::new();
-    let part = stream.part();
     let mut bit = |context: &mut AdaptiveBit, _| stream.adaptive(context);
     for _ in 0..count {
         let start = latents.len();
         latents.resize(start + size, 0);
-        contexts.image(&mut bit, &mut latents[start..], edge, false).map_err(|fault| match fault {
-            Fault::Decode(fault) => fault,
-            Fault::Latent(value) => {
-                DecodeError::Malformed { part, what: "a latent", value: value.to_string() }
-            }
-        })?;
+        contexts.image(&mut bit, &mut latents[start..], edge, false)?;
     }
     Ok(latents)
 }
@@ -77,19 +74,6 @@ fn prediction(image: &[i8], edge: usize, place: usize, predicted: bool) -> i32 {
 /// Binary digits of a magnitude.
 fn digits(value: i32) -> usize {
     (i32::BITS - value.abs().leading_zeros()) as usize
-}
-
-/// What can be wrong while latents are read.
-#[derive(Debug)]
-enum Fault {
-    Decode(DecodeError),
-    Latent(i32),
-}
-
-impl From<DecodeError> for Fault {
-    fn from(fault: DecodeError) -> Self {
-        Self::Decode(fault)
-    }
 }
 
 /// The probabilities, common to all images.
@@ -121,7 +105,7 @@ impl Contexts {
         image: &mut [i8],
         edge: usize,
         predicted: bool,
-    ) -> Result<(), Fault> {
+    ) -> Result<(), DecodeError> {
         let predicted = bit(&mut self.predicted, predicted)?;
         // Residuals of this row so far, and of the row above to the right of them.
         let mut residuals = vec![0_i32; edge];
@@ -133,7 +117,11 @@ impl Contexts {
             let residual = self.residual(bit, i32::from(image[place]) - expected, left, above)?;
             let value = expected + residual;
             if value.abs() > MAX_LATENT {
-                return Err(Fault::Latent(value));
+                return Err(DecodeError::Malformed {
+                    part: PART,
+                    what: "a latent",
+                    value: value.to_string(),
+                });
             }
             residuals[column] = residual;
             image[place] = value as i8;

@@ -14,10 +14,11 @@ mod model;
 mod neighbours;
 mod planes;
 mod position;
+pub(super) mod quant_steps;
 pub(super) mod section;
-pub(super) mod steps;
 mod stored;
 mod texels;
+mod upsampling;
 
 pub(super) use anchors::AnchorContext;
 pub(super) use dense::{IntegerMlp, WeightBits};

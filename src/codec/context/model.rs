@@ -1,12 +1,12 @@
-//! What the decoder expects of each symbol: the seam between attribute coding and the model of the attributes.
+//! The distribution of each symbol: the interface between attribute coding and the model of the attributes.
 //!
-//! Encoder and decoder ask the same model the same questions in the same order. A model uses what the decoder has before
-//! the attributes (manifest, cells, networks, planes) and nothing else.
+//! Encoder and decoder query the same model in the same order. A model uses what is decoded before the attributes (manifest, cells,
+//! networks, planes) and nothing else.
 
 use super::{
     anchors::AnchorContext,
     dense::{Activations, IntegerMlp, padded},
-    steps,
+    quant_steps,
 };
 use crate::{codec::symbols::Distribution, domain::context::ContextKind};
 
@@ -66,13 +66,12 @@ impl Rows<'_> {
         network.mlp.outputs(&mut self.activations, &mut self.outputs);
         let channels = self.outputs.len() / 2;
         let (means, rest) = self.outputs.split_at(channels);
-        let step = steps::index(rest[channels]);
+        let step = quant_steps::index(rest[channels]);
         self.distributions.clear();
         self.distributions.extend(
-            means
-                .iter()
-                .zip(rest)
-                .map(|(mean, deviation)| Distribution::Gaussian(steps::gaussian(*mean, *deviation, step))),
+            means.iter().zip(rest).map(|(mean, deviation)| {
+                Distribution::Gaussian(quant_steps::gaussian(*mean, *deviation, step))
+            }),
         );
         (step, &self.distributions)
     }

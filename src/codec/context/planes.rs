@@ -1,33 +1,23 @@
-//! Tri-planes of integers: latents, the up-sampling layers that make planes of them, and samples of the planes.
+//! Tri-planes of integers as a file stores them: latents and the up-sampling layers that make planes of them.
 //!
-//! Plane values are in 2^-8 and at most 2^14 - 1 in magnitude; an output of an up-sampling layer has at most four taps of
-//! each input channel, so the proof of `dense` covers it.
-
-use rayon::prelude::*;
+//! Plane values are in 2^-8 and at most 2^14 - 1 in magnitude.
 
 use super::{
-    dense::{
-        MAX_ACTIVATION, MAX_INPUTS, MAX_SHIFT, decode_integers, dot, encode_integers, padded, quantise_bias,
-        quantise_row, shifted,
-    },
-    latents::{self, MAX_LATENT},
-    texels::{MAX_PLANE_EDGE, Texel},
+    dense::{MAX_ACTIVATION, MAX_INPUTS, MAX_SHIFT, decode_integers, encode_integers},
+    latents::{self, MAX_LATENT, PART},
+    texels::{MAX_PLANE_EDGE, PLANES, PlaneTexels},
+    upsampling::{IntegerUpLayer, MAX_WEIGHT, Taps},
 };
 use crate::{
     codec::{
+        alloc::check_limit,
         bytes::{Reader, Writer},
-        decode::within,
         error::DecodeError,
         fit,
         range::{StreamDecoder, StreamEncoder},
     },
-    domain::{Planes, UpLayer, context::PLANE_AXES},
+    domain::Planes,
 };
-
-const PART: &str = "planes";
-
-/// Planes of a scene.
-pub(in crate::codec) const PLANES: usize = PLANE_AXES.len();
 
 /// Most channels of a latent or a plane: four taps of each are what a dense layer may have.
 const MAX_CHANNELS: usize = MAX_INPUTS / 4;
@@ -37,21 +27,6 @@ const MAX_LAYERS: usize = 6;
 
 /// Most values of the three planes, or of what any layer makes of them. It bounds memory and time whatever a file says.
 const MAX_VALUES: usize = 1 << 24;
-
-/// Weights of up-sampling layers have eight bits: they are few.
-const WEIGHTS: i32 = 127;
-
-/// An up-sampling layer of integers.
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct IntegerUpLayer {
-    inputs: usize,
-    /// Right shift of each output.
-    shifts: Vec<u8>,
-    /// `[inputs][outputs][3][3]`.
-    weights: Vec<i16>,
-    /// In 2^-8, of each output.
-    bias: Vec<i32>,
-}
 
 /// Planes as a file stores them.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -63,17 +38,8 @@ pub(in crate::codec) struct IntegerPlanes {
     layers: Vec<IntegerUpLayer>,
 }
 
-/// Planes as they are sampled.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(in crate::codec) struct PlaneTexels {
-    edge: usize,
-    channels: usize,
-    /// `[3][edge][edge][channels]`.
-    values: Vec<i16>,
-}
-
 impl IntegerPlanes {
-    /// Refuses planes that the format cannot state, in words.
+    /// Checks that planes can be stored; the error is a description.
     pub(in crate::codec) fn check(planes: &Planes) -> Result<(), String> {
         let (mut edge, mut channels) = (planes.edge, planes.channels);
         if planes.layers.len() > MAX_LAYERS {
@@ -112,7 +78,7 @@ impl IntegerPlanes {
         }
     }
 
-    /// The planes that the integers stand for.
+    /// The planes as floats.
     pub(in crate::codec) fn as_floats(&self) -> Planes {
         Planes {
             edge: self.edge,
@@ -191,14 +157,15 @@ impl IntegerPlanes {
         }
         // What a layer reads, what it makes, and the planes joined.
         let memory = 3 * 2 * most as u64;
-        within("bytes of memory for planes", memory, max_memory_bytes)?;
+        check_limit("bytes of memory for planes", memory, max_memory_bytes)?;
         let mut stream = StreamDecoder::new(PART, reader.rest())?;
         let mut layers = Vec::new();
         for (inputs, outputs, [of_shifts, of_weights, of_bias]) in heads {
             let shifts =
                 decode_integers(&mut stream, of_shifts, outputs, 0, i32::from(MAX_SHIFT), "a shift")?;
             let size = inputs * outputs * 9;
-            let weights = decode_integers(&mut stream, of_weights, size, -WEIGHTS, WEIGHTS, "a weight")?;
+            let weights =
+                decode_integers(&mut stream, of_weights, size, -MAX_WEIGHT, MAX_WEIGHT, "a weight")?;
             let limit = crate::codec::symbols::MAX_SYMBOL;
             let bias = decode_integers(&mut stream, of_bias, outputs, -limit, limit, "a bias")?;
             layers.push(IntegerUpLayer {
@@ -214,7 +181,7 @@ impl IntegerPlanes {
     }
 }
 
-/// Whether planes of this size are possible; if not, what is wrong.
+/// Checks the size of planes; the error is the name of the value and the value.
 fn check_size(edge: usize, channels: usize) -> Result<(), (&'static str, usize)> {
     if !(1..=MAX_PLANE_EDGE).contains(&edge) {
         return Err(("the edge of a plane", edge));
@@ -228,147 +195,13 @@ fn check_size(edge: usize, channels: usize) -> Result<(), (&'static str, usize)>
     }
 }
 
-impl IntegerUpLayer {
-    fn quantise(layer: &UpLayer) -> Self {
-        let outputs = layer.outputs;
-        let mut weights = vec![0; layer.weights.len()];
-        let mut shifts = Vec::with_capacity(outputs);
-        for output in 0..outputs {
-            let places: Vec<usize> = (0..layer.inputs)
-                .flat_map(|input| (0..9).map(move |tap| (input * outputs + output) * 9 + tap))
-                .collect();
-            let row: Vec<f32> = places.iter().map(|place| layer.weights[*place]).collect();
-            let (shift, integers) = quantise_row(&row, WEIGHTS);
-            shifts.push(shift);
-            places.iter().zip(integers).for_each(|(place, integer)| weights[*place] = integer);
-        }
-        let bias = layer.bias.iter().copied().map(quantise_bias).collect();
-        Self { inputs: layer.inputs, shifts, weights, bias }
-    }
-
-    fn as_floats(&self) -> UpLayer {
-        let outputs = self.bias.len();
-        let scale = |place: usize| 1.0 / (1_u32 << self.shifts[place / 9 % outputs]) as f32;
-        UpLayer {
-            inputs: self.inputs,
-            outputs,
-            weights: self.weights.iter().enumerate().map(|(place, w)| f32::from(*w) * scale(place)).collect(),
-            bias: self.bias.iter().map(|bias| *bias as f32 / 256.0).collect(),
-        }
-    }
-}
-
-/// A layer's weights by what an output place needs: an even column has one tap, an odd one two, and so have rows.
-struct Taps<'a> {
-    layer: &'a IntegerUpLayer,
-    /// For each parity of row and column, padded rows `[outputs][taps][inputs]`.
-    rows: [Vec<i16>; 4],
-}
-
-/// Offset of the input from the halved output place, and tap, for even and odd places.
-const ALONG: [&[(usize, usize)]; 2] = [&[(0, 1)], &[(1, 0), (0, 2)]];
-
-impl<'a> Taps<'a> {
-    fn new(layer: &'a IntegerUpLayer) -> Self {
-        let (inputs, outputs) = (layer.inputs, layer.bias.len());
-        let rows = std::array::from_fn(|parity| {
-            let (vertical, horizontal) = (ALONG[parity / 2], ALONG[parity % 2]);
-            let stride = padded(vertical.len() * horizontal.len() * inputs);
-            let mut rows = Vec::with_capacity(outputs * stride);
-            for output in 0..outputs {
-                for (_, v) in vertical {
-                    for (_, u) in horizontal {
-                        let tap = 3 * v + u;
-                        rows.extend(
-                            (0..inputs).map(|input| layer.weights[(input * outputs + output) * 9 + tap]),
-                        );
-                    }
-                }
-                rows.resize((output + 1) * stride, 0);
-            }
-            rows
-        });
-        Self { layer, rows }
-    }
-
-    /// One plane `[edge][edge][inputs]` made `[2 edge][2 edge][outputs]`.
-    fn apply(&self, plane: &[i16], edge: usize, low: i32) -> Vec<i16> {
-        let (inputs, outputs) = (self.layer.inputs, self.layer.bias.len());
-        let mut result = vec![0; 4 * edge * edge * outputs];
-        result.par_chunks_mut(2 * edge * outputs).enumerate().for_each(|(row, line)| {
-            let mut gathered = Vec::new();
-            for (column, place) in line.chunks_mut(outputs).enumerate() {
-                let parity = row % 2 * 2 + column % 2;
-                gathered.clear();
-                for (down, _) in ALONG[row % 2] {
-                    for (right, _) in ALONG[column % 2] {
-                        let (y, x) = (row / 2 + down, column / 2 + right);
-                        if y < edge && x < edge {
-                            let start = (y * edge + x) * inputs;
-                            gathered.extend_from_slice(&plane[start..start + inputs]);
-                        } else {
-                            gathered.resize(gathered.len() + inputs, 0);
-                        }
-                    }
-                }
-                let stride = padded(gathered.len());
-                gathered.resize(stride, 0);
-                for (output, value) in place.iter_mut().enumerate() {
-                    let sum = dot(&self.rows[parity][output * stride..(output + 1) * stride], &gathered);
-                    let sum = shifted(sum, self.layer.shifts[output], self.layer.bias[output]);
-                    *value = sum.clamp(low, MAX_ACTIVATION) as i16;
-                }
-            }
-        });
-        result
-    }
-}
-
-impl PlaneTexels {
-    /// Texels along an edge.
-    pub(in crate::codec) fn edge(&self) -> usize {
-        self.edge
-    }
-
-    /// Values of a sample: the three planes' channels in turn.
-    pub(in crate::codec) fn sample_width(&self) -> usize {
-        PLANES * self.channels
-    }
-
-    /// Samples the planes at `places` into `sample`, of [`PlaneTexels::sample_width`] values.
-    pub(in crate::codec) fn sample(&self, places: &[Texel; 3], sample: &mut [i16]) {
-        let size = self.edge * self.edge * self.channels;
-        for ((texel, plane), sample) in
-            places.iter().zip(self.values.chunks(size)).zip(sample.chunks_mut(self.channels))
-        {
-            let at = |x: u32, y: u32| {
-                let start = (y as usize * self.edge + x as usize) * self.channels;
-                &plane[start..start + self.channels]
-            };
-            let [low, high] = [256 - texel.fx as i32, texel.fx as i32];
-            let [near, far] = [256 - texel.fy as i32, texel.fy as i32];
-            let corners = [
-                (at(texel.x0, texel.y0), low * near),
-                (at(texel.x1, texel.y0), high * near),
-                (at(texel.x0, texel.y1), low * far),
-                (at(texel.x1, texel.y1), high * far),
-            ];
-            for (channel, value) in sample.iter_mut().enumerate() {
-                // Weights add up to 2^16, so the sum is below 2^30.
-                let sum: i32 = corners.iter().map(|(texel, weight)| i32::from(texel[channel]) * weight).sum();
-                *value = (sum >> 16) as i16;
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64Mcg;
 
     use super::*;
-    use crate::codec::context::texels;
+    use crate::{codec::context::texels, domain::UpLayer};
 
     fn planes(random: &mut Pcg64Mcg, edge: usize, widths: &[usize]) -> Planes {
         let mut uniform = |count: usize, bound: f32| -> Vec<f32> {

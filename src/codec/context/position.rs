@@ -1,4 +1,4 @@
-//! The position prior: coordinates and triangle waves of them, which let a small network tell places apart.
+//! Position inputs: coordinates and triangle waves of them, which let a small network distinguish places.
 
 use crate::domain::context::{POSITION_INPUTS, POSITION_OCTAVES};
 

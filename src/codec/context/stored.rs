@@ -1,7 +1,6 @@
-//! What a file will make of networks and planes: the floats that their integers stand for.
+//! Networks and planes after a round trip through the file's integers, as floats.
 //!
-//! Training rounds with these in its last phase, so that it learns with what a decoder will have. Rounding what was rounded
-//! changes nothing.
+//! Training rounds with these in its last phase, so that it sees what a decoder will see. The round trip is idempotent.
 
 use super::{
     dense::{IntegerMlp, WeightBits},

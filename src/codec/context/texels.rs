@@ -1,7 +1,10 @@
-//! Where a coordinate falls on the three planes: four texels each, with bilinear weights in 2^-8.
+//! The three planes as they are sampled: four texels and bilinear weights in 2^-8 for a coordinate on each.
 
 use super::COORDINATE_LIMIT;
 use crate::domain::context::PLANE_AXES;
+
+/// Planes of a scene.
+pub(in crate::codec) const PLANES: usize = PLANE_AXES.len();
 
 /// Most texels along the edge of a plane.
 pub(in crate::codec) const MAX_PLANE_EDGE: usize = 1024;
@@ -39,6 +42,53 @@ pub fn texels(coordinate: [i32; 3], plane_edge: usize) -> [Texel; 3] {
         let ((x0, x1, fx), (y0, y1, fy)) = (along(first), along(second));
         Texel { x0, x1, fx, y0, y1, fy }
     })
+}
+
+/// Planes as they are sampled.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(in crate::codec) struct PlaneTexels {
+    pub(super) edge: usize,
+    pub(super) channels: usize,
+    /// `[3][edge][edge][channels]`.
+    pub(super) values: Vec<i16>,
+}
+
+impl PlaneTexels {
+    /// Texels along an edge.
+    pub(in crate::codec) fn edge(&self) -> usize {
+        self.edge
+    }
+
+    /// Values of a sample: the three planes' channels in turn.
+    pub(in crate::codec) fn sample_width(&self) -> usize {
+        PLANES * self.channels
+    }
+
+    /// Samples the planes at `places` into `sample`, of [`PlaneTexels::sample_width`] values.
+    pub(in crate::codec) fn sample(&self, places: &[Texel; 3], sample: &mut [i16]) {
+        let size = self.edge * self.edge * self.channels;
+        for ((texel, plane), sample) in
+            places.iter().zip(self.values.chunks(size)).zip(sample.chunks_mut(self.channels))
+        {
+            let at = |x: u32, y: u32| {
+                let start = (y as usize * self.edge + x as usize) * self.channels;
+                &plane[start..start + self.channels]
+            };
+            let [low, high] = [256 - texel.fx as i32, texel.fx as i32];
+            let [near, far] = [256 - texel.fy as i32, texel.fy as i32];
+            let corners = [
+                (at(texel.x0, texel.y0), low * near),
+                (at(texel.x1, texel.y0), high * near),
+                (at(texel.x0, texel.y1), low * far),
+                (at(texel.x1, texel.y1), high * far),
+            ];
+            for (channel, value) in sample.iter_mut().enumerate() {
+                // Weights add up to 2^16, so the sum is below 2^30.
+                let sum: i32 = corners.iter().map(|(texel, weight)| i32::from(texel[channel]) * weight).sum();
+                *value = (sum >> 16) as i16;
+            }
+        }
+    }
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
-//! Spherical harmonics that come closest to colours seen from given directions: weighted least squares in f64 by the
-//! normal equations of one Gaussian, whose three channels share them.
+//! Fits spherical harmonics to colours seen from given directions: weighted least squares in f64 by the normal equations of one Gaussian,
+//! which its three channels share.
 //!
-//! Directions from which nobody looked are held down by a Tikhonov term on the roughness of the colour, not on its mean,
-//! so a Gaussian that was seen from one side only keeps its colour when it is seen from the other.
+//! A Tikhonov term on the roughness of the colour, not on its mean, regularises directions without a view: a Gaussian that was seen from
+//! one side only keeps its colour on the other.
 
 use crate::domain::{gaussians::SH_COEFFICIENTS, harmonics};
 
@@ -14,7 +14,7 @@ pub type Coefficients = [[f64; 3]; SH_COEFFICIENTS];
 
 /// The weighted sums that a fit is solved from.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Normal {
+pub struct NormalEquations {
     functions: usize,
     /// Sums of weight times a product of two functions, the lower triangle.
     gram: [[f64; SH_COEFFICIENTS]; SH_COEFFICIENTS],
@@ -23,7 +23,7 @@ pub struct Normal {
     weight: f64,
 }
 
-impl Normal {
+impl NormalEquations {
     /// Sums over nothing, for functions of degree 0 to `degree`, which is at most 3.
     #[must_use]
     pub fn new(degree: u8) -> Self {
@@ -114,7 +114,7 @@ mod tests {
     }
 
     fn fitted(degree: u8, ridge: f64, samples: &[(DVec3, [f64; 3], f64)]) -> Coefficients {
-        let mut normal = Normal::new(degree);
+        let mut normal = NormalEquations::new(degree);
         for (direction, color, weight) in samples {
             normal.add(&harmonics::basis(*direction), *color, *weight);
         }

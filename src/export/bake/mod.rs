@@ -1,17 +1,17 @@
-//! From anchors and networks to plain Gaussians, which no longer ask where they are seen from but for their colour.
+//! Bakes anchors and networks into plain Gaussians, of which only the colour depends on the view.
 //!
-//! In this model opacity, size, rotation and colour of a Gaussian all depend on the view (METHOD.md §2.2, §2.3). The plain
-//! form keeps one of each but the colour, so each Gaussian is looked at from given cameras and reduced:
+//! In this model opacity, size, rotation and colour of a Gaussian all depend on the view (METHOD.md §2.2, §2.3). Plain Gaussians have
+//! one opacity, size and rotation, so each Gaussian is evaluated from the given cameras and reduced:
 //!
-//! - **opacity**: the mean over the views that show it, each with the share of its light that nothing before it takes
-//!   (`occlusion`), and with the views in which it is not born counting as zero. A Gaussian that appears from one side
-//!   only becomes fainter there and appears on the other side too: most of what is lost.
-//! - **size**: the mean of its logarithms, weighted by the opacity and that share in each view;
+//! - **opacity**: the mean over the views that show it, weighted by the transmittance in front of it (`occlusion`); views in which the
+//!   networks emit no Gaussian count as zero. A Gaussian that exists only for one side becomes fainter there and visible from the other
+//!   side: most of the loss.
+//! - **size**: the mean of its logarithms, weighted by opacity and transmittance in each view;
 //! - **rotation**: the mean of the quaternions, signs aligned, weighted alike;
 //! - **colour**: spherical harmonics by weighted least squares (`fit`), at the directions from each camera to the mean.
 //!
-//! What no view shows with an opacity of 1/255 is left out. The same scene and cameras give the same bits, whatever the
-//! number of threads.
+//! Gaussians that no view shows with an opacity of 1/255 are dropped. The same scene and cameras give the same bits with any number of
+//! threads.
 
 mod fit;
 mod networks;
@@ -22,13 +22,13 @@ use glam::DVec3;
 use rayon::prelude::*;
 use thiserror::Error;
 
-pub use fit::{Coefficients, Normal};
+pub use fit::{Coefficients, NormalEquations};
 pub use views::{sphere, thinned};
 
 use self::{
     networks::{Evaluated, ViewInputs},
     occlusion::Disc,
-    views::Sight,
+    views::BakeView,
 };
 use crate::domain::{
     AnchorScene, Camera, GaussianScene, Mlp, anchors::SceneShapeError, gaussians::SH_COEFFICIENTS, harmonics,
@@ -38,23 +38,23 @@ use crate::domain::{
 const ALPHA_MIN: f64 = 1.0 / 255.0;
 
 /// Opacities are held this far from one, where the logit would be infinite.
-const OPAQUE: f64 = 1.0 - 1e-6;
+const MAX_OPACITY: f64 = 1.0 - 1e-6;
 
 /// Standard deviations to which a Gaussian reaches.
-const REACH: f64 = 3.0;
+const CUTOFF_SIGMAS: f64 = 3.0;
 
 /// What a Gaussian counts for in a view that hides it, so that one that every view hides has values too.
-const LEAST_SHARE: f64 = 1.0 / 256.0;
+const MIN_SHARE: f64 = 1.0 / 256.0;
 
 /// Smallest size before its logarithm is taken.
-const SMALLEST: f64 = 1e-30;
+const MIN_SIZE: f64 = 1e-30;
 
 /// How to bake.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BakeSettings {
     /// Highest degree of the spherical harmonics, 0 to 3.
     pub degree: u8,
-    /// Weight of the colour's roughness against the squared error ([`Normal::solve`]).
+    /// Weight of the colour's roughness against the squared error ([`NormalEquations::solve`]).
     pub ridge: f64,
 }
 
@@ -100,7 +100,7 @@ pub enum BakeError {
 /// The plain Gaussians that look most like the scene from `cameras`.
 ///
 /// # Errors
-/// [`BakeError`], one variant a fault.
+/// [`BakeError`], one variant for each thing that can be wrong.
 pub fn bake(scene: &AnchorScene, cameras: &[Camera], settings: BakeSettings) -> Result<Baked, BakeError> {
     scene.check()?;
     if settings.degree > 3 {
@@ -109,16 +109,19 @@ pub fn bake(scene: &AnchorScene, cameras: &[Camera], settings: BakeSettings) -> 
     if cameras.is_empty() {
         return Err(BakeError::NoViews);
     }
-    let sights: Vec<Sight> = cameras.iter().map(Sight::of).collect();
-    let anchors: Vec<Look<'_>> =
-        (0..scene.len()).map(|anchor| Look { scene, sights: &sights, settings, anchor }).collect();
-    let candidates: Vec<Vec<Candidate>> = anchors.par_iter().map(Look::candidates).collect();
-    let light = Light::of(&sights, &candidates, f64::from(scene.near.depth()));
+    let bake_views: Vec<BakeView> = cameras.iter().map(BakeView::of).collect();
+    let anchors: Vec<AnchorSampler<'_>> = (0..scene.len())
+        .map(|anchor| AnchorSampler { scene, bake_views: &bake_views, settings, anchor })
+        .collect();
+    let candidates: Vec<Vec<Candidate>> = anchors.par_iter().map(AnchorSampler::candidates).collect();
+    let visibility = Visibility::of(&bake_views, &candidates, f64::from(scene.near.depth()));
     let baked: Vec<Vec<Gaussian>> = anchors
         .par_iter()
         .zip(&candidates)
         .enumerate()
-        .map(|(anchor, (look, candidates))| look.gaussians(candidates, &light.shares, light.first[anchor]))
+        .map(|(anchor, (sampler, candidates))| {
+            sampler.gaussians(candidates, &visibility.shares, visibility.first[anchor])
+        })
         .collect();
     let mut gaussians =
         GaussianScene { degree: settings.degree, near: scene.near, ..GaussianScene::default() };
@@ -136,7 +139,7 @@ pub fn bake(scene: &AnchorScene, cameras: &[Camera], settings: BakeSettings) -> 
 }
 
 /// A Gaussian in one view.
-struct Seen {
+struct ViewSample {
     /// Column of the networks' outputs.
     column: usize,
     view: usize,
@@ -162,15 +165,15 @@ struct Candidate {
 }
 
 /// How much of each candidate the views show.
-struct Light {
+struct Visibility {
     /// Index of an anchor's first candidate.
     first: Vec<usize>,
     /// `[views][candidates]`
     shares: Vec<Vec<f32>>,
 }
 
-impl Light {
-    fn of(sights: &[Sight], candidates: &[Vec<Candidate>], near: f64) -> Self {
+impl Visibility {
+    fn of(bake_views: &[BakeView], candidates: &[Vec<Candidate>], near: f64) -> Self {
         let mut first = Vec::with_capacity(candidates.len());
         let mut count = 0;
         for of_anchor in candidates {
@@ -178,13 +181,13 @@ impl Light {
             count += of_anchor.len();
         }
         let discs: Vec<Disc> = candidates.iter().flatten().map(|candidate| candidate.disc).collect();
-        let shares = sights
+        let shares = bake_views
             .par_iter()
             .enumerate()
-            .map(|(view, sight)| {
+            .map(|(view, bake_view)| {
                 let opacities: Vec<f32> =
                     candidates.iter().flatten().map(|candidate| candidate.opacities[view]).collect();
-                occlusion::shares(sight, &discs, &opacities, near)
+                occlusion::shares(bake_view, &discs, &opacities, near)
             })
             .collect();
         Self { first, shares }
@@ -192,14 +195,14 @@ impl Light {
 }
 
 /// One anchor seen from everywhere.
-struct Look<'a> {
+struct AnchorSampler<'a> {
     scene: &'a AnchorScene,
-    sights: &'a [Sight],
+    bake_views: &'a [BakeView],
     settings: BakeSettings,
     anchor: usize,
 }
 
-impl Look<'_> {
+impl AnchorSampler<'_> {
     /// Its offsets that are on and at a finite place.
     fn live(&self) -> Vec<(usize, DVec3)> {
         let Self { scene, anchor, .. } = *self;
@@ -214,13 +217,14 @@ impl Look<'_> {
     fn views<'m>(&self, means: impl Iterator<Item = &'m DVec3> + Clone) -> (Vec<usize>, ViewInputs) {
         let (position, radius) = (self.position(), self.radius());
         let (mut from, mut inputs) = (Vec::new(), ViewInputs::default());
-        for (view, sight) in self.sights.iter().enumerate() {
-            if means.clone().any(|mean| sight.sees(*mean, radius, self.near())) {
-                let ray = position - sight.center;
+        for (view, bake_view) in self.bake_views.iter().enumerate() {
+            if means.clone().any(|mean| bake_view.sees(*mean, radius, self.near())) {
+                let ray = position - bake_view.center;
                 let distance = ray.length().max(1e-12);
                 let direction = ray / distance;
-                let told = distance / f64::from(self.scene.unit.length());
-                inputs.push([direction.x, direction.y, direction.z, told].map(|value| value as f32));
+                let scaled_distance = distance / f64::from(self.scene.unit.length());
+                inputs
+                    .push([direction.x, direction.y, direction.z, scaled_distance].map(|value| value as f32));
                 from.push(view);
             }
         }
@@ -241,9 +245,9 @@ impl Look<'_> {
         let (size, radius) = (self.size(), self.radius());
         live.into_iter()
             .filter_map(|(offset, mean)| {
-                let mut opacities = vec![0.0; self.sights.len()];
+                let mut opacities = vec![0.0; self.bake_views.len()];
                 for (view, x) in from.iter().zip(opacity.row(offset)) {
-                    if self.sights[*view].sees(mean, radius, self.near()) {
+                    if self.bake_views[*view].sees(mean, radius, self.near()) {
                         opacities[*view] = x.tanh().clamp(0.0, 1.0);
                     }
                 }
@@ -279,15 +283,15 @@ impl Look<'_> {
             .enumerate()
             .filter_map(|(index, candidate)| {
                 let mean = candidate.disc.mean;
-                let seen: Vec<Seen> = from
+                let seen: Vec<ViewSample> = from
                     .iter()
                     .enumerate()
-                    .filter(|(_, view)| self.sights[**view].sees(mean, radius, self.near()))
-                    .map(|(column, view)| Seen {
+                    .filter(|(_, view)| self.bake_views[**view].sees(mean, radius, self.near()))
+                    .map(|(column, view)| ViewSample {
                         column,
                         view: *view,
                         opacity: f64::from(candidate.opacities[*view]),
-                        share: f64::from(shares[*view][first + index]).max(LEAST_SHARE),
+                        share: f64::from(shares[*view][first + index]).max(MIN_SHARE),
                     })
                     .collect();
                 let (covariance, color) =
@@ -301,15 +305,15 @@ impl Look<'_> {
     fn reduced(
         &self,
         mean: DVec3,
-        seen: &[Seen],
+        seen: &[ViewSample],
         covariance: &[Vec<f32>],
         color: &[Vec<f32>],
     ) -> Option<Gaussian> {
         let size = self.size();
         let (mut shown, mut weight) = (0.0, 0.0);
         let (mut log_scale, mut quat) = (DVec3::ZERO, [0.0; 4]);
-        let mut normal = Normal::new(self.settings.degree);
-        for Seen { column, view, opacity, share } in seen {
+        let mut normal = NormalEquations::new(self.settings.degree);
+        for ViewSample { column, view, opacity, share } in seen {
             shown += share;
             if *opacity < ALPHA_MIN {
                 continue;
@@ -318,14 +322,14 @@ impl Look<'_> {
             weight += opacity;
             let at = |rows: &[Vec<f32>], row: usize| f64::from(rows[row][*column]);
             let scale = size * DVec3::from([0, 1, 2].map(|axis| logistic(at(covariance, axis))));
-            log_scale += opacity * scale.max(DVec3::splat(SMALLEST)).map(f64::ln);
+            log_scale += opacity * scale.max(DVec3::splat(MIN_SIZE)).map(f64::ln);
             add_rotation(&mut quat, [3, 4, 5, 6].map(|row| at(covariance, row)), opacity);
-            let direction = (mean - self.sights[*view].center).normalize_or(DVec3::Z);
+            let direction = (mean - self.bake_views[*view].center).normalize_or(DVec3::Z);
             // A colour is a half plus its harmonics.
             let rgb = [0, 1, 2].map(|channel| logistic(at(color, channel)) - 0.5);
             normal.add(&harmonics::basis(direction), rgb, opacity);
         }
-        let opacity = (weight / shown).min(OPAQUE);
+        let opacity = (weight / shown).min(MAX_OPACITY);
         if opacity < ALPHA_MIN {
             return None;
         }
@@ -364,7 +368,7 @@ impl Look<'_> {
 
     /// How far its Gaussians reach from their means at most.
     fn radius(&self) -> f64 {
-        REACH * self.size().max_element()
+        CUTOFF_SIGMAS * self.size().max_element()
     }
 
     fn mean(&self, k: usize) -> DVec3 {

@@ -1,7 +1,7 @@
-//! The render networks of one anchor over many views at once, in f32 on the host.
+//! Evaluates the render networks of one anchor for many views at once, in f32 on the host.
 //!
-//! A column is a view. The first layer's product with the feature is the same in all columns and computed once; rows of
-//! the last layer are computed when they are asked for, since most offsets of an anchor make no Gaussian.
+//! A column is a view. The first layer's product with the feature is the same in all columns and computed once; rows of the last layer are
+//! computed on request, since most offsets of an anchor make no Gaussian.
 
 use crate::domain::{DenseLayer, Mlp, anchors::VIEW_INPUTS};
 

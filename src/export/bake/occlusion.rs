@@ -1,13 +1,12 @@
-//! How much of each Gaussian a view shows: what is left of the light behind those that lie before it.
+//! How much of each Gaussian is visible in a view: the transmittance in front of it.
 //!
-//! A network was taught nothing about a Gaussian from where something hides it, so what it says there must not count. A
-//! grid of at most 128 cells a side stands for the image, and each Gaussian for a disc of its mean size: that is coarse, but
-//! tells the front of a wall from its back, and takes milliseconds a view. The order is that of depth, then of index, so
-//! the outcome is always the same.
+//! Training never supervises a network's outputs for views in which the Gaussian is hidden, so those outputs must not count. A grid of
+//! at most 128 cells a side stands in for the image, and a disc of its mean size for each Gaussian: coarse, but enough to tell the front of
+//! a wall from its back, in milliseconds a view. The order is by depth, then by index, so the result is deterministic.
 
 use glam::DVec3;
 
-use super::views::Sight;
+use super::views::BakeView;
 
 /// Cells along the longer side of the grid.
 const CELLS: f64 = 128.0;
@@ -29,16 +28,16 @@ pub(super) struct Disc {
     pub(super) sigma: f64,
 }
 
-/// Shares of light, 0 to 1, in which `sight` shows the discs of the given opacities; zero behind the near plane.
-pub(super) fn shares(sight: &Sight, discs: &[Disc], opacities: &[f32], near: f64) -> Vec<f32> {
-    let (width, height) = sight.size();
+/// Shares of light, 0 to 1, in which `bake_view` shows the discs of the given opacities; zero behind the near plane.
+pub(super) fn shares(bake_view: &BakeView, discs: &[Disc], opacities: &[f32], near: f64) -> Vec<f32> {
+    let (width, height) = bake_view.size();
     let cell = (width.max(height) / CELLS).max(1.0);
     let (columns, rows) = ((width / cell).ceil().max(1.0) as i64, (height / cell).ceil().max(1.0) as i64);
     let mut order: Vec<(f64, usize, f64, f64, f64)> = discs
         .iter()
         .enumerate()
         .filter_map(|(index, disc)| {
-            let (x, y, depth, scale) = sight.project(disc.mean, near)?;
+            let (x, y, depth, scale) = bake_view.project(disc.mean, near)?;
             Some((depth, index, x / cell, y / cell, scale * disc.sigma / cell))
         })
         .collect();
@@ -77,10 +76,10 @@ mod tests {
     use super::*;
     use crate::domain::{Camera, Intrinsics, Pose};
 
-    fn sight() -> Sight {
+    fn bake_view() -> BakeView {
         let k = Intrinsics::from_horizontal_fov(1.0, 64, 64).expect("intrinsics");
         let pose = Pose::look_at(DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::Y).expect("a pose");
-        Sight::of(&Camera::new(k, pose).expect("a camera"))
+        BakeView::of(&Camera::new(k, pose).expect("a camera"))
     }
 
     fn disc(x: f64, z: f64) -> Disc {
@@ -90,7 +89,7 @@ mod tests {
     #[test]
     fn what_is_behind_is_shown_less_and_what_is_beside_or_before_is_not() {
         let discs = [disc(0.0, 1.0), disc(0.0, 0.0), disc(2.0, 1.0), disc(0.0, -1.0), disc(0.0, -9.0)];
-        let shares = shares(&sight(), &discs, &[1.0, 0.5, 1.0, 0.0, 1.0], 0.2);
+        let shares = shares(&bake_view(), &discs, &[1.0, 0.5, 1.0, 0.0, 1.0], 0.2);
         assert_eq!(shares[3], 1.0, "in front");
         assert_eq!(shares[1], 1.0, "behind what is transparent");
         assert!((0.4..0.8).contains(&shares[0]), "behind a half: {}", shares[0]);
@@ -101,14 +100,14 @@ mod tests {
     #[test]
     fn what_lies_outside_the_image_darkens_nothing_in_it() {
         let discs = [disc(60.0, -1.0), disc(2.1, 0.0)];
-        assert_eq!(shares(&sight(), &discs, &[1.0, 1.0], 0.2)[1], 1.0);
+        assert_eq!(shares(&bake_view(), &discs, &[1.0, 1.0], 0.2)[1], 1.0);
     }
 
     #[test]
     fn sizes_and_places_without_measure_are_no_fault() {
         for (sigma, x) in [(1e30, 0.0), (0.0, 0.0), (f64::INFINITY, 1e30), (f64::NAN, -1e30)] {
             let strange = Disc { mean: DVec3::new(x, 0.0, 0.0), sigma };
-            let found = shares(&sight(), &[strange, disc(0.0, 1.0)], &[1.0, 1.0], 0.2);
+            let found = shares(&bake_view(), &[strange, disc(0.0, 1.0)], &[1.0, 1.0], 0.2);
             assert!(found.iter().all(|share| (0.0..=1.0).contains(share)), "{found:?}");
         }
     }

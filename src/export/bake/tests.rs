@@ -135,8 +135,8 @@ fn what_is_off_or_out_of_sight_is_left_out_and_counted_apart() {
     let k = Intrinsics::from_horizontal_fov(0.5, 32, 32).expect("intrinsics");
     let away = Pose::look_at(DVec3::new(5.0, 0.0, 0.0), DVec3::new(9.0, 0.0, 0.0), DVec3::Z).expect("a pose");
     let away = Camera::new(k, away).expect("a camera");
-    let fault = bake(&scene, &[away], BakeSettings::default()).expect_err("nothing is in sight");
-    assert_eq!(fault, BakeError::Empty { offsets: 1, views: 1 });
+    let error = bake(&scene, &[away], BakeSettings::default()).expect_err("nothing is in view");
+    assert_eq!(error, BakeError::Empty { offsets: 1, views: 1 });
 }
 
 #[test]
@@ -172,7 +172,7 @@ fn the_networks_are_told_distances_in_the_scenes_unit() {
             found.sh.as_flattened().as_flattened().iter().zip(expected.sh.as_flattened().as_flattened());
         opacities.chain(colors).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
     };
-    assert!(differ(&scaled) > 0.1, "told in the world's unit, it is another scene");
+    assert!(differ(&scaled) > 0.1, "scaled_distance in the world's unit, it is another scene");
     scaled.unit = DistanceUnit::new(4.0).expect("a length");
     assert!(differ(&scaled) < 1e-4, "{}", differ(&scaled));
 }

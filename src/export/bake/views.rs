@@ -1,5 +1,4 @@
-//! Where a scene is looked at from when it is baked: the cameras that it was trained with, or where nothing is known of
-//! them, cameras on a sphere around it.
+//! The cameras to bake from: those of training, or cameras on a sphere around the scene if those are unknown.
 
 use glam::DVec3;
 
@@ -61,13 +60,13 @@ fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
 
 /// A camera as the question needs it whether it sees a ball.
 #[derive(Debug, Clone)]
-pub(super) struct Sight {
+pub(super) struct BakeView {
     camera: Camera,
     /// Where it is.
     pub(super) center: DVec3,
 }
 
-impl Sight {
+impl BakeView {
     pub(super) fn of(camera: &Camera) -> Self {
         Self { camera: *camera, center: camera.pose.center() }
     }
@@ -108,8 +107,8 @@ mod tests {
         for camera in &cameras {
             let distance = camera.pose.center().distance(DVec3::new(5.45, 0.45, -3.0));
             assert!((1.0..4.0).contains(&distance), "{distance}");
-            assert!(Sight::of(camera).sees(DVec3::new(5.0, 0.0, -3.0), 0.0, 0.2));
-            assert!(!Sight::of(camera).sees(camera.pose.center(), 0.1, 0.2));
+            assert!(BakeView::of(camera).sees(DVec3::new(5.0, 0.0, -3.0), 0.0, 0.2));
+            assert!(!BakeView::of(camera).sees(camera.pose.center(), 0.1, 0.2));
         }
         let balance: DVec3 = cameras.iter().map(|camera| camera.pose.center()).sum::<DVec3>() / 20.0;
         assert!(balance.distance(DVec3::new(5.45, 0.45, -3.0)) < 0.3, "cameras lean to one side");

@@ -28,7 +28,7 @@ const COORDINATE_SYSTEM: u32 = 0xadbe_0003;
 /// Its values for right, up, back: unspecified, which means these, and by name.
 const RIGHT_UP_BACK: [u32; 2] = [0, 4];
 
-/// No deflated byte stands for more.
+/// Largest ratio of deflate.
 const MAX_GZIP_RATIO: u64 = 1032;
 
 /// A zstd block takes at least four bytes and holds at most 128 KiB.
@@ -109,8 +109,8 @@ pub(super) fn write(
     arrays: &[Vec<u8>; ARRAYS],
 ) -> Result<Vec<u8>, SpzError> {
     match version {
-        SpzVersion::V3 => write_gzip(header, arrays).map_err(|fault| SpzError::Gzip(fault.to_string())),
-        SpzVersion::V4 => write_zstd(header, arrays).map_err(|fault| SpzError::Zstd(fault.to_string())),
+        SpzVersion::V3 => write_gzip(header, arrays).map_err(|error| SpzError::Gzip(error.to_string())),
+        SpzVersion::V4 => write_zstd(header, arrays).map_err(|error| SpzError::Zstd(error.to_string())),
     }
 }
 
@@ -148,9 +148,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Header, Vec<u8>), SpzError> {
 
 fn read_gzip(bytes: &[u8]) -> Result<(Header, Vec<u8>), SpzError> {
     let mut gzip = GzDecoder::new(bytes);
-    let fault = |fault: io::Error| SpzError::Gzip(fault.to_string());
+    let error = |error: io::Error| SpzError::Gzip(error.to_string());
     let mut fields = [0; FIELDS];
-    gzip.read_exact(&mut fields).map_err(fault)?;
+    gzip.read_exact(&mut fields).map_err(error)?;
     let header = Header::parse(&fields)?;
     if header.version > 3 {
         return Err(SpzError::Container(header.version));
@@ -162,7 +162,7 @@ fn read_gzip(bytes: &[u8]) -> Result<(Header, Vec<u8>), SpzError> {
         return Err(length(most));
     }
     let mut arrays = Vec::new();
-    gzip.take(needed + 1).read_to_end(&mut arrays).map_err(fault)?;
+    gzip.take(needed + 1).read_to_end(&mut arrays).map_err(error)?;
     if arrays.len() as u64 != needed {
         return Err(length(arrays.len() as u64));
     }
@@ -181,7 +181,7 @@ fn read_zstd(bytes: &[u8]) -> Result<(Header, Vec<u8>), SpzError> {
         if frame.is_empty() {
             continue;
         }
-        let found = unpack(frame, needed, &mut arrays).map_err(|fault| SpzError::Zstd(fault.to_string()))?;
+        let found = unpack(frame, needed, &mut arrays).map_err(|error| SpzError::Zstd(error.to_string()))?;
         if found != needed {
             return Err(length(found));
         }
@@ -189,7 +189,7 @@ fn read_zstd(bytes: &[u8]) -> Result<(Header, Vec<u8>), SpzError> {
     Ok((header, arrays))
 }
 
-/// Appends what is in a frame, one byte more than `needed` at most; returns how many bytes that were.
+/// Appends the content of a frame, at most one byte more than `needed`; returns the number of bytes appended.
 fn unpack(frame: &[u8], needed: u64, into: &mut Vec<u8>) -> io::Result<u64> {
     let mut zstd = zstd::stream::read::Decoder::with_buffer(frame)?;
     let window = needed.max(1).next_power_of_two().ilog2();

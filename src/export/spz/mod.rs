@@ -20,7 +20,7 @@
 //! is a zstd frame, with the frame's checksum when this program writes it.
 //! **Frame**: the file's axes are right, up, back, where `.ply` is taken for right, down, front by every
 //! converter; so y and z change their signs on the way, and with them the rotations and harmonics that are odd in them. A
-//! `.spz` and a `.ply` of one scene lie on each other in a viewer.
+//! `.spz` and a `.ply` of one scene coincide in a viewer.
 //!
 //! **What rounding costs**: at most half a position unit (this program takes 2^-12 world units, or finer where Gaussians
 //! are small, see [`Packed::fractional_bits`]), 1/32 of a logarithm in scale (3 %), 0.0014 in a quaternion's components,

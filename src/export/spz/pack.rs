@@ -8,7 +8,7 @@ use super::{
 use crate::domain::{GaussianScene, harmonics};
 
 /// Fewest fractional bits where they fit: what the format's own writer takes.
-const USUAL_BITS: u32 = 12;
+const DEFAULT_BITS: u32 = 12;
 
 /// Position units to the median Gaussian's size, at least.
 const UNITS_A_SIZE: f64 = 16.0;
@@ -17,7 +17,7 @@ const UNITS_A_SIZE: f64 = 16.0;
 const ALPHA_MIN: f64 = 1.0 / 255.0;
 
 /// Opacity 255 reads as an infinite logit in other programs; renderers hold opacities at 0.99 anyway.
-const MOST_OPACITY: f64 = 254.0;
+const MAX_OPACITY_BYTE: f64 = 254.0;
 
 /// A file, and what it took to make it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -56,7 +56,7 @@ pub fn to_spz(scene: &GaussianScene, version: SpzVersion) -> Result<Packed, SpzE
     }
     let opacities = kept
         .iter()
-        .map(|index| (255.0 * opacity(scene.opacity_logits[*index])).round().min(MOST_OPACITY) as u8)
+        .map(|index| (255.0 * opacity(scene.opacity_logits[*index])).round().min(MAX_OPACITY_BYTE) as u8)
         .collect();
     let mut rounder = Rounder { clamped: 0 };
     let (mut colors, mut scales) = (Vec::new(), Vec::new());
@@ -117,7 +117,7 @@ fn fractional_bits(scene: &GaussianScene, kept: &[usize]) -> Result<u8, SpzError
         .iter()
         .map(|index| (*index, scene.means[*index].iter().fold(0.0_f32, |most, value| most.max(value.abs()))))
         .max_by(|a, b| a.1.total_cmp(&b.1));
-    let Some((index, most)) = farthest else { return Ok(USUAL_BITS as u8) };
+    let Some((index, most)) = farthest else { return Ok(DEFAULT_BITS as u8) };
     let limit = f64::from((1_u32 << (POSITION_BITS - 1)) - 1);
     if f64::from(most) > limit {
         return Err(SpzError::TooFar { index, coordinate: most as i64 });
@@ -128,7 +128,7 @@ fn fractional_bits(scene: &GaussianScene, kept: &[usize]) -> Result<u8, SpzError
     let median = f64::from(*sizes.select_nth_unstable_by(middle, f32::total_cmp).1);
     let wanted = (UNITS_A_SIZE.log2() - median / std::f64::consts::LN_2).ceil();
     let most_bits = POSITION_BITS - 1;
-    let mut bits = (wanted.clamp(f64::from(USUAL_BITS), f64::from(most_bits))) as u32;
+    let mut bits = (wanted.clamp(f64::from(DEFAULT_BITS), f64::from(most_bits))) as u32;
     while (f64::from(most) * f64::from(1_u32 << bits)).round() > limit {
         bits -= 1;
     }

@@ -1,4 +1,4 @@
-//! The format against its own reader, against bytes made by hand, and against what is no file.
+//! Round trips, hand-made bytes, and invalid files.
 
 use std::io::{Read as _, Write as _};
 
@@ -195,22 +195,22 @@ fn a_file_of_version_2_is_read() {
 #[test]
 fn what_is_not_read_is_named() {
     let payload = gunzip(&to_spz3(&one()).expect("packs").bytes);
-    let fault = |at: usize, value: u8| {
+    let error = |at: usize, value: u8| {
         let mut changed = payload.clone();
         changed[at] = value;
-        from_spz(&gzip(&changed)).expect_err("a fault")
+        from_spz(&gzip(&changed)).expect_err("refused")
     };
-    assert_eq!(fault(0, b'X'), SpzError::NotSpz);
-    assert_eq!(fault(4, 1), SpzError::Version(1));
-    assert_eq!(fault(4, 9), SpzError::Version(9));
-    assert_eq!(fault(12, 4), SpzError::Degree(4));
-    assert_eq!(fault(13, 24), SpzError::FractionalBits(24));
-    assert_eq!(fault(14, 2), SpzError::Extensions(2));
-    assert_eq!(fault(8, 2), SpzError::Length { count: 2, needed: 58, found: 29 });
-    assert_eq!(fault(8, 0), SpzError::Length { count: 0, needed: 0, found: 1 });
+    assert_eq!(error(0, b'X'), SpzError::NotSpz);
+    assert_eq!(error(4, 1), SpzError::Version(1));
+    assert_eq!(error(4, 9), SpzError::Version(9));
+    assert_eq!(error(12, 4), SpzError::Degree(4));
+    assert_eq!(error(13, 24), SpzError::FractionalBits(24));
+    assert_eq!(error(14, 2), SpzError::Extensions(2));
+    assert_eq!(error(8, 2), SpzError::Length { count: 2, needed: 58, found: 29 });
+    assert_eq!(error(8, 0), SpzError::Length { count: 0, needed: 0, found: 1 });
     // A count of sixteen million in a file of a hundred bytes costs no memory.
-    assert!(matches!(fault(11, 1), SpzError::Length { count: 0x0100_0001, .. }));
-    assert_eq!(fault(4, 4), SpzError::Container(4));
+    assert!(matches!(error(11, 1), SpzError::Length { count: 0x0100_0001, .. }));
+    assert_eq!(error(4, 4), SpzError::Container(4));
     assert_eq!(from_spz(b"NGSP\x05\0\0\0more"), Err(SpzError::Version(5)));
     assert_eq!(from_spz(b"NGSP\x04\0\0\0more"), Err(SpzError::Cut));
     assert!(matches!(from_spz(b"nothing of the kind"), Err(SpzError::Gzip(_))));
@@ -279,23 +279,23 @@ fn extensions_of_version_4_are_skipped_unless_they_change_the_axes() {
 #[test]
 fn a_spoiled_file_of_version_4_is_refused_with_its_fault() {
     let whole = to_spz4(&one());
-    let fault = |at: usize, value: u8| {
+    let error = |at: usize, value: u8| {
         let mut changed = whole.clone();
         changed[at] = value;
-        from_spz(&changed).expect_err("a fault")
+        from_spz(&changed).expect_err("refused")
     };
-    assert_eq!(fault(4, 3), SpzError::Container(3));
-    assert_eq!(fault(4, 5), SpzError::Version(5));
-    assert_eq!(fault(12, 4), SpzError::Degree(4));
-    assert_eq!(fault(13, 24), SpzError::FractionalBits(24));
-    assert_eq!(fault(15, 5), SpzError::Table);
-    assert_eq!(fault(16, 31), SpzError::Table);
-    assert_eq!(fault(19, 1), SpzError::Cut);
-    assert_eq!(fault(8, 2), SpzError::Length { count: 2, needed: 18, found: 9 });
-    assert!(matches!(fault(12, 2), SpzError::Length { .. }));
+    assert_eq!(error(4, 3), SpzError::Container(3));
+    assert_eq!(error(4, 5), SpzError::Version(5));
+    assert_eq!(error(12, 4), SpzError::Degree(4));
+    assert_eq!(error(13, 24), SpzError::FractionalBits(24));
+    assert_eq!(error(15, 5), SpzError::Table);
+    assert_eq!(error(16, 31), SpzError::Table);
+    assert_eq!(error(19, 1), SpzError::Cut);
+    assert_eq!(error(8, 2), SpzError::Length { count: 2, needed: 18, found: 9 });
+    assert!(matches!(error(12, 2), SpzError::Length { .. }));
     // The last byte is of a checksum.
     let last = whole.len() - 1;
-    assert!(matches!(fault(last, whole[last] ^ 1), SpzError::Zstd(_)));
+    assert!(matches!(error(last, whole[last] ^ 1), SpzError::Zstd(_)));
     for length in 0..whole.len() {
         from_spz(&whole[..length]).expect_err("half a file");
     }

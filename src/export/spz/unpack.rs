@@ -11,7 +11,7 @@ const OPACITY_MARGIN: f64 = 1e-4;
 /// Bytes of each array in a file of version 4, packed, in the file's order.
 ///
 /// # Errors
-/// [`SpzError`], one variant a fault. Files of earlier versions have one stream for all arrays and are refused.
+/// [`SpzError`], one variant for each thing that can be wrong. Files of earlier versions have one stream for all arrays and are refused.
 pub fn packed_lengths(bytes: &[u8]) -> Result<[u64; ARRAYS], SpzError> {
     let (_, frames) = container::frames(bytes)?;
     Ok(frames.map(|frame| frame.len() as u64))
@@ -20,7 +20,7 @@ pub fn packed_lengths(bytes: &[u8]) -> Result<[u64; ARRAYS], SpzError> {
 /// Reads a file of version 2, 3 or 4.
 ///
 /// # Errors
-/// [`SpzError`], one variant a fault.
+/// [`SpzError`], one variant for each thing that can be wrong.
 pub fn from_spz(bytes: &[u8]) -> Result<GaussianScene, SpzError> {
     let (header, arrays) = container::read(bytes)?;
     let (degree, bits) = (header.degree, header.fractional_bits);

@@ -1,27 +1,27 @@
-//! Binary tables: little-endian records behind a 64-bit count, which is never believed beyond the bytes there are.
+//! Binary tables: little-endian records after a 64-bit count, which is checked against the bytes that follow.
 
 use super::{
-    super::{bytes::Bytes, error::Fault, points::Points},
-    ImageRecord, Tally,
-    cameras::{CameraRecord, FEWEST_PARAMETERS, model_by_number},
+    super::{error::IngestErrorKind, points::Points, table_reader::TableReader},
+    ImageRecord, RecordCounter,
+    cameras::{CameraRecord, MIN_PARAMETERS, model_by_number},
     push_point,
 };
 
 /// id, model, width, height and the fewest parameters.
-const SMALLEST_CAMERA: usize = 4 + 4 + 8 + 8 + FEWEST_PARAMETERS * 8;
+const MIN_CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + MIN_PARAMETERS * 8;
 /// id, pose, camera, an empty name and no points.
-const SMALLEST_IMAGE: usize = 4 + 7 * 8 + 4 + 1 + 8;
+const MIN_IMAGE_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;
 /// x, y and the point's id.
 const OBSERVATION: usize = 24;
 /// id, position, colour, error and an empty track.
-const SMALLEST_POINT: usize = 8 + 24 + 3 + 8 + 8;
+const MIN_POINT_BYTES: usize = 8 + 24 + 3 + 8 + 8;
 /// Image id and index.
 const TRACK_ELEMENT: usize = 8;
 
 /// `cameras.bin`.
-pub(super) fn cameras(mut bytes: Bytes) -> Result<Vec<CameraRecord>, Fault> {
-    let count = bytes.count("cameras", SMALLEST_CAMERA)?;
-    Tally::of("cameras").add(count)?;
+pub(super) fn cameras(mut bytes: TableReader) -> Result<Vec<CameraRecord>, IngestErrorKind> {
+    let count = bytes.count("cameras", MIN_CAMERA_BYTES)?;
+    RecordCounter::of("cameras").add(count)?;
     let mut cameras = Vec::with_capacity(count);
     for _ in 0..count {
         let id = bytes.u32("a camera's id")?;
@@ -37,10 +37,10 @@ pub(super) fn cameras(mut bytes: Bytes) -> Result<Vec<CameraRecord>, Fault> {
 }
 
 /// `images.bin`.
-pub(super) fn images(mut bytes: Bytes) -> Result<Vec<ImageRecord>, Fault> {
-    let count = bytes.count("images", SMALLEST_IMAGE)?;
-    let mut tally = Tally::of("images");
-    tally.add(count)?;
+pub(super) fn images(mut bytes: TableReader) -> Result<Vec<ImageRecord>, IngestErrorKind> {
+    let count = bytes.count("images", MIN_IMAGE_BYTES)?;
+    let mut counter = RecordCounter::of("images");
+    counter.add(count)?;
     let mut images = Vec::with_capacity(count);
     for _ in 0..count {
         let id = bytes.u32("an image's id")?;
@@ -51,9 +51,12 @@ pub(super) fn images(mut bytes: Bytes) -> Result<Vec<ImageRecord>, Fault> {
         let [w, x, y, z, tx, ty, tz] = pose;
         let camera = bytes.u32("an image's camera")?;
         let name = String::from_utf8(bytes.zero_terminated("an image's name")?).map_err(|_| {
-            Fault::Record { place: format!("image {id}"), message: "the name is not UTF-8 text".to_owned() }
+            IngestErrorKind::Record {
+                place: format!("image {id}"),
+                message: "the name is not UTF-8 text".to_owned(),
+            }
         })?;
-        tally.name(&name)?;
+        counter.name(&name)?;
         let observations = bytes.count("observations", OBSERVATION)?;
         bytes.skip("observations", observations * OBSERVATION)?;
         images.push(ImageRecord { id, quaternion: [w, x, y, z], translation: [tx, ty, tz], camera, name });
@@ -63,8 +66,8 @@ pub(super) fn images(mut bytes: Bytes) -> Result<Vec<ImageRecord>, Fault> {
 }
 
 /// `points3D.bin`.
-pub(super) fn points(mut bytes: Bytes, cloud: &mut Points) -> Result<(), Fault> {
-    let count = bytes.count("points", SMALLEST_POINT)?;
+pub(super) fn points(mut bytes: TableReader, cloud: &mut Points) -> Result<(), IngestErrorKind> {
+    let count = bytes.count("points", MIN_POINT_BYTES)?;
     cloud.reserve(count)?;
     for _ in 0..count {
         let id = bytes.u64("a point's id")?;
@@ -83,17 +86,17 @@ mod tests {
     use super::{super::super::limits::Limits, *};
     use crate::domain::PointCloud;
 
-    fn cameras(table: &[u8]) -> Result<Vec<CameraRecord>, Fault> {
-        super::cameras(Bytes::new(&mut &*table, table.len() as u64))
+    fn cameras(table: &[u8]) -> Result<Vec<CameraRecord>, IngestErrorKind> {
+        super::cameras(TableReader::new(&mut &*table, table.len() as u64))
     }
 
-    fn images(table: &[u8]) -> Result<Vec<ImageRecord>, Fault> {
-        super::images(Bytes::new(&mut &*table, table.len() as u64))
+    fn images(table: &[u8]) -> Result<Vec<ImageRecord>, IngestErrorKind> {
+        super::images(TableReader::new(&mut &*table, table.len() as u64))
     }
 
-    fn points(table: &[u8]) -> Result<PointCloud, Fault> {
+    fn points(table: &[u8]) -> Result<PointCloud, IngestErrorKind> {
         let mut points = Points::new(true, 100);
-        super::points(Bytes::new(&mut &*table, table.len() as u64), &mut points)?;
+        super::points(TableReader::new(&mut &*table, table.len() as u64), &mut points)?;
         Ok(points.into_cloud().expect("kept"))
     }
 
@@ -156,27 +159,30 @@ mod tests {
 
     #[test]
     fn no_prefix_and_no_longer_table_is_accepted() {
-        type Parser = fn(&[u8]) -> Option<Fault>;
+        type Parser = fn(&[u8]) -> Option<IngestErrorKind>;
         let tables: [(Vec<u8>, Parser); 3] = [
             (camera_table(), |bytes| cameras(bytes).err()),
             (image_table(), |bytes| images(bytes).err()),
             (point_table(), |bytes| points(bytes).err()),
         ];
-        for (table, fault) in tables {
-            assert!(fault(&table).is_none());
+        for (table, error) in tables {
+            assert!(error(&table).is_none());
             for length in 0..table.len() {
-                let fault = fault(&table[..length]).expect("a prefix is no table");
-                assert!(matches!(fault, Fault::Truncated { .. } | Fault::Count { .. }), "{length}: {fault}");
+                let error = error(&table[..length]).expect("a prefix is no table");
+                assert!(
+                    matches!(error, IngestErrorKind::Truncated { .. } | IngestErrorKind::Count { .. }),
+                    "{length}: {error}"
+                );
             }
             let longer = [table.as_slice(), &[0]].concat();
-            assert!(matches!(fault(&longer), Some(Fault::TrailingBytes(1))));
+            assert!(matches!(error(&longer), Some(IngestErrorKind::TrailingBytes(1))));
         }
     }
 
     #[test]
     fn flipped_bits_never_panic() {
         for (table, parse) in [
-            (camera_table(), (|bytes| cameras(bytes).map(drop)) as fn(&[u8]) -> Result<(), Fault>),
+            (camera_table(), (|bytes| cameras(bytes).map(drop)) as fn(&[u8]) -> Result<(), IngestErrorKind>),
             (image_table(), |bytes| images(bytes).map(drop)),
             (point_table(), |bytes| points(bytes).map(drop)),
         ] {
@@ -194,8 +200,8 @@ mod tests {
         for table in [camera_table(), image_table(), point_table()] {
             let mut claims = table.clone();
             claims[..8].copy_from_slice(&u64::MAX.to_le_bytes());
-            for fault in [cameras(&claims).map(drop), images(&claims).map(drop), points(&claims).map(drop)] {
-                assert!(matches!(fault, Err(Fault::Count { count: u64::MAX, .. })));
+            for error in [cameras(&claims).map(drop), images(&claims).map(drop), points(&claims).map(drop)] {
+                assert!(matches!(error, Err(IngestErrorKind::Count { count: u64::MAX, .. })));
             }
         }
     }
@@ -203,18 +209,21 @@ mod tests {
     #[test]
     fn more_frames_and_longer_names_than_are_accepted_are_refused_before_they_are_gathered() {
         let mut many = (Limits::FRAMES as u64 + 1).to_le_bytes().to_vec();
-        many.resize(8 + SMALLEST_IMAGE * (Limits::FRAMES + 1), 0);
-        for fault in [cameras(&many).err(), images(&many).err()] {
-            assert!(matches!(fault, Some(Fault::TooManyRecords { limit: Limits::FRAMES, .. })), "{fault:?}");
+        many.resize(8 + MIN_IMAGE_BYTES * (Limits::FRAMES + 1), 0);
+        for error in [cameras(&many).err(), images(&many).err()] {
+            assert!(
+                matches!(error, Some(IngestErrorKind::TooManyRecords { limit: Limits::FRAMES, .. })),
+                "{error:?}"
+            );
         }
         let count = Limits::NAME_BYTES / 4000 + 1;
         let mut long = (count as u64).to_le_bytes().to_vec();
         for _ in 0..count {
-            long.extend([0; SMALLEST_IMAGE - 9]);
+            long.extend([0; MIN_IMAGE_BYTES - 9]);
             long.extend(vec![b'a'; 4000]);
             long.extend([0; 9]);
         }
-        assert!(matches!(images(&long), Err(Fault::TooManyNameBytes { .. })));
+        assert!(matches!(images(&long), Err(IngestErrorKind::TooManyNameBytes { .. })));
     }
 
     proptest::proptest! {
@@ -236,7 +245,7 @@ mod tests {
         assert!(images(&table).expect_err("not text").to_string().starts_with("image 4: the name"));
         let mut table = point_table();
         table[16..24].copy_from_slice(&f64::NAN.to_le_bytes());
-        let fault = points(&table).expect_err("nowhere");
-        assert_eq!(fault.to_string(), "point 11: the position is not finite");
+        let error = points(&table).expect_err("nowhere");
+        assert_eq!(error.to_string(), "point 11: the position is not finite");
     }
 }

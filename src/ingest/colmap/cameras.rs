@@ -2,7 +2,7 @@
 
 use super::super::{
     distortion::Distortion,
-    error::Fault,
+    error::IngestErrorKind,
     lens::{Focal, Lens},
 };
 
@@ -23,7 +23,7 @@ const MODELS: [(&str, Option<usize>); 12] = [
 ];
 
 /// Fewest parameters of any supported model.
-pub(super) const FEWEST_PARAMETERS: usize = 3;
+pub(super) const MIN_PARAMETERS: usize = 3;
 
 /// A row of the cameras table.
 #[derive(Debug, Clone, PartialEq)]
@@ -39,8 +39,8 @@ pub(super) struct CameraRecord {
 /// Name and parameter count of a model by its number in binary files.
 ///
 /// # Errors
-/// [`Fault::CameraModel`] for unknown and unsupported models.
-pub(super) fn model_by_number(camera: u32, number: i32) -> Result<(&'static str, usize), Fault> {
+/// [`IngestErrorKind::CameraModel`] for unknown and unsupported models.
+pub(super) fn model_by_number(camera: u32, number: i32) -> Result<(&'static str, usize), IngestErrorKind> {
     match usize::try_from(number).ok().and_then(|number| MODELS.get(number)) {
         Some((name, Some(parameters))) => Ok((name, *parameters)),
         Some((name, None)) => Err(unsupported(camera, (*name).to_owned())),
@@ -51,16 +51,16 @@ pub(super) fn model_by_number(camera: u32, number: i32) -> Result<(&'static str,
 /// As [`model_by_number`], by the name that text files use.
 ///
 /// # Errors
-/// [`Fault::CameraModel`].
-pub(super) fn model_by_name(camera: u32, name: &str) -> Result<(&'static str, usize), Fault> {
+/// [`IngestErrorKind::CameraModel`].
+pub(super) fn model_by_name(camera: u32, name: &str) -> Result<(&'static str, usize), IngestErrorKind> {
     MODELS
         .iter()
         .find_map(|(known, parameters)| Some((*known, (*parameters)?)).filter(|_| *known == name))
         .ok_or_else(|| unsupported(camera, name.chars().take(40).collect()))
 }
 
-fn unsupported(camera: u32, model: String) -> Fault {
-    Fault::CameraModel { place: place(camera), model }
+fn unsupported(camera: u32, model: String) -> IngestErrorKind {
+    IngestErrorKind::CameraModel { place: place(camera), model }
 }
 
 fn place(camera: u32) -> String {
@@ -71,8 +71,8 @@ impl CameraRecord {
     /// The lens that the record describes.
     ///
     /// # Errors
-    /// [`Fault::Record`], [`Fault::NonFiniteDistortion`] or [`Fault::Camera`].
-    pub(super) fn lens(&self) -> Result<Lens, Fault> {
+    /// [`IngestErrorKind::Record`], [`IngestErrorKind::NonFiniteDistortion`] or [`IngestErrorKind::Camera`].
+    pub(super) fn lens(&self) -> Result<Lens, IngestErrorKind> {
         let place = place(self.id);
         let (f, c, radial, tangential) = match (self.model, self.parameters.as_slice()) {
             ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], [0.0; 2], [0.0; 2]),
@@ -82,12 +82,12 @@ impl CameraRecord {
             ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => ([fx, fy], [cx, cy], [k1, k2], [p1, p2]),
             (model, parameters) => {
                 let message = format!("{model} does not have {} parameters", parameters.len());
-                return Err(Fault::Record { place, message });
+                return Err(IngestErrorKind::Record { place, message });
             }
         };
         let (Ok(width), Ok(height)) = (u32::try_from(self.width), u32::try_from(self.height)) else {
             let message = format!("the image size {}x{} is not possible", self.width, self.height);
-            return Err(Fault::Record { place, message });
+            return Err(IngestErrorKind::Record { place, message });
         };
         let lens = Lens {
             focal: Focal::Pixels { x: f[0], y: f[1] },
@@ -96,9 +96,9 @@ impl CameraRecord {
             distortion: Distortion { radial: [radial[0], radial[1], 0.0, 0.0], tangential },
         };
         if !lens.distortion.is_finite() {
-            return Err(Fault::NonFiniteDistortion { place });
+            return Err(IngestErrorKind::NonFiniteDistortion { place });
         }
-        lens.check().map_err(|source| Fault::Camera { place, source })?;
+        lens.check().map_err(|source| IngestErrorKind::Camera { place, source })?;
         Ok(lens)
     }
 }
@@ -139,8 +139,8 @@ mod tests {
             assert_eq!(model_by_number(3, number as i32).expect("supported").0, *name);
         }
         for (number, name) in [(5, "OPENCV_FISHEYE"), (7, "FOV"), (99, "number 99"), (-1, "number -1")] {
-            let fault = model_by_number(3, number).expect_err(name).to_string();
-            assert!(fault.starts_with(&format!("camera 3: camera model {name} is not supported")), "{fault}");
+            let error = model_by_number(3, number).expect_err(name).to_string();
+            assert!(error.starts_with(&format!("camera 3: camera model {name} is not supported")), "{error}");
         }
         assert!(model_by_name(3, "FULL_OPENCV").is_err() && model_by_name(3, "pinhole").is_err());
     }

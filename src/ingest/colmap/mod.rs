@@ -1,7 +1,7 @@
 //! COLMAP models: `cameras`, `images` and `points3D`, binary or text, with the photographs under `images/`.
 //!
 //! Poses are world-to-camera quaternions in OpenCV axes and pixel centres are at +0.5, which is what the domain
-//! uses, so nothing is turned or shifted. Rig and frame tables of newer versions are not needed and not read.
+//! uses, so nothing is converted. Rig and frame tables of newer versions are not needed and not read.
 
 mod binary;
 mod cameras;
@@ -13,10 +13,10 @@ use glam::{DMat3, DQuat, DVec3};
 
 use self::text::Lines;
 use super::{
-    bytes::Bytes,
-    error::{Error, Fault},
-    plan::{ImageFiles, Plan, Shot, Tally},
+    error::{IngestError, IngestErrorKind},
+    plan::{ImageFiles, Plan, PlannedFrame, RecordCounter},
     points::Points,
+    table_reader::TableReader,
     tree::Tree,
 };
 use crate::domain::{CameraError, Layout, Pose, Split};
@@ -63,13 +63,13 @@ impl Model {
 ///
 /// # Errors
 /// Everything that is wrong with the tables or the images they list.
-pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, Error> {
+pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, IngestError> {
     let [cameras_file, images_file, points_file] =
         ["cameras", "images", "points3D"].map(|name| model.table(name));
     for file in [&images_file, &points_file] {
         if !tree.has(file) {
-            return Err(tree.special_on_the_way(file).unwrap_or_else(|| {
-                Fault::MissingFile("a COLMAP model has cameras, images and points3D").at(file)
+            return Err(tree.special_on_path(file).unwrap_or_else(|| {
+                IngestErrorKind::MissingFile("a COLMAP model has cameras, images and points3D").at(file)
             }));
         }
     }
@@ -85,10 +85,10 @@ pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, Error> {
     let mut plan = Plan::new(Layout::Colmap);
     let mut lenses = BTreeMap::new();
     for record in &cameras {
-        let lens = record.lens().map_err(|fault| fault.at(&cameras_file))?;
+        let lens = record.lens().map_err(|error| error.at(&cameras_file))?;
         plan.lenses.push(lens);
         if lenses.insert(record.id, plan.lenses.len() - 1).is_some() {
-            return Err(Fault::DuplicateName(format!("camera {}", record.id)).at(&cameras_file));
+            return Err(IngestErrorKind::DuplicateName(format!("camera {}", record.id)).at(&cameras_file));
         }
     }
 
@@ -98,11 +98,11 @@ pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, Error> {
         let found = files.find(IMAGES, &image.name, &place)?;
         let lens = *lenses.get(&image.camera).ok_or_else(|| {
             let message = format!("there is no camera {} in {cameras_file}", image.camera);
-            Fault::Record { place: place.clone(), message }.at(&images_file)
+            IngestErrorKind::Record { place: place.clone(), message }.at(&images_file)
         })?;
-        let pose = pose(image, &place).map_err(|fault| fault.at(&images_file))?;
+        let pose = pose(image, &place).map_err(|error| error.at(&images_file))?;
         if let Some((name, file)) = found {
-            plan.shots.push(Shot { name, file, lens, pose, split: Split::Train });
+            plan.frames.push(PlannedFrame { name, file, lens, pose, split: Split::Train });
         }
     }
     files.finish()?;
@@ -114,7 +114,7 @@ pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, Error> {
     let plan = plan.ordered(&images_file)?;
     if points.count() == 0 {
         let message = "the model has no points; training starts from them".to_owned();
-        return Err(Fault::Record { place: "points".to_owned(), message }.at(points_file));
+        return Err(IngestErrorKind::Record { place: "points".to_owned(), message }.at(points_file));
     }
     Ok(Plan { points: Some(points), ..plan })
 }
@@ -122,42 +122,50 @@ pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, Error> {
 fn parse<T>(
     tree: &Tree,
     file: &str,
-    binary: impl FnOnce(Bytes) -> Result<T, Fault>,
-    text: impl FnOnce(&mut Lines) -> Result<T, Fault>,
-) -> Result<T, Error> {
+    binary: impl FnOnce(TableReader) -> Result<T, IngestErrorKind>,
+    text: impl FnOnce(&mut Lines) -> Result<T, IngestErrorKind>,
+) -> Result<T, IngestError> {
     let is_binary = file.ends_with(".bin");
     tree.parse(file, u64::MAX, |reader, length| {
-        if is_binary { binary(Bytes::new(reader, length)) } else { text(&mut Lines::new(reader)) }
+        if is_binary { binary(TableReader::new(reader, length)) } else { text(&mut Lines::new(reader)) }
     })
 }
 
-fn kept(tree: &Tree, fill: impl FnOnce(&mut Points) -> Result<(), Fault>) -> Result<Points, Fault> {
+fn kept(
+    tree: &Tree,
+    fill: impl FnOnce(&mut Points) -> Result<(), IngestErrorKind>,
+) -> Result<Points, IngestErrorKind> {
     let mut points = tree.points();
     fill(&mut points)?;
     Ok(points)
 }
 
-fn pose(image: &ImageRecord, place: &str) -> Result<Pose, Fault> {
+fn pose(image: &ImageRecord, place: &str) -> Result<Pose, IngestErrorKind> {
     let [w, x, y, z] = image.quaternion;
     let quaternion = DQuat::from_xyzw(x, y, z, w);
     if !quaternion.is_finite() {
-        return Err(Fault::Camera { place: place.to_owned(), source: CameraError::NonFinitePose });
+        return Err(IngestErrorKind::Camera { place: place.to_owned(), source: CameraError::NonFinitePose });
     }
     let length = quaternion.length();
     if !(length > 0.0 && length.is_finite()) {
         let message = format!("the rotation quaternion has length {length} and so no direction");
-        return Err(Fault::Record { place: place.to_owned(), message });
+        return Err(IngestErrorKind::Record { place: place.to_owned(), message });
     }
     Pose::from_world_to_camera(DMat3::from_quat(quaternion / length), DVec3::from_array(image.translation))
-        .map_err(|source| Fault::Camera { place: place.to_owned(), source })
+        .map_err(|source| IngestErrorKind::Camera { place: place.to_owned(), source })
 }
 
 /// Adds a point with the checks that both encodings share.
-fn push_point(cloud: &mut Points, id: u64, position: [f64; 3], color: [u8; 3]) -> Result<(), Fault> {
+fn push_point(
+    cloud: &mut Points,
+    id: u64,
+    position: [f64; 3],
+    color: [u8; 3],
+) -> Result<(), IngestErrorKind> {
     let position = position.map(|value| value as f32);
     if position.iter().any(|value| !value.is_finite()) {
         let message = "the position is not finite".to_owned();
-        return Err(Fault::Record { place: format!("point {id}"), message });
+        return Err(IngestErrorKind::Record { place: format!("point {id}"), message });
     }
     cloud.push(position, color)
 }
@@ -188,7 +196,7 @@ mod tests {
                 assert!(pose(&record([1.0, 0.0, 0.0, 0.0], [0.0, poison, 0.0]), "image 7").is_err());
             }
         }
-        let fault = pose(&record([0.0; 4], [0.0; 3]), "image 7").expect_err("no direction");
-        assert_eq!(fault.to_string(), "image 7: the rotation quaternion has length 0 and so no direction");
+        let error = pose(&record([0.0; 4], [0.0; 3]), "image 7").expect_err("no direction");
+        assert_eq!(error.to_string(), "image 7: the rotation quaternion has length 0 and so no direction");
     }
 }

@@ -1,7 +1,7 @@
-//! Text tables: one record a line (two for images), `#` starts a comment line.
+//! Text tables: one record a line (two for images); `#` starts a comment line.
 //!
-//! Lines are read one at a time. Of a long line only its beginning is held, which has all fields that are read; observations and
-//! tracks follow it.
+//! Lines are read one at a time. Only the beginning of a long line is kept, which has all fields that are used; observations and tracks
+//! follow it.
 
 use std::{
     io::{self, BufRead},
@@ -9,8 +9,8 @@ use std::{
 };
 
 use super::{
-    super::{error::Fault, points::Points},
-    ImageRecord, Tally,
+    super::{error::IngestErrorKind, points::Points},
+    ImageRecord, RecordCounter,
     cameras::{CameraRecord, model_by_name},
     push_point,
 };
@@ -22,9 +22,9 @@ const HEAD_BYTES: usize = 16 << 10;
 const WORD_BYTES: usize = 24;
 
 /// `cameras.txt`: `CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]`.
-pub(super) fn cameras(lines: &mut Lines) -> Result<Vec<CameraRecord>, Fault> {
+pub(super) fn cameras(lines: &mut Lines) -> Result<Vec<CameraRecord>, IngestErrorKind> {
     let mut cameras = Vec::new();
-    let mut tally = Tally::of("cameras");
+    let mut counter = RecordCounter::of("cameras");
     while let Some(line) = lines.next_record()? {
         let mut fields = line.fields();
         let id = fields.next("CAMERA_ID")?;
@@ -33,18 +33,18 @@ pub(super) fn cameras(lines: &mut Lines) -> Result<Vec<CameraRecord>, Fault> {
         let height = fields.next("HEIGHT")?;
         let parameters: Vec<f64> = (0..count).map(|_| fields.next("PARAMS")).collect::<Result<_, _>>()?;
         if fields.words.next().is_some() {
-            return Err(line.fault(format!("{model} has {count} parameters and more are given")));
+            return Err(line.error(format!("{model} has {count} parameters and more are given")));
         }
-        tally.add(1)?;
+        counter.add(1)?;
         cameras.push(CameraRecord { id, model, width, height, parameters });
     }
     Ok(cameras)
 }
 
 /// `images.txt`: `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, then a line of `X Y POINT3D_ID` triples.
-pub(super) fn images(lines: &mut Lines) -> Result<Vec<ImageRecord>, Fault> {
+pub(super) fn images(lines: &mut Lines) -> Result<Vec<ImageRecord>, IngestErrorKind> {
     let mut images = Vec::new();
-    let mut tally = Tally::of("images");
+    let mut counter = RecordCounter::of("images");
     while let Some(line) = lines.next_record()? {
         let mut fields = line.fields();
         let id = fields.next("IMAGE_ID")?;
@@ -52,22 +52,22 @@ pub(super) fn images(lines: &mut Lines) -> Result<Vec<ImageRecord>, Fault> {
         let translation = [fields.next("TX")?, fields.next("TY")?, fields.next("TZ")?];
         let camera = fields.next("CAMERA_ID")?;
         // Names may contain spaces, so the name is all that is left.
-        let name = line.after(9).ok_or_else(|| line.fault("NAME is missing".to_owned()))?.to_owned();
-        tally.add(1)?;
-        tally.name(&name)?;
+        let name = line.after(9).ok_or_else(|| line.error("NAME is missing".to_owned()))?.to_owned();
+        counter.add(1)?;
+        counter.name(&name)?;
         images.push(ImageRecord { id, quaternion, translation, camera, name });
         // The line of points is there even if the image has none; it is only checked for being one, because
         // without it every second image would be taken for points and lost.
         if !lines.pass_triples()? {
             let message = "expected the POINTS2D line of the image above (X Y POINT3D_ID triples)";
-            return Err(fault(lines.number, message.to_owned()));
+            return Err(error(lines.number, message.to_owned()));
         }
     }
     Ok(images)
 }
 
 /// `points3D.txt`: `POINT3D_ID X Y Z R G B ERROR TRACK[]`.
-pub(super) fn points(lines: &mut Lines, cloud: &mut Points) -> Result<(), Fault> {
+pub(super) fn points(lines: &mut Lines, cloud: &mut Points) -> Result<(), IngestErrorKind> {
     while let Some(line) = lines.next_record()? {
         let mut fields = line.fields();
         let id = fields.next("POINT3D_ID")?;
@@ -94,7 +94,7 @@ impl<'a> Lines<'a> {
     }
 
     /// The beginning of the next line that is a record.
-    fn next_record(&mut self) -> Result<Option<Line<'_>>, Fault> {
+    fn next_record(&mut self) -> Result<Option<Line<'_>>, IngestErrorKind> {
         loop {
             let mut head = std::mem::take(&mut self.head);
             head.clear();
@@ -117,14 +117,14 @@ impl<'a> Lines<'a> {
             Err(error) if error.error_len().is_none() && self.head.len() == HEAD_BYTES => {
                 std::str::from_utf8(&self.head[..error.valid_up_to()]).unwrap_or_default()
             }
-            Err(_) => return Err(fault(self.number, "it is not UTF-8 text".to_owned())),
+            Err(_) => return Err(error(self.number, "it is not UTF-8 text".to_owned())),
         };
         Ok(Some(Line { number: self.number, text: text.trim() }))
     }
 
-    /// Passes over a line and tells whether it has triples of which the third is a whole number, and nothing else. The end
-    /// of the table is such a line too.
-    fn pass_triples(&mut self) -> Result<bool, Fault> {
+    /// Skips a line and returns whether it consists of triples whose third word is a whole number. The end of the table counts as
+    /// an empty line.
+    fn pass_triples(&mut self) -> Result<bool, IngestErrorKind> {
         let (mut words, mut word, mut good) = (0_usize, Vec::with_capacity(WORD_BYTES), true);
         let mut end = |word: &mut Vec<u8>| {
             if !word.is_empty() {
@@ -148,7 +148,7 @@ impl<'a> Lines<'a> {
     }
 
     /// Shows a line's bytes, piece by piece and without its end, and says whether there was one.
-    fn pass_line(&mut self, mut show: impl FnMut(&[u8])) -> Result<bool, Fault> {
+    fn pass_line(&mut self, mut show: impl FnMut(&[u8])) -> Result<bool, IngestErrorKind> {
         let mut any = false;
         loop {
             let bytes = match self.reader.fill_buf() {
@@ -172,8 +172,8 @@ impl<'a> Lines<'a> {
     }
 }
 
-fn fault(line: usize, message: String) -> Fault {
-    Fault::Record { place: format!("line {line}"), message }
+fn error(line: usize, message: String) -> IngestErrorKind {
+    IngestErrorKind::Record { place: format!("line {line}"), message }
 }
 
 #[derive(Clone, Copy)]
@@ -197,8 +197,8 @@ impl<'a> Line<'a> {
         (!rest.is_empty()).then_some(rest)
     }
 
-    fn fault(&self, message: String) -> Fault {
-        fault(self.number, message)
+    fn error(&self, message: String) -> IngestErrorKind {
+        error(self.number, message)
     }
 }
 
@@ -208,13 +208,13 @@ struct Fields<'a> {
 }
 
 impl<'a> Fields<'a> {
-    fn word(&mut self, name: &str) -> Result<&'a str, Fault> {
-        self.words.next().ok_or_else(|| self.line.fault(format!("{name} is missing")))
+    fn word(&mut self, name: &str) -> Result<&'a str, IngestErrorKind> {
+        self.words.next().ok_or_else(|| self.line.error(format!("{name} is missing")))
     }
 
-    fn next<T: FromStr>(&mut self, name: &str) -> Result<T, Fault> {
+    fn next<T: FromStr>(&mut self, name: &str) -> Result<T, IngestErrorKind> {
         let word = self.word(name)?;
-        word.parse().map_err(|_| self.line.fault(format!("{name} is '{word:.40}', which cannot be read")))
+        word.parse().map_err(|_| self.line.error(format!("{name} is '{word:.40}', which cannot be read")))
     }
 }
 
@@ -223,15 +223,15 @@ mod tests {
     use super::*;
     use crate::domain::PointCloud;
 
-    fn cameras(text: &str) -> Result<Vec<CameraRecord>, Fault> {
+    fn cameras(text: &str) -> Result<Vec<CameraRecord>, IngestErrorKind> {
         super::cameras(&mut Lines::new(&mut text.as_bytes()))
     }
 
-    fn images(text: &str) -> Result<Vec<ImageRecord>, Fault> {
+    fn images(text: &str) -> Result<Vec<ImageRecord>, IngestErrorKind> {
         super::images(&mut Lines::new(&mut text.as_bytes()))
     }
 
-    fn points(text: &str) -> Result<PointCloud, Fault> {
+    fn points(text: &str) -> Result<PointCloud, IngestErrorKind> {
         let mut points = Points::new(true, 100);
         super::points(&mut Lines::new(&mut text.as_bytes()), &mut points)?;
         Ok(points.into_cloud().expect("kept"))
@@ -258,7 +258,7 @@ mod tests {
 
     #[test]
     fn faults_name_the_line_and_the_field() {
-        for (fault, expected) in [
+        for (error, expected) in [
             (cameras("1 PINHOLE 768 512 689.87 691.04 380.1").err(), "line 1: PARAMS is missing"),
             (
                 cameras("1 PINHOLE 768 512 1 2 3 4 5").err(),
@@ -276,7 +276,7 @@ mod tests {
             (points("1 1 2 inf 25 0 0 0").err(), "point 1: the position is not finite"),
             (points("1 1 2 3 25 0 0").err(), "line 1: ERROR is missing"),
         ] {
-            assert_eq!(fault.expect(expected).to_string(), expected);
+            assert_eq!(error.expect(expected).to_string(), expected);
         }
     }
 

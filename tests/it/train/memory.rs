@@ -15,7 +15,7 @@ use tcgs::{
         Problem, Progress, TrainOptions,
     },
     gpu::{Context, GpuError},
-    ingest::{self, Room},
+    ingest::{self, LoadBudget},
     pipeline::{Checkpoints, JobError, Pipeline, RunJob as _},
     train::{self, Needs, TrainError, train},
 };
@@ -81,8 +81,8 @@ fn options(iterations: u32) -> TrainOptions {
     TrainOptions { iterations: Some(iterations), ..TrainOptions::default() }
 }
 
-fn tight(spill: &Path, memory: u64) -> Room {
-    Room { memory, spill: spill.to_owned() }
+fn tight(spill: &Path, memory: u64) -> LoadBudget {
+    LoadBudget { memory_bytes: memory, spill_dir: spill.to_owned() }
 }
 
 #[test]
@@ -172,10 +172,10 @@ fn photographs_twenty_times_larger_than_memory_leave_it_as_it_is() {
     let in_memory = ingest::load(folder.path()).expect("a dataset");
     let all = in_memory.bytes_in_memory();
     assert_eq!(all, 120 * 96 * 64 * 3);
-    // Decoding takes the most of such a room: it must hold one image with its file.
-    let room = tight(spill.path(), all / 20);
-    let streamed = ingest::load_into(folder.path(), &room).expect("a dataset");
-    assert!(streamed.bytes_in_memory() <= room.memory, "{}", streamed.bytes_in_memory());
+    // Decoding takes the most of such a budget: it must hold one image with its file.
+    let budget = tight(spill.path(), all / 20);
+    let streamed = ingest::load_with_budget(folder.path(), &budget).expect("a dataset");
+    assert!(streamed.bytes_in_memory() <= budget.memory_bytes, "{}", streamed.bytes_in_memory());
     for (one, other) in in_memory.frames.iter().zip(&streamed.frames) {
         assert_eq!(one.image.load(), other.image.load(), "{}", one.name);
     }
@@ -183,7 +183,8 @@ fn photographs_twenty_times_larger_than_memory_leave_it_as_it_is() {
     drop(streamed);
     assert_eq!(fs::read_dir(spill.path()).expect("a folder").count(), 0, "nothing is left behind");
 
-    let problem = ingest::load_into(folder.path(), &tight(spill.path(), 1 << 12)).expect_err("too little");
+    let problem =
+        ingest::load_with_budget(folder.path(), &tight(spill.path(), 1 << 12)).expect_err("too little");
     assert_eq!((problem.status, problem.file.is_some()), (507, true), "{problem}");
     assert!(problem.detail.contains("--host-memory"), "{problem}");
 }
@@ -193,7 +194,8 @@ fn a_run_on_streamed_photographs_gives_the_same_bits() {
     let folder = folder(9, &[(32, 32)]);
     let spill = tempfile::tempdir().expect("a temporary folder");
     let in_memory = ingest::load(folder.path()).expect("a dataset");
-    let streamed = ingest::load_into(folder.path(), &tight(spill.path(), 32 << 10)).expect("a dataset");
+    let streamed =
+        ingest::load_with_budget(folder.path(), &tight(spill.path(), 32 << 10)).expect("a dataset");
     assert!(streamed.bytes_in_memory() < in_memory.bytes_in_memory());
     let [one, other] = [in_memory, streamed].map(|dataset| {
         let dataset = with_points(dataset, 150);
@@ -269,13 +271,15 @@ fn each_image_that_is_read_is_a_sign_of_life_and_a_chance_to_stop() {
     let asked = AtomicUsize::new(0);
     let up_to = |most: usize| {
         asked.store(0, Ordering::SeqCst);
-        ingest::load_watched(folder.path(), &Room::default(), &|| asked.fetch_add(1, Ordering::SeqCst) < most)
+        ingest::load_cancellable(folder.path(), &LoadBudget::default(), &|| {
+            asked.fetch_add(1, Ordering::SeqCst) < most
+        })
     };
     assert_eq!(up_to(usize::MAX).expect("a dataset").frames.len(), 9);
     assert_eq!(asked.load(Ordering::SeqCst), 18, "each header, then each image");
     for most in [0, 3, 9, 17] {
         let error = up_to(most).expect_err("it was to stop");
-        assert!(matches!(error.fault, ingest::Fault::Stopped), "{error}");
+        assert!(matches!(error.kind, ingest::IngestErrorKind::Stopped), "{error}");
     }
 
     let pipeline = Pipeline::new(gpu::choice());
@@ -363,8 +367,8 @@ fn a_thousand_photographs_of_4k_fit_into_a_gigabyte() {
         .collect();
     write_table(folder.path(), listed);
     let before = peak_resident_bytes();
-    let room = tight(folder.path(), 1 << 30);
-    let dataset = ingest::load_into(folder.path(), &room).expect("a dataset");
+    let budget = tight(folder.path(), 1 << 30);
+    let dataset = ingest::load_with_budget(folder.path(), &budget).expect("a dataset");
     let peak = peak_resident_bytes();
     let all: u64 = dataset.frames.iter().map(|frame| frame.image.bytes()).sum();
     println!(
@@ -375,7 +379,10 @@ fn a_thousand_photographs_of_4k_fit_into_a_gigabyte() {
         before / 1_000_000
     );
     assert_eq!(dataset.frames.len(), FRAMES);
-    assert!(peak - before < room.memory + (256 << 20), "the room is the bound, allocator and stacks aside");
+    assert!(
+        peak - before < budget.memory_bytes + (256 << 20),
+        "the budget is the bound, allocator and stacks aside"
+    );
     assert!(dataset.frames[FRAMES - 1].image.load().is_ok());
     drop(dataset);
     let left = fs::read_dir(folder.path()).expect("a folder").count();

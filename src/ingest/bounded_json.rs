@@ -1,27 +1,27 @@
-//! JSON from a stream, held to what it may ask of memory: the parser gathers strings and counts open brackets, so both are
-//! bounded on the way to it.
+//! Reads JSON from a stream with bounded memory: string length and nesting are limited before the text reaches the parser, which would
+//! buffer both.
 
 use std::io::{self, BufRead, Read};
 
 use serde::de::DeserializeOwned;
 
-use super::error::Fault;
+use super::error::IngestErrorKind;
 
 /// Longest string in bytes as written, escapes included; a file name of 4096 characters fits in any spelling.
-const LONGEST_STRING: usize = 64 << 10;
+const MAX_STRING_BYTES: usize = 64 << 10;
 
 /// Most brackets open at a time; real files have five.
-const DEEPEST: usize = 128;
+const MAX_DEPTH: usize = 128;
 
 /// Reads one document.
 ///
 /// # Errors
-/// [`Fault::Json`], or [`Fault::JsonText`] for text that is not given to the parser.
-pub(super) fn read<T: DeserializeOwned>(reader: &mut dyn BufRead) -> Result<T, Fault> {
+/// [`IngestErrorKind::Json`], or [`IngestErrorKind::JsonText`] for text that is not given to the parser.
+pub(super) fn read<T: DeserializeOwned>(reader: &mut dyn BufRead) -> Result<T, IngestErrorKind> {
     let mut text = Text { reader, line: 1, depth: 0, string: None, refused: None };
     let read = serde_json::from_reader(io::BufReader::new(&mut text));
     match text.refused {
-        Some(message) => Err(Fault::JsonText { line: text.line, message }),
+        Some(message) => Err(IngestErrorKind::JsonText { line: text.line, message }),
         None => Ok(read?),
     }
 }
@@ -40,13 +40,13 @@ impl Text<'_> {
     fn pass(&mut self, byte: u8) -> Result<(), &'static str> {
         self.line += usize::from(byte == b'\n');
         self.string = match (self.string, byte) {
-            (Some((length, _)), _) if length == LONGEST_STRING => {
+            (Some((length, _)), _) if length == MAX_STRING_BYTES => {
                 return Err("a string is longer than 65536 bytes");
             }
             (Some((_, false)), b'"') => None,
             (Some((length, escaped)), byte) => Some((length + 1, !escaped && byte == b'\\')),
             (None, b'"') => Some((0, false)),
-            (None, b'[' | b'{') if self.depth == DEEPEST => {
+            (None, b'[' | b'{') if self.depth == MAX_DEPTH => {
                 return Err("arrays and objects are more than 128 deep");
             }
             (None, b'[' | b'{') => {
@@ -83,7 +83,7 @@ mod tests {
 
     use super::*;
 
-    fn parsed(text: &str) -> Result<Value, Fault> {
+    fn parsed(text: &str) -> Result<Value, IngestErrorKind> {
         read(&mut text.as_bytes())
     }
 
@@ -92,24 +92,24 @@ mod tests {
         let text = r#"{"a": ["\"[[[\\", "]}", {"b": null}], "ä": -1.5e3}"#;
         let expected: Value = serde_json::from_str(text).expect("JSON");
         assert_eq!(parsed(text).expect("JSON"), expected);
-        assert!(matches!(parsed("[1,"), Err(Fault::Json(_))));
-        assert!(matches!(parsed("1 2"), Err(Fault::Json(_))));
+        assert!(matches!(parsed("[1,"), Err(IngestErrorKind::Json(_))));
+        assert!(matches!(parsed("1 2"), Err(IngestErrorKind::Json(_))));
         let deep = format!("{}{}", "[".repeat(100), "]".repeat(100));
         assert!(parsed(&deep).is_ok());
     }
 
     #[test]
     fn what_a_parser_would_gather_is_refused_with_its_line() {
-        let long = format!("[\n\"{}\"]", "a".repeat(LONGEST_STRING + 1));
-        let escaped = format!("{{\"{}\": 1}}", "\\u0061".repeat(LONGEST_STRING / 6 + 1));
-        let deep = format!("\n{}", "[{\"a\":".repeat(DEEPEST));
+        let long = format!("[\n\"{}\"]", "a".repeat(MAX_STRING_BYTES + 1));
+        let escaped = format!("{{\"{}\": 1}}", "\\u0061".repeat(MAX_STRING_BYTES / 6 + 1));
+        let deep = format!("\n{}", "[{\"a\":".repeat(MAX_DEPTH));
         for (text, words) in [
             (long, "line 2: a string is longer"),
             (escaped, "line 1: a string is longer"),
             (deep, "line 2: arrays and objects are more than 128 deep"),
         ] {
-            let fault = read::<IgnoredAny>(&mut text.as_bytes()).expect_err(words).to_string();
-            assert!(fault.contains(words), "'{fault}' should say '{words}'");
+            let error = read::<IgnoredAny>(&mut text.as_bytes()).expect_err(words).to_string();
+            assert!(error.contains(words), "'{error}' should say '{words}'");
         }
     }
 

@@ -1,12 +1,11 @@
-//! A zip file as its reader sees it: the entries and the central directory as they are, then an end record made here of values
-//! that were checked.
+//! Presents a zip file to the `zip` crate with an end record that is rebuilt from checked values.
 //!
-//! Before it builds its index, the reader of archives believes the number of entries that the end record states, and where one
-//! record leads nowhere it looks for others further back. Here that number is judged first and no other record is left to find.
+//! The crate trusts the number of entries in the end record when it builds its index, and searches further back for other records if
+//! one leads nowhere. Here that number is checked first, and no other record is left to find.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
-use super::{deadline::Deadline, error::Fault, limits::Limits};
+use super::{deadline::Deadline, error::IngestErrorKind, limits::Limits};
 
 const END: [u8; 4] = *b"PK\x05\x06";
 const END_BYTES: usize = 22;
@@ -15,7 +14,7 @@ const LOCATOR_BYTES: usize = 20;
 const END_64: [u8; 4] = *b"PK\x06\x06";
 const END_64_BYTES: usize = 56;
 
-/// The end record lies this close to the end: itself and the longest comment.
+/// The end record starts within this many bytes of the end: its own and the longest comment.
 const TAIL: u64 = END_BYTES as u64 + u16::MAX as u64;
 
 /// Where the central directory is and how many entries it lists.
@@ -33,9 +32,9 @@ impl Directory {
     /// Finds the end record of an archive and judges what it states.
     ///
     /// # Errors
-    /// [`Fault::CorruptArchive`] without a usable record, [`Fault::TooManyEntries`], [`Fault::DirectoryTooLarge`], or a fault of
+    /// [`IngestErrorKind::CorruptArchive`] without a usable record, [`IngestErrorKind::TooManyEntries`], [`IngestErrorKind::DirectoryTooLarge`], or a fault of
     /// reading.
-    pub(super) fn find(file: &mut (impl Read + Seek), limits: &Limits) -> Result<Self, Fault> {
+    pub(super) fn find(file: &mut (impl Read + Seek), limits: &Limits) -> Result<Self, IngestErrorKind> {
         let length = file.seek(SeekFrom::End(0))?;
         let tail_at = length.saturating_sub(TAIL);
         let tail = bytes_at(file, tail_at, (length - tail_at) as usize)?;
@@ -54,16 +53,19 @@ impl Directory {
             None => Self::before(record_at, offset, bytes, entries)?,
         };
         if found.entries > limits.entries as u64 {
-            return Err(Fault::TooManyEntries { limit: limits.entries });
+            return Err(IngestErrorKind::TooManyEntries { limit: limits.entries });
         }
         if found.bytes > limits.directory_bytes {
-            return Err(Fault::DirectoryTooLarge { bytes: found.bytes, limit: limits.directory_bytes });
+            return Err(IngestErrorKind::DirectoryTooLarge {
+                bytes: found.bytes,
+                limit: limits.directory_bytes,
+            });
         }
         Ok(found)
     }
 
     /// What the record for large archives states, if there is one before the end record at `end`.
-    fn end_64(file: &mut (impl Read + Seek), end: u64) -> Result<Option<Self>, Fault> {
+    fn end_64(file: &mut (impl Read + Seek), end: u64) -> Result<Option<Self>, IngestErrorKind> {
         let Some(locator_at) = end.checked_sub(LOCATOR_BYTES as u64) else { return Ok(None) };
         let locator = bytes_at(file, locator_at, LOCATOR_BYTES)?;
         if !locator.starts_with(&LOCATOR) {
@@ -82,7 +84,7 @@ impl Directory {
         Err(corrupt("its Zip64 end record is missing"))
     }
 
-    fn before(end: u64, offset: u64, bytes: u64, entries: u64) -> Result<Self, Fault> {
+    fn before(end: u64, offset: u64, bytes: u64, entries: u64) -> Result<Self, IngestErrorKind> {
         let shift = offset.checked_add(bytes).and_then(|stated| end.checked_sub(stated));
         let shift = shift.ok_or_else(|| corrupt("its central directory is not where its end record says"))?;
         Ok(Self { shift, offset, bytes, entries })
@@ -137,15 +139,15 @@ fn end_record(tail: &[u8]) -> Option<usize> {
         .or_else(|| candidates().find(|at| ends_at(*at).is_some_and(|end| end < tail.len())))
 }
 
-fn bytes_at(file: &mut (impl Read + Seek), at: u64, length: usize) -> Result<Vec<u8>, Fault> {
+fn bytes_at(file: &mut (impl Read + Seek), at: u64, length: usize) -> Result<Vec<u8>, IngestErrorKind> {
     let mut bytes = vec![0; length];
     file.seek(SeekFrom::Start(at))?;
     file.read_exact(&mut bytes)?;
     Ok(bytes)
 }
 
-fn corrupt(message: &str) -> Fault {
-    Fault::CorruptArchive(message.to_owned())
+fn corrupt(message: &str) -> IngestErrorKind {
+    IngestErrorKind::CorruptArchive(message.to_owned())
 }
 
 /// Little-endian numbers of a record that is long enough for them.
@@ -172,7 +174,7 @@ impl Fields<'_> {
 }
 
 /// The file up to the end of its central directory and the records after it; reading ends at the deadline.
-pub(super) struct View<F> {
+pub(super) struct CheckedArchive<F> {
     file: F,
     /// Bytes that are the file's.
     own: u64,
@@ -181,14 +183,14 @@ pub(super) struct View<F> {
     deadline: Deadline,
 }
 
-impl<F: Read + Seek> View<F> {
+impl<F: Read + Seek> CheckedArchive<F> {
     /// Of an archive with this directory.
     pub(super) fn new(file: F, directory: &Directory, deadline: Deadline) -> Self {
         Self { file, own: directory.end(), records: directory.records(), at: 0, deadline }
     }
 }
 
-impl<F: Read + Seek> Read for View<F> {
+impl<F: Read + Seek> Read for CheckedArchive<F> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         self.deadline.check().map_err(io::Error::other)?;
         let count = if self.at < self.own {
@@ -204,7 +206,7 @@ impl<F: Read + Seek> Read for View<F> {
     }
 }
 
-impl<F: Read + Seek> Seek for View<F> {
+impl<F: Read + Seek> Seek for CheckedArchive<F> {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         let end = self.own + self.records.len() as u64;
         let at = match to {
@@ -239,20 +241,20 @@ mod tests {
         zip.finish().expect("an archive").into_inner()
     }
 
-    fn found(bytes: &[u8]) -> Result<Directory, Fault> {
+    fn found(bytes: &[u8]) -> Result<Directory, IngestErrorKind> {
         Directory::find(&mut Cursor::new(bytes), &Limits::default())
     }
 
-    fn opened(bytes: &[u8]) -> ZipArchive<View<Cursor<Vec<u8>>>> {
+    fn opened(bytes: &[u8]) -> ZipArchive<CheckedArchive<Cursor<Vec<u8>>>> {
         index(bytes.to_vec(), &found(bytes).expect("a directory")).expect("an archive")
     }
 
     fn index(
         bytes: Vec<u8>,
         directory: &Directory,
-    ) -> zip::result::ZipResult<ZipArchive<View<Cursor<Vec<u8>>>>> {
+    ) -> zip::result::ZipResult<ZipArchive<CheckedArchive<Cursor<Vec<u8>>>>> {
         let config = Config { archive_offset: ArchiveOffset::Known(directory.shift) };
-        ZipArchive::with_config(config, View::new(Cursor::new(bytes), directory, Deadline::NONE))
+        ZipArchive::with_config(config, CheckedArchive::new(Cursor::new(bytes), directory, Deadline::NONE))
     }
 
     /// The archive with the records of a large one, as writers make them beyond 65 534 entries or 4 GiB.
@@ -332,17 +334,17 @@ mod tests {
             found(&bytes)
         };
         let few = Limits { entries: 1, ..Limits::default() };
-        let fault = Directory::find(&mut Cursor::new(&plain), &few);
-        assert!(matches!(fault, Err(Fault::TooManyEntries { limit: 1 })), "{fault:?}");
+        let error = Directory::find(&mut Cursor::new(&plain), &few);
+        assert!(matches!(error, Err(IngestErrorKind::TooManyEntries { limit: 1 })), "{error:?}");
         let small = Limits { directory_bytes: 10, ..Limits::default() };
-        let fault = Directory::find(&mut Cursor::new(&plain), &small);
-        assert!(matches!(fault, Err(Fault::DirectoryTooLarge { limit: 10, .. })), "{fault:?}");
-        assert!(matches!(claiming(12, &[0xfe; 4]), Err(Fault::CorruptArchive(_))));
-        assert!(matches!(claiming(10, &[1, 0]), Err(Fault::CorruptArchive(_))));
+        let error = Directory::find(&mut Cursor::new(&plain), &small);
+        assert!(matches!(error, Err(IngestErrorKind::DirectoryTooLarge { limit: 10, .. })), "{error:?}");
+        assert!(matches!(claiming(12, &[0xfe; 4]), Err(IngestErrorKind::CorruptArchive(_))));
+        assert!(matches!(claiming(10, &[1, 0]), Err(IngestErrorKind::CorruptArchive(_))));
         let mut large = as_zip64(&plain);
         let at = large.len() - END_BYTES - LOCATOR_BYTES - END_64_BYTES;
         large[at + 32..at + 40].copy_from_slice(&u64::MAX.to_le_bytes());
-        assert!(matches!(found(&large), Err(Fault::TooManyEntries { .. })));
+        assert!(matches!(found(&large), Err(IngestErrorKind::TooManyEntries { .. })));
     }
 
     proptest! {

@@ -1,29 +1,29 @@
-//! How much memory reading a dataset may take, and who waits when it is taken.
+//! The memory that loading a dataset may take, and the semaphore that shares it among threads.
 
 use std::{
     path::PathBuf,
     sync::{Condvar, Mutex, PoisonError},
 };
 
-/// Where decoded photographs may be.
+/// Memory and temporary folder for decoded photographs.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Room {
-    /// Bytes of memory for those that are kept and those that are being decoded, together.
-    pub memory: u64,
-    /// Folder of the temporary file that takes the others; it should be on a disk, not in memory.
-    pub spill: PathBuf,
+pub struct LoadBudget {
+    /// Bytes of memory for photographs that are kept or being decoded.
+    pub memory_bytes: u64,
+    /// Folder of the temporary file for the others; it should be on a disk, not in memory.
+    pub spill_dir: PathBuf,
 }
 
-impl Default for Room {
+impl Default for LoadBudget {
     /// 4 GiB, and the system's folder for temporary files.
     fn default() -> Self {
-        Self { memory: 4 << 30, spill: std::env::temp_dir() }
+        Self { memory_bytes: 4 << 30, spill_dir: std::env::temp_dir() }
     }
 }
 
 /// Bytes that several threads may hold together.
 #[derive(Debug)]
-pub(super) struct Permits {
+pub(super) struct ByteSemaphore {
     capacity: u64,
     state: Mutex<State>,
     freed: Condvar,
@@ -32,24 +32,24 @@ pub(super) struct Permits {
 #[derive(Debug, Default)]
 struct State {
     held: u64,
-    most: u64,
+    peak: u64,
 }
 
 /// Bytes that are held until this is dropped.
 #[derive(Debug)]
-pub(super) struct Permit<'a> {
-    permits: &'a Permits,
+pub(super) struct ByteGuard<'a> {
+    semaphore: &'a ByteSemaphore,
     bytes: u64,
 }
 
-impl Permits {
+impl ByteSemaphore {
     /// None is held yet.
     pub(super) fn new(capacity: u64) -> Self {
         Self { capacity, state: Mutex::default(), freed: Condvar::new() }
     }
 
-    /// Waits until `bytes` more are free. Whoever asks for more than there is, gets all of it.
-    pub(super) fn take(&self, bytes: u64) -> Permit<'_> {
+    /// Waits until `bytes` more are free. A request above the capacity waits for all of it.
+    pub(super) fn acquire(&self, bytes: u64) -> ByteGuard<'_> {
         let bytes = bytes.min(self.capacity);
         let state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let mut state = self
@@ -57,11 +57,11 @@ impl Permits {
             .wait_while(state, |state| self.capacity - state.held < bytes)
             .unwrap_or_else(PoisonError::into_inner);
         state.hold(bytes);
-        Permit { permits: self, bytes }
+        ByteGuard { semaphore: self, bytes }
     }
 
     /// Holds `bytes` more from now on, if they are free.
-    pub(super) fn keep(&self, bytes: u64) -> bool {
+    pub(super) fn try_keep(&self, bytes: u64) -> bool {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let free = self.capacity - state.held >= bytes;
         if free {
@@ -72,22 +72,22 @@ impl Permits {
 
     /// Most bytes that were held at a time.
     #[cfg(test)]
-    pub(super) fn most(&self) -> u64 {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner).most
+    pub(super) fn peak(&self) -> u64 {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner).peak
     }
 }
 
 impl State {
     fn hold(&mut self, bytes: u64) {
         self.held += bytes;
-        self.most = self.most.max(self.held);
+        self.peak = self.peak.max(self.held);
     }
 }
 
-impl Drop for Permit<'_> {
+impl Drop for ByteGuard<'_> {
     fn drop(&mut self) {
-        self.permits.state.lock().unwrap_or_else(PoisonError::into_inner).held -= self.bytes;
-        self.permits.freed.notify_all();
+        self.semaphore.state.lock().unwrap_or_else(PoisonError::into_inner).held -= self.bytes;
+        self.semaphore.freed.notify_all();
     }
 }
 
@@ -97,21 +97,21 @@ mod tests {
 
     #[test]
     fn threads_never_hold_more_than_there_is_and_all_get_their_turn() {
-        let permits = Permits::new(10);
+        let semaphore = ByteSemaphore::new(10);
         std::thread::scope(|scope| {
             for thread in 0..8_u64 {
-                let permits = &permits;
+                let semaphore = &semaphore;
                 scope.spawn(move || {
                     for round in 0..50 {
-                        let permit = permits.take(1 + (thread * 7 + round) % 14);
+                        let guard = semaphore.acquire(1 + (thread * 7 + round) % 14);
                         std::thread::yield_now();
-                        drop(permit);
+                        drop(guard);
                     }
                 });
             }
         });
-        assert_eq!(permits.most(), 10, "some asked for more than all and got all");
-        assert!(permits.keep(10), "everything was given back");
-        assert!(!permits.keep(1) && permits.keep(0));
+        assert_eq!(semaphore.peak(), 10, "some asked for more than all and got all");
+        assert!(semaphore.try_keep(10), "everything was given back");
+        assert!(!semaphore.try_keep(1) && semaphore.try_keep(0));
     }
 }

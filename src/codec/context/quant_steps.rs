@@ -6,7 +6,7 @@
 use crate::codec::{gaussian::Gaussian, gaussian_constants::SCALES};
 
 /// Largest magnitude of a step index: 3.5 octaves.
-pub(in crate::codec) const MAX_STEP: i8 = 16;
+pub(in crate::codec) const MAX_STEP_INDEX: i8 = 16;
 
 /// Table entries an octave, 32 / 7, for octaves in 2^-8, in 2^-16.
 const ENTRIES_PER_OCTAVE: i64 = 1170;
@@ -61,14 +61,14 @@ const RATIO: [i64; 33] = [
     22_674, 19_484, 16_743, 14_387, 12_363, 10_624, 9129, 7845, 6741, 5793,
 ];
 
-/// The factor of step index `step`, which is clamped to [`MAX_STEP`].
+/// The factor of step index `step`, which is clamped to [`MAX_STEP_INDEX`].
 pub(in crate::codec) fn factor(step: i8) -> f32 {
-    STEP_TABLE[usize::from((step.clamp(-MAX_STEP, MAX_STEP) + MAX_STEP).unsigned_abs())]
+    STEP_TABLE[usize::from((step.clamp(-MAX_STEP_INDEX, MAX_STEP_INDEX) + MAX_STEP_INDEX).unsigned_abs())]
 }
 
 /// The index of the step nearest to `octaves` from the base step.
 pub(in crate::codec) fn nearest_index(octaves: f32) -> i8 {
-    let limit = f32::from(MAX_STEP);
+    let limit = f32::from(MAX_STEP_INDEX);
     (octaves * 32.0 / 7.0).round_ties_even().clamp(-limit, limit) as i8
 }
 
@@ -80,13 +80,14 @@ pub(in crate::codec) fn index_as_octaves(coarser: i8) -> i32 {
 /// The step index of an adjustment in octaves, in 2^-8.
 pub(in crate::codec) fn index(adjustment: i32) -> i8 {
     let index = (i64::from(adjustment) * ENTRIES_PER_OCTAVE + (1 << 15)) >> 16;
-    index.clamp(-i64::from(MAX_STEP), i64::from(MAX_STEP)) as i8
+    index.clamp(-i64::from(MAX_STEP_INDEX), i64::from(MAX_STEP_INDEX)) as i8
 }
 
 /// The distribution of a symbol in steps of index `step`, from its mean in base steps and the base-2 logarithm of its
 /// standard deviation in base steps, both in 2^-8 and at most 2^23 in magnitude.
 pub(in crate::codec) fn gaussian(mean: i32, log_deviation: i32, step: i8) -> Gaussian {
-    let ratio = RATIO[usize::from((step.clamp(-MAX_STEP, MAX_STEP) + MAX_STEP).unsigned_abs())];
+    let ratio =
+        RATIO[usize::from((step.clamp(-MAX_STEP_INDEX, MAX_STEP_INDEX) + MAX_STEP_INDEX).unsigned_abs())];
     // Below 2^23 x 2^20, so the sum fits 64 bits with room to spare.
     let mean16 = ((i64::from(mean) * ratio + (1 << 19)) >> 20).clamp(-MAX_MEAN, MAX_MEAN);
     let scale = ((i64::from(log_deviation) * ENTRIES_PER_OCTAVE + (1 << 15)) >> 16) + UNIT_SCALE;
@@ -125,7 +126,7 @@ mod tests {
 
     #[test]
     fn gaussians_are_the_predicted_ones_whatever_the_step() {
-        for step in -MAX_STEP..=MAX_STEP {
+        for step in -MAX_STEP_INDEX..=MAX_STEP_INDEX {
             for (mean, deviation) in [(0, 0), (256, 256), (-12_345, 700), (40_000, -500), (1 << 20, 1500)] {
                 let gaussian = gaussian(mean, deviation, step);
                 let exact = f64::from(mean) / 256.0 * 16.0 / f64::from(factor(step));

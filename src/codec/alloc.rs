@@ -1,0 +1,29 @@
+//! Limits and fallible allocations for counts that a file states.
+
+use super::error::DecodeError;
+
+/// Checks a value that a file asks for against the caller's limit.
+pub(in crate::codec) fn check_limit(what: &'static str, value: u64, limit: u64) -> Result<(), DecodeError> {
+    if value <= limit { Ok(()) } else { Err(DecodeError::Limit { what, value, limit }) }
+}
+
+/// An empty vector with capacity for `count`, or an error if the allocator has none.
+pub(in crate::codec) fn reserve<T>(what: &'static str, count: usize) -> Result<Vec<T>, DecodeError> {
+    let mut vector = Vec::new();
+    match vector.try_reserve_exact(count) {
+        Ok(()) => Ok(vector),
+        Err(_) => {
+            Err(DecodeError::OutOfMemory { what, bytes: count as u64 * std::mem::size_of::<T>() as u64 })
+        }
+    }
+}
+
+/// `count` zeros, or an error if the allocator cannot give them. The system hands out zeroed pages, so whoever fills them touches
+/// them first.
+pub(in crate::codec) fn zeros<T: Clone + Default>(
+    what: &'static str,
+    count: usize,
+) -> Result<Vec<T>, DecodeError> {
+    drop(reserve::<T>(what, count)?);
+    Ok(vec![T::default(); count])
+}

@@ -1,0 +1,24 @@
+//! What a directory and a zip archive have in common: a list of files and a way to read each.
+
+use std::io::{self, Read};
+
+use super::error::IngestErrorKind;
+
+/// Where the bytes of a file come from.
+pub(super) trait FileSource: Sync {
+    /// Shows a file's bytes to `visit`. `index` is as in [`Listing::files`].
+    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<(), IngestErrorKind>;
+
+    /// What an error of reading them means.
+    fn read_error(&self, error: io::Error) -> IngestErrorKind;
+}
+
+/// What a source found when it was opened.
+pub(super) struct Listing {
+    /// Name as the source has it, size in bytes.
+    pub(super) files: Vec<(String, u64)>,
+    /// Links and other special files that are not read, with the kind of each.
+    pub(super) special: Vec<(String, &'static str)>,
+    /// Reads the files.
+    pub(super) source: Box<dyn FileSource>,
+}
