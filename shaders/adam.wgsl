@@ -23,7 +23,7 @@ struct Settings {
 @group(0) @binding(4) var<storage, read_write> first: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> second: array<vec4f>;
 // Not 0 in a step that has to be done again.
-@group(0) @binding(6) var<storage, read> void_mark: array<u32>;
+@group(0) @binding(6) var<storage, read> overflow_flag: array<u32>;
 
 fn after(column: u32) -> u32 {
     return select(column + 1u, 0u, column + 1u == settings.shape.y);
@@ -40,7 +40,7 @@ fn rates_from(element: u32) -> vec4f {
 @compute @workgroup_size(64)
 fn adam(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let i = (group.x + group.y * 65535u) * 64u + local;
-    if 4u * i >= settings.shape.x || void_mark[0] != 0u {
+    if 4u * i >= settings.shape.x || overflow_flag[0] != 0u {
         return;
     }
     let gradient = gradients[i];

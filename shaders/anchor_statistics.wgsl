@@ -12,12 +12,12 @@ const ROW: u32 = 2u * OFFSETS + 2u;
 @group(0) @binding(3) var<storage, read> d_means2d: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> statistics: array<f32>;
 // Not 0 in a step that has to be done again.
-@group(0) @binding(5) var<storage, read> void_mark: array<u32>;
+@group(0) @binding(5) var<storage, read> overflow_flag: array<u32>;
 
 @compute @workgroup_size(64)
 fn anchor_statistics(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let index = (group.x + group.y * 65535u) * 64u + local;
-    if index >= list[0] || void_mark[0] != 0u {
+    if index >= list[0] || overflow_flag[0] != 0u {
         return;
     }
     let row = list[1u + index] * ROW;

@@ -1,7 +1,7 @@
 // Writes one (tile, slot) pair for each tile that a visible Gaussian touches, nearest Gaussian first. Counts the passes that
 // had room for all pairs, up to the first that had not, and says what that one needs.
 
-#import tcgs::view::{INTERSECTIONS, LACKING, SOUND, VISIBLE, View}
+#import tcgs::view::{INTERSECTIONS, REQUIRED, COMPLETED, VISIBLE, View}
 #import tcgs::splat::{NONE, ridges_of, tile_bounds, touches_tile}
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -24,11 +24,11 @@ fn put(slot: u32, tile: u32, id: u32) {
 @compute @workgroup_size(64)
 fn emit(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let all = counters[INTERSECTIONS];
-    if id.x == 0u && counters[LACKING] == 0u {
+    if id.x == 0u && counters[REQUIRED] == 0u {
         if all > view.intersection_capacity {
-            counters[LACKING] = all;
+            counters[REQUIRED] = all;
         } else {
-            counters[SOUND] += 1u;
+            counters[COMPLETED] += 1u;
         }
     }
     let total = min(counters[VISIBLE], view.gaussian_capacity);

@@ -9,12 +9,12 @@ const ROW: u32 = 3u;
 @group(0) @binding(1) var<storage, read> d_centers: array<vec4f>;
 @group(0) @binding(2) var<storage, read_write> statistics: array<f32>;
 // Not 0 in a step that has to be done again.
-@group(0) @binding(3) var<storage, read> void_mark: array<u32>;
+@group(0) @binding(3) var<storage, read> overflow_flag: array<u32>;
 
 @compute @workgroup_size(64)
 fn gaussian_statistics(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let i = (group.x + group.y * 65535u) * 64u + local;
-    if i >= view.count || void_mark[0] != 0u {
+    if i >= view.count || overflow_flag[0] != 0u {
         return;
     }
     // By the projected centre, tiles touched, radius.

@@ -10,13 +10,13 @@
 // Column-major; the group's last row is the adjustment.
 @group(0) @binding(2) var<storage, read> outputs: array<f32>;
 // Not 0 in a step that has to be done again.
-@group(0) @binding(3) var<storage, read> void_mark: array<u32>;
+@group(0) @binding(3) var<storage, read> overflow_flag: array<u32>;
 @group(0) @binding(4) var<storage, read_write> steps: array<f32>;
 
 @compute @workgroup_size(64)
 fn refresh_steps(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let sampled = (group.x + group.y * 65535u) * 64u + local;
-    if sampled >= list[0] || void_mark[0] != 0u {
+    if sampled >= list[0] || overflow_flag[0] != 0u {
         return;
     }
     let place = settings.group.z;

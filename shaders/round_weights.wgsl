@@ -17,7 +17,7 @@ struct Row {
 }
 
 // Most binary places of a weight in a file.
-const MOST_PLACES: i32 = 15;
+const MAX_FRACTION_BITS: i32 = 15;
 
 @group(0) @binding(0) var<uniform> shape: Shape;
 @group(0) @binding(1) var<storage, read> rows: array<Row>;
@@ -43,7 +43,7 @@ fn round_weights(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_
             largest = max(largest, abs(source[row.first + block * row.step + i]));
         }
     }
-    var places = MOST_PLACES;
+    var places = MAX_FRACTION_BITS;
     while places > 0 && round(largest * power_of_two(places)) > levels {
         places--;
     }

@@ -5,7 +5,7 @@ use std::{sync::Arc, time::Duration};
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use tcgs::gpu::{Binding, Context, KernelSource, KernelVariant};
+use tcgs::gpu::{Binding, Device, KernelSource, KernelVariant};
 
 /// Of each probe the fastest of this many runs.
 const RUNS: usize = 40;
@@ -23,12 +23,12 @@ impl Extent {
     /// On a CPU, buffers hold more than what is private to a core, and few enough floats that a run is as short as a kernel of a
     /// step, since what disturbs long runs must not lower the ceiling of short ones. On a GPU they have to be larger than its
     /// last cache, some 50 to 100 MB, and workgroups more than fill it.
-    fn of(context: &Context) -> Self {
-        let (floats, groups) = match context.variant() {
+    fn of(device: &Device) -> Self {
+        let (floats, groups) = match device.variant() {
             KernelVariant::Software => (2 << 20, 512),
             KernelVariant::Hardware => (64 << 20, 16_384),
         };
-        let adapter = context.adapter();
+        let adapter = device.adapter();
         let bindable = adapter.max_binding_bytes.min(adapter.max_buffer_bytes) as usize / size_of::<f32>();
         let floats = floats.min(bindable);
         Self { floats, groups: groups.min((floats / (4 * 64)) as u32) }
@@ -56,18 +56,18 @@ pub(crate) struct Ceilings {
 }
 
 impl Ceilings {
-    pub(crate) fn measure(context: &Arc<Context>) -> Self {
-        let Extent { floats, groups } = Extent::of(context);
+    pub(crate) fn measure(device: &Arc<Device>) -> Self {
+        let Extent { floats, groups } = Extent::of(device);
         let mut rng = Pcg64::seed_from_u64(1);
-        let from = context.upload("from", &vec![1.0_f32; floats]).unwrap();
-        let to = context.buffer::<f32>("to", floats).unwrap();
+        let from = device.upload("from", &vec![1.0_f32; floats]).unwrap();
+        let to = device.buffer::<f32>("to", floats).unwrap();
         let places: Vec<u32> = (0..floats).map(|_| rng.random_range(0..floats as u32)).collect();
-        let places = context.upload("places", &places).unwrap();
-        let seeds = context.upload("seeds", &[[0.5_f32; 4], [0.25; 4], [1.0; 4]]).unwrap();
+        let places = device.upload("places", &places).unwrap();
+        let seeds = device.upload("seeds", &[[0.5_f32; 4], [0.25; 4], [1.0; 4]]).unwrap();
         let seconds = |source: KernelSource, bindings: &[Binding<'_>]| {
-            let kernel = context.kernel(source, &[]).unwrap();
+            let kernel = device.kernel(source, &[]).unwrap();
             let time = (0..RUNS).map(|_| {
-                let mut recorder = context.timed_recorder("probe");
+                let mut recorder = device.timed_recorder("probe");
                 recorder.dispatch(&kernel, bindings, groups);
                 recorder.submit_timed().unwrap().iter().map(|kernel| kernel.time).sum::<Duration>()
             });

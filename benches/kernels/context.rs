@@ -12,7 +12,7 @@ use rand_pcg::Pcg64;
 use tcgs::{
     codec::context::robust_frame,
     domain::ContextKind,
-    gpu::{Context, Recorder},
+    gpu::{Device, Recorder},
     train::{
         TrainError,
         context::{
@@ -39,7 +39,7 @@ fn passes() -> [(&'static str, ContextPass); 3] {
 }
 
 /// Prints a table of least times; with `detail`, those of kernels.
-pub(crate) fn table(context: &Arc<Context>, runs: usize, detail: bool) -> Result<(), TrainError> {
+pub(crate) fn table(device: &Arc<Device>, runs: usize, detail: bool) -> Result<(), TrainError> {
     for [count, sampled] in SCENES {
         let mut rng = Pcg64::seed_from_u64(1);
         // On a sphere, as anchors of a surface lie.
@@ -53,10 +53,10 @@ pub(crate) fn table(context: &Arc<Context>, runs: usize, detail: bool) -> Result
         let statistics = CHANNELS
             .map(|channels| GroupStatistics { means: vec![0.0; channels], deviations: vec![1.0; channels] });
         let values = ContextLayout::new(config)?.initial(&statistics, &mut rng)?;
-        let mut net = ContextNet::new(context, config, &ContextState::new(values))?;
+        let mut net = ContextNet::new(device, config, &ContextState::new(values))?;
         let start = Instant::now();
         net.place(&ContextAnchors::new(&config, &robust_frame(&cells), &cells))?;
-        context.wait()?;
+        device.wait()?;
         println!(
             "\ncontext of {sampled} of {count} anchors: {} parameters, {:.2} MB; tables of anchors in {:.1} ms",
             net.layout().parameters,
@@ -75,16 +75,16 @@ pub(crate) fn table(context: &Arc<Context>, runs: usize, detail: bool) -> Result
             for run in 0..=runs {
                 for (least, backward) in least.iter_mut().zip([false, true]) {
                     let start = Instant::now();
-                    let mut recorder = context.recorder("context");
+                    let mut recorder = device.recorder("context");
                     record(&mut net, &mut recorder, backward)?;
                     recorder.submit()?;
-                    context.wait()?;
+                    device.wait()?;
                     // The first makes buffers and kernels.
                     if run > 0 {
                         *least = start.elapsed().min(*least);
                     }
                 }
-                let mut recorder = context.timed_recorder("context");
+                let mut recorder = device.timed_recorder("context");
                 record(&mut net, &mut recorder, true)?;
                 let mut times = BTreeMap::new();
                 for kernel in recorder.submit_timed()? {

@@ -27,10 +27,10 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{Camera, DistanceUnit},
-    gpu::{AdapterChoice, Buffer, Context, GpuError, KernelTime, Recorder},
+    gpu::{AdapterChoice, Buffer, Device, GpuError, KernelTime, Recorder},
     model::NetworkLayout,
     render::{
-        AnchorGradients, Counts, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians,
+        AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, RasterCounts,
         RasterSettings, Rasterizer, RenderError,
     },
     train::{Adam, ImageLoss, Moments, TrainError, WaveletWeights},
@@ -72,7 +72,7 @@ fn keep_least(least: &mut Times, run: Times) {
 }
 
 struct Bench {
-    context: Arc<Context>,
+    device: Arc<Device>,
     camera: Camera,
     gaussians: Gaussians,
     d_gaussians: GaussianGradients,
@@ -86,42 +86,42 @@ struct Bench {
     rates: Buffer<f32>,
     moments: Moments,
     /// Never set: every step counts.
-    void_mark: Buffer<u32>,
+    overflow_flag: Buffer<u32>,
 }
 
 impl Bench {
-    fn new(context: &Arc<Context>, count: usize, side: u32) -> Result<Self, RenderError> {
+    fn new(device: &Arc<Device>, count: usize, side: u32) -> Result<Self, RenderError> {
         let mut rng = Pcg64::seed_from_u64(2);
         let rows = scene::anchors(&mut rng, count / 10);
-        let anchors = DeviceAnchors::upload(context, &rows, &NetworkLayout::new(SHAPE).initial(&mut rng))?;
+        let anchors = DeviceAnchors::upload(device, &rows, &NetworkLayout::new(SHAPE).initial(&mut rng))?;
         let rates: Vec<f32> = (1..=SHAPE.row()).map(|i| 1e-9 * i as f32).collect();
-        let mut neural = NeuralGaussians::new(Arc::clone(context), SHAPE, 0.01, DistanceUnit::USUAL)?;
+        let mut neural = NeuralGaussians::new(Arc::clone(device), SHAPE, 0.01, DistanceUnit::USUAL)?;
         // Gradients before the first backward pass; a spawned Gaussian's are as good as any.
         let camera = scene::camera(side);
-        let mut recorder = context.recorder("first forward");
+        let mut recorder = device.recorder("first forward");
         neural.forward(&mut recorder, &anchors, &camera, 0.01)?;
         recorder.submit()?;
         let gradients = neural.gaussian_gradients()?;
         for buffer in [&gradients.geometry, &gradients.colors] {
             let values: Vec<[f32; 4]> =
                 (0..buffer.len()).map(|_| [0; 4].map(|_| rng.random_range(-1.0..1.0))).collect();
-            context.write(buffer, &values);
+            device.write(buffer, &values);
         }
         Ok(Self {
             camera,
-            gaussians: scene::shell(context, count),
-            d_gaussians: GaussianGradients::new(context, count)?,
-            rasterizer: Rasterizer::new(Arc::clone(context), RasterSettings::default())?,
-            d_anchors: AnchorGradients::new(context, SHAPE, anchors.count)?,
+            gaussians: scene::shell(device, count),
+            d_gaussians: GaussianGradients::new(device, count)?,
+            rasterizer: Rasterizer::new(Arc::clone(device), RasterSettings::default())?,
+            d_anchors: AnchorGradients::new(device, SHAPE, anchors.count)?,
             neural,
-            loss: ImageLoss::new(Arc::clone(context))?,
+            loss: ImageLoss::new(Arc::clone(device))?,
             photograph: (0..side * side).map(|_| rng.random()).collect(),
-            adam: Adam::new(context)?,
-            rates: context.upload("rates", &rates)?,
-            void_mark: context.upload("void mark", &[0])?,
-            moments: Moments::zero(context, rows.values.len())?,
+            adam: Adam::new(device)?,
+            rates: device.upload("rates", &rates)?,
+            overflow_flag: device.upload("overflow flag", &[0])?,
+            moments: Moments::zero(device, rows.values.len())?,
             anchors,
-            context: Arc::clone(context),
+            device: Arc::clone(device),
         })
     }
 
@@ -154,14 +154,14 @@ impl Bench {
 
     fn record_adam(&self, recorder: &mut Recorder<'_>) -> Result<(), GpuError> {
         let (gradients, values) = (&self.d_anchors.rows, &self.anchors.rows);
-        self.adam.step(recorder, 1, &self.void_mark, &self.rates, gradients, values, &self.moments)
+        self.adam.step(recorder, 1, &self.overflow_flag, &self.rates, gradients, values, &self.moments)
     }
 
     /// Everything in one submission, by the clock.
     fn step(&mut self) -> Result<Duration, RenderError> {
-        let context = Arc::clone(&self.context);
+        let device = Arc::clone(&self.device);
         let start = Instant::now();
-        let mut recorder = context.recorder("step");
+        let mut recorder = device.recorder("step");
         self.record_networks_forward(&mut recorder)?;
         self.record_raster_forward(&mut recorder)?;
         let v_image = self.record_loss(&mut recorder)?;
@@ -169,13 +169,13 @@ impl Bench {
         self.record_networks_backward(&mut recorder)?;
         self.record_adam(&mut recorder)?;
         recorder.submit()?;
-        context.wait()?;
+        device.wait()?;
         Ok(start.elapsed())
     }
 
     /// The stages and the single kernels of a step, on the device.
     fn stages(&mut self) -> Result<(Times, Times), RenderError> {
-        let context = Arc::clone(&self.context);
+        let device = Arc::clone(&self.device);
         let (mut stages, mut kernels) = (Times::new(), Times::new());
         let mut take = |stage: &dyn Fn(&str) -> &'static str, recorder: Recorder<'_>| {
             for KernelTime { name, time } in recorder.submit_timed()? {
@@ -184,32 +184,32 @@ impl Bench {
             }
             Ok::<(), RenderError>(())
         };
-        let mut recorder = context.timed_recorder("networks");
+        let mut recorder = device.timed_recorder("networks");
         self.record_networks_forward(&mut recorder)?;
         take(&|_| "networks forward", recorder)?;
-        let mut recorder = context.timed_recorder("rasteriser");
+        let mut recorder = device.timed_recorder("rasteriser");
         self.record_raster_forward(&mut recorder)?;
         take(&raster_stage, recorder)?;
-        let mut recorder = context.timed_recorder("loss");
+        let mut recorder = device.timed_recorder("loss");
         let v_image = self.record_loss(&mut recorder)?;
         take(&|_| "loss", recorder)?;
-        let mut recorder = context.timed_recorder("rasteriser");
+        let mut recorder = device.timed_recorder("rasteriser");
         self.record_raster_backward(&mut recorder, &v_image)?;
         take(&raster_stage, recorder)?;
-        let mut recorder = context.timed_recorder("networks");
+        let mut recorder = device.timed_recorder("networks");
         self.record_networks_backward(&mut recorder)?;
         take(&|_| "networks backward", recorder)?;
-        let mut recorder = context.timed_recorder("adam");
+        let mut recorder = device.timed_recorder("adam");
         self.record_adam(&mut recorder)?;
         take(&|_| "adam", recorder)?;
         Ok((stages, kernels))
     }
 
     /// Renders until everything has room.
-    fn counts(&mut self) -> Result<Counts, RenderError> {
+    fn counts(&mut self) -> Result<RasterCounts, RenderError> {
         loop {
-            let context = Arc::clone(&self.context);
-            let mut recorder = context.recorder("counts");
+            let device = Arc::clone(&self.device);
+            let mut recorder = device.recorder("counts");
             self.record_raster_forward(&mut recorder)?;
             recorder.submit()?;
             let counts = self.rasterizer.counts()?;
@@ -222,15 +222,15 @@ impl Bench {
 
     fn checksums(&self) -> Result<String, RenderError> {
         let flat = |buffer: &Buffer<[f32; 4]>| {
-            Ok::<_, RenderError>(self.context.read(buffer)?.into_iter().flatten().collect::<Vec<f32>>())
+            Ok::<_, RenderError>(self.device.read(buffer)?.into_iter().flatten().collect::<Vec<f32>>())
         };
         Ok(format!(
             "image {:.6e}, by geometry {:.6e}, by colours {:.6e}, by rows {:.6e}, by networks {:.6e}",
             checksum(&flat(self.rasterizer.image())?),
             checksum(&flat(&self.d_gaussians.geometry)?),
             checksum(&flat(&self.d_gaussians.colors)?),
-            checksum(&self.context.read(&self.d_anchors.rows)?),
-            checksum(&self.context.read(&self.d_anchors.networks)?),
+            checksum(&self.device.read(&self.d_anchors.rows)?),
+            checksum(&self.device.read(&self.d_anchors.networks)?),
         ))
     }
 }
@@ -256,13 +256,13 @@ fn print_row(name: &str, time: Duration, work: Work, ceilings: &Ceilings) {
 }
 
 fn table(
-    context: &Arc<Context>,
+    device: &Arc<Device>,
     ceilings: &Ceilings,
     count: usize,
     side: u32,
     detail: bool,
 ) -> Result<(), RenderError> {
-    let mut bench = Bench::new(context, count, side)?;
+    let mut bench = Bench::new(device, count, side)?;
     let size = Size {
         gaussians: count,
         anchors: bench.anchors.count,
@@ -295,7 +295,7 @@ fn table(
         print_row(stage, stages.get(stage).copied().unwrap_or_default(), work, ceilings);
     }
     print_row("step", step, all, ceilings);
-    let plain = plain::step(context, count, side, RUNS)?;
+    let plain = plain::step(device, count, side, RUNS)?;
     println!(
         "{:>18} {:>9.2} {:>42.1} steps/s",
         "plain step",
@@ -320,13 +320,13 @@ fn main() -> Result<(), TrainError> {
     };
     let choice: AdapterChoice =
         std::env::var("TCGS_ADAPTER").unwrap_or_else(|_| "lavapipe".to_owned()).parse().unwrap();
-    let context = Context::new(&choice)?;
-    println!("adapter: {}", context.adapter_line());
+    let device = Device::new(&choice)?;
+    println!("adapter: {}", device.adapter_line());
     let detail = wanted.iter().any(|a| a == "detail");
     if wanted.iter().any(|a| a == "context") {
-        return context::table(&context, RUNS, detail);
+        return context::table(&device, RUNS, detail);
     }
-    let ceilings = Ceilings::measure(&context);
+    let ceilings = Ceilings::measure(&device);
     println!(
         "ceilings: copy {:.1} GB/s, random reads {:.2} GB/s, arithmetic {:.1} GFLOP/s; least of {RUNS} runs",
         1e-9 * ceilings.copy,
@@ -336,7 +336,7 @@ fn main() -> Result<(), TrainError> {
     for count in GAUSSIANS {
         for side in SIDES {
             if asked(count, &GAUSSIANS) && asked(side as usize, &SIDES.map(|side| side as usize)) {
-                table(&context, &ceilings, count, side, detail)?;
+                table(&device, &ceilings, count, side, detail)?;
             }
         }
     }

@@ -8,9 +8,9 @@ use std::{
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
-    gpu::Context,
+    gpu::Device,
     model::GaussianRows,
-    render::{DeviceRows, PlainGaussians, RasterSettings, Rasterizer, RenderError},
+    render::{DeviceGaussians, PlainGaussians, RasterSettings, Rasterizer, RenderError},
     train::{Adam, ImageLoss, Moments},
 };
 
@@ -18,45 +18,45 @@ use super::scene;
 
 /// The least time of a step, by the clock, nothing read back.
 pub(crate) fn step(
-    context: &Arc<Context>,
+    device: &Arc<Device>,
     count: usize,
     side: u32,
     runs: usize,
 ) -> Result<Duration, RenderError> {
     let mut rng = Pcg64::seed_from_u64(3);
     let camera = scene::camera(side);
-    let values = rows(&scene::shell(context, count), context, &mut rng)?;
+    let values = rows(&scene::shell(device, count), device, &mut rng)?;
     let [rows, gradients] =
-        [&values, &GaussianRows::zero(count)].map(|values| DeviceRows::upload(context, values));
+        [&values, &GaussianRows::zero(count)].map(|values| DeviceGaussians::upload(device, values));
     let (rows, gradients) = (rows?, gradients?);
     let moments = |values: &GaussianRows| -> Result<[Moments; 2], RenderError> {
         let bands: usize = values.bands.iter().map(Vec::len).sum();
-        Ok([Moments::zero(context, values.base.len())?, Moments::zero(context, bands)?])
+        Ok([Moments::zero(device, values.base.len())?, Moments::zero(device, bands)?])
     };
     let [base, bands] = moments(&values)?;
-    let mut plain = PlainGaussians::new(Arc::clone(context), RasterSettings::default().near)?;
+    let mut plain = PlainGaussians::new(Arc::clone(device), RasterSettings::default().near)?;
     plain.set_degree(3)?;
-    let mut rasterizer = Rasterizer::new(Arc::clone(context), RasterSettings::default())?;
-    let mut loss = ImageLoss::new(Arc::clone(context))?;
-    let adam = Adam::new(context)?;
+    let mut rasterizer = Rasterizer::new(Arc::clone(device), RasterSettings::default())?;
+    let mut loss = ImageLoss::new(Arc::clone(device))?;
+    let adam = Adam::new(device)?;
     let photograph: Vec<u32> = (0..side * side).map(|_| rng.random()).collect();
     // As small as to leave the scene as it is.
-    let rates = context.upload("rates", &[1e-9_f32])?;
-    let void_mark = context.upload("void mark", &[0_u32])?;
+    let rates = device.upload("rates", &[1e-9_f32])?;
+    let overflow_flag = device.upload("overflow flag", &[0_u32])?;
     let mut least = Duration::MAX;
     for run in 0..=runs {
         let start = Instant::now();
-        let mut recorder = context.recorder("step of plain Gaussians");
+        let mut recorder = device.recorder("step of plain Gaussians");
         plain.forward(&mut recorder, &rows, &camera)?;
         rasterizer.forward(&mut recorder, plain.gaussians(), &camera, [0.0; 3])?;
         let v_image = loss.record(&mut recorder, [side; 2], rasterizer.image(), &photograph, None)?.clone();
         let d_gaussians = plain.gaussian_gradients()?.clone();
         rasterizer.backward(&mut recorder, plain.gaussians(), &camera, &v_image, &d_gaussians)?;
         plain.backward(&mut recorder, &rows, &gradients)?;
-        adam.step(&mut recorder, 1, &void_mark, &rates, &gradients.base, &rows.base, &base)?;
-        adam.step(&mut recorder, 1, &void_mark, &rates, &gradients.bands, &rows.bands, &bands)?;
+        adam.step(&mut recorder, 1, &overflow_flag, &rates, &gradients.base, &rows.base, &base)?;
+        adam.step(&mut recorder, 1, &overflow_flag, &rates, &gradients.bands, &rows.bands, &bands)?;
         recorder.submit()?;
-        context.wait()?;
+        device.wait()?;
         // The first makes buffers and kernels.
         if run > 0 {
             least = least.min(start.elapsed());
@@ -73,11 +73,11 @@ pub(crate) fn step(
 /// The rows of a shell's Gaussians, with small coefficients.
 fn rows(
     shell: &tcgs::render::Gaussians,
-    context: &Context,
+    device: &Device,
     rng: &mut Pcg64,
 ) -> Result<GaussianRows, RenderError> {
     let mut rows = GaussianRows::zero(shell.capacity);
-    let (geometry, colors) = (context.read(&shell.geometry)?, context.read(&shell.colors)?);
+    let (geometry, colors) = (device.read(&shell.geometry)?, device.read(&shell.colors)?);
     let (means, rest) = geometry.split_at(shell.capacity);
     let (scales, quats) = rest.split_at(shell.capacity);
     for (i, row) in rows.base.chunks_exact_mut(tcgs::model::gaussian_rows::BASE).enumerate() {

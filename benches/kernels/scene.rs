@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{Camera, Intrinsics, Pose},
-    gpu::Context,
+    gpu::Device,
     model::{AnchorRows, Shape, VoxelRule, initial_rows, random_points},
     render::Gaussians,
 };
@@ -25,7 +25,7 @@ pub(crate) fn camera(side: u32) -> Camera {
 }
 
 /// `count` Gaussians on a shell of radius one.
-pub(crate) fn shell(context: &Context, count: usize) -> Gaussians {
+pub(crate) fn shell(device: &Device, count: usize) -> Gaussians {
     let mut rng = Pcg64::seed_from_u64(1);
     // Side of the square that each would have of the sphere's surface.
     let spacing = (4.0 * std::f32::consts::PI / count as f32).sqrt();
@@ -43,10 +43,10 @@ pub(crate) fn shell(context: &Context, count: usize) -> Gaussians {
         colors.push([0; 4].map(|_| rng.random_range(0.0..1.0)));
     }
     Gaussians {
-        count: context.upload("count", &[count as u32]).unwrap(),
+        count: device.upload("count", &[count as u32]).unwrap(),
         capacity: count,
-        geometry: context.upload("geometry", &[means, scales, quats].concat()).unwrap(),
-        colors: context.upload("colors", &colors).unwrap(),
+        geometry: device.upload("geometry", &[means, scales, quats].concat()).unwrap(),
+        colors: device.upload("colors", &colors).unwrap(),
     }
 }
 

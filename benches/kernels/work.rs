@@ -7,7 +7,7 @@
 
 use tcgs::{
     model::NetworkLayout,
-    render::{Counts, TILE},
+    render::{RasterCounts, TILE},
 };
 
 use crate::scene::SHAPE;
@@ -26,7 +26,7 @@ pub(crate) struct Size {
     pub(crate) anchors: usize,
     pub(crate) parameters: usize,
     pub(crate) side: u32,
-    pub(crate) counts: Counts,
+    pub(crate) counts: RasterCounts,
 }
 
 impl Size {

@@ -23,8 +23,8 @@ struct View {
 
 // Elements of the rasteriser's counters: pairs that the first pass without room needs, or 0; passes before it; Gaussians that
 // touch a tile; pairs of the last pass.
-const LACKING: u32 = 0u;
-const SOUND: u32 = 1u;
+const REQUIRED: u32 = 0u;
+const COMPLETED: u32 = 1u;
 const VISIBLE: u32 = 2u;
 const INTERSECTIONS: u32 = 3u;
 

@@ -11,7 +11,7 @@ use std::{ops::Range, sync::Arc};
 use super::removal_signs::signs;
 use crate::{
     domain::{AnchorScene, Background, Frame},
-    gpu::Context,
+    gpu::Device,
     model::{AnchorRows, NetworkLayout, Shape},
     render::{DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError},
 };
@@ -35,13 +35,13 @@ pub struct RemovalCosts {
 /// # Errors
 /// Faults of the renderer; a photograph that cannot be read back.
 pub fn removal_costs(
-    context: &Arc<Context>,
+    device: &Arc<Device>,
     scene: &AnchorScene,
     frames: &[&Frame],
     background: Background,
     go_on: &mut dyn FnMut() -> bool,
 ) -> Result<RemovalCosts, RenderError> {
-    let mut probe = Probe::new(context, scene, background)?;
+    let mut probe = Probe::new(device, scene, background)?;
     let k = scene.offsets_per_anchor;
     let mut costs = RemovalCosts { offsets: vec![0.0; scene.len() * k], anchors: vec![0.0; scene.len()] };
     let probes = PROBES.div_ceil(frames.len().max(1)) as u32;
@@ -79,7 +79,7 @@ impl Visible<'_> {
 }
 
 struct Probe<'a> {
-    context: &'a Arc<Context>,
+    device: &'a Arc<Device>,
     anchors: DeviceAnchors,
     neural: NeuralGaussians,
     raster: Rasterizer,
@@ -88,7 +88,7 @@ struct Probe<'a> {
 
 impl<'a> Probe<'a> {
     fn new(
-        context: &'a Arc<Context>,
+        device: &'a Arc<Device>,
         scene: &AnchorScene,
         background: Background,
     ) -> Result<Self, RenderError> {
@@ -98,10 +98,10 @@ impl<'a> Probe<'a> {
             NetworkLayout::new(shape).from_networks(&scene.networks).map_err(RenderError::Scene)?;
         let settings = RasterSettings { near: scene.near.depth(), ..RasterSettings::default() };
         Ok(Self {
-            context,
-            anchors: DeviceAnchors::upload(context, &AnchorRows::from_scene(scene), &networks)?,
-            neural: NeuralGaussians::new(Arc::clone(context), shape, settings.near, scene.unit)?,
-            raster: Rasterizer::new(Arc::clone(context), settings)?,
+            device,
+            anchors: DeviceAnchors::upload(device, &AnchorRows::from_scene(scene), &networks)?,
+            neural: NeuralGaussians::new(Arc::clone(device), shape, settings.near, scene.unit)?,
+            raster: Rasterizer::new(Arc::clone(device), settings)?,
             background,
         })
     }
@@ -115,7 +115,7 @@ impl<'a> Probe<'a> {
     ) -> Result<(), RenderError> {
         self.render(frame)?;
         let photograph = frame.image.load()?.over(self.background.rgb8());
-        let image = self.context.read(self.raster.image())?;
+        let image = self.device.read(self.raster.image())?;
         let error: Vec<[f32; 4]> = image
             .iter()
             .zip(photograph.samples().chunks_exact(3))
@@ -138,7 +138,7 @@ impl<'a> Probe<'a> {
 
     fn render(&mut self, frame: &Frame) -> Result<(), RenderError> {
         loop {
-            let mut recorder = self.context.recorder("view to probe");
+            let mut recorder = self.device.recorder("view to probe");
             self.neural.forward(&mut recorder, &self.anchors, &frame.camera, 0.0)?;
             let background = self.background.rgb();
             self.raster.forward(&mut recorder, self.neural.gaussians(), &frame.camera, background)?;
@@ -153,14 +153,14 @@ impl<'a> Probe<'a> {
 
     /// The gradients by the opacities of the view's Gaussians where `v_image` are those by its pixels.
     fn opacity_gradients(&mut self, frame: &Frame, v_image: &[[f32; 4]]) -> Result<Vec<f32>, RenderError> {
-        let v_image = self.context.upload("gradient of a probe", v_image)?;
+        let v_image = self.device.upload("gradient of a probe", v_image)?;
         let gaussians = self.neural.gaussians().clone();
         let gradients = self.neural.gaussian_gradients()?.clone();
-        let mut recorder = self.context.recorder("probe");
+        let mut recorder = self.device.recorder("probe");
         self.raster.backward(&mut recorder, &gaussians, &frame.camera, &v_image, &gradients)?;
         recorder.submit()?;
         let count = self.neural.counts()?[0] as usize;
-        let rows = self.context.read_range(&gradients.geometry, 0, count)?;
+        let rows = self.device.read_range(&gradients.geometry, 0, count)?;
         Ok(rows.iter().map(|row| row[3]).collect())
     }
 }

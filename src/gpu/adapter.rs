@@ -137,7 +137,7 @@ pub(super) fn adapters() -> Vec<wgpu::Adapter> {
 }
 
 /// An adapter as far as a choice asks.
-struct Candidate<T> {
+struct ListedAdapter<T> {
     name: String,
     kind: wgpu::DeviceType,
     usable: bool,
@@ -156,19 +156,19 @@ fn rank(kind: wgpu::DeviceType) -> u8 {
 }
 
 /// The best of the candidates that the choice accepts and this program can run on; among equals the first.
-fn best<T>(choice: &AdapterChoice, mut candidates: Vec<Candidate<T>>) -> Option<T> {
+fn best<T>(choice: &AdapterChoice, mut candidates: Vec<ListedAdapter<T>>) -> Option<T> {
     candidates.sort_by_key(|candidate| rank(candidate.kind));
     let found = candidates.into_iter().find(|one| one.usable && choice.accepts(&one.name, one.kind));
     found.map(|candidate| candidate.adapter)
 }
 
 pub(super) fn choose(choice: &AdapterChoice) -> Result<wgpu::Adapter, GpuError> {
-    let candidates: Vec<Candidate<wgpu::Adapter>> = adapters()
+    let candidates: Vec<ListedAdapter<wgpu::Adapter>> = adapters()
         .into_iter()
         .map(|adapter| {
             let info = adapter.get_info();
             let usable = describe(&adapter).usable;
-            Candidate { name: info.name, kind: info.device_type, usable, adapter }
+            ListedAdapter { name: info.name, kind: info.device_type, usable, adapter }
         })
         .collect();
     let available: Vec<String> = candidates.iter().map(|candidate| candidate.name.clone()).collect();
@@ -218,10 +218,9 @@ mod tests {
         let chosen = |choice: &str, without: &[&str], turned: usize| {
             let mut machine = machine;
             machine.rotate_left(turned);
-            let candidates = machine
-                .into_iter()
-                .filter(|(name, ..)| !without.contains(name))
-                .map(|(name, kind, usable)| Candidate { name: name.to_owned(), kind, usable, adapter: name });
+            let candidates = machine.into_iter().filter(|(name, ..)| !without.contains(name)).map(
+                |(name, kind, usable)| ListedAdapter { name: name.to_owned(), kind, usable, adapter: name },
+            );
             best(&choice.parse().expect("any text"), candidates.collect())
         };
         let discrete = ["RTX 4090", "RTX 4080"];

@@ -2,7 +2,7 @@
 
 use std::{marker::PhantomData, sync::Arc};
 
-use super::{Context, GpuError, ledger::Reservation};
+use super::{Device, GpuError, ledger::Reservation};
 
 /// A device buffer without its element type.
 #[derive(Debug)]
@@ -87,17 +87,17 @@ impl<T: bytemuck::Pod> BufferPlan<T> {
     /// Makes the buffer.
     ///
     /// # Errors
-    /// As [`Context::buffer`].
-    pub fn make(&self, context: &Context) -> Result<Buffer<T>, GpuError> {
-        context.buffer(self.label, self.len)
+    /// As [`Device::buffer`].
+    pub fn make(&self, device: &Device) -> Result<Buffer<T>, GpuError> {
+        device.buffer(self.label, self.len)
     }
 }
 
-impl Context {
+impl Device {
     /// A new buffer of `len` zeroed elements.
     ///
     /// # Errors
-    /// [`GpuError::BufferTooLarge`] if the adapter cannot bind it, [`GpuError::OverBudget`] if the context may not take
+    /// [`GpuError::BufferTooLarge`] if the adapter cannot bind it, [`GpuError::OverBudget`] if the device may not take
     /// that much more, [`GpuError::DeviceLost`].
     pub fn buffer<T: bytemuck::Pod>(&self, label: &str, len: usize) -> Result<Buffer<T>, GpuError> {
         self.check()?;
@@ -107,7 +107,7 @@ impl Context {
             return Err(GpuError::BufferTooLarge { label: label.to_owned(), bytes, limit });
         }
         let reservation = self.ledger.reserve(label, bytes)?;
-        let inner = self.device.create_buffer(&wgpu::BufferDescriptor {
+        let inner = self.inner.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
             size: bytes,
             usage: wgpu::BufferUsages::STORAGE
@@ -123,7 +123,7 @@ impl Context {
     /// Gives `buffer` a length: it stays the same where it has room, whatever it holds, and is a new one, zeroed, where it has not.
     ///
     /// # Errors
-    /// As [`Context::buffer`]; `buffer` is unchanged.
+    /// As [`Device::buffer`]; `buffer` is unchanged.
     pub fn resize<T: bytemuck::Pod>(
         &self,
         buffer: &mut Buffer<T>,
@@ -140,7 +140,7 @@ impl Context {
     /// A new buffer that holds `values`.
     ///
     /// # Errors
-    /// As [`Context::buffer`].
+    /// As [`Device::buffer`].
     pub fn upload<T: bytemuck::Pod>(&self, label: &str, values: &[T]) -> Result<Buffer<T>, GpuError> {
         let buffer = self.buffer(label, values.len())?;
         self.write(&buffer, values);
@@ -161,16 +161,16 @@ mod tests {
 
     #[test]
     fn a_buffer_that_has_room_is_kept_and_another_is_made_beyond() {
-        let context = lavapipe();
-        let mut buffer = context.upload("kept", &[1_u32, 2, 3, 4, 5, 6, 7, 8]).expect("room");
-        let (made, bytes) = (context.buffers_made(), context.allocated_bytes());
+        let device = lavapipe();
+        let mut buffer = device.upload("kept", &[1_u32, 2, 3, 4, 5, 6, 7, 8]).expect("room");
+        let (made, bytes) = (device.buffers_made(), device.allocated_bytes());
         for len in [3, 8, 0, 1] {
-            context.resize(&mut buffer, "kept", len).expect("has room");
+            device.resize(&mut buffer, "kept", len).expect("has room");
             assert_eq!(buffer.len(), len);
         }
-        assert_eq!((context.buffers_made(), context.allocated_bytes()), (made, bytes));
-        context.resize(&mut buffer, "kept", 9).expect("room");
-        assert_eq!(context.buffers_made(), made + 1);
-        assert_eq!(context.read(&buffer).expect("read"), [0; 9]);
+        assert_eq!((device.buffers_made(), device.allocated_bytes()), (made, bytes));
+        device.resize(&mut buffer, "kept", 9).expect("room");
+        assert_eq!(device.buffers_made(), made + 1);
+        assert_eq!(device.read(&buffer).expect("read"), [0; 9]);
     }
 }

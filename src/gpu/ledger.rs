@@ -1,4 +1,4 @@
-//! What a context's buffers take, and the bound that they may not pass.
+//! Counts the bytes of a device's live buffers and enforces its budget.
 //!
 //! What always holds: the sum of all live reservations is at most the budget at the time each of them was made. Drivers that work
 //! in main memory report no shortage; the process just ends. So the count is kept here.

@@ -4,11 +4,11 @@
 //! What always holds: the adapter is the one that was asked for or there is an error; a lost device is remembered
 //! and reported as [`GpuError::DeviceLost`] from then on, and one that did not answer as [`GpuError::Timeout`]; no wait for a device is
 //! without an end; every buffer is counted in bytes, and no buffer is made that would take them
-//! beyond [`Context::budget_bytes`].
+//! beyond [`Device::budget_bytes`].
 
 mod adapter;
 mod buffer;
-mod context;
+mod device;
 mod driver_cache;
 mod error;
 mod kernel;
@@ -26,13 +26,13 @@ mod variant;
 
 pub use adapter::{AdapterChoice, AdapterReport, report};
 pub use buffer::{Buffer, BufferPlan, RawBuffer, buffer_bytes};
-pub use context::Context;
+pub use device::Device;
 pub use driver_cache::driver_cache;
 pub use error::GpuError;
 pub use kernel::{Kernel, KernelSource, kernel_source};
 pub use recorder::{Binding, Recorder};
 pub use scan::{Scan, ScanSlots};
-pub use settings::ContextSettings;
+pub use settings::DeviceSettings;
 pub use sort::{Pairs, RadixSort};
 pub use subgroups::Subgroups;
 pub use timing::KernelTime;

@@ -1,8 +1,8 @@
 //! Recording of dispatches and copies into one submission.
 
 use super::{
-    Buffer, Context, GpuError, Kernel, RawBuffer,
-    context::MAX_GROUPS_PER_DIMENSION,
+    Buffer, Device, GpuError, Kernel, RawBuffer,
+    device::MAX_GROUPS_PER_DIMENSION,
     ledger::Reservation,
     timing::{KernelTime, Timing},
 };
@@ -13,7 +13,7 @@ pub type Binding<'a> = &'a RawBuffer;
 /// Records commands; nothing runs until [`Recorder::submit`].
 #[derive(Debug)]
 pub struct Recorder<'a> {
-    context: &'a Context,
+    device: &'a Device,
     encoder: wgpu::CommandEncoder,
     /// Open while dispatches follow one another: one pass for all of them costs less than one for each.
     open: Option<wgpu::ComputePass<'static>>,
@@ -25,15 +25,15 @@ pub struct Recorder<'a> {
 }
 
 impl<'a> Recorder<'a> {
-    pub(super) fn new(context: &'a Context, label: &str) -> Self {
+    pub(super) fn new(device: &'a Device, label: &str) -> Self {
         let encoder =
-            context.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
-        Self { context, encoder, open: None, timing: None, staged: Vec::new(), fault: None }
+            device.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
+        Self { device, encoder, open: None, timing: None, staged: Vec::new(), fault: None }
     }
 
-    pub(super) fn timed(context: &'a Context, label: &str) -> Self {
-        let timing = context.adapter().timestamps.then(|| Timing::new(context));
-        Self { timing, ..Self::new(context, label) }
+    pub(super) fn timed(device: &'a Device, label: &str) -> Self {
+        let timing = device.adapter().timestamps.then(|| Timing::new(device));
+        Self { timing, ..Self::new(device, label) }
     }
 
     /// Runs `kernel` over `groups` workgroups. Counts beyond the limit of one dimension are spread over two: kernels
@@ -71,7 +71,7 @@ impl<'a> Recorder<'a> {
         }
     }
 
-    /// Overwrites a buffer from its start when the recording gets there; unlike [`Context::write`], which takes effect
+    /// Overwrites a buffer from its start when the recording gets there; unlike [`Device::write`], which takes effect
     /// before anything recorded.
     pub fn write<T: bytemuck::Pod>(&mut self, buffer: &Buffer<T>, values: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(values);
@@ -79,14 +79,14 @@ impl<'a> Recorder<'a> {
             return;
         }
         let size = (bytes.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
-        match self.context.ledger.reserve("recorded write", size) {
+        match self.device.ledger.reserve("recorded write", size) {
             Ok(reservation) => self.staged.push(reservation),
             Err(fault) => {
                 self.fault.get_or_insert(fault);
                 return;
             }
         }
-        let staging = self.context.device.create_buffer(&wgpu::BufferDescriptor {
+        let staging = self.device.inner.create_buffer(&wgpu::BufferDescriptor {
             label: Some("recorded write"),
             size,
             // Without the right to map, wgpu would hand out a buffer of its own and copy that into this one.
@@ -105,9 +105,9 @@ impl<'a> Recorder<'a> {
     /// A small buffer with constant content for one dispatch.
     ///
     /// # Errors
-    /// As [`Context::buffer`].
+    /// As [`Device::buffer`].
     pub fn uniform<T: bytemuck::Pod>(&self, values: &[T]) -> Result<Buffer<T>, GpuError> {
-        self.context.upload("uniform", values)
+        self.device.upload("uniform", values)
     }
 
     /// Zeroes a whole buffer.
@@ -118,33 +118,33 @@ impl<'a> Recorder<'a> {
     /// Sends what was recorded to the device.
     ///
     /// # Errors
-    /// As [`Context::check`], and [`GpuError::OverBudget`] if there was no room for a recorded write.
+    /// As [`Device::check`], and [`GpuError::OverBudget`] if there was no room for a recorded write.
     pub fn submit(mut self) -> Result<(), GpuError> {
         self.open = None;
         if let Some(fault) = self.fault.take() {
             return Err(fault);
         }
-        self.context.check()?;
-        self.context.queue.submit([self.encoder.finish()]);
-        self.context.check()
+        self.device.check()?;
+        self.device.queue.submit([self.encoder.finish()]);
+        self.device.check()
     }
 
     /// Sends what was recorded and waits for it. Says how long each dispatch took, in order; nothing if the adapter has
     /// no timestamps or the recording is not a timed one.
     ///
     /// # Errors
-    /// As [`Context::check`].
+    /// As [`Device::check`].
     pub fn submit_timed(mut self) -> Result<Vec<KernelTime>, GpuError> {
         let Some(timing) = self.timing.take() else {
-            let context = self.context;
+            let device = self.device;
             self.submit()?;
-            context.wait()?;
+            device.wait()?;
             return Ok(Vec::new());
         };
-        let ticks = timing.resolve(self.context, self.outside())?;
-        let context = self.context;
+        let ticks = timing.resolve(self.device, self.outside())?;
+        let device = self.device;
         self.submit()?;
-        timing.read(context, &ticks)
+        timing.read(device, &ticks)
     }
 
     /// The encoder with no pass open.
@@ -177,7 +177,7 @@ impl<'a> Recorder<'a> {
                 resource: buffer.inner.as_entire_binding(),
             })
             .collect();
-        self.context.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        self.device.inner.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(kernel.name),
             layout: &kernel.layout,
             entries: &entries,
@@ -201,18 +201,17 @@ mod tests {
     #[test]
     fn a_recorded_write_is_staged_once() {
         const LEN: usize = 1 << 18;
-        let context = lavapipe();
-        let buffer = context.buffer::<u32>("target", LEN).expect("room");
-        let allocated =
-            || context.device.generate_allocator_report().expect("a report").total_allocated_bytes;
+        let device = lavapipe();
+        let buffer = device.buffer::<u32>("target", LEN).expect("room");
+        let allocated = || device.inner.generate_allocator_report().expect("a report").total_allocated_bytes;
         let before = allocated();
         let values: Vec<u32> = (0..LEN as u32).collect();
-        let mut recorder = context.recorder("write");
+        let mut recorder = device.recorder("write");
         recorder.write(&buffer, &values);
         let staged = allocated() - before;
         assert!((4 * LEN as u64..6 * LEN as u64).contains(&staged), "{staged} bytes for {}", 4 * LEN);
         recorder.submit().expect("submitted");
-        assert!(context.read(&buffer).expect("read") == values);
+        assert!(device.read(&buffer).expect("read") == values);
     }
 
     #[test]

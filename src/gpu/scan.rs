@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use super::{AdapterReport, Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+use super::{AdapterReport, Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
 
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -50,9 +50,9 @@ impl Scan {
     /// Prepares the scan.
     ///
     /// # Errors
-    /// As [`Context::buffer`] and [`Context::kernel`].
-    pub fn new(context: &Context, capacity: usize, slots: ScanSlots) -> Result<Self, GpuError> {
-        let runs = Self::runs(context.adapter());
+    /// As [`Device::buffer`] and [`Device::kernel`].
+    pub fn new(device: &Device, capacity: usize, slots: ScanSlots) -> Result<Self, GpuError> {
+        let runs = Self::runs(device.adapter());
         let params = ScanParams {
             runs,
             count_index: slots.count,
@@ -60,11 +60,11 @@ impl Scan {
             total_index: slots.total,
         };
         Ok(Self {
-            reduce: context.kernel(kernel_source!("scan_reduce"), &[])?,
-            scan: context.kernel(kernel_source!("scan_partials"), &[])?,
-            apply: context.kernel(kernel_source!("scan_apply"), &[])?,
-            params: context.upload("scan params", &[params])?,
-            partials: context.buffer("scan partials", runs as usize)?,
+            reduce: device.kernel(kernel_source!("scan_reduce"), &[])?,
+            scan: device.kernel(kernel_source!("scan_partials"), &[])?,
+            apply: device.kernel(kernel_source!("scan_apply"), &[])?,
+            params: device.upload("scan params", &[params])?,
+            partials: device.buffer("scan partials", runs as usize)?,
             groups: runs.div_ceil(32),
         })
     }

@@ -13,7 +13,7 @@ const SOFTWARE_MAX_WAIT: Duration = Duration::from_secs(1800);
 
 /// How a device is opened; whatever is `None` follows from the adapter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct ContextSettings {
+pub struct DeviceSettings {
     /// How kernels divide their work.
     pub variant: Option<KernelVariant>,
     /// What kernels rely on of subgroups.
@@ -24,7 +24,7 @@ pub struct ContextSettings {
     pub max_binding_bytes: Option<u64>,
 }
 
-impl ContextSettings {
+impl DeviceSettings {
     /// The adapter as kernels are to see it.
     pub(super) fn apply(&self, mut adapter: AdapterReport) -> AdapterReport {
         adapter.variant = self.variant.unwrap_or(adapter.variant);

@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use super::{AdapterReport, Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+use super::{AdapterReport, Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
 
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -37,18 +37,18 @@ impl Pairs {
     /// Room for `capacity` pairs.
     ///
     /// # Errors
-    /// As [`Context::buffer`].
-    pub fn new(context: &Context, capacity: usize) -> Result<Self, GpuError> {
+    /// As [`Device::buffer`].
+    pub fn new(device: &Device, capacity: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            keys: context.buffer("sort keys", capacity)?,
-            values: context.buffer("sort values", capacity)?,
+            keys: device.buffer("sort keys", capacity)?,
+            values: device.buffer("sort values", capacity)?,
         })
     }
 }
 
 /// The passes of a sort by so many bits.
 #[derive(Debug)]
-struct Passes {
+struct DigitPasses {
     bits: u32,
     /// What each pass is given, and its digits.
     params: Vec<(Buffer<SortParams>, u32)>,
@@ -61,7 +61,7 @@ pub struct RadixSort {
     offsets: Arc<Kernel>,
     scatter: Arc<Kernel>,
     /// One for each number of bits that was asked for; the current one is the last.
-    passes: Vec<Passes>,
+    passes: Vec<DigitPasses>,
     counters: Buffer<u32>,
     totals: Buffer<u32>,
     runs: u32,
@@ -102,40 +102,40 @@ impl RadixSort {
     /// says how many pairs there are.
     ///
     /// # Errors
-    /// As [`Context::buffer`] and [`Context::kernel`].
-    pub fn new(context: &Context, capacity: usize, bits: u32, count_index: u32) -> Result<Self, GpuError> {
-        let (runs, widest) = Self::runs_and_widest(context.adapter());
+    /// As [`Device::buffer`] and [`Device::kernel`].
+    pub fn new(device: &Device, capacity: usize, bits: u32, count_index: u32) -> Result<Self, GpuError> {
+        let (runs, widest) = Self::runs_and_widest(device.adapter());
         let mut sort = Self {
-            count: context.kernel(kernel_source!("sort_count"), &[])?,
-            offsets: context.kernel(kernel_source!("sort_offsets"), &[])?,
-            scatter: context.kernel(kernel_source!("sort_scatter"), &[])?,
+            count: device.kernel(kernel_source!("sort_count"), &[])?,
+            offsets: device.kernel(kernel_source!("sort_offsets"), &[])?,
+            scatter: device.kernel(kernel_source!("sort_scatter"), &[])?,
             passes: Vec::new(),
-            counters: context.buffer("sort counters", (runs as usize) << widest)?,
-            totals: context.buffer("sort totals", 1 << widest)?,
+            counters: device.buffer("sort counters", (runs as usize) << widest)?,
+            totals: device.buffer("sort totals", 1 << widest)?,
             runs,
             count_index,
             capacity: u32::try_from(capacity).unwrap_or(u32::MAX),
         };
-        sort.set_bits(context, bits)?;
+        sort.set_bits(device, bits)?;
         Ok(sort)
     }
 
     /// Sorts by another number of bits from the next recording on.
     ///
     /// # Errors
-    /// As [`Context::buffer`], where that number is new.
-    pub fn set_bits(&mut self, context: &Context, bits: u32) -> Result<(), GpuError> {
+    /// As [`Device::buffer`], where that number is new.
+    pub fn set_bits(&mut self, device: &Device, bits: u32) -> Result<(), GpuError> {
         let passes = match self.passes.iter().position(|passes| passes.bits == bits) {
             Some(known) => self.passes.remove(known),
-            None => self.new_passes(context, bits)?,
+            None => self.new_digit_passes(device, bits)?,
         };
         self.passes.push(passes);
         Ok(())
     }
 
-    fn new_passes(&self, context: &Context, bits: u32) -> Result<Passes, GpuError> {
-        let (runs, widest) = Self::runs_and_widest(context.adapter());
-        let mut passes = Passes { bits, params: Vec::new() };
+    fn new_digit_passes(&self, device: &Device, bits: u32) -> Result<DigitPasses, GpuError> {
+        let (runs, widest) = Self::runs_and_widest(device.adapter());
+        let mut passes = DigitPasses { bits, params: Vec::new() };
         let mut shift = 0;
         for width in widths(bits.min(32), widest) {
             let params = SortParams {
@@ -146,7 +146,7 @@ impl RadixSort {
                 digits: 1 << width,
                 unused: [0; 3],
             };
-            passes.params.push((context.upload("sort params", &[params])?, params.digits));
+            passes.params.push((device.upload("sort params", &[params])?, params.digits));
             shift += width;
         }
         Ok(passes)

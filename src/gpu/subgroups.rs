@@ -4,13 +4,13 @@
 //! states a range, a kernel's workgroup is as wide as the smallest of it, so that it lies in the first lanes of one subgroup,
 //! however wide that is. Whether it does is tried out on the device when it is opened.
 
-use super::{AdapterReport, Context, GpuError, kernel_source, twin};
+use super::{AdapterReport, Device, GpuError, kernel_source, twin};
 
 /// Smallest subgroup that kernels have a variant for: eight lanes share what they read.
-const FEWEST_LANES: u32 = 8;
+const MIN_LANES: u32 = 8;
 
 /// Largest subgroup that kernels have a variant for: their ballots are read as two words.
-const MOST_LANES: u32 = 64;
+const MAX_LANES: u32 = 64;
 
 /// SIMD width of every GPU that Apple makes; Metal states no size, so wgpu reports 4 to 64 for all that it drives.
 const APPLE_LANES: u32 = 32;
@@ -42,7 +42,7 @@ impl Subgroups {
     /// What the adapter's own figures promise.
     pub(super) fn of(adapter: &AdapterReport) -> Self {
         let [smallest, largest] = adapter.subgroup_sizes;
-        let is_known = |lanes: u32| (FEWEST_LANES..=MOST_LANES).contains(&lanes) && lanes.is_power_of_two();
+        let is_known = |lanes: u32| (MIN_LANES..=MAX_LANES).contains(&lanes) && lanes.is_power_of_two();
         if !adapter.subgroups {
             Self::Unused
         } else if smallest == largest {
@@ -60,14 +60,14 @@ impl Subgroups {
     ///
     /// # Errors
     /// Faults of the device.
-    pub(super) fn tried(self, context: &Context) -> Result<Self, GpuError> {
+    pub(super) fn tried(self, device: &Device) -> Result<Self, GpuError> {
         let Self::AtLeast(lanes) = self else { return Ok(self) };
-        let kernel = context.kernel(kernel_source!("subgroup_probe"), &[("LANES", lanes)])?;
-        let found = context.buffer::<[u32; 4]>("subgroup probe", (PROBES * lanes) as usize)?;
-        let mut recorder = context.recorder("subgroup probe");
+        let kernel = device.kernel(kernel_source!("subgroup_probe"), &[("LANES", lanes)])?;
+        let found = device.buffer::<[u32; 4]>("subgroup probe", (PROBES * lanes) as usize)?;
+        let mut recorder = device.recorder("subgroup probe");
         recorder.dispatch(&kernel, &[found.as_ref()], PROBES);
         recorder.submit()?;
-        if context.read(&found)? == twin::subgroup_probe(lanes, PROBES) {
+        if device.read(&found)? == twin::subgroup_probe(lanes, PROBES) {
             return Ok(self);
         }
         tracing::warn!(lanes, "subgroups are not as the adapter states them; kernels go without");

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use super::{AdapterChoice, Context};
+use super::{AdapterChoice, Device};
 
 /// A device of its own on the adapter of `TCGS_ADAPTER`, lavapipe unless told.
-pub(crate) fn lavapipe() -> Arc<Context> {
+pub(crate) fn lavapipe() -> Arc<Device> {
     let choice = std::env::var("TCGS_ADAPTER").map_or(AdapterChoice::Lavapipe, |name| match name.parse() {
         Ok(choice) => choice,
         Err(never) => match never {},
     });
-    Context::new(&choice).expect("an adapter; install mesa-vulkan-drivers or set TCGS_ADAPTER")
+    Device::new(&choice).expect("an adapter; install mesa-vulkan-drivers or set TCGS_ADAPTER")
 }

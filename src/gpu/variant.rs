@@ -3,7 +3,7 @@
 //! What always holds: the variants of a kernel compute the same, and integer kernels the same bits.
 
 /// How kernels divide their work among invocations. It follows the adapter unless
-/// [`ContextSettings::variant`](super::ContextSettings::variant) says otherwise.
+/// [`DeviceSettings::variant`](super::DeviceSettings::variant) says otherwise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum KernelVariant {
     /// Few lanes, and a price for each dispatch and barrier: long runs for each invocation, few dispatches.

@@ -9,7 +9,7 @@ use image::{
 };
 use serde::Deserialize;
 
-use crate::{domain::Image, render::views::Plane};
+use crate::{domain::Image, render::views::ScalarImage};
 
 /// Quality of JPEG where a client names none.
 const JPEG_QUALITY: u8 = 90;
@@ -139,8 +139,8 @@ impl PictureKind {
 #[derive(Debug)]
 pub(super) enum Rendered {
     Color(Image),
-    Depth(Plane),
-    Alpha(Plane),
+    Depth(ScalarImage),
+    Alpha(ScalarImage),
 }
 
 /// A view as a file.
@@ -205,7 +205,7 @@ fn color(image: &Image, format: Format, quality: u8) -> Result<Vec<u8>, ImageErr
 }
 
 /// Grey of 16 bits, and the world units that one step stands for: the deepest pixel is 65535, what shows nothing 0.
-fn depth_png(plane: &Plane) -> Result<(Vec<u8>, f64), ImageError> {
+fn depth_png(plane: &ScalarImage) -> Result<(Vec<u8>, f64), ImageError> {
     let deepest = plane.values.iter().copied().fold(0.0_f32, f32::max);
     let scale = if deepest > 0.0 { f64::from(deepest) / f64::from(u16::MAX) } else { 1.0 };
     let step = |depth: f32| {
@@ -218,20 +218,20 @@ fn depth_png(plane: &Plane) -> Result<(Vec<u8>, f64), ImageError> {
     Ok((grey(plane, &samples, ExtendedColorType::L16)?, scale))
 }
 
-fn alpha_png(plane: &Plane) -> Result<Vec<u8>, ImageError> {
+fn alpha_png(plane: &ScalarImage) -> Result<Vec<u8>, ImageError> {
     let samples: Vec<u8> =
         plane.values.iter().map(|alpha| (alpha.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
     grey(plane, &samples, ExtendedColorType::L8)
 }
 
-fn grey(plane: &Plane, samples: &[u8], color: ExtendedColorType) -> Result<Vec<u8>, ImageError> {
+fn grey(plane: &ScalarImage, samples: &[u8], color: ExtendedColorType) -> Result<Vec<u8>, ImageError> {
     let mut file = Cursor::new(Vec::new());
     PngEncoder::new(&mut file).write_image(samples, plane.width, plane.height, color)?;
     Ok(file.into_inner())
 }
 
 /// Version 1.0 of NumPy's array format: `[height, width]` of little-endian float32.
-fn npy(plane: &Plane) -> Vec<u8> {
+fn npy(plane: &ScalarImage) -> Vec<u8> {
     let mut head =
         format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({}, {}), }}", plane.height, plane.width);
     const PREFIX: usize = 10;
@@ -254,8 +254,8 @@ mod tests {
         PictureKind::new(Some(output), Some(format), None, Format::Png).expect("they go together")
     }
 
-    fn plane() -> Plane {
-        Plane { width: 3, height: 2, values: vec![0.0, 1e-6, 0.5, 1.0, 2.0, 4.0] }
+    fn plane() -> ScalarImage {
+        ScalarImage { width: 3, height: 2, values: vec![0.0, 1e-6, 0.5, 1.0, 2.0, 4.0] }
     }
 
     fn read(picture: &Picture) -> image::DynamicImage {
@@ -292,14 +292,14 @@ mod tests {
         for (step, depth) in back.as_raw().iter().zip(plane().values).skip(2) {
             assert!((f64::from(*step) * scale - f64::from(depth)).abs() <= 0.5 * scale, "{step} {depth}");
         }
-        let empty = Plane { values: vec![0.0; 6], ..plane() };
+        let empty = ScalarImage { values: vec![0.0; 6], ..plane() };
         let file = Picture::encode(&Rendered::Depth(empty), kind(Output::Depth, Format::Png));
         assert_eq!(read(&file.expect("encodes")).as_bytes(), [0; 12]);
     }
 
     #[test]
     fn alpha_is_eight_bits_and_arrays_hold_the_floats_themselves() {
-        let alpha = Plane { width: 3, height: 1, values: vec![0.0, 0.5, 1.0] };
+        let alpha = ScalarImage { width: 3, height: 1, values: vec![0.0, 0.5, 1.0] };
         let file = Picture::encode(&Rendered::Alpha(alpha), kind(Output::Alpha, Format::Png));
         assert_eq!(read(&file.expect("encodes")).as_bytes(), [0, 128, 255]);
         let file = Picture::encode(&Rendered::Depth(plane()), kind(Output::Depth, Format::Npy));

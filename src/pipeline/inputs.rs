@@ -6,12 +6,12 @@ use super::error::JobError;
 use crate::{
     domain::{CancelFlag, Dataset, Frame, MemoryBudget, Split},
     eval::Lpips,
-    gpu::Context,
+    gpu::Device,
 };
 
 /// What all files of one job share: several, if it makes a rate-distortion curve.
 pub(super) struct RunInputs<'a> {
-    pub(super) device: Arc<Context>,
+    pub(super) device: Arc<Device>,
     pub(super) dataset: &'a Dataset,
     pub(super) budget: MemoryBudget,
     pub(super) cancel: &'a CancelFlag,

@@ -38,7 +38,7 @@ use self::{
 use crate::{
     domain::{CancelFlag, Dataset, MemoryBudget, MemoryLimits, NamedCamera, Phase, Progress, TrainOptions},
     eval::Lpips,
-    gpu::{AdapterChoice, Context, GpuError},
+    gpu::{AdapterChoice, Device, GpuError},
     ingest::{self, LoadBudget},
     train::Schedule,
 };
@@ -51,7 +51,7 @@ pub struct Pipeline {
     spill_dir: PathBuf,
     lpips: Option<Lpips>,
     has_held_out_pictures: bool,
-    device: Mutex<Option<Arc<Context>>>,
+    device: Mutex<Option<Arc<Device>>>,
 }
 
 impl Pipeline {
@@ -86,18 +86,18 @@ impl Pipeline {
         Self { has_held_out_pictures: true, ..self }
     }
 
-    fn device(&self) -> Result<Arc<Context>, GpuError> {
+    fn device(&self) -> Result<Arc<Device>, GpuError> {
         let mut kept = self.device.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(device) = kept.as_ref().filter(|device| device.check().is_ok()) {
             return Ok(Arc::clone(device));
         }
-        let device = Context::new(&self.adapter)?;
+        let device = Device::new(&self.adapter)?;
         device.set_budget_bytes(self.budget(&device).gpu);
         *kept = Some(Arc::clone(&device));
         Ok(device)
     }
 
-    fn budget(&self, device: &Context) -> MemoryBudget {
+    fn budget(&self, device: &Device) -> MemoryBudget {
         self.memory.budget(device.adapter().shares_main_memory())
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::{
     domain::{AnchorScene, Background, Frame},
     eval::{mean_scores, measure_views},
-    gpu::Context,
+    gpu::Device,
     render::{RenderError, SceneRenderer},
     train::BaseSteps,
 };
@@ -29,7 +29,7 @@ const MAX_INTEGER: f32 = (1_u32 << 23) as f32;
 /// # Errors
 /// Errors of the renderer.
 pub(super) fn choose_quant_steps(
-    device: &Arc<Context>,
+    device: &Arc<Device>,
     scene: &AnchorScene,
     views: &[&Frame],
     background: Background,

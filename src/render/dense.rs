@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use super::RenderError;
 use crate::{
-    gpu::{Buffer, Context, Kernel, Recorder, kernel_source},
+    gpu::{Buffer, Device, Kernel, Recorder, kernel_source},
     model::LayerSpec,
 };
 
@@ -25,7 +25,7 @@ const NO_BIAS: u32 = u32::MAX;
 
 /// How a dense layer ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ending {
+pub enum Activation {
     /// As it is.
     Linear = 0,
     /// What is below zero becomes zero.
@@ -54,7 +54,7 @@ impl DenseLayers {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn new(context: &Context, subgroups: Option<u32>) -> Result<Self, RenderError> {
+    pub fn new(device: &Device, subgroups: Option<u32>) -> Result<Self, RenderError> {
         // Eight lanes share what they read; the gradient's workgroup is exactly one subgroup.
         let subgroups = subgroups.filter(|size| *size >= 8);
         let mut lanes = vec![("GRADIENT_LANES", subgroups.unwrap_or(64))];
@@ -64,9 +64,9 @@ impl DenseLayers {
             dense.push(("SUBGROUPS", size));
         }
         Ok(Self {
-            dense: context.kernel(kernel_source!("dense"), &dense)?,
-            dense_weight_gradient: context.kernel(kernel_source!("dense_weight_gradient"), &lanes)?,
-            sum_partials: context.kernel(kernel_source!("sum_partials"), &[])?,
+            dense: device.kernel(kernel_source!("dense"), &dense)?,
+            dense_weight_gradient: device.kernel(kernel_source!("dense_weight_gradient"), &lanes)?,
+            sum_partials: device.kernel(kernel_source!("sum_partials"), &[])?,
         })
     }
 
@@ -89,11 +89,11 @@ impl DenseLayers {
         parameters: &Buffer<f32>,
         input: &Buffer<f32>,
         output: &Buffer<f32>,
-        ending: Ending,
+        activation: Activation,
     ) -> Result<(), RenderError> {
         let uniform = recorder.uniform(&[
             [layer.inputs as u32, layer.outputs as u32, columns.capacity as u32, layer.weights as u32],
-            [1, layer.outputs as u32, layer.bias as u32, ending as u32],
+            [1, layer.outputs as u32, layer.bias as u32, activation as u32],
             [layer.input_row as u32, layer.output_row as u32, 0, 0],
         ])?;
         // The gate is not read: any buffer but the output will do.
@@ -128,10 +128,10 @@ impl DenseLayers {
     ) -> Result<(), RenderError> {
         const LINEAR: u32 = 0;
         const GATE: u32 = 2;
-        let ending = if gate.is_some() { GATE } else { LINEAR };
+        let activation = if gate.is_some() { GATE } else { LINEAR };
         let uniform = recorder.uniform(&[
             [layer.outputs as u32, wanted as u32, columns.capacity as u32, layer.weights as u32],
-            [layer.outputs as u32, 1, NO_BIAS, ending],
+            [layer.outputs as u32, 1, NO_BIAS, activation],
             [layer.output_row as u32, layer.input_row as u32, layer.input_row as u32, 0],
         ])?;
         let bindings = [

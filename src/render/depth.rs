@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::{Gaussians, RenderError};
 use crate::{
     domain::Camera,
-    gpu::{Buffer, Context, Kernel, Recorder, kernel_source},
+    gpu::{Buffer, Device, Kernel, Recorder, kernel_source},
 };
 
 /// `Depths` of `shaders/shade_depth.wgsl`.
@@ -32,11 +32,11 @@ impl DepthShader {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn new(context: &Context) -> Result<Self, RenderError> {
+    pub fn new(device: &Device) -> Result<Self, RenderError> {
         Ok(Self {
-            kernel: context.kernel(kernel_source!("shade_depth"), &[])?,
-            uniform: context.buffer("view of depths", 1)?,
-            colors: context.buffer("depths as colours", 0)?,
+            kernel: device.kernel(kernel_source!("shade_depth"), &[])?,
+            uniform: device.buffer("view of depths", 1)?,
+            colors: device.buffer("depths as colours", 0)?,
         })
     }
 
@@ -47,13 +47,13 @@ impl DepthShader {
     /// Faults of the device.
     pub fn forward(
         &mut self,
-        context: &Context,
+        device: &Device,
         recorder: &mut Recorder<'_>,
         gaussians: &Gaussians,
         camera: &Camera,
     ) -> Result<Gaussians, RenderError> {
         if self.colors.len() != gaussians.capacity {
-            self.colors = context.buffer("depths as colours", gaussians.capacity)?;
+            self.colors = device.buffer("depths as colours", gaussians.capacity)?;
         }
         let forward = camera.pose.rotation().row(2).extend(camera.pose.translation().z);
         let count = u32::try_from(gaussians.capacity).unwrap_or(u32::MAX);

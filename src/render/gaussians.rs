@@ -3,7 +3,7 @@
 //! A WebGPU kernel binds eight storage buffers, so what describes a Gaussian's geometry lies in one: three sections of as many
 //! rows as there is room for Gaussians (`shaders/shared/geometry.wgsl`).
 
-use crate::gpu::{Buffer, Context, GpuError, buffer_bytes};
+use crate::gpu::{Buffer, Device, GpuError, buffer_bytes};
 
 /// Sections of a geometry buffer: position and opacity, scales, quaternion.
 pub const GEOMETRY_SECTIONS: usize = 3;
@@ -39,13 +39,13 @@ impl Gaussians {
     /// Room for `capacity` Gaussians, all zero, none used.
     ///
     /// # Errors
-    /// As [`Context::buffer`].
-    pub fn new(context: &Context, capacity: usize) -> Result<Self, GpuError> {
+    /// As [`Device::buffer`].
+    pub fn new(device: &Device, capacity: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            count: context.buffer("gaussian count", 1)?,
+            count: device.buffer("gaussian count", 1)?,
             capacity,
-            geometry: context.buffer("geometry", GEOMETRY_SECTIONS * capacity)?,
-            colors: context.buffer("colours", capacity)?,
+            geometry: device.buffer("geometry", GEOMETRY_SECTIONS * capacity)?,
+            colors: device.buffer("colours", capacity)?,
         })
     }
 }
@@ -78,12 +78,12 @@ impl GaussianGradients {
     /// Room for the gradients of `capacity` Gaussians.
     ///
     /// # Errors
-    /// As [`Context::buffer`].
-    pub fn new(context: &Context, capacity: usize) -> Result<Self, GpuError> {
+    /// As [`Device::buffer`].
+    pub fn new(device: &Device, capacity: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            geometry: context.buffer("gradients of geometry", GEOMETRY_SECTIONS * capacity)?,
-            colors: context.buffer("gradients of colours", capacity)?,
-            means2d: context.buffer("gradients of projected centres", capacity)?,
+            geometry: device.buffer("gradients of geometry", GEOMETRY_SECTIONS * capacity)?,
+            colors: device.buffer("gradients of colours", capacity)?,
+            means2d: device.buffer("gradients of projected centres", capacity)?,
         })
     }
 }

@@ -12,13 +12,13 @@ mod scene_renderer;
 pub mod twin;
 pub mod views;
 
-pub use dense::{Columns, DenseLayers, Ending};
+pub use dense::{Activation, Columns, DenseLayers};
 pub use depth::DepthShader;
 pub use error::RenderError;
 pub use gaussians::{GEOMETRY_SECTIONS, GaussianGradients, Gaussians};
 pub use neural::{AnchorGradients, DeviceAnchors, NeuralGaussians};
-pub use plain::{DeviceRows, PlainGaussians, STATISTICS};
+pub use plain::{DeviceGaussians, PlainGaussians, STATISTICS};
 pub use projection::{Projection, RasterSettings, TILE};
-pub use rasterizer::{Counts, Passes, Rasterizer};
+pub use rasterizer::{ForwardPasses, RasterCounts, Rasterizer};
 pub use scene_renderer::{SceneRenderer, SceneViewer};
 pub use views::RenderViews;

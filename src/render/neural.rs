@@ -6,15 +6,15 @@
 
 use std::sync::Arc;
 
-use super::{Columns, DenseLayers, Ending, GaussianGradients, Gaussians, Rasterizer, RenderError};
+use super::{Activation, Columns, DenseLayers, GaussianGradients, Gaussians, Rasterizer, RenderError};
 use crate::{
     domain::{Camera, DistanceUnit},
-    gpu::{AdapterReport, Buffer, BufferPlan, Context, Kernel, Recorder, buffer_bytes, kernel_source},
+    gpu::{AdapterReport, Buffer, BufferPlan, Device, Kernel, Recorder, buffer_bytes, kernel_source},
     model::{AnchorRows, NetworkLayout, Shape},
 };
 
 /// More anchors than any adapter has room for; sums of their bytes stay far below what integers hold.
-const MOST_ANCHORS: usize = 1 << 36;
+const MAX_ANCHORS: usize = 1 << 36;
 
 /// The uniform that describes one view to the kernels; `shaders/shared/view.wgsl`.
 #[repr(C)]
@@ -58,14 +58,14 @@ impl DeviceAnchors {
     ///
     /// # Errors
     /// Faults of the device, or a scene that is too large for it.
-    pub fn upload(context: &Context, anchors: &AnchorRows, networks: &[f32]) -> Result<Self, RenderError> {
+    pub fn upload(device: &Device, anchors: &AnchorRows, networks: &[f32]) -> Result<Self, RenderError> {
         Ok(Self {
             shape: anchors.shape,
             count: anchors.len(),
-            positions: context.upload("anchor positions", &anchors.positions())?,
-            rows: context.upload("anchor rows", &anchors.values)?,
-            masks: context.upload("offset masks", &anchors.masks)?,
-            networks: context.upload("networks", networks)?,
+            positions: device.upload("anchor positions", &anchors.positions())?,
+            rows: device.upload("anchor rows", &anchors.values)?,
+            masks: device.upload("offset masks", &anchors.masks)?,
+            networks: device.upload("networks", networks)?,
         })
     }
 }
@@ -90,10 +90,10 @@ impl AnchorGradients {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn new(context: &Context, shape: Shape, anchors: usize) -> Result<Self, RenderError> {
+    pub fn new(device: &Device, shape: Shape, anchors: usize) -> Result<Self, RenderError> {
         Ok(Self {
-            rows: context.buffer("gradients of rows", anchors * shape.row())?,
-            networks: context.buffer("gradients of networks", NetworkLayout::new(shape).parameters)?,
+            rows: device.buffer("gradients of rows", anchors * shape.row())?,
+            networks: device.buffer("gradients of networks", NetworkLayout::new(shape).parameters)?,
         })
     }
 }
@@ -112,18 +112,18 @@ struct Kernels {
 }
 
 impl Kernels {
-    fn new(context: &Context, shape: Shape, subgroups: Option<u32>) -> Result<Self, RenderError> {
+    fn new(device: &Device, shape: Shape, subgroups: Option<u32>) -> Result<Self, RenderError> {
         let defs = shape.defs();
         Ok(Self {
-            anchor_visible: context.kernel(kernel_source!("anchor_visible"), &defs)?,
-            compact_anchors: context.kernel(kernel_source!("compact_anchors"), &[])?,
-            network_input: context.kernel(kernel_source!("network_input"), &defs)?,
-            dense: DenseLayers::new(context, subgroups)?,
-            spawn_gaussians: context.kernel(kernel_source!("spawn_gaussians"), &defs)?,
-            count_gaussians: context.kernel(kernel_source!("count_gaussians"), &defs)?,
-            spawn_gradient: context.kernel(kernel_source!("spawn_gradient"), &defs)?,
-            feature_gradient: context.kernel(kernel_source!("feature_gradient"), &defs)?,
-            anchor_statistics: context.kernel(kernel_source!("anchor_statistics"), &defs)?,
+            anchor_visible: device.kernel(kernel_source!("anchor_visible"), &defs)?,
+            compact_anchors: device.kernel(kernel_source!("compact_anchors"), &[])?,
+            network_input: device.kernel(kernel_source!("network_input"), &defs)?,
+            dense: DenseLayers::new(device, subgroups)?,
+            spawn_gaussians: device.kernel(kernel_source!("spawn_gaussians"), &defs)?,
+            count_gaussians: device.kernel(kernel_source!("count_gaussians"), &defs)?,
+            spawn_gradient: device.kernel(kernel_source!("spawn_gradient"), &defs)?,
+            feature_gradient: device.kernel(kernel_source!("feature_gradient"), &defs)?,
+            anchor_statistics: device.kernel(kernel_source!("anchor_statistics"), &defs)?,
         })
     }
 }
@@ -180,16 +180,16 @@ impl ActivationPlan {
         self.each().into_iter().fold(Gaussians::widest_bytes(self.gaussians), u64::max)
     }
 
-    fn make(&self, context: &Context) -> Result<Activations, RenderError> {
-        let mut gaussians = Gaussians::new(context, self.gaussians)?;
-        gaussians.count = context.buffer("gaussian counts", 4)?;
+    fn make(&self, device: &Device) -> Result<Activations, RenderError> {
+        let mut gaussians = Gaussians::new(device, self.gaussians)?;
+        gaussians.count = device.buffer("gaussian counts", 4)?;
         Ok(Activations {
-            visible: self.visible.make(context)?,
-            list: self.list.make(context)?,
-            input: self.input.make(context)?,
-            hidden: self.hidden.make(context)?,
-            outputs: self.outputs.make(context)?,
-            alive: self.alive.make(context)?,
+            visible: self.visible.make(device)?,
+            list: self.list.make(device)?,
+            input: self.input.make(device)?,
+            hidden: self.hidden.make(device)?,
+            outputs: self.outputs.make(device)?,
+            alive: self.alive.make(device)?,
             gaussians,
         })
     }
@@ -238,12 +238,12 @@ impl BackwardPlan {
         self.each().into_iter().fold(GaussianGradients::widest_bytes(self.gaussians), u64::max)
     }
 
-    fn make(&self, context: &Context) -> Result<Backward, RenderError> {
+    fn make(&self, device: &Device) -> Result<Backward, RenderError> {
         Ok(Backward {
-            d_input: self.d_input.make(context)?,
-            d_hidden: self.d_hidden.make(context)?,
-            partials: self.partials.make(context)?,
-            d_gaussians: GaussianGradients::new(context, self.gaussians)?,
+            d_input: self.d_input.make(device)?,
+            d_hidden: self.d_hidden.make(device)?,
+            partials: self.partials.make(device)?,
+            d_gaussians: GaussianGradients::new(device, self.gaussians)?,
         })
     }
 }
@@ -251,7 +251,7 @@ impl BackwardPlan {
 /// Makes the Gaussians of views from anchors.
 #[derive(Debug)]
 pub struct NeuralGaussians {
-    context: Arc<Context>,
+    device: Arc<Device>,
     layout: NetworkLayout,
     kernels: Kernels,
     view: Buffer<ViewUniform>,
@@ -271,13 +271,13 @@ impl NeuralGaussians {
     /// # Errors
     /// Faults of the device.
     pub fn new(
-        context: Arc<Context>,
+        device: Arc<Device>,
         shape: Shape,
         near: f32,
         unit: DistanceUnit,
     ) -> Result<Self, RenderError> {
-        let subgroups = context.subgroups().lanes();
-        Self::with_subgroups(context, shape, near, unit, subgroups)
+        let subgroups = device.subgroups().lanes();
+        Self::with_subgroups(device, shape, near, unit, subgroups)
     }
 
     /// As [`NeuralGaussians::new`], with the kernels that need no subgroups: for adapters whose subgroups misbehave.
@@ -285,16 +285,16 @@ impl NeuralGaussians {
     /// # Errors
     /// Faults of the device.
     pub fn without_subgroups(
-        context: Arc<Context>,
+        device: Arc<Device>,
         shape: Shape,
         near: f32,
         unit: DistanceUnit,
     ) -> Result<Self, RenderError> {
-        Self::with_subgroups(context, shape, near, unit, None)
+        Self::with_subgroups(device, shape, near, unit, None)
     }
 
     fn with_subgroups(
-        context: Arc<Context>,
+        device: Arc<Device>,
         shape: Shape,
         near: f32,
         unit: DistanceUnit,
@@ -302,28 +302,28 @@ impl NeuralGaussians {
     ) -> Result<Self, RenderError> {
         let layout = NetworkLayout::new(shape);
         Ok(Self {
-            kernels: Kernels::new(&context, shape, subgroups)?,
-            view: context.buffer("view of anchors", 1)?,
+            kernels: Kernels::new(&device, shape, subgroups)?,
+            view: device.buffer("view of anchors", 1)?,
             capacity: 0,
-            forward: ActivationPlan::new(&layout, 0).make(&context)?,
+            forward: ActivationPlan::new(&layout, 0).make(&device)?,
             backward: None,
             holds_outputs: false,
             near,
             unit,
             layout,
-            context,
+            device,
         })
     }
 
     /// Most anchors of a shape whose widest buffer the adapter binds: here, among the anchors' own and in the rasteriser, with the
     /// spare room of [`Self::forward`].
     #[must_use]
-    pub fn most_anchors(adapter: &AdapterReport, shape: Shape) -> usize {
+    pub fn max_anchors(adapter: &AdapterReport, shape: Shape) -> usize {
         let limit = adapter.max_binding_bytes.min(adapter.max_buffer_bytes);
         let layout = NetworkLayout::new(shape);
         let fits = |anchors: usize| Self::widest_bytes(&layout, anchors) <= limit;
         // An anchor takes more than a byte in the widest buffer.
-        let (mut most, mut too_many) = (0, usize::try_from(limit).unwrap_or(usize::MAX).min(MOST_ANCHORS));
+        let (mut most, mut too_many) = (0, usize::try_from(limit).unwrap_or(usize::MAX).min(MAX_ANCHORS));
         while too_many - most > 1 {
             let middle = most + (too_many - most) / 2;
             if fits(middle) {
@@ -400,7 +400,7 @@ impl NeuralGaussians {
     /// # Errors
     /// Faults of the device.
     pub fn counts(&self) -> Result<[u32; 3], RenderError> {
-        let counts = self.context.read_range(&self.forward.gaussians.count, 0, 3)?;
+        let counts = self.device.read_range(&self.forward.gaussians.count, 0, 3)?;
         Ok([counts[0], counts[1], counts[2]])
     }
 
@@ -410,10 +410,10 @@ impl NeuralGaussians {
     /// # Errors
     /// Faults of the device.
     pub fn visible_opacities(&self) -> Result<(Vec<u32>, Vec<f32>), RenderError> {
-        let count = self.context.read_range(&self.forward.list, 0, 1)?[0] as usize;
-        let list = self.context.read_range(&self.forward.list, 1, count)?;
+        let count = self.device.read_range(&self.forward.list, 0, 1)?[0] as usize;
+        let list = self.device.read_range(&self.forward.list, 1, count)?;
         let geometry = &self.forward.gaussians.geometry;
-        let opacities = self.context.read_range(geometry, 0, count * self.layout.shape.offsets)?;
+        let opacities = self.device.read_range(geometry, 0, count * self.layout.shape.offsets)?;
         Ok((list, opacities.iter().map(|gaussian| gaussian[3]).collect()))
     }
 
@@ -453,10 +453,10 @@ impl NeuralGaussians {
             networks,
             &on.input,
             &on.hidden,
-            Ending::Relu,
+            Activation::Relu,
         )?;
         for head in &self.layout.heads {
-            dense.forward(recorder, columns, head, networks, &on.hidden, &on.outputs, Ending::Linear)?;
+            dense.forward(recorder, columns, head, networks, &on.hidden, &on.outputs, Activation::Linear)?;
         }
         recorder.dispatch(
             &kernels.spawn_gaussians,
@@ -570,7 +570,7 @@ impl NeuralGaussians {
         Ok(())
     }
 
-    /// Records the adding of the view to the growth statistics, `[N][2 K + 2]` (METHOD.md §2.6), unless `void_mark` is
+    /// Records the adding of the view to the growth statistics, `[N][2 K + 2]` (METHOD.md §2.6), unless `overflow_flag` is
     /// set by then.
     ///
     /// # Errors
@@ -580,7 +580,7 @@ impl NeuralGaussians {
         recorder: &mut Recorder<'_>,
         anchors: &DeviceAnchors,
         statistics: &Buffer<f32>,
-        void_mark: &Buffer<u32>,
+        overflow_flag: &Buffer<u32>,
     ) -> Result<(), RenderError> {
         let back = self.backward.as_ref().ok_or(RenderError::OutOfStep)?;
         recorder.dispatch(
@@ -591,7 +591,7 @@ impl NeuralGaussians {
                 self.forward.gaussians.geometry.as_ref(),
                 back.d_gaussians.means2d.as_ref(),
                 statistics.as_ref(),
-                void_mark.as_ref(),
+                overflow_flag.as_ref(),
             ],
             anchors.count.div_ceil(64) as u32,
         );
@@ -602,7 +602,7 @@ impl NeuralGaussians {
         if anchors > self.capacity {
             let capacity = Self::capacity(anchors);
             self.backward = None;
-            self.forward = ActivationPlan::new(&self.layout, capacity).make(&self.context)?;
+            self.forward = ActivationPlan::new(&self.layout, capacity).make(&self.device)?;
             self.capacity = capacity;
         }
         Ok(())
@@ -610,7 +610,7 @@ impl NeuralGaussians {
 
     fn prepare_backward(&mut self) -> Result<(), RenderError> {
         if self.backward.is_none() {
-            self.backward = Some(BackwardPlan::new(&self.layout, self.capacity).make(&self.context)?);
+            self.backward = Some(BackwardPlan::new(&self.layout, self.capacity).make(&self.device)?);
         }
         Ok(())
     }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::{GaussianGradients, Gaussians, RenderError};
 use crate::{
     domain::Camera,
-    gpu::{AdapterReport, Buffer, Context, Kernel, Recorder, buffer_bytes, kernel_source},
+    gpu::{AdapterReport, Buffer, Device, Kernel, Recorder, buffer_bytes, kernel_source},
     model::{
         GaussianRows,
         gaussian_rows::{BANDS, BASE, band_values},
@@ -34,7 +34,7 @@ struct ViewUniform {
 
 /// Rows of plain Gaussians on the device: parameters, gradients or moments.
 #[derive(Debug, Clone)]
-pub struct DeviceRows {
+pub struct DeviceGaussians {
     /// Gaussians.
     pub count: usize,
     /// `[N][14]` base values.
@@ -43,7 +43,7 @@ pub struct DeviceRows {
     pub bands: Buffer<f32>,
 }
 
-impl DeviceRows {
+impl DeviceGaussians {
     /// Bytes on the device of the rows of `count` Gaussians.
     #[must_use]
     pub fn bytes(count: usize) -> u64 {
@@ -54,23 +54,23 @@ impl DeviceRows {
     ///
     /// # Errors
     /// Faults of the device, or more Gaussians than it has room for.
-    pub fn zero(context: &Context, count: usize) -> Result<Self, RenderError> {
+    pub fn zero(device: &Device, count: usize) -> Result<Self, RenderError> {
         Ok(Self {
             count,
-            base: context.buffer("base values", count * BASE)?,
-            bands: context.buffer("bands of coefficients", count * band_values(BANDS.len()))?,
+            base: device.buffer("base values", count * BASE)?,
+            bands: device.buffer("bands of coefficients", count * band_values(BANDS.len()))?,
         })
     }
 
     /// Rows from the host.
     ///
     /// # Errors
-    /// As [`DeviceRows::zero`].
-    pub fn upload(context: &Context, rows: &GaussianRows) -> Result<Self, RenderError> {
+    /// As [`DeviceGaussians::zero`].
+    pub fn upload(device: &Device, rows: &GaussianRows) -> Result<Self, RenderError> {
         Ok(Self {
             count: rows.len(),
-            base: context.upload("base values", &rows.base)?,
-            bands: context.upload("bands of coefficients", &rows.bands.concat())?,
+            base: device.upload("base values", &rows.base)?,
+            bands: device.upload("bands of coefficients", &rows.bands.concat())?,
         })
     }
 
@@ -78,9 +78,9 @@ impl DeviceRows {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn download(&self, context: &Context) -> Result<GaussianRows, RenderError> {
-        let base = context.read(&self.base)?;
-        let bands = context.read(&self.bands)?;
+    pub fn download(&self, device: &Device) -> Result<GaussianRows, RenderError> {
+        let base = device.read(&self.base)?;
+        let bands = device.read(&self.bands)?;
         let ends = [0, 1, 2, 3].map(|degree| self.count * band_values(degree));
         Ok(GaussianRows { base, bands: [0, 1, 2].map(|band| bands[ends[band]..ends[band + 1]].to_vec()) })
     }
@@ -94,11 +94,11 @@ struct Kernels {
 }
 
 impl Kernels {
-    fn new(context: &Context, degree: u32) -> Result<Self, RenderError> {
+    fn new(device: &Device, degree: u32) -> Result<Self, RenderError> {
         let defs = [("DEGREE", degree)];
         Ok(Self {
-            shade_gaussians: context.kernel(kernel_source!("shade_gaussians"), &defs)?,
-            shade_gradient: context.kernel(kernel_source!("shade_gradient"), &defs)?,
+            shade_gaussians: device.kernel(kernel_source!("shade_gaussians"), &defs)?,
+            shade_gradient: device.kernel(kernel_source!("shade_gradient"), &defs)?,
         })
     }
 }
@@ -106,7 +106,7 @@ impl Kernels {
 /// Makes the Gaussians of views from plain rows.
 #[derive(Debug)]
 pub struct PlainGaussians {
-    context: Arc<Context>,
+    device: Arc<Device>,
     degree: u32,
     kernels: Kernels,
     gaussian_statistics: Arc<Kernel>,
@@ -121,22 +121,22 @@ impl PlainGaussians {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn new(context: Arc<Context>, near: f32) -> Result<Self, RenderError> {
+    pub fn new(device: Arc<Device>, near: f32) -> Result<Self, RenderError> {
         Ok(Self {
             degree: 0,
-            kernels: Kernels::new(&context, 0)?,
-            gaussian_statistics: context.kernel(kernel_source!("gaussian_statistics"), &[("DEGREE", 0)])?,
-            view: context.buffer("view of gaussians", 1)?,
-            gaussians: Gaussians::new(&context, 0)?,
+            kernels: Kernels::new(&device, 0)?,
+            gaussian_statistics: device.kernel(kernel_source!("gaussian_statistics"), &[("DEGREE", 0)])?,
+            view: device.buffer("view of gaussians", 1)?,
+            gaussians: Gaussians::new(&device, 0)?,
             gradients: None,
             near,
-            context,
+            device,
         })
     }
 
     /// Most Gaussians whose widest buffer the adapter binds.
     #[must_use]
-    pub fn most_gaussians(adapter: &AdapterReport) -> usize {
+    pub fn max_gaussians(adapter: &AdapterReport) -> usize {
         let bytes = (band_values(BANDS.len()) * size_of::<f32>()) as u64;
         let limit = adapter.max_binding_bytes.min(adapter.max_buffer_bytes);
         usize::try_from(limit / bytes).unwrap_or(usize::MAX)
@@ -161,7 +161,7 @@ impl PlainGaussians {
     pub fn set_degree(&mut self, degree: u32) -> Result<(), RenderError> {
         let degree = degree.min(MAX_DEGREE);
         if degree != self.degree {
-            self.kernels = Kernels::new(&self.context, degree)?;
+            self.kernels = Kernels::new(&self.device, degree)?;
             self.degree = degree;
         }
         Ok(())
@@ -180,7 +180,7 @@ impl PlainGaussians {
     pub fn gaussian_gradients(&mut self) -> Result<&GaussianGradients, RenderError> {
         let fits = self.gradients.as_ref().is_some_and(|d| d.colors.len() == self.gaussians.capacity);
         if !fits {
-            self.gradients = Some(GaussianGradients::new(&self.context, self.gaussians.capacity)?);
+            self.gradients = Some(GaussianGradients::new(&self.device, self.gaussians.capacity)?);
         }
         self.gradients.as_ref().ok_or(RenderError::OutOfStep)
     }
@@ -192,12 +192,12 @@ impl PlainGaussians {
     pub fn forward(
         &mut self,
         recorder: &mut Recorder<'_>,
-        rows: &DeviceRows,
+        rows: &DeviceGaussians,
         camera: &Camera,
     ) -> Result<(), RenderError> {
         if self.gaussians.capacity != rows.count {
-            self.gaussians = Gaussians::new(&self.context, rows.count)?;
-            self.context.write(&self.gaussians.count, &[rows.count as u32]);
+            self.gaussians = Gaussians::new(&self.device, rows.count)?;
+            self.device.write(&self.gaussians.count, &[rows.count as u32]);
         }
         recorder.write(&self.view, &[self.view_uniform(rows.count, camera)]);
         let out = &self.gaussians;
@@ -222,8 +222,8 @@ impl PlainGaussians {
     pub fn backward(
         &self,
         recorder: &mut Recorder<'_>,
-        rows: &DeviceRows,
-        out: &DeviceRows,
+        rows: &DeviceGaussians,
+        out: &DeviceGaussians,
     ) -> Result<(), RenderError> {
         let d = self.gradients.as_ref().ok_or(RenderError::OutOfStep)?;
         let on = &self.gaussians;
@@ -245,7 +245,7 @@ impl PlainGaussians {
         Ok(())
     }
 
-    /// Records the adding of the view to the growth statistics, `[N][3]`, unless `void_mark` is set by then.
+    /// Records the adding of the view to the growth statistics, `[N][3]`, unless `overflow_flag` is set by then.
     ///
     /// # Errors
     /// [`RenderError::OutOfStep`] before a backward pass.
@@ -253,12 +253,12 @@ impl PlainGaussians {
         &self,
         recorder: &mut Recorder<'_>,
         statistics: &Buffer<f32>,
-        void_mark: &Buffer<u32>,
+        overflow_flag: &Buffer<u32>,
     ) -> Result<(), RenderError> {
         let d = self.gradients.as_ref().ok_or(RenderError::OutOfStep)?;
         recorder.dispatch(
             &self.gaussian_statistics,
-            &[self.view.as_ref(), d.means2d.as_ref(), statistics.as_ref(), void_mark.as_ref()],
+            &[self.view.as_ref(), d.means2d.as_ref(), statistics.as_ref(), overflow_flag.as_ref()],
             groups(self.gaussians.capacity),
         );
         Ok(())

@@ -17,14 +17,14 @@ use super::{
 use crate::{
     domain::Camera,
     gpu::{
-        AdapterReport, Buffer, Context, GpuError, Kernel, Pairs, RadixSort, Recorder, Scan, ScanSlots,
+        AdapterReport, Buffer, Device, GpuError, Kernel, Pairs, RadixSort, Recorder, Scan, ScanSlots,
         Subgroups, buffer_bytes, kernel_source,
     },
 };
 
 /// Elements of the counter buffer, as in `shaders/shared/view.wgsl`.
-const LACKING: usize = 0;
-const SOUND: usize = 1;
+const REQUIRED: usize = 0;
+const COMPLETED: usize = 1;
 const VISIBLE: u32 = 2;
 const INTERSECTIONS: u32 = 3;
 const COUNTERS: usize = 4;
@@ -36,7 +36,7 @@ const DEPTH_BITS: u32 = 31;
 const SPLAT_ROWS: usize = 3;
 
 /// Fewest lanes of a subgroup that kernels have a variant for: those that hold a chunk of the backward pass.
-const FEWEST_LANES: u32 = 8;
+const MIN_LANES: u32 = 8;
 
 /// Lanes of a tile, four pixels each.
 const TILE_LANES: u32 = TILE * TILE / 4;
@@ -46,7 +46,7 @@ const SLOT_FLOATS: usize = 9;
 
 /// What the last forward pass met.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Counts {
+pub struct RasterCounts {
     /// Gaussians that touch a tile.
     pub visible: u32,
     /// Pairs of Gaussian and tile, counted on even where there was no room for them.
@@ -57,11 +57,11 @@ pub struct Counts {
 
 /// What became of forward passes that nobody waited for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Passes {
-    /// Passes with room for all their intersections, up to the first without.
-    pub sound: u32,
+pub struct ForwardPasses {
+    /// ForwardPasses with room for all their intersections, up to the first without.
+    pub completed: u32,
     /// Intersections that the first pass without room needs. That pass and all after it are void.
-    pub lacking: Option<usize>,
+    pub required: Option<usize>,
 }
 
 #[derive(Debug)]
@@ -80,7 +80,7 @@ struct Kernels {
 }
 
 impl Kernels {
-    fn new(context: &Context, subgroups: Subgroups) -> Result<Self, GpuError> {
+    fn new(device: &Device, subgroups: Subgroups) -> Result<Self, GpuError> {
         // A subgroup that may be wider than the lanes that are counted on has to be a workgroup of its own.
         let narrow = match subgroups {
             Subgroups::AtLeast(lanes) => Some(lanes),
@@ -93,15 +93,15 @@ impl Kernels {
         let forward: Vec<_> = subgroups.iter().copied().chain(eight).chain(one).collect();
         Ok(Self {
             groups_a_tile: narrow.map_or(1, |lanes| TILE_LANES / lanes),
-            project: context.kernel(kernel_source!("project"), &[])?,
-            compact: context.kernel(kernel_source!("compact"), &[])?,
-            tile_counts: context.kernel(kernel_source!("tile_counts"), &[])?,
-            emit: context.kernel(kernel_source!("emit"), &[])?,
-            tile_ranges: context.kernel(kernel_source!("tile_ranges"), &[])?,
-            raster_forward: context.kernel(kernel_source!("raster_forward"), &forward)?,
-            raster_backward: context.kernel(kernel_source!("raster_backward"), &subgroups)?,
-            gather: context.kernel(kernel_source!("gather"), &[])?,
-            project_backward: context.kernel(kernel_source!("project_backward"), &[])?,
+            project: device.kernel(kernel_source!("project"), &[])?,
+            compact: device.kernel(kernel_source!("compact"), &[])?,
+            tile_counts: device.kernel(kernel_source!("tile_counts"), &[])?,
+            emit: device.kernel(kernel_source!("emit"), &[])?,
+            tile_ranges: device.kernel(kernel_source!("tile_ranges"), &[])?,
+            raster_forward: device.kernel(kernel_source!("raster_forward"), &forward)?,
+            raster_backward: device.kernel(kernel_source!("raster_backward"), &subgroups)?,
+            gather: device.kernel(kernel_source!("gather"), &[])?,
+            project_backward: device.kernel(kernel_source!("project_backward"), &[])?,
         })
     }
 }
@@ -135,22 +135,22 @@ impl PerGaussian {
             + RadixSort::bytes(adapter, DEPTH_BITS)
     }
 
-    fn new(context: &Context, capacity: usize) -> Result<Self, GpuError> {
+    fn new(device: &Device, capacity: usize) -> Result<Self, GpuError> {
         Ok(Self {
             capacity,
-            splats: context.buffer("splats", SPLAT_ROWS * capacity)?,
-            v_splats: context.buffer("gradients of splats", SPLAT_ROWS * capacity)?,
-            depths: context.buffer("depths", capacity)?,
-            tiles: context.buffer("tiles touched", capacity)?,
-            visible: context.buffer("visible", capacity)?,
-            places: context.buffer("places among the visible", capacity)?,
-            by_depth: [Pairs::new(context, capacity)?, Pairs::new(context, capacity)?],
-            sorted_tiles: context.buffer("tiles touched by depth", capacity)?,
-            starts: context.buffer("slot starts by depth", capacity)?,
-            first_slots: context.buffer("first slots", capacity)?,
-            list_visible: Scan::new(context, capacity, ScanSlots { count: 0, total: VISIBLE })?,
-            sort_depth: RadixSort::new(context, capacity, DEPTH_BITS, VISIBLE)?,
-            place_slots: Scan::new(context, capacity, ScanSlots { count: VISIBLE, total: INTERSECTIONS })?,
+            splats: device.buffer("splats", SPLAT_ROWS * capacity)?,
+            v_splats: device.buffer("gradients of splats", SPLAT_ROWS * capacity)?,
+            depths: device.buffer("depths", capacity)?,
+            tiles: device.buffer("tiles touched", capacity)?,
+            visible: device.buffer("visible", capacity)?,
+            places: device.buffer("places among the visible", capacity)?,
+            by_depth: [Pairs::new(device, capacity)?, Pairs::new(device, capacity)?],
+            sorted_tiles: device.buffer("tiles touched by depth", capacity)?,
+            starts: device.buffer("slot starts by depth", capacity)?,
+            first_slots: device.buffer("first slots", capacity)?,
+            list_visible: Scan::new(device, capacity, ScanSlots { count: 0, total: VISIBLE })?,
+            sort_depth: RadixSort::new(device, capacity, DEPTH_BITS, VISIBLE)?,
+            place_slots: Scan::new(device, capacity, ScanSlots { count: VISIBLE, total: INTERSECTIONS })?,
         })
     }
 }
@@ -177,13 +177,13 @@ impl PerIntersection {
             + buffer_bytes::<f32>(SLOT_FLOATS * capacity)
     }
 
-    fn new(context: &Context, capacity: usize, tile_bits: u32) -> Result<Self, GpuError> {
+    fn new(device: &Device, capacity: usize, tile_bits: u32) -> Result<Self, GpuError> {
         Ok(Self {
             capacity,
-            by_tile: [Pairs::new(context, capacity)?, Pairs::new(context, capacity)?],
-            slot_ids: context.buffer("slot ids", capacity)?,
-            list: context.buffer("tile lists", capacity)?,
-            sort_tile: RadixSort::new(context, capacity, tile_bits, INTERSECTIONS)?,
+            by_tile: [Pairs::new(device, capacity)?, Pairs::new(device, capacity)?],
+            slot_ids: device.buffer("slot ids", capacity)?,
+            list: device.buffer("tile lists", capacity)?,
+            sort_tile: RadixSort::new(device, capacity, tile_bits, INTERSECTIONS)?,
             gradients: None,
         })
     }
@@ -207,21 +207,21 @@ impl PerImage {
             + buffer_bytes::<[u32; 2]>(tiles(size) as usize)
     }
 
-    fn new(context: &Context) -> Result<Self, GpuError> {
+    fn new(device: &Device) -> Result<Self, GpuError> {
         Ok(Self {
             tiles: 0,
-            image: context.buffer("image", 0)?,
-            last: context.buffer("last contributors", 0)?,
-            ranges: context.buffer("tile ranges", 0)?,
+            image: device.buffer("image", 0)?,
+            last: device.buffer("last contributors", 0)?,
+            ranges: device.buffer("tile ranges", 0)?,
         })
     }
 
-    fn fit(&mut self, context: &Context, projection: &Projection) -> Result<(), GpuError> {
+    fn fit(&mut self, device: &Device, projection: &Projection) -> Result<(), GpuError> {
         let pixels = projection.size.x as usize * projection.size.y as usize;
         self.tiles = projection.tiles().x * projection.tiles().y;
-        context.resize(&mut self.image, "image", pixels)?;
-        context.resize(&mut self.last, "last contributors", pixels)?;
-        context.resize(&mut self.ranges, "tile ranges", self.tiles as usize)
+        device.resize(&mut self.image, "image", pixels)?;
+        device.resize(&mut self.last, "last contributors", pixels)?;
+        device.resize(&mut self.ranges, "tile ranges", self.tiles as usize)
     }
 }
 
@@ -230,12 +230,12 @@ impl PerImage {
 /// Its buffers are kept from call to call, so one forward pass (and the backward pass that follows) is alive at a time.
 #[derive(Debug)]
 pub struct Rasterizer {
-    context: Arc<Context>,
+    device: Arc<Device>,
     settings: RasterSettings,
     kernels: Kernels,
     view: Buffer<View>,
     counters: Buffer<u32>,
-    first_room: Option<usize>,
+    initial_capacity: Option<usize>,
     gaussians: PerGaussian,
     intersections: PerIntersection,
     image: PerImage,
@@ -248,37 +248,37 @@ impl Rasterizer {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn new(context: Arc<Context>, settings: RasterSettings) -> Result<Self, RenderError> {
-        let subgroups = context.subgroups();
-        Self::with_subgroups(context, settings, subgroups)
+    pub fn new(device: Arc<Device>, settings: RasterSettings) -> Result<Self, RenderError> {
+        let subgroups = device.subgroups();
+        Self::with_subgroups(device, settings, subgroups)
     }
 
     /// As [`Rasterizer::new`], with the kernels that need no subgroups: for adapters whose subgroups misbehave.
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn without_subgroups(context: Arc<Context>, settings: RasterSettings) -> Result<Self, RenderError> {
-        Self::with_subgroups(context, settings, Subgroups::Unused)
+    pub fn without_subgroups(device: Arc<Device>, settings: RasterSettings) -> Result<Self, RenderError> {
+        Self::with_subgroups(device, settings, Subgroups::Unused)
     }
 
     fn with_subgroups(
-        context: Arc<Context>,
+        device: Arc<Device>,
         settings: RasterSettings,
         subgroups: Subgroups,
     ) -> Result<Self, RenderError> {
-        let enough = subgroups.lanes().is_some_and(|lanes| lanes >= FEWEST_LANES);
-        let kernels = Kernels::new(&context, if enough { subgroups } else { Subgroups::Unused })?;
+        let enough = subgroups.lanes().is_some_and(|lanes| lanes >= MIN_LANES);
+        let kernels = Kernels::new(&device, if enough { subgroups } else { Subgroups::Unused })?;
         Ok(Self {
             settings,
             kernels,
-            view: context.buffer("view", 1)?,
-            counters: context.buffer("counters", COUNTERS)?,
-            first_room: None,
-            gaussians: PerGaussian::new(&context, 0)?,
-            intersections: PerIntersection::new(&context, 0, 0)?,
-            image: PerImage::new(&context)?,
+            view: device.buffer("view", 1)?,
+            counters: device.buffer("counters", COUNTERS)?,
+            initial_capacity: None,
+            gaussians: PerGaussian::new(&device, 0)?,
+            intersections: PerIntersection::new(&device, 0, 0)?,
+            image: PerImage::new(&device)?,
             rendered: None,
-            context,
+            device,
         })
     }
 
@@ -301,13 +301,13 @@ impl Rasterizer {
     /// Pairs that there is room for before any view was seen to need more: enough for most scenes, and no more than the
     /// backward pass can bind.
     #[must_use]
-    pub fn usual_intersections(adapter: &AdapterReport, gaussians: usize) -> usize {
-        (2 * gaussians).min(Self::bindable_intersections(adapter)).max(1 << 14)
+    pub fn default_intersections(adapter: &AdapterReport, gaussians: usize) -> usize {
+        (2 * gaussians).min(Self::max_bindable_intersections(adapter)).max(1 << 14)
     }
 
     /// Intersections whose gradients the backward pass can bind.
     #[must_use]
-    pub fn bindable_intersections(adapter: &AdapterReport) -> usize {
+    pub fn max_bindable_intersections(adapter: &AdapterReport) -> usize {
         adapter.max_binding_bytes as usize / (SLOT_FLOATS * size_of::<f32>())
     }
 
@@ -345,10 +345,10 @@ impl Rasterizer {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn counts(&self) -> Result<Counts, RenderError> {
-        let counters = self.context.read(&self.counters)?;
+    pub fn counts(&self) -> Result<RasterCounts, RenderError> {
+        let counters = self.device.read(&self.counters)?;
         let intersections = counters[INTERSECTIONS as usize];
-        Ok(Counts {
+        Ok(RasterCounts {
             visible: counters[VISIBLE as usize],
             intersections,
             overflowed: intersections as usize > self.intersections.capacity,
@@ -359,9 +359,9 @@ impl Rasterizer {
     ///
     /// # Errors
     /// [`GpuError::BufferTooLarge`] where the adapter has no room; faults of the device.
-    pub fn grow(&mut self, counts: &Counts) -> Result<(), RenderError> {
+    pub fn grow(&mut self, counts: &RasterCounts) -> Result<(), RenderError> {
         if counts.overflowed {
-            self.make_room(counts.intersections as usize)?;
+            self.reserve(counts.intersections as usize)?;
         }
         Ok(())
     }
@@ -370,23 +370,23 @@ impl Rasterizer {
     ///
     /// # Errors
     /// As [`Rasterizer::grow`].
-    pub fn make_room(&mut self, wanted: usize) -> Result<(), RenderError> {
+    pub fn reserve(&mut self, wanted: usize) -> Result<(), RenderError> {
         self.rendered = None;
         let tile_bits = tile_bits(self.image.tiles);
-        let room = room_for(wanted, Self::bindable_intersections(self.context.adapter()));
-        self.intersections = PerIntersection::new(&self.context, room, tile_bits)?;
+        let room = grown_capacity(wanted, Self::max_bindable_intersections(self.device.adapter()));
+        self.intersections = PerIntersection::new(&self.device, room, tile_bits)?;
         Ok(())
     }
 
     /// Begins with room for `intersections`, whatever scenes usually take; for tests of running out of it.
-    pub fn begin_with_room_for(&mut self, intersections: usize) {
-        self.first_room = Some(intersections);
+    pub fn set_initial_capacity(&mut self, intersections: usize) {
+        self.initial_capacity = Some(intersections);
     }
 
-    /// Not zero on the device from the first forward pass that lacks room until [`Rasterizer::passes`] is asked: what
+    /// Not zero on the device from the first forward pass that lacks room until [`Rasterizer::take_forward_passes`] is asked: what
     /// comes of such passes must change nothing that lasts.
     #[must_use]
-    pub fn void_mark(&self) -> &Buffer<u32> {
+    pub fn overflow_flag(&self) -> &Buffer<u32> {
         &self.counters
     }
 
@@ -395,11 +395,11 @@ impl Rasterizer {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn passes(&self) -> Result<Passes, RenderError> {
-        let counters = self.context.read(&self.counters)?;
-        self.context.write_at(&self.counters, LACKING, &[0_u32; SOUND + 1]);
-        let needed = counters[LACKING] as usize;
-        Ok(Passes { sound: counters[SOUND], lacking: (needed > 0).then_some(needed) })
+    pub fn take_forward_passes(&self) -> Result<ForwardPasses, RenderError> {
+        let counters = self.device.read(&self.counters)?;
+        self.device.write_at(&self.counters, REQUIRED, &[0_u32; COMPLETED + 1]);
+        let needed = counters[REQUIRED] as usize;
+        Ok(ForwardPasses { completed: counters[COMPLETED], required: (needed > 0).then_some(needed) })
     }
 
     /// Records the gradients of a loss whose derivatives by the image (red, green, blue, alpha = 1 - transmittance) are
@@ -430,7 +430,7 @@ impl Rasterizer {
             Some(buffer) => buffer.clone(),
             None => {
                 let len = SLOT_FLOATS * self.intersections.capacity;
-                let buffer = self.context.buffer("gradients of slots", len)?;
+                let buffer = self.device.buffer("gradients of slots", len)?;
                 self.intersections.gradients.insert(buffer).clone()
             }
         };
@@ -484,23 +484,23 @@ impl Rasterizer {
     /// Makes the buffers fit; those that already do are kept.
     fn fit(&mut self, capacity: usize, projection: &Projection) -> Result<(), GpuError> {
         if self.gaussians.capacity != capacity {
-            self.gaussians = PerGaussian::new(&self.context, capacity)?;
+            self.gaussians = PerGaussian::new(&self.device, capacity)?;
         }
-        self.image.fit(&self.context, projection)?;
+        self.image.fit(&self.device, projection)?;
         let tile_bits = tile_bits(self.image.tiles);
-        // `make_room` makes the rest, which is kept.
-        let usual = Self::usual_intersections(self.context.adapter(), capacity);
-        let usual = self.first_room.unwrap_or(usual);
+        // `reserve` makes the rest, which is kept.
+        let usual = Self::default_intersections(self.device.adapter(), capacity);
+        let usual = self.initial_capacity.unwrap_or(usual);
         let intersections = self.intersections.capacity.max(usual);
         if self.intersections.capacity != intersections {
-            self.intersections = PerIntersection::new(&self.context, intersections, tile_bits)?;
+            self.intersections = PerIntersection::new(&self.device, intersections, tile_bits)?;
         }
-        self.intersections.sort_tile.set_bits(&self.context, tile_bits)
+        self.intersections.sort_tile.set_bits(&self.device, tile_bits)
     }
 
     /// Workgroups of 64 for `items`; kernels loop where there are fewer invocations than items.
     fn groups(&self, items: usize) -> u32 {
-        let most = self.context.variant().choose(128, 4096);
+        let most = self.device.variant().choose(128, 4096);
         u32::try_from(items.div_ceil(64)).unwrap_or(most).clamp(1, most)
     }
 
@@ -608,7 +608,7 @@ impl Rasterizer {
 }
 
 /// A quarter more than is wanted, so that growing is rare; but what is to spare must not be what does not fit.
-fn room_for(wanted: usize, bindable: usize) -> usize {
+fn grown_capacity(wanted: usize, bindable: usize) -> usize {
     (wanted + wanted / 4).min(bindable.max(wanted))
 }
 
@@ -643,8 +643,8 @@ mod tests {
 
     #[test]
     fn spare_room_never_makes_what_fits_too_large() {
-        assert_eq!(room_for(1000, 10_000), 1250);
-        assert_eq!(room_for(9_000, 10_000), 10_000, "fits, though a quarter more would not");
-        assert_eq!(room_for(12_000, 10_000), 12_000, "a forward pass alone may still fit");
+        assert_eq!(grown_capacity(1000, 10_000), 1250);
+        assert_eq!(grown_capacity(9_000, 10_000), 10_000, "fits, though a quarter more would not");
+        assert_eq!(grown_capacity(12_000, 10_000), 12_000, "a forward pass alone may still fit");
     }
 }

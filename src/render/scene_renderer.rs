@@ -8,12 +8,12 @@ use std::{
 use super::{
     DepthShader, DeviceAnchors, Gaussians, NeuralGaussians, RasterSettings, Rasterizer, RenderError,
     RenderViews,
-    plain::{DeviceRows, PlainGaussians},
-    views::{ALPHA_SEEN, Plane, PlaneKind, Viewable},
+    plain::{DeviceGaussians, PlainGaussians},
+    views::{MIN_VISIBLE_ALPHA, ScalarImage, ScalarKind, Viewable},
 };
 use crate::{
     domain::{AnchorScene, Background, Camera, Digest, GaussianScene, Image, NearPlane, Problem, Scene},
-    gpu::{AdapterChoice, Context, GpuError, Recorder},
+    gpu::{AdapterChoice, Device, GpuError, Recorder},
     model::{AnchorRows, GaussianRows, NetworkLayout, Shape},
 };
 
@@ -26,8 +26,8 @@ const SCENES_KEPT: usize = 4;
 /// A scene on the device, ready to be rendered.
 #[derive(Debug)]
 pub struct SceneRenderer {
-    context: Arc<Context>,
-    source: Source,
+    device: Arc<Device>,
+    source: SceneBuffers,
     raster: Rasterizer,
     depth: Option<DepthShader>,
     background: Background,
@@ -36,20 +36,20 @@ pub struct SceneRenderer {
 
 /// What a view's Gaussians are made from.
 #[derive(Debug)]
-enum Source {
+enum SceneBuffers {
     Anchors { anchors: DeviceAnchors, neural: Box<NeuralGaussians> },
-    Gaussians { rows: DeviceRows, plain: Box<PlainGaussians> },
+    Gaussians { rows: DeviceGaussians, plain: Box<PlainGaussians> },
 }
 
-impl Source {
+impl SceneBuffers {
     /// Records the making of the Gaussians that `camera` sees.
     fn forward(&mut self, recorder: &mut Recorder<'_>, camera: &Camera) -> Result<&Gaussians, RenderError> {
         match self {
-            Source::Anchors { anchors, neural } => {
+            SceneBuffers::Anchors { anchors, neural } => {
                 neural.forward(recorder, anchors, camera, 0.0)?;
                 Ok(neural.gaussians())
             }
-            Source::Gaussians { rows, plain } => {
+            SceneBuffers::Gaussians { rows, plain } => {
                 plain.forward(recorder, rows, camera)?;
                 Ok(plain.gaussians())
             }
@@ -63,13 +63,13 @@ impl SceneRenderer {
     /// # Errors
     /// [`RenderError::Scene`] for widths or networks that this renderer does not know; faults of the device.
     pub fn of_scene(
-        context: &Arc<Context>,
+        device: &Arc<Device>,
         scene: &Scene,
         background: Background,
     ) -> Result<Self, RenderError> {
         match scene {
-            Scene::Anchors(scene) => Self::new(context, scene, background),
-            Scene::Gaussians(scene) => Self::of_gaussians(context, scene, background),
+            Scene::Anchors(scene) => Self::new(device, scene, background),
+            Scene::Gaussians(scene) => Self::of_gaussians(device, scene, background),
         }
     }
 
@@ -78,14 +78,14 @@ impl SceneRenderer {
     /// # Errors
     /// As [`SceneRenderer::of_scene`].
     pub fn new(
-        context: &Arc<Context>,
+        device: &Arc<Device>,
         scene: &AnchorScene,
         background: Background,
     ) -> Result<Self, RenderError> {
-        let anchors = upload(context, scene)?;
+        let anchors = upload(device, scene)?;
         let (shape, near) = (anchors.shape, scene.near.depth());
-        let neural = Box::new(NeuralGaussians::new(Arc::clone(context), shape, near, scene.unit)?);
-        Self::of_source(context, Source::Anchors { anchors, neural }, background, scene.near)
+        let neural = Box::new(NeuralGaussians::new(Arc::clone(device), shape, near, scene.unit)?);
+        Self::of_source(device, SceneBuffers::Anchors { anchors, neural }, background, scene.near)
     }
 
     /// Uploads plain Gaussians.
@@ -93,27 +93,27 @@ impl SceneRenderer {
     /// # Errors
     /// [`RenderError::Scene`] for a scene whose parts do not fit together; faults of the device.
     pub fn of_gaussians(
-        context: &Arc<Context>,
+        device: &Arc<Device>,
         scene: &GaussianScene,
         background: Background,
     ) -> Result<Self, RenderError> {
         scene.check().map_err(|fault| RenderError::Scene(fault.to_string()))?;
-        let mut plain = PlainGaussians::new(Arc::clone(context), scene.near.depth())?;
+        let mut plain = PlainGaussians::new(Arc::clone(device), scene.near.depth())?;
         plain.set_degree(u32::from(scene.degree))?;
-        let rows = DeviceRows::upload(context, &GaussianRows::from_scene(scene))?;
-        let source = Source::Gaussians { rows, plain: Box::new(plain) };
-        Self::of_source(context, source, background, scene.near)
+        let rows = DeviceGaussians::upload(device, &GaussianRows::from_scene(scene))?;
+        let source = SceneBuffers::Gaussians { rows, plain: Box::new(plain) };
+        Self::of_source(device, source, background, scene.near)
     }
 
     fn of_source(
-        context: &Arc<Context>,
-        source: Source,
+        device: &Arc<Device>,
+        source: SceneBuffers,
         background: Background,
         near: NearPlane,
     ) -> Result<Self, RenderError> {
         let settings = RasterSettings { near: near.depth(), ..RasterSettings::default() };
-        let raster = Rasterizer::new(Arc::clone(context), settings)?;
-        Ok(Self { source, raster, depth: None, background, near, context: Arc::clone(context) })
+        let raster = Rasterizer::new(Arc::clone(device), settings)?;
+        Ok(Self { source, raster, depth: None, background, near, device: Arc::clone(device) })
     }
 
     /// Shows another scene of the same shape, near plane and distance unit from now on; the buffers of rendering are kept.
@@ -121,15 +121,15 @@ impl SceneRenderer {
     /// # Errors
     /// [`RenderError::Scene`] for networks that this renderer does not know or another shape; faults of the device.
     pub fn replace(&mut self, scene: &AnchorScene) -> Result<(), RenderError> {
-        let next = upload(&self.context, scene)?;
+        let next = upload(&self.device, scene)?;
         match &mut self.source {
-            Source::Anchors { anchors, neural }
+            SceneBuffers::Anchors { anchors, neural }
                 if anchors.shape == next.shape && scene.near == self.near && scene.unit == neural.unit() =>
             {
                 *anchors = next;
                 Ok(())
             }
-            Source::Anchors { .. } | Source::Gaussians { .. } => {
+            SceneBuffers::Anchors { .. } | SceneBuffers::Gaussians { .. } => {
                 let fault =
                     "its widths, its near plane or its distance unit are not those of the scene before it";
                 Err(RenderError::Scene(fault.to_owned()))
@@ -156,32 +156,32 @@ impl SceneRenderer {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn plane(&mut self, camera: &Camera, kind: PlaneKind) -> Result<Plane, RenderError> {
-        let pixels = self.blend(camera, kind == PlaneKind::Depth)?;
+    pub fn plane(&mut self, camera: &Camera, kind: ScalarKind) -> Result<ScalarImage, RenderError> {
+        let pixels = self.blend(camera, kind == ScalarKind::Depth)?;
         let value = |[first, _, _, transmittance]: &[f32; 4]| {
             let alpha = (1.0 - transmittance).clamp(0.0, 1.0);
             match kind {
-                PlaneKind::Alpha => alpha,
-                PlaneKind::Depth if alpha >= ALPHA_SEEN => first / alpha,
-                PlaneKind::Depth => 0.0,
+                ScalarKind::Alpha => alpha,
+                ScalarKind::Depth if alpha >= MIN_VISIBLE_ALPHA => first / alpha,
+                ScalarKind::Depth => 0.0,
             }
         };
         let values = pixels.iter().map(value).collect();
-        Ok(Plane { width: camera.intrinsics.width, height: camera.intrinsics.height, values })
+        Ok(ScalarImage { width: camera.intrinsics.width, height: camera.intrinsics.height, values })
     }
 
     /// Blends the colours over the background, or the depths over nothing: three channels and the transmittance.
     fn blend(&mut self, camera: &Camera, depth: bool) -> Result<Vec<[f32; 4]>, RenderError> {
-        let context = Arc::clone(&self.context);
+        let device = Arc::clone(&self.device);
         if depth && self.depth.is_none() {
-            self.depth = Some(DepthShader::new(&context)?);
+            self.depth = Some(DepthShader::new(&device)?);
         }
         loop {
-            let mut recorder = context.recorder("view");
+            let mut recorder = device.recorder("view");
             let gaussians = self.source.forward(&mut recorder, camera)?;
             match &mut self.depth {
                 Some(shader) if depth => {
-                    let deep = shader.forward(&context, &mut recorder, gaussians, camera)?;
+                    let deep = shader.forward(&device, &mut recorder, gaussians, camera)?;
                     self.raster.forward(&mut recorder, &deep, camera, [0.0; 3])?;
                 }
                 _ => self.raster.forward(&mut recorder, gaussians, camera, self.background.rgb())?,
@@ -189,19 +189,19 @@ impl SceneRenderer {
             recorder.submit()?;
             let counts = self.raster.counts()?;
             if !counts.overflowed {
-                return Ok(context.read(self.raster.image())?);
+                return Ok(device.read(self.raster.image())?);
             }
             self.raster.grow(&counts)?;
         }
     }
 }
 
-fn upload(context: &Context, scene: &AnchorScene) -> Result<DeviceAnchors, RenderError> {
+fn upload(device: &Device, scene: &AnchorScene) -> Result<DeviceAnchors, RenderError> {
     Shape::of(scene).check().map_err(RenderError::Scene)?;
     let rows = AnchorRows::from_scene(scene);
     let networks =
         NetworkLayout::new(rows.shape).from_networks(&scene.networks).map_err(RenderError::Scene)?;
-    DeviceAnchors::upload(context, &rows, &networks)
+    DeviceAnchors::upload(device, &rows, &networks)
 }
 
 /// Renders views of many scenes; keeps the latest used on the device, which is opened again after it was lost or hung.
@@ -215,7 +215,7 @@ pub struct SceneViewer {
 
 #[derive(Debug)]
 struct ViewerState {
-    context: Arc<Context>,
+    device: Arc<Device>,
     /// Latest used first.
     kept: Vec<(Digest, SceneRenderer)>,
 }
@@ -236,30 +236,30 @@ impl SceneViewer {
     /// As [`SceneViewer::open`].
     pub fn within(choice: AdapterChoice, budget: u64) -> Result<Self, GpuError> {
         let state = ViewerState::open(&choice, budget)?;
-        let identity = format!("{VERSION} on {}", state.context.adapter_line());
+        let identity = format!("{VERSION} on {}", state.device.adapter_line());
         Ok(Self { choice, identity, budget, state: Mutex::new(state) })
     }
 
     /// Adapter and driver in one line.
     #[must_use]
     pub fn adapter_line(&self) -> String {
-        self.lock().context.adapter_line()
+        self.lock().device.adapter_line()
     }
 
     /// The most that buffers ever took on the device that is open, in bytes.
     #[must_use]
     pub fn peak_bytes(&self) -> u64 {
-        self.lock().context.peak_bytes()
+        self.lock().device.peak_bytes()
     }
 
     /// Loses the device, as a driver reset would; for tests of the recovery.
     pub fn destroy_device(&self) {
-        self.lock().context.destroy();
+        self.lock().device.destroy();
     }
 
     /// Lets the device have no time at all, as if it hung; for tests of the recovery.
     pub fn hang_device(&self) {
-        self.lock().context.set_max_wait(Duration::ZERO);
+        self.lock().device.set_max_wait(Duration::ZERO);
     }
 
     fn lock(&self) -> MutexGuard<'_, ViewerState> {
@@ -270,17 +270,17 @@ impl SceneViewer {
         &self,
         artifact: Digest,
         load: &dyn Fn() -> Result<Viewable, Problem>,
-        draw: Draw<'_, T>,
+        draw: RenderFn<'_, T>,
     ) -> Result<T, Problem> {
         let mut state = self.lock();
-        if state.context.check().is_err() {
+        if state.device.check().is_err() {
             *state = ViewerState::open(&self.choice, self.budget)?;
         }
         match state.draw(artifact, load, draw) {
             // A loss may become known only by the commands that fail for it, and those can be given again. Commands that made
             // the device hang would do so again, and others wait: the next view opens it.
             Err(fault)
-                if matches!(state.context.check(), Err(GpuError::DeviceLost(_) | GpuError::Rejected(_))) =>
+                if matches!(state.device.check(), Err(GpuError::DeviceLost(_) | GpuError::Rejected(_))) =>
             {
                 tracing::warn!("opening the device again: {fault}");
                 *state = ViewerState::open(&self.choice, self.budget)?;
@@ -305,32 +305,32 @@ impl RenderViews for SceneViewer {
         self.draw(artifact, load, &|renderer| renderer.render(camera))
     }
 
-    fn render_plane(
+    fn render_scalars(
         &self,
         artifact: Digest,
         load: &dyn Fn() -> Result<Viewable, Problem>,
         camera: &Camera,
-        kind: PlaneKind,
-    ) -> Result<Plane, Problem> {
+        kind: ScalarKind,
+    ) -> Result<ScalarImage, Problem> {
         self.draw(artifact, load, &|renderer| renderer.plane(camera, kind))
     }
 }
 
 /// What is done with a scene's renderer.
-type Draw<'a, T> = &'a dyn Fn(&mut SceneRenderer) -> Result<T, RenderError>;
+type RenderFn<'a, T> = &'a dyn Fn(&mut SceneRenderer) -> Result<T, RenderError>;
 
 impl ViewerState {
     fn open(choice: &AdapterChoice, budget: u64) -> Result<Self, GpuError> {
-        let context = Context::new(choice)?;
-        context.set_budget_bytes(budget);
-        Ok(Self { context, kept: Vec::new() })
+        let device = Device::new(choice)?;
+        device.set_budget_bytes(budget);
+        Ok(Self { device, kept: Vec::new() })
     }
 
     fn draw<T>(
         &mut self,
         artifact: Digest,
         load: &dyn Fn() -> Result<Viewable, Problem>,
-        draw: Draw<'_, T>,
+        draw: RenderFn<'_, T>,
     ) -> Result<T, Problem> {
         let found = self.kept.iter().position(|(digest, _)| *digest == artifact);
         let mut renderer = found.map(|index| self.kept.remove(index).1);
@@ -343,7 +343,7 @@ impl ViewerState {
                         Some(viewable) => viewable,
                         None => load()?,
                     };
-                    let made = SceneRenderer::of_scene(&self.context, &viewable.scene, viewable.background);
+                    let made = SceneRenderer::of_scene(&self.device, &viewable.scene, viewable.background);
                     loaded = Some(viewable);
                     made.and_then(|made| draw(renderer.insert(made)))
                 }

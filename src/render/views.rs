@@ -11,22 +11,22 @@ pub struct Viewable {
     pub background: Background,
 }
 
-/// What a [`Plane`] tells of each pixel.
+/// What a [`ScalarImage`] tells of each pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum PlaneKind {
+pub enum ScalarKind {
     /// The depth that the pixel expects: the mean, over the Gaussians that it shows and weighted as it shows them, of their
-    /// centres' coordinate along the camera's axis, in world units. 0 where alpha is below [`ALPHA_SEEN`].
+    /// centres' coordinate along the camera's axis, in world units. 0 where alpha is below [`MIN_VISIBLE_ALPHA`].
     Depth,
     /// How much of the background is covered, from 0 to 1.
     Alpha,
 }
 
 /// Alpha below which a pixel shows nothing: one step of eight bits.
-pub const ALPHA_SEEN: f32 = 1.0 / 255.0;
+pub const MIN_VISIBLE_ALPHA: f32 = 1.0 / 255.0;
 
 /// One number a pixel, row by row from the top.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Plane {
+pub struct ScalarImage {
     /// Width in pixels.
     pub width: u32,
     /// Height in pixels.
@@ -57,11 +57,11 @@ pub trait RenderViews: Send + Sync + 'static {
     ///
     /// # Errors
     /// As [`RenderViews::render`].
-    fn render_plane(
+    fn render_scalars(
         &self,
         artifact: Digest,
         load: &dyn Fn() -> Result<Viewable, Problem>,
         camera: &Camera,
-        kind: PlaneKind,
-    ) -> Result<Plane, Problem>;
+        kind: ScalarKind,
+    ) -> Result<ScalarImage, Problem>;
 }

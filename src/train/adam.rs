@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+use crate::gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
 
 const BETAS: [f64; 2] = [0.9, 0.999];
 const EPSILON: f32 = 1e-15;
@@ -27,10 +27,10 @@ impl Moments {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn zero(context: &Context, len: usize) -> Result<Self, GpuError> {
+    pub fn zero(device: &Device, len: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            first: context.buffer("first moments", len)?,
-            second: context.buffer("second moments", len)?,
+            first: device.buffer("first moments", len)?,
+            second: device.buffer("second moments", len)?,
         })
     }
 
@@ -38,10 +38,10 @@ impl Moments {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn upload(context: &Context, first: &[f32], second: &[f32]) -> Result<Self, GpuError> {
+    pub fn upload(device: &Device, first: &[f32], second: &[f32]) -> Result<Self, GpuError> {
         Ok(Self {
-            first: context.upload("first moments", first)?,
-            second: context.upload("second moments", second)?,
+            first: device.upload("first moments", first)?,
+            second: device.upload("second moments", second)?,
         })
     }
 }
@@ -57,11 +57,11 @@ impl Adam {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn new(context: &Context) -> Result<Self, GpuError> {
-        Ok(Self { kernel: context.kernel(kernel_source!("adam"), &[])? })
+    pub fn new(device: &Device) -> Result<Self, GpuError> {
+        Ok(Self { kernel: device.kernel(kernel_source!("adam"), &[])? })
     }
 
-    /// Records step `t` (from 1), which does nothing if `void_mark` is set by then. Element i learns at
+    /// Records step `t` (from 1), which does nothing if `overflow_flag` is set by then. Element i learns at
     /// `rates[i % rates.len()]`.
     ///
     /// # Errors
@@ -71,7 +71,7 @@ impl Adam {
         &self,
         recorder: &mut Recorder<'_>,
         t: u32,
-        void_mark: &Buffer<u32>,
+        overflow_flag: &Buffer<u32>,
         rates: &Buffer<f32>,
         gradients: &Buffer<f32>,
         values: &Buffer<f32>,
@@ -93,7 +93,7 @@ impl Adam {
                 values.as_ref(),
                 moments.first.as_ref(),
                 moments.second.as_ref(),
-                void_mark.as_ref(),
+                overflow_flag.as_ref(),
             ],
             values.len().div_ceil(4 * 64) as u32,
         );

@@ -216,8 +216,8 @@ impl<'a> Needs<'a> {
     fn pairs(&self, gaussians: usize) -> usize {
         let tiles = self.largest.map(|side| side.div_ceil(16) as usize);
         let assumed =
-            (tiles[0] * tiles[1] * PAIRS_A_TILE).min(Rasterizer::bindable_intersections(self.adapter));
-        Rasterizer::usual_intersections(self.adapter, gaussians).max(assumed)
+            (tiles[0] * tiles[1] * PAIRS_A_TILE).min(Rasterizer::max_bindable_intersections(self.adapter));
+        Rasterizer::default_intersections(self.adapter, gaussians).max(assumed)
     }
 
     /// The largest run that `budget` allows: the schedule's, or one that stops growing earlier but still holds what the points

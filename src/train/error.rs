@@ -42,7 +42,7 @@ pub enum TrainError {
     Checkpoint(#[from] CheckpointError),
     /// The context model cannot be what it was asked to be.
     #[error(transparent)]
-    Context(#[from] ContextError),
+    Device(#[from] ContextError),
     /// Somebody asked for a stop.
     #[error("cancelled")]
     Cancelled,

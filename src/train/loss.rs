@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use super::WaveletWeights;
-use crate::gpu::{AdapterReport, Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+use crate::gpu::{AdapterReport, Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
 
 /// Weight of the SSIM part; L1 has the rest.
 const SSIM_WEIGHT: f64 = 0.2;
@@ -121,27 +121,27 @@ struct Fields {
 }
 
 impl Fields {
-    fn new(context: &Context, division: Division) -> Result<Self, GpuError> {
+    fn new(device: &Device, division: Division) -> Result<Self, GpuError> {
         Ok(Self {
             division,
-            photograph: context.buffer("photograph", division.pixels())?,
-            moments: context.buffer("SSIM moments", division.field())?,
-            derivatives: context.buffer("SSIM derivatives", division.field())?,
-            losses: context.buffer("losses", division.most_shares())?,
-            sums: context.buffer("loss sums", division.sums())?,
-            gradient: context.buffer("image gradient", division.pixels())?,
+            photograph: device.buffer("photograph", division.pixels())?,
+            moments: device.buffer("SSIM moments", division.field())?,
+            derivatives: device.buffer("SSIM derivatives", division.field())?,
+            losses: device.buffer("losses", division.most_shares())?,
+            sums: device.buffer("loss sums", division.sums())?,
+            gradient: device.buffer("image gradient", division.pixels())?,
         })
     }
 
     /// For images of another size; buffers that have room for it are kept.
-    fn fit(&mut self, context: &Context, division: Division) -> Result<(), GpuError> {
+    fn fit(&mut self, device: &Device, division: Division) -> Result<(), GpuError> {
         self.division = division;
-        context.resize(&mut self.photograph, "photograph", division.pixels())?;
-        context.resize(&mut self.moments, "SSIM moments", division.field())?;
-        context.resize(&mut self.derivatives, "SSIM derivatives", division.field())?;
-        context.resize(&mut self.losses, "losses", division.most_shares())?;
-        context.resize(&mut self.sums, "loss sums", division.sums())?;
-        context.resize(&mut self.gradient, "image gradient", division.pixels())
+        device.resize(&mut self.photograph, "photograph", division.pixels())?;
+        device.resize(&mut self.moments, "SSIM moments", division.field())?;
+        device.resize(&mut self.derivatives, "SSIM derivatives", division.field())?;
+        device.resize(&mut self.losses, "losses", division.most_shares())?;
+        device.resize(&mut self.sums, "loss sums", division.sums())?;
+        device.resize(&mut self.gradient, "image gradient", division.pixels())
     }
 }
 
@@ -175,7 +175,7 @@ impl LossSums {
 /// Compares renders with photographs.
 #[derive(Debug)]
 pub struct ImageLoss {
-    context: Arc<Context>,
+    device: Arc<Device>,
     kernels: Kernels,
     run: u32,
     fields: Option<Fields>,
@@ -186,24 +186,24 @@ impl ImageLoss {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn new(context: Arc<Context>) -> Result<Self, GpuError> {
-        let run = Self::run(context.adapter());
-        Self::with_run(context, run)
+    pub fn new(device: Arc<Device>) -> Result<Self, GpuError> {
+        let run = Self::run(device.adapter());
+        Self::with_run(device, run)
     }
 
     /// As [`ImageLoss::new`], with invocations that make `run` pixels in line, a multiple of 4.
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn with_run(context: Arc<Context>, run: u32) -> Result<Self, GpuError> {
+    pub fn with_run(device: Arc<Device>, run: u32) -> Result<Self, GpuError> {
         let kernels = Kernels {
-            rows: context.kernel(kernel_source!("ssim_rows"), &[])?,
-            columns: context.kernel(kernel_source!("ssim_columns"), &[])?,
-            gradient: context.kernel(kernel_source!("image_gradient"), &[])?,
-            wavelet: context.kernel(kernel_source!("wavelet"), &[])?,
-            sums: context.kernel(kernel_source!("sum_losses"), &[])?,
+            rows: device.kernel(kernel_source!("ssim_rows"), &[])?,
+            columns: device.kernel(kernel_source!("ssim_columns"), &[])?,
+            gradient: device.kernel(kernel_source!("image_gradient"), &[])?,
+            wavelet: device.kernel(kernel_source!("wavelet"), &[])?,
+            sums: device.kernel(kernel_source!("sum_losses"), &[])?,
         };
-        Ok(Self { context, kernels, run, fields: None })
+        Ok(Self { device, kernels, run, fields: None })
     }
 
     /// A run is made with what lies up to ten pixels before and after it, so long ones repeat less work; hardware wants many
@@ -241,10 +241,10 @@ impl ImageLoss {
         let division = Division { size, run: self.run };
         let fields = match &mut self.fields {
             Some(fields) => {
-                fields.fit(&self.context, division)?;
+                fields.fit(&self.device, division)?;
                 fields
             }
-            none => none.insert(Fields::new(&self.context, division)?),
+            none => none.insert(Fields::new(&self.device, division)?),
         };
         recorder.write(&fields.photograph, photograph);
         let samples = (3 * division.pixels()) as f64;
@@ -299,7 +299,7 @@ impl ImageLoss {
     /// Faults of the device.
     pub fn sums(&self) -> Result<Option<LossSums>, GpuError> {
         let Some(fields) = &self.fields else { return Ok(None) };
-        let sums = self.context.read(&fields.sums)?;
+        let sums = self.device.read(&fields.sums)?;
         let samples = (3 * fields.division.pixels()) as f64;
         let sum = |part: usize| sums.iter().map(|run| f64::from(run[part])).sum::<f64>();
         let mean = |part: usize| sum(part) / samples;

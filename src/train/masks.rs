@@ -13,7 +13,7 @@ use super::{
     context::{AnchorSample, RateTerm},
 };
 use crate::{
-    gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
+    gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
     model::Shape,
     render::{DeviceAnchors, NeuralGaussians, RenderError},
 };
@@ -79,18 +79,18 @@ impl OffsetMasks {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn upload(context: &Context, shape: Shape, rows: &MaskRows) -> Result<Self, GpuError> {
+    pub fn upload(device: &Device, shape: Shape, rows: &MaskRows) -> Result<Self, GpuError> {
         let defs = shape.defs();
         Ok(Self {
             kernels: Kernels {
-                mask_loss: context.kernel(kernel_source!("mask_loss"), &defs)?,
-                mask_gradient: context.kernel(kernel_source!("mask_gradient"), &defs)?,
-                mask_bits: context.kernel(kernel_source!("mask_bits"), &defs)?,
-                mask_rate: context.kernel(kernel_source!("mask_rate"), &defs)?,
+                mask_loss: device.kernel(kernel_source!("mask_loss"), &defs)?,
+                mask_gradient: device.kernel(kernel_source!("mask_gradient"), &defs)?,
+                mask_bits: device.kernel(kernel_source!("mask_bits"), &defs)?,
+                mask_rate: device.kernel(kernel_source!("mask_rate"), &defs)?,
             },
-            logits: context.upload("mask logits", &rows.logits)?,
-            gradients: context.buffer("gradients of mask logits", rows.logits.len())?,
-            moments: Moments::upload(context, &rows.first, &rows.second)?,
+            logits: device.upload("mask logits", &rows.logits)?,
+            gradients: device.buffer("gradients of mask logits", rows.logits.len())?,
+            moments: Moments::upload(device, &rows.first, &rows.second)?,
         })
     }
 
@@ -98,11 +98,11 @@ impl OffsetMasks {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn read(&self, context: &Context) -> Result<MaskRows, GpuError> {
+    pub fn read(&self, device: &Device) -> Result<MaskRows, GpuError> {
         Ok(MaskRows {
-            logits: context.read(&self.logits)?,
-            first: context.read(&self.moments.first)?,
-            second: context.read(&self.moments.second)?,
+            logits: device.read(&self.logits)?,
+            first: device.read(&self.moments.first)?,
+            second: device.read(&self.moments.second)?,
         })
     }
 
@@ -171,7 +171,7 @@ impl OffsetMasks {
         Ok(())
     }
 
-    /// Records step `t` (from 1) of the optimiser with the last gradients, which does nothing if `void_mark` is set by then, and
+    /// Records step `t` (from 1) of the optimiser with the last gradients, which does nothing if `overflow_flag` is set by then, and
     /// the masks that follow from the logits: an offset makes Gaussians while its logit is above `level`.
     ///
     /// # Errors
@@ -182,13 +182,13 @@ impl OffsetMasks {
         recorder: &mut Recorder<'_>,
         adam: &Adam,
         t: u32,
-        void_mark: &Buffer<u32>,
+        overflow_flag: &Buffer<u32>,
         rate: f32,
         level: f32,
         anchors: &DeviceAnchors,
     ) -> Result<(), GpuError> {
         let rates = recorder.uniform(&[rate])?;
-        adam.step(recorder, t, void_mark, &rates, &self.gradients, &self.logits, &self.moments)?;
+        adam.step(recorder, t, overflow_flag, &rates, &self.gradients, &self.logits, &self.moments)?;
         let settings = recorder
             .uniform(&[[level, 0.0, 0.0, 0.0], [f32::from_bits(anchors.count as u32), 0.0, 0.0, 0.0]])?;
         recorder.dispatch(

@@ -67,14 +67,14 @@ pub(super) trait Learner {
     /// Where the rasteriser is to write the loss's gradients by them.
     fn gaussian_gradients(&mut self) -> Result<GaussianGradients, TrainError>;
 
-    /// Records the gradients by the parameters, the statistics that growth goes by, and the optimiser's step. If `void_mark` is
+    /// Records the gradients by the parameters, the statistics that growth goes by, and the optimiser's step. If `overflow_flag` is
     /// set by the time that these are run, the step will be done again: then nothing of it may last.
     fn backward(
         &mut self,
         recorder: &mut Recorder<'_>,
         camera: &Camera,
         step: &Step,
-        void_mark: &Buffer<u32>,
+        overflow_flag: &Buffer<u32>,
     ) -> Result<(), TrainError>;
 
     /// Whether the schedule wants [`Learner::adapt`] after a step.

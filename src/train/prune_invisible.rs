@@ -3,7 +3,7 @@
 use super::TrainError;
 use crate::{
     domain::{CancelFlag, Frame},
-    gpu::Context,
+    gpu::Device,
     model::AnchorRows,
     render::{DeviceAnchors, NeuralGaussians},
 };
@@ -17,9 +17,9 @@ const LEAST_OPACITY: f32 = 1.0 / 255.0;
 /// # Errors
 /// [`TrainError::Cancelled`] before the next view once a stop was asked for; faults of the device.
 pub(super) fn mask_unused(
-    context: &Context,
+    device: &Device,
     neural: &mut NeuralGaussians,
-    device: &DeviceAnchors,
+    device_anchors: &DeviceAnchors,
     anchors: &mut AnchorRows,
     frames: &[&Frame],
     cancel: &CancelFlag,
@@ -30,8 +30,8 @@ pub(super) fn mask_unused(
         if cancel.is_cancelled() {
             return Err(TrainError::Cancelled);
         }
-        let mut recorder = context.recorder("offsets in use");
-        neural.forward(&mut recorder, device, &frame.camera, 0.0)?;
+        let mut recorder = device.recorder("offsets in use");
+        neural.forward(&mut recorder, device_anchors, &frame.camera, 0.0)?;
         recorder.submit()?;
         let (list, opacities) = neural.visible_opacities()?;
         for (anchor, opacities) in list.iter().zip(opacities.chunks_exact(offsets)) {

@@ -21,7 +21,7 @@ use crate::{
         problem::{Fault, internal},
         state::{AppState, Services},
     },
-    render::views::{PlaneKind, Viewable},
+    render::views::{ScalarKind, Viewable},
 };
 
 /// Size that a picture is taken to have, to size the cache's table.
@@ -171,12 +171,12 @@ fn render(services: &Services, runtime: &Handle, shot: &Shot) -> Result<(Rendere
         viewable
     };
     let (renderer, camera) = (&services.renderer, &shot.camera);
-    let plane = |kind| renderer.render_plane(shot.artifact, &load, camera, kind);
+    let plane = |kind| renderer.render_scalars(shot.artifact, &load, camera, kind);
     let began = Instant::now();
     let rendered = match shot.kind.output {
         Output::Color => Rendered::Color(renderer.render(shot.artifact, &load, camera)?),
-        Output::Depth => Rendered::Depth(plane(PlaneKind::Depth)?),
-        Output::Alpha => Rendered::Alpha(plane(PlaneKind::Alpha)?),
+        Output::Depth => Rendered::Depth(plane(ScalarKind::Depth)?),
+        Output::Alpha => Rendered::Alpha(plane(ScalarKind::Alpha)?),
     };
     let render = began.elapsed().saturating_sub(loaded.get());
     Ok((rendered, Timing { load: loaded.get(), render, ..Timing::default() }))

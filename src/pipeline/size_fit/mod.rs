@@ -25,7 +25,7 @@ use crate::{
     codec::{ContextChoice, ContextSearch, Encoded},
     domain::{AnchorScene, AttributeGroup, Background, ByteBudget, Frame, GroupOctaves, Problem},
     eval::{mean_scores, measure_views, removal_costs},
-    gpu::Context,
+    gpu::Device,
     render::SceneRenderer,
 };
 
@@ -43,7 +43,7 @@ const MAX_LOSS: f64 = 3.0;
 
 /// The scene to fit into a target size, and the views that measure its quality.
 pub(super) struct SizeFit<'a> {
-    pub(super) device: &'a Arc<Context>,
+    pub(super) device: &'a Arc<Device>,
     /// The trained scene.
     pub(super) scene: &'a AnchorScene,
     /// Its quantisation steps without a target size: features, scalings in world units, offsets.

@@ -7,7 +7,7 @@ use crate::{gpu::twin::scan, render::TILE};
 
 /// The tiles' lists and the slots of each Gaussian.
 #[derive(Debug, Clone, Default)]
-pub struct Lists {
+pub struct TileLists {
     /// Tiles that each Gaussian touches.
     pub tiles: Vec<u32>,
     /// First slot of each Gaussian; its slots follow one another.
@@ -93,7 +93,7 @@ pub fn tile_ranges(tiles: usize, sorted: &[u32]) -> Vec<[u32; 2]> {
 
 /// All of it.
 #[must_use]
-pub fn tile_lists(projection: &Projection, splats: &[Option<Splat>]) -> Lists {
+pub fn tile_lists(projection: &Projection, splats: &[Option<Splat>]) -> TileLists {
     let tiles: Vec<u32> = splats
         .iter()
         .map(|splat| splat.as_ref().map_or(0, |splat| tiles_of(projection, splat).len() as u32))
@@ -110,5 +110,5 @@ pub fn tile_lists(projection: &Projection, splats: &[Option<Splat>]) -> Lists {
     let sorted: Vec<u32> = slots.iter().map(|slot| pairs[*slot as usize].0).collect();
     let count = projection.tiles().element_product() as usize;
     let slot_ids = pairs.into_iter().map(|(_, id)| id).collect();
-    Lists { tiles, first_slots, slot_ids, slots, ranges: tile_ranges(count, &sorted) }
+    TileLists { tiles, first_slots, slot_ids, slots, ranges: tile_ranges(count, &sorted) }
 }

@@ -13,11 +13,11 @@ mod raster_forward;
 use glam::{DVec2, DVec3};
 
 pub use depth::shade_depth;
-pub use lists::{Lists, compact, emit, tile_counts, tile_lists, tile_ranges, touches};
+pub use lists::{TileLists, compact, emit, tile_counts, tile_lists, tile_ranges, touches};
 pub use project::{project, rotation};
 pub use project_backward::project_backward;
 pub use raster_backward::{gather, raster_backward};
-pub use raster_forward::{Frame, raster_forward};
+pub use raster_forward::{BlendedImage, raster_forward};
 
 use super::Projection;
 
@@ -107,9 +107,9 @@ pub struct Rendering {
     /// One for each Gaussian; none where culled.
     pub splats: Vec<Option<Splat>>,
     /// The tiles' lists.
-    pub lists: Lists,
+    pub lists: TileLists,
     /// The image.
-    pub frame: Frame,
+    pub frame: BlendedImage,
 }
 
 /// The forward pass.

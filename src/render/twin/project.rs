@@ -18,7 +18,7 @@ pub fn rotation(quat: [f64; 4]) -> DMat3 {
 
 /// What both directions of the projection compute: camera position, slopes inside the Jacobian, its rows in world axes,
 /// and their products with the Gaussian's scaled axes.
-pub(super) struct Footprint {
+pub(super) struct ProjectedCovariance {
     pub(super) position: DVec3,
     pub(super) slope: DVec2,
     pub(super) rows: [DVec3; 2],
@@ -26,7 +26,7 @@ pub(super) struct Footprint {
     pub(super) products: [DVec3; 2],
 }
 
-impl Footprint {
+impl ProjectedCovariance {
     pub(super) fn new(projection: &Projection, gaussian: &Gaussian) -> Self {
         let view = projection.rotation;
         let position = view * gaussian.mean + projection.translation;
@@ -49,7 +49,7 @@ impl Footprint {
 }
 
 /// The square of the least compensation that antialiasing applies.
-pub(super) const LEAST_RATIO: f64 = 0.005 * 0.005;
+pub(super) const MIN_RATIO: f64 = 0.005 * 0.005;
 
 /// The Gaussian on the image plane, or `None` where it is culled before any tile is looked at.
 #[must_use]
@@ -60,15 +60,15 @@ pub fn project(projection: &Projection, gaussian: &Gaussian, cutoffs: Cutoffs) -
     if !finite || !numbers.all(f64::is_finite) || norm <= 1e-30 {
         return None;
     }
-    let footprint = Footprint::new(projection, gaussian);
-    let position = footprint.position;
+    let projected = ProjectedCovariance::new(projection, gaussian);
+    let position = projected.position;
     if position.z <= projection.near {
         return None;
     }
-    let (covariance, determinant, sharp) = footprint.covariance(projection.low_pass);
+    let (covariance, determinant, sharp) = projected.covariance(projection.low_pass);
     let mut opacity = gaussian.opacity;
     if projection.antialiased {
-        opacity *= (sharp / determinant).max(LEAST_RATIO).sqrt();
+        opacity *= (sharp / determinant).max(MIN_RATIO).sqrt();
     }
     if opacity < cutoffs.alpha {
         return None;

@@ -4,14 +4,14 @@ use glam::{DMat2, DMat3, DVec2, DVec3};
 
 use super::{
     Gaussian, GaussianGradient, Projection, SplatGradient,
-    project::{Footprint, LEAST_RATIO},
+    project::{MIN_RATIO, ProjectedCovariance},
 };
 
 /// Gradients by the Gaussian from those by its splat.
 #[must_use]
 pub fn project_backward(projection: &Projection, gaussian: &Gaussian, v: &SplatGradient) -> GaussianGradient {
-    let footprint = Footprint::new(projection, gaussian);
-    let (covariance, determinant, sharp) = footprint.covariance(projection.low_pass);
+    let projected = ProjectedCovariance::new(projection, gaussian);
+    let (covariance, determinant, sharp) = projected.covariance(projection.low_pass);
     let conic = DMat2::from_cols_array(&[covariance.z, -covariance.y, -covariance.y, covariance.x])
         * determinant.recip();
 
@@ -21,9 +21,9 @@ pub fn project_backward(projection: &Projection, gaussian: &Gaussian, v: &SplatG
     let mut v_opacity = v.opacity;
     if projection.antialiased {
         let ratio = sharp / determinant;
-        let compensation = ratio.max(LEAST_RATIO).sqrt();
+        let compensation = ratio.max(MIN_RATIO).sqrt();
         v_opacity *= compensation;
-        if ratio > LEAST_RATIO {
+        if ratio > MIN_RATIO {
             let v_ratio = v.opacity * gaussian.opacity / (2.0 * compensation);
             v_covariance +=
                 v_ratio * ((1.0 - ratio) * conic - projection.low_pass / determinant * DMat2::IDENTITY);
@@ -31,14 +31,14 @@ pub fn project_backward(projection: &Projection, gaussian: &Gaussian, v: &SplatG
     }
 
     // C = N Nᵀ, N = rows · axes · diag(scale).
-    let [nu, nv] = footprint.products;
+    let [nu, nv] = projected.products;
     let v_products = [
         2.0 * (v_covariance.x_axis.x * nu + v_covariance.x_axis.y * nv),
         2.0 * (v_covariance.x_axis.y * nu + v_covariance.y_axis.y * nv),
     ];
-    let rows = footprint.rows;
+    let rows = projected.rows;
     let v_axes = [0, 1, 2].map(|k| v_products[0][k] * rows[0] + v_products[1][k] * rows[1]);
-    let scale = DVec3::from([0, 1, 2].map(|k| footprint.axes[k].dot(v_axes[k])));
+    let scale = DVec3::from([0, 1, 2].map(|k| projected.axes[k].dot(v_axes[k])));
     let d = DMat3::from_cols(
         gaussian.scale.x * v_axes[0],
         gaussian.scale.y * v_axes[1],
@@ -47,8 +47,8 @@ pub fn project_backward(projection: &Projection, gaussian: &Gaussian, v: &SplatG
     let quat = quat_gradient(gaussian.quat, &d);
 
     let v_rows = [0, 1]
-        .map(|i| (0..3).map(|k| v_products[i][k] * gaussian.scale[k] * footprint.axes[k]).sum::<DVec3>());
-    let mean = mean_gradient(projection, &footprint, v_rows, v.center);
+        .map(|i| (0..3).map(|k| v_products[i][k] * gaussian.scale[k] * projected.axes[k]).sum::<DVec3>());
+    let mean = mean_gradient(projection, &projected, v_rows, v.center);
     GaussianGradient { mean, opacity: v_opacity, scale, quat, color: v.color }
 }
 
@@ -75,24 +75,24 @@ fn quat_gradient(quat: [f64; 4], d: &DMat3) -> [f64; 4] {
 /// By the world position, from the gradients by the Jacobian's rows in world axes and by the projected centre.
 fn mean_gradient(
     projection: &Projection,
-    footprint: &Footprint,
+    projected: &ProjectedCovariance,
     v_rows: [DVec3; 2],
     v_center: DVec2,
 ) -> DVec3 {
     let view = projection.rotation;
-    let position = footprint.position;
+    let position = projected.position;
     let mut v_position = DVec3::ZERO;
     for i in 0..2 {
         let (along, depth) = (v_rows[i].dot(view.row(i)), v_rows[i].dot(view.row(2)));
         let per_depth = projection.focal[i] / (position.z * position.z);
         // Where the slope is clamped it does not move with the position, and its share of the depth is one, not two.
-        let free = footprint.slope[i] == position[i] / position.z;
+        let free = projected.slope[i] == position[i] / position.z;
         v_position[i] += projection.focal[i] / position.z * v_center[i];
         if free {
             v_position[i] -= per_depth * depth;
         }
         let share = if free { 2.0 } else { 1.0 };
-        v_position.z += per_depth * (share * footprint.slope[i] * depth - along - position[i] * v_center[i]);
+        v_position.z += per_depth * (share * projected.slope[i] * depth - along - position[i] * v_center[i]);
     }
     view.transpose() * v_position
 }

@@ -2,7 +2,7 @@
 
 use glam::{DVec2, DVec3};
 
-use super::{ALPHA_MAX, Cutoffs, Lists, Projection, Rendering, SplatGradient, raster_forward};
+use super::{ALPHA_MAX, Cutoffs, Projection, Rendering, SplatGradient, TileLists, raster_forward};
 
 /// The gradient of each slot from those by the image (red, green, blue, alpha).
 #[must_use]
@@ -22,19 +22,21 @@ pub fn raster_backward(
         let mut transmittance = 1.0;
         for slot in lists.slots[range].iter().take(frame.last[i] as usize) {
             let Some(splat) = &splats[lists.slot_ids[*slot as usize] as usize] else { continue };
-            let Some(meeting) = raster_forward::Meeting::new(splat, center, cutoffs) else { continue };
-            let alpha = meeting.alpha();
+            let Some(contribution) = raster_forward::Contribution::new(splat, center, cutoffs) else {
+                continue;
+            };
+            let alpha = contribution.alpha();
             let weight = alpha * transmittance;
             let value = v_color.dot(splat.color) + v_alpha;
             remainder -= weight * value;
             let slope = transmittance * value - remainder / (1.0 - alpha);
             transmittance *= 1.0 - alpha;
-            let v_raw = if meeting.raw > ALPHA_MAX { 0.0 } else { slope };
-            let v_power = -meeting.raw * v_raw;
-            let d = meeting.offset;
+            let v_raw = if contribution.raw > ALPHA_MAX { 0.0 } else { slope };
+            let v_power = -contribution.raw * v_raw;
+            let d = contribution.offset;
             let sums = &mut slots[*slot as usize];
             sums.color += weight * v_color;
-            sums.opacity += meeting.falloff * v_raw;
+            sums.opacity += contribution.falloff * v_raw;
             sums.conic += v_power * DVec3::new(0.5 * d.x * d.x, d.x * d.y, 0.5 * d.y * d.y);
             sums.center += v_power
                 * DVec2::new(
@@ -48,7 +50,7 @@ pub fn raster_backward(
 
 /// Sums each Gaussian's slots in order.
 #[must_use]
-pub fn gather(lists: &Lists, slots: &[SplatGradient]) -> Vec<SplatGradient> {
+pub fn gather(lists: &TileLists, slots: &[SplatGradient]) -> Vec<SplatGradient> {
     let mut sums = vec![SplatGradient::default(); lists.tiles.len()];
     for (sum, (first, count)) in sums.iter_mut().zip(lists.first_slots.iter().zip(&lists.tiles)) {
         for slot in &slots[*first as usize..(*first + *count) as usize] {

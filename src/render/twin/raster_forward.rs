@@ -2,12 +2,12 @@
 
 use glam::{DVec2, DVec3};
 
-use super::{ALPHA_MAX, Cutoffs, Lists, Projection, Splat};
+use super::{ALPHA_MAX, Cutoffs, Projection, Splat, TileLists};
 use crate::render::TILE;
 
 /// An image with what the backward pass needs of it.
 #[derive(Debug, Clone, Default)]
-pub struct Frame {
+pub struct BlendedImage {
     /// Colour over the background, and the transmittance left; row by row.
     pub image: Vec<[f64; 4]>,
     /// One more than the place in the tile's list of the last Gaussian that each pixel took.
@@ -15,7 +15,7 @@ pub struct Frame {
 }
 
 /// How a splat meets a pixel.
-pub(super) struct Meeting {
+pub(super) struct Contribution {
     /// From the pixel's centre to the splat's.
     pub(super) offset: DVec2,
     /// exp(-power).
@@ -24,7 +24,7 @@ pub(super) struct Meeting {
     pub(super) raw: f64,
 }
 
-impl Meeting {
+impl Contribution {
     /// `None` where the splat is skipped.
     pub(super) fn new(splat: &Splat, pixel: DVec2, cutoffs: Cutoffs) -> Option<Self> {
         let offset = splat.center - pixel;
@@ -41,7 +41,7 @@ impl Meeting {
 }
 
 /// The centre of a pixel and the list of its tile.
-pub(super) fn pixel(projection: &Projection, lists: &Lists, i: usize) -> (DVec2, std::ops::Range<usize>) {
+pub(super) fn pixel(projection: &Projection, lists: &TileLists, i: usize) -> (DVec2, std::ops::Range<usize>) {
     let (x, y) = (i as u32 % projection.size.x, i as u32 / projection.size.x);
     let [begin, end] = lists.ranges[(y / TILE * projection.tiles().x + x / TILE) as usize];
     (DVec2::new(f64::from(x), f64::from(y)) + 0.5, begin as usize..end as usize)
@@ -52,11 +52,11 @@ pub(super) fn pixel(projection: &Projection, lists: &Lists, i: usize) -> (DVec2,
 pub fn raster_forward(
     projection: &Projection,
     splats: &[Option<Splat>],
-    lists: &Lists,
+    lists: &TileLists,
     background: DVec3,
     cutoffs: Cutoffs,
-) -> Frame {
-    let mut frame = Frame::default();
+) -> BlendedImage {
+    let mut frame = BlendedImage::default();
     for i in 0..projection.size.element_product() as usize {
         let (center, range) = pixel(projection, lists, i);
         let mut color = DVec3::ZERO;
@@ -64,12 +64,12 @@ pub fn raster_forward(
         let mut last = 0;
         for (slot, place) in lists.slots[range].iter().zip(1..) {
             let Some(splat) = &splats[lists.slot_ids[*slot as usize] as usize] else { continue };
-            let Some(meeting) = Meeting::new(splat, center, cutoffs) else { continue };
-            let next = transmittance * (1.0 - meeting.alpha());
+            let Some(contribution) = Contribution::new(splat, center, cutoffs) else { continue };
+            let next = transmittance * (1.0 - contribution.alpha());
             if next <= cutoffs.transmittance {
                 break;
             }
-            color += meeting.alpha() * transmittance * splat.color;
+            color += contribution.alpha() * transmittance * splat.color;
             transmittance = next;
             last = place;
         }

@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{
     domain::{AnchorScene, Camera, CancelFlag, DistanceUnit, Frame, Lattice, NearPlane, Scene},
-    gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
+    gpu::{AdapterReport, Buffer, Device, Recorder, buffer_bytes},
     model::{AnchorRows, MAX_CELL, NetworkLayout, Shape, initial_rows},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians},
 };
@@ -32,14 +32,14 @@ const OTHER_BYTES: f64 = 600.0;
 
 /// Anchors, networks, and what their optimiser and their growth remember.
 pub(super) struct AnchorLearner {
-    context: Arc<Context>,
+    device: Arc<Device>,
     schedule: Schedule,
     shape: Shape,
     extent: f32,
     layout: NetworkLayout,
     owners: Vec<u8>,
     anchors: AnchorRows,
-    device: DeviceAnchors,
+    device_anchors: DeviceAnchors,
     gradients: AnchorGradients,
     row_moments: Moments,
     network_moments: Moments,
@@ -83,7 +83,7 @@ fn unit_of(state: &mut LearnerState) -> Result<DistanceUnit, CheckpointError> {
 impl AnchorLearner {
     /// Anchors at `points` and fresh networks, which are told distances in `unit`; `extent` is the scene's, in world units.
     pub(super) fn begin(
-        context: &Arc<Context>,
+        device: &Arc<Device>,
         schedule: Schedule,
         points: &[[f32; 3]],
         extent: f32,
@@ -101,7 +101,7 @@ impl AnchorLearner {
         let parts = Parts {
             unit,
             networks: [networks, zeros(parameters), zeros(parameters)],
-            compression: compression.map(|schedule| Compression::begin(context, schedule, shape)),
+            compression: compression.map(|schedule| Compression::begin(device, schedule, shape)),
             statistics: Statistics::zero(shape, anchors.len()),
             state: Trainable {
                 first: zeros(anchors.values.len()),
@@ -110,12 +110,12 @@ impl AnchorLearner {
                 anchors,
             },
         };
-        Self::assemble(context, schedule, extent, parts)
+        Self::assemble(device, schedule, extent, parts)
     }
 
     /// The learner that [`Learner::save`] was asked of.
     pub(super) fn resume(
-        context: &Arc<Context>,
+        device: &Arc<Device>,
         schedule: Schedule,
         extent: f32,
         mut state: LearnerState,
@@ -171,14 +171,14 @@ impl AnchorLearner {
         };
         if let Some(schedule) = &schedule.compression {
             let anchors = &parts.state.anchors;
-            parts.compression = Some(Compression::resume(context, schedule.clone(), anchors, &mut state)?);
+            parts.compression = Some(Compression::resume(device, schedule.clone(), anchors, &mut state)?);
         }
         state.finish()?;
-        Self::assemble(context, schedule, extent, parts)
+        Self::assemble(device, schedule, extent, parts)
     }
 
     fn assemble(
-        context: &Arc<Context>,
+        device: &Arc<Device>,
         schedule: Schedule,
         extent: f32,
         parts: Parts,
@@ -187,24 +187,24 @@ impl AnchorLearner {
         let Parts { state, statistics, networks: [networks, first, second], compression, unit } = parts;
         let near = NearPlane::of_extent(extent).depth();
         let Trainable { anchors, .. } = &state;
-        let masks = state.masks.as_ref().map(|masks| OffsetMasks::upload(context, shape, masks));
+        let masks = state.masks.as_ref().map(|masks| OffsetMasks::upload(device, shape, masks));
         let layout = NetworkLayout::new(shape);
         Ok(Self {
             schedule,
             shape,
             extent,
             owners: layout.owners(),
-            device: DeviceAnchors::upload(context, anchors, &networks)?,
-            gradients: AnchorGradients::new(context, shape, anchors.len())?,
-            row_moments: Moments::upload(context, &state.first, &state.second)?,
-            network_moments: Moments::upload(context, &first, &second)?,
-            statistics: context.upload("growth statistics", &statistics.values)?,
+            device_anchors: DeviceAnchors::upload(device, anchors, &networks)?,
+            gradients: AnchorGradients::new(device, shape, anchors.len())?,
+            row_moments: Moments::upload(device, &state.first, &state.second)?,
+            network_moments: Moments::upload(device, &first, &second)?,
+            statistics: device.upload("growth statistics", &statistics.values)?,
             masks: masks.transpose()?,
             compression,
             shown: None,
-            neural: NeuralGaussians::new(Arc::clone(context), shape, near, unit)?,
-            adam: Adam::new(context)?,
-            context: Arc::clone(context),
+            neural: NeuralGaussians::new(Arc::clone(device), shape, near, unit)?,
+            adam: Adam::new(device)?,
+            device: Arc::clone(device),
             layout,
             anchors: state.anchors,
         })
@@ -280,42 +280,42 @@ impl AnchorLearner {
         if !self.schedule.drops_unused {
             return Ok(());
         }
-        let mut recorder = self.context.recorder("what is shown");
+        let mut recorder = self.device.recorder("what is shown");
         let shown = match &self.compression {
-            Some(compression) => compression.forward(&mut recorder, &self.device, step)?,
+            Some(compression) => compression.forward(&mut recorder, &self.device_anchors, step)?,
             None => None,
         };
         recorder.submit()?;
-        let shown = shown.as_ref().unwrap_or(&self.device);
-        mask_unused(&self.context, &mut self.neural, shown, anchors, frames, cancel)
+        let shown = shown.as_ref().unwrap_or(&self.device_anchors);
+        mask_unused(&self.device, &mut self.neural, shown, anchors, frames, cancel)
     }
 
     /// All that belongs to anchors, from the device.
     fn read(&self) -> Result<(Trainable, Statistics), TrainError> {
-        let context = &self.context;
+        let device = &self.device;
         let mut anchors = self.anchors.clone();
-        anchors.values = context.read(&self.device.rows)?;
-        anchors.masks = context.read(&self.device.masks)?;
+        anchors.values = device.read(&self.device_anchors.rows)?;
+        anchors.masks = device.read(&self.device_anchors.masks)?;
         let state = Trainable {
             anchors,
-            first: context.read(&self.row_moments.first)?,
-            second: context.read(&self.row_moments.second)?,
-            masks: self.masks.as_ref().map(|masks| masks.read(context)).transpose()?,
+            first: device.read(&self.row_moments.first)?,
+            second: device.read(&self.row_moments.second)?,
+            masks: self.masks.as_ref().map(|masks| masks.read(device)).transpose()?,
         };
-        Ok((state, Statistics { shape: self.shape, values: context.read(&self.statistics)? }))
+        Ok((state, Statistics { shape: self.shape, values: device.read(&self.statistics)? }))
     }
 
     fn write(&mut self, state: Trainable, statistics: &Statistics, step: u32) -> Result<(), TrainError> {
         if state.anchors.is_empty() {
             return Err(TrainError::NothingLeft { step });
         }
-        let context = &self.context;
-        let networks = context.read(&self.device.networks)?;
-        self.device = DeviceAnchors::upload(context, &state.anchors, &networks)?;
-        self.row_moments = Moments::upload(context, &state.first, &state.second)?;
-        self.gradients = AnchorGradients::new(context, self.shape, state.anchors.len())?;
-        self.statistics = context.upload("growth statistics", &statistics.values)?;
-        self.masks = state.masks.map(|masks| OffsetMasks::upload(context, self.shape, &masks)).transpose()?;
+        let device = &self.device;
+        let networks = device.read(&self.device_anchors.networks)?;
+        self.device_anchors = DeviceAnchors::upload(device, &state.anchors, &networks)?;
+        self.row_moments = Moments::upload(device, &state.first, &state.second)?;
+        self.gradients = AnchorGradients::new(device, self.shape, state.anchors.len())?;
+        self.statistics = device.upload("growth statistics", &statistics.values)?;
+        self.masks = state.masks.map(|masks| OffsetMasks::upload(device, self.shape, &masks)).transpose()?;
         if let Some(compression) = &mut self.compression {
             compression.replace(&self.anchors.cells, &state.anchors)?;
         }
@@ -346,7 +346,7 @@ impl Footprint for AnchorFootprint {
     }
 
     fn most(&self, adapter: &AdapterReport) -> usize {
-        self.max_anchors.min(NeuralGaussians::most_anchors(adapter, self.shape))
+        self.max_anchors.min(NeuralGaussians::max_anchors(adapter, self.shape))
     }
 
     /// Rows that a round of growth replaces go one after another, so the largest of them counts twice.
@@ -393,10 +393,10 @@ impl Learner for AnchorLearner {
         step: &Step,
     ) -> Result<(), TrainError> {
         self.shown = match &self.compression {
-            Some(compression) => compression.forward(recorder, &self.device, step.number)?,
+            Some(compression) => compression.forward(recorder, &self.device_anchors, step.number)?,
             None => None,
         };
-        let shown = self.shown.as_ref().unwrap_or(&self.device);
+        let shown = self.shown.as_ref().unwrap_or(&self.device_anchors);
         self.neural.forward(recorder, shown, camera, self.volume_weight())?;
         Ok(())
     }
@@ -414,47 +414,60 @@ impl Learner for AnchorLearner {
         recorder: &mut Recorder<'_>,
         _camera: &Camera,
         step: &Step,
-        void_mark: &Buffer<u32>,
+        overflow_flag: &Buffer<u32>,
     ) -> Result<(), TrainError> {
-        let shown = self.shown.as_ref().unwrap_or(&self.device);
+        let shown = self.shown.as_ref().unwrap_or(&self.device_anchors);
         self.neural.backward(recorder, shown, &self.gradients)?;
         if self.schedule.gathers_statistics(step.number) {
-            self.neural.statistics(recorder, shown, &self.statistics, void_mark)?;
+            self.neural.statistics(recorder, shown, &self.statistics, overflow_flag)?;
         }
         if let Some(compression) = &mut self.compression {
             let d_rows = &self.gradients.rows;
-            compression.backward(recorder, &self.adam, &self.device, step, d_rows, void_mark)?;
+            compression.backward(recorder, &self.adam, &self.device_anchors, step, d_rows, overflow_flag)?;
         }
         let row_rates = recorder.uniform(&self.row_rates(step.fraction))?;
         let network_rates = recorder.uniform(&self.network_rates(step.fraction))?;
         self.adam.step(
             recorder,
             step.number,
-            void_mark,
+            overflow_flag,
             &row_rates,
             &self.gradients.rows,
-            &self.device.rows,
+            &self.device_anchors.rows,
             &self.row_moments,
         )?;
         self.adam.step(
             recorder,
             step.number,
-            void_mark,
+            overflow_flag,
             &network_rates,
             &self.gradients.networks,
-            &self.device.networks,
+            &self.device_anchors.networks,
             &self.network_moments,
         )?;
         if let (Some(masks), Some(schedule)) = (&self.masks, &self.schedule.masks)
             && schedule.learns(step.number)
         {
-            masks.backward(recorder, &mut self.neural, &self.device, schedule.weight_at(step.number))?;
+            masks.backward(
+                recorder,
+                &mut self.neural,
+                &self.device_anchors,
+                schedule.weight_at(step.number),
+            )?;
             if let Some(compression) = &self.compression {
                 compression.mask_backward(recorder, masks, step.lambda)?;
             }
             let rate = schedule.rate.at(step.fraction) as f32;
             let since = step.number + 1 - schedule.from;
-            masks.step(recorder, &self.adam, since, void_mark, rate, schedule.level, &self.device)?;
+            masks.step(
+                recorder,
+                &self.adam,
+                since,
+                overflow_flag,
+                rate,
+                schedule.level,
+                &self.device_anchors,
+            )?;
         }
         Ok(())
     }
@@ -483,7 +496,7 @@ impl Learner for AnchorLearner {
         if self.compression.as_ref().is_some_and(|compression| compression.turns_after(step.number)) {
             let (state, _) = self.read()?;
             if let Some(compression) = &mut self.compression {
-                compression.turn(step.number, &self.adam, &state.anchors, &self.device, cancel)?;
+                compression.turn(step.number, &self.adam, &state.anchors, &self.device_anchors, cancel)?;
             }
         }
         Ok(())
@@ -520,9 +533,9 @@ impl Learner for AnchorLearner {
         state.put("anchors.rows.first", first);
         state.put("anchors.rows.second", second);
         state.put("growth", statistics.values);
-        state.put("networks", self.context.read(&self.device.networks)?);
-        state.put("networks.first", self.context.read(&self.network_moments.first)?);
-        state.put("networks.second", self.context.read(&self.network_moments.second)?);
+        state.put("networks", self.device.read(&self.device_anchors.networks)?);
+        state.put("networks.first", self.device.read(&self.network_moments.first)?);
+        state.put("networks.second", self.device.read(&self.network_moments.second)?);
         if let Some(masks) = masks {
             state.put("masks.logits", masks.logits);
             state.put("masks.logits.first", masks.first);
@@ -537,9 +550,9 @@ impl Learner for AnchorLearner {
     fn finish(mut self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Finished, TrainError> {
         let before = self.anchors.cells.clone();
         let mut anchors = self.anchors.clone();
-        anchors.values = self.context.read(&self.device.rows)?;
-        anchors.masks = self.context.read(&self.device.masks)?;
-        let networks = self.context.read(&self.device.networks)?;
+        anchors.values = self.device.read(&self.device_anchors.rows)?;
+        anchors.masks = self.device.read(&self.device_anchors.masks)?;
+        let networks = self.device.read(&self.device_anchors.networks)?;
         self.mask_unused(self.schedule.steps, &mut anchors, frames, cancel)?;
         anchors.drop_empty();
         if anchors.is_empty() {

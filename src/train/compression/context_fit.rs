@@ -68,7 +68,7 @@ struct Fitter<'a> {
     /// Octaves beside the base steps that the anchors' steps are usually at.
     usual: [f32; 3],
     rate: RateTerm,
-    void_mark: Buffer<u32>,
+    overflow_flag: Buffer<u32>,
     d_rows: Buffer<f32>,
     steps: u32,
     sampled: f64,
@@ -87,14 +87,14 @@ impl Compression {
         let (Some(quantising), Some(modelling)) = (&self.quantising, &self.modelling) else {
             return Ok(None);
         };
-        let context = &self.context;
-        let mut recorder = context.recorder("latents of planes");
+        let device = &self.device;
+        let mut recorder = device.recorder("latents of planes");
         modelling.net.latents_from_planes(&mut recorder)?;
         recorder.submit()?;
         let share = self.schedule.sampled.min(MOST_SAMPLED as f64 / cells.len().max(1) as f64);
         let capacity = ContextNet::capacity(sample_size(cells.len(), share));
         let steps = (f64::from(self.schedule.steps) * STEPS_A_STEP) as u32;
-        let usual = usual_steps(&context.read(quantising.rows.steps())?);
+        let usual = usual_steps(&device.read(quantising.rows.steps())?);
         let fitter = Fitter {
             compression: self,
             quantising,
@@ -102,11 +102,11 @@ impl Compression {
             anchors,
             cells,
             adam,
-            held: HeldSteps::new(context, capacity)?,
+            held: HeldSteps::new(device, capacity)?,
             usual: std::array::from_fn(|group| octaves_beside(usual[group], quantising.base[group])),
-            rate: RateTerm::new(context, anchors.shape, capacity)?,
-            void_mark: context.buffer("never void", 1)?,
-            d_rows: context.buffer("unused gradients of rows", anchors.rows.len())?,
+            rate: RateTerm::new(device, anchors.shape, capacity)?,
+            overflow_flag: device.buffer("never set", 1)?,
+            d_rows: device.buffer("unused gradients of rows", anchors.rows.len())?,
             steps: steps.clamp(LEAST_STEPS, MOST_STEPS),
             sampled: share,
             cancel,
@@ -123,13 +123,13 @@ impl Compression {
         let (Some(quantising), Some(modelling)) = (&self.quantising, &mut self.modelling) else {
             return Ok(None);
         };
-        let context = &self.context;
-        let (void_mark, d_rows) =
-            (context.buffer("never void", 1)?, context.buffer("unused", anchors.rows.len())?);
+        let device = &self.device;
+        let (overflow_flag, d_rows) =
+            (device.buffer("never set", 1)?, device.buffer("unused", anchors.rows.len())?);
         let quantisation = rounding(quantising);
         let all: Vec<u32> = (0..cells.len() as u32).collect();
         for sample in all.chunks(modelling.rate.capacity().max(1)) {
-            let mut recorder = context.recorder("steps of the scene");
+            let mut recorder = device.recorder("steps of the scene");
             modelling.net.forward(&mut recorder, sample, &stored_pass(false))?;
             modelling.rate.record(
                 &mut recorder,
@@ -140,14 +140,14 @@ impl Compression {
                 outputs_of(&modelling.net),
                 0.0,
                 &d_rows,
-                &void_mark,
+                &overflow_flag,
             )?;
             recorder.submit()?;
         }
-        let mut recorder = context.recorder("rows of the scene");
+        let mut recorder = device.recorder("rows of the scene");
         quantising.rows.record_forward(&mut recorder, anchors, &quantisation)?;
         recorder.submit()?;
-        Ok(Some((context.read(quantising.rows.rows())?, context.read(quantising.rows.steps())?)))
+        Ok(Some((device.read(quantising.rows.rows())?, device.read(quantising.rows.steps())?)))
     }
 
     /// What an encoder may choose from for the finished scene, whose anchors have these steps.
@@ -245,14 +245,14 @@ impl Fitter<'_> {
 
     /// Bytes of the groups' attributes, then of what the model stores.
     fn bytes(&self, net: &mut ContextNet) -> Result<[f64; 4], TrainError> {
-        let context = &self.compression.context;
+        let device = &self.compression.device;
         let all: Vec<u32> = (0..self.cells.len() as u32).collect();
         let mut bytes = [0.0, 0.0, 0.0, BYTES_A_PARAMETER * stored_parameters(net.layout()) as f64];
         for sample in all.chunks(self.rate.capacity().max(1)) {
-            let mut recorder = context.recorder("rate of the scene");
+            let mut recorder = device.recorder("rate of the scene");
             self.record(&mut recorder, net, sample, false)?;
             recorder.submit()?;
-            let sums = self.rate.sums(context)?;
+            let sums = self.rate.sums(device)?;
             bytes.iter_mut().zip(sums).for_each(|(bytes, bits)| *bytes += bits / 8.0);
         }
         Ok(bytes)
@@ -279,29 +279,36 @@ impl Fitter<'_> {
 
     /// A model of the scene that remembers nothing of how its parameters came about.
     fn model(&self, config: ContextConfig, values: Vec<f32>) -> Result<ContextNet, TrainError> {
-        let mut net = ContextNet::new(&self.compression.context, config, &ContextState::new(values))?;
+        let mut net = ContextNet::new(&self.compression.device, config, &ContextState::new(values))?;
         net.place(&ContextAnchors::new(&config, &self.modelling.frame, self.cells))?;
         Ok(net)
     }
 
     /// Lets a model learn to predict the scene.
     fn fit(&self, net: &mut ContextNet, planes_learn: bool, decay: Decay) -> Result<(), TrainError> {
-        let context = &self.compression.context;
+        let device = &self.compression.device;
         for step in 1..=self.steps {
             if self.cancel.is_cancelled() {
                 return Err(TrainError::Cancelled);
             }
             let seed = self.compression.schedule.seed;
             let sample = sample_anchors(seed, step, self.cells.len(), self.sampled);
-            let mut recorder = context.recorder("fit of a context");
+            let mut recorder = device.recorder("fit of a context");
             self.record(&mut recorder, net, &sample, planes_learn)?;
             net.backward(&mut recorder)?;
             let rate = decay.at(f64::from(step) / f64::from(self.steps)) as f32;
             let rates = ContextRates { networks: rate, planes: rate, layers: rate, latents: rate };
-            net.step(&mut recorder, self.adam, step, &self.void_mark, &rates, &self.modelling.statistics)?;
+            net.step(
+                &mut recorder,
+                self.adam,
+                step,
+                &self.overflow_flag,
+                &rates,
+                &self.modelling.statistics,
+            )?;
             recorder.submit()?;
             if step.is_multiple_of(WAITS_EVERY) {
-                context.wait()?;
+                device.wait()?;
             }
         }
         Ok(())
@@ -329,7 +336,7 @@ impl Fitter<'_> {
             outputs,
             1.0,
             &self.d_rows,
-            &self.void_mark,
+            &self.overflow_flag,
         )?;
         // An octave beside the step of an anchor counts as a bit for each of its attributes.
         let bit = self.rate.weight(1.0, sample.len());

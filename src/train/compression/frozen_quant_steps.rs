@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::{
-    gpu::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source},
+    gpu::{Buffer, Device, GpuError, Kernel, Recorder, kernel_source},
     train::context::{AnchorSample, GroupOutputs},
 };
 
@@ -17,11 +17,11 @@ pub(super) struct HeldSteps {
 
 impl HeldSteps {
     /// Room for samples in `capacity` columns.
-    pub(super) fn new(context: &Context, capacity: usize) -> Result<Self, GpuError> {
+    pub(super) fn new(device: &Device, capacity: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            hold_steps: context.kernel(kernel_source!("hold_steps"), &[])?,
-            held_gradient: context.kernel(kernel_source!("held_gradient"), &[])?,
-            differences: context.buffer("differences of steps", 3 * capacity)?,
+            hold_steps: device.kernel(kernel_source!("hold_steps"), &[])?,
+            held_gradient: device.kernel(kernel_source!("held_gradient"), &[])?,
+            differences: device.buffer("differences of steps", 3 * capacity)?,
         })
     }
 
@@ -94,7 +94,7 @@ mod tests {
 
     #[test]
     fn the_kernels_do_as_their_twins() {
-        let context = lavapipe();
+        let device = lavapipe();
         // Channels of 2, 1 and 3: rows 5, 3 and 7, of which the last of each is the adjustment.
         let (channels, first_rows, capacity) = ([2, 1, 3], [0, 5, 8], 100);
         let sample: Vec<u32> = (0..70).map(|i| 3 * i).collect();
@@ -102,23 +102,23 @@ mod tests {
         let values: Vec<f32> = (0..15 * capacity).map(|i| (i % 31) as f32 / 8.0 - 2.0).collect();
         let base = [0.5, 0.125, 2.0];
         let list: Vec<u32> = std::iter::once(70).chain(sample.iter().copied()).collect();
-        let list = context.upload("list", &list).expect("a list");
+        let list = device.upload("list", &list).expect("a list");
         let (on_device, outputs) = (
-            context.upload("steps", &steps).expect("steps"),
-            context.upload("outputs", &values).expect("outputs"),
+            device.upload("steps", &steps).expect("steps"),
+            device.upload("outputs", &values).expect("outputs"),
         );
-        let gradients = context.upload("gradients", &vec![9.0_f32; values.len()]).expect("gradients");
-        let held = HeldSteps::new(&context, capacity).expect("kernels");
+        let gradients = device.upload("gradients", &vec![9.0_f32; values.len()]).expect("gradients");
+        let held = HeldSteps::new(&device, capacity).expect("kernels");
         let sampled = AnchorSample { list: &list, count: 70, capacity };
         let groups =
             first_rows.map(|first_row| GroupOutputs { values: &outputs, gradients: &gradients, first_row });
         let weights = [1.0, 0.5, 3.0];
-        let mut recorder = context.recorder("held steps");
+        let mut recorder = device.recorder("held steps");
         held.record(&mut recorder, base, &on_device, sampled, groups, channels).expect("recorded");
         held.record_gradient(&mut recorder, weights, sampled, groups, channels).expect("recorded");
         recorder.submit().expect("runs");
-        let found = context.read(&outputs).expect("outputs");
-        let d_found = context.read(&gradients).expect("gradients");
+        let found = device.read(&outputs).expect("outputs");
+        let d_found = device.read(&gradients).expect("gradients");
         let mut rest = 0;
         for (at, (found, d_found)) in found.iter().zip(&d_found).enumerate() {
             let (row, column) = (at / capacity, at % capacity);

@@ -17,7 +17,7 @@ use super::{
 use crate::{
     codec::context::robust_frame,
     domain::{CancelFlag, ContextFrame, ContextKind},
-    gpu::{Buffer, Context, Recorder, buffer_bytes},
+    gpu::{Buffer, Device, Recorder, buffer_bytes},
     model::{AnchorRows, NetworkLayout, Shape},
     render::DeviceAnchors,
     train::{
@@ -60,7 +60,7 @@ pub(super) struct Modelling {
 /// Compression-aware training of a scene.
 #[derive(Debug)]
 pub(in crate::train) struct Compression {
-    pub(super) context: Arc<Context>,
+    pub(super) device: Arc<Device>,
     pub(super) schedule: CompressionSchedule,
     pub(super) layout: NetworkLayout,
     pub(super) quantising: Option<Quantising>,
@@ -83,13 +83,9 @@ pub(super) fn config(schedule: &CompressionSchedule, shape: Shape, anchors: usiz
 
 impl Compression {
     /// Before the first step.
-    pub(in crate::train) fn begin(
-        context: &Arc<Context>,
-        schedule: CompressionSchedule,
-        shape: Shape,
-    ) -> Self {
+    pub(in crate::train) fn begin(device: &Arc<Device>, schedule: CompressionSchedule, shape: Shape) -> Self {
         let layout = NetworkLayout::new(shape);
-        Self { context: Arc::clone(context), schedule, layout, quantising: None, modelling: None }
+        Self { device: Arc::clone(device), schedule, layout, quantising: None, modelling: None }
     }
 
     /// Whether another stage begins after `step`.
@@ -108,7 +104,7 @@ impl Compression {
         step: u32,
         adam: &Adam,
         anchors: &AnchorRows,
-        device: &DeviceAnchors,
+        device_anchors: &DeviceAnchors,
         cancel: &CancelFlag,
     ) -> Result<(), TrainError> {
         let next = self.schedule.stage(step + 1);
@@ -125,7 +121,7 @@ impl Compression {
             self.model(anchors)?;
         }
         if next == Stage::Rounded
-            && let Some(net) = self.choose(adam, device, &anchors.cells, cancel)?
+            && let Some(net) = self.choose(adam, device_anchors, &anchors.cells, cancel)?
             && let Some(modelling) = &mut self.modelling
         {
             modelling.net = net;
@@ -145,21 +141,21 @@ impl Compression {
         cancel: &CancelFlag,
     ) -> Result<Option<TrainedContext>, TrainError> {
         self.replace(before, anchors)?;
-        let device = DeviceAnchors::upload(&self.context, anchors, networks)?;
+        let device_anchors = DeviceAnchors::upload(&self.device, anchors, networks)?;
         if self.schedule.stage(self.schedule.steps) != Stage::Rounded
-            && let Some(net) = self.choose(adam, &device, &anchors.cells, cancel)?
+            && let Some(net) = self.choose(adam, &device_anchors, &anchors.cells, cancel)?
             && let Some(modelling) = &mut self.modelling
         {
             modelling.net = net;
         }
-        let Some((rows, steps)) = self.settle(&device, &anchors.cells)? else { return Ok(None) };
+        let Some((rows, steps)) = self.settle(&device_anchors, &anchors.cells)? else { return Ok(None) };
         anchors.values = rows;
         self.candidates(&steps)
     }
 
     fn quantise(&mut self, steps: BaseSteps, base: [f32; 3], of_anchors: &[f32]) -> Result<(), TrainError> {
-        let rows = QuantisedRows::upload(&self.context, self.layout.shape, of_anchors)?;
-        let networks = RoundedNetworks::new(&self.context, &self.layout)?;
+        let rows = QuantisedRows::upload(&self.device, self.layout.shape, of_anchors)?;
+        let networks = RoundedNetworks::new(&self.device, &self.layout)?;
         self.quantising = Some(Quantising { base, steps, rows, networks });
         Ok(())
     }
@@ -188,7 +184,7 @@ impl Compression {
         statistics: [GroupStatistics; 3],
         cells: &[[i32; 3]],
     ) -> Result<Modelling, TrainError> {
-        let mut net = ContextNet::new(&self.context, config, state)?;
+        let mut net = ContextNet::new(&self.device, config, state)?;
         net.place(&ContextAnchors::new(&config, &frame, cells))?;
         let rate = self.rate_for(cells.len())?;
         Ok(Modelling { frame, statistics, net, rate, sampled: 0 })
@@ -196,7 +192,7 @@ impl Compression {
 
     fn rate_for(&self, anchors: usize) -> Result<RateTerm, TrainError> {
         let capacity = ContextNet::capacity(sample_size(anchors, self.schedule.sampled));
-        Ok(RateTerm::new(&self.context, self.layout.shape, capacity)?)
+        Ok(RateTerm::new(&self.device, self.layout.shape, capacity)?)
     }
 
     /// Takes notice that anchors came or went: those of `before` are now `anchors`.
@@ -207,7 +203,7 @@ impl Compression {
     ) -> Result<(), TrainError> {
         if let Some(Quantising { steps, base, rows, .. }) = &self.quantising {
             let (steps, base) = (*steps, *base);
-            let old = self.context.read(rows.steps())?;
+            let old = self.device.read(rows.steps())?;
             let of_anchors = carry_steps(before, &old, usual_steps(&old), &anchors.cells);
             self.quantise(steps, base, &of_anchors)?;
         }
@@ -284,7 +280,7 @@ impl Compression {
         anchors: &DeviceAnchors,
         step: &Step,
         d_rows: &Buffer<f32>,
-        void_mark: &Buffer<u32>,
+        overflow_flag: &Buffer<u32>,
     ) -> Result<(), TrainError> {
         let Some(quantisation) = self.quantisation(step.number) else { return Ok(()) };
         let pass = self.pass(step.number);
@@ -303,7 +299,7 @@ impl Compression {
             outputs_of(&modelling.net),
             step.lambda,
             d_rows,
-            void_mark,
+            overflow_flag,
         )?;
         modelling.net.backward(recorder)?;
         let learnt = schedule.learnt(step.number);
@@ -317,7 +313,7 @@ impl Compression {
         // The last stage begins with a model that remembers no gradient.
         let rounded = schedule.stage(step.number) == Stage::Rounded;
         let t = step.number + 1 - if rounded { schedule.rounded_from } else { schedule.context_from };
-        modelling.net.step(recorder, adam, t, void_mark, &rates, &modelling.statistics)
+        modelling.net.step(recorder, adam, t, overflow_flag, &rates, &modelling.statistics)
     }
 
     /// Records what the last recorded sample's rate says of the offsets' masks.
@@ -339,7 +335,7 @@ impl Compression {
         let Some(modelling) = self.modelling.as_ref().filter(|modelling| modelling.sampled > 0) else {
             return Ok(None);
         };
-        let bits: f64 = modelling.rate.sums(&self.context)?.iter().sum();
+        let bits: f64 = modelling.rate.sums(&self.device)?.iter().sum();
         let layout = modelling.net.layout();
         let stored = stored_parameters(layout) as f64;
         Ok(Some((bits / modelling.sampled as f64, BYTES_A_PARAMETER * stored)))
@@ -390,7 +386,7 @@ impl Compression {
         let Some(quantising) = &self.quantising else { return Ok(()) };
         let BaseSteps { feature, scaling, offset } = quantising.steps;
         state.put("steps.base", vec![feature, scaling, offset]);
-        state.put("steps", self.context.read(quantising.rows.steps())?);
+        state.put("steps", self.device.read(quantising.rows.steps())?);
         let Some(modelling) = &self.modelling else { return Ok(()) };
         let config = &modelling.net.layout().config;
         let PlaneConfig { edge, channels, layers, hidden, latents } = config.planes;
@@ -413,12 +409,12 @@ impl Compression {
 
     /// The compression that [`Self::save`] was asked of, for the anchors that go with it.
     pub(in crate::train) fn resume(
-        context: &Arc<Context>,
+        device: &Arc<Device>,
         schedule: CompressionSchedule,
         anchors: &AnchorRows,
         state: &mut LearnerState,
     ) -> Result<Self, TrainError> {
-        let mut resumed = Self::begin(context, schedule, anchors.shape);
+        let mut resumed = Self::begin(device, schedule, anchors.shape);
         if !state.has("steps") {
             return Ok(resumed);
         }

@@ -11,7 +11,7 @@ use crate::{
         ContextFrame,
         context::{NEIGHBOURS, POSITION_INPUTS},
     },
-    gpu::{Buffer, Context, GpuError, buffer_bytes},
+    gpu::{Buffer, Device, GpuError, buffer_bytes},
 };
 
 /// Most anchors: an index shares a word with the place among neighbours.
@@ -188,7 +188,7 @@ impl DeviceTables {
     }
 
     pub(super) fn upload(
-        context: &Context,
+        device: &Device,
         config: &ContextConfig,
         anchors: &ContextAnchors,
     ) -> Result<Self, GpuError> {
@@ -197,14 +197,14 @@ impl DeviceTables {
         let (plane_starts, plane_users) = anchors.plane_users(edge);
         Ok(Self {
             count: anchors.count,
-            priors: context.upload("position priors", &anchors.priors)?,
-            texels: context.upload("texels of anchors", &anchors.texels)?,
-            neighbours: context.upload("neighbours", &anchors.neighbours)?,
-            user_starts: context.upload("starts of users of anchors", &user_starts)?,
-            users: context.upload("users of anchors", &users)?,
-            plane_starts: context.upload("starts of users of texels", &plane_starts)?,
-            plane_users: context.upload("users of texels", &plane_users)?,
-            columns: context.buffer("columns of anchors", anchors.placed())?,
+            priors: device.upload("position priors", &anchors.priors)?,
+            texels: device.upload("texels of anchors", &anchors.texels)?,
+            neighbours: device.upload("neighbours", &anchors.neighbours)?,
+            user_starts: device.upload("starts of users of anchors", &user_starts)?,
+            users: device.upload("users of anchors", &users)?,
+            plane_starts: device.upload("starts of users of texels", &plane_starts)?,
+            plane_users: device.upload("users of texels", &plane_users)?,
+            columns: device.buffer("columns of anchors", anchors.placed())?,
         })
     }
 }

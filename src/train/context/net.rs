@@ -9,8 +9,8 @@ use super::{
     weights::RoundedWeights,
 };
 use crate::{
-    gpu::{Buffer, Context, Recorder, buffer_bytes},
-    render::{Columns, DenseLayers, Ending, RenderError},
+    gpu::{Buffer, Device, Recorder, buffer_bytes},
+    render::{Activation, Columns, DenseLayers, RenderError},
     train::{Adam, Moments, TrainError},
 };
 
@@ -112,22 +112,22 @@ impl Activations {
             + buffer_bytes::<f32>(DenseLayers::runs(capacity) * layout.networks)
     }
 
-    fn new(context: &Context, layout: &ContextLayout, capacity: usize) -> Result<Self, RenderError> {
+    fn new(device: &Device, layout: &ContextLayout, capacity: usize) -> Result<Self, RenderError> {
         let config = &layout.config;
-        let rows = |label: &str, rows: usize| context.buffer(label, rows * capacity);
+        let rows = |label: &str, rows: usize| device.buffer(label, rows * capacity);
         let hidden = layout.hidden.outputs;
         let outputs = config.output_rows()[3];
         let partials = DenseLayers::runs(capacity) * layout.networks;
         Ok(Self {
             capacity,
-            list: context.buffer("sampled anchors", capacity + 1)?,
+            list: device.buffer("sampled anchors", capacity + 1)?,
             input: rows("context input", config.inputs())?,
             hidden: rows("context hidden values", hidden)?,
             outputs: rows("context outputs", outputs)?,
             d_input: rows("gradients of context input", config.sampled_inputs())?,
             d_hidden: rows("gradients of context hidden values", hidden)?,
             d_outputs: rows("gradients of context outputs", outputs)?,
-            partials: context.buffer("partial context gradients", partials)?,
+            partials: device.buffer("partial context gradients", partials)?,
         })
     }
 
@@ -140,7 +140,7 @@ impl Activations {
 /// [`ContextNet::step`] changes parameters.
 #[derive(Debug)]
 pub struct ContextNet {
-    context: Arc<Context>,
+    device: Arc<Device>,
     layout: ContextLayout,
     dense: DenseLayers,
     sampling: Sampling,
@@ -162,7 +162,7 @@ impl ContextNet {
     /// # Errors
     /// [`ContextError`] for sizes that are not known or a state of another length; faults of the device.
     pub fn new(
-        context: &Arc<Context>,
+        device: &Arc<Device>,
         config: ContextConfig,
         state: &ContextState,
     ) -> Result<Self, TrainError> {
@@ -173,21 +173,21 @@ impl ContextNet {
                 return Err(ContextError::Parameters { found, expected }.into());
             }
         }
-        let planes = (config.kind.sampled() > 0).then(|| PlanePass::new(context, &layout)).transpose()?;
+        let planes = (config.kind.sampled() > 0).then(|| PlanePass::new(device, &layout)).transpose()?;
         Ok(Self {
-            dense: DenseLayers::new(context, context.subgroups().lanes())?,
-            sampling: Sampling::new(context)?,
+            dense: DenseLayers::new(device, device.subgroups().lanes())?,
+            sampling: Sampling::new(device)?,
             planes,
-            rounded: RoundedWeights::new(context, &layout)?,
-            tables: DeviceTables::upload(context, &config, &ContextAnchors::default())?,
-            on: Activations::new(context, &layout, 0)?,
-            d_samples: context.buffer("gradients of plane samples", 0)?,
-            parameters: context.upload("context parameters", &state.values)?,
-            gradients: context.buffer("gradients of context parameters", layout.parameters)?,
-            moments: Moments::upload(context, &state.first, &state.second)?,
+            rounded: RoundedWeights::new(device, &layout)?,
+            tables: DeviceTables::upload(device, &config, &ContextAnchors::default())?,
+            on: Activations::new(device, &layout, 0)?,
+            d_samples: device.buffer("gradients of plane samples", 0)?,
+            parameters: device.upload("context parameters", &state.values)?,
+            gradients: device.buffer("gradients of context parameters", layout.parameters)?,
+            moments: Moments::upload(device, &state.first, &state.second)?,
             last: None,
             layout,
-            context: Arc::clone(context),
+            device: Arc::clone(device),
         })
     }
 
@@ -229,9 +229,9 @@ impl ContextNet {
         let config = &self.layout.config;
         anchors.check(config)?;
         self.last = None;
-        self.tables = DeviceTables::upload(&self.context, config, anchors)?;
+        self.tables = DeviceTables::upload(&self.device, config, anchors)?;
         let samples = if self.planes.is_some() { 3 * config.planes.channels * anchors.count } else { 0 };
-        self.d_samples = self.context.buffer("gradients of plane samples", samples)?;
+        self.d_samples = self.device.buffer("gradients of plane samples", samples)?;
         Ok(())
     }
 
@@ -266,9 +266,25 @@ impl ContextNet {
         }
         let columns = on.columns();
         self.sampling.forward(recorder, &layout.config, &self.tables, columns, &sampled, &on.input)?;
-        self.dense.forward(recorder, columns, &layout.hidden, stored, &on.input, &on.hidden, Ending::Relu)?;
+        self.dense.forward(
+            recorder,
+            columns,
+            &layout.hidden,
+            stored,
+            &on.input,
+            &on.hidden,
+            Activation::Relu,
+        )?;
         for head in &layout.heads {
-            self.dense.forward(recorder, columns, head, stored, &on.hidden, &on.outputs, Ending::Linear)?;
+            self.dense.forward(
+                recorder,
+                columns,
+                head,
+                stored,
+                &on.hidden,
+                &on.outputs,
+                Activation::Linear,
+            )?;
         }
         self.last = Some(*pass);
         Ok(())
@@ -378,7 +394,7 @@ impl ContextNet {
         Ok(())
     }
 
-    /// Records step `t` (from 1) of the optimiser with the last gradients, which does nothing if `void_mark` is set by then.
+    /// Records step `t` (from 1) of the optimiser with the last gradients, which does nothing if `overflow_flag` is set by then.
     ///
     /// # Errors
     /// [`ContextError::Config`] if the statistics are of other channels; faults of the device.
@@ -387,12 +403,12 @@ impl ContextNet {
         recorder: &mut Recorder<'_>,
         adam: &Adam,
         t: u32,
-        void_mark: &Buffer<u32>,
+        overflow_flag: &Buffer<u32>,
         rates: &ContextRates,
         statistics: &[GroupStatistics; 3],
     ) -> Result<(), TrainError> {
         let rates = recorder.uniform(&self.layout.rates(rates, statistics)?)?;
-        adam.step(recorder, t, void_mark, &rates, &self.gradients, &self.parameters, &self.moments)?;
+        adam.step(recorder, t, overflow_flag, &rates, &self.gradients, &self.parameters, &self.moments)?;
         Ok(())
     }
 
@@ -468,9 +484,9 @@ impl ContextNet {
     /// Faults of the device.
     pub fn save(&self) -> Result<ContextState, TrainError> {
         Ok(ContextState {
-            values: self.context.read(&self.parameters)?,
-            first: self.context.read(&self.moments.first)?,
-            second: self.context.read(&self.moments.second)?,
+            values: self.device.read(&self.parameters)?,
+            first: self.device.read(&self.moments.first)?,
+            second: self.device.read(&self.moments.second)?,
         })
     }
 
@@ -488,7 +504,7 @@ impl ContextNet {
         }
         if sample.len() > self.on.capacity {
             self.last = None;
-            self.on = Activations::new(&self.context, &self.layout, Self::capacity(sample.len()))?;
+            self.on = Activations::new(&self.device, &self.layout, Self::capacity(sample.len()))?;
         }
         let mut list = Vec::with_capacity(sample.len() + 1);
         list.push(sample.len() as u32);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{ContextConfig, anchor_tables::DeviceTables, convolution::Tensor};
 use crate::{
-    gpu::{Buffer, Context, GpuError, Kernel, Recorder, kernel_source},
+    gpu::{Buffer, Device, GpuError, Kernel, Recorder, kernel_source},
     render::Columns,
 };
 
@@ -17,11 +17,11 @@ pub(super) struct Sampling {
 }
 
 impl Sampling {
-    pub(super) fn new(context: &Context) -> Result<Self, GpuError> {
+    pub(super) fn new(device: &Device) -> Result<Self, GpuError> {
         Ok(Self {
-            context_input: context.kernel(kernel_source!("context_input"), &[])?,
-            neighbour_gradient: context.kernel(kernel_source!("neighbour_gradient"), &[])?,
-            plane_gradient: context.kernel(kernel_source!("plane_gradient"), &[])?,
+            context_input: device.kernel(kernel_source!("context_input"), &[])?,
+            neighbour_gradient: device.kernel(kernel_source!("neighbour_gradient"), &[])?,
+            plane_gradient: device.kernel(kernel_source!("plane_gradient"), &[])?,
         })
     }
 

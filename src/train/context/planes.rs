@@ -10,7 +10,7 @@ use super::{
     convolution::{Convolutions, Finish, Tensor, Way},
     layout::ContextLayout,
 };
-use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+use crate::gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
 
 /// Tensors on the way from planes to latents and back, or their gradients.
 #[derive(Debug)]
@@ -36,8 +36,8 @@ impl Tensors {
         buffer_bytes::<f32>(planes.latent_values()) + down.chain(up).map(buffer_bytes::<f32>).sum::<u64>()
     }
 
-    fn new(context: &Context, layout: &ContextLayout) -> Result<Self, GpuError> {
-        let tensor = |values: usize| Tensor::new(context, "planes and latents", values);
+    fn new(device: &Device, layout: &ContextLayout) -> Result<Self, GpuError> {
+        let tensor = |values: usize| Tensor::new(device, "planes and latents", values);
         Ok(Self {
             down: layout.down.iter().map(|layer| tensor(layer.coarse_values())).collect::<Result<_, _>>()?,
             latents: tensor(layout.config.planes.latent_values())?,
@@ -66,13 +66,13 @@ impl PlanePass {
         2 * Tensors::bytes(config)
     }
 
-    pub(super) fn new(context: &Context, layout: &ContextLayout) -> Result<Self, GpuError> {
+    pub(super) fn new(device: &Device, layout: &ContextLayout) -> Result<Self, GpuError> {
         Ok(Self {
-            convolutions: Convolutions::new(context)?,
-            plane_l1: context.kernel(kernel_source!("plane_l1"), &[])?,
-            round_latents: context.kernel(kernel_source!("round_latents"), &[])?,
-            on: Tensors::new(context, layout)?,
-            back: Tensors::new(context, layout)?,
+            convolutions: Convolutions::new(device)?,
+            plane_l1: device.kernel(kernel_source!("plane_l1"), &[])?,
+            round_latents: device.kernel(kernel_source!("round_latents"), &[])?,
+            on: Tensors::new(device, layout)?,
+            back: Tensors::new(device, layout)?,
         })
     }
 

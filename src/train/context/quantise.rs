@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use crate::{
-    gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
+    gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
     model::Shape,
     render::DeviceAnchors,
 };
@@ -87,14 +87,14 @@ impl QuantisedRows {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn upload(context: &Context, shape: Shape, steps: &[f32]) -> Result<Self, GpuError> {
+    pub fn upload(device: &Device, shape: Shape, steps: &[f32]) -> Result<Self, GpuError> {
         let anchors = steps.len() / 3;
         Ok(Self {
-            quantise_rows: context.kernel(kernel_source!("quantise_rows"), &shape.defs())?,
-            quantise_gradient: context.kernel(kernel_source!("quantise_gradient"), &shape.defs())?,
-            rows: context.buffer("rendered rows", anchors * shape.row())?,
-            steps: context.upload("steps of anchors", steps)?,
-            d_log_steps: context.buffer("gradients of steps", steps.len())?,
+            quantise_rows: device.kernel(kernel_source!("quantise_rows"), &shape.defs())?,
+            quantise_gradient: device.kernel(kernel_source!("quantise_gradient"), &shape.defs())?,
+            rows: device.buffer("rendered rows", anchors * shape.row())?,
+            steps: device.upload("steps of anchors", steps)?,
+            d_log_steps: device.buffer("gradients of steps", steps.len())?,
         })
     }
 

@@ -35,7 +35,7 @@ use std::sync::Arc;
 use super::{Quantisation, QuantisedRows, quantise::QuantisationUniform};
 use crate::{
     domain::AttributeGroup,
-    gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
+    gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
     model::Shape,
     render::DeviceAnchors,
 };
@@ -98,15 +98,15 @@ impl RateTerm {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn new(context: &Context, shape: Shape, capacity: usize) -> Result<Self, GpuError> {
+    pub fn new(device: &Device, shape: Shape, capacity: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            rate: context.kernel(kernel_source!("rate"), &shape.defs())?,
-            refresh_steps: context.kernel(kernel_source!("refresh_steps"), &[])?,
-            sum_bits: context.kernel(kernel_source!("sum_bits"), &[])?,
+            rate: device.kernel(kernel_source!("rate"), &shape.defs())?,
+            refresh_steps: device.kernel(kernel_source!("refresh_steps"), &[])?,
+            sum_bits: device.kernel(kernel_source!("sum_bits"), &[])?,
             shape,
             capacity,
-            bits: context.buffer("bits of the sample", (GROUPS + shape.offsets) * capacity)?,
-            sums: context.buffer("sums of bits", GROUPS)?,
+            bits: device.buffer("bits of the sample", (GROUPS + shape.offsets) * capacity)?,
+            sums: device.buffer("sums of bits", GROUPS)?,
         })
     }
 
@@ -122,7 +122,7 @@ impl RateTerm {
         (lambda / (sampled * self.shape.row()).max(1) as f64) as f32
     }
 
-    /// Records the rate of the sample, whose anchors' steps are refreshed unless `void_mark` is set by then.
+    /// Records the rate of the sample, whose anchors' steps are refreshed unless `overflow_flag` is set by then.
     ///
     /// Comes after rendering's way back: gradients are added to `d_rows`, which holds those by the anchors' rows, and
     /// what rendering says of the sampled anchors' steps joins the gradient of their adjustments, scaled up to all anchors.
@@ -141,7 +141,7 @@ impl RateTerm {
         outputs: [GroupOutputs<'_>; GROUPS],
         lambda: f64,
         d_rows: &Buffer<f32>,
-        void_mark: &Buffer<u32>,
+        overflow_flag: &Buffer<u32>,
     ) -> Result<(), GpuError> {
         let shape = self.shape;
         let columns = [0, shape.scaling_column(), shape.offset_column(), shape.row()];
@@ -176,7 +176,7 @@ impl RateTerm {
                     settings.as_ref(),
                     sample.list.as_ref(),
                     output.values.as_ref(),
-                    void_mark.as_ref(),
+                    overflow_flag.as_ref(),
                     quantised.steps().as_ref(),
                 ],
                 groups,
@@ -202,8 +202,8 @@ impl RateTerm {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn sums(&self, context: &Context) -> Result<[f64; GROUPS], GpuError> {
-        let sums = context.read(&self.sums)?;
+    pub fn sums(&self, device: &Device) -> Result<[f64; GROUPS], GpuError> {
+        let sums = device.read(&self.sums)?;
         Ok(std::array::from_fn(|group| f64::from(sums[group])))
     }
 }

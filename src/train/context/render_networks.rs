@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use crate::{
-    gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
+    gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
     model::{LayerSpec, NetworkLayout},
 };
 
@@ -37,11 +37,11 @@ impl RoundedNetworks {
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn new(context: &Context, layout: &NetworkLayout) -> Result<Self, GpuError> {
+    pub fn new(device: &Device, layout: &NetworkLayout) -> Result<Self, GpuError> {
         Ok(Self {
-            round_rows: context.kernel(kernel_source!("round_rows"), &[])?,
-            rows: context.upload("rows of networks", &rows(layout))?,
-            parameters: context.buffer("rounded networks", layout.parameters)?,
+            round_rows: device.kernel(kernel_source!("round_rows"), &[])?,
+            rows: device.upload("rows of networks", &rows(layout))?,
+            parameters: device.buffer("rounded networks", layout.parameters)?,
         })
     }
 

@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use super::layout::ContextLayout;
-use crate::gpu::{Buffer, Context, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+use crate::gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
 
 /// Largest integer of an up-sampling layer's weights: the codec stores them in eight bits whatever the networks have.
 const UP_LEVELS: usize = 127;
@@ -44,11 +44,11 @@ impl RoundedWeights {
         buffer_bytes::<Row>(stored_rows(layout).len()) + buffer_bytes::<f32>(layout.parameters)
     }
 
-    pub(super) fn new(context: &Context, layout: &ContextLayout) -> Result<Self, GpuError> {
+    pub(super) fn new(device: &Device, layout: &ContextLayout) -> Result<Self, GpuError> {
         Ok(Self {
-            round_weights: context.kernel(kernel_source!("round_weights"), &[])?,
-            rows: context.upload("rows of context weights", &stored_rows(layout))?,
-            values: context.buffer("rounded context parameters", layout.parameters)?,
+            round_weights: device.kernel(kernel_source!("round_weights"), &[])?,
+            rows: device.upload("rows of context weights", &stored_rows(layout))?,
+            values: device.buffer("rounded context parameters", layout.parameters)?,
         })
     }
 

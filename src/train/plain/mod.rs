@@ -16,13 +16,13 @@ use super::{
 };
 use crate::{
     domain::{Camera, CancelFlag, Frame, GaussianScene, NearPlane, Scene},
-    gpu::{AdapterReport, Buffer, Context, Recorder, buffer_bytes},
+    gpu::{AdapterReport, Buffer, Device, Recorder, buffer_bytes},
     model::{
         GaussianRows,
         gaussian_rows::{BANDS, BASE, COLOR, LOG_SCALE, OPACITY, QUAT, band_values},
         initial_gaussians,
     },
-    render::{DeviceRows, GaussianGradients, Gaussians, PlainGaussians, STATISTICS},
+    render::{DeviceGaussians, GaussianGradients, Gaussians, PlainGaussians, STATISTICS},
 };
 use grow::{Growth, PlainState, grow_and_prune, reset_opacities};
 
@@ -36,13 +36,13 @@ fn band_name(rows: &str, band: usize) -> String {
 
 /// Gaussians, and what their optimiser and their growth remember.
 pub(super) struct PlainLearner {
-    context: Arc<Context>,
+    device: Arc<Device>,
     schedule: PlainSchedule,
     extent: f32,
-    rows: DeviceRows,
-    gradients: DeviceRows,
-    first: DeviceRows,
-    second: DeviceRows,
+    rows: DeviceGaussians,
+    gradients: DeviceGaussians,
+    first: DeviceGaussians,
+    second: DeviceGaussians,
     statistics: Buffer<f32>,
     plain: PlainGaussians,
     adam: Adam,
@@ -51,35 +51,34 @@ pub(super) struct PlainLearner {
 impl PlainLearner {
     /// Gaussians at `points`, which have `colors` or none; `extent` is the scene's, in world units.
     pub(super) fn begin(
-        context: &Arc<Context>,
+        device: &Arc<Device>,
         mut schedule: PlainSchedule,
         points: &[[f32; 3]],
         colors: &[[u8; 3]],
         extent: f32,
         rng: &mut Pcg64,
     ) -> Result<Self, TrainError> {
-        schedule.max_gaussians =
-            schedule.max_gaussians.min(PlainGaussians::most_gaussians(context.adapter()));
+        schedule.max_gaussians = schedule.max_gaussians.min(PlainGaussians::max_gaussians(device.adapter()));
         // Growth needs room above what the points begin with.
         let values = initial_gaussians(points, colors, schedule.max_gaussians / 2, rng)?;
-        let zero = || DeviceRows::zero(context, values.len());
+        let zero = || DeviceGaussians::zero(device, values.len());
         Ok(Self {
             schedule,
             extent,
-            rows: DeviceRows::upload(context, &values)?,
+            rows: DeviceGaussians::upload(device, &values)?,
             gradients: zero()?,
             first: zero()?,
             second: zero()?,
-            statistics: context.buffer("growth statistics", STATISTICS * values.len())?,
-            plain: PlainGaussians::new(Arc::clone(context), NearPlane::of_extent(extent).depth())?,
-            adam: Adam::new(context)?,
-            context: Arc::clone(context),
+            statistics: device.buffer("growth statistics", STATISTICS * values.len())?,
+            plain: PlainGaussians::new(Arc::clone(device), NearPlane::of_extent(extent).depth())?,
+            adam: Adam::new(device)?,
+            device: Arc::clone(device),
         })
     }
 
     /// The learner that [`Learner::save`] was asked of.
     pub(super) fn resume(
-        context: &Arc<Context>,
+        device: &Arc<Device>,
         schedule: PlainSchedule,
         extent: f32,
         mut state: LearnerState,
@@ -106,19 +105,19 @@ impl PlainLearner {
         if degree as usize > BANDS.len() {
             return Err(CheckpointError::array("degree", format!("is {degree}")).into());
         }
-        let mut plain = PlainGaussians::new(Arc::clone(context), NearPlane::of_extent(extent).depth())?;
+        let mut plain = PlainGaussians::new(Arc::clone(device), NearPlane::of_extent(extent).depth())?;
         plain.set_degree(degree)?;
         Ok(Self {
             schedule,
             extent,
-            rows: DeviceRows::upload(context, &rows[0])?,
-            gradients: DeviceRows::zero(context, count)?,
-            first: DeviceRows::upload(context, &rows[1])?,
-            second: DeviceRows::upload(context, &rows[2])?,
-            statistics: context.upload("growth statistics", &statistics)?,
+            rows: DeviceGaussians::upload(device, &rows[0])?,
+            gradients: DeviceGaussians::zero(device, count)?,
+            first: DeviceGaussians::upload(device, &rows[1])?,
+            second: DeviceGaussians::upload(device, &rows[2])?,
+            statistics: device.upload("growth statistics", &statistics)?,
             plain,
-            adam: Adam::new(context)?,
-            context: Arc::clone(context),
+            adam: Adam::new(device)?,
+            device: Arc::clone(device),
         })
     }
 
@@ -136,14 +135,14 @@ impl PlainLearner {
         &self,
         recorder: &mut Recorder<'_>,
         step: &Step,
-        void_mark: &Buffer<u32>,
+        overflow_flag: &Buffer<u32>,
     ) -> Result<(), TrainError> {
         let rates = recorder.uniform(&self.base_rates(step.fraction))?;
         let moments = Moments { first: self.first.base.clone(), second: self.second.base.clone() };
         self.adam.step(
             recorder,
             step.number,
-            void_mark,
+            overflow_flag,
             &rates,
             &self.gradients.base,
             &self.rows.base,
@@ -157,7 +156,7 @@ impl PlainLearner {
             self.adam.step(
                 recorder,
                 step.number,
-                void_mark,
+                overflow_flag,
                 &rates,
                 &self.gradients.bands,
                 &bands,
@@ -169,25 +168,25 @@ impl PlainLearner {
 
     fn download(&self) -> Result<PlainState, TrainError> {
         Ok(PlainState {
-            values: self.rows.download(&self.context)?,
-            first: self.first.download(&self.context)?,
-            second: self.second.download(&self.context)?,
+            values: self.rows.download(&self.device)?,
+            first: self.first.download(&self.device)?,
+            second: self.second.download(&self.device)?,
         })
     }
 
     fn upload(&mut self, state: &PlainState) -> Result<(), TrainError> {
         let count = state.values.len();
-        self.rows = DeviceRows::upload(&self.context, &state.values)?;
-        self.first = DeviceRows::upload(&self.context, &state.first)?;
-        self.second = DeviceRows::upload(&self.context, &state.second)?;
+        self.rows = DeviceGaussians::upload(&self.device, &state.values)?;
+        self.first = DeviceGaussians::upload(&self.device, &state.first)?;
+        self.second = DeviceGaussians::upload(&self.device, &state.second)?;
         if count != self.gradients.count {
-            self.gradients = DeviceRows::zero(&self.context, count)?;
+            self.gradients = DeviceGaussians::zero(&self.device, count)?;
         }
         Ok(())
     }
 
     fn grow(&mut self, state: &mut PlainState, step: u32, rng: &mut Pcg64) -> Result<(), TrainError> {
-        let statistics = self.context.read(&self.statistics)?;
+        let statistics = self.device.read(&self.statistics)?;
         let settings = Growth {
             threshold: self.schedule.growth_threshold,
             extent: self.extent,
@@ -201,7 +200,7 @@ impl PlainLearner {
             return Err(TrainError::NothingLeft { step });
         }
         // Everyone begins anew, also those that did not grow, as published.
-        self.statistics = self.context.buffer("growth statistics", STATISTICS * gaussians)?;
+        self.statistics = self.device.buffer("growth statistics", STATISTICS * gaussians)?;
         Ok(())
     }
 }
@@ -218,12 +217,12 @@ impl Footprint for PlainFootprint {
     }
 
     fn most(&self, adapter: &AdapterReport) -> usize {
-        self.max_gaussians.min(PlainGaussians::most_gaussians(adapter))
+        self.max_gaussians.min(PlainGaussians::max_gaussians(adapter))
     }
 
     /// Parameters, gradients and two moments; a round of growth replaces them one after another.
     fn model_bytes(&self, gaussians: usize) -> u64 {
-        5 * DeviceRows::bytes(gaussians) + 2 * buffer_bytes::<f32>(STATISTICS * gaussians)
+        5 * DeviceGaussians::bytes(gaussians) + 2 * buffer_bytes::<f32>(STATISTICS * gaussians)
     }
 
     fn view_bytes(&self, gaussians: usize) -> u64 {
@@ -236,7 +235,7 @@ impl Footprint for PlainFootprint {
 
     /// A round of growth: rows and moments as read back, as grown, and on their way to the device.
     fn host_bytes(&self, gaussians: usize) -> u64 {
-        9 * DeviceRows::bytes(gaussians) + (gaussians * STATISTICS * size_of::<f32>()) as u64
+        9 * DeviceGaussians::bytes(gaussians) + (gaussians * STATISTICS * size_of::<f32>()) as u64
     }
 }
 
@@ -265,13 +264,13 @@ impl Learner for PlainLearner {
         recorder: &mut Recorder<'_>,
         _camera: &Camera,
         step: &Step,
-        void_mark: &Buffer<u32>,
+        overflow_flag: &Buffer<u32>,
     ) -> Result<(), TrainError> {
         self.plain.backward(recorder, &self.rows, &self.gradients)?;
         if self.schedule.gathers_statistics(step.number) {
-            self.plain.statistics(recorder, &self.statistics, void_mark)?;
+            self.plain.statistics(recorder, &self.statistics, overflow_flag)?;
         }
-        self.learn(recorder, step, void_mark)
+        self.learn(recorder, step, overflow_flag)
     }
 
     fn adapts(&self, step: &Step) -> bool {
@@ -320,14 +319,14 @@ impl Learner for PlainLearner {
                 state.put(&band_name(name, band), values);
             }
         }
-        state.put("growth", self.context.read(&self.statistics)?);
+        state.put("growth", self.device.read(&self.statistics)?);
         // Of the last view, which a run that goes on from its last step does not render again.
         state.put("degree", vec![self.plain.degree()]);
         Ok(state)
     }
 
     fn finish(self: Box<Self>, _frames: &[&Frame], _cancel: &CancelFlag) -> Result<Finished, TrainError> {
-        let rows = self.rows.download(&self.context)?;
+        let rows = self.rows.download(&self.device)?;
         let scene = rows.to_scene(self.plain.degree() as usize);
         let scene = Scene::Gaussians(GaussianScene { near: NearPlane::of_extent(self.extent), ..scene });
         Ok(Finished { scene, context: None })

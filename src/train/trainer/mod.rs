@@ -26,7 +26,7 @@ use crate::{
         Background, CancelFlag, Component, ContextCandidates, Dataset, DistanceUnit, Frame, MemoryBudget,
         ModelKind, NearPlane, Progress, Scene, Split, TrainOptions,
     },
-    gpu::Context,
+    gpu::Device,
     model::random_points,
     render::{RasterSettings, Rasterizer},
 };
@@ -74,15 +74,15 @@ pub struct Checkpoints<'a> {
 /// [`TrainError`]; a cancelled run ends as [`TrainError::Cancelled`] within a step or about a second, or within a view
 /// of the pass that ends it. [`TrainError::Checkpoint`] only before the first step.
 pub fn train(
-    context: &Arc<Context>,
+    device: &Arc<Device>,
     dataset: &Dataset,
     options: &TrainOptions,
     checkpoints: Checkpoints<'_>,
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
 ) -> Result<Trained, TrainError> {
-    let budget = MemoryBudget { host: u64::MAX, gpu: context.budget_bytes() };
-    train_within(context, dataset, options, &budget, checkpoints, report, cancel)
+    let budget = MemoryBudget { host: u64::MAX, gpu: device.budget_bytes() };
+    train_within(device, dataset, options, &budget, checkpoints, report, cancel)
 }
 
 /// As [`train`], growing no further than `budget` allows.
@@ -90,7 +90,7 @@ pub fn train(
 /// # Errors
 /// As [`train`], and [`TrainError::OverBudget`] before anything is done.
 pub fn train_within(
-    context: &Arc<Context>,
+    device: &Arc<Device>,
     dataset: &Dataset,
     options: &TrainOptions,
     budget: &MemoryBudget,
@@ -99,7 +99,7 @@ pub fn train_within(
     cancel: &CancelFlag,
 ) -> Result<Trained, TrainError> {
     let Checkpoints { resume, keep } = checkpoints;
-    let mut run = Run::begin(context, dataset, options, budget, resume)?;
+    let mut run = Run::begin(device, dataset, options, budget, resume)?;
     let last = run.steps;
     run.go_on(last, keep, report, cancel)?;
     run.finish(cancel)
@@ -111,7 +111,7 @@ pub fn train_within(
 /// # Errors
 /// As [`train_within`].
 pub fn train_trunk(
-    context: &Arc<Context>,
+    device: &Arc<Device>,
     dataset: &Dataset,
     options: &TrainOptions,
     budget: &MemoryBudget,
@@ -120,7 +120,7 @@ pub fn train_trunk(
     cancel: &CancelFlag,
 ) -> Result<Checkpoint, TrainError> {
     let Checkpoints { resume, keep } = checkpoints;
-    let mut run = Run::begin(context, dataset, options, budget, resume)?;
+    let mut run = Run::begin(device, dataset, options, budget, resume)?;
     run.go_on(Schedule::new(options).fork_step(), keep, report, cancel)?;
     run.checkpoint()
 }
@@ -176,7 +176,7 @@ fn tell_cap(wanted: usize, estimate: &Estimate) {
 
 /// What a learner is made for.
 struct Setting<'a> {
-    context: &'a Arc<Context>,
+    device: &'a Arc<Device>,
     dataset: &'a Dataset,
     options: &'a TrainOptions,
     frames: &'a [&'a Frame],
@@ -203,34 +203,34 @@ impl Setting<'_> {
                 (random_points(rng, self.anchors().random_points, low, high), &[][..])
             }
         };
-        let (context, extent) = (self.context, camera_extent(self.frames));
+        let (device, extent) = (self.device, camera_extent(self.frames));
         Ok(match self.options.model {
             ModelKind::Tcgs | ModelKind::Scaffold => {
                 let typical = typical_distance(self.frames, &points);
                 let unit = DistanceUnit::of_typical(typical);
                 tracing::debug!(typical, unit = unit.length(), "what distances are told in");
-                Box::new(AnchorLearner::begin(context, self.anchors(), &points, extent, unit, rng)?)
+                Box::new(AnchorLearner::begin(device, self.anchors(), &points, extent, unit, rng)?)
             }
             ModelKind::Gaussians3d => {
-                Box::new(PlainLearner::begin(context, self.plain(), &points, colors, extent, rng)?)
+                Box::new(PlainLearner::begin(device, self.plain(), &points, colors, extent, rng)?)
             }
         })
     }
 
     /// The learner that a checkpoint was taken of.
     fn resumed(&self, state: LearnerState) -> Result<Box<dyn Learner>, TrainError> {
-        let (context, extent) = (self.context, camera_extent(self.frames));
+        let (device, extent) = (self.device, camera_extent(self.frames));
         Ok(match self.options.model {
             ModelKind::Tcgs | ModelKind::Scaffold => {
-                Box::new(AnchorLearner::resume(context, self.anchors(), extent, state)?)
+                Box::new(AnchorLearner::resume(device, self.anchors(), extent, state)?)
             }
-            ModelKind::Gaussians3d => Box::new(PlainLearner::resume(context, self.plain(), extent, state)?),
+            ModelKind::Gaussians3d => Box::new(PlainLearner::resume(device, self.plain(), extent, state)?),
         })
     }
 }
 
 struct Run<'a> {
-    context: Arc<Context>,
+    device: Arc<Device>,
     steps: u32,
     frames: Vec<&'a Frame>,
     background: Background,
@@ -252,7 +252,7 @@ struct Run<'a> {
 
 impl<'a> Run<'a> {
     fn begin(
-        context: &Arc<Context>,
+        device: &Arc<Device>,
         dataset: &'a Dataset,
         options: &TrainOptions,
         budget: &MemoryBudget,
@@ -263,7 +263,7 @@ impl<'a> Run<'a> {
             return Err(TrainError::NoTrainingFrames);
         }
         let schedule = Schedule::new(options);
-        let estimate = Needs::of(dataset, options, context.adapter()).within(budget)?;
+        let estimate = Needs::of(dataset, options, device.adapter()).within(budget)?;
         tracing::info!("memory: {estimate}");
         let wanted = match options.model {
             ModelKind::Tcgs | ModelKind::Scaffold => schedule.max_anchors,
@@ -271,10 +271,10 @@ impl<'a> Run<'a> {
         };
         tell_cap(wanted, &estimate);
         let steps = schedule.steps;
-        let adapter = context.adapter_line();
+        let adapter = device.adapter_line();
         let most = estimate.size;
         let origin = Origin { options, dataset: dataset.digest, adapter: &adapter, most };
-        let setting = Setting { context, dataset, options, frames: &frames, most };
+        let setting = Setting { device, dataset, options, frames: &frames, most };
         let (state, learner) = match resume {
             Some(checkpoint) => {
                 let (mut state, saved) = checkpoint.open(origin, steps, frames.len())?;
@@ -298,8 +298,8 @@ impl<'a> Run<'a> {
             control,
             background: options.background,
             learner,
-            raster: Rasterizer::new(Arc::clone(context), settings)?,
-            loss: ImageLoss::new(Arc::clone(context))?,
+            raster: Rasterizer::new(Arc::clone(device), settings)?,
+            loss: ImageLoss::new(Arc::clone(device))?,
             wavelet: options.has(Component::Wavelet),
             began: now,
             began_at: state.step,
@@ -308,7 +308,7 @@ impl<'a> Run<'a> {
             batch: Batch::Timed { seconds_a_step: 1.0 },
             prepared: None,
             state,
-            context: Arc::clone(context),
+            device: Arc::clone(device),
             frames,
         })
     }
@@ -391,13 +391,13 @@ impl<'a> Run<'a> {
                 continue;
             }
             self.prepare_next()?;
-            let passes = self.raster.passes()?;
-            let Some(needed) = passes.lacking else { break step };
-            let first = (passes.sound as usize).min(before.len() - 1);
+            let passes = self.raster.take_forward_passes()?;
+            let Some(needed) = passes.required else { break step };
+            let first = (passes.completed as usize).min(before.len() - 1);
             tracing::debug!(step = before[first].step + 1, needed, "no room for all intersections");
             self.state = before.swap_remove(first);
             before.clear();
-            self.raster.make_room(needed)?;
+            self.raster.reserve(needed)?;
         };
         self.batch.learn(recorded, began.elapsed().as_secs_f64());
         if self.learner.adapts(&last) {
@@ -428,8 +428,8 @@ impl<'a> Run<'a> {
             Some((prepared, photograph)) if prepared == index => photograph,
             _ => self.packed(index)?,
         };
-        let context = Arc::clone(&self.context);
-        let mut recorder = context.recorder("step");
+        let device = Arc::clone(&self.device);
+        let mut recorder = device.recorder("step");
         self.learner.forward(&mut recorder, &camera, &step)?;
         self.raster.forward(&mut recorder, self.learner.gaussians(), &camera, self.background.rgb())?;
         let size = [camera.intrinsics.width, camera.intrinsics.height];
@@ -439,7 +439,7 @@ impl<'a> Run<'a> {
         let gaussians = self.learner.gaussians().clone();
         let d_gaussians = self.learner.gaussian_gradients()?;
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
-        self.learner.backward(&mut recorder, &camera, &step, self.raster.void_mark())?;
+        self.learner.backward(&mut recorder, &camera, &step, self.raster.overflow_flag())?;
         recorder.submit()?;
         self.state.step = step.number;
         Ok(())

@@ -38,14 +38,14 @@ fn dataset() -> Dataset {
 
 #[test]
 fn neither_batches_nor_a_want_of_room_change_a_bit() {
-    let (context, dataset) = (lavapipe(), dataset());
+    let (device, dataset) = (lavapipe(), dataset());
     let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
     let run = |batch: usize, room: Option<usize>| {
         let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
-        let mut run = Run::begin(&context, &dataset, &options, &budget, None).expect("begins");
+        let mut run = Run::begin(&device, &dataset, &options, &budget, None).expect("begins");
         run.batch = Batch::Fixed(batch);
         if let Some(room) = room {
-            run.raster.begin_with_room_for(room);
+            run.raster.set_initial_capacity(room);
         }
         let (mut recorded, mut losses) = (0, Vec::new());
         while run.state.step < STEPS {
@@ -68,26 +68,26 @@ fn neither_batches_nor_a_want_of_room_change_a_bit() {
 
 #[test]
 fn the_estimate_of_the_files_bytes_reads_the_samples_rate_and_no_more() {
-    let (context, dataset) = (lavapipe(), dataset());
+    let (device, dataset) = (lavapipe(), dataset());
     let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
     let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
-    let mut run = Run::begin(&context, &dataset, &options, &budget, None).expect("begins");
+    let mut run = Run::begin(&device, &dataset, &options, &budget, None).expect("begins");
     while run.state.step < STEPS / 2 {
         run.advance(&mut |_| false, &CancelFlag::default()).expect("steps");
     }
-    let made = context.buffers_made();
+    let made = device.buffers_made();
     run.learner.rate().expect("read").expect("the context model learns");
-    let of_rate = context.buffers_made() - made;
+    let of_rate = device.buffers_made() - made;
     run.weigh().expect("weighed");
-    assert_eq!(context.buffers_made() - made, 2 * of_rate);
+    assert_eq!(device.buffers_made() - made, 2 * of_rate);
 }
 
 #[test]
 fn the_choice_of_a_context_model_does_not_keep_a_cancelled_run_waiting() {
-    let (context, dataset) = (lavapipe(), dataset());
+    let (device, dataset) = (lavapipe(), dataset());
     let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
     let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
-    let mut run = Run::begin(&context, &dataset, &options, &budget, None).expect("begins");
+    let mut run = Run::begin(&device, &dataset, &options, &budget, None).expect("begins");
     let cancelled = CancelFlag::default();
     cancelled.cancel();
     let ended = loop {

@@ -30,15 +30,15 @@ fn shaders_know_numbers_that_are_none_and_magnitudes_by_their_bits() {
         .into_iter()
         .flat_map(|limit| values.map(|value| [value, limit]))
         .collect();
-    let context = gpu();
+    let device = gpu();
     let source = KernelSource { name: "finite_probe", text: include_str!("finite_probe.wgsl") };
-    let kernel = context.kernel(source, &[]).expect("the probe");
-    let given = context.upload("rows", &rows).expect("room");
-    let found = context.buffer::<[u32; 4]>("found", rows.len()).expect("room");
-    let mut recorder = context.recorder("probe");
+    let kernel = device.kernel(source, &[]).expect("the probe");
+    let given = device.upload("rows", &rows).expect("room");
+    let found = device.buffer::<[u32; 4]>("found", rows.len()).expect("room");
+    let mut recorder = device.recorder("probe");
     recorder.dispatch(&kernel, &[given.as_ref(), found.as_ref()], rows.len().div_ceil(64) as u32);
     recorder.submit().expect("submitted");
-    for ([value, limit], found) in rows.iter().zip(context.read(&found).expect("read")) {
+    for ([value, limit], found) in rows.iter().zip(device.read(&found).expect("read")) {
         let (finite, below) = (u32::from(value.is_finite()), u32::from(value.abs() < *limit));
         assert_eq!(
             found,

@@ -5,35 +5,35 @@ use std::time::Duration;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::gpu::{
-    Context, ContextSettings, GpuError, KernelVariant, Pairs, RadixSort, Scan, ScanSlots, Subgroups, twin,
+    Device, DeviceSettings, GpuError, KernelVariant, Pairs, RadixSort, Scan, ScanSlots, Subgroups, twin,
 };
 
 use crate::support::gpu::{gpu, gpu_with, variants};
 
 const SIZES: [usize; 9] = [0, 1, 2, 127, 128, 129, 5_000, 77_777, 1_000_003];
 
-fn junk(context: &Context, len: usize) -> tcgs::gpu::Buffer<u32> {
-    context.upload("junk", &vec![0xdead_beef_u32; len]).expect("a buffer")
+fn junk(device: &Device, len: usize) -> tcgs::gpu::Buffer<u32> {
+    device.upload("junk", &vec![0xdead_beef_u32; len]).expect("a buffer")
 }
 
 #[test]
 fn scan_matches_its_twin() {
-    for context in variants() {
+    for device in variants() {
         let mut rng = Pcg64::seed_from_u64(1);
         for size in SIZES {
             let values: Vec<u32> = (0..size).map(|_| rng.random_range(0..50)).collect();
-            let scan = Scan::new(&context, size, ScanSlots { count: 1, total: 2 }).expect("a scan");
-            let counts = context.upload("counts", &[7, size as u32, 9]).expect("counts");
-            let input = context.upload("values", &values).expect("values");
-            let (sums, totals) = (junk(&context, size), junk(&context, 4));
-            let mut recorder = context.recorder("scan");
+            let scan = Scan::new(&device, size, ScanSlots { count: 1, total: 2 }).expect("a scan");
+            let counts = device.upload("counts", &[7, size as u32, 9]).expect("counts");
+            let input = device.upload("values", &values).expect("values");
+            let (sums, totals) = (junk(&device, size), junk(&device, 4));
+            let mut recorder = device.recorder("scan");
             scan.record(&mut recorder, &counts, &input, &sums, &totals);
             recorder.submit().expect("submitted");
             let (expected, total) = twin::scan(&values);
-            let variant = context.variant();
-            assert_eq!(context.read(&sums).expect("sums"), expected, "{size}, {variant:?}");
+            let variant = device.variant();
+            assert_eq!(device.read(&sums).expect("sums"), expected, "{size}, {variant:?}");
             assert_eq!(
-                context.read(&totals).expect("totals"),
+                device.read(&totals).expect("totals"),
                 [0xdead_beef, 0xdead_beef, total, 0xdead_beef],
                 "{size}, {variant:?}"
             );
@@ -43,52 +43,52 @@ fn scan_matches_its_twin() {
 
 #[test]
 fn scan_saturates_and_stops_at_the_count() {
-    for context in variants() {
+    for device in variants() {
         let values = vec![u32::MAX / 3; 1000];
-        let scan = Scan::new(&context, 1000, ScanSlots { count: 0, total: 0 }).expect("a scan");
-        let counts = context.upload("counts", &[600_u32]).expect("counts");
-        let input = context.upload("values", &values).expect("values");
-        let (sums, totals) = (junk(&context, 1000), junk(&context, 1));
-        let mut recorder = context.recorder("scan");
+        let scan = Scan::new(&device, 1000, ScanSlots { count: 0, total: 0 }).expect("a scan");
+        let counts = device.upload("counts", &[600_u32]).expect("counts");
+        let input = device.upload("values", &values).expect("values");
+        let (sums, totals) = (junk(&device, 1000), junk(&device, 1));
+        let mut recorder = device.recorder("scan");
         scan.record(&mut recorder, &counts, &input, &sums, &totals);
         recorder.submit().expect("submitted");
-        let sums = context.read(&sums).expect("sums");
+        let sums = device.read(&sums).expect("sums");
         assert_eq!(sums[..600], twin::scan(&values[..600]).0);
         assert!(sums[600..].iter().all(|sum| *sum == 0xdead_beef), "beyond the count nothing is written");
-        assert_eq!(context.read(&totals).expect("totals"), [u32::MAX]);
+        assert_eq!(device.read(&totals).expect("totals"), [u32::MAX]);
     }
 }
 
 /// Holds a sort by `bits` bits against its twin.
-fn assert_sorts(context: &Context, sort: &RadixSort, keys: &[u32], bits: u32) {
+fn assert_sorts(device: &Device, sort: &RadixSort, keys: &[u32], bits: u32) {
     let size = keys.len();
     let values: Vec<u32> = (0..size as u32).collect();
-    let counts = context.upload("counts", &[size as u32]).expect("counts");
+    let counts = device.upload("counts", &[size as u32]).expect("counts");
     let pairs = Pairs {
-        keys: context.upload("keys", keys).expect("keys"),
-        values: context.upload("values", &values).expect("values"),
+        keys: device.upload("keys", keys).expect("keys"),
+        values: device.upload("values", &values).expect("values"),
     };
-    let spare = Pairs { keys: junk(context, size), values: junk(context, size) };
-    let mut recorder = context.recorder("sort");
+    let spare = Pairs { keys: junk(device, size), values: junk(device, size) };
+    let mut recorder = device.recorder("sort");
     let sorted = sort.record(&mut recorder, &counts, &pairs, &spare);
     recorder.submit().expect("submitted");
     let pairs: Vec<(u32, u32)> = keys.iter().copied().zip(values).collect();
     let (keys, values): (Vec<u32>, Vec<u32>) = twin::radix_sort(&pairs, bits).into_iter().unzip();
-    let what = format!("{size} by {bits} bits, {:?}", context.variant());
-    assert!(context.read(&sorted.keys).expect("keys") == keys, "keys: {what}");
-    assert!(context.read(&sorted.values).expect("values") == values, "values: {what}");
+    let what = format!("{size} by {bits} bits, {:?}", device.variant());
+    assert!(device.read(&sorted.keys).expect("keys") == keys, "keys: {what}");
+    assert!(device.read(&sorted.values).expect("values") == values, "values: {what}");
 }
 
 #[test]
 fn sort_matches_its_twin_and_is_stable() {
-    for context in variants() {
+    for device in variants() {
         let mut rng = Pcg64::seed_from_u64(2);
         for size in SIZES {
             for bits in [1, 7, 9, 32] {
                 let keys: Vec<u32> =
                     (0..size).map(|_| rng.random::<u32>() >> rng.random_range(0..24)).collect();
-                let sort = RadixSort::new(&context, size, bits, 0).expect("a sort");
-                assert_sorts(&context, &sort, &keys, bits);
+                let sort = RadixSort::new(&device, size, bits, 0).expect("a sort");
+                assert_sorts(&device, &sort, &keys, bits);
             }
         }
     }
@@ -96,21 +96,21 @@ fn sort_matches_its_twin_and_is_stable() {
 
 #[test]
 fn a_sort_by_a_number_of_bits_that_it_knows_makes_no_buffers() {
-    let context = gpu_with(ContextSettings::default());
+    let device = gpu_with(DeviceSettings::default());
     let mut rng = Pcg64::seed_from_u64(3);
     let keys: Vec<u32> = (0..5000).map(|_| rng.random()).collect();
-    let mut sort = RadixSort::new(&context, keys.len(), 9, 0).expect("a sort");
+    let mut sort = RadixSort::new(&device, keys.len(), 9, 0).expect("a sort");
     for bits in [12, 0, 9] {
-        sort.set_bits(&context, bits).expect("room");
+        sort.set_bits(&device, bits).expect("room");
     }
-    let made = context.buffers_made();
+    let made = device.buffers_made();
     for bits in [0, 12, 9, 9, 12] {
-        sort.set_bits(&context, bits).expect("room");
+        sort.set_bits(&device, bits).expect("room");
     }
-    assert_eq!(context.buffers_made(), made);
+    assert_eq!(device.buffers_made(), made);
     for bits in [12, 9, 0] {
-        sort.set_bits(&context, bits).expect("room");
-        assert_sorts(&context, &sort, &keys, bits);
+        sort.set_bits(&device, bits).expect("room");
+        assert_sorts(&device, &sort, &keys, bits);
     }
 }
 
@@ -118,17 +118,14 @@ fn a_sort_by_a_number_of_bits_that_it_knows_makes_no_buffers() {
 fn kernels_divide_their_work_as_suits_the_adapter_unless_told() {
     let usual = if gpu().adapter().is_software() { KernelVariant::Software } else { KernelVariant::Hardware };
     assert_eq!(gpu().variant(), usual);
-    assert_eq!(
-        variants().map(|context| context.variant()),
-        [KernelVariant::Software, KernelVariant::Hardware]
-    );
+    assert_eq!(variants().map(|device| device.variant()), [KernelVariant::Software, KernelVariant::Hardware]);
 }
 
 #[test]
 fn subgroups_that_are_narrower_than_a_workgroup_are_found_out() {
     let found = |lanes: u32| {
         let subgroups = Some(Subgroups::AtLeast(lanes));
-        gpu_with(ContextSettings { subgroups, ..ContextSettings::default() }).subgroups()
+        gpu_with(DeviceSettings { subgroups, ..DeviceSettings::default() }).subgroups()
     };
     if let Subgroups::Exactly(lanes) = gpu().subgroups() {
         assert_eq!(found(lanes), Subgroups::AtLeast(lanes));
@@ -139,51 +136,51 @@ fn subgroups_that_are_narrower_than_a_workgroup_are_found_out() {
 #[test]
 fn a_device_that_does_not_answer_in_time_counts_as_hung_from_then_on() {
     let limit = Duration::from_millis(1);
-    let context = gpu_with(ContextSettings { max_wait: Some(limit), ..ContextSettings::default() });
-    let (pairs, spare) = (Pairs::new(&context, 1 << 20), Pairs::new(&context, 1 << 20));
+    let device = gpu_with(DeviceSettings { max_wait: Some(limit), ..DeviceSettings::default() });
+    let (pairs, spare) = (Pairs::new(&device, 1 << 20), Pairs::new(&device, 1 << 20));
     let (pairs, spare) = (pairs.expect("room"), spare.expect("room"));
-    let counts = context.upload("counts", &[1_u32 << 20]).expect("counts");
-    let sort = RadixSort::new(&context, 1 << 20, 32, 0).expect("a sort");
-    let mut recorder = context.recorder("more than fits in a millisecond");
+    let counts = device.upload("counts", &[1_u32 << 20]).expect("counts");
+    let sort = RadixSort::new(&device, 1 << 20, 32, 0).expect("a sort");
+    let mut recorder = device.recorder("more than fits in a millisecond");
     for _ in 0..10 {
         let _ = sort.record(&mut recorder, &counts, &pairs, &spare);
     }
     recorder.submit().expect("submitted");
     let hung = GpuError::Timeout { waited: limit };
-    assert_eq!(context.wait(), Err(hung.clone()));
-    assert_eq!(context.check(), Err(hung.clone()));
-    context.set_max_wait(Duration::from_secs(600));
-    assert_eq!(context.read(&counts), Err(hung.clone()), "it is not asked again");
-    assert_eq!(context.buffer::<u32>("more", 1).map(|_| ()), Err(hung));
+    assert_eq!(device.wait(), Err(hung.clone()));
+    assert_eq!(device.check(), Err(hung.clone()));
+    device.set_max_wait(Duration::from_secs(600));
+    assert_eq!(device.read(&counts), Err(hung.clone()), "it is not asked again");
+    assert_eq!(device.buffer::<u32>("more", 1).map(|_| ()), Err(hung));
 }
 
 #[test]
 fn recorded_writes_take_effect_in_order() {
-    let context = gpu();
-    let (buffer, copy) = (context.buffer("b", 3).expect("room"), context.buffer("c", 3).expect("room"));
-    let mut recorder = context.recorder("writes");
+    let device = gpu();
+    let (buffer, copy) = (device.buffer("b", 3).expect("room"), device.buffer("c", 3).expect("room"));
+    let mut recorder = device.recorder("writes");
     recorder.write(&buffer, &[1_u32, 2, 3]);
     recorder.copy(&buffer, 0, &copy, 0, 3);
     recorder.write(&buffer, &[7_u32]);
     recorder.write::<u32>(&buffer, &[]);
     recorder.submit().expect("submitted");
-    assert_eq!(context.read(&copy).expect("read"), [1, 2, 3]);
-    assert_eq!(context.read(&buffer).expect("read"), [7, 2, 3]);
+    assert_eq!(device.read(&copy).expect("read"), [1, 2, 3]);
+    assert_eq!(device.read(&buffer).expect("read"), [7, 2, 3]);
 }
 
 #[test]
 fn timed_dispatches_are_named_in_order() {
-    let context = gpu();
-    let scan = Scan::new(&context, 100, ScanSlots { count: 0, total: 0 }).expect("a scan");
-    let counts = context.upload("counts", &[100_u32]).expect("counts");
-    let (values, sums, totals) = (junk(&context, 100), junk(&context, 100), junk(&context, 1));
-    let mut recorder = context.timed_recorder("scan");
+    let device = gpu();
+    let scan = Scan::new(&device, 100, ScanSlots { count: 0, total: 0 }).expect("a scan");
+    let counts = device.upload("counts", &[100_u32]).expect("counts");
+    let (values, sums, totals) = (junk(&device, 100), junk(&device, 100), junk(&device, 1));
+    let mut recorder = device.timed_recorder("scan");
     scan.record(&mut recorder, &counts, &values, &sums, &totals);
     let names: Vec<_> = recorder.submit_timed().expect("submitted").iter().map(|time| time.name).collect();
-    if context.adapter().timestamps {
+    if device.adapter().timestamps {
         assert_eq!(names, ["scan_reduce", "scan_partials", "scan_apply"]);
     } else {
         assert!(names.is_empty());
     }
-    assert_eq!(context.read(&totals).expect("totals"), [u32::MAX]);
+    assert_eq!(device.read(&totals).expect("totals"), [u32::MAX]);
 }

@@ -9,14 +9,14 @@ use rand_pcg::Pcg64;
 use tcgs::{
     domain::{Camera, GaussianScene, Pose},
     export::from_ply,
-    gpu::Context,
+    gpu::Device,
     model::{
         GaussianRows,
         gaussian_rows::{BASE, COLOR, LOG_SCALE, OPACITY, QUAT},
     },
     ply::HeaderError,
     render::{
-        DeviceRows, PlainGaussians, Projection, RasterSettings, Rasterizer, RenderError, STATISTICS,
+        DeviceGaussians, PlainGaussians, Projection, RasterSettings, Rasterizer, RenderError, STATISTICS,
         twin::{
             self, Gaussian, GaussianGradient,
             plain::{PlainRow, gaussian_statistics, shade_gaussians, shade_gradient},
@@ -105,15 +105,15 @@ struct Found {
 }
 
 /// Both passes and the statistics, into buffers full of NaN (the statistics begin at one).
-fn run(context: &Arc<Context>, plain: &mut PlainGaussians, rows: &GaussianRows, camera: &Camera) -> Found {
-    let device = DeviceRows::upload(context, rows).expect("room");
-    let mut recorder = context.recorder("forward");
-    plain.forward(&mut recorder, &device, camera).expect("recorded");
+fn run(device: &Arc<Device>, plain: &mut PlainGaussians, rows: &GaussianRows, camera: &Camera) -> Found {
+    let device_gaussians = DeviceGaussians::upload(device, rows).expect("room");
+    let mut recorder = device.recorder("forward");
+    plain.forward(&mut recorder, &device_gaussians, camera).expect("recorded");
     recorder.submit().expect("submitted");
     let out = plain.gaussians().clone();
-    assert_eq!(context.read(&out.count).expect("a count")[0] as usize, rows.len());
-    let [means, scales, quats] = sections(context, &out.geometry, rows.len());
-    let gaussians = [means, scales, quats, context.read(&out.colors).expect("a column")];
+    assert_eq!(device.read(&out.count).expect("a count")[0] as usize, rows.len());
+    let [means, scales, quats] = sections(device, &out.geometry, rows.len());
+    let gaussians = [means, scales, quats, device.read(&out.colors).expect("a column")];
 
     let d = plain.gaussian_gradients().expect("room").clone();
     let given = gradients(9, rows.len());
@@ -126,8 +126,8 @@ fn run(context: &Arc<Context>, plain: &mut PlainGaussians, rows: &GaussianRows, 
         column(&|(v, ..)| v.scale.extend(nan).to_array()),
         column(&|(v, ..)| v.quat),
     ];
-    context.write(&d.geometry, &geometry.concat());
-    context.write(&d.colors, &column(&|(v, ..)| v.color.extend(nan).to_array()));
+    device.write(&d.geometry, &geometry.concat());
+    device.write(&d.colors, &column(&|(v, ..)| v.color.extend(nan).to_array()));
     // What is culled has no gradient, and whatever it says must not count.
     let opacity = |index: usize| gaussians[0][index][3];
     let centers: Vec<[f32; 4]> = given
@@ -138,24 +138,24 @@ fn run(context: &Arc<Context>, plain: &mut PlainGaussians, rows: &GaussianRows, 
             [center.x, center.y, tiles, *radius].map(|v| v as f32)
         })
         .collect();
-    context.write(&d.means2d, &centers);
+    device.write(&d.means2d, &centers);
 
-    let spoiled = DeviceRows::zero(context, rows.len()).expect("room");
-    context.write(&spoiled.base, &vec![f32::NAN; spoiled.base.len()]);
-    context.write(&spoiled.bands, &vec![f32::NAN; spoiled.bands.len()]);
-    let statistics = context.upload("statistics", &vec![1.0_f32; STATISTICS * rows.len()]).expect("room");
-    let mut recorder = context.recorder("backward");
-    plain.backward(&mut recorder, &device, &spoiled).expect("recorded");
+    let spoiled = DeviceGaussians::zero(device, rows.len()).expect("room");
+    device.write(&spoiled.base, &vec![f32::NAN; spoiled.base.len()]);
+    device.write(&spoiled.bands, &vec![f32::NAN; spoiled.bands.len()]);
+    let statistics = device.upload("statistics", &vec![1.0_f32; STATISTICS * rows.len()]).expect("room");
+    let mut recorder = device.recorder("backward");
+    plain.backward(&mut recorder, &device_gaussians, &spoiled).expect("recorded");
     // A void step adds nothing.
     for mark in [1_u32, 0] {
-        let mark = context.upload("void mark", &[mark]).expect("room");
+        let mark = device.upload("overflow flag", &[mark]).expect("room");
         plain.statistics(&mut recorder, &statistics, &mark).expect("recorded");
     }
     recorder.submit().expect("submitted");
     Found {
         gaussians,
-        d_rows: spoiled.download(context).expect("read"),
-        statistics: context.read(&statistics).expect("read"),
+        d_rows: spoiled.download(device).expect("read"),
+        statistics: device.read(&statistics).expect("read"),
     }
 }
 
@@ -166,10 +166,10 @@ fn assert_near(what: &str, found: &[f64], expected: &[f64]) {
 
 /// Holds everything against the twin; returns how many Gaussians are seen.
 fn matches_twin(rows: &GaussianRows, camera: &Camera, degree: u32) -> usize {
-    let context = gpu();
-    let mut plain = PlainGaussians::new(Arc::clone(&context), NEAR).expect("the kernels");
+    let device = gpu();
+    let mut plain = PlainGaussians::new(Arc::clone(&device), NEAR).expect("the kernels");
     plain.set_degree(degree).expect("the kernels");
-    let found = run(&context, &mut plain, rows, camera);
+    let found = run(&device, &mut plain, rows, camera);
     let projection = projection(camera);
     let shaded: Vec<Option<Gaussian>> =
         twin_rows(rows).iter().map(|row| shade_gaussians(&projection, row, degree)).collect();
@@ -326,16 +326,16 @@ fn the_whole_way_to_the_image_and_back_matches_the_oracles() {
     for case in ["base", "sh_negative_clamp", "odd_size_offcentre"] {
         let oracle = Oracle::load(case);
         assert_eq!(oracle.numbers("in.WH_deg_aa")[2], 3.0, "{case}");
-        let (context, camera, settings) = (gpu(), oracle.camera(), oracle.settings());
+        let (device, camera, settings) = (gpu(), oracle.camera(), oracle.settings());
         let rows = oracle_rows(&oracle);
-        let device = DeviceRows::upload(&context, &rows).expect("room");
-        let mut plain = PlainGaussians::new(Arc::clone(&context), settings.near).expect("the kernels");
+        let device_gaussians = DeviceGaussians::upload(&device, &rows).expect("room");
+        let mut plain = PlainGaussians::new(Arc::clone(&device), settings.near).expect("the kernels");
         plain.set_degree(3).expect("the kernels");
-        let mut raster = Rasterizer::new(Arc::clone(&context), settings).expect("a rasteriser");
+        let mut raster = Rasterizer::new(Arc::clone(&device), settings).expect("a rasteriser");
         let background = oracle.background().as_vec3().to_array();
         loop {
-            let mut recorder = context.recorder("forward");
-            plain.forward(&mut recorder, &device, &camera).expect("recorded");
+            let mut recorder = device.recorder("forward");
+            plain.forward(&mut recorder, &device_gaussians, &camera).expect("recorded");
             raster.forward(&mut recorder, plain.gaussians(), &camera, background).expect("recorded");
             recorder.submit().expect("submitted");
             let counts = raster.counts().expect("counts");
@@ -345,19 +345,19 @@ fn the_whole_way_to_the_image_and_back_matches_the_oracles() {
             raster.grow(&counts).expect("grown");
         }
         let v_image: Vec<[f32; 4]> = oracle.v_image().iter().map(|v| v.map(|v| v as f32)).collect();
-        let v_image = context.upload("v_image", &v_image).expect("room");
+        let v_image = device.upload("v_image", &v_image).expect("room");
         let d = plain.gaussian_gradients().expect("room").clone();
-        let out = DeviceRows::zero(&context, rows.len()).expect("room");
-        let mut recorder = context.recorder("backward");
+        let out = DeviceGaussians::zero(&device, rows.len()).expect("room");
+        let mut recorder = device.recorder("backward");
         raster.backward(&mut recorder, plain.gaussians(), &camera, &v_image, &d).expect("recorded");
-        plain.backward(&mut recorder, &device, &out).expect("recorded");
+        plain.backward(&mut recorder, &device_gaussians, &out).expect("recorded");
         recorder.submit().expect("submitted");
 
-        let image = context.read(raster.image()).expect("read");
+        let image = device.read(raster.image()).expect("read");
         for (found, expected) in flat(&image, 3).iter().zip(oracle.numbers("f64.rgb")) {
             assert!((found - expected).abs() < 1e-4, "{case}: {found} {expected}");
         }
-        let found = out.download(&context).expect("read");
+        let found = out.download(&device).expect("read");
         let base = |first: usize, width: usize| -> Vec<f64> {
             let rows = found.base.chunks_exact(BASE);
             rows.flat_map(|row| row[first..first + width].to_vec()).map(f64::from).collect()
@@ -393,21 +393,21 @@ fn the_whole_way_to_the_image_and_back_matches_the_oracles() {
 
 #[test]
 fn the_radius_is_three_deviations_along_the_longer_axis() {
-    let context = gpu();
+    let device = gpu();
     let camera = random::camera(64, 48);
     let rows = rows(6, 300);
-    let device = DeviceRows::upload(&context, &rows).expect("room");
-    let mut plain = PlainGaussians::new(Arc::clone(&context), NEAR).expect("the kernels");
-    let mut raster = Rasterizer::new(Arc::clone(&context), RasterSettings::default()).expect("a rasteriser");
-    let mut recorder = context.recorder("forward");
-    plain.forward(&mut recorder, &device, &camera).expect("recorded");
+    let device_gaussians = DeviceGaussians::upload(&device, &rows).expect("room");
+    let mut plain = PlainGaussians::new(Arc::clone(&device), NEAR).expect("the kernels");
+    let mut raster = Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("a rasteriser");
+    let mut recorder = device.recorder("forward");
+    plain.forward(&mut recorder, &device_gaussians, &camera).expect("recorded");
     raster.forward(&mut recorder, plain.gaussians(), &camera, [0.0; 3]).expect("recorded");
     let d = plain.gaussian_gradients().expect("room").clone();
-    let v_image = context.upload("v_image", &random::v_image(1, 64 * 48)).expect("room");
+    let v_image = device.upload("v_image", &random::v_image(1, 64 * 48)).expect("room");
     raster.backward(&mut recorder, plain.gaussians(), &camera, &v_image, &d).expect("recorded");
     recorder.submit().expect("submitted");
     assert!(!raster.counts().expect("counts").overflowed);
-    let found = context.read(&d.means2d).expect("read");
+    let found = device.read(&d.means2d).expect("read");
     let mut seen = 0;
     for (index, found) in found.iter().enumerate().filter(|(_, found)| found[2] > 0.0) {
         let gaussian = shade_gaussians(&projection(&camera), &twin_row(&rows, index), 0).expect("in view");
@@ -434,10 +434,10 @@ fn packed_files_of_other_programs_are_refused_as_what_they_are() {
 
 #[test]
 fn a_backward_pass_without_a_place_for_gradients_is_refused() {
-    let context = gpu();
-    let device = DeviceRows::upload(&context, &rows(1, 3)).expect("room");
-    let plain = PlainGaussians::new(Arc::clone(&context), NEAR).expect("the kernels");
-    let mut recorder = context.recorder("backward");
-    let refused = plain.backward(&mut recorder, &device, &device);
+    let device = gpu();
+    let device_gaussians = DeviceGaussians::upload(&device, &rows(1, 3)).expect("room");
+    let plain = PlainGaussians::new(Arc::clone(&device), NEAR).expect("the kernels");
+    let mut recorder = device.recorder("backward");
+    let refused = plain.backward(&mut recorder, &device_gaussians, &device_gaussians);
     assert_eq!(refused, Err(RenderError::OutOfStep));
 }

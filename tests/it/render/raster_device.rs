@@ -5,9 +5,10 @@ use std::sync::Arc;
 use glam::DVec3;
 use tcgs::{
     domain::Camera,
-    gpu::{Context, ContextSettings, Subgroups},
+    gpu::{Device, DeviceSettings, Subgroups},
     render::{
-        GaussianGradients, Gaussians, Passes, Projection, RasterSettings, Rasterizer, RenderError, twin,
+        ForwardPasses, GaussianGradients, Gaussians, Projection, RasterSettings, Rasterizer, RenderError,
+        twin,
     },
 };
 
@@ -24,10 +25,10 @@ fn run(settings: RasterSettings, scene: &Scene, camera: &Camera) -> Rendered {
     run_on(&gpu(), settings, scene, camera)
 }
 
-fn run_on(context: &Arc<Context>, settings: RasterSettings, scene: &Scene, camera: &Camera) -> Rendered {
-    let mut rasterizer = Rasterizer::new(Arc::clone(context), settings).expect("a rasteriser");
+fn run_on(device: &Arc<Device>, settings: RasterSettings, scene: &Scene, camera: &Camera) -> Rendered {
+    let mut rasterizer = Rasterizer::new(Arc::clone(device), settings).expect("a rasteriser");
     let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
-    render(context, &mut rasterizer, scene, camera, BACKGROUND, &random::v_image(9, pixels))
+    render(device, &mut rasterizer, scene, camera, BACKGROUND, &random::v_image(9, pixels))
 }
 
 fn gradients(rendered: &Rendered) -> Vec<f64> {
@@ -44,14 +45,14 @@ fn matches_twin(seed: u64, count: usize, size: f64, width: u32, height: u32, set
 
 /// As [`matches_twin`], of a scene by its seed, count and size.
 fn matches_twin_on(
-    context: &Arc<Context>,
+    device: &Arc<Device>,
     (seed, count, size): (u64, usize, f64),
     camera: Camera,
     settings: RasterSettings,
 ) {
     let [width, height] = [camera.intrinsics.width, camera.intrinsics.height];
     let gaussians = random::gaussians(seed, count, size);
-    let found = run_on(context, settings, &Scene::new(&gaussians), &camera);
+    let found = run_on(device, settings, &Scene::new(&gaussians), &camera);
     let projection = Projection::new(&camera, &settings);
     let background = DVec3::from(BACKGROUND.map(f64::from));
     let cutoffs = twin::Cutoffs::default();
@@ -96,13 +97,13 @@ fn images_smaller_than_a_tile_and_of_one_pixel_match_the_twin() {
 
 #[test]
 fn without_subgroups_the_result_is_the_same_up_to_rounding() {
-    let context = gpu();
+    let device = gpu();
     let camera = random::camera(50, 40);
     let scene = Scene::new(&random::gaussians(8, 500, 0.1));
     let v_image = random::v_image(9, 2000);
     let mut plain =
-        Rasterizer::without_subgroups(Arc::clone(&context), RasterSettings::default()).expect("one");
-    let plain = render(&context, &mut plain, &scene, &camera, BACKGROUND, &v_image);
+        Rasterizer::without_subgroups(Arc::clone(&device), RasterSettings::default()).expect("one");
+    let plain = render(&device, &mut plain, &scene, &camera, BACKGROUND, &v_image);
     let usual = run(RasterSettings::default(), &scene, &camera);
     assert!(relative_l2(&flat(&plain.image, 4), &flat(&usual.image, 4)) < 1e-6);
     assert!(relative_l2(&gradients(&plain), &gradients(&usual)) < 1e-5);
@@ -111,10 +112,10 @@ fn without_subgroups_the_result_is_the_same_up_to_rounding() {
 #[test]
 fn both_variants_match_the_twin_and_give_the_same_bits() {
     let camera = random::camera(150, 70);
-    let rendered = variants().map(|context| {
-        matches_twin_on(&context, (2, 2000, 0.05), random::camera(67, 35), RasterSettings::default());
+    let rendered = variants().map(|device| {
+        matches_twin_on(&device, (2, 2000, 0.05), random::camera(67, 35), RasterSettings::default());
         // More Gaussians than the software variant has invocations.
-        run_on(&context, RasterSettings::default(), &Scene::new(&random::gaussians(19, 9000, 0.03)), &camera)
+        run_on(&device, RasterSettings::default(), &Scene::new(&random::gaussians(19, 9000, 0.03)), &camera)
     });
     assert!(rendered[0] == rendered[1]);
 }
@@ -122,15 +123,13 @@ fn both_variants_match_the_twin_and_give_the_same_bits() {
 #[test]
 fn workgroups_of_one_subgroup_give_the_same_bits() {
     let Some(lanes) = gpu().subgroups().lanes() else { return println!("an adapter without subgroups") };
-    let context = gpu_with(ContextSettings {
-        subgroups: Some(Subgroups::AtLeast(lanes)),
-        ..ContextSettings::default()
-    });
-    assert_eq!(context.subgroups(), Subgroups::AtLeast(lanes));
+    let device =
+        gpu_with(DeviceSettings { subgroups: Some(Subgroups::AtLeast(lanes)), ..DeviceSettings::default() });
+    assert_eq!(device.subgroups(), Subgroups::AtLeast(lanes));
     let camera = random::camera(150, 70);
     let scene = Scene::new(&random::gaussians(20, 2000, 0.05));
     let usual = run(RasterSettings::default(), &scene, &camera);
-    assert!(run_on(&context, RasterSettings::default(), &scene, &camera) == usual);
+    assert!(run_on(&device, RasterSettings::default(), &scene, &camera) == usual);
 }
 
 #[test]
@@ -139,27 +138,27 @@ fn subgroups_that_are_wider_than_a_workgroup_match_the_twin() {
         return;
     }
     let subgroups = Some(Subgroups::AtLeast(8));
-    let context = gpu_with(ContextSettings { subgroups, ..ContextSettings::default() });
-    assert_eq!(context.subgroups(), Subgroups::AtLeast(8));
-    matches_twin_on(&context, (2, 2000, 0.05), random::camera(67, 35), RasterSettings::default());
-    matches_twin_on(&context, (3, 50, 1.0), random::camera(32, 80), RasterSettings::default());
+    let device = gpu_with(DeviceSettings { subgroups, ..DeviceSettings::default() });
+    assert_eq!(device.subgroups(), Subgroups::AtLeast(8));
+    matches_twin_on(&device, (2, 2000, 0.05), random::camera(67, 35), RasterSettings::default());
+    matches_twin_on(&device, (3, 50, 1.0), random::camera(32, 80), RasterSettings::default());
 }
 
 #[test]
 fn alternating_image_sizes_make_no_buffers_once_the_largest_was_seen() {
     // Others must not make buffers here meanwhile.
-    let context = gpu_with(ContextSettings::default());
-    let mut rasterizer = Rasterizer::new(Arc::clone(&context), RasterSettings::default()).expect("one");
+    let device = gpu_with(DeviceSettings::default());
+    let mut rasterizer = Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("one");
     let scene = Scene::new(&random::gaussians(21, 300, 0.1));
     let sizes = [(64, 48), (48, 64), (200, 30), (16, 16)];
     let mut view = |(width, height): (u32, u32)| {
         let camera = random::camera(width, height);
         let v_image = random::v_image(9, (width * height) as usize);
-        let before = (context.buffers_made(), context.allocated_bytes());
-        let found = render(&context, &mut rasterizer, &scene, &camera, BACKGROUND, &v_image);
+        let before = (device.buffers_made(), device.allocated_bytes());
+        let found = render(&device, &mut rasterizer, &scene, &camera, BACKGROUND, &v_image);
         let fresh = run(RasterSettings::default(), &scene, &camera);
         assert!(found == fresh, "{width}x{height} after others");
-        (context.buffers_made() - before.0, context.allocated_bytes() - before.1)
+        (device.buffers_made() - before.0, device.allocated_bytes() - before.1)
     };
     for size in sizes {
         view(size);
@@ -212,35 +211,35 @@ fn assert_empty(rendered: &Rendered) {
 
 #[test]
 fn a_rasterizer_serves_scenes_and_images_of_all_sizes_in_turn() {
-    let context = gpu();
-    let mut shared = Rasterizer::new(Arc::clone(&context), RasterSettings::default()).expect("one");
+    let device = gpu();
+    let mut shared = Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("one");
     for (count, width, height) in [(300, 64, 64), (20, 16, 16), (900, 200, 30), (0, 8, 8), (300, 64, 64)] {
         let camera = random::camera(width, height);
         let scene = Scene::new(&random::gaussians(17, count, 0.1));
         let v_image = random::v_image(9, (width * height) as usize);
-        let found = render(&context, &mut shared, &scene, &camera, BACKGROUND, &v_image);
+        let found = render(&device, &mut shared, &scene, &camera, BACKGROUND, &v_image);
         assert!(found == run(RasterSettings::default(), &scene, &camera), "{count} at {width}x{height}");
     }
 }
 
 #[test]
 fn one_recording_may_hold_several_views() {
-    let context = gpu();
+    let device = gpu();
     let scene = Scene::new(&random::gaussians(18, 200, 0.2));
-    let gaussians = scene.upload(&context);
+    let gaussians = scene.upload(&device);
     let cameras = [random::camera(40, 40), random::camera(24, 50)];
-    let mut rasterizer = Rasterizer::new(Arc::clone(&context), RasterSettings::default()).expect("one");
-    let mut recorder = context.recorder("two views");
+    let mut rasterizer = Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("one");
+    let mut recorder = device.recorder("two views");
     let images = cameras.map(|camera| {
         rasterizer.forward(&mut recorder, &gaussians, &camera, BACKGROUND).expect("recorded");
         let image = rasterizer.image();
-        let copy = context.buffer::<[f32; 4]>("copy", image.len()).expect("room");
+        let copy = device.buffer::<[f32; 4]>("copy", image.len()).expect("room");
         recorder.copy(image, 0, &copy, 0, image.len());
         copy
     });
     recorder.submit().expect("submitted");
     for (image, camera) in images.iter().zip(cameras) {
-        assert!(context.read(image).expect("read") == run(RasterSettings::default(), &scene, &camera).image);
+        assert!(device.read(image).expect("read") == run(RasterSettings::default(), &scene, &camera).image);
     }
 }
 
@@ -251,24 +250,24 @@ fn an_empty_scene_is_background() {
 
 #[test]
 fn rows_beyond_the_count_are_left_out_and_never_written() {
-    let context = gpu();
+    let device = gpu();
     let camera = random::camera(20, 20);
     let scene = Scene::new(&random::gaussians(12, 64, 0.2));
-    let gaussians = scene.upload(&context);
+    let gaussians = scene.upload(&device);
     const USED: usize = 20;
-    context.write(&gaussians.count, &[USED as u32]);
-    let mut rasterizer = Rasterizer::new(Arc::clone(&context), RasterSettings::default()).expect("one");
-    let out = spoiled_gradients(&context, 64);
-    let v_image = context.upload("v", &random::v_image(1, 400)).expect("a buffer");
-    let mut recorder = context.recorder("both passes in one recording");
+    device.write(&gaussians.count, &[USED as u32]);
+    let mut rasterizer = Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("one");
+    let out = spoiled_gradients(&device, 64);
+    let v_image = device.upload("v", &random::v_image(1, 400)).expect("a buffer");
+    let mut recorder = device.recorder("both passes in one recording");
     rasterizer.forward(&mut recorder, &gaussians, &camera, BACKGROUND).expect("recorded");
     rasterizer.backward(&mut recorder, &gaussians, &camera, &v_image, &out).expect("recorded");
     recorder.submit().expect("submitted");
-    let image = context.read(rasterizer.image()).expect("an image");
+    let image = device.read(rasterizer.image()).expect("an image");
     let alone = run(RasterSettings::default(), &Scene::new(&random::gaussians(12, 64, 0.2)[..USED]), &camera);
     assert!(image == alone.image);
     let [geometry, colors, means2d] =
-        [&out.geometry, &out.colors, &out.means2d].map(|buffer| context.read(buffer).expect("gradients"));
+        [&out.geometry, &out.colors, &out.means2d].map(|buffer| device.read(buffer).expect("gradients"));
     for section in geometry.chunks(64).chain([&colors[..], &means2d]) {
         assert!(section[..USED].iter().flatten().all(|value| value.is_finite()));
         assert!(section[USED..].iter().flatten().all(|value| value.is_nan()), "nobody reads them");
@@ -346,7 +345,7 @@ fn gradients_are_finite_at_every_scale() {
 
 #[test]
 fn overflow_is_reported_and_growing_gives_what_enough_room_would_have() {
-    let context = gpu();
+    let device = gpu();
     let camera = random::camera(256, 256);
     let mut gaussians = random::gaussians(15, 200, 0.5);
     for gaussian in &mut gaussians {
@@ -354,21 +353,25 @@ fn overflow_is_reported_and_growing_gives_what_enough_room_would_have() {
         gaussian.opacity = 0.05;
     }
     let scene = Scene::new(&gaussians);
-    let uploaded = scene.upload(&context);
-    let mut rasterizer = Rasterizer::new(Arc::clone(&context), RasterSettings::default()).expect("one");
-    let mut recorder = context.recorder("forward");
+    let uploaded = scene.upload(&device);
+    let mut rasterizer = Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("one");
+    let mut recorder = device.recorder("forward");
     rasterizer.forward(&mut recorder, &uploaded, &camera, BACKGROUND).expect("recorded");
     recorder.submit().expect("submitted");
     let counts = rasterizer.counts().expect("counts");
     assert!(counts.overflowed && counts.intersections > 16_384, "{counts:?}");
-    let lacking = Passes { sound: 0, lacking: Some(counts.intersections as usize) };
-    assert_eq!(rasterizer.passes(), Ok(lacking));
+    let failed = ForwardPasses { completed: 0, required: Some(counts.intersections as usize) };
+    assert_eq!(rasterizer.take_forward_passes(), Ok(failed));
     let v_image = random::v_image(9, 256 * 256);
-    let grown = render(&context, &mut rasterizer, &scene, &camera, BACKGROUND, &v_image);
-    assert_eq!(rasterizer.passes(), Ok(lacking), "what lacked room is told of although room was made since");
-    let again = render(&context, &mut rasterizer, &scene, &camera, BACKGROUND, &v_image);
-    assert_eq!(rasterizer.passes(), Ok(Passes { sound: 1, lacking: None }));
-    assert_eq!(rasterizer.passes(), Ok(Passes { sound: 0, lacking: None }));
+    let grown = render(&device, &mut rasterizer, &scene, &camera, BACKGROUND, &v_image);
+    assert_eq!(
+        rasterizer.take_forward_passes(),
+        Ok(failed),
+        "what lacked room is told of although room was made since"
+    );
+    let again = render(&device, &mut rasterizer, &scene, &camera, BACKGROUND, &v_image);
+    assert_eq!(rasterizer.take_forward_passes(), Ok(ForwardPasses { completed: 1, required: None }));
+    assert_eq!(rasterizer.take_forward_passes(), Ok(ForwardPasses { completed: 0, required: None }));
     assert_eq!(grown.counts.intersections, counts.intersections);
     assert!(grown == again);
     let projection = Projection::new(&camera, &RasterSettings::default());
@@ -379,13 +382,13 @@ fn overflow_is_reported_and_growing_gives_what_enough_room_would_have() {
 
 #[test]
 fn a_backward_pass_of_another_camera_is_refused() {
-    let context = gpu();
-    let gaussians = Gaussians::new(&context, 4).expect("room");
-    let out = GaussianGradients::new(&context, 4).expect("room");
-    let v_image = context.buffer("v", 100).expect("a buffer");
+    let device = gpu();
+    let gaussians = Gaussians::new(&device, 4).expect("room");
+    let out = GaussianGradients::new(&device, 4).expect("room");
+    let v_image = device.buffer("v", 100).expect("a buffer");
     let (camera, other) = (random::camera(10, 10), random::camera(10, 11));
-    let mut rasterizer = Rasterizer::new(Arc::clone(&context), RasterSettings::default()).expect("one");
-    let mut recorder = context.recorder("backward");
+    let mut rasterizer = Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("one");
+    let mut recorder = device.recorder("backward");
     let early = rasterizer.backward(&mut recorder, &gaussians, &camera, &v_image, &out);
     assert_eq!(early, Err(RenderError::OutOfStep));
     rasterizer.forward(&mut recorder, &gaussians, &camera, BACKGROUND).expect("recorded");
@@ -393,7 +396,7 @@ fn a_backward_pass_of_another_camera_is_refused() {
         rasterizer.backward(&mut recorder, &gaussians, &other, &v_image, &out),
         Err(RenderError::OutOfStep)
     );
-    let short = context.buffer("v", 99).expect("a buffer");
+    let short = device.buffer("v", 99).expect("a buffer");
     let refused = rasterizer.backward(&mut recorder, &gaussians, &camera, &short, &out);
     assert!(matches!(refused, Err(RenderError::Length { found: 99, expected: 100, .. })));
     rasterizer.backward(&mut recorder, &gaussians, &camera, &v_image, &out).expect("recorded");

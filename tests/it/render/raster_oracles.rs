@@ -71,13 +71,13 @@ fn compare(case: &str, oracle: &Oracle, found: &Found, rgb_bound: f64, bound: f6
 }
 
 fn on_the_device(oracle: &Oracle, subgroups: bool) -> Found {
-    let context = gpu();
+    let device = gpu();
     let scene = Scene::new(&oracle.gaussians());
     let v_image: Vec<[f32; 4]> = oracle.v_image().iter().map(|pixel| pixel.map(|v| v as f32)).collect();
     let background = oracle.background().as_vec3().to_array();
     let new = if subgroups { Rasterizer::new } else { Rasterizer::without_subgroups };
-    let mut rasterizer = new(Arc::clone(&context), oracle.settings()).expect("a rasteriser");
-    let got = render(&context, &mut rasterizer, &scene, &oracle.camera(), background, &v_image);
+    let mut rasterizer = new(Arc::clone(&device), oracle.settings()).expect("a rasteriser");
+    let got = render(&device, &mut rasterizer, &scene, &oracle.camera(), background, &v_image);
     let visible: Vec<[f32; 4]> = oracle.ids().iter().map(|id| got.v_means2d[*id]).collect();
     Found {
         image: got.image.iter().map(|pixel| pixel.map(f64::from)).collect(),
@@ -141,6 +141,6 @@ fn the_twin_matches_the_oracles() {
 #[test]
 fn two_thousand_layers_that_saturate_match_the_oracle() {
     let Some(oracle) = Oracle::load_large() else { return };
-    let device = [true, false].map(|subgroups| device_fault(LARGE_CASE, &oracle, subgroups));
-    assert_none(device.into_iter().flatten().chain(twin_fault(LARGE_CASE.0, &oracle)));
+    let device_faults = [true, false].map(|subgroups| device_fault(LARGE_CASE, &oracle, subgroups));
+    assert_none(device_faults.into_iter().flatten().chain(twin_fault(LARGE_CASE.0, &oracle)));
 }

@@ -9,7 +9,7 @@ use tcgs::{
     render::{
         Projection, RasterSettings, RenderError, RenderViews, SceneRenderer, SceneViewer,
         twin::{self, neural},
-        views::{ALPHA_SEEN, PlaneKind, Viewable},
+        views::{MIN_VISIBLE_ALPHA, ScalarKind, Viewable},
     },
 };
 
@@ -70,8 +70,8 @@ fn depth_and_alpha_are_the_twins() {
     let (rows, networks, finished) = scene();
     let camera = random::camera(45, 37);
     let mut renderer = SceneRenderer::new(&gpu(), &finished, Background::White).expect("a renderer");
-    let depth = renderer.plane(&camera, PlaneKind::Depth).expect("a view");
-    let alpha = renderer.plane(&camera, PlaneKind::Alpha).expect("a view");
+    let depth = renderer.plane(&camera, ScalarKind::Depth).expect("a view");
+    let alpha = renderer.plane(&camera, ScalarKind::Alpha).expect("a view");
     assert_eq!((depth.width, depth.height, alpha.width, alpha.height), (45, 37, 45, 37));
 
     let projection = Projection::new(&camera, &RasterSettings::default());
@@ -89,7 +89,7 @@ fn depth_and_alpha_are_the_twins() {
         let expected = 1.0 - pixel[3];
         // A contribution at 1/255 may be decided otherwise in f32; it weighs that much of the depth.
         assert!((alpha - expected).abs() < 0.005, "{alpha} {expected}");
-        if alpha < f64::from(ALPHA_SEEN) {
+        if alpha < f64::from(MIN_VISIBLE_ALPHA) {
             assert_eq!(depth, 0.0);
             empty += 1;
         } else if alpha > 0.1 {

@@ -21,7 +21,7 @@ use tcgs::{
     pipeline::{Checkpoints, CurveFile, JobError, JobOutput, RunJob},
     render::{
         RenderViews,
-        views::{Plane, PlaneKind, Viewable},
+        views::{ScalarImage, ScalarKind, Viewable},
     },
     store::ExportFidelity,
 };
@@ -275,20 +275,20 @@ impl RenderViews for FakeRenderer {
         Ok(Image::new(width, height, 3, samples).expect("an image"))
     }
 
-    fn render_plane(
+    fn render_scalars(
         &self,
         artifact: Digest,
         load: &dyn Fn() -> Result<Viewable, Problem>,
         camera: &Camera,
-        kind: PlaneKind,
-    ) -> Result<Plane, Problem> {
+        kind: ScalarKind,
+    ) -> Result<ScalarImage, Problem> {
         let digest = self.paint(artifact, load, camera)?;
         let Intrinsics { width, height, .. } = camera.intrinsics;
         // Nothing in the first pixel, then what the camera decides.
         let level = |i: usize| if i == 0 { 0.0 } else { f32::from(digest.as_bytes()[i % 32]) / 255.0 };
-        let most = if kind == PlaneKind::Depth { 8.0 } else { 1.0 };
+        let most = if kind == ScalarKind::Depth { 8.0 } else { 1.0 };
         let values = (0..width as usize * height as usize).map(|i| most * level(i)).collect();
-        Ok(Plane { width, height, values })
+        Ok(ScalarImage { width, height, values })
     }
 }
 

@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, OnceLock},
 };
 
-use tcgs::gpu::{AdapterChoice, Context, ContextSettings, KernelVariant};
+use tcgs::gpu::{AdapterChoice, Device, DeviceSettings, KernelVariant};
 
 /// The adapter of `TCGS_ADAPTER`, lavapipe unless told.
 pub fn choice() -> AdapterChoice {
@@ -16,23 +16,23 @@ pub fn choice() -> AdapterChoice {
 }
 
 /// The device of [`choice`].
-pub fn gpu() -> Arc<Context> {
-    static CONTEXT: OnceLock<Arc<Context>> = OnceLock::new();
-    Arc::clone(CONTEXT.get_or_init(|| {
-        Context::new(&choice()).expect("an adapter; install mesa-vulkan-drivers or set TCGS_ADAPTER")
+pub fn gpu() -> Arc<Device> {
+    static DEVICE: OnceLock<Arc<Device>> = OnceLock::new();
+    Arc::clone(DEVICE.get_or_init(|| {
+        Device::new(&choice()).expect("an adapter; install mesa-vulkan-drivers or set TCGS_ADAPTER")
     }))
 }
 
 /// A device of its own on the same adapter.
-pub fn gpu_with(settings: ContextSettings) -> Arc<Context> {
-    Context::with_settings(&choice(), &settings).expect("an adapter")
+pub fn gpu_with(settings: DeviceSettings) -> Arc<Device> {
+    Device::with_settings(&choice(), &settings).expect("an adapter")
 }
 
 /// The devices of both variants of kernels.
-pub fn variants() -> [Arc<Context>; 2] {
-    static CONTEXTS: OnceLock<[Arc<Context>; 2]> = OnceLock::new();
-    let make = |variant| gpu_with(ContextSettings { variant: Some(variant), ..ContextSettings::default() });
-    CONTEXTS.get_or_init(|| [KernelVariant::Software, KernelVariant::Hardware].map(make)).clone()
+pub fn variants() -> [Arc<Device>; 2] {
+    static DEVICES: OnceLock<[Arc<Device>; 2]> = OnceLock::new();
+    let make = |variant| gpu_with(DeviceSettings { variant: Some(variant), ..DeviceSettings::default() });
+    DEVICES.get_or_init(|| [KernelVariant::Software, KernelVariant::Hardware].map(make)).clone()
 }
 
 /// Whether this process has a software adapter whose subgroups are twice as wide as usual. If not, the test of that name is run in

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use glam::DVec3;
 use tcgs::{
     domain::Camera,
-    gpu::{Buffer, Context},
-    render::{Counts, GEOMETRY_SECTIONS, GaussianGradients, Gaussians, Rasterizer, twin::Gaussian},
+    gpu::{Buffer, Device},
+    render::{GEOMETRY_SECTIONS, GaussianGradients, Gaussians, RasterCounts, Rasterizer, twin::Gaussian},
 };
 
 /// Gaussians on the host.
@@ -39,12 +39,12 @@ impl Scene {
         [&self.means_opacity[..], &self.scales, &self.quats].concat()
     }
 
-    pub fn upload(&self, context: &Context) -> Gaussians {
+    pub fn upload(&self, device: &Device) -> Gaussians {
         Gaussians {
-            count: context.upload("count", &[self.len() as u32]).expect("count"),
+            count: device.upload("count", &[self.len() as u32]).expect("count"),
             capacity: self.len(),
-            geometry: context.upload("geometry", &self.geometry()).expect("geometry"),
-            colors: context.upload("colors", &self.colors).expect("colors"),
+            geometry: device.upload("geometry", &self.geometry()).expect("geometry"),
+            colors: device.upload("colors", &self.colors).expect("colors"),
         }
     }
 }
@@ -52,7 +52,7 @@ impl Scene {
 /// What came back from the device.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Rendered {
-    pub counts: Counts,
+    pub counts: RasterCounts,
     pub image: Vec<[f32; 4]>,
     pub v_means_opacity: Vec<[f32; 4]>,
     pub v_scales: Vec<[f32; 4]>,
@@ -62,14 +62,14 @@ pub struct Rendered {
 }
 
 /// The first `count` rows of each section of a geometry: positions and opacities, scales, quaternions.
-pub fn sections(context: &Context, geometry: &Buffer<[f32; 4]>, count: usize) -> [Vec<[f32; 4]>; 3] {
+pub fn sections(device: &Device, geometry: &Buffer<[f32; 4]>, count: usize) -> [Vec<[f32; 4]>; 3] {
     let capacity = geometry.len() / GEOMETRY_SECTIONS;
-    [0, 1, 2].map(|section| context.read_range(geometry, section * capacity, count).expect("a section"))
+    [0, 1, 2].map(|section| device.read_range(geometry, section * capacity, count).expect("a section"))
 }
 
 /// Gradients on the device, full of NaN, so that a row that is never written shows.
-pub fn spoiled_gradients(context: &Context, capacity: usize) -> GaussianGradients {
-    let spoiled = |rows| context.upload("spoiled", &vec![[f32::NAN; 4]; rows]).expect("a buffer");
+pub fn spoiled_gradients(device: &Device, capacity: usize) -> GaussianGradients {
+    let spoiled = |rows| device.upload("spoiled", &vec![[f32::NAN; 4]; rows]).expect("a buffer");
     GaussianGradients {
         geometry: spoiled(GEOMETRY_SECTIONS * capacity),
         colors: spoiled(capacity),
@@ -79,16 +79,16 @@ pub fn spoiled_gradients(context: &Context, capacity: usize) -> GaussianGradient
 
 /// Renders forward (growing where needed) and backward, and reads everything back.
 pub fn render(
-    context: &Arc<Context>,
+    device: &Arc<Device>,
     rasterizer: &mut Rasterizer,
     scene: &Scene,
     camera: &Camera,
     background: [f32; 3],
     v_image: &[[f32; 4]],
 ) -> Rendered {
-    let gaussians = scene.upload(context);
+    let gaussians = scene.upload(device);
     let counts = loop {
-        let mut recorder = context.recorder("forward");
+        let mut recorder = device.recorder("forward");
         rasterizer.forward(&mut recorder, &gaussians, camera, background).expect("recorded");
         recorder.submit().expect("submitted");
         let counts = rasterizer.counts().expect("counts");
@@ -97,13 +97,13 @@ pub fn render(
         }
         rasterizer.grow(&counts).expect("grown");
     };
-    let v_image = context.upload("v_image", v_image).expect("v_image");
-    let out = spoiled_gradients(context, scene.len());
-    let mut recorder = context.recorder("backward");
+    let v_image = device.upload("v_image", v_image).expect("v_image");
+    let out = spoiled_gradients(device, scene.len());
+    let mut recorder = device.recorder("backward");
     rasterizer.backward(&mut recorder, &gaussians, camera, &v_image, &out).expect("recorded");
     recorder.submit().expect("submitted");
-    let read = |buffer| context.read(buffer).expect("read");
-    let [v_means_opacity, v_scales, v_quats] = sections(context, &out.geometry, scene.len());
+    let read = |buffer| device.read(buffer).expect("read");
+    let [v_means_opacity, v_scales, v_quats] = sections(device, &out.geometry, scene.len());
     Rendered {
         counts,
         image: read(rasterizer.image()),

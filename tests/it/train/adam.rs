@@ -12,17 +12,17 @@ use crate::support::gpu::gpu;
 #[test]
 fn adam_follows_its_twin() {
     const COUNT: usize = 130;
-    let context = gpu();
+    let device = gpu();
     let mut rng = Pcg64::seed_from_u64(8);
     let rates = [1e-2_f32, 5e-3, 0.1, 1e-4];
     let values: Vec<f32> = (0..COUNT).map(|_| rng.random_range(-1.0..1.0)).collect();
     let mut expected: Vec<AdamElement> =
         values.iter().map(|v| AdamElement { value: f64::from(*v), ..AdamElement::default() }).collect();
-    let adam = Adam::new(&context).expect("the kernel");
-    let no = context.upload("void mark", &[0]).expect("a buffer");
-    let values = context.upload("values", &values).expect("room");
-    let moments = Moments::zero(&context, COUNT).expect("room");
-    let table = context.upload("rates", &rates).expect("room");
+    let adam = Adam::new(&device).expect("the kernel");
+    let no = device.upload("overflow flag", &[0]).expect("a buffer");
+    let values = device.upload("values", &values).expect("room");
+    let moments = Moments::zero(&device, COUNT).expect("room");
+    let table = device.upload("rates", &rates).expect("room");
     for t in 1..=30 {
         // Magnitudes from 1e-9 to 1e3; element 0 rests at zero.
         let gradients: Vec<f32> = (0..COUNT)
@@ -33,12 +33,12 @@ fn adam_follows_its_twin() {
         for (i, (element, gradient)) in expected.iter_mut().zip(&gradients).enumerate() {
             *element = twin::adam(*element, t, f64::from(rates[i % 4]), f64::from(*gradient));
         }
-        let gradients = context.upload("gradients", &gradients).expect("room");
-        let mut recorder = context.recorder("adam");
+        let gradients = device.upload("gradients", &gradients).expect("room");
+        let mut recorder = device.recorder("adam");
         adam.step(&mut recorder, t, &no, &table, &gradients, &values, &moments).expect("recorded");
         recorder.submit().expect("submitted");
     }
-    let found = [&values, &moments.first, &moments.second].map(|buffer| context.read(buffer).expect("read"));
+    let found = [&values, &moments.first, &moments.second].map(|buffer| device.read(buffer).expect("read"));
     for (i, element) in expected.iter().enumerate() {
         let [value, first, second] = [0, 1, 2].map(|part| f64::from(found[part][i]));
         // Thirty steps of at most 0.1 with a rounding of 6e-8 and a root good to a few units more.
@@ -60,62 +60,62 @@ fn the_first_step_of_adam_is_the_rate_whatever_the_gradient() {
 
 #[test]
 fn a_gradient_that_is_not_finite_leaves_its_element_untouched_and_alone() {
-    let context = gpu();
-    let adam = Adam::new(&context).expect("the kernel");
-    let no = context.upload("void mark", &[0]).expect("a buffer");
+    let device = gpu();
+    let adam = Adam::new(&device).expect("the kernel");
+    let no = device.upload("overflow flag", &[0]).expect("a buffer");
     let bad = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e20, -1e38, 1.0];
-    let values = context.upload("values", &[0.5_f32; 6]).expect("room");
-    let moments = Moments::upload(&context, &[0.25; 6], &[0.125; 6]).expect("room");
-    let rates = context.upload("rates", &[0.01_f32]).expect("room");
-    let gradients = context.upload("gradients", &bad).expect("room");
-    let mut recorder = context.recorder("adam");
+    let values = device.upload("values", &[0.5_f32; 6]).expect("room");
+    let moments = Moments::upload(&device, &[0.25; 6], &[0.125; 6]).expect("room");
+    let rates = device.upload("rates", &[0.01_f32]).expect("room");
+    let gradients = device.upload("gradients", &bad).expect("room");
+    let mut recorder = device.recorder("adam");
     adam.step(&mut recorder, 1, &no, &rates, &gradients, &values, &moments).expect("recorded");
     recorder.submit().expect("submitted");
-    assert_eq!(context.read(&values).expect("read")[..5], [0.5; 5]);
-    assert_eq!(context.read(&moments.first).expect("read")[..5], [0.25; 5]);
-    assert_eq!(context.read(&moments.second).expect("read")[..5], [0.125; 5]);
-    assert!(context.read(&values).expect("read")[5] < 0.5, "the others learn");
+    assert_eq!(device.read(&values).expect("read")[..5], [0.5; 5]);
+    assert_eq!(device.read(&moments.first).expect("read")[..5], [0.25; 5]);
+    assert_eq!(device.read(&moments.second).expect("read")[..5], [0.125; 5]);
+    assert!(device.read(&values).expect("read")[5] < 0.5, "the others learn");
     // What was spared is not spoiled: the next gradient moves every element.
-    let gradients = context.upload("gradients", &[1.0_f32; 6]).expect("room");
-    let mut recorder = context.recorder("adam");
+    let gradients = device.upload("gradients", &[1.0_f32; 6]).expect("room");
+    let mut recorder = device.recorder("adam");
     adam.step(&mut recorder, 2, &no, &rates, &gradients, &values, &moments).expect("recorded");
     recorder.submit().expect("submitted");
-    assert!(context.read(&values).expect("read").iter().all(|v| *v < 0.5));
+    assert!(device.read(&values).expect("read").iter().all(|v| *v < 0.5));
 }
 
 #[test]
 fn a_void_step_changes_nothing() {
-    let context = gpu();
-    let adam = Adam::new(&context).expect("the kernel");
-    let values = context.upload("values", &[0.5_f32; 6]).expect("room");
-    let moments = Moments::upload(&context, &[0.25; 6], &[0.125; 6]).expect("room");
-    let [rates, gradients] = [0.01_f32, 1.0].map(|v| context.upload("input", &[v; 6]).expect("room"));
-    let mark = context.upload("void mark", &[77_u32]).expect("a buffer");
-    let mut recorder = context.recorder("adam");
+    let device = gpu();
+    let adam = Adam::new(&device).expect("the kernel");
+    let values = device.upload("values", &[0.5_f32; 6]).expect("room");
+    let moments = Moments::upload(&device, &[0.25; 6], &[0.125; 6]).expect("room");
+    let [rates, gradients] = [0.01_f32, 1.0].map(|v| device.upload("input", &[v; 6]).expect("room"));
+    let mark = device.upload("overflow flag", &[77_u32]).expect("a buffer");
+    let mut recorder = device.recorder("adam");
     adam.step(&mut recorder, 1, &mark, &rates, &gradients, &values, &moments).expect("recorded");
     recorder.submit().expect("submitted");
     for (buffer, untouched) in [(&values, 0.5), (&moments.first, 0.25), (&moments.second, 0.125)] {
-        assert_eq!(context.read(buffer).expect("read"), [untouched; 6]);
+        assert_eq!(device.read(buffer).expect("read"), [untouched; 6]);
     }
 }
 
 #[test]
 fn every_element_learns_at_its_own_rate() {
-    let context = gpu();
-    let adam = Adam::new(&context).expect("the kernel");
-    let no = context.upload("void mark", &[0]).expect("a buffer");
+    let device = gpu();
+    let adam = Adam::new(&device).expect("the kernel");
+    let no = device.upload("overflow flag", &[0]).expect("a buffer");
     // The kernel steps four neighbours at a time: tables shorter than that, and lengths that it does not divide.
     for rates in [&[0.1_f32][..], &[0.1, 0.2], &[0.1, 0.2, 0.3], &[0.1, 0.2, 0.3, 0.4, 0.5]] {
         for count in [1, 4, 7, 600] {
-            let values = context.upload("values", &vec![0.0_f32; count]).expect("room");
-            let gradients = context.upload("gradients", &vec![1.0_f32; count]).expect("room");
-            let table = context.upload("rates", rates).expect("room");
-            let moments = Moments::zero(&context, count).expect("room");
-            let mut recorder = context.recorder("adam");
+            let values = device.upload("values", &vec![0.0_f32; count]).expect("room");
+            let gradients = device.upload("gradients", &vec![1.0_f32; count]).expect("room");
+            let table = device.upload("rates", rates).expect("room");
+            let moments = Moments::zero(&device, count).expect("room");
+            let mut recorder = device.recorder("adam");
             adam.step(&mut recorder, 1, &no, &table, &gradients, &values, &moments).expect("recorded");
             recorder.submit().expect("submitted");
             for (i, (value, rate)) in
-                context.read(&values).expect("read").iter().zip(rates.iter().cycle()).enumerate()
+                device.read(&values).expect("read").iter().zip(rates.iter().cycle()).enumerate()
             {
                 assert!((value + rate).abs() < 1e-6, "{count} elements, {rates:?}: {i} moved by {value}");
             }

@@ -9,7 +9,7 @@ use rand_pcg::Pcg64;
 use tcgs::{
     domain::Image,
     eval,
-    gpu::{Context, ContextSettings},
+    gpu::{Device, DeviceSettings},
     train::{ImageLoss, LossSums, twin},
 };
 
@@ -95,16 +95,16 @@ fn on_device(loss: &mut ImageLoss, pair: &Pair) -> (LossSums, Vec<[f32; 4]>) {
     on(&gpu(), loss, pair)
 }
 
-fn on(context: &Context, loss: &mut ImageLoss, pair: &Pair) -> (LossSums, Vec<[f32; 4]>) {
+fn on(device: &Device, loss: &mut ImageLoss, pair: &Pair) -> (LossSums, Vec<[f32; 4]>) {
     let render: Vec<[f32; 4]> = pair.render.iter().map(|[r, g, b]| [*r, *g, *b, f32::NAN]).collect();
-    let render = context.upload("render", &render).expect("a buffer");
+    let render = device.upload("render", &render).expect("a buffer");
     let packed: Vec<u32> =
         pair.photograph.iter().map(|[r, g, b]| u32::from_le_bytes([*r, *g, *b, r ^ b])).collect();
-    let mut recorder = context.recorder("loss");
+    let mut recorder = device.recorder("loss");
     let size = [pair.size.x as u32, pair.size.y as u32];
     let gradient = loss.record(&mut recorder, size, &render, &packed, None).expect("recorded").clone();
     recorder.submit().expect("submitted");
-    (loss.sums().expect("read").expect("a loss"), context.read(&gradient).expect("read"))
+    (loss.sums().expect("read").expect("a loss"), device.read(&gradient).expect("read"))
 }
 
 fn assert_matches_twin(loss: &mut ImageLoss, pair: &Pair, bound: f64) {
@@ -132,15 +132,15 @@ fn the_loss_matches_the_twin_whatever_the_size() {
 
 #[test]
 fn alternating_image_sizes_make_no_buffers_and_change_no_bits() {
-    let context = gpu_with(ContextSettings::default());
-    let mut loss = ImageLoss::new(Arc::clone(&context)).expect("the kernels");
+    let device = gpu_with(DeviceSettings::default());
+    let mut loss = ImageLoss::new(Arc::clone(&device)).expect("the kernels");
     let pairs = [(70, 61), (61, 70), (13, 130), (3, 5)].map(|(width, height)| Pair::noise(7, width, height));
     let mut made = |pair: &Pair| {
-        let before = (context.buffers_made(), context.allocated_bytes());
-        let found = on(&context, &mut loss, pair);
+        let before = (device.buffers_made(), device.allocated_bytes());
+        let found = on(&device, &mut loss, pair);
         let fresh = on_device(&mut ImageLoss::new(gpu()).expect("the kernels"), pair);
         assert!(found == fresh, "{}", pair.size);
-        (context.buffers_made() - before.0, context.allocated_bytes() - before.1)
+        (device.buffers_made() - before.0, device.allocated_bytes() - before.1)
     };
     for pair in &pairs {
         made(pair);

@@ -14,7 +14,7 @@ use tcgs::{
         CancelFlag, Convention, Dataset, MemoryBudget, MemoryLimits, ModelKind, Phase, PointCloud, Pose,
         Problem, Progress, TrainOptions,
     },
-    gpu::{Context, GpuError},
+    gpu::{Device, GpuError},
     ingest::{self, LoadBudget},
     pipeline::{Checkpoints, JobError, Pipeline, RunJob as _},
     train::{self, Needs, TrainError, train},
@@ -102,11 +102,11 @@ fn the_estimate_covers_what_a_run_allocates_and_not_much_more() {
             size = size.max(now as usize);
         };
         // A peak of its own: what other runs and tests of this process allocate must not count.
-        let context = Context::new(&gpu::choice()).expect("an adapter");
+        let device = Device::new(&gpu::choice()).expect("an adapter");
         let nothing = train::Checkpoints::default();
-        train(&context, &dataset, &options, nothing, &mut report, &CancelFlag::default()).expect("a scene");
-        let peak = context.peak_bytes();
-        let estimate = Needs::of(&dataset, &options, context.adapter()).estimate(size);
+        train(&device, &dataset, &options, nothing, &mut report, &CancelFlag::default()).expect("a scene");
+        let peak = device.peak_bytes();
+        let estimate = Needs::of(&dataset, &options, device.adapter()).estimate(size);
         let told = estimate.gpu_bytes();
         println!("{what}: size {size}, told {told}, peak {peak}, {:.2}", told as f64 / peak as f64);
         assert!(told >= peak, "{what}: {peak} bytes at most, and only {told} told: {estimate}");
@@ -116,46 +116,46 @@ fn the_estimate_covers_what_a_run_allocates_and_not_much_more() {
 
 #[test]
 fn a_buffer_beyond_the_budget_is_an_error_and_the_device_goes_on() {
-    let context = Context::new(&gpu::choice()).expect("an adapter");
-    context.set_budget_bytes(1 << 20);
-    let kept = context.buffer::<f32>("kept", 200_000).expect("within the budget");
-    let fault = context.buffer::<f32>("too much", 100_000).expect_err("beyond it");
+    let device = Device::new(&gpu::choice()).expect("an adapter");
+    device.set_budget_bytes(1 << 20);
+    let kept = device.buffer::<f32>("kept", 200_000).expect("within the budget");
+    let fault = device.buffer::<f32>("too much", 100_000).expect_err("beyond it");
     assert!(matches!(fault, GpuError::OverBudget { .. }), "{fault}");
     assert_eq!(Problem::from(fault).status, 507);
-    let fault = context.read(&kept).expect_err("a transfer needs room too");
+    let fault = device.read(&kept).expect_err("a transfer needs room too");
     assert!(matches!(fault, GpuError::OverBudget { .. }), "{fault}");
-    let mut recorder = context.recorder("a large write");
+    let mut recorder = device.recorder("a large write");
     recorder.write(&kept, &vec![1.0; 200_000]);
     assert!(matches!(recorder.submit(), Err(GpuError::OverBudget { .. })));
-    context.set_budget_bytes(u64::MAX);
-    assert_eq!(context.read(&kept).expect("room now"), vec![0.0; 200_000], "nothing was written");
+    device.set_budget_bytes(u64::MAX);
+    assert_eq!(device.read(&kept).expect("room now"), vec![0.0; 200_000], "nothing was written");
     drop(kept);
-    assert_eq!(context.allocated_bytes(), 0);
+    assert_eq!(device.allocated_bytes(), 0);
 }
 
 #[test]
 fn a_run_grows_no_further_than_its_budget() {
-    let context = Context::new(&gpu::choice()).expect("an adapter");
+    let device = Device::new(&gpu::choice()).expect("an adapter");
     let folder = folder(9, &[(32, 32)]);
     let dataset = with_points(ingest::load(folder.path()).expect("a dataset"), 150);
     let options = options(60);
-    let needs = Needs::of(&dataset, &options, context.adapter());
-    context.set_budget_bytes(needs.estimate(170).gpu_bytes());
+    let needs = Needs::of(&dataset, &options, device.adapter());
+    device.set_budget_bytes(needs.estimate(170).gpu_bytes());
     let fitted = needs
-        .within(&MemoryBudget { host: u64::MAX, gpu: context.budget_bytes() })
+        .within(&MemoryBudget { host: u64::MAX, gpu: device.budget_bytes() })
         .expect("the points fit")
         .size;
     assert!((170..40_000).contains(&fitted), "{fitted}");
     let mut anchors = 0;
     let mut report = |progress: &Progress| anchors = anchors.max(progress.anchors as usize);
-    train(&context, &dataset, &options, train::Checkpoints::default(), &mut report, &CancelFlag::default())
+    train(&device, &dataset, &options, train::Checkpoints::default(), &mut report, &CancelFlag::default())
         .expect("a scene");
     assert!(anchors <= fitted, "{anchors} of {fitted}");
-    assert!(context.peak_bytes() <= context.budget_bytes());
+    assert!(device.peak_bytes() <= device.budget_bytes());
 
-    context.set_budget_bytes(1 << 20);
+    device.set_budget_bytes(1 << 20);
     let refused = train(
-        &context,
+        &device,
         &dataset,
         &options,
         train::Checkpoints::default(),

@@ -53,16 +53,16 @@ fn on_device(
     pair: &Pair,
     weights: Option<&WaveletWeights>,
 ) -> (LossSums, Vec<[f32; 4]>) {
-    let context = gpu();
+    let device = gpu();
     let render: Vec<[f32; 4]> = pair.render.iter().map(|[r, g, b]| [*r, *g, *b, f32::NAN]).collect();
-    let render = context.upload("render", &render).expect("a buffer");
+    let render = device.upload("render", &render).expect("a buffer");
     let packed: Vec<u32> =
         pair.photograph.iter().map(|[r, g, b]| u32::from_le_bytes([*r, *g, *b, r ^ b])).collect();
-    let mut recorder = context.recorder("loss");
+    let mut recorder = device.recorder("loss");
     let size = [pair.size.x as u32, pair.size.y as u32];
     let gradient = loss.record(&mut recorder, size, &render, &packed, weights).expect("recorded").clone();
     recorder.submit().expect("submitted");
-    (loss.sums().expect("read").expect("a loss"), context.read(&gradient).expect("read"))
+    (loss.sums().expect("read").expect("a loss"), device.read(&gradient).expect("read"))
 }
 
 /// One number for each band.

@@ -66,7 +66,7 @@ impl Anchors {
 
 /// Everything that the forward pass computes; one column or K Gaussians for each entry of `list`.
 #[derive(Debug, Clone)]
-pub struct Spawned {
+pub struct NeuralForward {
     /// Visible anchors, ascending.
     pub list: Vec<u32>,
     /// What the networks read.
@@ -90,7 +90,7 @@ pub struct AnchorGradient {
 
 /// From anchors to Gaussians.
 #[must_use]
-pub fn neural_forward(projection: &Projection, anchors: &Anchors) -> Spawned {
+pub fn neural_forward(projection: &Projection, anchors: &Anchors) -> NeuralForward {
     let layout = NetworkLayout::new(anchors.shape);
     let visible: Vec<bool> = anchors
         .positions
@@ -98,7 +98,7 @@ pub fn neural_forward(projection: &Projection, anchors: &Anchors) -> Spawned {
         .enumerate()
         .map(|(anchor, position)| anchor_visible(projection, *position, anchors.shape, anchors.row(anchor)))
         .collect();
-    let mut spawned = Spawned {
+    let mut spawned = NeuralForward {
         list: compact_anchors(&visible),
         input: Vec::new(),
         hidden: Vec::new(),
@@ -123,7 +123,7 @@ pub fn neural_forward(projection: &Projection, anchors: &Anchors) -> Spawned {
 #[must_use]
 pub fn neural_backward(
     anchors: &Anchors,
-    spawned: &Spawned,
+    spawned: &NeuralForward,
     d_gaussians: &[GaussianGradient],
     volume_weight: f64,
 ) -> AnchorGradient {

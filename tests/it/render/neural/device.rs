@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use tcgs::{
     domain::{Camera, DistanceUnit, Lattice, Pose},
-    gpu::{AdapterReport, Context, ContextSettings, GpuError, Subgroups},
+    gpu::{AdapterReport, Device, DeviceSettings, GpuError, Subgroups},
     model::{AnchorRows, NetworkLayout, Shape},
     render::{
         AnchorGradients, DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError,
@@ -114,12 +114,12 @@ fn assert_matches_twin(
 }
 
 fn check(shape: Shape, anchors: usize, spread: f32, subgroups: bool) -> usize {
-    let context = gpu();
+    let device = gpu();
     let (camera, seed) = (random::camera(40, 30), anchors as u64);
     let scene = Scene::random(seed, shape, anchors, spread, &projection(&camera));
     let gradients = random_gradients(seed, anchors * shape.offsets);
     let mut neural = neural(shape, subgroups);
-    let found = run(&context, &mut neural, &scene, &camera, 7.0, &gradients);
+    let found = run(&device, &mut neural, &scene, &camera, 7.0, &gradients);
     assert_matches_twin(&found, &scene, &camera, 7.0, seed)
 }
 
@@ -134,15 +134,15 @@ fn a_few_anchors_match_the_twin() {
 
 #[test]
 fn distances_in_another_unit_match_the_twin() {
-    let (context, camera) = (gpu(), random::camera(40, 30));
+    let (device, camera) = (gpu(), random::camera(40, 30));
     for length in [0.003, 0.7, 250.0] {
         let unit = DistanceUnit::new(length).expect("a length");
         let scene = Scene::random_in(unit, 11, SMALL, 129, 0.8, &projection(&camera));
         let gradients = random_gradients(11, 129 * SMALL.offsets);
         let mut neural = neural_in(unit, SMALL, true);
-        let found = run(&context, &mut neural, &scene, &camera, 7.0, &gradients);
+        let found = run(&device, &mut neural, &scene, &camera, 7.0, &gradients);
         assert_matches_twin(&found, &scene, &camera, 7.0, 11);
-        let in_the_worlds = run(&context, &mut self::neural(SMALL, true), &scene, &camera, 7.0, &gradients);
+        let in_the_worlds = run(&device, &mut self::neural(SMALL, true), &scene, &camera, 7.0, &gradients);
         assert_ne!(bits(&found), bits(&in_the_worlds), "{length}");
     }
 }
@@ -184,7 +184,7 @@ fn looking_away(camera: &Camera) -> Camera {
 
 #[test]
 fn a_camera_that_looks_away_sees_nothing_and_teaches_nothing() {
-    let context = gpu();
+    let device = gpu();
     let camera = random::camera(40, 30);
     let away = looking_away(&camera);
     let scene = Scene::random(1, SMALL, 70, 0.8, &projection(&camera));
@@ -192,8 +192,8 @@ fn a_camera_that_looks_away_sees_nothing_and_teaches_nothing() {
         let mut neural = neural(SMALL, subgroups);
         let gradients = random_gradients(1, 70 * SMALL.offsets);
         // A view that shows everything comes first, so that its values lie in every buffer.
-        assert_eq!(run(&context, &mut neural, &scene, &camera, 7.0, &gradients).counts[2], 70);
-        let found = run(&context, &mut neural, &scene, &away, 7.0, &gradients);
+        assert_eq!(run(&device, &mut neural, &scene, &camera, 7.0, &gradients).counts[2], 70);
+        let found = run(&device, &mut neural, &scene, &away, 7.0, &gradients);
         assert_eq!(found.counts, [0; 3]);
         assert!(found.d_rows.iter().chain(&found.d_networks).all(|v| *v == 0.0));
         assert!(found.statistics.iter().all(|v| *v == 1.0));
@@ -202,11 +202,11 @@ fn a_camera_that_looks_away_sees_nothing_and_teaches_nothing() {
 
 #[test]
 fn a_scene_without_anchors_is_a_view_without_gaussians() {
-    let context = gpu();
+    let device = gpu();
     let camera = random::camera(40, 30);
     let scene = Scene::random(1, SMALL, 0, 0.8, &projection(&camera));
     for subgroups in [true, false] {
-        let found = run(&context, &mut neural(SMALL, subgroups), &scene, &camera, 7.0, &[]);
+        let found = run(&device, &mut neural(SMALL, subgroups), &scene, &camera, 7.0, &[]);
         assert_eq!(found.counts, [0; 3]);
         assert!(found.d_networks.iter().all(|v| *v == 0.0));
     }
@@ -214,12 +214,12 @@ fn a_scene_without_anchors_is_a_view_without_gaussians() {
 
 #[test]
 fn an_anchor_whose_offsets_are_all_masked_makes_nothing_and_learns_nothing() {
-    let context = gpu();
+    let device = gpu();
     let camera = random::camera(40, 30);
     let mut scene = Scene::random(2, SMALL, 65, 0.8, &projection(&camera));
     scene.anchors.masks[7] = 0;
     let gradients = random_gradients(2, 65 * SMALL.offsets);
-    let found = run(&context, &mut neural(SMALL, true), &scene, &camera, 7.0, &gradients);
+    let found = run(&device, &mut neural(SMALL, true), &scene, &camera, 7.0, &gradients);
     assert_matches_twin(&found, &scene, &camera, 7.0, 2);
     assert!(found.gaussians[0][7 * SMALL.offsets..8 * SMALL.offsets].iter().all(|row| *row == [0.0; 4]));
     assert!(found.d_rows[7 * SMALL.row()..8 * SMALL.row()].iter().all(|v| *v == 0.0));
@@ -227,30 +227,30 @@ fn an_anchor_whose_offsets_are_all_masked_makes_nothing_and_learns_nothing() {
 
 #[test]
 fn the_same_input_gives_the_same_bits_whatever_was_rendered_before() {
-    let context = gpu();
+    let device = gpu();
     let camera = random::camera(40, 30);
     let large = Scene::random(3, SMALL, 1500, 0.8, &projection(&camera));
     let small = Scene::random(4, SMALL, 129, 2.0, &projection(&camera));
     let gradients = random_gradients(3, 1500 * SMALL.offsets);
     for subgroups in [true, false] {
         let mut used = neural(SMALL, subgroups);
-        let first = run(&context, &mut used, &large, &camera, 7.0, &gradients);
-        let fresh = run(&context, &mut neural(SMALL, subgroups), &small, &camera, 7.0, &gradients);
-        let after = run(&context, &mut used, &small, &camera, 7.0, &gradients);
+        let first = run(&device, &mut used, &large, &camera, 7.0, &gradients);
+        let fresh = run(&device, &mut neural(SMALL, subgroups), &small, &camera, 7.0, &gradients);
+        let after = run(&device, &mut used, &small, &camera, 7.0, &gradients);
         assert!(bits(&fresh) == bits(&after), "what a larger scene left behind is not read");
-        let second = run(&context, &mut used, &large, &camera, 7.0, &gradients);
+        let second = run(&device, &mut used, &large, &camera, 7.0, &gradients);
         assert!(bits(&first) == bits(&second));
     }
 }
 
 #[test]
 fn with_and_without_subgroups_agree_up_to_rounding() {
-    let context = gpu();
+    let device = gpu();
     let camera = random::camera(40, 30);
     let scene = Scene::random(5, USUAL, 200, 0.8, &projection(&camera));
     let gradients = random_gradients(5, 200 * USUAL.offsets);
     let [with, without] = [true, false]
-        .map(|subgroups| run(&context, &mut neural(USUAL, subgroups), &scene, &camera, 7.0, &gradients));
+        .map(|subgroups| run(&device, &mut neural(USUAL, subgroups), &scene, &camera, 7.0, &gradients));
     assert_eq!(with.counts, without.counts);
     let f64s = |values: &[f32]| -> Vec<f64> { values.iter().map(|v| f64::from(*v)).collect() };
     assert!(relative_l2(&f64s(&with.d_rows), &f64s(&without.d_rows)) < 1e-5);
@@ -259,23 +259,23 @@ fn with_and_without_subgroups_agree_up_to_rounding() {
 
 #[test]
 fn statistics_before_a_backward_pass_are_refused() {
-    let context = gpu();
+    let device = gpu();
     let camera = random::camera(40, 30);
     let scene = Scene::random(6, SMALL, 3, 0.8, &projection(&camera));
     let near = RasterSettings::default().near;
     let neural =
-        NeuralGaussians::new(Arc::clone(&context), SMALL, near, DistanceUnit::USUAL).expect("the kernels");
-    let device =
-        tcgs::render::DeviceAnchors::upload(&context, &scene.anchors, &scene.networks).expect("room");
-    let statistics = context.buffer("statistics", 3 * 8).expect("room");
-    let mut recorder = context.recorder("statistics");
-    let mark = context.buffer("void mark", 1).expect("room");
-    let refused = neural.statistics(&mut recorder, &device, &statistics, &mark);
+        NeuralGaussians::new(Arc::clone(&device), SMALL, near, DistanceUnit::USUAL).expect("the kernels");
+    let uploaded =
+        tcgs::render::DeviceAnchors::upload(&device, &scene.anchors, &scene.networks).expect("room");
+    let statistics = device.buffer("statistics", 3 * 8).expect("room");
+    let mut recorder = device.recorder("statistics");
+    let mark = device.buffer("overflow flag", 1).expect("room");
+    let refused = neural.statistics(&mut recorder, &uploaded, &statistics, &mark);
     assert_eq!(refused, Err(RenderError::OutOfStep));
 }
 
-/// One view there and back, and whether everything had room in the context's bindings.
-fn has_room(context: &Arc<Context>, shape: Shape, count: usize) -> bool {
+/// One view there and back, and whether everything had room in the device's bindings.
+fn has_room(device: &Arc<Device>, shape: Shape, count: usize) -> bool {
     let layout = NetworkLayout::new(shape);
     let anchors = AnchorRows {
         shape,
@@ -286,20 +286,20 @@ fn has_room(context: &Arc<Context>, shape: Shape, count: usize) -> bool {
     };
     let camera = random::camera(40, 30);
     let go = || {
-        let device = DeviceAnchors::upload(context, &anchors, &vec![0.01; layout.parameters])?;
-        let out = AnchorGradients::new(context, shape, count)?;
-        let mut neural = NeuralGaussians::new(Arc::clone(context), shape, NEAR, DistanceUnit::USUAL)?;
-        let mut raster = Rasterizer::new(Arc::clone(context), RasterSettings::default())?;
-        let v_image = context.buffer("v_image", 40 * 30)?;
-        let mut recorder = context.recorder("there and back");
-        neural.forward(&mut recorder, &device, &camera, 0.0)?;
+        let uploaded = DeviceAnchors::upload(device, &anchors, &vec![0.01; layout.parameters])?;
+        let out = AnchorGradients::new(device, shape, count)?;
+        let mut neural = NeuralGaussians::new(Arc::clone(device), shape, NEAR, DistanceUnit::USUAL)?;
+        let mut raster = Rasterizer::new(Arc::clone(device), RasterSettings::default())?;
+        let v_image = device.buffer("v_image", 40 * 30)?;
+        let mut recorder = device.recorder("there and back");
+        neural.forward(&mut recorder, &uploaded, &camera, 0.0)?;
         raster.forward(&mut recorder, neural.gaussians(), &camera, [0.0; 3])?;
         let gaussians = neural.gaussians().clone();
         let gradients = neural.gaussian_gradients()?.clone();
         raster.backward(&mut recorder, &gaussians, &camera, &v_image, &gradients)?;
-        neural.backward(&mut recorder, &device, &out)?;
+        neural.backward(&mut recorder, &uploaded, &out)?;
         recorder.submit()?;
-        Ok(context.wait()?)
+        Ok(device.wait()?)
     };
     match go() {
         Ok(()) => true,
@@ -310,13 +310,13 @@ fn has_room(context: &Arc<Context>, shape: Shape, count: usize) -> bool {
 
 #[test]
 fn a_forward_pass_can_be_gone_back_from_once() {
-    let context = gpu();
+    let device = gpu();
     let camera = random::camera(40, 30);
     let scene = Scene::random(4, SMALL, 5, 0.8, &projection(&camera));
-    let anchors = DeviceAnchors::upload(&context, &scene.anchors, &scene.networks).expect("anchors");
-    let out = AnchorGradients::new(&context, SMALL, anchors.count).expect("room");
+    let anchors = DeviceAnchors::upload(&device, &scene.anchors, &scene.networks).expect("anchors");
+    let out = AnchorGradients::new(&device, SMALL, anchors.count).expect("room");
     let mut neural = neural(SMALL, true);
-    let mut recorder = context.recorder("passes");
+    let mut recorder = device.recorder("passes");
     assert_eq!(neural.backward(&mut recorder, &anchors, &out), Err(RenderError::OutOfStep));
     for _ in 0..2 {
         neural.forward(&mut recorder, &anchors, &camera, 0.0).expect("recorded");
@@ -331,13 +331,13 @@ fn the_most_anchors_are_what_the_widest_buffer_binds() {
     for (features, expected) in [(32, 223_696), (50, 178_957)] {
         let shape = Shape { features, offsets: 10 };
         let adapter = AdapterReport { max_binding_bytes: 128 << 20, ..gpu().adapter().clone() };
-        assert_eq!(NeuralGaussians::most_anchors(&adapter, shape), expected);
-        // The same of a context with narrower bindings, where all buffers are really made.
+        assert_eq!(NeuralGaussians::max_anchors(&adapter, shape), expected);
+        // The same of a device with narrower bindings, where all buffers are really made.
         let max_binding_bytes = Some(1 << 20);
-        let context = gpu_with(ContextSettings { max_binding_bytes, ..ContextSettings::default() });
-        let most = NeuralGaussians::most_anchors(context.adapter(), shape);
-        assert!(has_room(&context, shape, most), "{most} anchors of {features} features");
-        assert!(!has_room(&context, shape, most + 1), "{most} anchors are not the most");
+        let device = gpu_with(DeviceSettings { max_binding_bytes, ..DeviceSettings::default() });
+        let most = NeuralGaussians::max_anchors(device.adapter(), shape);
+        assert!(has_room(&device, shape, most), "{most} anchors of {features} features");
+        assert!(!has_room(&device, shape, most + 1), "{most} anchors are not the most");
     }
 }
 
@@ -347,12 +347,12 @@ fn subgroups_that_are_wider_than_a_workgroup_match_the_twin() {
         return;
     }
     let subgroups = Some(Subgroups::AtLeast(8));
-    let context = gpu_with(ContextSettings { subgroups, ..ContextSettings::default() });
+    let device = gpu_with(DeviceSettings { subgroups, ..DeviceSettings::default() });
     let camera = random::camera(40, 30);
     let scene = Scene::random(7, USUAL, 200, 0.8, &projection(&camera));
     let gradients = random_gradients(7, 200 * USUAL.offsets);
     let mut neural =
-        NeuralGaussians::new(Arc::clone(&context), USUAL, NEAR, DistanceUnit::USUAL).expect("the kernels");
-    let found = run(&context, &mut neural, &scene, &camera, 7.0, &gradients);
+        NeuralGaussians::new(Arc::clone(&device), USUAL, NEAR, DistanceUnit::USUAL).expect("the kernels");
+    let found = run(&device, &mut neural, &scene, &camera, 7.0, &gradients);
     assert!(assert_matches_twin(&found, &scene, &camera, 7.0, 7) > 0);
 }

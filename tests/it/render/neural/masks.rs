@@ -90,28 +90,29 @@ fn the_twins_gradients_are_those_of_a_mask_that_passes_its_logistic_on() {
 }
 
 fn check_against_twins(shape: Shape, count: usize) {
-    let context = gpu();
+    let device = gpu();
     let camera = random::camera(40, 30);
     let (scene, rows) = masked_scene(count as u64, shape, count, &camera);
-    let device = DeviceAnchors::upload(&context, &scene.anchors, &scene.networks).expect("anchors");
+    let device_anchors = DeviceAnchors::upload(&device, &scene.anchors, &scene.networks).expect("anchors");
     let mut gaussians =
-        NeuralGaussians::new(Arc::clone(&context), shape, 0.2, DistanceUnit::USUAL).expect("the kernels");
-    let mut recorder = context.recorder("forward");
-    gaussians.forward(&mut recorder, &device, &camera, 0.0).expect("recorded");
+        NeuralGaussians::new(Arc::clone(&device), shape, 0.2, DistanceUnit::USUAL).expect("the kernels");
+    let mut recorder = device.recorder("forward");
+    gaussians.forward(&mut recorder, &device_anchors, &camera, 0.0).expect("recorded");
     recorder.submit().expect("submitted");
     let v: Vec<GaussianGradient> =
         random_gradients(7, count * shape.offsets).into_iter().map(|(v, ..)| v).collect();
     let by_opacity: Vec<[f32; 4]> = v.iter().map(|v| [0.0, 0.0, 0.0, v.opacity as f32]).collect();
-    context.write(&gaussians.gaussian_gradients().expect("room").geometry, &by_opacity);
+    device.write(&gaussians.gaussian_gradients().expect("room").geometry, &by_opacity);
 
-    let masks = OffsetMasks::upload(&context, shape, &rows).expect("room");
+    let masks = OffsetMasks::upload(&device, shape, &rows).expect("room");
     // The weight of one offset is of the size of what the view says.
     let weight = 0.5 * (count * shape.offsets) as f32;
-    let mut recorder = context.recorder("backward");
-    let gradients = masks.backward(&mut recorder, &mut gaussians, &device, weight).expect("recorded").clone();
-    let no = context.buffer("void mark", 1).expect("room");
-    let adam = Adam::new(&context).expect("adam");
-    masks.step(&mut recorder, &adam, 1, &no, 0.5, LEVEL, &device).expect("recorded");
+    let mut recorder = device.recorder("backward");
+    let gradients =
+        masks.backward(&mut recorder, &mut gaussians, &device_anchors, weight).expect("recorded").clone();
+    let no = device.buffer("overflow flag", 1).expect("room");
+    let adam = Adam::new(&device).expect("adam");
+    masks.step(&mut recorder, &adam, 1, &no, 0.5, LEVEL, &device_anchors).expect("recorded");
     recorder.submit().expect("submitted");
 
     let spawned = neural::neural_forward(&projection(&camera), &scene.twin());
@@ -127,17 +128,17 @@ fn check_against_twins(shape: Shape, count: usize) {
             &mut expected[own],
         );
     }
-    let found = context.read(&gradients).expect("read");
+    let found = device.read(&gradients).expect("read");
     assert!(relative_l2(&f64s(&found), &expected) < 1e-5, "{count} anchors");
 
-    let learnt = masks.read(&context).expect("read");
+    let learnt = masks.read(&device).expect("read");
     // The first step of Adam is its rate.
     for ((now, was), gradient) in learnt.logits.iter().zip(&rows.logits).zip(&found) {
         assert!((now - was + 0.5 * gradient.signum()).abs() < 1e-4, "{was} became {now} by {gradient}");
     }
     let bits: Vec<u32> =
         learnt.logits.chunks(shape.offsets).map(|logits| twin::mask_bits(logits, LEVEL)).collect();
-    assert_eq!(context.read(&device.masks).expect("read"), bits);
+    assert_eq!(device.read(&device_anchors.masks).expect("read"), bits);
     assert!(count < 60 || bits != scene.anchors.masks, "the step crosses the level");
 }
 
@@ -151,20 +152,21 @@ fn gradients_steps_and_bits_match_the_twins() {
 
 #[test]
 fn masked_offsets_reach_neither_the_count_of_gaussians_nor_the_rasteriser() {
-    let context = gpu();
+    let device = gpu();
     let camera = random::camera(40, 30);
     let (scene, _) = masked_scene(11, SMALL, 200, &camera);
     let drawn = |masks: &dyn Fn(u32) -> u32| {
         let mut scene = scene.clone();
         scene.anchors.masks.iter_mut().for_each(|mask| *mask = masks(*mask));
-        let device = DeviceAnchors::upload(&context, &scene.anchors, &scene.networks).expect("anchors");
+        let device_anchors =
+            DeviceAnchors::upload(&device, &scene.anchors, &scene.networks).expect("anchors");
         let mut gaussians =
-            NeuralGaussians::new(Arc::clone(&context), SMALL, 0.2, DistanceUnit::USUAL).expect("the kernels");
+            NeuralGaussians::new(Arc::clone(&device), SMALL, 0.2, DistanceUnit::USUAL).expect("the kernels");
         let mut raster =
-            Rasterizer::new(Arc::clone(&context), RasterSettings::default()).expect("a rasteriser");
+            Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("a rasteriser");
         loop {
-            let mut recorder = context.recorder("view");
-            gaussians.forward(&mut recorder, &device, &camera, 0.0).expect("recorded");
+            let mut recorder = device.recorder("view");
+            gaussians.forward(&mut recorder, &device_anchors, &camera, 0.0).expect("recorded");
             raster.forward(&mut recorder, gaussians.gaussians(), &camera, [0.0; 3]).expect("recorded");
             recorder.submit().expect("submitted");
             let counts = raster.counts().expect("counts");

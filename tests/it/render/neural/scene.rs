@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{Camera, DistanceUnit, Lattice},
-    gpu::Context,
+    gpu::Device,
     model::{AnchorRows, NetworkLayout, Shape, all_offsets},
     render::{
         AnchorGradients, DeviceAnchors, NeuralGaussians, Projection, RasterSettings,
@@ -147,7 +147,7 @@ pub(super) fn bits(found: &Found) -> Vec<u32> {
 
 /// Both passes and the statistics, into buffers full of NaN (the statistics begin at one).
 pub(super) fn run(
-    context: &Arc<Context>,
+    device: &Arc<Device>,
     neural: &mut NeuralGaussians,
     scene: &Scene,
     camera: &Camera,
@@ -155,15 +155,15 @@ pub(super) fn run(
     gradients: &[Said],
 ) -> Found {
     let (shape, anchors) = (scene.anchors.shape, scene.anchors.len());
-    let device = DeviceAnchors::upload(context, &scene.anchors, &scene.networks).expect("anchors");
-    let mut recorder = context.recorder("forward");
-    neural.forward(&mut recorder, &device, camera, volume_weight).expect("recorded");
+    let uploaded = DeviceAnchors::upload(device, &scene.anchors, &scene.networks).expect("anchors");
+    let mut recorder = device.recorder("forward");
+    neural.forward(&mut recorder, &uploaded, camera, volume_weight).expect("recorded");
     recorder.submit().expect("submitted");
     let counts = neural.counts().expect("counts");
     let candidates = counts[0] as usize;
     let gaussians = neural.gaussians().clone();
-    let [means, scales, quats] = sections(context, &gaussians.geometry, candidates);
-    let colors = context.read_range(&gaussians.colors, 0, candidates).expect("a column");
+    let [means, scales, quats] = sections(device, &gaussians.geometry, candidates);
+    let colors = device.read_range(&gaussians.colors, 0, candidates).expect("a column");
     let mut columns = [means, scales, quats, colors];
     // What no opacity says nothing about is whatever the buffer held before.
     let dead: Vec<usize> = (0..candidates).filter(|row| columns[0][*row][3] <= 0.0).collect();
@@ -184,27 +184,27 @@ pub(super) fn run(
         column(&|(v, ..)| v.scale.extend(f64::NAN).to_array()),
         column(&|(v, ..)| v.quat),
     ];
-    context.write(&d.geometry, &geometry.concat());
-    context.write(&d.colors, &column(&|(v, ..)| v.color.extend(f64::NAN).to_array()));
+    device.write(&d.geometry, &geometry.concat());
+    device.write(&d.colors, &column(&|(v, ..)| v.color.extend(f64::NAN).to_array()));
     let centers = column(&|(_, v, tiles)| [v.center.x, v.center.y, f64::from(*tiles), f64::NAN]);
-    context.write(&d.means2d, &centers);
+    device.write(&d.means2d, &centers);
 
-    let spoiled = |len| context.upload("spoiled", &vec![f32::NAN; len]).expect("a buffer");
+    let spoiled = |len| device.upload("spoiled", &vec![f32::NAN; len]).expect("a buffer");
     let out = AnchorGradients {
         rows: spoiled(anchors * shape.row()),
         networks: spoiled(NetworkLayout::new(shape).parameters),
     };
     let statistics =
-        context.upload("statistics", &vec![1.0_f32; anchors * (2 * shape.offsets + 2)]).expect("a buffer");
-    let mut recorder = context.recorder("backward");
-    neural.backward(&mut recorder, &device, &out).expect("recorded");
+        device.upload("statistics", &vec![1.0_f32; anchors * (2 * shape.offsets + 2)]).expect("a buffer");
+    let mut recorder = device.recorder("backward");
+    neural.backward(&mut recorder, &uploaded, &out).expect("recorded");
     // A void step adds nothing.
     for mark in [1_u32, 0] {
-        let mark = context.upload("void mark", &[mark]).expect("a buffer");
-        neural.statistics(&mut recorder, &device, &statistics, &mark).expect("recorded");
+        let mark = device.upload("overflow flag", &[mark]).expect("a buffer");
+        neural.statistics(&mut recorder, &uploaded, &statistics, &mark).expect("recorded");
     }
     recorder.submit().expect("submitted");
-    let read = |buffer| context.read(buffer).expect("read");
+    let read = |buffer| device.read(buffer).expect("read");
     Found {
         counts,
         gaussians: columns,

@@ -100,11 +100,11 @@ fn on_the_axis(depths: &[i32], voxel: f32) -> (Scene, Camera) {
 }
 
 fn depths_shown(scene: &Scene, camera: &Camera) -> Vec<f32> {
-    let context = gpu();
+    let device = gpu();
     let mut neural =
-        NeuralGaussians::new(context.clone(), SMALL, 0.2, DistanceUnit::USUAL).expect("the kernels");
+        NeuralGaussians::new(device.clone(), SMALL, 0.2, DistanceUnit::USUAL).expect("the kernels");
     let gradients = random_gradients(1, scene.anchors.len() * SMALL.offsets);
-    let found = run(&context, &mut neural, scene, camera, 0.0, &gradients);
+    let found = run(&device, &mut neural, scene, camera, 0.0, &gradients);
     found.gaussians[0].iter().step_by(SMALL.offsets).map(|row| row[2]).collect()
 }
 
@@ -135,15 +135,15 @@ fn the_device_shows_the_anchors_that_the_twin_shows() {
     scene.anchors = AnchorRows { masks: vec![7; 2000], ..random.anchors };
     let twin = twin::neural_forward(&projection, &scene.twin());
     assert!((200..1800).contains(&twin.list.len()), "{}", twin.list.len());
-    let context = gpu();
+    let device = gpu();
     let mut neural =
-        NeuralGaussians::new(context.clone(), SMALL, 0.2, DistanceUnit::USUAL).expect("the kernels");
+        NeuralGaussians::new(device.clone(), SMALL, 0.2, DistanceUnit::USUAL).expect("the kernels");
     // With offsets of zero a Gaussian stands where its anchor does, which tells the anchors apart.
     for row in scene.anchors.values.chunks_exact_mut(SMALL.row()) {
         row[SMALL.offset_column()..].fill(0.0);
     }
     let gradients = random_gradients(1, 2000 * SMALL.offsets);
-    let found = run(&context, &mut neural, &scene, &camera, 0.0, &gradients);
+    let found = run(&device, &mut neural, &scene, &camera, 0.0, &gradients);
     let positions = scene.anchors.positions();
     let expected: Vec<[f32; 4]> = twin.list.iter().map(|anchor| positions[*anchor as usize]).collect();
     let shown: Vec<[f32; 4]> =
@@ -153,8 +153,8 @@ fn the_device_shows_the_anchors_that_the_twin_shows() {
 
 #[test]
 fn the_list_is_ascending_complete_and_counted() {
-    let context = gpu();
-    let kernel = context.kernel(kernel_source!("compact_anchors"), &[]).expect("the kernel");
+    let device = gpu();
+    let kernel = device.kernel(kernel_source!("compact_anchors"), &[]).expect("the kernel");
     let mut rng = Pcg64::seed_from_u64(3);
     for count in [0, 1, 2, 255, 256, 257, 1025, 70_001] {
         for share in [0.0, 0.01, 0.5, 1.0] {
@@ -162,13 +162,13 @@ fn the_list_is_ascending_complete_and_counted() {
             let flags: Vec<u32> = visible.iter().map(|v| u32::from(*v)).collect();
             let mut view = [[0xdead_beef_u32; 4]; 7];
             view[6] = [count as u32, count as u32, 0, 0];
-            let view = context.upload("view", &view).expect("view");
-            let flags = context.upload("flags", &flags).expect("flags");
-            let list = context.upload("junk", &vec![0xdead_beef_u32; count + 2]).expect("list");
-            let mut recorder = context.recorder("compact");
+            let view = device.upload("view", &view).expect("view");
+            let flags = device.upload("flags", &flags).expect("flags");
+            let list = device.upload("junk", &vec![0xdead_beef_u32; count + 2]).expect("list");
+            let mut recorder = device.recorder("compact");
             recorder.dispatch(&kernel, &[view.as_ref(), flags.as_ref(), list.as_ref()], 1);
             recorder.submit().expect("submitted");
-            let found = context.read(&list).expect("list");
+            let found = device.read(&list).expect("list");
             let expected = twin::compact_anchors(&visible);
             assert_eq!(found[0] as usize, expected.len());
             assert!(found[1..=expected.len()] == expected, "{count} anchors, {share} of them visible");

@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::ContextKind,
-    gpu::Context,
+    gpu::Device,
     render::RenderError,
     train::{
         TrainError,
@@ -32,17 +32,17 @@ fn net(scene: &Scene) -> ContextNet {
 
 /// Outputs of the sampled anchors, column by column.
 fn columns(net: &ContextNet, rows: usize) -> Vec<Vec<f32>> {
-    let context = gpu();
-    let count = context.read_range(net.sample(), 0, 1).expect("read")[0] as usize;
-    let flat = context.read(net.outputs()).expect("read");
+    let device = gpu();
+    let count = device.read_range(net.sample(), 0, 1).expect("read")[0] as usize;
+    let flat = device.read(net.outputs()).expect("read");
     (0..count).map(|column| (0..rows).map(|row| flat[row * net.columns() + column]).collect()).collect()
 }
 
 /// Outputs and gradients of one pass. What the sample does not cover is NaN, so that nothing may read it.
 fn on_device(net: &mut ContextNet, scene: &Scene, pass: &ContextPass) -> (Vec<Vec<f32>>, Vec<f32>) {
-    let context = gpu();
+    let device = gpu();
     let rows = scene.layout.config.output_rows()[3];
-    let mut recorder = context.recorder("context forward");
+    let mut recorder = device.recorder("context forward");
     net.forward(&mut recorder, &scene.sample, pass).expect("recorded");
     recorder.submit().expect("submitted");
     let mut d_outputs = vec![f32::NAN; net.output_gradients().len()];
@@ -51,11 +51,11 @@ fn on_device(net: &mut ContextNet, scene: &Scene, pass: &ContextPass) -> (Vec<Ve
             d_outputs[row * net.columns() + column] = *d;
         }
     }
-    context.write(net.output_gradients(), &d_outputs);
-    let mut recorder = context.recorder("context backward");
+    device.write(net.output_gradients(), &d_outputs);
+    let mut recorder = device.recorder("context backward");
     net.backward(&mut recorder).expect("recorded");
     recorder.submit().expect("submitted");
-    (columns(net, rows), context.read(net.gradients()).expect("read"))
+    (columns(net, rows), device.read(net.gradients()).expect("read"))
 }
 
 fn wide(values: &[f32]) -> Vec<f64> {
@@ -146,14 +146,14 @@ fn equal_passes_have_equal_bits() {
 
 #[test]
 fn latents_made_parameters_change_nothing() {
-    let context = gpu();
+    let device = gpu();
     let zero_layers = PlaneConfig { edge: 8, channels: 4, layers: 0, hidden: 0, latents: 4 };
     for planes in [TWO_LAYERS, zero_layers] {
         let scene = Scene::random(5, ContextKind::TriPlane, planes, 100, 40);
         let mut net = net(&scene);
         let pass = |source| ContextPass { source, ..ContextPass::RAW };
         let before = on_device(&mut net, &scene, &pass(PlaneSource::Reconstructed)).0;
-        let mut recorder = context.recorder("switch");
+        let mut recorder = device.recorder("switch");
         net.latents_from_planes(&mut recorder).expect("recorded");
         recorder.submit().expect("submitted");
         let after = on_device(&mut net, &scene, &pass(PlaneSource::Latents)).0;
@@ -166,7 +166,7 @@ fn latents_made_parameters_change_nothing() {
 
 #[test]
 fn rounded_weights_are_the_twins_bits() {
-    let context = gpu();
+    let device = gpu();
     let mut scene = Scene::random(6, ContextKind::TriPlaneKnn, TWO_LAYERS, 50, 5);
     let mut rng = Pcg64::seed_from_u64(6);
     // Rows of every size: from less than the finest step to more than the coarsest can hold; and ties.
@@ -185,7 +185,7 @@ fn rounded_weights_are_the_twins_bits() {
         let pass = ContextPass { levels: Some(levels), source: PlaneSource::Latents, ..ContextPass::RAW };
         on_device(&mut net, &scene, &pass);
         let expected = scene.twin(pass, true).forward(&scene.wide_values()).stored;
-        let found = context.read(net.stored()).expect("read");
+        let found = device.read(net.stored()).expect("read");
         // All products are exact in both; a zero may have either sign.
         assert!(wide(&found) == expected, "{levels} levels");
         assert!(found != scene.values);
@@ -205,38 +205,38 @@ fn rounding_latents_ends_at_a_byte() {
 
 #[test]
 fn what_does_not_fit_is_refused() {
-    let context = gpu();
+    let device = gpu();
     let scene = Scene::random(8, ContextKind::TriPlane, TWO_LAYERS, 20, 5);
     let short = ContextState::new(scene.values[1..].to_vec());
-    let refused = ContextNet::new(&context, scene.layout.config, &short);
-    assert!(matches!(refused, Err(TrainError::Context(ContextError::Parameters { .. }))));
+    let refused = ContextNet::new(&device, scene.layout.config, &short);
+    assert!(matches!(refused, Err(TrainError::Device(ContextError::Parameters { .. }))));
     let mut net = net(&scene);
-    let mut recorder = context.recorder("refused");
+    let mut recorder = device.recorder("refused");
     let early = net.backward(&mut recorder);
     assert!(matches!(early, Err(TrainError::Render(RenderError::OutOfStep))));
     for sample in [[3, 20], [4, 4]] {
         let refused = net.forward(&mut recorder, &sample, &ContextPass::RAW);
-        assert!(matches!(refused, Err(TrainError::Context(ContextError::Anchors(_)))), "{sample:?}");
+        assert!(matches!(refused, Err(TrainError::Device(ContextError::Anchors(_)))), "{sample:?}");
     }
     let stray = ContextAnchors { neighbours: vec![20; 20], ..scene.anchors.clone() };
-    assert!(matches!(net.place(&stray), Err(TrainError::Context(ContextError::Anchors(_)))));
+    assert!(matches!(net.place(&stray), Err(TrainError::Device(ContextError::Anchors(_)))));
 }
 
 #[test]
 fn no_more_memory_is_taken_than_is_said() {
-    let context: Arc<Context> = Context::new(&choice()).expect("a device");
+    let device: Arc<Device> = Device::new(&choice()).expect("a device");
     for kind in KINDS {
         let scene = Scene::random(9, kind, TWO_LAYERS, 3_000, 600);
-        let before = context.allocated_bytes();
+        let before = device.allocated_bytes();
         let state = ContextState::new(scene.values.clone());
-        let mut net = ContextNet::new(&context, scene.layout.config, &state).expect("a model");
+        let mut net = ContextNet::new(&device, scene.layout.config, &state).expect("a model");
         net.place(&scene.anchors).expect("placed");
-        let mut recorder = context.recorder("context");
+        let mut recorder = device.recorder("context");
         net.forward(&mut recorder, &scene.sample, &passes()[1]).expect("recorded");
         net.backward(&mut recorder).expect("recorded");
         recorder.submit().expect("submitted");
-        context.wait().expect("done");
-        let taken = context.allocated_bytes() - before;
+        device.wait().expect("done");
+        let taken = device.allocated_bytes() - before;
         let said = ContextNet::bytes(&scene.layout.config, 3_000, 600).expect("known sizes");
         assert!(taken <= said && said < taken + taken / 4 + 4096, "{kind:?}: {taken} taken, {said} said");
     }

@@ -28,7 +28,7 @@ fn sheet() -> (Vec<[i32; 3]>, Vec<f32>) {
 
 /// Trains the first channel's mean on the sheet; says the mean squared error before, then at the end of each phase.
 fn errors(kind: ContextKind) -> [f32; 4] {
-    let context = gpu();
+    let device = gpu();
     let (cells, targets) = sheet();
     let planes = PlaneConfig { edge: 16, channels: 4, layers: 1, hidden: 0, latents: 4 };
     let config = ContextConfig { kind, channels: [1, 6, 3], hidden: [16, 4, 4], planes };
@@ -37,18 +37,18 @@ fn errors(kind: ContextKind) -> [f32; 4] {
         .map(|channels| GroupStatistics { means: vec![100.0; channels], deviations: vec![50.0; channels] });
     let layout = ContextLayout::new(config).expect("known sizes");
     let values = layout.initial(&statistics, &mut Pcg64::seed_from_u64(1)).expect("statistics that fit");
-    let mut net = ContextNet::new(&context, config, &ContextState::new(values)).expect("a model");
+    let mut net = ContextNet::new(&device, config, &ContextState::new(values)).expect("a model");
     net.place(&ContextAnchors::new(&config, &robust_frame(&cells), &cells)).expect("placed");
-    let adam = Adam::new(&context).expect("the kernel");
-    let no = context.upload("void mark", &[0]).expect("a buffer");
+    let adam = Adam::new(&device).expect("the kernel");
+    let no = device.upload("overflow flag", &[0]).expect("a buffer");
     let all: Vec<u32> = (0..COUNT as u32).collect();
     let mut step = 0;
     let mut phase = |net: &mut ContextNet, steps: u32, pass: ContextPass| -> f32 {
         let predictions = |net: &mut ContextNet, sample: &[u32]| -> Vec<f32> {
-            let mut recorder = context.recorder("forward");
+            let mut recorder = device.recorder("forward");
             net.forward(&mut recorder, sample, &pass).expect("recorded");
             recorder.submit().expect("submitted");
-            context.read_range(net.outputs(), 0, sample.len()).expect("read")
+            device.read_range(net.outputs(), 0, sample.len()).expect("read")
         };
         for _ in 0..steps {
             step += 1;
@@ -59,9 +59,9 @@ fn errors(kind: ContextKind) -> [f32; 4] {
             for (column, (anchor, predicted)) in sample.iter().zip(predicted).enumerate() {
                 gradients[column] = (predicted - targets[*anchor as usize]) / 2_500.0 / sample.len() as f32;
             }
-            context.write(net.output_gradients(), &gradients);
+            device.write(net.output_gradients(), &gradients);
             let rates = ContextRates { networks: 5e-3, planes: 5e-3, layers: 5e-3, latents: 1e-2 };
-            let mut recorder = context.recorder("backward");
+            let mut recorder = device.recorder("backward");
             net.backward(&mut recorder).expect("recorded");
             net.step(&mut recorder, &adam, step, &no, &rates, &statistics).expect("recorded");
             recorder.submit().expect("submitted");
@@ -74,7 +74,7 @@ fn errors(kind: ContextKind) -> [f32; 4] {
     let start = phase(&mut net, 0, ContextPass::RAW);
     let first = phase(&mut net, 150, ContextPass::RAW);
     let second = phase(&mut net, 150, raw);
-    let mut recorder = context.recorder("switch");
+    let mut recorder = device.recorder("switch");
     net.latents_from_planes(&mut recorder).expect("recorded");
     recorder.submit().expect("submitted");
     [start, first, second, phase(&mut net, 150, stored)]

@@ -53,15 +53,15 @@ fn on_twin([value, mean, deviation, width]: Row) -> SymbolBits {
 }
 
 fn on_device(rows: &[Row]) -> Vec<[f32; 4]> {
-    let context = gpu();
+    let device = gpu();
     let source = KernelSource { name: "symbol_bits_probe", text: include_str!("symbol_bits_probe.wgsl") };
-    let kernel = context.kernel(source, &[]).expect("the probe");
-    let given = context.upload("rows", rows).expect("room");
-    let found = context.buffer::<[f32; 4]>("found", rows.len()).expect("room");
-    let mut recorder = context.recorder("probe");
+    let kernel = device.kernel(source, &[]).expect("the probe");
+    let given = device.upload("rows", rows).expect("room");
+    let found = device.buffer::<[f32; 4]>("found", rows.len()).expect("room");
+    let mut recorder = device.recorder("probe");
     recorder.dispatch(&kernel, &[given.as_ref(), found.as_ref()], rows.len().div_ceil(64) as u32);
     recorder.submit().expect("submitted");
-    context.read(&found).expect("read")
+    device.read(&found).expect("read")
 }
 
 /// The oracle's bits agree with arithmetic of 60 digits; its derivatives, taken in f64, are up to 3e-7 off in the deep tail,

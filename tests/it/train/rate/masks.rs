@@ -26,24 +26,26 @@ fn the_twins_gradient_is_that_of_bits_times_logistics() {
 #[test]
 fn the_kernel_adds_the_rates_gradient_for_the_sampled_anchors() {
     const COUNT: usize = 90;
-    let context = gpu();
+    let device = gpu();
     let case = Case::random(51, SMALL, COUNT, 33);
-    let device = OnDevice::upload(&context, &case, &vec![0.0; COUNT * SMALL.row()]);
-    device.run(&context, &quantisation(QuantisationPhase::Noise));
+    let uploaded = OnDevice::upload(&device, &case, &vec![0.0; COUNT * SMALL.row()]);
+    uploaded.run(&device, &quantisation(QuantisationPhase::Noise));
     let offsets = COUNT * SMALL.offsets;
     let logits: Vec<f32> = (0..offsets).map(|i| (i % 13) as f32 * 0.5 - 4.0).collect();
     let rows = MaskRows { logits: logits.clone(), ..MaskRows::new(offsets) };
-    let masks = OffsetMasks::upload(&context, SMALL, &rows).expect("room");
-    let mut recorder = context.recorder("masks");
-    masks.rate_backward(&mut recorder, &device.rate, device.sample(), LAMBDA).expect("recorded");
-    let adam = Adam::new(&context).expect("adam");
-    masks.step(&mut recorder, &adam, 1, &device.void_mark, 0.01, -4.6, &device.anchors).expect("recorded");
+    let masks = OffsetMasks::upload(&device, SMALL, &rows).expect("room");
+    let mut recorder = device.recorder("masks");
+    masks.rate_backward(&mut recorder, &uploaded.rate, uploaded.sample(), LAMBDA).expect("recorded");
+    let adam = Adam::new(&device).expect("adam");
+    masks
+        .step(&mut recorder, &adam, 1, &uploaded.overflow_flag, 0.01, -4.6, &uploaded.anchors)
+        .expect("recorded");
     recorder.submit().expect("submitted");
     let found: Vec<f64> =
-        masks.read(&context).expect("read").first.iter().map(|v| 10.0 * f64::from(*v)).collect();
-    let weight = f64::from(device.rate.weight(LAMBDA, 33));
+        masks.read(&device).expect("read").first.iter().map(|v| 10.0 * f64::from(*v)).collect();
+    let weight = f64::from(uploaded.rate.weight(LAMBDA, 33));
     let mut expected = vec![0.0; offsets];
-    let bits = device.bits(&context);
+    let bits = uploaded.bits(&device);
     for (place, anchor) in case.sample.iter().map(|anchor| *anchor as usize).enumerate() {
         let range = anchor * SMALL.offsets..(anchor + 1) * SMALL.offsets;
         let of_offsets: Vec<f64> = (0..SMALL.offsets).map(|k| bits[3 + k][place]).collect();

@@ -36,18 +36,18 @@ fn parameters(layout: &NetworkLayout, seed: u64) -> Vec<f32> {
 
 #[test]
 fn the_kernel_rounds_every_bit_as_the_twin_does() {
-    let context = gpu();
+    let device = gpu();
     for shape in [Shape { features: 8, offsets: 3 }, Shape { features: 32, offsets: 10 }] {
         let layout = NetworkLayout::new(shape);
         for seed in 0..4 {
             let values = parameters(&layout, seed);
-            let rounded = RoundedNetworks::new(&context, &layout).expect("the kernel");
-            context.write(rounded.parameters(), &vec![1234.5; values.len()]);
-            let device = context.upload("networks", &values).expect("room");
-            let mut recorder = context.recorder("round");
-            rounded.record(&mut recorder, &device).expect("recorded");
+            let rounded = RoundedNetworks::new(&device, &layout).expect("the kernel");
+            device.write(rounded.parameters(), &vec![1234.5; values.len()]);
+            let uploaded = device.upload("networks", &values).expect("room");
+            let mut recorder = device.recorder("round");
+            rounded.record(&mut recorder, &uploaded).expect("recorded");
             recorder.submit().expect("submitted");
-            let found = layout.to_networks(&context.read(rounded.parameters()).expect("read"));
+            let found = layout.to_networks(&device.read(rounded.parameters()).expect("read"));
             let given = layout.to_networks(&values);
             let pairs = [
                 (&found.opacity, &given.opacity),

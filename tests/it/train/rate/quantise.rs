@@ -123,25 +123,25 @@ fn a_scaling_below_its_step_is_one_step_and_can_only_be_asked_to_grow() {
 
 #[test]
 fn the_kernels_match_the_twins() {
-    let context = gpu();
+    let device = gpu();
     for (shape, count) in [(SMALL, 1), (SMALL, 70), (USUAL, 67)] {
         let case = Case::random(count as u64, shape, count, 0);
         let d_rendered = random_gradients(5, count * shape.row());
         for phase in PHASES {
             let by = quantisation(phase);
-            let device = OnDevice::upload(&context, &case, &d_rendered);
-            context.write(device.quantised.rows(), &vec![JUNK; count * shape.row()]);
-            context.write(device.quantised.log_step_gradients(), &vec![JUNK; 3 * count]);
-            let mut recorder = context.recorder("quantise");
-            device.quantised.record_forward(&mut recorder, &device.anchors, &by).expect("recorded");
-            device
+            let uploaded = OnDevice::upload(&device, &case, &d_rendered);
+            device.write(uploaded.quantised.rows(), &vec![JUNK; count * shape.row()]);
+            device.write(uploaded.quantised.log_step_gradients(), &vec![JUNK; 3 * count]);
+            let mut recorder = device.recorder("quantise");
+            uploaded.quantised.record_forward(&mut recorder, &uploaded.anchors, &by).expect("recorded");
+            uploaded
                 .quantised
-                .record_backward(&mut recorder, &device.anchors, &by, &device.d_rows)
+                .record_backward(&mut recorder, &uploaded.anchors, &by, &uploaded.d_rows)
                 .expect("recorded");
             recorder.submit().expect("submitted");
-            let rows = context.read(device.quantised.rows()).expect("read");
-            let d_rows = context.read(&device.d_rows).expect("read");
-            let d_log_steps = context.read(device.quantised.log_step_gradients()).expect("read");
+            let rows = device.read(uploaded.quantised.rows()).expect("read");
+            let d_rows = device.read(&uploaded.d_rows).expect("read");
+            let d_log_steps = device.read(uploaded.quantised.log_step_gradients()).expect("read");
             let (mut expected_d, mut expected_log) = (Vec::new(), Vec::new());
             for anchor in 0..count {
                 let row = f64s(case.anchors.row(anchor));
@@ -169,15 +169,15 @@ fn the_kernels_match_the_twins() {
 
 #[test]
 fn rounded_values_are_a_files_bit_for_bit() {
-    let context = gpu();
+    let device = gpu();
     let case = Case::random(8, USUAL, 50, 0);
-    let quantised = QuantisedRows::upload(&context, USUAL, &case.steps).expect("room");
-    let device = OnDevice::upload(&context, &case, &[0.0; 4]);
-    let mut recorder = context.recorder("quantise");
+    let quantised = QuantisedRows::upload(&device, USUAL, &case.steps).expect("room");
+    let uploaded = OnDevice::upload(&device, &case, &[0.0; 4]);
+    let mut recorder = device.recorder("quantise");
     let by = quantisation(QuantisationPhase::Rounded);
-    quantised.record_forward(&mut recorder, &device.anchors, &by).expect("recorded");
+    quantised.record_forward(&mut recorder, &uploaded.anchors, &by).expect("recorded");
     recorder.submit().expect("submitted");
-    let rows = context.read(quantised.rows()).expect("read");
+    let rows = device.read(quantised.rows()).expect("read");
     for (i, found) in rows.iter().enumerate() {
         let (anchor, column) = (i / USUAL.row(), i % USUAL.row());
         if column < USUAL.features {

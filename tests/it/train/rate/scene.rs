@@ -4,7 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{AttributeGroup, Lattice},
-    gpu::{Buffer, Context},
+    gpu::{Buffer, Device},
     model::{AnchorRows, Shape, all_offsets},
     render::DeviceAnchors,
     train::context::{AnchorSample, GroupOutputs, Quantisation, QuantisationPhase, QuantisedRows, RateTerm},
@@ -143,7 +143,7 @@ pub(super) struct OnDevice {
     pub(super) d_outputs: [Buffer<f32>; 3],
     pub(super) d_rows: Buffer<f32>,
     pub(super) rate: RateTerm,
-    pub(super) void_mark: Buffer<u32>,
+    pub(super) overflow_flag: Buffer<u32>,
     room: usize,
 }
 
@@ -155,7 +155,7 @@ const FIRST_ROW: usize = 2;
 
 impl OnDevice {
     /// `d_rendered` are the gradients by the rendered rows.
-    pub(super) fn upload(context: &Context, case: &Case, d_rendered: &[f32]) -> Self {
+    pub(super) fn upload(device: &Device, case: &Case, d_rendered: &[f32]) -> Self {
         let (shape, count) = (case.shape(), case.sample.len());
         let room = count + 5;
         let list = [vec![count as u32], case.sample.clone(), vec![u32::MAX; 5]].concat();
@@ -167,19 +167,19 @@ impl OnDevice {
                     values[(FIRST_ROW + row) * room + place] = *value;
                 }
             }
-            context.upload("outputs", &values).expect("room")
+            device.upload("outputs", &values).expect("room")
         });
-        let junk = |len: usize| context.upload("junk", &vec![JUNK; len]).expect("room");
+        let junk = |len: usize| device.upload("junk", &vec![JUNK; len]).expect("room");
         Self {
-            anchors: DeviceAnchors::upload(context, &case.anchors, &[]).expect("anchors"),
-            quantised: QuantisedRows::upload(context, shape, &case.steps).expect("room"),
-            list: context.upload("list", &list).expect("room"),
+            anchors: DeviceAnchors::upload(device, &case.anchors, &[]).expect("anchors"),
+            quantised: QuantisedRows::upload(device, shape, &case.steps).expect("room"),
+            list: device.upload("list", &list).expect("room"),
             count,
             d_outputs: [0, 1, 2].map(|group: usize| junk(outputs[group].len())),
             outputs,
-            d_rows: context.upload("gradients", d_rendered).expect("room"),
-            rate: RateTerm::new(context, shape, room + 3).expect("the kernels"),
-            void_mark: context.buffer("void mark", 1).expect("room"),
+            d_rows: device.upload("gradients", d_rendered).expect("room"),
+            rate: RateTerm::new(device, shape, room + 3).expect("the kernels"),
+            overflow_flag: device.buffer("overflow flag", 1).expect("room"),
             room,
         }
     }
@@ -189,8 +189,8 @@ impl OnDevice {
     }
 
     /// Rendering's way back, then the rate.
-    pub(super) fn run(&self, context: &Context, quantisation: &Quantisation) {
-        let mut recorder = context.recorder("rate");
+    pub(super) fn run(&self, device: &Device, quantisation: &Quantisation) {
+        let mut recorder = device.recorder("rate");
         self.quantised
             .record_backward(&mut recorder, &self.anchors, quantisation, &self.d_rows)
             .expect("recorded");
@@ -209,15 +209,15 @@ impl OnDevice {
                 outputs,
                 LAMBDA,
                 &self.d_rows,
-                &self.void_mark,
+                &self.overflow_flag,
             )
             .expect("recorded");
         recorder.submit().expect("submitted");
     }
 
     /// Gradients by a group's outputs, by sampled anchor.
-    pub(super) fn output_gradients(&self, context: &Context, group: usize) -> Vec<Vec<f64>> {
-        let values = context.read(&self.d_outputs[group]).expect("read");
+    pub(super) fn output_gradients(&self, device: &Device, group: usize) -> Vec<Vec<f64>> {
+        let values = device.read(&self.d_outputs[group]).expect("read");
         let rows = values.len() / self.room;
         assert!(values[..FIRST_ROW * self.room].iter().all(|v| *v == JUNK), "other rows are left alone");
         (0..self.count)
@@ -226,8 +226,8 @@ impl OnDevice {
     }
 
     /// Bits of an offset of a sampled anchor, or of a group: by row, then sampled anchor.
-    pub(super) fn bits(&self, context: &Context) -> Vec<Vec<f64>> {
-        let values = context.read(self.rate.bits()).expect("read");
+    pub(super) fn bits(&self, device: &Device) -> Vec<Vec<f64>> {
+        let values = device.read(self.rate.bits()).expect("read");
         values.chunks(self.rate.capacity()).map(|row| f64s(&row[..self.count])).collect()
     }
 }

@@ -18,14 +18,14 @@ struct Found {
 }
 
 fn found(case: &Case, phase: QuantisationPhase) -> Found {
-    let context = gpu();
-    let device = OnDevice::upload(&context, case, &vec![0.0; case.anchors.values.len()]);
-    device.run(&context, &quantisation(phase));
+    let device = gpu();
+    let uploaded = OnDevice::upload(&device, case, &vec![0.0; case.anchors.values.len()]);
+    uploaded.run(&device, &quantisation(phase));
     Found {
-        outputs: [0, 1, 2].map(|group| device.output_gradients(&context, group)),
-        rows: context.read(&device.d_rows).expect("read"),
-        bits: device.bits(&context),
-        steps: context.read(device.quantised.steps()).expect("read"),
+        outputs: [0, 1, 2].map(|group| uploaded.output_gradients(&device, group)),
+        rows: device.read(&uploaded.d_rows).expect("read"),
+        bits: uploaded.bits(&device),
+        steps: device.read(uploaded.quantised.steps()).expect("read"),
     }
 }
 

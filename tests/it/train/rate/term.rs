@@ -143,13 +143,13 @@ fn what_is_far_out_is_stored_as_an_escape_and_pulled_back_all_the_same() {
 #[test]
 fn a_stray_anchor_does_not_decide_what_a_scene_is_said_to_take() {
     const COUNT: usize = 40;
-    let context = gpu();
+    let device = gpu();
     let by = quantisation(QuantisationPhase::Rounded);
     let mut case = Case::random(44, SMALL, COUNT, COUNT);
     let sums = |case: &Case| {
-        let device = OnDevice::upload(&context, case, &random_gradients(45, COUNT * SMALL.row()));
-        device.run(&context, &by);
-        device.rate.sums(&context).expect("read")
+        let uploaded = OnDevice::upload(&device, case, &random_gradients(45, COUNT * SMALL.row()));
+        uploaded.run(&device, &by);
+        uploaded.rate.sums(&device).expect("read")
     };
     let before = sums(&case);
     let stray = case.sample[3] as usize;
@@ -208,12 +208,12 @@ fn rounded_bits_are_those_of_the_decoders_numbers() {
 }
 
 fn check_against_twin(shape: Shape, count: usize, sampled: usize, phase: QuantisationPhase) {
-    let context = gpu();
+    let device = gpu();
     let case = Case::random((count + sampled) as u64, shape, count, sampled);
     let d_rendered = random_gradients(31, count * shape.row());
-    let device = OnDevice::upload(&context, &case, &d_rendered);
+    let uploaded = OnDevice::upload(&device, &case, &d_rendered);
     let by = quantisation(phase);
-    device.run(&context, &by);
+    uploaded.run(&device, &by);
 
     let weight = LAMBDA / (sampled * shape.row()) as f64;
     let scaled_up = count as f64 / sampled as f64;
@@ -228,11 +228,11 @@ fn check_against_twin(shape: Shape, count: usize, sampled: usize, phase: Quantis
         d_log_steps.push(by_steps);
     }
     let mut steps = f64s(&case.steps);
-    let bits = device.bits(&context);
-    let sums = device.rate.sums(&context).expect("read");
+    let bits = uploaded.bits(&device);
+    let sums = uploaded.rate.sums(&device).expect("read");
     for group in AttributeGroup::ALL {
         let what = format!("{shape:?} {sampled} of {count} {phase:?} {group:?}");
-        let found = device.output_gradients(&context, group as usize);
+        let found = uploaded.output_gradients(&device, group as usize);
         let (mut all_found, mut all_expected, mut costs) =
             ([const { Vec::new() }; 3], [const { Vec::new() }; 3], Vec::new());
         for (place, anchor) in case.sample.iter().map(|anchor| *anchor as usize).enumerate() {
@@ -272,10 +272,10 @@ fn check_against_twin(shape: Shape, count: usize, sampled: usize, phase: Quantis
         let found = sums[group as usize];
         assert!((found - expected).abs() < 2e-5 * (1.0 + expected), "{what}: {found} {expected}");
     }
-    let found = context.read(&device.d_rows).expect("read");
+    let found = device.read(&uploaded.d_rows).expect("read");
     let error = relative_l2(&f64s(&found), &d_rows);
     assert!(error < BOUND, "{shape:?} {phase:?}: gradients of rows: {error:e}");
-    let found = context.read(device.quantised.steps()).expect("read");
+    let found = device.read(uploaded.quantised.steps()).expect("read");
     for (i, (found, expected)) in found.iter().zip(&steps).enumerate() {
         if case.sample.contains(&(i as u32 / 3)) {
             assert!((f64::from(*found) - expected).abs() < 1e-6 * expected, "{found} {expected}");
@@ -302,18 +302,18 @@ fn the_kernel_matches_the_twin() {
 
 #[test]
 fn a_step_that_will_be_done_again_leaves_the_steps_and_the_same_input_gives_the_same_bits() {
-    let context = gpu();
+    let device = gpu();
     let case = Case::random(41, SMALL, 90, 30);
     let d_rendered = random_gradients(42, 90 * SMALL.row());
     let by = quantisation(QuantisationPhase::Noise);
     let run = |mark: u32| {
-        let device = OnDevice::upload(&context, &case, &d_rendered);
-        context.write(&device.void_mark, &[mark]);
-        device.run(&context, &by);
-        let outputs = [0, 1, 2].map(|group| device.output_gradients(&context, group));
+        let uploaded = OnDevice::upload(&device, &case, &d_rendered);
+        device.write(&uploaded.overflow_flag, &[mark]);
+        uploaded.run(&device, &by);
+        let outputs = [0, 1, 2].map(|group| uploaded.output_gradients(&device, group));
         let rows: Vec<u32> =
-            context.read(&device.d_rows).expect("read").iter().map(|v| v.to_bits()).collect();
-        (context.read(device.quantised.steps()).expect("read"), outputs, rows, device.bits(&context))
+            device.read(&uploaded.d_rows).expect("read").iter().map(|v| v.to_bits()).collect();
+        (device.read(uploaded.quantised.steps()).expect("read"), outputs, rows, uploaded.bits(&device))
     };
     let (void, first, second) = (run(77), run(0), run(0));
     assert!(void.0 == case.steps && first.0 != case.steps);
@@ -323,12 +323,12 @@ fn a_step_that_will_be_done_again_leaves_the_steps_and_the_same_input_gives_the_
 
 #[test]
 fn what_is_not_sampled_is_left_alone() {
-    let context = gpu();
+    let device = gpu();
     let case = Case::random(43, SMALL, 20, 0);
     let d_rendered = random_gradients(44, 20 * SMALL.row());
-    let device = OnDevice::upload(&context, &case, &d_rendered);
-    device.run(&context, &quantisation(QuantisationPhase::Noise));
-    assert_eq!(device.rate.sums(&context).expect("read"), [0.0; 3]);
-    assert!(context.read(&device.d_outputs[0]).expect("read").iter().all(|v| *v == JUNK));
-    assert_eq!(context.read(device.quantised.steps()).expect("read"), case.steps);
+    let uploaded = OnDevice::upload(&device, &case, &d_rendered);
+    uploaded.run(&device, &quantisation(QuantisationPhase::Noise));
+    assert_eq!(uploaded.rate.sums(&device).expect("read"), [0.0; 3]);
+    assert!(device.read(&uploaded.d_outputs[0]).expect("read").iter().all(|v| *v == JUNK));
+    assert_eq!(device.read(uploaded.quantised.steps()).expect("read"), case.steps);
 }

@@ -10,7 +10,7 @@ use std::{
 use naga_oil::compose::Composer;
 
 use super::{
-    AdapterChoice, AdapterReport, Buffer, ContextSettings, GpuError, Kernel, KernelSource, KernelVariant,
+    AdapterChoice, AdapterReport, Buffer, DeviceSettings, GpuError, Kernel, KernelSource, KernelVariant,
     Recorder, Subgroups, adapter, kernel, ledger::Ledger,
 };
 
@@ -35,8 +35,8 @@ struct Kernels {
 
 /// An open device. Cheap to share by `Arc`; safe to use from several threads.
 #[derive(Debug)]
-pub struct Context {
-    pub(super) device: wgpu::Device,
+pub struct Device {
+    pub(super) inner: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     report: AdapterReport,
     subgroups: Subgroups,
@@ -46,24 +46,24 @@ pub struct Context {
     pub(super) ledger: Arc<Ledger>,
 }
 
-impl Context {
+impl Device {
     /// Opens the adapter of choice with all the limits that it offers.
     ///
     /// # Errors
     /// [`GpuError::NoAdapter`] or [`GpuError::Open`].
     pub fn new(choice: &AdapterChoice) -> Result<Arc<Self>, GpuError> {
-        Self::with_settings(choice, &ContextSettings::default())
+        Self::with_settings(choice, &DeviceSettings::default())
     }
 
-    /// As [`Context::new`], with what `settings` says in place of what suits the adapter.
+    /// As [`Device::new`], with what `settings` says in place of what suits the adapter.
     ///
     /// # Errors
-    /// As [`Context::new`]; faults of the device where its subgroups have to be tried out.
-    pub fn with_settings(choice: &AdapterChoice, settings: &ContextSettings) -> Result<Arc<Self>, GpuError> {
+    /// As [`Device::new`]; faults of the device where its subgroups have to be tried out.
+    pub fn with_settings(choice: &AdapterChoice, settings: &DeviceSettings) -> Result<Arc<Self>, GpuError> {
         let adapter = adapter::choose(choice)?;
         let report = settings.apply(adapter::describe(&adapter));
         let wanted = wgpu::Features::SUBGROUP | wgpu::Features::TIMESTAMP_QUERY;
-        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+        let (inner, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("tcgs"),
             required_features: adapter.features() & wanted,
             required_limits: adapter.limits(),
@@ -72,12 +72,12 @@ impl Context {
         .map_err(|fault| GpuError::Open { adapter: report.name.clone(), fault: fault.to_string() })?;
         let faults = Arc::new(Faults::default());
         let on_lost = Arc::clone(&faults);
-        device.set_device_lost_callback(move |reason, message| {
+        inner.set_device_lost_callback(move |reason, message| {
             *on_lost.lost.lock().unwrap_or_else(PoisonError::into_inner) =
                 Some(format!("{reason:?}: {message}"));
         });
         let on_error = Arc::clone(&faults);
-        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+        inner.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             tracing::error!(%error, "device error");
             let mut first = on_error.rejected.lock().unwrap_or_else(PoisonError::into_inner);
             first.get_or_insert_with(|| error.to_string());
@@ -88,8 +88,8 @@ impl Context {
             backend = report.backend,
             "device opened"
         );
-        let mut context = Self {
-            device,
+        let mut device = Self {
+            inner,
             queue,
             subgroups: Subgroups::Unused,
             max_wait: RwLock::new(settings.max_wait(&report)),
@@ -98,10 +98,10 @@ impl Context {
             kernels: Mutex::new(Kernels { composer: kernel::composer()?, made: HashMap::new() }),
             ledger: Arc::new(Ledger::new()),
         };
-        let wanted = settings.subgroups.unwrap_or_else(|| Subgroups::of(&context.report));
-        context.subgroups = wanted.tried(&context)?;
-        tracing::debug!(variant = ?context.report.variant, subgroups = ?context.subgroups, "kernels chosen");
-        Ok(Arc::new(context))
+        let wanted = settings.subgroups.unwrap_or_else(|| Subgroups::of(&device.report));
+        device.subgroups = wanted.tried(&device)?;
+        tracing::debug!(variant = ?device.report.variant, subgroups = ?device.subgroups, "kernels chosen");
+        Ok(Arc::new(device))
     }
 
     /// The adapter and what it offers.
@@ -128,13 +128,13 @@ impl Context {
         self.report.variant
     }
 
-    /// Bytes in live buffers of this context, those of transfers under way among them.
+    /// Bytes in live buffers of this device, those of transfers under way among them.
     #[must_use]
     pub fn allocated_bytes(&self) -> u64 {
         self.ledger.used()
     }
 
-    /// The most that [`Context::allocated_bytes`] ever was.
+    /// The most that [`Device::allocated_bytes`] ever was.
     #[must_use]
     pub fn peak_bytes(&self) -> u64 {
         self.ledger.peak()
@@ -208,13 +208,13 @@ impl Context {
     /// hung from then on.
     ///
     /// # Errors
-    /// As [`Context::check`].
+    /// As [`Device::check`].
     pub fn wait(&self) -> Result<(), GpuError> {
         self.check()?;
         let waited = *self.max_wait.read().unwrap_or_else(PoisonError::into_inner);
         let answer = match waited {
             Duration::ZERO => Err(wgpu::PollError::Timeout),
-            _ => self.device.poll(wgpu::PollType::Wait { submission_index: None, timeout: Some(waited) }),
+            _ => self.inner.poll(wgpu::PollType::Wait { submission_index: None, timeout: Some(waited) }),
         };
         match answer {
             Ok(_) => {}
@@ -235,13 +235,13 @@ impl Context {
 
     /// Destroys the device, as a driver reset would; for tests of the recovery.
     pub fn destroy(&self) {
-        self.device.destroy();
+        self.inner.destroy();
     }
 
     /// Reads a whole buffer back. Waits for the device.
     ///
     /// # Errors
-    /// As [`Context::read_range`].
+    /// As [`Device::read_range`].
     pub fn read<T: bytemuck::Pod>(&self, buffer: &Buffer<T>) -> Result<Vec<T>, GpuError> {
         self.read_range(buffer, 0, buffer.len())
     }
@@ -249,7 +249,7 @@ impl Context {
     /// Reads `count` elements from `start`. Waits for the device.
     ///
     /// # Errors
-    /// As [`Context::check`], and [`GpuError::OverBudget`] without room for the transfer.
+    /// As [`Device::check`], and [`GpuError::OverBudget`] without room for the transfer.
     pub fn read_range<T: bytemuck::Pod>(
         &self,
         buffer: &Buffer<T>,
@@ -263,13 +263,13 @@ impl Context {
         let size = size_of::<T>() as u64;
         let bytes = (count as u64 * size).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
         let _reservation = self.ledger.reserve("read back", bytes)?;
-        let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
+        let staging = self.inner.create_buffer(&wgpu::BufferDescriptor {
             label: Some("read back"),
             size: bytes,
             usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let mut encoder = self.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         encoder.copy_buffer_to_buffer(buffer.raw(), start as u64 * size, &staging, 0, bytes);
         self.queue.submit([encoder.finish()]);
         staging.slice(..).map_async(wgpu::MapMode::Read, |_| ());
@@ -298,11 +298,11 @@ impl Context {
     }
 }
 
-impl Drop for Context {
+impl Drop for Device {
     /// wgpu waits without a limit for a queue that it drops. For one that hangs, a thread of its own does.
     fn drop(&mut self) {
         if self.faults.hung.get().is_some() {
-            let hung = (self.queue.clone(), self.device.clone());
+            let hung = (self.queue.clone(), self.inner.clone());
             thread::spawn(move || drop(hung));
         }
     }
