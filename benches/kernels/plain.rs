@@ -31,7 +31,7 @@ pub(crate) fn step(
     let (rows, gradients) = (rows?, gradients?);
     let moments = |values: &GaussianRows| -> Result<[Moments; 2], RenderError> {
         let bands: usize = values.bands.iter().map(Vec::len).sum();
-        Ok([Moments::zero(device, values.base.len())?, Moments::zero(device, bands)?])
+        Ok([Moments::plan(values.base.len()).make(device)?, Moments::plan(bands).make(device)?])
     };
     let [base, bands] = moments(&values)?;
     let mut plain = PlainGaussians::new(Arc::clone(device), RasterSettings::default().near)?;

@@ -8,8 +8,8 @@ use super::{Device, GpuError, ledger::Reservation};
 #[derive(Debug)]
 pub struct RawBuffer {
     pub(super) inner: wgpu::Buffer,
-    // Ends with the handle. The driver frees the memory once no recorded command uses it; destroying it there and then would
-    // spoil those commands.
+    // Ends with the handle. The driver frees the memory once no recorded command uses it; destroying it explicitly would break
+    // those commands.
     _reservation: Reservation,
 }
 
@@ -41,7 +41,7 @@ impl<T: bytemuck::Pod> Buffer<T> {
     }
 
     /// The same buffer with `len` elements, whatever they hold, if it has room for them.
-    fn with_len(&self, len: usize) -> Option<Self> {
+    pub(super) fn with_len(&self, len: usize) -> Option<Self> {
         let has_room = buffer_bytes::<T>(len) <= self.raw().size();
         has_room.then(|| Self { inner: Arc::clone(&self.inner), len, kind: PhantomData })
     }
@@ -63,42 +63,11 @@ pub fn buffer_bytes<T>(len: usize) -> u64 {
     (len.max(1) as u64).saturating_mul(size_of::<T>() as u64).div_ceil(16).saturating_mul(16)
 }
 
-/// A buffer before it is made: estimates and limits read the sizes that the buffers then have.
-#[derive(Debug, Clone, Copy)]
-pub struct BufferPlan<T> {
-    label: &'static str,
-    len: usize,
-    kind: PhantomData<T>,
-}
-
-impl<T: bytemuck::Pod> BufferPlan<T> {
-    /// `len` elements for what `label` names.
-    #[must_use]
-    pub fn new(label: &'static str, len: usize) -> Self {
-        Self { label, len, kind: PhantomData }
-    }
-
-    /// Bytes on the device.
-    #[must_use]
-    pub fn bytes(&self) -> u64 {
-        buffer_bytes::<T>(self.len)
-    }
-
-    /// Makes the buffer.
-    ///
-    /// # Errors
-    /// As [`Device::buffer`].
-    pub fn make(&self, device: &Device) -> Result<Buffer<T>, GpuError> {
-        device.buffer(self.label, self.len)
-    }
-}
-
 impl Device {
     /// A new buffer of `len` zeroed elements.
     ///
     /// # Errors
-    /// [`GpuError::BufferTooLarge`] if the adapter cannot bind it, [`GpuError::OverBudget`] if the device may not take
-    /// that much more, [`GpuError::DeviceLost`].
+    /// [`GpuError::BufferTooLarge`] if the adapter cannot bind it, [`GpuError::OverBudget`] beyond the device's budget, [`GpuError::DeviceLost`].
     pub fn buffer<T: bytemuck::Pod>(&self, label: &str, len: usize) -> Result<Buffer<T>, GpuError> {
         self.check()?;
         let bytes = buffer_bytes::<T>(len);
@@ -120,23 +89,6 @@ impl Device {
         Ok(Buffer { inner, len, kind: PhantomData })
     }
 
-    /// Gives `buffer` a length: it stays the same where it has room, whatever it holds, and is a new one, zeroed, where it has not.
-    ///
-    /// # Errors
-    /// As [`Device::buffer`]; `buffer` is unchanged.
-    pub fn resize<T: bytemuck::Pod>(
-        &self,
-        buffer: &mut Buffer<T>,
-        label: &str,
-        len: usize,
-    ) -> Result<(), GpuError> {
-        *buffer = match buffer.with_len(len) {
-            Some(kept) => kept,
-            None => self.buffer(label, len)?,
-        };
-        Ok(())
-    }
-
     /// A new buffer that holds `values`.
     ///
     /// # Errors
@@ -145,6 +97,65 @@ impl Device {
         let buffer = self.buffer(label, values.len())?;
         self.write(&buffer, values);
         Ok(buffer)
+    }
+
+    /// Reads a whole buffer back. Waits for the device.
+    ///
+    /// # Errors
+    /// As [`Device::read_range`].
+    pub fn read<T: bytemuck::Pod>(&self, buffer: &Buffer<T>) -> Result<Vec<T>, GpuError> {
+        self.read_range(buffer, 0, buffer.len())
+    }
+
+    /// Reads `count` elements from `start`. Waits for the device.
+    ///
+    /// # Errors
+    /// As [`Device::check`], and [`GpuError::OverBudget`] without room for the transfer.
+    pub fn read_range<T: bytemuck::Pod>(
+        &self,
+        buffer: &Buffer<T>,
+        start: usize,
+        count: usize,
+    ) -> Result<Vec<T>, GpuError> {
+        self.check()?;
+        if count == 0 {
+            return Ok(Vec::new());
+        }
+        let size = size_of::<T>() as u64;
+        let bytes = (count as u64 * size).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
+        let _reservation = self.ledger.reserve("read back", bytes)?;
+        let staging = self.inner.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("read back"),
+            size: bytes,
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let mut encoder = self.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.copy_buffer_to_buffer(buffer.raw(), start as u64 * size, &staging, 0, bytes);
+        self.queue.submit([encoder.finish()]);
+        staging.slice(..).map_async(wgpu::MapMode::Read, |_| ());
+        self.wait()?;
+        let view = staging
+            .slice(..)
+            .get_mapped_range()
+            .map_err(|fault| GpuError::Rejected(format!("mapping for reading: {fault}")))?;
+        Ok(bytemuck::pod_collect_to_vec(&view[..count * size_of::<T>()]))
+    }
+
+    /// Overwrites a buffer from its start; takes effect before the next submission.
+    pub fn write<T: bytemuck::Pod>(&self, buffer: &Buffer<T>, values: &[T]) {
+        self.write_at(buffer, 0, values);
+    }
+
+    /// Overwrites a buffer from element `start`; takes effect before the next submission.
+    pub fn write_at<T: bytemuck::Pod>(&self, buffer: &Buffer<T>, start: usize, values: &[T]) {
+        if !values.is_empty() {
+            self.queue.write_buffer(
+                buffer.raw(),
+                (start * size_of::<T>()) as u64,
+                bytemuck::cast_slice(values),
+            );
+        }
     }
 }
 
@@ -157,20 +168,5 @@ mod tests {
         // For a buffer that dispatches may read their counts from, wgpu makes bind groups of its own.
         let buffer = lavapipe().buffer::<u32>("one", 1).expect("room");
         assert!(!buffer.raw().usage().contains(wgpu::BufferUsages::INDIRECT));
-    }
-
-    #[test]
-    fn a_buffer_that_has_room_is_kept_and_another_is_made_beyond() {
-        let device = lavapipe();
-        let mut buffer = device.upload("kept", &[1_u32, 2, 3, 4, 5, 6, 7, 8]).expect("room");
-        let (made, bytes) = (device.buffers_made(), device.allocated_bytes());
-        for len in [3, 8, 0, 1] {
-            device.resize(&mut buffer, "kept", len).expect("has room");
-            assert_eq!(buffer.len(), len);
-        }
-        assert_eq!((device.buffers_made(), device.allocated_bytes()), (made, bytes));
-        device.resize(&mut buffer, "kept", 9).expect("room");
-        assert_eq!(device.buffers_made(), made + 1);
-        assert_eq!(device.read(&buffer).expect("read"), [0; 9]);
     }
 }

@@ -1,4 +1,4 @@
-//! An open device with its queue, its kernels and its memory of being lost.
+//! An open device: its queue, its compiled kernels, and the first fault since it was opened.
 
 use std::{
     collections::HashMap,
@@ -10,27 +10,23 @@ use std::{
 use naga_oil::compose::Composer;
 
 use super::{
-    AdapterChoice, AdapterReport, Buffer, DeviceSettings, GpuError, Kernel, KernelSource, KernelVariant,
-    Recorder, Subgroups, adapter, kernel, ledger::Ledger,
+    AdapterReport, GpuError, Kernel, KernelSource, KernelVariant, Subgroups, kernel, ledger::Ledger,
 };
 
-/// Largest workgroup-per-dispatch count that a dimension takes everywhere.
-pub(super) const MAX_GROUPS_PER_DIMENSION: u32 = 65_535;
-
-/// What happened to the device since it was opened.
+/// The first fault of each kind since the device was opened.
 #[derive(Debug, Default)]
-pub(super) struct Faults {
+struct Faults {
     lost: Mutex<Option<String>>,
     rejected: Mutex<Option<String>>,
-    /// How long it was waited for in vain.
+    /// How long the host waited without an answer.
     hung: OnceLock<Duration>,
 }
 
-/// The kernels made so far, by name and definitions, and what makes the next one.
+/// The kernels compiled so far, by name and definitions.
 #[derive(Debug)]
 struct Kernels {
     composer: Composer,
-    made: HashMap<String, Arc<Kernel>>,
+    compiled: HashMap<String, Arc<Kernel>>,
 }
 
 /// An open device. Cheap to share by `Arc`; safe to use from several threads.
@@ -39,7 +35,7 @@ pub struct Device {
     pub(super) inner: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     report: AdapterReport,
-    subgroups: Subgroups,
+    pub(super) subgroups: Subgroups,
     max_wait: RwLock<Duration>,
     faults: Arc<Faults>,
     kernels: Mutex<Kernels>,
@@ -47,21 +43,15 @@ pub struct Device {
 }
 
 impl Device {
-    /// Opens the adapter of choice with all the limits that it offers.
+    /// Opens `adapter`, which kernels see as `report`, with all the limits that it offers and without subgroups.
     ///
     /// # Errors
-    /// [`GpuError::NoAdapter`] or [`GpuError::Open`].
-    pub fn new(choice: &AdapterChoice) -> Result<Arc<Self>, GpuError> {
-        Self::with_settings(choice, &DeviceSettings::default())
-    }
-
-    /// As [`Device::new`], with what `settings` says in place of what suits the adapter.
-    ///
-    /// # Errors
-    /// As [`Device::new`]; faults of the device where its subgroups have to be tried out.
-    pub fn with_settings(choice: &AdapterChoice, settings: &DeviceSettings) -> Result<Arc<Self>, GpuError> {
-        let adapter = adapter::choose(choice)?;
-        let report = settings.apply(adapter::describe(&adapter));
+    /// [`GpuError::Open`].
+    pub(super) fn open(
+        adapter: &wgpu::Adapter,
+        report: AdapterReport,
+        max_wait: Duration,
+    ) -> Result<Self, GpuError> {
         let wanted = wgpu::Features::SUBGROUP | wgpu::Features::TIMESTAMP_QUERY;
         let (inner, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("tcgs"),
@@ -88,20 +78,16 @@ impl Device {
             backend = report.backend,
             "device opened"
         );
-        let mut device = Self {
+        Ok(Self {
             inner,
             queue,
             subgroups: Subgroups::Unused,
-            max_wait: RwLock::new(settings.max_wait(&report)),
+            max_wait: RwLock::new(max_wait),
             report,
             faults,
-            kernels: Mutex::new(Kernels { composer: kernel::composer()?, made: HashMap::new() }),
+            kernels: Mutex::new(Kernels { composer: kernel::composer()?, compiled: HashMap::new() }),
             ledger: Arc::new(Ledger::new()),
-        };
-        let wanted = settings.subgroups.unwrap_or_else(|| Subgroups::of(&device.report));
-        device.subgroups = wanted.tried(&device)?;
-        tracing::debug!(variant = ?device.report.variant, subgroups = ?device.subgroups, "kernels chosen");
-        Ok(Arc::new(device))
+        })
     }
 
     /// The adapter and what it offers.
@@ -116,7 +102,7 @@ impl Device {
         format!("{} ({}, {})", self.report.name, self.report.driver, self.report.backend)
     }
 
-    /// What kernels may rely on of subgroups.
+    /// Subgroups as kernels use them.
     #[must_use]
     pub fn subgroups(&self) -> Subgroups {
         self.subgroups
@@ -128,31 +114,31 @@ impl Device {
         self.report.variant
     }
 
-    /// Bytes in live buffers of this device, those of transfers under way among them.
+    /// Bytes in live buffers, transfers in flight included.
     #[must_use]
     pub fn allocated_bytes(&self) -> u64 {
         self.ledger.used()
     }
 
-    /// The most that [`Device::allocated_bytes`] ever was.
+    /// Peak of [`Device::allocated_bytes`].
     #[must_use]
     pub fn peak_bytes(&self) -> u64 {
         self.ledger.peak()
     }
 
-    /// Buffers made so far, those of transfers among them.
+    /// Buffers made so far, transfers included.
     #[must_use]
     pub fn buffers_made(&self) -> u64 {
         self.ledger.made()
     }
 
-    /// Bytes that live buffers may take together; without a bound until one is set.
+    /// Limit on [`Device::allocated_bytes`]; `u64::MAX` until one is set.
     #[must_use]
     pub fn budget_bytes(&self) -> u64 {
         self.ledger.budget()
     }
 
-    /// Refuses buffers from now on that would take the sum of all beyond `bytes`.
+    /// From now on, refuses buffers that would take [`Device::allocated_bytes`] beyond `bytes`.
     pub fn set_budget_bytes(&self, bytes: u64) {
         self.ledger.set_budget(bytes);
     }
@@ -184,28 +170,16 @@ impl Device {
             key.push_str(&format!(";{name}={value}"));
         }
         let mut kernels = self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(kernel) = kernels.made.get(&key) {
+        if let Some(kernel) = kernels.compiled.get(&key) {
             return Ok(Arc::clone(kernel));
         }
-        let kernel = Arc::new(Kernel::compile(self, &mut kernels.composer, source, defs)?);
-        kernels.made.insert(key, Arc::clone(&kernel));
+        let kernel = Arc::new(Kernel::compile(&self.inner, &mut kernels.composer, source, defs)?);
+        kernels.compiled.insert(key, Arc::clone(&kernel));
         Ok(kernel)
     }
 
-    /// Begins recording commands.
-    #[must_use]
-    pub fn recorder(&self, label: &str) -> Recorder<'_> {
-        Recorder::new(self, label)
-    }
-
-    /// Begins recording commands whose dispatches are timed on the device; see [`Recorder::submit_timed`].
-    #[must_use]
-    pub fn timed_recorder(&self, label: &str) -> Recorder<'_> {
-        Recorder::timed(self, label)
-    }
-
-    /// Waits until everything submitted so far is done, but no longer than the device may take. One that takes longer counts as
-    /// hung from then on.
+    /// Waits until everything submitted so far is done, at most the time of [`Device::set_max_wait`]. A device that takes longer
+    /// counts as hung from then on.
     ///
     /// # Errors
     /// As [`Device::check`].
@@ -220,7 +194,7 @@ impl Device {
             Ok(_) => {}
             Err(wgpu::PollError::Timeout) => {
                 tracing::error!(?waited, "the device does not answer");
-                // Whoever waited before and in vain has set it.
+                // An earlier wait that timed out has already set it.
                 let _ = self.faults.hung.set(waited);
             }
             Err(fault) => return Err(GpuError::DeviceLost(fault.to_string())),
@@ -228,78 +202,19 @@ impl Device {
         self.check()
     }
 
-    /// From now on the device may take so long before it counts as hung; without any time it hangs at the next wait.
+    /// Sets how long a wait may take before the device counts as hung; with zero, it does at the next wait.
     pub fn set_max_wait(&self, limit: Duration) {
         *self.max_wait.write().unwrap_or_else(PoisonError::into_inner) = limit;
     }
 
-    /// Destroys the device, as a driver reset would; for tests of the recovery.
+    /// Destroys the device as a driver reset would, to test recovery.
     pub fn destroy(&self) {
         self.inner.destroy();
-    }
-
-    /// Reads a whole buffer back. Waits for the device.
-    ///
-    /// # Errors
-    /// As [`Device::read_range`].
-    pub fn read<T: bytemuck::Pod>(&self, buffer: &Buffer<T>) -> Result<Vec<T>, GpuError> {
-        self.read_range(buffer, 0, buffer.len())
-    }
-
-    /// Reads `count` elements from `start`. Waits for the device.
-    ///
-    /// # Errors
-    /// As [`Device::check`], and [`GpuError::OverBudget`] without room for the transfer.
-    pub fn read_range<T: bytemuck::Pod>(
-        &self,
-        buffer: &Buffer<T>,
-        start: usize,
-        count: usize,
-    ) -> Result<Vec<T>, GpuError> {
-        self.check()?;
-        if count == 0 {
-            return Ok(Vec::new());
-        }
-        let size = size_of::<T>() as u64;
-        let bytes = (count as u64 * size).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
-        let _reservation = self.ledger.reserve("read back", bytes)?;
-        let staging = self.inner.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("read back"),
-            size: bytes,
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        let mut encoder = self.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_buffer_to_buffer(buffer.raw(), start as u64 * size, &staging, 0, bytes);
-        self.queue.submit([encoder.finish()]);
-        staging.slice(..).map_async(wgpu::MapMode::Read, |_| ());
-        self.wait()?;
-        let view = staging
-            .slice(..)
-            .get_mapped_range()
-            .map_err(|fault| GpuError::Rejected(format!("mapping for reading: {fault}")))?;
-        Ok(bytemuck::pod_collect_to_vec(&view[..count * size_of::<T>()]))
-    }
-
-    /// Overwrites a buffer from its start; takes effect before the next submission.
-    pub fn write<T: bytemuck::Pod>(&self, buffer: &Buffer<T>, values: &[T]) {
-        self.write_at(buffer, 0, values);
-    }
-
-    /// Overwrites a buffer from element `start`; takes effect before the next submission.
-    pub fn write_at<T: bytemuck::Pod>(&self, buffer: &Buffer<T>, start: usize, values: &[T]) {
-        if !values.is_empty() {
-            self.queue.write_buffer(
-                buffer.raw(),
-                (start * size_of::<T>()) as u64,
-                bytemuck::cast_slice(values),
-            );
-        }
     }
 }
 
 impl Drop for Device {
-    /// wgpu waits without a limit for a queue that it drops. For one that hangs, a thread of its own does.
+    /// wgpu waits without a limit when it drops a queue. A hung one is dropped in its own thread.
     fn drop(&mut self) {
         if self.faults.hung.get().is_some() {
             let hung = (self.queue.clone(), self.inner.clone());

@@ -1,10 +1,9 @@
-//! The device: adapter choice, buffers, kernels and the recording of dispatches; and the primitives (scan, sort)
-//! that everything on the device is built from.
+//! The GPU device: adapter choice, buffers, kernels and recorded dispatches, and the primitives (prefix sum, radix sort) that
+//! everything else on the device is built from.
 //!
-//! What always holds: the adapter is the one that was asked for or there is an error; a lost device is remembered
-//! and reported as [`GpuError::DeviceLost`] from then on, and one that did not answer as [`GpuError::Timeout`]; no wait for a device is
-//! without an end; every buffer is counted in bytes, and no buffer is made that would take them
-//! beyond [`Device::budget_bytes`].
+//! Invariants: the adapter is the one that was asked for, or there is an error; a lost device is reported as
+//! [`GpuError::DeviceLost`] from then on, and one that did not answer as [`GpuError::Timeout`]; every wait has a time limit; every
+//! buffer is counted in bytes, and none is made that would take them beyond [`Device::budget_bytes`].
 
 mod adapter;
 mod buffer;
@@ -13,6 +12,8 @@ mod driver_cache;
 mod error;
 mod kernel;
 mod ledger;
+mod open;
+mod plan;
 mod recorder;
 mod scan;
 mod settings;
@@ -25,15 +26,17 @@ pub mod twin;
 mod variant;
 
 pub use adapter::{AdapterChoice, AdapterReport, report};
-pub use buffer::{Buffer, BufferPlan, RawBuffer, buffer_bytes};
+pub use buffer::{Buffer, RawBuffer, buffer_bytes};
 pub use device::Device;
 pub use driver_cache::driver_cache;
 pub use error::GpuError;
 pub use kernel::{Kernel, KernelSource, kernel_source};
+pub use plan::{Plan, planned};
 pub use recorder::{Binding, Recorder};
 pub use scan::{Scan, ScanSlots};
 pub use settings::DeviceSettings;
 pub use sort::{Pairs, RadixSort};
+pub(crate) use subgroups::MIN_LANES;
 pub use subgroups::Subgroups;
 pub use timing::KernelTime;
 pub use variant::KernelVariant;

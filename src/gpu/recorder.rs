@@ -2,10 +2,12 @@
 
 use super::{
     Buffer, Device, GpuError, Kernel, RawBuffer,
-    device::MAX_GROUPS_PER_DIMENSION,
     ledger::Reservation,
     timing::{KernelTime, Timing},
 };
+
+/// Largest workgroup count of one dimension that every adapter takes.
+const MAX_GROUPS_PER_DIMENSION: u32 = 65_535;
 
 /// A buffer as a kernel binds it; the n-th binding of a dispatch is `@group(0) @binding(n)`.
 pub type Binding<'a> = &'a RawBuffer;
@@ -18,20 +20,34 @@ pub struct Recorder<'a> {
     /// Open while dispatches follow one another: one pass for all of them costs less than one for each.
     open: Option<wgpu::ComputePass<'static>>,
     timing: Option<Timing>,
-    /// Of the writes that wait in the recording.
+    /// Staging memory of recorded writes.
     staged: Vec<Reservation>,
     /// The first fault of recording; submitting reports it.
     fault: Option<GpuError>,
 }
 
+impl Device {
+    /// Begins recording commands.
+    #[must_use]
+    pub fn recorder(&self, label: &str) -> Recorder<'_> {
+        Recorder::new(self, label)
+    }
+
+    /// Begins recording commands whose dispatches are timed on the device; see [`Recorder::submit_timed`].
+    #[must_use]
+    pub fn timed_recorder(&self, label: &str) -> Recorder<'_> {
+        Recorder::timed(self, label)
+    }
+}
+
 impl<'a> Recorder<'a> {
-    pub(super) fn new(device: &'a Device, label: &str) -> Self {
+    fn new(device: &'a Device, label: &str) -> Self {
         let encoder =
             device.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
         Self { device, encoder, open: None, timing: None, staged: Vec::new(), fault: None }
     }
 
-    pub(super) fn timed(device: &'a Device, label: &str) -> Self {
+    fn timed(device: &'a Device, label: &str) -> Self {
         let timing = device.adapter().timestamps.then(|| Timing::new(device));
         Self { timing, ..Self::new(device, label) }
     }
@@ -71,8 +87,7 @@ impl<'a> Recorder<'a> {
         }
     }
 
-    /// Overwrites a buffer from its start when the recording gets there; unlike [`Device::write`], which takes effect
-    /// before anything recorded.
+    /// Overwrites a buffer from its start, in order with the recorded commands; [`Device::write`] takes effect before them.
     pub fn write<T: bytemuck::Pod>(&mut self, buffer: &Buffer<T>, values: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(values);
         if bytes.is_empty() {
@@ -89,13 +104,13 @@ impl<'a> Recorder<'a> {
         let staging = self.device.inner.create_buffer(&wgpu::BufferDescriptor {
             label: Some("recorded write"),
             size,
-            // Without the right to map, wgpu would hand out a buffer of its own and copy that into this one.
+            // Without MAP_WRITE, wgpu would map a staging buffer of its own and copy it into this one.
             usage: wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::MAP_WRITE,
             mapped_at_creation: true,
         });
         match staging.slice(..).get_mapped_range_mut() {
             Ok(mut view) => view.slice(..bytes.len()).copy_from_slice(bytes),
-            // A device that is gone maps nothing; submitting reports it.
+            // A lost device cannot map; submitting reports it.
             Err(_) => return,
         }
         staging.unmap();
@@ -129,8 +144,8 @@ impl<'a> Recorder<'a> {
         self.device.check()
     }
 
-    /// Sends what was recorded and waits for it. Says how long each dispatch took, in order; nothing if the adapter has
-    /// no timestamps or the recording is not a timed one.
+    /// Sends what was recorded, waits for it, and returns how long each dispatch took, in order: none if the adapter has no
+    /// timestamps or the recorder does not time.
     ///
     /// # Errors
     /// As [`Device::check`].

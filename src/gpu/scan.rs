@@ -1,11 +1,11 @@
 //! Exclusive prefix sums on the device.
 //!
-//! What always holds: sums saturate at `u32::MAX`; the result does not depend on subgroups or on scheduling; the
-//! number of dispatches is constant, and the count is read on the device.
+//! Sums saturate at `u32::MAX`. The result does not depend on subgroups or scheduling. The number of dispatches is constant, and
+//! the count is read on the device.
 
 use std::sync::Arc;
 
-use super::{AdapterReport, Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+use super::{AdapterReport, Buffer, Kernel, Plan, Recorder, kernel_source, planned};
 
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -37,35 +37,23 @@ pub struct Scan {
 }
 
 impl Scan {
-    fn runs(adapter: &AdapterReport) -> u32 {
-        adapter.variant.choose(512, 8192)
-    }
-
-    /// Bytes on the device.
+    /// Plans the scan.
     #[must_use]
-    pub fn bytes(adapter: &AdapterReport) -> u64 {
-        buffer_bytes::<ScanParams>(1) + buffer_bytes::<u32>(Self::runs(adapter) as usize)
-    }
-
-    /// Prepares the scan.
-    ///
-    /// # Errors
-    /// As [`Device::buffer`] and [`Device::kernel`].
-    pub fn new(device: &Device, capacity: usize, slots: ScanSlots) -> Result<Self, GpuError> {
-        let runs = Self::runs(device.adapter());
+    pub fn plan(adapter: &AdapterReport, capacity: usize, slots: ScanSlots) -> Plan<'static, Self> {
+        let runs: u32 = adapter.variant.choose(512, 8192);
         let params = ScanParams {
             runs,
             count_index: slots.count,
             capacity: u32::try_from(capacity).unwrap_or(u32::MAX),
             total_index: slots.total,
         };
-        Ok(Self {
-            reduce: device.kernel(kernel_source!("scan_reduce"), &[])?,
-            scan: device.kernel(kernel_source!("scan_partials"), &[])?,
-            apply: device.kernel(kernel_source!("scan_apply"), &[])?,
-            params: device.upload("scan params", &[params])?,
-            partials: device.buffer("scan partials", runs as usize)?,
-            groups: runs.div_ceil(32),
+        planned!(Self {
+            reduce: Plan::kernel(kernel_source!("scan_reduce"), &[]),
+            scan: Plan::kernel(kernel_source!("scan_partials"), &[]),
+            apply: Plan::kernel(kernel_source!("scan_apply"), &[]),
+            params: Plan::upload("scan params", vec![params]),
+            partials: Plan::buffer("scan partials", runs as usize),
+            groups: Plan::value(runs.div_ceil(32)),
         })
     }
 

@@ -5,7 +5,9 @@
 
 use std::sync::Arc;
 
-use super::{AdapterReport, Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+use bytemuck::Zeroable;
+
+use super::{AdapterReport, Buffer, Device, GpuError, Kernel, Plan, Recorder, kernel_source, planned};
 
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -28,29 +30,21 @@ pub struct Pairs {
 }
 
 impl Pairs {
-    /// Bytes on the device.
+    /// Plans `capacity` pairs.
     #[must_use]
-    pub fn bytes(capacity: usize) -> u64 {
-        2 * buffer_bytes::<u32>(capacity)
-    }
-
-    /// Room for `capacity` pairs.
-    ///
-    /// # Errors
-    /// As [`Device::buffer`].
-    pub fn new(device: &Device, capacity: usize) -> Result<Self, GpuError> {
-        Ok(Self {
-            keys: device.buffer("sort keys", capacity)?,
-            values: device.buffer("sort values", capacity)?,
+    pub fn plan(capacity: usize) -> Plan<'static, Self> {
+        planned!(Self {
+            keys: Plan::buffer("sort keys", capacity),
+            values: Plan::buffer("sort values", capacity),
         })
     }
 }
 
-/// The passes of a sort by so many bits.
+/// The passes of a sort by `bits` bits.
 #[derive(Debug)]
 struct DigitPasses {
     bits: u32,
-    /// What each pass is given, and its digits.
+    /// Of each pass, its uniform and its digits.
     params: Vec<(Buffer<SortParams>, u32)>,
 }
 
@@ -60,13 +54,27 @@ pub struct RadixSort {
     count: Arc<Kernel>,
     offsets: Arc<Kernel>,
     scatter: Arc<Kernel>,
-    /// One for each number of bits that was asked for; the current one is the last.
+    /// One for each number of bits so far; the last is in use.
     passes: Vec<DigitPasses>,
     counters: Buffer<u32>,
     totals: Buffer<u32>,
-    runs: u32,
-    count_index: u32,
-    capacity: u32,
+    /// The parameters that all passes share.
+    sort: SortParams,
+    /// Bits of the widest pass.
+    widest: u32,
+}
+
+impl SortParams {
+    /// Plans the passes of a sort by the lowest `bits` bits.
+    fn passes(self, widest: u32, bits: u32) -> Plan<'static, DigitPasses> {
+        let mut shift = 0;
+        let params = widths(bits.min(32), widest).into_iter().map(|width| {
+            let params = Self { shift, digits: 1 << width, ..self };
+            shift += width;
+            Plan::upload("sort params", vec![params]).map(move |buffer| (buffer, params.digits))
+        });
+        Plan::all(params).map(move |params| DigitPasses { bits, params })
+    }
 }
 
 /// Bits of each pass, lowest first: as few passes as `widest` allows, of equal width or one less.
@@ -77,79 +85,57 @@ fn widths(bits: u32, widest: u32) -> Vec<u32> {
 
 impl RadixSort {
     /// Runs, and the bits of the widest pass. Software adapters have few lanes and pay for each dispatch: wide digits and few
-    /// runs, the best of 32 to 1024 runs by 4 to 11 bits on lavapipe. Hardware wants many runs.
+    /// runs, the fastest of 32 to 1024 runs by 4 to 11 bits on lavapipe. Hardware needs many runs.
     fn runs_and_widest(adapter: &AdapterReport) -> (u32, u32) {
         adapter.variant.choose((128, 8), (1024, 4))
     }
 
-    /// Bytes on the device of a sort by the lowest `bits` bits, besides the pairs.
+    /// Plans a sort by the lowest `bits` bits (at most 32); element `count_index` of the count buffer holds the number of pairs.
     #[must_use]
-    pub fn bytes(adapter: &AdapterReport, bits: u32) -> u64 {
+    pub fn plan(
+        adapter: &AdapterReport,
+        capacity: usize,
+        bits: u32,
+        count_index: u32,
+    ) -> Plan<'static, Self> {
         let (runs, widest) = Self::runs_and_widest(adapter);
-        Self::pass_bytes(adapter, bits)
-            + buffer_bytes::<u32>((runs as usize) << widest)
-            + buffer_bytes::<u32>(1 << widest)
-    }
-
-    /// Bytes on the device of what [`RadixSort::set_bits`] adds for a number of bits that is new.
-    #[must_use]
-    pub fn pass_bytes(adapter: &AdapterReport, bits: u32) -> u64 {
-        let (_, widest) = Self::runs_and_widest(adapter);
-        widths(bits.min(32), widest).len() as u64 * buffer_bytes::<SortParams>(1)
-    }
-
-    /// Prepares a sort by the lowest `bits` bits (at most 32); `count_index` is the element of the count buffer that
-    /// says how many pairs there are.
-    ///
-    /// # Errors
-    /// As [`Device::buffer`] and [`Device::kernel`].
-    pub fn new(device: &Device, capacity: usize, bits: u32, count_index: u32) -> Result<Self, GpuError> {
-        let (runs, widest) = Self::runs_and_widest(device.adapter());
-        let mut sort = Self {
-            count: device.kernel(kernel_source!("sort_count"), &[])?,
-            offsets: device.kernel(kernel_source!("sort_offsets"), &[])?,
-            scatter: device.kernel(kernel_source!("sort_scatter"), &[])?,
-            passes: Vec::new(),
-            counters: device.buffer("sort counters", (runs as usize) << widest)?,
-            totals: device.buffer("sort totals", 1 << widest)?,
+        let sort = SortParams {
             runs,
             count_index,
             capacity: u32::try_from(capacity).unwrap_or(u32::MAX),
+            shift: 0,
+            digits: 0,
+            unused: [0; 3],
         };
-        sort.set_bits(device, bits)?;
-        Ok(sort)
+        planned!(Self {
+            count: Plan::kernel(kernel_source!("sort_count"), &[]),
+            offsets: Plan::kernel(kernel_source!("sort_offsets"), &[]),
+            scatter: Plan::kernel(kernel_source!("sort_scatter"), &[]),
+            passes: Plan::all([sort.passes(widest, bits)]),
+            counters: Plan::buffer("sort counters", (runs as usize) << widest),
+            totals: Plan::buffer("sort totals", 1 << widest),
+            sort: Plan::value(sort),
+            widest: Plan::value(widest),
+        })
+    }
+
+    /// Bytes on the device that [`RadixSort::set_bits`] adds for a new number of bits.
+    #[must_use]
+    pub fn pass_bytes(adapter: &AdapterReport, bits: u32) -> u64 {
+        SortParams::zeroed().passes(Self::runs_and_widest(adapter).1, bits).bytes()
     }
 
     /// Sorts by another number of bits from the next recording on.
     ///
     /// # Errors
-    /// As [`Device::buffer`], where that number is new.
+    /// As [`Device::buffer`], for a new number.
     pub fn set_bits(&mut self, device: &Device, bits: u32) -> Result<(), GpuError> {
         let passes = match self.passes.iter().position(|passes| passes.bits == bits) {
             Some(known) => self.passes.remove(known),
-            None => self.new_digit_passes(device, bits)?,
+            None => self.sort.passes(self.widest, bits).make(device)?,
         };
         self.passes.push(passes);
         Ok(())
-    }
-
-    fn new_digit_passes(&self, device: &Device, bits: u32) -> Result<DigitPasses, GpuError> {
-        let (runs, widest) = Self::runs_and_widest(device.adapter());
-        let mut passes = DigitPasses { bits, params: Vec::new() };
-        let mut shift = 0;
-        for width in widths(bits.min(32), widest) {
-            let params = SortParams {
-                runs,
-                count_index: self.count_index,
-                capacity: self.capacity,
-                shift,
-                digits: 1 << width,
-                unused: [0; 3],
-            };
-            passes.params.push((device.upload("sort params", &[params])?, params.digits));
-            shift += width;
-        }
-        Ok(passes)
     }
 
     /// Records the sort and says which of the two holds the result: `pairs`, or `spare` after an odd number of passes.
@@ -162,7 +148,7 @@ impl RadixSort {
         spare: &'p Pairs,
     ) -> &'p Pairs {
         let (mut from, mut to) = (pairs, spare);
-        let groups = self.runs.div_ceil(16);
+        let groups = self.sort.runs.div_ceil(16);
         for (params, digits) in self.passes.last().into_iter().flat_map(|passes| &passes.params) {
             let (params, counters, totals) = (params.as_ref(), self.counters.as_ref(), self.totals.as_ref());
             recorder.dispatch(&self.count, &[params, counts.as_ref(), from.keys.as_ref(), counters], groups);

@@ -1,13 +1,13 @@
-//! What kernels may rely on of a device's subgroups.
+//! Subgroup sizes that kernels may rely on.
 //!
-//! wgpu asks drivers for subgroups of any size that they like, and has no way to ask for one size. Where the adapter
-//! states a range, a kernel's workgroup is as wide as the smallest of it, so that it lies in the first lanes of one subgroup,
-//! however wide that is. Whether it does is tried out on the device when it is opened.
+//! wgpu cannot ask a driver for one subgroup size. Where the adapter states a range, a kernel's workgroup is as wide as the
+//! smallest size, so that it lies in the first lanes of one subgroup, however wide that is. `gpu/open.rs` verifies this on the
+//! device.
 
-use super::{AdapterReport, Device, GpuError, kernel_source, twin};
+use super::AdapterReport;
 
 /// Smallest subgroup that kernels have a variant for: eight lanes share what they read.
-const MIN_LANES: u32 = 8;
+pub(crate) const MIN_LANES: u32 = 8;
 
 /// Largest subgroup that kernels have a variant for: their ballots are read as two words.
 const MAX_LANES: u32 = 64;
@@ -15,10 +15,7 @@ const MAX_LANES: u32 = 64;
 /// SIMD width of every GPU that Apple makes; Metal states no size, so wgpu reports 4 to 64 for all that it drives.
 const APPLE_LANES: u32 = 32;
 
-/// Workgroups that try subgroups out.
-const PROBES: u32 = 64;
-
-/// What kernels may rely on of the device's subgroups.
+/// Subgroups as kernels use them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Subgroups {
     /// Nothing: kernels share values through workgroup memory.
@@ -39,8 +36,8 @@ impl Subgroups {
         }
     }
 
-    /// What the adapter's own figures promise.
-    pub(super) fn of(adapter: &AdapterReport) -> Self {
+    /// What the adapter states.
+    pub(super) fn stated_by(adapter: &AdapterReport) -> Self {
         let [smallest, largest] = adapter.subgroup_sizes;
         let is_known = |lanes: u32| (MIN_LANES..=MAX_LANES).contains(&lanes) && lanes.is_power_of_two();
         if !adapter.subgroups {
@@ -54,24 +51,6 @@ impl Subgroups {
         } else {
             Self::Unused
         }
-    }
-
-    /// The same if workgroups behave as this says, else [`Subgroups::Unused`]. Equal sizes need no trial.
-    ///
-    /// # Errors
-    /// Faults of the device.
-    pub(super) fn tried(self, device: &Device) -> Result<Self, GpuError> {
-        let Self::AtLeast(lanes) = self else { return Ok(self) };
-        let kernel = device.kernel(kernel_source!("subgroup_probe"), &[("LANES", lanes)])?;
-        let found = device.buffer::<[u32; 4]>("subgroup probe", (PROBES * lanes) as usize)?;
-        let mut recorder = device.recorder("subgroup probe");
-        recorder.dispatch(&kernel, &[found.as_ref()], PROBES);
-        recorder.submit()?;
-        if device.read(&found)? == twin::subgroup_probe(lanes, PROBES) {
-            return Ok(self);
-        }
-        tracing::warn!(lanes, "subgroups are not as the adapter states them; kernels go without");
-        Ok(Self::Unused)
     }
 }
 
@@ -112,9 +91,9 @@ mod tests {
             ("vulkan", "SwiftShader", [4, 4], Subgroups::Unused),
             ("dx12", "Microsoft Basic Render Driver", [4, 128], Subgroups::Unused),
         ] {
-            assert_eq!(Subgroups::of(&adapter(backend, name, sizes)), expected, "{name}");
+            assert_eq!(Subgroups::stated_by(&adapter(backend, name, sizes)), expected, "{name}");
         }
         let without = AdapterReport { subgroups: false, ..adapter("vulkan", "old", [32, 32]) };
-        assert_eq!(Subgroups::of(&without), Subgroups::Unused);
+        assert_eq!(Subgroups::stated_by(&without), Subgroups::Unused);
     }
 }

@@ -3,7 +3,7 @@
 //! A WebGPU kernel binds eight storage buffers, so what describes a Gaussian's geometry lies in one: three sections of as many
 //! rows as there is room for Gaussians (`shaders/shared/geometry.wgsl`).
 
-use crate::gpu::{Buffer, Device, GpuError, buffer_bytes};
+use crate::gpu::{Buffer, Plan, planned};
 
 /// Sections of a geometry buffer: position and opacity, scales, quaternion.
 pub const GEOMETRY_SECTIONS: usize = 3;
@@ -23,29 +23,14 @@ pub struct Gaussians {
 }
 
 impl Gaussians {
-    /// Bytes on the device.
+    /// Plans `capacity` Gaussians, all zero, none used, with a count buffer of `counts` elements.
     #[must_use]
-    pub fn bytes(capacity: usize) -> u64 {
-        buffer_bytes::<u32>(4)
-            + buffer_bytes::<[f32; 4]>(GEOMETRY_SECTIONS * capacity)
-            + buffer_bytes::<[f32; 4]>(capacity)
-    }
-
-    /// Bytes of the widest buffer.
-    pub(super) fn widest_bytes(capacity: usize) -> u64 {
-        buffer_bytes::<[f32; 4]>(GEOMETRY_SECTIONS * capacity)
-    }
-
-    /// Room for `capacity` Gaussians, all zero, none used.
-    ///
-    /// # Errors
-    /// As [`Device::buffer`].
-    pub fn new(device: &Device, capacity: usize) -> Result<Self, GpuError> {
-        Ok(Self {
-            count: device.buffer("gaussian count", 1)?,
-            capacity,
-            geometry: device.buffer("geometry", GEOMETRY_SECTIONS * capacity)?,
-            colors: device.buffer("colours", capacity)?,
+    pub fn plan(capacity: usize, counts: usize) -> Plan<'static, Self> {
+        planned!(Self {
+            count: Plan::buffer("gaussian count", counts),
+            capacity: Plan::value(capacity),
+            geometry: Plan::buffer("geometry", GEOMETRY_SECTIONS * capacity),
+            colors: Plan::buffer("colours", capacity),
         })
     }
 }
@@ -64,26 +49,13 @@ pub struct GaussianGradients {
 }
 
 impl GaussianGradients {
-    /// Bytes on the device.
+    /// Plans the gradients of `capacity` Gaussians.
     #[must_use]
-    pub fn bytes(capacity: usize) -> u64 {
-        buffer_bytes::<[f32; 4]>(GEOMETRY_SECTIONS * capacity) + 2 * buffer_bytes::<[f32; 4]>(capacity)
-    }
-
-    /// Bytes of the widest buffer.
-    pub(super) fn widest_bytes(capacity: usize) -> u64 {
-        buffer_bytes::<[f32; 4]>(GEOMETRY_SECTIONS * capacity)
-    }
-
-    /// Room for the gradients of `capacity` Gaussians.
-    ///
-    /// # Errors
-    /// As [`Device::buffer`].
-    pub fn new(device: &Device, capacity: usize) -> Result<Self, GpuError> {
-        Ok(Self {
-            geometry: device.buffer("gradients of geometry", GEOMETRY_SECTIONS * capacity)?,
-            colors: device.buffer("gradients of colours", capacity)?,
-            means2d: device.buffer("gradients of projected centres", capacity)?,
+    pub fn plan(capacity: usize) -> Plan<'static, Self> {
+        planned!(Self {
+            geometry: Plan::buffer("gradients of geometry", GEOMETRY_SECTIONS * capacity),
+            colors: Plan::buffer("gradients of colours", capacity),
+            means2d: Plan::buffer("gradients of projected centres", capacity),
         })
     }
 }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use super::{Activation, Columns, DenseLayers, GaussianGradients, Gaussians, Rasterizer, RenderError};
 use crate::{
     domain::{Camera, DistanceUnit},
-    gpu::{AdapterReport, Buffer, BufferPlan, Device, Kernel, Recorder, buffer_bytes, kernel_source},
+    gpu::{AdapterReport, Buffer, Device, Kernel, Plan, Recorder, kernel_source, planned},
     model::{AnchorRows, NetworkLayout, Shape},
 };
 
@@ -25,6 +25,10 @@ struct ViewUniform {
     intrinsics: [f32; 4],
     image: [f32; 4],
     counts: [u32; 4],
+}
+
+fn view_plan() -> Plan<'static, Buffer<ViewUniform>> {
+    Plan::buffer("view of anchors", 1)
 }
 
 /// Anchors on the device.
@@ -45,13 +49,21 @@ pub struct DeviceAnchors {
 }
 
 impl DeviceAnchors {
-    /// Bytes on the device.
+    /// Plans zeros for `anchors` anchors and their networks.
     #[must_use]
-    pub fn bytes(shape: Shape, anchors: usize) -> u64 {
-        buffer_bytes::<[f32; 4]>(anchors)
-            + buffer_bytes::<f32>(anchors * shape.row())
-            + buffer_bytes::<u32>(anchors)
-            + buffer_bytes::<f32>(NetworkLayout::new(shape).parameters)
+    pub fn plan(shape: Shape, anchors: usize) -> Plan<'static, Self> {
+        Self::plan_with(shape, anchors, NetworkLayout::new(shape).parameters)
+    }
+
+    fn plan_with(shape: Shape, anchors: usize, parameters: usize) -> Plan<'static, Self> {
+        planned!(Self {
+            shape: Plan::value(shape),
+            count: Plan::value(anchors),
+            positions: Plan::buffer("anchor positions", anchors),
+            rows: Plan::buffer("anchor rows", anchors * shape.row()),
+            masks: Plan::buffer("offset masks", anchors),
+            networks: Plan::buffer("networks", parameters),
+        })
     }
 
     /// Uploads anchors and networks.
@@ -59,14 +71,12 @@ impl DeviceAnchors {
     /// # Errors
     /// Faults of the device, or a scene that is too large for it.
     pub fn upload(device: &Device, anchors: &AnchorRows, networks: &[f32]) -> Result<Self, RenderError> {
-        Ok(Self {
-            shape: anchors.shape,
-            count: anchors.len(),
-            positions: device.upload("anchor positions", &anchors.positions())?,
-            rows: device.upload("anchor rows", &anchors.values)?,
-            masks: device.upload("offset masks", &anchors.masks)?,
-            networks: device.upload("networks", networks)?,
-        })
+        let made = Self::plan_with(anchors.shape, anchors.len(), networks.len()).make(device)?;
+        device.write(&made.positions, &anchors.positions());
+        device.write(&made.rows, &anchors.values);
+        device.write(&made.masks, &anchors.masks);
+        device.write(&made.networks, networks);
+        Ok(made)
     }
 }
 
@@ -80,20 +90,12 @@ pub struct AnchorGradients {
 }
 
 impl AnchorGradients {
-    /// Bytes on the device.
+    /// Plans the gradients of `anchors` anchors.
     #[must_use]
-    pub fn bytes(shape: Shape, anchors: usize) -> u64 {
-        buffer_bytes::<f32>(anchors * shape.row()) + buffer_bytes::<f32>(NetworkLayout::new(shape).parameters)
-    }
-
-    /// Room for the gradients of `anchors` anchors.
-    ///
-    /// # Errors
-    /// Faults of the device.
-    pub fn new(device: &Device, shape: Shape, anchors: usize) -> Result<Self, RenderError> {
-        Ok(Self {
-            rows: device.buffer("gradients of rows", anchors * shape.row())?,
-            networks: device.buffer("gradients of networks", NetworkLayout::new(shape).parameters)?,
+    pub fn plan(shape: Shape, anchors: usize) -> Plan<'static, Self> {
+        planned!(Self {
+            rows: Plan::buffer("gradients of rows", anchors * shape.row()),
+            networks: Plan::buffer("gradients of networks", NetworkLayout::new(shape).parameters),
         })
     }
 }
@@ -141,61 +143,21 @@ struct Activations {
     gaussians: Gaussians,
 }
 
-/// The sizes of [`Activations`]: what is made and what is estimated and bounded come from here.
-struct ActivationPlan {
-    visible: BufferPlan<u32>,
-    list: BufferPlan<u32>,
-    input: BufferPlan<f32>,
-    hidden: BufferPlan<f32>,
-    outputs: BufferPlan<f32>,
-    alive: BufferPlan<u32>,
-    /// Rows.
-    gaussians: usize,
-}
-
-impl ActivationPlan {
-    fn new(layout: &NetworkLayout, capacity: usize) -> Self {
-        Self {
-            visible: BufferPlan::new("visible anchors", capacity),
-            list: BufferPlan::new("visible list", capacity + 1),
-            input: BufferPlan::new("network input", layout.hidden.inputs * capacity),
-            hidden: BufferPlan::new("hidden values", layout.hidden.outputs * capacity),
-            outputs: BufferPlan::new("network output", layout.output_rows() * capacity),
-            alive: BufferPlan::new("living gaussians", capacity),
-            gaussians: capacity * layout.shape.offsets,
-        }
-    }
-
-    /// Of each buffer but those of the Gaussians.
-    fn each(&self) -> [u64; 6] {
-        let Self { visible, list, input, hidden, outputs, alive, gaussians: _ } = self;
-        [visible.bytes(), list.bytes(), input.bytes(), hidden.bytes(), outputs.bytes(), alive.bytes()]
-    }
-
-    fn bytes(&self) -> u64 {
-        self.each().iter().sum::<u64>() + Gaussians::bytes(self.gaussians)
-    }
-
-    fn widest_bytes(&self) -> u64 {
-        self.each().into_iter().fold(Gaussians::widest_bytes(self.gaussians), u64::max)
-    }
-
-    fn make(&self, device: &Device) -> Result<Activations, RenderError> {
-        let mut gaussians = Gaussians::new(device, self.gaussians)?;
-        gaussians.count = device.buffer("gaussian counts", 4)?;
-        Ok(Activations {
-            visible: self.visible.make(device)?,
-            list: self.list.make(device)?,
-            input: self.input.make(device)?,
-            hidden: self.hidden.make(device)?,
-            outputs: self.outputs.make(device)?,
-            alive: self.alive.make(device)?,
-            gaussians,
+impl Activations {
+    fn plan(layout: &NetworkLayout, capacity: usize) -> Plan<'static, Self> {
+        planned!(Self {
+            visible: Plan::buffer("visible anchors", capacity),
+            list: Plan::buffer("visible list", capacity + 1),
+            input: Plan::buffer("network input", layout.hidden.inputs * capacity),
+            hidden: Plan::buffer("hidden values", layout.hidden.outputs * capacity),
+            outputs: Plan::buffer("network output", layout.output_rows() * capacity),
+            alive: Plan::buffer("living gaussians", capacity),
+            gaussians: Gaussians::plan(capacity * layout.shape.offsets, 4),
         })
     }
 }
 
-/// What the backward pass needs besides; only trainers pay for it.
+/// Buffers of the backward pass; made when it is first recorded.
 #[derive(Debug)]
 struct Backward {
     d_input: Buffer<f32>,
@@ -204,46 +166,14 @@ struct Backward {
     d_gaussians: GaussianGradients,
 }
 
-/// The sizes of [`Backward`], as [`ActivationPlan`] has those of the forward pass.
-struct BackwardPlan {
-    d_input: BufferPlan<f32>,
-    d_hidden: BufferPlan<f32>,
-    partials: BufferPlan<f32>,
-    /// Rows.
-    gaussians: usize,
-}
-
-impl BackwardPlan {
-    fn new(layout: &NetworkLayout, capacity: usize) -> Self {
+impl Backward {
+    fn plan(layout: &NetworkLayout, capacity: usize) -> Plan<'static, Self> {
         let runs = DenseLayers::runs(capacity);
-        Self {
-            d_input: BufferPlan::new("gradients of input", layout.shape.features * capacity),
-            d_hidden: BufferPlan::new("gradients of hidden values", layout.hidden.outputs * capacity),
-            partials: BufferPlan::new("partial weight gradients", runs * layout.parameters),
-            gaussians: capacity * layout.shape.offsets,
-        }
-    }
-
-    /// Of each buffer but those of the Gaussians' gradients.
-    fn each(&self) -> [u64; 3] {
-        let Self { d_input, d_hidden, partials, gaussians: _ } = self;
-        [d_input.bytes(), d_hidden.bytes(), partials.bytes()]
-    }
-
-    fn bytes(&self) -> u64 {
-        self.each().iter().sum::<u64>() + GaussianGradients::bytes(self.gaussians)
-    }
-
-    fn widest_bytes(&self) -> u64 {
-        self.each().into_iter().fold(GaussianGradients::widest_bytes(self.gaussians), u64::max)
-    }
-
-    fn make(&self, device: &Device) -> Result<Backward, RenderError> {
-        Ok(Backward {
-            d_input: self.d_input.make(device)?,
-            d_hidden: self.d_hidden.make(device)?,
-            partials: self.partials.make(device)?,
-            d_gaussians: GaussianGradients::new(device, self.gaussians)?,
+        planned!(Self {
+            d_input: Plan::buffer("gradients of input", layout.shape.features * capacity),
+            d_hidden: Plan::buffer("gradients of hidden values", layout.hidden.outputs * capacity),
+            partials: Plan::buffer("partial weight gradients", runs * layout.parameters),
+            d_gaussians: GaussianGradients::plan(capacity * layout.shape.offsets),
         })
     }
 }
@@ -303,9 +233,9 @@ impl NeuralGaussians {
         let layout = NetworkLayout::new(shape);
         Ok(Self {
             kernels: Kernels::new(&device, shape, subgroups)?,
-            view: device.buffer("view of anchors", 1)?,
+            view: view_plan().make(&device)?,
             capacity: 0,
-            forward: ActivationPlan::new(&layout, 0).make(&device)?,
+            forward: Activations::plan(&layout, 0).make(&device)?,
             backward: None,
             holds_outputs: false,
             near,
@@ -315,14 +245,23 @@ impl NeuralGaussians {
         })
     }
 
-    /// Most anchors of a shape whose widest buffer the adapter binds: here, among the anchors' own and in the rasteriser, with the
-    /// spare room of [`Self::forward`].
+    /// Most anchors of a shape whose largest buffer the adapter binds: here, among the anchors' own and in the rasteriser, with the
+    /// spare capacity of [`Self::forward`].
     #[must_use]
     pub fn max_anchors(adapter: &AdapterReport, shape: Shape) -> usize {
         let limit = adapter.max_binding_bytes.min(adapter.max_buffer_bytes);
         let layout = NetworkLayout::new(shape);
-        let fits = |anchors: usize| Self::widest_bytes(&layout, anchors) <= limit;
-        // An anchor takes more than a byte in the widest buffer.
+        let fits = |anchors: usize| {
+            let capacity = Self::capacity(anchors);
+            let largest = [
+                DeviceAnchors::plan(shape, anchors).largest_bytes(),
+                Activations::plan(&layout, capacity).largest_bytes(),
+                Backward::plan(&layout, capacity).largest_bytes(),
+                Rasterizer::largest_bytes(adapter, capacity * shape.offsets),
+            ];
+            largest.into_iter().all(|bytes| bytes <= limit)
+        };
+        // An anchor takes more than a byte in the largest buffer.
         let (mut most, mut too_many) = (0, usize::try_from(limit).unwrap_or(usize::MAX).min(MAX_ANCHORS));
         while too_many - most > 1 {
             let middle = most + (too_many - most) / 2;
@@ -333,20 +272,6 @@ impl NeuralGaussians {
             }
         }
         most
-    }
-
-    /// Bytes of the widest buffer that views of `anchors` anchors and their gradients take.
-    fn widest_bytes(layout: &NetworkLayout, anchors: usize) -> u64 {
-        let (shape, capacity) = (layout.shape, Self::capacity(anchors));
-        [
-            buffer_bytes::<[f32; 4]>(anchors),
-            buffer_bytes::<f32>(anchors * shape.row()),
-            ActivationPlan::new(layout, capacity).widest_bytes(),
-            BackwardPlan::new(layout, capacity).widest_bytes(),
-            Rasterizer::widest_bytes(capacity * shape.offsets),
-        ]
-        .into_iter()
-        .fold(0, u64::max)
     }
 
     /// Rows of the buffers for views of `anchors` anchors: a quarter more, so that growth rarely makes new ones.
@@ -362,9 +287,9 @@ impl NeuralGaussians {
         let capacity = Self::capacity(anchors);
         // Columns are rounded up one by one, and each layer has its uniform.
         const ROUNDING: u64 = 1024;
-        buffer_bytes::<ViewUniform>(1)
-            + ActivationPlan::new(&layout, capacity).bytes()
-            + BackwardPlan::new(&layout, capacity).bytes()
+        view_plan().bytes()
+            + Activations::plan(&layout, capacity).bytes()
+            + Backward::plan(&layout, capacity).bytes()
             + ROUNDING
     }
 
@@ -602,7 +527,7 @@ impl NeuralGaussians {
         if anchors > self.capacity {
             let capacity = Self::capacity(anchors);
             self.backward = None;
-            self.forward = ActivationPlan::new(&self.layout, capacity).make(&self.device)?;
+            self.forward = Activations::plan(&self.layout, capacity).make(&self.device)?;
             self.capacity = capacity;
         }
         Ok(())
@@ -610,7 +535,7 @@ impl NeuralGaussians {
 
     fn prepare_backward(&mut self) -> Result<(), RenderError> {
         if self.backward.is_none() {
-            self.backward = Some(BackwardPlan::new(&self.layout, self.capacity).make(&self.device)?);
+            self.backward = Some(Backward::plan(&self.layout, self.capacity).make(&self.device)?);
         }
         Ok(())
     }

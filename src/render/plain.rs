@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::{GaussianGradients, Gaussians, RenderError};
 use crate::{
     domain::Camera,
-    gpu::{AdapterReport, Buffer, Device, Kernel, Recorder, buffer_bytes, kernel_source},
+    gpu::{AdapterReport, Buffer, Device, Kernel, Plan, Recorder, kernel_source, planned},
     model::{
         GaussianRows,
         gaussian_rows::{BANDS, BASE, band_values},
@@ -44,34 +44,25 @@ pub struct DeviceGaussians {
 }
 
 impl DeviceGaussians {
-    /// Bytes on the device of the rows of `count` Gaussians.
+    /// Plans zeros for `count` Gaussians.
     #[must_use]
-    pub fn bytes(count: usize) -> u64 {
-        buffer_bytes::<f32>(count * BASE) + buffer_bytes::<f32>(count * band_values(BANDS.len()))
-    }
-
-    /// Zeros for `count` Gaussians.
-    ///
-    /// # Errors
-    /// Faults of the device, or more Gaussians than it has room for.
-    pub fn zero(device: &Device, count: usize) -> Result<Self, RenderError> {
-        Ok(Self {
-            count,
-            base: device.buffer("base values", count * BASE)?,
-            bands: device.buffer("bands of coefficients", count * band_values(BANDS.len()))?,
+    pub fn plan(count: usize) -> Plan<'static, Self> {
+        planned!(Self {
+            count: Plan::value(count),
+            base: Plan::buffer("base values", count * BASE),
+            bands: Plan::buffer("bands of coefficients", count * band_values(BANDS.len())),
         })
     }
 
-    /// Rows from the host.
+    /// Uploads rows from the host.
     ///
     /// # Errors
-    /// As [`DeviceGaussians::zero`].
+    /// Faults of the device, or more Gaussians than it has memory for.
     pub fn upload(device: &Device, rows: &GaussianRows) -> Result<Self, RenderError> {
-        Ok(Self {
-            count: rows.len(),
-            base: device.upload("base values", &rows.base)?,
-            bands: device.upload("bands of coefficients", &rows.bands.concat())?,
-        })
+        let made = Self::plan(rows.len()).make(device)?;
+        device.write(&made.base, &rows.base);
+        device.write(&made.bands, &rows.bands.concat());
+        Ok(made)
     }
 
     /// Rows to the host. Waits for the device.
@@ -84,6 +75,10 @@ impl DeviceGaussians {
         let ends = [0, 1, 2, 3].map(|degree| self.count * band_values(degree));
         Ok(GaussianRows { base, bands: [0, 1, 2].map(|band| bands[ends[band]..ends[band + 1]].to_vec()) })
     }
+}
+
+fn view_plan() -> Plan<'static, Buffer<ViewUniform>> {
+    Plan::buffer("view of gaussians", 1)
 }
 
 /// The kernels for one degree.
@@ -126,26 +121,26 @@ impl PlainGaussians {
             degree: 0,
             kernels: Kernels::new(&device, 0)?,
             gaussian_statistics: device.kernel(kernel_source!("gaussian_statistics"), &[("DEGREE", 0)])?,
-            view: device.buffer("view of gaussians", 1)?,
-            gaussians: Gaussians::new(&device, 0)?,
+            view: view_plan().make(&device)?,
+            gaussians: Gaussians::plan(0, 1).make(&device)?,
             gradients: None,
             near,
             device,
         })
     }
 
-    /// Most Gaussians whose widest buffer the adapter binds.
+    /// Most Gaussians whose largest buffer the adapter binds.
     #[must_use]
     pub fn max_gaussians(adapter: &AdapterReport) -> usize {
-        let bytes = (band_values(BANDS.len()) * size_of::<f32>()) as u64;
         let limit = adapter.max_binding_bytes.min(adapter.max_buffer_bytes);
+        let bytes = (band_values(BANDS.len()) * size_of::<f32>()) as u64;
         usize::try_from(limit / bytes).unwrap_or(usize::MAX)
     }
 
-    /// Bytes on the device of a view of `count` Gaussians and of the gradients back from it.
+    /// Bytes on the device of a view of `count` Gaussians and of its gradients.
     #[must_use]
     pub fn bytes(count: usize) -> u64 {
-        buffer_bytes::<ViewUniform>(1) + Gaussians::bytes(count) + GaussianGradients::bytes(count)
+        view_plan().bytes() + Gaussians::plan(count, 1).bytes() + GaussianGradients::plan(count).bytes()
     }
 
     /// Degree of spherical harmonics in use.
@@ -180,7 +175,7 @@ impl PlainGaussians {
     pub fn gaussian_gradients(&mut self) -> Result<&GaussianGradients, RenderError> {
         let fits = self.gradients.as_ref().is_some_and(|d| d.colors.len() == self.gaussians.capacity);
         if !fits {
-            self.gradients = Some(GaussianGradients::new(&self.device, self.gaussians.capacity)?);
+            self.gradients = Some(GaussianGradients::plan(self.gaussians.capacity).make(&self.device)?);
         }
         self.gradients.as_ref().ok_or(RenderError::OutOfStep)
     }
@@ -196,7 +191,7 @@ impl PlainGaussians {
         camera: &Camera,
     ) -> Result<(), RenderError> {
         if self.gaussians.capacity != rows.count {
-            self.gaussians = Gaussians::new(&self.device, rows.count)?;
+            self.gaussians = Gaussians::plan(rows.count, 1).make(&self.device)?;
             self.device.write(&self.gaussians.count, &[rows.count as u32]);
         }
         recorder.write(&self.view, &[self.view_uniform(rows.count, camera)]);

@@ -17,8 +17,8 @@ use super::{
 use crate::{
     domain::Camera,
     gpu::{
-        AdapterReport, Buffer, Device, GpuError, Kernel, Pairs, RadixSort, Recorder, Scan, ScanSlots,
-        Subgroups, buffer_bytes, kernel_source,
+        AdapterReport, Buffer, Device, GpuError, Kernel, MIN_LANES, Pairs, Plan, RadixSort, Recorder, Scan,
+        ScanSlots, Subgroups, kernel_source, planned,
     },
 };
 
@@ -34,9 +34,6 @@ const DEPTH_BITS: u32 = 31;
 
 /// Rows of four floats of a Gaussian as projected: place, conic, colour.
 const SPLAT_ROWS: usize = 3;
-
-/// Fewest lanes of a subgroup that kernels have a variant for: those that hold a chunk of the backward pass.
-const MIN_LANES: u32 = 8;
 
 /// Lanes of a tile, four pixels each.
 const TILE_LANES: u32 = TILE * TILE / 4;
@@ -116,7 +113,7 @@ struct PerGaussian {
     tiles: Buffer<u32>,
     visible: Buffer<u32>,
     places: Buffer<u32>,
-    by_depth: [Pairs; 2],
+    by_depth: (Pairs, Pairs),
     sorted_tiles: Buffer<u32>,
     starts: Buffer<u32>,
     first_slots: Buffer<u32>,
@@ -126,31 +123,24 @@ struct PerGaussian {
 }
 
 impl PerGaussian {
-    /// Bytes on the device.
-    fn bytes(adapter: &AdapterReport, capacity: usize) -> u64 {
-        2 * buffer_bytes::<[f32; 4]>(SPLAT_ROWS * capacity)
-            + 7 * buffer_bytes::<u32>(capacity)
-            + 2 * Pairs::bytes(capacity)
-            + 2 * Scan::bytes(adapter)
-            + RadixSort::bytes(adapter, DEPTH_BITS)
-    }
-
-    fn new(device: &Device, capacity: usize) -> Result<Self, GpuError> {
-        Ok(Self {
-            capacity,
-            splats: device.buffer("splats", SPLAT_ROWS * capacity)?,
-            v_splats: device.buffer("gradients of splats", SPLAT_ROWS * capacity)?,
-            depths: device.buffer("depths", capacity)?,
-            tiles: device.buffer("tiles touched", capacity)?,
-            visible: device.buffer("visible", capacity)?,
-            places: device.buffer("places among the visible", capacity)?,
-            by_depth: [Pairs::new(device, capacity)?, Pairs::new(device, capacity)?],
-            sorted_tiles: device.buffer("tiles touched by depth", capacity)?,
-            starts: device.buffer("slot starts by depth", capacity)?,
-            first_slots: device.buffer("first slots", capacity)?,
-            list_visible: Scan::new(device, capacity, ScanSlots { count: 0, total: VISIBLE })?,
-            sort_depth: RadixSort::new(device, capacity, DEPTH_BITS, VISIBLE)?,
-            place_slots: Scan::new(device, capacity, ScanSlots { count: VISIBLE, total: INTERSECTIONS })?,
+    fn plan(adapter: &AdapterReport, capacity: usize) -> Plan<'static, Self> {
+        let visible = ScanSlots { count: 0, total: VISIBLE };
+        let slots = ScanSlots { count: VISIBLE, total: INTERSECTIONS };
+        planned!(Self {
+            capacity: Plan::value(capacity),
+            splats: Plan::buffer("splats", SPLAT_ROWS * capacity),
+            v_splats: Plan::buffer("gradients of splats", SPLAT_ROWS * capacity),
+            depths: Plan::buffer("depths", capacity),
+            tiles: Plan::buffer("tiles touched", capacity),
+            visible: Plan::buffer("visible", capacity),
+            places: Plan::buffer("places among the visible", capacity),
+            by_depth: Pairs::plan(capacity).and(Pairs::plan(capacity)),
+            sorted_tiles: Plan::buffer("tiles touched by depth", capacity),
+            starts: Plan::buffer("slot starts by depth", capacity),
+            first_slots: Plan::buffer("first slots", capacity),
+            list_visible: Scan::plan(adapter, capacity, visible),
+            sort_depth: RadixSort::plan(adapter, capacity, DEPTH_BITS, VISIBLE),
+            place_slots: Scan::plan(adapter, capacity, slots),
         })
     }
 }
@@ -159,7 +149,7 @@ impl PerGaussian {
 #[derive(Debug)]
 struct PerIntersection {
     capacity: usize,
-    by_tile: [Pairs; 2],
+    by_tile: (Pairs, Pairs),
     slot_ids: Buffer<u32>,
     list: Buffer<u32>,
     sort_tile: RadixSort,
@@ -167,25 +157,20 @@ struct PerIntersection {
 }
 
 impl PerIntersection {
-    /// Bytes on the device, with the gradients of the backward pass.
-    fn bytes(adapter: &AdapterReport, capacity: usize, tile_bits: u32) -> u64 {
-        2 * Pairs::bytes(capacity)
-            + 2 * buffer_bytes::<u32>(capacity)
-            + RadixSort::bytes(adapter, tile_bits)
-            // Smaller images have passes of their own.
-            + (0..tile_bits).map(|bits| RadixSort::pass_bytes(adapter, bits)).sum::<u64>()
-            + buffer_bytes::<f32>(SLOT_FLOATS * capacity)
+    fn plan(adapter: &AdapterReport, capacity: usize, tile_bits: u32) -> Plan<'static, Self> {
+        planned!(Self {
+            capacity: Plan::value(capacity),
+            by_tile: Pairs::plan(capacity).and(Pairs::plan(capacity)),
+            slot_ids: Plan::buffer("slot ids", capacity),
+            list: Plan::buffer("tile lists", capacity),
+            sort_tile: RadixSort::plan(adapter, capacity, tile_bits, INTERSECTIONS),
+            gradients: Plan::value(None),
+        })
     }
 
-    fn new(device: &Device, capacity: usize, tile_bits: u32) -> Result<Self, GpuError> {
-        Ok(Self {
-            capacity,
-            by_tile: [Pairs::new(device, capacity)?, Pairs::new(device, capacity)?],
-            slot_ids: device.buffer("slot ids", capacity)?,
-            list: device.buffer("tile lists", capacity)?,
-            sort_tile: RadixSort::new(device, capacity, tile_bits, INTERSECTIONS)?,
-            gradients: None,
-        })
+    /// Plans the gradients of the backward pass.
+    fn gradient_plan(capacity: usize) -> Plan<'static, Buffer<f32>> {
+        Plan::buffer("gradients of slots", SLOT_FLOATS * capacity)
     }
 }
 
@@ -199,29 +184,16 @@ struct PerImage {
 }
 
 impl PerImage {
-    /// Bytes on the device.
-    fn bytes(size: [u32; 2]) -> u64 {
+    /// Plans the buffers of images of `size`; those of `old` with enough memory are kept.
+    fn plan(size: [u32; 2], old: Option<&Self>) -> Plan<'_, Self> {
         let pixels = size[0] as usize * size[1] as usize;
-        buffer_bytes::<[f32; 4]>(pixels)
-            + buffer_bytes::<u32>(pixels)
-            + buffer_bytes::<[u32; 2]>(tiles(size) as usize)
-    }
-
-    fn new(device: &Device) -> Result<Self, GpuError> {
-        Ok(Self {
-            tiles: 0,
-            image: device.buffer("image", 0)?,
-            last: device.buffer("last contributors", 0)?,
-            ranges: device.buffer("tile ranges", 0)?,
+        let tiles = tiles(size);
+        planned!(Self {
+            tiles: Plan::value(tiles),
+            image: Plan::resized("image", pixels, old.map(|old| &old.image)),
+            last: Plan::resized("last contributors", pixels, old.map(|old| &old.last)),
+            ranges: Plan::resized("tile ranges", tiles as usize, old.map(|old| &old.ranges)),
         })
-    }
-
-    fn fit(&mut self, device: &Device, projection: &Projection) -> Result<(), GpuError> {
-        let pixels = projection.size.x as usize * projection.size.y as usize;
-        self.tiles = projection.tiles().x * projection.tiles().y;
-        device.resize(&mut self.image, "image", pixels)?;
-        device.resize(&mut self.last, "last contributors", pixels)?;
-        device.resize(&mut self.ranges, "tile ranges", self.tiles as usize)
     }
 }
 
@@ -239,8 +211,8 @@ pub struct Rasterizer {
     gaussians: PerGaussian,
     intersections: PerIntersection,
     image: PerImage,
-    /// The camera of the last forward pass and which of the two pairs holds its slots by tile.
-    rendered: Option<(Camera, usize)>,
+    /// The camera of the last forward pass, and whether the second of the two pairs holds its slots by tile.
+    rendered: Option<(Camera, bool)>,
 }
 
 impl Rasterizer {
@@ -271,12 +243,12 @@ impl Rasterizer {
         Ok(Self {
             settings,
             kernels,
-            view: device.buffer("view", 1)?,
-            counters: device.buffer("counters", COUNTERS)?,
+            view: view_plan().make(&device)?,
+            counters: counter_plan().make(&device)?,
             initial_capacity: None,
-            gaussians: PerGaussian::new(&device, 0)?,
-            intersections: PerIntersection::new(&device, 0, 0)?,
-            image: PerImage::new(&device)?,
+            gaussians: PerGaussian::plan(device.adapter(), 0).make(&device)?,
+            intersections: PerIntersection::plan(device.adapter(), 0, 0).make(&device)?,
+            image: PerImage::plan([0, 0], None).make(&device)?,
             rendered: None,
             device,
         })
@@ -286,16 +258,20 @@ impl Rasterizer {
     /// differentiated.
     #[must_use]
     pub fn bytes(adapter: &AdapterReport, gaussians: usize, intersections: usize, size: [u32; 2]) -> u64 {
-        buffer_bytes::<View>(1)
-            + buffer_bytes::<u32>(COUNTERS)
-            + PerGaussian::bytes(adapter, gaussians)
-            + PerIntersection::bytes(adapter, intersections, tile_bits(tiles(size)))
-            + PerImage::bytes(size)
+        let tile_bits = tile_bits(tiles(size));
+        view_plan().bytes()
+            + counter_plan().bytes()
+            + PerGaussian::plan(adapter, gaussians).bytes()
+            + PerIntersection::plan(adapter, intersections, tile_bits).bytes()
+            + PerIntersection::gradient_plan(intersections).bytes()
+            // Smaller images have passes of their own.
+            + (0..tile_bits).map(|bits| RadixSort::pass_bytes(adapter, bits)).sum::<u64>()
+            + PerImage::plan(size, None).bytes()
     }
 
-    /// Bytes of the widest buffer with a row for each of `gaussians` Gaussians.
-    pub(super) fn widest_bytes(gaussians: usize) -> u64 {
-        buffer_bytes::<[f32; 4]>(SPLAT_ROWS * gaussians)
+    /// Bytes of the largest buffer with a row for each of `gaussians` Gaussians.
+    pub(super) fn largest_bytes(adapter: &AdapterReport, gaussians: usize) -> u64 {
+        PerGaussian::plan(adapter, gaussians).largest_bytes()
     }
 
     /// Pairs that there is room for before any view was seen to need more: enough for most scenes, and no more than the
@@ -373,8 +349,9 @@ impl Rasterizer {
     pub fn reserve(&mut self, wanted: usize) -> Result<(), RenderError> {
         self.rendered = None;
         let tile_bits = tile_bits(self.image.tiles);
-        let room = grown_capacity(wanted, Self::max_bindable_intersections(self.device.adapter()));
-        self.intersections = PerIntersection::new(&self.device, room, tile_bits)?;
+        let adapter = self.device.adapter();
+        let capacity = grown_capacity(wanted, Self::max_bindable_intersections(adapter));
+        self.intersections = PerIntersection::plan(adapter, capacity, tile_bits).make(&self.device)?;
         Ok(())
     }
 
@@ -415,11 +392,11 @@ impl Rasterizer {
         v_image: &Buffer<[f32; 4]>,
         out: &GaussianGradients,
     ) -> Result<(), RenderError> {
-        let slots = match self.rendered {
-            Some((rendered, slots))
+        let slots_in_spare = match self.rendered {
+            Some((rendered, in_spare))
                 if rendered == *camera && gaussians.capacity == self.gaussians.capacity =>
             {
-                slots
+                in_spare
             }
             _ => return Err(RenderError::OutOfStep),
         };
@@ -429,20 +406,21 @@ impl Rasterizer {
         let slot_gradients = match &self.intersections.gradients {
             Some(buffer) => buffer.clone(),
             None => {
-                let len = SLOT_FLOATS * self.intersections.capacity;
-                let buffer = self.device.buffer("gradients of slots", len)?;
+                let buffer =
+                    PerIntersection::gradient_plan(self.intersections.capacity).make(&self.device)?;
                 self.intersections.gradients.insert(buffer).clone()
             }
         };
         let (kernels, view) = (&self.kernels, self.view.as_ref());
         let (own, lists, image) = (&self.gaussians, &self.intersections, &self.image);
+        let by_slot = if slots_in_spare { &lists.by_tile.1 } else { &lists.by_tile.0 };
         recorder.dispatch(
             &kernels.raster_backward,
             &[
                 view,
                 image.ranges.as_ref(),
                 lists.list.as_ref(),
-                lists.by_tile[slots].values.as_ref(),
+                by_slot.values.as_ref(),
                 own.splats.as_ref(),
                 image.image.as_ref(),
                 image.last.as_ref(),
@@ -483,17 +461,19 @@ impl Rasterizer {
 
     /// Makes the buffers fit; those that already do are kept.
     fn fit(&mut self, capacity: usize, projection: &Projection) -> Result<(), GpuError> {
+        let adapter = self.device.adapter();
         if self.gaussians.capacity != capacity {
-            self.gaussians = PerGaussian::new(&self.device, capacity)?;
+            self.gaussians = PerGaussian::plan(adapter, capacity).make(&self.device)?;
         }
-        self.image.fit(&self.device, projection)?;
+        let size = projection.size.to_array();
+        self.image = PerImage::plan(size, Some(&self.image)).make(&self.device)?;
         let tile_bits = tile_bits(self.image.tiles);
-        // `reserve` makes the rest, which is kept.
-        let usual = Self::default_intersections(self.device.adapter(), capacity);
-        let usual = self.initial_capacity.unwrap_or(usual);
-        let intersections = self.intersections.capacity.max(usual);
+        // `reserve` makes more, which is kept.
+        let initial = self.initial_capacity.unwrap_or_else(|| Self::default_intersections(adapter, capacity));
+        let intersections = self.intersections.capacity.max(initial);
         if self.intersections.capacity != intersections {
-            self.intersections = PerIntersection::new(&self.device, intersections, tile_bits)?;
+            self.intersections =
+                PerIntersection::plan(adapter, intersections, tile_bits).make(&self.device)?;
         }
         self.intersections.sort_tile.set_bits(&self.device, tile_bits)
     }
@@ -523,7 +503,7 @@ impl Rasterizer {
             groups,
         );
         own.list_visible.record(recorder, &gaussians.count, &own.visible, &own.places, &self.counters);
-        let [pairs, spare] = &own.by_depth;
+        let (pairs, spare) = &own.by_depth;
         recorder.dispatch(
             &kernels.compact,
             &[
@@ -550,7 +530,7 @@ impl Rasterizer {
             groups,
         );
         own.place_slots.record(recorder, &self.counters, &own.sorted_tiles, &own.starts, &self.counters);
-        let [by_tile, _] = &self.intersections.by_tile;
+        let (by_tile, _) = &self.intersections.by_tile;
         recorder.dispatch(
             &kernels.emit,
             &[
@@ -568,10 +548,10 @@ impl Rasterizer {
         );
     }
 
-    /// Records the grouping by tile, and says which of the two pairs holds the slots by tile.
-    fn list(&self, recorder: &mut Recorder<'_>) -> usize {
+    /// Records the grouping by tile, and returns whether the second of the two pairs holds the slots by tile.
+    fn list(&self, recorder: &mut Recorder<'_>) -> bool {
         let lists = &self.intersections;
-        let [pairs, spare] = &lists.by_tile;
+        let (pairs, spare) = &lists.by_tile;
         let sorted = lists.sort_tile.record(recorder, &self.counters, pairs, spare);
         recorder.clear(&self.image.ranges);
         recorder.dispatch(
@@ -587,7 +567,7 @@ impl Rasterizer {
             ],
             self.groups(lists.capacity),
         );
-        usize::from(std::ptr::eq(sorted, spare))
+        std::ptr::eq(sorted, spare)
     }
 
     fn blend(&self, recorder: &mut Recorder<'_>) {
@@ -610,6 +590,14 @@ impl Rasterizer {
 /// A quarter more than is wanted, so that growing is rare; but what is to spare must not be what does not fit.
 fn grown_capacity(wanted: usize, bindable: usize) -> usize {
     (wanted + wanted / 4).min(bindable.max(wanted))
+}
+
+fn view_plan() -> Plan<'static, Buffer<View>> {
+    Plan::buffer("view", 1)
+}
+
+fn counter_plan() -> Plan<'static, Buffer<u32>> {
+    Plan::buffer("counters", COUNTERS)
 }
 
 fn tiles(size: [u32; 2]) -> u32 {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+use crate::gpu::{Buffer, Device, GpuError, Kernel, Plan, Recorder, kernel_source, planned};
 
 const BETAS: [f64; 2] = [0.9, 0.999];
 const EPSILON: f32 = 1e-15;
@@ -17,32 +17,24 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Bytes on the device.
+    /// Plans zero moments of `len` parameters.
     #[must_use]
-    pub fn bytes(len: usize) -> u64 {
-        2 * buffer_bytes::<f32>(len)
-    }
-
-    /// Zero moments of `len` parameters.
-    ///
-    /// # Errors
-    /// Faults of the device.
-    pub fn zero(device: &Device, len: usize) -> Result<Self, GpuError> {
-        Ok(Self {
-            first: device.buffer("first moments", len)?,
-            second: device.buffer("second moments", len)?,
+    pub fn plan(len: usize) -> Plan<'static, Self> {
+        planned!(Self {
+            first: Plan::buffer("first moments", len),
+            second: Plan::buffer("second moments", len),
         })
     }
 
-    /// Moments from the host.
+    /// Uploads moments from the host.
     ///
     /// # Errors
     /// Faults of the device.
     pub fn upload(device: &Device, first: &[f32], second: &[f32]) -> Result<Self, GpuError> {
-        Ok(Self {
-            first: device.upload("first moments", first)?,
-            second: device.upload("second moments", second)?,
-        })
+        let made = Self::plan(first.len()).make(device)?;
+        device.write(&made.first, first);
+        device.write(&made.second, second);
+        Ok(made)
     }
 }
 

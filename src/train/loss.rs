@@ -4,7 +4,9 @@
 use std::sync::Arc;
 
 use super::WaveletWeights;
-use crate::gpu::{AdapterReport, Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+use crate::gpu::{
+    AdapterReport, Buffer, Device, GpuError, Kernel, Plan, Recorder, buffer_bytes, kernel_source, planned,
+};
 
 /// Weight of the SSIM part; L1 has the rest.
 const SSIM_WEIGHT: f64 = 0.2;
@@ -121,27 +123,18 @@ struct Fields {
 }
 
 impl Fields {
-    fn new(device: &Device, division: Division) -> Result<Self, GpuError> {
-        Ok(Self {
-            division,
-            photograph: device.buffer("photograph", division.pixels())?,
-            moments: device.buffer("SSIM moments", division.field())?,
-            derivatives: device.buffer("SSIM derivatives", division.field())?,
-            losses: device.buffer("losses", division.most_shares())?,
-            sums: device.buffer("loss sums", division.sums())?,
-            gradient: device.buffer("image gradient", division.pixels())?,
+    /// Plans the buffers of images of one size; those of `old` with enough memory are kept.
+    fn plan(division: Division, old: Option<&Self>) -> Plan<'_, Self> {
+        let (pixels, field) = (division.pixels(), division.field());
+        planned!(Self {
+            division: Plan::value(division),
+            photograph: Plan::resized("photograph", pixels, old.map(|old| &old.photograph)),
+            moments: Plan::resized("SSIM moments", field, old.map(|old| &old.moments)),
+            derivatives: Plan::resized("SSIM derivatives", field, old.map(|old| &old.derivatives)),
+            losses: Plan::resized("losses", division.most_shares(), old.map(|old| &old.losses)),
+            sums: Plan::resized("loss sums", division.sums(), old.map(|old| &old.sums)),
+            gradient: Plan::resized("image gradient", pixels, old.map(|old| &old.gradient)),
         })
-    }
-
-    /// For images of another size; buffers that have room for it are kept.
-    fn fit(&mut self, device: &Device, division: Division) -> Result<(), GpuError> {
-        self.division = division;
-        device.resize(&mut self.photograph, "photograph", division.pixels())?;
-        device.resize(&mut self.moments, "SSIM moments", division.field())?;
-        device.resize(&mut self.derivatives, "SSIM derivatives", division.field())?;
-        device.resize(&mut self.losses, "losses", division.most_shares())?;
-        device.resize(&mut self.sums, "loss sums", division.sums())?;
-        device.resize(&mut self.gradient, "image gradient", division.pixels())
     }
 }
 
@@ -218,11 +211,7 @@ impl ImageLoss {
         let division = Division { size, run: Self::run(adapter) };
         buffer_bytes::<ImageUniform>(1)
             + buffer_bytes::<ConstraintUniform>(1)
-            + buffer_bytes::<u32>(division.pixels())
-            + 2 * buffer_bytes::<[f32; 4]>(division.field())
-            + buffer_bytes::<[f32; 4]>(division.most_shares())
-            + buffer_bytes::<[f32; 4]>(division.sums())
-            + buffer_bytes::<[f32; 4]>(division.pixels())
+            + Fields::plan(division, None).bytes()
     }
 
     /// Records the loss of `render` against `photograph` (packed 8-bit RGB, one word a pixel) and its gradient;
@@ -239,13 +228,8 @@ impl ImageLoss {
         wavelet: Option<&WaveletWeights>,
     ) -> Result<&Buffer<[f32; 4]>, GpuError> {
         let division = Division { size, run: self.run };
-        let fields = match &mut self.fields {
-            Some(fields) => {
-                fields.fit(&self.device, division)?;
-                fields
-            }
-            none => none.insert(Fields::new(&self.device, division)?),
-        };
+        let fields = Fields::plan(division, self.fields.as_ref()).make(&self.device)?;
+        let fields = &*self.fields.insert(fields);
         recorder.write(&fields.photograph, photograph);
         let samples = (3 * division.pixels()) as f64;
         let blocks = if wavelet.is_some() { division.blocks() } else { 0 };

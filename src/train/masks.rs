@@ -13,7 +13,7 @@ use super::{
     context::{AnchorSample, RateTerm},
 };
 use crate::{
-    gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
+    gpu::{Buffer, Device, GpuError, Kernel, Plan, Recorder, kernel_source, planned},
     model::Shape,
     render::{DeviceAnchors, NeuralGaussians, RenderError},
 };
@@ -68,11 +68,21 @@ pub struct OffsetMasks {
 }
 
 impl OffsetMasks {
-    /// Bytes on the device.
+    /// Plans the masks of `anchors` anchors of this shape.
     #[must_use]
-    pub fn bytes(shape: Shape, anchors: usize) -> u64 {
-        let offsets = anchors * shape.offsets;
-        2 * buffer_bytes::<f32>(offsets) + Moments::bytes(offsets)
+    pub fn plan(shape: Shape, anchors: usize) -> Plan<'static, Self> {
+        let (defs, offsets) = (shape.defs(), anchors * shape.offsets);
+        planned!(Self {
+            kernels: planned!(Kernels {
+                mask_loss: Plan::kernel(kernel_source!("mask_loss"), &defs),
+                mask_gradient: Plan::kernel(kernel_source!("mask_gradient"), &defs),
+                mask_bits: Plan::kernel(kernel_source!("mask_bits"), &defs),
+                mask_rate: Plan::kernel(kernel_source!("mask_rate"), &defs),
+            }),
+            logits: Plan::buffer("mask logits", offsets),
+            gradients: Plan::buffer("gradients of mask logits", offsets),
+            moments: Moments::plan(offsets),
+        })
     }
 
     /// Uploads the logits of anchors of this shape.
@@ -80,18 +90,11 @@ impl OffsetMasks {
     /// # Errors
     /// Faults of the device.
     pub fn upload(device: &Device, shape: Shape, rows: &MaskRows) -> Result<Self, GpuError> {
-        let defs = shape.defs();
-        Ok(Self {
-            kernels: Kernels {
-                mask_loss: device.kernel(kernel_source!("mask_loss"), &defs)?,
-                mask_gradient: device.kernel(kernel_source!("mask_gradient"), &defs)?,
-                mask_bits: device.kernel(kernel_source!("mask_bits"), &defs)?,
-                mask_rate: device.kernel(kernel_source!("mask_rate"), &defs)?,
-            },
-            logits: device.upload("mask logits", &rows.logits)?,
-            gradients: device.buffer("gradients of mask logits", rows.logits.len())?,
-            moments: Moments::upload(device, &rows.first, &rows.second)?,
-        })
+        let made = Self::plan(shape, rows.logits.len() / shape.offsets).make(device)?;
+        device.write(&made.logits, &rows.logits);
+        device.write(&made.moments.first, &rows.first);
+        device.write(&made.moments.second, &rows.second);
+        Ok(made)
     }
 
     /// The logits with their moments. Waits for the device.

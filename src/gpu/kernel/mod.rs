@@ -6,7 +6,7 @@ use naga_oil::compose::{
     ComposableModuleDescriptor, Composer, NagaModuleDescriptor, ShaderDefValue, ShaderLanguage, ShaderType,
 };
 
-use super::{Device, GpuError};
+use super::GpuError;
 
 /// The text of a kernel and its name, which is the file's name and its entry point's name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -109,18 +109,18 @@ pub(super) fn compose(
 
 impl Kernel {
     pub(super) fn compile(
-        device: &Device,
+        device: &wgpu::Device,
         composer: &mut Composer,
         source: KernelSource,
         defs: &[(&str, u32)],
     ) -> Result<Self, GpuError> {
         let module = compose(composer, source, defs)?;
-        let scope = device.inner.push_error_scope(wgpu::ErrorFilter::Validation);
-        let module = device.inner.create_shader_module(wgpu::ShaderModuleDescriptor {
+        let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(source.name),
             source: wgpu::ShaderSource::Naga(std::borrow::Cow::Owned(module)),
         });
-        let pipeline = device.inner.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(source.name),
             layout: None,
             module: &module,

@@ -195,7 +195,7 @@ impl AnchorLearner {
             extent,
             owners: layout.owners(),
             device_anchors: DeviceAnchors::upload(device, anchors, &networks)?,
-            gradients: AnchorGradients::new(device, shape, anchors.len())?,
+            gradients: AnchorGradients::plan(shape, anchors.len()).make(device)?,
             row_moments: Moments::upload(device, &state.first, &state.second)?,
             network_moments: Moments::upload(device, &first, &second)?,
             statistics: device.upload("growth statistics", &statistics.values)?,
@@ -313,7 +313,7 @@ impl AnchorLearner {
         let networks = device.read(&self.device_anchors.networks)?;
         self.device_anchors = DeviceAnchors::upload(device, &state.anchors, &networks)?;
         self.row_moments = Moments::upload(device, &state.first, &state.second)?;
-        self.gradients = AnchorGradients::new(device, self.shape, state.anchors.len())?;
+        self.gradients = AnchorGradients::plan(self.shape, state.anchors.len()).make(device)?;
         self.statistics = device.upload("growth statistics", &statistics.values)?;
         self.masks = state.masks.map(|masks| OffsetMasks::upload(device, self.shape, &masks)).transpose()?;
         if let Some(compression) = &mut self.compression {
@@ -353,12 +353,12 @@ impl Footprint for AnchorFootprint {
     fn model_bytes(&self, anchors: usize) -> u64 {
         let shape = self.shape;
         let (rows, parameters) = (anchors * shape.row(), NetworkLayout::new(shape).parameters);
-        DeviceAnchors::bytes(shape, anchors)
-            + AnchorGradients::bytes(shape, anchors)
-            + 2 * Moments::bytes(rows)
-            + Moments::bytes(parameters)
+        DeviceAnchors::plan(shape, anchors).bytes()
+            + AnchorGradients::plan(shape, anchors).bytes()
+            + 2 * Moments::plan(rows).bytes()
+            + Moments::plan(parameters).bytes()
             + Statistics::bytes(shape, anchors)
-            + if self.masks { OffsetMasks::bytes(shape, anchors) } else { 0 }
+            + if self.masks { OffsetMasks::plan(shape, anchors).bytes() } else { 0 }
             + self.compression.as_ref().map_or(0, |schedule| compression_bytes(schedule, shape, anchors))
             + 2 * buffer_bytes::<f32>(shape.row() + parameters)
     }

@@ -104,7 +104,7 @@ impl Compression {
             adam,
             held: HeldSteps::new(device, capacity)?,
             usual: std::array::from_fn(|group| octaves_beside(usual[group], quantising.base[group])),
-            rate: RateTerm::new(device, anchors.shape, capacity)?,
+            rate: RateTerm::plan(anchors.shape, capacity).make(device)?,
             overflow_flag: device.buffer("never set", 1)?,
             d_rows: device.buffer("unused gradients of rows", anchors.rows.len())?,
             steps: steps.clamp(LEAST_STEPS, MOST_STEPS),

@@ -155,7 +155,7 @@ impl Compression {
 
     fn quantise(&mut self, steps: BaseSteps, base: [f32; 3], of_anchors: &[f32]) -> Result<(), TrainError> {
         let rows = QuantisedRows::upload(&self.device, self.layout.shape, of_anchors)?;
-        let networks = RoundedNetworks::new(&self.device, &self.layout)?;
+        let networks = RoundedNetworks::plan(&self.layout).make(&self.device)?;
         self.quantising = Some(Quantising { base, steps, rows, networks });
         Ok(())
     }
@@ -192,7 +192,7 @@ impl Compression {
 
     fn rate_for(&self, anchors: usize) -> Result<RateTerm, TrainError> {
         let capacity = ContextNet::capacity(sample_size(anchors, self.schedule.sampled));
-        Ok(RateTerm::new(&self.device, self.layout.shape, capacity)?)
+        Ok(RateTerm::plan(self.layout.shape, capacity).make(&self.device)?)
     }
 
     /// Takes notice that anchors came or went: those of `before` are now `anchors`.
@@ -352,9 +352,9 @@ pub(in crate::train) fn compression_bytes(
     let sampled = sample_size(anchors, schedule.sampled);
     let config = config(schedule, shape, anchors);
     let net = ContextNet::bytes(&config, anchors, ContextNet::capacity(sampled)).unwrap_or(u64::MAX / 8);
-    QuantisedRows::bytes(shape, anchors)
-        + RoundedNetworks::bytes(&NetworkLayout::new(shape))
-        + 2 * RateTerm::bytes(shape, ContextNet::capacity(sampled))
+    QuantisedRows::plan(shape, anchors).bytes()
+        + RoundedNetworks::plan(&NetworkLayout::new(shape)).bytes()
+        + 2 * RateTerm::plan(shape, ContextNet::capacity(sampled)).bytes()
         + 3 * net
         + 2 * buffer_bytes::<f32>(anchors * shape.row())
 }

@@ -11,7 +11,7 @@ use crate::{
         ContextFrame,
         context::{NEIGHBOURS, POSITION_INPUTS},
     },
-    gpu::{Buffer, Device, GpuError, buffer_bytes},
+    gpu::{Buffer, Device, GpuError, Plan, planned},
 };
 
 /// Most anchors: an index shares a word with the place among neighbours.
@@ -174,19 +174,30 @@ pub(super) struct DeviceTables {
 }
 
 impl DeviceTables {
-    /// Bytes on the device.
-    pub(super) fn bytes(config: &ContextConfig, anchors: usize) -> u64 {
+    /// Plans the tables of `anchors` anchors, whose samples are made of `plane_users` texels.
+    fn plan(config: &ContextConfig, anchors: usize, plane_users: usize) -> Plan<'static, Self> {
         let sampled = config.kind.sampled();
-        let placed = if sampled > 0 { anchors } else { 0 };
-        let texels = if sampled > 0 { 3 * config.planes.edge * config.planes.edge } else { 0 };
-        buffer_bytes::<f32>(anchors * POSITION_INPUTS)
-            + buffer_bytes::<u32>(3 * placed)
-            + 2 * buffer_bytes::<u32>(sampled * placed)
-            + 2 * buffer_bytes::<u32>(placed + 1)
-            + buffer_bytes::<u32>(texels + 1)
-            + buffer_bytes::<[u32; 2]>(12 * placed)
+        let (placed, edge) = if sampled > 0 { (anchors, config.planes.edge) } else { (0, 0) };
+        planned!(Self {
+            count: Plan::value(anchors),
+            priors: Plan::buffer("position priors", anchors * POSITION_INPUTS),
+            texels: Plan::buffer("texels of anchors", 3 * placed),
+            neighbours: Plan::buffer("neighbours", sampled * placed),
+            user_starts: Plan::buffer("starts of users of anchors", placed + 1),
+            users: Plan::buffer("users of anchors", sampled * placed),
+            plane_starts: Plan::buffer("starts of users of texels", 3 * edge * edge + 1),
+            plane_users: Plan::buffer("users of texels", plane_users),
+            columns: Plan::buffer("columns of anchors", placed),
+        })
     }
 
+    /// Bytes on the device at most: every sample is made of four texels of each plane.
+    pub(super) fn max_bytes(config: &ContextConfig, anchors: usize) -> u64 {
+        let placed = if config.kind.sampled() > 0 { anchors } else { 0 };
+        Self::plan(config, anchors, 12 * placed).bytes()
+    }
+
+    /// Uploads tables that [`ContextAnchors::check`] accepts.
     pub(super) fn upload(
         device: &Device,
         config: &ContextConfig,
@@ -195,17 +206,15 @@ impl DeviceTables {
         let edge = if config.kind.sampled() > 0 { config.planes.edge } else { 0 };
         let (user_starts, users) = anchors.users();
         let (plane_starts, plane_users) = anchors.plane_users(edge);
-        Ok(Self {
-            count: anchors.count,
-            priors: device.upload("position priors", &anchors.priors)?,
-            texels: device.upload("texels of anchors", &anchors.texels)?,
-            neighbours: device.upload("neighbours", &anchors.neighbours)?,
-            user_starts: device.upload("starts of users of anchors", &user_starts)?,
-            users: device.upload("users of anchors", &users)?,
-            plane_starts: device.upload("starts of users of texels", &plane_starts)?,
-            plane_users: device.upload("users of texels", &plane_users)?,
-            columns: device.buffer("columns of anchors", anchors.placed())?,
-        })
+        let made = Self::plan(config, anchors.count, plane_users.len()).make(device)?;
+        device.write(&made.priors, &anchors.priors);
+        device.write(&made.texels, &anchors.texels);
+        device.write(&made.neighbours, &anchors.neighbours);
+        device.write(&made.user_starts, &user_starts);
+        device.write(&made.users, &users);
+        device.write(&made.plane_starts, &plane_starts);
+        device.write(&made.plane_users, &plane_users);
+        Ok(made)
     }
 }
 

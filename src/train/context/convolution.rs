@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::layout::ConvSpec;
-use crate::gpu::{Buffer, Device, GpuError, Kernel, Recorder, kernel_source};
+use crate::gpu::{Buffer, GpuError, Kernel, Plan, Recorder, kernel_source, planned};
 
 /// A bias that there is not.
 const NONE: u32 = u32::MAX;
@@ -16,8 +16,8 @@ pub(super) struct Tensor {
 }
 
 impl Tensor {
-    pub(super) fn new(device: &Device, label: &str, values: usize) -> Result<Self, GpuError> {
-        Ok(Self { buffer: device.buffer(label, values)?, first: 0 })
+    pub(super) fn plan(label: &'static str, values: usize) -> Plan<'static, Self> {
+        Plan::buffer(label, values).map(|buffer| Self { buffer, first: 0 })
     }
 
     pub(super) fn at(buffer: &Buffer<f32>, first: usize) -> Self {
@@ -56,11 +56,11 @@ pub(super) struct Convolutions {
 }
 
 impl Convolutions {
-    pub(super) fn new(device: &Device) -> Result<Self, GpuError> {
-        Ok(Self {
-            conv_down: device.kernel(kernel_source!("conv_down"), &[])?,
-            conv_up: device.kernel(kernel_source!("conv_up"), &[])?,
-            conv_weight_gradient: device.kernel(kernel_source!("conv_weight_gradient"), &[])?,
+    pub(super) fn plan() -> Plan<'static, Self> {
+        planned!(Self {
+            conv_down: Plan::kernel(kernel_source!("conv_down"), &[]),
+            conv_up: Plan::kernel(kernel_source!("conv_up"), &[]),
+            conv_weight_gradient: Plan::kernel(kernel_source!("conv_weight_gradient"), &[]),
         })
     }
 

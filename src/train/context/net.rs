@@ -9,7 +9,7 @@ use super::{
     weights::RoundedWeights,
 };
 use crate::{
-    gpu::{Buffer, Device, Recorder, buffer_bytes},
+    gpu::{Buffer, Device, Plan, Recorder, planned},
     render::{Activation, Columns, DenseLayers, RenderError},
     train::{Adam, Moments, TrainError},
 };
@@ -100,40 +100,37 @@ struct Activations {
 }
 
 impl Activations {
-    fn bytes(layout: &ContextLayout, capacity: usize) -> u64 {
+    fn plan(layout: &ContextLayout, capacity: usize) -> Plan<'static, Self> {
         let config = &layout.config;
-        let hidden = layout.hidden.outputs;
-        let rows = |rows: usize| buffer_bytes::<f32>(rows * capacity);
-        buffer_bytes::<u32>(capacity + 1)
-            + rows(config.inputs())
-            + rows(config.sampled_inputs())
-            + 2 * rows(hidden)
-            + 2 * rows(config.output_rows()[3])
-            + buffer_bytes::<f32>(DenseLayers::runs(capacity) * layout.networks)
-    }
-
-    fn new(device: &Device, layout: &ContextLayout, capacity: usize) -> Result<Self, RenderError> {
-        let config = &layout.config;
-        let rows = |label: &str, rows: usize| device.buffer(label, rows * capacity);
+        let rows = |label: &'static str, rows: usize| Plan::buffer(label, rows * capacity);
         let hidden = layout.hidden.outputs;
         let outputs = config.output_rows()[3];
         let partials = DenseLayers::runs(capacity) * layout.networks;
-        Ok(Self {
-            capacity,
-            list: device.buffer("sampled anchors", capacity + 1)?,
-            input: rows("context input", config.inputs())?,
-            hidden: rows("context hidden values", hidden)?,
-            outputs: rows("context outputs", outputs)?,
-            d_input: rows("gradients of context input", config.sampled_inputs())?,
-            d_hidden: rows("gradients of context hidden values", hidden)?,
-            d_outputs: rows("gradients of context outputs", outputs)?,
-            partials: device.buffer("partial context gradients", partials)?,
+        planned!(Self {
+            capacity: Plan::value(capacity),
+            list: Plan::buffer("sampled anchors", capacity + 1),
+            input: rows("context input", config.inputs()),
+            hidden: rows("context hidden values", hidden),
+            outputs: rows("context outputs", outputs),
+            d_input: rows("gradients of context input", config.sampled_inputs()),
+            d_hidden: rows("gradients of context hidden values", hidden),
+            d_outputs: rows("gradients of context outputs", outputs),
+            partials: Plan::buffer("partial context gradients", partials),
         })
     }
 
     fn columns(&self) -> Columns<'_> {
         Columns { list: &self.list, capacity: self.capacity }
     }
+}
+
+fn sample_gradients(config: &ContextConfig, anchors: usize) -> Plan<'static, Buffer<f32>> {
+    let placed = if config.kind.sampled() > 0 { anchors } else { 0 };
+    Plan::buffer("gradients of plane samples", 3 * config.planes.channels * placed)
+}
+
+fn parameter_gradients(layout: &ContextLayout) -> Plan<'static, Buffer<f32>> {
+    Plan::buffer("gradients of context parameters", layout.parameters)
 }
 
 /// The context model in training. Nothing of a forward or backward pass lasts but gradients; only
@@ -173,17 +170,18 @@ impl ContextNet {
                 return Err(ContextError::Parameters { found, expected }.into());
             }
         }
-        let planes = (config.kind.sampled() > 0).then(|| PlanePass::new(device, &layout)).transpose()?;
+        let planes =
+            (config.kind.sampled() > 0).then(|| PlanePass::plan(&layout).make(device)).transpose()?;
         Ok(Self {
             dense: DenseLayers::new(device, device.subgroups().lanes())?,
             sampling: Sampling::new(device)?,
             planes,
-            rounded: RoundedWeights::new(device, &layout)?,
+            rounded: RoundedWeights::plan(&layout).make(device)?,
             tables: DeviceTables::upload(device, &config, &ContextAnchors::default())?,
-            on: Activations::new(device, &layout, 0)?,
-            d_samples: device.buffer("gradients of plane samples", 0)?,
+            on: Activations::plan(&layout, 0).make(device)?,
+            d_samples: sample_gradients(&layout.config, 0).make(device)?,
             parameters: device.upload("context parameters", &state.values)?,
-            gradients: device.buffer("gradients of context parameters", layout.parameters)?,
+            gradients: parameter_gradients(&layout).make(device)?,
             moments: Moments::upload(device, &state.first, &state.second)?,
             last: None,
             layout,
@@ -204,15 +202,15 @@ impl ContextNet {
     /// [`ContextError::Config`] for sizes that are not known.
     pub fn bytes(config: &ContextConfig, anchors: usize, sample: usize) -> Result<u64, ContextError> {
         let layout = ContextLayout::new(*config)?;
-        let placed = config.kind.sampled() > 0;
-        let samples = if placed { 3 * config.planes.channels * anchors } else { 0 };
-        Ok(DeviceTables::bytes(config, anchors)
-            + Activations::bytes(&layout, Self::capacity(sample))
-            + buffer_bytes::<f32>(samples)
-            + 2 * buffer_bytes::<f32>(layout.parameters)
-            + RoundedWeights::bytes(&layout)
-            + Moments::bytes(layout.parameters)
-            + if placed { PlanePass::bytes(config) } else { 0 })
+        let planes = if config.kind.sampled() > 0 { PlanePass::plan(&layout).bytes() } else { 0 };
+        Ok(DeviceTables::max_bytes(config, anchors)
+            + Activations::plan(&layout, Self::capacity(sample)).bytes()
+            + sample_gradients(config, anchors).bytes()
+            // The parameters take as much as their gradients.
+            + 2 * parameter_gradients(&layout).bytes()
+            + RoundedWeights::plan(&layout).bytes()
+            + Moments::plan(layout.parameters).bytes()
+            + planes)
     }
 
     /// Where everything is among the parameters.
@@ -230,8 +228,7 @@ impl ContextNet {
         anchors.check(config)?;
         self.last = None;
         self.tables = DeviceTables::upload(&self.device, config, anchors)?;
-        let samples = if self.planes.is_some() { 3 * config.planes.channels * anchors.count } else { 0 };
-        self.d_samples = self.device.buffer("gradients of plane samples", samples)?;
+        self.d_samples = sample_gradients(config, anchors.count).make(&self.device)?;
         Ok(())
     }
 
@@ -504,7 +501,7 @@ impl ContextNet {
         }
         if sample.len() > self.on.capacity {
             self.last = None;
-            self.on = Activations::new(&self.device, &self.layout, Self::capacity(sample.len()))?;
+            self.on = Activations::plan(&self.layout, Self::capacity(sample.len())).make(&self.device)?;
         }
         let mut list = Vec::with_capacity(sample.len() + 1);
         list.push(sample.len() as u32);

@@ -6,11 +6,11 @@
 use std::sync::Arc;
 
 use super::{
-    ContextConfig, PlaneSource,
+    PlaneSource,
     convolution::{Convolutions, Finish, Tensor, Way},
     layout::ContextLayout,
 };
-use crate::gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+use crate::gpu::{Buffer, GpuError, Kernel, Plan, Recorder, kernel_source, planned};
 
 /// Tensors on the way from planes to latents and back, or their gradients.
 #[derive(Debug)]
@@ -24,24 +24,12 @@ struct Tensors {
 }
 
 impl Tensors {
-    fn bytes(config: &ContextConfig) -> u64 {
-        let planes = &config.planes;
-        let ladder = planes.ladder();
-        let values = |level: usize| {
-            let edge = planes.edge >> level;
-            3 * ladder[level] * edge * edge
-        };
-        let down = (1..=planes.layers).map(values);
-        let up = (0..planes.layers).map(values);
-        buffer_bytes::<f32>(planes.latent_values()) + down.chain(up).map(buffer_bytes::<f32>).sum::<u64>()
-    }
-
-    fn new(device: &Device, layout: &ContextLayout) -> Result<Self, GpuError> {
-        let tensor = |values: usize| Tensor::new(device, "planes and latents", values);
-        Ok(Self {
-            down: layout.down.iter().map(|layer| tensor(layer.coarse_values())).collect::<Result<_, _>>()?,
-            latents: tensor(layout.config.planes.latent_values())?,
-            up: layout.up.iter().map(|layer| tensor(layer.fine_values())).collect::<Result<_, _>>()?,
+    fn plan(layout: &ContextLayout) -> Plan<'static, Self> {
+        let tensor = |values: usize| Tensor::plan("planes and latents", values);
+        planned!(Self {
+            down: Plan::all(layout.down.iter().map(|layer| tensor(layer.coarse_values()))),
+            latents: tensor(layout.config.planes.latent_values()),
+            up: Plan::all(layout.up.iter().map(|layer| tensor(layer.fine_values()))),
         })
     }
 
@@ -61,18 +49,13 @@ pub(super) struct PlanePass {
 }
 
 impl PlanePass {
-    /// Bytes on the device.
-    pub(super) fn bytes(config: &ContextConfig) -> u64 {
-        2 * Tensors::bytes(config)
-    }
-
-    pub(super) fn new(device: &Device, layout: &ContextLayout) -> Result<Self, GpuError> {
-        Ok(Self {
-            convolutions: Convolutions::new(device)?,
-            plane_l1: device.kernel(kernel_source!("plane_l1"), &[])?,
-            round_latents: device.kernel(kernel_source!("round_latents"), &[])?,
-            on: Tensors::new(device, layout)?,
-            back: Tensors::new(device, layout)?,
+    pub(super) fn plan(layout: &ContextLayout) -> Plan<'static, Self> {
+        planned!(Self {
+            convolutions: Convolutions::plan(),
+            plane_l1: Plan::kernel(kernel_source!("plane_l1"), &[]),
+            round_latents: Plan::kernel(kernel_source!("round_latents"), &[]),
+            on: Tensors::plan(layout),
+            back: Tensors::plan(layout),
         })
     }
 

@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use crate::{
-    gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
+    gpu::{Buffer, Device, GpuError, Kernel, Plan, Recorder, kernel_source, planned},
     model::Shape,
     render::DeviceAnchors,
 };
@@ -77,25 +77,26 @@ pub struct QuantisedRows {
 }
 
 impl QuantisedRows {
-    /// Bytes on the device.
+    /// Plans the rendered rows of `anchors` anchors.
     #[must_use]
-    pub fn bytes(shape: Shape, anchors: usize) -> u64 {
-        buffer_bytes::<f32>(anchors * shape.row()) + 2 * buffer_bytes::<f32>(3 * anchors)
+    pub fn plan(shape: Shape, anchors: usize) -> Plan<'static, Self> {
+        planned!(Self {
+            quantise_rows: Plan::kernel(kernel_source!("quantise_rows"), &shape.defs()),
+            quantise_gradient: Plan::kernel(kernel_source!("quantise_gradient"), &shape.defs()),
+            rows: Plan::buffer("rendered rows", anchors * shape.row()),
+            steps: Plan::buffer("steps of anchors", 3 * anchors),
+            d_log_steps: Plan::buffer("gradients of steps", 3 * anchors),
+        })
     }
 
-    /// Room for the rendered rows of anchors whose steps are `[N][3]`: features, scalings, offsets.
+    /// The rendered rows of anchors whose steps are `[N][3]`: features, scalings, offsets.
     ///
     /// # Errors
     /// Faults of the device.
     pub fn upload(device: &Device, shape: Shape, steps: &[f32]) -> Result<Self, GpuError> {
-        let anchors = steps.len() / 3;
-        Ok(Self {
-            quantise_rows: device.kernel(kernel_source!("quantise_rows"), &shape.defs())?,
-            quantise_gradient: device.kernel(kernel_source!("quantise_gradient"), &shape.defs())?,
-            rows: device.buffer("rendered rows", anchors * shape.row())?,
-            steps: device.upload("steps of anchors", steps)?,
-            d_log_steps: device.buffer("gradients of steps", steps.len())?,
-        })
+        let made = Self::plan(shape, steps.len() / 3).make(device)?;
+        device.write(&made.steps, steps);
+        Ok(made)
     }
 
     /// The rendered rows, `[N][row]`, scalings as logarithms.

@@ -35,7 +35,7 @@ use std::sync::Arc;
 use super::{Quantisation, QuantisedRows, quantise::QuantisationUniform};
 use crate::{
     domain::AttributeGroup,
-    gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
+    gpu::{Buffer, Device, GpuError, Kernel, Plan, Recorder, kernel_source, planned},
     model::Shape,
     render::DeviceAnchors,
 };
@@ -88,25 +88,17 @@ pub struct RateTerm {
 }
 
 impl RateTerm {
-    /// Bytes on the device.
+    /// Plans the rate of samples of up to `capacity` anchors.
     #[must_use]
-    pub fn bytes(shape: Shape, capacity: usize) -> u64 {
-        buffer_bytes::<f32>((GROUPS + shape.offsets) * capacity) + buffer_bytes::<f32>(GROUPS)
-    }
-
-    /// Room for samples of up to `capacity` anchors.
-    ///
-    /// # Errors
-    /// Faults of the device.
-    pub fn new(device: &Device, shape: Shape, capacity: usize) -> Result<Self, GpuError> {
-        Ok(Self {
-            rate: device.kernel(kernel_source!("rate"), &shape.defs())?,
-            refresh_steps: device.kernel(kernel_source!("refresh_steps"), &[])?,
-            sum_bits: device.kernel(kernel_source!("sum_bits"), &[])?,
-            shape,
-            capacity,
-            bits: device.buffer("bits of the sample", (GROUPS + shape.offsets) * capacity)?,
-            sums: device.buffer("sums of bits", GROUPS)?,
+    pub fn plan(shape: Shape, capacity: usize) -> Plan<'static, Self> {
+        planned!(Self {
+            rate: Plan::kernel(kernel_source!("rate"), &shape.defs()),
+            refresh_steps: Plan::kernel(kernel_source!("refresh_steps"), &[]),
+            sum_bits: Plan::kernel(kernel_source!("sum_bits"), &[]),
+            shape: Plan::value(shape),
+            capacity: Plan::value(capacity),
+            bits: Plan::buffer("bits of the sample", (GROUPS + shape.offsets) * capacity),
+            sums: Plan::buffer("sums of bits", GROUPS),
         })
     }
 

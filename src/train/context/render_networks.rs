@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use crate::{
-    gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source},
+    gpu::{Buffer, GpuError, Kernel, Plan, Recorder, kernel_source, planned},
     model::{LayerSpec, NetworkLayout},
 };
 
@@ -27,21 +27,13 @@ pub struct RoundedNetworks {
 }
 
 impl RoundedNetworks {
-    /// Bytes on the device.
+    /// Plans the rounded parameters of networks of this layout.
     #[must_use]
-    pub fn bytes(layout: &NetworkLayout) -> u64 {
-        buffer_bytes::<[u32; 4]>(rows(layout).len()) + buffer_bytes::<f32>(layout.parameters)
-    }
-
-    /// Room for networks of this layout.
-    ///
-    /// # Errors
-    /// Faults of the device.
-    pub fn new(device: &Device, layout: &NetworkLayout) -> Result<Self, GpuError> {
-        Ok(Self {
-            round_rows: device.kernel(kernel_source!("round_rows"), &[])?,
-            rows: device.upload("rows of networks", &rows(layout))?,
-            parameters: device.buffer("rounded networks", layout.parameters)?,
+    pub fn plan(layout: &NetworkLayout) -> Plan<'static, Self> {
+        planned!(Self {
+            round_rows: Plan::kernel(kernel_source!("round_rows"), &[]),
+            rows: Plan::upload("rows of networks", rows(layout)),
+            parameters: Plan::buffer("rounded networks", layout.parameters),
         })
     }
 

@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use super::layout::ContextLayout;
-use crate::gpu::{Buffer, Device, GpuError, Kernel, Recorder, buffer_bytes, kernel_source};
+use crate::gpu::{Buffer, GpuError, Kernel, Plan, Recorder, kernel_source, planned};
 
 /// Largest integer of an up-sampling layer's weights: the codec stores them in eight bits whatever the networks have.
 const UP_LEVELS: usize = 127;
@@ -39,16 +39,11 @@ pub(super) struct RoundedWeights {
 }
 
 impl RoundedWeights {
-    /// Bytes on the device.
-    pub(super) fn bytes(layout: &ContextLayout) -> u64 {
-        buffer_bytes::<Row>(stored_rows(layout).len()) + buffer_bytes::<f32>(layout.parameters)
-    }
-
-    pub(super) fn new(device: &Device, layout: &ContextLayout) -> Result<Self, GpuError> {
-        Ok(Self {
-            round_weights: device.kernel(kernel_source!("round_weights"), &[])?,
-            rows: device.upload("rows of context weights", &stored_rows(layout))?,
-            values: device.buffer("rounded context parameters", layout.parameters)?,
+    pub(super) fn plan(layout: &ContextLayout) -> Plan<'static, Self> {
+        planned!(Self {
+            round_weights: Plan::kernel(kernel_source!("round_weights"), &[]),
+            rows: Plan::upload("rows of context weights", stored_rows(layout)),
+            values: Plan::buffer("rounded context parameters", layout.parameters),
         })
     }
 

@@ -61,7 +61,7 @@ impl PlainLearner {
         schedule.max_gaussians = schedule.max_gaussians.min(PlainGaussians::max_gaussians(device.adapter()));
         // Growth needs room above what the points begin with.
         let values = initial_gaussians(points, colors, schedule.max_gaussians / 2, rng)?;
-        let zero = || DeviceGaussians::zero(device, values.len());
+        let zero = || DeviceGaussians::plan(values.len()).make(device);
         Ok(Self {
             schedule,
             extent,
@@ -111,7 +111,7 @@ impl PlainLearner {
             schedule,
             extent,
             rows: DeviceGaussians::upload(device, &rows[0])?,
-            gradients: DeviceGaussians::zero(device, count)?,
+            gradients: DeviceGaussians::plan(count).make(device)?,
             first: DeviceGaussians::upload(device, &rows[1])?,
             second: DeviceGaussians::upload(device, &rows[2])?,
             statistics: device.upload("growth statistics", &statistics)?,
@@ -180,7 +180,7 @@ impl PlainLearner {
         self.first = DeviceGaussians::upload(&self.device, &state.first)?;
         self.second = DeviceGaussians::upload(&self.device, &state.second)?;
         if count != self.gradients.count {
-            self.gradients = DeviceGaussians::zero(&self.device, count)?;
+            self.gradients = DeviceGaussians::plan(count).make(&self.device)?;
         }
         Ok(())
     }
@@ -222,7 +222,7 @@ impl Footprint for PlainFootprint {
 
     /// Parameters, gradients and two moments; a round of growth replaces them one after another.
     fn model_bytes(&self, gaussians: usize) -> u64 {
-        5 * DeviceGaussians::bytes(gaussians) + 2 * buffer_bytes::<f32>(STATISTICS * gaussians)
+        5 * DeviceGaussians::plan(gaussians).bytes() + 2 * buffer_bytes::<f32>(STATISTICS * gaussians)
     }
 
     fn view_bytes(&self, gaussians: usize) -> u64 {
@@ -235,7 +235,7 @@ impl Footprint for PlainFootprint {
 
     /// A round of growth: rows and moments as read back, as grown, and on their way to the device.
     fn host_bytes(&self, gaussians: usize) -> u64 {
-        9 * DeviceGaussians::bytes(gaussians) + (gaussians * STATISTICS * size_of::<f32>()) as u64
+        9 * DeviceGaussians::plan(gaussians).bytes() + (gaussians * STATISTICS * size_of::<f32>()) as u64
     }
 }
 

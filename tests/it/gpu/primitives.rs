@@ -22,7 +22,9 @@ fn scan_matches_its_twin() {
         let mut rng = Pcg64::seed_from_u64(1);
         for size in SIZES {
             let values: Vec<u32> = (0..size).map(|_| rng.random_range(0..50)).collect();
-            let scan = Scan::new(&device, size, ScanSlots { count: 1, total: 2 }).expect("a scan");
+            let scan = Scan::plan(device.adapter(), size, ScanSlots { count: 1, total: 2 })
+                .make(&device)
+                .expect("a scan");
             let counts = device.upload("counts", &[7, size as u32, 9]).expect("counts");
             let input = device.upload("values", &values).expect("values");
             let (sums, totals) = (junk(&device, size), junk(&device, 4));
@@ -45,7 +47,9 @@ fn scan_matches_its_twin() {
 fn scan_saturates_and_stops_at_the_count() {
     for device in variants() {
         let values = vec![u32::MAX / 3; 1000];
-        let scan = Scan::new(&device, 1000, ScanSlots { count: 0, total: 0 }).expect("a scan");
+        let scan = Scan::plan(device.adapter(), 1000, ScanSlots { count: 0, total: 0 })
+            .make(&device)
+            .expect("a scan");
         let counts = device.upload("counts", &[600_u32]).expect("counts");
         let input = device.upload("values", &values).expect("values");
         let (sums, totals) = (junk(&device, 1000), junk(&device, 1));
@@ -87,7 +91,7 @@ fn sort_matches_its_twin_and_is_stable() {
             for bits in [1, 7, 9, 32] {
                 let keys: Vec<u32> =
                     (0..size).map(|_| rng.random::<u32>() >> rng.random_range(0..24)).collect();
-                let sort = RadixSort::new(&device, size, bits, 0).expect("a sort");
+                let sort = RadixSort::plan(device.adapter(), size, bits, 0).make(&device).expect("a sort");
                 assert_sorts(&device, &sort, &keys, bits);
             }
         }
@@ -99,7 +103,7 @@ fn a_sort_by_a_number_of_bits_that_it_knows_makes_no_buffers() {
     let device = gpu_with(DeviceSettings::default());
     let mut rng = Pcg64::seed_from_u64(3);
     let keys: Vec<u32> = (0..5000).map(|_| rng.random()).collect();
-    let mut sort = RadixSort::new(&device, keys.len(), 9, 0).expect("a sort");
+    let mut sort = RadixSort::plan(device.adapter(), keys.len(), 9, 0).make(&device).expect("a sort");
     for bits in [12, 0, 9] {
         sort.set_bits(&device, bits).expect("room");
     }
@@ -137,10 +141,10 @@ fn subgroups_that_are_narrower_than_a_workgroup_are_found_out() {
 fn a_device_that_does_not_answer_in_time_counts_as_hung_from_then_on() {
     let limit = Duration::from_millis(1);
     let device = gpu_with(DeviceSettings { max_wait: Some(limit), ..DeviceSettings::default() });
-    let (pairs, spare) = (Pairs::new(&device, 1 << 20), Pairs::new(&device, 1 << 20));
+    let (pairs, spare) = (Pairs::plan(1 << 20).make(&device), Pairs::plan(1 << 20).make(&device));
     let (pairs, spare) = (pairs.expect("room"), spare.expect("room"));
     let counts = device.upload("counts", &[1_u32 << 20]).expect("counts");
-    let sort = RadixSort::new(&device, 1 << 20, 32, 0).expect("a sort");
+    let sort = RadixSort::plan(device.adapter(), 1 << 20, 32, 0).make(&device).expect("a sort");
     let mut recorder = device.recorder("more than fits in a millisecond");
     for _ in 0..10 {
         let _ = sort.record(&mut recorder, &counts, &pairs, &spare);
@@ -171,7 +175,8 @@ fn recorded_writes_take_effect_in_order() {
 #[test]
 fn timed_dispatches_are_named_in_order() {
     let device = gpu();
-    let scan = Scan::new(&device, 100, ScanSlots { count: 0, total: 0 }).expect("a scan");
+    let scan =
+        Scan::plan(device.adapter(), 100, ScanSlots { count: 0, total: 0 }).make(&device).expect("a scan");
     let counts = device.upload("counts", &[100_u32]).expect("counts");
     let (values, sums, totals) = (junk(&device, 100), junk(&device, 100), junk(&device, 1));
     let mut recorder = device.timed_recorder("scan");

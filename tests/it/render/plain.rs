@@ -140,7 +140,7 @@ fn run(device: &Arc<Device>, plain: &mut PlainGaussians, rows: &GaussianRows, ca
         .collect();
     device.write(&d.means2d, &centers);
 
-    let spoiled = DeviceGaussians::zero(device, rows.len()).expect("room");
+    let spoiled = DeviceGaussians::plan(rows.len()).make(device).expect("room");
     device.write(&spoiled.base, &vec![f32::NAN; spoiled.base.len()]);
     device.write(&spoiled.bands, &vec![f32::NAN; spoiled.bands.len()]);
     let statistics = device.upload("statistics", &vec![1.0_f32; STATISTICS * rows.len()]).expect("room");
@@ -347,7 +347,7 @@ fn the_whole_way_to_the_image_and_back_matches_the_oracles() {
         let v_image: Vec<[f32; 4]> = oracle.v_image().iter().map(|v| v.map(|v| v as f32)).collect();
         let v_image = device.upload("v_image", &v_image).expect("room");
         let d = plain.gaussian_gradients().expect("room").clone();
-        let out = DeviceGaussians::zero(&device, rows.len()).expect("room");
+        let out = DeviceGaussians::plan(rows.len()).make(&device).expect("room");
         let mut recorder = device.recorder("backward");
         raster.backward(&mut recorder, plain.gaussians(), &camera, &v_image, &d).expect("recorded");
         plain.backward(&mut recorder, &device_gaussians, &out).expect("recorded");

@@ -383,8 +383,8 @@ fn overflow_is_reported_and_growing_gives_what_enough_room_would_have() {
 #[test]
 fn a_backward_pass_of_another_camera_is_refused() {
     let device = gpu();
-    let gaussians = Gaussians::new(&device, 4).expect("room");
-    let out = GaussianGradients::new(&device, 4).expect("room");
+    let gaussians = Gaussians::plan(4, 1).make(&device).expect("room");
+    let out = GaussianGradients::plan(4).make(&device).expect("room");
     let v_image = device.buffer("v", 100).expect("a buffer");
     let (camera, other) = (random::camera(10, 10), random::camera(10, 11));
     let mut rasterizer = Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("one");

@@ -21,7 +21,7 @@ fn adam_follows_its_twin() {
     let adam = Adam::new(&device).expect("the kernel");
     let no = device.upload("overflow flag", &[0]).expect("a buffer");
     let values = device.upload("values", &values).expect("room");
-    let moments = Moments::zero(&device, COUNT).expect("room");
+    let moments = Moments::plan(COUNT).make(&device).expect("room");
     let table = device.upload("rates", &rates).expect("room");
     for t in 1..=30 {
         // Magnitudes from 1e-9 to 1e3; element 0 rests at zero.
@@ -110,7 +110,7 @@ fn every_element_learns_at_its_own_rate() {
             let values = device.upload("values", &vec![0.0_f32; count]).expect("room");
             let gradients = device.upload("gradients", &vec![1.0_f32; count]).expect("room");
             let table = device.upload("rates", rates).expect("room");
-            let moments = Moments::zero(&device, count).expect("room");
+            let moments = Moments::plan(count).make(&device).expect("room");
             let mut recorder = device.recorder("adam");
             adam.step(&mut recorder, 1, &no, &table, &gradients, &values, &moments).expect("recorded");
             recorder.submit().expect("submitted");

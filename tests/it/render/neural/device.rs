@@ -287,7 +287,7 @@ fn has_room(device: &Arc<Device>, shape: Shape, count: usize) -> bool {
     let camera = random::camera(40, 30);
     let go = || {
         let uploaded = DeviceAnchors::upload(device, &anchors, &vec![0.01; layout.parameters])?;
-        let out = AnchorGradients::new(device, shape, count)?;
+        let out = AnchorGradients::plan(shape, count).make(device)?;
         let mut neural = NeuralGaussians::new(Arc::clone(device), shape, NEAR, DistanceUnit::USUAL)?;
         let mut raster = Rasterizer::new(Arc::clone(device), RasterSettings::default())?;
         let v_image = device.buffer("v_image", 40 * 30)?;
@@ -314,7 +314,7 @@ fn a_forward_pass_can_be_gone_back_from_once() {
     let camera = random::camera(40, 30);
     let scene = Scene::random(4, SMALL, 5, 0.8, &projection(&camera));
     let anchors = DeviceAnchors::upload(&device, &scene.anchors, &scene.networks).expect("anchors");
-    let out = AnchorGradients::new(&device, SMALL, anchors.count).expect("room");
+    let out = AnchorGradients::plan(SMALL, anchors.count).make(&device).expect("room");
     let mut neural = neural(SMALL, true);
     let mut recorder = device.recorder("passes");
     assert_eq!(neural.backward(&mut recorder, &anchors, &out), Err(RenderError::OutOfStep));

@@ -41,7 +41,7 @@ fn the_kernel_rounds_every_bit_as_the_twin_does() {
         let layout = NetworkLayout::new(shape);
         for seed in 0..4 {
             let values = parameters(&layout, seed);
-            let rounded = RoundedNetworks::new(&device, &layout).expect("the kernel");
+            let rounded = RoundedNetworks::plan(&layout).make(&device).expect("the kernel");
             device.write(rounded.parameters(), &vec![1234.5; values.len()]);
             let uploaded = device.upload("networks", &values).expect("room");
             let mut recorder = device.recorder("round");

@@ -178,7 +178,7 @@ impl OnDevice {
             d_outputs: [0, 1, 2].map(|group: usize| junk(outputs[group].len())),
             outputs,
             d_rows: device.upload("gradients", d_rendered).expect("room"),
-            rate: RateTerm::new(device, shape, room + 3).expect("the kernels"),
+            rate: RateTerm::plan(shape, room + 3).make(device).expect("the kernels"),
             overflow_flag: device.buffer("overflow flag", 1).expect("room"),
             room,
         }
