@@ -1,7 +1,7 @@
 //! Dense layers on the device, forward and backward, over the columns of a list.
 //!
-//! Activations are column-major: row r of a buffer holds one value for each of `capacity` columns, of which the list's
-//! first element says how many count. Every sum has a fixed order, so the same input gives the same bits.
+//! Activations are column-major: row r of a buffer holds one value for each of `capacity` columns; the list's first element is
+//! the number of columns in use. Every sum has a fixed order, so the same input gives the same bits.
 
 use std::sync::Arc;
 
@@ -20,25 +20,53 @@ const TILE: [usize; 2] = [32, 256];
 /// Inputs and outputs of the weights whose gradients a workgroup of `shaders/dense_weight_gradient.wgsl` computes.
 const GRADIENT_TILE: [usize; 2] = [16, 32];
 
-/// A bias offset that means there is none.
+/// Bias offset of a layer without a bias.
 const NO_BIAS: u32 = u32::MAX;
 
-/// How a dense layer ends.
+/// Activation of a dense layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Activation {
-    /// As it is.
+    /// None.
     Linear = 0,
-    /// What is below zero becomes zero.
+    /// max(x, 0).
     Relu = 1,
 }
 
 /// The columns that layers are evaluated at.
 #[derive(Debug, Clone, Copy)]
 pub struct Columns<'a> {
-    /// How many columns count, then whatever they stand for.
+    /// The number of columns in use, then what each stands for.
     pub list: &'a Buffer<u32>,
-    /// Columns that buffers have room for.
+    /// Columns of the buffers.
     pub capacity: usize,
+}
+
+/// A layer evaluated at columns.
+#[derive(Debug, Clone, Copy)]
+pub struct DenseLayer<'a> {
+    /// Its sizes and where its parameters and rows are.
+    pub spec: &'a LayerSpec,
+    /// The columns.
+    pub columns: Columns<'a>,
+}
+
+impl<'a> Columns<'a> {
+    /// `spec` at these columns.
+    #[must_use]
+    pub fn layer(self, spec: &'a LayerSpec) -> DenseLayer<'a> {
+        DenseLayer { spec, columns: self }
+    }
+}
+
+/// Where the gradient by a layer's inputs goes.
+#[derive(Debug, Clone, Copy)]
+pub struct InputGradient<'a> {
+    /// The first inputs, whose gradients are wanted.
+    pub rows: usize,
+    /// Those inputs after a ReLU; the gradient is then the one before it.
+    pub relu: Option<&'a Buffer<f32>>,
+    /// The gradients.
+    pub buffer: &'a Buffer<f32>,
 }
 
 /// The kernels of dense layers.
@@ -50,12 +78,12 @@ pub struct DenseLayers {
 }
 
 impl DenseLayers {
-    /// Prepares the kernels; `subgroups` are the lanes that a subgroup has at least, where they may be used.
+    /// Prepares the kernels; `subgroups` is the smallest number of lanes in a subgroup, where kernels may use them.
     ///
     /// # Errors
     /// Faults of the device.
     pub fn new(device: &Device, subgroups: Option<u32>) -> Result<Self, RenderError> {
-        // Eight lanes share what they read; the gradient's workgroup is exactly one subgroup.
+        // Eight lanes share their reads; the gradient's workgroup is one subgroup.
         let subgroups = subgroups.filter(|size| *size >= 8);
         let mut lanes = vec![("GRADIENT_LANES", subgroups.unwrap_or(64))];
         let mut dense = Vec::new();
@@ -70,7 +98,7 @@ impl DenseLayers {
         })
     }
 
-    /// Partial sums of weight gradients that there are for this many columns: the factor of a buffer of them.
+    /// Partial sums of each weight's gradient over this many columns.
     #[must_use]
     pub fn runs(capacity: usize) -> usize {
         capacity.div_ceil(GRADIENT_RUN).max(1)
@@ -80,12 +108,10 @@ impl DenseLayers {
     ///
     /// # Errors
     /// Faults of the device.
-    #[expect(clippy::too_many_arguments, reason = "one dispatch's worth of buffers, named at each call")]
     pub fn forward(
         &self,
         recorder: &mut Recorder<'_>,
-        columns: Columns<'_>,
-        layer: &LayerSpec,
+        DenseLayer { spec: layer, columns }: DenseLayer<'_>,
         parameters: &Buffer<f32>,
         input: &Buffer<f32>,
         output: &Buffer<f32>,
@@ -96,7 +122,7 @@ impl DenseLayers {
             [1, layer.outputs as u32, layer.bias as u32, activation as u32],
             [layer.input_row as u32, layer.output_row as u32, 0, 0],
         ])?;
-        // The gate is not read: any buffer but the output will do.
+        // The gate is not read; any buffer but the output is valid.
         let bindings = [
             uniform.as_ref(),
             columns.list.as_ref(),
@@ -109,28 +135,23 @@ impl DenseLayers {
         Ok(())
     }
 
-    /// Records the gradient by the first `wanted` inputs of `layer`. Where `gate` holds those inputs' values after a ReLU,
-    /// it is the gradient before the ReLU.
+    /// Records the gradient by the layer's inputs.
     ///
     /// # Errors
     /// Faults of the device.
-    #[expect(clippy::too_many_arguments, reason = "one dispatch's worth of buffers, named at each call")]
     pub fn input_gradient(
         &self,
         recorder: &mut Recorder<'_>,
-        columns: Columns<'_>,
-        layer: &LayerSpec,
-        wanted: usize,
+        DenseLayer { spec: layer, columns }: DenseLayer<'_>,
         parameters: &Buffer<f32>,
         d_output: &Buffer<f32>,
-        gate: Option<&Buffer<f32>>,
-        d_input: &Buffer<f32>,
+        d_input: InputGradient<'_>,
     ) -> Result<(), RenderError> {
         const LINEAR: u32 = 0;
         const GATE: u32 = 2;
-        let activation = if gate.is_some() { GATE } else { LINEAR };
+        let activation = if d_input.relu.is_some() { GATE } else { LINEAR };
         let uniform = recorder.uniform(&[
-            [layer.outputs as u32, wanted as u32, columns.capacity as u32, layer.weights as u32],
+            [layer.outputs as u32, d_input.rows as u32, columns.capacity as u32, layer.weights as u32],
             [layer.outputs as u32, 1, NO_BIAS, activation],
             [layer.output_row as u32, layer.input_row as u32, layer.input_row as u32, 0],
         ])?;
@@ -139,24 +160,22 @@ impl DenseLayers {
             columns.list.as_ref(),
             parameters.as_ref(),
             d_output.as_ref(),
-            gate.unwrap_or(d_output).as_ref(),
-            d_input.as_ref(),
+            d_input.relu.unwrap_or(d_output).as_ref(),
+            d_input.buffer.as_ref(),
         ];
-        recorder.dispatch(&self.dense, &bindings, groups(columns, wanted));
+        recorder.dispatch(&self.dense, &bindings, groups(columns, d_input.rows));
         Ok(())
     }
 
-    /// Records the runs' shares of the gradient by the layer's weights and bias, for [`Self::sum_partials`]. A run's
-    /// shares lie `parameters` apart.
+    /// Records each run's partial gradients by the layer's weights and bias, `parameters` elements apart, for
+    /// [`Self::sum_partials`].
     ///
     /// # Errors
     /// Faults of the device.
-    #[expect(clippy::too_many_arguments, reason = "one dispatch's worth of buffers, named at each call")]
     pub fn weight_gradient(
         &self,
         recorder: &mut Recorder<'_>,
-        columns: Columns<'_>,
-        layer: &LayerSpec,
+        DenseLayer { spec: layer, columns }: DenseLayer<'_>,
         parameters: usize,
         input: &Buffer<f32>,
         d_output: &Buffer<f32>,
@@ -178,7 +197,7 @@ impl DenseLayers {
         Ok(())
     }
 
-    /// Records the first `parameters` elements of `sums` as the sums of the runs' shares.
+    /// Records the first `parameters` elements of `sums` as the sums of the runs' partial gradients.
     ///
     /// # Errors
     /// Faults of the device.

@@ -12,7 +12,7 @@ mod scene_renderer;
 pub mod twin;
 pub mod views;
 
-pub use dense::{Activation, Columns, DenseLayers};
+pub use dense::{Activation, Columns, DenseLayer, DenseLayers, InputGradient};
 pub use depth::DepthShader;
 pub use error::RenderError;
 pub use gaussians::{GEOMETRY_SECTIONS, GaussianGradients, Gaussians};

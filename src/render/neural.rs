@@ -6,7 +6,9 @@
 
 use std::sync::Arc;
 
-use super::{Activation, Columns, DenseLayers, GaussianGradients, Gaussians, Rasterizer, RenderError};
+use super::{
+    Activation, Columns, DenseLayers, GaussianGradients, Gaussians, InputGradient, Rasterizer, RenderError,
+};
 use crate::{
     domain::{Camera, DistanceUnit},
     gpu::{AdapterReport, Buffer, Device, Kernel, Plan, Recorder, kernel_source, planned},
@@ -371,17 +373,11 @@ impl NeuralGaussians {
             groups,
         );
         let (dense, columns, networks) = (&kernels.dense, self.columns(), &anchors.networks);
-        dense.forward(
-            recorder,
-            columns,
-            &self.layout.hidden,
-            networks,
-            &on.input,
-            &on.hidden,
-            Activation::Relu,
-        )?;
+        let hidden = columns.layer(&self.layout.hidden);
+        dense.forward(recorder, hidden, networks, &on.input, &on.hidden, Activation::Relu)?;
         for head in &self.layout.heads {
-            dense.forward(recorder, columns, head, networks, &on.hidden, &on.outputs, Activation::Linear)?;
+            let head = columns.layer(head);
+            dense.forward(recorder, head, networks, &on.hidden, &on.outputs, Activation::Linear)?;
         }
         recorder.dispatch(
             &kernels.spawn_gaussians,
@@ -444,48 +440,17 @@ impl NeuralGaussians {
         let (dense, columns, networks) = (&kernels.dense, self.columns(), &anchors.networks);
         let parameters = self.layout.parameters;
         for head in &self.layout.heads {
-            dense.weight_gradient(
-                recorder,
-                columns,
-                head,
-                parameters,
-                &on.hidden,
-                &on.outputs,
-                &back.partials,
-            )?;
-            dense.input_gradient(
-                recorder,
-                columns,
-                head,
-                head.inputs,
-                networks,
-                &on.outputs,
-                Some(&on.hidden),
-                &back.d_hidden,
-            )?;
+            let layer = columns.layer(head);
+            dense.weight_gradient(recorder, layer, parameters, &on.hidden, &on.outputs, &back.partials)?;
+            let d_hidden =
+                InputGradient { rows: head.inputs, relu: Some(&on.hidden), buffer: &back.d_hidden };
+            dense.input_gradient(recorder, layer, networks, &on.outputs, d_hidden)?;
         }
-        let hidden = &self.layout.hidden;
-        dense.weight_gradient(
-            recorder,
-            columns,
-            hidden,
-            parameters,
-            &on.input,
-            &back.d_hidden,
-            &back.partials,
-        )?;
-        // Nothing asks for the gradient by the view direction and the distance.
-        let features = self.layout.shape.features;
-        dense.input_gradient(
-            recorder,
-            columns,
-            hidden,
-            features,
-            networks,
-            &back.d_hidden,
-            None,
-            &back.d_input,
-        )?;
+        let hidden = columns.layer(&self.layout.hidden);
+        dense.weight_gradient(recorder, hidden, parameters, &on.input, &back.d_hidden, &back.partials)?;
+        // Of the inputs, view direction and distance need no gradient.
+        let d_input = InputGradient { rows: self.layout.shape.features, relu: None, buffer: &back.d_input };
+        dense.input_gradient(recorder, hidden, networks, &back.d_hidden, d_input)?;
         dense.sum_partials(recorder, columns, parameters, &back.partials, &out.networks)?;
         recorder.dispatch(
             &kernels.feature_gradient,

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     gpu::{Buffer, Device, Plan, Recorder, planned},
-    render::{Activation, Columns, DenseLayers, RenderError},
+    render::{Activation, Columns, DenseLayers, InputGradient, RenderError},
     train::{Adam, Moments, TrainError},
 };
 
@@ -263,25 +263,11 @@ impl ContextNet {
         }
         let columns = on.columns();
         self.sampling.forward(recorder, &layout.config, &self.tables, columns, &sampled, &on.input)?;
-        self.dense.forward(
-            recorder,
-            columns,
-            &layout.hidden,
-            stored,
-            &on.input,
-            &on.hidden,
-            Activation::Relu,
-        )?;
+        let hidden = columns.layer(&layout.hidden);
+        self.dense.forward(recorder, hidden, stored, &on.input, &on.hidden, Activation::Relu)?;
         for head in &layout.heads {
-            self.dense.forward(
-                recorder,
-                columns,
-                head,
-                stored,
-                &on.hidden,
-                &on.outputs,
-                Activation::Linear,
-            )?;
+            let head = columns.layer(head);
+            self.dense.forward(recorder, head, stored, &on.hidden, &on.outputs, Activation::Linear)?;
         }
         self.last = Some(*pass);
         Ok(())
@@ -313,35 +299,13 @@ impl ContextNet {
         let Self { layout, dense, on, .. } = self;
         let (columns, networks) = (on.columns(), layout.networks);
         for head in &layout.heads {
-            dense.weight_gradient(
-                recorder,
-                columns,
-                head,
-                networks,
-                &on.hidden,
-                &on.d_outputs,
-                &on.partials,
-            )?;
-            dense.input_gradient(
-                recorder,
-                columns,
-                head,
-                head.inputs,
-                stored,
-                &on.d_outputs,
-                Some(&on.hidden),
-                &on.d_hidden,
-            )?;
+            let layer = columns.layer(head);
+            dense.weight_gradient(recorder, layer, networks, &on.hidden, &on.d_outputs, &on.partials)?;
+            let d_hidden = InputGradient { rows: head.inputs, relu: Some(&on.hidden), buffer: &on.d_hidden };
+            dense.input_gradient(recorder, layer, stored, &on.d_outputs, d_hidden)?;
         }
-        dense.weight_gradient(
-            recorder,
-            columns,
-            &layout.hidden,
-            networks,
-            &on.input,
-            &on.d_hidden,
-            &on.partials,
-        )?;
+        let hidden = columns.layer(&layout.hidden);
+        dense.weight_gradient(recorder, hidden, networks, &on.input, &on.d_hidden, &on.partials)?;
         dense.sum_partials(recorder, columns, networks, &on.partials, &self.gradients)
     }
 
@@ -353,16 +317,9 @@ impl ContextNet {
         pass: &ContextPass,
     ) -> Result<(), TrainError> {
         let Self { layout, on, parameters, gradients, .. } = self;
-        self.dense.input_gradient(
-            recorder,
-            on.columns(),
-            &layout.hidden,
-            layout.config.sampled_inputs(),
-            stored,
-            &on.d_hidden,
-            None,
-            &on.d_input,
-        )?;
+        let hidden = on.columns().layer(&layout.hidden);
+        let d_input = InputGradient { rows: layout.config.sampled_inputs(), relu: None, buffer: &on.d_input };
+        self.dense.input_gradient(recorder, hidden, stored, &on.d_hidden, d_input)?;
         self.sampling.backward(
             recorder,
             &layout.config,
