@@ -1,8 +1,8 @@
 // One Adam step (METHOD.md §2.5): bias-corrected moments, epsilon outside the root. The learning rate of element i
 // is rates[i % rates_len]. A gradient that is not finite, or whose square would not be, leaves its element
-// untouched. In a void step all are left untouched.
+// untouched. If the forward pass overflowed, all are left untouched.
 //
-// An invocation steps four neighbours, which shares the remainder: lanes divide integers one after the other.
+// An invocation updates four neighbours, so that they share one remainder: lanes divide integers one after the other.
 // Buffers end on 16 bytes, so the last four may reach past the elements but not past the buffer.
 
 #import tcgs::finite::each_below
@@ -22,7 +22,7 @@ struct Settings {
 @group(0) @binding(3) var<storage, read_write> values: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> first: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> second: array<vec4f>;
-// Not 0 in a step that has to be done again.
+// Not 0 once a forward pass has overflowed: the step is repeated.
 @group(0) @binding(6) var<storage, read> overflow_flag: array<u32>;
 
 fn after(column: u32) -> u32 {
@@ -44,7 +44,7 @@ fn adam(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         return;
     }
     let gradient = gradients[i];
-    // Of what is beyond it f32 cannot hold the square.
+    // The square of anything larger overflows f32.
     let counts = each_below(gradient, 1e18);
     let g = select(vec4f(0.0), gradient, counts);
     let old_m = first[i];

@@ -1,6 +1,6 @@
-// Adds one view to the statistics that growth and pruning go by (METHOD.md §2.6). An anchor's row of
+// Adds one view to the statistics that decide growth and pruning (METHOD.md §2.6). An anchor's row of
 // statistics: OFFSETS sums of screen-gradient norms, OFFSETS counts of views, a sum of positive opacities, visits.
-// Screen gradients are in half-image units: pixels times half the width and height. A void step adds nothing.
+// Screen gradients are in half-image units: pixels times half the width and height. An overflowed pass adds nothing.
 #import tcgs::anchor_view::View
 #import tcgs::model::OFFSETS
 
@@ -11,7 +11,7 @@ const ROW: u32 = 2u * OFFSETS + 2u;
 @group(0) @binding(2) var<storage, read> geometry: array<vec4f>;
 @group(0) @binding(3) var<storage, read> d_means2d: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> statistics: array<f32>;
-// Not 0 in a step that has to be done again.
+// Not 0 once a forward pass has overflowed: the step is repeated.
 @group(0) @binding(5) var<storage, read> overflow_flag: array<u32>;
 
 @compute @workgroup_size(64)

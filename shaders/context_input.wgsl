@@ -1,7 +1,7 @@
 // The input of the context networks for each sampled anchor, column-major: bilinear samples of the three planes at the
-// anchor's neighbours (itself first), then its position prior (METHOD.md §4.3, §4.4). An invocation makes
-// one plane's samples at one neighbour, or the prior, of one anchor. A texel's place and fraction are integers of the
-// decoder's arithmetic, so training samples where the decoder does.
+// anchor's neighbours (itself first), then its position prior (METHOD.md §4.3, §4.4). An invocation
+// computes one plane's samples at one neighbour, or the prior, of one anchor. A texel's position and fraction are integers
+// of the decoder's arithmetic, so training samples exactly where the decoder does.
 #import tcgs::context::{PRIORS, corners, sample_weights}
 
 struct Sampling {

@@ -45,13 +45,13 @@ fn conv_up(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index)
         }
     }
     let at = convolution.first.w + index;
-    if convolution.ending.x == RELU {
+    if convolution.activation.x == RELU {
         sum = max(sum, 0.0);
     }
-    if convolution.ending.x == GATE {
-        sum = select(0.0, sum, gate[convolution.ending.y + index] > 0.0);
+    if convolution.activation.x == GATE {
+        sum = select(0.0, sum, gate[convolution.activation.y + index] > 0.0);
     }
-    if convolution.ending.x == ADD {
+    if convolution.activation.x == ADD {
         sum += results[at];
     }
     results[at] = sum;

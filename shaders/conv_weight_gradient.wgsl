@@ -1,5 +1,5 @@
-// The gradient of `conv_down` or `conv_up` by weights and bias: the one has the gradient on the coarse side and its input on
-// the fine one, the other the reverse. One parameter an invocation, summed over all places in order.
+// The gradient of `conv_down` or `conv_up` by weights and bias. `conv_down` has its gradient on the coarse side and its input
+// on the fine side, `conv_up` the reverse. One parameter an invocation, summed over all texels in order.
 
 struct Shape {
     // channels of the fine side, of the coarse side, edge of the coarse side, 1 if the bias is the fine side's

@@ -2,10 +2,10 @@
 // ReLU, or the gate of a ReLU (for the gradient with respect to a hidden layer). Column-major data; the weight of
 // (o, k) is parameters[weights + o * out_stride + k * in_stride].
 //
-// Reads are what a software adapter spends its time on, eight lanes at a time. So an invocation computes 32 outputs of
-// four columns, and with subgroups each lane reads one weight and the lanes share them by broadcast. Two inputs a
-// turn, because what a loop assigns is masked at every assignment. Sums are never indexed by a variable: that would
-// keep them in memory, and for a layer of few inputs the reading back cost as much as the sums.
+// Reads dominate on a software adapter, eight lanes at a time. So an invocation computes 32 outputs of four columns, and with
+// subgroups each lane reads one weight and the lanes share them by broadcast. Each iteration takes two inputs, because every
+// assignment in a loop is masked. Sums are never indexed by a variable: that would keep them in memory, and for a layer of
+// few inputs reading them back costs as much as the sums.
 
 struct Layer {
     // inputs, outputs, capacity, weights
@@ -138,7 +138,7 @@ fn dense(
     let strip = block / tiles;
     let first = (block - strip * tiles) * TILE;
     let count = list[0];
-    // Every invocation of a workgroup leaves here or none does.
+    // Uniform: either all invocations of a workgroup return here or none.
     if strip * 4u * LANES >= count {
         return;
     }
@@ -154,7 +154,7 @@ fn dense(
     var s6 = mat4x4f();
     var s7 = mat4x4f();
     for (var k = 0u; k < inputs; k += 2u) {
-        // An odd last input is its own neighbour, which then counts for nothing.
+        // An odd last input is paired with itself, with weight zero.
         let next = min(k + 1u, inputs - 1u);
         let x = values_at(read, k);
         let y = select(vec4f(0.0), values_at(read, next), next > k);

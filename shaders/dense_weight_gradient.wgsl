@@ -3,8 +3,8 @@
 // A workgroup computes a tile of 32 outputs by 16 inputs for one run; `sum_partials` adds the runs in order.
 //
 // Eight lanes in a row hold the tile, each the outputs o, o + 8, o + 16 and o + 24 by all sixteen inputs. They read the
-// inputs' values once, two a lane, and share them: reads are what a software adapter spends its time on. Where a
-// subgroup has more lanes, every further eight take other anchors of the run.
+// inputs' values once, two a lane, and share them, since reads dominate on a software adapter. Where a subgroup has more
+// lanes, every further eight process other anchors of the run.
 
 struct Layer {
     // inputs, outputs, capacity, weights
@@ -154,7 +154,7 @@ fn dense_weight_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_inv
     var s2 = mat4x4f();
     var s3 = mat4x4f();
     var bias = vec4f(0.0);
-    // The bound is the same for all lanes, since they share what they read; a column past the end counts for nothing.
+    // The bound is the same for all lanes, since they share what they read; a column past the end has weight zero.
     for (var i = begin; i < end; i += 2u * PHASES) {
         let at = i + (lane / 8u);
         let next = at + PHASES;

@@ -1,5 +1,5 @@
-// Writes one (tile, slot) pair for each tile that a visible Gaussian touches, nearest Gaussian first. Counts the passes that
-// had room for all pairs, up to the first that had not, and says what that one needs.
+// Writes one (tile, slot) pair for each tile that a visible Gaussian touches, nearest Gaussian first. Counts the passes
+// whose pairs all fitted, up to the first that overflowed, and records the capacity that one required.
 
 #import tcgs::view::{INTERSECTIONS, REQUIRED, COMPLETED, VISIBLE, View}
 #import tcgs::splat::{NONE, ridges_of, tile_bounds, touches_tile}
@@ -39,7 +39,7 @@ fn emit(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         let extent = vec2<f32>(conic.w, splats[3u * gaussian + 2u].w);
         var slot = starts[i];
         first_slots[gaussian] = slot;
-        // Exactly as many slots as were counted, even if this kernel rounds differently from the one that counted.
+        // Writes exactly as many slots as `project` counted, even if this kernel rounds differently.
         var next = all;
         if i + 1u < total {
             next = starts[i + 1u];

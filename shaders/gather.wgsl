@@ -1,4 +1,4 @@
-// Sums each Gaussian's slots in order. Rows of Gaussians that touch no tile are left as they are: nothing reads them.
+// Sums each Gaussian's slots in order. Rows of Gaussians that touch no tile are not written, and never read.
 
 #import tcgs::view::View
 

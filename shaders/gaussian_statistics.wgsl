@@ -1,6 +1,6 @@
-// Adds one view to the statistics that the growth of plain Gaussians goes by: a row is the sum of screen-gradient norms,
+// Adds one view to the statistics that decide the growth of plain Gaussians: a row is the sum of screen-gradient norms,
 // the count of views, and the largest radius on screen in pixels. Screen gradients are in half-image units: pixels
-// times half the width and height. A void step adds nothing.
+// times half the width and height. An overflowed pass adds nothing.
 #import tcgs::plain::View
 
 const ROW: u32 = 3u;
@@ -8,7 +8,7 @@ const ROW: u32 = 3u;
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> d_centers: array<vec4f>;
 @group(0) @binding(2) var<storage, read_write> statistics: array<f32>;
-// Not 0 in a step that has to be done again.
+// Not 0 once a forward pass has overflowed: the step is repeated.
 @group(0) @binding(3) var<storage, read> overflow_flag: array<u32>;
 
 @compute @workgroup_size(64)

@@ -1,10 +1,10 @@
-// Writes the gradients by the predicted adjustments of the sampled anchors: of half the squared differences from the steps
-// that were held.
+// Writes the gradients of half the squared differences between predicted adjustments and held steps, by the predictions of
+// the sampled anchors.
 
 struct Settings {
     // of features, scalings, offsets, unused
     weights: vec4f,
-    // rows of the three adjustments among the outputs, columns that outputs have room for
+    // rows of the three adjustments among the outputs, column capacity of the outputs
     rows: vec4u,
 }
 

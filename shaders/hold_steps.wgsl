@@ -1,10 +1,10 @@
-// Puts the steps that sampled anchors already have in the place of the adjustments that their networks predict, and keeps how
-// far the prediction was off: where attributes are frozen, rates are measured at their steps and nobody else's.
+// Replaces the adjustments that the networks predict for the sampled anchors by the anchors' own steps, and stores the
+// prediction errors: while attributes are frozen, rates are measured at the steps that the anchors have.
 
 struct Settings {
     // base steps of features, scalings, offsets, unused
     base: vec4f,
-    // rows of the three adjustments among the outputs, columns that outputs have room for
+    // rows of the three adjustments among the outputs, column capacity of the outputs
     rows: vec4u,
 }
 

@@ -1,6 +1,6 @@
 // The gradient of the image loss by each rendered sample: L1's sign, and SSIM's through the second half of the window's
 // adjoint, along rows (METHOD.md §2.4). The fourth component, the gradient by alpha, stays zero. Also each run's
-// share of L1 and of the squared error. A channel each invocation.
+// share of L1 and of the squared error. One channel an invocation.
 #import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, four, held, inside, places, run_of, runs, slide, total, unpack}
 
 @group(0) @binding(0) var<uniform> image: Image;
@@ -23,7 +23,7 @@ fn image_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
     var by_covariance = Tail();
     var absolute = vec4f(0.0);
     var squared = vec4f(0.0);
-    // So that the sums begin with the run, a whole number of strides before it.
+    // Starts a whole number of strides before the run, so that the sums are complete at its begin.
     for (var column = run.first + REACH - 3 * STRIDE; column < run.last + REACH; column += STRIDE) {
         let columns = four(column);
         let at = places(image, run.channel, held(columns, width)) + run.line * BLOCK;

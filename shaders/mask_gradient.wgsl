@@ -1,6 +1,6 @@
 // Adds the rendering loss's gradient by the mask logits of the visible anchors (METHOD.md §4.1). The mask multiplies
-// the opacity, so its gradient is the opacity's times the opacity; the step of the mask passes it on as if it were the
-// logistic of the logit. A masked offset was not rendered and gets none. Each anchor is visible once.
+// the opacity, so its gradient is the opacity's times the opacity; the binary mask passes it on straight-through, as the
+// logistic of the logit would. A masked offset was not rendered and has none. Each anchor is visible at most once.
 #import tcgs::model::{OFFSETS, logistic}
 
 @group(0) @binding(0) var<storage, read> list: array<u32>;

@@ -1,12 +1,12 @@
 // Adds the rate's gradient by the mask logits of the sampled anchors: the mask multiplies the bits of its offset's three
-// coordinates, and its step passes the gradient on as if it were the logistic of the logit. A masked offset
-// has no bits. Each anchor is sampled once.
+// coordinates, and passes the gradient on straight-through, as the logistic of the logit would. A masked offset has no bits.
+// Each anchor is sampled at most once.
 #import tcgs::model::{OFFSETS, logistic}
 
 struct Settings {
     // of a bit, unused, unused, unused
     weight: vec4f,
-    // columns that the bits have room for, unused, unused, unused
+    // column capacity of the bits, unused, unused, unused
     room: vec4u,
 }
 

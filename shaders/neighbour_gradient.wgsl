@@ -1,5 +1,5 @@
-// Gathers, for every anchor, the gradients by the plane samples at it: those of all sampled anchors that have it for a
-// neighbour, in the order of its list. Without atomics, so the same input gives the same bits.
+// Gathers, for every anchor, the gradients by the plane samples at it, from all sampled anchors that have it as a neighbour,
+// in the order of its list. Without atomics, so the same input gives the same bits.
 
 struct Shape {
     // anchors, plane samples of an anchor, columns of a row, unused
@@ -12,7 +12,7 @@ const NONE: u32 = 0xffffffffu;
 @group(0) @binding(0) var<uniform> shape: Shape;
 // Where each anchor's list begins, and where the last one ends.
 @group(0) @binding(1) var<storage, read> starts: array<u32>;
-// Of each that has it for a neighbour: four times its index, plus which neighbour.
+// Of each anchor that has it as a neighbour: four times its index, plus which neighbour.
 @group(0) @binding(2) var<storage, read> users: array<u32>;
 @group(0) @binding(3) var<storage, read> columns: array<u32>;
 @group(0) @binding(4) var<storage, read> d_input: array<f32>;

@@ -1,4 +1,4 @@
-// Gradients of the Gaussians from those of their projections; zero where culled. Rows beyond the count are left as they are.
+// Gradients of the Gaussians from those of their projections; zero where culled. Rows beyond the count are not written.
 
 #import tcgs::view::View
 #import tcgs::geometry::{quat_row, scale_row}
@@ -29,7 +29,7 @@ fn project_one_backward(i: u32) {
     let v_conic = v_splats[3u * i + 1u].xyz;
     let v_color = v_splats[3u * i + 2u];
 
-    // The projection again, as in the forward kernel.
+    // Recomputes the projection of the forward kernel.
     let t = vec3<f32>(dot(view.right, mean), dot(view.down, mean), dot(view.forward, mean));
     let inverse_norm = inverseSqrt(dot(raw, raw));
     let q = raw * inverse_norm;

@@ -1,8 +1,8 @@
 // Gradients of each (Gaussian, tile) intersection: one workgroup walks one tile's list front to back, eight Gaussians at
 // a time, and writes each intersection's sums once, so the result does not depend on scheduling.
 //
-// Lanes stand for pixels; a block of as many pixels as there are lanes is visited at a time and skipped if none of the
-// eight Gaussians reaches it. Each lane keeps eight private sums, which are added over the lanes once per eight Gaussians.
+// Each lane is a pixel; blocks of as many pixels as there are lanes are processed in turn and skipped if none of the eight
+// Gaussians reaches them. Each lane keeps eight private sums, which are added over the lanes once per eight Gaussians.
 //
 // With subgroups, a workgroup is one subgroup, or the first lanes of one that is wider.
 
@@ -28,7 +28,7 @@ const LANES: u32 = 16u;
 const CHUNK: u32 = 8u;
 const PIXELS: u32 = TILE * TILE;
 
-// State of every pixel of the tile between chunks; a lane meets only its own entries.
+// State of every pixel of the tile between chunks; a lane accesses only its own entries.
 var<workgroup> transmittances: array<f32, PIXELS>;
 var<workgroup> remainders: array<f32, PIXELS>;
 var<workgroup> lasts: array<u32, PIXELS>;
@@ -46,7 +46,7 @@ struct Pixel {
     weight: vec4<f32>,
     last: u32,
     transmittance: f32,
-    // What the Gaussians from here on and the background contribute to the loss's differential.
+    // Contribution of the remaining Gaussians and the background to the loss's differential.
     remainder: f32,
 }
 
@@ -78,8 +78,8 @@ fn fetch(stage: Stage, k: u32) -> Stage {
 }
 #endif
 
-// Lanes that take nothing have to be back with the others before the next shuffle, and nothing but the end of an `if` says
-// that they are. The return at the end is written, for naga would put it into the branches of a last `if`.
+// Lanes without work must reconverge with the others before the next shuffle, and only the end of an `if` guarantees that.
+// The final return is explicit, since naga would move it into the branches of a last `if`.
 fn visit(k: u32, mask: u32, base: u32, stage: Stage, pixel: ptr<function, Pixel>, gradient: ptr<function, Gradient>) {
     if (mask & (1u << k)) != 0u {
         let splat = fetch(stage, k);
@@ -300,7 +300,7 @@ fn raster_backward(
             store(slots[item], a, b, c);
         }
     }
-    // What no pixel reached has no gradient.
+    // Slots that reach no pixel have no gradient.
     let rest = (used + CHUNK - 1u) / CHUNK * CHUNK;
     for (var i = rest + lane; i < count; i += LANES) {
         store(slots[range.x + i], vec4<f32>(0.0), vec4<f32>(0.0), 0.0);

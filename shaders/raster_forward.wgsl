@@ -9,7 +9,7 @@
 @group(0) @binding(3) var<storage, read> splats: array<vec4<f32>>;
 // Colour over the background, and the transmittance that is left.
 @group(0) @binding(4) var<storage, read_write> image: array<vec4<f32>>;
-// One more than the place in the tile's list of the last Gaussian that the pixel took.
+// One more than the index in the tile's list of the last Gaussian that the pixel blended.
 @group(0) @binding(5) var<storage, read_write> last: array<u32>;
 
 struct Pixel {
@@ -20,8 +20,8 @@ struct Pixel {
     done: bool,
 }
 
-// Lanes that take nothing have to be back with the others before the next shuffle, and nothing but the end of an `if` says
-// that they are. The return at the end of functions is written, for naga would put it into the branches of a last `if`.
+// Lanes without work must reconverge with the others before the next shuffle, and only the end of an `if` guarantees that.
+// The final return of functions is explicit, since naga would move it into the branches of a last `if`.
 fn blend(pixel: ptr<function, Pixel>, place: vec3<f32>, conic: vec3<f32>, color: vec3<f32>, index: u32) {
     let power = power_at(conic, place.xy - (*pixel).center);
     let alpha = min(ALPHA_MAX, place.z * exp(-power));
@@ -44,8 +44,8 @@ const LANES: u32 = #{SUBGROUPS}u;
 #else
 const LANES: u32 = 64u;
 #endif
-// Invocations of a workgroup. Where subgroups may be wider than LANES, each workgroup is one subgroup's first lanes and does
-// its part of a tile.
+// Invocations of a workgroup. Where subgroups may be wider than LANES, each workgroup is the first lanes of one subgroup and
+// computes a part of a tile.
 #ifdef ONE_SUBGROUP
 const GROUP: u32 = LANES;
 #else
@@ -90,8 +90,8 @@ fn blend_if(
     return;
 }
 
-// Blends the Gaussians of a chunk that touch the block of pixels that the subgroup's pixels form. Written out, because
-// on a software adapter a lane that is a constant is read at no cost, and what a loop assigns is masked.
+// Blends the Gaussians of a chunk that touch the block of pixels that the subgroup's pixels form. Unrolled,
+// because on a software adapter reading a constant lane is free and assignments in a loop are masked.
 fn blend_chunk(
     pixel: ptr<function, Pixel>,
     place: vec4<f32>,
@@ -173,7 +173,7 @@ fn raster_forward(
     var pixel3 = start(position3);
     let range = ranges[tile];
 #ifdef SUBGROUPS
-    // Each lane fetches another Gaussian; those that touch a block of pixels are handed round.
+    // Each lane fetches another Gaussian; those that touch the block of pixels are broadcast.
     let low0 = subgroupMin(pixel0.center);
     let high0 = subgroupMax(pixel0.center);
     let low1 = subgroupMin(pixel1.center);

@@ -1,8 +1,8 @@
 // The rate of one attribute group of the sampled anchors: bits of each quantised value under the distribution that the
 // group's network predicts, with gradients by the network's outputs (stored) and by the rows (added to what is there).
-// Everything is counted in steps, so that a rounded value is its symbol.
+// Everything is in units of steps, so that a rounded value is its symbol.
 //
-// A sampled anchor is one invocation's alone. Numbers that are none cost nothing and teach nothing.
+// One sampled anchor an invocation. Values that are not finite have no bits and no gradient.
 #import tcgs::gaussian::symbol_bits
 #import tcgs::model::ROW
 #import tcgs::quantise::{Quantised, ROUNDED, quantise, quantise_scaling, scaling_of, stream_of, through_floor}
@@ -14,10 +14,10 @@ const LOG_TWO: f32 = 0.69314718;
 const FINEST: f32 = -3.5;
 const LAST: i32 = 63;
 
-// What an escape takes beside twice the logarithm of its distance, in bits.
+// Bits of an escape, beside twice the logarithm of its distance.
 const ESCAPE_BITS: f32 = 26.0;
 
-// A value's derivatives, counted in steps and octaves, go no further: one stray value must not drown all others.
+// Bound of a value's derivatives, in steps and octaves, so that one outlier cannot dominate.
 const STEEPEST: f32 = 1e4;
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -30,7 +30,7 @@ const STEEPEST: f32 = 1e4;
 @group(0) @binding(5) var<storage, read> d_log_steps: array<f32>;
 @group(0) @binding(6) var<storage, read_write> d_outputs: array<f32>;
 @group(0) @binding(7) var<storage, read_write> d_rows: array<f32>;
-// Column-major: what a file takes for the three groups, where values far out are escapes, then each offset's bits.
+// Column-major: bits in a file for the three groups, where outliers are escapes, then each offset's bits.
 @group(0) @binding(8) var<storage, read_write> bits: array<f32>;
 
 @compute @workgroup_size(64)
@@ -81,7 +81,7 @@ fn rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         }
         let symbol = quantised.value / width;
         if is_kept && adjusts && is_number(row_value) && is_number(symbol) && is_number(mean) && is_number(scale) {
-            // Octaves of steps, held to what the decoder has.
+            // Octaves of steps, clamped to the decoder's range.
             let bounded = clamp(scale - octaves, FINEST, FINEST + f32(LAST) * SPACING);
             var coded = bounded;
             var centre = mean;
@@ -97,7 +97,7 @@ fn rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
             let by_coded = clamp(found.z, -STEEPEST, STEEPEST);
             by_mean = -by_value / in_base;
             var by_adjustment = -LOG_TWO * by_value * (symbol - quantised.by_width - centre);
-            // Outside the bounds only what leads back inside.
+            // Outside the bounds, only gradients that lead back inside pass.
             if bounded == scale - octaves {
                 by_scale = by_coded;
                 by_adjustment -= by_coded;

@@ -1,7 +1,7 @@
-// The sampled anchors' steps of one attribute group as its network asks for them, counted from the group's base step. An
-// adjustment that is no number leaves the step as it was; a void step leaves all.
+// Sets the sampled anchors' quantisation steps of one attribute group to the base step times the network's adjustment. An
+// adjustment that is not finite leaves its step unchanged; an overflowed forward pass leaves all unchanged.
 //
-// A kernel of its own, because with the steps `rate` would bind more buffers than a WebGPU kernel may.
+// A separate kernel, because `rate` with the steps would bind more storage buffers than WebGPU allows.
 #import tcgs::rate::{Settings, adjustment_of}
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -9,7 +9,7 @@
 @group(0) @binding(1) var<storage, read> list: array<u32>;
 // Column-major; the group's last row is the adjustment.
 @group(0) @binding(2) var<storage, read> outputs: array<f32>;
-// Not 0 in a step that has to be done again.
+// Not 0 once a forward pass has overflowed: the step is repeated.
 @group(0) @binding(3) var<storage, read> overflow_flag: array<u32>;
 @group(0) @binding(4) var<storage, read_write> steps: array<f32>;
 

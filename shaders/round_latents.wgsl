@@ -1,5 +1,5 @@
-// Latents as they are stored: the nearest multiples of 1/16 with integers of at most 127 (their gradient passes as if
-// nothing were rounded). One value an invocation.
+// Latents as they are stored: the nearest multiples of 1/16 with integers of at most 127 (their gradient passes
+// straight-through). One value an invocation.
 
 struct Shape {
     // values, first value of the source, unused

@@ -1,5 +1,5 @@
-// The render networks as a file gives them back: each row's weights as multiples of the row's scale, which is the upper half
-// of an f32, each layer's biases as multiples of the layer's, a whole f32.
+// The render networks as decoded from a file: each row's weights as multiples of the row's scale, the upper half of an f32,
+// and each layer's biases as multiples of the layer's scale, a whole f32.
 
 struct Shape {
     // rows, unused, unused, unused

@@ -16,7 +16,7 @@ struct Row {
     levels: u32,
 }
 
-// Most binary places of a weight in a file.
+// Most fraction bits of a weight in a file.
 const MAX_FRACTION_BITS: i32 = 15;
 
 @group(0) @binding(0) var<uniform> shape: Shape;
@@ -24,7 +24,7 @@ const MAX_FRACTION_BITS: i32 = 15;
 @group(0) @binding(2) var<storage, read> source: array<f32>;
 @group(0) @binding(3) var<storage, read_write> results: array<f32>;
 
-// Exact, unlike exp2 on some devices; so are products with it, unlike quotients.
+// Exact, unlike exp2 on some devices; products with it are exact too, unlike quotients.
 fn power_of_two(exponent: i32) -> f32 {
     return bitcast<f32>(u32(127 + exponent) << 23u);
 }

@@ -1,5 +1,4 @@
-// Gives each Gaussian its depth in place of a colour: what the rasteriser blends of it is the depth that a pixel expects,
-// times the pixel's alpha.
+// Replaces each Gaussian's colour by its depth: the rasteriser then blends the expected depth times the pixel's alpha.
 
 struct Depths {
     // The third row of the world-to-camera rotation; w is the translation.

@@ -1,6 +1,6 @@
-// Plain Gaussians from their parameters: exponential of the log-scales, logistic of the opacity, and the colour that
-// spherical harmonics give towards the camera, no less than zero. What lies behind the near plane or is too transparent
-// to reach a pixel gets opacity zero, and its coefficients are not read.
+// Plain Gaussians from their parameters: exponential of the log-scales, logistic of the opacity, and the colour of the
+// spherical harmonics towards the camera, at least zero. Gaussians behind the near plane or too transparent to reach a pixel
+// get opacity zero, and their coefficients are not read.
 #import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::plain::{
     View, BASE, LOG_SCALE, QUAT, OPACITY, COLOR, DEGREE, ALPHA_MIN, SH_ZERO, bands_at, basis_of_one, basis_of_two,

@@ -1,5 +1,5 @@
-// Gradients of `shade_gaussians`: from the Gaussians back to their parameters. A colour moves with the direction too, so
-// its gradient reaches the mean; a channel that is held at zero passes nothing on. Culled Gaussians get zeros.
+// Gradients of `shade_gaussians`: from the Gaussians back to their parameters. A colour depends on the direction too, so
+// its gradient reaches the mean; a channel clamped at zero has no gradient. Culled Gaussians get zeros.
 #import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::plain::{
     View, BASE, LOG_SCALE, QUAT, OPACITY, COLOR, BAND_VALUES, DEGREE, SH_ZERO, bands_at, basis_of_one, basis_of_two,

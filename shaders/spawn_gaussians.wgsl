@@ -1,6 +1,6 @@
 // Turns the networks' outputs into the Gaussians of a view (METHOD.md §2.3): Gaussian `index * OFFSETS + k` is
-// offset k of the index-th visible anchor. An opacity that is not positive or comes of no number, a mask that is off, or a
-// place or size that is not finite makes no Gaussian.
+// offset k of the index-th visible anchor. There is none where the opacity is not positive or its output not finite, the
+// mask is off, or position or size is not finite.
 #import tcgs::anchor_view::View
 #import tcgs::finite::{below, each_below, finite}
 #import tcgs::geometry::{quat_row, scale_row}

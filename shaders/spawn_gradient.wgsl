@@ -1,6 +1,6 @@
 // Gradients of `spawn_gaussians`: from the Gaussians back to the networks' outputs, the offsets and the log-scalings,
-// with the volume regulariser (weight times the mean product of scales over living Gaussians) added on the way. The gradients
-// by the outputs take the outputs' place.
+// with the volume regulariser (weight times the mean product of scales over visible Gaussians) added. The gradients by the
+// outputs overwrite the outputs.
 #import tcgs::anchor_view::View
 #import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, COVARIANCE_OUT, COLOR_OUT, logistic}

@@ -1,6 +1,6 @@
 // Second half of SSIM's window, along columns; the SSIM map with its derivatives by E[x], E[x^2] and E[xy]; and of these the
 // first half of the window's adjoint, along the same column. The window is symmetric and zero-padded, so it is its own
-// adjoint. Also each run's share of SSIM. A channel each invocation.
+// adjoint. Also each run's partial SSIM. One channel an invocation.
 #import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, four, held, inside, places, run_of, slide, total}
 
 const LUMINANCE: f32 = 0.0001;
@@ -47,7 +47,7 @@ fn ssim_columns(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
     var by_variance = Tail();
     var by_covariance = Tail();
     var ssim = vec4f(0.0);
-    // The adjoint's windows reach REACH beyond the run, and those that they are of as far again: five strides before.
+    // The adjoint's windows reach REACH beyond the run, and their own windows as far again: five strides before it.
     for (var row = run.first - 2 * REACH; row < run.last + 2 * REACH; row += STRIDE) {
         let rows = four(row);
         let at = base + BLOCK * held(rows, height);

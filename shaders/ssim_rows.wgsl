@@ -1,5 +1,5 @@
-// First half of SSIM's window: along rows, the moments x, y, x^2 + y^2 and xy of render and photograph, of a channel each
-// invocation. The squares are needed only as their sum.
+// First half of SSIM's window: along rows, the moments x, y, x^2 + y^2 and xy of render and photograph, one channel
+// an invocation. The squares are needed only as their sum.
 #import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, four, held, inside, places, run_of, slide, unpack}
 
 @group(0) @binding(0) var<uniform> image: Image;
@@ -18,7 +18,7 @@ fn ssim_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_inde
     var ys = Tail();
     var squares = Tail();
     var products = Tail();
-    // So that the sums begin with the run, a whole number of strides before it.
+    // Starts a whole number of strides before the run, so that the sums are complete at its begin.
     for (var column = run.first + REACH - 3 * STRIDE; column < run.last + REACH; column += STRIDE) {
         let columns = four(column);
         let counts = inside(columns, width);
@@ -36,7 +36,7 @@ fn ssim_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_inde
         ));
         let centre = column - REACH;
         if centre >= run.first {
-            // Of the last four some may lie beyond the image, but not beyond their block.
+            // Some of the last four may lie beyond the image, but not beyond their block.
             let to = places(image, run.channel, vec4u(four(centre))) + run.line * BLOCK;
             moments[to.x] = sums[0];
             moments[to.y] = sums[1];

@@ -1,4 +1,4 @@
-// Tries out what kernels rely on where subgroups may be wider than a workgroup: that a workgroup of LANES invocations lies in
+// Verifies what kernels rely on where subgroups may be wider than a workgroup: that a workgroup of LANES invocations occupies
 // the first LANES lanes of one subgroup, in order.
 
 const LANES: u32 = #{LANES}u;

@@ -1,9 +1,9 @@
-// Adds up the bits of the sampled anchors, one workgroup a group, always in the same order.
+// Sums the bits of the sampled anchors, one workgroup an attribute group, in a fixed order.
 
 const LANES: u32 = 64u;
 
 struct Shape {
-    // columns that the bits have room for, unused, unused, unused
+    // column capacity of the bits, unused, unused, unused
     room: vec4u,
 }
 

@@ -1,4 +1,4 @@
-// Sums the shares of the losses in runs of 4096; the host adds the runs.
+// Sums the partial losses in runs of 4096; the host adds the runs.
 #import tcgs::ssim::Image
 
 const LANES: u32 = 64u;

@@ -1,12 +1,12 @@
-// The wavelet constraint: the weighted absolute bands of two Haar levels of render minus photograph, which is what the
-// bands differ by, since the transform is linear. Adds its gradient to the image's and writes each block's share of the loss,
-// after the shares of the other losses (TC-GS (6), METHOD.md §4.7). Both levels lie within blocks of 4 x 4 pixels:
-// one block an invocation. What lies outside the image is zero in both, so it differs by nothing and needs no gradient.
+// The wavelet constraint: the weighted absolute bands of two Haar levels of render minus photograph (the transform is linear,
+// so these are the differences of the bands). Adds its gradient to the image's and writes each block's partial loss after
+// those of the other losses (TC-GS (6), METHOD.md §4.7). Both levels lie within blocks of 4 x 4 pixels:
+// one block an invocation. Outside the image both are zero and need no gradient.
 
 struct Constraint {
     // width, height, blocks in a row, blocks
     size: vec4u,
-    // place of the first share of the loss, unused, unused, unused
+    // index of the first partial loss, unused, unused, unused
     places: vec4u,
     // weights of a sample of LH, HL and HH of the first level; the low band's place is 0
     fine: vec4f,

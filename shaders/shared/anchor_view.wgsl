@@ -6,7 +6,7 @@ struct View {
     row_x: vec4f,
     row_y: vec4f,
     row_z: vec4f,
-    // w is one over the unit that the networks are told distances in
+    // w is the reciprocal of the scene scale that the networks' distances are divided by
     center: vec4f,
     // fx, fy, cx, cy in pixels
     intrinsics: vec4f,

@@ -1,4 +1,4 @@
-// How kernels of the layers between planes and latents are told what to do.
+// The uniform of the convolutions between planes and latents.
 #define_import_path tcgs::convolution
 
 struct Convolution {
@@ -6,15 +6,15 @@ struct Convolution {
     shape: vec4u,
     // first weight, first bias or NONE, first value of the source, first result
     first: vec4u,
-    // how it ends, first value of the gate, unused
-    ending: vec4u,
+    // activation, first value of the gate, unused
+    activation: vec4u,
 }
 
 const NONE: u32 = 0xffffffffu;
 
-// What is below zero becomes zero.
+// max(x, 0).
 const RELU: u32 = 1u;
 // Zero where the gate is not above zero.
 const GATE: u32 = 2u;
-// Added to what is there.
+// Added to the previous value.
 const ADD: u32 = 3u;

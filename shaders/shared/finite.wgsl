@@ -1,8 +1,8 @@
 #define_import_path tcgs::finite
 
-// Tests for numbers that are none. They look at the bits, because a shader may be compiled as if there were no NaN and no
-// infinity: a comparison that only they fail may be compiled away (fast math on Metal). Without their sign, the bits of
-// floats order as the magnitudes do, infinity and then NaN last.
+// Tests for NaN and infinity by their bits. A shader may be compiled as if neither existed, and a comparison that only they
+// fail may be removed (fast math on Metal). Without the sign bit, the bits of floats order as their magnitudes, with infinity
+// and then NaN last.
 
 const NO_SIGN: u32 = 0x7fffffffu;
 const INFINITY: u32 = 0x7f800000u;

@@ -1,7 +1,7 @@
 #define_import_path tcgs::gaussian
 
-// Bits of a value that is coded in a bin of width `width` under a normal distribution, and their derivatives, in a form that
-// loses nothing in the tails (the table of errors is in src/train/context/rate.rs). The polynomials are the fits of
+// Bits of a value coded in a bin of width `width` under a normal distribution, and their derivatives, in a form that stays
+// accurate in the tails (the table of errors is in src/train/context/rate.rs). The polynomials are the fits of
 // tests/oracles/gaussian_fit.py.
 
 const INVERSE_ROOT_TWO: f32 = 0.70710678;
@@ -9,7 +9,7 @@ const INVERSE_LOG_TWO: f32 = 1.44269504;
 const INVERSE_ROOT_TWO_PI: f32 = 0.39894228;
 const ROOT_TWO_OVER_PI: f32 = 0.79788456;
 
-// Standard deviations from here on are one distance: their squares are still finite.
+// Distances in standard deviations are clamped here, so that their squares stay finite.
 const FAR: f32 = 1e15;
 
 // exp(x^2) erfc(x) for x >= 0; relative error of the fit 5.2e-8.

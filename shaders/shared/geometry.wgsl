@@ -1,8 +1,8 @@
 #define_import_path tcgs::geometry
 
-// The geometry of Gaussians, and its gradients, lie in one buffer of three sections of `capacity` rows each: position and
-// opacity; standard deviations along the axes, the fourth unused; the quaternion w, x, y, z. The row of the first is the
-// Gaussian's index.
+// Gaussians' geometry, and its gradients, lie in one buffer of three sections of `capacity` rows each: position and opacity;
+// standard deviations along the axes, the fourth unused; the quaternion w, x, y, z. A Gaussian's index is its row in the
+// first section.
 
 fn scale_row(capacity: u32, index: u32) -> u32 {
     return capacity + index;

@@ -11,10 +11,10 @@ const ROW: u32 = FEATURES + 6u + 3u * OFFSETS;
 const COVARIANCE_OUT: u32 = OFFSETS;
 const COLOR_OUT: u32 = 8u * OFFSETS;
 
-// Magnitudes from here on count as infinite: their products would be.
+// Larger magnitudes count as infinite, since their products overflow.
 const LIMIT: f32 = 1e30;
 
-// WGSL says nothing of tanh where its exponential overflows, and some devices give NaN there. From 10 on it is 1 in f32.
+// WGSL leaves tanh undefined where its exponential overflows, and some devices return NaN. From 10 on it is 1 in f32.
 fn tanh_bounded(x: f32) -> f32 {
     return tanh(clamp(x, -10.0, 10.0));
 }

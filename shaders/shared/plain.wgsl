@@ -12,7 +12,7 @@ const BAND_VALUES: vec3u = vec3u(9u, 15u, 21u);
 // Degree of spherical harmonics in use; bands above it are neither read nor written.
 const DEGREE: u32 = #{DEGREE}u;
 
-// Below this no pixel is reached.
+// Gaussians of lower opacity reach no pixel.
 const ALPHA_MIN: f32 = 1.0 / 255.0;
 
 // One view of the Gaussians.
@@ -69,7 +69,7 @@ fn basis_of_three(d: vec3f) -> array<f32, 7> {
     );
 }
 
-// Gradients by d, d free to leave the unit sphere, of the sums of the basis functions of one degree times weights.
+// Gradients of sum(weight * basis function) of one degree by d, which is not constrained to the unit sphere.
 fn slope_of_one(w: vec3f) -> vec3f {
     return SH_ONE * vec3f(-w.z, -w.x, w.y);
 }

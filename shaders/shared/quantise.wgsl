@@ -1,14 +1,14 @@
 #define_import_path tcgs::quantise
 
-// How training quantises rows. Scalings are quantised as they are, not as the logarithms that rows hold, and are at
-// least one step, as in a file.
+// Quantisation of rows in training. Scalings are quantised themselves, not the logarithms that rows hold, and are at least
+// one step, as in a file.
 
 // Noise with the base steps, noise with each anchor's steps, the nearest multiples of each anchor's steps.
 const FIXED_NOISE: u32 = 0u;
 const NOISE: u32 = 1u;
 const ROUNDED: u32 = 2u;
 
-// Logarithms beyond it are taken as it, so that every scaling is a normal number.
+// Log-scalings are clamped to this magnitude, so that every scaling is a normal number.
 const LARGEST_LOG: f32 = 80.0;
 
 struct Quantisation {
@@ -31,7 +31,7 @@ fn scramble(value: u32) -> u32 {
     return (word >> 22u) ^ word;
 }
 
-// Where an anchor's noise begins.
+// Start of an anchor's noise sequence.
 fn stream_of(key: u32, anchor: u32) -> u32 {
     return scramble(scramble(anchor) ^ key);
 }
@@ -64,7 +64,7 @@ fn quantise_scaling(phase: u32, stream: u32, column: u32, scaling: f32, width: f
     return result;
 }
 
-// What of a gradient by a quantised scaling reaches the scaling: nothing below one step, unless it asks for more.
+// The gradient by a scaling from that by its quantised value: below one step, only what increases the scaling passes.
 fn through_floor(scaling: f32, width: f32, gradient: f32) -> f32 {
     return select(gradient, min(gradient, 0.0), scaling < width);
 }

@@ -1,33 +1,33 @@
 #define_import_path tcgs::rate
 
-// What `rate` and `refresh_steps` share: their settings, and how a network's step adjustment is read.
+// Shared by `rate` and `refresh_steps`: their settings, and the decoding of a network's step adjustment.
 #import tcgs::finite::below
 #import tcgs::quantise::{Quantisation, ROUNDED}
 
-// Octaves by which a step may differ from its base step.
+// Largest |log2(step / base step)|.
 const STEP_OCTAVES: f32 = 3.5;
 
 // Octaves from one coded standard deviation, or step, to the next.
 const SPACING: f32 = 0.21875;
 
-// Values, means and logarithms from here on count as numbers that are none.
+// Values, means and logarithms of larger magnitude count as not finite.
 const LIMIT: f32 = 1e15;
 
 struct Settings {
     quantisation: Quantisation,
     // first column in a row, channels, place among the groups, first row of outputs
     group: vec4u,
-    // columns that the outputs have room for, that the bits have, unused, unused
+    // column capacity of the outputs, of the bits, unused, unused
     room: vec4u,
-    // of a bit, of rendering's gradient by a log step, unused, unused
+    // weight of a bit, of the rendering gradient by a log step, unused, unused
     weights: vec4f,
 }
 
 struct Adjustment {
-    // What the network says, and whether it is a number.
+    // The network's output, and whether it is finite.
     wanted: f32,
     is_number: bool,
-    // Octaves of base steps that the step is; when rounding, a multiple of the spacing.
+    // Base-2 logarithm of the step over the base step; when rounding, a multiple of the spacing.
     octaves: f32,
     // Which multiple; 0 if not rounding.
     index: i32,
@@ -37,7 +37,7 @@ fn is_number(value: f32) -> bool {
     return below(value, LIMIT);
 }
 
-// The multiple of the spacing that the decoder's integers make of octaves.
+// Octaves as a multiple of the spacing, in the decoder's integer arithmetic.
 fn spacings(octaves: f32) -> i32 {
     return (i32(floor(octaves * 256.0 + 0.5)) * 1170 + 32768) >> 16u;
 }

@@ -5,21 +5,21 @@
 // - conic: A, B, C with power = 0.5 (A dx^2 + C dy^2) + B dx dy (xyz), horizontal half extent in pixels (w);
 // - colour: red, green, blue (xyz), vertical half extent in pixels (w).
 
-// Stands for no Gaussian in lists.
+// Marks an empty list entry.
 const NONE: u32 = 0xffffffffu;
-// The place of no Gaussian: it touches nothing.
+// The place of an empty entry: it touches nothing.
 const NOWHERE: vec4<f32> = vec4<f32>(0.0, 0.0, 0.0, -1.0);
 const ALPHA_MIN: f32 = 1.0 / 255.0;
 const ALPHA_MAX: f32 = 0.99;
 const TRANSMITTANCE_MIN: f32 = 1e-4;
-// Added to the level by the tests against rectangles, so that rounding never loses a pixel.
+// Slack of the rectangle tests, so that rounding never drops a pixel.
 const LEVEL_SLACK: f32 = 0.01;
 
 fn power_at(conic: vec3<f32>, d: vec2<f32>) -> f32 {
     return 0.5 * (conic.x * d.x * d.x + conic.z * d.y * d.y) + conic.y * d.x * d.y;
 }
 
-// Where the power is least along a line: at x = ridges.x * y of a horizontal line, at y = ridges.y * x of a vertical one.
+// Where the power is smallest along a line: at x = ridges.x * y of a horizontal line, at y = ridges.y * x of a vertical one.
 fn ridges_of(conic: vec3<f32>) -> vec2<f32> {
     return -conic.y / conic.xz;
 }

@@ -6,20 +6,20 @@ const TAPS: array<f32, 6> = array<f32, 6>(
     0.0010283801, 0.0075987581, 0.0360007721, 0.1093606895, 0.2130055377, 0.2660117249,
 );
 
-// Pixels of a line that an invocation takes at a time.
+// Pixels of a line that an invocation processes at a time.
 const STRIDE: i32 = 4;
 
 // Columns in a block of a field.
 const BLOCK: u32 = 8u;
 
 struct Image {
-    // width, height, pixels in line that an invocation makes (a multiple of STRIDE), shares of the losses
+    // width, height, pixels in line per invocation (a multiple of STRIDE), partial losses
     size: vec4u,
     // weight of L1 a sample, weight of SSIM a sample, unused, unused
     weights: vec4f,
 }
 
-// The part of a line of one channel that an invocation makes: from `first` up to, not including, `last`.
+// The part of a line of one channel that an invocation computes: `first` up to, not including, `last`.
 struct Run {
     channel: u32,
     line: u32,
@@ -54,9 +54,8 @@ fn held(at: vec4i, length: u32) -> vec4u {
     return vec4u(clamp(at, vec4i(0), vec4i(i32(length) - 1)));
 }
 
-// Where a field keeps a sample of its row 0. Rows follow one another within blocks of columns, so that whoever walks along a
-// column walks along memory, and neighbouring columns are still neighbours. Rows are BLOCK apart, and as many as are a
-// multiple of STRIDE.
+// Address of a field's sample of row 0. Rows follow one another within blocks of columns, so that a walk along a column is
+// contiguous in memory and neighbouring columns stay close. Rows are BLOCK apart; their number is a multiple of STRIDE.
 fn places(image: Image, channel: u32, columns: vec4u) -> vec4u {
     let blocks = (image.size.x + BLOCK - 1u) / BLOCK;
     let rows = (image.size.y + 3u) / 4u * 4u;

@@ -21,8 +21,8 @@ struct View {
     intersection_capacity: u32,
 }
 
-// Elements of the rasteriser's counters: pairs that the first pass without room needs, or 0; passes before it; Gaussians that
-// touch a tile; pairs of the last pass.
+// Elements of the rasteriser's counters: pairs that the first overflowed pass required, or 0; passes completed before it;
+// Gaussians that touch a tile; pairs of the last pass.
 const REQUIRED: u32 = 0u;
 const COMPLETED: u32 = 1u;
 const VISIBLE: u32 = 2u;
@@ -31,8 +31,8 @@ const INTERSECTIONS: u32 = 3u;
 // Side of a tile in pixels.
 const TILE: u32 = 16u;
 
-// Pixel of the tile that an invocation index stands for, in Z order: any aligned power of two of indices is a
-// compact block, so the lanes of a subgroup sit close together.
+// Pixel of the tile for an invocation index, in Z order: any aligned power of two of indices is a compact block, so the
+// lanes of a subgroup cover nearby pixels.
 fn tile_pixel(index: u32) -> vec2<u32> {
     var bits = vec2<u32>(index, index >> 1u) & vec2<u32>(0x55u);
     bits = (bits | (bits >> vec2<u32>(1u))) & vec2<u32>(0x33u);
