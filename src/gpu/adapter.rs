@@ -1,4 +1,4 @@
-//! Which adapter to use, and what each one offers.
+//! Choice of the adapter, and what each one offers.
 
 use std::{fmt, str::FromStr};
 
@@ -9,12 +9,12 @@ use super::{GpuError, KernelVariant};
 /// Which adapter to open.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum AdapterChoice {
-    /// The best there is: discrete before integrated before virtual before software.
+    /// The best available: discrete before integrated before virtual before software.
     #[default]
     Auto,
     /// Mesa's software Vulkan.
     Lavapipe,
-    /// The first whose name contains this, ignoring case.
+    /// The best whose name contains this, ignoring case.
     Named(String),
 }
 
@@ -51,7 +51,7 @@ impl AdapterChoice {
     }
 }
 
-/// One adapter with what matters to this program.
+/// An adapter with the limits and features that this program uses.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct AdapterReport {
     /// The adapter's name.
@@ -99,7 +99,7 @@ impl AdapterReport {
     }
 }
 
-/// Storage buffers that a kernel may bind: what every device of WebGPU's default limits has, browsers among them.
+/// Storage buffers that a kernel may bind: WebGPU's default limit, which every device offers, browsers included.
 pub(super) const STORAGE_BUFFERS_NEEDED: u32 = 8;
 
 pub(super) fn describe(adapter: &wgpu::Adapter) -> AdapterReport {
@@ -129,14 +129,14 @@ pub(super) fn describe(adapter: &wgpu::Adapter) -> AdapterReport {
 pub(super) fn adapters() -> Vec<wgpu::Adapter> {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
         backends: wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12,
-        // Not by the kind of build: a validation layer that happens to be installed must not slow down tests.
+        // Not the default of debug builds: an installed validation layer would slow down tests.
         flags: wgpu::InstanceFlags::empty().with_env(),
         ..wgpu::InstanceDescriptor::new_without_display_handle()
     });
     pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()))
 }
 
-/// An adapter as far as a choice asks.
+/// What choosing an adapter looks at.
 struct ListedAdapter<T> {
     name: String,
     kind: wgpu::DeviceType,
@@ -144,7 +144,7 @@ struct ListedAdapter<T> {
     adapter: T,
 }
 
-/// Places on the list of adapters, best first.
+/// Position of a kind of adapter, best first.
 fn rank(kind: wgpu::DeviceType) -> u8 {
     match kind {
         wgpu::DeviceType::DiscreteGpu => 0,
@@ -155,7 +155,7 @@ fn rank(kind: wgpu::DeviceType) -> u8 {
     }
 }
 
-/// The best of the candidates that the choice accepts and this program can run on; among equals the first.
+/// The best usable adapter that the choice accepts; among equals the first.
 fn best<T>(choice: &AdapterChoice, mut candidates: Vec<ListedAdapter<T>>) -> Option<T> {
     candidates.sort_by_key(|candidate| rank(candidate.kind));
     let found = candidates.into_iter().find(|one| one.usable && choice.accepts(&one.name, one.kind));
@@ -233,7 +233,7 @@ mod tests {
             let hardware = [&gpus[..], &["Virtio"]].concat();
             assert_eq!(chosen("auto", &hardware, turned), Some("llvmpipe (LLVM 19)"));
             let all = [&hardware[..], &["llvmpipe (LLVM 19)"]].concat();
-            assert_eq!(chosen("auto", &all, turned), None, "what is neither is taken by name alone");
+            assert_eq!(chosen("auto", &all, turned), None, "what is neither is chosen by name alone");
             assert_eq!(chosen("a display", &[], turned), Some("a display"));
             assert_eq!(chosen("lavapipe", &[], turned), Some("llvmpipe (LLVM 19)"));
             assert_eq!(chosen("rtx 4080", &[], turned), Some("RTX 4080"));

@@ -1,7 +1,7 @@
-//! Where drivers keep the machine code that they made of kernels, so that the next process need not make it again.
+//! Folder of the drivers' shader cache, which saves the next process from compiling kernels again.
 //!
-//! Drivers do this by themselves, in the user's home. A service's user often has none, and then every process begins
-//! with what a cache would have saved: on Mesa's software adapter, nine tenths of the time to the first training step.
+//! By default drivers use the user's home. The user of a service often has none, and then every process compiles anew: on Mesa's
+//! software adapter, nine tenths of the time to the first training step.
 
 use std::{
     ffi::OsString,
@@ -9,11 +9,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Where Mesa's drivers look first, and where NVIDIA's does.
+/// Variables that name the cache folder of Mesa's drivers and of NVIDIA's.
 const VARIABLES: [&str; 2] = ["MESA_SHADER_CACHE_DIR", "__GL_SHADER_DISK_CACHE_PATH"];
 
-/// The environment that gives a child process's drivers a place in `folder`, if they have none of their own: no variable
-/// that names one, and no home to write to. `variable` reads this process's environment.
+/// Environment variables that point a child process's drivers to `folder`, if they have no cache of their own: no such variable,
+/// and no writable home. `variable` reads this process's environment.
 #[must_use]
 pub fn driver_cache(variable: &dyn Fn(&str) -> Option<OsString>, folder: &Path) -> Vec<(OsString, OsString)> {
     if home(variable).is_some_and(|home| can_write(&home)) {

@@ -1,4 +1,4 @@
-//! What can go wrong on the device.
+//! Errors of the device.
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use crate::domain::{Bytes, Problem};
 
-/// A fault of the device or of asking for one.
+/// An error of the device or of opening one.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum GpuError {
     /// No adapter matches.
@@ -16,7 +16,7 @@ pub enum GpuError {
     NoAdapter {
         /// The choice.
         wanted: String,
-        /// What there is.
+        /// Names of the adapters.
         available: String,
     },
     /// The adapter refused to open.
@@ -24,23 +24,23 @@ pub enum GpuError {
     Open {
         /// Its name.
         adapter: String,
-        /// The driver's words.
+        /// The driver's message.
         fault: String,
     },
     /// The device was lost; everything on it is gone.
     #[error("the device was lost: {0}")]
     DeviceLost(String),
-    /// The device did not finish in time what it was given; nothing more is asked of it.
+    /// The device did not finish in time and is not used any more.
     #[error(
         "the device did not answer within {} s; its driver may hang: choose another adapter with --adapter, or smaller images or \
          a smaller preset if it is just slow",
         waited.as_secs_f64()
     )]
     Timeout {
-        /// How long it was waited for.
+        /// How long the host waited.
         waited: Duration,
     },
-    /// The driver rejected a command: a fault of this program or of the driver.
+    /// The driver rejected a command: an error of this program or of the driver.
     #[error("the device rejected a command: {0}")]
     Rejected(String),
     /// A kernel does not compose or validate.
@@ -48,10 +48,10 @@ pub enum GpuError {
     Kernel {
         /// File name without extension.
         kernel: String,
-        /// The composer's or validator's words.
+        /// The composer's or validator's message.
         fault: String,
     },
-    /// A buffer would be larger than the adapter binds.
+    /// A buffer is larger than the adapter can bind.
     #[error("buffer '{label}' needs {bytes} bytes; this adapter binds at most {limit}")]
     BufferTooLarge {
         /// What the buffer is for.
@@ -61,16 +61,16 @@ pub enum GpuError {
         /// The adapter's limit.
         limit: u64,
     },
-    /// A buffer would take more than what is allowed on the device.
+    /// A buffer would exceed the memory budget of the device.
     #[error("buffer '{label}' needs {bytes}; {used} of the budget of {budget} on the device are in use")]
     OverBudget {
         /// What the buffer is for.
         label: String,
         /// Its size.
         bytes: Bytes,
-        /// What live buffers take.
+        /// Bytes of live buffers.
         used: Bytes,
-        /// What they may take.
+        /// Their limit.
         budget: Bytes,
     },
 }

@@ -1,7 +1,7 @@
 //! Counts the bytes of a device's live buffers and enforces its budget.
 //!
-//! What always holds: the sum of all live reservations is at most the budget at the time each of them was made. Drivers that work
-//! in main memory report no shortage; the process just ends. So the count is kept here.
+//! When a reservation is made, the sum of all live ones is at most the budget. The count is kept here because software drivers
+//! report no shortage of memory: the process is killed.
 
 use std::sync::{
     Arc,
@@ -11,7 +11,7 @@ use std::sync::{
 use super::GpuError;
 use crate::domain::Bytes;
 
-/// Bytes in use, the most that were, how often some were asked for, and the bound.
+/// Bytes in use, their peak, the number of reservations, and the budget.
 #[derive(Debug)]
 pub(super) struct Ledger {
     used: AtomicU64,

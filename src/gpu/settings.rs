@@ -1,17 +1,18 @@
-//! What of an open device can be set, and what it is by default.
+//! Settings of a device, and their defaults.
 
 use std::time::Duration;
 
 use super::{AdapterReport, KernelVariant, Subgroups};
 
-/// How long a GPU may take over what it was given at most. The host waits for a second's worth of steps or for a view, and
-/// drivers that watch their GPU reset it after 2 to 10 s.
+/// Longest wait for a GPU. The host waits for about a second of training steps or for a view, and drivers with a watchdog reset
+/// the GPU after 2 to 10 s.
 const HARDWARE_MAX_WAIT: Duration = Duration::from_secs(60);
 
-/// The same on a CPU, which does not hang but may be busy: a large view, the first run of all kernels, other programs.
+/// Longest wait for a software adapter, which does not hang but may be slow: a large view, the first run of all kernels, other
+/// programs.
 const SOFTWARE_MAX_WAIT: Duration = Duration::from_secs(1800);
 
-/// How a device is opened; whatever is `None` follows from the adapter.
+/// Settings of a device; `None` is the adapter's default.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DeviceSettings {
     /// How kernels divide their work.
@@ -25,7 +26,7 @@ pub struct DeviceSettings {
 }
 
 impl DeviceSettings {
-    /// The adapter as kernels are to see it.
+    /// The adapter as kernels see it.
     pub(super) fn apply(&self, mut adapter: AdapterReport) -> AdapterReport {
         adapter.variant = self.variant.unwrap_or(adapter.variant);
         let most = self.max_binding_bytes.unwrap_or(u64::MAX);

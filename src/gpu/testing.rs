@@ -1,10 +1,10 @@
-//! Devices for this crate's own tests.
+//! Devices for this crate's unit tests.
 
 use std::sync::Arc;
 
 use super::{AdapterChoice, Device};
 
-/// A device of its own on the adapter of `TCGS_ADAPTER`, lavapipe unless told.
+/// A separate device on the adapter of `TCGS_ADAPTER`, by default lavapipe.
 pub(crate) fn lavapipe() -> Arc<Device> {
     let choice = std::env::var("TCGS_ADAPTER").map_or(AdapterChoice::Lavapipe, |name| match name.parse() {
         Ok(choice) => choice,

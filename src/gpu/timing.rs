@@ -1,4 +1,4 @@
-//! Times of single dispatches, taken on the device.
+//! Times of single dispatches, measured on the device.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! The primitives on the CPU, written plainly: what the kernels must reproduce bit for bit.
+//! CPU twins of the primitives: the kernels must reproduce them bit for bit.
 
 /// Exclusive saturating prefix sums, and the total.
 #[must_use]
@@ -21,7 +21,7 @@ pub fn radix_sort(pairs: &[(u32, u32)], bits: u32) -> Vec<(u32, u32)> {
     sorted
 }
 
-/// What each invocation of `groups` workgroups of `lanes` finds where a workgroup lies in the first lanes of one subgroup: the
+/// Expected output of each invocation of `groups` workgroups of `lanes` that occupy the first lanes of one subgroup: the
 /// mirrored lane's index, the sum of all of the workgroup's indices, and the ballot of every third lane.
 #[must_use]
 pub fn subgroup_probe(lanes: u32, groups: u32) -> Vec<[u32; 4]> {

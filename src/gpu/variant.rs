@@ -1,12 +1,12 @@
 //! How kernels divide their work: for the few wide cores of a CPU or for the many lanes of a GPU.
 //!
-//! What always holds: the variants of a kernel compute the same, and integer kernels the same bits.
+//! The variants of a kernel compute the same results, integer kernels the same bits.
 
 /// How kernels divide their work among invocations. It follows the adapter unless
 /// [`DeviceSettings::variant`](super::DeviceSettings::variant) says otherwise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum KernelVariant {
-    /// Few lanes, and a price for each dispatch and barrier: long runs for each invocation, few dispatches.
+    /// Few lanes, costly dispatches and barriers: long runs for each invocation, few dispatches.
     Software,
     /// Many lanes: short runs for each of many invocations.
     Hardware,

@@ -1,6 +1,6 @@
-//! Depth on the device: Gaussians whose colour is their depth, which the rasteriser then blends as any colour.
+//! Depth on the device: Gaussians whose colour is their depth, blended by the rasteriser like any colour.
 //!
-//! So depth is seen through exactly the Gaussians, and with exactly the weights, that colour is.
+//! So depth uses exactly the Gaussians and weights of the colour image.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ struct DepthUniform {
     unused: [u32; 3],
 }
 
-/// Makes Gaussians of a view into ones that show their depth.
+/// Replaces the colours of a view's Gaussians by their depths.
 #[derive(Debug)]
 pub struct DepthShader {
     kernel: Arc<Kernel>,
@@ -40,8 +40,8 @@ impl DepthShader {
         })
     }
 
-    /// Records the making of Gaussians like `gaussians` whose red is their depth: the coordinate of their centre along the
-    /// camera's axis. Green and blue are 0.
+    /// Records `gaussians` with their depth as red: the coordinate of their centre along the camera's axis. Green and blue are
+    /// 0.
     ///
     /// # Errors
     /// Faults of the device.

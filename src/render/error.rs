@@ -1,4 +1,4 @@
-//! What can go wrong when rendering.
+//! Errors of rendering.
 
 use thiserror::Error;
 
@@ -7,19 +7,19 @@ use crate::{
     gpu::GpuError,
 };
 
-/// A fault of rendering.
+/// An error of rendering.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum RenderError {
-    /// A fault of the device.
+    /// An error of the device.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// A backward pass was asked for that does not follow a forward pass of the same camera and Gaussians.
+    /// A backward pass without a preceding forward pass of the same camera and Gaussians.
     #[error("the backward pass needs the forward pass of the same camera and capacity just before it")]
     OutOfStep,
-    /// What a view is compared with is gone.
+    /// The photograph of a view cannot be read.
     #[error(transparent)]
     Photograph(#[from] PhotographError),
-    /// A scene that this renderer cannot show.
+    /// A scene that this renderer does not support.
     #[error("the scene cannot be rendered: {0}")]
     Scene(String),
     /// A column is shorter than the capacity, or an image's length is not its width times its height.

@@ -1,7 +1,7 @@
 //! Gaussians on the device and their gradients: rows of four floats.
 //!
-//! A WebGPU kernel binds eight storage buffers, so what describes a Gaussian's geometry lies in one: three sections of as many
-//! rows as there is room for Gaussians (`shaders/shared/geometry.wgsl`).
+//! A WebGPU kernel may bind eight storage buffers, so the geometry of Gaussians is one buffer of three sections of `capacity` rows
+//! (`shaders/shared/geometry.wgsl`).
 
 use crate::gpu::{Buffer, Plan, planned};
 
@@ -11,12 +11,12 @@ pub const GEOMETRY_SECTIONS: usize = 3;
 /// Gaussians on the device; the first `count[0]` of `capacity` rows are candidates.
 #[derive(Debug, Clone)]
 pub struct Gaussians {
-    /// How many rows are used, in element 0; more than `capacity` reads as `capacity`.
+    /// Rows in use, in element 0; clamped to `capacity`.
     pub count: Buffer<u32>,
     /// Rows of the colours and of every section of the geometry.
     pub capacity: usize,
     /// `[3][capacity]`: world position, and opacity (linear; below 1/255 is culled); then standard deviations along the axes, in
-    /// world units, the fourth unused; then rotation w, x, y, z, of any length (one without length is culled).
+    /// world units, the fourth unused; then rotation w, x, y, z, of any length but zero (zero is culled).
     pub geometry: Buffer<[f32; 4]>,
     /// Red, green, blue as blended; the fourth is unused.
     pub colors: Buffer<[f32; 4]>,

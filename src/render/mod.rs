@@ -1,4 +1,4 @@
-//! Splatting: forward, backward, and the f64 CPU twin of every kernel; rendering of finished scenes by pose.
+//! Gaussian splatting: forward and backward passes, the f64 CPU twin of every kernel, and rendering of finished scenes.
 
 mod dense;
 mod depth;

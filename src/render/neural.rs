@@ -1,8 +1,8 @@
 //! Neural Gaussians on the device: from anchors and a camera to the Gaussians of a view, and their gradients back to the
 //! anchors' rows and the networks' parameters (METHOD.md §2.2, §2.3).
 //!
-//! Every anchor is visible at most once in a view and owns its rows, so gradients are stored, never added up
-//! concurrently: the same input gives the same bits.
+//! Every anchor is visible at most once in a view and owns its rows, so gradients are stored, never added concurrently, and the
+//! same input gives the same bits.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crate::{
     model::{AnchorRows, NetworkLayout, Shape},
 };
 
-/// More anchors than any adapter has room for; sums of their bytes stay far below what integers hold.
+/// More anchors than any adapter can hold; sums of their bytes stay far below the range of integers.
 const MAX_ANCHORS: usize = 1 << 36;
 
 /// The uniform that describes one view to the kernels; `shaders/shared/view.wgsl`.
@@ -139,7 +139,7 @@ struct Activations {
     list: Buffer<u32>,
     input: Buffer<f32>,
     hidden: Buffer<f32>,
-    /// What the networks say; after a backward pass, the gradients by that.
+    /// The networks' outputs; after a backward pass, the gradients by them.
     outputs: Buffer<f32>,
     alive: Buffer<u32>,
     gaussians: Gaussians,
@@ -180,7 +180,7 @@ impl Backward {
     }
 }
 
-/// Makes the Gaussians of views from anchors.
+/// Turns anchors into the Gaussians of a view.
 #[derive(Debug)]
 pub struct NeuralGaussians {
     device: Arc<Device>,
@@ -197,8 +197,8 @@ pub struct NeuralGaussians {
 }
 
 impl NeuralGaussians {
-    /// Prepares the kernels for a shape of model whose views begin at `near`, in world units, and whose networks are told
-    /// distances in `unit`.
+    /// Prepares the kernels for a model of this shape. Views begin at `near`, in world units; networks get distances in units of
+    /// `unit`.
     ///
     /// # Errors
     /// Faults of the device.
@@ -212,7 +212,7 @@ impl NeuralGaussians {
         Self::with_subgroups(device, shape, near, unit, subgroups)
     }
 
-    /// As [`NeuralGaussians::new`], with the kernels that need no subgroups: for adapters whose subgroups misbehave.
+    /// As [`NeuralGaussians::new`], with the kernels without subgroups, for adapters whose subgroups are broken.
     ///
     /// # Errors
     /// Faults of the device.
@@ -276,7 +276,7 @@ impl NeuralGaussians {
         most
     }
 
-    /// Rows of the buffers for views of `anchors` anchors: a quarter more, so that growth rarely makes new ones.
+    /// Capacity of the buffers for views of `anchors` anchors: a quarter more, so that growth rarely reallocates.
     #[must_use]
     pub fn capacity(anchors: usize) -> usize {
         anchors + anchors / 4
@@ -287,7 +287,7 @@ impl NeuralGaussians {
     pub fn bytes(shape: Shape, anchors: usize) -> u64 {
         let layout = NetworkLayout::new(shape);
         let capacity = Self::capacity(anchors);
-        // Columns are rounded up one by one, and each layer has its uniform.
+        // Buffer sizes are rounded up, and each layer has a uniform.
         const ROUNDING: u64 = 1024;
         view_plan().bytes()
             + Activations::plan(&layout, capacity).bytes()
@@ -295,7 +295,7 @@ impl NeuralGaussians {
             + ROUNDING
     }
 
-    /// What the networks are told distances in.
+    /// The unit of the networks' distances.
     #[must_use]
     pub fn unit(&self) -> DistanceUnit {
         self.unit
@@ -313,7 +313,7 @@ impl NeuralGaussians {
         &self.forward.list
     }
 
-    /// Where a loss's gradients by those Gaussians belong.
+    /// Buffers for a loss's gradients by those Gaussians.
     ///
     /// # Errors
     /// Faults of the device on first use.
@@ -344,7 +344,7 @@ impl NeuralGaussians {
         Ok((list, opacities.iter().map(|gaussian| gaussian[3]).collect()))
     }
 
-    /// Records the making of the view's Gaussians. `volume_weight` is the regulariser's weight in the backward pass.
+    /// Records the view's Gaussians. `volume_weight` is the regulariser's weight in the backward pass.
     ///
     /// # Errors
     /// Faults of the device, or a scene that is too large for it.
@@ -402,8 +402,8 @@ impl NeuralGaussians {
         Ok(())
     }
 
-    /// Records the gradients by rows and networks from those by the Gaussians of the last forward pass, which can be gone back
-    /// from once: gradients take the place of what the networks said.
+    /// Records the gradients by rows and networks from those by the Gaussians of the last forward pass. Once per forward pass,
+    /// since gradients overwrite the networks' outputs.
     ///
     /// # Errors
     /// [`RenderError::OutOfStep`] without a forward pass since the last backward pass; faults of the device.
@@ -460,8 +460,8 @@ impl NeuralGaussians {
         Ok(())
     }
 
-    /// Records the adding of the view to the growth statistics, `[N][2 K + 2]` (METHOD.md §2.6), unless `overflow_flag` is
-    /// set by then.
+    /// Records adding the view to the growth statistics, `[N][2 K + 2]` (METHOD.md §2.6); does nothing if `overflow_flag` is set
+    /// when it runs.
     ///
     /// # Errors
     /// [`RenderError::OutOfStep`] before a backward pass.

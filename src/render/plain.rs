@@ -1,7 +1,7 @@
 //! Plain Gaussians on the device: from parameters and a camera to the Gaussians of a view, and their gradients back.
 //!
-//! Every Gaussian owns its rows, so nothing is added up concurrently: the same input gives the same bits. Bands of
-//! spherical harmonics above the degree in use are neither read nor written.
+//! Every Gaussian owns its rows and nothing is added concurrently, so the same input gives the same bits. Bands of spherical
+//! harmonics above the degree in use are neither read nor written.
 
 use std::sync::Arc;
 
@@ -98,7 +98,7 @@ impl Kernels {
     }
 }
 
-/// Makes the Gaussians of views from plain rows.
+/// Turns the parameters of plain Gaussians into the Gaussians of a view.
 #[derive(Debug)]
 pub struct PlainGaussians {
     device: Arc<Device>,
@@ -112,7 +112,7 @@ pub struct PlainGaussians {
 }
 
 impl PlainGaussians {
-    /// Prepares the kernels; they begin at degree 0.
+    /// Prepares the kernels for degree 0.
     ///
     /// # Errors
     /// Faults of the device.
@@ -168,7 +168,7 @@ impl PlainGaussians {
         &self.gaussians
     }
 
-    /// Where a loss's gradients by those Gaussians belong.
+    /// Buffers for a loss's gradients by those Gaussians.
     ///
     /// # Errors
     /// Faults of the device on first use.
@@ -180,7 +180,7 @@ impl PlainGaussians {
         self.gradients.as_ref().ok_or(RenderError::OutOfStep)
     }
 
-    /// Records the making of the Gaussians that `camera` sees.
+    /// Records the Gaussians of the view from `camera`.
     ///
     /// # Errors
     /// Faults of the device, or a scene that is too large for it.
@@ -213,7 +213,7 @@ impl PlainGaussians {
     /// Records the gradients by the rows from those by the Gaussians of the last forward pass.
     ///
     /// # Errors
-    /// [`RenderError::OutOfStep`] before [`PlainGaussians::gaussian_gradients`] was asked for.
+    /// [`RenderError::OutOfStep`] before [`PlainGaussians::gaussian_gradients`].
     pub fn backward(
         &self,
         recorder: &mut Recorder<'_>,
@@ -240,7 +240,7 @@ impl PlainGaussians {
         Ok(())
     }
 
-    /// Records the adding of the view to the growth statistics, `[N][3]`, unless `overflow_flag` is set by then.
+    /// Records adding the view to the growth statistics, `[N][3]`; does nothing if `overflow_flag` is set when it runs.
     ///
     /// # Errors
     /// [`RenderError::OutOfStep`] before a backward pass.

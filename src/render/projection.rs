@@ -1,4 +1,4 @@
-//! What a projection needs of a camera and of the settings, in f64 for the twins and packed for the kernels.
+//! The projection of a camera and the rasteriser's settings, in f64 for the twins and packed for the kernels.
 
 use glam::{DMat3, DVec2, DVec3, UVec2};
 
@@ -12,7 +12,7 @@ pub const TILE: u32 = 16;
 pub struct RasterSettings {
     /// Gaussians whose centre is at this depth or nearer are culled, in world units.
     pub near: f32,
-    /// Whether opacities are lowered by what the low-pass filter adds to the footprint.
+    /// Whether opacities compensate for the area that the low-pass filter adds (Mip-Splatting).
     pub antialiased: bool,
     /// Variance added to both axes of the projected covariance, in square pixels.
     pub low_pass: f32,
@@ -62,7 +62,7 @@ impl Projection {
         }
     }
 
-    /// Bounds of x/z and y/z inside the Jacobian: the image's edges and three tenths of its half width beyond
+    /// Bounds of x/z and y/z inside the Jacobian: the image's edges with a margin of three tenths of half its width
     /// (METHOD.md §3.1).
     #[must_use]
     pub fn slopes(&self) -> (DVec2, DVec2) {

@@ -1,12 +1,12 @@
 //! The rasteriser: from Gaussians and a camera to an image, and back to gradients.
 //!
-//! What always holds: nothing is read back while recording; everything that depends on a count found on the device is
-//! bounded by that count there; the same input gives the same bits on one adapter, because every sum has a fixed order.
+//! Invariants: nothing is read back while recording; counts found on the device bound all work there; on one adapter the same
+//! input gives the same bits, because every sum has a fixed order.
 //!
 //! Forward: `project` culls and counts tiles, `compact` lists the visible, a stable sort orders them by depth, `emit`
 //! writes one (tile, slot) pair for each tile that a Gaussian touches, a stable sort groups them by tile, `tile_ranges`
-//! finds the lists, `raster_forward` blends them. Backward: `raster_backward` writes one sum for each slot, `gather` adds
-//! the slots of each Gaussian, `project_backward` carries the sums through the projection.
+//! finds the tiles' lists, `raster_forward` blends them. Backward: `raster_backward` writes one gradient for each slot, `gather`
+//! sums the slots of each Gaussian, `project_backward` differentiates the projection.
 
 use std::sync::Arc;
 
@@ -29,10 +29,10 @@ const VISIBLE: u32 = 2;
 const INTERSECTIONS: u32 = 3;
 const COUNTERS: usize = 4;
 
-/// Bits of a depth that order it. Depths are positive floats: their bits order as integers, and the sign is always clear.
+/// Bits of the depth keys. Depths are positive floats: their bits order as integers, and the sign bit is clear.
 const DEPTH_BITS: u32 = 31;
 
-/// Rows of four floats of a Gaussian as projected: place, conic, colour.
+/// Rows of four floats of a projected Gaussian: place, conic, colour.
 const SPLAT_ROWS: usize = 3;
 
 /// Lanes of a tile, four pixels each.
@@ -41,23 +41,23 @@ const TILE_LANES: u32 = TILE * TILE / 4;
 /// Floats of each slot of the backward pass: centre 2, opacity, conic 3, colour 3.
 const SLOT_FLOATS: usize = 9;
 
-/// What the last forward pass met.
+/// Counts of the last forward pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RasterCounts {
     /// Gaussians that touch a tile.
     pub visible: u32,
-    /// Pairs of Gaussian and tile, counted on even where there was no room for them.
+    /// Pairs of Gaussian and tile, including those beyond the capacity.
     pub intersections: u32,
-    /// Whether there was no room for some of them: the image lacks them; grow and render again.
+    /// Whether they exceed the capacity: the image is incomplete; grow and render again.
     pub overflowed: bool,
 }
 
-/// What became of forward passes that nobody waited for.
+/// Outcome of the forward passes since the last query.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ForwardPasses {
-    /// ForwardPasses with room for all their intersections, up to the first without.
+    /// Passes whose intersections all fitted, up to the first that overflowed.
     pub completed: u32,
-    /// Intersections that the first pass without room needs. That pass and all after it are void.
+    /// Capacity that the first overflowed pass requires, if there is one. That pass and all after it have no effect.
     pub required: Option<usize>,
 }
 
@@ -78,7 +78,7 @@ struct Kernels {
 
 impl Kernels {
     fn new(device: &Device, subgroups: Subgroups) -> Result<Self, GpuError> {
-        // A subgroup that may be wider than the lanes that are counted on has to be a workgroup of its own.
+        // Where subgroups may be wider than their smallest size, each workgroup is one subgroup.
         let narrow = match subgroups {
             Subgroups::AtLeast(lanes) => Some(lanes),
             Subgroups::Exactly(_) | Subgroups::Unused => None,
@@ -174,7 +174,7 @@ impl PerIntersection {
     }
 }
 
-/// Buffers with a row for each pixel or tile of the last view; those of smaller images have room to spare.
+/// Buffers with a row for each pixel or tile of the last view; smaller images use a part of them.
 #[derive(Debug)]
 struct PerImage {
     tiles: u32,
@@ -199,7 +199,7 @@ impl PerImage {
 
 /// Renders Gaussians and differentiates the rendering.
 ///
-/// Its buffers are kept from call to call, so one forward pass (and the backward pass that follows) is alive at a time.
+/// Its buffers are reused, so only the last forward pass can be read or differentiated.
 #[derive(Debug)]
 pub struct Rasterizer {
     device: Arc<Device>,
@@ -216,7 +216,7 @@ pub struct Rasterizer {
 }
 
 impl Rasterizer {
-    /// Prepares the kernels; buffers come with the first forward pass.
+    /// Prepares the kernels; buffers are made by the first forward pass.
     ///
     /// # Errors
     /// Faults of the device.
@@ -225,7 +225,7 @@ impl Rasterizer {
         Self::with_subgroups(device, settings, subgroups)
     }
 
-    /// As [`Rasterizer::new`], with the kernels that need no subgroups: for adapters whose subgroups misbehave.
+    /// As [`Rasterizer::new`], with the kernels without subgroups, for adapters whose subgroups are broken.
     ///
     /// # Errors
     /// Faults of the device.
@@ -274,8 +274,7 @@ impl Rasterizer {
         PerGaussian::plan(adapter, gaussians).largest_bytes()
     }
 
-    /// Pairs that there is room for before any view was seen to need more: enough for most scenes, and no more than the
-    /// backward pass can bind.
+    /// Initial capacity for pairs: enough for most scenes, and no more than the backward pass can bind.
     #[must_use]
     pub fn default_intersections(adapter: &AdapterReport, gaussians: usize) -> usize {
         (2 * gaussians).min(Self::max_bindable_intersections(adapter)).max(1 << 14)
@@ -317,7 +316,7 @@ impl Rasterizer {
         &self.image.image
     }
 
-    /// Reads back what the last submitted forward pass met. Waits for the device.
+    /// Reads back the counts of the last submitted forward pass. Waits for the device.
     ///
     /// # Errors
     /// Faults of the device.
@@ -331,10 +330,10 @@ impl Rasterizer {
         })
     }
 
-    /// Makes room for what `counts` met, and some more; record the forward pass again afterwards.
+    /// Grows to the capacity that `counts` require, and a quarter more; record the forward pass again afterwards.
     ///
     /// # Errors
-    /// [`GpuError::BufferTooLarge`] where the adapter has no room; faults of the device.
+    /// [`GpuError::BufferTooLarge`] beyond the adapter's limits; faults of the device.
     pub fn grow(&mut self, counts: &RasterCounts) -> Result<(), RenderError> {
         if counts.overflowed {
             self.reserve(counts.intersections as usize)?;
@@ -342,7 +341,7 @@ impl Rasterizer {
         Ok(())
     }
 
-    /// Makes room for `wanted` intersections, and some more.
+    /// Grows to a capacity of `wanted` intersections, and a quarter more.
     ///
     /// # Errors
     /// As [`Rasterizer::grow`].
@@ -355,20 +354,20 @@ impl Rasterizer {
         Ok(())
     }
 
-    /// Begins with room for `intersections`, whatever scenes usually take; for tests of running out of it.
+    /// Sets the initial capacity for intersections, to test overflow.
     pub fn set_initial_capacity(&mut self, intersections: usize) {
         self.initial_capacity = Some(intersections);
     }
 
-    /// Not zero on the device from the first forward pass that lacks room until [`Rasterizer::take_forward_passes`] is asked: what
-    /// comes of such passes must change nothing that lasts.
+    /// Not zero on the device from the first forward pass that overflows until [`Rasterizer::take_forward_passes`]. While it is
+    /// set, kernels must not change any state that outlasts the step.
     #[must_use]
     pub fn overflow_flag(&self) -> &Buffer<u32> {
         &self.counters
     }
 
-    /// What became of the forward passes since this was last asked. Waits for the device. Where one lacked room: make it,
-    /// and record that one and those after it again.
+    /// Returns the outcome of the forward passes since the last call, and resets it. Waits for the device. After an overflow, call
+    /// [`Rasterizer::reserve`] and record that pass and those after it again.
     ///
     /// # Errors
     /// Faults of the device.
@@ -459,7 +458,7 @@ impl Rasterizer {
         Ok(())
     }
 
-    /// Makes the buffers fit; those that already do are kept.
+    /// Makes the buffers for these sizes; those with enough memory are kept.
     fn fit(&mut self, capacity: usize, projection: &Projection) -> Result<(), GpuError> {
         let adapter = self.device.adapter();
         if self.gaussians.capacity != capacity {
@@ -587,7 +586,7 @@ impl Rasterizer {
     }
 }
 
-/// A quarter more than is wanted, so that growing is rare; but what is to spare must not be what does not fit.
+/// A quarter more than is wanted, so that growing is rare, but not so much more that only the spare part cannot be bound.
 fn grown_capacity(wanted: usize, bindable: usize) -> usize {
     (wanted + wanted / 4).min(bindable.max(wanted))
 }

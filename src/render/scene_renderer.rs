@@ -17,7 +17,7 @@ use crate::{
     model::{AnchorRows, GaussianRows, NetworkLayout, Shape},
 };
 
-/// Raised with every change that renders the same view to other bits.
+/// Incremented with every change that alters the bits of a view.
 const VERSION: u32 = 1;
 
 /// Scenes that a [`SceneViewer`] keeps on the device.
@@ -34,7 +34,7 @@ pub struct SceneRenderer {
     near: NearPlane,
 }
 
-/// What a view's Gaussians are made from.
+/// The parameters of the scene on the device.
 #[derive(Debug)]
 enum SceneBuffers {
     Anchors { anchors: DeviceAnchors, neural: Box<NeuralGaussians> },
@@ -42,7 +42,7 @@ enum SceneBuffers {
 }
 
 impl SceneBuffers {
-    /// Records the making of the Gaussians that `camera` sees.
+    /// Records the Gaussians of the view from `camera`.
     fn forward(&mut self, recorder: &mut Recorder<'_>, camera: &Camera) -> Result<&Gaussians, RenderError> {
         match self {
             SceneBuffers::Anchors { anchors, neural } => {
@@ -116,7 +116,7 @@ impl SceneRenderer {
         Ok(Self { source, raster, depth: None, background, near, device: Arc::clone(device) })
     }
 
-    /// Shows another scene of the same shape, near plane and distance unit from now on; the buffers of rendering are kept.
+    /// Replaces the scene by another of the same shape, near plane and distance unit; rendering buffers are kept.
     ///
     /// # Errors
     /// [`RenderError::Scene`] for networks that this renderer does not know or another shape; faults of the device.
@@ -130,8 +130,7 @@ impl SceneRenderer {
                 Ok(())
             }
             SceneBuffers::Anchors { .. } | SceneBuffers::Gaussians { .. } => {
-                let fault =
-                    "its widths, its near plane or its distance unit are not those of the scene before it";
+                let fault = "its widths, near plane or distance unit differ from those of the previous scene";
                 Err(RenderError::Scene(fault.to_owned()))
             }
         }
@@ -204,7 +203,7 @@ fn upload(device: &Device, scene: &AnchorScene) -> Result<DeviceAnchors, RenderE
     DeviceAnchors::upload(device, &rows, &networks)
 }
 
-/// Renders views of many scenes; keeps the latest used on the device, which is opened again after it was lost or hung.
+/// Renders views of many scenes. Keeps the most recently used on the device, and reopens the device after it was lost or hung.
 #[derive(Debug)]
 pub struct SceneViewer {
     choice: AdapterChoice,
@@ -221,7 +220,7 @@ struct ViewerState {
 }
 
 impl SceneViewer {
-    /// Opens the adapter of choice, without a bound on what its buffers take.
+    /// Opens the adapter of choice, without a limit on its buffers.
     ///
     /// # Errors
     /// [`GpuError::NoAdapter`] or [`GpuError::Open`].
@@ -229,8 +228,8 @@ impl SceneViewer {
         Self::within(choice, u64::MAX)
     }
 
-    /// As [`SceneViewer::open`]; buffers take at most `budget` bytes. Scenes used before make room for the one that is
-    /// asked for, and one for which all of it is not enough is refused as [`GpuError::OverBudget`].
+    /// As [`SceneViewer::open`], with at most `budget` bytes of buffers. Least recently used scenes are evicted; a scene that
+    /// exceeds the whole budget is refused as [`GpuError::OverBudget`].
     ///
     /// # Errors
     /// As [`SceneViewer::open`].
@@ -246,18 +245,18 @@ impl SceneViewer {
         self.lock().device.adapter_line()
     }
 
-    /// The most that buffers ever took on the device that is open, in bytes.
+    /// Peak bytes of buffers on the open device.
     #[must_use]
     pub fn peak_bytes(&self) -> u64 {
         self.lock().device.peak_bytes()
     }
 
-    /// Loses the device, as a driver reset would; for tests of the recovery.
+    /// Destroys the device as a driver reset would, to test recovery.
     pub fn destroy_device(&self) {
         self.lock().device.destroy();
     }
 
-    /// Lets the device have no time at all, as if it hung; for tests of the recovery.
+    /// Makes the device count as hung, to test recovery.
     pub fn hang_device(&self) {
         self.lock().device.set_max_wait(Duration::ZERO);
     }
@@ -277,12 +276,12 @@ impl SceneViewer {
             *state = ViewerState::open(&self.choice, self.budget)?;
         }
         match state.draw(artifact, load, draw) {
-            // A loss may become known only by the commands that fail for it, and those can be given again. Commands that made
-            // the device hang would do so again, and others wait: the next view opens it.
+            // A loss may show only in the commands that it makes fail, and those can be repeated. Commands that hung the device
+            // would hang it again while others wait, so only the next view reopens it.
             Err(fault)
                 if matches!(state.device.check(), Err(GpuError::DeviceLost(_) | GpuError::Rejected(_))) =>
             {
-                tracing::warn!("opening the device again: {fault}");
+                tracing::warn!("reopening the device: {fault}");
                 *state = ViewerState::open(&self.choice, self.budget)?;
                 state.draw(artifact, load, draw)
             }
@@ -316,7 +315,7 @@ impl RenderViews for SceneViewer {
     }
 }
 
-/// What is done with a scene's renderer.
+/// A view rendered with a scene's renderer.
 type RenderFn<'a, T> = &'a dyn Fn(&mut SceneRenderer) -> Result<T, RenderError>;
 
 impl ViewerState {
@@ -354,7 +353,7 @@ impl ViewerState {
                     self.kept.truncate(SCENES_KEPT);
                     return Ok(drawn);
                 }
-                // What was used longest ago goes first, and then what a view before this one made the buffers grow to.
+                // Evict the least recently used scene first, then the grown buffers of this one.
                 Err(RenderError::Gpu(GpuError::OverBudget { .. }))
                     if self.kept.pop().is_some() || loaded.is_none() =>
                 {

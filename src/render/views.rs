@@ -1,23 +1,23 @@
-//! Rendering of finished scenes by camera, as the HTTP layer and the command line ask for it.
+//! The interface by which the HTTP layer and the command line render finished scenes.
 
 use crate::domain::{Background, Camera, Digest, Image, Problem, Scene};
 
-/// A scene with the background that it was trained on.
+/// A scene and the background that it was trained on.
 #[derive(Debug, Clone)]
 pub struct Viewable {
     /// The decoded scene.
     pub scene: Scene,
-    /// What is behind it.
+    /// The background.
     pub background: Background,
 }
 
-/// What a [`ScalarImage`] tells of each pixel.
+/// What the numbers of a [`ScalarImage`] are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum ScalarKind {
-    /// The depth that the pixel expects: the mean, over the Gaussians that it shows and weighted as it shows them, of their
-    /// centres' coordinate along the camera's axis, in world units. 0 where alpha is below [`MIN_VISIBLE_ALPHA`].
+    /// Expected depth: the mean of the Gaussians' depths (of their centres, along the camera's axis, in world units), with their
+    /// blending weights. 0 where alpha is below [`MIN_VISIBLE_ALPHA`].
     Depth,
-    /// How much of the background is covered, from 0 to 1.
+    /// Opacity of the pixel, from 0 to 1.
     Alpha,
 }
 
@@ -39,13 +39,13 @@ pub struct ScalarImage {
 ///
 /// Calls block; an asynchronous caller uses a blocking task.
 pub trait RenderViews: Send + Sync + 'static {
-    /// What decides, beside scene and camera, on every bit of a view: the renderer's version, adapter and driver.
+    /// Everything beside scene and camera that determines the bits of a view: the renderer's version, adapter and driver.
     fn identity(&self) -> String;
 
-    /// The view of the scene of the file `artifact` from `camera`; `load` is called if the scene is not at hand.
+    /// The view of the scene of the file `artifact` from `camera`; `load` is called if the scene is not cached.
     ///
     /// # Errors
-    /// Whatever `load` refuses, or a problem of its own when the adapter fails.
+    /// Problems of `load`, or of the adapter.
     fn render(
         &self,
         artifact: Digest,
@@ -53,7 +53,7 @@ pub trait RenderViews: Send + Sync + 'static {
         camera: &Camera,
     ) -> Result<Image, Problem>;
 
-    /// As [`RenderViews::render`], of one number a pixel instead of colours.
+    /// As [`RenderViews::render`], one number a pixel instead of colours.
     ///
     /// # Errors
     /// As [`RenderViews::render`].

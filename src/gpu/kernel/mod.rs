@@ -56,11 +56,11 @@ pub struct Kernel {
     pub name: &'static str,
 }
 
-/// A composer that knows the shared files; needs no device. Reading them anew for each kernel is most of what making a
-/// kernel costs, so a device has one for all of its kernels.
+/// A composer with the shared files; needs no device. Parsing them is most of the cost of a kernel, so a device has one composer
+/// for all of its kernels.
 ///
 /// # Errors
-/// [`GpuError::Kernel`] with the composer's words.
+/// [`GpuError::Kernel`] with the composer's message.
 pub(super) fn composer() -> Result<Composer, GpuError> {
     let mut composer = Composer::default().with_capabilities(wgpu::naga::valid::Capabilities::all());
     for (path, text) in SHARED {
@@ -85,7 +85,7 @@ pub(super) fn composer() -> Result<Composer, GpuError> {
 /// Composes a kernel and validates it; needs no device.
 ///
 /// # Errors
-/// [`GpuError::Kernel`] with the composer's or validator's words.
+/// [`GpuError::Kernel`] with the composer's or validator's message.
 pub(super) fn compose(
     composer: &mut Composer,
     source: KernelSource,

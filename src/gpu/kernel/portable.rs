@@ -1,4 +1,4 @@
-//! What kernels may take for granted of a device: nothing that Metal, Direct3D, Vulkan or a browser lacks.
+//! Tests that kernels run on every back end: Metal, Direct3D, Vulkan and browsers.
 
 use std::{
     fs,
@@ -17,7 +17,7 @@ use super::{
 };
 use crate::gpu::adapter::STORAGE_BUFFERS_NEEDED;
 
-/// Calls `check` with every kernel in every variant, and fails with all the faults that it finds.
+/// Calls `check` with every kernel in every variant, and fails with all errors found.
 fn each_kernel(mut check: impl FnMut(&str, &[(&str, u32)], &Module) -> Result<(), String>) {
     let mut composer = composer().expect("the shared files");
     let mut faults = Vec::new();
@@ -95,9 +95,9 @@ fn returns_early(block: &Block, is_nested: bool) -> bool {
     })
 }
 
-/// Lanes that leave a function early need not be back before the next operation of their subgroup: wgpu does not ask
-/// drivers for maximal reconvergence. They are where two branches of an `if` meet. Where an `if` is a function's last statement,
-/// naga ends both branches with a return.
+/// Lanes that return early need not reconverge before the next subgroup operation, since wgpu does not ask drivers for maximal
+/// reconvergence; lanes do reconverge at the end of an `if`. Where an `if` is a function's last statement, naga ends both
+/// branches with a return.
 #[test]
 fn no_function_of_a_kernel_with_subgroups_returns_early() {
     let mut seen = 0;
@@ -175,8 +175,8 @@ fn magnitude_guards(code: &str) -> Vec<String> {
     found
 }
 
-/// Compilers may assume that there is no NaN and no infinity, and then drop what only they fail: `shared/finite.wgsl` looks at
-/// the bits instead.
+/// Compilers may assume that there is no NaN and no infinity, and remove comparisons that only those fail: `shared/finite.wgsl`
+/// tests the bits instead.
 #[test]
 fn shaders_do_not_look_for_nan_by_comparing() {
     assert_eq!(self_comparisons("if x.y != x.y && a == b {"), ["x.y != x.y"]);
@@ -188,7 +188,7 @@ fn shaders_do_not_look_for_nan_by_comparing() {
     }
 }
 
-/// WGSL leaves it open what `tanh` is where its exponential overflows.
+/// WGSL leaves `tanh` undefined where its exponential overflows.
 #[test]
 fn shaders_bound_what_they_take_the_hyperbolic_tangent_of() {
     for (path, code) in shaders() {

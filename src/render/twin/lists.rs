@@ -1,4 +1,4 @@
-//! Which Gaussians each tile blends, and in which order.
+//! The Gaussians of each tile, in blending order.
 
 use glam::DVec2;
 
@@ -91,7 +91,7 @@ pub fn tile_ranges(tiles: usize, sorted: &[u32]) -> Vec<[u32; 2]> {
     ranges
 }
 
-/// All of it.
+/// The lists of all tiles.
 #[must_use]
 pub fn tile_lists(projection: &Projection, splats: &[Option<Splat>]) -> TileLists {
     let tiles: Vec<u32> = splats

@@ -1,5 +1,5 @@
-//! The renderer on the CPU in f64, written plainly: every kernel has a function of the same name here, and the kernels
-//! are tested against these, these against independent values and central differences.
+//! The renderer on the CPU in f64: every kernel has a function of the same name here. Kernels are tested against these, and these
+//! against independent values and central differences.
 
 mod depth;
 mod lists;
@@ -50,9 +50,9 @@ pub struct Splat {
     pub opacity: f64,
     /// Inverse covariance A, B, C: power = (A dx² + C dy²) / 2 + B dx dy.
     pub conic: DVec3,
-    /// Half width and height in pixels of what is not cut off.
+    /// Half width and height in pixels of the region above the cut-off.
     pub extent: DVec2,
-    /// Power beyond which a pixel is cut off.
+    /// Power above which a pixel is cut off.
     pub level: f64,
     /// Red, green, blue.
     pub color: DVec3,
@@ -86,7 +86,7 @@ pub struct GaussianGradient {
     pub color: DVec3,
 }
 
-/// Where blending leaves contributions out. The kernels know only the default; finite differences need none.
+/// Cut-offs of blending. The kernels use the default; finite differences disable them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cutoffs {
     /// Contributions below this opacity are skipped.

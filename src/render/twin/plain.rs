@@ -1,7 +1,7 @@
 //! From the parameters of plain Gaussians to Gaussians and back, and the statistics of their growth, on the CPU in f64.
 //!
 //! Spherical harmonics as published with the method, signs included: a colour is a half plus the sum of coefficients
-//! times basis functions of the unit vector from the camera to the mean, and no less than zero.
+//! times basis functions of the unit vector from the camera to the mean, clamped at zero.
 
 use glam::{DVec2, DVec3};
 
@@ -45,7 +45,7 @@ pub fn sh_basis(d: DVec3) -> [f64; 15] {
     above
 }
 
-/// The gradients of the basis functions by `d`, which need not stay on the sphere.
+/// The gradients of the basis functions by `d`, not constrained to the sphere.
 #[must_use]
 pub fn sh_slopes(d: DVec3) -> [DVec3; 15] {
     let DVec3 { x, y, z } = d;
@@ -74,7 +74,7 @@ fn ray(projection: &Projection, row: &PlainRow) -> DVec3 {
     row.three(0) + projection.rotation.transpose() * projection.translation
 }
 
-/// The colour before it is held at zero.
+/// The colour before it is clamped at zero.
 fn raw_color(projection: &Projection, row: &PlainRow, degree: u32) -> DVec3 {
     let direction = ray(projection, row).normalize();
     let above = sh_basis(direction).into_iter().zip(row.sh).take(used(degree));
@@ -105,8 +105,8 @@ pub fn shade_gradient(
     gaussian: &Gaussian,
     d: &GaussianGradient,
 ) -> PlainRow {
-    let held = raw_color(projection, row, degree).cmple(DVec3::ZERO);
-    let v = DVec3::select(held, DVec3::ZERO, d.color);
+    let clamped = raw_color(projection, row, degree).cmple(DVec3::ZERO);
+    let v = DVec3::select(clamped, DVec3::ZERO, d.color);
     let ray = ray(projection, row);
     let direction = ray.normalize();
     let mut gradient = PlainRow::ZERO;

@@ -16,7 +16,7 @@ pub fn rotation(quat: [f64; 4]) -> DMat3 {
     )
 }
 
-/// What both directions of the projection compute: camera position, slopes inside the Jacobian, its rows in world axes,
+/// Shared by both directions of the projection: camera position, slopes inside the Jacobian, its rows in world axes,
 /// and their products with the Gaussian's scaled axes.
 pub(super) struct ProjectedCovariance {
     pub(super) position: DVec3,
@@ -48,7 +48,7 @@ impl ProjectedCovariance {
     }
 }
 
-/// The square of the least compensation that antialiasing applies.
+/// The square of the smallest compensation that antialiasing applies.
 pub(super) const MIN_RATIO: f64 = 0.005 * 0.005;
 
 /// The Gaussian on the image plane, or `None` where it is culled before any tile is looked at.

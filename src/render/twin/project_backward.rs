@@ -85,7 +85,7 @@ fn mean_gradient(
     for i in 0..2 {
         let (along, depth) = (v_rows[i].dot(view.row(i)), v_rows[i].dot(view.row(2)));
         let per_depth = projection.focal[i] / (position.z * position.z);
-        // Where the slope is clamped it does not move with the position, and its share of the depth is one, not two.
+        // A clamped slope does not depend on the position, and depth then enters once instead of twice.
         let free = projected.slope[i] == position[i] / position.z;
         v_position[i] += projection.focal[i] / position.z * v_center[i];
         if free {

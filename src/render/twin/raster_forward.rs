@@ -5,16 +5,16 @@ use glam::{DVec2, DVec3};
 use super::{ALPHA_MAX, Cutoffs, Projection, Splat, TileLists};
 use crate::render::TILE;
 
-/// An image with what the backward pass needs of it.
+/// The blended image with what the backward pass needs.
 #[derive(Debug, Clone, Default)]
 pub struct BlendedImage {
     /// Colour over the background, and the transmittance left; row by row.
     pub image: Vec<[f64; 4]>,
-    /// One more than the place in the tile's list of the last Gaussian that each pixel took.
+    /// One more than the index in the tile's list of the last Gaussian that each pixel blended.
     pub last: Vec<u32>,
 }
 
-/// How a splat meets a pixel.
+/// The contribution of a splat to a pixel.
 pub(super) struct Contribution {
     /// From the pixel's centre to the splat's.
     pub(super) offset: DVec2,

@@ -7,7 +7,7 @@ use std::{
 
 use tcgs::gpu::{AdapterChoice, Device, DeviceSettings, KernelVariant};
 
-/// The adapter of `TCGS_ADAPTER`, lavapipe unless told.
+/// The adapter of `TCGS_ADAPTER`, by default lavapipe.
 pub fn choice() -> AdapterChoice {
     std::env::var("TCGS_ADAPTER").map_or(AdapterChoice::Lavapipe, |name| match name.parse() {
         Ok(choice) => choice,
@@ -23,7 +23,7 @@ pub fn gpu() -> Arc<Device> {
     }))
 }
 
-/// A device of its own on the same adapter.
+/// A separate device on the same adapter.
 pub fn gpu_with(settings: DeviceSettings) -> Arc<Device> {
     Device::with_settings(&choice(), &settings).expect("an adapter")
 }

@@ -19,7 +19,7 @@ pub fn dense(layer: &LayerSpec, parameters: &[f64], input: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// Values below zero become zero.
+/// max(x, 0).
 #[must_use]
 pub fn relu(column: Vec<f64>) -> Vec<f64> {
     column.into_iter().map(|v| v.max(0.0)).collect()

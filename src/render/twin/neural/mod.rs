@@ -1,5 +1,4 @@
-//! The making of a view's Gaussians from anchors, and its gradients, on the CPU in f64; a kernel's name is a function's
-//! name here.
+//! From anchors to the Gaussians of a view, and the gradients back, on the CPU in f64; every kernel has a function of its name.
 //!
 //! A column holds the values of one visible anchor, in the order of the kernels' rows.
 
@@ -19,7 +18,7 @@ use crate::{
     model::{AnchorRows, NetworkLayout, Shape},
 };
 
-/// Magnitudes from here on count as infinite.
+/// Larger magnitudes count as infinite.
 const LIMIT: f64 = 1e30;
 
 /// Visible anchors that one partial sum of a weight gradient covers.
@@ -38,7 +37,7 @@ pub struct Anchors {
     pub masks: Vec<u32>,
     /// The networks' flat parameters.
     pub networks: Vec<f64>,
-    /// What the networks are told distances in.
+    /// The unit of the networks' distances.
     pub unit: DistanceUnit,
 }
 
@@ -69,11 +68,11 @@ impl Anchors {
 pub struct NeuralForward {
     /// Visible anchors, ascending.
     pub list: Vec<u32>,
-    /// What the networks read.
+    /// The networks' inputs.
     pub input: Vec<Vec<f64>>,
     /// Hidden values after the ReLU.
     pub hidden: Vec<Vec<f64>>,
-    /// What the networks say, before any activation.
+    /// The networks' outputs, before any activation.
     pub outputs: Vec<Vec<f64>>,
     /// The Gaussians; none where the opacity is not positive or the mask is off.
     pub gaussians: Vec<Option<Gaussian>>,
@@ -128,19 +127,19 @@ pub fn neural_backward(
     volume_weight: f64,
 ) -> AnchorGradient {
     let (shape, layout) = (anchors.shape, NetworkLayout::new(anchors.shape));
-    let [_, living, _] = count_gaussians(shape, &spawned.list, &spawned.gaussians);
+    let [_, opaque, _] = count_gaussians(shape, &spawned.list, &spawned.gaussians);
     let mut rows = vec![0.0; anchors.rows.len()];
     let (mut d_outputs, mut d_hidden) = (Vec::new(), Vec::new());
     for (index, anchor) in spawned.list.iter().map(|anchor| *anchor as usize).enumerate() {
         let d_row = &mut rows[anchor * shape.row()..][..shape.row()];
-        let born = index * shape.offsets..(index + 1) * shape.offsets;
+        let range = index * shape.offsets..(index + 1) * shape.offsets;
         let column = spawn_gradient(
             shape,
             anchors.row(anchor),
             &spawned.outputs[index],
-            &spawned.gaussians[born.clone()],
-            &d_gaussians[born],
-            volume_weight / f64::from(living.max(1)),
+            &spawned.gaussians[range.clone()],
+            &d_gaussians[range],
+            volume_weight / f64::from(opaque.max(1)),
             d_row,
         );
         let mut d_column = vec![0.0; layout.hidden.outputs];

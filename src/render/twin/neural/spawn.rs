@@ -28,8 +28,8 @@ fn outputs_of(shape: Shape, k: usize) -> (usize, usize) {
     (shape.offsets + 7 * k, 8 * shape.offsets + 3 * k)
 }
 
-/// The K Gaussians of one anchor; none for an opacity that is not positive or comes of no number, a mask that is off, or a
-/// place or size that is not finite.
+/// The K Gaussians of one anchor; none where the opacity is not positive or its output not finite, the mask is off, or position or
+/// size is not finite.
 #[must_use]
 pub fn spawn_gaussians(
     position: DVec3,
@@ -66,8 +66,8 @@ pub fn count_gaussians(shape: Shape, list: &[u32], gaussians: &[Option<Gaussian>
 /// The volume regulariser: the mean product of the scales over the Gaussians (METHOD.md §2.4).
 #[must_use]
 pub fn volume(gaussians: &[Option<Gaussian>]) -> f64 {
-    let living = gaussians.iter().flatten().count().max(1);
-    gaussians.iter().flatten().map(|gaussian| gaussian.scale.element_product()).sum::<f64>() / living as f64
+    let count = gaussians.iter().flatten().count().max(1);
+    gaussians.iter().flatten().map(|gaussian| gaussian.scale.element_product()).sum::<f64>() / count as f64
 }
 
 /// The gradient by one anchor's output column, from those by its Gaussians; those by its scalings and offsets are written

@@ -1,4 +1,4 @@
-//! Which anchors a view shows, what the networks read of them, and what a view adds to their statistics.
+//! The visible anchors of a view, the networks' inputs, and the statistics that a view adds.
 
 use glam::{DVec2, DVec3};
 
@@ -9,7 +9,7 @@ use crate::{domain::DistanceUnit, model::Shape, render::twin::SplatGradient};
 /// image (METHOD.md §2.3).
 #[must_use]
 pub fn anchor_visible(projection: &Projection, position: DVec3, shape: Shape, row: &[f64]) -> bool {
-    // The filter's own constant, whatever the rasteriser uses.
+    // A constant of this test, independent of the rasteriser's settings.
     const LOW_PASS: f64 = 0.3;
     let view = projection.rotation;
     let p = view * position + projection.translation;
@@ -48,8 +48,8 @@ pub fn network_input(
     let center = -(projection.rotation.transpose() * projection.translation);
     let ray = position - center;
     let distance = ray.length().max(1e-12);
-    let usable = |value: &f64| if value.abs() < LIMIT { *value } else { 0.0 };
-    let mut input: Vec<f64> = row[..shape.features].iter().map(usable).collect();
+    let finite = |value: &f64| if value.abs() < LIMIT { *value } else { 0.0 };
+    let mut input: Vec<f64> = row[..shape.features].iter().map(finite).collect();
     input.extend((ray / distance).to_array());
     input.push(distance / f64::from(unit.length()));
     input
