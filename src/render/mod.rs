@@ -7,8 +7,10 @@ mod gaussians;
 mod neural;
 mod plain;
 mod projection;
+mod raster_buffers;
 mod rasterizer;
 mod scene_renderer;
+mod scene_viewer;
 pub mod twin;
 pub mod views;
 
@@ -20,5 +22,6 @@ pub use neural::{AnchorGradients, DeviceAnchors, NeuralGaussians};
 pub use plain::{DeviceGaussians, PlainGaussians, STATISTICS};
 pub use projection::{Projection, RasterSettings, TILE};
 pub use rasterizer::{ForwardPasses, RasterCounts, Rasterizer};
-pub use scene_renderer::{SceneRenderer, SceneViewer};
+pub use scene_renderer::SceneRenderer;
+pub use scene_viewer::SceneViewer;
 pub use views::RenderViews;

@@ -13,33 +13,21 @@ use std::sync::Arc;
 use super::{
     GEOMETRY_SECTIONS, GaussianGradients, Gaussians, RasterSettings, RenderError,
     projection::{Projection, TILE, View},
+    raster_buffers::{
+        COMPLETED, INTERSECTIONS, PerGaussian, PerImage, PerIntersection, REQUIRED, SLOT_FLOATS, VISIBLE,
+        counter_plan, tile_bits, tiles, view_plan,
+    },
 };
 use crate::{
     domain::Camera,
     gpu::{
-        AdapterReport, Buffer, Device, GpuError, Kernel, MIN_LANES, Pairs, Plan, RadixSort, Recorder, Scan,
-        ScanSlots, Subgroups, kernel_source, planned,
+        AdapterReport, Buffer, Device, GpuError, Kernel, MIN_LANES, RadixSort, Recorder, Subgroups,
+        kernel_source,
     },
 };
 
-/// Elements of the counter buffer, as in `shaders/shared/view.wgsl`.
-const REQUIRED: usize = 0;
-const COMPLETED: usize = 1;
-const VISIBLE: u32 = 2;
-const INTERSECTIONS: u32 = 3;
-const COUNTERS: usize = 4;
-
-/// Bits of the depth keys. Depths are positive floats: their bits order as integers, and the sign bit is clear.
-const DEPTH_BITS: u32 = 31;
-
-/// Rows of four floats of a projected Gaussian: place, conic, colour.
-const SPLAT_ROWS: usize = 3;
-
 /// Lanes of a tile, four pixels each.
 const TILE_LANES: u32 = TILE * TILE / 4;
-
-/// Floats of each slot of the backward pass: centre 2, opacity, conic 3, colour 3.
-const SLOT_FLOATS: usize = 9;
 
 /// Counts of the last forward pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -99,100 +87,6 @@ impl Kernels {
             raster_backward: device.kernel(kernel_source!("raster_backward"), &subgroups)?,
             gather: device.kernel(kernel_source!("gather"), &[])?,
             project_backward: device.kernel(kernel_source!("project_backward"), &[])?,
-        })
-    }
-}
-
-/// Buffers with a row for each Gaussian.
-#[derive(Debug)]
-struct PerGaussian {
-    capacity: usize,
-    splats: Buffer<[f32; 4]>,
-    v_splats: Buffer<[f32; 4]>,
-    depths: Buffer<u32>,
-    tiles: Buffer<u32>,
-    visible: Buffer<u32>,
-    places: Buffer<u32>,
-    by_depth: (Pairs, Pairs),
-    sorted_tiles: Buffer<u32>,
-    starts: Buffer<u32>,
-    first_slots: Buffer<u32>,
-    list_visible: Scan,
-    sort_depth: RadixSort,
-    place_slots: Scan,
-}
-
-impl PerGaussian {
-    fn plan(adapter: &AdapterReport, capacity: usize) -> Plan<'static, Self> {
-        let visible = ScanSlots { count: 0, total: VISIBLE };
-        let slots = ScanSlots { count: VISIBLE, total: INTERSECTIONS };
-        planned!(Self {
-            capacity: Plan::value(capacity),
-            splats: Plan::buffer("splats", SPLAT_ROWS * capacity),
-            v_splats: Plan::buffer("gradients of splats", SPLAT_ROWS * capacity),
-            depths: Plan::buffer("depths", capacity),
-            tiles: Plan::buffer("tiles touched", capacity),
-            visible: Plan::buffer("visible", capacity),
-            places: Plan::buffer("places among the visible", capacity),
-            by_depth: Pairs::plan(capacity).and(Pairs::plan(capacity)),
-            sorted_tiles: Plan::buffer("tiles touched by depth", capacity),
-            starts: Plan::buffer("slot starts by depth", capacity),
-            first_slots: Plan::buffer("first slots", capacity),
-            list_visible: Scan::plan(adapter, capacity, visible),
-            sort_depth: RadixSort::plan(adapter, capacity, DEPTH_BITS, VISIBLE),
-            place_slots: Scan::plan(adapter, capacity, slots),
-        })
-    }
-}
-
-/// Buffers with a row for each intersection of a Gaussian with a tile.
-#[derive(Debug)]
-struct PerIntersection {
-    capacity: usize,
-    by_tile: (Pairs, Pairs),
-    slot_ids: Buffer<u32>,
-    list: Buffer<u32>,
-    sort_tile: RadixSort,
-    gradients: Option<Buffer<f32>>,
-}
-
-impl PerIntersection {
-    fn plan(adapter: &AdapterReport, capacity: usize, tile_bits: u32) -> Plan<'static, Self> {
-        planned!(Self {
-            capacity: Plan::value(capacity),
-            by_tile: Pairs::plan(capacity).and(Pairs::plan(capacity)),
-            slot_ids: Plan::buffer("slot ids", capacity),
-            list: Plan::buffer("tile lists", capacity),
-            sort_tile: RadixSort::plan(adapter, capacity, tile_bits, INTERSECTIONS),
-            gradients: Plan::value(None),
-        })
-    }
-
-    /// Plans the gradients of the backward pass.
-    fn gradient_plan(capacity: usize) -> Plan<'static, Buffer<f32>> {
-        Plan::buffer("gradients of slots", SLOT_FLOATS * capacity)
-    }
-}
-
-/// Buffers with a row for each pixel or tile of the last view; smaller images use a part of them.
-#[derive(Debug)]
-struct PerImage {
-    tiles: u32,
-    image: Buffer<[f32; 4]>,
-    last: Buffer<u32>,
-    ranges: Buffer<[u32; 2]>,
-}
-
-impl PerImage {
-    /// Plans the buffers of images of `size`; those of `old` with enough memory are kept.
-    fn plan(size: [u32; 2], old: Option<&Self>) -> Plan<'_, Self> {
-        let pixels = size[0] as usize * size[1] as usize;
-        let tiles = tiles(size);
-        planned!(Self {
-            tiles: Plan::value(tiles),
-            image: Plan::resized("image", pixels, old.map(|old| &old.image)),
-            last: Plan::resized("last contributors", pixels, old.map(|old| &old.last)),
-            ranges: Plan::resized("tile ranges", tiles as usize, old.map(|old| &old.ranges)),
         })
     }
 }
@@ -589,22 +483,6 @@ impl Rasterizer {
 /// A quarter more than is wanted, so that growing is rare, but not so much more that only the spare part cannot be bound.
 fn grown_capacity(wanted: usize, bindable: usize) -> usize {
     (wanted + wanted / 4).min(bindable.max(wanted))
-}
-
-fn view_plan() -> Plan<'static, Buffer<View>> {
-    Plan::buffer("view", 1)
-}
-
-fn counter_plan() -> Plan<'static, Buffer<u32>> {
-    Plan::buffer("counters", COUNTERS)
-}
-
-fn tiles(size: [u32; 2]) -> u32 {
-    size[0].div_ceil(TILE) * size[1].div_ceil(TILE)
-}
-
-fn tile_bits(tiles: u32) -> u32 {
-    tiles.next_power_of_two().trailing_zeros()
 }
 
 fn check(what: &'static str, found: usize, expected: usize) -> Result<(), RenderError> {
