@@ -36,8 +36,8 @@ fn main() -> ExitCode {
     };
     for (name, bytes) in files {
         let path = Path::new(&arguments[1]).join(name);
-        if let Err(fault) = write(&path, &bytes) {
-            eprintln!("{}: {fault}", path.display());
+        if let Err(error) = write(&path, &bytes) {
+            eprintln!("{}: {error}", path.display());
             return ExitCode::FAILURE;
         }
         println!("{}: {} bytes", path.display(), bytes.len());

@@ -27,8 +27,8 @@ pub(super) fn decode(data: &[u8]) {
     check(data);
     let mut bytes = data.to_vec();
     for _ in 0..MENDS {
-        let fault = check(&bytes);
-        let mended = match fault {
+        let error = check(&bytes);
+        let mended = match error {
             Some(DecodeError::ChunkChecksum { stated, actual, .. }) => {
                 replace(&mut bytes, &stated.to_le_bytes(), &actual.to_le_bytes())
             }
@@ -91,7 +91,7 @@ pub(super) fn roundtrip(data: &[u8]) {
     decode(&encoded.bytes);
 }
 
-/// What must hold of any bytes; the fault, where they are refused.
+/// What must hold of any bytes; the error, where they are refused.
 fn check(bytes: &[u8]) -> Option<DecodeError> {
     let inspected = codec::inspect(bytes);
     match codec::decode(bytes, &LIMITS) {
@@ -103,7 +103,7 @@ fn check(bytes: &[u8]) -> Option<DecodeError> {
             assert_eq!(counts.total, bytes.len() as u64);
             None
         }
-        Err(fault) => Some(fault),
+        Err(error) => Some(error),
     }
 }
 

@@ -9,7 +9,7 @@
 //! of a plain copy its bytes go at, `of sums` which share of the rate of plain products its products; a stage that codes
 //! symbols one after another is far below both, and its symbols a second are what counts.
 
-#![allow(clippy::unwrap_used, reason = "a benchmark stops at the first fault")]
+#![allow(clippy::unwrap_used, reason = "a benchmark stops at the first error")]
 
 mod ceilings;
 mod context;

@@ -35,7 +35,7 @@ pub(super) struct CodedGroup {
     /// `[N][channels]` integers.
     pub(super) symbols: Vec<i32>,
     /// `[N]` step indices.
-    pub(super) steps: Vec<i8>,
+    pub(super) step_indices: Vec<i8>,
 }
 
 /// The attributes section, of groups in the order of [`Attribute::ALL`].
@@ -56,22 +56,22 @@ pub(super) fn encode(groups: [&CodedGroup; 3]) -> Vec<u8> {
 
 /// What this section says about a group's model: tables, or nothing where there is a network.
 pub(super) fn write_parameters(model: &GroupModel, writer: &mut Writer) {
-    if let GroupModel::Static { step, channels } = model {
-        writer.signed(i64::from(*step));
+    if let GroupModel::Static { step_index, channels } = model {
+        writer.signed(i64::from(*step_index));
         channels.iter().for_each(|distribution| fit::write(*distribution, writer));
     }
 }
 
 fn read_tables(reader: &mut Reader<'_>, channels: usize) -> Result<GroupModel, DecodeError> {
-    let step = reader.signed("a step")?;
-    if step.abs() > i64::from(MAX_STEP_INDEX) {
-        return Err(reader.malformed("a step", step));
+    let step_index = reader.signed("a step")?;
+    if step_index.abs() > i64::from(MAX_STEP_INDEX) {
+        return Err(reader.malformed("a step", step_index));
     }
     let mut distributions = reserve("channels", channels)?;
     for _ in 0..channels {
         distributions.push(fit::read(reader)?);
     }
-    Ok(GroupModel::Static { step: step as i8, channels: distributions })
+    Ok(GroupModel::Static { step_index: step_index as i8, channels: distributions })
 }
 
 /// Offsets that are masked off are not in the file.
@@ -203,7 +203,7 @@ impl Layout {
             .into_par_iter()
             .map(|chunk| chunk.decode(section, shape, masks, models, anchors))
             .collect();
-        // In the order of the file, so that the first fault is named whatever the threads did.
+        // In file order, so that the reported error does not depend on the threads.
         decoded.into_iter().collect::<Result<(), DecodeError>>()?;
         Ok((symbols, steps))
     }
@@ -234,10 +234,12 @@ impl ChunkTask<'_> {
             let part = STREAMS[attribute as usize];
             let channels = shape.channels(attribute);
             let mut stream = StreamDecoder::new(part, &section[streams[attribute as usize].clone()])?;
-            let mut rows = models[attribute as usize].rows(context);
-            for ((anchor, row), step) in anchors.clone().zip(symbols.chunks_exact_mut(channels)).zip(steps) {
-                let (index, distributions) = rows.at(anchor);
-                *step = index;
+            let mut predictions = models[attribute as usize].predictions(context);
+            for ((anchor, row), step_index) in
+                anchors.clone().zip(symbols.chunks_exact_mut(channels)).zip(steps)
+            {
+                let (index, distributions) = predictions.at(anchor);
+                *step_index = index;
                 for (channel, (symbol, distribution)) in row.iter_mut().zip(distributions).enumerate() {
                     if is_coded(masks, shape, anchor, attribute, channel) {
                         *symbol = distribution.decode(&mut stream)?;
@@ -248,7 +250,7 @@ impl ChunkTask<'_> {
             if attribute == Attribute::Scalings
                 && let Some(symbol) = symbols.iter().find(|symbol| **symbol < 1)
             {
-                return Err(DecodeError::Malformed { part, what: "a scaling", value: symbol.to_string() });
+                return Err(DecodeError::malformed(part, "a scaling", symbol));
             }
         }
         Ok(())

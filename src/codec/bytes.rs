@@ -4,6 +4,22 @@
 
 use super::error::DecodeError;
 
+macro_rules! read_numbers {
+    ($($number:ident),*) => {$(
+        pub(super) fn $number(&mut self, what: &'static str) -> Result<$number, DecodeError> {
+            Ok($number::from_le_bytes(self.array(what)?))
+        }
+    )*};
+}
+
+macro_rules! write_numbers {
+    ($($number:ident),*) => {$(
+        pub(super) fn $number(&mut self, value: $number) {
+            self.raw(&value.to_le_bytes());
+        }
+    )*};
+}
+
 /// Reads fields from the front of a slice.
 pub(super) struct Reader<'a> {
     part: &'static str,
@@ -52,24 +68,10 @@ impl<'a> Reader<'a> {
         Ok(self.array::<1>(what)?[0])
     }
 
-    pub(super) fn u16(&mut self, what: &'static str) -> Result<u16, DecodeError> {
-        Ok(u16::from_le_bytes(self.array(what)?))
-    }
-
-    pub(super) fn u32(&mut self, what: &'static str) -> Result<u32, DecodeError> {
-        Ok(u32::from_le_bytes(self.array(what)?))
-    }
-
-    pub(super) fn u64(&mut self, what: &'static str) -> Result<u64, DecodeError> {
-        Ok(u64::from_le_bytes(self.array(what)?))
-    }
+    read_numbers! { u16, u32, u64, f32 }
 
     pub(super) fn digest_bytes(&mut self, what: &'static str) -> Result<[u8; 32], DecodeError> {
         self.array(what)
-    }
-
-    pub(super) fn f32(&mut self, what: &'static str) -> Result<f32, DecodeError> {
-        Ok(f32::from_le_bytes(self.array(what)?))
     }
 
     /// LEB128: seven bits a byte, lowest first, at most 64 bits, no needless last byte.
@@ -133,7 +135,7 @@ impl<'a> Reader<'a> {
     }
 
     pub(super) fn malformed(&self, what: &'static str, value: impl ToString) -> DecodeError {
-        DecodeError::Malformed { part: self.part, what, value: value.to_string() }
+        DecodeError::malformed(self.part, what, value)
     }
 }
 
@@ -156,21 +158,7 @@ impl Writer {
         self.bytes.push(value);
     }
 
-    pub(super) fn u16(&mut self, value: u16) {
-        self.raw(&value.to_le_bytes());
-    }
-
-    pub(super) fn u32(&mut self, value: u32) {
-        self.raw(&value.to_le_bytes());
-    }
-
-    pub(super) fn u64(&mut self, value: u64) {
-        self.raw(&value.to_le_bytes());
-    }
-
-    pub(super) fn f32(&mut self, value: f32) {
-        self.raw(&value.to_le_bytes());
-    }
+    write_numbers! { u16, u32, u64, f32 }
 
     pub(super) fn varint(&mut self, mut value: u64) {
         while value >= 0x80 {

@@ -147,11 +147,11 @@ fn read_with(
     let of_masks = container.section(sections::MASKS, "masks")?.bytes;
     let networks = networks::decode(of_networks, manifest.feature_dim, k, limits.max_memory_bytes)?;
     if manifest.anchors as u64 >= positions::max_anchors_exclusive(of_positions.len()) {
-        return Err(DecodeError::Malformed {
-            part: "positions",
-            what: "number of anchors",
-            value: format!("{} in {} bytes", manifest.anchors, of_positions.len()),
-        });
+        return Err(DecodeError::malformed(
+            "positions",
+            "number of anchors",
+            format!("{} in {} bytes", manifest.anchors, of_positions.len()),
+        ));
     }
     // Both are one long stream.
     let (cells, masks) = rayon::join(
@@ -161,20 +161,20 @@ fn read_with(
     let (cells, masks) = (cells?, masks?);
     let gaussians = masks.iter().filter(|kept| **kept).count();
     if gaussians != manifest.gaussians {
-        return Err(DecodeError::Malformed {
-            part: "masks",
-            what: "number of Gaussians",
-            value: format!("{gaussians} where {} are stated", manifest.gaussians),
-        });
+        return Err(DecodeError::malformed(
+            "masks",
+            "number of Gaussians",
+            format!("{gaussians} where {} are stated", manifest.gaussians),
+        ));
     }
     let (networks_of_groups, anchors) = context(&container, &manifest, &cells, limits, known)?;
     let section = container.section(sections::ATTRIBUTES, "attributes")?.bytes;
     let mut layout = attributes::Layout::read(section, shape, manifest.chunk_anchors, manifest.kinds())?;
     let tables = std::mem::take(&mut layout.tables);
     let models = join(tables, networks_of_groups)?;
-    let (groups, steps) = layout.decode(section, shape, &masks, models.each_ref(), &anchors)?;
+    let (groups, step_indices) = layout.decode(section, shape, &masks, models.each_ref(), &anchors)?;
 
-    let symbols = Symbols { cells, masks, groups, steps };
+    let symbols = Symbols { cells, masks, groups, step_indices };
     let near = view::decode_near(container.find(sections::VIEW))?;
     let unit = view::decode_unit(container.find(sections::UNIT))?;
     Ok(Content { manifest, networks, symbols, models, anchors, near, unit })
@@ -212,7 +212,7 @@ fn context(
     let work = work.saturating_mul(cells.len() as u64);
     if work > MAX_MULTIPLICATIONS {
         let (part, what) = ("context", "multiplications for all anchors");
-        return Err(DecodeError::Malformed { part, what, value: work.to_string() });
+        return Err(DecodeError::malformed(part, what, work));
     }
     let memory = cells.len() as u64 * AnchorContext::bytes_per_anchor(channels, neighbours);
     check_limit("bytes of memory for the context", memory, limits.max_memory_bytes)?;

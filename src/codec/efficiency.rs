@@ -95,9 +95,9 @@ fn by_tables(content: &Content, attribute: Attribute) -> f64 {
     let each: Vec<f64> = (0..content.manifest.anchors)
         .into_par_iter()
         .map_init(
-            || model.rows(&content.anchors),
-            |rows, anchor| {
-                let (_, distributions) = rows.at(anchor);
+            || model.predictions(&content.anchors),
+            |predictions, anchor| {
+                let (_, distributions) = predictions.at(anchor);
                 coded(content, attribute, anchor).map(|(channel, q)| distributions[channel].cost(q)).sum()
             },
         )
@@ -118,7 +118,8 @@ fn by_floats(
         .into_par_iter()
         .map(|anchor| {
             let outputs = anchors.outputs(mlp, kind, anchor);
-            let step = f64::from(quant_steps::factor(content.symbols.steps[attribute as usize][anchor]));
+            let step =
+                f64::from(quant_steps::factor(content.symbols.step_indices[attribute as usize][anchor]));
             let bits = |(channel, symbol): (usize, i32)| {
                 let mean = outputs[channel] / step;
                 let sigma = libm::exp2(outputs[channels + channel]) / step;

@@ -72,12 +72,12 @@ pub fn encode(
     let chosen = chosen?;
     manifest.contexts = chosen.contexts;
     let attributes = attributes::encode(chosen.groups.each_ref());
-    let [features, scalings, offsets] = chosen.groups.map(|group| (group.symbols, group.steps));
+    let [features, scalings, offsets] = chosen.groups.map(|group| (group.symbols, group.step_indices));
     let symbols = Symbols {
         cells,
         masks,
         groups: [features.0, scalings.0, offsets.0],
-        steps: [features.1, scalings.1, offsets.1],
+        step_indices: [features.1, scalings.1, offsets.1],
     };
     let expected = quantise::dequantise(symbols, &networks, &manifest);
     manifest.decode_sha256 = decode_digest(&expected);

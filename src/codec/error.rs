@@ -53,12 +53,12 @@ pub enum EncodeError {
         value: f32,
     },
     /// A context candidate does not fit the scene or exceeds the format, or a choice names one that does not exist.
-    #[error("the context's {what} cannot be used: {fault}")]
+    #[error("the context's {what} cannot be used: {problem}")]
     Candidate {
         /// Which part.
         what: String,
         /// What is wrong.
-        fault: String,
+        problem: String,
     },
     /// Two anchors in one cell.
     #[error("cell {cell:?} has more than one anchor")]
@@ -66,10 +66,10 @@ pub enum EncodeError {
         /// The cell.
         cell: [i32; 3],
     },
-    /// The written file does not decode to what was quantised; a fault of this program, never of the scene.
+    /// The written file does not decode to what was quantised: a bug of this program.
     #[error("the written file does not decode to the quantised scene; please report this")]
     Verification,
-    /// The written file does not decode at all; a fault of this program, or a scene beyond the decoder's limits.
+    /// The written file does not decode at all: a bug of this program, or a scene beyond the decoder's limits.
     #[error("the written file cannot be read back: {0}")]
     ReadBack(#[source] DecodeError),
 }
@@ -199,12 +199,12 @@ pub enum DecodeError {
         count: usize,
     },
     /// An entropy-coded stream that does not end where its symbols end.
-    #[error("{part}: the coded stream {fault}")]
+    #[error("{part}: the coded stream {problem}")]
     Stream {
         /// Section.
         part: &'static str,
         /// What is wrong.
-        fault: &'static str,
+        problem: &'static str,
     },
     /// A value that the format does not allow.
     #[error("{part}: {what} is {value}, which the format does not allow")]
@@ -242,4 +242,11 @@ pub enum DecodeError {
         /// Computed.
         actual: Digest,
     },
+}
+
+impl DecodeError {
+    /// A value of `part` that the format does not allow.
+    pub(super) fn malformed(part: &'static str, what: &'static str, value: impl ToString) -> Self {
+        Self::Malformed { part, what, value: value.to_string() }
+    }
 }

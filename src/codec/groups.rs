@@ -41,8 +41,8 @@ impl GroupCoder<'_> {
         is_coded(self.masks, self.shape, anchor, self.quantiser.attribute, channel)
     }
 
-    /// Codes the group with the best table for each channel and steps of index `step`.
-    pub(super) fn with_tables(&self, step: i8) -> Result<CodedGroup, EncodeError> {
+    /// Codes the group with the best table for each channel and steps of index `step_index`.
+    pub(super) fn with_tables(&self, step_index: i8) -> Result<CodedGroup, EncodeError> {
         let _stage = tracing::debug_span!("symbols").entered();
         let channels = self.channels();
         let mut symbols = vec![0; self.shape.anchors * channels];
@@ -50,7 +50,7 @@ impl GroupCoder<'_> {
             .par_chunks_mut(channels)
             .enumerate()
             .with_min_len(1024)
-            .try_for_each(|(anchor, row)| self.quantiser.row(anchor, step, row))?;
+            .try_for_each(|(anchor, row)| self.quantiser.row(anchor, step_index, row))?;
         let fitted = (0..channels)
             .into_par_iter()
             .map(|channel| {
@@ -58,22 +58,22 @@ impl GroupCoder<'_> {
                 fit::fit(anchors.map(|anchor| symbols[anchor * channels + channel]).collect())
             })
             .collect();
-        let model = GroupModel::Static { step, channels: fitted };
+        let model = GroupModel::Static { step_index, channels: fitted };
         let streams = self
             .chunks
             .par_iter()
             .map(|chunk| {
                 let mut stream = StreamEncoder::new();
-                let mut rows = model.rows(self.anchors);
+                let mut predictions = model.predictions(self.anchors);
                 for anchor in chunk.clone() {
-                    let (_, distributions) = rows.at(anchor);
+                    let (_, distributions) = predictions.at(anchor);
                     let row = &symbols[anchor * channels..(anchor + 1) * channels];
                     self.encode_row(anchor, row, distributions, &mut stream);
                 }
                 stream.finish()
             })
             .collect();
-        Ok(CodedGroup { model, streams, symbols, steps: vec![step; self.shape.anchors] })
+        Ok(CodedGroup { model, streams, symbols, step_indices: vec![step_index; self.shape.anchors] })
     }
 
     /// Codes the group by a network.
@@ -86,12 +86,12 @@ impl GroupCoder<'_> {
             model,
             streams: Vec::with_capacity(chunks.len()),
             symbols: Vec::with_capacity(self.shape.anchors * self.channels()),
-            steps: Vec::with_capacity(self.shape.anchors),
+            step_indices: Vec::with_capacity(self.shape.anchors),
         };
-        for (stream, symbols, steps) in chunks {
+        for (stream, symbols, step_indices) in chunks {
             coded.streams.push(stream);
             coded.symbols.extend(symbols);
-            coded.steps.extend(steps);
+            coded.step_indices.extend(step_indices);
         }
         Ok(coded)
     }
@@ -112,16 +112,16 @@ impl GroupCoder<'_> {
     fn encode_chunk(&self, chunk: &Range<usize>, model: &GroupModel) -> Result<CodedChunk, EncodeError> {
         let channels = self.channels();
         let mut symbols = vec![0; chunk.len() * channels];
-        let mut steps = Vec::with_capacity(chunk.len());
+        let mut step_indices = Vec::with_capacity(chunk.len());
         let mut stream = StreamEncoder::new();
-        let mut rows = model.rows(self.anchors);
+        let mut predictions = model.predictions(self.anchors);
         for (anchor, row) in chunk.clone().zip(symbols.chunks_mut(channels)) {
-            let (step, distributions) = rows.at(anchor);
-            self.quantiser.row(anchor, step, row)?;
+            let (step_index, distributions) = predictions.at(anchor);
+            self.quantiser.row(anchor, step_index, row)?;
             self.encode_row(anchor, row, distributions, &mut stream);
-            steps.push(step);
+            step_indices.push(step_index);
         }
-        Ok((stream.finish(), symbols, steps))
+        Ok((stream.finish(), symbols, step_indices))
     }
 
     fn encode_row(

@@ -159,7 +159,7 @@ fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Res
         sections::MASKS => map.push(length, ByteGroup::Masks, "which offsets make a Gaussian"),
         sections::CONTEXT => {
             let layout = section::Layout::read(section.bytes, manifest.kinds())?;
-            map.push(layout.frame_place.len(), ByteGroup::Networks, "where the context's planes lie");
+            map.push(layout.frame_place.len(), ByteGroup::Networks, "frame of the context's planes");
             for (group, place) in ["features", "scalings", "offsets"].iter().zip(&layout.places) {
                 if !place.is_empty() {
                     map.push(place.len(), ByteGroup::Networks, &format!("context network of the {group}"));
@@ -187,8 +187,8 @@ fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Res
                 }
             }
         }
-        sections::UNIT => map.push(length, ByteGroup::Container, "what the networks are told distances in"),
-        sections::VIEW => map.push(length, ByteGroup::Container, "where views begin"),
+        sections::UNIT => map.push(length, ByteGroup::Container, "unit of the networks' distances"),
+        sections::VIEW => map.push(length, ByteGroup::Container, "near plane"),
         _ => map.push(length, ByteGroup::Container, "optional section of a later version"),
     }
     Ok(())

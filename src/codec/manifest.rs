@@ -276,7 +276,7 @@ fn read_provenance(reader: &mut Reader<'_>) -> Result<Provenance, DecodeError> {
     };
     let settings = reader.text("settings")?;
     let settings = serde_json::from_str(settings)
-        .map_err(|fault| reader.malformed("settings", format!("not JSON: {fault}")))?;
+        .map_err(|error| reader.malformed("settings", format!("not JSON: {error}")))?;
     Ok(Provenance { generator, dataset, adapter, settings })
 }
 

@@ -132,7 +132,8 @@ fn from_upper_half(bits: i32) -> f32 {
     f32::from_bits((bits as u32) << 16)
 }
 
-fn dequantise(mlp: &QuantisedMlp) -> Mlp {
+/// A network as its decoder will have it.
+pub(super) fn dequantise(mlp: &QuantisedMlp) -> Mlp {
     let layer = |layer: &QuantisedLayer| DenseLayer {
         inputs: layer.inputs,
         outputs: layer.outputs,
@@ -145,11 +146,6 @@ fn dequantise(mlp: &QuantisedMlp) -> Mlp {
         bias: layer.bias.iter().map(|bias| *bias as f32 * layer.bias_scale).collect(),
     };
     Mlp { layers: mlp.iter().map(layer).collect() }
-}
-
-/// A network as its decoder will have it.
-pub(super) fn as_decoded(mlp: &QuantisedMlp) -> Mlp {
-    dequantise(mlp)
 }
 
 /// The networks section: the shape and distributions of every layer, then one stream.
@@ -249,7 +245,7 @@ fn read_layer(stream: &mut StreamDecoder<'_>, head: &LayerHead) -> Result<Quanti
     let weights = integers(of_weights, head.inputs * head.outputs)?;
     let bias = integers(of_bias, head.outputs)?;
     if let Some(scale) = row_scales.iter().find(|scale| !(0..=MAX_SCALE).contains(*scale)) {
-        return Err(DecodeError::Malformed { part: PART, what: "a row scale", value: scale.to_string() });
+        return Err(DecodeError::malformed(PART, "a row scale", scale));
     }
     Ok(QuantisedLayer {
         inputs: head.inputs,

@@ -18,7 +18,7 @@ const LEVELS: [u16; 7] = [7, 31, 127, 255, 511, 1023, 2047];
 const TOLERANCE: f64 = 3e-3;
 
 /// Anchors in the sample.
-const SAMPLE: usize = 256;
+const SAMPLE_ANCHORS: usize = 256;
 
 /// What a network's outputs go through before they mean anything (METHOD.md §2.3).
 #[derive(Debug, Clone, Copy)]
@@ -38,7 +38,7 @@ pub(super) fn quantise(mlp: &Mlp, activation: Activation, inputs: &[Vec<f32>]) -
     let mut quantised = QuantisedMlp::new();
     for levels in LEVELS {
         quantised = networks::quantise(mlp, levels);
-        if difference(&networks::as_decoded(&quantised), activation, inputs, &exact) <= TOLERANCE {
+        if difference(&networks::dequantise(&quantised), activation, inputs, &exact) <= TOLERANCE {
             break;
         }
     }
@@ -61,7 +61,7 @@ fn difference(mlp: &Mlp, activation: Activation, inputs: &[Vec<f32>], exact: &[V
 /// from as far as the scene is large.
 pub(super) fn sample_inputs(scene: &AnchorScene) -> Vec<Vec<f32>> {
     let distance = half_diagonal(scene) / scene.unit.length();
-    let stride = scene.len().div_ceil(SAMPLE).max(1);
+    let stride = scene.len().div_ceil(SAMPLE_ANCHORS).max(1);
     (0..scene.len())
         .step_by(stride)
         .zip(0_usize..)
@@ -162,7 +162,7 @@ mod tests {
         let exact: Vec<_> =
             inputs.iter().map(|x| activate(Activation::Logistic, &forward(&mlp, x))).collect();
         let at = |levels| {
-            let decoded = networks::as_decoded(&networks::quantise(&mlp, levels));
+            let decoded = networks::dequantise(&networks::quantise(&mlp, levels));
             difference(&decoded, Activation::Logistic, &inputs, &exact)
         };
         let errors = LEVELS.map(at);
@@ -186,9 +186,9 @@ mod tests {
                 bias: vec![0.0; 60],
             }],
         };
-        let rounded = networks::as_decoded(&networks::quantise(&mlp, 127));
+        let rounded = networks::dequantise(&networks::quantise(&mlp, 127));
         assert_ne!(rounded, mlp);
-        assert_eq!(networks::as_decoded(&networks::quantise(&rounded, 127)), rounded);
+        assert_eq!(networks::dequantise(&networks::quantise(&rounded, 127)), rounded);
     }
 
     #[test]
@@ -205,7 +205,7 @@ mod tests {
             .map(|turn| (0..8).map(|index| ((turn * 7 + index * 5) % 13) as f32 - 6.0).collect())
             .collect();
         let finest = |mlp: &Mlp| {
-            let decoded = networks::as_decoded(&quantise(mlp, Activation::Tanh, &inputs));
+            let decoded = networks::dequantise(&quantise(mlp, Activation::Tanh, &inputs));
             let steps = decoded.layers[0].weights.iter().zip(&mlp.layers[0].weights);
             steps.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
         };

@@ -19,7 +19,7 @@ pub(super) struct Symbols {
     /// Features `[N][F]`, scalings `[N][6]` (at least 1), offsets `[N][K][3]` (zero where masked off).
     pub(super) groups: [Vec<i32>; 3],
     /// `[N]` step indices of each group.
-    pub(super) steps: [Vec<i8>; 3],
+    pub(super) step_indices: [Vec<i8>; 3],
 }
 
 /// An attribute group of a scene, to be quantised anchor by anchor.
@@ -34,11 +34,11 @@ pub(super) struct Quantiser<'a> {
 }
 
 impl Quantiser<'_> {
-    /// Integers of the anchor at place `anchor` of the file, with steps of index `step`.
-    pub(super) fn row(&self, anchor: usize, step: i8, row: &mut [i32]) -> Result<(), EncodeError> {
+    /// Integers of the anchor at place `anchor` of the file, with steps of index `step_index`.
+    pub(super) fn row(&self, anchor: usize, step_index: i8, row: &mut [i32]) -> Result<(), EncodeError> {
         let scene = self.scene;
         let anchor = self.order[anchor];
-        let step = self.base * factor(step);
+        let step = self.base * factor(step_index);
         let first = anchor * row.len();
         match self.attribute {
             Attribute::Features => {
@@ -91,7 +91,8 @@ pub(super) fn dequantise(symbols: Symbols, networks: &QuantisedNetworks, manifes
     let _stage = tracing::debug_span!("dequantise").entered();
     let shape = manifest.shape();
     let [features, scalings, offsets] = Attribute::ALL.map(|attribute| {
-        let (integers, steps) = (&symbols.groups[attribute as usize], &symbols.steps[attribute as usize]);
+        let (integers, steps) =
+            (&symbols.groups[attribute as usize], &symbols.step_indices[attribute as usize]);
         let base = manifest.steps.of(attribute);
         let channels = shape.channels(attribute);
         let mut values = vec![0.0; integers.len()];

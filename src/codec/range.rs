@@ -121,16 +121,16 @@ impl<'a> StreamDecoder<'a> {
     }
 
     pub(super) fn table(&mut self, table: &Table) -> Result<usize, DecodeError> {
-        self.coder.decode_symbol(TableModel(table)).map_err(|fault| self.fault(&fault))
+        self.coder.decode_symbol(TableModel(table)).map_err(|error| self.decode_error(&error))
     }
 
     fn bit(&mut self, one: u32) -> Result<bool, DecodeError> {
-        self.coder.decode_symbol(BitModel { one }).map_err(|fault| self.fault(&fault))
+        self.coder.decode_symbol(BitModel { one }).map_err(|error| self.decode_error(&error))
     }
 
-    fn fault<F>(&self, fault: &CoderError<F, StreamEnd>) -> DecodeError {
-        match fault {
-            CoderError::Frontend(_) => DecodeError::Stream { part: self.part, fault: "is not decodable" },
+    fn decode_error<F>(&self, error: &CoderError<F, StreamEnd>) -> DecodeError {
+        match error {
+            CoderError::Frontend(_) => DecodeError::Stream { part: self.part, problem: "is not decodable" },
             CoderError::Backend(StreamEnd) => ended(self.part),
         }
     }
@@ -139,13 +139,13 @@ impl<'a> StreamDecoder<'a> {
     pub(super) fn finish(self) -> Result<(), DecodeError> {
         let (words, state, point) = self.coder.into_raw_parts();
         let (expected, length) = ending(state.lower(), state.range().get());
-        let fault = match words.bytes.len().cmp(&((words.read - STATE_WORDS) * WORD + length)) {
+        let problem = match words.bytes.len().cmp(&((words.read - STATE_WORDS) * WORD + length)) {
             Ordering::Less => "ends before the last symbol",
             Ordering::Greater => "goes on after the last symbol",
             Ordering::Equal if point != expected => "ends unlike any encoder's",
             Ordering::Equal => return Ok(()),
         };
-        Err(DecodeError::Stream { part: self.part, fault })
+        Err(DecodeError::Stream { part: self.part, problem })
     }
 }
 
@@ -165,7 +165,7 @@ fn ending(lower: u64, range: u64) -> (u64, usize) {
 }
 
 fn ended(part: &'static str) -> DecodeError {
-    DecodeError::Stream { part, fault: "ends before the last symbol" }
+    DecodeError::Stream { part, problem: "ends before the last symbol" }
 }
 
 /// The stream has no more words.

@@ -90,9 +90,9 @@ pub(super) fn choose(
 
 /// Refuses candidates that do not fit the scene or that the format cannot state.
 fn check(candidates: &ContextCandidates, shape: Shape) -> Result<(), EncodeError> {
-    let fault = |what: &str, fault: String| EncodeError::Candidate { what: what.to_owned(), fault };
+    let unusable = |what: &str, problem: String| EncodeError::Candidate { what: what.to_owned(), problem };
     if let Some(half) = candidates.frame.half.iter().find(|half| **half == 0) {
-        return Err(fault("frame", format!("a half of {half} cells")));
+        return Err(unusable("frame", format!("a half of {half} cells")));
     }
     // Were all groups to choose as large a network, the file would still be within the format.
     let share = MAX_MULTIPLICATIONS / 3 / shape.anchors.max(1) as u64;
@@ -101,11 +101,11 @@ fn check(candidates: &ContextCandidates, shape: Shape) -> Result<(), EncodeError
             let outputs = AttributeGroup::outputs(shape.channels(attribute));
             if let Some(network) = network {
                 IntegerMlp::check(network, kind.inputs(channels), outputs)
-                    .map_err(|text| fault(&format!("{kind:?} network of {attribute:?}"), text))?;
+                    .map_err(|text| unusable(&format!("{kind:?} network of {attribute:?}"), text))?;
                 let each: u64 = network.layers.iter().map(|layer| layer.weights.len() as u64).sum();
                 if each > share {
                     let text = format!("{each} weights where {share} are possible with so many anchors");
-                    return Err(fault(&format!("{kind:?} network of {attribute:?}"), text));
+                    return Err(unusable(&format!("{kind:?} network of {attribute:?}"), text));
                 }
             }
         }
@@ -113,7 +113,7 @@ fn check(candidates: &ContextCandidates, shape: Shape) -> Result<(), EncodeError
     };
     check_networks(&candidates.position, ContextKind::Position, 0)?;
     for (number, set) in candidates.planes.iter().enumerate() {
-        IntegerPlanes::check(&set.planes).map_err(|text| fault(&format!("planes {number}"), text))?;
+        IntegerPlanes::check(&set.planes).map_err(|text| unusable(&format!("planes {number}"), text))?;
         let channels = set.planes.plane_channels();
         check_networks(&set.own, ContextKind::TriPlane, channels)?;
         check_networks(&set.neighbours, ContextKind::TriPlaneKnn, channels)?;
@@ -181,7 +181,7 @@ impl<'a> Search<'a> {
     ) -> Result<ContextNetwork, EncodeError> {
         let bits = WeightBits::new(weight_bits).ok_or_else(|| EncodeError::Candidate {
             what: "choice".to_owned(),
-            fault: format!("{weight_bits} bits a weight"),
+            problem: format!("{weight_bits} bits a weight"),
         })?;
         let mut mlp = IntegerMlp::quantise(mlp, bits);
         mlp.shift_last_output(quant_steps::index_as_octaves(self.settings.coarser[attribute as usize]));
@@ -310,7 +310,7 @@ impl<'a> Search<'a> {
     }
 
     fn fixed(&mut self, choice: ContextChoice) -> Result<Chosen, EncodeError> {
-        let fault = |fault: String| EncodeError::Candidate { what: "choice".to_owned(), fault };
+        let unusable = |problem: String| EncodeError::Candidate { what: "choice".to_owned(), problem };
         let kinds = kinds(&choice);
         let sampled = kinds.iter().flatten().any(|kind| kind.sampled() > 0);
         let candidates = self.candidates;
@@ -319,7 +319,7 @@ impl<'a> Search<'a> {
                 candidates
                     .planes
                     .get(number)
-                    .ok_or_else(|| fault(format!("there are no planes {number}")))?,
+                    .ok_or_else(|| unusable(format!("there are no planes {number}")))?,
             ),
             _ => None,
         };
@@ -346,7 +346,7 @@ impl<'a> Search<'a> {
             };
             let mlp = networks
                 .and_then(|networks| networks[group].as_ref())
-                .ok_or_else(|| fault(format!("there is no {kind:?} network of {attribute:?}")))?;
+                .ok_or_else(|| unusable(format!("there is no {kind:?} network of {attribute:?}")))?;
             let network = self.quantised(attribute, mlp, kind, weight_bits)?;
             tried[group].push(self.with_network(attribute, network, weight_bits)?);
         }

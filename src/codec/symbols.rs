@@ -63,7 +63,7 @@ impl Distribution {
         while stream.bypass()? {
             prefix += 1;
             if prefix > MAX_PREFIX {
-                return Err(DecodeError::Stream { part: stream.part(), fault: "has an endless escape" });
+                return Err(DecodeError::Stream { part: stream.part(), problem: "has an endless escape" });
             }
         }
         let mut outside = 1;
@@ -97,7 +97,7 @@ fn checked(part: &'static str, symbol: i32) -> Result<i32, DecodeError> {
     if symbol.abs() <= MAX_SYMBOL {
         Ok(symbol)
     } else {
-        Err(DecodeError::Malformed { part, what: "a symbol", value: symbol.to_string() })
+        Err(DecodeError::malformed(part, "a symbol", symbol))
     }
 }
 

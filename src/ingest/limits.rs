@@ -43,7 +43,7 @@ impl Limits {
 }
 
 impl Default for Limits {
-    /// LoadBudget for some thousands of photographs: 64 Mi pixels an image, 8 Gi pixels a scene, which is a thousand upright
+    /// Enough for some thousands of photographs: 64 Mi pixels an image, 8 Gi pixels a scene, which is a thousand upright
     /// 4K frames twice over. As RGB those are 24 GiB; what does not fit into memory goes to disk ([`super::LoadBudget`]).
     ///
     /// A central directory of 6 MiB has some 50 000 entries of usual names. Its index takes up to ten times as much memory.

@@ -68,8 +68,8 @@ use crate::domain::{Bytes, Dataset, DatasetSummary, Frame, Photograph, Problem, 
 ///
 /// # Errors
 /// A [`Problem`] that names the file and the error: 400 for a file that is not a zip archive, 413 for a dataset over the
-/// default [`Limits`], 404 for a path that does not exist, 500 for one that cannot be read, 507 for what memory or disk have
-/// no budget for, else 422.
+/// default [`Limits`], 404 for a path that does not exist, 500 for one that cannot be read, 507 for one that exceeds memory
+/// or disk, else 422.
 pub fn load(path: &Path) -> Result<Dataset, Problem> {
     load_with_budget(path, &LoadBudget::default())
 }
@@ -82,11 +82,11 @@ pub fn load_with_budget(path: &Path, budget: &LoadBudget) -> Result<Dataset, Pro
     Ok(load_cancellable(path, budget, &|| true)?)
 }
 
-/// As [`load_with_budget`]; `should_continue` is asked before each image's header and again before its pixels, by whichever thread reads them; once it says no,
-/// the reading ends.
+/// As [`load_with_budget`]; `should_continue` is called before each image's header and pixels are read, by the thread that reads them.
+/// Once it returns false, loading stops.
 ///
 /// # Errors
-/// As [`load_within`], and [`IngestErrorKind::Stopped`].
+/// The first error, in the order of names, and [`IngestErrorKind::Stopped`].
 pub fn load_cancellable(
     path: &Path,
     budget: &LoadBudget,
@@ -95,7 +95,7 @@ pub fn load_cancellable(
     load_with(path, &Limits::default(), budget, should_continue)
 }
 
-/// DatasetChecker a dataset as far as possible without decoding pixels: the archive, the layout, poses, cameras, points, and
+/// Checks a dataset as far as possible without decoding pixels: the archive, the layout, poses, cameras, points, and
 /// the presence and size of every image.
 ///
 /// # Errors
@@ -104,21 +104,17 @@ pub fn check(path: &Path) -> Result<DatasetSummary, Problem> {
     Ok(check_within(path, &Limits::default())?)
 }
 
-/// As [`load`], within other limits.
+/// As [`load_cancellable`], within other limits.
 ///
 /// # Errors
 /// The first error, in the order of names.
-pub fn load_within(path: &Path, limits: &Limits, budget: &LoadBudget) -> Result<Dataset, IngestError> {
-    load_with(path, limits, budget, &|| true)
-}
-
 fn load_with(
     path: &Path,
     limits: &Limits,
     budget: &LoadBudget,
     should_continue: &(dyn Fn() -> bool + Sync),
 ) -> Result<Dataset, IngestError> {
-    let (tree, survey) = survey(Tree::open(path, limits)?, limits, should_continue)?;
+    let (tree, survey) = survey(Tree::open(Purpose::Load, path, limits)?, limits, should_continue)?;
     let store = Store::new(&tree, &survey, budget)?;
     // Collected before the first error is taken, so that the same error is reported whatever thread is faster.
     let frames: Vec<Result<Frame, IngestError>> = survey
@@ -203,7 +199,7 @@ pub fn check_within(path: &Path, limits: &Limits) -> Result<DatasetSummary, Inge
 }
 
 fn check_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
-    let tree = Tree::open_for(Purpose::Check(deadline), path, limits)?;
+    let tree = Tree::open(Purpose::Check(deadline), path, limits)?;
     let (_, survey) = survey(tree, limits, &|| true)?;
     let count = |split| survey.views.iter().filter(|view| view.frame.split == split).count();
     let pixels = survey.views.iter().map(|view| {

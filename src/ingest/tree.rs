@@ -54,19 +54,11 @@ struct Entry {
 }
 
 impl Tree {
-    /// Opens a directory or a zip archive to load it, whichever `path` is.
+    /// Opens a directory or a zip archive, whichever `path` is.
     ///
     /// # Errors
-    /// Faults of the path, of the archive's structure and of its limits.
-    pub(super) fn open(path: &Path, limits: &Limits) -> Result<Self, IngestError> {
-        Self::open_for(Purpose::Load, path, limits)
-    }
-
-    /// As [`Tree::open`], for a purpose.
-    ///
-    /// # Errors
-    /// As [`Tree::open`].
-    pub(super) fn open_for(purpose: Purpose, path: &Path, limits: &Limits) -> Result<Self, IngestError> {
+    /// Those of the path, of the archive's structure and of its limits.
+    pub(super) fn open(purpose: Purpose, path: &Path, limits: &Limits) -> Result<Self, IngestError> {
         let metadata = fs::metadata(path).map_err(|error| {
             if error.kind() == io::ErrorKind::NotFound { IngestErrorKind::NotFound } else { error.into() }
         })?;

@@ -12,7 +12,7 @@ use super::{
 use crate::domain::{Camera, PointCloud};
 
 /// Cameras that must see a point, as a track of that length would need.
-const WITNESSES: usize = 3;
+const MIN_CAMERAS: usize = 3;
 
 /// Half the width of the jitter on each axis, in world units.
 const JITTER: f64 = 0.004;
@@ -35,9 +35,9 @@ pub(super) fn cloud(scene: &Scene, cameras: &[Camera], count: usize, seed: u64) 
             .filter(|camera| {
                 is_in_image(camera, point) && scene.is_visible(off_surface, camera.pose.center())
             })
-            .take(WITNESSES)
+            .take(MIN_CAMERAS)
             .count();
-        if seen < WITNESSES || (point.z < 0.0 && !matches!(solid.shape, Shape::Ground { .. })) {
+        if seen < MIN_CAMERAS || (point.z < 0.0 && !matches!(solid.shape, Shape::Ground { .. })) {
             continue;
         }
         cloud.positions.push((point + jitter).as_vec3().to_array());

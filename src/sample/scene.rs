@@ -1,4 +1,4 @@
-//! The still life itself, its light, and what a ray sees of it.
+//! The still life, its light, and the radiance along a ray.
 //!
 //! Colours are linear light until [`Scene::render`] writes sRGB. Shadows and ambient light depend only on the
 //! surface point, so views agree with each other; only the highlights move with the eye.
@@ -8,7 +8,7 @@ use libm::{cos, pow, sin};
 use rayon::prelude::*;
 
 use super::{
-    shape::{NEAREST, Ray, Shape, ball},
+    shape::{MIN_DISTANCE, Ray, Shape, ball},
     texture::Texture,
 };
 use crate::domain::{Camera, Image};
@@ -123,13 +123,13 @@ impl Scene {
         let mut light = DVec3::ZERO;
         for (sample, offset) in SUBPIXELS.iter().enumerate() {
             let at = DVec2::new(f64::from(column), f64::from(row)) + *offset;
-            light += self.seen(&ray_through(camera, at), sample);
+            light += self.radiance(&ray_through(camera, at), sample);
         }
         (light / SUBPIXELS.len() as f64).to_array().map(srgb8)
     }
 
     /// Light along a ray; `sample` varies which points of the sun its shadow rays go to.
-    fn seen(&self, ray: &Ray, sample: usize) -> DVec3 {
+    fn radiance(&self, ray: &Ray, sample: usize) -> DVec3 {
         let Some(hit) = self.hit(ray) else { return DVec3::ZERO };
         let Solid { shape, texture, gloss, shininess, .. } = hit.solid;
         let albedo = texture.albedo(shape.local(hit.point), hit.normal);
@@ -170,7 +170,7 @@ impl Scene {
         let up = 0.5 + 0.5 * hit.normal.z;
         let ambient = GROUND_LIGHT + (SKY_LIGHT - GROUND_LIGHT) * up;
         let facing = hit.normal.dot(self.sun).max(0.0);
-        albedo * (ambient * self.openness(hit.point, hit.normal) + SUN_COLOR * (sunlight * facing))
+        albedo * (ambient * self.sky_visibility(hit.point, hit.normal) + SUN_COLOR * (sunlight * facing))
     }
 
     /// Share of the sun that reaches a point.
@@ -194,9 +194,9 @@ impl Scene {
         reached as f64 / f64::from(SHADOW_RAYS)
     }
 
-    /// Share of the sky that the solids leave open over a point, each taken as a ball (a smooth stand-in that
-    /// grounds the solids without the noise of random rays).
-    fn openness(&self, point: DVec3, normal: DVec3) -> f64 {
+    /// Share of the sky that is visible from a point, with each solid taken as a ball: ambient occlusion without the noise of
+    /// random rays.
+    fn sky_visibility(&self, point: DVec3, normal: DVec3) -> f64 {
         self.solids[..self.fence_from].iter().filter_map(|solid| solid.shape.bound()).fold(
             1.0,
             |open, (center, radius)| {
@@ -231,8 +231,9 @@ impl Scene {
 
     /// The solids that the ray can meet, as far as their bounds tell.
     fn candidates(&self, ray: &Ray) -> impl Iterator<Item = &Solid> {
-        let passes =
-            |(center, radius): (DVec3, f64)| ball(ray, center, radius).is_some_and(|(_, far)| far > NEAREST);
+        let passes = |(center, radius): (DVec3, f64)| {
+            ball(ray, center, radius).is_some_and(|(_, far)| far > MIN_DISTANCE)
+        };
         let end = if passes(self.fence) { self.solids.len() } else { self.fence_from };
         self.solids[..end].iter().filter(move |solid| solid.shape.bound().is_none_or(passes))
     }

@@ -7,7 +7,7 @@ use libm::{cos, sin};
 use rand::{Rng, RngExt};
 
 /// Nearest distance that counts, so that a ray leaving a surface does not meet that surface again.
-pub(super) const NEAREST: f64 = 1e-5;
+pub(super) const MIN_DISTANCE: f64 = 1e-5;
 
 /// A half line.
 #[derive(Debug, Clone, Copy)]
@@ -57,16 +57,16 @@ impl Shape {
         }
     }
 
-    /// The first distance beyond [`NEAREST`] at which the ray meets the surface.
+    /// The first distance beyond [`MIN_DISTANCE`] at which the ray meets the surface.
     pub(super) fn intersect(&self, ray: &Ray) -> Option<f64> {
         match *self {
             Shape::Ground { radius } => {
                 let distance = -ray.origin.z / ray.direction.z;
                 let inside = ray.at(distance).truncate().length_squared() < radius * radius;
-                (distance.is_finite() && distance > NEAREST && inside).then_some(distance)
+                (distance.is_finite() && distance > MIN_DISTANCE && inside).then_some(distance)
             }
             Shape::Dome { radius } => {
-                ball(ray, DVec3::ZERO, radius).map(|(_, far)| far).filter(|far| *far > NEAREST)
+                ball(ray, DVec3::ZERO, radius).map(|(_, far)| far).filter(|far| *far > MIN_DISTANCE)
             }
             Shape::Sphere { center, radius } => {
                 let (near, far) = ball(ray, center, radius)?;
@@ -186,7 +186,7 @@ impl Shape {
 }
 
 fn first(distances: [f64; 2]) -> Option<f64> {
-    distances.into_iter().find(|distance| *distance > NEAREST)
+    distances.into_iter().find(|distance| *distance > MIN_DISTANCE)
 }
 
 /// Both distances at which a ray's line meets a ball.
@@ -218,25 +218,24 @@ fn cylinder(ray: &Ray, base: DVec3, radius: f64, height: f64) -> Option<f64> {
     for sign in [-1.0, 1.0] {
         let distance = (-half_b + sign * under_root.sqrt()) / a;
         let z = origin.z + ray.direction.z * distance;
-        if distance > NEAREST && (0.0..=height).contains(&z) {
+        if distance > MIN_DISTANCE && (0.0..=height).contains(&z) {
             nearest = nearest.min(distance);
         }
     }
     for z in [0.0, height] {
         let distance = (z - origin.z) / ray.direction.z;
         let inside = (flat + step * distance).length_squared() <= radius * radius;
-        if distance > NEAREST && inside {
+        if distance > MIN_DISTANCE && inside {
             nearest = nearest.min(distance);
         }
     }
     nearest.is_finite().then_some(nearest)
 }
 
-/// Walks along the ray by the distance to the surface, which never steps over it. Simpler and steadier than the
-/// roots of a quartic.
+/// Sphere tracing: simpler and numerically steadier than the roots of a quartic.
 fn torus(ray: &Ray, center: DVec3, major: f64, minor: f64) -> Option<f64> {
     let (near, far) = ball(ray, center, major + minor)?;
-    let mut distance = near.max(NEAREST);
+    let mut distance = near.max(MIN_DISTANCE);
     for _ in 0..512 {
         let local = ray.at(distance) - center;
         let ring = local.truncate().length() - major;
@@ -267,11 +266,11 @@ fn rod(ray: &Ray, from: DVec3, to: DVec3, radius: f64) -> Option<f64> {
     let distance = (-b - under_root.sqrt()) / a;
     let share = start + distance * step;
     if share > 0.0 && share < length_squared {
-        return (distance > NEAREST).then_some(distance);
+        return (distance > MIN_DISTANCE).then_some(distance);
     }
     let end = if share <= 0.0 { from } else { to };
     let (near, _) = ball(ray, end, radius)?;
-    (near > NEAREST).then_some(near)
+    (near > MIN_DISTANCE).then_some(near)
 }
 
 #[cfg(test)]

@@ -188,7 +188,7 @@ fn interop(name: &str) -> PathBuf {
 }
 
 fn bytes_of(path: impl AsRef<Path>) -> Vec<u8> {
-    std::fs::read(&path).unwrap_or_else(|fault| panic!("{}: {fault}", path.as_ref().display()))
+    std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.as_ref().display()))
 }
 
 /// The arrays of a file of version 4, one after another.

@@ -118,11 +118,11 @@ fn real_sets_have_the_stated_frames_sizes_splits_and_points() {
         let dataset = ingest::load(&path).expect(expected.set);
         let summary = ingest::check(&path).expect(expected.set);
         assert_eq!(dataset.layout, expected.layout, "{}", expected.set);
-        for (split, count, told) in
+        for (split, count, stated) in
             [(Split::Train, expected.train, summary.train), (Split::Test, expected.test, summary.test)]
         {
             assert_eq!(dataset.split(split).count(), count, "{} {split:?}", expected.set);
-            assert_eq!(told, count, "{} {split:?}", expected.set);
+            assert_eq!(stated, count, "{} {split:?}", expected.set);
         }
         assert_eq!(dataset.points.as_ref().map(|cloud| cloud.positions.len()), expected.points);
         assert_eq!((summary.points, &summary.notes), (expected.points, &dataset.notes));

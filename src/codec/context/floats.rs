@@ -64,7 +64,7 @@ impl FloatAnchors {
 }
 
 /// Planes by the definition of [`crate::domain::UpLayer`].
-fn up_sampled(planes: &Planes) -> Vec<f64> {
+pub(super) fn up_sampled(planes: &Planes) -> Vec<f64> {
     let mut edge = planes.edge;
     let mut values: Vec<f64> = planes.latents.iter().map(|latent| f64::from(*latent)).collect();
     for (index, layer) in planes.layers.iter().enumerate() {

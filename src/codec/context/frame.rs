@@ -11,7 +11,7 @@ use crate::domain::ContextFrame;
 const ONE: i64 = 1 << 16;
 
 /// Distances from the middle are clamped to this many halves.
-const FARTHEST: i64 = 1 << 26;
+const MAX_RELATIVE: i64 = 1 << 26;
 
 /// Largest magnitude of a coordinate: 2 in 2^-16.
 pub const COORDINATE_LIMIT: i32 = 1 << 17;
@@ -49,13 +49,13 @@ pub fn coordinates(frame: &ContextFrame, cells: &[[i32; 3]]) -> Vec<[i32; 3]> {
     cells.par_iter().map(|cell| contract(relative(frame, *cell))).collect()
 }
 
-/// (cell - centre) / half in 2^-16, at most [`FARTHEST`] in magnitude.
+/// (cell - centre) / half in 2^-16, at most [`MAX_RELATIVE`] in magnitude.
 fn relative(frame: &ContextFrame, cell: [i32; 3]) -> [i64; 3] {
     std::array::from_fn(|axis| {
         let distance = i64::from(cell[axis]) - i64::from(frame.centre[axis]);
         // |distance| < 2^32, so the product is below 2^48.
         let relative = distance * ONE / i64::from(frame.half[axis].max(1));
-        relative.clamp(-FARTHEST, FARTHEST)
+        relative.clamp(-MAX_RELATIVE, MAX_RELATIVE)
     })
 }
 

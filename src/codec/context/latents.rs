@@ -117,11 +117,7 @@ impl Contexts {
             let residual = self.residual(bit, i32::from(image[place]) - expected, left, above)?;
             let value = expected + residual;
             if value.abs() > MAX_LATENT {
-                return Err(DecodeError::Malformed {
-                    part: PART,
-                    what: "a latent",
-                    value: value.to_string(),
-                });
+                return Err(DecodeError::malformed(PART, "a latent", value));
             }
             residuals[column] = residual;
             image[place] = value as i8;

@@ -16,7 +16,7 @@ pub(in crate::codec) enum GroupModel {
     /// One distribution a channel, the same for every anchor.
     Static {
         /// Step index of every anchor.
-        step: i8,
+        step_index: i8,
         /// Of each channel.
         channels: Vec<Distribution>,
     },
@@ -24,28 +24,34 @@ pub(in crate::codec) enum GroupModel {
     Network(ContextNetwork),
 }
 
-/// A network and what it is given.
+/// A network and its kind of inputs.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::codec) struct ContextNetwork {
-    /// What it is given.
+    /// Its inputs.
     pub(in crate::codec) kind: ContextKind,
     /// Its layers.
     pub(in crate::codec) mlp: IntegerMlp,
 }
 
 impl GroupModel {
-    /// Asks the model about anchors; `anchors` must have what its network is given.
-    pub(in crate::codec) fn rows<'a>(&'a self, anchors: &'a AnchorContext) -> Rows<'a> {
+    /// Prepares predictions for anchors; `anchors` must have the inputs of the network.
+    pub(in crate::codec) fn predictions<'a>(&'a self, anchors: &'a AnchorContext) -> Predictions<'a> {
         let distributions = match self {
             GroupModel::Static { channels, .. } => channels.clone(),
             GroupModel::Network(_) => Vec::new(),
         };
-        Rows { model: self, anchors, activations: Activations::default(), outputs: Vec::new(), distributions }
+        Predictions {
+            model: self,
+            anchors,
+            activations: Activations::default(),
+            outputs: Vec::new(),
+            distributions,
+        }
     }
 }
 
-/// Answers about one anchor after another.
-pub(in crate::codec) struct Rows<'a> {
+/// Predictions for one anchor after another.
+pub(in crate::codec) struct Predictions<'a> {
     model: &'a GroupModel,
     anchors: &'a AnchorContext,
     activations: Activations,
@@ -53,11 +59,11 @@ pub(in crate::codec) struct Rows<'a> {
     distributions: Vec<Distribution>,
 }
 
-impl Rows<'_> {
+impl Predictions<'_> {
     /// The step index of an anchor (by its place in the file), and the distribution of each channel.
     pub(in crate::codec) fn at(&mut self, anchor: usize) -> (i8, &[Distribution]) {
         let network = match self.model {
-            GroupModel::Static { step, .. } => return (*step, &self.distributions),
+            GroupModel::Static { step_index, .. } => return (*step_index, &self.distributions),
             GroupModel::Network(network) => network,
         };
         let input = &mut self.activations.input;
@@ -66,13 +72,11 @@ impl Rows<'_> {
         network.mlp.outputs(&mut self.activations, &mut self.outputs);
         let channels = self.outputs.len() / 2;
         let (means, rest) = self.outputs.split_at(channels);
-        let step = quant_steps::index(rest[channels]);
+        let step_index = quant_steps::index(rest[channels]);
         self.distributions.clear();
-        self.distributions.extend(
-            means.iter().zip(rest).map(|(mean, deviation)| {
-                Distribution::Gaussian(quant_steps::gaussian(*mean, *deviation, step))
-            }),
-        );
-        (step, &self.distributions)
+        self.distributions.extend(means.iter().zip(rest).map(|(mean, deviation)| {
+            Distribution::Gaussian(quant_steps::gaussian(*mean, *deviation, step_index))
+        }));
+        (step_index, &self.distributions)
     }
 }

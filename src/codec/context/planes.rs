@@ -201,7 +201,10 @@ mod tests {
     use rand_pcg::Pcg64Mcg;
 
     use super::*;
-    use crate::{codec::context::texels, domain::UpLayer};
+    use crate::{
+        codec::context::{floats::up_sampled, texels},
+        domain::UpLayer,
+    };
 
     fn planes(random: &mut Pcg64Mcg, edge: usize, widths: &[usize]) -> Planes {
         let mut uniform = |count: usize, bound: f32| -> Vec<f32> {
@@ -223,46 +226,12 @@ mod tests {
         }
     }
 
-    /// The domain's definition, term by term, in f64: `[3][C][R][R]`.
-    fn float_planes(planes: &Planes) -> Vec<f64> {
-        let mut edge = planes.edge;
-        let mut values: Vec<f64> = planes.latents.iter().map(|v| f64::from(*v)).collect();
-        for (index, layer) in planes.layers.iter().enumerate() {
-            let (size, wide) = (edge * edge, 2 * edge);
-            let mut next = vec![0.0; PLANES * layer.outputs * wide * wide];
-            for plane in 0..PLANES {
-                for output in 0..layer.outputs {
-                    let image = &mut next[(plane * layer.outputs + output) * wide * wide..][..wide * wide];
-                    image.fill(f64::from(layer.bias[output]));
-                    for input in 0..layer.inputs {
-                        for place in 0..size {
-                            let value = values[(plane * layer.inputs + input) * size + place];
-                            for tap in 0..9 {
-                                let x = (2 * (place % edge) + tap % 3).checked_sub(1).filter(|x| *x < wide);
-                                let y = (2 * (place / edge) + tap / 3).checked_sub(1).filter(|y| *y < wide);
-                                if let (Some(x), Some(y)) = (x, y) {
-                                    let weight = layer.weights[(input * layer.outputs + output) * 9 + tap];
-                                    image[y * wide + x] += value * f64::from(weight);
-                                }
-                            }
-                        }
-                    }
-                }
-            }
-            if index + 1 < planes.layers.len() {
-                next.iter_mut().for_each(|value| *value = value.max(0.0));
-            }
-            (values, edge) = (next, wide);
-        }
-        values
-    }
-
     #[test]
     fn up_sampling_follows_its_definition() {
         let mut random = Pcg64Mcg::seed_from_u64(4);
         for widths in [&[3][..], &[4, 5], &[3, 6, 4], &[2, 3, 3, 2]] {
             let integers = IntegerPlanes::quantise(&planes(&mut random, 3, widths));
-            let exact = float_planes(&integers.as_floats());
+            let exact = up_sampled(&integers.as_floats());
             let texels = integers.texels();
             let channels = *widths.last().expect("a width");
             assert_eq!((texels.edge, texels.channels), (3 << (widths.len() - 1), channels));
@@ -301,8 +270,8 @@ mod tests {
             writer.into_bytes()
         };
         for counts in [[0, 1, 0], [1025, 1, 0], [1, 0, 0], [1, 129, 0], [1, 1, 7], [1024, 6, 0]] {
-            let fault = IntegerPlanes::decode(&section(&counts), u64::MAX);
-            assert!(matches!(fault, Err(DecodeError::Malformed { .. })), "{counts:?}: {fault:?}");
+            let result = IntegerPlanes::decode(&section(&counts), u64::MAX);
+            assert!(matches!(result, Err(DecodeError::Malformed { .. })), "{counts:?}: {result:?}");
         }
         let mut random = Pcg64Mcg::seed_from_u64(6);
         let good = planes(&mut random, 2, &[2, 3]);

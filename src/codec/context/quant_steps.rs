@@ -61,9 +61,14 @@ const RATIO: [i64; 33] = [
     22_674, 19_484, 16_743, 14_387, 12_363, 10_624, 9129, 7845, 6741, 5793,
 ];
 
-/// The factor of step index `step`, which is clamped to [`MAX_STEP_INDEX`].
-pub(in crate::codec) fn factor(step: i8) -> f32 {
-    STEP_TABLE[usize::from((step.clamp(-MAX_STEP_INDEX, MAX_STEP_INDEX) + MAX_STEP_INDEX).unsigned_abs())]
+/// Place of a step index in the tables; it is clamped to [`MAX_STEP_INDEX`].
+fn entry(index: i8) -> usize {
+    usize::from((index.clamp(-MAX_STEP_INDEX, MAX_STEP_INDEX) + MAX_STEP_INDEX).unsigned_abs())
+}
+
+/// The factor from the base step to the step of an index.
+pub(in crate::codec) fn factor(index: i8) -> f32 {
+    STEP_TABLE[entry(index)]
 }
 
 /// The index of the step nearest to `octaves` from the base step.
@@ -83,15 +88,14 @@ pub(in crate::codec) fn index(adjustment: i32) -> i8 {
     index.clamp(-i64::from(MAX_STEP_INDEX), i64::from(MAX_STEP_INDEX)) as i8
 }
 
-/// The distribution of a symbol in steps of index `step`, from its mean in base steps and the base-2 logarithm of its
+/// The distribution of a symbol in steps of index `step_index`, from its mean in base steps and the base-2 logarithm of its
 /// standard deviation in base steps, both in 2^-8 and at most 2^23 in magnitude.
-pub(in crate::codec) fn gaussian(mean: i32, log_deviation: i32, step: i8) -> Gaussian {
-    let ratio =
-        RATIO[usize::from((step.clamp(-MAX_STEP_INDEX, MAX_STEP_INDEX) + MAX_STEP_INDEX).unsigned_abs())];
+pub(in crate::codec) fn gaussian(mean: i32, log_deviation: i32, step_index: i8) -> Gaussian {
+    let ratio = RATIO[entry(step_index)];
     // Below 2^23 x 2^20, so the sum fits 64 bits with room to spare.
     let mean16 = ((i64::from(mean) * ratio + (1 << 19)) >> 20).clamp(-MAX_MEAN, MAX_MEAN);
     let scale = ((i64::from(log_deviation) * ENTRIES_PER_OCTAVE + (1 << 15)) >> 16) + UNIT_SCALE;
-    let scale = (scale - i64::from(step)).clamp(0, SCALES as i64 - 1);
+    let scale = (scale - i64::from(step_index)).clamp(0, SCALES as i64 - 1);
     Gaussian { mean16: mean16 as i32, scale: scale as u8 }
 }
 

@@ -15,7 +15,7 @@ const CELLS: f64 = 128.0;
 const COVERED: f64 = 1.5;
 
 /// Most cells to each side of its middle that a Gaussian darkens: enough for all but those before the lens.
-const MOST_CELLS: i64 = 16;
+const MAX_CELLS: i64 = 16;
 
 /// Cells from the image beyond which it does not matter how far.
 const FAR: f64 = 1e6;
@@ -50,8 +50,8 @@ pub(super) fn shares(bake_view: &BakeView, discs: &[Disc], opacities: &[f32], ne
             // Far outside is as good as anywhere outside.
             let middle = middle.clamp(-FAR, FAR);
             let own = middle.floor() as i64;
-            let first = ((middle - reach).floor() as i64).clamp(own - MOST_CELLS, own);
-            let last = ((middle + reach).floor() as i64).clamp(own, own + MOST_CELLS);
+            let first = ((middle - reach).floor() as i64).clamp(own - MAX_CELLS, own);
+            let last = ((middle + reach).floor() as i64).clamp(own, own + MAX_CELLS);
             (own.clamp(0, count - 1), first, last)
         };
         let (column, left, right) = cells(x, columns);

@@ -14,7 +14,7 @@ const DISTANCE: f64 = 3.0;
 const FIELD: f64 = 0.9;
 
 /// At most so many views are baked from: more tell a Gaussian of sixteen coefficients little and cost in proportion.
-const MOST_VIEWS: usize = 128;
+const MAX_VIEWS: usize = 128;
 
 /// `count` cameras of `side` x `side` pixels, evenly spread over a sphere around the scene and looking at its middle. The
 /// middle is the median of the positions, the radius three times that of nine tenths of them.
@@ -46,7 +46,7 @@ pub fn sphere(positions: &[[f32; 3]], count: usize, side: u32) -> Result<Vec<Cam
 /// At most 128 of the cameras, evenly along their order.
 #[must_use]
 pub fn thinned(cameras: &[Camera]) -> Vec<Camera> {
-    let kept = cameras.len().min(MOST_VIEWS);
+    let kept = cameras.len().min(MAX_VIEWS);
     (0..kept).map(|index| cameras[index * cameras.len() / kept]).collect()
 }
 

@@ -185,8 +185,8 @@ fn candidates_that_do_not_fit_are_refused() {
     let refused = |change: fn(&mut ContextCandidates)| {
         let mut candidates = dependent.candidates.clone();
         change(&mut candidates);
-        let fault = encode(&dependent.scene, Some(&candidates), &settings()).expect_err("must be refused");
-        assert!(matches!(fault, EncodeError::Candidate { .. }), "{fault}");
+        let error = encode(&dependent.scene, Some(&candidates), &settings()).expect_err("must be refused");
+        assert!(matches!(error, EncodeError::Candidate { .. }), "{error}");
     };
     refused(|candidates| candidates.frame.half[1] = 0);
     refused(|candidates| candidates.position.swap(0, 1));
@@ -195,11 +195,11 @@ fn candidates_that_do_not_fit_are_refused() {
     refused(|candidates| candidates.position[0].as_mut().expect("there").layers.clear());
     refused(|candidates| candidates.planes[0].planes.latents[0] = f32::NAN);
     for (groups, planes) in [(KINDS.map(Some), None), (KINDS.map(Some), Some(1))] {
-        let fault = encode(&dependent.scene, Some(&dependent.candidates), &fixed(groups, planes));
-        assert!(matches!(fault, Err(EncodeError::Candidate { .. })));
+        let error = encode(&dependent.scene, Some(&dependent.candidates), &fixed(groups, planes));
+        assert!(matches!(error, Err(EncodeError::Candidate { .. })));
     }
-    let fault = encode(&dependent.scene, None, &fixed(KINDS.map(Some), Some(0)));
-    assert!(matches!(fault, Err(EncodeError::Candidate { .. })));
+    let error = encode(&dependent.scene, None, &fixed(KINDS.map(Some), Some(0)));
+    assert!(matches!(error, Err(EncodeError::Candidate { .. })));
 }
 
 #[test]
@@ -214,15 +214,15 @@ fn sections_must_be_there_where_they_are_needed_and_only_there() {
         let mut lacking = wire::parts(&with);
         lacking.retain(|other| other.0 != part.0);
         let bytes = wire::file((1, 0), &lacking);
-        let fault = decode(&bytes, &DecodeLimits::NONE).expect_err("must be refused");
-        assert!(matches!(fault, DecodeError::MissingSection { .. }), "{fault}");
-        assert_eq!(inspect(&bytes).expect_err("must be refused"), fault);
+        let error = decode(&bytes, &DecodeLimits::NONE).expect_err("must be refused");
+        assert!(matches!(error, DecodeError::MissingSection { .. }), "{error}");
+        assert_eq!(inspect(&bytes).expect_err("must be refused"), error);
         let mut needless = wire::parts(&without);
         needless.push(part.clone());
         let bytes = wire::file((1, 0), &needless);
-        let fault = decode(&bytes, &DecodeLimits::NONE).expect_err("must be refused");
-        assert!(matches!(fault, DecodeError::NeedlessSection { .. }), "{fault}");
-        assert_eq!(inspect(&bytes).expect_err("must be refused"), fault);
+        let error = decode(&bytes, &DecodeLimits::NONE).expect_err("must be refused");
+        assert!(matches!(error, DecodeError::NeedlessSection { .. }), "{error}");
+        assert_eq!(inspect(&bytes).expect_err("must be refused"), error);
     }
 }
 
@@ -232,8 +232,8 @@ fn memory_of_planes_and_contexts_is_limited() {
     let bytes = encode(&scene, Some(&candidates), &fixed(KINDS.map(Some), Some(0))).expect("encodes").bytes;
     let limits = DecodeLimits::default();
     for max_memory_bytes in [10, 1000, 10_000] {
-        let fault = decode(&bytes, &DecodeLimits { max_memory_bytes, ..limits });
-        assert!(matches!(fault, Err(DecodeError::Limit { .. })), "{max_memory_bytes}: {fault:?}");
+        let error = decode(&bytes, &DecodeLimits { max_memory_bytes, ..limits });
+        assert!(matches!(error, Err(DecodeError::Limit { .. })), "{max_memory_bytes}: {error:?}");
     }
     assert!(decode(&bytes, &limits).is_ok());
 }
@@ -270,8 +270,8 @@ fn small_files_that_ask_for_hours_are_refused() {
         planes: Vec::new(),
     };
     let settings = fixed([Some(ContextKind::Position), None, None], None);
-    let fault = encode(&scene, Some(&candidates(&[18, 512, 512, 512, 3])), &settings);
-    assert!(matches!(fault, Err(EncodeError::Candidate { .. })));
+    let error = encode(&scene, Some(&candidates(&[18, 512, 512, 512, 3])), &settings);
+    assert!(matches!(error, Err(EncodeError::Candidate { .. })));
 
     let bytes = encode(&scene, Some(&candidates(&[18, 3])), &settings).expect("encodes").bytes;
     let mut parts = wire::parts(&bytes);
@@ -285,8 +285,8 @@ fn small_files_that_ask_for_hours_are_refused() {
     context.2.extend(mlp);
     let bytes = wire::file((1, 0), &parts);
     assert!(bytes.len() < 200_000, "{}", bytes.len());
-    let fault = decode(&bytes, &DecodeLimits::NONE).expect_err("must be refused").to_string();
-    assert!(fault.contains("multiplications"), "{fault}");
+    let error = decode(&bytes, &DecodeLimits::NONE).expect_err("must be refused").to_string();
+    assert!(error.contains("multiplications"), "{error}");
 }
 
 /// Bits of a symbol by a normal distribution, in the tail with the smaller cancellation.

@@ -1,5 +1,5 @@
 //! How the golden files and the first files of the fuzzing corpus are made: by the tests that hold the encoder to them, and by
-//! `examples/fixtures.rs`, which writes them where it is told.
+//! `examples/fixtures.rs`, which writes them into a folder.
 
 use tcgs::{
     codec::{ContextChoice, ContextSearch, ContextSettings, EncodeSettings, Encoded, GroupChoice, encode},
@@ -67,7 +67,7 @@ fn direct() -> Encoded {
     encode(&dependent.scene, Some(&dependent.candidates), &fixed(KINDS.map(Some), Some(0))).expect("encodes")
 }
 
-/// Networks that are told distances in a unit of the scene's own.
+/// Networks whose distances are in a unit of the scene's own.
 fn unit() -> Encoded {
     let scene = scene(Recipe { seed: 2027, anchors: 40, feature_dim: 4, offsets: 2, masked: 0.3 });
     let unit = DistanceUnit::new(UNIT).expect("a length");

@@ -164,11 +164,11 @@ fn what_cannot_be_written_is_refused_with_the_reason() {
         EncodeError::NegativeScaling { index: 2, .. }
     ));
     for voxel in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e-40, f32::MAX] {
-        let fault = refusal(|scene| scene.lattice.voxel = voxel);
-        assert!(matches!(fault, EncodeError::Setting { .. }), "voxel {voxel}: {fault}");
+        let error = refusal(|scene| scene.lattice.voxel = voxel);
+        assert!(matches!(error, EncodeError::Setting { .. }), "voxel {voxel}: {error}");
     }
-    let fault = refusal(|scene| scene.lattice.origin[1] = f32::NAN);
-    assert!(matches!(fault, EncodeError::Setting { name: "origin", .. }));
+    let error = refusal(|scene| scene.lattice.origin[1] = f32::NAN);
+    assert!(matches!(error, EncodeError::Setting { name: "origin", .. }));
     let wrong = tcgs::codec::EncodeSettings { feature_step: 0.0, ..settings() };
     assert_eq!(
         encode(&small(), None, &wrong).expect_err("no step"),

@@ -14,10 +14,10 @@ fn small_file() -> Vec<u8> {
     encode(&small(), None, &settings()).expect("encodes").bytes
 }
 
-fn fault(bytes: &[u8]) -> DecodeError {
-    let fault = decode(bytes, &DecodeLimits::default()).expect_err("must be refused");
-    assert_eq!(inspect(bytes).expect_err("must be refused"), fault, "decode and inspect agree");
-    fault
+fn error_of(bytes: &[u8]) -> DecodeError {
+    let error = decode(bytes, &DecodeLimits::default()).expect_err("must be refused");
+    assert_eq!(inspect(bytes).expect_err("must be refused"), error, "decode and inspect agree");
+    error
 }
 
 #[test]
@@ -31,7 +31,7 @@ fn another_major_is_refused_and_another_minor_is_read() {
     let parts = wire::parts(&small_file());
     for major in [0, 2, u16::MAX] {
         let known = DecodeError::UnsupportedVersion { major, minor: 3, known: 1 };
-        assert_eq!(fault(&wire::file((major, 3), &parts)), known);
+        assert_eq!(error_of(&wire::file((major, 3), &parts)), known);
     }
     let later = wire::file((1, 9), &parts);
     assert!(decode(&later, &DecodeLimits::default()).is_ok());
@@ -46,7 +46,7 @@ fn another_arithmetic_profile_is_refused() {
         let mut other = bytes.clone();
         other[14..16].copy_from_slice(&profile.to_le_bytes());
         wire::reseal(&mut other);
-        assert_eq!(fault(&other), DecodeError::UnsupportedProfile { profile, known: 1 });
+        assert_eq!(error_of(&other), DecodeError::UnsupportedProfile { profile, known: 1 });
     }
 }
 
@@ -70,7 +70,7 @@ fn an_unknown_critical_section_is_refused() {
     let mut parts = wire::parts(&small_file());
     parts.push((*b"NEW!", 1, vec![1]));
     assert_eq!(
-        fault(&wire::file((1, 1), &parts)),
+        error_of(&wire::file((1, 1), &parts)),
         DecodeError::UnknownSection { section: "NEW!".to_owned() }
     );
 }
@@ -91,9 +91,9 @@ fn a_near_plane_that_is_not_the_usual_one_takes_an_optional_section_of_four_byte
     for content in [&[][..], &[0; 3], &[0; 5], &0.0_f32.to_le_bytes(), &f32::NAN.to_le_bytes()] {
         let mut parts = parts.clone();
         parts.last_mut().expect("sections").2 = content.to_vec();
-        let fault =
+        let error =
             decode(&wire::file((1, 0), &parts), &DecodeLimits::default()).expect_err("must be refused");
-        assert!(fault.to_string().contains("view"), "{fault}");
+        assert!(error.to_string().contains("view"), "{error}");
     }
 }
 
@@ -131,8 +131,8 @@ fn a_distance_unit_that_is_not_the_usual_one_takes_a_critical_section_of_four_by
     for content in contents {
         let mut parts = parts.clone();
         parts.last_mut().expect("sections").2 = content.to_vec();
-        let fault = fault(&wire::file((1, 0), &parts));
-        assert!(fault.to_string().contains("unit"), "{fault}");
+        let error = error_of(&wire::file((1, 0), &parts));
+        assert!(error.to_string().contains("unit"), "{error}");
     }
 }
 
@@ -142,31 +142,31 @@ fn missing_doubled_and_misplaced_sections_are_refused() {
     for missing in 0..5 {
         let mut parts = wire::parts(&bytes);
         parts.remove(missing);
-        assert!(matches!(fault(&wire::file((1, 0), &parts)), DecodeError::MissingSection { .. }));
+        assert!(matches!(error_of(&wire::file((1, 0), &parts)), DecodeError::MissingSection { .. }));
     }
     let mut parts = wire::parts(&bytes);
     parts.push(parts[1].clone());
-    assert!(matches!(fault(&wire::file((1, 0), &parts)), DecodeError::DuplicateSection { .. }));
+    assert!(matches!(error_of(&wire::file((1, 0), &parts)), DecodeError::DuplicateSection { .. }));
 
     let mut moved = bytes.clone();
     moved[wire::HEADER + 8] += 1;
     wire::reseal(&mut moved);
-    assert!(matches!(fault(&moved), DecodeError::SectionPlace { .. }));
+    assert!(matches!(error_of(&moved), DecodeError::SectionPlace { .. }));
 
     let mut flagged = wire::parts(&bytes);
     flagged[0].1 = 3;
-    assert!(matches!(fault(&wire::file((1, 0), &flagged)), DecodeError::Malformed { .. }));
+    assert!(matches!(error_of(&wire::file((1, 0), &flagged)), DecodeError::Malformed { .. }));
 }
 
 #[test]
 fn trailing_bytes_are_refused_even_where_the_header_counts_them() {
     let mut longer = small_file();
     longer.push(0);
-    assert!(matches!(fault(&longer), DecodeError::FileLength { .. }));
+    assert!(matches!(error_of(&longer), DecodeError::FileLength { .. }));
     let length = longer.len() as u64;
     longer[16..24].copy_from_slice(&length.to_le_bytes());
     wire::reseal(&mut longer);
-    assert_eq!(fault(&longer), DecodeError::TrailingBytes { part: "file", count: 1 });
+    assert_eq!(error_of(&longer), DecodeError::TrailingBytes { part: "file", count: 1 });
     for section in 0..5 {
         let mut parts = wire::parts(&small_file());
         parts[section].2.extend([0; 16]);
@@ -176,17 +176,17 @@ fn trailing_bytes_are_refused_even_where_the_header_counts_them() {
 
 #[test]
 fn damage_is_named() {
-    assert_eq!(fault(b"PK\x03\x04, an archive"), DecodeError::NotTcgs);
+    assert_eq!(error_of(b"PK\x03\x04, an archive"), DecodeError::NotTcgs);
     let bytes = small_file();
     let mut header = bytes.clone();
     header[17] ^= 1;
-    assert!(matches!(fault(&header), DecodeError::HeaderChecksum { .. }));
+    assert!(matches!(error_of(&header), DecodeError::HeaderChecksum { .. }));
     let mut payload = bytes.clone();
     let last = payload.len() - 1;
     payload[last] ^= 1;
-    assert!(matches!(fault(&payload), DecodeError::FileDigest { .. }));
+    assert!(matches!(error_of(&payload), DecodeError::FileDigest { .. }));
     wire::reseal_header(&mut payload, wire::HEADER + 5 * wire::ENTRY);
-    assert!(matches!(fault(&payload), DecodeError::SectionChecksum { section, .. } if section == "ATTR"));
+    assert!(matches!(error_of(&payload), DecodeError::SectionChecksum { section, .. } if section == "ATTR"));
     wire::reseal(&mut payload);
     let deep = decode(&payload, &DecodeLimits::default()).expect_err("must be refused");
     assert!(matches!(deep, DecodeError::ChunkChecksum { chunk: 0, .. }), "{deep}");
@@ -200,6 +200,6 @@ fn a_wrong_decode_hash_is_refused() {
     let manifest = &mut parts[0].2;
     let place = manifest.windows(32).position(|window| window == expected.as_bytes()).expect("the hash");
     manifest[place] ^= 1;
-    let fault = decode(&wire::file((1, 0), &parts), &DecodeLimits::default()).expect_err("must be refused");
-    assert!(matches!(fault, DecodeError::DecodeDigest { actual, .. } if actual == expected));
+    let error = decode(&wire::file((1, 0), &parts), &DecodeLimits::default()).expect_err("must be refused");
+    assert!(matches!(error, DecodeError::DecodeDigest { actual, .. } if actual == expected));
 }
