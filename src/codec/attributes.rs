@@ -54,7 +54,7 @@ pub(super) fn encode(groups: [&CodedGroup; 3]) -> Vec<u8> {
     writer.into_bytes()
 }
 
-/// What this section says about a group's model: tables, or nothing where there is a network.
+/// Writes this section's part of a group's model: tables, or nothing for a network.
 pub(super) fn write_parameters(model: &GroupModel, writer: &mut Writer) {
     if let GroupModel::Static { step_index, channels } = model {
         writer.signed(i64::from(*step_index));
@@ -95,7 +95,7 @@ pub(super) type Integers = ([Vec<i32>; 3], [Vec<i8>; 3]);
 
 /// The section taken apart but not decoded; all places are offsets within the section and tile it.
 pub(super) struct Layout {
-    /// Each attribute's tables, none where it has a network.
+    /// Each attribute's tables, `None` for a network.
     pub(super) tables: [Option<GroupModel>; 3],
     /// Each attribute's model parameters.
     pub(super) parameters: [Range<usize>; 3],

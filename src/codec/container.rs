@@ -115,7 +115,7 @@ impl<'a> Container<'a> {
         self.sections.iter().find(|section| section.id == id).copied()
     }
 
-    /// The content of a section that a file has where it is `needed`, and only there.
+    /// The content of a section that a file must have if it is `needed`, and must not have otherwise.
     pub(super) fn section_if(
         &self,
         needed: bool,

@@ -22,7 +22,7 @@ use crate::domain::{
     context::{ContextKind, NEIGHBOURS},
 };
 
-/// What a caller is willing to decode.
+/// Limits on the files that a caller accepts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DecodeLimits {
     /// Longest file in bytes.
@@ -68,7 +68,7 @@ impl Default for DecodeLimits {
 pub struct Decoded {
     /// The scene, anchors in Morton order.
     pub scene: AnchorScene,
-    /// What the file says about it.
+    /// Counts, choices and provenance.
     pub manifest: Manifest,
     /// SHA-256 of the scene, equal to the manifest's.
     pub decode_sha256: Digest,
@@ -105,20 +105,20 @@ pub(super) fn decode_with(
     Ok(Decoded { scene, manifest, decode_sha256 })
 }
 
-/// A file's integers with what predicted them.
+/// A file's integers with the models that predicted them.
 pub(super) struct Content {
     pub(super) manifest: Manifest,
     pub(super) networks: QuantisedNetworks,
     pub(super) symbols: Symbols,
     pub(super) models: [GroupModel; 3],
     pub(super) anchors: AnchorContext,
-    /// Where cameras begin to see.
+    /// Near plane.
     pub(super) near: NearPlane,
     /// Unit of the distances that the render networks get.
     pub(super) unit: DistanceUnit,
 }
 
-/// Reads everything, and does not yet make floats of it.
+/// Reads everything as integers, without dequantising.
 pub(super) fn read(bytes: &[u8], limits: &DecodeLimits) -> Result<Content, DecodeError> {
     read_with(bytes, limits, None)
 }
@@ -184,7 +184,7 @@ fn read_with(
 /// predicted cost next to no bytes, so bytes alone would not bound the time.
 pub(super) const MAX_MULTIPLICATIONS: u64 = 1 << 38;
 
-/// The networks of the groups that have one, and what they are given about each anchor.
+/// The networks of the groups that have one, and their inputs for each anchor.
 fn context(
     container: &Container<'_>,
     manifest: &Manifest,

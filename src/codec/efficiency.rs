@@ -29,7 +29,7 @@ pub struct Efficiency {
 }
 
 impl Efficiency {
-    /// Bytes of the file over what its model allows; the coder's loss. Not a number where there is nothing to code.
+    /// Coded bytes over the entropy under the model: the loss of the coder. NaN if nothing is coded.
     #[must_use]
     pub fn over_ideal(&self) -> f64 {
         8.0 * self.bytes.iter().sum::<u64>() as f64 / self.table_bits.iter().sum::<f64>()
@@ -123,7 +123,7 @@ fn by_floats(
             let bits = |(channel, symbol): (usize, i32)| {
                 let mean = outputs[channel] / step;
                 let sigma = libm::exp2(outputs[channels + channel]) / step;
-                // The upper tail beyond the mean, where the difference of two small numbers loses nothing.
+                // In the upper tail, where the difference of two small numbers is exact enough.
                 let distance = (f64::from(symbol) - mean).abs();
                 let tail = |x: f64| 0.5 * libm::erfc(x / sigma * std::f64::consts::FRAC_1_SQRT_2);
                 -libm::log2((tail(distance - 0.5) - tail(distance + 0.5)).max(MIN_PROBABILITY))

@@ -22,7 +22,7 @@ pub enum EncodeError {
         /// Its value.
         value: f32,
     },
-    /// A count beyond what the format can state.
+    /// A count beyond the range of the format.
     #[error("{what}: {value} is more than the format's {limit}")]
     TooLarge {
         /// What was counted.
@@ -94,7 +94,7 @@ pub enum DecodeError {
         /// Bytes left in the part.
         left: u64,
     },
-    /// A later format that this version must not guess at.
+    /// A later format.
     #[error("the file is of format version {major}.{minor}; this program reads version {known}.x")]
     UnsupportedVersion {
         /// Major version of the file.
@@ -104,7 +104,7 @@ pub enum DecodeError {
         /// Major version that is known.
         known: u16,
     },
-    /// Integer arithmetic that this version does not know: what it would decode would not be the scene.
+    /// Integer arithmetic of another version: decoding with this one would give another scene.
     #[error("the file needs arithmetic profile {profile}; this program knows profile {known}")]
     UnsupportedProfile {
         /// Profile of the file.
@@ -187,7 +187,7 @@ pub enum DecodeError {
         section: String,
         /// Stated start.
         offset: u64,
-        /// End of what comes before.
+        /// End of the preceding section.
         expected: u64,
     },
     /// Bytes after the end of a part's content.

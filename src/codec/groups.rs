@@ -25,7 +25,7 @@ pub(super) struct GroupCoder<'a> {
     pub(super) masks: &'a [bool],
     /// Anchors of each chunk.
     pub(super) chunks: &'a [Range<usize>],
-    /// What the networks are given, of every anchor.
+    /// Inputs of the networks for every anchor.
     pub(super) anchors: &'a AnchorContext,
 }
 

@@ -18,7 +18,7 @@ use super::{
 };
 use crate::domain::{ByteCounts, Digest, DistanceUnit, context::ContextKind};
 
-/// What a byte range is for; the groups of [`ByteCounts`].
+/// Purpose of a byte range; the groups of [`ByteCounts`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ByteGroup {
@@ -73,7 +73,7 @@ pub struct ByteRange {
 pub struct SectionReport {
     /// Four characters.
     pub id: String,
-    /// What it holds; `unknown` for an optional section of a later version.
+    /// Name of the content; `unknown` for an optional section of a later version.
     pub name: String,
     /// Whether a decoder must understand it.
     pub critical: bool,
@@ -83,7 +83,7 @@ pub struct SectionReport {
     pub length: u64,
 }
 
-/// A file laid open.
+/// The structure of a file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Inspection {
     /// Format version as `major.minor`.
@@ -104,7 +104,7 @@ pub struct Inspection {
     pub byte_counts: ByteCounts,
 }
 
-/// Checks a file's container and takes it apart.
+/// Checks a file's container and lists its parts.
 ///
 /// # Errors
 /// [`DecodeError`] as [`super::decode`] gives it for the container, the manifest and the chunk index; the coded

@@ -62,9 +62,9 @@ pub struct GroupCosts {
 /// How an attribute group is predicted, and what else was tried.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GroupContext {
-    /// What the group's network is given; none where the group has tables.
+    /// Inputs of the group's network; `None` for tables.
     pub kind: Option<ContextKind>,
-    /// What the encoder weighed.
+    /// Bytes of the alternatives that the encoder compared.
     pub bytes: GroupCosts,
 }
 
@@ -97,7 +97,7 @@ impl GroupContext {
     }
 }
 
-/// How decoded colours are to be shown.
+/// Colour space of decoded colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ColorSpace {
@@ -105,7 +105,7 @@ pub enum ColorSpace {
     Srgb,
 }
 
-/// What the world frame of positions is.
+/// The coordinate system of positions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum WorldFrame {
@@ -113,7 +113,7 @@ pub enum WorldFrame {
     Dataset,
 }
 
-/// What a file says about its content.
+/// Counts, choices and provenance of a file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// Anchors N.
@@ -153,7 +153,7 @@ impl Manifest {
         }
     }
 
-    /// What the networks of the groups are given.
+    /// Inputs of the groups' networks.
     pub(super) fn kinds(&self) -> [Option<ContextKind>; 3] {
         self.contexts.map(|context| context.kind)
     }

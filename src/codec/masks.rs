@@ -78,7 +78,7 @@ impl Contexts {
         self.kept = 0;
     }
 
-    /// An anchor keeps an offset, so the last slot is certain where no other is set.
+    /// An anchor keeps at least one offset, so the last slot is certain if no other is set.
     fn is_certain(&self, slot: usize) -> bool {
         slot + 1 == self.per_anchor && self.kept == 0
     }

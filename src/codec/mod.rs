@@ -71,7 +71,7 @@ pub use error::{DecodeError, EncodeError};
 pub use inspect::{ByteGroup, ByteRange, Inspection, SectionReport, inspect};
 pub use manifest::{ColorSpace, GroupContext, GroupCosts, Manifest, QuantSteps, WorldFrame};
 
-/// What the file says about how it was made.
+/// How a file was made.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// Program and version.
@@ -95,13 +95,13 @@ pub struct EncodeSettings {
     pub scaling_step: f32,
     /// Step of offsets (published 0.2).
     pub offset_step: f32,
-    /// Which contexts to choose from the candidates, if there are any.
+    /// How to choose contexts among the candidates, if there are any.
     pub context: ContextSettings,
     /// Stored in the manifest.
     pub provenance: Provenance,
 }
 
-/// A written file with what a decoder will see in it.
+/// A written file and its decoded content.
 #[derive(Debug, Clone)]
 pub struct Encoded {
     /// The file.
@@ -110,7 +110,7 @@ pub struct Encoded {
     pub scene: AnchorScene,
     /// SHA-256 of the decoded attributes.
     pub decode_sha256: Digest,
-    /// Where the bytes went.
+    /// Bytes by part.
     pub byte_counts: ByteCounts,
     /// The contexts that were used.
     pub context: ContextChoice,

@@ -22,7 +22,7 @@ const PART: &str = "networks";
 /// Most layers in one network.
 const MAX_LAYERS: usize = 8;
 
-/// Widest layer; bounds what a decoder allocates whatever the file says.
+/// Widest layer; bounds the allocations of a decoder for any file.
 const MAX_WIDTH: usize = 1024;
 
 /// Memory that a parameter takes while decoding: its integer, its value, and the value again in the check.
@@ -169,7 +169,7 @@ pub(super) fn encode(networks: &QuantisedNetworks) -> Vec<u8> {
     writer.into_bytes()
 }
 
-/// What the front of the section says about a layer.
+/// A layer as the front of the section describes it.
 struct LayerHead {
     inputs: usize,
     outputs: usize,

@@ -69,7 +69,7 @@ pub(super) fn encode(cells: &Ordered) -> Vec<u8> {
     for (depth, families) in families(cells).into_iter().enumerate() {
         let below = cells.depth - 1 - depth as u32;
         for (sides, family) in level.sides.iter().zip(&families) {
-            // The encoder gives back what it is given, and nothing else.
+            // The encoder returns its input.
             let _ = code_family(&mut stream, &mut contexts, Sides::of(sides), below, *family);
         }
         level = level.children(&families);

@@ -20,7 +20,7 @@ const TOLERANCE: f64 = 3e-3;
 /// Anchors in the sample.
 const SAMPLE_ANCHORS: usize = 256;
 
-/// What a network's outputs go through before they mean anything (METHOD.md §2.3).
+/// The activation of a network's outputs (METHOD.md §2.3).
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Activation {
     /// Opacity.

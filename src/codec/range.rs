@@ -28,7 +28,7 @@ const STATE_WORDS: usize = 2;
 
 /// Codes adaptive bits in either direction, so that encoder and decoder share what decides the contexts.
 pub(super) trait BitCoder {
-    /// The encoder codes `bit` and gives it back; the decoder gives back what it reads. The context learns it.
+    /// The encoder codes `bit` and returns it; the decoder ignores it and returns the bit that it reads. The context adapts to it.
     fn code(&mut self, context: &mut AdaptiveBit, bit: bool) -> Result<bool, DecodeError>;
 }
 
@@ -303,7 +303,7 @@ mod tests {
             let mut longer = bytes.clone();
             longer.push(0);
             prop_assert!(decode(&longer, &bits).is_err());
-            // What is left of a cut stream is other symbols, which may be likelier ones and end there.
+            // A cut stream decodes to other symbols, which may be likelier and end there.
             if bytes.len() > 8 {
                 prop_assert_ne!(decode(&bytes[..bytes.len() - 9], &bits), Ok(expected));
             }

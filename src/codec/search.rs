@@ -45,7 +45,7 @@ pub(super) struct Anchors<'a> {
     pub(super) chunks: &'a [Range<usize>],
 }
 
-/// What was chosen, coded.
+/// The chosen contexts, coded.
 pub(super) struct Chosen {
     pub(super) choice: ContextChoice,
     pub(super) groups: [CodedGroup; 3],
@@ -55,7 +55,7 @@ pub(super) struct Chosen {
     pub(super) context: Option<Vec<u8>>,
     /// The planes section, where a network samples planes.
     pub(super) planes: Option<Vec<u8>>,
-    /// Of each anchor, where a candidate asked for them.
+    /// Of each anchor, if a candidate uses them.
     pub(super) neighbours: Vec<[u32; NEIGHBOURS]>,
 }
 
@@ -121,7 +121,7 @@ fn check(candidates: &ContextCandidates, shape: Shape) -> Result<(), EncodeError
     Ok(())
 }
 
-/// A network at one width, with what it is thought to cost.
+/// A network at one width, with its estimated cost.
 #[derive(Clone)]
 struct Estimated {
     network: ContextNetwork,
@@ -188,7 +188,7 @@ impl<'a> Search<'a> {
         Ok(ContextNetwork { kind, mlp })
     }
 
-    /// The width that seems cheapest for a network, none where there is no network or where its steps do not suit the
+    /// The width with the lowest estimate for a network; `None` without a network, or if its steps do not suit the
     /// attributes.
     fn best_width(
         &self,
@@ -410,7 +410,7 @@ impl Scope {
     }
 }
 
-/// Bytes of the cheapest that is allowed.
+/// Bytes of the cheapest candidate in scope.
 fn least(tried: &[CodedCandidate], scope: Scope) -> u64 {
     let allowed = tried.iter().filter(|tried| scope.allows(tried.choice));
     allowed.map(|tried| tried.bytes).min().unwrap_or(u64::MAX)

@@ -10,16 +10,16 @@ pub(super) const NETWORKS: SectionId = *b"NETS";
 pub(super) const POSITIONS: SectionId = *b"CELL";
 /// Which offsets make a Gaussian.
 pub(super) const MASKS: SectionId = *b"MASK";
-/// Frame and networks of the context model, where a group has one.
+/// Frame and networks of the context model, if a group has one.
 pub(super) const CONTEXT: SectionId = *b"CTXT";
-/// Planes of the context model, where a network samples them.
+/// Planes of the context model, if a network samples them.
 pub(super) const PLANES: SectionId = *b"PLAN";
 /// Features, scalings, offsets.
 pub(super) const ATTRIBUTES: SectionId = *b"ATTR";
 
 /// Unit of the distances that the render networks get, if it is not the world's.
 pub(super) const UNIT: SectionId = *b"UNIT";
-/// Where views begin: optional, for scenes that are not seen from the usual depth.
+/// Near plane, if it is not the default.
 pub(super) const VIEW: SectionId = *b"VIEW";
 
 /// Every section that a decoder of this version understands.
@@ -29,7 +29,7 @@ pub(super) const ALL: [SectionId; 9] =
 /// Those that every file has.
 pub(super) const ALWAYS: [SectionId; 5] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES];
 
-/// What a section holds, in words.
+/// Name of a section.
 pub(super) fn name(id: SectionId) -> &'static str {
     match id {
         MANIFEST => "manifest",

@@ -12,7 +12,7 @@ pub(super) const MAX_SYMBOL: i32 = 1 << 24;
 /// Longest Exp-Golomb prefix: distances between two symbols have at most 26 bits.
 const MAX_PREFIX: u32 = 26;
 
-/// What the decoder expects of a symbol before it reads it.
+/// The distribution that a symbol is coded with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Distribution {
     /// Coded with a Gaussian.
@@ -74,7 +74,7 @@ impl Distribution {
         checked(stream.part(), gaussian.centre() + if negative { -difference } else { difference })
     }
 
-    /// What a symbol costs, in bits, by the table's counts; infinite where it cannot be coded.
+    /// Cost of a symbol in bits, by the table's counts; infinite if it cannot be coded.
     pub(super) fn cost(self, symbol: i32) -> f64 {
         let gaussian = match self {
             Distribution::Constant(value) => return if value == symbol { 0.0 } else { f64::INFINITY },

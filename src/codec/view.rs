@@ -15,7 +15,7 @@ pub(super) fn encode_near(near: NearPlane) -> Option<Vec<u8>> {
     (!near.is_usual()).then(|| one(near.depth()))
 }
 
-/// What that section says, or the usual where there is none.
+/// The value of that section, or the default without it.
 pub(super) fn decode_near(section: Option<Section<'_>>) -> Result<NearPlane, DecodeError> {
     decode(section, VIEW, "near plane", NearPlane::new)
 }
@@ -25,7 +25,7 @@ pub(super) fn encode_unit(unit: DistanceUnit) -> Option<Vec<u8>> {
     (!unit.is_usual()).then(|| one(unit.length()))
 }
 
-/// What that section says, or the usual where there is none.
+/// The value of that section, or the default without it.
 pub(super) fn decode_unit(section: Option<Section<'_>>) -> Result<DistanceUnit, DecodeError> {
     decode(section, UNIT, "distance unit", DistanceUnit::new)
 }

@@ -27,7 +27,7 @@ const VERSION: u32 = 1;
 /// Version of files that state a distance unit: a reader that ignored it would render another image, and must refuse.
 const VERSION_WITH_UNIT: u32 = 2;
 
-/// More layers than any network of this program has; a bound on what a file may claim.
+/// Most layers that a file may claim; more than any network of this program has.
 const MAX_LAYERS: usize = 16;
 
 /// Why a safetensors file is not a scene.

@@ -39,9 +39,9 @@ pub enum PlyError {
     Length {
         /// The header's count.
         vertices: u64,
-        /// What they take.
+        /// Bytes needed.
         needed: u128,
-        /// What is there.
+        /// Bytes present.
         found: usize,
     },
     /// A value that is NaN or infinite; only an opacity may be that before the logistic.
@@ -137,7 +137,7 @@ pub fn from_ply(bytes: &[u8]) -> Result<GaussianScene, PlyError> {
         for (value, column) in row.iter_mut().zip(&columns) {
             let raw = &record[column.offset..column.offset + size_of::<f32>()];
             *value = f32::from_le_bytes([raw[0], raw[1], raw[2], raw[3]]);
-            // Converters write the logits of opacities 0 and 1, which are infinite and mean what they say.
+            // Converters write the logits of opacities 0 and 1, which are infinite.
             if column.name == "opacity" && value.is_infinite() {
                 *value = OPAQUE_LOGIT.copysign(*value);
             }

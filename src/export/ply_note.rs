@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::domain::{Background, Digest, NearPlane};
 
-/// What the comment begins with; JSON follows.
+/// Start of the comment; JSON follows.
 const MARK: &str = "comment tcgs ";
 
 /// Where the comment goes: behind the line that names the format.
@@ -13,14 +13,14 @@ const BEFORE: &[u8] = b"\nelement ";
 /// Longest header that is searched for a note.
 const HEADER: usize = 1 << 14;
 
-/// What a file says of itself.
+/// Properties of a scene that `.ply` has no field for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PlyNote {
     /// The background that the scene was trained on.
     pub background: Background,
     /// Digest of the dataset.
     pub dataset: Option<Digest>,
-    /// Where views begin, as in training.
+    /// Near plane, as in training.
     #[serde(default, skip_serializing_if = "NearPlane::is_usual")]
     pub near: NearPlane,
 }

@@ -81,7 +81,7 @@ impl Distortion {
     }
 
     /// The rectangle that undistortion keeps: fully covered by the photograph, grown from the principal point
-    /// in the image's proportions as far as it goes, then to each side as far as that goes.
+    /// in the image's proportions as far as possible, then to each side as far as possible.
     ///
     /// # Errors
     /// [`IngestErrorKind::DistortionTooStrong`] if less than half of a side would remain.

@@ -29,7 +29,7 @@ pub(super) struct Directory {
 }
 
 impl Directory {
-    /// Finds the end record of an archive and judges what it states.
+    /// Finds the end record of an archive and checks its values.
     ///
     /// # Errors
     /// [`IngestErrorKind::CorruptArchive`] without a usable record, [`IngestErrorKind::TooManyEntries`], [`IngestErrorKind::DirectoryTooLarge`], or a fault of
@@ -64,14 +64,14 @@ impl Directory {
         Ok(found)
     }
 
-    /// What the record for large archives states, if there is one before the end record at `end`.
+    /// The directory of the Zip64 end record, if there is one before the end record at `end`.
     fn end_64(file: &mut (impl Read + Seek), end: u64) -> Result<Option<Self>, IngestErrorKind> {
         let Some(locator_at) = end.checked_sub(LOCATOR_BYTES as u64) else { return Ok(None) };
         let locator = bytes_at(file, locator_at, LOCATOR_BYTES)?;
         if !locator.starts_with(&LOCATOR) {
             return Ok(None);
         }
-        // Right before its locator, whatever was put before the archive; or, if it has data of its own, where that says.
+        // Directly before its locator, even if data was prepended to the archive; or, if it has extensible data, at the locator's offset.
         let last = locator_at.checked_sub(END_64_BYTES as u64);
         let last = last.ok_or_else(|| corrupt("its Zip64 end record is missing"))?;
         for record_at in [last, Fields(&locator).u64(8).min(last)] {
@@ -95,7 +95,7 @@ impl Directory {
         self.shift + self.offset + self.bytes
     }
 
-    /// The records that state this and nothing else.
+    /// End records with exactly these values.
     fn records(&self) -> Vec<u8> {
         let mut records = Vec::with_capacity(END_64_BYTES + LOCATOR_BYTES + END_BYTES);
         let small = |value: u64, largest: u64| (value < largest).then_some(value);
@@ -294,7 +294,7 @@ mod tests {
         };
         let shifted = [b"#!/bin/sh\n".as_slice(), &plain].concat();
         let large = as_zip64(&plain);
-        // With eight bytes of data of its own in the record.
+        // With eight bytes of extensible data in the record.
         let extended = {
             let at = large.len() - END_BYTES - LOCATOR_BYTES;
             let mut bytes = [&large[..at], &[0; 8], &large[at..]].concat();

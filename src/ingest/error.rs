@@ -182,7 +182,7 @@ pub enum IngestErrorKind {
         /// What is wrong with the value.
         message: String,
     },
-    /// Masks, which nothing here uses.
+    /// Masks, which are not supported.
     #[error(
         "{place} there are masks, which are not supported: the whole of every photograph would be trained on. Remove them to \
          train on whole photographs, or send photographs that are transparent (RGBA) where the masks are 0"

@@ -33,7 +33,7 @@ impl FileSource for Folder {
 /// Names that are not UTF-8, or that no dataset could refer to, are skipped: a directory may contain anything.
 ///
 /// # Errors
-/// [`IngestErrorKind::TooManyEntries`], or [`IngestErrorKind::Io`] where a folder cannot be listed.
+/// [`IngestErrorKind::TooManyEntries`], or [`IngestErrorKind::Io`] if a folder cannot be listed.
 pub(super) fn list(root: &Path, limits: &Limits) -> Result<Listing, IngestError> {
     let mut files = Vec::new();
     let mut paths = Vec::new();

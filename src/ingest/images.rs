@@ -17,7 +17,7 @@ use crate::domain::{Image, camera::MAX_IMAGE_SIDE};
 /// How much of a file is tried first for its header; a photograph's preview and profiles rarely need more.
 const FIRST_BYTES: u64 = 64 << 10;
 
-/// What a decoder may allocate besides pixels, for colour profiles and the like.
+/// Bytes that a decoder may allocate besides pixels, for colour profiles and the like.
 const DECODER_BYTES: u64 = 4 << 20;
 
 /// Extensions of the formats that are read, lower case.
@@ -32,7 +32,7 @@ pub(super) fn is_image_name(name: &str) -> bool {
         .is_some_and(|(_, extension)| EXTENSIONS.iter().any(|e| extension.eq_ignore_ascii_case(e)))
 }
 
-/// What the header of a stored image says.
+/// Size and transparency from the header of a stored image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Header {
     /// Width and height.

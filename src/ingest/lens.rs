@@ -30,9 +30,9 @@ pub(super) enum Focal {
 pub(super) struct Lens {
     /// Focal length.
     pub(super) focal: Focal,
-    /// Principal point in pixels of the stated size; the centre where it is not stated.
+    /// Principal point in pixels of the stated size; the centre if not stated.
     pub(super) principal: [Option<f64>; 2],
-    /// Image size; that of the stored image where it is not stated.
+    /// Image size; that of the stored image if not stated.
     pub(super) size: Option<(u32, u32)>,
     /// Lens distortion.
     pub(super) distortion: Distortion,

@@ -2,7 +2,7 @@
 //!
 //! Everything else is read as a stream, so the memory of a check depends on these numbers and not on the size of a file.
 
-/// Bounds on what is read from a dataset.
+/// Limits on the content of a dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
     /// Entries of the archive or the directory tree, folders and files of the operating system included.
@@ -26,7 +26,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Entries up to this size may have any compression ratio: they cost nothing and small tables pack well.
+    /// Entries up to this size may have any compression ratio: they are cheap, and small tables pack well.
     pub const RATIO_FREE_BYTES: u64 = 1 << 20;
 
     /// Images wider than this are downscaled to it (METHOD.md §1.1), pixels.

@@ -9,11 +9,11 @@ pub(super) trait FileSource: Sync {
     /// Shows a file's bytes to `visit`. `index` is as in [`Listing::files`].
     fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<(), IngestErrorKind>;
 
-    /// What an error of reading them means.
+    /// The error for a failure to read them.
     fn read_error(&self, error: io::Error) -> IngestErrorKind;
 }
 
-/// What a source found when it was opened.
+/// The files of a source.
 pub(super) struct Listing {
     /// Name as the source has it, size in bytes.
     pub(super) files: Vec<(String, u64)>,

@@ -80,7 +80,7 @@ impl SpillFile {
         Self { file: Mutex::new(Positioned { file, end: 0 }) }
     }
 
-    /// Writes at the end and says where that was. What a failed write left is written over by the next.
+    /// Appends and returns the offset. The next write overwrites what a failed one left.
     fn append(&self, samples: &[u8]) -> io::Result<u64> {
         let mut at = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         let offset = at.end;

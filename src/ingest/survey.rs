@@ -31,7 +31,7 @@ pub(super) struct Survey {
     pub(super) notes: Vec<String>,
 }
 
-/// One frame and what has to be done to its image.
+/// One frame and how its image is processed.
 pub(super) struct SurveyedFrame {
     pub(super) frame: PlannedFrame,
     /// The camera of the finished image.

@@ -26,13 +26,13 @@ use super::{
 };
 use crate::domain::Digest;
 
-/// What a table is read through.
+/// Buffer for reading a table.
 const BUFFER_BYTES: usize = 64 << 10;
 
-/// What a dataset is read for.
+/// Why a dataset is read.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Purpose {
-    /// To know whether it can be trained on; what it holds is counted and not kept.
+    /// To check it; points are counted and not kept.
     Check(Deadline),
     /// To train on it.
     Load,
@@ -85,12 +85,12 @@ impl Tree {
         Ok(Self { files, special, source: listing.source, limits, purpose, used: Mutex::default() })
     }
 
-    /// An empty cloud of points, which keeps what it is given if the dataset is loaded.
+    /// An empty cloud of points, which keeps them if the dataset is loaded.
     pub(super) fn points(&self) -> Points {
         Points::new(matches!(self.purpose, Purpose::Load), self.limits.points)
     }
 
-    /// What the dataset may hold.
+    /// Limits of the dataset.
     pub(super) fn limits(&self) -> &Limits {
         &self.limits
     }
@@ -177,7 +177,7 @@ impl Tree {
         used.insert(name.to_owned(), (length, hash));
     }
 
-    /// What broke off reading a file: its error, unless there was no time left.
+    /// The error of reading a file: `error`, or the timeout if the deadline has passed.
     fn read_failure(&self, name: &str, error: IngestErrorKind) -> IngestError {
         self.check_time().err().unwrap_or(error).at(name)
     }

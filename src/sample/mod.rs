@@ -17,7 +17,7 @@ use thiserror::Error;
 
 pub use files::write;
 
-/// What may be varied.
+/// Size and seed of the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Settings {
     /// Width and height of each image in pixels.
@@ -34,7 +34,7 @@ impl Default for Settings {
     }
 }
 
-/// What was written.
+/// Counts of what was written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Written {
     /// Images to train on.

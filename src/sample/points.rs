@@ -17,7 +17,7 @@ const MIN_CAMERAS: usize = 3;
 /// Half the width of the jitter on each axis, in world units.
 const JITTER: f64 = 0.004;
 
-/// Draws `count` points (fewer only if the cameras see next to nothing).
+/// Draws `count` points (fewer only if the cameras see almost nothing).
 pub(super) fn cloud(scene: &Scene, cameras: &[Camera], count: usize, seed: u64) -> PointCloud {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let total: f64 = scene.solids.iter().map(|solid| solid.points).sum();

@@ -145,7 +145,7 @@ impl Scene {
         light
     }
 
-    /// Colour of a solid's surface point as sRGB, without the highlight: what a point cloud would hold.
+    /// Colour of a solid's surface point as sRGB, without the highlight, as in a point cloud.
     pub(super) fn matt_color(&self, solid: &Solid, point: DVec3) -> [u8; 3] {
         let normal = solid.shape.normal(point);
         let albedo = solid.texture.albedo(solid.shape.local(point), normal);
@@ -158,7 +158,7 @@ impl Scene {
         self.diffuse(&Hit { point, normal, solid: *solid }, albedo, sunlight).to_array().map(srgb8)
     }
 
-    /// Whether nothing stands between a point and the eye.
+    /// Whether a point is visible from the eye.
     pub(super) fn is_visible(&self, point: DVec3, eye: DVec3) -> bool {
         let away = eye - point;
         let distance = away.length();
@@ -229,7 +229,7 @@ impl Scene {
             .any(|solid| solid.shape.intersect(ray).is_some_and(|distance| distance < before - 1e-3))
     }
 
-    /// The solids that the ray can meet, as far as their bounds tell.
+    /// The solids whose bounds the ray meets.
     fn candidates(&self, ray: &Ray) -> impl Iterator<Item = &Solid> {
         let passes = |(center, radius): (DVec3, f64)| {
             ball(ray, center, radius).is_some_and(|(_, far)| far > MIN_DISTANCE)

@@ -66,7 +66,7 @@ fn tiles(p: DVec3) -> DVec3 {
     mix(tile, earth, smooth(2.0, 2.5, worn))
 }
 
-/// The dome gives its own light, so this is what a camera sees.
+/// The dome is emissive, so this is its radiance.
 fn sky(p: DVec3) -> DVec3 {
     let direction = p.normalize_or_zero();
     let height = direction.z.max(0.0);
@@ -104,7 +104,7 @@ fn smooth(low: f64, high: f64, x: f64) -> f64 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// A number in [0, 1) that depends on three integers and on nothing else.
+/// A hash of three integers, in [0, 1).
 fn lattice(x: i64, y: i64, z: i64) -> f64 {
     let mut bits = (x as u64)
         .wrapping_mul(0x9e37_79b9_7f4a_7c15)

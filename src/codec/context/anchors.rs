@@ -11,7 +11,7 @@ use crate::domain::{
 /// Anchors that are worth a task of their own.
 const TASK: usize = 1024;
 
-/// The anchors of a file as its networks see them; empty where there are only tables.
+/// Inputs of a file's networks for its anchors; empty if there are only tables.
 #[derive(Debug, Default)]
 pub(in crate::codec) struct AnchorContext {
     coordinates: Vec<[i32; 3]>,
@@ -19,7 +19,7 @@ pub(in crate::codec) struct AnchorContext {
     width: usize,
     /// `[N][width]`.
     samples: Vec<i16>,
-    /// Empty where no network asks for neighbours.
+    /// Empty if no network uses neighbours.
     neighbours: Vec<[u32; NEIGHBOURS]>,
 }
 
@@ -36,12 +36,12 @@ impl AnchorContext {
         self.neighbours = neighbours(cells);
     }
 
-    /// Takes over what [`Self::find_neighbours`] would find.
+    /// Sets the result of [`Self::find_neighbours`].
     pub(in crate::codec) fn set_neighbours(&mut self, neighbours: Vec<[u32; NEIGHBOURS]>) {
         self.neighbours = neighbours;
     }
 
-    /// The neighbours that were found, which stay behind empty.
+    /// Moves the neighbours out.
     pub(in crate::codec) fn take_neighbours(&mut self) -> Vec<[u32; NEIGHBOURS]> {
         std::mem::take(&mut self.neighbours)
     }
@@ -63,13 +63,13 @@ impl AnchorContext {
         );
     }
 
-    /// Bytes that an anchor takes where planes have `channels` channels in all and neighbours are asked for or not.
+    /// Bytes of memory for an anchor, with planes of `channels` channels in all, with or without neighbours.
     pub(in crate::codec) fn bytes_per_anchor(channels: usize, neighbours: bool) -> u64 {
         // Coordinates; samples; neighbours by rank and by index, and the sort keys and boxes of their search.
         12 + 2 * channels as u64 + if neighbours { 2 * 16 + 24 + 4 + 8 } else { 0 }
     }
 
-    /// Puts what a network of `kind` is given about an anchor into `inputs`.
+    /// Writes the inputs of a network of `kind` for an anchor to `inputs`.
     pub(in crate::codec) fn inputs(&self, kind: ContextKind, anchor: usize, inputs: &mut Vec<i16>) {
         inputs.clear();
         let sample = |anchor: usize| &self.samples[anchor * self.width..(anchor + 1) * self.width];

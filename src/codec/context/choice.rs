@@ -12,7 +12,7 @@ pub enum GroupChoice {
     Static,
     /// By a network that is given something about the anchor.
     Network {
-        /// What it is given.
+        /// Its inputs.
         kind: ContextKind,
         /// Bits of a weight: 8, 6 or 4.
         weight_bits: u8,
@@ -22,7 +22,7 @@ pub enum GroupChoice {
 /// The contexts of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ContextChoice {
-    /// Index of the planes among the candidates, none where no group samples them.
+    /// Index of the planes among the candidates, `None` if no group samples them.
     pub planes: Option<usize>,
     /// Choices in the order of [`crate::domain::AttributeGroup::ALL`].
     pub groups: [GroupChoice; 3],
@@ -40,7 +40,7 @@ pub enum ContextSearch {
     /// Whatever takes the fewest bytes in the file, of all candidates.
     #[default]
     Cheapest,
-    /// This and nothing else.
+    /// Exactly this choice.
     Fixed(ContextChoice),
 }
 

@@ -203,7 +203,7 @@ pub(in crate::codec) struct IntegerMlp {
 /// Activations between layers, reused from anchor to anchor.
 #[derive(Debug, Clone, Default)]
 pub(in crate::codec) struct Activations {
-    /// What the first layer is given, padded; then the second activations by turns.
+    /// Padded input of the first layer, then the buffers of the following layers in turn.
     pub(in crate::codec) input: Vec<i16>,
     other: Vec<i16>,
 }
@@ -491,7 +491,7 @@ mod tests {
             assert_eq!(read(&bytes, 18, 7), Ok(mlp.clone()));
             assert!(read(&bytes, 18, 8).is_err() && read(&bytes, 17, 7).is_err());
             for length in 0..bytes.len() {
-                // What is left of a cut stream may be other symbols, but never the same ones.
+                // A cut stream may decode to other symbols, but never to the same ones.
                 assert_ne!(read(&bytes[..length], 18, 7), Ok(mlp.clone()));
             }
             let mut narrower = bytes.clone();

@@ -3,7 +3,7 @@
 use super::{coordinates, neighbours, position_inputs, texels};
 use crate::domain::{ContextFrame, Mlp, Planes, context::ContextKind};
 
-/// What networks are given about each anchor.
+/// Inputs of the float networks for each anchor.
 pub(in crate::codec) struct FloatAnchors {
     coordinates: Vec<[i32; 3]>,
     neighbours: Vec<[u32; 4]>,
@@ -26,7 +26,7 @@ impl FloatAnchors {
         }
     }
 
-    /// What a network says of an anchor: means, base-2 logarithms of standard deviations, and the step adjustment.
+    /// Outputs of a network for an anchor: means, base-2 logarithms of standard deviations, and the step adjustment.
     pub(in crate::codec) fn outputs(&self, mlp: &Mlp, kind: ContextKind, anchor: usize) -> Vec<f64> {
         let mut values = Vec::new();
         for near in &self.neighbours[anchor][..kind.sampled()] {

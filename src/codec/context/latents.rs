@@ -51,7 +51,7 @@ pub(in crate::codec) fn decode(
     Ok(latents)
 }
 
-/// Digits of all residuals, which is about what they cost.
+/// Digits of all residuals, an estimate of their cost.
 fn size(image: &[i8], edge: usize, predicted: bool) -> u32 {
     (0..image.len())
         .map(|place| digits(i32::from(image[place]) - prediction(image, edge, place, predicted)) as u32)
@@ -98,7 +98,7 @@ impl Contexts {
         }
     }
 
-    /// Passes an image through `bit`, which gives each bit back (encoding) or says what it is (decoding).
+    /// Codes an image with `bit`, which returns its argument (encoding) or the bit that it reads (decoding).
     fn image(
         &mut self,
         bit: &mut impl FnMut(&mut AdaptiveBit, bool) -> Result<bool, DecodeError>,

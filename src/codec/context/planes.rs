@@ -19,7 +19,7 @@ use crate::{
     domain::Planes,
 };
 
-/// Most channels of a latent or a plane: four taps of each are what a dense layer may have.
+/// Most channels of a latent or a plane: four taps of each are the most inputs of a dense layer.
 const MAX_CHANNELS: usize = MAX_INPUTS / 4;
 
 /// Most up-sampling layers.
@@ -155,7 +155,7 @@ impl IntegerPlanes {
             check_size(wide, deep).map_err(|(what, value)| reader.malformed(what, value))?;
             most = most.max(PLANES * deep * wide * wide);
         }
-        // What a layer reads, what it makes, and the planes joined.
+        // Input and output of a layer, and the planes joined.
         let memory = 3 * 2 * most as u64;
         check_limit("bytes of memory for planes", memory, max_memory_bytes)?;
         let mut stream = StreamDecoder::new(PART, reader.rest())?;
@@ -256,7 +256,7 @@ mod tests {
             assert_eq!(IntegerPlanes::decode(&section, u64::MAX), Ok(integers.clone()));
             assert!(matches!(IntegerPlanes::decode(&section, 100), Err(DecodeError::Limit { .. })));
             for length in 0..section.len() {
-                // What is left of a cut stream may be other symbols, but never the same ones.
+                // A cut stream may decode to other symbols, but never to the same ones.
                 assert_ne!(IntegerPlanes::decode(&section[..length], u64::MAX), Ok(integers.clone()));
             }
         }

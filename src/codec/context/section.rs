@@ -1,4 +1,4 @@
-//! The context section: where the planes lie, and the networks of the groups that have one.
+//! The context section: the frame of the planes, and the networks of the groups that have one.
 
 use std::ops::Range;
 
@@ -31,7 +31,7 @@ pub(in crate::codec) struct Layout {
     pub(in crate::codec) frame: ContextFrame,
     /// The frame's bytes.
     pub(in crate::codec) frame_place: Range<usize>,
-    /// Each network's bytes with their length, empty where a group has none.
+    /// Each network's bytes with their length, empty for a group without one.
     pub(in crate::codec) places: [Range<usize>; 3],
     /// Where the networks themselves begin.
     starts: [usize; 3],

@@ -44,7 +44,7 @@ pub fn texels(coordinate: [i32; 3], plane_edge: usize) -> [Texel; 3] {
     })
 }
 
-/// Planes as they are sampled.
+/// Planes in the layout for sampling, channels last.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(in crate::codec) struct PlaneTexels {
     pub(super) edge: usize,

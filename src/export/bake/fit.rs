@@ -24,7 +24,7 @@ pub struct NormalEquations {
 }
 
 impl NormalEquations {
-    /// Sums over nothing, for functions of degree 0 to `degree`, which is at most 3.
+    /// Empty sums, for functions of degree 0 to `degree`, which is at most 3.
     #[must_use]
     pub fn new(degree: u8) -> Self {
         Self {

@@ -43,7 +43,7 @@ const MAX_OPACITY: f64 = 1.0 - 1e-6;
 /// Standard deviations to which a Gaussian reaches.
 const CUTOFF_SIGMAS: f64 = 3.0;
 
-/// What a Gaussian counts for in a view that hides it, so that one that every view hides has values too.
+/// Least weight of a view that hides the Gaussian, so that a Gaussian hidden in all views has values too.
 const MIN_SHARE: f64 = 1.0 / 256.0;
 
 /// Smallest size before its logarithm is taken.
@@ -64,14 +64,14 @@ impl Default for BakeSettings {
     }
 }
 
-/// What came of it.
+/// The result.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Baked {
     /// The Gaussians, in the order of anchors and offsets.
     pub scene: GaussianScene,
-    /// Offsets that are on but make no Gaussian that any of the views shows.
+    /// Offsets that are on but whose Gaussian no view shows.
     pub unseen: usize,
-    /// Views that were looked from.
+    /// Number of views.
     pub views: usize,
 }
 
@@ -84,7 +84,7 @@ pub enum BakeError {
     /// A degree that plain Gaussians do not have.
     #[error("spherical harmonics of degree {0}; plain Gaussians have 0 to 3")]
     Degree(u8),
-    /// There is nowhere to look from.
+    /// No camera is given.
     #[error("no view to bake from")]
     NoViews,
     /// Not one Gaussian is visible.
@@ -194,7 +194,7 @@ impl Visibility {
     }
 }
 
-/// One anchor seen from everywhere.
+/// One anchor evaluated for all views.
 struct AnchorSampler<'a> {
     scene: &'a AnchorScene,
     bake_views: &'a [BakeView],
@@ -213,7 +213,7 @@ impl AnchorSampler<'_> {
             .collect()
     }
 
-    /// The views that may show one of the Gaussians at `means`, and what the networks read in them.
+    /// The views that may show one of the Gaussians at `means`, and the networks' inputs for them.
     fn views<'m>(&self, means: impl Iterator<Item = &'m DVec3> + Clone) -> (Vec<usize>, ViewInputs) {
         let (position, radius) = (self.position(), self.radius());
         let (mut from, mut inputs) = (Vec::new(), ViewInputs::default());
@@ -301,7 +301,7 @@ impl AnchorSampler<'_> {
             .collect()
     }
 
-    /// One Gaussian from all that the views say of it; none if that is not finite or too faint.
+    /// Reduces a Gaussian's samples to one; `None` if it is not finite or too faint.
     fn reduced(
         &self,
         mean: DVec3,
@@ -366,7 +366,7 @@ impl AnchorSampler<'_> {
         self.scaling(1)
     }
 
-    /// How far its Gaussians reach from their means at most.
+    /// Largest extent of its Gaussians from their means.
     fn radius(&self) -> f64 {
         CUTOFF_SIGMAS * self.size().max_element()
     }

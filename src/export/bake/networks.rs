@@ -5,7 +5,7 @@
 
 use crate::domain::{DenseLayer, Mlp, anchors::VIEW_INPUTS};
 
-/// What the networks read beside the feature: unit direction and distance in the scene's unit, `[VIEW_INPUTS][views]`.
+/// Inputs of the networks besides the feature: unit direction and distance in the scene's unit, `[VIEW_INPUTS][views]`.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ViewInputs {
     rows: [Vec<f32>; VIEW_INPUTS],
@@ -27,7 +27,7 @@ pub(super) struct Evaluated<'a> {
     mlp: &'a Mlp,
     feature: &'a [f32],
     views: &'a ViewInputs,
-    /// What the last layer reads, `[inputs][views]`; nothing if there is one layer only.
+    /// Inputs of the last layer, `[inputs][views]`; empty for a single layer.
     hidden: Vec<f32>,
 }
 

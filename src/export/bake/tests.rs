@@ -109,7 +109,7 @@ fn opacity_is_the_mean_over_the_views_that_show_it() {
     assert_eq!(baked.unseen, 1, "the second is born nowhere");
     let opacity = logistic(f64::from(baked.scene.opacity_logits[0]));
     assert!((opacity - 0.5).abs() < 0.05, "{opacity}");
-    // From where it is not born it has no say in the colour.
+    // Views without the Gaussian do not contribute to its colour.
     scene.networks.color = network(&[0.0; 6], &[(0, 0, 40.0)]);
     let red =
         bake(&scene, &cameras(), BakeSettings { degree: 0, ridge: 0.0 }).expect("bakes").scene.sh[0][0][0];

@@ -41,7 +41,7 @@ const ZSTD_LEVEL: i32 = 12;
 const ZSTD_WINDOW_LOG: u32 = 27;
 const MAX_ZSTD_WINDOW_LOG: u32 = if usize::BITS == 32 { 30 } else { 31 };
 
-/// What the header states.
+/// The fields of the header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Header {
     pub(super) version: u32,
@@ -240,7 +240,7 @@ pub(super) fn frames(bytes: &[u8]) -> Result<(Header, [&[u8]; ARRAYS]), SpzError
     Ok((header, frames))
 }
 
-/// Refuses records that change what the numbers mean. Others are skipped, as the format asks of readers.
+/// Refuses records that change the meaning of the numbers. Others are skipped, as the format demands.
 fn check_extensions(mut records: &[u8]) -> Result<(), SpzError> {
     while let Some((record, rest)) = records.split_first_chunk::<8>() {
         let (kind, length) = (word(record, 0), word(record, 4) as usize);

@@ -115,9 +115,9 @@ pub enum SpzError {
     Length {
         /// The header's count.
         count: u32,
-        /// What they take.
+        /// Bytes needed.
         needed: u64,
-        /// What is there, or the most that can be.
+        /// Bytes present, or the most that there can be.
         found: u64,
     },
     /// The scene's parts do not fit together.

@@ -7,7 +7,7 @@ use super::{
 };
 use crate::domain::{GaussianScene, harmonics};
 
-/// Fewest fractional bits where they fit: what the format's own writer takes.
+/// Fewest fractional bits if they fit: those of the format's own writer.
 const DEFAULT_BITS: u32 = 12;
 
 /// Position units to the median Gaussian's size, at least.
@@ -19,7 +19,7 @@ const ALPHA_MIN: f64 = 1.0 / 255.0;
 /// Opacity 255 reads as an infinite logit in other programs; renderers hold opacities at 0.99 anyway.
 const MAX_OPACITY_BYTE: f64 = 254.0;
 
-/// A file, and what it took to make it.
+/// A file, and what was lost.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Packed {
     /// The file.
@@ -92,7 +92,7 @@ pub fn to_spz(scene: &GaussianScene, version: SpzVersion) -> Result<Packed, SpzE
     })
 }
 
-/// Rounds to bytes and counts what was out of range.
+/// Rounds to bytes and counts values out of range.
 struct Rounder {
     clamped: usize,
 }

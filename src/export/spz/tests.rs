@@ -301,7 +301,7 @@ fn a_spoiled_file_of_version_4_is_refused_with_its_fault() {
     }
     let longer = [&whole[..], b"x"].concat();
     assert_eq!(from_spz(&longer), Err(SpzError::Table));
-    // A table may claim any length: it is held to what a frame of its bytes can hold, and then to what it does hold.
+    // A table may claim any length: it is checked against the most that a frame of its bytes can hold, then against the content.
     let mut huge = whole.clone();
     let count = 0x0fff_ffff_u32;
     huge[8..12].copy_from_slice(&count.to_le_bytes());
