@@ -79,6 +79,6 @@ fn the_table_is_sorted_and_names_each_word_once() {
 fn words_are_found_whole_and_across_lines() {
     assert!(has_word("a Studio.", "Studio"));
     assert!(!has_word("StudioLight studio _Studio", "Studio"));
-    assert!(has_word(&unwrapped("/// a promise on\n/// the size"), "promise on the size"));
-    assert!(has_word("--body-pause 3s", "--body-pause"));
+    assert!(has_word(&unwrapped("/// an old\n/// phrase"), "old phrase"));
+    assert!(has_word("--old-flag 3s", "--old-flag"));
 }
