@@ -1,9 +1,8 @@
-//! Tells endpoints of jobs as Standard Webhooks has it: what waits in the store's outbox is signed, sent, and sent again until it
-//! is taken or given up.
+//! Delivers webhooks by the Standard Webhooks specification: signs and sends the messages of the store's outbox, with retries.
 //!
-//! What always holds: a message is delivered at least once or its failure is on record; every attempt at it has the same id
-//! and body; a request goes to an address that the policy allows, and to nothing that it redirects to; secrets are neither
-//! logged nor sent. Several servers on one database share the work: a delivery is leased to one of them at a time.
+//! Invariants: a message is delivered at least once or its failure is recorded; all attempts of a message have the same id and body;
+//! requests go only to addresses that the policy allows, and redirections are not followed; secrets are neither logged nor sent.
+//! Several servers on one database share the work: a delivery is leased to one of them at a time.
 
 mod schedule;
 mod send;
@@ -18,20 +17,20 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 
 pub use send::{Lookup, SendError, Sender, system_lookup};
-pub use sign::{SecretFault, sign};
+pub use sign::{InvalidSecretError, sign};
 
 use crate::store::{DueDelivery, Store};
 
 /// How deliveries are made.
 #[derive(Debug, Clone)]
 pub struct DeliveryConfig {
-    /// How often the outbox is looked into.
+    /// Polling interval of the outbox.
     pub poll: Duration,
-    /// Deliveries under way at a time; of one endpoint there is only one.
-    pub at_once: usize,
-    /// How long a delivery is this server's; longer than an attempt at it may take.
+    /// Concurrent deliveries; at most one per endpoint.
+    pub max_concurrent: usize,
+    /// How long a delivery is leased; longer than an attempt may take.
     pub lease: Duration,
-    /// How long attempts under way may take once the server stops. One that is cut off is made again.
+    /// How long running attempts may take once the server stops. An interrupted attempt is repeated later.
     pub drain: Duration,
 }
 
@@ -39,7 +38,7 @@ impl Default for DeliveryConfig {
     fn default() -> Self {
         Self {
             poll: Duration::from_secs(1),
-            at_once: 16,
+            max_concurrent: 16,
             lease: Duration::from_secs(60),
             drain: Duration::from_secs(5),
         }
@@ -53,19 +52,19 @@ pub async fn deliver(
     config: DeliveryConfig,
     shutdown: CancellationToken,
 ) {
-    let mut under_way = JoinSet::new();
+    let mut running = JoinSet::new();
     while !shutdown.is_cancelled() {
-        if under_way.len() < config.at_once {
+        if running.len() < config.max_concurrent {
             match store.take_delivery(config.lease).await {
                 Ok(Some(due)) => {
-                    under_way.spawn(attempt(Arc::clone(&store), sender.clone(), due));
+                    running.spawn(attempt(Arc::clone(&store), sender.clone(), due));
                     continue;
                 }
                 Ok(None) => {}
                 Err(error) => {
                     tracing::warn!(
                         error = &error as &dyn std::error::Error,
-                        "no look into the outbox: {error}"
+                        "the outbox cannot be read: {error}"
                     );
                 }
             }
@@ -73,31 +72,31 @@ pub async fn deliver(
         tokio::select! {
             () = sleep(config.poll) => {}
             () = shutdown.cancelled() => {}
-            Some(ended) = under_way.join_next() => log_panic(ended),
+            Some(ended) = running.join_next() => log_panic(ended),
         }
     }
     let rest = async {
-        while let Some(ended) = under_way.join_next().await {
+        while let Some(ended) = running.join_next().await {
             log_panic(ended);
         }
     };
     if timeout(config.drain, rest).await.is_err() {
-        tracing::warn!("some webhooks were cut off; they will be sent again");
+        tracing::warn!("some webhooks were interrupted; they will be sent again");
     }
 }
 
 async fn attempt(store: Arc<dyn Store>, sender: Sender, due: DueDelivery) {
     let sent = sender.send(&due).await;
-    let settled = schedule::settle(&due, sent);
-    let (delivery, status) = (due.id, settled.status);
-    match &settled.fault {
-        None => tracing::info!(%delivery, attempt = due.attempt, status, "webhook {delivery} is delivered"),
-        Some(fault) => {
-            tracing::info!(%delivery, attempt = due.attempt, status, "webhook {delivery} is not delivered: {fault}");
+    let result = schedule::result_of(&due, sent);
+    let (delivery, status) = (due.id, result.response_status);
+    match &result.error {
+        None => tracing::info!(%delivery, attempt = due.attempt, status, "webhook {delivery} delivered"),
+        Some(error) => {
+            tracing::info!(%delivery, attempt = due.attempt, status, "webhook {delivery} failed: {error}");
         }
     }
-    if let Err(error) = store.finish_delivery(due.id, due.attempt, settled).await {
-        // Its lease will run out, and it will be sent again.
+    if let Err(error) = store.finish_delivery(due.id, due.attempt, result).await {
+        // Its lease will expire, and it will be sent again.
         tracing::warn!(%delivery, error = &error as &dyn std::error::Error, "webhook {delivery}: {error}");
     }
 }

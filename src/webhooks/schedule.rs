@@ -1,10 +1,10 @@
-//! What follows an attempt. Pure: times come in and go out as values.
+//! Decides what follows an attempt. Pure functions: times come in and go out as values.
 
 use std::time::Duration;
 
 use jiff::{Timestamp, fmt::rfc2822};
 
-use super::send::{Answered, SendError};
+use super::send::{Response, SendError};
 use crate::{
     domain::{DeliveryId, Digest},
     store::{AfterAttempt, DeliveryResult, DueDelivery},
@@ -12,51 +12,50 @@ use crate::{
 
 const MINUTE: u64 = 60;
 const HOUR: u64 = 60 * MINUTE;
-/// Seconds from each attempt that failed to the next; the first is made at once (Standard Webhooks).
+/// Seconds from each failed attempt to the next; the first is made at once (Standard Webhooks).
 const PAUSES: [u64; 9] =
     [5, 5 * MINUTE, 30 * MINUTE, 2 * HOUR, 5 * HOUR, 10 * HOUR, 14 * HOUR, 20 * HOUR, 24 * HOUR];
-/// Longest pause that an endpoint may ask for.
-const LONGEST: Duration = Duration::from_secs(24 * HOUR);
+/// Longest pause that an endpoint may request.
+const MAX_RETRY_AFTER: Duration = Duration::from_secs(24 * HOUR);
 
-/// What an attempt came to and what follows.
-pub(super) fn settle(due: &DueDelivery, sent: Result<Answered, SendError>) -> DeliveryResult {
-    let (status, asked, fault) = match sent {
-        Ok(answer) => (Some(answer.status), answer.retry_after, fault(answer.status)),
+/// The result of an attempt, with what follows.
+pub(super) fn result_of(due: &DueDelivery, sent: Result<Response, SendError>) -> DeliveryResult {
+    let (response_status, retry_after, error) = match sent {
+        Ok(response) => (Some(response.status), response.retry_after, error_of(response.status)),
         Err(error) => (None, None, Some(error.to_string())),
     };
-    let next = match (status, &fault) {
+    let next = match (response_status, &error) {
         (_, None) => AfterAttempt::Done,
         (Some(410), _) => AfterAttempt::DisableEndpoint,
-        _ => again(due, asked.as_deref()),
+        _ => retry(due, retry_after.as_deref()),
     };
-    DeliveryResult { status, fault, next }
+    DeliveryResult { response_status, error, next }
 }
 
-fn fault(status: u16) -> Option<String> {
+fn error_of(status: u16) -> Option<String> {
     match status {
         200..=299 => None,
-        300..=399 => Some(format!("the endpoint answered {status}; redirections are not followed")),
-        410 => Some("the endpoint answered 410; it is told nothing more".into()),
-        _ => Some(format!("the endpoint answered {status}")),
+        300..=399 => Some(format!("the endpoint responded {status}; redirections are not followed")),
+        410 => Some("the endpoint responded 410; it gets no more messages".into()),
+        _ => Some(format!("the endpoint responded {status}")),
     }
 }
 
-fn again(due: &DueDelivery, asked: Option<&str>) -> AfterAttempt {
-    let place = usize::try_from(due.tries.saturating_sub(1)).unwrap_or(usize::MAX);
-    let Some(seconds) = PAUSES.get(place) else { return AfterAttempt::GiveUp };
+fn retry(due: &DueDelivery, retry_after: Option<&str>) -> AfterAttempt {
+    let Some(seconds) = PAUSES.get(due.tries.saturating_sub(1) as usize) else { return AfterAttempt::GiveUp };
     let pause = Duration::from_secs(*seconds).mul_f64(spread(due.id, due.tries));
-    let asked = asked.and_then(|text| retry_after(text, due.at)).unwrap_or_default();
-    AfterAttempt::RetryAfter(pause.max(asked.min(LONGEST)))
+    let requested = retry_after.and_then(|text| parse_retry_after(text, due.at)).unwrap_or_default();
+    AfterAttempt::RetryAfter(pause.max(requested.min(MAX_RETRY_AFTER)))
 }
 
-/// A factor in [0.9, 1.1] that the delivery and the try decide, so that endpoints which failed together are not asked together.
+/// A factor in [0.9, 1.1] by the delivery and the try, so that deliveries which failed together are not retried together.
 fn spread(id: DeliveryId, tries: u32) -> f64 {
     let draw = Digest::of(format!("{id}/{tries}").as_bytes()).as_bytes()[0];
     0.9 + 0.2 * f64::from(draw) / 255.0
 }
 
-/// `Retry-After` in either of its forms: seconds, or an instant.
-fn retry_after(text: &str, now: Timestamp) -> Option<Duration> {
+/// Parses `Retry-After` in either form: seconds or a date.
+fn parse_retry_after(text: &str, now: Timestamp) -> Option<Duration> {
     let text = text.trim();
     if let Ok(seconds) = text.parse() {
         return Some(Duration::from_secs(seconds));
@@ -84,40 +83,40 @@ mod tests {
         }
     }
 
-    fn answered(status: u16, retry_after: Option<&str>) -> Result<Answered, SendError> {
-        Ok(Answered { status, retry_after: retry_after.map(str::to_owned) })
+    fn responded(status: u16, retry_after: Option<&str>) -> Result<Response, SendError> {
+        Ok(Response { status, retry_after: retry_after.map(str::to_owned) })
     }
 
     #[test]
-    fn attempts_that_fail_are_made_again_ten_times_in_all() {
+    fn a_delivery_has_at_most_ten_attempts() {
         for (tries, seconds) in (1..).zip(PAUSES) {
-            let AfterAttempt::RetryAfter(pause) = settle(&due(tries), answered(500, None)).next else {
+            let AfterAttempt::RetryAfter(pause) = result_of(&due(tries), responded(500, None)).next else {
                 panic!("try {tries} is the last");
             };
             let ratio = pause.as_secs_f64() / seconds as f64;
             assert!((0.9..=1.1).contains(&ratio), "try {tries}: {pause:?}");
         }
-        assert_eq!(settle(&due(10), answered(500, None)).next, AfterAttempt::GiveUp);
-        assert_eq!(settle(&due(10), Err(SendError::Timeout(15))).next, AfterAttempt::GiveUp);
+        assert_eq!(result_of(&due(10), responded(500, None)).next, AfterAttempt::GiveUp);
+        assert_eq!(result_of(&due(10), Err(SendError::Timeout(15))).next, AfterAttempt::GiveUp);
     }
 
     #[test]
-    fn only_2xx_is_success_and_410_is_the_end() {
+    fn only_2xx_is_success_and_410_disables_the_endpoint() {
         for status in [200, 202, 204, 299] {
-            let settled = settle(&due(1), answered(status, None));
-            assert_eq!((settled.next, settled.fault), (AfterAttempt::Done, None));
+            let result = result_of(&due(1), responded(status, None));
+            assert_eq!((result.next, result.error), (AfterAttempt::Done, None));
         }
-        assert_eq!(settle(&due(1), answered(410, None)).next, AfterAttempt::DisableEndpoint);
+        assert_eq!(result_of(&due(1), responded(410, None)).next, AfterAttempt::DisableEndpoint);
         for status in [100, 301, 302, 307, 400, 404, 429, 500, 502] {
-            let settled = settle(&due(1), answered(status, None));
-            assert!(matches!(settled.next, AfterAttempt::RetryAfter(_)), "{status}");
-            assert!(settled.fault.is_some_and(|fault| fault.contains(&status.to_string())));
+            let result = result_of(&due(1), responded(status, None));
+            assert!(matches!(result.next, AfterAttempt::RetryAfter(_)), "{status}");
+            assert!(result.error.is_some_and(|error| error.contains(&status.to_string())));
         }
     }
 
     #[test]
-    fn an_endpoint_may_ask_for_a_longer_pause_and_not_for_a_shorter_one() {
-        let pause = |tries, asked| match settle(&due(tries), answered(503, Some(asked))).next {
+    fn an_endpoint_can_request_a_longer_pause_but_no_shorter_one() {
+        let pause = |tries, requested| match result_of(&due(tries), responded(503, Some(requested))).next {
             AfterAttempt::RetryAfter(pause) => pause.as_secs(),
             other => panic!("{other:?}"),
         };

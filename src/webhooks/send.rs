@@ -1,8 +1,7 @@
-//! One attempt: a signed request to an address that has been looked at.
+//! One attempt: a signed request to an address that the policy allows.
 //!
-//! The policy is asked three times: of the URL's text, of every address that its host's name stands for, and of literal
-//! addresses, which no resolver sees. The connection goes to the very addresses that were looked at, so a name that changes its
-//! mind in between gains nothing.
+//! The policy checks the URL, literal addresses in it (which no resolver sees), and every address that its host name resolves to. The
+//! connection uses the checked addresses, so a name that resolves differently later (DNS rebinding) has no effect.
 
 use std::{error::Error, io, net::IpAddr, net::SocketAddr, sync::Arc, time::Duration};
 
@@ -14,17 +13,17 @@ use reqwest::{
 };
 use thiserror::Error;
 
-use super::sign::{SecretFault, sign};
+use super::sign::{InvalidSecretError, sign};
 use crate::{
     domain::{OutboundFault, OutboundPolicy},
     https::{self, ExtraRoots},
     store::DueDelivery,
 };
 
-/// Asks for the addresses of a name.
+/// Resolves a host name.
 pub type Lookup = Arc<dyn Fn(String) -> BoxFuture<'static, io::Result<Vec<IpAddr>>> + Send + Sync>;
 
-/// Asks as the operating system does.
+/// Resolves by the operating system.
 #[must_use]
 pub fn system_lookup() -> Lookup {
     Arc::new(|name| {
@@ -35,39 +34,39 @@ pub fn system_lookup() -> Lookup {
     })
 }
 
-/// Why an attempt got no answer. What it says is shown to the endpoint's owner.
+/// Why an attempt got no response. The message is shown to the endpoint's owner.
 #[derive(Debug, Error)]
 pub enum SendError {
-    /// The endpoint may not be asked.
+    /// The policy forbids the address.
     #[error("the address {0}")]
     Refused(#[from] OutboundFault),
     /// The message cannot be signed.
     #[error(transparent)]
-    Secret(#[from] SecretFault),
-    /// No answer in time.
-    #[error("no answer within {0} s")]
+    Secret(#[from] InvalidSecretError),
+    /// No response in time.
+    #[error("no response within {0} s")]
     Timeout(u64),
     /// No connection, or none with TLS.
     #[error("no connection to the endpoint")]
     Connect,
-    /// Who answered cannot show who they are.
+    /// The certificate is not valid for the endpoint.
     #[error("the endpoint's certificate {0}")]
     Certificate(&'static str),
-    /// The connection broke, or what came was not HTTP.
-    #[error("the connection broke before there was an answer")]
+    /// The connection was lost, or the response was not HTTP.
+    #[error("the connection was lost before a response")]
     Broken,
 }
 
-/// What an endpoint answered; its body is not read.
+/// An endpoint's response; its body is not read.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Answered {
+pub(super) struct Response {
     /// The status.
     pub(super) status: u16,
-    /// `Retry-After` as it came.
+    /// The `Retry-After` header, if there was one.
     pub(super) retry_after: Option<String>,
 }
 
-/// Makes attempts; clones share what they need.
+/// Sends messages; clones share the client.
 #[derive(Debug, Clone)]
 pub struct Sender {
     client: reqwest::Client,
@@ -76,10 +75,10 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// A sender that gives an attempt so much time and trusts the system's authorities and `roots`.
+    /// A sender that gives each attempt the time `limit` and trusts the system's certificate authorities and `roots`.
     ///
     /// # Errors
-    /// If there is no client with TLS to be had.
+    /// If no TLS client can be built.
     pub fn new(
         policy: OutboundPolicy,
         lookup: Lookup,
@@ -87,19 +86,19 @@ impl Sender {
         roots: &ExtraRoots,
     ) -> Result<Self, Box<dyn Error>> {
         let client = https::client_builder_trusting(roots)?
-            .dns_resolver(Arc::new(Checked { policy, lookup }))
+            .dns_resolver(Arc::new(CheckedResolver { policy, lookup }))
             .redirect(Policy::none())
-            // A proxy would ask in its own name for addresses that nobody here has looked at.
+            // A proxy would resolve names itself, unchecked.
             .no_proxy()
-            // Nothing is kept open for the next message, which may be hours away.
+            // The next message may be hours away.
             .pool_max_idle_per_host(0)
             .timeout(limit)
             .build()?;
         Ok(Self { client, policy, limit })
     }
 
-    /// Sends a message and waits for the answer's head.
-    pub(super) async fn send(&self, due: &DueDelivery) -> Result<Answered, SendError> {
+    /// Sends a message and waits for the response's head.
+    pub(super) async fn send(&self, due: &DueDelivery) -> Result<Response, SendError> {
         let url = self.policy.check_url(&due.url)?;
         let (id, timestamp) = (due.id.to_string(), due.at.as_second());
         let signature = sign(&due.secret, &id, timestamp, &due.body)?;
@@ -111,12 +110,12 @@ impl Sender {
             .header("webhook-timestamp", timestamp)
             .header("webhook-signature", signature)
             .body(due.body.clone());
-        let response = request.send().await.map_err(|error| self.fault(&error))?;
+        let response = request.send().await.map_err(|error| self.send_error(&error))?;
         let retry_after = response.headers().get(RETRY_AFTER).and_then(|value| value.to_str().ok());
-        Ok(Answered { status: response.status().as_u16(), retry_after: retry_after.map(str::to_owned) })
+        Ok(Response { status: response.status().as_u16(), retry_after: retry_after.map(str::to_owned) })
     }
 
-    fn fault(&self, error: &reqwest::Error) -> SendError {
+    fn send_error(&self, error: &reqwest::Error) -> SendError {
         let mut source = error.source();
         while let Some(cause) = source {
             if let Some(refused) = cause.downcast_ref::<OutboundFault>() {
@@ -135,13 +134,13 @@ impl Sender {
     }
 }
 
-/// Finds addresses and refuses a name of which any is not allowed.
-struct Checked {
+/// Resolves names, and refuses a name if the policy forbids any of its addresses.
+struct CheckedResolver {
     policy: OutboundPolicy,
     lookup: Lookup,
 }
 
-impl Resolve for Checked {
+impl Resolve for CheckedResolver {
     fn resolve(&self, name: Name) -> Resolving {
         let (policy, found) = (self.policy, (self.lookup)(name.as_str().to_owned()));
         Box::pin(async move {

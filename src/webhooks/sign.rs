@@ -7,18 +7,23 @@ use thiserror::Error;
 
 use crate::domain::WebhookSecret;
 
-/// A secret that cannot sign. It does not say what the secret is.
+/// The secret is malformed. The message does not contain it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
-#[error("the endpoint's secret is not whsec_ and base64")]
-pub struct SecretFault;
+#[error("the endpoint's secret is not 'whsec_' followed by base64")]
+pub struct InvalidSecretError;
 
-/// The value of `webhook-signature`, for seconds since 1970 in `timestamp`.
+/// The value of `webhook-signature`; `timestamp` is in seconds since 1970.
 ///
 /// # Errors
-/// [`SecretFault`].
-pub fn sign(secret: &WebhookSecret, id: &str, timestamp: i64, body: &str) -> Result<String, SecretFault> {
-    let key = secret.key().ok_or(SecretFault)?;
-    let mut mac = Hmac::<Sha256>::new_from_slice(&key).map_err(|_| SecretFault)?;
+/// [`InvalidSecretError`].
+pub fn sign(
+    secret: &WebhookSecret,
+    id: &str,
+    timestamp: i64,
+    body: &str,
+) -> Result<String, InvalidSecretError> {
+    let key = secret.key().ok_or(InvalidSecretError)?;
+    let mut mac = Hmac::<Sha256>::new_from_slice(&key).map_err(|_| InvalidSecretError)?;
     mac.update(format!("{id}.{timestamp}.").as_bytes());
     mac.update(body.as_bytes());
     Ok(format!("v1,{}", STANDARD.encode(mac.finalize().into_bytes())))
@@ -29,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_specifications_own_example_is_signed_alike() {
+    fn the_specifications_example_has_its_signature() {
         let secret = WebhookSecret::stored("whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw".into());
         let id = "msg_p5jXN8AQM9LWM0D4loKWxJek";
         let signature = sign(&secret, id, 1_614_265_330, r#"{"test": 2432232314}"#);

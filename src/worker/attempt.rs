@@ -1,4 +1,4 @@
-//! One attempt at one job: the run on its thread, the lease beside it, and the publication of the result.
+//! One attempt: runs the job on a thread, keeps its lease meanwhile, and publishes the result.
 
 use std::{
     any::Any,
@@ -26,7 +26,7 @@ use crate::{
 /// Pause between tries to write the end of an attempt.
 const FINISH_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
-/// What every attempt needs.
+/// What every attempt uses.
 pub(super) struct WorkerDeps {
     pub(super) store: Arc<dyn Store>,
     pub(super) blobs: Blobs,
@@ -34,11 +34,11 @@ pub(super) struct WorkerDeps {
     pub(super) config: WorkerConfig,
 }
 
-/// How an attempt left the worker.
+/// State of the worker after an attempt.
 pub(super) enum AttemptEnd {
-    /// Free for the next job.
+    /// Ready for the next job.
     Free,
-    /// With a thread that hangs.
+    /// A thread hangs; the process must exit.
     Stalled(WorkerError),
 }
 
@@ -48,27 +48,27 @@ type RunResult = Result<Result<JobOutput, JobError>, Box<dyn Any + Send>>;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum StopReason {
     None,
-    /// Somebody cancelled the job.
+    /// The job was cancelled.
     Cancelled,
-    /// Its deadline has passed.
+    /// The job's deadline has passed.
     DeadlinePassed,
     /// The worker shuts down.
     ShuttingDown,
-    /// The job is no longer this worker's.
+    /// The worker has lost the lease.
     LeaseLost,
 }
 
-/// Runs a claimed job to its end. Whatever is logged meanwhile, here or by the run, carries the job and the attempt.
+/// Runs a claimed job to its end. All log lines meanwhile carry job and attempt.
 pub(super) async fn run_attempt(deps: &WorkerDeps, claim: Claim, shutdown: &CancellationToken) -> AttemptEnd {
     let Claim { lease: Lease { job, attempt, .. }, .. } = claim;
-    // Of the highest level, so that lines carry it however little is logged.
+    // At the highest level, so that every log level includes it.
     let span = tracing::error_span!("job", %job, attempt);
     run_in_span(deps, claim, shutdown).instrument(span).await
 }
 
 async fn run_in_span(deps: &WorkerDeps, claim: Claim, shutdown: &CancellationToken) -> AttemptEnd {
     let Claim { lease, dataset, options, resume_from } = claim;
-    tracing::info!("job {} begins", lease.job);
+    tracing::info!("job {} starts", lease.job);
     let dataset = match deps.blobs.local_file(dataset).await {
         Ok(path) => path,
         Err(error) => {
@@ -98,31 +98,30 @@ async fn run_in_span(deps: &WorkerDeps, claim: Claim, shutdown: &CancellationTok
         last_renewed: Instant::now(),
         last_progress: Instant::now(),
     };
-    match keeper.until(result, shutdown).await {
+    let (outcome, end) = match keeper.wait(result, shutdown).await {
         RunEnd::Ended(result) => {
-            keeper.pass_progress_on().await;
+            keeper.report_progress().await;
             if matches!(*result, Ok(Ok(_))) {
-                keeper.enter_publication().await;
+                keeper.start_publication().await;
             }
-            finish_run(deps, &lease, *result, keeper.stop, keeper.last_renewed, shutdown).await;
-            AttemptEnd::Free
+            (outcome_of(deps, &lease, *result, keeper.stop).await, AttemptEnd::Free)
         }
         RunEnd::DrainOver => {
             tracing::warn!("job {} did not stop in time; releasing it", lease.job);
-            finish(deps, &lease, Outcome::Released, keeper.last_renewed, shutdown).await;
-            AttemptEnd::Free
+            (Outcome::Released, AttemptEnd::Free)
         }
         RunEnd::Stalled => {
             let limit = deps.config.stall_limit;
             let error = WorkerError::Stalled { job: lease.job, attempt: lease.attempt, limit };
             tracing::error!("{error}");
-            finish(deps, &lease, Outcome::Retry(stalled(limit)), keeper.last_renewed, shutdown).await;
-            AttemptEnd::Stalled(error)
+            (Outcome::Retry(stalled(limit)), AttemptEnd::Stalled(error))
         }
-    }
+    };
+    finish(deps, &lease, outcome, keeper.last_renewed, shutdown).await;
+    end
 }
 
-/// What a run is told.
+/// Arguments of a run.
 struct RunArgs {
     dataset: PathBuf,
     options: TrainOptions,
@@ -130,7 +129,7 @@ struct RunArgs {
     cancel: CancelFlag,
 }
 
-/// Starts the run on a thread of its own: it may take hours, and tokio's pool is not for that.
+/// Starts the run on a thread of its own, since it may take hours.
 fn start(
     deps: &WorkerDeps,
     lease: &Lease,
@@ -142,7 +141,7 @@ fn start(
     let (send, receive) = oneshot::channel();
     let span = Span::current();
     std::thread::Builder::new().name(format!("job-{}", lease.job)).spawn(move || {
-        let _of_the_job = span.entered();
+        let _entered = span.entered();
         let mut report = |phase: Phase, state: &Progress| {
             points.add(phase, state);
             progress.send_replace((phase, state.clone()));
@@ -151,7 +150,7 @@ fn start(
         let result = catch_unwind(AssertUnwindSafe(|| {
             runner.run(&dataset, &options, &checkpoints, &mut report, &cancel)
         }));
-        // Nobody listens any more if the worker gave the job up.
+        // There is no receiver if the worker has released the job.
         let _ = send.send(result);
     })?;
     Ok(receive)
@@ -163,7 +162,7 @@ enum RunEnd {
     Stalled,
 }
 
-/// Keeps the lease while the run goes on.
+/// Renews the lease and reports progress during a run.
 struct LeaseKeeper<'a> {
     deps: &'a WorkerDeps,
     lease: &'a Lease,
@@ -176,7 +175,7 @@ struct LeaseKeeper<'a> {
 }
 
 impl LeaseKeeper<'_> {
-    async fn until(
+    async fn wait(
         &mut self,
         mut result: oneshot::Receiver<RunResult>,
         shutdown: &CancellationToken,
@@ -202,7 +201,7 @@ impl LeaseKeeper<'_> {
                 }
                 _ = heartbeat.tick(), if self.stop != StopReason::LeaseLost => self.heartbeat().await,
                 _ = report.tick() => {
-                    self.pass_progress_on().await;
+                    self.report_progress().await;
                     if self.last_progress.elapsed() > config.stall_limit {
                         return RunEnd::Stalled;
                     }
@@ -235,21 +234,21 @@ impl LeaseKeeper<'_> {
         }
     }
 
-    async fn pass_progress_on(&mut self) {
-        // An error means only that the run has ended; what it reported last is still there.
+    async fn report_progress(&mut self) {
+        // An error means that the run has ended; its last report is still there.
         if !self.progress.has_changed().unwrap_or(true) || self.stop == StopReason::LeaseLost {
             return;
         }
         let (phase, progress) = self.progress.borrow_and_update().clone();
         self.last_progress = Instant::now();
-        // Points first: whoever sees the job's new version sees them too.
-        self.pass_points_on().await;
+        // Points first, so that readers of the job's new version see them.
+        self.record_points().await;
         if let Err(error) = self.deps.store.report(self.lease, phase, &progress).await {
             self.store_failed("report", &error);
         }
     }
 
-    async fn pass_points_on(&mut self) {
+    async fn record_points(&mut self) {
         let points = self.points.take();
         if points.is_empty() {
             return;
@@ -260,8 +259,8 @@ impl LeaseKeeper<'_> {
         }
     }
 
-    /// Renews the lease for the time that publication takes, and says so.
-    async fn enter_publication(&mut self) {
+    /// Renews the lease for the time of publication, and reports that phase.
+    async fn start_publication(&mut self) {
         self.heartbeat().await;
         let (_, progress) = self.progress.borrow().clone();
         if self.stop != StopReason::LeaseLost
@@ -274,29 +273,23 @@ impl LeaseKeeper<'_> {
     fn store_failed(&mut self, what: &str, error: &StoreError) {
         tracing::warn!(error = error as &dyn std::error::Error, "{what}: {error}");
         let gone = matches!(error, StoreError::LeaseLost { .. });
-        // Where nothing can be written, nobody else can take the job either.
+        // Nothing can be written, so no other worker can claim the job either.
         if error.is_disk_full() {
             return;
         }
-        // Without a database the run may go on until others may take the job.
+        // Without the database, the run may continue until the lease has expired.
         if gone || self.last_renewed.elapsed() > self.deps.config.lease {
             self.stop(StopReason::LeaseLost);
         }
     }
 }
 
-async fn finish_run(
-    deps: &WorkerDeps,
-    lease: &Lease,
-    result: RunResult,
-    stop: StopReason,
-    last_renewed: Instant,
-    shutdown: &CancellationToken,
-) {
-    let outcome = match (result, stop) {
+/// The outcome to record for a run that has ended; publishes its result.
+async fn outcome_of(deps: &WorkerDeps, lease: &Lease, result: RunResult, stop: StopReason) -> Outcome {
+    match (result, stop) {
         (_, StopReason::LeaseLost) => {
-            tracing::warn!("job {} was lost; its result is dropped", lease.job);
-            // If nobody has taken it, since the database was out of everybody's reach, this worker has not died.
+            tracing::warn!("the lease of job {} was lost; its result is dropped", lease.job);
+            // If no other worker has claimed it, because no process could reach the database, this is no crash.
             Outcome::Released
         }
         (Ok(Ok(output)), _) => publish(deps, output).await,
@@ -312,30 +305,19 @@ async fn finish_run(
             tracing::error!("job {} panicked: {}", lease.job, panic_text(&*panic));
             Outcome::Retry(panicked())
         }
-    };
-    finish(deps, lease, outcome, last_renewed, shutdown).await;
+    }
 }
 
 /// Makes the output's blobs durable; only then may the job refer to them.
 async fn publish(deps: &WorkerDeps, output: JobOutput) -> Outcome {
-    let (cameras, held_out) = match documents(&output) {
-        Ok(documents) => documents,
+    let contents = match contents(&output) {
+        Ok(contents) => contents,
         Err(error) => {
-            tracing::error!("a document cannot be written: {error}");
-            return Outcome::Failed(Problem::new(
-                500,
-                "internal",
-                "Internal error",
-                "the dataset's cameras or held-out views cannot be written as JSON",
-            ));
+            tracing::error!("JSON cannot be written: {error}");
+            let detail = "the dataset's cameras or held-out views cannot be written as JSON";
+            return Outcome::Failed(Problem::new(500, "internal", "Internal error", detail));
         }
     };
-    let scenes = output
-        .files()
-        .map(|(lambda, file)| (ArtifactKind::Scene(output.format), lambda, Bytes::copy_from_slice(file)));
-    let cameras = Some((ArtifactKind::Cameras, None, cameras));
-    let held_out = held_out.map(|document| (ArtifactKind::HeldOut, None, document));
-    let contents: Vec<_> = scenes.chain(cameras).chain(held_out).collect();
     let mut artifacts = Vec::new();
     for (kind, lambda, content) in contents {
         match deps.blobs.put(content).await {
@@ -346,14 +328,19 @@ async fn publish(deps: &WorkerDeps, output: JobOutput) -> Outcome {
     Outcome::Succeeded { metrics: Box::new(output.metrics), artifacts }
 }
 
-/// What goes with the files as JSON: the cameras, and the held-out views if there are any.
-fn documents(output: &JobOutput) -> serde_json::Result<(Bytes, Option<Bytes>)> {
-    let held_out = output.held_out.as_ref().map(serde_json::to_vec).transpose()?;
-    Ok((serde_json::to_vec(&output.cameras)?.into(), held_out.map(Bytes::from)))
+/// Kind, weight of the rate term and content of every artifact: the files, and the cameras and held-out views as JSON.
+fn contents(output: &JobOutput) -> serde_json::Result<Vec<(ArtifactKind, Option<f64>, Bytes)>> {
+    let file = |(lambda, file)| (ArtifactKind::Scene(output.format), lambda, Bytes::copy_from_slice(file));
+    let mut contents: Vec<_> = output.files().map(file).collect();
+    contents.push((ArtifactKind::Cameras, None, serde_json::to_vec(&output.cameras)?.into()));
+    if let Some(held_out) = &output.held_out {
+        contents.push((ArtifactKind::HeldOut, None, serde_json::to_vec(held_out)?.into()));
+    }
+    Ok(contents)
 }
 
-/// Writes the end of the attempt, trying again while the lease may still be held: hours of work must not be
-/// lost to a database that is busy for a moment, nor to a disk that is full until somebody comes.
+/// Writes the end of the attempt. Retries while the lease may still be held: hours of work must not be lost because the database is
+/// busy for a moment or the disk is full for a while.
 async fn finish(
     deps: &WorkerDeps,
     lease: &Lease,
@@ -376,11 +363,17 @@ async fn finish(
                 if last_renewed.elapsed() > deps.config.lease
                     && (shutdown.is_cancelled() || !error.is_disk_full()) =>
             {
-                tracing::error!(error = &error as &dyn std::error::Error, "giving up: {error}");
+                tracing::error!(
+                    error = &error as &dyn std::error::Error,
+                    "the end of the attempt is not recorded: {error}"
+                );
                 return;
             }
             Err(error) => {
-                tracing::warn!(error = &error as &dyn std::error::Error, "trying again: {error}");
+                tracing::warn!(
+                    error = &error as &dyn std::error::Error,
+                    "the end of the attempt is not recorded yet: {error}"
+                );
                 sleep(FINISH_RETRY_PAUSE).await;
             }
         }
@@ -396,7 +389,7 @@ fn panic_text(panic: &(dyn Any + Send)) -> &str {
 }
 
 fn no_thread(error: &std::io::Error) -> Problem {
-    tracing::error!("no thread for the run: {error}");
+    tracing::error!("the run's thread cannot be started: {error}");
     Problem::new(
         503,
         "resource-exhausted",
@@ -407,14 +400,14 @@ fn no_thread(error: &std::io::Error) -> Problem {
 
 fn stalled(limit: Duration) -> Problem {
     let detail = format!("the run made no progress for {} s", limit.as_secs());
-    Problem::new(500, "stalled", "The run hangs", detail)
+    Problem::new(500, "stalled", "The run has stalled", detail)
 }
 
 fn stopped_unasked() -> Problem {
-    Problem::new(500, "internal", "Internal error", "the run stopped although nobody had asked it to")
+    Problem::new(500, "internal", "Internal error", "the run stopped without being cancelled")
 }
 
 fn panicked() -> Problem {
-    let detail = "the run met an internal error; the worker's log has the particulars";
+    let detail = "the run failed with an internal error; see the worker's log";
     Problem::new(500, "worker-panicked", "The run failed", detail)
 }

@@ -1,8 +1,8 @@
-//! Where the checkpoints of jobs are, and their removal once nobody can need them: when the job has succeeded or is deleted, and
-//! some time after it failed or was cancelled.
+//! The checkpoint folders of jobs, and their removal: when the job has succeeded or is deleted, and some time after it failed or was
+//! cancelled.
 //!
-//! Each attempt writes to a folder of its own, which the next one takes over under its own name. So an attempt that was overtaken
-//! and has not noticed yet writes where nobody looks any more.
+//! Each attempt writes to a folder of its own, which the next attempt renames to its own. So an attempt that has lost its lease without
+//! noticing writes where nobody reads.
 
 use std::{
     collections::BTreeSet,
@@ -16,14 +16,14 @@ use crate::{
     store::{Lease, Store},
 };
 
-/// What the folder of an attempt is called, before its number.
+/// Prefix of an attempt's folder name, before its number.
 const ATTEMPT: &str = "attempt-";
 
 fn folder(root: &Path, job: JobId) -> PathBuf {
     root.join(job.to_string())
 }
 
-/// The checkpoints of an attempt below `root`, with what an earlier attempt at the job left, or else one at the job that this one
+/// The checkpoint folder of an attempt below `root`, with the checkpoint of the job's attempt before, or else that of the job
 /// `resume_from`.
 pub(super) fn of_attempt(root: Option<&Path>, lease: &Lease, resume_from: Option<JobId>) -> Checkpoints {
     let Some(root) = root else { return Checkpoints { keep: None, resume: Resume::Fresh } };
@@ -32,26 +32,26 @@ pub(super) fn of_attempt(root: Option<&Path>, lease: &Lease, resume_from: Option
     if let Some(earlier) = newest(&job, lease.attempt) {
         take_over(&earlier, &own, lease.job);
     } else if let Some(resume_from) = resume_from {
-        let adopted = folder(root, resume_from);
-        // Moved rather than copied: nobody else runs it, and of two jobs that repeat it one is enough to go on.
-        if let Some(earlier) = newest(&adopted, u32::MAX)
+        let retried = folder(root, resume_from);
+        // Moved rather than copied: that job does not run, and of two retries only one can resume.
+        if let Some(earlier) = newest(&retried, u32::MAX)
             && take_over(&earlier, &own, lease.job)
         {
-            tracing::info!("job {} goes on from where job {resume_from} stopped", lease.job);
-            remove(&adopted);
+            tracing::info!("job {} resumes from the checkpoint of job {resume_from}", lease.job);
+            remove(&retried);
         }
     }
     Checkpoints { keep: Some(own.clone()), resume: Resume::IfPossible(own) }
 }
 
-/// Moves what an attempt left to where the next one keeps its own, and says whether that is done.
+/// Moves the checkpoints of an attempt to the next one's folder; returns whether that succeeded.
 fn take_over(earlier: &Path, own: &Path, job: JobId) -> bool {
     let moved = own.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| fs::rename(earlier, own));
     match moved {
         Ok(()) => true,
-        Err(fault) if fault.kind() == io::ErrorKind::NotFound => false,
-        Err(fault) => {
-            tracing::warn!(%job, "job {job} cannot go on from {}: {fault}", earlier.display());
+        Err(error) if error.kind() == io::ErrorKind::NotFound => false,
+        Err(error) => {
+            tracing::warn!(%job, "job {job} cannot resume from {}: {error}", earlier.display());
             false
         }
     }
@@ -65,12 +65,12 @@ fn newest(job: &Path, attempt: u32) -> Option<PathBuf> {
     numbered.filter(|(number, _)| *number < attempt).max().map(|(_, path)| path)
 }
 
-/// Removes what is kept below `root` of a job that is deleted.
+/// Removes the checkpoints of a deleted job below `root`.
 pub fn forget(root: &Path, job: JobId) {
     remove(&folder(root, job));
 }
 
-/// Removes the folders below `root` that nobody can go on from any more.
+/// Removes the folders below `root` that no job can resume from any more.
 pub(super) async fn sweep(root: &Path, store: &dyn Store) {
     let folders = folders(root);
     if folders.is_empty() {
@@ -79,9 +79,12 @@ pub(super) async fn sweep(root: &Path, store: &dyn Store) {
     let jobs: Vec<JobId> = folders.iter().map(|(job, _)| *job).collect();
     let wanted: BTreeSet<JobId> = match store.resumable(&jobs).await {
         Ok(wanted) => wanted.into_iter().collect(),
-        // Kept for now: whether the jobs need them is not known.
+        // Kept, since the jobs may need them.
         Err(error) => {
-            tracing::warn!(error = &error as &dyn std::error::Error, "checkpoints stay: {error}");
+            tracing::warn!(
+                error = &error as &dyn std::error::Error,
+                "unneeded checkpoints cannot be determined: {error}"
+            );
             return;
         }
     };
@@ -93,13 +96,13 @@ pub(super) async fn sweep(root: &Path, store: &dyn Store) {
 fn remove(folder: &Path) {
     match fs::remove_dir_all(folder) {
         Ok(()) => {}
-        // There may have been none, and another worker may be sweeping too.
-        Err(fault) if fault.kind() == io::ErrorKind::NotFound => {}
-        Err(fault) => tracing::warn!("{} stays: {fault}", folder.display()),
+        // There may have been none, or another worker has removed it.
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+        Err(error) => tracing::warn!("{} cannot be removed: {error}", folder.display()),
     }
 }
 
-/// The folders below `root` that are named by jobs.
+/// The folders of jobs below `root`.
 fn folders(root: &Path) -> Vec<(JobId, PathBuf)> {
     let Ok(entries) = fs::read_dir(root) else { return Vec::new() };
     entries
@@ -118,7 +121,7 @@ mod tests {
         Lease { job: JobId(Uuid::from_u128(job)), attempt, worker: "w".into() }
     }
 
-    /// The folder that an attempt writes to, which is the one that it begins with.
+    /// The folder that an attempt writes to and resumes from.
     fn begin(root: &Path, lease: &Lease, resume_from: Option<JobId>) -> PathBuf {
         let Checkpoints { keep, resume } = of_attempt(Some(root), lease, resume_from);
         let keep = keep.expect("a folder");
@@ -136,22 +139,22 @@ mod tests {
     }
 
     #[test]
-    fn an_attempt_that_was_overtaken_writes_where_nobody_looks() {
+    fn an_attempt_that_lost_its_lease_writes_where_nobody_reads() {
         let root = tempfile::tempdir().expect("a folder");
         let stale = begin(root.path(), &lease(1, 1), None);
         write(&stale, "step 100");
         let live = begin(root.path(), &lease(1, 2), None);
-        assert_eq!(read(&live), "step 100", "the next attempt goes on from it");
+        assert_eq!(read(&live), "step 100", "the next attempt resumes from it");
         assert!(!stale.exists());
         write(&live, "step 300");
         write(&stale, "step 200");
-        assert_eq!(read(&live), "step 300", "and is not set back by it");
+        assert_eq!(read(&live), "step 300", "and is not overwritten by it");
         let next = begin(root.path(), &lease(1, 4), None);
-        assert_eq!(read(&next), "step 300", "also after one that never began");
+        assert_eq!(read(&next), "step 300", "also after an attempt that never started");
     }
 
     #[test]
-    fn a_job_adopts_what_another_left_unless_it_has_its_own() {
+    fn a_retry_takes_the_checkpoint_of_the_retried_job_unless_it_has_its_own() {
         let root = tempfile::tempdir().expect("a folder");
         let other = Some(lease(1, 1).job);
         write(&begin(root.path(), &lease(1, 3), None), "another's");
@@ -159,7 +162,7 @@ mod tests {
         assert_eq!(read(&own), "another's");
         assert!(!folder(root.path(), lease(1, 1).job).exists());
         write(&begin(root.path(), &lease(1, 4), None), "later");
-        assert_eq!(read(&begin(root.path(), &lease(2, 2), other)), "another's", "its own by now");
+        assert_eq!(read(&begin(root.path(), &lease(2, 2), other)), "another's", "its own checkpoint");
         forget(root.path(), lease(2, 1).job);
         assert!(!folder(root.path(), lease(2, 1).job).exists());
         assert_eq!(of_attempt(None, &lease(1, 1), other), Checkpoints::default());

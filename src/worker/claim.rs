@@ -1,4 +1,4 @@
-//! The claim loop.
+//! The loop that claims and runs jobs.
 
 use std::{sync::Arc, time::Duration};
 
@@ -16,14 +16,14 @@ use crate::{
     store::{Blobs, Store},
 };
 
-/// How often an idle worker looks for checkpoints that nobody needs any more.
+/// How often an idle worker removes unneeded checkpoints.
 const SWEEP_EVERY: Duration = Duration::from_secs(60);
 
 /// Claims and runs jobs, one at a time, until `shutdown`.
 ///
-/// On shutdown the running job is asked to stop; if it does, or if [`WorkerConfig::drain`] passes, its lease is
-/// released without charging the attempt, and another worker can take it at once. The caller should then end
-/// the process: a run that did not stop in time is still on its thread.
+/// On shutdown the running job is asked to stop; once it has stopped, or after [`WorkerConfig::drain`], its lease is released without
+/// charging the attempt, and another worker can claim it at once. The caller should then end the process: a run that did not stop in
+/// time is still on its thread.
 ///
 /// # Errors
 /// [`WorkerError::Stalled`]; the process must end.
@@ -35,50 +35,40 @@ pub async fn serve(
     shutdown: CancellationToken,
 ) -> Result<(), WorkerError> {
     let _liveness = config.liveness_dir.as_deref().and_then(|folder| {
-        LivenessLock::announce(folder, &config.id)
-            // Without it a power cut costs its job the rest of the lease.
-            .inspect_err(|fault| tracing::warn!("no sign of life in {}: {fault}", folder.display()))
+        LivenessLock::acquire(folder, &config.id)
+            // Without it, its job waits for the end of the lease after a power cut.
+            .inspect_err(|error| tracing::warn!("no lock file in {}: {error}", folder.display()))
             .ok()
     });
     tracing::info!(worker = config.id, "worker {} is ready", config.id);
     let deps = WorkerDeps { store, blobs, runner, config };
-    sweep(&deps).await;
-    let mut swept = Instant::now();
+    let sweep = async || {
+        if let Some(root) = &deps.config.checkpoints {
+            checkpoints::sweep(root, &*deps.store).await;
+        }
+        Instant::now()
+    };
+    let mut swept = sweep().await;
     while !shutdown.is_cancelled() {
         match deps.store.claim(&deps.config.id).await {
             Ok(Some(claim)) => {
                 if let AttemptEnd::Stalled(error) = attempt::run_attempt(&deps, claim, &shutdown).await {
                     return Err(error);
                 }
-                sweep(&deps).await;
+                swept = sweep().await;
+                continue;
             }
-            Ok(None) => {
-                if swept.elapsed() > SWEEP_EVERY {
-                    sweep(&deps).await;
-                    swept = Instant::now();
-                }
-                idle(&deps.config, &shutdown).await;
-            }
+            Ok(None) if swept.elapsed() > SWEEP_EVERY => swept = sweep().await,
+            Ok(None) => {}
             Err(error) => {
-                tracing::warn!(error = &error as &dyn std::error::Error, "no claim: {error}");
-                idle(&deps.config, &shutdown).await;
+                tracing::warn!(error = &error as &dyn std::error::Error, "no job can be claimed: {error}");
             }
+        }
+        tokio::select! {
+            () = sleep(deps.config.poll) => {}
+            () = shutdown.cancelled() => {}
         }
     }
     tracing::info!(worker = deps.config.id, "worker {} has stopped", deps.config.id);
     Ok(())
-}
-
-/// Jobs may end without their worker, so ended ones are looked for rather than told of.
-async fn sweep(deps: &WorkerDeps) {
-    if let Some(root) = &deps.config.checkpoints {
-        checkpoints::sweep(root, &*deps.store).await;
-    }
-}
-
-async fn idle(config: &WorkerConfig, shutdown: &CancellationToken) {
-    tokio::select! {
-        () = sleep(config.poll) => {}
-        () = shutdown.cancelled() => {}
-    }
 }

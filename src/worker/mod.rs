@@ -1,13 +1,12 @@
-//! Takes jobs from the queue and carries them out, in a process of its own.
+//! Takes jobs from the queue and runs them, in a process of its own.
 //!
-//! What a run needs to be continued is kept beside it until its job has succeeded, so an attempt goes on where the one before
-//! it stopped, and so does a job that repeats one that failed or was cancelled not long ago.
+//! Checkpoints of a run are kept until its job has succeeded, so an attempt resumes where the one before stopped, and so does a retry
+//! of a job that failed or was cancelled recently.
 //!
-//! A worker runs one job at a time on a thread of its own while an asynchronous task keeps the lease, passes
-//! progress on and listens for a stop. It never writes to a job that it no longer holds. The parent process
-//! keeps workers alive through [`supervise`]: a worker that is killed, or that ends itself because a job
-//! hangs, is started again, and its job is taken from it at once. One that died with its parent is found dead by the next
-//! parent (`liveness`).
+//! A worker runs one job at a time on a thread of its own, while an asynchronous task renews the lease, reports progress and listens for
+//! cancellation and shutdown. It never writes to a job whose lease it has lost. The parent process restarts workers through
+//! [`supervise`]: if one is killed, or exits because a job hangs, its job is queued again at once. The next parent detects workers that
+//! died with the one before (`liveness`).
 
 mod attempt;
 mod checkpoints;
@@ -28,42 +27,42 @@ pub use claim::serve;
 
 use crate::domain::JobId;
 
-/// The environment variable in which a supervisor tells a worker its identity.
+/// The environment variable in which a supervisor passes a worker its identity.
 pub const WORKER_ID_VARIABLE: &str = "TCGS_WORKER_ID";
 
-/// How a worker behaves.
+/// A worker's settings.
 #[derive(Debug, Clone)]
 pub struct WorkerConfig {
-    /// Its identity in leases; no two live workers may share one.
+    /// Its identity in leases, unique among live workers.
     pub id: String,
-    /// How often an idle worker looks for a job.
+    /// Polling interval of an idle worker.
     pub poll: Duration,
     /// How often the lease is renewed; well below [`WorkerConfig::lease`].
     pub heartbeat: Duration,
-    /// How long the queue's leases last ([`crate::store::QueuePolicy::lease`]): after that long without a
-    /// successful renewal the job is held to be lost.
+    /// How long the queue's leases last ([`crate::store::QueuePolicy::lease`]): after that long without a successful renewal the worker
+    /// assumes that it has lost the job.
     pub lease: Duration,
-    /// Shortest time between two progress reports to the store.
+    /// Interval of progress reports to the store.
     pub report_every: Duration,
-    /// Longest silence of a run before it is held to hang. The run cannot be killed from within, so the worker
-    /// gives the job back as a failed attempt and ends with [`WorkerError::Stalled`]; its process must exit.
+    /// Longest time without progress before a run counts as stalled. A thread cannot be killed, so the worker ends the attempt as
+    /// failed and returns [`WorkerError::Stalled`]; its process must exit.
     pub stall_limit: Duration,
-    /// How long a run may take to stop when the worker shuts down, before its job is released regardless.
+    /// How long a run may take to stop when the worker shuts down, before its job is released in any case.
     pub drain: Duration,
-    /// Folder for a folder of checkpoints a running job, if they are to be kept: a later attempt goes on from there.
+    /// Folder of the checkpoints of all jobs, if they are kept.
     pub checkpoints: Option<PathBuf>,
-    /// Folder in which a supervised worker shows that it is alive ([`supervise::SuperviseConfig::liveness_dir`]).
+    /// Folder of the lock files of live workers ([`supervise::SuperviseConfig::liveness_dir`]).
     pub liveness_dir: Option<PathBuf>,
 }
 
 impl WorkerConfig {
-    /// The defaults, under the identity that the supervisor gave, or a fresh one.
+    /// The defaults, with the identity from the supervisor, or a new one.
     #[must_use]
     pub fn from_environment() -> Self {
-        Self::new(std::env::var(WORKER_ID_VARIABLE).unwrap_or_else(|_| fresh_id()))
+        Self::new(std::env::var(WORKER_ID_VARIABLE).unwrap_or_else(|_| new_worker_id()))
     }
 
-    /// The defaults under a given identity.
+    /// The defaults with a given identity.
     #[must_use]
     pub fn new(id: impl Into<String>) -> Self {
         Self {
@@ -80,11 +79,11 @@ impl WorkerConfig {
     }
 }
 
-/// Why a worker cannot go on.
+/// Why a worker has to exit.
 #[derive(Debug, Error)]
 pub enum WorkerError {
-    /// A run made no progress and did not stop; only ending the process frees what it holds.
-    #[error("attempt {attempt} at job {job} hangs: no progress for {} s", limit.as_secs())]
+    /// A run makes no progress; only the end of the process stops it.
+    #[error("attempt {attempt} of job {job} has stalled: no progress for {} s", limit.as_secs())]
     Stalled {
         /// The job.
         job: JobId,
@@ -95,19 +94,19 @@ pub enum WorkerError {
     },
 }
 
-/// An identity that no other worker has.
+/// A unique identity.
 #[must_use]
-pub fn fresh_id() -> String {
+pub fn new_worker_id() -> String {
     format!("worker-{}-{}", std::process::id(), Uuid::now_v7().simple())
 }
 
-/// Cancels `stop` once standard input is at its end, which is how a supervised worker learns that its parent
-/// has asked it to stop or is gone.
+/// Cancels `stop` at the end of standard input: a supervisor closes it to stop its worker, and so does the system when the supervisor
+/// dies.
 ///
 /// # Errors
 /// If no thread can be started.
 pub fn stop_when_stdin_closes(stop: CancellationToken) -> std::io::Result<()> {
-    // A plain thread: a read that tokio's pool is waiting for would keep the process from ending.
+    // A plain thread: a blocking read in tokio's pool would prevent the process from exiting.
     std::thread::Builder::new().name("stdin".into()).spawn(move || {
         let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
         stop.cancel();

@@ -1,18 +1,18 @@
-//! The points of a run's series on their way from its thread to the store.
+//! Buffers the points of a training curve between the run's thread and the store.
 //!
-//! A run may report many times between two looks of its worker, and progress keeps the latest report only. SeriesBuffer keep one for
-//! each of the run's parts, so that a run of seconds has a curve too.
+//! A run may report many times between two reports of its worker, which sends only the latest progress. The buffer keeps one point for
+//! each bucket of the run, so that a run of seconds has a curve too.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::domain::{Phase, Progress, series_bucket};
 
-/// SeriesBuffer that wait; clones share them. At most [`SERIES_POINTS`](crate::domain::SERIES_POINTS) of a run's course.
+/// Buffered points, at most [`SERIES_POINTS`](crate::domain::SERIES_POINTS) of a run; clones share them.
 #[derive(Debug, Clone, Default)]
 pub(super) struct SeriesBuffer(Arc<Mutex<Vec<Progress>>>);
 
 impl SeriesBuffer {
-    /// Adds a report, if it tells of training, in place of the one before it if that is of the same part.
+    /// Adds a report of training; replaces the one before if that is in the same bucket.
     pub(super) fn add(&self, phase: Phase, progress: &Progress) {
         if phase != Phase::Train {
             return;
@@ -24,12 +24,12 @@ impl SeriesBuffer {
         waiting.push(progress.clone());
     }
 
-    /// Takes what waits.
+    /// Removes and returns all points.
     pub(super) fn take(&self) -> Vec<Progress> {
         std::mem::take(&mut *self.lock())
     }
 
-    /// Puts back what could not be stored, before what came since.
+    /// Puts back points that could not be stored, before those added since.
     pub(super) fn put_back(&self, points: Vec<Progress>) {
         self.lock().splice(..0, points);
     }
@@ -44,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_part_of_a_run_keeps_its_latest_report() {
+    fn every_bucket_keeps_its_latest_report() {
         let points = SeriesBuffer::default();
         let report = |step| Progress { step, total: 10_000, ..Progress::default() };
         for step in 1..=10_000 {

@@ -1,4 +1,4 @@
-//! Faults of the disk, as the owner of a job may hear of them: without the server's folders, which only the log names.
+//! Disk errors as a job's owner sees them: without the server's paths, which only the log contains.
 
 use crate::{
     domain::{Problem, problem::TYPE_PREFIX},
@@ -8,13 +8,13 @@ use crate::{
 const FULL: &str = "storage-full";
 const FAILED: &str = "storage-failed";
 
-/// How an attempt ends whose blobs cannot be read or written.
+/// The outcome of an attempt whose blobs cannot be read or written.
 pub(super) fn outcome(error: &BlobError) -> Outcome {
     tracing::error!(error = error as &dyn std::error::Error, "{error}");
     if is_disk_full(error) { Outcome::Held(full()) } else { Outcome::Retry(failed()) }
 }
 
-/// The problem that a run ended with, which the log has in full.
+/// The problem of a run without the server's paths; logs the full one.
 pub(super) fn redacted(problem: Problem) -> Problem {
     match problem.kind.strip_prefix(TYPE_PREFIX) {
         Some(FULL) => {
@@ -30,8 +30,7 @@ pub(super) fn redacted(problem: Problem) -> Problem {
 }
 
 fn full() -> Problem {
-    let detail =
-        "the service's disk has no room for the job's files; the job waits and goes on once there is room";
+    let detail = "the service's disk is full; the job continues once there is space";
     Problem::new(507, FULL, "Storage full", detail)
 }
 
@@ -46,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_full_disk_holds_the_job_and_another_fault_of_it_costs_an_attempt() {
+    fn a_full_disk_holds_the_job_and_other_disk_errors_cost_an_attempt() {
         for kind in [io::ErrorKind::StorageFull, io::ErrorKind::QuotaExceeded] {
             let Outcome::Held(problem) = outcome(&BlobError::Io(kind.into())) else { panic!("not held") };
             assert_eq!((problem.status, &*problem.kind), (507, "urn:tcgs:problem:storage-full"));
@@ -56,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_of_the_server_are_not_told() {
+    fn paths_of_the_server_are_not_shown() {
         for kind in [FULL, FAILED] {
             let problem = Problem::new(507, kind, "Title", "no room in /srv/tcgs/data for 3 bytes");
             let redacted = redacted(problem.clone());

@@ -1,9 +1,8 @@
-//! Keeps worker processes alive beside the API.
+//! Restarts worker processes.
 //!
-//! Training runs in a process of its own because what usually ends it (the kernel's out-of-memory killer, a driver's
-//! crash) ends a whole process, and that must not be the one that answers requests. A child's standard input is a pipe that
-//! the supervisor holds open: closing it asks the child to drain and exit, and because the system closes it
-//! when the parent dies, no child outlives its parent.
+//! Training runs in a process of its own because its usual failures (the kernel's out-of-memory killer, a driver's crash) end a whole
+//! process, which must not be the one that serves requests. A child's standard input is a pipe that the supervisor holds open: closing it
+//! asks the child to drain and exit, and since the system closes it when the parent dies, no child outlives its parent.
 
 use std::{
     ffi::OsString,
@@ -21,10 +20,10 @@ use tokio::{
 };
 use tokio_util::sync::CancellationToken;
 
-use super::{WORKER_ID_VARIABLE, fresh_id, liveness};
+use super::{WORKER_ID_VARIABLE, liveness, new_worker_id};
 use crate::store::{Store, WorkerDeath};
 
-/// What to run and how patiently.
+/// Which program to run as workers, and its timeouts.
 #[derive(Debug, Clone)]
 pub struct SuperviseConfig {
     /// The worker's program.
@@ -33,20 +32,19 @@ pub struct SuperviseConfig {
     pub arguments: Vec<OsString>,
     /// Variables added to its environment.
     pub environment: Vec<(OsString, OsString)>,
-    /// How many to keep alive.
+    /// Number of workers.
     pub workers: usize,
     /// How long a child may take to drain before it is killed; above [`super::WorkerConfig::drain`].
     pub grace: Duration,
-    /// Pause before a child that died young is started again; doubles with each early death.
+    /// Pause before a child is restarted after an early death; doubles with each further one.
     pub backoff_base: Duration,
     /// Longest pause.
     pub backoff_cap: Duration,
-    /// A child that lived this long did not die young.
+    /// A death after this time is not early.
     pub healthy_after: Duration,
-    /// Pause after a child's end before its job is held to be what ended it: who kills a whole group of processes ends this one
-    /// next.
+    /// Pause after a child's end before its job is blamed: if a whole process group is killed, this process ends next.
     pub blame_delay: Duration,
-    /// Folder in which children show that they are alive ([`super::WorkerConfig::liveness_dir`]), if they do.
+    /// Folder of the children's lock files ([`super::WorkerConfig::liveness_dir`]), if they have any.
     pub liveness_dir: Option<PathBuf>,
 }
 
@@ -77,32 +75,32 @@ impl SuperviseConfig {
     }
 }
 
-/// Running supervision.
+/// A running supervisor.
 #[derive(Debug)]
 pub struct Supervisor {
     children: Vec<watch::Receiver<Option<u32>>>,
     tasks: JoinSet<()>,
 }
 
-/// A cheap view of which children live, for readiness answers.
+/// A cheap view of the live children, for readiness checks.
 #[derive(Debug, Clone)]
 pub struct LiveWorkers(Vec<watch::Receiver<Option<u32>>>);
 
 impl LiveWorkers {
-    /// How many children there should be.
+    /// Number of children that should live.
     #[must_use]
     pub fn expected(&self) -> usize {
         self.0.len()
     }
 
-    /// Process ids of those that live.
+    /// Process ids of the live ones.
     #[must_use]
-    pub fn living(&self) -> Vec<u32> {
+    pub fn pids(&self) -> Vec<u32> {
         self.0.iter().filter_map(|child| *child.borrow()).collect()
     }
 }
 
-/// Starts the workers and keeps them alive until `shutdown`.
+/// Starts the workers, and restarts them until `shutdown`.
 #[must_use]
 pub fn supervise(config: SuperviseConfig, store: Arc<dyn Store>, shutdown: CancellationToken) -> Supervisor {
     let config = Arc::new(config);
@@ -118,7 +116,7 @@ pub fn supervise(config: SuperviseConfig, store: Arc<dyn Store>, shutdown: Cance
 }
 
 impl Supervisor {
-    /// Which children live.
+    /// The live children.
     #[must_use]
     pub fn live_workers(&self) -> LiveWorkers {
         LiveWorkers(self.children.clone())
@@ -141,7 +139,7 @@ async fn keep_alive(
         if let Some(folder) = &config.liveness_dir {
             liveness::expire_dead_workers(folder, &*store).await;
         }
-        let id = fresh_id();
+        let id = new_worker_id();
         let born = Instant::now();
         match start(&config, &id) {
             Ok(mut child) => {
@@ -149,24 +147,12 @@ async fn keep_alive(
                 let status = wait_or_stop(&config, &mut child, &shutdown).await;
                 pid.send_replace(None);
                 tracing::info!(worker = id, ?status, "worker {id} has ended");
-                // It can write nothing more, so its job need not wait for the lease to run out.
                 let death = classify_death(&config, &shutdown).await;
-                match store.expire_worker(&id, death).await {
-                    Ok(0) => {}
-                    Ok(jobs) => {
-                        tracing::warn!(worker = id, jobs, "took {jobs} jobs from the dead worker {id}")
-                    }
-                    Err(error) => {
-                        let cause = &error as &dyn std::error::Error;
-                        tracing::error!(
-                            worker = id,
-                            error = cause,
-                            "the leases of {id} must run out: {error}"
-                        );
-                    }
-                }
+                liveness::expire_worker(&*store, &id, death).await;
             }
-            Err(error) => tracing::error!(program = %config.program.display(), "no worker starts: {error}"),
+            Err(error) => {
+                tracing::error!(program = %config.program.display(), "no worker can be started: {error}")
+            }
         }
         early_deaths = if born.elapsed() < config.healthy_after { early_deaths + 1 } else { 0 };
         let doubled = config.backoff_base.saturating_mul(1 << early_deaths.saturating_sub(1).min(16));
@@ -177,7 +163,7 @@ async fn keep_alive(
     }
 }
 
-/// How a child that has just ended did so.
+/// Whether a child that has just ended died alone.
 async fn classify_death(config: &SuperviseConfig, shutdown: &CancellationToken) -> WorkerDeath {
     tokio::select! {
         biased;
@@ -198,13 +184,13 @@ fn start(config: &SuperviseConfig, id: &str) -> std::io::Result<Child> {
         .spawn()
 }
 
-/// Waits for the child's end, or brings it about on shutdown.
+/// Waits for the child's end; on shutdown asks it to stop, and kills it after the grace time.
 async fn wait_or_stop(
     config: &SuperviseConfig,
     child: &mut Child,
     shutdown: &CancellationToken,
 ) -> std::io::Result<ExitStatus> {
-    // `wait` closes the child's input unless it is taken out first, and that would ask it to stop.
+    // `wait` would close the child's input, which asks it to stop, unless it is taken out first.
     let stdin = child.stdin.take();
     tokio::select! {
         status = child.wait() => return status,
@@ -213,7 +199,7 @@ async fn wait_or_stop(
     if let Ok(status) = timeout(config.grace, child.wait()).await {
         return status;
     }
-    tracing::warn!(pid = child.id(), "a worker did not drain in time; killing it");
+    tracing::warn!(pid = child.id(), "a worker did not exit in time; killing it");
     child.kill().await?;
     child.wait().await
 }

@@ -161,7 +161,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
             forget: Arc::new(move |job| worker::forget_checkpoints(&checkpoints, job)),
             workers: Arc::new(move || WorkerCounts {
                 expected: live_workers.expected(),
-                alive: live_workers.living().len(),
+                alive: live_workers.pids().len(),
             }),
         };
         let address = listeners.address().unwrap_or(options.http.listen);

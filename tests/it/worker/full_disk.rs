@@ -1,4 +1,4 @@
-//! A disk that is full while a job is under way costs that job time and nothing else.
+//! A disk that is full during a job costs that job time and nothing else.
 
 #![cfg(target_os = "linux")]
 
@@ -19,7 +19,7 @@ async fn ended_attempts(service: &Service, job: &str) -> Vec<Value> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_job_whose_checkpoints_and_files_find_no_room_is_held_until_there_is_some() {
+async fn a_job_without_disk_space_for_checkpoints_and_files_is_held_until_there_is_some() {
     let Some(disk) = SmallDisk::mount(8) else { return };
     let data = tempfile::tempdir().expect("a folder");
     for folder in ["blobs", "checkpoints"] {

@@ -32,12 +32,12 @@ use crate::support::{
 /// Where the child of the supervisor tests finds its data.
 const CHILD_DATA: &str = "TCGS_TEST_CHILD_DATA";
 
-/// What a future comes to, which must be within a time that nothing here takes.
+/// The output of a future; fails the test if it takes too long.
 async fn within<T>(future: impl Future<Output = T>) -> T {
     tokio::time::timeout(Duration::from_secs(120), future).await.expect("it comes to an end")
 }
 
-struct Workshop {
+struct Fixture {
     store: Arc<dyn Store>,
     blobs: Blobs,
     runner: FakeRunner,
@@ -45,7 +45,7 @@ struct Workshop {
     data: TempDir,
 }
 
-impl Workshop {
+impl Fixture {
     async fn new() -> Self {
         let data = tempfile::tempdir().expect("a folder");
         let (store, blobs) = open(data.path()).await;
@@ -88,7 +88,7 @@ impl Workshop {
     }
 }
 
-impl Drop for Workshop {
+impl Drop for Fixture {
     fn drop(&mut self) {
         self.runner.gate.open();
         self.shutdown.cancel();
@@ -102,36 +102,36 @@ async fn open(data: &Path) -> (Arc<dyn Store>, Blobs) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_run_that_panics_fails_its_attempts_and_the_worker_lives() {
-    let workshop = Workshop::new().await;
-    workshop.start(quick_worker("w"));
-    let bad = workshop.add("panic").await;
-    let job = workshop.reaches(bad, JobState::Failed).await;
+    let fixture = Fixture::new().await;
+    fixture.start(quick_worker("w"));
+    let bad = fixture.add("panic").await;
+    let job = fixture.reaches(bad, JobState::Failed).await;
     assert_eq!(
         (job.attempt, job.error.expect("a reason").kind.as_str()),
         (3, "urn:tcgs:problem:worker-panicked")
     );
-    let good = workshop.add("succeed").await;
-    workshop.reaches(good, JobState::Succeeded).await;
+    let good = fixture.add("succeed").await;
+    fixture.reaches(good, JobState::Succeeded).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn shutdown_releases_the_running_job_without_a_charge() {
-    let workshop = Workshop::new().await;
-    let working = workshop.start(quick_worker("w"));
-    let id = workshop.add("wait").await;
-    workshop.runner.gate.someone_waits().await;
-    workshop.shutdown.cancel();
+    let fixture = Fixture::new().await;
+    let working = fixture.start(quick_worker("w"));
+    let id = fixture.add("wait").await;
+    fixture.runner.gate.someone_waits().await;
+    fixture.shutdown.cancel();
     working.await.expect("joined").expect("a clean end");
-    assert_eq!(workshop.reaches(id, JobState::Queued).await.error, None);
-    assert_eq!(workshop.outcomes(id).await, [Some(AttemptOutcome::Released)]);
+    assert_eq!(fixture.reaches(id, JobState::Queued).await.error, None);
+    assert_eq!(fixture.outcomes(id).await, [Some(AttemptOutcome::Released)]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn checkpoints_are_removed_once_their_job_has_ended_and_no_sooner() {
-    let workshop = Workshop::new().await;
-    let root = workshop.data.path().join("checkpoints");
-    let running = workshop.add("gate").await;
-    let waiting = workshop.add("succeed later").await;
+async fn checkpoints_are_removed_once_their_job_has_ended_and_not_before() {
+    let fixture = Fixture::new().await;
+    let root = fixture.data.path().join("checkpoints");
+    let running = fixture.add("gate").await;
+    let waiting = fixture.add("succeed later").await;
     let unknown = tcgs::domain::JobId(Uuid::now_v7());
     let folder = |name: &str| {
         let folder = root.join(name);
@@ -142,47 +142,47 @@ async fn checkpoints_are_removed_once_their_job_has_ended_and_no_sooner() {
     let [running_folder, waiting_folder, unknown_folder] =
         [running, waiting, unknown].map(|job| folder(&job.to_string()));
     let foreign = folder("not a job");
-    let working = workshop.start(WorkerConfig { checkpoints: Some(root.clone()), ..quick_worker("w") });
-    workshop.runner.gate.someone_waits().await;
+    let working = fixture.start(WorkerConfig { checkpoints: Some(root.clone()), ..quick_worker("w") });
+    fixture.runner.gate.someone_waits().await;
     assert!(!unknown_folder.exists() && running_folder.exists() && waiting_folder.exists());
-    workshop.runner.gate.open();
-    workshop.reaches(waiting, JobState::Succeeded).await;
-    workshop.shutdown.cancel();
+    fixture.runner.gate.open();
+    fixture.reaches(waiting, JobState::Succeeded).await;
+    fixture.shutdown.cancel();
     working.await.expect("joined").expect("a clean end");
     assert!(!running_folder.exists() && !waiting_folder.exists());
     assert!(foreign.exists(), "what is no job's is left alone");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_job_that_repeats_another_goes_on_from_its_checkpoint() {
-    let workshop = Workshop::new().await;
-    let root = workshop.data.path().join("checkpoints");
+async fn a_retry_resumes_from_the_checkpoint_of_the_retried_job() {
+    let fixture = Fixture::new().await;
+    let root = fixture.data.path().join("checkpoints");
     let config = || WorkerConfig { checkpoints: Some(root.clone()), ..quick_worker("w") };
-    workshop.start(config());
-    let failed = workshop.add("fail").await;
+    fixture.start(config());
+    let failed = fixture.add("fail").await;
     let folder = |job: tcgs::domain::JobId| root.join(job.to_string());
     std::fs::create_dir_all(folder(failed).join("attempt-1")).expect("made");
     std::fs::write(folder(failed).join("attempt-1/checkpoint.safetensors"), b"state").expect("written");
-    workshop.reaches(failed, JobState::Failed).await;
+    fixture.reaches(failed, JobState::Failed).await;
     let repeat = |from_checkpoint| {
         let id = tcgs::domain::JobId(Uuid::now_v7());
         let repeat = RetryRequest { id, from_checkpoint, deadline_at: None, intent: None };
-        let store = Arc::clone(&workshop.store);
+        let store = Arc::clone(&fixture.store);
         async move {
             store.retry_job(failed, repeat).await.expect("answered").expect("known");
             id
         }
     };
     let fresh = repeat(false).await;
-    workshop.reaches(fresh, JobState::Failed).await;
+    fixture.reaches(fresh, JobState::Failed).await;
     assert!(folder(failed).exists() && !folder(fresh).exists(), "it was not to be used");
     let adopting = repeat(true).await;
-    workshop.reaches(adopting, JobState::Failed).await;
+    fixture.reaches(adopting, JobState::Failed).await;
     let state = std::fs::read(folder(adopting).join("attempt-1/checkpoint.safetensors")).expect("moved");
     assert_eq!(state, b"state");
     assert!(!folder(failed).exists());
     let second = repeat(true).await;
-    workshop.reaches(second, JobState::Failed).await;
+    fixture.reaches(second, JobState::Failed).await;
     assert!(!folder(second).exists(), "there is one checkpoint, and the first has it");
     worker::forget_checkpoints(&root, adopting);
     assert!(!folder(adopting).exists());
@@ -190,47 +190,46 @@ async fn a_job_that_repeats_another_goes_on_from_its_checkpoint() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_run_that_does_not_stop_in_time_is_released_all_the_same() {
-    let workshop = Workshop::new().await;
-    let working = workshop.start(WorkerConfig { drain: Duration::from_millis(30), ..quick_worker("w") });
-    let id = workshop.add("gate").await;
-    workshop.runner.gate.someone_waits().await;
-    workshop.shutdown.cancel();
+async fn a_run_that_does_not_stop_in_time_is_released_anyway() {
+    let fixture = Fixture::new().await;
+    let working = fixture.start(WorkerConfig { drain: Duration::from_millis(30), ..quick_worker("w") });
+    let id = fixture.add("gate").await;
+    fixture.runner.gate.someone_waits().await;
+    fixture.shutdown.cancel();
     working.await.expect("joined").expect("a clean end");
-    assert_eq!(workshop.outcomes(id).await, [Some(AttemptOutcome::Released)]);
-    workshop.reaches(id, JobState::Queued).await;
+    assert_eq!(fixture.outcomes(id).await, [Some(AttemptOutcome::Released)]);
+    fixture.reaches(id, JobState::Queued).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_run_that_hangs_ends_the_worker_and_its_job_is_given_back() {
-    let workshop = Workshop::new().await;
-    let working =
-        workshop.start(WorkerConfig { stall_limit: Duration::from_millis(60), ..quick_worker("w") });
-    let id = workshop.add("gate").await;
+async fn a_run_that_stalls_ends_the_worker_and_its_job_is_queued_again() {
+    let fixture = Fixture::new().await;
+    let working = fixture.start(WorkerConfig { stall_limit: Duration::from_millis(60), ..quick_worker("w") });
+    let id = fixture.add("gate").await;
     let ended = working.await.expect("joined");
     assert!(matches!(ended, Err(WorkerError::Stalled { job, attempt: 1, .. }) if job == id), "{ended:?}");
-    assert_eq!(workshop.outcomes(id).await, [Some(AttemptOutcome::Retried)]);
+    assert_eq!(fixture.outcomes(id).await, [Some(AttemptOutcome::Retried)]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_worker_that_lost_its_lease_drops_the_result_and_goes_on() {
-    let workshop = Workshop::new().await;
-    workshop.start(quick_worker("w"));
-    let id = workshop.add("gate").await;
-    workshop.runner.gate.someone_waits().await;
-    assert_eq!(workshop.store.expire_worker("w", WorkerDeath::Alone).await.expect("taken"), 1);
+    let fixture = Fixture::new().await;
+    fixture.start(quick_worker("w"));
+    let id = fixture.add("gate").await;
+    fixture.runner.gate.someone_waits().await;
+    assert_eq!(fixture.store.expire_worker("w", WorkerDeath::Alone).await.expect("taken"), 1);
     // Another worker takes it while the first still runs, and is interrupted.
-    let other = workshop.store.claim("other").await.expect("a claim").expect("the job").lease;
-    workshop.runner.gate.open();
-    let next = workshop.add("succeed next").await;
-    workshop.reaches(next, JobState::Succeeded).await;
-    let job = workshop.store.job(id).await.expect("read").expect("known").job;
+    let other = fixture.store.claim("other").await.expect("a claim").expect("the job").lease;
+    fixture.runner.gate.open();
+    let next = fixture.add("succeed next").await;
+    fixture.reaches(next, JobState::Succeeded).await;
+    let job = fixture.store.job(id).await.expect("read").expect("known").job;
     assert_eq!(
         (job.state, job.attempt),
         (JobState::Running, other.attempt),
         "the late result changed nothing"
     );
-    workshop.store.heartbeat(&other).await.expect("still held");
+    fixture.store.heartbeat(&other).await.expect("still held");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -248,20 +247,20 @@ async fn a_short_outage_of_the_database_does_not_cost_the_run() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_job_for_which_there_is_no_room_is_held_until_there_is_some() {
-    let workshop = Workshop::new().await;
-    workshop.start(quick_worker("w"));
-    let id = workshop.add("hold").await;
+async fn a_job_without_disk_space_is_held_until_there_is_some() {
+    let fixture = Fixture::new().await;
+    fixture.start(quick_worker("w"));
+    let id = fixture.add("hold").await;
     // More often than a job may fail.
     let held = async {
-        while workshop.outcomes(id).await.len() < 7 {
+        while fixture.outcomes(id).await.len() < 7 {
             tokio::time::sleep(Duration::from_millis(2)).await;
         }
     };
     within(held).await;
-    workshop.runner.gate.open();
-    workshop.reaches(id, JobState::Succeeded).await;
-    let mut attempts = workshop.store.attempts(id).await.expect("read");
+    fixture.runner.gate.open();
+    fixture.reaches(id, JobState::Succeeded).await;
+    let mut attempts = fixture.store.attempts(id).await.expect("read");
     assert_eq!(attempts.pop().expect("one").outcome, Some(AttemptOutcome::Succeeded));
     for attempt in attempts {
         assert_eq!(attempt.outcome, Some(AttemptOutcome::Released));
@@ -276,31 +275,31 @@ async fn a_job_for_which_there_is_no_room_is_held_until_there_is_some() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_disk_that_is_full_for_longer_than_a_lease_does_not_cost_the_run() {
-    let workshop = Workshop::new().await;
-    let store = Arc::new(FaultStore::new(Arc::clone(&workshop.store)));
+    let fixture = Fixture::new().await;
+    let store = Arc::new(FaultStore::new(Arc::clone(&fixture.store)));
     let lease = Duration::from_millis(40);
-    workshop.start_on(Arc::clone(&store) as Arc<dyn Store>, WorkerConfig { lease, ..quick_worker("w") });
-    let id = workshop.add("gate").await;
-    within(workshop.runner.gate.someone_waits()).await;
+    fixture.start_on(Arc::clone(&store) as Arc<dyn Store>, WorkerConfig { lease, ..quick_worker("w") });
+    let id = fixture.add("gate").await;
+    within(fixture.runner.gate.someone_waits()).await;
     store.set(Some(Failing::Full));
     // Heartbeats and reports fail for longer than the lease lasts, and so does the end of the attempt.
     tokio::time::sleep(5 * lease).await;
-    workshop.runner.gate.open();
+    fixture.runner.gate.open();
     tokio::time::sleep(5 * lease).await;
     store.set(None);
-    let job = workshop.reaches(id, JobState::Succeeded).await;
+    let job = fixture.reaches(id, JobState::Succeeded).await;
     assert_eq!(job.attempt, 1);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_dataset_that_is_gone_fails_the_attempts() {
-    let workshop = Workshop::new().await;
-    let id = workshop.add("succeed").await;
-    let dataset = workshop.store.job(id).await.expect("read").expect("known").dataset;
-    let file = workshop.blobs.local_file(dataset.digest).await.expect("published");
+async fn a_missing_archive_fails_the_attempts() {
+    let fixture = Fixture::new().await;
+    let id = fixture.add("succeed").await;
+    let dataset = fixture.store.job(id).await.expect("read").expect("known").dataset;
+    let file = fixture.blobs.local_file(dataset.digest).await.expect("published");
     std::fs::remove_file(file).expect("removed");
-    workshop.start(quick_worker("w"));
-    let job = workshop.reaches(id, JobState::Failed).await;
+    fixture.start(quick_worker("w"));
+    let job = fixture.reaches(id, JobState::Failed).await;
     assert_eq!(
         (job.attempt, job.error.expect("a reason").kind.as_str()),
         (3, "urn:tcgs:problem:storage-failed")
@@ -333,7 +332,7 @@ fn child_process() {
     });
 }
 
-/// Not a test of its own either: carries out what is queued and logs as the program does, which only a process of its own can.
+/// Not a test of its own either: runs the queued jobs and logs as the program does, which needs a process of its own.
 #[test]
 #[ignore = "the test of the logs runs it as a child process"]
 fn logging_child_process() {
@@ -363,17 +362,17 @@ fn logging_child_process() {
 }
 
 #[tokio::test]
-async fn every_line_that_a_worker_logs_of_a_job_names_it() {
-    let workshop = Workshop::new().await;
-    let done = workshop.add("succeed").await;
-    let panics = workshop.add("panic").await;
-    let without = workshop.add("succeed without").await;
-    let dataset = workshop.store.job(without).await.expect("read").expect("known").dataset;
-    let file = workshop.blobs.local_file(dataset.digest).await.expect("published");
+async fn every_log_line_of_a_job_names_it() {
+    let fixture = Fixture::new().await;
+    let done = fixture.add("succeed").await;
+    let panics = fixture.add("panic").await;
+    let without = fixture.add("succeed without").await;
+    let dataset = fixture.store.job(without).await.expect("read").expect("known").dataset;
+    let file = fixture.blobs.local_file(dataset.digest).await.expect("published");
     std::fs::remove_file(file).expect("removed");
     let child = tokio::process::Command::new(std::env::current_exe().expect("a program"))
         .args(["worker::logging_child_process", "--exact", "--ignored", "--test-threads=1"])
-        .env(CHILD_DATA, workshop.data.path())
+        .env(CHILD_DATA, fixture.data.path())
         .kill_on_drop(true)
         .output();
     let output = child.await.expect("the binary runs");
@@ -389,7 +388,7 @@ async fn every_line_that_a_worker_logs_of_a_job_names_it() {
         (done, 1, "is succeeded"),
         (panics, 3, "panicked: as the test wants it"),
         (panics, 3, "the run begins"),
-        (without, 3, "begins"),
+        (without, 3, "starts"),
     ] {
         let told: Vec<_> = lines
             .iter()
@@ -414,9 +413,9 @@ fn child_config(data: &Path) -> SuperviseConfig {
     config
 }
 
-async fn one_living(live_workers: &LiveWorkers, but_not: u32) -> u32 {
+async fn one_live_worker(live_workers: &LiveWorkers, but_not: u32) -> u32 {
     loop {
-        match live_workers.living().first() {
+        match live_workers.pids().first() {
             Some(&pid) if pid != but_not => return pid,
             _ => tokio::time::sleep(Duration::from_millis(2)).await,
         }
@@ -430,79 +429,79 @@ fn kill(pid: u32) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn killing_the_worker_leaves_the_api_answering_and_the_job_is_run_again() {
-    let workshop = Workshop::new().await;
-    let store = Arc::clone(&workshop.store);
-    let supervisor = supervise(child_config(workshop.data.path()), store, workshop.shutdown.clone());
+    let fixture = Fixture::new().await;
+    let store = Arc::clone(&fixture.store);
+    let supervisor = supervise(child_config(fixture.data.path()), store, fixture.shutdown.clone());
     let live_workers = supervisor.live_workers();
-    let api = api(&workshop, live_workers.clone());
-    let id = workshop.add("gate").await;
-    let first = one_living(&live_workers, 0).await;
-    workshop.reaches(id, JobState::Running).await;
+    let api = api(&fixture, live_workers.clone());
+    let id = fixture.add("gate").await;
+    let first = one_live_worker(&live_workers, 0).await;
+    fixture.reaches(id, JobState::Running).await;
 
     kill(first);
-    let second = one_living(&live_workers, first).await;
+    let second = one_live_worker(&live_workers, first).await;
     let seen = answer(&api, "/healthz").await;
     assert_eq!(seen, (200, json!({ "status": "ok" })));
     let (status, ready) = answer(&api, "/readyz").await;
     assert_eq!((status, &ready["workers"]["expected"]), (200, &json!(1)));
 
-    std::fs::write(workshop.data.path().join("go"), "").expect("written");
-    let job = workshop.reaches(id, JobState::Succeeded).await;
+    std::fs::write(fixture.data.path().join("go"), "").expect("written");
+    let job = fixture.reaches(id, JobState::Succeeded).await;
     assert_eq!(job.attempt, 2);
-    assert_eq!(workshop.outcomes(id).await, [Some(AttemptOutcome::Lost), Some(AttemptOutcome::Succeeded)]);
+    assert_eq!(fixture.outcomes(id).await, [Some(AttemptOutcome::Lost), Some(AttemptOutcome::Succeeded)]);
     let (_, shown) = answer(&api, &format!("/v1/jobs/{id}")).await;
     assert_eq!(shown["state"], "succeeded");
-    assert_eq!(live_workers.living(), [second], "the second worker is still there for the next job");
+    assert_eq!(live_workers.pids(), [second], "the second worker is still there for the next job");
 
-    workshop.shutdown.cancel();
+    fixture.shutdown.cancel();
     supervisor.stopped().await;
-    assert_eq!(live_workers.living(), [0_u32; 0]);
+    assert_eq!(live_workers.pids(), [0_u32; 0]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn shutdown_lets_the_child_drain_and_release_its_job() {
-    let workshop = Workshop::new().await;
-    let store = Arc::clone(&workshop.store);
-    let supervisor = supervise(child_config(workshop.data.path()), store, workshop.shutdown.clone());
-    let id = workshop.add("wait").await;
-    workshop.reaches(id, JobState::Running).await;
-    workshop.shutdown.cancel();
+    let fixture = Fixture::new().await;
+    let store = Arc::clone(&fixture.store);
+    let supervisor = supervise(child_config(fixture.data.path()), store, fixture.shutdown.clone());
+    let id = fixture.add("wait").await;
+    fixture.reaches(id, JobState::Running).await;
+    fixture.shutdown.cancel();
     supervisor.stopped().await;
-    assert_eq!(workshop.outcomes(id).await, [Some(AttemptOutcome::Released)]);
-    workshop.reaches(id, JobState::Queued).await;
+    assert_eq!(fixture.outcomes(id).await, [Some(AttemptOutcome::Released)]);
+    fixture.reaches(id, JobState::Queued).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_child_that_will_not_go_is_killed() {
-    let workshop = Workshop::new().await;
+async fn a_child_that_does_not_exit_is_killed() {
+    let fixture = Fixture::new().await;
     // The shell does not read its input, so closing that tells it nothing.
     let arguments = vec!["-c".into(), "exec sleep 1000".into()];
     let mut config = SuperviseConfig::program("/bin/sh".into(), arguments, 2);
     config.grace = Duration::from_millis(10);
-    let supervisor = supervise(config, Arc::clone(&workshop.store), workshop.shutdown.clone());
+    let supervisor = supervise(config, Arc::clone(&fixture.store), fixture.shutdown.clone());
     let live_workers = supervisor.live_workers();
     assert_eq!(live_workers.expected(), 2);
-    while live_workers.living().len() < 2 {
+    while live_workers.pids().len() < 2 {
         tokio::time::sleep(Duration::from_millis(2)).await;
     }
-    workshop.shutdown.cancel();
+    fixture.shutdown.cancel();
     supervisor.stopped().await;
-    assert!(live_workers.living().is_empty());
+    assert!(live_workers.pids().is_empty());
 }
 
 #[cfg(unix)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_program_that_does_not_start_is_tried_again_and_does_not_end_the_api() {
+async fn a_program_that_does_not_start_is_retried_and_does_not_end_the_api() {
     use std::os::unix::fs::PermissionsExt as _;
 
-    let workshop = Workshop::new().await;
-    let program = workshop.data.path().join("late.sh");
+    let fixture = Fixture::new().await;
+    let program = fixture.data.path().join("late.sh");
     let mut config = SuperviseConfig::program(program.clone(), Vec::new(), 1);
     config.backoff_base = Duration::from_millis(1);
     config.grace = Duration::from_millis(10);
-    let supervisor = supervise(config, Arc::clone(&workshop.store), workshop.shutdown.clone());
+    let supervisor = supervise(config, Arc::clone(&fixture.store), fixture.shutdown.clone());
     let live_workers = supervisor.live_workers();
-    let api = api(&workshop, live_workers.clone());
+    let api = api(&fixture, live_workers.clone());
     let ready = async || {
         let (status, ready) = answer(&api, "/readyz").await;
         assert_eq!(status, 200);
@@ -510,22 +509,22 @@ async fn a_program_that_does_not_start_is_tried_again_and_does_not_end_the_api()
     };
     assert_eq!(ready().await, json!({ "expected": 1, "alive": 0 }));
     // Written elsewhere first: a file that is open for writing cannot be run.
-    let draft = workshop.data.path().join("draft.sh");
+    let draft = fixture.data.path().join("draft.sh");
     std::fs::write(&draft, "#!/bin/sh\nexec sleep 1000\n").expect("written");
     std::fs::set_permissions(&draft, std::fs::Permissions::from_mode(0o700)).expect("made a program");
     std::fs::rename(&draft, &program).expect("in its place");
-    within(one_living(&live_workers, 0)).await;
+    within(one_live_worker(&live_workers, 0)).await;
     assert_eq!(ready().await, json!({ "expected": 1, "alive": 1 }));
-    workshop.shutdown.cancel();
+    fixture.shutdown.cancel();
     within(supervisor.stopped()).await;
 }
 
-/// The API as `serve` would wire it, over the workshop's store and a supervisor's live workers.
-fn api(workshop: &Workshop, live_workers: LiveWorkers) -> axum::Router {
+/// The API as `serve` would wire it, over the fixture's store and a supervisor's live workers.
+fn api(fixture: &Fixture, live_workers: LiveWorkers) -> axum::Router {
     use tcgs::http::{AppState, Services, WorkerCounts};
     let services = Services {
-        store: Arc::clone(&workshop.store),
-        blobs: workshop.blobs.clone(),
+        store: Arc::clone(&fixture.store),
+        blobs: fixture.blobs.clone(),
         clock: Arc::new(SystemClock),
         entropy: Arc::new(tcgs::domain::SystemEntropy),
         check: Arc::new(crate::support::fakes::check),
@@ -535,7 +534,7 @@ fn api(workshop: &Workshop, live_workers: LiveWorkers) -> axum::Router {
         forget: Arc::new(|_| {}),
         workers: Arc::new(move || WorkerCounts {
             expected: live_workers.expected(),
-            alive: live_workers.living().len(),
+            alive: live_workers.pids().len(),
         }),
     };
     tcgs::http::router(AppState::new(services, Default::default(), CancellationToken::new()))
