@@ -103,7 +103,8 @@ async fn of_scene(state: &AppState, asked: &Asked<'_>, body: &mut BodyDataStream
     let scene = state.store().dataset(id).await?.filter(|scene| asked.caller.may_see(scene.owner));
     let scene = scene.ok_or_else(|| Fault::no_scene(id))?;
     expect_above_floor(state, 0)?;
-    let new = NewJob { scene: Some(id), intent: intent.clone(), ..asked.job(state, wish, scene.dataset) };
+    let new =
+        NewJob { dataset_id: Some(id), intent: intent.clone(), ..asked.job(state, wish, scene.dataset) };
     queued(state, state.store().create_job(new).await, intent.as_ref()).await
 }
 

@@ -129,7 +129,7 @@ impl Asked<'_> {
             return Ok(before);
         }
         let found = uploads::find(self.state, &self.caller, &wish.upload_id).await?;
-        if let Some(scene) = found.scene {
+        if let Some(scene) = found.dataset_id {
             let record = find(self.state, &self.caller, &scene.to_string()).await?;
             return Ok(Made { status: StatusCode::OK, record, replayed: false });
         }

@@ -96,7 +96,7 @@ impl From<JobRecord> for JobBody {
             priority: record.priority,
             deadline_at: record.deadline_at,
             retry_of: record.retry_of,
-            scene_id: record.scene,
+            scene_id: record.dataset_id,
             options: job.options,
             dataset: record.dataset.into(),
             created_at: job.created_at,

@@ -39,7 +39,7 @@ pub(super) async fn list(
     let filter = JobFilter {
         owner: caller.sees_only(),
         states: parameters.take("state").map(|text| parse_states(&text)).transpose()?.unwrap_or_default(),
-        scene: parameters.take_as("scene_id", "a scene's id")?,
+        dataset_id: parameters.take_as("scene_id", "a scene's id")?,
         model: parameters.take_as("model", "one of tcgs, scaffold, 3dgs")?,
     };
     parameters.finish()?;
@@ -61,7 +61,7 @@ fn filtered(filter: &JobFilter) -> String {
     let states: Vec<&str> = filter.states.iter().map(|state| state.name()).collect();
     let parts = [
         (!states.is_empty()).then(|| format!("state={}", states.join(","))),
-        filter.scene.map(|scene| format!("scene_id={scene}")),
+        filter.dataset_id.map(|scene| format!("scene_id={scene}")),
         filter.model.map(|model| format!("model={model}")),
     ];
     let query: Vec<String> = parts.into_iter().flatten().collect();

@@ -63,7 +63,7 @@ pub(super) async fn create(
         max_priority: wish.max_priority,
     };
     let services = state.services();
-    let drawn = NewKey::draw(&*services.entropy, services.clock.now(), &wish.name, &wish.scopes, limits);
+    let drawn = NewKey::generate(&*services.entropy, services.clock.now(), &wish.name, &wish.scopes, limits);
     let (new, key) = drawn.map_err(|error| match error {
         NewKeyError::Name
         | NewKeyError::NoScopes

@@ -173,7 +173,7 @@ impl From<StoreError> for Fault {
                 Self::new(StatusCode::TOO_MANY_REQUESTS, "too-many-jobs", "Too many jobs at a time", detail)
                     .with(header::RETRY_AFTER, RETRY_WHEN_A_JOB_ENDS.into())
             }
-            StoreError::NoScene(id) => Self::no_scene(id),
+            StoreError::NoDataset(id) => Self::no_scene(id),
             StoreError::PriorityTooHigh { .. } => Self::parameter("priority", error),
             error => Self::internal(&error),
         }

@@ -243,7 +243,7 @@ pub(super) async fn replay(
         Replay::Due(record) => {
             Ok((StatusCode::ACCEPTED, no_store(), Json(delivery(endpoint, record))).into_response())
         }
-        Replay::UnderWay => refused("delivery-under-way", "an attempt is being made right now"),
+        Replay::InProgress => refused("delivery-under-way", "an attempt is being made right now"),
         Replay::Disabled => {
             refused("endpoint-disabled", "the endpoint answered 410 and is told nothing more; make a new one")
         }
@@ -298,8 +298,8 @@ fn delivery(endpoint: EndpointId, record: DeliveryRecord) -> DeliveryBody {
         created_at: record.created_at,
         attempted_at: record.attempted_at,
         delivered_at: record.delivered_at,
-        answer_status: record.answer_status,
-        fault: record.answer_fault,
+        answer_status: record.response_status,
+        fault: record.error,
         links: DeliveryLinks {
             job: super::job_body::href(record.job),
             replay: format!("{}/deliveries/{}/replay", href(endpoint), record.id),

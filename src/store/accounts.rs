@@ -1,63 +1,63 @@
-//! Whose bytes fill the disk, and which nobody's are.
+//! Usage and quotas of owners, and unreferenced blobs.
 
 use super::{BlobRef, StoreError, StoreFuture};
 use crate::domain::{Digest, KeyId};
 
-/// What somebody's things take.
+/// Bytes that an owner uses.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Usage {
-    /// Bytes of blobs that scenes and jobs of theirs refer to, each blob counted once.
+    /// Bytes of blobs that the owner's datasets and jobs refer to, each blob counted once.
     pub stored: u64,
-    /// Bytes that open uploads of theirs have or will have.
+    /// Total length of the owner's open uploads.
     pub reserved: u64,
 }
 
 impl Usage {
-    /// What counts against a quota.
+    /// Bytes that count against the quota.
     #[must_use]
     pub fn total(&self) -> u64 {
         self.stored.saturating_add(self.reserved)
     }
 }
 
-/// What an owner may still store.
+/// An owner's usage and quota.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Capacity {
-    /// What their things take.
+    /// Bytes in use.
     pub usage: Usage,
-    /// How much that may be; not bounded if absent.
+    /// The quota; unlimited if absent.
     pub quota: Option<u64>,
-    /// Bytes of the largest dataset among their things. What is longer is none that they have.
+    /// Bytes of the owner's largest dataset; a longer upload cannot be one that the owner has.
     pub largest_dataset: u64,
 }
 
 impl Capacity {
-    /// Refuses `asked` more bytes, beside `pending` that are about to be stored, if they are over the quota.
+    /// Refuses `requested` more bytes, beside `pending` that are being stored, if they are over the quota.
     ///
     /// # Errors
     /// [`StoreError::QuotaExceeded`].
-    pub fn admit(&self, pending: u64, asked: u64) -> Result<(), StoreError> {
+    pub fn admit(&self, pending: u64, requested: u64) -> Result<(), StoreError> {
         let used = self.usage.total().saturating_add(pending);
         match self.quota {
-            Some(quota) if used.saturating_add(asked) > quota => {
-                Err(StoreError::QuotaExceeded { asked, used, quota })
+            Some(quota) if used.saturating_add(requested) > quota => {
+                Err(StoreError::QuotaExceeded { requested, used, quota })
             }
             _ => Ok(()),
         }
     }
 }
 
-/// Accounts of the blobs. Every method is one transaction.
+/// The part of a store that accounts for blobs. Every method is one transaction.
 pub trait Accounts: Send + Sync + 'static {
-    /// What the owner's things take.
+    /// The owner's usage.
     fn usage(&self, owner: Option<KeyId>) -> StoreFuture<'_, Usage>;
 
-    /// What the owner may still store.
+    /// The owner's usage and quota.
     fn capacity(&self, owner: Option<KeyId>) -> StoreFuture<'_, Capacity>;
 
-    /// The dataset with this content, if a scene or a job of the owner's is made of it.
+    /// The archive with this content, if a dataset or a job of the owner refers to it.
     fn owned_archive(&self, owner: Option<KeyId>, content: Digest) -> StoreFuture<'_, Option<BlobRef>>;
 
-    /// Those of the digests that nothing refers to; what is known of them is forgotten.
+    /// Removes the rows of those blobs that nothing refers to, and returns their digests.
     fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> StoreFuture<'a, Vec<Digest>>;
 }

@@ -1,59 +1,59 @@
-//! Datasets that jobs can be made of.
+//! Datasets that jobs train on; `scenes` in the API and in the database.
 
 use jiff::Timestamp;
 
 use super::{BlobRef, IdempotentRequest, StoreFuture};
 use crate::domain::{DatasetSummary, Digest, KeyId, SceneId, UploadId};
 
-/// A dataset to be kept.
+/// A dataset to be added.
 #[derive(Debug, Clone)]
 pub struct NewDataset {
     /// Its identity, chosen by the caller.
     pub id: SceneId,
-    /// Whose it is.
+    /// Its owner; `None` without keys.
     pub owner: Option<KeyId>,
-    /// What its owner calls it.
+    /// Its name, chosen by its owner.
     pub name: Option<String>,
     /// The archive, already published.
     pub dataset: BlobRef,
-    /// What the check of its structure found.
+    /// Summary of the structure check.
     pub summary: DatasetSummary,
-    /// The upload that the archive came by, which ends with this.
+    /// The upload of the archive, which ends with this.
     pub upload: Option<UploadId>,
-    /// The `Idempotency-Key` of the request that makes it.
+    /// The `Idempotency-Key` of the request that creates it.
     pub intent: Option<IdempotentRequest>,
 }
 
-/// A kept dataset.
+/// A stored dataset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DatasetRecord {
     /// Identity.
     pub id: SceneId,
-    /// Whose it is; nobody's if it was made while there were no keys.
+    /// Its owner; `None` if it was created while there were no keys.
     pub owner: Option<KeyId>,
-    /// What its owner calls it.
+    /// Its name, chosen by its owner.
     pub name: Option<String>,
     /// The archive.
     pub dataset: BlobRef,
-    /// What the check of its structure found.
+    /// Summary of the structure check.
     pub summary: DatasetSummary,
-    /// Row version, raised by every change.
+    /// Row version, incremented by every change.
     pub version: u64,
     /// Creation.
     pub created_at: Timestamp,
 }
 
-/// What a request to keep a dataset came to.
+/// Result of a request to add a dataset.
 #[derive(Debug, Clone, PartialEq)]
 pub enum DatasetCreation {
-    /// It is kept.
+    /// It was added.
     Created(DatasetRecord),
-    /// Its owner had it already.
+    /// Its owner has it already.
     Existing(DatasetRecord),
 }
 
 impl DatasetCreation {
-    /// The scene, new or old.
+    /// The dataset, new or existing.
     #[must_use]
     pub fn record(&self) -> &DatasetRecord {
         match self {
@@ -62,46 +62,45 @@ impl DatasetCreation {
     }
 }
 
-/// What a request to delete a scene came to.
+/// Result of a request to delete a dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DatasetDeletion {
-    /// It is gone.
+    /// It was deleted.
     Deleted,
-    /// So many queued or running jobs are made of it.
+    /// This many queued or running jobs train on it.
     InUse(u64),
-    /// It has another version than the one that was to be deleted.
+    /// It has another version than the requested one.
     VersionMismatch,
 }
 
-/// A place in the list of scenes.
+/// A position in the list of datasets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DatasetPageKey {
-    /// Creation of the last scene seen.
+    /// Creation of the last dataset seen.
     pub created_at: Timestamp,
     /// Its identity.
     pub id: SceneId,
 }
 
-/// The table of scenes. Every method is one transaction.
+/// The part of a store that keeps datasets. Every method is one transaction.
 pub trait Datasets: Send + Sync + 'static {
-    /// Keeps a dataset, unless its owner has one with the same archive.
+    /// Adds a dataset, unless its owner has one with the same archive.
     ///
     /// # Errors
-    /// [`super::StoreError::QuotaExceeded`] if the archive is more than its owner has room for,
-    /// [`super::StoreError::IdempotencyKeyUsed`] if the request's key was used before.
+    /// [`super::StoreError::QuotaExceeded`], [`super::StoreError::IdempotencyKeyUsed`].
     fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation>;
 
-    /// The scene as it stands.
+    /// The dataset.
     fn dataset(&self, id: SceneId) -> StoreFuture<'_, Option<DatasetRecord>>;
 
-    /// The scene of `owner` with this archive.
+    /// The dataset of `owner` with this archive.
     fn dataset_by_archive(
         &self,
         owner: Option<KeyId>,
-        dataset: Digest,
+        archive: Digest,
     ) -> StoreFuture<'_, Option<DatasetRecord>>;
 
-    /// Up to `limit` scenes, newest first, older than `before`; of one owner, or of all.
+    /// Up to `limit` datasets of one owner or of all, newest first, older than `before`.
     fn datasets(
         &self,
         owner: Option<KeyId>,
@@ -109,7 +108,7 @@ pub trait Datasets: Send + Sync + 'static {
         limit: u32,
     ) -> StoreFuture<'_, Vec<DatasetRecord>>;
 
-    /// Deletes the scene unless a queued or running job is made of it, or it has not the wanted version; `None` if there
-    /// is no such scene. Finished jobs keep the archive that they were made of.
+    /// Deletes the dataset if it has the requested version and no queued or running job trains on it; `None` if there is no such
+    /// dataset. Finished jobs keep its archive.
     fn delete_dataset(&self, id: SceneId, version: Option<u64>) -> StoreFuture<'_, Option<DatasetDeletion>>;
 }

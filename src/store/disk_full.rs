@@ -1,8 +1,6 @@
-//! Recognises a full disk among the causes of an error, whichever library reports it.
+//! Recognises a full disk among the causes of an error, whichever library reported it.
 
 use std::{error::Error, io};
-
-use super::error::result_code;
 
 /// `SQLITE_FULL`.
 const FULL: u32 = 13;
@@ -14,7 +12,7 @@ const IOERR_SHMSIZE: u32 = 10 | (19 << 8);
 pub fn is_disk_full(error: &(dyn Error + 'static)) -> bool {
     let mut source = Some(error);
     while let Some(error) = source {
-        if says_full(error) {
+        if is_full_itself(error) {
             return true;
         }
         source = error.source();
@@ -22,7 +20,7 @@ pub fn is_disk_full(error: &(dyn Error + 'static)) -> bool {
     false
 }
 
-fn says_full(error: &(dyn Error + 'static)) -> bool {
+fn is_full_itself(error: &(dyn Error + 'static)) -> bool {
     if let Some(error) = error.downcast_ref::<io::Error>() {
         return matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
             // What an `io::Error` wraps is not among its sources.
@@ -30,6 +28,11 @@ fn says_full(error: &(dyn Error + 'static)) -> bool {
     }
     let code = error.downcast_ref::<sqlx::Error>().and_then(result_code);
     code.is_some_and(|code| code & 0xff == FULL || code == IOERR_SHMSIZE)
+}
+
+/// SQLite's extended result code.
+pub(super) fn result_code(error: &sqlx::Error) -> Option<u32> {
+    error.as_database_error()?.code()?.parse().ok()
 }
 
 #[cfg(test)]
@@ -54,7 +57,7 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn what_the_system_says_of_room_and_quota_is_recognised() {
+    fn the_systems_error_codes_are_recognised() {
         for errno in [rustix::io::Errno::NOSPC, rustix::io::Errno::DQUOT] {
             assert!(is_disk_full(&io::Error::from(errno)), "{errno}");
         }

@@ -1,11 +1,14 @@
-//! What can go wrong in the job table.
+//! Errors of the store.
 
 use thiserror::Error;
 
-use super::{PriorRequest, is_disk_full};
+use super::{
+    PriorRequest,
+    disk_full::{is_disk_full, result_code},
+};
 use crate::domain::{JobId, SceneId};
 
-/// A fault of the job table.
+/// An error of the store.
 #[derive(Debug, Error)]
 pub enum StoreError {
     /// The job is not running the attempt that the worker was given: it was reclaimed, ended or cancelled.
@@ -16,38 +19,38 @@ pub enum StoreError {
         /// The attempt that the worker was given.
         attempt: u32,
     },
-    /// A request with the same `Idempotency-Key` made something before; nothing was written.
+    /// The `Idempotency-Key` was used before; nothing was written.
     #[error("the Idempotency-Key was used before, for {}", .0.resource)]
     IdempotencyKeyUsed(Box<PriorRequest>),
-    /// More than the owner has room for.
+    /// Over the owner's quota.
     #[error(
-        "over the quota of {quota} bytes: {used} are stored or kept for uploads, and there has to be room for {asked} more"
+        "over the quota of {quota} bytes: {used} are stored or reserved for uploads, and {requested} more are needed"
     )]
     QuotaExceeded {
-        /// What was to be added, at least.
-        asked: u64,
-        /// What is stored or reserved.
+        /// Bytes to be added, at least.
+        requested: u64,
+        /// Bytes stored or reserved.
         used: u64,
-        /// How much may be.
+        /// The quota.
         quota: u64,
     },
-    /// More jobs than the owner may have at a time.
-    #[error("{active} jobs are queued or running, which is all that the key may have at a time")]
+    /// The owner has its maximum of active jobs.
+    #[error("{active} jobs are queued or running, the maximum for this key")]
     TooManyJobs {
-        /// How many there are.
+        /// How many are queued or running.
         active: u32,
     },
     /// A higher priority than the owner's jobs may have.
-    #[error("priority {asked} is above {most}, the highest that jobs of this key may have")]
+    #[error("priority {requested} is above {max}, the maximum for jobs of this key")]
     PriorityTooHigh {
-        /// What was wished for.
-        asked: i32,
-        /// What there may be.
-        most: i32,
+        /// The requested priority.
+        requested: i32,
+        /// The maximum.
+        max: i32,
     },
-    /// The scene that a job was to be made of is deleted.
+    /// The dataset of a new job does not exist any more.
     #[error("there is no scene {0}")]
-    NoScene(SceneId),
+    NoDataset(SceneId),
     /// A stored value cannot be read back.
     #[error("the stored {what} is unreadable: {fault}")]
     Corrupt {
@@ -65,7 +68,7 @@ pub enum StoreError {
         #[source]
         source: sqlx::Error,
     },
-    /// The schema is older than this program, and was not to be changed.
+    /// The schema is older than this program's, and was not to be migrated.
     #[error(
         "the schema of {path} has version {found}, older than this program's {needed}: stop the service that uses it, then run \
          'tcgs migrate' or start 'tcgs serve' of this version"
@@ -78,7 +81,7 @@ pub enum StoreError {
         /// The program's.
         needed: i64,
     },
-    /// The schema is newer than this program.
+    /// The schema is newer than this program's.
     #[error(
         "the schema of {path} has version {found}, newer than this program's {needed}: use the version of tcgs that changed it, or a \
          later one"
@@ -91,23 +94,23 @@ pub enum StoreError {
         /// The program's.
         needed: i64,
     },
-    /// The schema cannot be brought to this version.
-    #[error("the database schema cannot be brought up to date")]
+    /// The schema cannot be migrated.
+    #[error("the database schema cannot be migrated")]
     Migrate(#[from] sqlx::migrate::MigrateError),
     /// A statement failed.
-    #[error("the database refused a statement")]
+    #[error("a database statement failed")]
     Database(#[from] sqlx::Error),
 }
 
 impl StoreError {
-    /// Whether there is no room left for the database. Nothing was written, and the same call may succeed once there is room.
+    /// Whether the disk is full. Nothing was written, and the same call may succeed once there is space.
     #[must_use]
     pub fn is_disk_full(&self) -> bool {
         is_disk_full(self)
     }
 
     /// Whether the same call may succeed a moment later: the database was busy, out of connections, or its file could not be read or
-    /// written. A full disk ([`StoreError::is_disk_full`]) is told apart, since somebody has to make room first.
+    /// written. False for a full disk ([`StoreError::is_disk_full`]), since somebody has to make space first.
     #[must_use]
     pub fn is_transient(&self) -> bool {
         let StoreError::Database(error) = self else { return false };
@@ -127,8 +130,3 @@ const BUSY: u32 = 5;
 const LOCKED: u32 = 6;
 const IOERR: u32 = 10;
 const CANTOPEN: u32 = 14;
-
-/// SQLite's extended result code.
-pub(super) fn result_code(error: &sqlx::Error) -> Option<u32> {
-    error.as_database_error()?.code()?.parse().ok()
-}

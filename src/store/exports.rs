@@ -3,59 +3,59 @@
 use super::{ArtifactKind, BlobRef, StoreFuture};
 use crate::domain::{Digest, JobId, KeyId, SceneFormat};
 
-/// How alike pictures of an export and of the scene that it was made of are.
+/// How close renders of an export are to those of its source scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExportFidelity {
-    /// Mean PSNR of the one's pictures against the other's, in dB.
+    /// Mean PSNR in dB of the export's renders against the source's.
     pub psnr: f64,
-    /// How many views were compared, more than none.
+    /// How many views were compared, at least one.
     pub views: u32,
 }
 
 /// A finished scene in another format.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExportRecord {
-    /// The job whose scene it is.
+    /// The job whose scene it contains.
     pub job: JobId,
-    /// The job's file that it was made of.
+    /// The job's file that it was converted from.
     pub source: Digest,
     /// Its format.
     pub format: SceneFormat,
-    /// Where it is.
+    /// Its content.
     pub blob: BlobRef,
     /// How many Gaussians it has.
     pub gaussians: u64,
     /// Highest degree of its spherical harmonics.
     pub sh_degree: u8,
-    /// What the other format cost, if it could be measured.
+    /// Fidelity to the source, if it could be measured.
     pub fidelity: Option<ExportFidelity>,
 }
 
-/// A file that a job made, or that was made of its scene.
+/// A file of a job, or an export of its scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FileRecord {
-    /// The job; the newest, if several made the same.
+    /// The job; the newest, if several have the same file.
     pub job: JobId,
-    /// What it is.
+    /// Its kind.
     pub kind: ArtifactKind,
     /// As in [`super::Artifact::lambda`].
     pub lambda: Option<f64>,
-    /// Where it is.
+    /// Its content.
     pub blob: BlobRef,
 }
 
-/// Part of a [`super::Store`]: exports, and files by hash. Every method is one transaction.
+/// The part of a store that keeps exports and finds files by their hash. Every method is one transaction.
 pub trait Exports: Send + Sync + 'static {
-    /// Refuses with [`super::StoreError::QuotaExceeded`] if the job's owner has no room left for an export, however small.
+    /// Fails with [`super::StoreError::QuotaExceeded`] if the job's owner has used up its quota.
     fn admit_export(&self, job: JobId) -> StoreFuture<'_, ()>;
 
-    /// Keeps an export, unless there is one like it, and gives back the one that is kept; `None` if the job is gone. It counts
-    /// against the quota of the job's owner, and is refused if that has no room for it.
+    /// Adds an export unless the job has one of the same source and format, and returns the one that is stored; `None` if there is no
+    /// such job. It counts against the quota of the job's owner.
     fn add_export(&self, export: ExportRecord) -> StoreFuture<'_, Option<ExportRecord>>;
 
     /// The exports of a job's scene.
     fn exports(&self, job: JobId) -> StoreFuture<'_, Vec<ExportRecord>>;
 
-    /// The file with this hash among those of the owner's jobs, or of everybody's. Datasets are not among them.
+    /// The file with this hash among those of the owner's jobs, or of all jobs without `owner`. Datasets are not included.
     fn file(&self, digest: Digest, owner: Option<KeyId>) -> StoreFuture<'_, Option<FileRecord>>;
 }

@@ -1,9 +1,8 @@
-//! Clears away what nobody wants any more: uploads whose time is over, files of uploads that have ended, what processes that
-//! are gone were staging, blobs that nothing refers to.
+//! Garbage collection: expired uploads, files of ended uploads, staging folders of dead processes, unreferenced blobs.
 //!
-//! A blob is published before anything refers to it, so it has a grace time from its latest publication. After that the order is:
-//! the table forgets it, in a transaction that finds no reference; then its file goes, unless it was published again meanwhile.
-//! Nothing refers to a blob without publishing it except from a row that refers to it already, so none is missed.
+//! A blob is published before anything refers to it, so it has a grace time from its latest publication. After that, a transaction that
+//! finds no reference deletes its row; then its file is removed, unless it was published again meanwhile. A new reference is added only
+//! after a publication or from a row that already has one, so no referenced blob is removed.
 
 use std::{collections::BTreeSet, sync::Arc, time::Duration};
 
@@ -15,20 +14,20 @@ use tokio_util::sync::CancellationToken;
 use super::{BlobError, Blobs, Published, Store, StoreError};
 use crate::domain::{Clock, UploadId};
 
-/// Blobs that one transaction looks at, so that it never keeps other writers waiting for long.
+/// Blobs per transaction, so that other writers never wait for long.
 const BATCH: usize = 100;
 
-/// How long things are kept, and how often that is looked at.
+/// When garbage is collected, and how old it must be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GarbagePolicy {
-    /// Time between two rounds where nothing calls for one earlier.
+    /// Time between two collections, unless one is requested earlier.
     pub every: Duration,
-    /// Shortest time between two rounds.
+    /// Shortest time between two collections.
     pub at_most_every: Duration,
-    /// How long a published blob may wait for a reference.
+    /// How long a published blob may stay unreferenced.
     pub blob_grace: SignedDuration,
-    /// How long an upload that has ended is remembered as one that has.
-    pub upload_memory: SignedDuration,
+    /// How long the row of an ended upload is kept.
+    pub upload_ttl: SignedDuration,
 }
 
 impl Default for GarbagePolicy {
@@ -37,15 +36,15 @@ impl Default for GarbagePolicy {
             every: Duration::from_secs(600),
             at_most_every: Duration::from_secs(10),
             blob_grace: SignedDuration::from_hours(1),
-            upload_memory: SignedDuration::from_hours(7 * 24),
+            upload_ttl: SignedDuration::from_hours(7 * 24),
         }
     }
 }
 
-/// What a round cleared away.
+/// What a collection removed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Collected {
-    /// Uploads that were given up.
+    /// Expired uploads.
     pub uploads: usize,
     /// Blobs.
     pub blobs: usize,
@@ -53,7 +52,7 @@ pub struct Collected {
     pub bytes: u64,
 }
 
-/// Why a round did not come to its end.
+/// Why a collection stopped early.
 #[derive(Debug, Error)]
 pub enum GarbageError {
     /// The database failed.
@@ -64,56 +63,56 @@ pub enum GarbageError {
     Blobs(#[from] BlobError),
 }
 
-/// One round, at the time `now`.
+/// Collects once, at the time `now`.
 ///
 /// # Errors
-/// The first fault; what is left is left to the next round.
-pub async fn clear(
+/// The first error; the next collection removes the rest.
+pub async fn collect(
     store: &dyn Store,
     blobs: &Blobs,
     policy: &GarbagePolicy,
     now: Timestamp,
 ) -> Result<Collected, GarbageError> {
-    let mut cleared =
-        Collected { uploads: clear_uploads(store, blobs, policy, now).await?, ..Collected::default() };
+    let mut collected =
+        Collected { uploads: collect_uploads(store, blobs, policy, now).await?, ..Collected::default() };
     blobs.clear_staging().await?;
     let before = earlier(now, policy.blob_grace);
     for batch in blobs.older_than(before).await?.chunks(BATCH) {
         for digest in store.forget_blobs(batch).await? {
             if let Some(bytes) = blobs.remove_older(digest, before).await? {
-                cleared.blobs += 1;
-                cleared.bytes += bytes;
+                collected.blobs += 1;
+                collected.bytes += bytes;
             }
         }
     }
-    Ok(cleared)
+    Ok(collected)
 }
 
-/// Takes back a publication that came to nothing: the blob goes unless something refers to it or somebody publishes it too.
+/// Withdraws a publication that was not used: removes the blob unless something refers to it or it was published again.
 ///
 /// # Errors
-/// The first fault; the blob is then left to a round.
+/// The first error; a later collection then removes the blob.
 pub async fn withdraw(store: &dyn Store, blobs: &Blobs, published: Published) -> Result<bool, GarbageError> {
-    // In the order of a round, and for its reasons.
+    // In the same order as a collection, for the same reasons.
     if store.forget_blobs(&[published.blob.digest]).await?.is_empty() {
         return Ok(false);
     }
     Ok(blobs.unpublish(published).await?)
 }
 
-async fn clear_uploads(
+async fn collect_uploads(
     store: &dyn Store,
     blobs: &Blobs,
     policy: &GarbagePolicy,
     now: Timestamp,
 ) -> Result<usize, GarbageError> {
-    let expired = store.expire_uploads(earlier(now, policy.upload_memory)).await?;
+    let expired = store.expire_uploads(earlier(now, policy.upload_ttl)).await?;
     // The files first: an upload is in the table before it has one.
     let files = blobs.uploads().await?;
     let open: BTreeSet<UploadId> = store.open_uploads().await?.into_iter().collect();
     for upload in files {
         if !open.contains(&upload) {
-            // One that is held goes next time.
+            // A file that is locked is removed next time.
             blobs.remove_upload(upload).await?;
         }
     }
@@ -124,7 +123,7 @@ fn earlier(now: Timestamp, by: SignedDuration) -> Timestamp {
     now.checked_sub(by).unwrap_or(Timestamp::MIN)
 }
 
-/// Clears away until `stop`: now and then, and soon after something was let go ([`Blobs::request_collection`]).
+/// Collects until `stop`, at intervals and soon after [`Blobs::request_collection`].
 pub async fn collect_garbage(
     store: Arc<dyn Store>,
     blobs: Blobs,
@@ -134,13 +133,21 @@ pub async fn collect_garbage(
 ) {
     loop {
         let began = Instant::now();
-        match clear(&*store, &blobs, &policy, clock.now()).await {
+        match collect(&*store, &blobs, &policy, clock.now()).await {
             Ok(Collected { uploads: 0, blobs: 0, .. }) => {}
             Ok(Collected { uploads, blobs, bytes }) => {
-                tracing::info!(uploads, blobs, bytes, "cleared away {uploads} uploads and {blobs} blobs");
+                tracing::info!(
+                    uploads,
+                    blobs,
+                    bytes,
+                    "removed {uploads} expired uploads and {blobs} unreferenced blobs"
+                );
             }
             Err(error) => {
-                tracing::warn!(error = &error as &dyn std::error::Error, "cannot clear away: {error}");
+                tracing::warn!(
+                    error = &error as &dyn std::error::Error,
+                    "garbage collection failed: {error}"
+                );
             }
         }
         let pause = async {

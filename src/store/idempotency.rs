@@ -1,36 +1,36 @@
-//! What requests that may be sent twice have made, so that the second is answered like the first.
+//! Requests with an `Idempotency-Key`, so that a repeated request is answered like the first.
 //!
-//! What always holds: the row is written in the transaction that makes the thing, so there is never one without the other,
-//! and (owner, key) is unique, so two requests with one key make one thing, whichever processes they reach.
+//! Invariants: the row is written in the transaction that creates the resource, so neither exists without the other; (owner, key) is
+//! unique, so two requests with one key create one resource, whichever processes they reach.
 
 use super::StoreFuture;
 use crate::domain::{Digest, KeyId};
 
-/// A request's claim on its `Idempotency-Key`.
+/// A request with an `Idempotency-Key`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct IdempotentRequest {
-    /// Whose key it is.
+    /// The owner that sent it.
     pub owner: Option<KeyId>,
-    /// What the client chose.
+    /// The key that the client chose.
     pub key: String,
-    /// SHA-256 of what the request asks for.
+    /// SHA-256 of the request.
     pub fingerprint: Digest,
 }
 
-/// What a request with a key made.
+/// An earlier request with the same key.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PriorRequest {
-    /// SHA-256 of what that request asked for.
+    /// SHA-256 of that request.
     pub fingerprint: Digest,
-    /// HTTP status that it was answered with.
+    /// HTTP status of its response.
     pub status: u16,
-    /// Identity of what it made.
+    /// Identity of the resource that it created.
     pub resource: String,
 }
 
-/// Part of a [`super::Store`]: what requests with an `Idempotency-Key` made.
+/// The part of a store that keeps requests with an `Idempotency-Key`.
 pub trait Idempotency: Send + Sync + 'static {
-    /// What the owner's request with this key made, unless [`super::QueuePolicy::idempotency_ttl`] has passed since.
+    /// The owner's earlier request with this key, unless [`super::QueuePolicy::idempotency_ttl`] has passed since.
     fn prior_request<'a>(
         &'a self,
         owner: Option<KeyId>,

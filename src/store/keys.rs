@@ -1,7 +1,6 @@
 //! API keys, of which only hashes are kept.
 //!
-//! What always holds: a key that was made stays in the table, revoked or not. So a service that had keys once never takes itself
-//! for one that has none.
+//! Invariant: a key stays in the table, revoked or not. So a service that once had keys never runs as one without.
 
 use jiff::Timestamp;
 use serde::Serialize;
@@ -14,49 +13,49 @@ use crate::domain::{ApiKey, Entropy, EntropyError, KeyHash, KeyId, KeyLimits, MA
 /// Longest name of a key, in characters.
 const MAX_NAME: usize = 100;
 
-/// A key to be let in.
+/// A key to be added.
 #[derive(Debug, Clone)]
 pub struct NewKey {
     /// Its identity, chosen by the caller; keys are listed in the order of these.
     pub id: KeyId,
-    /// What its maker calls it.
+    /// Its name.
     pub name: String,
-    /// What may be shown of the key itself.
+    /// The part of the key that may be shown.
     pub prefix: String,
-    /// What it is known by.
+    /// Hash of the key.
     pub hash: KeyHash,
-    /// What it lets its holder do.
+    /// What its holder may do.
     pub scopes: Vec<Scope>,
-    /// How much of it.
+    /// Its limits.
     pub limits: KeyLimits,
 }
 
-/// Why a key cannot be made.
+/// Why a key cannot be created.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum NewKeyError {
-    /// The name is of no use.
+    /// The name is empty, too long or has control characters.
     #[error("a key's name has 1 to {MAX_NAME} characters, none of them a control character")]
     Name,
-    /// It would let its holder do nothing.
+    /// It has no scope.
     #[error("a key needs at least one scope")]
     NoScopes,
-    /// The database has no such numbers.
-    #[error("max_bytes: {0} where at most 9223372036854775807 are possible")]
+    /// The database cannot store the number.
+    #[error("max_bytes: {0} is above the maximum of 9223372036854775807")]
     MaxBytes(u64),
-    /// No job has such a priority.
+    /// The priority is out of range.
     #[error("max_priority: {0} is outside -{MAX_PRIORITY}..={MAX_PRIORITY}")]
     MaxPriority(i32),
-    /// It could not be drawn.
+    /// No random bytes could be drawn.
     #[error(transparent)]
     Entropy(#[from] EntropyError),
 }
 
 impl NewKey {
-    /// A key to be let in, and the key itself, which nobody will be able to tell again.
+    /// Generates a key. The key itself is returned here only; the store keeps its hash.
     ///
     /// # Errors
     /// [`NewKeyError`].
-    pub fn draw(
+    pub fn generate(
         entropy: &dyn Entropy,
         now: Timestamp,
         name: &str,
@@ -75,7 +74,7 @@ impl NewKey {
             return Err(NewKeyError::MaxBytes(bytes));
         }
         if let Some(priority) =
-            limits.max_priority.filter(|most| !(-MAX_PRIORITY..=MAX_PRIORITY).contains(most))
+            limits.max_priority.filter(|max| !(-MAX_PRIORITY..=MAX_PRIORITY).contains(max))
         {
             return Err(NewKeyError::MaxPriority(priority));
         }
@@ -103,9 +102,9 @@ pub struct KeyRecord {
     /// As in [`NewKey::limits`].
     #[serde(flatten)]
     pub limits: KeyLimits,
-    /// When it was made.
+    /// Creation.
     pub created_at: Timestamp,
-    /// When a request last came with it, to about a minute.
+    /// Its last use, to about a minute.
     pub last_used_at: Option<Timestamp>,
     /// When it was revoked, if it was.
     pub revoked_at: Option<Timestamp>,
@@ -125,9 +124,9 @@ impl KeyRecord {
     }
 }
 
-/// The part of a store that knows keys. Every method is one transaction.
+/// The part of a store that keeps keys. Every method is one transaction.
 pub trait Keys: Send + Sync + 'static {
-    /// Lets a key in.
+    /// Adds a key.
     fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord>;
 
     /// A key, revoked or not.
@@ -136,16 +135,16 @@ pub trait Keys: Send + Sync + 'static {
     /// Up to `limit` keys, newest first, older than `before`; revoked ones only if they are asked for.
     fn keys(&self, with_revoked: bool, before: Option<KeyId>, limit: u32) -> StoreFuture<'_, Vec<KeyRecord>>;
 
-    /// Shuts a key out, from the next request on, and returns it as it then is; `None` if there is no such key. A key that is
-    /// revoked stays as it is.
+    /// Revokes a key from the next request on, and returns it; `None` if there is no such key. No change if it is already
+    /// revoked.
     fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>>;
 
     /// The key with this hash, unless it is revoked.
     fn authenticate(&self, hash: KeyHash) -> StoreFuture<'_, Option<KeyRecord>>;
 
-    /// Whether there is a key or ever was one.
+    /// Whether there is a key, revoked or not.
     fn has_keys(&self) -> StoreFuture<'_, bool>;
 
-    /// Records that the key is in use.
+    /// Records a use of the key.
     fn touch_key(&self, id: KeyId) -> StoreFuture<'_, ()>;
 }

@@ -1,18 +1,17 @@
-//! Everything that outlives a process: scenes, uploads, jobs with their attempts and events, and the blobs that they refer to.
+//! Persistent state: datasets, uploads, jobs with their attempts and events, keys, webhooks, and the blobs that they refer to.
 //!
-//! SQL and object storage live here and nowhere else. What always holds:
+//! SQL and object storage are used here only. Invariants:
 //!
 //! - **At-least-once execution, exactly-once publication.** A job may run more than once; the artifacts of
 //!   exactly one attempt are ever linked to it.
-//! - **Fence.** A claim raises the job's attempt number, and every write of a worker names the attempt that it
-//!   was given. If the job has moved on, nothing is written and the worker learns [`StoreError::LeaseLost`].
-//! - **Lease**: a job is taken from a worker that its supervisor saw die, or that a process has itself seen renew nothing for the
-//!   length of a lease. What the clock shows decides nothing of that.
-//! - **Events** of a job are numbered from 1 without gaps, and each is written in the transaction of the change
-//!   that it records.
-//! - **Outbox**: what webhook endpoints are to be told of a job is written in the transaction of its change of state.
-//! - **Cancel against completion**: whichever transaction commits first decides. A job whose cancellation was
-//!   accepted while it ran never becomes `succeeded`.
+//! - **Fencing.** A claim increments the job's attempt number, and every write of a worker names its attempt. If that is no longer
+//!   current, nothing is written and the worker gets [`StoreError::LeaseLost`].
+//! - **Leases.** An attempt ends when a supervisor saw its worker die, or a process observed no renewal for the length of a lease.
+//!   The wall clock has no influence on that.
+//! - **Events** of a job are numbered from 1 without gaps; each is written in the transaction of the change that it records.
+//! - **Outbox.** Webhook deliveries are written in the transaction of the job's change of state.
+//! - **Cancellation against completion.** Whichever transaction commits first decides. A job whose cancellation was accepted while it
+//!   ran never becomes `succeeded`.
 
 mod accounts;
 pub mod blobs;
@@ -60,7 +59,7 @@ pub use webhooks::{
 
 use crate::domain::{Event, JobId, JobState, Phase, Progress};
 
-/// What a store method returns; boxed so that a store can be held as `Arc<dyn Store>`.
+/// The result of a store method; boxed so that `dyn Store` is possible.
 pub type StoreFuture<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// The job table and its queue. Every method is one transaction.
@@ -78,11 +77,14 @@ pub trait Store:
     + Sync
     + 'static
 {
-    /// Adds a job in state `queued`, together with its dataset's blob row, its first event and what its request's
-    /// `Idempotency-Key` is to be remembered by; [`StoreError::IdempotencyKeyUsed`] if that key was used before.
+    /// Adds a job in state `queued`, with its dataset's blob row, its first event and its request's `Idempotency-Key`.
+    ///
+    /// # Errors
+    /// [`StoreError::IdempotencyKeyUsed`], [`StoreError::QuotaExceeded`], [`StoreError::TooManyJobs`],
+    /// [`StoreError::PriorityTooHigh`], [`StoreError::NoDataset`].
     fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord>;
 
-    /// The job as it stands.
+    /// The job.
     fn job(&self, id: JobId) -> StoreFuture<'_, Option<JobRecord>>;
 
     /// Up to `limit` jobs that pass the filter, newest first, older than `before`.
@@ -96,51 +98,49 @@ pub trait Store:
     /// Up to `limit` events with numbers above `after`, oldest first; `None` if there is no such job.
     fn events(&self, id: JobId, after: u64, limit: u32) -> StoreFuture<'_, Option<Vec<Event>>>;
 
-    /// The number of the newest event of each of these jobs; one that is not there is left out.
+    /// The number of the newest event of each of these jobs; omits jobs that do not exist.
     fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<(JobId, u64)>>;
 
     /// Every attempt at the job, oldest first.
     fn attempts(&self, id: JobId) -> StoreFuture<'_, Vec<AttemptRecord>>;
 
-    /// Stops a queued job at once, or asks the worker of a running one to stop; `None` if there is no such job.
+    /// Cancels a queued job at once, or requests that the worker of a running one stop; `None` if there is no such job.
     fn cancel(&self, id: JobId) -> StoreFuture<'_, Option<Cancellation>>;
 
-    /// Queues a job like this one, which must have failed or been cancelled, for the same owner; `None` if there is no such
-    /// job. [`StoreError::IdempotencyKeyUsed`] as in [`Store::create_job`].
+    /// Queues a new job with the options of this one, which must have failed or been cancelled, for the same owner; `None` if there is
+    /// no such job. Errors as in [`Store::create_job`].
     fn retry_job(&self, id: JobId, repeat: RetryRequest) -> StoreFuture<'_, Option<RetryOutcome>>;
 
-    /// Deletes a job that has ended, with its events, attempts and references to blobs, if it has the wanted version;
-    /// `None` if there is no such job.
+    /// Deletes a job that has ended, with its events, attempts and references to blobs, if it has the requested version; `None` if there
+    /// is no such job.
     fn delete_job(&self, id: JobId, version: Option<u64>) -> StoreFuture<'_, Option<Deletion>>;
 
-    /// Fails queued jobs whose deadline has passed, and counts them. Running ones are told by [`Store::heartbeat`].
+    /// Fails queued jobs whose deadline has passed, and counts them. Running ones learn it from [`Store::heartbeat`].
     fn fail_expired(&self) -> StoreFuture<'_, u64>;
 
-    /// Those of the jobs whose checkpoints may still be gone on from: by themselves, or, for
-    /// [`QueuePolicy::checkpoint_ttl`] after they failed or were cancelled, by a job that repeats them.
+    /// Those of the jobs whose checkpoints may still be used: by themselves, or by a retry for [`QueuePolicy::checkpoint_ttl`] after they
+    /// failed or were cancelled.
     fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<JobId>>;
 
-    /// Takes for `worker` a job whose time has come: of those of the highest priority one of the owner with the fewest running
-    /// jobs, the oldest first.
-    ///
-    /// As [`Store::expire_leases`] first, so jobs that are taken from their workers can be claimed again here.
+    /// Grants `worker` a job that is due: of those with the highest priority, one of the owner with the fewest running jobs, the
+    /// oldest first. Expires leases first, as [`Store::expire_leases`].
     fn claim<'a>(&'a self, worker: &'a str) -> StoreFuture<'a, Option<Claim>>;
 
-    /// Renews a lease and tells whether the job is to stop.
+    /// Renews a lease, and returns whether the job is to stop.
     fn heartbeat<'a>(&'a self, lease: &'a Lease) -> StoreFuture<'a, Heartbeat>;
 
-    /// Records where the attempt is. A change of phase always makes an event, progress at most one per
+    /// Records the attempt's phase and progress. Every change of phase adds an event; progress at most one per
     /// [`QueuePolicy::progress_event_every`].
     fn report<'a>(&'a self, lease: &'a Lease, phase: Phase, progress: &'a Progress) -> StoreFuture<'a, ()>;
 
-    /// Ends the attempt and returns the state that the job is in now.
+    /// Ends the attempt, and returns the job's new state.
     fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> StoreFuture<'a, JobState>;
 
-    /// Takes every job from a worker that is known to be dead, and counts them.
+    /// Ends all attempts of a worker that is known to be dead, and counts them.
     fn expire_worker<'a>(&'a self, worker: &'a str, death: WorkerDeath) -> StoreFuture<'a, u64>;
 
-    /// Takes every job from its worker whose lease has run out while this process looked, and counts them. To be called often:
-    /// what happens between two calls is not seen.
+    /// Ends all attempts whose leases expired under this process's observation, and counts them. To be called often: renewals between two
+    /// calls are not observed.
     fn expire_leases(&self) -> StoreFuture<'_, u64>;
 
     /// One round trip to the database.

@@ -1,23 +1,23 @@
-//! How long leases last and how often a job is tried.
+//! Durations and limits of the queue.
 
 use std::time::Duration;
 
 use crate::domain::{Digest, JobId, KeyLimits};
 
-/// The queue's numbers.
+/// Durations and limits of the queue.
 #[derive(Debug, Clone, PartialEq)]
 pub struct QueuePolicy {
-    /// How long a claim or a heartbeat keeps a job.
+    /// How long a claim or a heartbeat holds a job.
     pub lease: Duration,
-    /// Attempts that are charged before a job fails.
+    /// Charged attempts before a job fails.
     pub max_attempts: u32,
-    /// Consecutive attempts whose worker alone may end without a word (killed, out of memory), with no newer checkpoint in
-    /// between, before the job is held to be what ends it.
+    /// Consecutive attempts whose worker died alone (killed, out of memory), without a newer checkpoint in between, before the job
+    /// fails as the cause.
     pub max_worker_crashes: u32,
-    /// Consecutive attempts that may end together with whoever watched their worker, with no newer checkpoint in between,
-    /// before the next one is delayed. Such a job is never given up, but it may be what ends the machine.
+    /// Consecutive attempts that ended together with the service, without a newer checkpoint in between, before the next one is
+    /// delayed. Such a job never fails for that, but it may be what brings the machine down.
     pub immediate_restarts: u32,
-    /// How long a job that is held waits until it is tried again.
+    /// How long a held job waits until its next attempt.
     pub hold_delay: Duration,
     /// Delay before the second attempt; each further one doubles it.
     pub backoff_base: Duration,
@@ -25,11 +25,11 @@ pub struct QueuePolicy {
     pub backoff_cap: Duration,
     /// Shortest time between two `progress` events of a job.
     pub progress_event_every: Duration,
-    /// How long a job that failed or was cancelled keeps its checkpoint, for a job that repeats it.
+    /// How long a job that failed or was cancelled keeps its checkpoint, for a job that retries it.
     pub checkpoint_ttl: Duration,
-    /// How long it is remembered what a request with an `Idempotency-Key` made.
+    /// How long an `Idempotency-Key` is kept.
     pub idempotency_ttl: Duration,
-    /// How much a key may take that has no limits of its own.
+    /// Limits of keys that have none of their own.
     pub limits: KeyLimits,
 }
 

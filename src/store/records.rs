@@ -1,4 +1,4 @@
-//! What goes into and comes out of a [`super::Store`].
+//! Arguments and results of [`super::Store`].
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -22,34 +22,34 @@ pub struct BlobRef {
 pub struct NewJob {
     /// Its identity, chosen by the caller.
     pub id: JobId,
-    /// Whose it is.
+    /// Its owner; `None` without keys.
     pub owner: Option<KeyId>,
-    /// The scene that it is made of, if it did not come with its own archive.
-    pub scene: Option<SceneId>,
-    /// The job that it repeats.
+    /// The dataset that it trains on, if it did not come with its own archive.
+    pub dataset_id: Option<SceneId>,
+    /// The job that it retries.
     pub retry_of: Option<JobId>,
-    /// When it is to be given up, finished or not.
+    /// When it fails if it is not finished by then.
     pub deadline_at: Option<Timestamp>,
-    /// What to do.
+    /// Its options.
     pub options: TrainOptions,
     /// The dataset archive, already published.
     pub dataset: BlobRef,
-    /// Higher goes first; 0 is usual.
+    /// Higher runs first; the default is 0.
     pub priority: i32,
-    /// Whether it may go on from where the job that it repeats stopped.
+    /// Whether it may resume from the checkpoint of the job that it retries.
     pub from_checkpoint: bool,
-    /// The `Idempotency-Key` of the request that makes it.
+    /// The `Idempotency-Key` of the request that creates it.
     pub intent: Option<IdempotentRequest>,
 }
 
 impl NewJob {
-    /// A job of nobody's, of no scene, without priority or deadline.
+    /// A job without owner, dataset id, priority or deadline.
     #[must_use]
     pub fn new(id: JobId, options: TrainOptions, dataset: BlobRef) -> Self {
         Self {
             id,
             owner: None,
-            scene: None,
+            dataset_id: None,
             retry_of: None,
             deadline_at: None,
             options,
@@ -61,13 +61,13 @@ impl NewJob {
     }
 }
 
-/// What an artifact is.
+/// The kind of an artifact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ArtifactKind {
     /// The dataset's cameras as JSON, for views by frame name.
     Cameras,
-    /// Held-out views as pictures ([`crate::domain::HeldOut`]) as JSON, for the report.
+    /// Pictures of held-out views ([`crate::domain::HeldOut`]) as JSON, for the report.
     #[serde(rename = "held_out")]
     HeldOut,
     /// The finished scene.
@@ -90,35 +90,35 @@ impl ArtifactKind {
 /// A blob that a finished job refers to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Artifact {
-    /// What it is.
+    /// Its kind.
     pub kind: ArtifactKind,
-    /// The weight of the rate that it was trained with, of a file of a rate-distortion curve.
+    /// The weight of the rate term that it was trained with, if it belongs to a rate-distortion curve.
     pub lambda: Option<f64>,
-    /// Where it is.
+    /// Its content.
     pub blob: BlobRef,
 }
 
 /// A file of a finished scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SceneArtifact {
-    /// Its kind.
+    /// Its format.
     pub format: SceneFormat,
     /// As in [`Artifact::lambda`].
     pub lambda: Option<f64>,
-    /// Where it is.
+    /// Its content.
     pub blob: BlobRef,
 }
 
-/// A job with what it refers to.
+/// A job with its references.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobRecord {
     /// The job.
     pub job: Job,
-    /// Whose it is; nobody's if it was made while there were no keys.
+    /// Its owner; `None` if it was created while there were no keys.
     pub owner: Option<KeyId>,
-    /// As in [`NewJob::scene`]; none either once the scene is deleted.
-    pub scene: Option<SceneId>,
-    /// As in [`NewJob::retry_of`]; none either once that job is deleted.
+    /// As in [`NewJob::dataset_id`]; `None` also once the dataset is deleted.
+    pub dataset_id: Option<SceneId>,
+    /// As in [`NewJob::retry_of`]; `None` also once that job is deleted.
     pub retry_of: Option<JobId>,
     /// As in [`NewJob::deadline_at`].
     pub deadline_at: Option<Timestamp>,
@@ -126,7 +126,7 @@ pub struct JobRecord {
     pub priority: i32,
     /// Its dataset archive.
     pub dataset: BlobRef,
-    /// What it left behind; empty unless it succeeded. Files of a rate-distortion curve are in its order.
+    /// Its artifacts; empty unless it succeeded. Files of a rate-distortion curve are in its order.
     pub artifacts: Vec<Artifact>,
 }
 
@@ -148,20 +148,20 @@ impl JobRecord {
     }
 }
 
-/// Which jobs a list shows; the default is all of them.
+/// Which jobs a list contains; the default is all of them.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct JobFilter {
     /// Only this owner's.
     pub owner: Option<KeyId>,
     /// Only those in one of these states; in any if empty.
     pub states: Vec<JobState>,
-    /// Only those made of this scene.
-    pub scene: Option<SceneId>,
-    /// Only those that train this.
+    /// Only those of this dataset.
+    pub dataset_id: Option<SceneId>,
+    /// Only those that train this model.
     pub model: Option<ModelKind>,
 }
 
-/// A place in the list of jobs.
+/// A position in the list of jobs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PageKey {
     /// Creation of the last job seen.
@@ -170,85 +170,85 @@ pub struct PageKey {
     pub id: JobId,
 }
 
-/// What a worker holds while it carries a job out; the attempt is the fence.
+/// A worker's right to run a job; the attempt number is the fencing token.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Lease {
     /// The job.
     pub job: JobId,
-    /// The attempt that was given out.
+    /// The attempt that was granted.
     pub attempt: u32,
-    /// The worker that it was given to.
+    /// The worker that it was granted to.
     pub worker: String,
 }
 
 /// A claimed job.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Claim {
-    /// What to name in every further write.
+    /// To be named in every further write.
     pub lease: Lease,
     /// The dataset archive.
     pub dataset: Digest,
-    /// What to do.
+    /// The job's options.
     pub options: TrainOptions,
-    /// The job whose checkpoint it may go on from if it has none of its own.
+    /// The job whose checkpoint it may resume from if it has none of its own.
     pub resume_from: Option<JobId>,
 }
 
 /// The answer to a heartbeat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Heartbeat {
-    /// Somebody asked for the job to stop.
+    /// The job is to be cancelled.
     pub cancel_requested: bool,
     /// The job's deadline has passed.
     pub deadline_passed: bool,
 }
 
-/// How a worker died, as far as anybody can tell.
+/// How a worker died, as far as is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WorkerDeath {
-    /// While who watched it lived on: its job may be what ended it.
+    /// While its supervisor kept running: its job may have crashed it.
     Alone,
-    /// With who watched it, by its hand, or unwatched. A power cut is one such end.
+    /// With its supervisor, stopped by it, or while none was running; for example in a power cut.
     WithService,
 }
 
-/// How an attempt ended, as its worker tells it.
+/// How an attempt ended, as its worker reports it.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outcome {
     /// With a result, whose blobs are already published.
     Succeeded {
-        /// Its figures.
+        /// Its metrics.
         metrics: Box<JobMetrics>,
         /// Its blobs.
         artifacts: Vec<Artifact>,
     },
-    /// For good: another attempt cannot help.
+    /// With an error that another attempt cannot avoid.
     Failed(Problem),
-    /// By the machine's fault: another attempt may help.
+    /// With an error of the machine: another attempt may succeed.
     Retry(Problem),
-    /// For want of something that time or an operator brings, such as room on the disk. The job waits; the attempt is not
+    /// Because something is missing that time or an operator provides, such as disk space. The job waits; the attempt is not
     /// charged.
     Held(Problem),
-    /// Because somebody asked for it.
+    /// Because the job was cancelled.
     Cancelled,
     /// Because the worker shuts down, or the job's deadline has passed; the attempt is not charged.
     Released,
 }
 
-/// How an attempt ended, as the history has it.
+/// How an attempt ended, as recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AttemptOutcome {
     /// Its result was published.
     Succeeded,
     /// The job failed with it.
     Failed,
-    /// It failed and the job was queued again.
+    /// It failed, and the job was queued again.
     Retried,
-    /// It was stopped on request.
+    /// It was stopped because the job was cancelled.
     Cancelled,
-    /// It was given back without a charge: its worker shut down, or the job is held, then with a cause.
+    /// It ended without a charge: its worker shut down, or the job is held, then with a cause.
     Released,
-    /// Its worker fell silent.
+    /// Its worker died or stopped renewing the lease.
     Lost,
 }
 
@@ -276,19 +276,19 @@ impl AttemptOutcome {
 pub struct AttemptRecord {
     /// Counts from 1.
     pub number: u32,
-    /// Who had it.
+    /// Its worker.
     pub worker: String,
-    /// When it began.
+    /// Start.
     pub started_at: Timestamp,
-    /// When it ended, if it has.
+    /// End, if it has ended.
     pub ended_at: Option<Timestamp>,
-    /// How it ended, if it has.
+    /// Its outcome, if it has ended.
     pub outcome: Option<AttemptOutcome>,
-    /// Why it failed, if it did.
+    /// Why it failed, if it failed.
     pub cause: Option<Problem>,
 }
 
-/// A job to be repeated.
+/// A retry of a job.
 #[derive(Debug, Clone)]
 pub struct RetryRequest {
     /// The new job's identity, chosen by the caller.
@@ -301,32 +301,32 @@ pub struct RetryRequest {
     pub intent: Option<IdempotentRequest>,
 }
 
-/// What a request to repeat a job came to.
+/// Result of a request to retry a job.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RetryOutcome {
-    /// This job repeats it.
+    /// The new job.
     Created(Box<JobRecord>),
-    /// The job is in this state: it has not failed and was not cancelled.
+    /// The job is in this state, neither failed nor cancelled.
     NotRetryable(JobState),
 }
 
-/// What a request to delete a job came to.
+/// Result of a request to delete a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Deletion {
-    /// It is gone.
+    /// It was deleted.
     Deleted,
-    /// It is in this state, which is not an end.
+    /// It is in this state, which is not terminal.
     Active(JobState),
-    /// It has another version than the one that was to be deleted.
+    /// It has another version than the requested one.
     VersionMismatch,
 }
 
-/// What a request to cancel came to.
+/// Result of a request to cancel a job.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Cancellation {
-    /// The job is cancelled, now or since before.
+    /// The job is cancelled, now or before.
     Done(JobRecord),
-    /// The job runs; its worker will be told.
+    /// The job is running; its worker will stop it.
     Requested(JobRecord),
     /// The job had already succeeded or failed.
     TooLate(JobRecord),

@@ -1,36 +1,37 @@
-//! What becomes of a job when an attempt at it ends. Pure: every database decides the same.
+//! Decides a job's next state when an attempt ends: succeeded, failed, cancelled or queued again. Pure functions.
 //!
-//! What always holds: an attempt is charged only if its worker says that it failed. A job is given up for ending its worker only if
-//! that ended alone, [`QueuePolicy::max_worker_crashes`] times in a row, with no newer checkpoint in between.
+//! Invariants: an attempt is charged only if its worker reports a failure. A job fails for crashing its worker only if the worker died
+//! alone, [`QueuePolicy::max_worker_crashes`] times in a row, without a newer checkpoint in between.
 
 use std::time::Duration;
 
 use jiff::Timestamp;
 
-use super::{AttemptOutcome, Outcome, QueuePolicy, WorkerDeath};
-use crate::domain::{JobId, Problem};
+use super::{Artifact, AttemptOutcome, Outcome, QueuePolicy, WorkerDeath};
+use crate::domain::{JobId, JobMetrics, Problem};
 
-/// What of a running job bears on its future.
+/// The part of a running job's row that its next state depends on.
 #[derive(Debug, Clone)]
 pub(super) struct AttemptState {
     pub(super) job: JobId,
     pub(super) attempt: u32,
     pub(super) charged: u32,
     pub(super) max_attempts: u32,
-    pub(super) setbacks: LossStreak,
+    /// Attempts lost in a row before this one.
+    pub(super) losses: LossStreak,
     /// Step of the newest checkpoint.
     pub(super) checkpoint: u64,
-    /// Whether that is newer than the end of the attempt before.
+    /// Whether that was written by this attempt.
     pub(super) checkpoint_advanced: bool,
     pub(super) cancel_requested: bool,
     /// The deadline, once it has passed.
     pub(super) missed_deadline: Option<Timestamp>,
 }
 
-/// Attempts in a row that ended without a word and without a newer checkpoint.
+/// Attempts in a row that were lost without a newer checkpoint.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct LossStreak {
-    /// Those whose worker ended alone.
+    /// Those whose worker died alone.
     pub(super) alone: u32,
     /// The others.
     pub(super) with_service: u32,
@@ -39,22 +40,22 @@ pub(super) struct LossStreak {
 /// How an attempt ended.
 #[derive(Debug)]
 pub(super) enum AttemptEnd {
-    /// As its worker tells it.
+    /// As its worker reported.
     Reported(Outcome),
-    /// Its worker fell silent.
+    /// Its worker died or stopped renewing the lease.
     Lost(WorkerDeath),
 }
 
-/// Where the job goes.
+/// The job's next state.
 #[derive(Debug)]
 pub(super) enum NextState {
-    Succeed(Outcome),
+    Succeed { metrics: Box<JobMetrics>, artifacts: Vec<Artifact> },
     Fail(Problem),
     Cancel,
-    Requeue { delay: Duration, refund: bool, setbacks: LossStreak },
+    Requeue { delay: Duration, refund: bool, losses: LossStreak },
 }
 
-/// The attempt's entry in the history, its cause, and the job's next state.
+/// The attempt's outcome and cause for its record, and the job's next state.
 pub(super) fn decide(
     policy: &QueuePolicy,
     state: &AttemptState,
@@ -66,7 +67,7 @@ pub(super) fn decide(
         return (outcome, None, NextState::Cancel);
     }
     match (by_end(policy, state, end), state.missed_deadline) {
-        // There is no time for another attempt. What was finished is published, however late.
+        // No time is left for another attempt. A finished result is published, however late.
         ((outcome, cause, NextState::Requeue { .. }), Some(deadline)) => {
             let problem = deadline_exceeded(deadline, state.attempt);
             let outcome = if outcome == AttemptOutcome::Lost { outcome } else { AttemptOutcome::Failed };
@@ -76,15 +77,15 @@ pub(super) fn decide(
     }
 }
 
-/// As if there were no deadline and nobody had cancelled the job.
+/// The decision without deadline and cancellation.
 fn by_end(
     policy: &QueuePolicy,
     state: &AttemptState,
     end: AttemptEnd,
 ) -> (AttemptOutcome, Option<Problem>, NextState) {
     match end {
-        AttemptEnd::Reported(succeeded @ Outcome::Succeeded { .. }) => {
-            (AttemptOutcome::Succeeded, None, NextState::Succeed(succeeded))
+        AttemptEnd::Reported(Outcome::Succeeded { metrics, artifacts }) => {
+            (AttemptOutcome::Succeeded, None, NextState::Succeed { metrics, artifacts })
         }
         AttemptEnd::Reported(Outcome::Cancelled) => (AttemptOutcome::Cancelled, None, NextState::Cancel),
         AttemptEnd::Reported(Outcome::Failed(problem)) => {
@@ -97,25 +98,25 @@ fn by_end(
         ),
         AttemptEnd::Reported(Outcome::Retry(problem)) => {
             let delay = policy.backoff(state.job, state.charged);
-            let setbacks = LossStreak::default();
-            (AttemptOutcome::Retried, Some(problem), NextState::Requeue { delay, refund: false, setbacks })
+            let losses = LossStreak::default();
+            (AttemptOutcome::Retried, Some(problem), NextState::Requeue { delay, refund: false, losses })
         }
         AttemptEnd::Reported(Outcome::Held(problem)) => (
             AttemptOutcome::Released,
             Some(problem),
-            NextState::Requeue { delay: policy.hold_delay, refund: true, setbacks: state.setbacks_so_far() },
+            NextState::Requeue { delay: policy.hold_delay, refund: true, losses: state.losses_so_far() },
         ),
         AttemptEnd::Reported(Outcome::Released) => (
             AttemptOutcome::Released,
             None,
-            NextState::Requeue { delay: Duration::ZERO, refund: true, setbacks: LossStreak::default() },
+            NextState::Requeue { delay: Duration::ZERO, refund: true, losses: LossStreak::default() },
         ),
         AttemptEnd::Lost(death) => {
-            let (setbacks, next) = lost(policy, state, death);
+            let (losses, next) = lost(policy, state, death);
             let next = next.unwrap_or_else(|| NextState::Requeue {
-                delay: restart_delay(policy, state.job, setbacks),
+                delay: restart_delay(policy, state.job, losses),
                 refund: true,
-                setbacks,
+                losses,
             });
             (AttemptOutcome::Lost, Some(worker_lost(death)), next)
         }
@@ -123,20 +124,20 @@ fn by_end(
 }
 
 impl AttemptState {
-    /// Those that a checkpoint has not made good.
-    fn setbacks_so_far(&self) -> LossStreak {
-        if self.checkpoint_advanced { LossStreak::default() } else { self.setbacks }
+    /// Losses since the newest checkpoint.
+    fn losses_so_far(&self) -> LossStreak {
+        if self.checkpoint_advanced { LossStreak::default() } else { self.losses }
     }
 }
 
-/// Counts a lost attempt, and gives the job up if its worker alone has ended too often.
+/// Counts a lost attempt, and fails the job if its worker has died alone too often.
 fn lost(policy: &QueuePolicy, state: &AttemptState, death: WorkerDeath) -> (LossStreak, Option<NextState>) {
-    let before = state.setbacks_so_far();
+    let before = state.losses_so_far();
     match death {
         WorkerDeath::Alone => {
-            let setbacks = LossStreak { alone: before.alone.saturating_add(1), ..before };
-            let given_up = setbacks.alone >= policy.max_worker_crashes;
-            (setbacks, given_up.then(|| NextState::Fail(crash_loop(setbacks.alone, state.checkpoint))))
+            let losses = LossStreak { alone: before.alone.saturating_add(1), ..before };
+            let has_failed = losses.alone >= policy.max_worker_crashes;
+            (losses, has_failed.then(|| NextState::Fail(crash_loop(losses.alone, state.checkpoint))))
         }
         WorkerDeath::WithService => {
             (LossStreak { with_service: before.with_service.saturating_add(1), ..before }, None)
@@ -144,40 +145,40 @@ fn lost(policy: &QueuePolicy, state: &AttemptState, death: WorkerDeath) -> (Loss
     }
 }
 
-/// A job that gets nowhere between the ends of machines leaves the others a turn.
-fn restart_delay(policy: &QueuePolicy, job: JobId, setbacks: LossStreak) -> Duration {
-    match setbacks.with_service.saturating_sub(policy.immediate_restarts) {
+/// A job that makes no progress between restarts of the machine waits, so that other jobs get a turn.
+fn restart_delay(policy: &QueuePolicy, job: JobId, losses: LossStreak) -> Duration {
+    match losses.with_service.saturating_sub(policy.immediate_restarts) {
         0 => Duration::ZERO,
         further => policy.backoff(job, further),
     }
 }
 
-/// Why a job is given up whose deadline has passed after so many attempts at it.
+/// The problem of a job whose deadline has passed after `attempts` attempts.
 pub(super) fn deadline_exceeded(deadline: Timestamp, attempts: u32) -> Problem {
-    let begun = match attempts {
-        0 => "it was never begun".to_owned(),
-        1 => "it was begun once".to_owned(),
-        _ => format!("it was begun {attempts} times"),
+    let started = match attempts {
+        0 => "it was never started".to_owned(),
+        1 => "it was started once".to_owned(),
+        _ => format!("it was started {attempts} times"),
     };
-    let detail = format!("the job was to be finished by {deadline} and is given up; {begun}");
+    let detail = format!("the job was not finished by its deadline, {deadline}; {started}");
     Problem::new(504, "deadline-exceeded", "The deadline has passed", detail)
 }
 
 fn worker_lost(death: WorkerDeath) -> Problem {
     let detail = match death {
         WorkerDeath::Alone => {
-            "the worker process that ran this attempt ended or stopped answering before it could say why, while the service \
-             went on"
+            "the worker process of this attempt died or stopped responding without reporting an error, while the service kept \
+             running"
         }
         WorkerDeath::WithService => {
-            "the worker process that ran this attempt ended together with the service, or unwatched, as in a power cut; the \
-             attempt does not count against the job"
+            "the worker process of this attempt ended together with the service, or while none was running, as in a power cut; \
+             the attempt does not count against the job"
         }
     };
-    Problem::new(500, "worker-lost", "The worker fell silent", detail)
+    Problem::new(500, "worker-lost", "The worker was lost", detail)
 }
 
-fn crash_loop(deaths: u32, checkpoint: u64) -> Problem {
+fn crash_loop(crashes: u32, checkpoint: u64) -> Problem {
     let place = match checkpoint {
         0 => "before its first checkpoint".to_owned(),
         step => format!("after its checkpoint at step {step}, without reaching another"),
@@ -185,10 +186,10 @@ fn crash_loop(deaths: u32, checkpoint: u64) -> Problem {
     Problem::new(
         507,
         "resource-exhausted",
-        "The job ended its worker",
+        "The job crashed its worker",
         format!(
-            "{deaths} attempts in a row ended {place}, without a word from the worker, while the service went on; that is what \
-             running out of memory looks like; try fewer or smaller images, or a machine with more memory"
+            "{crashes} attempts in a row ended {place}: the worker died without reporting an error while the service kept running, \
+             which usually means that memory ran out; try fewer or smaller images, or a machine with more memory"
         ),
     )
 }
@@ -211,7 +212,7 @@ mod tests {
             attempt: charged,
             charged,
             max_attempts: 3,
-            setbacks: LossStreak { alone, with_service: 0 },
+            losses: LossStreak { alone, with_service: 0 },
             checkpoint: 0,
             checkpoint_advanced: false,
             cancel_requested,
@@ -243,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn after_the_deadline_there_is_no_other_attempt_but_what_is_finished_stands() {
+    fn after_the_deadline_there_is_no_other_attempt_but_a_finished_result_counts() {
         let policy = QueuePolicy::default();
         let deadline = Timestamp::from_second(1_800_000_000).expect("an instant");
         let late = AttemptState { missed_deadline: Some(deadline), ..attempt_state(1, 0, false) };
@@ -259,7 +260,9 @@ mod tests {
             assert!(why.expect("a cause").kind.ends_with(cause));
             let NextState::Fail(problem) = next else { panic!("{next:?}") };
             assert!(problem.kind.ends_with("deadline-exceeded"), "{problem}");
-            assert!(problem.detail.contains("2027-01-15T08:00:00Z") && problem.detail.contains("begun once"));
+            assert!(
+                problem.detail.contains("2027-01-15T08:00:00Z") && problem.detail.contains("started once")
+            );
         }
         let asked = AttemptState { cancel_requested: true, ..late.clone() };
         assert!(matches!(
@@ -267,23 +270,26 @@ mod tests {
             NextState::Cancel
         ));
         let failed = decide(&policy, &late, AttemptEnd::Reported(Outcome::Failed(problem()))).2;
-        assert!(matches!(failed, NextState::Fail(why) if why == problem()), "its own reason says more");
+        assert!(
+            matches!(failed, NextState::Fail(why) if why == problem()),
+            "its own problem is more specific"
+        );
     }
 
     #[test]
-    fn a_release_gives_the_charge_back_and_breaks_the_row_of_deaths() {
+    fn a_release_refunds_the_attempt_and_resets_the_losses() {
         let (_, cause, next) = decide(
             &QueuePolicy::default(),
             &attempt_state(3, 1, false),
             AttemptEnd::Reported(Outcome::Released),
         );
         assert_eq!(cause, None);
-        let NextState::Requeue { delay, refund, setbacks } = next else { panic!("{next:?}") };
-        assert_eq!((delay, refund, setbacks), (Duration::ZERO, true, LossStreak::default()));
+        let NextState::Requeue { delay, refund, losses } = next else { panic!("{next:?}") };
+        assert_eq!((delay, refund, losses), (Duration::ZERO, true, LossStreak::default()));
     }
 
     #[test]
-    fn a_job_that_is_held_says_why_waits_and_is_not_charged_however_often() {
+    fn a_held_job_states_the_cause_waits_and_is_never_charged() {
         let policy = QueuePolicy::default();
         for charged in [1, 3, 1000] {
             let (outcome, cause, next) = decide(
@@ -292,54 +298,50 @@ mod tests {
                 AttemptEnd::Reported(Outcome::Held(problem())),
             );
             assert_eq!((outcome, cause), (AttemptOutcome::Released, Some(problem())));
-            let NextState::Requeue { delay, refund, setbacks } = next else { panic!("{next:?}") };
+            let NextState::Requeue { delay, refund, losses } = next else { panic!("{next:?}") };
             assert_eq!((delay, refund), (policy.hold_delay, true));
-            assert_eq!(
-                setbacks,
-                LossStreak { alone: 1, with_service: 0 },
-                "it says nothing of earlier deaths"
-            );
+            assert_eq!(losses, LossStreak { alone: 1, with_service: 0 }, "earlier losses still count");
         }
     }
 
-    /// How attempts are lost one after another: each with the step of the newest checkpoint then.
-    type Ends = &'static [(WorkerDeath, u64)];
+    /// Lost attempts in order, each with the step of the newest checkpoint at that time.
+    type Losses = &'static [(WorkerDeath, u64)];
 
-    /// What becomes of a job whose attempts are lost so.
+    /// The decisions for a job whose attempts are lost like this.
     fn lose(ends: &[(WorkerDeath, u64)]) -> Result<(LossStreak, Vec<u64>), Problem> {
         let policy = QueuePolicy::default();
-        let (mut setbacks, mut reached, mut delays) = (LossStreak::default(), 0, Vec::new());
+        let (mut losses, mut reached, mut delays) = (LossStreak::default(), 0, Vec::new());
         for (death, checkpoint) in ends {
-            // Charged as often as may be: that has no part in this.
+            // The number of charged attempts must not matter.
             let state = AttemptState {
-                setbacks,
+                losses,
                 checkpoint: *checkpoint,
                 checkpoint_advanced: *checkpoint > reached,
                 ..attempt_state(3, 0, false)
             };
             match decide(&policy, &state, AttemptEnd::Lost(*death)).2 {
-                NextState::Requeue { delay, refund: true, setbacks: now } => {
-                    (setbacks, reached) = (now, *checkpoint);
+                NextState::Requeue { delay, refund: true, losses: now } => {
+                    (losses, reached) = (now, *checkpoint);
                     delays.push(delay.as_secs());
                 }
                 NextState::Fail(problem) => return Err(problem),
                 other => panic!("{other:?}"),
             }
         }
-        Ok((setbacks, delays))
+        Ok((losses, delays))
     }
 
     #[test]
-    fn a_job_is_given_up_once_its_worker_alone_died_twice_at_the_same_step_and_for_no_other_loss() {
+    fn a_job_fails_once_its_worker_died_alone_twice_at_the_same_step_and_for_no_other_loss() {
         use WorkerDeath::{Alone, WithService};
-        // The row of ends, and after how many deaths at which step the job is given up, if it is.
-        let table: [(Ends, Option<&str>); 9] = [
+        // The losses, and a part of the problem's detail if the job fails.
+        let table: [(Losses, Option<&str>); 9] = [
             (&[(Alone, 0)], None),
             (&[(Alone, 0), (Alone, 0)], Some("2 attempts in a row ended before its first checkpoint")),
             (&[(Alone, 70), (Alone, 70)], Some("2 attempts in a row ended after its checkpoint at step 70")),
             (&[(Alone, 0), (Alone, 70), (Alone, 140), (Alone, 141)], None),
             (&[(Alone, 0), (Alone, 70), (Alone, 70)], Some("step 70, without reaching another")),
-            // What a power cut does in between makes nothing worse and nothing good.
+            // A power cut in between neither counts nor resets.
             (&[(Alone, 70), (WithService, 70), (Alone, 70)], Some("2 attempts")),
             (&[(Alone, 70), (WithService, 71), (Alone, 71)], None),
             (&[(WithService, 0); 100], None),
@@ -358,19 +360,19 @@ mod tests {
     }
 
     #[test]
-    fn ends_of_the_machine_delay_a_job_only_once_it_gets_nowhere_between_them() {
+    fn power_cuts_delay_a_job_only_if_it_makes_no_progress_between_them() {
         use WorkerDeath::WithService;
-        let (setbacks, delays) = lose(&[(WithService, 0); 5]).expect("not given up");
-        assert_eq!(setbacks, LossStreak { alone: 0, with_service: 5 });
+        let (losses, delays) = lose(&[(WithService, 0); 5]).expect("not failed");
+        assert_eq!(losses, LossStreak { alone: 0, with_service: 5 });
         assert_eq!(delays[..3], [0, 0, 0]);
         assert!((9..=11).contains(&delays[3]) && (18..=22).contains(&delays[4]), "{delays:?}");
         let onwards: Vec<_> = (0..10).map(|step| (WithService, step)).collect();
-        let (setbacks, delays) = lose(&onwards).expect("not given up");
-        assert_eq!((setbacks.with_service, delays), (1, vec![0; 10]));
+        let (losses, delays) = lose(&onwards).expect("not failed");
+        assert_eq!((losses.with_service, delays), (1, vec![0; 10]));
     }
 
     #[test]
-    fn retries_are_charged_until_they_are_used_up() {
+    fn retries_are_charged_until_none_are_left() {
         let policy = QueuePolicy::default();
         for charged in [1, 2] {
             let (_, _, next) = decide(
@@ -378,8 +380,8 @@ mod tests {
                 &attempt_state(charged, 1, false),
                 AttemptEnd::Reported(Outcome::Retry(problem())),
             );
-            let NextState::Requeue { refund, setbacks, .. } = next else { panic!("{next:?}") };
-            assert_eq!((refund, setbacks), (false, LossStreak::default()));
+            let NextState::Requeue { refund, losses, .. } = next else { panic!("{next:?}") };
+            assert_eq!((refund, losses), (false, LossStreak::default()));
         }
         let (_, _, last) =
             decide(&policy, &attempt_state(3, 0, false), AttemptEnd::Reported(Outcome::Retry(problem())));

@@ -1,14 +1,14 @@
-//! What the database says of the service as a whole, for metrics and readiness.
+//! Statistics of the whole store, for metrics and readiness.
 
 use jiff::Timestamp;
 
 use super::{AttemptOutcome, DeliveryState, StoreFuture};
 use crate::domain::JobState;
 
-/// Attempts that ended alike.
+/// Number of attempts with the same outcome and cause.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AttemptCount {
-    /// How they ended.
+    /// Their outcome.
     pub outcome: AttemptOutcome,
     /// The type of the problem that ended them, without its prefix.
     pub cause: Option<String>,
@@ -19,34 +19,34 @@ pub struct AttemptCount {
 /// Counts over everything that is stored, and counters since the database was created, which never fall.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct StoreStats {
-    /// Jobs in each state, every one of them named.
+    /// Jobs by state, for every state.
     pub jobs: Vec<(JobState, u64)>,
-    /// Creation of the oldest job that is queued.
+    /// Creation of the oldest queued job.
     pub oldest_queued_at: Option<Timestamp>,
-    /// Attempts begun since the beginning.
+    /// Attempts started, ever.
     pub claims: u64,
-    /// Attempts ended since the beginning.
+    /// Attempts ended, ever.
     pub attempts: Vec<AttemptCount>,
-    /// Seconds that succeeded jobs took since the beginning, by phase.
+    /// Seconds that succeeded jobs took, ever, by phase.
     pub phase_seconds: Vec<(&'static str, f64)>,
-    /// Steps a second of the jobs that run, together.
+    /// Training steps per second of all running jobs together.
     pub steps_per_second: f64,
-    /// Blobs that the database knows.
+    /// Number of blobs in the database.
     pub blobs: u64,
     /// Their bytes.
     pub blob_bytes: u64,
-    /// Messages to webhooks in each state, every one of them named. Ended ones are kept for a while.
+    /// Webhook deliveries by state, for every state. Ended ones are kept for a while.
     pub deliveries: Vec<(DeliveryState, u64)>,
 }
 
-/// The part of a store that looks at all of it.
+/// The part of a store that describes it as a whole.
 pub trait Overview: Send + Sync + 'static {
-    /// The figures as they stand.
+    /// Current statistics.
     fn stats(&self) -> StoreFuture<'_, StoreStats>;
 
-    /// Whether the schema is the one that this program was built with; another program may have brought it further since.
+    /// Whether the schema is the one that this program was built with; another program may have migrated it since.
     fn schema_is_current(&self) -> StoreFuture<'_, bool>;
 
-    /// Commits a small change, to show that the database can be written.
+    /// Commits a small change, to check that the database can be written.
     fn probe(&self) -> StoreFuture<'_, ()>;
 }

@@ -1,56 +1,56 @@
-//! Archives that come in parts: how much of each is on disk, and the room that is kept for the rest.
+//! Resumable uploads: how much of each is on disk, and the bytes reserved for the rest.
 
 use jiff::Timestamp;
 
 use super::StoreFuture;
 use crate::domain::{KeyId, SceneId, UploadId};
 
-/// An upload to be begun.
+/// An upload to be started.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewUpload {
     /// Its identity, chosen by the caller.
     pub id: UploadId,
-    /// Whose it is.
+    /// Its owner; `None` without keys.
     pub owner: Option<KeyId>,
-    /// Bytes that it will have.
+    /// Total bytes.
     pub length: u64,
-    /// What its sender says of it, as it was sent.
+    /// The client's metadata, as it was sent.
     pub metadata: Option<String>,
-    /// When it is given up.
+    /// When it expires.
     pub expires_at: Timestamp,
 }
 
-/// An upload as it stands.
+/// An upload.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UploadRecord {
     /// Identity.
     pub id: UploadId,
-    /// Whose it is; nobody's if it was made while there were no keys.
+    /// Its owner; `None` if it was created while there were no keys.
     pub owner: Option<KeyId>,
-    /// Bytes that it will have.
+    /// Total bytes.
     pub length: u64,
-    /// Bytes that are surely on disk.
+    /// Bytes flushed to disk.
     pub received: u64,
-    /// What its sender says of it, as it was sent.
+    /// The client's metadata, as it was sent.
     pub metadata: Option<String>,
-    /// The scene that was made of it, unless that was deleted since.
-    pub scene: Option<SceneId>,
+    /// The dataset that was created from it, unless that was deleted since.
+    pub dataset_id: Option<SceneId>,
     /// Creation.
     pub created_at: Timestamp,
-    /// When it is given up.
+    /// When it expires.
     pub expires_at: Timestamp,
-    /// When it was used or given up.
+    /// When it was used or expired.
     pub ended_at: Option<Timestamp>,
 }
 
 impl UploadRecord {
-    /// Whether it still takes bytes, or can be made a scene of.
+    /// Whether it accepts bytes, or can become a dataset.
     #[must_use]
     pub fn is_open(&self, now: Timestamp) -> bool {
         self.ended_at.is_none() && now < self.expires_at
     }
 
-    /// Whether every byte has come.
+    /// Whether every byte was received.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.received == self.length
@@ -59,30 +59,29 @@ impl UploadRecord {
 
 /// The table of uploads. Every method is one transaction.
 ///
-/// Who writes to an upload holds its file's lock, so the count of received bytes has one writer.
+/// A writer holds the lock of the upload's file, so the count of received bytes has one writer.
 pub trait Uploads: Send + Sync + 'static {
-    /// Begins an upload and keeps its room.
+    /// Starts an upload and reserves its bytes.
     ///
     /// # Errors
-    /// [`super::StoreError::QuotaExceeded`] if that is more than its owner has room for.
+    /// [`super::StoreError::QuotaExceeded`].
     fn create_upload(&self, new: NewUpload) -> StoreFuture<'_, UploadRecord>;
 
-    /// The upload as it stands.
+    /// The upload.
     fn upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadRecord>>;
 
-    /// Records that `received` bytes are on disk and puts off the end; false if the upload has ended.
+    /// Records that `received` bytes are on disk, and extends the expiry; false if the upload has ended.
     fn advance_upload(&self, id: UploadId, received: u64, expires_at: Timestamp) -> StoreFuture<'_, bool>;
 
-    /// Forgets an upload and gives its room back; false if there is none that is open.
+    /// Deletes an open upload and releases its bytes; false if there is none.
     fn delete_upload(&self, id: UploadId) -> StoreFuture<'_, bool>;
 
-    /// Bytes of open uploads that have not come yet.
+    /// Bytes of open uploads that are still to be received.
     fn outstanding_bytes(&self) -> StoreFuture<'_, u64>;
 
-    /// Ends the uploads whose time is over and returns them. Their rows stay, to say so, until they have been ended since
-    /// before `forget`.
+    /// Ends the expired uploads and returns them. Deletes the rows of uploads that ended before `forget`.
     fn expire_uploads(&self, forget: Timestamp) -> StoreFuture<'_, Vec<UploadId>>;
 
-    /// Every upload that is open: whose file must stay.
+    /// Every open upload: their files must stay.
     fn open_uploads(&self) -> StoreFuture<'_, Vec<UploadId>>;
 }

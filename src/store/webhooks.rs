@@ -1,7 +1,7 @@
-//! Endpoints that want to be told of jobs, and the outbox of what they are to be told.
+//! Webhook endpoints, and the outbox of deliveries to them.
 //!
-//! What always holds: a change of a job's state and the rows that tell of it are committed together or not at all, so nothing
-//! is told that did not happen and nothing that happened is forgotten.
+//! Invariant: a change of a job's state and its deliveries are committed in one transaction, so there is exactly one delivery for each
+//! change and subscribed endpoint.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use jiff::Timestamp;
 use super::StoreFuture;
 use crate::domain::{DeliveryId, EndpointId, JobId, KeyId, WebhookEvent, WebhookSecret};
 
-/// The part of the store that keeps endpoints and deliveries.
+/// The part of a store that keeps webhook endpoints and deliveries.
 pub trait Webhooks: Send + Sync + 'static {
     /// Adds an endpoint, unless its owner has `at_most` already.
     fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> StoreFuture<'_, Option<EndpointRecord>>;
@@ -18,7 +18,7 @@ pub trait Webhooks: Send + Sync + 'static {
     /// An endpoint.
     fn endpoint(&self, id: EndpointId) -> StoreFuture<'_, Option<EndpointRecord>>;
 
-    /// Up to `limit` endpoints, of one owner if one is named, newest first, older than `before`.
+    /// Up to `limit` endpoints of one owner or of all, newest first, older than `before`.
     fn endpoints(
         &self,
         owner: Option<KeyId>,
@@ -26,7 +26,7 @@ pub trait Webhooks: Send + Sync + 'static {
         limit: u32,
     ) -> StoreFuture<'_, Vec<EndpointRecord>>;
 
-    /// Removes an endpoint with its deliveries and tells whether it was there.
+    /// Deletes an endpoint with its deliveries; false if there is none.
     fn delete_endpoint(&self, id: EndpointId) -> StoreFuture<'_, bool>;
 
     /// Up to `limit` deliveries to an endpoint, newest first, with numbers below `before`.
@@ -37,13 +37,13 @@ pub trait Webhooks: Send + Sync + 'static {
         limit: u32,
     ) -> StoreFuture<'_, Vec<DeliveryRecord>>;
 
-    /// Makes a delivery due now, with its whole schedule before it; `None` if the endpoint has no such delivery.
+    /// Makes a delivery due now and restarts its retry schedule; `None` if the endpoint has no such delivery.
     fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> StoreFuture<'_, Option<Replay>>;
 
-    /// Takes the delivery that has been due for longest, for as long as `lease`; at most one at a time of an endpoint.
+    /// Leases the delivery that has been due for longest for the time `lease`; at most one of an endpoint at a time.
     fn take_delivery(&self, lease: Duration) -> StoreFuture<'_, Option<DueDelivery>>;
 
-    /// Records what an attempt came to. An attempt that was overtaken, or whose endpoint is gone, changes nothing.
+    /// Records the result of an attempt. Changes nothing if a newer attempt has started or the endpoint was deleted.
     fn finish_delivery(&self, id: DeliveryId, attempt: u32, settled: DeliveryResult) -> StoreFuture<'_, ()>;
 }
 
@@ -52,15 +52,15 @@ pub trait Webhooks: Send + Sync + 'static {
 pub struct NewEndpoint {
     /// Its identity, chosen by the caller.
     pub id: EndpointId,
-    /// Whose jobs it is told of.
+    /// The owner whose jobs it is notified of; `None` without keys.
     pub owner: Option<KeyId>,
-    /// Where messages go.
+    /// Where messages are sent.
     pub url: String,
-    /// What it is told of.
+    /// The events that it subscribes to.
     pub events: Vec<WebhookEvent>,
-    /// The owner's note.
+    /// The owner's description.
     pub description: Option<String>,
-    /// What messages are signed with.
+    /// The secret that signs messages.
     pub secret: WebhookSecret,
 }
 
@@ -79,18 +79,18 @@ pub struct EndpointRecord {
     pub description: Option<String>,
     /// Creation.
     pub created_at: Timestamp,
-    /// When it answered 410, after which it is told nothing.
+    /// When it responded 410; it gets no messages since.
     pub disabled_at: Option<Timestamp>,
 }
 
-/// How far a delivery is.
+/// State of a delivery.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DeliveryState {
-    /// An attempt will be made, or is being made.
+    /// An attempt is due or in progress.
     Pending,
-    /// The endpoint has taken it.
+    /// The endpoint has accepted it.
     Delivered,
-    /// It was given up.
+    /// Its attempts are used up, or the endpoint is disabled.
     Failed,
 }
 
@@ -116,65 +116,65 @@ pub struct DeliveryRecord {
     pub seq: u64,
     /// Its identity.
     pub id: DeliveryId,
-    /// The job that it is about.
+    /// Its job.
     pub job: JobId,
-    /// What it tells.
+    /// Its event.
     pub event: WebhookEvent,
-    /// How far it is.
+    /// Its state.
     pub state: DeliveryState,
-    /// Attempts begun.
+    /// Attempts started.
     pub attempts: u32,
     /// When the next attempt is due, while pending.
     pub due_at: Option<Timestamp>,
-    /// Creation, in the transaction of what it tells of.
+    /// Creation, in the transaction of its event.
     pub created_at: Timestamp,
-    /// Begin of the latest attempt.
+    /// Start of the latest attempt.
     pub attempted_at: Option<Timestamp>,
-    /// When the endpoint took it.
+    /// When the endpoint accepted it.
     pub delivered_at: Option<Timestamp>,
-    /// Status of the latest answer, if there was one.
-    pub answer_status: Option<u16>,
+    /// Status of the latest response, if there was one.
+    pub response_status: Option<u16>,
     /// Why the latest attempt failed.
-    pub answer_fault: Option<String>,
+    pub error: Option<String>,
 }
 
-/// What a request to deliver again came to.
+/// Result of a request to deliver again.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Replay {
-    /// It is due.
+    /// It is due now.
     Due(DeliveryRecord),
-    /// An attempt is being made right now.
-    UnderWay,
+    /// An attempt is in progress.
+    InProgress,
     /// The endpoint is disabled.
     Disabled,
 }
 
-/// A delivery whose time has come.
+/// A leased delivery.
 #[derive(Debug)]
 pub struct DueDelivery {
     /// Its identity.
     pub id: DeliveryId,
-    /// The attempt, to be named when it is settled.
+    /// The attempt, to be named with its result.
     pub attempt: u32,
-    /// Its place in the schedule, from 1.
+    /// Its position in the retry schedule, from 1.
     pub tries: u32,
-    /// Where to.
+    /// Where to send it.
     pub url: String,
-    /// What to sign with.
+    /// The secret to sign it with.
     pub secret: WebhookSecret,
     /// The message.
     pub body: String,
-    /// Now.
+    /// The current time.
     pub at: Timestamp,
 }
 
-/// What an attempt came to.
+/// Result of an attempt.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DeliveryResult {
-    /// Status of the answer, if there was one.
-    pub status: Option<u16>,
+    /// Status of the response, if there was one.
+    pub response_status: Option<u16>,
     /// Why it failed, if it did.
-    pub fault: Option<String>,
+    pub error: Option<String>,
     /// What follows.
     pub next: AfterAttempt,
 }
@@ -182,12 +182,12 @@ pub struct DeliveryResult {
 /// What follows an attempt to deliver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AfterAttempt {
-    /// Nothing: it was taken.
+    /// Nothing: it was accepted.
     Done,
-    /// Another one, that much later.
+    /// Another attempt after this time.
     RetryAfter(Duration),
-    /// Nothing: it has been tried often enough.
+    /// Nothing: its attempts are used up.
     GiveUp,
-    /// Nothing, for this and all other messages: the endpoint is gone.
+    /// Nothing, for this and all later messages: the endpoint is gone.
     DisableEndpoint,
 }

@@ -34,14 +34,6 @@ pub(super) struct WorkerDeps {
     pub(super) config: WorkerConfig,
 }
 
-/// State of the worker after an attempt.
-pub(super) enum AttemptEnd {
-    /// Ready for the next job.
-    Free,
-    /// A thread hangs; the process must exit.
-    Stalled(WorkerError),
-}
-
 type RunResult = Result<Result<JobOutput, JobError>, Box<dyn Any + Send>>;
 
 /// Why the run is to stop; a later reason outweighs an earlier one.
@@ -59,21 +51,32 @@ enum StopReason {
 }
 
 /// Runs a claimed job to its end. All log lines meanwhile carry job and attempt.
-pub(super) async fn run_attempt(deps: &WorkerDeps, claim: Claim, shutdown: &CancellationToken) -> AttemptEnd {
+///
+/// # Errors
+/// [`WorkerError::Stalled`] if the run's thread hangs; the process must exit.
+pub(super) async fn run_attempt(
+    deps: &WorkerDeps,
+    claim: Claim,
+    shutdown: &CancellationToken,
+) -> Result<(), WorkerError> {
     let Claim { lease: Lease { job, attempt, .. }, .. } = claim;
     // At the highest level, so that every log level includes it.
     let span = tracing::error_span!("job", %job, attempt);
     run_in_span(deps, claim, shutdown).instrument(span).await
 }
 
-async fn run_in_span(deps: &WorkerDeps, claim: Claim, shutdown: &CancellationToken) -> AttemptEnd {
+async fn run_in_span(
+    deps: &WorkerDeps,
+    claim: Claim,
+    shutdown: &CancellationToken,
+) -> Result<(), WorkerError> {
     let Claim { lease, dataset, options, resume_from } = claim;
     tracing::info!("job {} starts", lease.job);
     let dataset = match deps.blobs.local_file(dataset).await {
         Ok(path) => path,
         Err(error) => {
             finish(deps, &lease, storage::outcome(&error), Instant::now(), shutdown).await;
-            return AttemptEnd::Free;
+            return Ok(());
         }
     };
     let cancel = CancelFlag::default();
@@ -85,7 +88,7 @@ async fn run_in_span(deps: &WorkerDeps, claim: Claim, shutdown: &CancellationTok
         Ok(result) => result,
         Err(error) => {
             finish(deps, &lease, Outcome::Retry(no_thread(&error)), Instant::now(), shutdown).await;
-            return AttemptEnd::Free;
+            return Ok(());
         }
     };
     let mut keeper = LeaseKeeper {
@@ -98,27 +101,27 @@ async fn run_in_span(deps: &WorkerDeps, claim: Claim, shutdown: &CancellationTok
         last_renewed: Instant::now(),
         last_progress: Instant::now(),
     };
-    let (outcome, end) = match keeper.wait(result, shutdown).await {
+    let (outcome, result) = match keeper.wait(result, shutdown).await {
         RunEnd::Ended(result) => {
             keeper.report_progress().await;
             if matches!(*result, Ok(Ok(_))) {
                 keeper.start_publication().await;
             }
-            (outcome_of(deps, &lease, *result, keeper.stop).await, AttemptEnd::Free)
+            (outcome_of(deps, &lease, *result, keeper.stop).await, Ok(()))
         }
         RunEnd::DrainOver => {
             tracing::warn!("job {} did not stop in time; releasing it", lease.job);
-            (Outcome::Released, AttemptEnd::Free)
+            (Outcome::Released, Ok(()))
         }
         RunEnd::Stalled => {
             let limit = deps.config.stall_limit;
             let error = WorkerError::Stalled { job: lease.job, attempt: lease.attempt, limit };
             tracing::error!("{error}");
-            (Outcome::Retry(stalled(limit)), AttemptEnd::Stalled(error))
+            (Outcome::Retry(stalled(limit)), Err(error))
         }
     };
     finish(deps, &lease, outcome, keeper.last_renewed, shutdown).await;
-    end
+    result
 }
 
 /// Arguments of a run.

@@ -7,7 +7,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{
     WorkerConfig, WorkerError,
-    attempt::{self, AttemptEnd, WorkerDeps},
+    attempt::{WorkerDeps, run_attempt},
     checkpoints,
     liveness::LivenessLock,
 };
@@ -52,9 +52,7 @@ pub async fn serve(
     while !shutdown.is_cancelled() {
         match deps.store.claim(&deps.config.id).await {
             Ok(Some(claim)) => {
-                if let AttemptEnd::Stalled(error) = attempt::run_attempt(&deps, claim, &shutdown).await {
-                    return Err(error);
-                }
+                run_attempt(&deps, claim, &shutdown).await?;
                 swept = sweep().await;
                 continue;
             }

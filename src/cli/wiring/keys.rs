@@ -20,7 +20,7 @@ pub(crate) fn create_key(
     scopes: &[Scope],
     limits: KeyLimits,
 ) -> Result<(KeyRecord, ApiKey), Failure> {
-    let drawn = NewKey::draw(&SystemEntropy, SystemClock.now(), name, scopes, limits);
+    let drawn = NewKey::generate(&SystemEntropy, SystemClock.now(), name, scopes, limits);
     let (new, key) = drawn.map_err(|fault| Failure::Usage(fault.to_string()))?;
     let record = with_store(data, async |store| store.create_key(new).await)?;
     Ok((record, key))

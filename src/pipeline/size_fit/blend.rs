@@ -61,28 +61,10 @@ impl Blend {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::domain::{DistanceUnit, Lattice, Mlp, NearPlane, RenderNetworks};
+    use super::{super::test_scene, *};
 
     fn scene(cells: Vec<[i32; 3]>, value: f32) -> AnchorScene {
-        let mlp = || Mlp { layers: Vec::new() };
-        let anchors = cells.len();
-        let rows = |width: usize| -> Vec<f32> {
-            (0..anchors * width).map(|place| value + (place / width) as f32).collect()
-        };
-        AnchorScene {
-            near: NearPlane::USUAL,
-            unit: DistanceUnit::USUAL,
-            lattice: Lattice { voxel: 1.0, origin: [0.0; 3] },
-            feature_dim: 2,
-            offsets_per_anchor: 1,
-            features: rows(2),
-            scalings: rows(6),
-            offsets: rows(3),
-            masks: vec![true; anchors],
-            networks: RenderNetworks { opacity: mlp(), covariance: mlp(), color: mlp() },
-            cells,
-        }
+        test_scene(cells, [2, 1], |anchor| value + anchor as f32)
     }
 
     #[test]

@@ -118,26 +118,11 @@ fn shares(values: &[f32], channels: usize, kept: &[bool], step: f32, total: u64)
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::domain::{DistanceUnit, Lattice, Mlp, NearPlane, RenderNetworks};
+    use super::{super::test_scene, *};
 
     /// Anchors of two offsets, all alike.
-    fn scene(anchors: usize) -> AnchorScene {
-        let mlp = || Mlp { layers: Vec::new() };
-        let same = |count: usize| vec![1.0; count];
-        AnchorScene {
-            near: NearPlane::USUAL,
-            unit: DistanceUnit::USUAL,
-            lattice: Lattice { voxel: 1.0, origin: [0.0; 3] },
-            cells: (0..anchors as i32).map(|x| [x, 0, 0]).collect(),
-            feature_dim: 5,
-            offsets_per_anchor: 2,
-            features: same(anchors * 5),
-            scalings: same(anchors * 6),
-            offsets: same(anchors * 6),
-            masks: vec![true; anchors * 2],
-            networks: RenderNetworks { opacity: mlp(), covariance: mlp(), color: mlp() },
-        }
+    fn scene(anchors: i32) -> AnchorScene {
+        test_scene((0..anchors).map(|x| [x, 0, 0]).collect(), [5, 2], |_| 1.0)
     }
 
     fn counts() -> ByteCounts {

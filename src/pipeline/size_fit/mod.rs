@@ -339,3 +339,29 @@ impl Trials for Files<'_, '_> {
         Ok(psnr)
     }
 }
+
+/// A scene with empty networks, whose anchor `i` has `value(i)` in all attributes.
+#[cfg(test)]
+fn test_scene(
+    cells: Vec<[i32; 3]>,
+    [feature_dim, offsets_per_anchor]: [usize; 2],
+    value: impl Fn(usize) -> f32,
+) -> AnchorScene {
+    use crate::domain::{DistanceUnit, Lattice, Mlp, NearPlane, RenderNetworks};
+
+    let mlp = || Mlp { layers: Vec::new() };
+    let rows = |width: usize| (0..cells.len() * width).map(|index| value(index / width)).collect();
+    AnchorScene {
+        near: NearPlane::USUAL,
+        unit: DistanceUnit::USUAL,
+        lattice: Lattice { voxel: 1.0, origin: [0.0; 3] },
+        feature_dim,
+        offsets_per_anchor,
+        features: rows(feature_dim),
+        scalings: rows(6),
+        offsets: rows(3 * offsets_per_anchor),
+        masks: vec![true; cells.len() * offsets_per_anchor],
+        networks: RenderNetworks { opacity: mlp(), covariance: mlp(), color: mlp() },
+        cells,
+    }
+}

@@ -1,29 +1,29 @@
-//! How old blobs are, and the end of those that nobody wants.
+//! Ages of blobs: publication renews them, removal depends on them.
 //!
-//! To look at a blob's age and to act on it is one step, under a lock that every process with this store shares: a publisher that
-//! finds the blob there makes it young (shared), whoever removes blobs looks again before it does (exclusive). So a blob is never
-//! removed between its publication and the reference to it, as long as that takes less than the grace time.
+//! Reading a blob's age and acting on it is one step, under a lock that all processes with this store share: a publisher that finds the
+//! blob renews its age (shared lock), and removal checks the age again (exclusive lock). So a blob is never removed between its
+//! publication and the reference to it, as long as that takes less than the grace time.
 
 use std::{
     fs::{self, File},
     io,
-    path::{Path, PathBuf},
 };
 
 use jiff::Timestamp;
 
-use super::{BlobError, Blobs, Published, StagedBlob, blocking, location};
-use crate::{
-    domain::{Clock as _, Digest, SystemClock},
-    store::BlobRef,
+use super::{
+    BlobError, Blobs, Published, StagedBlob, blocking,
+    files::{age_of, entries, folders, open_lock, sync_folder, touch},
+    location,
 };
+use crate::{domain::Digest, store::BlobRef};
 
 impl Blobs {
-    /// When the blob's age began anew, which is now; none if it is not there.
+    /// Renews the blob's age and returns its new modification time; `None` if it does not exist.
     pub(super) async fn renew(&self, blob: BlobRef) -> Result<Option<Timestamp>, BlobError> {
         let path = self.0.store.path_to_filesystem(&location(blob.digest))?;
         let lock = self.0.lock.clone();
-        let renewed = blocking(move || {
+        blocking(move || {
             let lock = open_lock(&lock)?;
             lock.lock_shared()?;
             let file = match File::options().write(true).open(&path) {
@@ -35,11 +35,11 @@ impl Blobs {
                 return Ok(None);
             }
             touch(&file).map(Some)
-        });
-        Ok(renewed.await?)
+        })
+        .await
     }
 
-    /// Publishes a blob by giving its file the blob's name as well; none if it has to be copied.
+    /// Publishes a staged blob by a hard link; `None` if it has to be copied.
     pub(super) async fn link(&self, staged: &StagedBlob) -> Result<Option<Published>, BlobError> {
         let blob = staged.blob();
         let from = staged.path().to_owned();
@@ -55,7 +55,7 @@ impl Blobs {
                 Ok(()) => Linked::Now(touched),
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Linked::Before,
                 Err(error) => {
-                    tracing::debug!("{} is copied, it cannot be linked: {error}", from.display());
+                    tracing::debug!("copying {}, which cannot be linked: {error}", from.display());
                     return Ok(Linked::Not);
                 }
             };
@@ -66,17 +66,14 @@ impl Blobs {
         });
         Ok(match linked.await? {
             Linked::Now(touched) => Some(Published { blob, created_at: Some(touched) }),
-            // Published by somebody else meanwhile. A file of another length under that name is damage, which a copy mends.
+            // Published by another task meanwhile. A file of another length under that name is damaged; a copy repairs it.
             Linked::Before => self.renew(blob).await?.map(|_| Published { blob, created_at: None }),
             Linked::Not => None,
         })
     }
 
-    /// Takes a publication back: removes the blob if this publication made it and nobody has published it since. Whoever calls this
-    /// has made sure that nothing refers to it. Tells whether it was removed.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`] or [`BlobError::Store`].
+    /// Undoes a publication: removes the blob if this publication created it and it was not published since. The caller has made sure
+    /// that nothing refers to it. Returns whether it was removed.
     pub async fn unpublish(&self, published: Published) -> Result<bool, BlobError> {
         let Some(since) = published.created_at else { return Ok(false) };
         let removed = self.remove_if(published.blob.digest, move |at| at == since).await?;
@@ -84,12 +81,9 @@ impl Blobs {
     }
 
     /// The blobs that were last published before `before`.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`].
     pub async fn older_than(&self, before: Timestamp) -> Result<Vec<Digest>, BlobError> {
         let root = self.0.root.join("sha256");
-        let found = blocking(move || {
+        blocking(move || {
             let mut found = Vec::new();
             for outer in folders(&root)? {
                 for inner in folders(&outer)? {
@@ -97,7 +91,7 @@ impl Blobs {
                         let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
                         match (name.parse(), age_of(&file)?) {
                             (Ok(digest), Some(at)) if at < before => found.push(digest),
-                            // What the object store began to write there and a crash left.
+                            // A temporary file of the object store, left by a crash.
                             (Err(_), Some(at)) if at < before && name.contains('#') => {
                                 fs::remove_file(&file)?
                             }
@@ -107,19 +101,16 @@ impl Blobs {
                 }
             }
             Ok(found)
-        });
-        Ok(found.await?)
+        })
+        .await
     }
 
-    /// Removes the blob if it was last published before `before`, and tells how many bytes that freed.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`] or [`BlobError::Store`].
+    /// Removes the blob if it was last published before `before`, and returns the bytes freed.
     pub async fn remove_older(&self, digest: Digest, before: Timestamp) -> Result<Option<u64>, BlobError> {
         self.remove_if(digest, move |at| at < before).await
     }
 
-    /// Removes the blob if its latest publication is as wanted, and tells how many bytes that freed.
+    /// Removes the blob if `wanted` accepts its latest publication, and returns the bytes freed.
     async fn remove_if(
         &self,
         digest: Digest,
@@ -127,7 +118,7 @@ impl Blobs {
     ) -> Result<Option<u64>, BlobError> {
         let path = self.0.store.path_to_filesystem(&location(digest))?;
         let lock = self.0.lock.clone();
-        let removed = blocking(move || {
+        blocking(move || {
             let lock = open_lock(&lock)?;
             lock.lock()?;
             if !age_of(&path)?.is_some_and(wanted) {
@@ -136,57 +127,17 @@ impl Blobs {
             let bytes = fs::metadata(&path)?.len();
             fs::remove_file(&path)?;
             Ok(Some(bytes))
-        });
-        Ok(removed.await?)
+        })
+        .await
     }
 }
 
-/// Whether a staged file has a blob's name.
+/// Result of a hard link to a blob's name.
 enum Linked {
-    /// Since it was given it, with this age.
+    /// Linked, with this modification time.
     Now(Timestamp),
-    /// No: another file has that name.
+    /// Not linked: the name exists.
     Before,
-    /// No: the file system does not do this.
+    /// Not linked: the file system does not support it.
     Not,
-}
-
-/// File systems measure ages by the machine's clock, whatever clock jobs are measured by.
-fn touch(file: &File) -> io::Result<Timestamp> {
-    let now = SystemClock.now();
-    file.set_modified(now.into())?;
-    Ok(now)
-}
-
-/// When the file was last touched; none if there is no such file.
-pub(super) fn age_of(path: &Path) -> io::Result<Option<Timestamp>> {
-    match fs::metadata(path) {
-        Ok(metadata) => Timestamp::try_from(metadata.modified()?).map(Some).map_err(io::Error::other),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(error),
-    }
-}
-
-/// Each process and each task opens the lock for itself; it is let go when the file is closed.
-pub(super) fn open_lock(path: &Path) -> io::Result<File> {
-    File::options().create(true).truncate(false).write(true).open(path)
-}
-
-/// Makes new names in a folder survive a power cut.
-pub(super) fn sync_folder(path: &Path) -> io::Result<()> {
-    // Elsewhere folders cannot be opened, and need not be.
-    if cfg!(unix) { File::open(path)?.sync_all() } else { Ok(()) }
-}
-
-/// What is in a folder; nothing if there is none.
-pub(super) fn entries(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    match fs::read_dir(folder) {
-        Ok(entries) => entries.map(|entry| Ok(entry?.path())).collect(),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
-        Err(error) => Err(error),
-    }
-}
-
-fn folders(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    Ok(entries(folder)?.into_iter().filter(|path| path.is_dir()).collect())
 }

@@ -3,12 +3,13 @@
 //! A blob is staged (streamed to a private file while it is hashed and counted), then published under
 //! `sha256/ab/cd/<digest>` in one atomic step with its bytes and directory entries flushed to disk. A published
 //! blob is complete, never changes, and publishing it again changes nothing. A crash in between leaves a staging file or
-//! an unreferenced blob, never a half-written one.
+//! an unreferenced blob, never a partial one.
 //!
-//! A blob's file is as old as its latest publication, and only what is older than a grace time is ever removed. Whoever publishes
-//! a blob has that long to refer to it.
+//! The modification time of a blob's file is its latest publication. Only blobs older than a grace time are removed, so a publisher
+//! has that long to add a reference.
 
 mod age;
+mod files;
 mod staging;
 mod staging_dir;
 mod upload;
@@ -43,13 +44,13 @@ use crate::domain::{Digest, UploadId};
 
 const PART_BYTES: usize = 8 << 20;
 const PARTS_IN_FLIGHT: usize = 2;
-/// As much as a file system gives out at a time.
+/// Common block size of file systems.
 const PROBE_BYTES: usize = 4096;
 
-/// A fault of the blob store.
+/// An error of the blob store.
 #[derive(Debug, Error)]
 pub enum BlobError {
-    /// More bytes arrived than are allowed.
+    /// More bytes than the limit.
     #[error("the content is longer than the limit of {limit} bytes")]
     TooLarge {
         /// The limit.
@@ -58,46 +59,46 @@ pub enum BlobError {
     /// There is no such blob.
     #[error("there is no blob {0}")]
     Missing(Digest),
-    /// Bytes of an upload that were on disk are not there any more.
-    #[error("upload {id} has {found} bytes on disk and should have {expected}")]
+    /// Bytes of an upload that were on disk are missing.
+    #[error("upload {id} has {found} bytes on disk instead of {expected}")]
     UploadDamaged {
         /// The upload.
         id: UploadId,
-        /// What was recorded.
+        /// The recorded length.
         expected: u64,
-        /// What is there.
+        /// The length found.
         found: u64,
     },
     /// A blob's content does not have the digest that names it.
     #[error("blob {expected} is damaged: its content has the digest {actual}")]
     Damaged {
-        /// The name.
+        /// The digest in its name.
         expected: Digest,
-        /// What the content hashes to.
+        /// The digest of its content.
         actual: Digest,
     },
-    /// The file system refused.
-    #[error("staging failed")]
+    /// An I/O error.
+    #[error("a file of the blob store cannot be read or written")]
     Io(#[from] io::Error),
-    /// The object store refused.
+    /// The object store failed.
     #[error("the object store failed")]
     Store(#[from] object_store::Error),
 }
 
 impl BlobError {
-    /// Whether there is no room left for blobs.
+    /// Whether the disk is full.
     #[must_use]
     pub fn is_disk_full(&self) -> bool {
         is_disk_full(self)
     }
 }
 
-/// A blob that was published.
+/// A published blob.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Published {
     /// The blob.
     pub blob: BlobRef,
-    /// The age that this publication gave it; none if it was there before.
+    /// Its modification time if this publication created it.
     created_at: Option<Timestamp>,
 }
 
@@ -108,20 +109,20 @@ pub struct Blobs(Arc<Inner>);
 #[derive(Debug)]
 struct Inner {
     store: LocalFileSystem,
-    /// Where blobs lie; staging and uploads are beside it, on the same file system.
+    /// Folder of blobs; staging and uploads are beside it, on the same file system.
     root: PathBuf,
     staging: PathBuf,
-    /// This process's part of it.
+    /// This process's folder in `staging`.
     staging_dir: StagingDir,
     uploads: PathBuf,
-    /// Guards the ages of blobs, in every process that has this store open.
+    /// Lock file that guards the ages of blobs among all processes with this store.
     lock: PathBuf,
     request_collection: Notify,
 }
 
 impl Blobs {
-    /// Opens the store in `data/blobs`, staging in `data/staging`, uploads in `data/uploads`, and removes what a
-    /// process that is gone has staged.
+    /// Opens the store in `data/blobs`, staging in `data/staging`, uploads in `data/uploads`, and removes staging folders of dead
+    /// processes.
     ///
     /// # Errors
     /// [`BlobError::Io`] or [`BlobError::Store`] if the directories cannot be made or read.
@@ -144,10 +145,7 @@ impl Blobs {
         })))
     }
 
-    /// Begins a blob of at most `limit` bytes.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`].
+    /// Starts a blob of at most `limit` bytes.
     pub async fn stage(&self, limit: u64) -> Result<BlobWriter, BlobError> {
         Ok(BlobWriter::new(
             tempfile::Builder::new().prefix("upload-").tempfile_in(self.0.staging_dir.path())?,
@@ -155,11 +153,7 @@ impl Blobs {
         ))
     }
 
-    /// Publishes a staged blob; an equal one that is already there is kept. No second copy is written where the file system has
-    /// hard links.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`] or [`BlobError::Store`].
+    /// Publishes a staged blob; keeps an existing equal one. Writes no copy if the file system has hard links.
     pub async fn publish(&self, staged: &StagedBlob) -> Result<Published, BlobError> {
         let blob = staged.blob();
         if self.renew(blob).await?.is_some() {
@@ -189,7 +183,7 @@ impl Blobs {
         }
         .await;
         if let Err(error) = copied {
-            // The copy's own fault is the one to tell.
+            // The copy's own error is the one to report.
             let _ = writer.abort().await;
             return Err(error);
         }
@@ -197,10 +191,7 @@ impl Blobs {
         Ok(())
     }
 
-    /// Publishes again what is there already, and gives its file; none if it is not there.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`] or [`BlobError::Store`].
+    /// Publishes an existing blob again, and returns its file; `None` if it does not exist.
     pub async fn republish(&self, blob: BlobRef) -> Result<Option<(Published, PathBuf)>, BlobError> {
         if self.renew(blob).await?.is_none() {
             return Ok(None);
@@ -210,17 +201,11 @@ impl Blobs {
     }
 
     /// Publishes bytes from memory.
-    ///
-    /// # Errors
-    /// [`BlobError::Store`].
     pub async fn put(&self, content: Bytes) -> Result<BlobRef, BlobError> {
         Ok(self.put_new(content).await?.blob)
     }
 
-    /// The same for who may have to take it back ([`Blobs::unpublish`]).
-    ///
-    /// # Errors
-    /// [`BlobError::Store`].
+    /// As [`Blobs::put`], for callers that may undo it ([`Blobs::unpublish`]).
     pub async fn put_new(&self, content: Bytes) -> Result<Published, BlobError> {
         let blob = BlobRef { digest: Digest::of(&content), bytes: content.len() as u64 };
         if self.renew(blob).await?.is_some() {
@@ -230,7 +215,7 @@ impl Blobs {
         Ok(Published { blob, created_at: self.renew(blob).await? })
     }
 
-    /// The whole blob, checked against its name.
+    /// The content of a blob, checked against its digest.
     ///
     /// # Errors
     /// [`BlobError::Missing`], [`BlobError::Damaged`] or [`BlobError::Store`].
@@ -256,7 +241,7 @@ impl Blobs {
         Ok(result.into_stream().map_err(BlobError::from).boxed())
     }
 
-    /// A file with the blob's content. It is the blob itself: read it, never write it.
+    /// The blob's own file; it must not be written.
     ///
     /// # Errors
     /// [`BlobError::Missing`] or [`BlobError::Store`].
@@ -266,43 +251,39 @@ impl Blobs {
         Ok(self.0.store.path_to_filesystem(&location)?)
     }
 
-    /// Writes a small file to disk and removes it, to show that blobs can be written.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`].
+    /// Writes a small file to disk and removes it, to check that blobs can be written.
     pub async fn probe(&self) -> Result<(), BlobError> {
         let folder = self.0.staging_dir.path().to_owned();
-        let probed = blocking(move || {
+        blocking(move || {
             let mut file = tempfile::Builder::new().prefix("probe-").tempfile_in(folder)?;
             file.write_all(&[0; PROBE_BYTES])?;
-            // Some file systems find out only here that there is no room.
+            // Some file systems report a full disk only here.
             file.as_file().sync_data()
-        });
-        Ok(probed.await?)
+        })
+        .await
     }
 
-    /// Bytes that are free where blobs and uploads are kept.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`].
+    /// Free bytes on the file system of blobs and uploads.
     pub fn free_bytes(&self) -> Result<u64, BlobError> {
         Ok(fs4::available_space(&self.0.root)?)
     }
 
-    /// Tells whoever clears up ([`Blobs::collection_requested`]) that blobs may have become nobody's.
+    /// Requests a garbage collection, since blobs may have become unreferenced.
     pub fn request_collection(&self) {
         self.0.request_collection.notify_one();
     }
 
-    /// Waits until blobs may have become nobody's.
+    /// Waits for [`Blobs::request_collection`].
     pub fn collection_requested(&self) -> Notified<'_> {
         self.0.request_collection.notified()
     }
 }
 
-/// Does what blocks on a thread that may.
-async fn blocking<T: Send + 'static>(work: impl FnOnce() -> io::Result<T> + Send + 'static) -> io::Result<T> {
-    tokio::task::spawn_blocking(work).await.map_err(io::Error::other)?
+/// Runs blocking work on a thread for it.
+async fn blocking<T: Send + 'static>(
+    work: impl FnOnce() -> io::Result<T> + Send + 'static,
+) -> Result<T, BlobError> {
+    Ok(tokio::task::spawn_blocking(work).await.map_err(io::Error::other)??)
 }
 
 fn missing(digest: Digest) -> impl Fn(object_store::Error) -> BlobError {
@@ -352,7 +333,7 @@ mod tests {
 
     #[cfg(unix)]
     #[tokio::test]
-    async fn what_is_received_at_once_becomes_a_blob_without_a_copy() {
+    async fn a_staged_file_becomes_a_blob_without_a_copy() {
         use std::os::unix::fs::MetadataExt as _;
 
         let folder = tempfile::tempdir().expect("a folder");
@@ -367,7 +348,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_publication_is_taken_back_only_by_who_made_the_blob_and_nobody_since() {
+    async fn a_publication_is_undone_only_if_it_created_the_blob_and_none_followed() {
         let folder = tempfile::tempdir().expect("a folder");
         let blobs = Blobs::open(folder.path()).expect("a store");
         let is_there = async |published: Published| blobs.local_file(published.blob.digest).await.is_ok();
@@ -389,7 +370,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn content_that_is_not_kept_is_hashed_all_the_same() {
+    async fn content_that_is_not_kept_is_hashed_too() {
         let folder = tempfile::tempdir().expect("a folder");
         let blobs = Blobs::open(folder.path()).expect("a store");
         let mut staging = blobs.stage(1 << 30).await.expect("room");
@@ -406,7 +387,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn limits_damage_and_absence_are_told_apart() {
+    async fn limits_damage_and_absence_are_different_errors() {
         let folder = tempfile::tempdir().expect("a folder");
         let blobs = Blobs::open(folder.path()).expect("a store");
         let mut staging = blobs.stage(4).await.expect("room");
@@ -423,7 +404,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn an_upload_goes_on_where_it_was_received_and_becomes_a_blob_without_a_copy() {
+    async fn an_upload_resumes_after_the_received_bytes_and_becomes_a_blob_without_a_copy() {
         let folder = tempfile::tempdir().expect("a folder");
         let blobs = Blobs::open(folder.path()).expect("a store");
         let id = UploadId(uuid::Uuid::from_u128(1));
@@ -464,7 +445,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn an_upload_has_one_writer_until_that_ends() {
+    async fn an_upload_has_one_writer_at_a_time() {
         let folder = tempfile::tempdir().expect("a folder");
         // As two processes would.
         let [one, other] = [(); 2].map(|()| Blobs::open(folder.path()).expect("a store"));

@@ -1,4 +1,4 @@
-//! Content on its way to become a blob.
+//! Staging: content before it is published as a blob.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use sha2::{Digest as _, Sha256};
 use tempfile::{NamedTempFile, TempPath};
 use tokio::{fs::File, io::AsyncWriteExt as _};
 
-use super::{BlobError, UploadFile, blocking};
+use super::{BlobError, blocking};
 use crate::{domain::Digest, store::BlobRef};
 
 /// Hashes and counts content of a bounded length.
@@ -18,7 +18,7 @@ pub struct ContentHasher {
 }
 
 impl ContentHasher {
-    /// Of nothing yet, for at most `limit` bytes.
+    /// For content of at most `limit` bytes.
     #[must_use]
     pub fn new(limit: u64) -> Self {
         Self { hasher: Sha256::new(), bytes: 0, limit }
@@ -67,10 +67,7 @@ impl BlobWriter {
         Ok(self.file.write_all(piece).await?)
     }
 
-    /// Removes the file; what was written stays hashed, and at most `limit` bytes in all may follow.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`].
+    /// Removes the file and goes on hashing only, up to `limit` bytes in total.
     pub async fn into_hasher(self, limit: u64) -> Result<ContentHasher, BlobError> {
         let Self { file, path, content } = self;
         drop(file);
@@ -78,13 +75,10 @@ impl BlobWriter {
         Ok(ContentHasher { limit, ..content })
     }
 
-    /// Ends the blob.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`].
+    /// Completes the blob.
     pub async fn finish(mut self) -> Result<StagedBlob, BlobError> {
         self.file.flush().await?;
-        // Nobody writes to the file from here on, so it may get the blob's name as well.
+        // No writes follow, so the file may be linked to the blob's name.
         drop(self.file);
         let blob = self.content.finish();
         Ok(StagedBlob {
@@ -95,7 +89,7 @@ impl BlobWriter {
     }
 }
 
-/// A complete blob that is not yet published. Nobody writes to its file any more.
+/// A complete blob that is not yet published. Its file does not change.
 #[derive(Debug)]
 pub struct StagedBlob {
     path: PathBuf,
@@ -103,17 +97,17 @@ pub struct StagedBlob {
     blob: BlobRef,
 }
 
-/// Where the content lies.
+/// The file of the content.
 #[derive(Debug)]
 enum Source {
-    /// In a private file that goes with this value.
+    /// A private file that is removed with this value.
     Staging { _removed: TempPath },
-    /// In an upload's file, which stays and is not written to while this value lives.
-    Upload { _locked: UploadFile },
+    /// An upload's file, which stays, and is locked against writes while this value lives.
+    Upload { _locked: File },
 }
 
 impl StagedBlob {
-    pub(super) fn of_upload(path: PathBuf, file: UploadFile, blob: BlobRef) -> Self {
+    pub(super) fn of_upload(path: PathBuf, file: File, blob: BlobRef) -> Self {
         Self { path, _source: Source::Upload { _locked: file }, blob }
     }
 
@@ -123,7 +117,7 @@ impl StagedBlob {
         &self.path
     }
 
-    /// What it will be published as.
+    /// The blob that it will be published as.
     #[must_use]
     pub fn blob(&self) -> BlobRef {
         self.blob

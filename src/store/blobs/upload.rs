@@ -1,8 +1,8 @@
-//! Files of uploads that come in parts.
+//! Files of resumable uploads.
 //!
-//! A file has one writer at a time, in all processes: the one that holds its lock, which the system lets go when the writer ends,
-//! however it ends. A writer that has got the lock must look the upload up once more before it writes; whoever had the lock before may
-//! have ended it. A file is never shorter than what the table says was received, and what it has beyond that is void.
+//! A file has one writer at a time among all processes: the holder of its lock, which the system releases when the writer ends, in
+//! whatever way. After locking, a writer must read the upload's row again, since the holder before may have ended it. A file is never
+//! shorter than the received bytes in the table; bytes beyond them are discarded.
 
 use std::{
     fs::{self, File as StdFile, TryLockError},
@@ -17,9 +17,8 @@ use tokio::{
 };
 
 use super::{
-    BlobError, Blobs, StagedBlob,
-    age::{entries, sync_folder},
-    blocking,
+    BlobError, Blobs, StagedBlob, blocking,
+    files::{entries, sync_folder},
 };
 use crate::{
     domain::{Digest, UploadId},
@@ -41,13 +40,10 @@ impl Blobs {
         self.0.uploads.join(id.to_string())
     }
 
-    /// Takes hold of an upload's file, which is made if it is not there; none if somebody else holds it.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`].
+    /// Opens and locks an upload's file, and creates it if there is none; `None` if another writer has locked it.
     pub async fn open_upload(&self, id: UploadId) -> Result<Option<UploadFile>, BlobError> {
         let (path, folder) = (self.upload_path(id), self.0.uploads.clone());
-        let opened = blocking(move || {
+        blocking(move || {
             let is_new = !path.exists();
             let file = StdFile::options().create(true).truncate(false).read(true).write(true).open(&path)?;
             if is_new {
@@ -58,17 +54,14 @@ impl Blobs {
                 Err(TryLockError::WouldBlock) => Ok(None),
                 Err(TryLockError::Error(error)) => Err(error),
             }
-        });
-        Ok(opened.await?)
+        })
+        .await
     }
 
-    /// Removes the file of an upload that has ended; false if somebody holds it.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`].
+    /// Removes the file of an ended upload; false if a writer has locked it.
     pub async fn remove_upload(&self, id: UploadId) -> Result<bool, BlobError> {
         let path = self.upload_path(id);
-        let removed = blocking(move || {
+        blocking(move || {
             let file = match StdFile::options().write(true).open(&path) {
                 Ok(file) => file,
                 Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(true),
@@ -79,29 +72,26 @@ impl Blobs {
                 Err(TryLockError::WouldBlock) => Ok(false),
                 Err(TryLockError::Error(error)) => Err(error),
             }
-        });
-        Ok(removed.await?)
+        })
+        .await
     }
 
     /// Every upload that has a file.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`].
     pub async fn uploads(&self) -> Result<Vec<UploadId>, BlobError> {
         let folder = self.0.uploads.clone();
-        let found = blocking(move || {
+        blocking(move || {
             let files = entries(&folder)?;
             Ok(files.iter().filter_map(|path| path.file_name()?.to_str()?.parse().ok()).collect())
-        });
-        Ok(found.await?)
+        })
+        .await
     }
 }
 
 impl UploadFile {
-    /// Goes to the end of what was received and drops what lies beyond it.
+    /// Truncates the file to the received bytes, and appends from there.
     ///
     /// # Errors
-    /// [`BlobError::UploadDamaged`] if less is there, [`BlobError::Io`].
+    /// [`BlobError::UploadDamaged`] if the file is shorter, [`BlobError::Io`].
     pub async fn continue_at(&mut self, received: u64) -> Result<(), BlobError> {
         let found = self.file.metadata().await?.len();
         if found < received {
@@ -113,23 +103,17 @@ impl UploadFile {
     }
 
     /// Appends a piece.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`].
     pub async fn write(&mut self, piece: &[u8]) -> Result<(), BlobError> {
         Ok(self.file.write_all(piece).await?)
     }
 
-    /// Brings what was written to disk; only then may it be called received.
-    ///
-    /// # Errors
-    /// [`BlobError::Io`].
+    /// Flushes the bytes written to disk; only then do they count as received.
     pub async fn sync(&mut self) -> Result<(), BlobError> {
         self.file.flush().await?;
         Ok(self.file.sync_data().await?)
     }
 
-    /// Reads the file, which has come whole, and makes it ready to be published. The upload stays locked meanwhile.
+    /// Hashes the complete file for publication. The upload stays locked meanwhile.
     ///
     /// # Errors
     /// [`BlobError::UploadDamaged`] if the file has not `length` bytes, [`BlobError::Io`].
@@ -151,6 +135,6 @@ impl UploadFile {
         if found != length {
             return Err(BlobError::UploadDamaged { id: self.id, expected: length, found });
         }
-        Ok(StagedBlob::of_upload(self.path.clone(), self, BlobRef { digest, bytes: length }))
+        Ok(StagedBlob::of_upload(self.path, self.file, BlobRef { digest, bytes: length }))
     }
 }

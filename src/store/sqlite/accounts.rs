@@ -1,8 +1,7 @@
-//! Accounts of owners and of blobs in SQLite.
+//! Usage and quotas of owners, and references to blobs, in SQLite.
 //!
-//! What an owner has is read from totals that the schema's triggers keep; tests compare them with a recount. Every table that refers
-//! to blobs has its part in the query below; a test compares it with the schema's foreign keys. Those keys also keep a row from
-//! being deleted that anything refers to, whatever a query has forgotten.
+//! Usage is read from totals that the schema's triggers maintain; tests compare them with a recount. The query below names every table
+//! that refers to blobs; a test compares it with the schema's foreign keys, which also prevent the deletion of a referenced row.
 
 use sqlx::{Row as _, SqliteConnection};
 
@@ -16,17 +15,17 @@ use crate::{
 };
 
 /// Whether anything refers to blob `?1`.
-const IS_REFERRED_TO: &str = "
+const IS_REFERENCED: &str = "
     SELECT EXISTS (SELECT 1 FROM scenes WHERE dataset = ?1)
         OR EXISTS (SELECT 1 FROM jobs WHERE dataset = ?1)
         OR EXISTS (SELECT 1 FROM artifacts WHERE digest = ?1)
         OR EXISTS (SELECT 1 FROM exports WHERE digest = ?1)
-        OR EXISTS (SELECT 1 FROM exports WHERE source = ?1) AS referred_to";
+        OR EXISTS (SELECT 1 FROM exports WHERE source = ?1) AS referenced";
 
-/// What the things of account `?1` take.
+/// Usage of account `?1`.
 const USAGE: &str = "SELECT stored_bytes, reserved_bytes FROM owner_totals WHERE owner = ?1";
 
-/// Whether the things of account `?1` refer to blob `?2`.
+/// Whether account `?1` refers to blob `?2`.
 const HAS_BLOB: &str = "SELECT EXISTS (SELECT 1 FROM owner_blobs WHERE owner = ?1 AND digest = ?2) AS known";
 
 /// How many active jobs key `?1` has and may have.
@@ -34,23 +33,23 @@ const ACTIVE_JOBS: &str = "
     SELECT max_active_jobs, IFNULL((SELECT active_jobs FROM owner_totals WHERE owner = keys.id), 0) AS active
     FROM keys WHERE id = ?1";
 
-/// What is asked while the database is locked for writing; it must not grow with what is stored.
+/// Statements that run under the write lock; their cost must not grow with the number of rows.
 #[cfg(test)]
-pub(super) const STATEMENTS: [&str; 4] = [USAGE, HAS_BLOB, ACTIVE_JOBS, IS_REFERRED_TO];
+pub(super) const STATEMENTS: [&str; 4] = [USAGE, HAS_BLOB, ACTIVE_JOBS, IS_REFERENCED];
 
-/// The owner as totals name them: nobody has a name too.
+/// The owner as totals name it; no owner is the empty string.
 fn account(owner: Option<KeyId>) -> String {
     owner.map_or_else(String::new, |owner| owner.to_string())
 }
 
-/// What the owner's things take.
+/// The owner's usage.
 async fn usage(connection: &mut SqliteConnection, owner: Option<KeyId>) -> Result<Usage, StoreError> {
     let row = sqlx::query(USAGE).bind(account(owner)).fetch_optional(connection).await?;
     let Some(row) = row else { return Ok(Usage { stored: 0, reserved: 0 }) };
     Ok(Usage { stored: unsigned(&row, "stored_bytes")?, reserved: unsigned(&row, "reserved_bytes")? })
 }
 
-/// How much the owner may store, which is `default` for keys that do not say.
+/// The owner's quota, which is `default` for keys without one.
 async fn quota(
     connection: &mut SqliteConnection,
     default: Option<u64>,
@@ -64,20 +63,20 @@ async fn quota(
     Ok(optional_unsigned(&row, "max_bytes")?.or(default))
 }
 
-/// Refuses `asked` more bytes if they are over the owner's quota, which is `default` for keys without one. Part of the transaction
-/// that adds them.
+/// Refuses `requested` more bytes over the owner's quota, which is `default` for keys without one. Part of the transaction that
+/// adds them.
 pub(super) async fn admit(
     connection: &mut SqliteConnection,
     default: Option<u64>,
     owner: Option<KeyId>,
-    asked: u64,
+    requested: u64,
 ) -> Result<(), StoreError> {
     let Some(quota) = quota(connection, default, owner).await? else { return Ok(()) };
     let usage = usage(connection, owner).await?;
-    Capacity { usage, quota: Some(quota), ..Capacity::default() }.admit(0, asked)
+    Capacity { usage, quota: Some(quota), ..Capacity::default() }.admit(0, requested)
 }
 
-/// As [`admit`], of a blob: one that the owner's things refer to already takes no further room.
+/// As [`admit`], for a blob; one that the owner refers to already counts nothing.
 pub(super) async fn admit_blob(
     connection: &mut SqliteConnection,
     default: Option<u64>,
@@ -93,8 +92,8 @@ pub(super) async fn admit_blob(
     if known { Ok(()) } else { admit(connection, default, owner, blob.bytes).await }
 }
 
-/// Refuses another job if the owner has as many queued and running as they may, which is `default` for keys that do not say. Part of
-/// the transaction that adds it.
+/// Refuses another job if the owner has its maximum of queued and running ones, which is `default` for keys without one. Part of the
+/// transaction that adds it.
 pub(super) async fn admit_job(
     connection: &mut SqliteConnection,
     default: Option<u32>,
@@ -103,30 +102,36 @@ pub(super) async fn admit_job(
     let Some(key) = owner else { return Ok(()) };
     let row = sqlx::query(ACTIVE_JOBS).bind(key.to_string()).fetch_one(connection).await?;
     let active: u32 = unsigned(&row, "active")?;
-    let most: Option<u32> = optional_unsigned(&row, "max_active_jobs")?.or(default);
-    if most.is_some_and(|most| active >= most) {
+    let max: Option<u32> = optional_unsigned(&row, "max_active_jobs")?.or(default);
+    if max.is_some_and(|max| active >= max) {
         return Err(StoreError::TooManyJobs { active });
     }
     Ok(())
 }
 
-async fn is_referred_to(connection: &mut SqliteConnection, digest: Digest) -> Result<bool, StoreError> {
-    let row = sqlx::query(IS_REFERRED_TO).bind(digest.to_string()).fetch_one(connection).await?;
-    Ok(row.try_get("referred_to")?)
+/// Those of the blobs that nothing refers to.
+async fn unreferenced(
+    connection: &mut SqliteConnection,
+    digests: &[Digest],
+) -> Result<Vec<Digest>, StoreError> {
+    let mut unreferenced = Vec::new();
+    for digest in digests {
+        let row = sqlx::query(IS_REFERENCED).bind(digest.to_string()).fetch_one(&mut *connection).await?;
+        if !row.try_get::<bool, _>("referenced")? {
+            unreferenced.push(*digest);
+        }
+    }
+    Ok(unreferenced)
 }
 
 impl Accounts for SqliteStore {
     fn usage(&self, owner: Option<KeyId>) -> StoreFuture<'_, Usage> {
-        Box::pin(async move {
-            let mut tx = self.readers.begin().await?;
-            usage(&mut tx, owner).await
-        })
+        Box::pin(self.read(async move |tx| usage(tx, owner).await))
     }
 
     fn capacity(&self, owner: Option<KeyId>) -> StoreFuture<'_, Capacity> {
-        Box::pin(async move {
-            let mut tx = self.readers.begin().await?;
-            let quota = quota(&mut tx, self.policy.limits.max_bytes, owner).await?;
+        Box::pin(self.read(async move |tx| {
+            let quota = quota(tx, self.policy.limits.max_bytes, owner).await?;
             if quota.is_none() {
                 return Ok(Capacity::default());
             }
@@ -137,9 +142,9 @@ impl Accounts for SqliteStore {
             .bind(owner.map(|owner| owner.to_string()))
             .fetch_one(&mut *tx)
             .await?;
-            let usage = usage(&mut tx, owner).await?;
+            let usage = usage(tx, owner).await?;
             Ok(Capacity { usage, quota, largest_dataset: unsigned(&row, "largest")? })
-        })
+        }))
     }
 
     fn owned_archive(&self, owner: Option<KeyId>, content: Digest) -> StoreFuture<'_, Option<BlobRef>> {
@@ -159,59 +164,46 @@ impl Accounts for SqliteStore {
 
     fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> StoreFuture<'a, Vec<Digest>> {
         Box::pin(async move {
-            let mut unused = Vec::new();
-            // Most are in use; looking first keeps the one writer free.
-            let mut reader = self.readers.begin().await?;
-            for digest in digests {
-                if !is_referred_to(&mut reader, *digest).await? {
-                    unused.push(*digest);
-                }
-            }
-            drop(reader);
+            // Most are in use; looking first keeps the write lock free.
+            let unused = self.read(async move |tx| unreferenced(tx, digests).await).await?;
             if unused.is_empty() {
                 return Ok(unused);
             }
-            let (mut tx, _) = self.begin().await?;
-            let mut forgotten = Vec::with_capacity(unused.len());
-            for digest in unused {
-                if !is_referred_to(&mut tx, digest).await? {
+            self.write(async move |tx, _| {
+                let unused = unreferenced(tx, &unused).await?;
+                for digest in &unused {
                     sqlx::query("DELETE FROM blobs WHERE digest = ?")
                         .bind(digest.to_string())
                         .execute(&mut *tx)
                         .await?;
-                    forgotten.push(digest);
                 }
-            }
-            tx.commit().await?;
-            Ok(forgotten)
+                Ok(unused)
+            })
+            .await
         })
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
-    use crate::{domain::SystemClock, store::QueuePolicy};
+    use crate::store::sqlite::open::temporary_store;
 
     #[tokio::test]
-    async fn every_table_that_refers_to_blobs_is_asked() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("tcgs.db");
-        let store = SqliteStore::open(&path, Arc::new(SystemClock), QueuePolicy::default()).await;
+    async fn the_query_names_every_table_that_refers_to_blobs() {
+        let (_folder, store) = temporary_store().await;
         let rows = sqlx::query(
             "SELECT tables.name, keys.\"from\" FROM sqlite_schema AS tables, pragma_foreign_key_list(tables.name) AS keys
              WHERE tables.type = 'table' AND keys.\"table\" = 'blobs'",
         )
-        .fetch_all(&store.expect("a database").readers)
+        .fetch_all(&store.readers)
         .await
         .expect("the schema");
         assert!(rows.len() >= 3);
         for row in rows {
             let (table, column): (String, String) = (row.get(0), row.get(1));
             assert!(
-                IS_REFERRED_TO.contains(&format!("FROM {table} WHERE {column} = ?1")),
+                IS_REFERENCED.contains(&format!("FROM {table} WHERE {column} = ?1")),
                 "blobs of {table}.{column} would be deleted as nobody's"
             );
         }

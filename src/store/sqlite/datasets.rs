@@ -1,4 +1,4 @@
-//! Scenes in SQLite.
+//! Datasets in SQLite, in the table `scenes`.
 
 use sqlx::{Row as _, SqliteConnection, sqlite::SqliteRow};
 
@@ -53,114 +53,65 @@ async fn select_by_archive(
     row.as_ref().map(dataset).transpose()
 }
 
-impl SqliteStore {
-    async fn insert_dataset(&self, new: NewDataset) -> Result<DatasetCreation, StoreError> {
-        let (mut tx, now) = self.begin().await?;
-        let known = select_by_archive(&mut tx, new.owner, new.dataset.digest).await?;
-        let id = known.as_ref().map_or(new.id, |known| known.id);
-        if known.is_none() {
-            // The upload's own room becomes the scene's.
+impl Datasets for SqliteStore {
+    fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation> {
+        Box::pin(self.write(async move |tx, now| {
+            let known = select_by_archive(tx, new.owner, new.dataset.digest).await?;
+            let id = known.as_ref().map_or(new.id, |known| known.id);
+            if known.is_none() {
+                // The bytes reserved for the upload become the dataset's.
+                if let Some(upload) = new.upload {
+                    sqlx::query("UPDATE uploads SET ended_at = ? WHERE id = ? AND ended_at IS NULL")
+                        .bind(micros(now))
+                        .bind(upload.to_string())
+                        .execute(&mut *tx)
+                        .await?;
+                }
+                accounts::admit_blob(tx, self.policy.limits.max_bytes, new.owner, new.dataset).await?;
+                insert_blob(tx, new.dataset, now).await?;
+                sqlx::query(
+                    "INSERT INTO scenes (id, owner, dataset, name, summary, created_at) VALUES (?, ?, ?, ?, ?, ?)",
+                )
+                .bind(id.to_string())
+                .bind(new.owner.map(|owner| owner.to_string()))
+                .bind(new.dataset.digest.to_string())
+                .bind(&new.name)
+                .bind(json(&new.summary)?)
+                .bind(micros(now))
+                .execute(&mut *tx)
+                .await?;
+            }
             if let Some(upload) = new.upload {
-                sqlx::query("UPDATE uploads SET ended_at = ? WHERE id = ? AND ended_at IS NULL")
+                sqlx::query("UPDATE uploads SET ended_at = IFNULL(ended_at, ?), scene = ? WHERE id = ?")
                     .bind(micros(now))
+                    .bind(id.to_string())
                     .bind(upload.to_string())
                     .execute(&mut *tx)
                     .await?;
             }
-            accounts::admit_blob(&mut tx, self.policy.limits.max_bytes, new.owner, new.dataset).await?;
-            insert_blob(&mut tx, new.dataset, now).await?;
-            sqlx::query(
-                "INSERT INTO scenes (id, owner, dataset, name, summary, created_at) VALUES (?, ?, ?, ?, ?, ?)",
-            )
-            .bind(id.to_string())
-            .bind(new.owner.map(|owner| owner.to_string()))
-            .bind(new.dataset.digest.to_string())
-            .bind(&new.name)
-            .bind(json(&new.summary)?)
-            .bind(micros(now))
-            .execute(&mut *tx)
-            .await?;
-        }
-        if let Some(upload) = new.upload {
-            sqlx::query("UPDATE uploads SET ended_at = IFNULL(ended_at, ?), scene = ? WHERE id = ?")
-                .bind(micros(now))
-                .bind(id.to_string())
-                .bind(upload.to_string())
-                .execute(&mut *tx)
-                .await?;
-        }
-        if let Some(intent) = &new.intent {
-            let status = if known.is_some() { 200 } else { 201 };
-            let resource = id.to_string();
-            idempotency::remember(&mut tx, intent, status, &resource, self.policy.idempotency_ttl, now)
-                .await?;
-        }
-        let creation = match known {
-            Some(known) => DatasetCreation::Existing(known),
-            None => DatasetCreation::Created(select(&mut tx, id).await?.ok_or(sqlx::Error::RowNotFound)?),
-        };
-        tx.commit().await?;
-        Ok(creation)
-    }
-
-    async fn list_datasets(
-        &self,
-        owner: Option<KeyId>,
-        before: Option<DatasetPageKey>,
-        limit: u32,
-    ) -> Result<Vec<DatasetRecord>, StoreError> {
-        let rows = lists::scenes(owner, before, limit).build().fetch_all(&self.readers).await?;
-        rows.iter().map(dataset).collect()
-    }
-
-    async fn remove_dataset(
-        &self,
-        id: SceneId,
-        version: Option<u64>,
-    ) -> Result<Option<DatasetDeletion>, StoreError> {
-        let (mut tx, _) = self.begin().await?;
-        let Some(record) = select(&mut tx, id).await? else { return Ok(None) };
-        if version.is_some_and(|version| version != record.version) {
-            return Ok(Some(DatasetDeletion::VersionMismatch));
-        }
-        let row = sqlx::query(
-            "SELECT COUNT(*) AS active FROM jobs INDEXED BY jobs_active_by_scene
-             WHERE scene = ? AND state IN ('queued', 'running')",
-        )
-        .bind(id.to_string())
-        .fetch_one(&mut *tx)
-        .await?;
-        let active: u64 = unsigned(&row, "active")?;
-        if active > 0 {
-            return Ok(Some(DatasetDeletion::InUse(active)));
-        }
-        sqlx::query("DELETE FROM scenes WHERE id = ?").bind(id.to_string()).execute(&mut *tx).await?;
-        tx.commit().await?;
-        Ok(Some(DatasetDeletion::Deleted))
-    }
-}
-
-impl Datasets for SqliteStore {
-    fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation> {
-        Box::pin(self.insert_dataset(new))
+            if let Some(intent) = &new.intent {
+                let status = if known.is_some() { 200 } else { 201 };
+                let resource = id.to_string();
+                idempotency::remember(tx, intent, status, &resource, self.policy.idempotency_ttl, now)
+                    .await?;
+            }
+            Ok(match known {
+                Some(known) => DatasetCreation::Existing(known),
+                None => DatasetCreation::Created(select(tx, id).await?.ok_or(sqlx::Error::RowNotFound)?),
+            })
+        }))
     }
 
     fn dataset(&self, id: SceneId) -> StoreFuture<'_, Option<DatasetRecord>> {
-        Box::pin(async move {
-            let mut tx = self.readers.begin().await?;
-            select(&mut tx, id).await
-        })
+        Box::pin(self.read(async move |tx| select(tx, id).await))
     }
 
     fn dataset_by_archive(
         &self,
         owner: Option<KeyId>,
-        dataset: Digest,
+        archive: Digest,
     ) -> StoreFuture<'_, Option<DatasetRecord>> {
-        Box::pin(async move {
-            let mut tx = self.readers.begin().await?;
-            select_by_archive(&mut tx, owner, dataset).await
-        })
+        Box::pin(self.read(async move |tx| select_by_archive(tx, owner, archive).await))
     }
 
     fn datasets(
@@ -169,10 +120,31 @@ impl Datasets for SqliteStore {
         before: Option<DatasetPageKey>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<DatasetRecord>> {
-        Box::pin(self.list_datasets(owner, before, limit))
+        Box::pin(async move {
+            let rows = lists::datasets(owner, before, limit).build().fetch_all(&self.readers).await?;
+            rows.iter().map(dataset).collect()
+        })
     }
 
     fn delete_dataset(&self, id: SceneId, version: Option<u64>) -> StoreFuture<'_, Option<DatasetDeletion>> {
-        Box::pin(self.remove_dataset(id, version))
+        Box::pin(self.write(async move |tx, _| {
+            let Some(record) = select(tx, id).await? else { return Ok(None) };
+            if version.is_some_and(|version| version != record.version) {
+                return Ok(Some(DatasetDeletion::VersionMismatch));
+            }
+            let row = sqlx::query(
+                "SELECT COUNT(*) AS active FROM jobs INDEXED BY jobs_active_by_scene
+                 WHERE scene = ? AND state IN ('queued', 'running')",
+            )
+            .bind(id.to_string())
+            .fetch_one(&mut *tx)
+            .await?;
+            let active: u64 = unsigned(&row, "active")?;
+            if active > 0 {
+                return Ok(Some(DatasetDeletion::InUse(active)));
+            }
+            sqlx::query("DELETE FROM scenes WHERE id = ?").bind(id.to_string()).execute(tx).await?;
+            Ok(Some(DatasetDeletion::Deleted))
+        }))
     }
 }

@@ -1,4 +1,4 @@
-//! A job's numbered history.
+//! A job's numbered events.
 
 use jiff::Timestamp;
 use serde_json::Value;
@@ -13,7 +13,7 @@ use crate::{
     store::StoreError,
 };
 
-/// Appends an event within the caller's transaction; its number is the next one of the job.
+/// Appends an event within the caller's transaction, with the job's next number.
 pub(super) async fn append(
     connection: &mut SqliteConnection,
     job: JobId,
@@ -36,14 +36,15 @@ pub(super) async fn append(
         .bind(json(data)?)
         .execute(&mut *connection)
         .await?;
-    // Here and not at each change, so that no change can forget it.
+    // Here rather than at each change of state, so that no change can omit it.
     if let Some(state) = entered(kind, data) {
-        webhooks::tell(connection, job, state, attempt, u64::try_from(seq).unwrap_or(0), now).await?;
+        webhooks::enqueue_deliveries(connection, job, state, attempt, u64::try_from(seq).unwrap_or(0), now)
+            .await?;
     }
     Ok(())
 }
 
-/// The state that an event says the job has entered.
+/// The state that the job enters with this event, if any.
 fn entered(kind: EventKind, data: &Value) -> Option<JobState> {
     if kind != EventKind::State || data.get("cancel_requested").is_some() {
         return None;

@@ -22,7 +22,7 @@ async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<Exp
     rows.iter().map(rows::export).collect()
 }
 
-/// Whose job it is, if there is one.
+/// The job's owner (`None` without keys), if there is such a job.
 async fn owner_of(
     connection: &mut SqliteConnection,
     job: JobId,
@@ -34,23 +34,21 @@ async fn owner_of(
 
 impl Exports for SqliteStore {
     fn admit_export(&self, job: JobId) -> StoreFuture<'_, ()> {
-        Box::pin(async move {
-            let mut tx = self.readers.begin().await?;
-            let Some(owner) = owner_of(&mut tx, job).await? else { return Ok(()) };
-            accounts::admit(&mut tx, self.policy.limits.max_bytes, owner, 1).await
-        })
+        Box::pin(self.read(async move |tx| {
+            let Some(owner) = owner_of(tx, job).await? else { return Ok(()) };
+            accounts::admit(tx, self.policy.limits.max_bytes, owner, 1).await
+        }))
     }
 
     fn add_export(&self, export: ExportRecord) -> StoreFuture<'_, Option<ExportRecord>> {
-        Box::pin(async move {
-            let (mut tx, now) = self.begin().await?;
-            let Some(owner) = owner_of(&mut tx, export.job).await? else { return Ok(None) };
+        Box::pin(self.write(async move |tx, now| {
+            let Some(owner) = owner_of(tx, export.job).await? else { return Ok(None) };
             let same = |kept: &ExportRecord| (kept.source, kept.format) == (export.source, export.format);
-            if let Some(kept) = of_job(&mut tx, export.job).await?.into_iter().find(same) {
+            if let Some(kept) = of_job(tx, export.job).await?.into_iter().find(same) {
                 return Ok(Some(kept));
             }
-            accounts::admit_blob(&mut tx, self.policy.limits.max_bytes, owner, export.blob).await?;
-            insert_blob(&mut tx, export.blob, now).await?;
+            accounts::admit_blob(tx, self.policy.limits.max_bytes, owner, export.blob).await?;
+            insert_blob(tx, export.blob, now).await?;
             sqlx::query(
                 "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, likeness_psnr, likeness_views,
                      created_at)
@@ -60,23 +58,19 @@ impl Exports for SqliteStore {
             .bind(export.source.to_string())
             .bind(export.format.name())
             .bind(export.blob.digest.to_string())
-            .bind(i64::try_from(export.gaussians).unwrap_or(i64::MAX))
+            .bind(rows::signed(export.gaussians))
             .bind(export.sh_degree)
             .bind(export.fidelity.map(|fidelity| fidelity.psnr))
             .bind(export.fidelity.map(|fidelity| fidelity.views))
             .bind(micros(now))
-            .execute(&mut *tx)
+            .execute(tx)
             .await?;
-            tx.commit().await?;
             Ok(Some(export))
-        })
+        }))
     }
 
     fn exports(&self, job: JobId) -> StoreFuture<'_, Vec<ExportRecord>> {
-        Box::pin(async move {
-            let mut tx = self.readers.begin().await?;
-            of_job(&mut tx, job).await
-        })
+        Box::pin(self.read(async move |tx| of_job(tx, job).await))
     }
 
     fn file(&self, digest: Digest, owner: Option<KeyId>) -> StoreFuture<'_, Option<FileRecord>> {

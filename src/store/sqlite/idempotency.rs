@@ -1,4 +1,4 @@
-//! What requests with a key made.
+//! Requests with an `Idempotency-Key` in SQLite.
 
 use std::time::Duration;
 
@@ -18,10 +18,10 @@ fn owner_text(owner: Option<KeyId>) -> String {
     owner.map_or_else(String::new, |owner| owner.to_string())
 }
 
-/// Writes down, within the transaction that makes `resource`, that `intent` made it.
+/// Records, within the transaction that creates `resource`, that `intent` created it.
 ///
 /// # Errors
-/// [`StoreError::IdempotencyKeyUsed`] if its key was used before; the transaction must then come to nothing.
+/// [`StoreError::IdempotencyKeyUsed`] if its key was used before; the transaction must then be rolled back.
 pub(super) async fn remember(
     connection: &mut SqliteConnection,
     intent: &IdempotentRequest,

@@ -1,17 +1,15 @@
-//! What becomes of jobs besides being worked at: given up when their time is over, repeated, deleted. Each function is a part
-//! of its caller's transaction.
+//! Changes to jobs outside of attempts: expired deadlines, retries, deletion. Each function runs within its caller's transaction.
 
 use jiff::Timestamp;
-use serde_json::json;
 use sqlx::{Row as _, SqliteConnection};
 
 use super::{
-    events::append,
-    rows::{self, json as text, micros},
+    queue::{JobEnd, end_job},
+    rows::{self, micros},
     select_job,
 };
 use crate::{
-    domain::{EventKind, JobId, JobState},
+    domain::{JobId, JobState},
     store::{Deletion, NewJob, RetryRequest, StoreError, retry::deadline_exceeded},
 };
 
@@ -27,36 +25,27 @@ pub(super) async fn fail_expired(
             .await?;
     for row in &late {
         let (job, attempt) = (rows::job_id(row)?, row.try_get("attempt")?);
-        let problem = deadline_exceeded(rows::deadline(row)?, attempt);
-        sqlx::query(
-            "UPDATE jobs SET state = 'failed', phase = 'done', error = ?, finished_at = ?, version = version + 1
-             WHERE id = ?",
-        )
-        .bind(text(&problem)?)
-        .bind(micros(now))
-        .bind(job.to_string())
-        .execute(&mut *connection)
-        .await?;
-        let data = json!({ "state": JobState::Failed, "error": problem });
-        append(connection, job, EventKind::State, attempt, &data, now).await?;
+        let error = Some(deadline_exceeded(rows::deadline(row)?, attempt));
+        let end = JobEnd { state: JobState::Failed, metrics: None, error };
+        end_job(connection, job, attempt, &end, now).await?;
     }
     Ok(late.len() as u64)
 }
 
-/// The job that repeats `id`, or in what state that is if it cannot be repeated; `None` if there is no such job.
+/// The job that retries `id`, or the state of `id` if it cannot be retried; `None` if there is no such job.
 pub(super) async fn retry_of(
     connection: &mut SqliteConnection,
     id: JobId,
-    repeat: RetryRequest,
+    request: RetryRequest,
 ) -> Result<Option<Result<NewJob, JobState>>, StoreError> {
     let Some(record) = select_job(connection, id).await? else { return Ok(None) };
     if !matches!(record.job.state, JobState::Failed | JobState::Cancelled) {
         return Ok(Some(Err(record.job.state)));
     }
-    let RetryRequest { id: new, from_checkpoint, deadline_at, intent } = repeat;
+    let RetryRequest { id: new, from_checkpoint, deadline_at, intent } = request;
     Ok(Some(Ok(NewJob {
         owner: record.owner,
-        scene: record.scene,
+        dataset_id: record.dataset_id,
         retry_of: Some(id),
         deadline_at,
         priority: record.priority,
@@ -66,7 +55,7 @@ pub(super) async fn retry_of(
     })))
 }
 
-/// Deletes a job that has ended, with all that belongs to it but its blobs.
+/// Deletes a job that has ended, with everything but its blobs.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     id: JobId,
@@ -79,7 +68,7 @@ pub(super) async fn delete(
     if !record.job.state.is_terminal() {
         return Ok(Some(Deletion::Active(record.job.state)));
     }
-    // The schema would forget the reference too, but not that those rows have changed.
+    // The schema would clear the reference too, but not raise the version of those rows.
     for statement in [
         "UPDATE jobs SET retry_of = NULL, version = version + 1 WHERE retry_of = ?",
         "DELETE FROM jobs WHERE id = ?",

@@ -12,8 +12,7 @@ use crate::{
 
 impl Keys for SqliteStore {
     fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord> {
-        Box::pin(async move {
-            let (mut tx, now) = self.begin().await?;
+        Box::pin(self.write(async move |tx, now| {
             let row = sqlx::query(
                 "INSERT INTO keys (id, name, prefix, hash, scopes, max_bytes, max_active_jobs, requests_per_minute,
                      max_priority, created_at)
@@ -24,17 +23,16 @@ impl Keys for SqliteStore {
             .bind(&new.prefix)
             .bind(new.hash.expose())
             .bind(scopes_text(&new.scopes))
-            // What no disk can hold is no bound.
+            // SQLite has no larger integer, and no disk holds more.
             .bind(new.limits.max_bytes.map(|bytes| i64::try_from(bytes).unwrap_or(i64::MAX)))
             .bind(new.limits.max_active_jobs)
             .bind(new.limits.requests_per_minute.map(NonZeroU32::get))
             .bind(new.limits.max_priority)
             .bind(micros(now))
-            .fetch_one(&mut *tx)
+            .fetch_one(tx)
             .await?;
-            tx.commit().await?;
             key(&row)
-        })
+        }))
     }
 
     fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
@@ -63,17 +61,15 @@ impl Keys for SqliteStore {
     }
 
     fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
-        Box::pin(async move {
-            let (mut tx, now) = self.begin().await?;
+        Box::pin(self.write(async move |tx, now| {
             let row =
                 sqlx::query("UPDATE keys SET revoked_at = COALESCE(revoked_at, ?) WHERE id = ? RETURNING *")
                     .bind(micros(now))
                     .bind(id.to_string())
-                    .fetch_optional(&mut *tx)
+                    .fetch_optional(tx)
                     .await?;
-            tx.commit().await?;
             row.as_ref().map(key).transpose()
-        })
+        }))
     }
 
     fn authenticate(&self, hash: KeyHash) -> StoreFuture<'_, Option<KeyRecord>> {
@@ -83,7 +79,7 @@ impl Keys for SqliteStore {
                 .fetch_optional(&self.readers)
                 .await?;
             let Some(row) = row else { return Ok(None) };
-            // An index compares as far as values agree; what is let in is compared whole.
+            // An index compares only up to the first difference; the whole hash is compared in constant time.
             if !hash.is(row.try_get("hash")?) {
                 return Ok(None);
             }
@@ -100,16 +96,14 @@ impl Keys for SqliteStore {
     }
 
     fn touch_key(&self, id: KeyId) -> StoreFuture<'_, ()> {
-        Box::pin(async move {
-            let (mut tx, now) = self.begin().await?;
+        Box::pin(self.write(async move |tx, now| {
             sqlx::query("UPDATE keys SET last_used_at = MAX(COALESCE(last_used_at, 0), ?) WHERE id = ?")
                 .bind(micros(now))
                 .bind(id.to_string())
-                .execute(&mut *tx)
+                .execute(tx)
                 .await?;
-            tx.commit().await?;
             Ok(())
-        })
+        }))
     }
 }
 

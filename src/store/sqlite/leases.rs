@@ -1,4 +1,4 @@
-//! Claims and renewals as [`LeaseWatch`] has to know of them, and the jobs whose leases have run out by it.
+//! Connects claims and renewals with [`LeaseWatch`], and ends the attempts whose leases it found to have expired.
 
 use std::sync::{MutexGuard, PoisonError};
 
@@ -6,19 +6,19 @@ use super::{SqliteStore, job_changes, queue};
 use crate::{
     domain::JobId,
     store::{
-        Claim, Heartbeat, Lease, StoreError, WorkerDeath,
+        Claim, StoreError, WorkerDeath,
         leases::{LeaseRow, LeaseWatch},
     },
 };
 
 impl SqliteStore {
-    /// Looks at all leases, and returns those that have run out.
+    /// Compares all leases with the watch, and returns those that have expired.
     async fn expired(&self) -> Result<Vec<(LeaseRow, WorkerDeath)>, StoreError> {
         let rows = queue::leases(&self.readers).await?;
-        Ok(self.lease_watch().look(&rows, self.policy.lease, self.clock.elapsed()))
+        Ok(self.lease_watch().observe(&rows, self.policy.lease, self.clock.elapsed()))
     }
 
-    /// The lease of one job, if it has run out.
+    /// The lease of one job, if it has expired.
     pub(super) async fn expired_of(&self, job: JobId) -> Result<Vec<(LeaseRow, WorkerDeath)>, StoreError> {
         let mut expired = self.expired().await?;
         expired.retain(|(lease, _)| lease.job == job);
@@ -30,19 +30,12 @@ impl SqliteStore {
         if expired.is_empty() && !self.anything_due().await? {
             return Ok(None);
         }
-        let (mut tx, now) = self.begin().await?;
-        queue::reap(&mut tx, &self.policy, &expired, now).await?;
-        job_changes::fail_expired(&mut tx, now).await?;
-        let claimed = queue::claim(&mut tx, &self.policy, worker, now).await?;
-        tx.commit().await?;
-        Ok(claimed)
-    }
-
-    pub(super) async fn renew(&self, lease: &Lease) -> Result<(LeaseRow, Heartbeat), StoreError> {
-        let (mut tx, now) = self.begin().await?;
-        let renewed = queue::heartbeat(&mut tx, &self.policy, lease, now).await?;
-        tx.commit().await?;
-        Ok(renewed)
+        self.write(async move |tx, now| {
+            queue::reap(tx, &self.policy, &expired, now).await?;
+            job_changes::fail_expired(tx, now).await?;
+            queue::claim(tx, &self.policy, worker, now).await
+        })
+        .await
     }
 
     pub(super) async fn reap_expired(&self) -> Result<u64, StoreError> {
@@ -50,28 +43,25 @@ impl SqliteStore {
         if expired.is_empty() {
             return Ok(0);
         }
-        let (mut tx, now) = self.begin().await?;
-        let count = queue::reap(&mut tx, &self.policy, &expired, now).await?;
-        tx.commit().await?;
-        Ok(count)
+        self.write(async move |tx, now| queue::reap(tx, &self.policy, &expired, now).await).await
     }
 
-    /// The answer, once the watch knows of the lease that was given out or renewed. Where the database failed, workers may
-    /// have been unable to renew theirs, so none of them is taken for silent on account of the time until now.
-    pub(super) fn watched<T>(
+    /// Passes a result on, after the watch has recorded the lease that was granted or renewed. If the database failed, workers may
+    /// have been unable to renew their leases, so the watch starts counting anew.
+    pub(super) fn track_lease<T>(
         &self,
-        done: Result<(Option<LeaseRow>, T), StoreError>,
+        result: Result<(Option<LeaseRow>, T), StoreError>,
     ) -> Result<T, StoreError> {
-        match done {
-            Ok((row, answer)) => {
+        match result {
+            Ok((row, value)) => {
                 if let Some(row) = row {
                     self.lease_watch().renewed(row, self.clock.elapsed());
                 }
-                Ok(answer)
+                Ok(value)
             }
             Err(error) => {
                 if !matches!(error, StoreError::LeaseLost { .. }) {
-                    self.lease_watch().forget();
+                    self.lease_watch().reset();
                 }
                 Err(error)
             }

@@ -1,5 +1,5 @@
-//! The statements that list jobs, scenes and endpoints. Each names only what it filters by, so that SQLite finds the index for it:
-//! with `? IS NULL OR owner = ?` it would read what everybody has.
+//! The queries that list jobs, datasets and endpoints. Each names only the columns that it filters by, so that SQLite uses an index:
+//! with `? IS NULL OR owner = ?` it would scan the rows of all owners.
 
 use sqlx::{QueryBuilder, Sqlite};
 
@@ -21,8 +21,8 @@ pub(super) fn jobs(filter: &JobFilter, before: Option<PageKey>, limit: u32) -> Q
     if let Some(owner) = filter.owner {
         query.push(" AND owner = ").push_bind(owner.to_string());
     }
-    if let Some(scene) = filter.scene {
-        query.push(" AND scene = ").push_bind(scene.to_string());
+    if let Some(dataset) = filter.dataset_id {
+        query.push(" AND scene = ").push_bind(dataset.to_string());
     }
     if !filter.states.is_empty() {
         query.push(" AND state IN (");
@@ -40,7 +40,7 @@ pub(super) fn jobs(filter: &JobFilter, before: Option<PageKey>, limit: u32) -> Q
 }
 
 /// Rows of `scenes` with their dataset's `bytes`, newest first.
-pub(super) fn scenes(
+pub(super) fn datasets(
     owner: Option<KeyId>,
     before: Option<DatasetPageKey>,
     limit: u32,
@@ -78,21 +78,19 @@ pub(super) fn endpoints(
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use sqlx::Row as _;
     use uuid::Uuid;
 
     use super::*;
     use crate::{
-        domain::{JobId, JobState, SceneId, SystemClock},
+        domain::{JobId, JobState, SceneId},
         store::{
-            QueuePolicy, SqliteStore,
-            sqlite::{accounts, stats},
+            SqliteStore,
+            sqlite::{accounts, open::temporary_store, stats},
         },
     };
 
-    /// How SQLite goes about a statement, step by step.
+    /// SQLite's query plan of a statement.
     async fn plan(store: &SqliteStore, statement: &str) -> Vec<String> {
         let explained = sqlx::AssertSqlSafe(format!("EXPLAIN QUERY PLAN {statement}"));
         let rows = sqlx::query(explained).fetch_all(&store.readers).await.expect("a plan");
@@ -100,11 +98,8 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn lists_read_what_they_show_and_no_more() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("tcgs.db");
-        let store =
-            SqliteStore::open(&path, Arc::new(SystemClock), QueuePolicy::default()).await.expect("opens");
+    async fn lists_read_only_the_rows_that_they_return() {
+        let (_folder, store) = temporary_store().await;
         let owner = Some(KeyId(Uuid::from_u128(1)));
         let scene = Some(SceneId(Uuid::from_u128(1)));
         let at = jiff::Timestamp::UNIX_EPOCH;
@@ -112,7 +107,7 @@ mod tests {
         let page = Some(DatasetPageKey { created_at: at, id: SceneId(Uuid::from_u128(1)) });
         let all = JobFilter::default();
         let of_owner = JobFilter { owner, ..JobFilter::default() };
-        let of_scene = JobFilter { scene, ..JobFilter::default() };
+        let of_scene = JobFilter { dataset_id: scene, ..JobFilter::default() };
         let queued = JobFilter { owner, states: vec![JobState::Queued], ..JobFilter::default() };
         let cases = [
             (jobs(&all, None, 20), "jobs_by_age"),
@@ -121,28 +116,25 @@ mod tests {
             (jobs(&of_owner, job, 20), "jobs_by_owner "),
             (jobs(&queued, job, 20), "jobs_by_owner_state"),
             (jobs(&of_scene, job, 20), "jobs_by_scene"),
-            (scenes(None, page, 20), "scenes_by_age"),
-            (scenes(owner, None, 20), "scenes_by_owner"),
-            (scenes(owner, page, 20), "scenes_by_owner"),
+            (datasets(None, page, 20), "scenes_by_age"),
+            (datasets(owner, None, 20), "scenes_by_owner"),
+            (datasets(owner, page, 20), "scenes_by_owner"),
             (endpoints(owner, None, 20), "webhook_endpoints_by_owner"),
         ];
         for (query, index) in cases {
             let statement = query.sql();
             let plan = plan(&store, statement.as_str()).await;
             assert!(plan[0].contains(index), "{}: {plan:?}", statement.as_str());
-            // Endpoints of an owner are few.
+            // An owner has few endpoints.
             let sorts = plan.iter().any(|step| step.contains("TEMP B-TREE"));
             assert!(!sorts || index.starts_with("webhook"), "{}: {plan:?}", statement.as_str());
         }
     }
 
     #[tokio::test]
-    async fn nothing_under_the_write_lock_and_no_metric_reads_a_whole_table() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("tcgs.db");
-        let store =
-            SqliteStore::open(&path, Arc::new(SystemClock), QueuePolicy::default()).await.expect("opens");
-        // The few rows of totals and counters, and an index of jobs that run.
+    async fn nothing_under_the_write_lock_and_no_metric_scans_a_table() {
+        let (_folder, store) = temporary_store().await;
+        // The few rows of totals and counters, and an index of the running jobs.
         let whole =
             ["SCAN CONSTANT ROW", "SCAN totals", "SCAN counters", "SCAN jobs USING INDEX jobs_by_lease"];
         for statement in accounts::STATEMENTS.into_iter().chain(stats::STATEMENTS) {

@@ -1,14 +1,12 @@
-//! The job table in one SQLite file, for a single machine.
+//! The store in one SQLite file, for a single machine.
 //!
 //! WAL with `synchronous = FULL`: a committed change survives a power cut. Writes go through one connection
 //! and begin with `BEGIN IMMEDIATE`, so no transaction ever has to turn from reader into writer, which SQLite
-//! refuses without waiting. Reads have connections of their own. Several processes may share the file. Totals that grow
-//! with the history are kept by triggers of the schema and never counted.
+//! refuses without waiting. Reads have connections of their own. Several processes may share the file. Triggers of the schema
+//! maintain totals, so no query counts a whole table.
 
 mod accounts;
 mod datasets;
-#[cfg(test)]
-mod durability_tests;
 mod events;
 mod exports;
 mod idempotency;
@@ -25,11 +23,14 @@ mod stats;
 mod uploads;
 mod webhooks;
 
-use std::sync::{Arc, Mutex};
+use std::{
+    fmt::Display,
+    sync::{Arc, Mutex},
+};
 
 use jiff::Timestamp;
 use serde_json::json;
-use sqlx::{Row as _, Sqlite, SqliteConnection, SqlitePool, Transaction};
+use sqlx::{Row as _, SqliteConnection, SqlitePool};
 
 use super::{
     Artifact, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat, JobFilter, JobRecord, Lease,
@@ -40,7 +41,7 @@ use crate::domain::{Clock, Event, EventKind, JobId, JobState, Phase, Progress};
 pub use open::SchemaChange;
 use rows::{json as text, micros};
 
-/// HTTP status of an answer to a request that made something.
+/// HTTP status of the response to a request that created a resource.
 const CREATED: u16 = 201;
 
 /// [`Store`] on SQLite.
@@ -59,20 +60,28 @@ impl SqliteStore {
         self.writer.close().await;
     }
 
-    async fn begin(&self) -> Result<(Transaction<'static, Sqlite>, Timestamp), StoreError> {
-        let transaction = self.writer.begin_with("BEGIN IMMEDIATE").await?;
+    /// Runs `work` in a transaction that holds the write lock, and commits it unless `work` fails.
+    async fn write<T>(
+        &self,
+        work: impl AsyncFnOnce(&mut SqliteConnection, Timestamp) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
         // The clock is read only once the transaction holds the write lock, so that times never run backwards.
-        Ok((transaction, self.clock.now()))
-    }
-
-    async fn insert_job(&self, new: NewJob) -> Result<JobRecord, StoreError> {
-        let (mut tx, now) = self.begin().await?;
-        let record = self.insert_job_in(&mut tx, new, now).await?;
+        let now = self.clock.now();
+        let value = work(&mut tx, now).await?;
         tx.commit().await?;
-        Ok(record)
+        Ok(value)
     }
 
-    async fn insert_job_in(
+    /// Runs `work` on one snapshot of the database.
+    async fn read<T>(
+        &self,
+        work: impl AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        work(&mut *self.readers.begin().await?).await
+    }
+
+    async fn insert_job(
         &self,
         tx: &mut SqliteConnection,
         new: NewJob,
@@ -85,15 +94,14 @@ impl SqliteStore {
         let limits = self.policy.limits;
         accounts::admit_job(tx, limits.max_active_jobs, new.owner).await?;
         accounts::admit_blob(tx, limits.max_bytes, new.owner, new.dataset).await?;
-        // A job that repeats another has the priority that was admitted then.
+        // A retry keeps the priority that was admitted for the job before.
         if new.retry_of.is_none() {
             priority::admit(tx, limits.max_priority, new.owner, new.priority).await?;
         }
-        if let Some(scene) = new.scene {
-            let known = sqlx::query("SELECT 1 FROM scenes WHERE id = ?").bind(scene.to_string());
-            if known.fetch_optional(&mut *tx).await?.is_none() {
-                return Err(StoreError::NoScene(scene));
-            }
+        if let Some(dataset) = new.dataset_id
+            && !exists(tx, "SELECT 1 FROM scenes WHERE id = ?", dataset).await?
+        {
+            return Err(StoreError::NoDataset(dataset));
         }
         insert_blob(tx, new.dataset, now).await?;
         sqlx::query(
@@ -103,7 +111,7 @@ impl SqliteStore {
         )
         .bind(new.id.to_string())
         .bind(new.owner.map(|owner| owner.to_string()))
-        .bind(new.scene.map(|scene| scene.to_string()))
+        .bind(new.dataset_id.map(|id| id.to_string()))
         .bind(new.retry_of.map(|job| job.to_string()))
         .bind(new.deadline_at.map(micros))
         .bind(new.dataset.digest.to_string())
@@ -120,93 +128,7 @@ impl SqliteStore {
         select_job(tx, new.id).await?.ok_or(StoreError::Database(sqlx::Error::RowNotFound))
     }
 
-    async fn insert_retry(
-        &self,
-        id: JobId,
-        repeat: RetryRequest,
-    ) -> Result<Option<RetryOutcome>, StoreError> {
-        let (mut tx, now) = self.begin().await?;
-        let made = match job_changes::retry_of(&mut tx, id, repeat).await? {
-            None => return Ok(None),
-            Some(Err(state)) => return Ok(Some(RetryOutcome::NotRetryable(state))),
-            Some(Ok(new)) => self.insert_job_in(&mut tx, new, now).await?,
-        };
-        tx.commit().await?;
-        Ok(Some(RetryOutcome::Created(Box::new(made))))
-    }
-
-    async fn remove_job(&self, id: JobId, version: Option<u64>) -> Result<Option<Deletion>, StoreError> {
-        // As with a cancellation, a worker that is gone keeps nobody from deleting its job.
-        let expired = self.expired_of(id).await?;
-        let (mut tx, now) = self.begin().await?;
-        queue::reap(&mut tx, &self.policy, &expired, now).await?;
-        let answer = job_changes::delete(&mut tx, id, version).await?;
-        tx.commit().await?;
-        Ok(answer)
-    }
-
-    async fn give_up(&self) -> Result<u64, StoreError> {
-        let late = sqlx::query("SELECT 1 FROM jobs WHERE state = 'queued' AND deadline_at <= ? LIMIT 1")
-            .bind(micros(self.clock.now()))
-            .fetch_optional(&self.readers)
-            .await?;
-        if late.is_none() {
-            return Ok(0);
-        }
-        let (mut tx, now) = self.begin().await?;
-        let count = job_changes::fail_expired(&mut tx, now).await?;
-        tx.commit().await?;
-        Ok(count)
-    }
-
-    async fn cancel_job(&self, id: JobId) -> Result<Option<Cancellation>, StoreError> {
-        // A job whose worker is gone need not wait for another worker to learn that it is cancelled.
-        let expired = self.expired_of(id).await?;
-        let (mut tx, now) = self.begin().await?;
-        queue::reap(&mut tx, &self.policy, &expired, now).await?;
-        job_changes::fail_expired(&mut tx, now).await?;
-        let answer = queue::cancel(&mut tx, id, now).await?;
-        tx.commit().await?;
-        Ok(answer)
-    }
-
-    async fn list(
-        &self,
-        filter: &JobFilter,
-        before: Option<PageKey>,
-        limit: u32,
-    ) -> Result<Vec<JobRecord>, StoreError> {
-        // One snapshot for the jobs and their artifacts.
-        let mut tx = self.readers.begin().await?;
-        let rows = lists::jobs(filter, before, limit).build().fetch_all(&mut *tx).await?;
-        let mut records = Vec::with_capacity(rows.len());
-        for row in &rows {
-            let artifacts = select_artifacts(&mut tx, rows::job_id(row)?).await?;
-            records.push(rows::job(row, artifacts)?);
-        }
-        Ok(records)
-    }
-
-    async fn read_events(&self, id: JobId, after: u64, limit: u32) -> Result<Option<Vec<Event>>, StoreError> {
-        let mut tx = self.readers.begin().await?;
-        let known = sqlx::query("SELECT 1 FROM jobs WHERE id = ?")
-            .bind(id.to_string())
-            .fetch_optional(&mut *tx)
-            .await?
-            .is_some();
-        if !known {
-            return Ok(None);
-        }
-        let rows = sqlx::query("SELECT * FROM events WHERE job_id = ? AND seq > ? ORDER BY seq LIMIT ?")
-            .bind(id.to_string())
-            .bind(i64::try_from(after).unwrap_or(i64::MAX))
-            .bind(limit)
-            .fetch_all(&mut *tx)
-            .await?;
-        rows.iter().map(rows::event).collect::<Result<_, _>>().map(Some)
-    }
-
-    /// Whether a claim could find anything, so that idle polling takes no write lock.
+    /// Whether a claim could find a job, so that idle polling takes no write lock.
     async fn anything_due(&self) -> Result<bool, StoreError> {
         let now = micros(self.clock.now());
         let row = sqlx::query(
@@ -260,16 +182,26 @@ async fn select_artifacts(connection: &mut SqliteConnection, id: JobId) -> Resul
     rows.iter().map(rows::artifact).collect()
 }
 
+/// Whether the query finds a row for `id`.
+async fn exists(
+    connection: &mut SqliteConnection,
+    query: &'static str,
+    id: impl Display,
+) -> Result<bool, StoreError> {
+    Ok(sqlx::query(query).bind(id.to_string()).fetch_optional(connection).await?.is_some())
+}
+
+async fn job_exists(connection: &mut SqliteConnection, id: JobId) -> Result<bool, StoreError> {
+    exists(connection, "SELECT 1 FROM jobs WHERE id = ?", id).await
+}
+
 impl Store for SqliteStore {
     fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord> {
-        Box::pin(self.insert_job(new))
+        Box::pin(self.write(async move |tx, now| self.insert_job(tx, new, now).await))
     }
 
     fn job(&self, id: JobId) -> StoreFuture<'_, Option<JobRecord>> {
-        Box::pin(async move {
-            let mut tx = self.readers.begin().await?;
-            select_job(&mut tx, id).await
-        })
+        Box::pin(self.read(async move |tx| select_job(tx, id).await))
     }
 
     fn jobs<'a>(
@@ -278,11 +210,30 @@ impl Store for SqliteStore {
         before: Option<PageKey>,
         limit: u32,
     ) -> StoreFuture<'a, Vec<JobRecord>> {
-        Box::pin(self.list(filter, before, limit))
+        Box::pin(self.read(async move |tx| {
+            let rows = lists::jobs(filter, before, limit).build().fetch_all(&mut *tx).await?;
+            let mut records = Vec::with_capacity(rows.len());
+            for row in &rows {
+                let artifacts = select_artifacts(tx, rows::job_id(row)?).await?;
+                records.push(rows::job(row, artifacts)?);
+            }
+            Ok(records)
+        }))
     }
 
     fn events(&self, id: JobId, after: u64, limit: u32) -> StoreFuture<'_, Option<Vec<Event>>> {
-        Box::pin(self.read_events(id, after, limit))
+        Box::pin(self.read(async move |tx| {
+            if !job_exists(tx, id).await? {
+                return Ok(None);
+            }
+            let rows = sqlx::query("SELECT * FROM events WHERE job_id = ? AND seq > ? ORDER BY seq LIMIT ?")
+                .bind(id.to_string())
+                .bind(rows::signed(after))
+                .bind(limit)
+                .fetch_all(tx)
+                .await?;
+            rows.iter().map(rows::event).collect::<Result<_, _>>().map(Some)
+        }))
     }
 
     fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<(JobId, u64)>> {
@@ -307,19 +258,51 @@ impl Store for SqliteStore {
     }
 
     fn cancel(&self, id: JobId) -> StoreFuture<'_, Option<Cancellation>> {
-        Box::pin(self.cancel_job(id))
+        Box::pin(async move {
+            // A job whose worker is dead is cancelled at once, without another worker.
+            let expired = self.expired_of(id).await?;
+            self.write(async move |tx, now| {
+                queue::reap(tx, &self.policy, &expired, now).await?;
+                job_changes::fail_expired(tx, now).await?;
+                queue::cancel(tx, id, now).await
+            })
+            .await
+        })
     }
 
-    fn retry_job(&self, id: JobId, repeat: RetryRequest) -> StoreFuture<'_, Option<RetryOutcome>> {
-        Box::pin(self.insert_retry(id, repeat))
+    fn retry_job(&self, id: JobId, request: RetryRequest) -> StoreFuture<'_, Option<RetryOutcome>> {
+        Box::pin(self.write(async move |tx, now| {
+            Ok(match job_changes::retry_of(tx, id, request).await? {
+                None => None,
+                Some(Err(state)) => Some(RetryOutcome::NotRetryable(state)),
+                Some(Ok(new)) => Some(RetryOutcome::Created(Box::new(self.insert_job(tx, new, now).await?))),
+            })
+        }))
     }
 
     fn delete_job(&self, id: JobId, version: Option<u64>) -> StoreFuture<'_, Option<Deletion>> {
-        Box::pin(self.remove_job(id, version))
+        Box::pin(async move {
+            // A job whose worker is dead can be deleted at once, as it can be cancelled.
+            let expired = self.expired_of(id).await?;
+            self.write(async move |tx, now| {
+                queue::reap(tx, &self.policy, &expired, now).await?;
+                job_changes::delete(tx, id, version).await
+            })
+            .await
+        })
     }
 
     fn fail_expired(&self) -> StoreFuture<'_, u64> {
-        Box::pin(self.give_up())
+        Box::pin(async move {
+            let late = sqlx::query("SELECT 1 FROM jobs WHERE state = 'queued' AND deadline_at <= ? LIMIT 1")
+                .bind(micros(self.clock.now()))
+                .fetch_optional(&self.readers)
+                .await?;
+            if late.is_none() {
+                return Ok(0);
+            }
+            self.write(async move |tx, now| job_changes::fail_expired(tx, now).await).await
+        })
     }
 
     fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<JobId>> {
@@ -339,48 +322,40 @@ impl Store for SqliteStore {
     fn claim<'a>(&'a self, worker: &'a str) -> StoreFuture<'a, Option<Claim>> {
         Box::pin(async move {
             let claimed = self.claim_next(worker).await;
-            self.watched(claimed.map(Option::unzip))
+            self.track_lease(claimed.map(Option::unzip))
         })
     }
 
     fn heartbeat<'a>(&'a self, lease: &'a Lease) -> StoreFuture<'a, Heartbeat> {
         Box::pin(async move {
-            let renewed = self.renew(lease).await;
-            self.watched(renewed.map(|(row, heartbeat)| (Some(row), heartbeat)))
+            let renewed =
+                self.write(async move |tx, now| queue::heartbeat(tx, &self.policy, lease, now).await).await;
+            self.track_lease(renewed.map(|(row, heartbeat)| (Some(row), heartbeat)))
         })
     }
 
     fn report<'a>(&'a self, lease: &'a Lease, phase: Phase, progress: &'a Progress) -> StoreFuture<'a, ()> {
-        Box::pin(async move {
-            let (mut tx, now) = self.begin().await?;
-            queue::report(&mut tx, &self.policy, lease, phase, progress, now).await?;
-            tx.commit().await?;
-            Ok(())
-        })
+        Box::pin(
+            self.write(async move |tx, now| {
+                queue::report(tx, &self.policy, lease, phase, progress, now).await
+            }),
+        )
     }
 
     fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> StoreFuture<'a, JobState> {
-        Box::pin(async move {
-            let (mut tx, now) = self.begin().await?;
-            let state = queue::finish(&mut tx, &self.policy, lease, outcome, now).await?;
-            tx.commit().await?;
-            Ok(state)
-        })
+        Box::pin(self.write(async move |tx, now| queue::finish(tx, &self.policy, lease, outcome, now).await))
     }
 
     fn expire_worker<'a>(&'a self, worker: &'a str, death: WorkerDeath) -> StoreFuture<'a, u64> {
-        Box::pin(async move {
-            let (mut tx, now) = self.begin().await?;
-            let count = queue::expire_worker(&mut tx, &self.policy, worker, death, now).await?;
-            tx.commit().await?;
-            Ok(count)
-        })
+        Box::pin(
+            self.write(async move |tx, now| queue::expire_worker(tx, &self.policy, worker, death, now).await),
+        )
     }
 
     fn expire_leases(&self) -> StoreFuture<'_, u64> {
         Box::pin(async move {
             let expired = self.reap_expired().await;
-            self.watched(expired.map(|count| (None, count)))
+            self.track_lease(expired.map(|count| (None, count)))
         })
     }
 

@@ -1,7 +1,7 @@
-//! Opens the database, and brings its schema up to date if that is wanted.
+//! Opens the database, and migrates its schema if that is wanted.
 //!
-//! Whoever opens a database holds the lock file beside it meanwhile, so of several processes that open a new one at once a single one
-//! makes its tables, and nobody sees a schema that is half changed.
+//! A process that opens a database holds the lock file beside it meanwhile. So if several processes open a new database at once, one
+//! creates its tables, and none sees a schema that is partly migrated.
 
 use std::{
     fs::{File, TryLockError},
@@ -30,7 +30,7 @@ const READERS: u32 = 4;
 const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
 const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// What is done with a database whose schema is older than this program's. A new one gets its tables in any case.
+/// What to do with a schema that is older than this program's. A new database gets its tables in any case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum OlderSchema {
     Migrate,
@@ -40,14 +40,14 @@ enum OlderSchema {
 /// Versions of a schema.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct SchemaChange {
-    /// The version that was found; none if the database was new.
+    /// The version that was found; `None` if the database was new.
     pub from: Option<i64>,
-    /// The version that it has now, which is this program's.
+    /// The version now, which is this program's.
     pub to: i64,
 }
 
 impl SqliteStore {
-    /// Opens the database at `path`, creating it and bringing its schema up to date.
+    /// Opens the database at `path`, creates it if there is none, and migrates its schema.
     ///
     /// # Errors
     /// [`StoreError::Open`], [`StoreError::Migrate`] or [`StoreError::SchemaNewer`].
@@ -55,7 +55,7 @@ impl SqliteStore {
         Ok(open(path, clock, policy, OlderSchema::Migrate).await?.0)
     }
 
-    /// Opens the database at `path` and leaves its schema as it is; creates the database if there is none.
+    /// Opens the database at `path` without migrating its schema; creates the database if there is none.
     ///
     /// # Errors
     /// [`StoreError::Open`], [`StoreError::Migrate`], [`StoreError::SchemaOlder`] or [`StoreError::SchemaNewer`].
@@ -67,7 +67,7 @@ impl SqliteStore {
         Ok(open(path, clock, policy, OlderSchema::Refuse).await?.0)
     }
 
-    /// As [`SqliteStore::open`], and tells what became of the schema.
+    /// As [`SqliteStore::open`]; also returns the schema's versions before and after.
     ///
     /// # Errors
     /// As [`SqliteStore::open`].
@@ -96,7 +96,7 @@ async fn open(
         .busy_timeout(BUSY_TIMEOUT)
         .foreign_keys(true);
     let writer = pool(1).connect_with(options.clone()).await.map_err(open_error)?;
-    let change = match bring_up_to_date(path, &writer, older).await {
+    let change = match migrate_schema(path, &writer, older).await {
         Ok(change) => change,
         Err(error) => {
             writer.close().await;
@@ -108,7 +108,7 @@ async fn open(
     Ok((SqliteStore { writer, readers, clock, policy, leases: std::sync::Mutex::default() }, change))
 }
 
-async fn bring_up_to_date(
+async fn migrate_schema(
     path: &Path,
     writer: &SqlitePool,
     older: OlderSchema,
@@ -122,13 +122,13 @@ async fn bring_up_to_date(
         Some(found) if found < needed && older == OlderSchema::Refuse => {
             return Err(StoreError::SchemaOlder { path: path.display().to_string(), found, needed });
         }
-        // Also if there is nothing to do: it compares what was done with what is known.
+        // Even if there is nothing to do: it compares the applied migrations with the known ones.
         _ => MIGRATIONS.run(writer).await?,
     }
     Ok(SchemaChange { from: found, to: needed })
 }
 
-/// The version of the schema; none of a new database.
+/// The version of the schema; `None` for a new database.
 async fn version(connection: &mut SqliteConnection) -> Result<Option<i64>, StoreError> {
     let known = sqlx::query("SELECT 1 FROM sqlite_schema WHERE type = 'table' AND name = '_sqlx_migrations'");
     if known.fetch_optional(&mut *connection).await?.is_none() {
@@ -145,12 +145,12 @@ fn pool(connections: u32) -> SqlitePoolOptions {
             Box::pin(async move {
                 // Waits for the rollback that a transaction sends when it is dropped.
                 connection.ping().await?;
-                // SQLite rolls back by itself on a full disk and on faults of reading and writing. The rollback that follows then
-                // fails, and sqlx counts the transaction as open for good: every later one would be refused.
+                // SQLite rolls back by itself on a full disk and on I/O errors. The rollback that follows then fails, and sqlx counts
+                // the transaction as open for good: every later one on this connection would be refused.
                 let is_usable = !connection.is_in_transaction();
                 if !is_usable {
                     tracing::debug!(
-                        "a database connection is replaced, its last transaction did not end in order"
+                        "replacing a database connection whose last transaction did not end cleanly"
                     );
                 }
                 Ok(is_usable)
@@ -159,7 +159,7 @@ fn pool(connections: u32) -> SqlitePoolOptions {
     )
 }
 
-/// The lock of the database at `path`, which is let go with the file.
+/// The lock of the database at `path`, released when the file is closed.
 async fn lock_beside(path: &Path) -> io::Result<File> {
     let mut name = path.as_os_str().to_owned();
     name.push(".lock");
@@ -169,7 +169,7 @@ async fn lock_beside(path: &Path) -> io::Result<File> {
         match file.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
-                tracing::info!(path = %path.display(), "waiting for another process that opens the database");
+                tracing::info!(path = %path.display(), "waiting for another process that is opening the database");
                 file.lock()?;
             }
             Err(TryLockError::Error(fault)) => return Err(fault),
@@ -177,6 +177,15 @@ async fn lock_beside(path: &Path) -> io::Result<File> {
         Ok(file)
     });
     locked.await.map_err(io::Error::other)?
+}
+
+/// A new database in a temporary folder.
+#[cfg(test)]
+pub(super) async fn temporary_store() -> (tempfile::TempDir, SqliteStore) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let clock = Arc::new(crate::domain::SystemClock);
+    let store = SqliteStore::open(&folder.path().join("tcgs.sqlite"), clock, QueuePolicy::default()).await;
+    (folder, store.expect("a database"))
 }
 
 #[cfg(test)]
@@ -192,7 +201,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_schema_that_is_older_or_newer_is_refused_with_what_to_do() {
+    async fn an_older_or_newer_schema_is_refused_with_advice() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("tcgs.sqlite");
         let clock = || Arc::new(SystemClock);
@@ -224,16 +233,27 @@ mod tests {
 
     #[tokio::test]
     async fn a_connection_whose_transaction_sqlite_ended_by_itself_is_replaced() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("tcgs.sqlite");
-        let store = SqliteStore::open(&path, Arc::new(SystemClock), QueuePolicy::default()).await;
-        let store = store.expect("opens");
+        let (_folder, store) = temporary_store().await;
         for _ in 0..3 {
-            let (mut tx, _) = store.begin().await.expect("a transaction");
+            let mut tx = store.writer.begin_with("BEGIN IMMEDIATE").await.expect("a transaction");
             // As SQLite itself does on a full disk, behind sqlx.
             sqlx::raw_sql("ROLLBACK").execute(&mut *tx).await.expect("rolled back");
             drop(tx);
         }
         store.probe().await.expect("the next one begins");
+    }
+
+    /// As SQLite numbers `synchronous`: 0 is OFF, 1 NORMAL, 2 FULL.
+    const FULL: i64 = 2;
+
+    #[tokio::test]
+    async fn every_connection_keeps_what_it_commits_through_a_power_cut() {
+        let (_folder, store) = temporary_store().await;
+        let (synchronous,): (i64,) =
+            sqlx::query_as("PRAGMA synchronous").fetch_one(&store.writer).await.expect("an answer");
+        assert_eq!(synchronous, FULL);
+        let (journal,): (String,) =
+            sqlx::query_as("PRAGMA journal_mode").fetch_one(&store.writer).await.expect("an answer");
+        assert_eq!(journal, "wal");
     }
 }

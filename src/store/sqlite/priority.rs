@@ -1,4 +1,4 @@
-//! How high the priority of an owner's jobs may be.
+//! The highest priority that an owner's jobs may have.
 
 use sqlx::{Row as _, SqliteConnection};
 
@@ -7,13 +7,13 @@ use crate::{
     store::StoreError,
 };
 
-/// Refuses a priority above the owner's ceiling, which is `default` for keys without one. Administrators have none, nor has
-/// whoever asks a service without keys. Part of the transaction that adds the job.
+/// Refuses a priority above the owner's maximum, which is `default` for keys without one. Administrators and services without keys
+/// have no maximum. Part of the transaction that adds the job.
 pub(super) async fn admit(
     connection: &mut SqliteConnection,
     default: Option<i32>,
     owner: Option<KeyId>,
-    asked: i32,
+    requested: i32,
 ) -> Result<(), StoreError> {
     let Some(key) = owner else { return Ok(()) };
     let row = sqlx::query("SELECT max_priority, scopes FROM keys WHERE id = ?")
@@ -25,6 +25,6 @@ pub(super) async fn admit(
         return Ok(());
     }
     let own: Option<i32> = row.try_get("max_priority")?;
-    let most = own.or(default).unwrap_or(DEFAULT_MAX_PRIORITY);
-    if asked > most { Err(StoreError::PriorityTooHigh { asked, most }) } else { Ok(()) }
+    let max = own.or(default).unwrap_or(DEFAULT_MAX_PRIORITY);
+    if requested > max { Err(StoreError::PriorityTooHigh { requested, max }) } else { Ok(()) }
 }

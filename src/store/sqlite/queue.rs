@@ -1,19 +1,17 @@
-//! The queue: claims, leases and the ends of attempts. Each function is a part of its caller's transaction.
+//! The queue: claims, leases and the ends of attempts. Each function runs within its caller's transaction.
 
-use std::time::Duration;
-
-use jiff::{SignedDuration, Timestamp};
+use jiff::Timestamp;
 use serde_json::{Value, json};
 use sqlx::{Row as _, SqliteConnection, SqlitePool, sqlite::SqliteRow};
 
 use super::{
     events::append,
     insert_blob,
-    rows::{self, json as text, micros, name},
+    rows::{self, after, json as text, micros, name},
     select_job,
 };
 use crate::{
-    domain::{EventKind, JobId, JobState, Phase, Progress},
+    domain::{EventKind, JobId, JobMetrics, JobState, Phase, Problem, Progress},
     store::{
         Cancellation, Claim, Heartbeat, Lease, Outcome, QueuePolicy, StoreError, WorkerDeath,
         leases::LeaseRow,
@@ -21,20 +19,13 @@ use crate::{
     },
 };
 
-pub(super) fn after(now: Timestamp, delay: Duration) -> Timestamp {
-    SignedDuration::try_from(delay)
-        .ok()
-        .and_then(|delay| now.checked_add(delay).ok())
-        .unwrap_or(Timestamp::MAX)
-}
-
 /// The leases of all running jobs.
 pub(super) async fn leases(pool: &SqlitePool) -> Result<Vec<LeaseRow>, StoreError> {
     let rows = sqlx::query("SELECT id, attempt, lease_until FROM jobs WHERE state = 'running'");
     rows.fetch_all(pool).await?.iter().map(rows::lease).collect()
 }
 
-/// Takes jobs whose leases have run out from their workers, and counts them; those that were renewed meanwhile stay.
+/// Ends the attempts whose leases have expired, unless they were renewed meanwhile, and counts them.
 pub(super) async fn reap(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
@@ -51,12 +42,12 @@ pub(super) async fn reap(
         .bind(lease.until)
         .fetch_all(&mut *connection)
         .await?;
-        count += lose(connection, policy, &lost, *death, now).await?;
+        count += end_lost(connection, policy, &lost, *death, now).await?;
     }
     Ok(count)
 }
 
-/// Takes every job from one worker.
+/// Ends every attempt of one worker.
 pub(super) async fn expire_worker(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
@@ -68,10 +59,10 @@ pub(super) async fn expire_worker(
         .bind(worker)
         .fetch_all(&mut *connection)
         .await?;
-    lose(connection, policy, &lost, death, now).await
+    end_lost(connection, policy, &lost, death, now).await
 }
 
-async fn lose(
+async fn end_lost(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
     lost: &[SqliteRow],
@@ -85,7 +76,7 @@ async fn lose(
     Ok(lost.len() as u64)
 }
 
-/// Gives the next job to `worker`. The plus keeps SQLite from counting through all jobs that an owner ever had.
+/// Grants the next job to `worker`. The unary plus keeps SQLite from counting all jobs that an owner ever had.
 pub(super) async fn claim(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
@@ -133,7 +124,7 @@ pub(super) async fn claim(
     Ok(Some((rows::lease(&row)?, claim)))
 }
 
-/// Stops a queued job, or asks for a running one to be stopped.
+/// Cancels a queued job, or requests that a running one stop.
 pub(super) async fn cancel(
     connection: &mut SqliteConnection,
     id: JobId,
@@ -166,8 +157,8 @@ fn lease_lost(lease: &Lease) -> StoreError {
     StoreError::LeaseLost { job: lease.job, attempt: lease.attempt }
 }
 
-/// Renews the lease. Two renewals never give the same one, whatever the clock does: whoever watches leases tells them apart
-/// by their end.
+/// Renews the lease. Successive renewals always differ in `lease_until`, whatever the clock does: that is how the lease watch
+/// recognises them.
 pub(super) async fn heartbeat(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
@@ -203,12 +194,12 @@ pub(super) async fn report(
     progress: &Progress,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    let row = held(connection, lease).await?;
+    let row = leased_job(connection, lease).await?;
     let phase_name = name(&phase)?;
-    let turned = row.try_get::<String, _>("phase")? != phase_name;
+    let phase_changed = row.try_get::<String, _>("phase")? != phase_name;
     let last_event: Option<i64> = row.try_get("progress_event_at")?;
     let every = i64::try_from(policy.progress_event_every.as_micros()).unwrap_or(i64::MAX);
-    // A clock that was set back must not put the next one off.
+    // A clock that was set back must not delay the next event.
     let due = last_event.is_none_or(|last| micros(now).saturating_sub(last).saturating_abs() >= every);
     sqlx::query(
         "UPDATE jobs SET phase = ?, progress = ?, version = version + 1,
@@ -223,7 +214,7 @@ pub(super) async fn report(
     .bind(lease.job.to_string())
     .execute(&mut *connection)
     .await?;
-    if turned {
+    if phase_changed {
         let data = json!({ "phase": phase });
         append(connection, lease.job, EventKind::Phase, lease.attempt, &data, now).await?;
     }
@@ -234,8 +225,11 @@ pub(super) async fn report(
     Ok(())
 }
 
-/// The job's row while the lease holds; else [`StoreError::LeaseLost`].
-pub(super) async fn held(connection: &mut SqliteConnection, lease: &Lease) -> Result<SqliteRow, StoreError> {
+/// The job's row if the lease is held; else [`StoreError::LeaseLost`].
+pub(super) async fn leased_job(
+    connection: &mut SqliteConnection,
+    lease: &Lease,
+) -> Result<SqliteRow, StoreError> {
     let row = sqlx::query(
         "SELECT * FROM jobs WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running'",
     )
@@ -247,7 +241,7 @@ pub(super) async fn held(connection: &mut SqliteConnection, lease: &Lease) -> Re
     row.ok_or_else(|| lease_lost(lease))
 }
 
-/// Ends the attempt as its worker tells it.
+/// Ends the attempt with the outcome that its worker reports.
 pub(super) async fn finish(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
@@ -255,7 +249,7 @@ pub(super) async fn finish(
     outcome: Outcome,
     now: Timestamp,
 ) -> Result<JobState, StoreError> {
-    let row = held(connection, lease).await?;
+    let row = leased_job(connection, lease).await?;
     end_attempt(connection, policy, &rows::attempt_state(&row, now)?, AttemptEnd::Reported(outcome), now)
         .await
 }
@@ -277,8 +271,8 @@ async fn end_attempt(
         .bind(attempt)
         .execute(&mut *connection)
         .await?;
-    let state = match next {
-        NextState::Requeue { delay, refund, setbacks } => {
+    let end = match next {
+        NextState::Requeue { delay, refund, losses } => {
             let run_after = after(now, delay);
             sqlx::query(
                 "UPDATE jobs SET state = 'queued', phase = 'queued', run_after = ?, waits_since = ?, charged = charged - ?,
@@ -288,8 +282,8 @@ async fn end_attempt(
             .bind(micros(run_after))
             .bind(micros(now))
             .bind(i64::from(refund))
-            .bind(setbacks.alone)
-            .bind(setbacks.with_service)
+            .bind(losses.alone)
+            .bind(losses.with_service)
             .bind(job.to_string())
             .execute(&mut *connection)
             .await?;
@@ -299,7 +293,7 @@ async fn end_attempt(
             append(connection, job, EventKind::State, attempt, &data, now).await?;
             return Ok(JobState::Queued);
         }
-        NextState::Succeed(Outcome::Succeeded { metrics, artifacts }) => {
+        NextState::Succeed { metrics, artifacts } => {
             for (number, artifact) in artifacts.iter().enumerate() {
                 insert_blob(connection, artifact.blob, now).await?;
                 let before = artifacts[..number].iter();
@@ -307,58 +301,54 @@ async fn end_attempt(
                 sqlx::query(
                     "INSERT INTO artifacts (job_id, kind, place, lambda, digest, attempt) VALUES (?, ?, ?, ?, ?, ?)",
                 )
-                    .bind(job.to_string())
-                    .bind(artifact.kind.name())
-                    .bind(i64::try_from(place).unwrap_or(i64::MAX))
-                    .bind(artifact.lambda)
-                    .bind(artifact.blob.digest.to_string())
-                    .bind(attempt)
-                    .execute(&mut *connection)
-                    .await?;
+                .bind(job.to_string())
+                .bind(artifact.kind.name())
+                .bind(place as i64)
+                .bind(artifact.lambda)
+                .bind(artifact.blob.digest.to_string())
+                .bind(attempt)
+                .execute(&mut *connection)
+                .await?;
             }
-            close(connection, attempt_state, JobState::Succeeded, now).await?;
-            sqlx::query("UPDATE jobs SET metrics = ? WHERE id = ?")
-                .bind(text(&metrics)?)
-                .bind(job.to_string())
-                .execute(&mut *connection)
-                .await?;
-            JobState::Succeeded
+            JobEnd { state: JobState::Succeeded, metrics: Some(metrics), error: None }
         }
-        NextState::Fail(problem) => {
-            close(connection, attempt_state, JobState::Failed, now).await?;
-            sqlx::query("UPDATE jobs SET error = ? WHERE id = ?")
-                .bind(text(&problem)?)
-                .bind(job.to_string())
-                .execute(&mut *connection)
-                .await?;
-            let data = json!({ "state": JobState::Failed, "error": problem });
-            append(connection, job, EventKind::State, attempt, &data, now).await?;
-            return Ok(JobState::Failed);
-        }
-        NextState::Succeed(_) | NextState::Cancel => {
-            close(connection, attempt_state, JobState::Cancelled, now).await?;
-            JobState::Cancelled
-        }
+        NextState::Fail(problem) => JobEnd { state: JobState::Failed, metrics: None, error: Some(problem) },
+        NextState::Cancel => JobEnd { state: JobState::Cancelled, metrics: None, error: None },
     };
-    append(connection, job, EventKind::State, attempt, &json!({ "state": state }), now).await?;
-    Ok(state)
+    end_job(connection, job, attempt, &end, now).await?;
+    Ok(end.state)
 }
 
-async fn close(
+/// The end of a job: its terminal state with what belongs to it.
+pub(super) struct JobEnd {
+    pub(super) state: JobState,
+    pub(super) metrics: Option<Box<JobMetrics>>,
+    pub(super) error: Option<Problem>,
+}
+
+/// Writes the end of a job, and appends its event.
+pub(super) async fn end_job(
     connection: &mut SqliteConnection,
-    attempt_state: &AttemptState,
-    state: JobState,
+    job: JobId,
+    attempt: u32,
+    end: &JobEnd,
     now: Timestamp,
 ) -> Result<(), StoreError> {
     sqlx::query(
-        "UPDATE jobs SET state = ?, phase = 'done', lease_owner = NULL, lease_until = NULL, finished_at = ?,
-             version = version + 1
+        "UPDATE jobs SET state = ?, phase = 'done', lease_owner = NULL, lease_until = NULL, metrics = ?, error = ?,
+             finished_at = ?, version = version + 1
          WHERE id = ?",
     )
-    .bind(state.name())
+    .bind(end.state.name())
+    .bind(end.metrics.as_ref().map(text).transpose()?)
+    .bind(end.error.as_ref().map(text).transpose()?)
     .bind(micros(now))
-    .bind(attempt_state.job.to_string())
-    .execute(connection)
+    .bind(job.to_string())
+    .execute(&mut *connection)
     .await?;
-    Ok(())
+    let mut data = json!({ "state": end.state });
+    if let Some(error) = &end.error {
+        data["error"] = json!(error);
+    }
+    append(connection, job, EventKind::State, attempt, &data, now).await
 }

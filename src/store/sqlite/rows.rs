@@ -1,4 +1,4 @@
-//! Between rows and values. Everything read back is checked: a row that makes no sense is an error, not a panic.
+//! Conversions between rows and values. Values read back are checked: an invalid row is an error, not a panic.
 
 use std::{str::FromStr, time::Duration};
 
@@ -23,9 +23,17 @@ pub(super) fn micros(at: Timestamp) -> i64 {
     at.as_microsecond()
 }
 
-/// A count as a column holds it.
+/// A count as SQLite stores it, clamped.
 pub(super) fn signed(count: u64) -> i64 {
     i64::try_from(count).unwrap_or(i64::MAX)
+}
+
+/// The instant `delay` after `now`.
+pub(super) fn after(now: Timestamp, delay: Duration) -> Timestamp {
+    SignedDuration::try_from(delay)
+        .ok()
+        .and_then(|delay| now.checked_add(delay).ok())
+        .unwrap_or(Timestamp::MAX)
 }
 
 /// The instant `delay` before `now`.
@@ -112,7 +120,7 @@ pub(super) fn newest_event(row: &SqliteRow) -> Result<(JobId, u64), StoreError> 
     Ok((job_id(row)?, unsigned(row, "last_seq")?))
 }
 
-/// The job whose checkpoint a claimed one may go on from.
+/// The job whose checkpoint a claimed one may resume from.
 pub(super) fn resume_from(row: &SqliteRow) -> Result<Option<JobId>, StoreError> {
     let may: bool = row.try_get("from_checkpoint")?;
     Ok(optional_id(row, "retry_of")?.filter(|_| may))
@@ -147,7 +155,7 @@ pub(super) fn job(row: &SqliteRow, artifacts: Vec<Artifact>) -> Result<JobRecord
     Ok(JobRecord {
         job,
         owner: optional_id(row, "owner")?,
-        scene: optional_id(row, "scene")?,
+        dataset_id: optional_id(row, "scene")?,
         retry_of: optional_id(row, "retry_of")?,
         deadline_at: optional_instant(row, "deadline_at")?,
         priority: row.try_get("priority")?,
@@ -248,7 +256,7 @@ pub(super) fn attempt_state(row: &SqliteRow, now: Timestamp) -> Result<AttemptSt
         attempt: unsigned(row, "attempt")?,
         charged: unsigned(row, "charged")?,
         max_attempts: unsigned(row, "max_attempts")?,
-        setbacks: LossStreak {
+        losses: LossStreak {
             alone: unsigned(row, "silent_deaths")?,
             with_service: unsigned(row, "setbacks")?,
         },
@@ -315,8 +323,8 @@ pub(super) fn delivery(row: &SqliteRow) -> Result<DeliveryRecord, StoreError> {
         created_at: instant("created_at", row.try_get("created_at")?)?,
         attempted_at: optional_instant(row, "attempted_at")?,
         delivered_at: optional_instant(row, "delivered_at")?,
-        answer_status: optional_unsigned(row, "answer_status")?,
-        answer_fault: row.try_get("answer_fault")?,
+        response_status: optional_unsigned(row, "answer_status")?,
+        error: row.try_get("answer_fault")?,
     })
 }
 

@@ -1,8 +1,8 @@
-//! Series of points.
+//! Training curves in SQLite.
 
 use sqlx::SqliteConnection;
 
-use super::{SqliteStore, queue::held, rows};
+use super::{SqliteStore, job_exists, queue::leased_job, rows};
 use crate::{
     domain::{JobId, Progress, SeriesPoint, series_bucket},
     store::{Lease, Series, StoreError, StoreFuture},
@@ -10,39 +10,35 @@ use crate::{
 
 impl Series for SqliteStore {
     fn record<'a>(&'a self, lease: &'a Lease, points: &'a [Progress]) -> StoreFuture<'a, ()> {
-        Box::pin(async move {
-            let (mut tx, _) = self.begin().await?;
-            held(&mut tx, lease).await?;
+        Box::pin(self.write(async move |tx, _| {
+            leased_job(tx, lease).await?;
             let mut reached = u64::MAX;
             for point in points {
                 if point.step <= reached {
-                    forget_after(&mut tx, lease.job, point.step).await?;
+                    delete_after(tx, lease.job, point.step).await?;
                 }
                 reached = point.step;
-                add(&mut tx, lease, point).await?;
+                insert(tx, lease, point).await?;
             }
-            tx.commit().await?;
             Ok(())
-        })
+        }))
     }
 
     fn series(&self, job: JobId) -> StoreFuture<'_, Option<Vec<SeriesPoint>>> {
-        Box::pin(async move {
-            let mut tx = self.readers.begin().await?;
-            let known = sqlx::query("SELECT 1 FROM jobs WHERE id = ?").bind(job.to_string());
-            if known.fetch_optional(&mut *tx).await?.is_none() {
+        Box::pin(self.read(async move |tx| {
+            if !job_exists(tx, job).await? {
                 return Ok(None);
             }
             let rows = sqlx::query("SELECT * FROM series WHERE job_id = ? ORDER BY step")
                 .bind(job.to_string())
-                .fetch_all(&mut *tx)
+                .fetch_all(tx)
                 .await?;
             rows.iter().map(rows::point).collect::<Result<_, _>>().map(Some)
-        })
+        }))
     }
 }
 
-async fn forget_after(connection: &mut SqliteConnection, job: JobId, step: u64) -> Result<(), StoreError> {
+async fn delete_after(connection: &mut SqliteConnection, job: JobId, step: u64) -> Result<(), StoreError> {
     sqlx::query("DELETE FROM series WHERE job_id = ? AND step > ?")
         .bind(job.to_string())
         .bind(rows::signed(step))
@@ -51,7 +47,11 @@ async fn forget_after(connection: &mut SqliteConnection, job: JobId, step: u64) 
     Ok(())
 }
 
-async fn add(connection: &mut SqliteConnection, lease: &Lease, point: &Progress) -> Result<(), StoreError> {
+async fn insert(
+    connection: &mut SqliteConnection,
+    lease: &Lease,
+    point: &Progress,
+) -> Result<(), StoreError> {
     let finite = |value: Option<f64>| value.filter(|value| value.is_finite());
     sqlx::query(
         "INSERT INTO series (job_id, bucket, attempt, step, seconds, loss, psnr, anchors, gaussians, bytes)

@@ -1,6 +1,6 @@
-//! [`Overview`] on SQLite.
+//! Statistics in SQLite.
 
-use sqlx::{Row as _, SqliteConnection, migrate::Migrator};
+use sqlx::{FromRow, Row as _, SqliteConnection, migrate::Migrator};
 
 use super::{SqliteStore, open::MIGRATIONS, rows};
 use crate::{
@@ -17,27 +17,26 @@ const OLDEST_QUEUED: &str = "SELECT min(created_at) AS oldest FROM jobs WHERE st
 const SPEED: &str =
     "SELECT total(json_extract(progress, '$.steps_per_second')) AS speed FROM jobs WHERE state = 'running'";
 
-/// What each scrape asks; it must not grow with what is stored.
+/// Queries of each metrics scrape; their cost must not grow with the number of rows.
 #[cfg(test)]
 pub(super) const STATEMENTS: [&str; 4] = [TOTALS, COUNTERS, OLDEST_QUEUED, SPEED];
 
 impl Overview for SqliteStore {
     fn stats(&self) -> StoreFuture<'_, StoreStats> {
-        Box::pin(async move {
-            // One snapshot, so that the figures fit together.
-            let mut tx = self.readers.begin().await?;
-            let totals = totals(&mut tx).await?;
+        Box::pin(self.read(async move |tx| {
+            let totals: Vec<Total> = sqlx::query_as(TOTALS).fetch_all(&mut *tx).await?;
             let total = |name: &str, label: &str| {
                 totals
                     .iter()
                     .find(|total| (&*total.name, &*total.label) == (name, label))
                     .map_or(0, |total| total.value)
             };
-            let counters = counters(&mut tx).await?;
+            let counters: Vec<Counter> = sqlx::query_as(COUNTERS).fetch_all(&mut *tx).await?;
+            let oldest = sqlx::query(OLDEST_QUEUED).fetch_one(&mut *tx).await?;
             let counted = |name| counters.iter().filter(move |counter| counter.name == name);
             Ok(StoreStats {
                 jobs: JobState::ALL.map(|state| (state, total("jobs", state.name()))).to_vec(),
-                oldest_queued_at: oldest_queued_at(&mut tx).await?,
+                oldest_queued_at: rows::optional_instant(&oldest, "oldest")?,
                 claims: counted("claims").map(|counter| whole(counter.value)).sum(),
                 attempts: counted("attempts_ended").map(attempts_ended).collect::<Result<_, _>>()?,
                 phase_seconds: PHASES
@@ -46,14 +45,14 @@ impl Overview for SqliteStore {
                         (phase, seconds.map_or(0.0, |counter| counter.value))
                     })
                     .to_vec(),
-                steps_per_second: steps_per_second(&mut tx).await?,
+                steps_per_second: sqlx::query(SPEED).fetch_one(tx).await?.try_get("speed")?,
                 blobs: total("blobs", ""),
                 blob_bytes: total("blob_bytes", ""),
                 deliveries: DeliveryState::ALL
                     .map(|state| (state, total("deliveries", state.name())))
                     .to_vec(),
             })
-        })
+        }))
     }
 
     fn schema_is_current(&self) -> StoreFuture<'_, bool> {
@@ -61,15 +60,13 @@ impl Overview for SqliteStore {
     }
 
     fn probe(&self) -> StoreFuture<'_, ()> {
-        Box::pin(async move {
-            let (mut tx, now) = self.begin().await?;
+        Box::pin(self.write(async move |tx, now| {
             sqlx::query("INSERT INTO write_probe (id, at) VALUES (1, ?) ON CONFLICT (id) DO UPDATE SET at = excluded.at")
                 .bind(rows::micros(now))
-                .execute(&mut *tx)
+                .execute(tx)
                 .await?;
-            tx.commit().await?;
             Ok(())
-        })
+        }))
     }
 }
 
@@ -82,43 +79,20 @@ async fn is_current(connection: &mut SqliteConnection, known: &Migrator) -> Resu
     Ok(version == newest && row.try_get::<Option<bool>, _>("success")? != Some(false))
 }
 
-/// A row of `totals`.
+#[derive(FromRow)]
 struct Total {
     name: String,
     label: String,
+    #[sqlx(try_from = "i64")]
     value: u64,
 }
 
-async fn totals(connection: &mut SqliteConnection) -> Result<Vec<Total>, StoreError> {
-    let rows = sqlx::query(TOTALS).fetch_all(connection).await?;
-    rows.iter()
-        .map(|row| {
-            let value = rows::unsigned(row, "value")?;
-            Ok(Total { name: row.try_get("name")?, label: row.try_get("label")?, value })
-        })
-        .collect()
-}
-
-/// A row of `counters`.
+#[derive(FromRow)]
 struct Counter {
     name: String,
     label: String,
     cause: String,
     value: f64,
-}
-
-async fn counters(connection: &mut SqliteConnection) -> Result<Vec<Counter>, StoreError> {
-    let rows = sqlx::query(COUNTERS).fetch_all(connection).await?;
-    rows.iter()
-        .map(|row| {
-            Ok(Counter {
-                name: row.try_get("name")?,
-                label: row.try_get("label")?,
-                cause: row.try_get("cause")?,
-                value: row.try_get("value")?,
-            })
-        })
-        .collect()
 }
 
 /// The value of a counter that counts by ones.
@@ -135,28 +109,14 @@ fn attempts_ended(counter: &Counter) -> Result<AttemptCount, StoreError> {
     })
 }
 
-async fn oldest_queued_at(connection: &mut SqliteConnection) -> Result<Option<jiff::Timestamp>, StoreError> {
-    let row = sqlx::query(OLDEST_QUEUED).fetch_one(connection).await?;
-    rows::optional_instant(&row, "oldest")
-}
-
-async fn steps_per_second(connection: &mut SqliteConnection) -> Result<f64, StoreError> {
-    Ok(sqlx::query(SPEED).fetch_one(connection).await?.try_get("speed")?)
-}
-
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
-    use crate::{domain::SystemClock, store::QueuePolicy};
+    use crate::store::sqlite::open::temporary_store;
 
     #[tokio::test]
-    async fn a_database_that_a_newer_program_has_brought_further_is_not_current() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("queue.sqlite");
-        let store = SqliteStore::open(&path, Arc::new(SystemClock), QueuePolicy::default()).await;
-        let store = store.expect("a database");
+    async fn a_schema_migrated_by_a_newer_program_is_not_current() {
+        let (_folder, store) = temporary_store().await;
         assert!(store.schema_is_current().await.expect("an answer"));
         sqlx::query("UPDATE _sqlx_migrations SET version = version + 1 WHERE version = (SELECT max(version) FROM _sqlx_migrations)")
             .execute(&store.writer)

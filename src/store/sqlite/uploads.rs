@@ -19,7 +19,7 @@ fn upload(row: &SqliteRow) -> Result<UploadRecord, StoreError> {
         length: unsigned(row, "length")?,
         received: unsigned(row, "received")?,
         metadata: row.try_get("metadata")?,
-        scene: optional_id(row, "scene")?,
+        dataset_id: optional_id(row, "scene")?,
         created_at: instant("created_at", row.try_get("created_at")?)?,
         expires_at: instant("expires_at", row.try_get("expires_at")?)?,
         ended_at: optional_instant(row, "ended_at")?,
@@ -43,65 +43,51 @@ async fn select(connection: &mut SqliteConnection, id: UploadId) -> Result<Optio
     row.as_ref().map(upload).transpose()
 }
 
-impl SqliteStore {
-    async fn insert_upload(&self, new: NewUpload) -> Result<UploadRecord, StoreError> {
-        let (mut tx, now) = self.begin().await?;
-        accounts::admit(&mut tx, self.policy.limits.max_bytes, new.owner, new.length).await?;
-        sqlx::query(
-            "INSERT INTO uploads (id, owner, length, metadata, created_at, expires_at) VALUES (?, ?, ?, ?, ?, ?)",
-        )
-        .bind(new.id.to_string())
-        .bind(new.owner.map(|owner| owner.to_string()))
-        .bind(column("upload length", new.length)?)
-        .bind(&new.metadata)
-        .bind(micros(now))
-        .bind(micros(new.expires_at))
-        .execute(&mut *tx)
-        .await?;
-        let record = select(&mut tx, new.id).await?.ok_or(sqlx::Error::RowNotFound)?;
-        tx.commit().await?;
-        Ok(record)
-    }
-}
-
 impl Uploads for SqliteStore {
     fn create_upload(&self, new: NewUpload) -> StoreFuture<'_, UploadRecord> {
-        Box::pin(self.insert_upload(new))
+        Box::pin(self.write(async move |tx, now| {
+            accounts::admit(tx, self.policy.limits.max_bytes, new.owner, new.length).await?;
+            sqlx::query(
+                "INSERT INTO uploads (id, owner, length, metadata, created_at, expires_at) VALUES (?, ?, ?, ?, ?, ?)",
+            )
+            .bind(new.id.to_string())
+            .bind(new.owner.map(|owner| owner.to_string()))
+            .bind(column("upload length", new.length)?)
+            .bind(&new.metadata)
+            .bind(micros(now))
+            .bind(micros(new.expires_at))
+            .execute(&mut *tx)
+            .await?;
+            Ok(select(tx, new.id).await?.ok_or(sqlx::Error::RowNotFound)?)
+        }))
     }
 
     fn upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadRecord>> {
-        Box::pin(async move {
-            let mut tx = self.readers.begin().await?;
-            select(&mut tx, id).await
-        })
+        Box::pin(self.read(async move |tx| select(tx, id).await))
     }
 
     fn advance_upload(&self, id: UploadId, received: u64, expires_at: Timestamp) -> StoreFuture<'_, bool> {
-        Box::pin(async move {
-            let (mut tx, _) = self.begin().await?;
+        Box::pin(self.write(async move |tx, _| {
             let done = sqlx::query(
                 "UPDATE uploads SET received = ?, expires_at = ? WHERE id = ? AND ended_at IS NULL",
             )
             .bind(column("upload offset", received)?)
             .bind(micros(expires_at))
             .bind(id.to_string())
-            .execute(&mut *tx)
+            .execute(tx)
             .await?;
-            tx.commit().await?;
             Ok(done.rows_affected() == 1)
-        })
+        }))
     }
 
     fn delete_upload(&self, id: UploadId) -> StoreFuture<'_, bool> {
-        Box::pin(async move {
-            let (mut tx, _) = self.begin().await?;
+        Box::pin(self.write(async move |tx, _| {
             let done = sqlx::query("DELETE FROM uploads WHERE id = ? AND ended_at IS NULL")
                 .bind(id.to_string())
-                .execute(&mut *tx)
+                .execute(tx)
                 .await?;
-            tx.commit().await?;
             Ok(done.rows_affected() == 1)
-        })
+        }))
     }
 
     fn outstanding_bytes(&self) -> StoreFuture<'_, u64> {
@@ -116,21 +102,16 @@ impl Uploads for SqliteStore {
     }
 
     fn expire_uploads(&self, forget: Timestamp) -> StoreFuture<'_, Vec<UploadId>> {
-        Box::pin(async move {
-            let (mut tx, now) = self.begin().await?;
+        Box::pin(self.write(async move |tx, now| {
             let rows = sqlx::query(
                 "UPDATE uploads SET ended_at = ?1 WHERE ended_at IS NULL AND expires_at <= ?1 RETURNING id",
             )
             .bind(micros(now))
             .fetch_all(&mut *tx)
             .await?;
-            sqlx::query("DELETE FROM uploads WHERE ended_at < ?")
-                .bind(micros(forget))
-                .execute(&mut *tx)
-                .await?;
-            tx.commit().await?;
+            sqlx::query("DELETE FROM uploads WHERE ended_at < ?").bind(micros(forget)).execute(tx).await?;
             rows.iter().map(upload_id).collect()
-        })
+        }))
     }
 
     fn open_uploads(&self) -> StoreFuture<'_, Vec<UploadId>> {

@@ -1,14 +1,13 @@
-//! Endpoints and the outbox.
+//! Webhook endpoints and the outbox in SQLite.
 
 use std::time::Duration;
 
-use jiff::{SignedDuration, Timestamp};
+use jiff::Timestamp;
 use sqlx::{Row as _, SqliteConnection};
 
 use super::{
     SqliteStore, lists,
-    queue::after,
-    rows::{self, json as text, micros},
+    rows::{self, after, json as text, micros},
 };
 use crate::{
     domain::{DeliveryId, EndpointId, JobId, JobState, KeyId, WebhookEvent},
@@ -18,11 +17,11 @@ use crate::{
     },
 };
 
-/// How long a delivery is remembered after it was made, once nothing more will come of it.
-const KEPT: SignedDuration = SignedDuration::from_hours(30 * 24);
+/// How long a delivery that has ended is kept, from its creation.
+const DELIVERY_TTL: Duration = Duration::from_secs(30 * 24 * 3600);
 
-/// Writes what the job's owner's endpoints are to be told, within the transaction of the change.
-pub(super) async fn tell(
+/// Adds a delivery to the outbox for each endpoint of the job's owner that subscribed to `state`, within the transaction of the change.
+pub(super) async fn enqueue_deliveries(
     connection: &mut SqliteConnection,
     job: JobId,
     state: JobState,
@@ -61,73 +60,7 @@ pub(super) async fn tell(
 }
 
 impl SqliteStore {
-    async fn insert_endpoint(
-        &self,
-        new: NewEndpoint,
-        at_most: u32,
-    ) -> Result<Option<EndpointRecord>, StoreError> {
-        let (mut tx, now) = self.begin().await?;
-        let owner = new.owner.map(|owner| owner.to_string());
-        let row = sqlx::query("SELECT count(*) AS had FROM webhook_endpoints WHERE owner IS ?")
-            .bind(&owner)
-            .fetch_one(&mut *tx)
-            .await?;
-        if row.try_get::<i64, _>("had")? >= i64::from(at_most) {
-            return Ok(None);
-        }
-        let names: Vec<&str> = new.events.iter().map(|event| event.name()).collect();
-        let row = sqlx::query(
-            "INSERT INTO webhook_endpoints (id, owner, url, events, description, secret, created_at)
-             VALUES (?, ?, ?, ?, ?, ?, ?) RETURNING *",
-        )
-        .bind(new.id.to_string())
-        .bind(owner)
-        .bind(new.url)
-        .bind(text(&names)?)
-        .bind(new.description)
-        .bind(new.secret.expose())
-        .bind(micros(now))
-        .fetch_one(&mut *tx)
-        .await?;
-        tx.commit().await?;
-        rows::endpoint(&row).map(Some)
-    }
-
-    async fn replay_delivery(
-        &self,
-        endpoint: EndpointId,
-        id: DeliveryId,
-    ) -> Result<Option<Replay>, StoreError> {
-        let (mut tx, now) = self.begin().await?;
-        let row = sqlx::query(
-            "SELECT d.lease_until, e.disabled_at
-             FROM webhook_deliveries d JOIN webhook_endpoints e ON e.id = d.endpoint
-             WHERE d.endpoint = ? AND d.id = ?",
-        )
-        .bind(endpoint.to_string())
-        .bind(id.to_string())
-        .fetch_optional(&mut *tx)
-        .await?;
-        let Some(row) = row else { return Ok(None) };
-        if row.try_get::<Option<i64>, _>("disabled_at")?.is_some() {
-            return Ok(Some(Replay::Disabled));
-        }
-        if row.try_get::<Option<i64>, _>("lease_until")?.is_some_and(|until| until > micros(now)) {
-            return Ok(Some(Replay::UnderWay));
-        }
-        let row = sqlx::query(
-            "UPDATE webhook_deliveries SET state = 'pending', tries = 0, due_at = ?, lease_until = NULL, delivered_at = NULL
-             WHERE id = ? RETURNING *",
-        )
-        .bind(micros(now))
-        .bind(id.to_string())
-        .fetch_one(&mut *tx)
-        .await?;
-        tx.commit().await?;
-        rows::delivery(&row).map(|record| Some(Replay::Due(record)))
-    }
-
-    /// Whether there could be anything to take, so that idle polling takes no write lock.
+    /// Whether there could be a delivery to take, so that idle polling takes no write lock.
     async fn any_delivery_due(&self) -> Result<bool, StoreError> {
         let row = sqlx::query(
             "SELECT EXISTS (SELECT 1 FROM webhook_deliveries
@@ -137,66 +70,6 @@ impl SqliteStore {
         .fetch_one(&self.readers)
         .await?;
         Ok(row.try_get("due")?)
-    }
-
-    async fn lease_delivery(&self, lease: Duration) -> Result<Option<DueDelivery>, StoreError> {
-        if !self.any_delivery_due().await? {
-            return Ok(None);
-        }
-        let (mut tx, now) = self.begin().await?;
-        let row = sqlx::query(
-            "UPDATE webhook_deliveries
-             SET attempts = attempts + 1, tries = tries + 1, lease_until = ?2, attempted_at = ?1,
-                 answer_status = NULL, answer_fault = NULL
-             WHERE seq = (SELECT d.seq FROM webhook_deliveries d
-                          WHERE d.state = 'pending' AND d.due_at <= ?1 AND (d.lease_until IS NULL OR d.lease_until <= ?1)
-                              AND NOT EXISTS (SELECT 1 FROM webhook_deliveries o
-                                              WHERE o.endpoint = d.endpoint AND o.lease_until > ?1)
-                          ORDER BY d.due_at, d.seq LIMIT 1)
-             RETURNING id, attempts, tries, body,
-                 (SELECT url FROM webhook_endpoints e WHERE e.id = endpoint) AS url,
-                 (SELECT secret FROM webhook_endpoints e WHERE e.id = endpoint) AS secret",
-        )
-        .bind(micros(now))
-        .bind(micros(after(now, lease)))
-        .fetch_optional(&mut *tx)
-        .await?;
-        tx.commit().await?;
-        row.map(|row| rows::due_delivery(&row, now)).transpose()
-    }
-
-    async fn settle(&self, id: DeliveryId, attempt: u32, settled: DeliveryResult) -> Result<(), StoreError> {
-        let (mut tx, now) = self.begin().await?;
-        let (state, due_at) = match settled.next {
-            AfterAttempt::Done => ("delivered", None),
-            AfterAttempt::RetryAfter(delay) => ("pending", Some(after(now, delay))),
-            AfterAttempt::GiveUp | AfterAttempt::DisableEndpoint => ("failed", None),
-        };
-        let row = sqlx::query(
-            "UPDATE webhook_deliveries
-             SET state = ?1, due_at = ?2, lease_until = NULL, answer_status = ?3, answer_fault = ?4,
-                 delivered_at = CASE WHEN ?1 = 'delivered' THEN ?5 END
-             WHERE id = ?6 AND attempts = ?7 AND lease_until IS NOT NULL RETURNING endpoint AS id",
-        )
-        .bind(state)
-        .bind(due_at.map(micros))
-        .bind(settled.status)
-        .bind(settled.fault)
-        .bind(micros(now))
-        .bind(id.to_string())
-        .bind(attempt)
-        .fetch_optional(&mut *tx)
-        .await?;
-        if let (Some(row), AfterAttempt::DisableEndpoint) = (row, settled.next) {
-            disable(&mut tx, rows::endpoint_id(&row)?, now).await?;
-        }
-        let forget = now.checked_sub(KEPT).unwrap_or(Timestamp::MIN);
-        sqlx::query("DELETE FROM webhook_deliveries WHERE state <> 'pending' AND created_at < ?")
-            .bind(micros(forget))
-            .execute(&mut *tx)
-            .await?;
-        tx.commit().await?;
-        Ok(())
     }
 }
 
@@ -223,7 +96,31 @@ async fn disable(
 
 impl Webhooks for SqliteStore {
     fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> StoreFuture<'_, Option<EndpointRecord>> {
-        Box::pin(self.insert_endpoint(new, at_most))
+        Box::pin(self.write(async move |tx, now| {
+            let owner = new.owner.map(|owner| owner.to_string());
+            let row = sqlx::query("SELECT count(*) AS had FROM webhook_endpoints WHERE owner IS ?")
+                .bind(&owner)
+                .fetch_one(&mut *tx)
+                .await?;
+            if row.try_get::<i64, _>("had")? >= i64::from(at_most) {
+                return Ok(None);
+            }
+            let names: Vec<&str> = new.events.iter().map(|event| event.name()).collect();
+            let row = sqlx::query(
+                "INSERT INTO webhook_endpoints (id, owner, url, events, description, secret, created_at)
+                 VALUES (?, ?, ?, ?, ?, ?, ?) RETURNING *",
+            )
+            .bind(new.id.to_string())
+            .bind(owner)
+            .bind(new.url)
+            .bind(text(&names)?)
+            .bind(new.description)
+            .bind(new.secret.expose())
+            .bind(micros(now))
+            .fetch_one(tx)
+            .await?;
+            rows::endpoint(&row).map(Some)
+        }))
     }
 
     fn endpoint(&self, id: EndpointId) -> StoreFuture<'_, Option<EndpointRecord>> {
@@ -249,15 +146,13 @@ impl Webhooks for SqliteStore {
     }
 
     fn delete_endpoint(&self, id: EndpointId) -> StoreFuture<'_, bool> {
-        Box::pin(async move {
-            let (mut tx, _) = self.begin().await?;
-            let gone = sqlx::query("DELETE FROM webhook_endpoints WHERE id = ?")
+        Box::pin(self.write(async move |tx, _| {
+            let deleted = sqlx::query("DELETE FROM webhook_endpoints WHERE id = ?")
                 .bind(id.to_string())
-                .execute(&mut *tx)
+                .execute(tx)
                 .await?;
-            tx.commit().await?;
-            Ok(gone.rows_affected() > 0)
-        })
+            Ok(deleted.rows_affected() > 0)
+        }))
     }
 
     fn deliveries(
@@ -280,14 +175,95 @@ impl Webhooks for SqliteStore {
     }
 
     fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> StoreFuture<'_, Option<Replay>> {
-        Box::pin(self.replay_delivery(endpoint, id))
+        Box::pin(self.write(async move |tx, now| {
+            let row = sqlx::query(
+                "SELECT d.lease_until, e.disabled_at
+                 FROM webhook_deliveries d JOIN webhook_endpoints e ON e.id = d.endpoint
+                 WHERE d.endpoint = ? AND d.id = ?",
+            )
+            .bind(endpoint.to_string())
+            .bind(id.to_string())
+            .fetch_optional(&mut *tx)
+            .await?;
+            let Some(row) = row else { return Ok(None) };
+            if row.try_get::<Option<i64>, _>("disabled_at")?.is_some() {
+                return Ok(Some(Replay::Disabled));
+            }
+            if row.try_get::<Option<i64>, _>("lease_until")?.is_some_and(|until| until > micros(now)) {
+                return Ok(Some(Replay::InProgress));
+            }
+            let row = sqlx::query(
+                "UPDATE webhook_deliveries SET state = 'pending', tries = 0, due_at = ?, lease_until = NULL, delivered_at = NULL
+                 WHERE id = ? RETURNING *",
+            )
+            .bind(micros(now))
+            .bind(id.to_string())
+            .fetch_one(tx)
+            .await?;
+            rows::delivery(&row).map(|record| Some(Replay::Due(record)))
+        }))
     }
 
     fn take_delivery(&self, lease: Duration) -> StoreFuture<'_, Option<DueDelivery>> {
-        Box::pin(self.lease_delivery(lease))
+        Box::pin(async move {
+            if !self.any_delivery_due().await? {
+                return Ok(None);
+            }
+            self.write(async move |tx, now| {
+                let row = sqlx::query(
+                    "UPDATE webhook_deliveries
+                     SET attempts = attempts + 1, tries = tries + 1, lease_until = ?2, attempted_at = ?1,
+                         answer_status = NULL, answer_fault = NULL
+                     WHERE seq = (SELECT d.seq FROM webhook_deliveries d
+                                  WHERE d.state = 'pending' AND d.due_at <= ?1
+                                      AND (d.lease_until IS NULL OR d.lease_until <= ?1)
+                                      AND NOT EXISTS (SELECT 1 FROM webhook_deliveries o
+                                                      WHERE o.endpoint = d.endpoint AND o.lease_until > ?1)
+                                  ORDER BY d.due_at, d.seq LIMIT 1)
+                     RETURNING id, attempts, tries, body,
+                         (SELECT url FROM webhook_endpoints e WHERE e.id = endpoint) AS url,
+                         (SELECT secret FROM webhook_endpoints e WHERE e.id = endpoint) AS secret",
+                )
+                .bind(micros(now))
+                .bind(micros(after(now, lease)))
+                .fetch_optional(tx)
+                .await?;
+                row.map(|row| rows::due_delivery(&row, now)).transpose()
+            })
+            .await
+        })
     }
 
-    fn finish_delivery(&self, id: DeliveryId, attempt: u32, settled: DeliveryResult) -> StoreFuture<'_, ()> {
-        Box::pin(self.settle(id, attempt, settled))
+    fn finish_delivery(&self, id: DeliveryId, attempt: u32, result: DeliveryResult) -> StoreFuture<'_, ()> {
+        Box::pin(self.write(async move |tx, now| {
+            let (state, due_at) = match result.next {
+                AfterAttempt::Done => ("delivered", None),
+                AfterAttempt::RetryAfter(delay) => ("pending", Some(after(now, delay))),
+                AfterAttempt::GiveUp | AfterAttempt::DisableEndpoint => ("failed", None),
+            };
+            let row = sqlx::query(
+                "UPDATE webhook_deliveries
+                 SET state = ?1, due_at = ?2, lease_until = NULL, answer_status = ?3, answer_fault = ?4,
+                     delivered_at = CASE WHEN ?1 = 'delivered' THEN ?5 END
+                 WHERE id = ?6 AND attempts = ?7 AND lease_until IS NOT NULL RETURNING endpoint AS id",
+            )
+            .bind(state)
+            .bind(due_at.map(micros))
+            .bind(result.response_status)
+            .bind(result.error)
+            .bind(micros(now))
+            .bind(id.to_string())
+            .bind(attempt)
+            .fetch_optional(&mut *tx)
+            .await?;
+            if let (Some(row), AfterAttempt::DisableEndpoint) = (row, result.next) {
+                disable(tx, rows::endpoint_id(&row)?, now).await?;
+            }
+            sqlx::query("DELETE FROM webhook_deliveries WHERE state <> 'pending' AND created_at < ?")
+                .bind(micros(rows::before(now, DELIVERY_TTL)))
+                .execute(tx)
+                .await?;
+            Ok(())
+        }))
     }
 }

@@ -149,8 +149,8 @@ async fn messages_to_webhooks_are_counted_by_what_became_of_them() {
     }
     let fault = Some("as the test wants it".to_owned());
     for settled in [
-        DeliveryResult { status: Some(204), fault: None, next: AfterAttempt::Done },
-        DeliveryResult { status: Some(500), fault, next: AfterAttempt::GiveUp },
+        DeliveryResult { response_status: Some(204), error: None, next: AfterAttempt::Done },
+        DeliveryResult { response_status: Some(500), error: fault, next: AfterAttempt::GiveUp },
     ] {
         let due =
             server.store.take_delivery(Duration::from_secs(60)).await.expect("an answer").expect("a message");

@@ -154,7 +154,7 @@ pub(super) async fn a_scene_is_deleted_once_no_job_needs_it(coverage: Coverage) 
     let job = JobId(Uuid::from_u128(1));
     let new = NewJob::new(job, TrainOptions::default(), scene.dataset);
     let store = &server.services.store;
-    store.create_job(NewJob { scene: Some(scene.id), ..new }).await.expect("queued");
+    store.create_job(NewJob { dataset_id: Some(scene.id), ..new }).await.expect("queued");
     let delete = |tag: &'static str| {
         server.send("DELETE", &path, move |request| match tag {
             "" => request,

@@ -451,7 +451,7 @@ async fn who_takes_a_message_and_stays_mute_is_given_up() {
         until(&server, &made, |delivery| !delivery["fault"].is_null()).await
     });
     let failed = waited.await.expect("it does not wait for ever");
-    assert_eq!((&failed["fault"], &failed["state"]), (&json!("no answer within 1 s"), &json!("pending")));
+    assert_eq!((&failed["fault"], &failed["state"]), (&json!("no response within 1 s"), &json!("pending")));
     assert_eq!(failed["answer_status"], Value::Null);
 }
 
@@ -583,7 +583,8 @@ async fn a_delivery_whose_server_died_is_made_by_another() {
     clock.advance(SignedDuration::from_secs(61));
     assert_eq!(receiver.next().await.header("webhook-id"), dead.id.to_string());
     until(&server, &made, |delivery| delivery["state"] == "delivered").await;
-    let late = DeliveryResult { status: None, fault: Some("too late".into()), next: AfterAttempt::GiveUp };
+    let late =
+        DeliveryResult { response_status: None, error: Some("too late".into()), next: AfterAttempt::GiveUp };
     server.store.finish_delivery(dead.id, dead.attempt, late).await.expect("no fault");
     let after = deliveries(&server, &made).await.remove(0);
     assert_eq!(after["state"], "delivered", "who comes too late changes nothing");

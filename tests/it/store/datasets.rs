@@ -1,4 +1,4 @@
-//! What the tables of scenes, uploads and accounts promise, on a clock that moves only when told to. Written against the traits.
+//! Datasets, uploads and quotas, on a manual clock. Written against the traits.
 
 use std::sync::Arc;
 
@@ -17,13 +17,13 @@ use tcgs::{
 use tempfile::TempDir;
 use uuid::Uuid;
 
-struct Shelf {
+struct Fixture {
     store: Arc<dyn Store>,
     clock: Arc<ManualClock>,
     folder: TempDir,
 }
 
-impl Shelf {
+impl Fixture {
     async fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let start: Timestamp = "2026-11-21T12:00:00Z".parse().expect("an instant");
@@ -33,7 +33,7 @@ impl Shelf {
         Self { store: Arc::new(store.expect("a database")), clock, folder }
     }
 
-    /// Adds a key, behind the store's back.
+    /// Adds a key directly to the database.
     async fn key(&self, number: u128, max_bytes: Option<i64>) -> KeyId {
         let key = KeyId(Uuid::from_u128(number));
         let path = self.folder.path().join("tcgs.db");
@@ -51,7 +51,7 @@ impl Shelf {
     }
 
     async fn add(&self, number: u128, owner: Option<KeyId>, content: &str) -> DatasetCreation {
-        self.store.create_dataset(scene(number, owner, content)).await.expect("created")
+        self.store.create_dataset(new_dataset(number, owner, content)).await.expect("created")
     }
 
     async fn begin(&self, number: u128, owner: Option<KeyId>, length: u64) -> Result<UploadId, StoreError> {
@@ -70,7 +70,7 @@ fn blob(content: &str) -> BlobRef {
     BlobRef { digest: Digest::of(content.as_bytes()), bytes: content.len() as u64 }
 }
 
-fn scene(number: u128, owner: Option<KeyId>, content: &str) -> NewDataset {
+fn new_dataset(number: u128, owner: Option<KeyId>, content: &str) -> NewDataset {
     NewDataset {
         id: SceneId(Uuid::from_u128(number)),
         owner,
@@ -92,56 +92,56 @@ fn scene(number: u128, owner: Option<KeyId>, content: &str) -> NewDataset {
 fn job(number: u128, owner: Option<KeyId>, scene: &DatasetRecord) -> NewJob {
     let id = JobId(Uuid::from_u128(number));
     let new = NewJob::new(id, TrainOptions::default(), scene.dataset);
-    NewJob { owner, scene: Some(scene.id), ..new }
+    NewJob { owner, dataset_id: Some(scene.id), ..new }
 }
 
 #[tokio::test]
-async fn a_scene_reads_back_as_it_was_kept() {
-    let shelf = Shelf::new().await;
-    let new = scene(1, None, "dataset");
-    let DatasetCreation::Created(made) = shelf.add(1, None, "dataset").await else { panic!("it is new") };
+async fn a_dataset_reads_back_as_it_was_added() {
+    let fixture = Fixture::new().await;
+    let new = new_dataset(1, None, "dataset");
+    let DatasetCreation::Created(made) = fixture.add(1, None, "dataset").await else { panic!("it is new") };
     assert_eq!((made.id, &made.name, made.dataset), (new.id, &new.name, new.dataset));
-    assert_eq!((&made.summary, made.version, made.created_at), (&new.summary, 1, shelf.clock.now()));
-    assert_eq!(shelf.store.dataset(new.id).await.expect("read"), Some(made));
-    assert_eq!(shelf.store.dataset(SceneId(Uuid::from_u128(2))).await.expect("read"), None);
+    assert_eq!((&made.summary, made.version, made.created_at), (&new.summary, 1, fixture.clock.now()));
+    assert_eq!(fixture.store.dataset(new.id).await.expect("read"), Some(made));
+    assert_eq!(fixture.store.dataset(SceneId(Uuid::from_u128(2))).await.expect("read"), None);
 }
 
 #[tokio::test]
-async fn an_owner_has_a_dataset_once_and_another_owner_has_a_scene_of_its_own() {
-    let shelf = Shelf::new().await;
-    let [one, other] = [shelf.key(1, None).await, shelf.key(2, None).await].map(Some);
+async fn an_owner_has_an_archive_once_and_another_owner_has_its_own_dataset_of_it() {
+    let fixture = Fixture::new().await;
+    let [one, other] = [fixture.key(1, None).await, fixture.key(2, None).await].map(Some);
     for owner in [None, one, other] {
         let number = 10 + owner.map_or(0, |key| key.0.as_u128());
-        let DatasetCreation::Created(made) = shelf.add(number, owner, "dataset").await else {
+        let DatasetCreation::Created(made) = fixture.add(number, owner, "dataset").await else {
             panic!("nothing of another owner's is seen")
         };
-        let again = shelf.add(number + 10, owner, "dataset").await;
+        let again = fixture.add(number + 10, owner, "dataset").await;
         assert_eq!(again, DatasetCreation::Existing(made.clone()));
-        let found = shelf.store.dataset_by_archive(owner, made.dataset.digest).await.expect("read");
+        let found = fixture.store.dataset_by_archive(owner, made.dataset.digest).await.expect("read");
         assert_eq!(found, Some(made));
-        assert_eq!(shelf.usage(owner).await, Usage { stored: 7, reserved: 0 });
+        assert_eq!(fixture.usage(owner).await, Usage { stored: 7, reserved: 0 });
     }
-    let list = |owner| shelf.store.datasets(owner, None, 10);
+    let list = |owner| fixture.store.datasets(owner, None, 10);
     assert_eq!(list(None).await.expect("all").len(), 3);
     let own = list(one).await.expect("own");
     assert_eq!(own.iter().map(|scene| scene.owner).collect::<Vec<_>>(), [one]);
-    let absent = shelf.store.dataset_by_archive(one, Digest::of(b"other")).await.expect("read");
+    let absent = fixture.store.dataset_by_archive(one, Digest::of(b"other")).await.expect("read");
     assert_eq!(absent, None);
 }
 
 #[tokio::test]
-async fn scenes_are_listed_newest_first_without_gaps_or_repeats() {
-    let shelf = Shelf::new().await;
+async fn datasets_are_listed_newest_first_without_gaps_or_repeats() {
+    let fixture = Fixture::new().await;
     let mut ids: Vec<SceneId> = Vec::new();
     for number in 0..5 {
         // Two of each instant, so that the id has to decide.
-        shelf.clock.advance(SignedDuration::from_secs(i64::from(number % 2 == 0)));
-        ids.push(shelf.add(u128::from(number as u32) + 1, None, &format!("{number}")).await.record().id);
+        fixture.clock.advance(SignedDuration::from_secs(i64::from(number % 2 == 0)));
+        ids.push(fixture.add(u128::from(number as u32) + 1, None, &format!("{number}")).await.record().id);
     }
     ids.reverse();
     let (mut listed, mut before) = (Vec::new(), None);
     loop {
-        let page = shelf.store.datasets(None, before, 2).await.expect("a page");
+        let page = fixture.store.datasets(None, before, 2).await.expect("a page");
         let Some(last) = page.last() else { break };
         before = Some(DatasetPageKey { created_at: last.created_at, id: last.id });
         listed.extend(page.iter().map(|scene| scene.id));
@@ -150,101 +150,115 @@ async fn scenes_are_listed_newest_first_without_gaps_or_repeats() {
 }
 
 #[tokio::test]
-async fn a_scene_is_deleted_unless_a_job_that_is_not_over_is_made_of_it() {
-    let shelf = Shelf::new().await;
-    let made = shelf.add(1, None, "dataset").await.record().clone();
+async fn a_dataset_is_deleted_unless_an_active_job_trains_on_it() {
+    let fixture = Fixture::new().await;
+    let made = fixture.add(1, None, "dataset").await.record().clone();
     let jobs = [job(1, None, &made), job(2, None, &made)];
     for new in jobs.clone() {
-        shelf.store.create_job(new).await.expect("queued");
+        fixture.store.create_job(new).await.expect("queued");
     }
-    let delete = |version| shelf.store.delete_dataset(made.id, version);
+    let delete = |version| fixture.store.delete_dataset(made.id, version);
     assert_eq!(delete(None).await.expect("asked"), Some(DatasetDeletion::InUse(2)));
-    let claim = shelf.store.claim("worker").await.expect("a claim").expect("a job");
+    let claim = fixture.store.claim("worker").await.expect("a claim").expect("a job");
     assert_eq!(delete(None).await.expect("asked"), Some(DatasetDeletion::InUse(2)));
     for new in &jobs {
-        shelf.store.cancel(new.id).await.expect("cancelled");
+        fixture.store.cancel(new.id).await.expect("cancelled");
     }
     assert_eq!(delete(None).await.expect("asked"), Some(DatasetDeletion::InUse(1)));
-    shelf.store.finish(&claim.lease, tcgs::store::Outcome::Cancelled).await.expect("ended");
+    fixture.store.finish(&claim.lease, tcgs::store::Outcome::Cancelled).await.expect("ended");
     assert_eq!(delete(Some(2)).await.expect("asked"), Some(DatasetDeletion::VersionMismatch));
     assert_eq!(delete(Some(1)).await.expect("asked"), Some(DatasetDeletion::Deleted));
     assert_eq!(delete(None).await.expect("asked"), None);
-    let kept = shelf.store.job(jobs[0].id).await.expect("read").expect("the job stays");
-    assert_eq!((kept.scene, kept.dataset), (None, made.dataset));
-    shelf.store.create_job(job(3, None, &made)).await.expect_err("a job cannot be made of what is gone");
+    let kept = fixture.store.job(jobs[0].id).await.expect("read").expect("the job stays");
+    assert_eq!((kept.dataset_id, kept.dataset), (None, made.dataset));
+    fixture.store.create_job(job(3, None, &made)).await.expect_err("a job cannot be made of what is gone");
 }
 
 #[tokio::test]
-async fn an_upload_keeps_its_room_until_it_is_a_scene_or_given_up() {
-    let shelf = Shelf::new().await;
-    let owner = Some(shelf.key(1, Some(100)).await);
-    let used = shelf.begin(1, owner, 60).await.expect("room");
-    let refused = shelf.begin(2, owner, 41).await.expect_err("60 + 41 > 100");
-    assert!(matches!(refused, StoreError::QuotaExceeded { asked: 41, used: 60, quota: 100 }), "{refused}");
-    let dropped = shelf.begin(3, owner, 40).await.expect("exactly what is left");
-    assert_eq!(shelf.usage(owner).await, Usage { stored: 0, reserved: 100 });
-    assert_eq!(shelf.usage(None).await, Usage::default(), "and nobody else's");
-    shelf.begin(4, None, 1 << 50).await.expect("without a key there is no quota");
-    shelf.begin(5, None, u64::MAX >> 1).await.expect_err("sums of such lengths would overflow");
-    assert!(shelf.store.delete_upload(dropped).await.expect("asked"));
-    assert!(!shelf.store.delete_upload(dropped).await.expect("asked"));
+async fn an_upload_reserves_its_bytes_until_it_is_a_dataset_or_deleted() {
+    let fixture = Fixture::new().await;
+    let owner = Some(fixture.key(1, Some(100)).await);
+    let used = fixture.begin(1, owner, 60).await.expect("room");
+    let refused = fixture.begin(2, owner, 41).await.expect_err("60 + 41 > 100");
+    assert!(
+        matches!(refused, StoreError::QuotaExceeded { requested: 41, used: 60, quota: 100 }),
+        "{refused}"
+    );
+    let dropped = fixture.begin(3, owner, 40).await.expect("exactly what is left");
+    assert_eq!(fixture.usage(owner).await, Usage { stored: 0, reserved: 100 });
+    assert_eq!(fixture.usage(None).await, Usage::default(), "and nobody else's");
+    fixture.begin(4, None, 1 << 50).await.expect("without a key there is no quota");
+    fixture.begin(5, None, u64::MAX >> 1).await.expect_err("sums of such lengths would overflow");
+    assert!(fixture.store.delete_upload(dropped).await.expect("asked"));
+    assert!(!fixture.store.delete_upload(dropped).await.expect("asked"));
 
-    let later = shelf.clock.now() + SignedDuration::from_hours(2);
-    assert!(shelf.store.advance_upload(used, 25, later).await.expect("advanced"));
-    let record = shelf.store.upload(used).await.expect("read").expect("known");
+    let later = fixture.clock.now() + SignedDuration::from_hours(2);
+    assert!(fixture.store.advance_upload(used, 25, later).await.expect("advanced"));
+    let record = fixture.store.upload(used).await.expect("read").expect("known");
     assert_eq!((record.received, record.expires_at, record.is_complete()), (25, later, false));
-    assert_eq!(shelf.store.outstanding_bytes().await.expect("read"), 35 + (1 << 50));
-    shelf.store.advance_upload(used, 61, later).await.expect_err("more than was announced");
+    assert_eq!(fixture.store.outstanding_bytes().await.expect("read"), 35 + (1 << 50));
+    fixture.store.advance_upload(used, 61, later).await.expect_err("more than was announced");
 
     let content = "x".repeat(60);
-    let new = NewDataset { upload: Some(used), ..scene(1, owner, &content) };
-    let made = shelf.store.create_dataset(new).await.expect("its room becomes the scene's");
-    assert_eq!(shelf.usage(owner).await, Usage { stored: 60, reserved: 0 });
-    let record = shelf.store.upload(used).await.expect("read").expect("known");
-    assert_eq!((record.scene, record.ended_at), (Some(made.record().id), Some(shelf.clock.now())));
-    assert!(!shelf.store.advance_upload(used, 60, later).await.expect("asked"), "it has ended");
-    assert!(!shelf.store.delete_upload(used).await.expect("asked"), "it has ended");
+    let new = NewDataset { upload: Some(used), ..new_dataset(1, owner, &content) };
+    let made = fixture.store.create_dataset(new).await.expect("its room becomes the scene's");
+    assert_eq!(fixture.usage(owner).await, Usage { stored: 60, reserved: 0 });
+    let record = fixture.store.upload(used).await.expect("read").expect("known");
+    assert_eq!((record.dataset_id, record.ended_at), (Some(made.record().id), Some(fixture.clock.now())));
+    assert!(!fixture.store.advance_upload(used, 60, later).await.expect("asked"), "it has ended");
+    assert!(!fixture.store.delete_upload(used).await.expect("asked"), "it has ended");
 
-    let refused = shelf.store.create_dataset(scene(2, owner, &"y".repeat(41))).await.expect_err("60 + 41");
-    assert!(matches!(refused, StoreError::QuotaExceeded { asked: 41, used: 60, quota: 100 }), "{refused}");
+    let refused =
+        fixture.store.create_dataset(new_dataset(2, owner, &"y".repeat(41))).await.expect_err("60 + 41");
+    assert!(
+        matches!(refused, StoreError::QuotaExceeded { requested: 41, used: 60, quota: 100 }),
+        "{refused}"
+    );
 }
 
 #[tokio::test]
-async fn uploads_end_when_their_time_is_over_and_say_so_for_a_while() {
-    let shelf = Shelf::new().await;
-    let open = shelf.begin(1, None, 5).await.expect("room");
-    shelf.clock.advance(SignedDuration::from_mins(30));
-    let young = shelf.begin(2, None, 6).await.expect("room");
-    shelf.clock.advance(SignedDuration::from_mins(30));
-    let forget = |hours: i64| shelf.clock.now() - SignedDuration::from_hours(hours);
-    let record = shelf.store.upload(open).await.expect("read").expect("known");
-    assert!(!record.is_open(shelf.clock.now()), "its time is over before anybody sweeps");
-    assert_eq!(shelf.store.expire_uploads(forget(24)).await.expect("swept"), [open]);
-    assert_eq!(shelf.store.expire_uploads(forget(24)).await.expect("swept"), []);
-    assert_eq!(shelf.store.open_uploads().await.expect("read"), [young]);
-    assert_eq!(shelf.usage(None).await.reserved, 6);
-    let record = shelf.store.upload(open).await.expect("read").expect("still known");
-    assert_eq!(record.ended_at, Some(shelf.clock.now()));
-    shelf.clock.advance(SignedDuration::from_hours(25));
-    assert_eq!(shelf.store.expire_uploads(forget(24)).await.expect("swept"), [young]);
-    assert_eq!(shelf.store.upload(open).await.expect("read"), None);
-    assert!(shelf.store.upload(young).await.expect("read").is_some());
+async fn uploads_expire_and_stay_listed_as_ended_for_a_while() {
+    let fixture = Fixture::new().await;
+    let open = fixture.begin(1, None, 5).await.expect("room");
+    fixture.clock.advance(SignedDuration::from_mins(30));
+    let young = fixture.begin(2, None, 6).await.expect("room");
+    fixture.clock.advance(SignedDuration::from_mins(30));
+    let forget = |hours: i64| fixture.clock.now() - SignedDuration::from_hours(hours);
+    let record = fixture.store.upload(open).await.expect("read").expect("known");
+    assert!(!record.is_open(fixture.clock.now()), "its time is over before anybody sweeps");
+    assert_eq!(fixture.store.expire_uploads(forget(24)).await.expect("swept"), [open]);
+    assert_eq!(fixture.store.expire_uploads(forget(24)).await.expect("swept"), []);
+    assert_eq!(fixture.store.open_uploads().await.expect("read"), [young]);
+    assert_eq!(fixture.usage(None).await.reserved, 6);
+    let record = fixture.store.upload(open).await.expect("read").expect("still known");
+    assert_eq!(record.ended_at, Some(fixture.clock.now()));
+    fixture.clock.advance(SignedDuration::from_hours(25));
+    assert_eq!(fixture.store.expire_uploads(forget(24)).await.expect("swept"), [young]);
+    assert_eq!(fixture.store.upload(open).await.expect("read"), None);
+    assert!(fixture.store.upload(young).await.expect("read").is_some());
 }
 
 #[tokio::test]
-async fn only_blobs_that_nothing_refers_to_are_forgotten() {
-    let shelf = Shelf::new().await;
-    let made = shelf.add(1, None, "dataset").await.record().clone();
-    shelf.store.create_job(job(1, None, &made)).await.expect("queued");
+async fn only_unreferenced_blobs_are_removed() {
+    let fixture = Fixture::new().await;
+    let made = fixture.add(1, None, "dataset").await.record().clone();
+    fixture.store.create_job(job(1, None, &made)).await.expect("queued");
     let unknown = Digest::of(b"never heard of");
     let all = [made.dataset.digest, unknown];
-    assert_eq!(shelf.store.forget_blobs(&all).await.expect("asked"), [unknown]);
-    shelf.store.cancel(JobId(Uuid::from_u128(1))).await.expect("cancelled");
-    shelf.store.delete_dataset(made.id, None).await.expect("deleted");
-    assert_eq!(shelf.store.forget_blobs(&all).await.expect("asked"), [unknown], "the job refers to it still");
-    assert_eq!(shelf.usage(None).await.stored, 7);
-    let lone = shelf.add(2, None, "lone").await.record().clone();
-    shelf.store.delete_dataset(lone.id, None).await.expect("deleted");
-    assert_eq!(shelf.store.forget_blobs(&[lone.dataset.digest]).await.expect("asked"), [lone.dataset.digest]);
-    shelf.add(3, None, "lone").await;
+    assert_eq!(fixture.store.forget_blobs(&all).await.expect("asked"), [unknown]);
+    fixture.store.cancel(JobId(Uuid::from_u128(1))).await.expect("cancelled");
+    fixture.store.delete_dataset(made.id, None).await.expect("deleted");
+    assert_eq!(
+        fixture.store.forget_blobs(&all).await.expect("asked"),
+        [unknown],
+        "the job refers to it still"
+    );
+    assert_eq!(fixture.usage(None).await.stored, 7);
+    let lone = fixture.add(2, None, "lone").await.record().clone();
+    fixture.store.delete_dataset(lone.id, None).await.expect("deleted");
+    assert_eq!(
+        fixture.store.forget_blobs(&[lone.dataset.digest]).await.expect("asked"),
+        [lone.dataset.digest]
+    );
+    fixture.add(3, None, "lone").await;
 }

@@ -1,7 +1,7 @@
-//! Databases of earlier versions: what they hold is there after an update.
+//! Databases of earlier versions keep their content through migrations.
 //!
-//! `tests/schemas` has a database of every schema that there was, as `sqlite3 tcgs.db .dump` prints it. Migrations that databases
-//! in the world have seen never change, which their checksums hold.
+//! `tests/schemas` has a database of every released schema, as `sqlite3 tcgs.db .dump` prints it. Released migrations never change:
+//! a test compares their checksums.
 
 use std::{collections::BTreeSet, fs, path::Path, sync::Arc};
 
@@ -37,7 +37,7 @@ const CHECKSUMS: &[(i64, &str)] = &[
     (15, "65c38600bc09f7925eaac217cafef701fa191e55aea527ab540ffc1dcff4700f62212a9b75eb383e202e073ff5a3fd07"),
 ];
 
-/// Versions whose databases are in `tests/schemas`. A schema is added once a program with it is out.
+/// Versions whose databases are in `tests/schemas`. A schema is added once a program with it is released.
 const DUMPED: &[i64] = &[1, 2, 3, 4, 5, 6, 7, 9, 10];
 
 fn folder() -> &'static Path {
@@ -72,7 +72,7 @@ const UPLOAD: u32 = 4;
 const ENDPOINT: u32 = 5;
 
 #[test]
-fn migrations_that_databases_have_seen_are_never_edited() {
+fn released_migrations_are_never_edited() {
     let found: Vec<(i64, String)> = ALL
         .iter()
         .map(|migration| {
@@ -94,7 +94,7 @@ fn migrations_that_databases_have_seen_are_never_edited() {
 }
 
 #[tokio::test]
-async fn what_databases_of_every_earlier_schema_hold_is_there_after_an_update() {
+async fn databases_of_every_earlier_schema_keep_their_content_through_migrations() {
     for version in DUMPED.iter().copied() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("tcgs.sqlite");
@@ -126,13 +126,13 @@ async fn assert_finished_job(store: &SqliteStore, version: i64) {
     assert_eq!((attempts.len(), &*attempts[0].worker), (1, "a worker"), "version {version}");
 }
 
-/// The queue goes on with what waited in it.
+/// Queued jobs are still queued.
 async fn assert_queued_job(store: &SqliteStore, version: i64) {
     let claim = store.claim("test").await.expect("a claim").expect("the job that waited");
     assert_eq!(claim.lease.job, id(QUEUED_JOB), "version {version}");
 }
 
-/// What only later schemas have.
+/// Content that only later schemas have.
 async fn assert_later_tables(store: &SqliteStore, version: i64) {
     let finished = FINISHED_JOB.parse().expect("an id");
     if version >= 4 {
@@ -141,7 +141,7 @@ async fn assert_later_tables(store: &SqliteStore, version: i64) {
         let scene = store.dataset(id(SCENE)).await.expect("reads").expect("the scene is there");
         assert_eq!((scene.owner, scene.summary.train), (Some(id(KEY)), 9), "version {version}");
         let job = store.job(id(QUEUED_JOB)).await.expect("reads").expect("the job is there");
-        assert_eq!((job.owner, job.scene), (Some(id(KEY)), Some(id(SCENE))), "version {version}");
+        assert_eq!((job.owner, job.dataset_id), (Some(id(KEY)), Some(id(SCENE))), "version {version}");
     }
     if version >= 5 {
         let upload = store.upload(id(UPLOAD)).await.expect("reads").expect("the upload is there");
@@ -162,7 +162,7 @@ async fn assert_later_tables(store: &SqliteStore, version: i64) {
 }
 
 #[tokio::test]
-async fn exports_that_were_kept_as_spz_are_of_version_3_after_an_update() {
+async fn exports_stored_as_spz_are_of_version_3_after_the_migration() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("tcgs.sqlite");
     restore(&path, 10).await;

@@ -1,4 +1,4 @@
-//! The store: jobs, datasets, totals and housekeeping on a manual clock, and databases of earlier versions.
+//! The store: jobs, datasets, totals and garbage collection on a manual clock, and databases of earlier versions.
 
 mod datasets;
 mod garbage;

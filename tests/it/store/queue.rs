@@ -1,5 +1,5 @@
-//! The queue's promises, one test each, on a clock that moves only when told to. Written against the trait, so a second
-//! database can be held to the same.
+//! The queue's guarantees, one test each, on a manual clock. Written against the trait, so that a second database could be tested
+//! likewise.
 
 use std::{path::PathBuf, sync::Arc, time::Duration};
 
@@ -141,7 +141,7 @@ async fn claims_are_exclusive_under_32_concurrent_claimers() {
 const CHILD_DATA: &str = "TCGS_TEST_CLAIMING_CHILD_DATA";
 const CHILD_NAME: &str = "TCGS_TEST_CLAIMING_CHILD_NAME";
 
-/// Not a test of its own: a process that claims what it can get once the file `go` is there.
+/// Not a test of its own: a process that claims all jobs it can once the file `go` exists.
 #[tokio::test]
 #[ignore = "the test of two processes runs it as a child process"]
 async fn claiming_child_process() {
@@ -368,7 +368,7 @@ async fn a_retry_waits_out_its_delay() {
 }
 
 #[tokio::test]
-async fn when_the_attempts_are_used_up_the_job_fails_and_its_history_stays() {
+async fn when_the_attempts_are_used_up_the_job_fails_and_its_attempts_stay_recorded() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     for attempt in 1..=3 {
@@ -389,7 +389,7 @@ async fn when_the_attempts_are_used_up_the_job_fails_and_its_history_stays() {
 }
 
 #[tokio::test]
-async fn bad_input_is_not_tried_again() {
+async fn bad_input_is_not_retried() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     queue.store.finish(&queue.lease().await, Outcome::Failed(problem())).await.expect("ended");
@@ -398,7 +398,7 @@ async fn bad_input_is_not_tried_again() {
 }
 
 #[tokio::test]
-async fn a_job_that_twice_kills_its_worker_is_not_given_to_a_third() {
+async fn a_job_that_crashes_two_workers_is_not_given_to_a_third() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     queue.lease().await;
@@ -411,7 +411,7 @@ async fn a_job_that_twice_kills_its_worker_is_not_given_to_a_third() {
     assert_eq!(queue.outcomes(id).await, [Some(AttemptOutcome::Lost), Some(AttemptOutcome::Lost)]);
 }
 
-/// Another process on the same database, of which nothing is known when it starts.
+/// A second store on the same database, as another process would open it.
 async fn another(queue: &Queue) -> SqliteStore {
     open(&queue.folder, &queue.clock, QueuePolicy::default()).await
 }
@@ -453,7 +453,7 @@ async fn no_number_of_power_cuts_costs_a_job() {
 }
 
 #[tokio::test]
-async fn the_first_power_cuts_delay_nothing_and_those_without_progress_then_do() {
+async fn power_cuts_delay_a_job_only_after_several_without_progress() {
     let queue = Queue::new().await;
     queue.add(1).await;
     let lose = async || {
@@ -474,7 +474,7 @@ async fn the_first_power_cuts_delay_nothing_and_those_without_progress_then_do()
 }
 
 #[tokio::test]
-async fn a_worker_that_died_alone_counts_against_its_job_only_where_that_got_no_further() {
+async fn a_worker_that_died_alone_counts_against_its_job_only_without_a_new_checkpoint() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     let die_at = async |checkpoint_step| {
@@ -500,7 +500,7 @@ async fn a_worker_that_died_alone_counts_against_its_job_only_where_that_got_no_
 }
 
 #[tokio::test]
-async fn a_process_that_saw_the_worker_alive_knows_that_it_died_alone() {
+async fn a_process_that_observed_the_lease_renewed_knows_that_the_worker_died_alone() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     let service = another(&queue).await;
@@ -534,7 +534,7 @@ async fn a_clock_that_jumps_takes_no_job_from_its_worker() {
 }
 
 #[tokio::test]
-async fn a_clock_that_is_set_back_keeps_no_job_from_running() {
+async fn a_clock_that_is_set_back_delays_no_job() {
     let queue = Queue::new().await;
     let back = || queue.clock.set_by(SignedDuration::from_hours(-1));
     let id = queue.add(1).await;
@@ -556,7 +556,7 @@ async fn a_clock_that_is_set_back_keeps_no_job_from_running() {
 }
 
 #[tokio::test]
-async fn what_is_done_to_one_job_ends_no_lease_of_another() {
+async fn changes_to_one_job_end_no_lease_of_another() {
     let queue = Queue::new().await;
     let [theirs, cancelled, deleted] = [queue.add(1).await, queue.add(2).await, queue.add(3).await];
     for _ in 0..3 {
@@ -571,7 +571,7 @@ async fn what_is_done_to_one_job_ends_no_lease_of_another() {
 }
 
 #[tokio::test]
-async fn a_held_job_says_why_and_is_tried_again_without_a_charge() {
+async fn a_held_job_states_the_cause_and_is_retried_without_a_charge() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     let full = Problem::new(507, "storage-full", "Storage full", "no room");
@@ -613,7 +613,7 @@ async fn key(pool: &sqlx::SqlitePool, number: u128) -> KeyId {
 }
 
 #[tokio::test]
-async fn among_equals_the_owner_with_the_fewest_running_jobs_is_served_first() {
+async fn at_equal_priority_the_owner_with_the_fewest_running_jobs_is_served_first() {
     let queue = Queue::new().await;
     let pool = pool(&queue).await;
     let (busy, other) = (key(&pool, 100).await, key(&pool, 101).await);
@@ -651,7 +651,7 @@ async fn among_equals_the_owner_with_the_fewest_running_jobs_is_served_first() {
 }
 
 #[tokio::test]
-async fn an_attempt_that_says_why_it_failed_breaks_the_row_of_silent_deaths() {
+async fn a_reported_failure_resets_the_count_of_lost_attempts() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     queue.lease().await;
@@ -663,7 +663,7 @@ async fn an_attempt_that_says_why_it_failed_breaks_the_row_of_silent_deaths() {
 }
 
 #[tokio::test]
-async fn a_dead_worker_s_jobs_are_free_at_once_and_no_one_else_s() {
+async fn only_the_dead_workers_jobs_are_queued_again_at_once() {
     let queue = Queue::new().await;
     let (first, second) = (queue.add(1).await, queue.add(2).await);
     let kept = queue.store.claim("alive").await.expect("a claim").expect("a job").lease;
@@ -686,7 +686,7 @@ async fn a_cancelled_job_whose_worker_dies_ends_cancelled() {
 }
 
 #[tokio::test]
-async fn a_job_whose_worker_is_long_gone_is_cancelled_at_once() {
+async fn a_job_whose_lease_has_expired_is_cancelled_at_once() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     queue.lease().await;
@@ -732,7 +732,7 @@ async fn events_have_no_gaps_and_no_duplicates_across_a_reopen() {
 }
 
 #[tokio::test]
-async fn progress_is_always_current_but_its_events_are_spaced_out() {
+async fn progress_is_always_current_but_its_events_are_limited_in_rate() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     let lease = queue.lease().await;
@@ -777,7 +777,7 @@ async fn every_change_raises_the_version_and_a_new_attempt_starts_from_nothing()
     rises(&queue.record(id).await);
 }
 
-fn repeat(number: u128, from_checkpoint: bool) -> RetryRequest {
+fn retry(number: u128, from_checkpoint: bool) -> RetryRequest {
     RetryRequest { id: JobId(Uuid::from_u128(number)), from_checkpoint, deadline_at: None, intent: None }
 }
 
@@ -791,7 +791,7 @@ impl Queue {
 }
 
 #[tokio::test]
-async fn a_queued_job_past_its_deadline_is_given_up_and_never_begun() {
+async fn a_queued_job_past_its_deadline_fails_and_is_never_started() {
     let queue = Queue::new().await;
     let (late, other) = (queue.add_until(1, 60).await, queue.add(2).await);
     assert_eq!(queue.store.fail_expired().await.expect("looked"), 0);
@@ -841,30 +841,30 @@ async fn a_running_job_learns_of_its_deadline_and_gets_no_other_attempt() {
 }
 
 #[tokio::test]
-async fn a_repeated_job_is_a_new_one_that_may_adopt_the_checkpoint() {
+async fn a_retry_is_a_new_job_that_may_resume_from_the_checkpoint() {
     let queue = Queue::new().await;
     let id = queue.add_with_priority(1, 7).await;
-    let now = queue.store.retry_job(id, repeat(2, true)).await.expect("answered").expect("known");
+    let now = queue.store.retry_job(id, retry(2, true)).await.expect("answered").expect("known");
     assert_eq!(now, RetryOutcome::NotRetryable(JobState::Queued));
     queue.store.finish(&queue.lease().await, Outcome::Failed(problem())).await.expect("ended");
     for (number, from_checkpoint) in [(2, true), (3, false)] {
-        let made = queue.store.retry_job(id, repeat(number, from_checkpoint)).await.expect("answered");
+        let made = queue.store.retry_job(id, retry(number, from_checkpoint)).await.expect("answered");
         let Some(RetryOutcome::Created(record)) = made else { panic!("{made:?}") };
         assert_eq!((record.retry_of, record.priority), (Some(id), 7));
         assert_eq!((record.job.state, record.job.attempt), (JobState::Queued, 0));
         let claim = queue.claim().await.expect("a job");
         assert_eq!((claim.lease.job, claim.resume_from), (record.job.id, from_checkpoint.then_some(id)));
         queue.store.finish(&claim.lease, succeeded()).await.expect("ended");
-        let done = queue.store.retry_job(record.job.id, repeat(9, true)).await.expect("answered");
+        let done = queue.store.retry_job(record.job.id, retry(9, true)).await.expect("answered");
         assert_eq!(done, Some(RetryOutcome::NotRetryable(JobState::Succeeded)));
     }
     assert!(
-        queue.store.retry_job(JobId(Uuid::from_u128(404)), repeat(9, true)).await.expect("read").is_none()
+        queue.store.retry_job(JobId(Uuid::from_u128(404)), retry(9, true)).await.expect("read").is_none()
     );
 }
 
 #[tokio::test]
-async fn a_job_is_deleted_once_it_has_ended_and_as_it_was_seen() {
+async fn a_job_is_deleted_only_once_it_has_ended_and_at_the_requested_version() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     let delete = |version| queue.store.delete_job(id, version);
@@ -883,7 +883,7 @@ async fn a_job_is_deleted_once_it_has_ended_and_as_it_was_seen() {
 }
 
 #[tokio::test]
-async fn checkpoints_are_wanted_until_success_and_for_a_while_after_failure() {
+async fn checkpoints_are_needed_until_success_and_for_a_while_after_failure() {
     let queue = Queue::new().await;
     let [done, failed, waiting] = [queue.add(1).await, queue.add(2).await, queue.add(3).await];
     queue.store.finish(&queue.lease().await, succeeded()).await.expect("ended");
@@ -896,7 +896,7 @@ async fn checkpoints_are_wanted_until_success_and_for_a_while_after_failure() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn fifty_processes_with_one_key_make_one_job() {
+async fn fifty_requests_with_one_idempotency_key_create_one_job() {
     let queue = Queue::new().await;
     let other: Arc<dyn Store> = Arc::new(open(&queue.folder, &queue.clock, QueuePolicy::default()).await);
     let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
@@ -924,7 +924,7 @@ async fn fifty_processes_with_one_key_make_one_job() {
 }
 
 #[tokio::test]
-async fn a_key_is_its_owner_s_and_is_forgotten_after_a_day() {
+async fn an_idempotency_key_belongs_to_its_owner_and_expires_after_a_day() {
     let queue = Queue::new().await;
     let pool = pool(&queue).await;
     let owner = KeyId(Uuid::from_u128(77));
@@ -982,7 +982,7 @@ async fn a_dataset_may_be_used_by_many_jobs() {
 }
 
 #[tokio::test]
-async fn a_row_that_makes_no_sense_is_an_error_and_not_a_panic() {
+async fn an_invalid_row_is_an_error_and_not_a_panic() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
     let pool = pool(&queue).await;
@@ -1000,7 +1000,7 @@ async fn a_row_that_makes_no_sense_is_an_error_and_not_a_panic() {
 }
 
 #[tokio::test]
-async fn what_is_published_survives_the_process() {
+async fn published_artifacts_survive_the_process() {
     let folder = tempfile::tempdir().expect("a folder");
     let blobs = Blobs::open(folder.path()).expect("a store");
     let blob = blobs.put(Bytes::from_static(b"kept")).await.expect("published");

@@ -1,5 +1,4 @@
-//! The totals that the schema's triggers keep are those that counting would give, whatever happens, and what is counted since the
-//! beginning never falls.
+//! The totals that the schema's triggers maintain equal a recount after every change, and counters never fall.
 
 use std::{path::PathBuf, sync::Arc, time::Duration};
 
@@ -55,7 +54,7 @@ const RECOUNTS: [(&str, &str); 4] = [
     ),
 ];
 
-struct Office {
+struct Fixture {
     store: Arc<dyn Store>,
     clock: Arc<ManualClock>,
     database: SqliteConnection,
@@ -76,7 +75,7 @@ async fn rows(database: &mut SqliteConnection, query: &'static str) -> Vec<(Stri
     rows.iter().map(|row| (cell(row, 0), cell(row, 1), cell(row, 2))).collect()
 }
 
-impl Office {
+impl Fixture {
     async fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let start: Timestamp = "2026-11-21T12:00:00Z".parse().expect("an instant");
@@ -100,7 +99,7 @@ impl Office {
         key
     }
 
-    /// Compares totals with a recount, and counters with what they were.
+    /// Compares totals with a recount, and counters with their values before.
     async fn check(&mut self, what: &str) {
         for (totals, recount) in RECOUNTS {
             let [totals, recount] =
@@ -124,7 +123,8 @@ impl Office {
 
     async fn job(&self, number: u128, owner: Option<KeyId>, scene: Option<SceneId>, content: &str) -> JobId {
         let id = JobId(Uuid::from_u128(number));
-        let new = NewJob { owner, scene, ..NewJob::new(id, TrainOptions::default(), blob(content)) };
+        let new =
+            NewJob { owner, dataset_id: scene, ..NewJob::new(id, TrainOptions::default(), blob(content)) };
         self.store.create_job(new).await.expect("created").job.id
     }
 
@@ -154,10 +154,10 @@ fn problem() -> Problem {
 }
 
 #[tokio::test]
-async fn totals_are_what_counting_gives_after_every_change() {
-    let mut office = Office::new().await;
-    let (one, other) = (office.key(1).await, office.key(2).await);
-    office.check("the beginning").await;
+async fn totals_equal_a_recount_after_every_change() {
+    let mut fixture = Fixture::new().await;
+    let (one, other) = (fixture.key(1).await, fixture.key(2).await);
+    fixture.check("the beginning").await;
 
     // Endpoints first, so that every change of a job is told.
     for owner in [Some(one), None] {
@@ -169,7 +169,7 @@ async fn totals_are_what_counting_gives_after_every_change() {
             description: None,
             secret: WebhookSecret::generate(&tcgs::domain::SystemEntropy).expect("drawn"),
         };
-        office.store.create_endpoint(new, 9).await.expect("made").expect("room");
+        fixture.store.create_endpoint(new, 9).await.expect("made").expect("room");
     }
     let mut scenes = Vec::new();
     for (number, (owner, content)) in
@@ -186,40 +186,40 @@ async fn totals_are_what_counting_gives_after_every_change() {
         };
         let new =
             NewDataset { id, owner, name: None, dataset: blob(content), summary, upload: None, intent: None };
-        office.store.create_dataset(new.clone()).await.expect("created");
-        office.store.create_dataset(NewDataset { id: SceneId(Uuid::now_v7()), ..new }).await.expect("known");
-        office.check("a scene").await;
+        fixture.store.create_dataset(new.clone()).await.expect("created");
+        fixture.store.create_dataset(NewDataset { id: SceneId(Uuid::now_v7()), ..new }).await.expect("known");
+        fixture.check("a scene").await;
         scenes.push(id);
     }
 
-    let first = office.job(1, Some(one), Some(scenes[0]), "a scene").await;
-    let second = office.job(2, Some(one), None, "a dataset").await;
-    let third = office.job(3, Some(other), None, "a dataset").await;
-    let fourth = office.job(4, None, None, "a dataset").await;
-    office.check("four jobs").await;
-    office.finish(succeeded("a file")).await;
-    office.check("a success").await;
-    office.finish(Outcome::Retry(problem())).await;
-    office.check("a retry").await;
-    office.finish(succeeded("a file")).await;
-    office.check("the same file of another").await;
-    office.finish(Outcome::Failed(problem())).await;
-    office.check("a failure").await;
-    office.store.cancel(second).await.expect("an answer").expect("known");
-    office.check("a cancellation").await;
+    let first = fixture.job(1, Some(one), Some(scenes[0]), "a scene").await;
+    let second = fixture.job(2, Some(one), None, "a dataset").await;
+    let third = fixture.job(3, Some(other), None, "a dataset").await;
+    let fourth = fixture.job(4, None, None, "a dataset").await;
+    fixture.check("four jobs").await;
+    fixture.finish(succeeded("a file")).await;
+    fixture.check("a success").await;
+    fixture.finish(Outcome::Retry(problem())).await;
+    fixture.check("a retry").await;
+    fixture.finish(succeeded("a file")).await;
+    fixture.check("the same file of another").await;
+    fixture.finish(Outcome::Failed(problem())).await;
+    fixture.check("a failure").await;
+    fixture.store.cancel(second).await.expect("an answer").expect("known");
+    fixture.check("a cancellation").await;
     let repeat = RetryRequest {
         id: JobId(Uuid::from_u128(5)),
         from_checkpoint: false,
         deadline_at: None,
         intent: None,
     };
-    office.store.retry_job(second, repeat).await.expect("an answer").expect("known");
-    office.check("a repetition").await;
-    office.clock.advance(SignedDuration::from_secs(1));
-    let claim = office.store.claim("worker").await.expect("an answer").expect("a job");
-    office.store.expire_worker("worker", WorkerDeath::Alone).await.expect("an answer");
-    office.check("a lost worker").await;
-    office.store.cancel(claim.lease.job).await.expect("an answer").expect("known");
+    fixture.store.retry_job(second, repeat).await.expect("an answer").expect("known");
+    fixture.check("a repetition").await;
+    fixture.clock.advance(SignedDuration::from_secs(1));
+    let claim = fixture.store.claim("worker").await.expect("an answer").expect("a job");
+    fixture.store.expire_worker("worker", WorkerDeath::Alone).await.expect("an answer");
+    fixture.check("a lost worker").await;
+    fixture.store.cancel(claim.lease.job).await.expect("an answer").expect("known");
 
     for (format, content) in [(SceneFormat::Ply, "as ply"), (SceneFormat::Spz, "as spz")] {
         let source = blob("a file").digest;
@@ -232,73 +232,73 @@ async fn totals_are_what_counting_gives_after_every_change() {
             sh_degree: 0,
             fidelity: None,
         };
-        office.store.add_export(export).await.expect("kept").expect("known");
-        office.store.add_export(export).await.expect("kept").expect("known");
+        fixture.store.add_export(export).await.expect("kept").expect("known");
+        fixture.store.add_export(export).await.expect("kept").expect("known");
     }
-    office.check("exports").await;
+    fixture.check("exports").await;
 
     for (number, owner) in [(1, Some(one)), (2, Some(one)), (3, None)] {
         let id = UploadId(Uuid::from_u128(number));
-        let expires_at = office.clock.now() + SignedDuration::from_hours(number as i64);
+        let expires_at = fixture.clock.now() + SignedDuration::from_hours(number as i64);
         let new = NewUpload { id, owner, length: 100, metadata: None, expires_at };
-        office.store.create_upload(new).await.expect("begun");
-        office.store.advance_upload(id, 10, expires_at).await.expect("advanced");
-        office.check("an upload").await;
+        fixture.store.create_upload(new).await.expect("begun");
+        fixture.store.advance_upload(id, 10, expires_at).await.expect("advanced");
+        fixture.check("an upload").await;
     }
-    let usage = office.store.usage(Some(one)).await.expect("read");
+    let usage = fixture.store.usage(Some(one)).await.expect("read");
     let stored = ["a scene", "a dataset", "a file", "the same cameras", "as ply", "as spz"];
     assert_eq!(usage, Usage { stored: stored.map(str::len).iter().sum::<usize>() as u64, reserved: 200 });
-    office.store.delete_upload(UploadId(Uuid::from_u128(2))).await.expect("deleted");
-    office.check("a deleted upload").await;
-    office.clock.advance(SignedDuration::from_mins(90));
-    office.store.expire_uploads(Timestamp::MIN).await.expect("expired");
-    office.check("an expired upload").await;
-    office.store.expire_uploads(Timestamp::MAX).await.expect("expired");
-    office.check("a forgotten upload").await;
+    fixture.store.delete_upload(UploadId(Uuid::from_u128(2))).await.expect("deleted");
+    fixture.check("a deleted upload").await;
+    fixture.clock.advance(SignedDuration::from_mins(90));
+    fixture.store.expire_uploads(Timestamp::MIN).await.expect("expired");
+    fixture.check("an expired upload").await;
+    fixture.store.expire_uploads(Timestamp::MAX).await.expect("expired");
+    fixture.check("a forgotten upload").await;
 
     for next in
         [AfterAttempt::Done, AfterAttempt::RetryAfter(Duration::from_secs(1)), AfterAttempt::DisableEndpoint]
     {
         let due =
-            office.store.take_delivery(Duration::from_secs(60)).await.expect("read").expect("one is due");
-        let settled = DeliveryResult { status: Some(200), fault: None, next };
-        office.store.finish_delivery(due.id, due.attempt, settled).await.expect("settled");
-        office.check("a delivery").await;
-        let endpoint = endpoint_of(&mut office.database, due.id).await;
-        office.store.replay(endpoint, due.id).await.expect("an answer");
-        office.check("a replay").await;
+            fixture.store.take_delivery(Duration::from_secs(60)).await.expect("read").expect("one is due");
+        let settled = DeliveryResult { response_status: Some(200), error: None, next };
+        fixture.store.finish_delivery(due.id, due.attempt, settled).await.expect("settled");
+        fixture.check("a delivery").await;
+        let endpoint = endpoint_of(&mut fixture.database, due.id).await;
+        fixture.store.replay(endpoint, due.id).await.expect("an answer");
+        fixture.check("a replay").await;
     }
 
-    let before = office.store.stats().await.expect("read");
+    let before = fixture.store.stats().await.expect("read");
     assert_eq!(before.phase_seconds[1], ("train", 5.0));
     assert!(
         before.claims >= 5
             && before.attempts.iter().any(|ended| ended.cause.as_deref() == Some("device-lost"))
     );
     for job in [first, second, third, fourth, claim.lease.job] {
-        office.store.delete_job(job, None).await.expect("an answer").expect("known");
-        office.check("a deleted job").await;
+        fixture.store.delete_job(job, None).await.expect("an answer").expect("known");
+        fixture.check("a deleted job").await;
     }
     for scene in scenes {
-        office.store.delete_dataset(scene, None).await.expect("an answer").expect("known");
-        office.check("a deleted scene").await;
+        fixture.store.delete_dataset(scene, None).await.expect("an answer").expect("known");
+        fixture.check("a deleted scene").await;
     }
     let all = ["a scene", "another", "a dataset", "a file", "the same cameras", "as ply", "as spz"];
     let digests: Vec<Digest> = all.map(|content| blob(content).digest).to_vec();
-    assert_eq!(office.store.forget_blobs(&digests).await.expect("an answer").len(), digests.len());
-    office.check("forgotten blobs").await;
-    for endpoint in office.store.endpoints(None, None, 9).await.expect("read") {
-        assert!(office.store.delete_endpoint(endpoint.id).await.expect("an answer"));
-        office.check("a deleted endpoint").await;
+    assert_eq!(fixture.store.forget_blobs(&digests).await.expect("an answer").len(), digests.len());
+    fixture.check("forgotten blobs").await;
+    for endpoint in fixture.store.endpoints(None, None, 9).await.expect("read") {
+        assert!(fixture.store.delete_endpoint(endpoint.id).await.expect("an answer"));
+        fixture.check("a deleted endpoint").await;
     }
-    let after = office.store.stats().await.expect("read");
+    let after = fixture.store.stats().await.expect("read");
     assert_eq!(
         (after.claims, &after.attempts, &after.phase_seconds),
         (before.claims, &before.attempts, &before.phase_seconds)
     );
     assert_eq!((after.blobs, after.blob_bytes), (0, 0));
     assert!(after.jobs.iter().all(|(_, count)| *count == 0));
-    drop(office.folder);
+    drop(fixture.folder);
 }
 
 async fn endpoint_of(database: &mut SqliteConnection, delivery: DeliveryId) -> EndpointId {
@@ -306,15 +306,15 @@ async fn endpoint_of(database: &mut SqliteConnection, delivery: DeliveryId) -> E
     row.fetch_one(database).await.expect("read").get::<String, _>(0).parse().expect("an id")
 }
 
-/// A schema from before there were totals, with something of everything in it.
+/// A schema from before totals, with rows in every table.
 #[tokio::test]
-async fn an_older_database_gets_its_totals_by_counting() {
-    let mut office = Office::new().await;
-    let one = office.key(1).await;
-    office.job(1, Some(one), None, "a dataset").await;
-    office.job(2, None, None, "a dataset").await;
-    office.finish(succeeded("a file")).await;
-    let expires_at = office.clock.now() + SignedDuration::from_hours(1);
+async fn a_migrated_database_gets_its_totals_by_counting() {
+    let mut fixture = Fixture::new().await;
+    let one = fixture.key(1).await;
+    fixture.job(1, Some(one), None, "a dataset").await;
+    fixture.job(2, None, None, "a dataset").await;
+    fixture.finish(succeeded("a file")).await;
+    let expires_at = fixture.clock.now() + SignedDuration::from_hours(1);
     let new = NewUpload {
         id: UploadId(Uuid::from_u128(1)),
         owner: Some(one),
@@ -322,8 +322,8 @@ async fn an_older_database_gets_its_totals_by_counting() {
         metadata: None,
         expires_at,
     };
-    office.store.create_upload(new).await.expect("begun");
-    let figures = office.store.stats().await.expect("read");
+    fixture.store.create_upload(new).await.expect("begun");
+    let figures = fixture.store.stats().await.expect("read");
     // Back to before the two migrations, by what they made; later ones stay.
     for kind in ["trigger", "table", "index"] {
         let made = sqlx::query(
@@ -338,24 +338,25 @@ async fn an_older_database_gets_its_totals_by_counting() {
             .filter_map(|line| line.strip_prefix("CREATE ")?.split_whitespace().nth(1))
             .collect();
         let names = serde_json::to_string(&names).expect("JSON");
-        let found = made.bind(kind).bind(names).fetch_all(&mut office.database).await.expect("read");
+        let found = made.bind(kind).bind(names).fetch_all(&mut fixture.database).await.expect("read");
         for row in &found {
             let drop = format!("DROP {kind} {}", row.get::<String, _>(0));
-            sqlx::query(sqlx::AssertSqlSafe(drop)).execute(&mut office.database).await.expect("dropped");
+            sqlx::query(sqlx::AssertSqlSafe(drop)).execute(&mut fixture.database).await.expect("dropped");
         }
     }
     for statement in [
         "CREATE INDEX jobs_by_scene ON jobs (scene) WHERE scene IS NOT NULL",
         "DELETE FROM _sqlx_migrations WHERE version IN (11, 12)",
     ] {
-        sqlx::query(statement).execute(&mut office.database).await.expect("as before");
+        sqlx::query(statement).execute(&mut fixture.database).await.expect("as before");
     }
-    let store = SqliteStore::open(&path(&office.folder), office.clock.clone(), QueuePolicy::default()).await;
-    office.store = Arc::new(store.expect("migrated"));
-    office.check("the migration").await;
-    assert_eq!(office.seen, figures);
-    let usage = office.store.usage(Some(one)).await.expect("read");
+    let store =
+        SqliteStore::open(&path(&fixture.folder), fixture.clock.clone(), QueuePolicy::default()).await;
+    fixture.store = Arc::new(store.expect("migrated"));
+    fixture.check("the migration").await;
+    assert_eq!(fixture.seen, figures);
+    let usage = fixture.store.usage(Some(one)).await.expect("read");
     assert_eq!((usage.stored > 0, usage.reserved), (true, 100));
-    office.finish(Outcome::Failed(problem())).await;
-    office.check("a change after it").await;
+    fixture.finish(Outcome::Failed(problem())).await;
+    fixture.check("a change after it").await;
 }

@@ -225,7 +225,7 @@ impl Server {
     /// The same with limits.
     pub async fn key_with(&self, scopes: &[Scope], limits: KeyLimits) -> TestKey {
         let now = self.services.clock.now();
-        let drawn = NewKey::draw(&SystemEntropy, now, "a test's", scopes, limits);
+        let drawn = NewKey::generate(&SystemEntropy, now, "a test's", scopes, limits);
         let (new, key) = drawn.expect("a key");
         let id = self.store.create_key(new).await.expect("stored").id;
         TestKey { id, key: key.expose().to_owned() }

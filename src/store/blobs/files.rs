@@ -1,0 +1,51 @@
+//! File system helpers of the blob store.
+
+use std::{
+    fs::{self, File},
+    io,
+    path::{Path, PathBuf},
+};
+
+use jiff::Timestamp;
+
+use crate::domain::{Clock as _, SystemClock};
+
+/// Sets the modification time to now. Ages of files are by the system clock, whichever clock the store has.
+pub(super) fn touch(file: &File) -> io::Result<Timestamp> {
+    let now = SystemClock.now();
+    file.set_modified(now.into())?;
+    Ok(now)
+}
+
+/// Modification time of the file; `None` if there is no such file.
+pub(super) fn age_of(path: &Path) -> io::Result<Option<Timestamp>> {
+    match fs::metadata(path) {
+        Ok(metadata) => Timestamp::try_from(metadata.modified()?).map(Some).map_err(io::Error::other),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+/// Opens a lock file. Each task opens it anew; closing the file releases the lock.
+pub(super) fn open_lock(path: &Path) -> io::Result<File> {
+    File::options().create(true).truncate(false).write(true).open(path)
+}
+
+/// Makes new names in a folder durable.
+pub(super) fn sync_folder(path: &Path) -> io::Result<()> {
+    // Other systems cannot open folders, and need not.
+    if cfg!(unix) { File::open(path)?.sync_all() } else { Ok(()) }
+}
+
+/// The paths in a folder; empty if there is no such folder.
+pub(super) fn entries(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    match fs::read_dir(folder) {
+        Ok(entries) => entries.map(|entry| Ok(entry?.path())).collect(),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
+        Err(error) => Err(error),
+    }
+}
+
+pub(super) fn folders(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    Ok(entries(folder)?.into_iter().filter(|path| path.is_dir()).collect())
+}
