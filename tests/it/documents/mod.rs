@@ -5,6 +5,7 @@ mod command_line;
 mod container_image;
 mod deployment;
 pub(crate) mod examples;
+mod links;
 mod plots;
 mod problems;
 mod retired_words;
