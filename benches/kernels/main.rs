@@ -33,7 +33,7 @@ use tcgs::{
         AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, RasterCounts,
         RasterSettings, Rasterizer, RenderError,
     },
-    train::{Adam, ImageLoss, Moments, TrainError, WaveletWeights},
+    train::{Adam, AdamStep, ImageLoss, Moments, TrainError, WaveletWeights},
 };
 
 use ceilings::Ceilings;
@@ -154,7 +154,8 @@ impl Bench {
 
     fn record_adam(&self, recorder: &mut Recorder<'_>) -> Result<(), GpuError> {
         let (gradients, values) = (&self.d_anchors.rows, &self.anchors.rows);
-        self.adam.step(recorder, 1, &self.overflow_flag, &self.rates, gradients, values, &self.moments)
+        let step = AdamStep { number: 1, overflow_flag: &self.overflow_flag };
+        self.adam.step(recorder, step, &self.rates, gradients, values, &self.moments)
     }
 
     /// Everything in one submission, by the clock.

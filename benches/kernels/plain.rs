@@ -11,7 +11,7 @@ use tcgs::{
     gpu::Device,
     model::GaussianRows,
     render::{DeviceGaussians, PlainGaussians, RasterSettings, Rasterizer, RenderError},
-    train::{Adam, ImageLoss, Moments},
+    train::{Adam, AdamStep, ImageLoss, Moments},
 };
 
 use super::scene;
@@ -43,6 +43,7 @@ pub(crate) fn step(
     // As small as to leave the scene as it is.
     let rates = device.upload("rates", &[1e-9_f32])?;
     let overflow_flag = device.upload("overflow flag", &[0_u32])?;
+    let step = AdamStep { number: 1, overflow_flag: &overflow_flag };
     let mut least = Duration::MAX;
     for run in 0..=runs {
         let start = Instant::now();
@@ -53,8 +54,8 @@ pub(crate) fn step(
         let d_gaussians = plain.gaussian_gradients()?.clone();
         rasterizer.backward(&mut recorder, plain.gaussians(), &camera, &v_image, &d_gaussians)?;
         plain.backward(&mut recorder, &rows, &gradients)?;
-        adam.step(&mut recorder, 1, &overflow_flag, &rates, &gradients.base, &rows.base, &base)?;
-        adam.step(&mut recorder, 1, &overflow_flag, &rates, &gradients.bands, &rows.bands, &bands)?;
+        adam.step(&mut recorder, step, &rates, &gradients.base, &rows.base, &base)?;
+        adam.step(&mut recorder, step, &rates, &gradients.bands, &rows.bands, &bands)?;
         recorder.submit()?;
         device.wait()?;
         // The first makes buffers and kernels.

@@ -25,7 +25,7 @@ struct Quantised {
 }
 
 // The hash of PCG: one round and its permutation.
-fn scramble(value: u32) -> u32 {
+fn pcg_hash(value: u32) -> u32 {
     let state = value * 747796405u + 2891336453u;
     let word = ((state >> ((state >> 28u) + 4u)) ^ state) * 277803737u;
     return (word >> 22u) ^ word;
@@ -33,12 +33,12 @@ fn scramble(value: u32) -> u32 {
 
 // Start of an anchor's noise sequence.
 fn stream_of(key: u32, anchor: u32) -> u32 {
-    return scramble(scramble(anchor) ^ key);
+    return pcg_hash(pcg_hash(anchor) ^ key);
 }
 
 // Uniform in (-1/2, 1/2), exact in f32, a function of key, anchor and column alone.
 fn noise(stream: u32, column: u32) -> f32 {
-    return (f32(scramble(stream + column) >> 9u) + 0.5) / 8388608.0 - 0.5;
+    return (f32(pcg_hash(stream + column) >> 9u) + 0.5) / 8388608.0 - 0.5;
 }
 
 fn quantise(phase: u32, stream: u32, column: u32, value: f32, width: f32) -> Quantised {

@@ -1,6 +1,6 @@
 #define_import_path tcgs::rate
 
-// Shared by `rate` and `refresh_steps`: their settings, and the decoding of a network's step adjustment.
+// Shared by `rate` and `refresh_quant_steps`: their settings, and the decoding of a network's step adjustment.
 #import tcgs::finite::below
 #import tcgs::quantise::{Quantisation, ROUNDED}
 

@@ -30,7 +30,7 @@ pub struct RemovalCosts {
 }
 
 /// Measures what leaving out would cost on `frames`. Zero for what none of them shows. The same scene and frames give the
-/// same figures on one adapter. `go_on` is asked between views; once it says no, the views so far are what counts.
+/// same figures on one adapter. `keep_going` is asked between views; once it says no, the views so far are what counts.
 ///
 /// # Errors
 /// Faults of the renderer; a photograph that cannot be read back.
@@ -39,14 +39,14 @@ pub fn removal_costs(
     scene: &AnchorScene,
     frames: &[&Frame],
     background: Background,
-    go_on: &mut dyn FnMut() -> bool,
+    keep_going: &mut dyn FnMut() -> bool,
 ) -> Result<RemovalCosts, RenderError> {
     let mut probe = Probe::new(device, scene, background)?;
     let k = scene.offsets_per_anchor;
     let mut costs = RemovalCosts { offsets: vec![0.0; scene.len() * k], anchors: vec![0.0; scene.len()] };
     let probes = PROBES.div_ceil(frames.len().max(1)) as u32;
     for (number, frame) in (0..).zip(frames) {
-        if !go_on() {
+        if !keep_going() {
             break;
         }
         probe.add(frame, number * probes..(number + 1) * probes, &mut costs)?;

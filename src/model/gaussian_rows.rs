@@ -27,9 +27,9 @@ pub const SH_CONSTANT: f32 = 0.282_094_8;
 /// Opacity that a Gaussian begins with (METHOD.md §5).
 const FIRST_OPACITY: f32 = 0.1;
 /// Least that a channel begins with: one that is held at zero has no gradient and would stay black for good.
-const LEAST_COLOR: f32 = 1.0 / 255.0;
+const MIN_COLOR: f32 = 1.0 / 255.0;
 /// Least distance to the neighbours that a size is made of: the root of the published 1e-7 (METHOD.md §5).
-const LEAST_SPACING: f32 = 3.162_277_7e-4;
+const MIN_SPACING: f32 = 3.162_277_7e-4;
 
 /// Values of the first `degree` bands together.
 #[must_use]
@@ -186,14 +186,13 @@ pub fn initial_gaussians(
     let distances = neighbour_distances(&positions);
     for (index, (position, distance)) in positions.iter().zip(distances).enumerate() {
         let color: [f32; 3] = if colored {
-            colors[index * every]
-                .map(|value| ((f32::from(value) / 255.0).max(LEAST_COLOR) - 0.5) / SH_CONSTANT)
+            colors[index * every].map(|value| ((f32::from(value) / 255.0).max(MIN_COLOR) - 0.5) / SH_CONSTANT)
         } else {
             std::array::from_fn(|_| rng.random::<f32>() / 255.0)
         };
         let row = rows.base_mut(index);
         row[..LOG_SCALE].copy_from_slice(position);
-        row[LOG_SCALE..QUAT].fill(distance.max(LEAST_SPACING).ln());
+        row[LOG_SCALE..QUAT].fill(distance.max(MIN_SPACING).ln());
         row[QUAT] = 1.0;
         row[OPACITY] = logit(FIRST_OPACITY);
         row[COLOR..].copy_from_slice(&color);

@@ -19,7 +19,7 @@ use crate::{
     domain::{
         AnchorScene, ByteBudget, CodingEfficiency, GroupOctaves, ModelKind, Problem, Scene, TrainOptions,
     },
-    train::{BaseSteps, Trained, TrainedContext},
+    train::{BaseQuantSteps, Trained, TrainedContext},
 };
 
 /// Training views that decide how finely to quantise.
@@ -95,7 +95,7 @@ impl Encoder<'_> {
         let Self { inputs, options, context } = self;
         let background = options.background;
         let steps = match context {
-            Some(context) => context.steps,
+            Some(context) => context.base_quant_steps,
             None => {
                 let views = inputs.train_views(STEP_VIEWS);
                 choose_quant_steps(&inputs.device, scene, &views, background, &mut || {
@@ -128,7 +128,7 @@ impl Encoder<'_> {
         Ok((encoded, Some(budget)))
     }
 
-    fn encode_attempt(&self, attempt: EncodeAttempt<'_>, steps: BaseSteps) -> Result<Encoded, JobError> {
+    fn encode_attempt(&self, attempt: EncodeAttempt<'_>, steps: BaseQuantSteps) -> Result<Encoded, JobError> {
         let EncodeAttempt { scene, coarser, search, max_bytes } = attempt;
         let options = TrainOptions { max_bytes, ..self.options.clone() };
         let settings = EncodeSettings {

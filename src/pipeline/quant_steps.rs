@@ -8,7 +8,7 @@ use crate::{
     eval::{mean_scores, measure_views},
     gpu::Device,
     render::{RenderError, SceneRenderer},
-    train::BaseSteps,
+    train::BaseQuantSteps,
 };
 
 /// PSNR in dB that the quantisation of one attribute may cost on the views.
@@ -23,7 +23,7 @@ const LEVELS: u32 = 9;
 /// Largest magnitude of a quantised integer: half of what a file can hold (FORMAT.md), so that rounding cannot exceed that.
 const MAX_INTEGER: f32 = (1_u32 << 23) as f32;
 
-/// The coarsest steps that cost `views` less than the bounds above. Calls `go_on` between measurements; returns the finest steps
+/// The coarsest steps that cost `views` less than the bounds above. Calls `keep_going` between measurements; returns the finest steps
 /// once it returns false.
 ///
 /// # Errors
@@ -33,8 +33,8 @@ pub(super) fn choose_quant_steps(
     scene: &AnchorScene,
     views: &[&Frame],
     background: Background,
-    go_on: &mut dyn FnMut() -> bool,
-) -> Result<BaseSteps, RenderError> {
+    keep_going: &mut dyn FnMut() -> bool,
+) -> Result<BaseQuantSteps, RenderError> {
     let mut renderer = SceneRenderer::new(device, scene, background)?;
     let mut psnr = |scene: &AnchorScene| -> Result<f64, RenderError> {
         renderer.replace(scene)?;
@@ -47,7 +47,7 @@ pub(super) fn choose_quant_steps(
         // PSNR grows with finer steps, up to noise, so bisection finds the coarsest good level.
         let (mut good, mut bad) = (LEVELS, None);
         while let Some(level) = between(bad, good) {
-            if !go_on() {
+            if !keep_going() {
                 return Ok(ladder.steps([LEVELS; 3]));
             }
             let mut only = [None; 3];
@@ -60,7 +60,7 @@ pub(super) fn choose_quant_steps(
         }
         levels[attribute] = good;
     }
-    while levels.iter().any(|level| *level < LEVELS) && go_on() {
+    while levels.iter().any(|level| *level < LEVELS) && keep_going() {
         if psnr(&quantised(scene, &ladder, levels.map(Some)))? >= best - MAX_LOSS_OF_ALL {
             break;
         }
@@ -92,11 +92,11 @@ impl StepLadder {
         Self { finest: largest.map(|largest| largest / MAX_INTEGER) }
     }
 
-    fn steps(&self, levels: [u32; 3]) -> BaseSteps {
+    fn steps(&self, levels: [u32; 3]) -> BaseQuantSteps {
         let step = |attribute: usize| {
             (COARSEST[attribute] * 0.5_f32.powi(levels[attribute] as i32)).max(self.finest[attribute])
         };
-        BaseSteps { feature: step(0), scaling: step(1), offset: step(2) }
+        BaseQuantSteps { feature: step(0), scaling: step(1), offset: step(2) }
     }
 }
 

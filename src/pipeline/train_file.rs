@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     domain::{JobMetrics, Phase, Progress, SceneFormat, SystemClock, TrainOptions},
-    train::{self, Checkpoint, CheckpointError, CheckpointFolder, KeepCheckpoints, TrainError, train_within},
+    train::{self, Checkpoint, CheckpointError, CheckpointFolder, CheckpointSink, TrainError, train_within},
 };
 
 /// One finished file with its figures.
@@ -67,8 +67,8 @@ pub(super) fn with_checkpoints<T>(
         None => None,
     };
     let mut train = |resume: Option<Checkpoint>| {
-        let keep = folder.as_mut().map(|folder| folder as &mut dyn KeepCheckpoints);
-        train(train::Checkpoints { resume, keep })
+        let sink = folder.as_mut().map(|folder| folder as &mut dyn CheckpointSink);
+        train(train::Checkpoints { resume, sink })
     };
     let load = |path| CheckpointFolder::load(path).map_err(TrainError::from);
     let trained = match &checkpoints.resume {

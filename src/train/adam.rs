@@ -38,6 +38,15 @@ impl Moments {
     }
 }
 
+/// One step of the optimiser.
+#[derive(Debug, Clone, Copy)]
+pub struct AdamStep<'a> {
+    /// From 1.
+    pub number: u32,
+    /// Set on the device if the step has to be repeated; it then changes nothing.
+    pub overflow_flag: &'a Buffer<u32>,
+}
+
 /// The optimiser's kernel.
 #[derive(Debug)]
 pub struct Adam {
@@ -53,25 +62,22 @@ impl Adam {
         Ok(Self { kernel: device.kernel(kernel_source!("adam"), &[])? })
     }
 
-    /// Records step `t` (from 1), which does nothing if `overflow_flag` is set by then. Element i learns at
-    /// `rates[i % rates.len()]`.
+    /// Records a step. Element i learns at `learning_rates[i % learning_rates.len()]`.
     ///
     /// # Errors
     /// Faults of the device.
-    #[expect(clippy::too_many_arguments, reason = "one dispatch's worth of buffers, named at each call")]
     pub fn step(
         &self,
         recorder: &mut Recorder<'_>,
-        t: u32,
-        overflow_flag: &Buffer<u32>,
-        rates: &Buffer<f32>,
+        step: AdamStep<'_>,
+        learning_rates: &Buffer<f32>,
         gradients: &Buffer<f32>,
         values: &Buffer<f32>,
         moments: &Moments,
     ) -> Result<(), GpuError> {
-        let powers = BETAS.map(|beta| 1.0 - beta.powi(i32::try_from(t).unwrap_or(i32::MAX)));
+        let powers = BETAS.map(|beta| 1.0 - beta.powi(i32::try_from(step.number).unwrap_or(i32::MAX)));
         let uniform = recorder.uniform(&[
-            [f32::from_bits(values.len() as u32), f32::from_bits(rates.len() as u32), 0.0, 0.0],
+            [f32::from_bits(values.len() as u32), f32::from_bits(learning_rates.len() as u32), 0.0, 0.0],
             [BETAS[0] as f32, BETAS[1] as f32, (1.0 / powers[0]) as f32, (1.0 / powers[1].sqrt()) as f32],
             // Not from the rounded betas: 1 - 0.999 in f32 is wrong by one part in 80 000.
             [EPSILON, (1.0 - BETAS[0]) as f32, (1.0 - BETAS[1]) as f32, 0.0],
@@ -80,12 +86,12 @@ impl Adam {
             &self.kernel,
             &[
                 uniform.as_ref(),
-                rates.as_ref(),
+                learning_rates.as_ref(),
                 gradients.as_ref(),
                 values.as_ref(),
                 moments.first.as_ref(),
                 moments.second.as_ref(),
-                overflow_flag.as_ref(),
+                step.overflow_flag.as_ref(),
             ],
             values.len().div_ceil(4 * 64) as u32,
         );

@@ -3,7 +3,7 @@
 //!
 //! What always holds: steps are positive and finite, and a function of the rows alone.
 
-use super::BaseStepRule;
+use super::BaseQuantStepRule;
 use crate::{domain::anchors::SCALINGS_PER_ANCHOR, model::AnchorRows};
 
 /// The published base steps of features, scalings in world units, and offsets (METHOD.md §4.2).
@@ -11,7 +11,7 @@ const PUBLISHED: [f32; 3] = [1.0, 1e-3, 0.2];
 
 /// Base steps of a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BaseSteps {
+pub struct BaseQuantSteps {
     /// Of features.
     pub feature: f32,
     /// Of linear scalings, in voxels.
@@ -20,14 +20,14 @@ pub struct BaseSteps {
     pub offset: f32,
 }
 
-impl BaseSteps {
+impl BaseQuantSteps {
     /// The base steps of these rows.
     #[must_use]
-    pub fn of(rule: BaseStepRule, anchors: &AnchorRows) -> Self {
+    pub fn of(rule: BaseQuantStepRule, anchors: &AnchorRows) -> Self {
         let voxel = anchors.lattice.voxel;
         let wanted = match rule {
-            BaseStepRule::Published => [PUBLISHED[0], PUBLISHED[1] / voxel, PUBLISHED[2]],
-            BaseStepRule::Relative { feature, scaling, offset, .. } => {
+            BaseQuantStepRule::Published => [PUBLISHED[0], PUBLISHED[1] / voxel, PUBLISHED[2]],
+            BaseQuantStepRule::Relative { feature, scaling, offset, .. } => {
                 [feature, scaling * median_scaling(anchors) / voxel, offset]
             }
         };
@@ -65,8 +65,8 @@ mod tests {
         AnchorRows { shape: SHAPE, lattice: Lattice { voxel: 0.5, origin: [0.0; 3] }, cells, values, masks }
     }
 
-    const RULE: BaseStepRule =
-        BaseStepRule::Relative { feature: 0.5, scaling: 0.25, offset: 0.2, finer: 1.0 };
+    const RULE: BaseQuantStepRule =
+        BaseQuantStepRule::Relative { feature: 0.5, scaling: 0.25, offset: 0.2, finer_octaves: 1.0 };
 
     #[test]
     fn the_step_of_scalings_follows_the_scene_and_not_its_unit() {
@@ -79,7 +79,7 @@ mod tests {
             let rows = [row(0.1 * unit), row(2.0 * unit), row(1e9 * unit)].concat();
             let mut anchors = anchors(rows, vec![1; 3]);
             anchors.lattice.voxel *= unit;
-            BaseSteps::of(RULE, &anchors)
+            BaseQuantSteps::of(RULE, &anchors)
         };
         assert_eq!((steps(1.0).feature, steps(1.0).offset), (0.5, 0.2));
         assert!((steps(1.0).scaling - 1.0).abs() < 1e-5);
@@ -89,7 +89,8 @@ mod tests {
 
     #[test]
     fn published_steps_are_those_of_the_world_whatever_the_voxel() {
-        let steps = BaseSteps::of(BaseStepRule::Published, &anchors(vec![0.0; SHAPE.row()], vec![3]));
+        let steps =
+            BaseQuantSteps::of(BaseQuantStepRule::Published, &anchors(vec![0.0; SHAPE.row()], vec![3]));
         assert_eq!((steps.feature, steps.offset), (1.0, 0.2));
         assert!((steps.in_world(0.5)[1] - 1e-3).abs() < 1e-9);
     }
@@ -97,7 +98,7 @@ mod tests {
     #[test]
     fn rows_that_hold_nonsense_have_steps_all_the_same() {
         for value in [f32::NAN, f32::INFINITY, 1e38, -1e38] {
-            let steps = BaseSteps::of(RULE, &anchors(vec![value; SHAPE.row()], vec![3]));
+            let steps = BaseQuantSteps::of(RULE, &anchors(vec![value; SHAPE.row()], vec![3]));
             for step in steps.in_world(0.5) {
                 assert!(step > 0.0 && step.is_finite(), "{value}: {steps:?}");
             }

@@ -1,13 +1,15 @@
-//! How many steps are sent to the device before it is waited for.
+//! The number of steps that are submitted to the device before the host waits for them.
 
-/// The number of steps in a batch; what comes of them does not depend on it.
+/// Steps between two reports of progress, and so the largest number of steps in flight.
+pub(super) const REPORT_INTERVAL: u32 = 10;
+
+/// The length of a batch; results do not depend on it.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Batch {
-    /// As many as take about a second, so that a cancelled run stops soon and little has to be done again. Where a second is more
-    /// than `REPORT_EVERY` steps, those end the batch: reports and the weight of the rate go by steps, not by time, so that runs
-    /// repeat.
-    Timed { seconds_a_step: f64 },
-    /// That many.
+    /// About a second, so that a cancelled run stops soon and an overflow repeats little. Batches end at multiples of
+    /// [`REPORT_INTERVAL`] in any case: reports and lambda are updated by step number, not by time, so that runs are reproducible.
+    Timed { seconds_per_step: f64 },
+    /// A fixed number of steps.
     #[cfg(test)]
     Fixed(usize),
 }
@@ -15,16 +17,16 @@ pub(super) enum Batch {
 impl Batch {
     pub(super) fn length(self) -> usize {
         match self {
-            Batch::Timed { seconds_a_step } => (1.0 / seconds_a_step.max(1e-6)).max(1.0) as usize,
+            Batch::Timed { seconds_per_step } => (1.0 / seconds_per_step.max(1e-6)).max(1.0) as usize,
             #[cfg(test)]
             Batch::Fixed(length) => length,
         }
     }
 
-    /// Takes notice of the time that some steps took.
-    pub(super) fn learn(&mut self, steps: u32, seconds: f64) {
+    /// Updates the estimate from the measured time of some steps.
+    pub(super) fn update(&mut self, steps: u32, seconds: f64) {
         match self {
-            Batch::Timed { seconds_a_step } => *seconds_a_step = seconds / f64::from(steps.max(1)),
+            Batch::Timed { seconds_per_step } => *seconds_per_step = seconds / f64::from(steps.max(1)),
             #[cfg(test)]
             Batch::Fixed(_) => {}
         }

@@ -5,35 +5,17 @@
 //! view makes (`PAIRS_A_TILE`), and what program and driver take (`PROGRAM_BYTES`). The device's budget is also held at run time
 //! ([`crate::gpu::GpuError::OverBudget`]), so a scene beyond the assumption ends the run with words and not the process.
 
-use std::fmt;
-
-use thiserror::Error;
-
 use super::{
-    ImageLoss, Schedule, anchor_trainer::AnchorFootprint, plain::PlainFootprint, schedule::PlainSchedule,
-    trainer::REPORT_EVERY,
+    Estimate, ImageLoss, OverBudget, Schedule,
+    batch::REPORT_INTERVAL,
+    footprint::{AnchorFootprint, Footprint, PlainFootprint},
+    memory_estimate::Part,
 };
 use crate::{
-    domain::{Bytes, Dataset, MemoryBudget, ModelKind, Problem, TrainOptions},
+    domain::{Dataset, MemoryBudget, ModelKind, TrainOptions},
     gpu::AdapterReport,
     render::Rasterizer,
 };
-
-/// What a kind of model takes when it is of some size.
-pub(super) trait Footprint: fmt::Debug {
-    /// What its size counts: "anchors".
-    fn unit(&self) -> &'static str;
-    /// The largest that its schedule and the adapter's bindings allow.
-    fn most(&self, adapter: &AdapterReport) -> usize;
-    /// Bytes on the device of the parameters, their gradients, the optimiser and growth, at their largest.
-    fn model_bytes(&self, size: usize) -> u64;
-    /// Bytes on the device of making a view's Gaussians, and of the gradients back from them.
-    fn view_bytes(&self, size: usize) -> u64;
-    /// Rows of Gaussians that the rasteriser is handed.
-    fn gaussians(&self, size: usize) -> usize;
-    /// Bytes of main memory, at their largest.
-    fn host_bytes(&self, size: usize) -> u64;
-}
 
 /// Pairs of Gaussian and tile that a view is assumed to make at most, for each of its tiles; few scenes make half.
 const PAIRS_A_TILE: usize = 512;
@@ -47,93 +29,6 @@ const STEP_BYTES_A_PIXEL: u64 = 4 + 3 + 4 + 4 + 4;
 
 /// Host bytes a point of the cloud: position and colour, a copy of the position, and its cell in sets and trees.
 const POINT_BYTES: u64 = 15 + 12 + 128;
-
-/// One part of what a run takes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Part {
-    /// What for.
-    pub name: &'static str,
-    /// How much.
-    pub bytes: u64,
-}
-
-/// What a run takes at its largest.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Estimate {
-    /// How large the model may become.
-    pub size: usize,
-    /// What that counts: "anchors".
-    pub unit: &'static str,
-    /// On the device.
-    pub gpu: Vec<Part>,
-    /// In main memory, the device's not counted.
-    pub host: Vec<Part>,
-}
-
-impl Estimate {
-    /// Bytes of buffers on the device.
-    #[must_use]
-    pub fn gpu_bytes(&self) -> u64 {
-        sum(&self.gpu)
-    }
-
-    /// Bytes of main memory.
-    #[must_use]
-    pub fn host_bytes(&self) -> u64 {
-        sum(&self.host)
-    }
-
-    /// Whether that is within `budget`.
-    #[must_use]
-    pub fn fits(&self, budget: &MemoryBudget) -> bool {
-        self.gpu_bytes() <= budget.gpu && self.host_bytes() <= budget.host
-    }
-}
-
-fn sum(parts: &[Part]) -> u64 {
-    parts.iter().fold(0, |sum, part| sum.saturating_add(part.bytes))
-}
-
-fn list(parts: &[Part]) -> String {
-    let parts: Vec<String> =
-        parts.iter().map(|part| format!("{} {}", part.name, Bytes(part.bytes))).collect();
-    parts.join(", ")
-}
-
-impl fmt::Display for Estimate {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "{} {} take {} on the device ({}) and {} of main memory ({})",
-            self.size,
-            self.unit,
-            Bytes(self.gpu_bytes()),
-            list(&self.gpu),
-            Bytes(self.host_bytes()),
-            list(&self.host)
-        )
-    }
-}
-
-/// More memory is needed than there may be, however small the model.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[error(
-    "training needs at least {} on the device, of {}, and {} of main memory, of {}: {needed}. Allow more with \
-     --gpu-memory or --host-memory, or make the images smaller or the point cloud sparser",
-    Bytes(needed.gpu_bytes()), Bytes(budget.gpu), Bytes(needed.host_bytes()), Bytes(budget.host)
-)]
-pub struct OverBudget {
-    /// What the smallest run takes: one that holds what the points begin with.
-    pub needed: Box<Estimate>,
-    /// What it may take.
-    pub budget: MemoryBudget,
-}
-
-impl From<OverBudget> for Problem {
-    fn from(error: OverBudget) -> Self {
-        Problem::new(507, "memory-budget", "Not enough memory", error.to_string())
-    }
-}
 
 /// What decides how much a run takes.
 #[derive(Debug)]
@@ -170,9 +65,9 @@ impl<'a> Needs<'a> {
                     masks: schedule.masks.is_some(),
                     compression: schedule.compression,
                 }),
-                ModelKind::Gaussians3d => Box::new(PlainFootprint {
-                    max_gaussians: PlainSchedule::new(options, schedule.steps).max_gaussians,
-                }),
+                ModelKind::Gaussians3d => {
+                    Box::new(PlainFootprint { max_gaussians: schedule.plain.max_gaussians })
+                }
             },
         }
     }
@@ -199,7 +94,7 @@ impl<'a> Needs<'a> {
                 part(
                     "loss",
                     sizes * ImageLoss::bytes(self.adapter, self.largest)
-                        + 4 * u64::from(REPORT_EVERY) * pixels,
+                        + 4 * u64::from(REPORT_INTERVAL) * pixels,
                 ),
             ],
             host: vec![
@@ -226,10 +121,10 @@ impl<'a> Needs<'a> {
     /// # Errors
     /// [`OverBudget`] if there is none.
     pub fn within(&self, budget: &MemoryBudget) -> Result<Estimate, OverBudget> {
-        let most = self.footprint.most(self.adapter);
+        let max_size = self.footprint.max_size(self.adapter);
         // Growth takes the other half.
-        let least = self.points.min(most / 2).max(1);
-        let wanted = self.estimate(most);
+        let least = self.points.min(max_size / 2).max(1);
+        let wanted = self.estimate(max_size);
         if wanted.fits(budget) {
             return Ok(wanted);
         }
@@ -237,7 +132,7 @@ impl<'a> Needs<'a> {
         if !needed.fits(budget) {
             return Err(OverBudget { needed: Box::new(needed), budget: *budget });
         }
-        let (mut fits, mut too_many) = (least, most);
+        let (mut fits, mut too_many) = (least, max_size);
         while too_many - fits > 1 {
             let middle = fits + (too_many - fits) / 2;
             if self.estimate(middle).fits(budget) {
@@ -254,7 +149,7 @@ impl<'a> Needs<'a> {
 mod tests {
     use super::*;
     use crate::{
-        domain::{Camera, Digest, Frame, Image, Intrinsics, Layout, PointCloud, Pose, Split},
+        domain::{Camera, Digest, Frame, Image, Intrinsics, Layout, PointCloud, Pose, Problem, Split},
         gpu::{AdapterReport, KernelVariant},
     };
 

@@ -1,8 +1,8 @@
-//! What can stop a training run.
+//! The errors of a training run.
 
 use thiserror::Error;
 
-use super::{CheckpointError, OverBudget, context::ContextError};
+use super::{CheckpointError, OverBudget};
 use crate::{
     domain::{PhotographError, Problem},
     gpu::GpuError,
@@ -13,37 +13,37 @@ use crate::{
 /// Why training ended without a scene.
 #[derive(Debug, Error)]
 pub enum TrainError {
-    /// The dataset has no frame to train on.
+    /// The dataset has no training frame.
     #[error("the dataset has no training image")]
     NoTrainingFrames,
-    /// The points cannot begin a scene.
+    /// The point cloud cannot initialise a scene.
     #[error("the point cloud: {0}")]
     Points(#[from] InitError),
     /// Every anchor or Gaussian was pruned: the photographs and poses do not agree on anything.
     #[error("everything was pruned at step {step}; the poses and the photographs do not describe one scene")]
     NothingLeft {
-        /// When.
+        /// The step.
         step: u32,
     },
     /// The loss is not finite.
     #[error("the loss is not finite at step {step}")]
     Diverged {
-        /// When.
+        /// The step.
         step: u32,
     },
-    /// A photograph is gone.
+    /// A photograph cannot be read back.
     #[error(transparent)]
     Photograph(#[from] PhotographError),
-    /// More memory is needed than there may be.
+    /// The run does not fit the memory budget.
     #[error(transparent)]
     OverBudget(#[from] OverBudget),
-    /// The run cannot go on from the checkpoint that it was given.
+    /// The run cannot resume from the given checkpoint.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The context model cannot be what it was asked to be.
+    /// The context model cannot be made.
     #[error(transparent)]
-    Device(#[from] ContextError),
-    /// Somebody asked for a stop.
+    Context(#[from] ContextError),
+    /// The run was cancelled.
     #[error("cancelled")]
     Cancelled,
     /// The renderer failed.
@@ -65,4 +65,23 @@ impl From<TrainError> for Problem {
             other => Problem::new(422, "training-failed", "Training failed", other.to_string()),
         }
     }
+}
+
+/// Why a context model cannot be made.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum ContextError {
+    /// Sizes that the kernels do not know.
+    #[error("the context model's sizes: {0}")]
+    Config(String),
+    /// A table of anchors that does not match the model.
+    #[error("the context model's anchors: {0}")]
+    Anchors(String),
+    /// An array of parameters of another length.
+    #[error("the context model has {expected} parameters, not {found}")]
+    Parameters {
+        /// Those given.
+        found: usize,
+        /// Those needed.
+        expected: usize,
+    },
 }

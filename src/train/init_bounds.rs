@@ -12,7 +12,7 @@ const HALF_SIDE: f64 = 0.6;
 
 /// Lowest and highest corner of the box: the published one for Blender sets, else one around the point that the optical
 /// axes pass nearest to, sized by how far the cameras are from it.
-pub(super) fn start_box(layout: Layout, frames: &[&Frame]) -> ([f32; 3], [f32; 3]) {
+pub(super) fn init_bounds(layout: Layout, frames: &[&Frame]) -> ([f32; 3], [f32; 3]) {
     let (center, half) = match layout {
         Layout::Blender => (DVec3::ZERO, BLENDER_HALF_SIDE),
         Layout::Nerfstudio | Layout::Colmap => {
@@ -77,7 +77,7 @@ mod tests {
                 .map(|offset| frame(target + offset, target))
                 .into();
         let frames: Vec<&Frame> = frames.iter().collect();
-        let corners = start_box(Layout::Nerfstudio, &frames);
+        let corners = init_bounds(Layout::Nerfstudio, &frames);
         assert!(middle(corners).distance(target) < 1e-4);
         let side = f64::from(corners.1[0] - corners.0[0]);
         assert!((side - 1.2 * 26.0_f64.sqrt()).abs() < 1e-3, "{side}");
@@ -87,8 +87,8 @@ mod tests {
     fn blender_sets_keep_the_published_box_and_parallel_axes_still_give_one() {
         let ahead = [frame(DVec3::ZERO, DVec3::X), frame(DVec3::Y, DVec3::new(1.0, 1.0, 0.0))];
         let frames: Vec<&Frame> = ahead.iter().collect();
-        assert_eq!(start_box(Layout::Blender, &frames), ([-1.3; 3], [1.3; 3]));
-        let (low, high) = start_box(Layout::Colmap, &frames);
+        assert_eq!(init_bounds(Layout::Blender, &frames), ([-1.3; 3], [1.3; 3]));
+        let (low, high) = init_bounds(Layout::Colmap, &frames);
         assert!((0..3).all(|axis| low[axis].is_finite() && low[axis] < high[axis]));
         assert!(middle((low, high)).distance(DVec3::X) < 1e-5);
     }

@@ -90,13 +90,13 @@ impl Division {
         self.by_columns() + self.by_rows()
     }
 
-    fn most_shares(self) -> usize {
+    fn max_shares(self) -> usize {
         (self.shares() + self.blocks()) as usize
     }
 
     /// Partial sums of the losses.
     fn sums(self) -> usize {
-        self.most_shares().div_ceil(SUM_RUN)
+        self.max_shares().div_ceil(SUM_RUN)
     }
 
     fn pixels(self) -> usize {
@@ -131,7 +131,7 @@ impl Fields {
             photograph: Plan::resized("photograph", pixels, old.map(|old| &old.photograph)),
             moments: Plan::resized("SSIM moments", field, old.map(|old| &old.moments)),
             derivatives: Plan::resized("SSIM derivatives", field, old.map(|old| &old.derivatives)),
-            losses: Plan::resized("losses", division.most_shares(), old.map(|old| &old.losses)),
+            losses: Plan::resized("losses", division.max_shares(), old.map(|old| &old.losses)),
             sums: Plan::resized("loss sums", division.sums(), old.map(|old| &old.sums)),
             gradient: Plan::resized("image gradient", pixels, old.map(|old| &old.gradient)),
         })

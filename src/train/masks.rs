@@ -9,7 +9,7 @@
 use std::sync::Arc;
 
 use super::{
-    Adam, Moments,
+    Adam, AdamStep, Moments,
     context::{AnchorSample, RateTerm},
 };
 use crate::{
@@ -145,7 +145,7 @@ impl OffsetMasks {
         Ok(&self.gradients)
     }
 
-    /// Records the adding of the rate's gradient to that of [`Self::backward`]: the mask multiplies the bits of its offset's
+    /// Records the adding of the rate term's gradient to that of [`Self::backward`]: the mask multiplies the bits of its offset's
     /// coordinates, of which `rate` has recorded those of `sample`; `lambda` weighs bits an element of the sample.
     ///
     /// # Errors
@@ -174,24 +174,22 @@ impl OffsetMasks {
         Ok(())
     }
 
-    /// Records step `t` (from 1) of the optimiser with the last gradients, which does nothing if `overflow_flag` is set by then, and
-    /// the masks that follow from the logits: an offset makes Gaussians while its logit is above `level`.
+    /// Records an optimiser step with the last gradients, then the masks: an offset makes Gaussians while its logit is above
+    /// `level`.
     ///
     /// # Errors
     /// Faults of the device.
-    #[expect(clippy::too_many_arguments, reason = "the optimiser's arguments and the masks' own")]
     pub fn step(
         &self,
         recorder: &mut Recorder<'_>,
         adam: &Adam,
-        t: u32,
-        overflow_flag: &Buffer<u32>,
-        rate: f32,
+        step: AdamStep<'_>,
+        learning_rate: f32,
         level: f32,
         anchors: &DeviceAnchors,
     ) -> Result<(), GpuError> {
-        let rates = recorder.uniform(&[rate])?;
-        adam.step(recorder, t, overflow_flag, &rates, &self.gradients, &self.logits, &self.moments)?;
+        let learning_rates = recorder.uniform(&[learning_rate])?;
+        adam.step(recorder, step, &learning_rates, &self.gradients, &self.logits, &self.moments)?;
         let settings = recorder
             .uniform(&[[level, 0.0, 0.0, 0.0], [f32::from_bits(anchors.count as u32), 0.0, 0.0, 0.0]])?;
         recorder.dispatch(

@@ -1,7 +1,7 @@
-//! Training: the step loop, its schedule, the image loss, Adam, growth and pruning, offset masks, checkpoints.
+//! Training: the training loop, its schedule, the image loss, Adam, growth and pruning, offset masks, checkpoints.
 //!
-//! What always holds: the same dataset, options, seed and adapter give the same bits, because every random choice comes
-//! from the seed and every sum on the device has a fixed order.
+//! Invariant: the same dataset, options, seed and adapter give the same bits: every random choice comes from the seed, and every
+//! sum on the device has a fixed order.
 
 mod adam;
 mod anchor_trainer;
@@ -13,32 +13,37 @@ mod compression;
 pub mod context;
 mod densify;
 mod error;
+mod footprint;
 mod init_bounds;
 mod loss;
 mod masks;
+mod memory_estimate;
 mod model_trainer;
 mod plain;
 mod prune_invisible;
 mod rate_control;
 mod schedule;
 mod statistics;
+mod trained;
 mod trainer;
 pub mod twin;
 mod typical_distance;
 mod wavelet;
 
-pub use adam::{Adam, Moments};
-pub use base_quant_steps::BaseSteps;
-pub use budget::{Estimate, Needs, OverBudget};
-pub use checkpoint::{Checkpoint, CheckpointError, CheckpointFolder, KeepCheckpoints};
-pub use densify::{Densify, densify};
-pub use error::TrainError;
+pub use adam::{Adam, AdamStep, Moments};
+pub use base_quant_steps::BaseQuantSteps;
+pub use budget::Needs;
+pub use checkpoint::{Checkpoint, CheckpointError, CheckpointFolder, CheckpointSink};
+pub use densify::{DensifySettings, densify};
+pub use error::{ContextError, TrainError};
 pub use loss::{ImageLoss, LossSums};
 pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
-pub use rate_control::{RateControl, RateState};
+pub use memory_estimate::{Estimate, OverBudget};
+pub use rate_control::{RateControl, RateControlState};
 pub use schedule::{
-    BaseStepRule, CompressionSchedule, Decay, Fall, MaskSchedule, Schedule, Stage, schedule_table,
+    BaseQuantStepRule, CompressionSchedule, Decay, DecayShape, MaskSchedule, Schedule, Stage, schedule_table,
 };
 pub use statistics::Statistics;
-pub use trainer::{Checkpoints, Trained, TrainedContext, train, train_trunk, train_within};
+pub use trained::{Trained, TrainedContext};
+pub use trainer::{Checkpoints, train, train_trunk, train_within};
 pub use wavelet::WaveletWeights;

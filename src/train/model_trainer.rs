@@ -1,13 +1,13 @@
-//! What learns: the part of a training run that differs from model to model.
+//! The part of a training run that differs between the kinds of model.
 //!
-//! The step loop owns photographs, rasteriser and losses; a learner turns its parameters into the Gaussians of a view and
-//! the loss's gradients by those into its next parameters. What always holds: a learner's state after a step is a
-//! function of its state before, the camera, the step and the random generator that it is handed; and a learner that is
-//! made from what [`Learner::save`] gave goes on with the same bits.
+//! The training loop owns photographs, rasteriser and losses; a [`ModelTrainer`] turns its parameters into the Gaussians of a
+//! view, and the loss's gradients by those Gaussians into its next parameters. Invariants: the state after a step depends only on
+//! the state before it, the camera, the step and the random generator; and a trainer made from the state that
+//! [`ModelTrainer::save`] returned continues with the same bits.
 
 use rand_pcg::Pcg64;
 
-use super::{TrainError, TrainedContext, checkpoint::LearnerState};
+use super::{TrainError, checkpoint::ModelState, trained::TrainedContext};
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
     gpu::{Buffer, Recorder},
@@ -21,38 +21,38 @@ pub(super) struct Step {
     pub number: u32,
     /// Its number over the steps of the run, in (0, 1].
     pub fraction: f64,
-    /// Weight of the rate in the loss.
+    /// Weight of the rate term in the loss.
     pub lambda: f64,
 }
 
 /// How large a model is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Size {
+pub(super) struct ModelSize {
     /// Anchors; zero in a model that has none.
     pub anchors: usize,
-    /// Gaussians that the last view was made of.
+    /// Gaussians of the last view.
     pub gaussians: usize,
 }
 
-/// What the anchors of the last sample cost.
+/// The file's size, as the last sample of anchors suggests it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct SampleRate {
-    /// Bits of an anchor's attributes, on average.
-    pub bits_an_anchor: f64,
-    /// Bytes of all else in a file, about.
+pub(super) struct BitrateSample {
+    /// Mean bits of an anchor's attributes.
+    pub bits_per_anchor: f64,
+    /// Approximate bytes of everything else in the file.
     pub other_bytes: f64,
 }
 
-/// What is left of a learner.
+/// The result of a [`ModelTrainer`].
 #[derive(Debug, Clone)]
-pub(super) struct Finished {
+pub(super) struct FinishedModel {
     pub scene: Scene,
-    /// None where the model has none.
+    /// None for models without a context model.
     pub context: Option<TrainedContext>,
 }
 
-/// A model in training. See the module's words.
-pub(super) trait Learner {
+/// A model in training; see the module's documentation.
+pub(super) trait ModelTrainer {
     /// Records the Gaussians that `camera` sees.
     fn forward(
         &mut self,
@@ -61,10 +61,10 @@ pub(super) trait Learner {
         step: &Step,
     ) -> Result<(), TrainError>;
 
-    /// What the last [`Learner::forward`] recorded.
+    /// What the last [`ModelTrainer::forward`] recorded.
     fn gaussians(&self) -> &Gaussians;
 
-    /// Where the rasteriser is to write the loss's gradients by them.
+    /// The buffers that the rasteriser writes the loss's gradients by those Gaussians to.
     fn gaussian_gradients(&mut self) -> Result<GaussianGradients, TrainError>;
 
     /// Records the gradients by the parameters, the statistics that growth goes by, and the optimiser's step. If `overflow_flag` is
@@ -77,11 +77,11 @@ pub(super) trait Learner {
         overflow_flag: &Buffer<u32>,
     ) -> Result<(), TrainError>;
 
-    /// Whether the schedule wants [`Learner::adapt`] after a step.
+    /// Whether the schedule wants [`ModelTrainer::adapt`] after a step.
     fn adapts(&self, step: &Step) -> bool;
 
-    /// Grows, prunes and resets after a submitted step; `frames` are the photographs that it learns from. May wait for the
-    /// device; ends as [`TrainError::Cancelled`] where it would take long.
+    /// Grows, prunes and resets after a submitted step; `frames` are the training photographs. May wait for the device; ends as
+    /// [`TrainError::Cancelled`] if the run is cancelled during a long pass.
     fn adapt(
         &mut self,
         step: &Step,
@@ -93,15 +93,15 @@ pub(super) trait Learner {
     /// Anchors; zero in a model that has none.
     fn anchors(&self) -> usize;
 
-    /// How large the model is. May wait for the device.
-    fn size(&self) -> Result<Size, TrainError>;
+    /// The model's size. May wait for the device.
+    fn size(&self) -> Result<ModelSize, TrainError>;
 
-    /// What the last submitted step's sample costs; none where its loss has no rate. May wait for the device.
-    fn rate(&self) -> Result<Option<SampleRate>, TrainError>;
+    /// The bits of the last submitted step's sample; none if the loss has no rate term. May wait for the device.
+    fn bitrate(&self) -> Result<Option<BitrateSample>, TrainError>;
 
     /// Everything that the next step depends on. Waits for the device.
-    fn save(&self) -> Result<LearnerState, TrainError>;
+    fn save(&self) -> Result<ModelState, TrainError>;
 
-    /// The finished scene; `frames` are the photographs that it learnt from.
-    fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<Finished, TrainError>;
+    /// The finished scene; `frames` are the training photographs.
+    fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<FinishedModel, TrainError>;
 }

@@ -9,14 +9,14 @@ use crate::{
 };
 
 /// An opacity below this never reaches a pixel (METHOD.md §3.2).
-const LEAST_OPACITY: f32 = 1.0 / 255.0;
+const MIN_OPACITY: f32 = 1.0 / 255.0;
 
 /// Switches off the offsets of `anchors` whose opacity stays below what a pixel takes in every view of `frames`, as `device` has
 /// them. Anchors that no view shows at all keep none.
 ///
 /// # Errors
 /// [`TrainError::Cancelled`] before the next view once a stop was asked for; faults of the device.
-pub(super) fn mask_unused(
+pub(super) fn prune_invisible(
     device: &Device,
     neural: &mut NeuralGaussians,
     device_anchors: &DeviceAnchors,
@@ -36,7 +36,7 @@ pub(super) fn mask_unused(
         let (list, opacities) = neural.visible_opacities()?;
         for (anchor, opacities) in list.iter().zip(opacities.chunks_exact(offsets)) {
             for (offset, opacity) in opacities.iter().enumerate() {
-                used[*anchor as usize] |= u32::from(*opacity >= LEAST_OPACITY) << offset;
+                used[*anchor as usize] |= u32::from(*opacity >= MIN_OPACITY) << offset;
             }
         }
     }

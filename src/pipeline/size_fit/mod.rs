@@ -98,8 +98,8 @@ pub(super) fn fit_size(
     let (choice, order, path) = (free.context, Vec::new(), Vec::new());
     let mut files = Files { target, encode, check, renderer, choice, order, path };
     files.path = files.measure_path()?;
-    let mut go_on = || (files.check)().is_ok();
-    let costs = removal_costs(device, scene, target.importance_views, background, &mut go_on)?;
+    let mut keep_going = || (files.check)().is_ok();
+    let costs = removal_costs(device, scene, target.importance_views, background, &mut keep_going)?;
     (files.check)()?;
     files.order = by_importance(scene, &costs, &free.byte_counts, target.steps);
     let total = files.order.len();

@@ -1,4 +1,4 @@
-//! Checkpoints in a folder: one file, always a whole one, replaced now and then.
+//! Checkpoints in a folder: one file, always complete, replaced from time to time.
 
 use std::{
     fs::{self, File},
@@ -16,83 +16,81 @@ use crate::domain::Clock;
 /// Name of the file in the folder.
 const FILE: &str = "checkpoint.safetensors";
 
-/// Time between two checkpoints: what an interruption costs at most, against a fraction of a second for each.
+/// Time between two checkpoints: the most that an interruption costs. Writing one takes a fraction of a second.
 const EVERY: SignedDuration = SignedDuration::from_secs(60);
 
-/// Takes checkpoints while a run goes on.
-pub trait KeepCheckpoints {
-    /// Whether the state after `step` is to be kept. The answer decides nothing about the run itself.
+/// Saves checkpoints during a run.
+pub trait CheckpointSink {
+    /// Whether to save the state after `step`. The answer does not affect the run.
     fn wants(&mut self, step: u32) -> bool;
 
-    /// Keeps it.
+    /// Saves a checkpoint.
     ///
     /// # Errors
-    /// Why it could not; the run goes on all the same.
-    fn keep(&mut self, checkpoint: &Checkpoint) -> Result<(), CheckpointError>;
+    /// Those of the storage; the run continues all the same.
+    fn save(&mut self, checkpoint: &Checkpoint) -> Result<(), CheckpointError>;
 }
 
 /// A folder with the newest checkpoint of one run.
 pub struct CheckpointFolder {
     path: PathBuf,
     clock: Arc<dyn Clock>,
-    kept_at: Timestamp,
+    saved_at: Timestamp,
 }
 
 impl CheckpointFolder {
-    /// Opens the folder, which is made if it is missing, and tries whether it can be written.
+    /// Opens the folder, creates it if it is missing, and checks that it is writable.
     ///
     /// # Errors
     /// [`CheckpointError::Io`].
     pub fn open(path: &Path, clock: Arc<dyn Clock>) -> Result<Self, CheckpointError> {
-        let io = |fault| CheckpointError::io(path, fault);
+        let io = |error| CheckpointError::io(path, error);
         fs::create_dir_all(path).map_err(io)?;
         NamedTempFile::new_in(path).map_err(io)?;
-        Ok(Self { path: path.to_owned(), kept_at: clock.now(), clock })
+        Ok(Self { path: path.to_owned(), saved_at: clock.now(), clock })
     }
 
     /// The checkpoint in the folder `path`.
     ///
     /// # Errors
-    /// [`CheckpointError::Missing`] if there is none; what is wrong with it.
+    /// [`CheckpointError::Missing`] if there is none; others if it is invalid.
     pub fn load(path: &Path) -> Result<Checkpoint, CheckpointError> {
         let file = path.join(FILE);
         match fs::read(&file) {
             Ok(bytes) => Checkpoint::from_bytes(&bytes),
-            Err(fault) if fault.kind() == io::ErrorKind::NotFound => Err(CheckpointError::Missing(file)),
-            Err(fault) => Err(CheckpointError::io(&file, fault)),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Err(CheckpointError::Missing(file)),
+            Err(error) => Err(CheckpointError::io(&file, error)),
         }
     }
-}
 
-impl CheckpointFolder {
-    /// Removes the checkpoint in the folder `path`, if there is one: what it was kept for has been reached.
+    /// Removes the checkpoint in the folder `path`, if there is one.
     pub fn clear(path: &Path) {
         let file = path.join(FILE);
         match fs::remove_file(&file) {
             Ok(()) => {}
-            Err(fault) if fault.kind() == io::ErrorKind::NotFound => {}
-            Err(fault) => tracing::warn!("{} stays: {fault}", file.display()),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            Err(error) => tracing::warn!("{} not removed: {error}", file.display()),
         }
     }
 }
 
-impl KeepCheckpoints for CheckpointFolder {
+impl CheckpointSink for CheckpointFolder {
     fn wants(&mut self, _step: u32) -> bool {
-        // A clock that was set back must not put the next one off for hours.
-        self.clock.now().duration_since(self.kept_at).abs() >= EVERY
+        // A clock that was set back must not delay the next one for hours.
+        self.clock.now().duration_since(self.saved_at).abs() >= EVERY
     }
 
-    fn keep(&mut self, checkpoint: &Checkpoint) -> Result<(), CheckpointError> {
-        // Also after a failure, or every step would try again.
-        self.kept_at = self.clock.now();
-        let io = |fault| CheckpointError::io(&self.path, fault);
+    fn save(&mut self, checkpoint: &Checkpoint) -> Result<(), CheckpointError> {
+        // Also after a failure, or every step would retry.
+        self.saved_at = self.clock.now();
+        let io = |error| CheckpointError::io(&self.path, error);
         let file = NamedTempFile::new_in(&self.path).map_err(io)?;
         let mut out = BufWriter::with_capacity(1 << 20, file.as_file());
         checkpoint.write(&mut out).and_then(|()| out.flush()).map_err(io)?;
         drop(out);
         file.as_file().sync_all().map_err(io)?;
-        file.persist(self.path.join(FILE)).map_err(|fault| io(fault.error))?;
-        // The new name is on the disk only when the folder is.
+        file.persist(self.path.join(FILE)).map_err(|error| io(error.error))?;
+        // Syncs the folder, so that the new name is on the disk.
         #[cfg(unix)]
         File::open(&self.path).and_then(|folder| folder.sync_all()).map_err(io)?;
         Ok(())

@@ -1,10 +1,10 @@
-//! A learner's state as named arrays, which is what a checkpoint carries of it.
+//! The state of a model in training, as named arrays.
 
 use std::collections::BTreeMap;
 
 use super::CheckpointError;
 
-/// An array of one of the types that states are made of.
+/// An array of one of the element types.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::train) enum Array {
     /// Reals.
@@ -15,7 +15,7 @@ pub(in crate::train) enum Array {
     U32(Vec<u32>),
 }
 
-/// What an [`Array`] may hold.
+/// An element type of [`Array`].
 pub(in crate::train) trait Element: Sized {
     /// The array that owns `values`.
     fn wrap(values: Vec<Self>) -> Array;
@@ -44,11 +44,11 @@ element!(f32, F32);
 element!(i32, I32);
 element!(u32, U32);
 
-/// Everything that a learner's next step depends on, by name.
+/// Everything that a model's next step depends on, by name.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(in crate::train) struct LearnerState(pub(super) BTreeMap<String, Array>);
+pub(in crate::train) struct ModelState(pub(super) BTreeMap<String, Array>);
 
-impl LearnerState {
+impl ModelState {
     /// Adds an array.
     pub(in crate::train) fn put<T: Element>(&mut self, name: &str, values: Vec<T>) {
         self.0.insert(name.to_owned(), T::wrap(values));
@@ -87,7 +87,7 @@ impl LearnerState {
     /// Checks that everything was taken.
     ///
     /// # Errors
-    /// [`CheckpointError::Array`] naming an array that the learner does not know.
+    /// [`CheckpointError::Array`] naming an array that the model does not have.
     pub(in crate::train) fn finish(self) -> Result<(), CheckpointError> {
         match self.0.keys().next() {
             Some(name) => Err(CheckpointError::array(name, "is not part of this model")),
@@ -102,7 +102,7 @@ mod tests {
 
     #[test]
     fn what_is_taken_must_be_what_was_put() {
-        let mut state = LearnerState::default();
+        let mut state = ModelState::default();
         state.put("a", vec![1.5_f32, -0.0]);
         state.put("b", vec![7_u32]);
         state.put("c", vec![-1_i32]);
@@ -112,7 +112,7 @@ mod tests {
         assert!(text(state.take("c")).contains("'c' is of another type"));
         assert!(text(state.take_exactly("b", 2)).contains("'b' has 1 values where 2 are needed"));
         state.finish().expect("nothing is left");
-        let mut more = LearnerState::default();
+        let mut more = ModelState::default();
         more.put("d", vec![1_u32]);
         assert!(more.finish().expect_err("left over").to_string().contains("'d' is not part of this model"));
     }

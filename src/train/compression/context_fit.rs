@@ -11,9 +11,12 @@ use rand_pcg::Pcg64;
 
 use super::{
     Compression,
-    frozen_quant_steps::HeldSteps,
-    learning::{LEVELS, Modelling, Quantising, outputs_of, sample_of, sample_size},
-    quant_steps::{static_adjustments, usual_steps},
+    context_model::{
+        BYTES_PER_PARAMETER, ContextModel, QuantState, outputs_of, sample_of, set_initial_adjustments,
+        stored_parameters, stored_pass,
+    },
+    frozen_quant_steps::FrozenQuantSteps,
+    quant_steps::{mean_quant_steps, static_adjustments},
 };
 use crate::{
     domain::{
@@ -23,11 +26,10 @@ use crate::{
     gpu::{Buffer, Recorder},
     render::{DeviceAnchors, RenderError},
     train::{
-        Adam, Decay, TrainError, TrainedContext,
+        Adam, AdamStep, Decay, TrainError, TrainedContext,
         context::{
-            ContextAnchors, ContextConfig, ContextLayout, ContextNet, ContextPass, ContextRates,
-            ContextState, PlaneConfig, PlaneSource, Quantisation, QuantisationPhase, RateTerm,
-            sample_anchors,
+            ContextAnchors, ContextConfig, ContextLayout, ContextLearningRates, ContextNet, ContextState,
+            PlaneConfig, Quantisation, QuantisationPhase, RateInputs, RateTerm, sample_anchors, sample_size,
         },
     },
 };
@@ -36,12 +38,12 @@ use crate::{
 type RowsAndSteps = (Vec<f32>, Vec<f32>);
 
 /// Most anchors in the sample of one step of a fit.
-const MOST_SAMPLED: usize = 4096;
+const MAX_SAMPLED: usize = 4096;
 
 /// Steps of a fit for each step of the run, and their bounds: a network settles in a few hundred.
-const STEPS_A_STEP: f64 = 1.0 / 6.0;
-const LEAST_STEPS: u32 = 10;
-const MOST_STEPS: u32 = 600;
+const FIT_STEPS_PER_STEP: f64 = 1.0 / 6.0;
+const MIN_FIT_STEPS: u32 = 10;
+const MAX_FIT_STEPS: u32 = 600;
 
 /// Rates of networks that begin anew, and of those that were trained.
 const FRESH: Decay = Decay::exponential(1e-2, 1e-4);
@@ -51,20 +53,17 @@ const TRAINED: Decay = Decay::exponential(1e-3, 1e-5);
 const FIRST_LATENT: f32 = 0.25;
 
 /// Least edge of planes that are worth a file's while.
-const LEAST_EDGE: usize = 8;
-
-/// Bytes that an entropy-coded weight or latent of a context model takes, about: encoders choose 4 to 6 bits for most.
-pub(super) const BYTES_A_PARAMETER: f64 = 0.5;
+const MIN_EDGE: usize = 8;
 
 /// What all fits share.
-struct Fitter<'a> {
+struct ContextFit<'a> {
     compression: &'a Compression,
-    quantising: &'a Quantising,
-    modelling: &'a Modelling,
+    quant: &'a QuantState,
+    context_model: &'a ContextModel,
     anchors: &'a DeviceAnchors,
     cells: &'a [[i32; 3]],
     adam: &'a Adam,
-    held: HeldSteps,
+    frozen: FrozenQuantSteps,
     /// Octaves beside the base steps that the anchors' steps are usually at.
     usual: [f32; 3],
     rate: RateTerm,
@@ -77,86 +76,82 @@ struct Fitter<'a> {
 
 impl Compression {
     /// The context model of the last stage, for the anchors at `cells`; none before there is one to choose from.
-    pub(super) fn choose(
+    pub(super) fn select_context(
         &self,
         adam: &Adam,
         anchors: &DeviceAnchors,
         cells: &[[i32; 3]],
         cancel: &CancelFlag,
     ) -> Result<Option<ContextNet>, TrainError> {
-        let (Some(quantising), Some(modelling)) = (&self.quantising, &self.modelling) else {
+        let (Some(quant), Some(context_model)) = (&self.quant, &self.context_model) else {
             return Ok(None);
         };
         let device = &self.device;
         let mut recorder = device.recorder("latents of planes");
-        modelling.net.latents_from_planes(&mut recorder)?;
+        context_model.net.latents_from_planes(&mut recorder)?;
         recorder.submit()?;
-        let share = self.schedule.sampled.min(MOST_SAMPLED as f64 / cells.len().max(1) as f64);
+        let share = self.schedule.sample_share.min(MAX_SAMPLED as f64 / cells.len().max(1) as f64);
         let capacity = ContextNet::capacity(sample_size(cells.len(), share));
-        let steps = (f64::from(self.schedule.steps) * STEPS_A_STEP) as u32;
-        let usual = usual_steps(&device.read(quantising.rows.steps())?);
-        let fitter = Fitter {
+        let steps = (f64::from(self.schedule.steps) * FIT_STEPS_PER_STEP) as u32;
+        let usual = mean_quant_steps(&device.read(quant.rows.steps())?);
+        let fit = ContextFit {
             compression: self,
-            quantising,
-            modelling,
+            quant,
+            context_model,
             anchors,
             cells,
             adam,
-            held: HeldSteps::new(device, capacity)?,
-            usual: std::array::from_fn(|group| octaves_beside(usual[group], quantising.base[group])),
+            frozen: FrozenQuantSteps::new(device, capacity)?,
+            usual: std::array::from_fn(|group| octaves_between(usual[group], quant.base[group])),
             rate: RateTerm::plan(anchors.shape, capacity).make(device)?,
             overflow_flag: device.buffer("never set", 1)?,
             d_rows: device.buffer("unused gradients of rows", anchors.rows.len())?,
-            steps: steps.clamp(LEAST_STEPS, MOST_STEPS),
+            steps: steps.clamp(MIN_FIT_STEPS, MAX_FIT_STEPS),
             sampled: share,
             cancel,
         };
-        fitter.cheapest().map(Some)
+        fit.cheapest().map(Some)
     }
 
     /// Gives every anchor the steps that the networks predict now, and renders its rows at those: what the file is to hold.
-    pub(super) fn settle(
+    pub(super) fn final_rows(
         &mut self,
         anchors: &DeviceAnchors,
         cells: &[[i32; 3]],
     ) -> Result<Option<RowsAndSteps>, TrainError> {
-        let (Some(quantising), Some(modelling)) = (&self.quantising, &mut self.modelling) else {
-            return Ok(None);
-        };
+        let (Some(quant), Some(model)) = (&self.quant, &mut self.context_model) else { return Ok(None) };
         let device = &self.device;
         let (overflow_flag, d_rows) =
             (device.buffer("never set", 1)?, device.buffer("unused", anchors.rows.len())?);
-        let quantisation = rounding(quantising);
+        let quantisation = rounding(quant);
         let all: Vec<u32> = (0..cells.len() as u32).collect();
-        for sample in all.chunks(modelling.rate.capacity().max(1)) {
-            let mut recorder = device.recorder("steps of the scene");
-            modelling.net.forward(&mut recorder, sample, &stored_pass(false))?;
-            modelling.rate.record(
-                &mut recorder,
+        for sample in all.chunks(model.rate.capacity().max(1)) {
+            let mut recorder = device.recorder("quantisation steps of the scene");
+            model.net.forward(&mut recorder, sample, &stored_pass(false))?;
+            let inputs = RateInputs {
                 anchors,
-                &quantising.rows,
-                &quantisation,
-                sample_of(&modelling.net, sample.len()),
-                outputs_of(&modelling.net),
-                0.0,
-                &d_rows,
-                &overflow_flag,
-            )?;
+                quantised: &quant.rows,
+                quantisation: &quantisation,
+                sample: sample_of(&model.net, sample.len()),
+                outputs: outputs_of(&model.net),
+                lambda: 0.0,
+            };
+            model.rate.record(&mut recorder, &inputs, &d_rows, &overflow_flag)?;
             recorder.submit()?;
         }
         let mut recorder = device.recorder("rows of the scene");
-        quantising.rows.record_forward(&mut recorder, anchors, &quantisation)?;
+        quant.rows.record_forward(&mut recorder, anchors, &quantisation)?;
         recorder.submit()?;
-        Ok(Some((device.read(quantising.rows.rows())?, device.read(quantising.rows.steps())?)))
+        Ok(Some((device.read(quant.rows.rows())?, device.read(quant.rows.steps())?)))
     }
 
     /// What an encoder may choose from for the finished scene, whose anchors have these steps.
     pub(super) fn candidates(&self, steps: &[f32]) -> Result<Option<TrainedContext>, TrainError> {
-        let (Some(quantising), Some(modelling)) = (&self.quantising, &self.modelling) else {
+        let (Some(quant), Some(context_model)) = (&self.quant, &self.context_model) else {
             return Ok(None);
         };
-        let layout = modelling.net.layout();
-        let values = modelling.net.save()?.values;
+        let layout = context_model.net.layout();
+        let values = context_model.net.save()?.values;
         let networks: GroupNetworks = AttributeGroup::ALL.map(|group| Some(layout.network(&values, group)));
         let none = GroupNetworks::default();
         let (position, own, neighbours) = match layout.config.kind {
@@ -166,14 +161,14 @@ impl Compression {
         };
         let planes = layout.stored_planes(&values).map(|planes| PlaneContext { planes, own, neighbours });
         // Tables have one step for all anchors, at which nothing was rounded in training.
-        let static_steps = static_adjustments(steps, quantising.base, STEP_OCTAVES);
+        let static_steps = static_adjustments(steps, quant.base, STEP_OCTAVES);
         let static_steps = static_steps.map(|octaves| (octaves - UNTRAINED).max(-STEP_OCTAVES));
-        let usual = usual_steps(steps);
-        tracing::debug!(kind = ?layout.config.kind, base = ?quantising.base, ?usual, ?static_steps, "steps");
+        let usual = mean_quant_steps(steps);
+        tracing::debug!(kind = ?layout.config.kind, base = ?quant.base, ?usual, ?static_steps, "steps");
         Ok(Some(TrainedContext {
-            steps: quantising.steps,
+            base_quant_steps: quant.base_quant_steps,
             candidates: ContextCandidates {
-                frame: modelling.frame,
+                frame: context_model.frame,
                 static_steps,
                 position,
                 planes: planes.into_iter().collect(),
@@ -187,33 +182,19 @@ impl Compression {
 const UNTRAINED: f32 = 0.5;
 
 /// Rounding at each anchor's own steps.
-fn rounding(quantising: &Quantising) -> Quantisation {
-    Quantisation { phase: QuantisationPhase::Rounded, base_steps: quantising.base, key: 0 }
+fn rounding(quant: &QuantState) -> Quantisation {
+    Quantisation { phase: QuantisationPhase::Rounded, base_quant_steps: quant.base, key: 0 }
 }
 
 /// Octaves from `base` to `step`, as far as adjustments go.
-fn octaves_beside(step: f32, base: f32) -> f32 {
+fn octaves_between(step: f32, base: f32) -> f32 {
     let octaves = (step / base).log2();
     if octaves.is_finite() { octaves.clamp(-STEP_OCTAVES, STEP_OCTAVES) } else { 0.0 }
 }
 
-/// Lets the adjustments that a model predicts begin at `octaves`. What is chosen gives the anchors their steps from then on: a
-/// model that had still to find them would undo what the steps have learnt.
-pub(super) fn begin_at(layout: &ContextLayout, octaves: [f32; 3], values: &mut [f32]) {
-    for (head, octaves) in layout.heads.iter().zip(octaves) {
-        // The last output of a group is its step adjustment.
-        values[head.bias + head.outputs - 1] = octaves;
-    }
-}
-
-/// The context model as a file holds it.
-pub(super) fn stored_pass(planes_learn: bool) -> ContextPass {
-    ContextPass { source: PlaneSource::Latents, reconstruction: 0.0, levels: Some(LEVELS), planes_learn }
-}
-
-impl Fitter<'_> {
+impl ContextFit<'_> {
     fn cheapest(&self) -> Result<ContextNet, TrainError> {
-        let trained = &self.modelling.net;
+        let trained = &self.context_model.net;
         let config = trained.layout().config;
         let values = trained.save()?.values;
         let mut best: Option<(f64, ContextNet)> = None;
@@ -247,7 +228,7 @@ impl Fitter<'_> {
     fn bytes(&self, net: &mut ContextNet) -> Result<[f64; 4], TrainError> {
         let device = &self.compression.device;
         let all: Vec<u32> = (0..self.cells.len() as u32).collect();
-        let mut bytes = [0.0, 0.0, 0.0, BYTES_A_PARAMETER * stored_parameters(net.layout()) as f64];
+        let mut bytes = [0.0, 0.0, 0.0, BYTES_PER_PARAMETER * stored_parameters(net.layout()) as f64];
         for sample in all.chunks(self.rate.capacity().max(1)) {
             let mut recorder = device.recorder("rate of the scene");
             self.record(&mut recorder, net, sample, false)?;
@@ -266,8 +247,8 @@ impl Fitter<'_> {
     ) -> Result<ContextNet, TrainError> {
         let layout = ContextLayout::new(config)?;
         let mut rng = Pcg64::seed_from_u64(self.compression.schedule.seed);
-        let mut values = layout.initial(&self.modelling.statistics, &mut rng)?;
-        begin_at(&layout, self.usual, &mut values);
+        let mut values = layout.initial(&self.context_model.statistics, &mut rng)?;
+        set_initial_adjustments(&layout, self.usual, &mut values);
         match planes {
             Some((other, from)) => layout.copy_planes(&mut values, other, from)?,
             None => values[layout.latents.clone()]
@@ -280,7 +261,7 @@ impl Fitter<'_> {
     /// A model of the scene that remembers nothing of how its parameters came about.
     fn model(&self, config: ContextConfig, values: Vec<f32>) -> Result<ContextNet, TrainError> {
         let mut net = ContextNet::new(&self.compression.device, config, &ContextState::new(values))?;
-        net.place(&ContextAnchors::new(&config, &self.modelling.frame, self.cells))?;
+        net.place(&ContextAnchors::new(&config, &self.context_model.frame, self.cells))?;
         Ok(net)
     }
 
@@ -297,17 +278,11 @@ impl Fitter<'_> {
             self.record(&mut recorder, net, &sample, planes_learn)?;
             net.backward(&mut recorder)?;
             let rate = decay.at(f64::from(step) / f64::from(self.steps)) as f32;
-            let rates = ContextRates { networks: rate, planes: rate, layers: rate, latents: rate };
-            net.step(
-                &mut recorder,
-                self.adam,
-                step,
-                &self.overflow_flag,
-                &rates,
-                &self.modelling.statistics,
-            )?;
+            let rates = ContextLearningRates { networks: rate, planes: rate, layers: rate, latents: rate };
+            let adam_step = AdamStep { number: step, overflow_flag: &self.overflow_flag };
+            net.step(&mut recorder, self.adam, adam_step, &rates, &self.context_model.statistics)?;
             recorder.submit()?;
-            if step.is_multiple_of(WAITS_EVERY) {
+            if step.is_multiple_of(WAIT_INTERVAL) {
                 device.wait()?;
             }
         }
@@ -323,41 +298,34 @@ impl Fitter<'_> {
         planes_learn: bool,
     ) -> Result<(), TrainError> {
         net.forward(recorder, sample, &stored_pass(planes_learn))?;
-        let Quantising { base, rows, .. } = self.quantising;
+        let QuantState { base, rows, .. } = self.quant;
         let channels = net.layout().config.channels;
         let (of_sample, outputs) = (sample_of(net, sample.len()), outputs_of(net));
-        self.held.record(recorder, *base, rows.steps(), of_sample, outputs, channels)?;
-        self.rate.record(
-            recorder,
-            self.anchors,
-            rows,
-            &rounding(self.quantising),
-            of_sample,
+        self.frozen.record(recorder, *base, rows.steps(), of_sample, outputs, channels)?;
+        let inputs = RateInputs {
+            anchors: self.anchors,
+            quantised: rows,
+            quantisation: &rounding(self.quant),
+            sample: of_sample,
             outputs,
-            1.0,
-            &self.d_rows,
-            &self.overflow_flag,
-        )?;
+            lambda: 1.0,
+        };
+        self.rate.record(recorder, &inputs, &self.d_rows, &self.overflow_flag)?;
         // An octave beside the step of an anchor counts as a bit for each of its attributes.
         let bit = self.rate.weight(1.0, sample.len());
         let weights = channels.map(|channels| bit * channels as f32);
-        self.held.record_gradient(recorder, weights, of_sample, outputs, channels)?;
+        self.frozen.record_gradient(recorder, weights, of_sample, outputs, channels)?;
         Ok(())
     }
 }
 
 /// Steps of a fit between two waits for the device, so that not all of it lies recorded at once.
-const WAITS_EVERY: u32 = 16;
-
-/// Weights and latents of a model that a file holds.
-pub(super) fn stored_parameters(layout: &ContextLayout) -> usize {
-    layout.networks + layout.latents.len() + layout.up.iter().map(|up| up.weight_count()).sum::<usize>()
-}
+const WAIT_INTERVAL: u32 = 16;
 
 /// Planes of half the edge.
 fn smaller(planes: PlaneConfig) -> Option<PlaneConfig> {
     let smaller = PlaneConfig { edge: planes.edge / 2, ..planes };
-    (smaller.edge >= LEAST_EDGE).then_some(smaller)
+    (smaller.edge >= MIN_EDGE).then_some(smaller)
 }
 
 #[cfg(test)]
@@ -374,14 +342,14 @@ mod tests {
             .map(|channels| GroupStatistics { means: vec![0.5; channels], deviations: vec![2.0; channels] });
         let mut values = layout.initial(&statistics, &mut Pcg64::seed_from_u64(1)).expect("values");
         let before = values.clone();
-        begin_at(&layout, [1.25, -2.0, 0.5], &mut values);
+        set_initial_adjustments(&layout, [1.25, -2.0, 0.5], &mut values);
         for ((head, octaves), channels) in layout.heads.iter().zip([1.25, -2.0, 0.5]).zip(channels) {
             assert_eq!(values[head.bias + 2 * channels], octaves);
         }
         let changed = values.iter().zip(&before).filter(|(now, before)| now != before).count();
         assert_eq!(changed, 3, "means and deviations stay");
         let octaves = [(1.0, 0.25), (0.1, 0.4), (1e9, 1.0), (0.0, 1.0), (f32::NAN, 1.0)];
-        let found = octaves.map(|(step, base)| octaves_beside(step, base));
+        let found = octaves.map(|(step, base)| octaves_between(step, base));
         assert_eq!(found, [2.0, -2.0, STEP_OCTAVES, 0.0, 0.0]);
     }
 }

@@ -9,18 +9,18 @@ use crate::{
 
 /// The kernels, and how far the last sample's predictions were off.
 #[derive(Debug)]
-pub(super) struct HeldSteps {
-    hold_steps: Arc<Kernel>,
-    held_gradient: Arc<Kernel>,
+pub(super) struct FrozenQuantSteps {
+    freeze_quant_steps: Arc<Kernel>,
+    frozen_quant_step_gradient: Arc<Kernel>,
     differences: Buffer<f32>,
 }
 
-impl HeldSteps {
+impl FrozenQuantSteps {
     /// Room for samples in `capacity` columns.
     pub(super) fn new(device: &Device, capacity: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            hold_steps: device.kernel(kernel_source!("hold_steps"), &[])?,
-            held_gradient: device.kernel(kernel_source!("held_gradient"), &[])?,
+            freeze_quant_steps: device.kernel(kernel_source!("freeze_quant_steps"), &[])?,
+            frozen_quant_step_gradient: device.kernel(kernel_source!("frozen_quant_step_gradient"), &[])?,
             differences: device.buffer("differences of steps", 3 * capacity)?,
         })
     }
@@ -39,7 +39,7 @@ impl HeldSteps {
         let settings =
             recorder.uniform(&[[features, scalings, offsets, 0.0], rows(sample, outputs, channels)])?;
         recorder.dispatch(
-            &self.hold_steps,
+            &self.freeze_quant_steps,
             &[
                 settings.as_ref(),
                 sample.list.as_ref(),
@@ -65,7 +65,7 @@ impl HeldSteps {
         let settings =
             recorder.uniform(&[[features, scalings, offsets, 0.0], rows(sample, outputs, channels)])?;
         recorder.dispatch(
-            &self.held_gradient,
+            &self.frozen_quant_step_gradient,
             &[
                 settings.as_ref(),
                 sample.list.as_ref(),
@@ -89,7 +89,7 @@ mod tests {
     use super::*;
     use crate::{
         gpu::testing::lavapipe,
-        train::twin::{held_gradient, hold_steps},
+        train::twin::{freeze_quant_steps, frozen_quant_step_gradient},
     };
 
     #[test]
@@ -108,14 +108,14 @@ mod tests {
             device.upload("outputs", &values).expect("outputs"),
         );
         let gradients = device.upload("gradients", &vec![9.0_f32; values.len()]).expect("gradients");
-        let held = HeldSteps::new(&device, capacity).expect("kernels");
+        let frozen = FrozenQuantSteps::new(&device, capacity).expect("kernels");
         let sampled = AnchorSample { list: &list, count: 70, capacity };
         let groups =
             first_rows.map(|first_row| GroupOutputs { values: &outputs, gradients: &gradients, first_row });
         let weights = [1.0, 0.5, 3.0];
-        let mut recorder = device.recorder("held steps");
-        held.record(&mut recorder, base, &on_device, sampled, groups, channels).expect("recorded");
-        held.record_gradient(&mut recorder, weights, sampled, groups, channels).expect("recorded");
+        let mut recorder = device.recorder("frozen steps");
+        frozen.record(&mut recorder, base, &on_device, sampled, groups, channels).expect("recorded");
+        frozen.record_gradient(&mut recorder, weights, sampled, groups, channels).expect("recorded");
         recorder.submit().expect("runs");
         let found = device.read(&outputs).expect("outputs");
         let d_found = device.read(&gradients).expect("gradients");
@@ -129,9 +129,10 @@ mod tests {
                 continue;
             };
             let step = steps[3 * sample[column] as usize + group];
-            let (expected, difference) = hold_steps(values[at].into(), step.into(), f64::from(base[group]));
+            let (expected, difference) =
+                freeze_quant_steps(values[at].into(), step.into(), f64::from(base[group]));
             assert!((f64::from(*found) - expected).abs() < 1e-5, "{found} for {expected}");
-            let expected = held_gradient(difference, f64::from(weights[group]));
+            let expected = frozen_quant_step_gradient(difference, f64::from(weights[group]));
             assert!((f64::from(*d_found) - expected).abs() < 3e-5, "{d_found} for {expected}");
         }
         assert_eq!(rest, values.len() - 3 * 70);

@@ -1,12 +1,352 @@
-//! Compression-aware training: what a run does so that its scene costs few bytes (METHOD.md §4.2).
+//! Compression-aware training: rendering and loss see the scene as its file will store it (METHOD.md §4.2).
 //!
-//! Rendering sees attributes as the decoder will, first with noise and at last rounded; a sample of the anchors is
-//! measured for its rate each step, and the context model learns with them.
+//! Rendering uses attributes as the decoder will, first with noise and at last rounded; each step estimates the bits of a sample
+//! of the anchors, and the context model learns with them.
+//!
+//! Invariants: a step that overflowed leaves nothing behind; noise and samples follow from seed and step; each stage allocates
+//! what it needs when it starts.
 
+mod checkpoint;
 mod context_fit;
+mod context_model;
 mod frozen_quant_steps;
-mod learning;
 mod quant_steps;
 mod statistics;
 
-pub(super) use learning::{Compression, compression_bytes};
+use std::sync::Arc;
+
+use rand::SeedableRng;
+use rand_pcg::Pcg64;
+
+use context_model::{
+    BYTES_PER_PARAMETER, ContextModel, QuantState, outputs_of, sample_of, set_initial_adjustments,
+    stored_parameters, stored_pass,
+};
+use quant_steps::{carry_quant_steps, mean_quant_steps};
+use statistics::group_statistics;
+
+use crate::{
+    codec::context::robust_frame,
+    domain::{CancelFlag, ContextFrame},
+    gpu::{Buffer, Device, Recorder, buffer_bytes},
+    model::{AnchorRows, NetworkLayout, Shape},
+    render::DeviceAnchors,
+    train::{
+        Adam, AdamStep, BaseQuantSteps, CompressionSchedule, OffsetMasks, Stage, TrainError, TrainedContext,
+        context::{
+            ContextAnchors, ContextConfig, ContextLayout, ContextLearningRates, ContextNet, ContextPass,
+            ContextState, GroupStatistics, PlaneSource, Quantisation, QuantisationPhase, QuantisedRows,
+            RateInputs, RateTerm, RoundedNetworks, sample_anchors, sample_size,
+        },
+        model_trainer::Step,
+    },
+};
+
+/// Compression-aware training of a scene.
+#[derive(Debug)]
+pub(in crate::train) struct Compression {
+    device: Arc<Device>,
+    schedule: CompressionSchedule,
+    layout: NetworkLayout,
+    quant: Option<QuantState>,
+    context_model: Option<ContextModel>,
+}
+
+/// Channels of the three attribute groups.
+fn group_channels(shape: Shape) -> [usize; 3] {
+    [shape.features, shape.offset_column() - shape.scaling_column(), 3 * shape.offsets]
+}
+
+/// The context model's sizes for a scene of so many anchors.
+fn config(schedule: &CompressionSchedule, shape: Shape, anchors: usize) -> ContextConfig {
+    let mut config = ContextConfig::for_anchors(schedule.kind, group_channels(shape), anchors);
+    if !schedule.compresses_planes {
+        config.planes = config.planes.without_layers();
+    }
+    config
+}
+
+impl Compression {
+    /// Before the first step.
+    pub(in crate::train) fn new(device: &Arc<Device>, schedule: CompressionSchedule, shape: Shape) -> Self {
+        let layout = NetworkLayout::new(shape);
+        Self { device: Arc::clone(device), schedule, layout, quant: None, context_model: None }
+    }
+
+    /// Whether another stage begins after `step`.
+    pub(in crate::train) fn changes_stage_after(&self, step: u32) -> bool {
+        self.schedule.changes_stage_after(step)
+    }
+
+    /// Whether everything is rounded from the step after `step` on.
+    pub(in crate::train) fn starts_rounding_after(&self, step: u32) -> bool {
+        self.changes_stage_after(step) && self.schedule.stage(step + 1) == Stage::Rounded
+    }
+
+    /// Makes what the stages that begin after `step` need of a scene whose rows are `anchors`. Short runs may pass over a stage.
+    pub(in crate::train) fn enter_stage(
+        &mut self,
+        step: u32,
+        adam: &Adam,
+        anchors: &AnchorRows,
+        device_anchors: &DeviceAnchors,
+        cancel: &CancelFlag,
+    ) -> Result<(), TrainError> {
+        let next = self.schedule.stage(step + 1);
+        if next >= Stage::Noise && self.quant.is_none()
+            || next >= Stage::Context && self.context_model.is_none()
+        {
+            let base_quant_steps = BaseQuantSteps::of(self.schedule.base, anchors);
+            let base = base_quant_steps.in_world(anchors.lattice.voxel);
+            let first = base.map(|step| step * (-self.schedule.base.finer_octaves()).exp2());
+            self.quantise(base_quant_steps, base, &first.repeat(anchors.len()))?;
+            tracing::debug!(step, ?base_quant_steps);
+        }
+        if next >= Stage::Context && self.context_model.is_none() {
+            self.model(anchors)?;
+        }
+        if next == Stage::Rounded
+            && let Some(net) = self.select_context(adam, device_anchors, &anchors.cells, cancel)?
+            && let Some(context_model) = &mut self.context_model
+        {
+            context_model.net = net;
+        }
+        Ok(())
+    }
+
+    /// What the run found for the encoder, and the rows that the file is to hold: those of `anchors` as the last stage renders
+    /// them. `before` has the cells that anchors were at before some were left out. None if the run was too short for a
+    /// context model; then the rows stay as they are.
+    pub(in crate::train) fn finish(
+        mut self,
+        adam: &Adam,
+        before: &[[i32; 3]],
+        anchors: &mut AnchorRows,
+        networks: &[f32],
+        cancel: &CancelFlag,
+    ) -> Result<Option<TrainedContext>, TrainError> {
+        self.replace(before, anchors)?;
+        let device_anchors = DeviceAnchors::upload(&self.device, anchors, networks)?;
+        if self.schedule.stage(self.schedule.steps) != Stage::Rounded
+            && let Some(net) = self.select_context(adam, &device_anchors, &anchors.cells, cancel)?
+            && let Some(context_model) = &mut self.context_model
+        {
+            context_model.net = net;
+        }
+        let Some((rows, steps)) = self.final_rows(&device_anchors, &anchors.cells)? else { return Ok(None) };
+        anchors.values = rows;
+        self.candidates(&steps)
+    }
+
+    fn quantise(
+        &mut self,
+        base_quant_steps: BaseQuantSteps,
+        base: [f32; 3],
+        of_anchors: &[f32],
+    ) -> Result<(), TrainError> {
+        let rows = QuantisedRows::upload(&self.device, self.layout.shape, of_anchors)?;
+        let networks = RoundedNetworks::plan(&self.layout).make(&self.device)?;
+        self.quant = Some(QuantState { base_quant_steps, base, rows, networks });
+        Ok(())
+    }
+
+    fn model(&mut self, anchors: &AnchorRows) -> Result<(), TrainError> {
+        let Some(quant) = &self.quant else { return Ok(()) };
+        let shape = self.layout.shape;
+        let statistics = group_statistics(anchors, quant.base);
+        let config = config(&self.schedule, shape, anchors.len());
+        let layout = ContextLayout::new(config)?;
+        // Of its own: how many numbers a model needs must not decide how the scene goes on.
+        let mut rng = Pcg64::seed_from_u64(self.schedule.seed);
+        let mut values = layout.initial(&statistics, &mut rng)?;
+        set_initial_adjustments(&layout, [-self.schedule.base.finer_octaves(); 3], &mut values);
+        let state = ContextState::new(values);
+        let frame = robust_frame(&anchors.cells);
+        self.context_model =
+            Some(self.context_model_of(config, &state, frame, statistics, &anchors.cells)?);
+        Ok(())
+    }
+
+    fn context_model_of(
+        &self,
+        config: ContextConfig,
+        state: &ContextState,
+        frame: ContextFrame,
+        statistics: [GroupStatistics; 3],
+        cells: &[[i32; 3]],
+    ) -> Result<ContextModel, TrainError> {
+        let mut net = ContextNet::new(&self.device, config, state)?;
+        net.place(&ContextAnchors::new(&config, &frame, cells))?;
+        let rate = self.rate_for(cells.len())?;
+        Ok(ContextModel { frame, statistics, net, rate, sampled: 0 })
+    }
+
+    fn rate_for(&self, anchors: usize) -> Result<RateTerm, TrainError> {
+        let capacity = ContextNet::capacity(sample_size(anchors, self.schedule.sample_share));
+        Ok(RateTerm::plan(self.layout.shape, capacity).make(&self.device)?)
+    }
+
+    /// Takes notice that anchors came or went: those of `before` are now `anchors`.
+    pub(in crate::train) fn replace(
+        &mut self,
+        before: &[[i32; 3]],
+        anchors: &AnchorRows,
+    ) -> Result<(), TrainError> {
+        if let Some(QuantState { base_quant_steps, base, rows, .. }) = &self.quant {
+            let (base_quant_steps, base) = (*base_quant_steps, *base);
+            let old = self.device.read(rows.steps())?;
+            let of_anchors = carry_quant_steps(before, &old, mean_quant_steps(&old), &anchors.cells);
+            self.quantise(base_quant_steps, base, &of_anchors)?;
+        }
+        if let Some(mut context_model) = self.context_model.take() {
+            let config = context_model.net.layout().config;
+            context_model.net.place(&ContextAnchors::new(&config, &context_model.frame, &anchors.cells))?;
+            if sample_size(anchors.len(), self.schedule.sample_share) > context_model.rate.capacity() {
+                context_model.rate = self.rate_for(anchors.len())?;
+            }
+            self.context_model = Some(context_model);
+        }
+        Ok(())
+    }
+
+    /// How the rows of `step` are quantised; none before the first noise.
+    fn quantisation(&self, step: u32) -> Option<Quantisation> {
+        let phase = match self.schedule.stage(step) {
+            Stage::Plain => return None,
+            Stage::Noise => QuantisationPhase::FixedNoise,
+            Stage::Context => QuantisationPhase::Noise,
+            Stage::Rounded => QuantisationPhase::Rounded,
+        };
+        let mut base_quant_steps = self.quant.as_ref()?.base;
+        if phase == QuantisationPhase::FixedNoise {
+            base_quant_steps =
+                base_quant_steps.map(|step| step * (-self.schedule.base.finer_octaves()).exp2());
+        }
+        Some(Quantisation { phase, base_quant_steps, key: Quantisation::key(self.schedule.seed, step) })
+    }
+
+    /// Records what `step` renders of the anchors instead of their own rows and networks; none where it is those.
+    pub(in crate::train) fn forward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        anchors: &DeviceAnchors,
+        step: u32,
+    ) -> Result<Option<DeviceAnchors>, TrainError> {
+        let (Some(quant), Some(quantisation)) = (&self.quant, self.quantisation(step)) else {
+            return Ok(None);
+        };
+        quant.rows.record_forward(recorder, anchors, &quantisation)?;
+        let mut shown = quant.rows.rendered(anchors);
+        if self.schedule.stage(step) == Stage::Rounded {
+            quant.networks.record(recorder, &anchors.networks)?;
+            shown.networks = quant.networks.parameters().clone();
+        }
+        Ok(Some(shown))
+    }
+
+    /// What the context model does in `step`.
+    fn pass(&self, step: u32) -> ContextPass {
+        let schedule = &self.schedule;
+        if schedule.stage(step) == Stage::Rounded {
+            return stored_pass(true);
+        }
+        let source = if schedule.compresses_planes && step >= schedule.reconstruct_from {
+            PlaneSource::Reconstructed
+        } else {
+            PlaneSource::Raw
+        };
+        ContextPass {
+            source,
+            reconstruction: schedule.reconstruction_at(step),
+            levels: None,
+            planes_learn: true,
+        }
+    }
+
+    /// Records the way back from `d_rows`, the gradients by the rows that were rendered, to those by the anchors' own with
+    /// those of the rate; and the step of the context model.
+    pub(in crate::train) fn backward(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        adam: &Adam,
+        anchors: &DeviceAnchors,
+        step: &Step,
+        d_rows: &Buffer<f32>,
+        overflow_flag: &Buffer<u32>,
+    ) -> Result<(), TrainError> {
+        let Some(quantisation) = self.quantisation(step.number) else { return Ok(()) };
+        let pass = self.pass(step.number);
+        let Self { quant: Some(quant), context_model, schedule, .. } = self else { return Ok(()) };
+        quant.rows.record_backward(recorder, anchors, &quantisation, d_rows)?;
+        let Some(model) = context_model else { return Ok(()) };
+        let sample = sample_anchors(schedule.seed, step.number, anchors.count, schedule.sample_share);
+        model.sampled = sample.len();
+        model.net.forward(recorder, &sample, &pass)?;
+        let inputs = RateInputs {
+            anchors,
+            quantised: &quant.rows,
+            quantisation: &quantisation,
+            sample: sample_of(&model.net, model.sampled),
+            outputs: outputs_of(&model.net),
+            lambda: step.lambda,
+        };
+        model.rate.record(recorder, &inputs, d_rows, overflow_flag)?;
+        model.net.backward(recorder)?;
+        let progress = schedule.context_progress(step.number);
+        let planes = schedule.planes.at(progress) as f32;
+        let rates = ContextLearningRates {
+            networks: schedule.networks.at(progress) as f32,
+            planes,
+            layers: planes,
+            latents: planes,
+        };
+        // The last stage starts with zero moments.
+        let rounded = schedule.stage(step.number) == Stage::Rounded;
+        let number = step.number + 1 - if rounded { schedule.rounded_from } else { schedule.context_from };
+        model.net.step(recorder, adam, AdamStep { number, overflow_flag }, &rates, &model.statistics)
+    }
+
+    /// Records what the last recorded sample's rate says of the offsets' masks.
+    pub(in crate::train) fn mask_backward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        masks: &OffsetMasks,
+        lambda: f64,
+    ) -> Result<(), TrainError> {
+        if let Some(context_model) = &self.context_model {
+            let sample = sample_of(&context_model.net, context_model.sampled);
+            masks.rate_backward(recorder, &context_model.rate, sample, lambda)?;
+        }
+        Ok(())
+    }
+
+    /// Bits of an anchor's attributes in the last submitted sample, and bytes of the context model; none before there is one.
+    pub(in crate::train) fn bitrate(&self) -> Result<Option<(f64, f64)>, TrainError> {
+        let Some(context_model) =
+            self.context_model.as_ref().filter(|context_model| context_model.sampled > 0)
+        else {
+            return Ok(None);
+        };
+        let bits: f64 = context_model.rate.sums(&self.device)?.iter().sum();
+        let layout = context_model.net.layout();
+        let stored = stored_parameters(layout) as f64;
+        Ok(Some((bits / context_model.sampled as f64, BYTES_PER_PARAMETER * stored)))
+    }
+}
+
+/// Bytes on the device of compression-aware training, at its largest: the fits after the last step have a model beside the
+/// trained one, and rows and gradients of their own.
+pub(in crate::train) fn compression_bytes(
+    schedule: &CompressionSchedule,
+    shape: Shape,
+    anchors: usize,
+) -> u64 {
+    let sampled = sample_size(anchors, schedule.sample_share);
+    let config = config(schedule, shape, anchors);
+    let net = ContextNet::bytes(&config, anchors, ContextNet::capacity(sampled)).unwrap_or(u64::MAX / 8);
+    QuantisedRows::plan(shape, anchors).bytes()
+        + RoundedNetworks::plan(&NetworkLayout::new(shape)).bytes()
+        + 2 * RateTerm::plan(shape, ContextNet::capacity(sampled)).bytes()
+        + 3 * net
+        + 2 * buffer_bytes::<f32>(anchors * shape.row())
+}

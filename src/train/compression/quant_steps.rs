@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 /// The steps `[N][3]` of the anchors at `cells`, of which those that were among `before` keep theirs; `fresh` has the others'.
-pub(super) fn carry_steps(
+pub(super) fn carry_quant_steps(
     before: &[[i32; 3]],
     steps: &[f32],
     fresh: [f32; 3],
@@ -14,7 +14,7 @@ pub(super) fn carry_steps(
 }
 
 /// The geometric mean of steps, group by group; what anchors that nothing is known of begin with.
-pub(super) fn usual_steps(steps: &[f32]) -> [f32; 3] {
+pub(super) fn mean_quant_steps(steps: &[f32]) -> [f32; 3] {
     let anchors = steps.as_chunks::<3>().0;
     std::array::from_fn(|group| {
         let logs = anchors.iter().map(|steps| f64::from(steps[group]).ln());
@@ -40,14 +40,14 @@ mod tests {
     fn anchors_that_stay_keep_their_steps_wherever_they_now_are() {
         let before = [[0, 0, 0], [1, 0, 0], [2, 0, 0]];
         let steps = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0];
-        let after = carry_steps(&before, &steps, [0.1, 0.2, 0.3], &[[2, 0, 0], [5, 5, 5], [0, 0, 0]]);
+        let after = carry_quant_steps(&before, &steps, [0.1, 0.2, 0.3], &[[2, 0, 0], [5, 5, 5], [0, 0, 0]]);
         assert_eq!(after, [7.0, 8.0, 9.0, 0.1, 0.2, 0.3, 1.0, 2.0, 3.0]);
     }
 
     #[test]
     fn the_usual_step_and_the_adjustment_of_equal_error_are_means_of_their_kind() {
         let steps = [1.0, 0.5, 2.0, 4.0, 0.5, 2.0];
-        let usual = usual_steps(&steps);
+        let usual = mean_quant_steps(&steps);
         assert!(usual.iter().zip([2.0, 0.5, 2.0]).all(|(found, expected)| (found - expected).abs() < 1e-6));
         let found = static_adjustments(&steps, [1.0, 1.0, 1.0], 3.5);
         let expected = [0.5 * 8.5_f32.log2(), -1.0, 1.0];

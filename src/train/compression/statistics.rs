@@ -5,11 +5,11 @@
 use crate::{domain::anchors::SCALINGS_PER_ANCHOR, model::AnchorRows, train::context::GroupStatistics};
 
 /// Share of a channel's values that is left out at either end to see how wide the others are.
-const LEFT_OUT: f64 = 0.02;
+const TRIMMED_SHARE: f64 = 0.02;
 
 /// Values count as no farther than this many times that width from the middle: one anchor of the size of the scene must
 /// not decide how wide all others are expected to be, and yet tails have to be expected.
-const FARTHEST: f64 = 10.0;
+const MAX_WIDTHS: f64 = 10.0;
 
 /// The statistics of features, linear scalings and unmasked offsets, in steps of `base` (scalings' in world units).
 pub(super) fn group_statistics(anchors: &AnchorRows, base: [f32; 3]) -> [GroupStatistics; 3] {
@@ -33,15 +33,15 @@ fn of(values: impl Iterator<Item = f32>, step: f32) -> (f32, f32) {
     let mut values: Vec<f64> =
         values.map(|value| f64::from(value) / f64::from(step)).filter(|value| value.is_finite()).collect();
     values.sort_unstable_by(f64::total_cmp);
-    let left_out = (values.len() as f64 * LEFT_OUT) as usize;
-    let middle = &values[left_out..values.len() - left_out];
+    let trimmed = (values.len() as f64 * TRIMMED_SHARE) as usize;
+    let middle = &values[trimmed..values.len() - trimmed];
     if middle.is_empty() {
         return (0.0, 0.0);
     }
     let (mean, width) = moments(middle);
     values
         .iter_mut()
-        .for_each(|value| *value = value.clamp(mean - FARTHEST * width, mean + FARTHEST * width));
+        .for_each(|value| *value = value.clamp(mean - MAX_WIDTHS * width, mean + MAX_WIDTHS * width));
     let (mean, deviation) = moments(&values);
     (mean as f32, deviation as f32)
 }

@@ -1,13 +1,17 @@
-//! Which anchors a step's rate is estimated from.
+//! The random sample of anchors whose bits a step estimates.
 
 use rand::{SeedableRng, seq::index};
 use rand_pcg::Pcg64;
 
-/// A share of the anchors, at least one where there is any, ascending. It follows from seed and step alone, so a step that is
-/// done again sees the same anchors.
+/// Anchors in a sample: the given share, at least one where there is any.
+pub(in crate::train) fn sample_size(anchors: usize, share: f64) -> usize {
+    ((anchors as f64 * share).ceil() as usize).clamp(anchors.min(1), anchors)
+}
+
+/// A share of the anchors, ascending. The sample depends on seed and step only, so a repeated step uses the same anchors.
 #[must_use]
 pub fn sample_anchors(seed: u64, step: u32, anchors: usize, share: f64) -> Vec<u32> {
-    let count = ((anchors as f64 * share).ceil() as usize).clamp(anchors.min(1), anchors);
+    let count = sample_size(anchors, share);
     let mut rng = Pcg64::seed_from_u64(seed ^ (u64::from(step) << 32));
     let mut sample: Vec<u32> =
         index::sample(&mut rng, anchors, count).into_iter().map(|anchor| anchor as u32).collect();

@@ -4,7 +4,7 @@
 //! All of it follows from the cells by the codec's own integers, so training samples exactly where a decoder does. It is
 //! made anew on the host whenever the set of anchors changes, and lies still in between.
 
-use super::{ContextConfig, ContextError};
+use super::ContextConfig;
 use crate::{
     codec::context::{Texel, coordinates, neighbours, position_inputs, texels},
     domain::{
@@ -12,10 +12,11 @@ use crate::{
         context::{NEIGHBOURS, POSITION_INPUTS},
     },
     gpu::{Buffer, Device, GpuError, Plan, planned},
+    train::ContextError,
 };
 
 /// Most anchors: an index shares a word with the place among neighbours.
-const MOST: usize = 1 << 30;
+const MAX_ANCHORS: usize = 1 << 30;
 
 /// Where anchors lie, in the kernels' forms; empty tables where a model has no planes.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -73,7 +74,7 @@ impl ContextAnchors {
         length("values of position priors", self.priors.len(), POSITION_INPUTS)?;
         length("texels", self.texels.len(), if sampled > 0 { 3 } else { 0 })?;
         length("neighbours", self.neighbours.len(), sampled)?;
-        if self.count >= MOST {
+        if self.count >= MAX_ANCHORS {
             return Err(ContextError::Anchors(format!("{} anchors are too many", self.count)));
         }
         if let Some(stray) = self.neighbours.iter().find(|anchor| **anchor as usize >= self.count) {
@@ -161,6 +162,7 @@ fn lists<T: Copy + Default>(
 /// The tables on the device.
 #[derive(Debug)]
 pub(super) struct DeviceTables {
+    pub(super) config: ContextConfig,
     pub(super) count: usize,
     pub(super) priors: Buffer<f32>,
     pub(super) texels: Buffer<u32>,
@@ -179,6 +181,7 @@ impl DeviceTables {
         let sampled = config.kind.sampled();
         let (placed, edge) = if sampled > 0 { (anchors, config.planes.edge) } else { (0, 0) };
         planned!(Self {
+            config: Plan::value(*config),
             count: Plan::value(anchors),
             priors: Plan::buffer("position priors", anchors * POSITION_INPUTS),
             texels: Plan::buffer("texels of anchors", 3 * placed),

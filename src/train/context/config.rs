@@ -1,8 +1,9 @@
 //! How large a context model is.
 
-use crate::domain::{AttributeGroup, ContextKind};
-
-use super::ContextError;
+use crate::{
+    domain::{AttributeGroup, ContextKind},
+    train::ContextError,
+};
 
 /// Largest edge of a plane: a texel's place along an axis is one byte.
 const MAX_EDGE: usize = 256;
@@ -60,13 +61,13 @@ impl PlaneConfig {
     }
 
     /// Channels from the planes to the latents.
-    pub(super) fn ladder(&self) -> Vec<usize> {
-        let mut ladder = vec![self.hidden; self.layers + 1];
-        ladder[0] = self.channels;
+    pub(super) fn level_channels(&self) -> Vec<usize> {
+        let mut level_channels = vec![self.hidden; self.layers + 1];
+        level_channels[0] = self.channels;
         if self.layers > 0 {
-            ladder[self.layers] = self.latents;
+            level_channels[self.layers] = self.latents;
         }
-        ladder
+        level_channels
     }
 
     fn check(&self) -> Result<(), ContextError> {

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use super::layout::ConvSpec;
 use crate::gpu::{Buffer, GpuError, Kernel, Plan, Recorder, kernel_source, planned};
 
-/// A bias that there is not.
-const NONE: u32 = u32::MAX;
+/// Marks a layer without a bias.
+const NO_BIAS: u32 = u32::MAX;
 
 /// A tensor in a buffer that may hold more.
 #[derive(Debug, Clone)]
@@ -25,12 +25,12 @@ impl Tensor {
     }
 }
 
-/// How a layer ends.
+/// What is done with a layer's result before it is stored.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Finish<'a> {
-    /// As it is.
-    Plain,
-    /// What is below zero becomes zero.
+pub(super) enum Epilogue<'a> {
+    /// Nothing.
+    Linear,
+    /// Negative values become zero.
     Relu,
     /// Zero where this tensor of the output's shape is not above zero: the gradient before a ReLU.
     Gate(&'a Tensor),
@@ -38,13 +38,21 @@ pub(super) enum Finish<'a> {
     Add,
 }
 
-/// Which way a layer goes.
+/// The direction of a layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Way {
+pub(super) enum Direction {
     /// From fine to coarse.
     Down,
     /// From coarse to fine.
     Up,
+}
+
+/// A layer with the parameters that it uses.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ConvLayer<'a> {
+    pub(super) direction: Direction,
+    pub(super) spec: &'a ConvSpec,
+    pub(super) parameters: &'a Buffer<f32>,
 }
 
 /// The kernels.
@@ -65,71 +73,63 @@ impl Convolutions {
     }
 
     /// Records a layer.
-    #[expect(clippy::too_many_arguments, reason = "one dispatch's worth of tensors, named at each call")]
     pub(super) fn forward(
         &self,
         recorder: &mut Recorder<'_>,
-        way: Way,
-        spec: &ConvSpec,
-        parameters: &Buffer<f32>,
+        layer: ConvLayer<'_>,
         source: &Tensor,
         result: &Tensor,
-        finish: Finish<'_>,
+        epilogue: Epilogue<'_>,
     ) -> Result<(), GpuError> {
-        self.record(recorder, way, spec, Some(spec.bias), parameters, source, result, finish)
+        self.record(recorder, layer, Some(layer.spec.bias), source, result, epilogue)
     }
 
-    /// Records the gradient of a layer that went `way` by its input: the layer the other way, without a bias.
-    #[expect(clippy::too_many_arguments, reason = "one dispatch's worth of tensors, named at each call")]
+    /// Records the gradient of a layer by its input: the layer in the other direction, without a bias.
     pub(super) fn input_gradient(
         &self,
         recorder: &mut Recorder<'_>,
-        way: Way,
-        spec: &ConvSpec,
-        parameters: &Buffer<f32>,
+        layer: ConvLayer<'_>,
         d_result: &Tensor,
         d_source: &Tensor,
-        finish: Finish<'_>,
+        epilogue: Epilogue<'_>,
     ) -> Result<(), GpuError> {
-        let back = match way {
-            Way::Down => Way::Up,
-            Way::Up => Way::Down,
+        let direction = match layer.direction {
+            Direction::Down => Direction::Up,
+            Direction::Up => Direction::Down,
         };
-        self.record(recorder, back, spec, None, parameters, d_result, d_source, finish)
+        self.record(recorder, ConvLayer { direction, ..layer }, None, d_result, d_source, epilogue)
     }
 
-    #[expect(clippy::too_many_arguments, reason = "one dispatch's worth of tensors, named at each call")]
     fn record(
         &self,
         recorder: &mut Recorder<'_>,
-        way: Way,
-        spec: &ConvSpec,
+        layer: ConvLayer<'_>,
         bias: Option<usize>,
-        parameters: &Buffer<f32>,
         source: &Tensor,
         result: &Tensor,
-        finish: Finish<'_>,
+        epilogue: Epilogue<'_>,
     ) -> Result<(), GpuError> {
-        let (kernel, results) = match way {
-            Way::Down => (&self.conv_down, spec.coarse_values()),
-            Way::Up => (&self.conv_up, spec.fine_values()),
+        let ConvLayer { direction, spec, parameters } = layer;
+        let (kernel, results) = match direction {
+            Direction::Down => (&self.conv_down, spec.coarse_values()),
+            Direction::Up => (&self.conv_up, spec.fine_values()),
         };
-        // Where there is no gate, any buffer but the result will do.
-        let (ending, gate) = match finish {
-            Finish::Plain => (0, source),
-            Finish::Relu => (1, source),
-            Finish::Gate(gate) => (2, gate),
-            Finish::Add => (3, source),
+        // Without a gate any buffer other than the result can be bound.
+        let (epilogue, gate) = match epilogue {
+            Epilogue::Linear => (0, source),
+            Epilogue::Relu => (1, source),
+            Epilogue::Gate(gate) => (2, gate),
+            Epilogue::Add => (3, source),
         };
         let uniform = recorder.uniform(&[
             [spec.fine as u32, spec.coarse as u32, spec.edge as u32, 0],
             [
                 spec.weights as u32,
-                bias.map_or(NONE, |bias| bias as u32),
+                bias.map_or(NO_BIAS, |bias| bias as u32),
                 source.first as u32,
                 result.first as u32,
             ],
-            [ending, gate.first as u32, 0, 0],
+            [epilogue, gate.first as u32, 0, 0],
         ])?;
         recorder.dispatch(
             kernel,
@@ -145,22 +145,22 @@ impl Convolutions {
         Ok(())
     }
 
-    /// Records the gradient by weights and bias of a layer that went `way`, at their places in `gradients`.
+    /// Records the gradient by weights and bias of a layer in `direction`, at their places in `gradients`.
     pub(super) fn weight_gradient(
         &self,
         recorder: &mut Recorder<'_>,
-        way: Way,
+        direction: Direction,
         spec: &ConvSpec,
         source: &Tensor,
         d_result: &Tensor,
         gradients: &Buffer<f32>,
     ) -> Result<(), GpuError> {
-        let (fine, coarse, biases) = match way {
-            Way::Down => (source, d_result, spec.coarse),
-            Way::Up => (d_result, source, spec.fine),
+        let (fine, coarse, biases) = match direction {
+            Direction::Down => (source, d_result, spec.coarse),
+            Direction::Up => (d_result, source, spec.fine),
         };
         let uniform = recorder.uniform(&[
-            [spec.fine as u32, spec.coarse as u32, spec.edge as u32, u32::from(way == Way::Up)],
+            [spec.fine as u32, spec.coarse as u32, spec.edge as u32, u32::from(direction == Direction::Up)],
             [fine.first as u32, coarse.first as u32, spec.weights as u32, spec.bias as u32],
         ])?;
         recorder.dispatch(

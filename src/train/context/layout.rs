@@ -10,17 +10,18 @@ use std::ops::Range;
 
 use rand::{Rng, RngExt};
 
-use super::{ContextConfig, ContextError};
+use super::ContextConfig;
 use crate::{
     domain::{AttributeGroup, ContextKind, Mlp, Planes, UpLayer},
     model::LayerSpec,
+    train::ContextError,
 };
 
 /// Bound of a fresh plane's values (METHOD.md §4.3).
 const FIRST_PLANE: f32 = 0.01;
 
 /// Least standard deviation in base steps that outputs begin with: below it all symbols are equal anyway.
-const LEAST_DEVIATION: f32 = 0.05;
+const MIN_DEVIATION: f32 = 0.05;
 
 /// A convolution of stride two between a coarse and a fine tensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,7 +73,7 @@ pub enum ContextPart {
 
 /// How fast each part learns.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ContextRates {
+pub struct ContextLearningRates {
     /// Of the groups' networks; for what predicts means, in standard deviations of the channel.
     pub networks: f32,
     /// Of raw planes.
@@ -159,9 +160,9 @@ impl ContextLayout {
         }
         let first_plane = take(config.planes.plane_values());
         let planes = first_plane..take(0);
-        let ladder = config.planes.ladder();
+        let level_channels = config.planes.level_channels();
         let mut conv = |level: usize, upwards: bool| {
-            let (fine, coarse) = (ladder[level], ladder[level + 1]);
+            let (fine, coarse) = (level_channels[level], level_channels[level + 1]);
             ConvSpec {
                 coarse,
                 fine,
@@ -214,7 +215,7 @@ impl ContextLayout {
             }
             values[head.bias..][..channels].copy_from_slice(means);
             for (bias, deviation) in values[head.bias + channels..][..channels].iter_mut().zip(deviations) {
-                *bias = deviation.max(LEAST_DEVIATION).log2();
+                *bias = deviation.max(MIN_DEVIATION).log2();
             }
         }
         Ok(values)
@@ -234,22 +235,22 @@ impl ContextLayout {
         }
     }
 
-    /// The rate of each parameter. Steps of Adam are as long as their rate whatever the gradient, so what predicts means
-    /// takes steps in proportion to its channel's deviation, as if outputs were in units of it.
+    /// The learning rate of each parameter. The length of an Adam step does not depend on the gradient's size, so outputs that
+    /// predict means learn in proportion to their channel's standard deviation, as if they were in units of it.
     ///
     /// # Errors
     /// [`ContextError::Config`] if a group's statistics have another number of channels.
-    pub fn rates(
+    pub fn learning_rates(
         &self,
-        rates: &ContextRates,
+        learning_rates: &ContextLearningRates,
         statistics: &[GroupStatistics; 3],
     ) -> Result<Vec<f32>, ContextError> {
         let mut values: Vec<f32> = (0..self.parameters)
             .map(|parameter| match self.part(parameter) {
-                ContextPart::Networks => rates.networks,
-                ContextPart::Planes => rates.planes,
-                ContextPart::Layers => rates.layers,
-                ContextPart::Latents => rates.latents,
+                ContextPart::Networks => learning_rates.networks,
+                ContextPart::Planes => learning_rates.planes,
+                ContextPart::Layers => learning_rates.layers,
+                ContextPart::Latents => learning_rates.latents,
             })
             .collect();
         for ((head, statistics), channels) in self.heads.iter().zip(statistics).zip(self.config.channels) {
@@ -262,8 +263,8 @@ impl ContextLayout {
             }
             for row in 0..=head.inputs {
                 let row = &mut values[head.weights + row * head.outputs..][..channels];
-                for (rate, deviation) in row.iter_mut().zip(deviations) {
-                    *rate *= deviation.max(LEAST_DEVIATION);
+                for (learning_rate, deviation) in row.iter_mut().zip(deviations) {
+                    *learning_rate *= deviation.max(MIN_DEVIATION);
                 }
             }
         }
@@ -376,7 +377,7 @@ mod tests {
             assert!(head.weights.iter().all(|w| *w == 0.0));
             let channels = statistics.means.len();
             assert_eq!(head.bias[..channels], statistics.means);
-            let deviations = statistics.deviations.iter().map(|d| d.max(LEAST_DEVIATION).log2());
+            let deviations = statistics.deviations.iter().map(|d| d.max(MIN_DEVIATION).log2());
             assert!(head.bias[channels..2 * channels].iter().copied().eq(deviations));
             assert_eq!(head.bias[2 * channels..], [0.0]);
         }
@@ -388,8 +389,8 @@ mod tests {
     #[test]
     fn parts_learn_at_their_rates_and_means_in_deviations() {
         let layout = layout(ContextKind::TriPlane);
-        let rates = ContextRates { networks: 1.0, planes: 2.0, layers: 3.0, latents: 4.0 };
-        let values = layout.rates(&rates, &statistics()).expect("statistics that fit");
+        let rates = ContextLearningRates { networks: 1.0, planes: 2.0, layers: 3.0, latents: 4.0 };
+        let values = layout.learning_rates(&rates, &statistics()).expect("statistics that fit");
         let scalings = layout.network(&values, AttributeGroup::Scalings);
         let [hidden, head] = scalings.layers.as_slice() else { panic!("two layers") };
         assert!(hidden.weights.iter().chain(&hidden.bias).all(|rate| *rate == 1.0));

@@ -4,29 +4,21 @@
 use std::sync::Arc;
 
 use super::{
-    ContextAnchors, ContextConfig, ContextError, ContextLayout, ContextRates, GroupStatistics,
-    anchor_tables::DeviceTables, convolution::Tensor, plane_sampling::Sampling, planes::PlanePass,
+    ContextAnchors, ContextConfig, ContextLayout, ContextLearningRates, GroupStatistics,
+    anchor_tables::DeviceTables,
+    convolution::Tensor,
+    plane_sampling::Sampling,
+    planes::{PlanePass, PlaneSource},
     weights::RoundedWeights,
 };
 use crate::{
     gpu::{Buffer, Device, Plan, Recorder, planned},
     render::{Activation, Columns, DenseLayers, InputGradient, RenderError},
-    train::{Adam, Moments, TrainError},
+    train::{Adam, AdamStep, ContextError, Moments, TrainError},
 };
 
 /// The mark of an anchor that was not sampled.
 const NO_COLUMN: u32 = u32::MAX;
-
-/// Which planes the networks sample.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PlaneSource {
-    /// The raw planes.
-    Raw,
-    /// What comes of the raw planes by way of rounded latents.
-    Reconstructed,
-    /// What comes of the latents that are parameters of their own, rounded.
-    Latents,
-}
 
 /// How a step uses the context model.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -262,7 +254,7 @@ impl ContextNet {
             sampled = planes.planes(pass.source, layout, &self.parameters);
         }
         let columns = on.columns();
-        self.sampling.forward(recorder, &layout.config, &self.tables, columns, &sampled, &on.input)?;
+        self.sampling.forward(recorder, &self.tables, columns, &sampled, &on.input)?;
         let hidden = columns.layer(&layout.hidden);
         self.dense.forward(recorder, hidden, stored, &on.input, &on.hidden, Activation::Relu)?;
         for head in &layout.heads {
@@ -322,7 +314,6 @@ impl ContextNet {
         self.dense.input_gradient(recorder, hidden, stored, &on.d_hidden, d_input)?;
         self.sampling.backward(
             recorder,
-            &layout.config,
             &self.tables,
             on.capacity,
             &on.d_input,
@@ -348,7 +339,7 @@ impl ContextNet {
         Ok(())
     }
 
-    /// Records step `t` (from 1) of the optimiser with the last gradients, which does nothing if `overflow_flag` is set by then.
+    /// Records an optimiser step with the last gradients.
     ///
     /// # Errors
     /// [`ContextError::Config`] if the statistics are of other channels; faults of the device.
@@ -356,13 +347,12 @@ impl ContextNet {
         &self,
         recorder: &mut Recorder<'_>,
         adam: &Adam,
-        t: u32,
-        overflow_flag: &Buffer<u32>,
-        rates: &ContextRates,
+        step: AdamStep<'_>,
+        learning_rates: &ContextLearningRates,
         statistics: &[GroupStatistics; 3],
     ) -> Result<(), TrainError> {
-        let rates = recorder.uniform(&self.layout.rates(rates, statistics)?)?;
-        adam.step(recorder, t, overflow_flag, &rates, &self.gradients, &self.parameters, &self.moments)?;
+        let learning_rates = recorder.uniform(&self.layout.learning_rates(learning_rates, statistics)?)?;
+        adam.step(recorder, step, &learning_rates, &self.gradients, &self.parameters, &self.moments)?;
         Ok(())
     }
 

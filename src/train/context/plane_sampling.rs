@@ -1,8 +1,8 @@
-//! From planes and anchors to the networks' input on the device, and the gradient back to the planes.
+//! Samples the planes at the anchors for the networks' input on the device, and gathers the gradient by the planes.
 
 use std::sync::Arc;
 
-use super::{ContextConfig, anchor_tables::DeviceTables, convolution::Tensor};
+use super::{anchor_tables::DeviceTables, convolution::Tensor};
 use crate::{
     gpu::{Buffer, Device, GpuError, Kernel, Recorder, kernel_source},
     render::Columns,
@@ -29,12 +29,12 @@ impl Sampling {
     pub(super) fn forward(
         &self,
         recorder: &mut Recorder<'_>,
-        config: &ContextConfig,
         tables: &DeviceTables,
         columns: Columns<'_>,
         planes: &Tensor,
         input: &Buffer<f32>,
     ) -> Result<(), GpuError> {
+        let config = &tables.config;
         let sampled = config.kind.sampled();
         let uniform = recorder.uniform(&[
             [
@@ -61,19 +61,17 @@ impl Sampling {
         Ok(())
     }
 
-    /// Records the gradient by planes from that by the input of the sampled anchors; `d_samples` has a row for each anchor.
-    #[expect(clippy::too_many_arguments, reason = "two dispatches' worth of buffers, named at the call")]
+    /// Records the gradient by the planes from that by the sampled anchors' input; `d_samples` has a row for each anchor.
     pub(super) fn backward(
         &self,
         recorder: &mut Recorder<'_>,
-        config: &ContextConfig,
         tables: &DeviceTables,
         capacity: usize,
         d_input: &Buffer<f32>,
         d_samples: &Buffer<f32>,
         d_planes: &Tensor,
     ) -> Result<(), GpuError> {
-        let planes = &config.planes;
+        let planes = &tables.config.planes;
         let uniform =
             recorder.uniform(&[[tables.count as u32, 3 * planes.channels as u32, capacity as u32, 0]])?;
         recorder.dispatch(

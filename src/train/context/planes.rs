@@ -6,11 +6,21 @@
 use std::sync::Arc;
 
 use super::{
-    PlaneSource,
-    convolution::{Convolutions, Finish, Tensor, Way},
+    convolution::{ConvLayer, Convolutions, Direction, Epilogue, Tensor},
     layout::ContextLayout,
 };
 use crate::gpu::{Buffer, GpuError, Kernel, Plan, Recorder, kernel_source, planned};
+
+/// Which planes the networks sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PlaneSource {
+    /// The raw planes.
+    Raw,
+    /// What comes of the raw planes by way of rounded latents.
+    Reconstructed,
+    /// What comes of the latents that are parameters of their own, rounded.
+    Latents,
+}
 
 /// Tensors on the way from planes to latents and back, or their gradients.
 #[derive(Debug)]
@@ -95,9 +105,10 @@ impl PlanePass {
         parameters: &Buffer<f32>,
     ) -> Result<Tensor, GpuError> {
         let mut source = Tensor::at(parameters, layout.planes.start);
-        for (index, (layer, result)) in layout.down.iter().zip(&self.on.down).enumerate() {
-            let finish = if index + 1 < layout.down.len() { Finish::Relu } else { Finish::Plain };
-            self.convolutions.forward(recorder, Way::Down, layer, parameters, &source, result, finish)?;
+        for (index, (spec, result)) in layout.down.iter().zip(&self.on.down).enumerate() {
+            let epilogue = if index + 1 < layout.down.len() { Epilogue::Relu } else { Epilogue::Linear };
+            let layer = ConvLayer { direction: Direction::Down, spec, parameters };
+            self.convolutions.forward(recorder, layer, &source, result, epilogue)?;
             source = result.clone();
         }
         Ok(source)
@@ -120,9 +131,10 @@ impl PlanePass {
             values.div_ceil(64) as u32,
         );
         let mut source = &self.on.latents;
-        for (index, (layer, result)) in layout.up.iter().zip(&self.on.up).enumerate() {
-            let finish = if index + 1 < layout.up.len() { Finish::Relu } else { Finish::Plain };
-            self.convolutions.forward(recorder, Way::Up, layer, stored, source, result, finish)?;
+        for (index, (spec, result)) in layout.up.iter().zip(&self.on.up).enumerate() {
+            let epilogue = if index + 1 < layout.up.len() { Epilogue::Relu } else { Epilogue::Linear };
+            let layer = ConvLayer { direction: Direction::Up, spec, parameters: stored };
+            self.convolutions.forward(recorder, layer, source, result, epilogue)?;
             source = result;
         }
         Ok(())
@@ -170,16 +182,17 @@ impl PlanePass {
         gradients: &Buffer<f32>,
         d_latents: &Tensor,
     ) -> Result<(), GpuError> {
-        for (index, layer) in layout.up.iter().enumerate().rev() {
+        for (index, spec) in layout.up.iter().enumerate().rev() {
             let source = if index == 0 { &self.on.latents } else { &self.on.up[index - 1] };
             let d_result = &self.back.up[index];
-            self.convolutions.weight_gradient(recorder, Way::Up, layer, source, d_result, gradients)?;
-            let (d_source, finish) = if index == 0 {
-                (d_latents, Finish::Plain)
+            self.convolutions.weight_gradient(recorder, Direction::Up, spec, source, d_result, gradients)?;
+            let (d_source, epilogue) = if index == 0 {
+                (d_latents, Epilogue::Linear)
             } else {
-                (&self.back.up[index - 1], Finish::Gate(source))
+                (&self.back.up[index - 1], Epilogue::Gate(source))
             };
-            self.convolutions.input_gradient(recorder, Way::Up, layer, stored, d_result, d_source, finish)?;
+            let layer = ConvLayer { direction: Direction::Up, spec, parameters: stored };
+            self.convolutions.input_gradient(recorder, layer, d_result, d_source, epilogue)?;
         }
         Ok(())
     }
@@ -199,24 +212,24 @@ impl PlanePass {
     ) -> Result<(), GpuError> {
         let planes = Tensor::at(parameters, layout.planes.start);
         let d_planes = Tensor::at(gradients, layout.planes.start);
-        for (index, layer) in layout.down.iter().enumerate().rev() {
+        for (index, spec) in layout.down.iter().enumerate().rev() {
             let source = if index == 0 { &planes } else { &self.on.down[index - 1] };
             let d_result = &self.back.down[index];
-            self.convolutions.weight_gradient(recorder, Way::Down, layer, source, d_result, gradients)?;
-            let (d_source, finish) = if index == 0 {
-                (&d_planes, Finish::Add)
-            } else {
-                (&self.back.down[index - 1], Finish::Gate(source))
-            };
-            self.convolutions.input_gradient(
+            self.convolutions.weight_gradient(
                 recorder,
-                Way::Down,
-                layer,
-                parameters,
+                Direction::Down,
+                spec,
+                source,
                 d_result,
-                d_source,
-                finish,
+                gradients,
             )?;
+            let (d_source, epilogue) = if index == 0 {
+                (&d_planes, Epilogue::Add)
+            } else {
+                (&self.back.down[index - 1], Epilogue::Gate(source))
+            };
+            let layer = ConvLayer { direction: Direction::Down, spec, parameters };
+            self.convolutions.input_gradient(recorder, layer, d_result, d_source, epilogue)?;
         }
         Ok(())
     }

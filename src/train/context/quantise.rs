@@ -29,7 +29,7 @@ pub struct Quantisation {
     /// How.
     pub phase: QuantisationPhase,
     /// Base steps of features, scalings and offsets; positive.
-    pub base_steps: [f32; 3],
+    pub base_quant_steps: [f32; 3],
     /// What the noise depends on beside anchor and column; see [`Quantisation::key`].
     pub key: u32,
 }
@@ -39,11 +39,11 @@ impl Quantisation {
     #[must_use]
     pub fn key(seed: u64, step: u32) -> u32 {
         let halves = [seed as u32, (seed >> 32) as u32, step];
-        halves.into_iter().fold(0, |key, part| scramble(key ^ scramble(part)))
+        halves.into_iter().fold(0, |key, part| pcg_hash(key ^ pcg_hash(part)))
     }
 
     pub(super) fn uniform(&self, anchors: usize) -> QuantisationUniform {
-        let [features, scalings, offsets] = self.base_steps;
+        let [features, scalings, offsets] = self.base_quant_steps;
         QuantisationUniform {
             shape: [anchors as u32, self.phase as u32, self.key, 0],
             base: [features, scalings, offsets, 0.0],
@@ -60,7 +60,7 @@ pub(super) struct QuantisationUniform {
 }
 
 /// The hash of PCG: one round and its permutation.
-pub(in super::super) fn scramble(value: u32) -> u32 {
+pub(in super::super) fn pcg_hash(value: u32) -> u32 {
     let state = value.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
     let word = ((state >> ((state >> 28) + 4)) ^ state).wrapping_mul(277_803_737);
     (word >> 22) ^ word
@@ -73,7 +73,7 @@ pub struct QuantisedRows {
     quantise_gradient: Arc<Kernel>,
     rows: Buffer<f32>,
     steps: Buffer<f32>,
-    d_log_steps: Buffer<f32>,
+    d_log_quant_steps: Buffer<f32>,
 }
 
 impl QuantisedRows {
@@ -85,7 +85,7 @@ impl QuantisedRows {
             quantise_gradient: Plan::kernel(kernel_source!("quantise_gradient"), &shape.defs()),
             rows: Plan::buffer("rendered rows", anchors * shape.row()),
             steps: Plan::buffer("steps of anchors", 3 * anchors),
-            d_log_steps: Plan::buffer("gradients of steps", 3 * anchors),
+            d_log_quant_steps: Plan::buffer("gradients of steps", 3 * anchors),
         })
     }
 
@@ -115,8 +115,8 @@ impl QuantisedRows {
     /// The rendering loss's gradients by the base-2 logarithms of those steps, `[N][3]`, after
     /// [`Self::record_backward`].
     #[must_use]
-    pub fn log_step_gradients(&self) -> &Buffer<f32> {
-        &self.d_log_steps
+    pub fn log_quant_step_gradients(&self) -> &Buffer<f32> {
+        &self.d_log_quant_steps
     }
 
     /// The anchors with the rendered rows for their own; networks and all else are shared.
@@ -178,7 +178,7 @@ impl QuantisedRows {
                 anchors.masks.as_ref(),
                 self.steps.as_ref(),
                 d_rows.as_ref(),
-                self.d_log_steps.as_ref(),
+                self.d_log_quant_steps.as_ref(),
             ],
             anchors.count.div_ceil(64) as u32,
         );

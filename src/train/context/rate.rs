@@ -75,11 +75,28 @@ pub struct GroupOutputs<'a> {
     pub first_row: usize,
 }
 
-/// The rate term's kernels and figures.
+/// What a pass of the rate term measures.
+#[derive(Debug, Clone, Copy)]
+pub struct RateInputs<'a> {
+    /// The anchors.
+    pub anchors: &'a DeviceAnchors,
+    /// Their quantised rows, after [`QuantisedRows::record_backward`].
+    pub quantised: &'a QuantisedRows,
+    /// How those rows were quantised; the phase uses each anchor's own quantisation steps.
+    pub quantisation: &'a Quantisation,
+    /// The anchors whose bits are estimated.
+    pub sample: AnchorSample<'a>,
+    /// What the context networks predict for them.
+    pub outputs: [GroupOutputs<'a>; GROUPS],
+    /// Weight of the bits per element of the sample in the loss.
+    pub lambda: f64,
+}
+
+/// The rate term: its kernels and the bits of the last sample.
 #[derive(Debug)]
 pub struct RateTerm {
     rate: Arc<Kernel>,
-    refresh_steps: Arc<Kernel>,
+    refresh_quant_steps: Arc<Kernel>,
     sum_bits: Arc<Kernel>,
     shape: Shape,
     capacity: usize,
@@ -93,7 +110,7 @@ impl RateTerm {
     pub fn plan(shape: Shape, capacity: usize) -> Plan<'static, Self> {
         planned!(Self {
             rate: Plan::kernel(kernel_source!("rate"), &shape.defs()),
-            refresh_steps: Plan::kernel(kernel_source!("refresh_steps"), &[]),
+            refresh_quant_steps: Plan::kernel(kernel_source!("refresh_quant_steps"), &[]),
             sum_bits: Plan::kernel(kernel_source!("sum_bits"), &[]),
             shape: Plan::value(shape),
             capacity: Plan::value(capacity),
@@ -114,27 +131,21 @@ impl RateTerm {
         (lambda / (sampled * self.shape.row()).max(1) as f64) as f32
     }
 
-    /// Records the rate of the sample, whose anchors' steps are refreshed unless `overflow_flag` is set by then.
+    /// Records the bits of the sample and refreshes its anchors' quantisation steps unless `overflow_flag` is set by then.
     ///
-    /// Comes after rendering's way back: gradients are added to `d_rows`, which holds those by the anchors' rows, and
-    /// what rendering says of the sampled anchors' steps joins the gradient of their adjustments, scaled up to all anchors.
-    /// `quantisation` is that of the rendered rows, with a phase of each anchor's own steps.
+    /// The gradients are added to `d_rows`, which holds the rendering loss's gradients by the anchors' rows. The rendering loss's
+    /// gradients by the sampled quantisation steps, scaled up to all anchors, are added to those of the step adjustments.
     ///
     /// # Errors
     /// Faults of the device.
-    #[expect(clippy::too_many_arguments, reason = "one pass's worth of buffers, named at the one call")]
     pub fn record(
         &self,
         recorder: &mut Recorder<'_>,
-        anchors: &DeviceAnchors,
-        quantised: &QuantisedRows,
-        quantisation: &Quantisation,
-        sample: AnchorSample<'_>,
-        outputs: [GroupOutputs<'_>; GROUPS],
-        lambda: f64,
+        inputs: &RateInputs<'_>,
         d_rows: &Buffer<f32>,
         overflow_flag: &Buffer<u32>,
     ) -> Result<(), GpuError> {
+        let RateInputs { anchors, quantised, quantisation, sample, outputs, lambda } = *inputs;
         let shape = self.shape;
         let columns = [0, shape.scaling_column(), shape.offset_column(), shape.row()];
         let scaled_up = anchors.count as f64 / sample.count.max(1) as f64;
@@ -155,7 +166,7 @@ impl RateTerm {
                     anchors.rows.as_ref(),
                     anchors.masks.as_ref(),
                     output.values.as_ref(),
-                    quantised.log_step_gradients().as_ref(),
+                    quantised.log_quant_step_gradients().as_ref(),
                     output.gradients.as_ref(),
                     d_rows.as_ref(),
                     self.bits.as_ref(),
@@ -163,7 +174,7 @@ impl RateTerm {
                 groups,
             );
             recorder.dispatch(
-                &self.refresh_steps,
+                &self.refresh_quant_steps,
                 &[
                     settings.as_ref(),
                     sample.list.as_ref(),

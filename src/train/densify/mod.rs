@@ -19,7 +19,7 @@ const LEVELS: u32 = 3;
 
 /// The settings of one round.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Densify {
+pub struct DensifySettings {
     /// Threshold on the mean screen gradient at the coarsest level; it doubles with each finer level.
     pub threshold: f32,
     /// Views that an offset must have been seen in.
@@ -36,7 +36,7 @@ pub struct Densify {
 
 /// Parameters with their moments: what moves together when anchors come and go.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Trainable {
+pub struct TrainableAnchors {
     /// Anchors and rows.
     pub anchors: AnchorRows,
     /// First moments of the rows.
@@ -58,9 +58,9 @@ pub struct Outcome {
 
 /// One round of growth, then pruning.
 pub fn densify(
-    state: &mut Trainable,
+    state: &mut TrainableAnchors,
     statistics: &mut Statistics,
-    settings: &Densify,
+    settings: &DensifySettings,
     rng: &mut impl Rng,
 ) -> Outcome {
     let before = state.anchors.len();
@@ -74,7 +74,12 @@ pub fn densify(
 }
 
 /// Adds anchors where offsets moved much on screen; returns how many.
-fn grow(state: &mut Trainable, statistics: &Statistics, settings: &Densify, rng: &mut impl Rng) -> usize {
+fn grow(
+    state: &mut TrainableAnchors,
+    statistics: &Statistics,
+    settings: &DensifySettings,
+    rng: &mut impl Rng,
+) -> usize {
     let shape = state.anchors.shape;
     let existing = state.anchors.len();
     let candidates: Vec<(usize, [i32; 3], f32)> = (0..existing)
@@ -128,7 +133,7 @@ fn offset_position(anchors: &AnchorRows, anchor: usize, offset: usize) -> [f32; 
 }
 
 /// A new anchor: its feature is the elementwise maximum of its parents', its offsets are zero.
-fn push_anchor(state: &mut Trainable, cell: [i32; 3], parents: &[usize], log_scale: f32) {
+fn push_anchor(state: &mut TrainableAnchors, cell: [i32; 3], parents: &[usize], log_scale: f32) {
     let shape = state.anchors.shape;
     let mut row = vec![0.0; shape.row()];
     for (index, value) in row[..shape.features].iter_mut().enumerate() {
@@ -161,7 +166,7 @@ fn reset_seen_offsets(statistics: &mut Statistics, anchors: usize, min_views: f3
 }
 
 /// Removes anchors that were visited often and stayed transparent, and those that have no offset left; returns how many.
-fn prune(state: &mut Trainable, statistics: &mut Statistics, settings: &Densify) -> usize {
+fn prune(state: &mut TrainableAnchors, statistics: &mut Statistics, settings: &DensifySettings) -> usize {
     let offsets = statistics.shape.offsets;
     let mut keep = with_offsets(state);
     for (anchor, keep) in keep.iter_mut().enumerate() {
@@ -177,18 +182,18 @@ fn prune(state: &mut Trainable, statistics: &mut Statistics, settings: &Densify)
 }
 
 /// Which anchors have an offset left.
-fn with_offsets(state: &Trainable) -> Vec<bool> {
+fn with_offsets(state: &TrainableAnchors) -> Vec<bool> {
     state.anchors.masks.iter().map(|mask| *mask != 0).collect()
 }
 
 /// Removes the anchors that have no offset left; returns how many.
-pub(super) fn drop_masked(state: &mut Trainable, statistics: &mut Statistics) -> usize {
+pub(super) fn drop_masked(state: &mut TrainableAnchors, statistics: &mut Statistics) -> usize {
     let keep = with_offsets(state);
     retain(state, statistics, &keep)
 }
 
 /// Removes all that belongs to the anchors that are not kept; returns how many there were.
-fn retain(state: &mut Trainable, statistics: &mut Statistics, keep: &[bool]) -> usize {
+fn retain(state: &mut TrainableAnchors, statistics: &mut Statistics, keep: &[bool]) -> usize {
     let dropped = keep.iter().filter(|keep| !**keep).count();
     if dropped > 0 {
         let shape = state.anchors.shape;
@@ -216,7 +221,7 @@ fn retain_rows<T: Copy>(values: &mut Vec<T>, width: usize, keep: &[bool]) {
     values.truncate(next);
 }
 
-fn clamp_sizes(state: &mut Trainable, extent: f32) {
+fn clamp_sizes(state: &mut TrainableAnchors, extent: f32) {
     let shape = state.anchors.shape;
     let largest = MAX_LOG_SIZE + extent.max(f32::MIN_POSITIVE).ln();
     for row in state.anchors.values.chunks_exact_mut(shape.row()) {

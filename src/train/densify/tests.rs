@@ -12,7 +12,7 @@ use crate::{domain::Lattice, model::Shape, train::FIRST_LOGIT};
 const SHAPE: Shape = Shape { features: 4, offsets: 2 };
 const WIDTH: usize = 2 * SHAPE.offsets + 2;
 
-const SETTINGS: Densify = Densify {
+const SETTINGS: DensifySettings = DensifySettings {
     threshold: 1.0,
     min_views: 40.0,
     min_visits: 80.0,
@@ -22,7 +22,7 @@ const SETTINGS: Densify = Densify {
 };
 
 /// Anchors at these cells of a lattice of edge 1; every number in a row and its moments says whose it is.
-fn state(cells: &[[i32; 3]]) -> Trainable {
+fn state(cells: &[[i32; 3]]) -> TrainableAnchors {
     let row = SHAPE.row();
     let values: Vec<f32> = (0..cells.len() * row)
         .map(|i| match i % row {
@@ -32,7 +32,7 @@ fn state(cells: &[[i32; 3]]) -> Trainable {
         })
         .collect();
     let marks = |add: f32| (0..cells.len() * row).map(|i| (i / row) as f32 + add).collect();
-    Trainable {
+    TrainableAnchors {
         anchors: AnchorRows {
             shape: SHAPE,
             lattice: Lattice { voxel: 1.0, origin: [0.0; 3] },
@@ -47,7 +47,7 @@ fn state(cells: &[[i32; 3]]) -> Trainable {
 }
 
 /// Puts offset `k` of an anchor at this many cells from it.
-fn place_offset(state: &mut Trainable, anchor: usize, k: usize, cells: [f32; 3]) {
+fn place_offset(state: &mut TrainableAnchors, anchor: usize, k: usize, cells: [f32; 3]) {
     let row = &mut state.anchors.values[anchor * SHAPE.row()..][..SHAPE.row()];
     for axis in 0..3 {
         row[SHAPE.offset_column() + 3 * k + axis] = cells[axis] / row[SHAPE.scaling_column() + axis].exp();
@@ -59,22 +59,22 @@ fn statistics(anchors: usize) -> Statistics {
 }
 
 /// An offset that was seen `views` times with this mean gradient.
-fn saw(statistics: &mut Statistics, anchor: usize, k: usize, gradient: f32, views: f32) {
+fn record_views(statistics: &mut Statistics, anchor: usize, k: usize, gradient: f32, views: f32) {
     let row = statistics.row_mut(anchor);
     row[k] = gradient * views;
     row[SHAPE.offsets + k] = views;
 }
 
-fn visited(statistics: &mut Statistics, anchor: usize, opacity: f32, visits: f32) {
+fn record_visits(statistics: &mut Statistics, anchor: usize, opacity: f32, visits: f32) {
     let row = statistics.row_mut(anchor);
     row[2 * SHAPE.offsets] = opacity;
     row[2 * SHAPE.offsets + 1] = visits;
 }
 
 /// A source of random numbers that are all zero: every candidate is taken.
-struct Keep;
+struct AlwaysKeep;
 
-impl rand::TryRng for Keep {
+impl rand::TryRng for AlwaysKeep {
     type Error = std::convert::Infallible;
 
     fn try_next_u32(&mut self) -> Result<u32, Self::Error> {
@@ -92,11 +92,11 @@ impl rand::TryRng for Keep {
 }
 
 /// One anchor at the middle, its first offset 40 cells away along x.
-fn one_candidate(gradient: f32, views: f32) -> (Trainable, Statistics) {
+fn one_candidate(gradient: f32, views: f32) -> (TrainableAnchors, Statistics) {
     let mut state = state(&[[0, 0, 0]]);
     place_offset(&mut state, 0, 0, [40.0, 0.0, 0.0]);
     let mut statistics = statistics(1);
-    saw(&mut statistics, 0, 0, gradient, views);
+    record_views(&mut statistics, 0, 0, gradient, views);
     (state, statistics)
 }
 
@@ -106,7 +106,7 @@ fn mask_rows(anchors: usize) -> MaskRows {
     MaskRows { logits: marks(0.125), first: marks(0.25), second: marks(0.5) }
 }
 
-fn assert_aligned(state: &Trainable, statistics: &Statistics) {
+fn assert_aligned(state: &TrainableAnchors, statistics: &Statistics) {
     let count = state.anchors.len();
     for values in state.masks.iter().flat_map(|masks| [&masks.logits, &masks.first, &masks.second]) {
         assert_eq!(values.len(), count * SHAPE.offsets);
@@ -131,7 +131,7 @@ fn an_offset_grows_an_anchor_only_if_seen_often_and_moved_enough() {
         (1000.0, 0.0, false),
     ] {
         let (mut state, mut statistics) = one_candidate(gradient, views);
-        let outcome = densify(&mut state, &mut statistics, &SETTINGS, &mut Keep);
+        let outcome = densify(&mut state, &mut statistics, &SETTINGS, &mut AlwaysKeep);
         assert_eq!(outcome, Outcome { grown: usize::from(grows), pruned: 0 }, "{gradient} {views}");
         assert_aligned(&state, &statistics);
     }
@@ -140,7 +140,7 @@ fn an_offset_grows_an_anchor_only_if_seen_often_and_moved_enough() {
 #[test]
 fn a_new_anchor_stands_on_its_coarse_cells_point_with_the_cells_size() {
     let (mut state, mut statistics) = one_candidate(1.0, 41.0);
-    densify(&mut state, &mut statistics, &SETTINGS, &mut Keep);
+    densify(&mut state, &mut statistics, &SETTINGS, &mut AlwaysKeep);
     // 40 / 16 = 2.5 rounds to the even 2.
     assert_eq!(state.anchors.cells, [[0, 0, 0], [32, 0, 0]]);
     let row = state.anchors.row(1);
@@ -155,7 +155,7 @@ fn a_new_anchor_stands_on_its_coarse_cells_point_with_the_cells_size() {
 fn what_was_there_stays_as_it_was() {
     let (mut state, mut statistics) = one_candidate(1.0, 41.0);
     let before = state.clone();
-    densify(&mut state, &mut statistics, &SETTINGS, &mut Keep);
+    densify(&mut state, &mut statistics, &SETTINGS, &mut AlwaysKeep);
     assert_eq!(state.anchors.row(0), before.anchors.row(0));
     assert_eq!(state.first[..SHAPE.row()], before.first);
     assert_eq!(state.second[..SHAPE.row()], before.second);
@@ -174,10 +174,10 @@ fn a_new_anchors_feature_is_the_elementwise_maximum_of_its_parents() {
     // The third anchor's offset meets them in the same cell, but did not move enough.
     place_offset(&mut state, 2, 0, [-96.0, 0.0, 0.0]);
     let mut statistics = statistics(3);
-    saw(&mut statistics, 0, 0, 1.5, 50.0);
-    saw(&mut statistics, 1, 1, 1.5, 50.0);
-    saw(&mut statistics, 2, 0, 0.5, 50.0);
-    let outcome = densify(&mut state, &mut statistics, &SETTINGS, &mut Keep);
+    record_views(&mut statistics, 0, 0, 1.5, 50.0);
+    record_views(&mut statistics, 1, 1, 1.5, 50.0);
+    record_views(&mut statistics, 2, 0, 0.5, 50.0);
+    let outcome = densify(&mut state, &mut statistics, &SETTINGS, &mut AlwaysKeep);
     assert_eq!(outcome.grown, 1, "one cell, one anchor");
     assert_eq!(state.anchors.cells[3], [32, 0, 0]);
     assert_eq!(state.anchors.row(3)[..4], [1.0, -4.0, 0.75, -1.0]);
@@ -189,7 +189,7 @@ fn a_cell_that_is_taken_grows_nothing() {
     // 35 / 16 rounds to the same 2 as the candidate's cell.
     state.anchors.cells[0] = [35, 0, 0];
     place_offset(&mut state, 0, 0, [0.0, 0.0, 0.0]);
-    assert_eq!(densify(&mut state, &mut statistics, &SETTINGS, &mut Keep).grown, 0);
+    assert_eq!(densify(&mut state, &mut statistics, &SETTINGS, &mut AlwaysKeep).grown, 0);
 }
 
 #[test]
@@ -200,9 +200,9 @@ fn a_finer_level_has_twice_the_threshold_a_quarter_of_the_cell_and_needs_a_coars
         place_offset(&mut state, 0, 0, [40.0, 0.0, 0.0]);
         place_offset(&mut state, 0, 1, [0.0, 5.0, 0.0]);
         let mut statistics = statistics(1);
-        saw(&mut statistics, 0, 0, first, 41.0);
-        saw(&mut statistics, 0, 1, second, 41.0);
-        densify(&mut state, &mut statistics, &SETTINGS, &mut Keep);
+        record_views(&mut statistics, 0, 0, first, 41.0);
+        record_views(&mut statistics, 0, 1, second, 41.0);
+        densify(&mut state, &mut statistics, &SETTINGS, &mut AlwaysKeep);
         assert_aligned(&state, &statistics);
         state.anchors.cells[1..].to_vec()
     };
@@ -220,8 +220,8 @@ fn a_finer_level_has_twice_the_threshold_a_quarter_of_the_cell_and_needs_a_coars
 #[test]
 fn a_lattice_whose_coarsest_cell_is_its_own_has_one_level() {
     let (mut state, mut statistics) = one_candidate(100.0, 41.0);
-    let settings = Densify { coarsest: 1, ..SETTINGS };
-    assert_eq!(densify(&mut state, &mut statistics, &settings, &mut Keep).grown, 1);
+    let settings = DensifySettings { coarsest: 1, ..SETTINGS };
+    assert_eq!(densify(&mut state, &mut statistics, &settings, &mut AlwaysKeep).grown, 1);
     assert_eq!(state.anchors.cells[1], [40, 0, 0]);
 }
 
@@ -232,10 +232,10 @@ fn growth_stops_at_the_largest_number_of_anchors() {
         let mut statistics = statistics(5);
         for anchor in 0..5 {
             place_offset(&mut state, anchor, 0, [100.0, 0.0, 0.0]);
-            saw(&mut statistics, anchor, 0, 1.0, 41.0);
+            record_views(&mut statistics, anchor, 0, 1.0, 41.0);
         }
-        let settings = Densify { max_anchors, ..SETTINGS };
-        let outcome = densify(&mut state, &mut statistics, &settings, &mut Keep);
+        let settings = DensifySettings { max_anchors, ..SETTINGS };
+        let outcome = densify(&mut state, &mut statistics, &settings, &mut AlwaysKeep);
         assert_eq!(state.anchors.len(), max_anchors.clamp(5, 10));
         assert_eq!(outcome.grown, state.anchors.len() - 5);
         assert_aligned(&state, &statistics);
@@ -248,9 +248,9 @@ fn candidates_at_the_end_of_the_lattice_stay_within_what_the_file_format_codes()
     place_offset(&mut state, 0, 0, [1e9, -1e9, 0.0]);
     place_offset(&mut state, 0, 1, [-1e9, 1e9, 0.0]);
     let mut statistics = statistics(1);
-    saw(&mut statistics, 0, 0, 100.0, 41.0);
-    saw(&mut statistics, 0, 1, 100.0, 41.0);
-    densify(&mut state, &mut statistics, &SETTINGS, &mut Keep);
+    record_views(&mut statistics, 0, 0, 100.0, 41.0);
+    record_views(&mut statistics, 0, 1, 100.0, 41.0);
+    densify(&mut state, &mut statistics, &SETTINGS, &mut AlwaysKeep);
     assert!(state.anchors.len() > 1);
     assert_aligned(&state, &statistics);
     for axis in 0..3 {
@@ -265,9 +265,9 @@ fn offsets_that_were_eligible_begin_anew_and_the_others_go_on_gathering() {
     let mut state = state(&[[0, 0, 0]]);
     let mut statistics = statistics(1);
     // Eligible, though it moved too little to grow anything.
-    saw(&mut statistics, 0, 0, 0.25, 41.0);
-    saw(&mut statistics, 0, 1, 0.5, 40.0);
-    densify(&mut state, &mut statistics, &SETTINGS, &mut Keep);
+    record_views(&mut statistics, 0, 0, 0.25, 41.0);
+    record_views(&mut statistics, 0, 1, 0.5, 40.0);
+    densify(&mut state, &mut statistics, &SETTINGS, &mut AlwaysKeep);
     assert_eq!(statistics.row(0), [0.0, 20.0, 0.0, 40.0, 0.0, 0.0]);
 }
 
@@ -284,8 +284,8 @@ fn an_anchor_is_pruned_only_if_visited_often_and_transparent() {
     ] {
         let mut state = state(&[[0, 0, 0], [1, 0, 0]]);
         let mut statistics = statistics(2);
-        visited(&mut statistics, 0, opacity, visits);
-        let outcome = densify(&mut state, &mut statistics, &SETTINGS, &mut Keep);
+        record_visits(&mut statistics, 0, opacity, visits);
+        let outcome = densify(&mut state, &mut statistics, &SETTINGS, &mut AlwaysKeep);
         assert_eq!(outcome, Outcome { grown: 0, pruned: usize::from(!stays) }, "{opacity} in {visits}");
         assert_aligned(&state, &statistics);
         if stays {
@@ -303,11 +303,11 @@ fn everything_that_belongs_to_an_anchor_moves_with_it() {
     let mut statistics = statistics(10);
     let gone = [0, 3, 4, 9];
     for anchor in 0..10 {
-        saw(&mut statistics, anchor, 1, 0.25, anchor as f32);
+        record_views(&mut statistics, anchor, 1, 0.25, anchor as f32);
         let opacity = if gone.contains(&anchor) { 0.0 } else { 100.0 };
-        visited(&mut statistics, anchor, opacity, 81.0);
+        record_visits(&mut statistics, anchor, opacity, 81.0);
     }
-    assert_eq!(densify(&mut state, &mut statistics, &SETTINGS, &mut Keep).pruned, 4);
+    assert_eq!(densify(&mut state, &mut statistics, &SETTINGS, &mut AlwaysKeep).pruned, 4);
     assert_aligned(&state, &statistics);
     let stayed: Vec<usize> = (0..10).filter(|anchor| !gone.contains(anchor)).collect();
     for (now, was) in stayed.into_iter().enumerate() {
@@ -324,8 +324,8 @@ fn everything_that_belongs_to_an_anchor_moves_with_it() {
 #[test]
 fn an_anchor_that_just_grew_is_not_pruned_when_its_parent_is() {
     let (mut state, mut statistics) = one_candidate(1.0, 41.0);
-    visited(&mut statistics, 0, 0.0, 81.0);
-    let outcome = densify(&mut state, &mut statistics, &SETTINGS, &mut Keep);
+    record_visits(&mut statistics, 0, 0.0, 81.0);
+    let outcome = densify(&mut state, &mut statistics, &SETTINGS, &mut AlwaysKeep);
     assert_eq!(outcome, Outcome { grown: 1, pruned: 1 });
     assert_eq!(state.anchors.cells, [[32, 0, 0]]);
     assert_aligned(&state, &statistics);
@@ -336,8 +336,8 @@ fn anchors_without_an_offset_go_however_opaque_they_were() {
     let mut state = state(&[[0, 0, 0], [1, 0, 0], [2, 0, 0]]);
     state.anchors.masks = vec![0b01, 0, 0b10];
     let mut statistics = statistics(3);
-    visited(&mut statistics, 1, 100.0, 81.0);
-    assert_eq!(densify(&mut state, &mut statistics, &SETTINGS, &mut Keep).pruned, 1);
+    record_visits(&mut statistics, 1, 100.0, 81.0);
+    assert_eq!(densify(&mut state, &mut statistics, &SETTINGS, &mut AlwaysKeep).pruned, 1);
     assert_eq!(state.anchors.cells, [[0, 0, 0], [2, 0, 0]]);
     assert_aligned(&state, &statistics);
 }
@@ -348,7 +348,7 @@ fn logits_and_their_moments_move_with_their_anchors() {
     state.masks = Some(mask_rows(4));
     state.anchors.masks = vec![0, 0b11, 0b01, 0];
     let mut statistics = statistics(4);
-    saw(&mut statistics, 2, 1, 0.25, 7.0);
+    record_views(&mut statistics, 2, 1, 0.25, 7.0);
     assert_eq!(drop_masked(&mut state, &mut statistics), 2);
     assert_aligned(&state, &statistics);
     assert_eq!(state.anchors.cells, [[5, 0, 0], [9, 0, 0]]);
@@ -364,7 +364,7 @@ fn logits_and_their_moments_move_with_their_anchors() {
 fn a_new_anchors_masks_begin_as_those_of_the_first_ones_did() {
     let (mut state, mut statistics) = one_candidate(1.0, 41.0);
     state.masks = Some(mask_rows(1));
-    densify(&mut state, &mut statistics, &SETTINGS, &mut Keep);
+    densify(&mut state, &mut statistics, &SETTINGS, &mut AlwaysKeep);
     assert_aligned(&state, &statistics);
     let masks = state.masks.expect("they learn");
     assert_eq!(masks.logits, [0.125, 0.125, FIRST_LOGIT, FIRST_LOGIT]);
@@ -380,7 +380,7 @@ fn base_sizes_are_held_relative_to_the_scene_and_nothing_else_is() {
         state.anchors.values[SHAPE.row() + s..SHAPE.row() + o].fill(-20.0);
         let mut expected = state.anchors.values.clone();
         expected[s + 3..o].fill(extent.ln() + 0.05);
-        densify(&mut state, &mut statistics(2), &Densify { extent, ..SETTINGS }, &mut Keep);
+        densify(&mut state, &mut statistics(2), &DensifySettings { extent, ..SETTINGS }, &mut AlwaysKeep);
         assert_eq!(state.anchors.values, expected);
     }
 }
@@ -392,9 +392,9 @@ fn about_half_of_the_candidates_of_the_coarsest_level_are_taken() {
     let mut statistics = statistics(2000);
     for anchor in 0..2000 {
         place_offset(&mut state, anchor, 0, [100.0, 0.0, 0.0]);
-        saw(&mut statistics, anchor, 0, 1.0, 41.0);
+        record_views(&mut statistics, anchor, 0, 1.0, 41.0);
     }
-    let settings = Densify { max_anchors: usize::MAX, ..SETTINGS };
+    let settings = DensifySettings { max_anchors: usize::MAX, ..SETTINGS };
     let outcome = densify(&mut state, &mut statistics, &settings, &mut Pcg64::seed_from_u64(1));
     // Five standard deviations of a fair coin.
     assert!(outcome.grown.abs_diff(1000) < 112, "{}", outcome.grown);
@@ -413,11 +413,11 @@ proptest! {
         let mut begin = state(&cells);
         let mut gathered = statistics(count);
         for (anchor, (gradient, views, away)) in numbers.into_iter().take(count).enumerate() {
-            saw(&mut gathered, anchor, anchor % 2, gradient, views);
-            visited(&mut gathered, anchor, gradient, 2.0 * views);
+            record_views(&mut gathered, anchor, anchor % 2, gradient, views);
+            record_visits(&mut gathered, anchor, gradient, 2.0 * views);
             place_offset(&mut begin, anchor, anchor % 2, [away, -0.5 * away, 3.0]);
         }
-        let settings = Densify { max_anchors: 45, ..SETTINGS };
+        let settings = DensifySettings { max_anchors: 45, ..SETTINGS };
         let round = || {
             let (mut state, mut statistics) = (begin.clone(), gathered.clone());
             let mut rng = Pcg64::seed_from_u64(seed);

@@ -8,15 +8,14 @@ use std::sync::Arc;
 use rand_pcg::Pcg64;
 
 use super::{
-    Adam, CheckpointError, Moments, TrainError,
-    budget::Footprint,
-    checkpoint::LearnerState,
-    model_trainer::{Finished, Learner, SampleRate, Size, Step},
+    Adam, AdamStep, CheckpointError, Moments, TrainError,
+    checkpoint::ModelState,
+    model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step},
     schedule::PlainSchedule,
 };
 use crate::{
     domain::{Camera, CancelFlag, Frame, GaussianScene, NearPlane, Scene},
-    gpu::{AdapterReport, Buffer, Device, Recorder, buffer_bytes},
+    gpu::{Buffer, Device, Recorder},
     model::{
         GaussianRows,
         gaussian_rows::{BANDS, BASE, COLOR, LOG_SCALE, OPACITY, QUAT, band_values},
@@ -24,7 +23,7 @@ use crate::{
     },
     render::{DeviceGaussians, GaussianGradients, Gaussians, PlainGaussians, STATISTICS},
 };
-use grow::{Growth, PlainState, grow_and_prune, reset_opacities};
+use grow::{GrowthSettings, TrainableGaussians, grow_and_prune, reset_opacities};
 
 /// Names of the arrays of a checkpoint: parameters, first and second moments.
 const ROWS: [&str; 3] = ["gaussians", "gaussians.first", "gaussians.second"];
@@ -34,8 +33,8 @@ fn band_name(rows: &str, band: usize) -> String {
     format!("{rows}.band{}", band + 1)
 }
 
-/// Gaussians, and what their optimiser and their growth remember.
-pub(super) struct PlainLearner {
+/// Gaussians with the state of their optimiser and of growth.
+pub(super) struct PlainTrainer {
     device: Arc<Device>,
     schedule: PlainSchedule,
     extent: f32,
@@ -48,9 +47,9 @@ pub(super) struct PlainLearner {
     adam: Adam,
 }
 
-impl PlainLearner {
-    /// Gaussians at `points`, which have `colors` or none; `extent` is the scene's, in world units.
-    pub(super) fn begin(
+impl PlainTrainer {
+    /// A trainer with Gaussians at `points`, whose `colors` may be empty; `extent` is the scene's, in world units.
+    pub(super) fn new(
         device: &Arc<Device>,
         mut schedule: PlainSchedule,
         points: &[[f32; 3]],
@@ -59,7 +58,7 @@ impl PlainLearner {
         rng: &mut Pcg64,
     ) -> Result<Self, TrainError> {
         schedule.max_gaussians = schedule.max_gaussians.min(PlainGaussians::max_gaussians(device.adapter()));
-        // Growth needs room above what the points begin with.
+        // Half the limit is left for growth.
         let values = initial_gaussians(points, colors, schedule.max_gaussians / 2, rng)?;
         let zero = || DeviceGaussians::plan(values.len()).make(device);
         Ok(Self {
@@ -76,19 +75,19 @@ impl PlainLearner {
         })
     }
 
-    /// The learner that [`Learner::save`] was asked of.
+    /// The trainer with the state that [`ModelTrainer::save`] returned.
     pub(super) fn resume(
         device: &Arc<Device>,
         schedule: PlainSchedule,
         extent: f32,
-        mut state: LearnerState,
+        mut state: ModelState,
     ) -> Result<Self, TrainError> {
         let mut rows = Vec::new();
         for name in ROWS {
             let base: Vec<f32> = state.take(name)?;
             let count = base.len() / BASE;
             if count == 0 || base.len() != count * BASE {
-                let fault = format!("has {} values, which are no rows of {BASE}", base.len());
+                let fault = format!("has {} values, which is not a multiple of {BASE}", base.len());
                 return Err(CheckpointError::array(name, fault).into());
             }
             let mut band = |band: usize| state.take_exactly(&band_name(name, band), count * BANDS[band]);
@@ -121,7 +120,7 @@ impl PlainLearner {
         })
     }
 
-    fn base_rates(&self, fraction: f64) -> [f32; BASE] {
+    fn base_learning_rates(&self, fraction: f64) -> [f32; BASE] {
         let mut rates = [self.schedule.color; BASE];
         rates[..LOG_SCALE].fill(self.schedule.mean.at(fraction) as f32 * self.extent);
         rates[LOG_SCALE..QUAT].fill(self.schedule.log_scale);
@@ -137,44 +136,30 @@ impl PlainLearner {
         step: &Step,
         overflow_flag: &Buffer<u32>,
     ) -> Result<(), TrainError> {
-        let rates = recorder.uniform(&self.base_rates(step.fraction))?;
+        let learning_rates = recorder.uniform(&self.base_learning_rates(step.fraction))?;
+        let adam_step = AdamStep { number: step.number, overflow_flag };
         let moments = Moments { first: self.first.base.clone(), second: self.second.base.clone() };
-        self.adam.step(
-            recorder,
-            step.number,
-            overflow_flag,
-            &rates,
-            &self.gradients.base,
-            &self.rows.base,
-            &moments,
-        )?;
+        let (gradients, rows) = (&self.gradients, &self.rows);
+        self.adam.step(recorder, adam_step, &learning_rates, &gradients.base, &rows.base, &moments)?;
         let in_use = self.rows.count * band_values(self.plain.degree() as usize);
         if in_use > 0 {
-            let rates = recorder.uniform(&[self.schedule.coefficients])?;
+            let learning_rates = recorder.uniform(&[self.schedule.coefficients])?;
             let moments = Moments { first: self.first.bands.clone(), second: self.second.bands.clone() };
-            let bands = self.rows.bands.first(in_use);
-            self.adam.step(
-                recorder,
-                step.number,
-                overflow_flag,
-                &rates,
-                &self.gradients.bands,
-                &bands,
-                &moments,
-            )?;
+            let bands = rows.bands.first(in_use);
+            self.adam.step(recorder, adam_step, &learning_rates, &gradients.bands, &bands, &moments)?;
         }
         Ok(())
     }
 
-    fn download(&self) -> Result<PlainState, TrainError> {
-        Ok(PlainState {
+    fn download(&self) -> Result<TrainableGaussians, TrainError> {
+        Ok(TrainableGaussians {
             values: self.rows.download(&self.device)?,
             first: self.first.download(&self.device)?,
             second: self.second.download(&self.device)?,
         })
     }
 
-    fn upload(&mut self, state: &PlainState) -> Result<(), TrainError> {
+    fn upload(&mut self, state: &TrainableGaussians) -> Result<(), TrainError> {
         let count = state.values.len();
         self.rows = DeviceGaussians::upload(&self.device, &state.values)?;
         self.first = DeviceGaussians::upload(&self.device, &state.first)?;
@@ -185,9 +170,9 @@ impl PlainLearner {
         Ok(())
     }
 
-    fn grow(&mut self, state: &mut PlainState, step: u32, rng: &mut Pcg64) -> Result<(), TrainError> {
+    fn grow(&mut self, state: &mut TrainableGaussians, step: u32, rng: &mut Pcg64) -> Result<(), TrainError> {
         let statistics = self.device.read(&self.statistics)?;
-        let settings = Growth {
+        let settings = GrowthSettings {
             threshold: self.schedule.growth_threshold,
             extent: self.extent,
             max_gaussians: self.schedule.max_gaussians,
@@ -199,47 +184,13 @@ impl PlainLearner {
         if gaussians == 0 {
             return Err(TrainError::NothingLeft { step });
         }
-        // Everyone begins anew, also those that did not grow, as published.
+        // All statistics restart, also of Gaussians that did not grow, as published.
         self.statistics = self.device.buffer("growth statistics", STATISTICS * gaussians)?;
         Ok(())
     }
 }
 
-/// What plain Gaussians take.
-#[derive(Debug)]
-pub(super) struct PlainFootprint {
-    pub(super) max_gaussians: usize,
-}
-
-impl Footprint for PlainFootprint {
-    fn unit(&self) -> &'static str {
-        "Gaussians"
-    }
-
-    fn most(&self, adapter: &AdapterReport) -> usize {
-        self.max_gaussians.min(PlainGaussians::max_gaussians(adapter))
-    }
-
-    /// Parameters, gradients and two moments; a round of growth replaces them one after another.
-    fn model_bytes(&self, gaussians: usize) -> u64 {
-        5 * DeviceGaussians::plan(gaussians).bytes() + 2 * buffer_bytes::<f32>(STATISTICS * gaussians)
-    }
-
-    fn view_bytes(&self, gaussians: usize) -> u64 {
-        PlainGaussians::bytes(gaussians)
-    }
-
-    fn gaussians(&self, gaussians: usize) -> usize {
-        gaussians
-    }
-
-    /// A round of growth: rows and moments as read back, as grown, and on their way to the device.
-    fn host_bytes(&self, gaussians: usize) -> u64 {
-        9 * DeviceGaussians::plan(gaussians).bytes() + (gaussians * STATISTICS * size_of::<f32>()) as u64
-    }
-}
-
-impl Learner for PlainLearner {
+impl ModelTrainer for PlainTrainer {
     fn forward(
         &mut self,
         recorder: &mut Recorder<'_>,
@@ -302,17 +253,17 @@ impl Learner for PlainLearner {
         0
     }
 
-    fn size(&self) -> Result<Size, TrainError> {
-        Ok(Size { anchors: 0, gaussians: self.rows.count })
+    fn size(&self) -> Result<ModelSize, TrainError> {
+        Ok(ModelSize { anchors: 0, gaussians: self.rows.count })
     }
 
-    fn rate(&self) -> Result<Option<SampleRate>, TrainError> {
+    fn bitrate(&self) -> Result<Option<BitrateSample>, TrainError> {
         Ok(None)
     }
 
-    fn save(&self) -> Result<LearnerState, TrainError> {
-        let PlainState { values, first, second } = self.download()?;
-        let mut state = LearnerState::default();
+    fn save(&self) -> Result<ModelState, TrainError> {
+        let TrainableGaussians { values, first, second } = self.download()?;
+        let mut state = ModelState::default();
         for (name, rows) in ROWS.into_iter().zip([values, first, second]) {
             state.put(name, rows.base);
             for (band, values) in rows.bands.into_iter().enumerate() {
@@ -320,15 +271,19 @@ impl Learner for PlainLearner {
             }
         }
         state.put("growth", self.device.read(&self.statistics)?);
-        // Of the last view, which a run that goes on from its last step does not render again.
+        // The degree of the last view, which a run resumed after its last step does not render again.
         state.put("degree", vec![self.plain.degree()]);
         Ok(state)
     }
 
-    fn finish(self: Box<Self>, _frames: &[&Frame], _cancel: &CancelFlag) -> Result<Finished, TrainError> {
+    fn finish(
+        self: Box<Self>,
+        _frames: &[&Frame],
+        _cancel: &CancelFlag,
+    ) -> Result<FinishedModel, TrainError> {
         let rows = self.rows.download(&self.device)?;
         let scene = rows.to_scene(self.plain.degree() as usize);
         let scene = Scene::Gaussians(GaussianScene { near: NearPlane::of_extent(self.extent), ..scene });
-        Ok(Finished { scene, context: None })
+        Ok(FinishedModel { scene, context: None })
     }
 }

@@ -1,50 +1,51 @@
-//! When a run begins to feel what its file will cost, in fractions of the run (METHOD.md §4.2).
+//! The stages of compression-aware training, in fractions of the run (METHOD.md §4.2).
 //!
-//! What always holds: the stages come in the order of [`Stage`], and each begins after some step, when the host sets it up.
+//! Invariant: the stages follow each other in the order of [`Stage`].
 
 use super::Decay;
 use crate::domain::{Component, ContextKind, ModelKind, Preset, TrainOptions};
 
-/// Share of the anchors whose rate a step measures (METHOD.md §4.5).
-const SAMPLED: f64 = 0.15;
+/// Share of the anchors whose bits a step estimates (METHOD.md §4.5).
+const SAMPLE_SHARE: f64 = 0.15;
 
 /// Weight of the planes' reconstruction loss (METHOD.md §4.6).
 const RECONSTRUCTION: f32 = 0.01;
 
-/// Weight of the bits an element in the loss, if a job does not state it: the published one (METHOD.md §4.8), and that of
-/// short runs, in which attributes have fewer steps to make up for what the rate asks of them.
+/// Default weight of the bits per element in the loss: the published one (METHOD.md §4.8), and a smaller one for short runs, in
+/// which attributes have fewer steps to recover from quantisation.
 const PUBLISHED_LAMBDA: f64 = 1e-3;
 const PREVIEW_LAMBDA: f64 = 5e-4;
 
-/// Fewest steps of a run whose planes are stored as latents and up-sampling layers. Layers learn in a third of a run's steps; in
-/// runs of 200 to 600 they left planes so much worse that files were 2 to 8 % larger at the same PSNR, on every set, than with planes
-/// stored as they are, which take about 1 kB.
-const LAYERS_FROM: u32 = 30_000;
+/// Fewest steps of a run whose planes are stored as latents and up-sampling layers. The layers learn in a third of the run; in runs
+/// of 200 to 600 steps, files were 2 to 8 % larger at the same PSNR, on every dataset, than with planes stored directly, which take
+/// about 1 kB.
+const MIN_STEPS_FOR_LAYERS: u32 = 30_000;
 
-/// Base steps of short runs.
-const SHORT: BaseStepRule = BaseStepRule::Relative { feature: 0.25, scaling: 0.25, offset: 0.1, finer: 2.0 };
+/// Base quantisation steps of short runs.
+const SHORT: BaseQuantStepRule =
+    BaseQuantStepRule::Relative { feature: 0.25, scaling: 0.25, offset: 0.1, finer_octaves: 2.0 };
 
-/// What rendering sees of the attributes, and what the rate term does.
+/// The form in which attributes are rendered, and what the rate term does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
-    /// Attributes as they are.
+    /// Attributes without quantisation.
     Plain,
-    /// Attributes with uniform noise as wide as the base steps.
+    /// Attributes with uniform noise as wide as the base quantisation steps.
     Noise,
-    /// The context model learns, and with it every anchor's own steps; the rate is part of the loss.
+    /// The context model and each anchor's own quantisation steps learn; the rate term is part of the loss.
     Context,
-    /// As the decoder will see it: attributes, the networks' weights and the planes' latents rounded to what a file holds.
+    /// As decoded: attributes, the networks' weights and the planes' latents are rounded to the values that a file stores.
     Rounded,
 }
 
-/// How the base steps of the attribute groups are chosen.
+/// How the base quantisation steps of the attribute groups are chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum BaseStepRule {
+pub enum BaseQuantStepRule {
     /// 1 for features, 0.001 world units for scalings, 0.2 for offsets (METHOD.md §4.2).
     Published,
-    /// Steps for features and offsets, and a share of the median scaling, whatever the unit of the world. Noise begins as many
-    /// octaves finer: features of short runs are still so small that the published noise would drown them, and
-    /// offsets so near to zero that their spread says nothing of what it will be.
+    /// Steps of features and offsets, and of scalings as a share of the median scaling, whatever the unit of the world. The first
+    /// noise is finer: in short runs features are still so small that the published noise would hide them, and offsets so near zero
+    /// that their spread does not predict the final one.
     Relative {
         /// Of features.
         feature: f32,
@@ -53,17 +54,17 @@ pub enum BaseStepRule {
         /// Of offsets.
         offset: f32,
         /// Octaves by which the first noise is finer.
-        finer: f32,
+        finer_octaves: f32,
     },
 }
 
-impl BaseStepRule {
+impl BaseQuantStepRule {
     /// Octaves by which the first noise is finer than the base steps.
     #[must_use]
-    pub fn finer(&self) -> f32 {
+    pub fn finer_octaves(&self) -> f32 {
         match self {
-            BaseStepRule::Published => 0.0,
-            BaseStepRule::Relative { finer, .. } => *finer,
+            BaseQuantStepRule::Published => 0.0,
+            BaseQuantStepRule::Relative { finer_octaves, .. } => *finer_octaves,
         }
     }
 }
@@ -77,27 +78,27 @@ pub struct CompressionSchedule {
     pub context_from: u32,
     /// First step whose loss has the planes' reconstruction.
     pub reconstruct_from: u32,
-    /// First step that sees everything rounded.
+    /// First step that renders everything rounded.
     pub rounded_from: u32,
     /// Last step.
     pub steps: u32,
-    /// How base steps are chosen.
-    pub base: BaseStepRule,
-    /// Weight of the bits an element in the loss.
+    /// How base quantisation steps are chosen.
+    pub base: BaseQuantStepRule,
+    /// Weight of the bits per element in the loss.
     pub lambda: f64,
     /// Seed of noise and samples.
     pub seed: u64,
     /// Share of the anchors in the sample of a step.
-    pub sampled: f64,
-    /// Rate of planes and of their down- and up-sampling, from the begin of the context model to the end of the run.
+    pub sample_share: f64,
+    /// Learning rate of planes and of their down- and up-sampling layers, from the context model's first step to the last step.
     pub planes: Decay,
-    /// Rate of the groups' networks, over the same steps.
+    /// Learning rate of the groups' networks, over the same steps.
     pub networks: Decay,
     /// Weight of the planes' reconstruction loss.
     pub reconstruction: f32,
-    /// What the groups' networks are given.
+    /// The inputs of the groups' networks.
     pub kind: ContextKind,
-    /// Whether planes are stored as latents and up-sampling layers, and not as they are.
+    /// Whether planes are stored as latents and up-sampling layers instead of directly.
     pub compresses_planes: bool,
 }
 
@@ -109,23 +110,23 @@ impl CompressionSchedule {
         }
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
         let paper = options.preset == Preset::Paper;
-        let rate = Decay::exponential(5e-3, 1e-5);
+        let learning_rate = Decay::exponential(5e-3, 1e-5);
         Some(Self {
             noise_from: part(0.1) + 1,
             context_from: part(1.0 / 3.0) + 1,
             reconstruct_from: part(0.5) + 1,
             rounded_from: part(0.85) + 1,
             steps,
-            base: if paper { BaseStepRule::Published } else { SHORT },
+            base: if paper { BaseQuantStepRule::Published } else { SHORT },
             lambda: options.lambda.unwrap_or(if options.preset == Preset::Preview {
                 PREVIEW_LAMBDA
             } else {
                 PUBLISHED_LAMBDA
             }),
             seed: options.seed,
-            sampled: SAMPLED,
-            planes: rate,
-            networks: rate,
+            sample_share: SAMPLE_SHARE,
+            planes: learning_rate,
+            networks: learning_rate,
             reconstruction: RECONSTRUCTION,
             kind: if !options.has(Component::TriPlane) {
                 ContextKind::Position
@@ -135,11 +136,11 @@ impl CompressionSchedule {
                 ContextKind::TriPlaneKnn
             },
             compresses_planes: options.has(Component::PlaneCompression)
-                && (steps >= LAYERS_FROM || options.with.contains(&Component::PlaneCompression)),
+                && (steps >= MIN_STEPS_FOR_LAYERS || options.with.contains(&Component::PlaneCompression)),
         })
     }
 
-    /// What `step` is part of.
+    /// The stage of `step`.
     #[must_use]
     pub fn stage(&self, step: u32) -> Stage {
         if step >= self.rounded_from {
@@ -153,15 +154,15 @@ impl CompressionSchedule {
         }
     }
 
-    /// Whether another stage begins after `step`, which is not the last one.
+    /// Whether another stage starts after `step`; false for the last step.
     #[must_use]
-    pub fn turns_after(&self, step: u32) -> bool {
+    pub fn changes_stage_after(&self, step: u32) -> bool {
         step < self.steps && self.stage(step) != self.stage(step + 1)
     }
 
-    /// How far the context model is at `step`: 0 before its first step, 1 at the run's last one.
+    /// Progress of the context model's training at `step`: 0 before its first step, 1 at the run's last.
     #[must_use]
-    pub fn learnt(&self, step: u32) -> f64 {
+    pub fn context_progress(&self, step: u32) -> f64 {
         let before = self.context_from.saturating_sub(1);
         let whole = self.steps.saturating_sub(before).max(1);
         f64::from(step.saturating_sub(before)) / f64::from(whole)
@@ -189,15 +190,15 @@ mod tests {
         let paper = schedule(&TrainOptions { preset: Preset::Paper, ..TrainOptions::default() });
         assert_eq!((paper.noise_from, paper.context_from), (3_001, 10_001));
         assert_eq!((paper.reconstruct_from, paper.rounded_from), (15_001, 25_501));
-        assert_eq!(paper.base, BaseStepRule::Published);
-        assert_eq!((paper.lambda, paper.sampled, paper.reconstruction), (0.001, 0.15, 0.01));
-        assert!((paper.networks.at(paper.learnt(10_001)) - 5e-3).abs() < 1e-5);
-        assert!((paper.planes.at(paper.learnt(30_000)) - 1e-5).abs() < 1e-12);
+        assert_eq!(paper.base, BaseQuantStepRule::Published);
+        assert_eq!((paper.lambda, paper.sample_share, paper.reconstruction), (0.001, 0.15, 0.01));
+        assert!((paper.networks.at(paper.context_progress(10_001)) - 5e-3).abs() < 1e-5);
+        assert!((paper.planes.at(paper.context_progress(30_000)) - 1e-5).abs() < 1e-12);
         assert_eq!([15_000, 15_001].map(|step| paper.reconstruction_at(step)), [0.0, 0.01]);
         let stages = [1, 3_000, 3_001, 10_000, 10_001, 25_500, 25_501, 30_000].map(|step| paper.stage(step));
         use Stage::{Context, Noise, Plain, Rounded};
         assert_eq!(stages, [Plain, Plain, Noise, Noise, Context, Context, Rounded, Rounded]);
-        let turns: Vec<u32> = (0..=30_000).filter(|step| paper.turns_after(*step)).collect();
+        let turns: Vec<u32> = (0..=30_000).filter(|step| paper.changes_stage_after(*step)).collect();
         assert_eq!(turns, [3_000, 10_000, 25_500]);
     }
 
@@ -206,7 +207,7 @@ mod tests {
         for steps in [1, 2, 3, 7, 30, 400] {
             let run = schedule(&TrainOptions { iterations: Some(steps), ..TrainOptions::default() });
             assert!((1..steps).all(|step| run.stage(step) <= run.stage(step + 1)), "{run:?}");
-            assert!((0..=steps).all(|step| (0.0..=1.0).contains(&run.learnt(step))));
+            assert!((0..=steps).all(|step| (0.0..=1.0).contains(&run.context_progress(step))));
         }
     }
 

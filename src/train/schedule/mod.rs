@@ -1,5 +1,5 @@
-//! The schedule in fractions of the run, so that a preview and a run of 30 000 steps share one shape. `docs/SCHEDULE.md`
-//! has it as one table for all presets.
+//! The schedule of a run, in fractions of its length, so that presets of different lengths share one shape. `docs/SCHEDULE.md`
+//! lists it for all presets.
 
 mod compression;
 mod plain;
@@ -7,7 +7,7 @@ mod table;
 
 use std::ops::Range;
 
-pub use compression::{BaseStepRule, CompressionSchedule, Stage};
+pub use compression::{BaseQuantStepRule, CompressionSchedule, Stage};
 pub(super) use plain::PlainSchedule;
 pub use table::schedule_table;
 
@@ -17,74 +17,73 @@ use crate::{
     model::{Shape, VoxelRule},
 };
 
-/// The largest factor of the anchors' rates in short runs.
-const MOST_SPEED: f64 = 3.2;
+/// Largest factor of the anchors' learning rates in short runs.
+const MAX_SPEEDUP: f64 = 3.2;
 
-/// How many times faster than published masks learn in short runs, at most: beyond, a step is as large as the way.
-const MOST_MASK_SPEED: f64 = 125.0;
+/// Largest factor of the masks' learning rate in short runs: beyond it, one step moves a logit all the way to the level.
+const MAX_MASK_SPEEDUP: f64 = 125.0;
 
-/// How a learning rate goes from its first value to its last.
+/// How a learning rate decays from its first value to its last.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Fall {
+pub enum DecayShape {
     /// By the same factor every step (METHOD.md §2.5).
     Exponential,
-    /// With the square of what is left of the run.
+    /// With the square of the remaining fraction of the run.
     Quadratic,
 }
 
-/// A learning rate that goes from `start` to `end`.
+/// A learning rate that decays from `start` to `end`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Decay {
     /// At the first step.
     pub start: f64,
     /// At the last step.
     pub end: f64,
-    /// The way between.
-    pub fall: Fall,
+    /// How it decays in between.
+    pub shape: DecayShape,
 }
 
 impl Decay {
-    /// A rate that falls by the same factor every step, as the published ones.
+    /// A learning rate that decays by the same factor every step, like the published ones.
     #[must_use]
     pub const fn exponential(start: f64, end: f64) -> Self {
-        Self { start, end, fall: Fall::Exponential }
+        Self { start, end, shape: DecayShape::Exponential }
     }
 
-    const fn constant(rate: f64) -> Self {
-        Self::exponential(rate, rate)
+    const fn constant(learning_rate: f64) -> Self {
+        Self::exponential(learning_rate, learning_rate)
     }
 
-    /// The rate at a fraction of the run.
+    /// The learning rate at a fraction of the run.
     #[must_use]
     pub fn at(&self, fraction: f64) -> f64 {
         let fraction = fraction.clamp(0.0, 1.0);
         let left = 1.0 - fraction;
-        match self.fall {
-            Fall::Exponential => (left * self.start.ln() + fraction * self.end.ln()).exp(),
-            Fall::Quadratic => self.end + left * left * (self.start - self.end),
+        match self.shape {
+            DecayShape::Exponential => (left * self.start.ln() + fraction * self.end.ln()).exp(),
+            DecayShape::Quadratic => self.end + left * left * (self.start - self.end),
         }
     }
 }
 
-/// How many times shorter a run of `steps` steps is than the one that the published rates are made for.
-pub(super) fn shortness(steps: u32) -> f64 {
+/// How many times shorter a run of `steps` steps is than the published one of 30 000 steps.
+pub(super) fn speedup(steps: u32) -> f64 {
     30_000.0 / f64::from(steps.max(1))
 }
 
-/// A published rate of anchors in a run of `steps` steps: Adam moves a parameter by no more than the sum of its rates, so
-/// in shorter runs they begin larger and stay so for longer. A fall in a line would have a larger sum yet, but leaves too
-/// much of the rates to the end, where masks are settled and all is rounded. The fourth root is what the baseline of
-/// plain Gaussians has for what does not move in space, so that no model owes its lead to faster rates.
-fn of_anchors(published: Decay, steps: u32) -> Decay {
-    let shortness = shortness(steps);
-    if shortness <= 1.0 {
+/// A published learning rate of anchors, adapted to a run of `steps` steps. Adam moves a parameter by at most the sum of its
+/// learning rates, so in shorter runs they start larger and decay later. A linear decay would have a larger sum still, but keeps
+/// the rates too high at the end, where masks are fixed and attributes rounded. The factor is the fourth root of the speedup, as
+/// for the parameters of plain Gaussians other than means, so that no model gains from faster learning rates.
+fn anchor_learning_rate(published: Decay, steps: u32) -> Decay {
+    let factor = speedup(steps).sqrt().sqrt().min(MAX_SPEEDUP);
+    if factor <= 1.0 {
         return published;
     }
-    let speed = shortness.sqrt().sqrt().min(MOST_SPEED);
-    Decay { start: speed * published.start, end: published.end, fall: Fall::Quadratic }
+    Decay { start: factor * published.start, end: published.end, shape: DecayShape::Quadratic }
 }
 
-/// Cells between neighbouring points, which growth begins with: the coarsest growth cell is as large as their spacing.
+/// Cells between neighbouring points at the start: the coarsest growth cell is as large as the points' spacing.
 const CELLS_PER_SPACING: f32 = 16.0;
 
 /// When offset masks learn, and how fast.
@@ -94,11 +93,11 @@ pub struct MaskSchedule {
     pub from: u32,
     /// First step at which their loss counts.
     pub loss_from: u32,
-    /// Last step at which they learn: after it anchors without an offset are dropped and the masks stay as they are,
-    /// so that the rest of the run settles what is left.
+    /// Last step at which they learn. After it, anchors without offsets are pruned and the masks stay fixed while the remaining
+    /// parameters converge.
     pub until: u32,
-    /// Learning rate of the logits. A logit has no length: the scene's extent does not enter.
-    pub rate: Decay,
+    /// Learning rate of the logits, independent of the scene's extent.
+    pub learning_rate: Decay,
     /// Weight of the mean logistic of the logits in the loss.
     pub weight: f32,
     /// The logit above which an offset makes Gaussians.
@@ -122,6 +121,8 @@ impl MaskSchedule {
 /// When what happens, and how fast parameters learn.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Schedule {
+    /// The kind of model.
+    pub model: ModelKind,
     /// Steps in all.
     pub steps: u32,
     /// Widths of the anchor model.
@@ -136,7 +137,7 @@ pub struct Schedule {
     pub densify_until: u32,
     /// Steps between.
     pub densify_every: u32,
-    /// Steps in between after which they do not, so that the scene gets used to the noise.
+    /// Steps in between after which they do not, while the scene adapts to the noise.
     pub densify_pause: Option<Range<u32>>,
     /// Screen-gradient threshold of growth at the coarsest level.
     pub growth_threshold: f32,
@@ -156,10 +157,12 @@ pub struct Schedule {
     pub volume_weight: f32,
     /// Offset masks; none where they are off.
     pub masks: Option<MaskSchedule>,
-    /// Whether what no training view shows is left out at the end; the baseline keeps every offset, as published.
-    pub drops_unused: bool,
+    /// Whether offsets that are invisible in all training views are pruned; the baseline keeps every offset, as published.
+    pub prunes_invisible: bool,
     /// Compression-aware training; none for the baseline.
     pub compression: Option<CompressionSchedule>,
+    /// The schedule of plain Gaussians.
+    pub(super) plain: PlainSchedule,
 }
 
 impl Schedule {
@@ -173,8 +176,9 @@ impl Schedule {
         };
         let steps = options.iterations.unwrap_or(default_steps);
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
-        let rate = |published: Decay| of_anchors(published, steps);
+        let rate = |published: Decay| anchor_learning_rate(published, steps);
         Self {
+            model: options.model,
             steps,
             shape: Shape { features, offsets: 10 },
             voxel: match options.voxel {
@@ -202,26 +206,41 @@ impl Schedule {
             ],
             volume_weight: 0.01,
             masks: masks(options, steps),
-            drops_unused: options.model == ModelKind::Tcgs,
+            prunes_invisible: options.model == ModelKind::Tcgs,
             compression: CompressionSchedule::new(options, steps),
+            plain: PlainSchedule::new(options, steps),
         }
     }
 
-    /// Weight of the rate in the loss; zero where there is no rate.
+    /// The size that growth may reach: anchors, or plain Gaussians.
+    pub(super) fn max_size(&self) -> usize {
+        if self.model == ModelKind::Gaussians3d { self.plain.max_gaussians } else { self.max_anchors }
+    }
+
+    /// Changes the size that growth may reach.
+    pub(super) fn set_max_size(&mut self, max_size: usize) {
+        if self.model == ModelKind::Gaussians3d {
+            self.plain.max_gaussians = max_size;
+        } else {
+            self.max_anchors = max_size;
+        }
+    }
+
+    /// Weight of the rate term in the loss; zero without one.
     #[must_use]
     pub fn lambda(&self) -> f64 {
         self.compression.as_ref().map_or(0.0, |compression| compression.lambda)
     }
 
-    /// What steers the weight of the rate towards a file of at most `max_bytes`, if that was promised: from the begin of the
-    /// context model until everything is rounded.
+    /// The controller of lambda for a file of at most `max_bytes`, if given: from the first step of the context model until
+    /// everything is rounded.
     #[must_use]
     pub fn rate_control(&self, max_bytes: Option<u64>) -> Option<RateControl> {
         let CompressionSchedule { lambda, context_from, rounded_from, .. } = self.compression.as_ref()?;
         Some(RateControl::new(*lambda, max_bytes?, *context_from..=(*rounded_from).max(*context_from)))
     }
 
-    /// The last step before the weight of the rate matters: there the branches of a rate-distortion curve part.
+    /// The last step before lambda has an effect, where the branches of a rate-distortion curve fork.
     #[must_use]
     pub fn fork_step(&self) -> u32 {
         let first = self.compression.as_ref().map_or(self.steps, |compression| compression.context_from);
@@ -245,14 +264,14 @@ impl Schedule {
     }
 }
 
-/// The `paper` preset has the published rates, weight and level (METHOD.md §4.1): masks learn from the first step, and
-/// their loss counts from a third of the run. In shorter runs a rate that is made for 30 000 steps would leave every logit
-/// where it began, so there
-/// - rates grow as runs shorten: what a logit can travel is the same share of the run;
-/// - the level is nearer: the slope of the logistic at 0.01 is a twentieth of the first one's, and Adam, which remembers a
-///   thousand steps, would crawl there;
-/// - masks begin where growth ends, since before it they would take the offsets that growth looks at;
-/// - the weight is larger, so that within half as long the loss outweighs what hardly matters to a view.
+/// The `paper` preset has the published learning rate, weight and level (METHOD.md §4.1): masks learn from the first step,
+/// and their loss counts from a third of the run. In shorter runs a learning rate for 30 000 steps would leave every logit near
+/// its initial value, so there
+/// - the learning rate grows as runs shorten, so that a logit can move equally far;
+/// - the level is nearer: the logistic's slope at 0.01 is a twentieth of its slope at the initial logit, and Adam, whose second
+///   moments average over a thousand steps, would move too slowly there;
+/// - masks learn once growth has ended, as they would otherwise remove the offsets that growth starts from;
+/// - the weight is larger, so that the loss removes offsets of little effect within half the steps.
 fn masks(options: &TrainOptions, steps: u32) -> Option<MaskSchedule> {
     if !options.has(Component::Masks) {
         return None;
@@ -262,19 +281,22 @@ fn masks(options: &TrainOptions, steps: u32) -> Option<MaskSchedule> {
         from: 1,
         loss_from: part(1.0 / 3.0) + 1,
         until: part(0.7),
-        rate: Decay::exponential(1e-2, 1e-4),
+        learning_rate: Decay::exponential(1e-2, 1e-4),
         weight: 5e-4,
         level: logit(0.01),
     };
     if options.preset == Preset::Paper {
         return Some(published);
     }
-    let scale = shortness(steps).clamp(1.0, MOST_MASK_SPEED);
+    let scale = speedup(steps).clamp(1.0, MAX_MASK_SPEEDUP);
     Some(MaskSchedule {
         from: part(0.5) + 1,
         loss_from: part(0.5) + 1,
         until: part(0.75),
-        rate: Decay::exponential(scale * published.rate.start, scale * published.rate.end),
+        learning_rate: Decay::exponential(
+            scale * published.learning_rate.start,
+            scale * published.learning_rate.end,
+        ),
         weight: 1e-2,
         level: logit(0.2),
     })
@@ -292,7 +314,7 @@ mod tests {
 
     #[test]
     fn rates_fall_between_their_ends() {
-        let square = Decay { start: 3.0, end: 1.0, fall: Fall::Quadratic };
+        let square = Decay { start: 3.0, end: 1.0, shape: DecayShape::Quadratic };
         assert_eq!([-1.0, 0.0, 0.5, 1.0, 2.0].map(|fraction| square.at(fraction)), [3.0, 3.0, 1.5, 1.0, 1.0]);
         let decay = Decay::exponential(1e-2, 1e-4);
         assert!((decay.at(0.0) - 1e-2).abs() < 1e-12);
@@ -322,11 +344,11 @@ mod tests {
         let published = rates(&of(30_000));
         assert_eq!(published.map(|rate| rate.start), [0.01, 0.0075, 0.007, 2e-3, 4e-3, 8e-3]);
         assert_eq!(rates(&of(100_000)), published);
-        for (steps, factor) in [(10_000, 1.316), (2_000, 1.968), (300, 3.162), (1, MOST_SPEED)] {
+        for (steps, factor) in [(10_000, 1.316), (2_000, 1.968), (300, 3.162), (1, MAX_SPEEDUP)] {
             for (rate, published) in rates(&of(steps)).iter().zip(published) {
                 assert!((rate.start / published.start - factor).abs() < 1e-3, "{steps} steps: {rate:?}");
                 assert!((rate.end / published.end - 1.0).abs() < 1e-12, "{steps} steps: {rate:?}");
-                assert_eq!((rate.fall, published.fall), (Fall::Quadratic, Fall::Exponential));
+                assert_eq!((rate.shape, published.shape), (DecayShape::Quadratic, DecayShape::Exponential));
             }
         }
     }
@@ -340,7 +362,7 @@ mod tests {
         let options = TrainOptions { preset: Preset::Paper, ..TrainOptions::default() };
         let masks = masks_of(options).expect("masks");
         assert_eq!((masks.from, masks.loss_from, masks.until), (1, 10_001, 21_000));
-        assert_eq!((masks.rate, masks.weight), (Decay::exponential(1e-2, 1e-4), 5e-4));
+        assert_eq!((masks.learning_rate, masks.weight), (Decay::exponential(1e-2, 1e-4), 5e-4));
         assert!((masks.level + 4.595_12).abs() < 1e-5);
         assert_eq!([10_000, 10_001].map(|step| masks.weight_at(step)), [0.0, 5e-4]);
         assert!(masks.learns(1) && masks.learns(21_000) && !masks.learns(21_001));
@@ -353,7 +375,7 @@ mod tests {
             let masks = masks_of(options).expect("masks");
             assert_eq!(masks.from, masks.loss_from, "masks wait for their loss");
             let learning = (1..=steps).filter(|step| masks.learns(*step));
-            learning.map(|step| masks.rate.at(f64::from(step) / f64::from(steps))).sum()
+            learning.map(|step| masks.learning_rate.at(f64::from(step) / f64::from(steps))).sum()
         };
         for steps in [240, 500, 1_000, 2_000, 10_000, 30_000] {
             assert!((way(steps) - 4.46).abs() < 0.1, "{steps} steps: {}", way(steps));

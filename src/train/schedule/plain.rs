@@ -17,14 +17,14 @@
 //! would end before Gaussians are where they belong. Hence the factors, which are one from 30 000 steps on and stay at their
 //! values of 300 steps below those.
 
-use super::{Decay, shortness};
+use super::{Decay, speedup};
 use crate::domain::{Background, Preset, TrainOptions};
 
 /// Steps that a reset of opacities needs to be made good.
 const RECOVERY: u32 = 600;
 
 /// The largest factor of the rate of means.
-const MOST_SPEED: f64 = 10.0;
+const MAX_SPEEDUP: f64 = 10.0;
 
 /// When what happens to plain Gaussians, and how fast they learn.
 #[derive(Debug, Clone, PartialEq)]
@@ -65,7 +65,7 @@ impl PlainSchedule {
         let part = |of_30_000: f64| (f64::from(steps) * of_30_000 / 30_000.0).round() as u32;
         let densify_until = part(15_000.0);
         let reset_every = part(3_000.0).max(RECOVERY);
-        let speed = shortness(steps).sqrt().clamp(1.0, MOST_SPEED);
+        let speed = speedup(steps).sqrt().clamp(1.0, MAX_SPEEDUP);
         let slower = speed.sqrt() as f32;
         Self {
             densify_from: part(500.0),
@@ -157,8 +157,8 @@ mod tests {
             assert!(long.iter().zip(short).all(|(long, short)| *long < short), "{pair:?}");
         }
         assert_eq!(rates(1), rates(300));
-        assert!((rates(300)[0] / rates(30_000)[0] - MOST_SPEED).abs() < 1e-9);
-        assert!((rates(300)[1] / rates(30_000)[1] - MOST_SPEED.sqrt()).abs() < 1e-5);
+        assert!((rates(300)[0] / rates(30_000)[0] - MAX_SPEEDUP).abs() < 1e-9);
+        assert!((rates(300)[1] / rates(30_000)[1] - MAX_SPEEDUP.sqrt()).abs() < 1e-5);
     }
 
     #[test]

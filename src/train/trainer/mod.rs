@@ -1,7 +1,8 @@
-//! The step loop: one photograph a step, forward, losses, backward, optimiser, and now and then growth and pruning.
+//! The training loop: each step renders one photograph's view, takes the losses' gradients back and updates the parameters;
+//! between steps the model grows and is pruned.
 //!
-//! A step is one submission, and steps are sent in batches: the host looks after each batch whether every step had room, and
-//! does those again that had not.
+//! A step is one submission, and steps are submitted in batches: after each batch the host reads whether a step overflowed the
+//! rasteriser's buffers, and repeats the steps from there with larger ones.
 
 use std::{sync::Arc, time::Instant};
 
@@ -9,70 +10,45 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    BaseSteps, Checkpoint, Estimate, ImageLoss, KeepCheckpoints, LossSums, Needs, RateControl, Schedule,
-    TrainError, WaveletWeights,
-    anchor_trainer::AnchorLearner,
-    batch::Batch,
-    checkpoint::{LearnerState, Origin, RunState},
-    init_bounds::start_box,
+    Checkpoint, CheckpointSink, Estimate, ImageLoss, LossSums, Needs, RateControl, Schedule, TrainError,
+    WaveletWeights,
+    anchor_trainer::AnchorTrainer,
+    batch::{Batch, REPORT_INTERVAL},
+    checkpoint::{ModelState, RunIdentity, RunState},
+    init_bounds::init_bounds,
     loss::pack,
-    model_trainer::{Finished, Learner, SampleRate, Step},
-    plain::PlainLearner,
-    schedule::PlainSchedule,
+    model_trainer::{BitrateSample, FinishedModel, ModelTrainer, Step},
+    plain::PlainTrainer,
+    trained::Trained,
     typical_distance::typical_distance,
 };
 use crate::{
     domain::{
-        Background, CancelFlag, Component, ContextCandidates, Dataset, DistanceUnit, Frame, MemoryBudget,
-        ModelKind, NearPlane, Progress, Scene, Split, TrainOptions,
+        Background, CancelFlag, Component, Dataset, DistanceUnit, Frame, MemoryBudget, ModelKind, NearPlane,
+        Progress, Split, TrainOptions,
     },
     gpu::Device,
     model::random_points,
     render::{RasterSettings, Rasterizer},
 };
 
-/// Steps between two reports of progress, and so the most that are on their way to the device.
-pub(super) const REPORT_EVERY: u32 = 10;
-
-/// A finished training run.
-#[derive(Debug, Clone)]
-pub struct Trained {
-    /// The scene, not yet quantised.
-    pub scene: Scene,
-    /// What compression-aware training found for the encoder; none for the baselines.
-    pub context: Option<TrainedContext>,
-    /// Steps done.
-    pub steps: u32,
-    /// Seconds of training.
-    pub seconds: f64,
-}
-
-/// What compression-aware training leaves for the encoder.
-#[derive(Debug, Clone, PartialEq)]
-pub struct TrainedContext {
-    /// The base steps that the scene was trained with.
-    pub steps: BaseSteps,
-    /// The contexts to choose from.
-    pub candidates: ContextCandidates,
-}
-
-/// What a run goes on from, and who keeps what others may go on from; neither changes what comes of it.
+/// The checkpoint that a run resumes from and where it saves checkpoints; neither changes the result.
 #[derive(Default)]
 pub struct Checkpoints<'a> {
-    /// A checkpoint of this run to go on from, instead of its begin.
+    /// A checkpoint of this run to resume from.
     pub resume: Option<Checkpoint>,
-    /// Keeps checkpoints: those that it wants, one when the run is cancelled, and one after the last step.
-    pub keep: Option<&'a mut dyn KeepCheckpoints>,
+    /// Saves checkpoints: those that it wants, one when the run is cancelled, and one after the last step.
+    pub sink: Option<&'a mut dyn CheckpointSink>,
 }
 
 /// Trains a scene on the dataset's training frames.
 ///
-/// `report` is called every few steps, and at once where the run goes on from a checkpoint. The run is a function of dataset,
+/// `report` is called every few steps, and at once if the run resumes from a checkpoint. The result depends only on dataset,
 /// options and adapter.
 ///
 /// # Errors
-/// [`TrainError`]; a cancelled run ends as [`TrainError::Cancelled`] within a step or about a second, or within a view
-/// of the pass that ends it. [`TrainError::Checkpoint`] only before the first step.
+/// [`TrainError`]; a cancelled run ends as [`TrainError::Cancelled`] within a step or about a second, or within one view of the
+/// final pruning pass. [`TrainError::Checkpoint`] only before the first step.
 pub fn train(
     device: &Arc<Device>,
     dataset: &Dataset,
@@ -85,10 +61,10 @@ pub fn train(
     train_within(device, dataset, options, &budget, checkpoints, report, cancel)
 }
 
-/// As [`train`], growing no further than `budget` allows.
+/// Like [`train`], with growth limited to what fits `budget`.
 ///
 /// # Errors
-/// As [`train`], and [`TrainError::OverBudget`] before anything is done.
+/// Those of [`train`], and [`TrainError::OverBudget`] before the first step.
 pub fn train_within(
     device: &Arc<Device>,
     dataset: &Dataset,
@@ -98,15 +74,14 @@ pub fn train_within(
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
 ) -> Result<Trained, TrainError> {
-    let Checkpoints { resume, keep } = checkpoints;
-    let mut run = Run::begin(device, dataset, options, budget, resume)?;
+    let mut run = Run::new(device, dataset, options, budget, checkpoints.resume)?;
     let last = run.steps;
-    run.go_on(last, keep, report, cancel)?;
+    run.run_until(last, checkpoints.sink, report, cancel)?;
     run.finish(cancel)
 }
 
-/// Trains what the branches of a rate-distortion curve share: up to [`Schedule::fork_step`]. The checkpoint, which is kept
-/// too, is for [`Checkpoint::fork`].
+/// Trains the steps that the branches of a rate-distortion curve share, up to [`Schedule::fork_step`], and returns the
+/// checkpoint for [`Checkpoint::fork`], which is saved too.
 ///
 /// # Errors
 /// As [`train_within`].
@@ -119,112 +94,101 @@ pub fn train_trunk(
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
 ) -> Result<Checkpoint, TrainError> {
-    let Checkpoints { resume, keep } = checkpoints;
-    let mut run = Run::begin(device, dataset, options, budget, resume)?;
-    run.go_on(Schedule::new(options).fork_step(), keep, report, cancel)?;
+    let mut run = Run::new(device, dataset, options, budget, checkpoints.resume)?;
+    run.run_until(run.fork_step, checkpoints.sink, report, cancel)?;
     run.checkpoint()
 }
 
-/// Keeps checkpoints of a run, none of them twice.
-struct Keeper<'a> {
-    keep: Option<&'a mut dyn KeepCheckpoints>,
+/// Saves checkpoints of a run, at most one per step.
+struct CheckpointWriter<'a> {
+    sink: Option<&'a mut dyn CheckpointSink>,
     /// Step of the newest checkpoint.
-    kept: u32,
+    saved_step: u32,
 }
 
-impl Keeper<'_> {
+impl CheckpointWriter<'_> {
     fn wants(&mut self, step: u32) -> bool {
-        self.keep.as_mut().is_some_and(|keep| keep.wants(step))
+        self.sink.as_mut().is_some_and(|sink| sink.wants(step))
     }
 
     /// The report, with the step of the newest checkpoint.
-    fn marked(&self, progress: Progress) -> Progress {
-        Progress { checkpoint_step: u64::from(self.kept), ..progress }
+    fn with_checkpoint_step(&self, progress: Progress) -> Progress {
+        Progress { checkpoint_step: u64::from(self.saved_step), ..progress }
     }
 
-    /// A run without a checkpoint is better than none, so a failure is told and no more.
-    fn keep(&mut self, run: &Run<'_>) {
+    /// Saves the run's state. A failure is only logged: the run can continue without a checkpoint.
+    fn save(&mut self, run: &Run<'_>) {
         let step = run.state.step;
-        let Some(keep) = self.keep.as_mut().filter(|_| step != self.kept) else { return };
-        let kept = run.checkpoint().and_then(|checkpoint| Ok(keep.keep(&checkpoint)?));
-        match kept {
-            Ok(()) => self.kept = step,
-            Err(fault) => tracing::warn!(step, "no checkpoint is kept at step {step}: {fault}"),
+        let Some(sink) = self.sink.as_mut().filter(|_| step != self.saved_step) else { return };
+        match run.checkpoint().and_then(|checkpoint| Ok(sink.save(&checkpoint)?)) {
+            Ok(()) => self.saved_step = step,
+            Err(error) => tracing::warn!(step, "checkpoint of step {step} not saved: {error}"),
         }
     }
 }
 
-/// 1.1 times the largest distance of a training camera from their mean: the scene's extent.
+/// The scene's extent: 1.1 times the largest distance of a training camera from the cameras' mean position.
 fn camera_extent(frames: &[&Frame]) -> f32 {
     let centers: Vec<_> = frames.iter().map(|frame| frame.camera.pose.center()).collect();
     let mean = centers.iter().sum::<glam::DVec3>() / centers.len().max(1) as f64;
     let radius = centers.iter().map(|center| center.distance(mean)).fold(0.0, f64::max);
-    // A single camera has no radius; its distance unit is as good as any.
+    // A single camera has no radius: any extent will do.
     if radius > 0.0 { (1.1 * radius) as f32 } else { 1.0 }
 }
 
-/// Tells where memory, not the schedule, bounds growth.
-fn tell_cap(wanted: usize, estimate: &Estimate) {
+/// Warns if growth is capped by memory.
+fn warn_if_capped(wanted: usize, estimate: &Estimate) {
     if estimate.size < wanted {
         tracing::warn!(
-            "growth stops at {} {} instead of {wanted}: more would not fit the adapter or the memory allowed",
+            "growth capped at {} {} instead of {wanted} by the adapter or the memory budget",
             estimate.size,
             estimate.unit,
         );
     }
 }
 
-/// What a learner is made for.
-struct Setting<'a> {
+/// Creates the model's trainer, new or from a checkpoint.
+struct ModelFactory<'a> {
     device: &'a Arc<Device>,
     dataset: &'a Dataset,
-    options: &'a TrainOptions,
     frames: &'a [&'a Frame],
-    /// Size that growth may reach.
-    most: usize,
+    schedule: Schedule,
 }
 
-impl Setting<'_> {
-    fn anchors(&self) -> Schedule {
-        Schedule { max_anchors: self.most, ..Schedule::new(self.options) }
-    }
-
-    fn plain(&self) -> PlainSchedule {
-        let steps = Schedule::new(self.options).steps;
-        PlainSchedule { max_gaussians: self.most, ..PlainSchedule::new(self.options, steps) }
-    }
-
-    /// A learner at the begin of its run.
-    fn fresh(&self, rng: &mut Pcg64) -> Result<Box<dyn Learner>, TrainError> {
-        let (points, colors) = match &self.dataset.points {
+impl ModelFactory<'_> {
+    /// The trainer at the start of a run.
+    fn create(self, rng: &mut Pcg64) -> Result<Box<dyn ModelTrainer>, TrainError> {
+        let Self { device, dataset, frames, schedule } = self;
+        let (points, colors) = match &dataset.points {
             Some(cloud) if !cloud.positions.is_empty() => (cloud.positions.clone(), &cloud.colors[..]),
             _ => {
-                let (low, high) = start_box(self.dataset.layout, self.frames);
-                (random_points(rng, self.anchors().random_points, low, high), &[][..])
+                let (low, high) = init_bounds(dataset.layout, frames);
+                (random_points(rng, schedule.random_points, low, high), &[][..])
             }
         };
-        let (device, extent) = (self.device, camera_extent(self.frames));
-        Ok(match self.options.model {
+        let extent = camera_extent(frames);
+        Ok(match schedule.model {
             ModelKind::Tcgs | ModelKind::Scaffold => {
-                let typical = typical_distance(self.frames, &points);
+                let typical = typical_distance(frames, &points);
                 let unit = DistanceUnit::of_typical(typical);
-                tracing::debug!(typical, unit = unit.length(), "what distances are told in");
-                Box::new(AnchorLearner::begin(device, self.anchors(), &points, extent, unit, rng)?)
+                tracing::debug!(typical, unit = unit.length(), "scene scale");
+                Box::new(AnchorTrainer::new(device, schedule, &points, extent, unit, rng)?)
             }
             ModelKind::Gaussians3d => {
-                Box::new(PlainLearner::begin(device, self.plain(), &points, colors, extent, rng)?)
+                Box::new(PlainTrainer::new(device, schedule.plain, &points, colors, extent, rng)?)
             }
         })
     }
 
-    /// The learner that a checkpoint was taken of.
-    fn resumed(&self, state: LearnerState) -> Result<Box<dyn Learner>, TrainError> {
-        let (device, extent) = (self.device, camera_extent(self.frames));
-        Ok(match self.options.model {
+    /// The trainer that a checkpoint holds the state of.
+    fn resume(self, state: ModelState) -> Result<Box<dyn ModelTrainer>, TrainError> {
+        let Self { device, frames, schedule, .. } = self;
+        let extent = camera_extent(frames);
+        Ok(match schedule.model {
             ModelKind::Tcgs | ModelKind::Scaffold => {
-                Box::new(AnchorLearner::resume(device, self.anchors(), extent, state)?)
+                Box::new(AnchorTrainer::resume(device, schedule, extent, state)?)
             }
-            ModelKind::Gaussians3d => Box::new(PlainLearner::resume(device, self.plain(), extent, state)?),
+            ModelKind::Gaussians3d => Box::new(PlainTrainer::resume(device, schedule.plain, extent, state)?),
         })
     }
 }
@@ -232,18 +196,20 @@ impl Setting<'_> {
 struct Run<'a> {
     device: Arc<Device>,
     steps: u32,
+    /// See [`Schedule::fork_step`].
+    fork_step: u32,
     frames: Vec<&'a Frame>,
     background: Background,
-    /// Its seconds are those before `began`.
+    /// Its seconds are those before `started`.
     state: RunState,
-    /// Steers the weight of the rate, where a size was promised.
+    /// Adjusts lambda towards the target size, if there is one.
     control: Option<RateControl>,
-    learner: Box<dyn Learner>,
+    model: Box<dyn ModelTrainer>,
     raster: Rasterizer,
     loss: ImageLoss,
     wavelet: bool,
-    began: Instant,
-    began_at: u32,
+    started: Instant,
+    first_step: u32,
     reported: (Instant, u32),
     batch: Batch,
     /// The next photograph, by its index among the frames.
@@ -251,7 +217,7 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    fn begin(
+    fn new(
         device: &Arc<Device>,
         dataset: &'a Dataset,
         options: &TrainOptions,
@@ -262,50 +228,49 @@ impl<'a> Run<'a> {
         if frames.is_empty() {
             return Err(TrainError::NoTrainingFrames);
         }
-        let schedule = Schedule::new(options);
+        let mut schedule = Schedule::new(options);
         let estimate = Needs::of(dataset, options, device.adapter()).within(budget)?;
         tracing::info!("memory: {estimate}");
-        let wanted = match options.model {
-            ModelKind::Tcgs | ModelKind::Scaffold => schedule.max_anchors,
-            ModelKind::Gaussians3d => PlainSchedule::new(options, schedule.steps).max_gaussians,
-        };
-        tell_cap(wanted, &estimate);
-        let steps = schedule.steps;
+        warn_if_capped(schedule.max_size(), &estimate);
+        let (steps, fork_step) = (schedule.steps, schedule.fork_step());
+        let control = schedule.rate_control(options.max_bytes);
         let adapter = device.adapter_line();
-        let most = estimate.size;
-        let origin = Origin { options, dataset: dataset.digest, adapter: &adapter, most };
-        let setting = Setting { device, dataset, options, frames: &frames, most };
-        let (state, learner) = match resume {
+        let max_size = estimate.size;
+        let identity = RunIdentity { options, dataset: dataset.digest, adapter: &adapter, max_size };
+        let (state, model) = match resume {
             Some(checkpoint) => {
-                let (mut state, saved) = checkpoint.open(origin, steps, frames.len())?;
-                tracing::info!(step = state.step, "going on from step {}", state.step);
-                state.move_to(&adapter, most);
-                let learner = Setting { most: state.most, ..setting }.resumed(saved)?;
-                (state, learner)
+                let (mut state, saved) = checkpoint.open(identity, steps, frames.len())?;
+                tracing::info!(step = state.step, "resuming from step {}", state.step);
+                state.continue_on(&adapter, max_size);
+                schedule.set_max_size(state.max_size);
+                (state, ModelFactory { device, dataset, frames: &frames, schedule }.resume(saved)?)
             }
             None => {
                 let mut rng = Pcg64::seed_from_u64(options.seed);
-                let learner = setting.fresh(&mut rng)?;
-                (RunState::begin(origin, rng, schedule.lambda()), learner)
+                let lambda = schedule.lambda();
+                schedule.set_max_size(max_size);
+                let model = ModelFactory { device, dataset, frames: &frames, schedule }.create(&mut rng)?;
+                (RunState::new(identity, rng, lambda), model)
             }
         };
-        let control = schedule.rate_control(options.max_bytes).map(|control| state.resume_control(control));
+        let control = control.map(|control| state.resume_control(control));
         let near = NearPlane::of_extent(camera_extent(&frames)).depth();
         let settings = RasterSettings { near, ..RasterSettings::default() };
         let now = Instant::now();
         Ok(Self {
             steps,
+            fork_step,
             control,
             background: options.background,
-            learner,
+            model,
             raster: Rasterizer::new(Arc::clone(device), settings)?,
             loss: ImageLoss::new(Arc::clone(device))?,
             wavelet: options.has(Component::Wavelet),
-            began: now,
-            began_at: state.step,
+            started: now,
+            first_step: state.step,
             reported: (now, state.step),
-            // The first step, which compiles kernels and makes buffers, is waited for.
-            batch: Batch::Timed { seconds_a_step: 1.0 },
+            // The first batch is one step: it compiles kernels and allocates buffers.
+            batch: Batch::Timed { seconds_per_step: 1.0 },
             prepared: None,
             state,
             device: Arc::clone(device),
@@ -313,43 +278,43 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// Does the steps up to `last`.
-    fn go_on(
+    /// Runs the steps up to `last`.
+    fn run_until(
         &mut self,
         last: u32,
-        keep: Option<&mut dyn KeepCheckpoints>,
+        sink: Option<&mut dyn CheckpointSink>,
         report: &mut dyn FnMut(&Progress),
         cancel: &CancelFlag,
     ) -> Result<(), TrainError> {
-        let mut keeper = Keeper { keep, kept: self.state.step };
+        let mut writer = CheckpointWriter { sink, saved_step: self.state.step };
         if self.state.step > 0 {
-            report(&keeper.marked(self.progress(None)?));
+            report(&writer.with_checkpoint_step(self.progress(None)?));
         }
         while self.state.step < last {
             if cancel.is_cancelled() {
-                keeper.keep(self);
+                writer.save(self);
                 return Err(TrainError::Cancelled);
             }
-            self.advance(&mut |step| step == last || keeper.wants(step), cancel)?;
+            self.advance(&mut |step| step == last || writer.wants(step), cancel)?;
             let step = self.state.step;
             let mut progress = None;
-            if step.is_multiple_of(REPORT_EVERY) || step == self.steps {
+            if step.is_multiple_of(REPORT_INTERVAL) || step == self.steps {
                 let sums = self.sums()?;
-                self.weigh()?;
+                self.update_bitrate()?;
                 progress = Some(self.progress(Some(sums))?);
             }
-            // Before the report, which tells of it.
-            if keeper.wants(step) || step == last {
-                keeper.keep(self);
+            // Before the report, which states its step.
+            if writer.wants(step) || step == last {
+                writer.save(self);
             }
             if let Some(progress) = progress {
-                report(&keeper.marked(progress));
+                report(&writer.with_checkpoint_step(progress));
             }
         }
         Ok(())
     }
 
-    /// The next photograph: every one once before any comes again.
+    /// The next photograph: all of them in random order, then again in another order.
     fn next_frame(&mut self) -> usize {
         let RunState { order, rng, .. } = &mut self.state;
         if order.is_empty() {
@@ -364,17 +329,17 @@ impl<'a> Run<'a> {
         Step { number, fraction, lambda: self.state.lambda() }
     }
 
-    /// Does the steps up to the next after which the host has something to do, or `wanted` says that it has.
+    /// Runs a batch of steps: up to the next one that the host has to act after, or that `wanted` names.
     ///
-    /// Nothing is read back in between. If a pass found no room for its intersections, it and those after it changed
-    /// nothing; they are done again with more. Returns how many were recorded, with those that were void.
+    /// Nothing is read back in between. If a pass overflowed its buffer of intersections, it and the passes after it changed
+    /// nothing, and are repeated with a larger buffer. Returns the number of recorded steps, repeated ones included.
     fn advance(
         &mut self,
         wanted: &mut dyn FnMut(u32) -> bool,
         cancel: &CancelFlag,
     ) -> Result<u32, TrainError> {
-        let began = Instant::now();
-        let most = self.batch.length();
+        let started = Instant::now();
+        let max_steps = self.batch.length();
         let mut before = Vec::new();
         let mut recorded = 0;
         let last = loop {
@@ -383,9 +348,9 @@ impl<'a> Run<'a> {
             recorded += 1;
             let step = self.at(self.state.step);
             let is_last = step.number == self.steps
-                || step.number.is_multiple_of(REPORT_EVERY)
-                || before.len() >= most
-                || self.learner.adapts(&step)
+                || step.number.is_multiple_of(REPORT_INTERVAL)
+                || before.len() >= max_steps
+                || self.model.adapts(&step)
                 || wanted(step.number);
             if !is_last {
                 continue;
@@ -399,20 +364,20 @@ impl<'a> Run<'a> {
             before.clear();
             self.raster.reserve(needed)?;
         };
-        self.batch.learn(recorded, began.elapsed().as_secs_f64());
-        if self.learner.adapts(&last) {
-            self.learner.adapt(&last, &mut self.state.rng, &self.frames, cancel)?;
+        self.batch.update(recorded, started.elapsed().as_secs_f64());
+        if self.model.adapts(&last) {
+            self.model.adapt(&last, &mut self.state.rng, &self.frames, cancel)?;
         }
         Ok(recorded)
     }
 
-    /// A photograph as the device takes it, made when it is needed: a second copy of every image would double what a dataset takes.
+    /// A photograph packed for the device. Packed when needed: keeping packed copies would double the dataset's memory.
     fn packed(&self, index: usize) -> Result<Vec<u32>, TrainError> {
         let photograph = self.frames[index].image.load()?;
         Ok(pack(photograph.over(self.background.rgb8()).samples()))
     }
 
-    /// Packs the next photograph, if it is known, while the device is busy.
+    /// Packs the next photograph, if it is already known, while the device is busy.
     fn prepare_next(&mut self) -> Result<(), TrainError> {
         let next = self.state.order.last().copied();
         self.prepared = next.map(|index| Ok::<_, TrainError>((index, self.packed(index)?))).transpose()?;
@@ -430,16 +395,16 @@ impl<'a> Run<'a> {
         };
         let device = Arc::clone(&self.device);
         let mut recorder = device.recorder("step");
-        self.learner.forward(&mut recorder, &camera, &step)?;
-        self.raster.forward(&mut recorder, self.learner.gaussians(), &camera, self.background.rgb())?;
+        self.model.forward(&mut recorder, &camera, &step)?;
+        self.raster.forward(&mut recorder, self.model.gaussians(), &camera, self.background.rgb())?;
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         let wavelet = self.wavelet.then(|| WaveletWeights::at(step.fraction));
         let v_image =
             self.loss.record(&mut recorder, size, self.raster.image(), &photograph, wavelet.as_ref())?;
-        let gaussians = self.learner.gaussians().clone();
-        let d_gaussians = self.learner.gaussian_gradients()?;
+        let gaussians = self.model.gaussians().clone();
+        let d_gaussians = self.model.gaussian_gradients()?;
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
-        self.learner.backward(&mut recorder, &camera, &step, self.raster.overflow_flag())?;
+        self.model.backward(&mut recorder, &camera, &step, self.raster.overflow_flag())?;
         recorder.submit()?;
         self.state.step = step.number;
         Ok(())
@@ -451,19 +416,21 @@ impl<'a> Run<'a> {
         self.loss.sums()?.filter(|sums| sums.loss().is_finite()).ok_or(diverged)
     }
 
-    /// Takes the last step's sample into the estimate of the file's bytes.
-    fn weigh(&mut self) -> Result<(), TrainError> {
-        let Some(SampleRate { bits_an_anchor, other_bytes }) = self.learner.rate()? else { return Ok(()) };
-        let anchors = self.learner.anchors() as f64;
-        self.state.weigh(bits_an_anchor, anchors, other_bytes);
+    /// Updates the estimate of the file's size, and lambda, from the last step's sample.
+    fn update_bitrate(&mut self) -> Result<(), TrainError> {
+        let Some(BitrateSample { bits_per_anchor, other_bytes }) = self.model.bitrate()? else {
+            return Ok(());
+        };
+        let anchors = self.model.anchors() as f64;
+        self.state.observe_bits(bits_per_anchor, anchors, other_bytes);
         if let (Some(control), Some(bytes)) = (&mut self.control, self.state.file_bytes()) {
             control.observe(self.state.step, bytes as f64, other_bytes);
-            self.state.steer(control);
+            self.state.set_rate_control(control);
         }
         Ok(())
     }
 
-    /// How far the run is, with losses where there are new ones.
+    /// The progress report, with new losses if given.
     fn progress(&mut self, sums: Option<LossSums>) -> Result<Progress, TrainError> {
         let blend = |old: f64, new: f64| 0.9 * old + 0.1 * new;
         if let Some(sums) = sums {
@@ -476,18 +443,18 @@ impl<'a> Run<'a> {
         }
         let average = self.state.average();
         let step = self.state.step;
-        let rate = |since: Instant, from: u32| {
+        let steps_per_second = |since: Instant, from: u32| {
             let seconds = since.elapsed().as_secs_f64();
             (step > from && seconds > 0.0).then(|| f64::from(step - from) / seconds)
         };
-        let speed = rate(self.reported.0, self.reported.1);
-        let mean_speed = rate(self.began, self.began_at);
+        let speed = steps_per_second(self.reported.0, self.reported.1);
+        let mean_speed = steps_per_second(self.started, self.first_step);
         self.reported = (Instant::now(), step);
-        let size = self.learner.size()?;
+        let size = self.model.size()?;
         Ok(Progress {
             step: u64::from(step),
             total: u64::from(self.steps),
-            elapsed_seconds: self.began.elapsed().as_secs_f64(),
+            elapsed_seconds: self.started.elapsed().as_secs_f64(),
             eta_seconds: mean_speed.map(|speed| f64::from(self.steps - step) / speed),
             steps_per_second: speed,
             anchors: size.anchors as u64,
@@ -501,13 +468,13 @@ impl<'a> Run<'a> {
 
     fn checkpoint(&self) -> Result<Checkpoint, TrainError> {
         let mut state = self.state.clone();
-        state.seconds += self.began.elapsed().as_secs_f64();
-        Ok(Checkpoint::new(state, self.learner.save()?))
+        state.seconds += self.started.elapsed().as_secs_f64();
+        Ok(Checkpoint::new(state, self.model.save()?))
     }
 
     fn finish(self, cancel: &CancelFlag) -> Result<Trained, TrainError> {
-        let Finished { scene, context } = self.learner.finish(&self.frames, cancel)?;
-        let seconds = self.state.seconds + self.began.elapsed().as_secs_f64();
+        let FinishedModel { scene, context } = self.model.finish(&self.frames, cancel)?;
+        let seconds = self.state.seconds + self.started.elapsed().as_secs_f64();
         Ok(Trained { scene, context, steps: self.steps, seconds })
     }
 }

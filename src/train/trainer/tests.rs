@@ -42,7 +42,7 @@ fn neither_batches_nor_a_want_of_room_change_a_bit() {
     let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
     let run = |batch: usize, room: Option<usize>| {
         let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
-        let mut run = Run::begin(&device, &dataset, &options, &budget, None).expect("begins");
+        let mut run = Run::new(&device, &dataset, &options, &budget, None).expect("begins");
         run.batch = Batch::Fixed(batch);
         if let Some(room) = room {
             run.raster.set_initial_capacity(room);
@@ -50,7 +50,7 @@ fn neither_batches_nor_a_want_of_room_change_a_bit() {
         let (mut recorded, mut losses) = (0, Vec::new());
         while run.state.step < STEPS {
             recorded += run.advance(&mut |step| step % 9 == 8, &CancelFlag::default()).expect("steps");
-            if run.state.step.is_multiple_of(REPORT_EVERY) {
+            if run.state.step.is_multiple_of(REPORT_INTERVAL) {
                 losses.push(run.sums().expect("losses"));
             }
         }
@@ -71,14 +71,14 @@ fn the_estimate_of_the_files_bytes_reads_the_samples_rate_and_no_more() {
     let (device, dataset) = (lavapipe(), dataset());
     let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
     let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
-    let mut run = Run::begin(&device, &dataset, &options, &budget, None).expect("begins");
+    let mut run = Run::new(&device, &dataset, &options, &budget, None).expect("begins");
     while run.state.step < STEPS / 2 {
         run.advance(&mut |_| false, &CancelFlag::default()).expect("steps");
     }
     let made = device.buffers_made();
-    run.learner.rate().expect("read").expect("the context model learns");
+    run.model.bitrate().expect("read").expect("the context model learns");
     let of_rate = device.buffers_made() - made;
-    run.weigh().expect("weighed");
+    run.update_bitrate().expect("weighed");
     assert_eq!(device.buffers_made() - made, 2 * of_rate);
 }
 
@@ -87,7 +87,7 @@ fn the_choice_of_a_context_model_does_not_keep_a_cancelled_run_waiting() {
     let (device, dataset) = (lavapipe(), dataset());
     let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
     let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
-    let mut run = Run::begin(&device, &dataset, &options, &budget, None).expect("begins");
+    let mut run = Run::new(&device, &dataset, &options, &budget, None).expect("begins");
     let cancelled = CancelFlag::default();
     cancelled.cancel();
     let ended = loop {

@@ -12,12 +12,12 @@ mod rate;
 mod wavelet;
 
 pub use adam::{AdamElement, adam};
-pub use frozen_quant_steps::{held_gradient, hold_steps};
+pub use frozen_quant_steps::{freeze_quant_steps, frozen_quant_step_gradient};
 pub use gaussian::{SymbolBits, symbol_bits};
 pub use loss::{
     Losses, Moments, SsimGradient, image_gradient, image_loss, ssim_columns, ssim_rows, sum_losses,
 };
 pub use masks::{mask_bits, mask_gradient, mask_loss, mask_rate};
 pub use quantise::{noise, quantise_gradient, quantise_rows, round_rows};
-pub use rate::{RateGradients, rate, refresh_steps, sum_bits};
+pub use rate::{RateGradients, RateInput, rate, refresh_quant_steps, sum_bits};
 pub use wavelet::wavelet;

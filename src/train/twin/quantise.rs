@@ -4,14 +4,14 @@ use std::f64::consts::LN_2;
 
 use crate::{
     model::Shape,
-    train::context::{Quantisation, QuantisationPhase, scramble},
+    train::context::{Quantisation, QuantisationPhase, pcg_hash},
 };
 
 /// Uniform in (-1/2, 1/2); the kernel has the same bits.
 #[must_use]
 pub fn noise(key: u32, anchor: u32, column: u32) -> f64 {
-    let stream = scramble(scramble(anchor) ^ key);
-    (f64::from(scramble(stream.wrapping_add(column)) >> 9) + 0.5) / f64::from(1 << 23) - 0.5
+    let stream = pcg_hash(pcg_hash(anchor) ^ key);
+    (f64::from(pcg_hash(stream.wrapping_add(column)) >> 9) + 0.5) / f64::from(1 << 23) - 0.5
 }
 
 /// A value as it is rendered, with its derivative by the step.
@@ -51,7 +51,7 @@ pub(super) fn through_floor(scaling: f64, width: f64, gradient: f64) -> f64 {
 }
 
 fn widths(by: &Quantisation, steps: [f64; 3]) -> [f64; 3] {
-    if by.phase == QuantisationPhase::FixedNoise { by.base_steps.map(f64::from) } else { steps }
+    if by.phase == QuantisationPhase::FixedNoise { by.base_quant_steps.map(f64::from) } else { steps }
 }
 
 /// The group of a column, or none if it belongs to a masked offset.
@@ -99,7 +99,7 @@ pub fn quantise_gradient(
     d_rendered: &[f64],
 ) -> (Vec<f64>, [f64; 3]) {
     let (widths, quantiser) = (widths(by, steps), Quantiser { by, anchor });
-    let (mut d_row, mut d_log_steps) = (d_rendered.to_vec(), [0.0; 3]);
+    let (mut d_row, mut d_log_quant_steps) = (d_rendered.to_vec(), [0.0; 3]);
     for (column, value) in row.iter().enumerate() {
         let d = d_rendered[column];
         match group(shape, column, mask) {
@@ -108,16 +108,16 @@ pub fn quantise_gradient(
                 let scaling = value.exp();
                 let quantised = quantiser.quantise_scaling(column, scaling, widths[1]);
                 let d = d / quantised.value;
-                d_log_steps[1] += d * quantised.by_width * widths[1] * LN_2;
+                d_log_quant_steps[1] += d * quantised.by_width * widths[1] * LN_2;
                 d_row[column] = through_floor(scaling, widths[1], d) * scaling;
             }
             Some(group) => {
                 let by_width = quantiser.quantise(column, *value, widths[group]).by_width;
-                d_log_steps[group] += d * by_width * widths[group] * LN_2;
+                d_log_quant_steps[group] += d * by_width * widths[group] * LN_2;
             }
         }
     }
-    (d_row, d_log_steps)
+    (d_row, d_log_quant_steps)
 }
 
 /// Weights that share a scale as a file gives them back; the same f32 operations as the codec's, which is what they are

@@ -20,7 +20,7 @@ const LAST: i64 = 63;
 const ESCAPE_BITS: f64 = 26.0;
 
 /// A value's derivatives, counted in steps and octaves, go no further.
-const STEEPEST: f64 = 1e4;
+const MAX_DERIVATIVE: f64 = 1e4;
 
 /// What a group of one anchor costs, and the gradients.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,31 +50,41 @@ fn octaves_of(phase: QuantisationPhase, wanted: f64) -> (f64, i64) {
 
 /// The step of an attribute group for the adjustment `wanted` of its network.
 #[must_use]
-pub fn refresh_steps(by: &Quantisation, group: AttributeGroup, wanted: f64) -> f64 {
-    f64::from(by.base_steps[group as usize]) * octaves_of(by.phase, wanted).0.exp2()
+pub fn refresh_quant_steps(by: &Quantisation, group: AttributeGroup, wanted: f64) -> f64 {
+    f64::from(by.base_quant_steps[group as usize]) * octaves_of(by.phase, wanted).0.exp2()
 }
 
-/// The rate of `row`, the part of an anchor's row from column `first` on that belongs to `group`, under the network's
-/// `outputs`: a mean a channel in base steps, a base-2 logarithm of a standard deviation a channel, an adjustment.
-/// `d_log_step` is what rendering says of the logarithm of the step, scaled up to all anchors.
+/// An attribute group of one anchor, and what its network predicts.
+#[derive(Debug, Clone, Copy)]
+pub struct RateInput<'a> {
+    /// The anchor's index.
+    pub anchor: u32,
+    /// The group.
+    pub group: AttributeGroup,
+    /// First column of the group in the anchor's row.
+    pub first: usize,
+    /// The group's part of the anchor's row.
+    pub row: &'a [f64],
+    /// The anchor's offset mask.
+    pub mask: u32,
+    /// The network's outputs: each channel's mean in base steps, each channel's base-2 logarithm of the standard deviation, the
+    /// step adjustment.
+    pub outputs: &'a [f64],
+    /// The rendering loss's gradient by the logarithm of the quantisation step, scaled up to all anchors.
+    pub d_log_step: f64,
+    /// Weight of a bit in the loss.
+    pub weight: f64,
+}
+
+/// The bits of an attribute group of one anchor, and their gradients.
 #[must_use]
-#[expect(clippy::too_many_arguments, reason = "the kernel's bindings, named")]
-pub fn rate(
-    by: &Quantisation,
-    anchor: u32,
-    group: AttributeGroup,
-    first: usize,
-    row: &[f64],
-    mask: u32,
-    outputs: &[f64],
-    d_log_step: f64,
-    weight: f64,
-) -> RateGradients {
+pub fn rate(by: &Quantisation, input: &RateInput<'_>) -> RateGradients {
+    let RateInput { anchor, group, first, row, mask, outputs, d_log_step, weight } = *input;
     let channels = row.len();
     let wanted = outputs[2 * channels];
     let rounds = by.phase == QuantisationPhase::Rounded;
     let (octaves, index) = octaves_of(by.phase, wanted);
-    let (in_base, step) = (octaves.exp2(), refresh_steps(by, group, wanted));
+    let (in_base, step) = (octaves.exp2(), refresh_quant_steps(by, group, wanted));
     let quantiser = Quantiser { by, anchor };
     let mut found = RateGradients {
         bits: vec![0.0; channels],
@@ -108,8 +118,8 @@ pub fn rate(
         let cost = symbol_bits(symbol, centre, coded.exp2(), 1.0);
         found.bits[channel] = cost.bits;
         found.stored[channel] = cost.bits.min(ESCAPE_BITS + 2.0 * (1.0 + (symbol - centre).abs()).log2());
-        let by_value = cost.by_value.clamp(-STEEPEST, STEEPEST);
-        let by_coded = cost.by_log_deviation.clamp(-STEEPEST, STEEPEST);
+        let by_value = cost.by_value.clamp(-MAX_DERIVATIVE, MAX_DERIVATIVE);
+        let by_coded = cost.by_log_deviation.clamp(-MAX_DERIVATIVE, MAX_DERIVATIVE);
         let mut by_adjustment = -LN_2 * by_value * (symbol - quantised.by_width - centre);
         let by_scale = if bounded == unbounded {
             by_adjustment -= by_coded;
@@ -119,7 +129,7 @@ pub fn rate(
         } else {
             by_coded.max(0.0)
         };
-        by_octaves += by_adjustment.clamp(-STEEPEST, STEEPEST);
+        by_octaves += by_adjustment.clamp(-MAX_DERIVATIVE, MAX_DERIVATIVE);
         found.outputs[channel] = -weight * by_value / in_base;
         found.outputs[channels + channel] = weight * by_scale;
         let by_row = by_value / step;

@@ -3,7 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::train::{
-    Adam, Moments,
+    Adam, AdamStep, Moments,
     twin::{self, AdamElement},
 };
 
@@ -35,7 +35,15 @@ fn adam_follows_its_twin() {
         }
         let gradients = device.upload("gradients", &gradients).expect("room");
         let mut recorder = device.recorder("adam");
-        adam.step(&mut recorder, t, &no, &table, &gradients, &values, &moments).expect("recorded");
+        adam.step(
+            &mut recorder,
+            AdamStep { number: t, overflow_flag: &no },
+            &table,
+            &gradients,
+            &values,
+            &moments,
+        )
+        .expect("recorded");
         recorder.submit().expect("submitted");
     }
     let found = [&values, &moments.first, &moments.second].map(|buffer| device.read(buffer).expect("read"));
@@ -69,7 +77,15 @@ fn a_gradient_that_is_not_finite_leaves_its_element_untouched_and_alone() {
     let rates = device.upload("rates", &[0.01_f32]).expect("room");
     let gradients = device.upload("gradients", &bad).expect("room");
     let mut recorder = device.recorder("adam");
-    adam.step(&mut recorder, 1, &no, &rates, &gradients, &values, &moments).expect("recorded");
+    adam.step(
+        &mut recorder,
+        AdamStep { number: 1, overflow_flag: &no },
+        &rates,
+        &gradients,
+        &values,
+        &moments,
+    )
+    .expect("recorded");
     recorder.submit().expect("submitted");
     assert_eq!(device.read(&values).expect("read")[..5], [0.5; 5]);
     assert_eq!(device.read(&moments.first).expect("read")[..5], [0.25; 5]);
@@ -78,7 +94,15 @@ fn a_gradient_that_is_not_finite_leaves_its_element_untouched_and_alone() {
     // What was spared is not spoiled: the next gradient moves every element.
     let gradients = device.upload("gradients", &[1.0_f32; 6]).expect("room");
     let mut recorder = device.recorder("adam");
-    adam.step(&mut recorder, 2, &no, &rates, &gradients, &values, &moments).expect("recorded");
+    adam.step(
+        &mut recorder,
+        AdamStep { number: 2, overflow_flag: &no },
+        &rates,
+        &gradients,
+        &values,
+        &moments,
+    )
+    .expect("recorded");
     recorder.submit().expect("submitted");
     assert!(device.read(&values).expect("read").iter().all(|v| *v < 0.5));
 }
@@ -92,7 +116,15 @@ fn a_void_step_changes_nothing() {
     let [rates, gradients] = [0.01_f32, 1.0].map(|v| device.upload("input", &[v; 6]).expect("room"));
     let mark = device.upload("overflow flag", &[77_u32]).expect("a buffer");
     let mut recorder = device.recorder("adam");
-    adam.step(&mut recorder, 1, &mark, &rates, &gradients, &values, &moments).expect("recorded");
+    adam.step(
+        &mut recorder,
+        AdamStep { number: 1, overflow_flag: &mark },
+        &rates,
+        &gradients,
+        &values,
+        &moments,
+    )
+    .expect("recorded");
     recorder.submit().expect("submitted");
     for (buffer, untouched) in [(&values, 0.5), (&moments.first, 0.25), (&moments.second, 0.125)] {
         assert_eq!(device.read(buffer).expect("read"), [untouched; 6]);
@@ -112,7 +144,15 @@ fn every_element_learns_at_its_own_rate() {
             let table = device.upload("rates", rates).expect("room");
             let moments = Moments::plan(count).make(&device).expect("room");
             let mut recorder = device.recorder("adam");
-            adam.step(&mut recorder, 1, &no, &table, &gradients, &values, &moments).expect("recorded");
+            adam.step(
+                &mut recorder,
+                AdamStep { number: 1, overflow_flag: &no },
+                &table,
+                &gradients,
+                &values,
+                &moments,
+            )
+            .expect("recorded");
             recorder.submit().expect("submitted");
             for (i, (value, rate)) in
                 device.read(&values).expect("read").iter().zip(rates.iter().cycle()).enumerate()

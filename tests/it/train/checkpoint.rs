@@ -8,7 +8,7 @@ use serde_json::Value;
 use tcgs::{
     domain::{CancelFlag, Dataset, Digest, ManualClock, ModelKind, Problem, Progress, TrainOptions},
     train::{
-        Checkpoint, CheckpointError, CheckpointFolder, Checkpoints, KeepCheckpoints, TrainError, Trained,
+        Checkpoint, CheckpointError, CheckpointFolder, CheckpointSink, Checkpoints, TrainError, Trained,
         train,
     },
 };
@@ -43,12 +43,12 @@ impl Kept {
     }
 }
 
-impl KeepCheckpoints for Kept {
+impl CheckpointSink for Kept {
     fn wants(&mut self, step: u32) -> bool {
         (self.wants)(step)
     }
 
-    fn keep(&mut self, checkpoint: &Checkpoint) -> Result<(), CheckpointError> {
+    fn save(&mut self, checkpoint: &Checkpoint) -> Result<(), CheckpointError> {
         // Through the bytes of a file, as every checkpoint goes that is read again.
         let read = Checkpoint::from_bytes(&bytes(checkpoint))?;
         let doubled = self.checkpoints.insert(checkpoint.step(), read);
@@ -75,7 +75,7 @@ fn outcome(
 }
 
 fn resumed(checkpoint: &Checkpoint, options: &TrainOptions) -> (Trained, Vec<Progress>) {
-    let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), keep: None };
+    let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), sink: None };
     outcome(&dataset(), options, checkpoints).expect("goes on")
 }
 
@@ -90,7 +90,7 @@ fn figures(progress: &Progress) -> ([u64; 4], [Option<u64>; 3]) {
 fn a_run_that_goes_on_from_any_step_ends_with_the_same_bits() {
     let options = options(STEPS, 7);
     let mut kept = Kept::at(|step| INTERRUPTED.contains(&step));
-    let checkpoints = Checkpoints { resume: None, keep: Some(&mut kept) };
+    let checkpoints = Checkpoints { resume: None, sink: Some(&mut kept) };
     let (whole, reports) = outcome(&dataset(), &options, checkpoints).expect("a scene");
     assert_eq!(kept.steps(), INTERRUPTED);
     let context = whole.context.as_ref().expect("a context model");
@@ -117,7 +117,7 @@ fn a_run_that_goes_on_from_any_step_ends_with_the_same_bits() {
 fn a_run_of_plain_gaussians_goes_on_from_any_step_too() {
     let options = TrainOptions { model: ModelKind::Gaussians3d, ..options(STEPS, 7) };
     let mut kept = Kept::at(|step| [1, 40, 60, STEPS].contains(&step));
-    let checkpoints = Checkpoints { resume: None, keep: Some(&mut kept) };
+    let checkpoints = Checkpoints { resume: None, sink: Some(&mut kept) };
     let (whole, _) = outcome(&dataset(), &options, checkpoints).expect("a scene");
     for (step, checkpoint) in &kept.checkpoints {
         assert!(resumed(checkpoint, &options).0.scene == whole.scene, "another scene after step {step}");
@@ -128,11 +128,11 @@ fn a_run_of_plain_gaussians_goes_on_from_any_step_too() {
 fn a_run_in_a_unit_of_its_own_goes_on_in_it() {
     let (tiny, options) = (scaled(&dataset(), 1e-3), options(32, 7));
     let mut kept = Kept::at(|step| [3, 30].contains(&step));
-    let checkpoints = Checkpoints { resume: None, keep: Some(&mut kept) };
+    let checkpoints = Checkpoints { resume: None, sink: Some(&mut kept) };
     let (whole, _) = outcome(&tiny, &options, checkpoints).expect("a scene");
     assert!(!whole.scene.as_anchors().expect("anchors").unit.is_usual());
     for (step, checkpoint) in &kept.checkpoints {
-        let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), keep: None };
+        let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), sink: None };
         let (resumed, _) = outcome(&tiny, &options, checkpoints).expect("goes on");
         assert!(resumed.scene == whole.scene, "another scene after step {step}");
     }
@@ -143,8 +143,8 @@ fn what_is_kept_does_not_depend_on_what_was_kept_before() {
     let options = options(32, 3);
     let mut often = Kept::at(|_| true);
     let mut seldom = Kept::at(|step| step == 27);
-    let scenes = [&mut often as &mut dyn KeepCheckpoints, &mut seldom].map(|keep| {
-        let checkpoints = Checkpoints { resume: None, keep: Some(keep) };
+    let scenes = [&mut often as &mut dyn CheckpointSink, &mut seldom].map(|keep| {
+        let checkpoints = Checkpoints { resume: None, sink: Some(keep) };
         outcome(&dataset(), &options, checkpoints).expect("a scene").0.scene
     });
     let without = outcome(&dataset(), &options, Checkpoints::default()).expect("a scene").0.scene;
@@ -175,7 +175,7 @@ fn a_cancelled_run_leaves_a_checkpoint_of_its_last_step() {
     let mut kept = Kept::at(|_| false);
     let cancel = CancelFlag::default();
     let mut report = |_: &Progress| cancel.cancel();
-    let checkpoints = Checkpoints { resume: None, keep: Some(&mut kept) };
+    let checkpoints = Checkpoints { resume: None, sink: Some(&mut kept) };
     let stopped = train(&gpu(), &dataset(), &options, checkpoints, &mut report, &cancel);
     assert!(matches!(stopped, Err(TrainError::Cancelled)));
     assert_eq!(kept.steps(), [10], "cancelled at the first report");
@@ -184,7 +184,7 @@ fn a_cancelled_run_leaves_a_checkpoint_of_its_last_step() {
 
     // A run that is cancelled before its first step has nothing to add to what it began from.
     let mut again = Kept::at(|_| true);
-    let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), keep: Some(&mut again) };
+    let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), sink: Some(&mut again) };
     let stopped = train(&gpu(), &dataset(), &options, checkpoints, &mut |_| (), &cancel);
     assert!(matches!(stopped, Err(TrainError::Cancelled)));
     assert!(again.steps().is_empty());
@@ -193,7 +193,7 @@ fn a_cancelled_run_leaves_a_checkpoint_of_its_last_step() {
 /// One checkpoint of a run of two steps, kept through `keep` as well.
 fn first_step(options: &TrainOptions) -> Checkpoint {
     let mut kept = Kept::at(|step| step == 1);
-    let checkpoints = Checkpoints { resume: None, keep: Some(&mut kept) };
+    let checkpoints = Checkpoints { resume: None, sink: Some(&mut kept) };
     outcome(&dataset(), options, checkpoints).expect("a scene");
     kept.checkpoints.remove(&1).expect("the first step")
 }
@@ -202,7 +202,7 @@ fn first_step(options: &TrainOptions) -> Checkpoint {
 fn checkpoints_of_other_runs_are_refused_before_the_first_step() {
     let checkpoint = first_step(&options(2, 5));
     let refused = |dataset: &Dataset, options: &TrainOptions| {
-        let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), keep: None };
+        let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), sink: None };
         match outcome(dataset, options, checkpoints) {
             Err(TrainError::Checkpoint(fault)) => fault,
             other => panic!("not refused: {other:?}"),
@@ -220,19 +220,19 @@ fn checkpoints_of_other_runs_are_refused_before_the_first_step() {
 #[test]
 fn a_checkpoint_that_cannot_be_kept_does_not_end_the_run() {
     struct Full(u32);
-    impl KeepCheckpoints for Full {
+    impl CheckpointSink for Full {
         fn wants(&mut self, _: u32) -> bool {
             true
         }
 
-        fn keep(&mut self, _: &Checkpoint) -> Result<(), CheckpointError> {
+        fn save(&mut self, _: &Checkpoint) -> Result<(), CheckpointError> {
             self.0 += 1;
             let fault = std::io::ErrorKind::StorageFull.into();
             Err(CheckpointError::Io { path: "somewhere".into(), fault })
         }
     }
     let mut full = Full(0);
-    let checkpoints = Checkpoints { resume: None, keep: Some(&mut full) };
+    let checkpoints = Checkpoints { resume: None, sink: Some(&mut full) };
     outcome(&dataset(), &options(3, 0), checkpoints).expect("a scene all the same");
     assert_eq!(full.0, 3);
 }
@@ -251,7 +251,7 @@ fn a_folder_holds_the_newest_checkpoint_and_refuses_what_is_none() {
     assert!(keep.wants(3));
     let checkpoint = first_step(&options(2, 5));
     for checkpoint in [&first_step(&options(2, 4)), &checkpoint] {
-        keep.keep(checkpoint).expect("kept");
+        keep.save(checkpoint).expect("saved");
         assert!(!keep.wants(4), "the next one has time");
         assert!(CheckpointFolder::load(&path).expect("loads") == *checkpoint);
     }

@@ -30,7 +30,7 @@ const RESET_OPACITY: f32 = 0.01;
 
 /// The settings of one round.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Growth {
+pub(super) struct GrowthSettings {
     /// Mean screen gradient, in half-image units, from which a Gaussian grows.
     pub threshold: f32,
     /// Radius of the cameras, in world units.
@@ -43,7 +43,7 @@ pub(super) struct Growth {
 
 /// Parameters with their moments: what moves together when Gaussians come and go.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct PlainState {
+pub(super) struct TrainableGaussians {
     /// Parameters.
     pub values: GaussianRows,
     /// First moments.
@@ -63,7 +63,7 @@ pub(super) struct Outcome {
     pub pruned: usize,
 }
 
-impl PlainState {
+impl TrainableGaussians {
     /// Appends a copy of Gaussian `index` that has no history; returns where it is.
     fn push_copy(&mut self, index: usize) -> usize {
         self.values.push_copy(index);
@@ -81,9 +81,9 @@ impl PlainState {
 
 /// One round of growth, then pruning. `statistics` has a row a Gaussian: sum of gradient norms, views, largest radius.
 pub(super) fn grow_and_prune(
-    state: &mut PlainState,
+    state: &mut TrainableGaussians,
     statistics: &[f32],
-    settings: &Growth,
+    settings: &GrowthSettings,
     rng: &mut impl Rng,
 ) -> Outcome {
     let before = state.values.len();
@@ -118,7 +118,7 @@ pub(super) fn grow_and_prune(
 }
 
 /// The Gaussians that grow, ascending: those of the largest gradients where not all of them may.
-fn chosen(statistics: &[f32], settings: &Growth, count: usize) -> Vec<usize> {
+fn chosen(statistics: &[f32], settings: &GrowthSettings, count: usize) -> Vec<usize> {
     let mut wanted: Vec<(f32, usize)> = statistics
         .chunks_exact(STATISTICS)
         .take(count)
@@ -165,7 +165,7 @@ fn normal(rng: &mut impl Rng) -> f32 {
 }
 
 /// Brings every opacity down to 0.01 and forgets how it moved, so that what the photographs do not ask for dies out.
-pub(super) fn reset_opacities(state: &mut PlainState) {
+pub(super) fn reset_opacities(state: &mut TrainableGaussians) {
     let most = logit(RESET_OPACITY);
     for index in 0..state.values.len() {
         let value = &mut state.values.base_mut(index)[OPACITY];

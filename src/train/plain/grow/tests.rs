@@ -7,10 +7,11 @@ use crate::model::gaussian_rows::{BANDS, BASE, COLOR};
 
 const EXTENT: f32 = 2.0;
 
-const USUAL: Growth = Growth { threshold: 2e-4, extent: EXTENT, max_gaussians: 1000, prune_large: false };
+const USUAL: GrowthSettings =
+    GrowthSettings { threshold: 2e-4, extent: EXTENT, max_gaussians: 1000, prune_large: false };
 
 /// Gaussians of the given sizes, all at opacity 0.5, told apart by their places; moments that are not zero.
-fn state(sizes: &[f32]) -> PlainState {
+fn state(sizes: &[f32]) -> TrainableGaussians {
     let mut values = GaussianRows::zero(sizes.len());
     for (index, size) in sizes.iter().enumerate() {
         let row = values.base_mut(index);
@@ -25,15 +26,15 @@ fn state(sizes: &[f32]) -> PlainState {
     let mut moments = GaussianRows::zero(sizes.len());
     moments.base.fill(0.5);
     moments.bands.iter_mut().for_each(|band| band.fill(0.5));
-    PlainState { values, first: moments.clone(), second: moments }
+    TrainableGaussians { values, first: moments.clone(), second: moments }
 }
 
 /// A row of statistics for each gradient: two views, no radius.
-fn seen(gradients: &[f32]) -> Vec<f32> {
+fn view_statistics(gradients: &[f32]) -> Vec<f32> {
     gradients.iter().flat_map(|g| [2.0 * g, 2.0, 0.0]).collect()
 }
 
-fn round(state: &mut PlainState, statistics: &[f32], settings: &Growth) -> Outcome {
+fn round(state: &mut TrainableGaussians, statistics: &[f32], settings: &GrowthSettings) -> Outcome {
     let outcome = grow_and_prune(state, statistics, settings, &mut Pcg64::seed_from_u64(5));
     for rows in [&state.values, &state.first, &state.second] {
         assert_eq!(rows.len(), state.values.len());
@@ -47,7 +48,7 @@ fn round(state: &mut PlainState, statistics: &[f32], settings: &Growth) -> Outco
 fn what_moves_little_or_was_never_seen_stays_as_it_is() {
     let mut state = state(&[0.001, 0.5, 0.001]);
     let before = state.clone();
-    let mut statistics = seen(&[1.9e-4, 1.9e-4, 0.0]);
+    let mut statistics = view_statistics(&[1.9e-4, 1.9e-4, 0.0]);
     statistics[6..].copy_from_slice(&[0.0, 0.0, 0.0]);
     assert_eq!(round(&mut state, &statistics, &USUAL), Outcome::default());
     assert_eq!(state, before);
@@ -57,7 +58,7 @@ fn what_moves_little_or_was_never_seen_stays_as_it_is() {
 fn a_small_gaussian_is_doubled_and_its_copy_has_no_history() {
     let mut state = state(&[0.019, 0.001]);
     let before = state.clone();
-    let outcome = round(&mut state, &seen(&[3e-4, 0.0]), &USUAL);
+    let outcome = round(&mut state, &view_statistics(&[3e-4, 0.0]), &USUAL);
     assert_eq!(outcome, Outcome { cloned: 1, ..Outcome::default() });
     assert_eq!(state.values.len(), 3);
     assert_eq!(state.values.base(2), before.values.base(0));
@@ -71,7 +72,7 @@ fn a_small_gaussian_is_doubled_and_its_copy_has_no_history() {
 #[test]
 fn a_large_gaussian_is_replaced_by_two_smaller_ones_drawn_from_it() {
     let mut grown = state(&[0.001, 0.5]);
-    let outcome = round(&mut grown, &seen(&[0.0, 3e-4]), &USUAL);
+    let outcome = round(&mut grown, &view_statistics(&[0.0, 3e-4]), &USUAL);
     assert_eq!(outcome, Outcome { split: 1, ..Outcome::default() });
     assert_eq!(grown.values.len(), 3, "the original is gone");
     let original = state(&[0.001, 0.5]);
@@ -95,8 +96,8 @@ fn the_halves_are_spread_as_the_gaussian_is() {
     for index in 0..count {
         state.values.base_mut(index)[0] = 0.0;
     }
-    let settings = Growth { max_gaussians: 100_000, ..USUAL };
-    round(&mut state, &seen(&vec![1.0; count]), &settings);
+    let settings = GrowthSettings { max_gaussians: 100_000, ..USUAL };
+    round(&mut state, &view_statistics(&vec![1.0; count]), &settings);
     let places: Vec<Vec3> =
         (0..2 * count).map(|index| Vec3::from_slice(&state.values.base(index)[..3])).collect();
     let mean = places.iter().copied().sum::<Vec3>() / places.len() as f32;
@@ -114,16 +115,20 @@ fn the_halves_are_spread_as_the_gaussian_is() {
 fn the_largest_gradients_grow_first_where_not_all_may() {
     let mut state = state(&[0.001; 5]);
     let gradients = [3e-4, 9e-4, 5e-4, 9e-4, 4e-4];
-    let outcome = round(&mut state, &seen(&gradients), &Growth { max_gaussians: 7, ..USUAL });
+    let outcome =
+        round(&mut state, &view_statistics(&gradients), &GrowthSettings { max_gaussians: 7, ..USUAL });
     assert_eq!((outcome.cloned, state.values.len()), (2, 7));
     let copied: Vec<f32> = (5..7).map(|index| state.values.base(index)[0]).collect();
     assert_eq!(copied, [1.0, 3.0]);
     // Of equal ones the first.
     let mut equal = self::state(&[0.001; 4]);
-    round(&mut equal, &seen(&[5e-4; 4]), &Growth { max_gaussians: 6, ..USUAL });
+    round(&mut equal, &view_statistics(&[5e-4; 4]), &GrowthSettings { max_gaussians: 6, ..USUAL });
     assert_eq!([4, 5].map(|index| equal.values.base(index)[0]), [0.0, 1.0]);
     let mut full = self::state(&[0.001, 0.5]);
-    assert_eq!(round(&mut full, &seen(&[1.0; 2]), &Growth { max_gaussians: 1, ..USUAL }), Outcome::default());
+    assert_eq!(
+        round(&mut full, &view_statistics(&[1.0; 2]), &GrowthSettings { max_gaussians: 1, ..USUAL }),
+        Outcome::default()
+    );
 }
 
 #[test]
@@ -134,13 +139,13 @@ fn transparent_gaussians_go_at_once_and_large_ones_after_the_first_reset() {
         state.values.base_mut(1)[OPACITY] = logit(0.006);
         state
     };
-    let mut statistics = seen(&[0.0; 5]);
+    let mut statistics = view_statistics(&[0.0; 5]);
     statistics[3 * STATISTICS + 2] = 21.0;
     statistics[4 * STATISTICS + 2] = 19.0;
     let mut early = make();
     assert_eq!(round(&mut early, &statistics, &USUAL), Outcome { pruned: 1, ..Outcome::default() });
     let mut late = make();
-    let settings = Growth { prune_large: true, ..USUAL };
+    let settings = GrowthSettings { prune_large: true, ..USUAL };
     assert_eq!(round(&mut late, &statistics, &settings), Outcome { pruned: 3, ..Outcome::default() });
     let left: Vec<f32> = (0..late.values.len()).map(|index| late.values.base(index)[0]).collect();
     assert_eq!(left, [1.0, 4.0]);
@@ -150,7 +155,7 @@ fn transparent_gaussians_go_at_once_and_large_ones_after_the_first_reset() {
 fn a_gaussian_without_a_rotation_is_split_into_finite_ones() {
     let mut state = state(&[0.5]);
     state.values.base_mut(0)[QUAT..OPACITY].fill(0.0);
-    round(&mut state, &seen(&[1.0]), &USUAL);
+    round(&mut state, &view_statistics(&[1.0]), &USUAL);
     assert_eq!(state.values.len(), 2);
     assert!(state.values.base.iter().all(|v| v.is_finite()));
 }
@@ -159,7 +164,7 @@ fn a_gaussian_without_a_rotation_is_split_into_finite_ones() {
 fn the_same_seed_grows_the_same_and_another_seed_does_not() {
     let grown = |seed| {
         let mut state = state(&[0.5; 20]);
-        grow_and_prune(&mut state, &seen(&[1.0; 20]), &USUAL, &mut Pcg64::seed_from_u64(seed));
+        grow_and_prune(&mut state, &view_statistics(&[1.0; 20]), &USUAL, &mut Pcg64::seed_from_u64(seed));
         state
     };
     assert_eq!(grown(1), grown(1));

@@ -11,7 +11,7 @@ use tcgs::{
         DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer,
         twin::{GaussianGradient, neural},
     },
-    train::{Adam, FIRST_LOGIT, MaskRows, OffsetMasks, twin},
+    train::{Adam, AdamStep, FIRST_LOGIT, MaskRows, OffsetMasks, twin},
 };
 
 use super::scene::{SMALL, Scene, USUAL, projection, random_gradients};
@@ -112,7 +112,9 @@ fn check_against_twins(shape: Shape, count: usize) {
         masks.backward(&mut recorder, &mut gaussians, &device_anchors, weight).expect("recorded").clone();
     let no = device.buffer("overflow flag", 1).expect("room");
     let adam = Adam::new(&device).expect("adam");
-    masks.step(&mut recorder, &adam, 1, &no, 0.5, LEVEL, &device_anchors).expect("recorded");
+    masks
+        .step(&mut recorder, &adam, AdamStep { number: 1, overflow_flag: &no }, 0.5, LEVEL, &device_anchors)
+        .expect("recorded");
     recorder.submit().expect("submitted");
 
     let spawned = neural::neural_forward(&projection(&camera), &scene.twin());

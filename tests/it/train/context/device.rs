@@ -9,10 +9,8 @@ use tcgs::{
     gpu::Device,
     render::RenderError,
     train::{
-        TrainError,
-        context::{
-            ContextAnchors, ContextError, ContextNet, ContextPass, ContextState, PlaneConfig, PlaneSource,
-        },
+        ContextError, TrainError,
+        context::{ContextAnchors, ContextNet, ContextPass, ContextState, PlaneConfig, PlaneSource},
         twin::context as twin,
     },
 };
@@ -209,17 +207,17 @@ fn what_does_not_fit_is_refused() {
     let scene = Scene::random(8, ContextKind::TriPlane, TWO_LAYERS, 20, 5);
     let short = ContextState::new(scene.values[1..].to_vec());
     let refused = ContextNet::new(&device, scene.layout.config, &short);
-    assert!(matches!(refused, Err(TrainError::Device(ContextError::Parameters { .. }))));
+    assert!(matches!(refused, Err(TrainError::Context(ContextError::Parameters { .. }))));
     let mut net = net(&scene);
     let mut recorder = device.recorder("refused");
     let early = net.backward(&mut recorder);
     assert!(matches!(early, Err(TrainError::Render(RenderError::OutOfStep))));
     for sample in [[3, 20], [4, 4]] {
         let refused = net.forward(&mut recorder, &sample, &ContextPass::RAW);
-        assert!(matches!(refused, Err(TrainError::Device(ContextError::Anchors(_)))), "{sample:?}");
+        assert!(matches!(refused, Err(TrainError::Context(ContextError::Anchors(_)))), "{sample:?}");
     }
     let stray = ContextAnchors { neighbours: vec![20; 20], ..scene.anchors.clone() };
-    assert!(matches!(net.place(&stray), Err(TrainError::Device(ContextError::Anchors(_)))));
+    assert!(matches!(net.place(&stray), Err(TrainError::Context(ContextError::Anchors(_)))));
 }
 
 #[test]

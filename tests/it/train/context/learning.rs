@@ -6,9 +6,9 @@ use tcgs::{
     codec::context::robust_frame,
     domain::ContextKind,
     train::{
-        Adam,
+        Adam, AdamStep,
         context::{
-            ContextAnchors, ContextConfig, ContextLayout, ContextNet, ContextPass, ContextRates,
+            ContextAnchors, ContextConfig, ContextLayout, ContextLearningRates, ContextNet, ContextPass,
             ContextState, GroupStatistics, PlaneConfig, PlaneSource,
         },
     },
@@ -60,10 +60,17 @@ fn errors(kind: ContextKind) -> [f32; 4] {
                 gradients[column] = (predicted - targets[*anchor as usize]) / 2_500.0 / sample.len() as f32;
             }
             device.write(net.output_gradients(), &gradients);
-            let rates = ContextRates { networks: 5e-3, planes: 5e-3, layers: 5e-3, latents: 1e-2 };
+            let rates = ContextLearningRates { networks: 5e-3, planes: 5e-3, layers: 5e-3, latents: 1e-2 };
             let mut recorder = device.recorder("backward");
             net.backward(&mut recorder).expect("recorded");
-            net.step(&mut recorder, &adam, step, &no, &rates, &statistics).expect("recorded");
+            net.step(
+                &mut recorder,
+                &adam,
+                AdamStep { number: step, overflow_flag: &no },
+                &rates,
+                &statistics,
+            )
+            .expect("recorded");
             recorder.submit().expect("submitted");
         }
         let found = predictions(net, &all);

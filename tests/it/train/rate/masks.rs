@@ -1,6 +1,6 @@
 //! Masks weigh their offsets' bits: the twin against central differences, the kernel against the twin.
 
-use tcgs::train::{Adam, MaskRows, OffsetMasks, context::QuantisationPhase, twin};
+use tcgs::train::{Adam, AdamStep, MaskRows, OffsetMasks, context::QuantisationPhase, twin};
 
 use super::scene::{Case, LAMBDA, OnDevice, SMALL, f64s, quantisation};
 use crate::support::{gpu::gpu, oracle::relative_l2};
@@ -38,7 +38,14 @@ fn the_kernel_adds_the_rates_gradient_for_the_sampled_anchors() {
     masks.rate_backward(&mut recorder, &uploaded.rate, uploaded.sample(), LAMBDA).expect("recorded");
     let adam = Adam::new(&device).expect("adam");
     masks
-        .step(&mut recorder, &adam, 1, &uploaded.overflow_flag, 0.01, -4.6, &uploaded.anchors)
+        .step(
+            &mut recorder,
+            &adam,
+            AdamStep { number: 1, overflow_flag: &uploaded.overflow_flag },
+            0.01,
+            -4.6,
+            &uploaded.anchors,
+        )
         .expect("recorded");
     recorder.submit().expect("submitted");
     let found: Vec<f64> =

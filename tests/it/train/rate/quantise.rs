@@ -131,7 +131,7 @@ fn the_kernels_match_the_twins() {
             let by = quantisation(phase);
             let uploaded = OnDevice::upload(&device, &case, &d_rendered);
             device.write(uploaded.quantised.rows(), &vec![JUNK; count * shape.row()]);
-            device.write(uploaded.quantised.log_step_gradients(), &vec![JUNK; 3 * count]);
+            device.write(uploaded.quantised.log_quant_step_gradients(), &vec![JUNK; 3 * count]);
             let mut recorder = device.recorder("quantise");
             uploaded.quantised.record_forward(&mut recorder, &uploaded.anchors, &by).expect("recorded");
             uploaded
@@ -141,7 +141,7 @@ fn the_kernels_match_the_twins() {
             recorder.submit().expect("submitted");
             let rows = device.read(uploaded.quantised.rows()).expect("read");
             let d_rows = device.read(&uploaded.d_rows).expect("read");
-            let d_log_steps = device.read(uploaded.quantised.log_step_gradients()).expect("read");
+            let d_log_steps = device.read(uploaded.quantised.log_quant_step_gradients()).expect("read");
             let (mut expected_d, mut expected_log) = (Vec::new(), Vec::new());
             for anchor in 0..count {
                 let row = f64s(case.anchors.row(anchor));

@@ -7,7 +7,9 @@ use tcgs::{
     gpu::{Buffer, Device},
     model::{AnchorRows, Shape, all_offsets},
     render::DeviceAnchors,
-    train::context::{AnchorSample, GroupOutputs, Quantisation, QuantisationPhase, QuantisedRows, RateTerm},
+    train::context::{
+        AnchorSample, GroupOutputs, Quantisation, QuantisationPhase, QuantisedRows, RateInputs, RateTerm,
+    },
 };
 
 /// Sizes that leave every tile of the kernels partly filled.
@@ -22,7 +24,7 @@ pub(super) const BASE_STEPS: [f32; 3] = [0.7, 0.013, 0.21];
 pub(super) const LAMBDA: f64 = 3.0;
 
 pub(super) fn quantisation(phase: QuantisationPhase) -> Quantisation {
-    Quantisation { phase, base_steps: BASE_STEPS, key: Quantisation::key(11, 4) }
+    Quantisation { phase, base_quant_steps: BASE_STEPS, key: Quantisation::key(11, 4) }
 }
 
 pub(super) fn f64s(values: &[f32]) -> Vec<f64> {
@@ -199,19 +201,15 @@ impl OnDevice {
             gradients: &self.d_outputs[group],
             first_row: FIRST_ROW,
         });
-        self.rate
-            .record(
-                &mut recorder,
-                &self.anchors,
-                &self.quantised,
-                quantisation,
-                self.sample(),
-                outputs,
-                LAMBDA,
-                &self.d_rows,
-                &self.overflow_flag,
-            )
-            .expect("recorded");
+        let inputs = RateInputs {
+            anchors: &self.anchors,
+            quantised: &self.quantised,
+            quantisation,
+            sample: self.sample(),
+            outputs,
+            lambda: LAMBDA,
+        };
+        self.rate.record(&mut recorder, &inputs, &self.d_rows, &self.overflow_flag).expect("recorded");
         recorder.submit().expect("submitted");
     }
 

@@ -5,7 +5,9 @@ use tcgs::{
     model::Shape,
     train::{
         context::QuantisationPhase,
-        twin::{RateGradients, quantise_gradient, rate, refresh_steps, sum_bits, symbol_bits},
+        twin::{
+            RateGradients, RateInput, quantise_gradient, rate, refresh_quant_steps, sum_bits, symbol_bits,
+        },
     },
 };
 
@@ -21,21 +23,16 @@ const PHASES: [QuantisationPhase; 2] = [QuantisationPhase::Noise, QuantisationPh
 const BOUND: f64 = 1e-4;
 
 /// The twin on a group of one anchor.
-#[expect(clippy::too_many_arguments, reason = "the twin's arguments")]
-fn on_twin(
-    phase: QuantisationPhase,
-    shape: Shape,
-    anchor: usize,
-    group: AttributeGroup,
-    row: &[f64],
-    mask: u32,
-    outputs: &[f64],
-    d_log_step: f64,
-    weight: f64,
-) -> RateGradients {
-    let first = columns(shape)[group as usize];
-    let part = &row[first..columns(shape)[group as usize + 1]];
-    rate(&quantisation(phase), anchor as u32, group, first, part, mask, outputs, d_log_step, weight)
+fn on_twin(phase: QuantisationPhase, shape: Shape, input: RateInput<'_>) -> RateGradients {
+    let columns = columns(shape);
+    let (first, end) = (columns[input.group as usize], columns[input.group as usize + 1]);
+    rate(&quantisation(phase), &RateInput { first, row: &input.row[first..end], ..input })
+}
+
+/// One channel of the first group of anchor 0.
+fn channel<'a>(row: &'a [f64], outputs: &'a [f64], d_log_step: f64) -> RateInput<'a> {
+    let group = AttributeGroup::Features;
+    RateInput { anchor: 0, group, first: 0, row, mask: 0, outputs, d_log_step, weight: 1.0 }
 }
 
 #[test]
@@ -50,7 +47,8 @@ fn the_twins_gradient_is_that_of_its_bits() {
             let first = columns(SMALL)[group as usize];
             let outputs = f64s(&case.outputs[group as usize][place]);
             let of = |row: &[f64], outputs: &[f64]| {
-                on_twin(QuantisationPhase::Noise, SMALL, anchor, group, row, mask, outputs, 0.0, 1.0)
+                let input = RateInput { anchor: anchor as u32, group, mask, ..channel(row, outputs, 0.0) };
+                on_twin(QuantisationPhase::Noise, SMALL, input)
             };
             let total = |row: &[f64], outputs: &[f64]| -> f64 { of(row, outputs).bits.iter().sum() };
             let found = of(&row, &outputs);
@@ -104,30 +102,28 @@ fn the_twins_gradient_is_that_of_its_bits() {
 fn beyond_the_coded_deviations_only_what_leads_back_passes() {
     // One channel, a step of one; value and mean apart or together, the deviation below, inside and above the bounds.
     let by = tcgs::train::context::Quantisation {
-        base_steps: [1.0; 3],
+        base_quant_steps: [1.0; 3],
         ..quantisation(QuantisationPhase::Rounded)
     };
-    let by_scale = |apart: f64, octaves: f64| {
-        rate(&by, 0, AttributeGroup::Features, 0, &[apart], 0, &[0.0, octaves, 0.0], 0.0, 1.0).outputs[1]
-    };
+    let by_scale =
+        |apart: f64, octaves: f64| rate(&by, &channel(&[apart], &[0.0, octaves, 0.0], 0.0)).outputs[1];
     assert!(by_scale(3.0, -5.0) < -1.0, "a badly predicted value asks for more");
     assert_eq!(by_scale(0.0, -5.0), 0.0, "a well predicted one no longer for less");
     assert!(by_scale(0.0, 12.0) > 0.1, "too wide a distribution is narrowed");
     assert_eq!(by_scale(1e5, 12.0), 0.0);
     assert!(by_scale(0.0, 0.0) > 0.0 && by_scale(3.0, 0.0) < 0.0);
-    let by_adjustment = |adjustment: f64| {
-        rate(&by, 0, AttributeGroup::Features, 0, &[3.0], 0, &[0.0, 1.0, adjustment], 0.5, 1.0).outputs[2]
-    };
+    let by_adjustment =
+        |adjustment: f64| rate(&by, &channel(&[3.0], &[0.0, 1.0, adjustment], 0.5)).outputs[2];
     assert!(by_adjustment(3.4) != 0.0 && by_adjustment(3.6) == 0.0 && by_adjustment(-3.6) == 0.0);
 }
 
 #[test]
 fn what_is_far_out_is_stored_as_an_escape_and_pulled_back_all_the_same() {
     let by = tcgs::train::context::Quantisation {
-        base_steps: [1.0; 3],
+        base_quant_steps: [1.0; 3],
         ..quantisation(QuantisationPhase::Rounded)
     };
-    let at = |value: f64| rate(&by, 0, AttributeGroup::Features, 0, &[value], 0, &[0.0; 3], 0.0, 1.0);
+    let at = |value: f64| rate(&by, &channel(&[value], &[0.0; 3], 0.0));
     let near = at(4.0);
     assert_eq!(near.stored, near.bits, "within the table");
     for value in [8.0, 100.0, -1e4, 1e6] {
@@ -162,10 +158,8 @@ fn a_stray_anchor_does_not_decide_what_a_scene_is_said_to_take() {
         .map(|(anchor, outputs)| {
             let (row, outputs) = (f64s(case.anchors.row(*anchor as usize)), f64s(outputs));
             let group = AttributeGroup::Features;
-            on_twin(by.phase, SMALL, *anchor as usize, group, &row, 0, &outputs, 0.0, 1.0)
-                .stored
-                .iter()
-                .sum::<f64>()
+            let input = RateInput { anchor: *anchor, group, ..channel(&row, &outputs, 0.0) };
+            on_twin(by.phase, SMALL, input).stored.iter().sum::<f64>()
         })
         .sum();
     assert!((after[0] - stored).abs() < 2e-5 * stored, "{} {stored}", after[0]);
@@ -182,13 +176,16 @@ fn rounded_bits_are_those_of_the_decoders_numbers() {
         let row = f64s(case.anchors.row(anchor));
         for group in AttributeGroup::ALL {
             let outputs = f64s(&case.outputs[group as usize][place]);
-            let found =
-                on_twin(QuantisationPhase::Rounded, SMALL, anchor, group, &row, u32::MAX, &outputs, 0.0, 1.0);
+            let found = on_twin(
+                QuantisationPhase::Rounded,
+                SMALL,
+                RateInput { anchor: anchor as u32, group, mask: u32::MAX, ..channel(&row, &outputs, 0.0) },
+            );
             let channels = found.bits.len();
             let octaves = rounded_octaves(outputs[2 * channels]);
             let step = f64::from(BASE_STEPS[group as usize]) * octaves.exp2();
             let refreshed =
-                refresh_steps(&quantisation(QuantisationPhase::Rounded), group, outputs[2 * channels]);
+                refresh_quant_steps(&quantisation(QuantisationPhase::Rounded), group, outputs[2 * channels]);
             assert!((refreshed - step).abs() < 1e-12 * step);
             for channel in 0..channels {
                 let value = row[columns(SMALL)[group as usize] + channel];
@@ -240,7 +237,9 @@ fn check_against_twin(shape: Shape, count: usize, sampled: usize, phase: Quantis
             let outputs = f64s(&case.outputs[group as usize][place]);
             let mask = case.anchors.masks[anchor];
             let d_log_step = scaled_up * d_log_steps[anchor][group as usize];
-            let expected = on_twin(phase, shape, anchor, group, &row, mask, &outputs, d_log_step, weight);
+            let input = channel(&row, &outputs, d_log_step);
+            let input = RateInput { anchor: anchor as u32, group, mask, weight, ..input };
+            let expected = on_twin(phase, shape, input);
             let channels = expected.row.len();
             for (part, range) in
                 [0..channels, channels..2 * channels, 2 * channels..2 * channels + 1].into_iter().enumerate()
@@ -251,7 +250,7 @@ fn check_against_twin(shape: Shape, count: usize, sampled: usize, phase: Quantis
             for (channel, d) in expected.row.iter().enumerate() {
                 d_rows[anchor * shape.row() + columns(shape)[group as usize] + channel] += d;
             }
-            steps[3 * anchor + group as usize] = refresh_steps(&by, group, outputs[2 * channels]);
+            steps[3 * anchor + group as usize] = refresh_quant_steps(&by, group, outputs[2 * channels]);
             let cost: f64 = expected.stored.iter().sum();
             let error = (bits[group as usize][place] - cost).abs();
             assert!(error < 2e-5 * (1.0 + cost), "{what}: {} {cost}", bits[group as usize][place]);

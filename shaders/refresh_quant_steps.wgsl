@@ -14,7 +14,7 @@
 @group(0) @binding(4) var<storage, read_write> steps: array<f32>;
 
 @compute @workgroup_size(64)
-fn refresh_steps(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+fn refresh_quant_steps(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let sampled = (group.x + group.y * 65535u) * 64u + local;
     if sampled >= list[0] || overflow_flag[0] != 0u {
         return;

@@ -18,7 +18,7 @@ struct Settings {
 @group(0) @binding(4) var<storage, read_write> differences: array<f32>;
 
 @compute @workgroup_size(64)
-fn hold_steps(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+fn freeze_quant_steps(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let sampled = (group.x + group.y * 65535u) * 64u + local;
     if sampled >= list[0] {
         return;

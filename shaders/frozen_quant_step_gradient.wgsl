@@ -15,7 +15,7 @@ struct Settings {
 @group(0) @binding(3) var<storage, read_write> d_outputs: array<f32>;
 
 @compute @workgroup_size(64)
-fn held_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+fn frozen_quant_step_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let sampled = (group.x + group.y * 65535u) * 64u + local;
     if sampled >= list[0] {
         return;

@@ -1,0 +1,146 @@
+//! The anchor model's state in a checkpoint.
+
+use std::sync::Arc;
+
+use super::{AnchorTrainer, Parts};
+use crate::{
+    domain::{DistanceUnit, Lattice},
+    gpu::Device,
+    model::{AnchorRows, MAX_CELL, NetworkLayout},
+    train::{
+        CheckpointError, MaskRows, Schedule, Statistics, TrainError, checkpoint::ModelState,
+        compression::Compression, densify::TrainableAnchors,
+    },
+};
+
+fn lattice_values(values: &[f32]) -> Result<[f32; 4], CheckpointError> {
+    match <[f32; 4]>::try_from(values) {
+        Ok(values) if values[0] > 0.0 && values.iter().all(|v| v.is_finite()) => Ok(values),
+        _ => Err(CheckpointError::array("lattice", "is not a size and an origin")),
+    }
+}
+
+/// The unit of a state; the usual one if it has none.
+fn unit_of(state: &mut ModelState) -> Result<DistanceUnit, CheckpointError> {
+    if !state.has("unit") {
+        return Ok(DistanceUnit::USUAL);
+    }
+    let unit = state.take_exactly::<f32>("unit", 1)?.first().and_then(|length| DistanceUnit::new(*length));
+    unit.ok_or_else(|| CheckpointError::array("unit", "is not a valid unit of distance"))
+}
+
+impl AnchorTrainer {
+    /// The trainer with the state that [`ModelTrainer::save`] returned.
+    pub(in crate::train) fn resume(
+        device: &Arc<Device>,
+        schedule: Schedule,
+        extent: f32,
+        mut state: ModelState,
+    ) -> Result<Self, TrainError> {
+        let shape = schedule.shape;
+        let [voxel, origin @ ..] = lattice_values(&state.take_exactly::<f32>("lattice", 4)?)?;
+        let flat: Vec<i32> = state.take("anchors.cells")?;
+        let cells: Vec<[i32; 3]> = flat.as_chunks().0.to_vec();
+        let anchors = cells.len();
+        if anchors == 0
+            || flat.len() != 3 * anchors
+            || flat.iter().any(|c| c.unsigned_abs() > MAX_CELL as u32)
+        {
+            let fault = format!("has {} values, or some outside the lattice", flat.len());
+            return Err(CheckpointError::array("anchors.cells", fault).into());
+        }
+        let rows = anchors * shape.row();
+        let offsets = anchors * shape.offsets;
+        let parameters = NetworkLayout::new(shape).parameters;
+        let unit = unit_of(&mut state)?;
+        let masks = state.take_exactly("anchors.masks", anchors)?;
+        let learning = state.has("masks.logits");
+        let mut floats = |name: &str, len: usize| state.take_exactly::<f32>(name, len);
+        let mut parts = Parts {
+            unit,
+            compression: None,
+            statistics: Statistics { shape, values: floats("growth", anchors * Statistics::width(shape))? },
+            networks: [
+                floats("networks", parameters)?,
+                floats("networks.first", parameters)?,
+                floats("networks.second", parameters)?,
+            ],
+            state: TrainableAnchors {
+                first: floats("anchors.rows.first", rows)?,
+                second: floats("anchors.rows.second", rows)?,
+                masks: if learning {
+                    Some(MaskRows {
+                        logits: floats("masks.logits", offsets)?,
+                        first: floats("masks.logits.first", offsets)?,
+                        second: floats("masks.logits.second", offsets)?,
+                    })
+                } else {
+                    None
+                },
+                anchors: AnchorRows {
+                    shape,
+                    lattice: Lattice { voxel, origin },
+                    cells,
+                    values: floats("anchors.rows", rows)?,
+                    masks,
+                },
+            },
+        };
+        if let Some(schedule) = &schedule.compression {
+            let anchors = &parts.state.anchors;
+            parts.compression = Some(Compression::resume(device, schedule.clone(), anchors, &mut state)?);
+        }
+        state.finish()?;
+        Self::assemble(device, schedule, extent, parts)
+    }
+
+    /// The trainer's state.
+    pub(super) fn to_state(&self) -> Result<ModelState, TrainError> {
+        let (TrainableAnchors { anchors, first, second, masks }, statistics) = self.read()?;
+        let Lattice { voxel, origin: [x, y, z] } = anchors.lattice;
+        let mut state = ModelState::default();
+        state.put("lattice", vec![voxel, x, y, z]);
+        if !self.neural.unit().is_usual() {
+            state.put("unit", vec![self.neural.unit().length()]);
+        }
+        state.put("anchors.cells", anchors.cells.into_flattened());
+        state.put("anchors.masks", anchors.masks);
+        state.put("anchors.rows", anchors.values);
+        state.put("anchors.rows.first", first);
+        state.put("anchors.rows.second", second);
+        state.put("growth", statistics.values);
+        state.put("networks", self.device.read(&self.device_anchors.networks)?);
+        state.put("networks.first", self.device.read(&self.network_moments.first)?);
+        state.put("networks.second", self.device.read(&self.network_moments.second)?);
+        if let Some(masks) = masks {
+            state.put("masks.logits", masks.logits);
+            state.put("masks.logits.first", masks.first);
+            state.put("masks.logits.second", masks.second);
+        }
+        if let Some(compression) = &self.compression {
+            compression.save(&mut state)?;
+        }
+        Ok(state)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_unit_of_a_state_is_the_one_that_was_kept_or_the_usual_one() {
+        assert!(unit_of(&mut ModelState::default()).expect("the usual").is_usual());
+        let read = |values: Vec<f32>| {
+            let mut state = ModelState::default();
+            state.put("unit", values);
+            let unit = unit_of(&mut state)?;
+            state.finish().map(|()| unit.length())
+        };
+        assert_eq!(read(vec![0.0025]).expect("a length"), 0.0025);
+        for hostile in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e-45, f32::MAX] {
+            assert!(read(vec![hostile]).expect_err("refused").to_string().contains("'unit'"), "{hostile}");
+        }
+        assert!(read(vec![]).is_err() && read(vec![1.0, 2.0]).is_err());
+    }
+}

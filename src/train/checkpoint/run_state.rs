@@ -1,0 +1,197 @@
+//! The state of a run between two steps, without its model.
+
+use std::collections::BTreeMap;
+
+use rand_pcg::Pcg64;
+use serde::{Deserialize, Serialize};
+
+use super::CheckpointError;
+use crate::{
+    domain::{Digest, TrainOptions},
+    train::{LossSums, RateControl, RateControlState},
+};
+
+/// The program, whose schedule and arithmetic a run depends on.
+pub(super) const GENERATOR: &str = concat!("tcgs ", env!("CARGO_PKG_VERSION"));
+
+/// The state of a run between two steps, without its model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(in crate::train) struct RunState {
+    /// Name and version of the program.
+    pub(super) generator: String,
+    /// The options as JSON. As text, since numbers do not always survive being parsed.
+    pub(super) options: String,
+    /// Digest of the dataset.
+    dataset: Digest,
+    /// Adapter and driver; the run may resume on another one, but its bits may differ.
+    pub(super) adapter: String,
+    /// The size that growth may reach, as limited by the adapter and the memory budget.
+    #[serde(rename = "most")]
+    pub(in crate::train) max_size: usize,
+    /// Steps done.
+    pub(in crate::train) step: u32,
+    /// Seconds of training so far.
+    pub(in crate::train) seconds: f64,
+    /// The random generator.
+    pub(in crate::train) rng: Pcg64,
+    /// Remaining photographs of this epoch, the next one last.
+    pub(in crate::train) order: Vec<usize>,
+    /// The bits of the averages in progress reports: SSIM, L1, squared error, wavelet bands.
+    average: Option<[u64; 4]>,
+    /// The bits of the rate term's weight in the loss.
+    pub(super) lambda: u64,
+    /// The state of that weight's controller.
+    control: Option<RateControlState>,
+    /// The bits (of the f64) of the mean bits of an anchor's attributes, averaged over recent samples.
+    anchor_bits: Option<u64>,
+    /// Estimated bytes of the file.
+    file_bytes: Option<u64>,
+}
+
+/// What identifies a run: a checkpoint can only be resumed by the same one.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::train) struct RunIdentity<'a> {
+    pub(in crate::train) options: &'a TrainOptions,
+    pub(in crate::train) dataset: Digest,
+    pub(in crate::train) adapter: &'a str,
+    /// The size that growth may reach.
+    pub(in crate::train) max_size: usize,
+}
+
+impl RunState {
+    /// The state at the start of a run.
+    pub(in crate::train) fn new(identity: RunIdentity<'_>, rng: Pcg64, lambda: f64) -> Self {
+        Self {
+            generator: GENERATOR.to_owned(),
+            options: options_text(identity.options),
+            dataset: identity.dataset,
+            adapter: identity.adapter.to_owned(),
+            max_size: identity.max_size,
+            step: 0,
+            seconds: 0.0,
+            rng,
+            order: Vec::new(),
+            average: None,
+            lambda: lambda.to_bits(),
+            control: None,
+            anchor_bits: None,
+            file_bytes: None,
+        }
+    }
+
+    /// Continues the run on an adapter and with a growth limit that may differ from the previous ones. A larger limit is ignored,
+    /// since the bits depend on it.
+    pub(in crate::train) fn continue_on(&mut self, adapter: &str, max_size: usize) {
+        if self.adapter != adapter {
+            let before = &self.adapter;
+            tracing::warn!(
+                "resumed on {adapter}; the checkpoint was written on {before}, so bits may differ"
+            );
+            adapter.clone_into(&mut self.adapter);
+        }
+        if max_size < self.max_size {
+            let before = self.max_size;
+            tracing::warn!("growth limit lowered from {before} to {max_size}; bits may differ");
+            self.max_size = max_size;
+        }
+    }
+
+    /// The averages in progress reports.
+    pub(in crate::train) fn average(&self) -> Option<LossSums> {
+        let [ssim, l1, mse, wavelet] = self.average?.map(f64::from_bits);
+        Some(LossSums { ssim, l1, mse, wavelet })
+    }
+
+    /// Sets them.
+    pub(in crate::train) fn set_average(&mut self, sums: LossSums) {
+        self.average = Some([sums.ssim, sums.l1, sums.mse, sums.wavelet].map(f64::to_bits));
+    }
+
+    /// Weight of the rate term in the loss.
+    pub(in crate::train) fn lambda(&self) -> f64 {
+        f64::from_bits(self.lambda)
+    }
+
+    /// Takes lambda and state from `control`.
+    pub(in crate::train) fn set_rate_control(&mut self, control: &RateControl) {
+        self.lambda = control.lambda().to_bits();
+        self.control = Some(control.state());
+    }
+
+    /// The controller in the saved state.
+    pub(in crate::train) fn resume_control(&self, control: RateControl) -> RateControl {
+        match self.control {
+            Some(state) => control.at(state),
+            None => control,
+        }
+    }
+
+    /// Estimated bytes of the file; none before the first sample.
+    pub(in crate::train) fn file_bytes(&self) -> Option<u64> {
+        self.file_bytes
+    }
+
+    /// Updates the estimate of the file's size: an anchor of the last sample takes `anchor_bits` on average, there are `anchors`
+    /// anchors, and everything else takes `other_bytes`.
+    pub(in crate::train) fn observe_bits(&mut self, anchor_bits: f64, anchors: f64, other_bytes: f64) {
+        // One sample is a few hundred anchors, within a few per cent; a longer average would lag behind short runs.
+        let mean = self.anchor_bits.map_or(anchor_bits, |old| 0.3 * f64::from_bits(old) + 0.7 * anchor_bits);
+        self.anchor_bits = Some(mean.to_bits());
+        self.file_bytes = Some((anchors * mean / 8.0 + other_bytes) as u64);
+    }
+
+    /// Checks that the run `identity` of `steps` steps over `frames` photographs can resume from this state.
+    pub(super) fn check(
+        &self,
+        identity: RunIdentity<'_>,
+        steps: u32,
+        frames: usize,
+    ) -> Result<(), CheckpointError> {
+        if self.generator != GENERATOR {
+            return Err(CheckpointError::Generator(self.generator.clone()));
+        }
+        let expected = options_text(identity.options);
+        if self.options != expected {
+            return Err(CheckpointError::Options(differences(&self.options, &expected)));
+        }
+        if self.dataset != identity.dataset {
+            return Err(CheckpointError::Dataset { found: self.dataset, expected: identity.dataset });
+        }
+        if !(1..=steps).contains(&self.step) {
+            return Err(CheckpointError::Run(format!("step {} is not one of 1 to {steps}", self.step)));
+        }
+        if let Some(frame) = self.order.iter().find(|frame| **frame >= frames) {
+            return Err(CheckpointError::Run(format!("order has photograph {frame} of {frames}")));
+        }
+        if !(self.seconds.is_finite() && self.seconds >= 0.0) {
+            return Err(CheckpointError::Run(format!("time of {} s is impossible", self.seconds)));
+        }
+        Ok(())
+    }
+}
+
+pub(super) fn options_text(options: &TrainOptions) -> String {
+    serde_json::to_string(options).expect("options have names for keys and nothing that JSON lacks")
+}
+
+/// The options that differ, with both values.
+pub(super) fn differences(found: &str, expected: &str) -> String {
+    let parse = |text| serde_json::from_str::<BTreeMap<String, serde_json::Value>>(text).unwrap_or_default();
+    let (found, expected) = (parse(found), parse(expected));
+    let names: Vec<String> = found
+        .keys()
+        .chain(expected.keys().filter(|name| !found.contains_key(*name)))
+        .filter(|name| found.get(*name) != expected.get(*name))
+        .map(|name| {
+            let show =
+                |side: Option<&serde_json::Value>| side.map_or("unknown".to_owned(), |v| v.to_string());
+            format!(
+                "{name} is {} in the checkpoint and {} here",
+                show(found.get(name)),
+                show(expected.get(name))
+            )
+        })
+        .collect();
+    if names.is_empty() { "they are written differently".to_owned() } else { names.join(", ") }
+}

@@ -1,0 +1,94 @@
+//! The memory that a training run takes, part by part.
+
+use std::fmt;
+
+use thiserror::Error;
+
+use crate::domain::{Bytes, MemoryBudget, Problem};
+
+/// One part of what a run takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Part {
+    /// What for.
+    pub name: &'static str,
+    /// How much.
+    pub bytes: u64,
+}
+
+/// What a run takes at its largest.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Estimate {
+    /// How large the model may become.
+    pub size: usize,
+    /// What that counts: "anchors".
+    pub unit: &'static str,
+    /// On the device.
+    pub gpu: Vec<Part>,
+    /// In main memory, the device's not counted.
+    pub host: Vec<Part>,
+}
+
+impl Estimate {
+    /// Bytes of buffers on the device.
+    #[must_use]
+    pub fn gpu_bytes(&self) -> u64 {
+        sum(&self.gpu)
+    }
+
+    /// Bytes of main memory.
+    #[must_use]
+    pub fn host_bytes(&self) -> u64 {
+        sum(&self.host)
+    }
+
+    /// Whether that is within `budget`.
+    #[must_use]
+    pub fn fits(&self, budget: &MemoryBudget) -> bool {
+        self.gpu_bytes() <= budget.gpu && self.host_bytes() <= budget.host
+    }
+}
+
+fn sum(parts: &[Part]) -> u64 {
+    parts.iter().fold(0, |sum, part| sum.saturating_add(part.bytes))
+}
+
+fn list(parts: &[Part]) -> String {
+    let parts: Vec<String> =
+        parts.iter().map(|part| format!("{} {}", part.name, Bytes(part.bytes))).collect();
+    parts.join(", ")
+}
+
+impl fmt::Display for Estimate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{} {} take {} on the device ({}) and {} of main memory ({})",
+            self.size,
+            self.unit,
+            Bytes(self.gpu_bytes()),
+            list(&self.gpu),
+            Bytes(self.host_bytes()),
+            list(&self.host)
+        )
+    }
+}
+
+/// More memory is needed than there may be, however small the model.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error(
+    "training needs at least {} on the device, of {}, and {} of main memory, of {}: {needed}. Allow more with \
+     --gpu-memory or --host-memory, or make the images smaller or the point cloud sparser",
+    Bytes(needed.gpu_bytes()), Bytes(budget.gpu), Bytes(needed.host_bytes()), Bytes(budget.host)
+)]
+pub struct OverBudget {
+    /// What the smallest run takes: one that holds what the points begin with.
+    pub needed: Box<Estimate>,
+    /// What it may take.
+    pub budget: MemoryBudget,
+}
+
+impl From<OverBudget> for Problem {
+    fn from(error: OverBudget) -> Self {
+        Problem::new(507, "memory-budget", "Not enough memory", error.to_string())
+    }
+}
