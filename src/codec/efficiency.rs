@@ -31,7 +31,7 @@ pub struct Efficiency {
 impl Efficiency {
     /// Coded bytes over the entropy under the model: the loss of the coder. NaN if nothing is coded.
     #[must_use]
-    pub fn over_ideal(&self) -> f64 {
+    pub fn entropy_overhead(&self) -> f64 {
         8.0 * self.bytes.iter().sum::<u64>() as f64 / self.table_bits.iter().sum::<f64>()
     }
 

@@ -110,9 +110,11 @@ pub struct ByteBudget {
     /// Bytes that the file may have.
     pub max_bytes: u64,
     /// Bytes that it would have had, as it was trained.
-    pub free_bytes: u64,
+    #[serde(rename = "free_bytes")]
+    pub unconstrained_bytes: u64,
     /// By how much steps are coarser than they would have been, on average over the anchors.
-    pub coarser_octaves: GroupOctaves,
+    #[serde(rename = "coarser_octaves")]
+    pub qstep_log2: GroupOctaves,
     /// Gaussians that were left out.
     pub gaussians_dropped: u64,
 }
@@ -140,7 +142,8 @@ pub struct CurvePoint {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CodingEfficiency {
     /// Bytes in the file over the sum of -log2 p by the integer model that codes them.
-    pub over_ideal: f64,
+    #[serde(rename = "over_ideal")]
+    pub entropy_overhead: f64,
     /// That sum over the same by the float networks that the integer ones were made of; null where no group has one.
     pub over_floats: Option<f64>,
 }

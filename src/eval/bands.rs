@@ -1,5 +1,5 @@
-//! How far two 8-bit images differ in the low and in the high bands of the two-level Haar transform: the error of broad
-//! shapes apart from that of edges and texture.
+//! The difference of two 8-bit images in the low and the high bands of the two-level Haar transform, which separates the error of
+//! broad shapes from that of edges and texture.
 
 use glam::{DVec3, USizeVec2};
 use serde::{Deserialize, Serialize};

@@ -11,7 +11,7 @@ use crate::domain::Image;
 /// The error, as a fraction of full range, that has the ramp's last colour; the same for every picture, so that they compare.
 pub const ERROR_CEILING: f64 = 0.2;
 
-/// Colours of the ramp as they are handed on.
+/// Number of colours in [`error_ramp`].
 const RAMP_COLOURS: usize = 17;
 
 /// The colours of errors from none to [`ERROR_CEILING`]: even steps look even, and lightness alone tells them apart.

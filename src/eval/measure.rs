@@ -18,8 +18,8 @@ pub fn measure_views(
     measure_views_with(renderer, frames, background, None)
 }
 
-/// The score of each frame, with LPIPS where there are weights for it. A frame that LPIPS cannot compare has no such
-/// figure, since the others are worth having without it; the log says why.
+/// The score of each frame, with LPIPS where there are weights for it. A frame that LPIPS cannot compare has none; the
+/// log says why.
 ///
 /// # Errors
 /// Faults of the renderer.

@@ -1,8 +1,8 @@
-//! Image quality from 8-bit images: PSNR, SSIM and LPIPS, per view and as means over views, errors by wavelet band, and what
-//! each Gaussian is worth to views.
+//! Image quality from 8-bit images: PSNR, SSIM and LPIPS, per view and as means over views, errors by wavelet band, and
+//! the importance of each Gaussian to views.
 //!
 //! Conventions are those of the field's final metrics (METHOD.md §1.2): both images are 8-bit, PSNR pools the squared
-//! error over the three channels, means are over views. [`crate::domain::Conventions`] says so beside the figures.
+//! error over the three channels, means are over views. [`crate::domain::Conventions`] states them in the metrics.
 
 mod bands;
 mod error_map;

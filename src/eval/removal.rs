@@ -1,4 +1,4 @@
-//! What each Gaussian and each anchor is worth: how much the squared error of views would grow if it were left out.
+//! The importance of each Gaussian and anchor: the increase of the views' squared error without it.
 //!
 //! A pixel's colour C is linear in the opacity o of each of its Gaussians, so leaving one out changes it by exactly
 //! -o dC/do, and the sum of squares by that change's square and its product with twice the error that is there already. One
@@ -20,7 +20,7 @@ use crate::{
 /// fifth or so for each Gaussian, which is enough to put Gaussians into an order.
 const PROBES: usize = 64;
 
-/// Growth of the squared error, summed over the pixels and channels of the views; below zero where leaving out would help.
+/// Increase of the squared error, summed over the pixels and channels of the views; below zero where leaving out would help.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RemovalCosts {
     /// `[N][K]`: of each offset alone.
@@ -29,8 +29,8 @@ pub struct RemovalCosts {
     pub anchors: Vec<f64>,
 }
 
-/// Measures what leaving out would cost on `frames`. Zero for what none of them shows. The same scene and frames give the
-/// same figures on one adapter. `keep_going` is asked between views; once it says no, the views so far are what counts.
+/// Measures the increase of the squared error on `frames`; zero for Gaussians that none of them shows. The same scene and frames give
+/// the same values on one adapter. Calls `keep_going` between views; once it returns false, only the views so far count.
 ///
 /// # Errors
 /// Faults of the renderer; a photograph that cannot be read back.
@@ -54,7 +54,7 @@ pub fn removal_costs(
     Ok(costs)
 }
 
-/// What a view shows.
+/// The Gaussians of a view.
 struct Visible<'a> {
     list: &'a [u32],
     opacities: &'a [f32],

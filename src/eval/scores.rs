@@ -1,4 +1,4 @@
-//! Figures of single views and their means.
+//! Scores of single views and their means.
 
 use super::{psnr, ssim};
 use crate::domain::{Image, LpipsNetwork, Scores, ViewScore};

@@ -1,4 +1,4 @@
-//! Plain Gaussians on the host as they are trained: the layout of their parameters and their first values.
+//! Plain Gaussians in training, on the host: the layout of their parameters and their initial values.
 //!
 //! A Gaussian has 59 values: fourteen base values (mean, log-scales, quaternion, opacity logit, constant colour) and 45
 //! coefficients of spherical harmonics, three bands of 9, 15 and 21. Each of the four groups is a block of rows of its
@@ -24,11 +24,11 @@ pub const BANDS: [usize; 3] = [9, 15, 21];
 /// The constant basis function of spherical harmonics: a colour is this times the coefficient, plus a half.
 pub const SH_CONSTANT: f32 = 0.282_094_8;
 
-/// Opacity that a Gaussian begins with (METHOD.md §5).
+/// Initial opacity of a Gaussian (METHOD.md §5).
 const FIRST_OPACITY: f32 = 0.1;
-/// Least that a channel begins with: one that is held at zero has no gradient and would stay black for good.
+/// Smallest initial value of a colour channel: one clamped at zero has no gradient and would stay black.
 const MIN_COLOR: f32 = 1.0 / 255.0;
-/// Least distance to the neighbours that a size is made of: the root of the published 1e-7 (METHOD.md §5).
+/// Smallest neighbour distance for an initial size: the root of the published 1e-7 (METHOD.md §5).
 const MIN_SPACING: f32 = 3.162_277_7e-4;
 
 /// Values of the first `degree` bands together.
@@ -162,7 +162,7 @@ fn three(values: &[f32], first: usize) -> [f32; 3] {
 }
 
 /// Gaussians from points: isotropic, of the size of the distance to their three nearest neighbours, of opacity 0.1, in
-/// the points' sRGB colours, or grey with a trace of noise where there are none, as published. Of more than `most`
+/// the points' sRGB colours, or grey with a trace of noise where there are none, as published. Of more than `max_gaussians`
 /// points every n-th is taken.
 ///
 /// # Errors
@@ -170,7 +170,7 @@ fn three(values: &[f32], first: usize) -> [f32; 3] {
 pub fn initial_gaussians(
     points: &[[f32; 3]],
     colors: &[[u8; 3]],
-    most: usize,
+    max_gaussians: usize,
     rng: &mut impl Rng,
 ) -> Result<GaussianRows, InitError> {
     if points.is_empty() {
@@ -179,7 +179,7 @@ pub fn initial_gaussians(
     if let Some(index) = points.iter().position(|point| point.iter().any(|v| !v.is_finite())) {
         return Err(InitError::NonFinite(index));
     }
-    let every = points.len().div_ceil(most.max(1));
+    let every = points.len().div_ceil(max_gaussians.max(1));
     let positions: Vec<[f32; 3]> = points.iter().copied().step_by(every).collect();
     let colored = colors.len() == points.len();
     let mut rows = GaussianRows::zero(positions.len());

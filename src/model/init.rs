@@ -1,4 +1,4 @@
-//! First values of the anchors' parameters.
+//! Initial values of the anchors' parameters.
 
 use std::collections::BTreeSet;
 
@@ -10,11 +10,11 @@ use super::{
     lattice::{coarse, neighbour_distances, voxelise},
 };
 
-/// A point set that no scene can begin with.
+/// A point set that cannot initialise a scene.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum InitError {
     /// No points.
-    #[error("there are no points to begin with")]
+    #[error("there are no points")]
     NoPoints,
     /// A coordinate is NaN or infinite.
     #[error("point {0} is not finite")]
@@ -28,7 +28,7 @@ pub fn random_points(rng: &mut impl Rng, count: usize, low: [f32; 3], high: [f32
 }
 
 /// Anchors from points: voxelised, offsets and features zero, all six log-scalings the logarithm of the distance to
-/// the anchor's neighbours (METHOD.md §2.1). A cloud that would make more than `most` anchors is thinned evenly.
+/// the anchor's neighbours (METHOD.md §2.1). A cloud that would make more than `max_anchors` anchors is thinned evenly.
 ///
 /// # Errors
 /// [`InitError`] for an empty or non-finite point set.
@@ -36,7 +36,7 @@ pub fn initial_rows(
     points: &[[f32; 3]],
     rule: VoxelRule,
     shape: Shape,
-    most: usize,
+    max_anchors: usize,
 ) -> Result<AnchorRows, InitError> {
     if points.is_empty() {
         return Err(InitError::NoPoints);
@@ -45,7 +45,7 @@ pub fn initial_rows(
         return Err(InitError::NonFinite(index));
     }
     let lattice = choose_lattice(points, rule);
-    let cells = thin(voxelise(&lattice, points), most);
+    let cells = thin(voxelise(&lattice, points), max_anchors);
     let positions: Vec<[f32; 3]> = cells.iter().map(|cell| lattice.position(*cell)).collect();
     let mut values = vec![0.0; cells.len() * shape.row()];
     for (row, distance) in values.chunks_exact_mut(shape.row()).zip(neighbour_distances(&positions)) {
@@ -56,10 +56,10 @@ pub fn initial_rows(
     Ok(AnchorRows { shape, lattice, cells, values, masks })
 }
 
-/// At most `most` of the cells (but at least one): the first of each block of the smallest blocks that are few enough.
-fn thin(mut cells: Vec<[i32; 3]>, most: usize) -> Vec<[i32; 3]> {
+/// At most `max_cells` of the cells (but at least one): the first of each block, in the smallest blocks that are few enough.
+fn thin(mut cells: Vec<[i32; 3]>, max_cells: usize) -> Vec<[i32; 3]> {
     let mut factor = 1;
-    while cells.len() > most.max(1) && factor < 1 << 20 {
+    while cells.len() > max_cells.max(1) && factor < 1 << 20 {
         factor *= 2;
         let mut taken = BTreeSet::new();
         cells.retain(|cell| taken.insert(coarse(*cell, factor)));

@@ -16,9 +16,9 @@ pub struct LayerSpec {
     pub inputs: usize,
     /// Output width.
     pub outputs: usize,
-    /// Where its weights begin.
+    /// Index of its first weight.
     pub weights: usize,
-    /// Where its bias begins.
+    /// Index of its first bias.
     pub bias: usize,
     /// First row of its input in the activations that it reads.
     pub input_row: usize,
@@ -44,7 +44,7 @@ impl LayerSpec {
     }
 }
 
-/// Where everything is in the flat array of parameters.
+/// The layout of the flat array of parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NetworkLayout {
     /// Widths of the model.

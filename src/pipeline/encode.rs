@@ -69,7 +69,7 @@ pub(super) fn write_file(
     let coding = match choice {
         Some(choice) => {
             // The float networks predict for the quantisation steps of training.
-            let as_trained = budget.is_none_or(|budget| budget.coarser_octaves == GroupOctaves::default());
+            let as_trained = budget.is_none_or(|budget| budget.qstep_log2 == GroupOctaves::default());
             coding_efficiency(&bytes, context.filter(|_| as_trained), &choice)?
         }
         None => None,
@@ -160,6 +160,8 @@ fn coding_efficiency(
     let trained = context.map(|context| (&context.candidates, choice));
     let efficiency = codec::efficiency(bytes, &DecodeLimits::NONE, trained)
         .map_err(|error| JobError::internal(error.to_string()))?;
-    let over_ideal = efficiency.over_ideal();
-    Ok(over_ideal.is_finite().then(|| CodingEfficiency { over_ideal, over_floats: efficiency.over_floats() }))
+    let entropy_overhead = efficiency.entropy_overhead();
+    Ok(entropy_overhead
+        .is_finite()
+        .then(|| CodingEfficiency { entropy_overhead, over_floats: efficiency.over_floats() }))
 }

@@ -1,7 +1,6 @@
-//! The base steps of the attribute groups: what noise is as wide as, and what the context model's step adjustments start
-//! from.
+//! The base quantisation steps of the attribute groups: the width of the noise, and what step adjustments are relative to.
 //!
-//! What always holds: steps are positive and finite, and a function of the rows alone.
+//! Invariant: steps are positive and finite, and depend on the rows only.
 
 use super::BaseQuantStepRule;
 use crate::{domain::anchors::SCALINGS_PER_ANCHOR, model::AnchorRows};
@@ -35,7 +34,7 @@ impl BaseQuantSteps {
         Self { feature, scaling: if scaling.is_normal() { scaling } else { 1.0 }, offset }
     }
 
-    /// The same as rows have them, scalings in world units.
+    /// The steps with scalings in world units, as in rows.
     #[must_use]
     pub fn in_world(&self, voxel: f32) -> [f32; 3] {
         [self.feature, self.scaling * voxel, self.offset]

@@ -1,4 +1,4 @@
-//! What a training run takes, told before it begins, and how large a model a budget allows.
+//! Estimates the memory of a training run before it starts, and the model size that a budget allows.
 //!
 //! The sums are those of the buffers at the largest model that the schedule allows, as their owners state them
 //! (`Rasterizer::bytes` and its like). Two figures are not known beforehand and assumed: how many pairs of Gaussian and tile a

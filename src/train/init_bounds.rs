@@ -1,4 +1,4 @@
-//! Where random points are strewn for a dataset that brings none.
+//! The box of the initial random points of a dataset without a point cloud.
 
 use glam::{DMat3, DVec3};
 
@@ -7,11 +7,11 @@ use crate::domain::{Frame, Layout};
 /// Half the side of the box that Blender sets are made in (METHOD.md §1.1).
 const BLENDER_HALF_SIDE: f64 = 1.3;
 
-/// Half the side of any other box, in median distances of the cameras from what they look at.
+/// Half the side of any other box, in median distances of the cameras from its centre.
 const HALF_SIDE: f64 = 0.6;
 
-/// Lowest and highest corner of the box: the published one for Blender sets, else one around the point that the optical
-/// axes pass nearest to, sized by how far the cameras are from it.
+/// Lowest and highest corner of the box: the published one for Blender datasets, else one around the point nearest to all optical
+/// axes, scaled by the cameras' distance from it.
 pub(super) fn init_bounds(layout: Layout, frames: &[&Frame]) -> ([f32; 3], [f32; 3]) {
     let (center, half) = match layout {
         Layout::Blender => (DVec3::ZERO, BLENDER_HALF_SIDE),
@@ -27,8 +27,8 @@ pub(super) fn init_bounds(layout: Layout, frames: &[&Frame]) -> ([f32; 3], [f32;
     ((center - half).as_vec3().to_array(), (center + half).as_vec3().to_array())
 }
 
-/// The point with the least sum of squared distances to the optical axes; a unit ahead of the first camera where the
-/// axes are parallel and there is no such point.
+/// The point with the least sum of squared distances to the optical axes, or a unit ahead of the first camera if the axes are
+/// parallel.
 fn nearest_to_axes(frames: &[&Frame]) -> DVec3 {
     let mut normal = DMat3::ZERO;
     let mut right = DVec3::ZERO;

@@ -138,7 +138,7 @@ impl Fields {
     }
 }
 
-/// What render and photograph differ by: means over all samples of an image.
+/// The difference of render and photograph: means over all samples of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LossSums {
     /// Mean SSIM.
@@ -147,7 +147,7 @@ pub struct LossSums {
     pub l1: f64,
     /// Mean squared difference.
     pub mse: f64,
-    /// The wavelet constraint as it counts in the loss; 0 where it is off.
+    /// The weighted wavelet constraint; 0 without it.
     pub wavelet: f64,
 }
 
@@ -277,7 +277,7 @@ impl ImageLoss {
         Ok(&fields.gradient)
     }
 
-    /// The figures of the last submitted loss. Waits for the device.
+    /// The values of the last submitted loss. Waits for the device.
     ///
     /// # Errors
     /// Faults of the device.

@@ -18,7 +18,7 @@ use crate::{
     render::{DeviceAnchors, NeuralGaussians, RenderError},
 };
 
-/// Where a logit begins: a logistic of 0.731.
+/// The initial logit: a logistic of 0.731.
 pub const FIRST_LOGIT: f32 = 1.0;
 
 /// The logits with their moments, on the host: `[N][K]` each.
@@ -33,7 +33,7 @@ pub struct MaskRows {
 }
 
 impl MaskRows {
-    /// `offsets` offsets that all make Gaussians and have learnt nothing.
+    /// The initial state of `offsets` offsets, none masked.
     #[must_use]
     pub fn new(offsets: usize) -> Self {
         let mut rows = Self::default();
@@ -41,7 +41,7 @@ impl MaskRows {
         rows
     }
 
-    /// Adds `offsets` more such offsets.
+    /// Adds `offsets` more.
     pub(super) fn extend(&mut self, offsets: usize) {
         let len = self.logits.len() + offsets;
         self.logits.resize(len, FIRST_LOGIT);
@@ -58,7 +58,7 @@ struct Kernels {
     mask_rate: Arc<Kernel>,
 }
 
-/// Masks that learn, on the device.
+/// Learning masks on the device.
 #[derive(Debug)]
 pub struct OffsetMasks {
     kernels: Kernels,

@@ -68,7 +68,7 @@ pub(super) trait ModelTrainer {
     fn gaussian_gradients(&mut self) -> Result<GaussianGradients, TrainError>;
 
     /// Records the gradients by the parameters, the statistics that growth goes by, and the optimiser's step. If `overflow_flag` is
-    /// set by the time that these are run, the step will be done again: then nothing of it may last.
+    /// set by the time that these are run, the step will be repeated, so nothing of it may persist.
     fn backward(
         &mut self,
         recorder: &mut Recorder<'_>,

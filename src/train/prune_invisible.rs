@@ -1,4 +1,4 @@
-//! Finds the offsets that no training view ever shows, so that nothing more is spent on them.
+//! Finds the offsets that are invisible in all training views.
 
 use super::TrainError;
 use crate::{
@@ -11,11 +11,11 @@ use crate::{
 /// An opacity below this never reaches a pixel (METHOD.md §3.2).
 const MIN_OPACITY: f32 = 1.0 / 255.0;
 
-/// Switches off the offsets of `anchors` whose opacity stays below what a pixel takes in every view of `frames`, as `device` has
-/// them. Anchors that no view shows at all keep none.
+/// Masks the offsets of `anchors`, rendered as `device_anchors`, whose opacity is too small to reach a pixel in every view of
+/// `frames`. Anchors outside all views keep no offset.
 ///
 /// # Errors
-/// [`TrainError::Cancelled`] before the next view once a stop was asked for; faults of the device.
+/// [`TrainError::Cancelled`] before the next view if the run is cancelled; errors of the device.
 pub(super) fn prune_invisible(
     device: &Device,
     neural: &mut NeuralGaussians,

@@ -1,56 +1,54 @@
-//! Steers the weight of the rate term towards a file of a promised size.
+//! Controls lambda, the weight of the rate term, towards a target file size.
 //!
-//! The best file of a size is the one that a constant weight gives: so the first estimate makes a guess of that weight, and an
-//! integral of the errors after it corrects the guess, slowly, since what a weight takes it takes over many steps. What it sees is
-//! the logarithm of the size to be expected over the size aimed at. The weight never falls below the run's own: a promise makes
-//! bytes dearer, never cheaper. What always holds: the weight is a function of the estimates and the steps that they came
-//! at, and of nothing else.
+//! A constant lambda gives the best file of a size. So the first size estimate sets lambda at once, and an integral controller
+//! corrects it slowly afterwards, since a change of lambda takes many steps to show in the size. The error is the logarithm of the
+//! expected size over the target. Lambda never falls below the run's own: a target size makes bytes more expensive, never cheaper.
+//! Invariant: lambda depends only on the estimates and their steps.
 
 use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
 
-/// Size aimed at, as a share of the promised one: the file is made to fit exactly at the end, which is easier from below.
+/// Target of the controller as a share of the allowed size: the final fit is easier from below.
 const TARGET_SHARE: f64 = 0.98;
 
-/// Least size aimed at, over the bytes that no weight changes: what is below is for the end of the run, which drops Gaussians.
-/// So all promises that are smaller are steered alike, and the smallest size that one of them is told can be reached by
-/// the next.
+/// Smallest target, as a multiple of the bytes that lambda does not affect; below it, the end of the run drops Gaussians. So all
+/// smaller targets train alike, and the smallest size reported for one of them can be reached by the next.
 const MIN_TARGET: f64 = 1.25;
 
-/// Growth of the logarithm of the weight for each unit of error at the first estimate: files of real scenes shrink with
-/// about the fourth root of a weight that is there from then on.
+/// Gain at the first estimate, from the error to the logarithm of lambda: files of real scenes shrink with about the fourth root of a
+/// lambda that is constant from then on.
 const INITIAL_GAIN: f64 = 4.0;
 
-/// The same for each step after it, and over all of them at most: a weight takes a hundred steps and more to show what it does,
-/// so in short runs a faster correction goes too far before that is seen.
+/// Gain per step after it, and its limit over all steps: lambda takes a hundred steps or more to take effect, so in short runs a
+/// faster correction overshoots.
 const INTEGRAL_GAIN_PER_STEP: f64 = 0.024;
 const MAX_INTEGRAL_GAIN: f64 = 18.0;
 
-/// Error beyond which a larger one moves no faster: estimates jump when the model does.
+/// Largest error that counts: estimates jump when the model changes.
 const MAX_ERROR: f64 = 0.7;
 
-/// Share of the steps at the begin in which nothing is steered yet: estimates are still of a context model that knows nothing.
+/// Share of the first steps without control: the context model is still untrained and its estimates are meaningless.
 const SETTLING: f64 = 0.2;
 
-/// What a file has of an estimate, up to a share of the steered steps: masks first have to part what is worth its bytes from
-/// what is not, then what they mask has to be left out. Measured on real scenes, 0.45 to 0.65 and 0.6 to 0.9.
+/// Pairs of a share of the controlled steps and the ratio of the final file to estimates until then: masks have yet to separate
+/// offsets by their value, then masked offsets have to be pruned. Measured on real scenes: 0.45 to 0.65 and 0.6 to 0.9.
 const REMAINING: [(f64, f64); 2] = [(0.45, 0.55), (0.77, 0.8)];
 
-/// How many times the run's own weight it may become.
+/// Largest lambda, as a multiple of the run's own.
 const MAX_RATIO: f64 = 64.0;
 
-/// What a controller remembers; as bits, since numbers do not always survive JSON.
+/// The state of a controller, as bits, since JSON does not preserve all numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RateControlState {
-    /// Natural logarithm of the weight over the run's own.
+    /// Natural logarithm of lambda over the run's own.
     log_ratio: u64,
     /// The step of the last estimate; 0 before any.
     step: u32,
 }
 
-/// A controller of the weight.
+/// A controller of lambda.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RateControl {
     base: f64,
@@ -61,8 +59,8 @@ pub struct RateControl {
 }
 
 impl RateControl {
-    /// A controller that begins at the run's own weight `base` and steers in the steps of `window`, but for its
-    /// first fifth, towards a file of no more than `max_bytes`.
+    /// A controller that starts at the run's own lambda `base` and controls the steps of `window`, except its first fifth, towards a
+    /// file of at most `max_bytes`.
     #[must_use]
     pub fn new(base: f64, max_bytes: u64, window: RangeInclusive<u32>) -> Self {
         let target = TARGET_SHARE * max_bytes.max(1) as f64;
@@ -72,7 +70,7 @@ impl RateControl {
         Self { base, target, window, log_ratio: 0.0, step: 0 }
     }
 
-    /// The same controller as it was when it gave `state`.
+    /// The controller with `state`.
     #[must_use]
     pub fn at(self, state: RateControlState) -> Self {
         let RateControlState { log_ratio, step } = state;
@@ -80,20 +78,20 @@ impl RateControl {
         Self { log_ratio: log_ratio.clamp(0.0, MAX_RATIO.ln()), step, ..self }
     }
 
-    /// What it remembers.
+    /// Its state.
     #[must_use]
     pub fn state(&self) -> RateControlState {
         RateControlState { log_ratio: self.log_ratio.to_bits(), step: self.step }
     }
 
-    /// The weight from now on.
+    /// The current lambda.
     #[must_use]
     pub fn lambda(&self) -> f64 {
         self.base * self.log_ratio.exp()
     }
 
-    /// Takes the estimate of the file's bytes after `step`, `fixed` of which no weight changes. Estimates outside the steered steps, or that are no numbers, change
-    /// nothing.
+    /// Updates lambda from the estimate of the file's bytes after `step`, `fixed` of which lambda does not affect. Estimates outside
+    /// the controlled steps, or that are not finite, are ignored.
     pub fn observe(&mut self, step: u32, bytes: f64, fixed: f64) {
         let is_size = bytes.is_finite() && bytes > 0.0 && fixed.is_finite() && fixed >= 0.0;
         if !self.window.contains(&step) || step <= self.step || !is_size {
@@ -115,7 +113,7 @@ impl RateControl {
     }
 }
 
-/// What a file has of an estimate that comes after a share `done` of the steered steps.
+/// The ratio of the final file to an estimate after a share `done` of the controlled steps.
 fn remaining_share(done: f64) -> f64 {
     REMAINING.iter().find(|(until, _)| done < *until).map_or(1.0, |(_, left)| *left)
 }
@@ -126,21 +124,21 @@ mod tests {
 
     const WINDOW: RangeInclusive<u32> = 1000..=3000;
 
-    /// A scene in training: what its file would take follows the weight with a delay.
+    /// The file of a scene in training: its size follows lambda with a delay.
     #[derive(Clone)]
     struct SimulatedFile {
-        /// Bytes at the run's own weight, beside those that no weight changes.
+        /// Bytes at the run's own lambda, without the fixed ones.
         free: f64,
         fixed: f64,
-        /// By how much the logarithm of the size falls for each unit of the weight's.
+        /// Decrease of the logarithm of the size per unit of that of lambda.
         slope: f64,
-        /// Steps in which a change does most of what it does.
+        /// Time constant of a change, in steps.
         delay: f64,
         now: f64,
-        /// Share of what the weight took that does not come back.
+        /// Share of the saved bytes that does not come back.
         lost: f64,
         lowest: f64,
-        /// What the file has of estimates before masks part what is worth its bytes, and before what they mask is left out.
+        /// Ratios of the file to estimates, as [`REMAINING`].
         left: [f64; 2],
     }
 
@@ -168,7 +166,7 @@ mod tests {
             self.fixed + self.free * taken
         }
 
-        /// What is estimated after a share `done` of the steered steps.
+        /// The estimate after a share `done` of the controlled steps.
         fn estimate(&self, done: f64) -> f64 {
             let [first, second] = REMAINING.map(|(until, _)| until);
             let left = if done < first {
@@ -192,7 +190,7 @@ mod tests {
         for step in steps {
             file.step(control.lambda() / control.base);
             if step.is_multiple_of(every) {
-                // Estimates are of a sample of the anchors, so they are never quite right.
+                // Estimates are from a sample of the anchors and so have noise.
                 let noise = 1.0 + 0.02 * (f64::from(step) * 0.7).sin();
                 let (begin, end) = (f64::from(*control.window.start()), f64::from(*control.window.end()));
                 let done = (f64::from(step) - begin) / (end - begin);
@@ -203,11 +201,11 @@ mod tests {
         seen
     }
 
-    /// By which power of the weight files of real scenes shrink.
+    /// Powers of lambda with which files of real scenes shrink.
     const SLOPES: [f64; 3] = [0.2, 0.27, 0.35];
 
     #[test]
-    fn files_come_to_the_promised_size_whatever_the_scene() {
+    fn files_reach_the_target_size_in_every_scene() {
         for slope in SLOPES {
             for delay in [20.0, 80.0, 200.0] {
                 for budget in [700_000.0, 500_000.0, 420_000.0] {
@@ -235,14 +233,14 @@ mod tests {
                     steer(&mut control, &mut file, 1..=255, 10);
                     let used = file.bytes() / 6e5;
                     let place = format!("slope {slope}, {left:?} left, {lost} lost");
-                    assert!((0.65..1.2).contains(&used), "{place}: {used} of the promise is used");
+                    assert!((0.65..1.2).contains(&used), "{place}: {used} of the target is used");
                 }
             }
         }
     }
 
     #[test]
-    fn runs_of_any_length_are_steered_alike() {
+    fn runs_of_any_length_are_controlled_alike() {
         let end = |length: u32, every: u32| {
             let mut file = SimulatedFile::new(0.5, f64::from(length) * 0.05);
             let mut control = RateControl::new(1e-3, 400_000, 1..=length);
@@ -253,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn a_promise_that_is_kept_anyway_leaves_the_weight_alone() {
+    fn a_target_above_the_unconstrained_size_leaves_lambda_unchanged() {
         let mut file = SimulatedFile::new(0.5, 80.0);
         let mut control = RateControl::new(2e-3, 5_000_000, WINDOW);
         steer(&mut control, &mut file, 1..=3000, 10);
@@ -261,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn an_impossible_promise_stops_at_a_bound() {
+    fn an_unreachable_target_stops_at_the_largest_lambda() {
         let mut file = SimulatedFile::new(0.5, 80.0);
         let mut control = RateControl::new(1e-3, 1, WINDOW);
         steer(&mut control, &mut file, 1..=3000, 10);
@@ -269,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn promises_below_what_a_weight_can_do_are_steered_alike() {
+    fn targets_below_the_reach_of_lambda_are_controlled_alike() {
         let end = |max_bytes| {
             let mut file = SimulatedFile::new(0.8, 80.0);
             let mut control = RateControl::new(1e-3, max_bytes, WINDOW);
@@ -298,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn a_controller_that_goes_on_from_any_state_takes_the_same_way() {
+    fn a_controller_resumed_from_any_state_gives_the_same_lambda() {
         let fresh = || RateControl::new(1e-3, 300_000, WINDOW);
         let (mut whole, mut file) = (fresh(), SimulatedFile::new(0.5, 80.0));
         steer(&mut whole, &mut file, 1..=3000, 10);

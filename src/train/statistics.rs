@@ -1,4 +1,4 @@
-//! What growth and pruning go by, gathered over views (METHOD.md §2.6).
+//! The statistics for growth and pruning, accumulated over views (METHOD.md §2.6).
 
 use crate::model::Shape;
 
@@ -13,7 +13,7 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    /// Values an anchor.
+    /// Values per anchor.
     #[must_use]
     pub fn width(shape: Shape) -> usize {
         2 * shape.offsets + 2
@@ -25,7 +25,7 @@ impl Statistics {
         (anchors * Self::width(shape) * size_of::<f32>()) as u64
     }
 
-    /// Nothing gathered yet for `anchors` anchors.
+    /// Zero statistics of `anchors` anchors.
     #[must_use]
     pub fn zero(shape: Shape, anchors: usize) -> Self {
         Self { shape, values: vec![0.0; anchors * Self::width(shape)] }

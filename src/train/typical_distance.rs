@@ -1,13 +1,13 @@
-//! How far the cameras are from what they look at, as the scene's points tell it.
+//! The typical distance of the cameras from the scene's points.
 
 use glam::DVec3;
 
 use crate::domain::Frame;
 
-/// Points that each camera is held against, evenly taken from all: the median of so many is theirs within a few hundredths.
+/// Points that each camera is compared with, an even sample of all: its median is theirs within a few per cent.
 const POINTS: usize = 1000;
 
-/// The median distance of the frames' cameras from the points, in world units; zero where there is no such pair.
+/// The median distance of the frames' cameras from the points, in world units; zero without cameras or points.
 pub(super) fn typical_distance(frames: &[&Frame], points: &[[f32; 3]]) -> f64 {
     let stride = points.len().div_ceil(POINTS).max(1);
     let points: Vec<DVec3> =

@@ -59,7 +59,7 @@ fn bytes(text: &mut String, runs: &[&Record]) {
             counts.total,
             figure(run.metrics.test.psnr, 2),
             figure(run.metrics.test.ssim, 4),
-            figure(run.metrics.coding.map(|coding| coding.over_ideal), 4),
+            figure(run.metrics.coding.map(|coding| coding.entropy_overhead), 4),
             figure(run.metrics.coding.and_then(|coding| coding.over_floats), 4),
             ratio("3dgs"),
             ratio("scaffold"),

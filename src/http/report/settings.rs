@@ -113,10 +113,10 @@ fn conventions(metrics: &JobMetrics) -> Rows {
 
 fn budget(metrics: &JobMetrics) -> Rows {
     let Some(budget) = &metrics.byte_budget else { return Rows::new() };
-    let octaves = budget.coarser_octaves;
+    let octaves = budget.qstep_log2;
     vec![
         row("promised", bytes(budget.max_bytes)),
-        row("without the promise", bytes(budget.free_bytes)),
+        row("without the promise", bytes(budget.unconstrained_bytes)),
         row(
             "coarser steps, octaves",
             format!(

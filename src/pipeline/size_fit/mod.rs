@@ -87,13 +87,13 @@ pub(super) fn fit_size(
     let SizeFit { device, scene, background, limit, .. } = *target;
     let cheapest = ContextSearch::Cheapest;
     let free = encode(EncodeAttempt { scene, coarser: [0; 3], search: cheapest, max_bytes: Some(limit) })?;
-    let free_bytes = free.bytes.len() as u64;
-    if free_bytes <= limit {
-        let coarser_octaves = GroupOctaves::default();
-        let budget = ByteBudget { max_bytes: limit, free_bytes, coarser_octaves, gaussians_dropped: 0 };
+    let unconstrained_bytes = free.bytes.len() as u64;
+    if unconstrained_bytes <= limit {
+        let qstep_log2 = GroupOctaves::default();
+        let budget = ByteBudget { max_bytes: limit, unconstrained_bytes, qstep_log2, gaussians_dropped: 0 };
         return Ok((free, budget));
     }
-    tracing::info!("the file has {free_bytes} bytes; fitting it into {limit}");
+    tracing::info!("the file has {unconstrained_bytes} bytes; fitting it into {limit}");
     let renderer = SceneRenderer::new(device, scene, background)?;
     let (choice, order, path) = (free.context, Vec::new(), Vec::new());
     let mut files = Files { target, encode, check, renderer, choice, order, path };
@@ -118,8 +118,8 @@ pub(super) fn fit_size(
             let [features, scalings, offsets] = coarser.map(|steps| steps * OCTAVES_PER_STEP);
             let budget = ByteBudget {
                 max_bytes: limit,
-                free_bytes,
-                coarser_octaves: GroupOctaves { features, scalings, offsets },
+                unconstrained_bytes,
+                qstep_log2: GroupOctaves { features, scalings, offsets },
                 gaussians_dropped: (total - found.kept) as u64,
             };
             tracing::info!("{} bytes, with {budget:?}", encoded.bytes.len());

@@ -90,7 +90,7 @@ impl Compression {
                 latents: size(5),
             },
         };
-        // Sizes of another model would make the device take what nobody asked for.
+        // Larger sizes would allocate more than the memory estimate.
         if config.planes.edge > 256 || sizes.iter().any(|size| *size > 1024) {
             return Err(CheckpointError::array("context.sizes", "are no model's").into());
         }

@@ -1,10 +1,10 @@
-//! Which context model the last stage trains with: the trained one, or one that sees or stores less.
+//! Selects the context model of the last stage: the trained one, or one with fewer inputs or less to store.
 //!
-//! A scene is trained with the largest context; a small scene gains less by it than planes and networks take in a file. So
-//! before everything is rounded, networks that see the position alone or the anchor's own planes, and smaller planes, learn
-//! what they can predict of the scene as it is: by rate alone, without rendering, at the steps that training gave the anchors.
-//! Whichever takes the fewest bytes with all that it stores is trained on. The choice has to come before the rounding:
-//! attributes settle on the multiples of the very steps that they are rounded at, and other steps would undo that.
+//! A scene is trained with the largest context model; in a small scene it saves fewer bytes than its planes and networks take. So
+//! before everything is rounded, networks with the position or the anchor's own planes as their only input, and smaller planes, are
+//! fitted to the current scene: by the rate term alone, without rendering, at the quantisation steps that the anchors have. The model
+//! with the fewest bytes, its own included, is trained further. It is selected before the rounding, since attributes converge to
+//! multiples of their quantisation steps, which other steps would undo.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -37,7 +37,7 @@ use crate::{
 /// Rows of anchors as `[N][row]`, and their steps as `[N][3]`.
 type RowsAndSteps = (Vec<f32>, Vec<f32>);
 
-/// Most anchors in the sample of one step of a fit.
+/// Largest number of anchors in the sample of one step of a fit.
 const MAX_SAMPLED: usize = 4096;
 
 /// Steps of a fit for each step of the run, and their bounds: a network settles in a few hundred.
@@ -45,17 +45,17 @@ const FIT_STEPS_PER_STEP: f64 = 1.0 / 6.0;
 const MIN_FIT_STEPS: u32 = 10;
 const MAX_FIT_STEPS: u32 = 600;
 
-/// Rates of networks that begin anew, and of those that were trained.
+/// Learning rates of new networks, and of trained ones.
 const FRESH: Decay = Decay::exponential(1e-2, 1e-4);
 const TRAINED: Decay = Decay::exponential(1e-3, 1e-5);
 
-/// How far latents of smaller planes begin from zero: a few of the multiples of 1/16 that are stored.
+/// Bound of the initial latents of smaller planes: a few of the stored multiples of 1/16.
 const FIRST_LATENT: f32 = 0.25;
 
-/// Least edge of planes that are worth a file's while.
+/// Smallest edge of planes that save more than they cost.
 const MIN_EDGE: usize = 8;
 
-/// What all fits share.
+/// The inputs and buffers that all fits share.
 struct ContextFit<'a> {
     compression: &'a Compression,
     quant: &'a QuantState,
@@ -64,7 +64,7 @@ struct ContextFit<'a> {
     cells: &'a [[i32; 3]],
     adam: &'a Adam,
     frozen: FrozenQuantSteps,
-    /// Octaves beside the base steps that the anchors' steps are usually at.
+    /// Mean of the anchors' step adjustments, in octaves.
     usual: [f32; 3],
     rate: RateTerm,
     overflow_flag: Buffer<u32>,
@@ -75,7 +75,7 @@ struct ContextFit<'a> {
 }
 
 impl Compression {
-    /// The context model of the last stage, for the anchors at `cells`; none before there is one to choose from.
+    /// The context model of the last stage, for the anchors at `cells`; none before the context model learns.
     pub(super) fn select_context(
         &self,
         adam: &Adam,
@@ -113,7 +113,7 @@ impl Compression {
         fit.cheapest().map(Some)
     }
 
-    /// Gives every anchor the steps that the networks predict now, and renders its rows at those: what the file is to hold.
+    /// Refreshes every anchor's quantisation steps and quantises its row with them, as the file stores it.
     pub(super) fn final_rows(
         &mut self,
         anchors: &DeviceAnchors,
@@ -145,7 +145,7 @@ impl Compression {
         Ok(Some((device.read(quant.rows.rows())?, device.read(quant.rows.steps())?)))
     }
 
-    /// What an encoder may choose from for the finished scene, whose anchors have these steps.
+    /// The context models that an encoder may select for the finished scene, whose anchors have these quantisation steps.
     pub(super) fn candidates(&self, steps: &[f32]) -> Result<Option<TrainedContext>, TrainError> {
         let (Some(quant), Some(context_model)) = (&self.quant, &self.context_model) else {
             return Ok(None);
@@ -160,7 +160,7 @@ impl Compression {
             ContextKind::TriPlaneKnn => (none.clone(), none, networks),
         };
         let planes = layout.stored_planes(&values).map(|planes| PlaneContext { planes, own, neighbours });
-        // Tables have one step for all anchors, at which nothing was rounded in training.
+        // Tables have one step for all anchors, which training did not round with.
         let static_steps = static_adjustments(steps, quant.base, STEP_OCTAVES);
         let static_steps = static_steps.map(|octaves| (octaves - UNTRAINED).max(-STEP_OCTAVES));
         let usual = mean_quant_steps(steps);
@@ -177,8 +177,8 @@ impl Compression {
     }
 }
 
-/// Octaves by which steps that attributes were not rounded at in training are finer than those that they were: the error
-/// of a second rounding comes on top of the first, and nothing has learnt to make up for it.
+/// Octaves by which quantisation steps that training did not use are finer than those that it used: the error of a second rounding
+/// adds to the first, and training has not compensated for it.
 const UNTRAINED: f32 = 0.5;
 
 /// Rounding at each anchor's own steps.
@@ -186,7 +186,7 @@ fn rounding(quant: &QuantState) -> Quantisation {
     Quantisation { phase: QuantisationPhase::Rounded, base_quant_steps: quant.base, key: 0 }
 }
 
-/// Octaves from `base` to `step`, as far as adjustments go.
+/// Octaves from `base` to `step`, clamped to the range of step adjustments.
 fn octaves_between(step: f32, base: f32) -> f32 {
     let octaves = (step / base).log2();
     if octaves.is_finite() { octaves.clamp(-STEP_OCTAVES, STEP_OCTAVES) } else { 0.0 }
@@ -239,7 +239,7 @@ impl ContextFit<'_> {
         Ok(bytes)
     }
 
-    /// A model that begins anew, with planes of its own or those of another.
+    /// A newly initialised model, with its own planes or those of another.
     fn fresh(
         &self,
         config: ContextConfig,
@@ -258,14 +258,14 @@ impl ContextFit<'_> {
         self.model(config, values)
     }
 
-    /// A model of the scene that remembers nothing of how its parameters came about.
+    /// A model of the scene with zero moments.
     fn model(&self, config: ContextConfig, values: Vec<f32>) -> Result<ContextNet, TrainError> {
         let mut net = ContextNet::new(&self.compression.device, config, &ContextState::new(values))?;
         net.place(&ContextAnchors::new(&config, &self.context_model.frame, self.cells))?;
         Ok(net)
     }
 
-    /// Lets a model learn to predict the scene.
+    /// Fits a model to the scene.
     fn fit(&self, net: &mut ContextNet, planes_learn: bool, decay: Decay) -> Result<(), TrainError> {
         let device = &self.compression.device;
         for step in 1..=self.steps {
@@ -311,7 +311,7 @@ impl ContextFit<'_> {
             lambda: 1.0,
         };
         self.rate.record(recorder, &inputs, &self.d_rows, &self.overflow_flag)?;
-        // An octave beside the step of an anchor counts as a bit for each of its attributes.
+        // A difference of one octave from the anchor's step weighs as much as one bit per attribute.
         let bit = self.rate.weight(1.0, sample.len());
         let weights = channels.map(|channels| bit * channels as f32);
         self.frozen.record_gradient(recorder, weights, of_sample, outputs, channels)?;
@@ -319,7 +319,7 @@ impl ContextFit<'_> {
     }
 }
 
-/// Steps of a fit between two waits for the device, so that not all of it lies recorded at once.
+/// Steps of a fit between two waits for the device, which bounds the recorded work.
 const WAIT_INTERVAL: u32 = 16;
 
 /// Planes of half the edge.

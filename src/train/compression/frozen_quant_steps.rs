@@ -1,4 +1,4 @@
-//! Holds the steps of anchors whose attributes are frozen while other networks learn to predict them.
+//! Freezes the anchors' quantisation steps while other networks are fitted to predict them.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use crate::{
     train::context::{AnchorSample, GroupOutputs},
 };
 
-/// The kernels, and how far the last sample's predictions were off.
+/// The kernels, and the last sample's prediction errors.
 #[derive(Debug)]
 pub(super) struct FrozenQuantSteps {
     freeze_quant_steps: Arc<Kernel>,
@@ -25,7 +25,7 @@ impl FrozenQuantSteps {
         })
     }
 
-    /// Records that `steps`, `[N][3]`, take the place of the adjustments among `outputs`.
+    /// Records the replacement of the step adjustments in `outputs` by those of `steps`, `[N][3]`.
     pub(super) fn record(
         &self,
         recorder: &mut Recorder<'_>,
@@ -52,7 +52,7 @@ impl FrozenQuantSteps {
         Ok(())
     }
 
-    /// Records the gradients by the predictions, weighed by group.
+    /// Records the gradients by the predictions, weighted by group.
     pub(super) fn record_gradient(
         &self,
         recorder: &mut Recorder<'_>,

@@ -67,13 +67,13 @@ fn config(schedule: &CompressionSchedule, shape: Shape, anchors: usize) -> Conte
 }
 
 impl Compression {
-    /// Before the first step.
+    /// The state before the first step.
     pub(in crate::train) fn new(device: &Arc<Device>, schedule: CompressionSchedule, shape: Shape) -> Self {
         let layout = NetworkLayout::new(shape);
         Self { device: Arc::clone(device), schedule, layout, quant: None, context_model: None }
     }
 
-    /// Whether another stage begins after `step`.
+    /// Whether another stage starts after `step`.
     pub(in crate::train) fn changes_stage_after(&self, step: u32) -> bool {
         self.schedule.changes_stage_after(step)
     }
@@ -83,7 +83,7 @@ impl Compression {
         self.changes_stage_after(step) && self.schedule.stage(step + 1) == Stage::Rounded
     }
 
-    /// Makes what the stages that begin after `step` need of a scene whose rows are `anchors`. Short runs may pass over a stage.
+    /// Prepares the stages that start after `step` for the scene `anchors`. Short runs may skip a stage.
     pub(in crate::train) fn enter_stage(
         &mut self,
         step: u32,
@@ -114,9 +114,8 @@ impl Compression {
         Ok(())
     }
 
-    /// What the run found for the encoder, and the rows that the file is to hold: those of `anchors` as the last stage renders
-    /// them. `before` has the cells that anchors were at before some were left out. None if the run was too short for a
-    /// context model; then the rows stay as they are.
+    /// Replaces the rows of `anchors` by their quantised values and returns the encoder's input. `before` are the cells before
+    /// pruning. Returns `None` if the run ended before the context model was trained; the rows are then unchanged.
     pub(in crate::train) fn finish(
         mut self,
         adam: &Adam,
@@ -156,7 +155,7 @@ impl Compression {
         let statistics = group_statistics(anchors, quant.base);
         let config = config(&self.schedule, shape, anchors.len());
         let layout = ContextLayout::new(config)?;
-        // Of its own: how many numbers a model needs must not decide how the scene goes on.
+        // A generator of its own, so that the model's size does not affect the rest of the run.
         let mut rng = Pcg64::seed_from_u64(self.schedule.seed);
         let mut values = layout.initial(&statistics, &mut rng)?;
         set_initial_adjustments(&layout, [-self.schedule.base.finer_octaves(); 3], &mut values);
@@ -186,7 +185,7 @@ impl Compression {
         Ok(RateTerm::plan(self.layout.shape, capacity).make(&self.device)?)
     }
 
-    /// Takes notice that anchors came or went: those of `before` are now `anchors`.
+    /// Updates the state after growth or pruning: the anchors at the cells `before` are now `anchors`.
     pub(in crate::train) fn replace(
         &mut self,
         before: &[[i32; 3]],
@@ -209,7 +208,7 @@ impl Compression {
         Ok(())
     }
 
-    /// How the rows of `step` are quantised; none before the first noise.
+    /// The quantisation of `step`; none before the first noise.
     fn quantisation(&self, step: u32) -> Option<Quantisation> {
         let phase = match self.schedule.stage(step) {
             Stage::Plain => return None,
@@ -225,7 +224,7 @@ impl Compression {
         Some(Quantisation { phase, base_quant_steps, key: Quantisation::key(self.schedule.seed, step) })
     }
 
-    /// Records what `step` renders of the anchors instead of their own rows and networks; none where it is those.
+    /// Records the quantised anchors that `step` renders; none if it renders them unquantised.
     pub(in crate::train) fn forward(
         &self,
         recorder: &mut Recorder<'_>,
@@ -244,7 +243,7 @@ impl Compression {
         Ok(Some(shown))
     }
 
-    /// What the context model does in `step`.
+    /// The context model's pass in `step`.
     fn pass(&self, step: u32) -> ContextPass {
         let schedule = &self.schedule;
         if schedule.stage(step) == Stage::Rounded {
@@ -263,8 +262,8 @@ impl Compression {
         }
     }
 
-    /// Records the way back from `d_rows`, the gradients by the rows that were rendered, to those by the anchors' own with
-    /// those of the rate; and the step of the context model.
+    /// Turns `d_rows`, the gradients by the rendered rows, into those by the anchors' rows, adds those of the rate term, and records
+    /// the context model's optimiser step.
     pub(in crate::train) fn backward(
         &mut self,
         recorder: &mut Recorder<'_>,
@@ -306,7 +305,7 @@ impl Compression {
         model.net.step(recorder, adam, AdamStep { number, overflow_flag }, &rates, &model.statistics)
     }
 
-    /// Records what the last recorded sample's rate says of the offsets' masks.
+    /// Records the gradients of the last sample's bits by the offset masks.
     pub(in crate::train) fn mask_backward(
         &self,
         recorder: &mut Recorder<'_>,
@@ -320,7 +319,7 @@ impl Compression {
         Ok(())
     }
 
-    /// Bits of an anchor's attributes in the last submitted sample, and bytes of the context model; none before there is one.
+    /// Mean bits of an anchor's attributes in the last submitted sample, and bytes of the context model; none before it learns.
     pub(in crate::train) fn bitrate(&self) -> Result<Option<(f64, f64)>, TrainError> {
         let Some(context_model) =
             self.context_model.as_ref().filter(|context_model| context_model.sampled > 0)

@@ -1,19 +1,19 @@
-//! The quantisation steps of anchors that come and go.
+//! The quantisation steps of anchors across growth and pruning.
 
 use std::collections::HashMap;
 
-/// The steps `[N][3]` of the anchors at `cells`, of which those that were among `before` keep theirs; `fresh` has the others'.
+/// The steps `[N][3]` of the anchors at `cells`: anchors that were among `before` keep theirs, new ones have `initial`.
 pub(super) fn carry_quant_steps(
     before: &[[i32; 3]],
     steps: &[f32],
-    fresh: [f32; 3],
+    initial: [f32; 3],
     cells: &[[i32; 3]],
 ) -> Vec<f32> {
     let known: HashMap<&[i32; 3], &[f32; 3]> = before.iter().zip(steps.as_chunks().0).collect();
-    cells.iter().flat_map(|cell| known.get(cell).map_or(fresh, |steps| **steps)).collect()
+    cells.iter().flat_map(|cell| known.get(cell).map_or(initial, |steps| **steps)).collect()
 }
 
-/// The geometric mean of steps, group by group; what anchors that nothing is known of begin with.
+/// The geometric mean of the steps of each group; the initial steps of new anchors.
 pub(super) fn mean_quant_steps(steps: &[f32]) -> [f32; 3] {
     let anchors = steps.as_chunks::<3>().0;
     std::array::from_fn(|group| {
@@ -22,7 +22,7 @@ pub(super) fn mean_quant_steps(steps: &[f32]) -> [f32; 3] {
     })
 }
 
-/// The adjustment in octaves that, the same for every anchor, has the mean squared error of these steps `[N][3]`.
+/// The adjustment in octaves that, applied to every anchor, has the same mean squared error as these steps `[N][3]`.
 pub(super) fn static_adjustments(steps: &[f32], base: [f32; 3], limit: f32) -> [f32; 3] {
     let anchors = steps.as_chunks::<3>().0;
     std::array::from_fn(|group| {

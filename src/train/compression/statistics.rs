@@ -1,14 +1,14 @@
-//! What static tables of the attributes would be made of: each channel's mean and standard deviation.
+//! Mean and standard deviation of each channel of the attributes, as for static tables.
 //!
-//! What always holds: figures are finite and deviations not negative, whatever the rows hold.
+//! Invariant: the values are finite and the deviations not negative, even for rows that are not finite.
 
 use crate::{domain::anchors::SCALINGS_PER_ANCHOR, model::AnchorRows, train::context::GroupStatistics};
 
-/// Share of a channel's values that is left out at either end to see how wide the others are.
+/// Share of a channel's values trimmed at either end to measure the width of the others.
 const TRIMMED_SHARE: f64 = 0.02;
 
-/// Values count as no farther than this many times that width from the middle: one anchor of the size of the scene must
-/// not decide how wide all others are expected to be, and yet tails have to be expected.
+/// Values are clamped to this many widths from the mean: one anchor as large as the scene must not dominate the deviation, yet
+/// tails have to count.
 const MAX_WIDTHS: f64 = 10.0;
 
 /// The statistics of features, linear scalings and unmasked offsets, in steps of `base` (scalings' in world units).
@@ -28,7 +28,7 @@ pub(super) fn group_statistics(anchors: &AnchorRows, base: [f32; 3]) -> [GroupSt
     })
 }
 
-/// Mean and standard deviation of a channel's finite values, in steps, far ones moved nearer.
+/// Mean and standard deviation of a channel's finite values, in steps, with outliers clamped.
 fn of(values: impl Iterator<Item = f32>, step: f32) -> (f32, f32) {
     let mut values: Vec<f64> =
         values.map(|value| f64::from(value) / f64::from(step)).filter(|value| value.is_finite()).collect();

@@ -1,5 +1,5 @@
-//! What the context model knows of the anchors: where they lie on the planes, who their neighbours are, and the same
-//! tables the other way round, which gradients are gathered by.
+//! The context model's tables of anchors: their positions on the planes, their neighbours, and the inverse tables, by which gradients
+//! are gathered.
 //!
 //! All of it follows from the cells by the codec's own integers, so training samples exactly where a decoder does. It is
 //! made anew on the host whenever the set of anchors changes, and lies still in between.
@@ -15,10 +15,10 @@ use crate::{
     train::ContextError,
 };
 
-/// Most anchors: an index shares a word with the place among neighbours.
+/// Largest number of anchors: an index shares a word with the slot among neighbours.
 const MAX_ANCHORS: usize = 1 << 30;
 
-/// Where anchors lie, in the kernels' forms; empty tables where a model has no planes.
+/// The tables in the kernels' layout; empty for models without planes.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ContextAnchors {
     /// Anchors.
@@ -59,7 +59,7 @@ impl ContextAnchors {
         anchors
     }
 
-    /// Refuses tables that would lead kernels out of their buffers.
+    /// Refuses tables with which kernels would read outside their buffers.
     ///
     /// # Errors
     /// [`ContextError::Anchors`] with what does not fit.

@@ -1,4 +1,4 @@
-//! How large a context model is.
+//! The sizes of a context model.
 
 use crate::{
     domain::{AttributeGroup, ContextKind},
@@ -25,7 +25,7 @@ pub struct PlaneConfig {
 }
 
 impl PlaneConfig {
-    /// Sizes for a scene of so many anchors. What a file spends on planes grows with what they can save: 0.3 kB of latents
+    /// Sizes for a scene of so many anchors. Planes grow with the bytes that they can save: 0.3 kB of latents
     /// and 0.6 kB of layers for a few thousand anchors, ten times that for a hundred thousand.
     #[must_use]
     pub fn for_anchors(anchors: usize) -> Self {
@@ -36,7 +36,7 @@ impl PlaneConfig {
         }
     }
 
-    /// The same planes, stored as they are.
+    /// The same planes, stored directly.
     #[must_use]
     pub fn without_layers(self) -> Self {
         Self { layers: 0, latents: self.channels, ..self }
@@ -99,13 +99,13 @@ impl PlaneConfig {
 /// Sizes of a context model in training: one network a group on a common input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ContextConfig {
-    /// What the networks are given.
+    /// The inputs of the networks.
     pub kind: ContextKind,
     /// Channels of each attribute group.
     pub channels: [usize; 3],
     /// Hidden values of each group's network.
     pub hidden: [usize; 3],
-    /// The planes; without meaning where the networks are given none.
+    /// The planes; ignored if the networks have none.
     pub planes: PlaneConfig,
 }
 

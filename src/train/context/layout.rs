@@ -1,4 +1,4 @@
-//! Where everything of a context model is in its flat array of parameters.
+//! The layout of a context model's parameters in one flat array.
 //!
 //! The networks come first: their hidden layers as one layer on the common input, then an output layer a group, each on
 //! its own part of the hidden values; weights of dense layers are input-major. Then raw planes, layers down, layers up
@@ -20,7 +20,7 @@ use crate::{
 /// Bound of a fresh plane's values (METHOD.md §4.3).
 const FIRST_PLANE: f32 = 0.01;
 
-/// Least standard deviation in base steps that outputs begin with: below it all symbols are equal anyway.
+/// Smallest initial standard deviation, in base steps: below it all symbols are equal anyway.
 const MIN_DEVIATION: f32 = 0.05;
 
 /// A convolution of stride two between a coarse and a fine tensor.
@@ -58,7 +58,7 @@ impl ConvSpec {
     }
 }
 
-/// What a parameter belongs to, which decides how fast it learns.
+/// The part of the model that a parameter belongs to, which determines its learning rate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ContextPart {
     /// The groups' networks.
@@ -71,7 +71,7 @@ pub enum ContextPart {
     Latents,
 }
 
-/// How fast each part learns.
+/// The learning rate of each part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContextLearningRates {
     /// Of the groups' networks; for what predicts means, in standard deviations of the channel.
@@ -84,7 +84,7 @@ pub struct ContextLearningRates {
     pub latents: f32,
 }
 
-/// What a group's static tables would be made of; a context model begins as good as they.
+/// The statistics of a group; a new context model predicts them for every anchor.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GroupStatistics {
     /// Mean of each channel, in base steps.
@@ -117,7 +117,7 @@ pub struct ContextLayout {
 }
 
 impl ContextLayout {
-    /// Places everything.
+    /// The layout of `config`.
     ///
     /// # Errors
     /// As [`ContextConfig::check`].

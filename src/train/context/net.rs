@@ -17,10 +17,10 @@ use crate::{
     train::{Adam, AdamStep, ContextError, Moments, TrainError},
 };
 
-/// The mark of an anchor that was not sampled.
+/// Marks an anchor that was not sampled.
 const NO_COLUMN: u32 = u32::MAX;
 
-/// How a step uses the context model.
+/// The settings of a pass of the context model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContextPass {
     /// Which planes the networks sample.
@@ -36,7 +36,7 @@ pub struct ContextPass {
 }
 
 impl ContextPass {
-    /// On raw planes, as the context model begins.
+    /// On raw planes, as in the first steps of the context model.
     pub const RAW: Self =
         Self { source: PlaneSource::Raw, reconstruction: 0.0, levels: None, planes_learn: true };
 
@@ -69,7 +69,7 @@ pub struct ContextState {
 }
 
 impl ContextState {
-    /// Parameters that have learnt nothing yet.
+    /// Parameters with zero moments.
     #[must_use]
     pub fn new(values: Vec<f32>) -> Self {
         let zeros = vec![0.0; values.len()];
@@ -211,7 +211,7 @@ impl ContextNet {
         &self.layout
     }
 
-    /// The anchors from now on, whenever their set has changed.
+    /// Sets the anchors, whenever they have changed.
     ///
     /// # Errors
     /// [`ContextError::Anchors`] for tables that do not fit the model; faults of the device.

@@ -1,8 +1,8 @@
 //! Rows as they are rendered while training prepares them for a file: with noise of the steps' width, then rounded
 //! (METHOD.md §4.2).
 //!
-//! Noise is a hash of seed, step, anchor and column; nothing is drawn and nothing kept, so a step that is done again has the
-//! same noise. Scalings are quantised as they are, not as logarithms, and are at least one step, as a file keeps them.
+//! Noise is a hash of seed, step, anchor and column, so a repeated step has the same noise. Scalings are quantised as linear values,
+//! not as logarithms, and are at least one step, as a file stores them.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use crate::{
     render::DeviceAnchors,
 };
 
-/// How values become what is rendered.
+/// How values are quantised for rendering.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum QuantisationPhase {
     /// Uniform noise as wide as the base steps.
@@ -30,7 +30,7 @@ pub struct Quantisation {
     pub phase: QuantisationPhase,
     /// Base steps of features, scalings and offsets; positive.
     pub base_quant_steps: [f32; 3],
-    /// What the noise depends on beside anchor and column; see [`Quantisation::key`].
+    /// Seed of the noise; see [`Quantisation::key`].
     pub key: u32,
 }
 
@@ -59,14 +59,14 @@ pub(super) struct QuantisationUniform {
     base: [f32; 4],
 }
 
-/// The hash of PCG: one round and its permutation.
+/// The PCG hash: one round and its output permutation.
 pub(in super::super) fn pcg_hash(value: u32) -> u32 {
     let state = value.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
     let word = ((state >> ((state >> 28) + 4)) ^ state).wrapping_mul(277_803_737);
     (word >> 22) ^ word
 }
 
-/// Rendered rows on the device, with each anchor's steps and what rendering says of them.
+/// Rendered rows on the device, with each anchor's quantisation steps and the gradients by them.
 #[derive(Debug)]
 pub struct QuantisedRows {
     quantise_rows: Arc<Kernel>,
@@ -132,7 +132,7 @@ impl QuantisedRows {
         }
     }
 
-    /// Records the making of the rendered rows. Offsets that are masked are copied.
+    /// Records the quantisation of the rows. Masked offsets are copied.
     ///
     /// # Errors
     /// Faults of the device.
@@ -157,7 +157,7 @@ impl QuantisedRows {
         Ok(())
     }
 
-    /// Records the way back: `d_rows` holds the gradients by the rendered rows and is left with those by the anchors' rows.
+    /// Records the backward pass: turns `d_rows` from the gradients by the rendered rows into those by the anchors' rows.
     /// `anchors` and `quantisation` are those of the forward pass.
     ///
     /// # Errors

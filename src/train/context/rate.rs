@@ -1,4 +1,4 @@
-//! What the sampled anchors would cost in a file: bits under the distributions that the context networks predict
+//! The rate term: the bits of the sampled anchors in a file under the distributions that the context networks predict
 //! (TC-GS (4), METHOD.md §4.5), in a form that stays right where symbols are badly predicted.
 //!
 //! A value costs -log2 of the normal distribution's mass in its bin. The usual difference of two error functions in f32 is
@@ -52,7 +52,7 @@ struct RateUniform {
     weights: [f32; 4],
 }
 
-/// The anchors whose rate a step looks at, each once.
+/// The anchors whose bits a step estimates, each once.
 #[derive(Debug, Clone, Copy)]
 pub struct AnchorSample<'a> {
     /// How many, then their indices.
@@ -63,7 +63,7 @@ pub struct AnchorSample<'a> {
     pub capacity: usize,
 }
 
-/// What a group's network says of the sampled anchors, and where the gradient by it goes. Both are column-major with the
+/// The outputs of a group's network for the sampled anchors, and the gradients by them. Both are column-major with the
 /// sample's capacity: means in base steps, logarithms of standard deviations in octaves of base steps, a step adjustment.
 #[derive(Debug, Clone, Copy)]
 pub struct GroupOutputs<'a> {
@@ -119,13 +119,13 @@ impl RateTerm {
         })
     }
 
-    /// Most anchors in a sample.
+    /// Largest number of anchors in a sample.
     #[must_use]
     pub fn capacity(&self) -> usize {
         self.capacity
     }
 
-    /// The weight of one bit where the loss counts `lambda` times the sample's bits an element.
+    /// The weight of one bit if the loss has `lambda` times the sample's bits per element.
     #[must_use]
     pub fn weight(&self, lambda: f64, sampled: usize) -> f32 {
         (lambda / (sampled * self.shape.row()).max(1) as f64) as f32

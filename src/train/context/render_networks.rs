@@ -1,5 +1,5 @@
-//! The render networks as a file will give them back: weights and biases rounded as the codec rounds them, so that the last
-//! steps of training render with what a decoder will have.
+//! The render networks as decoded: weights and biases rounded as by the codec, so that the last steps of training render with what a
+//! decoder will have.
 //!
 //! The gradient by the rounded parameters is taken for that by the parameters. Where an adapter's division is not that of
 //! IEEE 754 (WGSL allows 2.5 units in the last place), a weight at a tie may come out one level off the codec's.

@@ -1,5 +1,5 @@
-//! Weights rounded to the form in which a file holds them, so that training sees what a decoder will have. Gradients pass as
-//! if nothing were rounded.
+//! Weights rounded to the values that a file stores, so that training uses what a decoder will have, with straight-through
+//! gradients.
 //!
 //! A weight is an integer over a power of two, the largest for each row of weights that the integer's width allows, at most
 //! 2^15: what the codec makes of the same weights. Biases and activations, which it keeps to 1/256, stay as they are.

@@ -34,7 +34,7 @@ pub struct DensifySettings {
     pub extent: f32,
 }
 
-/// Parameters with their moments: what moves together when anchors come and go.
+/// Anchors with all per-anchor state of their training.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainableAnchors {
     /// Anchors and rows.
@@ -47,7 +47,7 @@ pub struct TrainableAnchors {
     pub masks: Option<MaskRows>,
 }
 
-/// What one round did.
+/// The result of one round.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Outcome {
     /// Anchors added.
@@ -93,7 +93,7 @@ fn grow(
     let mut added = 0;
     for level in 0..LEVELS {
         let factor = settings.coarsest / 4_i32.pow(level);
-        // A finer level follows only a level that added something; a cell finer than the lattice is none.
+        // A finer level follows only a level that added anchors; cells cannot be finer than the lattice.
         if factor < 1 || (level > 0 && added == 0) {
             break;
         }
@@ -116,7 +116,7 @@ fn grow(
             if state.anchors.len() >= settings.max_anchors {
                 break;
             }
-            // A coarse cell may be centred beyond the last lattice cell; held there, it still rounds to itself.
+            // A coarse cell may be centred beyond the last lattice cell; clamped to it, it still rounds to itself.
             let cell = cell.map(|c| (c * factor).clamp(-MAX_CELL, MAX_CELL));
             push_anchor(state, cell, &parents, log_scale);
             added += 1;
@@ -151,7 +151,7 @@ fn push_anchor(state: &mut TrainableAnchors, cell: [i32; 3], parents: &[usize], 
     }
 }
 
-/// Offsets that were eligible begin anew; the others go on gathering.
+/// Resets the statistics of offsets that were eligible; those of the others accumulate further.
 fn reset_seen_offsets(statistics: &mut Statistics, anchors: usize, min_views: f32) {
     let offsets = statistics.shape.offsets;
     for anchor in 0..anchors {
@@ -192,7 +192,7 @@ pub(super) fn drop_masked(state: &mut TrainableAnchors, statistics: &mut Statist
     retain(state, statistics, &keep)
 }
 
-/// Removes all that belongs to the anchors that are not kept; returns how many there were.
+/// Removes the anchors that are not kept; returns how many there were.
 fn retain(state: &mut TrainableAnchors, statistics: &mut Statistics, keep: &[bool]) -> usize {
     let dropped = keep.iter().filter(|keep| !**keep).count();
     if dropped > 0 {

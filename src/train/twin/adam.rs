@@ -14,7 +14,7 @@ pub struct AdamElement {
 /// Step `t` (from 1) with betas 0.9 and 0.999, epsilon outside the root. A gradient of 1e18 or more, whose square f32 might
 /// not hold, changes nothing, nor does one that is not a number.
 #[must_use]
-pub fn adam(element: AdamElement, t: u32, rate: f64, gradient: f64) -> AdamElement {
+pub fn adam(element: AdamElement, t: u32, learning_rate: f64, gradient: f64) -> AdamElement {
     if gradient.is_nan() || gradient.abs() >= 1e18 {
         return element;
     }
@@ -23,5 +23,5 @@ pub fn adam(element: AdamElement, t: u32, rate: f64, gradient: f64) -> AdamEleme
     let t = f64::from(t);
     let mean = first / (1.0 - 0.9_f64.powf(t));
     let root = (second / (1.0 - 0.999_f64.powf(t))).sqrt();
-    AdamElement { value: element.value - rate * mean / (root + 1e-15), first, second }
+    AdamElement { value: element.value - learning_rate * mean / (root + 1e-15), first, second }
 }

@@ -1,4 +1,4 @@
-//! The steps of anchors whose attributes are frozen.
+//! The frozen quantisation steps of anchors.
 
 /// The adjustment in octaves that gives `step`, and how far `predicted` is above it.
 #[must_use]

@@ -1,4 +1,4 @@
-//! Offset masks (TC-GS II-C, METHOD.md §4.1): their loss, what the rendering says of them, and their bits.
+//! Offset masks (TC-GS II-C, METHOD.md §4.1): their loss, the gradients of rendering and bits by them, and their packing.
 
 use crate::render::twin::{Gaussian, GaussianGradient};
 

@@ -1,4 +1,4 @@
-//! Rows as they are rendered, their way back, and networks as a file gives them back.
+//! Quantised rows, their backward pass, and networks as decoded.
 
 use std::f64::consts::LN_2;
 

@@ -16,13 +16,13 @@ const FINEST: f64 = -3.5;
 const SPACING: f64 = 7.0 / 32.0;
 const LAST: i64 = 63;
 
-/// What an escape takes beside twice the logarithm of its distance, in bits.
+/// Bits of an escape, without twice the logarithm of its distance.
 const ESCAPE_BITS: f64 = 26.0;
 
 /// A value's derivatives, counted in steps and octaves, go no further.
 const MAX_DERIVATIVE: f64 = 1e4;
 
-/// What a group of one anchor costs, and the gradients.
+/// The bits of a group of one anchor, and the gradients.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RateGradients {
     /// Bits a channel under the distribution, which the gradients are of.

@@ -347,8 +347,8 @@ fn attributes_take_no_more_than_half_a_percent_over_their_tables() {
     for groups in [[None; 3], KINDS.map(Some)] {
         let encoded = encode(&scene, Some(&candidates), &fixed(groups, Some(0))).expect("encodes");
         let measured = efficiency(&encoded.bytes, &DecodeLimits::NONE, None).expect("decodes");
-        println!("{groups:?}: {:.5} of the ideal", measured.over_ideal());
-        assert!((0.999..1.005).contains(&measured.over_ideal()), "{measured:?}");
+        println!("{groups:?}: {:.5} of the ideal", measured.entropy_overhead());
+        assert!((0.999..1.005).contains(&measured.entropy_overhead()), "{measured:?}");
         assert_eq!(measured.over_floats(), None);
     }
 }

@@ -169,7 +169,7 @@ pub fn metrics() -> JobMetrics {
         background: Background::White,
         conventions: Conventions::new(Some(LpipsNetwork::Vgg)),
         byte_budget: None,
-        coding: Some(CodingEfficiency { over_ideal: 1.001, over_floats: Some(1.002) }),
+        coding: Some(CodingEfficiency { entropy_overhead: 1.001, over_floats: Some(1.002) }),
         rd_curve: Vec::new(),
     }
 }

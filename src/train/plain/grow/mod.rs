@@ -1,8 +1,8 @@
 //! Growth and pruning of plain Gaussians, and the reset of their opacities, as published with 3D Gaussian splatting.
 //!
 //! Pure functions of rows, statistics and a random generator, in the order of the rows. A Gaussian whose mean screen
-//! gradient is large grows: a small one is doubled, a large one is replaced by two smaller ones drawn from it. One that is
-//! all but transparent goes, and so does, once opacities were reset, one that is too large in the world or on screen.
+//! gradient is large grows: a small one is cloned, a large one is split into two smaller ones drawn from it. Nearly transparent
+//! ones are pruned, and after the first reset of opacities those that are too large in the world or on screen.
 
 use glam::{Quat, Vec3};
 use rand::{Rng, RngExt};
@@ -17,15 +17,15 @@ use crate::{
 
 /// Largest size of a Gaussian that is doubled and not split, in extents of the scene.
 const DENSE: f32 = 0.01;
-/// What a half of a split Gaussian is smaller by.
+/// Factor by which the halves of a split Gaussian are smaller.
 const SHRINK: f32 = 1.6;
-/// Opacity below which a Gaussian goes.
+/// Opacity below which a Gaussian is pruned.
 const MIN_OPACITY: f32 = 0.005;
-/// Size from which it goes once opacities were reset, in extents of the scene.
+/// Size above which it is pruned after the first reset of opacities, in extents of the scene.
 const MAX_SIZE: f32 = 0.1;
-/// Radius on screen, in pixels, beyond which it goes once opacities were reset.
+/// Radius on screen, in pixels, above which it is pruned after the first reset of opacities.
 const MAX_RADIUS: f32 = 20.0;
-/// Opacity that a reset leaves at most.
+/// Largest opacity after a reset.
 const RESET_OPACITY: f32 = 0.01;
 
 /// The settings of one round.
@@ -35,13 +35,13 @@ pub(super) struct GrowthSettings {
     pub threshold: f32,
     /// Radius of the cameras, in world units.
     pub extent: f32,
-    /// Gaussians that growth does not go beyond; the largest gradients go first.
+    /// Largest number of Gaussians; those with the largest gradients grow first.
     pub max_gaussians: usize,
-    /// Whether what is too large goes.
+    /// Whether Gaussians that are too large are pruned.
     pub prune_large: bool,
 }
 
-/// Parameters with their moments: what moves together when Gaussians come and go.
+/// Gaussians with all per-Gaussian state of their training.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct TrainableGaussians {
     /// Parameters.
@@ -52,7 +52,7 @@ pub(super) struct TrainableGaussians {
     pub second: GaussianRows,
 }
 
-/// What one round did.
+/// The result of one round.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Outcome {
     /// Gaussians that were doubled.
@@ -64,7 +64,7 @@ pub(super) struct Outcome {
 }
 
 impl TrainableGaussians {
-    /// Appends a copy of Gaussian `index` that has no history; returns where it is.
+    /// Appends a copy of Gaussian `index` with zero moments; returns its index.
     fn push_copy(&mut self, index: usize) -> usize {
         self.values.push_copy(index);
         self.first.push_zero();
@@ -105,7 +105,7 @@ pub(super) fn grow_and_prune(
     keep.resize(state.values.len(), true);
     for (index, keep) in keep.iter_mut().enumerate().filter(|(_, keep)| **keep) {
         let transparent = state.values.base(index)[OPACITY] < logit(MIN_OPACITY);
-        // What was only just made was not seen yet.
+        // New Gaussians have no statistics yet.
         let radius = if index < before { statistics[index * STATISTICS + 2] } else { 0.0 };
         let large = size(&state.values, index) > MAX_SIZE * settings.extent || radius > MAX_RADIUS;
         if transparent || (settings.prune_large && large) {
@@ -117,7 +117,7 @@ pub(super) fn grow_and_prune(
     outcome
 }
 
-/// The Gaussians that grow, ascending: those of the largest gradients where not all of them may.
+/// The Gaussians that grow, ascending: those with the largest gradients if the limit does not allow all.
 fn chosen(statistics: &[f32], settings: &GrowthSettings, count: usize) -> Vec<usize> {
     let mut wanted: Vec<(f32, usize)> = statistics
         .chunks_exact(STATISTICS)
@@ -127,7 +127,7 @@ fn chosen(statistics: &[f32], settings: &GrowthSettings, count: usize) -> Vec<us
         .map(|(index, row)| (row[0] / row[1], index))
         .filter(|(gradient, _)| *gradient >= settings.threshold)
         .collect();
-    // Either way of growing adds one.
+    // Cloning and splitting both add one.
     let room = settings.max_gaussians.saturating_sub(count);
     if wanted.len() > room {
         wanted.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -143,7 +143,7 @@ fn size(rows: &GaussianRows, index: usize) -> f32 {
     rows.base(index)[LOG_SCALE..QUAT].iter().copied().fold(f32::NEG_INFINITY, f32::max).exp()
 }
 
-/// Moves a Gaussian to a place drawn from itself and makes it smaller.
+/// Moves a Gaussian to a position drawn from it and shrinks it.
 fn shrink_and_move(row: &mut [f32], rng: &mut impl Rng) {
     let [w, x, y, z] = std::array::from_fn(|k| row[QUAT + k]);
     let turn = Quat::from_xyzw(x, y, z, w);
@@ -159,12 +159,12 @@ fn shrink_and_move(row: &mut [f32], rng: &mut impl Rng) {
 
 /// A draw from the standard normal distribution (Box and Muller).
 fn normal(rng: &mut impl Rng) -> f32 {
-    // In (0, 1]: the logarithm of zero is not to be had.
+    // In (0, 1], to avoid the logarithm of zero.
     let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
     (radius * (std::f64::consts::TAU * rng.random::<f64>()).cos()) as f32
 }
 
-/// Brings every opacity down to 0.01 and forgets how it moved, so that what the photographs do not ask for dies out.
+/// Lowers every opacity to at most 0.01 and clears its moments, so that Gaussians without support in the photographs fade out.
 pub(super) fn reset_opacities(state: &mut TrainableGaussians) {
     let most = logit(RESET_OPACITY);
     for index in 0..state.values.len() {
