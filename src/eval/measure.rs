@@ -9,7 +9,7 @@ use crate::{
 /// PSNR and SSIM of each frame, photographs composited on `background`.
 ///
 /// # Errors
-/// Faults of the renderer; a photograph that cannot be read back.
+/// Errors of the renderer; a photograph that cannot be read back.
 pub fn measure_views(
     renderer: &mut SceneRenderer,
     frames: &[&Frame],
@@ -22,7 +22,7 @@ pub fn measure_views(
 /// log says why.
 ///
 /// # Errors
-/// Faults of the renderer.
+/// Errors of the renderer.
 pub fn measure_views_with(
     renderer: &mut SceneRenderer,
     frames: &[&Frame],

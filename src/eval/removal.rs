@@ -33,7 +33,7 @@ pub struct RemovalCosts {
 /// the same values on one adapter. Calls `keep_going` between views; once it returns false, only the views so far count.
 ///
 /// # Errors
-/// Faults of the renderer; a photograph that cannot be read back.
+/// Errors of the renderer; a photograph that cannot be read back.
 pub fn removal_costs(
     device: &Arc<Device>,
     scene: &AnchorScene,

@@ -110,19 +110,10 @@ impl AnchorRows {
 
     /// Removes the anchors whose mask is empty.
     pub fn drop_empty(&mut self) {
-        let width = self.shape.row();
-        let mut next = 0;
-        for anchor in 0..self.len() {
-            if self.masks[anchor] != 0 {
-                self.cells[next] = self.cells[anchor];
-                self.masks[next] = self.masks[anchor];
-                self.values.copy_within(anchor * width..(anchor + 1) * width, next * width);
-                next += 1;
-            }
-        }
-        self.cells.truncate(next);
-        self.masks.truncate(next);
-        self.values.truncate(next * width);
+        let keep: Vec<bool> = self.masks.iter().map(|mask| *mask != 0).collect();
+        retain_rows(&mut self.cells, 1, &keep);
+        retain_rows(&mut self.masks, 1, &keep);
+        retain_rows(&mut self.values, self.shape.row(), &keep);
     }
 
     /// The rows of a finished scene, whose shape must pass [`Shape::check`].
@@ -169,6 +160,16 @@ impl AnchorRows {
         }
         scene
     }
+}
+
+/// Keeps the rows of `width` values whose flag is set, in their order.
+pub fn retain_rows<T: Copy>(values: &mut Vec<T>, width: usize, keep: &[bool]) {
+    let mut next = 0;
+    for (row, _) in keep.iter().enumerate().filter(|(_, keep)| **keep) {
+        values.copy_within(row * width..(row + 1) * width, next);
+        next += width;
+    }
+    values.truncate(next);
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@
 
 use rand::{Rng, RngExt};
 
-use super::{InitError, lattice::neighbour_distances};
+use super::{InitError, lattice::neighbour_distances, retain_rows};
 use crate::domain::{GaussianScene, gaussians::SH_COEFFICIENTS};
 
 /// Base values of a Gaussian.
@@ -100,12 +100,7 @@ impl GaussianRows {
     /// Keeps the rows whose flag is set, in their order.
     pub fn retain(&mut self, keep: &[bool]) {
         for (block, width) in self.blocks() {
-            let mut next = 0;
-            for (row, _) in keep.iter().enumerate().filter(|(_, keep)| **keep) {
-                block.copy_within(row * width..(row + 1) * width, next);
-                next += width;
-            }
-            block.truncate(next);
+            retain_rows(block, width, keep);
         }
     }
 

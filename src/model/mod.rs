@@ -8,7 +8,7 @@ mod init;
 mod lattice;
 mod networks;
 
-pub use anchor_rows::{AnchorRows, Shape};
+pub use anchor_rows::{AnchorRows, Shape, retain_rows};
 pub use gaussian_rows::{GaussianRows, initial_gaussians};
 pub use init::{InitError, all_offsets, initial_rows, random_points};
 pub use lattice::{MAX_CELL, VoxelRule, cell_of, choose_lattice, coarse, median_spacing, voxelise};

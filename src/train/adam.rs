@@ -27,9 +27,6 @@ impl Moments {
     }
 
     /// Uploads moments from the host.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn upload(device: &Device, first: &[f32], second: &[f32]) -> Result<Self, GpuError> {
         let made = Self::plan(first.len()).make(device)?;
         device.write(&made.first, first);
@@ -55,17 +52,11 @@ pub struct Adam {
 
 impl Adam {
     /// Prepares the kernel.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn new(device: &Device) -> Result<Self, GpuError> {
         Ok(Self { kernel: device.kernel(kernel_source!("adam"), &[])? })
     }
 
     /// Records a step. Element i learns at `learning_rates[i % learning_rates.len()]`.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn step(
         &self,
         recorder: &mut Recorder<'_>,

@@ -176,18 +176,12 @@ pub struct ImageLoss {
 
 impl ImageLoss {
     /// Prepares the kernels.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn new(device: Arc<Device>) -> Result<Self, GpuError> {
         let run = Self::run(device.adapter());
         Self::with_run(device, run)
     }
 
     /// As [`ImageLoss::new`], with invocations that make `run` pixels in line, a multiple of 4.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn with_run(device: Arc<Device>, run: u32) -> Result<Self, GpuError> {
         let kernels = Kernels {
             rows: device.kernel(kernel_source!("ssim_rows"), &[])?,
@@ -216,9 +210,6 @@ impl ImageLoss {
 
     /// Records the loss of `render` against `photograph` (packed 8-bit RGB, one word a pixel) and its gradient;
     /// without `wavelet` the constraint costs nothing.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn record(
         &mut self,
         recorder: &mut Recorder<'_>,
@@ -278,9 +269,6 @@ impl ImageLoss {
     }
 
     /// The values of the last submitted loss. Waits for the device.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn sums(&self) -> Result<Option<LossSums>, GpuError> {
         let Some(fields) = &self.fields else { return Ok(None) };
         let sums = self.device.read(&fields.sums)?;

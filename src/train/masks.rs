@@ -86,9 +86,6 @@ impl OffsetMasks {
     }
 
     /// Uploads the logits of anchors of this shape.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn upload(device: &Device, shape: Shape, rows: &MaskRows) -> Result<Self, GpuError> {
         let made = Self::plan(shape, rows.logits.len() / shape.offsets).make(device)?;
         device.write(&made.logits, &rows.logits);
@@ -98,9 +95,6 @@ impl OffsetMasks {
     }
 
     /// The logits with their moments. Waits for the device.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn read(&self, device: &Device) -> Result<MaskRows, GpuError> {
         Ok(MaskRows {
             logits: device.read(&self.logits)?,
@@ -113,7 +107,7 @@ impl OffsetMasks {
     /// `neural`'s last forward and the rasteriser's last backward pass say.
     ///
     /// # Errors
-    /// [`RenderError::OutOfStep`] before a backward pass; faults of the device.
+    /// [`RenderError::OutOfStep`] before a backward pass; errors of the device.
     pub fn backward(
         &self,
         recorder: &mut Recorder<'_>,
@@ -147,9 +141,6 @@ impl OffsetMasks {
 
     /// Records the adding of the rate term's gradient to that of [`Self::backward`]: the mask multiplies the bits of its offset's
     /// coordinates, of which `rate` has recorded those of `sample`; `lambda` weighs bits an element of the sample.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn rate_backward(
         &self,
         recorder: &mut Recorder<'_>,
@@ -176,9 +167,6 @@ impl OffsetMasks {
 
     /// Records an optimiser step with the last gradients, then the masks: an offset makes Gaussians while its logit is above
     /// `level`.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn step(
         &self,
         recorder: &mut Recorder<'_>,

@@ -7,7 +7,7 @@ use std::{
 
 use thiserror::Error;
 
-use super::{file::VERSION, run_state::GENERATOR};
+use super::{GENERATOR, VERSION};
 use crate::domain::{Digest, Problem};
 
 /// Why a checkpoint cannot be saved or resumed from.

@@ -12,10 +12,7 @@ use std::{
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use serde_json::json;
 
-use super::{Checkpoint, CheckpointError, ModelState, model_state::Array};
-
-/// Version of the format.
-pub(super) const VERSION: &str = "1";
+use super::{Checkpoint, CheckpointError, ModelState, VERSION, model_state::Array};
 
 /// Keys of the metadata.
 const VERSION_KEY: &str = "tcgs.checkpoint";

@@ -19,6 +19,12 @@ use run_state::{differences, options_text};
 use super::Schedule;
 use crate::domain::TrainOptions;
 
+/// Version of the file format.
+const VERSION: &str = "1";
+
+/// The program, whose schedule and arithmetic a run depends on.
+const GENERATOR: &str = concat!("tcgs ", env!("CARGO_PKG_VERSION"));
+
 /// The state of a run between two steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Checkpoint {

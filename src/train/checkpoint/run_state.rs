@@ -5,14 +5,11 @@ use std::collections::BTreeMap;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
-use super::CheckpointError;
+use super::{CheckpointError, GENERATOR};
 use crate::{
     domain::{Digest, TrainOptions},
     train::{LossSums, RateControl, RateControlState},
 };
-
-/// The program, whose schedule and arithmetic a run depends on.
-pub(super) const GENERATOR: &str = concat!("tcgs ", env!("CARGO_PKG_VERSION"));
 
 /// The state of a run between two steps, without its model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

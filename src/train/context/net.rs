@@ -149,7 +149,7 @@ impl ContextNet {
     /// A model with the parameters of `state`, for anchors that [`Self::place`] is to name.
     ///
     /// # Errors
-    /// [`ContextError`] for sizes that are not known or a state of another length; faults of the device.
+    /// [`ContextError`] for sizes that are not known or a state of another length; errors of the device.
     pub fn new(
         device: &Arc<Device>,
         config: ContextConfig,
@@ -214,7 +214,7 @@ impl ContextNet {
     /// Sets the anchors, whenever they have changed.
     ///
     /// # Errors
-    /// [`ContextError::Anchors`] for tables that do not fit the model; faults of the device.
+    /// [`ContextError::Anchors`] for tables that do not fit the model; errors of the device.
     pub fn place(&mut self, anchors: &ContextAnchors) -> Result<(), TrainError> {
         let config = &self.layout.config;
         anchors.check(config)?;
@@ -227,7 +227,7 @@ impl ContextNet {
     /// Records the networks' outputs for a sample of anchors: distinct indices, in the order of their columns.
     ///
     /// # Errors
-    /// [`ContextError::Anchors`] for an anchor that there is not or one that is there twice; faults of the device.
+    /// [`ContextError::Anchors`] for an anchor that there is not or one that is there twice; errors of the device.
     pub fn forward(
         &mut self,
         recorder: &mut Recorder<'_>,
@@ -269,7 +269,7 @@ impl ContextNet {
     /// may have changed since.
     ///
     /// # Errors
-    /// [`RenderError::OutOfStep`] before a forward pass; faults of the device.
+    /// [`RenderError::OutOfStep`] before a forward pass; errors of the device.
     pub fn backward(&mut self, recorder: &mut Recorder<'_>) -> Result<(), TrainError> {
         let pass = self.last.ok_or(RenderError::OutOfStep)?;
         recorder.clear(&self.gradients);
@@ -342,7 +342,7 @@ impl ContextNet {
     /// Records an optimiser step with the last gradients.
     ///
     /// # Errors
-    /// [`ContextError::Config`] if the statistics are of other channels; faults of the device.
+    /// [`ContextError::Config`] if the statistics are of other channels; errors of the device.
     pub fn step(
         &self,
         recorder: &mut Recorder<'_>,
@@ -357,9 +357,6 @@ impl ContextNet {
     }
 
     /// Records that the latents become what the raw planes are now: they are parameters of their own from here on.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn latents_from_planes(&self, recorder: &mut Recorder<'_>) -> Result<(), TrainError> {
         if let Some(planes) = &self.planes {
             let latents = planes.down(recorder, &self.layout, &self.parameters)?;
@@ -423,9 +420,6 @@ impl ContextNet {
     }
 
     /// Everything that the next step depends on. Waits for the device.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn save(&self) -> Result<ContextState, TrainError> {
         Ok(ContextState {
             values: self.device.read(&self.parameters)?,

@@ -90,9 +90,6 @@ impl QuantisedRows {
     }
 
     /// The rendered rows of anchors whose steps are `[N][3]`: features, scalings, offsets.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn upload(device: &Device, shape: Shape, steps: &[f32]) -> Result<Self, GpuError> {
         let made = Self::plan(shape, steps.len() / 3).make(device)?;
         device.write(&made.steps, steps);
@@ -133,9 +130,6 @@ impl QuantisedRows {
     }
 
     /// Records the quantisation of the rows. Masked offsets are copied.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn record_forward(
         &self,
         recorder: &mut Recorder<'_>,
@@ -159,9 +153,6 @@ impl QuantisedRows {
 
     /// Records the backward pass: turns `d_rows` from the gradients by the rendered rows into those by the anchors' rows.
     /// `anchors` and `quantisation` are those of the forward pass.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn record_backward(
         &self,
         recorder: &mut Recorder<'_>,

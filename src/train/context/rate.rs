@@ -135,9 +135,6 @@ impl RateTerm {
     ///
     /// The gradients are added to `d_rows`, which holds the rendering loss's gradients by the anchors' rows. The rendering loss's
     /// gradients by the sampled quantisation steps, scaled up to all anchors, are added to those of the step adjustments.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn record(
         &self,
         recorder: &mut Recorder<'_>,
@@ -202,9 +199,6 @@ impl RateTerm {
     }
 
     /// Bits that a file takes for the last submitted sample, by group. Waits for the device; free beside another figure that is read back.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn sums(&self, device: &Device) -> Result<[f64; GROUPS], GpuError> {
         let sums = device.read(&self.sums)?;
         Ok(std::array::from_fn(|group| f64::from(sums[group])))

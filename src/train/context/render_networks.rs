@@ -44,9 +44,6 @@ impl RoundedNetworks {
     }
 
     /// Records the rounding of `parameters`.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn record(&self, recorder: &mut Recorder<'_>, parameters: &Buffer<f32>) -> Result<(), GpuError> {
         let shape = recorder.uniform(&[[self.rows.len() as u32, 0, 0, 0]])?;
         recorder.dispatch(

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, HashSet};
 use rand::{Rng, RngExt};
 
 use super::{MaskRows, Statistics};
-use crate::model::{AnchorRows, MAX_CELL, all_offsets, cell_of, coarse};
+use crate::model::{AnchorRows, MAX_CELL, all_offsets, cell_of, coarse, retain_rows};
 
 /// Anchors whose mean opacity is below this are pruned.
 const MIN_OPACITY: f32 = 0.005;
@@ -210,15 +210,6 @@ fn retain(state: &mut TrainableAnchors, statistics: &mut Statistics, keep: &[boo
         }
     }
     dropped
-}
-
-fn retain_rows<T: Copy>(values: &mut Vec<T>, width: usize, keep: &[bool]) {
-    let mut next = 0;
-    for (row, _) in keep.iter().enumerate().filter(|(_, keep)| **keep) {
-        values.copy_within(row * width..(row + 1) * width, next);
-        next += width;
-    }
-    values.truncate(next);
 }
 
 fn clamp_sizes(state: &mut TrainableAnchors, extent: f32) {
