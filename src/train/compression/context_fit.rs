@@ -75,17 +75,15 @@ struct ContextFit<'a> {
 }
 
 impl Compression {
-    /// The context model of the last stage, for the anchors at `cells`; none before the context model learns.
+    /// Replaces the context model by the selected one, for the anchors at `cells`; does nothing before the context model learns.
     pub(super) fn select_context(
-        &self,
+        &mut self,
         adam: &Adam,
         anchors: &DeviceAnchors,
         cells: &[[i32; 3]],
         cancel: &CancelFlag,
-    ) -> Result<Option<ContextNet>, TrainError> {
-        let (Some(quant), Some(context_model)) = (&self.quant, &self.context_model) else {
-            return Ok(None);
-        };
+    ) -> Result<(), TrainError> {
+        let (Some(quant), Some(context_model)) = (&self.quant, &self.context_model) else { return Ok(()) };
         let device = &self.device;
         let mut recorder = device.recorder("latents of planes");
         context_model.net.latents_from_planes(&mut recorder)?;
@@ -110,7 +108,12 @@ impl Compression {
             sampled: share,
             cancel,
         };
-        fit.cheapest().map(Some)
+        let net = fit.cheapest()?;
+        drop(fit);
+        if let Some(context_model) = &mut self.context_model {
+            context_model.net = net;
+        }
+        Ok(())
     }
 
     /// Refreshes every anchor's quantisation steps and quantises its row with them, as the file stores it.

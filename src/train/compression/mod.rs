@@ -105,11 +105,8 @@ impl Compression {
         if next >= Stage::Context && self.context_model.is_none() {
             self.model(anchors)?;
         }
-        if next == Stage::Rounded
-            && let Some(net) = self.select_context(adam, device_anchors, &anchors.cells, cancel)?
-            && let Some(context_model) = &mut self.context_model
-        {
-            context_model.net = net;
+        if next == Stage::Rounded {
+            self.select_context(adam, device_anchors, &anchors.cells, cancel)?;
         }
         Ok(())
     }
@@ -126,11 +123,8 @@ impl Compression {
     ) -> Result<Option<TrainedContext>, TrainError> {
         self.replace(before, anchors)?;
         let device_anchors = DeviceAnchors::upload(&self.device, anchors, networks)?;
-        if self.schedule.stage(self.schedule.steps) != Stage::Rounded
-            && let Some(net) = self.select_context(adam, &device_anchors, &anchors.cells, cancel)?
-            && let Some(context_model) = &mut self.context_model
-        {
-            context_model.net = net;
+        if self.schedule.stage(self.schedule.steps) != Stage::Rounded {
+            self.select_context(adam, &device_anchors, &anchors.cells, cancel)?;
         }
         let Some((rows, steps)) = self.final_rows(&device_anchors, &anchors.cells)? else { return Ok(None) };
         anchors.values = rows;

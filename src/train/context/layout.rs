@@ -58,19 +58,6 @@ impl ConvSpec {
     }
 }
 
-/// The part of the model that a parameter belongs to, which determines its learning rate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ContextPart {
-    /// The groups' networks.
-    Networks,
-    /// Raw planes.
-    Planes,
-    /// Layers between planes and latents, both ways.
-    Layers,
-    /// Latents as parameters of their own.
-    Latents,
-}
-
 /// The learning rate of each part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContextLearningRates {
@@ -221,20 +208,6 @@ impl ContextLayout {
         Ok(values)
     }
 
-    /// What each parameter belongs to.
-    #[must_use]
-    pub fn part(&self, parameter: usize) -> ContextPart {
-        if parameter < self.networks {
-            ContextPart::Networks
-        } else if self.planes.contains(&parameter) {
-            ContextPart::Planes
-        } else if self.latents.contains(&parameter) {
-            ContextPart::Latents
-        } else {
-            ContextPart::Layers
-        }
-    }
-
     /// The learning rate of each parameter. The length of an Adam step does not depend on the gradient's size, so outputs that
     /// predict means learn in proportion to their channel's standard deviation, as if they were in units of it.
     ///
@@ -245,14 +218,10 @@ impl ContextLayout {
         learning_rates: &ContextLearningRates,
         statistics: &[GroupStatistics; 3],
     ) -> Result<Vec<f32>, ContextError> {
-        let mut values: Vec<f32> = (0..self.parameters)
-            .map(|parameter| match self.part(parameter) {
-                ContextPart::Networks => learning_rates.networks,
-                ContextPart::Planes => learning_rates.planes,
-                ContextPart::Layers => learning_rates.layers,
-                ContextPart::Latents => learning_rates.latents,
-            })
-            .collect();
+        let mut values = vec![learning_rates.layers; self.parameters];
+        values[..self.networks].fill(learning_rates.networks);
+        values[self.planes.clone()].fill(learning_rates.planes);
+        values[self.latents.clone()].fill(learning_rates.latents);
         for ((head, statistics), channels) in self.heads.iter().zip(statistics).zip(self.config.channels) {
             let deviations = &statistics.deviations;
             if deviations.len() != channels {

@@ -23,7 +23,7 @@ pub use anchor_sample::sample_anchors;
 pub(super) use anchor_sample::sample_size;
 pub use anchor_tables::ContextAnchors;
 pub use config::{ContextConfig, PlaneConfig};
-pub use layout::{ContextLayout, ContextLearningRates, ContextPart, ConvSpec, GroupStatistics};
+pub use layout::{ContextLayout, ContextLearningRates, ConvSpec, GroupStatistics};
 pub use net::{ContextNet, ContextPass, ContextState};
 pub use planes::PlaneSource;
 pub(super) use quantise::pcg_hash;
