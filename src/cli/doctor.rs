@@ -4,7 +4,7 @@ use std::{env, thread};
 
 use serde::Serialize;
 use tcgs::{
-    domain::Problem,
+    domain::{Problem, ProblemType},
     gpu::{self, AdapterReport},
 };
 
@@ -45,7 +45,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
         eprintln!("{}", text(&machine));
     }
     let detail = machine.advice.join("; ");
-    Err(Problem::new(503, "no-adapter", "No usable adapter", detail).into())
+    Err(Problem::new(ProblemType::NoAdapter, detail).into())
 }
 
 fn advice(adapters: &[AdapterReport], has_runtime_dir: bool) -> Vec<String> {

@@ -2,7 +2,7 @@
 
 use std::{io, path::Path};
 
-use tcgs::domain::{OptionError, Problem};
+use tcgs::domain::{OptionError, Problem, ProblemType};
 use thiserror::Error;
 
 /// Why a command did not finish.
@@ -22,14 +22,14 @@ pub(crate) enum Failure {
 impl Failure {
     /// An input file that cannot be read.
     pub(crate) fn unreadable(path: &Path, fault: &io::Error) -> Self {
-        Problem::new(422, "unreadable-input", "The input cannot be read", fault.to_string())
+        Problem::new(ProblemType::UnreadableInput, fault.to_string())
             .in_file(path.display().to_string())
             .into()
     }
 
     /// An output file that cannot be written.
     pub(crate) fn unwritable(path: &Path, fault: &io::Error) -> Self {
-        Problem::new(507, "unwritable-output", "The output cannot be written", fault.to_string())
+        Problem::new(ProblemType::UnwritableOutput, fault.to_string())
             .in_file(path.display().to_string())
             .into()
     }
@@ -51,9 +51,9 @@ impl Failure {
     /// The failure as a problem document, for `--json`.
     pub(crate) fn problem(&self) -> Problem {
         match self {
-            Failure::Usage(detail) => Problem::new(400, "usage", "Wrong usage", detail.clone()),
+            Failure::Usage(detail) => Problem::new(ProblemType::Usage, detail.clone()),
             Failure::Problem(problem) => problem.clone(),
-            Failure::Stopped => Problem::new(500, "stopped", "Stopped", "the run was stopped before its end"),
+            Failure::Stopped => Problem::new(ProblemType::Stopped, "the run was stopped before its end"),
         }
     }
 }
@@ -74,7 +74,7 @@ mod tests {
         for (status, expected) in
             [(400, 3), (413, 3), (422, 3), (500, 1), (501, 1), (429, 4), (503, 4), (507, 4)]
         {
-            let failure = Failure::from(Problem::new(status, "x", "X", "x"));
+            let failure = Failure::from(Problem::new(ProblemType::Refused, "x").with_status(status));
             assert_eq!(failure.exit_status(), expected, "{status}");
         }
         assert_eq!(Failure::Usage(String::new()).exit_status(), 2);

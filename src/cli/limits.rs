@@ -62,7 +62,7 @@ pub(crate) struct LimitFlags {
 
     /// Bytes a second of an answer that a client has to take on average once --write-timeout has been waited for it
     #[arg(long, value_name = "BYTES", default_value = "4KiB", env = "TCGS_ANSWER_RATE")]
-    answer_rate: Bytes,
+    min_response_rate: Bytes,
 
     /// Longest pause within a request's body
     #[arg(long, value_name = "TIME", default_value = "30s", env = "TCGS_BODY_PAUSE")]
@@ -74,7 +74,7 @@ pub(crate) struct LimitFlags {
 
     /// Bytes a second that a body has to bring on average once --body-pause has passed
     #[arg(long, value_name = "BYTES", default_value = "1KiB", env = "TCGS_BODY_RATE")]
-    body_rate: Bytes,
+    min_body_rate: Bytes,
 
     /// Longest dataset archive
     #[arg(long, value_name = "BYTES", default_value = "4GiB", env = "TCGS_MAX_UPLOAD")]
@@ -86,7 +86,7 @@ pub(crate) struct LimitFlags {
 
     /// How long an upload in parts waits for its next part
     #[arg(long, value_name = "TIME", default_value = "24h", env = "TCGS_UPLOAD_LIFE")]
-    upload_life: Span,
+    upload_ttl: Span,
 
     /// Datasets received at a time
     #[arg(long, value_name = "N", default_value_t = 8, env = "TCGS_MAX_UPLOADS")]
@@ -133,22 +133,22 @@ impl LimitFlags {
             max_connections_per_address: self.max_connections_per_address,
             header_timeout: self.header_timeout.0,
             write_timeout: self.write_timeout.0,
-            answer_rate: self.answer_rate.0,
+            min_response_rate: self.min_response_rate.0,
             drain_notice: self.drain_notice.0,
             drain: self.drain.0,
             limits: RequestLimits {
                 access,
                 upload_bytes: self.max_upload.0,
                 resumable_bytes: self.max_resumable.0,
-                upload_life: self.upload_life.0,
+                upload_ttl: self.upload_ttl.0,
                 uploads: self.max_uploads,
-                body_idle: self.body_pause.0,
-                body_total: self.body_timeout.0,
-                body_rate: self.body_rate.0,
+                body_idle_timeout: self.body_pause.0,
+                body_timeout: self.body_timeout.0,
+                min_body_rate: self.min_body_rate.0,
                 min_free_space: self.min_free_space.0,
                 renders_waiting: self.view_queue,
                 streams: self.view_streams,
-                streams_each: self.view_streams.div_ceil(2),
+                streams_per_caller: self.view_streams.div_ceil(2),
                 view_cache_bytes: self.view_cache.0,
                 ..RequestLimits::default()
             },
@@ -183,13 +183,13 @@ mod tests {
         };
         assert_eq!(set("--max-upload", "1KiB").upload_bytes, 1 << 10);
         assert_eq!(set("--max-resumable", "2KiB").resumable_bytes, 2 << 10);
-        assert_eq!(set("--upload-life", "90m").upload_life, Duration::from_secs(5400));
+        assert_eq!(set("--upload-life", "90m").upload_ttl, Duration::from_secs(5400));
         assert_eq!(set("--max-uploads", "3").uploads, 3);
         assert_eq!(set("--view-queue", "4").renders_waiting, 4);
         let streams = set("--view-streams", "5");
-        assert_eq!((streams.streams, streams.streams_each), (5, 3));
+        assert_eq!((streams.streams, streams.streams_per_caller), (5, 3));
         assert_eq!(set("--view-cache", "6MiB").view_cache_bytes, 6 << 20);
-        assert_eq!(set("--body-rate", "7").body_rate, 7);
+        assert_eq!(set("--body-rate", "7").min_body_rate, 7);
         assert_eq!(set("--min-free-space", "8").min_free_space, 8);
         assert_eq!(set("--min-free-space", "0").min_free_space, 0);
     }

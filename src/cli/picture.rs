@@ -3,7 +3,7 @@
 use std::{io::Cursor, path::Path};
 
 use image::{ExtendedColorType, ImageFormat};
-use tcgs::domain::{Image, Problem};
+use tcgs::domain::{Image, Problem, ProblemType};
 
 use super::{Failure, files};
 
@@ -31,8 +31,7 @@ pub(crate) fn write(path: &Path, image: &Image) -> Result<(), Failure> {
         format,
     )
     .map_err(|fault| {
-        Problem::new(500, "image-encoding", "The image could not be encoded", fault.to_string())
-            .in_file(path.display().to_string())
+        Problem::new(ProblemType::ImageEncoding, fault.to_string()).in_file(path.display().to_string())
     })?;
     files::write(path, &bytes.into_inner())
 }

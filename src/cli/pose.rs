@@ -1,6 +1,6 @@
 //! A camera given as JSON, in the form of a view of `POST /v1/jobs/{id}/views`.
 
-use tcgs::domain::{Camera, Problem, View, ViewRequest};
+use tcgs::domain::{Camera, Problem, ProblemType, View, ViewRequest};
 
 use super::{Failure, files};
 
@@ -11,9 +11,7 @@ pub(crate) fn camera(text: &str) -> Result<Camera, Failure> {
     } else {
         (text.to_owned(), files::read(text.as_ref())?)
     };
-    let refuse = |detail: String| {
-        Problem::new(422, "impossible-pose", "The pose is not a camera", detail).in_file(source.clone())
-    };
+    let refuse = |detail: String| Problem::new(ProblemType::ImpossiblePose, detail).in_file(source.clone());
     let request: ViewRequest = serde_json::from_slice(&json).map_err(|fault| refuse(fault.to_string()))?;
     match View::try_from(request).map_err(|fault| refuse(fault.to_string()))? {
         View::Camera(camera) => Ok(camera),

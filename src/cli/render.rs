@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use tcgs::domain::{Camera, Problem};
+use tcgs::domain::{Camera, Problem, ProblemType};
 
 use super::{Failure, Report, adapter::AdapterFlag, files, picture, pose, wiring};
 
@@ -43,7 +43,7 @@ impl Args {
                 let frame = dataset.find_frame(name).ok_or_else(|| {
                     let first = dataset.frames.first().map_or("", |frame| frame.name.as_str());
                     let detail = format!("the dataset has no frame '{name}'; its first is '{first}'");
-                    Problem::new(404, "unknown-frame", "Unknown frame", detail)
+                    Problem::new(ProblemType::UnknownFrame, detail)
                 })?;
                 Ok(frame.camera)
             }

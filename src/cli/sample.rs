@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use tcgs::{
-    domain::Problem,
+    domain::{Problem, ProblemType},
     sample::{self, SampleError, Settings},
 };
 
@@ -39,11 +39,11 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
 }
 
 fn failure(fault: SampleError) -> Failure {
-    let (status, name, title) = match &fault {
-        SampleError::NotEmpty(_) | SampleError::Exists(_) => (409, "exists", "Something is there already"),
-        SampleError::Side(_) => (422, "impossible-size", "Impossible size"),
-        SampleError::Io { .. } => (507, "unwritable-output", "The output cannot be written"),
-        SampleError::Png(_) | SampleError::Zip(_) => (500, "internal", "Internal error"),
+    let kind = match &fault {
+        SampleError::NotEmpty(_) | SampleError::Exists(_) => ProblemType::Exists,
+        SampleError::Side(_) => ProblemType::ImpossibleSize,
+        SampleError::Io { .. } => ProblemType::UnwritableOutput,
+        SampleError::Png(_) | SampleError::Zip(_) => ProblemType::Internal,
     };
-    Problem::new(status, name, title, fault.to_string()).into()
+    Problem::new(kind, fault.to_string()).into()
 }

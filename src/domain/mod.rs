@@ -82,7 +82,7 @@ pub use orbit::Orbit;
 #[cfg(feature = "service")]
 pub use outbound::{OutboundFault, OutboundPolicy};
 pub use photograph::{Photograph, PhotographError, PixelSource};
-pub use problem::Problem;
+pub use problem::{Problem, ProblemType};
 pub use progress::{CancelFlag, Phase, Progress};
 pub use scene::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
 pub use series::{SERIES_POINTS, SeriesPoint, in_running_time, series_bucket};

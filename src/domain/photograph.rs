@@ -8,6 +8,7 @@ use std::{fmt, sync::Arc};
 use thiserror::Error;
 
 use super::{Image, ImageError, Problem};
+use crate::domain::ProblemType;
 
 /// Pixels that were put away and could not be had again.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -22,7 +23,7 @@ pub enum PhotographError {
 
 impl From<PhotographError> for Problem {
     fn from(error: PhotographError) -> Self {
-        Problem::new(500, "photograph-lost", "A photograph was lost", error.to_string())
+        Problem::new(ProblemType::PhotographLost, error.to_string())
     }
 }
 

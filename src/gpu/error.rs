@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-use crate::domain::{Bytes, Problem};
+use crate::domain::{Bytes, Problem, ProblemType};
 
 /// An error of the device or of opening one.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -77,20 +77,13 @@ pub enum GpuError {
 
 impl From<GpuError> for Problem {
     fn from(error: GpuError) -> Self {
-        let (name, title) = match &error {
-            GpuError::NoAdapter { .. } | GpuError::Open { .. } => ("no-adapter", "No usable adapter"),
-            GpuError::DeviceLost(_) => ("device-lost", "The device was lost"),
-            GpuError::Timeout { .. } => ("device-timeout", "The device did not answer"),
-            GpuError::Rejected(_) | GpuError::Kernel { .. } => {
-                ("device-fault", "The device rejected a command")
-            }
-            GpuError::BufferTooLarge { .. } => ("scene-too-large", "The scene is too large for the adapter"),
-            GpuError::OverBudget { .. } => ("gpu-memory", "Not enough memory on the device"),
-        };
-        let status = match &error {
-            GpuError::BufferTooLarge { .. } => 422,
-            GpuError::OverBudget { .. } => 507,
-            _ => 503,
+        let kind = match &error {
+            GpuError::NoAdapter { .. } | GpuError::Open { .. } => ProblemType::NoAdapter,
+            GpuError::DeviceLost(_) => ProblemType::DeviceLost,
+            GpuError::Timeout { .. } => ProblemType::DeviceTimeout,
+            GpuError::Rejected(_) | GpuError::Kernel { .. } => ProblemType::DeviceFault,
+            GpuError::BufferTooLarge { .. } => ProblemType::SceneTooLarge,
+            GpuError::OverBudget { .. } => ProblemType::GpuMemory,
         };
         let hint = match &error {
             GpuError::OverBudget { .. } => {
@@ -99,6 +92,6 @@ impl From<GpuError> for Problem {
             }
             _ => "",
         };
-        Problem::new(status, name, title, format!("{error}{hint}"))
+        Problem::new(kind, format!("{error}{hint}"))
     }
 }

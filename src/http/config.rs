@@ -1,4 +1,4 @@
-//! Where the server listens and what it bears.
+//! Settings of the server: addresses, timeouts and limits.
 
 use std::{
     net::{Ipv4Addr, SocketAddr},
@@ -8,7 +8,7 @@ use std::{
 
 use thiserror::Error;
 
-use super::client::TrustedProxies;
+use super::server::client_address::TrustedProxies;
 use crate::domain::OutboundPolicy;
 
 /// The server's settings.
@@ -16,19 +16,19 @@ use crate::domain::OutboundPolicy;
 pub struct HttpConfig {
     /// Where to listen.
     pub listen: SocketAddr,
-    /// Where to serve `/metrics` without keys, instead of among the rest.
+    /// Where to serve `/metrics` without keys, instead of on the main listener.
     pub metrics_listen: Option<SocketAddr>,
     /// Connections served at a time; more wait in the system's queue.
     pub max_connections: usize,
     /// Connections of one address, or one IPv6 network of 64 bits, served at a time; more are closed. Trusted proxies have no such bound.
     pub max_connections_per_address: usize,
-    /// Longest time from a connection's begin, or from the previous response, to the end of a request's headers.
+    /// Longest time from the start of a connection, or from the previous response, to the end of a request's headers.
     pub header_timeout: Duration,
-    /// Longest time in which a client takes nothing of a response.
+    /// Longest time in which a client reads nothing of a response.
     pub write_timeout: Duration,
-    /// Bytes a second of a response that a client has to take on average, once that time has been waited for it.
-    pub answer_rate: u64,
-    /// How long readiness already fails on shutdown before connections are refused.
+    /// Bytes per second that a client has to read of a response on average, once it has stalled for that time in sum.
+    pub min_response_rate: u64,
+    /// How long `/readyz` fails on shutdown before connections are refused.
     pub drain_notice: Duration,
     /// Longest time that open requests may take once the server shuts down.
     pub drain: Duration,
@@ -45,7 +45,7 @@ impl Default for HttpConfig {
             max_connections_per_address: 128,
             header_timeout: Duration::from_secs(10),
             write_timeout: Duration::from_secs(30),
-            answer_rate: 4 << 10,
+            min_response_rate: 4 << 10,
             drain_notice: Duration::ZERO,
             drain: Duration::from_secs(20),
             limits: RequestLimits::default(),
@@ -54,7 +54,7 @@ impl Default for HttpConfig {
 }
 
 impl HttpConfig {
-    /// Whether others than this machine could reach the address.
+    /// Whether other machines could reach the address.
     #[must_use]
     pub fn is_exposed(&self) -> bool {
         !self.listen.ip().to_canonical().is_loopback()
@@ -63,7 +63,7 @@ impl HttpConfig {
     /// Checks that the address may be served by a service that has keys, or has none.
     ///
     /// # Errors
-    /// [`ExposureError`] for an address that others can reach where no key is asked for.
+    /// [`ExposureError`] for an address that other machines can reach while no key is required.
     pub fn check_exposure(&self, has_keys: bool) -> Result<(), ExposureError> {
         if !self.is_exposed() {
             return Ok(());
@@ -87,23 +87,23 @@ pub enum ExposureError {
          'tcgs keys create', or listen on a loopback address such as 127.0.0.1:8080"
     )]
     NoKeys(SocketAddr),
-    /// They are not to be asked for.
+    /// They are switched off.
     #[error(
-        "{0} can be reached from other machines, so keys must be asked for: leave out --without-keys, or listen on 127.0.0.1"
+        "{0} can be reached from other machines, so keys must be required: omit --without-keys, or listen on 127.0.0.1"
     )]
     WithoutKeys(SocketAddr),
 }
 
-/// Who is let in, and how often.
+/// Authentication and rate limits.
 #[derive(Debug, Clone)]
 pub struct AccessRules {
-    /// Ask for no key even if there are some.
+    /// Require no key even if there are some.
     pub without_keys: bool,
-    /// Requests in a minute of a key that has no rate of its own; not bounded if there is none.
+    /// Requests per minute of a key without a limit of its own; `None` for no limit.
     pub requests_per_minute: Option<NonZeroU32>,
-    /// Requests in a minute that may come from one address without a valid key.
+    /// Requests per minute without a valid key from one address.
     pub failures_per_minute: NonZeroU32,
-    /// Proxies that are believed where a request comes from.
+    /// Proxies whose forwarding headers are trusted.
     pub trusted_proxies: TrustedProxies,
 }
 
@@ -121,24 +121,24 @@ impl Default for AccessRules {
 /// Bounds on what one request may ask for.
 #[derive(Debug, Clone)]
 pub struct RequestLimits {
-    /// Who is let in, and how often.
+    /// Authentication and rate limits.
     pub access: AccessRules,
     /// Longest dataset archive, in bytes.
     pub upload_bytes: u64,
-    /// Longest dataset archive that comes in parts, in bytes.
+    /// Longest dataset archive of a resumable upload, in bytes.
     pub resumable_bytes: u64,
     /// How long an upload waits for its next part.
-    pub upload_life: Duration,
+    pub upload_ttl: Duration,
     /// Archives received at a time.
     pub uploads: usize,
     /// Longest JSON body, in bytes.
     pub json_bytes: u64,
     /// Longest pause within a body.
-    pub body_idle: Duration,
+    pub body_idle_timeout: Duration,
     /// Longest time for a whole body.
-    pub body_total: Duration,
-    /// Bytes a second that a body has to bring on average, once the longest pause has passed since its begin.
-    pub body_rate: u64,
+    pub body_timeout: Duration,
+    /// Bytes per second that a body has to bring on average, once it has lasted for the longest pause.
+    pub min_body_rate: u64,
     /// Free bytes on the blobs' disk below which the server is not ready.
     pub min_free_space: u64,
     /// Longest side of a view, in pixels.
@@ -149,38 +149,38 @@ pub struct RequestLimits {
     pub views: usize,
     /// Views rendered at a time.
     pub renders: usize,
-    /// View requests that may wait for their turn.
+    /// View requests that may wait for a permit.
     pub renders_waiting: usize,
-    /// View requests of one caller, those that render included.
-    pub renders_each: usize,
+    /// View requests of one caller, rendering ones included.
+    pub renders_per_caller: usize,
     /// Streams of views at a time.
     pub streams: usize,
     /// Streams of views of one caller.
-    pub streams_each: usize,
+    pub streams_per_caller: usize,
     /// Frames of one round of a stream or animation.
     pub frames: u32,
     /// Pixels of all frames of an animation together.
     pub animation_pixels: u64,
-    /// Bytes of encoded views that are kept for whoever asks again.
+    /// Size of the cache of encoded views, in bytes.
     pub view_cache_bytes: u64,
     /// Scenes that are exported at a time.
     pub exports: usize,
     /// Scenes that may wait to be exported.
     pub exports_waiting: usize,
-    /// How often changes of jobs are looked for while a request waits for one.
-    pub watch_every: Duration,
-    /// How often queued jobs are looked for whose deadline has passed.
-    pub overdue_every: Duration,
-    /// Requests that may wait for a job at a time; one more is answered at once.
+    /// How often the database is polled for changes of jobs while a request waits for one.
+    pub watch_interval: Duration,
+    /// How often queued jobs are checked for passed deadlines.
+    pub deadline_check_interval: Duration,
+    /// Requests that may wait for a job at a time; further ones are answered at once.
     pub waits: usize,
     /// Streams of events at a time.
     pub event_streams: usize,
     /// Streams of events of one key at a time.
-    pub event_streams_each: usize,
+    pub event_streams_per_key: usize,
     /// Longest silence on a stream of events.
     pub keep_alive: Duration,
-    /// How often it is looked whether the key of an open stream of events has been revoked.
-    pub recheck_keys_every: Duration,
+    /// How often the key of an open event stream is checked for revocation.
+    pub key_recheck_interval: Duration,
     /// Webhook endpoints of one key.
     pub webhook_endpoints: u32,
     /// Where webhook endpoints may be.
@@ -193,33 +193,33 @@ impl Default for RequestLimits {
             access: AccessRules::default(),
             upload_bytes: 4 << 30,
             resumable_bytes: 64 << 30,
-            upload_life: Duration::from_secs(24 * 3600),
+            upload_ttl: Duration::from_secs(24 * 3600),
             uploads: 8,
             json_bytes: 1 << 20,
-            body_idle: Duration::from_secs(30),
-            body_total: Duration::from_secs(3600),
-            body_rate: 1 << 10,
+            body_idle_timeout: Duration::from_secs(30),
+            body_timeout: Duration::from_secs(3600),
+            min_body_rate: 1 << 10,
             min_free_space: 512 << 20,
             view_side: 4096,
             view_pixels: 1 << 24,
             views: 64,
             renders: 1,
             renders_waiting: 32,
-            renders_each: 24,
+            renders_per_caller: 24,
             streams: 8,
-            streams_each: 4,
+            streams_per_caller: 4,
             frames: 720,
             animation_pixels: 1 << 26,
             view_cache_bytes: 64 << 20,
             exports: 1,
             exports_waiting: 8,
-            watch_every: Duration::from_millis(250),
-            overdue_every: Duration::from_secs(1),
+            watch_interval: Duration::from_millis(250),
+            deadline_check_interval: Duration::from_secs(1),
             waits: 128,
             event_streams: 256,
-            event_streams_each: 128,
+            event_streams_per_key: 128,
             keep_alive: Duration::from_secs(15),
-            recheck_keys_every: Duration::from_secs(2),
+            key_recheck_interval: Duration::from_secs(2),
             webhook_endpoints: 10,
             webhook_targets: OutboundPolicy::default(),
         }

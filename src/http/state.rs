@@ -1,36 +1,36 @@
-//! What the handlers share. The collaborators are handed in, so tests replace them and layers stay apart.
+//! State shared by the handlers. Its services are passed in, so that tests can replace them and layers stay separate.
 
-use std::{fmt, path::Path, sync::Arc};
+use std::{fmt, ops::Deref, path::Path, sync::Arc};
 
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, SemaphorePermit};
 use tokio_util::sync::CancellationToken;
+use uuid::{NoContext, Uuid};
 
 use super::{
-    auth::Lock,
+    auth::{AuthMode, throttle::Throttle},
     config::RequestLimits,
-    exports::ExportQueue,
-    idempotency::InFlight,
+    files::exports::ExportQueue,
+    jobs::watcher::Watcher,
     metrics::{Cache, Meters},
-    readiness::Checks,
-    space::Space,
-    stream_places::StreamPlaces,
-    throttle::Throttle,
-    views::Studio,
-    watch::Watcher,
+    problem::{ApiResult, ProblemResponse},
+    request::{Reservations, idempotency::InFlight},
+    server::readiness::Checks,
+    slots::{Capacity, Slots},
+    views::ViewRenderer,
 };
 use crate::{
-    domain::{Clock, DatasetSummary, Entropy, JobId, NamedCamera, Problem, SceneFormat},
+    domain::{Clock, DatasetSummary, Entropy, JobId, KeyId, NamedCamera, Problem, SceneFormat},
     render::{RenderViews, views::Viewable},
     store::{Blobs, ExportFidelity, Store},
 };
 
-/// Looks over a dataset archive before a scene or a job is made of it; blocks.
+/// Checks a dataset archive before a scene or job is created from it; blocks.
 pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<DatasetSummary, Problem> + Send + Sync>;
 
 /// Reads a finished scene's file; blocks.
 pub type SceneLoader = Arc<dyn Fn(&[u8]) -> Result<Viewable, Problem> + Send + Sync>;
 
-/// Writes a finished scene in another format so that it looks alike from the dataset's cameras, and looks how alike; blocks.
+/// Exports a finished scene to another format and measures the export's fidelity from the dataset's cameras; blocks.
 pub type SceneExporter =
     Arc<dyn Fn(&[u8], SceneFormat, &[NamedCamera]) -> Result<ExportedScene, Problem> + Send + Sync>;
 
@@ -43,26 +43,26 @@ pub struct ExportedScene {
     pub gaussians: u64,
     /// Highest degree of its spherical harmonics.
     pub sh_degree: u8,
-    /// How alike it looks, if that can be told.
+    /// Its fidelity to the scene, if it could be measured.
     pub fidelity: Option<ExportFidelity>,
 }
 
-/// Removes what is kept of a deleted job beside the store and its blobs; blocks.
+/// Removes files of a deleted job outside the store and its blobs; blocks.
 pub type ForgetJob = Arc<dyn Fn(JobId) + Send + Sync>;
 
-/// Tells how many worker processes there should be and how many live.
+/// Counts the worker processes.
 pub type WorkerCensus = Arc<dyn Fn() -> WorkerCounts + Send + Sync>;
 
-/// The workers that this server keeps.
+/// The worker processes of this server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WorkerCounts {
     /// How many there should be; 0 if others run them.
     pub expected: usize,
-    /// How many live.
+    /// How many are alive.
     pub alive: usize,
 }
 
-/// The server's collaborators.
+/// The services that the handlers use.
 #[derive(Clone)]
 pub struct Services {
     /// Jobs and events.
@@ -71,7 +71,7 @@ pub struct Services {
     pub blobs: Blobs,
     /// Time.
     pub clock: Arc<dyn Clock>,
-    /// Randomness that nobody may guess.
+    /// Cryptographic randomness.
     pub entropy: Arc<dyn Entropy>,
     /// See [`DatasetCheck`].
     pub check: DatasetCheck,
@@ -89,30 +89,41 @@ pub struct Services {
 
 /// The handlers' shared state; clones share it.
 #[derive(Clone)]
-pub struct AppState(Arc<Inner>);
+pub struct AppState(Arc<App>);
 
-struct Inner {
-    services: Services,
-    limits: RequestLimits,
+/// What [`AppState`] shares.
+pub struct App {
+    pub(super) services: Services,
+    pub(super) limits: RequestLimits,
     uploads: Semaphore,
-    studio: Studio,
-    meters: Meters,
-    metrics_cache: Cache,
-    checks: Checks,
-    watcher: Watcher,
-    in_flight: Arc<InFlight>,
-    exports: ExportQueue,
-    waits: Semaphore,
-    stream_places: StreamPlaces,
-    draining: CancellationToken,
-    lock: Lock,
-    throttle: Throttle,
-    space: Space,
+    pub(super) view_renderer: ViewRenderer,
+    pub(super) meters: Meters,
+    pub(super) metrics_cache: Cache,
+    pub(super) checks: Checks,
+    pub(super) watcher: Watcher,
+    pub(super) in_flight: Arc<InFlight>,
+    pub(super) exports: ExportQueue,
+    /// Permits for requests that wait for a job.
+    pub(super) waits: Semaphore,
+    pub(super) event_streams: Slots<Option<KeyId>>,
+    /// Cancelled once the server shuts down; waiting requests should then respond at once.
+    pub(super) draining: CancellationToken,
+    pub(super) auth_mode: AuthMode,
+    pub(super) throttle: Throttle,
+    pub(super) reservations: Reservations,
+}
+
+impl Deref for AppState {
+    type Target = App;
+
+    fn deref(&self) -> &App {
+        &self.0
+    }
 }
 
 impl fmt::Debug for AppState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("AppState").field("limits", &self.0.limits).finish_non_exhaustive()
+        f.debug_struct("AppState").field("limits", &self.limits).finish_non_exhaustive()
     }
 }
 
@@ -121,17 +132,18 @@ impl AppState {
     #[must_use]
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         let uploads = Semaphore::new(limits.uploads);
-        let studio = Studio::new(&services, &limits);
+        let view_renderer = ViewRenderer::new(&services, &limits);
         let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
         let waits = Semaphore::new(limits.waits);
         let exports = ExportQueue::new(limits.exports, limits.exports_waiting);
-        let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_every);
-        let stream_places = StreamPlaces::new(limits.event_streams, limits.event_streams_each);
-        Self(Arc::new(Inner {
+        let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_interval);
+        let event_streams =
+            Slots::new(Capacity { all: limits.event_streams, each: limits.event_streams_per_key });
+        Self(Arc::new(App {
             services,
             limits,
             uploads,
-            studio,
+            view_renderer,
             meters: Meters::default(),
             metrics_cache: Cache::default(),
             checks: Checks::default(),
@@ -139,94 +151,35 @@ impl AppState {
             in_flight: Arc::default(),
             exports,
             waits,
-            stream_places,
+            event_streams,
             draining,
-            lock: Lock::default(),
+            auth_mode: AuthMode::default(),
             throttle,
-            space: Space::default(),
+            reservations: Reservations::default(),
         }))
     }
 
-    pub(super) fn services(&self) -> &Services {
-        &self.0.services
-    }
-
     pub(super) fn store(&self) -> &dyn Store {
-        &*self.0.services.store
+        &*self.services.store
     }
 
     pub(super) fn blobs(&self) -> &Blobs {
-        &self.0.services.blobs
+        &self.services.blobs
     }
 
-    pub(super) fn limits(&self) -> &RequestLimits {
-        &self.0.limits
+    /// A permit to receive an archive.
+    ///
+    /// # Errors
+    /// 503 if all are taken.
+    pub(super) fn upload_permit(&self) -> ApiResult<SemaphorePermit<'_>> {
+        self.uploads.try_acquire().map_err(|_| ProblemResponse::busy("too many datasets are being received"))
     }
 
-    pub(super) fn uploads(&self) -> &Semaphore {
-        &self.0.uploads
-    }
-
-    pub(super) fn studio(&self) -> &Studio {
-        &self.0.studio
-    }
-
-    /// What this process counts of itself.
-    pub(super) fn meters(&self) -> &Meters {
-        &self.0.meters
-    }
-
-    pub(super) fn metrics_cache(&self) -> &Cache {
-        &self.0.metrics_cache
-    }
-
-    pub(super) fn checks(&self) -> &Checks {
-        &self.0.checks
-    }
-
-    pub(super) fn lock(&self) -> &Lock {
-        &self.0.lock
-    }
-
-    /// Room that requests have reserved.
-    pub(super) fn space(&self) -> &Space {
-        &self.0.space
-    }
-
-    pub(super) fn throttle(&self) -> &Throttle {
-        &self.0.throttle
-    }
-
-    /// Keys of requests that are being answered.
-    pub(super) fn in_flight(&self) -> &Arc<InFlight> {
-        &self.0.in_flight
-    }
-
-    /// Places for requests that wait for a job.
-    pub(super) fn waits(&self) -> &Semaphore {
-        &self.0.waits
-    }
-
-    /// Exports that are being made.
-    pub(super) fn exports(&self) -> &ExportQueue {
-        &self.0.exports
-    }
-
-    /// Waits for changes of jobs.
-    pub(super) fn watcher(&self) -> &Watcher {
-        &self.0.watcher
-    }
-
-    /// Cancelled once the server shuts down: what waits for something should then answer at once.
-    pub(super) fn draining(&self) -> &CancellationToken {
-        &self.0.draining
-    }
-
-    pub(super) fn stream_places(&self) -> &StreamPlaces {
-        &self.0.stream_places
-    }
-
-    pub(super) fn is_draining(&self) -> bool {
-        self.0.draining.is_cancelled()
+    /// A UUID of version 7 whose time is the service's clock, so that ids sort in the order of creation.
+    pub(super) fn new_uuid(&self) -> Uuid {
+        let now = self.services.clock.now();
+        let seconds = u64::try_from(now.as_second()).unwrap_or(0);
+        let nanoseconds = u32::try_from(now.subsec_nanosecond()).unwrap_or(0);
+        Uuid::new_v7(uuid::Timestamp::from_unix(NoContext, seconds, nanoseconds))
     }
 }

@@ -5,24 +5,20 @@ use std::str::FromStr;
 
 use axum::{
     Json,
-    body::Body,
-    extract::{Path, RawQuery, State},
-    http::{HeaderMap, HeaderValue, StatusCode, header},
-    response::{IntoResponse as _, Response},
+    extract::{Path, State},
+    http::{HeaderValue, StatusCode, header},
+    response::IntoResponse as _,
 };
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    body::read_json,
-    create_scene::new_uuid,
-    listing::{self, Page},
-    problem::Fault,
-    query::Parameters,
+    problem::{ApiResult, ProblemResponse},
+    request::{ApiJson, JsonBody, Page, Parameters, pagination},
     state::AppState,
 };
 use crate::{
-    domain::{Caller, EndpointId, JobId, WebhookEvent, WebhookSecret},
+    domain::{Caller, EndpointId, JobId, ProblemType, WebhookEvent, WebhookSecret},
     store::{DeliveryRecord, EndpointRecord, NewEndpoint, Replay},
 };
 
@@ -30,10 +26,15 @@ const MAX_DESCRIPTION: usize = 200;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Wish {
+pub(super) struct CreateEndpointRequest {
     url: String,
     events: Option<Vec<String>>,
     description: Option<String>,
+}
+
+impl JsonBody for CreateEndpointRequest {
+    const INVALID: ProblemType = ProblemType::InvalidEndpoint;
+    const EXPECTED: &'static str = "a webhook endpoint";
 }
 
 /// `#/components/schemas/WebhookEndpoint` of the contract.
@@ -69,8 +70,8 @@ struct DeliveryBody {
     created_at: Timestamp,
     attempted_at: Option<Timestamp>,
     delivered_at: Option<Timestamp>,
-    answer_status: Option<u16>,
-    fault: Option<String>,
+    response_status: Option<u16>,
+    error: Option<String>,
     links: DeliveryLinks,
 }
 
@@ -100,28 +101,22 @@ fn href(id: EndpointId) -> String {
 pub(super) async fn create(
     State(state): State<AppState>,
     caller: Caller,
-    headers: HeaderMap,
-    body: Body,
-) -> Result<Response, Fault> {
-    let content = read_json(&mut body.into_data_stream(), &headers, state.limits()).await?;
-    let Wish { url, events, description } =
-        serde_json::from_slice(&content).map_err(|error| bad_json(&error))?;
-    let at_most = state.limits().webhook_endpoints;
-    let url = state.limits().webhook_targets.check_url(&url).map_err(|fault| {
-        Fault::new(
-            StatusCode::UNPROCESSABLE_ENTITY,
-            "url-not-allowed",
-            "URL not allowed",
-            format!("url: {fault}"),
-        )
-    })?;
+    ApiJson(request): ApiJson<CreateEndpointRequest>,
+) -> ApiResult {
+    let CreateEndpointRequest { url, events, description } = request;
+    let at_most = state.limits.webhook_endpoints;
+    let url = state
+        .limits
+        .webhook_targets
+        .check_url(&url)
+        .map_err(|fault| ProblemResponse::new(ProblemType::UrlNotAllowed, format!("url: {fault}")))?;
     if description.as_ref().is_some_and(|text| text.chars().count() > MAX_DESCRIPTION) {
         return Err(invalid(format!("description: is longer than {MAX_DESCRIPTION} characters")));
     }
-    let secret =
-        WebhookSecret::generate(&*state.services().entropy).map_err(|error| Fault::internal(&error))?;
+    let secret = WebhookSecret::generate(&*state.services.entropy)
+        .map_err(|error| ProblemResponse::internal(&error))?;
     let new = NewEndpoint {
-        id: EndpointId(new_uuid(state.services().clock.now())),
+        id: EndpointId(state.new_uuid()),
         owner: caller.key,
         url: url.into(),
         events: wanted(events)?,
@@ -129,22 +124,20 @@ pub(super) async fn create(
         secret: secret.clone(),
     };
     let Some(record) = state.store().create_endpoint(new, at_most).await? else {
-        return Err(Fault::new(
-            StatusCode::CONFLICT,
-            "too-many-endpoints",
-            "Too many endpoints",
+        return Err(ProblemResponse::new(
+            ProblemType::TooManyEndpoints,
             format!("there are {at_most} endpoints already, and there may be no more; delete one first"),
         ));
     };
     tracing::info!(endpoint = %record.id, "endpoint {} is told of jobs", record.id);
-    let location = HeaderValue::try_from(href(record.id)).map_err(|error| Fault::internal(&error))?;
+    let location = HeaderValue::try_from(href(record.id))?;
     let body = Json(EndpointBody { secret: Some(secret.expose().to_owned()), ..record.into() });
     let headers =
         [(header::LOCATION, location), (header::CACHE_CONTROL, HeaderValue::from_static("no-store"))];
     Ok((StatusCode::CREATED, headers, body).into_response())
 }
 
-fn wanted(names: Option<Vec<String>>) -> Result<Vec<WebhookEvent>, Fault> {
+fn wanted(names: Option<Vec<String>>) -> ApiResult<Vec<WebhookEvent>> {
     let Some(names) = names else { return Ok(WebhookEvent::ALL.to_vec()) };
     let mut events = Vec::new();
     for name in names {
@@ -160,38 +153,22 @@ fn wanted(names: Option<Vec<String>>) -> Result<Vec<WebhookEvent>, Fault> {
     Ok(events)
 }
 
-fn invalid(detail: String) -> Fault {
-    Fault::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid-endpoint", "Invalid webhook endpoint", detail)
-}
-
-fn bad_json(error: &serde_json::Error) -> Fault {
-    if error.is_data() {
-        return invalid(format!("the body is not a webhook endpoint: {error}"));
-    }
-    let detail = format!("the body is not JSON: {error}");
-    Fault::new(StatusCode::BAD_REQUEST, "malformed-json", "Malformed JSON", detail)
+fn invalid(detail: String) -> ProblemResponse {
+    ProblemResponse::new(ProblemType::InvalidEndpoint, detail)
 }
 
 /// `GET /v1/webhook-endpoints`.
-pub(super) async fn list(
-    State(state): State<AppState>,
-    caller: Caller,
-    RawQuery(query): RawQuery,
-) -> Result<Response, Fault> {
-    let page = page(query.as_deref())?;
+pub(super) async fn list(State(state): State<AppState>, caller: Caller, parameters: Parameters) -> ApiResult {
+    let page = page(parameters)?;
     let mut records = state.store().endpoints(caller.sees_only(), page.after, page.to_read()).await?;
     let next = page.cut(&mut records, "/v1/webhook-endpoints", |last| last.id);
-    let headers = listing::headers(next.as_deref())?;
+    let headers = pagination::headers(next.as_deref())?;
     let endpoints = records.into_iter().map(EndpointBody::from).collect();
     Ok((headers, Json(EndpointList { endpoints, next })).into_response())
 }
 
 /// `GET /v1/webhook-endpoints/{id}`.
-pub(super) async fn get(
-    State(state): State<AppState>,
-    caller: Caller,
-    Path(id): Path<String>,
-) -> Result<Response, Fault> {
+pub(super) async fn get(State(state): State<AppState>, caller: Caller, Path(id): Path<String>) -> ApiResult {
     let record = find(&state, &caller, &id).await?;
     Ok((no_store(), Json(EndpointBody::from(record))).into_response())
 }
@@ -201,7 +178,7 @@ pub(super) async fn delete(
     State(state): State<AppState>,
     caller: Caller,
     Path(id): Path<String>,
-) -> Result<StatusCode, Fault> {
+) -> ApiResult<StatusCode> {
     let record = find(&state, &caller, &id).await?;
     // Somebody else may have deleted it since; it is gone either way.
     state.store().delete_endpoint(record.id).await?;
@@ -213,13 +190,13 @@ pub(super) async fn deliveries(
     State(state): State<AppState>,
     caller: Caller,
     Path(id): Path<String>,
-    RawQuery(query): RawQuery,
-) -> Result<Response, Fault> {
+    parameters: Parameters,
+) -> ApiResult {
     let endpoint = find(&state, &caller, &id).await?.id;
-    let page = page(query.as_deref())?;
+    let page = page(parameters)?;
     let mut records = state.store().deliveries(endpoint, page.after, page.to_read()).await?;
     let next = page.cut(&mut records, &format!("{}/deliveries", href(endpoint)), |last| last.seq);
-    let headers = listing::headers(next.as_deref())?;
+    let headers = pagination::headers(next.as_deref())?;
     let deliveries = records.into_iter().map(|record| delivery(endpoint, record)).collect();
     Ok((headers, Json(DeliveryList { deliveries, next })).into_response())
 }
@@ -229,39 +206,37 @@ pub(super) async fn replay(
     State(state): State<AppState>,
     caller: Caller,
     Path((id, wanted)): Path<(String, String)>,
-) -> Result<Response, Fault> {
+) -> ApiResult {
     let endpoint = find(&state, &caller, &id).await?.id;
     let unknown = || {
         let detail = format!("endpoint {endpoint} has no such delivery");
-        Fault::new(StatusCode::NOT_FOUND, "delivery-not-found", "No such delivery", detail)
+        ProblemResponse::new(ProblemType::DeliveryNotFound, detail)
     };
     let parsed = wanted.parse().map_err(|_| unknown())?;
-    let refused = |name, detail: &str| {
-        Err(Fault::new(StatusCode::CONFLICT, name, "The delivery cannot be made again", detail))
-    };
+    let refused = |kind, detail: &str| Err(ProblemResponse::new(kind, detail));
     match state.store().replay(endpoint, parsed).await?.ok_or_else(unknown)? {
         Replay::Due(record) => {
             Ok((StatusCode::ACCEPTED, no_store(), Json(delivery(endpoint, record))).into_response())
         }
-        Replay::InProgress => refused("delivery-under-way", "an attempt is being made right now"),
-        Replay::Disabled => {
-            refused("endpoint-disabled", "the endpoint answered 410 and is told nothing more; make a new one")
-        }
+        Replay::InProgress => refused(ProblemType::DeliveryUnderWay, "an attempt is being made right now"),
+        Replay::Disabled => refused(
+            ProblemType::EndpointDisabled,
+            "the endpoint answered 410 and gets no more deliveries; create a new one",
+        ),
     }
 }
 
-async fn find(state: &AppState, caller: &Caller, id: &str) -> Result<EndpointRecord, Fault> {
+async fn find(state: &AppState, caller: &Caller, id: &str) -> ApiResult<EndpointRecord> {
     let unknown = || {
         let detail = "there is no such webhook endpoint";
-        Fault::new(StatusCode::NOT_FOUND, "endpoint-not-found", "No such webhook endpoint", detail)
+        ProblemResponse::new(ProblemType::EndpointNotFound, detail)
     };
     let parsed = id.parse().map_err(|_| unknown())?;
     let record = state.store().endpoint(parsed).await?;
     record.filter(|record| caller.may_see(record.owner)).ok_or_else(unknown)
 }
 
-fn page<C: FromStr>(query: Option<&str>) -> Result<Page<C>, Fault> {
-    let mut parameters = Parameters::parse(query)?;
+fn page<C: FromStr>(mut parameters: Parameters) -> ApiResult<Page<C>> {
     let page = Page::take(&mut parameters, |text| text.parse().ok())?;
     parameters.finish()?;
     Ok(page)
@@ -298,10 +273,10 @@ fn delivery(endpoint: EndpointId, record: DeliveryRecord) -> DeliveryBody {
         created_at: record.created_at,
         attempted_at: record.attempted_at,
         delivered_at: record.delivered_at,
-        answer_status: record.response_status,
-        fault: record.error,
+        response_status: record.response_status,
+        error: record.error,
         links: DeliveryLinks {
-            job: super::job_body::href(record.job),
+            job: super::jobs::body::href(record.job),
             replay: format!("{}/deliveries/{}/replay", href(endpoint), record.id),
         },
     }

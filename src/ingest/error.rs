@@ -6,7 +6,7 @@ use std::io;
 
 use thiserror::Error;
 
-use crate::domain::{Bytes, CameraError, Problem};
+use crate::domain::{Bytes, CameraError, Problem, ProblemType};
 
 /// Longest file name repeated in a message; names in an upload may be up to 64 KiB long.
 const MAX_NAME_CHARS_SHOWN: usize = 200;
@@ -358,24 +358,24 @@ impl IngestErrorKind {
         IngestError { file: Some(file.into()), kind: self }
     }
 
-    /// Status, kind and title of the problem that reports this error.
-    fn class(&self) -> (u16, &'static str, &'static str) {
+    /// The type of the problem that reports this error.
+    fn problem_type(&self) -> ProblemType {
         match self {
-            Self::NotFound => (404, "dataset-not-found", "No such dataset"),
-            Self::Io(_) => (500, "dataset-unreadable", "The dataset cannot be read"),
-            Self::DecodeMemory { .. } => (507, "host-memory", "Not enough memory"),
-            Self::Stopped => (503, "reading-stopped", "The reading was stopped"),
-            Self::SpillFull { .. } => (507, "storage-full", "Storage full"),
-            Self::Spill(_) => (500, "storage-failed", "Storage failed"),
-            Self::NotAZip(_) => (400, "not-a-zip", "Not a zip archive"),
+            Self::NotFound => ProblemType::DatasetNotFound,
+            Self::Io(_) => ProblemType::DatasetUnreadable,
+            Self::DecodeMemory { .. } => ProblemType::HostMemory,
+            Self::Stopped => ProblemType::ReadingStopped,
+            Self::SpillFull { .. } => ProblemType::StorageFull,
+            Self::Spill(_) => ProblemType::StorageFailed,
+            Self::NotAZip(_) => ProblemType::NotAZip,
             Self::CorruptArchive(_)
             | Self::Encrypted
             | Self::Compression(_)
             | Self::UnsafeName(_)
             | Self::NotARegularFile(_)
             | Self::DuplicateEntry
-            | Self::OverlappingEntries => (422, "archive-rejected", "The archive was refused"),
-            Self::ChecksBusy => (503, "busy", "Busy"),
+            | Self::OverlappingEntries => ProblemType::ArchiveRejected,
+            Self::ChecksBusy => ProblemType::Busy,
             Self::TooManyEntries { .. }
             | Self::DirectoryTooLarge { .. }
             | Self::TooManyRecords { .. }
@@ -386,8 +386,8 @@ impl IngestErrorKind {
             | Self::FileTooLarge { .. }
             | Self::CompressionRatio { .. }
             | Self::TooManyPixels { .. }
-            | Self::TooManyScenePixels { .. } => (413, "dataset-too-large", "The dataset is too large"),
-            _ => (422, "dataset-rejected", "The dataset was refused"),
+            | Self::TooManyScenePixels { .. } => ProblemType::DatasetTooLarge,
+            _ => ProblemType::DatasetRejected,
         }
     }
 }
@@ -400,8 +400,7 @@ impl From<IngestErrorKind> for IngestError {
 
 impl From<IngestError> for Problem {
     fn from(error: IngestError) -> Self {
-        let (status, kind, title) = error.kind.class();
-        let problem = Problem::new(status, kind, title, error.kind.to_string());
+        let problem = Problem::new(error.kind.problem_type(), error.kind.to_string());
         match error.file {
             Some(file) => problem.in_file(shown(&file)),
             None => problem,

@@ -11,7 +11,7 @@ use std::{
 use zip::{CompressionMethod, ZipWriter, result::ZipError, write::SimpleFileOptions};
 
 use super::{Limits, folder, names::is_os_metadata};
-use crate::domain::Problem;
+use crate::domain::{Problem, ProblemType};
 
 /// Files whose own format has no room left.
 const PACKED: [&str; 5] = ["jpg", "jpeg", "png", "webp", "zip"];
@@ -28,13 +28,12 @@ pub fn pack(folder: &Path, archive: &mut (impl Write + Seek)) -> Result<(), Prob
     names.sort_unstable();
     if names.is_empty() {
         let detail = "there are no files in it that a dataset could have";
-        return Err(Problem::new(422, "invalid-dataset", "Invalid dataset", detail));
+        return Err(Problem::new(ProblemType::InvalidDataset, detail));
     }
     let mut zip = ZipWriter::new(BufWriter::new(archive));
     for name in names {
-        let unreadable = |error: &io::Error| {
-            Problem::new(422, "unreadable-input", "The input cannot be read", error.to_string()).in_file(name)
-        };
+        let unreadable =
+            |error: &io::Error| Problem::new(ProblemType::UnreadableInput, error.to_string()).in_file(name);
         let mut file = File::open(folder.join(name)).map_err(|error| unreadable(&error))?;
         let length = file.metadata().map_err(|error| unreadable(&error))?.len();
         zip.start_file(name, options(name, length)).map_err(|error| unwritable(&error))?;
@@ -57,7 +56,7 @@ fn options(name: &str, length: u64) -> SimpleFileOptions {
 
 fn unwritable(error: &ZipError) -> Problem {
     let detail = format!("the archive of the dataset cannot be written: {error}");
-    Problem::new(507, "unwritable-output", "The output cannot be written", detail)
+    Problem::new(ProblemType::UnwritableOutput, detail)
 }
 
 #[cfg(test)]

@@ -17,7 +17,8 @@ use crate::{
         Provenance,
     },
     domain::{
-        AnchorScene, ByteBudget, CodingEfficiency, GroupOctaves, ModelKind, Problem, Scene, TrainOptions,
+        AnchorScene, ByteBudget, CodingEfficiency, GroupOctaves, ModelKind, Problem, ProblemType, Scene,
+        TrainOptions,
     },
     train::{BaseQuantSteps, Trained, TrainedContext},
 };
@@ -145,9 +146,8 @@ impl Encoder<'_> {
                     .map_err(|error| JobError::internal(error.to_string()))?,
             },
         };
-        codec::encode(scene, self.context.map(|context| &context.candidates), &settings).map_err(|error| {
-            JobError::Fail(Problem::new(422, "not-encodable", "Encoding failed", error.to_string()))
-        })
+        codec::encode(scene, self.context.map(|context| &context.candidates), &settings)
+            .map_err(|error| JobError::Fail(Problem::new(ProblemType::NotEncodable, error.to_string())))
     }
 }
 

@@ -3,7 +3,7 @@
 use std::io;
 
 use crate::{
-    domain::Problem,
+    domain::{Problem, ProblemType},
     gpu::GpuError,
     ingest::{self, IngestErrorKind},
     render::RenderError,
@@ -26,7 +26,7 @@ pub enum JobError {
 impl JobError {
     /// A fault of this program.
     pub(super) fn internal(detail: impl Into<String>) -> Self {
-        Self::Fail(Problem::new(500, "internal", "Internal error", detail.into()))
+        Self::Fail(Problem::new(ProblemType::Internal, detail.into()))
     }
 }
 

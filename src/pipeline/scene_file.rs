@@ -4,7 +4,9 @@ use std::fmt::Display;
 
 use crate::{
     codec::{self, DecodeLimits},
-    domain::{AnchorScene, Background, ByteCounts, Digest, GaussianScene, Problem, Scene, SceneFormat},
+    domain::{
+        AnchorScene, Background, ByteCounts, Digest, GaussianScene, Problem, ProblemType, Scene, SceneFormat,
+    },
     export::{PlyNote, anchors, from_ply, from_spz, spz, to_ply},
 };
 
@@ -48,9 +50,8 @@ pub fn write_anchors(
     background: Background,
     dataset: Option<Digest>,
 ) -> Result<Vec<u8>, Problem> {
-    anchors::write(scene, background, dataset).map_err(|error| {
-        Problem::new(500, "internal", "Internal error", format!("the scene cannot be written: {error}"))
-    })
+    anchors::write(scene, background, dataset)
+        .map_err(|error| Problem::new(ProblemType::Internal, format!("the scene cannot be written: {error}")))
 }
 
 /// Writes the `3dgs` baseline: the `.ply` of the reference implementation, with its provenance in a comment.
@@ -134,5 +135,5 @@ fn ply_counts(scene: &GaussianScene, total: u64) -> ByteCounts {
 
 /// The problem of a file that cannot be decoded.
 pub fn undecodable(cause: impl Display) -> Problem {
-    Problem::new(422, "undecodable", "The file cannot be decoded", cause.to_string())
+    Problem::new(ProblemType::Undecodable, cause.to_string())
 }

@@ -3,7 +3,7 @@
 use thiserror::Error;
 
 use crate::{
-    domain::{PhotographError, Problem},
+    domain::{PhotographError, Problem, ProblemType},
     gpu::GpuError,
 };
 
@@ -39,7 +39,7 @@ impl From<RenderError> for Problem {
         match error {
             RenderError::Gpu(fault) => fault.into(),
             RenderError::Photograph(fault) => fault.into(),
-            fault => Problem::new(500, "render", "The view could not be rendered", fault.to_string()),
+            fault => Problem::new(ProblemType::Render, fault.to_string()),
         }
     }
 }

@@ -8,7 +8,7 @@ use std::time::Duration;
 use jiff::Timestamp;
 
 use super::{Artifact, AttemptOutcome, Outcome, QueuePolicy, WorkerDeath};
-use crate::domain::{JobId, JobMetrics, Problem};
+use crate::domain::{JobId, JobMetrics, Problem, ProblemType};
 
 /// The part of a running job's row that its next state depends on.
 #[derive(Debug, Clone)]
@@ -161,7 +161,7 @@ pub(super) fn deadline_exceeded(deadline: Timestamp, attempts: u32) -> Problem {
         _ => format!("it was started {attempts} times"),
     };
     let detail = format!("the job was not finished by its deadline, {deadline}; {started}");
-    Problem::new(504, "deadline-exceeded", "The deadline has passed", detail)
+    Problem::new(ProblemType::DeadlineExceeded, detail)
 }
 
 fn worker_lost(death: WorkerDeath) -> Problem {
@@ -175,7 +175,7 @@ fn worker_lost(death: WorkerDeath) -> Problem {
              the attempt does not count against the job"
         }
     };
-    Problem::new(500, "worker-lost", "The worker was lost", detail)
+    Problem::new(ProblemType::WorkerLost, detail)
 }
 
 fn crash_loop(crashes: u32, checkpoint: u64) -> Problem {
@@ -184,9 +184,7 @@ fn crash_loop(crashes: u32, checkpoint: u64) -> Problem {
         step => format!("after its checkpoint at step {step}, without reaching another"),
     };
     Problem::new(
-        507,
-        "resource-exhausted",
-        "The job crashed its worker",
+        ProblemType::ResourceExhausted,
         format!(
             "{crashes} attempts in a row ended {place}: the worker died without reporting an error while the service kept running, \
              which usually means that memory ran out; try fewer or smaller images, or a machine with more memory"
@@ -221,7 +219,7 @@ mod tests {
     }
 
     fn problem() -> Problem {
-        Problem::new(500, "device-lost", "Device lost", "the adapter went away")
+        Problem::new(ProblemType::DeviceLost, "the adapter went away")
     }
 
     #[test]

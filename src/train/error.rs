@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use super::{CheckpointError, OverBudget};
 use crate::{
-    domain::{PhotographError, Problem},
+    domain::{PhotographError, Problem, ProblemType},
     gpu::GpuError,
     model::InitError,
     render::RenderError,
@@ -62,7 +62,7 @@ impl From<TrainError> for Problem {
             TrainError::Photograph(fault) => fault.into(),
             TrainError::OverBudget(fault) => fault.into(),
             TrainError::Checkpoint(fault) => fault.into(),
-            other => Problem::new(422, "training-failed", "Training failed", other.to_string()),
+            other => Problem::new(ProblemType::TrainingFailed, other.to_string()),
         }
     }
 }

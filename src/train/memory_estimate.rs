@@ -4,7 +4,7 @@ use std::fmt;
 
 use thiserror::Error;
 
-use crate::domain::{Bytes, MemoryBudget, Problem};
+use crate::domain::{Bytes, MemoryBudget, Problem, ProblemType};
 
 /// One part of what a run takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -89,6 +89,6 @@ pub struct OverBudget {
 
 impl From<OverBudget> for Problem {
     fn from(error: OverBudget) -> Self {
-        Problem::new(507, "memory-budget", "Not enough memory", error.to_string())
+        Problem::new(ProblemType::MemoryBudget, error.to_string())
     }
 }

@@ -18,7 +18,7 @@ use tracing::{Instrument as _, Span};
 
 use super::{WorkerConfig, WorkerError, checkpoints, series_buffer::SeriesBuffer, storage};
 use crate::{
-    domain::{CancelFlag, Phase, Problem, Progress, TrainOptions},
+    domain::{CancelFlag, Phase, Problem, ProblemType, Progress, TrainOptions},
     pipeline::{Checkpoints, JobError, JobOutput, RunJob},
     store::{Artifact, ArtifactKind, Blobs, Claim, Lease, Outcome, Store, StoreError},
 };
@@ -318,7 +318,7 @@ async fn publish(deps: &WorkerDeps, output: JobOutput) -> Outcome {
         Err(error) => {
             tracing::error!("JSON cannot be written: {error}");
             let detail = "the dataset's cameras or held-out views cannot be written as JSON";
-            return Outcome::Failed(Problem::new(500, "internal", "Internal error", detail));
+            return Outcome::Failed(Problem::new(ProblemType::Internal, detail));
         }
     };
     let mut artifacts = Vec::new();
@@ -393,24 +393,20 @@ fn panic_text(panic: &(dyn Any + Send)) -> &str {
 
 fn no_thread(error: &std::io::Error) -> Problem {
     tracing::error!("the run's thread cannot be started: {error}");
-    Problem::new(
-        503,
-        "resource-exhausted",
-        "Resource exhausted",
-        "the worker cannot start a thread for the job",
-    )
+    Problem::new(ProblemType::ResourceExhausted, "the worker cannot start a thread for the job")
+        .with_status(503)
 }
 
 fn stalled(limit: Duration) -> Problem {
     let detail = format!("the run made no progress for {} s", limit.as_secs());
-    Problem::new(500, "stalled", "The run has stalled", detail)
+    Problem::new(ProblemType::Stalled, detail)
 }
 
 fn stopped_unasked() -> Problem {
-    Problem::new(500, "internal", "Internal error", "the run stopped without being cancelled")
+    Problem::new(ProblemType::Internal, "the run stopped without being cancelled")
 }
 
 fn panicked() -> Problem {
     let detail = "the run failed with an internal error; see the worker's log";
-    Problem::new(500, "worker-panicked", "The run failed", detail)
+    Problem::new(ProblemType::WorkerPanicked, detail)
 }

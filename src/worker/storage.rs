@@ -1,12 +1,9 @@
 //! Disk errors as a job's owner sees them: without the server's paths, which only the log contains.
 
 use crate::{
-    domain::{Problem, problem::TYPE_PREFIX},
+    domain::{Problem, ProblemType},
     store::{BlobError, Outcome, is_disk_full},
 };
-
-const FULL: &str = "storage-full";
-const FAILED: &str = "storage-failed";
 
 /// The outcome of an attempt whose blobs cannot be read or written.
 pub(super) fn outcome(error: &BlobError) -> Outcome {
@@ -16,26 +13,24 @@ pub(super) fn outcome(error: &BlobError) -> Outcome {
 
 /// The problem of a run without the server's paths; logs the full one.
 pub(super) fn redacted(problem: Problem) -> Problem {
-    match problem.kind.strip_prefix(TYPE_PREFIX) {
-        Some(FULL) => {
-            tracing::warn!("the job is held: {problem}");
-            full()
-        }
-        Some(FAILED) => {
-            tracing::error!("{problem}");
-            failed()
-        }
-        _ => problem,
+    if problem.is(ProblemType::StorageFull) {
+        tracing::warn!("the job is held: {problem}");
+        full()
+    } else if problem.is(ProblemType::StorageFailed) {
+        tracing::error!("{problem}");
+        failed()
+    } else {
+        problem
     }
 }
 
 fn full() -> Problem {
     let detail = "the service's disk is full; the job continues once there is space";
-    Problem::new(507, FULL, "Storage full", detail)
+    Problem::new(ProblemType::StorageFull, detail)
 }
 
 fn failed() -> Problem {
-    Problem::new(500, FAILED, "Storage failed", "the job's files cannot be read or written")
+    Problem::new(ProblemType::StorageFailed, "the job's files cannot be read or written")
 }
 
 #[cfg(test)]
@@ -56,13 +51,13 @@ mod tests {
 
     #[test]
     fn paths_of_the_server_are_not_shown() {
-        for kind in [FULL, FAILED] {
-            let problem = Problem::new(507, kind, "Title", "no room in /srv/tcgs/data for 3 bytes");
+        for kind in [ProblemType::StorageFull, ProblemType::StorageFailed] {
+            let problem = Problem::new(kind, "no room in /srv/tcgs/data for 3 bytes");
             let redacted = redacted(problem.clone());
             assert_eq!(redacted.kind, problem.kind);
             assert!(!redacted.detail.contains("/srv"), "{redacted}");
         }
-        let other = Problem::new(422, "dataset-rejected", "Title", "images/a.png is no image");
+        let other = Problem::new(ProblemType::DatasetRejected, "images/a.png is no image");
         assert_eq!(redacted(other.clone()), other);
     }
 }

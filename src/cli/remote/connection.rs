@@ -7,7 +7,7 @@ use reqwest::{
     header::{ACCEPT, AUTHORIZATION, CONTENT_TYPE, HeaderMap, HeaderValue, RETRY_AFTER},
 };
 use serde::de::DeserializeOwned;
-use tcgs::domain::Problem;
+use tcgs::domain::{Problem, ProblemType};
 use uuid::Uuid;
 
 use crate::cli::Failure;
@@ -44,7 +44,7 @@ impl Connection {
             value.set_sensitive(true);
             headers.insert(AUTHORIZATION, value);
         }
-        let unusable = |fault: String| Problem::new(503, "no-client", "No HTTP client", fault);
+        let unusable = |fault: String| Problem::new(ProblemType::NoClient, fault);
         let builder = tcgs::https::client_builder().map_err(|fault| unusable(fault.to_string()))?;
         let client = builder
             .default_headers(headers)
@@ -131,7 +131,7 @@ pub(super) async fn body(mut response: Response) -> Result<Vec<u8>, Failure> {
 
 /// A fault of the service's, not of the request.
 pub(super) fn unexpected(detail: impl AsRef<str>) -> Failure {
-    Problem::new(502, "unexpected-answer", "The service answered oddly", detail.as_ref()).into()
+    Problem::new(ProblemType::UnexpectedAnswer, detail.as_ref()).into()
 }
 
 /// A fault of transport.
@@ -140,7 +140,7 @@ pub(super) fn unreachable(base: &Url, fault: &reqwest::Error) -> Failure {
         Some(reason) => format!("the certificate of {base} {reason}"),
         None => format!("{base} does not answer: {}", root(fault)),
     };
-    Problem::new(503, "unreachable", "The service cannot be reached", detail).into()
+    Problem::new(ProblemType::Unreachable, detail).into()
 }
 
 /// What lies behind an error, in one line, without the address that the caller names anyway.
@@ -177,7 +177,7 @@ async fn accepted(response: Response) -> Result<Response, Failure> {
     let mut problem = serde_json::from_slice::<Problem>(&body).unwrap_or_else(|_| {
         let said: String = String::from_utf8_lossy(&body).chars().take(200).collect();
         let detail = format!("the service answered {status}: {}", said.trim());
-        Problem::new(status.as_u16(), "refused", "The service refused", detail)
+        Problem::new(ProblemType::Refused, detail).with_status(status.as_u16())
     });
     if status == StatusCode::UNAUTHORIZED {
         problem

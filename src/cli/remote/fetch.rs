@@ -18,7 +18,7 @@ use reqwest::{
 };
 use serde_json::json;
 use sha2::{Digest as _, Sha256};
-use tcgs::domain::{Digest, JobId, Problem};
+use tcgs::domain::{Digest, JobId, Problem, ProblemType};
 
 use super::{
     Connection, ServerFlags,
@@ -79,7 +79,7 @@ fn no_file(args: &Args, state: &str) -> Failure {
         Some(lambda) => format!("job {} is {state} and has no file of lambda {lambda}", args.job),
         None => format!("job {} is {state}; only a succeeded job has a file", args.job),
     };
-    Problem::new(409, "no-artifact", "No file yet", detail).into()
+    Problem::new(ProblemType::NoArtifact, detail).into()
 }
 
 /// Brings the file to `output`, and tells where a download that had broken off was gone on with.
@@ -116,7 +116,7 @@ async fn download(connection: &Connection, artifact: &ArtifactView, output: &Pat
                 "the download broke off at byte {have} of {}; the same command goes on there",
                 artifact.bytes
             );
-            return Err(Problem::new(503, "unreachable", "The service cannot be reached", detail).into());
+            return Err(Problem::new(ProblemType::Unreachable, detail).into());
         }
         if have < artifact.bytes {
             sleep(PAUSE).await;

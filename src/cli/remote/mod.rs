@@ -17,7 +17,7 @@ pub(super) mod watch;
 
 use std::{future::Future, path::PathBuf};
 
-use tcgs::domain::Problem;
+use tcgs::domain::{Problem, ProblemType};
 
 use super::{Failure, files};
 use connection::Connection;
@@ -56,7 +56,7 @@ impl ServerFlags {
 fn run<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(|fault| {
-        Problem::new(503, "resource-exhausted", "Resource exhausted", format!("no runtime: {fault}"))
+        Problem::new(ProblemType::ResourceExhausted, format!("no runtime: {fault}")).with_status(503)
     })?;
     runtime.block_on(work)
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use image::ImageFormat;
 use reqwest::{Method, header::CONTENT_TYPE};
 use serde_json::{Map, Value, json};
-use tcgs::domain::{JobId, Problem};
+use tcgs::domain::{JobId, Problem, ProblemType};
 
 use super::{
     ServerFlags,
@@ -133,9 +133,6 @@ fn pose_of(text: &str) -> Result<Value, Failure> {
     } else {
         (text, files::read(text.as_ref())?)
     };
-    serde_json::from_slice(&json).map_err(|fault| {
-        Problem::new(422, "impossible-pose", "The pose is not a camera", fault.to_string())
-            .in_file(source)
-            .into()
-    })
+    serde_json::from_slice(&json)
+        .map_err(|fault| Problem::new(ProblemType::ImpossiblePose, fault.to_string()).in_file(source).into())
 }

@@ -21,7 +21,9 @@ use std::{
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde_json::json;
 use tcgs::{
-    domain::{Background, CancelFlag, Dataset, ModelKind, Phase, Preset, Problem, TrainOptions, Voxel},
+    domain::{
+        Background, CancelFlag, Dataset, ModelKind, Phase, Preset, Problem, ProblemType, TrainOptions, Voxel,
+    },
     pipeline::{Checkpoints, JobError, JobOutput, RunJob},
 };
 
@@ -192,7 +194,7 @@ pub(crate) fn run(
         None => Ok(Report::new(text, &json!({ "runs": results }))),
         Some(first) => {
             let detail = format!("{} of the runs failed; the first: {first}", suite.failed.len());
-            Err(Problem::new(500, "suite-incomplete", "The suite is not complete", detail).into())
+            Err(Problem::new(ProblemType::SuiteIncomplete, detail).into())
         }
     }
 }
@@ -214,9 +216,7 @@ fn publish(args: &Args, results: &[Record]) -> Result<String, Failure> {
 fn place(document: &Path, tables: &str) -> Result<String, Failure> {
     let text = fs::read_to_string(document).map_err(|fault| Failure::unreadable(document, &fault))?;
     table::rewrite(&text, tables).map_err(|fault| {
-        Problem::new(422, "no-place", "The tables have no place in the document", fault)
-            .in_file(document.display().to_string())
-            .into()
+        Problem::new(ProblemType::NoPlace, fault).in_file(document.display().to_string()).into()
     })
 }
 
@@ -250,8 +250,7 @@ fn sets(args: &Args, folder: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
         }
     }
     if usable.is_empty() {
-        let problem =
-            Problem::new(422, "no-datasets", "There is nothing to train on", "no dataset was found");
+        let problem = Problem::new(ProblemType::NoDatasets, "no dataset was found");
         return Err(problem.in_file(folder.display().to_string()).into());
     }
     Ok(usable)

@@ -11,7 +11,7 @@ use std::{
 };
 
 use serde::{Deserialize, Serialize};
-use tcgs::domain::Problem;
+use tcgs::domain::{Problem, ProblemType};
 
 use crate::cli::Failure;
 
@@ -43,9 +43,7 @@ pub(crate) fn convert(script: &Path, ply: &[u8], folder: &Path) -> Result<Vec<Co
     fs::write(&input, ply).map_err(|fault| Failure::unwritable(&input, &fault))?;
     fs::create_dir_all(&out).map_err(|fault| Failure::unwritable(&out, &fault))?;
     let failed = |detail: String| -> Failure {
-        Problem::new(500, "no-peers", "The peers' formats cannot be made", detail)
-            .in_file(script.display().to_string())
-            .into()
+        Problem::new(ProblemType::NoPeers, detail).in_file(script.display().to_string()).into()
     };
     // Standard output is this command's own.
     let status = Command::new(script)

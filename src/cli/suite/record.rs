@@ -7,7 +7,7 @@ use std::{
 };
 
 use serde::{Deserialize, Serialize};
-use tcgs::domain::{Digest, JobMetrics, Problem, TrainOptions};
+use tcgs::domain::{Digest, JobMetrics, Problem, ProblemType, TrainOptions};
 
 use super::peers::Peer;
 use crate::cli::Failure;
@@ -86,8 +86,7 @@ impl Records {
         for (number, line) in text[..whole].lines().enumerate() {
             let record = serde_json::from_str(line).map_err(|fault| {
                 let detail = format!("line {} is not a finished run: {fault}", number + 1);
-                Problem::new(422, "not-results", "The results cannot be read", detail)
-                    .in_file(path.display().to_string())
+                Problem::new(ProblemType::NotResults, detail).in_file(path.display().to_string())
             })?;
             all.push(record);
         }

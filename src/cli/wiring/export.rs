@@ -4,7 +4,10 @@ use std::time::Instant;
 
 use serde::Serialize;
 use tcgs::{
-    domain::{Background, Camera, GaussianScene, Image, Intrinsics, Problem, Scene, SceneFormat, harmonics},
+    domain::{
+        Background, Camera, GaussianScene, Image, Intrinsics, Problem, ProblemType, Scene, SceneFormat,
+        harmonics,
+    },
     eval::{mean_scores_with, psnr, score_view},
     export::{
         bake::{self, BakeSettings},
@@ -214,7 +217,7 @@ fn pair(source: &Renderer, exported: &Renderer, camera: &Camera) -> Result<Pair,
 }
 
 fn different() -> Problem {
-    Problem::new(500, "internal", "Internal error", "two pictures of one view differ in size")
+    Problem::new(ProblemType::Internal, "two pictures of one view differ in size")
 }
 
 fn sphere(file: &SceneFile, count: usize) -> Result<Vec<Camera>, Problem> {
@@ -245,7 +248,7 @@ fn lowered(mut scene: GaussianScene, degree: u8) -> GaussianScene {
 }
 
 fn not_exportable(fault: impl std::fmt::Display) -> Problem {
-    Problem::new(422, "not-exportable", "The scene cannot be exported", fault.to_string())
+    Problem::new(ProblemType::NotExportable, fault.to_string())
 }
 
 #[cfg(test)]

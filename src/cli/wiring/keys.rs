@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use tcgs::{
-    domain::{ApiKey, Clock as _, KeyId, KeyLimits, Problem, Scope, SystemClock, SystemEntropy},
+    domain::{ApiKey, Clock as _, KeyId, KeyLimits, Problem, ProblemType, Scope, SystemClock, SystemEntropy},
     store::{KeyRecord, Keys as _, NewKey, SqliteStore, StoreError},
 };
 
@@ -45,7 +45,7 @@ pub(crate) fn revoke_key(data: &Path, id: KeyId) -> Result<KeyRecord, Failure> {
     let revoked = with_store(data, async |store| store.revoke_key(id).await)?;
     revoked.ok_or_else(|| {
         let detail = format!("there is no key {id} in {}; see 'tcgs keys list --all'", data.display());
-        Problem::new(404, "key-not-found", "No such key", detail).into()
+        Problem::new(ProblemType::KeyNotFound, detail).into()
     })
 }
 

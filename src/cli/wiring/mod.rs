@@ -17,7 +17,8 @@ use std::{
 use tcgs::{
     codec::{self, EncodeError, EncodeSettings, Encoded},
     domain::{
-        AnchorScene, Background, Camera, Dataset, Digest, Image, MemoryLimits, Problem, Scene, Scores, Split,
+        AnchorScene, Background, Camera, Dataset, Digest, Image, MemoryLimits, Problem, ProblemType, Scene,
+        Scores, Split,
     },
     eval::{Lpips, band_errors, mean_scores_with, score_view},
     export::anchors,
@@ -96,9 +97,9 @@ pub(crate) fn high_band_error(
 pub(crate) fn encode(scene: &AnchorScene, settings: &EncodeSettings) -> Result<Encoded, Problem> {
     codec::encode(scene, None, settings).map_err(|fault| match fault {
         EncodeError::Verification | EncodeError::ReadBack(_) => {
-            Problem::new(500, "internal", "Internal error", fault.to_string())
+            Problem::new(ProblemType::Internal, fault.to_string())
         }
-        _ => Problem::new(422, "not-encodable", "The scene cannot be encoded", fault.to_string()),
+        _ => Problem::new(ProblemType::NotEncodable, fault.to_string()),
     })
 }
 
@@ -119,8 +120,7 @@ pub(crate) fn tensors(file: &SceneFile) -> Result<Vec<u8>, Problem> {
 
 /// The anchors in a safetensors file.
 pub(crate) fn anchors(bytes: &[u8]) -> Result<anchors::AnchorFile, Problem> {
-    anchors::read(bytes)
-        .map_err(|fault| Problem::new(422, "not-a-scene", "The input is not a scene", fault.to_string()))
+    anchors::read(bytes).map_err(|fault| Problem::new(ProblemType::NotAScene, fault.to_string()))
 }
 
 /// Accounts for every byte of a `.tcgs` file.
@@ -130,8 +130,7 @@ pub(crate) fn inspect(bytes: &[u8]) -> Result<Inspection, Problem> {
 }
 
 fn json(value: &impl serde::Serialize) -> Result<serde_json::Value, Problem> {
-    serde_json::to_value(value)
-        .map_err(|fault| Problem::new(500, "internal", "Internal error", fault.to_string()))
+    serde_json::to_value(value).map_err(|fault| Problem::new(ProblemType::Internal, fault.to_string()))
 }
 
 /// The training pipeline, within `memory`, which also measures LPIPS if there are weights for it; `spill` is the folder of
@@ -239,7 +238,7 @@ pub(crate) fn score(
         seconds += began.elapsed().as_secs_f64();
         let mut score = score_view(name, &render, &photograph).ok_or_else(|| {
             let detail = format!("the render of {name} is not of its photograph's size");
-            Problem::new(500, "internal", "Internal error", detail)
+            Problem::new(ProblemType::Internal, detail)
         })?;
         if let Some(lpips) = lpips {
             let distance = lpips.distance(&render, &photograph);

@@ -14,8 +14,8 @@ use std::{
 
 use tcgs::{
     domain::{
-        Camera, Digest, KeyLimits, MemoryLimits, NamedCamera, OutboundPolicy, Problem, SceneFormat, Split,
-        SystemClock, SystemEntropy,
+        Camera, Digest, KeyLimits, MemoryLimits, NamedCamera, OutboundPolicy, Problem, ProblemType,
+        SceneFormat, Split, SystemClock, SystemEntropy,
     },
     gpu::{AdapterChoice, driver_cache},
     http::{self, ExportedScene, HttpConfig, Services, WorkerCounts},
@@ -201,7 +201,7 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
         let config = WorkerConfig { checkpoints, liveness_dir, ..WorkerConfig::from_environment() };
         let outcome = worker::serve(store.clone(), blobs, runner, config, shutdown).await;
         store.close().await;
-        outcome.map_err(|fault| Failure::from(Problem::new(500, "stalled", "A job hangs", fault.to_string())))
+        outcome.map_err(|fault| Failure::from(Problem::new(ProblemType::Stalled, fault.to_string())))
     });
     // A run that did not stop is still on its thread; waiting for it here would undo giving up on it.
     runtime.shutdown_background();
@@ -420,5 +420,5 @@ pub(super) fn unavailable(fault: &(dyn Error + 'static)) -> Failure {
         detail = format!("{detail}: {cause}");
         source = cause.source();
     }
-    Problem::new(503, "unavailable", "Something needed is missing", detail).into()
+    Problem::new(ProblemType::Unavailable, detail).into()
 }

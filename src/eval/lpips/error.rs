@@ -3,7 +3,7 @@
 use safetensors::{Dtype, SafeTensorError};
 use thiserror::Error;
 
-use crate::domain::{LpipsNetwork, Problem};
+use crate::domain::{LpipsNetwork, Problem, ProblemType};
 
 /// Why there is no LPIPS figure.
 #[derive(Debug, Error)]
@@ -75,12 +75,10 @@ pub enum LpipsError {
 
 impl From<LpipsError> for Problem {
     fn from(error: LpipsError) -> Self {
-        let (name, title) = match &error {
-            LpipsError::NotComparable | LpipsError::TooSmall { .. } => {
-                ("lpips-images", "The images cannot be compared by LPIPS")
-            }
-            _ => ("lpips-weights", "The LPIPS weights cannot be used"),
+        let kind = match &error {
+            LpipsError::NotComparable | LpipsError::TooSmall { .. } => ProblemType::LpipsImages,
+            _ => ProblemType::LpipsWeights,
         };
-        Problem::new(422, name, title, error.to_string())
+        Problem::new(kind, error.to_string())
     }
 }

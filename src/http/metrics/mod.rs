@@ -1,7 +1,7 @@
-//! What the process counts of itself, and `/metrics`, which tells it together with what the database and the disk say.
+//! Metrics of the process, and `/metrics`, which adds those of the database and the disk.
 //!
-//! Every label has a bounded set of values: a method is one of the usual ones, a path is its route's template, a cause is a
-//! problem's type. Nothing that a client invents becomes a series.
+//! Every label has a bounded set of values: a method is a known one, a path is its route's template, a cause is a problem's type.
+//! Nothing that a client invents becomes a series.
 
 mod scrape;
 
@@ -64,16 +64,16 @@ impl fmt::Debug for Meters {
 
 /// Something that is counted while it is held.
 #[derive(Debug)]
-pub(super) struct Held(Gauge);
+pub(super) struct GaugeGuard(Gauge);
 
-impl Held {
+impl GaugeGuard {
     fn one_of(gauge: &Gauge) -> Self {
         gauge.inc();
         Self(gauge.clone())
     }
 }
 
-impl Drop for Held {
+impl Drop for GaugeGuard {
     fn drop(&mut self) {
         self.0.dec();
     }
@@ -126,14 +126,14 @@ fn registered(mut counts: Counts) -> Counts {
     );
     registry.register("tcgs_event_streams", "Open event streams", counts.event_streams.clone());
     let build = Info::new(vec![("version", env!("CARGO_PKG_VERSION"))]);
-    registry.register("tcgs_build", "What runs", build);
+    registry.register("tcgs_build", "Version of the program", build);
     counts
 }
 
 impl Meters {
     /// A request has come; hold it until its answer begins.
-    pub(super) fn request_begun(&self) -> Held {
-        Held::one_of(&self.0.active_requests)
+    pub(super) fn request_begun(&self) -> GaugeGuard {
+        GaugeGuard::one_of(&self.0.active_requests)
     }
 
     /// A request's answer has begun; `route` is a template and none for paths that have none.
@@ -150,11 +150,11 @@ impl Meters {
     }
 
     /// A connection is served; hold it until it ends.
-    pub(super) fn connection_opened(&self) -> Held {
-        Held::one_of(&self.0.connections)
+    pub(super) fn connection_opened(&self) -> GaugeGuard {
+        GaugeGuard::one_of(&self.0.connections)
     }
 
-    /// A connection was closed unserved.
+    /// A connection was closed without being served.
     pub(super) fn connection_refused(&self) {
         self.0.connections_refused.inc();
     }
@@ -171,8 +171,8 @@ impl Meters {
     }
 
     /// An event stream has begun; hold it until it ends.
-    pub(super) fn stream_opened(&self) -> Held {
-        Held::one_of(&self.0.event_streams)
+    pub(super) fn stream_opened(&self) -> GaugeGuard {
+        GaugeGuard::one_of(&self.0.event_streams)
     }
 
     fn registry(&self) -> &Registry {

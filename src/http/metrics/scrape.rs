@@ -1,4 +1,4 @@
-//! `GET /metrics`: the process's own counts, then what the database and the disk say, asked at most once a second.
+//! `GET /metrics`: the process's own metrics, then those of the database and the disk, read at most once a second.
 
 use std::{
     sync::atomic::AtomicU64,
@@ -10,7 +10,7 @@ use axum::{
     extract::State,
     http::{HeaderValue, header},
     middleware::{from_fn, from_fn_with_state},
-    response::{IntoResponse, Response},
+    response::IntoResponse,
     routing,
 };
 use jiff::Timestamp;
@@ -21,42 +21,49 @@ use prometheus_client::{
 };
 use tokio::sync::Mutex;
 
-use super::super::{auth, head, health, problem::Fault, state::AppState, unread, wrap};
-use crate::store::StoreStats;
+use crate::{
+    http::{
+        auth,
+        problem::{ApiResult, ProblemResponse},
+        server::{drain_body, head, health, middleware},
+        state::AppState,
+    },
+    store::StoreStats,
+};
 
-/// How long what the database says is told again.
-const FRESH: Duration = Duration::from_secs(1);
+/// How long the store's statistics are cached.
+const CACHE_TIME: Duration = Duration::from_secs(1);
 const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 type Labels = Vec<(&'static str, String)>;
 type Gauges = Family<Labels, Gauge<f64, AtomicU64>>;
 type Counters = Family<Labels, Counter<f64, AtomicU64>>;
 
-/// What the database said last, so that scrapers cannot keep it busy.
+/// The cached statistics, so that scrapers cannot keep the database busy.
 #[derive(Debug, Default)]
-pub(in super::super) struct Cache(Mutex<Option<(Instant, StoreStats)>>);
+pub(crate) struct Cache(Mutex<Option<(Instant, StoreStats)>>);
 
-/// The routes of a listener for metrics alone, on a loopback address or another.
-pub(in super::super) fn router(state: AppState, on_loopback: bool) -> Router {
+/// The routes of a listener for metrics only.
+pub(crate) fn router(state: AppState, on_loopback: bool) -> Router {
     Router::new()
         .route("/metrics", routing::get(get))
         .route("/healthz", routing::get(health::healthz))
         .layer(from_fn_with_state(on_loopback, auth::admit_without_keys))
         .layer(from_fn(head::bounded))
-        .layer(from_fn(unread::discard))
-        .layer(from_fn_with_state(state.clone(), wrap::wrap))
+        .layer(from_fn(drain_body::drain_unread))
+        .layer(from_fn_with_state(state.clone(), middleware::wrap))
         .with_state(state)
 }
 
 /// `GET /metrics`.
-pub(in super::super) async fn get(State(state): State<AppState>) -> Result<Response, Fault> {
+pub(crate) async fn get(State(state): State<AppState>) -> ApiResult {
     let figures = figures(&state).await?;
     let registry = registry(&state, &figures);
     let mut text = String::new();
-    encode_registry(&mut text, state.meters().registry())
+    encode_registry(&mut text, state.meters.registry())
         .and_then(|()| encode_registry(&mut text, &registry))
         .and_then(|()| encode_eof(&mut text))
-        .map_err(|error| Fault::internal(&error))?;
+        .map_err(|error| ProblemResponse::internal(&error))?;
     let headers = [
         (header::CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE)),
         (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
@@ -64,11 +71,11 @@ pub(in super::super) async fn get(State(state): State<AppState>) -> Result<Respo
     Ok((headers, text).into_response())
 }
 
-async fn figures(state: &AppState) -> Result<StoreStats, Fault> {
-    // Those who ask meanwhile wait for the same answer.
-    let mut cached = state.metrics_cache().0.lock().await;
+async fn figures(state: &AppState) -> ApiResult<StoreStats> {
+    // Concurrent requests wait for the same read.
+    let mut cached = state.metrics_cache.0.lock().await;
     if let Some((at, figures)) = &*cached
-        && at.elapsed() < FRESH
+        && at.elapsed() < CACHE_TIME
     {
         return Ok(figures.clone());
     }
@@ -79,7 +86,7 @@ async fn figures(state: &AppState) -> Result<StoreStats, Fault> {
 
 fn registry(state: &AppState, figures: &StoreStats) -> Registry {
     let mut registry = Registry::with_prefix("tcgs");
-    jobs(&mut registry, figures, state.services().clock.now());
+    jobs(&mut registry, figures, state.services.clock.now());
     attempts(&mut registry, figures);
     let states = figures.deliveries.iter();
     let states = states.map(|(state, count)| ("state", state.name().to_owned(), *count as f64));
@@ -114,7 +121,7 @@ fn attempts(registry: &mut Registry, figures: &StoreStats) {
 }
 
 fn machine(registry: &mut Registry, state: &AppState, figures: &StoreStats) {
-    let workers = (state.services().workers)();
+    let workers = (state.services.workers)();
     let counts = [("expected", workers.expected), ("alive", workers.alive)];
     let counts = counts.map(|(name, count)| ("state", name.to_owned(), count as f64));
     gauges(registry, "workers", "Worker processes that this service keeps", counts.into_iter());
@@ -124,10 +131,10 @@ fn machine(registry: &mut Registry, state: &AppState, figures: &StoreStats) {
         Ok(free) => gauge(registry, "disk_free_bytes", "Free room on the blobs' disk", free as f64),
         Err(error) => {
             let cause = &error as &dyn std::error::Error;
-            tracing::warn!(error = cause, "the disk does not say how much room is free: {error}");
+            tracing::warn!(error = cause, "cannot read the free space of the disk: {error}");
         }
     }
-    let (rendering, waiting) = state.studio().depth();
+    let (rendering, waiting) = state.view_renderer.depth();
     let depth = [("rendering", rendering), ("waiting", waiting)];
     let depth = depth.map(|(name, count)| ("state", name.to_owned(), count as f64));
     gauges(registry, "render_queue", "Pictures in the line for the renderer", depth.into_iter());

@@ -1,4 +1,4 @@
-//! Where the bytes of the file went.
+//! Bar chart of the file's size by section.
 
 use maud::{Markup, html};
 
@@ -7,7 +7,7 @@ use crate::domain::ByteCounts;
 
 const WIDTH: f64 = 560.0;
 const ROW: f64 = 26.0;
-/// Room for the names, and for the figures at the bars' ends.
+/// Widths of the names, and of the figures at the bars' ends.
 const NAMES: f64 = 92.0;
 const FIGURES: f64 = 130.0;
 

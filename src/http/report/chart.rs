@@ -1,4 +1,4 @@
-//! Curves as SVG, drawn on the server: they need no script, take the page's colours and print.
+//! Curves as SVG, drawn on the server: they need no script, use the page's colours and can be printed.
 
 use maud::{Markup, html};
 
@@ -10,13 +10,13 @@ const TOP: f64 = 12.0;
 const BOTTOM: f64 = 46.0;
 /// Gaps between marks on an axis, about.
 const GAPS: f64 = 5.0;
-/// Points of a line; more could not be told apart.
+/// Points of a line; more would not be visible.
 const MOST_POINTS: usize = 400;
 
 /// One curve.
 #[derive(Debug)]
 pub(super) struct Series {
-    /// What it is, for the legend.
+    /// Label in the legend.
     pub(super) name: &'static str,
     pub(super) points: Vec<(f64, f64)>,
     /// A name for each point, for a curve of few points that are shown as such; else empty.
@@ -33,7 +33,7 @@ pub(super) struct Chart {
 }
 
 impl Chart {
-    /// The chart as a figure, or a sentence in its place where there is nothing to draw.
+    /// The chart as a figure, or a sentence if there is nothing to draw.
     pub(super) fn figure(&self, caption: &str) -> Markup {
         html! {
             figure.chart {

@@ -1,11 +1,11 @@
-//! What is kept of a job's course: one line of points, whatever interruptions there were.
+//! A job's training history as one series of points, across interruptions.
 
 use crate::{
     domain::{Job, SeriesPoint, in_running_time},
     store::{Store, StoreError},
 };
 
-/// The points that led to where the job is now, by their steps, in seconds of work in all.
+/// The points up to the job's current step, ordered by step, in total seconds of work.
 #[derive(Debug, Default)]
 pub(super) struct History {
     points: Vec<SeriesPoint>,
@@ -14,7 +14,7 @@ pub(super) struct History {
 }
 
 impl History {
-    /// Reads the course of a job.
+    /// Reads the history of a job.
     pub(super) async fn read(store: &dyn Store, job: &Job) -> Result<Self, StoreError> {
         let points = store.series(job.id).await?.unwrap_or_default();
         Ok(Self::of(points, job.attempt, job.progress.elapsed_seconds))

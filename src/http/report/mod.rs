@@ -1,8 +1,8 @@
-//! `GET /v1/jobs/{id}/report`: everything that is known of a job on one page.
+//! `GET /v1/jobs/{id}/report`: everything about a job on one page.
 //!
-//! What always holds: the page asks nothing of any other host, and of this one only what its viewer shows; it can be read
-//! without scripts and printed; every text in it passes through a template that escapes it, and its content security policy
-//! lets no script and no style run but its own two, which it names by their hashes.
+//! Invariants: the page requests nothing from other hosts, and from this one only its viewer's pictures; it can be read without
+//! scripts and printed; every text is escaped by its template; its content security policy allows only its own script and style,
+//! by their hashes.
 
 mod bars;
 mod chart;
@@ -17,29 +17,29 @@ mod units;
 use std::sync::LazyLock;
 
 use axum::{
-    extract::{Path, RawQuery, State},
-    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
-    response::{IntoResponse as _, Response},
+    extract::State,
+    http::{HeaderMap, HeaderName, HeaderValue, header},
+    response::IntoResponse as _,
 };
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use serde::de::DeserializeOwned;
 
+use self::{
+    history::History,
+    page::{Page, SCRIPT, STYLE},
+};
 use super::{
-    accept::accepts,
-    etag::{Etag, not_modified},
-    jobs::find,
-    problem::Fault,
-    query::Parameters,
+    jobs::OwnedJob,
+    problem::{ApiResult, ProblemResponse},
+    request::{Etag, Parameters, accepts, not_modified},
     state::AppState,
 };
 use crate::{
-    domain::{Caller, Digest, HeldOut, NamedCamera},
+    domain::{Digest, HeldOut, NamedCamera, ProblemType},
     store::{ArtifactKind, JobRecord},
 };
-use history::History;
-use page::{Page, SCRIPT, STYLE};
 
-/// Lets nothing in but the page's own script and style, pictures and the viewer's requests.
+/// Allows the page's own script and style, pictures and the viewer's requests, and nothing else.
 static POLICY: LazyLock<Option<HeaderValue>> = LazyLock::new(|| {
     let source = |text: &str| format!("'sha256-{}'", STANDARD.encode(Digest::of(text.as_bytes()).as_bytes()));
     let policy = format!(
@@ -51,26 +51,19 @@ static POLICY: LazyLock<Option<HeaderValue>> = LazyLock::new(|| {
     HeaderValue::try_from(policy).ok()
 });
 
-/// Changes with the page's form, so that a newer program's page is not taken for an older one's.
+/// Version of the page's layout, part of its entity tag.
 const FORM: &str = env!("CARGO_PKG_VERSION");
 
 /// `GET /v1/jobs/{id}/report`.
 pub(super) async fn get(
     State(state): State<AppState>,
-    caller: Caller,
-    Path(id): Path<String>,
-    RawQuery(query): RawQuery,
+    OwnedJob(record): OwnedJob,
+    parameters: Parameters,
     headers: HeaderMap,
-) -> Result<Response, Fault> {
-    let record = find(&state, &caller, &id).await?;
-    Parameters::parse(query.as_deref())?.finish()?;
+) -> ApiResult {
+    parameters.finish()?;
     if !accepts(&headers, "text/html") {
-        return Err(Fault::new(
-            StatusCode::NOT_ACCEPTABLE,
-            "not-acceptable",
-            "Not acceptable",
-            "reports are served as text/html",
-        ));
+        return Err(ProblemResponse::new(ProblemType::NotAcceptable, "reports are served as text/html"));
     }
     let etag = Etag::new(format!("{}-{FORM}", record.job.version));
     if etag.is_in_if_none_match(&headers) {
@@ -96,13 +89,13 @@ pub(super) async fn get(
     Ok(response)
 }
 
-/// What an artifact holds as JSON, if the job has one of its kind.
+/// The content of a JSON artifact, if the job has one of this kind.
 async fn document<T: DeserializeOwned>(
     state: &AppState,
     record: &JobRecord,
     kind: ArtifactKind,
-) -> Result<Option<T>, Fault> {
+) -> ApiResult<Option<T>> {
     let Some(blob) = record.artifact(kind) else { return Ok(None) };
     let content = state.blobs().read(blob.digest).await?;
-    serde_json::from_slice(&content).map(Some).map_err(|error| Fault::internal(&error))
+    serde_json::from_slice(&content).map(Some).map_err(|error| ProblemResponse::internal(&error))
 }

@@ -1,4 +1,4 @@
-//! Where the page's viewer begins and what it turns about.
+//! The first view of the page's viewer and the point that it orbits.
 
 use glam::{DMat3, DVec3};
 

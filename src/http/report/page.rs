@@ -1,4 +1,4 @@
-//! The page as a whole: how the job stands, then its curves, bytes, views and settings, and the viewer.
+//! The whole page: the job's state, then its curves, sizes, views and settings, and the viewer.
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     domain::{HeldOut, Job, JobMetrics, NamedCamera},
-    http::job_body::href,
+    http::jobs::body::href,
     store::JobRecord,
 };
 
@@ -21,7 +21,7 @@ use crate::{
 pub(super) const SCRIPT: &str = include_str!("viewer.js");
 pub(super) const STYLE: &str = include_str!("style.css");
 
-/// Seconds after which the page of an unfinished job is loaded again.
+/// Seconds after which the page of an unfinished job reloads.
 const REFRESH_SECONDS: u32 = 10;
 
 /// What the page is made from.
@@ -132,7 +132,7 @@ fn summary(metrics: &JobMetrics) -> Markup {
     }
 }
 
-/// How a job stands that has no result.
+/// The state of a job without a result.
 fn standing(job: &Job) -> Markup {
     let progress = &job.progress;
     html! {

@@ -1,4 +1,4 @@
-//! What the job was made with: options, dataset, adapter, times, digests.
+//! The job's options, dataset, adapter, times and digests.
 
 use maud::{Markup, html};
 use serde_json::Value;

@@ -1,4 +1,4 @@
-//! Figures as people read them.
+//! StoreStats as people read them.
 
 /// Bytes as a count and as a rounded size, as in `152 340 (152 kB)`; below a kilobyte only the count.
 pub(super) fn bytes(count: u64) -> String {

@@ -9,10 +9,10 @@ use std::{
 use bytes::Bytes;
 use png::{BitDepth, ColorType, Encoder, EncodingError, Writer};
 
-use super::studio::failed;
-use crate::{domain::Problem, http::picture::Rendered};
+use super::{picture::Rendered, view_renderer::failed};
+use crate::domain::Problem;
 
-/// What was written and not yet taken.
+/// Bytes written and not yet taken.
 #[derive(Debug, Clone, Default)]
 struct Written(Arc<Mutex<Vec<u8>>>);
 
@@ -33,14 +33,14 @@ impl Write for Written {
     }
 }
 
-/// A file that still gets frames; it is played over and over.
+/// An unfinished file that loops for ever.
 pub(super) struct Apng {
     writer: Writer<Written>,
     written: Written,
 }
 
 impl Apng {
-    /// A file of RGB frames, which must all be given.
+    /// A file of exactly `frames` RGB frames.
     pub(super) fn new(width: u32, height: u32, frames: u32, per_second: u16) -> Result<Self, EncodingError> {
         let written = Written::default();
         let mut encoder = Encoder::new(written.clone(), width, height);
@@ -51,7 +51,7 @@ impl Apng {
         Ok(Self { writer: encoder.write_header()?, written })
     }
 
-    /// Adds a frame, and ends the file with the last. The file if it goes on, and what there is of it since the last call.
+    /// Adds a frame, and finishes the file after the last. Returns the file unless it is finished, and its bytes since the last call.
     pub(super) fn add(mut self, frame: &Rendered, is_last: bool) -> Result<(Option<Self>, Bytes), Problem> {
         let Rendered::Color(image) = frame else {
             return Err(failed(&io::Error::other("only colour is animated")));

@@ -1,34 +1,35 @@
-//! What makes one picture the same as another.
+//! The identity of a picture: cache key and entity tag.
 
 use std::fmt::Write as _;
 
 use sha2::{Digest as _, Sha256};
 
+use super::picture::PictureKind;
 use crate::{
     domain::{Camera, Digest},
-    http::{etag::Etag, picture::PictureKind},
+    http::request::Etag,
 };
 
-/// Below this part of the largest number beside it, a number is what rounding left of zero.
+/// Relative to the largest number beside it, a smaller number counts as zero with a rounding error.
 const ZERO: f64 = 1e-12;
 
 /// One picture of one file.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Shot {
+pub(super) struct FrameSpec {
     pub(super) artifact: Digest,
     pub(super) camera: Camera,
     pub(super) kind: PictureKind,
 }
 
-/// The SHA-256 of everything that decides on a picture's bytes.
+/// The SHA-256 of everything that determines a picture's bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(super) struct Key(Digest);
+pub(super) struct ViewKey(Digest);
 
-impl Key {
-    /// The key of a shot by a renderer of that identity. The camera counts as the device sees it, in f32, so one pose is
-    /// one key however it was written.
-    pub(super) fn new(identity: &str, shot: &Shot) -> Self {
-        let Shot { artifact, camera: Camera { intrinsics: k, pose }, kind } = shot;
+impl ViewKey {
+    /// The key of a frame rendered by `identity`. The camera is rounded to f32, as on the device, so one pose has one key however it
+    /// was written.
+    pub(super) fn new(identity: &str, frame: &FrameSpec) -> Self {
+        let FrameSpec { artifact, camera: Camera { intrinsics: k, pose }, kind } = frame;
         let mut text = format!(
             "tcgs {} view by {identity} of {artifact} as {kind:?} {}x{}",
             env!("CARGO_PKG_VERSION"),
@@ -49,7 +50,7 @@ impl Key {
         Self(Digest::of(text.as_bytes()))
     }
 
-    /// The key of many pictures in a row, shown as `how` says.
+    /// The key of a sequence of pictures in a format.
     pub(super) fn of_many(keys: impl Iterator<Item = Self>, how: &str) -> Self {
         let mut hash = Sha256::new();
         keys.for_each(|key| hash.update(key.0.as_bytes()));
@@ -61,7 +62,7 @@ impl Key {
         Etag::new(self.0)
     }
 
-    /// Text that is in no file by accident, to tell its parts apart.
+    /// A multipart boundary that occurs in no file by accident.
     pub(super) fn boundary(self) -> String {
         self.0.to_string()
     }
@@ -79,56 +80,56 @@ mod tests {
     use super::*;
     use crate::{
         domain::{Convention, Intrinsics, Pose},
-        http::picture::{Format, Output},
+        http::views::picture::{Format, Output},
     };
 
-    fn shot() -> Shot {
+    fn frame() -> FrameSpec {
         let intrinsics = Intrinsics { fx: 50.0, fy: 55.0, cx: 21.0, cy: 15.5, width: 40, height: 32 };
         let pose = Pose::look_at(DVec3::new(4.0, 0.0, 0.0), DVec3::ZERO, DVec3::Z).expect("a view");
         let kind = PictureKind::new(None, None, None, Format::Png).expect("a kind");
-        Shot { artifact: Digest::of(b"a"), camera: Camera { intrinsics, pose }, kind }
+        FrameSpec { artifact: Digest::of(b"a"), camera: Camera { intrinsics, pose }, kind }
     }
 
     #[test]
     fn one_view_has_one_key_however_it_is_written() {
-        let shot = shot();
-        let key = Key::new("renderer", &shot);
+        let frame = frame();
+        let key = ViewKey::new("renderer", &frame);
         for convention in [Convention::Opencv, Convention::Opengl] {
-            let matrix = shot.camera.pose.camera_to_world(convention);
+            let matrix = frame.camera.pose.camera_to_world(convention);
             let pose = Pose::from_camera_to_world(matrix, convention).expect("a pose");
-            let same = Shot { camera: Camera { pose, ..shot.camera }, ..shot };
-            assert_eq!(Key::new("renderer", &same), key, "{convention:?}");
+            let same = FrameSpec { camera: Camera { pose, ..frame.camera }, ..frame };
+            assert_eq!(ViewKey::new("renderer", &same), key, "{convention:?}");
         }
         let nudged = Pose::look_at(DVec3::new(4.0, 1e-15, 0.0), DVec3::ZERO, DVec3::Z).expect("a view");
-        let same = Shot { camera: Camera { pose: nudged, ..shot.camera }, ..shot };
-        assert_eq!(Key::new("renderer", &same), key);
+        let same = FrameSpec { camera: Camera { pose: nudged, ..frame.camera }, ..frame };
+        assert_eq!(ViewKey::new("renderer", &same), key);
     }
 
     #[test]
     fn whatever_changes_the_picture_changes_the_key() {
-        let shot = shot();
+        let frame = frame();
         let moved = Pose::look_at(DVec3::new(4.0, 1e-5, 0.0), DVec3::ZERO, DVec3::Z).expect("a view");
-        let with = |change: &dyn Fn(&mut Shot)| {
-            let mut other = shot;
+        let with = |change: &dyn Fn(&mut FrameSpec)| {
+            let mut other = frame;
             change(&mut other);
-            Key::new("renderer", &other)
+            ViewKey::new("renderer", &other)
         };
         let keys = [
-            Key::new("renderer", &shot),
-            Key::new("another renderer", &shot),
-            with(&|shot| shot.artifact = Digest::of(b"b")),
-            with(&|shot| shot.camera.pose = moved),
-            with(&|shot| shot.camera.intrinsics.fx += 0.1),
-            with(&|shot| shot.camera.intrinsics.cy += 0.1),
-            with(&|shot| shot.camera.intrinsics.width += 1),
-            with(&|shot| shot.kind.output = Output::Depth),
-            with(&|shot| shot.kind.format = Format::Webp),
-            with(&|shot| shot.kind.quality = 1),
+            ViewKey::new("renderer", &frame),
+            ViewKey::new("another renderer", &frame),
+            with(&|frame| frame.artifact = Digest::of(b"b")),
+            with(&|frame| frame.camera.pose = moved),
+            with(&|frame| frame.camera.intrinsics.fx += 0.1),
+            with(&|frame| frame.camera.intrinsics.cy += 0.1),
+            with(&|frame| frame.camera.intrinsics.width += 1),
+            with(&|frame| frame.kind.output = Output::Depth),
+            with(&|frame| frame.kind.format = Format::Webp),
+            with(&|frame| frame.kind.quality = 1),
         ];
         for (index, key) in keys.iter().enumerate() {
             assert!(!keys[..index].contains(key), "{index}");
         }
-        let many = |how| Key::of_many(keys.into_iter(), how);
+        let many = |how| ViewKey::of_many(keys.into_iter(), how);
         assert_ne!(many("slowly"), many("fast"));
         assert_eq!(many("fast"), many("fast"));
     }

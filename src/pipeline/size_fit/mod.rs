@@ -23,7 +23,9 @@ use self::{
 use super::error::JobError;
 use crate::{
     codec::{ContextChoice, ContextSearch, Encoded},
-    domain::{AnchorScene, AttributeGroup, Background, ByteBudget, Frame, GroupOctaves, Problem},
+    domain::{
+        AnchorScene, AttributeGroup, Background, ByteBudget, Frame, GroupOctaves, Problem, ProblemType,
+    },
     eval::{mean_scores, measure_views, removal_costs},
     gpu::Device,
     render::SceneRenderer,
@@ -143,8 +145,7 @@ fn unreachable(limit: u64, smallest: u64) -> Problem {
         "no file of this scene has {limit} bytes or fewer: the smallest, of one Gaussian at the coarsest steps, has {smallest} \
          bytes"
     );
-    Problem::new(507, "max-bytes-unreachable", "The file cannot be made so small", detail)
-        .with_smallest_bytes(smallest)
+    Problem::new(ProblemType::MaxBytesUnreachable, detail).with_smallest_bytes(smallest)
 }
 
 /// The candidate files of one scene.

@@ -8,7 +8,7 @@ use std::{
 use thiserror::Error;
 
 use super::{GENERATOR, VERSION};
-use crate::domain::{Digest, Problem};
+use crate::domain::{Digest, Problem, ProblemType};
 
 /// Why a checkpoint cannot be saved or resumed from.
 #[derive(Debug, Error)]
@@ -81,6 +81,6 @@ impl CheckpointError {
 
 impl From<CheckpointError> for Problem {
     fn from(fault: CheckpointError) -> Self {
-        Problem::new(422, "checkpoint-refused", "The checkpoint cannot be used", fault.to_string())
+        Problem::new(ProblemType::CheckpointRefused, fault.to_string())
     }
 }

@@ -186,7 +186,7 @@ async fn what_the_service_refuses_and_what_fails_there_is_the_commands_failure()
         (&json!("urn:tcgs:problem:invalid-dataset"), &json!("transforms.json"))
     );
     let broke = failed(&submit("fail").await, 1);
-    assert_eq!(broke["type"], "urn:tcgs:problem:fake-fail");
+    assert_eq!(broke["type"], "urn:tcgs:problem:worker-panicked");
     let missing = line!["submit", folder.path().join("missing"), "--server", url];
     assert!(text(&run(missing).await.stderr).contains("missing"));
 

@@ -1,79 +1,9 @@
-//! Holds docs/PROBLEMS.md to the code: every problem type is listed once, with its statuses, and no other.
+//! Holds docs/PROBLEMS.md to the table of problem types: every type is listed once, with its status, and no other; and every type
+//! of the table is in use.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    fs,
-    path::Path,
-};
+use std::{collections::BTreeMap, fs, path::Path};
 
-use reqwest::StatusCode;
-
-fn rust_files(folder: &Path, into: &mut Vec<String>) {
-    for entry in fs::read_dir(folder).expect("src is readable") {
-        let path = entry.expect("an entry").path();
-        if path.is_dir() {
-            rust_files(&path, into);
-        } else if path.extension().is_some_and(|extension| extension == "rs") {
-            let text = fs::read_to_string(&path).expect("readable");
-            let code = text.split("#[cfg(test)]").next().unwrap_or_default();
-            // The macro of the metrics' names has the same shape: a name and what it means.
-            if !path.ends_with("metrics/scrape.rs") {
-                into.push(code.to_owned());
-            }
-        }
-    }
-}
-
-/// The string literal that `text` begins with, and what follows it.
-fn literal(text: &str) -> Option<(&str, &str)> {
-    text.strip_prefix('"')?.split_once('"')
-}
-
-fn is_type(name: &str) -> bool {
-    let words = name.split('-');
-    words.clone().count() > 0
-        && words
-            .into_iter()
-            .all(|word| !word.is_empty() && word.bytes().all(|byte| byte.is_ascii_lowercase()))
-}
-
-/// The status that the tokens before a type's name end in, if it is a literal or a constant.
-fn status_before(text: &str) -> Option<u16> {
-    let text = text.trim_end().strip_suffix(',')?;
-    let from = text.rfind(|c: char| !c.is_ascii_alphanumeric() && c != '_').map_or(0, |at| at + 1);
-    let token = &text[from..];
-    token.parse().ok().filter(|status| (400..600).contains(status)).or_else(|| {
-        (400..600).find(|status| {
-            let reason = StatusCode::from_u16(*status).ok().and_then(|status| status.canonical_reason());
-            reason.is_some_and(|reason| reason.to_ascii_uppercase().replace([' ', '-'], "_") == token)
-        })
-    })
-}
-
-/// Every type in the code, which is a kebab-case literal followed by a title that begins with a capital, with the statuses that
-/// stand before it.
-fn used() -> BTreeMap<String, BTreeSet<u16>> {
-    let mut files = Vec::new();
-    rust_files(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), &mut files);
-    let mut used: BTreeMap<String, BTreeSet<u16>> = BTreeMap::new();
-    for code in &files {
-        for (at, _) in code.match_indices('"') {
-            let Some((name, rest)) = literal(&code[at..]).filter(|(name, _)| is_type(name)) else { continue };
-            let Some(rest) = rest.strip_prefix(',').map(str::trim_start) else { continue };
-            let has_title =
-                literal(rest).is_some_and(|(title, _)| title.starts_with(|c: char| c.is_ascii_uppercase()));
-            if has_title {
-                used.entry(name.to_owned()).or_default().extend(status_before(&code[..at]));
-            }
-        }
-    }
-    // What the HTTP library answers by itself has HTTP's own words for a title.
-    for name in ["not-found", "method-not-allowed", "refused"] {
-        assert!(files.iter().any(|code| code.contains(&format!("\"{name}\""))), "{name} is used no more");
-        used.entry(name.to_owned()).or_default();
-    }
-    used
-}
+use tcgs::domain::ProblemType;
 
 /// The types and statuses of the document's tables.
 fn listed() -> BTreeMap<String, String> {
@@ -91,25 +21,54 @@ fn listed() -> BTreeMap<String, String> {
 }
 
 #[test]
-fn the_catalogue_lists_every_problem_type_and_no_other() {
-    let (used, listed) = (used(), listed());
-    let missing: Vec<_> = used.iter().filter(|(name, _)| !listed.contains_key(*name)).collect();
-    assert!(missing.is_empty(), "docs/PROBLEMS.md does not list {missing:#?}");
-    let unknown: Vec<_> = listed.keys().filter(|name| !used.contains_key(*name)).collect();
-    assert!(unknown.is_empty(), "nothing in src uses {unknown:?}");
-    assert!(used.len() > 90, "only {} types were found", used.len());
+fn the_catalogue_lists_every_problem_type_with_its_status_and_no_other() {
+    let mut listed = listed();
+    for kind in ProblemType::ALL {
+        let stated = listed.remove(kind.name()).unwrap_or_else(|| panic!("{} is not listed", kind.name()));
+        // Whatever status the HTTP library chooses.
+        let status = if *kind == ProblemType::Refused { "4xx".to_owned() } else { kind.status().to_string() };
+        assert!(
+            stated.contains(&status),
+            "{} is answered with {status}; the document says {stated}",
+            kind.name()
+        );
+    }
+    assert!(listed.is_empty(), "no such problem types: {:?}", listed.keys());
 }
 
 #[test]
-fn the_catalogue_states_the_statuses_that_the_code_has() {
-    let listed = listed();
-    for (name, statuses) in used() {
-        let stated = &listed[&name];
-        for status in statuses {
-            assert!(
-                stated.contains(&status.to_string()),
-                "{name} is answered with {status}; the table says {stated}"
-            );
+fn types_have_names_in_kebab_case_and_titles() {
+    let mut names: Vec<&str> = ProblemType::ALL.iter().map(|kind| kind.name()).collect();
+    for kind in ProblemType::ALL {
+        let is_word = |word: &str| !word.is_empty() && word.bytes().all(|byte| byte.is_ascii_lowercase());
+        assert!(kind.name().split('-').all(is_word), "{}", kind.name());
+        assert!(kind.title().starts_with(|c: char| c.is_ascii_uppercase()), "{}", kind.title());
+    }
+    names.sort_unstable();
+    names.dedup();
+    assert_eq!(names.len(), ProblemType::ALL.len(), "two types have one name");
+}
+
+fn code(folder: &Path, into: &mut String) {
+    for entry in fs::read_dir(folder).expect("src is readable") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            code(&path, into);
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            let text = fs::read_to_string(&path).expect("readable");
+            into.push_str(text.split("#[cfg(test)]").next().unwrap_or_default());
         }
+    }
+}
+
+#[test]
+fn every_problem_type_is_in_use() {
+    let mut text = String::new();
+    code(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), &mut text);
+    for kind in ProblemType::ALL {
+        let used = format!("ProblemType::{kind:?}");
+        let is_use =
+            |(at, _): (usize, &str)| !text[at + used.len()..].starts_with(|c: char| c.is_alphanumeric());
+        assert!(text.match_indices(&used).any(is_use), "nothing in src reports {}", kind.name());
     }
 }

@@ -1,4 +1,4 @@
-//! Keys: who is let in, to what, and how often.
+//! Keys: authentication, scopes and rate limits.
 
 use std::{num::NonZeroU32, sync::Arc};
 
@@ -281,8 +281,8 @@ async fn clients_of_a_trusted_proxy_have_their_failures_each_to_themselves() {
 
 pub(super) async fn keys_are_made_listed_and_revoked_by_administrators(coverage: Coverage) {
     let server = Server::start(&coverage).await;
-    let wish = json!({ "name": "CI", "scopes": ["jobs:write", "read"], "max_active_jobs": 3 });
-    let first = server.post_json("/v1/keys", &wish).await.expect_problem(409, "no-keys-yet");
+    let request_body = json!({ "name": "CI", "scopes": ["jobs:write", "read"], "max_active_jobs": 3 });
+    let first = server.post_json("/v1/keys", &request_body).await.expect_problem(409, "no-keys-yet");
     assert!(first.contains("tcgs keys create"), "{first}");
     server.get("/v1/jobs").await.expect(200);
 
@@ -290,7 +290,7 @@ pub(super) async fn keys_are_made_listed_and_revoked_by_administrators(coverage:
     let post = async |body: Value| {
         server.send("POST", "/v1/keys", |request| request.bearer_auth(&admin).json(&body)).await
     };
-    let made = post(wish).await.expect(201);
+    let made = post(request_body).await.expect(201);
     let (path, body) = (made.header("location").to_owned(), made.json());
     let key = body["key"].as_str().expect("a key").to_owned();
     assert_eq!(body["prefix"], key[..13]);
@@ -307,7 +307,7 @@ pub(super) async fn keys_are_made_listed_and_revoked_by_administrators(coverage:
     assert_eq!(shown["id"], body["id"]);
     assert!(shown.get("key").is_none(), "the key itself is shown once");
 
-    for (wish, named) in [
+    for (request_body, named) in [
         (json!({ "name": "", "scopes": ["read"] }), "name"),
         (json!({ "name": "a\nb", "scopes": ["read"] }), "name"),
         (json!({ "name": "x".repeat(101), "scopes": ["read"] }), "name"),
@@ -319,8 +319,8 @@ pub(super) async fn keys_are_made_listed_and_revoked_by_administrators(coverage:
         (json!({ "name": "x", "scopes": ["read"], "colour": "red" }), "colour"),
         (json!({ "scopes": ["read"] }), "name"),
     ] {
-        let detail = post(wish.clone()).await.expect_problem(422, "invalid-key-request");
-        assert!(detail.contains(named), "{wish}: {detail}");
+        let detail = post(request_body.clone()).await.expect_problem(422, "invalid-key-request");
+        assert!(detail.contains(named), "{request_body}: {detail}");
     }
     let text = async |kind: &str, body: &'static str| {
         server

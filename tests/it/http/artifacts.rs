@@ -1,4 +1,4 @@
-//! The finished file: whole, in parts, conditionally, and by its weight of a curve.
+//! The finished file: whole, by range, conditionally, and by lambda of a curve.
 
 use serde_json::{Value, json};
 

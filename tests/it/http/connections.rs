@@ -1,4 +1,4 @@
-//! Connections and bodies that dawdle, break off or come too many at a time.
+//! Connections and bodies that stall, break off or are too many at a time.
 
 use std::{collections::BTreeSet, num::NonZeroU32, sync::Arc, time::Duration};
 
@@ -19,7 +19,7 @@ pub(super) fn tight_limits() -> tcgs::http::config::RequestLimits {
     tcgs::http::config::RequestLimits {
         upload_bytes: 10,
         json_bytes: 100,
-        body_idle: Duration::from_millis(50),
+        body_idle_timeout: Duration::from_millis(50),
         ..Default::default()
     }
 }
@@ -62,7 +62,6 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
         (format!("{job}/retry"), "application/json"),
         ("/v1/webhook-endpoints".to_owned(), "application/json"),
         ("/v1/keys".to_owned(), "application/json"),
-        (format!("{job}/stream"), "application/json"),
         (format!("{job}/animation"), "application/json"),
     ] {
         let head = format!(
@@ -74,13 +73,13 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
             raw(&server, &format!("{head}Transfer-Encoding: chunked\r\n\r\nnot a length\r\n"), false).await;
         assert_eq!(check_raw(&server, "POST", &path, &broken), 400);
     }
-    let in_job = ["views", "stream", "animation"].map(|part| format!("{job}/{part}"));
+    let in_job = ["views", "animation"].map(|part| format!("{job}/{part}"));
     for path in in_job.into_iter().chain(["/v1/keys".to_owned()]) {
         let long = json!({ "views": vec![json!({ "frame": "test/r_0" }); 50] });
         server.post_json(&path, &long).await.expect_problem(413, "body-too-large");
     }
-    let wish = json!({ "url": format!("https://example.com/{}", "a".repeat(200)) });
-    server.post_json("/v1/webhook-endpoints", &wish).await.expect_problem(413, "body-too-large");
+    let request_body = json!({ "url": format!("https://example.com/{}", "a".repeat(200)) });
+    server.post_json("/v1/webhook-endpoints", &request_body).await.expect_problem(413, "body-too-large");
     server.upload("", "succeed").await.expect(201);
 }
 
@@ -241,8 +240,8 @@ async fn shutdown_finishes_open_requests_and_takes_no_more() {
 #[tokio::test]
 async fn a_body_that_only_dribbles_is_given_up_though_it_never_pauses() {
     let limits = tcgs::http::config::RequestLimits {
-        body_idle: Duration::from_millis(200),
-        body_rate: 1 << 20,
+        body_idle_timeout: Duration::from_millis(200),
+        min_body_rate: 1 << 20,
         ..Default::default()
     };
     let server = Server::start_with(&Coverage::default(), Setup { limits, ..Setup::default() }).await;
@@ -285,7 +284,7 @@ async fn a_client_that_takes_nothing_of_its_answers_loses_its_connection() {
 async fn a_client_that_takes_too_little_of_its_answers_loses_its_connection() {
     let tune = |config: &mut tcgs::http::HttpConfig| {
         config.write_timeout = Duration::from_millis(500);
-        config.answer_rate = 1 << 40;
+        config.min_response_rate = 1 << 40;
     };
     let server = Server::start_with(&Coverage::default(), Setup { tune, ..Setup::default() }).await;
     let mut stream = TcpStream::connect(server.address).await.expect("connects");

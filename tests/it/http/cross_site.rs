@@ -1,4 +1,4 @@
-//! What pages of other sites can have a browser do to the service: nothing. Over sockets, since clients would not send most of it.
+//! Cross-site requests are refused. Over sockets, since HTTP clients would not send most of them.
 
 use std::net::SocketAddr;
 

@@ -1,10 +1,10 @@
-//! Following a job: streams from any place in its history to its end, across connections and servers.
+//! Event streams: from any event number to the end, across connections and servers.
 
 use std::{sync::Arc, time::Duration};
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{Phase, Problem, Progress, Scope, SystemClock},
+    domain::{Phase, Problem, ProblemType, Progress, Scope, SystemClock},
     http::{self, HttpConfig, Services, config::RequestLimits},
     store::{Outcome, SqliteStore, Store},
 };
@@ -101,7 +101,7 @@ pub(super) async fn a_stream_tells_everything_once_and_ends_with_the_job(coverag
 }
 
 pub(super) async fn there_are_only_so_many_streams(coverage: Coverage) {
-    let limits = RequestLimits { event_streams: 8, event_streams_each: 2, ..Default::default() };
+    let limits = RequestLimits { event_streams: 8, event_streams_per_key: 2, ..Default::default() };
     let server = Server::start_with(&coverage, no_worker(limits)).await;
     let job = server.create("succeed").await;
     let events = format!("{job}/events");
@@ -180,7 +180,7 @@ async fn a_client_that_follows_across_a_restart_misses_nothing_and_gets_nothing_
     let mut stream = server.stream(&events, last).await;
     seen.push(stream.next().await.expect("what happened between the servers"));
     server.store.report(&lease, Phase::Encode, &progress(10)).await.expect("stored");
-    let failed = Outcome::Failed(Problem::new(500, "test", "Test", "as the test wants it"));
+    let failed = Outcome::Failed(Problem::new(ProblemType::DeviceLost, "as the test wants it"));
     server.store.finish(&lease, failed).await.expect("ended");
     seen.extend(to_the_end(stream).await);
 
@@ -213,7 +213,7 @@ async fn a_hundred_clients_follow_a_job() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stream_ends_with_a_word_soon_after_its_key_is_revoked() {
-    let limits = RequestLimits { recheck_keys_every: Duration::from_millis(5), ..Setup::default().limits };
+    let limits = RequestLimits { key_recheck_interval: Duration::from_millis(5), ..Setup::default().limits };
     let server = Server::start_with(&Coverage::default(), no_worker(limits)).await;
     let [mine, other] =
         [server.key(&[Scope::JobsWrite, Scope::Read]).await, server.key(&[Scope::Admin]).await];

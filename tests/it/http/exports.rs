@@ -1,4 +1,4 @@
-//! Files by their hash, and scenes in other formats, made on demand.
+//! Files by hash, and scenes exported on demand.
 
 use std::sync::atomic::Ordering;
 
@@ -40,7 +40,7 @@ pub(super) async fn every_file_of_a_job_is_listed_and_served_by_its_hash(coverag
     assert!(files.iter().any(|file| file["kind"] == "cameras" && file["media_type"] == "application/json"));
     for file in &files {
         assert_eq!((&file["origin"], &file["gaussians"]), (&json!("job"), &Value::Null));
-        assert_eq!(file["likeness"], Value::Null);
+        assert_eq!(file["fidelity"], Value::Null);
         let path = file["href"].as_str().expect("a path");
         let whole = server.get(path).await.expect(200);
         assert_eq!(whole.body.len() as u64, file["bytes"].as_u64().expect("a length"));
@@ -105,10 +105,10 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
     server.send("GET", &path, |request| request.header("if-match", "\"x\"")).await.expect(412);
     server.send("GET", &path, |request| request.header("range", "bytes=999-")).await.expect(416);
     for answer in [&first, &again, &part] {
-        assert_eq!(answer.header("x-likeness-psnr"), "41.26");
+        assert_eq!(answer.header("x-export-psnr"), "41.26");
     }
     let unknown = server.get(&format!("{job}/export?format=spz")).await.expect(200);
-    assert!(!unknown.headers.contains_key("x-likeness-psnr"));
+    assert!(!unknown.headers.contains_key("x-export-psnr"));
     let older = server.get(&format!("{job}/export?format=spz3")).await.expect(200);
     assert!(older.body.starts_with(b"spz3 from"));
     for packed in [&unknown, &older] {
@@ -119,8 +119,8 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
         listed(&server, &job).await.into_iter().filter(|file| file["origin"] == "export").collect();
     let kinds: Vec<&Value> = exports.iter().map(|file| &file["kind"]).collect();
     assert_eq!(kinds, ["ply", "spz", "spz3"]);
-    let likeness: Vec<&Value> = exports.iter().map(|file| &file["likeness"]).collect();
-    assert_eq!(likeness, [&json!({ "psnr": 41.256, "views": 2 }), &Value::Null, &Value::Null]);
+    let fidelity: Vec<&Value> = exports.iter().map(|file| &file["fidelity"]).collect();
+    assert_eq!(fidelity, [&json!({ "psnr": 41.256, "views": 2 }), &Value::Null, &Value::Null]);
     for file in &exports {
         assert_eq!((&file["gaussians"], &file["sh_degree"]), (&json!(5), &json!(3)));
         assert_eq!(file["lambda"], 0.004);
@@ -132,7 +132,7 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
     server.reaches(&plain, "succeeded").await;
     let same = server.get(&format!("{plain}/export?format=ply")).await.expect(200);
     assert_eq!(same.body, fakes::FILE, "it is written so already");
-    assert!(!same.headers.contains_key("x-likeness-psnr"));
+    assert!(!same.headers.contains_key("x-export-psnr"));
     assert_eq!(server.exporter.made.load(Ordering::SeqCst), 3);
 
     server.send("DELETE", &job, |request| request).await.expect(204);
@@ -255,7 +255,7 @@ async fn a_file_is_its_owner_s_alone() {
     let job = server.succeeded().await;
     let digest: Digest =
         listed(&server, &job).await[0]["sha256"].as_str().expect("a hash").parse().expect("a digest");
-    let stranger = KeyId(uuid::Uuid::from_u128(5));
+    let other_key = KeyId(uuid::Uuid::from_u128(5));
     assert!(server.store.file(digest, None).await.expect("read").is_some());
-    assert_eq!(server.store.file(digest, Some(stranger)).await.expect("read"), None);
+    assert_eq!(server.store.file(digest, Some(other_key)).await.expect("read"), None);
 }

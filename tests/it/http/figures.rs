@@ -1,4 +1,4 @@
-//! Figures that operators read, of jobs and pictures that are known.
+//! Metrics of known jobs and pictures, as operators read them.
 
 use tcgs::{
     domain::{JobMetrics, PhaseSeconds},

@@ -1,4 +1,4 @@
-//! Requests that are sent again, and answers that wait.
+//! Repeated requests, and responses that wait.
 
 use serde_json::json;
 use tokio::{

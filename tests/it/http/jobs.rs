@@ -1,4 +1,4 @@
-//! Jobs: made from a dataset, listed, followed and cancelled.
+//! Jobs: created from a dataset, listed, followed and cancelled.
 
 use serde_json::{Value, json};
 
@@ -66,7 +66,7 @@ pub(super) async fn a_dataset_becomes_a_file_with_metrics_and_history(coverage: 
 
     let failed = server.create("fail").await;
     let failed = server.reaches(&failed, "failed").await;
-    assert_eq!(failed["error"]["type"], "urn:tcgs:problem:fake-fail");
+    assert_eq!(failed["error"]["type"], "urn:tcgs:problem:worker-panicked");
     assert_eq!(failed["artifacts"], json!([]));
     let history = server.get(failed["links"]["events"].as_str().expect("a path")).await.expect(200).json();
     let last = history["events"].as_array().and_then(|events| events.last()).expect("an event").clone();

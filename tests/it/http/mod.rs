@@ -8,17 +8,17 @@ mod cross_site;
 mod events;
 mod exports;
 mod figures;
-mod films;
 mod idempotency;
-mod job_life;
+mod job_actions;
 mod jobs;
 mod operations;
 mod report;
+mod reservations;
 mod scenes;
 mod secrets;
+mod sequences;
 mod series;
 mod service;
-mod space;
 mod uploads;
 mod views;
 mod webhooks;
@@ -68,7 +68,7 @@ scenarios! {
     connections {
         bodies_that_break_off_or_dawdle_are_given_up,
     }
-    space {
+    reservations {
         below_the_floor_of_free_space_nothing_is_taken_in,
     }
     operations {
@@ -90,7 +90,7 @@ scenarios! {
     series {
         the_course_of_training_is_served_as_columns,
     }
-    job_life {
+    job_actions {
         a_job_is_made_of_a_scene_by_json,
         jobs_are_listed_by_state_scene_and_model,
         a_job_is_given_up_at_its_deadline_begun_or_not,
@@ -156,16 +156,16 @@ scenarios! {
         a_job_without_a_file_has_no_views,
         a_full_render_queue_and_a_broken_renderer_are_told_apart,
     }
-    films {
+    sequences {
         an_orbit_is_streamed_part_by_part_as_often_as_asked,
-        a_path_is_streamed_and_animated_through_its_views,
+        a_path_is_animated_through_its_views,
         an_orbit_is_one_file_with_a_tag,
-        impossible_films_are_refused_by_name,
-        films_fail_as_views_do,
+        impossible_sequences_are_refused_by_name,
+        sequences_fail_as_views_do,
         what_fails_after_the_first_picture_breaks_the_body_off,
         each_caller_has_its_share_and_all_together_a_limit,
         whoever_goes_away_is_not_rendered,
         nothing_is_rendered_that_the_client_does_not_take,
-        films_are_shown_while_a_job_trains,
+        sequences_are_rendered_while_a_job_trains,
     }
 }

@@ -1,4 +1,4 @@
-//! What operators look at: metrics and readiness.
+//! What operators read: metrics and readiness.
 
 use std::{sync::Arc, time::Duration};
 
@@ -51,8 +51,14 @@ pub(super) async fn metrics_tell_of_requests_jobs_and_the_machine(coverage: Cove
         [server.create("succeed").await, server.create("succeed 2").await, server.create("bytes").await];
     let store = &server.services.store;
     for outcome in [
-        Outcome::Failed(tcgs::domain::Problem::new(422, "bad-set", "Bad", "as the test wants it")),
-        Outcome::Retry(tcgs::domain::Problem::new(500, "device-lost", "Lost", "as the test wants it")),
+        Outcome::Failed(tcgs::domain::Problem::new(
+            tcgs::domain::ProblemType::DatasetRejected,
+            "as the test wants it",
+        )),
+        Outcome::Retry(tcgs::domain::Problem::new(
+            tcgs::domain::ProblemType::DeviceLost,
+            "as the test wants it",
+        )),
     ] {
         let claim = store.claim("test").await.expect("an answer").expect("a job");
         store.finish(&claim.lease, outcome).await.expect("ended");
@@ -77,7 +83,7 @@ pub(super) async fn metrics_tell_of_requests_jobs_and_the_machine(coverage: Cove
     }
     assert_eq!(series(&text, "tcgs_oldest_queued_job_age_seconds"), 12.5);
     assert_eq!(series(&text, "tcgs_claims_total"), 3.0);
-    for (outcome, cause) in [("failed", "bad-set"), ("retried", "device-lost")] {
+    for (outcome, cause) in [("failed", "dataset-rejected"), ("retried", "device-lost")] {
         let name = format!("tcgs_attempts_ended_total{{outcome=\"{outcome}\",cause=\"{cause}\"}}");
         assert_eq!(series(&text, &name), 1.0);
     }
@@ -142,8 +148,8 @@ async fn open_event_streams_are_counted() {
 #[tokio::test]
 async fn messages_to_webhooks_are_counted_by_what_became_of_them() {
     let server = Server::start_with(&Coverage::default(), Setup { worker: false, ..Setup::default() }).await;
-    let wish = json!({ "url": "https://example.com/hook", "events": ["job.queued"] });
-    server.post_json("/v1/webhook-endpoints", &wish).await.expect(201);
+    let request_body = json!({ "url": "https://example.com/hook", "events": ["job.queued"] });
+    server.post_json("/v1/webhook-endpoints", &request_body).await.expect(201);
     for dataset in ["succeed", "succeed 2", "succeed 3"] {
         server.create(dataset).await;
     }

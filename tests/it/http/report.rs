@@ -1,11 +1,11 @@
-//! The report page: whole, quiet towards every other host, and deaf to what names would have it run.
+//! The report page: complete, without requests to other hosts, and with every text escaped.
 
 use std::collections::BTreeMap;
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use html5gum::{Token, Tokenizer};
 use tcgs::{
-    domain::{Digest, Phase, Problem, Progress},
+    domain::{Digest, Phase, Problem, ProblemType, Progress},
     store::{Outcome, Series as _, Store as _},
 };
 
@@ -175,7 +175,7 @@ async fn curves_are_of_the_course_that_led_to_where_the_job_is() {
     // The second attempt goes on from a checkpoint, which it tells of before it has any figures.
     let first = [(10, 1.0, 10.0), (20, 2.0, 14.0), (30, 3.0, 16.0), (40, 4.0, 17.0)];
     let first = run(Phase::Train, &first.map(|(step, at, psnr)| report(step, at, Some(psnr)))).await;
-    let problem = Problem::new(500, "test", "Test", "as the test wants it");
+    let problem = Problem::new(ProblemType::DeviceLost, "as the test wants it");
     server.store.finish(&first, Outcome::Retry(problem)).await.expect("ended");
     run(
         Phase::Evaluate,
@@ -246,5 +246,8 @@ pub(super) async fn a_job_without_a_result_is_reported_as_it_stands(coverage: Co
     assert!(page.contains("was cancelled") && !refreshes(&elements));
     server.reaches(&failed, "failed").await;
     let (page, _) = read(&failed).await;
-    assert!(page.contains("as the test wants it") && page.contains("urn:tcgs:problem:fake-fail"), "{page}");
+    assert!(
+        page.contains("as the test wants it") && page.contains("urn:tcgs:problem:worker-panicked"),
+        "{page}"
+    );
 }

@@ -1,4 +1,4 @@
-//! Scenes: kept, found again, listed and deleted.
+//! Scenes: created, deduplicated, listed and deleted.
 
 use serde_json::{Value, json};
 use tcgs::{

@@ -1,4 +1,4 @@
-//! Keys and secrets of webhooks are told to whoever makes them, once; after that nothing shows them.
+//! Keys and webhook secrets are shown once, when created, and nowhere else.
 
 use std::{
     collections::BTreeSet,
@@ -160,9 +160,9 @@ impl Seen {
         let sent = sent.expect("delivered");
         let id = sent["id"].as_str().expect("an id");
         self.ask("POST", &format!("{deliveries}/{id}/replay")).await.clone().expect(202);
-        let wish = json!({ "url": receiver.url("/hook"), "secret": self.webhook_secret });
+        let request_body = json!({ "url": receiver.url("/hook"), "secret": self.webhook_secret });
         let own_secret = self.server.send("POST", "/v1/webhook-endpoints", |request| {
-            request.bearer_auth(&self.known.key).json(&wish)
+            request.bearer_auth(&self.known.key).json(&request_body)
         });
         self.answers.push(own_secret.await.clone().expect(422));
     }

@@ -1,8 +1,8 @@
-//! How training went.
+//! Training curves.
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{Phase, Problem, Progress},
+    domain::{Phase, Problem, ProblemType, Progress},
     store::{Lease, Outcome, Series as _, Store as _, StoreError},
 };
 
@@ -69,7 +69,7 @@ pub(super) async fn the_course_of_training_is_served_as_columns(coverage: Covera
     }
 
     // The next attempt goes on from a checkpoint at step 20, which it tells of before it has a loss.
-    let lost = Outcome::Retry(Problem::new(500, "test", "Test", "as the test wants it"));
+    let lost = Outcome::Retry(Problem::new(ProblemType::DeviceLost, "as the test wants it"));
     server.store.finish(&lease, lost.clone()).await.expect("ended");
     let late = server.store.record(&lease, &points).await;
     assert!(matches!(late, Err(StoreError::LeaseLost { .. })), "{late:?}");

@@ -1,4 +1,4 @@
-//! The service itself: what it says of itself, request ids, unknown paths, and faults of its own making.
+//! The service itself: version, request ids, unknown paths and internal errors.
 
 use serde_json::json;
 use tower::ServiceExt as _;

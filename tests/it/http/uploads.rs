@@ -1,4 +1,4 @@
-//! Uploads that come in parts: tus 1.0.0 over a real socket, with broken connections, restarts and rivals.
+//! Resumable uploads: tus 1.0.0 over a real socket, with broken connections, restarts and concurrent writers.
 
 use std::{sync::Arc, time::Duration};
 
@@ -271,7 +271,7 @@ pub(super) async fn parts_that_do_not_fit_change_nothing(coverage: Coverage) {
 }
 
 pub(super) async fn an_upload_that_waits_too_long_is_over(coverage: Coverage) {
-    let limits = RequestLimits { upload_life: Duration::ZERO, ..RequestLimits::default() };
+    let limits = RequestLimits { upload_ttl: Duration::ZERO, ..RequestLimits::default() };
     let server = Server::start_with(&coverage, Setup { limits, ..idle() }).await;
     let upload = begin(&server, 10).await;
     part(&server, &upload, 0, b"x").await.expect_problem(410, "upload-gone");

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use glam::{DQuat, DVec3};
 use tcgs::domain::Pose;
 
-use super::films::parts;
+use super::sequences::parts;
 use crate::support::{
     contract::Coverage,
     fakes,
@@ -317,7 +317,7 @@ pub(super) async fn a_full_render_queue_and_a_broken_renderer_are_told_apart(cov
         answer.expect_problem(503, "busy");
     }
     server.get(&format!("{job}/view?{pose}&width=13")).await.expect_problem(500, "internal");
-    server.get(&format!("{job}/view?{pose}&width=14")).await.expect_problem(500, "device-lost");
+    server.get(&format!("{job}/view?{pose}&width=14")).await.expect_problem(503, "device-lost");
     server.get(&format!("{job}/view?{pose}&width=15")).await.expect_problem(507, "gpu-memory");
     let large = json!({ "views": [{ "frame": "test/r_0", "width": 15 }] });
     server.post_json(&format!("{job}/views"), &large).await.expect_problem(507, "gpu-memory");

@@ -1,4 +1,4 @@
-//! Webhooks: endpoints, and messages that arrive, signed, until they are taken or given up.
+//! Webhooks: endpoints, and signed deliveries with retries.
 
 use std::{
     ffi::OsStr,
@@ -90,8 +90,9 @@ fn check_signature(received: &Received, endpoint: &Value) {
 
 pub(super) async fn endpoints_are_made_listed_and_deleted_and_show_their_secret_once(coverage: Coverage) {
     let server = Server::start_with(&coverage, setup()).await;
-    let wish = json!({ "url": "https://example.com/hook", "events": ["job.failed"], "description": "mine" });
-    let made = server.post_json(ENDPOINTS, &wish).await.expect(201);
+    let request_body =
+        json!({ "url": "https://example.com/hook", "events": ["job.failed"], "description": "mine" });
+    let made = server.post_json(ENDPOINTS, &request_body).await.expect(201);
     let path = made.header("location").to_owned();
     assert_eq!(made.header("cache-control"), "no-store");
     let mut first = made.json();
@@ -147,7 +148,7 @@ pub(super) async fn what_is_wrong_with_an_endpoint_is_said(coverage: Coverage) {
         assert!(detail.starts_with("url: ") && detail.contains(named), "{url}: {detail}");
     }
     let url = "https://example.com/";
-    for (wish, named) in [
+    for (request_body, named) in [
         (json!({}), "url"),
         (json!({ "url": 17 }), "string"),
         (json!({ "url": url, "secret": "whsec_mine" }), "secret"),
@@ -156,8 +157,8 @@ pub(super) async fn what_is_wrong_with_an_endpoint_is_said(coverage: Coverage) {
         (json!({ "url": url, "events": [] }), "empty"),
         (json!({ "url": url, "description": "x".repeat(201) }), "200"),
     ] {
-        let detail = server.post_json(ENDPOINTS, &wish).await.expect_problem(422, "invalid-endpoint");
-        assert!(detail.contains(named), "{wish}: {detail}");
+        let detail = server.post_json(ENDPOINTS, &request_body).await.expect_problem(422, "invalid-endpoint");
+        assert!(detail.contains(named), "{request_body}: {detail}");
     }
     let broken = |body: &'static str, media_type: &'static str| {
         server.send("POST", ENDPOINTS, move |request| request.header("content-type", media_type).body(body))
@@ -207,8 +208,8 @@ pub(super) async fn a_jobs_life_is_told_in_signed_messages(coverage: Coverage) {
     assert_eq!(format!("/v1/jobs/{}", last["data"]["job_id"].as_str().expect("an id")), job);
 
     let done = until(&server, &ends, |delivery| delivery["state"] == "delivered").await;
-    assert_eq!((&done["answer_status"], &done["attempts"]), (&json!(200), &json!(1)));
-    assert_eq!(done["fault"], Value::Null);
+    assert_eq!((&done["response_status"], &done["attempts"]), (&json!(200), &json!(1)));
+    assert_eq!(done["error"], Value::Null);
     let list = all["links"]["deliveries"].as_str().expect("a path");
     until(&server, &all, |delivery| delivery["state"] == "delivered").await;
     let page = server.get(&format!("{list}?limit=2")).await.expect(200).json();
@@ -236,8 +237,8 @@ pub(super) async fn a_message_under_way_is_not_sent_again(coverage: Coverage) {
     let (setup, _clock) = stopped();
     let server = Server::start_with(&coverage, setup).await;
     let mut receiver = Receiver::start().await;
-    let door = Arc::new(Notify::new());
-    receiver.answer(Manner::After(Arc::clone(&door)));
+    let gate = Arc::new(Notify::new());
+    receiver.answer(Manner::After(Arc::clone(&gate)));
     let made = endpoint(&server, json!({ "url": receiver.url("/"), "events": ["job.queued"] })).await;
     // Two servers on one database.
     let _one = deliver(&server, LOCAL, system_lookup());
@@ -248,7 +249,7 @@ pub(super) async fn a_message_under_way_is_not_sent_again(coverage: Coverage) {
     assert_eq!((&under_way["state"], &under_way["attempts"]), (&json!("pending"), &json!(1)));
     let replay = under_way["links"]["replay"].as_str().expect("a path");
     server.post(replay).await.expect_problem(409, "delivery-under-way");
-    door.notify_one();
+    gate.notify_one();
     until(&server, &made, |delivery| delivery["state"] == "delivered").await;
     assert!(receiver.is_quiet());
 }
@@ -269,9 +270,9 @@ async fn messages_that_are_not_taken_are_sent_again_on_schedule_and_given_up_in_
         check_signature(&received, &made);
         ids.push(received.header("webhook-id").to_owned());
         let failed =
-            until(&server, &made, |delivery| !delivery["fault"].is_null() && delivery["attempts"] == attempt)
+            until(&server, &made, |delivery| !delivery["error"].is_null() && delivery["attempts"] == attempt)
                 .await;
-        assert_eq!((&failed["state"], &failed["answer_status"]), (&json!("pending"), &json!(500)));
+        assert_eq!((&failed["state"], &failed["response_status"]), (&json!("pending"), &json!(500)));
         let [due, begun] = ["next_attempt_at", "attempted_at"].map(|name| {
             failed[name].as_str().expect("an instant").parse::<jiff::Timestamp>().expect("an instant")
         });
@@ -302,21 +303,21 @@ pub(super) async fn an_endpoint_that_is_gone_is_told_nothing_more(coverage: Cove
     let _delivering = deliver(&server, LOCAL, system_lookup());
     server.create("succeed 1").await;
     assert_eq!(receiver.next().await.path, "/");
-    let redirected = until(&server, &made, |delivery| delivery["answer_status"] == 307).await;
-    assert!(redirected["fault"].as_str().is_some_and(|fault| fault.contains("not followed")));
+    let redirected = until(&server, &made, |delivery| delivery["response_status"] == 307).await;
+    assert!(redirected["error"].as_str().is_some_and(|fault| fault.contains("not followed")));
     assert!(receiver.is_quiet(), "redirections are not followed");
 
     receiver.answer(Manner::Status(503, vec![("retry-after", "3600".into())]));
     clock.advance(SignedDuration::from_secs(10));
     receiver.next().await;
-    let put_off = until(&server, &made, |delivery| delivery["answer_status"] == 503).await;
+    let put_off = until(&server, &made, |delivery| delivery["response_status"] == 503).await;
     let due: jiff::Timestamp = put_off["next_attempt_at"].as_str().expect("an instant").parse().expect("one");
     assert_eq!(due.to_string(), "2026-11-21T13:00:10Z", "as the endpoint asked");
 
     receiver.answer_status(410);
     clock.advance(SignedDuration::from_secs(3601));
     receiver.next().await;
-    let gone = until(&server, &made, |delivery| delivery["answer_status"] == 410).await;
+    let gone = until(&server, &made, |delivery| delivery["response_status"] == 410).await;
     assert_eq!(gone["state"], "failed");
     assert_eq!(server.get(&path).await.expect(200).json()["disabled_at"], "2026-11-21T13:00:11Z");
     let replay = gone["links"]["replay"].as_str().expect("a path");
@@ -338,8 +339,8 @@ pub(super) async fn endpoints_belong_to_their_key(coverage: Coverage) {
             answer.await
         }
     };
-    let wish = json!({ "url": "https://example.com/" });
-    let made = with("POST", ENDPOINTS.into(), mine.key.clone(), Some(wish)).await.expect(201).json();
+    let request_body = json!({ "url": "https://example.com/" });
+    let made = with("POST", ENDPOINTS.into(), mine.key.clone(), Some(request_body)).await.expect(201).json();
     let path = made["links"]["self"].as_str().expect("a path").to_owned();
     for (method, path) in [
         ("GET", path.clone()),
@@ -382,9 +383,9 @@ async fn a_name_with_any_address_that_is_not_allowed_is_not_asked() {
     // First one good and one bad address, then a good one alone.
     let _delivering = deliver(&server, LOCAL, lookups(&[&["127.0.0.1", "10.0.0.1"], &["127.0.0.1"]]));
     server.create("succeed").await;
-    let refused = until(&server, &made, |delivery| !delivery["fault"].is_null()).await;
-    assert!(refused["fault"].as_str().is_some_and(|fault| fault.contains("private")), "{refused}");
-    assert_eq!(refused["answer_status"], Value::Null);
+    let refused = until(&server, &made, |delivery| !delivery["error"].is_null()).await;
+    assert!(refused["error"].as_str().is_some_and(|fault| fault.contains("private")), "{refused}");
+    assert_eq!(refused["response_status"], Value::Null);
     assert!(receiver.is_quiet(), "not even the good one");
     clock.advance(SignedDuration::from_secs(10));
     receiver.next().await;
@@ -407,8 +408,8 @@ async fn where_loopback_is_not_allowed_neither_names_nor_numbers_lead_there() {
         let made = endpoint(&server, json!({ "url": url, "events": ["job.queued"] })).await;
         server.create("succeed").await;
         let stop = deliver(&server, strict, lookups(&[&["127.0.0.1"]]));
-        let refused = until(&server, &made, |delivery| !delivery["fault"].is_null()).await;
-        assert!(refused["fault"].as_str().is_some_and(|fault| fault.contains(named)), "{url}: {refused}");
+        let refused = until(&server, &made, |delivery| !delivery["error"].is_null()).await;
+        assert!(refused["error"].as_str().is_some_and(|fault| fault.contains(named)), "{url}: {refused}");
         stop.abort();
     }
     assert!(receiver.is_quiet());
@@ -427,9 +428,9 @@ async fn who_does_not_speak_tls_or_does_not_answer_is_a_fault() {
     let _delivering = deliver(&server, LOCAL, system_lookup());
     server.create("succeed").await;
     for endpoint in [&plain, &nobody] {
-        let failed = until(&server, endpoint, |delivery| !delivery["fault"].is_null()).await;
-        assert_eq!((&failed["state"], &failed["answer_status"]), (&json!("pending"), &Value::Null));
-        assert_eq!(failed["fault"], "no connection to the endpoint");
+        let failed = until(&server, endpoint, |delivery| !delivery["error"].is_null()).await;
+        assert_eq!((&failed["state"], &failed["response_status"]), (&json!("pending"), &Value::Null));
+        assert_eq!(failed["error"], "no connection to the endpoint");
     }
 }
 
@@ -448,11 +449,11 @@ async fn who_takes_a_message_and_stays_mute_is_given_up() {
     // Taken, and held open without a word.
     let (_held, _) = mute.accept().await.expect("a connection");
     let waited = tokio::time::timeout(Duration::from_secs(60), async {
-        until(&server, &made, |delivery| !delivery["fault"].is_null()).await
+        until(&server, &made, |delivery| !delivery["error"].is_null()).await
     });
     let failed = waited.await.expect("it does not wait for ever");
-    assert_eq!((&failed["fault"], &failed["state"]), (&json!("no response within 1 s"), &json!("pending")));
-    assert_eq!(failed["answer_status"], Value::Null);
+    assert_eq!((&failed["error"], &failed["state"]), (&json!("no response within 1 s"), &json!("pending")));
+    assert_eq!(failed["response_status"], Value::Null);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -464,8 +465,8 @@ async fn messages_go_to_their_endpoint_and_through_no_proxy() {
     environment.extend(["no_proxy", "NO_PROXY"].map(|name| (name, String::new())));
     let flags = ["--workers", "0", "--webhooks-allow-loopback"];
     let service = Service::start_in(data.path(), flags, &environment).await;
-    let wish = json!({ "url": endpoint.url("/hook"), "events": ["job.queued"] });
-    let made = service.post_json(ENDPOINTS, &wish).await.expect(201).json();
+    let request_body = json!({ "url": endpoint.url("/hook"), "events": ["job.queued"] });
+    let made = service.post_json(ENDPOINTS, &request_body).await.expect(201).json();
     service.upload("", dataset::zip()).await.expect(201);
     let received = tokio::time::timeout(Duration::from_secs(60), endpoint.next()).await.expect("in time");
     assert_eq!(received.path, "/hook");
@@ -482,18 +483,18 @@ async fn messages_go_over_tls_to_who_shows_a_certificate_that_is_trusted_and_to_
     let mut sound = Receiver::start_tls(trusted.acceptor("localhost")).await;
     let mut by_number = Receiver::start_tls(trusted.acceptor("127.0.0.1")).await;
     let mut other_name = Receiver::start_tls(trusted.acceptor("hooks.example")).await;
-    let mut stranger = Receiver::start_tls(unknown.acceptor("localhost")).await;
+    let mut unknown_ca = Receiver::start_tls(unknown.acceptor("localhost")).await;
     let mut pretender = Receiver::start_tls(namesake.acceptor("localhost")).await;
     let mut made = Vec::new();
     for (receiver, host) in [
         (&sound, "localhost"),
         (&by_number, "127.0.0.1"),
         (&other_name, "localhost"),
-        (&stranger, "localhost"),
+        (&unknown_ca, "localhost"),
         (&pretender, "localhost"),
     ] {
-        let wish = json!({ "url": receiver.https_url(host), "events": ["job.queued"] });
-        made.push(endpoint(&server, wish).await);
+        let request_body = json!({ "url": receiver.https_url(host), "events": ["job.queued"] });
+        made.push(endpoint(&server, request_body).await);
     }
     let local: Lookup = lookups(&[&["127.0.0.1"]]);
     let delivering = deliver_trusting(&server, LOCAL, Arc::clone(&local), &trusted.roots());
@@ -504,7 +505,7 @@ async fn messages_go_over_tls_to_who_shows_a_certificate_that_is_trusted_and_to_
         assert_eq!(received.json()["type"], "job.queued");
         let done = until(&server, made, |delivery| delivery["state"] == "delivered").await;
         assert_eq!(
-            (&done["answer_status"], &done["attempts"], &done["fault"]),
+            (&done["response_status"], &done["attempts"], &done["error"]),
             (&json!(200), &json!(1), &json!(null))
         );
     }
@@ -514,15 +515,15 @@ async fn messages_go_over_tls_to_who_shows_a_certificate_that_is_trusted_and_to_
         (&made[3], unknown_to_us),
         (&made[4], unknown_to_us),
     ] {
-        let failed = until(&server, made, |delivery| !delivery["fault"].is_null()).await;
-        assert_eq!((&failed["fault"], &failed["answer_status"]), (&json!(fault), &Value::Null));
+        let failed = until(&server, made, |delivery| !delivery["error"].is_null()).await;
+        assert_eq!((&failed["error"], &failed["response_status"]), (&json!(fault), &Value::Null));
         assert_eq!(
             (&failed["state"], &failed["attempts"]),
             (&json!("pending"), &json!(1)),
             "to be tried again"
         );
     }
-    for receiver in [&mut other_name, &mut stranger, &mut pretender] {
+    for receiver in [&mut other_name, &mut unknown_ca, &mut pretender] {
         assert!(receiver.is_quiet(), "not a word of the message was sent");
     }
 
@@ -532,7 +533,7 @@ async fn messages_go_over_tls_to_who_shows_a_certificate_that_is_trusted_and_to_
     let both = ExtraRoots::from_pem(both.as_bytes()).expect("two certificates");
     let delivering = deliver_trusting(&server, LOCAL, Arc::clone(&local), &both);
     clock.advance(SignedDuration::from_secs(10));
-    check_signature(&stranger.next().await, &made[3]);
+    check_signature(&unknown_ca.next().await, &made[3]);
     let done = until(&server, &made[3], |delivery| delivery["state"] == "delivered").await;
     assert_eq!(done["attempts"], 2);
 
@@ -540,8 +541,8 @@ async fn messages_go_over_tls_to_who_shows_a_certificate_that_is_trusted_and_to_
     delivering.abort();
     let _delivering = deliver_trusting(&server, OutboundPolicy::default(), local, &both);
     server.create("succeed again").await;
-    let refused = until(&server, &made[0], |delivery| !delivery["fault"].is_null()).await;
-    assert!(refused["fault"].as_str().is_some_and(|fault| fault.contains("loopback")), "{refused}");
+    let refused = until(&server, &made[0], |delivery| !delivery["error"].is_null()).await;
+    assert!(refused["error"].as_str().is_some_and(|fault| fault.contains("loopback")), "{refused}");
     assert!(sound.is_quiet());
 }
 
@@ -554,8 +555,8 @@ async fn the_program_trusts_the_authorities_of_a_file() {
     std::fs::write(&file, authority.pem()).expect("written");
     let flags = ["--workers", "0", "--webhooks-allow-loopback", "--webhooks-ca"].map(OsStr::new);
     let service = Service::start_with(data.path(), flags.into_iter().chain([file.as_os_str()])).await;
-    let wish = json!({ "url": receiver.https_url("localhost"), "events": ["job.queued"] });
-    let made = service.post_json(ENDPOINTS, &wish).await.expect(201).json();
+    let request_body = json!({ "url": receiver.https_url("localhost"), "events": ["job.queued"] });
+    let made = service.post_json(ENDPOINTS, &request_body).await.expect(201).json();
     service.upload("", dataset::zip()).await.expect(201);
     check_signature(&receiver.next().await, &made);
     service.stop().await;
@@ -587,5 +588,5 @@ async fn a_delivery_whose_server_died_is_made_by_another() {
         DeliveryResult { response_status: None, error: Some("too late".into()), next: AfterAttempt::GiveUp };
     server.store.finish_delivery(dead.id, dead.attempt, late).await.expect("no fault");
     let after = deliveries(&server, &made).await.remove(0);
-    assert_eq!(after["state"], "delivered", "who comes too late changes nothing");
+    assert_eq!(after["state"], "delivered", "a late result changes nothing");
 }

@@ -7,8 +7,8 @@ use bytes::Bytes;
 use jiff::{SignedDuration, Timestamp};
 use tcgs::{
     domain::{
-        Clock, Digest, Event, EventKind, JobId, JobState, KeyId, ManualClock, Phase, Problem, Progress,
-        SceneFormat, SystemClock, TrainOptions,
+        Clock, Digest, Event, EventKind, JobId, JobState, KeyId, ManualClock, Phase, Problem, ProblemType,
+        Progress, SceneFormat, SystemClock, TrainOptions,
     },
     store::{
         Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, Deletion,
@@ -105,7 +105,7 @@ fn succeeded() -> Outcome {
 }
 
 fn problem() -> Problem {
-    Problem::new(500, "device-lost", "Device lost", "the adapter went away")
+    Problem::new(ProblemType::DeviceLost, "the adapter went away")
 }
 
 fn is_lost<T>(result: Result<T, StoreError>) -> bool {
@@ -574,7 +574,7 @@ async fn changes_to_one_job_end_no_lease_of_another() {
 async fn a_held_job_states_the_cause_and_is_retried_without_a_charge() {
     let queue = Queue::new().await;
     let id = queue.add(1).await;
-    let full = Problem::new(507, "storage-full", "Storage full", "no room");
+    let full = Problem::new(ProblemType::StorageFull, "no room");
     for attempt in 1..=5 {
         let lease = queue.lease().await;
         assert_eq!(lease.attempt, attempt);

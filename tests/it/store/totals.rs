@@ -7,7 +7,7 @@ use sqlx::{ConnectOptions as _, Row as _, SqliteConnection, sqlite::SqliteConnec
 use tcgs::{
     domain::{
         Clock as _, DatasetSummary, DeliveryId, Digest, EndpointId, JobId, KeyId, Layout, ManualClock,
-        Problem, SceneFormat, SceneId, TrainOptions, UploadId, WebhookEvent, WebhookSecret,
+        Problem, ProblemType, SceneFormat, SceneId, TrainOptions, UploadId, WebhookEvent, WebhookSecret,
     },
     store::{
         AfterAttempt, Artifact, ArtifactKind, BlobRef, DeliveryResult, ExportRecord, NewDataset, NewEndpoint,
@@ -150,7 +150,7 @@ fn succeeded(file: &str) -> Outcome {
 }
 
 fn problem() -> Problem {
-    Problem::new(500, "device-lost", "Device lost", "the adapter went away")
+    Problem::new(ProblemType::DeviceLost, "the adapter went away")
 }
 
 #[tokio::test]

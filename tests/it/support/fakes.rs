@@ -15,8 +15,8 @@ use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, Conventions, CurvePoint,
         DatasetSummary, Digest, DistanceUnit, HeldOut, HeldOutView, Image, Intrinsics, JobMetrics, Lattice,
-        Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, Progress,
-        RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
+        Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, ProblemType,
+        Progress, RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
     },
     pipeline::{Checkpoints, CurveFile, JobError, JobOutput, RunJob},
     render::{
@@ -90,17 +90,17 @@ impl RunJob for FakeRunner {
             String::from_utf8(wish).expect("text")
         };
         tracing::info!("the run begins");
-        let problem = |name: &str| Problem::new(500, name, "Fake", "as the test wants it");
+        let problem = || Problem::new(ProblemType::WorkerPanicked, "as the test wants it");
         let total = u64::from(options.iterations.unwrap_or(10));
         report(Phase::Train, &Progress { step: 1, total, loss: Some(0.5), ..Progress::default() });
         match wish.split_whitespace().next().unwrap_or_default() {
             "succeed" => {}
-            "fail" => return Err(JobError::Fail(problem("fake-fail"))),
-            "retry" => return Err(JobError::Retry(problem("fake-retry"))),
+            "fail" => return Err(JobError::Fail(problem())),
+            "retry" => return Err(JobError::Retry(problem())),
             "hold" if self.gate.is_open() => {}
             "hold" => {
                 let detail = "there is no room in /srv/tcgs for 3 bytes more";
-                return Err(JobError::Hold(Problem::new(507, "storage-full", "Storage full", detail)));
+                return Err(JobError::Hold(Problem::new(ProblemType::StorageFull, detail)));
             }
             "panic" => panic!("as the test wants it"),
             "wait" => {
@@ -241,11 +241,11 @@ impl FakeRenderer {
         self.painted.fetch_add(1, Ordering::SeqCst);
         load()?;
         let Intrinsics { fx, fy, cx, cy, width, height } = camera.intrinsics;
-        let lost = || Err(Problem::new(500, "device-lost", "Device lost", "as the test wants it"));
+        let lost = || Err(Problem::new(ProblemType::DeviceLost, "as the test wants it"));
         match (width, height) {
             (13, _) => panic!("as the test wants it"),
             (14, _) => return lost(),
-            (15, _) => return Err(Problem::new(507, "gpu-memory", "Too large", "as the test wants it")),
+            (15, _) => return Err(Problem::new(ProblemType::GpuMemory, "as the test wants it")),
             (17, _) => self.gate.pass(),
             (_, 18) if self.unlucky.fetch_add(1, Ordering::SeqCst) > 0 => return lost(),
             _ => {}
@@ -304,7 +304,7 @@ pub fn check(dataset: &Path) -> Result<DatasetSummary, Problem> {
     assert!(!content.starts_with(b"bomb"), "as the test wants it");
     if content.starts_with(b"bad") {
         let fault = "frame 3 has a focal length of 0; it must be a positive number of pixels";
-        return Err(Problem::new(422, "invalid-dataset", "Invalid dataset", fault).in_file("transforms.json"));
+        return Err(Problem::new(ProblemType::InvalidDataset, fault).in_file("transforms.json"));
     }
     Ok(DatasetSummary {
         layout: Layout::Blender,
@@ -350,7 +350,7 @@ pub fn exporter(fake: &Arc<FakeExporter>) -> tcgs::http::SceneExporter {
         }
         if file == curve_file(2) {
             let detail = "as the test wants it";
-            return Err(Problem::new(422, "not-exportable", "The scene cannot be exported", detail));
+            return Err(Problem::new(ProblemType::NotExportable, detail));
         }
         assert!(file != curve_file(3), "as the test wants it");
         fake.made.fetch_add(1, std::sync::atomic::Ordering::SeqCst);

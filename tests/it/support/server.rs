@@ -45,8 +45,8 @@ impl Default for Setup {
             limits: RequestLimits {
                 upload_bytes: 1 << 20,
                 min_free_space: 1,
-                watch_every: Duration::from_millis(5),
-                overdue_every: Duration::from_millis(5),
+                watch_interval: Duration::from_millis(5),
+                deadline_check_interval: Duration::from_millis(5),
                 ..RequestLimits::default()
             },
             header_timeout: Duration::from_secs(10),

@@ -305,14 +305,14 @@ async fn check_events(service: &Service, path: &str) {
 /// An export says how alike it looks, and where the job's files are listed.
 async fn check_export(service: &Service, job: &str) {
     let export = service.get(&format!("{job}/export?format=ply")).await.expect(200);
-    let psnr: f64 = export.header("x-likeness-psnr").parse().expect("a number");
+    let psnr: f64 = export.header("x-export-psnr").parse().expect("a number");
     assert_psnr("the export against its source", psnr, 38.74);
     let listed = service.get(&format!("{job}/artifacts")).await.expect(200).json();
     let listed =
         listed["artifacts"].as_array().expect("files").iter().find(|file| file["origin"] == "export");
-    let likeness = &listed.expect("the export")["likeness"];
-    assert!((number(&likeness["psnr"]) - psnr).abs() < 0.006, "{likeness}");
-    assert_eq!(likeness["views"], 8, "all that were held out");
+    let fidelity = &listed.expect("the export")["fidelity"];
+    assert!((number(&fidelity["psnr"]) - psnr).abs() < 0.006, "{fidelity}");
+    assert_eq!(fidelity["views"], 8, "all that were held out");
 }
 
 async fn check_views(service: &Service, path: &str, scene: &Scene, file: &Path) {

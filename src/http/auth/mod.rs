@@ -1,0 +1,353 @@
+//! Authentication and authorisation: middleware that checks a request against the table in [`self::scopes`] before any handler.
+//!
+//! Invariants; in case of doubt a request is refused:
+//!
+//! - While the database has no key, every caller is [`Caller::ANYBODY`], and only loopback is served
+//!   ([`super::HttpConfig::check_exposure`]). From the first key on, until the process ends, nothing under `/v1` is answered without
+//!   one; that includes revoked keys and unknown paths.
+//! - Without keys only loopback host names are accepted ([`self::host`]); with or without keys, requests forged by other sites' pages
+//!   are refused ([`cross_site`]).
+//! - Browsers send a key as the password of HTTP Basic, also with requests caused by other sites' pages. So Basic is accepted only for
+//!   requests that change nothing.
+//! - Handlers that extract a [`Caller`] run only after this middleware.
+//! - No handler sees the key.
+
+pub(super) mod caller;
+pub(super) mod cross_site;
+mod host;
+pub(super) mod revocation;
+mod scopes;
+pub(super) mod throttle;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use axum::{
+    extract::{MatchedPath, Request, State},
+    http::{HeaderMap, HeaderValue, Method, StatusCode, header},
+    middleware::Next,
+    response::{IntoResponse as _, Response},
+};
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+
+use self::{
+    cross_site::{FollowedLink, RequestOrigin},
+    host::{Hosts, only},
+    scopes::Access,
+    throttle::Wait,
+};
+use super::{
+    problem::{ApiResult, ProblemResponse},
+    server::{
+        client_address::{ClientAddress, TrustedProxies},
+        drain_body::Authenticated,
+    },
+    state::AppState,
+};
+use crate::{
+    domain::{ApiKey, Caller, ProblemType, Scope},
+    store::KeyRecord,
+};
+
+/// Whether the service requires keys: whether the database had any when last read. Keys are never removed from it.
+#[derive(Debug, Default)]
+pub(super) struct AuthMode(AtomicBool);
+
+impl AuthMode {
+    /// Reads whether there are keys, before the first request.
+    pub(super) async fn load(&self, state: &AppState) {
+        if let Err(fault) = self.allows_anonymous(state).await {
+            tracing::warn!("cannot read yet whether there are keys: {fault:?}");
+        }
+    }
+
+    /// Whether there were keys when last read.
+    fn requires_keys(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    async fn allows_anonymous(&self, state: &AppState) -> ApiResult<bool> {
+        if self.requires_keys() {
+            return Ok(false);
+        }
+        if state.limits.access.without_keys {
+            return Ok(true);
+        }
+        let closed = state.store().has_keys().await?;
+        self.0.store(closed, Ordering::Relaxed);
+        Ok(!closed)
+    }
+}
+
+/// Passes a request to its handler, or refuses it.
+pub(super) async fn authenticate(
+    State(state): State<AppState>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    let credentials = take_credentials(request.headers_mut());
+    let route = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
+    let needed = match &route {
+        Some(route) => scopes::access(request.method().as_str(), route),
+        // Under /v1, unknown paths need a key too, so that nothing is disclosed.
+        None if !is_api(request.uri().path()) => Some(Access::Open),
+        None => None,
+    };
+    let is_open_to_all = needed == Some(Access::Open);
+    // Open operations, such as /healthz, do not wait for the database.
+    let open = if is_open_to_all {
+        Ok(!state.auth_mode.requires_keys())
+    } else {
+        state.auth_mode.allows_anonymous(&state).await
+    };
+    if let Err(fault) = admit_page(&mut request, &open, &credentials) {
+        return fault.into_response();
+    }
+    if is_open_to_all {
+        return next.run(request).await;
+    }
+    let client = ClientInfo::of(&request, &state.limits.access.trusted_proxies);
+    let caller = match admit(&state, open, credentials, needed, &client).await {
+        Ok(caller) => caller,
+        Err(fault) => return fault.into_response(),
+    };
+    if needed.is_some() {
+        request.extensions_mut().insert(caller);
+        let mut response = next.run(request).await;
+        response.extensions_mut().insert(Authenticated);
+        return response;
+    }
+    let place = format!("{} {}", request.method(), route.as_deref().unwrap_or("unmatched"));
+    let response = next.run(request).await;
+    // Either the router has no such operation, or a row is missing.
+    if matches!(response.status(), StatusCode::NOT_FOUND | StatusCode::METHOD_NOT_ALLOWED) {
+        return response;
+    }
+    ProblemResponse::internal(&std::io::Error::other(format!("{place} has no row in http/auth/scopes.rs")))
+        .into_response()
+}
+
+/// Refuses foreign host names and forged requests. If it is unknown whether keys are required, they count as not required.
+fn admit_page(request: &mut Request, open: &ApiResult<bool>, credentials: &Credentials) -> ApiResult<()> {
+    let hosts = Hosts::of(request)?;
+    let asks_for_keys = matches!(open, Ok(false));
+    if !asks_for_keys {
+        hosts.expect_loopback()?;
+    }
+    if asks_for_keys && matches!(credentials, Credentials::Bearer(_)) {
+        return Ok(());
+    }
+    if cross_site::classify(request.method(), request.headers(), &hosts)? == RequestOrigin::FollowedLink {
+        request.extensions_mut().insert(FollowedLink);
+    }
+    Ok(())
+}
+
+/// Middleware of a listener without keys; on a loopback address it accepts loopback host names only.
+pub(super) async fn admit_without_keys(
+    State(on_loopback): State<bool>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let admitted = Hosts::of(&request).and_then(|hosts| {
+        if on_loopback {
+            hosts.expect_loopback()?;
+        }
+        cross_site::classify(request.method(), request.headers(), &hosts)
+    });
+    match admitted {
+        Ok(_) => next.run(request).await,
+        Err(fault) => fault.into_response(),
+    }
+}
+
+/// What is known about a client before its key is checked.
+struct ClientInfo {
+    address: Option<ClientAddress>,
+    /// Whether the request changes nothing.
+    reads: bool,
+    /// Whether a browser will show the response as a page.
+    wants_page: bool,
+}
+
+impl ClientInfo {
+    fn of(request: &Request, proxies: &TrustedProxies) -> Self {
+        let headers = request.headers();
+        let peer = request.extensions().get::<ClientAddress>().copied();
+        let wants_page = match only(headers, "sec-fetch-mode") {
+            Some(mode) => mode == "navigate",
+            None => headers
+                .get(header::ACCEPT)
+                .is_some_and(|accept| accept.to_str().is_ok_and(|text| text.contains("text/html"))),
+        };
+        Self {
+            address: peer.map(|peer| peer.behind(proxies, headers)),
+            reads: is_read(request.method()),
+            wants_page,
+        }
+    }
+}
+
+fn is_api(path: &str) -> bool {
+    path == "/v1" || path.starts_with("/v1/")
+}
+
+/// Whether a request with this method changes nothing.
+fn is_read(method: &Method) -> bool {
+    matches!(*method, Method::GET | Method::HEAD)
+}
+
+/// The credentials of a request.
+enum Credentials {
+    Nothing,
+    Malformed,
+    /// As programs send it.
+    Bearer(ApiKey),
+    /// As browsers send it.
+    Basic(ApiKey),
+}
+
+/// Removes the `Authorization` header, so that no later code can disclose it.
+fn take_credentials(headers: &mut HeaderMap) -> Credentials {
+    let mut values = headers.get_all(header::AUTHORIZATION).iter();
+    let credentials = match (values.next(), values.next()) {
+        (None, _) => Credentials::Nothing,
+        (Some(value), None) => parse_credentials(value).unwrap_or(Credentials::Malformed),
+        (Some(_), Some(_)) => Credentials::Malformed,
+    };
+    headers.remove(header::AUTHORIZATION);
+    credentials
+}
+
+fn parse_credentials(value: &HeaderValue) -> Option<Credentials> {
+    let (scheme, given) = value.to_str().ok()?.split_once(' ')?;
+    if scheme.eq_ignore_ascii_case("bearer") {
+        given.trim().parse().ok().map(Credentials::Bearer)
+    } else if scheme.eq_ignore_ascii_case("basic") {
+        password(given.trim()).map(Credentials::Basic)
+    } else {
+        None
+    }
+}
+
+/// The key in the credentials of HTTP Basic (RFC 7617): the password. The user name, in whatever encoding, is ignored.
+fn password(credentials: &str) -> Option<ApiKey> {
+    let decoded = STANDARD.decode(credentials).ok()?;
+    let colon = decoded.iter().position(|byte| *byte == b':')?;
+    std::str::from_utf8(&decoded[colon + 1..]).ok()?.parse().ok()
+}
+
+async fn admit(
+    state: &AppState,
+    open: ApiResult<bool>,
+    credentials: Credentials,
+    needed: Option<Access>,
+    client: &ClientInfo,
+) -> ApiResult<Caller> {
+    if open? {
+        return Ok(Caller::ANYBODY);
+    }
+    let reads = client.reads;
+    let fail = |fault: ProblemResponse| match state.throttle.failure(client.address) {
+        Ok(()) => fault,
+        Err(wait) => too_many_failures(reads, wait),
+    };
+    let key = match credentials {
+        Credentials::Bearer(key) => key,
+        Credentials::Basic(key) if reads => key,
+        Credentials::Basic(_) => return Err(fail(not_by_basic())),
+        // Browsers ask their users for a key only after a 401.
+        Credentials::Nothing if reads && client.wants_page => return Err(no_key(reads)),
+        Credentials::Nothing => return Err(fail(no_key(reads))),
+        Credentials::Malformed => return Err(fail(bad_key(reads))),
+    };
+    // A valid key passes however many invalid ones came from its address: keys cannot be guessed, and behind a proxy all clients share
+    // an address, so one of them could lock out the rest.
+    let record = state.store().authenticate(key.hash()).await?.ok_or_else(|| fail(bad_key(reads)))?;
+    state.throttle.request(&record).map_err(|wait| too_many_requests(&record, wait))?;
+    record_use(state, &record);
+    if let Some(Access::Scope(scope)) = needed
+        && !record.allows(scope)
+    {
+        return Err(out_of_scope(&record, scope));
+    }
+    Ok(Caller { key: Some(record.id), admin: record.is_admin() })
+}
+
+/// Records the use of a key in the background; a failure is harmless.
+fn record_use(state: &AppState, key: &KeyRecord) {
+    if !state.throttle.is_due(key) {
+        return;
+    }
+    let (state, id) = (state.clone(), key.id);
+    tokio::spawn(async move {
+        if let Err(error) = state.store().touch_key(id).await {
+            tracing::debug!(
+                error = &error as &dyn std::error::Error,
+                "the use of key {id} was not recorded: {error}"
+            );
+        }
+    });
+}
+
+fn no_key(reads: bool) -> ProblemResponse {
+    let detail = if reads {
+        "this service answers those who have a key: send 'Authorization: Bearer tcgs_...', or give a browser the key as password"
+    } else {
+        "this service answers those who have a key: send 'Authorization: Bearer tcgs_...'"
+    };
+    challenge(reads, ProblemResponse::new(ProblemType::NoKey, detail), BEARER)
+}
+
+fn bad_key(reads: bool) -> ProblemResponse {
+    let detail = "the Authorization header holds no key that this service knows: it is mistyped, revoked or another service's";
+    let fault = ProblemResponse::new(ProblemType::InvalidKey, detail);
+    challenge(reads, fault, BEARER_INVALID)
+}
+
+fn not_by_basic() -> ProblemResponse {
+    let detail =
+        "HTTP Basic is taken for GET and HEAD only; send the key as 'Authorization: Bearer tcgs_...'";
+    let fault = ProblemResponse::new(ProblemType::BearerNeeded, detail);
+    challenge(false, fault, BEARER)
+}
+
+const BEARER: &str = "Bearer realm=\"tcgs\"";
+const BEARER_INVALID: &str = "Bearer realm=\"tcgs\", error=\"invalid_token\"";
+const BASIC: &str = "Basic realm=\"tcgs\"";
+
+/// Adds the accepted authentication schemes; Basic, for which a browser asks its user, only for reads.
+fn challenge(reads: bool, fault: ProblemResponse, bearer: &'static str) -> ProblemResponse {
+    let fault = fault.with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(bearer));
+    if reads { fault.with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(BASIC)) } else { fault }
+}
+
+fn out_of_scope(key: &KeyRecord, scope: Scope) -> ProblemResponse {
+    let has: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
+    let detail =
+        format!("this needs the scope {}; the key '{}' has {}", scope.name(), key.name, has.join(", "));
+    let challenge = match scope {
+        Scope::Read => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"read\"",
+        Scope::ScenesWrite => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"scenes:write\"",
+        Scope::JobsWrite => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"jobs:write\"",
+        Scope::Admin => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"admin\"",
+    };
+    ProblemResponse::new(ProblemType::InsufficientScope, detail)
+        .with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(challenge))
+}
+
+fn too_many_requests(key: &KeyRecord, wait: Wait) -> ProblemResponse {
+    let detail = format!(
+        "the key '{}' has sent more requests than its rate allows; the next one is taken in {} s",
+        key.name,
+        wait.seconds()
+    );
+    ProblemResponse::new(ProblemType::TooManyRequests, detail)
+        .with_header(header::RETRY_AFTER, wait.seconds().into())
+}
+
+fn too_many_failures(reads: bool, wait: Wait) -> ProblemResponse {
+    let detail =
+        "too many requests without a valid key came from this address; send one with a valid key, or wait";
+    let fault = ProblemResponse::new(ProblemType::TooManyFailures, detail);
+    challenge(reads, fault.with_header(header::RETRY_AFTER, wait.seconds().into()), BEARER)
+}

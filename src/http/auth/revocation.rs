@@ -1,0 +1,20 @@
+//! Ends long responses soon after the key of their request is revoked.
+
+use tokio::time::sleep;
+
+use crate::{domain::KeyId, http::state::AppState};
+
+/// Returns once the key is revoked, which is checked every [`crate::http::config::RequestLimits::key_recheck_interval`]; never returns without a key.
+pub(crate) async fn revoked(state: AppState, key: Option<KeyId>) {
+    let Some(key) = key else { return std::future::pending().await };
+    loop {
+        sleep(state.limits.key_recheck_interval).await;
+        match state.store().key(key).await {
+            Ok(Some(record)) if record.revoked_at.is_none() => {}
+            Ok(_) => return,
+            Err(error) => {
+                tracing::warn!(%key, error = &error as &dyn std::error::Error, "cannot look key {key} up: {error}");
+            }
+        }
+    }
+}

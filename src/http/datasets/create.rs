@@ -1,0 +1,216 @@
+//! `POST /v1/scenes`: creates a scene from the archive in the body, or from a finished upload.
+
+use std::sync::Arc;
+
+use axum::{
+    body::{Body, BodyDataStream},
+    extract::State,
+    http::{HeaderMap, HeaderValue, StatusCode, Uri, header},
+};
+use serde::Deserialize;
+use tokio::task::spawn_blocking;
+
+use super::{
+    body::href,
+    find,
+    received::{ReceivedDataset, receive},
+    representation,
+};
+use crate::{
+    domain::{Caller, DatasetSummary, Digest, ProblemType, SceneId, UploadId},
+    http::{
+        problem::{ApiResult, ProblemResponse},
+        request::{
+            CreateOutcome, CreateRequest, JsonBody, Parameters, Resource, content_digest, idempotency,
+            idempotent, media_type, parse_json, read_json,
+        },
+        state::AppState,
+        uploads::{self, tus::Metadata},
+    },
+    store::{DatasetCreation, DatasetRecord, IdempotentRequest, NewDataset, PriorRequest, StoreError},
+};
+
+/// Longest name, in characters.
+const MAX_NAME: usize = 200;
+
+/// A scene with the status of the answer: 201, or 200 if the owner had it before.
+#[derive(Debug)]
+struct CreatedScene {
+    status: StatusCode,
+    record: DatasetRecord,
+}
+
+/// What a scene has besides its archive.
+struct SceneFields {
+    name: Option<String>,
+    upload: Option<UploadId>,
+    intent: Option<IdempotentRequest>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CreateSceneRequest {
+    upload_id: String,
+    #[serde(default)]
+    name: Option<String>,
+}
+
+impl JsonBody for CreateSceneRequest {
+    const EXPECTED: &'static str = "{\"upload_id\": ID, \"name\": TEXT}";
+}
+
+/// `POST /v1/scenes`.
+pub(crate) async fn create(
+    State(state): State<AppState>,
+    caller: Caller,
+    uri: Uri,
+    headers: HeaderMap,
+    body: Body,
+) -> ApiResult {
+    let request = CreateRequest { state: &state, caller, uri: &uri, headers: &headers };
+    let mut body = body.into_data_stream();
+    let outcome = match media_type(&headers).as_deref() {
+        Some("application/zip" | "application/x-zip-compressed") => from_archive(request, &mut body).await?,
+        Some("application/json") => from_upload(request, &mut body).await?,
+        given => {
+            let detail = format!(
+                "the Content-Type is {}; send application/zip, or application/json with the id of an upload",
+                given.unwrap_or("missing")
+            );
+            return Err(ProblemResponse::new(ProblemType::UnsupportedMediaType, detail));
+        }
+    };
+    let (CreatedScene { status, record }, replayed) = match outcome {
+        CreateOutcome::Created(scene) => (scene, false),
+        CreateOutcome::Replayed(scene) => (scene, true),
+    };
+    let location = HeaderValue::try_from(href(record.id))?;
+    let mut response = representation(record);
+    *response.status_mut() = status;
+    response.headers_mut().insert(header::LOCATION, location);
+    if replayed {
+        idempotency::mark_replayed(response.headers_mut());
+    }
+    Ok(response)
+}
+
+async fn from_archive(
+    request: CreateRequest<'_>,
+    body: &mut BodyDataStream,
+) -> ApiResult<CreateOutcome<CreatedScene>> {
+    let CreateRequest { state, caller, uri, headers } = request;
+    let mut parameters = Parameters::parse(uri.query())?;
+    let name = parameters.take("name").map(checked_name).transpose()?;
+    parameters.finish()?;
+    let announced = content_digest::announced(headers)?;
+    let guard = request.begin()?;
+    let _permit = state.upload_permit()?;
+    let received = receive(state, caller.key, headers, body).await?;
+    content_digest::check(announced, received.blob().digest)?;
+    let intent = request.intent(guard.as_ref(), received.blob().digest);
+    let fields = SceneFields { name, upload: None, intent: intent.clone() };
+    idempotent(state, intent, keep(request, received, fields)).await
+}
+
+async fn from_upload(
+    request: CreateRequest<'_>,
+    body: &mut BodyDataStream,
+) -> ApiResult<CreateOutcome<CreatedScene>> {
+    let CreateRequest { state, caller, uri, headers } = request;
+    Parameters::parse(uri.query())?.finish()?;
+    let content = read_json(body, headers, &state.limits).await?;
+    let CreateSceneRequest { upload_id, name } = parse_json(&content)?;
+    let name = name.map(checked_name).transpose()?;
+    let guard = request.begin()?;
+    let intent = request.intent(guard.as_ref(), Digest::of(&content));
+    let create = async {
+        let found = uploads::find(state, &caller, &upload_id).await?;
+        if let Some(scene) = found.dataset_id {
+            let record = find(state, &caller, &scene.to_string()).await?;
+            return Ok(Ok(CreatedScene { status: StatusCode::OK, record }));
+        }
+        let (record, file) = uploads::lock(state, found.id, StatusCode::CONFLICT).await?;
+        if !record.is_complete() {
+            return Err(ProblemResponse::new(
+                ProblemType::UploadIncomplete,
+                format!(
+                    "{} of the {} bytes of upload {} have come; send the rest first",
+                    record.received, record.length, record.id
+                ),
+            ));
+        }
+        let received = ReceivedDataset::of_upload(file.finish(record.length).await?);
+        let from_metadata = || {
+            let metadata = Metadata::parse(record.metadata.as_deref()?).ok()?;
+            let name = metadata.get("name").or_else(|| metadata.get("filename"))?;
+            checked_name(name.to_owned()).ok()
+        };
+        let name = name.or_else(from_metadata);
+        let fields = SceneFields { name, upload: Some(record.id), intent: intent.clone() };
+        let created = keep(request, received, fields).await?;
+        if created.is_ok()
+            && let Err(error) = state.blobs().remove_upload(record.id).await
+        {
+            tracing::warn!(upload = %record.id, error = &error as &dyn std::error::Error, "the file of upload {} is not removed yet: {error}", record.id);
+        }
+        Ok(created)
+    };
+    idempotent(state, intent.clone(), create).await
+}
+
+/// Checks and publishes the archive and creates its scene, unless the owner has one of it.
+async fn keep(
+    request: CreateRequest<'_>,
+    received: ReceivedDataset,
+    fields: SceneFields,
+) -> ApiResult<Result<CreatedScene, StoreError>> {
+    let CreateRequest { state, caller, .. } = request;
+    let (owner, dataset) = (caller.key, received.blob());
+    let known = state.store().dataset_by_archive(owner, dataset.digest).await?;
+    let (received, summary) = match known {
+        Some(known) => (received, known.summary),
+        None => check(state, received).await?,
+    };
+    let SceneFields { name, upload, intent } = fields;
+    let new = NewDataset { id: SceneId(state.new_uuid()), owner, name, dataset, summary, upload, intent };
+    let store = Arc::clone(&state.services.store);
+    let created = received.keep(state, async move { store.create_dataset(new).await }).await?;
+    Ok(created.map(|creation| match creation {
+        DatasetCreation::Created(record) => {
+            tracing::info!(scene = %record.id, bytes = dataset.bytes, "scene {} is created", record.id);
+            CreatedScene { status: StatusCode::CREATED, record }
+        }
+        DatasetCreation::Existing(record) => CreatedScene { status: StatusCode::OK, record },
+    }))
+}
+
+async fn check(state: &AppState, received: ReceivedDataset) -> ApiResult<(ReceivedDataset, DatasetSummary)> {
+    let check = state.services.check.clone();
+    let checked = spawn_blocking(move || {
+        let checked = check(received.path());
+        (received, checked)
+    });
+    let (received, checked) = checked.await?;
+    Ok((received, checked?))
+}
+
+impl Resource for CreatedScene {
+    async fn load(state: &AppState, remembered: &PriorRequest) -> ApiResult<Self> {
+        let record = match remembered.resource.parse::<SceneId>() {
+            Ok(id) => state.store().dataset(id).await?,
+            Err(_) => None,
+        };
+        let record = record
+            .ok_or_else(|| idempotency::deleted_since(ProblemType::SceneNotFound, "scene", remembered))?;
+        Ok(Self { status: StatusCode::from_u16(remembered.status).unwrap_or(StatusCode::CREATED), record })
+    }
+}
+
+fn checked_name(name: String) -> ApiResult<String> {
+    let length = name.chars().count();
+    if !(1..=MAX_NAME).contains(&length) || name.chars().any(char::is_control) {
+        let error = format!("is not 1 to {MAX_NAME} characters without control characters");
+        return Err(ProblemResponse::parameter("name", error));
+    }
+    Ok(name)
+}

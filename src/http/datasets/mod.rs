@@ -1,0 +1,114 @@
+//! Scenes: list, get, delete.
+
+pub(super) mod body;
+pub(super) mod create;
+pub(super) mod received;
+
+use axum::{
+    Json,
+    extract::{Path, State},
+    http::{HeaderMap, HeaderValue, StatusCode, header},
+    response::{IntoResponse, Response},
+};
+use serde::Serialize;
+
+use self::body::SceneBody;
+use super::{
+    problem::{ApiResult, ProblemResponse},
+    request::{Etag, IfMatch, Page, Parameters, cursor, not_modified, pagination, parse_cursor},
+    state::AppState,
+};
+use crate::{
+    domain::{Caller, ProblemType, SceneId},
+    store::{DatasetDeletion, DatasetPageKey, DatasetRecord},
+};
+
+/// The scene that a path or a body names.
+///
+/// # Errors
+/// 404 if there is none, and if it is another's.
+pub(super) async fn find(state: &AppState, caller: &Caller, id: &str) -> ApiResult<DatasetRecord> {
+    let parsed: SceneId = id.parse().map_err(|_| ProblemResponse::no_scene(id))?;
+    let record = state.store().dataset(parsed).await?;
+    record.filter(|record| caller.may_see(record.owner)).ok_or_else(|| ProblemResponse::no_scene(id))
+}
+
+#[derive(Debug, Serialize)]
+struct SceneList {
+    scenes: Vec<SceneBody>,
+    next: Option<String>,
+}
+
+/// `GET /v1/scenes`.
+pub(super) async fn list(
+    State(state): State<AppState>,
+    caller: Caller,
+    mut parameters: Parameters,
+) -> ApiResult {
+    let page = Page::take(&mut parameters, |text| {
+        let (created_at, id) = parse_cursor(text)?;
+        Some(DatasetPageKey { created_at, id })
+    })?;
+    parameters.finish()?;
+    let mut records = state.store().datasets(caller.sees_only(), page.after, page.to_read()).await?;
+    let next = page.cut(&mut records, "/v1/scenes", |last| cursor(last.created_at, last.id));
+    let headers = pagination::headers(next.as_deref())?;
+    let scenes = records.into_iter().map(SceneBody::from).collect();
+    Ok((headers, Json(SceneList { scenes, next })).into_response())
+}
+
+/// `GET /v1/scenes/{id}`.
+pub(super) async fn get(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+) -> ApiResult {
+    let record = find(&state, &caller, &id).await?;
+    let etag = Etag::new(record.version);
+    if etag.is_in_if_none_match(&headers) {
+        return Ok(not_modified(&etag));
+    }
+    Ok(representation(record))
+}
+
+/// 200 with the scene.
+pub(super) fn representation(record: DatasetRecord) -> Response {
+    let etag = Etag::new(record.version).value();
+    let caching = HeaderValue::from_static("no-cache");
+    ([(header::ETAG, etag), (header::CACHE_CONTROL, caching)], Json(SceneBody::from(record))).into_response()
+}
+
+/// `DELETE /v1/scenes/{id}`.
+pub(super) async fn delete(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+) -> ApiResult<StatusCode> {
+    let record = find(&state, &caller, &id).await?;
+    let changed = || {
+        ProblemResponse::new(
+            ProblemType::PreconditionFailed,
+            format!("If-Match does not name the scene as it is now, which is \"{}\"", record.version),
+        )
+    };
+    if Etag::new(record.version).if_match(&headers) == IfMatch::Differs {
+        return Err(changed());
+    }
+    match state.store().delete_dataset(record.id, Some(record.version)).await? {
+        Some(DatasetDeletion::Deleted) => {
+            state.blobs().request_collection();
+            tracing::info!(scene = %record.id, "scene {} is deleted", record.id);
+            Ok(StatusCode::NO_CONTENT)
+        }
+        Some(DatasetDeletion::InUse(jobs)) => Err(ProblemResponse::new(
+            ProblemType::SceneInUse,
+            format!(
+                "{jobs} queued or running jobs are made of scene {id}; cancel them or wait for their end"
+            ),
+        )),
+        Some(DatasetDeletion::VersionMismatch) => Err(changed()),
+        None => Err(ProblemResponse::no_scene(&id)),
+    }
+}

@@ -1,0 +1,186 @@
+//! Receives datasets from request bodies within quota and disk space, and keeps those that a scene or job refers to.
+//!
+//! Invariants: space is reserved before bytes are stored; a refused request, however late, leaves nothing behind. A dataset that its
+//! owner already has takes no space, so if the quota is used up the body is hashed and not stored: a client that repeats a request
+//! whose answer was lost is not refused.
+
+use std::{
+    future::Future,
+    path::{Path, PathBuf},
+};
+
+use axum::{body::BodyDataStream, http::HeaderMap};
+use tracing::Instrument as _;
+
+use crate::{
+    domain::KeyId,
+    http::{
+        problem::{ApiResult, ProblemResponse},
+        request::{Pieces, Reservation, ReservationError, Reservations, announced_length},
+        state::AppState,
+    },
+    store::{BlobRef, BlobWriter, ContentHasher, Published, StagedBlob, StoreError, garbage::withdraw},
+};
+
+/// A completely received dataset.
+#[derive(Debug)]
+pub(crate) struct ReceivedDataset {
+    blob: BlobRef,
+    content: Content,
+    /// Its space; that of an upload is kept by the upload's row.
+    reservation: Option<Reservation>,
+}
+
+#[derive(Debug)]
+enum Content {
+    Staged(StagedBlob),
+    /// The owner has it already.
+    Known(Published, PathBuf),
+}
+
+/// Where a body goes.
+enum Sink {
+    Disk(BlobWriter, Reservation),
+    /// Nowhere; it is refused with this problem unless its owner has it.
+    Hash(ContentHasher, ProblemResponse),
+}
+
+/// Receives a body.
+///
+/// # Errors
+/// 413, 507, and what is wrong with the body.
+pub(crate) async fn receive(
+    state: &AppState,
+    owner: Option<KeyId>,
+    headers: &HeaderMap,
+    body: &mut BodyDataStream,
+) -> ApiResult<ReceivedDataset> {
+    let announced = announced_length(headers, state.limits.upload_bytes)?;
+    let mut sink = Sink::open(state, owner, announced.unwrap_or(0)).await?;
+    let mut pieces = Pieces::new(body, &state.limits);
+    while let Some(piece) = pieces.next().await? {
+        sink = sink.write(state, &piece).await?;
+    }
+    sink.finish(state, owner).await
+}
+
+impl Sink {
+    async fn open(state: &AppState, owner: Option<KeyId>, announced: u64) -> ApiResult<Self> {
+        match Reservations::reserve(state, owner, announced).await {
+            Ok(reservation) => {
+                Ok(Self::Disk(state.blobs().stage(state.limits.upload_bytes).await?, reservation))
+            }
+            Err(ReservationError::Quota { fault, largest_dataset }) if announced <= largest_dataset => {
+                Ok(Self::Hash(ContentHasher::new(largest_dataset), fault))
+            }
+            Err(refusal) => Err(refusal.into()),
+        }
+    }
+
+    async fn write(self, state: &AppState, piece: &[u8]) -> ApiResult<Self> {
+        match self {
+            Self::Disk(mut staging, mut reservation) => {
+                let length = piece.len() as u64;
+                match reservation.cover(state, length).await {
+                    Ok(()) => {
+                        staging.write(piece).await?;
+                        reservation.wrote(length);
+                        Ok(Self::Disk(staging, reservation))
+                    }
+                    Err(ReservationError::Quota { fault, largest_dataset }) => {
+                        let content = staging.into_hasher(largest_dataset).await?;
+                        Self::hash(content, piece, fault)
+                    }
+                    Err(refusal) => Err(refusal.into()),
+                }
+            }
+            Self::Hash(content, fault) => Self::hash(content, piece, fault),
+        }
+    }
+
+    fn hash(mut content: ContentHasher, piece: &[u8], fault: ProblemResponse) -> ApiResult<Self> {
+        match content.update(piece) {
+            Ok(()) => Ok(Self::Hash(content, fault)),
+            Err(_) => Err(fault),
+        }
+    }
+
+    async fn finish(self, state: &AppState, owner: Option<KeyId>) -> ApiResult<ReceivedDataset> {
+        match self {
+            Self::Disk(staging, mut reservation) => {
+                let staged = staging.finish().await?;
+                reservation.settle();
+                Ok(ReceivedDataset {
+                    blob: staged.blob(),
+                    content: Content::Staged(staged),
+                    reservation: Some(reservation),
+                })
+            }
+            Self::Hash(content, fault) => {
+                let known = state.store().owned_archive(owner, content.finish().digest).await?;
+                let there = match known {
+                    Some(blob) => state.blobs().republish(blob).await?,
+                    None => None,
+                };
+                let (published, path) = there.ok_or(fault)?;
+                let blob = published.blob;
+                Ok(ReceivedDataset { blob, content: Content::Known(published, path), reservation: None })
+            }
+        }
+    }
+}
+
+impl ReceivedDataset {
+    /// The dataset of a finished upload.
+    pub(super) fn of_upload(staged: StagedBlob) -> Self {
+        Self { blob: staged.blob(), content: Content::Staged(staged), reservation: None }
+    }
+
+    pub(crate) fn blob(&self) -> BlobRef {
+        self.blob
+    }
+
+    /// The file with the content.
+    pub(crate) fn path(&self) -> &Path {
+        match &self.content {
+            Content::Staged(staged) => staged.path(),
+            Content::Known(_, path) => path,
+        }
+    }
+
+    /// Publishes the dataset and records the reference to it. If that is refused the dataset is removed again, even if the client
+    /// has disconnected.
+    ///
+    /// # Errors
+    /// Outer: errors of the disk; inner: errors of `refer`.
+    pub(crate) async fn keep<T: Send + 'static>(
+        self,
+        state: &AppState,
+        refer: impl Future<Output = Result<T, StoreError>> + Send + 'static,
+    ) -> ApiResult<Result<T, StoreError>> {
+        let state = state.clone();
+        let keeping = async move {
+            let Self { content, reservation, .. } = self;
+            let published = match &content {
+                Content::Staged(staged) => state.blobs().publish(staged).await?,
+                Content::Known(published, _) => *published,
+            };
+            let referred = refer.await;
+            if referred.is_err() {
+                withdraw_blob(&state, published).await;
+            }
+            drop((content, reservation));
+            Ok(referred)
+        };
+        // A task of its own, so that it ends even if the request is cancelled.
+        tokio::spawn(keeping.in_current_span()).await?
+    }
+}
+
+/// Removes a published blob that nothing came to refer to.
+pub(crate) async fn withdraw_blob(state: &AppState, published: Published) {
+    if let Err(error) = withdraw(state.store(), state.blobs(), published).await {
+        let digest = published.blob.digest;
+        tracing::warn!(%digest, error = &error as &dyn std::error::Error, "blob {digest} is not removed yet: {error}");
+    }
+}

@@ -1,0 +1,106 @@
+//! Serves immutable files, whole or a range, with the digest of the whole (RFC 9110 §13, §14; RFC 9530).
+
+use axum::{
+    body::Body,
+    http::{HeaderMap, HeaderValue, StatusCode, header},
+    response::IntoResponse as _,
+};
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+
+use crate::{
+    domain::{JobId, ProblemType},
+    http::{
+        problem::{ApiResult, ProblemResponse},
+        request::{ByteRange, Etag, IfMatch, not_modified, parse_range},
+        state::AppState,
+    },
+    store::{ArtifactKind, BlobRef, FileRecord},
+};
+
+/// A downloadable file.
+#[derive(Debug)]
+pub(crate) struct File {
+    pub(crate) blob: BlobRef,
+    pub(crate) media_type: &'static str,
+    /// The name to save it by: plain ASCII.
+    pub(crate) name: String,
+}
+
+impl File {
+    /// A file of a job.
+    pub(crate) fn new(job: JobId, kind: ArtifactKind, lambda: Option<f64>, blob: BlobRef) -> Self {
+        let point = lambda.map_or_else(String::new, |lambda| format!(".lambda-{lambda}"));
+        let name = match kind {
+            ArtifactKind::Scene(format) => format!("{job}{point}.{}", format.extension()),
+            _ => format!("{job}.{}.json", kind.name()),
+        };
+        Self { blob, media_type: media_type(kind), name }
+    }
+}
+
+impl From<FileRecord> for File {
+    fn from(FileRecord { job, kind, lambda, blob }: FileRecord) -> Self {
+        Self::new(job, kind, lambda, blob)
+    }
+}
+
+/// The media type of a kind of file.
+pub(crate) fn media_type(kind: ArtifactKind) -> &'static str {
+    match kind {
+        ArtifactKind::Scene(format) => format.media_type(),
+        _ => "application/json",
+    }
+}
+
+/// Answers `GET` and `HEAD` of a file.
+pub(crate) async fn serve(state: &AppState, request: &HeaderMap, file: File) -> ApiResult {
+    let File { blob, media_type, name } = file;
+    let etag = Etag::new(blob.digest);
+    if etag.if_match(request) == IfMatch::Differs {
+        return Err(ProblemResponse::new(
+            ProblemType::PreconditionFailed,
+            "the file is not the one that If-Match names",
+        ));
+    }
+    if etag.is_in_if_none_match(request) {
+        return Ok(not_modified(&etag));
+    }
+    let range = request.get(header::RANGE).filter(|_| etag.allows_range(request));
+    let (status, part) = match parse_range(range.and_then(|value| value.to_str().ok()), blob.bytes) {
+        ByteRange::Whole => (StatusCode::OK, 0..blob.bytes),
+        ByteRange::Part(part) => (StatusCode::PARTIAL_CONTENT, part),
+        ByteRange::Unsatisfiable => return Err(unsatisfiable(blob.bytes)),
+    };
+    let body = if part.is_empty() {
+        Body::empty()
+    } else {
+        Body::from_stream(state.blobs().stream(blob.digest, part.clone()).await?)
+    };
+    let mut response = (status, body).into_response();
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(media_type));
+    headers.insert(header::CONTENT_LENGTH, HeaderValue::from(part.end - part.start));
+    headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
+    headers.insert(header::ETAG, etag.value());
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("private, max-age=31536000, immutable"));
+    let mut text = |name: &'static str, value: String| {
+        HeaderValue::try_from(value).map(|value| headers.insert(name, value))
+    };
+    let named = text("content-disposition", format!("attachment; filename=\"{name}\""))
+        .and(text("repr-digest", format!("sha-256=:{}:", STANDARD.encode(blob.digest.as_bytes()))));
+    named?;
+    if status == StatusCode::PARTIAL_CONTENT {
+        let value = format!("bytes {}-{}/{}", part.start, part.end - 1, blob.bytes);
+        headers.insert(header::CONTENT_RANGE, HeaderValue::try_from(value)?);
+    }
+    Ok(response)
+}
+
+fn unsatisfiable(length: u64) -> ProblemResponse {
+    let fault =
+        ProblemResponse::new(ProblemType::RangeNotSatisfiable, format!("the file has {length} bytes"));
+    match HeaderValue::try_from(format!("bytes */{length}")) {
+        Ok(value) => fault.with_header(header::CONTENT_RANGE, value),
+        Err(_) => fault,
+    }
+}

@@ -1,0 +1,205 @@
+//! `GET /v1/jobs/{id}/export`: a finished scene in a format that other programs read, created on first request.
+//!
+//! Invariants: a scene is exported to a format once, however many requests ask for it at a time; running and waiting exports are
+//! bounded; a started export is finished and kept even if its client disconnects.
+
+use std::{
+    collections::BTreeMap,
+    fmt,
+    sync::{Mutex, PoisonError},
+};
+
+use axum::{
+    Extension,
+    extract::State,
+    http::{HeaderMap, HeaderName, HeaderValue},
+};
+use bytes::Bytes;
+use futures_util::{
+    FutureExt as _,
+    future::{BoxFuture, Shared},
+};
+use tokio::{sync::Semaphore, task::spawn_blocking};
+
+use super::{
+    download::{File, serve},
+    file_of, take_lambda,
+};
+use crate::{
+    domain::{Digest, JobId, NamedCamera, SceneFormat},
+    http::{
+        auth::cross_site::{FollowedLink, refuse_followed_link},
+        datasets::received::withdraw_blob,
+        jobs::OwnedJob,
+        problem::{ApiResult, ProblemResponse},
+        request::{Parameters, Reservations, require_free_space},
+        state::{AppState, ExportedScene},
+    },
+    store::{ArtifactKind, ExportFidelity, ExportRecord, JobRecord},
+};
+
+/// The formats that scenes are exported to.
+const FORMATS: [SceneFormat; 3] = [SceneFormat::Ply, SceneFormat::Spz, SceneFormat::Spz3];
+
+/// Header: mean PSNR in dB of renders of the export against renders of the scene.
+const EXPORT_PSNR: HeaderName = HeaderName::from_static("x-export-psnr");
+
+/// Identifies an export: job, source file, name of the format.
+type ExportKey = (JobId, Digest, &'static str);
+
+type PendingExport = Shared<BoxFuture<'static, ApiResult<ExportRecord>>>;
+
+/// The exports in progress.
+pub(crate) struct ExportQueue {
+    /// Running and waiting exports.
+    slots: Semaphore,
+    /// Running exports.
+    permits: Semaphore,
+    pending: Mutex<BTreeMap<ExportKey, PendingExport>>,
+}
+
+impl fmt::Debug for ExportQueue {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ExportQueue").field("slots", &self.slots).finish_non_exhaustive()
+    }
+}
+
+impl ExportQueue {
+    /// A queue that runs `at_once` exports while `waiting` more wait.
+    pub(crate) fn new(at_once: usize, waiting: usize) -> Self {
+        let at_once = at_once.max(1);
+        let (slots, permits) = (Semaphore::new(at_once + waiting), Semaphore::new(at_once));
+        Self { slots, permits, pending: Mutex::default() }
+    }
+}
+
+/// `GET` and `HEAD /v1/jobs/{id}/export`.
+pub(crate) async fn get(
+    State(state): State<AppState>,
+    OwnedJob(record): OwnedJob,
+    mut parameters: Parameters,
+    link: Option<Extension<FollowedLink>>,
+    request: HeaderMap,
+) -> ApiResult {
+    let format = take_format(&mut parameters)?;
+    let lambda = take_lambda(&mut parameters)?;
+    parameters.finish()?;
+    let source = file_of(&record, lambda)?;
+    let (blob, fidelity) = if source.format == format {
+        (source.blob, None)
+    } else {
+        let export = match existing_export(&state, record.job.id, source.blob.digest, format).await? {
+            Some(existing_export) => existing_export,
+            None => {
+                refuse_followed_link(link.as_deref())?;
+                export(&state, &record, source.blob.digest, format).await?
+            }
+        };
+        (export.blob, export.fidelity)
+    };
+    let file = File::new(record.job.id, ArtifactKind::Scene(format), source.lambda, blob);
+    let mut response = serve(&state, &request, file).await?;
+    if response.status().is_success()
+        && let Some(ExportFidelity { psnr, .. }) = fidelity
+        && let Ok(psnr) = HeaderValue::try_from(format!("{psnr:.2}"))
+    {
+        response.headers_mut().insert(EXPORT_PSNR, psnr);
+    }
+    Ok(response)
+}
+
+fn take_format(parameters: &mut Parameters) -> ApiResult<SceneFormat> {
+    let names = FORMATS.map(SceneFormat::name).join(", ");
+    let text = parameters
+        .take("format")
+        .ok_or_else(|| ProblemResponse::parameter("format", format!("is missing; choose one of {names}")))?;
+    let format = FORMATS.into_iter().find(|format| format.name() == text);
+    format.ok_or_else(|| ProblemResponse::parameter("format", format!("'{text}' is not one of {names}")))
+}
+
+async fn export(
+    state: &AppState,
+    record: &JobRecord,
+    source: Digest,
+    format: SceneFormat,
+) -> ApiResult<ExportRecord> {
+    let key = (record.job.id, source, format.name());
+    let pending = {
+        let mut pending = state.exports.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        let begin = || {
+            // A task of its own: other requests may wait for it, and later ones use the result.
+            let task = tokio::spawn(make(state.clone(), record.clone(), source, format));
+            let ended = async { task.await.unwrap_or_else(|error| Err(ProblemResponse::internal(&error))) };
+            ended.boxed().shared()
+        };
+        pending.entry(key).or_insert_with(begin).clone()
+    };
+    pending.await
+}
+
+async fn existing_export(
+    state: &AppState,
+    job: JobId,
+    source: Digest,
+    format: SceneFormat,
+) -> ApiResult<Option<ExportRecord>> {
+    let exports = state.store().exports(job).await?;
+    Ok(exports.into_iter().find(|export| (export.source, export.format) == (source, format)))
+}
+
+/// Removes an export from those in progress when it ends.
+struct PendingGuard {
+    state: AppState,
+    key: ExportKey,
+}
+
+impl Drop for PendingGuard {
+    fn drop(&mut self) {
+        let mut pending = self.state.exports.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        pending.remove(&self.key);
+    }
+}
+
+async fn make(
+    state: AppState,
+    record: JobRecord,
+    source: Digest,
+    format: SceneFormat,
+) -> ApiResult<ExportRecord> {
+    let job = record.job.id;
+    let _guard = PendingGuard { state: state.clone(), key: (job, source, format.name()) };
+    // Another may have finished since the first lookup.
+    if let Some(existing_export) = existing_export(&state, job, source, format).await? {
+        return Ok(existing_export);
+    }
+    // The size is known, and reserved, once the file is written.
+    state.store().admit_export(job).await?;
+    require_free_space(&state, 0)?;
+    let slot = state.exports.slots.try_acquire();
+    let _slot = slot.map_err(|_| ProblemResponse::busy("too many exports are in progress"))?;
+    let _permit = state.exports.permits.acquire().await?;
+    let file = state.blobs().read(source).await?;
+    let cameras = cameras_of(&state, &record).await?;
+    let write = state.services.export.clone();
+    let exported = spawn_blocking(move || write(&file, format, &cameras)).await;
+    let exported = exported??;
+    let ExportedScene { bytes, gaussians, sh_degree, fidelity } = exported;
+    let _reservation = Reservations::reserve(&state, record.owner, bytes.len() as u64).await?;
+    let published = state.blobs().put_new(Bytes::from(bytes)).await?;
+    let blob = published.blob;
+    let export = ExportRecord { job, source, format, blob, gaussians, sh_degree, fidelity };
+    let existing_export = state.store().add_export(export).await;
+    if !matches!(&existing_export, Ok(Some(existing_export)) if existing_export.blob == blob) {
+        withdraw_blob(&state, published).await;
+    }
+    let existing_export = existing_export?;
+    tracing::info!(%job, bytes = blob.bytes, "job {job} is exported as .{}", format.name());
+    existing_export.ok_or_else(|| ProblemResponse::no_job(job))
+}
+
+/// The dataset's cameras, from which the fidelity of the export is measured.
+async fn cameras_of(state: &AppState, record: &JobRecord) -> ApiResult<Vec<NamedCamera>> {
+    let Some(blob) = record.artifact(ArtifactKind::Cameras) else { return Ok(Vec::new()) };
+    let content = state.blobs().read(blob.digest).await?;
+    serde_json::from_slice(&content).map_err(|error| ProblemResponse::internal(&error))
+}

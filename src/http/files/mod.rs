@@ -1,0 +1,146 @@
+//! A job's files: the trained scene, a list of all files, and each by its hash.
+
+mod download;
+pub(super) mod exports;
+
+use axum::{
+    Json,
+    extract::{Path, State},
+    http::{HeaderMap, header},
+    response::IntoResponse,
+};
+use serde::Serialize;
+
+use self::download::{File, media_type, serve};
+use super::{
+    jobs::OwnedJob,
+    problem::{ApiResult, ProblemResponse},
+    request::Parameters,
+    state::AppState,
+};
+use crate::{
+    domain::{Caller, Digest, ProblemType},
+    store::{ArtifactKind, BlobRef, ExportFidelity, JobRecord, SceneArtifact},
+};
+
+/// Takes the parameter that selects a file of a rate-distortion curve.
+pub(super) fn take_lambda(parameters: &mut Parameters) -> ApiResult<Option<f64>> {
+    parameters.take_as("lambda", "a number")
+}
+
+/// The job's file of weight `lambda`, or its first; 409 where there is none yet, 404 where none has that weight.
+pub(super) fn file_of(record: &JobRecord, lambda: Option<f64>) -> ApiResult<SceneArtifact> {
+    let first = record.scenes().next();
+    let first = first.ok_or_else(|| ProblemResponse::no_file_yet(record.job.id, record.job.state.name()))?;
+    match lambda {
+        None => Ok(first),
+        Some(_) => record.scenes().find(|scene| scene.lambda == lambda).ok_or_else(|| no_such_lambda(record)),
+    }
+}
+
+fn no_such_lambda(record: &JobRecord) -> ProblemResponse {
+    let known: Vec<String> =
+        record.scenes().filter_map(|scene| scene.lambda).map(|lambda| lambda.to_string()).collect();
+    let detail = if known.is_empty() {
+        format!("job {} has one file, not the files of an rd_curve; leave out lambda", record.job.id)
+    } else {
+        format!("job {} has files of lambda {}", record.job.id, known.join(", "))
+    };
+    ProblemResponse::new(ProblemType::NoSuchLambda, detail)
+}
+
+/// `GET` and `HEAD /v1/jobs/{id}/artifact`.
+pub(super) async fn get(
+    State(state): State<AppState>,
+    OwnedJob(record): OwnedJob,
+    mut parameters: Parameters,
+    request: HeaderMap,
+) -> ApiResult {
+    let lambda = take_lambda(&mut parameters)?;
+    parameters.finish()?;
+    let SceneArtifact { format, lambda, blob } = file_of(&record, lambda)?;
+    serve(&state, &request, File::new(record.job.id, ArtifactKind::Scene(format), lambda, blob)).await
+}
+
+/// `GET` and `HEAD /v1/artifacts/{sha256}`.
+pub(super) async fn by_hash(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(hash): Path<String>,
+    request: HeaderMap,
+) -> ApiResult {
+    let found = match hash.parse::<Digest>() {
+        Ok(digest) => state.store().file(digest, caller.sees_only()).await?,
+        Err(_) => None,
+    };
+    let found = found.ok_or_else(|| {
+        let detail = "no file of yours has this SHA-256; the artifacts of a job list what it has";
+        ProblemResponse::new(ProblemType::ArtifactNotFound, detail)
+    })?;
+    serve(&state, &request, found.into()).await
+}
+
+#[derive(Debug, Serialize)]
+struct ArtifactList {
+    artifacts: Vec<ListedFile>,
+}
+
+#[derive(Debug, Serialize)]
+struct ListedFile {
+    kind: &'static str,
+    origin: &'static str,
+    lambda: Option<f64>,
+    bytes: u64,
+    sha256: Digest,
+    media_type: &'static str,
+    gaussians: Option<u64>,
+    sh_degree: Option<u8>,
+    fidelity: Option<ExportFidelityBody>,
+    href: String,
+}
+
+#[derive(Debug, Serialize)]
+struct ExportFidelityBody {
+    psnr: f64,
+    views: u32,
+}
+
+impl ListedFile {
+    fn new(origin: &'static str, kind: ArtifactKind, lambda: Option<f64>, blob: BlobRef) -> Self {
+        Self {
+            kind: kind.name(),
+            origin,
+            lambda,
+            bytes: blob.bytes,
+            sha256: blob.digest,
+            media_type: media_type(kind),
+            gaussians: None,
+            sh_degree: None,
+            fidelity: None,
+            href: format!("/v1/artifacts/{}", blob.digest),
+        }
+    }
+}
+
+/// `GET /v1/jobs/{id}/artifacts`.
+pub(super) async fn list(
+    State(state): State<AppState>,
+    OwnedJob(record): OwnedJob,
+) -> ApiResult<impl IntoResponse> {
+    let exports = state.store().exports(record.job.id).await?;
+    let made = record.artifacts.iter().map(|file| ListedFile::new("job", file.kind, file.lambda, file.blob));
+    let exported = exports.iter().map(|export| {
+        let source = record.artifacts.iter().find(|file| file.blob.digest == export.source);
+        let lambda = source.and_then(|file| file.lambda);
+        ListedFile {
+            gaussians: Some(export.gaussians),
+            sh_degree: Some(export.sh_degree),
+            fidelity: export
+                .fidelity
+                .map(|ExportFidelity { psnr, views }| ExportFidelityBody { psnr, views }),
+            ..ListedFile::new("export", ArtifactKind::Scene(export.format), lambda, export.blob)
+        }
+    });
+    let artifacts = made.chain(exported).collect();
+    Ok(([(header::CACHE_CONTROL, "no-cache")], Json(ArtifactList { artifacts })))
+}

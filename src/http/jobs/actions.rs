@@ -1,0 +1,134 @@
+//! Actions on an existing job: cancel, retry, delete.
+
+use axum::{
+    body::Body,
+    extract::State,
+    http::{HeaderMap, StatusCode, Uri},
+    response::IntoResponse as _,
+};
+use serde::Deserialize;
+use tokio::task::spawn_blocking;
+
+use super::{
+    OwnedJob,
+    create::respond,
+    create_request::{check_deadline, deadline},
+    etag, representation,
+};
+use crate::{
+    domain::{Caller, Digest, JobId, JobState, ProblemType},
+    http::{
+        problem::{ApiResult, ProblemResponse},
+        request::{
+            CreateOutcome, CreateRequest, IfMatch, JsonBody, idempotent, parse_json, read_optional_json,
+            require_free_space,
+        },
+        state::AppState,
+    },
+    store::{Cancellation, Deletion, RetryOutcome, RetryRequest},
+};
+
+/// `POST /v1/jobs/{id}/cancel`.
+pub(crate) async fn cancel(State(state): State<AppState>, OwnedJob(record): OwnedJob) -> ApiResult {
+    let id = record.job.id;
+    match state.store().cancel(id).await?.ok_or_else(|| ProblemResponse::no_job(id))? {
+        Cancellation::Done(record) => Ok(representation(record).into_response()),
+        Cancellation::Requested(record) => Ok((StatusCode::ACCEPTED, representation(record)).into_response()),
+        Cancellation::TooLate(record) => Err(ProblemResponse::new(
+            ProblemType::JobFinished,
+            format!("job {id} has already {}; it cannot be cancelled", record.job.state.name()),
+        )),
+    }
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct RetryJobRequest {
+    /// Whether to continue from the job's checkpoint, if it has one; true if absent.
+    from_checkpoint: Option<bool>,
+    /// As when a job is created.
+    deadline_s: Option<u32>,
+}
+
+impl JsonBody for RetryJobRequest {
+    const EXPECTED: &'static str = "{\"from_checkpoint\": BOOLEAN, \"deadline_s\": SECONDS}";
+}
+
+/// `POST /v1/jobs/{id}/retry`.
+pub(crate) async fn retry(
+    State(state): State<AppState>,
+    OwnedJob(record): OwnedJob,
+    caller: Caller,
+    uri: Uri,
+    headers: HeaderMap,
+    body: Body,
+) -> ApiResult {
+    let id = record.job.id;
+    let request = CreateRequest { state: &state, caller, uri: &uri, headers: &headers };
+    let guard = request.begin()?;
+    let content = read_optional_json(&mut body.into_data_stream(), &headers, &state.limits).await?;
+    let intent = request.intent(guard.as_ref(), Digest::of(content.as_deref().unwrap_or_default()));
+    let create = async {
+        let RetryJobRequest { from_checkpoint, deadline_s } =
+            content.as_deref().map(parse_json).transpose()?.unwrap_or_default();
+        deadline_s.map(check_deadline).transpose()?;
+        require_free_space(&state, 0)?;
+        let repeat = RetryRequest {
+            id: JobId(state.new_uuid()),
+            from_checkpoint: from_checkpoint.unwrap_or(true),
+            deadline_at: deadline(state.services.clock.now(), deadline_s),
+            intent: intent.clone(),
+        };
+        match state.store().retry_job(id, repeat).await {
+            Ok(None) => Err(ProblemResponse::no_job(id)),
+            Ok(Some(RetryOutcome::NotRetryable(job))) => Err(not_retryable(id, job)),
+            Ok(Some(RetryOutcome::Created(record))) => Ok(Ok(*record)),
+            Err(error) => Ok(Err(error)),
+        }
+    };
+    let outcome = idempotent(&state, intent.clone(), create).await?;
+    drop(guard);
+    if let CreateOutcome::Created(record) = &outcome {
+        let new = record.job.id;
+        tracing::info!(job = %new, retry_of = %id, "job {new} is queued; it repeats job {id}");
+    }
+    respond(&state, outcome, &headers).await
+}
+
+fn not_retryable(id: JobId, state: JobState) -> ProblemResponse {
+    let detail = format!("job {id} is {}; only a job that failed or was cancelled is retried", state.name());
+    ProblemResponse::new(ProblemType::JobNotRetryable, detail)
+}
+
+/// `DELETE /v1/jobs/{id}`.
+pub(crate) async fn delete(
+    State(state): State<AppState>,
+    OwnedJob(record): OwnedJob,
+    headers: HeaderMap,
+) -> ApiResult<StatusCode> {
+    let id = record.job.id;
+    let version = match etag(&record).if_match(&headers) {
+        IfMatch::Absent => None,
+        IfMatch::Matches => Some(record.job.version),
+        IfMatch::Differs => return Err(changed(id)),
+    };
+    match state.store().delete_job(id, version).await?.ok_or_else(|| ProblemResponse::no_job(id))? {
+        Deletion::Deleted => {}
+        Deletion::VersionMismatch => return Err(changed(id)),
+        Deletion::Active(now) => {
+            let detail = format!("job {id} is {}; cancel it first and wait until it has ended", now.name());
+            return Err(ProblemResponse::new(ProblemType::JobActive, detail));
+        }
+    }
+    tracing::info!(job = %id, "job {id} is deleted");
+    let forget = state.services.forget.clone();
+    spawn_blocking(move || forget(id)).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+fn changed(id: JobId) -> ProblemResponse {
+    ProblemResponse::new(
+        ProblemType::PreconditionFailed,
+        format!("job {id} has changed since the version in If-Match; read it again"),
+    )
+}

@@ -1,0 +1,122 @@
+//! A job as the API shows it.
+
+use jiff::Timestamp;
+use serde::Serialize;
+
+use crate::{
+    domain::{Digest, JobId, JobMetrics, JobState, Phase, Problem, Progress, SceneId, TrainOptions},
+    http::datasets::body::DatasetBody,
+    store::{JobRecord, SceneArtifact},
+};
+
+/// `#/components/schemas/Job` of the contract.
+#[derive(Debug, Serialize)]
+pub(crate) struct JobBody {
+    id: JobId,
+    state: JobState,
+    phase: Phase,
+    progress: Progress,
+    metrics: Option<JobMetrics>,
+    artifacts: Vec<ArtifactBody>,
+    error: Option<Problem>,
+    attempt: u32,
+    cancel_requested: bool,
+    priority: i32,
+    deadline_at: Option<Timestamp>,
+    retry_of: Option<JobId>,
+    scene_id: Option<SceneId>,
+    options: TrainOptions,
+    dataset: DatasetBody,
+    created_at: Timestamp,
+    started_at: Option<Timestamp>,
+    finished_at: Option<Timestamp>,
+    links: Links,
+}
+
+#[derive(Debug, Serialize)]
+struct ArtifactBody {
+    kind: &'static str,
+    lambda: Option<f64>,
+    bytes: u64,
+    sha256: Digest,
+    href: String,
+}
+
+#[derive(Debug, Serialize)]
+struct Links {
+    #[serde(rename = "self")]
+    this: String,
+    events: String,
+    series: String,
+    cancel: String,
+    retry: String,
+    artifact: String,
+    artifacts: String,
+    export: String,
+    view: String,
+    views: String,
+    stream: String,
+    animation: String,
+    report: String,
+}
+
+/// The path of a job.
+pub(crate) fn href(id: JobId) -> String {
+    format!("/v1/jobs/{id}")
+}
+
+impl From<JobRecord> for JobBody {
+    fn from(record: JobRecord) -> Self {
+        let this = href(record.job.id);
+        let artifact = format!("{this}/artifact");
+        let artifacts = record
+            .scenes()
+            .map(|SceneArtifact { format, lambda, blob }| ArtifactBody {
+                kind: format.name(),
+                lambda,
+                bytes: blob.bytes,
+                sha256: blob.digest,
+                href: match lambda {
+                    Some(lambda) => format!("{artifact}?lambda={lambda}"),
+                    None => artifact.clone(),
+                },
+            })
+            .collect();
+        let job = record.job;
+        Self {
+            id: job.id,
+            state: job.state,
+            phase: job.phase,
+            progress: job.progress,
+            metrics: job.metrics,
+            artifacts,
+            error: job.error,
+            attempt: job.attempt,
+            cancel_requested: job.cancel_requested,
+            priority: record.priority,
+            deadline_at: record.deadline_at,
+            retry_of: record.retry_of,
+            scene_id: record.dataset_id,
+            options: job.options,
+            dataset: record.dataset.into(),
+            created_at: job.created_at,
+            started_at: job.started_at,
+            finished_at: job.finished_at,
+            links: Links {
+                events: format!("{this}/events"),
+                series: format!("{this}/series"),
+                cancel: format!("{this}/cancel"),
+                retry: format!("{this}/retry"),
+                artifact,
+                artifacts: format!("{this}/artifacts"),
+                export: format!("{this}/export"),
+                view: format!("{this}/view"),
+                views: format!("{this}/views"),
+                stream: format!("{this}/stream"),
+                animation: format!("{this}/animation"),
+                report: format!("{this}/report"),
+                this,
+            },
+        }
+    }
+}

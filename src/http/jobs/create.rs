@@ -1,0 +1,144 @@
+//! `POST /v1/jobs`: creates a job from the archive in the body, or from a scene that was sent before.
+
+use std::sync::Arc;
+
+use axum::{
+    body::{Body, BodyDataStream},
+    extract::State,
+    http::{HeaderMap, HeaderValue, StatusCode, Uri, header},
+    response::IntoResponse as _,
+};
+use tokio::task::spawn_blocking;
+
+use super::{
+    body::href,
+    create_request::{CreateJobRequest, deadline},
+    representation,
+};
+use crate::{
+    domain::{Caller, Digest, JobId, ProblemType},
+    http::{
+        datasets::received::receive,
+        problem::{ApiResult, ProblemResponse},
+        request::{
+            CreateOutcome, CreateRequest, Parameters, Resource, expect_media_type, idempotency, idempotent,
+            media_type, prefer, read_json, require_free_space,
+        },
+        state::AppState,
+    },
+    store::{BlobRef, JobRecord, NewJob, PriorRequest},
+};
+
+const JSON: &str = "application/json";
+
+/// `POST /v1/jobs`.
+pub(crate) async fn create(
+    State(state): State<AppState>,
+    caller: Caller,
+    uri: Uri,
+    headers: HeaderMap,
+    body: Body,
+) -> ApiResult {
+    expect_media_type(&headers, &["application/zip", "application/x-zip-compressed", JSON])?;
+    let request = CreateRequest { state: &state, caller, uri: &uri, headers: &headers };
+    let mut body = body.into_data_stream();
+    let outcome = if media_type(&headers).as_deref() == Some(JSON) {
+        from_scene(request, &mut body).await?
+    } else {
+        from_archive(request, &mut body).await?
+    };
+    if let CreateOutcome::Created(record) = &outcome {
+        let id = record.job.id;
+        tracing::info!(job = %id, bytes = record.dataset.bytes, "job {id} is queued");
+    }
+    respond(&state, outcome, &headers).await
+}
+
+/// 201 with the job; with `Prefer: wait`, once the job has finished or the time is up.
+pub(crate) async fn respond(
+    state: &AppState,
+    outcome: CreateOutcome<JobRecord>,
+    headers: &HeaderMap,
+) -> ApiResult {
+    let (record, replayed) = match outcome {
+        CreateOutcome::Created(record) => (record, false),
+        CreateOutcome::Replayed(record) => (record, true),
+    };
+    let id = record.job.id;
+    let (record, waited) = prefer::finished(state, record, prefer::wait(headers)).await?;
+    let record = record.ok_or_else(|| ProblemResponse::no_job(id))?;
+    let location = HeaderValue::try_from(href(id))?;
+    let mut response = (StatusCode::CREATED, representation(record)).into_response();
+    let headers = response.headers_mut();
+    headers.insert(header::LOCATION, location);
+    prefer::mark_applied(headers, waited);
+    if replayed {
+        idempotency::mark_replayed(headers);
+    }
+    Ok(response)
+}
+
+async fn from_scene(
+    request: CreateRequest<'_>,
+    body: &mut BodyDataStream,
+) -> ApiResult<CreateOutcome<JobRecord>> {
+    let CreateRequest { state, caller, uri, headers } = request;
+    Parameters::parse(uri.query())?.finish()?;
+    let guard = request.begin()?;
+    let content = read_json(body, headers, &state.limits).await?;
+    let intent = request.intent(guard.as_ref(), Digest::of(&content));
+    let create = async {
+        let (id, wanted) = CreateJobRequest::from_json(&content)?;
+        let scene = state.store().dataset(id).await?.filter(|scene| caller.may_see(scene.owner));
+        let scene = scene.ok_or_else(|| ProblemResponse::no_scene(id))?;
+        require_free_space(state, 0)?;
+        let job = new_job(request, wanted, scene.dataset);
+        Ok(state.store().create_job(NewJob { dataset_id: Some(id), intent: intent.clone(), ..job }).await)
+    };
+    idempotent(state, intent.clone(), create).await
+}
+
+async fn from_archive(
+    request: CreateRequest<'_>,
+    body: &mut BodyDataStream,
+) -> ApiResult<CreateOutcome<JobRecord>> {
+    let CreateRequest { state, caller, uri, headers } = request;
+    let wanted = CreateJobRequest::from_query(Parameters::parse(uri.query())?)?;
+    let guard = request.begin()?;
+    let _permit = state.upload_permit()?;
+    let received = receive(state, caller.key, headers, body).await?;
+    let intent = request.intent(guard.as_ref(), received.blob().digest);
+    let create = async {
+        let check = state.services.check.clone();
+        let checked = spawn_blocking(move || {
+            let checked = check(received.path());
+            (received, checked)
+        });
+        let (received, checked) = checked.await?;
+        checked?;
+        let job = NewJob { intent: intent.clone(), ..new_job(request, wanted, received.blob()) };
+        let store = Arc::clone(&state.services.store);
+        received.keep(state, async move { store.create_job(job).await }).await
+    };
+    idempotent(state, intent.clone(), create).await
+}
+
+fn new_job(request: CreateRequest<'_>, wanted: CreateJobRequest, dataset: BlobRef) -> NewJob {
+    let CreateRequest { state, caller, .. } = request;
+    NewJob {
+        owner: caller.key,
+        priority: wanted.priority,
+        deadline_at: deadline(state.services.clock.now(), wanted.deadline_s),
+        ..NewJob::new(JobId(state.new_uuid()), wanted.options, dataset)
+    }
+}
+
+impl Resource for JobRecord {
+    async fn load(state: &AppState, remembered: &PriorRequest) -> ApiResult<Self> {
+        let record = match remembered.resource.parse::<JobId>() {
+            Ok(id) => state.store().job(id).await?,
+            Err(_) => None,
+        };
+        record.ok_or_else(|| idempotency::deleted_since(ProblemType::JobNotFound, "job", remembered))
+    }
+}

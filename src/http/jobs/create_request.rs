@@ -1,0 +1,229 @@
+//! Reads the request for a job from a query string or a JSON object, with the same names and meanings in both.
+
+use jiff::{SignedDuration, Timestamp};
+use serde_json::{Map, Value};
+
+use crate::{
+    domain::{MAX_PRIORITY, OptionError, ProblemType, SceneId, TrainOptions},
+    http::{
+        problem::{ApiResult, ProblemResponse},
+        request::{JsonBody, Parameters, parse_json},
+    },
+};
+
+/// Longest deadline, in seconds.
+const MAX_DEADLINE: u32 = 366 * 24 * 3600;
+/// Largest integer that JSON readers which use 64-bit floats, such as JavaScript's, represent exactly.
+const MAX_SEED: u64 = (1 << 53) - 1;
+/// Characters of an unknown name that a problem repeats.
+const LONGEST_NAME: usize = 100;
+
+/// What a job has besides its dataset.
+#[derive(Debug, Default)]
+pub(crate) struct CreateJobRequest {
+    pub(crate) options: TrainOptions,
+    pub(crate) priority: i32,
+    pub(super) deadline_s: Option<u32>,
+}
+
+impl JsonBody for Map<String, Value> {
+    const EXPECTED: &'static str = "an object";
+}
+
+impl CreateJobRequest {
+    /// Reads a query string.
+    pub(crate) fn from_query(mut parameters: Parameters) -> ApiResult<Self> {
+        let priority = parameters.take_as("priority", "a whole number")?.unwrap_or(0);
+        let deadline_s = parameters.take_as("deadline_s", "a whole number of seconds")?;
+        let mut options = TrainOptions::default();
+        for (name, text) in parameters.rest() {
+            expect_known(&name)?;
+            options.set(&name, &text).map_err(|error| invalid_option(&error))?;
+        }
+        Self { options, priority, deadline_s }.validated()
+    }
+
+    /// Reads a JSON object, which also names the scene.
+    pub(super) fn from_json(content: &[u8]) -> ApiResult<(SceneId, Self)> {
+        let mut object: Map<String, Value> = parse_json(content)?;
+        let scene = object.remove("scene_id").ok_or_else(|| {
+            ProblemResponse::parameter("scene_id", "is missing; name the scene to train on")
+        })?;
+        let scene = field("scene_id", scene, "a scene's id")?;
+        let priority = object.remove("priority").map(|value| field("priority", value, "a whole number"));
+        let deadline_s = object
+            .remove("deadline_s")
+            .filter(|value| !value.is_null())
+            .map(|value| field("deadline_s", value, "a whole number of seconds"));
+        let (priority, deadline_s) = (priority.transpose()?.unwrap_or(0), deadline_s.transpose()?);
+        let options = options(object)?;
+        Ok((scene, Self { options, priority, deadline_s }.validated()?))
+    }
+
+    fn validated(self) -> ApiResult<Self> {
+        if !(-MAX_PRIORITY..=MAX_PRIORITY).contains(&self.priority) {
+            let fault = format!("{} is outside -{MAX_PRIORITY}..={MAX_PRIORITY}", self.priority);
+            return Err(ProblemResponse::parameter("priority", fault));
+        }
+        if let Some(seconds) = self.deadline_s {
+            check_deadline(seconds)?;
+        }
+        let seed = self.options.seed;
+        if seed > MAX_SEED {
+            let fault = OptionError::new("seed", format!("{seed} is outside 0..={MAX_SEED}"));
+            return Err(invalid_option(&fault));
+        }
+        Ok(Self { options: self.options.validated().map_err(|error| invalid_option(&error))?, ..self })
+    }
+}
+
+fn field<T: serde::de::DeserializeOwned>(name: &str, value: Value, expected: &str) -> ApiResult<T> {
+    serde_json::from_value(value.clone())
+        .map_err(|_| ProblemResponse::parameter(name, format!("{value} is not {expected}")))
+}
+
+/// Training options in an object's fields. Lists may also be what the query string has.
+fn options(fields: Map<String, Value>) -> ApiResult<TrainOptions> {
+    let mut lists = TrainOptions::default();
+    let mut whole = Map::new();
+    for (name, value) in fields {
+        expect_known(&name)?;
+        match (name.as_str(), &value) {
+            ("without" | "with" | "rd_curve", Value::String(text)) => {
+                lists.set(&name, text).map_err(|error| invalid_option(&error))?;
+                let parsed =
+                    serde_json::to_value(&lists).map_err(|error| ProblemResponse::internal(&error))?;
+                // Not there if there is nothing in it.
+                whole.extend(parsed.get(&name).map(|list| (name.clone(), list.clone())));
+            }
+            _ => {
+                // One at a time, so that the fault names its field.
+                let alone = Value::Object(Map::from_iter([(name.clone(), value.clone())]));
+                serde_json::from_value::<TrainOptions>(alone)
+                    .map_err(|error| invalid_field(&name, &error))?;
+                whole.insert(name, value);
+            }
+        }
+    }
+    serde_json::from_value(Value::Object(whole)).map_err(|error| invalid_field("options", &error))
+}
+
+/// 422 for the name of no option.
+fn expect_known(name: &str) -> ApiResult<()> {
+    if TrainOptions::NAMES.contains(&name) {
+        return Ok(());
+    }
+    let shown: String = name.chars().take(LONGEST_NAME).collect();
+    let detail = format!(
+        "{shown}: is not an option; there are priority, deadline_s, {}",
+        TrainOptions::NAMES.join(", ")
+    );
+    Err(ProblemResponse::new(ProblemType::InvalidOption, detail))
+}
+
+fn invalid_field(name: &str, error: &serde_json::Error) -> ProblemResponse {
+    ProblemResponse::new(ProblemType::InvalidOption, format!("{name}: {error}"))
+}
+
+fn invalid_option(error: &OptionError) -> ProblemResponse {
+    ProblemResponse::new(ProblemType::InvalidOption, error.to_string())
+}
+
+/// 422 for a deadline out of range.
+pub(super) fn check_deadline(seconds: u32) -> ApiResult<()> {
+    if (1..=MAX_DEADLINE).contains(&seconds) {
+        return Ok(());
+    }
+    Err(ProblemResponse::parameter("deadline_s", format!("{seconds} is outside 1..={MAX_DEADLINE}")))
+}
+
+/// The deadline that is `seconds` from now.
+pub(crate) fn deadline(now: Timestamp, seconds: Option<u32>) -> Option<Timestamp> {
+    now.checked_add(SignedDuration::from_secs(seconds?.into())).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    const SCENE: &str = "019364d3-0000-7000-8000-000000000001";
+
+    fn read(mut fields: Value) -> Result<CreateJobRequest, String> {
+        fields["scene_id"] = json!(SCENE);
+        let read = CreateJobRequest::from_json(&serde_json::to_vec(&fields).expect("JSON"));
+        read.map(|(_, request)| request).map_err(|fault| format!("{fault:?}"))
+    }
+
+    #[test]
+    fn an_object_means_what_the_query_string_means() {
+        let query = "preset=standard&iterations=7&seed=3&background=white&without=masks,wavelet&voxel=0.5&\
+                     with=plane-compression&\
+                     rd_curve=0.004,1e-3&priority=-5&deadline_s=60";
+        let query =
+            CreateJobRequest::from_query(Parameters::parse(Some(query)).expect("a query")).expect("possible");
+        for (without, with, rd_curve) in [
+            (json!(["masks", "wavelet"]), json!(["plane-compression"]), json!([0.004, 0.001])),
+            (json!("masks,wavelet"), json!("plane-compression"), json!("0.004,1e-3")),
+        ] {
+            let object = read(json!({
+                "preset": "standard", "iterations": 7, "seed": 3, "background": "white", "without": without,
+                "with": with, "voxel": 0.5, "rd_curve": rd_curve, "priority": -5, "deadline_s": 60, "lambda": null,
+            }))
+            .expect("possible");
+            assert_eq!(object.options, query.options);
+            assert_eq!((object.priority, object.deadline_s), (query.priority, query.deadline_s));
+        }
+    }
+
+    #[test]
+    fn who_mistypes_a_name_is_told_which_there_are() {
+        let query = Parameters::parse(Some("iteratons=7")).expect("a query");
+        let query = CreateJobRequest::from_query(query).expect_err("no such option");
+        for fault in [format!("{query:?}"), read(json!({ "iteratons": 7 })).expect_err("no such option")] {
+            for named in ["iteratons: is not", "deadline_s, preset, iterations,", "rd_curve"] {
+                assert!(fault.contains(named), "{fault}");
+            }
+        }
+        let long = read(json!({ "x".repeat(5000): 1 })).expect_err("no such option");
+        assert!(long.len() < 1000);
+    }
+
+    #[test]
+    fn seeds_are_taken_as_far_as_every_language_s_json_is_exact() {
+        let largest = read(json!({ "seed": MAX_SEED })).expect("a job");
+        assert_eq!(
+            (largest.options.seed, MAX_SEED),
+            (9_007_199_254_740_991, (1_u64 << f64::MANTISSA_DIGITS) - 1)
+        );
+        let query = Parameters::parse(Some("seed=18446744073709551615")).expect("a query");
+        let fault = format!("{:?}", CreateJobRequest::from_query(query).expect_err("too large"));
+        assert!(fault.contains("seed: 18446744073709551615 is outside 0..=9007199254740991"), "{fault}");
+    }
+
+    #[test]
+    fn faults_name_their_field() {
+        for (fields, named) in [
+            (json!({ "colour": "red" }), "colour"),
+            (json!({ "iterations": "7" }), "iterations"),
+            (json!({ "iterations": 0 }), "iterations"),
+            (json!({ "seed": -1 }), "seed"),
+            (json!({ "seed": (1_u64 << 53) }), "seed"),
+            (json!({ "preset": "fast" }), "preset"),
+            (json!({ "preset": null }), "preset"),
+            (json!({ "without": ["everything"] }), "without"),
+            (json!({ "without": "everything" }), "without"),
+            (json!({ "with": ["masks"] }), "with"),
+            (json!({ "with": "everything" }), "with"),
+            (json!({ "rd_curve": [0.001, 0.001] }), "rd_curve"),
+            (json!({ "priority": 101 }), "priority"),
+            (json!({ "priority": "high" }), "priority"),
+            (json!({ "deadline_s": 0 }), "deadline_s"),
+            (json!({ "deadline_s": 1e12 }), "deadline_s"),
+        ] {
+            let fault = read(fields.clone()).expect_err("impossible");
+            assert!(fault.contains(&format!("{named}:")), "{fields}: {fault}");
+        }
+    }
+}

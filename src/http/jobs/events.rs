@@ -1,0 +1,87 @@
+//! A job's history: a page at a time, or as a stream.
+
+use axum::{
+    Json,
+    extract::State,
+    http::{HeaderMap, HeaderName, StatusCode, header},
+    response::IntoResponse as _,
+};
+use serde::Serialize;
+
+use super::{OwnedJob, body::href, event_stream};
+use crate::{
+    domain::{Caller, Event, ProblemType},
+    http::{
+        problem::{ApiResult, ProblemResponse},
+        request::{Parameters, accepts, prefers},
+        state::AppState,
+    },
+};
+
+const DEFAULT_PAGE: u32 = 100;
+const MAX_PAGE: u32 = 1000;
+/// `Retry-After` where too many streams are open.
+const STREAM_RETRY_SECONDS: u32 = 10;
+const STREAM: &str = "text/event-stream";
+const PAGE: &str = "application/json";
+const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
+
+#[derive(Debug, Serialize)]
+struct EventPage {
+    events: Vec<Event>,
+    next: String,
+}
+
+/// `GET /v1/jobs/{id}/events`.
+pub(crate) async fn list(
+    State(state): State<AppState>,
+    OwnedJob(record): OwnedJob,
+    caller: Caller,
+    mut parameters: Parameters,
+    headers: HeaderMap,
+) -> ApiResult {
+    let job = record.job;
+    let stream = prefers(&headers, STREAM, PAGE);
+    if !stream && !accepts(&headers, PAGE) {
+        return Err(ProblemResponse::new(
+            ProblemType::NotAcceptable,
+            format!("events are served as {PAGE} and as {STREAM}"),
+        ));
+    }
+    // Streams ignore the limit, but an invalid one is refused all the same.
+    let limit = parameters.take_count("limit", DEFAULT_PAGE, MAX_PAGE)?;
+    let after: u64 = parameters.take_as("after", "an event number")?.unwrap_or(0);
+    parameters.finish()?;
+    let no_store = [(header::CACHE_CONTROL, "no-store")];
+    let seen = last_event_id(&headers)?;
+    if stream {
+        let after = seen.unwrap_or(after);
+        let more =
+            state.store().events(job.id, after, 1).await?.ok_or_else(|| ProblemResponse::no_job(job.id))?;
+        if job.state.is_terminal() && more.is_empty() {
+            return Ok((StatusCode::NO_CONTENT, no_store).into_response());
+        }
+        let slot = state.event_streams.take(caller.key).map_err(|taken| {
+            let (count, of) = match taken.by_holder >= state.event_streams.capacity().each {
+                true => (taken.by_holder, "of yours"),
+                false => (taken.by_all, "in all"),
+            };
+            let detail = format!("{count} streams {of} are open, which is the limit; ask for pages instead");
+            ProblemResponse::new(ProblemType::TooManyStreams, detail)
+                .with_header(header::RETRY_AFTER, STREAM_RETRY_SECONDS.into())
+        })?;
+        return Ok(event_stream::answer(state, &caller, job.id, after, slot));
+    }
+    let events =
+        state.store().events(job.id, after, limit).await?.ok_or_else(|| ProblemResponse::no_job(job.id))?;
+    let last = events.last().map_or(after, |event| event.seq);
+    let next = format!("{}/events?after={last}&limit={limit}", href(job.id));
+    Ok((no_store, Json(EventPage { events, next })).into_response())
+}
+
+/// The last event that a reconnecting client has seen. It overrides `after`, which such a client repeats.
+fn last_event_id(headers: &HeaderMap) -> ApiResult<Option<u64>> {
+    let Some(value) = headers.get(LAST_EVENT_ID) else { return Ok(None) };
+    let number = value.to_str().ok().and_then(|text| text.trim().parse().ok());
+    number.map(Some).ok_or_else(|| ProblemResponse::parameter("Last-Event-ID", "is not an event number"))
+}

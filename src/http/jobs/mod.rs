@@ -1,0 +1,83 @@
+//! Jobs: creation, lists, state, history and actions; the state of one job here.
+
+pub(super) mod actions;
+pub(super) mod body;
+pub(super) mod create;
+pub(super) mod create_request;
+pub(super) mod event_stream;
+pub(super) mod events;
+pub(super) mod list;
+pub(super) mod series;
+pub(super) mod watcher;
+
+use axum::{
+    Json,
+    extract::{FromRequestParts, Path, State},
+    http::{HeaderMap, HeaderValue, header, request::Parts},
+    response::IntoResponse,
+};
+
+use self::body::JobBody;
+use super::{
+    auth::caller::caller,
+    problem::{ApiResult, ProblemResponse},
+    request::{Etag, not_modified, prefer},
+    state::AppState,
+};
+use crate::{domain::ProblemType, store::JobRecord};
+
+/// Seconds after which a client that polls an unfinished job should ask again.
+const POLL_SECONDS: u32 = 2;
+
+/// Extracts the job that the path names; 404 if there is none, and if it is another's.
+#[derive(Debug)]
+pub(super) struct OwnedJob(pub(super) JobRecord);
+
+impl FromRequestParts<AppState> for OwnedJob {
+    type Rejection = ProblemResponse;
+
+    async fn from_request_parts(parts: &mut Parts, state: &AppState) -> ApiResult<Self> {
+        let caller = caller(parts)?;
+        let Path(id) = Path::<String>::from_request_parts(parts, state)
+            .await
+            .map_err(|rejection| ProblemResponse::new(ProblemType::Refused, rejection.body_text()))?;
+        let Ok(parsed) = id.parse() else { return Err(ProblemResponse::no_job(&id)) };
+        let record = state.store().job(parsed).await?.filter(|record| caller.may_see(record.owner));
+        record.map(Self).ok_or_else(|| ProblemResponse::no_job(&id))
+    }
+}
+
+/// `GET /v1/jobs/{id}`.
+pub(super) async fn get(
+    State(state): State<AppState>,
+    OwnedJob(record): OwnedJob,
+    headers: HeaderMap,
+) -> ApiResult {
+    let id = record.job.id;
+    let (record, waited) = prefer::finished(&state, record, prefer::wait(&headers)).await?;
+    let record = record.ok_or_else(|| ProblemResponse::no_job(id))?;
+    let etag = etag(&record);
+    let mut response = if etag.is_in_if_none_match(&headers) {
+        not_modified(&etag)
+    } else {
+        representation(record).into_response()
+    };
+    prefer::mark_applied(response.headers_mut(), waited);
+    Ok(response)
+}
+
+/// The tag of a job's row.
+pub(super) fn etag(record: &JobRecord) -> Etag {
+    Etag::new(record.job.version)
+}
+
+/// A job with the headers that belong to it.
+pub(super) fn representation(record: JobRecord) -> impl IntoResponse {
+    let mut headers = HeaderMap::new();
+    headers.insert(header::ETAG, etag(&record).value());
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+    if !record.job.state.is_terminal() {
+        headers.insert(header::RETRY_AFTER, POLL_SECONDS.into());
+    }
+    (headers, Json(JobBody::from(record)))
+}

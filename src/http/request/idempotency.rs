@@ -1,0 +1,153 @@
+//! `Idempotency-Key`: a request that is sent again creates nothing again.
+//!
+//! The store remembers what a key created, in the transaction that created it ([`crate::store::Idempotency`]). Which requests are
+//! in flight is known to this process alone and ends with it, so a request cut off by a crash can simply be sent again. Between
+//! processes the store decides: of two requests with one key, one creates the resource and the other gets it.
+
+use std::{
+    collections::BTreeSet,
+    future::Future,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use axum::http::{HeaderMap, HeaderValue, Uri};
+use sha2::{Digest as _, Sha256};
+
+use crate::{
+    domain::{Caller, Digest, KeyId, ProblemType},
+    http::{
+        problem::{ApiResult, ProblemResponse},
+        state::AppState,
+    },
+    store::{IdempotentRequest, PriorRequest, StoreError},
+};
+
+const HEADER: &str = "idempotency-key";
+const MAX_KEY: usize = 255;
+
+type ScopedKey = (Option<KeyId>, String);
+
+/// The keys of requests in flight.
+#[derive(Debug, Default)]
+pub(crate) struct InFlight(Mutex<BTreeSet<ScopedKey>>);
+
+/// A request's key, in flight until this is dropped.
+#[derive(Debug)]
+pub(crate) struct IdempotencyGuard {
+    in_flight: Arc<InFlight>,
+    key: ScopedKey,
+}
+
+impl Drop for IdempotencyGuard {
+    fn drop(&mut self) {
+        self.in_flight.0.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.key);
+    }
+}
+
+/// A `POST` that creates something, without its body.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CreateRequest<'a> {
+    pub(crate) state: &'a AppState,
+    pub(crate) caller: Caller,
+    pub(crate) uri: &'a Uri,
+    pub(crate) headers: &'a HeaderMap,
+}
+
+/// What a `POST` that creates something returns.
+#[derive(Debug)]
+pub(crate) enum CreateOutcome<T> {
+    /// It created this.
+    Created(T),
+    /// An earlier request with the same `Idempotency-Key` created this.
+    Replayed(T),
+}
+
+/// Something that requests with an `Idempotency-Key` create.
+pub(crate) trait Resource: Sized {
+    /// Reads what an earlier request created.
+    ///
+    /// # Errors
+    /// 404 if it has been deleted since.
+    fn load(state: &AppState, remembered: &PriorRequest) -> impl Future<Output = ApiResult<Self>> + Send;
+}
+
+impl CreateRequest<'_> {
+    /// Puts the request's key in flight, if it has one.
+    ///
+    /// # Errors
+    /// 409 while another request with this key is in flight, 422 for an invalid key.
+    pub(crate) fn begin(&self) -> ApiResult<Option<IdempotencyGuard>> {
+        let mut given = self.headers.get_all(HEADER).iter();
+        let Some(value) = given.next() else { return Ok(None) };
+        let is_valid = |key: &&str| (1..=MAX_KEY).contains(&key.len()) && given.next().is_none();
+        let Some(key) = value.to_str().ok().filter(is_valid) else {
+            return Err(ProblemResponse::new(
+                ProblemType::InvalidIdempotencyKey,
+                format!("Idempotency-Key: give one value of 1 to {MAX_KEY} printable ASCII characters"),
+            ));
+        };
+        let key = (self.caller.key, key.to_owned());
+        let in_flight = &self.state.in_flight;
+        if !in_flight.0.lock().unwrap_or_else(PoisonError::into_inner).insert(key.clone()) {
+            return Err(ProblemResponse::new(
+                ProblemType::IdempotencyInFlight,
+                "another request with this Idempotency-Key is still being answered; ask again once it has been",
+            ));
+        }
+        Ok(Some(IdempotencyGuard { in_flight: Arc::clone(in_flight), key }))
+    }
+
+    /// What the store remembers of a request whose body has this digest.
+    pub(crate) fn intent(&self, guard: Option<&IdempotencyGuard>, body: Digest) -> Option<IdempotentRequest> {
+        let (owner, key) = guard?.key.clone();
+        let mut hasher = Sha256::new();
+        // Neither can hold a line break.
+        hasher.update(format!("POST\n{}\n{}\n", self.uri.path(), self.uri.query().unwrap_or_default()));
+        hasher.update(body.as_bytes());
+        Some(IdempotentRequest { owner, key, fingerprint: Digest::from_bytes(hasher.finalize().into()) })
+    }
+}
+
+/// Creates a resource, unless an earlier request with the same intent has.
+///
+/// # Errors
+/// 422 if the earlier request with this key was another one; whatever `create` and [`Resource::load`] return.
+pub(crate) async fn idempotent<T: Resource>(
+    state: &AppState,
+    intent: Option<IdempotentRequest>,
+    create: impl Future<Output = ApiResult<Result<T, StoreError>>>,
+) -> ApiResult<CreateOutcome<T>> {
+    let Some(intent) = intent else { return Ok(CreateOutcome::Created(create.await??)) };
+    let earlier = match state.store().prior_request(intent.owner, &intent.key).await? {
+        Some(earlier) => earlier,
+        None => match create.await? {
+            // Another process was faster.
+            Err(StoreError::IdempotencyKeyUsed(earlier)) => *earlier,
+            created => return Ok(CreateOutcome::Created(created?)),
+        },
+    };
+    if earlier.fingerprint != intent.fingerprint {
+        return Err(ProblemResponse::new(
+            ProblemType::IdempotencyKeyReused,
+            format!("the Idempotency-Key '{}' was used for another request; use a fresh one", intent.key),
+        ));
+    }
+    Ok(CreateOutcome::Replayed(T::load(state, &earlier).await?))
+}
+
+/// 404 for a resource that an earlier request created.
+pub(crate) fn deleted_since(kind: ProblemType, what: &str, remembered: &PriorRequest) -> ProblemResponse {
+    ProblemResponse::new(
+        kind,
+        format!(
+            "an earlier request with this Idempotency-Key created {what} {}, which has been deleted; use a fresh key for \
+             another",
+            remembered.resource
+        ),
+    )
+}
+
+/// Marks a response as the replay of an earlier one.
+pub(crate) fn mark_replayed(headers: &mut HeaderMap) {
+    headers.insert("idempotency-replayed", HeaderValue::from_static("true"));
+}

@@ -1,0 +1,24 @@
+//! What requests are made of, read the same way by every handler: bodies, query parameters, headers, conditions and pages.
+
+mod accept;
+mod body;
+pub(super) mod content_digest;
+mod etag;
+pub(super) mod idempotency;
+pub(super) mod pagination;
+pub(super) mod prefer;
+mod query;
+mod range;
+mod reservation;
+
+pub(super) use accept::{accepts, prefers};
+pub(super) use body::{
+    ApiJson, JsonBody, Pieces, announced_length, expect_media_type, media_type, parse_json, read_json,
+    read_optional_json,
+};
+pub(super) use etag::{Etag, IfMatch, not_modified};
+pub(super) use idempotency::{CreateOutcome, CreateRequest, Resource, idempotent};
+pub(super) use pagination::{Page, cursor, parse_cursor};
+pub(super) use query::Parameters;
+pub(super) use range::{ByteRange, parse_range};
+pub(super) use reservation::{Reservation, ReservationError, Reservations, require_free_space};

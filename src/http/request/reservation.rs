@@ -1,0 +1,176 @@
+//! Reserves space for uploaded bytes before any is stored: within the owner's quota, and above the floor of free disk space.
+//!
+//! Invariants: bytes that this process receives count against their owner's quota from before the first one until something refers to
+//! them, and, until they are written, against the free space. Other processes do not see reservations; there the transaction
+//! that refers to the bytes decides, and bytes that it refuses are removed again.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
+
+use crate::{
+    domain::KeyId,
+    http::{
+        problem::{ApiResult, ProblemResponse},
+        state::AppState,
+    },
+};
+
+/// Growth of a reservation for a body without an announced length, in bytes, if there is space for it.
+const STEP: u64 = 8 << 20;
+
+/// What is reserved in this process; clones share it.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Reservations(Arc<Mutex<Pending>>);
+
+#[derive(Debug, Default)]
+struct Pending {
+    by_owner: BTreeMap<Option<KeyId>, u64>,
+    /// Bytes of all owners that are not on the disk yet.
+    unwritten: u64,
+}
+
+/// Why space cannot be reserved.
+#[derive(Debug)]
+pub(crate) enum ReservationError {
+    /// The owner's quota is used up. Datasets that the owner has take no further space; none is longer than `largest_dataset`.
+    Quota { fault: ProblemResponse, largest_dataset: u64 },
+    /// The disk is full, or its free space cannot be read.
+    Other(ProblemResponse),
+}
+
+impl From<ReservationError> for ProblemResponse {
+    fn from(refusal: ReservationError) -> Self {
+        match refusal {
+            ReservationError::Quota { fault, .. } | ReservationError::Other(fault) => fault,
+        }
+    }
+}
+
+/// Space that is reserved until this is dropped.
+#[derive(Debug)]
+pub(crate) struct Reservation {
+    reservations: Reservations,
+    owner: Option<KeyId>,
+    bytes: u64,
+    written: u64,
+}
+
+impl Reservations {
+    fn lock(&self) -> MutexGuard<'_, Pending> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reserves `bytes` for an owner.
+    ///
+    /// # Errors
+    /// [`ReservationError`].
+    pub(crate) async fn reserve(
+        state: &AppState,
+        owner: Option<KeyId>,
+        bytes: u64,
+    ) -> Result<Reservation, ReservationError> {
+        let mut reservation =
+            Reservation { reservations: state.reservations.clone(), owner, bytes: 0, written: 0 };
+        reservation.grow(state, bytes).await?;
+        Ok(reservation)
+    }
+}
+
+/// Refuses a request if the disk has less than `bytes` above the floor; for bytes that are reserved already, or of unknown number.
+///
+/// # Errors
+/// 507.
+pub(crate) fn require_free_space(state: &AppState, bytes: u64) -> ApiResult<()> {
+    let needed = state.limits.min_free_space.saturating_add(bytes);
+    if state.blobs().free_bytes()? < needed { Err(ProblemResponse::storage_full()) } else { Ok(()) }
+}
+
+impl Pending {
+    fn expect_free(&self, free: u64, requested: u64) -> ApiResult<()> {
+        if self.unwritten.saturating_add(requested) > free {
+            Err(ProblemResponse::storage_full())
+        } else {
+            Ok(())
+        }
+    }
+}
+
+/// Bytes that may still be written: those above the floor that are not promised to resumable uploads.
+async fn free_bytes(state: &AppState) -> ApiResult<u64> {
+    let outstanding = state.store().outstanding_bytes().await?;
+    let taken = outstanding.saturating_add(state.limits.min_free_space);
+    state.blobs().free_bytes()?.checked_sub(taken).ok_or_else(ProblemResponse::storage_full)
+}
+
+impl Reservation {
+    async fn grow(&mut self, state: &AppState, more: u64) -> Result<(), ReservationError> {
+        let room = state
+            .store()
+            .capacity(self.owner)
+            .await
+            .map_err(|error| ReservationError::Other(error.into()))?;
+        let free = free_bytes(state).await.map_err(ReservationError::Other)?;
+        let mut pending = self.reservations.lock();
+        let own = pending.by_owner.get(&self.owner).copied().unwrap_or(0);
+        room.admit(own, more).map_err(|error| ReservationError::Quota {
+            fault: error.into(),
+            largest_dataset: room.largest_dataset,
+        })?;
+        pending.expect_free(free, more).map_err(ReservationError::Other)?;
+        pending.by_owner.insert(self.owner, own + more);
+        pending.unwritten += more;
+        drop(pending);
+        self.bytes += more;
+        Ok(())
+    }
+
+    /// Grows the reservation so that `more` bytes can be written.
+    ///
+    /// # Errors
+    /// [`ReservationError`].
+    pub(crate) async fn cover(&mut self, state: &AppState, more: u64) -> Result<(), ReservationError> {
+        let needed = (self.written + more).saturating_sub(self.bytes);
+        if needed == 0 {
+            return Ok(());
+        }
+        if needed < STEP && self.grow(state, STEP).await.is_ok() {
+            return Ok(());
+        }
+        self.grow(state, needed).await
+    }
+
+    /// Records that bytes are on the disk, where they count as used space.
+    pub(crate) fn wrote(&mut self, bytes: u64) {
+        self.written += bytes;
+        let mut pending = self.reservations.lock();
+        pending.unwritten = pending.unwritten.saturating_sub(bytes);
+    }
+
+    /// Releases what was not written.
+    pub(crate) fn settle(&mut self) {
+        let spare = self.bytes - self.written;
+        self.bytes = self.written;
+        self.reservations.lock().release(self.owner, spare, spare);
+    }
+}
+
+impl Pending {
+    fn release(&mut self, owner: Option<KeyId>, bytes: u64, unwritten: u64) {
+        self.unwritten = self.unwritten.saturating_sub(unwritten);
+        if let Some(own) = self.by_owner.get_mut(&owner) {
+            *own = own.saturating_sub(bytes);
+            if *own == 0 {
+                self.by_owner.remove(&owner);
+            }
+        }
+    }
+}
+
+impl Drop for Reservation {
+    fn drop(&mut self) {
+        let unwritten = self.bytes.saturating_sub(self.written);
+        self.reservations.lock().release(self.owner, self.bytes, unwritten);
+    }
+}

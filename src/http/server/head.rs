@@ -1,0 +1,32 @@
+//! Limits on a request's head, well below the connection's buffer, so that exceeding them is answered with a problem document. A
+//! head larger than the buffer is answered by hyper, with the bare status.
+
+use axum::{
+    extract::Request,
+    middleware::Next,
+    response::{IntoResponse as _, Response},
+};
+
+use crate::{domain::ProblemType, http::problem::ProblemResponse};
+
+/// Longest path with query, in bytes.
+pub(super) const URI_BYTES: usize = 8 << 10;
+/// Longest header section, in bytes.
+pub(super) const HEADER_BYTES: usize = 32 << 10;
+
+/// 414 or 431 for a head that is too long.
+pub(crate) async fn bounded(request: Request, next: Next) -> Response {
+    let uri = request.uri().path_and_query().map_or(0, |uri| uri.as_str().len());
+    if uri > URI_BYTES {
+        let detail = format!("path and query are {uri} bytes long; {URI_BYTES} are possible");
+        return ProblemResponse::new(ProblemType::UriTooLong, detail).into_response();
+    }
+    // As on the wire: name, colon, blank, value, line end.
+    let headers = request.headers().iter().map(|(name, value)| name.as_str().len() + value.len() + 4);
+    let headers: usize = headers.sum();
+    if headers > HEADER_BYTES {
+        let detail = format!("the headers are {headers} bytes long; {HEADER_BYTES} are possible");
+        return ProblemResponse::new(ProblemType::HeadersTooLarge, detail).into_response();
+    }
+    next.run(request).await
+}

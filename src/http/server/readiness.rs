@@ -1,0 +1,140 @@
+//! `GET /readyz`: whether the service can accept a job and serve a file now, and if not, which check fails.
+
+use std::{
+    collections::BTreeMap,
+    future::Future,
+    time::{Duration, Instant},
+};
+
+use axum::{
+    Json,
+    extract::State,
+    http::{HeaderValue, header},
+    response::IntoResponse,
+};
+use serde_json::json;
+use tokio::{sync::Mutex, time::timeout};
+
+use crate::{
+    domain::{Problem, ProblemType},
+    http::{problem::ApiResult, state::AppState},
+    store::{BlobError, StoreError},
+};
+
+/// How long the checks of the disk are cached: they write a file and run a transaction.
+const CACHE_TIME: Duration = Duration::from_secs(2);
+/// Timeout of one check.
+const CHECK_TIMEOUT: Duration = Duration::from_secs(5);
+const OK: &str = "ok";
+
+/// The cached checks of the disk.
+#[derive(Debug, Default)]
+pub(crate) struct Checks(Mutex<Option<(Instant, Disk)>>);
+
+/// The checks of the disk: `ok`, or what is wrong.
+#[derive(Debug, Clone)]
+struct Disk {
+    database: String,
+    blobs: String,
+    space: String,
+}
+
+/// `GET /readyz`.
+///
+/// Dead workers do not make the service unready: requests are answered, jobs wait, and the supervisor restarts workers.
+pub(crate) async fn readyz(State(state): State<AppState>) -> ApiResult {
+    let disk = disk(&state).await;
+    let drain = if state.draining.is_cancelled() { "the server is shutting down" } else { OK };
+    let answers = database(&state).await;
+    let database = if answers == OK { disk.database } else { answers };
+    let checks: BTreeMap<String, String> = [
+        ("database", database),
+        ("migrations", migrations(&state).await),
+        ("blobs", disk.blobs),
+        ("free_space", disk.space),
+        ("draining", drain.to_owned()),
+    ]
+    .map(|(name, found)| (name.to_owned(), found))
+    .into();
+    let faults: Vec<String> = checks
+        .iter()
+        .filter(|(_, found)| *found != OK)
+        .map(|(name, fault)| format!("{name}: {fault}"))
+        .collect();
+    if !faults.is_empty() {
+        let mut problem = Problem::new(ProblemType::NotReady, faults.join("; "));
+        problem.checks = checks;
+        return Err(problem.into());
+    }
+    let workers = (state.services.workers)();
+    let body = json!({
+        "status": "ready",
+        "checks": checks,
+        "workers": { "expected": workers.expected, "alive": workers.alive },
+    });
+    Ok(([(header::CACHE_CONTROL, HeaderValue::from_static("no-store"))], Json(body)).into_response())
+}
+
+/// `ok`, or what is wrong with what `probe` tests.
+async fn check<E: std::error::Error + 'static>(
+    probe: impl Future<Output = Result<(), E>>,
+    fails: &str,
+    disk_full: impl Fn(&E) -> Option<&'static str>,
+) -> String {
+    match timeout(CHECK_TIMEOUT, probe).await {
+        Ok(Ok(())) => OK.to_owned(),
+        Ok(Err(error)) => {
+            tracing::error!(error = &error as &dyn std::error::Error, "readiness: {fails}: {error}");
+            disk_full(&error).unwrap_or(fails).to_owned()
+        }
+        Err(_) => format!("{fails} in time"),
+    }
+}
+
+async fn database(state: &AppState) -> String {
+    check(state.store().ping(), "it does not answer", |_| None).await
+}
+
+async fn migrations(state: &AppState) -> String {
+    match timeout(CHECK_TIMEOUT, state.store().schema_is_current()).await {
+        Ok(Ok(true)) => OK.to_owned(),
+        Ok(Ok(false)) => "the schema is not this program's; another version has changed it".to_owned(),
+        Ok(Err(_)) | Err(_) => "the schema's version cannot be read".to_owned(),
+    }
+}
+
+async fn disk(state: &AppState) -> Disk {
+    // Concurrent requests wait for the same checks.
+    let mut cached = state.checks.0.lock().await;
+    if let Some((at, disk)) = &*cached
+        && at.elapsed() < CACHE_TIME
+    {
+        return disk.clone();
+    }
+    let disk = Disk {
+        // A database may answer reads and fail writes: on a full disk, or behind a lock that is never released.
+        database: check(state.store().probe(), "it cannot be written", |error: &StoreError| {
+            error.is_disk_full().then_some("no room is left on its disk")
+        })
+        .await,
+        blobs: check(state.blobs().probe(), "files cannot be written", |error: &BlobError| {
+            error.is_disk_full().then_some("no room is left on their disk")
+        })
+        .await,
+        space: space(state),
+    };
+    *cached = Some((Instant::now(), disk.clone()));
+    disk
+}
+
+fn space(state: &AppState) -> String {
+    let floor = state.limits.min_free_space;
+    match state.blobs().free_bytes() {
+        Ok(free) if free >= floor => OK.to_owned(),
+        Ok(free) => format!("{free} bytes are free on the data folder's disk; {floor} are the least"),
+        Err(error) => {
+            tracing::error!(error = &error as &dyn std::error::Error, "cannot read the free space: {error}");
+            "the free space of the disk cannot be read".to_owned()
+        }
+    }
+}

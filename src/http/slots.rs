@@ -1,0 +1,111 @@
+//! Counted places, with a limit on all together and on those of one holder.
+
+use std::{
+    collections::HashMap,
+    hash::Hash,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
+
+/// How many places there are.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Capacity {
+    /// For all holders together.
+    pub(super) all: usize,
+    /// For one holder.
+    pub(super) each: usize,
+}
+
+/// How many places are taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Taken {
+    pub(super) by_all: usize,
+    pub(super) by_holder: usize,
+}
+
+/// The places; clones share them. Only holders that have one take memory.
+#[derive(Debug, Clone)]
+pub(super) struct Slots<K: Copy + Eq + Hash>(Arc<Inner<K>>);
+
+#[derive(Debug)]
+struct Inner<K> {
+    capacity: Capacity,
+    taken: Mutex<HashMap<K, usize>>,
+}
+
+impl<K: Copy + Eq + Hash> Slots<K> {
+    pub(super) fn new(capacity: Capacity) -> Self {
+        Self(Arc::new(Inner { capacity, taken: Mutex::default() }))
+    }
+
+    pub(super) fn capacity(&self) -> Capacity {
+        self.0.capacity
+    }
+
+    /// Takes a place for a holder.
+    ///
+    /// # Errors
+    /// What is taken, if that is all, or all that one holder may have.
+    pub(super) fn take(&self, holder: K) -> Result<Slot<K>, Taken> {
+        let Capacity { all, each } = self.0.capacity;
+        let mut counts = self.lock();
+        let by_holder = counts.get(&holder).copied().unwrap_or(0);
+        let taken = Taken { by_all: counts.values().sum(), by_holder };
+        if taken.by_all >= all || taken.by_holder >= each {
+            return Err(taken);
+        }
+        counts.insert(holder, by_holder + 1);
+        Ok(Slot { slots: self.clone(), holder })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, HashMap<K, usize>> {
+        self.0.taken.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A place that is held until this is dropped.
+#[derive(Debug)]
+pub(super) struct Slot<K: Copy + Eq + Hash> {
+    slots: Slots<K>,
+    holder: K,
+}
+
+impl<K: Copy + Eq + Hash> Drop for Slot<K> {
+    fn drop(&mut self) {
+        let mut counts = self.slots.lock();
+        if let Some(count) = counts.get_mut(&self.holder) {
+            *count -= 1;
+            if *count == 0 {
+                counts.remove(&self.holder);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_holder_cannot_take_the_places_of_all() {
+        let slots = Slots::new(Capacity { all: 3, each: 2 });
+        let (first, _second) = (slots.take('a').expect("a place"), slots.take('a').expect("a place"));
+        assert_eq!(slots.take('a').expect_err("its share is used up"), Taken { by_all: 2, by_holder: 2 });
+        let third = slots.take('b').expect("a place is left for others");
+        assert_eq!(slots.take('b').expect_err("none is left"), Taken { by_all: 3, by_holder: 1 });
+        drop(third);
+        assert!(slots.take('a').is_err());
+        drop(first);
+        let _again = slots.take('a').expect("a place that was given back");
+        let _other = slots.take('b').expect("a place");
+        assert_eq!(slots.lock().len(), 2);
+    }
+
+    #[test]
+    fn holders_without_a_place_take_no_memory() {
+        let slots = Slots::new(Capacity { all: usize::MAX, each: 1 });
+        drop([slots.take('a').expect("a place"), slots.take('b').expect("a place")]);
+        assert!(slots.lock().is_empty());
+        let closed = Slots::new(Capacity { all: usize::MAX, each: 0 });
+        assert!(closed.take('a').is_err() && closed.lock().is_empty());
+    }
+}

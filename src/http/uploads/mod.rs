@@ -1,0 +1,225 @@
+//! Resumable uploads over tus 1.0.0: create, ask for the offset, send a part, abort.
+//!
+//! The space of an upload is reserved when it is created. Its file has one writer at a time; a second is answered 423.
+
+mod part;
+pub(super) mod tus;
+
+use axum::{
+    body::{Body, BodyDataStream},
+    extract::{Path, State},
+    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
+    response::{IntoResponse as _, Response},
+};
+use jiff::{SignedDuration, Timestamp};
+use tracing::Instrument as _;
+
+use self::{
+    part::Part,
+    tus::{Checksum, Metadata},
+};
+use super::{
+    problem::{ApiResult, ProblemResponse},
+    request::{Parameters, Reservations, expect_media_type, require_free_space},
+    state::AppState,
+};
+use crate::{
+    domain::{Caller, ProblemType, UploadId},
+    store::{NewUpload, UploadFile, UploadRecord},
+};
+
+/// The upload that a path or a body names.
+///
+/// # Errors
+/// 404 if there is none, and if it is another's.
+pub(super) async fn find(state: &AppState, caller: &Caller, id: &str) -> ApiResult<UploadRecord> {
+    let parsed: UploadId = id.parse().map_err(|_| ProblemResponse::no_upload(id))?;
+    let record = state.store().upload(parsed).await?;
+    record.filter(|record| caller.may_see(record.owner)).ok_or_else(|| ProblemResponse::no_upload(id))
+}
+
+/// 410 unless the upload still takes bytes.
+fn expect_open(state: &AppState, record: UploadRecord) -> ApiResult<UploadRecord> {
+    if record.is_open(state.services.clock.now()) { Ok(record) } else { Err(gone(record.id)) }
+}
+
+/// 410.
+pub(super) fn gone(id: UploadId) -> ProblemResponse {
+    ProblemResponse::new(
+        ProblemType::UploadGone,
+        format!("upload {id} has expired or was made a scene; begin another"),
+    )
+}
+
+/// Locks an upload's file, and reads the upload's row once no other request can change it.
+///
+/// # Errors
+/// `held` if another request has locked it, 410 if it is over.
+pub(super) async fn lock(
+    state: &AppState,
+    id: UploadId,
+    held: StatusCode,
+) -> ApiResult<(UploadRecord, UploadFile)> {
+    let file = state.blobs().open_upload(id).await?.ok_or_else(|| {
+        ProblemResponse::new(
+            ProblemType::UploadLocked,
+            format!("another request writes to upload {id}; wait for its end and ask how far it came"),
+        )
+        .with_status(held)
+    })?;
+    let record = state.store().upload(id).await?.ok_or_else(|| gone(id))?;
+    Ok((expect_open(state, record)?, file))
+}
+
+/// When an upload that is written to now expires.
+pub(super) fn expiry(state: &AppState) -> Timestamp {
+    let life = SignedDuration::try_from(state.limits.upload_ttl).unwrap_or(SignedDuration::MAX);
+    state.services.clock.now().checked_add(life).unwrap_or(Timestamp::MAX)
+}
+
+/// `OPTIONS /v1/uploads`.
+pub(super) async fn options(State(state): State<AppState>) -> Response {
+    let headers = [
+        (tus::TUS_VERSION, tus::VERSION),
+        (tus::EXTENSION, tus::EXTENSIONS),
+        (tus::MAX_SIZE, HeaderValue::from(state.limits.resumable_bytes)),
+        (tus::CHECKSUM_ALGORITHM, tus::ALGORITHMS),
+    ];
+    (StatusCode::NO_CONTENT, headers).into_response()
+}
+
+/// `POST /v1/uploads`.
+pub(super) async fn create(
+    State(state): State<AppState>,
+    caller: Caller,
+    parameters: Parameters,
+    headers: HeaderMap,
+) -> ApiResult {
+    let record = begin(&state, &caller, parameters, &headers).await?;
+    tracing::info!(upload = %record.id, bytes = record.length, "upload {} begins", record.id);
+    let location = HeaderValue::try_from(format!("/v1/uploads/{}", record.id));
+    let location = location?;
+    let headers = [
+        (header::LOCATION, location),
+        (tus::OFFSET, HeaderValue::from(record.received)),
+        (tus::EXPIRES, tus::date(record.expires_at)?),
+    ];
+    Ok((StatusCode::CREATED, headers).into_response())
+}
+
+async fn begin(
+    state: &AppState,
+    caller: &Caller,
+    parameters: Parameters,
+    headers: &HeaderMap,
+) -> ApiResult<UploadRecord> {
+    tus::expect_version(headers)?;
+    parameters.finish()?;
+    if headers.contains_key("upload-defer-length") {
+        let name = HeaderName::from_static("upload-defer-length");
+        return Err(tus::bad_header(&name, "is not possible here; give Upload-Length"));
+    }
+    if tus::has_body(headers) {
+        return Err(tus::bad_header(&header::CONTENT_LENGTH, "is not 0; bytes are sent with PATCH"));
+    }
+    let length = tus::count(headers, &tus::LENGTH)?;
+    let metadata = Metadata::of(headers)?.map(Metadata::into_text);
+    let limit = state.limits.resumable_bytes;
+    if length > limit {
+        return Err(ProblemResponse::too_large(limit).with_header(tus::MAX_SIZE, HeaderValue::from(limit)));
+    }
+    // Until the upload's own row reserves the space.
+    let _reservation = Reservations::reserve(state, caller.key, length).await?;
+    let id = UploadId(state.new_uuid());
+    let new = NewUpload { id, owner: caller.key, length, metadata, expires_at: expiry(state) };
+    Ok(state.store().create_upload(new).await?)
+}
+
+/// `HEAD /v1/uploads/{id}`.
+pub(super) async fn head(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+) -> ApiResult {
+    tus::expect_version(&headers)?;
+    let record = expect_open(&state, find(&state, &caller, &id).await?)?;
+    let mut response = StatusCode::OK.into_response();
+    let headers = response.headers_mut();
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    headers.insert(tus::OFFSET, HeaderValue::from(record.received));
+    headers.insert(tus::LENGTH, HeaderValue::from(record.length));
+    headers.insert(tus::EXPIRES, tus::date(record.expires_at)?);
+    if let Some(metadata) = record.metadata {
+        let metadata = HeaderValue::try_from(metadata)?;
+        headers.insert(tus::METADATA, metadata);
+    }
+    Ok(response)
+}
+
+/// `PATCH /v1/uploads/{id}`.
+pub(super) async fn append(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+    body: Body,
+) -> ApiResult {
+    let part = admit(&state, &caller, &id, &headers).await?;
+    let record = receive(state, part, body.into_data_stream()).await?;
+    let headers =
+        [(tus::OFFSET, HeaderValue::from(record.received)), (tus::EXPIRES, tus::date(record.expires_at)?)];
+    Ok((StatusCode::NO_CONTENT, headers).into_response())
+}
+
+/// Checks that the request sends the next part, and locks the upload.
+async fn admit(state: &AppState, caller: &Caller, id: &str, headers: &HeaderMap) -> ApiResult<Part> {
+    tus::expect_version(headers)?;
+    expect_media_type(headers, &[tus::PART])?;
+    let offset = tus::count(headers, &tus::OFFSET)?;
+    let checksum = Checksum::of(headers)?;
+    let found = expect_open(state, find(state, caller, id).await?)?;
+    let (record, file) = lock(state, found.id, StatusCode::LOCKED).await?;
+    if offset != record.received {
+        let detail = format!(
+            "the part begins at byte {offset}, and upload {} has {} bytes; go on from there",
+            record.id, record.received
+        );
+        return Err(ProblemResponse::new(ProblemType::OffsetMismatch, detail)
+            .with_header(tus::OFFSET, HeaderValue::from(record.received)));
+    }
+    let left = record.length - record.received;
+    let announced = headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse().ok());
+    if announced.is_some_and(|announced: u64| announced > left) {
+        return Err(ProblemResponse::too_large(left));
+    }
+    require_free_space(state, announced.unwrap_or(0))?;
+    Part::new(record, file, checksum).await
+}
+
+/// Writes a part, to its end even if the client disconnects: received bytes are kept.
+async fn receive(state: AppState, part: Part, mut body: BodyDataStream) -> ApiResult<UploadRecord> {
+    let writing = async move {
+        let _permit = state.upload_permit()?;
+        part.receive(&state, &mut body).await
+    };
+    tokio::spawn(writing.in_current_span()).await?
+}
+
+/// `DELETE /v1/uploads/{id}`.
+pub(super) async fn delete(
+    State(state): State<AppState>,
+    caller: Caller,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+) -> ApiResult<StatusCode> {
+    tus::expect_version(&headers)?;
+    let found = expect_open(&state, find(&state, &caller, &id).await?)?;
+    let (record, file) = lock(&state, found.id, StatusCode::LOCKED).await?;
+    if !state.store().delete_upload(record.id).await? {
+        return Err(gone(record.id));
+    }
+    drop(file);
+    state.blobs().remove_upload(record.id).await?;
+    Ok(StatusCode::NO_CONTENT)
+}

@@ -1,0 +1,118 @@
+//! One part of an upload on its way to disk.
+//!
+//! Received bytes are kept however the request ends: they are synced to disk, and only then recorded as received. The exception is
+//! a part with a checksum: unless it is complete and matches, none of it counts.
+
+use std::time::Duration;
+
+use axum::body::BodyDataStream;
+use tokio::time::Instant;
+
+use super::{expiry, gone, tus::Checksum};
+use crate::{
+    domain::ProblemType,
+    http::{
+        problem::{ApiResult, ProblemResponse},
+        request::Pieces,
+        state::AppState,
+    },
+    store::{UploadFile, UploadRecord},
+};
+
+/// Most bytes received but not recorded, and for how long.
+const SAVE_BYTES: u64 = 16 << 20;
+const SAVE_TIME: Duration = Duration::from_secs(10);
+
+/// A part that may be written.
+pub(crate) struct Part {
+    record: UploadRecord,
+    file: UploadFile,
+    checksum: Option<Checksum>,
+    /// Bytes of the upload that the file has.
+    written: u64,
+}
+
+impl Part {
+    /// The next part of a locked upload.
+    pub(crate) async fn new(
+        record: UploadRecord,
+        mut file: UploadFile,
+        checksum: Option<Checksum>,
+    ) -> ApiResult<Self> {
+        file.continue_at(record.received).await?;
+        Ok(Self { written: record.received, record, file, checksum })
+    }
+
+    /// Writes the body, and returns the upload as it then is.
+    ///
+    /// # Errors
+    /// 413 for more than was announced, 460 for another checksum than announced, 410 if the upload is over, 507, errors of the body.
+    pub(crate) async fn receive(
+        mut self,
+        state: &AppState,
+        body: &mut BodyDataStream,
+    ) -> ApiResult<UploadRecord> {
+        let poured = self.pour(state, body).await;
+        match &self.checksum {
+            None => {
+                let saved = self.save(state).await;
+                poured.and(saved)?;
+            }
+            Some(checksum) => {
+                let good = checksum.matches();
+                if poured.is_err() || !good {
+                    self.file.continue_at(self.record.received).await?;
+                }
+                poured?;
+                if !good {
+                    return Err(mismatch(&self.record));
+                }
+                self.save(state).await?;
+            }
+        }
+        Ok(self.record)
+    }
+
+    async fn pour(&mut self, state: &AppState, body: &mut BodyDataStream) -> ApiResult<()> {
+        let mut pieces = Pieces::new(body, &state.limits);
+        let mut saved_at = Instant::now();
+        while let Some(piece) = pieces.next().await? {
+            let left = self.record.length - self.written;
+            if piece.len() as u64 > left {
+                return Err(ProblemResponse::too_large(self.record.length - self.record.received));
+            }
+            if let Some(checksum) = &mut self.checksum {
+                checksum.update(&piece);
+            }
+            self.file.write(&piece).await?;
+            self.written += piece.len() as u64;
+            let due = self.written - self.record.received >= SAVE_BYTES || saved_at.elapsed() >= SAVE_TIME;
+            if due && self.checksum.is_none() {
+                self.save(state).await?;
+                saved_at = Instant::now();
+            }
+        }
+        Ok(())
+    }
+
+    /// Syncs what was written to disk and records it.
+    async fn save(&mut self, state: &AppState) -> ApiResult<()> {
+        self.file.sync().await?;
+        let expires_at = expiry(state);
+        if !state.store().advance_upload(self.record.id, self.written, expires_at).await? {
+            return Err(gone(self.record.id));
+        }
+        (self.record.received, self.record.expires_at) = (self.written, expires_at);
+        Ok(())
+    }
+}
+
+fn mismatch(record: &UploadRecord) -> ProblemResponse {
+    ProblemResponse::new(
+        ProblemType::ChecksumMismatch,
+        format!(
+            "the part does not have the sum that Upload-Checksum announced; send it again from byte {}",
+            record.received
+        ),
+    )
+}

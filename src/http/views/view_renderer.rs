@@ -1,0 +1,194 @@
+//! Renders and caches pictures; concurrent requests for the same picture render it once.
+//!
+//! Invariants: the cache is bounded in bytes; a request that waits for another's render gets its result, and takes over if the other
+//! is cancelled.
+
+use std::time::{Duration, Instant};
+
+use axum::http::HeaderValue;
+use quick_cache::{OptionsBuilder, Weighter, sync::Cache};
+use tokio::{runtime::Handle, task::spawn_blocking};
+
+use super::{
+    key::{FrameSpec, ViewKey},
+    picture::{Output, Picture, Rendered},
+    queue::{QueueLimits, QueueSlot, RenderPermit, RenderQueue},
+};
+use crate::{
+    domain::Problem,
+    http::{
+        config::RequestLimits,
+        problem::{ApiResult, internal},
+        slots::Capacity,
+        state::{AppState, Services},
+    },
+    render::views::{ScalarKind, Viewable},
+};
+
+/// Assumed size of a picture, for the number of cache entries.
+const TYPICAL_PICTURE_BYTES: u64 = 64 << 10;
+/// Memory of a cache entry beside its picture.
+const ENTRY_BYTES: u64 = 256;
+
+#[derive(Debug, Clone)]
+struct Bytes;
+
+impl Weighter<ViewKey, Picture> for Bytes {
+    fn weight(&self, _: &ViewKey, picture: &Picture) -> u64 {
+        picture.bytes.len() as u64 + ENTRY_BYTES
+    }
+}
+
+/// The cache, the render queue, and the renderer's identity.
+#[derive(Debug)]
+pub(crate) struct ViewRenderer {
+    pub(super) queue: RenderQueue,
+    identity: String,
+    cache: Cache<ViewKey, Picture, Bytes>,
+}
+
+/// How long the steps of a picture took.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Timing {
+    cached: bool,
+    queue: Duration,
+    load: Duration,
+    render: Duration,
+    encode: Duration,
+}
+
+impl Timing {
+    /// Time without waiting; zero if cached.
+    pub(super) fn render_time(&self) -> Duration {
+        self.load + self.render + self.encode
+    }
+
+    /// The value of `Server-Timing`.
+    pub(super) fn header(&self) -> HeaderValue {
+        if self.cached {
+            return HeaderValue::from_static("cache;desc=hit");
+        }
+        let milliseconds = |duration: Duration| duration.as_secs_f64() * 1e3;
+        let text = format!(
+            "cache;desc=miss, queue;dur={:.1}, load;dur={:.1}, render;dur={:.1}, encode;dur={:.1}",
+            milliseconds(self.queue),
+            milliseconds(self.load),
+            milliseconds(self.render),
+            milliseconds(self.encode),
+        );
+        HeaderValue::try_from(text).unwrap_or(HeaderValue::from_static("cache;desc=miss"))
+    }
+}
+
+impl ViewRenderer {
+    /// An empty cache and queue.
+    pub(crate) fn new(services: &Services, limits: &RequestLimits) -> Self {
+        let queue = RenderQueue::new(QueueLimits {
+            at_once: limits.renders,
+            requests: Capacity {
+                all: limits.renders.max(1) + limits.renders_waiting,
+                each: limits.renders_per_caller,
+            },
+            streams: Capacity { all: limits.streams, each: limits.streams_per_caller },
+        });
+        let mut options = OptionsBuilder::new();
+        // One shard, so that a picture may be as large as the whole cache.
+        options.shards(1).weight_capacity(limits.view_cache_bytes);
+        options.estimated_items_capacity((limits.view_cache_bytes / TYPICAL_PICTURE_BYTES).max(16) as usize);
+        let cache = match options.build() {
+            Ok(options) => Cache::with_options(options, Bytes, Default::default(), Default::default()),
+            Err(_) => Cache::with_weighter(16, limits.view_cache_bytes, Bytes),
+        };
+        Self { queue, identity: services.renderer.identity(), cache }
+    }
+
+    /// How many pictures are rendered and how many wait for a permit.
+    pub(crate) fn depth(&self) -> (usize, usize) {
+        self.queue.depth()
+    }
+
+    /// The key of a frame.
+    pub(super) fn key(&self, frame: &FrameSpec) -> ViewKey {
+        ViewKey::new(&self.identity, frame)
+    }
+
+    /// The picture if it is cached.
+    pub(super) fn cached(&self, key: ViewKey) -> Option<(Picture, Timing)> {
+        self.cache.get(&key).map(|picture| (picture, Timing { cached: true, ..Timing::default() }))
+    }
+}
+
+/// The picture of a frame, from the cache or rendered with a permit.
+pub(super) async fn picture(
+    state: &AppState,
+    slot: &mut QueueSlot,
+    frame: FrameSpec,
+) -> ApiResult<(Picture, Timing)> {
+    let view_renderer = &state.view_renderer;
+    let key = view_renderer.key(&frame);
+    slot.begin_picture();
+    let entered = Instant::now();
+    let vacant = match view_renderer.cache.get_value_or_guard_async(&key).await {
+        Ok(picture) => return Ok((picture, Timing { cached: true, ..Timing::default() })),
+        Err(vacant) => vacant,
+    };
+    let permit = slot.permit().await;
+    let queue = entered.elapsed();
+    let made = render_with_permit(state, permit, frame, move |rendered, timing| {
+        let began = Instant::now();
+        let picture = Picture::encode(&rendered, frame.kind).map_err(|error| failed(&error))?;
+        Ok((picture, Timing { queue, encode: began.elapsed(), ..timing }))
+    });
+    let (picture, timing) = made.await?;
+    // Fails only if another has inserted it meanwhile.
+    let _ = vacant.insert(picture.clone());
+    Ok((picture, timing))
+}
+
+/// Renders and finishes a frame on a blocking thread, which holds the permit to its end, even if the request is cancelled.
+pub(super) async fn render_with_permit<T: Send + 'static>(
+    state: &AppState,
+    permit: RenderPermit,
+    frame: FrameSpec,
+    finish: impl FnOnce(Rendered, Timing) -> Result<T, Problem> + Send + 'static,
+) -> ApiResult<T> {
+    let state = state.clone();
+    let runtime = Handle::current();
+    let span = tracing::Span::current();
+    let made = spawn_blocking(move || {
+        let _span = span.entered();
+        let _permit = permit;
+        let (rendered, timing) = render(&state.services, &runtime, &frame)?;
+        state.meters.rendered(timing.render);
+        finish(rendered, timing)
+    });
+    Ok(made.await??)
+}
+
+fn render(services: &Services, runtime: &Handle, frame: &FrameSpec) -> Result<(Rendered, Timing), Problem> {
+    let loaded = std::cell::Cell::new(Duration::ZERO);
+    let load = || -> Result<Viewable, Problem> {
+        let began = Instant::now();
+        let content =
+            runtime.block_on(services.blobs.read(frame.artifact)).map_err(|error| failed(&error))?;
+        let viewable = (services.load)(&content);
+        loaded.set(loaded.get() + began.elapsed());
+        viewable
+    };
+    let (renderer, camera) = (&services.renderer, &frame.camera);
+    let plane = |kind| renderer.render_scalars(frame.artifact, &load, camera, kind);
+    let began = Instant::now();
+    let rendered = match frame.kind.output {
+        Output::Color => Rendered::Color(renderer.render(frame.artifact, &load, camera)?),
+        Output::Depth => Rendered::Depth(plane(ScalarKind::Depth)?),
+        Output::Alpha => Rendered::Alpha(plane(ScalarKind::Alpha)?),
+    };
+    let render = began.elapsed().saturating_sub(loaded.get());
+    Ok((rendered, Timing { load: loaded.get(), render, ..Timing::default() }))
+}
+
+/// An internal problem; the error goes to the log.
+pub(super) fn failed(error: &(dyn std::error::Error + 'static)) -> Problem {
+    tracing::error!(error, "a view cannot be made: {error}");
+    internal()
+}

@@ -1,0 +1,270 @@
+//! Jobs of scenes, with priority and deadline: filtered, retried and deleted.
+
+use std::sync::{Arc, Mutex};
+
+use serde_json::{Value, json};
+use tcgs::{
+    domain::{DatasetSummary, Layout, SceneId},
+    store::{Datasets as _, NewDataset},
+};
+use uuid::Uuid;
+
+use crate::support::{
+    contract::Coverage,
+    faults::Failing,
+    server::{Server, Setup},
+};
+
+/// Keeps a dataset as a scene and returns its id.
+async fn scene(server: &Server, dataset: &'static str) -> SceneId {
+    let dataset = server.services.blobs.put(bytes::Bytes::from_static(dataset.as_bytes())).await;
+    let new = NewDataset {
+        id: SceneId(Uuid::now_v7()),
+        owner: None,
+        name: None,
+        dataset: dataset.expect("published"),
+        summary: DatasetSummary {
+            layout: Layout::Colmap,
+            train: 2,
+            test: 1,
+            pixels: 3,
+            points: None,
+            notes: Vec::new(),
+        },
+        upload: None,
+        intent: None,
+    };
+    server.store.create_dataset(new).await.expect("kept").record().id
+}
+
+pub(super) async fn a_job_is_made_of_a_scene_by_json(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let scene = scene(&server, "succeed").await;
+    let request_body = json!({
+        "scene_id": scene, "preset": "standard", "iterations": 7, "seed": 3, "without": ["masks"], "priority": 5,
+        "deadline_s": 3600, "rd_curve": [0.004, 0.0005],
+    });
+    let made = server.post_json("/v1/jobs", &request_body).await.expect(201);
+    let job = made.json();
+    assert_eq!((&job["scene_id"], &job["priority"]), (&json!(scene), &json!(5)));
+    assert_eq!(job["options"]["rd_curve"], json!([0.004, 0.0005]));
+    let [made_at, deadline] = ["created_at", "deadline_at"]
+        .map(|name| job[name].as_str().expect("an instant").parse::<jiff::Timestamp>().expect("an instant"));
+    let seconds = deadline.duration_since(made_at).as_secs_f64();
+    assert!((seconds - 3600.0).abs() < 60.0, "{seconds}");
+    let done = server.reaches(made.header("location"), "succeeded").await;
+    assert_eq!(done["artifacts"].as_array().map(Vec::len), Some(2));
+
+    let other = json!({ "scene_id": Uuid::now_v7() });
+    let detail = server.post_json("/v1/jobs", &other).await.expect_problem(404, "scene-not-found");
+    assert!(detail.contains(other["scene_id"].as_str().expect("an id")), "{detail}");
+    for (fields, kind, named) in [
+        (json!({}), "invalid-parameter", "scene_id"),
+        (json!({ "scene_id": "mine" }), "invalid-parameter", "scene_id"),
+        (json!({ "scene_id": scene, "priority": 101 }), "invalid-parameter", "priority"),
+        (json!({ "scene_id": scene, "deadline_s": 0 }), "invalid-parameter", "deadline_s"),
+        (json!({ "scene_id": scene, "seed": "3" }), "invalid-option", "seed"),
+        (json!({ "scene_id": scene, "colour": "red" }), "invalid-option", "colour"),
+        (json!({ "scene_id": scene, "max_bytes": 1, "model": "3dgs" }), "invalid-option", "max_bytes"),
+        (json!([scene]), "invalid-parameter", "body"),
+    ] {
+        let detail = server.post_json("/v1/jobs", &fields).await.expect_problem(422, kind);
+        assert!(detail.starts_with(named), "{fields}: {detail}");
+    }
+    let mixed = server.post_json("/v1/jobs?seed=1", &json!({ "scene_id": scene })).await;
+    mixed.expect_problem(422, "invalid-parameter");
+    for (query, named) in
+        [("?priority=high", "priority"), ("?priority=-101", "priority"), ("?deadline_s=-1", "deadline_s")]
+    {
+        let detail = server.upload(query, "succeed").await.expect_problem(422, "invalid-parameter");
+        assert!(detail.starts_with(named), "{detail}");
+    }
+    let broken = server
+        .send("POST", "/v1/jobs", |request| request.header("content-type", "application/json").body("{\"sc"));
+    broken.await.expect_problem(400, "malformed-json");
+
+    let keyed = |request_body: &Value| {
+        let (server, request_body) = (&server, request_body.clone());
+        async move {
+            let fill =
+                |request: reqwest::RequestBuilder| request.json(&request_body).header("idempotency-key", "k");
+            server.send("POST", "/v1/jobs", fill).await
+        }
+    };
+    let request_body = json!({ "scene_id": scene });
+    let [first, again] = [keyed(&request_body).await.expect(201), keyed(&request_body).await.expect(201)];
+    assert_eq!(first.header("location"), again.header("location"));
+    keyed(&json!({ "scene_id": scene, "seed": 1 })).await.expect_problem(422, "idempotency-key-reused");
+    server.reaches(first.header("location"), "succeeded").await;
+    server.send("DELETE", first.header("location"), |request| request).await.expect(204);
+    let detail = keyed(&request_body).await.expect_problem(404, "job-not-found");
+    assert!(detail.contains("fresh key"), "{detail}");
+}
+
+pub(super) async fn jobs_are_listed_by_state_scene_and_model(coverage: Coverage) {
+    let server = Server::start_with(&coverage, Setup { worker: false, ..Setup::default() }).await;
+    let scene = scene(&server, "succeed").await;
+    let made = |answer: crate::support::server::Answer| answer.expect(201).json()["id"].clone();
+    let of_scene = made(server.post_json("/v1/jobs", &json!({ "scene_id": scene })).await);
+    let baseline = made(server.upload("?model=3dgs", "succeed").await);
+    let cancelled = made(server.upload("", "succeed").await);
+    let path = format!("/v1/jobs/{}/cancel", cancelled.as_str().expect("an id"));
+    server.post(&path).await.expect(200);
+    let ids = |page: &Value| -> Vec<Value> {
+        page["jobs"].as_array().expect("jobs").iter().map(|job| job["id"].clone()).collect()
+    };
+    for (query, expected) in [
+        ("?state=cancelled".to_owned(), vec![&cancelled]),
+        ("?state=queued".to_owned(), vec![&baseline, &of_scene]),
+        ("?state=running,cancelled".to_owned(), vec![&cancelled]),
+        ("?state=succeeded".to_owned(), vec![]),
+        (format!("?scene_id={scene}"), vec![&of_scene]),
+        (format!("?scene_id={scene}&state=failed"), vec![]),
+        ("?model=3dgs".to_owned(), vec![&baseline]),
+    ] {
+        let page = server.get(&format!("/v1/jobs{query}")).await.expect(200);
+        assert!(!page.headers.contains_key("link"));
+        assert_eq!(ids(&page.json()).iter().collect::<Vec<_>>(), expected, "{query}");
+    }
+    let first = server.get("/v1/jobs?state=queued,running&limit=1").await.expect(200);
+    let next = first.json()["next"].as_str().expect("a path").to_owned();
+    assert_eq!(first.header("link"), format!("<{next}>; rel=\"next\""));
+    let second = server.get(&next).await.expect(200).json();
+    assert_eq!((ids(&second), &second["next"]), (vec![of_scene], &Value::Null), "the filter stays");
+    for (query, named) in
+        [("?state=done", "state"), ("?state=", "state"), ("?scene_id=1", "scene_id"), ("?model=x", "model")]
+    {
+        let detail = server.get(&format!("/v1/jobs{query}")).await.expect_problem(422, "invalid-parameter");
+        assert!(detail.starts_with(named), "{detail}");
+    }
+}
+
+pub(super) async fn a_job_is_given_up_at_its_deadline_begun_or_not(coverage: Coverage) {
+    let idle = Server::start_with(&coverage, Setup { worker: false, ..Setup::default() }).await;
+    let never = idle.upload("?deadline_s=1", "succeed").await.expect(201);
+    let failed = idle.reaches(never.header("location"), "failed").await;
+    assert_eq!(failed["error"]["type"], "urn:tcgs:problem:deadline-exceeded");
+    assert!(failed["error"]["detail"].as_str().expect("a detail").contains("never begun"), "{failed:#}");
+    assert_eq!(failed["attempt"], 0);
+
+    let server = Server::start(&coverage).await;
+    let begun = server.upload("?deadline_s=1", "wait").await.expect(201);
+    let failed = server.reaches(begun.header("location"), "failed").await;
+    assert_eq!(failed["error"]["type"], "urn:tcgs:problem:deadline-exceeded");
+    assert_eq!(failed["attempt"], 1);
+}
+
+pub(super) async fn a_failed_or_cancelled_job_is_retried_as_a_new_one(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let failed = server.upload("?seed=9&priority=3&deadline_s=600", "fail").await.expect(201);
+    let path = failed.header("location").to_owned();
+    server.reaches(&path, "failed").await;
+    let retry = format!("{path}/retry");
+    let again = server.post(&retry).await.expect(201);
+    let new = again.json();
+    assert_eq!(new["retry_of"], failed.json()["id"]);
+    assert_eq!((&new["options"]["seed"], &new["priority"]), (&json!(9), &json!(3)));
+    assert_eq!(new["deadline_at"], Value::Null, "time begins anew");
+    assert_eq!(new["dataset"], failed.json()["dataset"]);
+    server.reaches(again.header("location"), "failed").await;
+
+    let request_body = json!({ "from_checkpoint": false, "deadline_s": 600 });
+    let keyed = || {
+        server.send("POST", &retry, |request| {
+            request.json(&request_body).header("idempotency-key", "k").header("prefer", "wait=60")
+        })
+    };
+    let third = keyed().await.expect(201);
+    assert_eq!(third.json()["state"], "failed", "the answer waits if it may");
+    assert!(third.json()["deadline_at"].is_string());
+    let same = keyed().await.expect(201);
+    assert_eq!(same.header("idempotency-replayed"), "true");
+    assert_eq!(same.header("location"), third.header("location"));
+    let other = server.send("POST", &retry, |request| request.header("idempotency-key", "k")).await;
+    other.expect_problem(422, "idempotency-key-reused");
+
+    let done = server.succeeded().await;
+    let detail = server.post(&format!("{done}/retry")).await.expect_problem(409, "job-not-retryable");
+    assert!(detail.contains("succeeded"), "{detail}");
+    server.post("/v1/jobs/17/retry").await.expect_problem(404, "job-not-found");
+    for (fields, named) in [
+        (json!({ "deadline_s": 0 }), "deadline_s"),
+        (json!({ "from_checkpoint": "yes" }), "body"),
+        (json!({ "seed": 1 }), "body"),
+    ] {
+        let detail = server.post_json(&retry, &fields).await.expect_problem(422, "invalid-parameter");
+        assert!(detail.starts_with(named), "{detail}");
+    }
+    server.send("POST", &retry, |request| request.body("{}")).await.expect(415);
+    let typed = |body: String| {
+        server.send("POST", &retry, |request| request.header("content-type", "application/json").body(body))
+    };
+    typed(String::new()).await.expect(201);
+    typed("{\"from".into()).await.expect_problem(400, "malformed-json");
+    typed(" ".repeat(2 << 20)).await.expect_problem(413, "body-too-large");
+    for (failing, status) in [(Failing::Busy, 503), (Failing::Gone, 500)] {
+        server.store.set(Some(failing));
+        server.post(&retry).await.expect(status);
+        server.send("DELETE", &path, |request| request).await.expect(status);
+        server.store.set(None);
+    }
+}
+
+pub(super) async fn a_job_that_has_ended_is_deleted_with_its_files(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let forgotten = Arc::new(Mutex::new(Vec::new()));
+    let job = server.succeeded().await;
+    let tag = server.get(&job).await.expect(200).header("etag").to_owned();
+    let delete = |path: String, tag: Option<String>| {
+        let server = &server;
+        async move {
+            let fill = |request: reqwest::RequestBuilder| match tag {
+                Some(tag) => request.header("if-match", tag),
+                None => request,
+            };
+            server.send("DELETE", &path, fill).await
+        }
+    };
+    delete(job.clone(), Some("\"0\"".into())).await.expect_problem(412, "precondition-failed");
+    delete(job.clone(), Some(format!("\"0\", {tag}"))).await.expect(204);
+    for part in ["", "/events", "/artifact", "/view?frame=test/r_0"] {
+        server.get(&format!("{job}{part}")).await.expect_problem(404, "job-not-found");
+    }
+    delete(job, None).await.expect_problem(404, "job-not-found");
+
+    let running = server.create("gate").await;
+    server.runner.gate.someone_waits().await;
+    let detail = delete(running.clone(), None).await.expect_problem(409, "job-active");
+    assert!(detail.contains("running"), "{detail}");
+    server.runner.gate.open();
+    server.reaches(&running, "succeeded").await;
+    delete(running, Some("*".into())).await.expect(204);
+
+    let failed = server.create("fail").await;
+    server.reaches(&failed, "failed").await;
+    let retry = server.post(&format!("{failed}/retry")).await.expect(201).header("location").to_owned();
+    let before = server.reaches(&retry, "failed").await;
+    assert!(before["retry_of"].is_string());
+    let tag = server.get(&retry).await.expect(200).header("etag").to_owned();
+    delete(failed, None).await.expect(204);
+    let after = server.get(&retry).await.expect(200);
+    assert_eq!(after.json()["retry_of"], Value::Null);
+    assert_ne!(after.header("etag"), tag, "what is shown has changed");
+
+    // The same over a server that tells what it was asked to forget.
+    let state = {
+        let forgotten = Arc::clone(&forgotten);
+        let forget: tcgs::http::ForgetJob =
+            Arc::new(move |job| forgotten.lock().expect("not poisoned").push(job));
+        let services = tcgs::http::Services { forget, ..server.services.clone() };
+        tcgs::http::AppState::new(services, Setup::default().limits, server.shutdown.clone())
+    };
+    use tower::ServiceExt as _;
+    let request = axum::http::Request::delete(&retry).header("host", "localhost");
+    let request = request.body(axum::body::Body::empty()).expect("a request");
+    let answer = tcgs::http::router(state).oneshot(request).await.expect("an answer");
+    assert_eq!(answer.status(), 204);
+    let forgotten: Vec<String> =
+        forgotten.lock().expect("not poisoned").iter().map(|job| format!("/v1/jobs/{job}")).collect();
+    assert_eq!(forgotten, [retry]);
+}

@@ -1,0 +1,195 @@
+//! Space on the disk: reserved before bytes are stored, and released with all that is refused.
+
+use std::{
+    fs,
+    path::Path,
+    sync::{Arc, atomic::Ordering},
+};
+
+use serde_json::json;
+use tcgs::{
+    domain::{KeyLimits, Scope},
+    http::config::RequestLimits,
+};
+use tokio::{
+    io::{AsyncReadExt as _, AsyncWriteExt as _},
+    net::TcpStream,
+};
+
+use super::connections::check_raw;
+use crate::support::{
+    contract::Coverage,
+    server::{Answer, Server, Setup, TestKey},
+};
+
+fn idle() -> Setup {
+    Setup { worker: false, ..Setup::default() }
+}
+
+/// Bytes of the files in a folder and in those in it.
+fn bytes_in(folder: &Path) -> u64 {
+    let entries = fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
+    entries
+        .map(|path| if path.is_dir() { bytes_in(&path) } else { fs::metadata(&path).expect("a file").len() })
+        .sum()
+}
+
+/// Bytes of all that is stored beside the database.
+fn stored(server: &Server) -> u64 {
+    ["blobs", "staging", "uploads"].map(|name| bytes_in(&server.data.path().join(name))).iter().sum()
+}
+
+/// Whether a body says how long it is.
+#[derive(Clone, Copy, PartialEq)]
+enum Framing {
+    Length,
+    Chunked,
+}
+
+async fn post(server: &Server, path: &str, key: &TestKey, framing: Framing, dataset: Vec<u8>) -> Answer {
+    let body = match framing {
+        Framing::Length => reqwest::Body::from(dataset),
+        Framing::Chunked => {
+            let pieces: Vec<_> =
+                dataset.chunks(1000).map(|piece| Ok::<_, std::io::Error>(piece.to_vec())).collect();
+            reqwest::Body::wrap_stream(futures_util::stream::iter(pieces))
+        }
+    };
+    let sent = server.send("POST", path, |request| {
+        request.bearer_auth(&key.key).header("content-type", "application/zip").body(body)
+    });
+    sent.await
+}
+
+/// A dataset of so many bytes that no other test has.
+fn dataset(number: usize, bytes: usize) -> Vec<u8> {
+    let mut text = format!("succeed {number} ").into_bytes();
+    text.resize(bytes, b'x');
+    text
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_over_the_quota_is_refused_and_not_stored() {
+    let server = Server::start_with(&Coverage::default(), idle()).await;
+    let limits = KeyLimits { max_bytes: Some(1 << 10), ..KeyLimits::default() };
+    let key = server.key_with(&Scope::ALL[..3], limits).await;
+    for number in 0..12 {
+        let path = ["/v1/jobs", "/v1/scenes"][number % 2];
+        let framing = if number < 6 { Framing::Length } else { Framing::Chunked };
+        let answer = post(&server, path, &key, framing, dataset(number, 1 << 16)).await;
+        let detail = answer.expect_problem(507, "quota-exceeded");
+        assert!(detail.contains("quota of 1024"), "{detail}");
+        assert_eq!(stored(&server), 0, "{path}");
+    }
+    let begin = server.send("POST", "/v1/uploads", |request| {
+        request.bearer_auth(&key.key).header("tus-resumable", "1.0.0").header("upload-length", 1 << 16)
+    });
+    begin.await.expect_problem(507, "quota-exceeded");
+    for framing in [Framing::Length, Framing::Chunked] {
+        post(&server, "/v1/jobs", &key, framing, dataset(framing as usize, 500)).await.expect(201);
+    }
+    assert_eq!(stored(&server), 1000);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_an_owner_has_already_needs_no_room() {
+    let server = Server::start_with(&Coverage::default(), idle()).await;
+    let limits = KeyLimits { max_bytes: Some(3000), ..KeyLimits::default() };
+    let key = server.key_with(&Scope::ALL[..3], limits).await;
+    post(&server, "/v1/jobs", &key, Framing::Length, dataset(1, 2500)).await.expect(201);
+    for framing in [Framing::Length, Framing::Chunked] {
+        for path in ["/v1/jobs", "/v1/scenes"] {
+            let again = post(&server, path, &key, framing, dataset(1, 2500)).await;
+            assert!(matches!(again.status, 200 | 201), "{path}: {again:?}");
+            for other in [dataset(2, 2500), dataset(2, 2400), dataset(2, 2600)] {
+                post(&server, path, &key, framing, other).await.expect_problem(507, "quota-exceeded");
+            }
+            assert_eq!(stored(&server), 2500);
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_refused_late_leaves_nothing() {
+    let server = Server::start_with(&Coverage::default(), idle()).await;
+    let limits = KeyLimits { max_active_jobs: Some(1), ..KeyLimits::default() };
+    let key = server.key_with(&Scope::ALL[..3], limits).await;
+    post(&server, "/v1/jobs", &key, Framing::Length, dataset(0, 500)).await.expect(201);
+    post(&server, "/v1/jobs", &key, Framing::Length, dataset(1, 5000))
+        .await
+        .expect_problem(429, "too-many-jobs");
+    assert_eq!(stored(&server), 500, "a job too many");
+    post(&server, "/v1/jobs", &key, Framing::Length, dataset(0, 500))
+        .await
+        .expect_problem(429, "too-many-jobs");
+    assert_eq!(stored(&server), 500, "what something refers to stays");
+    post(&server, "/v1/scenes", &key, Framing::Length, b"bad dataset".to_vec()).await.expect(422);
+    assert_eq!(stored(&server), 500, "no dataset");
+    let digest = server.send("POST", "/v1/scenes", |request| {
+        let request = request.bearer_auth(&key.key).header("content-type", "application/zip");
+        request
+            .header("content-digest", "sha-256=:AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA=:")
+            .body(dataset(3, 999))
+    });
+    assert!(matches!(digest.await.status, 400 | 422));
+    assert_eq!(stored(&server), 500, "another content than was announced");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn bodies_on_their_way_have_their_room_to_themselves() {
+    let server = Server::start_with(&Coverage::default(), idle()).await;
+    let limits = KeyLimits { max_bytes: Some(1000), ..KeyLimits::default() };
+    let key = server.key_with(&Scope::ALL[..3], limits).await;
+    let mut first = TcpStream::connect(server.address).await.expect("connects");
+    let head = format!(
+        "POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {}\r\nContent-Type: application/zip\r\n\
+         Expect: 100-continue\r\nConnection: close\r\nContent-Length: 600\r\n\r\n",
+        key.key
+    );
+    first.write_all(head.as_bytes()).await.expect("sent");
+    let mut leave = [0; 25];
+    first.read_exact(&mut leave).await.expect("leave to send");
+    assert_eq!(&leave, b"HTTP/1.1 100 Continue\r\n\r\n", "the room is reserved by now");
+    for (path, framing) in [("/v1/jobs", Framing::Length), ("/v1/scenes", Framing::Chunked)] {
+        post(&server, path, &key, framing, dataset(2, 600)).await.expect_problem(507, "quota-exceeded");
+    }
+    first.write_all(&dataset(1, 600)).await.expect("sent");
+    let mut answer = Vec::new();
+    first.read_to_end(&mut answer).await.expect("an end");
+    assert_eq!(check_raw(&server, "POST", "/v1/jobs", &answer), 201);
+    post(&server, "/v1/jobs", &key, Framing::Length, dataset(4, 300)).await.expect(201);
+}
+
+pub(super) async fn below_the_floor_of_free_space_nothing_is_taken_in(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let scene = super::scenes::keep(&server, "", "succeed").await.expect(201).json()["id"].clone();
+    let done = server.succeeded().await;
+    let failed = server.create("fail").await;
+    server.reaches(&failed, "failed").await;
+    let begin = async |server: &Server| {
+        let begin = server.send("POST", "/v1/uploads", |request| {
+            request.header("tus-resumable", "1.0.0").header("upload-length", 9)
+        });
+        begin.await
+    };
+    let upload = begin(&server).await.expect(201).header("location").to_owned();
+    let limits = RequestLimits { min_free_space: 1 << 60, ..Setup::default().limits };
+    let low = Server::start_in(&coverage, Setup { limits, ..idle() }, Arc::clone(&server.data)).await;
+    let before = stored(&low);
+    low.upload("", "succeed with something new").await.expect_problem(507, "storage-full");
+    super::scenes::keep(&low, "", "succeed with more").await.expect_problem(507, "storage-full");
+    begin(&low).await.expect_problem(507, "storage-full");
+    let part = low.send("PATCH", &upload, |request| {
+        let request = request.header("tus-resumable", "1.0.0").header("upload-offset", 0);
+        request.header("content-type", "application/offset+octet-stream").body("succeed 9")
+    });
+    part.await.expect_problem(507, "storage-full");
+    low.post_json("/v1/jobs", &json!({ "scene_id": scene })).await.expect_problem(507, "storage-full");
+    low.post(&format!("{failed}/retry")).await.expect_problem(507, "storage-full");
+    low.exporter.gate.open();
+    low.get(&format!("{done}/export?format=ply")).await.expect_problem(507, "storage-full");
+    assert_eq!(low.exporter.made.load(Ordering::SeqCst), 0);
+    assert_eq!(stored(&low), before);
+    low.get("/readyz").await.expect_problem(503, "not-ready");
+    server.upload("", "succeed with something new").await.expect(201);
+}
