@@ -38,7 +38,7 @@ fn verified(stated: Subgroups, device: &Device) -> Result<Subgroups, GpuError> {
     let kernel = device.kernel(kernel_source!("subgroup_probe"), &[("LANES", lanes)])?;
     let found = device.buffer::<[u32; 4]>("subgroup probe", (PROBES * lanes) as usize)?;
     let mut recorder = device.recorder("subgroup probe");
-    recorder.dispatch(&kernel, &[found.as_ref()], PROBES);
+    recorder.dispatch(&kernel, &[&found], PROBES);
     recorder.submit()?;
     if device.read(&found)? == twin::subgroup_probe(lanes, PROBES) {
         return Ok(stated);

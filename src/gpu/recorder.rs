@@ -10,7 +10,7 @@ use super::{
 const MAX_GROUPS_PER_DIMENSION: u32 = 65_535;
 
 /// A buffer as a kernel binds it; the n-th binding of a dispatch is `@group(0) @binding(n)`.
-pub type Binding<'a> = &'a RawBuffer;
+pub type Binding<'a> = &'a dyn AsRef<RawBuffer>;
 
 /// Records commands; nothing runs until [`Recorder::submit`].
 #[derive(Debug)]
@@ -187,9 +187,9 @@ impl<'a> Recorder<'a> {
         let entries: Vec<_> = bindings
             .iter()
             .zip(0..)
-            .map(|(buffer, binding)| wgpu::BindGroupEntry {
-                binding,
-                resource: buffer.inner.as_entire_binding(),
+            .map(|(buffer, binding)| {
+                let buffer: &RawBuffer = (*buffer).as_ref();
+                wgpu::BindGroupEntry { binding, resource: buffer.inner.as_entire_binding() }
             })
             .collect();
         self.device.inner.create_bind_group(&wgpu::BindGroupDescriptor {

@@ -67,13 +67,9 @@ impl Scan {
         sums: &Buffer<u32>,
         totals: &Buffer<u32>,
     ) {
-        let (params, partials) = (self.params.as_ref(), self.partials.as_ref());
-        recorder.dispatch(&self.reduce, &[params, counts.as_ref(), values.as_ref(), partials], self.groups);
-        recorder.dispatch(&self.scan, &[params, partials, totals.as_ref()], 1);
-        recorder.dispatch(
-            &self.apply,
-            &[params, counts.as_ref(), values.as_ref(), partials, sums.as_ref()],
-            self.groups,
-        );
+        let (params, partials) = (&self.params, &self.partials);
+        recorder.dispatch(&self.reduce, &[params, counts, values, partials], self.groups);
+        recorder.dispatch(&self.scan, &[params, partials, totals], 1);
+        recorder.dispatch(&self.apply, &[params, counts, values, partials, sums], self.groups);
     }
 }

@@ -150,21 +150,12 @@ impl RadixSort {
         let (mut from, mut to) = (pairs, spare);
         let groups = self.sort.runs.div_ceil(16);
         for (params, digits) in self.passes.last().into_iter().flat_map(|passes| &passes.params) {
-            let (params, counters, totals) = (params.as_ref(), self.counters.as_ref(), self.totals.as_ref());
-            recorder.dispatch(&self.count, &[params, counts.as_ref(), from.keys.as_ref(), counters], groups);
+            let (params, counters, totals) = (params, &self.counters, &self.totals);
+            recorder.dispatch(&self.count, &[params, counts, &from.keys, counters], groups);
             recorder.dispatch(&self.offsets, &[params, counters, totals], digits.div_ceil(16));
             recorder.dispatch(
                 &self.scatter,
-                &[
-                    params,
-                    counts.as_ref(),
-                    totals,
-                    counters,
-                    from.keys.as_ref(),
-                    from.values.as_ref(),
-                    to.keys.as_ref(),
-                    to.values.as_ref(),
-                ],
+                &[params, counts, totals, counters, &from.keys, &from.values, &to.keys, &to.values],
                 groups,
             );
             (from, to) = (to, from);

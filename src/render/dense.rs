@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use super::RenderError;
 use crate::{
-    gpu::{Buffer, Device, Kernel, Recorder, kernel_source},
+    gpu::{Binding, Buffer, Device, Kernel, Recorder, kernel_source},
     model::LayerSpec,
 };
 
@@ -123,14 +123,7 @@ impl DenseLayers {
             [layer.input_row as u32, layer.output_row as u32, 0, 0],
         ])?;
         // The gate is not read; any buffer but the output is valid.
-        let bindings = [
-            uniform.as_ref(),
-            columns.list.as_ref(),
-            parameters.as_ref(),
-            input.as_ref(),
-            input.as_ref(),
-            output.as_ref(),
-        ];
+        let bindings: [Binding<'_>; 6] = [&uniform, columns.list, parameters, input, input, output];
         recorder.dispatch(&self.dense, &bindings, groups(columns, layer.outputs));
         Ok(())
     }
@@ -155,14 +148,8 @@ impl DenseLayers {
             [layer.outputs as u32, 1, NO_BIAS, activation],
             [layer.output_row as u32, layer.input_row as u32, layer.input_row as u32, 0],
         ])?;
-        let bindings = [
-            uniform.as_ref(),
-            columns.list.as_ref(),
-            parameters.as_ref(),
-            d_output.as_ref(),
-            d_input.relu.unwrap_or(d_output).as_ref(),
-            d_input.buffer.as_ref(),
-        ];
+        let bindings: [Binding<'_>; 6] =
+            [&uniform, columns.list, parameters, d_output, d_input.relu.unwrap_or(d_output), d_input.buffer];
         recorder.dispatch(&self.dense, &bindings, groups(columns, d_input.rows));
         Ok(())
     }
@@ -187,8 +174,7 @@ impl DenseLayers {
             [layer.input_row as u32, layer.output_row as u32, parameters as u32, 0],
         ])?;
         let tiles = layer.inputs.div_ceil(GRADIENT_TILE[0]) * layer.outputs.div_ceil(GRADIENT_TILE[1]);
-        let bindings =
-            [uniform.as_ref(), columns.list.as_ref(), input.as_ref(), d_output.as_ref(), partials.as_ref()];
+        let bindings: [Binding<'_>; 5] = [&uniform, columns.list, input, d_output, partials];
         recorder.dispatch(
             &self.dense_weight_gradient,
             &bindings,
@@ -212,7 +198,7 @@ impl DenseLayers {
         let shape = recorder.uniform(&[[parameters as u32, GRADIENT_RUN as u32, 0, 0]])?;
         recorder.dispatch(
             &self.sum_partials,
-            &[shape.as_ref(), columns.list.as_ref(), partials.as_ref(), sums.as_ref()],
+            &[&shape, columns.list, partials, sums],
             parameters.div_ceil(64) as u32,
         );
         Ok(())

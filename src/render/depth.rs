@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::{Gaussians, RenderError};
 use crate::{
     domain::Camera,
-    gpu::{Buffer, Device, Kernel, Recorder, kernel_source},
+    gpu::{Binding, Buffer, Device, Kernel, Recorder, kernel_source},
 };
 
 /// `Depths` of `shaders/shade_depth.wgsl`.
@@ -59,7 +59,7 @@ impl DepthShader {
         let count = u32::try_from(gaussians.capacity).unwrap_or(u32::MAX);
         let uniform = DepthUniform { forward: forward.as_vec4().to_array(), count, unused: [0; 3] };
         recorder.write(&self.uniform, &[uniform]);
-        let buffers = [self.uniform.as_ref(), gaussians.geometry.as_ref(), self.colors.as_ref()];
+        let buffers: [Binding<'_>; 3] = [&self.uniform, &gaussians.geometry, &self.colors];
         recorder.dispatch(&self.kernel, &buffers, count.div_ceil(64));
         Ok(Gaussians { colors: self.colors.clone(), ..gaussians.clone() })
     }

@@ -359,17 +359,17 @@ impl NeuralGaussians {
         self.holds_outputs = true;
         recorder.write(&self.view, &[self.view_uniform(anchors.count, camera, volume_weight)]);
         let (kernels, on) = (&self.kernels, &self.forward);
-        let view = self.view.as_ref();
+        let view = &self.view;
         let groups = anchors.count.div_ceil(64) as u32;
         recorder.dispatch(
             &kernels.anchor_visible,
-            &[view, anchors.positions.as_ref(), anchors.rows.as_ref(), on.visible.as_ref()],
+            &[view, &anchors.positions, &anchors.rows, &on.visible],
             groups,
         );
-        recorder.dispatch(&kernels.compact_anchors, &[view, on.visible.as_ref(), on.list.as_ref()], 1);
+        recorder.dispatch(&kernels.compact_anchors, &[view, &on.visible, &on.list], 1);
         recorder.dispatch(
             &kernels.network_input,
-            &[view, on.list.as_ref(), anchors.positions.as_ref(), anchors.rows.as_ref(), on.input.as_ref()],
+            &[view, &on.list, &anchors.positions, &anchors.rows, &on.input],
             groups,
         );
         let (dense, columns, networks) = (&kernels.dense, self.columns(), &anchors.networks);
@@ -383,22 +383,18 @@ impl NeuralGaussians {
             &kernels.spawn_gaussians,
             &[
                 view,
-                on.list.as_ref(),
-                anchors.positions.as_ref(),
-                anchors.rows.as_ref(),
-                on.outputs.as_ref(),
-                anchors.masks.as_ref(),
-                on.gaussians.geometry.as_ref(),
-                on.gaussians.colors.as_ref(),
-                on.alive.as_ref(),
+                &on.list,
+                &anchors.positions,
+                &anchors.rows,
+                &on.outputs,
+                &anchors.masks,
+                &on.gaussians.geometry,
+                &on.gaussians.colors,
+                &on.alive,
             ],
             groups,
         );
-        recorder.dispatch(
-            &kernels.count_gaussians,
-            &[on.list.as_ref(), on.alive.as_ref(), on.gaussians.count.as_ref()],
-            1,
-        );
+        recorder.dispatch(&kernels.count_gaussians, &[&on.list, &on.alive, &on.gaussians.count], 1);
         Ok(())
     }
 
@@ -419,21 +415,21 @@ impl NeuralGaussians {
         self.prepare_backward()?;
         let back = self.backward.as_ref().ok_or(RenderError::OutOfStep)?;
         let (kernels, on) = (&self.kernels, &self.forward);
-        let view = self.view.as_ref();
+        let view = &self.view;
         let groups = anchors.count.div_ceil(64) as u32;
         recorder.clear(&out.rows);
         recorder.dispatch(
             &kernels.spawn_gradient,
             &[
                 view,
-                on.list.as_ref(),
-                on.gaussians.count.as_ref(),
-                anchors.rows.as_ref(),
-                on.gaussians.geometry.as_ref(),
-                back.d_gaussians.geometry.as_ref(),
-                back.d_gaussians.colors.as_ref(),
-                on.outputs.as_ref(),
-                out.rows.as_ref(),
+                &on.list,
+                &on.gaussians.count,
+                &anchors.rows,
+                &on.gaussians.geometry,
+                &back.d_gaussians.geometry,
+                &back.d_gaussians.colors,
+                &on.outputs,
+                &out.rows,
             ],
             groups,
         );
@@ -452,11 +448,7 @@ impl NeuralGaussians {
         let d_input = InputGradient { rows: self.layout.shape.features, relu: None, buffer: &back.d_input };
         dense.input_gradient(recorder, hidden, networks, &back.d_hidden, d_input)?;
         dense.sum_partials(recorder, columns, parameters, &back.partials, &out.networks)?;
-        recorder.dispatch(
-            &kernels.feature_gradient,
-            &[view, on.list.as_ref(), back.d_input.as_ref(), out.rows.as_ref()],
-            groups,
-        );
+        recorder.dispatch(&kernels.feature_gradient, &[view, &on.list, &back.d_input, &out.rows], groups);
         Ok(())
     }
 
@@ -476,12 +468,12 @@ impl NeuralGaussians {
         recorder.dispatch(
             &self.kernels.anchor_statistics,
             &[
-                self.view.as_ref(),
-                self.forward.list.as_ref(),
-                self.forward.gaussians.geometry.as_ref(),
-                back.d_gaussians.means2d.as_ref(),
-                statistics.as_ref(),
-                overflow_flag.as_ref(),
+                &self.view,
+                &self.forward.list,
+                &self.forward.gaussians.geometry,
+                &back.d_gaussians.means2d,
+                statistics,
+                overflow_flag,
             ],
             anchors.count.div_ceil(64) as u32,
         );

@@ -198,13 +198,7 @@ impl PlainGaussians {
         let out = &self.gaussians;
         recorder.dispatch(
             &self.kernels.shade_gaussians,
-            &[
-                self.view.as_ref(),
-                rows.base.as_ref(),
-                rows.bands.as_ref(),
-                out.geometry.as_ref(),
-                out.colors.as_ref(),
-            ],
+            &[&self.view, &rows.base, &rows.bands, &out.geometry, &out.colors],
             groups(rows.count),
         );
         Ok(())
@@ -225,15 +219,15 @@ impl PlainGaussians {
         recorder.dispatch(
             &self.kernels.shade_gradient,
             &[
-                self.view.as_ref(),
-                rows.bands.as_ref(),
-                on.geometry.as_ref(),
-                on.colors.as_ref(),
-                d.geometry.as_ref(),
-                d.colors.as_ref(),
-                d.means2d.as_ref(),
-                out.base.as_ref(),
-                out.bands.as_ref(),
+                &self.view,
+                &rows.bands,
+                &on.geometry,
+                &on.colors,
+                &d.geometry,
+                &d.colors,
+                &d.means2d,
+                &out.base,
+                &out.bands,
             ],
             groups(rows.count),
         );
@@ -253,7 +247,7 @@ impl PlainGaussians {
         let d = self.gradients.as_ref().ok_or(RenderError::OutOfStep)?;
         recorder.dispatch(
             &self.gaussian_statistics,
-            &[self.view.as_ref(), d.means2d.as_ref(), statistics.as_ref(), overflow_flag.as_ref()],
+            &[&self.view, &d.means2d, statistics, overflow_flag],
             groups(self.gaussians.capacity),
         );
         Ok(())

@@ -304,48 +304,41 @@ impl Rasterizer {
                 self.intersections.gradients.insert(buffer).clone()
             }
         };
-        let (kernels, view) = (&self.kernels, self.view.as_ref());
+        let (kernels, view) = (&self.kernels, &self.view);
         let (own, lists, image) = (&self.gaussians, &self.intersections, &self.image);
         let by_slot = if slots_in_spare { &lists.by_tile.1 } else { &lists.by_tile.0 };
         recorder.dispatch(
             &kernels.raster_backward,
             &[
                 view,
-                image.ranges.as_ref(),
-                lists.list.as_ref(),
-                by_slot.values.as_ref(),
-                own.splats.as_ref(),
-                image.image.as_ref(),
-                image.last.as_ref(),
-                v_image.as_ref(),
-                slot_gradients.as_ref(),
+                &image.ranges,
+                &lists.list,
+                &by_slot.values,
+                &own.splats,
+                &image.image,
+                &image.last,
+                v_image,
+                &slot_gradients,
             ],
             image.tiles,
         );
         let groups = self.groups(own.capacity);
         recorder.dispatch(
             &kernels.gather,
-            &[
-                view,
-                gaussians.count.as_ref(),
-                own.tiles.as_ref(),
-                own.first_slots.as_ref(),
-                slot_gradients.as_ref(),
-                own.v_splats.as_ref(),
-            ],
+            &[view, &gaussians.count, &own.tiles, &own.first_slots, &slot_gradients, &own.v_splats],
             groups,
         );
         recorder.dispatch(
             &kernels.project_backward,
             &[
                 view,
-                gaussians.count.as_ref(),
-                gaussians.geometry.as_ref(),
-                own.tiles.as_ref(),
-                own.v_splats.as_ref(),
-                out.geometry.as_ref(),
-                out.colors.as_ref(),
-                out.means2d.as_ref(),
+                &gaussians.count,
+                &gaussians.geometry,
+                &own.tiles,
+                &own.v_splats,
+                &out.geometry,
+                &out.colors,
+                &out.means2d,
             ],
             groups,
         );
@@ -379,19 +372,19 @@ impl Rasterizer {
 
     /// Records the projection and the ordering of the visible by depth, with the slots where each begins.
     fn order(&self, recorder: &mut Recorder<'_>, gaussians: &Gaussians) {
-        let (kernels, view, own) = (&self.kernels, self.view.as_ref(), &self.gaussians);
+        let (kernels, view, own) = (&self.kernels, &self.view, &self.gaussians);
         let groups = self.groups(own.capacity);
         recorder.dispatch(
             &kernels.project,
             &[
                 view,
-                gaussians.count.as_ref(),
-                gaussians.geometry.as_ref(),
-                gaussians.colors.as_ref(),
-                own.splats.as_ref(),
-                own.depths.as_ref(),
-                own.tiles.as_ref(),
-                own.visible.as_ref(),
+                &gaussians.count,
+                &gaussians.geometry,
+                &gaussians.colors,
+                &own.splats,
+                &own.depths,
+                &own.tiles,
+                &own.visible,
             ],
             groups,
         );
@@ -399,27 +392,13 @@ impl Rasterizer {
         let (pairs, spare) = &own.by_depth;
         recorder.dispatch(
             &kernels.compact,
-            &[
-                view,
-                gaussians.count.as_ref(),
-                own.visible.as_ref(),
-                own.places.as_ref(),
-                own.depths.as_ref(),
-                pairs.keys.as_ref(),
-                pairs.values.as_ref(),
-            ],
+            &[view, &gaussians.count, &own.visible, &own.places, &own.depths, &pairs.keys, &pairs.values],
             groups,
         );
         let sorted = own.sort_depth.record(recorder, &self.counters, pairs, spare);
         recorder.dispatch(
             &kernels.tile_counts,
-            &[
-                view,
-                self.counters.as_ref(),
-                sorted.values.as_ref(),
-                own.tiles.as_ref(),
-                own.sorted_tiles.as_ref(),
-            ],
+            &[view, &self.counters, &sorted.values, &own.tiles, &own.sorted_tiles],
             groups,
         );
         own.place_slots.record(recorder, &self.counters, &own.sorted_tiles, &own.starts, &self.counters);
@@ -428,14 +407,14 @@ impl Rasterizer {
             &kernels.emit,
             &[
                 view,
-                self.counters.as_ref(),
-                sorted.values.as_ref(),
-                own.starts.as_ref(),
-                own.splats.as_ref(),
-                by_tile.keys.as_ref(),
-                by_tile.values.as_ref(),
-                self.intersections.slot_ids.as_ref(),
-                own.first_slots.as_ref(),
+                &self.counters,
+                &sorted.values,
+                &own.starts,
+                &own.splats,
+                &by_tile.keys,
+                &by_tile.values,
+                &self.intersections.slot_ids,
+                &own.first_slots,
             ],
             groups,
         );
@@ -450,13 +429,13 @@ impl Rasterizer {
         recorder.dispatch(
             &self.kernels.tile_ranges,
             &[
-                self.view.as_ref(),
-                self.counters.as_ref(),
-                sorted.keys.as_ref(),
-                sorted.values.as_ref(),
-                lists.slot_ids.as_ref(),
-                lists.list.as_ref(),
-                self.image.ranges.as_ref(),
+                &self.view,
+                &self.counters,
+                &sorted.keys,
+                &sorted.values,
+                &lists.slot_ids,
+                &lists.list,
+                &self.image.ranges,
             ],
             self.groups(lists.capacity),
         );
@@ -468,12 +447,12 @@ impl Rasterizer {
         recorder.dispatch(
             &self.kernels.raster_forward,
             &[
-                self.view.as_ref(),
-                image.ranges.as_ref(),
-                self.intersections.list.as_ref(),
-                self.gaussians.splats.as_ref(),
-                image.image.as_ref(),
-                image.last.as_ref(),
+                &self.view,
+                &image.ranges,
+                &self.intersections.list,
+                &self.gaussians.splats,
+                &image.image,
+                &image.last,
             ],
             self.kernels.groups_a_tile * image.tiles,
         );

@@ -1,9 +1,9 @@
 //! Estimates the memory of a training run before it starts, and the model size that a budget allows.
 //!
-//! The sums are those of the buffers at the largest model that the schedule allows, as their owners state them
-//! (`Rasterizer::bytes` and its like). Two figures are not known beforehand and assumed: how many pairs of Gaussian and tile a
-//! view makes (`PAIRS_A_TILE`), and what program and driver take (`PROGRAM_BYTES`). The device's budget is also held at run time
-//! ([`crate::gpu::GpuError::OverBudget`]), so a scene beyond the assumption ends the run with words and not the process.
+//! The figures are the bytes of the buffers' plans ([`crate::gpu::Plan`]) for the largest model that the schedule allows. Two are
+//! assumed, since they are not known beforehand: the pairs of Gaussian and tile of a view (`PAIRS_A_TILE`), and the memory of
+//! program and driver (`PROGRAM_BYTES`). The device's budget is also enforced while training
+//! ([`crate::gpu::GpuError::OverBudget`]), so a scene beyond the assumptions ends the run with an error and not the process.
 
 use super::{
     Estimate, ImageLoss, OverBudget, Schedule,
