@@ -2,6 +2,7 @@
 
 mod dense;
 mod depth;
+mod device_anchors;
 mod error;
 mod gaussians;
 mod neural;
@@ -16,9 +17,10 @@ pub mod views;
 
 pub use dense::{Activation, Columns, DenseLayer, DenseLayers, InputGradient};
 pub use depth::DepthShader;
+pub use device_anchors::{AnchorGradients, DeviceAnchors};
 pub use error::RenderError;
 pub use gaussians::{GEOMETRY_SECTIONS, GaussianGradients, Gaussians};
-pub use neural::{AnchorGradients, DeviceAnchors, NeuralGaussians};
+pub use neural::NeuralGaussians;
 pub use plain::{DeviceGaussians, PlainGaussians, STATISTICS};
 pub use projection::{Projection, RasterSettings, TILE};
 pub use rasterizer::{ForwardPasses, RasterCounts, Rasterizer};

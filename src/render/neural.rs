@@ -7,18 +7,19 @@
 use std::sync::Arc;
 
 use super::{
-    Activation, Columns, DenseLayers, GaussianGradients, Gaussians, InputGradient, Rasterizer, RenderError,
+    Activation, AnchorGradients, Columns, DenseLayers, DeviceAnchors, GaussianGradients, Gaussians,
+    InputGradient, Rasterizer, RenderError,
 };
 use crate::{
     domain::{Camera, DistanceUnit},
     gpu::{AdapterReport, Buffer, Device, Kernel, Plan, Recorder, kernel_source, planned},
-    model::{AnchorRows, NetworkLayout, Shape},
+    model::{NetworkLayout, Shape},
 };
 
 /// More anchors than any adapter can hold; sums of their bytes stay far below the range of integers.
 const MAX_ANCHORS: usize = 1 << 36;
 
-/// The uniform that describes one view to the kernels; `shaders/shared/view.wgsl`.
+/// `View` of `shaders/shared/anchor_view.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct ViewUniform {
@@ -31,75 +32,6 @@ struct ViewUniform {
 
 fn view_plan() -> Plan<'static, Buffer<ViewUniform>> {
     Plan::buffer("view of anchors", 1)
-}
-
-/// Anchors on the device.
-#[derive(Debug)]
-pub struct DeviceAnchors {
-    /// Widths.
-    pub shape: Shape,
-    /// Anchors in use.
-    pub count: usize,
-    /// World positions.
-    pub positions: Buffer<[f32; 4]>,
-    /// `[N][row]` parameters.
-    pub rows: Buffer<f32>,
-    /// Bit k set: offset k may make a Gaussian.
-    pub masks: Buffer<u32>,
-    /// The networks' flat parameters.
-    pub networks: Buffer<f32>,
-}
-
-impl DeviceAnchors {
-    /// Plans zeros for `anchors` anchors and their networks.
-    #[must_use]
-    pub fn plan(shape: Shape, anchors: usize) -> Plan<'static, Self> {
-        Self::plan_with(shape, anchors, NetworkLayout::new(shape).parameters)
-    }
-
-    fn plan_with(shape: Shape, anchors: usize, parameters: usize) -> Plan<'static, Self> {
-        planned!(Self {
-            shape: Plan::value(shape),
-            count: Plan::value(anchors),
-            positions: Plan::buffer("anchor positions", anchors),
-            rows: Plan::buffer("anchor rows", anchors * shape.row()),
-            masks: Plan::buffer("offset masks", anchors),
-            networks: Plan::buffer("networks", parameters),
-        })
-    }
-
-    /// Uploads anchors and networks.
-    ///
-    /// # Errors
-    /// Faults of the device, or a scene that is too large for it.
-    pub fn upload(device: &Device, anchors: &AnchorRows, networks: &[f32]) -> Result<Self, RenderError> {
-        let made = Self::plan_with(anchors.shape, anchors.len(), networks.len()).make(device)?;
-        device.write(&made.positions, &anchors.positions());
-        device.write(&made.rows, &anchors.values);
-        device.write(&made.masks, &anchors.masks);
-        device.write(&made.networks, networks);
-        Ok(made)
-    }
-}
-
-/// Gradients by the anchors' rows and the networks' parameters.
-#[derive(Debug)]
-pub struct AnchorGradients {
-    /// Laid out as [`DeviceAnchors::rows`]; zero for anchors that the view does not show.
-    pub rows: Buffer<f32>,
-    /// Laid out as [`DeviceAnchors::networks`].
-    pub networks: Buffer<f32>,
-}
-
-impl AnchorGradients {
-    /// Plans the gradients of `anchors` anchors.
-    #[must_use]
-    pub fn plan(shape: Shape, anchors: usize) -> Plan<'static, Self> {
-        planned!(Self {
-            rows: Plan::buffer("gradients of rows", anchors * shape.row()),
-            networks: Plan::buffer("gradients of networks", NetworkLayout::new(shape).parameters),
-        })
-    }
 }
 
 #[derive(Debug)]
