@@ -1,5 +1,5 @@
-//! What the adapter can do at best: small kernels that only copy, only read at random, or only compute. The stages'
-//! figures are stated as shares of these.
+//! Peak rates of the adapter: small kernels that only copy, only read at random, or only compute. The stages' figures are shares
+//! of these.
 
 use std::{sync::Arc, time::Duration};
 
@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::gpu::{Binding, Device, KernelSource, KernelVariant};
 
-/// Of each probe the fastest of this many runs.
+/// Runs of each probe, of which the fastest counts.
 const RUNS: usize = 40;
 
 /// How large the probes are.

@@ -1,4 +1,4 @@
-//! What a training step pays for the context model: from a sample of anchors to outputs, and from the gradients by these to
+//! Time of the context model in a training step: from a sample of anchors to outputs, and from the gradients by these to
 //! every parameter, as each stage of training uses it.
 
 use std::{
@@ -38,7 +38,7 @@ fn passes() -> [(&'static str, ContextPass); 3] {
     ]
 }
 
-/// Prints a table of least times; with `detail`, those of kernels.
+/// Prints a table of minimum times; with `detail`, those of kernels.
 pub(crate) fn table(device: &Arc<Device>, runs: usize, detail: bool) -> Result<(), TrainError> {
     for [count, sampled] in SCENES {
         let mut rng = Pcg64::seed_from_u64(1);
@@ -79,7 +79,7 @@ pub(crate) fn table(device: &Arc<Device>, runs: usize, detail: bool) -> Result<(
                     record(&mut net, &mut recorder, backward)?;
                     recorder.submit()?;
                     device.wait()?;
-                    // The first makes buffers and kernels.
+                    // The first run makes buffers and kernels.
                     if run > 0 {
                         *least = start.elapsed().min(*least);
                     }

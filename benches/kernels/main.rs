@@ -1,13 +1,13 @@
-//! Times of a training step's stages as shares of what the adapter can do: `cargo bench --bench kernels`.
+//! Times of a training step's stages as shares of the adapter's peak rates: `cargo bench --bench kernels`.
 //!
 //! Arguments choose numbers of Gaussians and sides of images, such as `-- 10000 128`, and `detail` lists single kernels;
 //! `context` times the context model instead.
-//! `TCGS_ADAPTER` chooses the adapter. Each figure is the least of several runs, which load on the machine disturbs
+//! `TCGS_ADAPTER` chooses the adapter. Each figure is the minimum of several runs, which other load disturbs
 //! least. `share` is the larger of bytes against the copy's rate and operations against the arithmetic's.
 //!
 //! The rasteriser works on a shell of as many Gaussians as stated; the networks on a tenth as many anchors, ten offsets
-//! each, all visible; Adam on the anchors' rows. A step is all of it in one submission with nothing read back, by the
-//! clock; a plain step is one of as many plain Gaussians with spherical harmonics of degree 3. The checksums below a table stay while no kernel changes what it computes.
+//! each, all visible; Adam on the anchors' rows. A step is all of it in one submission with nothing read back, in wall
+//! time; a plain step is one of as many plain Gaussians with spherical harmonics of degree 3. The checksums below a table change only if a kernel computes something else.
 
 #![allow(clippy::unwrap_used, reason = "a benchmark stops at the first fault")]
 
@@ -48,7 +48,7 @@ const SIDES: [u32; 3] = [128, 256, 512];
 const STAGES: [&str; 8] =
     ["networks forward", "project", "sort", "forward", "loss", "backward", "networks backward", "adam"];
 
-/// Least time of each part.
+/// Minimum time of each part.
 type Times = BTreeMap<&'static str, Duration>;
 
 /// The stage of a kernel of the rasteriser; everything between projection and blending is sorting and listing.
@@ -158,7 +158,7 @@ impl Bench {
         self.adam.step(recorder, step, &self.rates, gradients, values, &self.moments)
     }
 
-    /// Everything in one submission, by the clock.
+    /// Everything in one submission, in wall time.
     fn step(&mut self) -> Result<Duration, RenderError> {
         let device = Arc::clone(&self.device);
         let start = Instant::now();
@@ -206,7 +206,7 @@ impl Bench {
         Ok((stages, kernels))
     }
 
-    /// Renders until everything has room.
+    /// Renders until nothing overflows.
     fn counts(&mut self) -> Result<RasterCounts, RenderError> {
         loop {
             let device = Arc::clone(&self.device);
@@ -236,7 +236,7 @@ impl Bench {
     }
 }
 
-/// A sum of magnitudes in which every place counts differently.
+/// A sum of magnitudes with a different weight for each position.
 fn checksum(values: &[f32]) -> f64 {
     let weight = |i: usize| 1.0 + (i as f64 * 0.618_033_988_75).fract();
     values.iter().enumerate().map(|(i, v)| weight(i) * f64::from(v.abs())).sum()

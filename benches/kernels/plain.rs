@@ -16,7 +16,7 @@ use tcgs::{
 
 use super::scene;
 
-/// The least time of a step, by the clock, nothing read back.
+/// The minimum wall time of a step, nothing read back.
 pub(crate) fn step(
     device: &Arc<Device>,
     count: usize,
@@ -40,7 +40,7 @@ pub(crate) fn step(
     let mut loss = ImageLoss::new(Arc::clone(device))?;
     let adam = Adam::new(device)?;
     let photograph: Vec<u32> = (0..side * side).map(|_| rng.random()).collect();
-    // As small as to leave the scene as it is.
+    // So small that the scene stays as it is.
     let rates = device.upload("rates", &[1e-9_f32])?;
     let overflow_flag = device.upload("overflow flag", &[0_u32])?;
     let step = AdamStep { number: 1, overflow_flag: &overflow_flag };
@@ -58,7 +58,7 @@ pub(crate) fn step(
         adam.step(&mut recorder, step, &rates, &gradients.bands, &rows.bands, &bands)?;
         recorder.submit()?;
         device.wait()?;
-        // The first makes buffers and kernels.
+        // The first run makes buffers and kernels.
         if run > 0 {
             least = least.min(start.elapsed());
         }

@@ -1,8 +1,8 @@
-//! How much each stage has to do, whatever kernels do it: the bytes that must be read and written, and the
-//! floating-point operations of the equations.
+//! The minimum work of each stage, independent of its kernels: the bytes that must be read and written, and the floating-point
+//! operations of the equations.
 //!
-//! Bytes are those of the stage's own inputs and outputs, each touched once, four a number: what is read again or kept
-//! between two kernels of a stage is the kernels' doing and lowers their share. Operations are counted as if nothing
+//! Bytes are those of the stage's own inputs and outputs, each touched once, four a number: repeated reads and data
+//! passed between kernels of a stage do not count, and so lower their share. Operations are counted as if nothing
 //! were skipped inside a tile: a rasteriser that skips what does not reach a pixel does less than it is credited with.
 
 use tcgs::{
@@ -41,7 +41,7 @@ impl Size {
         let layout = NetworkLayout::new(SHAPE);
         let layers = std::iter::once(&layout.hidden).chain(&layout.heads);
         let products: f64 = layers.map(|layer| (layer.inputs * layer.outputs) as f64).sum();
-        // Nothing asks for the gradient by the view direction and the distance.
+        // View direction and distance need no gradient.
         let unwanted = ((layout.hidden.inputs - SHAPE.features) * layout.hidden.outputs) as f64;
         let row = SHAPE.row() as f64;
         let spawned = 11.0 * SHAPE.offsets as f64;

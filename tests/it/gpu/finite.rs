@@ -1,4 +1,4 @@
-//! The shaders' tests for numbers that are none.
+//! The shaders' tests for NaN and infinity.
 
 use tcgs::gpu::KernelSource;
 

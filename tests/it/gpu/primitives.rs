@@ -63,7 +63,7 @@ fn scan_saturates_and_stops_at_the_count() {
     }
 }
 
-/// Holds a sort by `bits` bits against its twin.
+/// Compares a sort by `bits` bits with its twin.
 fn assert_sorts(device: &Device, sort: &RadixSort, keys: &[u32], bits: u32) {
     let size = keys.len();
     let values: Vec<u32> = (0..size as u32).collect();

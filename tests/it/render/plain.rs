@@ -37,7 +37,7 @@ const NEAR: f32 = 0.2;
 const BOUND: f64 = 1e-5;
 
 /// Rows in the box [-1, 1]³ with every coefficient in use, some too transparent to be seen, some so dark that channels
-/// are held at zero.
+/// are clamped at zero.
 fn rows(seed: u64, count: usize) -> GaussianRows {
     let mut rng = Pcg64::seed_from_u64(seed);
     let mut rows = GaussianRows::zero(count);
@@ -128,7 +128,7 @@ fn run(device: &Arc<Device>, plain: &mut PlainGaussians, rows: &GaussianRows, ca
     ];
     device.write(&d.geometry, &geometry.concat());
     device.write(&d.colors, &column(&|(v, ..)| v.color.extend(nan).to_array()));
-    // What is culled has no gradient, and whatever it says must not count.
+    // Culled Gaussians have no gradient, and their values must not count.
     let opacity = |index: usize| gaussians[0][index][3];
     let centers: Vec<[f32; 4]> = given
         .iter()
@@ -146,7 +146,7 @@ fn run(device: &Arc<Device>, plain: &mut PlainGaussians, rows: &GaussianRows, ca
     let statistics = device.upload("statistics", &vec![1.0_f32; STATISTICS * rows.len()]).expect("room");
     let mut recorder = device.recorder("backward");
     plain.backward(&mut recorder, &device_gaussians, &spoiled).expect("recorded");
-    // A void step adds nothing.
+    // An overflowed pass adds nothing.
     for mark in [1_u32, 0] {
         let mark = device.upload("overflow flag", &[mark]).expect("room");
         plain.statistics(&mut recorder, &statistics, &mark).expect("recorded");
@@ -164,7 +164,7 @@ fn assert_near(what: &str, found: &[f64], expected: &[f64]) {
     assert!(error < BOUND, "{what}: {error:e}");
 }
 
-/// Holds everything against the twin; returns how many Gaussians are seen.
+/// Compares everything with the twin; returns how many Gaussians are visible.
 fn matches_twin(rows: &GaussianRows, camera: &Camera, degree: u32) -> usize {
     let device = gpu();
     let mut plain = PlainGaussians::new(Arc::clone(&device), NEAR).expect("the kernels");
@@ -261,7 +261,7 @@ fn some_channels_are_held_at_zero_and_pass_no_gradient() {
     assert!(held > 20, "{held}");
 }
 
-/// A linear form of everything that a Gaussian says, whose gradient by the row is what [`shade_gradient`] is to give.
+/// A linear form of all values of a Gaussian, whose gradient by the row [`shade_gradient`] must give.
 fn said(projection: &Projection, row: &PlainRow, degree: u32, v: &GaussianGradient) -> f64 {
     let g = shade_gaussians(projection, row, degree).expect("in view");
     let quat: f64 = g.quat.iter().zip(v.quat).map(|(q, v)| q * v).sum();

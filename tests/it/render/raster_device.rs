@@ -1,4 +1,4 @@
-//! The rasteriser on the device: against the twin on random scenes, and on inputs that ask for trouble.
+//! The rasteriser on the device: against the twin on random scenes, and on edge cases.
 
 use std::sync::Arc;
 

@@ -11,7 +11,7 @@ use crate::support::{
     sh::sh_backward,
 };
 
-/// Largest difference of a colour on the device: blending in f32 strays by 1e-6 or so, a flipped 1/255 decision by 4e-3;
+/// Largest difference of a colour on the device: blending in f32 differs by about 1e-6, a flipped 1/255 decision by 4e-3;
 /// no case flips one.
 const DEVICE_RGB: f64 = 1e-4;
 /// The same for the twin, whose f64 arithmetic only orders its operations differently from the reference's.
@@ -40,7 +40,7 @@ fn worst(a: impl Iterator<Item = f64>, b: &[f64]) -> f64 {
     a.zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// Names what strays beyond the bounds.
+/// Names what exceeds the bounds.
 fn compare(case: &str, oracle: &Oracle, found: &Found, rgb_bound: f64, bound: f64) -> Option<String> {
     let alpha = worst(found.image.iter().map(|pixel| 1.0 - pixel[3]), &oracle.numbers("f64.alpha"));
     let rgb = worst(found.image.iter().flat_map(|pixel| pixel[..3].to_vec()), &oracle.numbers("f64.rgb"));

@@ -1,4 +1,4 @@
-//! Gaussians on their way to the device and back.
+//! Random Gaussians, uploaded, rendered and read back.
 
 use std::sync::Arc;
 
@@ -49,7 +49,7 @@ impl Scene {
     }
 }
 
-/// What came back from the device.
+/// Results read back from the device.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Rendered {
     pub counts: RasterCounts,

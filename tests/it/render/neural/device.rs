@@ -41,7 +41,7 @@ fn assert_near(what: &str, found: &[f64], expected: &[f64]) {
     assert!(error < BOUND, "{what}: {error:e}");
 }
 
-/// Holds everything against the twin; returns how many anchors are visible.
+/// Compares everything with the twin; returns how many anchors are visible.
 fn assert_matches_twin(
     found: &Found,
     scene: &Scene,
@@ -274,7 +274,7 @@ fn statistics_before_a_backward_pass_are_refused() {
     assert_eq!(refused, Err(RenderError::OutOfStep));
 }
 
-/// One view there and back, and whether everything had room in the device's bindings.
+/// Whether the forward and backward pass of one view fit the device's bindings.
 fn has_room(device: &Arc<Device>, shape: Shape, count: usize) -> bool {
     let layout = NetworkLayout::new(shape);
     let anchors = AnchorRows {

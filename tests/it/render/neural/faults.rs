@@ -1,4 +1,4 @@
-//! Numbers that are none: an anchor that holds one is alone in its misery.
+//! NaN and infinity: an anchor that holds one does not affect the others.
 
 use tcgs::{
     domain::DistanceUnit,
@@ -22,7 +22,7 @@ fn scene() -> Scene {
     Scene::random(9, SMALL, ANCHORS, 0.8, &projection(&random::camera(40, 30)))
 }
 
-/// Spoils one value of the last anchor, and expects the others to fare as if that anchor were not there to be learnt from.
+/// Sets one value of the last anchor to NaN or infinity, and expects the others' results as if that anchor did not exist.
 fn spoil(column: usize, value: f32, subgroups: bool) {
     let what = format!("{value} in column {column}, subgroups {subgroups}");
     let mut scene = scene();
@@ -76,7 +76,7 @@ fn networks_that_are_not_finite_do_not_stop_the_device() {
     }
 }
 
-/// The opacities, and the gradients by the networks, where the first head says `output` of every offset of every anchor.
+/// The opacities, and the gradients by the networks, where the first head outputs `output` for every offset of every anchor.
 fn with_opacity_output(output: f32) -> Found {
     let mut scene = scene();
     scene.anchors.masks.fill(all_offsets(SMALL));

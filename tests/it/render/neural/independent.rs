@@ -1,5 +1,5 @@
-//! The way from a file to a view's Gaussians against `tests/oracles/gaussians.py`, which was written from `FORMAT.md` and has its
-//! own decoder. The twin is held to it here; other tests hold the device to the twin.
+//! From a file to a view's Gaussians, compared with `tests/oracles/gaussians.py`, which was written from `FORMAT.md` and has its own
+//! decoder. Here the twin is compared with it; other tests compare the device with the twin.
 
 use std::{path::Path, process::Command};
 
@@ -63,7 +63,7 @@ fn a_trained_file_has_the_gaussians_that_its_format_says() {
                         assert!(off <= BOUND * expected.abs().max(1.0), "{at}: {} {expected}", found[index]);
                     }
                 }
-                // On the edge of being none.
+                // At the limit of existing.
                 _ => {
                     let opacity = found.map_or_else(|| expected.map_or(0.0, |e| e[0]), |found| found[0]);
                     assert!(opacity.abs() < BOUND, "anchor {anchor}, slot {slot}: {opacity}");

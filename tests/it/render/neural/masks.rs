@@ -1,4 +1,4 @@
-//! Learnt masks: the twins against central differences, the kernels against the twins, and what is masked is not drawn.
+//! Learnt masks: the twins against central differences, the kernels against the twins, and masked offsets are not drawn.
 
 use std::sync::Arc;
 
@@ -105,7 +105,7 @@ fn check_against_twins(shape: Shape, count: usize) {
     device.write(&gaussians.gaussian_gradients().expect("room").geometry, &by_opacity);
 
     let masks = OffsetMasks::upload(&device, shape, &rows).expect("room");
-    // The weight of one offset is of the size of what the view says.
+    // The weight of one offset is of the order of the view's gradients.
     let weight = 0.5 * (count * shape.offsets) as f32;
     let mut recorder = device.recorder("backward");
     let gradients =

@@ -1,4 +1,4 @@
-//! Random anchors, and their way through the device.
+//! Random anchors, and their passes on the device.
 
 use std::{collections::BTreeSet, sync::Arc};
 
@@ -48,7 +48,7 @@ impl Scene {
         Self::random_in(DistanceUnit::USUAL, seed, shape, count, spread, projection)
     }
 
-    /// As [`Scene::random`], of networks that are told distances in `unit`.
+    /// As [`Scene::random`], with distances in units of `unit`.
     pub(super) fn random_in(
         unit: DistanceUnit,
         seed: u64,
@@ -103,7 +103,7 @@ pub(super) fn projection(camera: &Camera) -> Projection {
     Projection::new(camera, &RasterSettings::default())
 }
 
-/// What a rasteriser says of one Gaussian: the gradients, and the tiles that it touches.
+/// A rasteriser's output for one Gaussian: the gradients, and the tiles that it touches.
 pub(super) type Said = (GaussianGradient, SplatGradient, u32);
 
 /// Random gradients by Gaussians, through f32.
@@ -127,7 +127,7 @@ pub(super) fn random_gradients(seed: u64, count: usize) -> Vec<Said> {
         .collect()
 }
 
-/// What came back from the device.
+/// Results read back from the device.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Found {
     pub(super) counts: [u32; 3],
@@ -165,7 +165,7 @@ pub(super) fn run(
     let [means, scales, quats] = sections(device, &gaussians.geometry, candidates);
     let colors = device.read_range(&gaussians.colors, 0, candidates).expect("a column");
     let mut columns = [means, scales, quats, colors];
-    // What no opacity says nothing about is whatever the buffer held before.
+    // Without an opacity, the rest is whatever the buffer held before.
     let dead: Vec<usize> = (0..candidates).filter(|row| columns[0][*row][3] <= 0.0).collect();
     for column in &mut columns[1..] {
         dead.iter().for_each(|row| column[*row] = [0.0; 4]);
@@ -198,7 +198,7 @@ pub(super) fn run(
         device.upload("statistics", &vec![1.0_f32; anchors * (2 * shape.offsets + 2)]).expect("a buffer");
     let mut recorder = device.recorder("backward");
     neural.backward(&mut recorder, &uploaded, &out).expect("recorded");
-    // A void step adds nothing.
+    // An overflowed pass adds nothing.
     for mark in [1_u32, 0] {
         let mark = device.upload("overflow flag", &[mark]).expect("a buffer");
         neural.statistics(&mut recorder, &uploaded, &statistics, &mark).expect("recorded");

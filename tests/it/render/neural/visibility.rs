@@ -1,4 +1,4 @@
-//! The choice of the anchors that a view shows, and the list of them.
+//! The visible anchors of a view, and their list.
 
 use glam::{DMat3, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
@@ -138,7 +138,7 @@ fn the_device_shows_the_anchors_that_the_twin_shows() {
     let device = gpu();
     let mut neural =
         NeuralGaussians::new(device.clone(), SMALL, 0.2, DistanceUnit::USUAL).expect("the kernels");
-    // With offsets of zero a Gaussian stands where its anchor does, which tells the anchors apart.
+    // With offsets of zero a Gaussian lies at its anchor, which identifies the anchor.
     for row in scene.anchors.values.chunks_exact_mut(SMALL.row()) {
         row[SMALL.offset_column()..].fill(0.0);
     }
