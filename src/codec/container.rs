@@ -7,6 +7,7 @@ use sha2::{Digest as _, Sha256};
 use super::{
     bytes::{Reader, Writer},
     error::DecodeError,
+    sections::{self, SectionId},
 };
 use crate::domain::Digest;
 
@@ -40,9 +41,6 @@ const DIGEST_AT: usize = 24;
 const CRC_AT: usize = 56;
 
 const HEADER: &str = "header";
-
-/// Four ASCII characters.
-pub(super) type SectionId = [u8; 4];
 
 /// A section with its place in the file.
 #[derive(Debug, Clone, Copy)]
@@ -106,8 +104,8 @@ impl<'a> Container<'a> {
     }
 
     /// The content of a section that every file has.
-    pub(super) fn section(&self, id: SectionId, name: &'static str) -> Result<Section<'a>, DecodeError> {
-        self.find(id).ok_or(DecodeError::MissingSection { section: name })
+    pub(super) fn section(&self, id: SectionId) -> Result<Section<'a>, DecodeError> {
+        self.find(id).ok_or(DecodeError::MissingSection { section: sections::name(id) })
     }
 
     /// A section that a file may have.
@@ -116,18 +114,11 @@ impl<'a> Container<'a> {
     }
 
     /// The content of a section that a file must have if it is `needed`, and must not have otherwise.
-    pub(super) fn section_if(
-        &self,
-        needed: bool,
-        id: SectionId,
-        name: &'static str,
-    ) -> Result<Option<Section<'a>>, DecodeError> {
-        if needed {
-            return self.section(id, name).map(Some);
-        }
-        match self.section(id, name) {
-            Ok(_) => Err(DecodeError::NeedlessSection { section: name }),
-            Err(_) => Ok(None),
+    pub(super) fn section_if(&self, needed: bool, id: SectionId) -> Result<Option<Section<'a>>, DecodeError> {
+        match self.find(id) {
+            None if needed => self.section(id).map(Some),
+            Some(_) if !needed => Err(DecodeError::NeedlessSection { section: sections::name(id) }),
+            found => Ok(found),
         }
     }
 

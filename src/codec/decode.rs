@@ -132,7 +132,7 @@ fn read_with(
     check_limit("file bytes", bytes.len() as u64, limits.max_file_bytes)?;
     let container = Container::parse(bytes)?;
     container.check_known(&sections::ALL)?;
-    let manifest = Manifest::decode(container.section(sections::MANIFEST, "manifest")?.bytes)?;
+    let manifest = Manifest::decode(container.section(sections::MANIFEST)?.bytes)?;
     check_limit("anchors", manifest.anchors as u64, limits.max_anchors)?;
     let memory = memory(&manifest);
     // No allocation is larger, so with this bound no product of counts overflows, even where `usize` has 32 bits.
@@ -142,9 +142,9 @@ fn read_with(
     check_limit("bytes of memory for a file of this length", memory, max_for_length)?;
 
     let (shape, k) = (manifest.shape(), manifest.offsets_per_anchor);
-    let of_networks = container.section(sections::NETWORKS, "networks")?.bytes;
-    let of_positions = container.section(sections::POSITIONS, "positions")?.bytes;
-    let of_masks = container.section(sections::MASKS, "masks")?.bytes;
+    let of_networks = container.section(sections::NETWORKS)?.bytes;
+    let of_positions = container.section(sections::POSITIONS)?.bytes;
+    let of_masks = container.section(sections::MASKS)?.bytes;
     let networks = networks::decode(of_networks, manifest.feature_dim, k, limits.max_memory_bytes)?;
     if manifest.anchors as u64 >= positions::max_anchors_exclusive(of_positions.len()) {
         return Err(DecodeError::malformed(
@@ -168,7 +168,7 @@ fn read_with(
         ));
     }
     let (networks_of_groups, anchors) = context(&container, &manifest, &cells, limits, known)?;
-    let section = container.section(sections::ATTRIBUTES, "attributes")?.bytes;
+    let section = container.section(sections::ATTRIBUTES)?.bytes;
     let mut layout = attributes::Layout::read(section, shape, manifest.chunk_anchors, manifest.kinds())?;
     let tables = std::mem::take(&mut layout.tables);
     let models = join(tables, networks_of_groups)?;
@@ -196,8 +196,8 @@ fn context(
     let any = |wanted: fn(ContextKind) -> bool| kinds.iter().flatten().any(|kind| wanted(*kind));
     let samples = any(|kind| kind.sampled() > 0);
     let neighbours = any(|kind| kind.sampled() > 1);
-    let context = container.section_if(any(|_| true), sections::CONTEXT, "context")?;
-    let planes = container.section_if(samples, sections::PLANES, "planes")?;
+    let context = container.section_if(any(|_| true), sections::CONTEXT)?;
+    let planes = container.section_if(samples, sections::PLANES)?;
     let Some(context) = context else { return Ok(([None, None, None], AnchorContext::default())) };
 
     let _stage = tracing::debug_span!("context").entered();

@@ -1,8 +1,7 @@
 //! Encodes a scene as a file and verifies it by decoding it.
 
 use super::{
-    EncodeSettings, Encoded, attributes,
-    container::{self, SectionId},
+    EncodeSettings, Encoded, attributes, container,
     decode::{DecodeLimits, KnownNeighbours, decode_with},
     digest::decode_digest,
     error::EncodeError,
@@ -14,7 +13,8 @@ use super::{
     precision::{self, Activation},
     quantise::{self, Symbols},
     search::{self, Anchors},
-    sections, view,
+    sections::{self, SectionId},
+    view,
 };
 use crate::domain::{AnchorScene, ContextCandidates, Digest};
 

@@ -112,13 +112,13 @@ pub struct Inspection {
 pub fn inspect(bytes: &[u8]) -> Result<Inspection, DecodeError> {
     let container = Container::parse(bytes)?;
     container.check_known(&sections::ALL)?;
-    let manifest = Manifest::decode(container.section(sections::MANIFEST, "manifest")?.bytes)?;
+    let manifest = Manifest::decode(container.section(sections::MANIFEST)?.bytes)?;
     for id in sections::ALWAYS {
-        container.section(id, sections::name(id))?;
+        container.section(id)?;
     }
     let kinds = || manifest.kinds().into_iter().flatten();
-    container.section_if(kinds().next().is_some(), sections::CONTEXT, "context")?;
-    container.section_if(kinds().any(|kind| kind.sampled() > 0), sections::PLANES, "planes")?;
+    container.section_if(kinds().next().is_some(), sections::CONTEXT)?;
+    container.section_if(kinds().any(|kind| kind.sampled() > 0), sections::PLANES)?;
 
     let mut map = Map::default();
     map.push(FIXED_HEADER, ByteGroup::Container, "header: signature, version, length, SHA-256, checksum");

@@ -1,6 +1,7 @@
 //! The sections of this version. A decoder must understand the critical ones.
 
-use super::container::SectionId;
+/// Four ASCII characters.
+pub(super) type SectionId = [u8; 4];
 
 /// Counts, lattice, steps, contexts, provenance.
 pub(super) const MANIFEST: SectionId = *b"MANI";

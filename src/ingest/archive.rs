@@ -20,7 +20,7 @@ use super::{
     central_directory::first_repeated_name,
     deadline::Deadline,
     end_record::{CheckedArchive, Directory},
-    error::{IngestError, IngestErrorKind},
+    error::{IngestError, IngestErrorKind, Result},
     limits::Limits,
     names::{is_os_metadata, safe_name},
     source::{FileSource, Listing},
@@ -39,7 +39,7 @@ struct Archive {
 }
 
 impl FileSource for Archive {
-    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<(), IngestErrorKind> {
+    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<()> {
         let mut zip = self.zip.lock().unwrap_or_else(PoisonError::into_inner);
         let mut entry = zip.by_index(self.indices[index]).map_err(entry_error)?;
         visit(&mut entry);
@@ -129,7 +129,7 @@ fn index(
     mut file: File,
     limits: &Limits,
     deadline: Deadline,
-) -> Result<ZipArchive<BufReader<CheckedArchive<File>>>, IngestErrorKind> {
+) -> Result<ZipArchive<BufReader<CheckedArchive<File>>>> {
     let directory = Directory::find(&mut file, limits)?;
     let config = Config { archive_offset: ArchiveOffset::Known(directory.shift) };
     ZipArchive::with_config(config, BufReader::new(CheckedArchive::new(file, &directory, deadline)))

@@ -5,7 +5,7 @@ use std::io::{self, BufRead, Read};
 
 use serde::de::DeserializeOwned;
 
-use super::error::IngestErrorKind;
+use super::error::{IngestErrorKind, Result};
 
 /// Longest string in bytes as written, escapes included; a file name of 4096 characters fits in any spelling.
 const MAX_STRING_BYTES: usize = 64 << 10;
@@ -17,7 +17,7 @@ const MAX_DEPTH: usize = 128;
 ///
 /// # Errors
 /// [`IngestErrorKind::Json`], or [`IngestErrorKind::JsonText`] for text that is not given to the parser.
-pub(super) fn read<T: DeserializeOwned>(reader: &mut dyn BufRead) -> Result<T, IngestErrorKind> {
+pub(super) fn read<T: DeserializeOwned>(reader: &mut dyn BufRead) -> Result<T> {
     let mut text = Text { reader, line: 1, depth: 0, string: None, refused: None };
     let read = serde_json::from_reader(io::BufReader::new(&mut text));
     match text.refused {
@@ -83,7 +83,7 @@ mod tests {
 
     use super::*;
 
-    fn parsed(text: &str) -> Result<Value, IngestErrorKind> {
+    fn parsed(text: &str) -> Result<Value> {
         read(&mut text.as_bytes())
     }
 

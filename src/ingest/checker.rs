@@ -1,16 +1,13 @@
 //! Checks of uploaded datasets, limited in number at a time and in duration.
 
-use std::{
-    path::Path,
-    sync::{Condvar, Mutex, PoisonError},
-    time::Duration,
-};
+use std::{path::Path, time::Duration};
 
 use super::{
     check_by,
     deadline::Deadline,
     error::{IngestError, IngestErrorKind},
     limits::Limits,
+    semaphore::{Semaphore, SemaphoreGuard},
 };
 use crate::domain::{DatasetSummary, Problem};
 
@@ -21,15 +18,14 @@ use crate::domain::{DatasetSummary, Problem};
 pub struct DatasetChecker {
     limits: Limits,
     time: Duration,
-    free: Mutex<usize>,
-    freed: Condvar,
+    slots: Semaphore,
 }
 
 impl DatasetChecker {
     /// At most `max_concurrent` at a time, of at most `time` each. Further callers wait for a slot, for at most `time`.
     #[must_use]
     pub fn new(max_concurrent: usize, time: Duration) -> Self {
-        Self { limits: Limits::default(), time, free: Mutex::new(max_concurrent), freed: Condvar::new() }
+        Self { limits: Limits::default(), time, slots: Semaphore::new(max_concurrent as u64) }
     }
 
     /// As [`super::check`], once a slot is free.
@@ -41,27 +37,8 @@ impl DatasetChecker {
         Ok(check_by(Deadline::after(self.time), path, &self.limits)?)
     }
 
-    fn acquire(&self) -> Result<CheckSlot<'_>, IngestError> {
-        let free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
-        let (mut free, _) = self
-            .freed
-            .wait_timeout_while(free, self.time, |free| *free == 0)
-            .unwrap_or_else(PoisonError::into_inner);
-        if *free == 0 {
-            return Err(IngestErrorKind::ChecksBusy.into());
-        }
-        *free -= 1;
-        Ok(CheckSlot(self))
-    }
-}
-
-/// The right to run one check, released when this is dropped.
-struct CheckSlot<'a>(&'a DatasetChecker);
-
-impl Drop for CheckSlot<'_> {
-    fn drop(&mut self) {
-        *self.0.free.lock().unwrap_or_else(PoisonError::into_inner) += 1;
-        self.0.freed.notify_one();
+    fn acquire(&self) -> Result<SemaphoreGuard<'_>, IngestError> {
+        self.slots.acquire_within(1, self.time).ok_or_else(|| IngestErrorKind::ChecksBusy.into())
     }
 }
 

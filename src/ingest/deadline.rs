@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::error::IngestErrorKind;
+use super::error::{IngestErrorKind, Result};
 
 /// A point in time after which reading ends with [`IngestErrorKind::CheckTimeout`]; a load has none.
 #[derive(Debug, Clone, Copy, Default)]
@@ -21,7 +21,7 @@ impl Deadline {
     ///
     /// # Errors
     /// [`IngestErrorKind::CheckTimeout`].
-    pub(super) fn check(self) -> Result<(), IngestErrorKind> {
+    pub(super) fn check(self) -> Result<()> {
         match self.0 {
             Some((at, time)) if Instant::now() >= at => {
                 Err(IngestErrorKind::CheckTimeout { seconds: time.as_secs() })

@@ -3,7 +3,10 @@
 //! The output pixel at `p` shows the input at `distort(p)`, so no inverse is needed. Where that lies outside of the photograph there is
 //! nothing to show; such borders are cropped, never filled, and the principal point moves with the crop.
 
-use super::{error::IngestErrorKind, sampling::bilinear};
+use super::{
+    error::{IngestErrorKind, Result},
+    sampling::bilinear,
+};
 use crate::domain::{Image, Intrinsics};
 
 /// Least part of the width and of the height that must remain after cropping.
@@ -85,7 +88,7 @@ impl Distortion {
     ///
     /// # Errors
     /// [`IngestErrorKind::DistortionTooStrong`] if less than half of a side would remain.
-    pub(super) fn covered(&self, k: &Intrinsics) -> Result<Crop, IngestErrorKind> {
+    pub(super) fn covered(&self, k: &Intrinsics) -> Result<Crop> {
         let (width, height) = (k.width, k.height);
         if self.is_none() {
             return Ok(Crop { left: 0, top: 0, width, height });

@@ -5,7 +5,11 @@
 
 use std::io::{self, Read, Seek, SeekFrom};
 
-use super::{deadline::Deadline, error::IngestErrorKind, limits::Limits};
+use super::{
+    deadline::Deadline,
+    error::{IngestErrorKind, Result},
+    limits::Limits,
+};
 
 const END: [u8; 4] = *b"PK\x05\x06";
 const END_BYTES: usize = 22;
@@ -34,7 +38,7 @@ impl Directory {
     /// # Errors
     /// [`IngestErrorKind::CorruptArchive`] without a usable record, [`IngestErrorKind::TooManyEntries`], [`IngestErrorKind::DirectoryTooLarge`], or a fault of
     /// reading.
-    pub(super) fn find(file: &mut (impl Read + Seek), limits: &Limits) -> Result<Self, IngestErrorKind> {
+    pub(super) fn find(file: &mut (impl Read + Seek), limits: &Limits) -> Result<Self> {
         let length = file.seek(SeekFrom::End(0))?;
         let tail_at = length.saturating_sub(TAIL);
         let tail = bytes_at(file, tail_at, (length - tail_at) as usize)?;
@@ -65,7 +69,7 @@ impl Directory {
     }
 
     /// The directory of the Zip64 end record, if there is one before the end record at `end`.
-    fn end_64(file: &mut (impl Read + Seek), end: u64) -> Result<Option<Self>, IngestErrorKind> {
+    fn end_64(file: &mut (impl Read + Seek), end: u64) -> Result<Option<Self>> {
         let Some(locator_at) = end.checked_sub(LOCATOR_BYTES as u64) else { return Ok(None) };
         let locator = bytes_at(file, locator_at, LOCATOR_BYTES)?;
         if !locator.starts_with(&LOCATOR) {
@@ -84,7 +88,7 @@ impl Directory {
         Err(corrupt("its Zip64 end record is missing"))
     }
 
-    fn before(end: u64, offset: u64, bytes: u64, entries: u64) -> Result<Self, IngestErrorKind> {
+    fn before(end: u64, offset: u64, bytes: u64, entries: u64) -> Result<Self> {
         let shift = offset.checked_add(bytes).and_then(|stated| end.checked_sub(stated));
         let shift = shift.ok_or_else(|| corrupt("its central directory is not where its end record says"))?;
         Ok(Self { shift, offset, bytes, entries })
@@ -139,7 +143,7 @@ fn end_record(tail: &[u8]) -> Option<usize> {
         .or_else(|| candidates().find(|at| ends_at(*at).is_some_and(|end| end < tail.len())))
 }
 
-fn bytes_at(file: &mut (impl Read + Seek), at: u64, length: usize) -> Result<Vec<u8>, IngestErrorKind> {
+fn bytes_at(file: &mut (impl Read + Seek), at: u64, length: usize) -> Result<Vec<u8>> {
     let mut bytes = vec![0; length];
     file.seek(SeekFrom::Start(at))?;
     file.read_exact(&mut bytes)?;
@@ -241,7 +245,7 @@ mod tests {
         zip.finish().expect("an archive").into_inner()
     }
 
-    fn found(bytes: &[u8]) -> Result<Directory, IngestErrorKind> {
+    fn found(bytes: &[u8]) -> Result<Directory> {
         Directory::find(&mut Cursor::new(bytes), &Limits::default())
     }
 

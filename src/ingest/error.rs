@@ -21,6 +21,9 @@ pub struct IngestError {
     pub kind: IngestErrorKind,
 }
 
+/// Result of reading a file whose name the caller adds with [`IngestErrorKind::at`].
+pub(super) type Result<T, E = IngestErrorKind> = std::result::Result<T, E>;
+
 /// What can be wrong with a dataset.
 #[derive(Debug, Error)]
 pub enum IngestErrorKind {

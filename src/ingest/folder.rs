@@ -7,7 +7,7 @@ use std::{
 };
 
 use super::{
-    error::{IngestError, IngestErrorKind},
+    error::{IngestError, IngestErrorKind, Result},
     limits::Limits,
     names::safe_name,
     source::{FileSource, Listing},
@@ -18,7 +18,7 @@ struct Folder {
 }
 
 impl FileSource for Folder {
-    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<(), IngestErrorKind> {
+    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<()> {
         visit(&mut File::open(&self.paths[index])?);
         Ok(())
     }

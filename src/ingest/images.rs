@@ -8,7 +8,7 @@ use std::io::Cursor;
 use image::{DynamicImage, ImageDecoder, ImageReader};
 
 use super::{
-    error::{IngestError, IngestErrorKind},
+    error::{IngestError, IngestErrorKind, Result},
     limits::Limits,
     tree::Tree,
 };
@@ -79,7 +79,7 @@ pub(super) fn header(tree: &Tree, name: &str, limits: &Limits) -> Result<Header,
 ///
 /// # Errors
 /// [`IngestErrorKind::Image`].
-pub(super) fn decode(bytes: &[u8], limits: &Limits) -> Result<Image, IngestErrorKind> {
+pub(super) fn decode(bytes: &[u8], limits: &Limits) -> Result<Image> {
     if bytes.starts_with(&[0xff, 0xd8]) && !jpeg_is_complete(bytes) {
         return Err(IngestErrorKind::Image("the JPEG data ends early".to_owned()));
     }
@@ -103,7 +103,7 @@ pub(super) fn decode(bytes: &[u8], limits: &Limits) -> Result<Image, IngestError
     Image::new(width, height, channels, samples).map_err(|error| IngestErrorKind::Image(error.to_string()))
 }
 
-fn header_of(bytes: &[u8]) -> Result<Header, IngestErrorKind> {
+fn header_of(bytes: &[u8]) -> Result<Header> {
     if let Some(header) = extended_webp(bytes) {
         return Ok(header);
     }
@@ -124,7 +124,7 @@ fn extended_webp(bytes: &[u8]) -> Option<Header> {
     fits.then_some(Header { size, alpha: head[20] & ALPHA != 0 })
 }
 
-fn decoder(bytes: &[u8], most_bytes: u64) -> Result<impl ImageDecoder + '_, IngestErrorKind> {
+fn decoder(bytes: &[u8], most_bytes: u64) -> Result<impl ImageDecoder + '_> {
     let mut allowed = image::Limits::no_limits();
     allowed.max_image_width = Some(MAX_IMAGE_SIDE);
     allowed.max_image_height = Some(MAX_IMAGE_SIDE);

@@ -1,6 +1,9 @@
 //! A camera as the dataset states it, before its image is read, and the pinhole intrinsics that follow from it.
 
-use super::{distortion::Distortion, error::IngestErrorKind};
+use super::{
+    distortion::Distortion,
+    error::{IngestErrorKind, Result},
+};
 use crate::domain::{CameraError, Intrinsics};
 
 /// Largest difference in pixels between a stored side and the evenly scaled stated side that rounding explains.
@@ -46,7 +49,7 @@ impl Lens {
     /// # Errors
     /// [`IngestErrorKind::ImageSize`] or [`IngestErrorKind::ImageRotated`] for a size that does not fit, [`IngestErrorKind::Camera`] for values
     /// that describe no camera.
-    pub(super) fn intrinsics(&self, actual: (u32, u32)) -> Result<Intrinsics, IngestErrorKind> {
+    pub(super) fn intrinsics(&self, actual: (u32, u32)) -> Result<Intrinsics> {
         let stated = self.size.unwrap_or(actual);
         if !fits(actual, stated) {
             return Err(if actual == (stated.1, stated.0) {
@@ -98,7 +101,7 @@ impl Lens {
 }
 
 /// Checks that focal lengths and principal point are of the order of the image.
-fn plausible(k: Intrinsics) -> Result<Intrinsics, IngestErrorKind> {
+fn plausible(k: Intrinsics) -> Result<Intrinsics> {
     let sides = [f64::from(k.width), f64::from(k.height)];
     for (focal, side) in [k.fx, k.fy].into_iter().zip(sides) {
         if !(1e-2..=1e4).contains(&(focal / side)) {

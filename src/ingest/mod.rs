@@ -32,6 +32,7 @@ mod plan;
 mod ply;
 mod points;
 mod sampling;
+mod semaphore;
 mod source;
 mod spill;
 mod survey;
@@ -48,19 +49,19 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use self::{
-    budget::ByteSemaphore,
-    deadline::Deadline,
-    spill::Spill,
-    survey::{Survey, SurveyedFrame, survey},
-    tree::{Purpose, Tree},
-};
 pub use self::{
     budget::LoadBudget,
     checker::DatasetChecker,
     error::{IngestError, IngestErrorKind},
     limits::Limits,
     pack::pack,
+};
+use self::{
+    deadline::Deadline,
+    semaphore::Semaphore,
+    spill::Spill,
+    survey::{Survey, SurveyedFrame, survey},
+    tree::{Purpose, Tree},
 };
 use crate::domain::{Bytes, Dataset, DatasetSummary, Frame, Photograph, Problem, Split};
 
@@ -139,8 +140,8 @@ fn load_with(
 
 /// Where photographs go once they are decoded, and how many are decoded at a time.
 struct Store {
-    decoding: ByteSemaphore,
-    kept: ByteSemaphore,
+    decoding: Semaphore,
+    kept: Semaphore,
     spill: Spill,
 }
 
@@ -159,8 +160,8 @@ impl Store {
         let threads = rayon::current_num_threads() as u64;
         let decoding = largest.saturating_mul(threads).min(budget.memory_bytes / 4).max(largest);
         Ok(Self {
-            decoding: ByteSemaphore::new(decoding),
-            kept: ByteSemaphore::new(budget.memory_bytes - decoding),
+            decoding: Semaphore::new(decoding),
+            kept: Semaphore::new(budget.memory_bytes - decoding),
             spill: Spill::new(&budget.spill_dir),
         })
     }

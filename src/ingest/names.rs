@@ -3,7 +3,7 @@
 //! The same rule applies to archive entries and to the paths in JSON and COLMAP tables, so an accepted name can be looked up in the tree as
 //! it is and never points outside of it.
 
-use super::error::IngestErrorKind;
+use super::error::{IngestErrorKind, Result};
 
 /// Longest accepted name in bytes, the usual `PATH_MAX`.
 const MAX_NAME_BYTES: usize = 4096;
@@ -13,7 +13,7 @@ const MAX_NAME_BYTES: usize = 4096;
 /// # Errors
 /// [`IngestErrorKind::UnsafeName`] for an empty or overlong name, an absolute path, a drive letter, a backslash, control
 /// characters, and the parts `..`, `.` and the empty one.
-pub(super) fn safe_name(name: &str) -> Result<&str, IngestErrorKind> {
+pub(super) fn safe_name(name: &str) -> Result<&str> {
     let refuse = |why| Err(IngestErrorKind::UnsafeName(why));
     let mut name = name;
     while let Some(rest) = name.strip_prefix("./") {

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::{
-    error::{IngestError, IngestErrorKind},
+    error::{IngestError, IngestErrorKind, Result},
     images::{EXTENSIONS, is_image_name},
     lens::Lens,
     limits::Limits,
@@ -46,7 +46,7 @@ impl RecordCounter {
     ///
     /// # Errors
     /// [`IngestErrorKind::TooManyRecords`].
-    pub(super) fn add(&mut self, records: usize) -> Result<(), IngestErrorKind> {
+    pub(super) fn add(&mut self, records: usize) -> Result<()> {
         self.records = self.records.saturating_add(records);
         if self.records > Limits::FRAMES {
             return Err(IngestErrorKind::TooManyRecords { what: self.what, limit: Limits::FRAMES });
@@ -58,7 +58,7 @@ impl RecordCounter {
     ///
     /// # Errors
     /// [`IngestErrorKind::TooManyNameBytes`].
-    pub(super) fn name(&mut self, name: &str) -> Result<(), IngestErrorKind> {
+    pub(super) fn name(&mut self, name: &str) -> Result<()> {
         self.name_bytes = self.name_bytes.saturating_add(name.len());
         if self.name_bytes > Limits::NAME_BYTES {
             return Err(IngestErrorKind::TooManyNameBytes { limit: Limits::NAME_BYTES });

@@ -5,7 +5,10 @@
 
 use std::io::{self, BufRead};
 
-use super::{error::IngestErrorKind, points::Points};
+use super::{
+    error::{IngestErrorKind, Result},
+    points::Points,
+};
 use crate::ply::{Encoding, Header, Profile, Scalar};
 
 /// Colour of points in a file without colours.
@@ -19,11 +22,7 @@ const MAX_NUMBER_BYTES: usize = 400;
 /// # Errors
 /// [`IngestErrorKind::Ply`] for a header that is not understood or values that are not finite, [`IngestErrorKind::Count`] for more
 /// vertices than the file can hold.
-pub(super) fn points(
-    reader: &mut dyn BufRead,
-    length: u64,
-    cloud: &mut Points,
-) -> Result<(), IngestErrorKind> {
+pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) -> Result<()> {
     let header = Header::parse(&Header::read_bytes(reader)?, Profile::Points)
         .map_err(|error| refused(error.to_string()))?;
     let data = length.saturating_sub(header.length as u64);
@@ -100,7 +99,7 @@ pub(super) fn points(
 
 /// Reads what stands between the next white space, and says whether there was anything. Of a longer token than any number the
 /// beginning is kept.
-fn next_token(reader: &mut dyn BufRead, token: &mut Vec<u8>) -> Result<bool, IngestErrorKind> {
+fn next_token(reader: &mut dyn BufRead, token: &mut Vec<u8>) -> Result<bool> {
     token.clear();
     loop {
         let bytes = match reader.fill_buf() {
@@ -136,7 +135,7 @@ mod tests {
     use super::*;
     use crate::{domain::PointCloud, ply::MAX_HEADER_BYTES};
 
-    fn points(bytes: &[u8]) -> Result<PointCloud, IngestErrorKind> {
+    fn points(bytes: &[u8]) -> Result<PointCloud> {
         let mut points = Points::new(true, 100);
         super::points(&mut &*bytes, bytes.len() as u64, &mut points)?;
         Ok(points.into_cloud().expect("kept"))

@@ -1,6 +1,6 @@
 //! The point cloud under construction, kept or only counted.
 
-use super::error::IngestErrorKind;
+use super::error::{IngestErrorKind, Result};
 use crate::domain::PointCloud;
 
 /// Points, kept or only counted.
@@ -20,7 +20,7 @@ impl Points {
     ///
     /// # Errors
     /// [`IngestErrorKind::TooManyPoints`].
-    pub(super) fn reserve(&mut self, count: usize) -> Result<(), IngestErrorKind> {
+    pub(super) fn reserve(&mut self, count: usize) -> Result<()> {
         if count > self.limit {
             return Err(IngestErrorKind::TooManyPoints { limit: self.limit });
         }
@@ -35,7 +35,7 @@ impl Points {
     ///
     /// # Errors
     /// [`IngestErrorKind::TooManyPoints`].
-    pub(super) fn push(&mut self, position: [f32; 3], color: [u8; 3]) -> Result<(), IngestErrorKind> {
+    pub(super) fn push(&mut self, position: [f32; 3], color: [u8; 3]) -> Result<()> {
         if self.count == self.limit {
             return Err(IngestErrorKind::TooManyPoints { limit: self.limit });
         }

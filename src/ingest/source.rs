@@ -2,12 +2,12 @@
 
 use std::io::{self, Read};
 
-use super::error::IngestErrorKind;
+use super::error::{IngestErrorKind, Result};
 
 /// Where the bytes of a file come from.
 pub(super) trait FileSource: Sync {
     /// Shows a file's bytes to `visit`. `index` is as in [`Listing::files`].
-    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<(), IngestErrorKind>;
+    fn open(&self, index: usize, visit: &mut dyn FnMut(&mut dyn Read)) -> Result<()>;
 
     /// The error for a failure to read them.
     fn read_error(&self, error: io::Error) -> IngestErrorKind;

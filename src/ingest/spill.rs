@@ -9,7 +9,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use super::error::IngestErrorKind;
+use super::error::{IngestErrorKind, Result};
 use crate::domain::{Image, Photograph, PhotographError, PixelSource};
 
 /// Takes photographs; the file is made for the first.
@@ -41,7 +41,7 @@ impl Spill {
     ///
     /// # Errors
     /// [`IngestErrorKind::SpillFull`] where the disk has no room left, [`IngestErrorKind::Spill`] for any other error of it.
-    pub(super) fn put(&self, image: &Image) -> Result<Photograph, IngestErrorKind> {
+    pub(super) fn put(&self, image: &Image) -> Result<Photograph> {
         let bytes = image.samples().len();
         let stored = self.file().and_then(|file| {
             let offset = file.append(image.samples())?;

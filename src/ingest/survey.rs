@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::{
     colmap,
     distortion::{Crop, Distortion},
-    error::{IngestError, IngestErrorKind},
+    error::{IngestError, IngestErrorKind, Result},
     images,
     lens::resized,
     limits::Limits,
@@ -75,7 +75,7 @@ impl SurveyedFrame {
     ///
     /// # Errors
     /// [`IngestErrorKind::Image`] if the pixels are not of the size that the header promised.
-    pub(super) fn finish(&self, image: Image) -> Result<Image, IngestErrorKind> {
+    pub(super) fn finish(&self, image: Image) -> Result<Image> {
         let (actual, expected) = ((image.width(), image.height()), (self.stored.width, self.stored.height));
         if actual != expected {
             return Err(IngestErrorKind::Image(format!(

@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, Read as _};
 
-use super::error::IngestErrorKind;
+use super::error::{IngestErrorKind, Result};
 
 /// Longest text that is held; file names are shorter.
 const MAX_TEXT_BYTES: usize = 4096;
@@ -17,7 +17,7 @@ pub(super) struct TableReader<'a> {
 macro_rules! number {
     ($($name:ident: $type:ty),*) => {$(
         #[doc = concat!("The next `", stringify!($type), "`.")]
-        pub(super) fn $name(&mut self, what: &'static str) -> Result<$type, IngestErrorKind> {
+        pub(super) fn $name(&mut self, what: &'static str) -> Result<$type> {
             Ok(<$type>::from_le_bytes(self.array(what)?))
         }
     )*};
@@ -32,7 +32,7 @@ impl<'a> TableReader<'a> {
     number! { u8: u8, u32: u32, i32: i32, u64: u64, f64: f64 }
 
     /// A 64-bit count of records of at least `record` bytes each, which must fit into the rest.
-    pub(super) fn count(&mut self, what: &'static str, record: usize) -> Result<usize, IngestErrorKind> {
+    pub(super) fn count(&mut self, what: &'static str, record: usize) -> Result<usize> {
         let count = self.u64(what)?;
         let left = self.left();
         let needed = u128::from(count) * record as u128;
@@ -43,7 +43,7 @@ impl<'a> TableReader<'a> {
     }
 
     /// Text up to a zero byte, which is consumed.
-    pub(super) fn zero_terminated(&mut self, what: &'static str) -> Result<Vec<u8>, IngestErrorKind> {
+    pub(super) fn zero_terminated(&mut self, what: &'static str) -> Result<Vec<u8>> {
         let most = self.left().min(MAX_TEXT_BYTES + 1);
         let mut text = Vec::new();
         let read = (&mut *self.reader).take(most as u64).read_until(0, &mut text);
@@ -60,7 +60,7 @@ impl<'a> TableReader<'a> {
     }
 
     /// Passes over `length` bytes.
-    pub(super) fn skip(&mut self, what: &'static str, length: usize) -> Result<(), IngestErrorKind> {
+    pub(super) fn skip(&mut self, what: &'static str, length: usize) -> Result<()> {
         if length > self.left() {
             return Err(self.truncated(what, length));
         }
@@ -78,14 +78,14 @@ impl<'a> TableReader<'a> {
     }
 
     /// Checks that no bytes are left.
-    pub(super) fn finish(self) -> Result<(), IngestErrorKind> {
+    pub(super) fn finish(self) -> Result<()> {
         match self.left() {
             0 => Ok(()),
             left => Err(IngestErrorKind::TrailingBytes(left)),
         }
     }
 
-    fn array<const N: usize>(&mut self, what: &'static str) -> Result<[u8; N], IngestErrorKind> {
+    fn array<const N: usize>(&mut self, what: &'static str) -> Result<[u8; N]> {
         if self.left() < N {
             return Err(self.truncated(what, N));
         }
@@ -135,7 +135,7 @@ mod tests {
 
     #[test]
     fn a_table_that_is_shorter_than_was_stated_ends_early() {
-        let ended = |read: fn(&mut TableReader) -> Result<(), IngestErrorKind>| {
+        let ended = |read: fn(&mut TableReader) -> Result<()>| {
             let mut table = &[1_u8, 2, 3][..];
             let error = read(&mut TableReader::new(&mut table, 100)).expect_err("three bytes");
             assert!(matches!(error, IngestErrorKind::Truncated { .. }), "{error}");

@@ -13,7 +13,7 @@ use glam::{DMat4, DVec4};
 use super::{
     bounded_json,
     distortion::Distortion,
-    error::{IngestError, IngestErrorKind},
+    error::{IngestError, IngestErrorKind, Result},
     fields::{CameraFields, Document, Matrix, Names},
     lens::{Focal, Lens},
     names::safe_name,
@@ -155,7 +155,7 @@ fn split(plan: &mut Plan, document: &Document) -> Result<(), IngestError> {
     Ok(())
 }
 
-fn pose(rows: Matrix, place: &str) -> Result<Pose, IngestErrorKind> {
+fn pose(rows: Matrix, place: &str) -> Result<Pose> {
     let Matrix(Some(rows)) = rows else {
         let message = "must be a matrix of 4 rows (or 3) of 4 numbers".to_owned();
         return Err(field(format!("{place}/transform_matrix"), message));
@@ -166,7 +166,7 @@ fn pose(rows: Matrix, place: &str) -> Result<Pose, IngestErrorKind> {
         .map_err(|source| IngestErrorKind::Camera { place: format!("{place}/transform_matrix"), source })
 }
 
-fn lens(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Lens, IngestErrorKind> {
+fn lens(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Lens> {
     if let Some(model) = frame.camera_model.as_ref().or(shared.camera_model.as_ref())
         && !POLYNOMIAL_MODELS.contains(&model.as_str())
     {
@@ -219,7 +219,7 @@ fn lens(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Lens
 }
 
 /// A side in pixels. Some converters write it as `1920.0`.
-fn side(value: f64, place: &str, name: &str) -> Result<u32, IngestErrorKind> {
+fn side(value: f64, place: &str, name: &str) -> Result<u32> {
     if value.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(&value) {
         Ok(value as u32)
     } else {

@@ -17,7 +17,7 @@ use sha2::{Digest as _, Sha256};
 use super::{
     archive,
     deadline::Deadline,
-    error::{IngestError, IngestErrorKind},
+    error::{IngestError, IngestErrorKind, Result},
     folder,
     limits::Limits,
     names::{is_os_metadata, safe_name},
@@ -99,7 +99,7 @@ impl Tree {
     ///
     /// # Errors
     /// [`IngestErrorKind::CheckTimeout`].
-    pub(super) fn check_time(&self) -> Result<(), IngestErrorKind> {
+    pub(super) fn check_time(&self) -> Result<()> {
         self.purpose.deadline().check()
     }
 
@@ -191,7 +191,7 @@ impl Tree {
         &self,
         name: &str,
         largest: u64,
-        parse: impl FnOnce(&mut dyn BufRead, u64) -> Result<T, IngestErrorKind>,
+        parse: impl FnOnce(&mut dyn BufRead, u64) -> Result<T>,
     ) -> Result<T, IngestError> {
         let largest = largest.min(self.limits.file_bytes);
         let entry = self.entry(name, largest)?;

@@ -1,7 +1,11 @@
 //! Binary tables: little-endian records after a 64-bit count, which is checked against the bytes that follow.
 
 use super::{
-    super::{error::IngestErrorKind, points::Points, table_reader::TableReader},
+    super::{
+        error::{IngestErrorKind, Result},
+        points::Points,
+        table_reader::TableReader,
+    },
     ImageRecord, RecordCounter,
     cameras::{CameraRecord, MIN_PARAMETERS, model_by_number},
     push_point,
@@ -19,7 +23,7 @@ const MIN_POINT_BYTES: usize = 8 + 24 + 3 + 8 + 8;
 const TRACK_ELEMENT: usize = 8;
 
 /// `cameras.bin`.
-pub(super) fn cameras(mut bytes: TableReader) -> Result<Vec<CameraRecord>, IngestErrorKind> {
+pub(super) fn cameras(mut bytes: TableReader) -> Result<Vec<CameraRecord>> {
     let count = bytes.count("cameras", MIN_CAMERA_BYTES)?;
     RecordCounter::of("cameras").add(count)?;
     let mut cameras = Vec::with_capacity(count);
@@ -37,7 +41,7 @@ pub(super) fn cameras(mut bytes: TableReader) -> Result<Vec<CameraRecord>, Inges
 }
 
 /// `images.bin`.
-pub(super) fn images(mut bytes: TableReader) -> Result<Vec<ImageRecord>, IngestErrorKind> {
+pub(super) fn images(mut bytes: TableReader) -> Result<Vec<ImageRecord>> {
     let count = bytes.count("images", MIN_IMAGE_BYTES)?;
     let mut counter = RecordCounter::of("images");
     counter.add(count)?;
@@ -66,7 +70,7 @@ pub(super) fn images(mut bytes: TableReader) -> Result<Vec<ImageRecord>, IngestE
 }
 
 /// `points3D.bin`.
-pub(super) fn points(mut bytes: TableReader, cloud: &mut Points) -> Result<(), IngestErrorKind> {
+pub(super) fn points(mut bytes: TableReader, cloud: &mut Points) -> Result<()> {
     let count = bytes.count("points", MIN_POINT_BYTES)?;
     cloud.reserve(count)?;
     for _ in 0..count {
@@ -86,15 +90,15 @@ mod tests {
     use super::{super::super::limits::Limits, *};
     use crate::domain::PointCloud;
 
-    fn cameras(table: &[u8]) -> Result<Vec<CameraRecord>, IngestErrorKind> {
+    fn cameras(table: &[u8]) -> Result<Vec<CameraRecord>> {
         super::cameras(TableReader::new(&mut &*table, table.len() as u64))
     }
 
-    fn images(table: &[u8]) -> Result<Vec<ImageRecord>, IngestErrorKind> {
+    fn images(table: &[u8]) -> Result<Vec<ImageRecord>> {
         super::images(TableReader::new(&mut &*table, table.len() as u64))
     }
 
-    fn points(table: &[u8]) -> Result<PointCloud, IngestErrorKind> {
+    fn points(table: &[u8]) -> Result<PointCloud> {
         let mut points = Points::new(true, 100);
         super::points(TableReader::new(&mut &*table, table.len() as u64), &mut points)?;
         Ok(points.into_cloud().expect("kept"))
@@ -182,7 +186,7 @@ mod tests {
     #[test]
     fn flipped_bits_never_panic() {
         for (table, parse) in [
-            (camera_table(), (|bytes| cameras(bytes).map(drop)) as fn(&[u8]) -> Result<(), IngestErrorKind>),
+            (camera_table(), (|bytes| cameras(bytes).map(drop)) as fn(&[u8]) -> Result<()>),
             (image_table(), |bytes| images(bytes).map(drop)),
             (point_table(), |bytes| points(bytes).map(drop)),
         ] {

@@ -2,7 +2,7 @@
 
 use super::super::{
     distortion::Distortion,
-    error::IngestErrorKind,
+    error::{IngestErrorKind, Result},
     lens::{Focal, Lens},
 };
 
@@ -40,7 +40,7 @@ pub(super) struct CameraRecord {
 ///
 /// # Errors
 /// [`IngestErrorKind::CameraModel`] for unknown and unsupported models.
-pub(super) fn model_by_number(camera: u32, number: i32) -> Result<(&'static str, usize), IngestErrorKind> {
+pub(super) fn model_by_number(camera: u32, number: i32) -> Result<(&'static str, usize)> {
     match usize::try_from(number).ok().and_then(|number| MODELS.get(number)) {
         Some((name, Some(parameters))) => Ok((name, *parameters)),
         Some((name, None)) => Err(unsupported(camera, (*name).to_owned())),
@@ -52,7 +52,7 @@ pub(super) fn model_by_number(camera: u32, number: i32) -> Result<(&'static str,
 ///
 /// # Errors
 /// [`IngestErrorKind::CameraModel`].
-pub(super) fn model_by_name(camera: u32, name: &str) -> Result<(&'static str, usize), IngestErrorKind> {
+pub(super) fn model_by_name(camera: u32, name: &str) -> Result<(&'static str, usize)> {
     MODELS
         .iter()
         .find_map(|(known, parameters)| Some((*known, (*parameters)?)).filter(|_| *known == name))
@@ -72,7 +72,7 @@ impl CameraRecord {
     ///
     /// # Errors
     /// [`IngestErrorKind::Record`], [`IngestErrorKind::NonFiniteDistortion`] or [`IngestErrorKind::Camera`].
-    pub(super) fn lens(&self) -> Result<Lens, IngestErrorKind> {
+    pub(super) fn lens(&self) -> Result<Lens> {
         let place = place(self.id);
         let (f, c, radial, tangential) = match (self.model, self.parameters.as_slice()) {
             ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], [0.0; 2], [0.0; 2]),

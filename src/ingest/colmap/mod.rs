@@ -13,7 +13,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use self::text::Lines;
 use super::{
-    error::{IngestError, IngestErrorKind},
+    error::{IngestError, IngestErrorKind, Result},
     plan::{ImageFiles, Plan, PlannedFrame, RecordCounter},
     points::Points,
     table_reader::TableReader,
@@ -122,8 +122,8 @@ pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, IngestError> {
 fn parse<T>(
     tree: &Tree,
     file: &str,
-    binary: impl FnOnce(TableReader) -> Result<T, IngestErrorKind>,
-    text: impl FnOnce(&mut Lines) -> Result<T, IngestErrorKind>,
+    binary: impl FnOnce(TableReader) -> Result<T>,
+    text: impl FnOnce(&mut Lines) -> Result<T>,
 ) -> Result<T, IngestError> {
     let is_binary = file.ends_with(".bin");
     tree.parse(file, u64::MAX, |reader, length| {
@@ -131,16 +131,13 @@ fn parse<T>(
     })
 }
 
-fn kept(
-    tree: &Tree,
-    fill: impl FnOnce(&mut Points) -> Result<(), IngestErrorKind>,
-) -> Result<Points, IngestErrorKind> {
+fn kept(tree: &Tree, fill: impl FnOnce(&mut Points) -> Result<()>) -> Result<Points> {
     let mut points = tree.points();
     fill(&mut points)?;
     Ok(points)
 }
 
-fn pose(image: &ImageRecord, place: &str) -> Result<Pose, IngestErrorKind> {
+fn pose(image: &ImageRecord, place: &str) -> Result<Pose> {
     let [w, x, y, z] = image.quaternion;
     let quaternion = DQuat::from_xyzw(x, y, z, w);
     if !quaternion.is_finite() {
@@ -156,12 +153,7 @@ fn pose(image: &ImageRecord, place: &str) -> Result<Pose, IngestErrorKind> {
 }
 
 /// Adds a point with the checks that both encodings share.
-fn push_point(
-    cloud: &mut Points,
-    id: u64,
-    position: [f64; 3],
-    color: [u8; 3],
-) -> Result<(), IngestErrorKind> {
+fn push_point(cloud: &mut Points, id: u64, position: [f64; 3], color: [u8; 3]) -> Result<()> {
     let position = position.map(|value| value as f32);
     if position.iter().any(|value| !value.is_finite()) {
         let message = "the position is not finite".to_owned();

@@ -9,7 +9,10 @@ use std::{
 };
 
 use super::{
-    super::{error::IngestErrorKind, points::Points},
+    super::{
+        error::{IngestErrorKind, Result},
+        points::Points,
+    },
     ImageRecord, RecordCounter,
     cameras::{CameraRecord, model_by_name},
     push_point,
@@ -22,7 +25,7 @@ const HEAD_BYTES: usize = 16 << 10;
 const WORD_BYTES: usize = 24;
 
 /// `cameras.txt`: `CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]`.
-pub(super) fn cameras(lines: &mut Lines) -> Result<Vec<CameraRecord>, IngestErrorKind> {
+pub(super) fn cameras(lines: &mut Lines) -> Result<Vec<CameraRecord>> {
     let mut cameras = Vec::new();
     let mut counter = RecordCounter::of("cameras");
     while let Some(line) = lines.next_record()? {
@@ -42,7 +45,7 @@ pub(super) fn cameras(lines: &mut Lines) -> Result<Vec<CameraRecord>, IngestErro
 }
 
 /// `images.txt`: `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, then a line of `X Y POINT3D_ID` triples.
-pub(super) fn images(lines: &mut Lines) -> Result<Vec<ImageRecord>, IngestErrorKind> {
+pub(super) fn images(lines: &mut Lines) -> Result<Vec<ImageRecord>> {
     let mut images = Vec::new();
     let mut counter = RecordCounter::of("images");
     while let Some(line) = lines.next_record()? {
@@ -67,7 +70,7 @@ pub(super) fn images(lines: &mut Lines) -> Result<Vec<ImageRecord>, IngestErrorK
 }
 
 /// `points3D.txt`: `POINT3D_ID X Y Z R G B ERROR TRACK[]`.
-pub(super) fn points(lines: &mut Lines, cloud: &mut Points) -> Result<(), IngestErrorKind> {
+pub(super) fn points(lines: &mut Lines, cloud: &mut Points) -> Result<()> {
     while let Some(line) = lines.next_record()? {
         let mut fields = line.fields();
         let id = fields.next("POINT3D_ID")?;
@@ -94,7 +97,7 @@ impl<'a> Lines<'a> {
     }
 
     /// The beginning of the next line that is a record.
-    fn next_record(&mut self) -> Result<Option<Line<'_>>, IngestErrorKind> {
+    fn next_record(&mut self) -> Result<Option<Line<'_>>> {
         loop {
             let mut head = std::mem::take(&mut self.head);
             head.clear();
@@ -124,7 +127,7 @@ impl<'a> Lines<'a> {
 
     /// Skips a line and returns whether it consists of triples whose third word is a whole number. The end of the table counts as
     /// an empty line.
-    fn pass_triples(&mut self) -> Result<bool, IngestErrorKind> {
+    fn pass_triples(&mut self) -> Result<bool> {
         let (mut words, mut word, mut good) = (0_usize, Vec::with_capacity(WORD_BYTES), true);
         let mut end = |word: &mut Vec<u8>| {
             if !word.is_empty() {
@@ -148,7 +151,7 @@ impl<'a> Lines<'a> {
     }
 
     /// Shows a line's bytes, piece by piece and without its end, and says whether there was one.
-    fn pass_line(&mut self, mut show: impl FnMut(&[u8])) -> Result<bool, IngestErrorKind> {
+    fn pass_line(&mut self, mut show: impl FnMut(&[u8])) -> Result<bool> {
         let mut any = false;
         loop {
             let bytes = match self.reader.fill_buf() {
@@ -208,11 +211,11 @@ struct Fields<'a> {
 }
 
 impl<'a> Fields<'a> {
-    fn word(&mut self, name: &str) -> Result<&'a str, IngestErrorKind> {
+    fn word(&mut self, name: &str) -> Result<&'a str> {
         self.words.next().ok_or_else(|| self.line.error(format!("{name} is missing")))
     }
 
-    fn next<T: FromStr>(&mut self, name: &str) -> Result<T, IngestErrorKind> {
+    fn next<T: FromStr>(&mut self, name: &str) -> Result<T> {
         let word = self.word(name)?;
         word.parse().map_err(|_| self.line.error(format!("{name} is '{word:.40}', which cannot be read")))
     }
@@ -223,15 +226,15 @@ mod tests {
     use super::*;
     use crate::domain::PointCloud;
 
-    fn cameras(text: &str) -> Result<Vec<CameraRecord>, IngestErrorKind> {
+    fn cameras(text: &str) -> Result<Vec<CameraRecord>> {
         super::cameras(&mut Lines::new(&mut text.as_bytes()))
     }
 
-    fn images(text: &str) -> Result<Vec<ImageRecord>, IngestErrorKind> {
+    fn images(text: &str) -> Result<Vec<ImageRecord>> {
         super::images(&mut Lines::new(&mut text.as_bytes()))
     }
 
-    fn points(text: &str) -> Result<PointCloud, IngestErrorKind> {
+    fn points(text: &str) -> Result<PointCloud> {
         let mut points = Points::new(true, 100);
         super::points(&mut Lines::new(&mut text.as_bytes()), &mut points)?;
         Ok(points.into_cloud().expect("kept"))
