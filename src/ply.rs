@@ -1,7 +1,6 @@
 //! Headers of PLY files: encoding, number of vertices, and the properties of a vertex.
 //!
-//! A header is at most [`MAX_HEADER_BYTES`] long, and what it claims is not believed here: whoever reads the data checks it
-//! against the bytes that follow.
+//! A header is at most [`MAX_HEADER_BYTES`] long. Its claims are not trusted: callers check counts against the bytes that follow.
 
 use std::io::{self, BufRead, Read as _};
 
@@ -10,7 +9,7 @@ use thiserror::Error;
 /// Longest header that is read; real ones have some 1 500 bytes.
 pub const MAX_HEADER_BYTES: usize = 64 << 10;
 
-/// What a reader expects beside the properties that it looks for.
+/// What a reader accepts besides the properties that it uses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Profile {
     /// A file of plain Gaussians: binary little endian 1.0, vertices only, no line that PLY does not define.
@@ -100,7 +99,7 @@ impl Scalar {
     }
 }
 
-/// What is wrong with a header.
+/// Why a header is refused.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum HeaderError {
     /// The first line is another.
@@ -150,7 +149,7 @@ pub struct Property {
     pub offset: usize,
 }
 
-/// What a header says.
+/// A parsed header.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Header {
     /// How the data is written.
@@ -166,7 +165,7 @@ pub struct Header {
 }
 
 impl Header {
-    /// Reads the lines of a header from a stream, up to and with `end_header`, or [`MAX_HEADER_BYTES`] of something else.
+    /// Reads a header from a stream, `end_header` included, or the first [`MAX_HEADER_BYTES`] if there is none.
     ///
     /// # Errors
     /// Those of the reader.
