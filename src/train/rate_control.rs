@@ -180,7 +180,7 @@ mod tests {
         }
     }
 
-    fn steer(
+    fn simulate(
         control: &mut RateControl,
         file: &mut SimulatedFile,
         steps: RangeInclusive<u32>,
@@ -211,7 +211,7 @@ mod tests {
                 for budget in [700_000.0, 500_000.0, 420_000.0] {
                     let mut file = SimulatedFile::new(slope, delay);
                     let mut control = RateControl::new(1e-3, budget as u64, WINDOW);
-                    let seen = steer(&mut control, &mut file, 1..=3000, 10);
+                    let seen = simulate(&mut control, &mut file, 1..=3000, 10);
                     let (last, least) =
                         (file.bytes() / budget, seen.iter().copied().fold(f64::INFINITY, f64::min));
                     let place = format!("slope {slope}, delay {delay}, {budget} bytes");
@@ -230,7 +230,7 @@ mod tests {
                 for lost in [0.5, 0.9] {
                     let mut file = SimulatedFile { lost, left, ..SimulatedFile::new(slope, 30.0) };
                     let mut control = RateControl::new(1e-3, 600_000, 100..=255);
-                    steer(&mut control, &mut file, 1..=255, 10);
+                    simulate(&mut control, &mut file, 1..=255, 10);
                     let used = file.bytes() / 6e5;
                     let place = format!("slope {slope}, {left:?} left, {lost} lost");
                     assert!((0.65..1.2).contains(&used), "{place}: {used} of the target is used");
@@ -244,7 +244,7 @@ mod tests {
         let end = |length: u32, every: u32| {
             let mut file = SimulatedFile::new(0.5, f64::from(length) * 0.05);
             let mut control = RateControl::new(1e-3, 400_000, 1..=length);
-            steer(&mut control, &mut file, 1..=length, every);
+            simulate(&mut control, &mut file, 1..=length, every);
             file.bytes()
         };
         assert!((end(200, 10) / end(20_000, 10) - 1.0).abs() < 0.1);
@@ -254,7 +254,7 @@ mod tests {
     fn a_target_above_the_unconstrained_size_leaves_lambda_unchanged() {
         let mut file = SimulatedFile::new(0.5, 80.0);
         let mut control = RateControl::new(2e-3, 5_000_000, WINDOW);
-        steer(&mut control, &mut file, 1..=3000, 10);
+        simulate(&mut control, &mut file, 1..=3000, 10);
         assert_eq!(control.lambda(), 2e-3);
     }
 
@@ -262,7 +262,7 @@ mod tests {
     fn an_unreachable_target_stops_at_the_largest_lambda() {
         let mut file = SimulatedFile::new(0.5, 80.0);
         let mut control = RateControl::new(1e-3, 1, WINDOW);
-        steer(&mut control, &mut file, 1..=3000, 10);
+        simulate(&mut control, &mut file, 1..=3000, 10);
         assert!((control.lambda() / 1e-3 - MAX_RATIO).abs() < 1e-6 * MAX_RATIO);
     }
 
@@ -271,7 +271,7 @@ mod tests {
         let end = |max_bytes| {
             let mut file = SimulatedFile::new(0.8, 80.0);
             let mut control = RateControl::new(1e-3, max_bytes, WINDOW);
-            steer(&mut control, &mut file, 1..=3000, 10);
+            simulate(&mut control, &mut file, 1..=3000, 10);
             control.lambda().to_bits()
         };
         assert_eq!(end(100), end(20_000), "20 000 bytes are fixed");
@@ -299,14 +299,14 @@ mod tests {
     fn a_controller_resumed_from_any_state_gives_the_same_lambda() {
         let fresh = || RateControl::new(1e-3, 300_000, WINDOW);
         let (mut whole, mut file) = (fresh(), SimulatedFile::new(0.5, 80.0));
-        steer(&mut whole, &mut file, 1..=3000, 10);
+        simulate(&mut whole, &mut file, 1..=3000, 10);
         for stop in [1, 999, 1000, 1005, 1010, 2000, 2999] {
             let (mut first, mut file) = (fresh(), SimulatedFile::new(0.5, 80.0));
-            steer(&mut first, &mut file, 1..=stop, 10);
+            simulate(&mut first, &mut file, 1..=stop, 10);
             let kept = serde_json::to_string(&first.state()).expect("JSON");
             let mut second = fresh().at(serde_json::from_str(&kept).expect("a state"));
             assert_eq!(second, first);
-            steer(&mut second, &mut file, stop + 1..=3000, 10);
+            simulate(&mut second, &mut file, stop + 1..=3000, 10);
             assert_eq!(second.lambda().to_bits(), whole.lambda().to_bits(), "stopped after {stop}");
         }
     }

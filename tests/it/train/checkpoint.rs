@@ -76,7 +76,7 @@ fn outcome(
 
 fn resumed(checkpoint: &Checkpoint, options: &TrainOptions) -> (Trained, Vec<Progress>) {
     let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), sink: None };
-    outcome(&dataset(), options, checkpoints).expect("goes on")
+    outcome(&dataset(), options, checkpoints).expect("resumes")
 }
 
 /// Everything of a report that does not depend on the machine's speed.
@@ -105,11 +105,11 @@ fn a_run_that_goes_on_from_any_step_ends_with_the_same_bits() {
         assert!(trained.context == whole.context, "another context after step {step}");
         assert_eq!(trained.steps, STEPS);
         assert!(trained.seconds > 0.0);
-        assert_eq!(later[0].step, u64::from(*step), "the first report tells where the run goes on");
-        let told = |reports: &[Progress]| -> Vec<_> {
+        assert_eq!(later[0].step, u64::from(*step), "the first report states the resumed step");
+        let values = |reports: &[Progress]| -> Vec<_> {
             reports.iter().filter(|report| report.step > u64::from(*step)).map(figures).collect()
         };
-        assert_eq!(told(&later), told(&reports), "other figures after step {step}");
+        assert_eq!(values(&later), values(&reports), "different values after step {step}");
     }
 }
 
@@ -133,7 +133,7 @@ fn a_run_in_a_unit_of_its_own_goes_on_in_it() {
     assert!(!whole.scene.as_anchors().expect("anchors").unit.is_usual());
     for (step, checkpoint) in &kept.checkpoints {
         let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), sink: None };
-        let (resumed, _) = outcome(&tiny, &options, checkpoints).expect("goes on");
+        let (resumed, _) = outcome(&tiny, &options, checkpoints).expect("resumes");
         assert!(resumed.scene == whole.scene, "another scene after step {step}");
     }
 }
@@ -182,7 +182,7 @@ fn a_cancelled_run_leaves_a_checkpoint_of_its_last_step() {
     let checkpoint = &kept.checkpoints[&10];
     assert!(resumed(checkpoint, &options).0.scene == whole.scene);
 
-    // A run that is cancelled before its first step has nothing to add to what it began from.
+    // A run that is cancelled before its first step saves no checkpoint.
     let mut again = Kept::at(|_| true);
     let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), sink: Some(&mut again) };
     let stopped = train(&gpu(), &dataset(), &options, checkpoints, &mut |_| (), &cancel);

@@ -1,4 +1,4 @@
-//! Files of a promised size, and several files of one run.
+//! Files of a target size, and rate-distortion curves.
 
 use std::{
     fs,
@@ -34,7 +34,7 @@ fn options() -> TrainOptions {
     TrainOptions { iterations: Some(STEPS), ..TrainOptions::default() }
 }
 
-fn promised(limit: u64) -> TrainOptions {
+fn with_limit(limit: u64) -> TrainOptions {
     TrainOptions { max_bytes: Some(limit), ..options() }
 }
 
@@ -52,11 +52,11 @@ fn run(options: &TrainOptions) -> Result<JobOutput, JobError> {
     run_with(options, &Checkpoints::default(), &mut |_, _| (), &CancelFlag::default())
 }
 
-/// The run without any promise.
+/// The run without a target size.
 static FREE: LazyLock<JobOutput> = LazyLock::new(|| run(&options()).expect("a file"));
 
-/// The fewest bytes that a promise can be kept with.
-static SMALLEST: LazyLock<u64> = LazyLock::new(|| refused(100).smallest_bytes.expect("told"));
+/// The smallest target size that can be reached.
+static SMALLEST: LazyLock<u64> = LazyLock::new(|| refused(100).smallest_bytes.expect("stated"));
 
 /// So much of what a file of the scene can do without.
 fn share(percent: u64) -> u64 {
@@ -64,7 +64,7 @@ fn share(percent: u64) -> u64 {
 }
 
 fn refused(limit: u64) -> Problem {
-    match run(&promised(limit)) {
+    match run(&with_limit(limit)) {
         Err(JobError::Fail(problem)) => problem,
         other => panic!("not refused: {other:?}"),
     }
@@ -77,17 +77,17 @@ fn train_psnr(metrics: &JobMetrics) -> f64 {
 #[test]
 fn the_file_is_no_larger_than_promised_and_hardly_smaller() {
     assert_eq!(FREE.metrics.byte_budget, None);
-    assert_psnr("without a promise", train_psnr(&FREE.metrics), 17.18);
-    assert_bytes("without a promise", FREE.file.len() as u64, 29_769);
+    assert_psnr("without a target", train_psnr(&FREE.metrics), 17.18);
+    assert_bytes("without a target", FREE.file.len() as u64, 29_769);
     assert_bytes("the smallest", *SMALLEST, 8_311);
-    // Each promise has steered its own training, and so short a run is not settled to a tenth of a dB.
+    // Each target has its own training, and such a short run has not converged to a tenth of a dB.
     for (percent, psnr) in [(90, 17.18), (60, 17.16), (30, 16.77)] {
         let limit = share(percent);
-        let output = run(&promised(limit)).expect("fits");
+        let output = run(&with_limit(limit)).expect("fits");
         let bytes = output.file.len() as u64;
-        assert!(bytes <= limit, "{bytes} bytes where {limit} were promised");
+        assert!(bytes <= limit, "{bytes} bytes where {limit} are allowed");
         assert_eq!(output.metrics.bytes.total, bytes);
-        let budget = output.metrics.byte_budget.expect("told");
+        let budget = output.metrics.byte_budget.expect("stated");
         assert_eq!(budget.max_bytes, limit);
         if budget.unconstrained_bytes > limit {
             let used = (bytes - *SMALLEST) * 100 / (limit - *SMALLEST);
@@ -102,16 +102,16 @@ fn the_file_is_no_larger_than_promised_and_hardly_smaller() {
 
 #[test]
 fn the_same_promise_gives_the_same_bytes() {
-    let options = promised(share(50));
+    let options = with_limit(share(50));
     let first = run(&options).expect("fits");
     assert!(first.file == run(&options).expect("fits").file);
 }
 
 #[test]
 fn a_promise_that_is_kept_anyway_changes_nothing_but_what_the_file_says_of_it() {
-    let held = run(&promised(50_000_000)).expect("fits");
+    let held = run(&with_limit(50_000_000)).expect("fits");
     assert_eq!(held.metrics.decode_sha256, FREE.metrics.decode_sha256);
-    let budget = held.metrics.byte_budget.expect("told");
+    let budget = held.metrics.byte_budget.expect("stated");
     assert_eq!((budget.gaussians_dropped, budget.unconstrained_bytes), (0, held.file.len() as u64));
 }
 
@@ -119,9 +119,9 @@ fn a_promise_that_is_kept_anyway_changes_nothing_but_what_the_file_says_of_it() 
 fn a_promise_that_cannot_be_kept_is_refused_with_the_smallest_that_can() {
     let problem = refused(100);
     assert_eq!((problem.status, &*problem.kind), (507, "urn:tcgs:problem:max-bytes-unreachable"));
-    let smallest = problem.smallest_bytes.expect("told");
+    let smallest = problem.smallest_bytes.expect("stated");
     assert!(problem.detail.contains(&smallest.to_string()), "{problem}");
-    let output = run(&promised(smallest)).expect("what was said to be possible");
+    let output = run(&with_limit(smallest)).expect("the stated smallest size");
     assert!(output.file.len() as u64 <= smallest);
 }
 

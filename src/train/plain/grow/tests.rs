@@ -10,7 +10,7 @@ const EXTENT: f32 = 2.0;
 const USUAL: GrowthSettings =
     GrowthSettings { threshold: 2e-4, extent: EXTENT, max_gaussians: 1000, prune_large: false };
 
-/// Gaussians of the given sizes, all at opacity 0.5, told apart by their places; moments that are not zero.
+/// Gaussians of the given sizes, all at opacity 0.5, distinguished by their positions; moments that are not zero.
 fn state(sizes: &[f32]) -> TrainableGaussians {
     let mut values = GaussianRows::zero(sizes.len());
     for (index, size) in sizes.iter().enumerate() {
