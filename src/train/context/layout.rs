@@ -130,22 +130,9 @@ impl ContextLayout {
             dense(config.hidden[group], rows[group + 1] - rows[group], first, rows[group])
         });
         let networks = take(0);
-        if config.kind.sampled() == 0 {
-            let none = networks..networks;
-            let (planes, latents, down, up) = (none.clone(), none, Vec::new(), Vec::new());
-            return Ok(Self {
-                config,
-                hidden,
-                heads,
-                networks,
-                planes,
-                down,
-                up,
-                latents,
-                parameters: networks,
-            });
-        }
-        let first_plane = take(config.planes.plane_values());
+        let has_planes = config.kind.sampled() > 0;
+        let layers = if has_planes { config.planes.layers } else { 0 };
+        let first_plane = take(if has_planes { config.planes.plane_values() } else { 0 });
         let planes = first_plane..take(0);
         let level_channels = config.planes.level_channels();
         let mut conv = |level: usize, upwards: bool| {
@@ -158,9 +145,9 @@ impl ContextLayout {
                 bias: take(if upwards { fine } else { coarse }),
             }
         };
-        let down: Vec<_> = (0..config.planes.layers).map(|level| conv(level, false)).collect();
-        let up: Vec<_> = (0..config.planes.layers).rev().map(|level| conv(level, true)).collect();
-        let first_latent = take(config.planes.latent_values());
+        let down: Vec<_> = (0..layers).map(|level| conv(level, false)).collect();
+        let up: Vec<_> = (0..layers).rev().map(|level| conv(level, true)).collect();
+        let first_latent = take(if has_planes { config.planes.latent_values() } else { 0 });
         let latents = first_latent..take(0);
         Ok(Self { config, hidden, heads, networks, planes, down, up, parameters: latents.end, latents })
     }
