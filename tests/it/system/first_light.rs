@@ -435,7 +435,7 @@ async fn a_job_survives_a_restart_of_the_service_and_a_killed_worker() {
     assert!(artifact.body == reference().file, "the third attempt gives another file");
     assert_eq!(job["metrics"]["test"], reference().metrics["test"]);
     let log = service.log();
-    let resumed = log.lines().filter(|line| line.contains("going on from step"));
+    let resumed = log.lines().filter(|line| line.contains("resuming from step"));
     assert_eq!(resumed.count(), 2, "no attempt after the first begins with step 1: {log}");
     assert!(service.stop().await.success());
     let left: Vec<_> = std::fs::read_dir(scene.at("data").join("checkpoints")).expect("a folder").collect();

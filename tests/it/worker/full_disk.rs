@@ -48,7 +48,7 @@ async fn a_job_without_disk_space_for_checkpoints_and_files_is_held_until_there_
         assert!(!detail.contains('/'), "no path of the server: {detail}");
     }
     let log = service.log();
-    assert!(log.contains("no checkpoint is kept"), "{log}");
+    assert!(log.contains("checkpoint of step"), "{log}");
     service.get(&format!("{job}/artifact")).await.expect(200);
     assert!(service.stop().await.success());
 }
