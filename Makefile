@@ -7,7 +7,7 @@ CARGO := . scripts/env.sh && cargo
 DATA ?= $(or $(TCGS_SHARED),../shared)/data
 
 # Other programs' formats take part in `make results` where their converter runs, which takes Node.
-PEERS ?= $(and $(wildcard scripts/peers.sh),$(shell command -v node),--peers scripts/peers.sh)
+EXTERNAL_FORMATS ?= $(and $(wildcard scripts/external_formats.sh),$(shell command -v node),--external-formats scripts/external_formats.sh)
 
 # What `make swiftshader` runs: kernels against their twins, gradients, repeated runs, and whole jobs.
 SWIFTSHADER_TESTS ?= primitives raster_device loss:: neural:: first_light::
@@ -15,7 +15,7 @@ SWIFTSHADER_TESTS ?= primitives raster_device loss:: neural:: first_light::
 # How long `make fuzz` gives each target.
 FUZZ_SECONDS ?= 600
 
-.PHONY: help setup build demo results test examples schemathesis generated-client swiftshader validation interop peers fuzz lint clean
+.PHONY: help setup build demo results test examples schemathesis generated-client swiftshader validation interop external-formats fuzz lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -30,7 +30,7 @@ demo: setup ## the bundled scene through the service: train, download, render in
 	@scripts/demo.sh
 
 results: build ## train every model on every set of DATA and rewrite docs/RESULTS.md; hours on a CPU
-	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" eval --suite "$(DATA)" --table docs/RESULTS.md $(PEERS) $(RESULTS_FLAGS)
+	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" eval --suite "$(DATA)" --table docs/RESULTS.md $(EXTERNAL_FORMATS) $(RESULTS_FLAGS)
 	@scripts/plots.py
 
 test: setup ## all tests, with a count of those that were skipped
@@ -59,8 +59,8 @@ interop: setup ## hold exports to splat-transform, which comes through npm
 	@scripts/splat_transform.sh --version
 	@. scripts/env.sh && TCGS_SPLAT_TRANSFORM="$$(scripts/splat_transform.sh --where)" cargo test --locked --test it export:: -- --nocapture
 
-peers: ## convert IN (a .ply of plain Gaussians) to .sog and .spz and back, into OUT
-	@scripts/peers.sh "$(IN)" "$(OUT)"
+external-formats: ## convert IN (a .ply of plain Gaussians) to .sog and .spz and back, into OUT
+	@scripts/external_formats.sh "$(IN)" "$(OUT)"
 
 fuzz: setup ## fuzz the decoder, FUZZ_SECONDS a target
 	@scripts/fuzz.sh $(FUZZ_SECONDS)

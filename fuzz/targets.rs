@@ -4,8 +4,8 @@
 use tcgs::{
     codec::{self, DecodeError, DecodeLimits, EncodeSettings, Provenance, context::robust_frame},
     domain::{
-        AnchorScene, AttributeGroup, Background, ContextCandidates, ContextKind, DenseLayer, Digest,
-        DistanceUnit, Lattice, Mlp, NearPlane, PlaneContext, Planes, RenderNetworks, UpLayer,
+        AnchorScene, AttributeGroup, Background, ContextCandidates, ContextKind, DenseLayer, Digest, Lattice,
+        Mlp, NearPlane, PlaneContext, Planes, RenderNetworks, SceneScale, UpLayer,
     },
 };
 
@@ -180,8 +180,8 @@ fn scene(bytes: &mut Bytes<'_>) -> AnchorScene {
         _ => Mlp { layers: vec![layer(features + 4, 3, bytes), layer(3, outputs, bytes)] },
     };
     AnchorScene {
-        near: NearPlane::USUAL,
-        unit: DistanceUnit::USUAL,
+        near: NearPlane::DEFAULT,
+        scene_scale: SceneScale::DEFAULT,
         lattice: Lattice { voxel: bytes.step(), origin: [bytes.f32(), bytes.f32(), bytes.f32()] },
         cells: (0..anchors).map(|_| cell(bytes)).collect(),
         feature_dim: features,

@@ -38,7 +38,7 @@ key=$("$program" keys create --name contract --scopes admin --data "$scratch/dat
 start() {
     local _
     "$program" --log-format json serve --listen 127.0.0.1:0 --data "$scratch/data" --failures-per-minute 1000000 --max-upload 8MiB \
-        --body-pause 2s --drain 2s "$@" 2>"$out/service.log" &
+        --body-idle-timeout 2s --drain 2s "$@" 2>"$out/service.log" &
     server=$!
     address=
     for _ in $(seq 300); do

@@ -22,7 +22,7 @@ static TLS: LazyLock<Result<ClientConfig, rustls::Error>> =
 
 /// Why a file of certificates is none.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
-pub enum RootsFault {
+pub enum RootsError {
     /// Something between the marks of PEM is not what they say.
     #[error("is not PEM: {0}")]
     Pem(String),
@@ -47,18 +47,18 @@ impl ExtraRoots {
     /// The certificates of a PEM file; whatever else is in it is passed over.
     ///
     /// # Errors
-    /// [`RootsFault`].
-    pub fn from_pem(file: &[u8]) -> Result<Self, RootsFault> {
+    /// [`RootsError`].
+    pub fn from_pem(file: &[u8]) -> Result<Self, RootsError> {
         let certificates = CertificateDer::pem_slice_iter(file).collect::<Result<Vec<_>, _>>();
-        let certificates = certificates.map_err(|fault| RootsFault::Pem(fault.to_string()))?;
+        let certificates = certificates.map_err(|fault| RootsError::Pem(fault.to_string()))?;
         if certificates.is_empty() {
-            return Err(RootsFault::Empty);
+            return Err(RootsError::Empty);
         }
         let mut store = RootCertStore::empty();
         for (place, certificate) in (1..).zip(&certificates) {
             store
                 .add(certificate.clone())
-                .map_err(|fault| RootsFault::Certificate { place, reason: fault.to_string() })?;
+                .map_err(|fault| RootsError::Certificate { place, reason: fault.to_string() })?;
         }
         Ok(Self(certificates))
     }

@@ -6,7 +6,7 @@ use tcgs::{
     domain::{
         AnchorScene, ContextCandidates, DenseLayer, Mlp,
         anchors::SCALINGS_PER_ANCHOR,
-        context::{AttributeGroup, ContextKind, PlaneContext, Planes, UpLayer},
+        context_model::{AttributeGroup, ContextKind, PlaneContext, Planes, UpLayer},
     },
 };
 

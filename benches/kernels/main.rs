@@ -26,7 +26,7 @@ use std::{
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
-    domain::{Camera, DistanceUnit},
+    domain::{Camera, SceneScale},
     gpu::{AdapterChoice, Buffer, Device, GpuError, KernelTime, Recorder},
     model::NetworkLayout,
     render::{
@@ -95,7 +95,7 @@ impl Bench {
         let rows = scene::anchors(&mut rng, count / 10);
         let anchors = DeviceAnchors::upload(device, &rows, &NetworkLayout::new(SHAPE).initial(&mut rng))?;
         let rates: Vec<f32> = (1..=SHAPE.row()).map(|i| 1e-9 * i as f32).collect();
-        let mut neural = NeuralGaussians::new(Arc::clone(device), SHAPE, 0.01, DistanceUnit::USUAL)?;
+        let mut neural = NeuralGaussians::new(Arc::clone(device), SHAPE, 0.01, SceneScale::DEFAULT)?;
         // Gradients before the first backward pass; a spawned Gaussian's are as good as any.
         let camera = scene::camera(side);
         let mut recorder = device.recorder("first forward");

@@ -63,7 +63,7 @@ async fn main() {
     let path = folder.path().join("tcgs.sqlite");
     // Both are bounded, so that both bounds are looked at.
     let limits = KeyLimits {
-        max_bytes: Some(1 << 50),
+        quota_bytes: Some(1 << 50),
         max_active_jobs: Some(1 << 20),
         requests_per_minute: None,
         max_priority: None,

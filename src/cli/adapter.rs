@@ -1,4 +1,4 @@
-//! The flag that chooses the adapter, the same for every command that renders.
+//! The flag of the adapter, shared by all commands that render.
 
 use tcgs::gpu::AdapterChoice;
 

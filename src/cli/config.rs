@@ -1,8 +1,7 @@
-//! Settings of a service from flags, environment and a TOML file, in this order of precedence, and where each came from.
+//! Settings of a service from flags, environment and a TOML file, in this order of precedence, and their sources.
 //!
-//! A setting is declared once, as a flag: its name in the file is the flag's with underscores, its variable and its default are
-//! those of the flag, and the flag's own parser reads its value from wherever it comes. So there is no second list to keep.
-//! One file may serve every command that takes a file: each reads what it knows, and a name that none knows is refused.
+//! A setting is declared once, as a flag: its name in the file is the flag's with underscores, and the flag's parser, variable and default
+//! apply. Every command that takes a file reads the settings that it knows; a name that no command knows is refused.
 //! A setting whose flag hides its variable's value (`hide_env_values`) is a secret and is never printed.
 
 use std::{
@@ -18,19 +17,19 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-use super::{Failure, Report};
+use super::{CliError, Report};
 
 /// The commands whose settings may come from a file.
 const COMMANDS: [&str; 2] = ["serve", "worker"];
 
-/// Where settings come from besides flags and environment.
+/// The flags of the settings file.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(crate) struct ConfigFlags {
-    /// TOML file with settings, named as the flags with underscores (`max_connections = 100`); flags and environment outrank it
+    /// TOML file with settings, named as the flags with underscores (`max_connections = 100`); flags and environment take precedence
     #[arg(long, value_name = "FILE", env = "TCGS_CONFIG")]
     config: Option<PathBuf>,
 
-    /// Print the settings that would be in force as TOML, with where each came from, and end
+    /// Print the effective settings as TOML, with the source of each, and exit
     #[arg(long)]
     pub(crate) print_config: bool,
 }
@@ -43,25 +42,24 @@ struct Entry {
     values: Vec<String>,
 }
 
-/// What was parsed, with what the file had to say.
+/// Parsed arguments and the file's settings.
 #[derive(Debug)]
 pub(crate) struct Settings {
-    /// Everything, from wherever it came.
+    /// All values, with those of the file as defaults.
     pub(crate) matches: ArgMatches,
-    /// As it was declared, which is the order that settings are printed in.
+    /// As it was declared; settings are printed in this order.
     command: Command,
     file: Option<(PathBuf, Vec<Entry>)>,
 }
 
-/// Parses arguments, and again with what the file says as defaults if one is named.
+/// Parses arguments, and if they name a file, again with its settings as defaults.
 ///
 /// # Errors
-/// [`Failure::Usage`] for a file that cannot be read or holds what is not a setting. Wrong arguments end the process, as
-/// clap's way is.
+/// [`CliError::Usage`] for a file that cannot be read or has unknown settings. Wrong arguments end the process, as clap does.
 pub(crate) fn parse(
     command: Command,
     arguments: impl IntoIterator<Item = OsString>,
-) -> Result<Settings, Failure> {
+) -> Result<Settings, CliError> {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     let matches = command.clone().get_matches_from(&arguments);
     let file = matches
@@ -134,7 +132,7 @@ fn key(argument: &Arg) -> String {
     argument.get_long().unwrap_or_default().replace('-', "_")
 }
 
-/// What is hidden is between processes, and what acts (help, version) or names the file cannot be in it.
+/// Excludes hidden flags, which are internal, actions (help, version) and the flags of the file itself.
 fn is_setting(argument: &Arg) -> bool {
     let own = matches!(argument.get_id().as_str(), "config" | "print_config");
     let sets = matches!(
@@ -156,10 +154,10 @@ fn toml_value(argument: &Arg, values: &[String]) -> String {
     }
 }
 
-fn read(path: &Path, command: &Command) -> Result<Vec<Entry>, Failure> {
+fn read(path: &Path, command: &Command) -> Result<Vec<Entry>, CliError> {
     let fault = |line: Option<usize>, fault: &str| {
         let place = line.map_or_else(String::new, |line| format!(", line {line}"));
-        Failure::Usage(format!("--config: {}{place}: {fault}", path.display()))
+        CliError::Usage(format!("--config: {}{place}: {fault}", path.display()))
     };
     let text = fs::read_to_string(path).map_err(|error| fault(None, &error.to_string()))?;
     let line_at = |start: usize| 1 + text.bytes().take(start).filter(|byte| *byte == b'\n').count();
@@ -270,7 +268,7 @@ mod tests {
         Command::new("tcgs").subcommand(serve).subcommand(worker)
     }
 
-    fn parsed(file: &str, more: &[&str]) -> Result<String, Failure> {
+    fn parsed(file: &str, more: &[&str]) -> Result<String, CliError> {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("c.toml");
         fs::write(&path, file).expect("written");
@@ -323,10 +321,10 @@ mod tests {
             ("place = \"x\"\nplace = \"y\"", 2, "duplicate"),
             ("place = ", 1, ""),
         ] {
-            let Err(Failure::Usage(fault)) = parsed(file, &[]) else { panic!("{file} was taken") };
+            let Err(CliError::Usage(fault)) = parsed(file, &[]) else { panic!("{file} was taken") };
             assert!(fault.contains(&format!("line {line}: ")) && fault.contains(named), "{file}: {fault}");
         }
         let missing = parse(command(), ["tcgs", "serve", "--config", "/nowhere.toml"].map(OsString::from));
-        assert!(matches!(missing, Err(Failure::Usage(fault)) if fault.contains("/nowhere.toml")));
+        assert!(matches!(missing, Err(CliError::Usage(fault)) if fault.contains("/nowhere.toml")));
     }
 }

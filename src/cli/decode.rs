@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 use tcgs::domain::{Digest, Problem};
 
-use super::{Failure, Report, files, wiring};
+use super::{CliError, Report, files, wiring};
 
 /// Arguments of `tcgs decode`.
 #[derive(Debug, clap::Args)]
@@ -31,7 +31,7 @@ struct Summary {
 }
 
 /// Decodes and writes.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let in_file = |problem: Problem| problem.in_file(args.file.display().to_string());
     let decoded = wiring::read(&files::read(&args.file)?).map_err(in_file)?;
     let bytes = wiring::tensors(&decoded).map_err(in_file)?;

@@ -1,4 +1,4 @@
-//! `tcgs doctor`: what this machine offers, and what is missing.
+//! `tcgs doctor`: the adapters of this machine, and advice.
 
 use std::{env, thread};
 
@@ -8,7 +8,7 @@ use tcgs::{
     gpu::{self, AdapterReport},
 };
 
-use super::{Failure, Report};
+use super::{CliError, Report};
 
 /// Arguments of `tcgs doctor`.
 #[derive(Debug, clap::Args)]
@@ -28,8 +28,8 @@ struct Machine {
     advice: Vec<String>,
 }
 
-/// Looks around; fails (with status 4) only if there is no usable adapter.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+/// Lists the adapters; fails with status 4 if none is usable.
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let adapters = gpu::report();
     let machine = Machine {
         version: env!("CARGO_PKG_VERSION"),

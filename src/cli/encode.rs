@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde_json::json;
 use tcgs::codec::{ContextSettings, EncodeSettings, Provenance};
 
-use super::{Failure, Report, files, wiring};
+use super::{CliError, Report, files, wiring};
 
 /// Arguments of `tcgs encode`.
 #[derive(Debug, clap::Args)]
@@ -39,7 +39,7 @@ fn step(text: &str) -> Result<f32, String> {
 }
 
 /// Encodes and writes.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let file = wiring::anchors(&files::read(&args.input)?)
         .map_err(|problem| problem.in_file(args.input.display().to_string()))?;
     let settings = EncodeSettings {

@@ -11,7 +11,7 @@ use tcgs::{
     eval::Lpips,
 };
 
-use super::{Failure, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, picture, suite, wiring};
+use super::{CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, picture, suite, wiring};
 
 /// Arguments of `tcgs eval`.
 #[derive(Debug, clap::Args)]
@@ -69,19 +69,19 @@ struct Seconds {
 }
 
 /// Measures a file, or runs a suite.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     match (&args.suite.suite, &args.file, &args.dataset) {
         (Some(folder), ..) => suite::run(&args.suite, folder, &args.adapter, &args.lpips),
-        (None, ..) if args.suite.is_touched() => {
-            Err(Failure::Usage("a flag is given that says nothing without --suite".to_owned()))
+        (None, ..) if args.suite.is_used() => {
+            Err(CliError::Usage("a flag is given that says nothing without --suite".to_owned()))
         }
         (None, Some(file), Some(dataset)) => measure(args, file, dataset),
-        _ => Err(Failure::Usage("give FILE and DATASET, or --suite".to_owned())),
+        _ => Err(CliError::Usage("give FILE and DATASET, or --suite".to_owned())),
     }
 }
 
 /// Decodes, renders every held-out view, measures.
-fn measure(args: &Args, file: &Path, dataset_path: &Path) -> Result<Report, Failure> {
+fn measure(args: &Args, file: &Path, dataset_path: &Path) -> Result<Report, CliError> {
     let lpips = wiring::lpips(args.lpips.lpips.as_deref())?;
     let bytes = files::read(file)?;
     let in_file = |problem: tcgs::domain::Problem| problem.in_file(file.display().to_string());

@@ -2,22 +2,14 @@
 
 use std::path::PathBuf;
 
-use clap::ValueEnum;
+use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use serde::Serialize;
 use tcgs::domain::{Camera, Dataset, Digest, Image, Problem, SceneFormat, Split};
 
-use super::{Failure, Report, adapter::AdapterFlag, files, wiring};
+use super::{CliError, Report, adapter::AdapterFlag, files, wiring};
 
-/// A format that other programs read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// The field's file of floats, before activation
-    Ply,
-    /// Small integers, version 4 of the format: a tenth of the size
-    Spz,
-    /// The same integers in version 3, for viewers that do not read version 4
-    Spz3,
-}
+/// The formats that other programs read.
+const FORMATS: [SceneFormat; 3] = [SceneFormat::Ply, SceneFormat::Spz, SceneFormat::Spz3];
 
 /// Arguments of `tcgs export`.
 #[derive(Debug, clap::Args)]
@@ -25,17 +17,17 @@ pub(crate) struct Args {
     /// A .tcgs file, the .safetensors or .ply of a baseline, or a .spz
     file: PathBuf,
 
-    /// What to write
-    #[arg(long, value_enum)]
-    format: Format,
+    /// Format to write: ply for floats, spz for a tenth of the size, spz3 for viewers that read only version 3 of it
+    #[arg(long, value_parser = PossibleValuesParser::new(FORMATS.map(SceneFormat::name)).try_map(|name| name.parse::<SceneFormat>()))]
+    format: SceneFormat,
 
     /// The file to write
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
 
-    /// The dataset that it was trained on: colours are fitted to what its training cameras see, and the loss is measured on
-    /// its held-out views. Without it, cameras on a sphere around the scene serve for both, which suits an object seen from
-    /// all sides and nothing else
+    /// The dataset that it was trained on: colours are fitted to renders from its training cameras, and the loss is measured on
+    /// its held-out views. Without it, cameras on a sphere around the scene are used, which suits only objects seen from all
+    /// sides
     #[arg(long)]
     dataset: Option<PathBuf>,
 
@@ -43,7 +35,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
     sh_degree: u8,
 
-    /// Do not measure the loss; no adapter is needed then
+    /// Do not measure the loss, which needs an adapter
     #[arg(long)]
     unmeasured: bool,
 
@@ -81,7 +73,7 @@ struct Source {
 }
 
 /// Bakes, writes, measures.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     files::check_writable(&args.output)?;
     let in_file = |problem: Problem| problem.in_file(args.file.display().to_string());
     let bytes = files::read(&args.file)?;
@@ -96,13 +88,8 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
             path.display()
         );
     }
-    let format = match args.format {
-        Format::Ply => SceneFormat::Ply,
-        Format::Spz => SceneFormat::Spz,
-        Format::Spz3 => SceneFormat::Spz3,
-    };
     let cameras = dataset.as_ref().map(training_cameras);
-    let exported = wiring::export(&file, format, args.sh_degree, cameras.as_deref()).map_err(in_file)?;
+    let exported = wiring::export(&file, args.format, args.sh_degree, cameras.as_deref()).map_err(in_file)?;
     let source = Source {
         format: file.format,
         bytes: bytes.len(),
@@ -122,7 +109,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     };
     let summary = Summary {
         output: args.output.clone(),
-        format,
+        format: args.format,
         bytes: exported.bytes.len(),
         gaussians,
         sh_degree: exported.degree,
@@ -157,13 +144,13 @@ fn text(summary: &Summary) -> String {
     )];
     if let Some(baked) = baked {
         lines.push(format!(
-            "baked     from {} views ({}) in {:.2} s; {} offsets that none of them shows are left out",
+            "baked     from {} views ({}) in {:.2} s; {} offsets invisible in all of them left out",
             baked.views, baked.from, baked.seconds, baked.unseen
         ));
     }
     if let Some(spz) = spz {
         lines.push(format!(
-            "packed    version {}, positions to 2^-{}; {} values out of range, {} invisible Gaussians left out",
+            "packed    version {}, positions to 2^-{}; {} values clamped, {} invisible Gaussians left out",
             spz.version, spz.fractional_bits, spz.clamped, spz.left_out
         ));
     }
@@ -177,7 +164,7 @@ fn text(summary: &Summary) -> String {
             ));
         }
         lines.push(format!(
-            "likeness  PSNR {:.2} dB to the source's own renders, {from}",
+            "fidelity  PSNR {:.2} dB to the source's own renders, {from}",
             quality.psnr_to_source
         ));
         lines.push(format!("adapter   {}", quality.adapter));

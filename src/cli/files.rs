@@ -1,4 +1,4 @@
-//! Reading inputs whole and writing outputs so that a file of the wanted name is always a whole one.
+//! Reads input files and writes output files atomically.
 
 use std::{
     fs,
@@ -8,31 +8,31 @@ use std::{
 
 use tempfile::NamedTempFile;
 
-use super::Failure;
+use super::CliError;
 
 /// The bytes of an input file.
-pub(crate) fn read(path: &Path) -> Result<Vec<u8>, Failure> {
-    fs::read(path).map_err(|fault| Failure::unreadable(path, &fault))
+pub(crate) fn read(path: &Path) -> Result<Vec<u8>, CliError> {
+    fs::read(path).map_err(|fault| CliError::unreadable(path, &fault))
 }
 
-/// Writes `bytes` beside `path` first and moves them there when they are all on the disk.
-pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    let unwritable = |fault: io::Error| Failure::unwritable(path, &fault);
+/// Writes `bytes` to a temporary file next to `path`, syncs it and renames it.
+pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
+    let unwritable = |fault: io::Error| CliError::unwritable(path, &fault);
     let mut file = beside(path).map_err(unwritable)?;
     file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(unwritable)?;
     file.persist(path).map_err(|fault| unwritable(fault.error))?;
     Ok(())
 }
 
-/// Tries whether `path` could be written now, for commands that work for hours before they write.
-pub(crate) fn check_writable(path: &Path) -> Result<(), Failure> {
+/// Checks that `path` can be written, for commands that run for hours before they write.
+pub(crate) fn check_writable(path: &Path) -> Result<(), CliError> {
     if path.is_dir() {
-        return Err(Failure::unwritable(path, &io::ErrorKind::IsADirectory.into()));
+        return Err(CliError::unwritable(path, &io::ErrorKind::IsADirectory.into()));
     }
-    beside(path).map(drop).map_err(|fault| Failure::unwritable(path, &fault))
+    beside(path).map(drop).map_err(|fault| CliError::unwritable(path, &fault))
 }
 
-/// A temporary file in the folder of `path`, which is made if it is missing.
+/// A temporary file in the folder of `path`, which is created if it is missing.
 fn beside(path: &Path) -> io::Result<NamedTempFile> {
     let folder = match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 use tcgs::domain::{Background, ByteCounts, Digest, Problem, SceneFormat};
 
-use super::{Failure, Report, files, wiring};
+use super::{CliError, Report, files, wiring};
 
 /// Arguments of `tcgs inspect`.
 #[derive(Debug, clap::Args)]
@@ -19,7 +19,7 @@ pub(crate) struct Args {
 }
 
 /// Accounts for the file.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let bytes = files::read(&args.file)?;
     let in_file = |problem: Problem| problem.in_file(args.file.display().to_string());
     match SceneFormat::of_bytes(&bytes) {

@@ -1,4 +1,4 @@
-//! `tcgs keys`: makes, lists and revokes API keys, also while the service runs.
+//! `tcgs keys`: creates, lists and revokes API keys, also while the service runs.
 
 use std::{num::NonZeroU32, path::PathBuf};
 
@@ -9,7 +9,7 @@ use tcgs::{
     store::KeyRecord,
 };
 
-use super::{Failure, Report, wiring};
+use super::{CliError, Report, wiring};
 
 /// Arguments of `tcgs keys`.
 #[derive(Debug, clap::Args)]
@@ -28,13 +28,13 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// Make a key and print it, this once
+    /// Create a key and print it once
     ///
-    /// From the first key on, the service answers nobody without one, also if it is revoked later.
+    /// From the first key on, the service requires one, also after the key is revoked.
     Create(CreateArgs),
     /// Show the keys, newest first
     List(ListArgs),
-    /// Shut a key out, from its next request on
+    /// Revoke a key, from its next request on
     Revoke(RevokeArgs),
 }
 
@@ -44,24 +44,23 @@ struct CreateArgs {
     #[arg(long)]
     name: String,
 
-    /// What it allows, separated by commas: read, scenes:write, jobs:write, or admin for everything, of every key
+    /// Scopes, separated by commas: read, scenes:write, jobs:write, or admin for everything of every owner
     #[arg(long, value_delimiter = ',', default_value = "read,scenes:write,jobs:write")]
     scopes: Vec<Scope>,
 
-    /// Storage that its scenes, uploads and jobs may take; the service's default if absent
-    #[arg(long, value_name = "BYTES")]
-    max_bytes: Option<Bytes>,
+    /// Storage for its scenes, uploads and jobs [default: the service's]
+    #[arg(long, value_name = "BYTES", alias = "max-bytes")]
+    quota_bytes: Option<Bytes>,
 
-    /// Jobs that it may have queued or running at a time; the service's default if absent
+    /// Jobs queued or running at the same time [default: the service's]
     #[arg(long, value_name = "N")]
     max_active_jobs: Option<u32>,
 
-    /// Requests that it may send in a minute; the service's default if absent
+    /// Requests per minute [default: the service's]
     #[arg(long, value_name = "N")]
     requests_per_minute: Option<NonZeroU32>,
 
-    /// Highest priority that its jobs may have, -100 to 100; the service's default if absent. Keys with the scope admin have no
-    /// such ceiling
+    /// Highest priority of its jobs, -100 to 100; none for the scope admin [default: the service's]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     max_priority: Option<i32>,
 }
@@ -79,12 +78,12 @@ struct RevokeArgs {
     id: KeyId,
 }
 
-/// Does what was asked for.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+/// Runs the action.
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     match &args.action {
         Action::Create(create) => {
             let limits = KeyLimits {
-                max_bytes: create.max_bytes.map(|bytes| bytes.0),
+                quota_bytes: create.quota_bytes.map(|bytes| bytes.0),
                 max_active_jobs: create.max_active_jobs,
                 requests_per_minute: create.requests_per_minute,
                 max_priority: create.max_priority,

@@ -1,4 +1,4 @@
-//! The flag that names the weights of LPIPS, the same for every command that measures.
+//! The flag of the LPIPS weights, shared by all commands that measure.
 
 use std::path::PathBuf;
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use tcgs::store::SchemaChange;
 
-use super::{Failure, Report, wiring};
+use super::{CliError, Report, wiring};
 
 /// Arguments of `tcgs migrate`.
 #[derive(Debug, clap::Args)]
@@ -19,7 +19,7 @@ pub(crate) struct Args {
 }
 
 /// Brings the schema up to date.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let change = wiring::migrate(&args.data)?;
     let folder = args.data.display();
     let text = match change {

@@ -1,6 +1,6 @@
 //! The commands of `tcgs`, one file each.
 //!
-//! What always holds: a command returns a [`Report`] or a [`Failure`] and prints nothing on standard output itself,
+//! What always holds: a command returns a [`Report`] or a [`CliError`] and prints nothing on standard output itself,
 //! so with `--json` exactly one JSON document appears there, also when the command fails. Progress and logs go to
 //! standard error. Output files appear whole or not at all.
 
@@ -9,9 +9,9 @@ mod config;
 mod decode;
 mod doctor;
 mod encode;
+mod error;
 mod eval;
 mod export;
-mod failure;
 mod files;
 mod inspect;
 mod keys;
@@ -20,6 +20,7 @@ mod logging;
 mod lpips;
 mod memory;
 mod migrate;
+mod options;
 mod picture;
 mod pose;
 mod priority;
@@ -39,7 +40,7 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
-use failure::Failure;
+use error::CliError;
 use logging::{Format, Verbosity};
 use report::Report;
 
@@ -151,7 +152,7 @@ impl Command {
         }
     }
 
-    fn run(self, log_format: Format) -> Result<Report, Failure> {
+    fn run(self, log_format: Format) -> Result<Report, CliError> {
         match self {
             Command::Serve(args) => serve::run(*args, log_format),
             Command::Worker(args) => worker::run(args),

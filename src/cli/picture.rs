@@ -1,24 +1,25 @@
-//! Images to files, in the format that the file's name asks for.
+//! Writes images in the format given by the file's extension.
 
 use std::{io::Cursor, path::Path};
 
 use image::{ExtendedColorType, ImageFormat};
 use tcgs::domain::{Image, Problem, ProblemType};
 
-use super::{Failure, files};
+use super::{CliError, files};
 
 /// The format that a file name asks for: PNG, JPEG or WebP.
-pub(crate) fn format_of(path: &Path) -> Result<ImageFormat, Failure> {
+pub(crate) fn format_of(path: &Path) -> Result<ImageFormat, CliError> {
     match ImageFormat::from_path(path) {
         Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP)) => Ok(format),
-        _ => {
-            Err(Failure::Usage(format!("--output: '{}' does not end in .png, .jpg or .webp", path.display())))
-        }
+        _ => Err(CliError::Usage(format!(
+            "--output: '{}' does not end in .png, .jpg or .webp",
+            path.display()
+        ))),
     }
 }
 
 /// Writes `image` to `path` in the format of its name.
-pub(crate) fn write(path: &Path, image: &Image) -> Result<(), Failure> {
+pub(crate) fn write(path: &Path, image: &Image) -> Result<(), CliError> {
     let format = format_of(path)?;
     let color = if image.channels() == 4 { ExtendedColorType::Rgba8 } else { ExtendedColorType::Rgb8 };
     let mut bytes = Cursor::new(Vec::new());

@@ -2,10 +2,10 @@
 
 use tcgs::domain::{Camera, Problem, ProblemType, View, ViewRequest};
 
-use super::{Failure, files};
+use super::{CliError, files};
 
 /// The camera that `text` gives: the JSON object itself, or the name of a file that holds it.
-pub(crate) fn camera(text: &str) -> Result<Camera, Failure> {
+pub(crate) fn camera(text: &str) -> Result<Camera, CliError> {
     let (source, json) = if text.trim_start().starts_with('{') {
         ("--pose".to_owned(), text.as_bytes().to_vec())
     } else {

@@ -11,13 +11,13 @@ use tcgs::domain::{Phase, Progress};
 /// Seconds of the run between two lines of one phase.
 const SECONDS_BETWEEN_LINES: f64 = 5.0;
 
-/// Shows reports as they come.
+/// Shows progress.
 pub(crate) enum Display {
     /// On a terminal.
     Bar(ProgressBar),
     /// In a log: the phase and the time of the last line.
     Lines {
-        /// What the last line was about.
+        /// Phase and time of the last line.
         last: Option<(Phase, f64)>,
     },
 }
@@ -37,11 +37,11 @@ impl Display {
         Self::Bar(bar)
     }
 
-    /// Takes one report.
+    /// Shows one report.
     pub(crate) fn show(&mut self, phase: Phase, progress: &Progress) {
         match self {
             Self::Bar(bar) => {
-                bar.set_prefix(name(phase));
+                bar.set_prefix(phase.name());
                 bar.set_length(progress.total);
                 bar.set_position(progress.step);
                 bar.set_message(figures(progress));
@@ -55,7 +55,7 @@ impl Display {
         }
     }
 
-    /// Leaves the terminal as it should be.
+    /// Restores the terminal.
     pub(crate) fn finish(self) {
         if let Self::Bar(bar) = self {
             bar.finish_and_clear();
@@ -67,20 +67,8 @@ fn is_due(last: Option<(Phase, f64)>, phase: Phase, progress: &Progress) -> bool
     last.is_none_or(|(shown, at)| shown != phase || progress.elapsed_seconds - at >= SECONDS_BETWEEN_LINES)
 }
 
-fn name(phase: Phase) -> &'static str {
-    match phase {
-        Phase::Queued => "queued",
-        Phase::Ingest => "ingest",
-        Phase::Train => "train",
-        Phase::Encode => "encode",
-        Phase::Evaluate => "evaluate",
-        Phase::Publish => "publish",
-        Phase::Done => "done",
-    }
-}
-
 fn line(phase: Phase, progress: &Progress) -> String {
-    let mut text = format!("{:>6.1}s {}", progress.elapsed_seconds, name(phase));
+    let mut text = format!("{:>6.1}s {}", progress.elapsed_seconds, phase.name());
     if progress.total > 0 {
         text.push_str(&format!(" {}/{}", progress.step, progress.total));
     }
@@ -92,7 +80,7 @@ fn line(phase: Phase, progress: &Progress) -> String {
     text
 }
 
-/// What is known of loss, quality, size, speed and the time left.
+/// Loss, quality, size, speed and the time left, as far as known.
 fn figures(progress: &Progress) -> String {
     let mut parts = Vec::new();
     if let Some(loss) = progress.loss {

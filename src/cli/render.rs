@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use tcgs::domain::{Camera, Problem, ProblemType};
 
-use super::{Failure, Report, adapter::AdapterFlag, files, picture, pose, wiring};
+use super::{CliError, Report, adapter::AdapterFlag, files, picture, pose, wiring};
 
 /// Arguments of `tcgs render`.
 #[derive(Debug, clap::Args)]
@@ -35,7 +35,7 @@ pub(crate) struct Args {
 }
 
 impl Args {
-    fn camera(&self) -> Result<Camera, Failure> {
+    fn camera(&self) -> Result<Camera, CliError> {
         match (&self.pose, &self.dataset, &self.frame) {
             (Some(pose), None, None) => pose::camera(pose),
             (None, Some(dataset), Some(name)) => {
@@ -47,13 +47,13 @@ impl Args {
                 })?;
                 Ok(frame.camera)
             }
-            _ => Err(Failure::Usage("give --pose, or --dataset and --frame".to_owned())),
+            _ => Err(CliError::Usage("give --pose, or --dataset and --frame".to_owned())),
         }
     }
 }
 
 /// Renders and writes.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     picture::format_of(&args.output)?;
     let camera = args.camera()?;
     let decoded = wiring::read(&files::read(&args.file)?)

@@ -1,18 +1,18 @@
-//! What a finished command says, as text or as JSON, and how it reaches standard output.
+//! The output of a command, as text or as JSON.
 
 use std::{
     io::{self, Write},
     process::ExitCode,
 };
 
-use super::Failure;
+use super::CliError;
 
 /// The outcome of a command in both forms.
 #[derive(Debug, Default)]
 pub(crate) struct Report {
-    /// For people; nothing is printed if it is empty.
+    /// Text output; nothing is printed if it is empty.
     pub(crate) text: String,
-    /// For programs.
+    /// JSON output.
     pub(crate) json: serde_json::Value,
 }
 
@@ -30,7 +30,7 @@ impl Report {
 }
 
 /// Prints the outcome and gives the exit status.
-pub(crate) fn conclude(outcome: Result<Report, Failure>, json: bool) -> ExitCode {
+pub(crate) fn conclude(outcome: Result<Report, CliError>, json: bool) -> ExitCode {
     let (printed, status) = match outcome {
         Ok(report) if json => (print(&format!("{:#}", report.json)), 0),
         Ok(report) => (print(&report.text), 0),
@@ -45,7 +45,7 @@ pub(crate) fn conclude(outcome: Result<Report, Failure>, json: bool) -> ExitCode
         }
     };
     match printed {
-        // A reader that has seen enough (`tcgs inspect … | head`) is no fault.
+        // A closed pipe (`tcgs inspect … | head`) is no error.
         Err(fault) if fault.kind() != io::ErrorKind::BrokenPipe => {
             eprintln!("tcgs: standard output: {fault}");
             ExitCode::from(4)

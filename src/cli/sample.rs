@@ -7,7 +7,7 @@ use tcgs::{
     sample::{self, SampleError, Settings},
 };
 
-use super::{Failure, Report};
+use super::{CliError, Report};
 
 /// Arguments of `tcgs sample`.
 #[derive(Debug, clap::Args)]
@@ -26,7 +26,7 @@ pub(crate) struct Args {
 }
 
 /// Renders and writes the scene.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let settings = Settings { side: args.side, seed: args.seed, ..Settings::default() };
     let written = sample::write(&args.path, &settings).map_err(failure)?;
     Ok(Report::text(format!(
@@ -38,7 +38,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     )))
 }
 
-fn failure(fault: SampleError) -> Failure {
+fn failure(fault: SampleError) -> CliError {
     let kind = match &fault {
         SampleError::NotEmpty(_) | SampleError::Exists(_) => ProblemType::Exists,
         SampleError::Side(_) => ProblemType::ImpossibleSize,

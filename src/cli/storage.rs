@@ -1,10 +1,10 @@
-//! The flags that say where a service keeps its data, the same for the service and for workers beside it.
+//! Flags for the location of a service's data, shared by `serve` and `worker`.
 
 use std::path::PathBuf;
 
-use super::Failure;
+use super::CliError;
 
-/// Where data lie.
+/// The location of a service's data.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct StorageFlags {
     /// Folder of the service's database, uploads and files
@@ -12,7 +12,7 @@ pub(crate) struct StorageFlags {
     data: PathBuf,
 
     /// Database, if not SQLite in the data folder
-    // Shared databases and blobs come with a later version; until then they are refused rather than unknown.
+    // Fixed for scripts; shared databases and blobs are not implemented.
     #[arg(long, value_name = "URL", env = "TCGS_DATABASE", hide = true)]
     database: Option<String>,
 
@@ -22,11 +22,13 @@ pub(crate) struct StorageFlags {
 }
 
 impl StorageFlags {
-    /// The data folder; what would make a queue of several machines, which this version does not have, is refused.
-    pub(crate) fn folder(self) -> Result<PathBuf, Failure> {
+    /// The data folder. `--database` and `--blobs` are refused: a queue shared by machines is not implemented.
+    pub(crate) fn folder(self) -> Result<PathBuf, CliError> {
         for (flag, value) in [("--database", self.database), ("--blobs", self.blobs)] {
             if value.is_some() {
-                return Err(Failure::Usage(format!("{flag}: this version keeps SQLite and blobs in --data")));
+                return Err(CliError::Usage(format!(
+                    "{flag}: this version keeps SQLite and blobs in --data"
+                )));
             }
         }
         Ok(self.data)

@@ -1,33 +1,20 @@
-//! `tcgs train`: a dataset in, one file and its metrics out.
+//! `tcgs train`: trains a scene from a dataset, writes its file and reports its metrics.
 
 use std::{
     path::{Path, PathBuf},
     thread,
 };
 
-use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{
-        Background, CancelFlag, Component, CurvePoint, JobMetrics, ModelKind, OptionError, Phase, Preset,
-        TrainOptions, Voxel,
-    },
-    pipeline::{Checkpoints, JobError, Resume},
+    domain::{CancelFlag, CurvePoint, JobMetrics, Phase},
+    pipeline::{Checkpoints, JobError, Resume, RunJob as _},
 };
 
 use super::{
-    Failure, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, memory::MemoryFlags, progress::Display,
-    wiring,
+    CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, memory::MemoryFlags,
+    options::TrainFlags, progress::Display, wiring,
 };
-
-/// A value parser that knows and lists the names of a choice.
-macro_rules! choice {
-    ($name:ident) => {
-        PossibleValuesParser::new($name::ALL.iter().map(|choice| choice.name()))
-            .try_map(|text| text.parse::<$name>())
-    };
-}
-pub(super) use choice;
 
 /// Arguments of `tcgs train`.
 #[derive(Debug, clap::Args)]
@@ -40,7 +27,7 @@ pub(crate) struct Args {
     output: PathBuf,
 
     #[command(flatten)]
-    options: Options,
+    options: TrainFlags,
 
     #[command(flatten)]
     adapter: AdapterFlag,
@@ -51,12 +38,12 @@ pub(crate) struct Args {
     #[command(flatten)]
     lpips: LpipsFlag,
 
-    /// Keep a checkpoint of the run in this folder, replaced every minute and when the run is interrupted
+    /// Write a checkpoint to this folder every minute and when the run is interrupted
     #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
 
-    /// Go on from the checkpoint in this folder, which must be of the same dataset and options; new ones are kept
-    /// there too, if not by --checkpoint elsewhere
+    /// Resume from the checkpoint in this folder, which must be of the same dataset and options; new ones are written there
+    /// too, unless --checkpoint names another folder
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
 
@@ -65,83 +52,9 @@ pub(crate) struct Args {
     pub(super) json: bool,
 }
 
-/// Training options; the same names as in the query of `POST /v1/jobs`.
-#[derive(Debug, clap::Args)]
-pub(super) struct Options {
-    /// Schedule: preview for a software adapter, standard for a GPU, paper as published
-    #[arg(long, value_name = "P", value_parser = choice!(Preset), default_value_t = Preset::Preview)]
-    preset: Preset,
-
-    /// Training steps, if not the preset's
-    #[arg(long, value_name = "N")]
-    iterations: Option<u32>,
-
-    /// Seed of every random choice
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    seed: u64,
-
-    /// What is behind images with alpha, and behind the renders
-    #[arg(long, value_parser = choice!(Background), default_value_t = Background::Black)]
-    background: Background,
-
-    /// What is trained: tcgs, or one of the baselines that it is measured against
-    #[arg(long, value_parser = choice!(ModelKind), default_value_t = ModelKind::Tcgs)]
-    model: ModelKind,
-
-    /// Edge of a cell of the anchors' lattice: auto (by the points' spacing), published (by the published rule), or world
-    /// units
-    #[arg(long, value_name = "V", value_parser = voxel, default_value_t = Voxel::Auto, allow_negative_numbers = true)]
-    voxel: Voxel,
-
-    /// Parts of the method to leave out
-    #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',')]
-    without: Vec<Component>,
-
-    /// Parts that a run of so few steps would do without: plane-compression is in runs of 30000 steps and more
-    #[arg(long, value_name = "PARTS", value_parser = choice!(Component), value_delimiter = ',')]
-    with: Vec<Component>,
-
-    /// Weight of the file's size in the loss: larger makes smaller files
-    #[arg(long, value_name = "X")]
-    lambda: Option<f64>,
-
-    /// Bytes that the file may have, all of it: steps become coarser and Gaussians are left out until it fits
-    #[arg(long, value_name = "N")]
-    max_bytes: Option<u64>,
-
-    /// Train once up to where the weight of the rate matters, then go on with each of these weights, and write a file for
-    /// each: OUT is that of the first, and beside it each has its weight in its name, as in OUT.lambda-0.001.tcgs
-    #[arg(long, value_name = "LIST", value_delimiter = ',', allow_negative_numbers = true)]
-    rd_curve: Vec<f64>,
-}
-
-/// Reads what `--voxel` takes.
-pub(super) fn voxel(text: &str) -> Result<Voxel, String> {
-    text.parse().map_err(|fault: OptionError| fault.fault)
-}
-
-impl Options {
-    pub(super) fn train_options(&self) -> Result<TrainOptions, Failure> {
-        let options = TrainOptions {
-            preset: self.preset,
-            iterations: self.iterations,
-            seed: self.seed,
-            background: self.background,
-            model: self.model,
-            voxel: self.voxel,
-            without: self.without.iter().copied().collect(),
-            with: self.with.iter().copied().collect(),
-            lambda: self.lambda,
-            max_bytes: self.max_bytes,
-            rd_curve: self.rd_curve.clone(),
-        };
-        Ok(options.validated()?)
-    }
-}
-
 /// Trains, writes the file, reports its metrics.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
-    let options = args.options.train_options()?;
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
+    let options = args.options.validated()?;
     files::check_writable(&args.output)?;
     for lambda in &options.rd_curve {
         files::check_writable(&with_lambda(&args.output, *lambda))?;
@@ -149,7 +62,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     let checkpoints = checkpoints(args)?;
     let lpips = wiring::lpips(args.lpips.lpips.as_deref())?;
     let memory = args.memory.limits(1);
-    let runner = wiring::runner(&args.adapter.adapter, memory, std::env::temp_dir(), lpips)?;
+    let runner = wiring::runner(&args.adapter.adapter, memory, std::env::temp_dir(), lpips);
     let cancel = CancelFlag::default();
     cancel_on_interrupt(cancel.clone());
 
@@ -167,14 +80,14 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     );
     display.finish();
     let output = outcome.map_err(|failure| match failure {
-        // The service has no name for an upload; here it has one.
+        // An upload has no name, but a dataset on the command line has one.
         JobError::Fail(problem) if reached == Phase::Ingest && problem.file.is_none() => {
-            Failure::Problem(problem.in_file(args.dataset.display().to_string()))
+            CliError::Problem(problem.in_file(args.dataset.display().to_string()))
         }
         JobError::Fail(problem) | JobError::Retry(problem) | JobError::Hold(problem) => {
-            Failure::Problem(problem)
+            CliError::Problem(problem)
         }
-        JobError::Cancelled => Failure::Stopped,
+        JobError::Cancelled => CliError::Stopped,
     })?;
     files::write(&args.output, &output.file)?;
     let mut written = vec![args.output.clone()];
@@ -205,14 +118,14 @@ fn report(metrics: &JobMetrics, written: &[PathBuf]) -> Report {
     report
 }
 
-/// The name of a curve's file: that of the output with the weight before its extension.
+/// The name of a curve's file: that of the output with lambda before its extension.
 fn with_lambda(output: &Path, lambda: f64) -> PathBuf {
     let stem = output.file_stem().unwrap_or_default().to_string_lossy();
     let extension = output.extension().map(|extension| format!(".{}", extension.to_string_lossy()));
     output.with_file_name(format!("{stem}.lambda-{lambda}{}", extension.unwrap_or_default()))
 }
 
-/// A curve as the field's survey of compression methods takes it: a line a point.
+/// A curve in the format of the 3DGS.zip survey, a line for each point.
 fn survey(curve: &[CurvePoint]) -> String {
     let mut lines = vec!["Submethod,PSNR,SSIM,LPIPS,Size [Bytes],#Gaussians".to_owned()];
     lines.extend(curve.iter().map(|point| {
@@ -226,8 +139,8 @@ fn survey(curve: &[CurvePoint]) -> String {
     lines.join("\n")
 }
 
-/// What the flags say of checkpoints, with what they name checked before anything else takes its time.
-fn checkpoints(args: &Args) -> Result<Checkpoints, Failure> {
+/// The checkpoint flags; their folders are checked before anything that takes long.
+fn checkpoints(args: &Args) -> Result<Checkpoints, CliError> {
     let keep = args.checkpoint.clone().or_else(|| args.resume.clone());
     if let Some(folder) = &args.resume {
         wiring::check_checkpoint(folder)?;
@@ -238,7 +151,7 @@ fn checkpoints(args: &Args) -> Result<Checkpoints, Failure> {
     Ok(Checkpoints { keep, resume: args.resume.clone().map_or(Resume::Fresh, Resume::From) })
 }
 
-/// The first interrupt asks the run to stop; the second, which finds the signal's old meaning gone, ends the process.
+/// The first interrupt cancels the run, the second ends the process.
 pub(super) fn cancel_on_interrupt(cancel: CancelFlag) {
     let watch = move || {
         let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_io().build() else { return };
@@ -252,7 +165,7 @@ pub(super) fn cancel_on_interrupt(cancel: CancelFlag) {
         }
     };
     if let Err(fault) = thread::Builder::new().name("interrupt".to_owned()).spawn(watch) {
-        tracing::warn!(%fault, "an interrupt will end the run at once");
+        tracing::warn!(%fault, "an interrupt will end the run without a checkpoint");
     }
 }
 
@@ -296,47 +209,7 @@ pub(super) fn text(metrics: &JobMetrics) -> String {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
-
     use super::*;
-
-    #[derive(Debug, Parser)]
-    struct Line {
-        #[command(flatten)]
-        options: Options,
-    }
-
-    fn parse(flags: &[&str]) -> Options {
-        Line::try_parse_from([&["train"], flags].concat()).expect("parses").options
-    }
-
-    #[test]
-    fn no_flag_means_the_default_options() {
-        assert_eq!(parse(&[]).train_options(), Ok(TrainOptions::default()));
-    }
-
-    #[test]
-    fn flags_become_options_and_impossible_ones_are_wrong_usage() {
-        let flags = ["--preset", "standard", "--iterations", "900", "--seed", "7", "--background", "white"];
-        let options = parse(&flags).train_options().expect("possible");
-        assert_eq!(options.preset, Preset::Standard);
-        assert_eq!((options.iterations, options.seed), (Some(900), 7));
-        assert_eq!(options.background, Background::White);
-        for flags in [["--iterations", "0"], ["--lambda", "0"], ["--max-bytes", "0"]] {
-            let failure = parse(&flags).train_options().expect_err("impossible");
-            assert_eq!(failure.exit_status(), 2);
-            assert!(failure.to_string().starts_with(flags[0]), "{failure}");
-        }
-        assert!(Line::try_parse_from(["train", "--preset", "fast"]).is_err());
-        let options = parse(&["--rd-curve", "0.004,0.0005"]).train_options().expect("possible");
-        assert_eq!(options.rd_curve, [0.004, 0.0005]);
-        for wrong in ["0", "-1", "nan", "0.001,0.001"] {
-            let failure = parse(&["--rd-curve", wrong]).train_options().expect_err("impossible");
-            assert!(failure.exit_status() == 2 && failure.to_string().starts_with("--rd-curve"), "{failure}");
-        }
-        let both = parse(&["--rd-curve", "0.001", "--max-bytes", "9"]).train_options();
-        assert_eq!(both.expect_err("impossible").exit_status(), 2);
-    }
 
     #[test]
     fn files_of_a_curve_are_named_by_their_weights() {

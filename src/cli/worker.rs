@@ -1,12 +1,12 @@
 //! `tcgs worker`: takes jobs from a queue and carries them out.
 
 use super::{
-    Failure, Report,
+    CliError, Report,
     adapter::AdapterFlag,
     config::ConfigFlags,
     lpips::LpipsFlag,
     memory::MemoryFlags,
-    priority::NiceFlag,
+    priority::WorkerPriorityFlag,
     storage::StorageFlags,
     wiring::{self, WorkerOptions},
 };
@@ -30,7 +30,7 @@ pub(crate) struct Args {
     lpips: LpipsFlag,
 
     #[command(flatten)]
-    nice: NiceFlag,
+    nice: WorkerPriorityFlag,
 
     /// Stop when standard input closes, as it does when the service that started this worker ends
     #[arg(long, hide = true)]
@@ -38,8 +38,8 @@ pub(crate) struct Args {
 }
 
 /// Works until a signal comes.
-pub(crate) fn run(args: Args) -> Result<Report, Failure> {
-    args.nice.stand_back()?;
+pub(crate) fn run(args: Args) -> Result<Report, CliError> {
+    args.nice.lower_priority()?;
     wiring::worker(WorkerOptions {
         data: args.storage.folder()?,
         adapter: args.adapter.adapter,

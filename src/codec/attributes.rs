@@ -16,7 +16,7 @@ use super::{
     range::StreamDecoder,
     shape::{Attribute, Shape},
 };
-use crate::domain::context::ContextKind;
+use crate::domain::context_model::ContextKind;
 
 const PART: &str = "attributes";
 

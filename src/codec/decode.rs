@@ -17,9 +17,9 @@ use super::{
     view,
 };
 use crate::domain::{
-    AnchorScene, Digest, DistanceUnit, NearPlane,
+    AnchorScene, Digest, NearPlane, SceneScale,
     anchors::SCALINGS_PER_ANCHOR,
-    context::{ContextKind, NEIGHBOURS},
+    context_model::{ContextKind, NEIGHBOURS},
 };
 
 /// Limits on the files that a caller accepts.
@@ -96,8 +96,8 @@ pub(super) fn decode_with(
     known: Option<KnownNeighbours<'_>>,
 ) -> Result<Decoded, DecodeError> {
     let _stage = tracing::debug_span!("decode").entered();
-    let Content { manifest, networks, symbols, near, unit, .. } = read_with(bytes, limits, known)?;
-    let scene = AnchorScene { near, unit, ..quantise::dequantise(symbols, &networks, &manifest) };
+    let Content { manifest, networks, symbols, near, scene_scale, .. } = read_with(bytes, limits, known)?;
+    let scene = AnchorScene { near, scene_scale, ..quantise::dequantise(symbols, &networks, &manifest) };
     let decode_sha256 = decode_digest(&scene);
     if decode_sha256 != manifest.decode_sha256 {
         return Err(DecodeError::DecodeDigest { stated: manifest.decode_sha256, actual: decode_sha256 });
@@ -115,7 +115,7 @@ pub(super) struct Content {
     /// Near plane.
     pub(super) near: NearPlane,
     /// Unit of the distances that the render networks get.
-    pub(super) unit: DistanceUnit,
+    pub(super) scene_scale: SceneScale,
 }
 
 /// Reads everything as integers, without dequantising.
@@ -176,8 +176,8 @@ fn read_with(
 
     let symbols = Symbols { cells, masks, groups, step_indices };
     let near = view::decode_near(container.find(sections::VIEW))?;
-    let unit = view::decode_unit(container.find(sections::UNIT))?;
-    Ok(Content { manifest, networks, symbols, models, anchors, near, unit })
+    let scene_scale = view::decode_scene_scale(container.find(sections::UNIT))?;
+    Ok(Content { manifest, networks, symbols, models, anchors, near, scene_scale })
 }
 
 /// Most multiplications that a file's networks may take: 27 000 an anchor for ten million anchors. Anchors that are easily

@@ -11,7 +11,7 @@ use super::{
     inspect::inspect,
     shape::Attribute,
 };
-use crate::domain::{ContextCandidates, Mlp, context::ContextKind};
+use crate::domain::{ContextCandidates, Mlp, context_model::ContextKind};
 
 /// Least probability that a float network is taken at, so that one symbol far away does not hide all others.
 const MIN_PROBABILITY: f64 = 1e-300;

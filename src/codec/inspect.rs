@@ -16,7 +16,7 @@ use super::{
     shape::Attribute,
     view,
 };
-use crate::domain::{ByteCounts, Digest, DistanceUnit, context::ContextKind};
+use crate::domain::{ByteCounts, Digest, SceneScale, context_model::ContextKind};
 
 /// Purpose of a byte range; the groups of [`ByteCounts`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -95,7 +95,8 @@ pub struct Inspection {
     /// Counts, choices and provenance.
     pub manifest: Manifest,
     /// Unit of the distances that the networks get, in world units.
-    pub distance_unit: DistanceUnit,
+    #[serde(rename = "distance_unit")]
+    pub scene_scale: SceneScale,
     /// Sections in file order.
     pub sections: Vec<SectionReport>,
     /// Every byte of the file, in order.
@@ -141,7 +142,7 @@ pub fn inspect(bytes: &[u8]) -> Result<Inspection, DecodeError> {
         profile: ARITHMETIC_PROFILE,
         content_sha256: container.digest,
         manifest,
-        distance_unit: view::decode_unit(container.find(sections::UNIT))?,
+        scene_scale: view::decode_scene_scale(container.find(sections::UNIT))?,
         sections: container.sections.iter().map(report).collect(),
         byte_counts: count(&map.ranges),
         ranges: map.ranges,
@@ -253,7 +254,7 @@ impl fmt::Display for Inspection {
             ("anchors a chunk", manifest.chunk_anchors.to_string()),
             ("voxel", voxel.to_string()),
             ("origin", format!("{x} {y} {z}")),
-            ("distance unit", self.distance_unit.length().to_string()),
+            ("scene scale", self.scene_scale.length().to_string()),
             ("feature step", manifest.steps.feature.to_string()),
             (
                 "scaling step",

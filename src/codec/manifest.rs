@@ -10,7 +10,7 @@ use super::{
     shape::{Attribute, Shape},
     symbols::MAX_SYMBOL,
 };
-use crate::domain::{Background, Digest, Lattice, context::ContextKind};
+use crate::domain::{Background, Digest, Lattice, context_model::ContextKind};
 
 const PART: &str = "manifest";
 

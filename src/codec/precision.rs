@@ -60,7 +60,7 @@ fn difference(mlp: &Mlp, activation: Activation, inputs: &[Vec<f32>], exact: &[V
 /// Inputs as a renderer would make them: features of evenly spaced anchors, seen along an axis or a diagonal
 /// from as far as the scene is large.
 pub(super) fn sample_inputs(scene: &AnchorScene) -> Vec<Vec<f32>> {
-    let distance = half_diagonal(scene) / scene.unit.length();
+    let distance = half_diagonal(scene) / scene.scene_scale.length();
     let stride = scene.len().div_ceil(SAMPLE_ANCHORS).max(1);
     (0..scene.len())
         .step_by(stride)

@@ -7,7 +7,7 @@ use super::{
     context::quant_steps::factor, error::EncodeError, manifest::Manifest, networks::QuantisedNetworks,
     shape::Attribute, symbols::MAX_SYMBOL,
 };
-use crate::domain::{AnchorScene, DistanceUnit, NearPlane};
+use crate::domain::{AnchorScene, NearPlane, SceneScale};
 
 /// The integers of a file, anchors in file order.
 #[derive(Debug, Clone, PartialEq)]
@@ -117,8 +117,8 @@ pub(super) fn dequantise(symbols: Symbols, networks: &QuantisedNetworks, manifes
         offsets,
         masks: symbols.masks,
         networks: networks.dequantise(),
-        near: NearPlane::USUAL,
-        unit: DistanceUnit::USUAL,
+        near: NearPlane::DEFAULT,
+        scene_scale: SceneScale::DEFAULT,
     }
 }
 

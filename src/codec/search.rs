@@ -21,7 +21,7 @@ use super::{
 };
 use crate::domain::{
     AnchorScene, AttributeGroup, ContextCandidates, ContextFrame, Mlp,
-    context::{ContextKind, GroupNetworks, NEIGHBOURS},
+    context_model::{ContextKind, GroupNetworks, NEIGHBOURS},
 };
 
 /// Bits of a weight that are tried.

@@ -1,18 +1,18 @@
-//! The optional sections that rendering needs: near plane and distance unit. A file without one has the default.
+//! The optional sections that rendering needs: near plane and scene scale. A file without one has the default.
 
 use super::{
     bytes::{Reader, Writer},
     container::Section,
     error::DecodeError,
 };
-use crate::domain::{DistanceUnit, NearPlane};
+use crate::domain::{NearPlane, SceneScale};
 
 const VIEW: &str = "view";
 const UNIT: &str = "unit";
 
 /// The section of the near plane, if one is needed.
 pub(super) fn encode_near(near: NearPlane) -> Option<Vec<u8>> {
-    (!near.is_usual()).then(|| one(near.depth()))
+    (!near.is_default()).then(|| one(near.depth()))
 }
 
 /// The value of that section, or the default without it.
@@ -20,14 +20,14 @@ pub(super) fn decode_near(section: Option<Section<'_>>) -> Result<NearPlane, Dec
     decode(section, VIEW, "near plane", NearPlane::new)
 }
 
-/// The section of the distance unit, if one is needed.
-pub(super) fn encode_unit(unit: DistanceUnit) -> Option<Vec<u8>> {
-    (!unit.is_usual()).then(|| one(unit.length()))
+/// The section of the scene scale, if one is needed.
+pub(super) fn encode_scene_scale(scene_scale: SceneScale) -> Option<Vec<u8>> {
+    (!scene_scale.is_default()).then(|| one(scene_scale.length()))
 }
 
 /// The value of that section, or the default without it.
-pub(super) fn decode_unit(section: Option<Section<'_>>) -> Result<DistanceUnit, DecodeError> {
-    decode(section, UNIT, "distance unit", DistanceUnit::new)
+pub(super) fn decode_scene_scale(section: Option<Section<'_>>) -> Result<SceneScale, DecodeError> {
+    decode(section, UNIT, "scene scale", SceneScale::new)
 }
 
 fn one(value: f32) -> Vec<u8> {

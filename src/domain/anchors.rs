@@ -6,10 +6,10 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{DistanceUnit, NearPlane};
+use super::{NearPlane, SceneScale};
 
 /// Extra inputs that every render network gets beside the anchor feature: the unit view direction and the distance
-/// in the scene's [`DistanceUnit`].
+/// in the scene's [`SceneScale`].
 pub const VIEW_INPUTS: usize = 4;
 
 /// Values per anchor in `scalings`: three scale the offsets, three are the base size of its Gaussians.
@@ -54,7 +54,7 @@ pub struct Mlp {
 
 /// The networks that turn an anchor feature and a view into neural Gaussians (METHOD.md §2.2).
 ///
-/// Each takes `[feature, view direction (3), distance in the scene's unit (1)]`; hidden width equals the feature width.
+/// Each takes `[feature, view direction (3), distance over the scene scale (1)]`; hidden width equals the feature width.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RenderNetworks {
     /// Outputs one opacity an offset, through tanh.
@@ -88,8 +88,8 @@ pub struct AnchorScene {
     pub networks: RenderNetworks,
     /// Where views begin, as in training.
     pub near: NearPlane,
-    /// What the networks are told distances in, as in training.
-    pub unit: DistanceUnit,
+    /// Divides distances before the networks see them, as in training.
+    pub scene_scale: SceneScale,
 }
 
 /// An [`AnchorScene`] whose parts do not fit together.

@@ -1,4 +1,4 @@
-//! Cameras between cameras.
+//! Interpolation of cameras.
 
 use glam::DQuat;
 
@@ -8,7 +8,7 @@ use super::{Camera, CameraError, Intrinsics, Pose};
 /// everything else along a line.
 ///
 /// # Errors
-/// [`CameraError`] where the way leads through no camera, which that between two cameras does not.
+/// [`CameraError`], which interpolation between two valid cameras does not give.
 pub fn between(from: &Camera, to: &Camera, t: f64) -> Result<Camera, CameraError> {
     if t == 0.0 {
         return Ok(*from);

@@ -1,4 +1,4 @@
-//! Time is asked of a [`Clock`] that the caller hands in, so tests decide what time it is.
+//! The time, from an injected [`Clock`], so that tests control it.
 
 use std::{
     sync::{LazyLock, Mutex, PoisonError},
@@ -12,11 +12,11 @@ pub trait Clock: Send + Sync + 'static {
     /// The current instant.
     fn now(&self) -> Timestamp;
 
-    /// Time since some moment in the life of this process, which setting the clock does not change.
+    /// Monotonic time since some moment in the life of this process.
     fn elapsed(&self) -> Duration;
 }
 
-/// The moment that [`SystemClock::elapsed`] counts from.
+/// The start of [`SystemClock::elapsed`].
 static BEGIN: LazyLock<Instant> = LazyLock::new(Instant::now);
 
 /// The machine's clock.
@@ -34,7 +34,7 @@ impl Clock for SystemClock {
     }
 }
 
-/// A clock that moves only when told to.
+/// A clock that moves only when a test moves it.
 #[derive(Debug)]
 pub struct ManualClock(Mutex<Reading>);
 
@@ -45,20 +45,20 @@ struct Reading {
 }
 
 impl ManualClock {
-    /// A clock that stands at `start`.
+    /// A clock that is stopped at `start`.
     #[must_use]
     pub fn new(start: Timestamp) -> Self {
         Self(Mutex::new(Reading { now: start, elapsed: Duration::ZERO }))
     }
 
-    /// Lets time pass; none passes by less than nothing.
+    /// Advances time; a negative duration does nothing.
     pub fn advance(&self, by: SignedDuration) {
         self.set_by(by);
         let mut reading = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         reading.elapsed += Duration::try_from(by).unwrap_or_default();
     }
 
-    /// Sets the clock forward or back, in no time.
+    /// Sets the clock without advancing monotonic time.
     pub fn set_by(&self, by: SignedDuration) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).now += by;
     }

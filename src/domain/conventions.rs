@@ -1,4 +1,4 @@
-//! What the reported figures of image quality mean, in words that travel with the figures.
+//! How reported image quality is measured, in words that are stored with the figures.
 //!
 //! A figure without its convention cannot be compared: each of the choices below moves published numbers by a tenth of a
 //! dB or more, and LPIPS on AlexNet is a third to a half of LPIPS on VGG (METHOD.md §1.2).
@@ -7,35 +7,19 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// The network that LPIPS compares features of; the figures of two networks cannot be compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum LpipsNetwork {
-    /// AlexNet in torchvision's layout.
-    #[serde(rename = "lpips-alex")]
-    Alex,
-    /// VGG16 in torchvision's layout.
-    #[serde(rename = "lpips-vgg")]
-    Vgg,
-}
+use super::choice::named_choice;
 
-impl LpipsNetwork {
-    /// The metric's name with its network.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            LpipsNetwork::Alex => "lpips-alex",
-            LpipsNetwork::Vgg => "lpips-vgg",
-        }
+named_choice! {
+    /// The network that LPIPS compares features of; the figures of two networks cannot be compared.
+    LpipsNetwork {
+        /// AlexNet in torchvision's layout.
+        Alex = "lpips-alex",
+        /// VGG16 in torchvision's layout.
+        Vgg = "lpips-vgg",
     }
 }
 
-impl fmt::Display for LpipsNetwork {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-/// How the figures beside it were measured, a phrase for each choice.
+/// How the figures beside it were measured.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Conventions {
     /// Which images are compared.

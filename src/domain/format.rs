@@ -1,8 +1,6 @@
-//! The kinds of file that a finished scene is written as, told apart by what they begin with.
+//! The formats of scene files, recognised by their first bytes.
 
-use serde::{Deserialize, Serialize};
-
-use super::ModelKind;
+use super::{ModelKind, choice::named_choice};
 
 /// First bytes of a `.tcgs` file (FORMAT.md).
 const TCGS: &[u8] = b"\x89TCGS";
@@ -13,38 +11,23 @@ const SPZ: &[u8] = b"NGSP";
 /// First bytes of a `.spz` file up to version 3: those of gzip.
 const SPZ3: &[u8] = b"\x1f\x8b";
 
-/// A kind of file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum SceneFormat {
-    /// Compressed anchors.
-    Tcgs,
-    /// Anchors and networks as floats.
-    Safetensors,
-    /// Plain Gaussians as floats.
-    Ply,
-    /// Plain Gaussians as small integers, version 4. No model is published as such; scenes are exported to it.
-    Spz,
-    /// The same integers in version 3, for viewers that read no later one.
-    Spz3,
+named_choice! {
+    /// A kind of file.
+    SceneFormat {
+        /// Compressed anchors.
+        Tcgs = "tcgs",
+        /// Anchors and networks as floats.
+        Safetensors = "safetensors",
+        /// Plain Gaussians as floats.
+        Ply = "ply",
+        /// Plain Gaussians as small integers, version 4. For exports only.
+        Spz = "spz",
+        /// The same integers in version 3, for viewers that read no later one.
+        Spz3 = "spz3",
+    }
 }
 
 impl SceneFormat {
-    /// Every kind.
-    pub const ALL: [Self; 5] = [Self::Tcgs, Self::Safetensors, Self::Ply, Self::Spz, Self::Spz3];
-
-    /// The name in the API.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            SceneFormat::Tcgs => "tcgs",
-            SceneFormat::Safetensors => "safetensors",
-            SceneFormat::Ply => "ply",
-            SceneFormat::Spz => "spz",
-            SceneFormat::Spz3 => "spz3",
-        }
-    }
-
     /// The extension of a file's name.
     #[must_use]
     pub fn extension(self) -> &'static str {
@@ -65,7 +48,7 @@ impl SceneFormat {
         }
     }
 
-    /// What a trained model is written as.
+    /// The format in which a trained model is written.
     #[must_use]
     pub fn of_model(model: ModelKind) -> Self {
         match model {
@@ -75,8 +58,7 @@ impl SceneFormat {
         }
     }
 
-    /// What a file is, by its first bytes. Anything unknown is taken for a `.tcgs` file, whose reader says best what is
-    /// wrong with it.
+    /// The format of a file by its first bytes. Anything unknown counts as `.tcgs`, whose reader describes best what is wrong.
     #[must_use]
     pub fn of_bytes(bytes: &[u8]) -> Self {
         // Safetensors begin with the length of a JSON object in eight bytes, and the object.

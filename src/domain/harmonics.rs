@@ -1,6 +1,6 @@
-//! The real spherical harmonics that plain Gaussians are coloured with, signs as the method was published with.
+//! The real spherical harmonics of plain Gaussians' colours, with the signs of the 3D Gaussian splatting paper.
 //!
-//! A colour is a half plus the sum of coefficients times these functions of the unit vector from the camera to the mean.
+//! A colour is 0.5 plus the sum of coefficients times these functions of the unit vector from the camera to the mean.
 
 use glam::DVec3;
 
@@ -15,7 +15,7 @@ pub fn functions(degree: u8) -> usize {
     (usize::from(degree) + 1).pow(2)
 }
 
-/// The degree of a function, from its place among the sixteen.
+/// The degree of a function, from its index.
 #[must_use]
 pub fn degree_of(function: usize) -> u8 {
     function.isqrt() as u8

@@ -1,4 +1,4 @@
-//! Held-out views of a finished scene as pictures: what the report of a job shows without the dataset or an adapter.
+//! Pictures of held-out views, from which a job's report is made without dataset or adapter.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,4 @@
-//! Identities: UUIDs, each kind a type of its own, so that none is taken for another.
+//! Identifiers: UUIDs, a type for each kind.
 
 use std::{fmt, str::FromStr};
 
@@ -32,10 +32,10 @@ identities! {
     /// A job's identity: a UUID whose order is the order of creation (version 7).
     JobId;
     /// The identity of a stored dataset: a UUID whose order is the order of creation (version 7).
-    SceneId;
+    DatasetId;
     /// An upload's identity: a UUID whose order is the order of creation (version 7).
     UploadId;
-    /// A key's identity, which is also the owner of what was made with it: a UUID of version 7.
+    /// A key's identity, which is also the owner of what is created with it: a UUID of version 7.
     KeyId;
     /// An endpoint's identity: a UUID of version 7.
     EndpointId;

@@ -25,7 +25,7 @@ pub enum ImageError {
     Samples {
         /// `width * height * channels`.
         expected: usize,
-        /// What was given.
+        /// The length given.
         actual: usize,
     },
 }
@@ -84,7 +84,7 @@ impl Image {
     }
 
     /// The image over a constant background, as RGB. Straight alpha is composited in 8-bit sRGB values and
-    /// floored, as the field's loaders do (METHOD.md §1.1). An RGB image is returned unchanged.
+    /// floored, as other loaders do (METHOD.md §1.1). An RGB image is returned unchanged.
     #[must_use]
     pub fn over(&self, background: [u8; 3]) -> Image {
         if self.channels == 3 {

@@ -1,45 +1,28 @@
 //! Jobs, their states and legal transitions, and the events that record them.
 
-use std::str::FromStr;
-
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::{JobId, JobMetrics, Phase, Problem, Progress, TrainOptions};
+use super::{JobId, JobMetrics, Phase, Problem, Progress, TrainOptions, choice::named_choice};
 
-/// Where a job is in its life.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum JobState {
-    /// Waiting for a worker.
-    Queued,
-    /// A worker holds its lease.
-    Running,
-    /// Its file is published.
-    Succeeded,
-    /// It ended with a problem.
-    Failed,
-    /// Somebody stopped it.
-    Cancelled,
+named_choice! {
+    /// The state of a job.
+    JobState {
+        /// Waiting for a worker.
+        Queued = "queued",
+        /// A worker holds its lease.
+        Running = "running",
+        /// Its file is published.
+        Succeeded = "succeeded",
+        /// It ended with a problem.
+        Failed = "failed",
+        /// It was cancelled.
+        Cancelled = "cancelled",
+    }
 }
 
 impl JobState {
-    /// Every state.
-    pub const ALL: [Self; 5] = [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
-
-    /// The name in the database and the API.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            JobState::Queued => "queued",
-            JobState::Running => "running",
-            JobState::Succeeded => "succeeded",
-            JobState::Failed => "failed",
-            JobState::Cancelled => "cancelled",
-        }
-    }
-
-    /// Whether nothing will change any more.
+    /// Whether the job has ended.
     #[must_use]
     pub fn is_terminal(self) -> bool {
         match self {
@@ -59,18 +42,7 @@ impl JobState {
     }
 }
 
-impl FromStr for JobState {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        Self::ALL
-            .into_iter()
-            .find(|state| state.name() == text)
-            .ok_or_else(|| format!("'{text}' is not a job state"))
-    }
-}
-
-/// A job as it stands.
+/// A job.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Job {
     /// Identity.
@@ -79,40 +51,40 @@ pub struct Job {
     pub state: JobState,
     /// Stage within the state.
     pub phase: Phase,
-    /// What to do.
+    /// Its options.
     pub options: TrainOptions,
-    /// Latest report.
+    /// Latest progress.
     pub progress: Progress,
-    /// Figures, once succeeded.
+    /// Metrics, once succeeded.
     pub metrics: Option<JobMetrics>,
     /// Why it failed.
     pub error: Option<Problem>,
-    /// How many times it was begun.
+    /// Number of attempts so far.
     pub attempt: u32,
-    /// Whether somebody asked for it to stop.
+    /// Whether cancellation was requested.
     pub cancel_requested: bool,
     /// Row version, raised by every change.
     pub version: u64,
     /// Creation.
     pub created_at: Timestamp,
-    /// Begin of the latest attempt.
+    /// Start of the latest attempt.
     pub started_at: Option<Timestamp>,
     /// End.
     pub finished_at: Option<Timestamp>,
 }
 
-/// What an event records.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum EventKind {
-    /// The state changed.
-    State,
-    /// The phase changed.
-    Phase,
-    /// Progress was reported.
-    Progress,
-    /// An attempt ended without finishing the job.
-    Attempt,
+named_choice! {
+    /// What an event records.
+    EventKind {
+        /// The state changed.
+        State = "state",
+        /// The phase changed.
+        Phase = "phase",
+        /// Progress was reported.
+        Progress = "progress",
+        /// An attempt ended without finishing the job.
+        Attempt = "attempt",
+    }
 }
 
 /// One entry of a job's history; `seq` counts from 1 without gaps within the job.

@@ -1,8 +1,8 @@
-//! API keys: what a client shows to be known.
+//! API keys.
 //!
-//! A key is `tcgs_`, forty hex digits of randomness (160 bits) and eight of CRC-32C over what stands before them. So leaked ones
-//! can be searched for, and one that was mistyped is told from one that is unknown without a look into the database. What always
-//! holds: neither a key nor its hash is ever printed, unless by the two methods whose names say so.
+//! A key is `tcgs_`, forty random hex digits (160 bits) and eight of CRC-32C over the text before them. So secret scanners find
+//! leaked keys, and a mistyped key is recognised without a look into the database. Neither a key nor its hash is printed except by
+//! the two `expose` methods.
 
 use std::{fmt, str::FromStr};
 
@@ -10,52 +10,52 @@ use secrecy::{ExposeSecret as _, SecretString};
 use subtle::ConstantTimeEq as _;
 use thiserror::Error;
 
-use super::{Digest, Entropy, entropy::EntropyError};
+use super::{Digest, RandomSource, random_source::RandomError};
 
-/// What every key begins with.
-pub const KEY_MARK: &str = "tcgs_";
+/// The prefix of every key.
+pub const KEY_PREFIX: &str = "tcgs_";
 
 const RANDOM_BYTES: usize = 20;
-const KEY_LENGTH: usize = KEY_MARK.len() + 2 * RANDOM_BYTES + 8;
-/// Hex digits after the mark that may be shown; what stays hidden is as long as a key of 128 bits.
+const KEY_LENGTH: usize = KEY_PREFIX.len() + 2 * RANDOM_BYTES + 8;
+/// Hex digits after the prefix that may be shown; 128 random bits stay hidden.
 const SHOWN_DIGITS: usize = 8;
 
 /// A whole key.
 #[derive(Debug, Clone)]
 pub struct ApiKey(SecretString);
 
-/// A string that cannot be a key. It says nothing of the string, which may be a key with a slip in it.
+/// A string that cannot be a key. It does not hold the string, which may be a key with a typing error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
-#[error("an API key is '{KEY_MARK}' and 48 hexadecimal digits, the last eight of which are a check sum")]
+#[error("an API key is '{KEY_PREFIX}' and 48 hexadecimal digits, the last eight of which are a check sum")]
 pub struct MalformedKey;
 
 impl ApiKey {
     /// A new key.
     ///
     /// # Errors
-    /// [`EntropyError`].
-    pub fn generate(entropy: &dyn Entropy) -> Result<Self, EntropyError> {
+    /// [`RandomError`].
+    pub fn generate(entropy: &dyn RandomSource) -> Result<Self, RandomError> {
         let mut random = [0; RANDOM_BYTES];
         entropy.fill(&mut random)?;
         let digits: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
-        let body = format!("{KEY_MARK}{digits}");
+        let body = format!("{KEY_PREFIX}{digits}");
         let sum = crc32c::crc32c(body.as_bytes());
         Ok(Self(format!("{body}{sum:08x}").into()))
     }
 
-    /// The key itself, for its holder, once.
+    /// The key itself, to show to its holder once.
     #[must_use]
     pub fn expose(&self) -> &str {
         self.0.expose_secret()
     }
 
-    /// Its beginning, which tells it from others and does not give it away.
+    /// Its first characters, which identify it without revealing it.
     #[must_use]
     pub fn prefix(&self) -> &str {
-        &self.expose()[..KEY_MARK.len() + SHOWN_DIGITS]
+        &self.expose()[..KEY_PREFIX.len() + SHOWN_DIGITS]
     }
 
-    /// What is kept of it.
+    /// The hash that is stored.
     #[must_use]
     pub fn hash(&self) -> KeyHash {
         KeyHash(Digest::of(self.expose().as_bytes()))
@@ -66,7 +66,7 @@ impl FromStr for ApiKey {
     type Err = MalformedKey;
 
     fn from_str(text: &str) -> Result<Self, MalformedKey> {
-        let digits = text.strip_prefix(KEY_MARK).ok_or(MalformedKey)?;
+        let digits = text.strip_prefix(KEY_PREFIX).ok_or(MalformedKey)?;
         let hex = digits.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'));
         if text.len() != KEY_LENGTH || !hex {
             return Err(MalformedKey);
@@ -90,7 +90,7 @@ impl KeyHash {
         self.0.to_string()
     }
 
-    /// Whether `stored` is this hash; takes as long for any other as for this one.
+    /// Whether `stored` is this hash, compared in constant time.
     #[must_use]
     pub fn is(&self, stored: &str) -> bool {
         self.expose().as_bytes().ct_eq(stored.as_bytes()).into()
@@ -109,8 +109,8 @@ mod tests {
 
     struct Counting;
 
-    impl Entropy for Counting {
-        fn fill(&self, bytes: &mut [u8]) -> Result<(), EntropyError> {
+    impl RandomSource for Counting {
+        fn fill(&self, bytes: &mut [u8]) -> Result<(), RandomError> {
             for (index, byte) in bytes.iter_mut().enumerate() {
                 *byte = u8::try_from(index).expect("few");
             }

@@ -1,25 +1,25 @@
-//! How much memory a run may take, and numbers of bytes as people write them.
+//! Memory limits, and byte sizes with units.
 
 use std::fmt;
 
-/// Bytes on the device that a run on dedicated hardware may take where nobody says otherwise. No portable interface
-/// tells how much there is; this much is on every card that is worth training on.
+/// Default limit of device memory on adapters with memory of their own. wgpu does not report how much there is; cards that are
+/// worth training on have this much.
 pub const DEFAULT_DEVICE_BYTES: u64 = 8 << 30;
 
-/// What a user allows.
+/// Limits set by the user.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryLimits {
-    /// Bytes of main memory; on adapters without memory of their own, the device's share is among them unless stated.
+    /// Bytes of main memory; adapters without memory of their own take theirs from it unless `gpu` is set.
     pub host: u64,
-    /// Bytes of buffers on the device, if stated.
+    /// Bytes of buffers on the device, if set.
     pub gpu: Option<u64>,
 }
 
 impl MemoryLimits {
-    /// No limit but the machine's.
+    /// No limit.
     pub const NONE: Self = Self { host: u64::MAX, gpu: Some(u64::MAX) };
 
-    /// What that comes to on an adapter. One that works in main memory gets half of it unless `gpu` is stated.
+    /// The limits on an adapter. One that shares main memory gets half of it unless `gpu` is set.
     #[must_use]
     pub fn budget(&self, shares_main_memory: bool) -> MemoryBudget {
         match self.gpu {
@@ -30,7 +30,7 @@ impl MemoryLimits {
     }
 }
 
-/// What a run may take.
+/// Memory that a run may use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryBudget {
     /// Bytes of main memory besides the device's.
@@ -39,7 +39,7 @@ pub struct MemoryBudget {
     pub gpu: u64,
 }
 
-/// A number of bytes, written with a unit and one digit after the point.
+/// A number of bytes, displayed with a unit and one decimal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Bytes(pub u64);
 

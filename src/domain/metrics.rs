@@ -1,4 +1,4 @@
-//! The figures of a finished job, shaped as the API gives them.
+//! The metrics of a finished job, as the API returns them.
 
 use serde::{Deserialize, Serialize};
 
@@ -93,9 +93,9 @@ pub struct PhaseSeconds {
     pub decode: f64,
 }
 
-/// Octaves of quantisation steps by attribute group.
+/// Base-2 logarithms of quantisation steps by attribute group.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub struct GroupOctaves {
+pub struct GroupQstepLog2 {
     /// Of anchor features.
     pub features: f64,
     /// Of anchor scalings.
@@ -104,22 +104,22 @@ pub struct GroupOctaves {
     pub offsets: f64,
 }
 
-/// What a promise on the size of the file came to.
+/// How a file was made to fit its target size.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ByteBudget {
     /// Bytes that the file may have.
     pub max_bytes: u64,
-    /// Bytes that it would have had, as it was trained.
-    #[serde(rename = "free_bytes")]
+    /// Bytes that it would have had without a target size.
+    #[serde(alias = "free_bytes")]
     pub unconstrained_bytes: u64,
-    /// By how much steps are coarser than they would have been, on average over the anchors.
-    #[serde(rename = "coarser_octaves")]
-    pub qstep_log2: GroupOctaves,
-    /// Gaussians that were left out.
+    /// Base-2 logarithm of how much coarser quantisation steps became, averaged over the anchors.
+    #[serde(alias = "coarser_octaves")]
+    pub qstep_log2: GroupQstepLog2,
+    /// Gaussians pruned to fit.
     pub gaussians_dropped: u64,
 }
 
-/// One point of a rate-distortion curve: a branch of the run with its own weight of the rate.
+/// One point of a rate-distortion curve: a branch of the run with its own `lambda`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CurvePoint {
     /// The weight.
@@ -138,13 +138,13 @@ pub struct CurvePoint {
     pub sha256: Digest,
 }
 
-/// How near the attributes of a file come to what their model allows; ratios of bytes, one being perfect.
+/// Coding efficiency of a file's attributes as ratios of bytes; 1 is ideal.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CodingEfficiency {
     /// Bytes in the file over the sum of -log2 p by the integer model that codes them.
-    #[serde(rename = "over_ideal")]
+    #[serde(alias = "over_ideal")]
     pub entropy_overhead: f64,
-    /// That sum over the same by the float networks that the integer ones were made of; null where no group has one.
+    /// That sum over the same by the float networks before conversion to integers; null if no group has one.
     pub over_floats: Option<f64>,
 }
 
@@ -178,13 +178,13 @@ pub struct JobMetrics {
     /// How image quality was measured.
     #[serde(default)]
     pub conventions: Conventions,
-    /// What `max_bytes` came to; null where it was not asked for.
+    /// How `max_bytes` was met; null if it was not set.
     #[serde(default)]
     pub byte_budget: Option<ByteBudget>,
-    /// How near its attributes come to what their model allows; null where nothing was coded.
+    /// Coding efficiency; null if nothing was entropy-coded.
     #[serde(default)]
     pub coding: Option<CodingEfficiency>,
-    /// The points of `rd_curve` in the order asked for, the first being what the other figures are of; else empty.
+    /// The points of `rd_curve` in the order given; the other metrics are those of the first. Else empty.
     #[serde(default)]
     pub rd_curve: Vec<CurvePoint>,
 }

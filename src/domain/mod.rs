@@ -1,22 +1,20 @@
-//! The vocabulary of the project: cameras, frames, anchors, options, jobs, metrics, time.
+//! The types that all layers share: cameras, frames, anchors, options, jobs, metrics, time.
 //!
-//! Nothing here does I/O, draws random numbers or reads a clock by itself. Constructors refuse values that the
-//! rest of the program must never meet (non-finite poses, zero focal lengths, empty images), so every other
-//! layer may rely on them.
+//! No I/O here, and no random numbers or time except from injected sources. Constructors refuse invalid values (non-finite poses, zero
+//! focal lengths, empty images), so other layers need not check them.
 
 #[cfg(feature = "service")]
 pub mod access;
 pub mod anchors;
 pub mod camera;
 pub mod camera_path;
+mod choice;
 #[cfg(feature = "service")]
 pub mod clock;
-pub mod context;
+pub mod context_model;
 pub mod conventions;
+pub mod dataset;
 pub mod digest;
-pub mod distance_unit;
-#[cfg(feature = "service")]
-pub mod entropy;
 pub mod format;
 pub mod gaussians;
 pub mod harmonics;
@@ -30,7 +28,7 @@ pub mod job;
 pub mod key;
 pub mod memory;
 pub mod metrics;
-pub mod near;
+pub mod near_plane;
 pub mod options;
 pub mod orbit;
 #[cfg(feature = "service")]
@@ -38,7 +36,9 @@ pub mod outbound;
 pub mod photograph;
 pub mod problem;
 pub mod progress;
-pub mod scene;
+#[cfg(feature = "service")]
+pub mod random_source;
+pub mod scene_scale;
 pub mod series;
 pub mod view;
 #[cfg(feature = "service")]
@@ -52,20 +52,18 @@ pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
 #[cfg(feature = "service")]
 pub use clock::{Clock, ManualClock, SystemClock};
-pub use context::{
+pub use context_model::{
     AttributeGroup, ContextCandidates, ContextFrame, ContextKind, GroupNetworks, PlaneContext, Planes,
     UpLayer,
 };
 pub use conventions::{Conventions, LpipsNetwork};
+pub use dataset::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
 pub use digest::Digest;
-pub use distance_unit::DistanceUnit;
-#[cfg(feature = "service")]
-pub use entropy::{Entropy, EntropyError, SystemEntropy};
 pub use format::SceneFormat;
 pub use gaussians::{GaussianScene, Scene};
 pub use held_out::{HeldOut, HeldOutView};
 #[cfg(feature = "service")]
-pub use id::{DeliveryId, EndpointId, JobId, KeyId, SceneId, UploadId};
+pub use id::{DatasetId, DeliveryId, EndpointId, JobId, KeyId, UploadId};
 pub use image::{Image, ImageError};
 #[cfg(feature = "service")]
 pub use job::{Event, EventKind, Job, JobState};
@@ -73,19 +71,23 @@ pub use job::{Event, EventKind, Job, JobState};
 pub use key::{ApiKey, KeyHash, MalformedKey};
 pub use memory::{Bytes, MemoryBudget, MemoryLimits};
 pub use metrics::{
-    ByteBudget, ByteCounts, CodingEfficiency, CurvePoint, GroupOctaves, JobMetrics, PhaseSeconds, Scores,
+    ByteBudget, ByteCounts, CodingEfficiency, CurvePoint, GroupQstepLog2, JobMetrics, PhaseSeconds, Scores,
     ViewScore,
 };
-pub use near::NearPlane;
-pub use options::{Background, Component, ModelKind, OptionError, Preset, TrainOptions, Voxel};
+pub use near_plane::NearPlane;
+pub use options::{
+    Background, Component, ModelKind, OptionError, Preset, TRAIN_OPTIONS, TrainOption, TrainOptions, Voxel,
+};
 pub use orbit::Orbit;
 #[cfg(feature = "service")]
-pub use outbound::{OutboundFault, OutboundPolicy};
+pub use outbound::{OutboundError, OutboundPolicy};
 pub use photograph::{Photograph, PhotographError, PixelSource};
 pub use problem::{Problem, ProblemType};
 pub use progress::{CancelFlag, Phase, Progress};
-pub use scene::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
-pub use series::{SERIES_POINTS, SeriesPoint, in_running_time, series_bucket};
+#[cfg(feature = "service")]
+pub use random_source::{RandomError, RandomSource, SystemRandom};
+pub use scene_scale::SceneScale;
+pub use series::{SERIES_POINTS, SeriesPoint, series_bucket, with_cumulative_seconds};
 pub use view::{View, ViewError, ViewRequest};
 #[cfg(feature = "service")]
 pub use webhook::WebhookEvent;

@@ -1,11 +1,14 @@
-//! Training options: the same names and meanings on the command line, in the query string and in JSON.
+//! Training options. [`TRAIN_OPTIONS`] is the only list of them: the command line, the query string and JSON are read by it.
 
 use std::{collections::BTreeSet, fmt, str::FromStr};
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use thiserror::Error;
 
-/// Largest number of steps that a job may ask for.
+use super::choice::named_choice;
+
+/// Most iterations of a run.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
 
 /// Most points of a rate-distortion curve.
@@ -22,50 +25,14 @@ pub struct OptionError {
 }
 
 impl OptionError {
-    pub(crate) fn new(option: &'static str, fault: impl Into<String>) -> Self {
+    fn new(option: &'static str, fault: impl Into<String>) -> Self {
         Self { option, fault: fault.into() }
     }
 }
 
-macro_rules! named_choice {
-    ($(#[$meta:meta])* $name:ident, $option:literal { $($(#[$variant_meta:meta])* $variant:ident = $text:literal),+ $(,)? }) => {
-        $(#[$meta])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-        pub enum $name { $($(#[$variant_meta])* #[serde(rename = $text)] $variant),+ }
-
-        impl $name {
-            /// Every choice.
-            pub const ALL: &[Self] = &[$(Self::$variant),+];
-
-            /// The name that users write.
-            #[must_use]
-            pub fn name(self) -> &'static str {
-                match self { $(Self::$variant => $text),+ }
-            }
-        }
-
-        impl fmt::Display for $name {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str(self.name())
-            }
-        }
-
-        impl FromStr for $name {
-            type Err = OptionError;
-
-            fn from_str(text: &str) -> Result<Self, OptionError> {
-                Self::ALL.iter().copied().find(|choice| choice.name() == text).ok_or_else(|| {
-                    let names: Vec<_> = Self::ALL.iter().map(|choice| choice.name()).collect();
-                    OptionError::new($option, format!("'{text}' is not one of {}", names.join(", ")))
-                })
-            }
-        }
-    };
-}
-
 named_choice! {
     /// A schedule: how many steps, how large a model.
-    Preset, "preset" {
+    Preset {
         /// Minutes on a software adapter.
         Preview = "preview",
         /// For a GPU.
@@ -77,7 +44,7 @@ named_choice! {
 
 named_choice! {
     /// The colour behind the scene.
-    Background, "background" {
+    Background {
         /// (1, 1, 1).
         White = "white",
         /// (0, 0, 0).
@@ -104,7 +71,7 @@ impl Background {
 
 named_choice! {
     /// What is trained.
-    ModelKind, "model" {
+    ModelKind {
         /// Anchors with compression-aware training, written as `.tcgs`.
         Tcgs = "tcgs",
         /// The Scaffold-GS baseline.
@@ -116,7 +83,7 @@ named_choice! {
 
 named_choice! {
     /// A part of the method that can be switched off.
-    Component, "without" {
+    Component {
         /// The tri-plane context.
         TriPlane = "triplane",
         /// The neighbours' context.
@@ -155,18 +122,16 @@ impl fmt::Display for Voxel {
 }
 
 impl FromStr for Voxel {
-    type Err = OptionError;
+    type Err = String;
 
-    fn from_str(text: &str) -> Result<Self, OptionError> {
+    fn from_str(text: &str) -> Result<Self, String> {
         match text {
             "auto" => Ok(Voxel::Auto),
             "published" => Ok(Voxel::Published),
-            _ => text.parse().map(Voxel::Edge).map_err(|_| {
-                OptionError::new(
-                    "voxel",
-                    format!("'{text}' is not auto, published or a length in world units"),
-                )
-            }),
+            _ => text
+                .parse()
+                .map(Voxel::Edge)
+                .map_err(|_| format!("'{text}' is not auto, published or a length")),
         }
     }
 }
@@ -189,15 +154,14 @@ pub struct TrainOptions {
     pub voxel: Voxel,
     /// Parts of the method that are off.
     pub without: BTreeSet<Component>,
-    /// Parts that are on in runs that would do without them. Told only where there are some.
+    /// Parts that are on in runs that leave them out by default; serialised only if there are some.
     #[serde(skip_serializing_if = "BTreeSet::is_empty")]
     pub with: BTreeSet<Component>,
     /// Weight of the rate term; the preset's own if absent.
     pub lambda: Option<f64>,
-    /// Promise on the size of the written file, every byte of it.
+    /// Target size of the written file: the most bytes that it may have.
     pub max_bytes: Option<u64>,
-    /// Weights of the rate term, each of which a branch of the run is made for and a file written; empty for one run and one
-    /// file.
+    /// Weights of the rate term, each for a branch of the run with its own file; empty for one run and one file.
     pub rd_curve: Vec<f64>,
 }
 
@@ -220,61 +184,28 @@ impl Default for TrainOptions {
 }
 
 impl TrainOptions {
-    /// The name of every option.
-    pub const NAMES: [&str; 11] = [
-        "preset",
-        "iterations",
-        "seed",
-        "background",
-        "model",
-        "voxel",
-        "without",
-        "with",
-        "lambda",
-        "max_bytes",
-        "rd_curve",
-    ];
-
-    /// Sets one option from its query-string or flag text; `without`, `with` and `rd_curve` take comma-separated lists, the last
-    /// with or without the brackets that JSON has.
+    /// Sets one option from its text in a query string or after a flag; lists are separated by commas.
     ///
     /// # Errors
-    /// [`OptionError`] for an unknown name or an impossible value.
+    /// [`OptionError`] for an unknown name or a value of another kind.
     pub fn set(&mut self, option: &str, text: &str) -> Result<(), OptionError> {
-        match option {
-            "preset" => self.preset = text.parse()?,
-            "iterations" => self.iterations = Some(number("iterations", text)?),
-            "seed" => self.seed = number("seed", text)?,
-            "background" => self.background = text.parse()?,
-            "model" => self.model = text.parse()?,
-            "voxel" => self.voxel = text.parse()?,
-            "without" => {
-                for name in text.split(',').filter(|name| !name.is_empty()) {
-                    self.without.insert(name.parse()?);
-                }
-            }
-            "with" => {
-                for name in text.split(',').filter(|name| !name.is_empty()) {
-                    let named: Result<Component, OptionError> = name.parse();
-                    self.with.insert(named.map_err(|fault| OptionError::new("with", fault.fault))?);
-                }
-            }
-            "lambda" => self.lambda = Some(number("lambda", text)?),
-            "max_bytes" => self.max_bytes = Some(number("max_bytes", text)?),
-            "rd_curve" => {
-                let list = text.strip_prefix('[').and_then(|list| list.strip_suffix(']')).unwrap_or(text);
-                self.rd_curve =
-                    list.split(',').map(|text| number("rd_curve", text.trim())).collect::<Result<_, _>>()?;
-            }
-            _ => {
-                let known = Self::NAMES.join(", ");
-                return Err(OptionError::new(
-                    "query",
-                    format!("'{option}' is not an option; there are {known}"),
-                ));
-            }
+        let row = TrainOption::named(option)?;
+        (row.set)(self, text).ok_or_else(|| row.mismatch(format_args!("'{}'", shown(text))))
+    }
+
+    /// Sets one option from its value in JSON: a number, a name, or for a list also an array. `null` leaves an option unset that has
+    /// no default.
+    ///
+    /// # Errors
+    /// As [`Self::set`].
+    pub fn set_json(&mut self, option: &str, value: &Value) -> Result<(), OptionError> {
+        let row = TrainOption::named(option)?;
+        match row.kind.text_of(value) {
+            Some(text) => self.set(row.name, &text),
+            None if value.is_null() && row.is_nullable() => Ok(()),
+            None if value.as_array().is_some_and(Vec::is_empty) && row.kind.is_list() => Ok(()),
+            None => Err(row.mismatch(format_args!("{}", shown(&value.to_string())))),
         }
-        Ok(())
     }
 
     /// Whether a part of the method takes part: the baselines have none of them.
@@ -302,13 +233,14 @@ impl TrainOptions {
                 format!("{iterations} is outside 1..={MAX_ITERATIONS}"),
             ));
         }
+        let is_positive = |value: f64| value.is_finite() && value > 0.0 && (value as f32).is_normal();
         if let Voxel::Edge(edge) = self.voxel
-            && !(edge.is_finite() && edge > 0.0 && (edge as f32).is_normal())
+            && !is_positive(edge)
         {
             return Err(OptionError::new("voxel", format!("{edge} is not a positive length")));
         }
         if let Some(lambda) = self.lambda {
-            if !(lambda.is_finite() && lambda > 0.0 && (lambda as f32).is_normal()) {
+            if !is_positive(lambda) {
                 return Err(OptionError::new("lambda", format!("{lambda} is not a positive weight")));
             }
             if self.model != ModelKind::Tcgs {
@@ -323,31 +255,29 @@ impl TrainOptions {
     }
 
     fn check_with(&self) -> Result<(), OptionError> {
-        let fault = |text: String| Err(OptionError::new("with", text));
-        for part in &self.with {
-            if *part != Component::PlaneCompression {
-                return fault(format!("'{part}' is in every run that does not leave it out"));
+        let fault = |text: String| Err(OptionError::new("plane_compression", text));
+        match self.with.first() {
+            None => Ok(()),
+            Some(part) if self.with.len() > 1 || *part != Component::PlaneCompression => {
+                fault("no other part of the method is optional".to_owned())
             }
-            if !self.has(*part) || !self.has(Component::TriPlane) {
-                return fault(format!(
-                    "'{part}' has no part in a run of model '{}' without its planes",
-                    self.model
-                ));
+            Some(part) if !self.has(*part) || !self.has(Component::TriPlane) => {
+                fault(format!("the model {} has no planes to compress, or they are switched off", self.model))
             }
+            Some(_) => Ok(()),
         }
-        Ok(())
     }
 
     fn check_max_bytes(&self) -> Result<(), OptionError> {
         let fault = |text: String| Err(OptionError::new("max_bytes", text));
         match self.max_bytes {
             None => Ok(()),
-            Some(0) => fault("0 bytes hold no file".to_owned()),
+            Some(0) => fault("a file has at least 1 byte".to_owned()),
             Some(_) if self.model != ModelKind::Tcgs => {
-                fault(format!("the model {} is written as floats, whose size cannot be chosen", self.model))
+                fault(format!("the model {} has no target size: it is written as floats", self.model))
             }
             Some(_) if !self.rd_curve.is_empty() => {
-                fault("a curve has files of several sizes; leave out max_bytes or rd_curve".to_owned())
+                fault("is for one file, rd_curve for several; leave out one of them".to_owned())
             }
             Some(_) => Ok(()),
         }
@@ -391,12 +321,235 @@ impl TrainOptions {
     }
 }
 
-fn number<T: FromStr>(option: &'static str, text: &str) -> Result<T, OptionError> {
-    text.parse().map_err(|_| OptionError::new(option, format!("'{text}' is not a number in range")))
+/// What an option's value is, and its bounds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum OptionKind {
+    /// One of these names.
+    Choice(&'static [&'static str]),
+    /// A set of these names, separated by commas.
+    Choices(&'static [&'static str]),
+    /// A whole number from the first to the second.
+    Integer(u64, u64),
+    /// A positive number.
+    Positive,
+    /// At most so many different positive numbers, separated by commas, perhaps in brackets.
+    Positives(usize),
+    /// One of these names, or a positive number.
+    ChoiceOrPositive(&'static [&'static str]),
+}
+
+impl fmt::Display for OptionKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            OptionKind::Choice(names) => write!(f, "one of {}", names.join(", ")),
+            OptionKind::Choices(names) => write!(f, "a list of {}", names.join(", ")),
+            OptionKind::Integer(least, most) => write!(f, "a whole number in {least}..={most}"),
+            OptionKind::Positive => f.write_str("a positive number"),
+            OptionKind::Positives(most) => write!(f, "a list of at most {most} positive numbers"),
+            OptionKind::ChoiceOrPositive(names) => write!(f, "{} or a positive number", names.join(", ")),
+        }
+    }
+}
+
+impl OptionKind {
+    fn is_list(self) -> bool {
+        matches!(self, OptionKind::Choices(_) | OptionKind::Positives(_))
+    }
+
+    /// A value of this kind in JSON as it would stand in a query string; `None` for a value of another kind.
+    fn text_of(self, value: &Value) -> Option<String> {
+        let one = |value: &Value| match (self, value) {
+            (OptionKind::Choice(_) | OptionKind::Choices(_), Value::String(text)) => Some(text.clone()),
+            (OptionKind::ChoiceOrPositive(names), Value::String(text)) => {
+                names.contains(&text.as_str()).then(|| text.clone())
+            }
+            (OptionKind::Choice(_) | OptionKind::Choices(_), _) => None,
+            (_, Value::Number(number)) => Some(number.to_string()),
+            _ => None,
+        };
+        match value {
+            Value::Array(items) if self.is_list() && !items.is_empty() => {
+                // An empty name would be left out, and one with a comma in it would become two.
+                let item = |value| one(value).filter(|text| !text.is_empty() && !text.contains(','));
+                items.iter().map(item).collect::<Option<Vec<_>>>().map(|items| items.join(","))
+            }
+            Value::String(text) if self.is_list() => Some(text.clone()),
+            _ if self.is_list() => None,
+            value => one(value),
+        }
+    }
+}
+
+/// A row of [`TRAIN_OPTIONS`].
+#[derive(Debug)]
+pub struct TrainOption {
+    /// Its name in the query string and in JSON; the command line's flag has hyphens for underscores.
+    pub name: &'static str,
+    /// What it takes.
+    pub kind: OptionKind,
+    /// What an absent option means, where that is a value.
+    pub default: Option<&'static str>,
+    /// One sentence for `--help`; none for an earlier name, which the API alone still takes.
+    pub help: Option<&'static str>,
+    /// `None` where the text is not of this kind.
+    set: fn(&mut TrainOptions, &str) -> Option<()>,
+}
+
+impl TrainOption {
+    /// The option of that name.
+    ///
+    /// # Errors
+    /// [`OptionError`] that lists the names there are.
+    fn named(name: &str) -> Result<&'static Self, OptionError> {
+        TRAIN_OPTIONS.iter().find(|row| row.name == name).ok_or_else(|| {
+            let known = TRAIN_OPTIONS.each_ref().map(|row| row.name).join(", ");
+            OptionError::new("query", format!("'{name}' is not an option; there are {known}"))
+        })
+    }
+
+    fn mismatch(&self, value: fmt::Arguments<'_>) -> OptionError {
+        OptionError::new(self.name, format!("{value} is not {}", self.kind))
+    }
+
+    /// Whether JSON may say `null` for an absent value.
+    #[must_use]
+    pub fn is_nullable(&self) -> bool {
+        self.default.is_none() && !self.kind.is_list()
+    }
+}
+
+/// Every option of a training run. The command line's flags, the query string and JSON are read by it, and a test holds `openapi.yaml`
+/// to it.
+pub static TRAIN_OPTIONS: [TrainOption; 12] = [
+    TrainOption {
+        name: "preset",
+        kind: OptionKind::Choice(Preset::NAMES),
+        default: Some("preview"),
+        help: Some("Schedule: preview for a software adapter, standard for a GPU, paper as published"),
+        set: |options, text| text.parse().ok().map(|preset| options.preset = preset),
+    },
+    TrainOption {
+        name: "iterations",
+        kind: OptionKind::Integer(1, MAX_ITERATIONS as u64),
+        default: None,
+        help: Some("Training iterations [default: the preset's]"),
+        set: |options, text| text.parse().ok().map(|steps| options.iterations = Some(steps)),
+    },
+    TrainOption {
+        name: "seed",
+        kind: OptionKind::Integer(0, u64::MAX),
+        default: Some("0"),
+        help: Some("Seed of all random numbers"),
+        set: |options, text| text.parse().ok().map(|seed| options.seed = seed),
+    },
+    TrainOption {
+        name: "background",
+        kind: OptionKind::Choice(Background::NAMES),
+        default: Some("black"),
+        help: Some("Background of renders and of images with alpha"),
+        set: |options, text| text.parse().ok().map(|background| options.background = background),
+    },
+    TrainOption {
+        name: "model",
+        kind: OptionKind::Choice(ModelKind::NAMES),
+        default: Some("tcgs"),
+        help: Some("Model to train: tcgs, or one of its baselines"),
+        set: |options, text| text.parse().ok().map(|model| options.model = model),
+    },
+    TrainOption {
+        name: "voxel",
+        kind: OptionKind::ChoiceOrPositive(&["auto", "published"]),
+        default: Some("auto"),
+        help: Some(
+            "Edge of a voxel of the anchor lattice: auto (from the spacing of the points), published (the paper's rule), or a length in world units",
+        ),
+        set: |options, text| text.parse().ok().map(|voxel| options.voxel = voxel),
+    },
+    TrainOption {
+        name: "without",
+        kind: OptionKind::Choices(Component::NAMES),
+        default: None,
+        help: Some("Parts of the method to switch off"),
+        set: |options, text| {
+            names(text).try_for_each(|name| name.parse().ok().map(|part| _ = options.without.insert(part)))
+        },
+    },
+    TrainOption {
+        name: "plane_compression",
+        kind: OptionKind::Choice(&["auto", "on", "off"]),
+        default: Some("auto"),
+        help: Some(
+            "Down- and upsampling of the context planes: auto switches it on for 30000 iterations and more",
+        ),
+        set: |options, text| {
+            match text {
+                "auto" => {}
+                "on" => _ = options.with.insert(Component::PlaneCompression),
+                "off" => _ = options.without.insert(Component::PlaneCompression),
+                _ => return None,
+            }
+            Some(())
+        },
+    },
+    // As jobs and files store `plane_compression=on`, and earlier clients send it.
+    TrainOption {
+        name: "with",
+        kind: OptionKind::Choices(&["plane-compression"]),
+        default: None,
+        help: None,
+        set: |options, text| {
+            names(text).try_for_each(|name| {
+                let part = name.parse().ok().filter(|part| *part == Component::PlaneCompression)?;
+                options.with.insert(part);
+                Some(())
+            })
+        },
+    },
+    TrainOption {
+        name: "lambda",
+        kind: OptionKind::Positive,
+        default: None,
+        help: Some(
+            "Weight of the file's size in the loss; larger makes smaller files [default: the preset's]",
+        ),
+        set: |options, text| text.parse().ok().map(|weight| options.lambda = Some(weight)),
+    },
+    TrainOption {
+        name: "max_bytes",
+        kind: OptionKind::Integer(1, u64::MAX),
+        default: None,
+        help: Some("Largest size of the file: coarser quantisation and pruning make it fit"),
+        set: |options, text| text.parse().ok().map(|bytes| options.max_bytes = Some(bytes)),
+    },
+    TrainOption {
+        name: "rd_curve",
+        kind: OptionKind::Positives(MAX_CURVE_POINTS),
+        default: None,
+        help: Some(
+            "Values of lambda, each for a file of its own: training is shared up to where lambda matters. OUT is the file of the first; the others, and the first again, have lambda in their names, as in OUT.lambda-0.001.tcgs",
+        ),
+        set: |options, text| {
+            let list = text.strip_prefix('[').and_then(|list| list.strip_suffix(']')).unwrap_or(text);
+            let weights: Option<_> = list.split(',').map(|text| text.trim().parse().ok()).collect();
+            weights.map(|weights| options.rd_curve = weights)
+        },
+    },
+];
+
+/// As much of a value as a message repeats.
+fn shown(value: &str) -> String {
+    value.chars().take(100).collect()
+}
+
+/// The names of a list.
+fn names(text: &str) -> impl Iterator<Item = &str> {
+    text.split(',').filter(|name| !name.is_empty())
 }
 
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::*;
 
     #[test]
@@ -414,15 +567,65 @@ mod tests {
     }
 
     #[test]
-    fn every_option_has_its_name_in_the_list() {
+    fn every_field_has_its_row_with_its_default() {
         let all = TrainOptions { with: Component::ALL.iter().copied().collect(), ..TrainOptions::default() };
         let fields = serde_json::to_value(all).expect("JSON");
-        let fields: Vec<&String> = fields.as_object().expect("an object").keys().collect();
-        assert_eq!(fields, TrainOptions::NAMES.each_ref());
-        for name in TrainOptions::NAMES {
-            let unknown = |fault: OptionError| fault.to_string().contains("is not an option");
-            assert!(!TrainOptions::default().set(name, "?").is_err_and(unknown), "{name}");
+        let fields: BTreeSet<&str> =
+            fields.as_object().expect("an object").keys().map(String::as_str).collect();
+        let rows = TRAIN_OPTIONS.iter().map(|row| row.name).filter(|name| *name != "plane_compression");
+        assert_eq!(fields, rows.collect());
+        for row in &TRAIN_OPTIONS {
+            let mut options = TrainOptions::default();
+            row.default.into_iter().for_each(|text| options.set(row.name, text).expect("a value"));
+            assert_eq!(options, TrainOptions::default(), "{}", row.name);
+            let fault = options.set(row.name, "?").expect_err("no value");
+            assert_eq!(fault.to_string(), format!("{}: '?' is not {}", row.name, row.kind));
         }
+    }
+
+    #[test]
+    fn json_has_numbers_names_and_lists_of_them() {
+        let set = |name: &str, value: serde_json::Value| {
+            let mut options = TrainOptions::default();
+            options.set_json(name, &value).map(|()| options)
+        };
+        let with_lists = set("without", json!(["masks", "knn"])).expect("parts");
+        assert_eq!(with_lists.without, [Component::Knn, Component::Masks].into());
+        assert_eq!(set("rd_curve", json!([0.004, 1e-3])).expect("weights").rd_curve, [0.004, 0.001]);
+        assert_eq!(set("rd_curve", json!("0.004,1e-3")).expect("weights").rd_curve, [0.004, 0.001]);
+        assert_eq!(set("voxel", json!(0.1)).expect("a length").voxel, Voxel::Edge(0.1));
+        for (name, value) in [("lambda", json!(null)), ("without", json!([])), ("rd_curve", json!([]))] {
+            assert_eq!(set(name, value).expect("absent"), TrainOptions::default());
+        }
+        for (name, value) in [
+            ("iterations", json!("7")),
+            ("iterations", json!(1.5)),
+            ("seed", json!(null)),
+            ("voxel", json!("0.5")),
+            ("lambda", json!(true)),
+            ("without", json!(null)),
+            ("without", json!(["masks,knn"])),
+            ("without", json!([""])),
+            ("rd_curve", json!(["0.1"])),
+            ("rd_curve", json!(0.1)),
+        ] {
+            let fault = set(name, value.clone()).expect_err("another kind");
+            assert!(fault.option == name && fault.fault.contains(&value.to_string()), "{name}: {fault}");
+        }
+    }
+
+    #[test]
+    fn compressed_planes_are_automatic_on_or_off() {
+        let set = |text: &str| {
+            let mut options = TrainOptions::default();
+            options.set("plane_compression", text).map(|()| options)
+        };
+        assert_eq!(set("auto"), Ok(TrainOptions::default()));
+        assert_eq!(set("on").expect("on").with, [Component::PlaneCompression].into());
+        assert!(!set("off").expect("off").has(Component::PlaneCompression));
+        let mut both = set("on").expect("on");
+        both.set("without", "plane-compression").expect("a part");
+        assert_eq!(both.validated().expect_err("a contradiction").option, "plane_compression");
     }
 
     #[test]
@@ -439,7 +642,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_runs_do_without_by_themselves_can_be_asked_for() {
+    fn only_parts_that_are_off_by_default_can_be_switched_on() {
         let asked = |model, without: &[Component], with: &str| {
             let without = without.iter().copied().collect();
             let mut options = TrainOptions { model, without, ..TrainOptions::default() };
@@ -447,21 +650,23 @@ mod tests {
             options.validated()
         };
         let options = asked(ModelKind::Tcgs, &[], "plane-compression").expect("possible");
-        assert_eq!(
-            serde_json::to_value(&options).expect("JSON")["with"],
-            serde_json::json!(["plane-compression"])
-        );
+        assert_eq!(serde_json::to_value(&options).expect("JSON")["with"], json!(["plane-compression"]));
         let usual = serde_json::to_value(TrainOptions::default()).expect("JSON");
-        assert!(usual.get("with").is_none(), "files say nothing of what was not asked for");
-        for fault in [
-            asked(ModelKind::Tcgs, &[], "masks"),
-            asked(ModelKind::Tcgs, &[], "hope"),
-            asked(ModelKind::Tcgs, &[Component::PlaneCompression], "plane-compression"),
-            asked(ModelKind::Tcgs, &[Component::TriPlane], "plane-compression"),
-            asked(ModelKind::Scaffold, &[], "plane-compression"),
+        assert!(usual.get("with").is_none(), "it is not serialised unless set");
+        for (fault, option) in [
+            (asked(ModelKind::Tcgs, &[], "masks"), "with"),
+            (asked(ModelKind::Tcgs, &[], "hope"), "with"),
+            (
+                asked(ModelKind::Tcgs, &[Component::PlaneCompression], "plane-compression"),
+                "plane_compression",
+            ),
+            (asked(ModelKind::Tcgs, &[Component::TriPlane], "plane-compression"), "plane_compression"),
+            (asked(ModelKind::Scaffold, &[], "plane-compression"), "plane_compression"),
         ] {
-            assert_eq!(fault.expect_err("refused").option, "with");
+            assert_eq!(fault.expect_err("refused").option, option);
         }
+        let stored: TrainOptions = serde_json::from_value(json!({ "with": ["masks"] })).expect("options");
+        assert_eq!(stored.validated().expect_err("refused").option, "plane_compression");
     }
 
     #[test]
@@ -479,7 +684,7 @@ mod tests {
             assert_eq!(options.clone().validated(), Ok(options));
         }
         for text in ["", "small", "0,1"] {
-            assert_eq!(text.parse::<Voxel>().expect_err(text).option, "voxel");
+            assert_eq!(TrainOptions::default().set("voxel", text).expect_err(text).option, "voxel");
         }
         for edge in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e-300, 1e300] {
             let options = TrainOptions { voxel: Voxel::Edge(edge), ..TrainOptions::default() };
@@ -488,7 +693,7 @@ mod tests {
     }
 
     #[test]
-    fn a_promise_on_the_size_is_for_the_method_alone() {
+    fn a_target_size_is_for_the_method_alone() {
         let set = |pairs: &[(&str, &str)]| {
             let mut options = TrainOptions::default();
             pairs.iter().for_each(|(name, value)| options.set(name, value).expect("parses"));

@@ -4,9 +4,9 @@ use glam::{DMat3, DVec3};
 
 use super::{Camera, CameraError, Pose};
 
-/// Weight of the guess that decides where the cameras' axes do not: along the axes of parallel cameras.
+/// Weight of the initial guess, which matters only along the axes of parallel cameras.
 const GUESS_WEIGHT: f64 = 1e-3;
-/// Weight of the mean upward axis beside the horizontal axes: what cameras roll by chance weighs less.
+/// Weight of the mean upward axis against the horizontal axes: less than the cameras' accidental roll.
 const MEAN_UP_WEIGHT: f64 = 0.02;
 const EIGEN_STEPS: usize = 50;
 
@@ -17,7 +17,7 @@ pub struct Orbit {
     pub center: DVec3,
     /// The axis of the circle, of length 1.
     pub up: DVec3,
-    /// From the axis to the place of turn 0, of length 1 and at right angles to `up`.
+    /// Unit vector from the axis to the position at turn 0, perpendicular to `up`.
     pub start: DVec3,
     /// Distance from the axis.
     pub radius: f64,
@@ -26,8 +26,8 @@ pub struct Orbit {
 }
 
 impl Orbit {
-    /// The circle that `cameras` lie on as well as they lie on any: around the point nearest to all their axes, at their mean
-    /// distance and height, upright as they are, from where the first of them is. None without cameras.
+    /// The circle that fits `cameras`: around the point nearest to all their axes, at their mean distance and height, with their mean up
+    /// direction, starting at the first of them. `None` without cameras.
     #[must_use]
     pub fn around(cameras: &[Camera]) -> Option<Self> {
         let count = cameras.len() as f64;
@@ -57,7 +57,7 @@ impl Orbit {
         let height = mean(&|pose| DVec3::splat((pose.center() - center).dot(up))).x;
         let distance = radius.hypot(height);
         let start = flat(first).try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());
-        // Cameras straight above or below, or in the middle, lie on no circle; any will do then.
+        // Cameras straight above, below or at the center define no direction, so any will do.
         let radius = if radius > 1e-6 * distance { radius } else { distance.max(1.0) };
         Some(Self { center, up, start, radius, height })
     }
@@ -68,7 +68,7 @@ impl Orbit {
         Self { radius: self.radius * factor, height: self.height * factor, ..self }
     }
 
-    /// The circle at the same distance from the center that is seen from it at so many degrees above the horizon.
+    /// The circle at the same distance from the center, at this elevation in degrees.
     #[must_use]
     pub fn at_elevation(self, degrees: f64) -> Self {
         let distance = self.radius.hypot(self.height);
@@ -87,8 +87,8 @@ impl Orbit {
     }
 }
 
-/// The direction that the cameras' horizontal axes are most at right angles to. The mean of their upward axes leans to where
-/// most of them are; it decides where the horizontal axes do not, as when all are parallel.
+/// The direction most perpendicular to the cameras' horizontal axes. The mean of their upward axes is biased towards where most of
+/// them are; it decides only where the horizontal axes do not, as when all are parallel.
 fn upright(cameras: &[Camera], mean_up: DVec3) -> DVec3 {
     let outer = |v: DVec3| DMat3::from_cols(v * v.x, v * v.y, v * v.z);
     let mut spread = MEAN_UP_WEIGHT * (DMat3::IDENTITY - outer(mean_up));

@@ -1,15 +1,14 @@
-//! Where the service may send requests that a client asked for: to the public network only, so that it cannot be used to reach
-//! what only its own machine or network can.
+//! Addresses to which the service may send requests for clients: the public network only, which prevents server-side request forgery.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 use thiserror::Error;
 use url::{Host, Url};
 
-/// Longest address that is taken.
+/// Longest URL.
 pub const MAX_URL: usize = 2048;
 
-/// IPv4 networks that are not the public network: address, bits of its prefix, what it is.
+/// IPv4 networks that are not public: address, prefix length, purpose.
 const V4: &[(Ipv4Addr, u32, &str)] = &[
     (Ipv4Addr::new(0, 0, 0, 0), 8, "unspecified"),
     (Ipv4Addr::new(10, 0, 0, 0), 8, "private"),
@@ -30,7 +29,7 @@ const V4: &[(Ipv4Addr, u32, &str)] = &[
     (Ipv4Addr::new(240, 0, 0, 0), 4, "reserved"),
 ];
 
-/// IPv6 networks within 2000::/3 that are not the public network. Outside of it nothing is.
+/// IPv6 networks within 2000::/3 that are not public. Nothing outside of 2000::/3 is.
 const V6: &[(Ipv6Addr, u32, &str)] = &[
     // Teredo, ORCHID, benchmarks and other assignments of the IETF.
     (Ipv6Addr::new(0x2001, 0, 0, 0, 0, 0, 0, 0), 23, "reserved"),
@@ -38,10 +37,10 @@ const V6: &[(Ipv6Addr, u32, &str)] = &[
     (Ipv6Addr::new(0x3fff, 0, 0, 0, 0, 0, 0, 0), 20, "for documentation"),
 ];
 
-/// Why a request is not sent there.
+/// Why a request is not sent.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
-pub enum OutboundFault {
-    /// The address is none.
+pub enum OutboundError {
+    /// Not a URL.
     #[error("is not an absolute URL: {0}")]
     Malformed(String),
     /// Longer than [`MAX_URL`].
@@ -58,23 +57,23 @@ pub enum OutboundFault {
     Address(&'static str),
 }
 
-/// Which addresses may be asked.
+/// Which addresses are allowed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct OutboundPolicy {
-    /// Whether this machine itself may be, also without TLS.
+    /// Allows this machine itself, also without TLS.
     pub allow_loopback: bool,
 }
 
 impl OutboundPolicy {
-    /// Checks all that the text of a URL tells. What its host's name stands for is only known once it is asked.
+    /// Checks the text of a URL. The addresses of its host are checked when the name is resolved, by [`Self::check_address`].
     ///
     /// # Errors
-    /// [`OutboundFault`].
-    pub fn check_url(self, text: &str) -> Result<Url, OutboundFault> {
+    /// [`OutboundError`].
+    pub fn check_url(self, text: &str) -> Result<Url, OutboundError> {
         if text.len() > MAX_URL {
-            return Err(OutboundFault::TooLong(text.len()));
+            return Err(OutboundError::TooLong(text.len()));
         }
-        let url = Url::parse(text).map_err(|error| OutboundFault::Malformed(error.to_string()))?;
+        let url = Url::parse(text).map_err(|error| OutboundError::Malformed(error.to_string()))?;
         let local = match url.host() {
             Some(Host::Domain(name)) => is_localhost(name),
             Some(Host::Ipv4(address)) => address.is_loopback(),
@@ -84,37 +83,37 @@ impl OutboundPolicy {
         match url.scheme() {
             "https" => {}
             "http" if self.allow_loopback && local => {}
-            other => return Err(OutboundFault::Scheme(other.to_owned())),
+            other => return Err(OutboundError::Scheme(other.to_owned())),
         }
         if !url.username().is_empty() || url.password().is_some() {
-            return Err(OutboundFault::Part("name or password"));
+            return Err(OutboundError::Part("name or password"));
         }
         if url.fragment().is_some() {
-            return Err(OutboundFault::Part("fragment"));
+            return Err(OutboundError::Part("fragment"));
         }
         match url.host() {
             Some(Host::Ipv4(address)) => self.check_address(address.into())?,
             Some(Host::Ipv6(address)) => self.check_address(address.into())?,
             Some(Host::Domain(_)) if local && !self.allow_loopback => {
-                return Err(OutboundFault::Address("loopback"));
+                return Err(OutboundError::Address("loopback"));
             }
             Some(Host::Domain(_)) => {}
-            None => return Err(OutboundFault::Malformed("there is no host".into())),
+            None => return Err(OutboundError::Malformed("there is no host".into())),
         }
         Ok(url)
     }
 
-    /// Checks one address that a host stands for.
+    /// Checks one address of a host.
     ///
     /// # Errors
-    /// [`OutboundFault::Address`].
-    pub fn check_address(self, address: IpAddr) -> Result<(), OutboundFault> {
+    /// [`OutboundError::Address`].
+    pub fn check_address(self, address: IpAddr) -> Result<(), OutboundError> {
         let kind = match address.to_canonical() {
             address if self.allow_loopback && address.is_loopback() => None,
             IpAddr::V4(address) => v4(address),
             IpAddr::V6(address) => v6(address),
         };
-        kind.map_or(Ok(()), |kind| Err(OutboundFault::Address(kind)))
+        kind.map_or(Ok(()), |kind| Err(OutboundError::Address(kind)))
     }
 }
 
@@ -123,7 +122,7 @@ fn is_localhost(name: &str) -> bool {
     name == "localhost" || name.ends_with(".localhost")
 }
 
-/// What keeps an address out of the public network, if anything does.
+/// Why an address is not public, if it is not.
 fn v4(address: Ipv4Addr) -> Option<&'static str> {
     let bits = address.to_bits();
     let inside =
@@ -135,7 +134,7 @@ fn v6(address: Ipv6Addr) -> Option<&'static str> {
     let [first, second, third, ..] = address.segments();
     let bytes = address.octets();
     match (first, second) {
-        // Both stand for an IPv4 address: 6to4 in its second to sixth bytes, NAT64 in its last four.
+        // Both embed an IPv4 address: 6to4 in bytes 2 to 5, NAT64 in the last four.
         (0x2002, _) => return v4(Ipv4Addr::new(bytes[2], bytes[3], bytes[4], bytes[5])),
         (0x64, 0xff9b) if third == 0 && bytes[6..12] == [0; 6] => {
             return v4(Ipv4Addr::new(bytes[12], bytes[13], bytes[14], bytes[15]));
@@ -215,7 +214,7 @@ mod tests {
             ("ff02::1", "multicast"),
         ] {
             let parsed: IpAddr = address.parse().expect("an address");
-            assert_eq!(PUBLIC.check_address(parsed), Err(OutboundFault::Address(kind)), "{address}");
+            assert_eq!(PUBLIC.check_address(parsed), Err(OutboundError::Address(kind)), "{address}");
             let local = parsed.to_canonical().is_loopback();
             assert_eq!(LOCAL.check_address(parsed).is_ok(), local, "{address} where loopback is allowed");
         }

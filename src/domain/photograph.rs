@@ -1,7 +1,7 @@
-//! A photograph of a dataset, wherever its pixels are kept.
+//! A photograph of a dataset, in memory or stored.
 //!
-//! A dataset may be larger than memory, so a frame holds a handle: the pixels lie in memory, or with a [`PixelSource`]
-//! that gives them whenever they are asked for. Both give the same bits.
+//! A dataset may be larger than memory, so a frame holds a handle: the pixels are in memory, or a [`PixelSource`] reads them on demand.
+//! Both give the same bits.
 
 use std::{fmt, sync::Arc};
 
@@ -10,13 +10,13 @@ use thiserror::Error;
 use super::{Image, ImageError, Problem};
 use crate::domain::ProblemType;
 
-/// Pixels that were put away and could not be had again.
+/// Stored pixels that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum PhotographError {
-    /// Where they were put cannot be read.
+    /// The storage cannot be read.
     #[error("the pixels of a photograph cannot be read back: {0}")]
     Unreadable(String),
-    /// What was read is no image of the photograph's size.
+    /// The stored data is not an image of the photograph's size.
     #[error("the pixels of a photograph were read back damaged: {0}")]
     Damaged(#[from] ImageError),
 }
@@ -29,7 +29,7 @@ impl From<PhotographError> for Problem {
 
 /// Keeps the pixels of one image outside of memory.
 pub trait PixelSource: fmt::Debug + Send + Sync {
-    /// All samples, row by row, as many as were put away.
+    /// All samples, row by row, as many as were stored.
     ///
     /// # Errors
     /// [`PhotographError::Unreadable`].
@@ -90,7 +90,7 @@ impl Photograph {
         u64::from(self.width) * u64::from(self.height) * u64::from(self.channels)
     }
 
-    /// Bytes of memory that it holds while nobody loads it.
+    /// Bytes of memory that it holds while it is not loaded.
     #[must_use]
     pub fn bytes_in_memory(&self) -> u64 {
         match self.pixels {

@@ -145,7 +145,7 @@ problem_types! {
     Unavailable = 503, "unavailable", "Something needed is missing";
     Stopped = 500, "stopped", "Stopped";
     NoDatasets = 422, "no-datasets", "There is nothing to train on";
-    NoPeers = 500, "no-peers", "The external formats cannot be made";
+    ExternalFormatsFailed = 500, "external-formats-failed", "Conversion to other formats failed";
     NoPlace = 422, "no-place", "The tables have no place in the document";
     NotResults = 422, "not-results", "The results cannot be read";
     SuiteIncomplete = 500, "suite-incomplete", "The suite is not complete";

@@ -1,14 +1,14 @@
-//! How a training run went, as points over its steps: enough of them for a curve, and never more than [`SERIES_POINTS`].
+//! The course of a training run as at most [`SERIES_POINTS`] points over its iterations.
 
 use super::Progress;
 
-/// Points that are kept of a run.
+/// Most points of a run.
 pub const SERIES_POINTS: u32 = 1000;
 
 /// One point of a run.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct SeriesPoint {
-    /// The attempt that came by here.
+    /// The attempt that reported it.
     pub attempt: u32,
     /// Steps done.
     pub step: u64,
@@ -22,7 +22,7 @@ pub struct SeriesPoint {
     pub anchors: u64,
     /// Gaussians of the view rendered last.
     pub gaussians: u64,
-    /// Bytes that the file would about have had, once training measures them.
+    /// Estimated bytes of the file, once training measures them.
     pub bytes: Option<u64>,
 }
 
@@ -34,10 +34,10 @@ pub fn series_bucket(progress: &Progress) -> u32 {
     u32::try_from(part).unwrap_or(last).min(last)
 }
 
-/// The same points with seconds of training in all: those of an attempt that went on from a checkpoint are added to the time
-/// that it took to come there.
+/// The same points with the seconds of all attempts: those of an attempt that resumed from a checkpoint are added to those of the
+/// attempts before it.
 #[must_use]
-pub fn in_running_time(mut points: Vec<SeriesPoint>) -> Vec<SeriesPoint> {
+pub fn with_cumulative_seconds(mut points: Vec<SeriesPoint>) -> Vec<SeriesPoint> {
     let (mut before, mut attempt, mut latest) = (0.0, None, 0.0);
     for point in &mut points {
         if attempt.is_some_and(|attempt| attempt != point.attempt) {
@@ -59,7 +59,7 @@ mod tests {
         let points = [(1, 1, 10.0), (1, 2, 20.0), (3, 3, 5.0), (3, 4, 15.0)]
             .map(|(attempt, step, seconds)| SeriesPoint { attempt, step, seconds, ..SeriesPoint::default() });
         let seconds: Vec<f64> =
-            in_running_time(points.into()).into_iter().map(|point| point.seconds).collect();
+            with_cumulative_seconds(points.into()).into_iter().map(|point| point.seconds).collect();
         assert_eq!(seconds, [10.0, 20.0, 25.0, 35.0]);
     }
 

@@ -1,5 +1,4 @@
-//! A view as a client writes it in JSON, over HTTP and on the command line: the name of a dataset frame, or a pose
-//! with intrinsics.
+//! A view in JSON, over HTTP and on the command line: the name of a dataset frame, or a pose with intrinsics.
 
 use glam::DMat4;
 use serde::Deserialize;
@@ -51,13 +50,13 @@ pub enum View {
 /// Why a [`ViewRequest`] is not a view.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum ViewError {
-    /// A field that the rest calls for is absent.
+    /// A field that the others require is absent.
     #[error("{0} is needed, unless frame is given")]
     Missing(&'static str),
-    /// A field that a frame decides by itself.
+    /// A field that the frame determines.
     #[error("a frame has its own pose and intrinsics; give only width and height with it, not {0}")]
     NotWithFrame(&'static str),
-    /// The numbers are no camera.
+    /// The values do not describe a camera.
     #[error(transparent)]
     Camera(#[from] CameraError),
 }

@@ -1,4 +1,4 @@
-//! What endpoints are told of jobs: the events, and the message about one.
+//! Webhook events of jobs and their messages.
 
 use std::str::FromStr;
 
@@ -19,7 +19,7 @@ impl DeliveryId {
     }
 }
 
-/// What an endpoint can be told of: that a job entered a state.
+/// An event: a job entered a state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WebhookEvent(pub JobState);
 
@@ -45,7 +45,7 @@ impl WebhookEvent {
         }
     }
 
-    /// The message: thin, so that what matters is asked for with the receiver's own key and is true when it is.
+    /// The message. It only names the job, so that the receiver reads the current state with its own key.
     #[must_use]
     pub fn message(self, job: JobId, attempt: u32, seq: u64, at: Timestamp) -> String {
         let this = format!("/v1/jobs/{job}");

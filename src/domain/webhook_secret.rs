@@ -4,7 +4,7 @@
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use secrecy::{ExposeSecret as _, SecretString};
 
-use super::{Entropy, EntropyError};
+use super::{RandomError, RandomSource};
 
 /// What every secret begins with (Standard Webhooks).
 const MARK: &str = "whsec_";
@@ -19,8 +19,8 @@ impl WebhookSecret {
     /// A new secret.
     ///
     /// # Errors
-    /// [`EntropyError`].
-    pub fn generate(entropy: &dyn Entropy) -> Result<Self, EntropyError> {
+    /// [`RandomError`].
+    pub fn generate(entropy: &dyn RandomSource) -> Result<Self, RandomError> {
         let mut random = [0; RANDOM_BYTES];
         entropy.fill(&mut random)?;
         Ok(Self(format!("{MARK}{}", STANDARD.encode(random)).into()))
@@ -47,11 +47,11 @@ impl WebhookSecret {
 
 #[cfg(test)]
 mod tests {
-    use super::{super::SystemEntropy, *};
+    use super::{super::SystemRandom, *};
 
     #[test]
     fn secrets_differ_sign_and_do_not_show() {
-        let draw = || WebhookSecret::generate(&SystemEntropy).expect("randomness");
+        let draw = || WebhookSecret::generate(&SystemRandom).expect("randomness");
         let (one, other) = (draw(), draw());
         assert_ne!(one.expose(), other.expose());
         assert_eq!(one.key().map(|key| key.len()), Some(RANDOM_BYTES));

@@ -100,7 +100,7 @@ impl<'a> Probe<'a> {
         Ok(Self {
             device,
             anchors: DeviceAnchors::upload(device, &AnchorRows::from_scene(scene), &networks)?,
-            neural: NeuralGaussians::new(Arc::clone(device), shape, settings.near, scene.unit)?,
+            neural: NeuralGaussians::new(Arc::clone(device), shape, settings.near, scene.scene_scale)?,
             raster: Rasterizer::new(Arc::clone(device), settings)?,
             background,
         })

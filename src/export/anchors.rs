@@ -17,14 +17,14 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::domain::{
-    AnchorScene, Background, ByteCounts, DenseLayer, Digest, DistanceUnit, Lattice, Mlp, NearPlane,
-    RenderNetworks,
+    AnchorScene, Background, ByteCounts, DenseLayer, Digest, Lattice, Mlp, NearPlane, RenderNetworks,
+    SceneScale,
 };
 
 /// Version of this layout of tensors.
 const VERSION: u32 = 1;
 
-/// Version of files that state a distance unit: a reader that ignored it would render another image, and must refuse.
+/// Version of files that state a scene scale: a reader that ignored it would render another image, and must refuse.
 const VERSION_WITH_UNIT: u32 = 2;
 
 /// Most layers that a file may claim; more than any network of this program has.
@@ -71,10 +71,10 @@ struct Metadata {
     background: Background,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     dataset: Option<Digest>,
-    #[serde(default, skip_serializing_if = "NearPlane::is_usual")]
+    #[serde(default, skip_serializing_if = "NearPlane::is_default")]
     near: NearPlane,
-    #[serde(default, skip_serializing_if = "DistanceUnit::is_usual")]
-    unit: DistanceUnit,
+    #[serde(rename = "unit", default, skip_serializing_if = "SceneScale::is_default")]
+    scene_scale: SceneScale,
 }
 
 /// The bytes of a file; the same content gives the same bytes.
@@ -116,9 +116,9 @@ pub fn write(
         .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
         .map_err(|error| AnchorFileError::Scene(error.to_string()))?;
     // One key: several would be written in the random order of a hash map.
-    let version = if scene.unit.is_usual() { VERSION } else { VERSION_WITH_UNIT };
-    let (near, unit) = (scene.near, scene.unit);
-    let metadata = serde_json::to_string(&Metadata { version, background, dataset, near, unit })
+    let version = if scene.scene_scale.is_default() { VERSION } else { VERSION_WITH_UNIT };
+    let (near, scene_scale) = (scene.near, scene.scene_scale);
+    let metadata = serde_json::to_string(&Metadata { version, background, dataset, near, scene_scale })
         .map_err(|error| AnchorFileError::Scene(error.to_string()))?;
     safetensors::serialize(views, Some(HashMap::from([("tcgs".to_owned(), metadata)])))
         .map_err(|error| AnchorFileError::Scene(error.to_string()))
@@ -196,7 +196,7 @@ pub fn read(bytes: &[u8]) -> Result<AnchorFile, AnchorFileError> {
             color: reader.network("color")?,
         },
         near: metadata.near,
-        unit: metadata.unit,
+        scene_scale: metadata.scene_scale,
     };
     reader.finish()?;
     scene.check().map_err(|error| AnchorFileError::Scene(error.to_string()))?;
@@ -329,7 +329,7 @@ mod tests {
             masks: vec![true, false, true, true, false, true],
             networks: RenderNetworks { opacity: mlp(2), covariance: mlp(14), color: mlp(6) },
             near: NearPlane::of_extent(1.0),
-            unit: DistanceUnit::USUAL,
+            scene_scale: SceneScale::DEFAULT,
         }
     }
 
@@ -350,8 +350,8 @@ mod tests {
 
     #[test]
     fn a_distance_unit_makes_a_file_that_programs_without_one_refuse() {
-        let unit = DistanceUnit::of_typical(0.004);
-        let scene = AnchorScene { unit, ..scene() };
+        let scene_scale = SceneScale::from_typical_distance(0.004);
+        let scene = AnchorScene { scene_scale, ..scene() };
         let bytes = write(&scene, Background::White, None).expect("writes");
         assert_eq!(read(&bytes).expect("reads").scene, scene);
         // The length of the header is no text and comes before it.

@@ -21,7 +21,7 @@ pub struct PlyNote {
     /// Digest of the dataset.
     pub dataset: Option<Digest>,
     /// Near plane, as in training.
-    #[serde(default, skip_serializing_if = "NearPlane::is_usual")]
+    #[serde(default, skip_serializing_if = "NearPlane::is_default")]
     pub near: NearPlane,
 }
 

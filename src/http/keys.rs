@@ -56,7 +56,7 @@ pub(super) async fn create(
         return Err(ProblemResponse::new(ProblemType::NoKeysYet, detail));
     }
     let limits = KeyLimits {
-        max_bytes: request.max_bytes,
+        quota_bytes: request.max_bytes,
         max_active_jobs: request.max_active_jobs,
         requests_per_minute: request.requests_per_minute,
         max_priority: request.max_priority,
@@ -69,7 +69,7 @@ pub(super) async fn create(
         | NewKeyError::NoScopes
         | NewKeyError::MaxBytes(_)
         | NewKeyError::MaxPriority(_) => invalid(&error),
-        NewKeyError::Entropy(error) => ProblemResponse::internal(&error),
+        NewKeyError::RandomSource(error) => ProblemResponse::internal(&error),
     })?;
     let record = state.store().create_key(new).await?;
     tracing::info!(key = %record.id, "key {} is created", record.id);

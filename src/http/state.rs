@@ -19,7 +19,7 @@ use super::{
     views::ViewRenderer,
 };
 use crate::{
-    domain::{Clock, DatasetSummary, Entropy, JobId, KeyId, NamedCamera, Problem, SceneFormat},
+    domain::{Clock, DatasetSummary, JobId, KeyId, NamedCamera, Problem, RandomSource, SceneFormat},
     render::{RenderViews, views::Viewable},
     store::{Blobs, ExportFidelity, Store},
 };
@@ -72,7 +72,7 @@ pub struct Services {
     /// Time.
     pub clock: Arc<dyn Clock>,
     /// Cryptographic randomness.
-    pub entropy: Arc<dyn Entropy>,
+    pub entropy: Arc<dyn RandomSource>,
     /// See [`DatasetCheck`].
     pub check: DatasetCheck,
     /// See [`SceneLoader`].

@@ -160,7 +160,7 @@ fn invalid(detail: String) -> ProblemResponse {
 /// `GET /v1/webhook-endpoints`.
 pub(super) async fn list(State(state): State<AppState>, caller: Caller, parameters: Parameters) -> ApiResult {
     let page = page(parameters)?;
-    let mut records = state.store().endpoints(caller.sees_only(), page.after, page.to_read()).await?;
+    let mut records = state.store().endpoints(caller.visible_owner(), page.after, page.to_read()).await?;
     let next = page.cut(&mut records, "/v1/webhook-endpoints", |last| last.id);
     let headers = pagination::headers(next.as_deref())?;
     let endpoints = records.into_iter().map(EndpointBody::from).collect();

@@ -7,7 +7,7 @@
 //! Memory is bounded by a [`LoadBudget`]: as many photographs are decoded in parallel as it allows, they stay in memory as long as they
 //! fit, and the others go to a temporary file (`spill`).
 //!
-//! Input is untrusted. Whatever it is, the result is a dataset that satisfies [`crate::domain::scene`] or an [`IngestError`] that names
+//! Input is untrusted. Whatever it is, the result is a dataset that satisfies [`crate::domain::dataset`] or an [`IngestError`] that names
 //! the file and the reason: nothing panics, nothing is written outside of the spill file, and no allocation follows a header's claim
 //! alone. A check takes less than 128 MiB for any input ([`Limits`]); [`DatasetChecker`] limits how many run at a time and for how long.
 

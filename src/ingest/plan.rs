@@ -11,7 +11,7 @@ use super::{
     points::Points,
     tree::Tree,
 };
-use crate::domain::{Layout, Pose, Split, scene::HOLD_OUT_EVERY};
+use crate::domain::{Layout, Pose, Split, dataset::HOLD_OUT_EVERY};
 
 /// How many missing images a message names.
 const MAX_MISSING_SHOWN: usize = 5;

@@ -1,6 +1,6 @@
 //! Anchors as the device holds them: one row of parameters an anchor.
 
-use crate::domain::{AnchorScene, DistanceUnit, Lattice, NearPlane, RenderNetworks};
+use crate::domain::{AnchorScene, Lattice, NearPlane, RenderNetworks, SceneScale};
 
 /// Widths of the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -147,7 +147,7 @@ impl AnchorRows {
             masks: Vec::with_capacity(self.len() * shape.offsets),
             networks,
             near: NearPlane::default(),
-            unit: DistanceUnit::default(),
+            scene_scale: SceneScale::default(),
         };
         for (anchor, mask) in self.masks.iter().enumerate() {
             let row = self.row(anchor);

@@ -17,7 +17,7 @@ use crate::{
         Provenance,
     },
     domain::{
-        AnchorScene, ByteBudget, CodingEfficiency, GroupOctaves, ModelKind, Problem, ProblemType, Scene,
+        AnchorScene, ByteBudget, CodingEfficiency, GroupQstepLog2, ModelKind, Problem, ProblemType, Scene,
         TrainOptions,
     },
     train::{BaseQuantSteps, Trained, TrainedContext},
@@ -70,7 +70,7 @@ pub(super) fn write_file(
     let coding = match choice {
         Some(choice) => {
             // The float networks predict for the quantisation steps of training.
-            let as_trained = budget.is_none_or(|budget| budget.qstep_log2 == GroupOctaves::default());
+            let as_trained = budget.is_none_or(|budget| budget.qstep_log2 == GroupQstepLog2::default());
             coding_efficiency(&bytes, context.filter(|_| as_trained), &choice)?
         }
         None => None,

@@ -11,7 +11,7 @@ use super::{
     InputGradient, Rasterizer, RenderError,
 };
 use crate::{
-    domain::{Camera, DistanceUnit},
+    domain::{Camera, SceneScale},
     gpu::{AdapterReport, Buffer, Device, Kernel, Plan, Recorder, kernel_source, planned},
     model::{NetworkLayout, Shape},
 };
@@ -125,12 +125,12 @@ pub struct NeuralGaussians {
     /// Whether `forward.outputs` holds outputs, which a backward pass turns into gradients.
     holds_outputs: bool,
     near: f32,
-    unit: DistanceUnit,
+    scene_scale: SceneScale,
 }
 
 impl NeuralGaussians {
-    /// Prepares the kernels for a model of this shape. Views begin at `near`, in world units; networks get distances in units of
-    /// `unit`.
+    /// Prepares the kernels for a model of this shape. Views begin at `near`, in world units; networks get distances over
+    /// `scene_scale`.
     ///
     /// # Errors
     /// Faults of the device.
@@ -138,10 +138,10 @@ impl NeuralGaussians {
         device: Arc<Device>,
         shape: Shape,
         near: f32,
-        unit: DistanceUnit,
+        scene_scale: SceneScale,
     ) -> Result<Self, RenderError> {
         let subgroups = device.subgroups().lanes();
-        Self::with_subgroups(device, shape, near, unit, subgroups)
+        Self::with_subgroups(device, shape, near, scene_scale, subgroups)
     }
 
     /// As [`NeuralGaussians::new`], with the kernels without subgroups, for adapters whose subgroups are broken.
@@ -152,16 +152,16 @@ impl NeuralGaussians {
         device: Arc<Device>,
         shape: Shape,
         near: f32,
-        unit: DistanceUnit,
+        scene_scale: SceneScale,
     ) -> Result<Self, RenderError> {
-        Self::with_subgroups(device, shape, near, unit, None)
+        Self::with_subgroups(device, shape, near, scene_scale, None)
     }
 
     fn with_subgroups(
         device: Arc<Device>,
         shape: Shape,
         near: f32,
-        unit: DistanceUnit,
+        scene_scale: SceneScale,
         subgroups: Option<u32>,
     ) -> Result<Self, RenderError> {
         let layout = NetworkLayout::new(shape);
@@ -173,7 +173,7 @@ impl NeuralGaussians {
             backward: None,
             holds_outputs: false,
             near,
-            unit,
+            scene_scale,
             layout,
             device,
         })
@@ -229,8 +229,8 @@ impl NeuralGaussians {
 
     /// The unit of the networks' distances.
     #[must_use]
-    pub fn unit(&self) -> DistanceUnit {
-        self.unit
+    pub fn scene_scale(&self) -> SceneScale {
+        self.scene_scale
     }
 
     /// The Gaussians of the last forward pass.
@@ -441,7 +441,7 @@ impl NeuralGaussians {
                 row(rotation.y_axis, translation.y),
                 row(rotation.z_axis, translation.z),
             ],
-            center: row(center, f64::from(self.unit.length().recip())),
+            center: row(center, f64::from(self.scene_scale.length().recip())),
             intrinsics: [k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32],
             image: [k.width as f32, k.height as f32, self.near, volume_weight],
             counts: [anchors as u32, self.capacity as u32, 0, 0],

@@ -20,7 +20,7 @@ pub struct RasterSettings {
 
 impl Default for RasterSettings {
     fn default() -> Self {
-        Self { near: NearPlane::USUAL.depth(), antialiased: false, low_pass: 0.3 }
+        Self { near: NearPlane::DEFAULT.depth(), antialiased: false, low_pass: 0.3 }
     }
 }
 

@@ -74,7 +74,7 @@ impl SceneRenderer {
     ) -> Result<Self, RenderError> {
         let anchors = upload(device, scene)?;
         let (shape, near) = (anchors.shape, scene.near.depth());
-        let neural = Box::new(NeuralGaussians::new(Arc::clone(device), shape, near, scene.unit)?);
+        let neural = Box::new(NeuralGaussians::new(Arc::clone(device), shape, near, scene.scene_scale)?);
         Self::of_source(device, SceneBuffers::Anchors { anchors, neural }, background, scene.near)
     }
 
@@ -106,7 +106,7 @@ impl SceneRenderer {
         Ok(Self { source, raster, depth: None, background, near, device: Arc::clone(device) })
     }
 
-    /// Replaces the scene by another of the same shape, near plane and distance unit; rendering buffers are kept.
+    /// Replaces the scene by another of the same shape, near plane and scene scale; rendering buffers are kept.
     ///
     /// # Errors
     /// [`RenderError::Scene`] for networks that this renderer does not know or another shape; faults of the device.
@@ -114,13 +114,15 @@ impl SceneRenderer {
         let next = upload(&self.device, scene)?;
         match &mut self.source {
             SceneBuffers::Anchors { anchors, neural }
-                if anchors.shape == next.shape && scene.near == self.near && scene.unit == neural.unit() =>
+                if anchors.shape == next.shape
+                    && scene.near == self.near
+                    && scene.scene_scale == neural.scene_scale() =>
             {
                 *anchors = next;
                 Ok(())
             }
             SceneBuffers::Anchors { .. } | SceneBuffers::Gaussians { .. } => {
-                let fault = "its widths, near plane or distance unit differ from those of the previous scene";
+                let fault = "its widths, near plane or scene scale differ from those of the previous scene";
                 Err(RenderError::Scene(fault.to_owned()))
             }
         }

@@ -3,13 +3,13 @@
 use jiff::Timestamp;
 
 use super::{BlobRef, IdempotentRequest, StoreFuture};
-use crate::domain::{DatasetSummary, Digest, KeyId, SceneId, UploadId};
+use crate::domain::{DatasetId, DatasetSummary, Digest, KeyId, UploadId};
 
 /// A dataset to be added.
 #[derive(Debug, Clone)]
 pub struct NewDataset {
     /// Its identity, chosen by the caller.
-    pub id: SceneId,
+    pub id: DatasetId,
     /// Its owner; `None` without keys.
     pub owner: Option<KeyId>,
     /// Its name, chosen by its owner.
@@ -28,7 +28,7 @@ pub struct NewDataset {
 #[derive(Debug, Clone, PartialEq)]
 pub struct DatasetRecord {
     /// Identity.
-    pub id: SceneId,
+    pub id: DatasetId,
     /// Its owner; `None` if it was created while there were no keys.
     pub owner: Option<KeyId>,
     /// Its name, chosen by its owner.
@@ -79,7 +79,7 @@ pub struct DatasetPageKey {
     /// Creation of the last dataset seen.
     pub created_at: Timestamp,
     /// Its identity.
-    pub id: SceneId,
+    pub id: DatasetId,
 }
 
 /// The part of a store that keeps datasets. Every method is one transaction.
@@ -91,7 +91,7 @@ pub trait Datasets: Send + Sync + 'static {
     fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation>;
 
     /// The dataset.
-    fn dataset(&self, id: SceneId) -> StoreFuture<'_, Option<DatasetRecord>>;
+    fn dataset(&self, id: DatasetId) -> StoreFuture<'_, Option<DatasetRecord>>;
 
     /// The dataset of `owner` with this archive.
     fn dataset_by_archive(
@@ -110,5 +110,6 @@ pub trait Datasets: Send + Sync + 'static {
 
     /// Deletes the dataset if it has the requested version and no queued or running job trains on it; `None` if there is no such
     /// dataset. Finished jobs keep its archive.
-    fn delete_dataset(&self, id: SceneId, version: Option<u64>) -> StoreFuture<'_, Option<DatasetDeletion>>;
+    fn delete_dataset(&self, id: DatasetId, version: Option<u64>)
+    -> StoreFuture<'_, Option<DatasetDeletion>>;
 }

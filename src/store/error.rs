@@ -6,7 +6,7 @@ use super::{
     PriorRequest,
     disk_full::{is_disk_full, result_code},
 };
-use crate::domain::{JobId, SceneId};
+use crate::domain::{DatasetId, JobId};
 
 /// An error of the store.
 #[derive(Debug, Error)]
@@ -50,7 +50,7 @@ pub enum StoreError {
     },
     /// The dataset of a new job does not exist any more.
     #[error("there is no scene {0}")]
-    NoDataset(SceneId),
+    NoDataset(DatasetId),
     /// A stored value cannot be read back.
     #[error("the stored {what} is unreadable: {fault}")]
     Corrupt {

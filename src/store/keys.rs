@@ -8,7 +8,7 @@ use thiserror::Error;
 use uuid::Builder;
 
 use super::StoreFuture;
-use crate::domain::{ApiKey, Entropy, EntropyError, KeyHash, KeyId, KeyLimits, MAX_PRIORITY, Scope};
+use crate::domain::{ApiKey, KeyHash, KeyId, KeyLimits, MAX_PRIORITY, RandomError, RandomSource, Scope};
 
 /// Longest name of a key, in characters.
 const MAX_NAME: usize = 100;
@@ -47,7 +47,7 @@ pub enum NewKeyError {
     MaxPriority(i32),
     /// No random bytes could be drawn.
     #[error(transparent)]
-    Entropy(#[from] EntropyError),
+    RandomSource(#[from] RandomError),
 }
 
 impl NewKey {
@@ -56,7 +56,7 @@ impl NewKey {
     /// # Errors
     /// [`NewKeyError`].
     pub fn generate(
-        entropy: &dyn Entropy,
+        entropy: &dyn RandomSource,
         now: Timestamp,
         name: &str,
         scopes: &[Scope],
@@ -70,7 +70,7 @@ impl NewKey {
         if scopes.is_empty() {
             return Err(NewKeyError::NoScopes);
         }
-        if let Some(bytes) = limits.max_bytes.filter(|bytes| i64::try_from(*bytes).is_err()) {
+        if let Some(bytes) = limits.quota_bytes.filter(|bytes| i64::try_from(*bytes).is_err()) {
             return Err(NewKeyError::MaxBytes(bytes));
         }
         if let Some(priority) =

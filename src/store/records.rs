@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::IdempotentRequest;
 use crate::domain::{
-    Digest, Job, JobId, JobMetrics, JobState, KeyId, ModelKind, Problem, SceneFormat, SceneId, TrainOptions,
+    DatasetId, Digest, Job, JobId, JobMetrics, JobState, KeyId, ModelKind, Problem, SceneFormat, TrainOptions,
 };
 
 /// A published blob.
@@ -25,7 +25,7 @@ pub struct NewJob {
     /// Its owner; `None` without keys.
     pub owner: Option<KeyId>,
     /// The dataset that it trains on, if it did not come with its own archive.
-    pub dataset_id: Option<SceneId>,
+    pub dataset_id: Option<DatasetId>,
     /// The job that it retries.
     pub retry_of: Option<JobId>,
     /// When it fails if it is not finished by then.
@@ -117,7 +117,7 @@ pub struct JobRecord {
     /// Its owner; `None` if it was created while there were no keys.
     pub owner: Option<KeyId>,
     /// As in [`NewJob::dataset_id`]; `None` also once the dataset is deleted.
-    pub dataset_id: Option<SceneId>,
+    pub dataset_id: Option<DatasetId>,
     /// As in [`NewJob::retry_of`]; `None` also once that job is deleted.
     pub retry_of: Option<JobId>,
     /// As in [`NewJob::deadline_at`].
@@ -156,7 +156,7 @@ pub struct JobFilter {
     /// Only those in one of these states; in any if empty.
     pub states: Vec<JobState>,
     /// Only those of this dataset.
-    pub dataset_id: Option<SceneId>,
+    pub dataset_id: Option<DatasetId>,
     /// Only those that train this model.
     pub model: Option<ModelKind>,
 }

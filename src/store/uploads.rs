@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 
 use super::StoreFuture;
-use crate::domain::{KeyId, SceneId, UploadId};
+use crate::domain::{DatasetId, KeyId, UploadId};
 
 /// An upload to be started.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -34,7 +34,7 @@ pub struct UploadRecord {
     /// The client's metadata, as it was sent.
     pub metadata: Option<String>,
     /// The dataset that was created from it, unless that was deleted since.
-    pub dataset_id: Option<SceneId>,
+    pub dataset_id: Option<DatasetId>,
     /// Creation.
     pub created_at: Timestamp,
     /// When it expires.

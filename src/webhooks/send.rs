@@ -15,7 +15,7 @@ use thiserror::Error;
 
 use super::sign::{InvalidSecretError, sign};
 use crate::{
-    domain::{OutboundFault, OutboundPolicy},
+    domain::{OutboundError, OutboundPolicy},
     https::{self, ExtraRoots},
     store::DueDelivery,
 };
@@ -39,7 +39,7 @@ pub fn system_lookup() -> Lookup {
 pub enum SendError {
     /// The policy forbids the address.
     #[error("the address {0}")]
-    Refused(#[from] OutboundFault),
+    Refused(#[from] OutboundError),
     /// The message cannot be signed.
     #[error(transparent)]
     Secret(#[from] InvalidSecretError),
@@ -118,7 +118,7 @@ impl Sender {
     fn send_error(&self, error: &reqwest::Error) -> SendError {
         let mut source = error.source();
         while let Some(cause) = source {
-            if let Some(refused) = cause.downcast_ref::<OutboundFault>() {
+            if let Some(refused) = cause.downcast_ref::<OutboundError>() {
                 return refused.clone().into();
             }
             source = cause.source();

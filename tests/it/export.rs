@@ -100,7 +100,7 @@ fn anchors_are_baked_and_the_loss_is_said_with_and_without_a_dataset() {
         }
     }
     let text = succeeds(line!["export", file, "--format", "ply", "-o", folder.path().join("b.ply")]);
-    for word in ["baked", "likeness  PSNR", "wrote"] {
+    for word in ["baked", "fidelity  PSNR", "wrote"] {
         assert!(text.contains(word), "{text}");
     }
 }

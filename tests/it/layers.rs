@@ -99,6 +99,10 @@ struct Uses {
     modules: BTreeSet<String>,
     /// First names of all other paths: external crates, and whatever is in scope.
     others: BTreeSet<String>,
+    /// Every path of the crate from its root, but those of tests; others are taken for paths from the file's own module.
+    paths: BTreeSet<Vec<String>>,
+    /// What names in scope stand for.
+    imports: BTreeMap<String, Vec<String>>,
 }
 
 impl Uses {
@@ -167,13 +171,13 @@ impl Uses {
                 }
                 _ => {
                     if at < tokens.len() {
-                        self.add(prefix, place);
+                        self.import(prefix, place);
                     }
                     break;
                 }
             }
             if !separates(tokens, at + 1) {
-                self.add(prefix, place);
+                self.import(prefix, place);
                 break;
             }
             at += 3;
@@ -181,7 +185,8 @@ impl Uses {
         prefix.truncate(length);
     }
 
-    fn add(&mut self, names: &[String], place: &[String]) {
+    /// A path; returns it from the crate's root, where a name that is not of this crate is taken for one of this module.
+    fn add(&mut self, names: &[String], place: &[String]) -> Vec<String> {
         let mut depth = place.len();
         let mut rest = names;
         let mut is_relative = false;
@@ -198,6 +203,20 @@ impl Uses {
             self.others.extend(names.first().cloned());
         } else if depth == 0 {
             self.modules.insert(rest.first().map_or("*", String::as_str).to_owned());
+        }
+        let path: Vec<String> =
+            place[..depth].iter().chain(rest).filter(|name| *name != "self").cloned().collect();
+        if !place.iter().any(|name| name == "tests") {
+            self.paths.insert(path.clone());
+        }
+        path
+    }
+
+    /// A path that a `use` brings into scope.
+    fn import(&mut self, names: &[String], place: &[String]) {
+        let path = self.add(names, place);
+        if let Some(name) = path.last() {
+            self.imports.insert(name.clone(), path.clone());
         }
     }
 }
@@ -277,6 +296,78 @@ fn every_form_of_a_path_is_seen() {
     assert!(!uses.others.contains("reqwest") && !uses.others.contains("my_crate"));
     let whole = Uses::of("use crate::*;", &["http".to_owned()]);
     assert_eq!(whole.modules, ["*".to_owned()].into());
+}
+
+/// The modules of the crate, with the paths that each uses.
+struct Modules(BTreeMap<Vec<String>, Uses>);
+
+impl Modules {
+    fn read() -> Self {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+        let mut files = Vec::new();
+        sources(&root, &mut files);
+        let modules = files.iter().map(|path| {
+            let place = place_of(path, &root);
+            let uses = Uses::of(&fs::read_to_string(path).expect("readable source"), &place);
+            (place, uses)
+        });
+        Self(modules.filter(|(place, _)| !place.is_empty()).collect())
+    }
+
+    /// The module where a path's item is declared: the path is followed through what modules on its way import.
+    fn home(&self, path: &[String], steps: usize) -> Vec<String> {
+        let mut at = 0;
+        while at < path.len() && self.0.contains_key(&path[..=at]) {
+            at += 1;
+        }
+        let (module, rest) = path.split_at(at);
+        let imported = rest.first().and_then(|name| self.0.get(module)?.imports.get(name));
+        match imported {
+            Some(target) if steps > 0 && target != path => {
+                let target: Vec<String> = target.iter().chain(&rest[1..]).cloned().collect();
+                self.home(&target, steps - 1)
+            }
+            _ => module.to_vec(),
+        }
+    }
+
+    /// Which of the files and folders directly in `folder` use which others.
+    fn siblings(&self, folder: &[String]) -> BTreeMap<String, BTreeSet<String>> {
+        let child = |module: &[String]| module.strip_prefix(folder)?.first().cloned();
+        let mut used: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+        for (module, uses) in &self.0 {
+            let Some(from) = child(module) else { continue };
+            let homes = uses.paths.iter().map(|path| self.home(path, 8));
+            let others = homes.filter_map(|home| child(&home)).filter(|to| *to != from);
+            used.entry(from.clone()).or_default().extend(others);
+        }
+        used
+    }
+}
+
+/// Folders whose files do not form layers yet.
+const CIRCULAR: &[&str] = &["http"];
+
+/// Files and folders directly in one folder form layers too: none uses another that uses it, directly or through others.
+#[test]
+fn no_circle_of_imports_in_a_folder() {
+    let modules = Modules::read();
+    let folders: BTreeSet<&[String]> =
+        modules.0.keys().flat_map(|module| (1..module.len()).map(move |end| &module[..end])).collect();
+    let mut circles = Vec::new();
+    for folder in folders {
+        let mut used = modules.siblings(folder);
+        // What uses nothing of the rest is in no circle.
+        while let Some(end) = used.iter().find(|(_, others)| others.is_empty()).map(|(name, _)| name.clone())
+        {
+            used.remove(&end);
+            used.values_mut().for_each(|others| _ = others.remove(&end));
+        }
+        if !used.is_empty() && !CIRCULAR.contains(&folder.join("/").as_str()) {
+            circles.push(format!("{}: {used:?}", folder.join("/")));
+        }
+    }
+    assert!(circles.is_empty(), "imports form circles, or lead to some:\n{}", circles.join("\n"));
 }
 
 /// Rows of ARCHITECTURE.md's table: each module with those that it may use.

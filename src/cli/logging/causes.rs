@@ -1,6 +1,5 @@
-//! JSON lines that tell the causes of errors. The formatter of `tracing-subscriber` writes an error as its own message alone; here
-//! each field that holds an error gets a neighbour, `<field>.sources`, with the messages of its causes, outermost first, as text
-//! lines have it.
+//! JSON log lines with the causes of errors. `tracing-subscriber` writes only an error's own message; here each field that holds an
+//! error gets a second field `<field>.sources` with the messages of its causes, outermost first, as in text lines.
 
 use std::{error::Error, fmt};
 
@@ -41,7 +40,7 @@ where
                 fields.extend(causes.0);
                 writeln!(writer, "{}", Value::Object(fields))
             }
-            // Better without causes than not at all.
+            // Log the line without causes rather than not at all.
             Err(_) => writer.write_str(&line),
         }
     }

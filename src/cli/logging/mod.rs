@@ -1,5 +1,5 @@
 //! Log lines on standard error, as text or as JSON, chosen by `RUST_LOG`. An error that is recorded as one
-//! (`error = &error as &dyn Error`) is told with all of its causes in either form.
+//! (`error = &error as &dyn Error`) is logged with all of its causes in both formats.
 
 mod causes;
 
@@ -35,7 +35,7 @@ impl fmt::Display for Format {
     }
 }
 
-/// What is logged where `RUST_LOG` does not say.
+/// The log level if `RUST_LOG` is not set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Verbosity {
     Warn,
@@ -45,9 +45,9 @@ pub(crate) enum Verbosity {
 /// Starts logging for the rest of the process.
 pub(crate) fn start(format: Format, verbosity: Verbosity) {
     let default = match verbosity {
-        // Whoever waits for a training run is told what it takes.
+        // Memory and duration of a run are of interest to its user.
         Verbosity::Warn => "warn,tcgs::train::trainer=info",
-        // The GPU crates' own chatter at this level tells an operator nothing.
+        // The GPU crates' own messages at this level are of no use to an operator.
         Verbosity::Info => "info,wgpu_core=warn,wgpu_hal=warn,naga=warn",
     };
     let wanted = std::env::var("RUST_LOG").ok().filter(|wanted| !wanted.trim().is_empty());

@@ -1,4 +1,4 @@
-//! Requests to one service. Faults of transport and answers that are not success become problems.
+//! HTTP requests to one service. Transport errors and responses other than success become problems.
 
 use std::time::Duration;
 
@@ -10,19 +10,19 @@ use serde::de::DeserializeOwned;
 use tcgs::domain::{Problem, ProblemType};
 use uuid::Uuid;
 
-use crate::cli::Failure;
+use crate::cli::CliError;
 
-/// Longest wait for a connection, and for the next piece of an answer.
-const CONNECT: Duration = Duration::from_secs(10);
-const SILENCE: Duration = Duration::from_secs(120);
-/// Longest answer that is read as a document.
+/// Timeouts of connecting, and of waiting for the next bytes of a response.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
+const READ_TIMEOUT: Duration = Duration::from_secs(120);
+/// Largest response that is read as a document.
 const DOCUMENT_BYTES: usize = 64 << 20;
-/// How often a request is made that may be repeated, and the pauses between.
+/// Attempts of a repeatable request, and the pauses between them.
 const TRIES: u32 = 5;
 const FIRST_PAUSE: Duration = Duration::from_millis(200);
-const LONGEST_PAUSE: Duration = Duration::from_secs(30);
+const MAX_PAUSE: Duration = Duration::from_secs(30);
 
-/// A service and the key that is shown to it.
+/// A service and the API key for it.
 #[derive(Debug, Clone)]
 pub(super) struct Connection {
     client: reqwest::Client,
@@ -30,17 +30,17 @@ pub(super) struct Connection {
 }
 
 impl Connection {
-    /// A connection to the service at `server`; nothing is asked yet.
-    pub(super) fn new(server: &str, key: Option<&str>) -> Result<Self, Failure> {
+    /// A connection to the service at `server`; sends nothing yet.
+    pub(super) fn new(server: &str, key: Option<&str>) -> Result<Self, CliError> {
         let base =
-            Url::parse(server).map_err(|fault| Failure::Usage(format!("--server: '{server}': {fault}")))?;
+            Url::parse(server).map_err(|fault| CliError::Usage(format!("--server: '{server}': {fault}")))?;
         if !matches!(base.scheme(), "http" | "https") || base.host_str().is_none() {
-            return Err(Failure::Usage(format!("--server: '{server}' is not an http or https address")));
+            return Err(CliError::Usage(format!("--server: '{server}' is not an http or https address")));
         }
         let mut headers = HeaderMap::new();
         if let Some(key) = key {
             let mut value = HeaderValue::try_from(format!("Bearer {key}"))
-                .map_err(|_| Failure::Usage("the API key has characters that no key has".to_owned()))?;
+                .map_err(|_| CliError::Usage("the API key has characters that no key has".to_owned()))?;
             value.set_sensitive(true);
             headers.insert(AUTHORIZATION, value);
         }
@@ -48,33 +48,33 @@ impl Connection {
         let builder = tcgs::https::client_builder().map_err(|fault| unusable(fault.to_string()))?;
         let client = builder
             .default_headers(headers)
-            .connect_timeout(CONNECT)
-            .read_timeout(SILENCE)
-            // A key must not follow to wherever an answer points.
+            .connect_timeout(CONNECT_TIMEOUT)
+            .read_timeout(READ_TIMEOUT)
+            // The key must not be sent to the target of a redirect.
             .redirect(reqwest::redirect::Policy::none())
             .build()
             .map_err(|fault| unusable(fault.to_string()))?;
         Ok(Self { client, base })
     }
 
-    /// A request to a path of the service, which is taken as it is.
-    pub(super) fn request(&self, method: Method, path: &str) -> Result<RequestBuilder, Failure> {
+    /// A request to a path of the service.
+    pub(super) fn request(&self, method: Method, path: &str) -> Result<RequestBuilder, CliError> {
         let url = format!("{}{path}", self.base.as_str().trim_end_matches('/'));
-        let url = Url::parse(&url).map_err(|fault| Failure::Usage(format!("'{path}': {fault}")))?;
+        let url = Url::parse(&url).map_err(|fault| CliError::Usage(format!("'{path}': {fault}")))?;
         Ok(self.client.request(method, url))
     }
 
-    /// Sends a request once; an answer that is no success is the problem that it tells of.
-    pub(super) async fn send(&self, request: RequestBuilder) -> Result<Response, Failure> {
+    /// Sends a request once; a response other than success is returned as its problem.
+    pub(super) async fn send(&self, request: RequestBuilder) -> Result<Response, CliError> {
         let response = request.send().await.map_err(|fault| unreachable(&self.base, &fault))?;
         accepted(response).await
     }
 
-    /// Sends what `make` makes, again and again while the service is away or busy; only for what may be done twice.
-    pub(super) async fn insist(
+    /// Sends the request that `make` creates and repeats it while the service is unreachable or busy; for idempotent requests only.
+    pub(super) async fn send_with_retry(
         &self,
-        make: impl AsyncFn() -> Result<RequestBuilder, Failure>,
-    ) -> Result<Response, Failure> {
+        make: impl AsyncFn() -> Result<RequestBuilder, CliError>,
+    ) -> Result<Response, CliError> {
         let mut pause = FIRST_PAUSE;
         for _ in 1..TRIES {
             match make().await?.send().await {
@@ -87,37 +87,37 @@ impl Connection {
         self.send(make().await?).await
     }
 
-    /// The answer to a JSON document, sent under a key of its own, so that repeating it makes nothing twice.
-    pub(super) async fn post(&self, path: &str, document: &serde_json::Value) -> Result<Response, Failure> {
+    /// Posts a JSON document with an idempotency key, so that a repeated request has no second effect.
+    pub(super) async fn post(&self, path: &str, document: &serde_json::Value) -> Result<Response, CliError> {
         let (key, text) = (Uuid::now_v7().to_string(), document.to_string());
         let make = async || {
             let request = self.request(Method::POST, path)?.header("idempotency-key", &key);
             Ok(request.header(CONTENT_TYPE, "application/json").body(text.clone()))
         };
-        self.insist(make).await
+        self.send_with_retry(make).await
     }
 
     /// The JSON document at a path.
-    pub(super) async fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
+    pub(super) async fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, CliError> {
         let ask = async || Ok(self.request(Method::GET, path)?.header(ACCEPT, "application/json"));
-        document(self.insist(ask).await?).await
+        document(self.send_with_retry(ask).await?).await
     }
 }
 
-/// Waits, but not for longer than a person would.
+/// Waits, at most [`MAX_PAUSE`].
 pub(super) async fn sleep(pause: Duration) {
-    tokio::time::sleep(pause.min(LONGEST_PAUSE)).await;
+    tokio::time::sleep(pause.min(MAX_PAUSE)).await;
 }
 
-/// The JSON body of an answer.
-pub(super) async fn document<T: DeserializeOwned>(response: Response) -> Result<T, Failure> {
+/// The JSON body of a response.
+pub(super) async fn document<T: DeserializeOwned>(response: Response) -> Result<T, CliError> {
     let body = body(response).await?;
     serde_json::from_slice(&body)
         .map_err(|fault| unexpected(format!("its answer is not what was expected: {fault}")))
 }
 
-/// The whole body of an answer, of bounded length.
-pub(super) async fn body(mut response: Response) -> Result<Vec<u8>, Failure> {
+/// The body of a response, of at most [`DOCUMENT_BYTES`].
+pub(super) async fn body(mut response: Response) -> Result<Vec<u8>, CliError> {
     let mut body = Vec::new();
     let broken = |fault: reqwest::Error| unexpected(format!("its answer broke off: {}", root(&fault)));
     while let Some(piece) = response.chunk().await.map_err(broken)? {
@@ -130,12 +130,12 @@ pub(super) async fn body(mut response: Response) -> Result<Vec<u8>, Failure> {
 }
 
 /// A fault of the service's, not of the request.
-pub(super) fn unexpected(detail: impl AsRef<str>) -> Failure {
+pub(super) fn unexpected(detail: impl AsRef<str>) -> CliError {
     Problem::new(ProblemType::UnexpectedAnswer, detail.as_ref()).into()
 }
 
-/// A fault of transport.
-pub(super) fn unreachable(base: &Url, fault: &reqwest::Error) -> Failure {
+/// A transport error.
+pub(super) fn unreachable(base: &Url, fault: &reqwest::Error) -> CliError {
     let detail = match tcgs::https::certificate_fault(fault) {
         Some(reason) => format!("the certificate of {base} {reason}"),
         None => format!("{base} does not answer: {}", root(fault)),
@@ -143,7 +143,7 @@ pub(super) fn unreachable(base: &Url, fault: &reqwest::Error) -> Failure {
     Problem::new(ProblemType::Unreachable, detail).into()
 }
 
-/// What lies behind an error, in one line, without the address that the caller names anyway.
+/// The innermost cause of an error, in one line.
 fn root(fault: &reqwest::Error) -> String {
     let mut deepest: &dyn std::error::Error = fault;
     while let Some(source) = deepest.source() {
@@ -162,13 +162,13 @@ fn is_busy(status: StatusCode) -> bool {
     )
 }
 
-/// How long the service asks to be left alone.
+/// The pause that the service asks for in `Retry-After`.
 pub(super) fn wanted_pause(response: &Response) -> Option<Duration> {
     let seconds = response.headers().get(RETRY_AFTER)?.to_str().ok()?.parse().ok()?;
     Some(Duration::from_secs(seconds))
 }
 
-async fn accepted(response: Response) -> Result<Response, Failure> {
+async fn accepted(response: Response) -> Result<Response, CliError> {
     let status = response.status();
     if status.is_success() || status == StatusCode::NOT_MODIFIED {
         return Ok(response);

@@ -1,7 +1,7 @@
 //! `tcgs fetch`: a job's file from a service.
 //!
-//! The file appears under its name only when it is whole and has the digest that the service states. Until then it lies beside
-//! it under a name that holds the digest, so a download that broke off is gone on with, and never with another file's bytes.
+//! The file gets its name when it is complete and has the digest that the service states. Until then it is stored next to it under a name
+//! with the digest, so that a later call resumes the download and never mixes the bytes of two files.
 
 use std::{
     fs::{File, OpenOptions},
@@ -26,10 +26,10 @@ use super::{
     connection::{sleep, unexpected},
     job::{self, ArtifactView},
 };
-use crate::cli::{Failure, Report, files};
+use crate::cli::{CliError, Report, files};
 
-/// How often in a row a download may break off without a single byte.
-const MOST_BREAKS: u32 = 5;
+/// Breaks in a row without a byte after which the download fails.
+const MAX_BREAKS: u32 = 5;
 const PAUSE: Duration = Duration::from_millis(500);
 
 /// Arguments of `tcgs fetch`.
@@ -56,7 +56,7 @@ pub(crate) struct Args {
 }
 
 /// Downloads the file, or the rest of it.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     files::check_writable(&args.output)?;
     let connection = args.server.connect()?;
     super::run(async {
@@ -74,7 +74,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     })
 }
 
-fn no_file(args: &Args, state: &str) -> Failure {
+fn no_file(args: &Args, state: &str) -> CliError {
     let detail = match args.lambda {
         Some(lambda) => format!("job {} is {state} and has no file of lambda {lambda}", args.job),
         None => format!("job {} is {state}; only a succeeded job has a file", args.job),
@@ -82,10 +82,10 @@ fn no_file(args: &Args, state: &str) -> Failure {
     Problem::new(ProblemType::NoArtifact, detail).into()
 }
 
-/// Brings the file to `output`, and tells where a download that had broken off was gone on with.
-async fn download(connection: &Connection, artifact: &ArtifactView, output: &Path) -> Result<u64, Failure> {
+/// Downloads the file to `output`; returns the byte at which an earlier download was resumed.
+async fn download(connection: &Connection, artifact: &ArtifactView, output: &Path) -> Result<u64, CliError> {
     let part = part_of(output, artifact.sha256);
-    let unwritable = |fault: io::Error| Failure::unwritable(&part, &fault);
+    let unwritable = |fault: io::Error| CliError::unwritable(&part, &fault);
     let open = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&part);
     let mut file = open.map_err(unwritable)?;
     let mut hash = Sha256::new();
@@ -96,9 +96,9 @@ async fn download(connection: &Connection, artifact: &ArtifactView, output: &Pat
     while have < artifact.bytes {
         bar.set_position(have);
         let before = have;
-        let response = ask(connection, artifact, have).await?;
+        let response = request_from(connection, artifact, have).await?;
         if response.status() != StatusCode::PARTIAL_CONTENT && have > 0 {
-            // The service sends all of it, so what is there counts for nothing.
+            // The service sends the whole file, so start again.
             (have, hash) = (0, Sha256::new());
             file.set_len(0).and_then(|()| file.rewind()).map_err(unwritable)?;
         }
@@ -111,9 +111,9 @@ async fn download(connection: &Connection, artifact: &ArtifactView, output: &Pat
             )));
         }
         breaks = if have > before { 0 } else { breaks + 1 };
-        if breaks == MOST_BREAKS {
+        if breaks == MAX_BREAKS {
             let detail = format!(
-                "the download broke off at byte {have} of {}; the same command goes on there",
+                "the download stopped at byte {have} of {}; run the command again to resume",
                 artifact.bytes
             );
             return Err(Problem::new(ProblemType::Unreachable, detail).into());
@@ -125,12 +125,12 @@ async fn download(connection: &Connection, artifact: &ArtifactView, output: &Pat
     bar.finish_and_clear();
     let found = Digest::from_bytes(hash.finalize().into());
     if found != artifact.sha256 {
-        // It cannot become right by more bytes.
+        // More bytes cannot repair it.
         let _ = std::fs::remove_file(&part);
         return Err(unexpected(format!("the file came as {found}, not as {}", artifact.sha256)));
     }
     file.sync_all().map_err(unwritable)?;
-    std::fs::rename(&part, output).map_err(|fault| Failure::unwritable(output, &fault))?;
+    std::fs::rename(&part, output).map_err(|fault| CliError::unwritable(output, &fault))?;
     Ok(resumed)
 }
 
@@ -139,7 +139,7 @@ fn part_of(output: &Path, digest: Digest) -> PathBuf {
     output.with_file_name(format!("{name}.{}.part", &digest.to_string()[..16]))
 }
 
-/// Hashes what is there already, at most `most` bytes, and tells how much that is.
+/// Hashes the bytes that exist, at most `most`, and returns their number.
 fn hash_start(file: &mut File, hash: &mut Sha256, most: u64) -> io::Result<u64> {
     if file.metadata()?.len() > most {
         file.set_len(0)?;
@@ -157,8 +157,12 @@ fn hash_start(file: &mut File, hash: &mut Sha256, most: u64) -> io::Result<u64> 
     Ok(have)
 }
 
-/// Asks for the file from byte `from` on, and holds the answer's own account of it against the job's.
-async fn ask(connection: &Connection, artifact: &ArtifactView, from: u64) -> Result<Response, Failure> {
+/// Requests the file from byte `from` on, and checks the response's digest and range against the job's.
+async fn request_from(
+    connection: &Connection,
+    artifact: &ArtifactView,
+    from: u64,
+) -> Result<Response, CliError> {
     let make = async || {
         let request = connection.request(Method::GET, &artifact.href)?;
         Ok(match from {
@@ -168,7 +172,7 @@ async fn ask(connection: &Connection, artifact: &ArtifactView, from: u64) -> Res
                 .header(IF_RANGE, format!("\"{}\"", artifact.sha256)),
         })
     };
-    let response = connection.insist(make).await?;
+    let response = connection.send_with_retry(make).await?;
     let header = |name: &str| response.headers().get(name).and_then(|value| value.to_str().ok());
     let stated = format!("sha-256=:{}:", STANDARD.encode(artifact.sha256.as_bytes()));
     if let Some(digest) = header("repr-digest").filter(|digest| *digest != stated) {
@@ -183,7 +187,7 @@ async fn ask(connection: &Connection, artifact: &ArtifactView, from: u64) -> Res
     Ok(response)
 }
 
-/// Writes what comes until the answer ends or breaks off.
+/// Writes the response's body until it ends or breaks.
 async fn receive(
     mut response: Response,
     file: &mut File,

@@ -1,4 +1,4 @@
-//! Follows a job to its end: by its stream of events, gone on with wherever it broke off, else by asking.
+//! Follows a job to its end: by its event stream, resumed after each break, else by polling.
 
 use std::time::Duration;
 
@@ -12,25 +12,25 @@ use super::{
     job::{self, JobView},
     sse::{Message, Parser},
 };
-use crate::cli::{Failure, progress::Display};
+use crate::cli::{CliError, progress::Display};
 
-/// Pause before a stream that broke off is asked for again, and between two questions where there is none.
+/// Pause before reconnecting to the stream, and between polls.
 const PAUSE: Duration = Duration::from_secs(1);
-/// How often in a row a stream may break off without a single event before there is held to be none.
-const MOST_BREAKS: u32 = 5;
+/// Breaks in a row without an event after which polling replaces the stream.
+const MAX_BREAKS: u32 = 5;
 
 /// How a stream ended.
 enum Ended {
-    /// With the job, or after all that there was to tell.
+    /// At the end of the job or of its events.
     Done,
-    /// Before that.
+    /// By a broken connection.
     Broken,
-    /// The service has none.
+    /// The service has no stream.
     Unavailable,
 }
 
-/// Waits until the job has ended, showing how it goes.
-pub(super) async fn follow(connection: &Connection, id: JobId) -> Result<(Value, JobView), Failure> {
+/// Waits until the job has ended and shows its progress.
+pub(super) async fn follow(connection: &Connection, id: JobId) -> Result<(Value, JobView), CliError> {
     let mut follower = Follower {
         connection,
         id,
@@ -55,28 +55,28 @@ struct Follower<'a> {
 }
 
 impl Follower<'_> {
-    async fn outcome(&mut self) -> Result<(Value, JobView), Failure> {
+    async fn outcome(&mut self) -> Result<(Value, JobView), CliError> {
         let (whole, view) = job::get(self.connection, self.id).await?;
         if view.state.is_terminal() {
             return Ok((whole, view));
         }
         let mut breaks = 0;
-        while breaks < MOST_BREAKS {
+        while breaks < MAX_BREAKS {
             let before = self.last;
             match self.stream().await? {
                 Ended::Done => break,
-                Ended::Unavailable => return self.ask().await,
+                Ended::Unavailable => return self.poll().await,
                 Ended::Broken if self.last > before => breaks = 0,
                 Ended::Broken => breaks += 1,
             }
             sleep(PAUSE).await;
         }
-        // The stream only tells that something changed; the job itself is what counts, and may still run.
-        self.ask().await
+        // Events only say that something changed: the job itself decides, and may still run.
+        self.poll().await
     }
 
-    /// Asks for the job until it has ended.
-    async fn ask(&mut self) -> Result<(Value, JobView), Failure> {
+    /// Polls the job until it has ended.
+    async fn poll(&mut self) -> Result<(Value, JobView), CliError> {
         loop {
             let (whole, view) = job::get(self.connection, self.id).await?;
             if view.state.is_terminal() {
@@ -87,8 +87,8 @@ impl Follower<'_> {
         }
     }
 
-    /// Reads the stream of events from the last one seen on.
-    async fn stream(&mut self) -> Result<Ended, Failure> {
+    /// Reads the event stream, starting after the last event seen.
+    async fn stream(&mut self) -> Result<Ended, CliError> {
         let events = format!("{}/events", job::path(self.id));
         let ask = self
             .connection
@@ -102,7 +102,7 @@ impl Follower<'_> {
         match response.status() {
             StatusCode::OK => {}
             StatusCode::NO_CONTENT => return Ok(Ended::Done),
-            // Asking instead tells what is wrong, if anything is.
+            // Polling reports what is wrong, if anything is.
             status if status.is_client_error() => return Ok(Ended::Unavailable),
             _ => return Ok(Ended::Broken),
         }
@@ -118,9 +118,9 @@ impl Follower<'_> {
         Ok(Ended::Broken)
     }
 
-    /// Takes one event; true for the one that ends the job.
+    /// Applies one event; returns true for the one that ends the job.
     fn take(&mut self, message: &Message) -> bool {
-        // What is not understood is not needed either: newer services may tell more.
+        // Newer services may send events that this version does not know.
         let Ok(event) = serde_json::from_str::<Event>(&message.data) else { return false };
         if event.seq <= self.last {
             return false;

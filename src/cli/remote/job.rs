@@ -1,13 +1,13 @@
-//! A job as the commands read it, and how one is named.
+//! Jobs of a service, and how the command line names them.
 
 use serde::Deserialize;
 use serde_json::Value;
 use tcgs::domain::{JobId, JobMetrics, JobState, Phase, Problem, Progress};
 
 use super::Connection;
-use crate::cli::{Failure, Report, train};
+use crate::cli::{CliError, Report, train};
 
-/// What the commands need of a job.
+/// The fields of a job that the commands use.
 #[derive(Debug, Deserialize)]
 pub(super) struct JobView {
     pub(super) id: JobId,
@@ -29,10 +29,10 @@ pub(super) struct ArtifactView {
     pub(super) href: String,
 }
 
-/// A job that a person names: by its id, or by a path or address that ends with it.
+/// Reads a job's id, or a path or address that ends with it.
 pub(super) fn parse(text: &str) -> Result<JobId, String> {
     let name = text.trim_end_matches('/').rsplit('/').next().unwrap_or_default();
-    name.parse().map_err(|_| format!("'{text}' is no job id"))
+    name.parse().map_err(|_| format!("'{text}' is not a job id"))
 }
 
 /// The path of a job.
@@ -40,27 +40,27 @@ pub(super) fn path(job: JobId) -> String {
     format!("/v1/jobs/{job}")
 }
 
-/// The job as the service has it, whole and as far as the commands read it.
-pub(super) async fn get(connection: &Connection, job: JobId) -> Result<(Value, JobView), Failure> {
+/// The job as JSON and as the fields that the commands use.
+pub(super) async fn get(connection: &Connection, job: JobId) -> Result<(Value, JobView), CliError> {
     read(connection.get(&path(job)).await?)
 }
 
-/// As [`get`], of what an answer holds.
-pub(super) fn read(whole: Value) -> Result<(Value, JobView), Failure> {
+/// As [`get`], from JSON.
+pub(super) fn read(whole: Value) -> Result<(Value, JobView), CliError> {
     let view = JobView::deserialize(&whole)
         .map_err(|fault| super::connection::unexpected(format!("its job cannot be read: {fault}")))?;
     Ok((whole, view))
 }
 
-/// What a command says of a finished job: its figures, or its failure as the command's own.
-pub(super) fn conclude(whole: Value, job: JobView) -> Result<Report, Failure> {
+/// The outcome of a finished job: its metrics, or its problem as the command's own.
+pub(super) fn conclude(whole: Value, job: JobView) -> Result<Report, CliError> {
     match (job.state, job.error, job.metrics) {
         (JobState::Succeeded, _, Some(metrics)) => {
             let text = format!("{}\nfetch     tcgs fetch {}", train::text(&metrics), job.id);
             Ok(Report { text, json: whole })
         }
         (JobState::Failed, Some(problem), _) => Err(problem.into()),
-        (JobState::Cancelled, ..) => Err(Failure::Stopped),
+        (JobState::Cancelled, ..) => Err(CliError::Stopped),
         (state, ..) => Ok(Report { text: format!("job {} is {}", job.id, state.name()), json: whole }),
     }
 }

@@ -1,9 +1,9 @@
-//! The commands that work at a service: `submit`, `watch`, `fetch`, `view`.
+//! The commands for a service: `submit`, `watch`, `fetch`, `view`.
 //!
-//! What always holds: the key comes from the environment or a file and is shown nowhere; an answer that says what is wrong is the
-//! command's failure with the same exit status as if it had happened here; what broke off is gone on with, a bounded number
-//! of times.
+//! The key comes from the environment or a file and is never shown. A problem response fails the command with the same exit status as
+//! the local error would. Interrupted transfers are resumed a limited number of times.
 
+mod archive;
 mod bytes_bar;
 mod connection;
 pub(super) mod fetch;
@@ -19,17 +19,17 @@ use std::{future::Future, path::PathBuf};
 
 use tcgs::domain::{Problem, ProblemType};
 
-use super::{Failure, files};
+use super::{CliError, files};
 use connection::Connection;
 
-/// Where the service is and who asks.
+/// The service and the API key.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ServerFlags {
     /// Address of the service
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:8080", env = "TCGS_SERVER")]
     server: String,
 
-    /// Environment variable that holds the API key, where the service wants one
+    /// Environment variable with the API key, if the service requires one
     #[arg(long, value_name = "NAME", default_value = "TCGS_API_KEY")]
     key_env: String,
 
@@ -40,11 +40,13 @@ pub(crate) struct ServerFlags {
 
 impl ServerFlags {
     /// A connection that sends the key, if there is one.
-    fn connect(&self) -> Result<Connection, Failure> {
+    fn connect(&self) -> Result<Connection, CliError> {
         let key = match &self.key_file {
             Some(path) => {
                 let text = String::from_utf8(files::read(path)?);
-                Some(text.map_err(|_| Failure::Usage(format!("--key-file: {} is not text", path.display())))?)
+                Some(
+                    text.map_err(|_| CliError::Usage(format!("--key-file: {} is not text", path.display())))?,
+                )
             }
             None => std::env::var(&self.key_env).ok(),
         };
@@ -52,8 +54,8 @@ impl ServerFlags {
     }
 }
 
-/// Runs a command's requests to their end.
-fn run<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
+/// Runs a command's requests.
+fn run<T>(work: impl Future<Output = Result<T, CliError>>) -> Result<T, CliError> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(|fault| {
         Problem::new(ProblemType::ResourceExhausted, format!("no runtime: {fault}")).with_status(503)

@@ -1,7 +1,7 @@
-//! Server-sent events from the bytes of a stream, however they were cut into pieces.
+//! An incremental parser of server-sent events, with a limit on their size.
 
-/// Longest line and longest event; no event of the service comes near.
-const MOST_BYTES: usize = 1 << 20;
+/// Largest event; those of the service are far smaller.
+const MAX_BYTES: usize = 1 << 20;
 
 /// One event.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -10,7 +10,7 @@ pub(super) struct Message {
     pub(super) data: String,
 }
 
-/// What has come of the stream so far.
+/// The state between two pieces of the stream.
 #[derive(Debug, Default)]
 pub(super) struct Parser {
     line: Vec<u8>,
@@ -19,12 +19,12 @@ pub(super) struct Parser {
     has_data: bool,
 }
 
-/// The stream is not of events, or of ones longer than can be.
+/// An event is larger than [`MAX_BYTES`], or the stream has no events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct TooLong;
 
 impl Parser {
-    /// Takes a piece and gives the events that it completes.
+    /// Parses a piece and returns the events that it completes.
     pub(super) fn take(&mut self, piece: &[u8]) -> Result<Vec<Message>, TooLong> {
         let mut complete = Vec::new();
         for &byte in piece {
@@ -38,7 +38,7 @@ impl Parser {
                 }
                 byte => self.line.push(byte),
             }
-            if self.line.len() + self.message.data.len() > MOST_BYTES {
+            if self.line.len() + self.message.data.len() > MAX_BYTES {
                 return Err(TooLong);
             }
         }
@@ -91,9 +91,9 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_without_ends_is_given_up() {
+    fn an_endless_event_is_refused() {
         let mut parser = Parser::default();
-        let mut endless = std::iter::repeat_n([b'x'; 4096], 1 + MOST_BYTES / 4096);
+        let mut endless = std::iter::repeat_n([b'x'; 4096], 1 + MAX_BYTES / 4096);
         assert!(endless.any(|piece| parser.take(&piece) == Err(TooLong)));
     }
 }

@@ -1,5 +1,5 @@
-//! Sends a large archive in parts, by the tus protocol 1.0.0, and makes a scene of it. A part that did not arrive is sent again
-//! from where the service says that it is.
+//! Uploads a large archive in parts by the tus protocol 1.0.0 and creates a dataset from it. After a failed part, the upload resumes at the
+//! offset that the service states.
 
 use std::time::Duration;
 
@@ -13,23 +13,23 @@ use sha2::{Digest as _, Sha256};
 
 use super::{
     Connection,
+    archive::Archive,
     bytes_bar::bytes_bar,
     connection::{document, sleep, unexpected},
-    submit::Archive,
 };
-use crate::cli::Failure;
+use crate::cli::CliError;
 
 const VERSION: (&str, &str) = ("tus-resumable", "1.0.0");
-/// How often in a row a part may fail to arrive.
-const MOST_BREAKS: u32 = 8;
+/// Failures in a row after which the upload fails.
+const MAX_BREAKS: u32 = 8;
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// The id of a scene made of the archive, or nothing where the archive fits into one part or the service takes no parts.
+/// The id of a dataset created from the archive, or `None` if it fits into one part or the service takes no parts.
 pub(super) async fn scene_of(
     connection: &Connection,
     archive: &Archive,
     part_bytes: u64,
-) -> Result<Option<String>, Failure> {
+) -> Result<Option<String>, CliError> {
     if archive.bytes <= part_bytes || !takes_parts(connection).await? {
         return Ok(None);
     }
@@ -47,11 +47,11 @@ pub(super) async fn scene_of(
     Ok(Some(id.to_owned()))
 }
 
-async fn takes_parts(connection: &Connection) -> Result<bool, Failure> {
+async fn takes_parts(connection: &Connection) -> Result<bool, CliError> {
     let make = async || connection.request(Method::OPTIONS, "/v1/uploads");
-    match connection.insist(make).await {
+    match connection.send_with_retry(make).await {
         Ok(answer) => Ok(text(&answer, "tus-version").is_some_and(|versions| versions.contains(VERSION.1))),
-        Err(Failure::Problem(problem)) if matches!(problem.status, 404 | 405) => Ok(false),
+        Err(CliError::Problem(problem)) if matches!(problem.status, 404 | 405) => Ok(false),
         Err(fault) => Err(fault),
     }
 }
@@ -61,7 +61,7 @@ async fn send_parts(
     archive: &Archive,
     part_bytes: u64,
     upload: &str,
-) -> Result<(), Failure> {
+) -> Result<(), CliError> {
     let bar = bytes_bar("upload", archive.bytes);
     let (mut offset, mut breaks) = (0, 0);
     while offset < archive.bytes {
@@ -76,12 +76,12 @@ async fn send_parts(
             .body(part);
         match connection.send(request).await {
             Ok(answer) => (offset, breaks) = (offset_of(&answer)?, 0),
-            Err(fault) if breaks < MOST_BREAKS && may_pass(&fault) => {
+            Err(fault) if breaks < MAX_BREAKS && is_retryable(&fault) => {
                 breaks += 1;
                 sleep(PAUSE * breaks).await;
                 let make =
                     async || Ok(connection.request(Method::HEAD, upload)?.header(VERSION.0, VERSION.1));
-                offset = offset_of(&connection.insist(make).await?)?;
+                offset = offset_of(&connection.send_with_retry(make).await?)?;
             }
             Err(fault) => return Err(fault),
         }
@@ -90,16 +90,16 @@ async fn send_parts(
     Ok(())
 }
 
-/// Whether a part may arrive the next time: the connection broke, the service was busy or is still busy with the part
-/// before, or it holds another offset or sum than the part had.
-fn may_pass(fault: &Failure) -> bool {
+/// Whether to retry a part: the connection broke, the service was busy or is still writing the part before, or it has another offset or
+/// checksum than the part stated.
+fn is_retryable(fault: &CliError) -> bool {
     match fault {
-        Failure::Problem(problem) => matches!(problem.status, 408 | 409 | 423 | 429 | 460 | 502..=504),
-        Failure::Usage(_) | Failure::Stopped => false,
+        CliError::Problem(problem) => matches!(problem.status, 408 | 409 | 423 | 429 | 460 | 502..=504),
+        CliError::Usage(_) | CliError::Stopped => false,
     }
 }
 
-fn offset_of(answer: &Response) -> Result<u64, Failure> {
+fn offset_of(answer: &Response) -> Result<u64, CliError> {
     let offset = text(answer, "upload-offset").and_then(|offset| offset.parse().ok());
     offset.ok_or_else(|| {
         unexpected(format!("its answer ({}) tells no offset", StatusCode::as_u16(&answer.status())))

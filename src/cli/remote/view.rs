@@ -12,7 +12,7 @@ use super::{
     connection::{body, unexpected},
     job,
 };
-use crate::cli::{Failure, Report, files, picture};
+use crate::cli::{CliError, Report, files, picture};
 
 /// Arguments of `tcgs view`.
 #[derive(Debug, clap::Args)]
@@ -25,7 +25,7 @@ pub(crate) struct Args {
     #[command(flatten)]
     server: ServerFlags,
 
-    /// Name of the dataset's image whose camera to use
+    /// Dataset image whose camera to use
     #[arg(long, value_name = "NAME")]
     frame: Option<String>,
 
@@ -33,15 +33,15 @@ pub(crate) struct Args {
     #[arg(long, value_name = "JSON", conflicts_with_all = ["width", "height"])]
     pose: Option<String>,
 
-    /// Where the camera stands
+    /// Position of the camera
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, requires = "look_at")]
     position: Option<String>,
 
-    /// What the camera looks at
+    /// Point that the camera looks at
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, requires = "position")]
     look_at: Option<String>,
 
-    /// What is up; the z axis if absent
+    /// Up direction [default: the z axis]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, requires = "position")]
     up: Option<String>,
 
@@ -57,7 +57,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N")]
     height: Option<u32>,
 
-    /// Which file of a job with --rd-curve; its first if absent
+    /// File of a job with --rd-curve [default: its first]
     #[arg(long, value_name = "X")]
     lambda: Option<f64>,
 
@@ -66,8 +66,8 @@ pub(crate) struct Args {
     output: PathBuf,
 }
 
-/// Asks for the view and writes it.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+/// Requests the view and writes it.
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let format = match picture::format_of(&args.output)? {
         ImageFormat::Jpeg => "jpeg",
         ImageFormat::WebP => "webp",
@@ -78,32 +78,32 @@ pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
     let path = job::path(args.job);
     let image = match &args.pose {
         Some(pose) => {
-            let mut wish = Map::from_iter([
+            let mut view = Map::from_iter([
                 ("views".to_owned(), json!([pose_of(pose)?])),
                 ("format".to_owned(), json!(format)),
             ]);
-            wish.extend(args.lambda.map(|lambda| ("lambda".to_owned(), json!(lambda))));
-            let wish = Value::Object(wish).to_string();
+            view.extend(args.lambda.map(|lambda| ("lambda".to_owned(), json!(lambda))));
+            let view = Value::Object(view).to_string();
             let path = format!("{path}/views");
             let make = async || {
                 let request = connection.request(Method::POST, &path)?;
-                Ok(request.header(CONTENT_TYPE, "application/json").body(wish.clone()))
+                Ok(request.header(CONTENT_TYPE, "application/json").body(view.clone()))
             };
-            super::run(async { image(connection.insist(make).await?).await })?
+            super::run(async { image(connection.send_with_retry(make).await?).await })?
         }
         None => {
             let query = serde_urlencoded::to_string(query(args, format)).unwrap_or_default();
             let path = format!("{path}/view?{query}");
             let make = async || connection.request(Method::GET, &path);
-            super::run(async { image(connection.insist(make).await?).await })?
+            super::run(async { image(connection.send_with_retry(make).await?).await })?
         }
     };
     files::write(&args.output, &image)?;
     Ok(Report::text(format!("wrote {}", args.output.display())))
 }
 
-/// The picture in an answer.
-async fn image(response: reqwest::Response) -> Result<Vec<u8>, Failure> {
+/// The image in a response.
+async fn image(response: reqwest::Response) -> Result<Vec<u8>, CliError> {
     let kind = response.headers().get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
     if !kind.starts_with("image/") {
         return Err(unexpected(format!("it sent '{kind}' where an image was to come")));
@@ -126,8 +126,8 @@ fn query(args: &Args, format: &str) -> Vec<(&'static str, String)> {
     texts.into_iter().filter_map(|(name, text)| Some((name, text?))).collect()
 }
 
-/// The pose as JSON; whether it is a camera is for the service to say.
-fn pose_of(text: &str) -> Result<Value, Failure> {
+/// The pose as JSON; the service checks it.
+fn pose_of(text: &str) -> Result<Value, CliError> {
     let (source, json) = if text.trim_start().starts_with('{') {
         ("--pose", text.as_bytes().to_vec())
     } else {

@@ -1,9 +1,9 @@
-//! `tcgs watch`: how a job goes, until it has ended.
+//! `tcgs watch`: shows a job's progress until it has ended.
 
 use tcgs::domain::JobId;
 
 use super::{ServerFlags, follow::follow, job};
-use crate::cli::{Failure, Report};
+use crate::cli::{CliError, Report};
 
 /// Arguments of `tcgs watch`.
 #[derive(Debug, clap::Args)]
@@ -21,7 +21,7 @@ pub(crate) struct Args {
 }
 
 /// Follows the job; its failure is the command's.
-pub(crate) fn run(args: &Args) -> Result<Report, Failure> {
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let connection = args.server.connect()?;
     let (whole, job) = super::run(follow(&connection, args.job))?;
     job::conclude(whole, job)

@@ -1,23 +1,23 @@
-//! The tables on size: where a file's bytes go, what each part of the method saves, and quality against bytes beside the
-//! baselines and other programs' formats.
+//! The tables of sizes: bytes by section, what each part of the method saves, and quality against bytes with the baselines and other
+//! programs' formats.
 
 use std::fmt::Write as _;
 
 use tcgs::domain::{ByteCounts, ModelKind};
 
-use super::record::{Contest, Record};
+use super::record::{Comparison, Record};
 
-/// Both tables, from the runs with equal steps; nothing where no run has a method's file.
+/// Both tables, from the runs at equal steps; nothing if no run has a `.tcgs` file.
 pub(super) fn markdown(text: &mut String, records: &[&Record]) {
     let runs: Vec<&Record> =
-        records.iter().copied().filter(|record| record.contest == Contest::Steps).collect();
+        records.iter().copied().filter(|record| record.comparison == Comparison::Steps).collect();
     if runs.iter().any(|run| is_coded(run)) {
         bytes(text, &runs);
         curve(text, &runs);
     }
 }
 
-/// Whether its file is the method's own.
+/// Whether its file is a `.tcgs` file.
 fn is_coded(record: &Record) -> bool {
     record.options.model == ModelKind::Tcgs
 }
@@ -90,9 +90,9 @@ fn curve(text: &mut String, runs: &[&Record]) {
             let test = &run.metrics.test;
             let equal = if is_coded(run) { None } else { bytes_at(&coded, test.psnr) };
             files.push((run.metrics.bytes.total, run.entry.clone(), test.psnr, test.ssim, equal));
-            for peer in &run.peers {
-                let name = format!("{} as {}", run.entry, peer.format);
-                files.push((peer.bytes, name, peer.psnr, peer.ssim, bytes_at(&coded, peer.psnr)));
+            for file in &run.external_formats {
+                let name = format!("{} as {}", run.entry, file.format);
+                files.push((file.bytes, name, file.psnr, file.ssim, bytes_at(&coded, file.psnr)));
             }
         }
         files.sort_by(|a, b| (a.0, &a.1).cmp(&(b.0, &b.1)));
@@ -109,8 +109,8 @@ fn curve(text: &mut String, runs: &[&Record]) {
     text.push('\n');
 }
 
-/// Bytes that the method takes for `psnr`, between its two points around it: linear in dB over the logarithm of the bytes. A
-/// point that is better and smaller than what is asked for is taken as it is; beyond the best point nothing is known.
+/// Bytes that the method needs for `psnr`, interpolated between its two nearest points: linear in dB over the logarithm of the bytes. A
+/// point with a higher PSNR and fewer bytes is taken as it is; `None` beyond the best point.
 fn bytes_at(points: &[(f64, u64)], psnr: Option<f64>) -> Option<f64> {
     let psnr = psnr?;
     let above = points.iter().filter(|point| point.0 >= psnr).min_by_key(|point| point.1)?;

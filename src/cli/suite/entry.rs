@@ -1,5 +1,4 @@
-//! What competes: a model, the method without one of its parts or with one that such runs do without, or the method at another
-//! operating point.
+//! An entry of the comparison: a model, an ablation of the method, or the method with another `lambda`.
 
 use std::{collections::BTreeSet, fmt, str::FromStr};
 
@@ -8,10 +7,10 @@ use tcgs::{
     train::Schedule,
 };
 
-/// Weights of the rate that draw the method's curve, beside its own.
+/// Values of `lambda` for the method's curve, in addition to the preset's.
 const LAMBDAS: [f64; 3] = [0.001, 0.002, 0.005];
 
-/// The parts that the method's ablation leaves out, in the order of the published table.
+/// The parts of the ablation, in the order of the published table.
 const PARTS: [Component; 5] =
     [Component::TriPlane, Component::Knn, Component::PlaneCompression, Component::Wavelet, Component::Masks];
 
@@ -20,11 +19,11 @@ const PARTS: [Component; 5] =
 pub(crate) struct Entry {
     /// What is trained.
     pub(crate) model: ModelKind,
-    /// The part that is left out.
+    /// The part that is switched off.
     pub(crate) without: Option<Component>,
-    /// The part that is there though runs of so few steps do without it.
+    /// The part that is switched on although it is off by default in short runs.
     pub(crate) with: Option<Component>,
-    /// Weight of the rate, if not the preset's own.
+    /// `lambda`, if not the preset's.
     pub(crate) lambda: Option<f64>,
 }
 
@@ -33,8 +32,7 @@ impl Entry {
         Self { model, without: None, with: None, lambda: None }
     }
 
-    /// The baselines, the method, the method without each part that this version can leave out and with each that runs may
-    /// do without, and its curve.
+    /// The baselines, the method, its ablations and its curve.
     pub(crate) fn defaults() -> Vec<Self> {
         let models = [ModelKind::Gaussians3d, ModelKind::Scaffold, ModelKind::Tcgs].map(Self::whole);
         let tcgs = Self::whole(ModelKind::Tcgs);
@@ -45,14 +43,14 @@ impl Entry {
         models.into_iter().chain(ablations).chain(more).chain(curve).filter(possible).collect()
     }
 
-    /// Whether it competes for the same seconds too; ablations and curves are compared step by step.
+    /// Whether it takes part in the comparison at equal seconds; ablations and curves are compared at equal steps only.
     pub(crate) fn is_whole(&self) -> bool {
         self.without.is_none() && self.with.is_none() && self.lambda.is_none()
     }
 
-    /// The plainer entry whose runs with these options are one and the same: runs of few steps have no compressed planes to leave
-    /// out, those of many have them without being asked, and a weight may be the preset's own.
-    pub(crate) fn twin(&self, shared: &TrainOptions) -> Option<Self> {
+    /// The plainer entry that trains the same model with these options: short runs have no compressed planes to leave out, long
+    /// ones have them by default, and `lambda` may be the preset's own.
+    pub(crate) fn duplicate_of(&self, shared: &TrainOptions) -> Option<Self> {
         let without = self.without.filter(|part| *part != Component::PlaneCompression);
         let plainer = Self { without, with: None, lambda: None, ..self.clone() };
         let same = Schedule::new(&self.options(shared)) == Schedule::new(&plainer.options(shared));
@@ -99,7 +97,7 @@ impl FromStr for Entry {
                 (name, Some(number))
             }
         };
-        let part = |text: &str| text.parse::<Component>().map_err(|fault| fault.fault);
+        let part = |text: &str| text.parse::<Component>();
         let (name, with) = match name.split_once('+') {
             None => (name, None),
             Some((name, text)) => (name, Some(part(text)?)),
@@ -108,7 +106,7 @@ impl FromStr for Entry {
             None => (name, None),
             Some((model, text)) => (model, Some(part(text)?)),
         };
-        let model: ModelKind = model.parse().map_err(|fault: tcgs::domain::OptionError| fault.fault)?;
+        let model: ModelKind = model.parse()?;
         if (without.is_some() || with.is_some()) && model != ModelKind::Tcgs {
             return Err(format!("'{text}': only tcgs has parts to leave out or to ask for"));
         }
@@ -168,24 +166,24 @@ mod tests {
     }
 
     #[test]
-    fn what_trains_the_same_model_twice_has_a_twin() {
-        let twins = |steps: u32, names: &[&str]| {
+    fn what_trains_the_same_model_twice_is_a_duplicate() {
+        let duplicates = |steps: u32, names: &[&str]| {
             let shared = TrainOptions { iterations: Some(steps), ..TrainOptions::default() };
-            let twin = |name: &&str| {
+            let duplicate = |name: &&str| {
                 let entry: Entry = name.parse().expect("an entry");
-                entry.twin(&shared).map(|twin| twin.to_string())
+                entry.duplicate_of(&shared).map(|plainer| plainer.to_string())
             };
-            names.iter().map(twin).collect::<Vec<_>>()
+            names.iter().map(duplicate).collect::<Vec<_>>()
         };
         let names = ["tcgs-plane-compression", "tcgs+plane-compression", "tcgs-wavelet", "tcgs"];
         let tcgs = || Some("tcgs".to_owned());
-        assert_eq!(twins(300, &names), [tcgs(), None, None, None]);
-        assert_eq!(twins(30_000, &names), [None, tcgs(), None, None]);
+        assert_eq!(duplicates(300, &names), [tcgs(), None, None, None]);
+        assert_eq!(duplicates(30_000, &names), [None, tcgs(), None, None]);
         let weighed = ["tcgs@0.0005", "tcgs@0.001", "tcgs-wavelet@0.0005"];
-        assert_eq!(twins(300, &weighed), [tcgs(), None, Some("tcgs-wavelet".to_owned())]);
+        assert_eq!(duplicates(300, &weighed), [tcgs(), None, Some("tcgs-wavelet".to_owned())]);
         let preview = TrainOptions { iterations: Some(300), ..TrainOptions::default() };
         let defaults = Entry::defaults();
-        let doubled = defaults.iter().filter(|entry| entry.twin(&preview).is_some()).count();
+        let doubled = defaults.iter().filter(|entry| entry.duplicate_of(&preview).is_some()).count();
         assert_eq!(doubled, 1, "all points of the curve are other than the method's own");
     }
 }

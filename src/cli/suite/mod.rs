@@ -2,11 +2,11 @@
 //!
 //! The seconds of a set are those that its slowest model took for the equal steps; the others run again with as many steps
 //! as fit into them, found by at most three runs (`seconds.rs`). Every finished run is kept in
-//! `runs.jsonl` at once, and a suite that is begun again goes on where it was interrupted.
+//! `runs.jsonl` at once, and a suite that is started again continues where it was interrupted.
 
 mod codec_table;
 mod entry;
-mod peers;
+mod external_formats;
 mod record;
 mod seconds;
 mod table;
@@ -15,41 +15,31 @@ use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
-    sync::Arc,
 };
 
-use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde_json::json;
 use tcgs::{
-    domain::{
-        Background, CancelFlag, Dataset, ModelKind, Phase, Preset, Problem, ProblemType, TrainOptions, Voxel,
-    },
-    pipeline::{Checkpoints, JobError, JobOutput, RunJob},
+    domain::{CancelFlag, Dataset, ModelKind, Phase, Problem, ProblemType, TrainOptions},
+    pipeline::{Checkpoints, JobError, JobOutput, Pipeline, RunJob as _},
 };
 
 use self::{
     entry::Entry,
-    peers::{Converted, Peer},
-    record::{Contest, Record, Records, Wanted},
+    external_formats::{Converted, ExternalFile},
+    record::{Comparison, Record, Records, Wanted},
 };
 use super::{
-    Failure, Report,
-    adapter::AdapterFlag,
-    files,
-    lpips::LpipsFlag,
-    memory::MemoryFlags,
-    progress::Display,
-    train::{cancel_on_interrupt, choice, voxel},
-    wiring,
+    CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, memory::MemoryFlags,
+    options::SuiteFlags, progress::Display, train::cancel_on_interrupt, wiring,
 };
 
 /// Where results go if no folder is named.
 const OUT: &str = "out/suite";
 
-/// Runs that may be made for one place among the equal seconds.
-const TRIES: usize = 3;
+/// Most runs of one entry at equal seconds.
+const MAX_TRIES: usize = 3;
 
-/// What a suite is made of.
+/// Arguments of a suite.
 #[derive(Debug, clap::Args)]
 #[group(id = "suite_of_runs")]
 pub(crate) struct Args {
@@ -57,82 +47,49 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR", conflicts_with_all = ["file", "save"])]
     pub(crate) suite: Option<PathBuf>,
 
-    /// Models to compare: 3dgs, scaffold, tcgs, tcgs-PART for the method without a part, tcgs+PART for it with
-    /// a part that short runs do without, tcgs@LAMBDA for another weight of the rate
+    /// Models to compare: 3dgs, scaffold, tcgs, tcgs-PART without a part of the method, tcgs+PART with a part
+    /// that is off in short runs, tcgs@LAMBDA with another lambda
     #[arg(long, value_name = "LIST", value_delimiter = ',', requires = "suite")]
     models: Vec<Entry>,
 
-    /// Sets to take, by name; all if absent
+    /// Datasets to use, by name [default: all]
     #[arg(long, value_name = "LIST", value_delimiter = ',', requires = "suite")]
     sets: Vec<String>,
 
-    /// Steps of single sets, where they are not those of --iterations
+    /// Iterations for single datasets, instead of --iterations
     #[arg(long, value_name = "SET=N,…", value_delimiter = ',', value_parser = set_steps, requires = "suite")]
     steps: Vec<(String, u32)>,
 
-    /// Script that turns the .ply of 3dgs into other programs' formats and back, such as scripts/peers.sh: those are
-    /// measured too
+    /// Script that converts the .ply of 3dgs to other programs' formats and back, such as scripts/external_formats.sh, to measure
+    /// them too
     #[arg(long, value_name = "SCRIPT", requires = "suite")]
-    peers: Option<PathBuf>,
+    external_formats: Option<PathBuf>,
 
     /// Compare with equal steps only
     #[arg(long, requires = "suite")]
     steps_only: bool,
 
-    /// Folder of the results: runs.jsonl, which an interrupted suite goes on from, results.json and results.md
+    /// Folder of the results: results.json, results.md, and runs.jsonl, from which an interrupted suite continues
     #[arg(long, value_name = "DIR", default_value = OUT, requires = "suite")]
     out: PathBuf,
 
-    /// A document in which the tables are put between the lines that mark their place
+    /// Document to update: the tables replace what is between its markers
     #[arg(long, value_name = "FILE.md", requires = "suite")]
     table: Option<PathBuf>,
 
-    /// Schedule of every run
-    #[arg(long, value_name = "P", value_parser = choice!(Preset), default_value_t = Preset::Preview, requires = "suite")]
-    preset: Preset,
-
-    /// Steps of the equal steps, if not the preset's
-    #[arg(long, value_name = "N", requires = "suite")]
-    iterations: Option<u32>,
-
-    /// Seed of every run
-    #[arg(long, value_name = "N", default_value_t = 0, requires = "suite")]
-    seed: u64,
-
-    /// What is behind images with alpha, and behind the renders
-    #[arg(long, value_parser = choice!(Background), default_value_t = Background::Black, requires = "suite")]
-    background: Background,
-
-    /// Edge of a cell of the anchors' lattice, as for tcgs train
-    #[arg(long, value_name = "V", value_parser = voxel, default_value_t = Voxel::Auto, requires = "suite")]
-    voxel: Voxel,
+    #[command(flatten)]
+    options: SuiteFlags,
 }
 
 impl Args {
-    /// Whether a flag is given that says nothing without a suite. `requires` does not tell: it gives way to the conflict of
-    /// a suite with a file.
-    pub(crate) fn is_touched(&self) -> bool {
+    /// Whether a flag is given that needs a suite. `requires` does not catch it, because a file conflicts with `--suite`.
+    pub(crate) fn is_used(&self) -> bool {
         let listed = !(self.models.is_empty() && self.sets.is_empty() && self.steps.is_empty());
-        let named =
-            self.table.is_some() || self.peers.is_some() || self.steps_only || self.out != Path::new(OUT);
-        let shared = self.unchecked() != TrainOptions::default();
-        listed || named || shared
-    }
-
-    fn unchecked(&self) -> TrainOptions {
-        TrainOptions {
-            preset: self.preset,
-            iterations: self.iterations,
-            seed: self.seed,
-            background: self.background,
-            voxel: self.voxel,
-            ..TrainOptions::default()
-        }
-    }
-
-    /// What all runs share.
-    fn options(&self) -> Result<TrainOptions, Failure> {
-        Ok(self.unchecked().validated()?)
+        let named = self.table.is_some()
+            || self.external_formats.is_some()
+            || self.steps_only
+            || self.out != Path::new(OUT);
+        listed || named || self.options != SuiteFlags::default()
     }
 }
 
@@ -141,19 +98,19 @@ fn set_steps(text: &str) -> Result<(String, u32), String> {
     Ok((set.to_owned(), steps.parse().map_err(|_| format!("'{steps}' is not a number of steps"))?))
 }
 
-/// Runs what is not yet done, and writes the tables.
+/// Runs all entries that have no record yet and writes the tables.
 pub(crate) fn run(
     args: &Args,
     folder: &Path,
     adapter: &AdapterFlag,
     lpips: &LpipsFlag,
-) -> Result<Report, Failure> {
+) -> Result<Report, CliError> {
     let entries = if args.models.is_empty() { Entry::defaults() } else { args.models.clone() };
-    let shared = args.options()?;
+    let shared = args.options.validated()?;
     let sets = sets(args, folder)?;
-    fs::create_dir_all(&args.out).map_err(|fault| Failure::unwritable(&args.out, &fault))?;
+    fs::create_dir_all(&args.out).map_err(|fault| CliError::unwritable(&args.out, &fault))?;
     if let Some(document) = &args.table {
-        // Hours before the tables are there.
+        // Checked hours before the tables exist.
         place(document, "")?;
     }
     let cancel = CancelFlag::default();
@@ -164,9 +121,9 @@ pub(crate) fn run(
             MemoryFlags::default().limits(1),
             std::env::temp_dir(),
             wiring::lpips(lpips.lpips.as_deref())?,
-        )?,
+        ),
         adapter,
-        peers: args.peers.as_deref(),
+        external_formats: args.external_formats.as_deref(),
         records: Records::open(&args.out.join("runs.jsonl"))?,
         entries,
         cancel,
@@ -199,11 +156,11 @@ pub(crate) fn run(
     }
 }
 
-/// Writes what there is so far, and returns the tables.
-fn publish(args: &Args, results: &[Record]) -> Result<String, Failure> {
+/// Writes the results so far and returns the tables.
+fn publish(args: &Args, results: &[Record]) -> Result<String, CliError> {
     let text = table::markdown(&results.iter().collect::<Vec<_>>());
     let json = serde_json::to_vec_pretty(&json!({ "runs": results }))
-        .map_err(|fault| Failure::unwritable(&args.out, &fault.into()))?;
+        .map_err(|fault| CliError::unwritable(&args.out, &fault.into()))?;
     files::write(&args.out.join("results.json"), &json)?;
     files::write(&args.out.join("results.md"), text.as_bytes())?;
     if let Some(document) = &args.table {
@@ -213,19 +170,19 @@ fn publish(args: &Args, results: &[Record]) -> Result<String, Failure> {
 }
 
 /// The document with the tables in their place.
-fn place(document: &Path, tables: &str) -> Result<String, Failure> {
-    let text = fs::read_to_string(document).map_err(|fault| Failure::unreadable(document, &fault))?;
+fn place(document: &Path, tables: &str) -> Result<String, CliError> {
+    let text = fs::read_to_string(document).map_err(|fault| CliError::unreadable(document, &fault))?;
     table::rewrite(&text, tables).map_err(|fault| {
         Problem::new(ProblemType::NoPlace, fault).in_file(document.display().to_string()).into()
     })
 }
 
-/// The sets of the folder by name, those that were asked for if any were. What is no dataset is left out with a note.
-fn sets(args: &Args, folder: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
-    let entries = fs::read_dir(folder).map_err(|fault| Failure::unreadable(folder, &fault))?;
+/// The datasets of the folder by name, only those of `--sets` if given. Anything else is skipped with a note.
+fn sets(args: &Args, folder: &Path) -> Result<Vec<(String, PathBuf)>, CliError> {
+    let entries = fs::read_dir(folder).map_err(|fault| CliError::unreadable(folder, &fault))?;
     let mut sets = BTreeMap::new();
     for entry in entries {
-        let path = entry.map_err(|fault| Failure::unreadable(folder, &fault))?.path();
+        let path = entry.map_err(|fault| CliError::unreadable(folder, &fault))?.path();
         let is_zip = path.extension().is_some_and(|extension| extension == "zip");
         if let Some(name) = path.file_stem().and_then(|name| name.to_str())
             && (path.is_dir() || is_zip)
@@ -235,7 +192,7 @@ fn sets(args: &Args, folder: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
     }
     let asked: Vec<&String> = args.sets.iter().chain(args.steps.iter().map(|(set, _)| set)).collect();
     if let Some(unknown) = asked.iter().find(|set| !sets.contains_key(**set)) {
-        return Err(Failure::Usage(format!("{} has no set '{unknown}'", folder.display())));
+        return Err(CliError::Usage(format!("{} has no set '{unknown}'", folder.display())));
     }
     if !args.sets.is_empty() {
         sets.retain(|name, _| args.sets.contains(name));
@@ -246,7 +203,7 @@ fn sets(args: &Args, folder: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
         match wiring::check_dataset(&path) {
             Ok(()) => usable.push((name, path)),
             Err(problem) if named => return Err(problem.into()),
-            Err(problem) => eprintln!("tcgs: note: {name} is left out: {problem}"),
+            Err(problem) => eprintln!("tcgs: note: {name} skipped: {problem}"),
         }
     }
     if usable.is_empty() {
@@ -265,10 +222,10 @@ struct Set<'a> {
 }
 
 struct Suite<'a> {
-    runner: Arc<dyn RunJob>,
+    runner: Pipeline,
     adapter: &'a AdapterFlag,
-    /// What makes other programs' formats.
-    peers: Option<&'a Path>,
+    /// The script of `--external-formats`.
+    external_formats: Option<&'a Path>,
     records: Records,
     entries: Vec<Entry>,
     cancel: CancelFlag,
@@ -276,28 +233,29 @@ struct Suite<'a> {
 }
 
 impl Suite<'_> {
-    /// The run of every entry with the set's steps, as far as they succeed.
-    fn equal_steps(&mut self, set: &Set<'_>) -> Result<Vec<Record>, Failure> {
+    /// The successful runs of all entries with the set's iterations.
+    fn equal_steps(&mut self, set: &Set<'_>) -> Result<Vec<Record>, CliError> {
         let mut done = Vec::new();
         for entry in self.entries.clone() {
-            if entry.twin(&set.options).is_some_and(|twin| self.entries.contains(&twin)) {
+            if entry.duplicate_of(&set.options).is_some_and(|plainer| self.entries.contains(&plainer)) {
                 continue;
             }
             let options = entry.options(&set.options).validated()?;
-            let kept = self.kept(set, &entry, &options, Contest::Steps);
-            let wants_peers = self.wants_peers(&options);
-            let is_it =
-                |record: &Record| record.options == options && !(wants_peers && record.peers.is_empty());
+            let kept = self.kept(set, &entry, &options, Comparison::Steps);
+            let wants_external_formats = self.wants_external_formats(&options);
+            let is_it = |record: &Record| {
+                record.options == options && !(wants_external_formats && record.external_formats.is_empty())
+            };
             match kept.into_iter().find(is_it) {
                 Some(record) => done.push(record),
-                None => done.extend(self.train(set, &entry, options, Contest::Steps, None)?),
+                None => done.extend(self.train(set, &entry, options, Comparison::Steps, None)?),
             }
         }
         Ok(done)
     }
 
-    /// The run of every whole model that fills the seconds of the slowest.
-    fn equal_seconds(&mut self, set: &Set<'_>, equal: &[Record]) -> Result<Vec<Record>, Failure> {
+    /// The run of every model that best fills the seconds of the slowest.
+    fn equal_seconds(&mut self, set: &Set<'_>, equal: &[Record]) -> Result<Vec<Record>, CliError> {
         let whole: Vec<Entry> = self.entries.iter().filter(|entry| entry.is_whole()).cloned().collect();
         let of = |entry: &Entry| equal.iter().find(|record| record.entry == entry.to_string());
         let budget =
@@ -305,19 +263,19 @@ impl Suite<'_> {
         let mut done = Vec::new();
         for entry in &whole {
             let Some(first) = of(entry) else { continue };
-            let first = Record { contest: Contest::Seconds, budget: Some(budget), ..first.clone() };
-            let kept = self.kept(set, entry, &entry.options(&set.options), Contest::Seconds);
+            let first = Record { comparison: Comparison::Seconds, budget: Some(budget), ..first.clone() };
+            let kept = self.kept(set, entry, &entry.options(&set.options), Comparison::Seconds);
             let mut runs = vec![first];
             runs.extend(kept.into_iter().filter(|record| record.budget == Some(budget)));
             let taken = |runs: &[Record]| -> Vec<seconds::Run> {
                 runs.iter().map(|run| (run.metrics.steps, run.metrics.seconds.train)).collect()
             };
-            while runs.len() <= TRIES
+            while runs.len() <= MAX_TRIES
                 && let Some(steps) = seconds::next_steps(&taken(&runs), budget)
             {
                 let iterations = u32::try_from(steps).ok();
                 let options = TrainOptions { iterations, ..entry.options(&set.options) };
-                match self.train(set, entry, options, Contest::Seconds, Some(budget))? {
+                match self.train(set, entry, options, Comparison::Seconds, Some(budget))? {
                     Some(record) => runs.push(record),
                     None => break,
                 }
@@ -329,22 +287,28 @@ impl Suite<'_> {
         Ok(done)
     }
 
-    fn kept(&self, set: &Set<'_>, entry: &Entry, options: &TrainOptions, contest: Contest) -> Vec<Record> {
+    fn kept(
+        &self,
+        set: &Set<'_>,
+        entry: &Entry,
+        options: &TrainOptions,
+        comparison: Comparison,
+    ) -> Vec<Record> {
         let name = entry.to_string();
         let wanted = Wanted { set: set.name, dataset: set.dataset.digest, entry: &name, options };
-        let is_it = |record: &&Record| record.contest == contest && record.is_like(&wanted);
+        let is_it = |record: &&Record| record.comparison == comparison && record.is_like(&wanted);
         self.records.all().iter().filter(is_it).cloned().collect()
     }
 
-    /// Trains, measures and keeps one run; none if it failed, which the other runs need not suffer from.
+    /// Trains, measures and records one run; `None` if it failed, and the suite continues.
     fn train(
         &mut self,
         set: &Set<'_>,
         entry: &Entry,
         options: TrainOptions,
-        contest: Contest,
+        comparison: Comparison,
         budget: Option<f64>,
-    ) -> Result<Option<Record>, Failure> {
+    ) -> Result<Option<Record>, CliError> {
         eprintln!("tcgs: {} {entry}{}", set.name, budget.map_or_else(String::new, |s| format!(", {s:.1} s")));
         let mut display = Display::new();
         let mut show = |phase: Phase, progress: &_| display.show(phase, progress);
@@ -352,54 +316,58 @@ impl Suite<'_> {
         display.finish();
         let output = match outcome {
             Ok(output) => output,
-            Err(JobError::Cancelled) => return Err(Failure::Stopped),
+            Err(JobError::Cancelled) => return Err(CliError::Stopped),
             Err(JobError::Fail(problem) | JobError::Retry(problem) | JobError::Hold(problem)) => {
                 eprintln!("tcgs: {} {entry} failed: {problem}", set.name);
                 self.failed.push(problem.in_file(format!("{} {entry}", set.name)));
                 return Ok(None);
             }
         };
-        let peers = match contest {
-            Contest::Steps if self.wants_peers(&options) => self.peers_of(set, &output)?,
+        let external_formats = match comparison {
+            Comparison::Steps if self.wants_external_formats(&options) => {
+                self.external_formats_of(set, &output)?
+            }
             _ => Vec::new(),
         };
         let record = Record {
             set: set.name.to_owned(),
             dataset: set.dataset.digest,
-            contest,
+            comparison,
             entry: entry.to_string(),
             budget,
             options,
             high_band: self.high_band(set, &output)?,
             metrics: output.metrics,
-            peers,
+            external_formats,
         };
         Ok(Some(self.records.add(&record)?))
     }
 
-    fn wants_peers(&self, options: &TrainOptions) -> bool {
-        self.peers.is_some() && options.model == ModelKind::Gaussians3d
+    fn wants_external_formats(&self, options: &TrainOptions) -> bool {
+        self.external_formats.is_some() && options.model == ModelKind::Gaussians3d
     }
 
     /// The scene of a run in other programs' formats.
-    fn peers_of(&self, set: &Set<'_>, output: &JobOutput) -> Result<Vec<Peer>, Failure> {
-        let Some(script) = self.peers else { return Ok(Vec::new()) };
+    fn external_formats_of(&self, set: &Set<'_>, output: &JobOutput) -> Result<Vec<ExternalFile>, CliError> {
+        let Some(script) = self.external_formats else { return Ok(Vec::new()) };
         let folder =
-            tempfile::tempdir().map_err(|fault| Failure::unwritable(&std::env::temp_dir(), &fault))?;
-        let mut peers = Vec::new();
-        for Converted { format, bytes, decoded } in peers::convert(script, &output.file, folder.path())? {
-            let file = wiring::read(&files::read(&decoded)?)
+            tempfile::tempdir().map_err(|fault| CliError::unwritable(&std::env::temp_dir(), &fault))?;
+        let mut files = Vec::new();
+        for Converted { format, bytes, decoded } in
+            external_formats::convert(script, &output.file, folder.path())?
+        {
+            let file = wiring::read(&crate::cli::files::read(&decoded)?)
                 .map_err(|fault| fault.in_file(decoded.display().to_string()))?;
             let renderer = wiring::Renderer::open(file, &self.adapter.adapter)?;
             let background = output.metrics.background;
             let (scores, _) =
                 wiring::score(&renderer, &set.dataset, background, None, &mut |_, _, _| Ok(()))?;
-            peers.push(Peer { format, bytes, psnr: scores.psnr, ssim: scores.ssim });
+            files.push(ExternalFile { format, bytes, psnr: scores.psnr, ssim: scores.ssim });
         }
-        Ok(peers)
+        Ok(files)
     }
 
-    fn high_band(&self, set: &Set<'_>, output: &JobOutput) -> Result<Option<f64>, Failure> {
+    fn high_band(&self, set: &Set<'_>, output: &JobOutput) -> Result<Option<f64>, CliError> {
         let renderer = wiring::Renderer::open(wiring::read(&output.file)?, &self.adapter.adapter)?;
         Ok(wiring::high_band_error(&renderer, &set.dataset, output.metrics.background)?)
     }

@@ -1,4 +1,4 @@
-//! What a finished run leaves: one line of JSON in a file that outlives an interruption.
+//! Records of finished runs: lines of JSON in a file that survives an interruption.
 
 use std::{
     fs,
@@ -9,13 +9,13 @@ use std::{
 use serde::{Deserialize, Serialize};
 use tcgs::domain::{Digest, JobMetrics, Problem, ProblemType, TrainOptions};
 
-use super::peers::Peer;
-use crate::cli::Failure;
+use super::external_formats::ExternalFile;
+use crate::cli::CliError;
 
-/// What runs are made equal by.
+/// What is equal in the runs compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(crate) enum Contest {
+pub(crate) enum Comparison {
     /// The same number of steps.
     Steps,
     /// The same seconds of training.
@@ -29,25 +29,26 @@ pub(crate) struct Record {
     pub(crate) set: String,
     /// Digest of its content.
     pub(crate) dataset: Digest,
-    /// What runs are made equal by.
-    pub(crate) contest: Contest,
+    /// What is equal in the runs compared.
+    #[serde(rename = "contest")]
+    pub(crate) comparison: Comparison,
     /// The entry's name.
     pub(crate) entry: String,
-    /// Seconds that the run was to fill, if it was.
+    /// The seconds that the run had to fill, if any.
     pub(crate) budget: Option<f64>,
-    /// What was asked for.
+    /// Its options.
     pub(crate) options: TrainOptions,
     /// Mean error of held-out views in the high wavelet bands.
     pub(crate) high_band: Option<f64>,
     /// The figures of the written file.
     pub(crate) metrics: JobMetrics,
-    /// The same scene in other programs' formats, where that was asked for.
-    #[serde(default)]
-    pub(crate) peers: Vec<Peer>,
+    /// The same scene in other programs' formats, if requested.
+    #[serde(rename = "peers", default)]
+    pub(crate) external_formats: Vec<ExternalFile>,
 }
 
 impl Record {
-    /// Whether `other` is a run of the same thing, whatever its steps and seconds.
+    /// Whether it is a run of the same entry and set, whatever its steps and seconds.
     pub(crate) fn is_like(&self, other: &Wanted<'_>) -> bool {
         let options = TrainOptions { iterations: other.options.iterations, ..self.options.clone() };
         self.set == other.set
@@ -57,7 +58,7 @@ impl Record {
     }
 }
 
-/// What a record is looked up by.
+/// The key of a record.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wanted<'a> {
     pub(crate) set: &'a str,
@@ -74,12 +75,12 @@ pub(crate) struct Records {
 }
 
 impl Records {
-    /// The records of the file, none if there is no file yet. A last line that was cut off is dropped.
-    pub(crate) fn open(path: &Path) -> Result<Self, Failure> {
+    /// The records of the file, none if there is no file. An incomplete last line is dropped.
+    pub(crate) fn open(path: &Path) -> Result<Self, CliError> {
         let text = match fs::read_to_string(path) {
             Ok(text) => text,
             Err(fault) if fault.kind() == io::ErrorKind::NotFound => String::new(),
-            Err(fault) => return Err(Failure::unreadable(path, &fault)),
+            Err(fault) => return Err(CliError::unreadable(path, &fault)),
         };
         let whole = text.rfind('\n').map_or(0, |end| end + 1);
         let mut all = Vec::new();
@@ -91,7 +92,7 @@ impl Records {
             all.push(record);
         }
         if whole < text.len() {
-            fs::write(path, &text[..whole]).map_err(|fault| Failure::unwritable(path, &fault))?;
+            fs::write(path, &text[..whole]).map_err(|fault| CliError::unwritable(path, &fault))?;
         }
         Ok(Self { path: path.to_owned(), all })
     }
@@ -101,10 +102,9 @@ impl Records {
         &self.all
     }
 
-    /// Adds one, in the file first, and returns it as the file has it, so that a suite that goes on later has the same
-    /// figures to the last digit.
-    pub(crate) fn add(&mut self, record: &Record) -> Result<Record, Failure> {
-        let unwritable = |fault: io::Error| Failure::unwritable(&self.path, &fault);
+    /// Appends one to the file and returns it as read back, so that a resumed suite has the same figures to the last digit.
+    pub(crate) fn add(&mut self, record: &Record) -> Result<Record, CliError> {
+        let unwritable = |fault: io::Error| CliError::unwritable(&self.path, &fault);
         let mut line = serde_json::to_vec(record).map_err(|fault| unwritable(fault.into()))?;
         let kept: Record = serde_json::from_slice(&line).map_err(|fault| unwritable(fault.into()))?;
         line.push(b'\n');

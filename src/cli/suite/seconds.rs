@@ -1,23 +1,21 @@
-//! How many steps fill given seconds, found by runs whose speed is not the same twice.
+//! Finds the number of steps that fills given seconds, from runs whose speed varies.
 //!
-//! Speed changes with growth and with what else the machine does, so one run's speed is only a first guess. Once some run
-//! took less than the seconds and another more, the answer lies between the two, on the power of the steps through both: no later guess
-//! is further off than what is known already.
+//! Speed changes with the number of anchors and the load of the machine, so one run's speed is a first guess. Once one run took less and
+//! another more than the seconds, the next guess is on the power law through both, so it is never worse than them.
 
-/// Share of the seconds by which a run may miss them.
+/// Relative tolerance of the seconds.
 const TOLERANCE: f64 = 0.1;
 
 /// Steps of a run, and the seconds that it took.
 pub(super) type Run = (u64, f64);
 
-/// The run that misses `budget` seconds least; the earliest of several.
+/// The run nearest to `budget` seconds; the earliest of several.
 pub(super) fn nearest(runs: &[Run], budget: f64) -> Option<usize> {
     let miss = |run: &Run| (run.1 - budget).abs();
     (0..runs.len()).min_by(|a, b| miss(&runs[*a]).total_cmp(&miss(&runs[*b])))
 }
 
-/// The steps to try next so that a run takes `budget` seconds, none if a run is near enough or no other number of steps is
-/// promising.
+/// The steps to try next so that a run takes `budget` seconds; `None` if a run is near enough or the steps have been tried.
 pub(super) fn next_steps(runs: &[Run], budget: f64) -> Option<u64> {
     let nearest = runs[nearest(runs, budget)?];
     if (nearest.1 - budget).abs() <= TOLERANCE * budget {
@@ -30,7 +28,7 @@ pub(super) fn next_steps(runs: &[Run], budget: f64) -> Option<u64> {
             let share = (budget / short.max(1e-9)).ln() / (long / short.max(1e-9)).ln();
             few as f64 * (many as f64 / few.max(1) as f64).powf(share)
         }
-        // More steps took fewer seconds: what is known is the machine's mood, so the mean speed has to do.
+        // More steps took fewer seconds: the machine's load dominates, so use the mean speed.
         (Some(a), Some(b)) => budget * (a.0 + b.0) as f64 / (a.1 + b.1),
         _ => budget * nearest.0 as f64 / nearest.1.max(1e-9),
     };

@@ -4,17 +4,17 @@ use std::fmt::Write as _;
 
 use super::{
     codec_table,
-    record::{Contest, Record},
+    record::{Comparison, Record},
 };
 
-/// Begin and end of the part of a document that a suite rewrites.
+/// The markers around the part of a document that a suite rewrites.
 const MARKERS: [&str; 2] = ["<!-- suite: begin -->", "<!-- suite: end -->"];
 
-/// The tables of the records, one a contest, in the order given.
+/// The tables of the records, one a comparison, in the order given.
 pub(crate) fn markdown(records: &[&Record]) -> String {
     let mut text = String::new();
-    for (contest, title) in [(Contest::Steps, "Equal steps"), (Contest::Seconds, "Equal seconds")] {
-        let rows: Vec<&&Record> = records.iter().filter(|record| record.contest == contest).collect();
+    for (comparison, title) in [(Comparison::Steps, "Equal steps"), (Comparison::Seconds, "Equal seconds")] {
+        let rows: Vec<&&Record> = records.iter().filter(|record| record.comparison == comparison).collect();
         if rows.is_empty() {
             continue;
         }
@@ -56,7 +56,7 @@ fn row(text: &mut String, record: &Record) {
     );
 }
 
-/// What the figures mean and where they were measured, each sentence once.
+/// Conventions and adapters of the figures, each sentence once.
 fn conventions(text: &mut String, records: &[&Record]) {
     let mut lines: Vec<String> = Vec::new();
     for record in records {
@@ -91,7 +91,7 @@ fn conventions(text: &mut String, records: &[&Record]) {
     }
 }
 
-/// The document with `results` between its markers, or why it has no place for them.
+/// The document with `results` between its markers, or which marker is missing.
 pub(crate) fn rewrite(document: &str, results: &str) -> Result<String, String> {
     let [begin, end] = MARKERS;
     let missing = |marker: &str| format!("the line '{marker}' is missing");

@@ -1,4 +1,4 @@
-//! Scenes in the formats that other programs read, and how far that is from the scene itself.
+//! Exports scenes to other formats and measures how much they differ from the source.
 
 use std::time::Instant;
 
@@ -19,18 +19,18 @@ use tcgs::{
 
 use super::{Renderer, SceneFile};
 
-/// Cameras on the sphere that a scene is baked from where no others are known.
+/// Cameras on the sphere for baking a scene without training cameras.
 const SPHERE_VIEWS: usize = 96;
 
-/// Cameras on the sphere that the outcome is looked at from; other ones than those above.
+/// Cameras on the sphere for comparing the result; different from those above.
 const SPHERE_CHECKS: usize = 16;
 
-/// Width and height of the pictures that are compared there.
+/// Width and height of the compared pictures.
 const SPHERE_SIDE: u32 = 320;
 
-/// Views from which a service looks how alike an export is, and their longer side.
-const LIKENESS_VIEWS: usize = 8;
-const LIKENESS_SIDE: u32 = 256;
+/// Views in which a service compares an export with its source, and their longer side.
+const FIDELITY_VIEWS: usize = 8;
+const FIDELITY_SIDE: u32 = 256;
 
 /// What an anchor scene was baked from.
 #[derive(Debug, Serialize)]
@@ -39,22 +39,22 @@ pub(crate) struct Baking {
     pub(crate) from: &'static str,
     /// How many.
     pub(crate) views: usize,
-    /// Offsets that are on but make no Gaussian that one of them shows.
+    /// Unmasked offsets without a Gaussian visible in any of them.
     pub(crate) unseen: usize,
     /// How long it took.
     pub(crate) seconds: f64,
 }
 
-/// What a `.spz` file's integers are.
+/// How a `.spz` file stores its values.
 #[derive(Debug, Serialize)]
 pub(crate) struct Packing {
     /// Of the format.
     pub(crate) version: u32,
-    /// Positions are in units of two to the minus this.
+    /// Fractional bits of positions.
     pub(crate) fractional_bits: u8,
-    /// Values out of range, held at its ends.
+    /// Values clamped to the range.
     pub(crate) clamped: usize,
-    /// Gaussians too faint to be seen.
+    /// Gaussians left out because they are invisible.
     pub(crate) left_out: usize,
 }
 
@@ -73,7 +73,7 @@ pub(crate) struct Exported {
     pub(crate) packing: Option<Packing>,
 }
 
-/// How far the exported file is from what it was made of.
+/// How much the exported file differs from its source.
 #[derive(Debug, Serialize)]
 pub(crate) struct Quality {
     /// "held-out views" or "sphere".
@@ -171,14 +171,14 @@ pub(crate) fn compare(
     })
 }
 
-/// How alike a scene and its export look from a few of `cameras`, in small pictures; none without cameras.
+/// PSNR of an export against its source in small pictures from a few of `cameras`; `None` without cameras.
 pub(super) fn fidelity(
     source: &Renderer,
     exported: &[u8],
     cameras: &[Camera],
 ) -> Result<Option<ExportFidelity>, Problem> {
     let exported = exported_beside(source, exported, source.viewable.background)?;
-    let views = cameras.len().min(LIKENESS_VIEWS);
+    let views = cameras.len().min(FIDELITY_VIEWS);
     let mut sum = 0.0;
     for place in 0..views {
         sum += pair(source, &exported, &small(&cameras[place * cameras.len() / views]))?.psnr;
@@ -187,18 +187,18 @@ pub(super) fn fidelity(
     Ok((views > 0).then(|| ExportFidelity { psnr: sum / f64::from(count), views: count }))
 }
 
-/// An exported file's scene, to be rendered on `background` as the source is: not every format knows one.
+/// An exported file's scene, rendered on the source's `background`, which not every format stores.
 fn exported_beside(source: &Renderer, exported: &[u8], background: Background) -> Result<Renderer, Problem> {
     let mut file = scene_file::read(exported)?;
     file.background = background;
     Ok(source.beside(file))
 }
 
-/// The same view with sides of at most [`LIKENESS_SIDE`].
+/// The same view with sides of at most [`FIDELITY_SIDE`].
 fn small(camera: &Camera) -> Camera {
     let Intrinsics { width, height, .. } = camera.intrinsics;
-    let longer = width.max(height).max(LIKENESS_SIDE);
-    let side = |side: u32| (u64::from(side) * u64::from(LIKENESS_SIDE) / u64::from(longer)).max(1) as u32;
+    let longer = width.max(height).max(FIDELITY_SIDE);
+    let side = |side: u32| (u64::from(side) * u64::from(FIDELITY_SIDE) / u64::from(longer)).max(1) as u32;
     Camera { intrinsics: camera.intrinsics.resized(side(width), side(height)), pose: camera.pose }
 }
 
@@ -206,7 +206,7 @@ fn small(camera: &Camera) -> Camera {
 struct Pair {
     source: Image,
     exported: Image,
-    /// Of the one against the other.
+    /// Of one against the other.
     psnr: f64,
 }
 
@@ -236,7 +236,7 @@ fn sphere_of(scene: &Scene, count: usize) -> Result<Vec<Camera>, Problem> {
     cameras.map_err(not_exportable)
 }
 
-/// The scene without coefficients above `degree`.
+/// The scene without harmonics above `degree`.
 fn lowered(mut scene: GaussianScene, degree: u8) -> GaussianScene {
     if degree < scene.degree {
         scene.degree = degree;

@@ -1,7 +1,7 @@
-//! The one place where the command line meets the engines: codec, training, rendering, measuring, service.
+//! Connects the commands to codec, training, rendering, evaluation and service.
 //!
-//! Each command speaks to the functions below and to nothing behind them, so that an engine can be exchanged here
-//! without a change to any command. Faults arrive as [`Problem`]s.
+//! Commands call only the functions below, so an engine can be replaced here without a change to any command. Errors are
+//! [`Problem`]s.
 
 mod export;
 mod keys;
@@ -24,7 +24,7 @@ use tcgs::{
     export::anchors,
     gpu::AdapterChoice,
     ingest::{self, LoadBudget},
-    pipeline::{Pipeline, RunJob, scene_file},
+    pipeline::{Pipeline, scene_file},
     render::{RenderViews, SceneViewer, views::Viewable},
     train::{CheckpointError, CheckpointFolder},
 };
@@ -34,13 +34,13 @@ pub(crate) use export::{Baking, Packing, Quality, compare, export};
 pub(crate) use keys::{create_key, keys, revoke_key};
 pub(crate) use service::{ServeOptions, WorkerOptions, migrate, serve, worker};
 
-use super::{Failure, files, memory::MemoryFlags};
+use super::{CliError, files, memory::MemoryFlags};
 
-/// Quantisation step of features where a user gives none (the published one).
+/// Default quantisation step of features (the published one).
 pub(crate) const FEATURE_STEP: f32 = 1.0;
-/// Quantisation step of scalings as a fraction of the voxel where a user gives none.
+/// Default quantisation step of scalings as a fraction of the voxel.
 pub(crate) const SCALING_STEP: f32 = 0.05;
-/// Quantisation step of offsets where a user gives none (the published one).
+/// Default quantisation step of offsets (the published one).
 pub(crate) const OFFSET_STEP: f32 = 0.2;
 
 pub(crate) use scene_file::SceneFile;
@@ -48,20 +48,20 @@ pub(crate) use scene_file::SceneFile;
 /// What is known of a file without decoding its attributes.
 #[derive(Debug)]
 pub(crate) struct Inspection {
-    /// The whole account as JSON.
+    /// The report as JSON.
     pub(crate) json: serde_json::Value,
     /// The same as a table.
     pub(crate) text: String,
 }
 
-/// Reads a dataset; half of the memory that is there holds photographs.
+/// Reads a dataset; photographs may use half of the available memory.
 pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
     let host = MemoryFlags::default().limits(1).host;
     let load_budget = LoadBudget { memory_bytes: host / 2, ..LoadBudget::default() };
     ingest::load_with_budget(path, &load_budget).map_err(|problem| named(problem, path))
 }
 
-/// Names the dataset where no file in it is at fault: the service has no name for an upload, but here it has one.
+/// Names the dataset in a problem that names no file in it.
 fn named(problem: Problem, path: &Path) -> Problem {
     match problem.file {
         None => problem.in_file(path.display().to_string()),
@@ -79,7 +79,7 @@ pub(crate) fn check_dataset(path: &Path) -> Result<(), Problem> {
     ingest::check(path).map(drop).map_err(|problem| named(problem, path))
 }
 
-/// The mean over held-out views of the error in the high wavelet bands, or none without such views.
+/// The mean error of held-out views in the high wavelet bands; `None` without such views.
 pub(crate) fn high_band_error(
     renderer: &Renderer,
     dataset: &Dataset,
@@ -133,29 +133,18 @@ fn json(value: &impl serde::Serialize) -> Result<serde_json::Value, Problem> {
     serde_json::to_value(value).map_err(|fault| Problem::new(ProblemType::Internal, fault.to_string()))
 }
 
-/// The training pipeline, within `memory`, which also measures LPIPS if there are weights for it; `spill` is the folder of
-/// temporary files.
+/// The training pipeline within `memory`, with LPIPS if there are weights; `spill` is the folder of temporary files.
 pub(crate) fn runner(
     adapter: &AdapterChoice,
     memory: MemoryLimits,
     spill: PathBuf,
     lpips: Option<Lpips>,
-) -> Result<Arc<dyn RunJob>, Problem> {
-    Ok(Arc::new(Pipeline::new(adapter.clone()).within(memory, spill).with_lpips(lpips)))
-}
-
-/// The same for the jobs of a service, whose reports show held-out views.
-pub(crate) fn job_runner(
-    adapter: &AdapterChoice,
-    memory: MemoryLimits,
-    spill: PathBuf,
-    lpips: Option<Lpips>,
-) -> Arc<dyn RunJob> {
-    Arc::new(Pipeline::new(adapter.clone()).within(memory, spill).with_lpips(lpips).with_pictures())
+) -> Pipeline {
+    Pipeline::new(adapter.clone()).within(memory, spill).with_lpips(lpips)
 }
 
 /// The weights of LPIPS in a file, if one is named.
-pub(crate) fn lpips(path: Option<&Path>) -> Result<Option<Lpips>, Failure> {
+pub(crate) fn lpips(path: Option<&Path>) -> Result<Option<Lpips>, CliError> {
     let Some(path) = path else { return Ok(None) };
     let bytes = files::read(path)?;
     let lpips = Lpips::from_safetensors(&bytes)
@@ -163,7 +152,7 @@ pub(crate) fn lpips(path: Option<&Path>) -> Result<Option<Lpips>, Failure> {
     Ok(Some(lpips))
 }
 
-/// Checks that there is a sound checkpoint in `folder`; whether it is of the same run shows when it is gone on from.
+/// Checks that `folder` has a valid checkpoint; whether it belongs to the same run is checked on resuming.
 pub(crate) fn check_checkpoint(folder: &Path) -> Result<(), Problem> {
     CheckpointFolder::load(folder).map(drop).map_err(|fault| match fault {
         fault @ (CheckpointError::Missing(_) | CheckpointError::Io { .. }) => fault.into(),
@@ -171,15 +160,14 @@ pub(crate) fn check_checkpoint(folder: &Path) -> Result<(), Problem> {
     })
 }
 
-/// What renders views, for the service and for single commands, in so many bytes on the device; the second is adapter and
-/// driver in one line.
+/// The renderer of views within `memory` bytes on the device, and its adapter and driver in one line.
 pub(crate) fn views(adapter: &AdapterChoice, memory: u64) -> Result<(Arc<dyn RenderViews>, String), Problem> {
     let viewer = SceneViewer::within(adapter.clone(), memory)?;
     let line = viewer.adapter_line();
     Ok((Arc::new(viewer), line))
 }
 
-/// Renders one scene, as many cameras as are asked for.
+/// Renders views of one scene.
 pub(crate) struct Renderer {
     /// Adapter and driver in one line.
     pub(crate) adapter: String,
@@ -193,11 +181,11 @@ impl Renderer {
     pub(crate) fn open(file: SceneFile, adapter: &AdapterChoice) -> Result<Self, Problem> {
         let (views, adapter) = views(adapter, u64::MAX)?;
         let viewable = Viewable { scene: file.scene, background: file.background };
-        // The hash of what was decoded tells scenes apart as well as the hash of a file would.
+        // Any hash that differs between scenes serves as the key.
         Ok(Self { adapter, views, key: file.decode_sha256, viewable })
     }
 
-    /// What is opened already, for the scene of a file of this hash.
+    /// A renderer that is already open, for the scene of a file with this hash.
     pub(crate) fn over(views: Arc<dyn RenderViews>, key: Digest, file: SceneFile) -> Self {
         let viewable = Viewable { scene: file.scene, background: file.background };
         Self { adapter: views.identity(), views, key, viewable }
@@ -219,15 +207,15 @@ impl Renderer {
     }
 }
 
-/// The scores of the held-out views, each and as means, and the seconds that rendering them took. `each` is shown every
-/// view's name, render and photograph; no two views are in memory at a time.
+/// The scores of the held-out views and their means, and the seconds of rendering. `each` gets every view's name, render and
+/// photograph; only one view is in memory at a time.
 pub(crate) fn score(
     renderer: &Renderer,
     dataset: &Dataset,
     background: Background,
     lpips: Option<&Lpips>,
-    each: &mut dyn FnMut(&str, &Image, &Image) -> Result<(), Failure>,
-) -> Result<(Scores, f64), Failure> {
+    each: &mut dyn FnMut(&str, &Image, &Image) -> Result<(), CliError>,
+) -> Result<(Scores, f64), CliError> {
     let mut scores = Vec::new();
     let mut seconds = 0.0;
     for frame in dataset.split(Split::Test) {

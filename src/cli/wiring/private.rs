@@ -1,4 +1,4 @@
-//! Keeps a data folder to its owner: it holds secrets of webhooks and everybody's scenes.
+//! Restricts a data folder to its owner, because it holds webhook secrets and all users' data.
 
 use std::path::Path;
 
@@ -19,13 +19,13 @@ mod unix {
     /// Permissions of a file's group and of all others.
     const OTHERS: u32 = 0o077;
 
-    /// Makes the folder if it is not there. From here on, whatever this process and its children make is their user's alone.
+    /// Creates the folder if it is missing, and sets the umask so that files of this process and its children are private.
     pub(in super::super) fn create(folder: &Path) -> io::Result<()> {
         umask(Mode::from_raw_mode(OTHERS));
         fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)
     }
 
-    /// Takes the folder and these files in it from everybody but their owner.
+    /// Removes the permissions of others on the folder and these files in it.
     pub(in super::super) fn close(folder: &Path, files: &[String]) {
         for path in std::iter::once(folder.to_owned()).chain(files.iter().map(|name| folder.join(name))) {
             if let Some(mode) = close_one(&path) {
@@ -38,7 +38,7 @@ mod unix {
         }
     }
 
-    /// The same with everything below the folder.
+    /// Removes the permissions of others on everything below the folder.
     pub(in super::super) fn close_all(folder: &Path) {
         let closed = close_below(folder);
         if closed > 0 {
@@ -68,9 +68,9 @@ mod unix {
         closed
     }
 
-    /// The permissions that it had, if they were too wide.
+    /// Removes the permissions of others; returns the old permissions if they were too wide.
     fn close_one(path: &Path) -> Option<u32> {
-        // Links have no permissions of their own, and what they lead to is not of this folder.
+        // Links have no permissions of their own, and their targets are outside of this folder.
         let metadata = fs::symlink_metadata(path).ok().filter(|metadata| !metadata.is_symlink())?;
         let mode = metadata.permissions().mode() & 0o7777;
         if mode & OTHERS == 0 {

@@ -1,7 +1,7 @@
-//! Assembles the two kinds of process: the API with its supervised workers, and a worker.
+//! Starts the two kinds of process: the API with its supervised workers, and a worker.
 //!
-//! Both stop in order when a signal asks them to: no new work, open work to its end or back to the queue, then the
-//! database. A second signal ends them at once, which loses nothing that was acknowledged: leases and transactions see to that.
+//! On a signal both stop in order: they take no new work, finish open work or return it to the queue, then close the database. A second
+//! signal ends them at once; leases and transactions keep everything that was acknowledged.
 
 use std::{
     error::Error,
@@ -15,7 +15,7 @@ use std::{
 use tcgs::{
     domain::{
         Camera, Digest, KeyLimits, MemoryLimits, NamedCamera, OutboundPolicy, Problem, ProblemType,
-        SceneFormat, Split, SystemClock, SystemEntropy,
+        SceneFormat, Split, SystemClock, SystemRandom,
     },
     gpu::{AdapterChoice, driver_cache},
     http::{self, ExportedScene, HttpConfig, Services, WorkerCounts},
@@ -34,7 +34,7 @@ use tokio::runtime::Runtime;
 use tokio_util::sync::CancellationToken;
 
 use super::{Renderer, private};
-use crate::cli::{Failure, files, logging::Format};
+use crate::cli::{CliError, files, logging::Format};
 
 /// Name of the database in the data folder.
 const DATABASE: &str = "tcgs.sqlite";
@@ -42,50 +42,49 @@ const DATABASE: &str = "tcgs.sqlite";
 /// Name of the folder for the checkpoints of running jobs in the data folder.
 const CHECKPOINTS: &str = "checkpoints";
 
-/// Name of the folder in the data folder where supervised workers show that they are alive.
+/// Name of the folder in the data folder with the lock files of live workers.
 const WORKERS: &str = "workers";
 
-/// Name of the folder in the data folder for what drivers keep of kernels, where their user has no home.
+/// Name of the folder in the data folder for the drivers' shader cache, if the user has no home.
 const DRIVER_CACHE: &str = "driver-cache";
 
 /// How long an endpoint may take to answer a webhook.
 const WEBHOOK_TIMEOUT: Duration = Duration::from_secs(15);
 
-/// Datasets that are checked at a time: one that takes its time does not hold up all others, and the memory of all checks
-/// together stays below 256 MiB.
+/// Datasets checked at the same time: a slow one does not block all others, and all checks together stay below 256 MiB.
 const CHECKS: usize = 2;
 
-/// How long the check of a dataset may take, and how long another waits for its turn: enough for some thousand photographs on
-/// a disk that has to seek for each.
+/// Longest time of a dataset's check, and of waiting for one: enough for some thousand photographs on a disk that has to seek for
+/// each.
 const CHECK_TIME: Duration = Duration::from_secs(120);
 
-/// Where a service listens and keeps its data.
+/// Options of the service process.
 #[derive(Debug, Clone)]
 pub(crate) struct ServeOptions {
     pub(crate) http: HttpConfig,
-    /// How much a key may take that has no limits of its own.
+    /// Limits of keys that have none of their own.
     pub(crate) limits: KeyLimits,
     pub(crate) data: PathBuf,
     pub(crate) adapter: AdapterChoice,
-    /// What each worker may take.
+    /// Memory of each worker.
     pub(crate) memory: MemoryLimits,
-    /// Bytes on the device that views may take in this process.
+    /// Bytes of device memory for views in this process.
     pub(crate) view_memory: u64,
     /// Weights of LPIPS, for the workers.
     pub(crate) lpips: Option<PathBuf>,
     /// Worker processes to start.
     pub(crate) workers: u16,
-    /// How far they let other processes go first.
+    /// Niceness of workers.
     pub(crate) worker_nice: u8,
     /// Where webhooks may be sent.
     pub(crate) webhook_targets: OutboundPolicy,
-    /// PEM file of authorities that are trusted there besides the system's.
+    /// PEM file of certificate authorities to trust for them, in addition to the system's.
     pub(crate) webhook_roots: Option<PathBuf>,
-    /// How this process logs, and so its workers.
+    /// Log format of this process and its workers.
     pub(crate) log_format: Format,
 }
 
-/// Where a worker finds its queue.
+/// Options of a worker process.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct WorkerOptions {
     /// The data folder of the service.
@@ -99,13 +98,13 @@ pub(crate) struct WorkerOptions {
 }
 
 /// Runs the service until a signal comes.
-pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
+pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
     let mut config = options.http.clone();
     config.limits.webhook_targets = options.webhook_targets;
     runtime()?.block_on(async {
         let has_keys = has_keys(&options.data).await?;
-        config.check_exposure(has_keys).map_err(|fault| Failure::Usage(format!("--listen: {fault}")))?;
-        // Before any worker starts, which would find the same faults.
+        config.check_exposure(has_keys).map_err(|fault| CliError::Usage(format!("--listen: {fault}")))?;
+        // Fails here rather than in every worker.
         super::lpips(options.lpips.as_deref())?;
         let roots = webhook_roots(options.webhook_roots.as_deref())?;
         let (renderer, _) = super::views(&options.adapter, options.view_memory)?;
@@ -144,7 +143,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
             store: store.clone(),
             blobs,
             clock: Arc::new(SystemClock),
-            entropy: Arc::new(SystemEntropy),
+            entropy: Arc::new(SystemRandom),
             check: {
                 let checks = DatasetChecker::new(CHECKS, CHECK_TIME);
                 Arc::new(move |archive: &Path| checks.check(archive))
@@ -172,10 +171,10 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
         http::serve(listeners, config, services, shutdown).await;
         supervisor.stopped().await;
         if let Err(fault) = housekeeping.await {
-            tracing::warn!(%fault, "clearing away ended early");
+            tracing::warn!(%fault, "garbage collection stopped early");
         }
         if let Err(fault) = delivering.await {
-            tracing::warn!(%fault, "the delivery of webhooks ended early");
+            tracing::warn!(%fault, "webhook delivery stopped early");
         }
         store.close().await;
         Ok(())
@@ -183,12 +182,13 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), Failure> {
 }
 
 /// Runs a worker until a signal comes, or its parent dies.
-pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
+pub(crate) fn worker(options: WorkerOptions) -> Result<(), CliError> {
     let runtime = runtime()?;
     let outcome = runtime.block_on(async {
         let lpips = super::lpips(options.lpips.as_deref())?;
-        let runner = super::job_runner(&options.adapter, options.memory, options.data.clone(), lpips);
-        // A service whose worker this is has brought the schema up to date; one of another version is left alone.
+        let runner = super::runner(&options.adapter, options.memory, options.data.clone(), lpips);
+        let runner = Arc::new(runner.with_pictures());
+        // The service has migrated the schema; a worker of another version must not.
         let store = open_store(&options.data, KeyLimits::default(), OlderSchema::Refuse).await?;
         let blobs = open_blobs(&options.data)?;
         let shutdown = stop_on_signals()?;
@@ -196,20 +196,20 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), Failure> {
             worker::stop_when_stdin_closes(shutdown.clone()).map_err(|fault| unavailable(&fault))?;
         }
         let checkpoints = Some(options.data.join(CHECKPOINTS));
-        // Its supervisor looks there; who has none is known by its lease alone.
+        // Only a supervisor reads it; other workers are known by their leases.
         let liveness_dir = options.stop_with_parent.then(|| options.data.join(WORKERS));
         let config = WorkerConfig { checkpoints, liveness_dir, ..WorkerConfig::from_environment() };
         let outcome = worker::serve(store.clone(), blobs, runner, config, shutdown).await;
         store.close().await;
-        outcome.map_err(|fault| Failure::from(Problem::new(ProblemType::Stalled, fault.to_string())))
+        outcome.map_err(|fault| CliError::from(Problem::new(ProblemType::Stalled, fault.to_string())))
     });
-    // A run that did not stop is still on its thread; waiting for it here would undo giving up on it.
+    // Does not wait for the thread of a run that did not stop in time.
     runtime.shutdown_background();
     outcome
 }
 
 /// Brings the schema of the database in a data folder up to date.
-pub(crate) fn migrate(data: &Path) -> Result<SchemaChange, Failure> {
+pub(crate) fn migrate(data: &Path) -> Result<SchemaChange, CliError> {
     runtime()?.block_on(async {
         private_folder(data)?;
         let database = data.join(DATABASE);
@@ -220,7 +220,7 @@ pub(crate) fn migrate(data: &Path) -> Result<SchemaChange, Failure> {
     })
 }
 
-/// What is done with a database that an earlier version has made.
+/// How to treat a database of an earlier version.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum OlderSchema {
     Migrate,
@@ -232,7 +232,7 @@ pub(super) async fn open_store(
     data: &Path,
     limits: KeyLimits,
     older: OlderSchema,
-) -> Result<Arc<SqliteStore>, Failure> {
+) -> Result<Arc<SqliteStore>, CliError> {
     private_folder(data)?;
     let (database, clock) = (data.join(DATABASE), Arc::new(SystemClock));
     let policy = QueuePolicy { limits, ..QueuePolicy::default() };
@@ -243,26 +243,26 @@ pub(super) async fn open_store(
     store.map(Arc::new).map_err(|fault| unavailable(&fault))
 }
 
-fn open_blobs(data: &Path) -> Result<Blobs, Failure> {
+fn open_blobs(data: &Path) -> Result<Blobs, CliError> {
     Blobs::open(data).map_err(|fault| unavailable(&fault))
 }
 
-/// Makes the folder, and sees to it that nobody else can read what it holds.
-fn private_folder(data: &Path) -> Result<(), Failure> {
-    private::create(data).map_err(|fault| Failure::unwritable(data, &fault))?;
+/// Creates the folder and makes it private.
+fn private_folder(data: &Path) -> Result<(), CliError> {
+    private::create(data).map_err(|fault| CliError::unwritable(data, &fault))?;
     private::close(data, &["", "-wal", "-shm", ".lock"].map(|suffix| format!("{DATABASE}{suffix}")));
     Ok(())
 }
 
 /// The authorities in a file, if one is named.
-fn webhook_roots(path: Option<&Path>) -> Result<ExtraRoots, Failure> {
+fn webhook_roots(path: Option<&Path>) -> Result<ExtraRoots, CliError> {
     let Some(path) = path else { return Ok(ExtraRoots::default()) };
     ExtraRoots::from_pem(&files::read(path)?)
-        .map_err(|fault| Failure::Usage(format!("--webhooks-ca: {} {fault}", path.display())))
+        .map_err(|fault| CliError::Usage(format!("--webhooks-ca: {} {fault}", path.display())))
 }
 
-/// Whether the database knows of keys; where there is none yet, none is made to find that out.
-async fn has_keys(data: &Path) -> Result<bool, Failure> {
+/// Whether the database has keys; a missing database is not created.
+async fn has_keys(data: &Path) -> Result<bool, CliError> {
     if !data.join(DATABASE).exists() {
         return Ok(false);
     }
@@ -275,7 +275,7 @@ async fn has_keys(data: &Path) -> Result<bool, Failure> {
 /// Highest degree of the spherical harmonics of scenes that are exported on demand.
 const EXPORT_DEGREE: u8 = 3;
 
-/// A finished scene in another format, made to look alike from the training cameras, or from all around where there are none.
+/// A finished scene in another format, fitted to its renders from the training cameras, or from a sphere if there are none.
 fn export(
     views: &Arc<dyn RenderViews>,
     bytes: &[u8],
@@ -289,10 +289,10 @@ fn export(
     let gaussians = u64::try_from(exported.gaussians).unwrap_or(u64::MAX);
     let held_out = of_split(cameras, Split::Test);
     let cameras = if held_out.is_empty() { trained } else { held_out };
-    // The key of its views too, so that a scene that is being looked at is not loaded again.
+    // The same key as for its views, so a scene on the device is not loaded again.
     let source = Renderer::over(Arc::clone(views), Digest::of(bytes), file);
     let fidelity = super::fidelity(&source, &exported.bytes, &cameras).unwrap_or_else(|fault| {
-        tracing::warn!("how alike an export looks cannot be told: {fault}");
+        tracing::warn!("export fidelity not measured: {fault}");
         None
     });
     Ok(ExportedScene { bytes: exported.bytes, gaussians, sh_degree: exported.degree, fidelity })
@@ -302,7 +302,7 @@ fn of_split(cameras: &[NamedCamera], split: Split) -> Vec<Camera> {
     cameras.iter().filter(|camera| camera.split == split).map(|camera| camera.camera).collect()
 }
 
-/// The environment that lets workers find compiled kernels again.
+/// The environment variables of the drivers' shader cache.
 fn driver_cache_in(data: &Path) -> Vec<(OsString, OsString)> {
     // The child may run elsewhere than here.
     let folder = std::path::absolute(data).unwrap_or_else(|_| data.to_owned()).join(DRIVER_CACHE);
@@ -339,25 +339,25 @@ fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
     arguments
 }
 
-pub(super) fn runtime() -> Result<Runtime, Failure> {
+pub(super) fn runtime() -> Result<Runtime, CliError> {
     tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(|fault| unavailable(&fault))
 }
 
-/// How long after a signal another one is taken for the same wish: wrappers such as `timeout` send each twice.
-const ONE_WISH: Duration = Duration::from_millis(500);
+/// Signals within this time count as one: wrappers such as `timeout` send each twice.
+const SIGNAL_DEBOUNCE: Duration = Duration::from_millis(500);
 
 /// Cancelled by the first interrupt or termination signal. A second ends the process at once.
-fn stop_on_signals() -> Result<CancellationToken, Failure> {
+fn stop_on_signals() -> Result<CancellationToken, CliError> {
     let stop = CancellationToken::new();
     let cancel = stop.clone();
-    // Heard from here on, not only once the task runs.
+    // Registered before the task runs, so that no signal is missed.
     let mut signals = Signals::listen().map_err(|fault| unavailable(&fault))?;
     tokio::spawn(async move {
         signals.next().await;
         tracing::info!("stopping; another signal ends this at once");
         cancel.cancel();
-        tokio::time::sleep(ONE_WISH).await;
-        // Those that came meanwhile are not heard by new listeners.
+        tokio::time::sleep(SIGNAL_DEBOUNCE).await;
+        // New listeners do not get the signals that arrived meanwhile.
         match Signals::listen() {
             Ok(mut signals) => {
                 let status = signals.next().await;
@@ -412,8 +412,8 @@ impl Signals {
     }
 }
 
-/// Something that this process needs is not to be had; the fault with its causes.
-pub(super) fn unavailable(fault: &(dyn Error + 'static)) -> Failure {
+/// A problem for a missing resource, with the causes of the error.
+pub(super) fn unavailable(fault: &(dyn Error + 'static)) -> CliError {
     let mut detail = fault.to_string();
     let mut source = fault.source();
     while let Some(cause) = source {

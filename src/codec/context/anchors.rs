@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::{coordinates, neighbours, position_inputs, texels, texels::PlaneTexels};
 use crate::domain::{
     ContextFrame,
-    context::{ContextKind, NEIGHBOURS},
+    context_model::{ContextKind, NEIGHBOURS},
 };
 
 /// Anchors that are worth a task of their own.

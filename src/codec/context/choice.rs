@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::domain::context::ContextKind;
+use crate::domain::context_model::ContextKind;
 
 /// How the symbols of an attribute group are predicted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

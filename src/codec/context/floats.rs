@@ -1,7 +1,7 @@
 //! The context model in floats, as trained: the reference for the integers of a file. No file depends on it.
 
 use super::{coordinates, neighbours, position_inputs, texels};
-use crate::domain::{ContextFrame, Mlp, Planes, context::ContextKind};
+use crate::domain::{ContextFrame, Mlp, Planes, context_model::ContextKind};
 
 /// Inputs of the float networks for each anchor.
 pub(in crate::codec) struct FloatAnchors {

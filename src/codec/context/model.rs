@@ -8,7 +8,7 @@ use super::{
     dense::{Activations, IntegerMlp, padded},
     quant_steps,
 };
-use crate::{codec::symbols::Distribution, domain::context::ContextKind};
+use crate::{codec::symbols::Distribution, domain::context_model::ContextKind};
 
 /// The model of an attribute group.
 #[derive(Debug, Clone, PartialEq)]

@@ -7,7 +7,7 @@
 
 use rayon::prelude::*;
 
-use crate::{codec::morton, domain::context::NEIGHBOURS};
+use crate::{codec::morton, domain::context_model::NEIGHBOURS};
 
 /// Anchors in a box of the lowest level.
 const LEAF: usize = 8;

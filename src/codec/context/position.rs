@@ -1,6 +1,6 @@
 //! Position inputs: coordinates and triangle waves of them, which let a small network distinguish places.
 
-use crate::domain::context::{POSITION_INPUTS, POSITION_OCTAVES};
+use crate::domain::context_model::{POSITION_INPUTS, POSITION_OCTAVES};
 
 /// One wave's length, in 2^-16: as wide as all coordinates together.
 const PERIOD: i32 = 1 << 18;

@@ -8,7 +8,7 @@ use crate::{
         bytes::{Reader, Writer},
         error::DecodeError,
     },
-    domain::{AttributeGroup, ContextFrame, context::ContextKind},
+    domain::{AttributeGroup, ContextFrame, context_model::ContextKind},
 };
 
 const PART: &str = "context";

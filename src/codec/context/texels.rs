@@ -1,7 +1,7 @@
 //! The three planes as they are sampled: four texels and bilinear weights in 2^-8 for a coordinate on each.
 
 use super::COORDINATE_LIMIT;
-use crate::domain::context::PLANE_AXES;
+use crate::domain::context_model::PLANE_AXES;
 
 /// Planes of a scene.
 pub(in crate::codec) const PLANES: usize = PLANE_AXES.len();

@@ -222,7 +222,7 @@ impl AnchorSampler<'_> {
                 let ray = position - bake_view.center;
                 let distance = ray.length().max(1e-12);
                 let direction = ray / distance;
-                let scaled_distance = distance / f64::from(self.scene.unit.length());
+                let scaled_distance = distance / f64::from(self.scene.scene_scale.length());
                 inputs
                     .push([direction.x, direction.y, direction.z, scaled_distance].map(|value| value as f32));
                 from.push(view);

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::domain::{
-    DenseLayer, DistanceUnit, Intrinsics, Lattice, Mlp, NearPlane, Pose, RenderNetworks, anchors::VIEW_INPUTS,
+    DenseLayer, Intrinsics, Lattice, Mlp, NearPlane, Pose, RenderNetworks, SceneScale, anchors::VIEW_INPUTS,
 };
 
 const FEATURES: usize = 2;
@@ -21,8 +21,8 @@ fn network(bias: &[f32], slopes: &[(usize, usize, f32)]) -> Mlp {
 fn scene() -> AnchorScene {
     let offset = [0.0, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0];
     AnchorScene {
-        near: NearPlane::USUAL,
-        unit: DistanceUnit::USUAL,
+        near: NearPlane::DEFAULT,
+        scene_scale: SceneScale::DEFAULT,
         lattice: Lattice { voxel: 0.5, origin: [0.0; 3] },
         cells: vec![[2, 0, 0]],
         feature_dim: FEATURES,
@@ -173,7 +173,7 @@ fn the_networks_are_told_distances_in_the_scenes_unit() {
         opacities.chain(colors).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
     };
     assert!(differ(&scaled) > 0.1, "scaled_distance in the world's unit, it is another scene");
-    scaled.unit = DistanceUnit::new(4.0).expect("a length");
+    scaled.scene_scale = SceneScale::new(4.0).expect("a length");
     assert!(differ(&scaled) < 1e-4, "{}", differ(&scaled));
 }
 

@@ -156,7 +156,7 @@ fn one() -> GaussianScene {
         opacity_logits: vec![0.0],
         sh: vec![sh],
         degree: 1,
-        near: NearPlane::USUAL,
+        near: NearPlane::DEFAULT,
     }
 }
 

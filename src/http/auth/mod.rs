@@ -2,7 +2,7 @@
 //!
 //! Invariants; in case of doubt a request is refused:
 //!
-//! - While the database has no key, every caller is [`Caller::ANYBODY`], and only loopback is served
+//! - While the database has no key, every caller is [`Caller::ANONYMOUS`], and only loopback is served
 //!   ([`super::HttpConfig::check_exposure`]). From the first key on, until the process ends, nothing under `/v1` is answered without
 //!   one; that includes revoked keys and unknown paths.
 //! - Without keys only loopback host names are accepted ([`self::host`]); with or without keys, requests forged by other sites' pages
@@ -244,7 +244,7 @@ async fn admit(
     client: &ClientInfo,
 ) -> ApiResult<Caller> {
     if open? {
-        return Ok(Caller::ANYBODY);
+        return Ok(Caller::ANONYMOUS);
     }
     let reads = client.reads;
     let fail = |fault: ProblemResponse| match state.throttle.failure(client.address) {

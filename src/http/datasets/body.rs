@@ -4,14 +4,14 @@ use jiff::Timestamp;
 use serde::Serialize;
 
 use crate::{
-    domain::{DatasetSummary, Digest, SceneId},
+    domain::{DatasetId, DatasetSummary, Digest},
     store::{BlobRef, DatasetRecord},
 };
 
 /// `#/components/schemas/Scene` of the contract.
 #[derive(Debug, Serialize)]
 pub(crate) struct SceneBody {
-    id: SceneId,
+    id: DatasetId,
     /// A scene exists only once its dataset has been checked, so there is one state.
     state: &'static str,
     name: Option<String>,
@@ -42,7 +42,7 @@ struct Links {
 }
 
 /// The path of a scene.
-pub(crate) fn href(id: SceneId) -> String {
+pub(crate) fn href(id: DatasetId) -> String {
     format!("/v1/scenes/{id}")
 }
 

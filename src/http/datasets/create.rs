@@ -17,7 +17,7 @@ use super::{
     representation,
 };
 use crate::{
-    domain::{Caller, DatasetSummary, Digest, ProblemType, SceneId, UploadId},
+    domain::{Caller, DatasetId, DatasetSummary, Digest, ProblemType, UploadId},
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{
@@ -172,7 +172,7 @@ async fn keep(
         None => check(state, received).await?,
     };
     let SceneFields { name, upload, intent } = fields;
-    let new = NewDataset { id: SceneId(state.new_uuid()), owner, name, dataset, summary, upload, intent };
+    let new = NewDataset { id: DatasetId(state.new_uuid()), owner, name, dataset, summary, upload, intent };
     let store = Arc::clone(&state.services.store);
     let created = received.keep(state, async move { store.create_dataset(new).await }).await?;
     Ok(created.map(|creation| match creation {
@@ -196,7 +196,7 @@ async fn check(state: &AppState, received: ReceivedDataset) -> ApiResult<(Receiv
 
 impl Resource for CreatedScene {
     async fn load(state: &AppState, remembered: &PriorRequest) -> ApiResult<Self> {
-        let record = match remembered.resource.parse::<SceneId>() {
+        let record = match remembered.resource.parse::<DatasetId>() {
             Ok(id) => state.store().dataset(id).await?,
             Err(_) => None,
         };

@@ -19,7 +19,7 @@ use super::{
     state::AppState,
 };
 use crate::{
-    domain::{Caller, ProblemType, SceneId},
+    domain::{Caller, DatasetId, ProblemType},
     store::{DatasetDeletion, DatasetPageKey, DatasetRecord},
 };
 
@@ -28,7 +28,7 @@ use crate::{
 /// # Errors
 /// 404 if there is none, and if it is another's.
 pub(super) async fn find(state: &AppState, caller: &Caller, id: &str) -> ApiResult<DatasetRecord> {
-    let parsed: SceneId = id.parse().map_err(|_| ProblemResponse::no_scene(id))?;
+    let parsed: DatasetId = id.parse().map_err(|_| ProblemResponse::no_scene(id))?;
     let record = state.store().dataset(parsed).await?;
     record.filter(|record| caller.may_see(record.owner)).ok_or_else(|| ProblemResponse::no_scene(id))
 }
@@ -50,7 +50,7 @@ pub(super) async fn list(
         Some(DatasetPageKey { created_at, id })
     })?;
     parameters.finish()?;
-    let mut records = state.store().datasets(caller.sees_only(), page.after, page.to_read()).await?;
+    let mut records = state.store().datasets(caller.visible_owner(), page.after, page.to_read()).await?;
     let next = page.cut(&mut records, "/v1/scenes", |last| cursor(last.created_at, last.id));
     let headers = pagination::headers(next.as_deref())?;
     let scenes = records.into_iter().map(SceneBody::from).collect();

@@ -70,7 +70,7 @@ pub(super) async fn by_hash(
     request: HeaderMap,
 ) -> ApiResult {
     let found = match hash.parse::<Digest>() {
-        Ok(digest) => state.store().file(digest, caller.sees_only()).await?,
+        Ok(digest) => state.store().file(digest, caller.visible_owner()).await?,
         Err(_) => None,
     };
     let found = found.ok_or_else(|| {

@@ -4,7 +4,7 @@ use jiff::Timestamp;
 use serde::Serialize;
 
 use crate::{
-    domain::{Digest, JobId, JobMetrics, JobState, Phase, Problem, Progress, SceneId, TrainOptions},
+    domain::{DatasetId, Digest, JobId, JobMetrics, JobState, Phase, Problem, Progress, TrainOptions},
     http::datasets::body::DatasetBody,
     store::{JobRecord, SceneArtifact},
 };
@@ -24,7 +24,7 @@ pub(crate) struct JobBody {
     priority: i32,
     deadline_at: Option<Timestamp>,
     retry_of: Option<JobId>,
-    scene_id: Option<SceneId>,
+    scene_id: Option<DatasetId>,
     options: TrainOptions,
     dataset: DatasetBody,
     created_at: Timestamp,

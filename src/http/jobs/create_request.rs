@@ -4,7 +4,7 @@ use jiff::{SignedDuration, Timestamp};
 use serde_json::{Map, Value};
 
 use crate::{
-    domain::{MAX_PRIORITY, OptionError, ProblemType, SceneId, TrainOptions},
+    domain::{DatasetId, MAX_PRIORITY, OptionError, ProblemType, TRAIN_OPTIONS, TrainOptions},
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{JsonBody, Parameters, parse_json},
@@ -44,7 +44,7 @@ impl CreateJobRequest {
     }
 
     /// Reads a JSON object, which also names the scene.
-    pub(super) fn from_json(content: &[u8]) -> ApiResult<(SceneId, Self)> {
+    pub(super) fn from_json(content: &[u8]) -> ApiResult<(DatasetId, Self)> {
         let mut object: Map<String, Value> = parse_json(content)?;
         let scene = object.remove("scene_id").ok_or_else(|| {
             ProblemResponse::parameter("scene_id", "is missing; name the scene to train on")
@@ -56,7 +56,7 @@ impl CreateJobRequest {
             .filter(|value| !value.is_null())
             .map(|value| field("deadline_s", value, "a whole number of seconds"));
         let (priority, deadline_s) = (priority.transpose()?.unwrap_or(0), deadline_s.transpose()?);
-        let options = options(object)?;
+        let options = options(&object)?;
         Ok((scene, Self { options, priority, deadline_s }.validated()?))
     }
 
@@ -70,7 +70,7 @@ impl CreateJobRequest {
         }
         let seed = self.options.seed;
         if seed > MAX_SEED {
-            let fault = OptionError::new("seed", format!("{seed} is outside 0..={MAX_SEED}"));
+            let fault = OptionError { option: "seed", fault: format!("{seed} is outside 0..={MAX_SEED}") };
             return Err(invalid_option(&fault));
         }
         Ok(Self { options: self.options.validated().map_err(|error| invalid_option(&error))?, ..self })
@@ -82,47 +82,25 @@ fn field<T: serde::de::DeserializeOwned>(name: &str, value: Value, expected: &st
         .map_err(|_| ProblemResponse::parameter(name, format!("{value} is not {expected}")))
 }
 
-/// Training options in an object's fields. Lists may also be what the query string has.
-fn options(fields: Map<String, Value>) -> ApiResult<TrainOptions> {
-    let mut lists = TrainOptions::default();
-    let mut whole = Map::new();
+/// Training options in an object's fields.
+fn options(fields: &Map<String, Value>) -> ApiResult<TrainOptions> {
+    let mut options = TrainOptions::default();
     for (name, value) in fields {
-        expect_known(&name)?;
-        match (name.as_str(), &value) {
-            ("without" | "with" | "rd_curve", Value::String(text)) => {
-                lists.set(&name, text).map_err(|error| invalid_option(&error))?;
-                let parsed =
-                    serde_json::to_value(&lists).map_err(|error| ProblemResponse::internal(&error))?;
-                // Not there if there is nothing in it.
-                whole.extend(parsed.get(&name).map(|list| (name.clone(), list.clone())));
-            }
-            _ => {
-                // One at a time, so that the fault names its field.
-                let alone = Value::Object(Map::from_iter([(name.clone(), value.clone())]));
-                serde_json::from_value::<TrainOptions>(alone)
-                    .map_err(|error| invalid_field(&name, &error))?;
-                whole.insert(name, value);
-            }
-        }
+        expect_known(name)?;
+        options.set_json(name, value).map_err(|error| invalid_option(&error))?;
     }
-    serde_json::from_value(Value::Object(whole)).map_err(|error| invalid_field("options", &error))
+    Ok(options)
 }
 
 /// 422 for the name of no option.
 fn expect_known(name: &str) -> ApiResult<()> {
-    if TrainOptions::NAMES.contains(&name) {
+    let known = TRAIN_OPTIONS.each_ref().map(|row| row.name);
+    if known.contains(&name) {
         return Ok(());
     }
     let shown: String = name.chars().take(LONGEST_NAME).collect();
-    let detail = format!(
-        "{shown}: is not an option; there are priority, deadline_s, {}",
-        TrainOptions::NAMES.join(", ")
-    );
+    let detail = format!("{shown}: is not an option; there are priority, deadline_s, {}", known.join(", "));
     Err(ProblemResponse::new(ProblemType::InvalidOption, detail))
-}
-
-fn invalid_field(name: &str, error: &serde_json::Error) -> ProblemResponse {
-    ProblemResponse::new(ProblemType::InvalidOption, format!("{name}: {error}"))
 }
 
 fn invalid_option(error: &OptionError) -> ProblemResponse {
@@ -159,7 +137,7 @@ mod tests {
     #[test]
     fn an_object_means_what_the_query_string_means() {
         let query = "preset=standard&iterations=7&seed=3&background=white&without=masks,wavelet&voxel=0.5&\
-                     with=plane-compression&\
+                     plane_compression=on&\
                      rd_curve=0.004,1e-3&priority=-5&deadline_s=60";
         let query =
             CreateJobRequest::from_query(Parameters::parse(Some(query)).expect("a query")).expect("possible");
@@ -216,6 +194,8 @@ mod tests {
             (json!({ "without": "everything" }), "without"),
             (json!({ "with": ["masks"] }), "with"),
             (json!({ "with": "everything" }), "with"),
+            (json!({ "plane_compression": true }), "plane_compression"),
+            (json!({ "plane_compression": "on", "model": "3dgs" }), "plane_compression"),
             (json!({ "rd_curve": [0.001, 0.001] }), "rd_curve"),
             (json!({ "priority": 101 }), "priority"),
             (json!({ "priority": "high" }), "priority"),

@@ -31,7 +31,7 @@ pub(crate) async fn list(
         Some(PageKey { created_at, id })
     })?;
     let filter = JobFilter {
-        owner: caller.sees_only(),
+        owner: caller.visible_owner(),
         states: parameters.take("state").map(|text| parse_states(&text)).transpose()?.unwrap_or_default(),
         dataset_id: parameters.take_as("scene_id", "a scene's id")?,
         model: parameters.take_as("model", "one of tcgs, scaffold, 3dgs")?,

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::OwnedJob;
 use crate::{
-    domain::{SERIES_POINTS, SeriesPoint, in_running_time},
+    domain::{SERIES_POINTS, SeriesPoint, with_cumulative_seconds},
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{Etag, Parameters, not_modified},
@@ -47,7 +47,7 @@ pub(crate) async fn get(
     }
     let points = state.store().series(job.id).await?.ok_or_else(|| ProblemResponse::no_job(job.id))?;
     let cache = (header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
-    let body = columns(thin(in_running_time(points), at_most as usize));
+    let body = columns(thin(with_cumulative_seconds(points), at_most as usize));
     Ok(([(header::ETAG, etag.value()), cache], Json(body)).into_response())
 }
 

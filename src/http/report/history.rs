@@ -1,7 +1,7 @@
 //! A job's training history as one series of points, across interruptions.
 
 use crate::{
-    domain::{Job, SeriesPoint, in_running_time},
+    domain::{Job, SeriesPoint, with_cumulative_seconds},
     store::{Store, StoreError},
 };
 
@@ -22,7 +22,7 @@ impl History {
 
     /// Of a job whose latest attempt has taken `elapsed_seconds` of its own.
     fn of(points: Vec<SeriesPoint>, attempt: u32, elapsed_seconds: f64) -> Self {
-        let points = in_running_time(points);
+        let points = with_cumulative_seconds(points);
         let before = points.iter().rfind(|point| point.attempt != attempt).map_or(0.0, |point| point.seconds);
         Self { points, end: before + elapsed_seconds }
     }

@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use crate::{
     domain::{
         Camera, CameraError, Intrinsics, NamedCamera, Pose, ProblemType, View, ViewError, ViewRequest,
-        scene::find_name,
+        dataset::find_name,
     },
     http::{
         problem::{ApiResult, ProblemResponse},

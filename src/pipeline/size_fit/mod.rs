@@ -24,7 +24,7 @@ use super::error::JobError;
 use crate::{
     codec::{ContextChoice, ContextSearch, Encoded},
     domain::{
-        AnchorScene, AttributeGroup, Background, ByteBudget, Frame, GroupOctaves, Problem, ProblemType,
+        AnchorScene, AttributeGroup, Background, ByteBudget, Frame, GroupQstepLog2, Problem, ProblemType,
     },
     eval::{mean_scores, measure_views, removal_costs},
     gpu::Device,
@@ -91,7 +91,7 @@ pub(super) fn fit_size(
     let free = encode(EncodeAttempt { scene, coarser: [0; 3], search: cheapest, max_bytes: Some(limit) })?;
     let unconstrained_bytes = free.bytes.len() as u64;
     if unconstrained_bytes <= limit {
-        let qstep_log2 = GroupOctaves::default();
+        let qstep_log2 = GroupQstepLog2::default();
         let budget = ByteBudget { max_bytes: limit, unconstrained_bytes, qstep_log2, gaussians_dropped: 0 };
         return Ok((free, budget));
     }
@@ -121,7 +121,7 @@ pub(super) fn fit_size(
             let budget = ByteBudget {
                 max_bytes: limit,
                 unconstrained_bytes,
-                qstep_log2: GroupOctaves { features, scalings, offsets },
+                qstep_log2: GroupQstepLog2 { features, scalings, offsets },
                 gaussians_dropped: (total - found.kept) as u64,
             };
             tracing::info!("{} bytes, with {budget:?}", encoded.bytes.len());
@@ -348,13 +348,13 @@ fn test_scene(
     [feature_dim, offsets_per_anchor]: [usize; 2],
     value: impl Fn(usize) -> f32,
 ) -> AnchorScene {
-    use crate::domain::{DistanceUnit, Lattice, Mlp, NearPlane, RenderNetworks};
+    use crate::domain::{Lattice, Mlp, NearPlane, RenderNetworks, SceneScale};
 
     let mlp = || Mlp { layers: Vec::new() };
     let rows = |width: usize| (0..cells.len() * width).map(|index| value(index / width)).collect();
     AnchorScene {
-        near: NearPlane::USUAL,
-        unit: DistanceUnit::USUAL,
+        near: NearPlane::DEFAULT,
+        scene_scale: SceneScale::DEFAULT,
         lattice: Lattice { voxel: 1.0, origin: [0.0; 3] },
         feature_dim,
         offsets_per_anchor,

@@ -131,7 +131,7 @@ impl Accounts for SqliteStore {
 
     fn capacity(&self, owner: Option<KeyId>) -> StoreFuture<'_, Capacity> {
         Box::pin(self.read(async move |tx| {
-            let quota = quota(tx, self.policy.limits.max_bytes, owner).await?;
+            let quota = quota(tx, self.policy.limits.quota_bytes, owner).await?;
             if quota.is_none() {
                 return Ok(Capacity::default());
             }

@@ -7,7 +7,7 @@ use super::{
     rows::{blob, document, instant, json, micros, optional_id, parsed, unsigned},
 };
 use crate::{
-    domain::{Digest, KeyId, SceneId},
+    domain::{DatasetId, Digest, KeyId},
     store::{
         DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, Datasets, NewDataset, StoreError,
         StoreFuture,
@@ -27,7 +27,10 @@ fn dataset(row: &SqliteRow) -> Result<DatasetRecord, StoreError> {
     })
 }
 
-async fn select(connection: &mut SqliteConnection, id: SceneId) -> Result<Option<DatasetRecord>, StoreError> {
+async fn select(
+    connection: &mut SqliteConnection,
+    id: DatasetId,
+) -> Result<Option<DatasetRecord>, StoreError> {
     let row = sqlx::query(
         "SELECT scenes.*, blobs.bytes FROM scenes JOIN blobs ON blobs.digest = scenes.dataset WHERE scenes.id = ?",
     )
@@ -67,7 +70,7 @@ impl Datasets for SqliteStore {
                         .execute(&mut *tx)
                         .await?;
                 }
-                accounts::admit_blob(tx, self.policy.limits.max_bytes, new.owner, new.dataset).await?;
+                accounts::admit_blob(tx, self.policy.limits.quota_bytes, new.owner, new.dataset).await?;
                 insert_blob(tx, new.dataset, now).await?;
                 sqlx::query(
                     "INSERT INTO scenes (id, owner, dataset, name, summary, created_at) VALUES (?, ?, ?, ?, ?, ?)",
@@ -102,7 +105,7 @@ impl Datasets for SqliteStore {
         }))
     }
 
-    fn dataset(&self, id: SceneId) -> StoreFuture<'_, Option<DatasetRecord>> {
+    fn dataset(&self, id: DatasetId) -> StoreFuture<'_, Option<DatasetRecord>> {
         Box::pin(self.read(async move |tx| select(tx, id).await))
     }
 
@@ -126,7 +129,11 @@ impl Datasets for SqliteStore {
         })
     }
 
-    fn delete_dataset(&self, id: SceneId, version: Option<u64>) -> StoreFuture<'_, Option<DatasetDeletion>> {
+    fn delete_dataset(
+        &self,
+        id: DatasetId,
+        version: Option<u64>,
+    ) -> StoreFuture<'_, Option<DatasetDeletion>> {
         Box::pin(self.write(async move |tx, _| {
             let Some(record) = select(tx, id).await? else { return Ok(None) };
             if version.is_some_and(|version| version != record.version) {

@@ -36,7 +36,7 @@ impl Exports for SqliteStore {
     fn admit_export(&self, job: JobId) -> StoreFuture<'_, ()> {
         Box::pin(self.read(async move |tx| {
             let Some(owner) = owner_of(tx, job).await? else { return Ok(()) };
-            accounts::admit(tx, self.policy.limits.max_bytes, owner, 1).await
+            accounts::admit(tx, self.policy.limits.quota_bytes, owner, 1).await
         }))
     }
 
@@ -47,7 +47,7 @@ impl Exports for SqliteStore {
             if let Some(kept) = of_job(tx, export.job).await?.into_iter().find(same) {
                 return Ok(Some(kept));
             }
-            accounts::admit_blob(tx, self.policy.limits.max_bytes, owner, export.blob).await?;
+            accounts::admit_blob(tx, self.policy.limits.quota_bytes, owner, export.blob).await?;
             insert_blob(tx, export.blob, now).await?;
             sqlx::query(
                 "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, likeness_psnr, likeness_views,

@@ -24,7 +24,7 @@ impl Keys for SqliteStore {
             .bind(new.hash.expose())
             .bind(scopes_text(&new.scopes))
             // SQLite has no larger integer, and no disk holds more.
-            .bind(new.limits.max_bytes.map(|bytes| i64::try_from(bytes).unwrap_or(i64::MAX)))
+            .bind(new.limits.quota_bytes.map(|bytes| i64::try_from(bytes).unwrap_or(i64::MAX)))
             .bind(new.limits.max_active_jobs)
             .bind(new.limits.requests_per_minute.map(NonZeroU32::get))
             .bind(new.limits.max_priority)
@@ -120,7 +120,7 @@ fn key(row: &SqliteRow) -> Result<KeyRecord, StoreError> {
         prefix: row.try_get("prefix")?,
         scopes: scopes.map_err(|fault| StoreError::Corrupt { what: "scopes", fault })?,
         limits: KeyLimits {
-            max_bytes: rows::optional_unsigned(row, "max_bytes")?,
+            quota_bytes: rows::optional_unsigned(row, "max_bytes")?,
             max_active_jobs: rows::optional_unsigned(row, "max_active_jobs")?,
             requests_per_minute: rows::optional_unsigned(row, "requests_per_minute")?
                 .and_then(NonZeroU32::new),

@@ -83,7 +83,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        domain::{JobId, JobState, SceneId},
+        domain::{DatasetId, JobId, JobState},
         store::{
             SqliteStore,
             sqlite::{accounts, open::temporary_store, stats},
@@ -101,10 +101,10 @@ mod tests {
     async fn lists_read_only_the_rows_that_they_return() {
         let (_folder, store) = temporary_store().await;
         let owner = Some(KeyId(Uuid::from_u128(1)));
-        let scene = Some(SceneId(Uuid::from_u128(1)));
+        let scene = Some(DatasetId(Uuid::from_u128(1)));
         let at = jiff::Timestamp::UNIX_EPOCH;
         let job = Some(PageKey { created_at: at, id: JobId(Uuid::from_u128(1)) });
-        let page = Some(DatasetPageKey { created_at: at, id: SceneId(Uuid::from_u128(1)) });
+        let page = Some(DatasetPageKey { created_at: at, id: DatasetId(Uuid::from_u128(1)) });
         let all = JobFilter::default();
         let of_owner = JobFilter { owner, ..JobFilter::default() };
         let of_scene = JobFilter { dataset_id: scene, ..JobFilter::default() };

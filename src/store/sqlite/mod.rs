@@ -93,7 +93,7 @@ impl SqliteStore {
         }
         let limits = self.policy.limits;
         accounts::admit_job(tx, limits.max_active_jobs, new.owner).await?;
-        accounts::admit_blob(tx, limits.max_bytes, new.owner, new.dataset).await?;
+        accounts::admit_blob(tx, limits.quota_bytes, new.owner, new.dataset).await?;
         // A retry keeps the priority that was admitted for the job before.
         if new.retry_of.is_none() {
             priority::admit(tx, limits.max_priority, new.owner, new.priority).await?;

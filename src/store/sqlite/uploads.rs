@@ -46,7 +46,7 @@ async fn select(connection: &mut SqliteConnection, id: UploadId) -> Result<Optio
 impl Uploads for SqliteStore {
     fn create_upload(&self, new: NewUpload) -> StoreFuture<'_, UploadRecord> {
         Box::pin(self.write(async move |tx, now| {
-            accounts::admit(tx, self.policy.limits.max_bytes, new.owner, new.length).await?;
+            accounts::admit(tx, self.policy.limits.quota_bytes, new.owner, new.length).await?;
             sqlx::query(
                 "INSERT INTO uploads (id, owner, length, metadata, created_at, expires_at) VALUES (?, ?, ?, ?, ?, ?)",
             )

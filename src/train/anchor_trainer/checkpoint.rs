@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{AnchorTrainer, Parts};
 use crate::{
-    domain::{DistanceUnit, Lattice},
+    domain::{Lattice, SceneScale},
     gpu::Device,
     model::{AnchorRows, MAX_CELL, NetworkLayout},
     train::{
@@ -21,12 +21,13 @@ fn lattice_values(values: &[f32]) -> Result<[f32; 4], CheckpointError> {
 }
 
 /// The unit of a state; the usual one if it has none.
-fn unit_of(state: &mut ModelState) -> Result<DistanceUnit, CheckpointError> {
+fn scene_scale_of(state: &mut ModelState) -> Result<SceneScale, CheckpointError> {
     if !state.has("unit") {
-        return Ok(DistanceUnit::USUAL);
+        return Ok(SceneScale::DEFAULT);
     }
-    let unit = state.take_exactly::<f32>("unit", 1)?.first().and_then(|length| DistanceUnit::new(*length));
-    unit.ok_or_else(|| CheckpointError::array("unit", "is not a valid unit of distance"))
+    let scene_scale =
+        state.take_exactly::<f32>("unit", 1)?.first().and_then(|length| SceneScale::new(*length));
+    scene_scale.ok_or_else(|| CheckpointError::array("unit", "is not a valid unit of distance"))
 }
 
 impl AnchorTrainer {
@@ -52,12 +53,12 @@ impl AnchorTrainer {
         let rows = anchors * shape.row();
         let offsets = anchors * shape.offsets;
         let parameters = NetworkLayout::new(shape).parameters;
-        let unit = unit_of(&mut state)?;
+        let scene_scale = scene_scale_of(&mut state)?;
         let masks = state.take_exactly("anchors.masks", anchors)?;
         let learning = state.has("masks.logits");
         let mut floats = |name: &str, len: usize| state.take_exactly::<f32>(name, len);
         let mut parts = Parts {
-            unit,
+            scene_scale,
             compression: None,
             statistics: Statistics { shape, values: floats("growth", anchors * Statistics::width(shape))? },
             networks: [
@@ -100,8 +101,8 @@ impl AnchorTrainer {
         let Lattice { voxel, origin: [x, y, z] } = anchors.lattice;
         let mut state = ModelState::default();
         state.put("lattice", vec![voxel, x, y, z]);
-        if !self.neural.unit().is_usual() {
-            state.put("unit", vec![self.neural.unit().length()]);
+        if !self.neural.scene_scale().is_default() {
+            state.put("unit", vec![self.neural.scene_scale().length()]);
         }
         state.put("anchors.cells", anchors.cells.into_flattened());
         state.put("anchors.masks", anchors.masks);
@@ -130,12 +131,12 @@ mod tests {
 
     #[test]
     fn the_unit_of_a_state_is_the_one_that_was_kept_or_the_usual_one() {
-        assert!(unit_of(&mut ModelState::default()).expect("the usual").is_usual());
+        assert!(scene_scale_of(&mut ModelState::default()).expect("the usual").is_default());
         let read = |values: Vec<f32>| {
             let mut state = ModelState::default();
             state.put("unit", values);
-            let unit = unit_of(&mut state)?;
-            state.finish().map(|()| unit.length())
+            let scene_scale = scene_scale_of(&mut state)?;
+            state.finish().map(|()| scene_scale.length())
         };
         assert_eq!(read(vec![0.0025]).expect("a length"), 0.0025);
         for hostile in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e-45, f32::MAX] {

@@ -15,7 +15,7 @@ use super::{
     prune_invisible::prune_invisible,
 };
 use crate::{
-    domain::{AnchorScene, Camera, CancelFlag, DistanceUnit, Frame, NearPlane, Scene},
+    domain::{AnchorScene, Camera, CancelFlag, Frame, NearPlane, Scene, SceneScale},
     gpu::{Buffer, Device, Recorder},
     model::{AnchorRows, NetworkLayout, Shape, initial_rows},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians},
@@ -61,7 +61,7 @@ struct Parts {
     /// The networks' parameters and their moments.
     networks: [Vec<f32>; 3],
     compression: Option<Compression>,
-    unit: DistanceUnit,
+    scene_scale: SceneScale,
 }
 
 impl AnchorTrainer {
@@ -72,7 +72,7 @@ impl AnchorTrainer {
         schedule: Schedule,
         points: &[[f32; 3]],
         extent: f32,
-        unit: DistanceUnit,
+        scene_scale: SceneScale,
         rng: &mut Pcg64,
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
@@ -84,7 +84,7 @@ impl AnchorTrainer {
         let zeros = |len| vec![0.0; len];
         let compression = schedule.compression.clone();
         let parts = Parts {
-            unit,
+            scene_scale,
             networks: [networks, zeros(parameters), zeros(parameters)],
             compression: compression.map(|schedule| Compression::new(device, schedule, shape)),
             statistics: Statistics::zero(shape, anchors.len()),
@@ -105,7 +105,8 @@ impl AnchorTrainer {
         parts: Parts,
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
-        let Parts { state, statistics, networks: [networks, first, second], compression, unit } = parts;
+        let Parts { state, statistics, networks: [networks, first, second], compression, scene_scale } =
+            parts;
         let near = NearPlane::of_extent(extent).depth();
         let TrainableAnchors { anchors, .. } = &state;
         let masks = state.masks.as_ref().map(|masks| OffsetMasks::upload(device, shape, masks));
@@ -123,7 +124,7 @@ impl AnchorTrainer {
             masks: masks.transpose()?,
             compression,
             shown: None,
-            neural: NeuralGaussians::new(Arc::clone(device), shape, near, unit)?,
+            neural: NeuralGaussians::new(Arc::clone(device), shape, near, scene_scale)?,
             adam: Adam::new(device)?,
             device: Arc::clone(device),
             layout,
@@ -134,14 +135,15 @@ impl AnchorTrainer {
     fn row_learning_rates(&self, fraction: f64) -> Vec<f32> {
         let mut rates = vec![self.schedule.feature.at(fraction) as f32; self.shape.row()];
         rates[self.shape.scaling_column()..].fill(self.schedule.scaling.at(fraction) as f32);
-        rates[self.shape.offset_column()..]
-            .fill(self.schedule.offset.at(fraction) as f32 * self.extent / self.neural.unit().length());
+        rates[self.shape.offset_column()..].fill(
+            self.schedule.offset.at(fraction) as f32 * self.extent / self.neural.scene_scale().length(),
+        );
         rates
     }
 
     /// The weight of volumes in world units; the schedule's is for volumes in the scene's unit.
     fn volume_weight(&self) -> f32 {
-        let volume = f64::from(self.neural.unit().length()).powi(3);
+        let volume = f64::from(self.neural.scene_scale().length()).powi(3);
         // A weight that is not finite would make NaN of volumes that underflow.
         (f64::from(self.schedule.volume_weight) / volume).min(f64::from(f32::MAX)) as f32
     }
@@ -396,7 +398,7 @@ impl ModelTrainer for AnchorTrainer {
         };
         let scene = anchors.to_scene(self.layout.to_networks(&networks));
         let near = NearPlane::of_extent(self.extent);
-        let scene = Scene::Anchors(AnchorScene { near, unit: self.neural.unit(), ..scene });
+        let scene = Scene::Anchors(AnchorScene { near, scene_scale: self.neural.scene_scale(), ..scene });
         Ok(FinishedModel { scene, context })
     }
 }

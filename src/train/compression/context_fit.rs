@@ -21,7 +21,7 @@ use super::{
 use crate::{
     domain::{
         AttributeGroup, CancelFlag, ContextCandidates, ContextKind, PlaneContext,
-        context::{GroupNetworks, STEP_OCTAVES},
+        context_model::{GroupNetworks, STEP_OCTAVES},
     },
     gpu::{Buffer, Recorder},
     render::{DeviceAnchors, RenderError},

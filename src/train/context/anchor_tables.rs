@@ -9,7 +9,7 @@ use crate::{
     codec::context::{Texel, coordinates, neighbours, position_inputs, texels},
     domain::{
         ContextFrame,
-        context::{NEIGHBOURS, POSITION_INPUTS},
+        context_model::{NEIGHBOURS, POSITION_INPUTS},
     },
     gpu::{Buffer, Device, GpuError, Plan, planned},
     train::ContextError,

@@ -145,7 +145,7 @@ pub struct Schedule {
     pub max_anchors: usize,
     /// Points that a set without a point cloud begins with.
     pub random_points: usize,
-    /// Learning rate of offsets, before it is multiplied by the scene's extent in its distance unit.
+    /// Learning rate of offsets, before it is multiplied by the scene's extent over its scale.
     pub offset: Decay,
     /// Of features.
     pub feature: Decay,
@@ -153,7 +153,7 @@ pub struct Schedule {
     pub scaling: Decay,
     /// Of the opacity, covariance and colour networks.
     pub networks: [Decay; 3],
-    /// Weight of the volume regulariser, for volumes in the scene's distance unit.
+    /// Weight of the volume regulariser, for volumes over the cube of the scene scale.
     pub volume_weight: f32,
     /// Offset masks; none where they are off.
     pub masks: Option<MaskSchedule>,

@@ -24,8 +24,8 @@ use super::{
 };
 use crate::{
     domain::{
-        Background, CancelFlag, Component, Dataset, DistanceUnit, Frame, MemoryBudget, ModelKind, NearPlane,
-        Progress, Split, TrainOptions,
+        Background, CancelFlag, Component, Dataset, Frame, MemoryBudget, ModelKind, NearPlane, Progress,
+        SceneScale, Split, TrainOptions,
     },
     gpu::Device,
     model::random_points,
@@ -170,9 +170,9 @@ impl ModelFactory<'_> {
         Ok(match schedule.model {
             ModelKind::Tcgs | ModelKind::Scaffold => {
                 let typical = typical_distance(frames, &points);
-                let unit = DistanceUnit::of_typical(typical);
-                tracing::debug!(typical, unit = unit.length(), "scene scale");
-                Box::new(AnchorTrainer::new(device, schedule, &points, extent, unit, rng)?)
+                let scene_scale = SceneScale::from_typical_distance(typical);
+                tracing::debug!(typical, scene_scale = scene_scale.length(), "scene scale");
+                Box::new(AnchorTrainer::new(device, schedule, &points, extent, scene_scale, rng)?)
             }
             ModelKind::Gaussians3d => {
                 Box::new(PlainTrainer::new(device, schedule.plain, &points, colors, extent, rng)?)

@@ -7,7 +7,7 @@ use super::{
     symbol_bits,
 };
 use crate::{
-    domain::{AttributeGroup, context::STEP_OCTAVES},
+    domain::{AttributeGroup, context_model::STEP_OCTAVES},
     train::context::{Quantisation, QuantisationPhase},
 };
 

@@ -25,7 +25,7 @@ async fn keys_are_made_and_revoked_beside_a_running_service() {
         "CI",
         "--scopes",
         "read",
-        "--max-bytes",
+        "--quota-bytes",
         "1GiB",
     ]));
     let (id, key) = (made["id"].as_str().expect("an id"), made["key"].as_str().expect("a key"));

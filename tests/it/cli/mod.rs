@@ -4,6 +4,7 @@ mod baselines;
 mod clients;
 mod data_folder;
 mod keys;
+mod options;
 mod priority;
 mod scripting;
 mod signals;

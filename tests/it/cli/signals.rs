@@ -7,7 +7,7 @@ use crate::support::{eventually::eventually, service::Service};
 #[tokio::test]
 async fn the_second_signal_ends_a_service_that_waits_for_a_client() {
     let data = tempfile::tempdir().expect("a folder");
-    let patient = ["--workers", "0", "--drain", "5m", "--body-pause", "5m"];
+    let patient = ["--workers", "0", "--drain", "5m", "--body-idle-timeout", "5m"];
     let mut service = Service::start_with(data.path(), patient).await;
     let mut client = TcpStream::connect(service.address()).await.expect("connected");
     let part =

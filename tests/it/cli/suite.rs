@@ -102,7 +102,7 @@ fn models_are_compared_on_every_set_and_a_second_suite_only_reads() {
 
 /// A converter that gives back what it gets, and says that it takes 1234 bytes.
 #[cfg(unix)]
-fn write_peers(path: &Path) {
+fn write_converter(path: &Path) {
     use std::os::unix::fs::PermissionsExt as _;
     let script = "#!/bin/sh\nset -e\ncp \"$1\" \"$2/same.ply\"\n\
         printf 'format\\tbytes\\tdecoded\\nsame\\t1234\\tsame.ply\\n' >\"$2/sizes.tsv\"\n";
@@ -116,16 +116,16 @@ fn sizes_are_told_by_section_beside_the_baselines_and_other_formats() {
     let folder = tempfile::tempdir().expect("a folder");
     let (sets, out) = (folder.path().join("sets"), folder.path().join("out"));
     write_set(&sets.join("ball"));
-    let script = folder.path().join("peers.sh");
-    let suite = |models: &str, peers: bool| {
+    let script = folder.path().join("convert.sh");
+    let suite = |models: &str, convert: bool| {
         let mut arguments =
             line!["eval", "--suite", sets, "--models", models, "--iterations", "4", "--out", out, "--json"]
                 .into_iter()
                 .map(OsStr::to_owned)
                 .collect::<Vec<_>>();
         arguments.push("--steps-only".into());
-        if peers {
-            arguments.extend(["--peers".into(), script.clone().into()]);
+        if convert {
+            arguments.extend(["--external-formats".into(), script.clone().into()]);
         }
         arguments
     };
@@ -133,16 +133,16 @@ fn sizes_are_told_by_section_beside_the_baselines_and_other_formats() {
     let models = "3dgs,scaffold,tcgs,tcgs-masks";
     let failed = tcgs(suite(models, true));
     assert_eq!(failed.status.code(), Some(1), "{}", String::from_utf8_lossy(&failed.stderr));
-    assert!(String::from_utf8_lossy(&failed.stderr).contains("peers.sh"), "a script that is not there");
-    write_peers(&script);
+    assert!(String::from_utf8_lossy(&failed.stderr).contains("convert.sh"), "a script that is not there");
+    write_converter(&script);
     let report = answers(suite(models, true));
 
     let runs = report["runs"].as_array().expect("runs");
     let of = |entry: &str| runs.iter().find(|run| run["entry"] == entry).expect("a run");
     let (plain, tcgs) = (of("3dgs"), of("tcgs"));
-    let peer = &plain["peers"][0];
-    assert_eq!((&peer["format"], &peer["bytes"]), (&"same".into(), &1234.into()));
-    assert_eq!(peer["psnr"], plain["metrics"]["test"]["psnr"], "what comes back is measured as it is");
+    let file = &plain["peers"][0];
+    assert_eq!((&file["format"], &file["bytes"]), (&"same".into(), &1234.into()));
+    assert_eq!(file["psnr"], plain["metrics"]["test"]["psnr"], "what comes back is measured as it is");
     assert_eq!(tcgs["peers"], Value::Array(Vec::new()));
 
     let tables = fs::read_to_string(out.join("results.md")).expect("the tables");

@@ -3,7 +3,7 @@
 
 use tcgs::{
     codec::{ContextChoice, ContextSearch, ContextSettings, EncodeSettings, Encoded, GroupChoice, encode},
-    domain::{AnchorScene, ContextKind, DistanceUnit, NearPlane, Planes},
+    domain::{AnchorScene, ContextKind, NearPlane, Planes, SceneScale},
 };
 
 use super::{
@@ -20,7 +20,7 @@ pub(super) const GOLDENS: [(&str, Maker); 4] = [
     ("shell_v1.tcgs", shell),
     ("context_v1.tcgs", context),
     ("direct_v1.tcgs", direct),
-    ("unit_v1.tcgs", unit),
+    ("unit_v1.tcgs", scene_scale),
 ];
 
 /// That of the file that has one, in world units.
@@ -68,10 +68,10 @@ fn direct() -> Encoded {
 }
 
 /// Networks whose distances are in a unit of the scene's own.
-fn unit() -> Encoded {
+fn scene_scale() -> Encoded {
     let scene = scene(Recipe { seed: 2027, anchors: 40, feature_dim: 4, offsets: 2, masked: 0.3 });
-    let unit = DistanceUnit::new(UNIT).expect("a length");
-    encode(&AnchorScene { unit, ..scene }, None, &settings()).expect("encodes")
+    let scene_scale = SceneScale::new(UNIT).expect("a length");
+    encode(&AnchorScene { scene_scale, ..scene }, None, &settings()).expect("encodes")
 }
 
 /// Three anchors with every section and every kind of context.

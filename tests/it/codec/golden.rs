@@ -27,7 +27,7 @@ struct Golden {
     anchors: usize,
 }
 
-/// Of `tcgs sample --side 40 s`, then `tcgs train s --voxel 0.5 --iterations 300 --with plane-compression --seed 3`.
+/// Of `tcgs sample --side 40 s`, then `tcgs train s --voxel 0.5 --iterations 300 --plane-compression on --seed 3`.
 const TRAINED: Golden = Golden {
     name: "trained_v1.tcgs",
     sha256: "702241f4406fa2d66a131e760597c3028b95c8b1491fa0ed2198053f6676293d",
@@ -85,8 +85,8 @@ fn the_golden_files_are_the_committed_ones_and_decode_to_their_hashes() {
         let decoded = decode(&bytes, &DecodeLimits::default()).expect("decodes");
         assert_eq!(decoded.decode_sha256.to_string(), golden.decode_sha256, "{}", golden.name);
         assert_eq!(decoded.scene.len(), golden.anchors, "{}", golden.name);
-        let unit = if golden.name == "unit_v1.tcgs" { UNIT } else { 1.0 };
-        assert_eq!(decoded.scene.unit.length(), unit, "{}", golden.name);
+        let scene_scale = if golden.name == "unit_v1.tcgs" { UNIT } else { 1.0 };
+        assert_eq!(decoded.scene.scene_scale.length(), scene_scale, "{}", golden.name);
     }
 }
 

@@ -133,10 +133,10 @@ fn the_order_of_the_input_does_not_matter() {
 #[test]
 fn a_background_is_kept() {
     for background in tcgs::domain::Background::ALL {
-        let settings = tcgs::codec::EncodeSettings { background: *background, ..settings() };
+        let settings = tcgs::codec::EncodeSettings { background, ..settings() };
         let encoded = encode(&tiny(), None, &settings).expect("encodes");
         let decoded = decode(&encoded.bytes, &DecodeLimits::default()).expect("decodes");
-        assert_eq!(decoded.manifest.background, *background);
+        assert_eq!(decoded.manifest.background, background);
     }
 }
 

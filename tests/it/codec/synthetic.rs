@@ -7,7 +7,7 @@ use rand_pcg::Pcg64Mcg;
 use tcgs::{
     codec::{ContextSettings, EncodeSettings, Provenance},
     domain::{
-        AnchorScene, Background, DenseLayer, Digest, DistanceUnit, Lattice, Mlp, NearPlane, RenderNetworks,
+        AnchorScene, Background, DenseLayer, Digest, Lattice, Mlp, NearPlane, RenderNetworks, SceneScale,
         anchors::{SCALINGS_PER_ANCHOR, VIEW_INPUTS},
     },
 };
@@ -73,7 +73,7 @@ pub(super) fn scene(recipe: Recipe) -> AnchorScene {
         masks,
         networks: networks(&mut normal, feature_dim, offsets),
         near: NearPlane::default(),
-        unit: DistanceUnit::default(),
+        scene_scale: SceneScale::default(),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use tcgs::{
     codec::{DecodeError, DecodeLimits, decode, encode, inspect},
-    domain::{AnchorScene, DistanceUnit, NearPlane},
+    domain::{AnchorScene, NearPlane, SceneScale},
 };
 
 use super::{
@@ -85,7 +85,7 @@ fn a_near_plane_that_is_not_the_usual_one_takes_an_optional_section_of_four_byte
     assert_eq!(inspect(&bytes).expect("inspects").sections.last().expect("sections").name, "view");
 
     let usual = decode(&small_file(), &DecodeLimits::default()).expect("decodes");
-    assert_eq!(usual.scene.near, NearPlane::USUAL);
+    assert_eq!(usual.scene.near, NearPlane::DEFAULT);
     let without = decode(&wire::file((1, 0), &parts[..parts.len() - 1]), &DecodeLimits::default());
     assert_eq!(without, Ok(usual), "the attributes are the same");
     for content in [&[][..], &[0; 3], &[0; 5], &0.0_f32.to_le_bytes(), &f32::NAN.to_le_bytes()] {
@@ -99,31 +99,33 @@ fn a_near_plane_that_is_not_the_usual_one_takes_an_optional_section_of_four_byte
 
 #[test]
 fn a_distance_unit_that_is_not_the_usual_one_takes_a_critical_section_of_four_bytes() {
-    let unit = DistanceUnit::of_typical(0.004);
-    let bytes = encode(&AnchorScene { unit, ..small() }, None, &settings()).expect("encodes").bytes;
+    let scene_scale = SceneScale::from_typical_distance(0.004);
+    let bytes = encode(&AnchorScene { scene_scale, ..small() }, None, &settings()).expect("encodes").bytes;
     let decoded = decode(&bytes, &DecodeLimits::default()).expect("decodes");
-    assert_eq!(decoded.scene.unit, unit);
+    assert_eq!(decoded.scene.scene_scale, scene_scale);
     let parts = wire::parts(&bytes);
-    assert_eq!(parts.last(), Some(&(*b"UNIT", 1, unit.length().to_le_bytes().to_vec())));
+    assert_eq!(parts.last(), Some(&(*b"UNIT", 1, scene_scale.length().to_le_bytes().to_vec())));
     let inspection = inspect(&bytes).expect("inspects");
     assert_eq!(inspection.sections.last().expect("sections").name, "unit");
-    assert_eq!(inspection.distance_unit, unit);
+    assert_eq!(inspection.scene_scale, scene_scale);
     assert!(
-        inspection.to_string().contains(&format!("distance unit      {}\n", unit.length())),
+        inspection.to_string().contains(&format!("scene scale        {}\n", scene_scale.length())),
         "{inspection}"
     );
 
     // With both, the near plane comes last as it always did.
     let near = NearPlane::of_extent(0.01);
-    let both = encode(&AnchorScene { unit, near, ..small() }, None, &settings()).expect("encodes").bytes;
+    let both =
+        encode(&AnchorScene { scene_scale, near, ..small() }, None, &settings()).expect("encodes").bytes;
     let ids: Vec<[u8; 4]> = wire::parts(&both)[5..].iter().map(|part| part.0).collect();
     assert_eq!(ids, [*b"UNIT", *b"VIEW"]);
     let scene = decode(&both, &DecodeLimits::default()).expect("decodes").scene;
-    assert_eq!((scene.unit, scene.near), (unit, near));
+    assert_eq!((scene.scene_scale, scene.near), (scene_scale, near));
 
     let usual = decode(&small_file(), &DecodeLimits::default()).expect("decodes");
     assert!(
-        usual.scene.unit.is_usual() && inspect(&small_file()).expect("inspects").distance_unit.is_usual()
+        usual.scene.scene_scale.is_default()
+            && inspect(&small_file()).expect("inspects").scene_scale.is_default()
     );
     let numbers =
         [0.0, -0.0, -2.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e-45, f32::MAX].map(f32::to_le_bytes);

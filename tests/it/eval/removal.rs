@@ -1,7 +1,7 @@
 //! What leaving out is said to cost is what it costs.
 
 use tcgs::{
-    domain::{AnchorScene, Background, CancelFlag, Dataset, DistanceUnit, Frame, NearPlane, Scene, Split},
+    domain::{AnchorScene, Background, CancelFlag, Dataset, Frame, NearPlane, Scene, SceneScale, Split},
     eval::{RemovalCosts, removal_costs},
     render::SceneRenderer,
     train::{Checkpoints, train},
@@ -100,7 +100,7 @@ fn in_a_scene_of_another_unit_leaving_out_costs_the_same() {
     scene.lattice.origin = scene.lattice.origin.map(|coordinate| coordinate * factor);
     scene.scalings.iter_mut().for_each(|scaling| *scaling *= factor);
     scene.near = NearPlane::new(scene.near.depth() * factor).expect("a depth");
-    scene.unit = DistanceUnit::new(factor).expect("a length");
+    scene.scene_scale = SceneScale::new(factor).expect("a length");
     let found = costs(&scene, &seen(&small));
     for (found, expected) in found.anchors.iter().zip(&expected.anchors) {
         assert!((found - expected).abs() < 1e-3 * (1.0 + expected.abs()), "{found} {expected}");

@@ -358,7 +358,7 @@ pub(super) async fn keys_are_made_listed_and_revoked_by_administrators(coverage:
 
 pub(super) async fn a_key_has_room_for_some_jobs_and_bytes(coverage: Coverage) {
     let server = Server::start_with(&coverage, Setup { worker: false, ..Setup::default() }).await;
-    let limits = KeyLimits { max_active_jobs: Some(1), max_bytes: Some(20), ..KeyLimits::default() };
+    let limits = KeyLimits { max_active_jobs: Some(1), quota_bytes: Some(20), ..KeyLimits::default() };
     let scopes = [Scope::Read, Scope::JobsWrite];
     let (key, other) = (server.key_with(&scopes, limits).await, server.key(&scopes).await);
     let upload = async |key: &TestKey, dataset: &'static str| {

@@ -192,7 +192,7 @@ pub(super) async fn an_export_needs_room_within_its_owners_quota(coverage: Cover
 
     // (room beyond the job's own files, whether an export is made before it is refused)
     for (room, tried) in [(0, 0), (length - 1, 1)] {
-        let quota = KeyLimits { max_bytes: Some(stored + room), ..KeyLimits::default() };
+        let quota = KeyLimits { quota_bytes: Some(stored + room), ..KeyLimits::default() };
         let key = server.key_with(&scopes, quota).await;
         let path = format!("{}/export?format=ply", finished(&server, &key).await);
         for asking in [&key, &admin] {
@@ -205,7 +205,7 @@ pub(super) async fn an_export_needs_room_within_its_owners_quota(coverage: Cover
         assert_eq!(server.store.usage(Some(key.id)).await.expect("read").total(), stored);
     }
 
-    let quota = KeyLimits { max_bytes: Some(stored + length), ..KeyLimits::default() };
+    let quota = KeyLimits { quota_bytes: Some(stored + length), ..KeyLimits::default() };
     let key = server.key_with(&scopes, quota).await;
     let job = finished(&server, &key).await;
     for _ in 0..2 {

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{DatasetSummary, Layout, SceneId},
+    domain::{DatasetId, DatasetSummary, Layout},
     store::{Datasets as _, NewDataset},
 };
 use uuid::Uuid;
@@ -16,10 +16,10 @@ use crate::support::{
 };
 
 /// Keeps a dataset as a scene and returns its id.
-async fn scene(server: &Server, dataset: &'static str) -> SceneId {
+async fn scene(server: &Server, dataset: &'static str) -> DatasetId {
     let dataset = server.services.blobs.put(bytes::Bytes::from_static(dataset.as_bytes())).await;
     let new = NewDataset {
-        id: SceneId(Uuid::now_v7()),
+        id: DatasetId(Uuid::now_v7()),
         owner: None,
         name: None,
         dataset: dataset.expect("published"),

@@ -173,7 +173,7 @@ pub(super) async fn a_scene_is_deleted_once_no_job_needs_it(coverage: Coverage) 
 pub(super) async fn scenes_of_another_key_are_not_there_and_bytes_have_a_quota(coverage: Coverage) {
     let server = Server::start_with(&coverage, idle()).await;
     let scopes = [Scope::Read, Scope::ScenesWrite];
-    let one = server.key_with(&scopes, KeyLimits { max_bytes: Some(16), ..KeyLimits::default() }).await;
+    let one = server.key_with(&scopes, KeyLimits { quota_bytes: Some(16), ..KeyLimits::default() }).await;
     let other = server.key(&scopes).await;
     let admin = server.key(&[Scope::Admin]).await;
     let send = |key: &str, dataset: &'static str| {

@@ -293,7 +293,7 @@ pub(super) async fn room_is_kept_from_the_beginning(coverage: Coverage) {
     assert_eq!(large.header("tus-max-size"), (1_u64 << 50).to_string());
     create(1 << 50, None).await.expect_problem(507, "storage-full");
 
-    let limits = KeyLimits { max_bytes: Some(100), ..KeyLimits::default() };
+    let limits = KeyLimits { quota_bytes: Some(100), ..KeyLimits::default() };
     let key = server.key_with(&[Scope::ScenesWrite], limits).await;
     let other = server.key(&[Scope::ScenesWrite]).await;
     let first = create(60, Some(key.key.clone())).await.expect(201);

@@ -4,7 +4,7 @@ use std::{cell::Cell, sync::Arc};
 
 use glam::DVec3;
 use tcgs::{
-    domain::{AnchorScene, Background, Digest, DistanceUnit, Lattice, Scene},
+    domain::{AnchorScene, Background, Digest, Lattice, Scene, SceneScale},
     model::{AnchorRows, NetworkLayout, Shape},
     render::{
         Projection, RasterSettings, RenderError, RenderViews, SceneRenderer, SceneViewer,
@@ -42,13 +42,17 @@ fn scene() -> (AnchorRows, Vec<f32>, AnchorScene) {
 fn a_view_is_the_twins_view_in_8_bits() {
     let (rows, networks, mut finished) = scene();
     let camera = random::camera(45, 37);
-    for (background, unit) in [(Background::White, 1.0), (Background::Black, 1.0), (Background::Black, 2.5)] {
-        finished.unit = DistanceUnit::new(unit).expect("a length");
+    for (background, scene_scale) in
+        [(Background::White, 1.0), (Background::Black, 1.0), (Background::Black, 2.5)]
+    {
+        finished.scene_scale = SceneScale::new(scene_scale).expect("a length");
         let mut renderer = SceneRenderer::new(&gpu(), &finished, background).expect("a renderer");
         let image = renderer.render(&camera).expect("a view");
         let projection = Projection::new(&camera, &RasterSettings::default());
-        let spawned =
-            neural::neural_forward(&projection, &neural::Anchors::new(&rows, &networks, finished.unit));
+        let spawned = neural::neural_forward(
+            &projection,
+            &neural::Anchors::new(&rows, &networks, finished.scene_scale),
+        );
         let gaussians: Vec<_> = spawned.gaussians.into_iter().flatten().collect();
         let behind = DVec3::from(background.rgb().map(f64::from));
         let twin = twin::forward(&projection, &gaussians, behind, twin::Cutoffs::default());
@@ -75,7 +79,8 @@ fn depth_and_alpha_are_the_twins() {
     assert_eq!((depth.width, depth.height, alpha.width, alpha.height), (45, 37, 45, 37));
 
     let projection = Projection::new(&camera, &RasterSettings::default());
-    let spawned = neural::neural_forward(&projection, &neural::Anchors::new(&rows, &networks, finished.unit));
+    let spawned =
+        neural::neural_forward(&projection, &neural::Anchors::new(&rows, &networks, finished.scene_scale));
     let deep: Vec<_> = spawned
         .gaussians
         .into_iter()

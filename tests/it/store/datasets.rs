@@ -6,7 +6,7 @@ use jiff::{SignedDuration, Timestamp};
 use sqlx::{ConnectOptions as _, sqlite::SqliteConnectOptions};
 use tcgs::{
     domain::{
-        Clock as _, DatasetSummary, Digest, JobId, KeyId, Layout, ManualClock, SceneId, TrainOptions,
+        Clock as _, DatasetId, DatasetSummary, Digest, JobId, KeyId, Layout, ManualClock, TrainOptions,
         UploadId,
     },
     store::{
@@ -72,7 +72,7 @@ fn blob(content: &str) -> BlobRef {
 
 fn new_dataset(number: u128, owner: Option<KeyId>, content: &str) -> NewDataset {
     NewDataset {
-        id: SceneId(Uuid::from_u128(number)),
+        id: DatasetId(Uuid::from_u128(number)),
         owner,
         name: Some(format!("scene {number}")),
         dataset: blob(content),
@@ -103,7 +103,7 @@ async fn a_dataset_reads_back_as_it_was_added() {
     assert_eq!((made.id, &made.name, made.dataset), (new.id, &new.name, new.dataset));
     assert_eq!((&made.summary, made.version, made.created_at), (&new.summary, 1, fixture.clock.now()));
     assert_eq!(fixture.store.dataset(new.id).await.expect("read"), Some(made));
-    assert_eq!(fixture.store.dataset(SceneId(Uuid::from_u128(2))).await.expect("read"), None);
+    assert_eq!(fixture.store.dataset(DatasetId(Uuid::from_u128(2))).await.expect("read"), None);
 }
 
 #[tokio::test]
@@ -132,7 +132,7 @@ async fn an_owner_has_an_archive_once_and_another_owner_has_its_own_dataset_of_i
 #[tokio::test]
 async fn datasets_are_listed_newest_first_without_gaps_or_repeats() {
     let fixture = Fixture::new().await;
-    let mut ids: Vec<SceneId> = Vec::new();
+    let mut ids: Vec<DatasetId> = Vec::new();
     for number in 0..5 {
         // Two of each instant, so that the id has to decide.
         fixture.clock.advance(SignedDuration::from_secs(i64::from(number % 2 == 0)));

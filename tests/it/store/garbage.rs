@@ -6,7 +6,7 @@ use bytes::Bytes;
 use jiff::{SignedDuration, Timestamp};
 use tcgs::{
     domain::{
-        Clock, DatasetSummary, JobId, Layout, ManualClock, SceneId, SystemClock, TrainOptions, UploadId,
+        Clock, DatasetId, DatasetSummary, JobId, Layout, ManualClock, SystemClock, TrainOptions, UploadId,
     },
     store::{
         BlobError, BlobRef, Blobs, NewDataset, NewJob, NewUpload, QueuePolicy, SqliteStore, Store,
@@ -51,7 +51,7 @@ impl Fixture {
         }
     }
 
-    async fn keep(&self, dataset: BlobRef) -> SceneId {
+    async fn keep(&self, dataset: BlobRef) -> DatasetId {
         let summary = DatasetSummary {
             layout: Layout::Blender,
             train: 1,
@@ -60,12 +60,12 @@ impl Fixture {
             points: None,
             notes: Vec::new(),
         };
-        let id = SceneId(Uuid::new_v4());
+        let id = DatasetId(Uuid::new_v4());
         let new = NewDataset { id, owner: None, name: None, dataset, summary, upload: None, intent: None };
         self.store.create_dataset(new).await.expect("kept").record().id
     }
 
-    async fn delete(&self, scene: SceneId) {
+    async fn delete(&self, scene: DatasetId) {
         self.store.delete_dataset(scene, None).await.expect("asked").expect("known");
     }
 

@@ -6,8 +6,8 @@ use jiff::{SignedDuration, Timestamp};
 use sqlx::{ConnectOptions as _, Row as _, SqliteConnection, sqlite::SqliteConnectOptions};
 use tcgs::{
     domain::{
-        Clock as _, DatasetSummary, DeliveryId, Digest, EndpointId, JobId, KeyId, Layout, ManualClock,
-        Problem, ProblemType, SceneFormat, SceneId, TrainOptions, UploadId, WebhookEvent, WebhookSecret,
+        Clock as _, DatasetId, DatasetSummary, DeliveryId, Digest, EndpointId, JobId, KeyId, Layout,
+        ManualClock, Problem, ProblemType, SceneFormat, TrainOptions, UploadId, WebhookEvent, WebhookSecret,
     },
     store::{
         AfterAttempt, Artifact, ArtifactKind, BlobRef, DeliveryResult, ExportRecord, NewDataset, NewEndpoint,
@@ -121,7 +121,13 @@ impl Fixture {
         self.seen = figures;
     }
 
-    async fn job(&self, number: u128, owner: Option<KeyId>, scene: Option<SceneId>, content: &str) -> JobId {
+    async fn job(
+        &self,
+        number: u128,
+        owner: Option<KeyId>,
+        scene: Option<DatasetId>,
+        content: &str,
+    ) -> JobId {
         let id = JobId(Uuid::from_u128(number));
         let new =
             NewJob { owner, dataset_id: scene, ..NewJob::new(id, TrainOptions::default(), blob(content)) };
@@ -167,7 +173,7 @@ async fn totals_equal_a_recount_after_every_change() {
             url: "https://example.com/".into(),
             events: WebhookEvent::ALL.to_vec(),
             description: None,
-            secret: WebhookSecret::generate(&tcgs::domain::SystemEntropy).expect("drawn"),
+            secret: WebhookSecret::generate(&tcgs::domain::SystemRandom).expect("drawn"),
         };
         fixture.store.create_endpoint(new, 9).await.expect("made").expect("room");
     }
@@ -175,7 +181,7 @@ async fn totals_equal_a_recount_after_every_change() {
     for (number, (owner, content)) in
         [(Some(one), "a scene"), (Some(other), "a scene"), (None, "another")].into_iter().enumerate()
     {
-        let id = SceneId(Uuid::from_u128(number as u128 + 1));
+        let id = DatasetId(Uuid::from_u128(number as u128 + 1));
         let summary = DatasetSummary {
             layout: Layout::Colmap,
             train: 1,
@@ -187,7 +193,11 @@ async fn totals_equal_a_recount_after_every_change() {
         let new =
             NewDataset { id, owner, name: None, dataset: blob(content), summary, upload: None, intent: None };
         fixture.store.create_dataset(new.clone()).await.expect("created");
-        fixture.store.create_dataset(NewDataset { id: SceneId(Uuid::now_v7()), ..new }).await.expect("known");
+        fixture
+            .store
+            .create_dataset(NewDataset { id: DatasetId(Uuid::now_v7()), ..new })
+            .await
+            .expect("known");
         fixture.check("a scene").await;
         scenes.push(id);
     }

@@ -14,9 +14,9 @@ use glam::DVec3;
 use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, Conventions, CurvePoint,
-        DatasetSummary, Digest, DistanceUnit, HeldOut, HeldOutView, Image, Intrinsics, JobMetrics, Lattice,
-        Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, ProblemType,
-        Progress, RenderNetworks, Scene, SceneFormat, Scores, Split, TrainOptions, ViewScore,
+        DatasetSummary, Digest, HeldOut, HeldOutView, Image, Intrinsics, JobMetrics, Lattice, Layout,
+        LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, ProblemType, Progress,
+        RenderNetworks, Scene, SceneFormat, SceneScale, Scores, Split, TrainOptions, ViewScore,
     },
     pipeline::{Checkpoints, CurveFile, JobError, JobOutput, RunJob},
     render::{
@@ -329,7 +329,7 @@ fn empty_scene() -> AnchorScene {
         masks: Vec::new(),
         networks: RenderNetworks { opacity: mlp(), covariance: mlp(), color: mlp() },
         near: NearPlane::default(),
-        unit: DistanceUnit::default(),
+        scene_scale: SceneScale::default(),
     }
 }
 

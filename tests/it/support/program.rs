@@ -25,7 +25,7 @@ pub fn command() -> Command {
         "TCGS_VIEW_MEMORY",
         "TCGS_WITHOUT_KEYS",
         "TCGS_REQUESTS_PER_MINUTE",
-        "TCGS_MAX_BYTES",
+        "TCGS_QUOTA_BYTES",
         "TCGS_MAX_ACTIVE_JOBS",
         "TCGS_MAX_PRIORITY",
         "TCGS_SERVER",

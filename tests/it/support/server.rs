@@ -6,7 +6,7 @@ use bytes::Bytes;
 use reqwest::{RequestBuilder, header::HeaderMap};
 use serde_json::Value;
 use tcgs::{
-    domain::{Clock, KeyId, KeyLimits, SceneId, Scope, SystemClock, SystemEntropy},
+    domain::{Clock, DatasetId, KeyId, KeyLimits, Scope, SystemClock, SystemRandom},
     http::{self, HttpConfig, Services, WorkerCounts, config::RequestLimits},
     store::{Blobs, DatasetRecord, Keys as _, NewKey, QueuePolicy, SqliteStore, Store},
     worker::{self, WorkerConfig},
@@ -164,7 +164,7 @@ impl Server {
             store: Arc::clone(&store) as Arc<dyn Store>,
             blobs: blobs.clone(),
             clock,
-            entropy: Arc::new(SystemEntropy),
+            entropy: Arc::new(SystemRandom),
             check: Arc::new(fakes::check),
             load: Arc::new(fakes::load),
             renderer: Arc::new(renderer.clone()),
@@ -225,7 +225,7 @@ impl Server {
     /// The same with limits.
     pub async fn key_with(&self, scopes: &[Scope], limits: KeyLimits) -> TestKey {
         let now = self.services.clock.now();
-        let drawn = NewKey::generate(&SystemEntropy, now, "a test's", scopes, limits);
+        let drawn = NewKey::generate(&SystemRandom, now, "a test's", scopes, limits);
         let (new, key) = drawn.expect("a key");
         let id = self.store.create_key(new).await.expect("stored").id;
         TestKey { id, key: key.expose().to_owned() }
@@ -238,7 +238,7 @@ impl Server {
 
     /// A scene as it is stored.
     pub async fn store_scene(&self, id: Uuid) -> DatasetRecord {
-        self.services.store.dataset(SceneId(id)).await.expect("read").expect("known")
+        self.services.store.dataset(DatasetId(id)).await.expect("read").expect("known")
     }
 
     /// Sends a request and checks the answer against the contract.

@@ -39,7 +39,7 @@ const PRESETS: [(Preset, u32, usize, usize, f64); 3] = [
 
 #[test]
 fn every_preset_has_its_schedule_and_trains() {
-    assert_eq!(PRESETS.map(|preset| preset.0), Preset::ALL[..]);
+    assert_eq!(PRESETS.map(|preset| preset.0), Preset::ALL);
     for (preset, steps, features, max_anchors, lambda) in PRESETS {
         let schedule = Schedule::new(&TrainOptions { preset, ..TrainOptions::default() });
         assert_eq!((schedule.steps, schedule.lambda()), (steps, lambda), "{preset}");

@@ -130,7 +130,7 @@ fn a_run_in_a_unit_of_its_own_goes_on_in_it() {
     let mut kept = Kept::at(|step| [3, 30].contains(&step));
     let checkpoints = Checkpoints { resume: None, sink: Some(&mut kept) };
     let (whole, _) = outcome(&tiny, &options, checkpoints).expect("a scene");
-    assert!(!whole.scene.as_anchors().expect("anchors").unit.is_usual());
+    assert!(!whole.scene.as_anchors().expect("anchors").scene_scale.is_default());
     for (step, checkpoint) in &kept.checkpoints {
         let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), sink: None };
         let (resumed, _) = outcome(&tiny, &options, checkpoints).expect("resumes");

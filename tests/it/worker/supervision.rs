@@ -526,7 +526,7 @@ fn api(fixture: &Fixture, live_workers: LiveWorkers) -> axum::Router {
         store: Arc::clone(&fixture.store),
         blobs: fixture.blobs.clone(),
         clock: Arc::new(SystemClock),
-        entropy: Arc::new(tcgs::domain::SystemEntropy),
+        entropy: Arc::new(tcgs::domain::SystemRandom),
         check: Arc::new(crate::support::fakes::check),
         load: Arc::new(crate::support::fakes::load),
         renderer: Arc::new(crate::support::fakes::FakeRenderer::default()),

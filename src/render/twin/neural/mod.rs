@@ -14,7 +14,7 @@ pub use visibility::{anchor_statistics, anchor_visible, compact_anchors, feature
 
 use super::{Gaussian, GaussianGradient, Projection};
 use crate::{
-    domain::DistanceUnit,
+    domain::SceneScale,
     model::{AnchorRows, NetworkLayout, Shape},
 };
 
@@ -38,13 +38,13 @@ pub struct Anchors {
     /// The networks' flat parameters.
     pub networks: Vec<f64>,
     /// The unit of the networks' distances.
-    pub unit: DistanceUnit,
+    pub scene_scale: SceneScale,
 }
 
 impl Anchors {
     /// The numbers that the device gets, in f64.
     #[must_use]
-    pub fn new(anchors: &AnchorRows, networks: &[f32], unit: DistanceUnit) -> Self {
+    pub fn new(anchors: &AnchorRows, networks: &[f32], scene_scale: SceneScale) -> Self {
         let position = |p: &[f32; 4]| DVec3::new(f64::from(p[0]), f64::from(p[1]), f64::from(p[2]));
         Self {
             shape: anchors.shape,
@@ -52,7 +52,7 @@ impl Anchors {
             rows: anchors.values.iter().map(|v| f64::from(*v)).collect(),
             masks: anchors.masks.clone(),
             networks: networks.iter().map(|v| f64::from(*v)).collect(),
-            unit,
+            scene_scale,
         }
     }
 
@@ -106,7 +106,7 @@ pub fn neural_forward(projection: &Projection, anchors: &Anchors) -> NeuralForwa
     };
     for anchor in spawned.list.iter().map(|anchor| *anchor as usize) {
         let (position, row, mask) = (anchors.positions[anchor], anchors.row(anchor), anchors.masks[anchor]);
-        let input = network_input(projection, position, anchors.shape, row, anchors.unit);
+        let input = network_input(projection, position, anchors.shape, row, anchors.scene_scale);
         let hidden = relu(dense(&layout.hidden, &anchors.networks, &input));
         let outputs: Vec<f64> =
             layout.heads.iter().flat_map(|head| dense(head, &anchors.networks, &hidden)).collect();

@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 
 use super::{Gaussian, LIMIT, Projection};
-use crate::{domain::DistanceUnit, model::Shape, render::twin::SplatGradient};
+use crate::{domain::SceneScale, model::Shape, render::twin::SplatGradient};
 
 /// Whether the three-sigma box of the anchor, projected as an axis-aligned Gaussian of its offset scale, touches the
 /// image (METHOD.md §2.3).
@@ -43,7 +43,7 @@ pub fn network_input(
     position: DVec3,
     shape: Shape,
     row: &[f64],
-    unit: DistanceUnit,
+    scene_scale: SceneScale,
 ) -> Vec<f64> {
     let center = -(projection.rotation.transpose() * projection.translation);
     let ray = position - center;
@@ -51,7 +51,7 @@ pub fn network_input(
     let finite = |value: &f64| if value.abs() < LIMIT { *value } else { 0.0 };
     let mut input: Vec<f64> = row[..shape.features].iter().map(finite).collect();
     input.extend((ray / distance).to_array());
-    input.push(distance / f64::from(unit.length()));
+    input.push(distance / f64::from(scene_scale.length()));
     input
 }
 

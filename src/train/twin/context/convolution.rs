@@ -1,4 +1,4 @@
-//! The layers between planes and latents, over three planes at once, as [`crate::domain::context::UpLayer`] defines them:
+//! The layers between planes and latents, over three planes at once, as [`crate::domain::context_model::UpLayer`] defines them:
 //! tap (v, u) joins the coarse place (x, y) and the fine place (2 x + u - 1, 2 y + v - 1), where there is one.
 
 use crate::train::context::ConvSpec;

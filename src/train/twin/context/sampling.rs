@@ -1,7 +1,7 @@
 //! From planes to the networks' input, and back.
 
 use crate::{
-    domain::context::POSITION_INPUTS,
+    domain::context_model::POSITION_INPUTS,
     train::context::{ContextAnchors, ContextConfig},
 };
 

@@ -40,7 +40,7 @@ mod tests {
         codec::context::{stored_network, stored_planes},
         domain::{
             DenseLayer, Mlp,
-            context::{Planes, UpLayer},
+            context_model::{Planes, UpLayer},
         },
     };
 

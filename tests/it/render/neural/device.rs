@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use tcgs::{
-    domain::{Camera, DistanceUnit, Lattice, Pose},
+    domain::{Camera, Lattice, Pose, SceneScale},
     gpu::{AdapterReport, Device, DeviceSettings, GpuError, Subgroups},
     model::{AnchorRows, NetworkLayout, Shape},
     render::{
@@ -27,12 +27,12 @@ const NEAR: f32 = 0.2;
 const BOUND: f64 = 1e-4;
 
 fn neural(shape: Shape, subgroups: bool) -> NeuralGaussians {
-    neural_in(DistanceUnit::USUAL, shape, subgroups)
+    neural_in(SceneScale::DEFAULT, shape, subgroups)
 }
 
-fn neural_in(unit: DistanceUnit, shape: Shape, subgroups: bool) -> NeuralGaussians {
+fn neural_in(scene_scale: SceneScale, shape: Shape, subgroups: bool) -> NeuralGaussians {
     let make = if subgroups { NeuralGaussians::new } else { NeuralGaussians::without_subgroups };
-    make(gpu(), shape, NEAR, unit).expect("the kernels")
+    make(gpu(), shape, NEAR, scene_scale).expect("the kernels")
 }
 
 fn assert_near(what: &str, found: &[f64], expected: &[f64]) {
@@ -136,10 +136,10 @@ fn a_few_anchors_match_the_twin() {
 fn distances_in_another_unit_match_the_twin() {
     let (device, camera) = (gpu(), random::camera(40, 30));
     for length in [0.003, 0.7, 250.0] {
-        let unit = DistanceUnit::new(length).expect("a length");
-        let scene = Scene::random_in(unit, 11, SMALL, 129, 0.8, &projection(&camera));
+        let scene_scale = SceneScale::new(length).expect("a length");
+        let scene = Scene::random_in(scene_scale, 11, SMALL, 129, 0.8, &projection(&camera));
         let gradients = random_gradients(11, 129 * SMALL.offsets);
-        let mut neural = neural_in(unit, SMALL, true);
+        let mut neural = neural_in(scene_scale, SMALL, true);
         let found = run(&device, &mut neural, &scene, &camera, 7.0, &gradients);
         assert_matches_twin(&found, &scene, &camera, 7.0, 11);
         let in_the_worlds = run(&device, &mut self::neural(SMALL, true), &scene, &camera, 7.0, &gradients);
@@ -264,7 +264,7 @@ fn statistics_before_a_backward_pass_are_refused() {
     let scene = Scene::random(6, SMALL, 3, 0.8, &projection(&camera));
     let near = RasterSettings::default().near;
     let neural =
-        NeuralGaussians::new(Arc::clone(&device), SMALL, near, DistanceUnit::USUAL).expect("the kernels");
+        NeuralGaussians::new(Arc::clone(&device), SMALL, near, SceneScale::DEFAULT).expect("the kernels");
     let uploaded =
         tcgs::render::DeviceAnchors::upload(&device, &scene.anchors, &scene.networks).expect("room");
     let statistics = device.buffer("statistics", 3 * 8).expect("room");
@@ -288,7 +288,7 @@ fn has_room(device: &Arc<Device>, shape: Shape, count: usize) -> bool {
     let go = || {
         let uploaded = DeviceAnchors::upload(device, &anchors, &vec![0.01; layout.parameters])?;
         let out = AnchorGradients::plan(shape, count).make(device)?;
-        let mut neural = NeuralGaussians::new(Arc::clone(device), shape, NEAR, DistanceUnit::USUAL)?;
+        let mut neural = NeuralGaussians::new(Arc::clone(device), shape, NEAR, SceneScale::DEFAULT)?;
         let mut raster = Rasterizer::new(Arc::clone(device), RasterSettings::default())?;
         let v_image = device.buffer("v_image", 40 * 30)?;
         let mut recorder = device.recorder("there and back");
@@ -352,7 +352,7 @@ fn subgroups_that_are_wider_than_a_workgroup_match_the_twin() {
     let scene = Scene::random(7, USUAL, 200, 0.8, &projection(&camera));
     let gradients = random_gradients(7, 200 * USUAL.offsets);
     let mut neural =
-        NeuralGaussians::new(Arc::clone(&device), USUAL, NEAR, DistanceUnit::USUAL).expect("the kernels");
+        NeuralGaussians::new(Arc::clone(&device), USUAL, NEAR, SceneScale::DEFAULT).expect("the kernels");
     let found = run(&device, &mut neural, &scene, &camera, 7.0, &gradients);
     assert!(assert_matches_twin(&found, &scene, &camera, 7.0, 7) > 0);
 }

@@ -1,7 +1,7 @@
 //! NaN and infinity: an anchor that holds one does not affect the others.
 
 use tcgs::{
-    domain::DistanceUnit,
+    domain::SceneScale,
     model::{NetworkLayout, all_offsets},
     render::NeuralGaussians,
 };
@@ -13,7 +13,7 @@ const ANCHORS: usize = 66;
 
 fn found(scene: &Scene, subgroups: bool) -> Found {
     let make = if subgroups { NeuralGaussians::new } else { NeuralGaussians::without_subgroups };
-    let mut neural = make(gpu(), SMALL, 0.2, DistanceUnit::USUAL).expect("the kernels");
+    let mut neural = make(gpu(), SMALL, 0.2, SceneScale::DEFAULT).expect("the kernels");
     let gradients = random_gradients(1, ANCHORS * SMALL.offsets);
     run(&gpu(), &mut neural, scene, &random::camera(40, 30), 7.0, &gradients)
 }

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use tcgs::{
-    domain::DistanceUnit,
+    domain::SceneScale,
     model::{NetworkLayout, Shape},
     render::twin::{Gaussian, GaussianGradient, neural as twin},
 };
@@ -142,12 +142,12 @@ fn the_input_is_feature_direction_and_distance_in_the_scenes_unit() {
     let camera = random::camera(30, 20);
     let row: Vec<f64> = (0..shape.row()).map(|i| i as f64).collect();
     let position = DVec3::new(0.5, -0.25, 0.125);
-    let input = twin::network_input(&projection(&camera), position, shape, &row, DistanceUnit::USUAL);
+    let input = twin::network_input(&projection(&camera), position, shape, &row, SceneScale::DEFAULT);
     let ray = position - camera.pose.center();
     assert_eq!(input[..4], row[..4]);
     assert!((DVec3::from_slice(&input[4..7]) - ray.normalize()).length() < 1e-12);
     assert!((input[7] - ray.length()).abs() < 1e-12);
-    let eighth = DistanceUnit::new(0.125).expect("a length");
+    let eighth = SceneScale::new(0.125).expect("a length");
     let in_eighths = twin::network_input(&projection(&camera), position, shape, &row, eighth);
     assert_eq!(in_eighths[..7], input[..7]);
     assert_eq!(in_eighths[7], 8.0 * input[7]);

@@ -37,7 +37,7 @@ fn a_trained_file_has_the_gaussians_that_its_format_says() {
     let scene = decode(&bytes, &DecodeLimits::default()).expect("decodes").scene;
     let rows = AnchorRows::from_scene(&scene);
     let networks = NetworkLayout::new(rows.shape).from_networks(&scene.networks).expect("a known shape");
-    let anchors = twin::Anchors::new(&rows, &networks, scene.unit);
+    let anchors = twin::Anchors::new(&rows, &networks, scene.scene_scale);
     let pose = Pose::look_at(eye, DVec3::new(0.12, 0.1, 0.32), DVec3::Z).expect("a view");
     let camera = Camera::new(Intrinsics::from_horizontal_fov(1.2, 64, 64).expect("a camera"), pose);
     let spawned = twin::neural_forward(&projection(&camera.expect("a camera")), &anchors);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
-    domain::{Camera, DistanceUnit},
+    domain::{Camera, SceneScale},
     model::{Shape, all_offsets},
     render::{
         DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer,
@@ -95,7 +95,7 @@ fn check_against_twins(shape: Shape, count: usize) {
     let (scene, rows) = masked_scene(count as u64, shape, count, &camera);
     let device_anchors = DeviceAnchors::upload(&device, &scene.anchors, &scene.networks).expect("anchors");
     let mut gaussians =
-        NeuralGaussians::new(Arc::clone(&device), shape, 0.2, DistanceUnit::USUAL).expect("the kernels");
+        NeuralGaussians::new(Arc::clone(&device), shape, 0.2, SceneScale::DEFAULT).expect("the kernels");
     let mut recorder = device.recorder("forward");
     gaussians.forward(&mut recorder, &device_anchors, &camera, 0.0).expect("recorded");
     recorder.submit().expect("submitted");
@@ -163,7 +163,7 @@ fn masked_offsets_reach_neither_the_count_of_gaussians_nor_the_rasteriser() {
         let device_anchors =
             DeviceAnchors::upload(&device, &scene.anchors, &scene.networks).expect("anchors");
         let mut gaussians =
-            NeuralGaussians::new(Arc::clone(&device), SMALL, 0.2, DistanceUnit::USUAL).expect("the kernels");
+            NeuralGaussians::new(Arc::clone(&device), SMALL, 0.2, SceneScale::DEFAULT).expect("the kernels");
         let mut raster =
             Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("a rasteriser");
         loop {

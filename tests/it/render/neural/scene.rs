@@ -6,7 +6,7 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
-    domain::{Camera, DistanceUnit, Lattice},
+    domain::{Camera, Lattice, SceneScale},
     gpu::Device,
     model::{AnchorRows, NetworkLayout, Shape, all_offsets},
     render::{
@@ -28,12 +28,12 @@ pub(super) const USUAL: Shape = Shape { features: 32, offsets: 10 };
 pub(super) struct Scene {
     pub(super) anchors: AnchorRows,
     pub(super) networks: Vec<f32>,
-    pub(super) unit: DistanceUnit,
+    pub(super) scene_scale: SceneScale,
 }
 
 impl Scene {
     pub(super) fn twin(&self) -> twin::Anchors {
-        twin::Anchors::new(&self.anchors, &self.networks, self.unit)
+        twin::Anchors::new(&self.anchors, &self.networks, self.scene_scale)
     }
 
     /// `count` anchors within `spread` of the middle, some of their offsets masked. None is so close to a decision of
@@ -45,12 +45,12 @@ impl Scene {
         spread: f32,
         projection: &Projection,
     ) -> Self {
-        Self::random_in(DistanceUnit::USUAL, seed, shape, count, spread, projection)
+        Self::random_in(SceneScale::DEFAULT, seed, shape, count, spread, projection)
     }
 
     /// As [`Scene::random`], with distances in units of `unit`.
     pub(super) fn random_in(
-        unit: DistanceUnit,
+        scene_scale: SceneScale,
         seed: u64,
         shape: Shape,
         count: usize,
@@ -61,7 +61,7 @@ impl Scene {
         let networks = NetworkLayout::new(shape).initial(&mut rng);
         let lattice = Lattice { voxel: spread / 1000.0, origin: [0.0; 3] };
         let empty = AnchorRows { shape, lattice, cells: vec![], values: vec![], masks: vec![] };
-        let mut scene = Self { anchors: empty.clone(), networks, unit };
+        let mut scene = Self { anchors: empty.clone(), networks, scene_scale };
         let mut taken = BTreeSet::new();
         while scene.anchors.len() < count {
             let cell = [0; 3].map(|_| rng.random_range(-1000..1000));
@@ -71,7 +71,7 @@ impl Scene {
             }
             let mask = all_offsets(shape) & (rng.random::<u32>() | rng.random::<u32>());
             let one = AnchorRows { cells: vec![cell], values: row, masks: vec![mask], ..empty.clone() };
-            let one = Self { anchors: one, networks: scene.networks.clone(), unit };
+            let one = Self { anchors: one, networks: scene.networks.clone(), scene_scale };
             if is_far_from_decisions(&one.twin(), projection) && taken.insert(cell) {
                 scene.anchors.cells.push(cell);
                 scene.anchors.values.extend(one.anchors.values);
@@ -91,7 +91,8 @@ fn is_far_from_decisions(anchor: &twin::Anchors, projection: &Projection) -> boo
         twin::anchor_visible(projection, anchor.positions[0], shape, &row)
     };
     let depth = (projection.rotation * anchor.positions[0] + projection.translation).z - projection.near;
-    let input = twin::network_input(projection, anchor.positions[0], shape, anchor.row(0), anchor.unit);
+    let input =
+        twin::network_input(projection, anchor.positions[0], shape, anchor.row(0), anchor.scene_scale);
     let hidden = twin::dense(&layout.hidden, &anchor.networks, &input);
     let opacity = twin::dense(&layout.heads[0], &anchor.networks, &twin::relu(hidden.clone()));
     scaled(1e-3) == scaled(-1e-3)

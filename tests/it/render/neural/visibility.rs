@@ -4,7 +4,7 @@ use glam::{DMat3, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
-    domain::{Camera, DistanceUnit, Intrinsics, Lattice, Pose},
+    domain::{Camera, Intrinsics, Lattice, Pose, SceneScale},
     gpu::kernel_source,
     model::{AnchorRows, NetworkLayout},
     render::{NeuralGaussians, Projection, RasterSettings, twin::neural as twin},
@@ -96,13 +96,13 @@ fn on_the_axis(depths: &[i32], voxel: f32) -> (Scene, Camera) {
     };
     let intrinsics = Intrinsics { fx: 50.0, fy: 50.0, cx: 20.0, cy: 15.0, width: 40, height: 30 };
     let pose = Pose::from_world_to_camera(DMat3::IDENTITY, DVec3::ZERO).expect("a pose");
-    (Scene { anchors, networks, unit: DistanceUnit::USUAL }, Camera { intrinsics, pose })
+    (Scene { anchors, networks, scene_scale: SceneScale::DEFAULT }, Camera { intrinsics, pose })
 }
 
 fn depths_shown(scene: &Scene, camera: &Camera) -> Vec<f32> {
     let device = gpu();
     let mut neural =
-        NeuralGaussians::new(device.clone(), SMALL, 0.2, DistanceUnit::USUAL).expect("the kernels");
+        NeuralGaussians::new(device.clone(), SMALL, 0.2, SceneScale::DEFAULT).expect("the kernels");
     let gradients = random_gradients(1, scene.anchors.len() * SMALL.offsets);
     let found = run(&device, &mut neural, scene, camera, 0.0, &gradients);
     found.gaussians[0].iter().step_by(SMALL.offsets).map(|row| row[2]).collect()
@@ -137,7 +137,7 @@ fn the_device_shows_the_anchors_that_the_twin_shows() {
     assert!((200..1800).contains(&twin.list.len()), "{}", twin.list.len());
     let device = gpu();
     let mut neural =
-        NeuralGaussians::new(device.clone(), SMALL, 0.2, DistanceUnit::USUAL).expect("the kernels");
+        NeuralGaussians::new(device.clone(), SMALL, 0.2, SceneScale::DEFAULT).expect("the kernels");
     // With offsets of zero a Gaussian lies at its anchor, which identifies the anchor.
     for row in scene.anchors.values.chunks_exact_mut(SMALL.row()) {
         row[SMALL.offset_column()..].fill(0.0);

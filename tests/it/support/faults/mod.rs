@@ -11,7 +11,7 @@ use std::{
 
 use jiff::Timestamp;
 use tcgs::{
-    domain::{Digest, Event, JobId, JobState, KeyId, Phase, Progress, SceneId, UploadId},
+    domain::{DatasetId, Digest, Event, JobId, JobState, KeyId, Phase, Progress, UploadId},
     store::{
         Accounts, AttemptRecord, BlobRef, Cancellation, Capacity, Claim, DatasetCreation, DatasetDeletion,
         DatasetPageKey, DatasetRecord, Datasets, Deletion, ExportRecord, Exports, FileRecord, Heartbeat,
@@ -167,7 +167,7 @@ impl Datasets for FaultStore {
     fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation> {
         self.guard(self.inner.create_dataset(new))
     }
-    fn dataset(&self, id: SceneId) -> StoreFuture<'_, Option<DatasetRecord>> {
+    fn dataset(&self, id: DatasetId) -> StoreFuture<'_, Option<DatasetRecord>> {
         self.guard(self.inner.dataset(id))
     }
     fn dataset_by_archive(
@@ -185,7 +185,11 @@ impl Datasets for FaultStore {
     ) -> StoreFuture<'_, Vec<DatasetRecord>> {
         self.guard(self.inner.datasets(owner, before, limit))
     }
-    fn delete_dataset(&self, id: SceneId, version: Option<u64>) -> StoreFuture<'_, Option<DatasetDeletion>> {
+    fn delete_dataset(
+        &self,
+        id: DatasetId,
+        version: Option<u64>,
+    ) -> StoreFuture<'_, Option<DatasetDeletion>> {
         self.guard(self.inner.delete_dataset(id, version))
     }
 }

@@ -1,7 +1,7 @@
 //! The twins against the definitions and against central differences.
 
 use tcgs::{
-    domain::{AttributeGroup, ContextKind, DenseLayer, context::UpLayer},
+    domain::{AttributeGroup, ContextKind, DenseLayer, context_model::UpLayer},
     train::{
         context::{ContextPass, ConvSpec, PlaneConfig, PlaneSource},
         twin::context as twin,

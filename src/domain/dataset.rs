@@ -3,48 +3,36 @@
 //! In a [`Dataset`] every frame's image has exactly its camera's size, names are unique, frames are sorted by
 //! name within their split, and at least one frame is for training.
 
-use std::fmt;
-
 use serde::{Deserialize, Serialize};
 
-use super::{Camera, Digest, Photograph};
+use super::{Camera, Digest, Photograph, choice::named_choice};
 
-/// Every how many images, by name, one is held out where the layout has no test split (METHOD.md §1.1).
+/// Every eighth image by name is held out if the layout has no test split (METHOD.md §1.1).
 pub const HOLD_OUT_EVERY: usize = 8;
 
-/// How the files of a dataset are laid out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Layout {
-    /// `transforms_{train,val,test}.json`, OpenGL camera-to-world, `camera_angle_x`.
-    Blender,
-    /// One `transforms.json` (nerfstudio, instant-ngp).
-    Nerfstudio,
-    /// `sparse/0` with cameras, images and points3D, binary or text.
-    Colmap,
-}
-
-impl fmt::Display for Layout {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Layout::Blender => "blender",
-            Layout::Nerfstudio => "nerfstudio",
-            Layout::Colmap => "colmap",
-        })
+named_choice! {
+    /// How the files of a dataset are laid out.
+    Layout {
+        /// `transforms_{train,val,test}.json`, OpenGL camera-to-world, `camera_angle_x`.
+        Blender = "blender",
+        /// One `transforms.json` (nerfstudio, instant-ngp).
+        Nerfstudio = "nerfstudio",
+        /// `sparse/0` with cameras, images and points3D, binary or text.
+        Colmap = "colmap",
     }
 }
 
-/// What a frame is for.
+/// The split that a frame belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Split {
-    /// Trained on.
+    /// For training.
     Train,
-    /// Held out: the reported metrics are measured here.
+    /// Held out for the reported metrics.
     Test,
 }
 
-/// What can be told of a dataset without decoding its pixels.
+/// What is known of a dataset without decoding its images.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DatasetSummary {
     /// How its files are laid out.
@@ -53,7 +41,7 @@ pub struct DatasetSummary {
     pub train: usize,
     /// Frames held out.
     pub test: usize,
-    /// Pixels of all images as they will be trained on.
+    /// Pixels of all images after undistortion.
     pub pixels: u64,
     /// Structure-from-motion points, if it has any.
     pub points: Option<usize>,
@@ -74,7 +62,7 @@ pub struct Frame {
     pub split: Split,
 }
 
-/// A dataset camera, kept with a job's results so that views can be asked for by frame name.
+/// A dataset camera, stored with a job's results so that views can be requested by frame name.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NamedCamera {
     /// Frame name.
@@ -105,7 +93,7 @@ pub struct Dataset {
     pub points: Option<PointCloud>,
     /// SHA-256 over the content that was read (names and bytes in name order), independent of zip or directory.
     pub digest: Digest,
-    /// Things a user should know that did not stop the job ("3 images are not listed in transforms.json").
+    /// Warnings that did not stop the job ("3 images are not listed in transforms.json").
     pub notes: Vec<String>,
 }
 
@@ -115,14 +103,13 @@ impl Dataset {
         self.frames.iter().filter(move |frame| frame.split == split)
     }
 
-    /// Bytes of photographs that are in memory.
+    /// Bytes of the photographs in memory.
     #[must_use]
     pub fn bytes_in_memory(&self) -> u64 {
         self.frames.iter().map(|frame| frame.image.bytes_in_memory()).sum()
     }
 
-    /// The frame that a user means by `name`: the exact name, else the name without its extension, else a
-    /// unique file stem.
+    /// The frame called `name`: by exact name, else by name without extension, else by unique file stem.
     #[must_use]
     pub fn find_frame(&self, name: &str) -> Option<&Frame> {
         let names: Vec<&str> = self.frames.iter().map(|frame| frame.name.as_str()).collect();
@@ -130,8 +117,7 @@ impl Dataset {
     }
 }
 
-/// The index of the entry of `names` that `wanted` means: the exact name, else equal without extensions,
-/// else the only one with that file stem.
+/// The index of `wanted` in `names`: by exact name, else by name without extension, else by unique file stem.
 #[must_use]
 pub fn find_name(names: &[&str], wanted: &str) -> Option<usize> {
     let wanted = wanted.trim_start_matches("./");

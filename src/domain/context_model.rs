@@ -1,29 +1,29 @@
-//! The context model as training leaves it, in floats: tri-planes and the small networks that predict what an anchor's
-//! attributes are likely to be (METHOD.md §4.4).
+//! The trained context model in floats: tri-planes and the small networks that predict the distribution of an anchor's attributes
+//! (METHOD.md §4.4).
 //!
-//! This is what training hands to the encoder. A file stores it as integers, and only its integers decide anything; how
-//! the one becomes the other is the codec's business (`FORMAT.md`).
+//! Training hands it to the encoder. The codec converts it to the integers that a file stores and that alone decide what is decoded
+//! (`FORMAT.md`).
 //!
-//! Units: means and standard deviations in base steps of their attribute group, step adjustments and logarithms of
-//! standard deviations in octaves (base-2 logarithms).
+//! Units: means and standard deviations in base quantisation steps of their attribute group; step adjustments and standard deviations
+//! as base-2 logarithms.
 
 use serde::{Deserialize, Serialize};
 
 use super::Mlp;
 
-/// Anchors whose planes a network with neighbours is given: the anchor itself and its three nearest others.
+/// Anchors whose plane samples are inputs of a network with neighbours: the anchor itself and its three nearest.
 pub const NEIGHBOURS: usize = 4;
 
 /// Planes of a scene, in this order: (x, y), (y, z), (x, z); the first coordinate runs along a row.
 pub const PLANE_AXES: [[usize; 2]; 3] = [[0, 1], [1, 2], [0, 2]];
 
-/// Triangle waves that the position prior has an axis, beside the contracted coordinate itself.
+/// Triangle waves of the position prior per axis, in addition to the contracted coordinate.
 pub const POSITION_OCTAVES: usize = 5;
 
 /// Values of the position prior: for each axis the coordinate, then its triangle waves.
 pub const POSITION_INPUTS: usize = 3 * (1 + POSITION_OCTAVES);
 
-/// Octaves by which a step may be finer or coarser than its base step.
+/// Largest base-2 logarithm of a quantisation step over its base step, either way.
 pub const STEP_OCTAVES: f32 = 3.5;
 
 /// A kind of attribute of an anchor.
@@ -42,15 +42,15 @@ impl AttributeGroup {
     /// Every group, in the order of a file.
     pub const ALL: [Self; 3] = [Self::Features, Self::Scalings, Self::Offsets];
 
-    /// Outputs of this group's network: a mean a channel, then the base-2 logarithm of a standard deviation a channel,
-    /// then one step adjustment.
+    /// Outputs of this group's network: a mean for each channel, a base-2 logarithm of a standard deviation for each, then one
+    /// step adjustment.
     #[must_use]
     pub fn outputs(channels: usize) -> usize {
         2 * channels + 1
     }
 }
 
-/// What a group's network is given about an anchor.
+/// The inputs of a group's network for an anchor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ContextKind {
@@ -63,7 +63,7 @@ pub enum ContextKind {
 }
 
 impl ContextKind {
-    /// Anchors whose plane samples a network of this kind is given.
+    /// Anchors whose plane samples are inputs of a network of this kind.
     #[must_use]
     pub fn sampled(self) -> usize {
         match self {
@@ -95,8 +95,8 @@ pub struct UpLayer {
     pub bias: Vec<f32>,
 }
 
-/// Three planes as they are stored: latents, and the layers that make planes of them. ReLU between layers, none after the
-/// last; without layers the latents are the planes.
+/// Three planes as they are stored: latents and the layers that upsample them. ReLU between layers, none after the last; without
+/// layers the latents are the planes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Planes {
     /// Texels along the edge of a latent.
@@ -123,7 +123,7 @@ impl Planes {
     }
 }
 
-/// Networks of one kind for the three groups, in the order of [`AttributeGroup::ALL`]; none where none was trained.
+/// Networks of one kind for the three groups, in the order of [`AttributeGroup::ALL`]; `None` if not trained.
 pub type GroupNetworks = [Option<Mlp>; 3];
 
 /// Planes with the networks that were trained on them.
@@ -137,7 +137,7 @@ pub struct PlaneContext {
     pub neighbours: GroupNetworks,
 }
 
-/// Where the planes lie among the cells: a coordinate is (cell - centre) / half, then contracted, so that the box from
+/// The mapping from cells to planes: a coordinate is (cell - centre) / half, then contracted, so that the box from
 /// centre - half to centre + half takes the middle half of a plane's edge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ContextFrame {
@@ -147,13 +147,13 @@ pub struct ContextFrame {
     pub half: [u32; 3],
 }
 
-/// The contexts that an encoder may choose from, group by group. It may also do without.
+/// The contexts that an encoder may choose from for each group. It may also choose none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ContextCandidates {
     /// Where planes and position priors lie.
     pub frame: ContextFrame,
-    /// Step adjustment in octaves of a group whose channels have static tables: the one with the mean squared error of the
-    /// trained steps.
+    /// Base-2 logarithm of the step adjustment of a group with static tables: the one with the mean squared error of the trained
+    /// steps.
     pub static_steps: [f32; 3],
     /// Networks of [`ContextKind::Position`].
     pub position: GroupNetworks,

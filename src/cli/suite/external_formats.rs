@@ -1,8 +1,8 @@
-//! Other programs' formats for the same Gaussians: a script turns the `.ply` of 3dgs into them and back, and what comes back
-//! is measured like every other file.
+//! Other programs' formats for the same Gaussians: a script converts the `.ply` of 3dgs to them and back, and the result is measured
+//! like every other file.
 //!
-//! The script gets the `.ply` and an empty folder. It leaves `sizes.tsv` there, with a header line; of its columns `format`,
-//! `bytes` and `decoded` are read, the last one naming a `.ply` in the folder. `scripts/peers.sh` is such a script.
+//! The script gets the `.ply` and an empty folder, and writes `sizes.tsv` there with a header line and the columns `format`, `bytes` and
+//! `decoded`, which names a `.ply` in the folder. `scripts/external_formats.sh` is such a script.
 
 use std::{
     fs,
@@ -13,11 +13,11 @@ use std::{
 use serde::{Deserialize, Serialize};
 use tcgs::domain::{Problem, ProblemType};
 
-use crate::cli::Failure;
+use crate::cli::CliError;
 
-/// A peer's file and what it is worth.
+/// A file in another program's format, and its quality.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Peer {
+pub(crate) struct ExternalFile {
     /// Name of the format.
     pub(crate) format: String,
     /// Bytes of the file.
@@ -28,22 +28,22 @@ pub(crate) struct Peer {
     pub(crate) ssim: Option<f64>,
 }
 
-/// A file that the script made, before it is measured.
+/// A converted file, before it is measured.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Converted {
     pub(crate) format: String,
     pub(crate) bytes: u64,
-    /// Where what it decodes to is.
+    /// The `.ply` that it decodes to.
     pub(crate) decoded: PathBuf,
 }
 
 /// Runs `script` on the bytes of a `.ply`; files lie in `folder`.
-pub(crate) fn convert(script: &Path, ply: &[u8], folder: &Path) -> Result<Vec<Converted>, Failure> {
-    let (input, out) = (folder.join("input.ply"), folder.join("peers"));
-    fs::write(&input, ply).map_err(|fault| Failure::unwritable(&input, &fault))?;
-    fs::create_dir_all(&out).map_err(|fault| Failure::unwritable(&out, &fault))?;
-    let failed = |detail: String| -> Failure {
-        Problem::new(ProblemType::NoPeers, detail).in_file(script.display().to_string()).into()
+pub(crate) fn convert(script: &Path, ply: &[u8], folder: &Path) -> Result<Vec<Converted>, CliError> {
+    let (input, out) = (folder.join("input.ply"), folder.join("converted"));
+    fs::write(&input, ply).map_err(|fault| CliError::unwritable(&input, &fault))?;
+    fs::create_dir_all(&out).map_err(|fault| CliError::unwritable(&out, &fault))?;
+    let failed = |detail: String| -> CliError {
+        Problem::new(ProblemType::ExternalFormatsFailed, detail).in_file(script.display().to_string()).into()
     };
     // Standard output is this command's own.
     let status = Command::new(script)
@@ -56,7 +56,7 @@ pub(crate) fn convert(script: &Path, ply: &[u8], folder: &Path) -> Result<Vec<Co
         return Err(failed(format!("it ended with {status}")));
     }
     let table = out.join("sizes.tsv");
-    let text = fs::read_to_string(&table).map_err(|fault| Failure::unreadable(&table, &fault))?;
+    let text = fs::read_to_string(&table).map_err(|fault| CliError::unreadable(&table, &fault))?;
     rows(&text, &out).map_err(|fault| failed(format!("sizes.tsv: {fault}")))
 }
 

@@ -1,25 +1,25 @@
-//! How a command fails, and the exit status that says so.
+//! Errors of commands and their exit statuses.
 
 use std::{io, path::Path};
 
 use tcgs::domain::{OptionError, Problem, ProblemType};
 use thiserror::Error;
 
-/// Why a command did not finish.
+/// Why a command failed.
 #[derive(Debug, Clone, PartialEq, Error)]
-pub(crate) enum Failure {
-    /// The arguments contradict each other or ask for what there is not.
+pub(crate) enum CliError {
+    /// Arguments that are invalid together.
     #[error("{0}")]
     Usage(String),
-    /// Something was refused or went wrong; the problem's status tells which.
+    /// A refused input or a failure, depending on the problem's status.
     #[error(transparent)]
     Problem(#[from] Problem),
-    /// The user stopped it.
+    /// Stopped by the user.
     #[error("stopped")]
     Stopped,
 }
 
-impl Failure {
+impl CliError {
     /// An input file that cannot be read.
     pub(crate) fn unreadable(path: &Path, fault: &io::Error) -> Self {
         Problem::new(ProblemType::UnreadableInput, fault.to_string())
@@ -37,31 +37,31 @@ impl Failure {
     /// The exit status: 2 wrong usage, 3 the input was refused, 4 a resource was missing or spent, 1 anything else.
     pub(crate) fn exit_status(&self) -> u8 {
         match self {
-            Failure::Usage(_) => 2,
-            Failure::Problem(problem) => match problem.status {
+            CliError::Usage(_) => 2,
+            CliError::Problem(problem) => match problem.status {
                 // A service's quota is a resource like any other.
                 429 | 503 | 507 => 4,
                 400..=499 => 3,
                 _ => 1,
             },
-            Failure::Stopped => 1,
+            CliError::Stopped => 1,
         }
     }
 
     /// The failure as a problem document, for `--json`.
     pub(crate) fn problem(&self) -> Problem {
         match self {
-            Failure::Usage(detail) => Problem::new(ProblemType::Usage, detail.clone()),
-            Failure::Problem(problem) => problem.clone(),
-            Failure::Stopped => Problem::new(ProblemType::Stopped, "the run was stopped before its end"),
+            CliError::Usage(detail) => Problem::new(ProblemType::Usage, detail.clone()),
+            CliError::Problem(problem) => problem.clone(),
+            CliError::Stopped => Problem::new(ProblemType::Stopped, "the run was stopped before its end"),
         }
     }
 }
 
-impl From<OptionError> for Failure {
+impl From<OptionError> for CliError {
     fn from(fault: OptionError) -> Self {
         let flag = format!("--{}", fault.option.replace('_', "-"));
-        Failure::Usage(format!("{flag}: {}", fault.fault))
+        CliError::Usage(format!("{flag}: {}", fault.fault))
     }
 }
 
@@ -74,16 +74,16 @@ mod tests {
         for (status, expected) in
             [(400, 3), (413, 3), (422, 3), (500, 1), (501, 1), (429, 4), (503, 4), (507, 4)]
         {
-            let failure = Failure::from(Problem::new(ProblemType::Refused, "x").with_status(status));
+            let failure = CliError::from(Problem::new(ProblemType::Refused, "x").with_status(status));
             assert_eq!(failure.exit_status(), expected, "{status}");
         }
-        assert_eq!(Failure::Usage(String::new()).exit_status(), 2);
-        assert_eq!(Failure::Stopped.exit_status(), 1);
+        assert_eq!(CliError::Usage(String::new()).exit_status(), 2);
+        assert_eq!(CliError::Stopped.exit_status(), 1);
     }
 
     #[test]
     fn option_faults_name_the_flag_as_it_is_typed() {
         let fault = OptionError { option: "max_bytes", fault: "too small".to_owned() };
-        assert_eq!(Failure::from(fault), Failure::Usage("--max-bytes: too small".to_owned()));
+        assert_eq!(CliError::from(fault), CliError::Usage("--max-bytes: too small".to_owned()));
     }
 }

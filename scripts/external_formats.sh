@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# peers.sh IN.ply OUTDIR: a file of plain Gaussians through the formats of others and back. Writes OUTDIR/peer.sog and
+# external_formats.sh IN.ply OUTDIR: a file of plain Gaussians through the formats of others and back. Writes OUTDIR/peer.sog and
 # peer_v3.spz and peer_v4.spz, what each decodes to (sog.ply, spz_v3.ply, spz_v4.ply, which `tcgs eval` measures), and
 # OUTDIR/sizes.tsv: format, bytes of the file, bytes of IN.ply, the .ply that it decodes to. The table is also printed. A conversion
 # may take TCGS_PEER_SECONDS (1800); a format that takes longer is left out.
 set -euo pipefail
 
 if [ $# -ne 2 ] || [ ! -f "$1" ]; then
-    echo "usage: peers.sh IN.ply OUTDIR" >&2
+    echo "usage: external_formats.sh IN.ply OUTDIR" >&2
     exit 2
 fi
 input=$1
@@ -37,7 +37,7 @@ format() {
     shift 2
     convert "$input" "$@" "$out/$file" && back "$out/$file" "$out/$decoded" || status=$?
     if [ $status -eq 124 ]; then
-        echo "peers: $name is left out: it took more than $limit seconds" >&2
+        echo "external_formats: $name is left out: it took more than $limit seconds" >&2
         return
     fi
     [ $status -eq 0 ] || exit $status

@@ -1,12 +1,12 @@
-//! The depth from which cameras see: what is nearer is left out of views.
+//! The near plane: nothing nearer to a camera is rendered.
 //!
-//! A length that is right for one scene hides all of another whose unit is larger, so it follows the scene's extent, and a
-//! file states it where it is not the usual one.
+//! A fixed depth would hide all of a scene in large units, so it follows the scene's extent. A file states it unless it is the
+//! default.
 
 use serde::{Deserialize, Serialize};
 
-/// Share of a scene's extent that is cut off at most.
-const SHARE: f32 = 0.05;
+/// Largest near plane as a fraction of the scene's extent.
+const MAX_EXTENT_FRACTION: f32 = 0.05;
 
 /// Depth of the near plane in world units: finite and positive.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Serialize, Deserialize)]
@@ -18,13 +18,13 @@ impl Eq for NearPlane {}
 
 impl NearPlane {
     /// The published depth (METHOD.md §3.1), and that of files that state none.
-    pub const USUAL: Self = Self(0.2);
+    pub const DEFAULT: Self = Self(0.2);
 
-    /// The near plane of a scene of this extent (its cameras' radius, in world units): the usual one, but no more than a
+    /// The near plane of a scene of this extent (its cameras' radius, in world units): the default, but at most a
     /// twentieth of the extent.
     #[must_use]
     pub fn of_extent(extent: f32) -> Self {
-        Self::new(Self::USUAL.0.min(SHARE * extent)).unwrap_or(Self::USUAL)
+        Self::new(Self::DEFAULT.0.min(MAX_EXTENT_FRACTION * extent)).unwrap_or(Self::DEFAULT)
     }
 
     /// A near plane at `depth`, which must be positive and finite.
@@ -39,16 +39,16 @@ impl NearPlane {
         self.0
     }
 
-    /// Whether a file need not state it.
+    /// Whether it is the default, which files leave out.
     #[must_use]
-    pub fn is_usual(&self) -> bool {
-        *self == Self::USUAL
+    pub fn is_default(&self) -> bool {
+        *self == Self::DEFAULT
     }
 }
 
 impl Default for NearPlane {
     fn default() -> Self {
-        Self::USUAL
+        Self::DEFAULT
     }
 }
 
@@ -77,9 +77,9 @@ mod tests {
             assert!((near / depth - 1.0_f32).abs() < 1e-6, "{extent}: {near}");
         }
         for extent in [0.0, -1.0, f32::NAN] {
-            assert!(NearPlane::of_extent(extent).is_usual(), "{extent}");
+            assert!(NearPlane::of_extent(extent).is_default(), "{extent}");
         }
-        assert!(NearPlane::of_extent(f32::INFINITY).is_usual());
+        assert!(NearPlane::of_extent(f32::INFINITY).is_default());
     }
 
     #[test]

@@ -1,0 +1,155 @@
+//! Flags for training options, made from `domain`'s table of them.
+
+use clap::{
+    Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches, builder::PossibleValuesParser,
+    error::ErrorKind,
+};
+use tcgs::domain::{TRAIN_OPTIONS, TrainOption, TrainOptions, options::OptionKind};
+
+use super::CliError;
+
+/// Every option, as `train` and `submit` take them.
+pub(super) type TrainFlags = Flags<false>;
+
+/// The options that all runs of a suite share; each flag requires `--suite`.
+pub(super) type SuiteFlags = Flags<true>;
+
+const SHARED_BY_A_SUITE: [&str; 5] = ["preset", "iterations", "seed", "background", "voxel"];
+
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Flags<const SUITE: bool>(TrainOptions);
+
+impl<const SUITE: bool> Flags<SUITE> {
+    fn rows() -> impl Iterator<Item = &'static TrainOption> {
+        let taken =
+            |row: &&TrainOption| row.help.is_some() && (!SUITE || SHARED_BY_A_SUITE.contains(&row.name));
+        TRAIN_OPTIONS.iter().filter(taken)
+    }
+
+    /// The options, if a run can have them.
+    pub(super) fn validated(&self) -> Result<TrainOptions, CliError> {
+        Ok(self.0.clone().validated()?)
+    }
+}
+
+impl<const SUITE: bool> Args for Flags<SUITE> {
+    fn augment_args(command: Command) -> Command {
+        Self::rows()
+            .map(flag)
+            .fold(command, |command, flag| command.arg(if SUITE { flag.requires("suite") } else { flag }))
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl<const SUITE: bool> FromArgMatches for Flags<SUITE> {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
+        let mut options = TrainOptions::default();
+        for row in Self::rows() {
+            let texts: Vec<&str> =
+                matches.get_many(row.name).into_iter().flatten().map(String::as_str).collect();
+            if !texts.is_empty() {
+                let set = options.set(row.name, &texts.join(","));
+                set.map_err(|fault| Error::raw(ErrorKind::ValueValidation, fault))?;
+            }
+        }
+        Ok(Self(options))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+fn flag(row: &'static TrainOption) -> Arg {
+    let flag = Arg::new(row.name)
+        .long(row.name.replace('_', "-"))
+        .help(row.help.unwrap_or_default())
+        .allow_negative_numbers(true);
+    let flag = match row.default {
+        Some(text) => flag.default_value(text),
+        None => flag,
+    };
+    // What is of the right kind may still be out of bounds, which the options' own check says.
+    let is_of_kind = move |text: &str| {
+        let set = TrainOptions::default().set(row.name, text);
+        set.map(|()| text.to_owned()).map_err(|fault| fault.fault)
+    };
+    let list = |flag: Arg| flag.value_name("LIST").value_delimiter(',').action(ArgAction::Append);
+    match row.kind {
+        OptionKind::Choice(names) => flag.value_parser(PossibleValuesParser::new(names)),
+        OptionKind::Choices(names) => list(flag).value_parser(PossibleValuesParser::new(names)),
+        OptionKind::Positives(_) => list(flag).value_parser(is_of_kind),
+        OptionKind::Integer(..) => flag.value_name("N").value_parser(is_of_kind),
+        OptionKind::Positive | OptionKind::ChoiceOrPositive(_) => {
+            flag.value_name("X").value_parser(is_of_kind)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use tcgs::domain::{Background, Component, Preset};
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        flags: TrainFlags,
+    }
+
+    fn parse(flags: &[&str]) -> TrainFlags {
+        Line::try_parse_from([&["train"], flags].concat()).expect("parses").flags
+    }
+
+    #[test]
+    fn no_flag_means_the_default_options() {
+        assert_eq!(parse(&[]).validated(), Ok(TrainOptions::default()));
+    }
+
+    #[test]
+    fn flags_become_options_and_impossible_ones_are_wrong_usage() {
+        let flags = ["--preset", "standard", "--iterations", "900", "--seed", "7", "--background", "white"];
+        let options = parse(&flags).validated().expect("possible");
+        assert_eq!(options.preset, Preset::Standard);
+        assert_eq!((options.iterations, options.seed), (Some(900), 7));
+        assert_eq!(options.background, Background::White);
+        for flags in [["--iterations", "0"], ["--lambda", "0"], ["--max-bytes", "0"]] {
+            let failure = parse(&flags).validated().expect_err("impossible");
+            assert_eq!(failure.exit_status(), 2);
+            assert!(failure.to_string().starts_with(flags[0]), "{failure}");
+        }
+        assert!(Line::try_parse_from(["train", "--preset", "fast"]).is_err());
+        assert!(Line::try_parse_from(["train", "--iterations", "many"]).is_err());
+        let options = parse(&["--rd-curve", "0.004,0.0005"]).validated().expect("possible");
+        assert_eq!(options.rd_curve, [0.004, 0.0005]);
+        for wrong in ["0", "-1", "nan", "0.001,0.001"] {
+            let failure = parse(&["--rd-curve", wrong]).validated().expect_err("impossible");
+            assert!(failure.exit_status() == 2 && failure.to_string().starts_with("--rd-curve"), "{failure}");
+        }
+        let both = parse(&["--rd-curve", "0.001", "--max-bytes", "9"]).validated();
+        assert_eq!(both.expect_err("impossible").exit_status(), 2);
+    }
+
+    #[test]
+    fn planes_are_compressed_by_a_switch_and_the_published_name_of_the_part_still_switches_it_off() {
+        let parts = |flags: &[&str]| {
+            let options = parse(flags).validated().expect("possible");
+            (options.without, options.with)
+        };
+        let (none, part) = (Default::default(), [Component::PlaneCompression].into());
+        assert_eq!(parts(&["--plane-compression", "auto"]), (none, Default::default()));
+        assert_eq!(parts(&["--plane-compression", "on"]).1, part);
+        assert_eq!(parts(&["--plane-compression", "off"]).0, part);
+        assert_eq!(parts(&["--without", "plane-compression"]).0, part);
+        let listed = parts(&["--without", "knn,masks", "--without", "wavelet"]).0;
+        assert_eq!(listed, [Component::Knn, Component::Masks, Component::Wavelet].into());
+        let both = parse(&["--plane-compression", "on", "--without", "plane-compression"]).validated();
+        assert!(both.expect_err("a contradiction").to_string().starts_with("--plane-compression"));
+    }
+}

@@ -1,0 +1,48 @@
+//! The dataset archive that is uploaded.
+
+use std::{
+    fs::File,
+    io::{Read as _, Seek as _, SeekFrom},
+    path::{Path, PathBuf},
+};
+
+use crate::cli::{CliError, wiring};
+
+/// A zip file: the one named on the command line, or a temporary one of the folder named there.
+pub(super) struct Archive {
+    file: File,
+    pub(super) bytes: u64,
+    name: PathBuf,
+}
+
+impl Archive {
+    pub(super) fn open(dataset: &Path) -> Result<Self, CliError> {
+        let unreadable = |fault| CliError::unreadable(dataset, &fault);
+        let file = if dataset.is_dir() {
+            let mut file =
+                tempfile::tempfile().map_err(|fault| CliError::unwritable(&std::env::temp_dir(), &fault))?;
+            wiring::pack(dataset, &mut file)?;
+            file
+        } else {
+            File::open(dataset).map_err(unreadable)?
+        };
+        let bytes = file.metadata().map_err(unreadable)?.len();
+        Ok(Self { file, bytes, name: dataset.to_owned() })
+    }
+
+    /// The archive from its byte `from` on.
+    pub(super) fn at(&self, from: u64) -> Result<File, CliError> {
+        let unreadable = |fault| CliError::unreadable(&self.name, &fault);
+        let mut file = self.file.try_clone().map_err(unreadable)?;
+        file.seek(SeekFrom::Start(from)).map_err(unreadable)?;
+        Ok(file)
+    }
+
+    /// At most `bytes` bytes from `from` on.
+    pub(super) fn part(&self, from: u64, bytes: u64) -> Result<Vec<u8>, CliError> {
+        let mut part = Vec::new();
+        let read = self.at(from)?.take(bytes).read_to_end(&mut part);
+        read.map_err(|fault| CliError::unreadable(&self.name, &fault))?;
+        Ok(part)
+    }
+}
