@@ -208,7 +208,7 @@ pub(super) async fn what_fails_after_the_first_picture_breaks_the_body_off(cover
     assert!(body.starts_with(b"--") && !body.ends_with(b"--\r\n"), "one part, and no end");
     let animation = format!("{job}/animation?width=40&height=18&frames=3");
     let (status, _) = server.broken("GET", &animation, |r| r).await;
-    assert_eq!(status, 500, "the first picture of this one fails, before the answer begins");
+    assert_eq!(status, 503, "the first picture of this one fails, before the response begins");
     server.get(&format!("{job}/view?frame=test/r_0")).await.expect(200);
 }
 
