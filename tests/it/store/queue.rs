@@ -172,7 +172,7 @@ async fn two_processes_share_the_file_without_a_double_claim() {
     let data = queue.folder.path();
     let start = |name: &str| {
         tokio::process::Command::new(std::env::current_exe().expect("a program"))
-            .args(["queue::claiming_child_process", "--exact", "--ignored", "--test-threads=1"])
+            .args(["store::queue::claiming_child_process", "--exact", "--ignored", "--test-threads=1"])
             .env(CHILD_DATA, data)
             .env(CHILD_NAME, name)
             .stdout(std::process::Stdio::null())

@@ -267,7 +267,7 @@ async fn a_job_without_disk_space_is_held_until_there_is_some() {
         let cause = attempt.cause.expect("a cause");
         assert_eq!(cause.kind, "urn:tcgs:problem:storage-full");
         assert!(
-            cause.detail.contains("goes on once there is room") && !cause.detail.contains("/srv"),
+            cause.detail.contains("continues once there is space") && !cause.detail.contains("/srv"),
             "{cause}"
         );
     }
@@ -371,7 +371,7 @@ async fn every_log_line_of_a_job_names_it() {
     let file = fixture.blobs.local_file(dataset.digest).await.expect("published");
     std::fs::remove_file(file).expect("removed");
     let child = tokio::process::Command::new(std::env::current_exe().expect("a program"))
-        .args(["worker::logging_child_process", "--exact", "--ignored", "--test-threads=1"])
+        .args(["worker::supervision::logging_child_process", "--exact", "--ignored", "--test-threads=1"])
         .env(CHILD_DATA, fixture.data.path())
         .kill_on_drop(true)
         .output();
@@ -406,7 +406,8 @@ async fn every_log_line_of_a_job_names_it() {
 }
 
 fn child_config(data: &Path) -> SuperviseConfig {
-    let arguments = ["worker::child_process", "--exact", "--ignored", "--test-threads=1"].map(OsString::from);
+    let arguments = ["worker::supervision::child_process", "--exact", "--ignored", "--test-threads=1"]
+        .map(OsString::from);
     let mut config = SuperviseConfig::this_program(arguments.into(), 1).expect("a program");
     config.environment = vec![(CHILD_DATA.into(), data.into())];
     config.backoff_base = Duration::from_millis(5);
