@@ -125,7 +125,7 @@ problem_types! {
     LpipsWeights = 422, "lpips-weights", "The LPIPS weights cannot be used";
     LpipsImages = 422, "lpips-images", "The images cannot be compared by LPIPS";
     ResourceExhausted = 507, "resource-exhausted", "Resource exhausted";
-    WorkerLost = 500, "worker-lost", "The worker fell silent";
+    WorkerLost = 500, "worker-lost", "The worker was lost";
     WorkerPanicked = 500, "worker-panicked", "The run failed";
     Stalled = 500, "stalled", "The run hangs";
     Usage = 400, "usage", "Wrong usage";

@@ -7,11 +7,13 @@ use std::{borrow::Cow, fmt, sync::Arc};
 
 use super::{Buffer, Device, GpuError, Kernel, KernelSource, buffer_bytes};
 
+type Constructor<'a, T> = dyn FnOnce(&Device) -> Result<T, GpuError> + 'a;
+
 /// A value whose buffers are not made yet.
 pub struct Plan<'a, T> {
     bytes: u64,
     largest: u64,
-    make: Box<dyn FnOnce(&Device) -> Result<T, GpuError> + 'a>,
+    make: Box<Constructor<'a, T>>,
 }
 
 impl<'a, T: 'a> Plan<'a, T> {
@@ -45,7 +47,7 @@ impl<'a, T: 'a> Plan<'a, T> {
         (self.make)(device)
     }
 
-    /// Both values; see also [`planned!`](crate::planned).
+    /// Both values; see also [`planned!`].
     #[must_use]
     pub fn and<U: 'a>(self, other: Plan<'a, U>) -> Plan<'a, (T, U)> {
         Plan {
@@ -114,23 +116,22 @@ impl<T> fmt::Debug for Plan<'_, T> {
 
 /// The plan of a struct from the plans of its fields, in the order in which they are made:
 /// `planned!(Self { capacity: Plan::value(8), rows: Plan::buffer("rows", 8) })`.
-#[macro_export]
 macro_rules! planned {
     (@fields $plan:expr, $pattern:pat, $kind:ident { $($done:ident)* }) => {
         $plan.map(move |$pattern| $kind { $($done),* })
     };
     (@fields $plan:expr, $pattern:pat, $kind:ident { $($done:ident)* } $field:ident: $next:expr, $($rest:tt)*) => {
-        $crate::planned!(@fields $plan.and($next), ($pattern, $field), $kind { $($done)* $field } $($rest)*)
+        $crate::gpu::planned!(@fields $plan.and($next), ($pattern, $field), $kind { $($done)* $field } $($rest)*)
     };
     (@fields $plan:expr, $pattern:pat, $kind:ident { $($done:ident)* } $field:ident: $next:expr) => {
-        $crate::planned!(@fields $plan.and($next), ($pattern, $field), $kind { $($done)* $field })
+        $crate::gpu::planned!(@fields $plan.and($next), ($pattern, $field), $kind { $($done)* $field })
     };
     ($kind:ident { $($fields:tt)* }) => {
-        $crate::planned!(@fields $crate::gpu::Plan::value(()), (), $kind {} $($fields)*)
+        $crate::gpu::planned!(@fields $crate::gpu::Plan::value(()), (), $kind {} $($fields)*)
     };
 }
 
-pub use planned;
+pub(crate) use planned;
 
 #[cfg(test)]
 mod tests {

@@ -17,7 +17,7 @@ use crate::{
     store::{BlobError, StoreError},
 };
 
-/// `Retry-After` of a busy service, in seconds.
+/// `Retry-After` of a 503 that names no other, in seconds.
 const RETRY_AFTER_SECONDS: u32 = 2;
 /// `Retry-After` of a request that waits for a job to end, in seconds.
 const RETRY_WHEN_A_JOB_ENDS: u32 = 30;
@@ -88,9 +88,9 @@ impl ProblemResponse {
         Self::new(ProblemType::BodyTooLarge, detail)
     }
 
-    /// 503 with `Retry-After`.
+    /// 503 for what can be repeated soon.
     pub(super) fn busy(detail: &str) -> Self {
-        Self::new(ProblemType::Busy, detail).with_header(header::RETRY_AFTER, RETRY_AFTER_SECONDS.into())
+        Self::new(ProblemType::Busy, detail)
     }
 
     /// 500 without particulars; `error` goes to the log.
@@ -194,11 +194,15 @@ impl From<BlobError> for ProblemResponse {
 }
 
 impl IntoResponse for ProblemResponse {
-    /// The problem rides along as an extension; [`super::server::middleware`] writes the body, once it knows the request id.
+    /// The problem rides along as an extension; [`super::server::middleware`] writes the body, once it knows the request id. Every 503 has
+    /// `Retry-After`, also that of a renderer that lost its device.
     fn into_response(self) -> Response {
         let status = StatusCode::from_u16(self.problem.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         let mut response = status.into_response();
         response.headers_mut().extend(self.headers);
+        if status == StatusCode::SERVICE_UNAVAILABLE {
+            response.headers_mut().entry(header::RETRY_AFTER).or_insert_with(|| RETRY_AFTER_SECONDS.into());
+        }
         response.extensions_mut().insert(*self.problem);
         response
     }

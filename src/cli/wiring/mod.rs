@@ -125,7 +125,7 @@ pub(crate) fn anchors(bytes: &[u8]) -> Result<anchors::AnchorFile, Problem> {
 
 /// Accounts for every byte of a `.tcgs` file.
 pub(crate) fn inspect(bytes: &[u8]) -> Result<Inspection, Problem> {
-    let inspection = codec::inspect(bytes).map_err(|fault| scene_file::undecodable(&fault.to_string()))?;
+    let inspection = codec::inspect(bytes).map_err(|fault| scene_file::undecodable(fault.to_string()))?;
     Ok(Inspection { json: json(&inspection)?, text: inspection.to_string() })
 }
 

@@ -18,7 +18,7 @@ pub(super) fn settings(record: &JobRecord) -> Markup {
                 @if let Some(metrics) = &job.metrics {
                     (table("Course", course(metrics)))
                     (table("How it was measured", conventions(metrics)))
-                    @if metrics.byte_budget.is_some() { (table("The promised size", budget(metrics))) }
+                    @if metrics.byte_budget.is_some() { (table("The target size", budget(metrics))) }
                 }
             }
         }

@@ -144,7 +144,7 @@ pub(super) async fn a_job_is_given_up_at_its_deadline_begun_or_not(coverage: Cov
     let never = idle.upload("?deadline_s=1", "succeed").await.expect(201);
     let failed = idle.reaches(never.header("location"), "failed").await;
     assert_eq!(failed["error"]["type"], "urn:tcgs:problem:deadline-exceeded");
-    assert!(failed["error"]["detail"].as_str().expect("a detail").contains("never begun"), "{failed:#}");
+    assert!(failed["error"]["detail"].as_str().expect("a detail").contains("never started"), "{failed:#}");
     assert_eq!(failed["attempt"], 0);
 
     let server = Server::start(&coverage).await;

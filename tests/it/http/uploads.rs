@@ -298,7 +298,7 @@ pub(super) async fn room_is_kept_from_the_beginning(coverage: Coverage) {
     let other = server.key(&[Scope::ScenesWrite]).await;
     let first = create(60, Some(key.key.clone())).await.expect(201);
     let detail = create(41, Some(key.key.clone())).await.expect_problem(507, "quota-exceeded");
-    assert!(detail.contains("60 are stored or kept"), "{detail}");
+    assert!(detail.contains("60 are stored or reserved"), "{detail}");
     let upload = first.header("location").to_owned();
     let foreign = server.send("DELETE", &upload, |request| tus(request).bearer_auth(&other.key)).await;
     foreign.expect_problem(404, "upload-not-found");

@@ -473,7 +473,7 @@ fn an_interrupted_command_goes_on_where_it_stopped() {
     let refused = tcgs(other);
     assert_eq!(refused.status.code(), Some(3));
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert!(said.contains(r#"background is "black" there and "white" here"#), "{said}");
+    assert!(said.contains(r#"background is "black" in the checkpoint and "white" here"#), "{said}");
 
     // The second time from the checkpoint of the last step.
     for _ in 0..2 {
@@ -500,7 +500,7 @@ fn a_checkpoint_that_cannot_be_used_makes_a_job_start_over_and_a_resumed_run_fai
         output.map(|output| (output.file, steps))
     };
     match run(Resume::From(kept.clone())) {
-        Err(JobError::Fail(problem)) => assert!(problem.detail.contains("not a whole"), "{problem}"),
+        Err(JobError::Fail(problem)) => assert!(problem.detail.contains("not a complete"), "{problem}"),
         other => panic!("not refused: {other:?}"),
     }
     let (afresh, steps) = run(Resume::IfPossible(kept.clone())).expect("a file");

@@ -209,9 +209,9 @@ fn checkpoints_of_other_runs_are_refused_before_the_first_step() {
         }
     };
     let fault = refused(&dataset(), &options(2, 6));
-    assert!(fault.to_string().contains("seed is 5 there and 6 here"), "{fault}");
+    assert!(fault.to_string().contains("seed is 5 in the checkpoint and 6 here"), "{fault}");
     let fault = refused(&dataset(), &options(3, 5));
-    assert!(fault.to_string().contains("iterations is 2 there and 3 here"), "{fault}");
+    assert!(fault.to_string().contains("iterations is 2 in the checkpoint and 3 here"), "{fault}");
     assert_eq!(Problem::from(fault).status, 422);
     let other = Dataset { digest: Digest::of(b"other"), ..dataset() };
     assert!(matches!(refused(&other, &options(2, 5)), CheckpointError::Dataset { .. }));

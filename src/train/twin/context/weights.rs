@@ -1,7 +1,7 @@
 //! Values in the form in which they are stored, and what the way there costs.
 
 /// Most binary places of a weight in a file.
-const MOST_PLACES: i32 = 15;
+const MAX_FRACTION_BITS: i32 = 15;
 
 /// Latents as the nearest multiples of 1/16 with integers of at most 127.
 #[must_use]
@@ -14,8 +14,9 @@ pub fn round_latents(values: &[f64]) -> Vec<f64> {
 pub fn round_weights(row: &[f64], levels: u8) -> Vec<f64> {
     let levels = f64::from(levels);
     let largest = row.iter().fold(0.0, |largest: f64, weight| largest.max(weight.abs()));
-    let places =
-        (1..=MOST_PLACES).rev().find(|places| (largest * 2_f64.powi(*places)).round_ties_even() <= levels);
+    let places = (1..=MAX_FRACTION_BITS)
+        .rev()
+        .find(|places| (largest * 2_f64.powi(*places)).round_ties_even() <= levels);
     let scale = 2_f64.powi(places.unwrap_or(0));
     row.iter().map(|weight| (weight * scale).round_ties_even().clamp(-levels, levels) / scale).collect()
 }
