@@ -115,8 +115,8 @@ fn budget(metrics: &JobMetrics) -> Rows {
     let Some(budget) = &metrics.byte_budget else { return Rows::new() };
     let octaves = budget.qstep_log2;
     vec![
-        row("promised", bytes(budget.max_bytes)),
-        row("without the promise", bytes(budget.unconstrained_bytes)),
+        row("target", bytes(budget.max_bytes)),
+        row("without a target", bytes(budget.unconstrained_bytes)),
         row(
             "coarser steps, octaves",
             format!(
