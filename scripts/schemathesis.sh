@@ -125,23 +125,22 @@ for route in artifact artifacts export events series report; do
     }
 done
 
-# Generated frame names do not exist and are refused, so a valid one is requested once here.
+# Generated frame names do not exist and are refused, and generated streams may be long, so each operation gets one valid request here.
 view='{"frame": "images/view_06.png", "width": 16, "height": 16}'
-path="{\"path\": [$view], \"frames\": 2}"
-# shows ROUTE BODY
+# shows PATH [CURL OPTION...]
 shows() {
-    call -H 'Content-Type: application/json' -d "$2" "http://$address/v1/jobs/$finished/$1" -o /dev/null || {
-        echo "schemathesis: /v1/jobs/{id}/$1 does not answer" >&2
+    local route=$1
+    shift
+    call "http://$address/v1/jobs/$finished/$route" -o /dev/null "$@" || {
+        echo "schemathesis: /v1/jobs/{id}/${route%%\?*} does not answer" >&2
         status=1
     }
 }
-call "http://$address/v1/jobs/$finished/view?frame=images/view_06.png&width=16&height=16" -o /dev/null || {
-    echo "schemathesis: /v1/jobs/{id}/view does not answer" >&2
-    status=1
-}
-shows views "{\"views\": [$view]}"
-shows stream "$path"
-shows animation "$path"
+json='Content-Type: application/json'
+shows "view?frame=images/view_06.png&width=16&height=16"
+shows "stream?frames=2&width=16"
+shows views -H "$json" -d "{\"views\": [$view]}"
+shows animation -H "$json" -d "{\"path\": [$view], \"frames\": 2}"
 if grep -E '"level":"ERROR"' "$out/service.log" >&2; then
     echo "schemathesis: the service logged the errors above" >&2
     exit 1
