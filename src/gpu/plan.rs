@@ -47,7 +47,7 @@ impl<'a, T: 'a> Plan<'a, T> {
         (self.make)(device)
     }
 
-    /// Both values; see also [`planned!`].
+    /// Both values. The macro `planned!` joins the plans of a struct's fields.
     #[must_use]
     pub fn and<U: 'a>(self, other: Plan<'a, U>) -> Plan<'a, (T, U)> {
         Plan {
