@@ -2,7 +2,10 @@
 //!
 //! A header is at most [`MAX_HEADER_BYTES`] long. Its claims are not trusted: callers check counts against the bytes that follow.
 
-use std::io::{self, BufRead, Read as _};
+use std::{
+    borrow::Cow,
+    io::{self, BufRead, Read as _},
+};
 
 use thiserror::Error;
 
@@ -201,6 +204,9 @@ impl Header {
             }
             length += end.ok_or(HeaderError::Unterminated)? + 1;
             let not_understood = || HeaderError::Line { number, line: text.to_string() };
+            if !strict && matches!(text, Cow::Owned(_)) {
+                return Err(not_understood());
+            }
             match words[..] {
                 ["ply"] if number == 1 => {}
                 ["comment" | "obj_info", ..] => {}

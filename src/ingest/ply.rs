@@ -212,6 +212,10 @@ mod tests {
             (b"PLY\n".to_vec(), "start with"),
             (file("ascii", "property list uchar int x\n", b""), "type 'list'"),
             (file("ascii", "property quad x\n", b""), "unsupported type 'quad'"),
+            (
+                b"ply\nformat ascii 1.0\ncomment \xff\nelement vertex 0\nend_header\n".to_vec(),
+                "header line 3",
+            ),
             (file("ascii", "property float x\nproperty float y\n", b"1 2 3 4"), "lack x, y or z"),
             (file("utf9", PLAIN, b""), "'utf9 1.0' is not supported"),
             (file("ascii", PLAIN, b"1 2 nan 1 2 3 0 0 0 0 0 0"), "vertex 0 is not finite"),
