@@ -51,8 +51,8 @@ impl<const SUITE: bool> FromArgMatches for Flags<SUITE> {
             let texts: Vec<&str> =
                 matches.get_many(row.name).into_iter().flatten().map(String::as_str).collect();
             if !texts.is_empty() {
-                let set = options.set(row.name, &texts.join(","));
-                set.map_err(|fault| Error::raw(ErrorKind::ValueValidation, fault))?;
+                row.set(&mut options, &texts.join(","))
+                    .map_err(|fault| Error::raw(ErrorKind::ValueValidation, fault))?;
             }
         }
         Ok(Self(options))
@@ -75,7 +75,7 @@ fn flag(row: &'static TrainOption) -> Arg {
     };
     // What is of the right kind may still be out of bounds, which the options' own check says.
     let is_of_kind = move |text: &str| {
-        let set = TrainOptions::default().set(row.name, text);
+        let set = row.set(&mut TrainOptions::default(), text);
         set.map(|()| text.to_owned()).map_err(|fault| fault.fault)
     };
     let list = |flag: Arg| flag.value_name("LIST").value_delimiter(',').action(ArgAction::Append);

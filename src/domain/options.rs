@@ -184,30 +184,6 @@ impl Default for TrainOptions {
 }
 
 impl TrainOptions {
-    /// Sets one option from its text in a query string or after a flag; lists are separated by commas.
-    ///
-    /// # Errors
-    /// [`OptionError`] for an unknown name or a value of another kind.
-    pub fn set(&mut self, option: &str, text: &str) -> Result<(), OptionError> {
-        let row = TrainOption::named(option)?;
-        (row.set)(self, text).ok_or_else(|| row.mismatch(format_args!("'{}'", shown(text))))
-    }
-
-    /// Sets one option from its value in JSON: a number, a name, or for a list also an array. `null` leaves an option unset that has
-    /// no default.
-    ///
-    /// # Errors
-    /// As [`Self::set`].
-    pub fn set_json(&mut self, option: &str, value: &Value) -> Result<(), OptionError> {
-        let row = TrainOption::named(option)?;
-        match row.kind.text_of(value) {
-            Some(text) => self.set(row.name, &text),
-            None if value.is_null() && row.is_nullable() => Ok(()),
-            None if value.as_array().is_some_and(Vec::is_empty) && row.kind.is_list() => Ok(()),
-            None => Err(row.mismatch(format_args!("{}", shown(&value.to_string())))),
-        }
-    }
-
     /// Whether a part of the method takes part: the baselines have none of them.
     #[must_use]
     pub fn has(&self, part: Component) -> bool {
@@ -397,14 +373,31 @@ pub struct TrainOption {
 
 impl TrainOption {
     /// The option of that name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<&'static Self> {
+        TRAIN_OPTIONS.iter().find(|row| row.name == name)
+    }
+
+    /// Sets the option from its text in a query string or after a flag; lists are separated by commas.
     ///
     /// # Errors
-    /// [`OptionError`] that lists the names there are.
-    fn named(name: &str) -> Result<&'static Self, OptionError> {
-        TRAIN_OPTIONS.iter().find(|row| row.name == name).ok_or_else(|| {
-            let known = TRAIN_OPTIONS.each_ref().map(|row| row.name).join(", ");
-            OptionError::new("query", format!("'{name}' is not an option; there are {known}"))
-        })
+    /// [`OptionError`] for a value of another kind.
+    pub fn set(&self, options: &mut TrainOptions, text: &str) -> Result<(), OptionError> {
+        (self.set)(options, text).ok_or_else(|| self.mismatch(format_args!("'{}'", shown(text))))
+    }
+
+    /// Sets the option from its value in JSON: a number, a name, or for a list also an array. `null` leaves an option unset that has
+    /// no default.
+    ///
+    /// # Errors
+    /// As [`Self::set`].
+    pub fn set_json(&self, options: &mut TrainOptions, value: &Value) -> Result<(), OptionError> {
+        match self.kind.text_of(value) {
+            Some(text) => self.set(options, &text),
+            None if value.is_null() && self.is_nullable() => Ok(()),
+            None if value.as_array().is_some_and(Vec::is_empty) && self.kind.is_list() => Ok(()),
+            None => Err(self.mismatch(format_args!("{}", shown(&value.to_string())))),
+        }
     }
 
     fn mismatch(&self, value: fmt::Arguments<'_>) -> OptionError {
@@ -552,18 +545,22 @@ mod tests {
 
     use super::*;
 
+    fn set_option(options: &mut TrainOptions, name: &str, text: &str) -> Result<(), OptionError> {
+        TrainOption::named(name).expect("an option").set(options, text)
+    }
+
     #[test]
     fn options_are_set_by_name_and_faults_name_the_option() {
         let mut options = TrainOptions::default();
-        options.set("preset", "standard").expect("a preset");
-        options.set("iterations", "1500").expect("a number");
-        options.set("background", "white").expect("a background");
+        set_option(&mut options, "preset", "standard").expect("a preset");
+        set_option(&mut options, "iterations", "1500").expect("a number");
+        set_option(&mut options, "background", "white").expect("a background");
         assert_eq!(options.preset, Preset::Standard);
         assert_eq!(options.iterations, Some(1500));
-        let fault = options.set("preset", "fast").expect_err("no such preset");
+        let fault = set_option(&mut options, "preset", "fast").expect_err("no such preset");
         assert_eq!(fault.to_string(), "preset: 'fast' is not one of preview, standard, paper");
-        assert!(options.set("seed", "-1").is_err());
-        assert!(options.set("colour", "red").is_err());
+        assert!(set_option(&mut options, "seed", "-1").is_err());
+        assert!(TrainOption::named("colour").is_none());
     }
 
     #[test]
@@ -576,9 +573,9 @@ mod tests {
         assert_eq!(fields, rows.collect());
         for row in &TRAIN_OPTIONS {
             let mut options = TrainOptions::default();
-            row.default.into_iter().for_each(|text| options.set(row.name, text).expect("a value"));
+            row.default.into_iter().for_each(|text| row.set(&mut options, text).expect("a value"));
             assert_eq!(options, TrainOptions::default(), "{}", row.name);
-            let fault = options.set(row.name, "?").expect_err("no value");
+            let fault = row.set(&mut options, "?").expect_err("no value");
             assert_eq!(fault.to_string(), format!("{}: '?' is not {}", row.name, row.kind));
         }
     }
@@ -587,7 +584,7 @@ mod tests {
     fn json_has_numbers_names_and_lists_of_them() {
         let set = |name: &str, value: serde_json::Value| {
             let mut options = TrainOptions::default();
-            options.set_json(name, &value).map(|()| options)
+            TrainOption::named(name).expect("an option").set_json(&mut options, &value).map(|()| options)
         };
         let with_lists = set("without", json!(["masks", "knn"])).expect("parts");
         assert_eq!(with_lists.without, [Component::Knn, Component::Masks].into());
@@ -618,13 +615,13 @@ mod tests {
     fn compressed_planes_are_automatic_on_or_off() {
         let set = |text: &str| {
             let mut options = TrainOptions::default();
-            options.set("plane_compression", text).map(|()| options)
+            set_option(&mut options, "plane_compression", text).map(|()| options)
         };
         assert_eq!(set("auto"), Ok(TrainOptions::default()));
         assert_eq!(set("on").expect("on").with, [Component::PlaneCompression].into());
         assert!(!set("off").expect("off").has(Component::PlaneCompression));
         let mut both = set("on").expect("on");
-        both.set("without", "plane-compression").expect("a part");
+        set_option(&mut both, "without", "plane-compression").expect("a part");
         assert_eq!(both.validated().expect_err("a contradiction").option, "plane_compression");
     }
 
@@ -632,7 +629,7 @@ mod tests {
     fn a_part_is_on_in_the_method_and_off_in_the_baselines_and_where_it_is_left_out() {
         let mut options = TrainOptions::default();
         assert!(options.has(Component::Wavelet));
-        options.set("without", "wavelet").expect("a part");
+        set_option(&mut options, "without", "wavelet").expect("a part");
         let options = options.validated().expect("this version has it");
         assert!(!options.has(Component::Wavelet) && options.has(Component::Masks));
         for model in [ModelKind::Scaffold, ModelKind::Gaussians3d] {
@@ -646,7 +643,7 @@ mod tests {
         let asked = |model, without: &[Component], with: &str| {
             let without = without.iter().copied().collect();
             let mut options = TrainOptions { model, without, ..TrainOptions::default() };
-            options.set("with", with)?;
+            set_option(&mut options, "with", with)?;
             options.validated()
         };
         let options = asked(ModelKind::Tcgs, &[], "plane-compression").expect("possible");
@@ -684,7 +681,10 @@ mod tests {
             assert_eq!(options.clone().validated(), Ok(options));
         }
         for text in ["", "small", "0,1"] {
-            assert_eq!(TrainOptions::default().set("voxel", text).expect_err(text).option, "voxel");
+            assert_eq!(
+                set_option(&mut TrainOptions::default(), "voxel", text).expect_err(text).option,
+                "voxel"
+            );
         }
         for edge in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e-300, 1e300] {
             let options = TrainOptions { voxel: Voxel::Edge(edge), ..TrainOptions::default() };
@@ -696,7 +696,7 @@ mod tests {
     fn a_target_size_is_for_the_method_alone() {
         let set = |pairs: &[(&str, &str)]| {
             let mut options = TrainOptions::default();
-            pairs.iter().for_each(|(name, value)| options.set(name, value).expect("parses"));
+            pairs.iter().for_each(|(name, value)| set_option(&mut options, name, value).expect("parses"));
             options.validated()
         };
         assert_eq!(set(&[("max_bytes", "50000")]).expect("possible").max_bytes, Some(50_000));
@@ -709,7 +709,7 @@ mod tests {
             assert_eq!(set(wrong).expect_err("impossible").option, "max_bytes", "{wrong:?}");
         }
         for text in ["-1", "1e6", "5 MB", ""] {
-            let fault = TrainOptions::default().set("max_bytes", text).expect_err(text);
+            let fault = set_option(&mut TrainOptions::default(), "max_bytes", text).expect_err(text);
             assert_eq!(fault.option, "max_bytes");
         }
     }
@@ -718,7 +718,7 @@ mod tests {
     fn a_curve_is_a_list_of_distinct_weights_in_the_order_given() {
         let curve = |text: &str| {
             let mut options = TrainOptions::default();
-            options.set("rd_curve", text).and_then(|()| options.validated())
+            set_option(&mut options, "rd_curve", text).and_then(|()| options.validated())
         };
         for text in ["0.004,0.0005,0.001", "[0.004, 0.0005, 1e-3]"] {
             let options = curve(text).expect("possible");
@@ -766,7 +766,7 @@ mod tests {
     fn what_this_version_cannot_do_is_refused_not_ignored() {
         let mut options = TrainOptions::default();
         let parts: Vec<&str> = Component::ALL.iter().map(|part| part.name()).collect();
-        options.set("without", &parts.join(",")).expect("parses");
+        set_option(&mut options, "without", &parts.join(",")).expect("parses");
         let options = options.validated().expect("every part can be left out");
         assert!(Component::ALL.iter().all(|part| !options.has(*part)));
         let zero = TrainOptions { iterations: Some(0), ..TrainOptions::default() };

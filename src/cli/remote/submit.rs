@@ -127,6 +127,7 @@ async fn of_scene(
 #[cfg(test)]
 mod tests {
     use clap::Parser;
+    use tcgs::domain::TrainOption;
 
     use super::*;
 
@@ -149,8 +150,11 @@ mod tests {
             ("with", "plane-compression"),
             ("rd_curve", "0.001,0.004"),
         ];
+        let set = |options: &mut TrainOptions, name: &str, value: &str| {
+            TrainOption::named(name).expect("an option").set(options, value).expect("a value");
+        };
         for (name, value) in settings {
-            chosen.set(name, value).expect("an option");
+            set(&mut chosen, name, value);
         }
         for options in [TrainOptions::default(), chosen] {
             let line = ["submit", "dataset"];
@@ -158,7 +162,7 @@ mod tests {
             let fields = request(&args, &options);
             let mut read = TrainOptions::default();
             for (name, value) in query(&fields) {
-                read.set(name, &value).expect("an option");
+                set(&mut read, name, &value);
             }
             assert_eq!(read, options);
         }

@@ -4,7 +4,7 @@ use jiff::{SignedDuration, Timestamp};
 use serde_json::{Map, Value};
 
 use crate::{
-    domain::{DatasetId, MAX_PRIORITY, OptionError, ProblemType, TRAIN_OPTIONS, TrainOptions},
+    domain::{DatasetId, MAX_PRIORITY, OptionError, ProblemType, TRAIN_OPTIONS, TrainOption, TrainOptions},
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{JsonBody, Parameters, parse_json},
@@ -16,7 +16,7 @@ const MAX_DEADLINE: u32 = 366 * 24 * 3600;
 /// Largest integer that JSON readers which use 64-bit floats, such as JavaScript's, represent exactly.
 const MAX_SEED: u64 = (1 << 53) - 1;
 /// Characters of an unknown name that a problem repeats.
-const LONGEST_NAME: usize = 100;
+const MAX_SHOWN_NAME: usize = 100;
 
 /// What a job has besides its dataset.
 #[derive(Debug, Default)]
@@ -37,8 +37,7 @@ impl CreateJobRequest {
         let deadline_s = parameters.take_as("deadline_s", "a whole number of seconds")?;
         let mut options = TrainOptions::default();
         for (name, text) in parameters.rest() {
-            expect_known(&name)?;
-            options.set(&name, &text).map_err(|error| invalid_option(&error))?;
+            train_option(&name)?.set(&mut options, &text).map_err(|error| invalid_option(&error))?;
         }
         Self { options, priority, deadline_s }.validated()
     }
@@ -86,21 +85,19 @@ fn field<T: serde::de::DeserializeOwned>(name: &str, value: Value, expected: &st
 fn options(fields: &Map<String, Value>) -> ApiResult<TrainOptions> {
     let mut options = TrainOptions::default();
     for (name, value) in fields {
-        expect_known(name)?;
-        options.set_json(name, value).map_err(|error| invalid_option(&error))?;
+        train_option(name)?.set_json(&mut options, value).map_err(|error| invalid_option(&error))?;
     }
     Ok(options)
 }
 
-/// 422 for the name of no option.
-fn expect_known(name: &str) -> ApiResult<()> {
-    let known = TRAIN_OPTIONS.each_ref().map(|row| row.name);
-    if known.contains(&name) {
-        return Ok(());
-    }
-    let shown: String = name.chars().take(LONGEST_NAME).collect();
-    let detail = format!("{shown}: is not an option; there are priority, deadline_s, {}", known.join(", "));
-    Err(ProblemResponse::new(ProblemType::InvalidOption, detail))
+/// The training option of a name; 422 if there is none.
+fn train_option(name: &str) -> ApiResult<&'static TrainOption> {
+    TrainOption::named(name).ok_or_else(|| {
+        let shown: String = name.chars().take(MAX_SHOWN_NAME).collect();
+        let known = TRAIN_OPTIONS.each_ref().map(|row| row.name).join(", ");
+        let detail = format!("{shown}: is not an option; there are priority, deadline_s, {known}");
+        ProblemResponse::new(ProblemType::InvalidOption, detail)
+    })
 }
 
 fn invalid_option(error: &OptionError) -> ProblemResponse {
