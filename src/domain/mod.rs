@@ -8,6 +8,8 @@ pub mod access;
 pub mod anchors;
 pub mod camera;
 pub mod camera_path;
+#[cfg(feature = "service")]
+mod causes;
 mod choice;
 #[cfg(feature = "service")]
 pub mod clock;
@@ -50,6 +52,8 @@ pub mod webhook_secret;
 pub use access::{Caller, DEFAULT_MAX_PRIORITY, KeyLimits, MAX_PRIORITY, Scope};
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
+#[cfg(feature = "service")]
+pub use causes::{causes, is_no_space};
 #[cfg(feature = "service")]
 pub use clock::{Clock, ManualClock, SystemClock};
 pub use context_model::{

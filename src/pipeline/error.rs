@@ -1,9 +1,7 @@
 //! Why a job ended without output, and whether another attempt may help.
 
-use std::io;
-
 use crate::{
-    domain::{Problem, ProblemType},
+    domain::{Problem, ProblemType, is_no_space},
     gpu::GpuError,
     ingest::{self, IngestErrorKind},
     render::RenderError,
@@ -36,11 +34,7 @@ impl From<ingest::IngestError> for JobError {
         match error.kind {
             IngestErrorKind::Stopped => Self::Cancelled,
             IngestErrorKind::SpillFull { .. } => Self::Hold(error.into()),
-            IngestErrorKind::Io(ref cause)
-                if matches!(cause.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded) =>
-            {
-                Self::Hold(error.into())
-            }
+            ref kind if is_no_space(kind) => Self::Hold(error.into()),
             IngestErrorKind::Spill(_) => Self::Retry(error.into()),
             _ => Self::Fail(error.into()),
         }
@@ -87,6 +81,8 @@ impl From<TrainError> for JobError {
 
 #[cfg(test)]
 mod tests {
+    use std::io;
+
     use super::*;
 
     #[test]
@@ -96,6 +92,7 @@ mod tests {
             (IngestErrorKind::SpillFull { bytes: 3 }, "hold"),
             (IngestErrorKind::Io(io::ErrorKind::StorageFull.into()), "hold"),
             (IngestErrorKind::Io(io::ErrorKind::QuotaExceeded.into()), "hold"),
+            (IngestErrorKind::Io(io::Error::other(io::Error::from(io::ErrorKind::StorageFull))), "hold"),
             (spill(io::ErrorKind::PermissionDenied), "retry"),
             (IngestErrorKind::NoImages, "fail"),
             (IngestErrorKind::Io(io::ErrorKind::InvalidData.into()), "fail"),
