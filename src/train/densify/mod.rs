@@ -101,21 +101,21 @@ fn grow(
         let keep = 1.0 - 0.5_f32.powi(level as i32 + 1);
         let occupied: HashSet<[i32; 3]> =
             state.anchors.cells.iter().map(|cell| coarse(*cell, factor)).collect();
-        let mut wanted: BTreeMap<[i32; 3], Vec<usize>> = BTreeMap::new();
+        let mut wanted: BTreeMap<[i32; 3], Candidates> = BTreeMap::new();
         for (anchor, cell, gradient) in &candidates {
             let kept = rng.random::<f32>() < keep;
             if kept && *gradient >= threshold {
                 let cell = coarse(*cell, factor);
                 if !occupied.contains(&cell) {
-                    wanted.entry(cell).or_default().push(*anchor);
+                    let candidates = wanted.entry(cell).or_default();
+                    candidates.parents.push(*anchor);
+                    candidates.gradient = candidates.gradient.max(*gradient);
                 }
             }
         }
+        keep_largest_gradients(&mut wanted, settings.max_anchors.saturating_sub(state.anchors.len()));
         let log_scale = (factor as f32 * state.anchors.lattice.voxel).ln();
-        for (cell, parents) in wanted {
-            if state.anchors.len() >= settings.max_anchors {
-                break;
-            }
+        for (cell, Candidates { parents, .. }) in wanted {
             // A coarse cell may be centred beyond the last lattice cell; clamped to it, it still rounds to itself.
             let cell = cell.map(|c| (c * factor).clamp(-MAX_CELL, MAX_CELL));
             push_anchor(state, cell, &parents, log_scale);
@@ -123,6 +123,27 @@ fn grow(
         }
     }
     added
+}
+
+/// The offsets that ask for an anchor in a cell.
+#[derive(Debug, Default)]
+struct Candidates {
+    /// The anchor of each.
+    parents: Vec<usize>,
+    /// The largest mean screen gradient among them.
+    gradient: f32,
+}
+
+/// Keeps at most `room` cells: those whose candidates moved most on screen, the first cells among equals.
+fn keep_largest_gradients(wanted: &mut BTreeMap<[i32; 3], Candidates>, room: usize) {
+    if wanted.len() > room {
+        let mut order: Vec<(f32, [i32; 3])> =
+            wanted.iter().map(|(cell, candidates)| (candidates.gradient, *cell)).collect();
+        order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        for (_, cell) in &order[room..] {
+            wanted.remove(cell);
+        }
+    }
 }
 
 fn offset_position(anchors: &AnchorRows, anchor: usize, offset: usize) -> [f32; 3] {

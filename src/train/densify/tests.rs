@@ -243,6 +243,21 @@ fn growth_stops_at_the_largest_number_of_anchors() {
 }
 
 #[test]
+fn the_last_free_places_go_to_the_largest_gradients() {
+    let far: Vec<[i32; 3]> = (0..5).map(|i| [1000 * i, 0, 0]).collect();
+    let mut state = state(&far);
+    let mut statistics = statistics(5);
+    for (anchor, gradient) in [2.0, 5.0, 3.0, 9.0, 4.0].into_iter().enumerate() {
+        place_offset(&mut state, anchor, 0, [40.0, 0.0, 0.0]);
+        record_views(&mut statistics, anchor, 0, gradient, 41.0);
+    }
+    let settings = DensifySettings { max_anchors: 7, coarsest: 1, ..SETTINGS };
+    let outcome = densify(&mut state, &mut statistics, &settings, &mut AlwaysKeep);
+    assert_eq!(outcome.grown, 2);
+    assert_eq!(state.anchors.cells[5..], [[1040, 0, 0], [3040, 0, 0]]);
+}
+
+#[test]
 fn candidates_at_the_end_of_the_lattice_stay_within_what_the_file_format_codes() {
     let mut state = state(&[[0, 0, 0]]);
     place_offset(&mut state, 0, 0, [1e9, -1e9, 0.0]);
