@@ -1,6 +1,6 @@
-//! HTTP clients with TLS by rustls and the operating system's certificates, and others where a user names them.
+//! Builds HTTPS clients: rustls with the operating system's root certificates, plus those that a user names.
 //!
-//! The cryptography is `ring`'s and is handed over with the configuration, so nothing depends on a process having chosen one.
+//! `ring` is set as the provider in each configuration, so that no process-wide default provider is needed.
 
 use std::{
     error::Error,
@@ -20,31 +20,31 @@ use thiserror::Error;
 static TLS: LazyLock<Result<ClientConfig, rustls::Error>> =
     LazyLock::new(|| configuration(&ExtraRoots::default()));
 
-/// Why a file of certificates is none.
+/// Why a file of root certificates is refused.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum RootsError {
-    /// Something between the marks of PEM is not what they say.
+    /// A PEM block does not decode.
     #[error("is not PEM: {0}")]
     Pem(String),
-    /// There is no certificate in it.
+    /// The file has no certificate.
     #[error("holds no certificate in PEM (-----BEGIN CERTIFICATE-----)")]
     Empty,
-    /// One of them cannot be trusted.
+    /// A certificate cannot serve as a trust anchor.
     #[error("certificate {place}: {reason}")]
     Certificate {
-        /// Which one, from 1.
+        /// Its place in the file, from 1.
         place: usize,
         /// What is wrong with it.
         reason: String,
     },
 }
 
-/// Authorities that are trusted besides the operating system's: sound certificates.
+/// Root certificates that are trusted besides the operating system's, each one checked.
 #[derive(Debug, Clone, Default)]
 pub struct ExtraRoots(Vec<CertificateDer<'static>>);
 
 impl ExtraRoots {
-    /// The certificates of a PEM file; whatever else is in it is passed over.
+    /// Reads the certificates of a PEM file and ignores its other blocks.
     ///
     /// # Errors
     /// [`RootsError`].
@@ -64,24 +64,24 @@ impl ExtraRoots {
     }
 }
 
-/// What every client begins with: this program's name, and TLS. Where the system has no certificates there is still a client,
-/// and its https requests fail.
+/// A client builder with this program's user agent and TLS. On a system without root certificates it still builds a client,
+/// whose https requests fail.
 ///
 /// # Errors
-/// If the cryptography does not offer what TLS needs.
+/// If `ring` lacks a protocol version that rustls needs.
 pub fn client_builder() -> Result<reqwest::ClientBuilder, rustls::Error> {
     Ok(named(TLS.as_ref().map_err(Clone::clone)?.clone()))
 }
 
-/// The same for a client that also trusts `roots`.
+/// As [`client_builder`], for a client that also trusts `roots`.
 ///
 /// # Errors
-/// If the cryptography does not offer what TLS needs.
+/// If `ring` lacks a protocol version that rustls needs.
 pub fn client_builder_trusting(roots: &ExtraRoots) -> Result<reqwest::ClientBuilder, rustls::Error> {
     configuration(roots).map(named)
 }
 
-/// What was wrong with the certificate of whom a request went to, if that was why it failed.
+/// What was wrong with the server's certificate, if that is why the request failed.
 #[must_use]
 pub fn certificate_fault(error: &reqwest::Error) -> Option<&'static str> {
     let mut cause: Option<&(dyn Error + 'static)> = Some(error);
@@ -89,7 +89,7 @@ pub fn certificate_fault(error: &reqwest::Error) -> Option<&'static str> {
         if let Some(rustls::Error::InvalidCertificate(fault)) = fault.downcast_ref() {
             return Some(reason(fault));
         }
-        // An I/O error tells of its cause's cause as its own.
+        // `io::Error::source` skips the error that it wraps.
         let held = fault.downcast_ref::<io::Error>().and_then(io::Error::get_ref);
         cause = match held {
             Some(held) => Some(held),
@@ -101,7 +101,7 @@ pub fn certificate_fault(error: &reqwest::Error) -> Option<&'static str> {
 
 fn reason(fault: &CertificateError) -> &'static str {
     match fault {
-        // The latter is an authority's namesake.
+        // A bad signature means another authority of the same name.
         CertificateError::UnknownIssuer | CertificateError::BadSignature => {
             "is signed by no authority that is trusted here"
         }

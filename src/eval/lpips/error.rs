@@ -1,4 +1,4 @@
-//! What can be wrong with the weights of LPIPS, or with images that it is to compare.
+//! Errors of LPIPS: unusable weights, or images that cannot be compared.
 
 use safetensors::{Dtype, SafeTensorError};
 use thiserror::Error;
@@ -17,7 +17,7 @@ pub enum LpipsError {
         /// The names that were looked for.
         wanted: String,
     },
-    /// The first convolution is of neither network.
+    /// The first convolution's shape matches neither network.
     #[error(
         "{tensor} has shape {found:?}, which is neither AlexNet's [64, 3, 11, 11] nor VGG16's [64, 3, 3, 3]"
     )]
@@ -27,14 +27,14 @@ pub enum LpipsError {
         /// Its shape.
         found: Vec<usize>,
     },
-    /// A tensor is not of its network's shape.
+    /// A tensor has another shape than its network's.
     #[error("{tensor} has shape {found:?} instead of {expected:?} in {network}")]
     Shape {
         /// The tensor.
         tensor: String,
-        /// The network that the first convolution is of.
+        /// The network, as told by the first convolution.
         network: LpipsNetwork,
-        /// The shape that the network has there.
+        /// The expected shape.
         expected: Vec<usize>,
         /// The shape in the file.
         found: Vec<usize>,
@@ -44,19 +44,19 @@ pub enum LpipsError {
     Type {
         /// The tensor.
         tensor: String,
-        /// What it holds.
+        /// Its element type.
         found: Dtype,
     },
-    /// A tensor has an infinity or a NaN in it, or a zero where values are divided by it.
+    /// A tensor has an infinite or NaN value, or a zero divisor.
     #[error("{tensor} has a value that cannot be computed with")]
     Value {
         /// The tensor.
         tensor: String,
     },
-    /// The images are not RGB, or not of one size.
+    /// The images are not RGB, or differ in size.
     #[error("two RGB images of one size are needed")]
     NotComparable,
-    /// Pooling leaves nothing of the images.
+    /// The images are smaller than the network's pooling allows.
     #[error("an image of {width}x{height} pixels is too small for {network}, which needs {least} a side")]
     TooSmall {
         /// The network.
@@ -65,10 +65,10 @@ pub enum LpipsError {
         width: u32,
         /// Height in pixels.
         height: u32,
-        /// The least width and height.
+        /// The smallest width and height.
         least: u32,
     },
-    /// Features or their differences left the range of f32.
+    /// Features or their differences overflow f32.
     #[error("the weights lead to values beyond the range of f32")]
     Overflow,
 }

@@ -46,7 +46,7 @@ mod tests {
                 seen[anchor as usize] += 1;
             }
         }
-        // Thirty times each on average, with a deviation of five.
+        // Thirty times each on average, with a standard deviation of five.
         assert!(seen.iter().all(|count| (8..55).contains(count)), "{seen:?}");
     }
 }

@@ -1,8 +1,8 @@
 //! The context model's tables of anchors: their positions on the planes, their neighbours, and the inverse tables, by which gradients
 //! are gathered.
 //!
-//! All of it follows from the cells by the codec's own integers, so training samples exactly where a decoder does. It is
-//! made anew on the host whenever the set of anchors changes, and lies still in between.
+//! Tables follow from the cells by the codec's integer arithmetic, so training samples exactly where a decoder does. The host
+//! rebuilds them whenever the set of anchors changes.
 
 use super::ContextConfig;
 use crate::{
@@ -15,7 +15,7 @@ use crate::{
     train::ContextError,
 };
 
-/// Largest number of anchors: an index shares a word with the slot among neighbours.
+/// Largest number of anchors: an index shares a 32-bit word with a neighbour slot.
 const MAX_ANCHORS: usize = 1 << 30;
 
 /// The tables in the kernels' layout; empty for models without planes.
@@ -25,7 +25,7 @@ pub struct ContextAnchors {
     pub count: usize,
     /// `[N][18]`: the position prior.
     pub priors: Vec<f32>,
-    /// `[N][3]`: a place on each plane: x, y, then the fractions along x and y in 256ths, a byte each from the lowest.
+    /// `[N][3]`: the position on each plane, a byte each from the lowest: x, y, fractions along x and y in 256ths.
     pub texels: Vec<u32>,
     /// `[N][K]`: the anchors whose planes are sampled, itself first.
     pub neighbours: Vec<u32>,
@@ -59,10 +59,10 @@ impl ContextAnchors {
         anchors
     }
 
-    /// Refuses tables with which kernels would read outside their buffers.
+    /// Checks that kernels cannot read outside their buffers with these tables.
     ///
     /// # Errors
-    /// [`ContextError::Anchors`] with what does not fit.
+    /// [`ContextError::Anchors`] names the entry that is out of range.
     pub fn check(&self, config: &ContextConfig) -> Result<(), ContextError> {
         let sampled = config.kind.sampled();
         let length = |what: &str, found: usize, width: usize| {
@@ -90,13 +90,13 @@ impl ContextAnchors {
         }
     }
 
-    /// Anchors that have a place on planes: all or none.
+    /// Anchors with positions on planes: all or none.
     fn placed(&self) -> usize {
         self.texels.len() / 3
     }
 
-    /// For each anchor, those that have it for a neighbour: where each list begins and the last one ends, and the lists.
-    /// An entry is four times the user's index, plus which of its neighbours it is; entries ascend.
+    /// The inverse of the neighbour table, as offsets and lists: for each anchor, those that have it as a neighbour. An entry is
+    /// four times the other anchor's index plus the neighbour slot; entries ascend.
     #[must_use]
     pub fn users(&self) -> (Vec<u32>, Vec<u32>) {
         let sampled = self.neighbours.len() / self.count.max(1);
@@ -107,8 +107,8 @@ impl ContextAnchors {
         lists(self.placed(), entries)
     }
 
-    /// For each texel of the three planes of this edge, the anchors whose samples it is part of, ascending: where each list
-    /// begins and the last one ends, and the lists of anchor and bits of its weight. Weights of zero are left out.
+    /// For each texel of the three planes of this edge, as offsets and lists: the anchors whose samples use it, ascending, each
+    /// with the bits of its weight. Zero weights are left out.
     #[must_use]
     pub fn plane_users(&self, edge: usize) -> (Vec<u32>, Vec<[u32; 2]>) {
         let entries = self.texels.iter().enumerate().flat_map(|(place, texel)| {
@@ -136,7 +136,7 @@ fn pack(texel: Texel) -> u32 {
     u32::from_le_bytes([texel.x0, texel.y0, texel.fx, texel.fy].map(|value| value as u8))
 }
 
-/// Entries by their keys below `keys`, in the order given: where each key's begin and the last one's end, and all of them.
+/// Groups entries by their keys below `keys`, stably: offsets of each key's list and its end, and the entries.
 fn lists<T: Copy + Default>(
     keys: usize,
     entries: impl Iterator<Item = (usize, T)> + Clone,
@@ -171,12 +171,12 @@ pub(super) struct DeviceTables {
     pub(super) users: Buffer<u32>,
     pub(super) plane_starts: Buffer<u32>,
     pub(super) plane_users: Buffer<[u32; 2]>,
-    /// The column of each anchor in the sample, or the mark of none.
+    /// The column of each anchor in the sample, or `NO_COLUMN`.
     pub(super) columns: Buffer<u32>,
 }
 
 impl DeviceTables {
-    /// Plans the tables of `anchors` anchors, whose samples are made of `plane_users` texels.
+    /// Plans the tables of `anchors` anchors whose samples use `plane_users` texels in all.
     fn plan(config: &ContextConfig, anchors: usize, plane_users: usize) -> Plan<'static, Self> {
         let sampled = config.kind.sampled();
         let (placed, edge) = if sampled > 0 { (anchors, config.planes.edge) } else { (0, 0) };
@@ -194,7 +194,7 @@ impl DeviceTables {
         })
     }
 
-    /// Bytes on the device at most: every sample is made of four texels of each plane.
+    /// Bytes on the device at most, with four texels of each plane a sample.
     pub(super) fn max_bytes(config: &ContextConfig, anchors: usize) -> u64 {
         let placed = if config.kind.sampled() > 0 { anchors } else { 0 };
         Self::plan(config, anchors, 12 * placed).bytes()

@@ -5,7 +5,7 @@ use crate::{
     train::ContextError,
 };
 
-/// Largest edge of a plane: a texel's place along an axis is one byte.
+/// Largest edge of a plane: a texel's coordinate is one byte.
 const MAX_EDGE: usize = 256;
 
 /// Sizes of planes, their latents and the layers between them.
@@ -15,7 +15,7 @@ pub struct PlaneConfig {
     pub edge: usize,
     /// Channels of a plane: a multiple of four.
     pub channels: usize,
-    /// Layers down to the latents and up again, each of which halves or doubles the edge. With none the latents are
+    /// Layers down to the latents and as many up again, each of which halves or doubles the edge. With none, the latents are the
     /// planes in multiples of 1/16.
     pub layers: usize,
     /// Channels between two layers.
@@ -143,10 +143,10 @@ impl ContextConfig {
         rows
     }
 
-    /// Refuses sizes that the kernels do not know.
+    /// Checks that the kernels support these sizes.
     ///
     /// # Errors
-    /// [`ContextError::Config`] with what is out of range.
+    /// [`ContextError::Config`] names the size that is out of range.
     pub fn check(&self) -> Result<(), ContextError> {
         if self.channels.contains(&0) || self.hidden.contains(&0) {
             return Err(ContextError::Config("a group without channels or hidden values".to_owned()));

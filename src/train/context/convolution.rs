@@ -8,7 +8,7 @@ use crate::gpu::{Buffer, GpuError, Kernel, Plan, Recorder, kernel_source, planne
 /// Marks a layer without a bias.
 const NO_BIAS: u32 = u32::MAX;
 
-/// A tensor in a buffer that may hold more.
+/// A tensor inside a buffer.
 #[derive(Debug, Clone)]
 pub(super) struct Tensor {
     pub(super) buffer: Buffer<f32>,
@@ -25,16 +25,16 @@ impl Tensor {
     }
 }
 
-/// What is done with a layer's result before it is stored.
+/// What happens to a layer's result before it is stored.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Epilogue<'a> {
     /// Nothing.
     Linear,
     /// Negative values become zero.
     Relu,
-    /// Zero where this tensor of the output's shape is not above zero: the gradient before a ReLU.
+    /// Zero where this tensor of the output's shape is not positive: the gradient before a ReLU.
     Gate(&'a Tensor),
-    /// Added to what is there.
+    /// Added to the stored value.
     Add,
 }
 

@@ -20,7 +20,7 @@ use crate::{
 /// Bound of a fresh plane's values (METHOD.md §4.3).
 const FIRST_PLANE: f32 = 0.01;
 
-/// Smallest initial standard deviation, in base steps: below it all symbols are equal anyway.
+/// Smallest initial standard deviation, in base steps; with a smaller one all symbols are equal.
 const MIN_DEVIATION: f32 = 0.05;
 
 /// A convolution of stride two between a coarse and a fine tensor.
@@ -61,7 +61,7 @@ impl ConvSpec {
 /// The learning rate of each part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContextLearningRates {
-    /// Of the groups' networks; for what predicts means, in standard deviations of the channel.
+    /// Of the groups' networks; for outputs that predict means, in standard deviations of the channel.
     pub networks: f32,
     /// Of raw planes.
     pub planes: f32,
@@ -174,7 +174,7 @@ impl ContextLayout {
             fill(layer.weights..layer.bias + layer.coarse, bound);
         }
         for layer in &self.up {
-            // A fine value gets nine taps from four positions: a quarter of them from each.
+            // Nine taps over four positions: each fine value gets a quarter of them on average.
             let bound = 1.0 / (2.25 * layer.coarse as f32).sqrt();
             fill(layer.weights..layer.bias + layer.fine, bound);
         }
@@ -239,8 +239,8 @@ impl ContextLayout {
         }
     }
 
-    /// The planes as they are stored: latents and layers up. Meaningful once latents are parameters; values are those of
-    /// training, not rounded. None where networks are given no planes.
+    /// The planes as they are stored: latents and layers up, as trained, not rounded. Meaningful once latents are parameters.
+    /// `None` for networks without planes.
     #[must_use]
     pub fn stored_planes(&self, values: &[f32]) -> Option<Planes> {
         let config = &self.config.planes;
@@ -264,7 +264,7 @@ impl ContextLayout {
     /// Overwrites planes, layers and latents with those of another model, whose planes have the same sizes.
     ///
     /// # Errors
-    /// [`ContextError::Config`] if they have not, or if either model has none.
+    /// [`ContextError::Config`] if sizes differ or either model has no planes.
     pub fn copy_planes(&self, values: &mut [f32], other: &Self, from: &[f32]) -> Result<(), ContextError> {
         let has = |layout: &Self| layout.config.kind != ContextKind::Position;
         if !has(self) || !has(other) || self.config.planes != other.config.planes {

@@ -1,10 +1,9 @@
-//! The context model in training (TC-GS II-B and II-D, METHOD.md §4.2 to §4.6): planes, neighbours and the
-//! networks that expect an anchor's attributes of them, what those attributes then cost, and the quantisation that all of
-//! it is trained through.
+//! The context model in training (TC-GS II-B and II-D, METHOD.md §4.2 to §4.6): planes, neighbours, the networks
+//! that predict the distribution of an anchor's attributes, the bits that those then take, and the quantisation in between.
 //!
-//! What always holds: what a network is given of an anchor follows from integers that the codec has too; every sum has a
-//! fixed order, so the same state, sample and adapter give the same bits; and parameters change in
-//! [`ContextNet::step`] and [`ContextNet::latents_from_planes`] alone.
+//! Networks get only inputs that follow from integers which the codec has too. Every sum has a fixed order, so the same state,
+//! sample and adapter give the same bits. Parameters change in [`ContextNet::step`] and
+//! [`ContextNet::latents_from_planes`] alone.
 
 mod anchor_sample;
 mod anchor_tables;

@@ -1,5 +1,5 @@
-//! The context model in training, on the device: from a sample of anchors to what their groups' networks expect of their
-//! attributes, and from the gradients by that back to every parameter.
+//! The context model in training, on the device: the forward pass from a sample of anchors to the predicted distributions of
+//! their attributes, and the backward pass from those to every parameter.
 
 use std::sync::Arc;
 
@@ -26,10 +26,10 @@ pub struct ContextPass {
     /// Which planes the networks sample.
     pub source: PlaneSource,
     /// Weight of the mean absolute difference of raw planes and their reconstruction (TC-GS (5), METHOD.md §4.6: 0.01); zero
-    /// for none. Without meaning where latents are parameters.
+    /// for none. Ignored once latents are parameters.
     pub reconstruction: f32,
-    /// Where weights are used in the form in which they will be stored, the largest integer of one in a network: 127, 31 or 7
-    /// for 8, 6 or 4 bits. Those of layers up have 127.
+    /// If weights are rounded as they will be stored, their largest integer in a network: 127, 31 or 7 for 8, 6 or 4 bits.
+    /// Layers up always have 127.
     pub levels: Option<u8>,
     /// Whether planes, layers and latents learn; their gradients are zero if not.
     pub planes_learn: bool,
@@ -48,7 +48,7 @@ impl ContextPass {
         }
     }
 
-    /// Without layers there is nothing to learn of the difference.
+    /// Without layers the two are equal.
     fn adds_reconstruction(&self, layout: &ContextLayout) -> bool {
         self.reconstruction > 0.0
             && self.planes_learn
@@ -57,7 +57,7 @@ impl ContextPass {
     }
 }
 
-/// Everything that the next step depends on, on the host.
+/// The trainable state, on the host.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ContextState {
     /// The parameters.
@@ -125,8 +125,7 @@ fn parameter_gradients(layout: &ContextLayout) -> Plan<'static, Buffer<f32>> {
     Plan::buffer("gradients of context parameters", layout.parameters)
 }
 
-/// The context model in training. Nothing of a forward or backward pass lasts but gradients; only
-/// [`ContextNet::step`] changes parameters.
+/// The context model in training. A pass leaves nothing behind but gradients; only [`ContextNet::step`] changes parameters.
 #[derive(Debug)]
 pub struct ContextNet {
     device: Arc<Device>,
@@ -146,10 +145,10 @@ pub struct ContextNet {
 }
 
 impl ContextNet {
-    /// A model with the parameters of `state`, for anchors that [`Self::place`] is to name.
+    /// A model with the parameters of `state`; [`Self::place`] then sets the anchors.
     ///
     /// # Errors
-    /// [`ContextError`] for sizes that are not known or a state of another length; errors of the device.
+    /// [`ContextError`] for unsupported sizes or a state of another length; errors of the device.
     pub fn new(
         device: &Arc<Device>,
         config: ContextConfig,
@@ -181,17 +180,16 @@ impl ContextNet {
         })
     }
 
-    /// Columns that there is room for where samples of `sample` anchors are asked for: a quarter more, so that growth rarely
-    /// makes new buffers.
+    /// Columns of the buffers for samples of `sample` anchors: a quarter more, so that growth rarely reallocates.
     #[must_use]
     pub fn capacity(sample: usize) -> usize {
         sample + sample / 4
     }
 
-    /// Bytes on the device of a model on `anchors` anchors once samples of `sample` of them were learnt from.
+    /// Bytes on the device for `anchors` anchors and samples of `sample` of them, once a step was made.
     ///
     /// # Errors
-    /// [`ContextError::Config`] for sizes that are not known.
+    /// [`ContextError::Config`] for unsupported sizes.
     pub fn bytes(config: &ContextConfig, anchors: usize, sample: usize) -> Result<u64, ContextError> {
         let layout = ContextLayout::new(*config)?;
         let planes = if config.kind.sampled() > 0 { PlanePass::plan(&layout).bytes() } else { 0 };
@@ -205,13 +203,13 @@ impl ContextNet {
             + planes)
     }
 
-    /// Where everything is among the parameters.
+    /// The layout of the parameters.
     #[must_use]
     pub fn layout(&self) -> &ContextLayout {
         &self.layout
     }
 
-    /// Sets the anchors, whenever they have changed.
+    /// Sets the anchors; call it whenever they change.
     ///
     /// # Errors
     /// [`ContextError::Anchors`] for tables that do not fit the model; errors of the device.
@@ -227,7 +225,7 @@ impl ContextNet {
     /// Records the networks' outputs for a sample of anchors: distinct indices, in the order of their columns.
     ///
     /// # Errors
-    /// [`ContextError::Anchors`] for an anchor that there is not or one that is there twice; errors of the device.
+    /// [`ContextError::Anchors`] for an index out of range or one given twice; errors of the device.
     pub fn forward(
         &mut self,
         recorder: &mut Recorder<'_>,
@@ -240,7 +238,7 @@ impl ContextNet {
             rounded.record(recorder, &self.parameters, levels)?;
         }
         let stored = if pass.levels.is_some() { rounded.values() } else { &self.parameters };
-        // Without planes nothing of them is read: any buffer will do.
+        // Without planes these bindings are not read; any buffer is valid.
         let mut sampled = Tensor::at(&self.parameters, 0);
         if let Some(planes) = planes {
             if pass.reconstructs(layout) {
@@ -265,8 +263,8 @@ impl ContextNet {
         Ok(())
     }
 
-    /// Records the gradients by all parameters from those by the outputs of the last forward pass. Nothing of parameters
-    /// may have changed since.
+    /// Records the gradients by all parameters from those by the outputs of the last forward pass. Parameters must not have
+    /// changed since.
     ///
     /// # Errors
     /// [`RenderError::OutOfStep`] before a forward pass; errors of the device.
@@ -342,7 +340,7 @@ impl ContextNet {
     /// Records an optimiser step with the last gradients.
     ///
     /// # Errors
-    /// [`ContextError::Config`] if the statistics are of other channels; errors of the device.
+    /// [`ContextError::Config`] if the statistics have another number of channels; errors of the device.
     pub fn step(
         &self,
         recorder: &mut Recorder<'_>,
@@ -356,13 +354,13 @@ impl ContextNet {
         Ok(())
     }
 
-    /// Records that the latents become what the raw planes are now: they are parameters of their own from here on.
+    /// Records setting the latents from the raw planes. From here on latents are parameters of their own.
     pub fn latents_from_planes(&self, recorder: &mut Recorder<'_>) -> Result<(), TrainError> {
         if let Some(planes) = &self.planes {
             let latents = planes.down(recorder, &self.layout, &self.parameters)?;
             let (from, to) = (latents.first, &self.layout.latents);
             if self.layout.down.is_empty() {
-                // A buffer cannot be copied onto itself: by way of one that is overwritten anyway.
+                // A buffer cannot be copied onto itself; this one is overwritten later in any case.
                 let by = self.rounded.values();
                 recorder.copy(&latents.buffer, from, by, 0, to.len());
                 recorder.copy(by, 0, &self.parameters, to.start, to.len());
@@ -373,7 +371,7 @@ impl ContextNet {
         Ok(())
     }
 
-    /// How many anchors the last forward pass was given, then which.
+    /// The last forward pass's number of anchors, then their indices.
     #[must_use]
     pub fn sample(&self) -> &Buffer<u32> {
         &self.on.list
@@ -385,13 +383,13 @@ impl ContextNet {
         self.on.capacity
     }
 
-    /// The networks' outputs, column-major, a group after the other from the rows of [`ContextConfig::output_rows`].
+    /// The networks' outputs, column-major; each group's begin at its row of [`ContextConfig::output_rows`].
     #[must_use]
     pub fn outputs(&self) -> &Buffer<f32> {
         &self.on.outputs
     }
 
-    /// Where a loss's gradients by the outputs belong; every value of a sampled column has to be written.
+    /// Buffer for a loss's gradients by the outputs; every value of a sampled column must be written.
     #[must_use]
     pub fn output_gradients(&self) -> &Buffer<f32> {
         &self.on.d_outputs
@@ -403,7 +401,7 @@ impl ContextNet {
         &self.parameters
     }
 
-    /// The parameters as the last forward pass used them: rounded where it asked for that.
+    /// The parameters as the last forward pass used them, rounded if it was asked to.
     #[must_use]
     pub fn stored(&self) -> &Buffer<f32> {
         if self.last.is_some_and(|pass| pass.levels.is_some()) {
@@ -419,7 +417,7 @@ impl ContextNet {
         &self.gradients
     }
 
-    /// Everything that the next step depends on. Waits for the device.
+    /// Reads back the trainable state. Waits for the device.
     pub fn save(&self) -> Result<ContextState, TrainError> {
         Ok(ContextState {
             values: self.device.read(&self.parameters)?,

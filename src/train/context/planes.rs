@@ -1,7 +1,7 @@
-//! Planes down to latents and up again on the device, and the gradients back.
+//! Downsamples planes to latents and upsamples them again on the device, with gradients.
 //!
-//! Latents are always rounded as they will be stored before they go up, with straight-through gradients, so what is
-//! reconstructed in training is what a file can hold.
+//! Latents are rounded as they will be stored before upsampling, with straight-through gradients, so training sees the planes that a
+//! file holds.
 
 use std::sync::Arc;
 
@@ -16,13 +16,13 @@ use crate::gpu::{Buffer, GpuError, Kernel, Plan, Recorder, kernel_source, planne
 pub enum PlaneSource {
     /// The raw planes.
     Raw,
-    /// What comes of the raw planes by way of rounded latents.
+    /// The raw planes' reconstruction from rounded latents.
     Reconstructed,
-    /// What comes of the latents that are parameters of their own, rounded.
+    /// The reconstruction from latents that are parameters of their own, rounded.
     Latents,
 }
 
-/// Tensors on the way from planes to latents and back, or their gradients.
+/// Intermediate tensors between planes and latents, or their gradients.
 #[derive(Debug)]
 struct Tensors {
     /// Outputs of the layers down; the last are the latents before rounding.
@@ -48,7 +48,7 @@ impl Tensors {
     }
 }
 
-/// Planes as the networks are to see them.
+/// The planes that the networks sample.
 #[derive(Debug)]
 pub(super) struct PlanePass {
     convolutions: Convolutions,
@@ -69,7 +69,7 @@ impl PlanePass {
         })
     }
 
-    /// Where the planes of `source` are.
+    /// The tensor with the planes of `source`.
     pub(super) fn planes(
         &self,
         source: PlaneSource,
@@ -82,7 +82,7 @@ impl PlanePass {
         }
     }
 
-    /// Where the gradient by the planes of `source` belongs: among the parameters' where they are parameters themselves.
+    /// The tensor for the gradient by the planes of `source`: among the parameters' gradients if the planes are parameters.
     pub(super) fn plane_gradients(
         &self,
         source: PlaneSource,
@@ -97,7 +97,7 @@ impl PlanePass {
         }
     }
 
-    /// Records the way from raw planes down to latents; says where these are, not rounded.
+    /// Records downsampling the raw planes; returns the tensor of latents, not rounded.
     pub(super) fn down(
         &self,
         recorder: &mut Recorder<'_>,
@@ -114,8 +114,8 @@ impl PlanePass {
         Ok(source)
     }
 
-    /// Records the way from latents, which are rounded first, up to planes. `stored` are the parameters in the form in
-    /// which they are used.
+    /// Records rounding the latents and upsampling them to planes. `stored` are the parameters as they are used, perhaps
+    /// rounded.
     pub(super) fn up(
         &self,
         recorder: &mut Recorder<'_>,
@@ -140,13 +140,12 @@ impl PlanePass {
         Ok(())
     }
 
-    /// Records that nothing asks for the reconstructed planes' gradient yet.
+    /// Records clearing the gradient by the reconstructed planes.
     pub(super) fn clear_gradients(&self, recorder: &mut Recorder<'_>) {
         recorder.clear(&self.back.planes().buffer);
     }
 
-    /// Records the gradients of the mean absolute difference of raw and reconstructed planes, added to those that are
-    /// there.
+    /// Records adding the gradients of the mean absolute difference of raw and reconstructed planes.
     pub(super) fn reconstruction_gradient(
         &self,
         recorder: &mut Recorder<'_>,
@@ -172,8 +171,8 @@ impl PlanePass {
         Ok(())
     }
 
-    /// Records the gradients by the layers up and by the latents from those by their planes; says where the latter are.
-    /// There is at least one layer.
+    /// Records the gradients by the layers up and by the latents from those by their planes; returns the tensor of the
+    /// latents' gradients. There must be at least one layer.
     pub(super) fn up_gradient(
         &self,
         recorder: &mut Recorder<'_>,
@@ -197,12 +196,12 @@ impl PlanePass {
         Ok(())
     }
 
-    /// Where the gradient by latents that are no parameters belongs.
+    /// The tensor for the gradient by latents that are not parameters.
     pub(super) fn latent_gradients(&self) -> &Tensor {
         self.back.down.last().unwrap_or(&self.back.latents)
     }
 
-    /// Records the gradients by the layers down from those by the latents, and adds those by raw planes to what is there.
+    /// Records the gradients by the layers down from those by the latents, and adds the gradients by raw planes.
     pub(super) fn down_gradient(
         &self,
         recorder: &mut Recorder<'_>,

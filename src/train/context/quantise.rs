@@ -1,4 +1,4 @@
-//! Rows as they are rendered while training prepares them for a file: with noise of the steps' width, then rounded
+//! Quantises rows for rendering during training: first by noise as wide as the quantisation steps, then by rounding
 //! (METHOD.md §4.2).
 //!
 //! Noise is a hash of seed, step, anchor and column, so a repeated step has the same noise. Scalings are quantised as linear values,
