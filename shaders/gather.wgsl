@@ -1,4 +1,5 @@
-// Sums each Gaussian's slots in order. Rows of Gaussians that touch no tile are not written, and never read.
+// Sums each Gaussian's slots in a fixed order: in runs, and runs of runs, so that the rounding of a sum over ten million slots
+// is that of a chain of a few hundred additions. Rows of Gaussians that touch no tile are not written, and never read.
 
 #import tcgs::view::View
 
@@ -10,6 +11,41 @@
 // Three vectors a Gaussian, laid out as the splats.
 @group(0) @binding(5) var<storage, read_write> v_splats: array<vec4<f32>>;
 
+const RUN: u32 = 256u;
+
+struct Sums {
+    place: vec4<f32>,
+    conic: vec4<f32>,
+    color: vec4<f32>,
+}
+
+fn zero() -> Sums {
+    return Sums(vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0));
+}
+
+fn sum(a: Sums, b: Sums) -> Sums {
+    return Sums(a.place + b.place, a.conic + b.conic, a.color + b.color);
+}
+
+fn slots(first: u32, end: u32) -> Sums {
+    var sums = zero();
+    for (var slot = first; slot < end; slot++) {
+        let j = 9u * slot;
+        sums.place += vec4<f32>(slot_gradients[j], slot_gradients[j + 1u], slot_gradients[j + 2u], 0.0);
+        sums.conic += vec4<f32>(slot_gradients[j + 3u], slot_gradients[j + 4u], slot_gradients[j + 5u], 0.0);
+        sums.color += vec4<f32>(slot_gradients[j + 6u], slot_gradients[j + 7u], slot_gradients[j + 8u], 0.0);
+    }
+    return sums;
+}
+
+fn runs(first: u32, end: u32) -> Sums {
+    var sums = zero();
+    for (var run = first; run < end; run += RUN) {
+        sums = sum(sums, slots(run, min(end, run + RUN)));
+    }
+    return sums;
+}
+
 @compute @workgroup_size(64)
 fn gather(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let total = min(count[0], view.gaussian_capacity);
@@ -17,19 +53,14 @@ fn gather(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups)
         if tiles[i] == 0u {
             continue;
         }
-        var place = vec4<f32>(0.0);
-        var conic = vec4<f32>(0.0);
-        var color = vec4<f32>(0.0);
         let first = min(first_slots[i], view.intersection_capacity);
         let end = first + min(tiles[i], view.intersection_capacity - first);
-        for (var slot = first; slot < end; slot++) {
-            let j = 9u * slot;
-            place += vec4<f32>(slot_gradients[j], slot_gradients[j + 1u], slot_gradients[j + 2u], 0.0);
-            conic += vec4<f32>(slot_gradients[j + 3u], slot_gradients[j + 4u], slot_gradients[j + 5u], 0.0);
-            color += vec4<f32>(slot_gradients[j + 6u], slot_gradients[j + 7u], slot_gradients[j + 8u], 0.0);
+        var sums = zero();
+        for (var part = first; part < end; part += RUN * RUN) {
+            sums = sum(sums, runs(part, min(end, part + RUN * RUN)));
         }
-        v_splats[3u * i] = place;
-        v_splats[3u * i + 1u] = conic;
-        v_splats[3u * i + 2u] = color;
+        v_splats[3u * i] = sums.place;
+        v_splats[3u * i + 1u] = sums.conic;
+        v_splats[3u * i + 2u] = sums.color;
     }
 }

@@ -2,7 +2,7 @@
 // (METHOD.md §2.2; in the published code always the world's).
 // Column-major: input[row * capacity + visible index]. A feature value that is not finite reads as zero: it would make
 // the gradients of the weights that all anchors share NaN.
-#import tcgs::anchor_view::View
+#import tcgs::anchor_view::{View, ray_to}
 #import tcgs::finite::below
 #import tcgs::model::{FEATURES, LIMIT, ROW}
 
@@ -24,7 +24,7 @@ fn network_input(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_
         let value = rows[anchor * ROW + feature];
         input[feature * capacity + index] = select(0.0, value, below(value, LIMIT));
     }
-    let ray = positions[anchor].xyz - view.center.xyz;
+    let ray = ray_to(view, positions[anchor].xyz);
     let distance = max(length(ray), 1e-12);
     let direction = ray / distance;
     input[FEATURES * capacity + index] = direction.x;

@@ -1,6 +1,6 @@
 // Projects each Gaussian onto the image and counts the tiles it touches; zero tiles means culled.
 
-#import tcgs::view::View
+#import tcgs::view::{View, to_camera}
 #import tcgs::finite::all_finite
 #import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::splat::{ALPHA_MIN, ridges_of, tile_bounds, touches_tile}
@@ -23,8 +23,7 @@ fn project_one(i: u32) -> u32 {
     if !all_finite(mean_opacity) || !all_finite(vec4<f32>(scale, 0.0)) || !all_finite(raw) || !all_finite(vec4<f32>(color, 0.0)) {
         return 0u;
     }
-    let mean = vec4<f32>(mean_opacity.xyz, 1.0);
-    let t = vec3<f32>(dot(view.right, mean), dot(view.down, mean), dot(view.forward, mean));
+    let t = to_camera(view, mean_opacity.xyz);
     let norm = dot(raw, raw);
     if !all_finite(vec4<f32>(t, norm)) || !(t.z > view.near) || !(norm > 1e-30) {
         return 0u;

@@ -1,6 +1,6 @@
 // Gradients of the Gaussians from those of their projections; zero where culled. Rows beyond the count are not written.
 
-#import tcgs::view::View
+#import tcgs::view::{View, to_camera}
 #import tcgs::geometry::{quat_row, scale_row}
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -21,7 +21,6 @@ fn clear(i: u32) {
 }
 
 fn project_one_backward(i: u32) {
-    let mean = vec4<f32>(geometry[i].xyz, 1.0);
     let opacity = geometry[i].w;
     let scale = geometry[scale_row(view.gaussian_capacity, i)].xyz;
     let raw = geometry[quat_row(view.gaussian_capacity, i)];
@@ -30,7 +29,7 @@ fn project_one_backward(i: u32) {
     let v_color = v_splats[3u * i + 2u];
 
     // Recomputes the projection of the forward kernel.
-    let t = vec3<f32>(dot(view.right, mean), dot(view.down, mean), dot(view.forward, mean));
+    let t = to_camera(view, geometry[i].xyz);
     let inverse_norm = inverseSqrt(dot(raw, raw));
     let q = raw * inverse_norm;
     let w = q.x;

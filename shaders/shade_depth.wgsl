@@ -1,8 +1,10 @@
 // Replaces each Gaussian's colour by its depth: the rasteriser then blends the expected depth times the pixel's alpha.
 
 struct Depths {
-    // The third row of the world-to-camera rotation; w is the translation.
+    // The third row of the world-to-camera rotation; w is the depth of `eye`.
     forward: vec4<f32>,
+    // The camera centre, rounded.
+    eye: vec4<f32>,
     count: u32,
 }
 
@@ -16,6 +18,6 @@ fn shade_depth(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     if i >= depths.count {
         return;
     }
-    let depth = dot(depths.forward, vec4<f32>(geometry[i].xyz, 1.0));
+    let depth = dot(depths.forward.xyz, geometry[i].xyz - depths.eye.xyz) + depths.forward.w;
     colors[i] = vec4<f32>(depth, 0.0, 0.0, 0.0);
 }

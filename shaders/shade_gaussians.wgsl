@@ -4,7 +4,7 @@
 #import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::plain::{
     View, BASE, LOG_SCALE, QUAT, OPACITY, COLOR, DEGREE, ALPHA_MIN, SH_ZERO, bands_at, basis_of_one, basis_of_two,
-    basis_of_three,
+    basis_of_three, ray_to, to_camera,
 }
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -26,8 +26,7 @@ fn shade_gaussians(@builtin(workgroup_id) group: vec3u, @builtin(local_invocatio
     let row = i * BASE;
     let mean = vec3f(base[row], base[row + 1u], base[row + 2u]);
     let opacity = 1.0 / (1.0 + exp(-base[row + OPACITY]));
-    let depth = dot(view.forward.xyz, mean) + view.forward.w;
-    if !(depth > view.eye.w && opacity >= ALPHA_MIN) {
+    if !(to_camera(view, mean).z > view.eye.w && opacity >= ALPHA_MIN) {
         geometry[i] = vec4f(0.0);
         return;
     }
@@ -40,7 +39,7 @@ fn shade_gaussians(@builtin(workgroup_id) group: vec3u, @builtin(local_invocatio
     var color = 0.5 + SH_ZERO * vec3f(base[c], base[c + 1u], base[c + 2u]);
     if DEGREE > 0u {
         let at = bands_at(view, i);
-        let d = normalize(mean - view.eye.xyz);
+        let d = normalize(ray_to(view, mean));
         let b = basis_of_one(d);
         color += b.x * coefficient(at.x) + b.y * coefficient(at.x + 3u) + b.z * coefficient(at.x + 6u);
         if DEGREE > 1u {

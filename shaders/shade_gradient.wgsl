@@ -3,7 +3,7 @@
 #import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::plain::{
     View, BASE, LOG_SCALE, QUAT, OPACITY, COLOR, BAND_VALUES, DEGREE, SH_ZERO, bands_at, basis_of_one, basis_of_two,
-    basis_of_three, slope_of_one, slope_of_two, slope_of_three,
+    basis_of_three, ray_to, slope_of_one, slope_of_two, slope_of_three,
 }
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -113,7 +113,7 @@ fn shade_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
     let v = select(vec3f(0.0), d_colors[i].xyz, colors[i].xyz > vec3f(0.0));
     var d_mean = d.xyz;
     if DEGREE > 0u {
-        let ray = mean_opacity.xyz - view.eye.xyz;
+        let ray = ray_to(view, mean_opacity.xyz);
         let inverse_distance = inverseSqrt(dot(ray, ray));
         let direction = ray * inverse_distance;
         let slope = by_direction(i, direction, v);

@@ -1,6 +1,6 @@
 // Turns the networks' outputs into the Gaussians of a view (METHOD.md §2.3): Gaussian `index * OFFSETS + k` is
 // offset k of the index-th visible anchor. There is none where the opacity is not positive or its output not finite, the
-// mask is off, or position or size is not finite.
+// mask is off, or position or size is not finite. Positions are relative to the view's `center`.
 #import tcgs::anchor_view::View
 #import tcgs::finite::{below, each_below, finite}
 #import tcgs::geometry::{quat_row, scale_row}
@@ -26,7 +26,7 @@ fn spawn_gaussians(@builtin(workgroup_id) group: vec3u, @builtin(local_invocatio
     let capacity = view.counts.y;
     let gaussians = capacity * OFFSETS;
     let row = anchor * ROW;
-    let position = positions[anchor].xyz;
+    let position = positions[anchor].xyz - view.center.xyz;
     let s = row + SCALING_COLUMN;
     let reach = exp(vec3f(rows[s], rows[s + 1u], rows[s + 2u]));
     let size = exp(vec3f(rows[s + 3u], rows[s + 4u], rows[s + 5u]));

@@ -45,6 +45,7 @@ pub(crate) fn shell(device: &Device, count: usize) -> Gaussians {
     Gaussians {
         count: device.upload("count", &[count as u32]).unwrap(),
         capacity: count,
+        origin: [0.0; 3],
         geometry: device.upload("geometry", &[means, scales, quats].concat()).unwrap(),
         colors: device.upload("colors", &colors).unwrap(),
     }

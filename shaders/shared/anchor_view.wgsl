@@ -1,12 +1,11 @@
 #define_import_path tcgs::anchor_view
 
-// One view of the anchors. `rotation` holds the rows of the world-to-camera rotation, each with the matching
-// translation component in w.
+// One view of the anchors. The rows are those of the world-to-camera rotation; w is the image of `center`.
 struct View {
     row_x: vec4f,
     row_y: vec4f,
     row_z: vec4f,
-    // w is the reciprocal of the scene scale that the networks' distances are divided by
+    // The camera centre, rounded; w is the reciprocal of the scene scale that the networks' distances are divided by
     center: vec4f,
     // fx, fy, cx, cy in pixels
     intrinsics: vec4f,
@@ -16,10 +15,15 @@ struct View {
     counts: vec4u,
 }
 
+// Camera coordinates of a world point, by its exact difference to the rounded centre (`tcgs::view::to_camera`).
 fn to_camera(view: View, p: vec3f) -> vec3f {
-    return vec3f(
-        dot(view.row_x.xyz, p) + view.row_x.w,
-        dot(view.row_y.xyz, p) + view.row_y.w,
-        dot(view.row_z.xyz, p) + view.row_z.w,
-    );
+    let d = p - view.center.xyz;
+    return vec3f(dot(view.row_x.xyz, d), dot(view.row_y.xyz, d), dot(view.row_z.xyz, d))
+        + vec3f(view.row_x.w, view.row_y.w, view.row_z.w);
+}
+
+// From the camera to a world point, in world axes.
+fn ray_to(view: View, p: vec3f) -> vec3f {
+    let t = to_camera(view, p);
+    return t.x * view.row_x.xyz + t.y * view.row_y.xyz + t.z * view.row_z.xyz;
 }

@@ -1,6 +1,6 @@
 #define_import_path tcgs::geometry
 
-// Gaussians' geometry, and its gradients, lie in one buffer of three sections of `capacity` rows each: position and opacity;
+// Gaussians' geometry, and its gradients, lie in one buffer of three sections of `capacity` rows each: position, relative to an origin that the host knows, and opacity;
 // standard deviations along the axes, the fourth unused; the quaternion w, x, y, z. A Gaussian's index is its row in the
 // first section.
 

@@ -17,15 +17,30 @@ const ALPHA_MIN: f32 = 1.0 / 255.0;
 
 // One view of the Gaussians.
 struct View {
-    // Row of the world-to-camera rotation that gives the depth; w is the translation.
+    // Rows of the world-to-camera rotation; w is the image of `eye`.
+    right: vec4f,
+    down: vec4f,
     forward: vec4f,
-    // Centre of the camera; w is the near plane.
+    // The camera centre, rounded; w is the near plane.
     eye: vec4f,
     // Half the width and height of the image in pixels.
     half_size: vec2f,
     // Gaussians.
     count: u32,
     unused: u32,
+}
+
+// Camera coordinates of a world point, by its exact difference to the rounded centre (`tcgs::view::to_camera`).
+fn to_camera(view: View, mean: vec3f) -> vec3f {
+    let d = mean - view.eye.xyz;
+    return vec3f(dot(view.right.xyz, d), dot(view.down.xyz, d), dot(view.forward.xyz, d))
+        + vec3f(view.right.w, view.down.w, view.forward.w);
+}
+
+// From the camera to a world point, in world axes.
+fn ray_to(view: View, mean: vec3f) -> vec3f {
+    let t = to_camera(view, mean);
+    return t.x * view.right.xyz + t.y * view.down.xyz + t.z * view.forward.xyz;
 }
 
 // Constants of the real spherical harmonics, by degree.

@@ -2,10 +2,12 @@
 
 // A camera, its image and the settings of the rasteriser.
 struct View {
-    // Rows of the world-to-camera rotation; w is the translation.
+    // Rows of the world-to-camera rotation; w is the image of `eye`.
     right: vec4<f32>,
     down: vec4<f32>,
     forward: vec4<f32>,
+    // The camera centre, rounded.
+    eye: vec4<f32>,
     background: vec4<f32>,
     focal: vec2<f32>,
     center: vec2<f32>,
@@ -19,6 +21,14 @@ struct View {
     antialiased: u32,
     gaussian_capacity: u32,
     intersection_capacity: u32,
+}
+
+// Camera coordinates of a world point. The difference to a point near the camera is exact, however far both are from the
+// origin; a translation would be a number as large as that distance, and the sum would cancel.
+fn to_camera(view: View, mean: vec3<f32>) -> vec3<f32> {
+    let d = mean - view.eye.xyz;
+    return vec3<f32>(dot(view.right.xyz, d), dot(view.down.xyz, d), dot(view.forward.xyz, d))
+        + vec3<f32>(view.right.w, view.down.w, view.forward.w);
 }
 
 // Elements of the rasteriser's counters: pairs that the first overflowed pass required, or 0; passes completed before it;

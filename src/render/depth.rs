@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use super::{Gaussians, RenderError};
+use super::{Gaussians, RenderError, projection::CenteredPose};
 use crate::{
     domain::Camera,
     gpu::{Binding, Buffer, Device, Kernel, Recorder, kernel_source},
@@ -15,6 +15,7 @@ use crate::{
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct DepthUniform {
     forward: [f32; 4],
+    eye: [f32; 4],
     count: u32,
     unused: [u32; 3],
 }
@@ -55,9 +56,9 @@ impl DepthShader {
         if self.colors.len() != gaussians.capacity {
             self.colors = device.buffer("depths as colours", gaussians.capacity)?;
         }
-        let forward = camera.pose.rotation().row(2).extend(camera.pose.translation().z);
+        let pose = CenteredPose::of(camera).relative_to(gaussians.origin);
         let count = u32::try_from(gaussians.capacity).unwrap_or(u32::MAX);
-        let uniform = DepthUniform { forward: forward.as_vec4().to_array(), count, unused: [0; 3] };
+        let uniform = DepthUniform { forward: pose.rows[2], eye: pose.eye_and(0.0), count, unused: [0; 3] };
         recorder.write(&self.uniform, &[uniform]);
         let buffers: [Binding<'_>; 3] = [&self.uniform, &gaussians.geometry, &self.colors];
         recorder.dispatch(&self.kernel, &buffers, count.div_ceil(64));

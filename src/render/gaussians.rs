@@ -15,7 +15,10 @@ pub struct Gaussians {
     pub count: Buffer<u32>,
     /// Rows of the colours and of every section of the geometry.
     pub capacity: usize,
-    /// `[3][capacity]`: world position, and opacity (linear; below 1/255 is culled); then standard deviations along the axes, in
+    /// World position that the rows' positions are relative to. Near a camera that is far from the world's origin, f32 has positions
+    /// relative to the camera far more accurately than the world's.
+    pub origin: [f32; 3],
+    /// `[3][capacity]`: position, and opacity (linear; below 1/255 is culled); then standard deviations along the axes, in
     /// world units, the fourth unused; then rotation w, x, y, z, of any length but zero (zero is culled).
     pub geometry: Buffer<[f32; 4]>,
     /// Red, green, blue as blended; the fourth is unused.
@@ -29,6 +32,7 @@ impl Gaussians {
         planned!(Self {
             count: Plan::buffer("gaussian count", counts),
             capacity: Plan::value(capacity),
+            origin: Plan::value([0.0; 3]),
             geometry: Plan::buffer("geometry", GEOMETRY_SECTIONS * capacity),
             colors: Plan::buffer("colours", capacity),
         })

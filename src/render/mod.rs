@@ -23,7 +23,7 @@ pub use gaussians::{GEOMETRY_SECTIONS, GaussianGradients, Gaussians};
 pub use neural::NeuralGaussians;
 pub use plain::{DeviceGaussians, PlainGaussians, STATISTICS};
 pub use projection::{Projection, RasterSettings, TILE};
-pub use rasterizer::{ForwardPasses, RasterCounts, Rasterizer};
+pub use rasterizer::{ForwardPasses, RasterCounts, Rasterizer, sum_slots};
 pub use scene_renderer::SceneRenderer;
 pub use scene_viewer::SceneViewer;
 pub use views::RenderViews;

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use super::{
     Activation, AnchorGradients, Columns, DenseLayers, DeviceAnchors, GaussianGradients, Gaussians,
-    InputGradient, Rasterizer, RenderError,
+    InputGradient, Rasterizer, RenderError, projection::CenteredPose,
 };
 use crate::{
     domain::{Camera, SceneScale},
@@ -290,6 +290,8 @@ impl NeuralGaussians {
         self.fit(anchors.count)?;
         self.holds_outputs = true;
         recorder.write(&self.view, &[self.view_uniform(anchors.count, camera, volume_weight)]);
+        // Offsets are small beside a far anchor's position, which the kernel therefore takes relative to the camera.
+        self.forward.gaussians.origin = CenteredPose::of(camera).eye;
         let (kernels, on) = (&self.kernels, &self.forward);
         let view = &self.view;
         let groups = anchors.count.div_ceil(64) as u32;
@@ -430,18 +432,11 @@ impl NeuralGaussians {
     }
 
     fn view_uniform(&self, anchors: usize, camera: &Camera, volume_weight: f32) -> ViewUniform {
-        let rotation = camera.pose.rotation().transpose();
-        let translation = camera.pose.translation();
-        let center = camera.pose.center();
-        let row = |axis: glam::DVec3, shift: f64| [axis.x as f32, axis.y as f32, axis.z as f32, shift as f32];
+        let pose = CenteredPose::of(camera);
         let k = &camera.intrinsics;
         ViewUniform {
-            rows: [
-                row(rotation.x_axis, translation.x),
-                row(rotation.y_axis, translation.y),
-                row(rotation.z_axis, translation.z),
-            ],
-            center: row(center, f64::from(self.scene_scale.length().recip())),
+            rows: pose.rows,
+            center: pose.eye_and(self.scene_scale.length().recip()),
             intrinsics: [k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32],
             image: [k.width as f32, k.height as f32, self.near, volume_weight],
             counts: [anchors as u32, self.capacity as u32, 0, 0],

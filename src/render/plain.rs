@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use super::{GaussianGradients, Gaussians, RenderError};
+use super::{GaussianGradients, Gaussians, RenderError, projection::CenteredPose};
 use crate::{
     domain::Camera,
     gpu::{AdapterReport, Buffer, Device, Kernel, Plan, Recorder, kernel_source, planned},
@@ -25,7 +25,7 @@ pub const STATISTICS: usize = 3;
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct ViewUniform {
-    forward: [f32; 4],
+    rows: [[f32; 4]; 3],
     eye: [f32; 4],
     half_size: [f32; 2],
     count: u32,
@@ -254,11 +254,11 @@ impl PlainGaussians {
     }
 
     fn view_uniform(&self, count: usize, camera: &Camera) -> ViewUniform {
-        let forward = camera.pose.rotation().row(2).extend(camera.pose.translation().z);
+        let pose = CenteredPose::of(camera);
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         ViewUniform {
-            forward: forward.as_vec4().to_array(),
-            eye: camera.pose.center().extend(f64::from(self.near)).as_vec4().to_array(),
+            rows: pose.rows,
+            eye: pose.eye_and(self.near),
             half_size: size.map(|side| 0.5 * side as f32),
             count: count as u32,
             unused: 0,

@@ -14,7 +14,7 @@ const COUNTERS: usize = 4;
 const DEPTH_BITS: u32 = 31;
 
 /// Rows of four floats of a projected Gaussian: place, conic, colour.
-const SPLAT_ROWS: usize = 3;
+pub(super) const SPLAT_ROWS: usize = 3;
 
 /// Floats of each slot of the backward pass: centre 2, opacity, conic 3, colour 3.
 pub(super) const SLOT_FLOATS: usize = 9;

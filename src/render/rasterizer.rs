@@ -14,15 +14,15 @@ use super::{
     GEOMETRY_SECTIONS, GaussianGradients, Gaussians, RasterSettings, RenderError,
     projection::{Projection, TILE, View},
     raster_buffers::{
-        COMPLETED, INTERSECTIONS, PerGaussian, PerImage, PerIntersection, REQUIRED, SLOT_FLOATS, VISIBLE,
-        counter_plan, tile_bits, tiles, view_plan,
+        COMPLETED, INTERSECTIONS, PerGaussian, PerImage, PerIntersection, REQUIRED, SLOT_FLOATS, SPLAT_ROWS,
+        VISIBLE, counter_plan, tile_bits, tiles, view_plan,
     },
 };
 use crate::{
     domain::Camera,
     gpu::{
-        AdapterReport, Buffer, Device, GpuError, Kernel, MIN_LANES, RadixSort, Recorder, Subgroups,
-        kernel_source,
+        AdapterReport, Binding, Buffer, Device, GpuError, Kernel, MIN_LANES, RadixSort, Recorder, Subgroups,
+        kernel_source, twin,
     },
 };
 
@@ -195,7 +195,7 @@ impl Rasterizer {
         check_columns(gaussians)?;
         let projection = Projection::new(camera, &self.settings);
         self.fit(gaussians.capacity, &projection)?;
-        let view = View::new(&projection, background, self.gaussians.capacity, self.intersections.capacity);
+        let view = View::new(&projection, background, gaussians, self.intersections.capacity);
         recorder.write(&self.view, &[view]);
         self.order(recorder, gaussians);
         let slots = self.list(recorder);
@@ -457,6 +457,34 @@ impl Rasterizer {
             self.kernels.groups_a_tile * image.tiles,
         );
     }
+}
+
+/// Sums of `gradients` (nine floats a slot) over the slots of each Gaussian, which follow one another and of which there are
+/// `tiles`: place and opacity, conic, colour, as the backward pass makes them. Waits for the device.
+///
+/// # Errors
+/// [`RenderError::Length`] unless there are as many slots as tiles; faults of the device.
+pub fn sum_slots(
+    device: &Device,
+    gradients: &Buffer<f32>,
+    tiles: &[u32],
+) -> Result<Vec<[f32; SLOT_FLOATS]>, RenderError> {
+    let (count, slots) = (tiles.len(), tiles.iter().map(|tiles| *tiles as usize).sum::<usize>());
+    check("the slots", gradients.len(), SLOT_FLOATS * slots)?;
+    let kernel = device.kernel(kernel_source!("gather"), &[])?;
+    let view = device.upload("view", &[View::of_rows(count, slots)])?;
+    let (first_slots, _) = twin::scan(tiles);
+    let sums = device.buffer::<[f32; 4]>("sums of slots", SPLAT_ROWS * count)?;
+    let rows = device.upload("count", &[count as u32])?;
+    let tiles = device.upload("tiles", tiles)?;
+    let first_slots = device.upload("first slots", &first_slots)?;
+    let mut recorder = device.recorder("sums of slots");
+    let buffers: [Binding<'_>; 6] = [&view, &rows, &tiles, &first_slots, gradients, &sums];
+    recorder.dispatch(&kernel, &buffers, (count.div_ceil(64) as u32).max(1));
+    recorder.submit()?;
+    let sums = device.read(&sums)?;
+    let (rows, _) = sums.as_chunks::<SPLAT_ROWS>();
+    Ok(rows.iter().map(|[p, k, c]| [p[0], p[1], p[2], k[0], k[1], k[2], c[0], c[1], c[2]]).collect())
 }
 
 /// A quarter more than is wanted, so that growing is rare, but not so much more that only the spare part cannot be bound.

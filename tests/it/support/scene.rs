@@ -43,6 +43,7 @@ impl Scene {
         Gaussians {
             count: device.upload("count", &[self.len() as u32]).expect("count"),
             capacity: self.len(),
+            origin: [0.0; 3],
             geometry: device.upload("geometry", &self.geometry()).expect("geometry"),
             colors: device.upload("colors", &self.colors).expect("colors"),
         }

@@ -166,6 +166,10 @@ pub(super) fn run(
     let [means, scales, quats] = sections(device, &gaussians.geometry, candidates);
     let colors = device.read_range(&gaussians.colors, 0, candidates).expect("a column");
     let mut columns = [means, scales, quats, colors];
+    // In the world.
+    for row in columns[0].iter_mut().filter(|row| row[3] > 0.0) {
+        (0..3).for_each(|axis| row[axis] += gaussians.origin[axis]);
+    }
     // Without an opacity, the rest is whatever the buffer held before.
     let dead: Vec<usize> = (0..candidates).filter(|row| columns[0][*row][3] <= 0.0).collect();
     for column in &mut columns[1..] {
