@@ -19,8 +19,8 @@ fn image_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
         return;
     }
     var by_mean = Tail();
-    var by_variance = Tail();
-    var by_covariance = Tail();
+    var by_squares = Tail();
+    var by_difference = Tail();
     var absolute = vec4f(0.0);
     var squared = vec4f(0.0);
     // Starts a whole number of strides before the run, so that the sums are complete at its begin.
@@ -31,8 +31,8 @@ fn image_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
         let counts = inside(columns, width);
         let d = transpose(mat4x3f(derivatives[at.x], derivatives[at.y], derivatives[at.z], derivatives[at.w]));
         let mean = slide(&by_mean, select(vec4f(0.0), d[0], counts));
-        let variance = slide(&by_variance, select(vec4f(0.0), d[1], counts));
-        let covariance = slide(&by_covariance, select(vec4f(0.0), d[2], counts));
+        let square = slide(&by_squares, select(vec4f(0.0), d[1], counts));
+        let apart = slide(&by_difference, select(vec4f(0.0), d[2], counts));
         let centre = column - REACH;
         if centre >= run.first {
             let pixels = run.line * width + held(four(centre), width);
@@ -43,7 +43,7 @@ fn image_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
             let difference = select(vec4f(0.0), x - y, inside(four(centre), width));
             absolute += abs(difference);
             squared += difference * difference;
-            let d_ssim = mean + 2.0 * x * variance + y * covariance;
+            let d_ssim = mean + 2.0 * (x * square + (x - y) * apart);
             let gradient = image.weights.x * sign(difference) - image.weights.y * d_ssim;
             d_image[to.x] = gradient.x;
             if centre + 1 < run.last {

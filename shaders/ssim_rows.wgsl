@@ -1,4 +1,4 @@
-// First half of SSIM's window: along rows, the moments x, y, x^2 + y^2 and xy of render and photograph, one channel
+// First half of SSIM's window: along rows, the moments x, y, x^2 + y^2 and (x - y)^2 of render and photograph, one channel
 // an invocation. The squares are needed only as their sum.
 #import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, four, held, inside, places, run_of, slide, unpack}
 
@@ -17,7 +17,7 @@ fn ssim_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_inde
     var xs = Tail();
     var ys = Tail();
     var squares = Tail();
-    var products = Tail();
+    var differences = Tail();
     // Starts a whole number of strides before the run, so that the sums are complete at its begin.
     for (var column = run.first + REACH - 3 * STRIDE; column < run.last + REACH; column += STRIDE) {
         let columns = four(column);
@@ -32,7 +32,7 @@ fn ssim_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_inde
             slide(&xs, x),
             slide(&ys, y),
             slide(&squares, x * x + y * y),
-            slide(&products, x * y),
+            slide(&differences, (x - y) * (x - y)),
         ));
         let centre = column - REACH;
         if centre >= run.first {

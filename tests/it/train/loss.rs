@@ -167,8 +167,8 @@ fn the_loss_matches_the_twin_however_an_image_is_divided() {
 fn the_loss_matches_the_twin_on_smooth_images() {
     let mut loss = ImageLoss::new(gpu()).expect("the kernels");
     // Where an image hardly varies, the variance is a difference of nearly equal numbers: 6e-8 of rounding against SSIM's
-    // constant of 9e-4, times a few.
-    assert_matches_twin(&mut loss, &Pair::smooth(60, 44), 1e-3);
+    // constant of 9e-4, times a few. It enters only with the variance of the images' difference, which is small here.
+    assert_matches_twin(&mut loss, &Pair::smooth(60, 44), 1e-4);
 }
 
 #[test]
