@@ -8,6 +8,8 @@
 //! The modules below are the layers, lowest first; a module may use only the layers named in
 //! `tests/it/layers.rs`, which reads every `use crate::` line and holds that table.
 
+#[cfg(feature = "service")]
+pub mod accuracy;
 pub mod codec;
 pub mod domain;
 #[cfg(feature = "service")]

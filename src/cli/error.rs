@@ -14,6 +14,16 @@ pub(crate) enum CliError {
     /// A refused input or a failure, depending on the problem's status.
     #[error(transparent)]
     Problem(#[from] Problem),
+    /// The command came to its end, and what it reports is a failure.
+    #[error("{problem}")]
+    Reported {
+        /// What is wrong with it.
+        problem: Box<Problem>,
+        /// Printed on standard output, as the text of a success is.
+        text: String,
+        /// Printed instead with `--json`.
+        json: serde_json::Value,
+    },
     /// Stopped by the user.
     #[error("stopped")]
     Stopped,
@@ -38,12 +48,8 @@ impl CliError {
     pub(crate) fn exit_status(&self) -> u8 {
         match self {
             CliError::Usage(_) => 2,
-            CliError::Problem(problem) => match problem.status {
-                // A service's quota is a resource like any other.
-                429 | 503 | 507 => 4,
-                400..=499 => 3,
-                _ => 1,
-            },
+            CliError::Problem(problem) => exit_status_of(problem),
+            CliError::Reported { problem, .. } => exit_status_of(problem),
             CliError::Stopped => 1,
         }
     }
@@ -53,8 +59,18 @@ impl CliError {
         match self {
             CliError::Usage(detail) => Problem::new(ProblemType::Usage, detail.clone()),
             CliError::Problem(problem) => problem.clone(),
+            CliError::Reported { problem, .. } => (**problem).clone(),
             CliError::Stopped => Problem::new(ProblemType::Stopped, "the run was stopped before its end"),
         }
+    }
+}
+
+fn exit_status_of(problem: &Problem) -> u8 {
+    match problem.status {
+        // A service's quota is a resource like any other.
+        429 | 503 | 507 => 4,
+        400..=499 => 3,
+        _ => 1,
     }
 }
 

@@ -5,6 +5,7 @@
 //! standard error. Output files appear whole or not at all.
 
 mod adapter;
+mod bench;
 mod config;
 mod decode;
 mod doctor;
@@ -94,6 +95,8 @@ enum Command {
     Keys(keys::Args),
     /// Bring the database of a service up to this version
     Migrate(migrate::Args),
+    /// Measure this build on an adapter
+    Bench(bench::Args),
     /// Show what this machine offers, and what is missing
     Doctor(doctor::Args),
 }
@@ -109,6 +112,7 @@ impl Command {
             Command::Inspect(args) => args.json,
             Command::Keys(args) => args.json,
             Command::Migrate(args) => args.json,
+            Command::Bench(args) => args.wants_json(),
             Command::Doctor(args) => args.json,
             Command::Submit(args) => args.json,
             Command::Watch(args) => args.json,
@@ -148,6 +152,7 @@ impl Command {
             | Command::Sample(_)
             | Command::Keys(_)
             | Command::Migrate(_)
+            | Command::Bench(_)
             | Command::Doctor(_) => Verbosity::Warn,
         }
     }
@@ -170,6 +175,7 @@ impl Command {
             Command::Sample(args) => sample::run(&args),
             Command::Keys(args) => keys::run(&args),
             Command::Migrate(args) => migrate::run(&args),
+            Command::Bench(args) => bench::run(&args),
             Command::Doctor(args) => doctor::run(&args),
         }
     }

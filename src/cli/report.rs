@@ -36,7 +36,9 @@ pub(crate) fn conclude(outcome: Result<Report, CliError>, json: bool) -> ExitCod
         Ok(report) => (print(&report.text), 0),
         Err(failure) => {
             eprintln!("tcgs: {failure}");
-            let printed = if json {
+            let printed = if let CliError::Reported { text, json: document, .. } = &failure {
+                if json { print(&format!("{document:#}")) } else { print(text) }
+            } else if json {
                 print(&serde_json::to_string_pretty(&failure.problem()).expect("a problem is plain data"))
             } else {
                 Ok(())

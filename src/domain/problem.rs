@@ -148,6 +148,7 @@ problem_types! {
     ExternalFormatsFailed = 500, "external-formats-failed", "Conversion to other formats failed";
     NoPlace = 422, "no-place", "The tables have no place in the document";
     NotResults = 422, "not-results", "The results cannot be read";
+    AccuracyBoundsExceeded = 500, "accuracy-bounds-exceeded", "Kernels are not accurate enough";
     SuiteIncomplete = 500, "suite-incomplete", "The suite is not complete";
 }
 

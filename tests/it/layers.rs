@@ -22,6 +22,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("render", &["domain", "gpu", "model"]),
     ("eval", &["domain", "gpu", "model", "render"]),
     ("train", &["domain", "gpu", "codec", "model", "render", "eval"]),
+    ("accuracy", &["domain", "gpu", "codec", "model", "render", "eval", "train"]),
     ("pipeline", &["domain", "ingest", "gpu", "codec", "export", "model", "render", "eval", "train"]),
     ("worker", &["domain", "store", "pipeline"]),
     ("https", &[]),

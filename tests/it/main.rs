@@ -1,6 +1,7 @@
 //! All integration tests in one binary: one link, one GPU device per process. The folders are those of `src`; `system` has the
 //! tests of the whole program, `documents` those that hold documents to it.
 
+mod accuracy;
 mod cli;
 mod codec;
 mod documents;

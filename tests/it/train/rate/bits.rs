@@ -54,7 +54,10 @@ fn on_twin([value, mean, deviation, width]: Row) -> SymbolBits {
 
 fn on_device(rows: &[Row]) -> Vec<[f32; 4]> {
     let device = gpu();
-    let source = KernelSource { name: "symbol_bits_probe", text: include_str!("symbol_bits_probe.wgsl") };
+    let source = KernelSource {
+        name: "symbol_bits_probe",
+        text: include_str!("../../../../src/accuracy/symbol_bits_probe.wgsl"),
+    };
     let kernel = device.kernel(source, &[]).expect("the probe");
     let given = device.upload("rows", rows).expect("room");
     let found = device.buffer::<[f32; 4]>("found", rows.len()).expect("room");
