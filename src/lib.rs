@@ -29,6 +29,8 @@ pub mod model;
 #[cfg(feature = "service")]
 pub mod pipeline;
 #[cfg(feature = "service")]
+pub mod plot;
+#[cfg(feature = "service")]
 pub mod ply;
 #[cfg(feature = "service")]
 pub mod render;

@@ -123,6 +123,7 @@ mod tests {
             gaussians: 20_480,
             loss: Some(0.041_23),
             psnr: Some(24.317),
+            ssim: None,
             bytes: Some(152_340),
             checkpoint_step: 0,
         }

@@ -55,6 +55,7 @@ mod range;
 mod search;
 mod sections;
 mod shape;
+mod stored_steps;
 mod symbols;
 mod view;
 
@@ -70,6 +71,7 @@ pub use encode::encode;
 pub use error::{DecodeError, EncodeError};
 pub use inspect::{ByteGroup, ByteRange, Inspection, SectionReport, inspect};
 pub use manifest::{ColorSpace, GroupContext, GroupCosts, Manifest, QuantSteps, WorldFrame};
+pub use stored_steps::{StoredSteps, stored_steps};
 
 /// How a file was made.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

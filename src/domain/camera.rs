@@ -245,6 +245,15 @@ impl Camera {
         Ok(Self { intrinsics: intrinsics.validated()?, pose })
     }
 
+    /// The same view with sides of at most `side` pixels, and at least one.
+    #[must_use]
+    pub fn within(&self, side: u32) -> Self {
+        let Intrinsics { width, height, .. } = self.intrinsics;
+        let longer = width.max(height).max(side);
+        let shrunk = |length: u32| (u64::from(length) * u64::from(side) / u64::from(longer)).max(1) as u32;
+        Self { intrinsics: self.intrinsics.resized(shrunk(width), shrunk(height)), pose: self.pose }
+    }
+
     /// Pixel coordinates and depth of a world point, or `None` at or behind the camera plane.
     #[must_use]
     pub fn project(&self, point: DVec3) -> Option<(DVec2, f64)> {

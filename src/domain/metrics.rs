@@ -148,6 +148,36 @@ pub struct CodingEfficiency {
     pub over_floats: Option<f64>,
 }
 
+/// Held-out PSNR of one scene at each stage of its way into a file, in dB, over the same views.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CodingStages {
+    /// Held-out views measured, evenly spread.
+    pub views: usize,
+    /// Attributes and networks as trained, in floats.
+    pub floats: f64,
+    /// Uniform noise as wide as each quantisation step in place of rounding, float networks.
+    pub noise: f64,
+    /// Attributes as the file has them, float networks.
+    pub rounded: f64,
+    /// The decoded file: attributes and networks as it has them.
+    pub decoded: f64,
+}
+
+/// How far the f32 renderer is from the f64 reference for the decoded scene, of colours from 0 to 1.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RenderingError {
+    /// Held-out views compared, evenly spread.
+    pub views: usize,
+    /// Width and height of the first in pixels; views are compared at a reduced size.
+    pub size: [u32; 2],
+    /// Root of the mean squared difference.
+    pub rmse: f64,
+    /// The largest difference.
+    pub max: f64,
+    /// The same root for the reference itself without the cut-offs of blending: what skipping faint contributions costs.
+    pub cutoff_rmse: f64,
+}
+
 /// All figures of a finished job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JobMetrics {
@@ -167,7 +197,7 @@ pub struct JobMetrics {
     pub anchors: u64,
     /// Offsets in the file that make a Gaussian.
     pub gaussians: u64,
-    /// Held-out PSNR of the scene before it was quantised.
+    /// Held-out PSNR of the scene with attributes and networks as floats, before anything was rounded.
     pub psnr_before_quantisation: Option<f64>,
     /// SHA-256 of the decoded attributes.
     pub decode_sha256: Digest,
@@ -184,6 +214,12 @@ pub struct JobMetrics {
     /// Coding efficiency; null if nothing was entropy-coded.
     #[serde(default)]
     pub coding: Option<CodingEfficiency>,
+    /// PSNR at each stage of coding; null for files of floats and without held-out views.
+    #[serde(default)]
+    pub stages: Option<CodingStages>,
+    /// The renderer against the f64 reference; null where it was not compared.
+    #[serde(default)]
+    pub rendering: Option<RenderingError>,
     /// The points of `rd_curve` in the order given; the other metrics are those of the first. Else empty.
     #[serde(default)]
     pub rd_curve: Vec<CurvePoint>,

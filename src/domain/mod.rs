@@ -30,6 +30,7 @@ pub mod job;
 pub mod key;
 pub mod memory;
 pub mod metrics;
+mod metrics_table;
 pub mod near_plane;
 pub mod options;
 pub mod orbit;
@@ -75,9 +76,10 @@ pub use job::{Event, EventKind, Job, JobState};
 pub use key::{ApiKey, KeyHash, MalformedKey};
 pub use memory::{Bytes, MemoryBudget, MemoryLimits};
 pub use metrics::{
-    ByteBudget, ByteCounts, CodingEfficiency, CurvePoint, GroupQstepLog2, JobMetrics, PhaseSeconds, Scores,
-    ViewScore,
+    ByteBudget, ByteCounts, CodingEfficiency, CodingStages, CurvePoint, GroupQstepLog2, JobMetrics,
+    PhaseSeconds, RenderingError, Scores, ViewScore,
 };
+pub use metrics_table::{csv_cell, metrics_columns};
 pub use near_plane::NearPlane;
 pub use options::{
     Background, Component, ModelKind, OptionError, Preset, TRAIN_OPTIONS, TrainOption, TrainOptions, Voxel,

@@ -51,6 +51,8 @@ pub struct Progress {
     pub loss: Option<f64>,
     /// Training PSNR in dB, averaged over recent steps.
     pub psnr: Option<f64>,
+    /// Training SSIM, averaged over recent steps.
+    pub ssim: Option<f64>,
     /// Estimated bytes of the file, once training measures them.
     pub bytes: Option<u64>,
     /// Iteration of the newest checkpoint, 0 before the first. Only the queue uses it, to see whether an attempt made progress.

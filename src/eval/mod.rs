@@ -1,15 +1,18 @@
 //! Image quality from 8-bit images: PSNR, SSIM and LPIPS, per view and as means over views, errors by wavelet band, and
-//! the importance of each Gaussian to views.
+//! the importance of each Gaussian to views. Over runs: confidence intervals and Bjøntegaard's differences of curves.
 //!
 //! Conventions are those of the field's final metrics (METHOD.md §1.2): both images are 8-bit, PSNR pools the squared
 //! error over the three channels, means are over views. [`crate::domain::Conventions`] states them in the metrics.
 
 mod bands;
+pub mod bjontegaard;
 mod error_map;
 mod haar;
+mod interval;
 mod lpips;
 mod measure;
 mod quality;
+mod reference;
 mod removal;
 mod removal_signs;
 mod scores;
@@ -17,8 +20,10 @@ mod scores;
 pub use bands::{BandErrors, band_errors};
 pub use error_map::{ERROR_CEILING, error_map, error_ramp, shrunk};
 pub use haar::Haar;
+pub use interval::{Estimate, student_t_975};
 pub use lpips::{Lpips, LpipsError};
 pub use measure::{measure_views, measure_views_with};
 pub use quality::{psnr, ssim};
+pub use reference::{ColorError, reference_view};
 pub use removal::{RemovalCosts, removal_costs};
 pub use scores::{mean_scores, mean_scores_with, score_view};

@@ -121,6 +121,8 @@ mod tests {
             conventions: Conventions::new(None),
             byte_budget: None,
             coding: None,
+            stages: None,
+            rendering: None,
             rd_curve: Vec::new(),
         };
         FinishedBranch { file: b"a file".to_vec(), metrics }

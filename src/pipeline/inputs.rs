@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::error::JobError;
+use super::{error::JobError, stages::ReferenceViews};
 use crate::{
     domain::{CancelFlag, Dataset, Frame, MemoryBudget, Split},
     eval::Lpips,
@@ -17,6 +17,8 @@ pub(super) struct RunInputs<'a> {
     pub(super) cancel: &'a CancelFlag,
     /// Weights of LPIPS, if it is measured.
     pub(super) lpips: Option<&'a Lpips>,
+    /// Views that the renderer is held to the f64 reference on, if it is.
+    pub(super) reference: Option<ReferenceViews>,
     /// Seconds that the dataset took to read.
     pub(super) ingest_seconds: f64,
 }

@@ -1,6 +1,11 @@
 //! The figures of a finished file: of its scene as read back, not of the scene that was trained.
 
-use super::{encode::Written, error::JobError, inputs::RunInputs};
+use super::{
+    encode::Written,
+    error::JobError,
+    inputs::RunInputs,
+    stages::{coding_stages, rendering_error},
+};
 use crate::{
     domain::{Background, Conventions, Frame, JobMetrics, PhaseSeconds, Scene, Scores},
     eval::{Lpips, mean_scores_with, measure_views_with},
@@ -33,11 +38,13 @@ pub(super) fn measure(
     };
     let held_out = inputs.test_views();
     let test = score(&file.scene, &held_out, inputs.lpips)?;
-    let before =
-        if trained.scene == file.scene { test.psnr } else { score(&trained.scene, &held_out, None)?.psnr };
+    // Compression-aware training leaves a scene that is rounded already.
+    let unrounded = trained.unrounded.as_ref().unwrap_or(&trained.scene);
+    let before = if *unrounded == file.scene { test.psnr } else { score(unrounded, &held_out, None)?.psnr };
+    let train = score(&file.scene, &inputs.train_views(MEASURED_TRAIN_VIEWS), inputs.lpips)?;
     Ok(JobMetrics {
         test,
-        train: score(&file.scene, &inputs.train_views(MEASURED_TRAIN_VIEWS), inputs.lpips)?,
+        train,
         bytes: file.byte_counts.clone(),
         seconds: PhaseSeconds {
             ingest: inputs.ingest_seconds,
@@ -56,6 +63,8 @@ pub(super) fn measure(
         conventions: Conventions::new(inputs.lpips.map(Lpips::network)),
         byte_budget: written.budget,
         coding: written.coding,
+        stages: coding_stages(inputs, background, trained, written, heartbeat)?,
+        rendering: rendering_error(inputs, background, &file.scene, heartbeat)?,
         rd_curve: Vec::new(),
     })
 }

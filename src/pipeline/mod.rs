@@ -13,6 +13,7 @@ mod measure;
 mod quant_steps;
 pub mod scene_file;
 mod size_fit;
+mod stages;
 mod train_file;
 
 use std::{
@@ -28,6 +29,7 @@ use tracing::Span;
 
 pub use error::JobError;
 pub use job::{Checkpoints, CurveFile, JobOutput, Resume, RunJob};
+pub use stages::ReferenceViews;
 
 use self::{
     curve::run_curve,
@@ -51,6 +53,7 @@ pub struct Pipeline {
     spill_dir: PathBuf,
     lpips: Option<Lpips>,
     has_held_out_pictures: bool,
+    reference: Option<ReferenceViews>,
     device: Mutex<Option<Arc<Device>>>,
 }
 
@@ -64,6 +67,7 @@ impl Pipeline {
             spill_dir: std::env::temp_dir(),
             lpips: None,
             has_held_out_pictures: false,
+            reference: None,
             device: Mutex::new(None),
         }
     }
@@ -84,6 +88,12 @@ impl Pipeline {
     #[must_use]
     pub fn with_pictures(self) -> Self {
         Self { has_held_out_pictures: true, ..self }
+    }
+
+    /// Also holds the renderer to the f64 reference on these views ([`JobMetrics::rendering`](crate::domain::JobMetrics)).
+    #[must_use]
+    pub fn with_reference(self, reference: Option<ReferenceViews>) -> Self {
+        Self { reference, ..self }
     }
 
     fn device(&self) -> Result<Arc<Device>, GpuError> {
@@ -132,7 +142,9 @@ impl RunJob for Pipeline {
         }
         let ingest_seconds = began.elapsed().as_secs_f64();
         let lpips = self.lpips.as_ref();
-        let inputs = RunInputs { device, dataset: &dataset, budget, cancel, lpips, ingest_seconds };
+        let reference = self.reference;
+        let inputs =
+            RunInputs { device, dataset: &dataset, budget, cancel, lpips, reference, ingest_seconds };
         inputs.check_cancelled()?;
         // Training's first own report follows after some steps, which may take minutes.
         report(Phase::Train, &start);

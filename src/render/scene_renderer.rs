@@ -143,6 +143,15 @@ impl SceneRenderer {
         Image::new(width, height, 3, samples).map_err(|fault| RenderError::Scene(fault.to_string()))
     }
 
+    /// The colours of the view from `camera` as the kernels leave them, neither rounded nor bounded, and the transmittance left behind
+    /// each pixel.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn colors(&mut self, camera: &Camera) -> Result<Vec<[f32; 4]>, RenderError> {
+        self.blend(camera, false)
+    }
+
     /// One number a pixel of the view from `camera`.
     ///
     /// # Errors

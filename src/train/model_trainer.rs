@@ -47,6 +47,8 @@ pub(super) struct BitrateSample {
 #[derive(Debug, Clone)]
 pub(super) struct FinishedModel {
     pub scene: Scene,
+    /// With its attributes before they were rounded, if they were.
+    pub unrounded: Option<Scene>,
     /// None for models without a context model.
     pub context: Option<TrainedContext>,
 }

@@ -6,8 +6,11 @@ use crate::domain::{ContextCandidates, Scene};
 /// A finished training run.
 #[derive(Debug, Clone)]
 pub struct Trained {
-    /// The scene, not yet quantised.
+    /// The scene as the encoder gets it. After compression-aware training its attributes are rounded already; the encoder finds the same
+    /// integers again. Networks are floats.
     pub scene: Scene,
+    /// The same scene with its attributes before they were rounded; `None` if `scene` was not rounded.
+    pub unrounded: Option<Scene>,
     /// Input of the encoder from compression-aware training; none for the baselines.
     pub context: Option<TrainedContext>,
     /// Steps done.

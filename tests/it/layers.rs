@@ -26,8 +26,9 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("pipeline", &["domain", "ingest", "gpu", "codec", "export", "model", "render", "eval", "train"]),
     ("worker", &["domain", "store", "pipeline"]),
     ("https", &[]),
+    ("plot", &[]),
     ("webhooks", &["domain", "store", "https"]),
-    ("http", &["domain", "codec", "store", "render"]),
+    ("http", &["domain", "codec", "store", "render", "plot"]),
 ];
 
 /// External crates that only the named modules may use.

@@ -4,10 +4,7 @@ use std::time::Instant;
 
 use serde::Serialize;
 use tcgs::{
-    domain::{
-        Background, Camera, GaussianScene, Image, Intrinsics, Problem, ProblemType, Scene, SceneFormat,
-        harmonics,
-    },
+    domain::{Background, Camera, GaussianScene, Image, Problem, ProblemType, Scene, SceneFormat, harmonics},
     eval::{mean_scores_with, psnr, score_view},
     export::{
         bake::{self, BakeSettings},
@@ -181,7 +178,7 @@ pub(super) fn fidelity(
     let views = cameras.len().min(FIDELITY_VIEWS);
     let mut sum = 0.0;
     for place in 0..views {
-        sum += pair(source, &exported, &small(&cameras[place * cameras.len() / views]))?.psnr;
+        sum += pair(source, &exported, &cameras[place * cameras.len() / views].within(FIDELITY_SIDE))?.psnr;
     }
     let count = u32::try_from(views).unwrap_or(u32::MAX);
     Ok((views > 0).then(|| ExportFidelity { psnr: sum / f64::from(count), views: count }))
@@ -192,14 +189,6 @@ fn exported_beside(source: &Renderer, exported: &[u8], background: Background) -
     let mut file = scene_file::read(exported)?;
     file.background = background;
     Ok(source.beside(file))
-}
-
-/// The same view with sides of at most [`FIDELITY_SIDE`].
-fn small(camera: &Camera) -> Camera {
-    let Intrinsics { width, height, .. } = camera.intrinsics;
-    let longer = width.max(height).max(FIDELITY_SIDE);
-    let side = |side: u32| (u64::from(side) * u64::from(FIDELITY_SIDE) / u64::from(longer)).max(1) as u32;
-    Camera { intrinsics: camera.intrinsics.resized(side(width), side(height)), pose: camera.pose }
 }
 
 /// A view of two scenes.
@@ -253,7 +242,7 @@ fn not_exportable(fault: impl std::fmt::Display) -> Problem {
 
 #[cfg(test)]
 mod tests {
-    use tcgs::domain::Pose;
+    use tcgs::domain::{Intrinsics, Pose};
 
     use super::*;
 
@@ -263,7 +252,7 @@ mod tests {
             let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 4.0);
             let intrinsics = Intrinsics { fx: 1000.0, fy: 900.0, cx, cy, width, height };
             let pose = Pose::look_at(glam::DVec3::X, glam::DVec3::ZERO, glam::DVec3::Z).expect("a pose");
-            small(&Camera { intrinsics, pose }).intrinsics
+            Camera { intrinsics, pose }.within(FIDELITY_SIDE).intrinsics
         };
         let shrunk = of(1600, 1200);
         assert_eq!((shrunk.width, shrunk.height), (256, 192));

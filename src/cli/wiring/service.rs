@@ -21,7 +21,7 @@ use tcgs::{
     http::{self, ExportedScene, HttpConfig, Services, WorkerCounts},
     https::ExtraRoots,
     ingest::DatasetChecker,
-    pipeline::scene_file,
+    pipeline::{ReferenceViews, scene_file},
     render::{RenderViews, views::Viewable},
     store::{
         Blobs, Keys as _, QueuePolicy, SchemaChange, SqliteStore,
@@ -187,7 +187,9 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), CliError> {
     let outcome = runtime.block_on(async {
         let lpips = super::lpips(options.lpips.as_deref())?;
         let runner = super::runner(&options.adapter, options.memory, options.data.clone(), lpips);
-        let runner = Arc::new(runner.with_pictures());
+        // One small view: the reference takes a core.
+        let reference = ReferenceViews { views: 1, max_side: 256 };
+        let runner = Arc::new(runner.with_pictures().with_reference(Some(reference)));
         // The service has migrated the schema; a worker of another version must not.
         let store = open_store(&options.data, KeyLimits::default(), OlderSchema::Refuse).await?;
         let blobs = open_blobs(&options.data)?;

@@ -2,11 +2,12 @@
 
 use maud::{Markup, html};
 
-use super::{
-    chart::{Chart, Series},
-    history::History,
+use super::history::History;
+use crate::{
+    domain::SeriesPoint,
+    plot::{Chart, Series},
+    store::JobRecord,
 };
-use crate::{domain::SeriesPoint, store::JobRecord};
 
 /// The section of curves.
 pub(super) fn curves(record: &JobRecord, history: &History) -> Markup {
@@ -22,8 +23,8 @@ pub(super) fn curves(record: &JobRecord, history: &History) -> Markup {
     }
 }
 
-fn line(name: &'static str, points: Vec<(f64, f64)>) -> Series {
-    Series { name, points, labels: Vec::new() }
+fn line(name: &str, points: Vec<(f64, f64)>) -> Series {
+    Series { name: name.to_owned(), points, ..Series::default() }
 }
 
 fn against_time(record: &JobRecord, history: &History) -> Markup {
@@ -33,13 +34,14 @@ fn against_time(record: &JobRecord, history: &History) -> Markup {
     let unit = TimeUnit::of(history.end);
     training.iter_mut().chain(&mut held_out).for_each(|(seconds, _)| *seconds /= unit.seconds);
     Chart {
-        title: "PSNR against time",
+        title: "PSNR against time".to_owned(),
         x: unit.name.to_owned(),
-        y: "dB",
+        y: "dB".to_owned(),
         series: vec![
             line("training views, mean of recent steps", training),
             line("held-out views, the decoded file", held_out),
         ],
+        ..Chart::default()
     }
     .figure(
         "Time since the work began, measuring included. Training figures are those of the batches just seen.",
@@ -81,13 +83,14 @@ fn against_size(record: &JobRecord, history: &History) -> Markup {
         "Each dot is a finished file, trained with its own weight of the rate, on the held-out views."
     };
     Chart {
-        title: "PSNR against size",
+        title: "PSNR against size".to_owned(),
         x: name.to_owned(),
-        y: "dB",
+        y: "dB".to_owned(),
         series: vec![
             line("while training", training),
-            Series { name: "held-out views, finished files", points: finished_points, labels },
+            Series { labels, ..line("held-out views, finished files", finished_points) },
         ],
+        ..Chart::default()
     }
     .figure(caption)
 }
@@ -95,10 +98,11 @@ fn against_size(record: &JobRecord, history: &History) -> Markup {
 fn loss(history: &History) -> Markup {
     let points = history.points(|point| Some(point.step as f64), |point| point.loss);
     Chart {
-        title: "Loss",
+        title: "Loss".to_owned(),
         x: "step".to_owned(),
-        y: "loss",
+        y: "loss".to_owned(),
         series: vec![line("mean of recent steps", points)],
+        ..Chart::default()
     }
     .figure("What the optimiser minimises: picture, size and regularisation together.")
 }

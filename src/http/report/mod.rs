@@ -1,17 +1,18 @@
-//! `GET /v1/jobs/{id}/report`: everything about a job on one page.
+//! `GET /v1/jobs/{id}/report`: everything about a job on one page, or its figures as comma-separated values.
 //!
 //! Invariants: the page requests nothing from other hosts, and from this one only its viewer's pictures; it can be read without
 //! scripts and printed; every text is escaped by its template; its content security policy allows only its own script and style,
 //! by their hashes.
 
 mod bars;
-mod chart;
+mod csv;
 mod curves;
 mod history;
 mod orbit;
 mod page;
 mod pictures;
 mod settings;
+mod stages;
 mod units;
 
 use std::sync::LazyLock;
@@ -19,7 +20,7 @@ use std::sync::LazyLock;
 use axum::{
     extract::State,
     http::{HeaderMap, HeaderName, HeaderValue, header},
-    response::IntoResponse as _,
+    response::{IntoResponse as _, Response},
 };
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use serde::de::DeserializeOwned;
@@ -58,18 +59,32 @@ const FORM: &str = env!("CARGO_PKG_VERSION");
 pub(super) async fn get(
     State(state): State<AppState>,
     OwnedJob(record): OwnedJob,
-    parameters: Parameters,
+    mut parameters: Parameters,
     headers: HeaderMap,
 ) -> ApiResult {
+    let is_table = match parameters.take("format").as_deref() {
+        None | Some("html") => false,
+        Some("csv") => true,
+        Some(other) => {
+            return Err(ProblemResponse::parameter("format", format!("'{other}' is not one of html, csv")));
+        }
+    };
     parameters.finish()?;
-    if !accepts(&headers, "text/html") {
-        return Err(ProblemResponse::new(ProblemType::NotAcceptable, "reports are served as text/html"));
+    let kind = if is_table { "text/csv" } else { "text/html" };
+    if !accepts(&headers, kind) {
+        return Err(ProblemResponse::new(
+            ProblemType::NotAcceptable,
+            format!("this report is served as {kind}"),
+        ));
     }
-    let etag = Etag::new(format!("{}-{FORM}", record.job.version));
+    let etag = Etag::new(format!("{}-{FORM}{}", record.job.version, if is_table { "-csv" } else { "" }));
     if etag.is_in_if_none_match(&headers) {
         return Ok(not_modified(&etag));
     }
     let history = History::read(state.store(), &record.job).await?;
+    if is_table {
+        return Ok(table(csv::table(&record, &history), &etag));
+    }
     let held_out: Option<HeldOut> = document(&state, &record, ArtifactKind::HeldOut).await?;
     let cameras: Option<Vec<NamedCamera>> = document(&state, &record, ArtifactKind::Cameras).await?;
     let page = Page { record, history, held_out, cameras: cameras.unwrap_or_default() }.html().into_string();
@@ -87,6 +102,16 @@ pub(super) async fn get(
         answer.insert(name, value);
     }
     Ok(response)
+}
+
+/// The answer with comma-separated values.
+fn table(text: String, etag: &Etag) -> Response {
+    let head = [
+        (header::CONTENT_TYPE, HeaderValue::from_static("text/csv; charset=utf-8; header=present")),
+        (header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache")),
+        (header::ETAG, etag.value()),
+    ];
+    (head, text).into_response()
 }
 
 /// The content of a JSON artifact, if the job has one of this kind.

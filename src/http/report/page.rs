@@ -9,6 +9,7 @@ use super::{
     orbit::Orbit,
     pictures::pictures,
     settings::settings,
+    stages::stages,
     units::{bytes, duration, figure, grouped},
 };
 use crate::{
@@ -70,6 +71,7 @@ impl Page {
                     (self.viewer())
                     (curves(&self.record, &self.history))
                     (bars(&metrics.bytes, metrics.anchors, metrics.gaussians))
+                    (stages(metrics))
                     (pictures(&metrics.test, self.held_out.as_ref()))
                 }
                 None => {

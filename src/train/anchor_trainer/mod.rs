@@ -392,13 +392,17 @@ impl ModelTrainer for AnchorTrainer {
         if anchors.is_empty() {
             return Err(TrainError::NothingLeft { step: self.schedule.steps });
         }
+        let trained = anchors.clone();
         let context = match self.compression {
             Some(compression) => compression.finish(&self.adam, &before, &mut anchors, &networks, cancel)?,
             None => None,
         };
-        let scene = anchors.to_scene(self.layout.to_networks(&networks));
-        let near = NearPlane::of_extent(self.extent);
-        let scene = Scene::Anchors(AnchorScene { near, scene_scale: self.neural.scene_scale(), ..scene });
-        Ok(FinishedModel { scene, context })
+        let (near, scene_scale) = (NearPlane::of_extent(self.extent), self.neural.scene_scale());
+        let scene = |anchors: &AnchorRows| {
+            let scene = anchors.to_scene(self.layout.to_networks(&networks));
+            Scene::Anchors(AnchorScene { near, scene_scale, ..scene })
+        };
+        let unrounded = (trained.values != anchors.values).then(|| scene(&trained));
+        Ok(FinishedModel { scene: scene(&anchors), unrounded, context })
     }
 }

@@ -284,6 +284,6 @@ impl ModelTrainer for PlainTrainer {
         let rows = self.rows.download(&self.device)?;
         let scene = rows.to_scene(self.plain.degree() as usize);
         let scene = Scene::Gaussians(GaussianScene { near: NearPlane::of_extent(self.extent), ..scene });
-        Ok(FinishedModel { scene, context: None })
+        Ok(FinishedModel { scene, unrounded: None, context: None })
     }
 }

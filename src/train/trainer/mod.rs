@@ -461,6 +461,7 @@ impl<'a> Run<'a> {
             gaussians: size.gaussians as u64,
             loss: average.map(|average| average.loss()),
             psnr: average.map(|average| average.psnr()),
+            ssim: average.map(|average| average.ssim),
             bytes: self.state.file_bytes(),
             checkpoint_step: 0,
         })
@@ -473,9 +474,9 @@ impl<'a> Run<'a> {
     }
 
     fn finish(self, cancel: &CancelFlag) -> Result<Trained, TrainError> {
-        let FinishedModel { scene, context } = self.model.finish(&self.frames, cancel)?;
+        let FinishedModel { scene, unrounded, context } = self.model.finish(&self.frames, cancel)?;
         let seconds = self.state.seconds + self.started.elapsed().as_secs_f64();
-        Ok(Trained { scene, context, steps: self.steps, seconds })
+        Ok(Trained { scene, unrounded, context, steps: self.steps, seconds })
     }
 }
 

@@ -116,6 +116,10 @@ pub(super) async fn a_finished_job_is_reported_on_one_page(coverage: Coverage) {
         let said = if said == "λ" { "held-out views" } else { said };
         assert!(page.contains(said), "'{said}' is missing");
     }
+    // What each stage costs: against floats, against rounded attributes, and the renderer against f64.
+    for said in ["What each stage costs", "-0.300 dB", "-0.250 dB", "1.50e-7", "2.00e-6"] {
+        assert!(page.contains(said), "'{said}' is missing");
+    }
     for sources in ["cGhvdG8=", "cmVuZGVy", "ZXJyb3I="] {
         assert!(page.contains(&format!("data:image/jpeg;base64,{sources}")), "{sources}");
     }
@@ -135,11 +139,37 @@ pub(super) async fn a_finished_job_is_reported_on_one_page(coverage: Coverage) {
     let view = server.get(&view).await.expect(200);
     assert_eq!(view.header("content-type"), "image/jpeg", "what the viewer asks first is served");
 
+    figures_are_comma_separated(&server, &path).await;
     let etag = answer.header("etag").to_owned();
     server.send("GET", &path, |request| request.header("if-none-match", etag)).await.expect(304);
     let picky = server.send("GET", &path, |request| request.header("accept", "application/json")).await;
     picky.expect_problem(406, "not-acceptable");
     server.get(&format!("{path}?width=3")).await.expect_problem(422, "invalid-parameter");
+    server.get(&format!("{path}?format=pdf")).await.expect_problem(422, "invalid-parameter");
+}
+
+async fn figures_are_comma_separated(server: &Server, path: &str) {
+    let path = format!("{path}?format=csv");
+    let answer = server.get(&path).await.expect(200);
+    assert_eq!(answer.header("content-type"), "text/csv; charset=utf-8; header=present");
+    let text = String::from_utf8(answer.body.to_vec()).expect("UTF-8");
+    let [head, line] = text.lines().collect::<Vec<_>>().try_into().expect("a head and a line");
+    let cells: BTreeMap<&str, &str> = head.split(',').zip(line.split(',')).collect();
+    assert_eq!(head.split(',').count(), line.split(',').count(), "{text}");
+    for (column, value) in [
+        ("state", "succeeded"),
+        ("psnr", "30"),
+        ("stage_noise", "30.2"),
+        ("render_rmse", "0.00000015"),
+        ("psnr_before_quantisation", "30.5"),
+        ("integer_over_float_bits", "1.002"),
+    ] {
+        assert_eq!(cells[column], value, "{column}: {text}");
+    }
+    let etag = answer.header("etag").to_owned();
+    server.send("GET", &path, |request| request.header("if-none-match", etag)).await.expect(304);
+    let picky = server.send("GET", &path, |request| request.header("accept", "text/html")).await;
+    picky.expect_problem(406, "not-acceptable");
 }
 
 /// The lines of a page's curves, in their order.

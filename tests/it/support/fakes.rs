@@ -13,10 +13,11 @@ use std::{
 use glam::DVec3;
 use tcgs::{
     domain::{
-        AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, Conventions, CurvePoint,
-        DatasetSummary, Digest, HeldOut, HeldOutView, Image, Intrinsics, JobMetrics, Lattice, Layout,
-        LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, ProblemType, Progress,
-        RenderNetworks, Scene, SceneFormat, SceneScale, Scores, Split, TrainOptions, ViewScore,
+        AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages, Conventions,
+        CurvePoint, DatasetSummary, Digest, HeldOut, HeldOutView, Image, Intrinsics, JobMetrics, Lattice,
+        Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, ProblemType,
+        Progress, RenderNetworks, RenderingError, Scene, SceneFormat, SceneScale, Scores, Split,
+        TrainOptions, ViewScore,
     },
     pipeline::{Checkpoints, CurveFile, JobError, JobOutput, RunJob},
     render::{
@@ -170,6 +171,14 @@ pub fn metrics() -> JobMetrics {
         conventions: Conventions::new(Some(LpipsNetwork::Vgg)),
         byte_budget: None,
         coding: Some(CodingEfficiency { entropy_overhead: 1.001, over_floats: Some(1.002) }),
+        stages: Some(CodingStages { views: 2, floats: 30.5, noise: 30.2, rounded: 30.25, decoded: 30.0 }),
+        rendering: Some(RenderingError {
+            views: 1,
+            size: [32, 24],
+            rmse: 1.5e-7,
+            max: 2e-6,
+            cutoff_rmse: 1e-4,
+        }),
         rd_curve: Vec::new(),
     }
 }

@@ -198,6 +198,26 @@ fn masks_leave_fewer_gaussians_that_show_the_same() {
 }
 
 #[test]
+fn the_scene_before_rounding_is_kept_beside_the_one_that_the_encoder_gets() {
+    let (trained, _) = run(&dataset(), &options(30, 1));
+    assert!(trained.context.is_some(), "the run was compression-aware");
+    let floats = trained.unrounded.as_ref().expect("the scene in floats");
+    let (rounded, floats) = (anchors(&trained.scene), anchors(floats));
+    assert_eq!((&rounded.cells, &rounded.masks), (&floats.cells, &floats.masks));
+    assert_eq!(rounded.networks, floats.networks, "networks are rounded by the encoder");
+    for (name, rounded, floats) in [
+        ("features", &rounded.features, &floats.features),
+        ("scalings", &rounded.scalings, &floats.scalings),
+        ("offsets", &rounded.offsets, &floats.offsets),
+    ] {
+        let moved = rounded.iter().zip(floats).filter(|(a, b)| a != b).count();
+        assert!(2 * moved > floats.len(), "{name}: {moved} of {}", floats.len());
+    }
+    let (plain, _) = run(&dataset(), &plain(4, 1));
+    assert!(plain.unrounded.is_none());
+}
+
+#[test]
 fn held_out_views_are_not_learnt_from() {
     let honest = dataset();
     let mut spoiled = dataset();

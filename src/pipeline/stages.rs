@@ -1,0 +1,151 @@
+//! What each stage between training and the decoded file costs: rounding, noise in its place, 8-bit networks, and rendering in f32.
+//!
+//! Every figure is of the same few held-out views, so that stages differ by nothing else.
+
+use std::collections::HashMap;
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::{encode::Written, error::JobError, inputs::RunInputs};
+use crate::{
+    codec::{DecodeLimits, StoredSteps, stored_steps},
+    domain::{
+        AnchorScene, Background, CodingStages, Frame, RenderingError, Scene, SceneFormat,
+        anchors::SCALINGS_PER_ANCHOR,
+    },
+    eval::{ColorError, mean_scores, measure_views, reference_view},
+    render::{SceneRenderer, twin::Cutoffs},
+    train::Trained,
+};
+
+/// Held-out views of the stages of coding, at most.
+const STAGE_VIEWS: usize = 8;
+
+/// Cut-offs far below what an 8-bit or a 16-bit picture shows.
+const FINE_CUTOFFS: Cutoffs = Cutoffs { alpha: 1e-6, transmittance: 1e-9 };
+
+/// Views that the renderer is held to the reference on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ReferenceViews {
+    /// Held-out views, at most.
+    pub views: usize,
+    /// Longest side in pixels that they are rendered at: the reference takes a core seconds to minutes.
+    pub max_side: u32,
+}
+
+/// The PSNR at each stage; `None` for files of floats and without held-out views.
+pub(super) fn coding_stages(
+    inputs: &RunInputs<'_>,
+    background: Background,
+    trained: &Trained,
+    written: &Written,
+    heartbeat: &mut dyn FnMut(),
+) -> Result<Option<CodingStages>, JobError> {
+    let frames = spread(&inputs.test_views(), STAGE_VIEWS);
+    let (Scene::Anchors(decoded), Scene::Anchors(scene)) = (&written.file.scene, &trained.scene) else {
+        return Ok(None);
+    };
+    if written.file.format != SceneFormat::Tcgs || frames.is_empty() {
+        return Ok(None);
+    }
+    let floats = match &trained.unrounded {
+        Some(Scene::Anchors(floats)) => floats,
+        _ => scene,
+    };
+    let steps = stored_steps(&written.bytes, &DecodeLimits::NONE)
+        .map_err(|error| JobError::internal(error.to_string()))?;
+    let rounded = AnchorScene { networks: scene.networks.clone(), ..decoded.clone() };
+    let noisy = with_noise(&rounded, floats, &steps);
+    let mut psnr = |scene: &AnchorScene| -> Result<f64, JobError> {
+        let mut renderer = SceneRenderer::new(&inputs.device, scene, background)?;
+        let mut views = Vec::with_capacity(frames.len());
+        for frame in &frames {
+            inputs.check_cancelled()?;
+            heartbeat();
+            views.extend(measure_views(&mut renderer, &[*frame], background)?);
+        }
+        Ok(mean_scores(&views).psnr.unwrap_or_default())
+    };
+    Ok(Some(CodingStages {
+        views: frames.len(),
+        floats: psnr(floats)?,
+        noise: psnr(&noisy)?,
+        rounded: psnr(&rounded)?,
+        decoded: psnr(decoded)?,
+    }))
+}
+
+/// The scene `rounded` with the values that its anchors have in `floats` and noise of each anchor's steps. Anchors without a counterpart
+/// keep their values.
+fn with_noise(rounded: &AnchorScene, floats: &AnchorScene, steps: &StoredSteps) -> AnchorScene {
+    let places: HashMap<[i32; 3], usize> =
+        floats.cells.iter().enumerate().map(|(place, cell)| (*cell, place)).collect();
+    let mut noisy = rounded.clone();
+    // The same for every scene, so that two measurements of one file agree.
+    let mut rng = Pcg64::seed_from_u64(0);
+    for anchor in 0..noisy.cells.len() {
+        let Some(place) = places.get(&noisy.cells[anchor]).copied() else { continue };
+        let mut replace = |values: &mut [f32], from: &[f32], width: usize, step: f32| {
+            let target = &mut values[anchor * width..][..width];
+            for (value, exact) in target.iter_mut().zip(&from[place * width..][..width]) {
+                *value = exact + step * (rng.random::<f32>() - 0.5);
+            }
+        };
+        let [feature, scaling, offset] = [0, 1, 2].map(|group| steps.steps[group][anchor]);
+        replace(&mut noisy.features, &floats.features, floats.feature_dim, feature);
+        replace(&mut noisy.scalings, &floats.scalings, SCALINGS_PER_ANCHOR, scaling);
+        replace(&mut noisy.offsets, &floats.offsets, 3 * floats.offsets_per_anchor, offset);
+        // The finest scaling of a file is one step; noise must not make one negative.
+        for value in &mut noisy.scalings[anchor * SCALINGS_PER_ANCHOR..][..SCALINGS_PER_ANCHOR] {
+            *value = value.max(0.5 * scaling);
+        }
+    }
+    noisy
+}
+
+/// The renderer against the reference on the decoded scene; `None` if that is not asked for or there are no held-out views.
+pub(super) fn rendering_error(
+    inputs: &RunInputs<'_>,
+    background: Background,
+    scene: &Scene,
+    heartbeat: &mut dyn FnMut(),
+) -> Result<Option<RenderingError>, JobError> {
+    let Some(ReferenceViews { views, max_side }) = inputs.reference else { return Ok(None) };
+    let frames = spread(&inputs.test_views(), views);
+    let Some(first) = frames.first() else { return Ok(None) };
+    let mut renderer = SceneRenderer::of_scene(&inputs.device, scene, background)?;
+    let (mut squares, mut max, mut cutoff_squares) = (0.0, 0.0_f64, 0.0);
+    for frame in &frames {
+        inputs.check_cancelled()?;
+        heartbeat();
+        let camera = frame.camera.within(max_side);
+        let exact = reference_view(scene, &camera, background, Cutoffs::default())?;
+        heartbeat();
+        let whole = reference_view(scene, &camera, background, FINE_CUTOFFS)?;
+        let as_f32 = |pixels: &[[f64; 3]]| -> Vec<[f32; 4]> {
+            pixels.iter().map(|[r, g, b]| [*r as f32, *g as f32, *b as f32, 0.0]).collect()
+        };
+        let different = || JobError::internal("a view and its reference differ in size");
+        let error = ColorError::of(&renderer.colors(&camera)?, &exact).ok_or_else(different)?;
+        let cut = ColorError::of(&as_f32(&exact), &whole).ok_or_else(different)?;
+        squares += error.rmse.powi(2);
+        cutoff_squares += cut.rmse.powi(2);
+        max = max.max(error.max);
+    }
+    let count = frames.len() as f64;
+    let intrinsics = first.camera.within(max_side).intrinsics;
+    Ok(Some(RenderingError {
+        views: frames.len(),
+        size: [intrinsics.width, intrinsics.height],
+        rmse: (squares / count).sqrt(),
+        max,
+        cutoff_rmse: (cutoff_squares / count).sqrt(),
+    }))
+}
+
+/// At most `max` of the frames, evenly spread.
+fn spread<'a>(frames: &[&'a Frame], max: usize) -> Vec<&'a Frame> {
+    let count = frames.len().min(max);
+    (0..count).map(|index| frames[index * frames.len() / count]).collect()
+}

@@ -1,0 +1,10 @@
+//! Charts as SVG, for the report of a job and the report of a benchmark.
+//!
+//! They need no script, take the colours of the page around them, and can be printed; [`Chart::standalone`] brings its own colours,
+//! for light and dark.
+
+mod axis;
+mod chart;
+
+pub use axis::Scale;
+pub use chart::{Chart, SERIES_STYLES, Series};
