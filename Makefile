@@ -15,7 +15,7 @@ SWIFTSHADER_TESTS ?= primitives raster_device loss:: neural:: first_light::
 # How long `make fuzz` gives each target.
 FUZZ_SECONDS ?= 600
 
-.PHONY: help setup build demo results test examples schemathesis generated-client swiftshader validation interop external-formats fuzz lint clean
+.PHONY: help setup build demo results report test examples schemathesis generated-client swiftshader validation interop external-formats fuzz lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -32,6 +32,9 @@ demo: setup ## the bundled scene through the service: train, download, render in
 results: build ## train every model on every set of DATA and rewrite docs/RESULTS.md; hours on a CPU
 	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" eval --suite "$(DATA)" --table docs/RESULTS.md $(EXTERNAL_FORMATS) $(RESULTS_FLAGS)
 	@scripts/plots.py
+
+report: build ## make the runs of benches/report.toml on the sets of DATA and report speed against error into out/report; hours on a CPU
+	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" bench report --suite "$(DATA)" --output out/report $(REPORT_FLAGS)
 
 test: setup ## all tests, with a count of those that were skipped
 	@scripts/test.sh

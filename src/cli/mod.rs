@@ -15,6 +15,7 @@ mod eval;
 mod export;
 mod files;
 mod inspect;
+mod json_lines;
 mod keys;
 mod limits;
 mod logging;

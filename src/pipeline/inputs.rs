@@ -2,12 +2,21 @@
 
 use std::sync::Arc;
 
-use super::{error::JobError, stages::ReferenceViews};
+use super::error::JobError;
 use crate::{
     domain::{CancelFlag, Dataset, Frame, MemoryBudget, Split},
     eval::Lpips,
     gpu::Device,
 };
+
+/// Views that the renderer is held to the reference on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ReferenceViews {
+    /// Held-out views, at most.
+    pub views: usize,
+    /// Longest side in pixels that they are rendered at: the reference takes a core seconds to minutes.
+    pub max_side: u32,
+}
 
 /// What all files of one job share: several, if it makes a rate-distortion curve.
 pub(super) struct RunInputs<'a> {

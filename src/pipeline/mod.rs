@@ -28,8 +28,8 @@ use std::{
 use tracing::Span;
 
 pub use error::JobError;
+pub use inputs::ReferenceViews;
 pub use job::{Checkpoints, CurveFile, JobOutput, Resume, RunJob};
-pub use stages::ReferenceViews;
 
 use self::{
     curve::run_curve,

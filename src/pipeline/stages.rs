@@ -7,7 +7,11 @@ use std::collections::HashMap;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::{encode::Written, error::JobError, inputs::RunInputs};
+use super::{
+    encode::Written,
+    error::JobError,
+    inputs::{ReferenceViews, RunInputs},
+};
 use crate::{
     codec::{DecodeLimits, StoredSteps, stored_steps},
     domain::{
@@ -24,15 +28,6 @@ const STAGE_VIEWS: usize = 8;
 
 /// Cut-offs far below what an 8-bit or a 16-bit picture shows.
 const FINE_CUTOFFS: Cutoffs = Cutoffs { alpha: 1e-6, transmittance: 1e-9 };
-
-/// Views that the renderer is held to the reference on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ReferenceViews {
-    /// Held-out views, at most.
-    pub views: usize,
-    /// Longest side in pixels that they are rendered at: the reference takes a core seconds to minutes.
-    pub max_side: u32,
-}
 
 /// The PSNR at each stage; `None` for files of floats and without held-out views.
 pub(super) fn coding_stages(

@@ -1,6 +1,7 @@
 //! `tcgs bench`: measurements of this build, one subcommand a file.
 
 mod accuracy;
+mod report;
 
 use clap::Subcommand;
 
@@ -17,6 +18,8 @@ pub(crate) struct Args {
 enum Bench {
     /// Compare the kernels with f64 on hard cases, each with a bound
     Accuracy(accuracy::Args),
+    /// Make a declared matrix of runs and report speed against error
+    Report(report::Args),
 }
 
 impl Args {
@@ -24,6 +27,7 @@ impl Args {
     pub(super) fn wants_json(&self) -> bool {
         match &self.bench {
             Bench::Accuracy(args) => args.json,
+            Bench::Report(args) => args.json,
         }
     }
 }
@@ -32,5 +36,6 @@ impl Args {
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     match &args.bench {
         Bench::Accuracy(args) => accuracy::run(args),
+        Bench::Report(args) => report::run(args),
     }
 }

@@ -11,9 +11,12 @@ use std::{
 };
 
 use serde::{Deserialize, Serialize};
-use tcgs::domain::{Problem, ProblemType};
+use tcgs::{
+    domain::{Dataset, Problem, ProblemType},
+    pipeline::JobOutput,
+};
 
-use crate::cli::CliError;
+use crate::cli::{CliError, files, wiring};
 
 /// A file in another program's format, and its quality.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -26,6 +29,27 @@ pub(crate) struct ExternalFile {
     pub(crate) psnr: Option<f64>,
     /// Held-out SSIM.
     pub(crate) ssim: Option<f64>,
+}
+
+/// The scene of a run in the formats that `script` makes, measured on the held-out views; none without a script. `open` prepares the
+/// renderer of a file.
+pub(crate) fn measure(
+    script: Option<&Path>,
+    output: &JobOutput,
+    dataset: &Dataset,
+    open: &dyn Fn(wiring::SceneFile) -> Result<wiring::Renderer, Problem>,
+) -> Result<Vec<ExternalFile>, CliError> {
+    let Some(script) = script else { return Ok(Vec::new()) };
+    let folder = tempfile::tempdir().map_err(|fault| CliError::unwritable(&std::env::temp_dir(), &fault))?;
+    let mut measured = Vec::new();
+    for Converted { format, bytes, decoded } in convert(script, &output.file, folder.path())? {
+        let file = wiring::read(&files::read(&decoded)?)
+            .map_err(|fault| fault.in_file(decoded.display().to_string()))?;
+        let background = output.metrics.background;
+        let (scores, _) = wiring::score(&open(file)?, dataset, background, None, &mut |_, _, _| Ok(()))?;
+        measured.push(ExternalFile { format, bytes, psnr: scores.psnr, ssim: scores.ssim });
+    }
+    Ok(measured)
 }
 
 /// A converted file, before it is measured.

@@ -5,10 +5,11 @@
 //! `runs.jsonl` at once, and a suite that is started again continues where it was interrupted.
 
 mod codec_table;
-mod entry;
-mod external_formats;
+pub(in crate::cli) mod entry;
+pub(in crate::cli) mod external_formats;
 mod record;
 mod seconds;
+pub(in crate::cli) mod sets;
 mod table;
 
 use std::{
@@ -25,12 +26,11 @@ use tcgs::{
 
 use self::{
     entry::Entry,
-    external_formats::{Converted, ExternalFile},
-    record::{Comparison, Record, Records, Wanted},
+    record::{Comparison, Record, Wanted},
 };
 use super::{
-    CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, memory::MemoryFlags,
-    options::SuiteFlags, progress::Display, train::cancel_on_interrupt, wiring,
+    CliError, Report, adapter::AdapterFlag, files, json_lines::JsonLines, lpips::LpipsFlag,
+    memory::MemoryFlags, options::SuiteFlags, progress::Display, train::cancel_on_interrupt, wiring,
 };
 
 /// Where results go if no folder is named.
@@ -107,7 +107,10 @@ pub(crate) fn run(
 ) -> Result<Report, CliError> {
     let entries = if args.models.is_empty() { Entry::defaults() } else { args.models.clone() };
     let shared = args.options.validated()?;
-    let sets = sets(args, folder)?;
+    let asked: Vec<&str> =
+        args.sets.iter().map(String::as_str).chain(args.steps.iter().map(|(set, _)| set.as_str())).collect();
+    let named: Vec<&str> = args.sets.iter().map(String::as_str).collect();
+    let sets = sets::find(folder, &named, &asked)?;
     fs::create_dir_all(&args.out).map_err(|fault| CliError::unwritable(&args.out, &fault))?;
     if let Some(document) = &args.table {
         // Checked hours before the tables exist.
@@ -124,7 +127,7 @@ pub(crate) fn run(
         ),
         adapter,
         external_formats: args.external_formats.as_deref(),
-        records: Records::open(&args.out.join("runs.jsonl"))?,
+        records: JsonLines::open(&args.out.join("runs.jsonl"))?,
         entries,
         cancel,
         failed: Vec::new(),
@@ -177,42 +180,6 @@ fn place(document: &Path, tables: &str) -> Result<String, CliError> {
     })
 }
 
-/// The datasets of the folder by name, only those of `--sets` if given. Anything else is skipped with a note.
-fn sets(args: &Args, folder: &Path) -> Result<Vec<(String, PathBuf)>, CliError> {
-    let entries = fs::read_dir(folder).map_err(|fault| CliError::unreadable(folder, &fault))?;
-    let mut sets = BTreeMap::new();
-    for entry in entries {
-        let path = entry.map_err(|fault| CliError::unreadable(folder, &fault))?.path();
-        let is_zip = path.extension().is_some_and(|extension| extension == "zip");
-        if let Some(name) = path.file_stem().and_then(|name| name.to_str())
-            && (path.is_dir() || is_zip)
-        {
-            sets.insert(name.to_owned(), path);
-        }
-    }
-    let asked: Vec<&String> = args.sets.iter().chain(args.steps.iter().map(|(set, _)| set)).collect();
-    if let Some(unknown) = asked.iter().find(|set| !sets.contains_key(**set)) {
-        return Err(CliError::Usage(format!("{} has no set '{unknown}'", folder.display())));
-    }
-    if !args.sets.is_empty() {
-        sets.retain(|name, _| args.sets.contains(name));
-    }
-    let named = !args.sets.is_empty();
-    let mut usable = Vec::new();
-    for (name, path) in sets {
-        match wiring::check_dataset(&path) {
-            Ok(()) => usable.push((name, path)),
-            Err(problem) if named => return Err(problem.into()),
-            Err(problem) => eprintln!("tcgs: note: {name} skipped: {problem}"),
-        }
-    }
-    if usable.is_empty() {
-        let problem = Problem::new(ProblemType::NoDatasets, "no dataset was found");
-        return Err(problem.in_file(folder.display().to_string()).into());
-    }
-    Ok(usable)
-}
-
 /// A set in memory, with the options of its equal steps.
 struct Set<'a> {
     name: &'a str,
@@ -226,7 +193,7 @@ struct Suite<'a> {
     adapter: &'a AdapterFlag,
     /// The script of `--external-formats`.
     external_formats: Option<&'a Path>,
-    records: Records,
+    records: JsonLines<Record>,
     entries: Vec<Entry>,
     cancel: CancelFlag,
     failed: Vec<Problem>,
@@ -325,7 +292,8 @@ impl Suite<'_> {
         };
         let external_formats = match comparison {
             Comparison::Steps if self.wants_external_formats(&options) => {
-                self.external_formats_of(set, &output)?
+                let renderer = |file| wiring::Renderer::open(file, &self.adapter.adapter);
+                external_formats::measure(self.external_formats, &output, &set.dataset, &renderer)?
             }
             _ => Vec::new(),
         };
@@ -345,26 +313,6 @@ impl Suite<'_> {
 
     fn wants_external_formats(&self, options: &TrainOptions) -> bool {
         self.external_formats.is_some() && options.model == ModelKind::Gaussians3d
-    }
-
-    /// The scene of a run in other programs' formats.
-    fn external_formats_of(&self, set: &Set<'_>, output: &JobOutput) -> Result<Vec<ExternalFile>, CliError> {
-        let Some(script) = self.external_formats else { return Ok(Vec::new()) };
-        let folder =
-            tempfile::tempdir().map_err(|fault| CliError::unwritable(&std::env::temp_dir(), &fault))?;
-        let mut files = Vec::new();
-        for Converted { format, bytes, decoded } in
-            external_formats::convert(script, &output.file, folder.path())?
-        {
-            let file = wiring::read(&crate::cli::files::read(&decoded)?)
-                .map_err(|fault| fault.in_file(decoded.display().to_string()))?;
-            let renderer = wiring::Renderer::open(file, &self.adapter.adapter)?;
-            let background = output.metrics.background;
-            let (scores, _) =
-                wiring::score(&renderer, &set.dataset, background, None, &mut |_, _, _| Ok(()))?;
-            files.push(ExternalFile { format, bytes, psnr: scores.psnr, ssim: scores.ssim });
-        }
-        Ok(files)
     }
 
     fn high_band(&self, set: &Set<'_>, output: &JobOutput) -> Result<Option<f64>, CliError> {

@@ -1,16 +1,9 @@
-//! Records of finished runs: lines of JSON in a file that survives an interruption.
-
-use std::{
-    fs,
-    io::{self, Write},
-    path::{Path, PathBuf},
-};
+//! What a suite keeps of a finished run.
 
 use serde::{Deserialize, Serialize};
-use tcgs::domain::{Digest, JobMetrics, Problem, ProblemType, TrainOptions};
+use tcgs::domain::{Digest, JobMetrics, TrainOptions};
 
 use super::external_formats::ExternalFile;
-use crate::cli::CliError;
 
 /// What is equal in the runs compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -65,53 +58,4 @@ pub(crate) struct Wanted<'a> {
     pub(crate) dataset: Digest,
     pub(crate) entry: &'a str,
     pub(crate) options: &'a TrainOptions,
-}
-
-/// The records of a suite, kept in a file as they come.
-#[derive(Debug)]
-pub(crate) struct Records {
-    path: PathBuf,
-    all: Vec<Record>,
-}
-
-impl Records {
-    /// The records of the file, none if there is no file. An incomplete last line is dropped.
-    pub(crate) fn open(path: &Path) -> Result<Self, CliError> {
-        let text = match fs::read_to_string(path) {
-            Ok(text) => text,
-            Err(fault) if fault.kind() == io::ErrorKind::NotFound => String::new(),
-            Err(fault) => return Err(CliError::unreadable(path, &fault)),
-        };
-        let whole = text.rfind('\n').map_or(0, |end| end + 1);
-        let mut all = Vec::new();
-        for (number, line) in text[..whole].lines().enumerate() {
-            let record = serde_json::from_str(line).map_err(|fault| {
-                let detail = format!("line {} is not a finished run: {fault}", number + 1);
-                Problem::new(ProblemType::NotResults, detail).in_file(path.display().to_string())
-            })?;
-            all.push(record);
-        }
-        if whole < text.len() {
-            fs::write(path, &text[..whole]).map_err(|fault| CliError::unwritable(path, &fault))?;
-        }
-        Ok(Self { path: path.to_owned(), all })
-    }
-
-    /// Every record, in the order in which they came.
-    pub(crate) fn all(&self) -> &[Record] {
-        &self.all
-    }
-
-    /// Appends one to the file and returns it as read back, so that a resumed suite has the same figures to the last digit.
-    pub(crate) fn add(&mut self, record: &Record) -> Result<Record, CliError> {
-        let unwritable = |fault: io::Error| CliError::unwritable(&self.path, &fault);
-        let mut line = serde_json::to_vec(record).map_err(|fault| unwritable(fault.into()))?;
-        let kept: Record = serde_json::from_slice(&line).map_err(|fault| unwritable(fault.into()))?;
-        line.push(b'\n');
-        let mut file =
-            fs::OpenOptions::new().create(true).append(true).open(&self.path).map_err(unwritable)?;
-        file.write_all(&line).and_then(|()| file.sync_all()).map_err(unwritable)?;
-        self.all.push(kept.clone());
-        Ok(kept)
-    }
 }

@@ -1,6 +1,7 @@
 //! The command line, run as scripts and operators run it.
 
 mod baselines;
+mod bench_report;
 mod clients;
 mod data_folder;
 mod keys;

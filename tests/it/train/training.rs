@@ -211,7 +211,8 @@ fn the_scene_before_rounding_is_kept_beside_the_one_that_the_encoder_gets() {
         ("offsets", &rounded.offsets, &floats.offsets),
     ] {
         let moved = rounded.iter().zip(floats).filter(|(a, b)| a != b).count();
-        assert!(2 * moved > floats.len(), "{name}: {moved} of {}", floats.len());
+        // Many offsets of so short a run are zero, which rounding leaves.
+        assert!(4 * moved > floats.len(), "{name}: {moved} of {}", floats.len());
     }
     let (plain, _) = run(&dataset(), &plain(4, 1));
     assert!(plain.unrounded.is_none());

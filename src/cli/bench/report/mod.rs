@@ -1,0 +1,181 @@
+//! `tcgs bench report`: a declared matrix of runs, and tables and charts of speed against error from their records.
+//!
+//! A record is kept as soon as its run is finished, and a report that is started again makes only what is missing. Tables and charts are
+//! written anew after every run, so they can be read while the report goes on.
+
+mod csv;
+mod machine;
+mod matrix;
+mod page;
+mod plots;
+mod published;
+mod record;
+mod runner;
+mod summary;
+mod sweep;
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::{Path, PathBuf},
+};
+
+use serde_json::json;
+use tcgs::{
+    domain::{CancelFlag, Clock as _, Problem, ProblemType, SystemClock},
+    pipeline::ReferenceViews,
+};
+
+use self::{
+    matrix::Matrix,
+    page::Page,
+    record::RunRecord,
+    runner::{FailedRun, Runner, SuiteSet},
+    summary::{Curve, Group},
+    sweep::SweepRecord,
+};
+use crate::cli::{
+    CliError, Report, adapter::AdapterFlag, files, json_lines::JsonLines, lpips::LpipsFlag, suite::sets,
+    train::cancel_on_interrupt, wiring,
+};
+
+/// Arguments of `tcgs bench report`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Folder of datasets
+    #[arg(long, value_name = "DIR")]
+    suite: PathBuf,
+
+    /// The matrix of runs
+    #[arg(long, value_name = "FILE.toml", default_value = "benches/report.toml")]
+    matrix: PathBuf,
+
+    /// Folder of the report: report.html, runs.csv, survey-SET.csv, plots as .svg, and runs.jsonl, from which an interrupted report
+    /// continues
+    #[arg(short, long, value_name = "DIR", default_value = "out/report")]
+    output: PathBuf,
+
+    /// The runs.jsonl of other reports; runs found there are not made again
+    #[arg(long, value_name = "FILE.jsonl", value_delimiter = ',')]
+    import: Vec<PathBuf>,
+
+    /// Make no run; write the report of those that are there
+    #[arg(long)]
+    no_runs: bool,
+
+    #[command(flatten)]
+    lpips: LpipsFlag,
+
+    #[command(flatten)]
+    adapter: AdapterFlag,
+
+    /// Print one JSON document
+    #[arg(long)]
+    pub(in crate::cli) json: bool,
+}
+
+/// Makes the runs that are missing and writes the report.
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
+    let matrix = Matrix::read(&args.matrix)?;
+    let in_matrix = |fault: String| CliError::Usage(format!("{}: {fault}", args.matrix.display()));
+    published::check(&matrix.published).map_err(in_matrix)?;
+    let named = matrix.named_sets();
+    let only: &[&str] = if matrix.takes_all_sets() { &[] } else { &named };
+    let found = sets::find(&args.suite, only, &named)?;
+    let names: Vec<String> = found.iter().map(|(name, _)| name.clone()).collect();
+    let plan = matrix.plan(&names)?;
+    files::check_writable(&args.output.join("report.html"))?;
+    let records = JsonLines::open(&args.output.join("runs.jsonl"))?;
+    let mut imported = Vec::new();
+    for path in &args.import {
+        imported.extend(JsonLines::<RunRecord>::read(path)?);
+    }
+    let used: BTreeSet<&str> = plan.iter().map(|run| run.set.as_str()).collect();
+    let mut sets = BTreeMap::new();
+    for (name, path) in found.into_iter().filter(|(name, _)| used.contains(name.as_str())) {
+        // Names and contents decide whether a kept run is of this set; pixels are read again by each run.
+        let digest = wiring::load_dataset(&path)?.digest;
+        sets.insert(name, SuiteSet { path, digest });
+    }
+    let cancel = CancelFlag::default();
+    cancel_on_interrupt(cancel.clone());
+    let mut renders = JsonLines::open(&args.output.join("renders.jsonl"))?;
+    let folder = args.matrix.parent().unwrap_or(Path::new("."));
+    let mut runner = Runner {
+        adapter: args.adapter.adapter.clone(),
+        lpips: args.lpips.lpips.clone(),
+        sets,
+        records,
+        imported,
+        external_formats: matrix.external_formats.as_ref().map(|script| folder.join(script)),
+        export_formats: matrix.export_formats.iter().map(|format| format.0).collect(),
+        reference: ReferenceViews { views: matrix.reference_views, max_side: matrix.reference_side.max(1) },
+        session: SystemClock.now().to_string(),
+        cancel: cancel.clone(),
+    };
+    let sweeps = match &matrix.render {
+        None => Vec::new(),
+        Some(sweep) if args.no_runs => sweep::kept(sweep, &renders),
+        Some(sweep) => sweep::make(sweep, &args.adapter.adapter, &mut renders, &cancel)?,
+    };
+    let document = Document { args, matrix: &matrix, wanted: plan.len(), sweeps: &sweeps };
+    let mut publish = |done: &[RunRecord]| document.publish(done, &[]);
+    let (done, failed) = match args.no_runs {
+        true => (runner.all_kept(&plan), Vec::new()),
+        false => runner.make(&plan, &mut publish)?,
+    };
+    document.publish(&done, &failed)?;
+    if let Some(first) = failed.first() {
+        let detail =
+            format!("{} of the runs failed; the first: {}: {}", failed.len(), first.run, first.problem);
+        return Err(Problem::new(ProblemType::SuiteIncomplete, detail).into());
+    }
+    let text =
+        format!("{} of {} runs\nwrote {}", done.len(), plan.len(), args.output.join("report.html").display());
+    Ok(Report::new(
+        text,
+        &json!({ "runs": done, "wanted": plan.len(), "report": args.output.join("report.html") }),
+    ))
+}
+
+/// What is written anew after every run.
+struct Document<'a> {
+    args: &'a Args,
+    matrix: &'a Matrix,
+    /// Runs of the matrix.
+    wanted: usize,
+    sweeps: &'a [SweepRecord],
+}
+
+impl Document<'_> {
+    /// Writes every table and chart of the runs so far.
+    fn publish(&self, records: &[RunRecord], failed: &[FailedRun]) -> Result<(), CliError> {
+        let groups = Group::all(records);
+        let sets: BTreeSet<&str> = records.iter().map(|run| run.set.as_str()).collect();
+        let sets: Vec<&str> = sets.into_iter().collect();
+        let plots = plots::all(&groups, &sets, self.sweeps);
+        let curves = Curve::all(&groups);
+        let page = Page {
+            records,
+            groups: &groups,
+            plots: &plots,
+            sweeps: self.sweeps,
+            differences: &Curve::differences(&curves),
+            comparisons: &published::comparisons(&self.matrix.published, &groups),
+            failed: failed.iter().map(|failed| format!("{}: {}", failed.run, failed.problem)).collect(),
+            wanted: self.wanted,
+        };
+        let write = |name: &str, text: String| files::write(&self.args.output.join(name), text.as_bytes());
+        write("report.html", page.html())?;
+        write("runs.csv", csv::runs(records))?;
+        write("renders.csv", csv::renders(self.sweeps))?;
+        for set in sets {
+            write(&format!("survey-{set}.csv"), csv::survey(&groups, set))?;
+        }
+        for plot in plots.all() {
+            if let Some(picture) = plot.chart.standalone() {
+                write(&format!("{}.svg", plot.file), picture)?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,308 @@
+//! Makes the runs of a matrix, one after another, and keeps a record of each at once.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    time::Instant,
+};
+
+use tcgs::{
+    domain::{
+        CancelFlag, Dataset, Digest, ModelKind, Phase, Problem, Progress, SceneFormat, Split, TrainOptions,
+    },
+    gpu::AdapterChoice,
+    pipeline::{Checkpoints, JobError, JobOutput, Pipeline, ReferenceViews, RunJob as _},
+    train::Schedule,
+};
+
+use super::{
+    machine::Machine,
+    matrix::PlannedRun,
+    record::{Course, ExportRecord, RunKey, RunRecord},
+};
+use crate::cli::{
+    CliError, json_lines::JsonLines, memory::MemoryFlags, progress::Display, suite::external_formats, wiring,
+};
+
+/// Times that a file is decoded again, to know its seconds better.
+const DECODES: usize = 3;
+
+/// A set of the suite.
+#[derive(Debug)]
+pub(super) struct SuiteSet {
+    pub(super) path: PathBuf,
+    pub(super) digest: Digest,
+}
+
+/// What all runs share.
+pub(super) struct Runner {
+    /// The command's adapter, for runs that name none.
+    pub(super) adapter: AdapterChoice,
+    /// Weights of LPIPS, read anew for every adapter.
+    pub(super) lpips: Option<PathBuf>,
+    pub(super) sets: BTreeMap<String, SuiteSet>,
+    /// Records that this report writes.
+    pub(super) records: JsonLines<RunRecord>,
+    /// Records of other reports.
+    pub(super) imported: Vec<RunRecord>,
+    pub(super) external_formats: Option<PathBuf>,
+    pub(super) export_formats: Vec<SceneFormat>,
+    /// Views that the renderer is held to the f64 reference on.
+    pub(super) reference: ReferenceViews,
+    pub(super) session: String,
+    pub(super) cancel: CancelFlag,
+}
+
+/// A run that failed, and why.
+#[derive(Debug)]
+pub(super) struct FailedRun {
+    pub(super) run: PlannedRun,
+    pub(super) problem: Problem,
+}
+
+impl Runner {
+    /// The records of all runs of the plan that succeeded, in its order, and those that failed; makes what is missing. Calls `after`
+    /// whenever a run is finished.
+    pub(super) fn make(
+        &mut self,
+        plan: &[PlannedRun],
+        after: &mut dyn FnMut(&[RunRecord]) -> Result<(), CliError>,
+    ) -> Result<(Vec<RunRecord>, Vec<FailedRun>), CliError> {
+        let mut position = Position::of(plan, |run| self.kept(run).is_some());
+        let (mut done, mut failed) = (Vec::new(), Vec::new());
+        let mut pipelines: BTreeMap<String, Pipeline> = BTreeMap::new();
+        for run in plan {
+            if let Some(record) = self.kept(run) {
+                done.push(record.clone());
+                continue;
+            }
+            let adapter = self.adapter_of(run);
+            let name = adapter.to_string();
+            if !pipelines.contains_key(&name) {
+                pipelines.insert(name.clone(), self.pipeline(&adapter)?);
+            }
+            let Some(pipeline) = pipelines.get(&name) else { continue };
+            eprintln!("tcgs: run {} of {}: {run}", position.number(), position.runs);
+            match self.run(pipeline, &adapter, run, &mut position)? {
+                Ok(record) => {
+                    done.push(self.records.add(&record)?);
+                    after(&done)?;
+                }
+                Err(problem) => {
+                    eprintln!("tcgs: {run} failed: {problem}");
+                    failed.push(FailedRun { run: run.clone(), problem });
+                }
+            }
+            position.next(run);
+        }
+        Ok((done, failed))
+    }
+
+    /// The records that there are of the plan's runs.
+    pub(super) fn all_kept(&self, plan: &[PlannedRun]) -> Vec<RunRecord> {
+        plan.iter().filter_map(|run| self.kept(run).cloned()).collect()
+    }
+
+    fn pipeline(&self, adapter: &AdapterChoice) -> Result<Pipeline, CliError> {
+        let memory = MemoryFlags::default().limits(1);
+        let lpips = wiring::lpips(self.lpips.as_deref())?;
+        let pipeline = wiring::runner(adapter, memory, std::env::temp_dir(), lpips);
+        Ok(pipeline.with_reference(Some(self.reference)))
+    }
+
+    fn adapter_of(&self, run: &PlannedRun) -> AdapterChoice {
+        match &run.adapter {
+            // Names of adapters are never refused here, only when one is opened.
+            Some(name) => name.parse().unwrap_or_default(),
+            None => self.adapter.clone(),
+        }
+    }
+
+    /// The record of a run that was made before.
+    fn kept(&self, run: &PlannedRun) -> Option<&RunRecord> {
+        let adapter = self.adapter_of(run).to_string();
+        let options = as_kept(&run.options)?;
+        let key = RunKey {
+            set: &run.set,
+            dataset: self.sets.get(&run.set)?.digest,
+            model: &run.model,
+            options: &options,
+            adapter: &adapter,
+        };
+        let wants_formats = self.external_formats.is_some() && run.options.model == ModelKind::Gaussians3d;
+        self.records
+            .all()
+            .iter()
+            .chain(&self.imported)
+            .find(|record| record.is(&key) && !(wants_formats && record.external_formats.is_empty()))
+    }
+
+    /// Trains and measures one run; the inner error is the run's own.
+    fn run(
+        &self,
+        pipeline: &Pipeline,
+        adapter: &AdapterChoice,
+        run: &PlannedRun,
+        position: &mut Position,
+    ) -> Result<Result<RunRecord, Problem>, CliError> {
+        let Some(set) = self.sets.get(&run.set) else {
+            return Err(CliError::Usage(format!("there is no set '{}'", run.set)));
+        };
+        let before = Machine::now();
+        let (mut course, mut display) = (Course::default(), Display::new());
+        let mut show = |phase: Phase, progress: &Progress| {
+            course.add(phase, progress);
+            display.show(phase, &position.at(progress));
+        };
+        let outcome = pipeline.run(&set.path, &run.options, &Checkpoints::default(), &mut show, &self.cancel);
+        display.finish();
+        let output = match outcome {
+            Ok(output) => output,
+            Err(JobError::Cancelled) => return Err(CliError::Stopped),
+            Err(JobError::Fail(problem) | JobError::Retry(problem) | JobError::Hold(problem)) => {
+                return Ok(Err(problem));
+            }
+        };
+        let machine = [before, Machine::now()];
+        let measured = Measured::of(self, adapter, &set.path, &output)?;
+        let size = |camera: &tcgs::domain::NamedCamera| {
+            let intrinsics = camera.camera.intrinsics;
+            [intrinsics.width, intrinsics.height]
+        };
+        Ok(Ok(RunRecord {
+            set: run.set.clone(),
+            dataset: set.digest,
+            model: run.model.clone(),
+            options: run.options.clone(),
+            adapter: adapter.to_string(),
+            session: self.session.clone(),
+            machine,
+            view_size: output.cameras.iter().find(|camera| camera.split == Split::Test).map(size),
+            series: course.samples(),
+            decode_seconds: measured.decode_seconds,
+            render_seconds: measured.render_seconds,
+            exports: measured.exports,
+            external_formats: measured.external_formats,
+            metrics: output.metrics,
+        }))
+    }
+}
+
+/// What is measured of a finished run besides its metrics.
+struct Measured {
+    decode_seconds: Vec<f64>,
+    render_seconds: Option<f64>,
+    exports: Vec<ExportRecord>,
+    external_formats: Vec<external_formats::ExternalFile>,
+}
+
+impl Measured {
+    fn of(
+        runner: &Runner,
+        adapter: &AdapterChoice,
+        dataset: &Path,
+        output: &JobOutput,
+    ) -> Result<Self, CliError> {
+        let mut decode_seconds = Vec::new();
+        for _ in 0..DECODES {
+            let began = Instant::now();
+            wiring::read(&output.file)?;
+            decode_seconds.push(began.elapsed().as_secs_f64());
+        }
+        let file = wiring::read(&output.file)?;
+        let dataset = wiring::load_dataset(dataset)?;
+        let renderer = wiring::Renderer::open(file.clone(), adapter)?;
+        let background = output.metrics.background;
+        // The first pass makes kernels and buffers.
+        let mut render_seconds = None;
+        for _ in 0..2 {
+            let (scores, seconds) =
+                wiring::score(&renderer, &dataset, background, None, &mut |_, _, _| Ok(()))?;
+            render_seconds = (scores.views > 0).then(|| seconds / scores.views as f64);
+        }
+        let exports = runner
+            .export_formats
+            .iter()
+            .map(|format| export(&renderer, &file, &dataset, *format))
+            .collect::<Result<_, _>>()?;
+        let is_plain = matches!(file.scene, tcgs::domain::Scene::Gaussians(_));
+        let script = runner.external_formats.as_deref().filter(|_| is_plain);
+        let open = |file| wiring::Renderer::open(file, adapter);
+        let external_formats = external_formats::measure(script, output, &dataset, &open)?;
+        Ok(Self { decode_seconds, render_seconds, exports, external_formats })
+    }
+}
+
+/// Exports a scene and measures the result on the held-out views.
+fn export(
+    renderer: &wiring::Renderer,
+    file: &wiring::SceneFile,
+    dataset: &Dataset,
+    format: SceneFormat,
+) -> Result<ExportRecord, CliError> {
+    let cameras: Vec<_> = dataset.split(Split::Train).map(|frame| frame.camera).collect();
+    let exported = wiring::export(file, format, MAX_DEGREE, Some(&cameras))?;
+    let background = file.background;
+    let mut photographs = Vec::new();
+    for frame in dataset.split(Split::Test) {
+        let photograph = frame.image.load().map_err(Problem::from)?.over(background.rgb8());
+        photographs.push((frame.name.clone(), frame.camera, photograph));
+    }
+    let quality = wiring::compare(renderer, &exported.bytes, background, Some(&photographs))?;
+    Ok(ExportRecord {
+        format,
+        bytes: exported.bytes.len() as u64,
+        gaussians: exported.gaussians as u64,
+        psnr: quality.psnr,
+        psnr_to_source: quality.psnr_to_source,
+    })
+}
+
+/// Options as they read back from a record: parsing does not preserve the last digit of every number.
+fn as_kept(options: &TrainOptions) -> Option<TrainOptions> {
+    serde_json::from_slice(&serde_json::to_vec(options).ok()?).ok()
+}
+
+/// Degree of the spherical harmonics of exports.
+const MAX_DEGREE: u8 = 3;
+
+/// Where the report stands: steps of all runs that are still to be made.
+#[derive(Debug)]
+struct Position {
+    /// Runs in all, and how many of them are settled.
+    runs: usize,
+    settled: usize,
+    steps: u64,
+    steps_done: u64,
+    began: Instant,
+}
+
+impl Position {
+    fn of(plan: &[PlannedRun], is_kept: impl Fn(&PlannedRun) -> bool) -> Self {
+        let settled = plan.iter().filter(|run| is_kept(run)).count();
+        let steps = plan.iter().filter(|run| !is_kept(run)).map(steps).sum();
+        Self { runs: plan.len(), settled, steps, steps_done: 0, began: Instant::now() }
+    }
+
+    fn number(&self) -> usize {
+        self.settled + 1
+    }
+
+    fn next(&mut self, run: &PlannedRun) {
+        self.settled += 1;
+        self.steps_done += steps(run);
+    }
+
+    /// The progress of the whole from that of the run in progress.
+    fn at(&self, progress: &Progress) -> Progress {
+        let step = self.steps_done + progress.step;
+        let left = self.steps.saturating_sub(step);
+        let elapsed = self.began.elapsed().as_secs_f64();
+        let eta_seconds = (step > 0).then(|| elapsed * left as f64 / step as f64);
+        Progress { step, total: self.steps, eta_seconds, ..progress.clone() }
+    }
+}
+
+fn steps(run: &PlannedRun) -> u64 {
+    u64::from(Schedule::new(&run.options).steps)
+}

@@ -1,0 +1,305 @@
+//! Runs that differ in their seed alone, with the means and 95 % intervals of their figures, and comparisons of such groups.
+
+use tcgs::{
+    domain::ModelKind,
+    eval::{
+        Estimate,
+        bjontegaard::{CurveFit, RatePoint, psnr_difference, rate_difference},
+    },
+};
+
+use super::record::RunRecord;
+
+/// Levels of PSNR, in dB, whose seconds are told.
+pub(super) const LEVELS: [f64; 4] = [25.0, 28.0, 30.0, 32.0];
+
+/// Runs of one set, model, schedule, weight and adapter, by seed.
+#[derive(Debug, Clone)]
+pub(super) struct Group<'a> {
+    pub(super) runs: Vec<&'a RunRecord>,
+}
+
+/// A figure of a run, if it has it.
+type Figure = fn(&RunRecord) -> Option<f64>;
+
+impl<'a> Group<'a> {
+    /// The runs by group, both in the order in which they first appear.
+    pub(super) fn all(records: &'a [RunRecord]) -> Vec<Self> {
+        let mut groups: Vec<Self> = Vec::new();
+        for record in records {
+            match groups.iter_mut().find(|group| is_same_but_seed(group.first(), record)) {
+                Some(group) => group.runs.push(record),
+                None => groups.push(Self { runs: vec![record] }),
+            }
+        }
+        groups
+    }
+
+    /// Its first run, which has what all of them share.
+    pub(super) fn first(&self) -> &'a RunRecord {
+        self.runs[0]
+    }
+
+    pub(super) fn set(&self) -> &'a str {
+        &self.first().set
+    }
+
+    /// Model and weight, as `tcgs@0.002`.
+    pub(super) fn name(&self) -> String {
+        let first = self.first();
+        first.options.lambda.map_or_else(|| first.model.clone(), |lambda| format!("{}@{lambda}", first.model))
+    }
+
+    /// The mean of a figure over the seeds; `None` if a run lacks it.
+    pub(super) fn estimate(&self, figure: impl Fn(&RunRecord) -> Option<f64>) -> Option<Estimate> {
+        let values: Option<Vec<f64>> = self.runs.iter().map(|run| figure(run)).collect();
+        Estimate::of(&values?)
+    }
+
+    /// The mean over pairs of runs of equal seed of what `compare` makes of this group's run and the other's.
+    pub(super) fn paired(
+        &self,
+        other: &Group<'_>,
+        compare: impl Fn(&RunRecord, &RunRecord) -> Option<f64>,
+    ) -> Option<Estimate> {
+        let pairs = self.runs.iter().filter_map(|run| {
+            let same = other.runs.iter().find(|other| other.options.seed == run.options.seed)?;
+            compare(run, same)
+        });
+        Estimate::of(&pairs.collect::<Vec<_>>())
+    }
+
+    /// Whether two groups can be compared at all: one set on one adapter.
+    pub(super) fn is_comparable(&self, other: &Group<'_>) -> bool {
+        let [a, b] = [self.first(), other.first()];
+        a.set == b.set && a.metrics.adapter == b.metrics.adapter
+    }
+
+    /// Whether it has the steps and the preset of the other.
+    pub(super) fn has_schedule_of(&self, other: &Group<'_>) -> bool {
+        let [a, b] = [self.first(), other.first()];
+        a.options.preset == b.options.preset && a.metrics.steps == b.metrics.steps
+    }
+}
+
+fn is_same_but_seed(a: &RunRecord, b: &RunRecord) -> bool {
+    let options = tcgs::domain::TrainOptions { seed: b.options.seed, ..a.options.clone() };
+    a.set == b.set && a.model == b.model && a.metrics.adapter == b.metrics.adapter && options == b.options
+}
+
+/// The figures of the table of runs: name, decimals, value.
+pub(super) const FIGURES: [(&str, usize, Figure); 11] = [
+    ("PSNR dB", 2, |run| run.metrics.test.psnr),
+    ("SSIM", 4, |run| run.metrics.test.ssim),
+    ("LPIPS", 4, |run| run.metrics.test.lpips),
+    ("bytes", 0, |run| Some(run.metrics.bytes.total as f64)),
+    ("Gaussians", 0, |run| Some(run.metrics.gaussians as f64)),
+    ("anchors", 0, |run| (run.metrics.anchors > 0).then_some(run.metrics.anchors as f64)),
+    ("training s", 1, |run| Some(run.metrics.seconds.train)),
+    ("steps/s", 2, |run| Some(run.metrics.steps_per_second)),
+    ("encoding s", 3, |run| Some(run.metrics.seconds.encode)),
+    ("decoding s", 4, |run| Some(run.least_decode_seconds())),
+    ("ms a view", 1, |run| run.render_seconds.map(|seconds| 1e3 * seconds)),
+];
+
+/// A rate-distortion curve for each seed.
+#[derive(Debug)]
+pub(super) struct Curve {
+    pub(super) set: String,
+    pub(super) name: String,
+    adapter: String,
+    /// Points of each seed.
+    seeds: Vec<(u64, Vec<RatePoint>)>,
+}
+
+/// How one curve differs from another.
+#[derive(Debug)]
+pub(super) struct CurveDifference {
+    pub(super) set: String,
+    pub(super) anchor: String,
+    pub(super) test: String,
+    /// Per cent of the bytes at equal PSNR, and dB at equal bytes, by each fit.
+    pub(super) cubic: [Option<Estimate>; 2],
+    pub(super) pchip: [Option<Estimate>; 2],
+}
+
+impl Curve {
+    /// The curves of all groups. A model with several weights has one for each schedule, through its weights; another model one through
+    /// its schedules; the formats that a scene of plain Gaussians was converted to make one more.
+    pub(super) fn all(groups: &[Group<'_>]) -> Vec<Self> {
+        let mut curves: Vec<Self> = Vec::new();
+        for group in groups {
+            let run = group.first();
+            let is_weighted = groups.iter().any(|other| {
+                other.is_comparable(group)
+                    && other.first().model == run.model
+                    && other.has_schedule_of(group)
+                    && other.first().options.lambda != run.options.lambda
+            });
+            let name = match is_weighted {
+                true => format!("{}, {} steps, by weight", run.model, run.metrics.steps),
+                false => match run.options.lambda {
+                    Some(lambda) => format!("{}@{lambda}, by steps", run.model),
+                    None => format!("{}, by steps", run.model),
+                },
+            };
+            for run in &group.runs {
+                let point = run.metrics.test.psnr.map(|psnr| (run.metrics.bytes.total as f64, psnr));
+                Self::add(&mut curves, run, &name, point);
+                if run.options.model == ModelKind::Gaussians3d && !run.external_formats.is_empty() {
+                    let name = format!("{}, {} steps, by format", run.model, run.metrics.steps);
+                    Self::add(&mut curves, run, &name, point);
+                    for file in &run.external_formats {
+                        let point = file.psnr.map(|psnr| (file.bytes as f64, psnr));
+                        Self::add(&mut curves, run, &name, point);
+                    }
+                }
+            }
+        }
+        // A single point has no curve.
+        curves.retain(|curve| curve.seeds.iter().any(|(_, points)| points.len() > 1));
+        curves
+    }
+
+    fn add(curves: &mut Vec<Self>, run: &RunRecord, name: &str, point: Option<RatePoint>) {
+        let Some(point) = point else { return };
+        let (set, adapter) = (run.set.clone(), run.metrics.adapter.clone());
+        let is_it = |curve: &Self| curve.set == set && curve.adapter == adapter && curve.name == name;
+        let place = curves.iter().position(is_it).unwrap_or_else(|| {
+            curves.push(Self {
+                set: set.clone(),
+                adapter: adapter.clone(),
+                name: name.to_owned(),
+                seeds: Vec::new(),
+            });
+            curves.len() - 1
+        });
+        let seeds = &mut curves[place].seeds;
+        match seeds.iter_mut().find(|(seed, _)| *seed == run.options.seed) {
+            Some((_, points)) => points.push(point),
+            None => seeds.push((run.options.seed, vec![point])),
+        }
+    }
+
+    /// Every pair of curves of one set that share some range, for every seed that both have.
+    pub(super) fn differences(curves: &[Self]) -> Vec<CurveDifference> {
+        let mut found = Vec::new();
+        for (place, anchor) in curves.iter().enumerate() {
+            for test in &curves[place + 1..] {
+                if anchor.set != test.set || anchor.adapter != test.adapter {
+                    continue;
+                }
+                let difference = CurveDifference {
+                    set: anchor.set.clone(),
+                    anchor: anchor.name.clone(),
+                    test: test.name.clone(),
+                    cubic: anchor.difference(test, CurveFit::Cubic),
+                    pchip: anchor.difference(test, CurveFit::Pchip),
+                };
+                if difference.pchip.iter().chain(&difference.cubic).any(Option::is_some) {
+                    found.push(difference);
+                }
+            }
+        }
+        found
+    }
+
+    fn difference(&self, test: &Self, fit: CurveFit) -> [Option<Estimate>; 2] {
+        let over_seeds = |difference: fn(&[RatePoint], &[RatePoint], CurveFit) -> Option<f64>| {
+            let each = self.seeds.iter().filter_map(|(seed, points)| {
+                let (_, others) = test.seeds.iter().find(|(other, _)| other == seed)?;
+                difference(points, others, fit)
+            });
+            Estimate::of(&each.collect::<Vec<_>>())
+        };
+        [over_seeds(rate_difference), over_seeds(psnr_difference)]
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use tcgs::domain::{Digest, TrainOptions};
+
+    use super::*;
+    use crate::cli::bench::report::machine::Machine;
+
+    /// A record of a run with these figures.
+    pub(in crate::cli::bench::report) fn record(
+        model: ModelKind,
+        lambda: Option<f64>,
+        seed: u64,
+        psnr: f64,
+        bytes: u64,
+    ) -> RunRecord {
+        let scores = serde_json::json!({ "psnr": psnr, "ssim": 0.9, "lpips": null, "views": 2 });
+        let metrics = serde_json::json!({
+            "test": scores, "train": scores,
+            "bytes": { "total": bytes, "positions": 0, "networks": 0, "planes": 0, "masks": 0, "features": 0, "scalings": 0, "offsets": 0, "container": bytes },
+            "seconds": { "ingest": 0.1, "train": 10.0, "encode": 0.2, "decode": 0.05 },
+            "steps": 100, "steps_per_second": 10.0, "anchors": 5, "gaussians": 50,
+            "psnr_before_quantisation": null, "decode_sha256": Digest::of(b"decoded"), "adapter": "an adapter", "background": "black"
+        });
+        let machine = Machine { cores: 2, load: Some(1.0) };
+        RunRecord {
+            set: "ball".to_owned(),
+            dataset: Digest::of(b"set"),
+            model: model.name().to_owned(),
+            options: TrainOptions { model, lambda, seed, ..TrainOptions::default() },
+            adapter: "auto".to_owned(),
+            session: "now".to_owned(),
+            machine: [machine.clone(), machine],
+            view_size: Some([16, 16]),
+            metrics: serde_json::from_value(metrics).expect("metrics"),
+            series: Vec::new(),
+            decode_seconds: vec![0.04],
+            render_seconds: Some(0.01),
+            exports: Vec::new(),
+            external_formats: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn seeds_are_means_and_pairs() {
+        let records: Vec<RunRecord> = [(0, 30.0, 29.0), (1, 31.0, 30.5), (2, 32.0, 31.0)]
+            .into_iter()
+            .flat_map(|(seed, a, b)| {
+                [
+                    record(ModelKind::Scaffold, None, seed, a, 1000),
+                    record(ModelKind::Tcgs, Some(0.001), seed, b, 100),
+                ]
+            })
+            .collect();
+        let groups = Group::all(&records);
+        assert_eq!(groups.iter().map(Group::name).collect::<Vec<_>>(), ["scaffold", "tcgs@0.001"]);
+        let psnr = groups[0].estimate(|run| run.metrics.test.psnr).expect("a mean");
+        assert_eq!((psnr.mean, psnr.runs), (31.0, 3));
+        let paired = groups[1].paired(&groups[0], |a, b| Some(a.metrics.test.psnr? - b.metrics.test.psnr?));
+        let paired = paired.expect("pairs");
+        assert!((paired.mean + 2.5 / 3.0).abs() < 1e-12, "{paired:?}");
+    }
+
+    #[test]
+    fn curves_of_weights_are_compared_for_each_seed() {
+        let mut records = Vec::new();
+        for seed in 0..3 {
+            for (place, lambda) in [0.004, 0.002, 0.001, 0.0005].into_iter().enumerate() {
+                let psnr = 27.0 + place as f64 + 0.1 * seed as f64;
+                let mut run = record(ModelKind::Tcgs, Some(lambda), seed, psnr, 1000 << place);
+                records.push(run.clone());
+                run.model = "tcgs-knn".to_owned();
+                run.metrics.bytes.total *= 2;
+                records.push(run);
+            }
+        }
+        let groups = Group::all(&records);
+        let curves = Curve::all(&groups);
+        assert_eq!(curves.len(), 2, "{curves:?}");
+        let differences = Curve::differences(&curves);
+        assert_eq!(differences.len(), 1);
+        for [rate, psnr] in [differences[0].cubic, differences[0].pchip] {
+            let (rate, psnr) = (rate.expect("a rate"), psnr.expect("a PSNR"));
+            assert!((rate.mean - 100.0).abs() < 1e-6 && rate.half_width.expect("seeds") < 1e-6, "{rate:?}");
+            assert!((psnr.mean + 1.0).abs() < 1e-6 && psnr.runs == 3, "{psnr:?}");
+        }
+    }
+}

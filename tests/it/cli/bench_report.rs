@@ -1,0 +1,190 @@
+//! `tcgs bench report`: a matrix of runs that is killed and continued, and every file that it writes.
+
+use std::{
+    collections::BTreeSet,
+    ffi::OsStr,
+    fs,
+    path::Path,
+    process::Stdio,
+    thread,
+    time::{Duration, Instant},
+};
+
+use serde_json::Value;
+use tcgs::sample::{self, Settings};
+
+use crate::support::{
+    program::{self, answers, tcgs},
+    tree,
+};
+
+/// The matrix for tests: two models, two weights, two seeds.
+const MATRIX: &str = "benches/report-small.toml";
+
+/// Longest wait for the first run on a loaded machine.
+const MAX_WAIT: Duration = Duration::from_secs(300);
+
+fn write_set(path: &Path) {
+    sample::write(path, &Settings { side: 16, points: 60, seed: 1 }).expect("writes");
+}
+
+fn lines(path: &Path) -> Vec<String> {
+    let text = fs::read_to_string(path).unwrap_or_default();
+    let whole = text.rfind('\n').map_or(0, |end| end + 1);
+    text[..whole].lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn a_killed_report_goes_on_and_writes_every_table_and_chart() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (sets, out) = (folder.path().join("sets"), folder.path().join("out"));
+    write_set(&sets.join("ball"));
+    let matrix = tree::root().join(MATRIX);
+    let arguments: Vec<&OsStr> = [
+        OsStr::new("bench"),
+        OsStr::new("report"),
+        OsStr::new("--suite"),
+        sets.as_os_str(),
+        OsStr::new("--matrix"),
+        matrix.as_os_str(),
+        OsStr::new("-o"),
+        out.as_os_str(),
+        OsStr::new("--json"),
+    ]
+    .into();
+
+    let records = out.join("runs.jsonl");
+    let mut first = program::command()
+        .args(&arguments)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the binary runs");
+    let began = Instant::now();
+    while lines(&records).is_empty() && began.elapsed() < MAX_WAIT {
+        assert!(first.try_wait().expect("a status").is_none_or(|status| status.success()), "it failed");
+        thread::sleep(Duration::from_millis(20));
+    }
+    first.kill().expect("killed");
+    first.wait().expect("ended");
+    let kept = lines(&records);
+    assert!(!kept.is_empty(), "a run is kept as it is finished");
+
+    let report = answers(&arguments);
+    let runs = report["runs"].as_array().expect("runs");
+    let all = lines(&records);
+    assert_eq!((runs.len(), all.len()), (6, 6), "3dgs, and tcgs with two weights, of two seeds");
+    assert_eq!(all[..kept.len()], kept, "what was kept is not made again");
+    let sessions: BTreeSet<&str> = runs.iter().filter_map(|run| run["session"].as_str()).collect();
+    assert_eq!(sessions.len(), if kept.len() < 6 { 2 } else { 1 });
+    for run in runs {
+        check_run(run);
+    }
+    // Models of a seed follow one another.
+    let seeds: Vec<u64> = runs.iter().filter_map(|run| run["options"]["seed"].as_u64()).collect();
+    assert_eq!(seeds, [0, 0, 0, 1, 1, 1]);
+
+    check_files(&out);
+    let page = fs::read_to_string(out.join("report.html")).expect("a page");
+    let mut again = arguments.clone();
+    again.push(OsStr::new("--no-runs"));
+    assert_eq!(answers(&again)["runs"], report["runs"], "nothing is made anew");
+    assert_eq!(fs::read_to_string(out.join("report.html")).expect("a page"), page);
+
+    // Another folder with the records of this one makes no run.
+    let other = folder.path().join("other");
+    let mut imported = again.clone();
+    imported[7] = other.as_os_str();
+    let import = records.as_os_str();
+    imported.extend([OsStr::new("--import"), import]);
+    assert_eq!(answers(&imported)["runs"], report["runs"]);
+}
+
+fn check_run(run: &Value) {
+    let metrics = &run["metrics"];
+    assert!(metrics["test"]["psnr"].is_number() && metrics["rendering"]["rmse"].is_number(), "{run:#}");
+    assert!(metrics["rendering"]["rmse"].as_f64().expect("a number") < 1e-3, "{run:#}");
+    assert_eq!(metrics["stages"].is_null(), run["model"] == "3dgs", "{run:#}");
+    if run["model"] == "tcgs" {
+        // Every held-out view is measured at each stage, so that the two are one figure if it is really of floats.
+        assert_eq!(metrics["psnr_before_quantisation"], metrics["stages"]["floats"], "{run:#}");
+        assert_ne!(metrics["stages"]["floats"], metrics["stages"]["rounded"], "{run:#}");
+    }
+    assert!(run["machine"][1]["cores"].as_u64().expect("cores") >= 1, "{run:#}");
+    assert!(!run["series"].as_array().expect("a series").is_empty(), "{run:#}");
+    assert!(run["series"][0]["ssim"].is_number(), "{run:#}");
+    assert_eq!(run["exports"][0]["format"], "spz");
+    assert!(run["decode_seconds"].as_array().expect("times").len() >= 3, "{run:#}");
+}
+
+fn check_files(out: &Path) {
+    let text =
+        |name: &str| fs::read_to_string(out.join(name)).unwrap_or_else(|fault| panic!("{name}: {fault}"));
+    let page = text("report.html");
+    for words in [
+        "3dgs",
+        "tcgs@0.001",
+        "tcgs@0.004",
+        "Runs",
+        "Against the first model",
+        "Quality against time",
+        "Bjøntegaard",
+        "Decoding",
+        "What each stage costs",
+        "Exports",
+        "without subgroups",
+        "Machines and conventions",
+        "±",
+        "<svg",
+    ] {
+        assert!(page.contains(words), "{words}");
+    }
+    assert!(!page.contains("NaN") && !page.contains("inf<"), "{page}");
+    for outside in ["<script", "<link", "<img", "src=", "href=", "@import", "url("] {
+        assert!(!page.contains(outside), "the page asks for nothing: {outside}");
+    }
+    assert!(!page.contains("Published figures"), "the set is nobody's");
+    let runs = text("runs.csv");
+    assert_eq!(runs.lines().count(), 7, "{runs}");
+    let survey = text("survey-ball.csv");
+    assert!(survey.starts_with("Submethod,PSNR,SSIM,LPIPS,Size [Bytes],#Gaussians\n3dgs-6,"), "{survey}");
+    assert_eq!(survey.lines().count(), 4, "{survey}");
+    assert_eq!(text("renders.csv").lines().count(), 5, "four variants");
+    for plot in
+        ["psnr-seconds-ball", "ssim-seconds-ball", "psnr-bytes-ball", "decode-bytes-ball", "render-error"]
+    {
+        let picture = text(&format!("{plot}.svg"));
+        assert!(picture.starts_with("<svg xmlns=") && picture.trim_end().ends_with("</svg>"), "{plot}");
+        assert!(!picture.contains("NaN") && !picture.contains("inf"), "{plot}: {picture}");
+    }
+}
+
+#[test]
+fn what_a_report_cannot_do_is_said_before_it_begins() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (sets, matrix) = (folder.path().join("sets"), folder.path().join("m.toml"));
+    write_set(&sets.join("ball"));
+    let refused = |text: &str, status: i32, words: &[&str]| {
+        fs::write(&matrix, text).expect("writes");
+        let out = folder.path().join("out");
+        let output = tcgs([
+            OsStr::new("bench"),
+            OsStr::new("report"),
+            OsStr::new("--suite"),
+            sets.as_os_str(),
+            OsStr::new("--matrix"),
+            matrix.as_os_str(),
+            OsStr::new("-o"),
+            out.as_os_str(),
+        ]);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(status), "{said}");
+        assert!(words.iter().all(|word| said.contains(word)), "{said}");
+        assert!(!out.join("runs.jsonl").exists());
+    };
+    refused("[[runs]]\nmodels = [\"nerf\"]\n", 2, &["m.toml", "line 2", "nerf"]);
+    refused("[[runs]]\nmodels = [\"tcgs\"]\nsets = [\"cube\"]\n", 2, &["cube"]);
+    refused("[[runs]]\nmodels = [\"tcgs\"]\n[published]\nball = \"nobody/chair\"\n", 2, &["published.ball"]);
+    let missing = tcgs(["bench", "report", "--suite", "nowhere", "--matrix", "nowhere.toml"]);
+    assert_eq!(missing.status.code(), Some(3), "{}", String::from_utf8_lossy(&missing.stderr));
+}
