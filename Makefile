@@ -15,7 +15,7 @@ SWIFTSHADER_TESTS ?= primitives raster_device loss:: neural:: first_light::
 # How long `make fuzz` gives each target.
 FUZZ_SECONDS ?= 600
 
-.PHONY: help setup build demo results report test examples schemathesis generated-client swiftshader validation interop external-formats fuzz lint clean
+.PHONY: help setup build demo results report gate test examples schemathesis generated-client swiftshader validation interop external-formats fuzz lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -35,6 +35,10 @@ results: build ## train every model on every set of DATA and rewrite docs/RESULT
 
 report: build ## make the runs of benches/report.toml on the sets of DATA and report speed against error into out/report; hours on a CPU
 	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" bench report --suite "$(DATA)" --output out/report $(REPORT_FLAGS)
+
+gate: setup ## hold PSNR, bytes and speed of two fixed scenes to scripts/gate.json; UPDATE=1 rewrites it
+	@$(CARGO) build --locked --quiet
+	@. scripts/env.sh && scripts/gate.py $(if $(UPDATE),--update)
 
 test: setup ## all tests, with a count of those that were skipped
 	@scripts/test.sh

@@ -5,6 +5,7 @@ mod examples_real;
 mod first_light;
 #[cfg(target_os = "linux")]
 mod full_disk;
+mod gate;
 #[cfg(target_os = "linux")]
 mod hostile_uploads;
 mod killed;
