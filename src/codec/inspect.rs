@@ -11,12 +11,13 @@ use super::{
     container::{ARITHMETIC_PROFILE, Container, FIXED_HEADER, Section, id_text},
     context::section,
     error::DecodeError,
+    explain::explain,
     manifest::{GroupCosts, Manifest},
     sections,
     shape::Attribute,
     view,
 };
-use crate::domain::{ByteCounts, Digest, SceneScale, context_model::ContextKind};
+use crate::domain::{ByteCounts, Digest, SceneScale, choices::Explanation, context_model::ContextKind};
 
 /// Purpose of a byte range; the groups of [`ByteCounts`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -94,6 +95,8 @@ pub struct Inspection {
     pub content_sha256: Digest,
     /// Counts, choices and provenance.
     pub manifest: Manifest,
+    /// What the run chose and why, for people.
+    pub choices: Vec<Explanation>,
     /// Unit of the distances that the networks get, in world units.
     #[serde(rename = "distance_unit")]
     pub scene_scale: SceneScale,
@@ -141,6 +144,7 @@ pub fn inspect(bytes: &[u8]) -> Result<Inspection, DecodeError> {
         version: format!("{}.{}", container.version.0, container.version.1),
         profile: ARITHMETIC_PROFILE,
         content_sha256: container.digest,
+        choices: explain(&manifest),
         manifest,
         scene_scale: view::decode_scene_scale(container.find(sections::UNIT))?,
         sections: container.sections.iter().map(report).collect(),
@@ -273,6 +277,11 @@ impl fmt::Display for Inspection {
         ];
         for (name, value) in rows {
             writeln!(f, "{name:<18} {value}")?;
+        }
+
+        writeln!(f, "\n{:<24} {:<40} because", "choice", "value")?;
+        for Explanation { what, value, because } in &self.choices {
+            writeln!(f, "{what:<24} {value:<40} {because}")?;
         }
 
         writeln!(f, "\n{:<12} {:>10} {:>7} {:>13}", "bytes by part", "bytes", "share", "bytes/anchor")?;

@@ -39,6 +39,7 @@ mod digest;
 mod efficiency;
 mod encode;
 mod error;
+mod explain;
 mod fit;
 mod gaussian;
 mod gaussian_constants;
@@ -82,7 +83,7 @@ pub struct Provenance {
     pub dataset: Option<Digest>,
     /// Adapter that trained.
     pub adapter: Option<String>,
-    /// Training options as JSON.
+    /// Training options as JSON, and as `choices` what the run chose for its dataset ([`crate::domain::choices::Choices`]).
     pub settings: serde_json::Value,
 }
 

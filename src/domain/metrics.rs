@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Background, Conventions, Digest, LpipsNetwork};
+use super::{Background, Conventions, Convergence, Digest, LpipsNetwork};
 
 /// Image quality of one view, from 8-bit images.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -211,6 +211,9 @@ pub struct JobMetrics {
     /// How `max_bytes` was met; null if it was not set.
     #[serde(default)]
     pub byte_budget: Option<ByteBudget>,
+    /// How `until=converged` went; null if it was not set.
+    #[serde(default)]
+    pub convergence: Option<Convergence>,
     /// Coding efficiency; null if nothing was entropy-coded.
     #[serde(default)]
     pub coding: Option<CodingEfficiency>,

@@ -11,10 +11,12 @@ pub mod camera_path;
 #[cfg(feature = "service")]
 mod causes;
 mod choice;
+pub mod choices;
 #[cfg(feature = "service")]
 pub mod clock;
 pub mod context_model;
 pub mod conventions;
+pub mod convergence;
 pub mod dataset;
 pub mod digest;
 pub mod format;
@@ -55,6 +57,7 @@ pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
 #[cfg(feature = "service")]
 pub use causes::{causes, is_no_space};
+pub use choices::{Choices, ShortenedRun, SizeBound};
 #[cfg(feature = "service")]
 pub use clock::{Clock, ManualClock, SystemClock};
 pub use context_model::{
@@ -62,6 +65,7 @@ pub use context_model::{
     UpLayer,
 };
 pub use conventions::{Conventions, LpipsNetwork};
+pub use convergence::{AsideScore, Convergence};
 pub use dataset::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
 pub use digest::Digest;
 pub use format::SceneFormat;
@@ -82,7 +86,8 @@ pub use metrics::{
 pub use metrics_table::{csv_cell, metrics_columns};
 pub use near_plane::NearPlane;
 pub use options::{
-    Background, Component, ModelKind, OptionError, Preset, TRAIN_OPTIONS, TrainOption, TrainOptions, Voxel,
+    Background, Component, ModelKind, OptionError, Preset, TRAIN_OPTIONS, TrainOption, TrainOptions, Until,
+    Voxel,
 };
 pub use orbit::Orbit;
 #[cfg(feature = "service")]

@@ -97,6 +97,16 @@ named_choice! {
     }
 }
 
+named_choice! {
+    /// When a run ends.
+    Until {
+        /// After all of its steps.
+        Full = "full",
+        /// Earlier, if training views that are kept aside have stopped gaining.
+        Converged = "converged",
+    }
+}
+
 /// How large a cell of the anchors' lattice is.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -144,6 +154,9 @@ pub struct TrainOptions {
     pub preset: Preset,
     /// Steps; the preset's own number if absent.
     pub iterations: Option<u32>,
+    /// When the run ends; serialised only if it is not after all steps.
+    #[serde(skip_serializing_if = "is_full")]
+    pub until: Until,
     /// Seed of every random choice.
     pub seed: u64,
     /// Background of the renders and of images with alpha.
@@ -165,11 +178,17 @@ pub struct TrainOptions {
     pub rd_curve: Vec<f64>,
 }
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_full(until: &Until) -> bool {
+    *until == Until::Full
+}
+
 impl Default for TrainOptions {
     fn default() -> Self {
         Self {
             preset: Preset::Preview,
             iterations: None,
+            until: Until::Full,
             seed: 0,
             background: Background::Black,
             model: ModelKind::Tcgs,
@@ -267,6 +286,11 @@ impl TrainOptions {
         }
         if self.model != ModelKind::Tcgs {
             return fault(format!("the model {} has no rate to weigh", self.model));
+        }
+        if self.until != Until::Full {
+            return fault(
+                "its branches share steps by number; leave out until=converged or rd_curve".to_owned(),
+            );
         }
         if self.lambda.is_some() {
             return fault("each of its points has its own lambda; leave out lambda or rd_curve".to_owned());
@@ -413,7 +437,7 @@ impl TrainOption {
 
 /// Every option of a training run. The command line's flags, the query string and JSON are read by it, and a test holds `openapi.yaml`
 /// to it.
-pub static TRAIN_OPTIONS: [TrainOption; 12] = [
+pub static TRAIN_OPTIONS: [TrainOption; 13] = [
     TrainOption {
         name: "preset",
         kind: OptionKind::Choice(Preset::NAMES),
@@ -427,6 +451,15 @@ pub static TRAIN_OPTIONS: [TrainOption; 12] = [
         default: None,
         help: Some("Training iterations [default: the preset's]"),
         set: |options, text| text.parse().ok().map(|steps| options.iterations = Some(steps)),
+    },
+    TrainOption {
+        name: "until",
+        kind: OptionKind::Choice(Until::NAMES),
+        default: Some("full"),
+        help: Some(
+            "End of the run: full, or converged, which shortens the rest of the schedule once training views that are kept aside have stopped gaining",
+        ),
+        set: |options, text| text.parse().ok().map(|until| options.until = until),
     },
     TrainOption {
         name: "seed",
@@ -565,7 +598,8 @@ mod tests {
 
     #[test]
     fn every_field_has_its_row_with_its_default() {
-        let all = TrainOptions { with: Component::ALL.iter().copied().collect(), ..TrainOptions::default() };
+        let with = Component::ALL.iter().copied().collect();
+        let all = TrainOptions { with, until: Until::Converged, ..TrainOptions::default() };
         let fields = serde_json::to_value(all).expect("JSON");
         let fields: BTreeSet<&str> =
             fields.as_object().expect("an object").keys().map(String::as_str).collect();
@@ -636,6 +670,21 @@ mod tests {
             let baseline = TrainOptions { model, ..TrainOptions::default() };
             assert!(!baseline.has(Component::Wavelet));
         }
+    }
+
+    #[test]
+    fn a_run_may_end_once_it_has_converged_and_says_so_only_then() {
+        let mut options = TrainOptions::default();
+        let usual = serde_json::to_value(&options).expect("JSON");
+        assert!(usual.get("until").is_none(), "it is not serialised unless set");
+        set_option(&mut options, "until", "converged").expect("a choice");
+        let json = serde_json::to_value(&options).expect("JSON");
+        assert_eq!(json["until"], "converged");
+        assert_eq!(serde_json::from_value::<TrainOptions>(json).expect("options"), options);
+        for model in [ModelKind::Tcgs, ModelKind::Scaffold, ModelKind::Gaussians3d] {
+            assert!(TrainOptions { model, ..options.clone() }.validated().is_ok());
+        }
+        assert!(set_option(&mut options, "until", "soon").is_err());
     }
 
     #[test]
@@ -740,7 +789,12 @@ mod tests {
         let rd_curve = vec![0.001];
         for wrong in [
             TrainOptions { lambda: Some(0.1), rd_curve: rd_curve.clone(), ..TrainOptions::default() },
-            TrainOptions { model: ModelKind::Scaffold, rd_curve, ..TrainOptions::default() },
+            TrainOptions {
+                model: ModelKind::Scaffold,
+                rd_curve: rd_curve.clone(),
+                ..TrainOptions::default()
+            },
+            TrainOptions { until: Until::Converged, rd_curve, ..TrainOptions::default() },
         ] {
             assert!(wrong.validated().is_err());
         }

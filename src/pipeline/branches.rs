@@ -120,6 +120,7 @@ mod tests {
             background: Background::White,
             conventions: Conventions::new(None),
             byte_budget: None,
+            convergence: None,
             coding: None,
             stages: None,
             rendering: None,

@@ -17,8 +17,8 @@ use crate::{
         Provenance,
     },
     domain::{
-        AnchorScene, ByteBudget, CodingEfficiency, GroupQstepLog2, ModelKind, Problem, ProblemType, Scene,
-        TrainOptions,
+        AnchorScene, ByteBudget, Choices, CodingEfficiency, GroupQstepLog2, ModelKind, Problem, ProblemType,
+        Scene, TrainOptions,
     },
     train::{BaseQuantSteps, Trained, TrainedContext},
 };
@@ -58,7 +58,8 @@ pub(super) fn write_file(
             (bytes, None, None)
         }
         (Scene::Anchors(scene), _) => {
-            let (encoded, budget) = Encoder { inputs, options, context }.encode(scene, heartbeat)?;
+            let (encoded, budget) =
+                Encoder { inputs, options, context, choices: &trained.choices }.encode(scene, heartbeat)?;
             (encoded.bytes, budget, Some(encoded.context))
         }
         (Scene::Gaussians(scene), _) => (scene_file::write_gaussians(scene, background, dataset), None, None),
@@ -83,6 +84,7 @@ struct Encoder<'a> {
     inputs: &'a RunInputs<'a>,
     options: &'a TrainOptions,
     context: Option<&'a TrainedContext>,
+    choices: &'a Choices,
 }
 
 impl Encoder<'_> {
@@ -93,7 +95,7 @@ impl Encoder<'_> {
         scene: &AnchorScene,
         heartbeat: &mut dyn FnMut(),
     ) -> Result<(Encoded, Option<ByteBudget>), JobError> {
-        let Self { inputs, options, context } = self;
+        let Self { inputs, options, context, .. } = self;
         let background = options.background;
         let steps = match context {
             Some(context) => context.base_quant_steps,
@@ -142,12 +144,21 @@ impl Encoder<'_> {
                 generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),
                 dataset: Some(self.inputs.dataset.digest),
                 adapter: Some(self.inputs.device.adapter_line()),
-                settings: serde_json::to_value(options)
-                    .map_err(|error| JobError::internal(error.to_string()))?,
+                settings: self.settings(&options)?,
             },
         };
         codec::encode(scene, self.context.map(|context| &context.candidates), &settings)
             .map_err(|error| JobError::Fail(Problem::new(ProblemType::NotEncodable, error.to_string())))
+    }
+
+    /// The options, and what the run chose.
+    fn settings(&self, options: &TrainOptions) -> Result<serde_json::Value, JobError> {
+        let json = |error: serde_json::Error| JobError::internal(error.to_string());
+        let mut settings = serde_json::to_value(options).map_err(json)?;
+        if let Some(settings) = settings.as_object_mut() {
+            settings.insert("choices".to_owned(), serde_json::to_value(self.choices).map_err(json)?);
+        }
+        Ok(settings)
     }
 }
 

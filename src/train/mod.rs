@@ -11,6 +11,7 @@ pub mod budget;
 mod checkpoint;
 mod compression;
 pub mod context;
+mod convergence;
 mod densify;
 mod error;
 mod footprint;
@@ -41,7 +42,8 @@ pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
 pub use memory_estimate::{Estimate, OverBudget};
 pub use rate_control::{RateControl, RateControlState};
 pub use schedule::{
-    BaseQuantStepRule, CompressionSchedule, Decay, DecayShape, MaskSchedule, Schedule, Stage, schedule_table,
+    BaseQuantStepRule, CompressionSchedule, Decay, DecayShape, MaskSchedule, Pace, Schedule, Stage,
+    schedule_table,
 };
 pub use statistics::Statistics;
 pub use trained::{Trained, TrainedContext};

@@ -7,7 +7,7 @@
 
 use rand_pcg::Pcg64;
 
-use super::{TrainError, checkpoint::ModelState, trained::TrainedContext};
+use super::{Schedule, TrainError, checkpoint::ModelState, trained::TrainedContext};
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
     gpu::{Buffer, Recorder},
@@ -19,7 +19,7 @@ use crate::{
 pub(super) struct Step {
     /// From 1.
     pub number: u32,
-    /// Its number over the steps of the run, in (0, 1].
+    /// The share of the schedule that is done after it, in (0, 1].
     pub fraction: f64,
     /// Weight of the rate term in the loss.
     pub lambda: f64,
@@ -78,6 +78,9 @@ pub(super) trait ModelTrainer {
         step: &Step,
         overflow_flag: &Buffer<u32>,
     ) -> Result<(), TrainError>;
+
+    /// Follows another schedule from the next step on: the same one with its rest at a faster pace.
+    fn reschedule(&mut self, schedule: &Schedule);
 
     /// Whether the schedule wants [`ModelTrainer::adapt`] after a step.
     fn adapts(&self, step: &Step) -> bool;

@@ -1,7 +1,7 @@
 //! What a training run leaves.
 
 use super::BaseQuantSteps;
-use crate::domain::{ContextCandidates, Scene};
+use crate::domain::{Choices, ContextCandidates, Convergence, Scene};
 
 /// A finished training run.
 #[derive(Debug, Clone)]
@@ -17,6 +17,10 @@ pub struct Trained {
     pub steps: u32,
     /// Seconds of training.
     pub seconds: f64,
+    /// What the run chose for its dataset and machine.
+    pub choices: Choices,
+    /// How `until=converged` went; none without it.
+    pub convergence: Option<Convergence>,
 }
 
 /// What compression-aware training leaves for the encoder.

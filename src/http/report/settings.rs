@@ -18,6 +18,7 @@ pub(super) fn settings(record: &JobRecord) -> Markup {
                 @if let Some(metrics) = &job.metrics {
                     (table("Course", course(metrics)))
                     (table("How it was measured", conventions(metrics)))
+                    @if metrics.convergence.is_some() { (table("Convergence", convergence(metrics))) }
                     @if metrics.byte_budget.is_some() { (table("The target size", budget(metrics))) }
                 }
             }
@@ -109,6 +110,20 @@ fn conventions(metrics: &JobMetrics) -> Rows {
     rows.push(row("held out", conventions.held_out.clone()));
     rows.push(row("means", conventions.means.clone()));
     rows
+}
+
+fn convergence(metrics: &JobMetrics) -> Rows {
+    let Some(convergence) = &metrics.convergence else { return Rows::new() };
+    let views = if convergence.views.is_empty() { "–".to_owned() } else { convergence.views.join(", ") };
+    vec![
+        row("training views kept aside", views),
+        row("converged after step", convergence.converged_at.map_or_else(|| "–".to_owned(), grouped)),
+        row("PSNR of those views then, dB", figure(convergence.psnr, 2)),
+        row("steps of the full schedule", grouped(convergence.full_steps)),
+        row("steps saved", grouped(convergence.steps_saved)),
+        row("time saved, estimated", duration(convergence.seconds_saved)),
+        row("PSNR given up, estimated, dB", figure(convergence.psnr_given_up, 2)),
+    ]
 }
 
 fn budget(metrics: &JobMetrics) -> Rows {

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{CheckpointError, GENERATOR};
 use crate::{
     domain::{Digest, TrainOptions},
-    train::{LossSums, RateControl, RateControlState},
+    train::{LossSums, RateControl, RateControlState, convergence::Scores},
 };
 
 /// The state of a run between two steps, without its model.
@@ -44,6 +44,9 @@ pub(in crate::train) struct RunState {
     anchor_bits: Option<u64>,
     /// Estimated bytes of the file.
     file_bytes: Option<u64>,
+    /// Scores of the views kept aside, if the run may stop once it has converged.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(in crate::train) scores: Option<Scores>,
 }
 
 /// What identifies a run: a checkpoint can only be resumed by the same one.
@@ -74,6 +77,7 @@ impl RunState {
             control: None,
             anchor_bits: None,
             file_bytes: None,
+            scores: None,
         }
     }
 

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use rand_pcg::Pcg64;
 
 use super::{
-    Adam, AdamStep, CheckpointError, Moments, TrainError,
+    Adam, AdamStep, CheckpointError, Moments, Schedule, TrainError,
     checkpoint::ModelState,
     model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step},
     schedule::PlainSchedule,
@@ -222,6 +222,11 @@ impl ModelTrainer for PlainTrainer {
             self.plain.statistics(recorder, &self.statistics, overflow_flag)?;
         }
         self.learn(recorder, step, overflow_flag)
+    }
+
+    fn reschedule(&mut self, schedule: &Schedule) {
+        let max_gaussians = self.schedule.max_gaussians;
+        self.schedule = PlainSchedule { max_gaussians, ..schedule.plain.clone() };
     }
 
     fn adapts(&self, step: &Step) -> bool {

@@ -2,7 +2,7 @@
 //!
 //! Invariant: the stages follow each other in the order of [`Stage`].
 
-use super::Decay;
+use super::{Decay, Pace};
 use crate::domain::{Component, ContextKind, ModelKind, Preset, TrainOptions};
 
 /// Share of the anchors whose bits a step estimates (METHOD.md §4.5).
@@ -82,6 +82,8 @@ pub struct CompressionSchedule {
     pub rounded_from: u32,
     /// Last step.
     pub steps: u32,
+    /// The run's pace along the schedule, which the steps above already follow.
+    pub pace: Pace,
     /// How base quantisation steps are chosen.
     pub base: BaseQuantStepRule,
     /// Weight of the bits per element in the loss.
@@ -117,6 +119,7 @@ impl CompressionSchedule {
             reconstruct_from: part(0.5) + 1,
             rounded_from: part(0.85) + 1,
             steps,
+            pace: Pace::full(steps),
             base: if paper { BaseQuantStepRule::Published } else { SHORT },
             lambda: options.lambda.unwrap_or(if options.preset == Preset::Preview {
                 PREVIEW_LAMBDA
@@ -138,6 +141,19 @@ impl CompressionSchedule {
             compresses_planes: options.has(Component::PlaneCompression)
                 && (steps >= MIN_STEPS_FOR_LAYERS || options.with.contains(&Component::PlaneCompression)),
         })
+    }
+
+    /// The stages of the same run at a pace.
+    pub(super) fn at_pace(&self, pace: &Pace) -> Self {
+        Self {
+            noise_from: pace.step_of(self.noise_from),
+            context_from: pace.step_of(self.context_from),
+            reconstruct_from: pace.step_of(self.reconstruct_from),
+            rounded_from: pace.step_of(self.rounded_from),
+            steps: pace.steps(),
+            pace: *pace,
+            ..self.clone()
+        }
     }
 
     /// The stage of `step`.
@@ -163,9 +179,9 @@ impl CompressionSchedule {
     /// Progress of the context model's training at `step`: 0 before its first step, 1 at the run's last.
     #[must_use]
     pub fn context_progress(&self, step: u32) -> f64 {
-        let before = self.context_from.saturating_sub(1);
-        let whole = self.steps.saturating_sub(before).max(1);
-        f64::from(step.saturating_sub(before)) / f64::from(whole)
+        let before = self.pace.place(self.context_from.saturating_sub(1));
+        let whole = self.pace.place(self.steps).saturating_sub(before).max(1);
+        f64::from(self.pace.place(step).saturating_sub(before)) / f64::from(whole)
     }
 
     /// Weight of the planes' reconstruction loss at `step`.

@@ -2,12 +2,14 @@
 //! lists it for all presets.
 
 mod compression;
+mod pace;
 mod plain;
 mod table;
 
 use std::ops::Range;
 
 pub use compression::{BaseQuantStepRule, CompressionSchedule, Stage};
+pub use pace::Pace;
 pub(super) use plain::PlainSchedule;
 pub use table::schedule_table;
 
@@ -86,6 +88,9 @@ fn anchor_learning_rate(published: Decay, steps: u32) -> Decay {
 /// Cells between neighbouring points at the start: the coarsest growth cell is as large as the points' spacing.
 const CELLS_PER_SPACING: f32 = 16.0;
 
+/// Share of the schedule after which a run is no longer watched for convergence.
+const LATEST_CONVERGENCE: f64 = 0.9;
+
 /// When offset masks learn, and how fast.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MaskSchedule {
@@ -111,6 +116,22 @@ impl MaskSchedule {
         (self.from..=self.until).contains(&step)
     }
 
+    /// The schedule at a pace: in fewer steps, logits come as far with a larger learning rate.
+    fn at_pace(&self, pace: &Pace) -> Self {
+        let factor = f64::from(pace.factor(pace.step_of(self.until)));
+        Self {
+            from: pace.step_of(self.from),
+            loss_from: pace.step_of(self.loss_from),
+            until: pace.step_of(self.until),
+            learning_rate: Decay {
+                start: factor * self.learning_rate.start,
+                end: factor * self.learning_rate.end,
+                ..self.learning_rate
+            },
+            ..*self
+        }
+    }
+
     /// The loss's weight at `step`.
     #[must_use]
     pub fn weight_at(&self, step: u32) -> f32 {
@@ -125,6 +146,8 @@ pub struct Schedule {
     pub model: ModelKind,
     /// Steps in all.
     pub steps: u32,
+    /// The run's pace along the schedule, which all landmarks below already follow.
+    pub pace: Pace,
     /// Widths of the anchor model.
     pub shape: Shape,
     /// How the edge of the anchors' cells is chosen.
@@ -180,6 +203,7 @@ impl Schedule {
         Self {
             model: options.model,
             steps,
+            pace: Pace::full(steps),
             shape: Shape { features, offsets: 10 },
             voxel: match options.voxel {
                 Voxel::Auto => VoxelRule::OfSpacing(CELLS_PER_SPACING.recip()),
@@ -210,6 +234,53 @@ impl Schedule {
             compression: CompressionSchedule::new(options, steps),
             plain: PlainSchedule::new(options, steps),
         }
+    }
+
+    /// The same schedule with its rest, after `step`, at a faster pace, so that growth, masks, the context model and rounding still
+    /// follow each other and learning rates end where they do in a run of full length. Masks learn faster, to come as far.
+    #[must_use]
+    pub fn hastened_after(&self, step: u32) -> Self {
+        let pace = Pace::hastened_after(self.steps, step);
+        let at = |landmark: u32| pace.step_of(landmark);
+        Self {
+            steps: pace.steps(),
+            pace,
+            statistics_from: at(self.statistics_from),
+            densify_from: at(self.densify_from),
+            densify_until: at(self.densify_until),
+            densify_pause: self.densify_pause.as_ref().map(|pause| at(pause.start)..at(pause.end)),
+            masks: self.masks.map(|masks| masks.at_pace(&pace)),
+            compression: self.compression.as_ref().map(|compression| compression.at_pace(&pace)),
+            plain: self.plain.at_pace(&pace),
+            ..self.clone()
+        }
+    }
+
+    /// The share of the schedule that is done after `step`.
+    #[must_use]
+    pub fn fraction(&self, step: u32) -> f64 {
+        self.pace.fraction(step)
+    }
+
+    /// The steps in which a run may be found to have converged: not while masks remove offsets, nor so late that nothing is left to
+    /// shorten.
+    #[must_use]
+    pub fn may_converge(&self) -> Range<u32> {
+        let late = (f64::from(self.steps) * LATEST_CONVERGENCE) as u32;
+        let masks = self.masks.map_or(late, |masks| masks.loss_from);
+        let rounded = self.compression.as_ref().map_or(late, |compression| compression.rounded_from);
+        1..late.min(masks).min(rounded)
+    }
+
+    /// Steps after which the same scene is rendered otherwise: with noise, rounded, or with its opacities reset.
+    #[must_use]
+    pub fn disturbances(&self) -> Vec<u32> {
+        let disturbs = |step: &u32| match (&self.compression, self.model) {
+            (Some(compression), _) => compression.changes_stage_after(*step),
+            (None, ModelKind::Gaussians3d) => self.plain.resets(*step),
+            (None, _) => false,
+        };
+        (1..self.steps).filter(disturbs).collect()
     }
 
     /// The size that growth may reach: anchors, or plain Gaussians.

@@ -17,7 +17,7 @@
 //! would end before Gaussians are where they belong. Hence the factors, which are one from 30 000 steps on and stay at their
 //! values of 300 steps below those.
 
-use super::{Decay, speedup};
+use super::{Decay, Pace, speedup};
 use crate::domain::{Background, Preset, TrainOptions};
 
 /// Steps that a reset of opacities needs to be made good.
@@ -35,7 +35,9 @@ pub(in crate::train) struct PlainSchedule {
     pub densify_until: u32,
     /// and this many steps apart.
     pub densify_every: u32,
-    /// Steps between resets of the opacities.
+    /// Opacities are reset before this step only,
+    pub reset_until: u32,
+    /// and so many steps apart.
     pub reset_every: u32,
     /// Whether there is a reset where growth begins too: against a haze of the background's white.
     pub reset_first: bool,
@@ -71,6 +73,7 @@ impl PlainSchedule {
             densify_from: part(500.0),
             densify_until,
             densify_every: (steps / 30).clamp(25, 100),
+            reset_until: densify_until,
             reset_every,
             reset_first: options.background == Background::White && reset_every < densify_until,
             degree_every: part(1_000.0).max(1),
@@ -89,6 +92,16 @@ impl PlainSchedule {
         }
     }
 
+    /// The schedule of the same run at a pace. A reset could no longer be made good, so there are none at the faster pace.
+    pub(super) fn at_pace(&self, pace: &Pace) -> Self {
+        Self {
+            densify_from: pace.step_of(self.densify_from),
+            densify_until: pace.step_of(self.densify_until),
+            reset_until: pace.first_hastened().map_or(self.reset_until, |step| self.reset_until.min(step)),
+            ..self.clone()
+        }
+    }
+
     /// Whether the views of `step` count for growth.
     pub(in crate::train) fn gathers_statistics(&self, step: u32) -> bool {
         step < self.densify_until
@@ -102,7 +115,7 @@ impl PlainSchedule {
     /// Whether opacities are reset after `step`.
     pub(in crate::train) fn resets(&self, step: u32) -> bool {
         let first = self.reset_first && step == self.densify_from;
-        step < self.densify_until && (first || step.is_multiple_of(self.reset_every))
+        step < self.reset_until && (first || step.is_multiple_of(self.reset_every))
     }
 
     /// Whether what is too large is pruned at `step`: once opacities were reset.

@@ -15,6 +15,7 @@ use super::{
     anchor_trainer::AnchorTrainer,
     batch::{Batch, REPORT_INTERVAL},
     checkpoint::{ModelState, RunIdentity, RunState},
+    convergence::{Scores, Watch},
     init_bounds::init_bounds,
     loss::pack,
     model_trainer::{BitrateSample, FinishedModel, ModelTrainer, Step},
@@ -24,8 +25,8 @@ use super::{
 };
 use crate::{
     domain::{
-        Background, CancelFlag, Component, Dataset, Frame, MemoryBudget, ModelKind, NearPlane, Progress,
-        SceneScale, Split, TrainOptions,
+        Background, CancelFlag, Choices, Component, Convergence, Dataset, Frame, MemoryBudget, ModelKind,
+        NearPlane, Progress, SceneScale, ShortenedRun, SizeBound, Split, TrainOptions, Until,
     },
     gpu::Device,
     model::random_points,
@@ -75,8 +76,7 @@ pub fn train_within(
     cancel: &CancelFlag,
 ) -> Result<Trained, TrainError> {
     let mut run = Run::new(device, dataset, options, budget, checkpoints.resume)?;
-    let last = run.steps;
-    run.run_until(last, checkpoints.sink, report, cancel)?;
+    run.run_until(Goal::End, checkpoints.sink, report, cancel)?;
     run.finish(cancel)
 }
 
@@ -95,7 +95,7 @@ pub fn train_trunk(
     cancel: &CancelFlag,
 ) -> Result<Checkpoint, TrainError> {
     let mut run = Run::new(device, dataset, options, budget, checkpoints.resume)?;
-    run.run_until(run.fork_step, checkpoints.sink, report, cancel)?;
+    run.run_until(Goal::Fork, checkpoints.sink, report, cancel)?;
     run.checkpoint()
 }
 
@@ -193,11 +193,25 @@ impl ModelFactory<'_> {
     }
 }
 
+/// Where a run stops.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Goal {
+    /// At [`Schedule::fork_step`].
+    Fork,
+    /// At the last step.
+    End,
+}
+
 struct Run<'a> {
     device: Arc<Device>,
-    steps: u32,
-    /// See [`Schedule::fork_step`].
-    fork_step: u32,
+    /// From the step after convergence on, the hastened one.
+    schedule: Schedule,
+    /// See [`TrainOptions::max_bytes`].
+    max_bytes: Option<u64>,
+    /// What was chosen for the dataset and the machine.
+    choices: Choices,
+    /// Decides whether the run has converged, if it may stop then.
+    watch: Option<Watch>,
     frames: Vec<&'a Frame>,
     background: Background,
     /// Its seconds are those before `started`.
@@ -231,35 +245,55 @@ impl<'a> Run<'a> {
         let mut schedule = Schedule::new(options);
         let estimate = Needs::of(dataset, options, device.adapter()).within(budget)?;
         tracing::info!("memory: {estimate}");
-        warn_if_capped(schedule.max_size(), &estimate);
-        let (steps, fork_step) = (schedule.steps, schedule.fork_step());
-        let control = schedule.rate_control(options.max_bytes);
+        let preset_size = schedule.max_size();
+        warn_if_capped(preset_size, &estimate);
+        let watch = (options.until == Until::Converged).then(|| {
+            let (window, disturbances) = (schedule.may_converge(), schedule.disturbances());
+            Watch::new(schedule.steps, frames.len(), window, disturbances)
+        });
         let adapter = device.adapter_line();
         let max_size = estimate.size;
         let identity = RunIdentity { options, dataset: dataset.digest, adapter: &adapter, max_size };
         let (state, model) = match resume {
             Some(checkpoint) => {
-                let (mut state, saved) = checkpoint.open(identity, steps, frames.len())?;
+                let (mut state, saved) = checkpoint.open(identity, schedule.steps, frames.len())?;
                 tracing::info!(step = state.step, "resuming from step {}", state.step);
                 state.continue_on(&adapter, max_size);
                 schedule.set_max_size(state.max_size);
-                (state, ModelFactory { device, dataset, frames: &frames, schedule }.resume(saved)?)
+                if let Some(step) = state.scores.as_ref().and_then(Scores::converged_after) {
+                    schedule = schedule.hastened_after(step);
+                }
+                let factory = ModelFactory { device, dataset, frames: &frames, schedule: schedule.clone() };
+                (state, factory.resume(saved)?)
             }
             None => {
                 let mut rng = Pcg64::seed_from_u64(options.seed);
                 let lambda = schedule.lambda();
                 schedule.set_max_size(max_size);
-                let model = ModelFactory { device, dataset, frames: &frames, schedule }.create(&mut rng)?;
-                (RunState::new(identity, rng, lambda), model)
+                let factory = ModelFactory { device, dataset, frames: &frames, schedule: schedule.clone() };
+                let model = factory.create(&mut rng)?;
+                let mut state = RunState::new(identity, rng, lambda);
+                state.scores = watch.is_some().then(Scores::default);
+                (state, model)
             }
         };
-        let control = control.map(|control| state.resume_control(control));
+        let control = schedule.rate_control(options.max_bytes).map(|control| state.resume_control(control));
+        let cloud = dataset.points.as_ref().map_or(0, |points| points.positions.len());
+        let choices = Choices {
+            max_anchors: state.max_size,
+            max_anchors_by: if state.max_size < preset_size { SizeBound::Memory } else { SizeBound::Preset },
+            points: if cloud > 0 { cloud } else { schedule.random_points },
+            random_points: cloud == 0,
+            shortened: None,
+        };
         let near = NearPlane::of_extent(camera_extent(&frames)).depth();
         let settings = RasterSettings { near, ..RasterSettings::default() };
         let now = Instant::now();
         Ok(Self {
-            steps,
-            fork_step,
+            max_bytes: options.max_bytes,
+            choices,
+            watch,
+            schedule,
             control,
             background: options.background,
             model,
@@ -278,10 +312,18 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// Runs the steps up to `last`.
+    /// The last step on the way to `goal`.
+    fn last(&self, goal: Goal) -> u32 {
+        match goal {
+            Goal::Fork => self.schedule.fork_step(),
+            Goal::End => self.schedule.steps,
+        }
+    }
+
+    /// Runs the steps up to `goal`.
     fn run_until(
         &mut self,
-        last: u32,
+        goal: Goal,
         sink: Option<&mut dyn CheckpointSink>,
         report: &mut dyn FnMut(&Progress),
         cancel: &CancelFlag,
@@ -290,21 +332,24 @@ impl<'a> Run<'a> {
         if self.state.step > 0 {
             report(&writer.with_checkpoint_step(self.progress(None)?));
         }
-        while self.state.step < last {
+        while self.state.step < self.last(goal) {
             if cancel.is_cancelled() {
                 writer.save(self);
                 return Err(TrainError::Cancelled);
             }
+            let last = self.last(goal);
             self.advance(&mut |step| step == last || writer.wants(step), cancel)?;
             let step = self.state.step;
             let mut progress = None;
-            if step.is_multiple_of(REPORT_INTERVAL) || step == self.steps {
+            if step.is_multiple_of(REPORT_INTERVAL) || step == self.schedule.steps {
                 let sums = self.sums()?;
                 self.update_bitrate()?;
                 progress = Some(self.progress(Some(sums))?);
             }
+            // After the losses and the size of the step's own view were read, and before the checkpoint, which holds the score.
+            self.score_views_aside()?;
             // Before the report, which states its step.
-            if writer.wants(step) || step == last {
+            if writer.wants(step) || step == self.last(goal) {
                 writer.save(self);
             }
             if let Some(progress) = progress {
@@ -314,19 +359,82 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// The next photograph: all of them in random order, then again in another order.
+    /// The next photograph: all of them in random order, but for those kept aside, then again in another order.
     fn next_frame(&mut self) -> usize {
-        let RunState { order, rng, .. } = &mut self.state;
+        let next_step = self.state.step + 1;
+        let RunState { order, rng, scores, .. } = &mut self.state;
         if order.is_empty() {
-            order.extend(0..self.frames.len());
+            let aside = match (&self.watch, scores) {
+                (Some(watch), Some(scores)) if watch.keeps_aside(scores, next_step) => &watch.aside[..],
+                _ => &[],
+            };
+            order.extend((0..self.frames.len()).filter(|index| !aside.contains(index)));
             order.shuffle(rng);
         }
         order.pop().unwrap_or(0)
     }
 
     fn at(&self, number: u32) -> Step {
-        let fraction = f64::from(number) / f64::from(self.steps.max(1));
-        Step { number, fraction, lambda: self.state.lambda() }
+        Step { number, fraction: self.schedule.fraction(number), lambda: self.state.lambda() }
+    }
+
+    /// Whether views kept aside are scored after `step`.
+    fn scores_after(&self, step: u32) -> bool {
+        match (&self.watch, &self.state.scores) {
+            (Some(watch), Some(scores)) => watch.scores_after(scores, step),
+            _ => false,
+        }
+    }
+
+    /// Scores the views kept aside, if the last step is one after which they are, and hastens the rest of the run if they have stopped
+    /// gaining.
+    fn score_views_aside(&mut self) -> Result<(), TrainError> {
+        let step = self.state.step;
+        if !self.scores_after(step) {
+            return Ok(());
+        }
+        let Some(watch) = self.watch.clone() else { return Ok(()) };
+        let mut sum = 0.0;
+        for index in &watch.aside {
+            sum += self.psnr_of_view(*index)?;
+        }
+        let psnr = sum / watch.aside.len().max(1) as f64;
+        let Some(scores) = &mut self.state.scores else { return Ok(()) };
+        watch.observe(scores, step, psnr);
+        if scores.converged_after() == Some(step) {
+            self.hasten();
+        }
+        Ok(())
+    }
+
+    /// PSNR of the training view `index` as the last step renders the scene, in dB.
+    fn psnr_of_view(&mut self, index: usize) -> Result<f64, TrainError> {
+        let step = self.at(self.state.step);
+        let camera = self.frames[index].camera;
+        let photograph = self.packed(index)?;
+        let size = [camera.intrinsics.width, camera.intrinsics.height];
+        let device = Arc::clone(&self.device);
+        loop {
+            let mut recorder = device.recorder("view kept aside");
+            self.model.forward(&mut recorder, &camera, &step)?;
+            self.raster.forward(&mut recorder, self.model.gaussians(), &camera, self.background.rgb())?;
+            self.loss.record(&mut recorder, size, self.raster.image(), &photograph, None)?;
+            recorder.submit()?;
+            match self.raster.take_forward_passes()?.required {
+                None => return Ok(self.sums()?.psnr()),
+                Some(needed) => self.raster.reserve(needed)?,
+            }
+        }
+    }
+
+    /// Passes through the rest of the schedule at a faster pace.
+    fn hasten(&mut self) {
+        let step = self.state.step;
+        self.schedule = self.schedule.hastened_after(step);
+        self.model.reschedule(&self.schedule);
+        let control = self.schedule.rate_control(self.max_bytes);
+        self.control = control.map(|control| self.state.resume_control(control));
+        tracing::info!(step, steps = self.schedule.steps, "converged: the rest of the schedule is shortened");
     }
 
     /// Runs a batch of steps: up to the next one that the host has to act after, or that `wanted` names.
@@ -347,7 +455,8 @@ impl<'a> Run<'a> {
             self.record()?;
             recorded += 1;
             let step = self.at(self.state.step);
-            let is_last = step.number == self.steps
+            let is_last = step.number == self.schedule.steps
+                || self.scores_after(step.number)
                 || step.number.is_multiple_of(REPORT_INTERVAL)
                 || before.len() >= max_steps
                 || self.model.adapts(&step)
@@ -453,9 +562,9 @@ impl<'a> Run<'a> {
         let size = self.model.size()?;
         Ok(Progress {
             step: u64::from(step),
-            total: u64::from(self.steps),
+            total: u64::from(self.schedule.steps),
             elapsed_seconds: self.started.elapsed().as_secs_f64(),
-            eta_seconds: mean_speed.map(|speed| f64::from(self.steps - step) / speed),
+            eta_seconds: mean_speed.map(|speed| f64::from(self.schedule.steps - step) / speed),
             steps_per_second: speed,
             anchors: size.anchors as u64,
             gaussians: size.gaussians as u64,
@@ -476,7 +585,22 @@ impl<'a> Run<'a> {
     fn finish(self, cancel: &CancelFlag) -> Result<Trained, TrainError> {
         let FinishedModel { scene, unrounded, context } = self.model.finish(&self.frames, cancel)?;
         let seconds = self.state.seconds + self.started.elapsed().as_secs_f64();
-        Ok(Trained { scene, unrounded, context, steps: self.steps, seconds })
+        let steps = self.schedule.steps;
+        let convergence = match (&self.watch, &self.state.scores) {
+            (Some(watch), Some(scores)) => Some(watch.report(scores, &self.frames, steps, seconds)),
+            _ => None,
+        };
+        let shortened = convergence.as_ref().and_then(|convergence: &Convergence| {
+            Some(ShortenedRun {
+                converged_at: convergence.converged_at?,
+                steps: u64::from(steps),
+                full_steps: convergence.full_steps,
+                views_aside: convergence.views.len(),
+                psnr_given_up: convergence.psnr_given_up?,
+            })
+        });
+        let choices = Choices { shortened, ..self.choices };
+        Ok(Trained { scene, unrounded, context, steps, seconds, choices, convergence })
     }
 }
 

@@ -170,6 +170,7 @@ pub fn metrics() -> JobMetrics {
         background: Background::White,
         conventions: Conventions::new(Some(LpipsNetwork::Vgg)),
         byte_budget: None,
+        convergence: None,
         coding: Some(CodingEfficiency { entropy_overhead: 1.001, over_floats: Some(1.002) }),
         stages: Some(CodingStages { views: 2, floats: 30.5, noise: 30.2, rounded: 30.25, decoded: 30.0 }),
         rendering: Some(RenderingError {

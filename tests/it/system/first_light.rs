@@ -238,6 +238,14 @@ fn check_inspection(file: &Path, job: &Value, length: u64) {
     assert!(provenance.contains(&format!("\"iterations\":{STEPS}")), "{provenance}");
     let table = succeeds(line!["inspect", file]);
     assert!(table.contains(&format!("{length} bytes")), "{table}");
+    for choice in
+        ["voxel", "anchors at most", "feature width", "offsets an anchor", "context of the features"]
+    {
+        let because = inspection["choices"].as_array().expect("choices").iter();
+        let because = because.filter(|said| said["what"] == choice).map(|said| &said["because"]);
+        let because = because.map(|because| because.as_str().expect("words")).collect::<Vec<_>>();
+        assert!(because.len() == 1 && table.contains(because[0]), "{choice}: {because:?}");
+    }
 }
 
 fn check_decoding(scene: &Scene, file: &Path, job: &Value) {

@@ -39,9 +39,7 @@ fn the_gate_opens_within_its_bounds_and_names_what_moved_beyond_them() {
     assert!(status == Some(1) && text.contains("plush"), "values of all scenes or none: {text}");
     fs::create_dir_all(folder.join("data/plush")).expect("a folder");
     assert_eq!(run(&["--update"], false).0, Some(0));
-    for (psnr, bytes, seconds) in
-        [(28.0, 100_000, 30.0), (27.81, 102_900, 110.0), (28.19, 97_100, 8.0)]
-    {
+    for (psnr, bytes, seconds) in [(28.0, 100_000, 30.0), (27.81, 102_900, 110.0), (28.19, 97_100, 8.0)] {
         program(folder, psnr, bytes, seconds);
         let (status, text) = run(&[], true);
         assert!(status == Some(0) && !text.contains("MOVED"), "{text}");

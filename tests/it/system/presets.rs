@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use tcgs::{
     codec::{DecodeLimits, Decoded, decode, inspect},
-    domain::{CancelFlag, Component, Preset, TrainOptions},
+    domain::{CancelFlag, Choices, Component, Preset, SizeBound, TrainOptions},
     pipeline::{Checkpoints, JobOutput, Pipeline, RunJob as _},
     sample::{self, Settings},
     train::Schedule,
@@ -67,7 +67,10 @@ fn every_part_can_be_left_out_and_compressed_planes_be_asked_for() {
     for options in variants {
         let (output, decoded) = run(&options);
         assert!(output.file != usual.file, "nothing differs: {options:?}");
-        let settings = &decoded.manifest.provenance.settings;
+        let mut settings = decoded.manifest.provenance.settings.clone();
+        let choices = settings.as_object_mut().and_then(|settings| settings.remove("choices"));
+        let choices: Choices = serde_json::from_value(choices.expect("choices")).expect("choices");
+        assert_eq!(choices.max_anchors_by, SizeBound::Preset);
         let stated: TrainOptions = serde_json::from_value(settings.clone()).expect("options");
         assert_eq!((&stated.with, &stated.without), (&options.with, &options.without), "{settings}");
         decoded.scene.check().expect("a sound scene");

@@ -3,6 +3,7 @@
 mod adam;
 mod checkpoint;
 mod context;
+mod convergence;
 mod loss;
 mod memory;
 mod rate;

@@ -1,0 +1,66 @@
+//! Says for people what a file's run chose and why: from its provenance, and from the bytes of the contexts that the encoder compared.
+
+use serde_json::Value;
+
+use super::manifest::{GroupContext, Manifest};
+use crate::domain::{
+    choices::{Choices, Explanation},
+    context_model::ContextKind,
+    options::Voxel,
+};
+
+/// Every choice that `manifest` states; of files of earlier versions, the contexts alone.
+pub(super) fn explain(manifest: &Manifest) -> Vec<Explanation> {
+    let settings = &manifest.provenance.settings;
+    let choices: Option<Choices> = read(settings, "choices");
+    let voxel = read(settings, "voxel").unwrap_or(Voxel::Auto);
+    let mut all = choices.map_or_else(Vec::new, |choices| choices.explain(voxel, manifest.lattice.voxel));
+    let shape = manifest.shape();
+    all.push(Explanation::new(
+        "feature width",
+        manifest.feature_dim.to_string(),
+        "the preset's, for a run of its length",
+    ));
+    let slots = shape.anchors.saturating_mul(shape.offsets_per_anchor).max(1);
+    all.push(Explanation::new(
+        "offsets an anchor",
+        manifest.offsets_per_anchor.to_string(),
+        format!(
+            "as published; masks keep {} of {slots}, {:.2} an anchor",
+            manifest.gaussians,
+            manifest.gaussians as f64 / shape.anchors.max(1) as f64
+        ),
+    ));
+    all.extend(["features", "scalings", "offsets"].iter().zip(&manifest.contexts).map(context));
+    all
+}
+
+fn read<T: serde::de::DeserializeOwned>(settings: &Value, name: &str) -> Option<T> {
+    settings.get(name).and_then(|value| serde_json::from_value(value.clone()).ok())
+}
+
+/// The context of one attribute group.
+fn context((group, context): (&&str, &GroupContext)) -> Explanation {
+    let value = match context.kind {
+        None => "tables: position no, planes no, neighbours no",
+        Some(ContextKind::Position) => "position yes, planes no, neighbours no",
+        Some(ContextKind::TriPlane) => "position yes, planes yes, neighbours no",
+        Some(ContextKind::TriPlaneKnn) => "position yes, planes yes, neighbours yes",
+    };
+    let bytes = context.bytes;
+    let tried: Vec<String> = [
+        ("tables", bytes.tables),
+        ("position", bytes.position),
+        ("planes", bytes.tri_plane),
+        ("planes and neighbours", bytes.tri_plane_knn),
+    ]
+    .iter()
+    .filter_map(|(name, bytes)| bytes.map(|bytes| format!("{bytes} with {name}")))
+    .collect();
+    let because = if tried.is_empty() {
+        "nothing else was tried".to_owned()
+    } else {
+        format!("bytes with its network, without planes: {}", tried.join(", "))
+    };
+    Explanation::new(&format!("context of the {group}"), value, because)
+}

@@ -1,0 +1,146 @@
+//! What a run chose for its dataset and machine, and why: part of a file's provenance.
+//!
+//! Invariant: nothing here depends on time, so the same run states the same choices.
+
+use serde::{Deserialize, Serialize};
+
+use super::Voxel;
+
+/// What bounds the size that growth may reach.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SizeBound {
+    /// The preset.
+    Preset,
+    /// The adapter's buffers or the memory budget.
+    Memory,
+}
+
+/// The part of a converged run that its file states.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ShortenedRun {
+    /// The step after which the rest of the schedule passed faster.
+    pub converged_at: u64,
+    /// Steps of the run.
+    pub steps: u64,
+    /// Steps of the full schedule.
+    pub full_steps: u64,
+    /// Training views that were kept aside.
+    pub views_aside: usize,
+    /// dB given up, an estimate.
+    pub psnr_given_up: f64,
+}
+
+/// What a run chose for its dataset and machine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Choices {
+    /// Anchors that growth may reach.
+    pub max_anchors: usize,
+    /// Why not more.
+    pub max_anchors_by: SizeBound,
+    /// Points of the dataset's cloud, or random ones.
+    pub points: usize,
+    /// Whether the points are random, since the dataset has none.
+    pub random_points: bool,
+    /// Set if the run converged before its end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shortened: Option<ShortenedRun>,
+}
+
+/// A choice for people.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Explanation {
+    /// What was chosen.
+    pub what: String,
+    /// What was chosen for it.
+    pub value: String,
+    /// Why.
+    pub because: String,
+}
+
+impl Explanation {
+    /// An explanation of these words.
+    #[must_use]
+    pub fn new(what: &str, value: impl Into<String>, because: impl Into<String>) -> Self {
+        Self { what: what.to_owned(), value: value.into(), because: because.into() }
+    }
+}
+
+impl Choices {
+    /// The choices for people; `voxel` is the rule of the run and `edge` the edge that it gave, in world units.
+    #[must_use]
+    pub fn explain(&self, voxel: Voxel, edge: f32) -> Vec<Explanation> {
+        let points =
+            format!("{} {}", self.points, if self.random_points { "random points" } else { "points" });
+        let because = match voxel {
+            Voxel::Auto => format!("a sixteenth of the median spacing of {points}"),
+            Voxel::Published => format!("the published rule, over {points}"),
+            Voxel::Edge(_) => "the option".to_owned(),
+        };
+        let mut all = vec![
+            Explanation::new("voxel", edge.to_string(), because),
+            Explanation::new(
+                "anchors at most",
+                self.max_anchors.to_string(),
+                match self.max_anchors_by {
+                    SizeBound::Preset => "the preset's number fits the adapter and the memory",
+                    SizeBound::Memory => "more do not fit the adapter or the memory",
+                },
+            ),
+        ];
+        all.extend(self.shortened.map(|run| {
+            let because = format!(
+                "{} training views kept aside stopped gaining at step {}; {} steps fewer gave up about {:.2} dB",
+                run.views_aside,
+                run.converged_at,
+                run.full_steps.saturating_sub(run.steps),
+                run.psnr_given_up,
+            );
+            Explanation::new("steps", format!("{} of {}", run.steps, run.full_steps), because)
+        }));
+        all
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_choice_says_what_it_is_and_why() {
+        let shortened = ShortenedRun {
+            converged_at: 900,
+            steps: 1267,
+            full_steps: 2000,
+            views_aside: 2,
+            psnr_given_up: 0.123,
+        };
+        let choices = Choices {
+            max_anchors: 40_000,
+            max_anchors_by: SizeBound::Preset,
+            points: 5000,
+            random_points: false,
+            shortened: Some(shortened),
+        };
+        let said = choices.explain(Voxel::Auto, 0.25);
+        let said: Vec<String> = said
+            .iter()
+            .map(|choice| format!("{} {}: {}", choice.what, choice.value, choice.because))
+            .collect();
+        assert_eq!(
+            said,
+            [
+                "voxel 0.25: a sixteenth of the median spacing of 5000 points",
+                "anchors at most 40000: the preset's number fits the adapter and the memory",
+                "steps 1267 of 2000: 2 training views kept aside stopped gaining at step 900; 733 steps fewer gave up \
+                 about 0.12 dB",
+            ]
+        );
+        let random = Choices { random_points: true, max_anchors_by: SizeBound::Memory, ..choices };
+        let said = random.explain(Voxel::Published, 0.25);
+        assert_eq!(said[0].because, "the published rule, over 5000 random points");
+        assert!(said[1].because.contains("memory"));
+        let json = serde_json::to_value(&random).expect("JSON");
+        assert_eq!(serde_json::from_value::<Choices>(json).expect("choices"), random);
+    }
+}
