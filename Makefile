@@ -10,7 +10,7 @@ DATA ?= $(or $(TCGS_SHARED),../shared)/data
 EXTERNAL_FORMATS ?= $(and $(wildcard scripts/external_formats.sh),$(shell command -v node),--external-formats scripts/external_formats.sh)
 
 # What `make swiftshader` runs: kernels against their twins, gradients, repeated runs, and whole jobs.
-SWIFTSHADER_TESTS ?= primitives raster_device loss:: neural:: first_light::
+SWIFTSHADER_TESTS ?= accuracy::every primitives raster_device loss:: neural:: first_light::
 
 # How long `make fuzz` gives each target.
 FUZZ_SECONDS ?= 600

@@ -1,11 +1,18 @@
 //! `tcgs bench accuracy`: every case on the shared device, the command's document, and the page that lists the cases.
 
-use std::collections::BTreeSet;
+use std::{collections::BTreeSet, sync::Arc};
 
 use serde_json::Value;
-use tcgs::accuracy::{self, Bound, Case};
+use tcgs::{
+    accuracy::{self, Bound, Case},
+    gpu::Device,
+};
 
-use crate::support::{gpu::gpu, program, tree::text};
+use crate::support::{
+    gpu::{gpu, variants},
+    program,
+    tree::text,
+};
 
 /// A row of the page's table; `error` is left out of what is compared.
 fn row(case: &Case, bound: &Bound, error: &str) -> String {
@@ -13,11 +20,10 @@ fn row(case: &Case, bound: &Bound, error: &str) -> String {
 }
 
 /// Prints the page's table.
-#[test]
-fn every_error_is_within_its_bound() {
+fn assert_within_the_bounds(device: &Arc<Device>) {
     let mut exceeded = Vec::new();
     for case in accuracy::cases() {
-        let outcomes = case.outcomes(&gpu()).unwrap_or_else(|fault| panic!("{fault}"));
+        let outcomes = case.outcomes(device).unwrap_or_else(|fault| panic!("{fault}"));
         for (outcome, bound) in outcomes.iter().zip(case.bounds) {
             let line = row(case, bound, &format!("{:.1e}", outcome.error));
             println!("{line}");
@@ -27,6 +33,17 @@ fn every_error_is_within_its_bound() {
         }
     }
     assert!(exceeded.is_empty(), "beyond their bounds:\n{}", exceeded.join("\n"));
+}
+
+#[test]
+fn every_error_is_within_its_bound() {
+    assert_within_the_bounds(&gpu());
+}
+
+#[test]
+fn the_kernels_for_hardware_are_within_the_bounds_too() {
+    let [_, hardware] = variants();
+    assert_within_the_bounds(&hardware);
 }
 
 #[test]
