@@ -6,7 +6,7 @@ use sqlx::{
     Connection as _, SqliteConnection,
     sqlite::{SqliteConnectOptions, SqliteSynchronous},
 };
-use tcgs::domain::{KeyId, Progress, TrainOptions};
+use tcgs::domain::{Progress, ProjectId, TrainOptions};
 
 const METRICS: &str = r#"{
     "test": {"psnr": 30.5, "ssim": 0.97, "lpips": null, "views": 3}, "train": {"psnr": 31.0, "ssim": 0.98, "lpips": null, "views": 9},
@@ -17,14 +17,13 @@ const METRICS: &str = r#"{
     "decode_sha256": "cccccccccccccccccccccccccccccccccccccccccccccccccccccccccccccccc"
 }"#;
 
-/// Two keys, 100 datasets, a list of cameras that all jobs share, and of the first key `?1` jobs with a file each.
+/// Two projects, 100 datasets, a list of cameras that all jobs share, and of the first project `?1` jobs with a file each.
 const STATEMENTS: [&str; 5] = [
-    "INSERT INTO keys (id, name, prefix, hash, scopes, created_at)
-     SELECT value, 'k', 'p', value, '', 0 FROM json_each(json_array(?2, ?3))",
+    "INSERT INTO projects (id, name, created_at) SELECT value, 'a project', 0 FROM json_each(json_array(?2, ?3))",
     "WITH RECURSIVE numbers (n) AS (SELECT 0 UNION ALL SELECT n + 1 FROM numbers WHERE n < ?1 + 100)
      INSERT INTO blobs (digest, bytes, created_at) SELECT printf('%064x', n), 1000, 0 FROM numbers",
     "WITH RECURSIVE numbers (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM numbers WHERE n < ?1)
-     INSERT INTO jobs (id, owner, dataset, options, state, phase, progress, metrics, priority, run_after, attempt, charged, max_attempts,
+     INSERT INTO jobs (id, project, dataset, options, state, phase, progress, metrics, priority, run_after, attempt, charged, max_attempts,
          last_seq, created_at, started_at, finished_at)
      SELECT printf('00000000-0000-7000-8000-%012x', n), ?2, printf('%064x', 1 + n % 100), ?4, 'succeeded', 'done', ?5, ?6, 0, 0, 1, 1, 3,
          0, n, n, n
@@ -35,8 +34,8 @@ const STATEMENTS: [&str; 5] = [
      UNION ALL SELECT id, 'cameras', 0, printf('%064x', 0), 1 FROM jobs",
 ];
 
-/// Adds the keys and the jobs of the first of them.
-pub(crate) async fn write(path: &Path, busy: KeyId, quiet: KeyId, jobs: usize) {
+/// Adds the projects and the jobs of the first of them.
+pub(crate) async fn write(path: &Path, busy: ProjectId, quiet: ProjectId, jobs: usize) {
     // What a crash would lose can be made again.
     let options = SqliteConnectOptions::new().filename(path).synchronous(SqliteSynchronous::Off);
     let mut database = SqliteConnection::connect_with(&options).await.unwrap();

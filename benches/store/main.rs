@@ -1,8 +1,8 @@
 //! What a long history costs: `cargo bench --bench store`.
 //!
-//! One key has 100 000 finished jobs with two files each (an argument chooses another number), another key has one. Timed are the
-//! transactions behind `POST /v1/jobs` of either key, a list of the other key's jobs, and what each scrape of `/metrics` asks. None
-//! should take longer the more jobs there are.
+//! One project has 100 000 finished jobs with two files each (an argument chooses another number), another project has one. Timed are the
+//! transactions behind `POST /v1/jobs` of either project, a list of either one's jobs, usage, a claim with its end, and what each scrape of
+//! `/metrics` asks. None should take longer the more jobs there are.
 
 #![allow(clippy::unwrap_used, reason = "a benchmark stops at the first fault")]
 
@@ -15,8 +15,11 @@ use std::{
 };
 
 use tcgs::{
-    domain::{Digest, JobId, KeyId, KeyLimits, SystemClock, TrainOptions},
-    store::{BlobRef, JobFilter, NewJob, Overview as _, QueuePolicy, SqliteStore, Store as _},
+    domain::{Digest, JobId, ProjectId, ProjectLimits, SystemClock, TrainOptions},
+    store::{
+        BlobRef, JobFilter, NewJob, Outcome, Overview as _, Projects as _, QueuePolicy, SqliteStore,
+        Store as _,
+    },
 };
 use uuid::Uuid;
 
@@ -44,15 +47,20 @@ fn line(what: &str, times: &[Duration]) {
     );
 }
 
-async fn add_job(store: &SqliteStore, owner: KeyId) {
+async fn add_job(store: &SqliteStore, project: ProjectId) {
     let dataset = BlobRef { digest: Digest::of(b"a dataset"), bytes: 9 };
     let id = JobId(Uuid::now_v7());
-    let new = NewJob { owner: Some(owner), ..NewJob::new(id, TrainOptions::default(), dataset) };
+    let new = NewJob { project, ..NewJob::new(id, TrainOptions::default(), dataset) };
     store.create_job(new).await.unwrap();
 }
 
-async fn list(store: &SqliteStore, owner: KeyId) {
-    let filter = JobFilter { owner: Some(owner), ..JobFilter::default() };
+async fn run_one(store: &SqliteStore) {
+    let claim = store.claim("a worker").await.unwrap().unwrap();
+    store.finish(&claim.lease, Outcome::Cancelled).await.unwrap();
+}
+
+async fn list(store: &SqliteStore, project: ProjectId) {
+    let filter = JobFilter { project: Some(project), ..JobFilter::default() };
     assert!(!store.jobs(&filter, None, 20).await.unwrap().is_empty());
 }
 
@@ -62,24 +70,26 @@ async fn main() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("tcgs.sqlite");
     // Both are bounded, so that both bounds are looked at.
-    let limits = KeyLimits {
+    let limits = ProjectLimits {
         quota_bytes: Some(1 << 50),
         max_active_jobs: Some(1 << 20),
-        requests_per_minute: None,
+        max_running_jobs: None,
         max_priority: None,
     };
     let policy = QueuePolicy { limits, ..QueuePolicy::default() };
     let store = SqliteStore::open(&path, Arc::new(SystemClock), policy).await.unwrap();
-    let [busy, quiet] = [1, 2].map(|number| KeyId(Uuid::from_u128(number)));
+    let [busy, quiet] = [1, 2].map(|number| ProjectId(Uuid::from_u128(number)));
     history::write(&path, busy, quiet, jobs).await;
     add_job(&store, quiet).await;
 
-    println!("{jobs} finished jobs of one key, {RUNS} runs\n");
+    println!("{jobs} finished jobs of one project, {RUNS} runs\n");
     println!("{:40} {:>12} {:>12}", "", "median ms", "longest ms");
-    line("POST /v1/jobs, the key with the history", &times(|| add_job(&store, busy)).await);
-    line("POST /v1/jobs, another key", &times(|| add_job(&store, quiet)).await);
-    line("GET /v1/jobs, the key with the history", &times(|| list(&store, busy)).await);
-    line("GET /v1/jobs, another key", &times(|| list(&store, quiet)).await);
+    line("POST /v1/jobs, the project with the history", &times(|| add_job(&store, busy)).await);
+    line("POST /v1/jobs, another project", &times(|| add_job(&store, quiet)).await);
+    line("GET /v1/jobs, the project with the history", &times(|| list(&store, busy)).await);
+    line("GET /v1/jobs, another project", &times(|| list(&store, quiet)).await);
+    line("claim and end of an attempt", &times(|| run_one(&store)).await);
+    line("GET /v1/usage", &times(|| async { store.project_usage(None, None, 20).await.unwrap() }).await);
     line("GET /metrics", &times(|| async { store.stats().await.unwrap() }).await);
     store.close().await;
 }

@@ -1,15 +1,20 @@
-//! `tcgs keys`: creates, lists and revokes API keys, also while the service runs.
+//! `tcgs keys`: creates, lists, changes and revokes API keys, also while the service runs.
 
 use std::{num::NonZeroU32, path::PathBuf};
 
 use clap::Subcommand;
+use jiff::Timestamp;
 use serde::Serialize;
 use tcgs::{
-    domain::{Bytes, KeyId, KeyLimits, Scope},
-    store::KeyRecord,
+    domain::{Clock as _, KeyId, ProjectId, ProjectLimits, Scope, SystemClock},
+    store::{KeyChange, KeyProject, KeyRecord, KeyRequest},
 };
 
-use super::{CliError, Report, wiring};
+use super::{
+    CliError, Report,
+    projects::{OrNone, ProjectLimitFlags},
+    wiring,
+};
 
 /// Arguments of `tcgs keys`.
 #[derive(Debug, clap::Args)]
@@ -34,6 +39,8 @@ enum Action {
     Create(CreateArgs),
     /// Show the keys, newest first
     List(ListArgs),
+    /// Change the name, rate or expiry of a key
+    Change(ChangeArgs),
     /// Revoke a key, from its next request on
     Revoke(RevokeArgs),
 }
@@ -44,25 +51,42 @@ struct CreateArgs {
     #[arg(long)]
     name: String,
 
-    /// Scopes, separated by commas: read, scenes:write, jobs:write, or admin for everything of every owner
+    /// Scopes, separated by commas: read, scenes:write, jobs:write, or admin for everything of every project
     #[arg(long, value_delimiter = ',', default_value = "read,scenes:write,jobs:write")]
     scopes: Vec<Scope>,
 
-    /// Storage for its scenes, uploads and jobs [default: the service's]
-    #[arg(long, value_name = "BYTES", alias = "max-bytes")]
-    quota_bytes: Option<Bytes>,
+    /// Project that it belongs to, as `tcgs projects list` shows it [default: a new one with the key's name]
+    #[arg(long, value_name = "ID")]
+    project: Option<ProjectId>,
 
-    /// Jobs queued or running at the same time [default: the service's]
-    #[arg(long, value_name = "N")]
-    max_active_jobs: Option<u32>,
+    /// When it expires, as 2027-01-31T00:00:00Z [default: never]
+    #[arg(long, value_name = "INSTANT")]
+    expires_at: Option<Timestamp>,
 
     /// Requests per minute [default: the service's]
     #[arg(long, value_name = "N")]
     requests_per_minute: Option<NonZeroU32>,
 
-    /// Highest priority of its jobs, -100 to 100; none for the scope admin [default: the service's]
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
-    max_priority: Option<i32>,
+    #[command(flatten, next_help_heading = "Limits of its new project")]
+    limits: ProjectLimitFlags,
+}
+
+#[derive(Debug, clap::Args)]
+struct ChangeArgs {
+    /// The key's id, as `tcgs keys list` shows it
+    id: KeyId,
+
+    /// Its new name
+    #[arg(long)]
+    name: Option<String>,
+
+    /// When it expires; none for never
+    #[arg(long, value_name = "INSTANT|none")]
+    expires_at: Option<OrNone<Timestamp>>,
+
+    /// Requests per minute; none for the service's default
+    #[arg(long, value_name = "N|none")]
+    requests_per_minute: Option<OrNone<NonZeroU32>>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -70,6 +94,10 @@ struct ListArgs {
     /// Show revoked keys too
     #[arg(long)]
     all: bool,
+
+    /// Show the keys of this project alone
+    #[arg(long, value_name = "ID")]
+    project: Option<ProjectId>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -82,25 +110,48 @@ struct RevokeArgs {
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     match &args.action {
         Action::Create(create) => {
-            let limits = KeyLimits {
-                quota_bytes: create.quota_bytes.map(|bytes| bytes.0),
-                max_active_jobs: create.max_active_jobs,
-                requests_per_minute: create.requests_per_minute,
-                max_priority: create.max_priority,
+            let limits = create.limits.limits();
+            let project = match create.project {
+                None => KeyProject::New(limits),
+                Some(id) if limits == ProjectLimits::default() => KeyProject::Existing(id),
+                Some(id) => {
+                    let fault = "storage, numbers of jobs and priority are limits of projects, not of keys";
+                    return Err(CliError::Usage(format!("{fault}; set them by 'tcgs projects change {id}'")));
+                }
             };
-            let (record, key) = wiring::create_key(&args.data, &create.name, &create.scopes, limits)?;
+            let request = KeyRequest {
+                name: &create.name,
+                scopes: &create.scopes,
+                project,
+                expires_at: create.expires_at,
+                requests_per_minute: create.requests_per_minute,
+            };
+            let (record, key) = wiring::create_key(&args.data, request)?;
             let text = format!(
-                "{}\n\nThis is the only time that the key is shown. It is '{}', id {}, and allows {}.",
+                "{}\n\nThis is the only time that the key is shown. It is '{}', id {}, of project {}, and \
+                 allows {}.",
                 key.expose(),
                 record.name,
                 record.id,
+                record.project_id,
                 scopes(&record)
             );
             Ok(Report::new(text, &Created { key: key.expose(), record: &record }))
         }
         Action::List(list) => {
-            let records = wiring::keys(&args.data, list.all)?;
+            let records = wiring::keys(&args.data, list.project, list.all)?;
             Ok(Report::new(table(&records), &serde_json::json!({ "keys": records })))
+        }
+        Action::Change(wanted) => {
+            let record = wiring::change_key(&args.data, wanted.id, |record| KeyChange {
+                name: wanted.name.clone().unwrap_or_else(|| record.name.clone()),
+                requests_per_minute: wanted
+                    .requests_per_minute
+                    .map_or(record.requests_per_minute, |new| new.0),
+                expires_at: wanted.expires_at.map_or(record.expires_at, |new| new.0),
+            })?;
+            let text = format!("The key '{}' ({}...) is changed.", record.name, record.prefix);
+            Ok(Report::new(text, &record))
         }
         Action::Revoke(revoke) => {
             let record = wiring::revoke_key(&args.data, revoke.id)?;
@@ -125,17 +176,21 @@ fn table(records: &[KeyRecord]) -> String {
     if records.is_empty() {
         return "There are no keys.".to_owned();
     }
-    let mut text = format!("{:36}  {:13}  {:28}  {:20}  name\n", "id", "key", "scopes", "last used");
+    let mut text =
+        format!("{:36}  {:13}  {:36}  {:28}  {:20}  name\n", "id", "key", "project", "scopes", "last used");
     for record in records {
+        let instant = |at: Timestamp| at.strftime("%Y-%m-%dT%H:%M:%SZ").to_string();
         let used = match (record.revoked_at, record.last_used_at) {
             (Some(_), _) => "revoked".to_owned(),
-            (None, Some(at)) => at.strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
+            (None, _) if !record.is_valid(SystemClock.now()) => "expired".to_owned(),
+            (None, Some(at)) => instant(at),
             (None, None) => "never".to_owned(),
         };
         text += &format!(
-            "{}  {:13}  {:28}  {used:20}  {}\n",
+            "{}  {:13}  {}  {:28}  {used:20}  {}\n",
             record.id,
             record.prefix,
+            record.project_id,
             scopes(record),
             record.name
         );

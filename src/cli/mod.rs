@@ -27,6 +27,7 @@ mod picture;
 mod pose;
 mod priority;
 mod progress;
+mod projects;
 mod remote;
 mod render;
 mod report;
@@ -92,8 +93,10 @@ enum Command {
     View(remote::view::Args),
     /// Write the bundled ray-traced scene as a dataset
     Sample(sample::Args),
-    /// Make, list and revoke the API keys of a service
+    /// Make, list, change and revoke the API keys of a service
     Keys(keys::Args),
+    /// Make, list and change the projects of a service
+    Projects(projects::Args),
     /// Bring the database of a service up to this version
     Migrate(migrate::Args),
     /// Measure this build on an adapter
@@ -112,6 +115,7 @@ impl Command {
             Command::Export(args) => args.json,
             Command::Inspect(args) => args.json,
             Command::Keys(args) => args.json,
+            Command::Projects(args) => args.json,
             Command::Migrate(args) => args.json,
             Command::Bench(args) => args.wants_json(),
             Command::Doctor(args) => args.json,
@@ -152,6 +156,7 @@ impl Command {
             | Command::View(_)
             | Command::Sample(_)
             | Command::Keys(_)
+            | Command::Projects(_)
             | Command::Migrate(_)
             | Command::Bench(_)
             | Command::Doctor(_) => Verbosity::Warn,
@@ -175,6 +180,7 @@ impl Command {
             Command::View(args) => remote::view::run(&args),
             Command::Sample(args) => sample::run(&args),
             Command::Keys(args) => keys::run(&args),
+            Command::Projects(args) => projects::run(&args),
             Command::Migrate(args) => migrate::run(&args),
             Command::Bench(args) => bench::run(&args),
             Command::Doctor(args) => doctor::run(&args),

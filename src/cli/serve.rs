@@ -3,7 +3,7 @@
 use std::{net::SocketAddr, num::NonZeroU32, path::PathBuf};
 
 use tcgs::{
-    domain::{Bytes, DEFAULT_MAX_PRIORITY, KeyLimits, MAX_PRIORITY, OutboundPolicy},
+    domain::{Bytes, DEFAULT_MAX_PRIORITY, MAX_PRIORITY, OutboundPolicy, ProjectLimits},
     http::{ProxyNetwork, TrustedProxies, config::AccessRules},
 };
 
@@ -16,6 +16,7 @@ use super::{
     lpips::LpipsFlag,
     memory::MemoryFlags,
     priority::WorkerPriorityFlag,
+    projects::MaxRunningFlag,
     storage::StorageFlags,
     wiring::{self, ServeOptions},
 };
@@ -91,25 +92,32 @@ struct AccessFlags {
     /// Networks of proxies whose X-Forwarded-For or Forwarded header names the client, separated by commas
     #[arg(long, value_name = "CIDR", value_delimiter = ',', env = "TCGS_TRUSTED_PROXIES")]
     trusted_proxies: Vec<ProxyNetwork>,
+
+    /// File of the first key, for administrators: taken from it, or created and written into it, if the service has no keys yet
+    #[arg(long, value_name = "FILE", env = "TCGS_BOOTSTRAP_ADMIN_KEY_FILE")]
+    bootstrap_admin_key_file: Option<PathBuf>,
 }
 
-/// The limits of keys that have none of their own.
+/// The limits of projects and keys that have none of their own.
 #[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Defaults of keys")]
+#[command(next_help_heading = "Defaults of projects and keys")]
 struct QuotaFlags {
-    /// Requests per minute [default: unlimited]
+    /// Requests per minute of a key [default: unlimited]
     #[arg(long, value_name = "N", env = "TCGS_REQUESTS_PER_MINUTE")]
     requests_per_minute: Option<NonZeroU32>,
 
-    /// Storage for scenes, uploads and jobs [default: unlimited]
+    /// Storage for a project's scenes, uploads and jobs [default: unlimited]
     #[arg(long, value_name = "BYTES", env = "TCGS_QUOTA_BYTES")]
     quota_bytes: Option<Bytes>,
 
-    /// Jobs queued or running at the same time [default: unlimited]
+    /// Jobs of a project queued or running at the same time [default: unlimited]
     #[arg(long, value_name = "N", env = "TCGS_MAX_ACTIVE_JOBS")]
     max_active_jobs: Option<u32>,
 
-    /// Highest priority of a job
+    #[command(flatten)]
+    running: MaxRunningFlag,
+
+    /// Highest priority of a project's jobs
     #[arg(
         long,
         value_name = "N",
@@ -122,11 +130,11 @@ struct QuotaFlags {
 }
 
 impl QuotaFlags {
-    fn limits(&self) -> KeyLimits {
-        KeyLimits {
+    fn limits(&self) -> ProjectLimits {
+        ProjectLimits {
             quota_bytes: self.quota_bytes.map(|bytes| bytes.0),
             max_active_jobs: self.max_active_jobs,
-            requests_per_minute: self.requests_per_minute,
+            max_running_jobs: self.running.max_running_jobs,
             max_priority: Some(self.max_priority),
         }
     }
@@ -153,10 +161,14 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, CliError> {
         failures_per_minute: args.access.failures_per_minute,
         trusted_proxies: TrustedProxies(args.access.trusted_proxies),
     };
+    let data = args.storage.folder()?;
+    if let Some(file) = &args.access.bootstrap_admin_key_file {
+        wiring::ensure_first_key(&data, file)?;
+    }
     wiring::serve(ServeOptions {
         http: args.limits.config(args.listen, args.metrics_listen, access),
         limits: args.quotas.limits(),
-        data: args.storage.folder()?,
+        data,
         adapter: args.adapter.adapter,
         lpips: args.lpips.lpips,
         workers: args.workers,

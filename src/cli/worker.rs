@@ -7,6 +7,7 @@ use super::{
     lpips::LpipsFlag,
     memory::MemoryFlags,
     priority::WorkerPriorityFlag,
+    projects::MaxRunningFlag,
     storage::StorageFlags,
     wiring::{self, WorkerOptions},
 };
@@ -32,6 +33,9 @@ pub(crate) struct Args {
     #[command(flatten)]
     nice: WorkerPriorityFlag,
 
+    #[command(flatten)]
+    running: MaxRunningFlag,
+
     /// Stop when standard input closes, as it does when the service that started this worker ends
     #[arg(long, hide = true)]
     stop_with_parent: bool,
@@ -45,6 +49,7 @@ pub(crate) fn run(args: Args) -> Result<Report, CliError> {
         adapter: args.adapter.adapter,
         memory: args.memory.limits(1),
         lpips: args.lpips.lpips,
+        max_running_jobs: args.running.max_running_jobs,
         stop_with_parent: args.stop_with_parent,
     })?;
     Ok(Report::default())

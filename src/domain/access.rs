@@ -1,13 +1,11 @@
-//! Callers, scopes, ownership and the limits of keys.
+//! Callers, scopes, projects and their limits.
 //!
-//! What has an owner is visible to that owner and to administrators only. While a service has no keys, every caller is
-//! [`Caller::ANONYMOUS`], who owns nothing and may do everything.
-
-use std::num::NonZeroU32;
+//! What is stored belongs to a project: every key of that project may see it, and administrators see everything. While a service has no
+//! keys, every caller is [`Caller::ANONYMOUS`], who creates in [`ProjectId::DEFAULT`] and may do everything.
 
 use serde::{Deserialize, Serialize};
 
-use super::{KeyId, choice::named_choice};
+use super::{KeyId, ProjectId, choice::named_choice};
 
 named_choice! {
     /// What a key allows.
@@ -18,39 +16,40 @@ named_choice! {
         ScenesWrite = "scenes:write",
         /// Make, cancel and delete jobs.
         JobsWrite = "jobs:write",
-        /// Everything, of every owner.
+        /// Everything, of every project.
         Admin = "admin",
     }
 }
 
-/// Limits of a key; absent ones are unlimited, except for the priority.
+/// Limits of a project; absent ones are unlimited, except for the priority.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct KeyLimits {
+#[serde(default, deny_unknown_fields)]
+pub struct ProjectLimits {
     /// Bytes of storage for its scenes, uploads and jobs.
     #[serde(rename = "max_bytes")]
     pub quota_bytes: Option<u64>,
     /// Jobs queued or running at the same time.
     pub max_active_jobs: Option<u32>,
-    /// Requests per minute, which may all come at once.
-    pub requests_per_minute: Option<NonZeroU32>,
+    /// Jobs running at the same time; more wait, even if workers are idle.
+    pub max_running_jobs: Option<u32>,
     /// Highest priority of its jobs. Where it is absent, [`DEFAULT_MAX_PRIORITY`].
     pub max_priority: Option<i32>,
 }
 
-/// Highest priority of the jobs of a key without a limit of its own; administrators have none.
+/// Highest priority of the jobs of a project without a limit of its own; administrators have none.
 pub const DEFAULT_MAX_PRIORITY: i32 = 0;
 
 /// Highest priority of any job, and the lowest with the other sign.
 pub const MAX_PRIORITY: i32 = 100;
 
-impl KeyLimits {
+impl ProjectLimits {
     /// These limits, with absent ones from `default`.
     #[must_use]
     pub fn or(self, default: Self) -> Self {
         Self {
             quota_bytes: self.quota_bytes.or(default.quota_bytes),
             max_active_jobs: self.max_active_jobs.or(default.max_active_jobs),
-            requests_per_minute: self.requests_per_minute.or(default.requests_per_minute),
+            max_running_jobs: self.max_running_jobs.or(default.max_running_jobs),
             max_priority: self.max_priority.or(default.max_priority),
         }
     }
@@ -61,24 +60,26 @@ impl KeyLimits {
 pub struct Caller {
     /// Its key; `None` while the service has no keys.
     pub key: Option<KeyId>,
+    /// The project that it creates in.
+    pub project: ProjectId,
     /// Whether it may see and do everything.
     pub admin: bool,
 }
 
 impl Caller {
     /// The caller of a service without keys.
-    pub const ANONYMOUS: Self = Self { key: None, admin: true };
+    pub const ANONYMOUS: Self = Self { key: None, project: ProjectId::DEFAULT, admin: true };
 
-    /// Whether this caller may see what belongs to `owner`.
+    /// Whether this caller may see what belongs to `project`.
     #[must_use]
-    pub fn may_see(&self, owner: Option<KeyId>) -> bool {
-        self.admin || (self.key.is_some() && self.key == owner)
+    pub fn may_see(&self, project: ProjectId) -> bool {
+        self.admin || self.project == project
     }
 
-    /// The owner that lists are restricted to; `None` for no restriction.
+    /// The project that lists are restricted to; `None` for no restriction.
     #[must_use]
-    pub fn visible_owner(&self) -> Option<KeyId> {
-        self.key.filter(|_| !self.admin)
+    pub fn visible_project(&self) -> Option<ProjectId> {
+        (!self.admin).then_some(self.project)
     }
 }
 
@@ -89,16 +90,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_caller_sees_its_own_and_an_administrator_everything() {
-        let [one, other] = [1, 2].map(|id| KeyId(Uuid::from_u128(id)));
-        let caller = Caller { key: Some(one), admin: false };
-        assert!(caller.may_see(Some(one)));
-        assert!(!caller.may_see(Some(other)));
-        assert!(!caller.may_see(None), "what was made without a key is the administrators'");
-        assert_eq!(caller.visible_owner(), Some(one));
-        for all in [Caller::ANONYMOUS, Caller { key: Some(one), admin: true }] {
-            assert!(all.may_see(Some(other)) && all.may_see(None));
-            assert_eq!(all.visible_owner(), None);
+    fn a_caller_sees_its_project_and_an_administrator_everything() {
+        let key = KeyId(Uuid::from_u128(9));
+        let [one, other] = [1, 2].map(|id| ProjectId(Uuid::from_u128(id)));
+        let caller = Caller { key: Some(key), project: one, admin: false };
+        assert!(caller.may_see(one));
+        assert!(!caller.may_see(other));
+        assert!(!caller.may_see(ProjectId::DEFAULT), "what was made without a key is another project's");
+        assert_eq!(caller.visible_project(), Some(one));
+        for all in [Caller::ANONYMOUS, Caller { key: Some(key), project: one, admin: true }] {
+            assert!(all.may_see(other) && all.may_see(ProjectId::DEFAULT));
+            assert_eq!(all.visible_project(), None);
         }
     }
 

@@ -35,10 +35,17 @@ identities! {
     DatasetId;
     /// An upload's identity: a UUID whose order is the order of creation (version 7).
     UploadId;
-    /// A key's identity, which is also the owner of what is created with it: a UUID of version 7.
+    /// A project's identity: a UUID of version 7, or [`ProjectId::DEFAULT`]. What is created belongs to a project.
+    ProjectId;
+    /// A key's identity: a UUID of version 7.
     KeyId;
     /// An endpoint's identity: a UUID of version 7.
     EndpointId;
     /// A message's identity to one endpoint, the same in every attempt to deliver it.
     DeliveryId;
+}
+
+impl ProjectId {
+    /// The project of everything that is created without a key: the nil UUID.
+    pub const DEFAULT: Self = Self(Uuid::nil());
 }

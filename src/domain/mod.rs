@@ -31,6 +31,7 @@ pub mod job;
 #[cfg(feature = "service")]
 pub mod key;
 pub mod memory;
+mod metadata;
 pub mod metrics;
 mod metrics_table;
 pub mod near_plane;
@@ -52,7 +53,7 @@ pub mod webhook;
 pub mod webhook_secret;
 
 #[cfg(feature = "service")]
-pub use access::{Caller, DEFAULT_MAX_PRIORITY, KeyLimits, MAX_PRIORITY, Scope};
+pub use access::{Caller, DEFAULT_MAX_PRIORITY, MAX_PRIORITY, ProjectLimits, Scope};
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
 #[cfg(feature = "service")]
@@ -72,13 +73,16 @@ pub use format::SceneFormat;
 pub use gaussians::{GaussianScene, Scene};
 pub use held_out::{HeldOut, HeldOutView};
 #[cfg(feature = "service")]
-pub use id::{DatasetId, DeliveryId, EndpointId, JobId, KeyId, UploadId};
+pub use id::{DatasetId, DeliveryId, EndpointId, JobId, KeyId, ProjectId, UploadId};
 pub use image::{Image, ImageError};
 #[cfg(feature = "service")]
 pub use job::{Event, EventKind, Job, JobState};
 #[cfg(feature = "service")]
 pub use key::{ApiKey, KeyHash, MalformedKey};
 pub use memory::{Bytes, MemoryBudget, MemoryLimits};
+pub use metadata::{
+    MAX_LABEL_KEY, MAX_LABEL_VALUE, MAX_LABELS, MAX_NAME, Metadata, MetadataError, valid_name,
+};
 pub use metrics::{
     ByteBudget, ByteCounts, CodingEfficiency, CodingStages, CurvePoint, GroupQstepLog2, JobMetrics,
     PhaseSeconds, RenderingError, Scores, ViewScore,

@@ -62,7 +62,7 @@ problem_types! {
     TooManyJobs = 429, "too-many-jobs", "Too many jobs at a time";
     TooManyViews = 429, "too-many-views", "Too many views";
     TooManyStreams = 429, "too-many-streams", "Too many streams";
-    QuotaExceeded = 507, "quota-exceeded", "Over the key's quota";
+    QuotaExceeded = 507, "quota-exceeded", "Over the project's quota";
     StorageFull = 507, "storage-full", "Storage full";
     Busy = 503, "busy", "Busy";
     NotReady = 503, "not-ready", "Not ready";
@@ -71,6 +71,7 @@ problem_types! {
     SceneNotFound = 404, "scene-not-found", "No such scene";
     UploadNotFound = 404, "upload-not-found", "No such upload";
     ArtifactNotFound = 404, "artifact-not-found", "No such file";
+    ProjectNotFound = 404, "project-not-found", "No such project";
     KeyNotFound = 404, "key-not-found", "No such key";
     EndpointNotFound = 404, "endpoint-not-found", "No such webhook endpoint";
     DeliveryNotFound = 404, "delivery-not-found", "No such delivery";
@@ -90,6 +91,7 @@ problem_types! {
     NoKeysYet = 409, "no-keys-yet", "No key makes keys here";
     DeliveryUnderWay = 409, "delivery-under-way", "The delivery cannot be made again";
     EndpointDisabled = 409, "endpoint-disabled", "The delivery cannot be made again";
+    InvalidProjectRequest = 422, "invalid-project-request", "No such project can be made";
     InvalidKeyRequest = 422, "invalid-key-request", "No such key can be made";
     InvalidEndpoint = 422, "invalid-endpoint", "Invalid webhook endpoint";
     UrlNotAllowed = 422, "url-not-allowed", "URL not allowed";

@@ -9,16 +9,17 @@ use axum::{
     http::{HeaderValue, StatusCode, header},
     response::IntoResponse,
 };
+use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{
     problem::{ApiResult, ProblemResponse},
-    request::{ApiJson, JsonBody, Page, Parameters, pagination},
+    request::{ApiJson, JsonBody, Page, Parameters, pagination, present},
     state::AppState,
 };
 use crate::{
-    domain::{Caller, KeyId, KeyLimits, ProblemType, Scope},
-    store::{KeyRecord, NewKey, NewKeyError},
+    domain::{Caller, KeyId, ProblemType, ProjectId, ProjectLimits, Scope},
+    store::{KeyChange, KeyProject, KeyRecord, KeyRequest, NewKey, NewKeyError, ProjectError},
 };
 
 #[derive(Deserialize)]
@@ -26,15 +27,18 @@ use crate::{
 pub(super) struct CreateKeyRequest {
     name: String,
     scopes: Vec<Scope>,
+    project_id: Option<ProjectId>,
+    expires_at: Option<Timestamp>,
+    requests_per_minute: Option<NonZeroU32>,
     max_bytes: Option<u64>,
     max_active_jobs: Option<u32>,
-    requests_per_minute: Option<NonZeroU32>,
+    max_running_jobs: Option<u32>,
     max_priority: Option<i32>,
 }
 
 impl JsonBody for CreateKeyRequest {
     const INVALID: ProblemType = ProblemType::InvalidKeyRequest;
-    const EXPECTED: &'static str = "a key's name, scopes and limits";
+    const EXPECTED: &'static str = "a key's name, scopes, project and limits";
 }
 
 #[derive(Serialize)]
@@ -55,22 +59,31 @@ pub(super) async fn create(
             "a key is needed to create one; 'tcgs keys create' on the service's machine creates the first";
         return Err(ProblemResponse::new(ProblemType::NoKeysYet, detail));
     }
-    let limits = KeyLimits {
+    let limits = ProjectLimits {
         quota_bytes: request.max_bytes,
         max_active_jobs: request.max_active_jobs,
-        requests_per_minute: request.requests_per_minute,
+        max_running_jobs: request.max_running_jobs,
         max_priority: request.max_priority,
     };
+    let project = match request.project_id {
+        None => KeyProject::New(limits),
+        Some(id) if limits == ProjectLimits::default() => KeyProject::Existing(id),
+        Some(id) => {
+            let detail =
+                "max_bytes, max_active_jobs, max_running_jobs and max_priority are limits of projects";
+            return Err(invalid(&format!("{detail}; set them by PATCH /v1/projects/{id}")));
+        }
+    };
     let services = &state.services;
-    let drawn =
-        NewKey::generate(&*services.entropy, services.clock.now(), &request.name, &request.scopes, limits);
-    let (new, key) = drawn.map_err(|error| match error {
-        NewKeyError::Name
-        | NewKeyError::NoScopes
-        | NewKeyError::MaxBytes(_)
-        | NewKeyError::MaxPriority(_) => invalid(&error),
-        NewKeyError::RandomSource(error) => ProblemResponse::internal(&error),
-    })?;
+    let wanted = KeyRequest {
+        name: &request.name,
+        scopes: &request.scopes,
+        project,
+        expires_at: request.expires_at,
+        requests_per_minute: request.requests_per_minute,
+    };
+    let drawn = NewKey::generate(&*services.entropy, services.clock.now(), wanted);
+    let (new, key) = drawn.map_err(|error| refused(&error))?;
     let record = state.store().create_key(new).await?;
     tracing::info!(key = %record.id, "key {} is created", record.id);
     let location = HeaderValue::try_from(href(record.id))?;
@@ -93,9 +106,11 @@ pub(super) async fn list(
 ) -> ApiResult<impl IntoResponse> {
     let page = Page::take(&mut parameters, |text| text.parse().ok())?;
     let revoked = parameters.take_as("revoked", "true or false")?.unwrap_or(false);
+    let project: Option<ProjectId> = parameters.take_as("project_id", "a project's id")?;
     parameters.finish()?;
-    let mut keys = state.store().keys(revoked, page.after, page.to_read()).await?;
-    let next = page.cut(&mut keys, &format!("/v1/keys?revoked={revoked}"), |last| last.id);
+    let mut keys = state.store().keys(project, revoked, page.after, page.to_read()).await?;
+    let of_project = project.map(|project| format!("&project_id={project}")).unwrap_or_default();
+    let next = page.cut(&mut keys, &format!("/v1/keys?revoked={revoked}{of_project}"), |last| last.id);
     Ok((pagination::headers(next.as_deref())?, Json(KeyList { keys, next })))
 }
 
@@ -106,6 +121,41 @@ pub(super) async fn get(
     Path(id): Path<String>,
 ) -> ApiResult<impl IntoResponse> {
     let record = find(&state, &id).await?;
+    Ok(([(header::CACHE_CONTROL, "no-store")], Json(record)))
+}
+
+/// Fields that are absent stay; `null` takes expiry or rate away.
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(super) struct ChangeKeyRequest {
+    name: Option<String>,
+    #[serde(deserialize_with = "present")]
+    requests_per_minute: Option<Option<NonZeroU32>>,
+    #[serde(deserialize_with = "present")]
+    expires_at: Option<Option<Timestamp>>,
+}
+
+impl JsonBody for ChangeKeyRequest {
+    const INVALID: ProblemType = ProblemType::InvalidKeyRequest;
+    const EXPECTED: &'static str = "a key's new name, rate and expiry";
+}
+
+/// `PATCH /v1/keys/{id}`.
+pub(super) async fn change(
+    State(state): State<AppState>,
+    _: Caller,
+    Path(id): Path<String>,
+    ApiJson(request): ApiJson<ChangeKeyRequest>,
+) -> ApiResult<impl IntoResponse> {
+    let record = find(&state, &id).await?;
+    let change = KeyChange {
+        name: request.name.unwrap_or_else(|| record.name.clone()),
+        requests_per_minute: request.requests_per_minute.unwrap_or(record.requests_per_minute),
+        expires_at: request.expires_at.unwrap_or(record.expires_at),
+    };
+    let change = change.checked(&record, state.services.clock.now()).map_err(|error| refused(&error))?;
+    let record = state.store().update_key(record.id, change).await?.ok_or_else(|| no_key(&id))?;
+    tracing::info!(key = %record.id, "key {} is changed", record.id);
     Ok(([(header::CACHE_CONTROL, "no-store")], Json(record)))
 }
 
@@ -134,6 +184,17 @@ fn href(id: KeyId) -> String {
 
 fn no_key(id: &str) -> ProblemResponse {
     ProblemResponse::not_found(ProblemType::KeyNotFound, "key", id)
+}
+
+fn refused(error: &NewKeyError) -> ProblemResponse {
+    match error {
+        NewKeyError::RandomSource(error) | NewKeyError::Project(ProjectError::RandomSource(error)) => {
+            ProblemResponse::internal(error)
+        }
+        NewKeyError::Name | NewKeyError::NoScopes | NewKeyError::Expired(_) | NewKeyError::Project(_) => {
+            invalid(error)
+        }
+    }
 }
 
 fn invalid(error: &dyn std::fmt::Display) -> ProblemResponse {

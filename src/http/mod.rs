@@ -12,12 +12,14 @@ mod jobs;
 mod keys;
 mod metrics;
 mod problem;
+mod projects;
 mod report;
 mod request;
 mod server;
 mod slots;
 mod state;
 mod uploads;
+mod usage;
 mod views;
 mod webhooks;
 
@@ -76,8 +78,11 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .route("/v1/webhook-endpoints/{id}", get(webhooks::get).delete(webhooks::delete))
         .route("/v1/webhook-endpoints/{id}/deliveries", get(webhooks::deliveries))
         .route("/v1/webhook-endpoints/{id}/deliveries/{delivery}/replay", post(webhooks::replay))
+        .route("/v1/projects", get(projects::list).post(projects::create))
+        .route("/v1/projects/{id}", get(projects::get).patch(projects::change))
+        .route("/v1/usage", get(usage::get))
         .route("/v1/keys", get(keys::list).post(keys::create))
-        .route("/v1/keys/{id}", get(keys::get).delete(keys::revoke))
+        .route("/v1/keys/{id}", get(keys::get).patch(keys::change).delete(keys::revoke))
         .route("/healthz", get(server::health::healthz))
         .route("/readyz", get(server::readiness::readyz))
         .route("/version", get(server::health::version))

@@ -65,6 +65,10 @@ impl ProblemResponse {
         Self::not_found(ProblemType::SceneNotFound, "scene", id)
     }
 
+    pub(super) fn no_project(id: impl Display) -> Self {
+        Self::not_found(ProblemType::ProjectNotFound, "project", id)
+    }
+
     pub(super) fn no_upload(id: impl Display) -> Self {
         Self::not_found(ProblemType::UploadNotFound, "upload", id)
     }
@@ -174,6 +178,7 @@ impl From<StoreError> for ProblemResponse {
                     .with_header(header::RETRY_AFTER, RETRY_WHEN_A_JOB_ENDS.into())
             }
             StoreError::NoDataset(id) => Self::no_scene(id),
+            StoreError::NoProject(id) => Self::no_project(id),
             StoreError::PriorityTooHigh { .. } => Self::parameter("priority", error),
             error => Self::internal(&error),
         }

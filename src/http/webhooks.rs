@@ -117,7 +117,7 @@ pub(super) async fn create(
         .map_err(|error| ProblemResponse::internal(&error))?;
     let new = NewEndpoint {
         id: EndpointId(state.new_uuid()),
-        owner: caller.key,
+        project: caller.project,
         url: url.into(),
         events: wanted(events)?,
         description,
@@ -160,7 +160,7 @@ fn invalid(detail: String) -> ProblemResponse {
 /// `GET /v1/webhook-endpoints`.
 pub(super) async fn list(State(state): State<AppState>, caller: Caller, parameters: Parameters) -> ApiResult {
     let page = page(parameters)?;
-    let mut records = state.store().endpoints(caller.visible_owner(), page.after, page.to_read()).await?;
+    let mut records = state.store().endpoints(caller.visible_project(), page.after, page.to_read()).await?;
     let next = page.cut(&mut records, "/v1/webhook-endpoints", |last| last.id);
     let headers = pagination::headers(next.as_deref())?;
     let endpoints = records.into_iter().map(EndpointBody::from).collect();
@@ -233,7 +233,7 @@ async fn find(state: &AppState, caller: &Caller, id: &str) -> ApiResult<Endpoint
     };
     let parsed = id.parse().map_err(|_| unknown())?;
     let record = state.store().endpoint(parsed).await?;
-    record.filter(|record| caller.may_see(record.owner)).ok_or_else(unknown)
+    record.filter(|record| caller.may_see(record.project)).ok_or_else(unknown)
 }
 
 fn page<C: FromStr>(mut parameters: Parameters) -> ApiResult<Page<C>> {

@@ -1,14 +1,14 @@
-//! Usage and quotas of owners, and unreferenced blobs.
+//! Storage and quotas of projects, and unreferenced blobs.
 
 use super::{BlobRef, StoreError, StoreFuture};
-use crate::domain::{Digest, KeyId};
+use crate::domain::{Digest, ProjectId};
 
-/// Bytes that an owner uses.
+/// Bytes that a project uses.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Usage {
-    /// Bytes of blobs that the owner's datasets and jobs refer to, each blob counted once.
+    /// Bytes of blobs that the project's datasets and jobs refer to, each blob counted once.
     pub stored: u64,
-    /// Total length of the owner's open uploads.
+    /// Total length of the project's open uploads.
     pub reserved: u64,
 }
 
@@ -20,14 +20,14 @@ impl Usage {
     }
 }
 
-/// An owner's usage and quota.
+/// A project's usage and quota.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Capacity {
     /// Bytes in use.
     pub usage: Usage,
     /// The quota; unlimited if absent.
     pub quota: Option<u64>,
-    /// Bytes of the owner's largest dataset; a longer upload cannot be one that the owner has.
+    /// Bytes of the project's largest dataset; a longer upload cannot be one that the project has.
     pub largest_dataset: u64,
 }
 
@@ -49,14 +49,14 @@ impl Capacity {
 
 /// The part of a store that accounts for blobs. Every method is one transaction.
 pub trait Accounts: Send + Sync + 'static {
-    /// The owner's usage.
-    fn usage(&self, owner: Option<KeyId>) -> StoreFuture<'_, Usage>;
+    /// The project's storage.
+    fn usage(&self, project: ProjectId) -> StoreFuture<'_, Usage>;
 
-    /// The owner's usage and quota.
-    fn capacity(&self, owner: Option<KeyId>) -> StoreFuture<'_, Capacity>;
+    /// The project's storage and quota.
+    fn capacity(&self, project: ProjectId) -> StoreFuture<'_, Capacity>;
 
-    /// The archive with this content, if a dataset or a job of the owner refers to it.
-    fn owned_archive(&self, owner: Option<KeyId>, content: Digest) -> StoreFuture<'_, Option<BlobRef>>;
+    /// The archive with this content, if a dataset or a job of the project refers to it.
+    fn owned_archive(&self, project: ProjectId, content: Digest) -> StoreFuture<'_, Option<BlobRef>>;
 
     /// Removes the rows of those blobs that nothing refers to, and returns their digests.
     fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> StoreFuture<'a, Vec<Digest>>;

@@ -3,16 +3,16 @@
 use jiff::Timestamp;
 
 use super::{BlobRef, IdempotentRequest, StoreFuture};
-use crate::domain::{DatasetId, DatasetSummary, Digest, KeyId, UploadId};
+use crate::domain::{DatasetId, DatasetSummary, Digest, ProjectId, UploadId};
 
 /// A dataset to be added.
 #[derive(Debug, Clone)]
 pub struct NewDataset {
     /// Its identity, chosen by the caller.
     pub id: DatasetId,
-    /// Its owner; `None` without keys.
-    pub owner: Option<KeyId>,
-    /// Its name, chosen by its owner.
+    /// Its project.
+    pub project: ProjectId,
+    /// Its name, chosen by its user.
     pub name: Option<String>,
     /// The archive, already published.
     pub dataset: BlobRef,
@@ -29,9 +29,9 @@ pub struct NewDataset {
 pub struct DatasetRecord {
     /// Identity.
     pub id: DatasetId,
-    /// Its owner; `None` if it was created while there were no keys.
-    pub owner: Option<KeyId>,
-    /// Its name, chosen by its owner.
+    /// Its project.
+    pub project: ProjectId,
+    /// Its name, chosen by its user.
     pub name: Option<String>,
     /// The archive.
     pub dataset: BlobRef,
@@ -48,7 +48,7 @@ pub struct DatasetRecord {
 pub enum DatasetCreation {
     /// It was added.
     Created(DatasetRecord),
-    /// Its owner has it already.
+    /// Its project has it already.
     Existing(DatasetRecord),
 }
 
@@ -84,7 +84,7 @@ pub struct DatasetPageKey {
 
 /// The part of a store that keeps datasets. Every method is one transaction.
 pub trait Datasets: Send + Sync + 'static {
-    /// Adds a dataset, unless its owner has one with the same archive.
+    /// Adds a dataset, unless its project has one with the same archive.
     ///
     /// # Errors
     /// [`super::StoreError::QuotaExceeded`], [`super::StoreError::IdempotencyKeyUsed`].
@@ -93,17 +93,17 @@ pub trait Datasets: Send + Sync + 'static {
     /// The dataset.
     fn dataset(&self, id: DatasetId) -> StoreFuture<'_, Option<DatasetRecord>>;
 
-    /// The dataset of `owner` with this archive.
+    /// The dataset of the project with this archive.
     fn dataset_by_archive(
         &self,
-        owner: Option<KeyId>,
+        project: ProjectId,
         archive: Digest,
     ) -> StoreFuture<'_, Option<DatasetRecord>>;
 
-    /// Up to `limit` datasets of one owner or of all, newest first, older than `before`.
+    /// Up to `limit` datasets of one project or of all, newest first, older than `before`.
     fn datasets(
         &self,
-        owner: Option<KeyId>,
+        project: Option<ProjectId>,
         before: Option<DatasetPageKey>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<DatasetRecord>>;

@@ -6,7 +6,7 @@ use super::{
     PriorRequest,
     disk_full::{is_disk_full, result_code},
 };
-use crate::domain::{DatasetId, JobId};
+use crate::domain::{DatasetId, JobId, ProjectId};
 
 /// An error of the store.
 #[derive(Debug, Error)]
@@ -22,7 +22,7 @@ pub enum StoreError {
     /// The `Idempotency-Key` was used before; nothing was written.
     #[error("the Idempotency-Key was used before, for {}", .0.resource)]
     IdempotencyKeyUsed(Box<PriorRequest>),
-    /// Over the owner's quota.
+    /// Over the project's quota.
     #[error(
         "over the quota of {quota} bytes: {used} are stored or reserved for uploads, and {requested} more are needed"
     )]
@@ -34,20 +34,23 @@ pub enum StoreError {
         /// The quota.
         quota: u64,
     },
-    /// The owner has its maximum of active jobs.
-    #[error("{active} jobs are queued or running, the maximum for this key")]
+    /// The project has its maximum of active jobs.
+    #[error("{active} jobs are queued or running, the maximum for this project")]
     TooManyJobs {
         /// How many are queued or running.
         active: u32,
     },
-    /// A higher priority than the owner's jobs may have.
-    #[error("priority {requested} is above {max}, the maximum for jobs of this key")]
+    /// A higher priority than the project's jobs may have.
+    #[error("priority {requested} is above {max}, the maximum for jobs of this project")]
     PriorityTooHigh {
         /// The requested priority.
         requested: i32,
         /// The maximum.
         max: i32,
     },
+    /// There is no such project for a new key.
+    #[error("there is no project {0}")]
+    NoProject(ProjectId),
     /// The dataset of a new job does not exist any more.
     #[error("there is no scene {0}")]
     NoDataset(DatasetId),

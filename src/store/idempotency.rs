@@ -1,16 +1,16 @@
 //! Requests with an `Idempotency-Key`, so that a repeated request is answered like the first.
 //!
-//! Invariants: the row is written in the transaction that creates the resource, so neither exists without the other; (owner, key) is
+//! Invariants: the row is written in the transaction that creates the resource, so neither exists without the other; (project, key) is
 //! unique, so two requests with one key create one resource, whichever processes they reach.
 
 use super::StoreFuture;
-use crate::domain::{Digest, KeyId};
+use crate::domain::{Digest, ProjectId};
 
 /// A request with an `Idempotency-Key`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct IdempotentRequest {
-    /// The owner that sent it.
-    pub owner: Option<KeyId>,
+    /// The project of its key.
+    pub project: ProjectId,
     /// The key that the client chose.
     pub key: String,
     /// SHA-256 of the request.
@@ -30,10 +30,7 @@ pub struct PriorRequest {
 
 /// The part of a store that keeps requests with an `Idempotency-Key`.
 pub trait Idempotency: Send + Sync + 'static {
-    /// The owner's earlier request with this key, unless [`super::QueuePolicy::idempotency_ttl`] has passed since.
-    fn prior_request<'a>(
-        &'a self,
-        owner: Option<KeyId>,
-        key: &'a str,
-    ) -> StoreFuture<'a, Option<PriorRequest>>;
+    /// The project's earlier request with this key, unless [`super::QueuePolicy::idempotency_ttl`] has passed since.
+    fn prior_request<'a>(&'a self, project: ProjectId, key: &'a str)
+    -> StoreFuture<'a, Option<PriorRequest>>;
 }

@@ -2,22 +2,55 @@
 //!
 //! Invariant: a key stays in the table, revoked or not. So a service that once had keys never runs as one without.
 
+use std::num::NonZeroU32;
+
 use jiff::Timestamp;
 use serde::Serialize;
 use thiserror::Error;
 use uuid::Builder;
 
-use super::StoreFuture;
-use crate::domain::{ApiKey, KeyHash, KeyId, KeyLimits, MAX_PRIORITY, RandomError, RandomSource, Scope};
+use super::{NewProject, ProjectError, StoreFuture};
+use crate::domain::{
+    ApiKey, KeyHash, KeyId, MAX_NAME, ProjectId, ProjectLimits, RandomError, RandomSource, Scope, valid_name,
+};
 
-/// Longest name of a key, in characters.
-const MAX_NAME: usize = 100;
+/// The project of a key to be added.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum KeyProject<New = ProjectLimits> {
+    /// One that there is.
+    Existing(ProjectId),
+    /// One of its own, with the key's name.
+    New(New),
+}
+
+impl Default for KeyProject {
+    fn default() -> Self {
+        Self::New(ProjectLimits::default())
+    }
+}
+
+/// What a key is to be.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct KeyRequest<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// What its holder may do.
+    pub scopes: &'a [Scope],
+    /// Its project, or the limits of one of its own.
+    pub project: KeyProject,
+    /// When it ceases to be valid.
+    pub expires_at: Option<Timestamp>,
+    /// Requests per minute, which may all come at once.
+    pub requests_per_minute: Option<NonZeroU32>,
+}
 
 /// A key to be added.
 #[derive(Debug, Clone)]
 pub struct NewKey {
     /// Its identity, chosen by the caller; keys are listed in the order of these.
     pub id: KeyId,
+    /// Its project.
+    pub project: KeyProject<NewProject>,
     /// Its name.
     pub name: String,
     /// The part of the key that may be shown.
@@ -26,11 +59,13 @@ pub struct NewKey {
     pub hash: KeyHash,
     /// What its holder may do.
     pub scopes: Vec<Scope>,
-    /// Its limits.
-    pub limits: KeyLimits,
+    /// As in [`KeyRequest::requests_per_minute`].
+    pub requests_per_minute: Option<NonZeroU32>,
+    /// As in [`KeyRequest::expires_at`].
+    pub expires_at: Option<Timestamp>,
 }
 
-/// Why a key cannot be created.
+/// Why a key cannot be created or changed.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum NewKeyError {
     /// The name is empty, too long or has control characters.
@@ -39,12 +74,12 @@ pub enum NewKeyError {
     /// It has no scope.
     #[error("a key needs at least one scope")]
     NoScopes,
-    /// The database cannot store the number.
-    #[error("max_bytes: {0} is above the maximum of 9223372036854775807")]
-    MaxBytes(u64),
-    /// The priority is out of range.
-    #[error("max_priority: {0} is outside -{MAX_PRIORITY}..={MAX_PRIORITY}")]
-    MaxPriority(i32),
+    /// It would have expired already.
+    #[error("expires_at: {0} has passed")]
+    Expired(Timestamp),
+    /// Its project cannot be created.
+    #[error(transparent)]
+    Project(#[from] ProjectError),
     /// No random bytes could be drawn.
     #[error(transparent)]
     RandomSource(#[from] RandomError),
@@ -58,33 +93,72 @@ impl NewKey {
     pub fn generate(
         entropy: &dyn RandomSource,
         now: Timestamp,
-        name: &str,
-        scopes: &[Scope],
-        limits: KeyLimits,
+        request: KeyRequest<'_>,
     ) -> Result<(Self, ApiKey), NewKeyError> {
-        let name = name.trim();
-        if name.is_empty() || name.chars().count() > MAX_NAME || name.chars().any(char::is_control) {
-            return Err(NewKeyError::Name);
-        }
-        let scopes: Vec<Scope> = Scope::ALL.into_iter().filter(|scope| scopes.contains(scope)).collect();
+        let key = ApiKey::generate(entropy)?;
+        Ok((Self::of(&key, entropy, now, request)?, key))
+    }
+
+    /// A key that there is already, to be added.
+    ///
+    /// # Errors
+    /// [`NewKeyError`].
+    pub fn of(
+        key: &ApiKey,
+        entropy: &dyn RandomSource,
+        now: Timestamp,
+        request: KeyRequest<'_>,
+    ) -> Result<Self, NewKeyError> {
+        let name = valid_name(request.name).ok_or(NewKeyError::Name)?.to_owned();
+        let scopes: Vec<Scope> =
+            Scope::ALL.into_iter().filter(|scope| request.scopes.contains(scope)).collect();
         if scopes.is_empty() {
             return Err(NewKeyError::NoScopes);
         }
-        if let Some(bytes) = limits.quota_bytes.filter(|bytes| i64::try_from(*bytes).is_err()) {
-            return Err(NewKeyError::MaxBytes(bytes));
-        }
-        if let Some(priority) =
-            limits.max_priority.filter(|max| !(-MAX_PRIORITY..=MAX_PRIORITY).contains(max))
-        {
-            return Err(NewKeyError::MaxPriority(priority));
-        }
+        expect_future(request.expires_at, now)?;
+        let project = match request.project {
+            KeyProject::Existing(id) => KeyProject::Existing(id),
+            KeyProject::New(limits) => KeyProject::New(NewProject::generate(entropy, now, &name, limits)?),
+        };
         let mut tail = [0; 10];
         entropy.fill(&mut tail)?;
         let millis = u64::try_from(now.as_millisecond()).unwrap_or(0);
         let id = KeyId(Builder::from_unix_timestamp_millis(millis, &tail).into_uuid());
-        let key = ApiKey::generate(entropy)?;
-        let prefix = key.prefix().to_owned();
-        Ok((Self { id, name: name.to_owned(), prefix, hash: key.hash(), scopes, limits }, key))
+        let KeyRequest { requests_per_minute, expires_at, .. } = request;
+        let (prefix, hash) = (key.prefix().to_owned(), key.hash());
+        Ok(Self { id, project, name, prefix, hash, scopes, requests_per_minute, expires_at })
+    }
+}
+
+fn expect_future(expires_at: Option<Timestamp>, now: Timestamp) -> Result<(), NewKeyError> {
+    match expires_at.filter(|at| *at <= now) {
+        Some(at) => Err(NewKeyError::Expired(at)),
+        None => Ok(()),
+    }
+}
+
+/// Name, rate and expiry of a key, as they are to be.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KeyChange {
+    /// Its name.
+    pub name: String,
+    /// As in [`KeyRequest::requests_per_minute`].
+    pub requests_per_minute: Option<NonZeroU32>,
+    /// As in [`KeyRequest::expires_at`].
+    pub expires_at: Option<Timestamp>,
+}
+
+impl KeyChange {
+    /// The change of `record`, if it can be stored. An expiry in the past is refused unless it is the one that the key has.
+    ///
+    /// # Errors
+    /// [`NewKeyError`].
+    pub fn checked(self, record: &KeyRecord, now: Timestamp) -> Result<Self, NewKeyError> {
+        let name = valid_name(&self.name).ok_or(NewKeyError::Name)?.to_owned();
+        if self.expires_at != record.expires_at {
+            expect_future(self.expires_at, now)?;
+        }
+        Ok(Self { name, ..self })
     }
 }
 
@@ -99,18 +173,27 @@ pub struct KeyRecord {
     pub prefix: String,
     /// As in [`NewKey::scopes`].
     pub scopes: Vec<Scope>,
-    /// As in [`NewKey::limits`].
-    #[serde(flatten)]
-    pub limits: KeyLimits,
+    /// Its project.
+    pub project_id: ProjectId,
+    /// As in [`KeyRequest::requests_per_minute`].
+    pub requests_per_minute: Option<NonZeroU32>,
     /// Creation.
     pub created_at: Timestamp,
     /// Its last use, to about a minute.
     pub last_used_at: Option<Timestamp>,
+    /// As in [`KeyRequest::expires_at`].
+    pub expires_at: Option<Timestamp>,
     /// When it was revoked, if it was.
     pub revoked_at: Option<Timestamp>,
 }
 
 impl KeyRecord {
+    /// Whether it is neither revoked nor expired.
+    #[must_use]
+    pub fn is_valid(&self, now: Timestamp) -> bool {
+        self.revoked_at.is_none() && self.expires_at.is_none_or(|at| now < at)
+    }
+
     /// Whether its holder may do what needs `scope`.
     #[must_use]
     pub fn allows(&self, scope: Scope) -> bool {
@@ -126,23 +209,35 @@ impl KeyRecord {
 
 /// The part of a store that keeps keys. Every method is one transaction.
 pub trait Keys: Send + Sync + 'static {
-    /// Adds a key.
+    /// Adds a key, with its project if that is new.
+    ///
+    /// # Errors
+    /// [`super::StoreError::NoProject`].
     fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord>;
 
     /// A key, revoked or not.
     fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>>;
 
-    /// Up to `limit` keys, newest first, older than `before`; revoked ones only if they are asked for.
-    fn keys(&self, with_revoked: bool, before: Option<KeyId>, limit: u32) -> StoreFuture<'_, Vec<KeyRecord>>;
+    /// Up to `limit` keys of one project or of all, newest first, older than `before`; revoked ones only if they are asked for.
+    fn keys(
+        &self,
+        project: Option<ProjectId>,
+        with_revoked: bool,
+        before: Option<KeyId>,
+        limit: u32,
+    ) -> StoreFuture<'_, Vec<KeyRecord>>;
+
+    /// Changes a key, and returns it; `None` if there is no such key, or it is revoked.
+    fn update_key(&self, id: KeyId, change: KeyChange) -> StoreFuture<'_, Option<KeyRecord>>;
 
     /// Revokes a key from the next request on, and returns it; `None` if there is no such key. No change if it is already
     /// revoked.
     fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>>;
 
-    /// The key with this hash, unless it is revoked.
+    /// The key with this hash, unless it is revoked or has expired.
     fn authenticate(&self, hash: KeyHash) -> StoreFuture<'_, Option<KeyRecord>>;
 
-    /// Whether there is a key, revoked or not.
+    /// Whether there is a key, valid or not.
     fn has_keys(&self) -> StoreFuture<'_, bool>;
 
     /// Records a use of the key.

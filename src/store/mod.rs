@@ -24,6 +24,7 @@ mod idempotency;
 mod keys;
 mod leases;
 mod policy;
+mod projects;
 mod records;
 mod retry;
 mod series;
@@ -41,12 +42,16 @@ pub use disk_full::is_disk_full;
 pub use error::StoreError;
 pub use exports::{ExportFidelity, ExportRecord, Exports, FileRecord};
 pub use idempotency::{Idempotency, IdempotentRequest, PriorRequest};
-pub use keys::{KeyRecord, Keys, NewKey, NewKeyError};
+pub use keys::{KeyChange, KeyProject, KeyRecord, KeyRequest, Keys, NewKey, NewKeyError};
 pub use policy::QueuePolicy;
+pub use projects::{
+    NewProject, ProjectChange, ProjectError, ProjectRecord, ProjectUpdate, ProjectUsage, Projects,
+    StoredBytes,
+};
 pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat,
-    JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, RetryOutcome, RetryRequest, SceneArtifact,
-    WorkerDeath,
+    JobFilter, JobRecord, Lease, MAX_QUEUE_POSITION, NewJob, Outcome, PageKey, RetryOutcome, RetryRequest,
+    SHOWN_ATTEMPTS, SceneArtifact, WorkerDeath,
 };
 pub use series::Series;
 pub use sqlite::{SchemaChange, SqliteStore};
@@ -69,6 +74,7 @@ pub trait Store:
     + Idempotency
     + Keys
     + Overview
+    + Projects
     + Datasets
     + Series
     + Uploads
@@ -107,7 +113,7 @@ pub trait Store:
     /// Cancels a queued job at once, or requests that the worker of a running one stop; `None` if there is no such job.
     fn cancel(&self, id: JobId) -> StoreFuture<'_, Option<Cancellation>>;
 
-    /// Queues a new job with the options of this one, which must have failed or been cancelled, for the same owner; `None` if there is
+    /// Queues a new job with the options of this one, which must have failed or been cancelled, for the same project; `None` if there is
     /// no such job. Errors as in [`Store::create_job`].
     fn retry_job(&self, id: JobId, repeat: RetryRequest) -> StoreFuture<'_, Option<RetryOutcome>>;
 
@@ -122,8 +128,8 @@ pub trait Store:
     /// failed or were cancelled.
     fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<JobId>>;
 
-    /// Grants `worker` a job that is due: of those with the highest priority, one of the owner with the fewest running jobs, the
-    /// oldest first. Expires leases first, as [`Store::expire_leases`].
+    /// Grants `worker` a job that is due: of projects that run fewer jobs than they may, those with the highest priority; of these, one of
+    /// the project with the fewest running jobs, or of those the one whose latest claim is longest ago; the oldest first. Expires leases first, as [`Store::expire_leases`].
     fn claim<'a>(&'a self, worker: &'a str) -> StoreFuture<'a, Option<Claim>>;
 
     /// Renews a lease, and returns whether the job is to stop.

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::domain::{Digest, JobId, KeyLimits};
+use crate::domain::{Digest, JobId, ProjectLimits};
 
 /// Durations and limits of the queue.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,8 +29,8 @@ pub struct QueuePolicy {
     pub checkpoint_ttl: Duration,
     /// How long an `Idempotency-Key` is kept.
     pub idempotency_ttl: Duration,
-    /// Limits of keys that have none of their own.
-    pub limits: KeyLimits,
+    /// Limits of projects that have none of their own. Of these, the default project gets only the bound on running jobs.
+    pub limits: ProjectLimits,
 }
 
 impl Default for QueuePolicy {
@@ -46,7 +46,7 @@ impl Default for QueuePolicy {
             progress_event_every: Duration::from_secs(5),
             checkpoint_ttl: Duration::from_secs(24 * 3600),
             idempotency_ttl: Duration::from_secs(24 * 3600),
-            limits: KeyLimits::default(),
+            limits: ProjectLimits::default(),
         }
     }
 }

@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::IdempotentRequest;
 use crate::domain::{
-    DatasetId, Digest, Job, JobId, JobMetrics, JobState, KeyId, ModelKind, Problem, SceneFormat, TrainOptions,
+    DatasetId, Digest, Job, JobId, JobMetrics, JobState, KeyId, Metadata, ModelKind, Problem, ProjectId,
+    SceneFormat, TrainOptions,
 };
 
 /// A published blob.
@@ -22,8 +23,14 @@ pub struct BlobRef {
 pub struct NewJob {
     /// Its identity, chosen by the caller.
     pub id: JobId,
-    /// Its owner; `None` without keys.
-    pub owner: Option<KeyId>,
+    /// Its project.
+    pub project: ProjectId,
+    /// The key that creates it; `None` without keys.
+    pub key: Option<KeyId>,
+    /// What its user calls it.
+    pub name: Option<String>,
+    /// Its user's labels.
+    pub metadata: Metadata,
     /// The dataset that it trains on, if it did not come with its own archive.
     pub dataset_id: Option<DatasetId>,
     /// The job that it retries.
@@ -43,12 +50,15 @@ pub struct NewJob {
 }
 
 impl NewJob {
-    /// A job without owner, dataset id, priority or deadline.
+    /// A job of the default project without key, name, metadata, dataset id, priority or deadline.
     #[must_use]
     pub fn new(id: JobId, options: TrainOptions, dataset: BlobRef) -> Self {
         Self {
             id,
-            owner: None,
+            project: ProjectId::DEFAULT,
+            key: None,
+            name: None,
+            metadata: Metadata::default(),
             dataset_id: None,
             retry_of: None,
             deadline_at: None,
@@ -114,8 +124,18 @@ pub struct SceneArtifact {
 pub struct JobRecord {
     /// The job.
     pub job: Job,
-    /// Its owner; `None` if it was created while there were no keys.
-    pub owner: Option<KeyId>,
+    /// Its project.
+    pub project: ProjectId,
+    /// As in [`NewJob::key`].
+    pub key: Option<KeyId>,
+    /// As in [`NewJob::name`].
+    pub name: Option<String>,
+    /// As in [`NewJob::metadata`].
+    pub metadata: Metadata,
+    /// Its position among the queued jobs of its project, from 1 for the next; at most [`MAX_QUEUE_POSITION`]. `None` unless queued.
+    pub queue_position: Option<u32>,
+    /// Its latest attempts, at most [`SHOWN_ATTEMPTS`], oldest first.
+    pub attempts: Vec<AttemptRecord>,
     /// As in [`NewJob::dataset_id`]; `None` also once the dataset is deleted.
     pub dataset_id: Option<DatasetId>,
     /// As in [`NewJob::retry_of`]; `None` also once that job is deleted.
@@ -148,17 +168,31 @@ impl JobRecord {
     }
 }
 
+/// Farthest queue position that is counted; a job farther back has this one.
+pub const MAX_QUEUE_POSITION: u32 = 1000;
+
+/// Most attempts in a [`JobRecord`].
+pub const SHOWN_ATTEMPTS: u32 = 20;
+
 /// Which jobs a list contains; the default is all of them.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct JobFilter {
-    /// Only this owner's.
-    pub owner: Option<KeyId>,
+    /// Only this project's.
+    pub project: Option<ProjectId>,
     /// Only those in one of these states; in any if empty.
     pub states: Vec<JobState>,
     /// Only those of this dataset.
     pub dataset_id: Option<DatasetId>,
     /// Only those that train this model.
     pub model: Option<ModelKind>,
+    /// Only those with this name.
+    pub name: Option<String>,
+    /// Only those created then or later.
+    pub created_from: Option<Timestamp>,
+    /// Only those created before.
+    pub created_before: Option<Timestamp>,
+    /// Only those with these labels.
+    pub metadata: Metadata,
 }
 
 /// A position in the list of jobs.
@@ -293,6 +327,8 @@ pub struct AttemptRecord {
 pub struct RetryRequest {
     /// The new job's identity, chosen by the caller.
     pub id: JobId,
+    /// As in [`NewJob::key`].
+    pub key: Option<KeyId>,
     /// As in [`NewJob::from_checkpoint`].
     pub from_checkpoint: bool,
     /// As in [`NewJob::deadline_at`].

@@ -3,15 +3,15 @@
 use jiff::Timestamp;
 
 use super::StoreFuture;
-use crate::domain::{DatasetId, KeyId, UploadId};
+use crate::domain::{DatasetId, ProjectId, UploadId};
 
 /// An upload to be started.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewUpload {
     /// Its identity, chosen by the caller.
     pub id: UploadId,
-    /// Its owner; `None` without keys.
-    pub owner: Option<KeyId>,
+    /// Its project.
+    pub project: ProjectId,
     /// Total bytes.
     pub length: u64,
     /// The client's metadata, as it was sent.
@@ -25,8 +25,8 @@ pub struct NewUpload {
 pub struct UploadRecord {
     /// Identity.
     pub id: UploadId,
-    /// Its owner; `None` if it was created while there were no keys.
-    pub owner: Option<KeyId>,
+    /// Its project.
+    pub project: ProjectId,
     /// Total bytes.
     pub length: u64,
     /// Bytes flushed to disk.

@@ -8,20 +8,20 @@ use std::time::Duration;
 use jiff::Timestamp;
 
 use super::StoreFuture;
-use crate::domain::{DeliveryId, EndpointId, JobId, KeyId, WebhookEvent, WebhookSecret};
+use crate::domain::{DeliveryId, EndpointId, JobId, ProjectId, WebhookEvent, WebhookSecret};
 
 /// The part of a store that keeps webhook endpoints and deliveries.
 pub trait Webhooks: Send + Sync + 'static {
-    /// Adds an endpoint, unless its owner has `at_most` already.
+    /// Adds an endpoint, unless its project has `at_most` already.
     fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> StoreFuture<'_, Option<EndpointRecord>>;
 
     /// An endpoint.
     fn endpoint(&self, id: EndpointId) -> StoreFuture<'_, Option<EndpointRecord>>;
 
-    /// Up to `limit` endpoints of one owner or of all, newest first, older than `before`.
+    /// Up to `limit` endpoints of one project or of all, newest first, older than `before`.
     fn endpoints(
         &self,
-        owner: Option<KeyId>,
+        project: Option<ProjectId>,
         before: Option<EndpointId>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<EndpointRecord>>;
@@ -52,13 +52,13 @@ pub trait Webhooks: Send + Sync + 'static {
 pub struct NewEndpoint {
     /// Its identity, chosen by the caller.
     pub id: EndpointId,
-    /// The owner whose jobs it is notified of; `None` without keys.
-    pub owner: Option<KeyId>,
+    /// The project whose jobs it is notified of.
+    pub project: ProjectId,
     /// Where messages are sent.
     pub url: String,
     /// The events that it subscribes to.
     pub events: Vec<WebhookEvent>,
-    /// The owner's description.
+    /// The user's description.
     pub description: Option<String>,
     /// The secret that signs messages.
     pub secret: WebhookSecret,
@@ -69,8 +69,8 @@ pub struct NewEndpoint {
 pub struct EndpointRecord {
     /// As in [`NewEndpoint::id`].
     pub id: EndpointId,
-    /// As in [`NewEndpoint::owner`].
-    pub owner: Option<KeyId>,
+    /// As in [`NewEndpoint::project`].
+    pub project: ProjectId,
     /// As in [`NewEndpoint::url`].
     pub url: String,
     /// As in [`NewEndpoint::events`].

@@ -1,10 +1,15 @@
-//! Keys in the database of a service, whether it runs or not.
+//! Projects and keys in the database of a service, whether it runs or not.
 
 use std::path::Path;
 
 use tcgs::{
-    domain::{ApiKey, Clock as _, KeyId, KeyLimits, Problem, ProblemType, Scope, SystemClock, SystemRandom},
-    store::{KeyRecord, Keys as _, NewKey, SqliteStore, StoreError},
+    domain::{
+        ApiKey, Clock as _, KeyId, Problem, ProblemType, ProjectId, ProjectLimits, SystemClock, SystemRandom,
+    },
+    store::{
+        KeyChange, KeyRecord, KeyRequest, Keys as _, NewKey, NewProject, ProjectChange, ProjectRecord,
+        ProjectUpdate, ProjectUsage, Projects as _, SqliteStore, StoreError,
+    },
 };
 
 use super::service::{OlderSchema, open_store, runtime, unavailable};
@@ -14,24 +19,40 @@ use crate::cli::CliError;
 const PAGE: u32 = 1000;
 
 /// Creates a key.
-pub(crate) fn create_key(
-    data: &Path,
-    name: &str,
-    scopes: &[Scope],
-    limits: KeyLimits,
-) -> Result<(KeyRecord, ApiKey), CliError> {
-    let drawn = NewKey::generate(&SystemRandom, SystemClock.now(), name, scopes, limits);
+pub(crate) fn create_key(data: &Path, request: KeyRequest<'_>) -> Result<(KeyRecord, ApiKey), CliError> {
+    let drawn = NewKey::generate(&SystemRandom, SystemClock.now(), request);
     let (new, key) = drawn.map_err(|fault| CliError::Usage(fault.to_string()))?;
-    let record = with_store(data, async |store| store.create_key(new).await)?;
-    Ok((record, key))
+    let record = with_store(data, async |store| match store.create_key(new).await {
+        Err(StoreError::NoProject(id)) => Ok(Err(id)),
+        created => created.map(Ok),
+    })?;
+    Ok((record.map_err(|id| no_project(data, id))?, key))
 }
 
-/// The keys, newest first, with revoked ones if `with_revoked`.
-pub(crate) fn keys(data: &Path, with_revoked: bool) -> Result<Vec<KeyRecord>, CliError> {
+/// Changes a key.
+pub(crate) fn change_key(
+    data: &Path,
+    id: KeyId,
+    change: impl Fn(&KeyRecord) -> KeyChange,
+) -> Result<KeyRecord, CliError> {
+    let found = with_store(data, async |store| store.key(id).await)?;
+    let record = found.filter(|key| key.revoked_at.is_none()).ok_or_else(|| no_key(data, id))?;
+    let change = change(&record).checked(&record, SystemClock.now());
+    let change = change.map_err(|fault| CliError::Usage(fault.to_string()))?;
+    let changed = with_store(data, async |store| store.update_key(id, change).await)?;
+    changed.ok_or_else(|| no_key(data, id))
+}
+
+/// The keys of a project or of all, newest first, with revoked ones if `with_revoked`.
+pub(crate) fn keys(
+    data: &Path,
+    project: Option<ProjectId>,
+    with_revoked: bool,
+) -> Result<Vec<KeyRecord>, CliError> {
     with_store(data, async |store| {
         let mut all: Vec<KeyRecord> = Vec::new();
         loop {
-            let page = store.keys(with_revoked, all.last().map(|key| key.id), PAGE).await?;
+            let page = store.keys(project, with_revoked, all.last().map(|key| key.id), PAGE).await?;
             if page.is_empty() {
                 return Ok(all);
             }
@@ -43,9 +64,61 @@ pub(crate) fn keys(data: &Path, with_revoked: bool) -> Result<Vec<KeyRecord>, Cl
 /// Revokes a key.
 pub(crate) fn revoke_key(data: &Path, id: KeyId) -> Result<KeyRecord, CliError> {
     let revoked = with_store(data, async |store| store.revoke_key(id).await)?;
-    revoked.ok_or_else(|| {
-        let detail = format!("there is no key {id} in {}; see 'tcgs keys list --all'", data.display());
-        Problem::new(ProblemType::KeyNotFound, detail).into()
+    revoked.ok_or_else(|| no_key(data, id))
+}
+
+fn no_key(data: &Path, id: KeyId) -> CliError {
+    let detail = format!("there is no key {id} in {}; see 'tcgs keys list --all'", data.display());
+    Problem::new(ProblemType::KeyNotFound, detail).into()
+}
+
+fn no_project(data: &Path, id: ProjectId) -> CliError {
+    let detail = format!("there is no project {id} in {}; see 'tcgs projects list'", data.display());
+    Problem::new(ProblemType::ProjectNotFound, detail).into()
+}
+
+/// Creates a project.
+pub(crate) fn create_project(
+    data: &Path,
+    name: &str,
+    limits: ProjectLimits,
+) -> Result<ProjectRecord, CliError> {
+    let new = NewProject::generate(&SystemRandom, SystemClock.now(), name, limits);
+    let new = new.map_err(|fault| CliError::Usage(fault.to_string()))?;
+    with_store(data, async |store| store.create_project(new).await)
+}
+
+/// Changes a project.
+pub(crate) fn change_project(
+    data: &Path,
+    id: ProjectId,
+    change: impl Fn(&ProjectRecord) -> ProjectChange,
+) -> Result<ProjectRecord, CliError> {
+    loop {
+        let found = with_store(data, async |store| store.project(id).await)?;
+        let record = found.ok_or_else(|| no_project(data, id))?;
+        let change = change(&record).checked().map_err(|fault| CliError::Usage(fault.to_string()))?;
+        let version = Some(record.version);
+        match with_store(data, async |store| store.update_project(id, version, change).await)? {
+            None => return Err(no_project(data, id)),
+            Some(ProjectUpdate::Updated(record)) => return Ok(record),
+            // Changed over HTTP meanwhile.
+            Some(ProjectUpdate::VersionMismatch) => {}
+        }
+    }
+}
+
+/// The projects with their usage, newest first.
+pub(crate) fn projects(data: &Path) -> Result<Vec<ProjectUsage>, CliError> {
+    with_store(data, async |store| {
+        let mut all: Vec<ProjectUsage> = Vec::new();
+        loop {
+            let page = store.project_usage(None, all.last().map(|usage| usage.project.id), PAGE).await?;
+            if page.is_empty() {
+                return Ok(all);
+            }
+            all.extend(page);
+        }
     })
 }
 
@@ -55,7 +128,7 @@ fn with_store<T>(
 ) -> Result<T, CliError> {
     runtime()?.block_on(async {
         // A service of another version may be using it.
-        let store = open_store(data, KeyLimits::default(), OlderSchema::Refuse).await?;
+        let store = open_store(data, ProjectLimits::default(), OlderSchema::Refuse).await?;
         let outcome = work(&store).await;
         store.close().await;
         outcome.map_err(|fault| unavailable(&fault))

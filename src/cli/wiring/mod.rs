@@ -4,6 +4,7 @@
 //! [`Problem`]s.
 
 mod export;
+mod first_key;
 mod keys;
 mod private;
 mod service;
@@ -31,7 +32,8 @@ use tcgs::{
 
 use export::fidelity;
 pub(crate) use export::{Baking, Packing, Quality, compare, export};
-pub(crate) use keys::{create_key, keys, revoke_key};
+pub(crate) use first_key::ensure_first_key;
+pub(crate) use keys::{change_key, change_project, create_key, create_project, keys, projects, revoke_key};
 pub(crate) use service::{ServeOptions, WorkerOptions, migrate, serve, worker};
 
 use super::{CliError, files, memory::MemoryFlags};

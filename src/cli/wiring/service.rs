@@ -14,7 +14,7 @@ use std::{
 
 use tcgs::{
     domain::{
-        Camera, Digest, KeyLimits, MemoryLimits, NamedCamera, OutboundPolicy, Problem, ProblemType,
+        Camera, Digest, MemoryLimits, NamedCamera, OutboundPolicy, Problem, ProblemType, ProjectLimits,
         SceneFormat, Split, SystemClock, SystemRandom,
     },
     gpu::{AdapterChoice, driver_cache},
@@ -62,8 +62,8 @@ const CHECK_TIME: Duration = Duration::from_secs(120);
 #[derive(Debug, Clone)]
 pub(crate) struct ServeOptions {
     pub(crate) http: HttpConfig,
-    /// Limits of keys that have none of their own.
-    pub(crate) limits: KeyLimits,
+    /// Limits of projects that have none of their own.
+    pub(crate) limits: ProjectLimits,
     pub(crate) data: PathBuf,
     pub(crate) adapter: AdapterChoice,
     /// Memory of each worker.
@@ -93,6 +93,8 @@ pub(crate) struct WorkerOptions {
     pub(crate) memory: MemoryLimits,
     /// Weights of LPIPS.
     pub(crate) lpips: Option<PathBuf>,
+    /// Most running jobs of a project without a limit of its own.
+    pub(crate) max_running_jobs: Option<u32>,
     /// Whether to stop when standard input closes, which it does when the parent process dies.
     pub(crate) stop_with_parent: bool,
 }
@@ -191,7 +193,8 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), CliError> {
         let reference = ReferenceViews { views: 1, max_side: 256 };
         let runner = Arc::new(runner.with_pictures().with_reference(Some(reference)));
         // The service has migrated the schema; a worker of another version must not.
-        let store = open_store(&options.data, KeyLimits::default(), OlderSchema::Refuse).await?;
+        let limits = ProjectLimits { max_running_jobs: options.max_running_jobs, ..ProjectLimits::default() };
+        let store = open_store(&options.data, limits, OlderSchema::Refuse).await?;
         let blobs = open_blobs(&options.data)?;
         let shutdown = stop_on_signals()?;
         if options.stop_with_parent {
@@ -229,10 +232,10 @@ pub(super) enum OlderSchema {
     Refuse,
 }
 
-/// The database in a data folder, with limits for keys that have none of their own.
+/// The database in a data folder, with limits for projects that have none of their own.
 pub(super) async fn open_store(
     data: &Path,
-    limits: KeyLimits,
+    limits: ProjectLimits,
     older: OlderSchema,
 ) -> Result<Arc<SqliteStore>, CliError> {
     private_folder(data)?;
@@ -264,11 +267,11 @@ fn webhook_roots(path: Option<&Path>) -> Result<ExtraRoots, CliError> {
 }
 
 /// Whether the database has keys; a missing database is not created.
-async fn has_keys(data: &Path) -> Result<bool, CliError> {
+pub(super) async fn has_keys(data: &Path) -> Result<bool, CliError> {
     if !data.join(DATABASE).exists() {
         return Ok(false);
     }
-    let store = open_store(data, KeyLimits::default(), OlderSchema::Migrate).await?;
+    let store = open_store(data, ProjectLimits::default(), OlderSchema::Migrate).await?;
     let has_keys = store.has_keys().await.map_err(|fault| unavailable(&fault))?;
     store.close().await;
     Ok(has_keys)
@@ -334,6 +337,9 @@ fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
     ];
     if let Some(gpu) = options.memory.gpu {
         arguments.extend(["--gpu-memory".into(), gpu.to_string().into()]);
+    }
+    if let Some(max) = options.limits.max_running_jobs {
+        arguments.extend(["--max-running-jobs".into(), max.to_string().into()]);
     }
     if let Some(lpips) = &options.lpips {
         arguments.extend(["--lpips".into(), lpips.clone().into()]);

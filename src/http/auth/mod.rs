@@ -4,7 +4,7 @@
 //!
 //! - While the database has no key, every caller is [`Caller::ANONYMOUS`], and only loopback is served
 //!   ([`super::HttpConfig::check_exposure`]). From the first key on, until the process ends, nothing under `/v1` is answered without
-//!   one; that includes revoked keys and unknown paths.
+//!   one; that includes revoked and expired keys and unknown paths.
 //! - Without keys only loopback host names are accepted ([`self::host`]); with or without keys, requests forged by other sites' pages
 //!   are refused ([`cross_site`]).
 //! - Browsers send a key as the password of HTTP Basic, also with requests caused by other sites' pages. So Basic is accepted only for
@@ -270,7 +270,7 @@ async fn admit(
     {
         return Err(out_of_scope(&record, scope));
     }
-    Ok(Caller { key: Some(record.id), admin: record.is_admin() })
+    Ok(Caller { key: Some(record.id), project: record.project_id, admin: record.is_admin() })
 }
 
 /// Records the use of a key in the background; a failure is harmless.
@@ -299,7 +299,7 @@ fn no_key(reads: bool) -> ProblemResponse {
 }
 
 fn bad_key(reads: bool) -> ProblemResponse {
-    let detail = "the Authorization header holds no key that this service knows: it is mistyped, revoked or another service's";
+    let detail = "the Authorization header holds no key that this service knows: it is mistyped, revoked, expired or another service's";
     let fault = ProblemResponse::new(ProblemType::InvalidKey, detail);
     challenge(reads, fault, BEARER_INVALID)
 }

@@ -89,7 +89,7 @@ impl Throttle {
 
     /// Counts a request of a key.
     pub(crate) fn request(&self, key: &KeyRecord) -> Result<(), Wait> {
-        let Some(rate) = key.limits.requests_per_minute.or(self.rules.requests_per_minute) else {
+        let Some(rate) = key.requests_per_minute.or(self.rules.requests_per_minute) else {
             return Ok(());
         };
         let limiter = {
@@ -150,7 +150,7 @@ mod tests {
     use uuid::Uuid;
 
     use super::*;
-    use crate::domain::{KeyLimits, ManualClock};
+    use crate::domain::{ManualClock, ProjectId};
 
     fn throttle(rules: AccessRules) -> (Throttle, Arc<ManualClock>) {
         let clock = Arc::new(ManualClock::new("2026-11-21T00:00:00Z".parse().expect("an instant")));
@@ -163,10 +163,9 @@ mod tests {
             name: "a key".into(),
             prefix: "tcgs_".into(),
             scopes: Vec::new(),
-            limits: KeyLimits {
-                requests_per_minute: per_minute.and_then(NonZeroU32::new),
-                ..KeyLimits::default()
-            },
+            project_id: ProjectId::DEFAULT,
+            requests_per_minute: per_minute.and_then(NonZeroU32::new),
+            expires_at: None,
             created_at: Timestamp::UNIX_EPOCH,
             last_used_at: None,
             revoked_at: None,

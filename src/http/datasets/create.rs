@@ -33,7 +33,7 @@ use crate::{
 /// Longest name, in characters.
 const MAX_NAME: usize = 200;
 
-/// A scene with the status of the answer: 201, or 200 if the owner had it before.
+/// A scene with the status of the answer: 201, or 200 if the project had it before.
 #[derive(Debug)]
 struct CreatedScene {
     status: StatusCode,
@@ -105,7 +105,7 @@ async fn from_archive(
     let announced = content_digest::announced(headers)?;
     let guard = request.begin()?;
     let _permit = state.upload_permit()?;
-    let received = receive(state, caller.key, headers, body).await?;
+    let received = receive(state, caller.project, headers, body).await?;
     content_digest::check(announced, received.blob().digest)?;
     let intent = request.intent(guard.as_ref(), received.blob().digest);
     let fields = SceneFields { name, upload: None, intent: intent.clone() };
@@ -158,21 +158,21 @@ async fn from_upload(
     idempotent(state, intent.clone(), create).await
 }
 
-/// Checks and publishes the archive and creates its scene, unless the owner has one of it.
+/// Checks and publishes the archive and creates its scene, unless the project has one of it.
 async fn keep(
     request: CreateRequest<'_>,
     received: ReceivedDataset,
     fields: SceneFields,
 ) -> ApiResult<Result<CreatedScene, StoreError>> {
     let CreateRequest { state, caller, .. } = request;
-    let (owner, dataset) = (caller.key, received.blob());
-    let known = state.store().dataset_by_archive(owner, dataset.digest).await?;
+    let (project, dataset) = (caller.project, received.blob());
+    let known = state.store().dataset_by_archive(project, dataset.digest).await?;
     let (received, summary) = match known {
         Some(known) => (received, known.summary),
         None => check(state, received).await?,
     };
     let SceneFields { name, upload, intent } = fields;
-    let new = NewDataset { id: DatasetId(state.new_uuid()), owner, name, dataset, summary, upload, intent };
+    let new = NewDataset { id: DatasetId(state.new_uuid()), project, name, dataset, summary, upload, intent };
     let store = Arc::clone(&state.services.store);
     let created = received.keep(state, async move { store.create_dataset(new).await }).await?;
     Ok(created.map(|creation| match creation {

@@ -30,7 +30,7 @@ use crate::{
 pub(super) async fn find(state: &AppState, caller: &Caller, id: &str) -> ApiResult<DatasetRecord> {
     let parsed: DatasetId = id.parse().map_err(|_| ProblemResponse::no_scene(id))?;
     let record = state.store().dataset(parsed).await?;
-    record.filter(|record| caller.may_see(record.owner)).ok_or_else(|| ProblemResponse::no_scene(id))
+    record.filter(|record| caller.may_see(record.project)).ok_or_else(|| ProblemResponse::no_scene(id))
 }
 
 #[derive(Debug, Serialize)]
@@ -50,7 +50,7 @@ pub(super) async fn list(
         Some(DatasetPageKey { created_at, id })
     })?;
     parameters.finish()?;
-    let mut records = state.store().datasets(caller.visible_owner(), page.after, page.to_read()).await?;
+    let mut records = state.store().datasets(caller.visible_project(), page.after, page.to_read()).await?;
     let next = page.cut(&mut records, "/v1/scenes", |last| cursor(last.created_at, last.id));
     let headers = pagination::headers(next.as_deref())?;
     let scenes = records.into_iter().map(SceneBody::from).collect();

@@ -1,7 +1,7 @@
 //! Receives datasets from request bodies within quota and disk space, and keeps those that a scene or job refers to.
 //!
 //! Invariants: space is reserved before bytes are stored; a refused request, however late, leaves nothing behind. A dataset that its
-//! owner already has takes no space, so if the quota is used up the body is hashed and not stored: a client that repeats a request
+//! project already has takes no space, so if the quota is used up the body is hashed and not stored: a client that repeats a request
 //! whose answer was lost is not refused.
 
 use std::{
@@ -13,7 +13,7 @@ use axum::{body::BodyDataStream, http::HeaderMap};
 use tracing::Instrument as _;
 
 use crate::{
-    domain::KeyId,
+    domain::ProjectId,
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{Pieces, Reservation, ReservationError, Reservations, announced_length},
@@ -34,14 +34,14 @@ pub(crate) struct ReceivedDataset {
 #[derive(Debug)]
 enum Content {
     Staged(StagedBlob),
-    /// The owner has it already.
+    /// The project has it already.
     Known(Published, PathBuf),
 }
 
 /// Where a body goes.
 enum Sink {
     Disk(BlobWriter, Reservation),
-    /// Nowhere; it is refused with this problem unless its owner has it.
+    /// Nowhere; it is refused with this problem unless its project has it.
     Hash(ContentHasher, ProblemResponse),
 }
 
@@ -51,22 +51,22 @@ enum Sink {
 /// 413, 507, and what is wrong with the body.
 pub(crate) async fn receive(
     state: &AppState,
-    owner: Option<KeyId>,
+    project: ProjectId,
     headers: &HeaderMap,
     body: &mut BodyDataStream,
 ) -> ApiResult<ReceivedDataset> {
     let announced = announced_length(headers, state.limits.upload_bytes)?;
-    let mut sink = Sink::open(state, owner, announced.unwrap_or(0)).await?;
+    let mut sink = Sink::open(state, project, announced.unwrap_or(0)).await?;
     let mut pieces = Pieces::new(body, &state.limits);
     while let Some(piece) = pieces.next().await? {
         sink = sink.write(state, &piece).await?;
     }
-    sink.finish(state, owner).await
+    sink.finish(state, project).await
 }
 
 impl Sink {
-    async fn open(state: &AppState, owner: Option<KeyId>, announced: u64) -> ApiResult<Self> {
-        match Reservations::reserve(state, owner, announced).await {
+    async fn open(state: &AppState, project: ProjectId, announced: u64) -> ApiResult<Self> {
+        match Reservations::reserve(state, project, announced).await {
             Ok(reservation) => {
                 Ok(Self::Disk(state.blobs().stage(state.limits.upload_bytes).await?, reservation))
             }
@@ -105,7 +105,7 @@ impl Sink {
         }
     }
 
-    async fn finish(self, state: &AppState, owner: Option<KeyId>) -> ApiResult<ReceivedDataset> {
+    async fn finish(self, state: &AppState, project: ProjectId) -> ApiResult<ReceivedDataset> {
         match self {
             Self::Disk(staging, mut reservation) => {
                 let staged = staging.finish().await?;
@@ -117,7 +117,7 @@ impl Sink {
                 })
             }
             Self::Hash(content, fault) => {
-                let known = state.store().owned_archive(owner, content.finish().digest).await?;
+                let known = state.store().owned_archive(project, content.finish().digest).await?;
                 let there = match known {
                     Some(blob) => state.blobs().republish(blob).await?,
                     None => None,

@@ -184,7 +184,7 @@ async fn make(
     let exported = spawn_blocking(move || write(&file, format, &cameras)).await;
     let exported = exported??;
     let ExportedScene { bytes, gaussians, sh_degree, fidelity } = exported;
-    let _reservation = Reservations::reserve(&state, record.owner, bytes.len() as u64).await?;
+    let _reservation = Reservations::reserve(&state, record.project, bytes.len() as u64).await?;
     let published = state.blobs().put_new(Bytes::from(bytes)).await?;
     let blob = published.blob;
     let export = ExportRecord { job, source, format, blob, gaussians, sh_degree, fidelity };

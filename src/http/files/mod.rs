@@ -70,7 +70,7 @@ pub(super) async fn by_hash(
     request: HeaderMap,
 ) -> ApiResult {
     let found = match hash.parse::<Digest>() {
-        Ok(digest) => state.store().file(digest, caller.visible_owner()).await?,
+        Ok(digest) => state.store().file(digest, caller.visible_project()).await?,
         Err(_) => None,
     };
     let found = found.ok_or_else(|| {

@@ -75,6 +75,7 @@ pub(crate) async fn retry(
         require_free_space(&state, 0)?;
         let repeat = RetryRequest {
             id: JobId(state.new_uuid()),
+            key: caller.key,
             from_checkpoint: from_checkpoint.unwrap_or(true),
             deadline_at: deadline(state.services.clock.now(), deadline_s),
             intent: intent.clone(),

@@ -4,22 +4,31 @@ use jiff::Timestamp;
 use serde::Serialize;
 
 use crate::{
-    domain::{DatasetId, Digest, JobId, JobMetrics, JobState, Phase, Problem, Progress, TrainOptions},
+    domain::{
+        DatasetId, Digest, JobId, JobMetrics, JobState, KeyId, Metadata, Phase, Problem, Progress, ProjectId,
+        TrainOptions,
+    },
     http::datasets::body::DatasetBody,
-    store::{JobRecord, SceneArtifact},
+    store::{AttemptOutcome, AttemptRecord, JobRecord, SceneArtifact},
 };
 
 /// `#/components/schemas/Job` of the contract.
 #[derive(Debug, Serialize)]
 pub(crate) struct JobBody {
     id: JobId,
+    project_id: ProjectId,
+    created_by: Option<KeyId>,
+    name: Option<String>,
+    metadata: Metadata,
     state: JobState,
+    queue_position: Option<u32>,
     phase: Phase,
     progress: Progress,
     metrics: Option<JobMetrics>,
     artifacts: Vec<ArtifactBody>,
     error: Option<Problem>,
     attempt: u32,
+    attempts: Vec<AttemptBody>,
     cancel_requested: bool,
     priority: i32,
     deadline_at: Option<Timestamp>,
@@ -31,6 +40,23 @@ pub(crate) struct JobBody {
     started_at: Option<Timestamp>,
     finished_at: Option<Timestamp>,
     links: Links,
+}
+
+/// One attempt, without the name of its worker, which tells of the service's machines.
+#[derive(Debug, Serialize)]
+struct AttemptBody {
+    number: u32,
+    started_at: Timestamp,
+    ended_at: Option<Timestamp>,
+    outcome: Option<&'static str>,
+    error: Option<Problem>,
+}
+
+impl From<AttemptRecord> for AttemptBody {
+    fn from(record: AttemptRecord) -> Self {
+        let AttemptRecord { number, started_at, ended_at, outcome, cause, .. } = record;
+        Self { number, started_at, ended_at, outcome: outcome.map(AttemptOutcome::name), error: cause }
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -85,13 +111,19 @@ impl From<JobRecord> for JobBody {
         let job = record.job;
         Self {
             id: job.id,
+            project_id: record.project,
+            created_by: record.key,
+            name: record.name,
+            metadata: record.metadata,
             state: job.state,
+            queue_position: record.queue_position,
             phase: job.phase,
             progress: job.progress,
             metrics: job.metrics,
             artifacts,
             error: job.error,
             attempt: job.attempt,
+            attempts: record.attempts.into_iter().map(AttemptBody::from).collect(),
             cancel_requested: job.cancel_requested,
             priority: record.priority,
             deadline_at: record.deadline_at,

@@ -89,7 +89,7 @@ async fn from_scene(
     let intent = request.intent(guard.as_ref(), Digest::of(&content));
     let create = async {
         let (id, wanted) = CreateJobRequest::from_json(&content)?;
-        let scene = state.store().dataset(id).await?.filter(|scene| caller.may_see(scene.owner));
+        let scene = state.store().dataset(id).await?.filter(|scene| caller.may_see(scene.project));
         let scene = scene.ok_or_else(|| ProblemResponse::no_scene(id))?;
         require_free_space(state, 0)?;
         let job = new_job(request, wanted, scene.dataset);
@@ -106,7 +106,7 @@ async fn from_archive(
     let wanted = CreateJobRequest::from_query(Parameters::parse(uri.query())?)?;
     let guard = request.begin()?;
     let _permit = state.upload_permit()?;
-    let received = receive(state, caller.key, headers, body).await?;
+    let received = receive(state, caller.project, headers, body).await?;
     let intent = request.intent(guard.as_ref(), received.blob().digest);
     let create = async {
         let check = state.services.check.clone();
@@ -126,7 +126,10 @@ async fn from_archive(
 fn new_job(request: CreateRequest<'_>, wanted: CreateJobRequest, dataset: BlobRef) -> NewJob {
     let CreateRequest { state, caller, .. } = request;
     NewJob {
-        owner: caller.key,
+        project: caller.project,
+        key: caller.key,
+        name: wanted.name,
+        metadata: wanted.metadata,
         priority: wanted.priority,
         deadline_at: deadline(state.services.clock.now(), wanted.deadline_s),
         ..NewJob::new(JobId(state.new_uuid()), wanted.options, dataset)

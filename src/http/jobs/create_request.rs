@@ -1,10 +1,15 @@
 //! Reads the request for a job from a query string or a JSON object, with the same names and meanings in both.
 
+use std::collections::BTreeMap;
+
 use jiff::{SignedDuration, Timestamp};
 use serde_json::{Map, Value};
 
 use crate::{
-    domain::{DatasetId, MAX_PRIORITY, OptionError, ProblemType, TRAIN_OPTIONS, TrainOption, TrainOptions},
+    domain::{
+        DatasetId, MAX_NAME, MAX_PRIORITY, Metadata, OptionError, ProblemType, TRAIN_OPTIONS, TrainOption,
+        TrainOptions, valid_name,
+    },
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{JsonBody, Parameters, parse_json},
@@ -24,6 +29,8 @@ pub(crate) struct CreateJobRequest {
     pub(crate) options: TrainOptions,
     pub(crate) priority: i32,
     pub(super) deadline_s: Option<u32>,
+    pub(super) name: Option<String>,
+    pub(super) metadata: Metadata,
 }
 
 impl JsonBody for Map<String, Value> {
@@ -35,11 +42,13 @@ impl CreateJobRequest {
     pub(crate) fn from_query(mut parameters: Parameters) -> ApiResult<Self> {
         let priority = parameters.take_as("priority", "a whole number")?.unwrap_or(0);
         let deadline_s = parameters.take_as("deadline_s", "a whole number of seconds")?;
+        let name = parameters.take("name").map(|name| job_name(&name)).transpose()?;
+        let metadata = labels(&mut parameters)?;
         let mut options = TrainOptions::default();
         for (name, text) in parameters.rest() {
             train_option(&name)?.set(&mut options, &text).map_err(|error| invalid_option(&error))?;
         }
-        Self { options, priority, deadline_s }.validated()
+        Self { options, priority, deadline_s, name, metadata }.validated()
     }
 
     /// Reads a JSON object, which also names the scene.
@@ -55,8 +64,16 @@ impl CreateJobRequest {
             .filter(|value| !value.is_null())
             .map(|value| field("deadline_s", value, "a whole number of seconds"));
         let (priority, deadline_s) = (priority.transpose()?.unwrap_or(0), deadline_s.transpose()?);
+        let name = object.remove("name").filter(|value| !value.is_null());
+        let name = name.map(|value| job_name(&field::<String>("name", value, "a string")?)).transpose()?;
+        let metadata = object.remove("metadata").filter(|value| !value.is_null());
+        let metadata = metadata.map(|value| {
+            let labels: BTreeMap<String, String> = field("metadata", value, "an object of strings")?;
+            Metadata::try_from(labels).map_err(|error| ProblemResponse::parameter("metadata", error))
+        });
+        let metadata = metadata.transpose()?.unwrap_or_default();
         let options = options(&object)?;
-        Ok((scene, Self { options, priority, deadline_s }.validated()?))
+        Ok((scene, Self { options, priority, deadline_s, name, metadata }.validated()?))
     }
 
     fn validated(self) -> ApiResult<Self> {
@@ -74,6 +91,18 @@ impl CreateJobRequest {
         }
         Ok(Self { options: self.options.validated().map_err(|error| invalid_option(&error))?, ..self })
     }
+}
+
+/// The name of a job.
+fn job_name(name: &str) -> ApiResult<String> {
+    let fault = || format!("has 1 to {MAX_NAME} characters, none of them a control character");
+    valid_name(name).map(str::to_owned).ok_or_else(|| ProblemResponse::parameter("name", fault()))
+}
+
+/// Takes the labels of a query string, `metadata[KEY]=VALUE` each.
+pub(super) fn labels(parameters: &mut Parameters) -> ApiResult<Metadata> {
+    let labels: BTreeMap<String, String> = parameters.take_map("metadata").into_iter().collect();
+    Metadata::try_from(labels).map_err(|error| ProblemResponse::parameter("metadata", error))
 }
 
 fn field<T: serde::de::DeserializeOwned>(name: &str, value: Value, expected: &str) -> ApiResult<T> {
@@ -95,7 +124,8 @@ fn train_option(name: &str) -> ApiResult<&'static TrainOption> {
     TrainOption::named(name).ok_or_else(|| {
         let shown: String = name.chars().take(MAX_SHOWN_NAME).collect();
         let known = TRAIN_OPTIONS.each_ref().map(|row| row.name).join(", ");
-        let detail = format!("{shown}: is not an option; there are priority, deadline_s, {known}");
+        let detail =
+            format!("{shown}: is not an option; there are priority, deadline_s, name, metadata, {known}");
         ProblemResponse::new(ProblemType::InvalidOption, detail)
     })
 }
@@ -157,7 +187,8 @@ mod tests {
         let query = Parameters::parse(Some("iteratons=7")).expect("a query");
         let query = CreateJobRequest::from_query(query).expect_err("no such option");
         for fault in [format!("{query:?}"), read(json!({ "iteratons": 7 })).expect_err("no such option")] {
-            for named in ["iteratons: is not", "deadline_s, preset, iterations,", "rd_curve"] {
+            for named in ["iteratons: is not", "deadline_s, name, metadata, preset, iterations,", "rd_curve"]
+            {
                 assert!(fault.contains(named), "{fault}");
             }
         }

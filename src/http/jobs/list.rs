@@ -5,8 +5,9 @@ use serde::Serialize;
 
 use super::body::JobBody;
 use crate::{
-    domain::{Caller, JobState},
+    domain::{Caller, JobState, ProjectId},
     http::{
+        jobs::create_request::labels,
         problem::{ApiResult, ProblemResponse},
         request::{Page, Parameters, cursor, pagination, parse_cursor},
         state::AppState,
@@ -30,15 +31,27 @@ pub(crate) async fn list(
         let (created_at, id) = parse_cursor(text)?;
         Some(PageKey { created_at, id })
     })?;
+    let own = caller.visible_project();
+    let asked: Option<ProjectId> = parameters.take_as("project_id", "a project's id")?;
     let filter = JobFilter {
-        owner: caller.visible_owner(),
+        project: match (own, asked) {
+            // As for any other thing of another project, there is nothing to see.
+            (Some(own), Some(asked)) if own != asked => return Err(ProblemResponse::no_project(asked)),
+            (_, asked) => asked,
+        },
         states: parameters.take("state").map(|text| parse_states(&text)).transpose()?.unwrap_or_default(),
         dataset_id: parameters.take_as("scene_id", "a scene's id")?,
         model: parameters.take_as("model", "one of tcgs, scaffold, 3dgs")?,
+        name: parameters.take("name"),
+        created_from: parameters.take_as("created_from", "an instant such as 2026-11-21T12:00:00Z")?,
+        created_before: parameters.take_as("created_before", "an instant such as 2026-11-21T12:00:00Z")?,
+        metadata: labels(&mut parameters)?,
     };
     parameters.finish()?;
-    let mut records = state.store().jobs(&filter, page.after, page.to_read()).await?;
-    let next = page.cut(&mut records, &filtered(&filter), |last| cursor(last.job.created_at, last.job.id));
+    let seen = JobFilter { project: own.or(asked), ..filter.clone() };
+    let mut records = state.store().jobs(&seen, page.after, page.to_read()).await?;
+    let path = filtered(&filter)?;
+    let next = page.cut(&mut records, &path, |last| cursor(last.job.created_at, last.job.id));
     let headers = pagination::headers(next.as_deref())?;
     let jobs = records.into_iter().map(JobBody::from).collect();
     Ok((headers, Json(JobList { jobs, next })))
@@ -50,14 +63,21 @@ fn parse_states(text: &str) -> ApiResult<Vec<JobState>> {
         .collect()
 }
 
-/// The path of the list with this filter. None of its values needs escaping.
-fn filtered(filter: &JobFilter) -> String {
+/// The path of the list with this filter.
+fn filtered(filter: &JobFilter) -> ApiResult<String> {
     let states: Vec<&str> = filter.states.iter().map(|state| state.name()).collect();
     let parts = [
-        (!states.is_empty()).then(|| format!("state={}", states.join(","))),
-        filter.dataset_id.map(|scene| format!("scene_id={scene}")),
-        filter.model.map(|model| format!("model={model}")),
+        ("project_id", filter.project.map(|project| project.to_string())),
+        ("state", (!states.is_empty()).then(|| states.join(","))),
+        ("scene_id", filter.dataset_id.map(|scene| scene.to_string())),
+        ("model", filter.model.map(|model| model.to_string())),
+        ("name", filter.name.clone()),
+        ("created_from", filter.created_from.map(|at| at.to_string())),
+        ("created_before", filter.created_before.map(|at| at.to_string())),
     ];
-    let query: Vec<String> = parts.into_iter().flatten().collect();
-    if query.is_empty() { "/v1/jobs".to_owned() } else { format!("/v1/jobs?{}", query.join("&")) }
+    let mut pairs: Vec<(String, String)> =
+        parts.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect();
+    pairs.extend(filter.metadata.iter().map(|(key, value)| (format!("metadata[{key}]"), value.to_owned())));
+    let query = serde_urlencoded::to_string(pairs).map_err(|error| ProblemResponse::internal(&error))?;
+    Ok(if query.is_empty() { "/v1/jobs".to_owned() } else { format!("/v1/jobs?{query}") })
 }

@@ -42,7 +42,7 @@ impl FromRequestParts<AppState> for OwnedJob {
             .await
             .map_err(|rejection| ProblemResponse::new(ProblemType::Refused, rejection.body_text()))?;
         let Ok(parsed) = id.parse() else { return Err(ProblemResponse::no_job(&id)) };
-        let record = state.store().job(parsed).await?.filter(|record| caller.may_see(record.owner));
+        let record = state.store().job(parsed).await?.filter(|record| caller.may_see(record.project));
         record.map(Self).ok_or_else(|| ProblemResponse::no_job(&id))
     }
 }
@@ -66,9 +66,12 @@ pub(super) async fn get(
     Ok(response)
 }
 
-/// The tag of a job's row.
+/// The tag of a job as it is shown: its row's version, and while it is queued, its position, which changes with other jobs.
 pub(super) fn etag(record: &JobRecord) -> Etag {
-    Etag::new(record.job.version)
+    match record.queue_position {
+        None => Etag::new(record.job.version),
+        Some(position) => Etag::new(format!("{}-{position}", record.job.version)),
+    }
 }
 
 /// A job with the headers that belong to it.

@@ -9,7 +9,7 @@ use axum::{
 };
 use bytes::Bytes;
 use futures_util::StreamExt as _;
-use serde::de::DeserializeOwned;
+use serde::{Deserialize, Deserializer, de::DeserializeOwned};
 use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::{
@@ -49,6 +49,13 @@ pub(crate) trait JsonBody: DeserializeOwned {
     const INVALID: ProblemType = ProblemType::InvalidParameter;
     /// What the body is, with its article.
     const EXPECTED: &'static str;
+}
+
+/// Reads a field that was given, `null` too, so that it differs from one that was not.
+pub(crate) fn present<'de, T: Deserialize<'de>, D: Deserializer<'de>>(
+    value: D,
+) -> Result<Option<T>, D::Error> {
+    T::deserialize(value).map(Some)
 }
 
 /// Extracts a JSON body within the limits on bodies.

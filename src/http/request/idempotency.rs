@@ -14,7 +14,7 @@ use axum::http::{HeaderMap, HeaderValue, Uri};
 use sha2::{Digest as _, Sha256};
 
 use crate::{
-    domain::{Caller, Digest, KeyId, ProblemType},
+    domain::{Caller, Digest, ProblemType, ProjectId},
     http::{
         problem::{ApiResult, ProblemResponse},
         state::AppState,
@@ -25,7 +25,7 @@ use crate::{
 const HEADER: &str = "idempotency-key";
 const MAX_KEY: usize = 255;
 
-type ScopedKey = (Option<KeyId>, String);
+type ScopedKey = (ProjectId, String);
 
 /// The keys of requests in flight.
 #[derive(Debug, Default)]
@@ -86,7 +86,7 @@ impl CreateRequest<'_> {
                 format!("Idempotency-Key: give one value of 1 to {MAX_KEY} printable ASCII characters"),
             ));
         };
-        let key = (self.caller.key, key.to_owned());
+        let key = (self.caller.project, key.to_owned());
         let in_flight = &self.state.in_flight;
         if !in_flight.0.lock().unwrap_or_else(PoisonError::into_inner).insert(key.clone()) {
             return Err(ProblemResponse::new(
@@ -99,12 +99,12 @@ impl CreateRequest<'_> {
 
     /// What the store remembers of a request whose body has this digest.
     pub(crate) fn intent(&self, guard: Option<&IdempotencyGuard>, body: Digest) -> Option<IdempotentRequest> {
-        let (owner, key) = guard?.key.clone();
+        let (project, key) = guard?.key.clone();
         let mut hasher = Sha256::new();
         // Neither can hold a line break.
         hasher.update(format!("POST\n{}\n{}\n", self.uri.path(), self.uri.query().unwrap_or_default()));
         hasher.update(body.as_bytes());
-        Some(IdempotentRequest { owner, key, fingerprint: Digest::from_bytes(hasher.finalize().into()) })
+        Some(IdempotentRequest { project, key, fingerprint: Digest::from_bytes(hasher.finalize().into()) })
     }
 }
 
@@ -118,7 +118,7 @@ pub(crate) async fn idempotent<T: Resource>(
     create: impl Future<Output = ApiResult<Result<T, StoreError>>>,
 ) -> ApiResult<CreateOutcome<T>> {
     let Some(intent) = intent else { return Ok(CreateOutcome::Created(create.await??)) };
-    let earlier = match state.store().prior_request(intent.owner, &intent.key).await? {
+    let earlier = match state.store().prior_request(intent.project, &intent.key).await? {
         Some(earlier) => earlier,
         None => match create.await? {
             // Another process was faster.

@@ -38,6 +38,16 @@ impl Parameters {
         Some(self.0.swap_remove(index).1)
     }
 
+    /// The values of all parameters `name[KEY]`, by key.
+    pub(crate) fn take_map(&mut self, name: &str) -> Vec<(String, String)> {
+        let key =
+            |given: &str| Some(given.strip_prefix(name)?.strip_prefix('[')?.strip_suffix(']')?.to_owned());
+        let (taken, left): (Vec<_>, Vec<_>) =
+            std::mem::take(&mut self.0).into_iter().partition(|(given, _)| key(given).is_some());
+        self.0 = left;
+        taken.into_iter().filter_map(|(given, value)| Some((key(&given)?, value))).collect()
+    }
+
     /// The value of a parameter; `expected` completes "is not ...".
     pub(crate) fn take_as<T: FromStr>(&mut self, name: &str, expected: &str) -> ApiResult<Option<T>> {
         let Some(text) = self.take(name) else { return Ok(None) };

@@ -1,6 +1,6 @@
-//! Reserves space for uploaded bytes before any is stored: within the owner's quota, and above the floor of free disk space.
+//! Reserves space for uploaded bytes before any is stored: within the project's quota, and above the floor of free disk space.
 //!
-//! Invariants: bytes that this process receives count against their owner's quota from before the first one until something refers to
+//! Invariants: bytes that this process receives count against their project's quota from before the first one until something refers to
 //! them, and, until they are written, against the free space. Other processes do not see reservations; there the transaction
 //! that refers to the bytes decides, and bytes that it refuses are removed again.
 
@@ -10,7 +10,7 @@ use std::{
 };
 
 use crate::{
-    domain::KeyId,
+    domain::ProjectId,
     http::{
         problem::{ApiResult, ProblemResponse},
         state::AppState,
@@ -26,15 +26,15 @@ pub(crate) struct Reservations(Arc<Mutex<Pending>>);
 
 #[derive(Debug, Default)]
 struct Pending {
-    by_owner: BTreeMap<Option<KeyId>, u64>,
-    /// Bytes of all owners that are not on the disk yet.
+    by_project: BTreeMap<ProjectId, u64>,
+    /// Bytes of all projects that are not on the disk yet.
     unwritten: u64,
 }
 
 /// Why space cannot be reserved.
 #[derive(Debug)]
 pub(crate) enum ReservationError {
-    /// The owner's quota is used up. Datasets that the owner has take no further space; none is longer than `largest_dataset`.
+    /// The project's quota is used up. Datasets that the project has take no further space; none is longer than `largest_dataset`.
     Quota { fault: ProblemResponse, largest_dataset: u64 },
     /// The disk is full, or its free space cannot be read.
     Other(ProblemResponse),
@@ -52,7 +52,7 @@ impl From<ReservationError> for ProblemResponse {
 #[derive(Debug)]
 pub(crate) struct Reservation {
     reservations: Reservations,
-    owner: Option<KeyId>,
+    project: ProjectId,
     bytes: u64,
     written: u64,
 }
@@ -62,17 +62,17 @@ impl Reservations {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Reserves `bytes` for an owner.
+    /// Reserves `bytes` for a project.
     ///
     /// # Errors
     /// [`ReservationError`].
     pub(crate) async fn reserve(
         state: &AppState,
-        owner: Option<KeyId>,
+        project: ProjectId,
         bytes: u64,
     ) -> Result<Reservation, ReservationError> {
         let mut reservation =
-            Reservation { reservations: state.reservations.clone(), owner, bytes: 0, written: 0 };
+            Reservation { reservations: state.reservations.clone(), project, bytes: 0, written: 0 };
         reservation.grow(state, bytes).await?;
         Ok(reservation)
     }
@@ -108,18 +108,18 @@ impl Reservation {
     async fn grow(&mut self, state: &AppState, more: u64) -> Result<(), ReservationError> {
         let room = state
             .store()
-            .capacity(self.owner)
+            .capacity(self.project)
             .await
             .map_err(|error| ReservationError::Other(error.into()))?;
         let free = free_bytes(state).await.map_err(ReservationError::Other)?;
         let mut pending = self.reservations.lock();
-        let own = pending.by_owner.get(&self.owner).copied().unwrap_or(0);
+        let own = pending.by_project.get(&self.project).copied().unwrap_or(0);
         room.admit(own, more).map_err(|error| ReservationError::Quota {
             fault: error.into(),
             largest_dataset: room.largest_dataset,
         })?;
         pending.expect_free(free, more).map_err(ReservationError::Other)?;
-        pending.by_owner.insert(self.owner, own + more);
+        pending.by_project.insert(self.project, own + more);
         pending.unwritten += more;
         drop(pending);
         self.bytes += more;
@@ -152,17 +152,17 @@ impl Reservation {
     pub(crate) fn settle(&mut self) {
         let spare = self.bytes - self.written;
         self.bytes = self.written;
-        self.reservations.lock().release(self.owner, spare, spare);
+        self.reservations.lock().release(self.project, spare, spare);
     }
 }
 
 impl Pending {
-    fn release(&mut self, owner: Option<KeyId>, bytes: u64, unwritten: u64) {
+    fn release(&mut self, project: ProjectId, bytes: u64, unwritten: u64) {
         self.unwritten = self.unwritten.saturating_sub(unwritten);
-        if let Some(own) = self.by_owner.get_mut(&owner) {
+        if let Some(own) = self.by_project.get_mut(&project) {
             *own = own.saturating_sub(bytes);
             if *own == 0 {
-                self.by_owner.remove(&owner);
+                self.by_project.remove(&project);
             }
         }
     }
@@ -171,6 +171,6 @@ impl Pending {
 impl Drop for Reservation {
     fn drop(&mut self) {
         let unwritten = self.bytes.saturating_sub(self.written);
-        self.reservations.lock().release(self.owner, self.bytes, unwritten);
+        self.reservations.lock().release(self.project, self.bytes, unwritten);
     }
 }

@@ -35,7 +35,7 @@ use crate::{
 pub(super) async fn find(state: &AppState, caller: &Caller, id: &str) -> ApiResult<UploadRecord> {
     let parsed: UploadId = id.parse().map_err(|_| ProblemResponse::no_upload(id))?;
     let record = state.store().upload(parsed).await?;
-    record.filter(|record| caller.may_see(record.owner)).ok_or_else(|| ProblemResponse::no_upload(id))
+    record.filter(|record| caller.may_see(record.project)).ok_or_else(|| ProblemResponse::no_upload(id))
 }
 
 /// 410 unless the upload still takes bytes.
@@ -129,9 +129,9 @@ async fn begin(
         return Err(ProblemResponse::too_large(limit).with_header(tus::MAX_SIZE, HeaderValue::from(limit)));
     }
     // Until the upload's own row reserves the space.
-    let _reservation = Reservations::reserve(state, caller.key, length).await?;
+    let _reservation = Reservations::reserve(state, caller.project, length).await?;
     let id = UploadId(state.new_uuid());
-    let new = NewUpload { id, owner: caller.key, length, metadata, expires_at: expiry(state) };
+    let new = NewUpload { id, project: caller.project, length, metadata, expires_at: expiry(state) };
     Ok(state.store().create_upload(new).await?)
 }
 

@@ -1,4 +1,4 @@
-//! Usage and quotas of owners, and references to blobs, in SQLite.
+//! Storage and quotas of projects, and references to blobs, in SQLite.
 //!
 //! Usage is read from totals that the schema's triggers maintain; tests compare them with a recount. The query below names every table
 //! that refers to blobs; a test compares it with the schema's foreign keys, which also prevent the deletion of a referenced row.
@@ -10,7 +10,7 @@ use super::{
     rows::{optional_unsigned, unsigned},
 };
 use crate::{
-    domain::{Digest, KeyId},
+    domain::{Digest, ProjectId},
     store::{Accounts, BlobRef, Capacity, StoreError, StoreFuture, Usage},
 };
 
@@ -22,87 +22,87 @@ const IS_REFERENCED: &str = "
         OR EXISTS (SELECT 1 FROM exports WHERE digest = ?1)
         OR EXISTS (SELECT 1 FROM exports WHERE source = ?1) AS referenced";
 
-/// Usage of account `?1`.
-const USAGE: &str = "SELECT stored_bytes, reserved_bytes FROM owner_totals WHERE owner = ?1";
+/// Storage of project `?1`.
+const USAGE: &str = "SELECT dataset_bytes + artifact_bytes + export_bytes AS stored_bytes, reserved_bytes
+    FROM project_totals WHERE project = ?1";
 
-/// Whether account `?1` refers to blob `?2`.
-const HAS_BLOB: &str = "SELECT EXISTS (SELECT 1 FROM owner_blobs WHERE owner = ?1 AND digest = ?2) AS known";
+/// Whether project `?1` refers to blob `?2`.
+const HAS_BLOB: &str =
+    "SELECT EXISTS (SELECT 1 FROM project_blobs WHERE project = ?1 AND digest = ?2) AS known";
 
-/// How many active jobs key `?1` has and may have.
+/// How many active jobs project `?1` has and may have.
 const ACTIVE_JOBS: &str = "
-    SELECT max_active_jobs, IFNULL((SELECT active_jobs FROM owner_totals WHERE owner = keys.id), 0) AS active
-    FROM keys WHERE id = ?1";
+    SELECT max_active_jobs, queued_jobs + running_jobs AS active
+    FROM projects JOIN project_totals ON project = id WHERE id = ?1";
 
 /// Statements that run under the write lock; their cost must not grow with the number of rows.
 #[cfg(test)]
 pub(super) const STATEMENTS: [&str; 4] = [USAGE, HAS_BLOB, ACTIVE_JOBS, IS_REFERENCED];
 
-/// The owner as totals name it; no owner is the empty string.
-fn account(owner: Option<KeyId>) -> String {
-    owner.map_or_else(String::new, |owner| owner.to_string())
-}
-
-/// The owner's usage.
-async fn usage(connection: &mut SqliteConnection, owner: Option<KeyId>) -> Result<Usage, StoreError> {
-    let row = sqlx::query(USAGE).bind(account(owner)).fetch_optional(connection).await?;
+/// The project's storage.
+async fn usage(connection: &mut SqliteConnection, project: ProjectId) -> Result<Usage, StoreError> {
+    let row = sqlx::query(USAGE).bind(project.to_string()).fetch_optional(connection).await?;
     let Some(row) = row else { return Ok(Usage { stored: 0, reserved: 0 }) };
     Ok(Usage { stored: unsigned(&row, "stored_bytes")?, reserved: unsigned(&row, "reserved_bytes")? })
 }
 
-/// The owner's quota, which is `default` for keys without one.
+/// The limit of a project that has none of its own: the service's, or none for the default project.
+pub(super) fn default_limit<T>(project: ProjectId, default: Option<T>) -> Option<T> {
+    default.filter(|_| project != ProjectId::DEFAULT)
+}
+
+/// The project's quota, which is `default` for projects without one.
 async fn quota(
     connection: &mut SqliteConnection,
     default: Option<u64>,
-    owner: Option<KeyId>,
+    project: ProjectId,
 ) -> Result<Option<u64>, StoreError> {
-    let Some(key) = owner else { return Ok(None) };
-    let row = sqlx::query("SELECT max_bytes FROM keys WHERE id = ?")
-        .bind(key.to_string())
+    let row = sqlx::query("SELECT max_bytes FROM projects WHERE id = ?")
+        .bind(project.to_string())
         .fetch_one(connection)
         .await?;
-    Ok(optional_unsigned(&row, "max_bytes")?.or(default))
+    Ok(optional_unsigned(&row, "max_bytes")?.or(default_limit(project, default)))
 }
 
-/// Refuses `requested` more bytes over the owner's quota, which is `default` for keys without one. Part of the transaction that
+/// Refuses `requested` more bytes over the project's quota, which is `default` for projects without one. Part of the transaction that
 /// adds them.
 pub(super) async fn admit(
     connection: &mut SqliteConnection,
     default: Option<u64>,
-    owner: Option<KeyId>,
+    project: ProjectId,
     requested: u64,
 ) -> Result<(), StoreError> {
-    let Some(quota) = quota(connection, default, owner).await? else { return Ok(()) };
-    let usage = usage(connection, owner).await?;
+    let Some(quota) = quota(connection, default, project).await? else { return Ok(()) };
+    let usage = usage(connection, project).await?;
     Capacity { usage, quota: Some(quota), ..Capacity::default() }.admit(0, requested)
 }
 
-/// As [`admit`], for a blob; one that the owner refers to already counts nothing.
+/// As [`admit`], for a blob; one that the project refers to already counts nothing.
 pub(super) async fn admit_blob(
     connection: &mut SqliteConnection,
     default: Option<u64>,
-    owner: Option<KeyId>,
+    project: ProjectId,
     blob: BlobRef,
 ) -> Result<(), StoreError> {
     let row = sqlx::query(HAS_BLOB)
-        .bind(account(owner))
+        .bind(project.to_string())
         .bind(blob.digest.to_string())
         .fetch_one(&mut *connection)
         .await?;
     let known: bool = row.try_get("known")?;
-    if known { Ok(()) } else { admit(connection, default, owner, blob.bytes).await }
+    if known { Ok(()) } else { admit(connection, default, project, blob.bytes).await }
 }
 
-/// Refuses another job if the owner has its maximum of queued and running ones, which is `default` for keys without one. Part of the
+/// Refuses another job if the project has its maximum of queued and running ones, which is `default` for projects without one. Part of the
 /// transaction that adds it.
 pub(super) async fn admit_job(
     connection: &mut SqliteConnection,
     default: Option<u32>,
-    owner: Option<KeyId>,
+    project: ProjectId,
 ) -> Result<(), StoreError> {
-    let Some(key) = owner else { return Ok(()) };
-    let row = sqlx::query(ACTIVE_JOBS).bind(key.to_string()).fetch_one(connection).await?;
+    let row = sqlx::query(ACTIVE_JOBS).bind(project.to_string()).fetch_one(connection).await?;
     let active: u32 = unsigned(&row, "active")?;
-    let max: Option<u32> = optional_unsigned(&row, "max_active_jobs")?.or(default);
+    let max: Option<u32> = optional_unsigned(&row, "max_active_jobs")?.or(default_limit(project, default));
     if max.is_some_and(|max| active >= max) {
         return Err(StoreError::TooManyJobs { active });
     }
@@ -125,37 +125,37 @@ async fn unreferenced(
 }
 
 impl Accounts for SqliteStore {
-    fn usage(&self, owner: Option<KeyId>) -> StoreFuture<'_, Usage> {
-        Box::pin(self.read(async move |tx| usage(tx, owner).await))
+    fn usage(&self, project: ProjectId) -> StoreFuture<'_, Usage> {
+        Box::pin(self.read(async move |tx| usage(tx, project).await))
     }
 
-    fn capacity(&self, owner: Option<KeyId>) -> StoreFuture<'_, Capacity> {
+    fn capacity(&self, project: ProjectId) -> StoreFuture<'_, Capacity> {
         Box::pin(self.read(async move |tx| {
-            let quota = quota(tx, self.policy.limits.quota_bytes, owner).await?;
+            let quota = quota(tx, self.policy.limits.quota_bytes, project).await?;
             if quota.is_none() {
                 return Ok(Capacity::default());
             }
             let row = sqlx::query(
                 "SELECT IFNULL(MAX(bytes), 0) AS largest FROM blobs WHERE digest IN (
-                     SELECT dataset FROM scenes WHERE owner IS ?1 UNION SELECT dataset FROM jobs WHERE owner IS ?1)",
+                     SELECT dataset FROM scenes WHERE project = ?1 UNION SELECT dataset FROM jobs WHERE project = ?1)",
             )
-            .bind(owner.map(|owner| owner.to_string()))
+            .bind(project.to_string())
             .fetch_one(&mut *tx)
             .await?;
-            let usage = usage(tx, owner).await?;
+            let usage = usage(tx, project).await?;
             Ok(Capacity { usage, quota, largest_dataset: unsigned(&row, "largest")? })
         }))
     }
 
-    fn owned_archive(&self, owner: Option<KeyId>, content: Digest) -> StoreFuture<'_, Option<BlobRef>> {
+    fn owned_archive(&self, project: ProjectId, content: Digest) -> StoreFuture<'_, Option<BlobRef>> {
         Box::pin(async move {
             let row = sqlx::query(
                 "SELECT bytes FROM blobs WHERE digest = ?1
-                     AND (EXISTS (SELECT 1 FROM scenes WHERE dataset = ?1 AND owner IS ?2)
-                          OR EXISTS (SELECT 1 FROM jobs WHERE dataset = ?1 AND owner IS ?2))",
+                     AND (EXISTS (SELECT 1 FROM scenes WHERE dataset = ?1 AND project = ?2)
+                          OR EXISTS (SELECT 1 FROM jobs WHERE dataset = ?1 AND project = ?2))",
             )
             .bind(content.to_string())
-            .bind(owner.map(|owner| owner.to_string()))
+            .bind(project.to_string())
             .fetch_optional(&self.readers)
             .await?;
             row.map(|row| Ok(BlobRef { digest: content, bytes: unsigned(&row, "bytes")? })).transpose()

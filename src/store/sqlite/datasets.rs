@@ -4,10 +4,10 @@ use sqlx::{Row as _, SqliteConnection, sqlite::SqliteRow};
 
 use super::{
     SqliteStore, accounts, idempotency, insert_blob, lists,
-    rows::{blob, document, instant, json, micros, optional_id, parsed, unsigned},
+    rows::{blob, document, instant, json, micros, parsed, unsigned},
 };
 use crate::{
-    domain::{DatasetId, Digest, KeyId},
+    domain::{DatasetId, Digest, ProjectId},
     store::{
         DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, Datasets, NewDataset, StoreError,
         StoreFuture,
@@ -18,7 +18,7 @@ use crate::{
 fn dataset(row: &SqliteRow) -> Result<DatasetRecord, StoreError> {
     Ok(DatasetRecord {
         id: parsed("id", row.try_get("id")?)?,
-        owner: optional_id(row, "owner")?,
+        project: parsed("project", row.try_get("project")?)?,
         name: row.try_get("name")?,
         dataset: blob(row, "dataset")?,
         summary: document("summary", row.try_get("summary")?)?,
@@ -42,15 +42,15 @@ async fn select(
 
 async fn select_by_archive(
     connection: &mut SqliteConnection,
-    owner: Option<KeyId>,
+    project: ProjectId,
     archive: Digest,
 ) -> Result<Option<DatasetRecord>, StoreError> {
     let row = sqlx::query(
         "SELECT scenes.*, blobs.bytes FROM scenes JOIN blobs ON blobs.digest = scenes.dataset
-         WHERE scenes.dataset = ?1 AND scenes.owner IS ?2",
+         WHERE scenes.dataset = ?1 AND scenes.project = ?2",
     )
     .bind(archive.to_string())
-    .bind(owner.map(|owner| owner.to_string()))
+    .bind(project.to_string())
     .fetch_optional(connection)
     .await?;
     row.as_ref().map(dataset).transpose()
@@ -59,7 +59,7 @@ async fn select_by_archive(
 impl Datasets for SqliteStore {
     fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation> {
         Box::pin(self.write(async move |tx, now| {
-            let known = select_by_archive(tx, new.owner, new.dataset.digest).await?;
+            let known = select_by_archive(tx, new.project, new.dataset.digest).await?;
             let id = known.as_ref().map_or(new.id, |known| known.id);
             if known.is_none() {
                 // The bytes reserved for the upload become the dataset's.
@@ -70,13 +70,13 @@ impl Datasets for SqliteStore {
                         .execute(&mut *tx)
                         .await?;
                 }
-                accounts::admit_blob(tx, self.policy.limits.quota_bytes, new.owner, new.dataset).await?;
+                accounts::admit_blob(tx, self.policy.limits.quota_bytes, new.project, new.dataset).await?;
                 insert_blob(tx, new.dataset, now).await?;
                 sqlx::query(
-                    "INSERT INTO scenes (id, owner, dataset, name, summary, created_at) VALUES (?, ?, ?, ?, ?, ?)",
+                    "INSERT INTO scenes (id, project, dataset, name, summary, created_at) VALUES (?, ?, ?, ?, ?, ?)",
                 )
                 .bind(id.to_string())
-                .bind(new.owner.map(|owner| owner.to_string()))
+                .bind(new.project.to_string())
                 .bind(new.dataset.digest.to_string())
                 .bind(&new.name)
                 .bind(json(&new.summary)?)
@@ -111,20 +111,20 @@ impl Datasets for SqliteStore {
 
     fn dataset_by_archive(
         &self,
-        owner: Option<KeyId>,
+        project: ProjectId,
         archive: Digest,
     ) -> StoreFuture<'_, Option<DatasetRecord>> {
-        Box::pin(self.read(async move |tx| select_by_archive(tx, owner, archive).await))
+        Box::pin(self.read(async move |tx| select_by_archive(tx, project, archive).await))
     }
 
     fn datasets(
         &self,
-        owner: Option<KeyId>,
+        project: Option<ProjectId>,
         before: Option<DatasetPageKey>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<DatasetRecord>> {
         Box::pin(async move {
-            let rows = lists::datasets(owner, before, limit).build().fetch_all(&self.readers).await?;
+            let rows = lists::datasets(project, before, limit).build().fetch_all(&self.readers).await?;
             rows.iter().map(dataset).collect()
         })
     }

@@ -7,7 +7,7 @@ use super::{
     rows::{self, micros},
 };
 use crate::{
-    domain::{Digest, JobId, KeyId},
+    domain::{Digest, JobId, ProjectId},
     store::{ExportRecord, Exports, FileRecord, StoreError, StoreFuture},
 };
 
@@ -22,32 +22,29 @@ async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<Exp
     rows.iter().map(rows::export).collect()
 }
 
-/// The job's owner (`None` without keys), if there is such a job.
-async fn owner_of(
-    connection: &mut SqliteConnection,
-    job: JobId,
-) -> Result<Option<Option<KeyId>>, StoreError> {
-    let row = sqlx::query("SELECT owner FROM jobs WHERE id = ?").bind(job.to_string());
+/// The job's project, if there is such a job.
+async fn project_of(connection: &mut SqliteConnection, job: JobId) -> Result<Option<ProjectId>, StoreError> {
+    let row = sqlx::query("SELECT project FROM jobs WHERE id = ?").bind(job.to_string());
     let Some(row) = row.fetch_optional(connection).await? else { return Ok(None) };
-    rows::optional_id(&row, "owner").map(Some)
+    rows::optional_id(&row, "project")
 }
 
 impl Exports for SqliteStore {
     fn admit_export(&self, job: JobId) -> StoreFuture<'_, ()> {
         Box::pin(self.read(async move |tx| {
-            let Some(owner) = owner_of(tx, job).await? else { return Ok(()) };
-            accounts::admit(tx, self.policy.limits.quota_bytes, owner, 1).await
+            let Some(project) = project_of(tx, job).await? else { return Ok(()) };
+            accounts::admit(tx, self.policy.limits.quota_bytes, project, 1).await
         }))
     }
 
     fn add_export(&self, export: ExportRecord) -> StoreFuture<'_, Option<ExportRecord>> {
         Box::pin(self.write(async move |tx, now| {
-            let Some(owner) = owner_of(tx, export.job).await? else { return Ok(None) };
+            let Some(project) = project_of(tx, export.job).await? else { return Ok(None) };
             let same = |kept: &ExportRecord| (kept.source, kept.format) == (export.source, export.format);
             if let Some(kept) = of_job(tx, export.job).await?.into_iter().find(same) {
                 return Ok(Some(kept));
             }
-            accounts::admit_blob(tx, self.policy.limits.quota_bytes, owner, export.blob).await?;
+            accounts::admit_blob(tx, self.policy.limits.quota_bytes, project, export.blob).await?;
             insert_blob(tx, export.blob, now).await?;
             sqlx::query(
                 "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, likeness_psnr, likeness_views,
@@ -73,7 +70,7 @@ impl Exports for SqliteStore {
         Box::pin(self.read(async move |tx| of_job(tx, job).await))
     }
 
-    fn file(&self, digest: Digest, owner: Option<KeyId>) -> StoreFuture<'_, Option<FileRecord>> {
+    fn file(&self, digest: Digest, project: Option<ProjectId>) -> StoreFuture<'_, Option<FileRecord>> {
         Box::pin(async move {
             let row = sqlx::query(
                 "SELECT files.*, blobs.bytes FROM (
@@ -86,11 +83,11 @@ impl Exports for SqliteStore {
                  ) AS files
                  JOIN blobs ON blobs.digest = files.digest
                  JOIN jobs ON jobs.id = files.job_id
-                 WHERE ?2 IS NULL OR jobs.owner = ?2
+                 WHERE ?2 IS NULL OR jobs.project = ?2
                  ORDER BY jobs.created_at DESC, jobs.id DESC LIMIT 1",
             )
             .bind(digest.to_string())
-            .bind(owner.map(|owner| owner.to_string()))
+            .bind(project.map(|project| project.to_string()))
             .fetch_optional(&self.readers)
             .await?;
             row.as_ref().map(rows::file).transpose()

@@ -10,13 +10,9 @@ use super::{
     rows::{self, before, micros},
 };
 use crate::{
-    domain::KeyId,
+    domain::ProjectId,
     store::{Idempotency, IdempotentRequest, PriorRequest, StoreError, StoreFuture},
 };
-
-fn owner_text(owner: Option<KeyId>) -> String {
-    owner.map_or_else(String::new, |owner| owner.to_string())
-}
 
 /// Records, within the transaction that creates `resource`, that `intent` created it.
 ///
@@ -34,13 +30,13 @@ pub(super) async fn remember(
         .bind(micros(before(now, keep)))
         .execute(&mut *connection)
         .await?;
-    if let Some(earlier) = select(connection, intent.owner, &intent.key).await? {
+    if let Some(earlier) = select(connection, intent.project, &intent.key).await? {
         return Err(StoreError::IdempotencyKeyUsed(Box::new(earlier)));
     }
     sqlx::query(
-        "INSERT INTO idempotency (owner, key, fingerprint, status, resource, created_at) VALUES (?, ?, ?, ?, ?, ?)",
+        "INSERT INTO idempotency (project, key, fingerprint, status, resource, created_at) VALUES (?, ?, ?, ?, ?, ?)",
     )
-    .bind(owner_text(intent.owner))
+    .bind(intent.project.to_string())
     .bind(&intent.key)
     .bind(intent.fingerprint.to_string())
     .bind(i64::from(status))
@@ -53,11 +49,11 @@ pub(super) async fn remember(
 
 async fn select(
     connection: &mut SqliteConnection,
-    owner: Option<KeyId>,
+    project: ProjectId,
     key: &str,
 ) -> Result<Option<PriorRequest>, StoreError> {
-    let row = sqlx::query("SELECT * FROM idempotency WHERE owner = ? AND key = ?")
-        .bind(owner_text(owner))
+    let row = sqlx::query("SELECT * FROM idempotency WHERE project = ? AND key = ?")
+        .bind(project.to_string())
         .bind(key)
         .fetch_optional(connection)
         .await?;
@@ -67,16 +63,17 @@ async fn select(
 impl Idempotency for SqliteStore {
     fn prior_request<'a>(
         &'a self,
-        owner: Option<KeyId>,
+        project: ProjectId,
         key: &'a str,
     ) -> StoreFuture<'a, Option<PriorRequest>> {
         Box::pin(async move {
-            let row = sqlx::query("SELECT * FROM idempotency WHERE owner = ? AND key = ? AND created_at > ?")
-                .bind(owner_text(owner))
-                .bind(key)
-                .bind(micros(before(self.clock.now(), self.policy.idempotency_ttl)))
-                .fetch_optional(&self.readers)
-                .await?;
+            let row =
+                sqlx::query("SELECT * FROM idempotency WHERE project = ? AND key = ? AND created_at > ?")
+                    .bind(project.to_string())
+                    .bind(key)
+                    .bind(micros(before(self.clock.now(), self.policy.idempotency_ttl)))
+                    .fetch_optional(&self.readers)
+                    .await?;
             row.as_ref().map(rows::prior_request).transpose()
         })
     }

@@ -42,9 +42,12 @@ pub(super) async fn retry_of(
     if !matches!(record.job.state, JobState::Failed | JobState::Cancelled) {
         return Ok(Some(Err(record.job.state)));
     }
-    let RetryRequest { id: new, from_checkpoint, deadline_at, intent } = request;
+    let RetryRequest { id: new, key, from_checkpoint, deadline_at, intent } = request;
     Ok(Some(Ok(NewJob {
-        owner: record.owner,
+        project: record.project,
+        key,
+        name: record.name,
+        metadata: record.metadata,
         dataset_id: record.dataset_id,
         retry_of: Some(id),
         deadline_at,

@@ -2,37 +2,51 @@
 
 use std::num::NonZeroU32;
 
-use sqlx::{Row as _, sqlite::SqliteRow};
+use jiff::Timestamp;
+use sqlx::{Row as _, SqliteConnection, sqlite::SqliteRow};
 
-use super::{SqliteStore, rows, rows::micros};
+use super::{SqliteStore, exists, lists, projects, rows, rows::micros};
 use crate::{
-    domain::{KeyHash, KeyId, KeyLimits, Scope},
-    store::{KeyRecord, Keys, NewKey, StoreError, StoreFuture},
+    domain::{KeyHash, KeyId, ProjectId, Scope},
+    store::{KeyChange, KeyProject, KeyRecord, Keys, NewKey, StoreError, StoreFuture},
 };
+
+/// Adds a key within its caller's transaction, with its project if that is new.
+pub(super) async fn insert(
+    connection: &mut SqliteConnection,
+    new: NewKey,
+    now: Timestamp,
+) -> Result<KeyRecord, StoreError> {
+    let project = match new.project {
+        KeyProject::Existing(id) => {
+            if !exists(connection, "SELECT 1 FROM projects WHERE id = ?", id).await? {
+                return Err(StoreError::NoProject(id));
+            }
+            id
+        }
+        KeyProject::New(project) => projects::insert(connection, &project, now).await?.id,
+    };
+    let row = sqlx::query(
+        "INSERT INTO keys (id, project, name, prefix, hash, scopes, requests_per_minute, expires_at, created_at)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING *",
+    )
+    .bind(new.id.to_string())
+    .bind(project.to_string())
+    .bind(&new.name)
+    .bind(&new.prefix)
+    .bind(new.hash.expose())
+    .bind(scopes_text(&new.scopes))
+    .bind(new.requests_per_minute.map(NonZeroU32::get))
+    .bind(new.expires_at.map(micros))
+    .bind(micros(now))
+    .fetch_one(connection)
+    .await?;
+    key(&row)
+}
 
 impl Keys for SqliteStore {
     fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord> {
-        Box::pin(self.write(async move |tx, now| {
-            let row = sqlx::query(
-                "INSERT INTO keys (id, name, prefix, hash, scopes, max_bytes, max_active_jobs, requests_per_minute,
-                     max_priority, created_at)
-                 VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING *",
-            )
-            .bind(new.id.to_string())
-            .bind(&new.name)
-            .bind(&new.prefix)
-            .bind(new.hash.expose())
-            .bind(scopes_text(&new.scopes))
-            // SQLite has no larger integer, and no disk holds more.
-            .bind(new.limits.quota_bytes.map(|bytes| i64::try_from(bytes).unwrap_or(i64::MAX)))
-            .bind(new.limits.max_active_jobs)
-            .bind(new.limits.requests_per_minute.map(NonZeroU32::get))
-            .bind(new.limits.max_priority)
-            .bind(micros(now))
-            .fetch_one(tx)
-            .await?;
-            key(&row)
-        }))
+        Box::pin(self.write(async move |tx, now| insert(tx, new, now).await))
     }
 
     fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
@@ -45,19 +59,34 @@ impl Keys for SqliteStore {
         })
     }
 
-    fn keys(&self, with_revoked: bool, before: Option<KeyId>, limit: u32) -> StoreFuture<'_, Vec<KeyRecord>> {
+    fn keys(
+        &self,
+        project: Option<ProjectId>,
+        with_revoked: bool,
+        before: Option<KeyId>,
+        limit: u32,
+    ) -> StoreFuture<'_, Vec<KeyRecord>> {
         Box::pin(async move {
-            let rows = sqlx::query(
-                "SELECT * FROM keys WHERE (?1 OR revoked_at IS NULL) AND (?2 IS NULL OR id < ?2)
-                 ORDER BY id DESC LIMIT ?3",
-            )
-            .bind(with_revoked)
-            .bind(before.map(|id| id.to_string()))
-            .bind(limit)
-            .fetch_all(&self.readers)
-            .await?;
+            let rows =
+                lists::keys(project, with_revoked, before, limit).build().fetch_all(&self.readers).await?;
             rows.iter().map(key).collect()
         })
+    }
+
+    fn update_key(&self, id: KeyId, change: KeyChange) -> StoreFuture<'_, Option<KeyRecord>> {
+        Box::pin(self.write(async move |tx, _| {
+            let row = sqlx::query(
+                "UPDATE keys SET name = ?, requests_per_minute = ?, expires_at = ?
+                 WHERE id = ? AND revoked_at IS NULL RETURNING *",
+            )
+            .bind(&change.name)
+            .bind(change.requests_per_minute.map(NonZeroU32::get))
+            .bind(change.expires_at.map(micros))
+            .bind(id.to_string())
+            .fetch_optional(tx)
+            .await?;
+            row.as_ref().map(key).transpose()
+        }))
     }
 
     fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
@@ -74,10 +103,13 @@ impl Keys for SqliteStore {
 
     fn authenticate(&self, hash: KeyHash) -> StoreFuture<'_, Option<KeyRecord>> {
         Box::pin(async move {
-            let row = sqlx::query("SELECT * FROM keys WHERE hash = ? AND revoked_at IS NULL")
-                .bind(hash.expose())
-                .fetch_optional(&self.readers)
-                .await?;
+            let row = sqlx::query(
+                "SELECT * FROM keys WHERE hash = ? AND revoked_at IS NULL AND IFNULL(expires_at > ?, true)",
+            )
+            .bind(hash.expose())
+            .bind(micros(self.clock.now()))
+            .fetch_optional(&self.readers)
+            .await?;
             let Some(row) = row else { return Ok(None) };
             // An index compares only up to the first difference; the whole hash is compared in constant time.
             if !hash.is(row.try_get("hash")?) {
@@ -119,15 +151,11 @@ fn key(row: &SqliteRow) -> Result<KeyRecord, StoreError> {
         name: row.try_get("name")?,
         prefix: row.try_get("prefix")?,
         scopes: scopes.map_err(|fault| StoreError::Corrupt { what: "scopes", fault })?,
-        limits: KeyLimits {
-            quota_bytes: rows::optional_unsigned(row, "max_bytes")?,
-            max_active_jobs: rows::optional_unsigned(row, "max_active_jobs")?,
-            requests_per_minute: rows::optional_unsigned(row, "requests_per_minute")?
-                .and_then(NonZeroU32::new),
-            max_priority: row.try_get("max_priority")?,
-        },
+        project_id: rows::parsed("project", row.try_get("project")?)?,
+        requests_per_minute: rows::optional_unsigned(row, "requests_per_minute")?.and_then(NonZeroU32::new),
         created_at: rows::instant("created_at", row.try_get("created_at")?)?,
         last_used_at: rows::optional_instant(row, "last_used_at")?,
+        expires_at: rows::optional_instant(row, "expires_at")?,
         revoked_at: rows::optional_instant(row, "revoked_at")?,
     })
 }

@@ -1,11 +1,12 @@
-//! The queries that list jobs, datasets and endpoints. Each names only the columns that it filters by, so that SQLite uses an index:
-//! with `? IS NULL OR owner = ?` it would scan the rows of all owners.
+//! The queries that list jobs, datasets, endpoints, keys and usage. Each names only the columns that it filters by, so that SQLite uses an index:
+//! with `? IS NULL OR project = ?` it would scan the rows of all projects.
 
+use jiff::Timestamp;
 use sqlx::{QueryBuilder, Sqlite};
 
 use super::rows::micros;
 use crate::{
-    domain::{EndpointId, KeyId, ModelKind},
+    domain::{EndpointId, KeyId, ModelKind, ProjectId},
     store::{DatasetPageKey, JobFilter, PageKey},
 };
 
@@ -18,8 +19,8 @@ pub(super) fn jobs(filter: &JobFilter, before: Option<PageKey>, limit: u32) -> Q
         query.push(" AND (jobs.created_at, jobs.id) < (").push_bind(micros(before.created_at));
         query.push(", ").push_bind(before.id.to_string()).push(")");
     }
-    if let Some(owner) = filter.owner {
-        query.push(" AND owner = ").push_bind(owner.to_string());
+    if let Some(project) = filter.project {
+        query.push(" AND project = ").push_bind(project.to_string());
     }
     if let Some(dataset) = filter.dataset_id {
         query.push(" AND scene = ").push_bind(dataset.to_string());
@@ -32,8 +33,22 @@ pub(super) fn jobs(filter: &JobFilter, before: Option<PageKey>, limit: u32) -> Q
         }
         query.push(")");
     }
+    if let Some(name) = &filter.name {
+        query.push(" AND name = ").push_bind(name.clone());
+    }
+    if let Some(from) = filter.created_from {
+        query.push(" AND jobs.created_at >= ").push_bind(micros(from));
+    }
+    if let Some(end) = filter.created_before {
+        query.push(" AND jobs.created_at < ").push_bind(micros(end));
+    }
     if let Some(model) = filter.model {
         query.push(" AND json_extract(options, '$.model') = ").push_bind(ModelKind::name(model));
+    }
+    for (key, value) in filter.metadata.iter() {
+        // A key has no characters that a JSON path would read as more than a name.
+        query.push(" AND json_extract(metadata, ").push_bind(format!("$.\"{key}\"")).push(") = ");
+        query.push_bind(value.to_owned());
     }
     query.push(" ORDER BY jobs.created_at DESC, jobs.id DESC LIMIT ").push_bind(limit);
     query
@@ -41,7 +56,7 @@ pub(super) fn jobs(filter: &JobFilter, before: Option<PageKey>, limit: u32) -> Q
 
 /// Rows of `scenes` with their dataset's `bytes`, newest first.
 pub(super) fn datasets(
-    owner: Option<KeyId>,
+    project: Option<ProjectId>,
     before: Option<DatasetPageKey>,
     limit: u32,
 ) -> QueryBuilder<Sqlite> {
@@ -52,8 +67,8 @@ pub(super) fn datasets(
         query.push(" AND (scenes.created_at, scenes.id) < (").push_bind(micros(before.created_at));
         query.push(", ").push_bind(before.id.to_string()).push(")");
     }
-    if let Some(owner) = owner {
-        query.push(" AND owner = ").push_bind(owner.to_string());
+    if let Some(project) = project {
+        query.push(" AND project = ").push_bind(project.to_string());
     }
     query.push(" ORDER BY scenes.created_at DESC, scenes.id DESC LIMIT ").push_bind(limit);
     query
@@ -61,18 +76,62 @@ pub(super) fn datasets(
 
 /// Rows of `webhook_endpoints`, newest first: identities are in the order of creation.
 pub(super) fn endpoints(
-    owner: Option<KeyId>,
+    project: Option<ProjectId>,
     before: Option<EndpointId>,
     limit: u32,
 ) -> QueryBuilder<Sqlite> {
     let mut query = QueryBuilder::new("SELECT * FROM webhook_endpoints WHERE true");
-    if let Some(owner) = owner {
-        query.push(" AND owner = ").push_bind(owner.to_string());
+    if let Some(project) = project {
+        query.push(" AND project = ").push_bind(project.to_string());
     }
     if let Some(before) = before {
         query.push(" AND id < ").push_bind(before.to_string());
     }
     query.push(" ORDER BY id DESC LIMIT ").push_bind(limit);
+    query
+}
+
+/// Rows of `keys`, newest first: identities are in the order of creation.
+pub(super) fn keys(
+    project: Option<ProjectId>,
+    with_revoked: bool,
+    before: Option<KeyId>,
+    limit: u32,
+) -> QueryBuilder<Sqlite> {
+    let mut query = QueryBuilder::new("SELECT * FROM keys WHERE true");
+    if let Some(project) = project {
+        query.push(" AND project = ").push_bind(project.to_string());
+    }
+    if !with_revoked {
+        query.push(" AND revoked_at IS NULL");
+    }
+    if let Some(before) = before {
+        query.push(" AND id < ").push_bind(before.to_string());
+    }
+    query.push(" ORDER BY id DESC LIMIT ").push_bind(limit);
+    query
+}
+
+/// Totals of projects with their rows of `projects` and the seconds of their running attempts until `now`, newest first.
+pub(super) fn usage(
+    project: Option<ProjectId>,
+    before: Option<ProjectId>,
+    limit: u32,
+    now: Timestamp,
+) -> QueryBuilder<Sqlite> {
+    let mut query = QueryBuilder::new("SELECT *, IFNULL((SELECT SUM(MAX(0, ");
+    query.push_bind(micros(now)).push(
+        " - jobs.started_at)) FROM jobs INDEXED BY jobs_running WHERE jobs.project = projects.id AND state = 'running'), 0)
+             AS running_micros
+         FROM projects JOIN project_totals ON project_totals.project = projects.id WHERE true",
+    );
+    if let Some(project) = project {
+        query.push(" AND projects.id = ").push_bind(project.to_string());
+    }
+    if let Some(before) = before {
+        query.push(" AND projects.id < ").push_bind(before.to_string());
+    }
+    query.push(" ORDER BY projects.id DESC LIMIT ").push_bind(limit);
     query
 }
 
@@ -86,7 +145,7 @@ mod tests {
         domain::{DatasetId, JobId, JobState},
         store::{
             SqliteStore,
-            sqlite::{accounts, open::temporary_store, stats},
+            sqlite::{accounts, open::temporary_store, queue, stats},
         },
     };
 
@@ -100,32 +159,41 @@ mod tests {
     #[tokio::test]
     async fn lists_read_only_the_rows_that_they_return() {
         let (_folder, store) = temporary_store().await;
-        let owner = Some(KeyId(Uuid::from_u128(1)));
+        let project = Some(ProjectId(Uuid::from_u128(1)));
         let scene = Some(DatasetId(Uuid::from_u128(1)));
         let at = jiff::Timestamp::UNIX_EPOCH;
         let job = Some(PageKey { created_at: at, id: JobId(Uuid::from_u128(1)) });
         let page = Some(DatasetPageKey { created_at: at, id: DatasetId(Uuid::from_u128(1)) });
         let all = JobFilter::default();
-        let of_owner = JobFilter { owner, ..JobFilter::default() };
+        let of_project = JobFilter { project, ..JobFilter::default() };
         let of_scene = JobFilter { dataset_id: scene, ..JobFilter::default() };
-        let queued = JobFilter { owner, states: vec![JobState::Queued], ..JobFilter::default() };
+        let queued = JobFilter { project, states: vec![JobState::Queued], ..JobFilter::default() };
+        let named = JobFilter { project, name: Some("a name".into()), ..JobFilter::default() };
+        let of_time =
+            JobFilter { project, created_from: Some(at), created_before: Some(at), ..JobFilter::default() };
         let cases = [
             (jobs(&all, None, 20), "jobs_by_age"),
             (jobs(&all, job, 20), "jobs_by_age"),
-            (jobs(&of_owner, None, 20), "jobs_by_owner "),
-            (jobs(&of_owner, job, 20), "jobs_by_owner "),
-            (jobs(&queued, job, 20), "jobs_by_owner_state"),
+            (jobs(&of_project, None, 20), "jobs_by_project "),
+            (jobs(&of_project, job, 20), "jobs_by_project "),
+            (jobs(&queued, job, 20), "jobs_by_project_state"),
             (jobs(&of_scene, job, 20), "jobs_by_scene"),
+            (jobs(&named, job, 20), "jobs_by_project_name"),
+            (jobs(&JobFilter { project: None, ..named.clone() }, job, 20), "jobs_by_name"),
+            (jobs(&of_time, job, 20), "jobs_by_project "),
+            (keys(project, false, None, 20), "keys_by_project"),
+            (keys(project, true, Some(KeyId(Uuid::from_u128(1))), 20), "keys_by_project"),
+            (usage(project, None, 20, at), "sqlite_autoindex_projects_1"),
             (datasets(None, page, 20), "scenes_by_age"),
-            (datasets(owner, None, 20), "scenes_by_owner"),
-            (datasets(owner, page, 20), "scenes_by_owner"),
-            (endpoints(owner, None, 20), "webhook_endpoints_by_owner"),
+            (datasets(project, None, 20), "scenes_by_project"),
+            (datasets(project, page, 20), "scenes_by_project"),
+            (endpoints(project, None, 20), "webhook_endpoints_by_project"),
         ];
         for (query, index) in cases {
             let statement = query.sql();
             let plan = plan(&store, statement.as_str()).await;
             assert!(plan[0].contains(index), "{}: {plan:?}", statement.as_str());
-            // An owner has few endpoints.
+            // A project has few endpoints.
             let sorts = plan.iter().any(|step| step.contains("TEMP B-TREE"));
             assert!(!sorts || index.starts_with("webhook"), "{}: {plan:?}", statement.as_str());
         }
@@ -134,12 +202,23 @@ mod tests {
     #[tokio::test]
     async fn nothing_under_the_write_lock_and_no_metric_scans_a_table() {
         let (_folder, store) = temporary_store().await;
-        // The few rows of totals and counters, and an index of the running jobs.
-        let whole =
-            ["SCAN CONSTANT ROW", "SCAN totals", "SCAN counters", "SCAN jobs USING INDEX jobs_by_lease"];
-        for statement in accounts::STATEMENTS.into_iter().chain(stats::STATEMENTS) {
+        // The few rows of totals and counters, an index of the running jobs, and one of the projects that have queued jobs.
+        let whole = [
+            "SCAN CONSTANT ROW",
+            "SCAN totals",
+            "SCAN counters",
+            "SCAN jobs USING INDEX jobs_by_lease",
+            "SCAN totals USING INDEX project_totals_queued",
+        ];
+        let all = accounts::STATEMENTS.into_iter().chain(stats::STATEMENTS).chain(queue::STATEMENTS);
+        for statement in all {
             for step in plan(&store, statement).await {
-                assert!(!step.starts_with("SCAN") || whole.contains(&&*step), "{statement}: {step}");
+                // Of a query within it, whose own steps are checked too.
+                let is_inner = step.starts_with("SCAN (subquery");
+                assert!(
+                    !step.starts_with("SCAN") || is_inner || whole.contains(&&*step),
+                    "{statement}: {step}"
+                );
             }
         }
         for statement in [

@@ -16,6 +16,7 @@ mod leases;
 mod lists;
 mod open;
 mod priority;
+mod projects;
 mod queue;
 mod rows;
 mod series;
@@ -30,7 +31,7 @@ use std::{
 
 use jiff::Timestamp;
 use serde_json::json;
-use sqlx::{Row as _, SqliteConnection, SqlitePool};
+use sqlx::{SqliteConnection, SqlitePool, sqlite::SqliteRow};
 
 use super::{
     Artifact, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat, JobFilter, JobRecord, Lease,
@@ -39,7 +40,7 @@ use super::{
 };
 use crate::domain::{Clock, Event, EventKind, JobId, JobState, Phase, Progress};
 pub use open::SchemaChange;
-use rows::{json as text, micros};
+use rows::{JobParts, json as text, micros};
 
 /// HTTP status of the response to a request that created a resource.
 const CREATED: u16 = 201;
@@ -92,11 +93,11 @@ impl SqliteStore {
             idempotency::remember(tx, intent, CREATED, &id, keep, now).await?;
         }
         let limits = self.policy.limits;
-        accounts::admit_job(tx, limits.max_active_jobs, new.owner).await?;
-        accounts::admit_blob(tx, limits.quota_bytes, new.owner, new.dataset).await?;
+        accounts::admit_job(tx, limits.max_active_jobs, new.project).await?;
+        accounts::admit_blob(tx, limits.quota_bytes, new.project, new.dataset).await?;
         // A retry keeps the priority that was admitted for the job before.
         if new.retry_of.is_none() {
-            priority::admit(tx, limits.max_priority, new.owner, new.priority).await?;
+            priority::admit(tx, limits.max_priority, new.project, new.key, new.priority).await?;
         }
         if let Some(dataset) = new.dataset_id
             && !exists(tx, "SELECT 1 FROM scenes WHERE id = ?", dataset).await?
@@ -105,12 +106,15 @@ impl SqliteStore {
         }
         insert_blob(tx, new.dataset, now).await?;
         sqlx::query(
-            "INSERT INTO jobs (id, owner, scene, retry_of, deadline_at, dataset, options, state, phase, progress, priority,
-                 run_after, max_attempts, from_checkpoint, created_at)
-             VALUES (?, ?, ?, ?, ?, ?, ?, 'queued', 'queued', ?, ?, 0, ?, ?, ?)",
+            "INSERT INTO jobs (id, project, owner, name, metadata, scene, retry_of, deadline_at, dataset, options, state, phase,
+                 progress, priority, run_after, max_attempts, from_checkpoint, created_at)
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued', 'queued', ?, ?, 0, ?, ?, ?)",
         )
         .bind(new.id.to_string())
-        .bind(new.owner.map(|owner| owner.to_string()))
+        .bind(new.project.to_string())
+        .bind(new.key.map(|key| key.to_string()))
+        .bind(&new.name)
+        .bind(text(&new.metadata)?)
         .bind(new.dataset_id.map(|id| id.to_string()))
         .bind(new.retry_of.map(|job| job.to_string()))
         .bind(new.deadline_at.map(micros))
@@ -130,14 +134,8 @@ impl SqliteStore {
 
     /// Whether a claim could find a job, so that idle polling takes no write lock.
     async fn anything_due(&self) -> Result<bool, StoreError> {
-        let now = micros(self.clock.now());
-        let row = sqlx::query(
-            "SELECT EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND (run_after <= ?1 OR waits_since > ?1)) AS due",
-        )
-        .bind(now)
-        .fetch_one(&self.readers)
-        .await?;
-        Ok(row.try_get("due")?)
+        let mut reader = self.readers.acquire().await?;
+        Ok(queue::next(&mut reader, &self.policy, self.clock.now()).await?.is_some())
     }
 }
 
@@ -166,8 +164,18 @@ async fn select_job(connection: &mut SqliteConnection, id: JobId) -> Result<Opti
     .fetch_optional(&mut *connection)
     .await?;
     let Some(row) = row else { return Ok(None) };
-    let artifacts = select_artifacts(connection, id).await?;
-    rows::job(&row, artifacts).map(Some)
+    job_record(connection, &row).await.map(Some)
+}
+
+/// The job of a row of `jobs` joined with its dataset's `bytes`.
+async fn job_record(connection: &mut SqliteConnection, row: &SqliteRow) -> Result<JobRecord, StoreError> {
+    let id = rows::job_id(row)?;
+    let parts = JobParts {
+        artifacts: select_artifacts(connection, id).await?,
+        attempts: queue::latest_attempts(connection, id).await?,
+        queue_position: queue::position(connection, row).await?,
+    };
+    rows::job(row, parts)
 }
 
 async fn select_artifacts(connection: &mut SqliteConnection, id: JobId) -> Result<Vec<Artifact>, StoreError> {
@@ -214,8 +222,7 @@ impl Store for SqliteStore {
             let rows = lists::jobs(filter, before, limit).build().fetch_all(&mut *tx).await?;
             let mut records = Vec::with_capacity(rows.len());
             for row in &rows {
-                let artifacts = select_artifacts(tx, rows::job_id(row)?).await?;
-                records.push(rows::job(row, artifacts)?);
+                records.push(job_record(tx, row).await?);
             }
             Ok(records)
         }))

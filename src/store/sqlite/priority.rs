@@ -1,29 +1,34 @@
-//! The highest priority that an owner's jobs may have.
+//! The highest priority that a project's jobs may have.
 
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::{
-    domain::{DEFAULT_MAX_PRIORITY, KeyId, Scope},
+    domain::{DEFAULT_MAX_PRIORITY, KeyId, ProjectId, Scope},
     store::StoreError,
 };
 
-/// Refuses a priority above the owner's maximum, which is `default` for keys without one. Administrators and services without keys
-/// have no maximum. Part of the transaction that adds the job.
+/// Refuses a priority above the project's maximum, which is `default` for projects without one. Administrators and services without
+/// keys have no maximum. Part of the transaction that adds the job.
 pub(super) async fn admit(
     connection: &mut SqliteConnection,
     default: Option<i32>,
-    owner: Option<KeyId>,
+    project: ProjectId,
+    key: Option<KeyId>,
     requested: i32,
 ) -> Result<(), StoreError> {
-    let Some(key) = owner else { return Ok(()) };
-    let row = sqlx::query("SELECT max_priority, scopes FROM keys WHERE id = ?")
+    let Some(key) = key else { return Ok(()) };
+    let row = sqlx::query("SELECT scopes FROM keys WHERE id = ?")
         .bind(key.to_string())
-        .fetch_one(connection)
+        .fetch_one(&mut *connection)
         .await?;
     let scopes: String = row.try_get("scopes")?;
     if scopes.split_whitespace().any(|scope| scope == Scope::Admin.name()) {
         return Ok(());
     }
+    let row = sqlx::query("SELECT max_priority FROM projects WHERE id = ?")
+        .bind(project.to_string())
+        .fetch_one(connection)
+        .await?;
     let own: Option<i32> = row.try_get("max_priority")?;
     let max = own.or(default).unwrap_or(DEFAULT_MAX_PRIORITY);
     if requested > max { Err(StoreError::PriorityTooHigh { requested, max }) } else { Ok(()) }

@@ -13,7 +13,8 @@ use super::{
 use crate::{
     domain::{EventKind, JobId, JobMetrics, JobState, Phase, Problem, Progress},
     store::{
-        Cancellation, Claim, Heartbeat, Lease, Outcome, QueuePolicy, StoreError, WorkerDeath,
+        AttemptRecord, Cancellation, Claim, Heartbeat, Lease, MAX_QUEUE_POSITION, Outcome, QueuePolicy,
+        SHOWN_ATTEMPTS, StoreError, WorkerDeath,
         leases::LeaseRow,
         retry::{AttemptEnd, AttemptState, NextState, decide},
     },
@@ -76,34 +77,102 @@ async fn end_lost(
     Ok(lost.len() as u64)
 }
 
-/// Grants the next job to `worker`. The unary plus keeps SQLite from counting all jobs that an owner ever had.
+/// The next job that is due at `?1`, where projects without a limit of their own run at most `?2` jobs. Each project offers its best one,
+/// found through an index, so the cost grows with the projects that have queued jobs, not with those.
+const NEXT: &str = "
+    SELECT best.id FROM project_totals AS totals
+    JOIN projects ON projects.id = totals.project
+    JOIN jobs AS best ON best.id = (
+        SELECT waiting.id FROM jobs AS waiting INDEXED BY jobs_to_claim
+        WHERE waiting.project = totals.project AND waiting.state = 'queued'
+            AND (waiting.run_after <= ?1 OR waiting.waits_since > ?1)
+        ORDER BY waiting.priority DESC, waiting.created_at, waiting.id LIMIT 1)
+    WHERE totals.queued_jobs > 0
+        AND totals.running_jobs < COALESCE(projects.max_running_jobs, ?2, totals.running_jobs + 1)
+    ORDER BY best.priority DESC, totals.running_jobs, totals.last_claim, best.created_at, best.id
+    LIMIT 1";
+
+/// The newest `?2` attempts of job `?1`.
+const LATEST_ATTEMPTS: &str = "SELECT * FROM attempts WHERE job_id = ?1 ORDER BY number DESC LIMIT ?2";
+
+/// How many queued jobs, at most `?5`, of project `?1` come before the one with priority `?2`, creation `?3` and identity `?4`.
+const AHEAD: &str = "
+    SELECT count(*) AS ahead FROM (
+        SELECT 1 FROM jobs INDEXED BY jobs_to_claim WHERE project = ?1 AND state = 'queued' AND priority > ?2
+        UNION ALL
+        SELECT 1 FROM jobs INDEXED BY jobs_to_claim
+        WHERE project = ?1 AND state = 'queued' AND priority = ?2 AND (created_at, id) < (?3, ?4)
+        LIMIT ?5)";
+
+/// Statements of claims and of every job that is read; their cost must not grow with the number of jobs.
+#[cfg(test)]
+pub(super) const STATEMENTS: [&str; 3] = [NEXT, LATEST_ATTEMPTS, AHEAD];
+
+/// The job that a claim would grant now.
+pub(super) async fn next(
+    connection: &mut SqliteConnection,
+    policy: &QueuePolicy,
+    now: Timestamp,
+) -> Result<Option<JobId>, StoreError> {
+    let row = sqlx::query(NEXT)
+        .bind(micros(now))
+        .bind(policy.limits.max_running_jobs)
+        .fetch_optional(connection)
+        .await?;
+    row.as_ref().map(rows::job_id).transpose()
+}
+
+/// The position of a row of `jobs` in its project's queue; `None` unless it is queued.
+pub(super) async fn position(
+    connection: &mut SqliteConnection,
+    row: &SqliteRow,
+) -> Result<Option<u32>, StoreError> {
+    if row.try_get::<&str, _>("state")? != JobState::Queued.name() {
+        return Ok(None);
+    }
+    let counted = sqlx::query(AHEAD)
+        .bind(row.try_get::<&str, _>("project")?)
+        .bind(row.try_get::<i64, _>("priority")?)
+        .bind(row.try_get::<i64, _>("created_at")?)
+        .bind(row.try_get::<&str, _>("id")?)
+        .bind(MAX_QUEUE_POSITION - 1)
+        .fetch_one(connection)
+        .await?;
+    Ok(Some(rows::unsigned::<u32>(&counted, "ahead")? + 1))
+}
+
+/// The newest attempts at a job, oldest first.
+pub(super) async fn latest_attempts(
+    connection: &mut SqliteConnection,
+    job: JobId,
+) -> Result<Vec<AttemptRecord>, StoreError> {
+    let rows =
+        sqlx::query(LATEST_ATTEMPTS).bind(job.to_string()).bind(SHOWN_ATTEMPTS).fetch_all(connection).await?;
+    rows.iter().rev().map(rows::attempt).collect()
+}
+
+/// Grants the next job to `worker`.
 pub(super) async fn claim(
     connection: &mut SqliteConnection,
     policy: &QueuePolicy,
     worker: &str,
     now: Timestamp,
 ) -> Result<Option<(LeaseRow, Claim)>, StoreError> {
+    let Some(job) = next(connection, policy, now).await? else { return Ok(None) };
     let row = sqlx::query(
         "UPDATE jobs SET state = 'running', phase = 'ingest', progress = ?1, attempt = attempt + 1,
              charged = charged + 1, lease_owner = ?2, lease_until = ?3, started_at = ?4, progress_event_at = NULL,
              version = version + 1
-         WHERE id = (SELECT waiting.id FROM jobs AS waiting
-                     WHERE waiting.state = 'queued' AND (waiting.run_after <= ?5 OR waiting.waits_since > ?5)
-                     ORDER BY waiting.priority DESC,
-                         (SELECT COUNT(*) FROM jobs AS busy WHERE busy.state = 'running' AND +busy.owner IS waiting.owner),
-                         waiting.created_at, waiting.id
-                     LIMIT 1)
+         WHERE id = ?5
          RETURNING id, attempt, lease_until, dataset, options, retry_of, from_checkpoint",
     )
     .bind(text(&Progress::default())?)
     .bind(worker)
     .bind(micros(after(now, policy.lease)))
     .bind(micros(now))
-    .bind(micros(now))
-    .fetch_optional(&mut *connection)
+    .bind(job.to_string())
+    .fetch_one(&mut *connection)
     .await?;
-    let Some(row) = row else { return Ok(None) };
-    let job = rows::job_id(&row)?;
     let attempt: u32 = row.try_get("attempt")?;
     sqlx::query("INSERT INTO attempts (job_id, number, worker, started_at) VALUES (?, ?, ?, ?)")
         .bind(job.to_string())

@@ -134,8 +134,15 @@ pub(super) fn options(row: &SqliteRow) -> Result<crate::domain::TrainOptions, St
     document("options", row.try_get("options")?)
 }
 
+/// What a job has in other rows than its own.
+pub(super) struct JobParts {
+    pub(super) artifacts: Vec<Artifact>,
+    pub(super) attempts: Vec<AttemptRecord>,
+    pub(super) queue_position: Option<u32>,
+}
+
 /// A row of `jobs` joined with its dataset's `bytes`.
-pub(super) fn job(row: &SqliteRow, artifacts: Vec<Artifact>) -> Result<JobRecord, StoreError> {
+pub(super) fn job(row: &SqliteRow, parts: JobParts) -> Result<JobRecord, StoreError> {
     let state: JobState = parsed("state", row.try_get("state")?)?;
     let job = Job {
         id: job_id(row)?,
@@ -154,13 +161,18 @@ pub(super) fn job(row: &SqliteRow, artifacts: Vec<Artifact>) -> Result<JobRecord
     };
     Ok(JobRecord {
         job,
-        owner: optional_id(row, "owner")?,
+        project: parsed("project", row.try_get("project")?)?,
+        key: optional_id(row, "owner")?,
+        name: row.try_get("name")?,
+        metadata: document("metadata", row.try_get("metadata")?)?,
+        queue_position: parts.queue_position,
+        attempts: parts.attempts,
         dataset_id: optional_id(row, "scene")?,
         retry_of: optional_id(row, "retry_of")?,
         deadline_at: optional_instant(row, "deadline_at")?,
         priority: row.try_get("priority")?,
         dataset: blob(row, "dataset")?,
-        artifacts,
+        artifacts: parts.artifacts,
     })
 }
 
@@ -296,7 +308,7 @@ pub(super) fn endpoint(row: &SqliteRow) -> Result<EndpointRecord, StoreError> {
         names.iter().map(|name| parsed("events", name)).collect();
     Ok(EndpointRecord {
         id: endpoint_id(row)?,
-        owner: optional_id(row, "owner")?,
+        project: parsed("project", row.try_get("project")?)?,
         url: row.try_get("url")?,
         events: events?,
         description: row.try_get("description")?,

@@ -15,7 +15,7 @@ use crate::{
 fn upload(row: &SqliteRow) -> Result<UploadRecord, StoreError> {
     Ok(UploadRecord {
         id: upload_id(row)?,
-        owner: optional_id(row, "owner")?,
+        project: parsed("project", row.try_get("project")?)?,
         length: unsigned(row, "length")?,
         received: unsigned(row, "received")?,
         metadata: row.try_get("metadata")?,
@@ -46,12 +46,12 @@ async fn select(connection: &mut SqliteConnection, id: UploadId) -> Result<Optio
 impl Uploads for SqliteStore {
     fn create_upload(&self, new: NewUpload) -> StoreFuture<'_, UploadRecord> {
         Box::pin(self.write(async move |tx, now| {
-            accounts::admit(tx, self.policy.limits.quota_bytes, new.owner, new.length).await?;
+            accounts::admit(tx, self.policy.limits.quota_bytes, new.project, new.length).await?;
             sqlx::query(
-                "INSERT INTO uploads (id, owner, length, metadata, created_at, expires_at) VALUES (?, ?, ?, ?, ?, ?)",
+                "INSERT INTO uploads (id, project, length, metadata, created_at, expires_at) VALUES (?, ?, ?, ?, ?, ?)",
             )
             .bind(new.id.to_string())
-            .bind(new.owner.map(|owner| owner.to_string()))
+            .bind(new.project.to_string())
             .bind(column("upload length", new.length)?)
             .bind(&new.metadata)
             .bind(micros(now))

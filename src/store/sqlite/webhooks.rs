@@ -10,7 +10,7 @@ use super::{
     rows::{self, after, json as text, micros},
 };
 use crate::{
-    domain::{DeliveryId, EndpointId, JobId, JobState, KeyId, WebhookEvent},
+    domain::{DeliveryId, EndpointId, JobId, JobState, ProjectId, WebhookEvent},
     store::{
         AfterAttempt, DeliveryRecord, DeliveryResult, DueDelivery, EndpointRecord, NewEndpoint, Replay,
         StoreError, StoreFuture, Webhooks,
@@ -20,7 +20,7 @@ use crate::{
 /// How long a delivery that has ended is kept, from its creation.
 const DELIVERY_TTL: Duration = Duration::from_secs(30 * 24 * 3600);
 
-/// Adds a delivery to the outbox for each endpoint of the job's owner that subscribed to `state`, within the transaction of the change.
+/// Adds a delivery to the outbox for each endpoint of the job's project that subscribed to `state`, within the transaction of the change.
 pub(super) async fn enqueue_deliveries(
     connection: &mut SqliteConnection,
     job: JobId,
@@ -32,7 +32,7 @@ pub(super) async fn enqueue_deliveries(
     let event = WebhookEvent(state);
     let endpoints = sqlx::query(
         "SELECT id FROM webhook_endpoints
-         WHERE owner IS (SELECT owner FROM jobs WHERE id = ?) AND disabled_at IS NULL
+         WHERE project = (SELECT project FROM jobs WHERE id = ?) AND disabled_at IS NULL
              AND EXISTS (SELECT 1 FROM json_each(events) WHERE value = ?)
          ORDER BY id",
     )
@@ -97,9 +97,9 @@ async fn disable(
 impl Webhooks for SqliteStore {
     fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> StoreFuture<'_, Option<EndpointRecord>> {
         Box::pin(self.write(async move |tx, now| {
-            let owner = new.owner.map(|owner| owner.to_string());
-            let row = sqlx::query("SELECT count(*) AS had FROM webhook_endpoints WHERE owner IS ?")
-                .bind(&owner)
+            let project = new.project.to_string();
+            let row = sqlx::query("SELECT count(*) AS had FROM webhook_endpoints WHERE project = ?")
+                .bind(&project)
                 .fetch_one(&mut *tx)
                 .await?;
             if row.try_get::<i64, _>("had")? >= i64::from(at_most) {
@@ -107,11 +107,11 @@ impl Webhooks for SqliteStore {
             }
             let names: Vec<&str> = new.events.iter().map(|event| event.name()).collect();
             let row = sqlx::query(
-                "INSERT INTO webhook_endpoints (id, owner, url, events, description, secret, created_at)
+                "INSERT INTO webhook_endpoints (id, project, url, events, description, secret, created_at)
                  VALUES (?, ?, ?, ?, ?, ?, ?) RETURNING *",
             )
             .bind(new.id.to_string())
-            .bind(owner)
+            .bind(project)
             .bind(new.url)
             .bind(text(&names)?)
             .bind(new.description)
@@ -135,12 +135,12 @@ impl Webhooks for SqliteStore {
 
     fn endpoints(
         &self,
-        owner: Option<KeyId>,
+        project: Option<ProjectId>,
         before: Option<EndpointId>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<EndpointRecord>> {
         Box::pin(async move {
-            let rows = lists::endpoints(owner, before, limit).build().fetch_all(&self.readers).await?;
+            let rows = lists::endpoints(project, before, limit).build().fetch_all(&self.readers).await?;
             rows.iter().map(rows::endpoint).collect()
         })
     }

@@ -7,6 +7,7 @@ mod data_folder;
 mod keys;
 mod options;
 mod priority;
+mod projects;
 mod scripting;
 mod signals;
 mod suite;

@@ -6,7 +6,7 @@ use base64::{Engine as _, engine::general_purpose::STANDARD};
 use jiff::SignedDuration;
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{KeyLimits, ManualClock, Scope},
+    domain::{ManualClock, ProjectLimits, Scope},
     http::config::{AccessRules, RequestLimits},
     store::QueuePolicy,
 };
@@ -46,8 +46,7 @@ pub(super) async fn no_operation_answers_without_the_right_key(coverage: Coverag
 
     let revoked = server.key(&Scope::ALL).await;
     server.revoke(&revoked).await;
-    let one_a_minute = KeyLimits { requests_per_minute: NonZeroU32::new(1), ..KeyLimits::default() };
-    let spent = server.key_with(&Scope::ALL, one_a_minute).await;
+    let spent = server.key_at_rate(&Scope::ALL, NonZeroU32::MIN).await;
     with_key(&server, "GET", "/v1/jobs", &spent.key).await.expect(200);
 
     for operation in contract::guarded() {
@@ -204,8 +203,7 @@ pub(super) async fn a_browser_shows_its_key_by_basic_and_changes_nothing_by_it(c
     let other = server.key(&[Scope::Read]).await;
     let answer = with_header(&server, "GET", &report, &basic(b"me", &other.key)).await;
     answer.expect_problem(404, "job-not-found");
-    let once = KeyLimits { requests_per_minute: NonZeroU32::new(1), ..KeyLimits::default() };
-    let once = server.key_with(&[Scope::Read], once).await;
+    let once = server.key_at_rate(&[Scope::Read], NonZeroU32::MIN).await;
     with_header(&server, "GET", "/v1/jobs", &basic(b"me", &once.key)).await.expect(200);
     with_key(&server, "GET", "/v1/jobs", &once.key).await.expect_problem(429, "too-many-requests");
 }
@@ -214,8 +212,7 @@ pub(super) async fn a_key_has_its_rate_and_an_address_a_few_failures(coverage: C
     let (mut setup, clock) = stopped_clock();
     setup.limits.access.failures_per_minute = NonZeroU32::new(3).expect("three");
     let server = Server::start_with(&coverage, setup).await;
-    let limits = KeyLimits { requests_per_minute: NonZeroU32::new(4), ..KeyLimits::default() };
-    let key = server.key_with(&[Scope::Read], limits).await;
+    let key = server.key_at_rate(&[Scope::Read], NonZeroU32::new(4).expect("four")).await;
     for _ in 0..4 {
         with_key(&server, "GET", "/v1/jobs", &key.key).await.expect(200);
     }
@@ -294,7 +291,10 @@ pub(super) async fn keys_are_made_listed_and_revoked_by_administrators(coverage:
     let (path, body) = (made.header("location").to_owned(), made.json());
     let key = body["key"].as_str().expect("a key").to_owned();
     assert_eq!(body["prefix"], key[..13]);
-    assert_eq!((&body["scopes"], &body["max_active_jobs"]), (&json!(["read", "jobs:write"]), &json!(3)));
+    assert_eq!(body["scopes"], json!(["read", "jobs:write"]));
+    let project = format!("/v1/projects/{}", body["project_id"].as_str().expect("a project"));
+    let project = with_key(&server, "GET", &project, &key).await.expect(200).json();
+    assert_eq!((&project["name"], &project["max_active_jobs"]), (&json!("CI"), &json!(3)));
     with_key(&server, "GET", "/v1/jobs", &key).await.expect(200);
     with_key(&server, "GET", &path, &key).await.expect_problem(403, "insufficient-scope");
 
@@ -358,7 +358,8 @@ pub(super) async fn keys_are_made_listed_and_revoked_by_administrators(coverage:
 
 pub(super) async fn a_key_has_room_for_some_jobs_and_bytes(coverage: Coverage) {
     let server = Server::start_with(&coverage, Setup { worker: false, ..Setup::default() }).await;
-    let limits = KeyLimits { max_active_jobs: Some(1), quota_bytes: Some(20), ..KeyLimits::default() };
+    let limits =
+        ProjectLimits { max_active_jobs: Some(1), quota_bytes: Some(20), ..ProjectLimits::default() };
     let scopes = [Scope::Read, Scope::JobsWrite];
     let (key, other) = (server.key_with(&scopes, limits).await, server.key(&scopes).await);
     let upload = async |key: &TestKey, dataset: &'static str| {
@@ -382,13 +383,15 @@ pub(super) async fn a_key_has_room_for_some_jobs_and_bytes(coverage: Coverage) {
     assert!(detail.contains("quota of 20") && detail.contains("9 are"), "{detail}");
     upload(&key, "succeed 3").await.expect(201);
 
-    let limits = KeyLimits { max_active_jobs: Some(0), ..KeyLimits::default() };
+    let limits = ProjectLimits { max_active_jobs: Some(0), ..ProjectLimits::default() };
     let policy = QueuePolicy { limits, ..quick_policy() };
     let server = Server::start_with(&coverage, Setup { worker: false, policy, ..Setup::default() }).await;
     server.create("succeed").await;
     let (plain, own) = (
         server.key(&scopes).await,
-        server.key_with(&scopes, KeyLimits { max_active_jobs: Some(1), ..KeyLimits::default() }).await,
+        server
+            .key_with(&scopes, ProjectLimits { max_active_jobs: Some(1), ..ProjectLimits::default() })
+            .await,
     );
     let upload = async |key: &TestKey| {
         server
@@ -421,6 +424,7 @@ async fn possessions(server: &Server, key: &TestKey) -> Vec<(String, String)> {
     let mut all = vec![("/v1/jobs/{".to_owned(), id(&job))];
     let digest = done["artifacts"][0]["sha256"].as_str().expect("a digest").to_owned();
     all.push(("/v1/artifacts/{".to_owned(), digest));
+    all.push(("/v1/projects/{".to_owned(), done["project_id"].as_str().expect("a project").to_owned()));
     for (prefix, media_type, body) in [
         ("/v1/scenes", "application/zip", "succeed with a scene"),
         ("/v1/uploads", "application/offset+octet-stream", ""),
@@ -530,11 +534,11 @@ pub(super) async fn a_database_that_fails_lets_nobody_in(coverage: Coverage) {
 }
 
 #[tokio::test]
-async fn a_key_has_a_ceiling_for_the_priority_of_its_jobs() {
+async fn a_project_has_a_ceiling_for_the_priority_of_its_jobs() {
     let setup = || Setup { worker: false, ..Setup::default() };
     let server = Server::start_with(&Coverage::default(), setup()).await;
     let scopes = [Scope::Read, Scope::JobsWrite, Scope::ScenesWrite];
-    let ceiling = |most| KeyLimits { max_priority: Some(most), ..KeyLimits::default() };
+    let ceiling = |most| ProjectLimits { max_priority: Some(most), ..ProjectLimits::default() };
     server.upload("?priority=100", "succeed").await.expect(201);
     let (plain, high, low, admin) = (
         server.key(&scopes).await,
@@ -583,7 +587,9 @@ async fn a_key_has_a_ceiling_for_the_priority_of_its_jobs() {
         let body = json!({ "name": "k", "scopes": ["jobs:write"], "max_priority": most });
         server.send("POST", "/v1/keys", |request| request.bearer_auth(&admin.key).json(&body)).await
     };
-    assert_eq!(make(-100).await.expect(201).json()["max_priority"], -100);
+    let made = make(-100).await.expect(201).json();
+    let project = format!("/v1/projects/{}", made["project_id"].as_str().expect("a project"));
+    assert_eq!(with_key(&server, "GET", &project, &admin.key).await.expect(200).json()["max_priority"], -100);
     let detail = make(101).await.expect_problem(422, "invalid-key-request");
     assert!(detail.contains("max_priority: 101"), "{detail}");
 }

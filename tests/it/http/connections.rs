@@ -3,7 +3,7 @@
 use std::{collections::BTreeSet, num::NonZeroU32, sync::Arc, time::Duration};
 
 use serde_json::json;
-use tcgs::domain::{KeyLimits, ManualClock, Scope};
+use tcgs::domain::{ManualClock, ProjectId, Scope};
 use tokio::{
     io::{AsyncReadExt as _, AsyncWriteExt as _},
     net::TcpStream,
@@ -54,29 +54,43 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
     let server = Server::start_with(&coverage, Setup { limits: tight_limits(), ..Setup::default() }).await;
     let job = server.create("succeed").await;
     server.reaches(&job, "succeeded").await;
-    for (path, media_type) in [
-        ("/v1/jobs".to_owned(), "application/zip"),
-        ("/v1/scenes".to_owned(), "application/zip"),
-        ("/v1/scenes".to_owned(), "application/json"),
-        (format!("{job}/views"), "application/json"),
-        (format!("{job}/retry"), "application/json"),
-        ("/v1/webhook-endpoints".to_owned(), "application/json"),
-        ("/v1/keys".to_owned(), "application/json"),
-        (format!("{job}/animation"), "application/json"),
+    let project = format!("/v1/projects/{}", ProjectId::DEFAULT);
+    let key = format!("/v1/keys/{}", ProjectId::DEFAULT);
+    for (method, path, media_type) in [
+        ("POST", "/v1/jobs".to_owned(), "application/zip"),
+        ("POST", "/v1/scenes".to_owned(), "application/zip"),
+        ("POST", "/v1/scenes".to_owned(), "application/json"),
+        ("POST", format!("{job}/views"), "application/json"),
+        ("POST", format!("{job}/retry"), "application/json"),
+        ("POST", "/v1/webhook-endpoints".to_owned(), "application/json"),
+        ("POST", "/v1/projects".to_owned(), "application/json"),
+        ("PATCH", project.clone(), "application/json"),
+        ("POST", "/v1/keys".to_owned(), "application/json"),
+        ("PATCH", key.clone(), "application/json"),
+        ("POST", format!("{job}/animation"), "application/json"),
     ] {
         let head = format!(
-            "POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: {media_type}\r\nConnection: close\r\n"
+            "{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: {media_type}\r\nConnection: close\r\n"
         );
         let slow = raw(&server, &format!("{head}Content-Length: 9\r\n\r\n{{\"v"), false).await;
-        assert_eq!(check_raw(&server, "POST", &path, &slow), 408);
+        assert_eq!(check_raw(&server, method, &path, &slow), 408);
         let broken =
             raw(&server, &format!("{head}Transfer-Encoding: chunked\r\n\r\nnot a length\r\n"), false).await;
-        assert_eq!(check_raw(&server, "POST", &path, &broken), 400);
+        assert_eq!(check_raw(&server, method, &path, &broken), 400);
     }
     let in_job = ["views", "animation"].map(|part| format!("{job}/{part}"));
-    for path in in_job.into_iter().chain(["/v1/keys".to_owned()]) {
+    let others = [
+        ("POST", "/v1/projects".to_owned()),
+        ("PATCH", project),
+        ("POST", "/v1/keys".to_owned()),
+        ("PATCH", key),
+    ];
+    for (method, path) in in_job.map(|path| ("POST", path)).into_iter().chain(others) {
         let long = json!({ "views": vec![json!({ "frame": "test/r_0" }); 50] });
-        server.post_json(&path, &long).await.expect_problem(413, "body-too-large");
+        let answer = server.send(method, &path, |request| request.json(&long)).await;
+        answer.expect_problem(413, "body-too-large");
+        let text = |request: reqwest::RequestBuilder| request.header("content-type", "text/plain").body("{}");
+        server.send(method, &path, text).await.expect_problem(415, "unsupported-media-type");
     }
     let request_body = json!({ "url": format!("https://example.com/{}", "a".repeat(200)) });
     server.post_json("/v1/webhook-endpoints", &request_body).await.expect_problem(413, "body-too-large");
@@ -148,8 +162,7 @@ async fn whatever_is_answered_reaches_a_client_that_sends_its_whole_body_first()
     assert!([200, 204, 400, 404, 405].iter().all(|status| seen.contains(status)), "{seen:?}");
 
     let narrow = server.key(&[Scope::ScenesWrite]).await;
-    let slow = KeyLimits { requests_per_minute: NonZeroU32::new(1), ..KeyLimits::default() };
-    let slow = server.key_with(&Scope::ALL, slow).await;
+    let slow = server.key_at_rate(&Scope::ALL, NonZeroU32::MIN).await;
     for (key, status) in [(None, 401), (Some(narrow.key), 403), (Some(slow.key), 429)] {
         let header = key.map(|key| format!("Authorization: Bearer {key}\r\n")).unwrap_or_default();
         let seen = send_whole_bodies_first(&server, &header).await;

@@ -4,7 +4,7 @@ use std::sync::atomic::Ordering;
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{KeyLimits, Scope},
+    domain::{ProjectLimits, Scope},
     store::Accounts as _,
 };
 use tokio::io::AsyncWriteExt as _;
@@ -184,7 +184,7 @@ pub(super) async fn an_export_needs_room_within_its_owners_quota(coverage: Cover
     let free = server.key(&scopes).await;
     let admin = server.key(&[Scope::Admin]).await;
     let job = finished(&server, &free).await;
-    let stored = server.store.usage(Some(free.id)).await.expect("read").total();
+    let stored = server.store.usage(free.project).await.expect("read").total();
     let of_free = with_key(&server, "GET", &format!("{job}/export?format=ply"), &free.key).await.expect(200);
     let length = of_free.body.len() as u64;
     let made = || server.exporter.made.load(Ordering::SeqCst);
@@ -192,7 +192,7 @@ pub(super) async fn an_export_needs_room_within_its_owners_quota(coverage: Cover
 
     // (room beyond the job's own files, whether an export is made before it is refused)
     for (room, tried) in [(0, 0), (length - 1, 1)] {
-        let quota = KeyLimits { quota_bytes: Some(stored + room), ..KeyLimits::default() };
+        let quota = ProjectLimits { quota_bytes: Some(stored + room), ..ProjectLimits::default() };
         let key = server.key_with(&scopes, quota).await;
         let path = format!("{}/export?format=ply", finished(&server, &key).await);
         for asking in [&key, &admin] {
@@ -202,10 +202,10 @@ pub(super) async fn an_export_needs_room_within_its_owners_quota(coverage: Cover
             assert!(detail.contains(&format!("{stored} are stored")), "{detail}");
             assert_eq!(made(), before + tried);
         }
-        assert_eq!(server.store.usage(Some(key.id)).await.expect("read").total(), stored);
+        assert_eq!(server.store.usage(key.project).await.expect("read").total(), stored);
     }
 
-    let quota = KeyLimits { quota_bytes: Some(stored + length), ..KeyLimits::default() };
+    let quota = ProjectLimits { quota_bytes: Some(stored + length), ..ProjectLimits::default() };
     let key = server.key_with(&scopes, quota).await;
     let job = finished(&server, &key).await;
     for _ in 0..2 {
@@ -246,16 +246,16 @@ fn answers_length() -> usize {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_file_is_its_owner_s_alone() {
+async fn a_file_is_its_project_s_alone() {
     use tcgs::{
-        domain::{Digest, KeyId},
+        domain::{Digest, ProjectId},
         store::Exports as _,
     };
     let server = Server::start(&Coverage::default()).await;
     let job = server.succeeded().await;
     let digest: Digest =
         listed(&server, &job).await[0]["sha256"].as_str().expect("a hash").parse().expect("a digest");
-    let other_key = KeyId(uuid::Uuid::from_u128(5));
+    let other = ProjectId(uuid::Uuid::from_u128(5));
     assert!(server.store.file(digest, None).await.expect("read").is_some());
-    assert_eq!(server.store.file(digest, Some(other_key)).await.expect("read"), None);
+    assert_eq!(server.store.file(digest, Some(other)).await.expect("read"), None);
 }

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{DatasetId, DatasetSummary, Layout},
+    domain::{DatasetId, DatasetSummary, Layout, ProjectId},
     store::{Datasets as _, NewDataset},
 };
 use uuid::Uuid;
@@ -20,7 +20,7 @@ async fn scene(server: &Server, dataset: &'static str) -> DatasetId {
     let dataset = server.services.blobs.put(bytes::Bytes::from_static(dataset.as_bytes())).await;
     let new = NewDataset {
         id: DatasetId(Uuid::now_v7()),
-        owner: None,
+        project: ProjectId::DEFAULT,
         name: None,
         dataset: dataset.expect("published"),
         summary: DatasetSummary {

@@ -12,6 +12,7 @@ mod idempotency;
 mod job_actions;
 mod jobs;
 mod operations;
+mod projects;
 mod report;
 mod reservations;
 mod scenes;
@@ -64,6 +65,13 @@ scenarios! {
         a_key_has_room_for_some_jobs_and_bytes,
         what_is_anothers_is_not_there,
         a_database_that_fails_lets_nobody_in,
+    }
+    projects {
+        a_leaked_key_is_replaced_and_nothing_is_lost,
+        projects_are_made_changed_and_listed_by_administrators,
+        keys_expire_and_are_changed,
+        usage_is_shown_by_project,
+        jobs_have_names_labels_attempts_and_places_in_the_queue,
     }
     connections {
         bodies_that_break_off_or_dawdle_are_given_up,

@@ -8,7 +8,7 @@ use std::{
 
 use serde_json::json;
 use tcgs::{
-    domain::{KeyLimits, Scope},
+    domain::{ProjectLimits, Scope},
     http::config::RequestLimits,
 };
 use tokio::{
@@ -71,7 +71,7 @@ fn dataset(number: usize, bytes: usize) -> Vec<u8> {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_over_the_quota_is_refused_and_not_stored() {
     let server = Server::start_with(&Coverage::default(), idle()).await;
-    let limits = KeyLimits { quota_bytes: Some(1 << 10), ..KeyLimits::default() };
+    let limits = ProjectLimits { quota_bytes: Some(1 << 10), ..ProjectLimits::default() };
     let key = server.key_with(&Scope::ALL[..3], limits).await;
     for number in 0..12 {
         let path = ["/v1/jobs", "/v1/scenes"][number % 2];
@@ -94,7 +94,7 @@ async fn what_is_over_the_quota_is_refused_and_not_stored() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_an_owner_has_already_needs_no_room() {
     let server = Server::start_with(&Coverage::default(), idle()).await;
-    let limits = KeyLimits { quota_bytes: Some(3000), ..KeyLimits::default() };
+    let limits = ProjectLimits { quota_bytes: Some(3000), ..ProjectLimits::default() };
     let key = server.key_with(&Scope::ALL[..3], limits).await;
     post(&server, "/v1/jobs", &key, Framing::Length, dataset(1, 2500)).await.expect(201);
     for framing in [Framing::Length, Framing::Chunked] {
@@ -112,7 +112,7 @@ async fn what_an_owner_has_already_needs_no_room() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_refused_late_leaves_nothing() {
     let server = Server::start_with(&Coverage::default(), idle()).await;
-    let limits = KeyLimits { max_active_jobs: Some(1), ..KeyLimits::default() };
+    let limits = ProjectLimits { max_active_jobs: Some(1), ..ProjectLimits::default() };
     let key = server.key_with(&Scope::ALL[..3], limits).await;
     post(&server, "/v1/jobs", &key, Framing::Length, dataset(0, 500)).await.expect(201);
     post(&server, "/v1/jobs", &key, Framing::Length, dataset(1, 5000))
@@ -138,7 +138,7 @@ async fn what_is_refused_late_leaves_nothing() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn bodies_on_their_way_have_their_room_to_themselves() {
     let server = Server::start_with(&Coverage::default(), idle()).await;
-    let limits = KeyLimits { quota_bytes: Some(1000), ..KeyLimits::default() };
+    let limits = ProjectLimits { quota_bytes: Some(1000), ..ProjectLimits::default() };
     let key = server.key_with(&Scope::ALL[..3], limits).await;
     let mut first = TcpStream::connect(server.address).await.expect("connects");
     let head = format!(

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{Digest, JobId, KeyLimits, Scope, TrainOptions},
+    domain::{Digest, JobId, ProjectLimits, Scope, TrainOptions},
     store::NewJob,
 };
 use uuid::Uuid;
@@ -173,7 +173,8 @@ pub(super) async fn a_scene_is_deleted_once_no_job_needs_it(coverage: Coverage) 
 pub(super) async fn scenes_of_another_key_are_not_there_and_bytes_have_a_quota(coverage: Coverage) {
     let server = Server::start_with(&coverage, idle()).await;
     let scopes = [Scope::Read, Scope::ScenesWrite];
-    let one = server.key_with(&scopes, KeyLimits { quota_bytes: Some(16), ..KeyLimits::default() }).await;
+    let one =
+        server.key_with(&scopes, ProjectLimits { quota_bytes: Some(16), ..ProjectLimits::default() }).await;
     let other = server.key(&scopes).await;
     let admin = server.key(&[Scope::Admin]).await;
     let send = |key: &str, dataset: &'static str| {
@@ -205,7 +206,7 @@ pub(super) async fn scenes_of_another_key_are_not_there_and_bytes_have_a_quota(c
     as_key("DELETE", path, &one.key).await.expect(204);
     send(&one.key, "succeed ten").await.expect(201);
     let usage: Value =
-        serde_json::to_value(server.services.store.usage(Some(one.id)).await.expect("read").stored)
+        serde_json::to_value(server.services.store.usage(one.project).await.expect("read").stored)
             .expect("a number");
     assert_eq!(usage, 11);
 }

@@ -9,7 +9,7 @@ use serde_json::json;
 use sha1::Sha1;
 use sha2::{Digest as _, Sha256};
 use tcgs::{
-    domain::{Digest, KeyLimits, Scope, UploadId},
+    domain::{Digest, ProjectId, ProjectLimits, Scope, UploadId},
     http::config::RequestLimits,
 };
 use tokio::{
@@ -151,7 +151,7 @@ pub(super) async fn a_dataset_comes_in_parts_and_becomes_a_scene(coverage: Cover
     let again = make_scene(&server, &upload).await.expect(200);
     assert_eq!(again.json(), scene);
     assert_eq!(server.services.blobs.uploads().await.expect("a list"), [], "its file is the blob's now");
-    let usage = server.services.store.usage(None).await.expect("read");
+    let usage = server.services.store.usage(ProjectId::DEFAULT).await.expect("read");
     assert_eq!((usage.stored, usage.reserved), (14, 0));
     for method in ["HEAD", "DELETE"] {
         server.send(method, &upload, tus).await.expect(410);
@@ -293,7 +293,7 @@ pub(super) async fn room_is_kept_from_the_beginning(coverage: Coverage) {
     assert_eq!(large.header("tus-max-size"), (1_u64 << 50).to_string());
     create(1 << 50, None).await.expect_problem(507, "storage-full");
 
-    let limits = KeyLimits { quota_bytes: Some(100), ..KeyLimits::default() };
+    let limits = ProjectLimits { quota_bytes: Some(100), ..ProjectLimits::default() };
     let key = server.key_with(&[Scope::ScenesWrite], limits).await;
     let other = server.key(&[Scope::ScenesWrite]).await;
     let first = create(60, Some(key.key.clone())).await.expect(201);

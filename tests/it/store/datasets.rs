@@ -3,15 +3,14 @@
 use std::sync::Arc;
 
 use jiff::{SignedDuration, Timestamp};
-use sqlx::{ConnectOptions as _, sqlite::SqliteConnectOptions};
 use tcgs::{
     domain::{
-        Clock as _, DatasetId, DatasetSummary, Digest, JobId, KeyId, Layout, ManualClock, TrainOptions,
-        UploadId,
+        Clock as _, DatasetId, DatasetSummary, Digest, JobId, Layout, ManualClock, ProjectId, ProjectLimits,
+        TrainOptions, UploadId,
     },
     store::{
         BlobRef, DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, NewDataset, NewJob,
-        NewUpload, QueuePolicy, SqliteStore, Store, StoreError, Usage,
+        NewProject, NewUpload, QueuePolicy, SqliteStore, Store, StoreError, Usage,
     },
 };
 use tempfile::TempDir;
@@ -20,7 +19,7 @@ use uuid::Uuid;
 struct Fixture {
     store: Arc<dyn Store>,
     clock: Arc<ManualClock>,
-    folder: TempDir,
+    _folder: TempDir,
 }
 
 impl Fixture {
@@ -30,50 +29,43 @@ impl Fixture {
         let clock = Arc::new(ManualClock::new(start));
         let path = folder.path().join("tcgs.db");
         let store = SqliteStore::open(&path, clock.clone(), QueuePolicy::default()).await;
-        Self { store: Arc::new(store.expect("a database")), clock, folder }
+        Self { store: Arc::new(store.expect("a database")), clock, _folder: folder }
     }
 
-    /// Adds a key directly to the database.
-    async fn key(&self, number: u128, max_bytes: Option<i64>) -> KeyId {
-        let key = KeyId(Uuid::from_u128(number));
-        let path = self.folder.path().join("tcgs.db");
-        let mut database = SqliteConnectOptions::new().filename(path).connect().await.expect("the database");
-        sqlx::query(
-            "INSERT INTO keys (id, name, prefix, hash, scopes, max_bytes, created_at) VALUES (?, 'k', 'p', ?, '', ?, 0)",
-        )
-        .bind(key.to_string())
-        .bind(format!("hash {number}"))
-        .bind(max_bytes)
-        .execute(&mut database)
-        .await
-        .expect("added");
-        key
+    /// Adds a project.
+    async fn project(&self, number: u128, quota_bytes: Option<u64>) -> ProjectId {
+        let limits = ProjectLimits { quota_bytes, ..ProjectLimits::default() };
+        let new = NewProject { id: ProjectId(Uuid::from_u128(number)), name: "a project".into(), limits };
+        self.store.create_project(new).await.expect("added").id
     }
 
-    async fn add(&self, number: u128, owner: Option<KeyId>, content: &str) -> DatasetCreation {
-        self.store.create_dataset(new_dataset(number, owner, content)).await.expect("created")
+    async fn add(&self, number: u128, project: ProjectId, content: &str) -> DatasetCreation {
+        self.store.create_dataset(new_dataset(number, project, content)).await.expect("created")
     }
 
-    async fn begin(&self, number: u128, owner: Option<KeyId>, length: u64) -> Result<UploadId, StoreError> {
+    async fn begin(&self, number: u128, project: ProjectId, length: u64) -> Result<UploadId, StoreError> {
         let id = UploadId(Uuid::from_u128(number));
         let expires_at = self.clock.now() + SignedDuration::from_hours(1);
-        let new = NewUpload { id, owner, length, metadata: None, expires_at };
+        let new = NewUpload { id, project, length, metadata: None, expires_at };
         self.store.create_upload(new).await.map(|record| record.id)
     }
 
-    async fn usage(&self, owner: Option<KeyId>) -> Usage {
-        self.store.usage(owner).await.expect("read")
+    async fn usage(&self, project: ProjectId) -> Usage {
+        self.store.usage(project).await.expect("read")
     }
 }
+
+/// The project of what is made without a key.
+const NOBODY: ProjectId = ProjectId::DEFAULT;
 
 fn blob(content: &str) -> BlobRef {
     BlobRef { digest: Digest::of(content.as_bytes()), bytes: content.len() as u64 }
 }
 
-fn new_dataset(number: u128, owner: Option<KeyId>, content: &str) -> NewDataset {
+fn new_dataset(number: u128, project: ProjectId, content: &str) -> NewDataset {
     NewDataset {
         id: DatasetId(Uuid::from_u128(number)),
-        owner,
+        project,
         name: Some(format!("scene {number}")),
         dataset: blob(content),
         summary: DatasetSummary {
@@ -89,17 +81,17 @@ fn new_dataset(number: u128, owner: Option<KeyId>, content: &str) -> NewDataset 
     }
 }
 
-fn job(number: u128, owner: Option<KeyId>, scene: &DatasetRecord) -> NewJob {
+fn job(number: u128, project: ProjectId, scene: &DatasetRecord) -> NewJob {
     let id = JobId(Uuid::from_u128(number));
     let new = NewJob::new(id, TrainOptions::default(), scene.dataset);
-    NewJob { owner, dataset_id: Some(scene.id), ..new }
+    NewJob { project, dataset_id: Some(scene.id), ..new }
 }
 
 #[tokio::test]
 async fn a_dataset_reads_back_as_it_was_added() {
     let fixture = Fixture::new().await;
-    let new = new_dataset(1, None, "dataset");
-    let DatasetCreation::Created(made) = fixture.add(1, None, "dataset").await else { panic!("it is new") };
+    let new = new_dataset(1, NOBODY, "dataset");
+    let DatasetCreation::Created(made) = fixture.add(1, NOBODY, "dataset").await else { panic!("it is new") };
     assert_eq!((made.id, &made.name, made.dataset), (new.id, &new.name, new.dataset));
     assert_eq!((&made.summary, made.version, made.created_at), (&new.summary, 1, fixture.clock.now()));
     assert_eq!(fixture.store.dataset(new.id).await.expect("read"), Some(made));
@@ -107,24 +99,24 @@ async fn a_dataset_reads_back_as_it_was_added() {
 }
 
 #[tokio::test]
-async fn an_owner_has_an_archive_once_and_another_owner_has_its_own_dataset_of_it() {
+async fn a_project_has_an_archive_once_and_another_has_its_own_dataset_of_it() {
     let fixture = Fixture::new().await;
-    let [one, other] = [fixture.key(1, None).await, fixture.key(2, None).await].map(Some);
-    for owner in [None, one, other] {
-        let number = 10 + owner.map_or(0, |key| key.0.as_u128());
-        let DatasetCreation::Created(made) = fixture.add(number, owner, "dataset").await else {
-            panic!("nothing of another owner's is seen")
+    let [one, other] = [fixture.project(1, None).await, fixture.project(2, None).await];
+    for project in [NOBODY, one, other] {
+        let number = 10 + project.0.as_u128();
+        let DatasetCreation::Created(made) = fixture.add(number, project, "dataset").await else {
+            panic!("nothing of another project's is seen")
         };
-        let again = fixture.add(number + 10, owner, "dataset").await;
+        let again = fixture.add(number + 10, project, "dataset").await;
         assert_eq!(again, DatasetCreation::Existing(made.clone()));
-        let found = fixture.store.dataset_by_archive(owner, made.dataset.digest).await.expect("read");
+        let found = fixture.store.dataset_by_archive(project, made.dataset.digest).await.expect("read");
         assert_eq!(found, Some(made));
-        assert_eq!(fixture.usage(owner).await, Usage { stored: 7, reserved: 0 });
+        assert_eq!(fixture.usage(project).await, Usage { stored: 7, reserved: 0 });
     }
-    let list = |owner| fixture.store.datasets(owner, None, 10);
+    let list = |project| fixture.store.datasets(project, None, 10);
     assert_eq!(list(None).await.expect("all").len(), 3);
-    let own = list(one).await.expect("own");
-    assert_eq!(own.iter().map(|scene| scene.owner).collect::<Vec<_>>(), [one]);
+    let own = list(Some(one)).await.expect("own");
+    assert_eq!(own.iter().map(|scene| scene.project).collect::<Vec<_>>(), [one]);
     let absent = fixture.store.dataset_by_archive(one, Digest::of(b"other")).await.expect("read");
     assert_eq!(absent, None);
 }
@@ -136,7 +128,7 @@ async fn datasets_are_listed_newest_first_without_gaps_or_repeats() {
     for number in 0..5 {
         // Two of each instant, so that the id has to decide.
         fixture.clock.advance(SignedDuration::from_secs(i64::from(number % 2 == 0)));
-        ids.push(fixture.add(u128::from(number as u32) + 1, None, &format!("{number}")).await.record().id);
+        ids.push(fixture.add(u128::from(number as u32) + 1, NOBODY, &format!("{number}")).await.record().id);
     }
     ids.reverse();
     let (mut listed, mut before) = (Vec::new(), None);
@@ -152,8 +144,8 @@ async fn datasets_are_listed_newest_first_without_gaps_or_repeats() {
 #[tokio::test]
 async fn a_dataset_is_deleted_unless_an_active_job_trains_on_it() {
     let fixture = Fixture::new().await;
-    let made = fixture.add(1, None, "dataset").await.record().clone();
-    let jobs = [job(1, None, &made), job(2, None, &made)];
+    let made = fixture.add(1, NOBODY, "dataset").await.record().clone();
+    let jobs = [job(1, NOBODY, &made), job(2, NOBODY, &made)];
     for new in jobs.clone() {
         fixture.store.create_job(new).await.expect("queued");
     }
@@ -171,24 +163,24 @@ async fn a_dataset_is_deleted_unless_an_active_job_trains_on_it() {
     assert_eq!(delete(None).await.expect("asked"), None);
     let kept = fixture.store.job(jobs[0].id).await.expect("read").expect("the job stays");
     assert_eq!((kept.dataset_id, kept.dataset), (None, made.dataset));
-    fixture.store.create_job(job(3, None, &made)).await.expect_err("a job cannot be made of what is gone");
+    fixture.store.create_job(job(3, NOBODY, &made)).await.expect_err("a job cannot be made of what is gone");
 }
 
 #[tokio::test]
 async fn an_upload_reserves_its_bytes_until_it_is_a_dataset_or_deleted() {
     let fixture = Fixture::new().await;
-    let owner = Some(fixture.key(1, Some(100)).await);
-    let used = fixture.begin(1, owner, 60).await.expect("room");
-    let refused = fixture.begin(2, owner, 41).await.expect_err("60 + 41 > 100");
+    let project = fixture.project(1, Some(100)).await;
+    let used = fixture.begin(1, project, 60).await.expect("room");
+    let refused = fixture.begin(2, project, 41).await.expect_err("60 + 41 > 100");
     assert!(
         matches!(refused, StoreError::QuotaExceeded { requested: 41, used: 60, quota: 100 }),
         "{refused}"
     );
-    let dropped = fixture.begin(3, owner, 40).await.expect("exactly what is left");
-    assert_eq!(fixture.usage(owner).await, Usage { stored: 0, reserved: 100 });
-    assert_eq!(fixture.usage(None).await, Usage::default(), "and nobody else's");
-    fixture.begin(4, None, 1 << 50).await.expect("without a key there is no quota");
-    fixture.begin(5, None, u64::MAX >> 1).await.expect_err("sums of such lengths would overflow");
+    let dropped = fixture.begin(3, project, 40).await.expect("exactly what is left");
+    assert_eq!(fixture.usage(project).await, Usage { stored: 0, reserved: 100 });
+    assert_eq!(fixture.usage(NOBODY).await, Usage::default(), "and nobody else's");
+    fixture.begin(4, NOBODY, 1 << 50).await.expect("the default project has no quota");
+    fixture.begin(5, NOBODY, u64::MAX >> 1).await.expect_err("sums of such lengths would overflow");
     assert!(fixture.store.delete_upload(dropped).await.expect("asked"));
     assert!(!fixture.store.delete_upload(dropped).await.expect("asked"));
 
@@ -200,16 +192,16 @@ async fn an_upload_reserves_its_bytes_until_it_is_a_dataset_or_deleted() {
     fixture.store.advance_upload(used, 61, later).await.expect_err("more than was announced");
 
     let content = "x".repeat(60);
-    let new = NewDataset { upload: Some(used), ..new_dataset(1, owner, &content) };
+    let new = NewDataset { upload: Some(used), ..new_dataset(1, project, &content) };
     let made = fixture.store.create_dataset(new).await.expect("its room becomes the scene's");
-    assert_eq!(fixture.usage(owner).await, Usage { stored: 60, reserved: 0 });
+    assert_eq!(fixture.usage(project).await, Usage { stored: 60, reserved: 0 });
     let record = fixture.store.upload(used).await.expect("read").expect("known");
     assert_eq!((record.dataset_id, record.ended_at), (Some(made.record().id), Some(fixture.clock.now())));
     assert!(!fixture.store.advance_upload(used, 60, later).await.expect("asked"), "it has ended");
     assert!(!fixture.store.delete_upload(used).await.expect("asked"), "it has ended");
 
     let refused =
-        fixture.store.create_dataset(new_dataset(2, owner, &"y".repeat(41))).await.expect_err("60 + 41");
+        fixture.store.create_dataset(new_dataset(2, project, &"y".repeat(41))).await.expect_err("60 + 41");
     assert!(
         matches!(refused, StoreError::QuotaExceeded { requested: 41, used: 60, quota: 100 }),
         "{refused}"
@@ -219,9 +211,9 @@ async fn an_upload_reserves_its_bytes_until_it_is_a_dataset_or_deleted() {
 #[tokio::test]
 async fn uploads_expire_and_stay_listed_as_ended_for_a_while() {
     let fixture = Fixture::new().await;
-    let open = fixture.begin(1, None, 5).await.expect("room");
+    let open = fixture.begin(1, NOBODY, 5).await.expect("room");
     fixture.clock.advance(SignedDuration::from_mins(30));
-    let young = fixture.begin(2, None, 6).await.expect("room");
+    let young = fixture.begin(2, NOBODY, 6).await.expect("room");
     fixture.clock.advance(SignedDuration::from_mins(30));
     let forget = |hours: i64| fixture.clock.now() - SignedDuration::from_hours(hours);
     let record = fixture.store.upload(open).await.expect("read").expect("known");
@@ -229,7 +221,7 @@ async fn uploads_expire_and_stay_listed_as_ended_for_a_while() {
     assert_eq!(fixture.store.expire_uploads(forget(24)).await.expect("swept"), [open]);
     assert_eq!(fixture.store.expire_uploads(forget(24)).await.expect("swept"), []);
     assert_eq!(fixture.store.open_uploads().await.expect("read"), [young]);
-    assert_eq!(fixture.usage(None).await.reserved, 6);
+    assert_eq!(fixture.usage(NOBODY).await.reserved, 6);
     let record = fixture.store.upload(open).await.expect("read").expect("still known");
     assert_eq!(record.ended_at, Some(fixture.clock.now()));
     fixture.clock.advance(SignedDuration::from_hours(25));
@@ -241,8 +233,8 @@ async fn uploads_expire_and_stay_listed_as_ended_for_a_while() {
 #[tokio::test]
 async fn only_unreferenced_blobs_are_removed() {
     let fixture = Fixture::new().await;
-    let made = fixture.add(1, None, "dataset").await.record().clone();
-    fixture.store.create_job(job(1, None, &made)).await.expect("queued");
+    let made = fixture.add(1, NOBODY, "dataset").await.record().clone();
+    fixture.store.create_job(job(1, NOBODY, &made)).await.expect("queued");
     let unknown = Digest::of(b"never heard of");
     let all = [made.dataset.digest, unknown];
     assert_eq!(fixture.store.forget_blobs(&all).await.expect("asked"), [unknown]);
@@ -253,12 +245,12 @@ async fn only_unreferenced_blobs_are_removed() {
         [unknown],
         "the job refers to it still"
     );
-    assert_eq!(fixture.usage(None).await.stored, 7);
-    let lone = fixture.add(2, None, "lone").await.record().clone();
+    assert_eq!(fixture.usage(NOBODY).await.stored, 7);
+    let lone = fixture.add(2, NOBODY, "lone").await.record().clone();
     fixture.store.delete_dataset(lone.id, None).await.expect("deleted");
     assert_eq!(
         fixture.store.forget_blobs(&[lone.dataset.digest]).await.expect("asked"),
         [lone.dataset.digest]
     );
-    fixture.add(3, None, "lone").await;
+    fixture.add(3, NOBODY, "lone").await;
 }

@@ -6,7 +6,8 @@ use bytes::Bytes;
 use jiff::{SignedDuration, Timestamp};
 use tcgs::{
     domain::{
-        Clock, DatasetId, DatasetSummary, JobId, Layout, ManualClock, SystemClock, TrainOptions, UploadId,
+        Clock, DatasetId, DatasetSummary, JobId, Layout, ManualClock, ProjectId, SystemClock, TrainOptions,
+        UploadId,
     },
     store::{
         BlobError, BlobRef, Blobs, NewDataset, NewJob, NewUpload, QueuePolicy, SqliteStore, Store,
@@ -61,7 +62,15 @@ impl Fixture {
             notes: Vec::new(),
         };
         let id = DatasetId(Uuid::new_v4());
-        let new = NewDataset { id, owner: None, name: None, dataset, summary, upload: None, intent: None };
+        let new = NewDataset {
+            id,
+            project: ProjectId::DEFAULT,
+            name: None,
+            dataset,
+            summary,
+            upload: None,
+            intent: None,
+        };
         self.store.create_dataset(new).await.expect("kept").record().id
     }
 
@@ -222,7 +231,7 @@ async fn files_of_ended_uploads_are_removed_unless_they_are_locked() {
     let ids = [1, 2, 3].map(|number| UploadId(Uuid::from_u128(number)));
     for (id, minutes) in ids.into_iter().zip([10, 20, 30]) {
         let expires_at = fixture.clock.now() + SignedDuration::from_mins(minutes);
-        let new = NewUpload { id, owner: None, length: 9, metadata: None, expires_at };
+        let new = NewUpload { id, project: ProjectId::DEFAULT, length: 9, metadata: None, expires_at };
         fixture.store.create_upload(new).await.expect("begun");
         fixture.blobs.open_upload(id).await.expect("opens").expect("free");
     }

@@ -10,10 +10,10 @@ use sqlx::{
     sqlite::{SqliteConnectOptions, SqlitePoolOptions},
 };
 use tcgs::{
-    domain::{JobState, SystemClock},
+    domain::{DatasetId, EndpointId, JobId, JobState, KeyId, ProjectId, SystemClock, UploadId},
     store::{
-        ArtifactKind, Datasets as _, Exports as _, Keys as _, QueuePolicy, Series as _, SqliteStore, Store,
-        Uploads as _, Webhooks as _,
+        Accounts as _, ArtifactKind, Datasets as _, Exports as _, Idempotency as _, JobFilter, Keys as _,
+        Projects as _, QueuePolicy, Series as _, SqliteStore, Store, Uploads as _, Usage, Webhooks as _,
     },
 };
 
@@ -35,10 +35,11 @@ const CHECKSUMS: &[(i64, &str)] = &[
     (13, "fbb2290e7ad1cfeaa6010d06250ea051d9667e6285c3ed58cd9535df6aea968819330eb4dd3f04e227b442e93b306cf3"),
     (14, "e2ffec4ff61382a7ad7573314bf4f7ac3a08e24e77ec577122faffaf013e7a43439f90d5cce13ecfd04a351e9e059695"),
     (15, "65c38600bc09f7925eaac217cafef701fa191e55aea527ab540ffc1dcff4700f62212a9b75eb383e202e073ff5a3fd07"),
+    (16, "1f73ec4250716451beb63b22c9ac3ab7fcb29c270b0419b9f2f2863757af78bfe68a24362d05c489174f494f6367678f"),
 ];
 
 /// Versions whose databases are in `tests/schemas`. A schema is added once a program with it is released.
-const DUMPED: &[i64] = &[1, 2, 3, 4, 5, 6, 7, 9, 10];
+const DUMPED: &[i64] = &[1, 2, 3, 4, 5, 6, 7, 9, 10, 11, 12, 13, 14, 15];
 
 fn folder() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/schemas"))
@@ -115,7 +116,7 @@ async fn assert_finished_job(store: &SqliteStore, version: i64) {
     assert_eq!(record.job.state, JobState::Succeeded, "version {version}");
     assert_eq!(record.job.metrics.as_ref().expect("figures").test.psnr, Some(30.5), "version {version}");
     assert_eq!(record.dataset.bytes, 1000, "version {version}");
-    assert_eq!(record.owner, None, "version {version}");
+    assert_eq!((record.project, record.key), (ProjectId::DEFAULT, None), "version {version}");
     let scenes: Vec<_> = record.scenes().collect();
     assert_eq!(scenes.len(), 1, "version {version}");
     assert_eq!(ArtifactKind::Scene(scenes[0].format).name(), "tcgs", "version {version}");
@@ -139,9 +140,13 @@ async fn assert_later_tables(store: &SqliteStore, version: i64) {
         let key = store.key(id(KEY)).await.expect("reads").expect("the key is there");
         assert_eq!((&*key.name, key.scopes.len()), ("a key", 2), "version {version}");
         let scene = store.dataset(id(SCENE)).await.expect("reads").expect("the scene is there");
-        assert_eq!((scene.owner, scene.summary.train), (Some(id(KEY)), 9), "version {version}");
+        assert_eq!((scene.project, scene.summary.train), (key.project_id, 9), "version {version}");
+        let project =
+            store.project(key.project_id).await.expect("reads").expect("the key's project is there");
+        assert_eq!((project.id.0, &*project.name), (key.id.0, "a key"), "version {version}");
         let job = store.job(id(QUEUED_JOB)).await.expect("reads").expect("the job is there");
-        assert_eq!((job.owner, job.dataset_id), (Some(id(KEY)), Some(id(SCENE))), "version {version}");
+        assert_eq!((job.project, job.key), (key.project_id, Some(key.id)), "version {version}");
+        assert_eq!(job.dataset_id, Some(id(SCENE)), "version {version}");
     }
     if version >= 5 {
         let upload = store.upload(id(UPLOAD)).await.expect("reads").expect("the upload is there");
@@ -182,5 +187,58 @@ async fn exports_stored_as_spz_are_of_version_3_after_the_migration() {
     assert_eq!(kept, [("ply", 20), ("spz3", 7)]);
     assert_eq!(exports[0].fidelity.map(|fidelity| (fidelity.psnr, fidelity.views)), Some((41.25, 3)));
     assert_eq!(exports[1].fidelity, None);
+    store.close().await;
+}
+
+/// The dump of version 15 has a tenant with a scene, an upload, an endpoint and jobs in every state, a revoked key, an administrator, and
+/// jobs that were made without a key. The program of that version made them.
+#[tokio::test]
+async fn a_key_of_before_projects_keeps_everything_in_a_project_of_its_own() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("tcgs.sqlite");
+    restore(&path, 15).await;
+    let store = open(&path).await;
+    let project = ProjectId(id::<KeyId>(101).0);
+    let record = store.project(project).await.expect("reads").expect("the tenant's project");
+    assert_eq!((&*record.name, record.limits.quota_bytes), ("a tenant", Some(1 << 30)));
+    assert_eq!((record.limits.max_active_jobs, record.limits.max_priority), (Some(9), Some(5)));
+    let key = store.key(id(101)).await.expect("reads").expect("the tenant's key");
+    assert_eq!((key.project_id, key.requests_per_minute.map(u32::from)), (project, Some(90)));
+    assert!(store.key(id(102)).await.expect("reads").is_some_and(|key| key.revoked_at.is_some()));
+
+    let jobs = store
+        .jobs(&JobFilter { project: Some(project), ..JobFilter::default() }, None, 9)
+        .await
+        .expect("reads");
+    let states: Vec<_> = jobs.iter().map(|record| (record.job.id, record.job.state)).collect();
+    let expected = [
+        (124, JobState::Queued),
+        (123, JobState::Running),
+        (122, JobState::Cancelled),
+        (121, JobState::Failed),
+        (120, JobState::Succeeded),
+    ];
+    assert_eq!(states, expected.map(|(number, state)| (id::<JobId>(number), state)));
+    assert!(jobs.iter().all(|record| record.key == Some(key.id) && record.metadata.is_empty()));
+    assert_eq!((jobs[0].queue_position, jobs[4].artifacts.len()), (Some(1), 2));
+    let own = store.datasets(Some(project), None, 9).await.expect("reads");
+    assert_eq!(own.iter().map(|scene| scene.id).collect::<Vec<_>>(), [id::<DatasetId>(110)]);
+    let upload = store.upload(id::<UploadId>(111)).await.expect("reads").expect("the upload");
+    assert_eq!((upload.project, upload.received), (project, 300));
+    let endpoint = store.endpoint(id::<EndpointId>(112)).await.expect("reads").expect("the endpoint");
+    assert_eq!(endpoint.project, project);
+    assert!(store.prior_request(project, "scene").await.is_ok());
+    assert_eq!(
+        store.usage(project).await.expect("reads"),
+        Usage { stored: 5000 + 800 + 90 + 60, reserved: 700 }
+    );
+    let of_nobody = store.job(id(125)).await.expect("reads").expect("the job without a key");
+    assert_eq!((of_nobody.project, of_nobody.key), (ProjectId::DEFAULT, None));
+    let worked = store.project_usage(Some(project), None, 1).await.expect("reads").remove(0).worker_seconds;
+    assert!(worked >= 100.0, "90 s of the first job, 10 s of the second, and the third runs: {worked}");
+
+    // The running job goes on: its worker ends it as it would have.
+    let lease = tcgs::store::Lease { job: id(123), attempt: 1, worker: "worker 1".into() };
+    store.heartbeat(&lease).await.expect("still held");
     store.close().await;
 }

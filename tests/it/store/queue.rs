@@ -7,13 +7,13 @@ use bytes::Bytes;
 use jiff::{SignedDuration, Timestamp};
 use tcgs::{
     domain::{
-        Clock, Digest, Event, EventKind, JobId, JobState, KeyId, ManualClock, Phase, Problem, ProblemType,
-        Progress, SceneFormat, SystemClock, TrainOptions,
+        Clock, Digest, Event, EventKind, JobId, JobState, ManualClock, Metadata, Phase, Problem, ProblemType,
+        Progress, ProjectId, ProjectLimits, SceneFormat, SystemClock, TrainOptions,
     },
     store::{
         Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, Deletion,
-        IdempotentRequest, JobFilter, JobRecord, Lease, NewJob, Outcome, QueuePolicy, RetryOutcome,
-        RetryRequest, SqliteStore, Store, StoreError, WorkerDeath,
+        IdempotentRequest, JobFilter, JobRecord, Lease, NewJob, NewProject, Outcome, ProjectChange,
+        QueuePolicy, RetryOutcome, RetryRequest, SqliteStore, Store, StoreError, WorkerDeath,
     },
 };
 use tempfile::TempDir;
@@ -600,37 +600,28 @@ async fn a_held_job_states_the_cause_and_is_retried_without_a_charge() {
     );
 }
 
-async fn key(pool: &sqlx::SqlitePool, number: u128) -> KeyId {
-    let id = KeyId(Uuid::from_u128(number));
-    sqlx::query(
-        "INSERT INTO keys (id, name, prefix, hash, scopes, created_at) VALUES (?1, 'k', 'p', ?1, '', 0)",
-    )
-    .bind(id.to_string())
-    .execute(pool)
-    .await
-    .expect("a key");
-    id
+async fn project(queue: &Queue, number: u128, limits: ProjectLimits) -> ProjectId {
+    let new = NewProject { id: ProjectId(Uuid::from_u128(number)), name: "a project".into(), limits };
+    queue.store.create_project(new).await.expect("created").id
+}
+
+async fn add_of(queue: &Queue, number: u128, project: ProjectId, priority: i32) -> JobId {
+    queue.pass(1);
+    let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
+    let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
+    queue.store.create_job(NewJob { project, priority, ..new }).await.expect("created").job.id
 }
 
 #[tokio::test]
-async fn at_equal_priority_the_owner_with_the_fewest_running_jobs_is_served_first() {
+async fn at_equal_priority_the_project_with_the_fewest_running_jobs_is_served_first() {
     let queue = Queue::new().await;
-    let pool = pool(&queue).await;
-    let (busy, other) = (key(&pool, 100).await, key(&pool, 101).await);
-    let add = async |number, owner, priority| {
-        queue.pass(1);
-        let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
-        let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
-        queue.store.create_job(NewJob { owner, priority, ..new }).await.expect("created").job.id
-    };
-    let of_busy = [
-        add(1, Some(busy), 0).await,
-        add(2, Some(busy), 0).await,
-        add(3, Some(busy), 0).await,
-        add(4, Some(busy), -1).await,
-    ];
-    let of_other = [add(5, Some(other), 0).await, add(6, Some(other), 0).await];
-    let nobody = add(7, None, 0).await;
+    let free = ProjectLimits::default();
+    let (busy, other) = (project(&queue, 100, free).await, project(&queue, 101, free).await);
+    let add = async |number, project, priority| add_of(&queue, number, project, priority).await;
+    let of_busy =
+        [add(1, busy, 0).await, add(2, busy, 0).await, add(3, busy, 0).await, add(4, busy, -1).await];
+    let of_other = [add(5, other, 0).await, add(6, other, 0).await];
+    let nobody = add(7, ProjectId::DEFAULT, 0).await;
     let mut order = Vec::new();
     let mut leases = Vec::new();
     while let Some(claim) = queue.claim().await {
@@ -646,8 +637,170 @@ async fn at_equal_priority_the_owner_with_the_fewest_running_jobs_is_served_firs
         queue.store.finish(lease, succeeded()).await.expect("ended");
     }
     // Jobs that have ended are no reason to wait.
-    let (older, younger) = (add(8, Some(busy), 0).await, add(9, Some(other), 0).await);
+    let (older, younger) = (add(8, busy, 0).await, add(9, other, 0).await);
     assert_eq!([queue.lease().await.job, queue.lease().await.job], [older, younger]);
+}
+
+#[tokio::test]
+async fn one_worker_serves_projects_in_turn_however_many_jobs_each_has_queued() {
+    let queue = Queue::new().await;
+    let free = ProjectLimits::default();
+    let (busy, other) = (project(&queue, 100, free).await, project(&queue, 101, free).await);
+    for number in 1..=6 {
+        add_of(&queue, number, busy, 0).await;
+    }
+    for number in 7..=8 {
+        add_of(&queue, number, other, 0).await;
+    }
+    let mut order = Vec::new();
+    while let Some(claim) = queue.claim().await {
+        order.push(claim.lease.job.0.as_u128());
+        queue.pass(5);
+        queue.store.finish(&claim.lease, succeeded()).await.expect("ended");
+    }
+    assert_eq!(order, [1, 7, 2, 8, 3, 4, 5, 6]);
+
+    // A project that was idle takes no turns for that, and waits for none.
+    for number in 11..=13 {
+        add_of(&queue, number, busy, 0).await;
+    }
+    let first = queue.lease().await;
+    add_of(&queue, 14, other, 0).await;
+    add_of(&queue, 15, other, 0).await;
+    queue.store.finish(&first, succeeded()).await.expect("ended");
+    let mut order = vec![first.job.0.as_u128()];
+    while let Some(claim) = queue.claim().await {
+        order.push(claim.lease.job.0.as_u128());
+        queue.store.finish(&claim.lease, succeeded()).await.expect("ended");
+    }
+    assert_eq!(order, [11, 14, 12, 15, 13]);
+}
+
+#[tokio::test]
+async fn a_project_runs_no_more_jobs_than_it_may_while_others_go_on() {
+    let queue = Queue::new().await;
+    let capped = ProjectLimits { max_running_jobs: Some(2), ..ProjectLimits::default() };
+    let (one, other) = (
+        project(&queue, 100, capped).await,
+        project(&queue, 101, ProjectLimits { max_running_jobs: Some(0), ..capped }).await,
+    );
+    for number in 1..=4 {
+        add_of(&queue, number, one, 50).await;
+    }
+    add_of(&queue, 5, other, 0).await;
+    add_of(&queue, 6, ProjectId::DEFAULT, -1).await;
+    let leases = [queue.lease().await, queue.lease().await, queue.lease().await];
+    assert_eq!(leases.clone().map(|lease| lease.job.0.as_u128()), [1, 2, 6]);
+    assert!(queue.claim().await.is_none(), "two of the first project run, and the second may run none");
+    queue.store.finish(&leases[0], Outcome::Retry(problem())).await.expect("ended");
+    assert_eq!(
+        queue.lease().await.job.0.as_u128(),
+        3,
+        "the one that is to be tried again waits for its time"
+    );
+    queue.pass(12);
+    assert!(queue.claim().await.is_none());
+    queue.store.finish(&leases[1], succeeded()).await.expect("ended");
+    assert_eq!(queue.lease().await.job.0.as_u128(), 1, "by age again");
+
+    let change = ProjectChange { name: "other".into(), limits: ProjectLimits::default() };
+    queue.store.update_project(other, None, change).await.expect("an answer").expect("known");
+    assert_eq!(queue.lease().await.job.0.as_u128(), 5, "a limit that is raised holds at once");
+}
+
+#[tokio::test]
+async fn a_queued_job_shows_its_position_in_its_project_and_its_attempts() {
+    let queue = Queue::new().await;
+    let one = project(&queue, 100, ProjectLimits::default()).await;
+    for (number, priority) in [(1, 0), (2, 0), (3, 5), (4, -1)] {
+        add_of(&queue, number, one, priority).await;
+    }
+    add_of(&queue, 5, ProjectId::DEFAULT, 9).await;
+    let shown =
+        async |number| queue.store.job(JobId(Uuid::from_u128(number))).await.expect("read").expect("known");
+    let mut positions = Vec::new();
+    for number in 1..=5 {
+        positions.push(shown(number).await.queue_position);
+    }
+    assert_eq!(positions, [Some(2), Some(3), Some(1), Some(4), Some(1)]);
+    let taken = queue.lease().await;
+    assert_eq!(shown(taken.job.0.as_u128()).await.queue_position, None, "it runs");
+
+    let lease = queue.lease().await;
+    assert_eq!((lease.job.0.as_u128(), shown(1).await.queue_position), (3, Some(1)));
+    queue.pass(7);
+    queue.store.finish(&lease, Outcome::Retry(problem())).await.expect("ended");
+    let attempts = shown(3).await.attempts;
+    assert_eq!(attempts.len(), 1);
+    assert_eq!((attempts[0].number, attempts[0].outcome), (1, Some(AttemptOutcome::Retried)));
+    assert_eq!(attempts[0].cause.as_ref().map(|cause| cause.kind.clone()), Some(problem().kind));
+}
+
+#[tokio::test]
+async fn what_a_project_uses_is_counted_by_kind_and_by_time() {
+    let queue = Queue::new().await;
+    let limits = ProjectLimits { quota_bytes: Some(1000), ..ProjectLimits::default() };
+    let one = project(&queue, 100, limits).await;
+    add_of(&queue, 1, one, 0).await;
+    add_of(&queue, 2, one, 0).await;
+    let lease = queue.lease().await;
+    queue.pass(30);
+    queue.store.finish(&lease, succeeded()).await.expect("ended");
+    let running = queue.lease().await;
+    queue.pass(5);
+    let usage = async |project| queue.store.project_usage(project, None, 9).await.expect("read");
+    let [own] = &usage(Some(one)).await[..] else { panic!("one project") };
+    assert_eq!((own.project.id, own.stored.datasets, own.stored.exports), (one, 7, 0));
+    assert!(own.stored.artifacts > 0);
+    assert_eq!(own.worker_seconds, 35.0);
+    let count = |state| own.jobs.iter().find(|(counted, _)| *counted == state).map(|(_, count)| *count);
+    assert_eq!((count(JobState::Running), count(JobState::Succeeded)), (Some(1), Some(1)));
+    assert_eq!(own.limits.quota_bytes, Some(1000));
+    queue.store.finish(&running, Outcome::Failed(problem())).await.expect("ended");
+    queue.store.delete_job(running.job, None).await.expect("an answer").expect("known");
+    let all = usage(None).await;
+    assert_eq!(all.iter().map(|usage| usage.project.id).collect::<Vec<_>>(), [one, ProjectId::DEFAULT]);
+    assert_eq!(all[0].worker_seconds, 35.0, "time that was used does not come back");
+}
+
+#[tokio::test]
+async fn jobs_are_listed_by_name_time_and_labels() {
+    let queue = Queue::new().await;
+    let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
+    let mut instants = Vec::new();
+    for (number, name, site) in [(1, "a", "north"), (2, "b", "north"), (3, "a", "south")] {
+        queue.pass(10);
+        instants.push(queue.clock.now());
+        let labels = std::collections::BTreeMap::from([("site.no".to_owned(), site.to_owned())]);
+        let new = NewJob {
+            name: Some(name.into()),
+            metadata: Metadata::try_from(labels).expect("labels"),
+            ..NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset)
+        };
+        queue.store.create_job(new).await.expect("created");
+    }
+    queue.add(4).await;
+    let listed = async |filter: JobFilter| {
+        let jobs = queue.store.jobs(&filter, None, 9).await.expect("read");
+        jobs.iter().map(|job| job.job.id.0.as_u128()).collect::<Vec<_>>()
+    };
+    let site = |name: &str| {
+        let labels = std::collections::BTreeMap::from([("site.no".to_owned(), name.to_owned())]);
+        Metadata::try_from(labels).expect("labels")
+    };
+    let all = JobFilter::default;
+    assert_eq!(listed(JobFilter { name: Some("a".into()), ..all() }).await, [3, 1]);
+    assert_eq!(listed(JobFilter { metadata: site("north"), ..all() }).await, [2, 1]);
+    assert_eq!(
+        listed(JobFilter { metadata: site("south"), name: Some("b".into()), ..all() }).await,
+        [0_u128; 0]
+    );
+    let (from, end) = (Some(instants[1]), Some(instants[2]));
+    assert_eq!(listed(JobFilter { created_from: from, created_before: end, ..all() }).await, [2]);
+    assert_eq!(
+        listed(JobFilter { project: Some(ProjectId(Uuid::from_u128(9))), ..all() }).await,
+        [0_u128; 0]
+    );
 }
 
 #[tokio::test]
@@ -778,7 +931,8 @@ async fn every_change_raises_the_version_and_a_new_attempt_starts_from_nothing()
 }
 
 fn retry(number: u128, from_checkpoint: bool) -> RetryRequest {
-    RetryRequest { id: JobId(Uuid::from_u128(number)), from_checkpoint, deadline_at: None, intent: None }
+    let id = JobId(Uuid::from_u128(number));
+    RetryRequest { id, key: None, from_checkpoint, deadline_at: None, intent: None }
 }
 
 impl Queue {
@@ -900,7 +1054,11 @@ async fn fifty_requests_with_one_idempotency_key_create_one_job() {
     let queue = Queue::new().await;
     let other: Arc<dyn Store> = Arc::new(open(&queue.folder, &queue.clock, QueuePolicy::default()).await);
     let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
-    let intent = IdempotentRequest { owner: None, key: "one".into(), fingerprint: Digest::of(b"request") };
+    let intent = IdempotentRequest {
+        project: ProjectId::DEFAULT,
+        key: "one".into(),
+        fingerprint: Digest::of(b"request"),
+    };
     let requests = (0..50).map(|number| {
         let store = if number % 2 == 0 { Arc::clone(&queue.store) } else { Arc::clone(&other) };
         let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
@@ -924,31 +1082,25 @@ async fn fifty_requests_with_one_idempotency_key_create_one_job() {
 }
 
 #[tokio::test]
-async fn an_idempotency_key_belongs_to_its_owner_and_expires_after_a_day() {
+async fn an_idempotency_key_belongs_to_its_project_and_expires_after_a_day() {
     let queue = Queue::new().await;
     let pool = pool(&queue).await;
-    let owner = KeyId(Uuid::from_u128(77));
-    sqlx::query(
-        "INSERT INTO keys (id, name, prefix, hash, scopes, created_at) VALUES (?, 'k', 'p', 'h', '', 0)",
-    )
-    .bind(owner.to_string())
-    .execute(&pool)
-    .await
-    .expect("a key");
+    let other = project(&queue, 77, ProjectLimits::default()).await;
     let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
-    let create = |number, owner| {
-        let intent = IdempotentRequest { owner, key: "one".into(), fingerprint: Digest::of(b"request") };
+    let create = |number, project| {
+        let intent = IdempotentRequest { project, key: "one".into(), fingerprint: Digest::of(b"request") };
         let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
-        queue.store.create_job(NewJob { owner, intent: Some(intent), ..new })
+        queue.store.create_job(NewJob { project, intent: Some(intent), ..new })
     };
-    create(1, None).await.expect("made");
-    create(2, Some(owner)).await.expect("another's key is another key");
-    assert!(matches!(create(3, None).await, Err(StoreError::IdempotencyKeyUsed(_))));
-    let remembered = |owner| queue.store.prior_request(owner, "one");
-    assert!(remembered(None).await.expect("read").is_some());
+    let nobody = ProjectId::DEFAULT;
+    create(1, nobody).await.expect("made");
+    create(2, other).await.expect("another's key is another key");
+    assert!(matches!(create(3, nobody).await, Err(StoreError::IdempotencyKeyUsed(_))));
+    let remembered = |project| queue.store.prior_request(project, "one");
+    assert!(remembered(nobody).await.expect("read").is_some());
     queue.pass(24 * 3600);
-    assert!(remembered(Some(owner)).await.expect("read").is_none());
-    create(4, None).await.expect("made anew");
+    assert!(remembered(other).await.expect("read").is_none());
+    create(4, nobody).await.expect("made anew");
     let rows: i64 =
         sqlx::query_scalar("SELECT COUNT(*) FROM idempotency").fetch_one(&pool).await.expect("counted");
     assert_eq!(rows, 1, "old ones are swept");

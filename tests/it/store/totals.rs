@@ -6,13 +6,14 @@ use jiff::{SignedDuration, Timestamp};
 use sqlx::{ConnectOptions as _, Row as _, SqliteConnection, sqlite::SqliteConnectOptions};
 use tcgs::{
     domain::{
-        Clock as _, DatasetId, DatasetSummary, DeliveryId, Digest, EndpointId, JobId, KeyId, Layout,
-        ManualClock, Problem, ProblemType, SceneFormat, TrainOptions, UploadId, WebhookEvent, WebhookSecret,
+        Clock as _, DatasetId, DatasetSummary, DeliveryId, Digest, EndpointId, JobId, Layout, ManualClock,
+        Problem, ProblemType, ProjectId, ProjectLimits, SceneFormat, TrainOptions, UploadId, WebhookEvent,
+        WebhookSecret,
     },
     store::{
         AfterAttempt, Artifact, ArtifactKind, BlobRef, DeliveryResult, ExportRecord, NewDataset, NewEndpoint,
-        NewJob, NewUpload, Outcome, QueuePolicy, RetryRequest, SqliteStore, Store, StoreStats, Usage,
-        WorkerDeath,
+        NewJob, NewProject, NewUpload, Outcome, QueuePolicy, RetryRequest, SqliteStore, Store, StoreStats,
+        Usage, WorkerDeath,
     },
 };
 use tempfile::TempDir;
@@ -21,29 +22,46 @@ use uuid::Uuid;
 use crate::support::fakes;
 
 /// The same as the totals, by counting.
-const RECOUNTS: [(&str, &str); 4] = [
+const RECOUNTS: [(&str, &str); 6] = [
     (
-        "SELECT owner, digest, uses FROM owner_blobs ORDER BY 1, 2",
-        "SELECT owner, digest, count(*) FROM (
-             SELECT IFNULL(owner, '') AS owner, dataset AS digest FROM scenes
-             UNION ALL SELECT IFNULL(owner, ''), dataset FROM jobs
-             UNION ALL SELECT IFNULL(jobs.owner, ''), artifacts.digest FROM artifacts JOIN jobs ON jobs.id = job_id
-             UNION ALL SELECT IFNULL(jobs.owner, ''), exports.digest FROM exports JOIN jobs ON jobs.id = job_id
+        "SELECT project, digest, uses FROM project_blobs ORDER BY 1, 2",
+        "SELECT project, digest, count(*) FROM (
+             SELECT project, dataset AS digest FROM scenes
+             UNION ALL SELECT project, dataset FROM jobs
+             UNION ALL SELECT jobs.project, artifacts.digest FROM artifacts JOIN jobs ON jobs.id = job_id
+             UNION ALL SELECT jobs.project, exports.digest FROM exports JOIN jobs ON jobs.id = job_id
          ) GROUP BY 1, 2 ORDER BY 1, 2",
     ),
     (
-        "SELECT owner, stored_bytes, active_jobs FROM owner_totals WHERE stored_bytes <> 0 OR active_jobs <> 0 ORDER BY 1",
-        "SELECT owner, sum(bytes), (SELECT count(*) FROM jobs WHERE IFNULL(jobs.owner, '') = used.owner
+        "SELECT project, dataset_bytes + artifact_bytes + export_bytes, queued_jobs + running_jobs FROM project_totals
+         WHERE dataset_bytes + artifact_bytes + export_bytes <> 0 OR queued_jobs + running_jobs <> 0 ORDER BY 1",
+        "SELECT project, sum(bytes), (SELECT count(*) FROM jobs WHERE jobs.project = used.project
              AND state IN ('queued', 'running'))
-         FROM (SELECT IFNULL(owner, '') AS owner, dataset AS digest FROM scenes
-             UNION SELECT IFNULL(owner, ''), dataset FROM jobs
-             UNION SELECT IFNULL(jobs.owner, ''), artifacts.digest FROM artifacts JOIN jobs ON jobs.id = job_id
-             UNION SELECT IFNULL(jobs.owner, ''), exports.digest FROM exports JOIN jobs ON jobs.id = job_id) AS used
+         FROM (SELECT project, dataset AS digest FROM scenes
+             UNION SELECT project, dataset FROM jobs
+             UNION SELECT jobs.project, artifacts.digest FROM artifacts JOIN jobs ON jobs.id = job_id
+             UNION SELECT jobs.project, exports.digest FROM exports JOIN jobs ON jobs.id = job_id) AS used
          JOIN blobs USING (digest) GROUP BY 1 ORDER BY 1",
     ),
     (
-        "SELECT owner, '', reserved_bytes FROM owner_totals WHERE reserved_bytes <> 0 ORDER BY 1",
-        "SELECT IFNULL(owner, ''), '', sum(length) FROM uploads WHERE ended_at IS NULL GROUP BY 1 HAVING sum(length) <> 0 ORDER BY 1",
+        "SELECT project, artifact_bytes, export_bytes FROM project_totals WHERE artifact_bytes + export_bytes <> 0 ORDER BY 1",
+        "SELECT id,
+             (SELECT IFNULL(sum(bytes), 0) FROM blobs WHERE digest IN
+                 (SELECT artifacts.digest FROM artifacts JOIN jobs ON jobs.id = job_id WHERE project = projects.id)) AS artifacts,
+             (SELECT IFNULL(sum(bytes), 0) FROM blobs WHERE digest IN
+                 (SELECT exports.digest FROM exports JOIN jobs ON jobs.id = job_id WHERE project = projects.id)) AS exports
+         FROM projects WHERE artifacts + exports <> 0 ORDER BY 1",
+    ),
+    (
+        "SELECT project, succeeded_jobs || ' ' || failed_jobs || ' ' || cancelled_jobs, running_jobs FROM project_totals ORDER BY 1",
+        "SELECT id, (SELECT IFNULL(SUM(state = 'succeeded'), 0) || ' ' || IFNULL(SUM(state = 'failed'), 0) || ' ' ||
+                 IFNULL(SUM(state = 'cancelled'), 0) FROM jobs WHERE project = projects.id),
+             (SELECT count(*) FROM jobs WHERE project = projects.id AND state = 'running')
+         FROM projects ORDER BY 1",
+    ),
+    (
+        "SELECT project, '', reserved_bytes FROM project_totals WHERE reserved_bytes <> 0 ORDER BY 1",
+        "SELECT project, '', sum(length) FROM uploads WHERE ended_at IS NULL GROUP BY 1 HAVING sum(length) <> 0 ORDER BY 1",
     ),
     (
         "SELECT name, label, value FROM totals WHERE value <> 0 ORDER BY 1, 2",
@@ -77,7 +95,10 @@ async fn rows(database: &mut SqliteConnection, query: &'static str) -> Vec<(Stri
 
 impl Fixture {
     async fn new() -> Self {
-        let folder = tempfile::tempdir().expect("a folder");
+        Self::open(tempfile::tempdir().expect("a folder")).await
+    }
+
+    async fn open(folder: TempDir) -> Self {
         let start: Timestamp = "2026-11-21T12:00:00Z".parse().expect("an instant");
         let clock = Arc::new(ManualClock::new(start));
         let store = SqliteStore::open(&path(&folder), clock.clone(), QueuePolicy::default()).await;
@@ -86,17 +107,10 @@ impl Fixture {
         Self { store, clock, database, folder, seen: StoreStats::default() }
     }
 
-    async fn key(&mut self, number: u128) -> KeyId {
-        let key = KeyId(Uuid::from_u128(number));
-        sqlx::query(
-            "INSERT INTO keys (id, name, prefix, hash, scopes, created_at) VALUES (?, 'k', 'p', ?, '', 0)",
-        )
-        .bind(key.to_string())
-        .bind(format!("hash {number}"))
-        .execute(&mut self.database)
-        .await
-        .expect("added");
-        key
+    async fn project(&mut self, number: u128) -> ProjectId {
+        let id = ProjectId(Uuid::from_u128(number));
+        let new = NewProject { id, name: "a project".into(), limits: ProjectLimits::default() };
+        self.store.create_project(new).await.expect("added").id
     }
 
     /// Compares totals with a recount, and counters with their values before.
@@ -121,16 +135,10 @@ impl Fixture {
         self.seen = figures;
     }
 
-    async fn job(
-        &self,
-        number: u128,
-        owner: Option<KeyId>,
-        scene: Option<DatasetId>,
-        content: &str,
-    ) -> JobId {
+    async fn job(&self, number: u128, project: ProjectId, scene: Option<DatasetId>, content: &str) -> JobId {
         let id = JobId(Uuid::from_u128(number));
         let new =
-            NewJob { owner, dataset_id: scene, ..NewJob::new(id, TrainOptions::default(), blob(content)) };
+            NewJob { project, dataset_id: scene, ..NewJob::new(id, TrainOptions::default(), blob(content)) };
         self.store.create_job(new).await.expect("created").job.id
     }
 
@@ -162,14 +170,14 @@ fn problem() -> Problem {
 #[tokio::test]
 async fn totals_equal_a_recount_after_every_change() {
     let mut fixture = Fixture::new().await;
-    let (one, other) = (fixture.key(1).await, fixture.key(2).await);
+    let (one, other) = (fixture.project(1).await, fixture.project(2).await);
     fixture.check("the beginning").await;
 
     // Endpoints first, so that every change of a job is told.
-    for owner in [Some(one), None] {
+    for project in [one, ProjectId::DEFAULT] {
         let new = NewEndpoint {
             id: EndpointId(Uuid::now_v7()),
-            owner,
+            project,
             url: "https://example.com/".into(),
             events: WebhookEvent::ALL.to_vec(),
             description: None,
@@ -178,8 +186,8 @@ async fn totals_equal_a_recount_after_every_change() {
         fixture.store.create_endpoint(new, 9).await.expect("made").expect("room");
     }
     let mut scenes = Vec::new();
-    for (number, (owner, content)) in
-        [(Some(one), "a scene"), (Some(other), "a scene"), (None, "another")].into_iter().enumerate()
+    for (number, (project, content)) in
+        [(one, "a scene"), (other, "a scene"), (ProjectId::DEFAULT, "another")].into_iter().enumerate()
     {
         let id = DatasetId(Uuid::from_u128(number as u128 + 1));
         let summary = DatasetSummary {
@@ -190,8 +198,15 @@ async fn totals_equal_a_recount_after_every_change() {
             points: None,
             notes: vec![],
         };
-        let new =
-            NewDataset { id, owner, name: None, dataset: blob(content), summary, upload: None, intent: None };
+        let new = NewDataset {
+            id,
+            project,
+            name: None,
+            dataset: blob(content),
+            summary,
+            upload: None,
+            intent: None,
+        };
         fixture.store.create_dataset(new.clone()).await.expect("created");
         fixture
             .store
@@ -202,10 +217,11 @@ async fn totals_equal_a_recount_after_every_change() {
         scenes.push(id);
     }
 
-    let first = fixture.job(1, Some(one), Some(scenes[0]), "a scene").await;
-    let second = fixture.job(2, Some(one), None, "a dataset").await;
-    let third = fixture.job(3, Some(other), None, "a dataset").await;
-    let fourth = fixture.job(4, None, None, "a dataset").await;
+    // Projects take turns, so that the jobs are claimed in this order.
+    let first = fixture.job(1, one, Some(scenes[0]), "a scene").await;
+    let second = fixture.job(2, other, None, "a dataset").await;
+    let third = fixture.job(3, ProjectId::DEFAULT, None, "a dataset").await;
+    let fourth = fixture.job(4, one, None, "a dataset").await;
     fixture.check("four jobs").await;
     fixture.finish(succeeded("a file")).await;
     fixture.check("a success").await;
@@ -219,6 +235,7 @@ async fn totals_equal_a_recount_after_every_change() {
     fixture.check("a cancellation").await;
     let repeat = RetryRequest {
         id: JobId(Uuid::from_u128(5)),
+        key: None,
         from_checkpoint: false,
         deadline_at: None,
         intent: None,
@@ -247,15 +264,15 @@ async fn totals_equal_a_recount_after_every_change() {
     }
     fixture.check("exports").await;
 
-    for (number, owner) in [(1, Some(one)), (2, Some(one)), (3, None)] {
+    for (number, project) in [(1, one), (2, one), (3, ProjectId::DEFAULT)] {
         let id = UploadId(Uuid::from_u128(number));
         let expires_at = fixture.clock.now() + SignedDuration::from_hours(number as i64);
-        let new = NewUpload { id, owner, length: 100, metadata: None, expires_at };
+        let new = NewUpload { id, project, length: 100, metadata: None, expires_at };
         fixture.store.create_upload(new).await.expect("begun");
         fixture.store.advance_upload(id, 10, expires_at).await.expect("advanced");
         fixture.check("an upload").await;
     }
-    let usage = fixture.store.usage(Some(one)).await.expect("read");
+    let usage = fixture.store.usage(one).await.expect("read");
     let stored = ["a scene", "a dataset", "a file", "the same cameras", "as ply", "as spz"];
     assert_eq!(usage, Usage { stored: stored.map(str::len).iter().sum::<usize>() as u64, reserved: 200 });
     fixture.store.delete_upload(UploadId(Uuid::from_u128(2))).await.expect("deleted");
@@ -316,57 +333,21 @@ async fn endpoint_of(database: &mut SqliteConnection, delivery: DeliveryId) -> E
     row.fetch_one(database).await.expect("read").get::<String, _>(0).parse().expect("an id")
 }
 
-/// A schema from before totals, with rows in every table.
+/// Schemas from before the totals, before projects, and of the latest release before them, with rows in every table.
 #[tokio::test]
 async fn a_migrated_database_gets_its_totals_by_counting() {
-    let mut fixture = Fixture::new().await;
-    let one = fixture.key(1).await;
-    fixture.job(1, Some(one), None, "a dataset").await;
-    fixture.job(2, None, None, "a dataset").await;
-    fixture.finish(succeeded("a file")).await;
-    let expires_at = fixture.clock.now() + SignedDuration::from_hours(1);
-    let new = NewUpload {
-        id: UploadId(Uuid::from_u128(1)),
-        owner: Some(one),
-        length: 100,
-        metadata: None,
-        expires_at,
-    };
-    fixture.store.create_upload(new).await.expect("begun");
-    let figures = fixture.store.stats().await.expect("read");
-    // Back to before the two migrations, by what they made; later ones stay.
-    for kind in ["trigger", "table", "index"] {
-        let made = sqlx::query(
-            "SELECT name FROM sqlite_schema WHERE type = ? AND sql IS NOT NULL AND name IN (SELECT value FROM json_each(?))",
-        );
-        let script = concat!(
-            include_str!("../../../migrations/sqlite/0011_running_totals.sql"),
-            include_str!("../../../migrations/sqlite/0012_indices_probe.sql")
-        );
-        let names: Vec<&str> = script
-            .lines()
-            .filter_map(|line| line.strip_prefix("CREATE ")?.split_whitespace().nth(1))
-            .collect();
-        let names = serde_json::to_string(&names).expect("JSON");
-        let found = made.bind(kind).bind(names).fetch_all(&mut fixture.database).await.expect("read");
-        for row in &found {
-            let drop = format!("DROP {kind} {}", row.get::<String, _>(0));
-            sqlx::query(sqlx::AssertSqlSafe(drop)).execute(&mut fixture.database).await.expect("dropped");
-        }
+    for version in ["0004", "0007", "0010", "0011", "0015"] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = SqliteConnectOptions::new().filename(path(&folder)).create_if_missing(true);
+        let dump = format!("{}/tests/schemas/{version}.sql", env!("CARGO_MANIFEST_DIR"));
+        let dump = std::fs::read_to_string(dump).expect("a dump");
+        let mut database = file.foreign_keys(false).connect().await.expect("a database");
+        sqlx::raw_sql(sqlx::AssertSqlSafe(dump)).execute(&mut database).await.expect("the dump runs");
+        let mut fixture = Fixture::open(folder).await;
+        fixture.check(&format!("the migration of {version}")).await;
+        let claim = fixture.store.claim("worker").await.expect("an answer").expect("a job");
+        fixture.store.finish(&claim.lease, succeeded("a file")).await.expect("ended");
+        fixture.check(&format!("a change after the migration of {version}")).await;
+        assert!(fixture.seen.claims > 0);
     }
-    for statement in [
-        "CREATE INDEX jobs_by_scene ON jobs (scene) WHERE scene IS NOT NULL",
-        "DELETE FROM _sqlx_migrations WHERE version IN (11, 12)",
-    ] {
-        sqlx::query(statement).execute(&mut fixture.database).await.expect("as before");
-    }
-    let store =
-        SqliteStore::open(&path(&fixture.folder), fixture.clock.clone(), QueuePolicy::default()).await;
-    fixture.store = Arc::new(store.expect("migrated"));
-    fixture.check("the migration").await;
-    assert_eq!(fixture.seen, figures);
-    let usage = fixture.store.usage(Some(one)).await.expect("read");
-    assert_eq!((usage.stored > 0, usage.reserved), (true, 100));
-    fixture.finish(Outcome::Failed(problem())).await;
-    fixture.check("a change after it").await;
 }

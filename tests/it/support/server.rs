@@ -1,14 +1,16 @@
 //! The whole service on a real socket, with fake training and rendering.
 
-use std::{net::SocketAddr, path::PathBuf, sync::Arc, time::Duration};
+use std::{net::SocketAddr, num::NonZeroU32, path::PathBuf, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use reqwest::{RequestBuilder, header::HeaderMap};
 use serde_json::Value;
 use tcgs::{
-    domain::{Clock, DatasetId, KeyId, KeyLimits, Scope, SystemClock, SystemRandom},
+    domain::{Clock, DatasetId, KeyId, ProjectId, ProjectLimits, Scope, SystemClock, SystemRandom},
     http::{self, HttpConfig, Services, WorkerCounts, config::RequestLimits},
-    store::{Blobs, DatasetRecord, Keys as _, NewKey, QueuePolicy, SqliteStore, Store},
+    store::{
+        Blobs, DatasetRecord, KeyProject, KeyRequest, Keys as _, NewKey, QueuePolicy, SqliteStore, Store,
+    },
     worker::{self, WorkerConfig},
 };
 use tempfile::TempDir;
@@ -101,6 +103,7 @@ pub struct Server {
 #[derive(Debug, Clone)]
 pub struct TestKey {
     pub id: KeyId,
+    pub project: ProjectId,
     pub key: String,
 }
 
@@ -219,16 +222,31 @@ impl Server {
 
     /// A key with these scopes.
     pub async fn key(&self, scopes: &[Scope]) -> TestKey {
-        self.key_with(scopes, KeyLimits::default()).await
+        self.key_with(scopes, ProjectLimits::default()).await
     }
 
-    /// The same with limits.
-    pub async fn key_with(&self, scopes: &[Scope], limits: KeyLimits) -> TestKey {
-        let now = self.services.clock.now();
-        let drawn = NewKey::generate(&SystemRandom, now, "a test's", scopes, limits);
+    /// The same with limits of its project.
+    pub async fn key_with(&self, scopes: &[Scope], limits: ProjectLimits) -> TestKey {
+        self.draw_key(KeyRequest { scopes, project: KeyProject::New(limits), ..KeyRequest::default() }).await
+    }
+
+    /// A key with these scopes that may send so many requests a minute.
+    pub async fn key_at_rate(&self, scopes: &[Scope], rate: NonZeroU32) -> TestKey {
+        self.draw_key(KeyRequest { scopes, requests_per_minute: Some(rate), ..KeyRequest::default() }).await
+    }
+
+    /// Another key of the same project.
+    pub async fn key_beside(&self, key: &TestKey, scopes: &[Scope]) -> TestKey {
+        let project = KeyProject::Existing(key.project);
+        self.draw_key(KeyRequest { scopes, project, ..KeyRequest::default() }).await
+    }
+
+    async fn draw_key(&self, request: KeyRequest<'_>) -> TestKey {
+        let request = KeyRequest { name: "a test's", ..request };
+        let drawn = NewKey::generate(&SystemRandom, self.services.clock.now(), request);
         let (new, key) = drawn.expect("a key");
-        let id = self.store.create_key(new).await.expect("stored").id;
-        TestKey { id, key: key.expose().to_owned() }
+        let record = self.store.create_key(new).await.expect("stored");
+        TestKey { id: record.id, project: record.project_id, key: key.expose().to_owned() }
     }
 
     /// Shuts a key out.

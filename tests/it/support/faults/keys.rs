@@ -1,8 +1,8 @@
 //! The part that knows keys.
 
 use tcgs::{
-    domain::{KeyHash, KeyId},
-    store::{KeyRecord, Keys, NewKey, StoreFuture},
+    domain::{KeyHash, KeyId, ProjectId},
+    store::{KeyChange, KeyRecord, Keys, NewKey, StoreFuture},
 };
 
 use super::FaultStore;
@@ -14,8 +14,17 @@ impl Keys for FaultStore {
     fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
         self.guard(self.inner.key(id))
     }
-    fn keys(&self, with_revoked: bool, before: Option<KeyId>, limit: u32) -> StoreFuture<'_, Vec<KeyRecord>> {
-        self.guard(self.inner.keys(with_revoked, before, limit))
+    fn keys(
+        &self,
+        project: Option<ProjectId>,
+        with_revoked: bool,
+        before: Option<KeyId>,
+        limit: u32,
+    ) -> StoreFuture<'_, Vec<KeyRecord>> {
+        self.guard(self.inner.keys(project, with_revoked, before, limit))
+    }
+    fn update_key(&self, id: KeyId, change: KeyChange) -> StoreFuture<'_, Option<KeyRecord>> {
+        self.guard(self.inner.update_key(id, change))
     }
     fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
         self.guard(self.inner.revoke_key(id))

@@ -1,6 +1,7 @@
 //! A store that fails when told to.
 
 mod keys;
+mod projects;
 mod series;
 mod webhooks;
 
@@ -11,7 +12,7 @@ use std::{
 
 use jiff::Timestamp;
 use tcgs::{
-    domain::{DatasetId, Digest, Event, JobId, JobState, KeyId, Phase, Progress, UploadId},
+    domain::{DatasetId, Digest, Event, JobId, JobState, Phase, Progress, ProjectId, UploadId},
     store::{
         Accounts, AttemptRecord, BlobRef, Cancellation, Capacity, Claim, DatasetCreation, DatasetDeletion,
         DatasetPageKey, DatasetRecord, Datasets, Deletion, ExportRecord, Exports, FileRecord, Heartbeat,
@@ -86,18 +87,18 @@ impl Exports for FaultStore {
     fn exports(&self, job: JobId) -> StoreFuture<'_, Vec<ExportRecord>> {
         self.guard(self.inner.exports(job))
     }
-    fn file(&self, digest: Digest, owner: Option<KeyId>) -> StoreFuture<'_, Option<FileRecord>> {
-        self.guard(self.inner.file(digest, owner))
+    fn file(&self, digest: Digest, project: Option<ProjectId>) -> StoreFuture<'_, Option<FileRecord>> {
+        self.guard(self.inner.file(digest, project))
     }
 }
 
 impl Idempotency for FaultStore {
     fn prior_request<'a>(
         &'a self,
-        owner: Option<KeyId>,
+        project: ProjectId,
         key: &'a str,
     ) -> StoreFuture<'a, Option<PriorRequest>> {
-        self.guard(self.inner.prior_request(owner, key))
+        self.guard(self.inner.prior_request(project, key))
     }
 }
 
@@ -172,18 +173,18 @@ impl Datasets for FaultStore {
     }
     fn dataset_by_archive(
         &self,
-        owner: Option<KeyId>,
+        project: ProjectId,
         dataset: Digest,
     ) -> StoreFuture<'_, Option<DatasetRecord>> {
-        self.guard(self.inner.dataset_by_archive(owner, dataset))
+        self.guard(self.inner.dataset_by_archive(project, dataset))
     }
     fn datasets(
         &self,
-        owner: Option<KeyId>,
+        project: Option<ProjectId>,
         before: Option<DatasetPageKey>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<DatasetRecord>> {
-        self.guard(self.inner.datasets(owner, before, limit))
+        self.guard(self.inner.datasets(project, before, limit))
     }
     fn delete_dataset(
         &self,
@@ -219,14 +220,14 @@ impl Uploads for FaultStore {
 }
 
 impl Accounts for FaultStore {
-    fn usage(&self, owner: Option<KeyId>) -> StoreFuture<'_, Usage> {
-        self.guard(self.inner.usage(owner))
+    fn usage(&self, project: ProjectId) -> StoreFuture<'_, Usage> {
+        self.guard(self.inner.usage(project))
     }
-    fn capacity(&self, owner: Option<KeyId>) -> StoreFuture<'_, Capacity> {
-        self.guard(self.inner.capacity(owner))
+    fn capacity(&self, project: ProjectId) -> StoreFuture<'_, Capacity> {
+        self.guard(self.inner.capacity(project))
     }
-    fn owned_archive(&self, owner: Option<KeyId>, content: Digest) -> StoreFuture<'_, Option<BlobRef>> {
-        self.guard(self.inner.owned_archive(owner, content))
+    fn owned_archive(&self, project: ProjectId, content: Digest) -> StoreFuture<'_, Option<BlobRef>> {
+        self.guard(self.inner.owned_archive(project, content))
     }
     fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> StoreFuture<'a, Vec<Digest>> {
         self.guard(self.inner.forget_blobs(digests))

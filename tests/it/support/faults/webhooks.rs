@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use tcgs::{
-    domain::{DeliveryId, EndpointId, KeyId},
+    domain::{DeliveryId, EndpointId, ProjectId},
     store::{
         DeliveryRecord, DeliveryResult, DueDelivery, EndpointRecord, NewEndpoint, Replay, StoreFuture,
         Webhooks,
@@ -21,11 +21,11 @@ impl Webhooks for FaultStore {
     }
     fn endpoints(
         &self,
-        owner: Option<KeyId>,
+        project: Option<ProjectId>,
         before: Option<EndpointId>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<EndpointRecord>> {
-        self.guard(self.inner.endpoints(owner, before, limit))
+        self.guard(self.inner.endpoints(project, before, limit))
     }
     fn delete_endpoint(&self, id: EndpointId) -> StoreFuture<'_, bool> {
         self.guard(self.inner.delete_endpoint(id))

@@ -1,0 +1,165 @@
+//! Projects in SQLite.
+
+use jiff::Timestamp;
+use sqlx::{Row as _, SqliteConnection, sqlite::SqliteRow};
+
+use super::{
+    SqliteStore, accounts, lists,
+    rows::{self, micros, optional_unsigned, unsigned},
+};
+use crate::{
+    domain::{JobState, ProjectId, ProjectLimits},
+    store::{
+        NewProject, ProjectChange, ProjectRecord, ProjectUpdate, ProjectUsage, Projects, StoreError,
+        StoreFuture, StoredBytes,
+    },
+};
+
+/// A number of bytes as columns hold it: SQLite has no larger integer, and no disk holds more.
+fn bytes_column(bytes: Option<u64>) -> Option<i64> {
+    bytes.map(rows::signed)
+}
+
+/// Adds a project within its caller's transaction.
+pub(super) async fn insert(
+    connection: &mut SqliteConnection,
+    new: &NewProject,
+    now: Timestamp,
+) -> Result<ProjectRecord, StoreError> {
+    let row = sqlx::query(
+        "INSERT INTO projects (id, name, max_bytes, max_active_jobs, max_running_jobs, max_priority, created_at)
+         VALUES (?, ?, ?, ?, ?, ?, ?) RETURNING *",
+    )
+    .bind(new.id.to_string())
+    .bind(&new.name)
+    .bind(bytes_column(new.limits.quota_bytes))
+    .bind(new.limits.max_active_jobs)
+    .bind(new.limits.max_running_jobs)
+    .bind(new.limits.max_priority)
+    .bind(micros(now))
+    .fetch_one(connection)
+    .await?;
+    project(&row)
+}
+
+async fn select(
+    connection: &mut SqliteConnection,
+    id: ProjectId,
+) -> Result<Option<ProjectRecord>, StoreError> {
+    let row = sqlx::query("SELECT * FROM projects WHERE id = ?")
+        .bind(id.to_string())
+        .fetch_optional(connection)
+        .await?;
+    row.as_ref().map(project).transpose()
+}
+
+/// A row of `projects`.
+fn project(row: &SqliteRow) -> Result<ProjectRecord, StoreError> {
+    Ok(ProjectRecord {
+        id: rows::parsed("project", row.try_get("id")?)?,
+        name: row.try_get("name")?,
+        limits: ProjectLimits {
+            quota_bytes: optional_unsigned(row, "max_bytes")?,
+            max_active_jobs: optional_unsigned(row, "max_active_jobs")?,
+            max_running_jobs: optional_unsigned(row, "max_running_jobs")?,
+            max_priority: row.try_get("max_priority")?,
+        },
+        version: unsigned(row, "version")?,
+        created_at: rows::instant("created_at", row.try_get("created_at")?)?,
+    })
+}
+
+/// A row of `projects` joined with `project_totals`, and the time of its running attempts.
+fn usage(row: &SqliteRow, defaults: ProjectLimits) -> Result<ProjectUsage, StoreError> {
+    let project = project(row)?;
+    let id = project.id;
+    let defaults = ProjectLimits {
+        quota_bytes: accounts::default_limit(id, defaults.quota_bytes),
+        max_active_jobs: accounts::default_limit(id, defaults.max_active_jobs),
+        ..defaults
+    };
+    let jobs = [
+        (JobState::Queued, "queued_jobs"),
+        (JobState::Running, "running_jobs"),
+        (JobState::Succeeded, "succeeded_jobs"),
+        (JobState::Failed, "failed_jobs"),
+        (JobState::Cancelled, "cancelled_jobs"),
+    ];
+    let jobs = jobs.into_iter().map(|(state, column)| Ok((state, unsigned(row, column)?)));
+    let micros: u64 = unsigned::<u64>(row, "worker_micros")? + unsigned::<u64>(row, "running_micros")?;
+    Ok(ProjectUsage {
+        limits: project.limits.or(defaults),
+        project,
+        stored: StoredBytes {
+            datasets: unsigned(row, "dataset_bytes")?,
+            artifacts: unsigned(row, "artifact_bytes")?,
+            exports: unsigned(row, "export_bytes")?,
+        },
+        reserved: unsigned(row, "reserved_bytes")?,
+        jobs: jobs.collect::<Result<_, StoreError>>()?,
+        worker_seconds: micros as f64 / 1e6,
+    })
+}
+
+impl Projects for SqliteStore {
+    fn create_project(&self, new: NewProject) -> StoreFuture<'_, ProjectRecord> {
+        Box::pin(self.write(async move |tx, now| insert(tx, &new, now).await))
+    }
+
+    fn project(&self, id: ProjectId) -> StoreFuture<'_, Option<ProjectRecord>> {
+        Box::pin(self.read(async move |tx| select(tx, id).await))
+    }
+
+    fn projects(&self, before: Option<ProjectId>, limit: u32) -> StoreFuture<'_, Vec<ProjectRecord>> {
+        Box::pin(async move {
+            let rows =
+                sqlx::query("SELECT * FROM projects WHERE id < COALESCE(?, 'g') ORDER BY id DESC LIMIT ?")
+                    .bind(before.map(|id| id.to_string()))
+                    .bind(limit)
+                    .fetch_all(&self.readers)
+                    .await?;
+            rows.iter().map(project).collect()
+        })
+    }
+
+    fn update_project(
+        &self,
+        id: ProjectId,
+        version: Option<u64>,
+        change: ProjectChange,
+    ) -> StoreFuture<'_, Option<ProjectUpdate>> {
+        Box::pin(self.write(async move |tx, _| {
+            let Some(record) = select(tx, id).await? else { return Ok(None) };
+            if version.is_some_and(|version| version != record.version) {
+                return Ok(Some(ProjectUpdate::VersionMismatch));
+            }
+            let row = sqlx::query(
+                "UPDATE projects SET name = ?, max_bytes = ?, max_active_jobs = ?, max_running_jobs = ?, max_priority = ?,
+                     version = version + 1
+                 WHERE id = ? RETURNING *",
+            )
+            .bind(&change.name)
+            .bind(bytes_column(change.limits.quota_bytes))
+            .bind(change.limits.max_active_jobs)
+            .bind(change.limits.max_running_jobs)
+            .bind(change.limits.max_priority)
+            .bind(id.to_string())
+            .fetch_one(tx)
+            .await?;
+            Ok(Some(ProjectUpdate::Updated(project(&row)?)))
+        }))
+    }
+
+    fn project_usage(
+        &self,
+        project: Option<ProjectId>,
+        before: Option<ProjectId>,
+        limit: u32,
+    ) -> StoreFuture<'_, Vec<ProjectUsage>> {
+        Box::pin(async move {
+            let now = self.clock.now();
+            let rows = lists::usage(project, before, limit, now).build().fetch_all(&self.readers).await?;
+            rows.iter().map(|row| usage(row, self.policy.limits)).collect()
+        })
+    }
+}
