@@ -183,7 +183,7 @@ mod tests {
             (jobs(&of_time, job, 20), "jobs_by_project "),
             (keys(project, false, None, 20), "keys_by_project"),
             (keys(project, true, Some(KeyId(Uuid::from_u128(1))), 20), "keys_by_project"),
-            (usage(project, None, 20, at), "sqlite_autoindex_projects_1"),
+            (usage(project, None, 20, at), "project_totals USING PRIMARY KEY"),
             (datasets(None, page, 20), "scenes_by_age"),
             (datasets(project, None, 20), "scenes_by_project"),
             (datasets(project, page, 20), "scenes_by_project"),
