@@ -32,6 +32,10 @@ stop() {
 }
 trap stop EXIT
 
+# A key whose name, rate and project may be changed; a rate of one request a minute would end the run's own.
+spare=$("$program" keys create --name spare --data "$scratch/data" --json)
+spare_key=$(grep -o '"id": *"[^"]*"' <<<"$spare" | cut -d '"' -f 4)
+spare_project=$(grep -o '"project_id": *"[^"]*"' <<<"$spare" | cut -d '"' -f 4)
 key=$("$program" keys create --name contract --scopes admin --data "$scratch/data" --json | grep -o 'tcgs_[0-9a-f]*' | head -n 1)
 
 # start ARGUMENT...: starts the service and sets $address. A small upload limit keeps generated bodies small.
@@ -93,6 +97,8 @@ hold() {
         cat "$config"
         printf '\n[[operations]]\ninclude-path-regex = "^/v1/jobs/[{]id[}]"\nexclude-method = "DELETE"\n'
         printf 'parameters = { "path.id" = "%s", "header.Prefer" = "wait=1" }\n' "$job"
+        printf '\n[[operations]]\ninclude-path = "/v1/keys/{id}"\nparameters = { "path.id" = "%s" }\n' "$spare_key"
+        printf '\n[[operations]]\ninclude-path = "/v1/projects/{id}"\nparameters = { "path.id" = "%s" }\n' "$spare_project"
     } >"$scratch/schemathesis.toml"
     printf '\nschemathesis: %s, seed %s\n' "$config" "$seed"
     PYTHONPATH=scripts PYTHONDONTWRITEBYTECODE=1 timeout "${SCHEMATHESIS_SECONDS:-900}" "$venv/bin/schemathesis" \

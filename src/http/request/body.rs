@@ -9,7 +9,10 @@ use axum::{
 };
 use bytes::Bytes;
 use futures_util::StreamExt as _;
-use serde::{Deserialize, Deserializer, de::DeserializeOwned};
+use serde::{
+    Deserialize, Deserializer,
+    de::{DeserializeOwned, IgnoredAny},
+};
 use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::{
@@ -77,6 +80,15 @@ impl<T: JsonBody> FromRequest<AppState> for ApiJson<T> {
 /// # Errors
 /// 400 for malformed JSON, [`JsonBody::INVALID`] for JSON of another shape.
 pub(crate) fn parse_json<T: JsonBody>(content: &[u8]) -> ApiResult<T> {
+    // serde reads a struct from an array too, by the order of its fields; no body of the contract is one.
+    if content.trim_ascii_start().first() == Some(&b'[')
+        && serde_json::from_slice::<IgnoredAny>(content).is_ok()
+    {
+        return Err(ProblemResponse::new(
+            T::INVALID,
+            format!("body: is not {}: it is an array", T::EXPECTED),
+        ));
+    }
     serde_json::from_slice(content).map_err(|error| {
         if error.is_data() {
             ProblemResponse::new(T::INVALID, format!("body: is not {}: {error}", T::EXPECTED))

@@ -245,6 +245,7 @@ pub(super) async fn keys_expire_and_are_changed(coverage: Coverage) {
         (json!({ "name": " " }), "name"),
         (json!({ "max_active_jobs": 1 }), "max_active_jobs"),
         (json!({ "requests_per_minute": 0 }), "nonzero"),
+        (json!([null, null]), "array"),
     ] {
         let detail = ask("PATCH", &path, fault.clone()).await.expect_problem(422, "invalid-key-request");
         assert!(detail.contains(named), "{fault}: {detail}");
