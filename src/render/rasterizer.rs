@@ -85,7 +85,7 @@ impl Kernels {
             tile_ranges: device.kernel(kernel_source!("tile_ranges"), &[])?,
             raster_forward: device.kernel(kernel_source!("raster_forward"), &forward)?,
             raster_backward: device.kernel(kernel_source!("raster_backward"), &subgroups)?,
-            gather: device.kernel(kernel_source!("gather"), &[])?,
+            gather: gather_kernel(device)?,
             project_backward: device.kernel(kernel_source!("project_backward"), &[])?,
         })
     }
@@ -459,6 +459,10 @@ impl Rasterizer {
     }
 }
 
+fn gather_kernel(device: &Device) -> Result<Arc<Kernel>, GpuError> {
+    device.kernel(kernel_source!("gather"), &[])
+}
+
 /// Sums of `gradients` (nine floats a slot) over the slots of each Gaussian, which follow one another and of which there are
 /// `tiles`: place and opacity, conic, colour, as the backward pass makes them. Waits for the device.
 ///
@@ -471,7 +475,7 @@ pub fn sum_slots(
 ) -> Result<Vec<[f32; SLOT_FLOATS]>, RenderError> {
     let (count, slots) = (tiles.len(), tiles.iter().map(|tiles| *tiles as usize).sum::<usize>());
     check("the slots", gradients.len(), SLOT_FLOATS * slots)?;
-    let kernel = device.kernel(kernel_source!("gather"), &[])?;
+    let kernel = gather_kernel(device)?;
     let view = device.upload("view", &[View::of_rows(count, slots)])?;
     let (first_slots, _) = twin::scan(tiles);
     let sums = device.buffer::<[f32; 4]>("sums of slots", SPLAT_ROWS * count)?;
