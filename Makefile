@@ -15,7 +15,7 @@ SWIFTSHADER_TESTS ?= accuracy::every primitives raster_device loss:: neural:: fi
 # How long `make fuzz` gives each target.
 FUZZ_SECONDS ?= 600
 
-.PHONY: help setup build demo results report gate test examples schemathesis generated-client swiftshader validation interop external-formats fuzz lint clean
+.PHONY: help setup build demo results report gate test examples schemathesis generated-client swiftshader validation interop external-formats gpu-kit fuzz lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -53,6 +53,9 @@ schemathesis: setup ## hold a running service to openapi.yaml with schemathesis,
 swiftshader: setup ## tests of kernels and whole jobs on SwiftShader, a driver with narrow limits, from a Debian package
 	@. scripts/env.sh && cargo test --locked --no-run --test it
 	@. scripts/env.sh && scripts/swiftshader.sh cargo test --locked --test it -- $(SWIFTSHADER_TESTS)
+
+gpu-kit: setup ## pack binaries and photographs for scripts/gpu_day.sh, to run on a GPU without cargo or a network
+	@scripts/gpu_kit.sh
 
 validation: setup ## one short job under the Khronos validation layer, which comes from a Debian package
 	@$(CARGO) build --locked --quiet

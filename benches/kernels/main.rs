@@ -1,6 +1,7 @@
 //! Times of a training step's stages as shares of the adapter's peak rates: `cargo bench --bench kernels`.
 //!
-//! Arguments choose numbers of Gaussians and sides of images, such as `-- 10000 128`, and `detail` lists single kernels;
+//! Arguments choose numbers of Gaussians and sides of images, such as `-- 10000 128`, or name pairs of any size, such as
+//! `-- 1000000x1080`; `detail` lists single kernels;
 //! `context` times the context model instead.
 //! `TCGS_ADAPTER` chooses the adapter. Each figure is the minimum of several runs, which other load disturbs
 //! least. `share` is the larger of bytes against the copy's rate and operations against the arithmetic's.
@@ -312,6 +313,12 @@ fn table(
     Ok(())
 }
 
+/// A number of Gaussians and a side, as in `1000000x1080`.
+fn size(text: &str) -> Option<(usize, u32)> {
+    let (count, side) = text.split_once('x')?;
+    Some((count.parse().ok()?, side.parse().ok()?))
+}
+
 fn main() -> Result<(), TrainError> {
     let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with('-')).collect();
     let numbers: Vec<usize> = wanted.iter().filter_map(|text| text.parse().ok()).collect();
@@ -334,12 +341,15 @@ fn main() -> Result<(), TrainError> {
         1e-9 * ceilings.gather,
         1e-9 * ceilings.arithmetic
     );
-    for count in GAUSSIANS {
-        for side in SIDES {
-            if asked(count, &GAUSSIANS) && asked(side as usize, &SIDES.map(|side| side as usize)) {
-                table(&device, &ceilings, count, side, detail)?;
-            }
-        }
+    let mut sizes: Vec<(usize, u32)> = wanted.iter().filter_map(|text| size(text)).collect();
+    if sizes.is_empty() {
+        let sides = SIDES.into_iter().filter(|side| asked(*side as usize, &SIDES.map(|side| side as usize)));
+        let sides: Vec<u32> = sides.collect();
+        let counts = GAUSSIANS.into_iter().filter(|count| asked(*count, &GAUSSIANS));
+        sizes = counts.flat_map(|count| sides.iter().map(move |side| (count, *side))).collect();
+    }
+    for (count, side) in sizes {
+        table(&device, &ceilings, count, side, detail)?;
     }
     Ok(())
 }
