@@ -26,6 +26,7 @@ mod options;
 mod picture;
 mod pose;
 mod priority;
+mod profile;
 mod progress;
 mod projects;
 mod remote;

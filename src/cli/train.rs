@@ -13,7 +13,7 @@ use tcgs::{
 
 use super::{
     CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, memory::MemoryFlags,
-    options::TrainFlags, progress::Display, wiring,
+    options::TrainFlags, profile, progress::Display, wiring,
 };
 
 /// Arguments of `tcgs train`.
@@ -47,6 +47,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
 
+    /// Also print where a step's time goes, on the host and on the device; slows the run, whose result stays the same
+    #[arg(long)]
+    profile: bool,
+
     /// Print the metrics as one JSON document
     #[arg(long)]
     pub(super) json: bool,
@@ -62,7 +66,8 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let checkpoints = checkpoints(args)?;
     let lpips = wiring::lpips(args.lpips.lpips.as_deref())?;
     let memory = args.memory.limits(1);
-    let runner = wiring::runner(&args.adapter.adapter, memory, std::env::temp_dir(), lpips);
+    let runner =
+        wiring::runner(&args.adapter.adapter, memory, std::env::temp_dir(), lpips).with_profile(args.profile);
     let cancel = CancelFlag::default();
     cancel_on_interrupt(cancel.clone());
 
@@ -97,7 +102,15 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         files::write(&path, file)?;
         written.push(path);
     }
-    Ok(report(&output.metrics, &written))
+    let mut report = report(&output.metrics, &written);
+    if args.profile {
+        let table = profile::table(&runner.profile());
+        report.text.push_str(&format!("\n\n{}", profile::text(&table)));
+        if let Value::Object(members) = &mut report.json {
+            members.insert("profile".to_owned(), json!(table));
+        }
+    }
+    Ok(report)
 }
 
 fn report(metrics: &JobMetrics, written: &[PathBuf]) -> Report {

@@ -10,7 +10,7 @@ use std::{
 use naga_oil::compose::Composer;
 
 use super::{
-    AdapterReport, GpuError, Kernel, KernelSource, KernelVariant, Subgroups, kernel, ledger::Ledger,
+    AdapterReport, GpuError, Kernel, KernelSource, KernelVariant, Profile, Subgroups, kernel, ledger::Ledger,
 };
 
 /// The first fault of each kind since the device was opened.
@@ -40,6 +40,7 @@ pub struct Device {
     faults: Arc<Faults>,
     kernels: Mutex<Kernels>,
     pub(super) ledger: Arc<Ledger>,
+    pub(super) profile: Option<Profile>,
 }
 
 impl Device {
@@ -87,6 +88,7 @@ impl Device {
             faults,
             kernels: Mutex::new(Kernels { composer: kernel::composer()?, compiled: HashMap::new() }),
             ledger: Arc::new(Ledger::new()),
+            profile: None,
         })
     }
 
@@ -141,6 +143,12 @@ impl Device {
     /// From now on, refuses buffers that would take [`Device::allocated_bytes`] beyond `bytes`.
     pub fn set_budget_bytes(&self, bytes: u64) {
         self.ledger.set_budget(bytes);
+    }
+
+    /// Where time goes, if the device was opened with a profile.
+    #[must_use]
+    pub fn profile(&self) -> Option<&Profile> {
+        self.profile.as_ref()
     }
 
     /// Whether the device still works.

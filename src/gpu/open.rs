@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use super::{AdapterChoice, Device, DeviceSettings, GpuError, Subgroups, adapter, kernel_source, twin};
+use super::{
+    AdapterChoice, Device, DeviceSettings, GpuError, Profile, Subgroups, adapter, kernel_source, twin,
+};
 
 /// Workgroups that verify subgroups.
 const PROBES: u32 = 64;
@@ -27,6 +29,7 @@ impl Device {
         let mut device = Self::open(&adapter, report, max_wait)?;
         let stated = settings.subgroups.unwrap_or_else(|| Subgroups::stated_by(device.adapter()));
         device.subgroups = verified(stated, &device)?;
+        device.profile = settings.profile.then(Profile::default);
         tracing::debug!(variant = ?device.variant(), subgroups = ?device.subgroups, "kernels chosen");
         Ok(Arc::new(device))
     }

@@ -1,8 +1,11 @@
 //! Recording of dispatches and copies into one submission.
 
+use std::time::Instant;
+
 use super::{
     Buffer, Device, GpuError, Kernel, RawBuffer,
     ledger::Reservation,
+    profile::RecordingTimes,
     timing::{KernelTime, Timing},
 };
 
@@ -20,6 +23,8 @@ pub struct Recorder<'a> {
     /// Open while dispatches follow one another: one pass for all of them costs less than one for each.
     open: Option<wgpu::ComputePass<'static>>,
     timing: Option<Timing>,
+    /// On a profiled device.
+    times: Option<RecordingTimes>,
     /// Staging memory of recorded writes.
     staged: Vec<Reservation>,
     /// The first fault of recording; submitting reports it.
@@ -44,12 +49,24 @@ impl<'a> Recorder<'a> {
     fn new(device: &'a Device, label: &str) -> Self {
         let encoder =
             device.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
-        Self { device, encoder, open: None, timing: None, staged: Vec::new(), fault: None }
+        let times = device.profile.as_ref().map(|_| RecordingTimes::begin(label));
+        let timing = times.as_ref().and_then(|_| Self::timing(device));
+        Self { device, encoder, open: None, timing, times, staged: Vec::new(), fault: None }
+    }
+
+    fn timing(device: &Device) -> Option<Timing> {
+        device.adapter().timestamps.then(|| Timing::new(device))
     }
 
     fn timed(device: &'a Device, label: &str) -> Self {
-        let timing = device.adapter().timestamps.then(|| Timing::new(device));
-        Self { timing, ..Self::new(device, label) }
+        Self { timing: Self::timing(device), ..Self::new(device, label) }
+    }
+
+    /// Names the stage that what follows belongs to in [`Device::profile`].
+    pub fn stage(&mut self, name: &'static str) {
+        if let Some(times) = &mut self.times {
+            times.stage(name);
+        }
     }
 
     /// Runs `kernel` over `groups` workgroups. Counts beyond the limit of one dimension are spread over two: kernels
@@ -57,6 +74,9 @@ impl<'a> Recorder<'a> {
     pub fn dispatch(&mut self, kernel: &Kernel, bindings: &[Binding<'_>], groups: u32) {
         if groups == 0 {
             return;
+        }
+        if let Some(times) = &mut self.times {
+            times.dispatch();
         }
         let (x, y) = spread(groups);
         let group = self.bind(kernel, bindings);
@@ -130,11 +150,46 @@ impl<'a> Recorder<'a> {
         self.outside().clear_buffer(buffer.raw(), 0, None);
     }
 
-    /// Sends what was recorded to the device.
+    /// Sends what was recorded to the device. A profiled device also waits for it.
     ///
     /// # Errors
     /// As [`Device::check`], and [`GpuError::OverBudget`] if there was no room for a recorded write.
-    pub fn submit(mut self) -> Result<(), GpuError> {
+    pub fn submit(self) -> Result<(), GpuError> {
+        if self.times.is_some() { self.submit_timed().map(drop) } else { self.send() }
+    }
+
+    /// Sends what was recorded, waits for it, and returns how long each dispatch took, in order: none if the adapter has no
+    /// timestamps or the recorder does not time.
+    ///
+    /// # Errors
+    /// As [`Recorder::submit`].
+    pub fn submit_timed(mut self) -> Result<Vec<KernelTime>, GpuError> {
+        let device = self.device;
+        let mut times = self.times.take();
+        if let Some(times) = &mut times {
+            times.end();
+        }
+        let began = Instant::now();
+        let timing = self.timing.take();
+        let ticks = timing.as_ref().map(|timing| timing.resolve(device, self.outside())).transpose()?;
+        self.send()?;
+        let sent = Instant::now();
+        let kernels = match timing.zip(ticks) {
+            Some((timing, ticks)) => timing.read(device, &ticks)?,
+            None => device.wait().map(|()| Vec::new())?,
+        };
+        if let Some((profile, times)) = device.profile.as_ref().zip(times) {
+            profile.add(
+                times,
+                sent - began,
+                sent.elapsed(),
+                kernels.iter().map(|kernel| (kernel.name, kernel.time)),
+            );
+        }
+        Ok(kernels)
+    }
+
+    fn send(mut self) -> Result<(), GpuError> {
         self.open = None;
         if let Some(fault) = self.fault.take() {
             return Err(fault);
@@ -142,24 +197,6 @@ impl<'a> Recorder<'a> {
         self.device.check()?;
         self.device.queue.submit([self.encoder.finish()]);
         self.device.check()
-    }
-
-    /// Sends what was recorded, waits for it, and returns how long each dispatch took, in order: none if the adapter has no
-    /// timestamps or the recorder does not time.
-    ///
-    /// # Errors
-    /// As [`Device::check`].
-    pub fn submit_timed(mut self) -> Result<Vec<KernelTime>, GpuError> {
-        let Some(timing) = self.timing.take() else {
-            let device = self.device;
-            self.submit()?;
-            device.wait()?;
-            return Ok(Vec::new());
-        };
-        let ticks = timing.resolve(self.device, self.outside())?;
-        let device = self.device;
-        self.submit()?;
-        timing.read(device, &ticks)
     }
 
     /// The encoder with no pass open.

@@ -12,7 +12,7 @@ const HARDWARE_MAX_WAIT: Duration = Duration::from_secs(60);
 /// programs.
 const SOFTWARE_MAX_WAIT: Duration = Duration::from_secs(1800);
 
-/// Settings of a device; `None` is the adapter's default.
+/// Settings of a device; `None` is the adapter's default. By default there is no profile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DeviceSettings {
     /// How kernels divide their work.
@@ -23,6 +23,8 @@ pub struct DeviceSettings {
     pub max_wait: Option<Duration>,
     /// Largest buffer in bytes, if less than the adapter's.
     pub max_binding_bytes: Option<u64>,
+    /// Whether times are kept in [`Device::profile`](super::Device::profile).
+    pub profile: bool,
 }
 
 impl DeviceSettings {

@@ -18,6 +18,7 @@ mod train_file;
 
 use std::{
     cell::RefCell,
+    collections::BTreeMap,
     panic::resume_unwind,
     path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError, mpsc},
@@ -40,7 +41,7 @@ use self::{
 use crate::{
     domain::{CancelFlag, Dataset, MemoryBudget, MemoryLimits, NamedCamera, Phase, Progress, TrainOptions},
     eval::Lpips,
-    gpu::{AdapterChoice, Device, GpuError},
+    gpu::{AdapterChoice, Device, DeviceSettings, GpuError, Profile, RecordingProfile},
     ingest::{self, LoadBudget},
     train::Schedule,
 };
@@ -54,6 +55,7 @@ pub struct Pipeline {
     lpips: Option<Lpips>,
     has_held_out_pictures: bool,
     reference: Option<ReferenceViews>,
+    has_profile: bool,
     device: Mutex<Option<Arc<Device>>>,
 }
 
@@ -68,6 +70,7 @@ impl Pipeline {
             lpips: None,
             has_held_out_pictures: false,
             reference: None,
+            has_profile: false,
             device: Mutex::new(None),
         }
     }
@@ -96,12 +99,26 @@ impl Pipeline {
         Self { reference, ..self }
     }
 
+    /// Keeps a profile of the device, which makes runs slower and changes no result.
+    #[must_use]
+    pub fn with_profile(self, has_profile: bool) -> Self {
+        Self { has_profile, ..self }
+    }
+
+    /// Times of all recordings by label since the device was opened; none without [`Pipeline::with_profile`].
+    #[must_use]
+    pub fn profile(&self) -> BTreeMap<String, RecordingProfile> {
+        let device = self.device.lock().unwrap_or_else(PoisonError::into_inner);
+        device.as_ref().and_then(|device| device.profile()).map(Profile::recordings).unwrap_or_default()
+    }
+
     fn device(&self) -> Result<Arc<Device>, GpuError> {
         let mut kept = self.device.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(device) = kept.as_ref().filter(|device| device.check().is_ok()) {
             return Ok(Arc::clone(device));
         }
-        let device = Device::new(&self.adapter)?;
+        let settings = DeviceSettings { profile: self.has_profile, ..DeviceSettings::default() };
+        let device = Device::with_settings(&self.adapter, &settings)?;
         device.set_budget_bytes(self.budget(&device).gpu);
         *kept = Some(Arc::clone(&device));
         Ok(device)

@@ -295,8 +295,10 @@ impl ModelTrainer for AnchorTrainer {
         }
         if let Some(compression) = &mut self.compression {
             let d_rows = &self.gradients.rows;
+            recorder.stage("context model");
             compression.backward(recorder, &self.adam, &self.device_anchors, step, d_rows, overflow_flag)?;
         }
+        recorder.stage("optimiser");
         let rows = recorder.uniform(&self.row_learning_rates(step.fraction))?;
         let networks = recorder.uniform(&self.network_learning_rates(step.fraction))?;
         let (adam, anchors, gradients) = (&self.adam, &self.device_anchors, &self.gradients);
@@ -307,6 +309,7 @@ impl ModelTrainer for AnchorTrainer {
         if let (Some(masks), Some(schedule)) = (&self.masks, &self.schedule.masks)
             && schedule.learns(step.number)
         {
+            recorder.stage("masks");
             masks.backward(recorder, &mut self.neural, anchors, schedule.weight_at(step.number))?;
             if let Some(compression) = &self.compression {
                 compression.mask_backward(recorder, masks, step.lambda)?;

@@ -221,6 +221,7 @@ impl ModelTrainer for PlainTrainer {
         if self.schedule.gathers_statistics(step.number) {
             self.plain.statistics(recorder, &self.statistics, overflow_flag)?;
         }
+        recorder.stage("optimiser");
         self.learn(recorder, step, overflow_flag)
     }
 

@@ -33,6 +33,9 @@ use crate::{
     render::{RasterSettings, Rasterizer},
 };
 
+/// Label of a training step's recording.
+pub const STEP_RECORDING: &str = "step";
+
 /// The checkpoint that a run resumes from and where it saves checkpoints; neither changes the result.
 #[derive(Default)]
 pub struct Checkpoints<'a> {
@@ -503,16 +506,21 @@ impl<'a> Run<'a> {
             _ => self.packed(index)?,
         };
         let device = Arc::clone(&self.device);
-        let mut recorder = device.recorder("step");
+        let mut recorder = device.recorder(STEP_RECORDING);
+        recorder.stage("model forward");
         self.model.forward(&mut recorder, &camera, &step)?;
+        recorder.stage("rasteriser forward");
         self.raster.forward(&mut recorder, self.model.gaussians(), &camera, self.background.rgb())?;
+        recorder.stage("loss");
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         let wavelet = self.wavelet.then(|| WaveletWeights::at(step.fraction));
         let v_image =
             self.loss.record(&mut recorder, size, self.raster.image(), &photograph, wavelet.as_ref())?;
         let gaussians = self.model.gaussians().clone();
         let d_gaussians = self.model.gaussian_gradients()?;
+        recorder.stage("rasteriser backward");
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
+        recorder.stage("model backward");
         self.model.backward(&mut recorder, &camera, &step, self.raster.overflow_flag())?;
         recorder.submit()?;
         self.state.step = step.number;

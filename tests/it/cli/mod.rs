@@ -7,6 +7,7 @@ mod data_folder;
 mod keys;
 mod options;
 mod priority;
+mod profile;
 mod projects;
 mod scripting;
 mod signals;

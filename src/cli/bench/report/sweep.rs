@@ -28,8 +28,13 @@ const FINE_CUTOFFS: Cutoffs = Cutoffs { alpha: 1e-6, transmittance: 1e-9 };
 
 /// How kernels divide their work, by name; the first is the adapter's own.
 const VARIANTS: [(&str, DeviceSettings); 4] = {
-    const DEFAULT: DeviceSettings =
-        DeviceSettings { variant: None, subgroups: None, max_wait: None, max_binding_bytes: None };
+    const DEFAULT: DeviceSettings = DeviceSettings {
+        variant: None,
+        subgroups: None,
+        max_wait: None,
+        max_binding_bytes: None,
+        profile: false,
+    };
     [
         ("as the adapter asks for", DEFAULT),
         ("without subgroups", DeviceSettings { subgroups: Some(Subgroups::Unused), ..DEFAULT }),
