@@ -141,8 +141,7 @@ fn against_time(groups: &[&Group<'_>], set: &str) -> Vec<Plot> {
 
 /// The curve that a group's point belongs to: its model and schedule.
 fn curve_name(group: &Group<'_>) -> String {
-    let run = group.first();
-    format!("{}, {} steps", run.model, run.metrics.steps)
+    format!("{}, {} steps", group.model(), group.first().metrics.steps)
 }
 
 /// A point for each group, joined by weight; other programs' formats beside them.
@@ -169,7 +168,7 @@ fn against_bytes(groups: &[&Group<'_>], set: &str) -> Vec<Plot> {
             };
             let bytes = group.estimate(|run| Some(of(run)?.bytes as f64));
             let psnr = group.estimate(|run| of(run)?.psnr);
-            add(format!("{} in other formats", group.first().model), bytes, psnr, file.format.clone(), true);
+            add(format!("{} in other formats", group.model()), bytes, psnr, file.format.clone(), true);
         }
         for export in &group.first().exports {
             let of =
@@ -177,7 +176,7 @@ fn against_bytes(groups: &[&Group<'_>], set: &str) -> Vec<Plot> {
             let bytes = group.estimate(|run| Some(of(run)?.bytes as f64));
             let psnr = group.estimate(|run| of(run)?.psnr);
             let label = format!("{} as {}", group.name(), export.format.name());
-            add(format!("{} exported", group.first().model), bytes, psnr, label, true);
+            add(format!("{} exported", group.model()), bytes, psnr, label, true);
         }
     }
     for one in &mut series {
@@ -209,8 +208,8 @@ fn sort_by_bytes(series: &mut Series) {
 fn decoding(groups: &[&Group<'_>], set: &str) -> Vec<Plot> {
     let mut series: Vec<Series> = Vec::new();
     for group in groups {
-        let model = &group.first().model;
-        let place = series.iter().position(|series| series.name == *model).unwrap_or_else(|| {
+        let model = group.model();
+        let place = series.iter().position(|series| series.name == model).unwrap_or_else(|| {
             series.push(Series { name: model.clone(), is_scattered: true, ..Series::default() });
             series.len() - 1
         });

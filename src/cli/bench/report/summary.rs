@@ -17,6 +17,8 @@ pub(super) const LEVELS: [f64; 4] = [25.0, 28.0, 30.0, 32.0];
 #[derive(Debug, Clone)]
 pub(super) struct Group<'a> {
     pub(super) runs: Vec<&'a RunRecord>,
+    /// Whether the report has runs on other adapters, so that names have to tell them apart.
+    has_other_adapters: bool,
 }
 
 /// A figure of a run, if it has it.
@@ -29,8 +31,12 @@ impl<'a> Group<'a> {
         for record in records {
             match groups.iter_mut().find(|group| is_same_but_seed(group.first(), record)) {
                 Some(group) => group.runs.push(record),
-                None => groups.push(Self { runs: vec![record] }),
+                None => groups.push(Self { runs: vec![record], has_other_adapters: false }),
             }
+        }
+        let first = groups.first().map(|group| &group.first().metrics.adapter);
+        if groups.iter().any(|group| Some(&group.first().metrics.adapter) != first) {
+            groups.iter_mut().for_each(|group| group.has_other_adapters = true);
         }
         groups
     }
@@ -47,7 +53,17 @@ impl<'a> Group<'a> {
     /// Model and weight, as `tcgs@0.002`.
     pub(super) fn name(&self) -> String {
         let first = self.first();
-        first.options.lambda.map_or_else(|| first.model.clone(), |lambda| format!("{}@{lambda}", first.model))
+        let weight = first.options.lambda.map_or_else(String::new, |lambda| format!("@{lambda}"));
+        format!("{}{weight}{}", first.model, self.on_adapter())
+    }
+
+    /// The model, as `tcgs`.
+    pub(super) fn model(&self) -> String {
+        format!("{}{}", self.first().model, self.on_adapter())
+    }
+
+    fn on_adapter(&self) -> String {
+        if self.has_other_adapters { format!(" on {}", self.first().adapter) } else { String::new() }
     }
 
     /// The mean of a figure over the seeds; `None` if a run lacks it.
@@ -129,7 +145,7 @@ impl Curve {
     pub(super) fn all(groups: &[Group<'_>]) -> Vec<Self> {
         let mut curves: Vec<Self> = Vec::new();
         for group in groups {
-            let run = group.first();
+            let (run, model) = (group.first(), group.model());
             let is_weighted = groups.iter().any(|other| {
                 other.is_comparable(group)
                     && other.first().model == run.model
@@ -137,17 +153,14 @@ impl Curve {
                     && other.first().options.lambda != run.options.lambda
             });
             let name = match is_weighted {
-                true => format!("{}, {} steps, by weight", run.model, run.metrics.steps),
-                false => match run.options.lambda {
-                    Some(lambda) => format!("{}@{lambda}, by steps", run.model),
-                    None => format!("{}, by steps", run.model),
-                },
+                true => format!("{model}, {} steps, by weight", run.metrics.steps),
+                false => format!("{}, by steps", group.name()),
             };
             for run in &group.runs {
                 let point = run.metrics.test.psnr.map(|psnr| (run.metrics.bytes.total as f64, psnr));
                 Self::add(&mut curves, run, &name, point);
                 if run.options.model == ModelKind::Gaussians3d && !run.external_formats.is_empty() {
-                    let name = format!("{}, {} steps, by format", run.model, run.metrics.steps);
+                    let name = format!("{model}, {} steps, by format", run.metrics.steps);
                     Self::add(&mut curves, run, &name, point);
                     for file in &run.external_formats {
                         let point = file.psnr.map(|psnr| (file.bytes as f64, psnr));
