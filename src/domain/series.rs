@@ -18,6 +18,8 @@ pub struct SeriesPoint {
     pub loss: Option<f64>,
     /// Training PSNR in dB, averaged over recent steps.
     pub psnr: Option<f64>,
+    /// Training SSIM, averaged over recent steps.
+    pub ssim: Option<f64>,
     /// Anchors at that time.
     pub anchors: u64,
     /// Gaussians of the view rendered last.

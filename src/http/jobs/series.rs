@@ -26,6 +26,7 @@ struct SeriesBody {
     seconds: Vec<f64>,
     loss: Vec<Option<f64>>,
     psnr: Vec<Option<f64>>,
+    ssim: Vec<Option<f64>>,
     anchors: Vec<u64>,
     gaussians: Vec<u64>,
     bytes: Vec<Option<u64>>,
@@ -65,12 +66,13 @@ fn thin(points: Vec<SeriesPoint>, at_most: usize) -> Vec<SeriesPoint> {
 
 fn columns(points: Vec<SeriesPoint>) -> SeriesBody {
     let mut body = SeriesBody::default();
-    for SeriesPoint { attempt, step, seconds, loss, psnr, anchors, gaussians, bytes } in points {
+    for SeriesPoint { attempt, step, seconds, loss, psnr, ssim, anchors, gaussians, bytes } in points {
         body.attempt.push(attempt);
         body.step.push(step);
         body.seconds.push(seconds);
         body.loss.push(loss);
         body.psnr.push(psnr);
+        body.ssim.push(ssim);
         body.anchors.push(anchors);
         body.gaussians.push(gaussians);
         body.bytes.push(bytes);

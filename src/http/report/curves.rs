@@ -16,6 +16,7 @@ pub(super) fn curves(record: &JobRecord, history: &History) -> Markup {
             h2 { "Curves" }
             div.charts {
                 (against_time(record, history))
+                (ssim(record, history))
                 (against_size(record, history))
                 (loss(history))
             }
@@ -46,6 +47,25 @@ fn against_time(record: &JobRecord, history: &History) -> Markup {
     .figure(
         "Time since the work began, measuring included. Training figures are those of the batches just seen.",
     )
+}
+
+fn ssim(record: &JobRecord, history: &History) -> Markup {
+    let mut training = history.points(|point| Some(point.seconds), |point| point.ssim);
+    let held_out = record.job.metrics.as_ref().and_then(|metrics| metrics.test.ssim);
+    let mut held_out: Vec<(f64, f64)> = held_out.map(|ssim| (history.end, ssim)).into_iter().collect();
+    let unit = TimeUnit::of(history.end);
+    training.iter_mut().chain(&mut held_out).for_each(|(seconds, _)| *seconds /= unit.seconds);
+    Chart {
+        title: "SSIM against time".to_owned(),
+        x: unit.name.to_owned(),
+        y: "SSIM".to_owned(),
+        series: vec![
+            line("training views, mean of recent steps", training),
+            line("held-out views, the decoded file", held_out),
+        ],
+        ..Chart::default()
+    }
+    .figure("As PSNR against time.")
 }
 
 fn against_size(record: &JobRecord, history: &History) -> Markup {

@@ -291,6 +291,7 @@ pub(super) fn point(row: &SqliteRow) -> Result<SeriesPoint, StoreError> {
         seconds: row.try_get("seconds")?,
         loss: row.try_get("loss")?,
         psnr: row.try_get("psnr")?,
+        ssim: row.try_get("ssim")?,
         anchors: unsigned(row, "anchors")?,
         gaussians: unsigned(row, "gaussians")?,
         bytes: optional_unsigned(row, "bytes")?,

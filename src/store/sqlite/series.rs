@@ -54,10 +54,10 @@ async fn insert(
 ) -> Result<(), StoreError> {
     let finite = |value: Option<f64>| value.filter(|value| value.is_finite());
     sqlx::query(
-        "INSERT INTO series (job_id, bucket, attempt, step, seconds, loss, psnr, anchors, gaussians, bytes)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
+        "INSERT INTO series (job_id, bucket, attempt, step, seconds, loss, psnr, ssim, anchors, gaussians, bytes)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
          ON CONFLICT DO UPDATE SET attempt = excluded.attempt, step = excluded.step, seconds = excluded.seconds,
-             loss = excluded.loss, psnr = excluded.psnr, anchors = excluded.anchors, gaussians = excluded.gaussians,
+             loss = excluded.loss, psnr = excluded.psnr, ssim = excluded.ssim, anchors = excluded.anchors, gaussians = excluded.gaussians,
              bytes = excluded.bytes
          WHERE excluded.loss IS NOT NULL",
     )
@@ -68,6 +68,7 @@ async fn insert(
     .bind(finite(Some(point.elapsed_seconds)).unwrap_or_default())
     .bind(finite(point.loss))
     .bind(finite(point.psnr))
+    .bind(finite(point.ssim))
     .bind(rows::signed(point.anchors))
     .bind(rows::signed(point.gaussians))
     .bind(point.bytes.map(rows::signed))

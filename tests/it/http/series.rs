@@ -20,6 +20,7 @@ fn report(step: u64, elapsed_seconds: f64, psnr: f64) -> Progress {
         gaussians: 4000,
         loss: Some(1.0 / step as f64),
         psnr: Some(psnr),
+        ssim: Some(psnr / 40.0),
         bytes: (step >= 30).then_some(50_000 - step),
         ..Progress::default()
     }
@@ -55,6 +56,7 @@ pub(super) async fn the_course_of_training_is_served_as_columns(coverage: Covera
             "seconds": [1.0, 2.0, 3.0, 4.0],
             "loss": [0.1, 0.05, 1.0 / 30.0, 0.025],
             "psnr": [20.0, 20.0, 20.0, 20.0],
+            "ssim": [0.5, 0.5, 0.5, 0.5],
             "anchors": [1010, 1020, 1030, 1040],
             "gaussians": [4000, 4000, 4000, 4000],
             "bytes": [null, null, 49_970, 49_960],

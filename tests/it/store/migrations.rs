@@ -36,6 +36,7 @@ const CHECKSUMS: &[(i64, &str)] = &[
     (14, "e2ffec4ff61382a7ad7573314bf4f7ac3a08e24e77ec577122faffaf013e7a43439f90d5cce13ecfd04a351e9e059695"),
     (15, "65c38600bc09f7925eaac217cafef701fa191e55aea527ab540ffc1dcff4700f62212a9b75eb383e202e073ff5a3fd07"),
     (16, "1f73ec4250716451beb63b22c9ac3ab7fcb29c270b0419b9f2f2863757af78bfe68a24362d05c489174f494f6367678f"),
+    (17, "2efafa9b351c9ff1303a2d3993c2a9ed857b9b7eb2e1636758c7e92ad97be5f9fdf4900bfaad382ff2db32d8506030e2"),
 ];
 
 /// Versions whose databases are in `tests/schemas`. A schema is added once a program with it is released.
