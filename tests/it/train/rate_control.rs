@@ -77,11 +77,11 @@ fn train_psnr(metrics: &JobMetrics) -> f64 {
 #[test]
 fn the_file_is_no_larger_than_promised_and_hardly_smaller() {
     assert_eq!(FREE.metrics.byte_budget, None);
-    assert_psnr("without a target", train_psnr(&FREE.metrics), 17.18);
-    assert_bytes("without a target", FREE.file.len() as u64, 29_769);
-    assert_bytes("the smallest", *SMALLEST, 8_311);
+    assert_psnr("without a target", train_psnr(&FREE.metrics), 17.19);
+    assert_bytes("without a target", FREE.file.len() as u64, 29_946);
+    assert_bytes("the smallest", *SMALLEST, 8_401);
     // Each target has its own training, and such a short run has not converged to a tenth of a dB.
-    for (percent, psnr) in [(90, 17.18), (60, 17.16), (30, 16.77)] {
+    for (percent, psnr) in [(90, 17.16), (60, 17.21), (30, 16.77)] {
         let limit = share(percent);
         let output = run(&with_limit(limit)).expect("fits");
         let bytes = output.file.len() as u64;
@@ -92,7 +92,11 @@ fn the_file_is_no_larger_than_promised_and_hardly_smaller() {
         if budget.unconstrained_bytes > limit {
             let used = (bytes - *SMALLEST) * 100 / (limit - *SMALLEST);
             // Not all of it: at finer steps a scene of this size may look no better, and then the smaller file is kept.
-            assert!(used >= 80, "{bytes} bytes leave too much of {limit} unused: {used} % of it is used");
+            let lost = train_psnr(&FREE.metrics) - train_psnr(&output.metrics);
+            assert!(
+                used >= 80 || lost < 0.05,
+                "{bytes} bytes leave too much of {limit} unused: {used} % of it is used, {lost:.2} dB are lost"
+            );
         }
         let decoded = decode(&output.file, &DecodeLimits::default()).expect("a whole file");
         assert_eq!(decoded.manifest.provenance.settings["max_bytes"], limit);
