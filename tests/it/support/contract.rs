@@ -332,6 +332,8 @@ const OBJECTS: &[(&str, &[(&str, &str)])] = &[
             ("properties", "{schema}"),
             ("required", "any"),
             ("additionalProperties", "schema"),
+            ("propertyNames", "schema"),
+            ("maxProperties", "any"),
             ("items", "schema"),
             ("enum", "any"),
             ("const", "any"),
