@@ -5,6 +5,7 @@
 //! standard error. Output files appear whole or not at all.
 
 mod adapter;
+mod backup;
 mod bench;
 mod config;
 mod decode;
@@ -102,6 +103,12 @@ enum Command {
     Migrate(migrate::Args),
     /// Measure this build on an adapter
     Bench(bench::Args),
+    /// Copy the data of a service, also while it runs
+    Backup(backup::BackupArgs),
+    /// Make a data folder of a backup
+    Restore(backup::RestoreArgs),
+    /// Check the data of a service for missing, damaged and unreferenced files
+    Fsck(backup::FsckArgs),
     /// Show what this machine offers, and what is missing
     Doctor(doctor::Args),
 }
@@ -118,6 +125,9 @@ impl Command {
             Command::Keys(args) => args.json,
             Command::Projects(args) => args.json,
             Command::Migrate(args) => args.json,
+            Command::Backup(args) => args.json,
+            Command::Restore(args) => args.json,
+            Command::Fsck(args) => args.json,
             Command::Bench(args) => args.wants_json(),
             Command::Doctor(args) => args.json,
             Command::Submit(args) => args.json,
@@ -159,6 +169,9 @@ impl Command {
             | Command::Keys(_)
             | Command::Projects(_)
             | Command::Migrate(_)
+            | Command::Backup(_)
+            | Command::Restore(_)
+            | Command::Fsck(_)
             | Command::Bench(_)
             | Command::Doctor(_) => Verbosity::Warn,
         }
@@ -183,6 +196,9 @@ impl Command {
             Command::Keys(args) => keys::run(&args),
             Command::Projects(args) => projects::run(&args),
             Command::Migrate(args) => migrate::run(&args),
+            Command::Backup(args) => backup::backup(&args),
+            Command::Restore(args) => backup::restore(&args),
+            Command::Fsck(args) => backup::fsck(&args),
             Command::Bench(args) => bench::run(&args),
             Command::Doctor(args) => doctor::run(&args),
         }

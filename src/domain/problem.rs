@@ -105,6 +105,7 @@ problem_types! {
     DatasetNotFound = 404, "dataset-not-found", "No such dataset";
     ReadingStopped = 503, "reading-stopped", "The reading was stopped";
     HostMemory = 507, "host-memory", "Not enough memory";
+    DataDamaged = 500, "data-damaged", "The data folder is damaged";
     StorageFailed = 500, "storage-failed", "Storage failed";
     InvalidView = 422, "invalid-view", "Invalid view";
     ImpossibleView = 422, "impossible-view", "Impossible view";

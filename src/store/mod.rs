@@ -14,11 +14,13 @@
 //!   ran never becomes `succeeded`.
 
 mod accounts;
+mod backup;
 pub mod blobs;
 mod datasets;
 mod disk_full;
 mod error;
 mod exports;
+mod fsck;
 pub mod garbage;
 mod idempotency;
 mod keys;
@@ -36,11 +38,16 @@ mod webhooks;
 use futures_util::future::BoxFuture;
 
 pub use accounts::{Accounts, Capacity, Usage};
-pub use blobs::{BlobError, BlobWriter, Blobs, ContentHasher, Published, StagedBlob, UploadFile};
+pub use backup::{BackupError, BackupNote, DATABASE, back_up, restore};
+pub use blobs::{
+    BlobError, BlobState, BlobWriter, Blobs, CheckDepth, ContentHasher, CopyMode, Published, StagedBlob,
+    UploadFile,
+};
 pub use datasets::{DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, Datasets, NewDataset};
 pub use disk_full::is_disk_full;
 pub use error::StoreError;
 pub use exports::{ExportFidelity, ExportRecord, Exports, FileRecord};
+pub use fsck::{FsckReport, check as check_data_folder};
 pub use idempotency::{Idempotency, IdempotentRequest, PriorRequest};
 pub use keys::{KeyChange, KeyProject, KeyRecord, KeyRequest, Keys, NewKey, NewKeyError};
 pub use policy::QueuePolicy;

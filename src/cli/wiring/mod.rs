@@ -8,6 +8,7 @@ mod first_key;
 mod keys;
 mod private;
 mod service;
+mod upkeep;
 
 use std::{
     path::{Path, PathBuf},
@@ -35,6 +36,7 @@ pub(crate) use export::{Baking, Packing, Quality, compare, export};
 pub(crate) use first_key::ensure_first_key;
 pub(crate) use keys::{change_key, change_project, create_key, create_project, keys, projects, revoke_key};
 pub(crate) use service::{ServeOptions, WorkerOptions, migrate, serve, worker};
+pub(crate) use upkeep::{back_up, fsck, restore};
 
 use super::{CliError, files, memory::MemoryFlags};
 

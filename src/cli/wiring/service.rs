@@ -24,7 +24,7 @@ use tcgs::{
     pipeline::{ReferenceViews, scene_file},
     render::{RenderViews, views::Viewable},
     store::{
-        Blobs, Keys as _, QueuePolicy, SchemaChange, SqliteStore,
+        Blobs, DATABASE, Keys as _, QueuePolicy, SchemaChange, SqliteStore,
         garbage::{GarbagePolicy, collect_garbage},
     },
     webhooks::{self, DeliveryConfig, Sender},
@@ -35,9 +35,6 @@ use tokio_util::sync::CancellationToken;
 
 use super::{Renderer, private};
 use crate::cli::{CliError, files, logging::Format};
-
-/// Name of the database in the data folder.
-const DATABASE: &str = "tcgs.sqlite";
 
 /// Name of the folder for the checkpoints of running jobs in the data folder.
 const CHECKPOINTS: &str = "checkpoints";

@@ -9,6 +9,7 @@
 //! has that long to add a reference.
 
 mod age;
+mod check;
 mod files;
 mod staging;
 mod staging_dir;
@@ -35,6 +36,7 @@ use tokio::{
     sync::{Notify, futures::Notified},
 };
 
+pub use check::{BlobState, CheckDepth, CopyMode};
 pub use staging::{BlobWriter, ContentHasher, StagedBlob};
 use staging_dir::StagingDir;
 pub use upload::UploadFile;

@@ -110,7 +110,7 @@ pub(super) async fn admit_job(
 }
 
 /// Those of the blobs that nothing refers to.
-async fn unreferenced(
+pub(super) async fn unreferenced(
     connection: &mut SqliteConnection,
     digests: &[Digest],
 ) -> Result<Vec<Digest>, StoreError> {

@@ -21,6 +21,7 @@ mod queue;
 mod rows;
 mod series;
 mod stats;
+mod upkeep;
 mod uploads;
 mod webhooks;
 

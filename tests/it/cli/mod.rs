@@ -1,5 +1,6 @@
 //! The command line, run as scripts and operators run it.
 
+mod backup;
 mod baselines;
 mod bench_report;
 mod clients;

@@ -1,0 +1,79 @@
+//! Backups, restorations and checks of data folders.
+
+use std::{io, path::Path, sync::Arc};
+
+use tcgs::{
+    domain::{Clock as _, Problem, ProblemType, SystemClock},
+    store::{
+        BackupError, BackupNote, BlobError, Blobs, CheckDepth, CopyMode, DATABASE, FsckReport, QueuePolicy,
+        SqliteStore, back_up as write_backup, check_data_folder, garbage::GarbageError,
+        restore as restore_backup,
+    },
+};
+
+use super::{
+    private,
+    service::{runtime, unavailable},
+};
+use crate::cli::CliError;
+
+/// The store in a data folder, which must be there.
+async fn existing(data: &Path) -> Result<SqliteStore, CliError> {
+    let database = data.join(DATABASE);
+    if !database.exists() {
+        return Err(CliError::unreadable(&database, &io::ErrorKind::NotFound.into()));
+    }
+    let store = SqliteStore::open_current(&database, Arc::new(SystemClock), QueuePolicy::default()).await;
+    store.map_err(|fault| unavailable(&fault))
+}
+
+/// Writes a backup of a data folder, whether its service runs or not.
+pub(crate) fn back_up(data: &Path, destination: &Path, mode: CopyMode) -> Result<BackupNote, CliError> {
+    runtime()?.block_on(async {
+        private::create(destination).map_err(|fault| CliError::unwritable(destination, &fault))?;
+        let store = existing(data).await?;
+        let note = write_backup(&store, data, destination, mode, Arc::new(SystemClock)).await;
+        store.close().await;
+        note.map_err(failed)
+    })
+}
+
+/// Restores a backup.
+pub(crate) fn restore(backup: &Path, data: &Path) -> Result<BackupNote, CliError> {
+    runtime()?.block_on(async {
+        private::create(data).map_err(|fault| CliError::unwritable(data, &fault))?;
+        restore_backup(backup, data, Arc::new(SystemClock)).await.map_err(failed)
+    })
+}
+
+/// Checks a data folder, whether its service runs or not.
+pub(crate) fn fsck(data: &Path, depth: CheckDepth) -> Result<FsckReport, CliError> {
+    runtime()?.block_on(async {
+        let store = existing(data).await?;
+        let blobs = Blobs::open(data).map_err(|fault| unavailable(&fault))?;
+        let report = check_data_folder(&store, &blobs, depth, SystemClock.now()).await;
+        store.close().await;
+        report.map_err(|fault| match fault {
+            GarbageError::Store(fault) => unavailable(&fault),
+            GarbageError::Blobs(fault) => of_files(fault),
+        })
+    })
+}
+
+fn failed(error: BackupError) -> CliError {
+    let kind = match error {
+        BackupError::NotEmpty(_) => ProblemType::Exists,
+        BackupError::Incomplete(_) => ProblemType::UnreadableInput,
+        BackupError::Missing { .. } | BackupError::Damaged { .. } => ProblemType::DataDamaged,
+        BackupError::Store(fault) => return unavailable(&fault),
+        BackupError::Blobs(fault) => return of_files(fault),
+    };
+    Problem::new(kind, error.to_string()).into()
+}
+
+fn of_files(fault: BlobError) -> CliError {
+    if fault.is_disk_full() {
+        return Problem::new(ProblemType::UnwritableOutput, "the disk is full").into();
+    }
+    unavailable(&fault)
+}

@@ -1,0 +1,78 @@
+//! What backups and checks ask of the database.
+
+use std::path::Path;
+
+use sqlx::Row as _;
+
+use super::{
+    SqliteStore, accounts,
+    rows::{self, micros},
+};
+use crate::{
+    domain::Digest,
+    store::{BlobRef, StoreError},
+};
+
+impl SqliteStore {
+    /// Writes a copy of the database, as of one moment, into a new file. Others may read and write meanwhile.
+    pub(in crate::store) async fn copy_into(&self, path: &Path) -> Result<(), StoreError> {
+        let fault = || StoreError::Corrupt { what: "path of a copy", fault: path.display().to_string() };
+        let path = path.to_str().ok_or_else(fault)?;
+        sqlx::query("VACUUM INTO ?").bind(path).execute(&self.readers).await?;
+        Ok(())
+    }
+
+    /// Up to `limit` blobs of the database after `after`, in the order of their digests.
+    pub(in crate::store) async fn blob_rows(
+        &self,
+        after: Option<Digest>,
+        limit: u32,
+    ) -> Result<Vec<BlobRef>, StoreError> {
+        let rows = sqlx::query("SELECT digest, bytes FROM blobs WHERE digest > ? ORDER BY digest LIMIT ?")
+            .bind(after.map(|digest| digest.to_string()).unwrap_or_default())
+            .bind(limit)
+            .fetch_all(&self.readers)
+            .await?;
+        rows.iter().map(|row| rows::blob(row, "digest")).collect()
+    }
+
+    /// Those of the blobs that nothing refers to, whether the database has them or not.
+    pub(in crate::store) async fn without_references(
+        &self,
+        digests: &[Digest],
+    ) -> Result<Vec<Digest>, StoreError> {
+        self.read(async move |tx| accounts::unreferenced(tx, digests).await).await
+    }
+
+    /// Ends every open upload.
+    pub(in crate::store) async fn end_uploads(&self) -> Result<(), StoreError> {
+        self.write(async move |tx, now| {
+            sqlx::query("UPDATE uploads SET ended_at = ? WHERE ended_at IS NULL")
+                .bind(micros(now))
+                .execute(tx)
+                .await?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// What SQLite finds wrong with the database's file and its references.
+    pub(in crate::store) async fn integrity(&self) -> Result<Vec<String>, StoreError> {
+        self.read(async move |tx| {
+            let rows = sqlx::query("PRAGMA integrity_check(20)").fetch_all(&mut *tx).await?;
+            let found: Result<Vec<String>, sqlx::Error> = rows.iter().map(|row| row.try_get(0)).collect();
+            let mut found = found?;
+            found.retain(|line| line != "ok");
+            let broken =
+                sqlx::query("SELECT DISTINCT \"table\", parent FROM pragma_foreign_key_check LIMIT 20")
+                    .fetch_all(tx)
+                    .await?;
+            for row in &broken {
+                let (table, parent): (String, String) = (row.try_get(0)?, row.try_get(1)?);
+                found.push(format!("rows of {table} refer to rows of {parent} that are not there"));
+            }
+            Ok(found)
+        })
+        .await
+    }
+}
