@@ -87,6 +87,9 @@ done
 call "http://$address/v1/jobs/$finished/view?frame=images/view_06.png" -o /dev/null
 cancelled=$(create iterations=20)
 call -X POST "http://$address/v1/jobs/$cancelled/cancel" -o /dev/null
+# The only job that is deleted: otherwise ids from lists are tried, that of the finished job among them.
+spare_job=$(create iterations=20)
+call -X POST "http://$address/v1/jobs/$spare_job/cancel" -o /dev/null
 
 # hold JOB SEED CONFIG FLAG...: one run, whose ids of jobs are JOB. `Prefer: wait` may take longer than schemathesis waits.
 status=0
@@ -97,6 +100,7 @@ hold() {
         cat "$config"
         printf '\n[[operations]]\ninclude-path-regex = "^/v1/jobs/[{]id[}]"\nexclude-method = "DELETE"\n'
         printf 'parameters = { "path.id" = "%s", "header.Prefer" = "wait=1" }\n' "$job"
+        printf '\n[[operations]]\ninclude-path = "/v1/jobs/{id}"\ninclude-method = "DELETE"\nparameters = { "path.id" = "%s" }\n' "$spare_job"
         printf '\n[[operations]]\ninclude-path = "/v1/keys/{id}"\nparameters = { "path.id" = "%s" }\n' "$spare_key"
         printf '\n[[operations]]\ninclude-path = "/v1/projects/{id}"\nparameters = { "path.id" = "%s" }\n' "$spare_project"
     } >"$scratch/schemathesis.toml"
