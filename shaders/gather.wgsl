@@ -1,15 +1,17 @@
 // Sums each Gaussian's slots in a fixed order: in runs, and runs of runs, so that the rounding of a sum over ten million slots
 // is that of a chain of a few hundred additions. Rows of Gaussians that touch no tile are not written, and never read.
 
-#import tcgs::view::View
+#import tcgs::view::{VISIBLE, View}
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> count: array<u32>;
-@group(0) @binding(2) var<storage, read> tiles: array<u32>;
-@group(0) @binding(3) var<storage, read> first_slots: array<u32>;
-@group(0) @binding(4) var<storage, read> slot_gradients: array<f32>;
+@group(0) @binding(1) var<storage, read> counters: array<u32>;
+// The visible, nearest first: the order of their slots.
+@group(0) @binding(2) var<storage, read> ids: array<u32>;
+@group(0) @binding(3) var<storage, read> tiles: array<u32>;
+@group(0) @binding(4) var<storage, read> first_slots: array<u32>;
+@group(0) @binding(5) var<storage, read> slot_gradients: array<f32>;
 // Three vectors a Gaussian, laid out as the splats.
-@group(0) @binding(5) var<storage, read_write> v_splats: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> v_splats: array<vec4<f32>>;
 
 const RUN: u32 = 256u;
 
@@ -48,11 +50,9 @@ fn runs(first: u32, end: u32) -> Sums {
 
 @compute @workgroup_size(64)
 fn gather(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let total = min(count[0], view.gaussian_capacity);
-    for (var i = id.x; i < total; i += groups.x * 64u) {
-        if tiles[i] == 0u {
-            continue;
-        }
+    let total = min(counters[VISIBLE], view.gaussian_capacity);
+    for (var place = id.x; place < total; place += groups.x * 64u) {
+        let i = ids[place];
         let first = min(first_slots[i], view.intersection_capacity);
         let end = first + min(tiles[i], view.intersection_capacity - first);
         var sums = zero();

@@ -15,6 +15,9 @@
 @group(0) @binding(6) var<storage, read_write> tiles: array<u32>;
 @group(0) @binding(7) var<storage, read_write> visible: array<u32>;
 
+// Candidates that an invocation takes at a time, at most 32.
+const RUN: u32 = #{RUN}u;
+
 fn project_one(i: u32) -> u32 {
     let mean_opacity = geometry[i];
     let scale = geometry[scale_row(view.gaussian_capacity, i)].xyz;
@@ -98,9 +101,32 @@ fn project_one(i: u32) -> u32 {
 @compute @workgroup_size(64)
 fn project(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let total = min(count[0], view.gaussian_capacity);
+#if RUN > 1
+    // Of many candidates few are opaque. Lanes of a software adapter that have none cost as much as those that have one, so each
+    // takes a run of candidates and projects the opaque ones; antialiasing makes none more opaque.
+    for (var first = id.x * RUN; first < total; first += groups.x * 64u * RUN) {
+        var opaque = 0u;
+        for (var k = 0u; k < min(RUN, total - first); k++) {
+            if geometry[first + k].w >= ALPHA_MIN {
+                opaque |= 1u << k;
+            } else {
+                tiles[first + k] = 0u;
+                visible[first + k] = 0u;
+            }
+        }
+        while opaque != 0u {
+            let i = first + firstTrailingBit(opaque);
+            opaque &= opaque - 1u;
+            let touched = project_one(i);
+            tiles[i] = touched;
+            visible[i] = u32(touched > 0u);
+        }
+    }
+#else
     for (var i = id.x; i < total; i += groups.x * 64u) {
         let touched = project_one(i);
         tiles[i] = touched;
         visible[i] = u32(touched > 0u);
     }
+#endif
 }

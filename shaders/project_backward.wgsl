@@ -1,24 +1,17 @@
-// Gradients of the Gaussians from those of their projections; zero where culled. Rows beyond the count are not written.
+// Gradients of the visible Gaussians from those of their projections. Other rows are not written.
 
-#import tcgs::view::{View, to_camera}
+#import tcgs::view::{VISIBLE, View, to_camera}
 #import tcgs::geometry::{quat_row, scale_row}
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> count: array<u32>;
-@group(0) @binding(2) var<storage, read> geometry: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> tiles: array<u32>;
-@group(0) @binding(4) var<storage, read> v_splats: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read_write> v_geometry: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read_write> v_colors: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read_write> v_means_image: array<vec4<f32>>;
-
-fn clear(i: u32) {
-    v_geometry[i] = vec4<f32>(0.0);
-    v_geometry[scale_row(view.gaussian_capacity, i)] = vec4<f32>(0.0);
-    v_geometry[quat_row(view.gaussian_capacity, i)] = vec4<f32>(0.0);
-    v_colors[i] = vec4<f32>(0.0);
-    v_means_image[i] = vec4<f32>(0.0);
-}
+@group(0) @binding(1) var<storage, read> counters: array<u32>;
+@group(0) @binding(2) var<storage, read> ids: array<u32>;
+@group(0) @binding(3) var<storage, read> geometry: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> tiles: array<u32>;
+@group(0) @binding(5) var<storage, read> v_splats: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> v_geometry: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> v_colors: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read_write> v_means_image: array<vec4<f32>>;
 
 fn project_one_backward(i: u32) {
     let opacity = geometry[i].w;
@@ -117,12 +110,8 @@ fn project_one_backward(i: u32) {
 
 @compute @workgroup_size(64)
 fn project_backward(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let total = min(count[0], view.gaussian_capacity);
-    for (var i = id.x; i < total; i += groups.x * 64u) {
-        if tiles[i] != 0u {
-            project_one_backward(i);
-        } else {
-            clear(i);
-        }
+    let total = min(counters[VISIBLE], view.gaussian_capacity);
+    for (var place = id.x; place < total; place += groups.x * 64u) {
+        project_one_backward(ids[place]);
     }
 }

@@ -57,7 +57,7 @@ fn raster_stage(kernel: &str) -> &'static str {
     match kernel {
         "project" => "project",
         "raster_forward" => "forward",
-        "raster_backward" | "gather" | "project_backward" => "backward",
+        "raster_backward" | "gather" | "clear_culled" | "project_backward" => "backward",
         _ => "sort",
     }
 }

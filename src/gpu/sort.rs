@@ -138,6 +138,12 @@ impl RadixSort {
         Ok(())
     }
 
+    /// Whether the result is in the spare pairs: after an odd number of passes.
+    #[must_use]
+    pub fn ends_in_spare(&self) -> bool {
+        self.passes.last().is_some_and(|passes| passes.params.len() % 2 == 1)
+    }
+
     /// Records the sort and says which of the two holds the result: `pairs`, or `spare` after an odd number of passes.
     #[must_use]
     pub fn record<'p>(

@@ -6,7 +6,8 @@
 //! Forward: `project` culls and counts tiles, `compact` lists the visible, a stable sort orders them by depth, `emit`
 //! writes one (tile, slot) pair for each tile that a Gaussian touches, a stable sort groups them by tile, `tile_ranges`
 //! finds the tiles' lists, `raster_forward` blends them. Backward: `raster_backward` writes one gradient for each slot, `gather`
-//! sums the slots of each Gaussian, `project_backward` differentiates the projection.
+//! sums the slots of each visible Gaussian, `project_backward` differentiates its projection, `clear_culled` writes zeros for the
+//! others.
 
 use std::sync::Arc;
 
@@ -59,6 +60,7 @@ struct Kernels {
     raster_forward: Arc<Kernel>,
     raster_backward: Arc<Kernel>,
     gather: Arc<Kernel>,
+    clear_culled: Arc<Kernel>,
     project_backward: Arc<Kernel>,
     /// Workgroups of the forward kernel for each tile.
     groups_a_tile: u32,
@@ -78,7 +80,7 @@ impl Kernels {
         let forward: Vec<_> = subgroups.iter().copied().chain(eight).chain(one).collect();
         Ok(Self {
             groups_a_tile: narrow.map_or(1, |lanes| TILE_LANES / lanes),
-            project: device.kernel(kernel_source!("project"), &[])?,
+            project: device.kernel(kernel_source!("project"), &[("RUN", device.variant().choose(16, 1))])?,
             compact: device.kernel(kernel_source!("compact"), &[])?,
             tile_counts: device.kernel(kernel_source!("tile_counts"), &[])?,
             emit: device.kernel(kernel_source!("emit"), &[])?,
@@ -86,6 +88,7 @@ impl Kernels {
             raster_forward: device.kernel(kernel_source!("raster_forward"), &forward)?,
             raster_backward: device.kernel(kernel_source!("raster_backward"), &subgroups)?,
             gather: gather_kernel(device)?,
+            clear_culled: device.kernel(kernel_source!("clear_culled"), &[])?,
             project_backward: device.kernel(kernel_source!("project_backward"), &[])?,
         })
     }
@@ -323,16 +326,24 @@ impl Rasterizer {
             image.tiles,
         );
         let groups = self.groups(own.capacity);
+        let ids =
+            if own.sort_depth.ends_in_spare() { &own.by_depth.1.values } else { &own.by_depth.0.values };
         recorder.dispatch(
             &kernels.gather,
-            &[view, &gaussians.count, &own.tiles, &own.first_slots, &slot_gradients, &own.v_splats],
+            &[view, &self.counters, ids, &own.tiles, &own.first_slots, &slot_gradients, &own.v_splats],
+            groups,
+        );
+        recorder.dispatch(
+            &kernels.clear_culled,
+            &[view, &gaussians.count, &own.tiles, &out.geometry, &out.colors, &out.means2d],
             groups,
         );
         recorder.dispatch(
             &kernels.project_backward,
             &[
                 view,
-                &gaussians.count,
+                &self.counters,
+                ids,
                 &gaussians.geometry,
                 &own.tiles,
                 &own.v_splats,
@@ -479,11 +490,14 @@ pub fn sum_slots(
     let view = device.upload("view", &[View::of_rows(count, slots)])?;
     let (first_slots, _) = twin::scan(tiles);
     let sums = device.buffer::<[f32; 4]>("sums of slots", SPLAT_ROWS * count)?;
-    let rows = device.upload("count", &[count as u32])?;
+    let mut counters = vec![0; VISIBLE as usize + 1];
+    counters[VISIBLE as usize] = count as u32;
+    let counters = device.upload("counters", &counters)?;
+    let ids = device.upload("ids", &(0..count as u32).collect::<Vec<_>>())?;
     let tiles = device.upload("tiles", tiles)?;
     let first_slots = device.upload("first slots", &first_slots)?;
     let mut recorder = device.recorder("sums of slots");
-    let buffers: [Binding<'_>; 6] = [&view, &rows, &tiles, &first_slots, gradients, &sums];
+    let buffers: [Binding<'_>; 7] = [&view, &counters, &ids, &tiles, &first_slots, gradients, &sums];
     recorder.dispatch(&kernel, &buffers, (count.div_ceil(64) as u32).max(1));
     recorder.submit()?;
     let sums = device.read(&sums)?;

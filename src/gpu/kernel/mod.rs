@@ -191,6 +191,13 @@ mod tests {
             variants.push(with(&[of(32), vec![("ONE_SUBGROUP", 1)]].concat()));
             variants.push(with(&[("GRADIENT_LANES", 64)]));
             variants
+        } else if text.contains("#{BLOCKS}") {
+            let of = |blocks| [0, 1, 2].map(|mode| with(&[("BLOCKS", blocks), ("MODE", mode)]));
+            [1, 9, 24].into_iter().flat_map(of).collect()
+        } else if text.contains("#ifdef OPAQUE") {
+            vec![with(&[]), with(&[("OPAQUE", 1)])]
+        } else if text.contains("#{RUN}") {
+            [1, 16].map(|run| with(&[("RUN", run)])).to_vec()
         } else if text.contains("#{LANES}") {
             [8, 16, 32, 64].map(|lanes| with(&[("LANES", lanes)])).to_vec()
         } else if text.contains("tcgs::plain") {

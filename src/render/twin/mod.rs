@@ -15,7 +15,7 @@ use glam::{DVec2, DVec3};
 pub use depth::shade_depth;
 pub use lists::{TileLists, compact, emit, tile_counts, tile_lists, tile_ranges, touches};
 pub use project::{project, rotation};
-pub use project_backward::project_backward;
+pub use project_backward::{clear_culled, project_backward};
 pub use raster_backward::{gather, raster_backward};
 pub use raster_forward::{BlendedImage, raster_forward};
 
@@ -149,7 +149,7 @@ pub fn backward(
         .zip(&v_splats)
         .map(|((gaussian, splat), v)| match splat {
             Some(_) => project_backward(projection, gaussian, v),
-            None => GaussianGradient::default(),
+            None => clear_culled(),
         })
         .collect();
     (v_splats, v_gaussians)

@@ -96,3 +96,9 @@ fn mean_gradient(
     }
     view.transpose() * v_position
 }
+
+/// The gradient of a Gaussian that touches no tile: zero.
+#[must_use]
+pub fn clear_culled() -> GaussianGradient {
+    GaussianGradient::default()
+}

@@ -1,0 +1,26 @@
+// Zeroes the gradients of the Gaussians that touch no tile; `project_backward` writes the others. Rows beyond the count are not
+// written.
+
+#import tcgs::view::View
+#import tcgs::geometry::{quat_row, scale_row}
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> count: array<u32>;
+@group(0) @binding(2) var<storage, read> tiles: array<u32>;
+@group(0) @binding(3) var<storage, read_write> v_geometry: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> v_colors: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> v_means_image: array<vec4<f32>>;
+
+@compute @workgroup_size(64)
+fn clear_culled(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let total = min(count[0], view.gaussian_capacity);
+    for (var i = id.x; i < total; i += groups.x * 64u) {
+        if tiles[i] == 0u {
+            v_geometry[i] = vec4<f32>(0.0);
+            v_geometry[scale_row(view.gaussian_capacity, i)] = vec4<f32>(0.0);
+            v_geometry[quat_row(view.gaussian_capacity, i)] = vec4<f32>(0.0);
+            v_colors[i] = vec4<f32>(0.0);
+            v_means_image[i] = vec4<f32>(0.0);
+        }
+    }
+}
