@@ -6,7 +6,7 @@
 #import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, COVARIANCE_OUT, COLOR_OUT, logistic}
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> list: array<u32>;
+@group(0) @binding(1) var<storage, read> columns: array<u32>;
 @group(0) @binding(2) var<storage, read> counts: array<u32>;
 @group(0) @binding(3) var<storage, read> rows: array<f32>;
 @group(0) @binding(4) var<storage, read> geometry: array<vec4f>;
@@ -17,12 +17,13 @@
 
 @compute @workgroup_size(64)
 fn spawn_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
-    if index >= list[0] {
+    let column = (group.x + group.y * 65535u) * 64u + local;
+    if column >= columns[0] {
         return;
     }
-    let anchor = list[1u + index];
     let capacity = view.counts.y;
+    let index = columns[1u + column];
+    let anchor = columns[1u + capacity + column];
     let gaussians = capacity * OFFSETS;
     let row = anchor * ROW;
     let s = row + SCALING_COLUMN;
@@ -32,22 +33,31 @@ fn spawn_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
     let volume_weight = view.image.w / max(f32(counts[1]), 1.0);
     var d_reach = vec3f(0.0);
     var d_size = vec3f(0.0);
+    // As in `spawn_gaussians`, a loop over the living alone.
+    var living = 0u;
     for (var k = 0u; k < OFFSETS; k++) {
-        let gaussian = index * OFFSETS + k;
-        let c = (COVARIANCE_OUT + 7u * k) * capacity + index;
-        let rgb = (COLOR_OUT + 3u * k) * capacity + index;
-        let o = row + OFFSET_COLUMN + 3u * k;
-        let opacity = geometry[gaussian].w;
-        if !(opacity > 0.0) {
-            outputs[k * capacity + index] = 0.0;
-            for (var i = 0u; i < 7u; i++) {
-                outputs[c + i * capacity] = 0.0;
-            }
-            for (var i = 0u; i < 3u; i++) {
-                outputs[rgb + i * capacity] = 0.0;
-            }
+        if geometry[index * OFFSETS + k].w > 0.0 {
+            living |= 1u << k;
             continue;
         }
+        outputs[k * capacity + column] = 0.0;
+        let c = (COVARIANCE_OUT + 7u * k) * capacity + column;
+        for (var i = 0u; i < 7u; i++) {
+            outputs[c + i * capacity] = 0.0;
+        }
+        let rgb = (COLOR_OUT + 3u * k) * capacity + column;
+        for (var i = 0u; i < 3u; i++) {
+            outputs[rgb + i * capacity] = 0.0;
+        }
+    }
+    while living != 0u {
+        let k = firstTrailingBit(living);
+        living &= living - 1u;
+        let gaussian = index * OFFSETS + k;
+        let c = (COVARIANCE_OUT + 7u * k) * capacity + column;
+        let rgb = (COLOR_OUT + 3u * k) * capacity + column;
+        let o = row + OFFSET_COLUMN + 3u * k;
+        let opacity = geometry[gaussian].w;
         let d = d_geometry[gaussian];
         let offset = vec3f(rows[o], rows[o + 1u], rows[o + 2u]);
         let d_offset = d.xyz * reach;
@@ -55,7 +65,7 @@ fn spawn_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
         d_rows[o + 1u] = d_offset.y;
         d_rows[o + 2u] = d_offset.z;
         d_reach += d.xyz * offset;
-        outputs[k * capacity + index] = d.w * (1.0 - opacity * opacity);
+        outputs[k * capacity + column] = d.w * (1.0 - opacity * opacity);
 
         let shape = vec3f(
             logistic(outputs[c]),

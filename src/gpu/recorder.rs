@@ -1,9 +1,9 @@
 //! Recording of dispatches and copies into one submission.
 
-use std::time::Instant;
+use std::{sync::Arc, time::Instant};
 
 use super::{
-    Buffer, Device, GpuError, Kernel, RawBuffer,
+    Buffer, Device, GpuError, Kernel, KernelSource, RawBuffer,
     ledger::Reservation,
     profile::RecordingTimes,
     timing::{KernelTime, Timing},
@@ -67,6 +67,14 @@ impl<'a> Recorder<'a> {
         if let Some(times) = &mut self.times {
             times.stage(name);
         }
+    }
+
+    /// The compiled kernel of a source on the recorder's device: [`Device::kernel`].
+    ///
+    /// # Errors
+    /// As [`Device::kernel`].
+    pub fn kernel(&self, source: KernelSource, defs: &[(&str, u32)]) -> Result<Arc<Kernel>, GpuError> {
+        self.device.kernel(source, defs)
     }
 
     /// Runs `kernel` over `groups` workgroups. Counts beyond the limit of one dimension are spread over two: kernels

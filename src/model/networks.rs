@@ -76,6 +76,13 @@ impl NetworkLayout {
         Self { shape, hidden, heads, parameters: next }
     }
 
+    /// All layers.
+    #[must_use]
+    pub fn layers(&self) -> [LayerSpec; 4] {
+        let [opacity, covariance, color] = self.heads;
+        [self.hidden, opacity, covariance, color]
+    }
+
     /// Rows of the networks' output.
     #[must_use]
     pub fn output_rows(&self) -> usize {

@@ -5,14 +5,17 @@
 
 use std::sync::Arc;
 
-use super::RenderError;
+use super::{
+    RenderError,
+    dense_software::{MIN_LANES, SoftwareLayers},
+};
 use crate::{
-    gpu::{Binding, Buffer, Device, Kernel, Recorder, kernel_source},
+    gpu::{Binding, Buffer, Device, Kernel, KernelVariant, Plan, Recorder, kernel_source},
     model::LayerSpec,
 };
 
 /// Columns that one partial sum of a weight gradient covers.
-const GRADIENT_RUN: usize = 1024;
+pub(super) const GRADIENT_RUN: usize = 1024;
 
 /// Outputs and columns that a workgroup of `shaders/dense.wgsl` computes.
 const TILE: [usize; 2] = [32, 256];
@@ -21,7 +24,10 @@ const TILE: [usize; 2] = [32, 256];
 const GRADIENT_TILE: [usize; 2] = [16, 32];
 
 /// Bias offset of a layer without a bias.
-const NO_BIAS: u32 = u32::MAX;
+pub(super) const NO_BIAS: u32 = u32::MAX;
+
+/// Columns that kernels read at a time.
+const COLUMNS_A_READ: usize = 4;
 
 /// Activation of a dense layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,7 +43,7 @@ pub enum Activation {
 pub struct Columns<'a> {
     /// The number of columns in use, then what each stands for.
     pub list: &'a Buffer<u32>,
-    /// Columns of the buffers.
+    /// Columns of the buffers, a multiple of four: see [`Columns::capacity_for`].
     pub capacity: usize,
 }
 
@@ -48,13 +54,30 @@ pub struct DenseLayer<'a> {
     pub spec: &'a LayerSpec,
     /// The columns.
     pub columns: Columns<'a>,
+    /// Outputs that [`DenseLayers::forward`] computes, from the first on.
+    pub outputs: usize,
+}
+
+impl DenseLayer<'_> {
+    /// The same with only the first `outputs` outputs.
+    #[must_use]
+    pub fn first_outputs(self, outputs: usize) -> Self {
+        Self { outputs: outputs.min(self.spec.outputs), ..self }
+    }
 }
 
 impl<'a> Columns<'a> {
+    /// Columns of buffers for `columns` of them: a quarter more, so that growth rarely reallocates, and a multiple of four, so that
+    /// kernels can read four at a time.
+    #[must_use]
+    pub fn capacity_for(columns: usize) -> usize {
+        (columns + columns / 4).next_multiple_of(COLUMNS_A_READ)
+    }
+
     /// `spec` at these columns.
     #[must_use]
     pub fn layer(self, spec: &'a LayerSpec) -> DenseLayer<'a> {
-        DenseLayer { spec, columns: self }
+        DenseLayer { spec, columns: self, outputs: spec.outputs }
     }
 }
 
@@ -69,22 +92,160 @@ pub struct InputGradient<'a> {
     pub buffer: &'a Buffer<f32>,
 }
 
-/// The kernels of dense layers.
+/// Where the gradient by a layer's weights and bias goes.
+#[derive(Debug, Clone, Copy)]
+pub struct WeightGradient<'a> {
+    /// Parameters of all layers.
+    pub parameters: usize,
+    /// Sums over runs of columns: [`DenseLayers::partials`] elements.
+    pub partials: &'a Buffer<f32>,
+    /// The gradients, complete once [`DenseLayers::finish_weight_gradients`] was recorded.
+    pub sums: &'a Buffer<f32>,
+}
+
+/// The kernels of dense layers: one set for hardware, one for software adapters that have subgroups.
 #[derive(Debug)]
 pub struct DenseLayers {
+    kernels: Kernels,
+}
+
+#[derive(Debug)]
+enum Kernels {
+    Hardware(HardwareLayers),
+    Software(SoftwareLayers),
+}
+
+#[derive(Debug)]
+struct HardwareLayers {
     dense: Arc<Kernel>,
     dense_weight_gradient: Arc<Kernel>,
     sum_partials: Arc<Kernel>,
 }
 
 impl DenseLayers {
-    /// Prepares the kernels; `subgroups` is the smallest number of lanes in a subgroup, where kernels may use them.
+    /// Prepares the kernels for `layers`; `subgroups` is the smallest number of lanes in a subgroup, where kernels may use them.
     ///
     /// # Errors
     /// Faults of the device.
-    pub fn new(device: &Device, subgroups: Option<u32>) -> Result<Self, RenderError> {
+    pub fn new(
+        device: &Device,
+        subgroups: Option<u32>,
+        layers: impl IntoIterator<Item = LayerSpec>,
+    ) -> Result<Self, RenderError> {
+        let shares = subgroups.is_some_and(|lanes| lanes >= MIN_LANES);
+        Ok(Self {
+            kernels: if shares && device.variant() == KernelVariant::Software {
+                Kernels::Software(SoftwareLayers::plan(layers).make(device)?)
+            } else {
+                Kernels::Hardware(HardwareLayers::new(device, subgroups)?)
+            },
+        })
+    }
+
+    /// Bytes on the device of what [`DenseLayers::new`] makes at most.
+    #[must_use]
+    pub fn bytes(layers: impl IntoIterator<Item = LayerSpec>) -> u64 {
+        SoftwareLayers::plan(layers).bytes()
+    }
+
+    /// Plans the partial sums of the gradients by the weights of `layers`, of `parameters` parameters in all.
+    #[must_use]
+    pub fn partials(
+        label: &'static str,
+        capacity: usize,
+        layers: impl IntoIterator<Item = LayerSpec>,
+        parameters: usize,
+    ) -> Plan<'static, Buffer<f32>> {
+        let runs = capacity.div_ceil(GRADIENT_RUN).max(1);
+        let a_run =
+            layers.into_iter().map(|layer| SoftwareLayers::partials(&layer)).fold(parameters, usize::max);
+        Plan::buffer(label, runs * a_run)
+    }
+
+    /// Records `output = layer(input)`.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn forward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        layer: DenseLayer<'_>,
+        parameters: &Buffer<f32>,
+        input: &Buffer<f32>,
+        output: &Buffer<f32>,
+        activation: Activation,
+    ) -> Result<(), RenderError> {
+        match &self.kernels {
+            Kernels::Hardware(kernels) => {
+                kernels.forward(recorder, layer, parameters, input, output, activation)
+            }
+            Kernels::Software(kernels) => {
+                kernels.forward(recorder, layer, parameters, input, output, activation)
+            }
+        }
+    }
+
+    /// Records the gradient by the layer's inputs.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn input_gradient(
+        &self,
+        recorder: &mut Recorder<'_>,
+        layer: DenseLayer<'_>,
+        parameters: &Buffer<f32>,
+        d_output: &Buffer<f32>,
+        d_input: InputGradient<'_>,
+    ) -> Result<(), RenderError> {
+        match &self.kernels {
+            Kernels::Hardware(kernels) => {
+                kernels.input_gradient(recorder, layer, parameters, d_output, d_input)
+            }
+            Kernels::Software(kernels) => {
+                kernels.input_gradient(recorder, layer, parameters, d_output, d_input)
+            }
+        }
+    }
+
+    /// Records the gradient by the layer's weights and bias; [`Self::finish_weight_gradients`] follows that of the last layer.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn weight_gradient(
+        &self,
+        recorder: &mut Recorder<'_>,
+        layer: DenseLayer<'_>,
+        input: &Buffer<f32>,
+        d_output: &Buffer<f32>,
+        out: WeightGradient<'_>,
+    ) -> Result<(), RenderError> {
+        match &self.kernels {
+            Kernels::Hardware(kernels) => kernels.weight_gradient(recorder, layer, input, d_output, out),
+            Kernels::Software(kernels) => kernels.weight_gradient(recorder, layer, input, d_output, out),
+        }
+    }
+
+    /// Completes the gradients by the weights of all layers.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn finish_weight_gradients(
+        &self,
+        recorder: &mut Recorder<'_>,
+        columns: Columns<'_>,
+        out: WeightGradient<'_>,
+    ) -> Result<(), RenderError> {
+        match &self.kernels {
+            Kernels::Hardware(kernels) => kernels.sum_partials(recorder, columns, out),
+            Kernels::Software(_) => Ok(()),
+        }
+    }
+}
+
+impl HardwareLayers {
+    fn new(device: &Device, subgroups: Option<u32>) -> Result<Self, RenderError> {
         // Eight lanes share their reads; the gradient's workgroup is one subgroup.
-        let subgroups = subgroups.filter(|size| *size >= 8);
+        let subgroups = subgroups.filter(|size| *size >= MIN_LANES);
         let mut lanes = vec![("GRADIENT_LANES", subgroups.unwrap_or(64))];
         let mut dense = Vec::new();
         if let Some(size) = subgroups {
@@ -98,44 +259,30 @@ impl DenseLayers {
         })
     }
 
-    /// Partial sums of each weight's gradient over this many columns.
-    #[must_use]
-    pub fn runs(capacity: usize) -> usize {
-        capacity.div_ceil(GRADIENT_RUN).max(1)
-    }
-
-    /// Records `output = layer(input)`.
-    ///
-    /// # Errors
-    /// Faults of the device.
-    pub fn forward(
+    fn forward(
         &self,
         recorder: &mut Recorder<'_>,
-        DenseLayer { spec: layer, columns }: DenseLayer<'_>,
+        DenseLayer { spec: layer, columns, outputs }: DenseLayer<'_>,
         parameters: &Buffer<f32>,
         input: &Buffer<f32>,
         output: &Buffer<f32>,
         activation: Activation,
     ) -> Result<(), RenderError> {
         let uniform = recorder.uniform(&[
-            [layer.inputs as u32, layer.outputs as u32, columns.capacity as u32, layer.weights as u32],
+            [layer.inputs as u32, outputs as u32, columns.capacity as u32, layer.weights as u32],
             [1, layer.outputs as u32, layer.bias as u32, activation as u32],
             [layer.input_row as u32, layer.output_row as u32, 0, 0],
         ])?;
         // The gate is not read; any buffer but the output is valid.
         let bindings: [Binding<'_>; 6] = [&uniform, columns.list, parameters, input, input, output];
-        recorder.dispatch(&self.dense, &bindings, groups(columns, layer.outputs));
+        recorder.dispatch(&self.dense, &bindings, groups(columns, outputs));
         Ok(())
     }
 
-    /// Records the gradient by the layer's inputs.
-    ///
-    /// # Errors
-    /// Faults of the device.
-    pub fn input_gradient(
+    fn input_gradient(
         &self,
         recorder: &mut Recorder<'_>,
-        DenseLayer { spec: layer, columns }: DenseLayer<'_>,
+        DenseLayer { spec: layer, columns, .. }: DenseLayer<'_>,
         parameters: &Buffer<f32>,
         d_output: &Buffer<f32>,
         d_input: InputGradient<'_>,
@@ -154,46 +301,31 @@ impl DenseLayers {
         Ok(())
     }
 
-    /// Records each run's partial gradients by the layer's weights and bias, `parameters` elements apart, for
-    /// [`Self::sum_partials`].
-    ///
-    /// # Errors
-    /// Faults of the device.
-    pub fn weight_gradient(
+    fn weight_gradient(
         &self,
         recorder: &mut Recorder<'_>,
-        DenseLayer { spec: layer, columns }: DenseLayer<'_>,
-        parameters: usize,
+        DenseLayer { spec: layer, columns, .. }: DenseLayer<'_>,
         input: &Buffer<f32>,
         d_output: &Buffer<f32>,
-        partials: &Buffer<f32>,
+        out: WeightGradient<'_>,
     ) -> Result<(), RenderError> {
         let uniform = recorder.uniform(&[
             [layer.inputs as u32, layer.outputs as u32, columns.capacity as u32, layer.weights as u32],
             [1, layer.outputs as u32, layer.bias as u32, GRADIENT_RUN as u32],
-            [layer.input_row as u32, layer.output_row as u32, parameters as u32, 0],
+            [layer.input_row as u32, layer.output_row as u32, out.parameters as u32, 0],
         ])?;
         let tiles = layer.inputs.div_ceil(GRADIENT_TILE[0]) * layer.outputs.div_ceil(GRADIENT_TILE[1]);
-        let bindings: [Binding<'_>; 5] = [&uniform, columns.list, input, d_output, partials];
-        recorder.dispatch(
-            &self.dense_weight_gradient,
-            &bindings,
-            (tiles * Self::runs(columns.capacity)) as u32,
-        );
+        let runs = columns.capacity.div_ceil(GRADIENT_RUN);
+        let bindings: [Binding<'_>; 5] = [&uniform, columns.list, input, d_output, out.partials];
+        recorder.dispatch(&self.dense_weight_gradient, &bindings, (tiles * runs) as u32);
         Ok(())
     }
 
-    /// Records the first `parameters` elements of `sums` as the sums of the runs' partial gradients.
-    ///
-    /// # Errors
-    /// Faults of the device.
-    pub fn sum_partials(
+    fn sum_partials(
         &self,
         recorder: &mut Recorder<'_>,
         columns: Columns<'_>,
-        parameters: usize,
-        partials: &Buffer<f32>,
-        sums: &Buffer<f32>,
+        WeightGradient { parameters, partials, sums }: WeightGradient<'_>,
     ) -> Result<(), RenderError> {
         let shape = recorder.uniform(&[[parameters as u32, GRADIENT_RUN as u32, 0, 0]])?;
         recorder.dispatch(

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use super::{
     Activation, AnchorGradients, Columns, DenseLayers, DeviceAnchors, GaussianGradients, Gaussians,
-    InputGradient, Rasterizer, RenderError, projection::CenteredPose,
+    InputGradient, Rasterizer, RenderError, WeightGradient, projection::CenteredPose,
 };
 use crate::{
     domain::{Camera, SceneScale},
@@ -39,6 +39,8 @@ struct Kernels {
     anchor_visible: Arc<Kernel>,
     compact_anchors: Arc<Kernel>,
     network_input: Arc<Kernel>,
+    opaque_anchors: Arc<Kernel>,
+    opaque_input: Arc<Kernel>,
     dense: DenseLayers,
     spawn_gaussians: Arc<Kernel>,
     count_gaussians: Arc<Kernel>,
@@ -50,11 +52,15 @@ struct Kernels {
 impl Kernels {
     fn new(device: &Device, shape: Shape, subgroups: Option<u32>) -> Result<Self, RenderError> {
         let defs = shape.defs();
+        let opaque: Vec<_> = defs.iter().copied().chain([("OPAQUE", 1)]).collect();
+        let input = kernel_source!("network_input");
         Ok(Self {
             anchor_visible: device.kernel(kernel_source!("anchor_visible"), &defs)?,
             compact_anchors: device.kernel(kernel_source!("compact_anchors"), &[])?,
-            network_input: device.kernel(kernel_source!("network_input"), &defs)?,
-            dense: DenseLayers::new(device, subgroups)?,
+            network_input: device.kernel(input, &defs)?,
+            opaque_anchors: device.kernel(kernel_source!("opaque_anchors"), &defs)?,
+            opaque_input: device.kernel(input, &opaque)?,
+            dense: DenseLayers::new(device, subgroups, NetworkLayout::new(shape).layers())?,
             spawn_gaussians: device.kernel(kernel_source!("spawn_gaussians"), &defs)?,
             count_gaussians: device.kernel(kernel_source!("count_gaussians"), &defs)?,
             spawn_gradient: device.kernel(kernel_source!("spawn_gradient"), &defs)?,
@@ -64,11 +70,15 @@ impl Kernels {
     }
 }
 
-/// Activations of the forward pass, column-major with `capacity` columns.
+/// Activations of the forward pass, column-major with `capacity` columns: one for each visible anchor while opacities are
+/// evaluated, and then for each that makes a Gaussian.
 #[derive(Debug)]
 struct Activations {
+    /// Flags of the visible anchors, then of the opaque ones among them.
     visible: Buffer<u32>,
     list: Buffer<u32>,
+    /// The networks' columns, of the opaque anchors: how many, the place of each in the list, and its anchor.
+    columns: Buffer<u32>,
     input: Buffer<f32>,
     hidden: Buffer<f32>,
     /// The networks' outputs; after a backward pass, the gradients by them.
@@ -82,6 +92,7 @@ impl Activations {
         planned!(Self {
             visible: Plan::buffer("visible anchors", capacity),
             list: Plan::buffer("visible list", capacity + 1),
+            columns: Plan::buffer("columns of opaque anchors", 2 * capacity + 1),
             input: Plan::buffer("network input", layout.hidden.inputs * capacity),
             hidden: Plan::buffer("hidden values", layout.hidden.outputs * capacity),
             outputs: Plan::buffer("network output", layout.output_rows() * capacity),
@@ -102,11 +113,15 @@ struct Backward {
 
 impl Backward {
     fn plan(layout: &NetworkLayout, capacity: usize) -> Plan<'static, Self> {
-        let runs = DenseLayers::runs(capacity);
         planned!(Self {
             d_input: Plan::buffer("gradients of input", layout.shape.features * capacity),
             d_hidden: Plan::buffer("gradients of hidden values", layout.hidden.outputs * capacity),
-            partials: Plan::buffer("partial weight gradients", runs * layout.parameters),
+            partials: DenseLayers::partials(
+                "partial weight gradients",
+                capacity,
+                layout.layers(),
+                layout.parameters,
+            ),
             d_gaussians: GaussianGradients::plan(capacity * layout.shape.offsets),
         })
     }
@@ -208,10 +223,10 @@ impl NeuralGaussians {
         most
     }
 
-    /// Capacity of the buffers for views of `anchors` anchors: a quarter more, so that growth rarely reallocates.
+    /// Capacity of the buffers for views of `anchors` anchors: see [`Columns::capacity_for`].
     #[must_use]
     pub fn capacity(anchors: usize) -> usize {
-        anchors + anchors / 4
+        Columns::capacity_for(anchors)
     }
 
     /// Bytes on the device once views of `anchors` anchors were made and differentiated.
@@ -224,6 +239,7 @@ impl NeuralGaussians {
         view_plan().bytes()
             + Activations::plan(&layout, capacity).bytes()
             + Backward::plan(&layout, capacity).bytes()
+            + DenseLayers::bytes(layout.layers())
             + ROUNDING
     }
 
@@ -306,7 +322,26 @@ impl NeuralGaussians {
             &[view, &on.list, &anchors.positions, &anchors.rows, &on.input],
             groups,
         );
-        let (dense, columns, networks) = (&kernels.dense, self.columns(), &anchors.networks);
+        // The opacities alone say which anchors need the rest.
+        let (dense, networks) = (&kernels.dense, &anchors.networks);
+        let [opacity, ..] = &self.layout.heads;
+        let visible = Columns { list: &on.list, capacity: self.capacity };
+        let hidden = visible.layer(&self.layout.hidden).first_outputs(opacity.inputs);
+        dense.forward(recorder, hidden, networks, &on.input, &on.hidden, Activation::Relu)?;
+        let opacity = visible.layer(opacity);
+        dense.forward(recorder, opacity, networks, &on.hidden, &on.outputs, Activation::Linear)?;
+        recorder.dispatch(
+            &kernels.opaque_anchors,
+            &[view, &on.list, &on.outputs, &anchors.masks, &on.visible, &on.gaussians.geometry, &on.alive],
+            groups,
+        );
+        recorder.dispatch(&kernels.compact_anchors, &[view, &on.visible, &on.columns], 1);
+        recorder.dispatch(
+            &kernels.opaque_input,
+            &[view, &on.list, &anchors.positions, &anchors.rows, &on.input, &on.columns],
+            groups,
+        );
+        let columns = self.columns();
         let hidden = columns.layer(&self.layout.hidden);
         dense.forward(recorder, hidden, networks, &on.input, &on.hidden, Activation::Relu)?;
         for head in &self.layout.heads {
@@ -317,7 +352,7 @@ impl NeuralGaussians {
             &kernels.spawn_gaussians,
             &[
                 view,
-                &on.list,
+                &on.columns,
                 &anchors.positions,
                 &anchors.rows,
                 &on.outputs,
@@ -356,7 +391,7 @@ impl NeuralGaussians {
             &kernels.spawn_gradient,
             &[
                 view,
-                &on.list,
+                &on.columns,
                 &on.gaussians.count,
                 &anchors.rows,
                 &on.gaussians.geometry,
@@ -368,21 +403,22 @@ impl NeuralGaussians {
             groups,
         );
         let (dense, columns, networks) = (&kernels.dense, self.columns(), &anchors.networks);
-        let parameters = self.layout.parameters;
+        let (parameters, partials) = (self.layout.parameters, &back.partials);
+        let by_weights = WeightGradient { parameters, partials, sums: &out.networks };
         for head in &self.layout.heads {
             let layer = columns.layer(head);
-            dense.weight_gradient(recorder, layer, parameters, &on.hidden, &on.outputs, &back.partials)?;
+            dense.weight_gradient(recorder, layer, &on.hidden, &on.outputs, by_weights)?;
             let d_hidden =
                 InputGradient { rows: head.inputs, relu: Some(&on.hidden), buffer: &back.d_hidden };
             dense.input_gradient(recorder, layer, networks, &on.outputs, d_hidden)?;
         }
         let hidden = columns.layer(&self.layout.hidden);
-        dense.weight_gradient(recorder, hidden, parameters, &on.input, &back.d_hidden, &back.partials)?;
+        dense.weight_gradient(recorder, hidden, &on.input, &back.d_hidden, by_weights)?;
         // Of the inputs, view direction and distance need no gradient.
         let d_input = InputGradient { rows: self.layout.shape.features, relu: None, buffer: &back.d_input };
         dense.input_gradient(recorder, hidden, networks, &back.d_hidden, d_input)?;
-        dense.sum_partials(recorder, columns, parameters, &back.partials, &out.networks)?;
-        recorder.dispatch(&kernels.feature_gradient, &[view, &on.list, &back.d_input, &out.rows], groups);
+        dense.finish_weight_gradients(recorder, columns, by_weights)?;
+        recorder.dispatch(&kernels.feature_gradient, &[view, &on.columns, &back.d_input, &out.rows], groups);
         Ok(())
     }
 
@@ -444,6 +480,6 @@ impl NeuralGaussians {
     }
 
     fn columns(&self) -> Columns<'_> {
-        Columns { list: &self.forward.list, capacity: self.capacity }
+        Columns { list: &self.forward.columns, capacity: self.capacity }
     }
 }

@@ -104,6 +104,13 @@ pub struct ContextLayout {
 }
 
 impl ContextLayout {
+    /// All layers of the networks.
+    #[must_use]
+    pub fn network_layers(&self) -> [LayerSpec; 4] {
+        let [features, scalings, offsets] = self.heads;
+        [self.hidden, features, scalings, offsets]
+    }
+
     /// The layout of `config`.
     ///
     /// # Errors

@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     gpu::{Buffer, Device, Plan, Recorder, planned},
-    render::{Activation, Columns, DenseLayers, InputGradient, RenderError},
+    render::{Activation, Columns, DenseLayers, InputGradient, RenderError, WeightGradient},
     train::{Adam, AdamStep, ContextError, Moments, TrainError},
 };
 
@@ -97,7 +97,6 @@ impl Activations {
         let rows = |label: &'static str, rows: usize| Plan::buffer(label, rows * capacity);
         let hidden = layout.hidden.outputs;
         let outputs = config.output_rows()[3];
-        let partials = DenseLayers::runs(capacity) * layout.networks;
         planned!(Self {
             capacity: Plan::value(capacity),
             list: Plan::buffer("sampled anchors", capacity + 1),
@@ -107,7 +106,12 @@ impl Activations {
             d_input: rows("gradients of context input", config.sampled_inputs()),
             d_hidden: rows("gradients of context hidden values", hidden),
             d_outputs: rows("gradients of context outputs", outputs),
-            partials: Plan::buffer("partial context gradients", partials),
+            partials: DenseLayers::partials(
+                "partial context gradients",
+                capacity,
+                layout.network_layers(),
+                layout.networks,
+            ),
         })
     }
 
@@ -164,7 +168,7 @@ impl ContextNet {
         let planes =
             (config.kind.sampled() > 0).then(|| PlanePass::plan(&layout).make(device)).transpose()?;
         Ok(Self {
-            dense: DenseLayers::new(device, device.subgroups().lanes())?,
+            dense: DenseLayers::new(device, device.subgroups().lanes(), layout.network_layers())?,
             sampling: Sampling::new(device)?,
             planes,
             rounded: RoundedWeights::plan(&layout).make(device)?,
@@ -180,10 +184,10 @@ impl ContextNet {
         })
     }
 
-    /// Columns of the buffers for samples of `sample` anchors: a quarter more, so that growth rarely reallocates.
+    /// Columns of the buffers for samples of `sample` anchors: see [`Columns::capacity_for`].
     #[must_use]
     pub fn capacity(sample: usize) -> usize {
-        sample + sample / 4
+        Columns::capacity_for(sample)
     }
 
     /// Bytes on the device for `anchors` anchors and samples of `sample` of them, once a step was made.
@@ -199,6 +203,7 @@ impl ContextNet {
             // The parameters take as much as their gradients.
             + 2 * parameter_gradients(&layout).bytes()
             + RoundedWeights::plan(&layout).bytes()
+            + DenseLayers::bytes(layout.network_layers())
             + Moments::plan(layout.parameters).bytes()
             + planes)
     }
@@ -287,16 +292,18 @@ impl ContextNet {
         stored: &Buffer<f32>,
     ) -> Result<(), RenderError> {
         let Self { layout, dense, on, .. } = self;
-        let (columns, networks) = (on.columns(), layout.networks);
+        let columns = on.columns();
+        let by_weights =
+            WeightGradient { parameters: layout.networks, partials: &on.partials, sums: &self.gradients };
         for head in &layout.heads {
             let layer = columns.layer(head);
-            dense.weight_gradient(recorder, layer, networks, &on.hidden, &on.d_outputs, &on.partials)?;
+            dense.weight_gradient(recorder, layer, &on.hidden, &on.d_outputs, by_weights)?;
             let d_hidden = InputGradient { rows: head.inputs, relu: Some(&on.hidden), buffer: &on.d_hidden };
             dense.input_gradient(recorder, layer, stored, &on.d_outputs, d_hidden)?;
         }
         let hidden = columns.layer(&layout.hidden);
-        dense.weight_gradient(recorder, hidden, networks, &on.input, &on.d_hidden, &on.partials)?;
-        dense.sum_partials(recorder, columns, networks, &on.partials, &self.gradients)
+        dense.weight_gradient(recorder, hidden, &on.input, &on.d_hidden, by_weights)?;
+        dense.finish_weight_gradients(recorder, columns, by_weights)
     }
 
     fn plane_gradients(

@@ -8,9 +8,14 @@ mod visibility;
 
 use glam::DVec3;
 
-pub use dense::{dense, dense_input_gradient, dense_weight_gradient, relu, relu_gate, sum_partials};
+pub use dense::{
+    dense, dense_input_gradient, dense_software, dense_weight_gradient, dense_weight_gradient_software,
+    pack_weights, relu, relu_gate, sum_partials, sum_weight_gradient,
+};
 pub use spawn::{count_gaussians, spawn_gaussians, spawn_gradient, volume};
-pub use visibility::{anchor_statistics, anchor_visible, compact_anchors, feature_gradient, network_input};
+pub use visibility::{
+    anchor_statistics, anchor_visible, compact_anchors, feature_gradient, network_input, opaque_anchors,
+};
 
 use super::{Gaussian, GaussianGradient, Projection};
 use crate::{
@@ -110,6 +115,10 @@ pub fn neural_forward(projection: &Projection, anchors: &Anchors) -> NeuralForwa
         let hidden = relu(dense(&layout.hidden, &anchors.networks, &input));
         let outputs: Vec<f64> =
             layout.heads.iter().flat_map(|head| dense(head, &anchors.networks, &hidden)).collect();
+        debug_assert!(
+            opaque_anchors(mask, &outputs[..anchors.shape.offsets])
+                || spawn_gaussians(position, anchors.shape, row, mask, &outputs).iter().all(Option::is_none)
+        );
         spawned.gaussians.extend(spawn_gaussians(position, anchors.shape, row, mask, &outputs));
         spawned.input.push(input);
         spawned.hidden.push(hidden);

@@ -35,6 +35,12 @@ pub fn compact_anchors(visible: &[bool]) -> Vec<u32> {
     (0..).zip(visible).filter(|(_, visible)| **visible).map(|(anchor, _)| anchor).collect()
 }
 
+/// Whether a visible anchor makes a Gaussian, by the opacities' outputs: some offset is opaque and its mask on.
+#[must_use]
+pub fn opaque_anchors(mask: u32, outputs: &[f64]) -> bool {
+    outputs.iter().enumerate().any(|(k, output)| (mask >> k) & 1 == 1 && output.is_finite() && *output > 0.0)
+}
+
 /// Feature, unit view direction, distance in units of `unit` (METHOD.md §2.2). A feature value that is not finite reads as
 /// zero.
 #[must_use]

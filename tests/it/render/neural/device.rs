@@ -14,7 +14,7 @@ use tcgs::{
 
 use super::scene::{Found, SMALL, Scene, USUAL, bits, projection, random_gradients, run};
 use crate::support::{
-    gpu::{gpu, gpu_with, has_wide_subgroups},
+    gpu::{gpu, gpu_with, has_wide_subgroups, variants},
     oracle::relative_l2,
     random,
     scene::flat,
@@ -223,6 +223,25 @@ fn an_anchor_whose_offsets_are_all_masked_makes_nothing_and_learns_nothing() {
     assert_matches_twin(&found, &scene, &camera, 7.0, 2);
     assert!(found.gaussians[0][7 * SMALL.offsets..8 * SMALL.offsets].iter().all(|row| *row == [0.0; 4]));
     assert!(found.d_rows[7 * SMALL.row()..8 * SMALL.row()].iter().all(|v| *v == 0.0));
+}
+
+#[test]
+fn both_variants_match_the_twin_where_many_anchors_make_nothing() {
+    let camera = random::camera(40, 30);
+    // Widths that are no multiple of four, and more inputs than an invocation holds at a time.
+    for shape in [Shape { features: 7, offsets: 6 }, Shape { features: 37, offsets: 3 }] {
+        let mut scene = Scene::random(12, shape, 333, 2.0, &projection(&camera));
+        for (anchor, mask) in scene.anchors.masks.iter_mut().enumerate() {
+            *mask = if anchor % 3 == 1 { *mask } else { 0 };
+        }
+        let gradients = random_gradients(12, 333 * shape.offsets);
+        for device in variants() {
+            let mut neural =
+                NeuralGaussians::new(Arc::clone(&device), shape, NEAR, SceneScale::DEFAULT).expect("kernels");
+            let found = run(&device, &mut neural, &scene, &camera, 7.0, &gradients);
+            assert!(assert_matches_twin(&found, &scene, &camera, 7.0, 12) > 100);
+        }
+    }
 }
 
 #[test]

@@ -1,0 +1,232 @@
+//! The kernels of dense layers for software adapters, which a CPU runs several times as fast as those for hardware.
+//!
+//! What always holds: buffers have rows of a multiple of four columns. Every layer's weights are packed, and its partial gradients
+//! summed, before those of the next layer, so layers share one buffer for each.
+
+use std::sync::Arc;
+
+use super::{
+    Activation, DenseLayer, InputGradient, RenderError, WeightGradient,
+    dense::{GRADIENT_RUN, NO_BIAS},
+};
+use crate::{
+    gpu::{Buffer, Kernel, Plan, Recorder, kernel_source, planned},
+    model::LayerSpec,
+};
+
+/// Lanes of a subgroup that share what they read.
+pub(super) const MIN_LANES: u32 = 8;
+
+/// Most blocks of four inputs that an invocation of `shaders/dense_software.wgsl` holds.
+const MAX_BLOCKS: usize = 24;
+
+/// Columns that a workgroup of that kernel computes.
+const COLUMNS: usize = 128;
+
+/// Columns that an invocation of `shaders/dense_weight_gradient_software.wgsl` holds, and outputs of a workgroup.
+const GRADIENT_BLOCK: u32 = 64;
+const GRADIENT_OUTPUTS: usize = 32;
+
+/// `MODE` of `shaders/dense_software.wgsl` that applies the gate of a ReLU; the others are those of [`Activation`].
+const GATE: u32 = 2;
+
+/// What is computed from what: a layer, or its transpose.
+#[derive(Debug, Clone, Copy)]
+struct Product {
+    inputs: usize,
+    outputs: usize,
+    /// First weight, and the distance of weights from one output to the next and from one input to the next.
+    weights: usize,
+    strides: [usize; 2],
+    bias: u32,
+    input_row: usize,
+    output_row: usize,
+    mode: u32,
+}
+
+impl Product {
+    /// Blocks of four inputs that are held at a time: as few turns as [`MAX_BLOCKS`] allows, of equal size.
+    fn blocks(&self) -> usize {
+        let blocks = self.inputs.div_ceil(4);
+        blocks.div_ceil(self.turns())
+    }
+
+    fn turns(&self) -> usize {
+        self.inputs.div_ceil(4 * MAX_BLOCKS).max(1)
+    }
+
+    /// Vectors of four weights of an output; those of the last turn are read eight at a time.
+    fn packing(&self) -> usize {
+        (self.turns() - 1) * self.blocks() + self.blocks().next_multiple_of(8)
+    }
+
+    fn transposed(layer: &LayerSpec, rows: usize, mode: u32) -> Self {
+        Self {
+            inputs: layer.outputs,
+            outputs: rows,
+            weights: layer.weights,
+            strides: [layer.outputs, 1],
+            bias: NO_BIAS,
+            input_row: layer.output_row,
+            output_row: layer.input_row,
+            mode,
+        }
+    }
+
+    fn of(layer: &LayerSpec, mode: u32) -> Self {
+        Self {
+            inputs: layer.inputs,
+            outputs: layer.outputs,
+            weights: layer.weights,
+            strides: [1, layer.outputs],
+            bias: layer.bias as u32,
+            input_row: layer.input_row,
+            output_row: layer.output_row,
+            mode,
+        }
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct SoftwareLayers {
+    pack_weights: Arc<Kernel>,
+    dense_weight_gradient: Arc<Kernel>,
+    sum_weight_gradient: Arc<Kernel>,
+    packed: Buffer<[f32; 4]>,
+}
+
+impl SoftwareLayers {
+    pub(super) fn plan(layers: impl IntoIterator<Item = LayerSpec>) -> Plan<'static, Self> {
+        let vectors = |layer: LayerSpec| {
+            let products = [Product::of(&layer, GATE), Product::transposed(&layer, layer.inputs, GATE)];
+            products.map(|product| product.outputs * product.packing()).into_iter().max().unwrap_or(0)
+        };
+        planned!(Self {
+            pack_weights: Plan::kernel(kernel_source!("pack_weights"), &[]),
+            dense_weight_gradient: Plan::kernel(kernel_source!("dense_weight_gradient_software"), &[]),
+            sum_weight_gradient: Plan::kernel(kernel_source!("sum_weight_gradient"), &[]),
+            packed: Plan::buffer("packed weights", layers.into_iter().map(vectors).max().unwrap_or(0)),
+        })
+    }
+
+    /// Floats of the partial gradients of a layer over one run.
+    pub(super) fn partials(layer: &LayerSpec) -> usize {
+        (layer.inputs + 1) * layer.outputs.next_multiple_of(4)
+    }
+
+    pub(super) fn forward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        layer: DenseLayer<'_>,
+        parameters: &Buffer<f32>,
+        input: &Buffer<f32>,
+        output: &Buffer<f32>,
+        activation: Activation,
+    ) -> Result<(), RenderError> {
+        let product = Product { outputs: layer.outputs, ..Product::of(layer.spec, activation as u32) };
+        self.record(recorder, layer, product, parameters, [input, parameters, output])
+    }
+
+    pub(super) fn input_gradient(
+        &self,
+        recorder: &mut Recorder<'_>,
+        layer: DenseLayer<'_>,
+        parameters: &Buffer<f32>,
+        d_output: &Buffer<f32>,
+        d_input: InputGradient<'_>,
+    ) -> Result<(), RenderError> {
+        let mode = if d_input.relu.is_some() { GATE } else { Activation::Linear as u32 };
+        let product = Product::transposed(layer.spec, d_input.rows, mode);
+        let gate = d_input.relu.unwrap_or(parameters);
+        self.record(recorder, layer, product, parameters, [d_output, gate, d_input.buffer])
+    }
+
+    /// Records a product of the source, with biases or a gate, into the results.
+    fn record(
+        &self,
+        recorder: &mut Recorder<'_>,
+        DenseLayer { columns, .. }: DenseLayer<'_>,
+        product: Product,
+        parameters: &Buffer<f32>,
+        [source, bias_or_gate, results]: [&Buffer<f32>; 3],
+    ) -> Result<(), RenderError> {
+        let (inputs, outputs) = (product.inputs as u32, product.outputs as u32);
+        let (blocks, packing) = (product.blocks() as u32, product.packing() as u32);
+        let packer = recorder.uniform(&[
+            [inputs, outputs, product.weights as u32, packing],
+            [product.strides[0] as u32, product.strides[1] as u32, 0, 0],
+        ])?;
+        recorder.dispatch(
+            &self.pack_weights,
+            &[&packer, parameters, &self.packed],
+            (outputs * packing).div_ceil(64),
+        );
+        let layer = recorder.uniform(&[
+            [inputs, outputs, (columns.capacity / 4) as u32, 4 * blocks],
+            [product.input_row as u32, product.output_row as u32, product.output_row as u32, product.bias],
+            [packing, 0, 0, 0],
+        ])?;
+        let defs = [("BLOCKS", blocks), ("MODE", product.mode)];
+        let kernel = recorder.kernel(kernel_source!("dense_software"), &defs)?;
+        recorder.dispatch(
+            &kernel,
+            &[&layer, columns.list, &self.packed, source, bias_or_gate, results],
+            columns.capacity.div_ceil(COLUMNS) as u32,
+        );
+        Ok(())
+    }
+
+    pub(super) fn weight_gradient(
+        &self,
+        recorder: &mut Recorder<'_>,
+        DenseLayer { spec: layer, columns, .. }: DenseLayer<'_>,
+        input: &Buffer<f32>,
+        d_output: &Buffer<f32>,
+        out: WeightGradient<'_>,
+    ) -> Result<(), RenderError> {
+        let run = GRADIENT_RUN as u32;
+        let [inputs, outputs] = [layer.inputs as u32, layer.outputs as u32];
+        let uniform = recorder.uniform(&[
+            [inputs, outputs, (columns.capacity / 4) as u32, run],
+            [layer.input_row as u32, layer.output_row as u32, GRADIENT_BLOCK, 0],
+        ])?;
+        let tiles = layer.outputs.div_ceil(GRADIENT_OUTPUTS);
+        let runs = columns.capacity.div_ceil(GRADIENT_RUN);
+        recorder.dispatch(
+            &self.dense_weight_gradient,
+            &[&uniform, columns.list, input, d_output, out.partials],
+            (tiles * runs) as u32,
+        );
+        let uniform = recorder
+            .uniform(&[[inputs, outputs, run, 0], [layer.weights as u32, layer.bias as u32, 1, outputs]])?;
+        recorder.dispatch(
+            &self.sum_weight_gradient,
+            &[&uniform, columns.list, out.partials, out.sums],
+            (Self::partials(layer) / 4).div_ceil(64) as u32,
+        );
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn inputs_are_held_in_as_few_turns_as_allowed_and_of_equal_size() {
+        let of = |inputs: usize| {
+            let layer = LayerSpec { inputs, outputs: 1, weights: 0, bias: 0, input_row: 0, output_row: 0 };
+            let product = Product::of(&layer, 0);
+            (product.blocks(), product.turns(), product.packing())
+        };
+        assert_eq!(of(1), (1, 1, 8));
+        assert_eq!(of(36), (9, 1, 16));
+        assert_eq!(of(96), (24, 1, 24));
+        assert_eq!(of(97), (13, 2, 29));
+        assert_eq!(of(150), (19, 2, 43));
+        for inputs in 1..500 {
+            let (blocks, turns, _) = of(inputs);
+            assert!(blocks <= MAX_BLOCKS && 4 * blocks * turns >= inputs, "{inputs}");
+        }
+    }
+}
