@@ -6,8 +6,8 @@
 use std::sync::Arc;
 
 use super::{
-    Activation, DenseLayer, InputGradient, RenderError, WeightGradient,
-    dense::{GRADIENT_RUN, NO_BIAS},
+    RenderError,
+    dense_layer::{Activation, DenseLayer, GRADIENT_RUN, InputGradient, NO_BIAS, WeightGradient},
 };
 use crate::{
     gpu::{Buffer, Kernel, Plan, Recorder, kernel_source, planned},

@@ -1,6 +1,7 @@
 //! Gaussian splatting: forward and backward passes, the f64 CPU twin of every kernel, and rendering of finished scenes.
 
 mod dense;
+mod dense_layer;
 mod dense_software;
 mod depth;
 mod device_anchors;
@@ -16,7 +17,8 @@ mod scene_viewer;
 pub mod twin;
 pub mod views;
 
-pub use dense::{Activation, Columns, DenseLayer, DenseLayers, InputGradient, WeightGradient};
+pub use dense::DenseLayers;
+pub use dense_layer::{Activation, Columns, DenseLayer, InputGradient, WeightGradient};
 pub use depth::DepthShader;
 pub use device_anchors::{AnchorGradients, DeviceAnchors};
 pub use error::RenderError;
