@@ -3,12 +3,15 @@
 //! An anchor is an integer cell from the start; no cell holds two anchors.
 
 mod anchor_rows;
+mod anchors_from_gaussians;
 pub mod gaussian_rows;
 mod init;
 mod lattice;
 mod networks;
+mod principal;
 
 pub use anchor_rows::{AnchorRows, Shape, retain_rows};
+pub use anchors_from_gaussians::{FirstAnchors, anchors_from_gaussians};
 pub use gaussian_rows::{GaussianRows, initial_gaussians};
 pub use init::{InitError, all_offsets, initial_rows, random_points};
 pub use lattice::{MAX_CELL, VoxelRule, cell_of, choose_lattice, coarse, median_spacing, voxelise};

@@ -50,8 +50,8 @@ impl<'a> Needs<'a> {
     pub fn of(dataset: &Dataset, options: &TrainOptions, adapter: &'a AdapterReport) -> Self {
         let sizes = || dataset.frames.iter().map(|frame| [frame.image.width(), frame.image.height()]);
         let largest = sizes().max_by_key(|[w, h]| u64::from(*w) * u64::from(*h)).unwrap_or([1, 1]);
-        let schedule = Schedule::new(options);
         let cloud = dataset.points.as_ref().map_or(0, |points| points.positions.len());
+        let schedule = Schedule::new(options).for_points(cloud == 0);
         Self {
             adapter,
             largest,
@@ -62,6 +62,7 @@ impl<'a> Needs<'a> {
                 ModelKind::Tcgs | ModelKind::Scaffold => Box::new(AnchorFootprint {
                     shape: schedule.shape,
                     max_anchors: schedule.max_anchors,
+                    two_stages: schedule.plain_until > 0,
                     masks: schedule.masks.is_some(),
                     compression: schedule.compression,
                 }),

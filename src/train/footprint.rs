@@ -34,6 +34,8 @@ const CONTEXT_HOST_BYTES: usize = 1024;
 pub(super) struct AnchorFootprint {
     pub(super) shape: Shape,
     pub(super) max_anchors: usize,
+    /// Whether it begins as plain Gaussians, at most as many.
+    pub(super) two_stages: bool,
     /// Whether masks learn.
     pub(super) masks: bool,
     /// Compression-aware training; none in the baseline.
@@ -53,18 +55,20 @@ impl Footprint for AnchorFootprint {
     fn model_bytes(&self, anchors: usize) -> u64 {
         let shape = self.shape;
         let (rows, parameters) = (anchors * shape.row(), NetworkLayout::new(shape).parameters);
-        DeviceAnchors::plan(shape, anchors).bytes()
+        let own = DeviceAnchors::plan(shape, anchors).bytes()
             + AnchorGradients::plan(shape, anchors).bytes()
             + 2 * Moments::plan(rows).bytes()
             + Moments::plan(parameters).bytes()
             + Statistics::bytes(shape, anchors)
             + if self.masks { OffsetMasks::plan(shape, anchors).bytes() } else { 0 }
             + self.compression.as_ref().map_or(0, |schedule| compression_bytes(schedule, shape, anchors))
-            + 2 * buffer_bytes::<f32>(shape.row() + parameters)
+            + 2 * buffer_bytes::<f32>(shape.row() + parameters);
+        own.max(self.first_stage().map_or(0, |gaussians| gaussians.model_bytes(anchors)))
     }
 
     fn view_bytes(&self, anchors: usize) -> u64 {
-        NeuralGaussians::bytes(self.shape, anchors)
+        let own = NeuralGaussians::bytes(self.shape, anchors);
+        own.max(self.first_stage().map_or(0, |gaussians| gaussians.view_bytes(anchors)))
     }
 
     fn gaussians(&self, anchors: usize) -> usize {
@@ -79,9 +83,16 @@ impl Footprint for AnchorFootprint {
         const CELL: usize = 64;
         let masks = if self.masks { 3 * shape.offsets } else { 0 };
         let row = 6 * (shape.row() + masks) * size_of::<f32>();
-        2 * Statistics::bytes(shape, anchors)
+        let own = 2 * Statistics::bytes(shape, anchors)
             + (anchors * (row + shape.offsets * CANDIDATE + CELL)) as u64
-            + if self.compression.is_some() { (anchors * CONTEXT_HOST_BYTES) as u64 } else { 0 }
+            + if self.compression.is_some() { (anchors * CONTEXT_HOST_BYTES) as u64 } else { 0 };
+        own.max(self.first_stage().map_or(0, |gaussians| gaussians.host_bytes(anchors)))
+    }
+}
+
+impl AnchorFootprint {
+    fn first_stage(&self) -> Option<PlainFootprint> {
+        self.two_stages.then_some(PlainFootprint { max_gaussians: self.max_anchors })
     }
 }
 

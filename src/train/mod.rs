@@ -28,6 +28,7 @@ mod statistics;
 mod trained;
 mod trainer;
 pub mod twin;
+mod two_stage;
 mod typical_distance;
 mod wavelet;
 

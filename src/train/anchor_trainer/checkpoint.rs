@@ -21,7 +21,7 @@ fn lattice_values(values: &[f32]) -> Result<[f32; 4], CheckpointError> {
 }
 
 /// The unit of a state; the usual one if it has none.
-fn scene_scale_of(state: &mut ModelState) -> Result<SceneScale, CheckpointError> {
+pub(in crate::train) fn scene_scale_of(state: &mut ModelState) -> Result<SceneScale, CheckpointError> {
     if !state.has("unit") {
         return Ok(SceneScale::DEFAULT);
     }

@@ -2,6 +2,8 @@
 
 mod checkpoint;
 
+pub(super) use checkpoint::scene_scale_of;
+
 use std::sync::Arc;
 
 use rand_pcg::Pcg64;
@@ -17,7 +19,7 @@ use super::{
 use crate::{
     domain::{AnchorScene, Camera, CancelFlag, Frame, NearPlane, Scene, SceneScale},
     gpu::{Buffer, Device, Recorder},
-    model::{AnchorRows, NetworkLayout, Shape, initial_rows},
+    model::{AnchorRows, FirstAnchors, NetworkLayout, Shape, initial_rows},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians},
 };
 
@@ -80,7 +82,19 @@ impl AnchorTrainer {
         // Half the limit is left for growth.
         let anchors = initial_rows(points, rule, shape, schedule.max_anchors / 2)?;
         let networks = NetworkLayout::new(shape).initial(rng);
-        let parameters = networks.len();
+        Self::begin(device, schedule, FirstAnchors { anchors, networks }, extent, scene_scale)
+    }
+
+    /// A trainer with these anchors and networks; the rest as in [`Self::new`].
+    pub(super) fn begin(
+        device: &Arc<Device>,
+        schedule: Schedule,
+        first: FirstAnchors,
+        extent: f32,
+        scene_scale: SceneScale,
+    ) -> Result<Self, TrainError> {
+        let FirstAnchors { anchors, networks } = first;
+        let (shape, parameters) = (anchors.shape, networks.len());
         let zeros = |len| vec![0.0; len];
         let compression = schedule.compression.clone();
         let parts = Parts {
@@ -302,7 +316,9 @@ impl ModelTrainer for AnchorTrainer {
         let rows = recorder.uniform(&self.row_learning_rates(step.fraction))?;
         let networks = recorder.uniform(&self.network_learning_rates(step.fraction))?;
         let (adam, anchors, gradients) = (&self.adam, &self.device_anchors, &self.gradients);
-        let adam_step = AdamStep { number: step.number, overflow_flag };
+        // Moments begin with the anchors. A checkpoint of another program may have anchors from the run's first step on.
+        let number = step.number.saturating_sub(self.schedule.plain_until).max(1);
+        let adam_step = AdamStep { number, overflow_flag };
         adam.step(recorder, adam_step, &rows, &gradients.rows, &anchors.rows, &self.row_moments)?;
         let moments = &self.network_moments;
         adam.step(recorder, adam_step, &networks, &gradients.networks, &anchors.networks, moments)?;

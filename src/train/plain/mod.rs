@@ -120,6 +120,16 @@ impl PlainTrainer {
         })
     }
 
+    /// Whether a state is of plain Gaussians.
+    pub(super) fn saved(state: &ModelState) -> bool {
+        state.has(ROWS[0])
+    }
+
+    /// The Gaussians. Waits for the device.
+    pub(super) fn rows(&self) -> Result<GaussianRows, TrainError> {
+        Ok(self.rows.download(&self.device)?)
+    }
+
     fn base_learning_rates(&self, fraction: f64) -> [f32; BASE] {
         let mut rates = [self.schedule.color; BASE];
         rates[..LOG_SCALE].fill(self.schedule.mean.at(fraction) as f32 * self.extent);

@@ -143,6 +143,15 @@ impl CompressionSchedule {
         })
     }
 
+    /// The same stages for a scene that has no anchors up to `step`.
+    pub(super) fn not_before(self, step: u32) -> Self {
+        Self {
+            noise_from: self.noise_from.max(step + 1),
+            context_from: self.context_from.max(step + 1),
+            ..self
+        }
+    }
+
     /// The stages of the same run at a pace.
     pub(super) fn at_pace(&self, pace: &Pace) -> Self {
         Self {

@@ -91,6 +91,11 @@ const CELLS_PER_SPACING: f32 = 16.0;
 /// Share of the schedule after which a run is no longer watched for convergence.
 const LATEST_CONVERGENCE: f64 = 0.9;
 
+/// Share of the run in which an anchor model whose points are random is plain Gaussians, and the most steps of it: after them the
+/// surfaces are found, however long the run.
+const PLAIN_SHARE: f64 = 0.2;
+const MAX_PLAIN_STEPS: u32 = 500;
+
 /// When offset masks learn, and how fast.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MaskSchedule {
@@ -154,6 +159,8 @@ pub struct Schedule {
     pub voxel: VoxelRule,
     /// First step whose view is added to the growth statistics.
     pub statistics_from: u32,
+    /// Last step at which an anchor model is plain Gaussians, where its points are random; 0 for none.
+    pub plain_until: u32,
     /// First step at which anchors grow and are pruned.
     pub densify_from: u32,
     /// First step at which they no longer do.
@@ -200,6 +207,7 @@ impl Schedule {
         let steps = options.iterations.unwrap_or(default_steps);
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
         let rate = |published: Decay| anchor_learning_rate(published, steps);
+        let two_stages = options.preset != Preset::Paper && options.model != ModelKind::Gaussians3d;
         Self {
             model: options.model,
             steps,
@@ -210,6 +218,7 @@ impl Schedule {
                 Voxel::Published => VoxelRule::Published,
                 Voxel::Edge(edge) => VoxelRule::Fixed(edge as f32),
             },
+            plain_until: if two_stages { part(PLAIN_SHARE).min(MAX_PLAIN_STEPS) } else { 0 },
             statistics_from: part(500.0 / 30_000.0),
             densify_from: part(0.05),
             densify_until: part(0.5),
@@ -236,6 +245,23 @@ impl Schedule {
         }
     }
 
+    /// The same schedule for a set with a point cloud, or with `random` points: an anchor model begins as plain Gaussians where
+    /// points are random, and its growth and noise with its anchors.
+    #[must_use]
+    pub fn for_points(self, random: bool) -> Self {
+        let until = self.plain_until;
+        if !random || until == 0 {
+            return Self { plain_until: 0, ..self };
+        }
+        Self {
+            statistics_from: self.statistics_from.max(until),
+            densify_from: self.densify_from.max(until),
+            compression: self.compression.map(|compression| compression.not_before(until)),
+            plain: self.plain.first_stage(until, self.max_anchors),
+            ..self
+        }
+    }
+
     /// The same schedule with its rest, after `step`, at a faster pace, so that growth, masks, the context model and rounding still
     /// follow each other and learning rates end where they do in a run of full length. Masks learn faster, to come as far.
     #[must_use]
@@ -245,6 +271,7 @@ impl Schedule {
         Self {
             steps: pace.steps(),
             pace,
+            plain_until: at(self.plain_until),
             statistics_from: at(self.statistics_from),
             densify_from: at(self.densify_from),
             densify_until: at(self.densify_until),
@@ -272,10 +299,11 @@ impl Schedule {
         1..late.min(masks).min(rounded)
     }
 
-    /// Steps after which the same scene is rendered otherwise: with noise, rounded, or with its opacities reset.
+    /// Steps after which the same scene is rendered otherwise: as anchors, with noise, rounded, or with its opacities reset.
     #[must_use]
     pub fn disturbances(&self) -> Vec<u32> {
         let disturbs = |step: &u32| match (&self.compression, self.model) {
+            _ if *step == self.plain_until => true,
             (Some(compression), _) => compression.changes_stage_after(*step),
             (None, ModelKind::Gaussians3d) => self.plain.resets(*step),
             (None, _) => false,
@@ -294,6 +322,9 @@ impl Schedule {
             self.plain.max_gaussians = max_size;
         } else {
             self.max_anchors = max_size;
+            if self.plain_until > 0 {
+                self.plain.max_gaussians = max_size;
+            }
         }
     }
 
@@ -421,6 +452,34 @@ mod tests {
                 assert!((rate.end / published.end - 1.0).abs() < 1e-12, "{steps} steps: {rate:?}");
                 assert_eq!((rate.shape, published.shape), (DecayShape::Quadratic, DecayShape::Exponential));
             }
+        }
+    }
+
+    #[test]
+    fn anchors_of_random_points_come_after_plain_gaussians_and_so_do_their_growth_and_noise() {
+        for model in [ModelKind::Tcgs, ModelKind::Scaffold] {
+            for (steps, until) in [(1, 0), (300, 60), (2_000, 400), (10_000, 500)] {
+                let options = TrainOptions { model, iterations: Some(steps), ..TrainOptions::default() };
+                let schedule = Schedule::new(&options).for_points(true);
+                assert_eq!(schedule.plain_until, until, "{steps} steps");
+                assert!(
+                    (1..=until).all(|step| !schedule.densifies(step) && !schedule.gathers_statistics(step))
+                );
+                assert!(!(1..=steps).any(|step| schedule.plain.resets(step) && step <= until && until > 0));
+                assert_eq!(schedule.fork_step(), Schedule::new(&options).fork_step());
+                if let Some(compression) = &schedule.compression {
+                    assert!(compression.noise_from > until && compression.context_from > until);
+                }
+                assert_eq!(schedule.disturbances().contains(&until), until > 0);
+            }
+        }
+        let with_points = Schedule::new(&TrainOptions::default()).for_points(false);
+        assert_eq!(with_points, Schedule { plain_until: 0, ..Schedule::new(&TrainOptions::default()) });
+        for options in [
+            TrainOptions { preset: Preset::Paper, ..TrainOptions::default() },
+            TrainOptions { model: ModelKind::Gaussians3d, ..TrainOptions::default() },
+        ] {
+            assert_eq!(Schedule::new(&options).for_points(true), Schedule::new(&options));
         }
     }
 

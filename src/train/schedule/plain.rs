@@ -92,6 +92,18 @@ impl PlainSchedule {
         }
     }
 
+    /// The first stage of an anchor model: up to the step `until`, of one colour from all sides, without resets.
+    pub(super) fn first_stage(self, until: u32, max_gaussians: usize) -> Self {
+        Self {
+            densify_until: until,
+            reset_until: 0,
+            reset_first: false,
+            degree_every: u32::MAX,
+            max_gaussians,
+            ..self
+        }
+    }
+
     /// The schedule of the same run at a pace. A reset could no longer be made good, so there are none at the faster pace.
     pub(super) fn at_pace(&self, pace: &Pace) -> Self {
         Self {

@@ -51,6 +51,10 @@ fn anchors(row: &mut Row<'_>) {
     row("**anchors** (`tcgs`, `scaffold`)", &|_| String::new());
     row("feature width, offsets an anchor", &|c| format!("{}, {}", c.shape.features, c.shape.offsets));
     row("anchors at most", &|c| c.max_anchors.to_string());
+    row("plain Gaussians until, where a set has no points", &|c| match c.plain_until {
+        0 => "–".to_owned(),
+        until => at(c, until),
+    });
     row("views count for growth after", &|c| at(c, c.statistics_from));
     row("growth and pruning after", &|c| at(c, c.densify_from));
     row("growth and pruning before", &|c| at(c, c.densify_until));

@@ -21,6 +21,7 @@ use super::{
     model_trainer::{BitrateSample, FinishedModel, ModelTrainer, Step},
     plain::PlainTrainer,
     trained::Trained,
+    two_stage::TwoStageTrainer,
     typical_distance::typical_distance,
 };
 use crate::{
@@ -175,7 +176,13 @@ impl ModelFactory<'_> {
                 let typical = typical_distance(frames, &points);
                 let scene_scale = SceneScale::from_typical_distance(typical);
                 tracing::debug!(typical, scene_scale = scene_scale.length(), "scene scale");
-                Box::new(AnchorTrainer::new(device, schedule, &points, extent, scene_scale, rng)?)
+                if schedule.plain_until > 0 {
+                    let first =
+                        PlainTrainer::new(device, schedule.plain.clone(), &points, colors, extent, rng)?;
+                    Box::new(TwoStageTrainer::new(device, schedule, first, extent, scene_scale))
+                } else {
+                    Box::new(AnchorTrainer::new(device, schedule, &points, extent, scene_scale, rng)?)
+                }
             }
             ModelKind::Gaussians3d => {
                 Box::new(PlainTrainer::new(device, schedule.plain, &points, colors, extent, rng)?)
@@ -188,6 +195,9 @@ impl ModelFactory<'_> {
         let Self { device, frames, schedule, .. } = self;
         let extent = camera_extent(frames);
         Ok(match schedule.model {
+            ModelKind::Tcgs | ModelKind::Scaffold if schedule.plain_until > 0 => {
+                Box::new(TwoStageTrainer::resume(device, schedule, extent, state)?)
+            }
             ModelKind::Tcgs | ModelKind::Scaffold => {
                 Box::new(AnchorTrainer::resume(device, schedule, extent, state)?)
             }
@@ -245,7 +255,8 @@ impl<'a> Run<'a> {
         if frames.is_empty() {
             return Err(TrainError::NoTrainingFrames);
         }
-        let mut schedule = Schedule::new(options);
+        let cloud = dataset.points.as_ref().map_or(0, |points| points.positions.len());
+        let mut schedule = Schedule::new(options).for_points(cloud == 0);
         let estimate = Needs::of(dataset, options, device.adapter()).within(budget)?;
         tracing::info!("memory: {estimate}");
         let preset_size = schedule.max_size();
@@ -281,7 +292,6 @@ impl<'a> Run<'a> {
             }
         };
         let control = schedule.rate_control(options.max_bytes).map(|control| state.resume_control(control));
-        let cloud = dataset.points.as_ref().map_or(0, |points| points.positions.len());
         let choices = Choices {
             max_anchors: state.max_size,
             max_anchors_by: if state.max_size < preset_size { SizeBound::Memory } else { SizeBound::Preset },

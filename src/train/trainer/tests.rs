@@ -38,7 +38,16 @@ fn dataset() -> Dataset {
 
 #[test]
 fn neither_batches_nor_a_want_of_room_change_a_bit() {
-    let (device, dataset) = (lavapipe(), dataset());
+    steps_are_the_same_in_batches_and_with_little_room(dataset());
+}
+
+#[test]
+fn nor_do_they_where_points_are_random() {
+    steps_are_the_same_in_batches_and_with_little_room(Dataset { points: None, ..dataset() });
+}
+
+fn steps_are_the_same_in_batches_and_with_little_room(dataset: Dataset) {
+    let device = lavapipe();
     let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
     let run = |batch: usize, room: Option<usize>| {
         let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
@@ -98,4 +107,39 @@ fn the_choice_of_a_context_model_does_not_keep_a_cancelled_run_waiting() {
     };
     assert!(matches!(ended, TrainError::Cancelled), "{ended}");
     assert!(run.state.step > STEPS / 2, "single steps are not asked");
+}
+
+#[test]
+fn a_run_from_random_points_goes_on_from_either_of_its_stages() {
+    let (device, dataset) = (lavapipe(), Dataset { points: None, ..dataset() });
+    let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
+    for model in [ModelKind::Tcgs, ModelKind::Scaffold] {
+        let options = TrainOptions { model, iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
+        let begin = |resume| Run::new(&device, &dataset, &options, &budget, resume).expect("begins");
+        let run_to = |run: &mut Run<'_>, last: u32| {
+            while run.state.step < last {
+                run.advance(&mut |step| step == last, &CancelFlag::default()).expect("steps");
+            }
+        };
+        let until = begin(None).schedule.plain_until;
+        assert_eq!(until, 11);
+        let mut whole = begin(None);
+        let mut kept = Vec::new();
+        for step in [5, until - 1, until, until + 1, 30] {
+            run_to(&mut whole, step);
+            assert_eq!(whole.model.anchors() > 0, step >= until, "anchors after step {step}");
+            let mut bytes = Vec::new();
+            whole.checkpoint().expect("state").write(&mut bytes).expect("memory takes it");
+            kept.push((step, Checkpoint::from_bytes(&bytes).expect("read")));
+        }
+        run_to(&mut whole, STEPS);
+        let scene = whole.finish(&CancelFlag::default()).expect("a scene").scene;
+        assert!(scene.as_anchors().is_some());
+        for (step, checkpoint) in kept {
+            let mut resumed = begin(Some(checkpoint));
+            run_to(&mut resumed, STEPS);
+            let other = resumed.finish(&CancelFlag::default()).expect("a scene").scene;
+            assert!(other == scene, "{model}: another scene after step {step}");
+        }
+    }
 }

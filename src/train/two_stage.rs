@@ -1,0 +1,194 @@
+//! An anchor model that begins as plain Gaussians: they move to the surfaces and grow there, and then become anchors.
+//!
+//! Invariants: the steps of both stages are the run's; the second stage's optimiser and statistics begin anew.
+
+use std::sync::Arc;
+
+use rand_pcg::Pcg64;
+
+use super::{
+    Schedule, TrainError,
+    anchor_trainer::{AnchorTrainer, scene_scale_of},
+    checkpoint::ModelState,
+    model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step},
+    plain::PlainTrainer,
+};
+use crate::{
+    domain::{Camera, CancelFlag, Frame, SceneScale},
+    gpu::{Buffer, Device, Recorder},
+    model::anchors_from_gaussians,
+    render::{GaussianGradients, Gaussians},
+};
+
+/// Name of the array of a checkpoint with the scene scale, in the first stage.
+const UNIT: &str = "unit";
+
+/// See the module's documentation.
+pub(super) struct TwoStageTrainer {
+    device: Arc<Device>,
+    schedule: Schedule,
+    extent: f32,
+    scene_scale: SceneScale,
+    stage: Stage,
+}
+
+enum Stage {
+    Gaussians(Box<PlainTrainer>),
+    Anchors(Box<AnchorTrainer>),
+}
+
+impl Stage {
+    fn trainer(&self) -> &dyn ModelTrainer {
+        match self {
+            Stage::Gaussians(trainer) => trainer.as_ref(),
+            Stage::Anchors(trainer) => trainer.as_ref(),
+        }
+    }
+
+    fn trainer_mut(&mut self) -> &mut dyn ModelTrainer {
+        match self {
+            Stage::Gaussians(trainer) => trainer.as_mut(),
+            Stage::Anchors(trainer) => trainer.as_mut(),
+        }
+    }
+}
+
+impl TwoStageTrainer {
+    /// A trainer whose first stage is `first`; `extent` is the scene's, in world units.
+    pub(super) fn new(
+        device: &Arc<Device>,
+        schedule: Schedule,
+        first: PlainTrainer,
+        extent: f32,
+        scene_scale: SceneScale,
+    ) -> Self {
+        let stage = Stage::Gaussians(Box::new(first));
+        Self { device: Arc::clone(device), schedule, extent, scene_scale, stage }
+    }
+
+    /// The trainer with the state that [`ModelTrainer::save`] returned.
+    pub(super) fn resume(
+        device: &Arc<Device>,
+        schedule: Schedule,
+        extent: f32,
+        mut state: ModelState,
+    ) -> Result<Self, TrainError> {
+        let (stage, scene_scale) = if PlainTrainer::saved(&state) {
+            let scene_scale = scene_scale_of(&mut state)?;
+            let gaussians = PlainTrainer::resume(device, schedule.plain.clone(), extent, state)?;
+            (Stage::Gaussians(Box::new(gaussians)), scene_scale)
+        } else {
+            let anchors = AnchorTrainer::resume(device, schedule.clone(), extent, state)?;
+            (Stage::Anchors(Box::new(anchors)), SceneScale::DEFAULT)
+        };
+        Ok(Self { device: Arc::clone(device), schedule, extent, scene_scale, stage })
+    }
+
+    /// Replaces the Gaussians by anchors.
+    fn make_anchors(&mut self, step: u32, rng: &mut Pcg64) -> Result<(), TrainError> {
+        let Stage::Gaussians(trainer) = &self.stage else { return Ok(()) };
+        let rows = trainer.rows()?;
+        let Schedule { voxel, shape, max_anchors, .. } = self.schedule;
+        // Half the limit is left for growth.
+        let first = anchors_from_gaussians(
+            &rows,
+            |means| voxel.for_points(means, self.extent),
+            shape,
+            max_anchors / 2,
+            rng,
+        )?;
+        tracing::debug!(
+            step,
+            gaussians = rows.len(),
+            anchors = first.anchors.len(),
+            "Gaussians become anchors"
+        );
+        let schedule = self.schedule.clone();
+        let anchors = AnchorTrainer::begin(&self.device, schedule, first, self.extent, self.scene_scale)?;
+        self.stage = Stage::Anchors(Box::new(anchors));
+        Ok(())
+    }
+
+    fn ends_first_stage(&self, step: &Step) -> bool {
+        matches!(self.stage, Stage::Gaussians(_)) && step.number >= self.schedule.plain_until
+    }
+}
+
+impl ModelTrainer for TwoStageTrainer {
+    fn forward(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        camera: &Camera,
+        step: &Step,
+    ) -> Result<(), TrainError> {
+        self.stage.trainer_mut().forward(recorder, camera, step)
+    }
+
+    fn gaussians(&self) -> &Gaussians {
+        self.stage.trainer().gaussians()
+    }
+
+    fn gaussian_gradients(&mut self) -> Result<GaussianGradients, TrainError> {
+        self.stage.trainer_mut().gaussian_gradients()
+    }
+
+    fn backward(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        camera: &Camera,
+        step: &Step,
+        overflow_flag: &Buffer<u32>,
+    ) -> Result<(), TrainError> {
+        self.stage.trainer_mut().backward(recorder, camera, step, overflow_flag)
+    }
+
+    fn reschedule(&mut self, schedule: &Schedule) {
+        let max_anchors = self.schedule.max_anchors;
+        self.schedule = Schedule { max_anchors, ..schedule.clone() };
+        self.stage.trainer_mut().reschedule(schedule);
+    }
+
+    fn adapts(&self, step: &Step) -> bool {
+        self.ends_first_stage(step) || self.stage.trainer().adapts(step)
+    }
+
+    fn adapt(
+        &mut self,
+        step: &Step,
+        rng: &mut Pcg64,
+        frames: &[&Frame],
+        cancel: &CancelFlag,
+    ) -> Result<(), TrainError> {
+        if self.ends_first_stage(step) {
+            self.make_anchors(step.number, rng)?;
+        }
+        self.stage.trainer_mut().adapt(step, rng, frames, cancel)
+    }
+
+    fn anchors(&self) -> usize {
+        self.stage.trainer().anchors()
+    }
+
+    fn size(&self) -> Result<ModelSize, TrainError> {
+        self.stage.trainer().size()
+    }
+
+    fn bitrate(&self) -> Result<Option<BitrateSample>, TrainError> {
+        self.stage.trainer().bitrate()
+    }
+
+    fn save(&self) -> Result<ModelState, TrainError> {
+        let mut state = self.stage.trainer().save()?;
+        if matches!(self.stage, Stage::Gaussians(_)) {
+            state.put(UNIT, vec![self.scene_scale.length()]);
+        }
+        Ok(state)
+    }
+
+    fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<FinishedModel, TrainError> {
+        match self.stage {
+            Stage::Gaussians(trainer) => trainer.finish(frames, cancel),
+            Stage::Anchors(trainer) => trainer.finish(frames, cancel),
+        }
+    }
+}
