@@ -8,7 +8,7 @@ use rand_pcg::Pcg64;
 
 use super::{
     Schedule, TrainError,
-    anchor_trainer::{AnchorTrainer, scene_scale_of},
+    anchor_trainer::{AnchorTrainer, put_scene_scale, scene_scale_of},
     checkpoint::ModelState,
     model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step},
     plain::PlainTrainer,
@@ -19,9 +19,6 @@ use crate::{
     model::anchors_from_gaussians,
     render::{GaussianGradients, Gaussians},
 };
-
-/// Name of the array of a checkpoint with the scene scale, in the first stage.
-const UNIT: &str = "unit";
 
 /// See the module's documentation.
 pub(super) struct TwoStageTrainer {
@@ -180,7 +177,7 @@ impl ModelTrainer for TwoStageTrainer {
     fn save(&self) -> Result<ModelState, TrainError> {
         let mut state = self.stage.trainer().save()?;
         if matches!(self.stage, Stage::Gaussians(_)) {
-            state.put(UNIT, vec![self.scene_scale.length()]);
+            put_scene_scale(&mut state, self.scene_scale);
         }
         Ok(state)
     }

@@ -30,6 +30,13 @@ pub(in crate::train) fn scene_scale_of(state: &mut ModelState) -> Result<SceneSc
     scene_scale.ok_or_else(|| CheckpointError::array("unit", "is not a valid unit of distance"))
 }
 
+/// Adds the unit of a state, which [`scene_scale_of`] takes out; the usual one is not kept.
+pub(in crate::train) fn put_scene_scale(state: &mut ModelState, scene_scale: SceneScale) {
+    if !scene_scale.is_default() {
+        state.put("unit", vec![scene_scale.length()]);
+    }
+}
+
 impl AnchorTrainer {
     /// The trainer with the state that [`ModelTrainer::save`] returned.
     pub(in crate::train) fn resume(
@@ -101,9 +108,7 @@ impl AnchorTrainer {
         let Lattice { voxel, origin: [x, y, z] } = anchors.lattice;
         let mut state = ModelState::default();
         state.put("lattice", vec![voxel, x, y, z]);
-        if !self.neural.scene_scale().is_default() {
-            state.put("unit", vec![self.neural.scene_scale().length()]);
-        }
+        put_scene_scale(&mut state, self.neural.scene_scale());
         state.put("anchors.cells", anchors.cells.into_flattened());
         state.put("anchors.masks", anchors.masks);
         state.put("anchors.rows", anchors.values);

@@ -2,7 +2,7 @@
 
 mod checkpoint;
 
-pub(super) use checkpoint::scene_scale_of;
+pub(super) use checkpoint::{put_scene_scale, scene_scale_of};
 
 use std::sync::Arc;
 
