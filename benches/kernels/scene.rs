@@ -16,7 +16,7 @@ use tcgs::{
 };
 
 /// Widths of the anchors, as the preview preset trains them.
-pub(crate) const SHAPE: Shape = Shape { features: 32, offsets: 10 };
+pub(crate) const SHAPE: Shape = Shape::new(32, 10);
 
 /// A square view from outside the shell.
 pub(crate) fn camera(side: u32) -> Camera {

@@ -27,7 +27,7 @@ const ROWS: &str = "gradient by anchors, relative L2";
 const NETWORKS: &str = "gradient by networks, relative L2";
 const EMPTY: &str = "image and gradients, 0 if those of an empty scene";
 
-const WIDTHS: Shape = Shape { features: 8, offsets: 3 };
+const WIDTHS: Shape = Shape::new(8, 3);
 
 const fn bounds(gradients: f64, why: &'static str) -> [Bound; 3] {
     [

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use super::manifest::{GroupContext, Manifest};
 use crate::domain::{
-    choices::{Choices, Explanation},
+    choices::{Choices, Explanation, Widths},
     context_model::ContextKind,
     options::Voxel,
 };
@@ -14,19 +14,29 @@ pub(super) fn explain(manifest: &Manifest) -> Vec<Explanation> {
     let settings = &manifest.provenance.settings;
     let choices: Option<Choices> = read(settings, "choices");
     let voxel = read(settings, "voxel").unwrap_or(Voxel::Auto);
+    let narrowed_from = choices.as_ref().and_then(|choices| choices.narrowed_from);
     let mut all = choices.map_or_else(Vec::new, |choices| choices.explain(voxel, manifest.lattice.voxel));
     let shape = manifest.shape();
     all.push(Explanation::new(
         "feature width",
         manifest.feature_dim.to_string(),
-        "the preset's, for a run of its length",
+        match narrowed_from {
+            Some(Widths { features, .. }) => format!(
+                "of {features} learnt: in the basis of what pictures show, the others vary by less than a quarter of a step"
+            ),
+            None => "the preset's, for a run of its length".to_owned(),
+        },
     ));
     let slots = shape.anchors.saturating_mul(shape.offsets_per_anchor).max(1);
     all.push(Explanation::new(
         "offsets an anchor",
         manifest.offsets_per_anchor.to_string(),
         format!(
-            "as published; masks keep {} of {slots}, {:.2} an anchor",
+            "{}; masks keep {} of {slots}, {:.2} an anchor",
+            narrowed_from.map_or("as published".to_owned(), |from| format!(
+                "the slots of {} that an anchor uses",
+                from.offsets
+            )),
             manifest.gaussians,
             manifest.gaussians as f64 / shape.anchors.max(1) as f64
         ),

@@ -42,9 +42,21 @@ pub struct Choices {
     pub points: usize,
     /// Whether the points are random, since the dataset has none.
     pub random_points: bool,
+    /// What was learnt before the model was narrowed to what its pictures need; none where it was not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub narrowed_from: Option<Widths>,
     /// Set if the run converged before its end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shortened: Option<ShortenedRun>,
+}
+
+/// The widths of a model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Widths {
+    /// Feature channels.
+    pub features: usize,
+    /// Offset slots an anchor.
+    pub offsets: usize,
 }
 
 /// A choice for people.
@@ -120,6 +132,7 @@ mod tests {
             max_anchors_by: SizeBound::Preset,
             points: 5000,
             random_points: false,
+            narrowed_from: Some(Widths { features: 32, offsets: 10 }),
             shortened: Some(shortened),
         };
         let said = choices.explain(Voxel::Auto, 0.25);

@@ -58,7 +58,7 @@ pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
 #[cfg(feature = "service")]
 pub use causes::{causes, is_no_space};
-pub use choices::{Choices, ShortenedRun, SizeBound};
+pub use choices::{Choices, ShortenedRun, SizeBound, Widths};
 #[cfg(feature = "service")]
 pub use clock::{Clock, ManualClock, SystemClock};
 pub use context_model::{

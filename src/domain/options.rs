@@ -94,6 +94,8 @@ named_choice! {
         Wavelet = "wavelet",
         /// The offset masks.
         Masks = "masks",
+        /// The features' own basis, and the removal of channels and offset slots that no picture needs.
+        Basis = "basis",
     }
 }
 

@@ -26,4 +26,5 @@ pub use measure::{measure_views, measure_views_with};
 pub use quality::{psnr, ssim};
 pub use reference::{ColorError, reference_view};
 pub use removal::{RemovalCosts, removal_costs};
+pub use removal_signs::signs;
 pub use scores::{mean_scores, mean_scores_with, score_view};

@@ -1,7 +1,7 @@
 //! Random signs for the pixels of a view: a function of the number of the probe and the pixel alone.
 
 /// One of -1 and 1 for red, green and blue of each of `pixels`, as the gradient of an image; nothing for its alpha.
-pub(super) fn signs(probe: u32, pixels: usize) -> Vec<[f32; 4]> {
+pub fn signs(probe: u32, pixels: usize) -> Vec<[f32; 4]> {
     (0..pixels as u64)
         .map(|pixel| {
             let bits = mixed(u64::from(probe) << 40 | pixel);

@@ -7,15 +7,24 @@ use crate::domain::{AnchorScene, Lattice, NearPlane, RenderNetworks, SceneScale}
 pub struct Shape {
     /// Feature width F.
     pub features: usize,
+    /// Hidden values of each network.
+    pub hidden: usize,
     /// Offsets K an anchor, at most 32.
     pub offsets: usize,
 }
 
 impl Shape {
+    /// Networks as wide as the feature (METHOD.md §2.2).
+    #[must_use]
+    pub const fn new(features: usize, offsets: usize) -> Self {
+        Self { features, hidden: features, offsets }
+    }
+
     /// The widths of a finished scene.
     #[must_use]
     pub fn of(scene: &AnchorScene) -> Self {
-        Self { features: scene.feature_dim, offsets: scene.offsets_per_anchor }
+        let hidden = scene.networks.opacity.layers.first().map_or(scene.feature_dim, |layer| layer.outputs);
+        Self { features: scene.feature_dim, hidden, offsets: scene.offsets_per_anchor }
     }
 
     /// Most offsets an anchor: a mask is one word.
@@ -26,9 +35,12 @@ impl Shape {
     /// # Errors
     /// Which width is out of range.
     pub fn check(&self) -> Result<(), String> {
-        let Self { features, offsets } = *self;
+        let Self { features, hidden, offsets } = *self;
         if features == 0 {
             return Err("a feature has no channels".to_owned());
+        }
+        if hidden == 0 {
+            return Err("a network has no hidden values".to_owned());
         }
         if !(1..=Self::MAX_OFFSETS).contains(&offsets) {
             return Err(format!("{offsets} offsets an anchor are not 1 to {}", Self::MAX_OFFSETS));
@@ -179,7 +191,7 @@ mod tests {
     use super::*;
     use crate::model::NetworkLayout;
 
-    const SHAPE: Shape = Shape { features: 4, offsets: 3 };
+    const SHAPE: Shape = Shape::new(4, 3);
 
     #[test]
     fn rows_and_scenes_hold_the_same_anchors() {
@@ -226,7 +238,7 @@ mod tests {
 
     #[test]
     fn empty_anchors_go_and_the_others_keep_their_rows() {
-        let shape = Shape { features: 4, offsets: 2 };
+        let shape = Shape::new(4, 2);
         let mut rows = AnchorRows {
             shape,
             lattice: Lattice { voxel: 1.0, origin: [0.0; 3] },

@@ -356,7 +356,7 @@ mod tests {
 
     use super::*;
 
-    const SHAPE: Shape = Shape { features: 16, offsets: 4 };
+    const SHAPE: Shape = Shape::new(16, 4);
 
     /// Gaussians over a sphere whose colour, size and opacity change slowly along it.
     fn sphere(count: usize) -> GaussianRows {

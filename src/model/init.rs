@@ -79,7 +79,7 @@ mod tests {
 
     use super::*;
 
-    const SHAPE: Shape = Shape { features: 4, offsets: 3 };
+    const SHAPE: Shape = Shape::new(4, 3);
 
     #[test]
     fn anchors_begin_with_zero_features_and_offsets_and_the_spacing_as_size() {
@@ -150,7 +150,7 @@ mod tests {
     #[test]
     fn every_offset_has_its_bit() {
         for (offsets, mask) in [(1, 1), (10, 0x3ff), (31, 0x7fff_ffff), (32, u32::MAX)] {
-            assert_eq!(all_offsets(Shape { features: 4, offsets }), mask);
+            assert_eq!(all_offsets(Shape::new(4, offsets)), mask);
         }
     }
 }

@@ -9,6 +9,7 @@ mod init;
 mod lattice;
 mod networks;
 mod principal;
+mod symmetric_eigen;
 
 pub use anchor_rows::{AnchorRows, Shape, retain_rows};
 pub use anchors_from_gaussians::{FirstAnchors, anchors_from_gaussians};
@@ -16,3 +17,4 @@ pub use gaussian_rows::{GaussianRows, initial_gaussians};
 pub use init::{InitError, all_offsets, initial_rows, random_points};
 pub use lattice::{MAX_CELL, VoxelRule, cell_of, choose_lattice, coarse, median_spacing, voxelise};
 pub use networks::{LayerSpec, NetworkLayout};
+pub use symmetric_eigen::symmetric_eigen;

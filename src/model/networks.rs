@@ -1,6 +1,6 @@
 //! The three render networks in one flat array of parameters.
 //!
-//! They share their input, so their first layers are one layer of `3 F` outputs (opacity, covariance, colour in this
+//! They share their input, so their first layers are one layer of three times as many outputs as a network has hidden values (opacity, covariance, colour in this
 //! order); each output layer reads its own third of the hidden values. Weights are input-major: the weight of
 //! (output o, input i) is at `weights + i * outputs + o`.
 
@@ -61,7 +61,7 @@ impl NetworkLayout {
     /// The layout for a shape.
     #[must_use]
     pub fn new(shape: Shape) -> Self {
-        let width = shape.features;
+        let width = shape.hidden;
         let mut next = 0;
         let mut layer = |inputs: usize, outputs: usize, input_row: usize, output_row: usize| {
             let weights = next;
@@ -69,7 +69,7 @@ impl NetworkLayout {
             next = bias + outputs;
             LayerSpec { inputs, outputs, weights, bias, input_row, output_row }
         };
-        let hidden = layer(width + VIEW_INPUTS, 3 * width, 0, 0);
+        let hidden = layer(shape.features + VIEW_INPUTS, 3 * width, 0, 0);
         let k = shape.offsets;
         let heads =
             [layer(width, k, 0, 0), layer(width, 7 * k, width, k), layer(width, 3 * k, 2 * width, 8 * k)];
@@ -106,7 +106,7 @@ impl NetworkLayout {
     #[must_use]
     pub fn owners(&self) -> Vec<u8> {
         let mut owners = vec![0; self.parameters];
-        let width = self.shape.features;
+        let width = self.shape.hidden;
         for input in 0..=self.hidden.inputs {
             for output in 0..self.hidden.outputs {
                 owners[input * self.hidden.outputs + output] = (output / width) as u8;
@@ -121,7 +121,7 @@ impl NetworkLayout {
     /// The parameters as the domain's networks.
     #[must_use]
     pub fn to_networks(&self, values: &[f32]) -> RenderNetworks {
-        let width = self.shape.features;
+        let width = self.shape.hidden;
         let part = |layer: &LayerSpec, first: usize, outputs: usize| layer.part(values, first, outputs);
         let mlp = |index: usize| Mlp {
             layers: vec![
@@ -135,9 +135,9 @@ impl NetworkLayout {
     /// The flat array of the domain's networks, or what does not fit.
     ///
     /// # Errors
-    /// A sentence if the networks do not have one hidden layer of the feature's width.
+    /// A sentence if the networks do not have one hidden layer each, of the same width.
     pub fn from_networks(&self, networks: &RenderNetworks) -> Result<Vec<f32>, String> {
-        let width = self.shape.features;
+        let width = self.shape.hidden;
         let mut values = vec![0.0; self.parameters];
         for (index, mlp) in [&networks.opacity, &networks.covariance, &networks.color].into_iter().enumerate()
         {
@@ -178,7 +178,7 @@ mod tests {
 
     #[test]
     fn networks_survive_the_flat_layout() {
-        let layout = NetworkLayout::new(Shape { features: 8, offsets: 3 });
+        let layout = NetworkLayout::new(Shape::new(8, 3));
         let values = layout.initial(&mut rand_pcg::Pcg64::seed_from_u64(1));
         assert_eq!(layout.from_networks(&layout.to_networks(&values)), Ok(values.clone()));
         assert!(values.iter().all(|value| *value != 0.0), "every parameter is initialised");
@@ -187,7 +187,7 @@ mod tests {
 
     #[test]
     fn every_parameter_belongs_to_its_network() {
-        let layout = NetworkLayout::new(Shape { features: 8, offsets: 3 });
+        let layout = NetworkLayout::new(Shape::new(8, 3));
         let owners = layout.owners();
         let marks: Vec<f32> = owners.iter().map(|owner| f32::from(*owner)).collect();
         let networks = layout.to_networks(&marks);

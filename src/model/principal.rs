@@ -2,10 +2,10 @@
 //!
 //! The result depends on the values only: all sums go in the order of the rows, in f64.
 
+use super::symmetric_eigen::symmetric_eigen;
+
 /// Rounds in which missing values are replaced by what the components say.
 const ROUNDS: usize = 3;
-/// Sweeps of rotations after which a symmetric matrix of usual size is diagonal to rounding.
-const SWEEPS: usize = 12;
 
 /// Rows as a mean and a few coordinates along orthonormal directions.
 #[derive(Debug, Clone, PartialEq)]
@@ -71,7 +71,7 @@ fn components_of(rows: &[f64], width: usize, count: usize) -> Components {
             (covariance[i * width + j], covariance[j * width + i]) = (value, value);
         }
     }
-    let directions = largest_eigenvectors(covariance, width, count);
+    let directions = largest_eigenvectors(&covariance, width, count);
     let along = |direction: &[f64], row: &[f64]| -> f64 {
         direction.iter().zip(row).zip(&mean).map(|((d, value), mean)| d * (value - mean)).sum()
     };
@@ -82,45 +82,10 @@ fn components_of(rows: &[f64], width: usize, count: usize) -> Components {
     Components { mean, directions, coordinates }
 }
 
-/// The eigenvectors of the `count` largest eigenvalues of a symmetric matrix, by Jacobi's rotations.
-fn largest_eigenvectors(mut matrix: Vec<f64>, width: usize, count: usize) -> Vec<Vec<f64>> {
-    // Row i of `vectors` becomes the eigenvector of the i-th value on the diagonal.
-    let mut vectors = vec![0.0; width * width];
-    for i in 0..width {
-        vectors[i * width + i] = 1.0;
-    }
-    for _ in 0..SWEEPS {
-        for p in 0..width {
-            for q in p + 1..width {
-                let off = matrix[p * width + q];
-                let (a, b) = (matrix[p * width + p], matrix[q * width + q]);
-                if off.abs() <= 1e-14 * (a * b).abs().sqrt() || off == 0.0 {
-                    continue;
-                }
-                let theta = (b - a) / (2.0 * off);
-                let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
-                let t = if theta == 0.0 { 1.0 } else { t };
-                let c = 1.0 / (t * t + 1.0).sqrt();
-                let s = t * c;
-                for k in 0..width {
-                    let (x, y) = (matrix[k * width + p], matrix[k * width + q]);
-                    matrix[k * width + p] = c * x - s * y;
-                    matrix[k * width + q] = s * x + c * y;
-                }
-                for k in 0..width {
-                    let (x, y) = (matrix[p * width + k], matrix[q * width + k]);
-                    matrix[p * width + k] = c * x - s * y;
-                    matrix[q * width + k] = s * x + c * y;
-                    let (x, y) = (vectors[p * width + k], vectors[q * width + k]);
-                    vectors[p * width + k] = c * x - s * y;
-                    vectors[q * width + k] = s * x + c * y;
-                }
-            }
-        }
-    }
-    let mut order: Vec<usize> = (0..width).collect();
-    order.sort_by(|a, b| matrix[b * width + b].total_cmp(&matrix[a * width + a]).then(a.cmp(b)));
-    order.iter().take(count).map(|i| vectors[i * width..][..width].to_vec()).collect()
+/// The eigenvectors of the `count` largest eigenvalues of a symmetric matrix.
+fn largest_eigenvectors(matrix: &[f64], width: usize, count: usize) -> Vec<Vec<f64>> {
+    let (_, vectors) = symmetric_eigen(matrix, width);
+    vectors.chunks_exact(width).take(count).map(<[f64]>::to_vec).collect()
 }
 
 #[cfg(test)]

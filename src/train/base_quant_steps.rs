@@ -57,7 +57,7 @@ mod tests {
     use super::*;
     use crate::{domain::Lattice, model::Shape};
 
-    const SHAPE: Shape = Shape { features: 2, offsets: 2 };
+    const SHAPE: Shape = Shape::new(2, 2);
 
     fn anchors(values: Vec<f32>, masks: Vec<u32>) -> AnchorRows {
         let cells = (0..).map(|x| [x, 0, 0]).take(masks.len()).collect();

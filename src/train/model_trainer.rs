@@ -11,7 +11,7 @@ use super::{Schedule, TrainError, checkpoint::ModelState, trained::TrainedContex
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
     gpu::{Buffer, Recorder},
-    render::{GaussianGradients, Gaussians},
+    render::{GaussianGradients, Gaussians, Rasterizer},
 };
 
 /// A step's place in the run.
@@ -85,12 +85,13 @@ pub(super) trait ModelTrainer {
     /// Whether the schedule wants [`ModelTrainer::adapt`] after a step.
     fn adapts(&self, step: &Step) -> bool;
 
-    /// Grows, prunes and resets after a submitted step; `frames` are the training photographs. May wait for the device; ends as
-    /// [`TrainError::Cancelled`] if the run is cancelled during a long pass.
+    /// Grows, prunes and resets after a submitted step; `frames` are the training photographs, and `raster` is free for passes of
+    /// its own. May wait for the device; ends as [`TrainError::Cancelled`] if the run is cancelled during a long pass.
     fn adapt(
         &mut self,
         step: &Step,
         rng: &mut Pcg64,
+        raster: &mut Rasterizer,
         frames: &[&Frame],
         cancel: &CancelFlag,
     ) -> Result<(), TrainError>;

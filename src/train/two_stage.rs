@@ -17,7 +17,7 @@ use crate::{
     domain::{Camera, CancelFlag, Frame, SceneScale},
     gpu::{Buffer, Device, Recorder},
     model::anchors_from_gaussians,
-    render::{GaussianGradients, Gaussians},
+    render::{GaussianGradients, Gaussians, Rasterizer},
 };
 
 /// See the module's documentation.
@@ -153,13 +153,14 @@ impl ModelTrainer for TwoStageTrainer {
         &mut self,
         step: &Step,
         rng: &mut Pcg64,
+        raster: &mut Rasterizer,
         frames: &[&Frame],
         cancel: &CancelFlag,
     ) -> Result<(), TrainError> {
         if self.ends_first_stage(step) {
             self.make_anchors(step.number, rng)?;
         }
-        self.stage.trainer_mut().adapt(step, rng, frames, cancel)
+        self.stage.trainer_mut().adapt(step, rng, raster, frames, cancel)
     }
 
     fn anchors(&self) -> usize {

@@ -29,7 +29,7 @@ macro_rules! line {
 
 /// A ball of anchors with networks of random weights, which depend on the view as trained ones do.
 fn scene() -> AnchorScene {
-    let shape = Shape { features: 8, offsets: 3 };
+    let shape = Shape::new(8, 3);
     let layout = NetworkLayout::new(shape);
     let networks = layout.to_networks(&layout.initial(&mut rand_pcg::Pcg64::seed_from_u64(11)));
     let cells: Vec<[i32; 3]> = (0..1000)

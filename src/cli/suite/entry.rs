@@ -10,9 +10,15 @@ use tcgs::{
 /// Values of `lambda` for the method's curve, in addition to the preset's.
 const LAMBDAS: [f64; 3] = [0.001, 0.002, 0.005];
 
-/// The parts of the ablation, in the order of the published table.
-const PARTS: [Component; 5] =
-    [Component::TriPlane, Component::Knn, Component::PlaneCompression, Component::Wavelet, Component::Masks];
+/// The parts of the ablation: those of the published table in its order, then the features' basis.
+const PARTS: [Component; 6] = [
+    Component::TriPlane,
+    Component::Knn,
+    Component::PlaneCompression,
+    Component::Wavelet,
+    Component::Masks,
+    Component::Basis,
+];
 
 /// One row of the table for each set.
 #[derive(Debug, Clone, PartialEq)]

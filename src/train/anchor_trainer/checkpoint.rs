@@ -6,7 +6,7 @@ use super::{AnchorTrainer, Parts};
 use crate::{
     domain::{Lattice, SceneScale},
     gpu::Device,
-    model::{AnchorRows, MAX_CELL, NetworkLayout},
+    model::{AnchorRows, MAX_CELL, NetworkLayout, Shape},
     train::{
         CheckpointError, MaskRows, Schedule, Statistics, TrainError, checkpoint::ModelState,
         compression::Compression, densify::TrainableAnchors,
@@ -37,6 +37,23 @@ pub(in crate::train) fn put_scene_scale(state: &mut ModelState, scene_scale: Sce
     }
 }
 
+/// The shape of a state: the schedule's, or a narrower one.
+fn shape_of(state: &mut ModelState, of_schedule: Shape) -> Result<Shape, CheckpointError> {
+    if !state.has("shape") {
+        return Ok(of_schedule);
+    }
+    let widths = state.take_exactly::<u32>("shape", 3)?;
+    let shape =
+        Shape { features: widths[0] as usize, hidden: widths[1] as usize, offsets: widths[2] as usize };
+    let Shape { features, hidden, offsets } = of_schedule;
+    // Larger widths would allocate more than the memory estimate.
+    if shape.check().is_err() || shape.features > features || shape.hidden > hidden || shape.offsets > offsets
+    {
+        return Err(CheckpointError::array("shape", "is not one that this run can have"));
+    }
+    Ok(shape)
+}
+
 impl AnchorTrainer {
     /// The trainer with the state that [`ModelTrainer::save`] returned.
     pub(in crate::train) fn resume(
@@ -45,7 +62,7 @@ impl AnchorTrainer {
         extent: f32,
         mut state: ModelState,
     ) -> Result<Self, TrainError> {
-        let shape = schedule.shape;
+        let shape = shape_of(&mut state, schedule.shape)?;
         let [voxel, origin @ ..] = lattice_values(&state.take_exactly::<f32>("lattice", 4)?)?;
         let flat: Vec<i32> = state.take("anchors.cells")?;
         let cells: Vec<[i32; 3]> = flat.as_chunks().0.to_vec();
@@ -109,6 +126,10 @@ impl AnchorTrainer {
         let mut state = ModelState::default();
         state.put("lattice", vec![voxel, x, y, z]);
         put_scene_scale(&mut state, self.neural.scene_scale());
+        if self.shape != self.schedule.shape {
+            let Shape { features, hidden, offsets } = self.shape;
+            state.put("shape", [features, hidden, offsets].map(|width| width as u32).to_vec());
+        }
         state.put("anchors.cells", anchors.cells.into_flattened());
         state.put("anchors.masks", anchors.masks);
         state.put("anchors.rows", anchors.values);

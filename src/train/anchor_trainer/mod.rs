@@ -1,6 +1,7 @@
 //! The anchor model in training: features, scalings and offsets of anchors, and the networks that they share.
 
 mod checkpoint;
+mod narrow;
 
 pub(super) use checkpoint::{put_scene_scale, scene_scale_of};
 
@@ -20,7 +21,7 @@ use crate::{
     domain::{AnchorScene, Camera, CancelFlag, Frame, NearPlane, Scene, SceneScale},
     gpu::{Buffer, Device, Recorder},
     model::{AnchorRows, FirstAnchors, NetworkLayout, Shape, initial_rows},
-    render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians},
+    render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, Rasterizer},
 };
 
 /// Coarsest growth cell in lattice cells.
@@ -118,9 +119,9 @@ impl AnchorTrainer {
         extent: f32,
         parts: Parts,
     ) -> Result<Self, TrainError> {
-        let shape = schedule.shape;
         let Parts { state, statistics, networks: [networks, first, second], compression, scene_scale } =
             parts;
+        let shape = state.anchors.shape;
         let near = NearPlane::of_extent(extent).depth();
         let TrainableAnchors { anchors, .. } = &state;
         let masks = state.masks.as_ref().map(|masks| OffsetMasks::upload(device, shape, masks));
@@ -348,13 +349,17 @@ impl ModelTrainer for AnchorTrainer {
     fn adapts(&self, step: &Step) -> bool {
         let changes_stage =
             self.compression.as_ref().is_some_and(|compression| compression.changes_stage_after(step.number));
-        self.schedule.densifies(step.number) || self.fixes_masks(step.number) || changes_stage
+        self.schedule.densifies(step.number)
+            || self.fixes_masks(step.number)
+            || self.schedule.narrowing_estimates.contains(&step.number)
+            || changes_stage
     }
 
     fn adapt(
         &mut self,
         step: &Step,
         rng: &mut Pcg64,
+        raster: &mut Rasterizer,
         frames: &[&Frame],
         cancel: &CancelFlag,
     ) -> Result<(), TrainError> {
@@ -364,9 +369,15 @@ impl ModelTrainer for AnchorTrainer {
         if self.fixes_masks(step.number) {
             self.fix_masks(step.number, frames, cancel)?;
         }
+        if self.schedule.narrowing_estimates.contains(&step.number) {
+            self.estimate_narrowing(raster, frames, cancel)?;
+        }
         if self.compression.as_ref().is_some_and(|compression| compression.starts_rounding_after(step.number))
         {
             self.prune_invisible_anchors(step.number, frames, cancel)?;
+            if self.schedule.narrows {
+                self.narrow(step.number, raster, frames, cancel)?;
+            }
         }
         if self.compression.as_ref().is_some_and(|compression| compression.changes_stage_after(step.number)) {
             let (state, _) = self.read()?;

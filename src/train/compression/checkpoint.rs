@@ -22,6 +22,9 @@ impl Compression {
         state.put("steps.base", vec![feature, scaling, offset]);
         state.put("steps", self.device.read(quant.rows.steps())?);
         let Some(context_model) = &self.context_model else { return Ok(()) };
+        if let Some(share) = self.feature_share {
+            state.put("features.share", vec![share as f32]);
+        }
         let config = &context_model.net.layout().config;
         let PlaneConfig { edge, channels, layers, hidden, latents } = config.planes;
         let sizes =
@@ -64,6 +67,13 @@ impl Compression {
         let of_anchors: Vec<f32> = state.take_exactly("steps", 3 * anchors.len())?;
         positive("steps", &of_anchors)?;
         resumed.quantise(steps, steps.in_world(anchors.lattice.voxel), &of_anchors)?;
+        if state.has("features.share") {
+            let share = state.take_exactly::<f32>("features.share", 1)?[0];
+            if !(0.0..=1.0).contains(&share) {
+                return Err(CheckpointError::array("features.share", "is not a share").into());
+            }
+            resumed.feature_share = Some(share.into());
+        }
         if state.has("context") {
             resumed.context_model = Some(resumed.resume_model(anchors, state)?);
         }

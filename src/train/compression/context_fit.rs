@@ -16,7 +16,8 @@ use super::{
         stored_parameters, stored_pass,
     },
     frozen_quant_steps::FrozenQuantSteps,
-    quant_steps::{mean_quant_steps, static_adjustments},
+    quant_steps::{adjustments_of, mean_quant_steps, static_adjustments},
+    statistics::group_statistics,
 };
 use crate::{
     domain::{
@@ -24,12 +25,14 @@ use crate::{
         context_model::{GroupNetworks, STEP_OCTAVES},
     },
     gpu::{Buffer, Recorder},
+    model::AnchorRows,
     render::{DeviceAnchors, RenderError},
     train::{
         Adam, AdamStep, Decay, TrainError, TrainedContext,
         context::{
             ContextAnchors, ContextConfig, ContextLayout, ContextLearningRates, ContextNet, ContextState,
-            PlaneConfig, Quantisation, QuantisationPhase, RateInputs, RateTerm, sample_anchors, sample_size,
+            GroupStatistics, PlaneConfig, Quantisation, QuantisationPhase, RateInputs, RateTerm,
+            sample_anchors, sample_size,
         },
     },
 };
@@ -66,6 +69,8 @@ struct ContextFit<'a> {
     frozen: FrozenQuantSteps,
     /// Mean of the anchors' step adjustments, in octaves.
     usual: [f32; 3],
+    /// The attributes' statistics as they are now.
+    statistics: [GroupStatistics; 3],
     rate: RateTerm,
     overflow_flag: Buffer<u32>,
     d_rows: Buffer<f32>,
@@ -75,15 +80,16 @@ struct ContextFit<'a> {
 }
 
 impl Compression {
-    /// Replaces the context model by the selected one, for the anchors at `cells`; does nothing before the context model learns.
+    /// Replaces the context model by the selected one, for the anchors `rows`; does nothing before the context model learns.
     pub(super) fn select_context(
         &mut self,
         adam: &Adam,
         anchors: &DeviceAnchors,
-        cells: &[[i32; 3]],
+        rows: &AnchorRows,
         cancel: &CancelFlag,
     ) -> Result<(), TrainError> {
         let (Some(quant), Some(context_model)) = (&self.quant, &self.context_model) else { return Ok(()) };
+        let cells = &rows.cells[..];
         let device = &self.device;
         let mut recorder = device.recorder("latents of planes");
         context_model.net.latents_from_planes(&mut recorder)?;
@@ -100,7 +106,8 @@ impl Compression {
             cells,
             adam,
             frozen: FrozenQuantSteps::new(device, capacity)?,
-            usual: std::array::from_fn(|group| octaves_between(usual[group], quant.base[group])),
+            usual: adjustments_of(usual, quant.base),
+            statistics: group_statistics(rows, quant.base),
             rate: RateTerm::plan(anchors.shape, capacity).make(device)?,
             overflow_flag: device.buffer("never set", 1)?,
             d_rows: device.buffer("unused gradients of rows", anchors.rows.len())?,
@@ -109,9 +116,11 @@ impl Compression {
             cancel,
         };
         let net = fit.cheapest()?;
-        drop(fit);
+        let statistics = fit.statistics;
         if let Some(context_model) = &mut self.context_model {
             context_model.net = net;
+            context_model.statistics = statistics;
+            context_model.renewed = false;
         }
         Ok(())
     }
@@ -189,12 +198,6 @@ fn rounding(quant: &QuantState) -> Quantisation {
     Quantisation { phase: QuantisationPhase::Rounded, base_quant_steps: quant.base, key: 0 }
 }
 
-/// Octaves from `base` to `step`, clamped to the range of step adjustments.
-fn octaves_between(step: f32, base: f32) -> f32 {
-    let octaves = (step / base).log2();
-    if octaves.is_finite() { octaves.clamp(-STEP_OCTAVES, STEP_OCTAVES) } else { 0.0 }
-}
-
 impl ContextFit<'_> {
     fn cheapest(&self) -> Result<ContextNet, TrainError> {
         let trained = &self.context_model.net;
@@ -212,7 +215,8 @@ impl ContextFit<'_> {
             }
             Ok::<_, TrainError>(())
         };
-        add("the trained context", self.model(config, values.clone())?, false, TRAINED)?;
+        let rates = if self.context_model.renewed { FRESH } else { TRAINED };
+        add("the trained context", self.model(config, values.clone())?, false, rates)?;
         if config.kind != ContextKind::Position {
             let position = ContextConfig { kind: ContextKind::Position, ..config };
             add("positions", self.fresh(position, None)?, false, FRESH)?;
@@ -250,7 +254,7 @@ impl ContextFit<'_> {
     ) -> Result<ContextNet, TrainError> {
         let layout = ContextLayout::new(config)?;
         let mut rng = Pcg64::seed_from_u64(self.compression.schedule.seed);
-        let mut values = layout.initial(&self.context_model.statistics, &mut rng)?;
+        let mut values = layout.initial(&self.statistics, &mut rng)?;
         set_initial_adjustments(&layout, self.usual, &mut values);
         match planes {
             Some((other, from)) => layout.copy_planes(&mut values, other, from)?,
@@ -283,7 +287,7 @@ impl ContextFit<'_> {
             let rate = decay.at(f64::from(step) / f64::from(self.steps)) as f32;
             let rates = ContextLearningRates { networks: rate, planes: rate, layers: rate, latents: rate };
             let adam_step = AdamStep { number: step, overflow_flag: &self.overflow_flag };
-            net.step(&mut recorder, self.adam, adam_step, &rates, &self.context_model.statistics)?;
+            net.step(&mut recorder, self.adam, adam_step, &rates, &self.statistics)?;
             recorder.submit()?;
             if step.is_multiple_of(WAIT_INTERVAL) {
                 device.wait()?;
@@ -351,8 +355,5 @@ mod tests {
         }
         let changed = values.iter().zip(&before).filter(|(now, before)| now != before).count();
         assert_eq!(changed, 3, "means and deviations stay");
-        let octaves = [(1.0, 0.25), (0.1, 0.4), (1e9, 1.0), (0.0, 1.0), (f32::NAN, 1.0)];
-        let found = octaves.map(|(step, base)| octaves_between(step, base));
-        assert_eq!(found, [2.0, -2.0, STEP_OCTAVES, 0.0, 0.0]);
     }
 }

@@ -33,6 +33,8 @@ pub(super) struct ContextModel {
     pub(super) rate: RateTerm,
     /// Anchors of the last sample.
     pub(super) sampled: usize,
+    /// Whether a part of the networks is new and has to be fitted before it is judged.
+    pub(super) renewed: bool,
 }
 
 /// Approximate bytes of an entropy-coded weight or latent of a context model: encoders choose 4 to 6 bits for most.

@@ -10,6 +10,7 @@ mod checkpoint;
 mod context_fit;
 mod context_model;
 mod frozen_quant_steps;
+mod narrowed_context;
 mod quant_steps;
 mod statistics;
 
@@ -22,6 +23,7 @@ use context_model::{
     BYTES_PER_PARAMETER, ContextModel, QuantState, outputs_of, sample_of, set_initial_adjustments,
     stored_parameters, stored_pass,
 };
+use narrowed_context::copy_narrowed;
 use quant_steps::{carry_quant_steps, mean_quant_steps};
 use statistics::group_statistics;
 
@@ -39,6 +41,7 @@ use crate::{
             RateInputs, RateTerm, RoundedNetworks, sample_anchors, sample_size,
         },
         model_trainer::Step,
+        narrowing::Narrowing,
     },
 };
 
@@ -50,6 +53,8 @@ pub(in crate::train) struct Compression {
     layout: NetworkLayout,
     quant: Option<QuantState>,
     context_model: Option<ContextModel>,
+    /// The expected bits of features after narrowing over those before it, once estimated; none after it.
+    feature_share: Option<f64>,
 }
 
 /// Channels of the three attribute groups.
@@ -70,7 +75,14 @@ impl Compression {
     /// The state before the first step.
     pub(in crate::train) fn new(device: &Arc<Device>, schedule: CompressionSchedule, shape: Shape) -> Self {
         let layout = NetworkLayout::new(shape);
-        Self { device: Arc::clone(device), schedule, layout, quant: None, context_model: None }
+        Self {
+            device: Arc::clone(device),
+            schedule,
+            layout,
+            quant: None,
+            context_model: None,
+            feature_share: None,
+        }
     }
 
     /// Follows another schedule from the next step on.
@@ -86,6 +98,46 @@ impl Compression {
     /// Whether everything is rounded from the step after `step` on.
     pub(in crate::train) fn starts_rounding_after(&self, step: u32) -> bool {
         self.changes_stage_after(step) && self.schedule.stage(step + 1) == Stage::Rounded
+    }
+
+    /// From now on the bits of features are estimated as this share of those that they take.
+    pub(in crate::train) fn expect_feature_share(&mut self, share: f64) {
+        // As a checkpoint holds it, so that a resumed run estimates alike.
+        self.feature_share = Some(f64::from(share as f32));
+    }
+
+    /// The geometric mean of the anchors' quantisation steps of features; none before the first noise.
+    pub(in crate::train) fn mean_feature_step(&self) -> Result<Option<f64>, TrainError> {
+        let Some(quant) = &self.quant else { return Ok(None) };
+        let [features, ..] = mean_quant_steps(&self.device.read(quant.rows.steps())?);
+        Ok(Some(f64::from(features)))
+    }
+
+    /// Follows the model's change to the shape of `anchors`, in their order. Quantisation steps stay.
+    pub(in crate::train) fn narrow(
+        &mut self,
+        narrowing: &Narrowing,
+        anchors: &AnchorRows,
+    ) -> Result<(), TrainError> {
+        self.layout = NetworkLayout::new(anchors.shape);
+        self.feature_share = None;
+        let Some(QuantState { base_quant_steps, base, rows, .. }) = &self.quant else { return Ok(()) };
+        let (base_quant_steps, base) = (*base_quant_steps, *base);
+        let steps = self.device.read(rows.steps())?;
+        self.quantise(base_quant_steps, base, &steps)?;
+        if let Some(old) = self.context_model.take() {
+            let old_layout = old.net.layout();
+            let config = ContextConfig { channels: group_channels(anchors.shape), ..old_layout.config };
+            let layout = ContextLayout::new(config)?;
+            let statistics = group_statistics(anchors, base);
+            let mut values = layout.initial(&statistics, &mut Pcg64::seed_from_u64(self.schedule.seed))?;
+            let trained = old.net.save()?.values;
+            copy_narrowed(narrowing, base[0], (old_layout, &trained), (&layout, &mut values))?;
+            let state = ContextState::new(values);
+            let model = self.context_model_of(config, &state, old.frame, statistics, &anchors.cells)?;
+            self.context_model = Some(ContextModel { renewed: true, ..model });
+        }
+        Ok(())
     }
 
     /// Prepares the stages that start after `step` for the scene `anchors`. Short runs may skip a stage.
@@ -111,7 +163,7 @@ impl Compression {
             self.model(anchors)?;
         }
         if next == Stage::Rounded {
-            self.select_context(adam, device_anchors, &anchors.cells, cancel)?;
+            self.select_context(adam, device_anchors, anchors, cancel)?;
         }
         Ok(())
     }
@@ -129,7 +181,7 @@ impl Compression {
         self.replace(before, anchors)?;
         let device_anchors = DeviceAnchors::upload(&self.device, anchors, networks)?;
         if self.schedule.stage(self.schedule.steps) != Stage::Rounded {
-            self.select_context(adam, &device_anchors, &anchors.cells, cancel)?;
+            self.select_context(adam, &device_anchors, anchors, cancel)?;
         }
         let Some((rows, steps)) = self.final_rows(&device_anchors, &anchors.cells)? else { return Ok(None) };
         anchors.values = rows;
@@ -176,7 +228,7 @@ impl Compression {
         let mut net = ContextNet::new(&self.device, config, state)?;
         net.place(&ContextAnchors::new(&config, &frame, cells))?;
         let rate = self.rate_for(cells.len())?;
-        Ok(ContextModel { frame, statistics, net, rate, sampled: 0 })
+        Ok(ContextModel { frame, statistics, net, rate, sampled: 0, renewed: false })
     }
 
     fn rate_for(&self, anchors: usize) -> Result<RateTerm, TrainError> {
@@ -325,7 +377,8 @@ impl Compression {
         else {
             return Ok(None);
         };
-        let bits: f64 = context_model.rate.sums(&self.device)?.iter().sum();
+        let [features, scalings, offsets] = context_model.rate.sums(&self.device)?;
+        let bits = features * self.feature_share.unwrap_or(1.0) + scalings + offsets;
         let layout = context_model.net.layout();
         let stored = stored_parameters(layout) as f64;
         Ok(Some((bits / context_model.sampled as f64, BYTES_PER_PARAMETER * stored)))

@@ -2,6 +2,8 @@
 
 use std::collections::HashMap;
 
+use crate::domain::context_model::STEP_OCTAVES;
+
 /// The steps `[N][3]` of the anchors at `cells`: anchors that were among `before` keep theirs, new ones have `initial`.
 pub(super) fn carry_quant_steps(
     before: &[[i32; 3]],
@@ -19,6 +21,14 @@ pub(super) fn mean_quant_steps(steps: &[f32]) -> [f32; 3] {
     std::array::from_fn(|group| {
         let logs = anchors.iter().map(|steps| f64::from(steps[group]).ln());
         (logs.sum::<f64>() / anchors.len().max(1) as f64).exp() as f32
+    })
+}
+
+/// Octaves from the `base` steps to `steps`, in the range of step adjustments.
+pub(super) fn adjustments_of(steps: [f32; 3], base: [f32; 3]) -> [f32; 3] {
+    std::array::from_fn(|group| {
+        let octaves = (steps[group] / base[group]).log2();
+        if octaves.is_finite() { octaves.clamp(-STEP_OCTAVES, STEP_OCTAVES) } else { 0.0 }
     })
 }
 
@@ -42,6 +52,12 @@ mod tests {
         let steps = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0];
         let after = carry_quant_steps(&before, &steps, [0.1, 0.2, 0.3], &[[2, 0, 0], [5, 5, 5], [0, 0, 0]]);
         assert_eq!(after, [7.0, 8.0, 9.0, 0.1, 0.2, 0.3, 1.0, 2.0, 3.0]);
+    }
+
+    #[test]
+    fn adjustments_are_octaves_within_their_range() {
+        assert_eq!(adjustments_of([1.0, 0.1, 1e9], [0.25, 0.4, 1.0]), [2.0, -2.0, STEP_OCTAVES]);
+        assert_eq!(adjustments_of([0.0, f32::NAN, 1.0], [1.0; 3]), [0.0; 3]);
     }
 
     #[test]

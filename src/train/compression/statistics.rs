@@ -57,7 +57,7 @@ mod tests {
     use super::*;
     use crate::{domain::Lattice, model::Shape};
 
-    const SHAPE: Shape = Shape { features: 1, offsets: 1 };
+    const SHAPE: Shape = Shape::new(1, 1);
 
     fn anchors(rows: &[[f32; 10]], masks: Vec<u32>) -> AnchorRows {
         let cells = (0..).map(|x| [x, 0, 0]).take(rows.len()).collect();

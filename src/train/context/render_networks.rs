@@ -58,7 +58,7 @@ impl RoundedNetworks {
 /// What shares a scale: every output's weights, and the biases of each layer of each network. First parameter, distance to
 /// the next, how many, levels.
 fn rows(layout: &NetworkLayout) -> Vec<[u32; 4]> {
-    let width = layout.shape.features;
+    let width = layout.shape.hidden;
     let weights = |layer: &LayerSpec| {
         let LayerSpec { inputs, outputs, weights, .. } = *layer;
         (0..outputs).map(move |row| [weights + row, outputs, inputs].map(|v| v as u32)).collect::<Vec<_>>()

@@ -9,7 +9,7 @@ use rand_pcg::Pcg64;
 use super::*;
 use crate::{domain::Lattice, model::Shape, train::FIRST_LOGIT};
 
-const SHAPE: Shape = Shape { features: 4, offsets: 2 };
+const SHAPE: Shape = Shape::new(4, 2);
 const WIDTH: usize = 2 * SHAPE.offsets + 2;
 
 const SETTINGS: DensifySettings = DensifySettings {

@@ -21,7 +21,7 @@ use crate::{
         gaussian_rows::{BANDS, BASE, COLOR, LOG_SCALE, OPACITY, QUAT, band_values},
         initial_gaussians,
     },
-    render::{DeviceGaussians, GaussianGradients, Gaussians, PlainGaussians, STATISTICS},
+    render::{DeviceGaussians, GaussianGradients, Gaussians, PlainGaussians, Rasterizer, STATISTICS},
 };
 use grow::{GrowthSettings, TrainableGaussians, grow_and_prune, reset_opacities};
 
@@ -248,6 +248,7 @@ impl ModelTrainer for PlainTrainer {
         &mut self,
         step: &Step,
         rng: &mut Pcg64,
+        _raster: &mut Rasterizer,
         _frames: &[&Frame],
         _cancel: &CancelFlag,
     ) -> Result<(), TrainError> {

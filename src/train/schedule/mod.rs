@@ -189,6 +189,10 @@ pub struct Schedule {
     pub masks: Option<MaskSchedule>,
     /// Whether offsets that are invisible in all training views are pruned; the baseline keeps every offset, as published.
     pub prunes_invisible: bool,
+    /// Whether features change to their own basis before everything is rounded, and channels and offset slots without use go.
+    pub narrows: bool,
+    /// Steps after which what that will save is estimated, for a target size.
+    pub narrowing_estimates: Vec<u32>,
     /// Compression-aware training; none for the baseline.
     pub compression: Option<CompressionSchedule>,
     /// The schedule of plain Gaussians.
@@ -206,13 +210,14 @@ impl Schedule {
         };
         let steps = options.iterations.unwrap_or(default_steps);
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
+        let narrows = options.has(Component::Basis) && options.preset != Preset::Paper;
         let rate = |published: Decay| anchor_learning_rate(published, steps);
         let two_stages = options.preset != Preset::Paper && options.model != ModelKind::Gaussians3d;
         Self {
             model: options.model,
             steps,
             pace: Pace::full(steps),
-            shape: Shape { features, offsets: 10 },
+            shape: Shape::new(features, 10),
             voxel: match options.voxel {
                 Voxel::Auto => VoxelRule::OfSpacing(CELLS_PER_SPACING.recip()),
                 Voxel::Published => VoxelRule::Published,
@@ -240,6 +245,13 @@ impl Schedule {
             volume_weight: 0.01,
             masks: masks(options, steps),
             prunes_invisible: options.model == ModelKind::Tcgs,
+            narrows,
+            // Before lambda is first set, and when masks have settled.
+            narrowing_estimates: if narrows && options.max_bytes.is_some() {
+                vec![part(0.43), part(0.75) + 1]
+            } else {
+                Vec::new()
+            },
             compression: CompressionSchedule::new(options, steps),
             plain: PlainSchedule::new(options, steps),
         }
@@ -277,6 +289,7 @@ impl Schedule {
             densify_until: at(self.densify_until),
             densify_pause: self.densify_pause.as_ref().map(|pause| at(pause.start)..at(pause.end)),
             masks: self.masks.map(|masks| masks.at_pace(&pace)),
+            narrowing_estimates: self.narrowing_estimates.iter().map(|step| at(*step)).collect(),
             compression: self.compression.as_ref().map(|compression| compression.at_pace(&pace)),
             plain: self.plain.at_pace(&pace),
             ..self.clone()

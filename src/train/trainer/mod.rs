@@ -27,10 +27,10 @@ use super::{
 use crate::{
     domain::{
         Background, CancelFlag, Choices, Component, Convergence, Dataset, Frame, MemoryBudget, ModelKind,
-        NearPlane, Progress, SceneScale, ShortenedRun, SizeBound, Split, TrainOptions, Until,
+        NearPlane, Progress, Scene, SceneScale, ShortenedRun, SizeBound, Split, TrainOptions, Until, Widths,
     },
     gpu::Device,
-    model::random_points,
+    model::{Shape, random_points},
     render::{RasterSettings, Rasterizer},
 };
 
@@ -297,6 +297,7 @@ impl<'a> Run<'a> {
             max_anchors_by: if state.max_size < preset_size { SizeBound::Memory } else { SizeBound::Preset },
             points: if cloud > 0 { cloud } else { schedule.random_points },
             random_points: cloud == 0,
+            narrowed_from: None,
             shortened: None,
         };
         let near = NearPlane::of_extent(camera_extent(&frames)).depth();
@@ -488,7 +489,7 @@ impl<'a> Run<'a> {
         };
         self.batch.update(recorded, started.elapsed().as_secs_f64());
         if self.model.adapts(&last) {
-            self.model.adapt(&last, &mut self.state.rng, &self.frames, cancel)?;
+            self.model.adapt(&last, &mut self.state.rng, &mut self.raster, &self.frames, cancel)?;
         }
         Ok(recorded)
     }
@@ -617,7 +618,10 @@ impl<'a> Run<'a> {
                 psnr_given_up: convergence.psnr_given_up?,
             })
         });
-        let choices = Choices { shortened, ..self.choices };
+        let learnt = self.schedule.shape;
+        let narrowed = matches!(&scene, Scene::Anchors(scene) if Shape::of(scene) != learnt);
+        let narrowed_from = narrowed.then_some(Widths { features: learnt.features, offsets: learnt.offsets });
+        let choices = Choices { narrowed_from, shortened, ..self.choices };
         Ok(Trained { scene, unrounded, context, steps, seconds, choices, convergence })
     }
 }

@@ -18,7 +18,7 @@ use crate::support::{
     random,
 };
 
-const SHAPE: Shape = Shape { features: 4, offsets: 2 };
+const SHAPE: Shape = Shape::new(4, 2);
 
 /// A hundred anchors in a spiral, and their rows.
 fn scene() -> (AnchorRows, Vec<f32>, AnchorScene) {

@@ -2,6 +2,7 @@
 
 use std::sync::LazyLock;
 
+use serde_json::json;
 use tcgs::{
     codec::{DecodeLimits, Decoded, decode, inspect},
     domain::{CancelFlag, Choices, Component, Preset, SizeBound, TrainOptions},
@@ -49,7 +50,17 @@ fn every_preset_has_its_schedule_and_trains() {
         // Enough for every phase of the schedule to begin.
         let options = TrainOptions { preset, iterations: Some(40), ..TrainOptions::default() };
         let (output, decoded) = run(&options);
-        assert_eq!((output.metrics.steps, decoded.scene.feature_dim), (40, features), "{preset}");
+        assert_eq!(output.metrics.steps, 40, "{preset}");
+        let scene = &decoded.scene;
+        let choices = &decoded.manifest.provenance.settings["choices"];
+        let narrowed_from = choices.get("narrowed_from").map(|from| (&from["features"], &from["offsets"]));
+        if preset == Preset::Paper {
+            assert_eq!((narrowed_from, scene.feature_dim, scene.offsets_per_anchor), (None, features, 10));
+        } else {
+            assert_eq!(narrowed_from, Some((&json!(features), &json!(10))), "{preset}");
+            assert!((1..features).contains(&scene.feature_dim), "{preset}: {}", scene.feature_dim);
+            assert!((1..=10).contains(&scene.offsets_per_anchor), "{preset}");
+        }
         assert_eq!(decoded.manifest.provenance.settings["preset"], preset.to_string());
         decoded.scene.check().expect("a sound scene");
         assert!(output.metrics.test.psnr.is_some_and(f64::is_finite), "{preset}");
@@ -62,7 +73,7 @@ fn every_part_can_be_left_out_and_compressed_planes_be_asked_for() {
     let (usual, _) = run(&whole);
     let with = TrainOptions { with: [Component::PlaneCompression].into(), ..whole.clone() };
     let mut variants = vec![with];
-    let parts = [Component::TriPlane, Component::Knn, Component::Wavelet, Component::Masks];
+    let parts = [Component::TriPlane, Component::Knn, Component::Wavelet, Component::Masks, Component::Basis];
     variants.extend(parts.map(|part| TrainOptions { without: [part].into(), ..whole.clone() }));
     for options in variants {
         let (output, decoded) = run(&options);

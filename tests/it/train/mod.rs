@@ -1,6 +1,7 @@
 //! Training: the loss, the rate and its networks, the optimiser, checkpoints, memory, and runs from end to end.
 
 mod adam;
+mod basis;
 mod checkpoint;
 mod context;
 mod convergence;

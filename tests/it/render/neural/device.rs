@@ -164,7 +164,7 @@ fn the_trained_widths_match_the_twin() {
 #[test]
 fn the_published_widths_match_the_twin() {
     for subgroups in [true, false] {
-        assert_eq!(check(Shape { features: 50, offsets: 10 }, 130, 0.8, subgroups), 130);
+        assert_eq!(check(Shape::new(50, 10), 130, 0.8, subgroups), 130);
     }
 }
 
@@ -229,7 +229,7 @@ fn an_anchor_whose_offsets_are_all_masked_makes_nothing_and_learns_nothing() {
 fn both_variants_match_the_twin_where_many_anchors_make_nothing() {
     let camera = random::camera(40, 30);
     // Widths that are no multiple of four, and more inputs than an invocation holds at a time.
-    for shape in [Shape { features: 7, offsets: 6 }, Shape { features: 37, offsets: 3 }] {
+    for shape in [Shape::new(7, 6), Shape::new(37, 3)] {
         let mut scene = Scene::random(12, shape, 333, 2.0, &projection(&camera));
         for (anchor, mask) in scene.anchors.masks.iter_mut().enumerate() {
             *mask = if anchor % 3 == 1 { *mask } else { 0 };
@@ -348,7 +348,7 @@ fn a_forward_pass_can_be_gone_back_from_once() {
 fn the_most_anchors_are_what_the_widest_buffer_binds() {
     // What WebGPU guarantees. With 32 features the splats are the widest, with 50 the hidden values.
     for (features, expected) in [(32, 223_696), (50, 178_957)] {
-        let shape = Shape { features, offsets: 10 };
+        let shape = Shape::new(features, 10);
         let adapter = AdapterReport { max_binding_bytes: 128 << 20, ..gpu().adapter().clone() };
         assert_eq!(NeuralGaussians::max_anchors(&adapter, shape), expected);
         // The same of a device with narrower bindings, where all buffers are really made.

@@ -56,7 +56,7 @@ fn bits_are_set_above_the_level_alone() {
 
 #[test]
 fn the_twins_gradients_are_those_of_a_mask_that_passes_its_logistic_on() {
-    let shape = Shape { features: 4, offsets: 5 };
+    let shape = Shape::new(4, 5);
     let camera = random::camera(30, 20);
     let scene = Scene::random(4, shape, 1, 0.5, &projection(&camera));
     let spawned = neural::neural_forward(&projection(&camera), &scene.twin());

@@ -13,10 +13,10 @@ use tcgs::{
 };
 
 /// Sizes that leave every tile of the kernels partly filled.
-pub(super) const SMALL: Shape = Shape { features: 8, offsets: 3 };
+pub(super) const SMALL: Shape = Shape::new(8, 3);
 
 /// The sizes that are trained.
-pub(super) const USUAL: Shape = Shape { features: 32, offsets: 10 };
+pub(super) const USUAL: Shape = Shape::new(32, 10);
 
 /// Unlike each other, and none a power of two.
 pub(super) const BASE_STEPS: [f32; 3] = [0.7, 0.013, 0.21];

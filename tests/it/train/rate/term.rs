@@ -295,7 +295,7 @@ fn the_kernel_matches_the_twin() {
             check_against_twin(SMALL, count, sampled, phase);
         }
         check_against_twin(USUAL, 80, 33, phase);
-        check_against_twin(Shape { features: 50, offsets: 10 }, 20, 20, phase);
+        check_against_twin(Shape::new(50, 10), 20, 20, phase);
     }
 }
 

@@ -1,0 +1,75 @@
+//! How much pictures depend on features.
+//!
+//! A gradient of random signs as the image's, taken back to an anchor's feature, is a random vector whose products average to those
+//! of the picture's derivatives by the feature's channels.
+
+use super::{TrainError, feature_basis::add_products};
+use crate::{
+    domain::{CancelFlag, Frame},
+    eval::signs,
+    gpu::Device,
+    render::{AnchorGradients, DeviceAnchors, NeuralGaussians, Rasterizer},
+};
+
+/// Views that are measured; each gives one product for every anchor that it shows.
+const VIEWS: usize = 8;
+
+/// Behind everything, so that covering it counts, whatever the set's background is.
+const GREY: [f32; 3] = [0.5; 3];
+
+/// What renders views of a model.
+pub(super) struct Rendering<'a> {
+    pub(super) device: &'a Device,
+    pub(super) neural: &'a mut NeuralGaussians,
+    pub(super) raster: &'a mut Rasterizer,
+}
+
+/// The products of a picture's derivatives by two channels, `[F][F]`, summed over the anchors of training views that are spread evenly
+/// over `frames`. Overwrites `gradients`.
+///
+/// # Errors
+/// [`TrainError::Cancelled`] before the next view if the run is cancelled; errors of the device.
+pub(super) fn feature_sensitivity(
+    rendering: &mut Rendering<'_>,
+    anchors: &DeviceAnchors,
+    gradients: &AnchorGradients,
+    frames: &[&Frame],
+    cancel: &CancelFlag,
+) -> Result<Vec<f64>, TrainError> {
+    let Rendering { device, neural, raster } = rendering;
+    let shape = anchors.shape;
+    let mut sums = vec![0.0; shape.features * shape.features];
+    let views = VIEWS.min(frames.len());
+    for view in 0..views {
+        if cancel.is_cancelled() {
+            return Err(TrainError::Cancelled);
+        }
+        let camera = &frames[(2 * view + 1) * frames.len() / (2 * views)].camera;
+        loop {
+            let mut recorder = device.recorder("view to measure");
+            neural.forward(&mut recorder, anchors, camera, 0.0)?;
+            raster.forward(&mut recorder, neural.gaussians(), camera, GREY)?;
+            recorder.submit()?;
+            match raster.take_forward_passes()?.required {
+                None => break,
+                Some(needed) => raster.reserve(needed)?,
+            }
+        }
+        let pixels = (camera.intrinsics.width * camera.intrinsics.height) as usize;
+        let v_image = device.upload("random signs", &signs(view as u32, pixels))?;
+        let gaussians = neural.gaussians().clone();
+        let by_gaussians = neural.gaussian_gradients()?.clone();
+        let mut recorder = device.recorder("random signs taken back");
+        raster.backward(&mut recorder, &gaussians, camera, &v_image, &by_gaussians)?;
+        neural.backward(&mut recorder, anchors, gradients)?;
+        recorder.submit()?;
+        for row in device.read(&gradients.rows)?.chunks_exact(shape.row()) {
+            let feature: Vec<f64> = row[..shape.features].iter().map(|value| f64::from(*value)).collect();
+            // Anchors that the view does not show have zeros.
+            if feature.iter().all(|value| value.is_finite()) && feature.iter().any(|value| *value != 0.0) {
+                add_products(&mut sums, &feature, 1.0);
+            }
+        }
+    }
+    Ok(sums)
+}
