@@ -2,7 +2,7 @@
 # Installs what a fresh Debian-like machine lacks to build, test and run: a C compiler, curl, the Vulkan loader with
 # Mesa's software driver (lavapipe), and a Rust toolchain. Does nothing, silently, if all is present.
 #   scripts/setup.sh [--for-tests]    also programs that single tests need, or are skipped: Chromium, npm, systemd-analyze,
-#                                     Rust's WebAssembly target
+#                                     PostgreSQL, Rust's WebAssembly target
 set -euo pipefail
 cd "$(dirname "$0")/.."
 # shellcheck source=scripts/env.sh
@@ -64,6 +64,8 @@ install_for_tests() {
     command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null || missing+=(chromium)
     command -v npm >/dev/null || missing+=(npm)
     command -v systemd-analyze >/dev/null || missing+=(systemd)
+    # Its server runs only for tests, as they start it; Debian's programs are not on the path.
+    command -v initdb >/dev/null || compgen -G '/usr/lib/postgresql/*/bin/initdb' >/dev/null || missing+=(postgresql)
     [ ${#missing[@]} -gt 0 ] || return 0
     need_apt "${missing[*]}"
     say "installing ${missing[*]}"

@@ -17,8 +17,7 @@ use std::{
 use tcgs::{
     domain::{Digest, JobId, ProjectId, ProjectLimits, SystemClock, TrainOptions},
     store::{
-        BlobRef, JobFilter, NewJob, Outcome, Overview as _, Projects as _, QueuePolicy, SqliteStore,
-        Store as _,
+        BlobRef, JobFilter, NewJob, Outcome, Overview as _, Projects as _, QueuePolicy, SqlStore, Store as _,
     },
 };
 use uuid::Uuid;
@@ -47,19 +46,19 @@ fn line(what: &str, times: &[Duration]) {
     );
 }
 
-async fn add_job(store: &SqliteStore, project: ProjectId) {
+async fn add_job(store: &SqlStore, project: ProjectId) {
     let dataset = BlobRef { digest: Digest::of(b"a dataset"), bytes: 9 };
     let id = JobId(Uuid::now_v7());
     let new = NewJob { project, ..NewJob::new(id, TrainOptions::default(), dataset) };
     store.create_job(new).await.unwrap();
 }
 
-async fn run_one(store: &SqliteStore) {
+async fn run_one(store: &SqlStore) {
     let claim = store.claim("a worker").await.unwrap().unwrap();
     store.finish(&claim.lease, Outcome::Cancelled).await.unwrap();
 }
 
-async fn list(store: &SqliteStore, project: ProjectId) {
+async fn list(store: &SqlStore, project: ProjectId) {
     let filter = JobFilter { project: Some(project), ..JobFilter::default() };
     assert!(!store.jobs(&filter, None, 20).await.unwrap().is_empty());
 }
@@ -77,7 +76,7 @@ async fn main() {
         max_priority: None,
     };
     let policy = QueuePolicy { limits, ..QueuePolicy::default() };
-    let store = SqliteStore::open(&path, Arc::new(SystemClock), policy).await.unwrap();
+    let store = SqlStore::open(&path, Arc::new(SystemClock), policy).await.unwrap();
     let [busy, quiet] = [1, 2].map(|number| ProjectId(Uuid::from_u128(number)));
     history::write(&path, busy, quiet, jobs).await;
     add_job(&store, quiet).await;

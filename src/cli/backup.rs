@@ -7,7 +7,7 @@ use tcgs::{
     store::{BackupNote, CheckDepth, CopyMode, FsckReport},
 };
 
-use super::{CliError, Report, wiring};
+use super::{CliError, Report, storage::StorageFlags, wiring};
 
 /// Arguments of `tcgs backup`.
 #[derive(Debug, clap::Args)]
@@ -15,9 +15,8 @@ pub(crate) struct BackupArgs {
     /// Folder of the backup, absent or empty
     destination: PathBuf,
 
-    /// Folder of the service's data
-    #[arg(long, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
-    data: PathBuf,
+    #[command(flatten)]
+    storage: StorageFlags,
 
     /// Copy all files and check their digests, also where a second name for each would do
     #[arg(long)]
@@ -34,9 +33,8 @@ pub(crate) struct RestoreArgs {
     /// Folder of the backup
     backup: PathBuf,
 
-    /// Folder of the service's data, absent or empty
-    #[arg(long, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
-    data: PathBuf,
+    #[command(flatten)]
+    storage: StorageFlags,
 
     /// Print one JSON document instead of text
     #[arg(long)]
@@ -46,9 +44,8 @@ pub(crate) struct RestoreArgs {
 /// Arguments of `tcgs fsck`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct FsckArgs {
-    /// Folder of the service's data
-    #[arg(long, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
-    data: PathBuf,
+    #[command(flatten)]
+    storage: StorageFlags,
 
     /// Compare the lengths of files only, without reading them
     #[arg(long)]
@@ -62,16 +59,19 @@ pub(crate) struct FsckArgs {
 /// Writes a backup.
 pub(crate) fn backup(args: &BackupArgs) -> Result<Report, CliError> {
     let mode = if args.copy { CopyMode::Content } else { CopyMode::Link };
-    let note = wiring::back_up(&args.data, &args.destination, mode)?;
-    let text =
-        format!("{} has a backup of {}: {}.", args.destination.display(), args.data.display(), told(&note));
+    let storage = args.storage.storage()?;
+    let data = storage.sqlite_folder("backup")?;
+    let note = wiring::back_up(&storage, &args.destination, mode)?;
+    let text = format!("{} has a backup of {}: {}.", args.destination.display(), data.display(), told(&note));
     Ok(Report::new(text, &note))
 }
 
 /// Restores a backup.
 pub(crate) fn restore(args: &RestoreArgs) -> Result<Report, CliError> {
-    let note = wiring::restore(&args.backup, &args.data)?;
-    let text = format!("{} has what {} has: {}.", args.data.display(), args.backup.display(), told(&note));
+    let storage = args.storage.storage()?;
+    let data = storage.sqlite_folder("restore")?;
+    let note = wiring::restore(&args.backup, data)?;
+    let text = format!("{} has what {} has: {}.", data.display(), args.backup.display(), told(&note));
     Ok(Report::new(text, &note))
 }
 
@@ -82,12 +82,13 @@ fn told(note: &BackupNote) -> String {
 /// Checks a data folder; the exit status is 1 if anything is missing or damaged.
 pub(crate) fn fsck(args: &FsckArgs) -> Result<Report, CliError> {
     let depth = if args.lengths { CheckDepth::Length } else { CheckDepth::Content };
-    let report = wiring::fsck(&args.data, depth)?;
+    let storage = args.storage.storage()?;
+    let report = wiring::fsck(&storage, depth)?;
     let told = Report::new(lines(&report), &report);
     if report.is_sound() {
         return Ok(told);
     }
-    let detail = format!("{} is damaged: see the report, and restore a backup", args.data.display());
+    let detail = format!("{} is damaged: see the report, and restore a backup", storage.data.display());
     let problem = Box::new(Problem::new(ProblemType::DataDamaged, detail));
     Err(CliError::Reported { problem, text: told.text, json: told.json })
 }

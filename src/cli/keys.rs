@@ -1,6 +1,6 @@
 //! `tcgs keys`: creates, lists, changes and revokes API keys, also while the service runs.
 
-use std::{num::NonZeroU32, path::PathBuf};
+use std::num::NonZeroU32;
 
 use clap::Subcommand;
 use jiff::Timestamp;
@@ -13,6 +13,7 @@ use tcgs::{
 use super::{
     CliError, Report,
     projects::{OrNone, ProjectLimitFlags},
+    storage::StorageFlags,
     wiring,
 };
 
@@ -22,9 +23,8 @@ pub(crate) struct Args {
     #[command(subcommand)]
     action: Action,
 
-    /// Folder of the service's data
-    #[arg(long, global = true, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
-    data: PathBuf,
+    #[command(flatten)]
+    storage: StorageFlags,
 
     /// Print one JSON document instead of text
     #[arg(long, global = true)]
@@ -108,6 +108,7 @@ struct RevokeArgs {
 
 /// Runs the action.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
+    let storage = args.storage.storage()?;
     match &args.action {
         Action::Create(create) => {
             let limits = create.limits.limits();
@@ -126,7 +127,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
                 expires_at: create.expires_at,
                 requests_per_minute: create.requests_per_minute,
             };
-            let (record, key) = wiring::create_key(&args.data, request)?;
+            let (record, key) = wiring::create_key(&storage, request)?;
             let text = format!(
                 "{}\n\nThis is the only time that the key is shown. It is '{}', id {}, of project {}, and \
                  allows {}.",
@@ -139,11 +140,11 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
             Ok(Report::new(text, &Created { key: key.expose(), record: &record }))
         }
         Action::List(list) => {
-            let records = wiring::keys(&args.data, list.project, list.all)?;
+            let records = wiring::keys(&storage, list.project, list.all)?;
             Ok(Report::new(table(&records), &serde_json::json!({ "keys": records })))
         }
         Action::Change(wanted) => {
-            let record = wiring::change_key(&args.data, wanted.id, |record| KeyChange {
+            let record = wiring::change_key(&storage, wanted.id, |record| KeyChange {
                 name: wanted.name.clone().unwrap_or_else(|| record.name.clone()),
                 requests_per_minute: wanted
                     .requests_per_minute
@@ -154,7 +155,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
             Ok(Report::new(text, &record))
         }
         Action::Revoke(revoke) => {
-            let record = wiring::revoke_key(&args.data, revoke.id)?;
+            let record = wiring::revoke_key(&storage, revoke.id)?;
             let text = format!("The key '{}' ({}...) is revoked.", record.name, record.prefix);
             Ok(Report::new(text, &record))
         }

@@ -1,17 +1,14 @@
 //! `tcgs migrate`: brings the schema of a service's database up to date without starting the service.
 
-use std::path::PathBuf;
-
 use tcgs::store::SchemaChange;
 
-use super::{CliError, Report, wiring};
+use super::{CliError, Report, storage::StorageFlags, wiring};
 
 /// Arguments of `tcgs migrate`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder of the service's data
-    #[arg(long, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
-    data: PathBuf,
+    #[command(flatten)]
+    storage: StorageFlags,
 
     /// Print one JSON document instead of text
     #[arg(long)]
@@ -20,17 +17,17 @@ pub(crate) struct Args {
 
 /// Brings the schema up to date.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
-    let change = wiring::migrate(&args.data)?;
-    let folder = args.data.display();
+    let storage = args.storage.storage()?;
+    let change = wiring::migrate(&storage)?;
     let text = match change {
         SchemaChange { from: None, to } => {
-            format!("A new database in {folder} has the schema of version {to}.")
+            format!("A new database in {storage} has the schema of version {to}.")
         }
         SchemaChange { from: Some(from), to } if from == to => {
-            format!("The schema of the database in {folder} has version {to} already.")
+            format!("The schema of the database in {storage} has version {to} already.")
         }
         SchemaChange { from: Some(from), to } => {
-            format!("The schema of the database in {folder} was brought from version {from} to {to}.")
+            format!("The schema of the database in {storage} was brought from version {from} to {to}.")
         }
     };
     Ok(Report::new(text, &change))

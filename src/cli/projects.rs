@@ -1,6 +1,6 @@
 //! `tcgs projects`: creates, lists and changes projects, also while the service runs.
 
-use std::{path::PathBuf, str::FromStr};
+use std::str::FromStr;
 
 use clap::Subcommand;
 use serde::Serialize;
@@ -9,7 +9,7 @@ use tcgs::{
     store::{ProjectChange, ProjectUsage, StoredBytes},
 };
 
-use super::{CliError, Report, wiring};
+use super::{CliError, Report, storage::StorageFlags, wiring};
 
 /// The flag that bounds running jobs, of services and workers.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -68,9 +68,8 @@ pub(crate) struct Args {
     #[command(subcommand)]
     action: Action,
 
-    /// Folder of the service's data
-    #[arg(long, global = true, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
-    data: PathBuf,
+    #[command(flatten)]
+    storage: StorageFlags,
 
     /// Print one JSON document instead of text
     #[arg(long, global = true)]
@@ -125,19 +124,20 @@ struct ChangeArgs {
 
 /// Runs the action.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
+    let storage = args.storage.storage()?;
     match &args.action {
         Action::Create(create) => {
-            let record = wiring::create_project(&args.data, &create.name, create.limits.limits())?;
+            let record = wiring::create_project(&storage, &create.name, create.limits.limits())?;
             let text = format!("Project '{}' is created, id {}.", record.name, record.id);
             Ok(Report::new(text, &record))
         }
         Action::List => {
-            let all = wiring::projects(&args.data)?;
+            let all = wiring::projects(&storage)?;
             let listed: Vec<Listed> = all.iter().map(Listed::from).collect();
             Ok(Report::new(table(&all), &serde_json::json!({ "projects": listed })))
         }
         Action::Change(wanted) => {
-            let record = wiring::change_project(&args.data, wanted.id, |record| {
+            let record = wiring::change_project(&storage, wanted.id, |record| {
                 let limits = record.limits;
                 ProjectChange {
                     name: wanted.name.clone().unwrap_or_else(|| record.name.clone()),

@@ -161,14 +161,14 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, CliError> {
         failures_per_minute: args.access.failures_per_minute,
         trusted_proxies: TrustedProxies(args.access.trusted_proxies),
     };
-    let data = args.storage.folder()?;
+    let storage = args.storage.storage()?;
     if let Some(file) = &args.access.bootstrap_admin_key_file {
-        wiring::ensure_first_key(&data, file)?;
+        wiring::ensure_first_key(&storage, file)?;
     }
     wiring::serve(ServeOptions {
         http: args.limits.config(args.listen, args.metrics_listen, access),
         limits: args.quotas.limits(),
-        data,
+        storage,
         adapter: args.adapter.adapter,
         lpips: args.lpips.lpips,
         workers: args.workers,

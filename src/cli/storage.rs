@@ -1,36 +1,85 @@
-//! Flags for the location of a service's data, shared by `serve` and `worker`.
+//! Flags for the location of a service's data, shared by the commands that use it.
 
-use std::path::PathBuf;
+use std::{
+    fmt,
+    path::{Path, PathBuf},
+};
+
+use tcgs::store::{DATABASE, DatabaseLocation, PostgresUrl};
 
 use super::CliError;
 
 /// The location of a service's data.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct StorageFlags {
-    /// Folder of the service's database, uploads and files
-    #[arg(long, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
+    /// Folder of the service's files, uploads and SQLite database
+    #[arg(long, global = true, value_name = "DIR", default_value = "tcgs-data", env = "TCGS_DATA")]
     data: PathBuf,
 
-    /// Database, if not SQLite in the data folder
-    // Fixed for scripts; shared databases and blobs are not implemented.
-    #[arg(long, value_name = "URL", env = "TCGS_DATABASE", hide = true)]
+    /// PostgreSQL database instead of SQLite in the data folder: postgres://USER@HOST/DATABASE
+    // A text here, so that clap repeats no password in its errors.
+    #[arg(long, global = true, value_name = "URL", env = "TCGS_DATABASE", hide_env_values = true)]
     database: Option<String>,
 
     /// Blob storage, if not the data folder
-    #[arg(long, value_name = "URL", env = "TCGS_BLOBS", hide = true)]
+    // Fixed for scripts; shared blobs are not implemented.
+    #[arg(long, global = true, value_name = "URL", env = "TCGS_BLOBS", hide = true)]
     blobs: Option<String>,
 }
 
+/// Where a service's data is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Storage {
+    /// The data folder.
+    pub(crate) data: PathBuf,
+    /// The database, if not SQLite in the data folder.
+    pub(crate) database: Option<PostgresUrl>,
+}
+
 impl StorageFlags {
-    /// The data folder. `--database` and `--blobs` are refused: a queue shared by machines is not implemented.
-    pub(crate) fn folder(self) -> Result<PathBuf, CliError> {
-        for (flag, value) in [("--database", self.database), ("--blobs", self.blobs)] {
-            if value.is_some() {
-                return Err(CliError::Usage(format!(
-                    "{flag}: this version keeps SQLite and blobs in --data"
-                )));
-            }
+    /// The location that the flags name. `--blobs` is refused: files are kept in the data folder, which several machines may mount.
+    pub(crate) fn storage(&self) -> Result<Storage, CliError> {
+        if self.blobs.is_some() {
+            return Err(CliError::Usage("--blobs: this version keeps files in --data".to_owned()));
         }
-        Ok(self.data)
+        let database = self.database.as_deref().map(str::parse).transpose();
+        let database = database.map_err(|fault| CliError::Usage(format!("--database: {fault}")))?;
+        Ok(Storage { data: self.data.clone(), database })
+    }
+}
+
+impl Storage {
+    /// Where the database is.
+    pub(crate) fn location(&self) -> DatabaseLocation {
+        match &self.database {
+            Some(url) => DatabaseLocation::Postgres(url.clone()),
+            None => DatabaseLocation::File(self.data.join(DATABASE)),
+        }
+    }
+
+    /// SQLite's file, unless the database is PostgreSQL, whose server is asked whether there is one.
+    pub(crate) fn file(&self) -> Option<PathBuf> {
+        self.database.is_none().then(|| self.data.join(DATABASE))
+    }
+
+    /// The data folder of a command that copies SQLite's file.
+    pub(crate) fn sqlite_folder(&self, command: &str) -> Result<&Path, CliError> {
+        if self.database.is_some() {
+            return Err(CliError::Usage(format!(
+                "--database: 'tcgs {command}' is for SQLite; use pg_dump and pg_restore for the PostgreSQL database, and copy the \
+                 data folder's files (docs/OPERATIONS.md)"
+            )));
+        }
+        Ok(&self.data)
+    }
+}
+
+/// What holds the database: PostgreSQL's address without a password, or the data folder.
+impl fmt::Display for Storage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.database {
+            Some(url) => url.fmt(f),
+            None => self.data.display().fmt(f),
+        }
     }
 }

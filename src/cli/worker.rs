@@ -45,7 +45,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: Args) -> Result<Report, CliError> {
     args.nice.lower_priority()?;
     wiring::worker(WorkerOptions {
-        data: args.storage.folder()?,
+        storage: args.storage.storage()?,
         adapter: args.adapter.adapter,
         memory: args.memory.limits(1),
         lpips: args.lpips.lpips,

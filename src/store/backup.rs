@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{
-    Accounts as _, BlobError, BlobState, Blobs, CopyMode, QueuePolicy, SqliteStore, StoreError, fsck::BATCH,
+    Accounts as _, BlobError, BlobState, Blobs, CopyMode, QueuePolicy, SqlStore, StoreError, fsck::BATCH,
 };
 use crate::domain::{Clock, Digest};
 
@@ -99,7 +99,7 @@ fn sync(path: &Path) -> io::Result<()> {
 /// # Errors
 /// [`BackupError`]; the destination is then no backup, and can be deleted.
 pub async fn back_up(
-    store: &SqliteStore,
+    store: &SqlStore,
     data: &Path,
     destination: &Path,
     mode: CopyMode,
@@ -114,7 +114,7 @@ pub async fn back_up(
         let taken_at = clock.now();
         remove_database(&database)?;
         store.copy_into(&database).await?;
-        let snapshot = SqliteStore::open_current(&database, clock.clone(), QueuePolicy::default()).await?;
+        let snapshot = SqlStore::open_current(&database, clock.clone(), QueuePolicy::default()).await?;
         let copied = copy_blobs(&snapshot, data, &copy, mode).await;
         snapshot.close().await;
         if let Err(BackupError::Missing { digest, .. }) = &copied {
@@ -135,7 +135,7 @@ pub async fn back_up(
 
 /// Copies what a snapshot refers to, and counts it; forgets in the snapshot what nothing refers to, and ends its open uploads.
 async fn copy_blobs(
-    snapshot: &SqliteStore,
+    snapshot: &SqlStore,
     source: &Path,
     copy: &Blobs,
     mode: CopyMode,
@@ -174,7 +174,7 @@ pub async fn restore(backup: &Path, data: &Path, clock: Arc<dyn Clock>) -> Resul
     fs::copy(backup.join(DATABASE), &staged)?;
     let copied = async {
         let copy = Blobs::open(data)?;
-        let store = SqliteStore::open_current(&staged, clock, QueuePolicy::default()).await?;
+        let store = SqlStore::open_current(&staged, clock, QueuePolicy::default()).await?;
         let copied = copy_blobs(&store, backup, &copy, CopyMode::Content).await;
         store.close().await;
         copied

@@ -2,6 +2,8 @@
 
 use std::error::Error;
 
+use sqlx::{error::DatabaseError as _, postgres::PgDatabaseError, sqlite::SqliteError};
+
 use crate::domain::{causes, is_no_space};
 
 /// `SQLITE_FULL`.
@@ -9,18 +11,27 @@ const FULL: u32 = 13;
 /// `SQLITE_IOERR_SHMSIZE`: the index of the write-ahead log, a file beside the database, cannot grow.
 const IOERR_SHMSIZE: u32 = 10 | (19 << 8);
 
+/// `disk_full` of PostgreSQL, on its machine.
+const DISK_FULL: &str = "53100";
+
 /// Returns true if the error or one of its causes says that the disk, or its user's quota on it, is full.
 #[must_use]
 pub fn is_disk_full(error: &(dyn Error + 'static)) -> bool {
     let is_full = |code: u32| code & 0xff == FULL || code == IOERR_SHMSIZE;
     is_no_space(error)
-        || causes(error)
-            .any(|cause| cause.downcast_ref::<sqlx::Error>().and_then(result_code).is_some_and(is_full))
+        || causes(error).filter_map(|cause| cause.downcast_ref::<sqlx::Error>()).any(|error| {
+            result_code(error).is_some_and(is_full) || sql_state(error).as_deref() == Some(DISK_FULL)
+        })
 }
 
 /// SQLite's extended result code.
 pub(super) fn result_code(error: &sqlx::Error) -> Option<u32> {
-    error.as_database_error()?.code()?.parse().ok()
+    error.as_database_error()?.try_downcast_ref::<SqliteError>()?.code()?.parse().ok()
+}
+
+/// PostgreSQL's state (`SQLSTATE`).
+pub(super) fn sql_state(error: &sqlx::Error) -> Option<String> {
+    Some(error.as_database_error()?.try_downcast_ref::<PgDatabaseError>()?.code().to_owned())
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use super::{
     PriorRequest,
-    disk_full::{is_disk_full, result_code},
+    disk_full::{is_disk_full, result_code, sql_state},
 };
 use crate::domain::{DatasetId, JobId, ProjectId};
 
@@ -100,6 +100,9 @@ pub enum StoreError {
     /// The schema cannot be migrated.
     #[error("the database schema cannot be migrated")]
     Migrate(#[from] sqlx::migrate::MigrateError),
+    /// What only SQLite can do.
+    #[error("a {0} of a PostgreSQL database is made with pg_dump")]
+    NotInPostgres(&'static str),
     /// A statement failed.
     #[error("a database statement failed")]
     Database(#[from] sqlx::Error),
@@ -112,8 +115,8 @@ impl StoreError {
         is_disk_full(self)
     }
 
-    /// Whether the same call may succeed a moment later: the database was busy, out of connections, or its file could not be read or
-    /// written. False for a full disk ([`StoreError::is_disk_full`]), since somebody has to make space first.
+    /// Whether the same call may succeed a moment later: the database was busy, out of connections, not to be reached, or its file could not
+    /// be read or written, or PostgreSQL undid the transaction for the sake of another. False for a full disk ([`StoreError::is_disk_full`]), since somebody has to make space first.
     #[must_use]
     pub fn is_transient(&self) -> bool {
         let StoreError::Database(error) = self else { return false };
@@ -121,12 +124,22 @@ impl StoreError {
             sqlx::Error::PoolTimedOut | sqlx::Error::Io(_) | sqlx::Error::WorkerCrashed => {
                 !self.is_disk_full()
             }
+            error if let Some(state) = sql_state(error) => {
+                TRANSIENT_STATES.iter().any(|class| state.starts_with(class))
+            }
             error => result_code(error).is_some_and(|code| {
                 matches!(code & 0xff, BUSY | LOCKED | IOERR | CANTOPEN) && !self.is_disk_full()
             }),
         }
     }
 }
+
+/// States of PostgreSQL (its manual, appendix A) after which the same call may succeed, by class or whole: connection exceptions; a reference
+/// to what another transaction has deleted, which the same call then finds to be gone; a server that is being replaced and only reads;
+/// serialization failures and deadlocks; too many connections, but not a full disk; locks not available in time; a server that stops, starts
+/// or recovers.
+const TRANSIENT_STATES: [&str; 11] =
+    ["08", "23503", "25006", "25P03", "40", "53200", "53300", "55P03", "57014", "57P", "58030"];
 
 /// SQLite's primary result codes, in the low byte of extended ones.
 const BUSY: u32 = 5;

@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use serde::Serialize;
 
 use super::{
-    BlobRef, BlobState, Blobs, CheckDepth, SqliteStore,
+    BlobRef, BlobState, Blobs, CheckDepth, SqlStore,
     garbage::{GarbageError, GarbagePolicy},
 };
 use crate::domain::Digest;
@@ -47,7 +47,7 @@ impl FsckReport {
 /// # Errors
 /// [`GarbageError`] if the database or a file cannot be read at all.
 pub async fn check(
-    store: &SqliteStore,
+    store: &SqlStore,
     blobs: &Blobs,
     depth: CheckDepth,
     now: Timestamp,
@@ -75,7 +75,7 @@ pub async fn check(
 }
 
 async fn check_one(
-    store: &SqliteStore,
+    store: &SqlStore,
     blobs: &Blobs,
     blob: BlobRef,
     depth: CheckDepth,

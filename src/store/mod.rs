@@ -16,6 +16,7 @@
 mod accounts;
 mod backup;
 pub mod blobs;
+mod changes;
 mod datasets;
 mod disk_full;
 mod error;
@@ -30,7 +31,7 @@ mod projects;
 mod records;
 mod retry;
 mod series;
-mod sqlite;
+mod sql;
 mod stats;
 mod uploads;
 mod webhooks;
@@ -43,6 +44,7 @@ pub use blobs::{
     BlobError, BlobState, BlobWriter, Blobs, CheckDepth, ContentHasher, CopyMode, Published, StagedBlob,
     UploadFile,
 };
+pub use changes::{ChangeKind, Changes};
 pub use datasets::{DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, Datasets, NewDataset};
 pub use disk_full::is_disk_full;
 pub use error::StoreError;
@@ -61,7 +63,7 @@ pub use records::{
     SHOWN_ATTEMPTS, SceneArtifact, WorkerDeath,
 };
 pub use series::Series;
-pub use sqlite::{SchemaChange, SqliteStore};
+pub use sql::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange, SqlStore};
 pub use stats::{AttemptCount, Overview, StoreStats};
 pub use uploads::{NewUpload, UploadRecord, Uploads};
 pub use webhooks::{
@@ -155,6 +157,9 @@ pub trait Store:
     /// Ends all attempts whose leases expired under this process's observation, and counts them. To be called often: renewals between two
     /// calls are not observed.
     fn expire_leases(&self) -> StoreFuture<'_, u64>;
+
+    /// Changes of a kind from now on, as far as the database tells of them.
+    fn changes(&self, kind: ChangeKind) -> Changes;
 
     /// One round trip to the database.
     fn ping(&self) -> StoreFuture<'_, ()>;

@@ -13,11 +13,14 @@ use super::{
 };
 use crate::{
     pipeline::RunJob,
-    store::{Blobs, Store},
+    store::{Blobs, ChangeKind, Store},
 };
 
 /// How often an idle worker removes unneeded checkpoints.
 const SWEEP_EVERY: Duration = Duration::from_secs(60);
+
+/// How many times rarer an idle worker asks for jobs while the database tells of new ones.
+const RARER: u32 = 8;
 
 /// Claims and runs jobs, one at a time, until `shutdown`.
 ///
@@ -49,6 +52,7 @@ pub async fn serve(
         Instant::now()
     };
     let mut swept = sweep().await;
+    let mut changes = deps.store.changes(ChangeKind::Queue);
     while !shutdown.is_cancelled() {
         match deps.store.claim(&deps.config.id).await {
             Ok(Some(claim)) => {
@@ -62,8 +66,11 @@ pub async fn serve(
                 tracing::warn!(error = &error as &dyn std::error::Error, "no job can be claimed: {error}");
             }
         }
+        // What it tells may be lost, so it is asked in any case.
+        let poll = deps.config.poll * if changes.is_live() { RARER } else { 1 };
         tokio::select! {
-            () = sleep(deps.config.poll) => {}
+            () = sleep(poll) => {}
+            () = changes.wait() => {}
             () = shutdown.cancelled() => {}
         }
     }

@@ -15,7 +15,7 @@ use tcgs::{
 };
 
 use super::service::{OlderSchema, has_keys, open_store, runtime, unavailable};
-use crate::cli::CliError;
+use crate::cli::{CliError, storage::Storage};
 
 const NAME: &str = "bootstrap";
 
@@ -23,9 +23,9 @@ const NAME: &str = "bootstrap";
 const LONGEST: u64 = 1024;
 
 /// Gives a service its first key, with the scope `admin`, unless it has or had one.
-pub(crate) fn ensure_first_key(data: &Path, path: &Path) -> Result<(), CliError> {
+pub(crate) fn ensure_first_key(storage: &Storage, path: &Path) -> Result<(), CliError> {
     runtime()?.block_on(async {
-        if has_keys(data).await? {
+        if has_keys(storage).await? {
             return Ok(());
         }
         let key = match read(path)? {
@@ -40,7 +40,7 @@ pub(crate) fn ensure_first_key(data: &Path, path: &Path) -> Result<(), CliError>
         };
         let new = NewKey::of(&key, &SystemRandom, SystemClock.now(), request)
             .map_err(|fault| unavailable(&fault))?;
-        let store = open_store(data, ProjectLimits::default(), OlderSchema::Migrate).await?;
+        let store = open_store(storage, ProjectLimits::default(), OlderSchema::Migrate).await?;
         let created = store.create_key(new).await;
         store.close().await;
         let record = created.map_err(|fault| unavailable(&fault))?;

@@ -1,55 +1,56 @@
 //! Projects and keys in the database of a service, whether it runs or not.
 
-use std::path::Path;
-
 use tcgs::{
     domain::{
         ApiKey, Clock as _, KeyId, Problem, ProblemType, ProjectId, ProjectLimits, SystemClock, SystemRandom,
     },
     store::{
         KeyChange, KeyRecord, KeyRequest, Keys as _, NewKey, NewProject, ProjectChange, ProjectRecord,
-        ProjectUpdate, ProjectUsage, Projects as _, SqliteStore, StoreError,
+        ProjectUpdate, ProjectUsage, Projects as _, SqlStore, StoreError,
     },
 };
 
 use super::service::{OlderSchema, open_store, runtime, unavailable};
-use crate::cli::CliError;
+use crate::cli::{CliError, storage::Storage};
 
 /// Keys per page of the list.
 const PAGE: u32 = 1000;
 
 /// Creates a key.
-pub(crate) fn create_key(data: &Path, request: KeyRequest<'_>) -> Result<(KeyRecord, ApiKey), CliError> {
+pub(crate) fn create_key(
+    storage: &Storage,
+    request: KeyRequest<'_>,
+) -> Result<(KeyRecord, ApiKey), CliError> {
     let drawn = NewKey::generate(&SystemRandom, SystemClock.now(), request);
     let (new, key) = drawn.map_err(|fault| CliError::Usage(fault.to_string()))?;
-    let record = with_store(data, async |store| match store.create_key(new).await {
+    let record = with_store(storage, async |store| match store.create_key(new).await {
         Err(StoreError::NoProject(id)) => Ok(Err(id)),
         created => created.map(Ok),
     })?;
-    Ok((record.map_err(|id| no_project(data, id))?, key))
+    Ok((record.map_err(|id| no_project(storage, id))?, key))
 }
 
 /// Changes a key.
 pub(crate) fn change_key(
-    data: &Path,
+    storage: &Storage,
     id: KeyId,
     change: impl Fn(&KeyRecord) -> KeyChange,
 ) -> Result<KeyRecord, CliError> {
-    let found = with_store(data, async |store| store.key(id).await)?;
-    let record = found.filter(|key| key.revoked_at.is_none()).ok_or_else(|| no_key(data, id))?;
+    let found = with_store(storage, async |store| store.key(id).await)?;
+    let record = found.filter(|key| key.revoked_at.is_none()).ok_or_else(|| no_key(storage, id))?;
     let change = change(&record).checked(&record, SystemClock.now());
     let change = change.map_err(|fault| CliError::Usage(fault.to_string()))?;
-    let changed = with_store(data, async |store| store.update_key(id, change).await)?;
-    changed.ok_or_else(|| no_key(data, id))
+    let changed = with_store(storage, async |store| store.update_key(id, change).await)?;
+    changed.ok_or_else(|| no_key(storage, id))
 }
 
 /// The keys of a project or of all, newest first, with revoked ones if `with_revoked`.
 pub(crate) fn keys(
-    data: &Path,
+    storage: &Storage,
     project: Option<ProjectId>,
     with_revoked: bool,
 ) -> Result<Vec<KeyRecord>, CliError> {
-    with_store(data, async |store| {
+    with_store(storage, async |store| {
         let mut all: Vec<KeyRecord> = Vec::new();
         loop {
             let page = store.keys(project, with_revoked, all.last().map(|key| key.id), PAGE).await?;
@@ -62,45 +63,45 @@ pub(crate) fn keys(
 }
 
 /// Revokes a key.
-pub(crate) fn revoke_key(data: &Path, id: KeyId) -> Result<KeyRecord, CliError> {
-    let revoked = with_store(data, async |store| store.revoke_key(id).await)?;
-    revoked.ok_or_else(|| no_key(data, id))
+pub(crate) fn revoke_key(storage: &Storage, id: KeyId) -> Result<KeyRecord, CliError> {
+    let revoked = with_store(storage, async |store| store.revoke_key(id).await)?;
+    revoked.ok_or_else(|| no_key(storage, id))
 }
 
-fn no_key(data: &Path, id: KeyId) -> CliError {
-    let detail = format!("there is no key {id} in {}; see 'tcgs keys list --all'", data.display());
+fn no_key(storage: &Storage, id: KeyId) -> CliError {
+    let detail = format!("there is no key {id} in {storage}; see 'tcgs keys list --all'");
     Problem::new(ProblemType::KeyNotFound, detail).into()
 }
 
-fn no_project(data: &Path, id: ProjectId) -> CliError {
-    let detail = format!("there is no project {id} in {}; see 'tcgs projects list'", data.display());
+fn no_project(storage: &Storage, id: ProjectId) -> CliError {
+    let detail = format!("there is no project {id} in {storage}; see 'tcgs projects list'");
     Problem::new(ProblemType::ProjectNotFound, detail).into()
 }
 
 /// Creates a project.
 pub(crate) fn create_project(
-    data: &Path,
+    storage: &Storage,
     name: &str,
     limits: ProjectLimits,
 ) -> Result<ProjectRecord, CliError> {
     let new = NewProject::generate(&SystemRandom, SystemClock.now(), name, limits);
     let new = new.map_err(|fault| CliError::Usage(fault.to_string()))?;
-    with_store(data, async |store| store.create_project(new).await)
+    with_store(storage, async |store| store.create_project(new).await)
 }
 
 /// Changes a project.
 pub(crate) fn change_project(
-    data: &Path,
+    storage: &Storage,
     id: ProjectId,
     change: impl Fn(&ProjectRecord) -> ProjectChange,
 ) -> Result<ProjectRecord, CliError> {
     loop {
-        let found = with_store(data, async |store| store.project(id).await)?;
-        let record = found.ok_or_else(|| no_project(data, id))?;
+        let found = with_store(storage, async |store| store.project(id).await)?;
+        let record = found.ok_or_else(|| no_project(storage, id))?;
         let change = change(&record).checked().map_err(|fault| CliError::Usage(fault.to_string()))?;
         let version = Some(record.version);
-        match with_store(data, async |store| store.update_project(id, version, change).await)? {
-            None => return Err(no_project(data, id)),
+        match with_store(storage, async |store| store.update_project(id, version, change).await)? {
+            None => return Err(no_project(storage, id)),
             Some(ProjectUpdate::Updated(record)) => return Ok(record),
             // Changed over HTTP meanwhile.
             Some(ProjectUpdate::VersionMismatch) => {}
@@ -109,8 +110,8 @@ pub(crate) fn change_project(
 }
 
 /// The projects with their usage, newest first.
-pub(crate) fn projects(data: &Path) -> Result<Vec<ProjectUsage>, CliError> {
-    with_store(data, async |store| {
+pub(crate) fn projects(storage: &Storage) -> Result<Vec<ProjectUsage>, CliError> {
+    with_store(storage, async |store| {
         let mut all: Vec<ProjectUsage> = Vec::new();
         loop {
             let page = store.project_usage(None, all.last().map(|usage| usage.project.id), PAGE).await?;
@@ -123,12 +124,12 @@ pub(crate) fn projects(data: &Path) -> Result<Vec<ProjectUsage>, CliError> {
 }
 
 fn with_store<T>(
-    data: &Path,
-    work: impl AsyncFnOnce(&SqliteStore) -> Result<T, StoreError>,
+    storage: &Storage,
+    work: impl AsyncFnOnce(&SqlStore) -> Result<T, StoreError>,
 ) -> Result<T, CliError> {
     runtime()?.block_on(async {
         // A service of another version may be using it.
-        let store = open_store(data, ProjectLimits::default(), OlderSchema::Refuse).await?;
+        let store = open_store(storage, ProjectLimits::default(), OlderSchema::Refuse).await?;
         let outcome = work(&store).await;
         store.close().await;
         outcome.map_err(|fault| unavailable(&fault))

@@ -24,7 +24,7 @@ use tcgs::{
     pipeline::{ReferenceViews, scene_file},
     render::{RenderViews, views::Viewable},
     store::{
-        Blobs, DATABASE, Keys as _, QueuePolicy, SchemaChange, SqliteStore,
+        Blobs, DATABASE, Keys as _, PostgresUrl, QueuePolicy, SchemaChange, SqlStore,
         garbage::{GarbagePolicy, collect_garbage},
     },
     webhooks::{self, DeliveryConfig, Sender},
@@ -34,7 +34,7 @@ use tokio::runtime::Runtime;
 use tokio_util::sync::CancellationToken;
 
 use super::{Renderer, private};
-use crate::cli::{CliError, files, logging::Format};
+use crate::cli::{CliError, files, logging::Format, storage::Storage};
 
 /// Name of the folder for the checkpoints of running jobs in the data folder.
 const CHECKPOINTS: &str = "checkpoints";
@@ -61,7 +61,7 @@ pub(crate) struct ServeOptions {
     pub(crate) http: HttpConfig,
     /// Limits of projects that have none of their own.
     pub(crate) limits: ProjectLimits,
-    pub(crate) data: PathBuf,
+    pub(crate) storage: Storage,
     pub(crate) adapter: AdapterChoice,
     /// Memory of each worker.
     pub(crate) memory: MemoryLimits,
@@ -84,8 +84,8 @@ pub(crate) struct ServeOptions {
 /// Options of a worker process.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct WorkerOptions {
-    /// The data folder of the service.
-    pub(crate) data: PathBuf,
+    /// The data of the service.
+    pub(crate) storage: Storage,
     pub(crate) adapter: AdapterChoice,
     pub(crate) memory: MemoryLimits,
     /// Weights of LPIPS.
@@ -101,16 +101,16 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
     let mut config = options.http.clone();
     config.limits.webhook_targets = options.webhook_targets;
     runtime()?.block_on(async {
-        let has_keys = has_keys(&options.data).await?;
+        let has_keys = has_keys(&options.storage).await?;
         config.check_exposure(has_keys).map_err(|fault| CliError::Usage(format!("--listen: {fault}")))?;
         // Fails here rather than in every worker.
         super::lpips(options.lpips.as_deref())?;
         let roots = webhook_roots(options.webhook_roots.as_deref())?;
         let (renderer, _) = super::views(&options.adapter, options.view_memory)?;
         let listeners = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
-        let store = open_store(&options.data, options.limits, OlderSchema::Migrate).await?;
-        let blobs = open_blobs(&options.data)?;
-        private::close_all(&options.data);
+        let store = open_store(&options.storage, options.limits, OlderSchema::Migrate).await?;
+        let blobs = open_blobs(&options.storage.data)?;
+        private::close_all(&options.storage.data);
         let shutdown = stop_on_signals()?;
 
         let mut children = supervise::SuperviseConfig::this_program(
@@ -118,8 +118,10 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
             usize::from(options.workers),
         )
         .map_err(|fault| unavailable(&fault))?;
-        children.environment = driver_cache_in(&options.data);
-        children.liveness_dir = Some(options.data.join(WORKERS));
+        children.environment = driver_cache_in(&options.storage.data);
+        // Not an argument, which every user of the machine can read: it may hold a password.
+        children.environment.extend(options.storage.database.iter().map(database_variable));
+        children.liveness_dir = Some(options.storage.data.join(WORKERS));
         let supervisor = supervise::supervise(children, store.clone(), shutdown.clone());
         let live_workers = supervisor.live_workers();
         let housekeeping = tokio::spawn(collect_garbage(
@@ -129,7 +131,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
             GarbagePolicy::default(),
             shutdown.clone(),
         ));
-        let checkpoints = options.data.join(CHECKPOINTS);
+        let checkpoints = options.storage.data.join(CHECKPOINTS);
         let sender = Sender::new(options.webhook_targets, webhooks::system_lookup(), WEBHOOK_TIMEOUT, &roots)
             .map_err(|fault| unavailable(&*fault))?;
         let delivering = tokio::spawn(webhooks::deliver(
@@ -166,7 +168,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         if let Ok(Some(address)) = listeners.metrics_address() {
             tracing::info!(metrics_address = %address, "metrics are on http://{address}/metrics");
         }
-        tracing::info!(%address, data = %options.data.display(), "serving on http://{address}");
+        tracing::info!(%address, data = %options.storage.data.display(), database = %options.storage, "serving on http://{address}");
         http::serve(listeners, config, services, shutdown).await;
         supervisor.stopped().await;
         if let Err(fault) = housekeeping.await {
@@ -185,21 +187,21 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), CliError> {
     let runtime = runtime()?;
     let outcome = runtime.block_on(async {
         let lpips = super::lpips(options.lpips.as_deref())?;
-        let runner = super::runner(&options.adapter, options.memory, options.data.clone(), lpips);
+        let runner = super::runner(&options.adapter, options.memory, options.storage.data.clone(), lpips);
         // One small view: the reference takes a core.
         let reference = ReferenceViews { views: 1, max_side: 256 };
         let runner = Arc::new(runner.with_pictures().with_reference(Some(reference)));
         // The service has migrated the schema; a worker of another version must not.
         let limits = ProjectLimits { max_running_jobs: options.max_running_jobs, ..ProjectLimits::default() };
-        let store = open_store(&options.data, limits, OlderSchema::Refuse).await?;
-        let blobs = open_blobs(&options.data)?;
+        let store = open_store(&options.storage, limits, OlderSchema::Refuse).await?;
+        let blobs = open_blobs(&options.storage.data)?;
         let shutdown = stop_on_signals()?;
         if options.stop_with_parent {
             worker::stop_when_stdin_closes(shutdown.clone()).map_err(|fault| unavailable(&fault))?;
         }
-        let checkpoints = Some(options.data.join(CHECKPOINTS));
+        let checkpoints = Some(options.storage.data.join(CHECKPOINTS));
         // Only a supervisor reads it; other workers are known by their leases.
-        let liveness_dir = options.stop_with_parent.then(|| options.data.join(WORKERS));
+        let liveness_dir = options.stop_with_parent.then(|| options.storage.data.join(WORKERS));
         let config = WorkerConfig { checkpoints, liveness_dir, ..WorkerConfig::from_environment() };
         let outcome = worker::serve(store.clone(), blobs, runner, config, shutdown).await;
         store.close().await;
@@ -210,12 +212,12 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), CliError> {
     outcome
 }
 
-/// Brings the schema of the database in a data folder up to date.
-pub(crate) fn migrate(data: &Path) -> Result<SchemaChange, CliError> {
+/// Brings the schema of a service's database up to date.
+pub(crate) fn migrate(storage: &Storage) -> Result<SchemaChange, CliError> {
     runtime()?.block_on(async {
-        private_folder(data)?;
-        let database = data.join(DATABASE);
-        let migrated = SqliteStore::migrate(&database, Arc::new(SystemClock), QueuePolicy::default()).await;
+        private_folder(&storage.data)?;
+        let migrated =
+            SqlStore::migrate(storage.location(), Arc::new(SystemClock), QueuePolicy::default()).await;
         let (store, change) = migrated.map_err(|fault| unavailable(&fault))?;
         store.close().await;
         Ok(change)
@@ -229,18 +231,18 @@ pub(super) enum OlderSchema {
     Refuse,
 }
 
-/// The database in a data folder, with limits for projects that have none of their own.
+/// The database of a service, with limits for projects that have none of their own.
 pub(super) async fn open_store(
-    data: &Path,
+    storage: &Storage,
     limits: ProjectLimits,
     older: OlderSchema,
-) -> Result<Arc<SqliteStore>, CliError> {
-    private_folder(data)?;
-    let (database, clock) = (data.join(DATABASE), Arc::new(SystemClock));
+) -> Result<Arc<SqlStore>, CliError> {
+    private_folder(&storage.data)?;
+    let (database, clock) = (storage.location(), Arc::new(SystemClock));
     let policy = QueuePolicy { limits, ..QueuePolicy::default() };
     let store = match older {
-        OlderSchema::Migrate => SqliteStore::open(&database, clock, policy).await,
-        OlderSchema::Refuse => SqliteStore::open_current(&database, clock, policy).await,
+        OlderSchema::Migrate => SqlStore::open(database, clock, policy).await,
+        OlderSchema::Refuse => SqlStore::open_current(database, clock, policy).await,
     };
     store.map(Arc::new).map_err(|fault| unavailable(&fault))
 }
@@ -263,12 +265,12 @@ fn webhook_roots(path: Option<&Path>) -> Result<ExtraRoots, CliError> {
         .map_err(|fault| CliError::Usage(format!("--webhooks-ca: {} {fault}", path.display())))
 }
 
-/// Whether the database has keys; a missing database is not created.
-pub(super) async fn has_keys(data: &Path) -> Result<bool, CliError> {
-    if !data.join(DATABASE).exists() {
+/// Whether the database has keys; a missing file is not created.
+pub(super) async fn has_keys(storage: &Storage) -> Result<bool, CliError> {
+    if storage.file().is_some_and(|file| !file.exists()) {
         return Ok(false);
     }
-    let store = open_store(data, ProjectLimits::default(), OlderSchema::Migrate).await?;
+    let store = open_store(storage, ProjectLimits::default(), OlderSchema::Migrate).await?;
     let has_keys = store.has_keys().await.map_err(|fault| unavailable(&fault))?;
     store.close().await;
     Ok(has_keys)
@@ -317,11 +319,16 @@ fn driver_cache_in(data: &Path) -> Vec<(OsString, OsString)> {
     environment
 }
 
+/// The variable that tells workers of the database.
+fn database_variable(url: &PostgresUrl) -> (OsString, OsString) {
+    ("TCGS_DATABASE".into(), url.expose().into())
+}
+
 fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
     let mut arguments = vec![
         "worker".into(),
         "--data".into(),
-        options.data.clone().into(),
+        options.storage.data.clone().into(),
         "--adapter".into(),
         options.adapter.to_string().into(),
         "--log-format".into(),

@@ -5,9 +5,8 @@ use std::{io, path::Path, sync::Arc};
 use tcgs::{
     domain::{Clock as _, Problem, ProblemType, SystemClock},
     store::{
-        BackupError, BackupNote, BlobError, Blobs, CheckDepth, CopyMode, DATABASE, FsckReport, QueuePolicy,
-        SqliteStore, back_up as write_backup, check_data_folder, garbage::GarbageError,
-        restore as restore_backup,
+        BackupError, BackupNote, BlobError, Blobs, CheckDepth, CopyMode, FsckReport, QueuePolicy, SqlStore,
+        back_up as write_backup, check_data_folder, garbage::GarbageError, restore as restore_backup,
     },
 };
 
@@ -15,24 +14,26 @@ use super::{
     private,
     service::{runtime, unavailable},
 };
-use crate::cli::CliError;
+use crate::cli::{CliError, storage::Storage};
 
-/// The store in a data folder, which must be there.
-async fn existing(data: &Path) -> Result<SqliteStore, CliError> {
-    let database = data.join(DATABASE);
-    if !database.exists() {
+/// The store of a service, which must be there.
+async fn existing(storage: &Storage) -> Result<SqlStore, CliError> {
+    if let Some(database) = storage.file()
+        && !database.exists()
+    {
         return Err(CliError::unreadable(&database, &io::ErrorKind::NotFound.into()));
     }
-    let store = SqliteStore::open_current(&database, Arc::new(SystemClock), QueuePolicy::default()).await;
+    let store =
+        SqlStore::open_current(storage.location(), Arc::new(SystemClock), QueuePolicy::default()).await;
     store.map_err(|fault| unavailable(&fault))
 }
 
 /// Writes a backup of a data folder, whether its service runs or not.
-pub(crate) fn back_up(data: &Path, destination: &Path, mode: CopyMode) -> Result<BackupNote, CliError> {
+pub(crate) fn back_up(storage: &Storage, destination: &Path, mode: CopyMode) -> Result<BackupNote, CliError> {
     runtime()?.block_on(async {
         private::create(destination).map_err(|fault| CliError::unwritable(destination, &fault))?;
-        let store = existing(data).await?;
-        let note = write_backup(&store, data, destination, mode, Arc::new(SystemClock)).await;
+        let store = existing(storage).await?;
+        let note = write_backup(&store, &storage.data, destination, mode, Arc::new(SystemClock)).await;
         store.close().await;
         note.map_err(failed)
     })
@@ -47,10 +48,10 @@ pub(crate) fn restore(backup: &Path, data: &Path) -> Result<BackupNote, CliError
 }
 
 /// Checks a data folder, whether its service runs or not.
-pub(crate) fn fsck(data: &Path, depth: CheckDepth) -> Result<FsckReport, CliError> {
+pub(crate) fn fsck(storage: &Storage, depth: CheckDepth) -> Result<FsckReport, CliError> {
     runtime()?.block_on(async {
-        let store = existing(data).await?;
-        let blobs = Blobs::open(data).map_err(|fault| unavailable(&fault))?;
+        let store = existing(storage).await?;
+        let blobs = Blobs::open(&storage.data).map_err(|fault| unavailable(&fault))?;
         let report = check_data_folder(&store, &blobs, depth, SystemClock.now()).await;
         store.close().await;
         report.map_err(|fault| match fault {

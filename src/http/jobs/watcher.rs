@@ -1,7 +1,7 @@
 //! Waits for changes of jobs.
 //!
-//! The processes that share the queue cannot wake each other, so one task polls for all waiters, with one statement, and only while
-//! there are any. Invariant: a wait ends once there is an event that its caller has not seen, whichever came first.
+//! One task asks the store for all waiters, with one statement, and only while there are any: at intervals, and where the database tells of
+//! events (PostgreSQL), at once when it does and rarely otherwise, since what it tells may be lost. Invariant: a wait ends once there is an event that its caller has not seen, whichever came first.
 
 use std::{
     collections::BTreeMap,
@@ -9,9 +9,21 @@ use std::{
     time::Duration,
 };
 
-use tokio::{sync::watch, time::sleep};
+use tokio::{
+    sync::{Notify, watch},
+    time::sleep,
+};
 
-use crate::{domain::JobId, store::Store};
+use crate::{
+    domain::JobId,
+    store::{ChangeKind, Changes, Store},
+};
+
+/// How many times rarer the store is asked while the database tells of events.
+const RARER: u32 = 8;
+
+/// Shortest time between two questions, however many events there are.
+const AT_MOST_EVERY: Duration = Duration::from_millis(25);
 
 /// Polls for changes on behalf of all waiters; clones share the task.
 #[derive(Clone)]
@@ -21,6 +33,8 @@ struct Inner {
     store: Arc<dyn Store>,
     every: Duration,
     waiting: Mutex<Waiting>,
+    /// Told of every new waiter.
+    arrived: Notify,
 }
 
 #[derive(Default)]
@@ -41,7 +55,7 @@ enum Newest {
 impl Watcher {
     /// A watcher that polls at an interval.
     pub(crate) fn new(store: Arc<dyn Store>, every: Duration) -> Self {
-        Self(Arc::new(Inner { store, every, waiting: Mutex::default() }))
+        Self(Arc::new(Inner { store, every, waiting: Mutex::default(), arrived: Notify::new() }))
     }
 
     /// Waits until the job has an event with a number above `seen` and returns the newest one's; `None` once there is no
@@ -63,6 +77,7 @@ impl Watcher {
     fn subscribe(&self, job: JobId) -> watch::Receiver<Newest> {
         let mut waiting = self.0.waiting.lock().unwrap_or_else(PoisonError::into_inner);
         let newest = waiting.jobs.entry(job).or_insert_with(|| watch::channel(Newest::Unknown).0).subscribe();
+        self.0.arrived.notify_one();
         if !waiting.polling {
             waiting.polling = true;
             tokio::spawn(poll(Arc::clone(&self.0)));
@@ -71,10 +86,29 @@ impl Watcher {
     }
 }
 
+/// Waits until the store is to be asked again.
+async fn pause(inner: &Inner, changes: &mut Changes) {
+    if !changes.is_live() {
+        tokio::select! {
+            () = sleep(inner.every) => {}
+            () = changes.wait() => {}
+        }
+        return;
+    }
+    sleep(inner.every.min(AT_MOST_EVERY)).await;
+    tokio::select! {
+        () = sleep(inner.every * RARER) => {}
+        () = changes.wait() => {}
+        // What a new waiter has not seen may have happened long ago.
+        () = inner.arrived.notified() => {}
+    }
+}
+
 /// Polls until there are no waiters.
 async fn poll(inner: Arc<Inner>) {
+    let mut changes = inner.store.changes(ChangeKind::Events);
     loop {
-        sleep(inner.every).await;
+        pause(&inner, &mut changes).await;
         let jobs: Vec<JobId> = {
             let mut waiting = inner.waiting.lock().unwrap_or_else(PoisonError::into_inner);
             waiting.jobs.retain(|_, newest| newest.receiver_count() > 0);
@@ -112,7 +146,7 @@ mod tests {
     use super::*;
     use crate::{
         domain::{Digest, SystemClock},
-        store::{BlobRef, NewJob, QueuePolicy, SqliteStore},
+        store::{BlobRef, NewJob, QueuePolicy, SqlStore},
     };
 
     const LONG: Duration = Duration::from_secs(60);
@@ -120,7 +154,7 @@ mod tests {
     async fn with_job() -> (TempDir, Arc<dyn Store>, Watcher, JobId) {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("tcgs.db");
-        let store = SqliteStore::open(&path, Arc::new(SystemClock), QueuePolicy::default()).await;
+        let store = SqlStore::open(&path, Arc::new(SystemClock), QueuePolicy::default()).await;
         let store: Arc<dyn Store> = Arc::new(store.expect("a database"));
         let id = JobId(Uuid::from_u128(1));
         let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };

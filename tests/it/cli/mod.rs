@@ -5,6 +5,8 @@ mod baselines;
 mod bench_report;
 mod clients;
 mod data_folder;
+#[cfg(unix)]
+mod database;
 mod keys;
 mod options;
 mod priority;

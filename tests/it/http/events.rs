@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use tcgs::{
     domain::{Phase, Problem, ProblemType, Progress, Scope, SystemClock},
     http::{self, HttpConfig, Services, config::RequestLimits},
-    store::{Outcome, SqliteStore, Store},
+    store::{Outcome, SqlStore, Store},
 };
 use tokio_util::sync::CancellationToken;
 
@@ -169,7 +169,7 @@ async fn a_client_that_follows_across_a_restart_misses_nothing_and_gets_nothing_
     let progress = |step| Progress { step, total: 10, ..Progress::default() };
     server.store.report(&lease, Phase::Train, &progress(5)).await.expect("stored");
 
-    let reopened = SqliteStore::open(&server.database(), Arc::new(SystemClock), quick_policy()).await;
+    let reopened = SqlStore::open(&server.database(), Arc::new(SystemClock), quick_policy()).await;
     let store: Arc<dyn Store> = Arc::new(reopened.expect("the database"));
     let services = Services { store: Arc::clone(&store), ..server.services.clone() };
     let config = HttpConfig { listen: server.address, ..HttpConfig::default() };

@@ -10,26 +10,26 @@ use tcgs::{
     },
     store::{
         BlobRef, DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, NewDataset, NewJob,
-        NewProject, NewUpload, QueuePolicy, SqliteStore, Store, StoreError, Usage,
+        NewProject, NewUpload, QueuePolicy, Store, StoreError, Usage,
     },
 };
-use tempfile::TempDir;
 use uuid::Uuid;
+
+use crate::support::database::Database;
 
 struct Fixture {
     store: Arc<dyn Store>,
     clock: Arc<ManualClock>,
-    _folder: TempDir,
+    _database: Database,
 }
 
 impl Fixture {
-    async fn new() -> Self {
-        let folder = tempfile::tempdir().expect("a folder");
+    async fn new() -> Option<Self> {
+        let database = super::database().await?;
         let start: Timestamp = "2026-11-21T12:00:00Z".parse().expect("an instant");
         let clock = Arc::new(ManualClock::new(start));
-        let path = folder.path().join("tcgs.db");
-        let store = SqliteStore::open(&path, clock.clone(), QueuePolicy::default()).await;
-        Self { store: Arc::new(store.expect("a database")), clock, _folder: folder }
+        let store = database.open(clock.clone(), QueuePolicy::default()).await;
+        Some(Self { store: Arc::new(store), clock, _database: database })
     }
 
     /// Adds a project.
@@ -89,7 +89,7 @@ fn job(number: u128, project: ProjectId, scene: &DatasetRecord) -> NewJob {
 
 #[tokio::test]
 async fn a_dataset_reads_back_as_it_was_added() {
-    let fixture = Fixture::new().await;
+    let Some(fixture) = Fixture::new().await else { return };
     let new = new_dataset(1, NOBODY, "dataset");
     let DatasetCreation::Created(made) = fixture.add(1, NOBODY, "dataset").await else { panic!("it is new") };
     assert_eq!((made.id, &made.name, made.dataset), (new.id, &new.name, new.dataset));
@@ -100,7 +100,7 @@ async fn a_dataset_reads_back_as_it_was_added() {
 
 #[tokio::test]
 async fn a_project_has_an_archive_once_and_another_has_its_own_dataset_of_it() {
-    let fixture = Fixture::new().await;
+    let Some(fixture) = Fixture::new().await else { return };
     let [one, other] = [fixture.project(1, None).await, fixture.project(2, None).await];
     for project in [NOBODY, one, other] {
         let number = 10 + project.0.as_u128();
@@ -123,7 +123,7 @@ async fn a_project_has_an_archive_once_and_another_has_its_own_dataset_of_it() {
 
 #[tokio::test]
 async fn datasets_are_listed_newest_first_without_gaps_or_repeats() {
-    let fixture = Fixture::new().await;
+    let Some(fixture) = Fixture::new().await else { return };
     let mut ids: Vec<DatasetId> = Vec::new();
     for number in 0..5 {
         // Two of each instant, so that the id has to decide.
@@ -143,7 +143,7 @@ async fn datasets_are_listed_newest_first_without_gaps_or_repeats() {
 
 #[tokio::test]
 async fn a_dataset_is_deleted_unless_an_active_job_trains_on_it() {
-    let fixture = Fixture::new().await;
+    let Some(fixture) = Fixture::new().await else { return };
     let made = fixture.add(1, NOBODY, "dataset").await.record().clone();
     let jobs = [job(1, NOBODY, &made), job(2, NOBODY, &made)];
     for new in jobs.clone() {
@@ -168,7 +168,7 @@ async fn a_dataset_is_deleted_unless_an_active_job_trains_on_it() {
 
 #[tokio::test]
 async fn an_upload_reserves_its_bytes_until_it_is_a_dataset_or_deleted() {
-    let fixture = Fixture::new().await;
+    let Some(fixture) = Fixture::new().await else { return };
     let project = fixture.project(1, Some(100)).await;
     let used = fixture.begin(1, project, 60).await.expect("room");
     let refused = fixture.begin(2, project, 41).await.expect_err("60 + 41 > 100");
@@ -210,7 +210,7 @@ async fn an_upload_reserves_its_bytes_until_it_is_a_dataset_or_deleted() {
 
 #[tokio::test]
 async fn uploads_expire_and_stay_listed_as_ended_for_a_while() {
-    let fixture = Fixture::new().await;
+    let Some(fixture) = Fixture::new().await else { return };
     let open = fixture.begin(1, NOBODY, 5).await.expect("room");
     fixture.clock.advance(SignedDuration::from_mins(30));
     let young = fixture.begin(2, NOBODY, 6).await.expect("room");
@@ -232,7 +232,7 @@ async fn uploads_expire_and_stay_listed_as_ended_for_a_while() {
 
 #[tokio::test]
 async fn only_unreferenced_blobs_are_removed() {
-    let fixture = Fixture::new().await;
+    let Some(fixture) = Fixture::new().await else { return };
     let made = fixture.add(1, NOBODY, "dataset").await.record().clone();
     fixture.store.create_job(job(1, NOBODY, &made)).await.expect("queued");
     let unknown = Digest::of(b"never heard of");

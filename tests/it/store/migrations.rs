@@ -13,11 +13,21 @@ use tcgs::{
     domain::{DatasetId, EndpointId, JobId, JobState, KeyId, ProjectId, SystemClock, UploadId},
     store::{
         Accounts as _, ArtifactKind, Datasets as _, Exports as _, Idempotency as _, JobFilter, Keys as _,
-        Projects as _, QueuePolicy, Series as _, SqliteStore, Store, Uploads as _, Usage, Webhooks as _,
+        Projects as _, QueuePolicy, Series as _, SqlStore, Store, Uploads as _, Usage, Webhooks as _,
     },
 };
 
+use super::sqlite::totals::{Fixture, succeeded};
+use crate::support::database::Database;
+
 static ALL: Migrator = sqlx::migrate!("migrations/sqlite");
+static POSTGRES: Migrator = sqlx::migrate!("migrations/postgres");
+
+/// The same of PostgreSQL's migrations.
+const POSTGRES_CHECKSUMS: &[(i64, &str)] = &[(
+    1,
+    "df44c65d81910eb09d8717a8c32ff6323d1458bc63ed903a4d7c2bee5882b834a738691bd1779492ca8343ce0bc6ccf7",
+)];
 
 /// SHA-384 of every migration, by version. A new migration gets a line here, and a line never changes. There was no version 8.
 const CHECKSUMS: &[(i64, &str)] = &[
@@ -56,8 +66,8 @@ async fn restore(path: &Path, version: i64) {
     pool.close().await;
 }
 
-async fn open(path: &Path) -> SqliteStore {
-    SqliteStore::open(path, Arc::new(SystemClock), QueuePolicy::default()).await.expect("opens")
+async fn open(path: &Path) -> SqlStore {
+    SqlStore::open(path, Arc::new(SystemClock), QueuePolicy::default()).await.expect("opens")
 }
 
 /// An identity of the dumps; jobs, keys and the rest count through one row of numbers.
@@ -73,9 +83,9 @@ const QUEUED_JOB: u32 = 3;
 const UPLOAD: u32 = 4;
 const ENDPOINT: u32 = 5;
 
-#[test]
-fn released_migrations_are_never_edited() {
-    let found: Vec<(i64, String)> = ALL
+/// Versions and checksums of migrations, which are as stated.
+fn checked(migrations: &Migrator, checksums: &[(i64, &str)]) -> Vec<(i64, String)> {
+    let found: Vec<(i64, String)> = migrations
         .iter()
         .map(|migration| {
             let hex = migration.checksum.iter().map(|byte| format!("{byte:02x}")).collect();
@@ -83,10 +93,17 @@ fn released_migrations_are_never_edited() {
         })
         .collect();
     for (version, checksum) in &found {
-        let stated = CHECKSUMS.iter().find(|(stated, _)| stated == version).map(|(_, sum)| *sum);
+        let stated = checksums.iter().find(|(stated, _)| stated == version).map(|(_, sum)| *sum);
         assert_eq!(stated, Some(checksum.as_str()), "a new migration's line is ({version}, \"{checksum}\"),");
     }
-    assert_eq!(found.len(), CHECKSUMS.len(), "a migration is gone");
+    assert_eq!(found.len(), checksums.len(), "a migration is gone");
+    found
+}
+
+#[test]
+fn released_migrations_are_never_edited() {
+    checked(&POSTGRES, POSTGRES_CHECKSUMS);
+    let found = checked(&ALL, CHECKSUMS);
     let newest = DUMPED.iter().max().expect("dumps");
     let past = found.iter().map(|(version, _)| *version).filter(|version| version <= newest);
     assert_eq!(past.collect::<Vec<_>>(), DUMPED, "a schema between others has no dump");
@@ -111,7 +128,7 @@ async fn databases_of_every_earlier_schema_keep_their_content_through_migrations
     }
 }
 
-async fn assert_finished_job(store: &SqliteStore, version: i64) {
+async fn assert_finished_job(store: &SqlStore, version: i64) {
     let id = FINISHED_JOB.parse().expect("an id");
     let record = store.job(id).await.expect("reads").unwrap_or_else(|| panic!("lost from version {version}"));
     assert_eq!(record.job.state, JobState::Succeeded, "version {version}");
@@ -129,13 +146,13 @@ async fn assert_finished_job(store: &SqliteStore, version: i64) {
 }
 
 /// Queued jobs are still queued.
-async fn assert_queued_job(store: &SqliteStore, version: i64) {
+async fn assert_queued_job(store: &SqlStore, version: i64) {
     let claim = store.claim("test").await.expect("a claim").expect("the job that waited");
     assert_eq!(claim.lease.job, id(QUEUED_JOB), "version {version}");
 }
 
 /// Content that only later schemas have.
-async fn assert_later_tables(store: &SqliteStore, version: i64) {
+async fn assert_later_tables(store: &SqlStore, version: i64) {
     let finished = FINISHED_JOB.parse().expect("an id");
     if version >= 4 {
         let key = store.key(id(KEY)).await.expect("reads").expect("the key is there");
@@ -242,4 +259,81 @@ async fn a_key_of_before_projects_keeps_everything_in_a_project_of_its_own() {
     let lease = tcgs::store::Lease { job: id(123), attempt: 1, worker: "worker 1".into() };
     store.heartbeat(&lease).await.expect("still held");
     store.close().await;
+}
+
+/// Schemas from before the totals, before projects, and of the latest release before them, with rows in every table.
+#[tokio::test]
+async fn a_migrated_database_gets_its_totals_by_counting() {
+    for version in [4, 7, 10, 11, 15] {
+        let folder = tempfile::tempdir().expect("a folder");
+        restore(&folder.path().join("tcgs.db"), version).await;
+        let mut fixture = Fixture::open(Database::Sqlite(folder)).await;
+        fixture.check(&format!("the migration of {version}")).await;
+        let claim = fixture.store.claim("worker").await.expect("an answer").expect("a job");
+        fixture.store.finish(&claim.lease, succeeded("a file")).await.expect("ended");
+        fixture.check(&format!("a change after the migration of {version}")).await;
+        assert!(fixture.seen.claims > 0);
+    }
+}
+
+/// Columns that SQLite's schema keeps from its past and nothing reads.
+const PAST: [&str; 6] = [
+    "keys.max_bytes",
+    "keys.max_active_jobs",
+    "keys.max_priority",
+    "scenes.owner",
+    "uploads.owner",
+    "webhook_endpoints.owner",
+];
+
+/// What PostgreSQL has beyond it.
+const OF_POSTGRES: [&str; 7] = [
+    "counter_changes.cause",
+    "counter_changes.label",
+    "counter_changes.name",
+    "counter_changes.value",
+    "total_changes.label",
+    "total_changes.name",
+    "total_changes.value",
+];
+
+#[tokio::test]
+async fn both_schemas_have_the_same_tables_columns_and_indexes() {
+    let Some(postgres) = Database::for_module("postgres").await else { return };
+    let sqlite = Database::sqlite();
+    open(match &sqlite.location() {
+        tcgs::store::DatabaseLocation::File(path) => path,
+        location => panic!("{location}"),
+    })
+    .await
+    .close()
+    .await;
+    let names = async |database: &Database, query: &str| -> BTreeSet<String> {
+        database.rows(query, 1).await.into_iter().map(|row| row[0].clone()).collect()
+    };
+    let mut columns = names(
+        &sqlite,
+        "SELECT tables.name || '.' || columns.name FROM sqlite_schema AS tables, pragma_table_info(tables.name) AS columns
+         WHERE tables.type = 'table' AND tables.name NOT LIKE 'sqlite_%' AND tables.name <> '_sqlx_migrations'",
+    )
+    .await;
+    columns.retain(|column| !PAST.contains(&column.as_str()));
+    columns.extend(OF_POSTGRES.map(str::to_owned));
+    let found = names(
+        &postgres,
+        "SELECT CAST(table_name || '.' || column_name AS text) FROM information_schema.columns
+         WHERE table_schema = 'public' AND table_name <> '_sqlx_migrations'",
+    )
+    .await;
+    assert_eq!(found, columns);
+    let indexes =
+        names(&sqlite, "SELECT name FROM sqlite_schema WHERE type = 'index' AND name NOT LIKE 'sqlite_%'")
+            .await;
+    let found = names(
+        &postgres,
+        "SELECT CAST(indexname AS text) FROM pg_indexes WHERE schemaname = 'public' AND indexname NOT LIKE '%_pkey'
+             AND indexname NOT LIKE '%_key'",
+    )
+    .await;
+    assert_eq!(found, indexes);
 }

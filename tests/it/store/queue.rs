@@ -1,5 +1,4 @@
-//! The queue's guarantees, one test each, on a manual clock. Written against the trait, so that a second database could be tested
-//! likewise.
+//! The queue's guarantees, one test each, on a manual clock and on either database.
 
 use std::{path::PathBuf, sync::Arc, time::Duration};
 
@@ -11,15 +10,14 @@ use tcgs::{
         Progress, ProjectId, ProjectLimits, SceneFormat, SystemClock, TrainOptions,
     },
     store::{
-        Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, Deletion,
-        IdempotentRequest, JobFilter, JobRecord, Lease, NewJob, NewProject, Outcome, ProjectChange,
-        QueuePolicy, RetryOutcome, RetryRequest, SqliteStore, Store, StoreError, WorkerDeath,
+        Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, DatabaseLocation,
+        Deletion, IdempotentRequest, JobFilter, JobRecord, Lease, NewJob, NewProject, Outcome, PostgresUrl,
+        ProjectChange, QueuePolicy, RetryOutcome, RetryRequest, SqlStore, Store, StoreError, WorkerDeath,
     },
 };
-use tempfile::TempDir;
 use uuid::Uuid;
 
-use crate::support::fakes;
+use crate::support::{database::Database, fakes};
 
 /// Longest wait for another process.
 const LONGEST: Duration = Duration::from_secs(120);
@@ -27,20 +25,20 @@ const LONGEST: Duration = Duration::from_secs(120);
 struct Queue {
     store: Arc<dyn Store>,
     clock: Arc<ManualClock>,
-    folder: TempDir,
+    database: Database,
 }
 
 impl Queue {
-    async fn new() -> Self {
+    async fn new() -> Option<Self> {
         Self::with(QueuePolicy::default()).await
     }
 
-    async fn with(policy: QueuePolicy) -> Self {
-        let folder = tempfile::tempdir().expect("a folder");
+    async fn with(policy: QueuePolicy) -> Option<Self> {
+        let database = super::database().await?;
         let start: Timestamp = "2026-11-21T12:00:00Z".parse().expect("an instant");
         let clock = Arc::new(ManualClock::new(start));
-        let store = open(&folder, &clock, policy).await;
-        Self { store: Arc::new(store), clock, folder }
+        let store = database.open(clock.clone(), policy).await;
+        Some(Self { store: Arc::new(store), clock, database })
     }
 
     fn pass(&self, seconds: i64) {
@@ -83,11 +81,6 @@ impl Queue {
     }
 }
 
-async fn open(folder: &TempDir, clock: &Arc<ManualClock>, policy: QueuePolicy) -> SqliteStore {
-    let clock = Arc::clone(clock) as Arc<dyn Clock>;
-    SqliteStore::open(&folder.path().join("tcgs.db"), clock, policy).await.expect("a database")
-}
-
 /// Every event of a job, whose numbers must count from 1.
 async fn events(store: &dyn Store, id: JobId) -> Vec<Event> {
     let events = store.events(id, 0, 1000).await.expect("read").expect("known");
@@ -114,7 +107,7 @@ fn is_lost<T>(result: Result<T, StoreError>) -> bool {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn claims_are_exclusive_under_32_concurrent_claimers() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     for number in 0..20 {
         queue.add(number).await;
     }
@@ -137,80 +130,108 @@ async fn claims_are_exclusive_under_32_concurrent_claimers() {
     assert_eq!(taken, (0..20).map(|number| JobId(Uuid::from_u128(number))).collect::<Vec<_>>());
 }
 
-/// Where a child of [`two_processes_share_the_file_without_a_double_claim`] finds the database, and where it writes what it claimed.
-const CHILD_DATA: &str = "TCGS_TEST_CLAIMING_CHILD_DATA";
+/// Claimers in each child process of [`claims_are_exclusive_under_32_claimers_in_several_processes`].
+const CLAIMERS: usize = 8;
+
+/// Where a child finds the database, its folder, and its name.
+const CHILD_DATABASE: &str = "TCGS_TEST_CLAIMING_CHILD_DATABASE";
+const CHILD_FOLDER: &str = "TCGS_TEST_CLAIMING_CHILD_FOLDER";
 const CHILD_NAME: &str = "TCGS_TEST_CLAIMING_CHILD_NAME";
 
-/// Not a test of its own: a process that claims all jobs it can once the file `go` exists.
-#[tokio::test]
-#[ignore = "the test of two processes runs it as a child process"]
+/// Not a test of its own: a process whose claimers take all jobs that they can once the file `go` exists.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+#[ignore = "the test of several processes runs it as a child process"]
 async fn claiming_child_process() {
-    let [Some(data), Some(name)] = [CHILD_DATA, CHILD_NAME].map(std::env::var_os) else { return };
-    let (data, name) = (PathBuf::from(data), name.into_string().expect("UTF-8"));
-    let database = data.join("tcgs.db");
-    let store = SqliteStore::open(&database, Arc::new(SystemClock), QueuePolicy::default()).await;
-    let store = store.expect("a database");
-    std::fs::write(data.join(format!("{name}.ready")), "").expect("written");
-    while !data.join("go").exists() {
+    let values = [CHILD_DATABASE, CHILD_FOLDER, CHILD_NAME].map(|name| std::env::var(name).ok());
+    let [Some(database), Some(folder), Some(name)] = values else { return };
+    let folder = PathBuf::from(folder);
+    let location = match database.parse::<PostgresUrl>() {
+        Ok(url) => DatabaseLocation::Postgres(url),
+        Err(_) => DatabaseLocation::File(database.into()),
+    };
+    let store = SqlStore::open(location, Arc::new(SystemClock), QueuePolicy::default()).await;
+    let store = Arc::new(store.expect("a database"));
+    std::fs::write(folder.join(format!("{name}.ready")), "").expect("written");
+    while !folder.join("go").exists() {
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
+    let claimers = (0..CLAIMERS).map(|number| {
+        let (store, worker) = (Arc::clone(&store), format!("{name}-{number}"));
+        tokio::spawn(async move {
+            let mut taken = String::new();
+            while let Some(claim) = store.claim(&worker).await.expect("a claim") {
+                store.heartbeat(&claim.lease).await.expect("a heartbeat");
+                taken += &format!("{} {worker}\n", claim.lease.job);
+            }
+            taken
+        })
+    });
     let mut taken = String::new();
-    while let Some(claim) = store.claim(&name).await.expect("a claim") {
-        store.heartbeat(&claim.lease).await.expect("a heartbeat");
-        taken += &format!("{}\n", claim.lease.job);
+    for claimer in claimers.collect::<Vec<_>>() {
+        taken += &claimer.await.expect("joined");
     }
-    std::fs::write(data.join(format!("{name}.taken")), taken).expect("written");
+    std::fs::write(folder.join(format!("{name}.taken")), taken).expect("written");
 }
 
 #[tokio::test]
-async fn two_processes_share_the_file_without_a_double_claim() {
-    let queue = Queue::new().await;
+async fn claims_are_exclusive_under_32_claimers_in_several_processes() {
+    let Some(queue) = Queue::new().await else { return };
     let mut jobs = Vec::new();
     for number in 0..60 {
         jobs.push(queue.add(number).await.to_string());
     }
-    let data = queue.folder.path();
-    let start = |name: &str| {
+    let folder = tempfile::tempdir().expect("a folder");
+    let database = match queue.database.location() {
+        DatabaseLocation::File(path) => path.into_os_string(),
+        DatabaseLocation::Postgres(url) => url.expose().into(),
+    };
+    let module = module_path!().split_once("::").expect("a crate's name").1;
+    let start = |name: &&str| {
         tokio::process::Command::new(std::env::current_exe().expect("a program"))
-            .args(["store::queue::claiming_child_process", "--exact", "--ignored", "--test-threads=1"])
-            .env(CHILD_DATA, data)
+            .args([&*format!("{module}::claiming_child_process"), "--exact", "--ignored", "--test-threads=1"])
+            .env(CHILD_DATABASE, &database)
+            .env(CHILD_FOLDER, folder.path())
             .env(CHILD_NAME, name)
             .stdout(std::process::Stdio::null())
             .kill_on_drop(true)
             .spawn()
             .expect("the binary runs")
     };
-    let mut children = ["one", "two"].map(start);
+    let names = ["one", "two", "three", "four"];
+    let mut children: Vec<_> = names.iter().map(start).collect();
     let ready = async {
-        while !["one", "two"].iter().all(|name| data.join(format!("{name}.ready")).exists()) {
+        while !names.iter().all(|name| folder.path().join(format!("{name}.ready")).exists()) {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     };
-    tokio::time::timeout(LONGEST, ready).await.expect("both have opened the database");
-    std::fs::write(data.join("go"), "").expect("written");
+    tokio::time::timeout(LONGEST, ready).await.expect("all have opened the database");
+    std::fs::write(folder.path().join("go"), "").expect("written");
     for child in &mut children {
         let status = tokio::time::timeout(LONGEST, child.wait()).await.expect("it ends").expect("a child");
         assert!(status.success());
     }
-    let taken = ["one", "two"].map(|name| {
-        let taken = std::fs::read_to_string(data.join(format!("{name}.taken"))).expect("written");
-        taken.lines().map(str::to_owned).collect::<Vec<_>>()
-    });
-    let mut all = taken.concat();
-    all.sort();
-    assert_eq!(all, jobs, "each job is claimed once: {taken:#?}");
-    for (name, taken) in ["one", "two"].iter().zip(&taken) {
-        for job in taken {
-            let attempts = queue.store.attempts(job.parse().expect("an id")).await.expect("read");
-            assert_eq!(attempts.len(), 1);
-            assert_eq!(attempts[0].worker, *name);
-        }
+    let taken: String = names
+        .iter()
+        .map(|name| std::fs::read_to_string(folder.path().join(format!("{name}.taken"))).expect("written"))
+        .collect();
+    let mut all: Vec<_> =
+        taken.lines().map(|line| line.split_once(' ').expect("a job and a worker")).collect();
+    all.sort_unstable();
+    assert_eq!(
+        all.iter().map(|(job, _)| *job).collect::<Vec<_>>(),
+        jobs,
+        "each job is claimed once: {taken}"
+    );
+    for (job, worker) in all {
+        let attempts = queue.store.attempts(job.parse().expect("an id")).await.expect("read");
+        assert_eq!(attempts.len(), 1);
+        assert_eq!(attempts[0].worker, worker);
     }
 }
 
 #[tokio::test]
 async fn the_highest_priority_goes_first_then_the_oldest() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let old = queue.add(9).await;
     queue.pass(1);
     let young = queue.add(1).await;
@@ -222,7 +243,7 @@ async fn the_highest_priority_goes_first_then_the_oldest() {
 
 #[tokio::test]
 async fn an_expired_lease_is_claimable_exactly_once() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     let first = queue.lease().await;
     queue.pass(59);
@@ -236,7 +257,7 @@ async fn an_expired_lease_is_claimable_exactly_once() {
 
 #[tokio::test]
 async fn a_heartbeat_keeps_the_lease() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     queue.add(1).await;
     let lease = queue.lease().await;
     for _ in 0..10 {
@@ -248,7 +269,7 @@ async fn a_heartbeat_keeps_the_lease() {
 
 #[tokio::test]
 async fn a_stale_attempt_cannot_finish_report_or_emit_events() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     let stale = queue.lease().await;
     queue.pass(60);
@@ -274,7 +295,7 @@ async fn a_stale_attempt_cannot_finish_report_or_emit_events() {
 
 #[tokio::test]
 async fn a_queued_job_is_cancelled_at_once() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     let answer = queue.store.cancel(id).await.expect("written").expect("known");
     assert!(matches!(answer, Cancellation::Done(record) if record.job.state == JobState::Cancelled));
@@ -284,7 +305,7 @@ async fn a_queued_job_is_cancelled_at_once() {
 
 #[tokio::test]
 async fn a_running_job_learns_of_its_cancellation_with_the_heartbeat() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     let lease = queue.lease().await;
     for _ in 0..2 {
@@ -297,9 +318,119 @@ async fn a_running_job_learns_of_its_cancellation_with_the_heartbeat() {
     assert_eq!(asked, 1, "asking twice changes nothing");
 }
 
+/// Both orders come about, and whichever it is, both callers are told the same.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn cancellation_and_completion_at_the_same_time_have_one_outcome() {
+    let Some(queue) = Queue::new().await else { return };
+    for number in 0..40 {
+        let id = queue.add(number).await;
+        let lease = queue.lease().await;
+        let (cancelling, finishing) = (Arc::clone(&queue.store), Arc::clone(&queue.store));
+        let cancelled = tokio::spawn(async move { cancelling.cancel(id).await });
+        let finished = tokio::spawn(async move { finishing.finish(&lease, succeeded()).await });
+        let answer = cancelled.await.expect("joined").expect("written").expect("known");
+        let state = finished.await.expect("joined").expect("ended");
+        let record = queue.record(id).await;
+        assert_eq!(record.job.state, state);
+        match state {
+            JobState::Succeeded => assert!(matches!(answer, Cancellation::TooLate(_)), "{answer:?}"),
+            JobState::Cancelled => assert!(matches!(answer, Cancellation::Requested(_)), "{answer:?}"),
+            state => panic!("{state:?}"),
+        }
+        assert_eq!(record.artifacts.is_empty(), state == JobState::Cancelled);
+        queue.events(id).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn bounds_of_a_project_hold_against_requests_at_the_same_time() {
+    let Some(queue) = Queue::new().await else { return };
+    let limits =
+        ProjectLimits { max_active_jobs: Some(7), max_running_jobs: Some(3), ..ProjectLimits::default() };
+    let project = project(&queue, 77, limits).await;
+    let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
+    let requests = (0..40).map(|number| {
+        let store = Arc::clone(&queue.store);
+        let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
+        tokio::spawn(async move { store.create_job(NewJob { project, ..new }).await })
+    });
+    let mut made = 0;
+    for request in requests.collect::<Vec<_>>() {
+        match request.await.expect("joined") {
+            Ok(_) => made += 1,
+            Err(StoreError::TooManyJobs { active }) => assert_eq!(active, 7),
+            Err(error) => panic!("{error}"),
+        }
+    }
+    assert_eq!(made, 7);
+    let claims = (0..16).map(|number| {
+        let store = Arc::clone(&queue.store);
+        tokio::spawn(async move { store.claim(&format!("worker-{number}")).await })
+    });
+    let mut running = 0;
+    for claim in claims.collect::<Vec<_>>() {
+        running += usize::from(claim.await.expect("joined").expect("a claim").is_some());
+    }
+    assert_eq!(running, 3);
+}
+
+/// Everything that changes jobs, at the same time, over few projects and blobs: nothing fails, and totals stay right.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn changes_at_the_same_time_neither_fail_nor_lose_count() {
+    let Some(queue) = Queue::new().await else { return };
+    let mut projects = vec![ProjectId::DEFAULT];
+    for number in 71..74 {
+        projects.push(project(&queue, number, ProjectLimits::default()).await);
+    }
+    let tasks = (0..12_u128).map(|task| {
+        let (store, projects) = (Arc::clone(&queue.store), projects.clone());
+        tokio::spawn(async move {
+            for round in 0..12_u128 {
+                let number = 1000 * task + round;
+                let dataset =
+                    BlobRef { digest: Digest::of(&[(number % 3) as u8]), bytes: 7 + (number % 3) as u64 };
+                let id = JobId(Uuid::from_u128(number));
+                let new = NewJob::new(id, TrainOptions::default(), dataset);
+                let project = projects[(number % 4) as usize];
+                store.create_job(NewJob { project, ..new }).await.expect("created");
+                if let Some(claim) = store.claim(&format!("worker-{task}")).await.expect("a claim") {
+                    store.report(&claim.lease, Phase::Train, &Progress::default()).await.expect("reported");
+                    let ended = store.finish(&claim.lease, succeeded()).await.expect("ended");
+                    assert!(matches!(ended, JobState::Succeeded | JobState::Cancelled));
+                }
+                match round % 3 {
+                    0 => drop(store.cancel(id).await.expect("an answer")),
+                    1 => drop(store.delete_job(id, None).await.expect("an answer")),
+                    _ => drop(store.forget_blobs(&[dataset.digest]).await.expect("an answer")),
+                }
+            }
+        })
+    });
+    for task in tasks.collect::<Vec<_>>() {
+        task.await.expect("joined");
+    }
+    let counted = |column: &str, states: &str| {
+        format!(
+            "SELECT count(*) FROM projects JOIN project_totals ON project_totals.project = projects.id WHERE {column} <>
+                 (SELECT count(*) FROM jobs WHERE jobs.project = projects.id AND state IN ({states}))"
+        )
+    };
+    for (column, states) in [
+        ("queued_jobs", "'queued'"),
+        ("running_jobs", "'running'"),
+        ("succeeded_jobs", "'succeeded'"),
+        ("cancelled_jobs", "'cancelled'"),
+    ] {
+        assert_eq!(queue.database.number(&counted(column, states)).await, 0, "{column}");
+    }
+    let gaps =
+        "SELECT count(*) FROM jobs WHERE last_seq <> (SELECT count(*) FROM events WHERE job_id = jobs.id)";
+    assert_eq!(queue.database.number(gaps).await, 0);
+}
+
 #[tokio::test]
 async fn a_finished_job_cannot_be_cancelled() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let done = queue.add(1).await;
     queue.store.finish(&queue.lease().await, succeeded()).await.expect("finished");
     let failed = queue.add(2).await;
@@ -314,7 +445,7 @@ async fn a_finished_job_cannot_be_cancelled() {
 
 #[tokio::test]
 async fn cancel_and_completion_are_decided_by_whichever_commits_first() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let cancelled_first = queue.add(1).await;
     let lease = queue.lease().await;
     queue.store.cancel(cancelled_first).await.expect("written");
@@ -332,7 +463,7 @@ async fn cancel_and_completion_are_decided_by_whichever_commits_first() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_race_of_cancel_and_completion_leaves_one_consistent_end() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     for number in 0..25 {
         let id = queue.add(number).await;
         let lease = queue.lease().await;
@@ -350,7 +481,7 @@ async fn a_race_of_cancel_and_completion_leaves_one_consistent_end() {
 
 #[tokio::test]
 async fn a_retry_waits_out_its_delay() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     let state = queue.store.finish(&queue.lease().await, Outcome::Retry(problem())).await.expect("ended");
     assert_eq!(state, JobState::Queued);
@@ -369,7 +500,7 @@ async fn a_retry_waits_out_its_delay() {
 
 #[tokio::test]
 async fn when_the_attempts_are_used_up_the_job_fails_and_its_attempts_stay_recorded() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     for attempt in 1..=3 {
         let lease = queue.lease().await;
@@ -390,7 +521,7 @@ async fn when_the_attempts_are_used_up_the_job_fails_and_its_attempts_stay_recor
 
 #[tokio::test]
 async fn bad_input_is_not_retried() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     queue.store.finish(&queue.lease().await, Outcome::Failed(problem())).await.expect("ended");
     assert_eq!(queue.record(id).await.job.error, Some(problem()));
@@ -399,7 +530,7 @@ async fn bad_input_is_not_retried() {
 
 #[tokio::test]
 async fn a_job_that_crashes_two_workers_is_not_given_to_a_third() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     queue.lease().await;
     assert_eq!(queue.store.expire_worker("worker", WorkerDeath::Alone).await.expect("taken"), 1);
@@ -412,13 +543,13 @@ async fn a_job_that_crashes_two_workers_is_not_given_to_a_third() {
 }
 
 /// A second store on the same database, as another process would open it.
-async fn another(queue: &Queue) -> SqliteStore {
-    open(&queue.folder, &queue.clock, QueuePolicy::default()).await
+async fn another(queue: &Queue) -> SqlStore {
+    queue.database.open(queue.clock.clone(), QueuePolicy::default()).await
 }
 
 #[tokio::test]
 async fn no_number_of_power_cuts_costs_a_job() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     for cut in 0..12 {
         // Every other time a supervisor finds its predecessor's worker dead; else the lease has to run out.
@@ -454,7 +585,7 @@ async fn no_number_of_power_cuts_costs_a_job() {
 
 #[tokio::test]
 async fn power_cuts_delay_a_job_only_after_several_without_progress() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     queue.add(1).await;
     let lose = async || {
         let lease = queue.lease().await;
@@ -475,7 +606,7 @@ async fn power_cuts_delay_a_job_only_after_several_without_progress() {
 
 #[tokio::test]
 async fn a_worker_that_died_alone_counts_against_its_job_only_without_a_new_checkpoint() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     let die_at = async |checkpoint_step| {
         let lease = queue.lease().await;
@@ -501,7 +632,7 @@ async fn a_worker_that_died_alone_counts_against_its_job_only_without_a_new_chec
 
 #[tokio::test]
 async fn a_process_that_observed_the_lease_renewed_knows_that_the_worker_died_alone() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     let service = another(&queue).await;
     assert_eq!(service.expire_leases().await.expect("looked"), 0);
@@ -517,7 +648,7 @@ async fn a_process_that_observed_the_lease_renewed_knows_that_the_worker_died_al
 
 #[tokio::test]
 async fn a_clock_that_jumps_takes_no_job_from_its_worker() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let running = queue.add(1).await;
     let lease = queue.lease().await;
     let other = queue.add(2).await;
@@ -535,7 +666,7 @@ async fn a_clock_that_jumps_takes_no_job_from_its_worker() {
 
 #[tokio::test]
 async fn a_clock_that_is_set_back_delays_no_job() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let back = || queue.clock.set_by(SignedDuration::from_hours(-1));
     let id = queue.add(1).await;
     back();
@@ -557,7 +688,7 @@ async fn a_clock_that_is_set_back_delays_no_job() {
 
 #[tokio::test]
 async fn changes_to_one_job_end_no_lease_of_another() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let [theirs, cancelled, deleted] = [queue.add(1).await, queue.add(2).await, queue.add(3).await];
     for _ in 0..3 {
         queue.lease().await;
@@ -572,7 +703,7 @@ async fn changes_to_one_job_end_no_lease_of_another() {
 
 #[tokio::test]
 async fn a_held_job_states_the_cause_and_is_retried_without_a_charge() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     let full = Problem::new(ProblemType::StorageFull, "no room");
     for attempt in 1..=5 {
@@ -614,7 +745,7 @@ async fn add_of(queue: &Queue, number: u128, project: ProjectId, priority: i32) 
 
 #[tokio::test]
 async fn at_equal_priority_the_project_with_the_fewest_running_jobs_is_served_first() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let free = ProjectLimits::default();
     let (busy, other) = (project(&queue, 100, free).await, project(&queue, 101, free).await);
     let add = async |number, project, priority| add_of(&queue, number, project, priority).await;
@@ -643,7 +774,7 @@ async fn at_equal_priority_the_project_with_the_fewest_running_jobs_is_served_fi
 
 #[tokio::test]
 async fn one_worker_serves_projects_in_turn_however_many_jobs_each_has_queued() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let free = ProjectLimits::default();
     let (busy, other) = (project(&queue, 100, free).await, project(&queue, 101, free).await);
     for number in 1..=6 {
@@ -678,7 +809,7 @@ async fn one_worker_serves_projects_in_turn_however_many_jobs_each_has_queued() 
 
 #[tokio::test]
 async fn a_project_runs_no_more_jobs_than_it_may_while_others_go_on() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let capped = ProjectLimits { max_running_jobs: Some(2), ..ProjectLimits::default() };
     let (one, other) = (
         project(&queue, 100, capped).await,
@@ -710,7 +841,7 @@ async fn a_project_runs_no_more_jobs_than_it_may_while_others_go_on() {
 
 #[tokio::test]
 async fn a_queued_job_shows_its_position_in_its_project_and_its_attempts() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let one = project(&queue, 100, ProjectLimits::default()).await;
     for (number, priority) in [(1, 0), (2, 0), (3, 5), (4, -1)] {
         add_of(&queue, number, one, priority).await;
@@ -738,7 +869,7 @@ async fn a_queued_job_shows_its_position_in_its_project_and_its_attempts() {
 
 #[tokio::test]
 async fn what_a_project_uses_is_counted_by_kind_and_by_time() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let limits = ProjectLimits { quota_bytes: Some(1000), ..ProjectLimits::default() };
     let one = project(&queue, 100, limits).await;
     add_of(&queue, 1, one, 0).await;
@@ -765,7 +896,7 @@ async fn what_a_project_uses_is_counted_by_kind_and_by_time() {
 
 #[tokio::test]
 async fn jobs_are_listed_by_name_time_and_labels() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
     let mut instants = Vec::new();
     for (number, name, site) in [(1, "a", "north"), (2, "b", "north"), (3, "a", "south")] {
@@ -805,7 +936,7 @@ async fn jobs_are_listed_by_name_time_and_labels() {
 
 #[tokio::test]
 async fn a_reported_failure_resets_the_count_of_lost_attempts() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     queue.lease().await;
     queue.store.expire_worker("worker", WorkerDeath::Alone).await.expect("taken");
@@ -817,7 +948,7 @@ async fn a_reported_failure_resets_the_count_of_lost_attempts() {
 
 #[tokio::test]
 async fn only_the_dead_workers_jobs_are_queued_again_at_once() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let (first, second) = (queue.add(1).await, queue.add(2).await);
     let kept = queue.store.claim("alive").await.expect("a claim").expect("a job").lease;
     queue.store.claim("dead").await.expect("a claim").expect("a job");
@@ -830,7 +961,7 @@ async fn only_the_dead_workers_jobs_are_queued_again_at_once() {
 
 #[tokio::test]
 async fn a_cancelled_job_whose_worker_dies_ends_cancelled() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     queue.lease().await;
     queue.store.cancel(id).await.expect("written");
@@ -840,7 +971,7 @@ async fn a_cancelled_job_whose_worker_dies_ends_cancelled() {
 
 #[tokio::test]
 async fn a_job_whose_lease_has_expired_is_cancelled_at_once() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     queue.lease().await;
     queue.pass(60);
@@ -852,7 +983,7 @@ async fn a_job_whose_lease_has_expired_is_cancelled_at_once() {
 
 #[tokio::test]
 async fn a_release_is_not_charged() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     for _ in 0..10 {
         let lease = queue.lease().await;
@@ -864,15 +995,15 @@ async fn a_release_is_not_charged() {
 
 #[tokio::test]
 async fn events_have_no_gaps_and_no_duplicates_across_a_reopen() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     let lease = queue.lease().await;
     let progress = |step| Progress { step, ..Progress::default() };
     queue.store.report(&lease, Phase::Train, &progress(1)).await.expect("reported");
     let before = queue.events(id).await;
-    let Queue { store, clock, folder } = queue;
+    let Queue { store, clock, database } = queue;
     drop(store);
-    let store = open(&folder, &clock, QueuePolicy::default()).await;
+    let store = database.open(clock, QueuePolicy::default()).await;
     assert_eq!(events(&store, id).await, before);
     store.heartbeat(&lease).await.expect("the lease survives the reopening");
     store.report(&lease, Phase::Encode, &progress(2)).await.expect("reported");
@@ -886,7 +1017,7 @@ async fn events_have_no_gaps_and_no_duplicates_across_a_reopen() {
 
 #[tokio::test]
 async fn progress_is_always_current_but_its_events_are_limited_in_rate() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     let lease = queue.lease().await;
     for step in 1..=100 {
@@ -904,7 +1035,7 @@ async fn progress_is_always_current_but_its_events_are_limited_in_rate() {
 
 #[tokio::test]
 async fn every_change_raises_the_version_and_a_new_attempt_starts_from_nothing() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     let mut last = queue.record(id).await.job.version;
     let mut rises = |record: &JobRecord| {
@@ -946,7 +1077,7 @@ impl Queue {
 
 #[tokio::test]
 async fn a_queued_job_past_its_deadline_fails_and_is_never_started() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let (late, other) = (queue.add_until(1, 60).await, queue.add(2).await);
     assert_eq!(queue.store.fail_expired().await.expect("looked"), 0);
     queue.pass(60);
@@ -968,7 +1099,7 @@ async fn a_queued_job_past_its_deadline_fails_and_is_never_started() {
 
 #[tokio::test]
 async fn a_running_job_learns_of_its_deadline_and_gets_no_other_attempt() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     for (number, outcome) in [(1, Outcome::Released), (2, Outcome::Retry(problem()))] {
         let id = queue.add_until(number, 30).await;
         let lease = queue.lease().await;
@@ -996,7 +1127,7 @@ async fn a_running_job_learns_of_its_deadline_and_gets_no_other_attempt() {
 
 #[tokio::test]
 async fn a_retry_is_a_new_job_that_may_resume_from_the_checkpoint() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add_with_priority(1, 7).await;
     let now = queue.store.retry_job(id, retry(2, true)).await.expect("answered").expect("known");
     assert_eq!(now, RetryOutcome::NotRetryable(JobState::Queued));
@@ -1019,7 +1150,7 @@ async fn a_retry_is_a_new_job_that_may_resume_from_the_checkpoint() {
 
 #[tokio::test]
 async fn a_job_is_deleted_only_once_it_has_ended_and_at_the_requested_version() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     let delete = |version| queue.store.delete_job(id, version);
     assert_eq!(delete(None).await.expect("read"), Some(Deletion::Active(JobState::Queued)));
@@ -1038,7 +1169,7 @@ async fn a_job_is_deleted_only_once_it_has_ended_and_at_the_requested_version() 
 
 #[tokio::test]
 async fn checkpoints_are_needed_until_success_and_for_a_while_after_failure() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let [done, failed, waiting] = [queue.add(1).await, queue.add(2).await, queue.add(3).await];
     queue.store.finish(&queue.lease().await, succeeded()).await.expect("ended");
     queue.store.finish(&queue.lease().await, Outcome::Failed(problem())).await.expect("ended");
@@ -1051,8 +1182,8 @@ async fn checkpoints_are_needed_until_success_and_for_a_while_after_failure() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn fifty_requests_with_one_idempotency_key_create_one_job() {
-    let queue = Queue::new().await;
-    let other: Arc<dyn Store> = Arc::new(open(&queue.folder, &queue.clock, QueuePolicy::default()).await);
+    let Some(queue) = Queue::new().await else { return };
+    let other: Arc<dyn Store> = Arc::new(another(&queue).await);
     let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
     let intent = IdempotentRequest {
         project: ProjectId::DEFAULT,
@@ -1083,8 +1214,7 @@ async fn fifty_requests_with_one_idempotency_key_create_one_job() {
 
 #[tokio::test]
 async fn an_idempotency_key_belongs_to_its_project_and_expires_after_a_day() {
-    let queue = Queue::new().await;
-    let pool = pool(&queue).await;
+    let Some(queue) = Queue::new().await else { return };
     let other = project(&queue, 77, ProjectLimits::default()).await;
     let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
     let create = |number, project| {
@@ -1101,24 +1231,17 @@ async fn an_idempotency_key_belongs_to_its_project_and_expires_after_a_day() {
     queue.pass(24 * 3600);
     assert!(remembered(other).await.expect("read").is_none());
     create(4, nobody).await.expect("made anew");
-    let rows: i64 =
-        sqlx::query_scalar("SELECT COUNT(*) FROM idempotency").fetch_one(&pool).await.expect("counted");
+    let rows = queue.database.number("SELECT COUNT(*) FROM idempotency").await;
     assert_eq!(rows, 1, "old ones are swept");
-}
-
-async fn pool(queue: &Queue) -> sqlx::SqlitePool {
-    let url = format!("sqlite://{}", queue.folder.path().join("tcgs.db").display());
-    sqlx::SqlitePool::connect(&url).await.expect("a connection")
 }
 
 #[tokio::test]
 async fn a_dataset_may_be_used_by_many_jobs() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let (first, second) = (queue.add(1).await, queue.add(2).await);
     let dataset = queue.record(first).await.dataset;
     assert_eq!(queue.record(second).await.dataset, dataset);
-    let pool = pool(&queue).await;
-    let rows: i64 = sqlx::query_scalar("SELECT COUNT(*) FROM blobs").fetch_one(&pool).await.expect("counted");
+    let rows = queue.database.number("SELECT COUNT(*) FROM blobs").await;
     assert_eq!(rows, 1, "it is kept once");
     for job in [first, second] {
         let claim = queue.claim().await.expect("a job");
@@ -1135,9 +1258,8 @@ async fn a_dataset_may_be_used_by_many_jobs() {
 
 #[tokio::test]
 async fn an_invalid_row_is_an_error_and_not_a_panic() {
-    let queue = Queue::new().await;
+    let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
-    let pool = pool(&queue).await;
     for change in [
         "UPDATE jobs SET options = '{\"preset\":\"unheard-of\"}'",
         "UPDATE jobs SET options = 'no JSON'",
@@ -1145,10 +1267,24 @@ async fn an_invalid_row_is_an_error_and_not_a_panic() {
         "UPDATE jobs SET phase = 'queued', attempt = -1",
         "UPDATE jobs SET attempt = 0, created_at = 9223372036854775807",
     ] {
-        sqlx::query(change).execute(&pool).await.expect("changed");
+        queue.database.run(change).await;
         let read = queue.store.job(id).await;
         assert!(matches!(read, Err(StoreError::Corrupt { .. })), "{change}: {read:?}");
     }
+}
+
+/// No text of PostgreSQL has the character U+0000, and its JSON functions refuse it even escaped.
+#[tokio::test]
+async fn a_null_character_in_what_is_stored_or_asked_for_fails_nothing() {
+    let Some(queue) = Queue::new().await else { return };
+    let id = queue.add(1).await;
+    let lease = queue.lease().await;
+    let problem = Problem::new(ProblemType::InvalidDataset, "frame 'a\0b' is no image");
+    queue.store.finish(&lease, Outcome::Failed(problem)).await.expect("ended");
+    let error = queue.record(id).await.job.error.expect("a problem");
+    assert_eq!(error.detail, "frame 'a\u{fffd}b' is no image");
+    let filter = JobFilter { name: Some("\0".into()), ..JobFilter::default() };
+    assert_eq!(queue.store.jobs(&filter, None, 10).await.expect("read").len(), 0);
 }
 
 #[tokio::test]

@@ -1,9 +1,8 @@
 //! The totals that the schema's triggers maintain equal a recount after every change, and counters never fall.
 
-use std::{path::PathBuf, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
 use jiff::{SignedDuration, Timestamp};
-use sqlx::{ConnectOptions as _, Row as _, SqliteConnection, sqlite::SqliteConnectOptions};
 use tcgs::{
     domain::{
         Clock as _, DatasetId, DatasetSummary, DeliveryId, Digest, EndpointId, JobId, Layout, ManualClock,
@@ -12,17 +11,16 @@ use tcgs::{
     },
     store::{
         AfterAttempt, Artifact, ArtifactKind, BlobRef, DeliveryResult, ExportRecord, NewDataset, NewEndpoint,
-        NewJob, NewProject, NewUpload, Outcome, QueuePolicy, RetryRequest, SqliteStore, Store, StoreStats,
-        Usage, WorkerDeath,
+        NewJob, NewProject, NewUpload, Outcome, QueuePolicy, RetryRequest, Store, StoreStats, Usage,
+        WorkerDeath,
     },
 };
-use tempfile::TempDir;
 use uuid::Uuid;
 
-use crate::support::fakes;
+use crate::support::{database::Database, fakes};
 
 /// The same as the totals, by counting.
-const RECOUNTS: [(&str, &str); 6] = [
+const RECOUNTS: [(&str, &str); 5] = [
     (
         "SELECT project, digest, uses FROM project_blobs ORDER BY 1, 2",
         "SELECT project, digest, count(*) FROM (
@@ -30,12 +28,12 @@ const RECOUNTS: [(&str, &str); 6] = [
              UNION ALL SELECT project, dataset FROM jobs
              UNION ALL SELECT jobs.project, artifacts.digest FROM artifacts JOIN jobs ON jobs.id = job_id
              UNION ALL SELECT jobs.project, exports.digest FROM exports JOIN jobs ON jobs.id = job_id
-         ) GROUP BY 1, 2 ORDER BY 1, 2",
+         ) AS used GROUP BY 1, 2 ORDER BY 1, 2",
     ),
     (
         "SELECT project, dataset_bytes + artifact_bytes + export_bytes, queued_jobs + running_jobs FROM project_totals
          WHERE dataset_bytes + artifact_bytes + export_bytes <> 0 OR queued_jobs + running_jobs <> 0 ORDER BY 1",
-        "SELECT project, sum(bytes), (SELECT count(*) FROM jobs WHERE jobs.project = used.project
+        "SELECT project, CAST(sum(bytes) AS BIGINT), (SELECT count(*) FROM jobs WHERE jobs.project = used.project
              AND state IN ('queued', 'running'))
          FROM (SELECT project, dataset AS digest FROM scenes
              UNION SELECT project, dataset FROM jobs
@@ -45,24 +43,28 @@ const RECOUNTS: [(&str, &str); 6] = [
     ),
     (
         "SELECT project, artifact_bytes, export_bytes FROM project_totals WHERE artifact_bytes + export_bytes <> 0 ORDER BY 1",
-        "SELECT id,
-             (SELECT IFNULL(sum(bytes), 0) FROM blobs WHERE digest IN
+        "SELECT * FROM (SELECT id,
+             (SELECT CAST(COALESCE(sum(bytes), 0) AS BIGINT) FROM blobs WHERE digest IN
                  (SELECT artifacts.digest FROM artifacts JOIN jobs ON jobs.id = job_id WHERE project = projects.id)) AS artifacts,
-             (SELECT IFNULL(sum(bytes), 0) FROM blobs WHERE digest IN
+             (SELECT CAST(COALESCE(sum(bytes), 0) AS BIGINT) FROM blobs WHERE digest IN
                  (SELECT exports.digest FROM exports JOIN jobs ON jobs.id = job_id WHERE project = projects.id)) AS exports
-         FROM projects WHERE artifacts + exports <> 0 ORDER BY 1",
+         FROM projects) AS sums WHERE artifacts + exports <> 0 ORDER BY 1",
     ),
     (
         "SELECT project, succeeded_jobs || ' ' || failed_jobs || ' ' || cancelled_jobs, running_jobs FROM project_totals ORDER BY 1",
-        "SELECT id, (SELECT IFNULL(SUM(state = 'succeeded'), 0) || ' ' || IFNULL(SUM(state = 'failed'), 0) || ' ' ||
-                 IFNULL(SUM(state = 'cancelled'), 0) FROM jobs WHERE project = projects.id),
+        "SELECT id, (SELECT count(*) FILTER (WHERE state = 'succeeded') || ' ' || count(*) FILTER (WHERE state = 'failed') || ' ' ||
+                 count(*) FILTER (WHERE state = 'cancelled') FROM jobs WHERE project = projects.id),
              (SELECT count(*) FROM jobs WHERE project = projects.id AND state = 'running')
          FROM projects ORDER BY 1",
     ),
     (
         "SELECT project, '', reserved_bytes FROM project_totals WHERE reserved_bytes <> 0 ORDER BY 1",
-        "SELECT project, '', sum(length) FROM uploads WHERE ended_at IS NULL GROUP BY 1 HAVING sum(length) <> 0 ORDER BY 1",
+        "SELECT project, '', CAST(sum(length) AS BIGINT) FROM uploads WHERE ended_at IS NULL GROUP BY 1 HAVING sum(length) <> 0 ORDER BY 1",
     ),
+];
+
+/// On SQLite the totals of everything are rows; PostgreSQL has those of jobs by project, and rows of changes to the others.
+const OF_EVERYTHING: [(&str, &str); 2] = [
     (
         "SELECT name, label, value FROM totals WHERE value <> 0 ORDER BY 1, 2",
         "SELECT 'blob_bytes', '', sum(bytes) FROM blobs HAVING count(*) > 0
@@ -70,41 +72,33 @@ const RECOUNTS: [(&str, &str); 6] = [
          UNION ALL SELECT 'deliveries', state, count(*) FROM webhook_deliveries GROUP BY state
          UNION ALL SELECT 'jobs', state, count(*) FROM jobs GROUP BY state ORDER BY 1, 2",
     ),
+    (
+        "SELECT name, label, CAST(sum(value) AS BIGINT) FROM
+             (SELECT name, label, value FROM totals UNION ALL SELECT name, label, value FROM total_changes) AS changes
+         GROUP BY 1, 2 HAVING sum(value) <> 0 ORDER BY 1, 2",
+        "SELECT 'blob_bytes', '', CAST(sum(bytes) AS BIGINT) FROM blobs HAVING count(*) > 0
+         UNION ALL SELECT 'blobs', '', count(*) FROM blobs HAVING count(*) > 0
+         UNION ALL SELECT 'deliveries', state, count(*) FROM webhook_deliveries GROUP BY state ORDER BY 1, 2",
+    ),
 ];
 
-struct Fixture {
-    store: Arc<dyn Store>,
+pub(in crate::store) struct Fixture {
+    pub(in crate::store) store: Arc<dyn Store>,
     clock: Arc<ManualClock>,
-    database: SqliteConnection,
-    folder: TempDir,
-    seen: StoreStats,
-}
-
-fn path(folder: &TempDir) -> PathBuf {
-    folder.path().join("tcgs.db")
-}
-
-async fn rows(database: &mut SqliteConnection, query: &'static str) -> Vec<(String, String, String)> {
-    let rows = sqlx::query(query).fetch_all(database).await.expect("read");
-    let cell = |row: &sqlx::sqlite::SqliteRow, at: usize| match row.try_get::<i64, _>(at) {
-        Ok(number) => number.to_string(),
-        Err(_) => row.get(at),
-    };
-    rows.iter().map(|row| (cell(row, 0), cell(row, 1), cell(row, 2))).collect()
+    database: Database,
+    pub(in crate::store) seen: StoreStats,
 }
 
 impl Fixture {
-    async fn new() -> Self {
-        Self::open(tempfile::tempdir().expect("a folder")).await
+    async fn new() -> Option<Self> {
+        Some(Self::open(super::database().await?).await)
     }
 
-    async fn open(folder: TempDir) -> Self {
+    pub(in crate::store) async fn open(database: Database) -> Self {
         let start: Timestamp = "2026-11-21T12:00:00Z".parse().expect("an instant");
         let clock = Arc::new(ManualClock::new(start));
-        let store = SqliteStore::open(&path(&folder), clock.clone(), QueuePolicy::default()).await;
-        let database = SqliteConnectOptions::new().filename(path(&folder)).connect().await;
-        let (store, database) = (Arc::new(store.expect("a database")), database.expect("a database"));
-        Self { store, clock, database, folder, seen: StoreStats::default() }
+        let store = Arc::new(database.open(clock.clone(), QueuePolicy::default()).await);
+        Self { store, clock, database, seen: StoreStats::default() }
     }
 
     async fn project(&mut self, number: u128) -> ProjectId {
@@ -114,10 +108,11 @@ impl Fixture {
     }
 
     /// Compares totals with a recount, and counters with their values before.
-    async fn check(&mut self, what: &str) {
-        for (totals, recount) in RECOUNTS {
+    pub(in crate::store) async fn check(&mut self, what: &str) {
+        let of_everything = OF_EVERYTHING[usize::from(self.database.is_postgres())];
+        for (totals, recount) in RECOUNTS.into_iter().chain([of_everything]) {
             let [totals, recount] =
-                [rows(&mut self.database, totals).await, rows(&mut self.database, recount).await];
+                [self.database.rows(totals, 3).await, self.database.rows(recount, 3).await];
             assert_eq!(totals, recount, "after {what}");
         }
         let figures = self.store.stats().await.expect("read");
@@ -152,7 +147,7 @@ fn blob(content: &str) -> BlobRef {
     BlobRef { digest: Digest::of(content.as_bytes()), bytes: content.len() as u64 }
 }
 
-fn succeeded(file: &str) -> Outcome {
+pub(in crate::store) fn succeeded(file: &str) -> Outcome {
     let mut metrics = fakes::metrics();
     metrics.seconds.train = 2.5;
     let artifact = |kind, content| Artifact { kind, lambda: None, blob: blob(content) };
@@ -169,7 +164,7 @@ fn problem() -> Problem {
 
 #[tokio::test]
 async fn totals_equal_a_recount_after_every_change() {
-    let mut fixture = Fixture::new().await;
+    let Some(mut fixture) = Fixture::new().await else { return };
     let (one, other) = (fixture.project(1).await, fixture.project(2).await);
     fixture.check("the beginning").await;
 
@@ -291,7 +286,7 @@ async fn totals_equal_a_recount_after_every_change() {
         let settled = DeliveryResult { response_status: Some(200), error: None, next };
         fixture.store.finish_delivery(due.id, due.attempt, settled).await.expect("settled");
         fixture.check("a delivery").await;
-        let endpoint = endpoint_of(&mut fixture.database, due.id).await;
+        let endpoint = endpoint_of(&fixture.database, due.id).await;
         fixture.store.replay(endpoint, due.id).await.expect("an answer");
         fixture.check("a replay").await;
     }
@@ -325,29 +320,9 @@ async fn totals_equal_a_recount_after_every_change() {
     );
     assert_eq!((after.blobs, after.blob_bytes), (0, 0));
     assert!(after.jobs.iter().all(|(_, count)| *count == 0));
-    drop(fixture.folder);
 }
 
-async fn endpoint_of(database: &mut SqliteConnection, delivery: DeliveryId) -> EndpointId {
-    let row = sqlx::query("SELECT endpoint FROM webhook_deliveries WHERE id = ?").bind(delivery.to_string());
-    row.fetch_one(database).await.expect("read").get::<String, _>(0).parse().expect("an id")
-}
-
-/// Schemas from before the totals, before projects, and of the latest release before them, with rows in every table.
-#[tokio::test]
-async fn a_migrated_database_gets_its_totals_by_counting() {
-    for version in ["0004", "0007", "0010", "0011", "0015"] {
-        let folder = tempfile::tempdir().expect("a folder");
-        let file = SqliteConnectOptions::new().filename(path(&folder)).create_if_missing(true);
-        let dump = format!("{}/tests/schemas/{version}.sql", env!("CARGO_MANIFEST_DIR"));
-        let dump = std::fs::read_to_string(dump).expect("a dump");
-        let mut database = file.foreign_keys(false).connect().await.expect("a database");
-        sqlx::raw_sql(sqlx::AssertSqlSafe(dump)).execute(&mut database).await.expect("the dump runs");
-        let mut fixture = Fixture::open(folder).await;
-        fixture.check(&format!("the migration of {version}")).await;
-        let claim = fixture.store.claim("worker").await.expect("an answer").expect("a job");
-        fixture.store.finish(&claim.lease, succeeded("a file")).await.expect("ended");
-        fixture.check(&format!("a change after the migration of {version}")).await;
-        assert!(fixture.seen.claims > 0);
-    }
+async fn endpoint_of(database: &Database, delivery: DeliveryId) -> EndpointId {
+    let query = format!("SELECT endpoint FROM webhook_deliveries WHERE id = '{delivery}'");
+    database.rows(&query, 1).await[0][0].parse().expect("an id")
 }

@@ -6,6 +6,7 @@ pub mod authority;
 pub mod browser;
 pub mod contract;
 pub mod cutter;
+pub mod database;
 pub mod dataset;
 pub mod eventually;
 pub mod fakes;
@@ -13,6 +14,8 @@ pub mod faults;
 pub mod gpu;
 pub mod lpips;
 pub mod oracle;
+#[cfg(unix)]
+pub mod postgres;
 pub mod program;
 pub mod random;
 pub mod receiver;

@@ -9,7 +9,8 @@ use tcgs::{
     domain::{Clock, DatasetId, KeyId, ProjectId, ProjectLimits, Scope, SystemClock, SystemRandom},
     http::{self, HttpConfig, Services, WorkerCounts, config::RequestLimits},
     store::{
-        Blobs, DatasetRecord, KeyProject, KeyRequest, Keys as _, NewKey, QueuePolicy, SqliteStore, Store,
+        Blobs, DatabaseLocation, DatasetRecord, KeyProject, KeyRequest, Keys as _, NewKey, QueuePolicy,
+        SqlStore, Store,
     },
     worker::{self, WorkerConfig},
 };
@@ -39,6 +40,8 @@ pub struct Setup {
     /// Whatever else is to be otherwise.
     pub tune: fn(&mut HttpConfig),
     pub clock: Arc<dyn Clock>,
+    /// The database, if not SQLite in the server's folder.
+    pub database: Option<DatabaseLocation>,
 }
 
 impl Default for Setup {
@@ -57,6 +60,7 @@ impl Default for Setup {
             policy: quick_policy(),
             tune: |_| {},
             clock: Arc::new(SystemClock),
+            database: None,
         }
     }
 }
@@ -158,8 +162,9 @@ impl Server {
     /// Starts over what an earlier server left in its folder.
     pub async fn start_in(coverage: &Coverage, setup: Setup, data: Arc<TempDir>) -> Self {
         let clock = setup.clock;
-        let sqlite = SqliteStore::open(&data.path().join(DATABASE), Arc::clone(&clock), setup.policy).await;
-        let store = Arc::new(FaultStore::new(Arc::new(sqlite.expect("a database"))));
+        let database = setup.database.unwrap_or_else(|| (&data.path().join(DATABASE)).into());
+        let store = SqlStore::open(database, Arc::clone(&clock), setup.policy).await;
+        let store = Arc::new(FaultStore::new(Arc::new(store.expect("a database"))));
         let blobs = Blobs::open(data.path()).expect("a blob store");
         let (runner, renderer) = (FakeRunner::default(), FakeRenderer::default());
         let exporter = Arc::new(FakeExporter::default());

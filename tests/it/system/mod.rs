@@ -9,6 +9,7 @@ mod gate;
 #[cfg(target_os = "linux")]
 mod hostile_uploads;
 mod killed;
+mod postgres;
 mod power_cuts;
 mod presets;
 mod viewer;

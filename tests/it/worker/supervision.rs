@@ -11,7 +11,7 @@ use std::{
 use serde_json::{Value, json};
 use tcgs::{
     domain::{JobState, SystemClock},
-    store::{AttemptOutcome, Blobs, NewJob, RetryRequest, SqliteStore, Store, WorkerDeath},
+    store::{AttemptOutcome, Blobs, NewJob, RetryRequest, SqlStore, Store, WorkerDeath},
     worker::{
         self, WorkerConfig, WorkerError,
         supervise::{LiveWorkers, SuperviseConfig, supervise},
@@ -96,7 +96,7 @@ impl Drop for Fixture {
 }
 
 async fn open(data: &Path) -> (Arc<dyn Store>, Blobs) {
-    let store = SqliteStore::open(&data.join("tcgs.db"), Arc::new(SystemClock), quick_policy()).await;
+    let store = SqlStore::open(&data.join("tcgs.db"), Arc::new(SystemClock), quick_policy()).await;
     (Arc::new(store.expect("a database")), Blobs::open(data).expect("a blob store"))
 }
 

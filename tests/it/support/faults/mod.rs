@@ -14,11 +14,11 @@ use jiff::Timestamp;
 use tcgs::{
     domain::{DatasetId, Digest, Event, JobId, JobState, Phase, Progress, ProjectId, UploadId},
     store::{
-        Accounts, AttemptRecord, BlobRef, Cancellation, Capacity, Claim, DatasetCreation, DatasetDeletion,
-        DatasetPageKey, DatasetRecord, Datasets, Deletion, ExportRecord, Exports, FileRecord, Heartbeat,
-        Idempotency, JobFilter, JobRecord, Lease, NewDataset, NewJob, NewUpload, Outcome, Overview, PageKey,
-        PriorRequest, RetryOutcome, RetryRequest, Store, StoreError, StoreFuture, StoreStats, UploadRecord,
-        Uploads, Usage, WorkerDeath,
+        Accounts, AttemptRecord, BlobRef, Cancellation, Capacity, ChangeKind, Changes, Claim,
+        DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, Datasets, Deletion, ExportRecord,
+        Exports, FileRecord, Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewDataset, NewJob,
+        NewUpload, Outcome, Overview, PageKey, PriorRequest, RetryOutcome, RetryRequest, Store, StoreError,
+        StoreFuture, StoreStats, UploadRecord, Uploads, Usage, WorkerDeath,
     },
 };
 
@@ -158,6 +158,9 @@ impl Store for FaultStore {
     }
     fn expire_leases(&self) -> StoreFuture<'_, u64> {
         self.guard(self.inner.expire_leases())
+    }
+    fn changes(&self, kind: ChangeKind) -> Changes {
+        self.inner.changes(kind)
     }
     fn ping(&self) -> StoreFuture<'_, ()> {
         self.guard(self.inner.ping())

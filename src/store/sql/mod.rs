@@ -1,12 +1,19 @@
-//! The store in one SQLite file, for a single machine.
+//! The store in one SQLite file, for a single machine, or in a PostgreSQL database, which several machines may share.
 //!
-//! WAL with `synchronous = FULL`: a committed change survives a power cut. Writes go through one connection
-//! and begin with `BEGIN IMMEDIATE`, so no transaction ever has to turn from reader into writer, which SQLite
-//! refuses without waiting. Reads have connections of their own. Several processes may share the file. Triggers of the schema
-//! maintain totals, so no query counts a whole table.
+//! Both have one logic; statements that they spell differently have two texts ([`db::Sql`]). Triggers of the schemas maintain totals, so
+//! no query counts a whole table.
+//!
+//! - **SQLite.** WAL with `synchronous = FULL`: a committed change survives a power cut. Writes go through one connection and begin with
+//!   `BEGIN IMMEDIATE`, so no transaction ever has to turn from reader into writer, which SQLite refuses without waiting. Reads have
+//!   connections of their own. Several processes may share the file.
+//! - **PostgreSQL.** Transactions run side by side. Those that write see the newest rows with each statement (`READ COMMITTED`); one that
+//!   changes what a project has or may do first locks the project's row of totals (`locks`), and only then others, so quotas hold and
+//!   nothing deadlocks. Those that read have one snapshot. Times are the database's.
 
 mod accounts;
+mod changes;
 mod datasets;
+mod db;
 mod events;
 mod exports;
 mod idempotency;
@@ -14,6 +21,7 @@ mod job_changes;
 mod keys;
 mod leases;
 mod lists;
+mod locks;
 mod open;
 mod priority;
 mod projects;
@@ -27,49 +35,89 @@ mod webhooks;
 
 use std::{
     fmt::Display,
-    sync::{Arc, Mutex},
+    sync::{Arc, Mutex, OnceLock},
 };
 
 use jiff::Timestamp;
 use serde_json::json;
-use sqlx::{SqliteConnection, SqlitePool, sqlite::SqliteRow};
 
 use super::{
-    Artifact, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat, JobFilter, JobRecord, Lease,
-    NewJob, Outcome, PageKey, QueuePolicy, RetryOutcome, RetryRequest, Store, StoreError, StoreFuture,
-    WorkerDeath, leases::LeaseWatch,
+    Artifact, AttemptRecord, BlobRef, Cancellation, ChangeKind, Changes, Claim, Deletion, Heartbeat,
+    JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, QueuePolicy, RetryOutcome, RetryRequest, Store,
+    StoreError, StoreFuture, WorkerDeath, leases::LeaseWatch,
 };
 use crate::domain::{Clock, Event, EventKind, JobId, JobState, Phase, Progress};
-pub use open::SchemaChange;
+use changes::Listener;
+use db::{Pool, Row, Sql, Target, Transaction, query};
+pub use open::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange};
+use queue::Competition;
 use rows::{JobParts, json as text, micros};
 
 /// HTTP status of the response to a request that created a resource.
 const CREATED: u16 = 201;
 
-/// [`Store`] on SQLite.
-pub struct SqliteStore {
-    writer: SqlitePool,
-    readers: SqlitePool,
+/// The members of the JSON array `?` as rows with a column.
+const MEMBERS: Sql = Sql {
+    sqlite: "(SELECT value FROM json_each(?))",
+    postgres: "(SELECT jsonb_array_elements_text(CAST(? AS jsonb)))",
+};
+
+/// The time of PostgreSQL, in microseconds.
+const DATABASE_TIME: &str = "SELECT CAST(extract(epoch FROM clock_timestamp()) * 1000000 AS bigint) AS now";
+
+/// The earliest deadline of a queued job. It is not compared here: PostgreSQL would take a comparison with an unknown time for true of a third
+/// of the jobs, and read the whole table until it finds one. The index of SQLite has running jobs too, and is used only if that is said.
+const FIRST_DEADLINE: &str = "SELECT min(deadline_at) AS first FROM jobs
+    WHERE state IN ('queued', 'running') AND state = 'queued' AND deadline_at IS NOT NULL";
+
+/// [`Store`] on SQLite or PostgreSQL.
+pub struct SqlStore {
+    writer: Pool,
+    readers: Pool,
     clock: Arc<dyn Clock>,
+    time: TimeSource,
     policy: QueuePolicy,
     leases: Mutex<LeaseWatch>,
+    listener: OnceLock<Listener>,
 }
 
-impl SqliteStore {
+/// Whose wall clock gives the times that are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum TimeSource {
+    /// This process's.
+    Process,
+    /// The database's, which all machines share.
+    Database,
+}
+
+impl SqlStore {
     /// Closes every connection; what was committed is on disk.
     pub async fn close(&self) {
+        if let Some(listener) = self.listener.get() {
+            listener.stop();
+        }
         self.readers.close().await;
         self.writer.close().await;
     }
 
-    /// Runs `work` in a transaction that holds the write lock, and commits it unless `work` fails.
+    /// The time of what is written now.
+    async fn now(&self, on: impl Into<Target<'_>>) -> Result<Timestamp, StoreError> {
+        match self.time {
+            TimeSource::Process => Ok(self.clock.now()),
+            TimeSource::Database => {
+                rows::instant("time", query(DATABASE_TIME).fetch_one(on).await?.try_get("now")?)
+            }
+        }
+    }
+
+    /// Runs `work` in a transaction to write in, and commits it unless `work` fails.
     async fn write<T>(
         &self,
-        work: impl AsyncFnOnce(&mut SqliteConnection, Timestamp) -> Result<T, StoreError>,
+        work: impl AsyncFnOnce(&mut Transaction, Timestamp) -> Result<T, StoreError>,
     ) -> Result<T, StoreError> {
-        let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
-        // The clock is read only once the transaction holds the write lock, so that times never run backwards.
-        let now = self.clock.now();
+        let mut tx = self.writer.begin_write().await?;
+        // On SQLite the clock is read only once the transaction holds the write lock, so that times never run backwards.
+        let now = self.now(&mut tx).await?;
         let value = work(&mut tx, now).await?;
         tx.commit().await?;
         Ok(value)
@@ -78,21 +126,23 @@ impl SqliteStore {
     /// Runs `work` on one snapshot of the database.
     async fn read<T>(
         &self,
-        work: impl AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError>,
+        work: impl AsyncFnOnce(&mut Transaction) -> Result<T, StoreError>,
     ) -> Result<T, StoreError> {
-        work(&mut *self.readers.begin().await?).await
+        work(&mut self.readers.begin().await?).await
     }
 
     async fn insert_job(
         &self,
-        tx: &mut SqliteConnection,
+        tx: &mut Transaction,
         new: NewJob,
         now: Timestamp,
     ) -> Result<JobRecord, StoreError> {
         if let Some(intent) = &new.intent {
+            // Before anything is locked: it waits for another request with the same key.
             let (id, keep) = (new.id.to_string(), self.policy.idempotency_ttl);
             idempotency::remember(tx, intent, CREATED, &id, keep, now).await?;
         }
+        locks::project(tx, new.project).await?;
         let limits = self.policy.limits;
         accounts::admit_job(tx, limits.max_active_jobs, new.project).await?;
         accounts::admit_blob(tx, limits.quota_bytes, new.project, new.dataset).await?;
@@ -106,7 +156,7 @@ impl SqliteStore {
             return Err(StoreError::NoDataset(dataset));
         }
         insert_blob(tx, new.dataset, now).await?;
-        sqlx::query(
+        query(
             "INSERT INTO jobs (id, project, owner, name, metadata, scene, retry_of, deadline_at, dataset, options, state, phase,
                  progress, priority, run_after, max_attempts, from_checkpoint, created_at)
              VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued', 'queued', ?, ?, 0, ?, ?, ?)",
@@ -135,30 +185,31 @@ impl SqliteStore {
 
     /// Whether a claim could find a job, so that idle polling takes no write lock.
     async fn anything_due(&self) -> Result<bool, StoreError> {
-        let mut reader = self.readers.acquire().await?;
-        Ok(queue::next(&mut reader, &self.policy, self.clock.now()).await?.is_some())
+        let now = self.now(&self.readers).await?;
+        Ok(queue::next(&self.readers, &self.policy, now, Competition::Wait).await?.is_some())
     }
 }
 
 /// Records a blob unless it is known.
-async fn insert_blob(
-    connection: &mut SqliteConnection,
-    blob: BlobRef,
-    now: Timestamp,
-) -> Result<(), StoreError> {
+async fn insert_blob(connection: &mut Transaction, blob: BlobRef, now: Timestamp) -> Result<(), StoreError> {
     let bytes = i64::try_from(blob.bytes)
         .map_err(|_| StoreError::Corrupt { what: "blob length", fault: blob.bytes.to_string() })?;
-    sqlx::query("INSERT INTO blobs (digest, bytes, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
-        .bind(blob.digest.to_string())
-        .bind(bytes)
-        .bind(micros(now))
-        .execute(connection)
-        .await?;
-    Ok(())
+    loop {
+        query("INSERT INTO blobs (digest, bytes, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
+            .bind(blob.digest.to_string())
+            .bind(bytes)
+            .bind(micros(now))
+            .execute(&mut *connection)
+            .await?;
+        // PostgreSQL may be deleting the row that was found; one that is locked stays.
+        if locks::blob(connection, blob.digest).await? {
+            return Ok(());
+        }
+    }
 }
 
-async fn select_job(connection: &mut SqliteConnection, id: JobId) -> Result<Option<JobRecord>, StoreError> {
-    let row = sqlx::query(
+async fn select_job(connection: &mut Transaction, id: JobId) -> Result<Option<JobRecord>, StoreError> {
+    let row = query(
         "SELECT jobs.*, blobs.bytes FROM jobs JOIN blobs ON blobs.digest = jobs.dataset WHERE jobs.id = ?",
     )
     .bind(id.to_string())
@@ -169,7 +220,7 @@ async fn select_job(connection: &mut SqliteConnection, id: JobId) -> Result<Opti
 }
 
 /// The job of a row of `jobs` joined with its dataset's `bytes`.
-async fn job_record(connection: &mut SqliteConnection, row: &SqliteRow) -> Result<JobRecord, StoreError> {
+async fn job_record(connection: &mut Transaction, row: &Row) -> Result<JobRecord, StoreError> {
     let id = rows::job_id(row)?;
     let parts = JobParts {
         artifacts: select_artifacts(connection, id).await?,
@@ -179,8 +230,8 @@ async fn job_record(connection: &mut SqliteConnection, row: &SqliteRow) -> Resul
     rows::job(row, parts)
 }
 
-async fn select_artifacts(connection: &mut SqliteConnection, id: JobId) -> Result<Vec<Artifact>, StoreError> {
-    let rows = sqlx::query(
+async fn select_artifacts(connection: &mut Transaction, id: JobId) -> Result<Vec<Artifact>, StoreError> {
+    let rows = query(
         "SELECT artifacts.kind, artifacts.lambda, artifacts.digest, blobs.bytes
          FROM artifacts JOIN blobs ON blobs.digest = artifacts.digest WHERE job_id = ?
          ORDER BY kind, place",
@@ -193,18 +244,18 @@ async fn select_artifacts(connection: &mut SqliteConnection, id: JobId) -> Resul
 
 /// Whether the query finds a row for `id`.
 async fn exists(
-    connection: &mut SqliteConnection,
-    query: &'static str,
+    connection: &mut Transaction,
+    statement: &'static str,
     id: impl Display,
 ) -> Result<bool, StoreError> {
-    Ok(sqlx::query(query).bind(id.to_string()).fetch_optional(connection).await?.is_some())
+    Ok(query(statement).bind(id.to_string()).fetch_optional(connection).await?.is_some())
 }
 
-async fn job_exists(connection: &mut SqliteConnection, id: JobId) -> Result<bool, StoreError> {
+async fn job_exists(connection: &mut Transaction, id: JobId) -> Result<bool, StoreError> {
     exists(connection, "SELECT 1 FROM jobs WHERE id = ?", id).await
 }
 
-impl Store for SqliteStore {
+impl Store for SqlStore {
     fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord> {
         Box::pin(self.write(async move |tx, now| self.insert_job(tx, new, now).await))
     }
@@ -220,7 +271,7 @@ impl Store for SqliteStore {
         limit: u32,
     ) -> StoreFuture<'a, Vec<JobRecord>> {
         Box::pin(self.read(async move |tx| {
-            let rows = lists::jobs(filter, before, limit).build().fetch_all(&mut *tx).await?;
+            let rows = lists::jobs(filter, before, limit).fetch_all(&mut *tx).await?;
             let mut records = Vec::with_capacity(rows.len());
             for row in &rows {
                 records.push(job_record(tx, row).await?);
@@ -234,7 +285,7 @@ impl Store for SqliteStore {
             if !job_exists(tx, id).await? {
                 return Ok(None);
             }
-            let rows = sqlx::query("SELECT * FROM events WHERE job_id = ? AND seq > ? ORDER BY seq LIMIT ?")
+            let rows = query("SELECT * FROM events WHERE job_id = ? AND seq > ? ORDER BY seq LIMIT ?")
                 .bind(id.to_string())
                 .bind(rows::signed(after))
                 .bind(limit)
@@ -246,18 +297,16 @@ impl Store for SqliteStore {
 
     fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<(JobId, u64)>> {
         Box::pin(async move {
-            let rows =
-                sqlx::query("SELECT id, last_seq FROM jobs WHERE id IN (SELECT value FROM json_each(?))")
-                    .bind(text(&jobs)?)
-                    .fetch_all(&self.readers)
-                    .await?;
+            let mut newest = query("SELECT id, last_seq FROM jobs WHERE id IN ");
+            newest.push(MEMBERS);
+            let rows = newest.bind(text(&jobs)?).fetch_all(&self.readers).await?;
             rows.iter().map(rows::newest_event).collect()
         })
     }
 
     fn attempts(&self, id: JobId) -> StoreFuture<'_, Vec<AttemptRecord>> {
         Box::pin(async move {
-            let rows = sqlx::query("SELECT * FROM attempts WHERE job_id = ? ORDER BY number")
+            let rows = query("SELECT * FROM attempts WHERE job_id = ? ORDER BY number")
                 .bind(id.to_string())
                 .fetch_all(&self.readers)
                 .await?;
@@ -268,13 +317,9 @@ impl Store for SqliteStore {
     fn cancel(&self, id: JobId) -> StoreFuture<'_, Option<Cancellation>> {
         Box::pin(async move {
             // A job whose worker is dead is cancelled at once, without another worker.
-            let expired = self.expired_of(id).await?;
-            self.write(async move |tx, now| {
-                queue::reap(tx, &self.policy, &expired, now).await?;
-                job_changes::fail_expired(tx, now).await?;
-                queue::cancel(tx, id, now).await
-            })
-            .await
+            self.reap(self.expired_of(id).await?).await?;
+            self.fail_expired().await?;
+            self.write(async move |tx, now| queue::cancel(tx, id, now).await).await
         })
     }
 
@@ -291,22 +336,18 @@ impl Store for SqliteStore {
     fn delete_job(&self, id: JobId, version: Option<u64>) -> StoreFuture<'_, Option<Deletion>> {
         Box::pin(async move {
             // A job whose worker is dead can be deleted at once, as it can be cancelled.
-            let expired = self.expired_of(id).await?;
-            self.write(async move |tx, now| {
-                queue::reap(tx, &self.policy, &expired, now).await?;
-                job_changes::delete(tx, id, version).await
-            })
-            .await
+            self.reap(self.expired_of(id).await?).await?;
+            self.write(async move |tx, _| job_changes::delete(tx, id, version).await).await
         })
     }
 
     fn fail_expired(&self) -> StoreFuture<'_, u64> {
         Box::pin(async move {
-            let late = sqlx::query("SELECT 1 FROM jobs WHERE state = 'queued' AND deadline_at <= ? LIMIT 1")
-                .bind(micros(self.clock.now()))
-                .fetch_optional(&self.readers)
-                .await?;
-            if late.is_none() {
+            let first: Option<i64> =
+                query(FIRST_DEADLINE).fetch_one(&self.readers).await?.try_get("first")?;
+            // Most often there is none, and nobody has to ask for the time.
+            let Some(first) = first else { return Ok(0) };
+            if first > micros(self.now(&self.readers).await?) {
                 return Ok(0);
             }
             self.write(async move |tx, now| job_changes::fail_expired(tx, now).await).await
@@ -315,14 +356,16 @@ impl Store for SqliteStore {
 
     fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<JobId>> {
         Box::pin(async move {
-            let rows = sqlx::query(
-                "SELECT id FROM jobs WHERE id IN (SELECT value FROM json_each(?))
-                     AND (state IN ('queued', 'running') OR (state IN ('failed', 'cancelled') AND finished_at > ?))",
-            )
-            .bind(text(&jobs)?)
-            .bind(micros(rows::before(self.clock.now(), self.policy.checkpoint_ttl)))
-            .fetch_all(&self.readers)
-            .await?;
+            let now = self.now(&self.readers).await?;
+            let mut resumable = query("SELECT id FROM jobs WHERE id IN ");
+            resumable.push(MEMBERS).push(
+                " AND (state IN ('queued', 'running') OR (state IN ('failed', 'cancelled') AND finished_at > ?)) ORDER BY id",
+            );
+            let rows = resumable
+                .bind(text(&jobs)?)
+                .bind(micros(rows::before(now, self.policy.checkpoint_ttl)))
+                .fetch_all(&self.readers)
+                .await?;
             rows.iter().map(rows::job_id).collect()
         })
     }
@@ -367,9 +410,13 @@ impl Store for SqliteStore {
         })
     }
 
+    fn changes(&self, kind: ChangeKind) -> Changes {
+        self.listener.get_or_init(|| Listener::start(&self.readers)).changes(kind)
+    }
+
     fn ping(&self) -> StoreFuture<'_, ()> {
         Box::pin(async move {
-            sqlx::query("SELECT 1").fetch_one(&self.readers).await?;
+            query("SELECT 1").fetch_one(&self.readers).await?;
             Ok(())
         })
     }

@@ -1,7 +1,6 @@
 //! The highest priority that a project's jobs may have.
 
-use sqlx::{Row as _, SqliteConnection};
-
+use super::db::{Transaction, query};
 use crate::{
     domain::{DEFAULT_MAX_PRIORITY, KeyId, ProjectId, Scope},
     store::StoreError,
@@ -10,14 +9,14 @@ use crate::{
 /// Refuses a priority above the project's maximum, which is `default` for projects without one. Administrators and services without
 /// keys have no maximum. Part of the transaction that adds the job.
 pub(super) async fn admit(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     default: Option<i32>,
     project: ProjectId,
     key: Option<KeyId>,
     requested: i32,
 ) -> Result<(), StoreError> {
     let Some(key) = key else { return Ok(()) };
-    let row = sqlx::query("SELECT scopes FROM keys WHERE id = ?")
+    let row = query("SELECT scopes FROM keys WHERE id = ?")
         .bind(key.to_string())
         .fetch_one(&mut *connection)
         .await?;
@@ -25,11 +24,11 @@ pub(super) async fn admit(
     if scopes.split_whitespace().any(|scope| scope == Scope::Admin.name()) {
         return Ok(());
     }
-    let row = sqlx::query("SELECT max_priority FROM projects WHERE id = ?")
+    let row = query("SELECT max_priority FROM projects WHERE id = ?")
         .bind(project.to_string())
         .fetch_one(connection)
         .await?;
-    let own: Option<i32> = row.try_get("max_priority")?;
+    let own: Option<i32> = super::rows::optional_whole(&row, "max_priority")?;
     let max = own.or(default).unwrap_or(DEFAULT_MAX_PRIORITY);
     if requested > max { Err(StoreError::PriorityTooHigh { requested, max }) } else { Ok(()) }
 }

@@ -1,23 +1,23 @@
-//! Uploads in SQLite.
-
-use jiff::Timestamp;
-use sqlx::{Row as _, SqliteConnection, sqlite::SqliteRow};
+//! Uploads.
 
 use super::{
-    SqliteStore, accounts,
-    rows::{instant, micros, optional_id, optional_instant, parsed, unsigned},
+    SqlStore, accounts,
+    db::{Row, Transaction, query},
+    locks,
+    rows::{instant, micros, optional_id, optional_instant, parsed, whole},
 };
 use crate::{
     domain::UploadId,
     store::{NewUpload, StoreError, StoreFuture, UploadRecord, Uploads},
 };
+use jiff::Timestamp;
 
-fn upload(row: &SqliteRow) -> Result<UploadRecord, StoreError> {
+fn upload(row: &Row) -> Result<UploadRecord, StoreError> {
     Ok(UploadRecord {
         id: upload_id(row)?,
         project: parsed("project", row.try_get("project")?)?,
-        length: unsigned(row, "length")?,
-        received: unsigned(row, "received")?,
+        length: whole(row, "length")?,
+        received: whole(row, "received")?,
         metadata: row.try_get("metadata")?,
         dataset_id: optional_id(row, "scene")?,
         created_at: instant("created_at", row.try_get("created_at")?)?,
@@ -26,7 +26,7 @@ fn upload(row: &SqliteRow) -> Result<UploadRecord, StoreError> {
     })
 }
 
-fn upload_id(row: &SqliteRow) -> Result<UploadId, StoreError> {
+fn upload_id(row: &Row) -> Result<UploadId, StoreError> {
     parsed("id", row.try_get("id")?)
 }
 
@@ -35,19 +35,18 @@ fn column(what: &'static str, bytes: u64) -> Result<i64, StoreError> {
     i64::try_from(bytes).map_err(|_| StoreError::Corrupt { what, fault: bytes.to_string() })
 }
 
-async fn select(connection: &mut SqliteConnection, id: UploadId) -> Result<Option<UploadRecord>, StoreError> {
-    let row = sqlx::query("SELECT * FROM uploads WHERE id = ?")
-        .bind(id.to_string())
-        .fetch_optional(connection)
-        .await?;
+async fn select(connection: &mut Transaction, id: UploadId) -> Result<Option<UploadRecord>, StoreError> {
+    let row =
+        query("SELECT * FROM uploads WHERE id = ?").bind(id.to_string()).fetch_optional(connection).await?;
     row.as_ref().map(upload).transpose()
 }
 
-impl Uploads for SqliteStore {
+impl Uploads for SqlStore {
     fn create_upload(&self, new: NewUpload) -> StoreFuture<'_, UploadRecord> {
         Box::pin(self.write(async move |tx, now| {
+            locks::project(tx, new.project).await?;
             accounts::admit(tx, self.policy.limits.quota_bytes, new.project, new.length).await?;
-            sqlx::query(
+            query(
                 "INSERT INTO uploads (id, project, length, metadata, created_at, expires_at) VALUES (?, ?, ?, ?, ?, ?)",
             )
             .bind(new.id.to_string())
@@ -68,56 +67,63 @@ impl Uploads for SqliteStore {
 
     fn advance_upload(&self, id: UploadId, received: u64, expires_at: Timestamp) -> StoreFuture<'_, bool> {
         Box::pin(self.write(async move |tx, _| {
-            let done = sqlx::query(
-                "UPDATE uploads SET received = ?, expires_at = ? WHERE id = ? AND ended_at IS NULL",
-            )
-            .bind(column("upload offset", received)?)
-            .bind(micros(expires_at))
-            .bind(id.to_string())
-            .execute(tx)
-            .await?;
-            Ok(done.rows_affected() == 1)
+            let done =
+                query("UPDATE uploads SET received = ?, expires_at = ? WHERE id = ? AND ended_at IS NULL")
+                    .bind(column("upload offset", received)?)
+                    .bind(micros(expires_at))
+                    .bind(id.to_string())
+                    .execute(tx)
+                    .await?;
+            Ok(done == 1)
         }))
     }
 
     fn delete_upload(&self, id: UploadId) -> StoreFuture<'_, bool> {
         Box::pin(self.write(async move |tx, _| {
-            let done = sqlx::query("DELETE FROM uploads WHERE id = ? AND ended_at IS NULL")
+            locks::project_of(tx, "SELECT project FROM uploads WHERE id = ", id).await?;
+            let done = query("DELETE FROM uploads WHERE id = ? AND ended_at IS NULL")
                 .bind(id.to_string())
                 .execute(tx)
                 .await?;
-            Ok(done.rows_affected() == 1)
+            Ok(done == 1)
         }))
     }
 
     fn outstanding_bytes(&self) -> StoreFuture<'_, u64> {
         Box::pin(async move {
-            let row = sqlx::query(
-                "SELECT IFNULL(SUM(length - received), 0) AS bytes FROM uploads WHERE ended_at IS NULL",
+            let row = query(
+                "SELECT CAST(COALESCE(SUM(length - received), 0) AS BIGINT) AS bytes FROM uploads WHERE ended_at IS NULL",
             )
             .fetch_one(&self.readers)
             .await?;
-            unsigned(&row, "bytes")
+            whole(&row, "bytes")
         })
     }
 
     fn expire_uploads(&self, forget: Timestamp) -> StoreFuture<'_, Vec<UploadId>> {
-        Box::pin(self.write(async move |tx, now| {
-            let rows = sqlx::query(
+        Box::pin(async move {
+            // This is called at intervals, by whoever collects garbage.
+            self.fold_changes().await?;
+            self.write(async move |tx, now| {
+                let selected = "SELECT project FROM uploads WHERE ended_at IS NULL AND expires_at <= ";
+                locks::projects_by_time(tx, selected, micros(now)).await?;
+                let rows = query(
                 "UPDATE uploads SET ended_at = ?1 WHERE ended_at IS NULL AND expires_at <= ?1 RETURNING id",
             )
             .bind(micros(now))
             .fetch_all(&mut *tx)
             .await?;
-            sqlx::query("DELETE FROM uploads WHERE ended_at < ?").bind(micros(forget)).execute(tx).await?;
-            rows.iter().map(upload_id).collect()
-        }))
+                query("DELETE FROM uploads WHERE ended_at < ?").bind(micros(forget)).execute(tx).await?;
+                rows.iter().map(upload_id).collect()
+            })
+            .await
+        })
     }
 
     fn open_uploads(&self) -> StoreFuture<'_, Vec<UploadId>> {
         Box::pin(async move {
             let rows =
-                sqlx::query("SELECT id FROM uploads WHERE ended_at IS NULL").fetch_all(&self.readers).await?;
+                query("SELECT id FROM uploads WHERE ended_at IS NULL").fetch_all(&self.readers).await?;
             rows.iter().map(upload_id).collect()
         })
     }

@@ -1,14 +1,18 @@
-//! Training curves in SQLite.
+//! Training curves.
 
-use sqlx::SqliteConnection;
-
-use super::{SqliteStore, job_exists, queue::leased_job, rows};
+use super::{
+    SqlStore,
+    db::{Transaction, query},
+    job_exists,
+    queue::leased_job,
+    rows,
+};
 use crate::{
     domain::{JobId, Progress, SeriesPoint, series_bucket},
     store::{Lease, Series, StoreError, StoreFuture},
 };
 
-impl Series for SqliteStore {
+impl Series for SqlStore {
     fn record<'a>(&'a self, lease: &'a Lease, points: &'a [Progress]) -> StoreFuture<'a, ()> {
         Box::pin(self.write(async move |tx, _| {
             leased_job(tx, lease).await?;
@@ -29,7 +33,7 @@ impl Series for SqliteStore {
             if !job_exists(tx, job).await? {
                 return Ok(None);
             }
-            let rows = sqlx::query("SELECT * FROM series WHERE job_id = ? ORDER BY step")
+            let rows = query("SELECT * FROM series WHERE job_id = ? ORDER BY step")
                 .bind(job.to_string())
                 .fetch_all(tx)
                 .await?;
@@ -38,8 +42,8 @@ impl Series for SqliteStore {
     }
 }
 
-async fn delete_after(connection: &mut SqliteConnection, job: JobId, step: u64) -> Result<(), StoreError> {
-    sqlx::query("DELETE FROM series WHERE job_id = ? AND step > ?")
+async fn delete_after(connection: &mut Transaction, job: JobId, step: u64) -> Result<(), StoreError> {
+    query("DELETE FROM series WHERE job_id = ? AND step > ?")
         .bind(job.to_string())
         .bind(rows::signed(step))
         .execute(connection)
@@ -47,16 +51,12 @@ async fn delete_after(connection: &mut SqliteConnection, job: JobId, step: u64) 
     Ok(())
 }
 
-async fn insert(
-    connection: &mut SqliteConnection,
-    lease: &Lease,
-    point: &Progress,
-) -> Result<(), StoreError> {
+async fn insert(connection: &mut Transaction, lease: &Lease, point: &Progress) -> Result<(), StoreError> {
     let finite = |value: Option<f64>| value.filter(|value| value.is_finite());
-    sqlx::query(
+    query(
         "INSERT INTO series (job_id, bucket, attempt, step, seconds, loss, psnr, ssim, anchors, gaussians, bytes)
          VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
-         ON CONFLICT DO UPDATE SET attempt = excluded.attempt, step = excluded.step, seconds = excluded.seconds,
+         ON CONFLICT (job_id, bucket) DO UPDATE SET attempt = excluded.attempt, step = excluded.step, seconds = excluded.seconds,
              loss = excluded.loss, psnr = excluded.psnr, ssim = excluded.ssim, anchors = excluded.anchors, gaussians = excluded.gaussians,
              bytes = excluded.bytes
          WHERE excluded.loss IS NOT NULL",

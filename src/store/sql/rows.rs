@@ -1,11 +1,8 @@
 //! Conversions between rows and values. Values read back are checked: an invalid row is an error, not a panic.
 
-use std::{str::FromStr, time::Duration};
+use std::{io, str::FromStr, time::Duration};
 
-use jiff::{SignedDuration, Timestamp};
-use serde::{Serialize, de::DeserializeOwned};
-use sqlx::{Row as _, sqlite::SqliteRow};
-
+use super::db::Row;
 use crate::{
     domain::{
         Digest, EndpointId, Event, EventKind, Job, JobId, JobState, SeriesPoint, WebhookEvent, WebhookSecret,
@@ -18,12 +15,15 @@ use crate::{
         retry::{AttemptState, LossStreak},
     },
 };
+use jiff::{SignedDuration, Timestamp};
+use serde::{Serialize, de::DeserializeOwned};
+use serde_json::ser::{CharEscape, CompactFormatter, Formatter};
 
 pub(super) fn micros(at: Timestamp) -> i64 {
     at.as_microsecond()
 }
 
-/// A count as SQLite stores it, clamped.
+/// A count as columns hold it, clamped.
 pub(super) fn signed(count: u64) -> i64 {
     i64::try_from(count).unwrap_or(i64::MAX)
 }
@@ -44,9 +44,29 @@ pub(super) fn before(now: Timestamp, delay: Duration) -> Timestamp {
         .unwrap_or(Timestamp::MIN)
 }
 
+/// The value as JSON. U+FFFD stands for U+0000, which PostgreSQL's JSON functions refuse.
 pub(super) fn json<T: Serialize>(value: &T) -> Result<String, StoreError> {
-    serde_json::to_string(value)
-        .map_err(|error| StoreError::Corrupt { what: "value to store", fault: error.to_string() })
+    let fault = |fault: String| StoreError::Corrupt { what: "value to store", fault };
+    let mut written = Vec::new();
+    let mut writer = serde_json::Serializer::with_formatter(&mut written, WithoutNul);
+    value.serialize(&mut writer).map_err(|error| fault(error.to_string()))?;
+    String::from_utf8(written).map_err(|error| fault(error.to_string()))
+}
+
+/// Compact JSON with U+FFFD for U+0000.
+struct WithoutNul;
+
+impl Formatter for WithoutNul {
+    fn write_char_escape<W: io::Write + ?Sized>(
+        &mut self,
+        writer: &mut W,
+        escape: CharEscape,
+    ) -> io::Result<()> {
+        match escape {
+            CharEscape::AsciiControl(0) => write!(writer, "{}", char::REPLACEMENT_CHARACTER),
+            escape => CompactFormatter.write_char_escape(writer, escape),
+        }
+    }
 }
 
 /// A `serde` enum's bare name, as columns hold it.
@@ -74,63 +94,55 @@ pub(super) fn parsed<T: FromStr>(what: &'static str, text: &str) -> Result<T, St
     text.parse().map_err(|_| corrupt(what)(format!("'{text}'")))
 }
 
-pub(super) fn unsigned<T: TryFrom<i64>>(row: &SqliteRow, column: &'static str) -> Result<T, StoreError> {
+/// An integer of any kind.
+pub(super) fn whole<T: TryFrom<i64>>(row: &Row, column: &'static str) -> Result<T, StoreError> {
     let value: i64 = row.try_get(column)?;
     T::try_from(value).map_err(|_| corrupt(column)(format!("{value} is out of range")))
 }
 
-pub(super) fn optional_unsigned<T: TryFrom<i64>>(
-    row: &SqliteRow,
+pub(super) fn optional_whole<T: TryFrom<i64>>(
+    row: &Row,
     column: &'static str,
 ) -> Result<Option<T>, StoreError> {
-    let Some(value) = row.try_get::<Option<i64>, _>(column)? else { return Ok(None) };
+    let Some(value) = row.try_get::<Option<i64>>(column)? else { return Ok(None) };
     T::try_from(value).map(Some).map_err(|_| corrupt(column)(format!("{value} is out of range")))
 }
 
-pub(super) fn optional_instant(
-    row: &SqliteRow,
-    column: &'static str,
-) -> Result<Option<Timestamp>, StoreError> {
-    row.try_get::<Option<i64>, _>(column)?.map(|value| instant(column, value)).transpose()
+pub(super) fn optional_instant(row: &Row, column: &'static str) -> Result<Option<Timestamp>, StoreError> {
+    row.try_get::<Option<i64>>(column)?.map(|value| instant(column, value)).transpose()
 }
 
-pub(super) fn optional_id<T: FromStr>(
-    row: &SqliteRow,
-    column: &'static str,
-) -> Result<Option<T>, StoreError> {
-    row.try_get::<Option<String>, _>(column)?.map(|text| parsed(column, &text)).transpose()
+pub(super) fn optional_id<T: FromStr>(row: &Row, column: &'static str) -> Result<Option<T>, StoreError> {
+    row.try_get::<Option<String>>(column)?.map(|text| parsed(column, &text)).transpose()
 }
 
-fn optional_document<T: DeserializeOwned>(
-    row: &SqliteRow,
-    column: &'static str,
-) -> Result<Option<T>, StoreError> {
-    row.try_get::<Option<String>, _>(column)?.map(|text| document(column, &text)).transpose()
+fn optional_document<T: DeserializeOwned>(row: &Row, column: &'static str) -> Result<Option<T>, StoreError> {
+    row.try_get::<Option<String>>(column)?.map(|text| document(column, &text)).transpose()
 }
 
-pub(super) fn blob(row: &SqliteRow, digest: &'static str) -> Result<BlobRef, StoreError> {
-    Ok(BlobRef { digest: parsed(digest, row.try_get(digest)?)?, bytes: unsigned(row, "bytes")? })
+pub(super) fn blob(row: &Row, digest: &'static str) -> Result<BlobRef, StoreError> {
+    Ok(BlobRef { digest: parsed(digest, row.try_get(digest)?)?, bytes: whole(row, "bytes")? })
 }
 
-pub(super) fn job_id(row: &SqliteRow) -> Result<JobId, StoreError> {
+pub(super) fn job_id(row: &Row) -> Result<JobId, StoreError> {
     parsed("id", row.try_get("id")?)
 }
 
-pub(super) fn newest_event(row: &SqliteRow) -> Result<(JobId, u64), StoreError> {
-    Ok((job_id(row)?, unsigned(row, "last_seq")?))
+pub(super) fn newest_event(row: &Row) -> Result<(JobId, u64), StoreError> {
+    Ok((job_id(row)?, whole(row, "last_seq")?))
 }
 
 /// The job whose checkpoint a claimed one may resume from.
-pub(super) fn resume_from(row: &SqliteRow) -> Result<Option<JobId>, StoreError> {
+pub(super) fn resume_from(row: &Row) -> Result<Option<JobId>, StoreError> {
     let may: bool = row.try_get("from_checkpoint")?;
     Ok(optional_id(row, "retry_of")?.filter(|_| may))
 }
 
-pub(super) fn dataset(row: &SqliteRow) -> Result<Digest, StoreError> {
+pub(super) fn dataset(row: &Row) -> Result<Digest, StoreError> {
     parsed("dataset", row.try_get("dataset")?)
 }
 
-pub(super) fn options(row: &SqliteRow) -> Result<crate::domain::TrainOptions, StoreError> {
+pub(super) fn options(row: &Row) -> Result<crate::domain::TrainOptions, StoreError> {
     document("options", row.try_get("options")?)
 }
 
@@ -142,7 +154,7 @@ pub(super) struct JobParts {
 }
 
 /// A row of `jobs` joined with its dataset's `bytes`.
-pub(super) fn job(row: &SqliteRow, parts: JobParts) -> Result<JobRecord, StoreError> {
+pub(super) fn job(row: &Row, parts: JobParts) -> Result<JobRecord, StoreError> {
     let state: JobState = parsed("state", row.try_get("state")?)?;
     let job = Job {
         id: job_id(row)?,
@@ -152,9 +164,9 @@ pub(super) fn job(row: &SqliteRow, parts: JobParts) -> Result<JobRecord, StoreEr
         progress: document("progress", row.try_get("progress")?)?,
         metrics: optional_document(row, "metrics")?,
         error: optional_document(row, "error")?,
-        attempt: unsigned(row, "attempt")?,
-        cancel_requested: row.try_get::<Option<i64>, _>("cancel_requested_at")?.is_some(),
-        version: unsigned(row, "version")?,
+        attempt: whole(row, "attempt")?,
+        cancel_requested: row.try_get::<Option<i64>>("cancel_requested_at")?.is_some(),
+        version: whole(row, "version")?,
         created_at: instant("created_at", row.try_get("created_at")?)?,
         started_at: optional_instant(row, "started_at")?,
         finished_at: optional_instant(row, "finished_at")?,
@@ -170,31 +182,31 @@ pub(super) fn job(row: &SqliteRow, parts: JobParts) -> Result<JobRecord, StoreEr
         dataset_id: optional_id(row, "scene")?,
         retry_of: optional_id(row, "retry_of")?,
         deadline_at: optional_instant(row, "deadline_at")?,
-        priority: row.try_get("priority")?,
+        priority: whole(row, "priority")?,
         dataset: blob(row, "dataset")?,
         artifacts: parts.artifacts,
     })
 }
 
 /// A row of `artifacts` joined with its blob's `bytes`.
-pub(super) fn artifact(row: &SqliteRow) -> Result<Artifact, StoreError> {
+pub(super) fn artifact(row: &Row) -> Result<Artifact, StoreError> {
     let kind: ArtifactKind = bare("artifact kind", row.try_get("kind")?)?;
     Ok(Artifact { kind, lambda: row.try_get("lambda")?, blob: blob(row, "digest")? })
 }
 
-pub(super) fn event(row: &SqliteRow) -> Result<Event, StoreError> {
+pub(super) fn event(row: &Row) -> Result<Event, StoreError> {
     let kind: EventKind = bare("event kind", row.try_get("kind")?)?;
     Ok(Event {
-        seq: unsigned(row, "seq")?,
+        seq: whole(row, "seq")?,
         at: instant("at", row.try_get("at")?)?,
         kind,
-        attempt: unsigned(row, "attempt")?,
+        attempt: whole(row, "attempt")?,
         data: document("event data", row.try_get("data")?)?,
     })
 }
 
 /// How an ended attempt ended.
-pub(super) fn outcome(row: &SqliteRow) -> Result<AttemptOutcome, StoreError> {
+pub(super) fn outcome(row: &Row) -> Result<AttemptOutcome, StoreError> {
     outcome_named(row.try_get("outcome")?)
 }
 
@@ -206,11 +218,11 @@ pub(super) fn outcome_named(text: &str) -> Result<AttemptOutcome, StoreError> {
         .ok_or_else(|| corrupt("outcome")(format!("'{text}'")))
 }
 
-pub(super) fn attempt(row: &SqliteRow) -> Result<AttemptRecord, StoreError> {
-    let ended = row.try_get::<Option<String>, _>("outcome")?.is_some();
+pub(super) fn attempt(row: &Row) -> Result<AttemptRecord, StoreError> {
+    let ended = row.try_get::<Option<String>>("outcome")?.is_some();
     let outcome = if ended { Some(outcome(row)?) } else { None };
     Ok(AttemptRecord {
-        number: unsigned(row, "number")?,
+        number: whole(row, "number")?,
         worker: row.try_get("worker")?,
         started_at: instant("started_at", row.try_get("started_at")?)?,
         ended_at: optional_instant(row, "ended_at")?,
@@ -220,25 +232,25 @@ pub(super) fn attempt(row: &SqliteRow) -> Result<AttemptRecord, StoreError> {
 }
 
 /// A row of `exports` joined with its blob's `bytes`.
-pub(super) fn export(row: &SqliteRow) -> Result<ExportRecord, StoreError> {
+pub(super) fn export(row: &Row) -> Result<ExportRecord, StoreError> {
     Ok(ExportRecord {
         job: parsed("job_id", row.try_get("job_id")?)?,
         source: parsed("source", row.try_get("source")?)?,
         format: bare("export format", row.try_get("format")?)?,
         blob: blob(row, "digest")?,
-        gaussians: unsigned(row, "gaussians")?,
-        sh_degree: unsigned(row, "sh_degree")?,
+        gaussians: whole(row, "gaussians")?,
+        sh_degree: whole(row, "sh_degree")?,
         fidelity: fidelity(row)?,
     })
 }
 
-fn fidelity(row: &SqliteRow) -> Result<Option<ExportFidelity>, StoreError> {
+fn fidelity(row: &Row) -> Result<Option<ExportFidelity>, StoreError> {
     let psnr: Option<f64> = row.try_get("likeness_psnr")?;
-    psnr.map(|psnr| Ok(ExportFidelity { psnr, views: unsigned(row, "likeness_views")? })).transpose()
+    psnr.map(|psnr| Ok(ExportFidelity { psnr, views: whole(row, "likeness_views")? })).transpose()
 }
 
 /// A file of a job or of its exports, joined with its blob's `bytes`.
-pub(super) fn file(row: &SqliteRow) -> Result<FileRecord, StoreError> {
+pub(super) fn file(row: &Row) -> Result<FileRecord, StoreError> {
     Ok(FileRecord {
         job: parsed("job_id", row.try_get("job_id")?)?,
         kind: bare("artifact kind", row.try_get("kind")?)?,
@@ -247,63 +259,60 @@ pub(super) fn file(row: &SqliteRow) -> Result<FileRecord, StoreError> {
     })
 }
 
-pub(super) fn prior_request(row: &SqliteRow) -> Result<PriorRequest, StoreError> {
+pub(super) fn prior_request(row: &Row) -> Result<PriorRequest, StoreError> {
     Ok(PriorRequest {
         fingerprint: parsed("fingerprint", row.try_get("fingerprint")?)?,
-        status: unsigned(row, "status")?,
+        status: whole(row, "status")?,
         resource: row.try_get("resource")?,
     })
 }
 
 /// The deadline of a row that has one.
-pub(super) fn deadline(row: &SqliteRow) -> Result<Timestamp, StoreError> {
+pub(super) fn deadline(row: &Row) -> Result<Timestamp, StoreError> {
     instant("deadline_at", row.try_get("deadline_at")?)
 }
 
-pub(super) fn attempt_state(row: &SqliteRow, now: Timestamp) -> Result<AttemptState, StoreError> {
-    let checkpoint: u64 = unsigned(row, "checkpoint_step")?;
+pub(super) fn attempt_state(row: &Row, now: Timestamp) -> Result<AttemptState, StoreError> {
+    let checkpoint: u64 = whole(row, "checkpoint_step")?;
     Ok(AttemptState {
         missed_deadline: optional_instant(row, "deadline_at")?.filter(|deadline| *deadline <= now),
         job: job_id(row)?,
-        attempt: unsigned(row, "attempt")?,
-        charged: unsigned(row, "charged")?,
-        max_attempts: unsigned(row, "max_attempts")?,
-        losses: LossStreak {
-            alone: unsigned(row, "silent_deaths")?,
-            with_service: unsigned(row, "setbacks")?,
-        },
+        attempt: whole(row, "attempt")?,
+        charged: whole(row, "charged")?,
+        max_attempts: whole(row, "max_attempts")?,
+        losses: LossStreak { alone: whole(row, "silent_deaths")?, with_service: whole(row, "setbacks")? },
         checkpoint,
-        checkpoint_advanced: checkpoint > unsigned::<u64>(row, "setback_step")?,
-        cancel_requested: row.try_get::<Option<i64>, _>("cancel_requested_at")?.is_some(),
+        checkpoint_advanced: checkpoint > whole::<u64>(row, "setback_step")?,
+        cancel_requested: row.try_get::<Option<i64>>("cancel_requested_at")?.is_some(),
     })
 }
 
 /// The lease of a running job.
-pub(super) fn lease(row: &SqliteRow) -> Result<LeaseRow, StoreError> {
-    Ok(LeaseRow { job: job_id(row)?, attempt: unsigned(row, "attempt")?, until: row.try_get("lease_until")? })
+pub(super) fn lease(row: &Row) -> Result<LeaseRow, StoreError> {
+    Ok(LeaseRow { job: job_id(row)?, attempt: whole(row, "attempt")?, until: row.try_get("lease_until")? })
 }
 
 /// A row of `series`.
-pub(super) fn point(row: &SqliteRow) -> Result<SeriesPoint, StoreError> {
+pub(super) fn point(row: &Row) -> Result<SeriesPoint, StoreError> {
     Ok(SeriesPoint {
-        attempt: unsigned(row, "attempt")?,
-        step: unsigned(row, "step")?,
+        attempt: whole(row, "attempt")?,
+        step: whole(row, "step")?,
         seconds: row.try_get("seconds")?,
         loss: row.try_get("loss")?,
         psnr: row.try_get("psnr")?,
         ssim: row.try_get("ssim")?,
-        anchors: unsigned(row, "anchors")?,
-        gaussians: unsigned(row, "gaussians")?,
-        bytes: optional_unsigned(row, "bytes")?,
+        anchors: whole(row, "anchors")?,
+        gaussians: whole(row, "gaussians")?,
+        bytes: optional_whole(row, "bytes")?,
     })
 }
 
-pub(super) fn endpoint_id(row: &SqliteRow) -> Result<EndpointId, StoreError> {
+pub(super) fn endpoint_id(row: &Row) -> Result<EndpointId, StoreError> {
     parsed("id", row.try_get("id")?)
 }
 
 /// A row of `webhook_endpoints`.
-pub(super) fn endpoint(row: &SqliteRow) -> Result<EndpointRecord, StoreError> {
+pub(super) fn endpoint(row: &Row) -> Result<EndpointRecord, StoreError> {
     let names: Vec<String> = document("events", row.try_get("events")?)?;
     let events: Result<Vec<WebhookEvent>, StoreError> =
         names.iter().map(|name| parsed("events", name)).collect();
@@ -319,34 +328,34 @@ pub(super) fn endpoint(row: &SqliteRow) -> Result<EndpointRecord, StoreError> {
 }
 
 /// A row of `webhook_deliveries`.
-pub(super) fn delivery(row: &SqliteRow) -> Result<DeliveryRecord, StoreError> {
+pub(super) fn delivery(row: &Row) -> Result<DeliveryRecord, StoreError> {
     let state: String = row.try_get("state")?;
     let state = DeliveryState::ALL
         .into_iter()
         .find(|known| known.name() == state)
         .ok_or_else(|| corrupt("state")(format!("'{state}'")))?;
     Ok(DeliveryRecord {
-        seq: unsigned(row, "seq")?,
+        seq: whole(row, "seq")?,
         id: parsed("id", row.try_get("id")?)?,
         job: parsed("job", row.try_get("job")?)?,
         event: parsed("event", row.try_get("event")?)?,
         state,
-        attempts: unsigned(row, "attempts")?,
+        attempts: whole(row, "attempts")?,
         due_at: optional_instant(row, "due_at")?,
         created_at: instant("created_at", row.try_get("created_at")?)?,
         attempted_at: optional_instant(row, "attempted_at")?,
         delivered_at: optional_instant(row, "delivered_at")?,
-        response_status: optional_unsigned(row, "answer_status")?,
+        response_status: optional_whole(row, "answer_status")?,
         error: row.try_get("answer_fault")?,
     })
 }
 
 /// A delivery with its endpoint's address and secret.
-pub(super) fn due_delivery(row: &SqliteRow, at: Timestamp) -> Result<DueDelivery, StoreError> {
+pub(super) fn due_delivery(row: &Row, at: Timestamp) -> Result<DueDelivery, StoreError> {
     Ok(DueDelivery {
         id: parsed("id", row.try_get("id")?)?,
-        attempt: unsigned(row, "attempts")?,
-        tries: unsigned(row, "tries")?,
+        attempt: whole(row, "attempts")?,
+        tries: whole(row, "tries")?,
         url: row.try_get("url")?,
         secret: WebhookSecret::stored(row.try_get("secret")?),
         body: row.try_get("body")?,

@@ -1,94 +1,92 @@
-//! The queries that list jobs, datasets, endpoints, keys and usage. Each names only the columns that it filters by, so that SQLite uses an index:
+//! The queries that list jobs, datasets, endpoints, keys and usage. Each names only the columns that it filters by, so that an index is used:
 //! with `? IS NULL OR project = ?` it would scan the rows of all projects.
 
-use jiff::Timestamp;
-use sqlx::{QueryBuilder, Sqlite};
-
-use super::rows::micros;
+use super::{
+    db::{Query, Sql, query},
+    rows::micros,
+};
 use crate::{
     domain::{EndpointId, KeyId, ModelKind, ProjectId},
     store::{DatasetPageKey, JobFilter, PageKey},
 };
+use jiff::Timestamp;
 
 /// Rows of `jobs` with their dataset's `bytes`, newest first.
-pub(super) fn jobs(filter: &JobFilter, before: Option<PageKey>, limit: u32) -> QueryBuilder<Sqlite> {
-    let mut query = QueryBuilder::new(
-        "SELECT jobs.*, blobs.bytes FROM jobs JOIN blobs ON blobs.digest = jobs.dataset WHERE true",
-    );
+pub(super) fn jobs(filter: &JobFilter, before: Option<PageKey>, limit: u32) -> Query {
+    let mut list =
+        query("SELECT jobs.*, blobs.bytes FROM jobs JOIN blobs ON blobs.digest = jobs.dataset WHERE true");
     if let Some(before) = before {
-        query.push(" AND (jobs.created_at, jobs.id) < (").push_bind(micros(before.created_at));
-        query.push(", ").push_bind(before.id.to_string()).push(")");
+        list.push(" AND (jobs.created_at, jobs.id) < (").push_bind(micros(before.created_at));
+        list.push(", ").push_bind(before.id.to_string()).push(")");
     }
     if let Some(project) = filter.project {
-        query.push(" AND project = ").push_bind(project.to_string());
+        list.push(" AND project = ").push_bind(project.to_string());
     }
     if let Some(dataset) = filter.dataset_id {
-        query.push(" AND scene = ").push_bind(dataset.to_string());
+        list.push(" AND scene = ").push_bind(dataset.to_string());
     }
     if !filter.states.is_empty() {
-        query.push(" AND state IN (");
-        let mut states = query.separated(", ");
-        for state in &filter.states {
-            states.push_bind(state.name());
+        list.push(" AND state IN (");
+        for (number, state) in filter.states.iter().enumerate() {
+            list.push(if number == 0 { "" } else { ", " }).push_bind(state.name());
         }
-        query.push(")");
+        list.push(")");
     }
     if let Some(name) = &filter.name {
-        query.push(" AND name = ").push_bind(name.clone());
+        list.push(" AND name = ").push_bind(name.clone());
     }
     if let Some(from) = filter.created_from {
-        query.push(" AND jobs.created_at >= ").push_bind(micros(from));
+        list.push(" AND jobs.created_at >= ").push_bind(micros(from));
     }
     if let Some(end) = filter.created_before {
-        query.push(" AND jobs.created_at < ").push_bind(micros(end));
+        list.push(" AND jobs.created_at < ").push_bind(micros(end));
     }
     if let Some(model) = filter.model {
-        query.push(" AND json_extract(options, '$.model') = ").push_bind(ModelKind::name(model));
+        list.push(Sql {
+            sqlite: " AND json_extract(options, '$.model') = ",
+            postgres: " AND CAST(options AS jsonb) ->> 'model' = ",
+        });
+        list.push_bind(ModelKind::name(model));
     }
     for (key, value) in filter.metadata.iter() {
         // A key has no characters that a JSON path would read as more than a name.
-        query.push(" AND json_extract(metadata, ").push_bind(format!("$.\"{key}\"")).push(") = ");
-        query.push_bind(value.to_owned());
+        list.push(Sql {
+            sqlite: " AND json_extract(metadata, '$.\"' || ",
+            postgres: " AND CAST(metadata AS jsonb) ->> ",
+        });
+        list.push_bind(key).push(Sql { sqlite: " || '\"') = ", postgres: " = " }).push_bind(value);
     }
-    query.push(" ORDER BY jobs.created_at DESC, jobs.id DESC LIMIT ").push_bind(limit);
-    query
+    list.push(" ORDER BY jobs.created_at DESC, jobs.id DESC LIMIT ").push_bind(limit);
+    list
 }
 
 /// Rows of `scenes` with their dataset's `bytes`, newest first.
-pub(super) fn datasets(
-    project: Option<ProjectId>,
-    before: Option<DatasetPageKey>,
-    limit: u32,
-) -> QueryBuilder<Sqlite> {
-    let mut query = QueryBuilder::new(
+pub(super) fn datasets(project: Option<ProjectId>, before: Option<DatasetPageKey>, limit: u32) -> Query {
+    let mut list = query(
         "SELECT scenes.*, blobs.bytes FROM scenes JOIN blobs ON blobs.digest = scenes.dataset WHERE true",
     );
     if let Some(before) = before {
-        query.push(" AND (scenes.created_at, scenes.id) < (").push_bind(micros(before.created_at));
-        query.push(", ").push_bind(before.id.to_string()).push(")");
+        list.push(" AND (scenes.created_at, scenes.id) < (").push_bind(micros(before.created_at));
+        list.push(", ").push_bind(before.id.to_string()).push(")");
     }
     if let Some(project) = project {
-        query.push(" AND project = ").push_bind(project.to_string());
+        list.push(" AND project = ").push_bind(project.to_string());
     }
-    query.push(" ORDER BY scenes.created_at DESC, scenes.id DESC LIMIT ").push_bind(limit);
-    query
+    list.push(" ORDER BY scenes.created_at DESC, scenes.id DESC LIMIT ").push_bind(limit);
+    list
 }
 
 /// Rows of `webhook_endpoints`, newest first: identities are in the order of creation.
-pub(super) fn endpoints(
-    project: Option<ProjectId>,
-    before: Option<EndpointId>,
-    limit: u32,
-) -> QueryBuilder<Sqlite> {
-    let mut query = QueryBuilder::new("SELECT * FROM webhook_endpoints WHERE true");
+pub(super) fn endpoints(project: Option<ProjectId>, before: Option<EndpointId>, limit: u32) -> Query {
+    let mut list = query("SELECT * FROM webhook_endpoints WHERE true");
     if let Some(project) = project {
-        query.push(" AND project = ").push_bind(project.to_string());
+        list.push(" AND project = ").push_bind(project.to_string());
     }
     if let Some(before) = before {
-        query.push(" AND id < ").push_bind(before.to_string());
+        list.push(" AND id < ").push_bind(before.to_string());
     }
-    query.push(" ORDER BY id DESC LIMIT ").push_bind(limit);
-    query
+    list.push(" ORDER BY id DESC LIMIT ").push_bind(limit);
+    list
 }
 
 /// Rows of `keys`, newest first: identities are in the order of creation.
@@ -97,19 +95,19 @@ pub(super) fn keys(
     with_revoked: bool,
     before: Option<KeyId>,
     limit: u32,
-) -> QueryBuilder<Sqlite> {
-    let mut query = QueryBuilder::new("SELECT * FROM keys WHERE true");
+) -> Query {
+    let mut list = query("SELECT * FROM keys WHERE true");
     if let Some(project) = project {
-        query.push(" AND project = ").push_bind(project.to_string());
+        list.push(" AND project = ").push_bind(project.to_string());
     }
     if !with_revoked {
-        query.push(" AND revoked_at IS NULL");
+        list.push(" AND revoked_at IS NULL");
     }
     if let Some(before) = before {
-        query.push(" AND id < ").push_bind(before.to_string());
+        list.push(" AND id < ").push_bind(before.to_string());
     }
-    query.push(" ORDER BY id DESC LIMIT ").push_bind(limit);
-    query
+    list.push(" ORDER BY id DESC LIMIT ").push_bind(limit);
+    list
 }
 
 /// Totals of projects with their rows of `projects` and the seconds of their running attempts until `now`, newest first.
@@ -118,42 +116,47 @@ pub(super) fn usage(
     before: Option<ProjectId>,
     limit: u32,
     now: Timestamp,
-) -> QueryBuilder<Sqlite> {
-    let mut query = QueryBuilder::new("SELECT *, IFNULL((SELECT SUM(MAX(0, ");
-    query.push_bind(micros(now)).push(
-        " - jobs.started_at)) FROM jobs INDEXED BY jobs_running WHERE jobs.project = projects.id AND state = 'running'), 0)
-             AS running_micros
-         FROM projects JOIN project_totals ON project_totals.project = projects.id WHERE true",
-    );
+) -> Query {
+    let mut list = query(Sql {
+        sqlite: "SELECT *, COALESCE((SELECT SUM(MAX(0, ",
+        postgres: "SELECT *, CAST(COALESCE((SELECT SUM(GREATEST(0, ",
+    });
+    list.push_bind(micros(now)).push(Sql {
+        sqlite: " - jobs.started_at)) FROM jobs INDEXED BY jobs_running
+             WHERE jobs.project = projects.id AND state = 'running'), 0) AS running_micros",
+        postgres: " - jobs.started_at)) FROM jobs
+             WHERE jobs.project = projects.id AND state = 'running'), 0) AS bigint) AS running_micros",
+    });
+    list.push(" FROM projects JOIN project_totals ON project_totals.project = projects.id WHERE true");
     if let Some(project) = project {
-        query.push(" AND projects.id = ").push_bind(project.to_string());
+        list.push(" AND projects.id = ").push_bind(project.to_string());
     }
     if let Some(before) = before {
-        query.push(" AND projects.id < ").push_bind(before.to_string());
+        list.push(" AND projects.id < ").push_bind(before.to_string());
     }
-    query.push(" ORDER BY projects.id DESC LIMIT ").push_bind(limit);
-    query
+    list.push(" ORDER BY projects.id DESC LIMIT ").push_bind(limit);
+    list
 }
 
 #[cfg(test)]
 mod tests {
-    use sqlx::Row as _;
     use uuid::Uuid;
 
     use super::*;
     use crate::{
         domain::{DatasetId, JobId, JobState},
         store::{
-            SqliteStore,
-            sqlite::{accounts, open::temporary_store, queue, stats},
+            SqlStore,
+            sql::{FIRST_DEADLINE, accounts, open::temporary_store, queue, stats},
         },
     };
 
     /// SQLite's query plan of a statement.
-    async fn plan(store: &SqliteStore, statement: &str) -> Vec<String> {
-        let explained = sqlx::AssertSqlSafe(format!("EXPLAIN QUERY PLAN {statement}"));
-        let rows = sqlx::query(explained).fetch_all(&store.readers).await.expect("a plan");
-        rows.iter().map(|row| row.get("detail")).collect()
+    async fn plan(store: &SqlStore, statement: &str) -> Vec<String> {
+        let mut explained = query("EXPLAIN QUERY PLAN ");
+        explained.push_text(statement);
+        let rows = explained.fetch_all(&store.readers).await.expect("a plan");
+        rows.iter().map(|row| row.try_get("detail").expect("a step")).collect()
     }
 
     #[tokio::test]
@@ -188,14 +191,15 @@ mod tests {
             (datasets(project, None, 20), "scenes_by_project"),
             (datasets(project, page, 20), "scenes_by_project"),
             (endpoints(project, None, 20), "webhook_endpoints_by_project"),
+            (query(FIRST_DEADLINE), "jobs_by_deadline (deadline_at>?)"),
         ];
         for (query, index) in cases {
-            let statement = query.sql();
-            let plan = plan(&store, statement.as_str()).await;
-            assert!(plan[0].contains(index), "{}: {plan:?}", statement.as_str());
+            let (statement, _) = query.texts();
+            let plan = plan(&store, &statement).await;
+            assert!(plan[0].contains(index), "{}: {plan:?}", statement);
             // A project has few endpoints.
             let sorts = plan.iter().any(|step| step.contains("TEMP B-TREE"));
-            assert!(!sorts || index.starts_with("webhook"), "{}: {plan:?}", statement.as_str());
+            assert!(!sorts || index.starts_with("webhook"), "{}: {plan:?}", statement);
         }
     }
 
@@ -210,8 +214,12 @@ mod tests {
             "SCAN jobs USING INDEX jobs_by_lease",
             "SCAN totals USING INDEX project_totals_queued",
         ];
-        let all = accounts::STATEMENTS.into_iter().chain(stats::STATEMENTS).chain(queue::STATEMENTS);
-        for statement in all {
+        let all = accounts::STATEMENTS
+            .into_iter()
+            .map(Sql::from)
+            .chain(stats::STATEMENTS)
+            .chain(queue::statements());
+        for statement in all.map(|statement| statement.sqlite) {
             for step in plan(&store, statement).await {
                 // Of a query within it, whose own steps are checked too.
                 let is_inner = step.starts_with("SCAN (subquery");

@@ -1,9 +1,9 @@
 //! Exports, and files by their hash.
 
-use sqlx::SqliteConnection;
-
 use super::{
-    SqliteStore, accounts, insert_blob,
+    SqlStore, accounts,
+    db::{Transaction, query},
+    insert_blob, locks,
     rows::{self, micros},
 };
 use crate::{
@@ -11,8 +11,8 @@ use crate::{
     store::{ExportRecord, Exports, FileRecord, StoreError, StoreFuture},
 };
 
-async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<ExportRecord>, StoreError> {
-    let rows = sqlx::query(
+async fn of_job(connection: &mut Transaction, job: JobId) -> Result<Vec<ExportRecord>, StoreError> {
+    let rows = query(
         "SELECT exports.*, blobs.bytes FROM exports JOIN blobs ON blobs.digest = exports.digest WHERE job_id = ?
          ORDER BY created_at, source, format",
     )
@@ -23,13 +23,13 @@ async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<Exp
 }
 
 /// The job's project, if there is such a job.
-async fn project_of(connection: &mut SqliteConnection, job: JobId) -> Result<Option<ProjectId>, StoreError> {
-    let row = sqlx::query("SELECT project FROM jobs WHERE id = ?").bind(job.to_string());
+async fn project_of(connection: &mut Transaction, job: JobId) -> Result<Option<ProjectId>, StoreError> {
+    let row = query("SELECT project FROM jobs WHERE id = ?").bind(job.to_string());
     let Some(row) = row.fetch_optional(connection).await? else { return Ok(None) };
     rows::optional_id(&row, "project")
 }
 
-impl Exports for SqliteStore {
+impl Exports for SqlStore {
     fn admit_export(&self, job: JobId) -> StoreFuture<'_, ()> {
         Box::pin(self.read(async move |tx| {
             let Some(project) = project_of(tx, job).await? else { return Ok(()) };
@@ -39,6 +39,7 @@ impl Exports for SqliteStore {
 
     fn add_export(&self, export: ExportRecord) -> StoreFuture<'_, Option<ExportRecord>> {
         Box::pin(self.write(async move |tx, now| {
+            locks::job(tx, export.job).await?;
             let Some(project) = project_of(tx, export.job).await? else { return Ok(None) };
             let same = |kept: &ExportRecord| (kept.source, kept.format) == (export.source, export.format);
             if let Some(kept) = of_job(tx, export.job).await?.into_iter().find(same) {
@@ -46,7 +47,7 @@ impl Exports for SqliteStore {
             }
             accounts::admit_blob(tx, self.policy.limits.quota_bytes, project, export.blob).await?;
             insert_blob(tx, export.blob, now).await?;
-            sqlx::query(
+            query(
                 "INSERT INTO exports (job_id, source, format, digest, gaussians, sh_degree, likeness_psnr, likeness_views,
                      created_at)
                  VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
@@ -72,7 +73,7 @@ impl Exports for SqliteStore {
 
     fn file(&self, digest: Digest, project: Option<ProjectId>) -> StoreFuture<'_, Option<FileRecord>> {
         Box::pin(async move {
-            let row = sqlx::query(
+            let row = query(
                 "SELECT files.*, blobs.bytes FROM (
                      SELECT job_id, kind, lambda, digest FROM artifacts WHERE digest = ?1
                      UNION ALL

@@ -1,10 +1,7 @@
 //! A job's numbered events.
 
-use jiff::Timestamp;
-use serde_json::Value;
-use sqlx::{Row as _, SqliteConnection};
-
 use super::{
+    db::{Transaction, query},
     rows::{json, micros, name},
     webhooks,
 };
@@ -12,22 +9,24 @@ use crate::{
     domain::{EventKind, JobId, JobState},
     store::StoreError,
 };
+use jiff::Timestamp;
+use serde_json::Value;
 
 /// Appends an event within the caller's transaction, with the job's next number.
 pub(super) async fn append(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     job: JobId,
     kind: EventKind,
     attempt: u32,
     data: &Value,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    let row = sqlx::query("UPDATE jobs SET last_seq = last_seq + 1 WHERE id = ? RETURNING last_seq")
+    let row = query("UPDATE jobs SET last_seq = last_seq + 1 WHERE id = ? RETURNING last_seq")
         .bind(job.to_string())
         .fetch_one(&mut *connection)
         .await?;
     let seq: i64 = row.try_get("last_seq")?;
-    sqlx::query("INSERT INTO events (job_id, seq, at, kind, attempt, data) VALUES (?, ?, ?, ?, ?, ?)")
+    query("INSERT INTO events (job_id, seq, at, kind, attempt, data) VALUES (?, ?, ?, ?, ?, ?)")
         .bind(job.to_string())
         .bind(seq)
         .bind(micros(now))

@@ -1,9 +1,8 @@
 //! Changes to jobs outside of attempts: expired deadlines, retries, deletion. Each function runs within its caller's transaction.
 
-use jiff::Timestamp;
-use sqlx::{Row as _, SqliteConnection};
-
 use super::{
+    db::{Transaction, query},
+    locks,
     queue::{JobEnd, end_job},
     rows::{self, micros},
     select_job,
@@ -12,19 +11,20 @@ use crate::{
     domain::{JobId, JobState},
     store::{Deletion, NewJob, RetryRequest, StoreError, retry::deadline_exceeded},
 };
+use jiff::Timestamp;
 
 /// Fails every queued job whose deadline has passed, and counts them.
-pub(super) async fn fail_expired(
-    connection: &mut SqliteConnection,
-    now: Timestamp,
-) -> Result<u64, StoreError> {
-    let late =
-        sqlx::query("SELECT id, attempt, deadline_at FROM jobs WHERE state = 'queued' AND deadline_at <= ?")
-            .bind(micros(now))
-            .fetch_all(&mut *connection)
-            .await?;
+pub(super) async fn fail_expired(connection: &mut Transaction, now: Timestamp) -> Result<u64, StoreError> {
+    let selected = "SELECT project FROM jobs WHERE state = 'queued' AND deadline_at <= ";
+    locks::projects_by_time(connection, selected, micros(now)).await?;
+    let late = query("SELECT id, attempt, deadline_at FROM jobs WHERE state = 'queued' AND deadline_at <= ?")
+        // A project that has such a job only since the locks were taken may be granting it.
+        .for_update()
+        .bind(micros(now))
+        .fetch_all(&mut *connection)
+        .await?;
     for row in &late {
-        let (job, attempt) = (rows::job_id(row)?, row.try_get("attempt")?);
+        let (job, attempt) = (rows::job_id(row)?, rows::whole(row, "attempt")?);
         let error = Some(deadline_exceeded(rows::deadline(row)?, attempt));
         let end = JobEnd { state: JobState::Failed, metrics: None, error };
         end_job(connection, job, attempt, &end, now).await?;
@@ -34,7 +34,7 @@ pub(super) async fn fail_expired(
 
 /// The job that retries `id`, or the state of `id` if it cannot be retried; `None` if there is no such job.
 pub(super) async fn retry_of(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     id: JobId,
     request: RetryRequest,
 ) -> Result<Option<Result<NewJob, JobState>>, StoreError> {
@@ -60,10 +60,11 @@ pub(super) async fn retry_of(
 
 /// Deletes a job that has ended, with everything but its blobs.
 pub(super) async fn delete(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     id: JobId,
     version: Option<u64>,
 ) -> Result<Option<Deletion>, StoreError> {
+    locks::job(connection, id).await?;
     let Some(record) = select_job(connection, id).await? else { return Ok(None) };
     if version.is_some_and(|version| version != record.job.version) {
         return Ok(Some(Deletion::VersionMismatch));
@@ -76,7 +77,7 @@ pub(super) async fn delete(
         "UPDATE jobs SET retry_of = NULL, version = version + 1 WHERE retry_of = ?",
         "DELETE FROM jobs WHERE id = ?",
     ] {
-        sqlx::query(statement).bind(id.to_string()).execute(&mut *connection).await?;
+        query(statement).bind(id.to_string()).execute(&mut *connection).await?;
     }
     Ok(Some(Deletion::Deleted))
 }

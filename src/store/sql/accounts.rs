@@ -1,13 +1,13 @@
-//! Storage and quotas of projects, and references to blobs, in SQLite.
+//! Storage and quotas of projects, and references to blobs.
 //!
 //! Usage is read from totals that the schema's triggers maintain; tests compare them with a recount. The query below names every table
 //! that refers to blobs; a test compares it with the schema's foreign keys, which also prevent the deletion of a referenced row.
 
-use sqlx::{Row as _, SqliteConnection};
-
 use super::{
-    SqliteStore,
-    rows::{optional_unsigned, unsigned},
+    SqlStore,
+    db::{Transaction, query},
+    locks,
+    rows::{optional_whole, whole},
 };
 use crate::{
     domain::{Digest, ProjectId},
@@ -40,10 +40,10 @@ const ACTIVE_JOBS: &str = "
 pub(super) const STATEMENTS: [&str; 4] = [USAGE, HAS_BLOB, ACTIVE_JOBS, IS_REFERENCED];
 
 /// The project's storage.
-async fn usage(connection: &mut SqliteConnection, project: ProjectId) -> Result<Usage, StoreError> {
-    let row = sqlx::query(USAGE).bind(project.to_string()).fetch_optional(connection).await?;
+async fn usage(connection: &mut Transaction, project: ProjectId) -> Result<Usage, StoreError> {
+    let row = query(USAGE).bind(project.to_string()).fetch_optional(connection).await?;
     let Some(row) = row else { return Ok(Usage { stored: 0, reserved: 0 }) };
-    Ok(Usage { stored: unsigned(&row, "stored_bytes")?, reserved: unsigned(&row, "reserved_bytes")? })
+    Ok(Usage { stored: whole(&row, "stored_bytes")?, reserved: whole(&row, "reserved_bytes")? })
 }
 
 /// The limit of a project that has none of its own: the service's, or none for the default project.
@@ -53,21 +53,21 @@ pub(super) fn default_limit<T>(project: ProjectId, default: Option<T>) -> Option
 
 /// The project's quota, which is `default` for projects without one.
 async fn quota(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     default: Option<u64>,
     project: ProjectId,
 ) -> Result<Option<u64>, StoreError> {
-    let row = sqlx::query("SELECT max_bytes FROM projects WHERE id = ?")
+    let row = query("SELECT max_bytes FROM projects WHERE id = ?")
         .bind(project.to_string())
         .fetch_one(connection)
         .await?;
-    Ok(optional_unsigned(&row, "max_bytes")?.or(default_limit(project, default)))
+    Ok(optional_whole(&row, "max_bytes")?.or(default_limit(project, default)))
 }
 
 /// Refuses `requested` more bytes over the project's quota, which is `default` for projects without one. Part of the transaction that
 /// adds them.
 pub(super) async fn admit(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     default: Option<u64>,
     project: ProjectId,
     requested: u64,
@@ -79,12 +79,12 @@ pub(super) async fn admit(
 
 /// As [`admit`], for a blob; one that the project refers to already counts nothing.
 pub(super) async fn admit_blob(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     default: Option<u64>,
     project: ProjectId,
     blob: BlobRef,
 ) -> Result<(), StoreError> {
-    let row = sqlx::query(HAS_BLOB)
+    let row = query(HAS_BLOB)
         .bind(project.to_string())
         .bind(blob.digest.to_string())
         .fetch_one(&mut *connection)
@@ -96,13 +96,13 @@ pub(super) async fn admit_blob(
 /// Refuses another job if the project has its maximum of queued and running ones, which is `default` for projects without one. Part of the
 /// transaction that adds it.
 pub(super) async fn admit_job(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     default: Option<u32>,
     project: ProjectId,
 ) -> Result<(), StoreError> {
-    let row = sqlx::query(ACTIVE_JOBS).bind(project.to_string()).fetch_one(connection).await?;
-    let active: u32 = unsigned(&row, "active")?;
-    let max: Option<u32> = optional_unsigned(&row, "max_active_jobs")?.or(default_limit(project, default));
+    let row = query(ACTIVE_JOBS).bind(project.to_string()).fetch_one(connection).await?;
+    let active: u32 = whole(&row, "active")?;
+    let max: Option<u32> = optional_whole(&row, "max_active_jobs")?.or(default_limit(project, default));
     if max.is_some_and(|max| active >= max) {
         return Err(StoreError::TooManyJobs { active });
     }
@@ -111,20 +111,20 @@ pub(super) async fn admit_job(
 
 /// Those of the blobs that nothing refers to.
 pub(super) async fn unreferenced(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     digests: &[Digest],
 ) -> Result<Vec<Digest>, StoreError> {
     let mut unreferenced = Vec::new();
     for digest in digests {
-        let row = sqlx::query(IS_REFERENCED).bind(digest.to_string()).fetch_one(&mut *connection).await?;
-        if !row.try_get::<bool, _>("referenced")? {
+        let row = query(IS_REFERENCED).bind(digest.to_string()).fetch_one(&mut *connection).await?;
+        if !row.try_get::<bool>("referenced")? {
             unreferenced.push(*digest);
         }
     }
     Ok(unreferenced)
 }
 
-impl Accounts for SqliteStore {
+impl Accounts for SqlStore {
     fn usage(&self, project: ProjectId) -> StoreFuture<'_, Usage> {
         Box::pin(self.read(async move |tx| usage(tx, project).await))
     }
@@ -135,21 +135,21 @@ impl Accounts for SqliteStore {
             if quota.is_none() {
                 return Ok(Capacity::default());
             }
-            let row = sqlx::query(
-                "SELECT IFNULL(MAX(bytes), 0) AS largest FROM blobs WHERE digest IN (
+            let row = query(
+                "SELECT COALESCE(MAX(bytes), 0) AS largest FROM blobs WHERE digest IN (
                      SELECT dataset FROM scenes WHERE project = ?1 UNION SELECT dataset FROM jobs WHERE project = ?1)",
             )
             .bind(project.to_string())
             .fetch_one(&mut *tx)
             .await?;
             let usage = usage(tx, project).await?;
-            Ok(Capacity { usage, quota, largest_dataset: unsigned(&row, "largest")? })
+            Ok(Capacity { usage, quota, largest_dataset: whole(&row, "largest")? })
         }))
     }
 
     fn owned_archive(&self, project: ProjectId, content: Digest) -> StoreFuture<'_, Option<BlobRef>> {
         Box::pin(async move {
-            let row = sqlx::query(
+            let row = query(
                 "SELECT bytes FROM blobs WHERE digest = ?1
                      AND (EXISTS (SELECT 1 FROM scenes WHERE dataset = ?1 AND project = ?2)
                           OR EXISTS (SELECT 1 FROM jobs WHERE dataset = ?1 AND project = ?2))",
@@ -158,7 +158,7 @@ impl Accounts for SqliteStore {
             .bind(project.to_string())
             .fetch_optional(&self.readers)
             .await?;
-            row.map(|row| Ok(BlobRef { digest: content, bytes: unsigned(&row, "bytes")? })).transpose()
+            row.map(|row| Ok(BlobRef { digest: content, bytes: whole(&row, "bytes")? })).transpose()
         })
     }
 
@@ -170,14 +170,19 @@ impl Accounts for SqliteStore {
                 return Ok(unused);
             }
             self.write(async move |tx, _| {
-                let unused = unreferenced(tx, &unused).await?;
-                for digest in &unused {
-                    sqlx::query("DELETE FROM blobs WHERE digest = ?")
-                        .bind(digest.to_string())
-                        .execute(&mut *tx)
-                        .await?;
+                let mut forgotten = Vec::new();
+                for digest in unused {
+                    // Looked up again once nothing new can refer to it.
+                    let is_free = locks::blob_to_delete(tx, digest).await?;
+                    if is_free && !unreferenced(tx, &[digest]).await?.is_empty() {
+                        query("DELETE FROM blobs WHERE digest = ?")
+                            .bind(digest.to_string())
+                            .execute(&mut *tx)
+                            .await?;
+                        forgotten.push(digest);
+                    }
                 }
-                Ok(unused)
+                Ok(forgotten)
             })
             .await
         })
@@ -187,13 +192,13 @@ impl Accounts for SqliteStore {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::sqlite::open::temporary_store;
+    use crate::store::sql::open::temporary_store;
 
     #[tokio::test]
     async fn the_query_names_every_table_that_refers_to_blobs() {
         let (_folder, store) = temporary_store().await;
-        let rows = sqlx::query(
-            "SELECT tables.name, keys.\"from\" FROM sqlite_schema AS tables, pragma_foreign_key_list(tables.name) AS keys
+        let rows = query(
+            "SELECT tables.name, keys.\"from\" AS place FROM sqlite_schema AS tables, pragma_foreign_key_list(tables.name) AS keys
              WHERE tables.type = 'table' AND keys.\"table\" = 'blobs'",
         )
         .fetch_all(&store.readers)
@@ -201,7 +206,8 @@ mod tests {
         .expect("the schema");
         assert!(rows.len() >= 3);
         for row in rows {
-            let (table, column): (String, String) = (row.get(0), row.get(1));
+            let (table, column): (String, String) =
+                (row.try_get("name").expect("a table"), row.try_get("place").expect("a column"));
             assert!(
                 IS_REFERENCED.contains(&format!("FROM {table} WHERE {column} = ?1")),
                 "blobs of {table}.{column} would be deleted as nobody's"

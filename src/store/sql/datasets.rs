@@ -1,10 +1,10 @@
-//! Datasets in SQLite, in the table `scenes`.
-
-use sqlx::{Row as _, SqliteConnection, sqlite::SqliteRow};
+//! Datasets, in the table `scenes`.
 
 use super::{
-    SqliteStore, accounts, idempotency, insert_blob, lists,
-    rows::{blob, document, instant, json, micros, parsed, unsigned},
+    CREATED, SqlStore, accounts,
+    db::{Row, Sql, Transaction, query},
+    idempotency, insert_blob, lists, locks,
+    rows::{blob, document, instant, json, micros, parsed, whole},
 };
 use crate::{
     domain::{DatasetId, Digest, ProjectId},
@@ -14,24 +14,24 @@ use crate::{
     },
 };
 
+/// HTTP status of the response to a request for a resource that exists already.
+const FOUND: u16 = 200;
+
 /// A row of `scenes` joined with its dataset's `bytes`.
-fn dataset(row: &SqliteRow) -> Result<DatasetRecord, StoreError> {
+fn dataset(row: &Row) -> Result<DatasetRecord, StoreError> {
     Ok(DatasetRecord {
         id: parsed("id", row.try_get("id")?)?,
         project: parsed("project", row.try_get("project")?)?,
         name: row.try_get("name")?,
         dataset: blob(row, "dataset")?,
         summary: document("summary", row.try_get("summary")?)?,
-        version: unsigned(row, "version")?,
+        version: whole(row, "version")?,
         created_at: instant("created_at", row.try_get("created_at")?)?,
     })
 }
 
-async fn select(
-    connection: &mut SqliteConnection,
-    id: DatasetId,
-) -> Result<Option<DatasetRecord>, StoreError> {
-    let row = sqlx::query(
+async fn select(connection: &mut Transaction, id: DatasetId) -> Result<Option<DatasetRecord>, StoreError> {
+    let row = query(
         "SELECT scenes.*, blobs.bytes FROM scenes JOIN blobs ON blobs.digest = scenes.dataset WHERE scenes.id = ?",
     )
     .bind(id.to_string())
@@ -41,11 +41,11 @@ async fn select(
 }
 
 async fn select_by_archive(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     project: ProjectId,
     archive: Digest,
 ) -> Result<Option<DatasetRecord>, StoreError> {
-    let row = sqlx::query(
+    let row = query(
         "SELECT scenes.*, blobs.bytes FROM scenes JOIN blobs ON blobs.digest = scenes.dataset
          WHERE scenes.dataset = ?1 AND scenes.project = ?2",
     )
@@ -56,15 +56,21 @@ async fn select_by_archive(
     row.as_ref().map(dataset).transpose()
 }
 
-impl Datasets for SqliteStore {
+impl Datasets for SqlStore {
     fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation> {
         Box::pin(self.write(async move |tx, now| {
+            if let Some(intent) = &new.intent {
+                // Before anything is locked: it waits for another request with the same key.
+                let (id, keep) = (new.id.to_string(), self.policy.idempotency_ttl);
+                idempotency::remember(tx, intent, CREATED, &id, keep, now).await?;
+            }
+            locks::project(tx, new.project).await?;
             let known = select_by_archive(tx, new.project, new.dataset.digest).await?;
             let id = known.as_ref().map_or(new.id, |known| known.id);
             if known.is_none() {
                 // The bytes reserved for the upload become the dataset's.
                 if let Some(upload) = new.upload {
-                    sqlx::query("UPDATE uploads SET ended_at = ? WHERE id = ? AND ended_at IS NULL")
+                    query("UPDATE uploads SET ended_at = ? WHERE id = ? AND ended_at IS NULL")
                         .bind(micros(now))
                         .bind(upload.to_string())
                         .execute(&mut *tx)
@@ -72,7 +78,7 @@ impl Datasets for SqliteStore {
                 }
                 accounts::admit_blob(tx, self.policy.limits.quota_bytes, new.project, new.dataset).await?;
                 insert_blob(tx, new.dataset, now).await?;
-                sqlx::query(
+                query(
                     "INSERT INTO scenes (id, project, dataset, name, summary, created_at) VALUES (?, ?, ?, ?, ?, ?)",
                 )
                 .bind(id.to_string())
@@ -85,18 +91,15 @@ impl Datasets for SqliteStore {
                 .await?;
             }
             if let Some(upload) = new.upload {
-                sqlx::query("UPDATE uploads SET ended_at = IFNULL(ended_at, ?), scene = ? WHERE id = ?")
+                query("UPDATE uploads SET ended_at = COALESCE(ended_at, ?), scene = ? WHERE id = ?")
                     .bind(micros(now))
                     .bind(id.to_string())
                     .bind(upload.to_string())
                     .execute(&mut *tx)
                     .await?;
             }
-            if let Some(intent) = &new.intent {
-                let status = if known.is_some() { 200 } else { 201 };
-                let resource = id.to_string();
-                idempotency::remember(tx, intent, status, &resource, self.policy.idempotency_ttl, now)
-                    .await?;
+            if let (Some(intent), Some(_)) = (&new.intent, &known) {
+                idempotency::amend(tx, intent, FOUND, &id.to_string()).await?;
             }
             Ok(match known {
                 Some(known) => DatasetCreation::Existing(known),
@@ -124,7 +127,7 @@ impl Datasets for SqliteStore {
         limit: u32,
     ) -> StoreFuture<'_, Vec<DatasetRecord>> {
         Box::pin(async move {
-            let rows = lists::datasets(project, before, limit).build().fetch_all(&self.readers).await?;
+            let rows = lists::datasets(project, before, limit).fetch_all(&self.readers).await?;
             rows.iter().map(dataset).collect()
         })
     }
@@ -135,22 +138,24 @@ impl Datasets for SqliteStore {
         version: Option<u64>,
     ) -> StoreFuture<'_, Option<DatasetDeletion>> {
         Box::pin(self.write(async move |tx, _| {
+            locks::project_of(tx, "SELECT project FROM scenes WHERE id = ", id).await?;
             let Some(record) = select(tx, id).await? else { return Ok(None) };
             if version.is_some_and(|version| version != record.version) {
                 return Ok(Some(DatasetDeletion::VersionMismatch));
             }
-            let row = sqlx::query(
-                "SELECT COUNT(*) AS active FROM jobs INDEXED BY jobs_active_by_scene
+            let row = query(Sql {
+                sqlite: "SELECT COUNT(*) AS active FROM jobs INDEXED BY jobs_active_by_scene
                  WHERE scene = ? AND state IN ('queued', 'running')",
-            )
+                postgres: "SELECT COUNT(*) AS active FROM jobs WHERE scene = ? AND state IN ('queued', 'running')",
+            })
             .bind(id.to_string())
             .fetch_one(&mut *tx)
             .await?;
-            let active: u64 = unsigned(&row, "active")?;
+            let active: u64 = whole(&row, "active")?;
             if active > 0 {
                 return Ok(Some(DatasetDeletion::InUse(active)));
             }
-            sqlx::query("DELETE FROM scenes WHERE id = ?").bind(id.to_string()).execute(tx).await?;
+            query("DELETE FROM scenes WHERE id = ?").bind(id.to_string()).execute(tx).await?;
             Ok(Some(DatasetDeletion::Deleted))
         }))
     }

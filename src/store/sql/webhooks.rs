@@ -1,12 +1,11 @@
-//! Webhook endpoints and the outbox in SQLite.
+//! Webhook endpoints and the outbox.
 
 use std::time::Duration;
 
-use jiff::Timestamp;
-use sqlx::{Row as _, SqliteConnection};
-
 use super::{
-    SqliteStore, lists,
+    SqlStore,
+    db::{Sql, Transaction, query},
+    lists, locks,
     rows::{self, after, json as text, micros},
 };
 use crate::{
@@ -16,13 +15,29 @@ use crate::{
         StoreError, StoreFuture, Webhooks,
     },
 };
+use jiff::Timestamp;
 
 /// How long a delivery that has ended is kept, from its creation.
 const DELIVERY_TTL: Duration = Duration::from_secs(30 * 24 * 3600);
 
+/// The endpoint of the delivery that has been due for longest at `?1`, of those with nothing under way. On PostgreSQL it is locked, so that
+/// no other transaction takes another of its deliveries; what it has is then looked up afresh.
+const FREE_ENDPOINT: Sql = Sql {
+    sqlite: "
+    SELECT d.endpoint FROM webhook_deliveries d
+    WHERE d.state = 'pending' AND d.due_at <= ?1 AND (d.lease_until IS NULL OR d.lease_until <= ?1)
+        AND NOT EXISTS (SELECT 1 FROM webhook_deliveries o WHERE o.endpoint = d.endpoint AND o.lease_until > ?1)
+    ORDER BY d.due_at, d.seq LIMIT 1",
+    postgres: "
+    SELECT d.endpoint FROM webhook_deliveries d JOIN webhook_endpoints e ON e.id = d.endpoint
+    WHERE d.state = 'pending' AND d.due_at <= ?1 AND (d.lease_until IS NULL OR d.lease_until <= ?1)
+        AND NOT EXISTS (SELECT 1 FROM webhook_deliveries o WHERE o.endpoint = d.endpoint AND o.lease_until > ?1)
+    ORDER BY d.due_at, d.seq LIMIT 1 FOR NO KEY UPDATE OF e SKIP LOCKED",
+};
+
 /// Adds a delivery to the outbox for each endpoint of the job's project that subscribed to `state`, within the transaction of the change.
 pub(super) async fn enqueue_deliveries(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     job: JobId,
     state: JobState,
     attempt: u32,
@@ -30,19 +45,23 @@ pub(super) async fn enqueue_deliveries(
     now: Timestamp,
 ) -> Result<(), StoreError> {
     let event = WebhookEvent(state);
-    let endpoints = sqlx::query(
-        "SELECT id FROM webhook_endpoints
+    let endpoints = query(Sql {
+        sqlite: "SELECT id FROM webhook_endpoints
          WHERE project = (SELECT project FROM jobs WHERE id = ?) AND disabled_at IS NULL
              AND EXISTS (SELECT 1 FROM json_each(events) WHERE value = ?)
          ORDER BY id",
-    )
+        postgres: "SELECT id FROM webhook_endpoints
+         WHERE project = (SELECT project FROM jobs WHERE id = ?) AND disabled_at IS NULL
+             AND CAST(events AS jsonb) @> to_jsonb(CAST(? AS text))
+         ORDER BY id",
+    })
     .bind(job.to_string())
     .bind(event.name())
     .fetch_all(&mut *connection)
     .await?;
     for row in &endpoints {
         let endpoint = rows::endpoint_id(row)?;
-        sqlx::query(
+        query(
             "INSERT INTO webhook_deliveries (id, endpoint, job, event, body, state, due_at, created_at)
              VALUES (?, ?, ?, ?, ?, 'pending', ?, ?)",
         )
@@ -59,14 +78,14 @@ pub(super) async fn enqueue_deliveries(
     Ok(())
 }
 
-impl SqliteStore {
+impl SqlStore {
     /// Whether there could be a delivery to take, so that idle polling takes no write lock.
     async fn any_delivery_due(&self) -> Result<bool, StoreError> {
-        let row = sqlx::query(
+        let row = query(
             "SELECT EXISTS (SELECT 1 FROM webhook_deliveries
                             WHERE state = 'pending' AND due_at <= ?1 AND (lease_until IS NULL OR lease_until <= ?1)) AS due",
         )
-        .bind(micros(self.clock.now()))
+        .bind(micros(self.now(&self.readers).await?))
         .fetch_one(&self.readers)
         .await?;
         Ok(row.try_get("due")?)
@@ -74,16 +93,16 @@ impl SqliteStore {
 }
 
 async fn disable(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     endpoint: EndpointId,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    sqlx::query("UPDATE webhook_endpoints SET disabled_at = ? WHERE id = ? AND disabled_at IS NULL")
+    query("UPDATE webhook_endpoints SET disabled_at = ? WHERE id = ? AND disabled_at IS NULL")
         .bind(micros(now))
         .bind(endpoint.to_string())
         .execute(&mut *connection)
         .await?;
-    sqlx::query(
+    query(
         "UPDATE webhook_deliveries
          SET state = 'failed', due_at = NULL, lease_until = NULL, answer_fault = 'the endpoint is disabled'
          WHERE endpoint = ? AND state = 'pending'",
@@ -94,19 +113,20 @@ async fn disable(
     Ok(())
 }
 
-impl Webhooks for SqliteStore {
+impl Webhooks for SqlStore {
     fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> StoreFuture<'_, Option<EndpointRecord>> {
         Box::pin(self.write(async move |tx, now| {
+            locks::project(tx, new.project).await?;
             let project = new.project.to_string();
-            let row = sqlx::query("SELECT count(*) AS had FROM webhook_endpoints WHERE project = ?")
+            let row = query("SELECT count(*) AS had FROM webhook_endpoints WHERE project = ?")
                 .bind(&project)
                 .fetch_one(&mut *tx)
                 .await?;
-            if row.try_get::<i64, _>("had")? >= i64::from(at_most) {
+            if row.try_get::<i64>("had")? >= i64::from(at_most) {
                 return Ok(None);
             }
             let names: Vec<&str> = new.events.iter().map(|event| event.name()).collect();
-            let row = sqlx::query(
+            let row = query(
                 "INSERT INTO webhook_endpoints (id, project, url, events, description, secret, created_at)
                  VALUES (?, ?, ?, ?, ?, ?, ?) RETURNING *",
             )
@@ -125,7 +145,7 @@ impl Webhooks for SqliteStore {
 
     fn endpoint(&self, id: EndpointId) -> StoreFuture<'_, Option<EndpointRecord>> {
         Box::pin(async move {
-            let row = sqlx::query("SELECT * FROM webhook_endpoints WHERE id = ?")
+            let row = query("SELECT * FROM webhook_endpoints WHERE id = ?")
                 .bind(id.to_string())
                 .fetch_optional(&self.readers)
                 .await?;
@@ -140,18 +160,16 @@ impl Webhooks for SqliteStore {
         limit: u32,
     ) -> StoreFuture<'_, Vec<EndpointRecord>> {
         Box::pin(async move {
-            let rows = lists::endpoints(project, before, limit).build().fetch_all(&self.readers).await?;
+            let rows = lists::endpoints(project, before, limit).fetch_all(&self.readers).await?;
             rows.iter().map(rows::endpoint).collect()
         })
     }
 
     fn delete_endpoint(&self, id: EndpointId) -> StoreFuture<'_, bool> {
         Box::pin(self.write(async move |tx, _| {
-            let deleted = sqlx::query("DELETE FROM webhook_endpoints WHERE id = ?")
-                .bind(id.to_string())
-                .execute(tx)
-                .await?;
-            Ok(deleted.rows_affected() > 0)
+            let deleted =
+                query("DELETE FROM webhook_endpoints WHERE id = ?").bind(id.to_string()).execute(tx).await?;
+            Ok(deleted > 0)
         }))
     }
 
@@ -162,7 +180,7 @@ impl Webhooks for SqliteStore {
         limit: u32,
     ) -> StoreFuture<'_, Vec<DeliveryRecord>> {
         Box::pin(async move {
-            let rows = sqlx::query(
+            let rows = query(
                 "SELECT * FROM webhook_deliveries WHERE endpoint = ? AND seq < ? ORDER BY seq DESC LIMIT ?",
             )
             .bind(endpoint.to_string())
@@ -176,23 +194,24 @@ impl Webhooks for SqliteStore {
 
     fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> StoreFuture<'_, Option<Replay>> {
         Box::pin(self.write(async move |tx, now| {
-            let row = sqlx::query(
+            let row = query(
                 "SELECT d.lease_until, e.disabled_at
                  FROM webhook_deliveries d JOIN webhook_endpoints e ON e.id = d.endpoint
                  WHERE d.endpoint = ? AND d.id = ?",
             )
+            .for_update_of("d")
             .bind(endpoint.to_string())
             .bind(id.to_string())
             .fetch_optional(&mut *tx)
             .await?;
             let Some(row) = row else { return Ok(None) };
-            if row.try_get::<Option<i64>, _>("disabled_at")?.is_some() {
+            if row.try_get::<Option<i64>>("disabled_at")?.is_some() {
                 return Ok(Some(Replay::Disabled));
             }
-            if row.try_get::<Option<i64>, _>("lease_until")?.is_some_and(|until| until > micros(now)) {
+            if row.try_get::<Option<i64>>("lease_until")?.is_some_and(|until| until > micros(now)) {
                 return Ok(Some(Replay::InProgress));
             }
-            let row = sqlx::query(
+            let row = query(
                 "UPDATE webhook_deliveries SET state = 'pending', tries = 0, due_at = ?, lease_until = NULL, delivered_at = NULL
                  WHERE id = ? RETURNING *",
             )
@@ -210,12 +229,14 @@ impl Webhooks for SqliteStore {
                 return Ok(None);
             }
             self.write(async move |tx, now| {
-                let row = sqlx::query(
+                let free = query(FREE_ENDPOINT).bind(micros(now)).fetch_optional(&mut *tx).await?;
+                let Some(free) = free else { return Ok(None) };
+                let row = query(
                     "UPDATE webhook_deliveries
                      SET attempts = attempts + 1, tries = tries + 1, lease_until = ?2, attempted_at = ?1,
                          answer_status = NULL, answer_fault = NULL
                      WHERE seq = (SELECT d.seq FROM webhook_deliveries d
-                                  WHERE d.state = 'pending' AND d.due_at <= ?1
+                                  WHERE d.endpoint = ?3 AND d.state = 'pending' AND d.due_at <= ?1
                                       AND (d.lease_until IS NULL OR d.lease_until <= ?1)
                                       AND NOT EXISTS (SELECT 1 FROM webhook_deliveries o
                                                       WHERE o.endpoint = d.endpoint AND o.lease_until > ?1)
@@ -226,6 +247,7 @@ impl Webhooks for SqliteStore {
                 )
                 .bind(micros(now))
                 .bind(micros(after(now, lease)))
+                .bind(free.try_get::<String>("endpoint")?)
                 .fetch_optional(tx)
                 .await?;
                 row.map(|row| rows::due_delivery(&row, now)).transpose()
@@ -241,7 +263,7 @@ impl Webhooks for SqliteStore {
                 AfterAttempt::RetryAfter(delay) => ("pending", Some(after(now, delay))),
                 AfterAttempt::GiveUp | AfterAttempt::DisableEndpoint => ("failed", None),
             };
-            let row = sqlx::query(
+            let row = query(
                 "UPDATE webhook_deliveries
                  SET state = ?1, due_at = ?2, lease_until = NULL, answer_status = ?3, answer_fault = ?4,
                      delivered_at = CASE WHEN ?1 = 'delivered' THEN ?5 END
@@ -259,7 +281,7 @@ impl Webhooks for SqliteStore {
             if let (Some(row), AfterAttempt::DisableEndpoint) = (row, result.next) {
                 disable(tx, rows::endpoint_id(&row)?, now).await?;
             }
-            sqlx::query("DELETE FROM webhook_deliveries WHERE state <> 'pending' AND created_at < ?")
+            query("DELETE FROM webhook_deliveries WHERE state <> 'pending' AND created_at < ?")
                 .bind(micros(rows::before(now, DELIVERY_TTL)))
                 .execute(tx)
                 .await?;

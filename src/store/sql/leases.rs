@@ -2,16 +2,19 @@
 
 use std::sync::{MutexGuard, PoisonError};
 
-use super::{SqliteStore, job_changes, queue};
+use super::{
+    SqlStore,
+    queue::{self, Claiming},
+};
 use crate::{
     domain::JobId,
     store::{
-        Claim, StoreError, WorkerDeath,
+        Claim, Store as _, StoreError, WorkerDeath,
         leases::{LeaseRow, LeaseWatch},
     },
 };
 
-impl SqliteStore {
+impl SqlStore {
     /// Compares all leases with the watch, and returns those that have expired.
     async fn expired(&self) -> Result<Vec<(LeaseRow, WorkerDeath)>, StoreError> {
         let rows = queue::leases(&self.readers).await?;
@@ -30,16 +33,25 @@ impl SqliteStore {
         if expired.is_empty() && !self.anything_due().await? {
             return Ok(None);
         }
-        self.write(async move |tx, now| {
-            queue::reap(tx, &self.policy, &expired, now).await?;
-            job_changes::fail_expired(tx, now).await?;
-            queue::claim(tx, &self.policy, worker, now).await
-        })
-        .await
+        // Each in a transaction of its own: each locks the projects that it changes at once.
+        self.reap(expired).await?;
+        self.fail_expired().await?;
+        loop {
+            let claimed = self.write(async move |tx, now| queue::claim(tx, &self.policy, worker, now).await);
+            match claimed.await? {
+                Claiming::Granted(claimed) => return Ok(Some(claimed)),
+                Claiming::NothingDue => return Ok(None),
+                Claiming::Overtaken => {}
+            }
+        }
     }
 
     pub(super) async fn reap_expired(&self) -> Result<u64, StoreError> {
-        let expired = self.expired().await?;
+        self.reap(self.expired().await?).await
+    }
+
+    /// Ends the attempts whose leases have expired, unless they were renewed meanwhile, and counts them.
+    pub(super) async fn reap(&self, expired: Vec<(LeaseRow, WorkerDeath)>) -> Result<u64, StoreError> {
         if expired.is_empty() {
             return Ok(0);
         }

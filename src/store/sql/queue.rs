@@ -1,17 +1,14 @@
 //! The queue: claims, leases and the ends of attempts. Each function runs within its caller's transaction.
 
-use jiff::Timestamp;
-use serde_json::{Value, json};
-use sqlx::{Row as _, SqliteConnection, SqlitePool, sqlite::SqliteRow};
-
 use super::{
+    db::{Pool, Row, Sql, Target, Transaction, query},
     events::append,
-    insert_blob,
+    insert_blob, locks,
     rows::{self, after, json as text, micros, name},
     select_job,
 };
 use crate::{
-    domain::{EventKind, JobId, JobMetrics, JobState, Phase, Problem, Progress},
+    domain::{EventKind, JobId, JobMetrics, JobState, Phase, Problem, Progress, ProjectId},
     store::{
         AttemptRecord, Cancellation, Claim, Heartbeat, Lease, MAX_QUEUE_POSITION, Outcome, QueuePolicy,
         SHOWN_ATTEMPTS, StoreError, WorkerDeath,
@@ -19,25 +16,30 @@ use crate::{
         retry::{AttemptEnd, AttemptState, NextState, decide},
     },
 };
+use jiff::Timestamp;
+use serde_json::{Value, json};
 
 /// The leases of all running jobs.
-pub(super) async fn leases(pool: &SqlitePool) -> Result<Vec<LeaseRow>, StoreError> {
-    let rows = sqlx::query("SELECT id, attempt, lease_until FROM jobs WHERE state = 'running'");
+pub(super) async fn leases(pool: &Pool) -> Result<Vec<LeaseRow>, StoreError> {
+    let rows = query("SELECT id, attempt, lease_until FROM jobs WHERE state = 'running'");
     rows.fetch_all(pool).await?.iter().map(rows::lease).collect()
 }
 
 /// Ends the attempts whose leases have expired, unless they were renewed meanwhile, and counts them.
 pub(super) async fn reap(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     policy: &QueuePolicy,
     expired: &[(LeaseRow, WorkerDeath)],
     now: Timestamp,
 ) -> Result<u64, StoreError> {
+    let jobs: Vec<JobId> = expired.iter().map(|(lease, _)| lease.job).collect();
+    locks::jobs(connection, &jobs).await?;
     let mut count = 0;
     for (lease, death) in expired {
-        let lost = sqlx::query(
+        let lost = query(
             "SELECT * FROM jobs WHERE id = ? AND attempt = ? AND lease_until = ? AND state = 'running'",
         )
+        .for_update()
         .bind(lease.job.to_string())
         .bind(lease.attempt)
         .bind(lease.until)
@@ -50,13 +52,16 @@ pub(super) async fn reap(
 
 /// Ends every attempt of one worker.
 pub(super) async fn expire_worker(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     policy: &QueuePolicy,
     worker: &str,
     death: WorkerDeath,
     now: Timestamp,
 ) -> Result<u64, StoreError> {
-    let lost = sqlx::query("SELECT * FROM jobs WHERE state = 'running' AND lease_owner = ?")
+    let selected = "SELECT project FROM jobs WHERE state = 'running' AND lease_owner = ";
+    locks::project_of(connection, selected, worker).await?;
+    let lost = query("SELECT * FROM jobs WHERE state = 'running' AND lease_owner = ?")
+        .for_update()
         .bind(worker)
         .fetch_all(&mut *connection)
         .await?;
@@ -64,9 +69,9 @@ pub(super) async fn expire_worker(
 }
 
 async fn end_lost(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     policy: &QueuePolicy,
-    lost: &[SqliteRow],
+    lost: &[Row],
     death: WorkerDeath,
     now: Timestamp,
 ) -> Result<u64, StoreError> {
@@ -79,8 +84,9 @@ async fn end_lost(
 
 /// The next job that is due at `?1`, where projects without a limit of their own run at most `?2` jobs. Each project offers its best one,
 /// found through an index, so the cost grows with the projects that have queued jobs, not with those.
-const NEXT: &str = "
-    SELECT best.id FROM project_totals AS totals
+const NEXT: Sql = Sql {
+    sqlite: "
+    SELECT best.id, totals.project FROM project_totals AS totals
     JOIN projects ON projects.id = totals.project
     JOIN jobs AS best ON best.id = (
         SELECT waiting.id FROM jobs AS waiting INDEXED BY jobs_to_claim
@@ -90,76 +96,163 @@ const NEXT: &str = "
     WHERE totals.queued_jobs > 0
         AND totals.running_jobs < COALESCE(projects.max_running_jobs, ?2, totals.running_jobs + 1)
     ORDER BY best.priority DESC, totals.running_jobs, totals.last_claim, best.created_at, best.id
-    LIMIT 1";
+    LIMIT 1",
+    postgres: "
+    SELECT best.id, totals.project FROM project_totals AS totals
+    JOIN projects ON projects.id = totals.project
+    CROSS JOIN LATERAL (
+        SELECT waiting.id, waiting.priority, waiting.created_at FROM jobs AS waiting
+        WHERE waiting.project = totals.project AND waiting.state = 'queued'
+            AND (waiting.run_after <= ?1 OR waiting.waits_since > ?1)
+        ORDER BY waiting.priority DESC, waiting.created_at, waiting.id LIMIT 1) AS best
+    WHERE totals.queued_jobs > 0
+        AND totals.running_jobs < COALESCE(projects.max_running_jobs, ?2, totals.running_jobs + 1)
+    ORDER BY best.priority DESC, totals.running_jobs, totals.last_claim, best.created_at, best.id
+    LIMIT 1",
+};
+
+/// On PostgreSQL, the next job of project `?3` alone, whose totals are locked, as in [`NEXT`].
+const NEXT_OF_PROJECT: &str = "
+    SELECT waiting.id FROM jobs AS waiting
+    WHERE waiting.project = ?3 AND waiting.state = 'queued' AND (waiting.run_after <= ?1 OR waiting.waits_since > ?1)
+        AND EXISTS (
+            SELECT 1 FROM project_totals AS totals JOIN projects ON projects.id = totals.project
+            WHERE totals.project = ?3
+                AND totals.running_jobs < COALESCE(projects.max_running_jobs, ?2, totals.running_jobs + 1))
+    ORDER BY waiting.priority DESC, waiting.created_at, waiting.id LIMIT 1
+    FOR NO KEY UPDATE OF waiting SKIP LOCKED";
+
+/// Which projects a claim considers, if other transactions have locked some.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Competition {
+    /// Those that no other has locked; locks the one that is found.
+    Skip,
+    /// All, without locking any.
+    Wait,
+}
 
 /// The newest `?2` attempts of job `?1`.
 const LATEST_ATTEMPTS: &str = "SELECT * FROM attempts WHERE job_id = ?1 ORDER BY number DESC LIMIT ?2";
 
 /// How many queued jobs, at most `?5`, of project `?1` come before the one with priority `?2`, creation `?3` and identity `?4`.
-const AHEAD: &str = "
+const AHEAD: Sql = Sql {
+    sqlite: "
     SELECT count(*) AS ahead FROM (
         SELECT 1 FROM jobs INDEXED BY jobs_to_claim WHERE project = ?1 AND state = 'queued' AND priority > ?2
         UNION ALL
         SELECT 1 FROM jobs INDEXED BY jobs_to_claim
         WHERE project = ?1 AND state = 'queued' AND priority = ?2 AND (created_at, id) < (?3, ?4)
-        LIMIT ?5)";
+        LIMIT ?5)",
+    postgres: "
+    SELECT count(*) AS ahead FROM (
+        SELECT 1 FROM jobs WHERE project = ?1 AND state = 'queued' AND priority > ?2
+        UNION ALL
+        SELECT 1 FROM jobs
+        WHERE project = ?1 AND state = 'queued' AND priority = ?2 AND (created_at, id) < (?3, ?4)
+        LIMIT ?5) AS before",
+};
 
 /// Statements of claims and of every job that is read; their cost must not grow with the number of jobs.
 #[cfg(test)]
-pub(super) const STATEMENTS: [&str; 3] = [NEXT, LATEST_ATTEMPTS, AHEAD];
+pub(super) fn statements() -> [Sql; 3] {
+    [NEXT, LATEST_ATTEMPTS.into(), AHEAD]
+}
 
-/// The job that a claim would grant now.
+/// The job that a claim would grant now, and its project.
 pub(super) async fn next(
-    connection: &mut SqliteConnection,
+    on: impl Into<Target<'_>>,
     policy: &QueuePolicy,
     now: Timestamp,
-) -> Result<Option<JobId>, StoreError> {
-    let row = sqlx::query(NEXT)
+    competition: Competition,
+) -> Result<Option<(JobId, ProjectId)>, StoreError> {
+    let mut next = query(NEXT);
+    if competition == Competition::Skip {
+        next.push(Sql { sqlite: "", postgres: " FOR UPDATE OF totals SKIP LOCKED" });
+    }
+    let row = next.bind(micros(now)).bind(policy.limits.max_running_jobs).fetch_optional(on).await?;
+    row.map(|row| Ok((rows::job_id(&row)?, rows::parsed("project", row.try_get("project")?)?))).transpose()
+}
+
+/// What a transaction found to claim.
+pub(super) enum Claiming<T> {
+    /// It is granted.
+    Granted(T),
+    /// Nothing is due.
+    NothingDue,
+    /// Others took what there was in its project. Another transaction, which holds no lock of that project, can look for more.
+    Overtaken,
+}
+
+/// The job to grant, which the transaction then holds with its project's totals.
+async fn take_next(
+    tx: &mut Transaction,
+    policy: &QueuePolicy,
+    now: Timestamp,
+) -> Result<Claiming<JobId>, StoreError> {
+    if !tx.is_postgres() {
+        let next = next(tx, policy, now, Competition::Wait).await?;
+        return Ok(next.map_or(Claiming::NothingDue, |(job, _)| Claiming::Granted(job)));
+    }
+    let project = match next(&mut *tx, policy, now, Competition::Skip).await? {
+        Some((_, project)) => project,
+        // All projects with something to claim are locked, for the moment that another claim takes.
+        None => match next(&mut *tx, policy, now, Competition::Wait).await? {
+            Some((_, project)) => {
+                locks::project(tx, project).await?;
+                project
+            }
+            None => return Ok(Claiming::NothingDue),
+        },
+    };
+    // Another claim may have taken the job that was found before the totals were locked.
+    let row = query(NEXT_OF_PROJECT)
         .bind(micros(now))
         .bind(policy.limits.max_running_jobs)
-        .fetch_optional(connection)
+        .bind(project.to_string())
+        .fetch_optional(tx)
         .await?;
-    row.as_ref().map(rows::job_id).transpose()
+    row.map_or(Ok(Claiming::Overtaken), |row| rows::job_id(&row).map(Claiming::Granted))
 }
 
 /// The position of a row of `jobs` in its project's queue; `None` unless it is queued.
-pub(super) async fn position(
-    connection: &mut SqliteConnection,
-    row: &SqliteRow,
-) -> Result<Option<u32>, StoreError> {
-    if row.try_get::<&str, _>("state")? != JobState::Queued.name() {
+pub(super) async fn position(connection: &mut Transaction, row: &Row) -> Result<Option<u32>, StoreError> {
+    if row.try_get::<&str>("state")? != JobState::Queued.name() {
         return Ok(None);
     }
-    let counted = sqlx::query(AHEAD)
-        .bind(row.try_get::<&str, _>("project")?)
-        .bind(row.try_get::<i64, _>("priority")?)
-        .bind(row.try_get::<i64, _>("created_at")?)
-        .bind(row.try_get::<&str, _>("id")?)
+    let counted = query(AHEAD)
+        .bind(row.try_get::<&str>("project")?)
+        .bind(row.try_get::<i64>("priority")?)
+        .bind(row.try_get::<i64>("created_at")?)
+        .bind(row.try_get::<&str>("id")?)
         .bind(MAX_QUEUE_POSITION - 1)
         .fetch_one(connection)
         .await?;
-    Ok(Some(rows::unsigned::<u32>(&counted, "ahead")? + 1))
+    Ok(Some(rows::whole::<u32>(&counted, "ahead")? + 1))
 }
 
 /// The newest attempts at a job, oldest first.
 pub(super) async fn latest_attempts(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     job: JobId,
 ) -> Result<Vec<AttemptRecord>, StoreError> {
     let rows =
-        sqlx::query(LATEST_ATTEMPTS).bind(job.to_string()).bind(SHOWN_ATTEMPTS).fetch_all(connection).await?;
+        query(LATEST_ATTEMPTS).bind(job.to_string()).bind(SHOWN_ATTEMPTS).fetch_all(connection).await?;
     rows.iter().rev().map(rows::attempt).collect()
 }
 
 /// Grants the next job to `worker`.
 pub(super) async fn claim(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     policy: &QueuePolicy,
     worker: &str,
     now: Timestamp,
-) -> Result<Option<(LeaseRow, Claim)>, StoreError> {
-    let Some(job) = next(connection, policy, now).await? else { return Ok(None) };
-    let row = sqlx::query(
+) -> Result<Claiming<(LeaseRow, Claim)>, StoreError> {
+    let job = match take_next(connection, policy, now).await? {
+        Claiming::Granted(job) => job,
+        Claiming::NothingDue => return Ok(Claiming::NothingDue),
+        Claiming::Overtaken => return Ok(Claiming::Overtaken),
+    };
+    let row = query(
         "UPDATE jobs SET state = 'running', phase = 'ingest', progress = ?1, attempt = attempt + 1,
              charged = charged + 1, lease_owner = ?2, lease_until = ?3, started_at = ?4, progress_event_at = NULL,
              version = version + 1
@@ -173,8 +266,8 @@ pub(super) async fn claim(
     .bind(job.to_string())
     .fetch_one(&mut *connection)
     .await?;
-    let attempt: u32 = row.try_get("attempt")?;
-    sqlx::query("INSERT INTO attempts (job_id, number, worker, started_at) VALUES (?, ?, ?, ?)")
+    let attempt: u32 = rows::whole(&row, "attempt")?;
+    query("INSERT INTO attempts (job_id, number, worker, started_at) VALUES (?, ?, ?, ?)")
         .bind(job.to_string())
         .bind(attempt)
         .bind(worker)
@@ -190,15 +283,16 @@ pub(super) async fn claim(
         options: rows::options(&row)?,
         resume_from: rows::resume_from(&row)?,
     };
-    Ok(Some((rows::lease(&row)?, claim)))
+    Ok(Claiming::Granted((rows::lease(&row)?, claim)))
 }
 
 /// Cancels a queued job, or requests that a running one stop.
 pub(super) async fn cancel(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     id: JobId,
     now: Timestamp,
 ) -> Result<Option<Cancellation>, StoreError> {
+    locks::job(connection, id).await?;
     let Some(record) = select_job(connection, id).await? else { return Ok(None) };
     let (change, data) = match record.job.state {
         JobState::Cancelled => return Ok(Some(Cancellation::Done(record))),
@@ -215,7 +309,7 @@ pub(super) async fn cancel(
             json!({ "state": JobState::Cancelled }),
         ),
     };
-    sqlx::query(change).bind(micros(now)).bind(id.to_string()).execute(&mut *connection).await?;
+    query(change).bind(micros(now)).bind(id.to_string()).execute(&mut *connection).await?;
     append(connection, id, EventKind::State, record.job.attempt, &data, now).await?;
     let was_queued = record.job.state == JobState::Queued;
     let record = select_job(connection, id).await?.ok_or(sqlx::Error::RowNotFound)?;
@@ -229,12 +323,12 @@ fn lease_lost(lease: &Lease) -> StoreError {
 /// Renews the lease. Successive renewals always differ in `lease_until`, whatever the clock does: that is how the lease watch
 /// recognises them.
 pub(super) async fn heartbeat(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     policy: &QueuePolicy,
     lease: &Lease,
     now: Timestamp,
 ) -> Result<(LeaseRow, Heartbeat), StoreError> {
-    let row = sqlx::query(
+    let row = query(
         "UPDATE jobs SET lease_until = CASE WHEN lease_until = ?1 THEN ?1 + 1 ELSE ?1 END
          WHERE id = ?2 AND attempt = ?3 AND lease_owner = ?4 AND state = 'running'
          RETURNING id, attempt, lease_until, cancel_requested_at, deadline_at",
@@ -248,7 +342,7 @@ pub(super) async fn heartbeat(
     .ok_or_else(|| lease_lost(lease))?;
     let deadline: Option<i64> = row.try_get("deadline_at")?;
     let heartbeat = Heartbeat {
-        cancel_requested: row.try_get::<Option<i64>, _>("cancel_requested_at")?.is_some(),
+        cancel_requested: row.try_get::<Option<i64>>("cancel_requested_at")?.is_some(),
         deadline_passed: deadline.is_some_and(|deadline| deadline <= micros(now)),
     };
     Ok((rows::lease(&row)?, heartbeat))
@@ -256,7 +350,7 @@ pub(super) async fn heartbeat(
 
 /// Records phase and progress.
 pub(super) async fn report(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     policy: &QueuePolicy,
     lease: &Lease,
     phase: Phase,
@@ -265,15 +359,15 @@ pub(super) async fn report(
 ) -> Result<(), StoreError> {
     let row = leased_job(connection, lease).await?;
     let phase_name = name(&phase)?;
-    let phase_changed = row.try_get::<String, _>("phase")? != phase_name;
+    let phase_changed = row.try_get::<String>("phase")? != phase_name;
     let last_event: Option<i64> = row.try_get("progress_event_at")?;
     let every = i64::try_from(policy.progress_event_every.as_micros()).unwrap_or(i64::MAX);
     // A clock that was set back must not delay the next event.
     let due = last_event.is_none_or(|last| micros(now).saturating_sub(last).saturating_abs() >= every);
-    sqlx::query(
-        "UPDATE jobs SET phase = ?, progress = ?, version = version + 1,
-             checkpoint_step = MAX(checkpoint_step, ?), progress_event_at = CASE WHEN ? THEN ? ELSE progress_event_at END
-         WHERE id = ?",
+    query(
+        "UPDATE jobs SET phase = ?1, progress = ?2, version = version + 1,
+             checkpoint_step = CASE WHEN checkpoint_step < ?3 THEN ?3 ELSE checkpoint_step END, progress_event_at = CASE WHEN ?4 THEN ?5 ELSE progress_event_at END
+         WHERE id = ?6",
     )
     .bind(phase_name)
     .bind(text(progress)?)
@@ -295,36 +389,34 @@ pub(super) async fn report(
 }
 
 /// The job's row if the lease is held; else [`StoreError::LeaseLost`].
-pub(super) async fn leased_job(
-    connection: &mut SqliteConnection,
-    lease: &Lease,
-) -> Result<SqliteRow, StoreError> {
-    let row = sqlx::query(
-        "SELECT * FROM jobs WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running'",
-    )
-    .bind(lease.job.to_string())
-    .bind(lease.attempt)
-    .bind(&lease.worker)
-    .fetch_optional(connection)
-    .await?;
+pub(super) async fn leased_job(connection: &mut Transaction, lease: &Lease) -> Result<Row, StoreError> {
+    let row =
+        query("SELECT * FROM jobs WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running'")
+            .for_update()
+            .bind(lease.job.to_string())
+            .bind(lease.attempt)
+            .bind(&lease.worker)
+            .fetch_optional(connection)
+            .await?;
     row.ok_or_else(|| lease_lost(lease))
 }
 
 /// Ends the attempt with the outcome that its worker reports.
 pub(super) async fn finish(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     policy: &QueuePolicy,
     lease: &Lease,
     outcome: Outcome,
     now: Timestamp,
 ) -> Result<JobState, StoreError> {
+    locks::job(connection, lease.job).await?;
     let row = leased_job(connection, lease).await?;
     end_attempt(connection, policy, &rows::attempt_state(&row, now)?, AttemptEnd::Reported(outcome), now)
         .await
 }
 
 async fn end_attempt(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     policy: &QueuePolicy,
     attempt_state: &AttemptState,
     end: AttemptEnd,
@@ -332,7 +424,7 @@ async fn end_attempt(
 ) -> Result<JobState, StoreError> {
     let (outcome, cause, next) = decide(policy, attempt_state, end);
     let (job, attempt) = (attempt_state.job, attempt_state.attempt);
-    sqlx::query("UPDATE attempts SET ended_at = ?, outcome = ?, cause = ? WHERE job_id = ? AND number = ?")
+    query("UPDATE attempts SET ended_at = ?, outcome = ?, cause = ? WHERE job_id = ? AND number = ?")
         .bind(micros(now))
         .bind(outcome.name())
         .bind(cause.as_ref().map(text).transpose()?)
@@ -343,7 +435,7 @@ async fn end_attempt(
     let end = match next {
         NextState::Requeue { delay, refund, losses } => {
             let run_after = after(now, delay);
-            sqlx::query(
+            query(
                 "UPDATE jobs SET state = 'queued', phase = 'queued', run_after = ?, waits_since = ?, charged = charged - ?,
                      silent_deaths = ?, setbacks = ?, setback_step = checkpoint_step, lease_owner = NULL, lease_until = NULL, version = version + 1
                  WHERE id = ?",
@@ -367,7 +459,7 @@ async fn end_attempt(
                 insert_blob(connection, artifact.blob, now).await?;
                 let before = artifacts[..number].iter();
                 let place = before.filter(|other| other.kind == artifact.kind).count();
-                sqlx::query(
+                query(
                     "INSERT INTO artifacts (job_id, kind, place, lambda, digest, attempt) VALUES (?, ?, ?, ?, ?, ?)",
                 )
                 .bind(job.to_string())
@@ -397,13 +489,13 @@ pub(super) struct JobEnd {
 
 /// Writes the end of a job, and appends its event.
 pub(super) async fn end_job(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     job: JobId,
     attempt: u32,
     end: &JobEnd,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    sqlx::query(
+    query(
         "UPDATE jobs SET state = ?, phase = 'done', lease_owner = NULL, lease_until = NULL, metrics = ?, error = ?,
              finished_at = ?, version = version + 1
          WHERE id = ?",

@@ -2,10 +2,9 @@
 
 use std::path::Path;
 
-use sqlx::Row as _;
-
 use super::{
-    SqliteStore, accounts,
+    SqlStore, accounts,
+    db::{Pool, query},
     rows::{self, micros},
 };
 use crate::{
@@ -13,12 +12,15 @@ use crate::{
     store::{BlobRef, StoreError},
 };
 
-impl SqliteStore {
+impl SqlStore {
     /// Writes a copy of the database, as of one moment, into a new file. Others may read and write meanwhile.
     pub(in crate::store) async fn copy_into(&self, path: &Path) -> Result<(), StoreError> {
         let fault = || StoreError::Corrupt { what: "path of a copy", fault: path.display().to_string() };
         let path = path.to_str().ok_or_else(fault)?;
-        sqlx::query("VACUUM INTO ?").bind(path).execute(&self.readers).await?;
+        match &self.readers {
+            Pool::Sqlite(_) => query("VACUUM INTO ?").bind(path).execute(&self.readers).await?,
+            Pool::Postgres(_) => return Err(StoreError::NotInPostgres("copy")),
+        };
         Ok(())
     }
 
@@ -28,7 +30,7 @@ impl SqliteStore {
         after: Option<Digest>,
         limit: u32,
     ) -> Result<Vec<BlobRef>, StoreError> {
-        let rows = sqlx::query("SELECT digest, bytes FROM blobs WHERE digest > ? ORDER BY digest LIMIT ?")
+        let rows = query("SELECT digest, bytes FROM blobs WHERE digest > ? ORDER BY digest LIMIT ?")
             .bind(after.map(|digest| digest.to_string()).unwrap_or_default())
             .bind(limit)
             .fetch_all(&self.readers)
@@ -47,7 +49,7 @@ impl SqliteStore {
     /// Ends every open upload.
     pub(in crate::store) async fn end_uploads(&self) -> Result<(), StoreError> {
         self.write(async move |tx, now| {
-            sqlx::query("UPDATE uploads SET ended_at = ? WHERE ended_at IS NULL")
+            query("UPDATE uploads SET ended_at = ? WHERE ended_at IS NULL")
                 .bind(micros(now))
                 .execute(tx)
                 .await?;
@@ -56,19 +58,24 @@ impl SqliteStore {
         .await
     }
 
-    /// What SQLite finds wrong with the database's file and its references.
+    /// What SQLite finds wrong with the database's file and its references. PostgreSQL keeps references by itself, and has tools of its own
+    /// (`pg_amcheck`) for its files; of it nothing is reported.
     pub(in crate::store) async fn integrity(&self) -> Result<Vec<String>, StoreError> {
+        if matches!(self.readers, Pool::Postgres(_)) {
+            return Ok(Vec::new());
+        }
         self.read(async move |tx| {
-            let rows = sqlx::query("PRAGMA integrity_check(20)").fetch_all(&mut *tx).await?;
-            let found: Result<Vec<String>, sqlx::Error> = rows.iter().map(|row| row.try_get(0)).collect();
+            // As a table, it would take the number for the name of a table to check.
+            let rows = query("PRAGMA integrity_check(20)").fetch_all(&mut *tx).await?;
+            let found: Result<Vec<String>, sqlx::Error> =
+                rows.iter().map(|row| row.try_get("integrity_check")).collect();
             let mut found = found?;
             found.retain(|line| line != "ok");
-            let broken =
-                sqlx::query("SELECT DISTINCT \"table\", parent FROM pragma_foreign_key_check LIMIT 20")
-                    .fetch_all(tx)
-                    .await?;
+            let broken = query("SELECT DISTINCT \"table\", parent FROM pragma_foreign_key_check LIMIT 20")
+                .fetch_all(tx)
+                .await?;
             for row in &broken {
-                let (table, parent): (String, String) = (row.try_get(0)?, row.try_get(1)?);
+                let (table, parent): (String, String) = (row.try_get("table")?, row.try_get("parent")?);
                 found.push(format!("rows of {table} refer to rows of {parent} that are not there"));
             }
             Ok(found)

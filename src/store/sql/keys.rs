@@ -2,18 +2,21 @@
 
 use std::num::NonZeroU32;
 
-use jiff::Timestamp;
-use sqlx::{Row as _, SqliteConnection, sqlite::SqliteRow};
-
-use super::{SqliteStore, exists, lists, projects, rows, rows::micros};
+use super::{
+    SqlStore,
+    db::{Row, Transaction, query},
+    exists, lists, projects, rows,
+    rows::micros,
+};
 use crate::{
     domain::{KeyHash, KeyId, ProjectId, Scope},
     store::{KeyChange, KeyProject, KeyRecord, Keys, NewKey, StoreError, StoreFuture},
 };
+use jiff::Timestamp;
 
 /// Adds a key within its caller's transaction, with its project if that is new.
 pub(super) async fn insert(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     new: NewKey,
     now: Timestamp,
 ) -> Result<KeyRecord, StoreError> {
@@ -26,7 +29,7 @@ pub(super) async fn insert(
         }
         KeyProject::New(project) => projects::insert(connection, &project, now).await?.id,
     };
-    let row = sqlx::query(
+    let row = query(
         "INSERT INTO keys (id, project, name, prefix, hash, scopes, requests_per_minute, expires_at, created_at)
          VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING *",
     )
@@ -44,14 +47,14 @@ pub(super) async fn insert(
     key(&row)
 }
 
-impl Keys for SqliteStore {
+impl Keys for SqlStore {
     fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord> {
         Box::pin(self.write(async move |tx, now| insert(tx, new, now).await))
     }
 
     fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
         Box::pin(async move {
-            let row = sqlx::query("SELECT * FROM keys WHERE id = ?")
+            let row = query("SELECT * FROM keys WHERE id = ?")
                 .bind(id.to_string())
                 .fetch_optional(&self.readers)
                 .await?;
@@ -67,15 +70,14 @@ impl Keys for SqliteStore {
         limit: u32,
     ) -> StoreFuture<'_, Vec<KeyRecord>> {
         Box::pin(async move {
-            let rows =
-                lists::keys(project, with_revoked, before, limit).build().fetch_all(&self.readers).await?;
+            let rows = lists::keys(project, with_revoked, before, limit).fetch_all(&self.readers).await?;
             rows.iter().map(key).collect()
         })
     }
 
     fn update_key(&self, id: KeyId, change: KeyChange) -> StoreFuture<'_, Option<KeyRecord>> {
         Box::pin(self.write(async move |tx, _| {
-            let row = sqlx::query(
+            let row = query(
                 "UPDATE keys SET name = ?, requests_per_minute = ?, expires_at = ?
                  WHERE id = ? AND revoked_at IS NULL RETURNING *",
             )
@@ -91,23 +93,23 @@ impl Keys for SqliteStore {
 
     fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
         Box::pin(self.write(async move |tx, now| {
-            let row =
-                sqlx::query("UPDATE keys SET revoked_at = COALESCE(revoked_at, ?) WHERE id = ? RETURNING *")
-                    .bind(micros(now))
-                    .bind(id.to_string())
-                    .fetch_optional(tx)
-                    .await?;
+            let row = query("UPDATE keys SET revoked_at = COALESCE(revoked_at, ?) WHERE id = ? RETURNING *")
+                .bind(micros(now))
+                .bind(id.to_string())
+                .fetch_optional(tx)
+                .await?;
             row.as_ref().map(key).transpose()
         }))
     }
 
     fn authenticate(&self, hash: KeyHash) -> StoreFuture<'_, Option<KeyRecord>> {
         Box::pin(async move {
-            let row = sqlx::query(
-                "SELECT * FROM keys WHERE hash = ? AND revoked_at IS NULL AND IFNULL(expires_at > ?, true)",
+            let now = self.now(&self.readers).await?;
+            let row = query(
+                "SELECT * FROM keys WHERE hash = ? AND revoked_at IS NULL AND COALESCE(expires_at > ?, true)",
             )
             .bind(hash.expose())
-            .bind(micros(self.clock.now()))
+            .bind(micros(now))
             .fetch_optional(&self.readers)
             .await?;
             let Some(row) = row else { return Ok(None) };
@@ -121,15 +123,14 @@ impl Keys for SqliteStore {
 
     fn has_keys(&self) -> StoreFuture<'_, bool> {
         Box::pin(async move {
-            let row =
-                sqlx::query("SELECT EXISTS (SELECT 1 FROM keys) AS found").fetch_one(&self.readers).await?;
+            let row = query("SELECT EXISTS (SELECT 1 FROM keys) AS found").fetch_one(&self.readers).await?;
             Ok(row.try_get("found")?)
         })
     }
 
     fn touch_key(&self, id: KeyId) -> StoreFuture<'_, ()> {
         Box::pin(self.write(async move |tx, now| {
-            sqlx::query("UPDATE keys SET last_used_at = MAX(COALESCE(last_used_at, 0), ?) WHERE id = ?")
+            query("UPDATE keys SET last_used_at = ?1 WHERE id = ?2 AND COALESCE(last_used_at, 0) < ?1")
                 .bind(micros(now))
                 .bind(id.to_string())
                 .execute(tx)
@@ -143,7 +144,7 @@ fn scopes_text(scopes: &[Scope]) -> String {
     scopes.iter().map(|scope| scope.name()).collect::<Vec<_>>().join(" ")
 }
 
-fn key(row: &SqliteRow) -> Result<KeyRecord, StoreError> {
+fn key(row: &Row) -> Result<KeyRecord, StoreError> {
     let scopes: String = row.try_get("scopes")?;
     let scopes = scopes.split_whitespace().map(str::parse).collect::<Result<Vec<Scope>, String>>();
     Ok(KeyRecord {
@@ -152,7 +153,7 @@ fn key(row: &SqliteRow) -> Result<KeyRecord, StoreError> {
         prefix: row.try_get("prefix")?,
         scopes: scopes.map_err(|fault| StoreError::Corrupt { what: "scopes", fault })?,
         project_id: rows::parsed("project", row.try_get("project")?)?,
-        requests_per_minute: rows::optional_unsigned(row, "requests_per_minute")?.and_then(NonZeroU32::new),
+        requests_per_minute: rows::optional_whole(row, "requests_per_minute")?.and_then(NonZeroU32::new),
         created_at: rows::instant("created_at", row.try_get("created_at")?)?,
         last_used_at: rows::optional_instant(row, "last_used_at")?,
         expires_at: rows::optional_instant(row, "expires_at")?,

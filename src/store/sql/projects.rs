@@ -1,11 +1,10 @@
-//! Projects in SQLite.
-
-use jiff::Timestamp;
-use sqlx::{Row as _, SqliteConnection, sqlite::SqliteRow};
+//! Projects.
 
 use super::{
-    SqliteStore, accounts, lists,
-    rows::{self, micros, optional_unsigned, unsigned},
+    SqlStore, accounts,
+    db::{Row, Transaction, query},
+    lists, locks,
+    rows::{self, micros, optional_whole, whole},
 };
 use crate::{
     domain::{JobState, ProjectId, ProjectLimits},
@@ -14,19 +13,20 @@ use crate::{
         StoreFuture, StoredBytes,
     },
 };
+use jiff::Timestamp;
 
-/// A number of bytes as columns hold it: SQLite has no larger integer, and no disk holds more.
+/// A number of bytes as columns hold it: a database has no larger integer, and no disk holds more.
 fn bytes_column(bytes: Option<u64>) -> Option<i64> {
     bytes.map(rows::signed)
 }
 
 /// Adds a project within its caller's transaction.
 pub(super) async fn insert(
-    connection: &mut SqliteConnection,
+    connection: &mut Transaction,
     new: &NewProject,
     now: Timestamp,
 ) -> Result<ProjectRecord, StoreError> {
-    let row = sqlx::query(
+    let row = query(
         "INSERT INTO projects (id, name, max_bytes, max_active_jobs, max_running_jobs, max_priority, created_at)
          VALUES (?, ?, ?, ?, ?, ?, ?) RETURNING *",
     )
@@ -42,35 +42,30 @@ pub(super) async fn insert(
     project(&row)
 }
 
-async fn select(
-    connection: &mut SqliteConnection,
-    id: ProjectId,
-) -> Result<Option<ProjectRecord>, StoreError> {
-    let row = sqlx::query("SELECT * FROM projects WHERE id = ?")
-        .bind(id.to_string())
-        .fetch_optional(connection)
-        .await?;
+async fn select(connection: &mut Transaction, id: ProjectId) -> Result<Option<ProjectRecord>, StoreError> {
+    let row =
+        query("SELECT * FROM projects WHERE id = ?").bind(id.to_string()).fetch_optional(connection).await?;
     row.as_ref().map(project).transpose()
 }
 
 /// A row of `projects`.
-fn project(row: &SqliteRow) -> Result<ProjectRecord, StoreError> {
+fn project(row: &Row) -> Result<ProjectRecord, StoreError> {
     Ok(ProjectRecord {
         id: rows::parsed("project", row.try_get("id")?)?,
         name: row.try_get("name")?,
         limits: ProjectLimits {
-            quota_bytes: optional_unsigned(row, "max_bytes")?,
-            max_active_jobs: optional_unsigned(row, "max_active_jobs")?,
-            max_running_jobs: optional_unsigned(row, "max_running_jobs")?,
-            max_priority: row.try_get("max_priority")?,
+            quota_bytes: optional_whole(row, "max_bytes")?,
+            max_active_jobs: optional_whole(row, "max_active_jobs")?,
+            max_running_jobs: optional_whole(row, "max_running_jobs")?,
+            max_priority: optional_whole(row, "max_priority")?,
         },
-        version: unsigned(row, "version")?,
+        version: whole(row, "version")?,
         created_at: rows::instant("created_at", row.try_get("created_at")?)?,
     })
 }
 
 /// A row of `projects` joined with `project_totals`, and the time of its running attempts.
-fn usage(row: &SqliteRow, defaults: ProjectLimits) -> Result<ProjectUsage, StoreError> {
+fn usage(row: &Row, defaults: ProjectLimits) -> Result<ProjectUsage, StoreError> {
     let project = project(row)?;
     let id = project.id;
     let defaults = ProjectLimits {
@@ -85,23 +80,23 @@ fn usage(row: &SqliteRow, defaults: ProjectLimits) -> Result<ProjectUsage, Store
         (JobState::Failed, "failed_jobs"),
         (JobState::Cancelled, "cancelled_jobs"),
     ];
-    let jobs = jobs.into_iter().map(|(state, column)| Ok((state, unsigned(row, column)?)));
-    let micros: u64 = unsigned::<u64>(row, "worker_micros")? + unsigned::<u64>(row, "running_micros")?;
+    let jobs = jobs.into_iter().map(|(state, column)| Ok((state, whole(row, column)?)));
+    let micros: u64 = whole::<u64>(row, "worker_micros")? + whole::<u64>(row, "running_micros")?;
     Ok(ProjectUsage {
         limits: project.limits.or(defaults),
         project,
         stored: StoredBytes {
-            datasets: unsigned(row, "dataset_bytes")?,
-            artifacts: unsigned(row, "artifact_bytes")?,
-            exports: unsigned(row, "export_bytes")?,
+            datasets: whole(row, "dataset_bytes")?,
+            artifacts: whole(row, "artifact_bytes")?,
+            exports: whole(row, "export_bytes")?,
         },
-        reserved: unsigned(row, "reserved_bytes")?,
+        reserved: whole(row, "reserved_bytes")?,
         jobs: jobs.collect::<Result<_, StoreError>>()?,
         worker_seconds: micros as f64 / 1e6,
     })
 }
 
-impl Projects for SqliteStore {
+impl Projects for SqlStore {
     fn create_project(&self, new: NewProject) -> StoreFuture<'_, ProjectRecord> {
         Box::pin(self.write(async move |tx, now| insert(tx, &new, now).await))
     }
@@ -112,12 +107,11 @@ impl Projects for SqliteStore {
 
     fn projects(&self, before: Option<ProjectId>, limit: u32) -> StoreFuture<'_, Vec<ProjectRecord>> {
         Box::pin(async move {
-            let rows =
-                sqlx::query("SELECT * FROM projects WHERE id < COALESCE(?, 'g') ORDER BY id DESC LIMIT ?")
-                    .bind(before.map(|id| id.to_string()))
-                    .bind(limit)
-                    .fetch_all(&self.readers)
-                    .await?;
+            let rows = query("SELECT * FROM projects WHERE id < COALESCE(?, 'g') ORDER BY id DESC LIMIT ?")
+                .bind(before.map(|id| id.to_string()))
+                .bind(limit)
+                .fetch_all(&self.readers)
+                .await?;
             rows.iter().map(project).collect()
         })
     }
@@ -129,11 +123,12 @@ impl Projects for SqliteStore {
         change: ProjectChange,
     ) -> StoreFuture<'_, Option<ProjectUpdate>> {
         Box::pin(self.write(async move |tx, _| {
+            locks::project(tx, id).await?;
             let Some(record) = select(tx, id).await? else { return Ok(None) };
             if version.is_some_and(|version| version != record.version) {
                 return Ok(Some(ProjectUpdate::VersionMismatch));
             }
-            let row = sqlx::query(
+            let row = query(
                 "UPDATE projects SET name = ?, max_bytes = ?, max_active_jobs = ?, max_running_jobs = ?, max_priority = ?,
                      version = version + 1
                  WHERE id = ? RETURNING *",
@@ -157,8 +152,8 @@ impl Projects for SqliteStore {
         limit: u32,
     ) -> StoreFuture<'_, Vec<ProjectUsage>> {
         Box::pin(async move {
-            let now = self.clock.now();
-            let rows = lists::usage(project, before, limit, now).build().fetch_all(&self.readers).await?;
+            let now = self.now(&self.readers).await?;
+            let rows = lists::usage(project, before, limit, now).fetch_all(&self.readers).await?;
             rows.iter().map(|row| usage(row, self.policy.limits)).collect()
         })
     }

@@ -1,0 +1,99 @@
+//! Requests with an `Idempotency-Key`.
+
+use std::time::Duration;
+
+use super::{
+    SqlStore,
+    db::{Transaction, query},
+    rows::{self, before, micros},
+};
+use crate::{
+    domain::ProjectId,
+    store::{Idempotency, IdempotentRequest, PriorRequest, StoreError, StoreFuture},
+};
+use jiff::Timestamp;
+
+/// Records, within the transaction that creates `resource`, that `intent` created it.
+///
+/// # Errors
+/// [`StoreError::IdempotencyKeyUsed`] if its key was used before; the transaction must then be rolled back.
+pub(super) async fn remember(
+    connection: &mut Transaction,
+    intent: &IdempotentRequest,
+    status: u16,
+    resource: &str,
+    keep: Duration,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    query("DELETE FROM idempotency WHERE created_at <= ?")
+        .bind(micros(before(now, keep)))
+        .execute(&mut *connection)
+        .await?;
+    // On PostgreSQL this waits for another transaction that is using the key.
+    let added = query(
+        "INSERT INTO idempotency (project, key, fingerprint, status, resource, created_at) VALUES (?, ?, ?, ?, ?, ?)
+         ON CONFLICT DO NOTHING",
+    )
+    .bind(intent.project.to_string())
+    .bind(&intent.key)
+    .bind(intent.fingerprint.to_string())
+    .bind(i64::from(status))
+    .bind(resource)
+    .bind(micros(now))
+    .execute(&mut *connection)
+    .await?;
+    if added == 1 {
+        return Ok(());
+    }
+    let earlier = select(connection, intent.project, &intent.key).await?.ok_or(sqlx::Error::RowNotFound)?;
+    Err(StoreError::IdempotencyKeyUsed(Box::new(earlier)))
+}
+
+/// Changes what [`remember`] recorded in the same transaction.
+pub(super) async fn amend(
+    connection: &mut Transaction,
+    intent: &IdempotentRequest,
+    status: u16,
+    resource: &str,
+) -> Result<(), StoreError> {
+    query("UPDATE idempotency SET status = ?, resource = ? WHERE project = ? AND key = ?")
+        .bind(status)
+        .bind(resource)
+        .bind(intent.project.to_string())
+        .bind(&intent.key)
+        .execute(connection)
+        .await?;
+    Ok(())
+}
+
+async fn select(
+    connection: &mut Transaction,
+    project: ProjectId,
+    key: &str,
+) -> Result<Option<PriorRequest>, StoreError> {
+    let row = query("SELECT * FROM idempotency WHERE project = ? AND key = ?")
+        .bind(project.to_string())
+        .bind(key)
+        .fetch_optional(connection)
+        .await?;
+    row.as_ref().map(rows::prior_request).transpose()
+}
+
+impl Idempotency for SqlStore {
+    fn prior_request<'a>(
+        &'a self,
+        project: ProjectId,
+        key: &'a str,
+    ) -> StoreFuture<'a, Option<PriorRequest>> {
+        Box::pin(async move {
+            let now = self.now(&self.readers).await?;
+            let row = query("SELECT * FROM idempotency WHERE project = ? AND key = ? AND created_at > ?")
+                .bind(project.to_string())
+                .bind(key)
+                .bind(micros(before(now, self.policy.idempotency_ttl)))
+                .fetch_optional(&self.readers)
+                .await?;
+            row.as_ref().map(rows::prior_request).transpose()
+        })
+    }
+}
