@@ -2,10 +2,12 @@
 //!
 //! One project has 100 000 finished jobs with two files each (an argument chooses another number), another project has one. Timed are the
 //! transactions behind `POST /v1/jobs` of either project, a list of either one's jobs, usage, a claim with its end, and what each scrape of
-//! `/metrics` asks. None should take longer the more jobs there are.
+//! `/metrics` asks. None should take longer the more jobs there are. Then it counts claims, which an address counts on that empty database
+//! of PostgreSQL instead: `cargo bench --bench store -- postgres://USER@HOST/DATABASE`.
 
 #![allow(clippy::unwrap_used, reason = "a benchmark stops at the first fault")]
 
+mod claims;
 mod history;
 
 use std::{
@@ -17,7 +19,8 @@ use std::{
 use tcgs::{
     domain::{Digest, JobId, ProjectId, ProjectLimits, SystemClock, TrainOptions},
     store::{
-        BlobRef, JobFilter, NewJob, Outcome, Overview as _, Projects as _, QueuePolicy, SqlStore, Store as _,
+        BlobRef, DatabaseLocation, JobFilter, NewJob, Outcome, Overview as _, Projects as _, QueuePolicy,
+        SqlStore, Store as _,
     },
 };
 use uuid::Uuid;
@@ -65,6 +68,11 @@ async fn list(store: &SqlStore, project: ProjectId) {
 
 #[tokio::main]
 async fn main() {
+    if let Some(url) = std::env::args().skip(1).find_map(|argument| argument.parse().ok()) {
+        let location = DatabaseLocation::Postgres(url);
+        let store = SqlStore::open(location, Arc::new(SystemClock), QueuePolicy::default()).await.unwrap();
+        return claims::measure(Arc::new(store), ProjectId::DEFAULT).await;
+    }
     let jobs = std::env::args().skip(1).find_map(|argument| argument.parse().ok()).unwrap_or(JOBS);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("tcgs.sqlite");
@@ -90,5 +98,7 @@ async fn main() {
     line("claim and end of an attempt", &times(|| run_one(&store)).await);
     line("GET /v1/usage", &times(|| async { store.project_usage(None, None, 20).await.unwrap() }).await);
     line("GET /metrics", &times(|| async { store.stats().await.unwrap() }).await);
+    let store = Arc::new(store);
+    claims::measure(store.clone(), quiet).await;
     store.close().await;
 }
