@@ -16,8 +16,8 @@ pub fn symmetric_eigen(matrix: &[f64], n: usize) -> (Vec<f64>, Vec<f64>) {
             .flat_map(|i| (0..i).map(move |j| (i, j)))
             .map(|(i, j)| 2.0 * a[i * n + j] * a[i * n + j])
             .sum();
-        // Not `<=` alone: nothing is done for numbers that are not finite.
-        if !(off > 1e-30 * scale) {
+        // Nothing is done for numbers that are not finite.
+        if off.is_nan() || off <= 1e-30 * scale {
             break;
         }
         for p in 0..n {

@@ -39,7 +39,7 @@ pub struct DenseLayer<'a> {
     pub spec: &'a LayerSpec,
     /// The columns.
     pub columns: Columns<'a>,
-    /// Outputs that [`DenseLayers::forward`] computes, from the first on.
+    /// Outputs that [`DenseLayers::forward`](super::DenseLayers::forward) computes, from the first on.
     pub outputs: usize,
 }
 
@@ -82,8 +82,8 @@ pub struct InputGradient<'a> {
 pub struct WeightGradient<'a> {
     /// Parameters of all layers.
     pub parameters: usize,
-    /// Sums over runs of columns: [`DenseLayers::partials`] elements.
+    /// Sums over runs of columns: [`DenseLayers::partials`](super::DenseLayers::partials) elements.
     pub partials: &'a Buffer<f32>,
-    /// The gradients, complete once [`DenseLayers::finish_weight_gradients`] was recorded.
+    /// The gradients, complete once [`DenseLayers::finish_weight_gradients`](super::DenseLayers::finish_weight_gradients) was recorded.
     pub sums: &'a Buffer<f32>,
 }
