@@ -26,9 +26,6 @@ use crate::{
 /// Held-out views of the stages of coding, at most.
 const STAGE_VIEWS: usize = 8;
 
-/// Cut-offs far below what an 8-bit or a 16-bit picture shows.
-const FINE_CUTOFFS: Cutoffs = Cutoffs { alpha: 1e-6, transmittance: 1e-9 };
-
 /// The PSNR at each stage; `None` for files of floats and without held-out views.
 pub(super) fn coding_stages(
     inputs: &RunInputs<'_>,
@@ -117,7 +114,7 @@ pub(super) fn rendering_error(
         let camera = frame.camera.within(max_side);
         let exact = reference_view(scene, &camera, background, Cutoffs::default())?;
         heartbeat();
-        let whole = reference_view(scene, &camera, background, FINE_CUTOFFS)?;
+        let whole = reference_view(scene, &camera, background, Cutoffs::FINE)?;
         let as_f32 = |pixels: &[[f64; 3]]| -> Vec<[f32; 4]> {
             pixels.iter().map(|[r, g, b]| [*r as f32, *g as f32, *b as f32, 0.0]).collect()
         };

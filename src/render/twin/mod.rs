@@ -95,6 +95,11 @@ pub struct Cutoffs {
     pub transmittance: f64,
 }
 
+impl Cutoffs {
+    /// Far below what an 8-bit or a 16-bit picture shows.
+    pub const FINE: Self = Self { alpha: 1e-6, transmittance: 1e-9 };
+}
+
 impl Default for Cutoffs {
     fn default() -> Self {
         Self { alpha: 1.0 / 255.0, transmittance: 1e-4 }

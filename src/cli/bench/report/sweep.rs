@@ -23,9 +23,6 @@ use tcgs::{
 use super::{machine::Machine, matrix::RenderSweep};
 use crate::cli::{CliError, json_lines::JsonLines};
 
-/// Cut-offs far below what a picture shows.
-const FINE_CUTOFFS: Cutoffs = Cutoffs { alpha: 1e-6, transmittance: 1e-9 };
-
 /// How kernels divide their work, by name; the first is the adapter's own.
 const VARIANTS: [(&str, DeviceSettings); 4] = {
     const DEFAULT: DeviceSettings = DeviceSettings {
@@ -145,7 +142,7 @@ fn measure(
     let began = Instant::now();
     let exact = reference_view(&scene, &camera, background, Cutoffs::default())?;
     let reference_seconds = began.elapsed().as_secs_f64();
-    let whole = reference_view(&scene, &camera, background, FINE_CUTOFFS)?;
+    let whole = reference_view(&scene, &camera, background, Cutoffs::FINE)?;
     let different = || RenderError::Scene("a view and its reference differ in size".to_owned());
     let rounded: Vec<[f32; 4]> =
         exact.iter().map(|[r, g, b]| [*r as f32, *g as f32, *b as f32, 0.0]).collect();
