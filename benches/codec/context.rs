@@ -2,7 +2,9 @@
 //! weights, whose last biases are the scenes' means and standard deviations.
 
 use tcgs::{
-    codec::{ContextChoice, ContextSearch, ContextSettings, GroupChoice, context::robust_frame},
+    codec::{
+        ContextChoice, ContextSearch, ContextSettings, GroupChoice, RegressionSearch, context::robust_frame,
+    },
     domain::{
         AnchorScene, ContextCandidates, DenseLayer, Mlp,
         anchors::SCALINGS_PER_ANCHOR,
@@ -26,6 +28,7 @@ pub(crate) const FIXED: ContextSettings = ContextSettings {
         planes: Some(0),
         groups: [GroupChoice::Network { kind: ContextKind::TriPlaneKnn, weight_bits: 8 }; 3],
     }),
+    regression: RegressionSearch::WhereItPays,
     coarser: [0; 3],
 };
 

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::{
     alloc::{reserve, zeros},
     bytes::{Reader, Writer},
-    context::{AnchorContext, GroupModel, quant_steps::MAX_STEP_INDEX},
+    context::{AnchorContext, BaseModel, GroupModel, quant_steps::MAX_STEP_INDEX},
     error::DecodeError,
     fit,
     range::StreamDecoder,
@@ -42,7 +42,7 @@ pub(super) struct CodedGroup {
 pub(super) fn encode(groups: [&CodedGroup; 3]) -> Vec<u8> {
     let _stage = tracing::debug_span!("section").entered();
     let mut writer = Writer::new();
-    groups.iter().for_each(|group| write_parameters(&group.model, &mut writer));
+    groups.iter().for_each(|group| write_parameters(&group.model.base, &mut writer));
     for chunk in 0..groups[0].streams.len() {
         let streams = groups.map(|group| &group.streams[chunk]);
         streams.iter().for_each(|stream| writer.varint(stream.len() as u64));
@@ -55,14 +55,14 @@ pub(super) fn encode(groups: [&CodedGroup; 3]) -> Vec<u8> {
 }
 
 /// Writes this section's part of a group's model: tables, or nothing for a network.
-pub(super) fn write_parameters(model: &GroupModel, writer: &mut Writer) {
-    if let GroupModel::Static { step_index, channels } = model {
+pub(super) fn write_parameters(model: &BaseModel, writer: &mut Writer) {
+    if let BaseModel::Static { step_index, channels } = model {
         writer.signed(i64::from(*step_index));
         channels.iter().for_each(|distribution| fit::write(*distribution, writer));
     }
 }
 
-fn read_tables(reader: &mut Reader<'_>, channels: usize) -> Result<GroupModel, DecodeError> {
+fn read_tables(reader: &mut Reader<'_>, channels: usize) -> Result<BaseModel, DecodeError> {
     let step_index = reader.signed("a step")?;
     if step_index.abs() > i64::from(MAX_STEP_INDEX) {
         return Err(reader.malformed("a step", step_index));
@@ -71,7 +71,7 @@ fn read_tables(reader: &mut Reader<'_>, channels: usize) -> Result<GroupModel, D
     for _ in 0..channels {
         distributions.push(fit::read(reader)?);
     }
-    Ok(GroupModel::Static { step_index: step_index as i8, channels: distributions })
+    Ok(BaseModel::Static { step_index: step_index as i8, channels: distributions })
 }
 
 /// Offsets that are masked off are not in the file.
@@ -96,7 +96,7 @@ pub(super) type Integers = ([Vec<i32>; 3], [Vec<i8>; 3]);
 /// The section taken apart but not decoded; all places are offsets within the section and tile it.
 pub(super) struct Layout {
     /// Each attribute's tables, `None` for a network.
-    pub(super) tables: [Option<GroupModel>; 3],
+    pub(super) tables: [Option<BaseModel>; 3],
     /// Each attribute's model parameters.
     pub(super) parameters: [Range<usize>; 3],
     /// The chunk index.
@@ -238,12 +238,13 @@ impl ChunkTask<'_> {
             for ((anchor, row), step_index) in
                 anchors.clone().zip(symbols.chunks_exact_mut(channels)).zip(steps)
             {
-                let (index, distributions) = predictions.at(anchor);
-                *step_index = index;
-                for (channel, (symbol, distribution)) in row.iter_mut().zip(distributions).enumerate() {
-                    if is_coded(masks, shape, anchor, attribute, channel) {
-                        *symbol = distribution.decode(&mut stream)?;
+                *step_index = predictions.begin(anchor);
+                for (channel, symbol) in row.iter_mut().enumerate() {
+                    let coded = is_coded(masks, shape, anchor, attribute, channel);
+                    if coded {
+                        *symbol = predictions.next(channel).decode(&mut stream)?;
                     }
+                    predictions.observe(channel, coded.then_some(*symbol));
                 }
             }
             stream.finish()?;

@@ -15,9 +15,9 @@ use crate::domain::Digest;
 /// transfer altered the bytes as text.
 pub(super) const MAGIC: [u8; 8] = *b"\x89TCGS\r\n\x1a";
 
-/// Format version that this program writes. Another major is refused; a minor may only add sections, critical ones for files
-/// that could not be shown rightly without them.
-pub(super) const VERSION: (u16, u16) = (1, 0);
+/// Major version of the format. Another is refused; a minor may only add sections, critical ones for files that could not be read
+/// rightly without them.
+pub(super) const MAJOR: u16 = 1;
 
 /// The integer arithmetic between bytes and symbols (`FORMAT.md`). A file of another profile would decode to something
 /// else, and is refused.
@@ -69,12 +69,8 @@ impl<'a> Container<'a> {
         }
         reader.take("signature", MAGIC.len() as u64)?;
         let version = (reader.u16("major version")?, reader.u16("minor version")?);
-        if version.0 != VERSION.0 {
-            return Err(DecodeError::UnsupportedVersion {
-                major: version.0,
-                minor: version.1,
-                known: VERSION.0,
-            });
+        if version.0 != MAJOR {
+            return Err(DecodeError::UnsupportedVersion { major: version.0, minor: version.1, known: MAJOR });
         }
         let count = reader.u16("section count")?;
         let profile = reader.u16("arithmetic profile")?;
@@ -175,6 +171,11 @@ fn parse_sections<'a>(table: &[u8], bytes: &'a [u8]) -> Result<Vec<Section<'a>>,
     }
 }
 
+/// The minor version that first had all of `ids`: a file states the oldest version whose decoders can read it.
+fn minor(mut ids: impl Iterator<Item = SectionId>) -> u16 {
+    u16::from(ids.any(|id| id == sections::REGRESSION))
+}
+
 /// Writes a file of `(id, content)`; those whose id is in `optional` need not be understood, all others are critical.
 pub(super) fn write(sections: &[(SectionId, Vec<u8>)], optional: &[SectionId]) -> Vec<u8> {
     let _stage = tracing::debug_span!("container").entered();
@@ -182,8 +183,8 @@ pub(super) fn write(sections: &[(SectionId, Vec<u8>)], optional: &[SectionId]) -
     let length = header + sections.iter().map(|(_, content)| content.len()).sum::<usize>();
     let mut writer = Writer::new();
     writer.raw(&MAGIC);
-    writer.u16(VERSION.0);
-    writer.u16(VERSION.1);
+    writer.u16(MAJOR);
+    writer.u16(minor(sections.iter().map(|(id, _)| *id)));
     writer.u16(sections.len() as u16);
     writer.u16(ARITHMETIC_PROFILE);
     writer.u64(length as u64);

@@ -4,7 +4,7 @@ use super::{
     alloc::check_limit,
     attributes,
     container::Container,
-    context::{AnchorContext, GroupModel, IntegerPlanes, section},
+    context::{AnchorContext, BaseModel, GroupModel, GroupRegression, IntegerPlanes, Regressions, section},
     digest::decode_digest,
     error::DecodeError,
     manifest::Manifest,
@@ -13,7 +13,7 @@ use super::{
     positions,
     quantise::{self, Symbols},
     sections,
-    shape::Attribute,
+    shape::{Attribute, Shape},
     view,
 };
 use crate::domain::{
@@ -145,6 +145,7 @@ fn read_with(
     let of_networks = container.section(sections::NETWORKS)?.bytes;
     let of_positions = container.section(sections::POSITIONS)?.bytes;
     let of_masks = container.section(sections::MASKS)?.bytes;
+    let regressions = regressions(&container, shape)?;
     let networks = networks::decode(of_networks, manifest.feature_dim, k, limits.max_memory_bytes)?;
     if manifest.anchors as u64 >= positions::max_anchors_exclusive(of_positions.len()) {
         return Err(DecodeError::malformed(
@@ -171,7 +172,7 @@ fn read_with(
     let section = container.section(sections::ATTRIBUTES)?.bytes;
     let mut layout = attributes::Layout::read(section, shape, manifest.chunk_anchors, manifest.kinds())?;
     let tables = std::mem::take(&mut layout.tables);
-    let models = join(tables, networks_of_groups)?;
+    let models = join(tables, networks_of_groups, regressions)?;
     let (groups, step_indices) = layout.decode(section, shape, &masks, models.each_ref(), &anchors)?;
 
     let symbols = Symbols { cells, masks, groups, step_indices };
@@ -180,7 +181,7 @@ fn read_with(
     Ok(Content { manifest, networks, symbols, models, anchors, near, scene_scale })
 }
 
-/// Most multiplications that a file's networks may take: 27 000 an anchor for ten million anchors. Anchors that are easily
+/// Most multiplications that a file's networks may take, and its regressions: 27 000 an anchor for ten million anchors. Anchors that are easily
 /// predicted cost next to no bytes, so bytes alone would not bound the time.
 pub(super) const MAX_MULTIPLICATIONS: u64 = 1 << 38;
 
@@ -191,7 +192,7 @@ fn context(
     cells: &[[i32; 3]],
     limits: &DecodeLimits,
     known: Option<KnownNeighbours<'_>>,
-) -> Result<([Option<GroupModel>; 3], AnchorContext), DecodeError> {
+) -> Result<([Option<BaseModel>; 3], AnchorContext), DecodeError> {
     let kinds = manifest.kinds();
     let any = |wanted: fn(ContextKind) -> bool| kinds.iter().flatten().any(|kind| wanted(*kind));
     let samples = any(|kind| kind.sampled() > 0);
@@ -227,15 +228,31 @@ fn context(
             None => anchors.find_neighbours(cells),
         }
     }
-    Ok((networks.map(|network| network.map(GroupModel::Network)), anchors))
+    Ok((networks.map(|network| network.map(BaseModel::Network)), anchors))
 }
 
-/// One model a group: its tables or its network.
+/// The regressions of the groups that have one.
+fn regressions(container: &Container<'_>, shape: Shape) -> Result<[Option<GroupRegression>; 3], DecodeError> {
+    let Some(section) = container.find(sections::REGRESSION) else { return Ok([None, None, None]) };
+    let widths = Attribute::ALL.map(|attribute| shape.channels(attribute));
+    let groups = Regressions::read(section.bytes, widths)?.groups;
+    let with = widths.into_iter().zip(&groups).filter(|(_, regression)| regression.is_some());
+    let work: u64 = with.map(|(channels, _)| GroupRegression::multiplications(channels)).sum();
+    let work = work.saturating_mul(shape.anchors as u64);
+    if work > MAX_MULTIPLICATIONS {
+        return Err(DecodeError::malformed("regression", "multiplications for all anchors", work));
+    }
+    Ok(groups)
+}
+
+/// One model a group: its tables or its network, and its regression.
 fn join(
-    tables: [Option<GroupModel>; 3],
-    networks: [Option<GroupModel>; 3],
+    tables: [Option<BaseModel>; 3],
+    networks: [Option<BaseModel>; 3],
+    regressions: [Option<GroupRegression>; 3],
 ) -> Result<[GroupModel; 3], DecodeError> {
-    let mut models = tables.into_iter().zip(networks).filter_map(|(tables, network)| tables.or(network));
+    let bases = tables.into_iter().zip(networks).filter_map(|(tables, network)| tables.or(network));
+    let mut models = bases.zip(regressions).map(|(base, regression)| GroupModel { base, regression });
     match [models.next(), models.next(), models.next()] {
         [Some(features), Some(scalings), Some(offsets)] => Ok([features, scalings, offsets]),
         _ => Err(DecodeError::MissingSection { section: "context" }),

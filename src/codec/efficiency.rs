@@ -23,9 +23,18 @@ pub struct Efficiency {
     pub bytes: [u64; 3],
     /// Sum of -log2 p over the symbols, by the integer tables that code them.
     pub table_bits: [f64; 3],
-    /// The same by the normal distributions of the float network, of groups that have one and for which it was given. QuantSteps
-    /// and symbols are those of the file.
-    pub float_bits: [Option<f64>; 3],
+    /// The same by the integer network alone, without a regression, and by the normal distributions of the float network, of groups that
+    /// have one and for which it was given. Steps and symbols are those of the file.
+    pub network_bits: [Option<NetworkBits>; 3],
+}
+
+/// Bits of a group's symbols by its network.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct NetworkBits {
+    /// By the integers that a file has.
+    pub integers: f64,
+    /// By the floats that they were made from.
+    pub floats: f64,
 }
 
 impl Efficiency {
@@ -38,10 +47,10 @@ impl Efficiency {
     /// Bits by the integer networks over bits by the float networks; none without any.
     #[must_use]
     pub fn over_floats(&self) -> Option<f64> {
-        let pairs =
-            self.table_bits.iter().zip(self.float_bits).filter_map(|(table, float)| Some((table, float?)));
-        let (tables, floats) = pairs.fold((0.0, 0.0), |sum, (table, float)| (sum.0 + table, sum.1 + float));
-        (floats > 0.0).then_some(tables / floats)
+        let both = self.network_bits.iter().flatten();
+        let (integers, floats) =
+            both.fold((0.0, 0.0), |sum, bits| (sum.0 + bits.integers, sum.1 + bits.floats));
+        (floats > 0.0).then_some(integers / floats)
     }
 }
 
@@ -60,7 +69,7 @@ pub fn efficiency(
     let anchors = trained.map(|(candidates, _)| {
         FloatAnchors::new(&candidates.frame, &content.symbols.cells, planes.map(|set| &set.planes))
     });
-    let mut float_bits = [None; 3];
+    let mut network_bits = [None; 3];
     if let (Some((candidates, choice)), Some(anchors)) = (trained, &anchors) {
         for attribute in Attribute::ALL {
             let group = attribute as usize;
@@ -70,13 +79,17 @@ pub fn efficiency(
                 ContextKind::TriPlane => planes.and_then(|set| set.own[group].as_ref()),
                 ContextKind::TriPlaneKnn => planes.and_then(|set| set.neighbours[group].as_ref()),
             };
-            float_bits[group] = mlp.map(|mlp| by_floats(&content, attribute, anchors, mlp, kind));
+            network_bits[group] = mlp.map(|mlp| NetworkBits {
+                integers: by_tables(&content, attribute, &content.models[group].base.clone().into()),
+                floats: by_floats(&content, attribute, anchors, mlp, kind),
+            });
         }
     }
     Ok(Efficiency {
         bytes: [counts.features, counts.scalings, counts.offsets],
-        table_bits: Attribute::ALL.map(|attribute| by_tables(&content, attribute)),
-        float_bits,
+        table_bits: Attribute::ALL
+            .map(|attribute| by_tables(&content, attribute, &content.models[attribute as usize])),
+        network_bits,
     })
 }
 
@@ -90,15 +103,23 @@ fn coded(content: &Content, attribute: Attribute, anchor: usize) -> impl Iterato
     symbols.filter(move |(channel, _)| is_coded(masks, shape, anchor, attribute, *channel))
 }
 
-fn by_tables(content: &Content, attribute: Attribute) -> f64 {
-    let model: &GroupModel = &content.models[attribute as usize];
+fn by_tables(content: &Content, attribute: Attribute, model: &GroupModel) -> f64 {
+    let shape = content.manifest.shape();
+    let channels = shape.channels(attribute);
     let each: Vec<f64> = (0..content.manifest.anchors)
         .into_par_iter()
         .map_init(
             || model.predictions(&content.anchors),
             |predictions, anchor| {
-                let (_, distributions) = predictions.at(anchor);
-                coded(content, attribute, anchor).map(|(channel, q)| distributions[channel].cost(q)).sum()
+                predictions.begin(anchor);
+                let row = &content.symbols.groups[attribute as usize][anchor * channels..][..channels];
+                let cost = |(channel, symbol): (usize, &i32)| {
+                    let coded = is_coded(&content.symbols.masks, shape, anchor, attribute, channel);
+                    let bits = if coded { predictions.next(channel).cost(*symbol) } else { 0.0 };
+                    predictions.observe(channel, coded.then_some(*symbol));
+                    bits
+                };
+                row.iter().enumerate().map(cost).sum()
             },
         )
         .collect();

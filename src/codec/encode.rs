@@ -88,6 +88,7 @@ pub fn encode(
         Some((sections::MASKS, masks)),
         chosen.context.map(|section| (sections::CONTEXT, section)),
         chosen.planes.map(|section| (sections::PLANES, section)),
+        chosen.regression.map(|section| (sections::REGRESSION, section)),
         Some((sections::ATTRIBUTES, attributes)),
     ];
     let bytes = assemble_sections(&manifest, payload, scene);
@@ -154,7 +155,7 @@ fn new_manifest(scene: &AnchorScene, anchors: usize, settings: &EncodeSettings) 
 /// The whole file: manifest, payload, and the optional sections whose values are not the default.
 fn assemble_sections(
     manifest: &Manifest,
-    payload: [Option<(SectionId, Vec<u8>)>; 6],
+    payload: [Option<(SectionId, Vec<u8>)>; 7],
     scene: &AnchorScene,
 ) -> Vec<u8> {
     let mut content = vec![(sections::MANIFEST, manifest.encode())];

@@ -9,8 +9,9 @@ use crate::domain::{
     options::Voxel,
 };
 
-/// Every choice that `manifest` states; of files of earlier versions, the contexts alone.
-pub(super) fn explain(manifest: &Manifest) -> Vec<Explanation> {
+/// Every choice that `manifest` states; of files of earlier versions, the contexts alone. `regressions` are the bytes of the groups that
+/// have one.
+pub(super) fn explain(manifest: &Manifest, regressions: [Option<u64>; 3]) -> Vec<Explanation> {
     let settings = &manifest.provenance.settings;
     let choices: Option<Choices> = read(settings, "choices");
     let voxel = read(settings, "voxel").unwrap_or(Voxel::Auto);
@@ -41,7 +42,8 @@ pub(super) fn explain(manifest: &Manifest) -> Vec<Explanation> {
             manifest.gaussians as f64 / shape.anchors.max(1) as f64
         ),
     ));
-    all.extend(["features", "scalings", "offsets"].iter().zip(&manifest.contexts).map(context));
+    let groups = ["features", "scalings", "offsets"].into_iter().zip(&manifest.contexts).zip(regressions);
+    all.extend(groups.map(|((group, chosen), regression)| context(group, chosen, regression)));
     all
 }
 
@@ -50,13 +52,14 @@ fn read<T: serde::de::DeserializeOwned>(settings: &Value, name: &str) -> Option<
 }
 
 /// The context of one attribute group.
-fn context((group, context): (&&str, &GroupContext)) -> Explanation {
-    let value = match context.kind {
+fn context(group: &str, context: &GroupContext, regression: Option<u64>) -> Explanation {
+    let inputs = match context.kind {
         None => "tables: position no, planes no, neighbours no",
         Some(ContextKind::Position) => "position yes, planes no, neighbours no",
         Some(ContextKind::TriPlane) => "position yes, planes yes, neighbours no",
         Some(ContextKind::TriPlaneKnn) => "position yes, planes yes, neighbours yes",
     };
+    let value = format!("{inputs}, regression {}", if regression.is_some() { "yes" } else { "no" });
     let bytes = context.bytes;
     let tried: Vec<String> = [
         ("tables", bytes.tables),
@@ -70,7 +73,9 @@ fn context((group, context): (&&str, &GroupContext)) -> Explanation {
     let because = if tried.is_empty() {
         "nothing else was tried".to_owned()
     } else {
-        format!("bytes with its network, without planes: {}", tried.join(", "))
+        let with = regression
+            .map_or(String::new(), |bytes| format!("; {bytes} with a regression beside the chosen one"));
+        format!("bytes with its network, without planes: {}{with}", tried.join(", "))
     };
-    Explanation::new(&format!("context of the {group}"), value, because)
+    Explanation::new(&format!("context of the {group}"), &value, because)
 }

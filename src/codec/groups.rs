@@ -7,13 +7,12 @@ use rayon::prelude::*;
 use super::{
     attributes::{self, CodedGroup, is_coded},
     bytes::Writer,
-    context::{AnchorContext, ContextNetwork, GroupModel},
+    context::{AnchorContext, BaseModel, ContextNetwork, GroupModel, GroupRegression, Predictions},
     error::EncodeError,
     fit,
     quantise::Quantiser,
     range::StreamEncoder,
     shape::Shape,
-    symbols::Distribution,
 };
 
 /// Codes one attribute group of a scene.
@@ -33,11 +32,13 @@ pub(super) struct GroupCoder<'a> {
 type CodedChunk = (Vec<u8>, Vec<i32>, Vec<i8>);
 
 impl GroupCoder<'_> {
-    fn channels(&self) -> usize {
+    /// Channels of the group.
+    pub(super) fn channels(&self) -> usize {
         self.shape.channels(self.quantiser.attribute)
     }
 
-    fn is_coded(&self, anchor: usize, channel: usize) -> bool {
+    /// Whether a symbol is in the file.
+    pub(super) fn is_coded(&self, anchor: usize, channel: usize) -> bool {
         is_coded(self.masks, self.shape, anchor, self.quantiser.attribute, channel)
     }
 
@@ -58,28 +59,40 @@ impl GroupCoder<'_> {
                 fit::fit(anchors.map(|anchor| symbols[anchor * channels + channel]).collect())
             })
             .collect();
-        let model = GroupModel::Static { step_index, channels: fitted };
-        let streams = self
-            .chunks
-            .par_iter()
-            .map(|chunk| {
-                let mut stream = StreamEncoder::new();
-                let mut predictions = model.predictions(self.anchors);
-                for anchor in chunk.clone() {
-                    let (_, distributions) = predictions.at(anchor);
-                    let row = &symbols[anchor * channels..(anchor + 1) * channels];
-                    self.encode_row(anchor, row, distributions, &mut stream);
-                }
-                stream.finish()
-            })
-            .collect();
+        let model = GroupModel::from(BaseModel::Static { step_index, channels: fitted });
+        let streams = self.streams(&model, &symbols);
         Ok(CodedGroup { model, streams, symbols, step_indices: vec![step_index; self.shape.anchors] })
+    }
+
+    /// Codes a group's symbols once more, with each channel in the light of those before it.
+    pub(super) fn with_regression(&self, coded: &CodedGroup, regression: GroupRegression) -> CodedGroup {
+        let _stage = tracing::debug_span!("regression").entered();
+        let model = GroupModel { base: coded.model.base.clone(), regression: Some(regression) };
+        let streams = self.streams(&model, &coded.symbols);
+        let (symbols, step_indices) = (coded.symbols.clone(), coded.step_indices.clone());
+        CodedGroup { model, streams, symbols, step_indices }
+    }
+
+    /// Codes `symbols`, that is `[N][channels]`, by a model.
+    fn streams(&self, model: &GroupModel, symbols: &[i32]) -> Vec<Vec<u8>> {
+        let channels = self.channels();
+        let encode = |chunk: &Range<usize>| {
+            let mut stream = StreamEncoder::new();
+            let mut predictions = model.predictions(self.anchors);
+            for anchor in chunk.clone() {
+                predictions.begin(anchor);
+                let row = &symbols[anchor * channels..(anchor + 1) * channels];
+                self.encode_row(anchor, row, &mut predictions, &mut stream);
+            }
+            stream.finish()
+        };
+        self.chunks.par_iter().map(encode).collect()
     }
 
     /// Codes the group by a network.
     pub(super) fn with_network(&self, network: ContextNetwork) -> Result<CodedGroup, EncodeError> {
         let _stage = tracing::debug_span!("predicted symbols").entered();
-        let model = GroupModel::Network(network);
+        let model = GroupModel::from(BaseModel::Network(network));
         let chunks: Vec<CodedChunk> =
             self.chunks.par_iter().map(|chunk| self.encode_chunk(chunk, &model)).collect::<Result<_, _>>()?;
         let mut coded = CodedGroup {
@@ -98,7 +111,7 @@ impl GroupCoder<'_> {
 
     /// Bytes of all streams, extrapolated from every `stride`-th chunk.
     pub(super) fn estimate(&self, network: &ContextNetwork, stride: usize) -> Result<u64, EncodeError> {
-        let model = GroupModel::Network(network.clone());
+        let model = GroupModel::from(BaseModel::Network(network.clone()));
         let chunks: Vec<&Range<usize>> = self.chunks.iter().step_by(stride.max(1)).collect();
         let anchors: usize = chunks.iter().map(|chunk| chunk.len()).sum();
         let bytes: u64 = chunks
@@ -116,9 +129,9 @@ impl GroupCoder<'_> {
         let mut stream = StreamEncoder::new();
         let mut predictions = model.predictions(self.anchors);
         for (anchor, row) in chunk.clone().zip(symbols.chunks_mut(channels)) {
-            let (step_index, distributions) = predictions.at(anchor);
+            let step_index = predictions.begin(anchor);
             self.quantiser.row(anchor, step_index, row)?;
-            self.encode_row(anchor, row, distributions, &mut stream);
+            self.encode_row(anchor, row, &mut predictions, &mut stream);
             step_indices.push(step_index);
         }
         Ok((stream.finish(), symbols, step_indices))
@@ -128,13 +141,15 @@ impl GroupCoder<'_> {
         &self,
         anchor: usize,
         row: &[i32],
-        distributions: &[Distribution],
+        predictions: &mut Predictions<'_>,
         stream: &mut StreamEncoder,
     ) {
-        for (channel, (symbol, distribution)) in row.iter().zip(distributions).enumerate() {
-            if self.is_coded(anchor, channel) {
-                distribution.encode(stream, *symbol);
+        for (channel, symbol) in row.iter().enumerate() {
+            let coded = self.is_coded(anchor, channel);
+            if coded {
+                predictions.next(channel).encode(stream, *symbol);
             }
+            predictions.observe(channel, coded.then_some(*symbol));
         }
     }
 }
@@ -142,16 +157,17 @@ impl GroupCoder<'_> {
 impl CodedGroup {
     /// Its network, if it has one.
     pub(super) fn network(&self) -> Option<&ContextNetwork> {
-        match &self.model {
-            GroupModel::Static { .. } => None,
-            GroupModel::Network(network) => Some(network),
+        match &self.model.base {
+            BaseModel::Static { .. } => None,
+            BaseModel::Network(network) => Some(network),
         }
     }
 
-    /// Bytes in the attributes section, but for the chunk index.
+    /// Bytes in the attributes section, but for the chunk index, and of the regression.
     pub(super) fn bytes(&self) -> u64 {
         let mut writer = Writer::new();
-        attributes::write_parameters(&self.model, &mut writer);
+        attributes::write_parameters(&self.model.base, &mut writer);
+        self.model.regression.iter().for_each(|regression| regression.write(&mut writer));
         writer.into_bytes().len() as u64 + self.streams.iter().map(|stream| stream.len() as u64).sum::<u64>()
     }
 }

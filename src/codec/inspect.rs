@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     attributes::Layout,
     container::{ARITHMETIC_PROFILE, Container, FIXED_HEADER, Section, id_text},
-    context::section,
+    context::{Regressions, section},
     error::DecodeError,
     explain::explain,
     manifest::{GroupCosts, Manifest},
@@ -27,7 +27,7 @@ pub enum ByteGroup {
     Container,
     /// Anchor cells.
     Positions,
-    /// Render networks and networks of the context.
+    /// Render networks, networks and regressions of the context.
     Networks,
     /// Planes of the context.
     Planes,
@@ -95,6 +95,8 @@ pub struct Inspection {
     pub content_sha256: Digest,
     /// Counts, choices and provenance.
     pub manifest: Manifest,
+    /// Bytes of the groups that have a regression, counted as the manifest counts the alternatives: attributes, regression and network.
+    pub regressions: [Option<u64>; 3],
     /// What the run chose and why, for people.
     pub choices: Vec<Explanation>,
     /// Unit of the distances that the networks get, in world units.
@@ -133,6 +135,7 @@ pub fn inspect(bytes: &[u8]) -> Result<Inspection, DecodeError> {
         map_section(section, &manifest, &mut map)?;
     }
 
+    let regressions = regression_bytes(&container, &manifest, &map)?;
     let report = |section: &Section<'_>| SectionReport {
         id: id_text(section.id),
         name: sections::name(section.id).to_owned(),
@@ -144,13 +147,36 @@ pub fn inspect(bytes: &[u8]) -> Result<Inspection, DecodeError> {
         version: format!("{}.{}", container.version.0, container.version.1),
         profile: ARITHMETIC_PROFILE,
         content_sha256: container.digest,
-        choices: explain(&manifest),
+        choices: explain(&manifest, regressions),
         manifest,
+        regressions,
         scene_scale: view::decode_scene_scale(container.find(sections::UNIT))?,
         sections: container.sections.iter().map(report).collect(),
         byte_counts: count(&map.ranges),
         ranges: map.ranges,
     })
+}
+
+/// Bytes of attributes, regression and network of each group that has a regression.
+fn regression_bytes(
+    container: &Container<'_>,
+    manifest: &Manifest,
+    map: &Map,
+) -> Result<[Option<u64>; 3], DecodeError> {
+    let Some(section) = container.find(sections::REGRESSION) else { return Ok([None; 3]) };
+    let shape = manifest.shape();
+    let read = Regressions::read(section.bytes, Attribute::ALL.map(|group| shape.channels(group)))?;
+    let networks = match container.find(sections::CONTEXT) {
+        Some(context) => section::Layout::read(context.bytes, manifest.kinds())?.places,
+        None => [0..0, 0..0, 0..0],
+    };
+    Ok(Attribute::ALL.map(|attribute| {
+        let own = map.ranges.iter().filter(|range| range.group == group(attribute));
+        let number = attribute as usize;
+        let model = (networks[number].len() + read.lengths[number]) as u64;
+        let bytes = own.map(|range| range.length).sum::<u64>() + model;
+        read.groups[number].as_ref().map(|_| bytes)
+    }))
 }
 
 fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Result<(), DecodeError> {
@@ -173,6 +199,16 @@ fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Res
         }
         sections::PLANES => {
             map.push(length, ByteGroup::Planes, "latents and up-sampling layers of the planes")
+        }
+        sections::REGRESSION => {
+            let widths = Attribute::ALL.map(|attribute| manifest.shape().channels(attribute));
+            let lengths = Regressions::read(section.bytes, widths)?.lengths;
+            map.push(Regressions::FLAGS_BYTES, ByteGroup::Container, "which groups have a regression");
+            for (group, length) in ["features", "scalings", "offsets"].iter().zip(lengths) {
+                if length > 0 {
+                    map.push(length, ByteGroup::Networks, &format!("regression of the {group}"));
+                }
+            }
         }
         sections::ATTRIBUTES => {
             let (shape, kinds) = (manifest.shape(), manifest.kinds());
@@ -294,9 +330,10 @@ impl fmt::Display for Inspection {
 
         let columns = ["tables", "position", "tri-plane", "and neighbours"];
         write!(f, "\n{:<12} {:<14}", "context", "chosen")?;
-        columns.iter().try_for_each(|column| write!(f, " {column:>14}"))?;
+        columns.iter().chain([&"regression"]).try_for_each(|column| write!(f, " {column:>14}"))?;
         writeln!(f, "   bytes with network, without planes")?;
-        for (name, context) in ["features", "scalings", "offsets"].iter().zip(&manifest.contexts) {
+        let groups = ["features", "scalings", "offsets"].iter().zip(&manifest.contexts);
+        for ((name, context), regression) in groups.zip(self.regressions) {
             let chosen = match context.kind {
                 None => columns[0],
                 Some(ContextKind::Position) => columns[1],
@@ -305,7 +342,7 @@ impl fmt::Display for Inspection {
             };
             write!(f, "{name:<12} {chosen:<14}")?;
             let GroupCosts { tables, position, tri_plane, tri_plane_knn } = context.bytes;
-            for bytes in [tables, position, tri_plane, tri_plane_knn] {
+            for bytes in [tables, position, tri_plane, tri_plane_knn, regression] {
                 write!(f, " {:>14}", or_dash(bytes.map(|bytes| bytes.to_string())))?;
             }
             writeln!(f)?;

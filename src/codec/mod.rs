@@ -53,6 +53,7 @@ mod positions;
 mod precision;
 mod quantise;
 mod range;
+mod regression_fit;
 mod search;
 mod sections;
 mod shape;
@@ -64,10 +65,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::domain::{AnchorScene, Background, ByteCounts, Digest};
 
-pub use context::{ContextChoice, ContextSearch, ContextSettings, GroupChoice};
+pub use context::{ContextChoice, ContextSearch, ContextSettings, GroupChoice, RegressionSearch};
 pub use decode::{DecodeLimits, Decoded, decode};
 pub use digest::decode_digest;
-pub use efficiency::{Efficiency, efficiency};
+pub use efficiency::{Efficiency, NetworkBits, efficiency};
 pub use encode::encode;
 pub use error::{DecodeError, EncodeError};
 pub use inspect::{ByteGroup, ByteRange, Inspection, SectionReport, inspect};

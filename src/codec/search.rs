@@ -2,7 +2,8 @@
 //!
 //! An attribute group can be coded with tables, or with networks of three kinds at three widths of weights; all groups together use at
 //! most one set of planes. Widths and planes are chosen on a sample of chunks (all of them in a small scene), with the bytes of networks and
-//! planes included. The remaining candidates, one of each kind, are coded whole and compared by their actual bytes.
+//! planes included. The remaining candidates, one of each kind, are coded whole, each also with a regression within the anchor, and compared
+//! by their actual bytes.
 
 use std::ops::Range;
 
@@ -10,13 +11,14 @@ use super::{
     attributes::CodedGroup,
     context::{
         AnchorContext, ContextChoice, ContextNetwork, ContextSearch, ContextSettings, GroupChoice,
-        IntegerMlp, IntegerPlanes, WeightBits, quant_steps, section,
+        IntegerMlp, IntegerPlanes, RegressionSearch, WeightBits, quant_steps, regression, section,
     },
     decode::MAX_MULTIPLICATIONS,
     error::EncodeError,
     groups::GroupCoder,
     manifest::{GroupContext, GroupCosts, QuantSteps},
     quantise::Quantiser,
+    regression_fit,
     shape::{Attribute, Shape},
 };
 use crate::domain::{
@@ -55,6 +57,8 @@ pub(super) struct Chosen {
     pub(super) context: Option<Vec<u8>>,
     /// The planes section, where a network samples planes.
     pub(super) planes: Option<Vec<u8>>,
+    /// The regression section, where a group has one.
+    pub(super) regression: Option<Vec<u8>>,
     /// Of each anchor, if a candidate uses them.
     pub(super) neighbours: Vec<[u32; NEIGHBOURS]>,
 }
@@ -133,8 +137,10 @@ struct Estimated {
 struct CodedCandidate {
     choice: GroupChoice,
     coded: CodedGroup,
-    /// Attributes and network.
+    /// Attributes, network and regression.
     bytes: u64,
+    /// Attributes and network without a regression.
+    base_bytes: u64,
 }
 
 struct Search<'a> {
@@ -157,7 +163,7 @@ impl<'a> Search<'a> {
         let step = i16::from(quant_steps::nearest_index(self.candidates.static_steps[group])) + coarser;
         let limit = i16::from(quant_steps::MAX_STEP_INDEX);
         let coded = self.coder(attribute).with_tables(step.clamp(-limit, limit) as i8)?;
-        Ok(CodedCandidate { choice: GroupChoice::Static, bytes: coded.bytes(), coded })
+        Ok(self.candidate(attribute, GroupChoice::Static, coded, 0))
     }
 
     fn with_network(
@@ -169,7 +175,31 @@ impl<'a> Search<'a> {
         let choice = GroupChoice::Network { kind: network.kind, weight_bits };
         let own = network_bytes(&network);
         let coded = self.coder(attribute).with_network(network)?;
-        Ok(CodedCandidate { choice, bytes: coded.bytes() + own, coded })
+        Ok(self.candidate(attribute, choice, coded, own))
+    }
+
+    /// A coded group whose network takes `own` bytes, with a regression where that is smaller.
+    fn candidate(
+        &self,
+        attribute: Attribute,
+        choice: GroupChoice,
+        coded: CodedGroup,
+        own: u64,
+    ) -> CodedCandidate {
+        let base_bytes = coded.bytes() + own;
+        let coder = self.coder(attribute);
+        let regression = match self.settings.regression {
+            RegressionSearch::Never => None,
+            RegressionSearch::WhereItPays => regression_fit::fit(&coder, &coded),
+        };
+        let with = regression.map(|regression| coder.with_regression(&coded, regression));
+        match with.map(|with| (with.bytes() + own, with)) {
+            // As if this group alone had to pay for the section.
+            Some((bytes, with)) if bytes + SECTION_BYTES < base_bytes => {
+                CodedCandidate { choice, coded: with, bytes, base_bytes }
+            }
+            _ => CodedCandidate { choice, coded, bytes: base_bytes, base_bytes },
+        }
     }
 
     fn quantised(
@@ -369,7 +399,7 @@ impl<'a> Search<'a> {
                     GroupChoice::Network { kind: ContextKind::TriPlane, .. } => &mut costs.tri_plane,
                     GroupChoice::Network { kind: ContextKind::TriPlaneKnn, .. } => &mut costs.tri_plane_knn,
                 };
-                *cost = Some(tried.bytes);
+                *cost = Some(tried.base_bytes);
             }
             let allowed = tried.into_iter().filter(|tried| scope.allows(tried.choice));
             let best = allowed.min_by_key(|tried| tried.bytes).expect("every group was coded in some way");
@@ -384,8 +414,9 @@ impl<'a> Search<'a> {
         let networks = std::array::from_fn(|group: usize| groups[group].network());
         let context =
             kinds.iter().any(Option::is_some).then(|| section::encode(&self.candidates.frame, networks));
+        let regression = regression::encode(groups.each_ref().map(|group| group.model.regression.as_ref()));
         let neighbours = self.context.take_neighbours();
-        Chosen { choice, contexts, context, planes: section, groups, neighbours }
+        Chosen { choice, contexts, context, planes: section, regression, groups, neighbours }
     }
 }
 

@@ -15,6 +15,8 @@ pub(super) const MASKS: SectionId = *b"MASK";
 pub(super) const CONTEXT: SectionId = *b"CTXT";
 /// Planes of the context model, if a network samples them.
 pub(super) const PLANES: SectionId = *b"PLAN";
+/// How channels follow from the anchor's earlier ones, if a group's do.
+pub(super) const REGRESSION: SectionId = *b"REGR";
 /// Features, scalings, offsets.
 pub(super) const ATTRIBUTES: SectionId = *b"ATTR";
 
@@ -24,8 +26,8 @@ pub(super) const UNIT: SectionId = *b"UNIT";
 pub(super) const VIEW: SectionId = *b"VIEW";
 
 /// Every section that a decoder of this version understands.
-pub(super) const ALL: [SectionId; 9] =
-    [MANIFEST, NETWORKS, POSITIONS, MASKS, CONTEXT, PLANES, ATTRIBUTES, UNIT, VIEW];
+pub(super) const ALL: [SectionId; 10] =
+    [MANIFEST, NETWORKS, POSITIONS, MASKS, CONTEXT, PLANES, REGRESSION, ATTRIBUTES, UNIT, VIEW];
 
 /// Those that every file has.
 pub(super) const ALWAYS: [SectionId; 5] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES];
@@ -39,6 +41,7 @@ pub(super) fn name(id: SectionId) -> &'static str {
         MASKS => "masks",
         CONTEXT => "context",
         PLANES => "planes",
+        REGRESSION => "regression",
         ATTRIBUTES => "attributes",
         UNIT => "unit",
         VIEW => "view",

@@ -47,7 +47,7 @@ pub struct ByteCounts {
     pub total: u64,
     /// Anchor cells.
     pub positions: u64,
-    /// Render networks and networks of the context.
+    /// Render networks, networks and regressions of the context.
     pub networks: u64,
     /// Context planes.
     pub planes: u64,

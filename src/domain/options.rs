@@ -96,6 +96,8 @@ named_choice! {
         Masks = "masks",
         /// The features' own basis, and the removal of channels and offset slots that no picture needs.
         Basis = "basis",
+        /// The regression of an anchor's attributes on each other in the file.
+        Regression = "regression",
     }
 }
 

@@ -14,11 +14,11 @@ use super::{
 use crate::{
     codec::{
         self, ContextChoice, ContextSearch, ContextSettings, DecodeLimits, EncodeSettings, Encoded,
-        Provenance,
+        Provenance, RegressionSearch,
     },
     domain::{
-        AnchorScene, ByteBudget, Choices, CodingEfficiency, GroupQstepLog2, ModelKind, Problem, ProblemType,
-        Scene, TrainOptions,
+        AnchorScene, ByteBudget, Choices, CodingEfficiency, Component, GroupQstepLog2, ModelKind, Problem,
+        ProblemType, Scene, TrainOptions,
     },
     train::{BaseQuantSteps, Trained, TrainedContext},
 };
@@ -134,12 +134,16 @@ impl Encoder<'_> {
     fn encode_attempt(&self, attempt: EncodeAttempt<'_>, steps: BaseQuantSteps) -> Result<Encoded, JobError> {
         let EncodeAttempt { scene, coarser, search, max_bytes } = attempt;
         let options = TrainOptions { max_bytes, ..self.options.clone() };
+        let regression = match options.has(Component::Regression) {
+            true => RegressionSearch::WhereItPays,
+            false => RegressionSearch::Never,
+        };
         let settings = EncodeSettings {
             background: self.options.background,
             feature_step: steps.feature,
             scaling_step: steps.scaling,
             offset_step: steps.offset,
-            context: ContextSettings { search, coarser },
+            context: ContextSettings { search, regression, coarser },
             provenance: Provenance {
                 generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),
                 dataset: Some(self.inputs.dataset.digest),

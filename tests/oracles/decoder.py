@@ -1,4 +1,4 @@
-"""Decodes `.tcgs` files of version 1: an independent implementation, written from FORMAT.md without a look at the program, in plain
+"""Decodes `.tcgs` files of versions 1.0 and 1.1: an independent implementation, written from FORMAT.md without a look at the program, in plain
 Python. Prints for each file the decode hash that it computed, and fails where that is not the one which the file states.
 
     python3 tests/oracles/decoder.py FILE...
@@ -314,6 +314,26 @@ def decode(b):
     a=R(sec['ATTR']); stat=[None]*3
     for g in range(3):
         if not ctx[g]: j=a.signed(); stat[g]=(j,[dist(a) for _ in range(widths[g])])
+    regr=[None]*3
+    if 'REGR' in sec:
+        q=R(sec['REGR']); flags=q.u8(); assert 1<=flags<=7
+        for g in range(3):
+            if not flags>>g&1: continue
+            regr[g]=[]
+            for c in range(widths[g]):
+                k=q.varint(); assert k<=1<<15
+                if k==0: regr[g].append(None); continue
+                t=q.signed(); sl=q.signed(); w=[q.signed() for _ in range(c)]
+                assert abs(t)<=1<<24 and abs(sl)<=1<<15 and all(abs(x)<=1<<15 for x in w)
+                regr[g].append((k,t,sl,w))
+        assert q.p==len(q.b)
+        assert sum(widths[g]**2//2 for g in range(3) if regr[g])*N<=1<<38
+    def corrected(d,reg,res):
+        if reg is None or d[1]==64: return d
+        k,t,sl,w=reg; m,s=d
+        M=max(-(1<<28),min(1<<28,m+t+((sum(x*y for x,y in zip(w,res))+128)>>8)))
+        V=max(1,min(1<<36,((k*((1<<34)//INV[s]))>>8)+sl*(M-m)))
+        return M,next((i for i in range(64) if V*INV[i]<=1<<34),63)
     nch=-(-N//per); idx=[]
     for _ in range(nch):
         idx.append([a.varint() for _ in range(3)]); a.u32()
@@ -324,9 +344,12 @@ def decode(b):
             for an in range(ci*per,min(N,(ci+1)*per)):
                 j,ds=preds[g][an] if preds[g] else stat[g]
                 step=f32(base[g]*FACT[j+16]); row=[]
+                res=[]
                 for k in range(widths[g]):
-                    if g==2 and not masks[an][k//3]: row.append(0.0); continue
-                    row.append(f32(sym(rc,ds[k])*step)+0.0)
+                    if g==2 and not masks[an][k//3]: row.append(0.0); res.append(0); continue
+                    v=sym(rc,corrected(ds[k],regr[g][k],res) if regr[g] else ds[k])
+                    res.append(0 if ds[k][1]==64 else 16*v-ds[k][0])
+                    row.append(f32(v*step)+0.0)
                 vals[g].append(row)
             rc.end()
     assert a.p==len(a.b)

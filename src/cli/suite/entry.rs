@@ -10,14 +10,15 @@ use tcgs::{
 /// Values of `lambda` for the method's curve, in addition to the preset's.
 const LAMBDAS: [f64; 3] = [0.001, 0.002, 0.005];
 
-/// The parts of the ablation: those of the published table in its order, then the features' basis.
-const PARTS: [Component; 6] = [
+/// The parts of the ablation: those of the published table in its order, then those of this program alone.
+const PARTS: [Component; 7] = [
     Component::TriPlane,
     Component::Knn,
     Component::PlaneCompression,
     Component::Wavelet,
     Component::Masks,
     Component::Basis,
+    Component::Regression,
 ];
 
 /// One row of the table for each set.

@@ -44,11 +44,24 @@ pub enum ContextSearch {
     Fixed(ContextChoice),
 }
 
+/// Whether an encoder lets the channels of a group follow from each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RegressionSearch {
+    /// In the groups where that saves bytes.
+    #[default]
+    WhereItPays,
+    /// In no group.
+    Never,
+}
+
 /// How an encoder chooses contexts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ContextSettings {
     /// Which contexts to use.
     pub search: ContextSearch,
+    /// Whether to use regressions within an anchor.
+    pub regression: RegressionSearch,
     /// By how many steps of the step table (7/32 of an octave each) the features, scalings and offsets are quantised more
     /// coarsely than trained; negative is finer. This and not a larger base step is how to save bytes where there are
     /// networks: their predictions are in base steps.

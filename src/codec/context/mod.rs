@@ -15,6 +15,7 @@ mod neighbours;
 mod planes;
 mod position;
 pub(super) mod quant_steps;
+pub(super) mod regression;
 pub(super) mod section;
 mod stored;
 mod texels;
@@ -22,10 +23,11 @@ mod upsampling;
 
 pub(super) use anchors::AnchorContext;
 pub(super) use dense::{IntegerMlp, WeightBits};
-pub(super) use model::{ContextNetwork, GroupModel};
+pub(super) use model::{BaseModel, ContextNetwork, GroupModel, Predictions};
 pub(super) use planes::IntegerPlanes;
+pub(super) use regression::{ChannelRegression, GroupRegression, Regressions};
 
-pub use choice::{ContextChoice, ContextSearch, ContextSettings, GroupChoice};
+pub use choice::{ContextChoice, ContextSearch, ContextSettings, GroupChoice, RegressionSearch};
 pub use frame::{COORDINATE_LIMIT, coordinates, robust_frame};
 pub use neighbours::neighbours;
 pub use position::position_inputs;

@@ -15,7 +15,7 @@ const ENTRIES_PER_OCTAVE: i64 = 1170;
 const UNIT_SCALE: i64 = 16;
 
 /// Largest magnitude of a mean, in sixteenths of a step.
-const MAX_MEAN: i64 = 1 << 28;
+pub(in crate::codec) const MAX_MEAN: i64 = 1 << 28;
 
 /// `2^(7 j / 32)` for j from -16 to 16, as the nearest f32.
 const STEP_TABLE: [f32; 33] = [

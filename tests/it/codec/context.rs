@@ -329,7 +329,7 @@ fn integers_cost_less_than_one_percent_more_than_floats() {
                 }
             }
         }
-        let of_codec = measured.float_bits[group].expect("has a network");
+        let of_codec = measured.network_bits[group].expect("has a network").floats;
         assert!((of_codec / float_bits - 1.0).abs() < 0.002, "{of_codec} bits, here {float_bits}");
         assert_eq!(measured.bytes[group], coded[group]);
         let ratio = coded[group] as f64 * 8.0 / float_bits;

@@ -2,13 +2,16 @@
 //! `examples/fixtures.rs`, which writes them into a folder.
 
 use tcgs::{
-    codec::{ContextChoice, ContextSearch, ContextSettings, EncodeSettings, Encoded, GroupChoice, encode},
+    codec::{
+        ContextChoice, ContextSearch, ContextSettings, EncodeSettings, Encoded, GroupChoice,
+        RegressionSearch, encode,
+    },
     domain::{AnchorScene, ContextKind, NearPlane, Planes, SceneScale},
 };
 
 use super::{
     dependent::{KINDS, dependent},
-    synthetic::{Recipe, scene, settings, tiny},
+    synthetic::{Recipe, related, scene, settings, tiny},
     wire,
 };
 
@@ -16,24 +19,26 @@ use super::{
 type Maker = fn() -> Encoded;
 
 /// Name and maker of every golden file but the trained one.
-pub(super) const GOLDENS: [(&str, Maker); 4] = [
+pub(super) const GOLDENS: [(&str, Maker); 6] = [
     ("shell_v1.tcgs", shell),
     ("context_v1.tcgs", context),
     ("direct_v1.tcgs", direct),
     ("unit_v1.tcgs", scene_scale),
+    ("regression_v1.tcgs", regression),
+    ("regressions_v1.tcgs", regressions),
 ];
 
 /// That of the file that has one, in world units.
 pub(super) const UNIT: f32 = 0.0025;
 
-/// Settings with one choice of contexts.
+/// Settings with one choice of contexts, without regressions.
 pub(super) fn fixed(groups: [Option<ContextKind>; 3], planes: Option<usize>) -> EncodeSettings {
     let group = |kind: Option<ContextKind>| {
         kind.map_or(GroupChoice::Static, |kind| GroupChoice::Network { kind, weight_bits: 8 })
     };
     let choice = ContextChoice { planes, groups: groups.map(group) };
-    let context = ContextSettings { search: ContextSearch::Fixed(choice), ..ContextSettings::default() };
-    EncodeSettings { context, ..settings() }
+    let (search, regression) = (ContextSearch::Fixed(choice), RegressionSearch::Never);
+    EncodeSettings { context: ContextSettings { search, regression, coarser: [0; 3] }, ..settings() }
 }
 
 /// Tables for every group; masks, dropped anchors, escapes, a constant channel, negative cells.
@@ -74,6 +79,24 @@ fn scene_scale() -> Encoded {
     encode(&AnchorScene { scene_scale, ..scene }, None, &settings()).expect("encodes")
 }
 
+/// Tables for every group, a constant channel, and a regression of the scalings alone.
+fn regression() -> Encoded {
+    let recipe = Recipe { seed: 2028, anchors: 120, feature_dim: 4, offsets: 2, masked: 0.3 };
+    let mut scene = scene(recipe);
+    scene.scalings = related(recipe).scalings;
+    scene.scalings.iter_mut().skip(2).step_by(6).for_each(|scaling| *scaling = 0.5);
+    encode(&scene, None, &settings()).expect("encodes")
+}
+
+/// A regression of every group beside networks of positions, with masked offsets.
+fn regressions() -> Encoded {
+    let recipe = Recipe { seed: 2029, anchors: 150, feature_dim: 4, offsets: 3, masked: 0.4 };
+    let candidates = dependent(recipe).candidates;
+    let mut settings = fixed([Some(ContextKind::Position); 3], None);
+    settings.context.regression = RegressionSearch::WhereItPays;
+    encode(&related(recipe), Some(&candidates), &settings).expect("encodes")
+}
+
 /// Three anchors with every section and every kind of context.
 pub(super) fn tiny_context_file() -> Vec<u8> {
     let tiny = dependent(Recipe { seed: 9, anchors: 3, feature_dim: 1, offsets: 1, masked: 0.0 });
@@ -108,8 +131,11 @@ pub(super) fn corpus() -> Vec<(&'static str, String, Vec<u8>)> {
         };
         files.push(encode(&scene(recipe), None, &settings()).expect("encodes").bytes);
     }
-    files.extend(GOLDENS.map(|(_, make)| make().bytes));
+    // The order that the committed files are numbered in.
+    let (first, later) = GOLDENS.split_at(4);
+    files.extend(first.iter().map(|(_, make)| make().bytes));
     files.push(tiny_context_file());
+    files.extend(later.iter().map(|(_, make)| make().bytes));
     let mut corpus = Vec::new();
     for (number, file) in files.iter().enumerate() {
         corpus.push(("decode", format!("file-{number:02}"), file.clone()));

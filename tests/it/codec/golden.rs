@@ -35,7 +35,7 @@ const TRAINED: Golden = Golden {
     anchors: 927,
 };
 
-const FILES: [Golden; 4] = [
+const FILES: [Golden; 6] = [
     Golden {
         name: "shell_v1.tcgs",
         sha256: "898ee621f1ab501991af5c1fdc22b2f5e918a8234ff9d54655c18924fab195f0",
@@ -59,6 +59,18 @@ const FILES: [Golden; 4] = [
         sha256: "ec26761570d7363f8aedb977dec0e2ccad972e1e8a5f6660cfc82bdf71cb6eba",
         decode_sha256: "ec8bf1282b00d9ad754415674c3ee3ca4dc706f44171dbf8eb2ee07ee9215969",
         anchors: 40,
+    },
+    Golden {
+        name: "regression_v1.tcgs",
+        sha256: "aa9046ebf5cd1774901439ac5e226f34554d36d57c983231522f9dd9ea924591",
+        decode_sha256: "f65db9e8853f8acd8ab4c817cecdc1b44831b289e06de61a940c57c9054a3d9b",
+        anchors: 120,
+    },
+    Golden {
+        name: "regressions_v1.tcgs",
+        sha256: "20e4970ba3a8a1d33f84bcd4668ed9b6fe5fc43d84b0fdffafc75634c6102fe3",
+        decode_sha256: "8443018f1570e8656550f4038f0b9ff4782263164aa330ae70e955c566edaf2d",
+        anchors: 150,
     },
 ];
 
@@ -122,8 +134,18 @@ fn the_golden_files_have_every_section_and_every_context() {
         sections.extend(inspection.sections.into_iter().map(|section| section.name));
         contexts.extend(inspection.manifest.contexts.map(|context| context.kind));
     }
-    let all =
-        ["manifest", "networks", "positions", "masks", "context", "planes", "attributes", "unit", "view"];
+    let all = [
+        "manifest",
+        "networks",
+        "positions",
+        "masks",
+        "context",
+        "planes",
+        "regression",
+        "attributes",
+        "unit",
+        "view",
+    ];
     assert_eq!(sections, all.map(str::to_owned).into());
     for kind in KINDS.map(Some).into_iter().chain([None]) {
         assert!(contexts.contains(&kind), "{kind:?}");

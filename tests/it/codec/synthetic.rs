@@ -125,6 +125,25 @@ pub(super) fn settings() -> EncodeSettings {
     }
 }
 
+/// A scene whose anchors are each large or small, flat or round, bright or dark as a whole: channels follow from those before.
+pub(super) fn related(recipe: Recipe) -> AnchorScene {
+    let mut scene = scene(recipe);
+    let mut normal = Normal::new(recipe.seed ^ 2);
+    for row in scene.scalings.chunks_mut(SCALINGS_PER_ANCHOR) {
+        let size = 0.02 * libm::exp(0.8 * normal.draw());
+        row.iter_mut().for_each(|scaling| *scaling = (size * libm::exp(0.1 * normal.draw())) as f32);
+    }
+    for row in scene.features.chunks_mut(recipe.feature_dim) {
+        let common = 6.0 * normal.draw();
+        row.iter_mut().for_each(|feature| *feature = (common + 0.8 * normal.draw()) as f32);
+    }
+    for row in scene.offsets.chunks_mut(3 * recipe.offsets) {
+        let common = 2.0 * normal.draw();
+        row.iter_mut().for_each(|offset| *offset = (common + 0.2 * normal.draw()) as f32);
+    }
+    scene
+}
+
 /// A scene whose file is a few kilobytes.
 pub(super) fn small() -> AnchorScene {
     scene(Recipe { seed: 11, anchors: 120, feature_dim: 8, offsets: 4, masked: 0.3 })
