@@ -105,49 +105,6 @@ impl Device {
         Ok(buffer)
     }
 
-    /// Reads a whole buffer back. Waits for the device.
-    ///
-    /// # Errors
-    /// As [`Device::read_range`].
-    pub fn read<T: bytemuck::Pod>(&self, buffer: &Buffer<T>) -> Result<Vec<T>, GpuError> {
-        self.read_range(buffer, 0, buffer.len())
-    }
-
-    /// Reads `count` elements from `start`. Waits for the device.
-    ///
-    /// # Errors
-    /// As [`Device::check`], and [`GpuError::OverBudget`] without room for the transfer.
-    pub fn read_range<T: bytemuck::Pod>(
-        &self,
-        buffer: &Buffer<T>,
-        start: usize,
-        count: usize,
-    ) -> Result<Vec<T>, GpuError> {
-        self.check()?;
-        if count == 0 {
-            return Ok(Vec::new());
-        }
-        let size = size_of::<T>() as u64;
-        let bytes = (count as u64 * size).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
-        let _reservation = self.ledger.reserve("read back", bytes)?;
-        let staging = self.inner.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("read back"),
-            size: bytes,
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        let mut encoder = self.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_buffer_to_buffer(buffer.raw(), start as u64 * size, &staging, 0, bytes);
-        self.queue.submit([encoder.finish()]);
-        staging.slice(..).map_async(wgpu::MapMode::Read, |_| ());
-        self.wait()?;
-        let view = staging
-            .slice(..)
-            .get_mapped_range()
-            .map_err(|fault| GpuError::Rejected(format!("mapping for reading: {fault}")))?;
-        Ok(bytemuck::pod_collect_to_vec(&view[..count * size_of::<T>()]))
-    }
-
     /// Overwrites a buffer from its start; takes effect before the next submission.
     pub fn write<T: bytemuck::Pod>(&self, buffer: &Buffer<T>, values: &[T]) {
         self.write_at(buffer, 0, values);

@@ -19,6 +19,7 @@ mod recorder;
 mod scan;
 mod settings;
 mod sort;
+mod staging;
 mod subgroups;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -39,6 +40,7 @@ pub use recorder::{Binding, Recorder};
 pub use scan::{Scan, ScanSlots};
 pub use settings::DeviceSettings;
 pub use sort::{Pairs, RadixSort};
+pub use staging::Staging;
 pub(crate) use subgroups::MIN_LANES;
 pub use subgroups::Subgroups;
 pub use timing::KernelTime;

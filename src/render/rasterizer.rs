@@ -218,13 +218,22 @@ impl Rasterizer {
     /// # Errors
     /// Faults of the device.
     pub fn counts(&self) -> Result<RasterCounts, RenderError> {
-        let counters = self.device.read(&self.counters)?;
+        Ok(self.counts_of(&self.device.read(&self.counters)?))
+    }
+
+    /// What [`Rasterizer::counts_of`] reads, after a submitted forward pass.
+    pub(super) fn counters(&self) -> &Buffer<u32> {
+        &self.counters
+    }
+
+    /// The counts in a copy of the counters.
+    pub(super) fn counts_of(&self, counters: &[u32]) -> RasterCounts {
         let intersections = counters[INTERSECTIONS as usize];
-        Ok(RasterCounts {
+        RasterCounts {
             visible: counters[VISIBLE as usize],
             intersections,
             overflowed: intersections as usize > self.intersections.capacity,
-        })
+        }
     }
 
     /// Grows to the capacity that `counts` require, and a quarter more; record the forward pass again afterwards.

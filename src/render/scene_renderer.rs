@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use super::{
-    DepthShader, DeviceAnchors, Gaussians, NeuralGaussians, RasterSettings, Rasterizer, RenderError,
+    DepthShader, DeviceAnchors, Gaussians, NeuralGaussians, PackedImage, RasterSettings, Rasterizer,
+    RenderError,
     plain::{DeviceGaussians, PlainGaussians},
     views::{MIN_VISIBLE_ALPHA, ScalarImage, ScalarKind},
 };
@@ -19,6 +20,7 @@ pub struct SceneRenderer {
     device: Arc<Device>,
     source: SceneBuffers,
     raster: Rasterizer,
+    packed: Option<PackedImage>,
     depth: Option<DepthShader>,
     background: Background,
     near: NearPlane,
@@ -103,7 +105,7 @@ impl SceneRenderer {
     ) -> Result<Self, RenderError> {
         let settings = RasterSettings { near: near.depth(), ..RasterSettings::default() };
         let raster = Rasterizer::new(Arc::clone(device), settings)?;
-        Ok(Self { source, raster, depth: None, background, near, device: Arc::clone(device) })
+        Ok(Self { source, raster, packed: None, depth: None, background, near, device: Arc::clone(device) })
     }
 
     /// Replaces the scene by another of the same shape, near plane and scene scale; rendering buffers are kept.
@@ -133,14 +135,38 @@ impl SceneRenderer {
     /// # Errors
     /// Faults of the device.
     pub fn render(&mut self, camera: &Camera) -> Result<Image, RenderError> {
-        let samples = self
-            .blend(camera, false)?
-            .iter()
-            .flat_map(|pixel| [pixel[0], pixel[1], pixel[2]])
-            .map(|value| (value.clamp(0.0, 1.0) * 255.0).round() as u8)
-            .collect();
+        let device = Arc::clone(&self.device);
+        let packed = match &mut self.packed {
+            Some(packed) => packed,
+            none => none.insert(PackedImage::new(&device)?),
+        };
+        let samples = loop {
+            let mut recorder = device.recorder("view");
+            let gaussians = self.source.forward(&mut recorder, camera)?;
+            self.raster.forward(&mut recorder, gaussians, camera, self.background.rgb())?;
+            packed.record(&device, &mut recorder, self.raster.image(), self.raster.counters())?;
+            recorder.submit()?;
+            let (samples, counters) = packed.read(&device)?;
+            let counts = self.raster.counts_of(&counters);
+            if !counts.overflowed {
+                break samples;
+            }
+            self.raster.grow(&counts)?;
+        };
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         Image::new(width, height, 3, samples).map_err(|fault| RenderError::Scene(fault.to_string()))
+    }
+
+    /// Renders the view from `camera` once more and leaves it on the device; the scene must have been rendered from there before.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn submit(&mut self, camera: &Camera) -> Result<(), RenderError> {
+        let device = Arc::clone(&self.device);
+        let mut recorder = device.recorder("view");
+        let gaussians = self.source.forward(&mut recorder, camera)?;
+        self.raster.forward(&mut recorder, gaussians, camera, self.background.rgb())?;
+        Ok(recorder.submit()?)
     }
 
     /// The colours of the view from `camera` as the kernels leave them, neither rounded nor bounded, and the transmittance left behind

@@ -4,6 +4,7 @@
 mod depth;
 mod lists;
 pub mod neural;
+mod pack_image;
 pub mod plain;
 mod project;
 mod project_backward;
@@ -14,6 +15,7 @@ use glam::{DVec2, DVec3};
 
 pub use depth::shade_depth;
 pub use lists::{TileLists, compact, emit, tile_counts, tile_lists, tile_ranges, touches};
+pub use pack_image::pack_image;
 pub use project::{project, rotation};
 pub use project_backward::{clear_culled, project_backward};
 pub use raster_backward::{gather, raster_backward};

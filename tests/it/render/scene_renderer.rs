@@ -7,7 +7,7 @@ use tcgs::{
     domain::{AnchorScene, Background, Digest, Lattice, Scene, SceneScale},
     model::{AnchorRows, NetworkLayout, Shape},
     render::{
-        Projection, RasterSettings, RenderError, RenderViews, SceneRenderer, SceneViewer,
+        PackedImage, Projection, RasterSettings, RenderError, RenderViews, SceneRenderer, SceneViewer,
         twin::{self, neural},
         views::{MIN_VISIBLE_ALPHA, ScalarKind, Viewable},
     },
@@ -221,4 +221,39 @@ fn a_hung_device_costs_one_view_and_is_opened_again_for_the_next() {
     assert_eq!((fault.status, &*fault.kind), (503, "urn:tcgs:problem:device-timeout"), "{fault:?}");
     assert_eq!(loads.get(), 1, "what made a device hang is not tried on the next");
     assert_eq!((view().expect("a view"), loads.get()), (first, 2));
+}
+
+#[test]
+fn images_are_packed_as_the_twin_packs_them_with_the_counters_behind() {
+    let device = gpu();
+    let mut packed = PackedImage::new(&device).expect("a kernel");
+    let levels = |pixel: usize| [0, 1, 2].map(|channel| ((3 * pixel + channel) * 37 % 1021) as f32 / 4.0);
+    // Quarters of levels, so exact halves too, from below the range to beyond it; the buffers grow and shrink.
+    for pixels in [1, 64, 1665, 7] {
+        let image: Vec<[f32; 4]> = (0..pixels)
+            .map(|pixel| {
+                let [red, green, blue] = levels(pixel).map(|level| level / 255.0);
+                if pixel % 5 == 0 { [-red, 1.0 + green, blue, 0.5] } else { [red, green, blue, 0.5] }
+            })
+            .collect();
+        let counters: Vec<u32> = vec![7, 9, pixels as u32, u32::MAX];
+        let on_device = device.upload("image", &image).expect("uploads");
+        let counted = device.upload("counters", &counters).expect("uploads");
+        let mut recorder = device.recorder("packing");
+        packed.record(&device, &mut recorder, &on_device, &counted).expect("records");
+        recorder.submit().expect("submits");
+        let (samples, read) = packed.read(&device).expect("reads");
+        assert_eq!(read, counters);
+        assert_eq!(samples.len(), 3 * pixels);
+        for (sample, value) in samples.iter().zip(image.iter().flat_map(|pixel| &pixel[..3])) {
+            // The kernel's product is rounded to f32 before it is rounded to a level.
+            let level = f64::from(value.clamp(0.0, 1.0) * 255.0);
+            let [expected, ..] = twin::pack_image([level / 255.0; 3]);
+            let halfway = (level.fract() - 0.5).abs() < 1e-9;
+            assert!(
+                *sample == expected || (halfway && f64::from(*sample) == level.ceil()),
+                "{value}: {sample}"
+            );
+        }
+    }
 }

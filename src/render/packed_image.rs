@@ -1,0 +1,76 @@
+//! Views as 8-bit colours: rounded on the device, and read back with the counters of their pass in one transfer, through a buffer that
+//! is kept.
+
+use std::sync::Arc;
+
+use super::RenderError;
+use crate::gpu::{Binding, Buffer, Device, Kernel, Recorder, Staging, kernel_source};
+
+/// Rounds images.
+#[derive(Debug)]
+pub struct PackedImage {
+    kernel: Arc<Kernel>,
+    count: Buffer<u32>,
+    /// A word a pixel, then the counters.
+    words: Buffer<u32>,
+    counters: usize,
+    staging: Staging,
+}
+
+impl PackedImage {
+    /// Prepares the kernel; the buffer comes with the first image.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn new(device: &Device) -> Result<Self, RenderError> {
+        Ok(Self {
+            kernel: device.kernel(kernel_source!("pack_image"), &[])?,
+            count: device.buffer("pixels to pack", 1)?,
+            words: device.buffer("packed image", 0)?,
+            counters: 0,
+            staging: Staging::default(),
+        })
+    }
+
+    /// Records the rounding of an image, and a copy of the counters of the pass that makes it.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn record(
+        &mut self,
+        device: &Device,
+        recorder: &mut Recorder<'_>,
+        image: &Buffer<[f32; 4]>,
+        counters: &Buffer<u32>,
+    ) -> Result<(), RenderError> {
+        let pixels = image.len();
+        self.counters = counters.len();
+        if self.words.len() != pixels + self.counters {
+            self.words = device.buffer("packed image", pixels + self.counters)?;
+        }
+        let count = u32::try_from(pixels).unwrap_or(u32::MAX);
+        recorder.write(&self.count, &[count]);
+        let buffers: [Binding<'_>; 3] = [&self.count, image, &self.words];
+        recorder.dispatch(&self.kernel, &buffers, count.div_ceil(64));
+        recorder.copy(counters, 0, &self.words, pixels, self.counters);
+        Ok(())
+    }
+
+    /// Reads the last submitted image, row by row as red, green and blue, and the counters. Waits for the device.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn read(&mut self, device: &Device) -> Result<(Vec<u8>, Vec<u32>), RenderError> {
+        let pixels = self.words.len().saturating_sub(self.counters);
+        let unpack = |words: &[u32]| {
+            let (pixels, counters) = words.split_at(pixels);
+            let mut samples = vec![0; 3 * pixels.len()];
+            for (sample, word) in samples.as_chunks_mut::<3>().0.iter_mut().zip(pixels) {
+                let [red, green, blue, _] = word.to_le_bytes();
+                *sample = [red, green, blue];
+            }
+            (samples, counters.to_vec())
+        };
+        Ok(self.staging.read(device, &self.words, 0..self.words.len(), unpack)?)
+    }
+}
