@@ -103,7 +103,17 @@ chair_800() {
     done
 }
 
-parts=(doctor tests repeat accuracy kernels profile chair chair_800)
+# The first trained scene that there is, from a camera of the bundled set's own.
+views() {
+    local scene
+    for scene in "$scenes"/chair-tcgs.tcgs "$scenes"/repeat-first.tcgs; do
+        [ -f "$scene" ] && break
+    done
+    part views 120 "$work/tcgs" bench views "$scene" --pose \
+        '{"camera_to_world": [[1,0,0,0],[0,-1,0,0],[0,0,-1,4],[0,0,0,1]], "fx": 800, "width": 800, "height": 800}'
+}
+
+parts=(doctor tests repeat accuracy kernels profile chair views chair_800)
 
 tar -C "$work" -xJf "$kit/binaries.tar.xz" || exit 1
 mkdir -p "$work/data"

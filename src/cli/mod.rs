@@ -7,6 +7,7 @@
 mod adapter;
 mod backup;
 mod bench;
+mod camera;
 mod config;
 mod decode;
 mod doctor;

@@ -2,6 +2,7 @@
 
 mod accuracy;
 mod report;
+mod views;
 
 use clap::Subcommand;
 
@@ -20,6 +21,8 @@ enum Bench {
     Accuracy(accuracy::Args),
     /// Make a declared matrix of runs and report speed against error
     Report(report::Args),
+    /// Count frames a second of a finished scene at several sizes
+    Views(views::Args),
 }
 
 impl Args {
@@ -28,6 +31,7 @@ impl Args {
         match &self.bench {
             Bench::Accuracy(args) => args.json,
             Bench::Report(args) => args.json,
+            Bench::Views(args) => args.json,
         }
     }
 }
@@ -37,5 +41,6 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     match &args.bench {
         Bench::Accuracy(args) => accuracy::run(args),
         Bench::Report(args) => report::run(args),
+        Bench::Views(args) => views::run(args),
     }
 }

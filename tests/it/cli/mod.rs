@@ -3,6 +3,7 @@
 mod backup;
 mod baselines;
 mod bench_report;
+mod bench_views;
 mod clients;
 mod data_folder;
 #[cfg(unix)]
