@@ -17,8 +17,12 @@ use super::{
     symbols::Distribution,
 };
 
-/// Most anchors that a regression is fitted to, evenly spread.
+/// Most and fewest anchors that a regression is fitted to, evenly spread, where there are as many.
 const MAX_SAMPLE: usize = 8192;
+const MIN_SAMPLE: usize = 2048;
+
+/// Anchors times squared channels of a sample: the normal equations of 50 channels shall not take longer than coding does.
+const SAMPLE_PRODUCTS: usize = 1 << 22;
 
 /// Fewest symbols for each number that is fitted.
 const MIN_SYMBOLS_PER_NUMBER: usize = 4;
@@ -68,7 +72,8 @@ struct Sample {
 impl Sample {
     fn of(coder: &GroupCoder<'_>, coded: &CodedGroup) -> Self {
         let channels = coder.channels();
-        let stride = coder.shape.anchors.div_ceil(MAX_SAMPLE).max(1);
+        let size = (SAMPLE_PRODUCTS / (channels * channels).max(1)).clamp(MIN_SAMPLE, MAX_SAMPLE);
+        let stride = coder.shape.anchors.div_ceil(size).max(1);
         let count = coder.shape.anchors.div_ceil(stride) * channels;
         let mut sample = Self {
             channels,
