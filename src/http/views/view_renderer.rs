@@ -1,13 +1,18 @@
 //! Renders and caches pictures; concurrent requests for the same picture render it once.
 //!
-//! Invariants: the cache is bounded in bytes; a request that waits for another's render gets its result, and takes over if the other
+//! Invariants: the cache is bounded in bytes; at most as many pictures as there are cores are encoded without a render permit;
+//! a request that waits for another's render gets its result, and takes over if the other
 //! is cancelled.
 
-use std::time::{Duration, Instant};
+use std::{
+    sync::Arc,
+    thread::available_parallelism,
+    time::{Duration, Instant},
+};
 
 use axum::http::HeaderValue;
 use quick_cache::{OptionsBuilder, Weighter, sync::Cache};
-use tokio::{runtime::Handle, task::spawn_blocking};
+use tokio::{runtime::Handle, sync::Semaphore, task::spawn_blocking};
 
 use super::{
     key::{FrameSpec, ViewKey},
@@ -45,6 +50,8 @@ pub(crate) struct ViewRenderer {
     pub(super) queue: RenderQueue,
     identity: String,
     cache: Cache<ViewKey, Picture, Bytes>,
+    /// For pictures that are encoded while the next one is rendered.
+    encoders: Arc<Semaphore>,
 }
 
 /// How long the steps of a picture took.
@@ -99,7 +106,9 @@ impl ViewRenderer {
             Ok(options) => Cache::with_options(options, Bytes, Default::default(), Default::default()),
             Err(_) => Cache::with_weighter(16, limits.view_cache_bytes, Bytes),
         };
-        Self { queue, identity: services.renderer.identity(), cache }
+        let cores = available_parallelism().map_or(1, usize::from);
+        let encoders = Arc::new(Semaphore::new(cores));
+        Self { queue, identity: services.renderer.identity(), cache, encoders }
     }
 
     /// How many pictures are rendered and how many wait for a permit.
@@ -145,7 +154,8 @@ pub(super) async fn picture(
     Ok((picture, timing))
 }
 
-/// Renders and finishes a frame on a blocking thread, which holds the permit to its end, even if the request is cancelled.
+/// Renders and finishes a frame on a blocking thread, even if the request is cancelled. It gives the permit back once the frame is
+/// rendered, or at its end if as many others are being finished as there are cores.
 pub(super) async fn render_with_permit<T: Send + 'static>(
     state: &AppState,
     permit: RenderPermit,
@@ -157,9 +167,11 @@ pub(super) async fn render_with_permit<T: Send + 'static>(
     let span = tracing::Span::current();
     let made = spawn_blocking(move || {
         let _span = span.entered();
-        let _permit = permit;
         let (rendered, timing) = render(&state.services, &runtime, &frame)?;
         state.meters.rendered(timing.render);
+        let encoder = Arc::clone(&state.view_renderer.encoders).try_acquire_owned();
+        // Dropped here if there is room to encode.
+        let _permit = encoder.is_err().then_some(permit);
         finish(rendered, timing)
     });
     Ok(made.await??)

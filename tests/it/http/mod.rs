@@ -162,6 +162,7 @@ scenarios! {
         a_view_that_many_ask_for_at_once_is_rendered_once,
         impossible_views_are_refused_by_name,
         a_job_without_a_file_has_no_views,
+        a_picture_is_rendered_while_another_is_encoded,
         a_full_render_queue_and_a_broken_renderer_are_told_apart,
     }
     sequences {

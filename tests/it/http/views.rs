@@ -9,7 +9,7 @@ use super::sequences::parts;
 use crate::support::{
     contract::Coverage,
     fakes,
-    server::{Server, Setup, picture as picture_of},
+    server::{Answer, Server, Setup, picture as picture_of},
 };
 
 pub(super) async fn views_by_frame_pose_and_query_agree(coverage: Coverage) {
@@ -294,6 +294,29 @@ pub(super) async fn a_job_without_a_file_has_no_views(coverage: Coverage) {
     }
     let views = json!({ "views": [{ "frame": "test/r_0" }] });
     server.post_json(&format!("{job}/views"), &views).await.expect_problem(409, "no-artifact");
+}
+
+/// Milliseconds of a step in `Server-Timing`.
+fn timing(answer: &Answer, step: &str) -> f64 {
+    let header = answer.header("server-timing");
+    let (_, rest) = header.split_once(&format!("{step};dur=")).expect("the step is there");
+    rest.split(',').next().and_then(|number| number.trim().parse().ok()).expect("a number")
+}
+
+/// They take turns at one renderer, where the small one waits while the large one is rendered.
+pub(super) async fn a_picture_is_rendered_while_another_is_encoded(coverage: Coverage) {
+    let limits = tcgs::http::config::RequestLimits { renders: 1, ..Default::default() };
+    let server = Server::start_with(&coverage, Setup { limits, ..Setup::default() }).await;
+    let job = server.succeeded().await;
+    let large = format!("{job}/view?position=1,0,0&look_at=0,0,0&width=4096&height=4096&format=webp");
+    let (large, small) = tokio::join!(server.get(&large), async {
+        while server.renderer.painted() == 0 {
+            tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+        }
+        server.get(&format!("{job}/view?frame=test/r_0")).await
+    });
+    let (waited, encoded) = (timing(&small.expect(200), "queue"), timing(&large.expect(200), "encode"));
+    assert!(waited < encoded, "waited {waited} ms for a picture that took {encoded} ms to encode");
 }
 
 pub(super) async fn a_full_render_queue_and_a_broken_renderer_are_told_apart(coverage: Coverage) {
