@@ -30,8 +30,8 @@ pub(super) struct Step {
 pub(super) struct ModelSize {
     /// Anchors; zero in a model that has none.
     pub anchors: usize,
-    /// Gaussians of the last view.
-    pub gaussians: usize,
+    /// Gaussians of the last view; none before the first one of a model that makes them for each view.
+    pub gaussians: Option<usize>,
 }
 
 /// The file's size, as the last sample of anchors suggests it.

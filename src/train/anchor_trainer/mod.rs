@@ -53,6 +53,8 @@ pub(super) struct AnchorTrainer {
     compression: Option<Compression>,
     /// The quantised anchors of the last forward pass, if it rendered those.
     shown: Option<DeviceAnchors>,
+    /// Whether `neural` has rendered a view.
+    rendered: bool,
     neural: NeuralGaussians,
     adam: Adam,
 }
@@ -139,6 +141,7 @@ impl AnchorTrainer {
             masks: masks.transpose()?,
             compression,
             shown: None,
+            rendered: false,
             neural: NeuralGaussians::new(Arc::clone(device), shape, near, scene_scale)?,
             adam: Adam::new(device)?,
             device: Arc::clone(device),
@@ -285,6 +288,7 @@ impl ModelTrainer for AnchorTrainer {
         };
         let shown = self.shown.as_ref().unwrap_or(&self.device_anchors);
         self.neural.forward(recorder, shown, camera, self.volume_weight())?;
+        self.rendered = true;
         Ok(())
     }
 
@@ -399,7 +403,8 @@ impl ModelTrainer for AnchorTrainer {
     }
 
     fn size(&self) -> Result<ModelSize, TrainError> {
-        Ok(ModelSize { anchors: self.anchors.len(), gaussians: self.neural.counts()?[1] as usize })
+        let counts = self.rendered.then(|| self.neural.counts()).transpose()?;
+        Ok(ModelSize { anchors: self.anchors.len(), gaussians: counts.map(|counts| counts[1] as usize) })
     }
 
     fn bitrate(&self) -> Result<Option<BitrateSample>, TrainError> {

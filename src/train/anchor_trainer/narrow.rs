@@ -46,6 +46,7 @@ impl AnchorTrainer {
         self.network_moments = Moments::upload(&self.device, &first, &second)?;
         let (near, scene_scale) = (NearPlane::of_extent(self.extent).depth(), self.neural.scene_scale());
         self.neural = NeuralGaussians::new(self.device.clone(), shape, near, scene_scale)?;
+        self.rendered = false;
         if let Some(compression) = &mut self.compression {
             compression.narrow(&narrowing, &state.anchors)?;
         }

@@ -271,7 +271,7 @@ impl ModelTrainer for PlainTrainer {
     }
 
     fn size(&self) -> Result<ModelSize, TrainError> {
-        Ok(ModelSize { anchors: 0, gaussians: self.rows.count })
+        Ok(ModelSize { anchors: 0, gaussians: Some(self.rows.count) })
     }
 
     fn bitrate(&self) -> Result<Option<BitrateSample>, TrainError> {

@@ -238,6 +238,8 @@ struct Run<'a> {
     started: Instant,
     first_step: u32,
     reported: (Instant, u32),
+    /// Gaussians of the last view that was rendered; none before the first.
+    gaussians: Option<usize>,
     batch: Batch,
     /// The next photograph, by its index among the frames.
     prepared: Option<(usize, Vec<u32>)>,
@@ -317,6 +319,7 @@ impl<'a> Run<'a> {
             started: now,
             first_step: state.step,
             reported: (now, state.step),
+            gaussians: None,
             // The first batch is one step: it compiles kernels and allocates buffers.
             batch: Batch::Timed { seconds_per_step: 1.0 },
             prepared: None,
@@ -579,6 +582,7 @@ impl<'a> Run<'a> {
         let mean_speed = steps_per_second(self.started, self.first_step);
         self.reported = (Instant::now(), step);
         let size = self.model.size()?;
+        self.gaussians = size.gaussians.or(self.gaussians);
         Ok(Progress {
             step: u64::from(step),
             total: u64::from(self.schedule.steps),
@@ -586,7 +590,7 @@ impl<'a> Run<'a> {
             eta_seconds: mean_speed.map(|speed| f64::from(self.schedule.steps - step) / speed),
             steps_per_second: speed,
             anchors: size.anchors as u64,
-            gaussians: size.gaussians as u64,
+            gaussians: self.gaussians.unwrap_or(0) as u64,
             loss: average.map(|average| average.loss()),
             psnr: average.map(|average| average.psnr()),
             ssim: average.map(|average| average.ssim),

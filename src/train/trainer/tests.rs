@@ -91,6 +91,23 @@ fn the_estimate_of_the_files_bytes_reads_the_samples_rate_and_no_more() {
     assert_eq!(device.buffers_made() - made, 2 * of_rate);
 }
 
+/// A model that has just been replaced, by anchors or by a narrower one, has rendered nothing yet.
+#[test]
+fn every_report_counts_gaussians() {
+    let device = lavapipe();
+    let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
+    let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
+    for dataset in [dataset(), Dataset { points: None, ..dataset() }] {
+        let mut run = Run::new(&device, &dataset, &options, &budget, None).expect("begins");
+        run.batch = Batch::Fixed(1);
+        while run.state.step < STEPS {
+            run.advance(&mut |_| true, &CancelFlag::default()).expect("steps");
+            let Progress { step, gaussians, .. } = run.progress(None).expect("reports");
+            assert!(gaussians > 0, "step {step}");
+        }
+    }
+}
+
 #[test]
 fn the_choice_of_a_context_model_does_not_keep_a_cancelled_run_waiting() {
     let (device, dataset) = (lavapipe(), dataset());
