@@ -378,8 +378,7 @@ impl Compression {
             return Ok(None);
         };
         let [features, scalings, offsets] = context_model.rate.sums(&self.device)?;
-        let bits =
-            features * self.feature_share.unwrap_or(1.0) + scalings * self.schedule.scalings_share + offsets;
+        let bits = features * self.feature_share.unwrap_or(1.0) + scalings + offsets;
         let layout = context_model.net.layout();
         let stored = stored_parameters(layout) as f64;
         Ok(Some((bits / context_model.sampled as f64, BYTES_PER_PARAMETER * stored)))

@@ -8,9 +8,6 @@ use crate::domain::{Component, ContextKind, ModelKind, Preset, TrainOptions};
 /// Share of the anchors whose bits a step estimates (METHOD.md §4.5).
 const SAMPLE_SHARE: f64 = 0.15;
 
-/// What a regression leaves of the scalings' bytes: 0.68 to 0.78 in files of 300 steps of five sets (docs/ANALYSIS.md).
-const REGRESSION_SHARE: f64 = 0.73;
-
 /// Weight of the planes' reconstruction loss (METHOD.md §4.6).
 const RECONSTRUCTION: f32 = 0.01;
 
@@ -105,8 +102,6 @@ pub struct CompressionSchedule {
     pub kind: ContextKind,
     /// Whether planes are stored as latents and up-sampling layers instead of directly.
     pub compresses_planes: bool,
-    /// Expected bytes of scalings in the file over those that the rate term has, which knows of no regression (METHOD.md §4.13).
-    pub scalings_share: f64,
 }
 
 impl CompressionSchedule {
@@ -133,7 +128,6 @@ impl CompressionSchedule {
             }),
             seed: options.seed,
             sample_share: SAMPLE_SHARE,
-            scalings_share: if options.has(Component::Regression) { REGRESSION_SHARE } else { 1.0 },
             planes: learning_rate,
             networks: learning_rate,
             reconstruction: RECONSTRUCTION,
