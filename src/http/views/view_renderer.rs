@@ -1,8 +1,7 @@
 //! Renders and caches pictures; concurrent requests for the same picture render it once.
 //!
-//! Invariants: the cache is bounded in bytes; at most as many pictures as there are cores are encoded without a render permit;
-//! a request that waits for another's render gets its result, and takes over if the other
-//! is cancelled.
+//! Invariants: the cache is bounded in bytes; at most as many pictures as there are cores are encoded without a render permit; a
+//! request that waits for another's render gets its result, and takes over if the other is cancelled.
 
 use std::{
     sync::Arc,
