@@ -1,8 +1,7 @@
 //! Anchors and render networks that begin as a set of plain Gaussians.
 //!
-//! Gaussians of a cell become offsets of one anchor. What its networks have to say of them (opacities, sizes, rotations, colours) is
-//! reduced to its principal components over all anchors: features are the coordinates along them, and the networks begin as the
-//! map back. An offset that no Gaussian took begins transparent.
+//! Gaussians of a cell become offsets of one anchor, whose networks begin with what the Gaussians are. An offset that no Gaussian
+//! took begins transparent.
 
 use std::collections::{BTreeMap, HashSet};
 
@@ -10,12 +9,12 @@ use glam::{Mat3, Quat, Vec3};
 use rand::{Rng, RngExt};
 
 use super::{
-    AnchorRows, GaussianRows, InitError, MAX_CELL, NetworkLayout, Shape, VoxelRule, all_offsets, cell_of,
+    AnchorRows, FirstAnchors, GaussianRows, InitError, MAX_CELL, Shape, VoxelRule, all_offsets, cell_of,
     choose_lattice, coarse,
+    first_anchors::{SLOT, SlotValues},
     gaussian_rows::{COLOR, LOG_SCALE, OPACITY, QUAT, SH_CONSTANT},
-    principal::principal_components,
 };
-use crate::domain::{Lattice, anchors::VIEW_INPUTS};
+use crate::domain::Lattice;
 
 /// Edge of the cells whose Gaussians become one anchor, in lattice cells; a crowded cell is halved.
 const CELL: i32 = 24;
@@ -29,27 +28,10 @@ const OPACITIES: [f32; 2] = [0.005, 0.95];
 const COLORS: [f32; 2] = [0.01, 0.99];
 /// Largest distance of a size's logit from zero.
 const SIZE_LOGIT: f32 = 2.5;
+/// Weights of random hidden units to the outputs, by the usual.
+const RANDOM: f32 = 0.1;
 /// Size of an anchor, by the mean size of its Gaussians: the logistic of zero is a half.
 const SIZE: f32 = 2.0;
-/// Share of a network's hidden units that pass a component on; the others begin random.
-const PASSED: f64 = 0.75;
-/// Standard deviations of a component that its hidden unit passes on before it is cut off.
-const REACH: f64 = 3.0;
-/// Weights of the units that pass components on, from the view, and of those that do not, to the outputs, by the usual.
-const TRACE: f32 = 0.1;
-/// Values of a slot: opacity, three sizes, quaternion, colour.
-const SLOT: usize = 11;
-/// Weights of these values in the components.
-const WEIGHTS: [f64; SLOT] = [3.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0, 1.0];
-
-/// Anchors with the networks that make their Gaussians.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FirstAnchors {
-    /// Anchors and rows.
-    pub anchors: AnchorRows,
-    /// Parameters by [`NetworkLayout`].
-    pub networks: Vec<f32>,
-}
 
 /// A Gaussian as an anchor's offset.
 #[derive(Debug, Clone, Copy)]
@@ -152,17 +134,14 @@ pub fn anchors_from_gaussians(
         values: vec![0.0; groups.len() * shape.row()],
         masks: vec![all_offsets(shape); groups.len()],
     };
-    let width = SLOT * shape.offsets;
-    let mut targets = Vec::with_capacity(groups.len() * width);
-    let mut known = Vec::with_capacity(groups.len() * width);
+    let mut slots = SlotValues::with_capacity(groups.len() * shape.offsets);
     for (index, group) in groups.iter().enumerate() {
         let position = Vec3::from_array(lattice.position(anchors.cells[index]));
         let row = &mut anchors.values[index * shape.row()..][..shape.row()];
         write_geometry(row, shape, &lattice, position, group, rng);
-        say(row, shape, group, &mut targets, &mut known);
+        say(row, shape, group, &mut slots);
     }
-    let networks = teach(&mut anchors, targets, &known, rng);
-    Ok(FirstAnchors { anchors, networks })
+    Ok(FirstAnchors::saying(anchors, slots, [RANDOM; 3], rng))
 }
 
 /// The Gaussians of one anchor, the weightiest first, and the edge of their cell in lattice cells.
@@ -243,8 +222,8 @@ fn write_geometry(
     }
 }
 
-/// Appends what the networks are to say of an anchor's slots, and which of it is known.
-fn say(row: &[f32], shape: Shape, group: &Group, targets: &mut Vec<f64>, known: &mut Vec<bool>) {
+/// Appends what the networks are to say of an anchor's slots.
+fn say(row: &[f32], shape: Shape, group: &Group, to: &mut SlotValues) {
     let slots: Vec<[f64; SLOT]> = group
         .members
         .iter()
@@ -271,82 +250,11 @@ fn say(row: &[f32], shape: Shape, group: &Group, targets: &mut Vec<f64>, known: 
     }
     mean[0] = TRANSPARENT;
     for index in 0..shape.offsets {
-        let slot = slots.get(index);
-        targets.extend(slot.unwrap_or(&mean));
-        known.extend((0..SLOT).map(|value| slot.is_some() || value == 0));
-    }
-}
-
-/// Features and networks that say `targets`, as far as the principal components do.
-fn teach(anchors: &mut AnchorRows, mut targets: Vec<f64>, known: &[bool], rng: &mut impl Rng) -> Vec<f32> {
-    let shape = anchors.shape;
-    let width = SLOT * shape.offsets;
-    let passed = ((PASSED * shape.features as f64).ceil() as usize).min(shape.features);
-    for row in targets.chunks_exact_mut(SLOT) {
-        for (value, weight) in row.iter_mut().zip(WEIGHTS) {
-            *value *= weight;
+        match slots.get(index) {
+            Some(slot) => to.push(slot, |_| true),
+            None => to.push(&mean, |value| value == 0),
         }
     }
-    let found = principal_components(targets, known, width, passed);
-    let count = found.directions.len();
-    let deviations: Vec<f64> = (0..count)
-        .map(|c| {
-            let squares = found.coordinates.iter().skip(c).step_by(count).map(|z| z * z).sum::<f64>();
-            (squares / anchors.len() as f64).sqrt().max(1e-6)
-        })
-        .collect();
-    // Feature and weight share a component's deviation evenly.
-    let of_feature: Vec<f64> = deviations.iter().map(|deviation| deviation.sqrt().recip()).collect();
-    for (row, z) in anchors.values.chunks_exact_mut(shape.row()).zip(found.coordinates.chunks_exact(count)) {
-        for ((feature, z), factor) in row.iter_mut().zip(z).zip(&of_feature) {
-            *feature = (z * factor) as f32;
-        }
-    }
-    let layout = NetworkLayout::new(shape);
-    let mut networks = layout.initial(rng);
-    let hidden = &layout.hidden;
-    for head in 0..layout.heads.len() {
-        for unit in 0..shape.features {
-            let column = head * shape.features + unit;
-            for input in 0..hidden.inputs {
-                let weight = &mut networks[hidden.weights + input * hidden.outputs + column];
-                if unit < count {
-                    *weight = match input {
-                        _ if input == unit => 1.0,
-                        _ if input < shape.features => 0.0,
-                        _ if input + 1 < shape.features + VIEW_INPUTS => TRACE * *weight,
-                        // The distance.
-                        _ => 0.0,
-                    };
-                }
-            }
-            if unit < count {
-                networks[hidden.bias + column] = (REACH * deviations[unit] * of_feature[unit]) as f32;
-            }
-        }
-        let spec = &layout.heads[head];
-        for output in 0..spec.outputs {
-            let (slot, value) = match head {
-                0 => (output, 0),
-                1 => (output / 7, 1 + output % 7),
-                _ => (output / 3, 8 + output % 3),
-            };
-            let target = slot * SLOT + value;
-            let mut bias = found.mean[target] / WEIGHTS[value];
-            for unit in 0..spec.inputs {
-                let weight = &mut networks[spec.weights + unit * spec.outputs + output];
-                if unit < count {
-                    let back = found.directions[unit][target] / (WEIGHTS[value] * of_feature[unit]);
-                    *weight = back as f32;
-                    bias -= back * REACH * deviations[unit] * of_feature[unit];
-                } else {
-                    *weight *= TRACE;
-                }
-            }
-            networks[spec.bias + output] = bias as f32;
-        }
-    }
-    networks
 }
 
 #[cfg(test)]
@@ -355,6 +263,7 @@ mod tests {
     use rand_pcg::Pcg64;
 
     use super::*;
+    use crate::model::first_anchors::tests::outputs;
 
     const SHAPE: Shape = Shape::new(16, 4);
 
@@ -378,30 +287,6 @@ mod tests {
     fn begin(rows: &GaussianRows, max_anchors: usize) -> FirstAnchors {
         let rule = |means: &[[f32; 3]]| VoxelRule::OfSpacing(1.0 / 16.0).for_points(means, 1.0);
         anchors_from_gaussians(rows, rule, SHAPE, max_anchors, &mut Pcg64::seed_from_u64(1)).expect("anchors")
-    }
-
-    /// Outputs of all heads for an anchor seen from a side.
-    fn outputs(first: &FirstAnchors, anchor: usize) -> Vec<f32> {
-        let layout = NetworkLayout::new(SHAPE);
-        let mut input = first.anchors.row(anchor)[..SHAPE.features].to_vec();
-        input.extend([0.6, 0.0, 0.8, 4.0]);
-        let dense = |spec: &crate::model::LayerSpec, input: &[f32], output: usize| {
-            let weights = input
-                .iter()
-                .enumerate()
-                .map(|(i, v)| first.networks[spec.weights + i * spec.outputs + output] * v);
-            first.networks[spec.bias + output] + weights.sum::<f32>()
-        };
-        let hidden: Vec<f32> =
-            (0..layout.hidden.outputs).map(|unit| dense(&layout.hidden, &input, unit).max(0.0)).collect();
-        let heads = layout.heads.iter();
-        heads
-            .flat_map(|head| {
-                (0..head.outputs)
-                    .map(|o| dense(head, &hidden[head.input_row..][..head.inputs], o))
-                    .collect::<Vec<_>>()
-            })
-            .collect()
     }
 
     #[test]

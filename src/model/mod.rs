@@ -4,6 +4,8 @@
 
 mod anchor_rows;
 mod anchors_from_gaussians;
+mod anchors_from_points;
+mod first_anchors;
 pub mod gaussian_rows;
 mod init;
 mod lattice;
@@ -12,7 +14,9 @@ mod principal;
 mod symmetric_eigen;
 
 pub use anchor_rows::{AnchorRows, Shape, retain_rows};
-pub use anchors_from_gaussians::{FirstAnchors, anchors_from_gaussians};
+pub use anchors_from_gaussians::anchors_from_gaussians;
+pub use anchors_from_points::anchors_from_points;
+pub use first_anchors::FirstAnchors;
 pub use gaussian_rows::{GaussianRows, initial_gaussians};
 pub use init::{InitError, all_offsets, initial_rows, random_points};
 pub use lattice::{MAX_CELL, VoxelRule, cell_of, choose_lattice, coarse, median_spacing, voxelise};

@@ -18,9 +18,9 @@ use super::{
     prune_invisible::prune_invisible,
 };
 use crate::{
-    domain::{AnchorScene, Camera, CancelFlag, Frame, NearPlane, Scene, SceneScale},
+    domain::{AnchorScene, Camera, CancelFlag, Frame, NearPlane, PointCloud, Scene, SceneScale},
     gpu::{Buffer, Device, Recorder},
-    model::{AnchorRows, FirstAnchors, NetworkLayout, Shape, initial_rows},
+    model::{AnchorRows, FirstAnchors, NetworkLayout, Shape, anchors_from_points, initial_rows},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, Rasterizer},
 };
 
@@ -70,22 +70,27 @@ struct Parts {
 }
 
 impl AnchorTrainer {
-    /// A trainer with anchors at `points` and newly initialised networks, whose input distances are in `unit`; `extent` is the
-    /// scene's, in world units.
+    /// A trainer with anchors at the cloud's points and newly initialised networks; `extent` is the scene's, in world units.
     pub(super) fn new(
         device: &Arc<Device>,
         schedule: Schedule,
-        points: &[[f32; 3]],
+        cloud: &PointCloud,
         extent: f32,
         scene_scale: SceneScale,
         rng: &mut Pcg64,
     ) -> Result<Self, TrainError> {
         let shape = schedule.shape;
-        let rule = schedule.voxel.for_points(points, extent);
+        let PointCloud { positions, colors } = cloud;
+        let rule = schedule.voxel.for_points(positions, extent);
         // Half the limit is left for growth.
-        let anchors = initial_rows(points, rule, shape, schedule.max_anchors / 2)?;
-        let networks = NetworkLayout::new(shape).initial(rng);
-        Self::begin(device, schedule, FirstAnchors { anchors, networks }, extent, scene_scale)
+        let most = schedule.max_anchors / 2;
+        let first = if schedule.begins_colored {
+            anchors_from_points(positions, colors, rule, shape, most, rng)?
+        } else {
+            let anchors = initial_rows(positions, rule, shape, most)?;
+            FirstAnchors { anchors, networks: NetworkLayout::new(shape).initial(rng) }
+        };
+        Self::begin(device, schedule, first, extent, scene_scale)
     }
 
     /// A trainer with these anchors and networks; the rest as in [`Self::new`].

@@ -155,6 +155,9 @@ pub struct Schedule {
     pub pace: Pace,
     /// Widths of the anchor model.
     pub shape: Shape,
+    /// Whether features and networks begin with the colours of a point cloud (METHOD.md §2.10); else features at 0 and networks
+    /// random, as published.
+    pub begins_colored: bool,
     /// How the edge of the anchors' cells is chosen.
     pub voxel: VoxelRule,
     /// First step whose view is added to the growth statistics.
@@ -203,10 +206,10 @@ impl Schedule {
     /// The schedule of a job's options.
     #[must_use]
     pub fn new(options: &TrainOptions) -> Self {
-        let (default_steps, features, max_anchors, random_points) = match options.preset {
-            Preset::Preview => (2_000, 32, 40_000, 10_000),
-            Preset::Standard => (10_000, 50, 200_000, 20_000),
-            Preset::Paper => (30_000, 50, 400_000, 100_000),
+        let (default_steps, shape, max_anchors, random_points) = match options.preset {
+            Preset::Preview => (2_000, Shape::new(32, 4), 40_000, 10_000),
+            Preset::Standard => (10_000, Shape::new(50, 10), 200_000, 20_000),
+            Preset::Paper => (30_000, Shape::new(50, 10), 400_000, 100_000),
         };
         let steps = options.iterations.unwrap_or(default_steps);
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
@@ -217,7 +220,8 @@ impl Schedule {
             model: options.model,
             steps,
             pace: Pace::full(steps),
-            shape: Shape::new(features, 10),
+            shape,
+            begins_colored: options.preset != Preset::Paper,
             voxel: match options.voxel {
                 Voxel::Auto => VoxelRule::OfSpacing(CELLS_PER_SPACING.recip()),
                 Voxel::Published => VoxelRule::Published,

@@ -50,6 +50,10 @@ type Row<'a> = dyn FnMut(&str, &dyn Fn(&Schedule) -> String) + 'a;
 fn anchors(row: &mut Row<'_>) {
     row("**anchors** (`tcgs`, `scaffold`)", &|_| String::new());
     row("feature width, offsets an anchor", &|c| format!("{}, {}", c.shape.features, c.shape.offsets));
+    row("features and networks begin with", &|c| match c.begins_colored {
+        true => "the points' colours".to_owned(),
+        false => "0, and random".to_owned(),
+    });
     row("anchors at most", &|c| c.max_anchors.to_string());
     row("plain Gaussians until, where a set has no points", &|c| match c.plain_until {
         0 => "–".to_owned(),

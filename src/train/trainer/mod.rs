@@ -4,7 +4,7 @@
 //! A step is one submission, and steps are submitted in batches: after each batch the host reads whether a step overflowed the
 //! rasteriser's buffers, and repeats the steps from there with larger ones.
 
-use std::{sync::Arc, time::Instant};
+use std::{borrow::Cow, sync::Arc, time::Instant};
 
 use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
@@ -27,7 +27,8 @@ use super::{
 use crate::{
     domain::{
         Background, CancelFlag, Choices, Component, Convergence, Dataset, Frame, MemoryBudget, ModelKind,
-        NearPlane, Progress, Scene, SceneScale, ShortenedRun, SizeBound, Split, TrainOptions, Until, Widths,
+        NearPlane, PointCloud, Progress, Scene, SceneScale, ShortenedRun, SizeBound, Split, TrainOptions,
+        Until, Widths,
     },
     gpu::Device,
     model::{Shape, random_points},
@@ -163,29 +164,31 @@ impl ModelFactory<'_> {
     /// The trainer at the start of a run.
     fn create(self, rng: &mut Pcg64) -> Result<Box<dyn ModelTrainer>, TrainError> {
         let Self { device, dataset, frames, schedule } = self;
-        let (points, colors) = match &dataset.points {
-            Some(cloud) if !cloud.positions.is_empty() => (cloud.positions.clone(), &cloud.colors[..]),
+        let cloud = match &dataset.points {
+            Some(cloud) if !cloud.positions.is_empty() => Cow::Borrowed(cloud),
             _ => {
                 let (low, high) = init_bounds(dataset.layout, frames);
-                (random_points(rng, schedule.random_points, low, high), &[][..])
+                let positions = random_points(rng, schedule.random_points, low, high);
+                Cow::Owned(PointCloud { positions, colors: Vec::new() })
             }
         };
+        let PointCloud { positions, colors } = cloud.as_ref();
         let extent = camera_extent(frames);
         Ok(match schedule.model {
             ModelKind::Tcgs | ModelKind::Scaffold => {
-                let typical = typical_distance(frames, &points);
+                let typical = typical_distance(frames, positions);
                 let scene_scale = SceneScale::from_typical_distance(typical);
                 tracing::debug!(typical, scene_scale = scene_scale.length(), "scene scale");
                 if schedule.plain_until > 0 {
                     let first =
-                        PlainTrainer::new(device, schedule.plain.clone(), &points, colors, extent, rng)?;
+                        PlainTrainer::new(device, schedule.plain.clone(), positions, colors, extent, rng)?;
                     Box::new(TwoStageTrainer::new(device, schedule, first, extent, scene_scale))
                 } else {
-                    Box::new(AnchorTrainer::new(device, schedule, &points, extent, scene_scale, rng)?)
+                    Box::new(AnchorTrainer::new(device, schedule, &cloud, extent, scene_scale, rng)?)
                 }
             }
             ModelKind::Gaussians3d => {
-                Box::new(PlainTrainer::new(device, schedule.plain, &points, colors, extent, rng)?)
+                Box::new(PlainTrainer::new(device, schedule.plain, positions, colors, extent, rng)?)
             }
         })
     }

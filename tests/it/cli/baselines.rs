@@ -71,7 +71,8 @@ fn scaffold_is_written_as_floats_and_every_command_takes_its_file() {
     let read = anchors::read(&bytes).expect("anchors");
     assert!(read.dataset.is_some(), "the file says what it was trained on");
     assert_eq!(metrics["anchors"], read.scene.len());
-    assert_eq!(metrics["gaussians"], 10 * read.scene.len(), "every offset is kept, as published");
+    let offsets = read.scene.offsets_per_anchor;
+    assert_eq!(metrics["gaussians"], offsets * read.scene.len(), "every offset is kept, as published");
     assert_eq!(metrics["bytes"]["masks"], 0);
 
     let again = folder.path().join("again.safetensors");

@@ -31,20 +31,21 @@ fn run(options: &TrainOptions) -> (JobOutput, Decoded) {
     (output, decoded)
 }
 
-/// Steps, feature width, most anchors and weight of the rate, as `docs/SCHEDULE.md` states them.
-const PRESETS: [(Preset, u32, usize, usize, f64); 3] = [
-    (Preset::Preview, 2_000, 32, 40_000, 0.0005),
-    (Preset::Standard, 10_000, 50, 200_000, 0.001),
-    (Preset::Paper, 30_000, 50, 400_000, 0.001),
+/// Steps, feature width, offsets an anchor, most anchors and weight of the rate, as `docs/SCHEDULE.md` states them.
+const PRESETS: [(Preset, u32, usize, usize, usize, f64); 3] = [
+    (Preset::Preview, 2_000, 32, 4, 40_000, 0.0005),
+    (Preset::Standard, 10_000, 50, 10, 200_000, 0.001),
+    (Preset::Paper, 30_000, 50, 10, 400_000, 0.001),
 ];
 
 #[test]
 fn every_preset_has_its_schedule_and_trains() {
     assert_eq!(PRESETS.map(|preset| preset.0), Preset::ALL);
-    for (preset, steps, features, max_anchors, lambda) in PRESETS {
+    for (preset, steps, features, offsets, max_anchors, lambda) in PRESETS {
         let schedule = Schedule::new(&TrainOptions { preset, ..TrainOptions::default() });
         assert_eq!((schedule.steps, schedule.lambda()), (steps, lambda), "{preset}");
-        assert_eq!((schedule.shape.features, schedule.shape.offsets), (features, 10), "{preset}");
+        assert_eq!((schedule.shape.features, schedule.shape.offsets), (features, offsets), "{preset}");
+        assert_eq!(schedule.begins_colored, preset != Preset::Paper, "{preset}");
         assert_eq!(schedule.max_anchors, max_anchors, "{preset}");
 
         // Enough for every phase of the schedule to begin.
@@ -55,11 +56,14 @@ fn every_preset_has_its_schedule_and_trains() {
         let choices = &decoded.manifest.provenance.settings["choices"];
         let narrowed_from = choices.get("narrowed_from").map(|from| (&from["features"], &from["offsets"]));
         if preset == Preset::Paper {
-            assert_eq!((narrowed_from, scene.feature_dim, scene.offsets_per_anchor), (None, features, 10));
+            assert_eq!(
+                (narrowed_from, scene.feature_dim, scene.offsets_per_anchor),
+                (None, features, offsets)
+            );
         } else {
-            assert_eq!(narrowed_from, Some((&json!(features), &json!(10))), "{preset}");
+            assert_eq!(narrowed_from, Some((&json!(features), &json!(offsets))), "{preset}");
             assert!((1..features).contains(&scene.feature_dim), "{preset}: {}", scene.feature_dim);
-            assert!((1..=10).contains(&scene.offsets_per_anchor), "{preset}");
+            assert!((1..=offsets).contains(&scene.offsets_per_anchor), "{preset}");
         }
         assert_eq!(decoded.manifest.provenance.settings["preset"], preset.to_string());
         decoded.scene.check().expect("a sound scene");

@@ -91,7 +91,7 @@ fn the_estimate_covers_what_a_run_allocates_and_not_much_more() {
         ("few anchors that grow", ModelKind::Tcgs, &[(32, 32)][..], 150, 60),
         ("many anchors", ModelKind::Tcgs, &[(48, 32)], 4000, 3),
         ("plain Gaussians", ModelKind::Gaussians3d, &[(64, 48)], 20_000, 30),
-        ("large images of two sizes", ModelKind::Tcgs, &[(400, 300), (300, 400)], 500, 4),
+        ("large images of two sizes", ModelKind::Tcgs, &[(400, 300), (300, 400)], 3000, 9),
     ] {
         let folder = folder(9, sizes);
         let dataset = with_points(ingest::load(folder.path()).expect("a dataset"), points);

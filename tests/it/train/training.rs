@@ -132,9 +132,9 @@ fn training_learns_the_views_that_it_sees_and_one_that_it_does_not() {
     let (trained, reports) = run(&dataset, &options(120, 0));
     anchors(&trained.scene).check().expect("a sound scene");
     assert_eq!(trained.steps, 120);
-    assert_psnr("untrained", psnr(&untrained.scene, &dataset, Split::Train), 18.19);
-    assert_psnr_within("trained", psnr(&trained.scene, &dataset, Split::Train), 40.72, SINGLE_RUN);
-    assert_psnr_within("held out", psnr(&trained.scene, &dataset, Split::Test), 35.28, SINGLE_RUN);
+    assert_psnr("untrained", psnr(&untrained.scene, &dataset, Split::Train), 21.35);
+    assert_psnr_within("trained", psnr(&trained.scene, &dataset, Split::Train), 40.03, SINGLE_RUN);
+    assert_psnr_within("held out", psnr(&trained.scene, &dataset, Split::Test), 36.45, SINGLE_RUN);
 
     let steps: Vec<u64> = reports.iter().map(|report| report.step).collect();
     assert_eq!(steps, (1..=12).map(|tenth| 10 * tenth).collect::<Vec<_>>());
@@ -183,8 +183,8 @@ fn masks_leave_fewer_gaussians_that_show_the_same() {
     let [all, kept] = [&plain, &masked].map(|trained| offsets_kept(&trained.scene));
     assert!(kept < all, "{kept} of {all} Gaussians are kept");
     let [before, after] = [&plain, &masked].map(|trained| psnr(&trained.scene, &dataset, Split::Train));
-    assert_psnr_within("without masks", before, 44.81, SINGLE_RUN);
-    assert_psnr_within("with masks", after, 44.81, SINGLE_RUN);
+    assert_psnr_within("without masks", before, 45.78, SINGLE_RUN);
+    assert_psnr_within("with masks", after, 45.60, SINGLE_RUN);
     // Masks settle at three quarters, long after the last round of growth.
     let (learning, settled) = (&reports[16], &reports[17]);
     assert!(settled.anchors <= learning.anchors);
@@ -359,7 +359,7 @@ fn the_unit_of_the_scene_does_not_decide_what_is_learnt() {
     // Roundings differ, and growth makes more of them; anchors in a unit of their own are told other numbers too. Of eight seeds
     // of anchors single ones differ by -1.7 to 2.4 dB, means of three by -0.8 to 1.1. A scene behind the near plane, or
     // distances and volumes in world units, cost ten and more.
-    let cases = [(plain(120, 0), 1, [24.24, 23.71, 24.22]), (options(120, 0), 3, [40.60, 41.07, 41.20])];
+    let cases = [(plain(120, 0), 1, [24.24, 23.71, 24.22]), (options(120, 0), 3, [39.39, 39.09, 39.07])];
     for (options, seeds, recorded) in cases {
         for (factor, recorded) in [1.0, 1e-3, 1e3].into_iter().zip(recorded) {
             let dataset = scaled(&dataset(), factor);
