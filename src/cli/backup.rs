@@ -70,7 +70,7 @@ pub(crate) fn backup(args: &BackupArgs) -> Result<Report, CliError> {
 pub(crate) fn restore(args: &RestoreArgs) -> Result<Report, CliError> {
     let storage = args.storage.storage()?;
     let data = storage.sqlite_folder("restore")?;
-    let note = wiring::restore(&args.backup, data)?;
+    let note = wiring::restore(&args.backup, &storage)?;
     let text = format!("{} has what {} has: {}.", data.display(), args.backup.display(), told(&note));
     Ok(Report::new(text, &note))
 }

@@ -5,7 +5,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tcgs::store::{DATABASE, DatabaseLocation, PostgresUrl};
+use tcgs::store::{BucketUrl, DATABASE, DatabaseLocation, PostgresUrl};
 
 use super::CliError;
 
@@ -21,9 +21,10 @@ pub(crate) struct StorageFlags {
     #[arg(long, global = true, value_name = "URL", env = "TCGS_DATABASE", hide_env_values = true)]
     database: Option<String>,
 
-    /// Blob storage, if not the data folder
-    // Fixed for scripts; shared blobs are not implemented.
-    #[arg(long, global = true, value_name = "URL", env = "TCGS_BLOBS", hide = true)]
+    /// Bucket for the service's files instead of the data folder: s3://BUCKET or s3://BUCKET/PREFIX, with AWS_ACCESS_KEY_ID,
+    /// AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT_URL in the environment
+    // A text here, so that clap repeats no key in its errors.
+    #[arg(long, global = true, value_name = "URL", env = "TCGS_BLOBS", hide_env_values = true)]
     blobs: Option<String>,
 }
 
@@ -34,17 +35,18 @@ pub(crate) struct Storage {
     pub(crate) data: PathBuf,
     /// The database, if not SQLite in the data folder.
     pub(crate) database: Option<PostgresUrl>,
+    /// The bucket of the service's files, if they are not in the data folder.
+    pub(crate) blobs: Option<BucketUrl>,
 }
 
 impl StorageFlags {
-    /// The location that the flags name. `--blobs` is refused: files are kept in the data folder, which several machines may mount.
+    /// The location that the flags name.
     pub(crate) fn storage(&self) -> Result<Storage, CliError> {
-        if self.blobs.is_some() {
-            return Err(CliError::Usage("--blobs: this version keeps files in --data".to_owned()));
-        }
+        let blobs = self.blobs.as_deref().map(str::parse).transpose();
+        let blobs = blobs.map_err(|fault| CliError::Usage(format!("--blobs: {fault}")))?;
         let database = self.database.as_deref().map(str::parse).transpose();
         let database = database.map_err(|fault| CliError::Usage(format!("--database: {fault}")))?;
-        Ok(Storage { data: self.data.clone(), database })
+        Ok(Storage { data: self.data.clone(), database, blobs })
     }
 }
 
@@ -67,7 +69,7 @@ impl Storage {
         if self.database.is_some() {
             return Err(CliError::Usage(format!(
                 "--database: 'tcgs {command}' is for SQLite; use pg_dump and pg_restore for the PostgreSQL database, and copy the \
-                 data folder's files (docs/OPERATIONS.md)"
+                 data folder's or the bucket's files (docs/OPERATIONS.md)"
             )));
         }
         Ok(&self.data)

@@ -189,6 +189,11 @@ impl From<BlobError> for ProblemResponse {
     fn from(error: BlobError) -> Self {
         match error {
             BlobError::TooLarge { limit } => Self::too_large(limit),
+            BlobError::Index(error) => error.into(),
+            BlobError::Bucket(_) => {
+                tracing::error!(error = &error as &dyn std::error::Error, "{error}");
+                Self::busy("the service's bucket does not answer, or refuses")
+            }
             error if error.is_disk_full() => {
                 tracing::error!(error = &error as &dyn std::error::Error, "no room left: {error}");
                 Self::storage_full()

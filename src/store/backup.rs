@@ -12,11 +12,13 @@ use std::{
 };
 
 use jiff::Timestamp;
+use object_store::ObjectStore;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{
-    Accounts as _, BlobError, BlobState, Blobs, CopyMode, QueuePolicy, SqlStore, StoreError, fsck::BATCH,
+    Accounts as _, BlobError, BlobPlace, BlobSource, BlobState, Blobs, CopyMode, QueuePolicy, SqlStore,
+    StoreError, fsck::BATCH, publications::Publications as _,
 };
 use crate::domain::{Clock, Digest};
 
@@ -52,20 +54,20 @@ pub enum BackupError {
     #[error("{0} is not a complete backup: it has no readable {NOTE}")]
     Incomplete(PathBuf),
     /// A file that the database refers to is not there.
-    #[error("the file {digest} is missing in {folder}; 'tcgs fsck' finds all such files")]
+    #[error("the file {digest} is missing in {source_name}; 'tcgs fsck' finds all such files")]
     Missing {
         /// Its name.
         digest: Digest,
-        /// The folder that it should be in.
-        folder: PathBuf,
+        /// Where it should be.
+        source_name: String,
     },
     /// A file that the database refers to has other content.
-    #[error("the file {digest} in {folder} is damaged; 'tcgs fsck' finds all such files")]
+    #[error("the file {digest} in {source_name} is damaged; 'tcgs fsck' finds all such files")]
     Damaged {
         /// Its name.
         digest: Digest,
-        /// The folder that it is in.
-        folder: PathBuf,
+        /// Where it is.
+        source_name: String,
     },
     /// The database failed.
     #[error(transparent)]
@@ -94,13 +96,13 @@ fn sync(path: &Path) -> io::Result<()> {
     File::open(path)?.sync_all()
 }
 
-/// Writes a backup of the store over `data` into `destination`.
+/// Writes a backup of the store, whose blobs are in `source`, into `destination`.
 ///
 /// # Errors
 /// [`BackupError`]; the destination is then no backup, and can be deleted.
 pub async fn back_up(
     store: &SqlStore,
-    data: &Path,
+    source: &BlobSource,
     destination: &Path,
     mode: CopyMode,
     clock: Arc<dyn Clock>,
@@ -115,7 +117,7 @@ pub async fn back_up(
         remove_database(&database)?;
         store.copy_into(&database).await?;
         let snapshot = SqlStore::open_current(&database, clock.clone(), QueuePolicy::default()).await?;
-        let copied = copy_blobs(&snapshot, data, &copy, mode).await;
+        let copied = copy_blobs(&snapshot, source, &copy, mode).await;
         snapshot.close().await;
         if let Err(BackupError::Missing { digest, .. }) = &copied {
             // What referred to it may have been deleted since the snapshot.
@@ -136,7 +138,7 @@ pub async fn back_up(
 /// Copies what a snapshot refers to, and counts it; forgets in the snapshot what nothing refers to, and ends its open uploads.
 async fn copy_blobs(
     snapshot: &SqlStore,
-    source: &Path,
+    source: &BlobSource,
     copy: &Blobs,
     mode: CopyMode,
 ) -> Result<(u64, u64), BackupError> {
@@ -149,11 +151,11 @@ async fn copy_blobs(
         let digests: Vec<Digest> = batch.iter().map(|blob| blob.digest).collect();
         let unused = snapshot.forget_blobs(&digests).await?;
         for blob in batch.into_iter().filter(|blob| !unused.contains(&blob.digest)) {
-            let (digest, folder) = (blob.digest, source.to_owned());
+            let (digest, source_name) = (blob.digest, source.to_string());
             match copy.copy_from(source, blob, mode).await? {
                 BlobState::Sound => {}
-                BlobState::Missing => return Err(BackupError::Missing { digest, folder }),
-                BlobState::Damaged => return Err(BackupError::Damaged { digest, folder }),
+                BlobState::Missing => return Err(BackupError::Missing { digest, source_name }),
+                BlobState::Damaged => return Err(BackupError::Damaged { digest, source_name }),
             }
             blobs += 1;
             bytes += blob.bytes;
@@ -165,7 +167,12 @@ async fn copy_blobs(
 ///
 /// # Errors
 /// [`BackupError`]; the folder then has no database, and can be deleted.
-pub async fn restore(backup: &Path, data: &Path, clock: Arc<dyn Clock>) -> Result<BackupNote, BackupError> {
+pub async fn restore(
+    backup: &Path,
+    data: &Path,
+    bucket: Option<Arc<dyn ObjectStore>>,
+    clock: Arc<dyn Clock>,
+) -> Result<BackupNote, BackupError> {
     let incomplete = || BackupError::Incomplete(backup.to_owned());
     let note = fs::read(backup.join(NOTE)).map_err(|_| incomplete())?;
     let note: BackupNote = serde_json::from_slice(&note).map_err(|_| incomplete())?;
@@ -173,9 +180,19 @@ pub async fn restore(backup: &Path, data: &Path, clock: Arc<dyn Clock>) -> Resul
     let staged = data.join(format!("{DATABASE}.restoring"));
     fs::copy(backup.join(DATABASE), &staged)?;
     let copied = async {
-        let copy = Blobs::open(data)?;
-        let store = SqlStore::open_current(&staged, clock, QueuePolicy::default()).await?;
-        let copied = copy_blobs(&store, backup, &copy, CopyMode::Content).await;
+        let store = Arc::new(SqlStore::open_current(&staged, clock, QueuePolicy::default()).await?);
+        let copy = match bucket {
+            None => {
+                store.move_blobs(BlobPlace::Folder).await?;
+                Blobs::open(data)?
+            }
+            Some(bucket) => {
+                store.move_blobs(BlobPlace::Bucket).await?;
+                Blobs::open_bucket(data, bucket, store.clone()).await?
+            }
+        };
+        let source = BlobSource::Folder(backup.to_owned());
+        let copied = copy_blobs(&store, &source, &copy, CopyMode::Content).await;
         store.close().await;
         copied
     };

@@ -97,6 +97,15 @@ pub enum StoreError {
         /// The program's.
         needed: i64,
     },
+    /// The database's blobs are files of its data folder, and a bucket was named.
+    #[error(
+        "the files of this database are in its data folder, not in a bucket: leave --blobs out, or move them with 'tcgs backup' and \
+         'tcgs restore --blobs'"
+    )]
+    BlobsInFolder,
+    /// The database's blobs are in a bucket, and none was named.
+    #[error("the files of this database are in a bucket: name it with --blobs s3://BUCKET")]
+    BlobsInBucket,
     /// The schema cannot be migrated.
     #[error("the database schema cannot be migrated")]
     Migrate(#[from] sqlx::migrate::MigrateError),

@@ -67,8 +67,7 @@ pub async fn check(
         }
     }
     let grace = GarbagePolicy::default().blob_grace;
-    let before = now.checked_sub(grace).unwrap_or(Timestamp::MIN);
-    for batch in blobs.older_than(before).await?.chunks(BATCH as usize) {
+    for batch in blobs.older_than(grace, now).await?.chunks(BATCH as usize) {
         report.orphans.extend(store.without_references(batch).await?);
     }
     Ok(report)

@@ -76,10 +76,11 @@ pub async fn collect(
     let mut collected =
         Collected { uploads: collect_uploads(store, blobs, policy, now).await?, ..Collected::default() };
     blobs.clear_staging().await?;
-    let before = earlier(now, policy.blob_grace);
-    for batch in blobs.older_than(before).await?.chunks(BATCH) {
+    blobs.finish_removals().await?;
+    let age = policy.blob_grace;
+    for batch in blobs.older_than(age, now).await?.chunks(BATCH) {
         for digest in store.forget_blobs(batch).await? {
-            if let Some(bytes) = blobs.remove_older(digest, before).await? {
+            if let Some(bytes) = blobs.remove_older(digest, age, now).await? {
                 collected.blobs += 1;
                 collected.bytes += bytes;
             }

@@ -28,12 +28,13 @@ mod keys;
 mod leases;
 mod policy;
 mod projects;
+pub mod publications;
 mod records;
 mod retry;
 mod series;
 mod sql;
 mod stats;
-mod uploads;
+pub mod uploads;
 mod webhooks;
 
 use futures_util::future::BoxFuture;
@@ -41,8 +42,8 @@ use futures_util::future::BoxFuture;
 pub use accounts::{Accounts, Capacity, Usage};
 pub use backup::{BackupError, BackupNote, DATABASE, back_up, restore};
 pub use blobs::{
-    BlobError, BlobState, BlobWriter, Blobs, CheckDepth, ContentHasher, CopyMode, Published, StagedBlob,
-    UploadFile,
+    BlobCopy, BlobError, BlobSource, BlobState, BlobWriter, Blobs, BucketIndex, BucketUrl, CheckDepth,
+    ContentHasher, CopyMode, InvalidBucketUrl, Published, SharedFiles, StagedBlob, UploadFile,
 };
 pub use changes::{ChangeKind, Changes};
 pub use datasets::{DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, Datasets, NewDataset};
@@ -57,6 +58,7 @@ pub use projects::{
     NewProject, ProjectChange, ProjectError, ProjectRecord, ProjectUpdate, ProjectUsage, Projects,
     StoredBytes,
 };
+pub use publications::BlobPlace;
 pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat,
     JobFilter, JobRecord, Lease, MAX_QUEUE_POSITION, NewJob, Outcome, PageKey, RetryOutcome, RetryRequest,

@@ -3,7 +3,7 @@
 use std::{
     any::Any,
     panic::{AssertUnwindSafe, catch_unwind},
-    path::PathBuf,
+    pin::pin,
     sync::Arc,
     time::Duration,
 };
@@ -16,11 +16,14 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use tracing::{Instrument as _, Span};
 
-use super::{WorkerConfig, WorkerError, checkpoints, series_buffer::SeriesBuffer, storage};
+use super::{
+    WorkerConfig, WorkerError, checkpoint_copies, checkpoint_copies::CheckpointCopies, checkpoints,
+    series_buffer::SeriesBuffer, storage,
+};
 use crate::{
     domain::{CancelFlag, Phase, Problem, ProblemType, Progress, TrainOptions},
     pipeline::{Checkpoints, JobError, JobOutput, RunJob},
-    store::{Artifact, ArtifactKind, Blobs, Claim, Lease, Outcome, Store, StoreError},
+    store::{Artifact, ArtifactKind, BlobCopy, Blobs, Claim, Lease, Outcome, Store, StoreError},
 };
 
 /// Pause between tries to write the end of an attempt.
@@ -72,17 +75,32 @@ async fn run_in_span(
 ) -> Result<(), WorkerError> {
     let Claim { lease, dataset, options, resume_from } = claim;
     tracing::info!("job {} starts", lease.job);
-    let dataset = match deps.blobs.local_file(dataset).await {
-        Ok(path) => path,
+    let mut renewed = Instant::now();
+    let fetched = tokio::select! {
+        fetched = while_renewing(deps, &lease, &mut renewed, deps.blobs.local_copy(dataset)) => fetched,
+        () = shutdown.cancelled() => {
+            finish(deps, &lease, Outcome::Released, Instant::now(), shutdown).await;
+            return Ok(());
+        }
+    };
+    let dataset = match fetched {
+        Ok(copy) => copy,
         Err(error) => {
             finish(deps, &lease, storage::outcome(&error), Instant::now(), shutdown).await;
             return Ok(());
         }
     };
+    let root = deps.config.checkpoints.as_deref();
+    let shared = deps.blobs.shared_files();
+    if let (Some(root), Some(files)) = (root, &shared) {
+        let fetched = checkpoint_copies::fetch(files, root, &lease, resume_from);
+        while_renewing(deps, &lease, &mut renewed, fetched).await;
+    }
     let cancel = CancelFlag::default();
     let (progress, watched) = watch::channel((Phase::Ingest, Progress::default()));
     let points = SeriesBuffer::default();
-    let checkpoints = checkpoints::of_attempt(deps.config.checkpoints.as_deref(), &lease, resume_from);
+    let checkpoints = checkpoints::of_attempt(root, &lease, resume_from);
+    let copied = shared.zip(checkpoints.keep.clone());
     let run = RunArgs { dataset, options, checkpoints, cancel: cancel.clone() };
     let result = match start(deps, &lease, run, progress, points.clone()) {
         Ok(result) => result,
@@ -91,6 +109,9 @@ async fn run_in_span(
             return Ok(());
         }
     };
+    let copies = copied.map(|(files, folder)| {
+        CheckpointCopies::start(files, folder, &lease, deps.config.copy_checkpoints_every)
+    });
     let mut keeper = LeaseKeeper {
         deps,
         lease: &lease,
@@ -107,7 +128,8 @@ async fn run_in_span(
             if matches!(*result, Ok(Ok(_))) {
                 keeper.start_publication().await;
             }
-            (outcome_of(deps, &lease, *result, keeper.stop).await, Ok(()))
+            let outcome = outcome_of(deps, &lease, *result, keeper.stop);
+            (while_renewing(deps, &lease, &mut keeper.last_renewed, outcome).await, Ok(()))
         }
         RunEnd::DrainOver => {
             tracing::warn!("job {} did not stop in time; releasing it", lease.job);
@@ -120,13 +142,48 @@ async fn run_in_span(
             (Outcome::Retry(stalled(limit)), Err(error))
         }
     };
+    match copies {
+        // Before another machine can claim the job.
+        Some(copies) if !matches!(outcome, Outcome::Succeeded { .. }) => {
+            while_renewing(deps, &lease, &mut keeper.last_renewed, copies.finish()).await;
+        }
+        Some(copies) => copies.abandon(),
+        None => {}
+    }
     finish(deps, &lease, outcome, keeper.last_renewed, shutdown).await;
     result
 }
 
+/// Does work that a bucket may take long for, and renews the lease meanwhile.
+async fn while_renewing<T>(
+    deps: &WorkerDeps,
+    lease: &Lease,
+    last_renewed: &mut Instant,
+    work: impl Future<Output = T>,
+) -> T {
+    let every = deps.config.heartbeat;
+    let mut heartbeat = interval_at(Instant::now() + every, every);
+    heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut work = pin!(work);
+    loop {
+        tokio::select! {
+            done = &mut work => return done,
+            _ = heartbeat.tick() => {
+                // What it says is heard again when the run begins, or when its end is written.
+                match deps.store.heartbeat(lease).await {
+                    Ok(_) => *last_renewed = Instant::now(),
+                    Err(error) => {
+                        tracing::warn!(error = &error as &dyn std::error::Error, "heartbeat: {error}");
+                    }
+                }
+            }
+        }
+    }
+}
+
 /// Arguments of a run.
 struct RunArgs {
-    dataset: PathBuf,
+    dataset: BlobCopy,
     options: TrainOptions,
     checkpoints: Checkpoints,
     cancel: CancelFlag,
@@ -151,7 +208,7 @@ fn start(
         };
         let RunArgs { dataset, options, checkpoints, cancel } = run;
         let result = catch_unwind(AssertUnwindSafe(|| {
-            runner.run(&dataset, &options, &checkpoints, &mut report, &cancel)
+            runner.run(dataset.path(), &options, &checkpoints, &mut report, &cancel)
         }));
         // There is no receiver if the worker has released the job.
         let _ = send.send(result);

@@ -19,7 +19,8 @@ use crate::{
 /// Prefix of an attempt's folder name, before its number.
 const ATTEMPT: &str = "attempt-";
 
-fn folder(root: &Path, job: JobId) -> PathBuf {
+/// The folder of a job's checkpoints.
+pub(super) fn folder(root: &Path, job: JobId) -> PathBuf {
     root.join(job.to_string())
 }
 
@@ -28,7 +29,7 @@ fn folder(root: &Path, job: JobId) -> PathBuf {
 pub(super) fn of_attempt(root: Option<&Path>, lease: &Lease, resume_from: Option<JobId>) -> Checkpoints {
     let Some(root) = root else { return Checkpoints { keep: None, resume: Resume::Fresh } };
     let job = folder(root, lease.job);
-    let own = job.join(format!("{ATTEMPT}{}", lease.attempt));
+    let own = job.join(attempt_name(lease.attempt));
     if let Some(earlier) = newest(&job, lease.attempt) {
         take_over(&earlier, &own, lease.job);
     } else if let Some(resume_from) = resume_from {
@@ -57,9 +58,24 @@ fn take_over(earlier: &Path, own: &Path, job: JobId) -> bool {
     }
 }
 
+/// The name of an attempt's folder.
+pub(super) fn attempt_name(attempt: u32) -> String {
+    format!("{ATTEMPT}{attempt}")
+}
+
+/// The attempt whose folder has this name.
+pub(super) fn attempt_number(name: &str) -> Option<u32> {
+    name.strip_prefix(ATTEMPT)?.parse().ok()
+}
+
+/// The newest attempt of a job before `attempt` that has a folder.
+pub(super) fn newest_attempt(root: &Path, job: JobId, attempt: u32) -> Option<u32> {
+    attempt_number(newest(&folder(root, job), attempt)?.file_name()?.to_str()?)
+}
+
 /// The folder of the newest attempt before `attempt` in the folder of a job.
 fn newest(job: &Path, attempt: u32) -> Option<PathBuf> {
-    let number = |path: &Path| path.file_name()?.to_str()?.strip_prefix(ATTEMPT)?.parse::<u32>().ok();
+    let number = |path: &Path| attempt_number(path.file_name()?.to_str()?);
     let folders = fs::read_dir(job).ok()?.flatten().map(|entry| entry.path());
     let numbered = folders.filter_map(|path| Some((number(&path)?, path)));
     numbered.filter(|(number, _)| *number < attempt).max().map(|(_, path)| path)

@@ -8,7 +8,7 @@ use tokio_util::sync::CancellationToken;
 use super::{
     WorkerConfig, WorkerError,
     attempt::{WorkerDeps, run_attempt},
-    checkpoints,
+    checkpoint_copies, checkpoints,
     liveness::LivenessLock,
 };
 use crate::{
@@ -48,6 +48,9 @@ pub async fn serve(
     let sweep = async || {
         if let Some(root) = &deps.config.checkpoints {
             checkpoints::sweep(root, &*deps.store).await;
+            if let Some(files) = deps.blobs.shared_files() {
+                checkpoint_copies::sweep(&files, &*deps.store).await;
+            }
         }
         Instant::now()
     };

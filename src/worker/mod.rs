@@ -9,6 +9,7 @@
 //! died with the one before (`liveness`).
 
 mod attempt;
+mod checkpoint_copies;
 mod checkpoints;
 mod claim;
 mod liveness;
@@ -51,6 +52,8 @@ pub struct WorkerConfig {
     pub drain: Duration,
     /// Folder of the checkpoints of all jobs, if they are kept.
     pub checkpoints: Option<PathBuf>,
+    /// Time between two copies of changed checkpoints to the bucket, if there is one.
+    pub copy_checkpoints_every: Duration,
     /// Folder of the lock files of live workers ([`supervise::SuperviseConfig::liveness_dir`]).
     pub liveness_dir: Option<PathBuf>,
 }
@@ -74,6 +77,7 @@ impl WorkerConfig {
             stall_limit: Duration::from_secs(600),
             drain: Duration::from_secs(20),
             checkpoints: None,
+            copy_checkpoints_every: Duration::from_secs(10),
             liveness_dir: None,
         }
     }

@@ -8,7 +8,13 @@ use crate::{
 /// The outcome of an attempt whose blobs cannot be read or written.
 pub(super) fn outcome(error: &BlobError) -> Outcome {
     tracing::error!(error = error as &dyn std::error::Error, "{error}");
-    if is_disk_full(error) { Outcome::Held(full()) } else { Outcome::Retry(failed()) }
+    if is_disk_full(error) {
+        Outcome::Held(full())
+    } else if error.is_transient() {
+        Outcome::Held(unreachable())
+    } else {
+        Outcome::Retry(failed())
+    }
 }
 
 /// The problem of a run without the server's paths; logs the full one.
@@ -29,6 +35,11 @@ fn full() -> Problem {
     Problem::new(ProblemType::StorageFull, detail)
 }
 
+fn unreachable() -> Problem {
+    let detail = "the service's bucket does not answer, or refuses; the job continues once it does";
+    Problem::new(ProblemType::Busy, detail)
+}
+
 fn failed() -> Problem {
     Problem::new(ProblemType::StorageFailed, "the job's files cannot be read or written")
 }
@@ -38,13 +49,19 @@ mod tests {
     use std::io;
 
     use super::*;
+    use crate::store::BucketUrl;
 
     #[test]
-    fn a_full_disk_holds_the_job_and_other_disk_errors_cost_an_attempt() {
+    fn a_full_disk_or_a_bucket_that_is_away_holds_the_job_and_other_errors_cost_an_attempt() {
         for kind in [io::ErrorKind::StorageFull, io::ErrorKind::QuotaExceeded] {
             let Outcome::Held(problem) = outcome(&BlobError::Io(kind.into())) else { panic!("not held") };
             assert_eq!((problem.status, &*problem.kind), (507, "urn:tcgs:problem:storage-full"));
         }
+        let bucket: BucketUrl = "s3://bucket".parse().expect("an address");
+        let unusable = [("AWS_CONDITIONAL_PUT".to_owned(), "nonsense".to_owned())];
+        let away = bucket.connect_with(unusable).expect_err("no such setting");
+        let Outcome::Held(problem) = outcome(&away) else { panic!("not held") };
+        assert_eq!((problem.status, &*problem.kind), (503, "urn:tcgs:problem:busy"));
         let broken = outcome(&BlobError::Io(io::ErrorKind::PermissionDenied.into()));
         assert!(matches!(broken, Outcome::Retry(problem) if problem.kind.ends_with("storage-failed")));
     }

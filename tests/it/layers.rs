@@ -41,7 +41,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("prometheus_client", &["http"]),
     ("hmac", &["webhooks"]),
     ("reqwest", &["https", "webhooks", "cli"]),
-    ("rustls", &["https"]),
+    ("rustls", &["store", "https"]),
     ("governor", &["http"]),
     ("ipnet", &["http"]),
     ("secrecy", &["domain"]),

@@ -24,8 +24,9 @@ use tcgs::{
     pipeline::{ReferenceViews, scene_file},
     render::{RenderViews, views::Viewable},
     store::{
-        Blobs, DATABASE, Keys as _, PostgresUrl, QueuePolicy, SchemaChange, SqlStore,
+        BlobPlace, Blobs, DATABASE, Keys as _, PostgresUrl, QueuePolicy, SchemaChange, SqlStore,
         garbage::{GarbagePolicy, collect_garbage},
+        publications::Publications as _,
     },
     webhooks::{self, DeliveryConfig, Sender},
     worker::{self, WorkerConfig, supervise},
@@ -109,7 +110,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         let (renderer, _) = super::views(&options.adapter, options.view_memory)?;
         let listeners = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
         let store = open_store(&options.storage, options.limits, OlderSchema::Migrate).await?;
-        let blobs = open_blobs(&options.storage.data)?;
+        let blobs = open_blobs(&options.storage, &store).await?;
         private::close_all(&options.storage.data);
         let shutdown = stop_on_signals()?;
 
@@ -194,7 +195,7 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), CliError> {
         // The service has migrated the schema; a worker of another version must not.
         let limits = ProjectLimits { max_running_jobs: options.max_running_jobs, ..ProjectLimits::default() };
         let store = open_store(&options.storage, limits, OlderSchema::Refuse).await?;
-        let blobs = open_blobs(&options.storage.data)?;
+        let blobs = open_blobs(&options.storage, &store).await?;
         let shutdown = stop_on_signals()?;
         if options.stop_with_parent {
             worker::stop_when_stdin_closes(shutdown.clone()).map_err(|fault| unavailable(&fault))?;
@@ -247,8 +248,16 @@ pub(super) async fn open_store(
     store.map(Arc::new).map_err(|fault| unavailable(&fault))
 }
 
-fn open_blobs(data: &Path) -> Result<Blobs, CliError> {
-    Blobs::open(data).map_err(|fault| unavailable(&fault))
+/// The blobs of a service, in the place that its database knows.
+pub(super) async fn open_blobs(storage: &Storage, store: &Arc<SqlStore>) -> Result<Blobs, CliError> {
+    let opened = async {
+        let Some(bucket) = &storage.blobs else {
+            store.claim_place(BlobPlace::Folder).await?;
+            return Blobs::open(&storage.data);
+        };
+        Blobs::open_bucket(&storage.data, bucket.connect()?, store.clone()).await
+    };
+    opened.await.map_err(|fault| unavailable(&fault))
 }
 
 /// Creates the folder and makes it private.
@@ -339,6 +348,9 @@ fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
         "--worker-nice".into(),
         options.worker_nice.to_string().into(),
     ];
+    if let Some(bucket) = &options.storage.blobs {
+        arguments.extend(["--blobs".into(), bucket.to_string().into()]);
+    }
     if let Some(gpu) = options.memory.gpu {
         arguments.extend(["--gpu-memory".into(), gpu.to_string().into()]);
     }

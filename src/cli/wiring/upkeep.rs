@@ -5,14 +5,15 @@ use std::{io, path::Path, sync::Arc};
 use tcgs::{
     domain::{Clock as _, Problem, ProblemType, SystemClock},
     store::{
-        BackupError, BackupNote, BlobError, Blobs, CheckDepth, CopyMode, FsckReport, QueuePolicy, SqlStore,
-        back_up as write_backup, check_data_folder, garbage::GarbageError, restore as restore_backup,
+        BackupError, BackupNote, BlobError, BlobSource, BucketUrl, CheckDepth, CopyMode, FsckReport,
+        QueuePolicy, SqlStore, back_up as write_backup, check_data_folder, garbage::GarbageError,
+        restore as restore_backup,
     },
 };
 
 use super::{
     private,
-    service::{runtime, unavailable},
+    service::{open_blobs, runtime, unavailable},
 };
 use crate::cli::{CliError, storage::Storage};
 
@@ -32,26 +33,34 @@ async fn existing(storage: &Storage) -> Result<SqlStore, CliError> {
 pub(crate) fn back_up(storage: &Storage, destination: &Path, mode: CopyMode) -> Result<BackupNote, CliError> {
     runtime()?.block_on(async {
         private::create(destination).map_err(|fault| CliError::unwritable(destination, &fault))?;
-        let store = existing(storage).await?;
-        let note = write_backup(&store, &storage.data, destination, mode, Arc::new(SystemClock)).await;
+        let store = Arc::new(existing(storage).await?);
+        let source = match storage.blobs {
+            Some(_) => BlobSource::Store(open_blobs(storage, &store).await?),
+            // Only read, so that a backup can be made of a full disk.
+            None => BlobSource::Folder(storage.data.clone()),
+        };
+        let note = write_backup(&store, &source, destination, mode, Arc::new(SystemClock)).await;
         store.close().await;
         note.map_err(failed)
     })
 }
 
 /// Restores a backup.
-pub(crate) fn restore(backup: &Path, data: &Path) -> Result<BackupNote, CliError> {
+pub(crate) fn restore(backup: &Path, storage: &Storage) -> Result<BackupNote, CliError> {
+    let data = &storage.data;
     runtime()?.block_on(async {
         private::create(data).map_err(|fault| CliError::unwritable(data, &fault))?;
-        restore_backup(backup, data, Arc::new(SystemClock)).await.map_err(failed)
+        let bucket = storage.blobs.as_ref().map(BucketUrl::connect).transpose();
+        let bucket = bucket.map_err(|fault| unavailable(&fault))?;
+        restore_backup(backup, data, bucket, Arc::new(SystemClock)).await.map_err(failed)
     })
 }
 
 /// Checks a data folder, whether its service runs or not.
 pub(crate) fn fsck(storage: &Storage, depth: CheckDepth) -> Result<FsckReport, CliError> {
     runtime()?.block_on(async {
-        let store = existing(storage).await?;
-        let blobs = Blobs::open(&storage.data).map_err(|fault| unavailable(&fault))?;
+        let store = Arc::new(existing(storage).await?);
+        let blobs = open_blobs(storage, &store).await?;
         let report = check_data_folder(&store, &blobs, depth, SystemClock.now()).await;
         store.close().await;
         report.map_err(|fault| match fault {

@@ -4,10 +4,7 @@
 //! project already has takes no space, so if the quota is used up the body is hashed and not stored: a client that repeats a request
 //! whose answer was lost is not refused.
 
-use std::{
-    future::Future,
-    path::{Path, PathBuf},
-};
+use std::{future::Future, path::Path};
 
 use axum::{body::BodyDataStream, http::HeaderMap};
 use tracing::Instrument as _;
@@ -19,7 +16,9 @@ use crate::{
         request::{Pieces, Reservation, ReservationError, Reservations, announced_length},
         state::AppState,
     },
-    store::{BlobRef, BlobWriter, ContentHasher, Published, StagedBlob, StoreError, garbage::withdraw},
+    store::{
+        BlobCopy, BlobRef, BlobWriter, ContentHasher, Published, StagedBlob, StoreError, garbage::withdraw,
+    },
 };
 
 /// A completely received dataset.
@@ -35,7 +34,7 @@ pub(crate) struct ReceivedDataset {
 enum Content {
     Staged(StagedBlob),
     /// The project has it already.
-    Known(Published, PathBuf),
+    Known(Published, BlobCopy),
 }
 
 /// Where a body goes.
@@ -122,9 +121,9 @@ impl Sink {
                     Some(blob) => state.blobs().republish(blob).await?,
                     None => None,
                 };
-                let (published, path) = there.ok_or(fault)?;
+                let (published, copy) = there.ok_or(fault)?;
                 let blob = published.blob;
-                Ok(ReceivedDataset { blob, content: Content::Known(published, path), reservation: None })
+                Ok(ReceivedDataset { blob, content: Content::Known(published, copy), reservation: None })
             }
         }
     }
@@ -144,7 +143,7 @@ impl ReceivedDataset {
     pub(crate) fn path(&self) -> &Path {
         match &self.content {
             Content::Staged(staged) => staged.path(),
-            Content::Known(_, path) => path,
+            Content::Known(_, copy) => copy.path(),
         }
     }
 

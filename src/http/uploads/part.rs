@@ -95,11 +95,10 @@ impl Part {
         Ok(())
     }
 
-    /// Syncs what was written to disk and records it.
+    /// Makes what was written durable and records it.
     async fn save(&mut self, state: &AppState) -> ApiResult<()> {
-        self.file.sync().await?;
         let expires_at = expiry(state);
-        if !state.store().advance_upload(self.record.id, self.written, expires_at).await? {
+        if !self.file.save(state.store(), self.written, expires_at).await? {
             return Err(gone(self.record.id));
         }
         (self.record.received, self.record.expires_at) = (self.written, expires_at);

@@ -1,13 +1,17 @@
-//! Compares blobs with their names, and copies them from other data folders.
+//! Compares blobs with their names, and copies them from elsewhere.
 
 use std::{
-    fs, io,
+    fmt, io,
     path::{Path, PathBuf},
 };
 
-use tokio::{fs::File, io::AsyncReadExt as _};
+use bytes::Bytes;
+use futures_util::{StreamExt as _, TryStreamExt as _, stream::BoxStream};
+use object_store::GetOptions;
+use tokio::fs::File;
+use tokio_util::io::ReaderStream;
 
-use super::{BlobError, Blobs, ContentHasher, blocking, files::sync_folder, location};
+use super::{BlobError, Blobs, ContentHasher, Keeper, location};
 use crate::{domain::Digest, store::BlobRef};
 
 /// Bytes read at a time.
@@ -42,9 +46,49 @@ pub enum CopyMode {
     Content,
 }
 
-/// Where a data folder has a blob.
-fn place(data: &Path, digest: Digest) -> PathBuf {
-    data.join("blobs").join(location(digest).to_string())
+/// Where blobs are copied from; it is only read.
+#[derive(Debug, Clone)]
+pub enum BlobSource {
+    /// A data folder or a backup.
+    Folder(PathBuf),
+    /// An open store.
+    Store(Blobs),
+}
+
+impl BlobSource {
+    fn file(&self, digest: Digest) -> Option<PathBuf> {
+        match self {
+            Self::Folder(data) => Some(data.join("blobs").join(location(digest).to_string())),
+            Self::Store(blobs) => blobs.file(digest),
+        }
+    }
+
+    /// The content of a blob; `None` if it is not there.
+    async fn open(
+        &self,
+        digest: Digest,
+    ) -> Result<Option<BoxStream<'static, Result<Bytes, BlobError>>>, BlobError> {
+        if let Some(path) = self.file(digest) {
+            let Some(file) = open(&path).await? else { return Ok(None) };
+            return Ok(Some(ReaderStream::with_capacity(file, PIECE).map_err(BlobError::from).boxed()));
+        }
+        let Self::Store(blobs) = self else { return Ok(None) };
+        match blobs.get(digest, GetOptions::default()).await {
+            Ok(content) => Ok(Some(content)),
+            Err(BlobError::Missing(_)) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+/// What the source's name is in messages.
+impl fmt::Display for BlobSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Folder(data) => data.display().fmt(f),
+            Self::Store(blobs) => blobs.fmt(f),
+        }
+    }
 }
 
 /// The file; `None` if there is none.
@@ -56,68 +100,82 @@ async fn open(path: &Path) -> Result<Option<File>, BlobError> {
     }
 }
 
-async fn check_file(path: &Path, blob: BlobRef, depth: CheckDepth) -> Result<BlobState, BlobError> {
-    let Some(mut file) = open(path).await? else { return Ok(BlobState::Missing) };
-    if file.metadata().await?.len() != blob.bytes {
-        return Ok(BlobState::Damaged);
+/// The length of a file; `None` if there is none.
+async fn length(path: &Path) -> Result<Option<u64>, BlobError> {
+    match tokio::fs::metadata(path).await {
+        Ok(metadata) => Ok(Some(metadata.len())),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error.into()),
     }
-    if depth == CheckDepth::Length {
-        return Ok(BlobState::Sound);
-    }
-    let mut content = ContentHasher::new(u64::MAX);
-    let mut buffer = vec![0; PIECE];
-    loop {
-        match file.read(&mut buffer).await? {
-            0 => break,
-            count => content.update(&buffer[..count])?,
-        }
-    }
-    Ok(if content.finish() == blob { BlobState::Sound } else { BlobState::Damaged })
 }
 
 impl Blobs {
-    /// Compares a blob's file with its name and length.
-    ///
-    /// # Errors
-    /// [`BlobError`] if the file cannot be read for another reason than its absence.
-    pub async fn check(&self, blob: BlobRef, depth: CheckDepth) -> Result<BlobState, BlobError> {
-        check_file(&self.0.store.path_to_filesystem(&location(blob.digest))?, blob, depth).await
+    /// The blob's own file, whether it is there or not; `None` if blobs are no files.
+    fn file(&self, digest: Digest) -> Option<PathBuf> {
+        match &self.0.keeper {
+            Keeper::Folder(folder) => folder.path(digest).ok(),
+            Keeper::Bucket(_) => None,
+        }
     }
 
-    /// Copies a blob from another data folder, which is only read, unless it is here; a copy by content is checked against its digest.
-    /// Returns what was found: nothing is copied of a blob that is missing or damaged there.
+    /// Compares a blob with its name and length.
+    ///
+    /// # Errors
+    /// [`BlobError`] if it cannot be read for another reason than its absence.
+    pub async fn check(&self, blob: BlobRef, depth: CheckDepth) -> Result<BlobState, BlobError> {
+        let found = match &self.0.keeper {
+            Keeper::Folder(folder) => length(&folder.path(blob.digest)?).await?,
+            Keeper::Bucket(bucket) => bucket.length(blob.digest).await?,
+        };
+        match found {
+            None => return Ok(BlobState::Missing),
+            Some(bytes) if bytes != blob.bytes => return Ok(BlobState::Damaged),
+            Some(_) if depth == CheckDepth::Length => return Ok(BlobState::Sound),
+            Some(_) => {}
+        }
+        let Some(mut content) = BlobSource::Store(self.clone()).open(blob.digest).await? else {
+            return Ok(BlobState::Missing);
+        };
+        let mut found = ContentHasher::new(u64::MAX);
+        while let Some(piece) = content.try_next().await? {
+            found.update(&piece)?;
+        }
+        Ok(if found.finish() == blob { BlobState::Sound } else { BlobState::Damaged })
+    }
+
+    /// Copies a blob from elsewhere, unless it is here; a copy by content is checked against its digest. Returns what was found: nothing
+    /// is copied of a blob that is missing or damaged there.
     ///
     /// # Errors
     /// [`BlobError`].
     pub async fn copy_from(
         &self,
-        source: &Path,
+        source: &BlobSource,
         blob: BlobRef,
         mode: CopyMode,
     ) -> Result<BlobState, BlobError> {
         if self.check(blob, CheckDepth::Length).await? == BlobState::Sound {
             return Ok(BlobState::Sound);
         }
-        let from = place(source, blob.digest);
-        if mode == CopyMode::Link {
-            match check_file(&from, blob, CheckDepth::Length).await? {
-                BlobState::Sound => {}
-                fault => return Ok(fault),
+        if mode == CopyMode::Link
+            && let Some(from) = source.file(blob.digest)
+            && let Keeper::Folder(folder) = &self.0.keeper
+        {
+            match length(&from).await? {
+                None => return Ok(BlobState::Missing),
+                Some(bytes) if bytes != blob.bytes => return Ok(BlobState::Damaged),
+                Some(_) => {}
             }
-            if self.link_from(from.clone(), blob.digest).await? {
+            if folder.link_from(from, blob.digest).await? {
                 return Ok(BlobState::Sound);
             }
         }
-        let Some(mut file) = open(&from).await? else { return Ok(BlobState::Missing) };
+        let Some(mut content) = source.open(blob.digest).await? else { return Ok(BlobState::Missing) };
         let mut staged = self.stage(blob.bytes).await?;
-        let mut buffer = vec![0; PIECE];
-        loop {
-            match file.read(&mut buffer).await? {
-                0 => break,
-                count => match staged.write(&buffer[..count]).await {
-                    Err(BlobError::TooLarge { .. }) => return Ok(BlobState::Damaged),
-                    written => written?,
-                },
+        while let Some(piece) = content.try_next().await? {
+            match staged.write(&piece).await {
+                Err(BlobError::TooLarge { .. }) => return Ok(BlobState::Damaged),
+                written => written?,
             }
         }
         let staged = staged.finish().await?;
@@ -126,24 +184,5 @@ impl Blobs {
         }
         self.publish(&staged).await?;
         Ok(BlobState::Sound)
-    }
-
-    /// Gives a file the name of a blob here too, and returns whether that was possible.
-    async fn link_from(&self, from: PathBuf, digest: Digest) -> Result<bool, BlobError> {
-        let to = self.0.store.path_to_filesystem(&location(digest))?;
-        let root = self.0.root.clone();
-        blocking(move || {
-            let Some(folder) = to.parent() else { return Ok(false) };
-            fs::create_dir_all(folder)?;
-            if fs::hard_link(&from, &to).is_err() {
-                // Another file system, one without links, or a file that is gone; copying finds out which.
-                return Ok(false);
-            }
-            for folder in folder.ancestors().take_while(|folder| folder.starts_with(&root)) {
-                sync_folder(folder)?;
-            }
-            Ok(true)
-        })
-        .await
     }
 }

@@ -1,21 +1,23 @@
-//! Blobs named by the SHA-256 of their content, kept through `object_store` in a local directory.
+//! Blobs named by the SHA-256 of their content, kept through `object_store` in a local directory or in a bucket.
 //!
 //! A blob is staged (streamed to a private file while it is hashed and counted), then published under
-//! `sha256/ab/cd/<digest>` in one atomic step with its bytes and directory entries flushed to disk. A published
+//! `sha256/ab/cd/<digest>` in one atomic step; in a directory, with its bytes and directory entries flushed to disk. A published
 //! blob is complete, never changes, and publishing it again changes nothing. A crash in between leaves a staging file or
 //! an unreferenced blob, never a partial one.
 //!
-//! The modification time of a blob's file is its latest publication. Only blobs older than a grace time are removed, so a publisher
-//! has that long to add a reference.
+//! Each publication renews a blob's age. Only blobs older than a grace time are removed, so a publisher has that long to add a reference.
+//! In a directory the age is the file's modification time; for a bucket the database keeps it.
 
-mod age;
+mod bucket;
 mod check;
 mod files;
+mod folder;
 mod staging;
 mod staging_dir;
 mod upload;
 
 use std::{
+    fmt,
     io::{self, Write as _},
     ops::Range,
     path::{Path, PathBuf},
@@ -24,28 +26,21 @@ use std::{
 
 use bytes::Bytes;
 use futures_util::{StreamExt as _, TryStreamExt as _, stream::BoxStream};
-use jiff::Timestamp;
-use object_store::{
-    GetOptions, GetRange, ObjectStore as _, ObjectStoreExt as _, WriteMultipart, local::LocalFileSystem,
-    path::Path as ObjectPath,
-};
+use jiff::{SignedDuration, Timestamp};
+use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt as _, path::Path as ObjectPath};
+use tempfile::TempPath;
 use thiserror::Error;
-use tokio::{
-    fs::File,
-    io::AsyncReadExt as _,
-    sync::{Notify, futures::Notified},
-};
+use tokio::sync::{Notify, futures::Notified};
 
-pub use check::{BlobState, CheckDepth, CopyMode};
+pub use bucket::{BucketIndex, BucketUrl, InvalidBucketUrl, SharedFiles};
+pub use check::{BlobSource, BlobState, CheckDepth, CopyMode};
 pub use staging::{BlobWriter, ContentHasher, StagedBlob};
-use staging_dir::StagingDir;
 pub use upload::UploadFile;
 
-use super::{BlobRef, is_disk_full};
+use self::{bucket::Bucket, folder::Folder, staging_dir::StagingDir};
+use super::{BlobRef, StoreError, is_disk_full, publications::Removable};
 use crate::domain::{Digest, UploadId};
 
-const PART_BYTES: usize = 8 << 20;
-const PARTS_IN_FLIGHT: usize = 2;
 /// Common block size of file systems.
 const PROBE_BYTES: usize = 4096;
 
@@ -79,12 +74,23 @@ pub enum BlobError {
         /// The digest of its content.
         actual: Digest,
     },
+    /// The bucket is another database's.
+    #[error(
+        "the bucket is in use by another database; name another bucket, or another prefix: s3://BUCKET/PREFIX"
+    )]
+    OtherDatabase,
     /// An I/O error.
     #[error("a file of the blob store cannot be read or written")]
     Io(#[from] io::Error),
-    /// The object store failed.
+    /// The object store over the data folder failed.
     #[error("the object store failed")]
     Store(#[from] object_store::Error),
+    /// The bucket did not answer, or refused.
+    #[error("the bucket cannot be read or written")]
+    Bucket(#[source] object_store::Error),
+    /// The database that knows what is in the bucket failed.
+    #[error(transparent)]
+    Index(#[from] StoreError),
 }
 
 impl BlobError {
@@ -93,6 +99,17 @@ impl BlobError {
     pub fn is_disk_full(&self) -> bool {
         is_disk_full(self)
     }
+
+    /// Whether the same call may succeed a while later, since a server did not answer or answered no. A bucket that refuses keys may take
+    /// them once they are mended.
+    #[must_use]
+    pub fn is_transient(&self) -> bool {
+        match self {
+            Self::Bucket(_) => true,
+            Self::Index(error) => error.is_transient(),
+            _ => false,
+        }
+    }
 }
 
 /// A published blob.
@@ -100,8 +117,23 @@ impl BlobError {
 pub struct Published {
     /// The blob.
     pub blob: BlobRef,
-    /// Its modification time if this publication created it.
+    /// When it was published, if this publication created it.
     created_at: Option<Timestamp>,
+}
+
+/// A blob as a file to read, which lasts as long as this value: the blob's own, or a copy.
+#[derive(Debug)]
+pub struct BlobCopy {
+    path: PathBuf,
+    _removed: Option<TempPath>,
+}
+
+impl BlobCopy {
+    /// The file; it must not be written.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
 }
 
 /// The blob store; clones share it.
@@ -110,16 +142,23 @@ pub struct Blobs(Arc<Inner>);
 
 #[derive(Debug)]
 struct Inner {
-    store: LocalFileSystem,
-    /// Folder of blobs; staging and uploads are beside it, on the same file system.
-    root: PathBuf,
+    keeper: Keeper,
+    /// Folder on the file system of the local files.
+    data: PathBuf,
     staging: PathBuf,
     /// This process's folder in `staging`.
     staging_dir: StagingDir,
     uploads: PathBuf,
-    /// Lock file that guards the ages of blobs among all processes with this store.
+    /// Lock file of `staging`, and of the folder of blobs.
     lock: PathBuf,
     request_collection: Notify,
+}
+
+/// What keeps published blobs.
+#[derive(Debug)]
+enum Keeper {
+    Folder(Folder),
+    Bucket(Bucket),
 }
 
 impl Blobs {
@@ -129,16 +168,35 @@ impl Blobs {
     /// # Errors
     /// [`BlobError::Io`] or [`BlobError::Store`] if the directories cannot be made or read.
     pub fn open(data: &Path) -> Result<Self, BlobError> {
-        let [root, staging, uploads] = ["blobs", "staging", "uploads"].map(|name| data.join(name));
-        for folder in [&root, &staging, &uploads] {
+        let root = data.join("blobs");
+        std::fs::create_dir_all(&root)?;
+        Self::with(data, |lock| Ok(Keeper::Folder(Folder::open(root, lock.to_owned())?)))
+    }
+
+    /// Opens the store in a bucket, or a prefix of one, that belongs to the database of `index` alone, with staging as
+    /// [`Blobs::open`].
+    ///
+    /// # Errors
+    /// [`BlobError::Bucket`] if it cannot be read and written, [`BlobError::OtherDatabase`], [`BlobError::Index`], [`BlobError::Io`].
+    pub async fn open_bucket(
+        data: &Path,
+        bucket: Arc<dyn ObjectStore>,
+        index: Arc<dyn BucketIndex>,
+    ) -> Result<Self, BlobError> {
+        let bucket = Bucket::open(bucket, index).await?;
+        Self::with(data, |_| Ok(Keeper::Bucket(bucket)))
+    }
+
+    fn with(data: &Path, keeper: impl FnOnce(&Path) -> Result<Keeper, BlobError>) -> Result<Self, BlobError> {
+        let [staging, uploads] = ["staging", "uploads"].map(|name| data.join(name));
+        for folder in [&staging, &uploads] {
             std::fs::create_dir_all(folder)?;
         }
         let lock = data.join("blobs.lock");
         let staging_dir = StagingDir::open(&staging, &lock)?;
-        let store = LocalFileSystem::new_with_prefix(&root)?.with_fsync(true);
         Ok(Self(Arc::new(Inner {
-            store,
-            root,
+            keeper: keeper(&lock)?,
+            data: data.to_owned(),
             staging,
             staging_dir,
             uploads,
@@ -155,51 +213,22 @@ impl Blobs {
         ))
     }
 
-    /// Publishes a staged blob; keeps an existing equal one. Writes no copy if the file system has hard links.
+    /// Publishes a staged blob; keeps an existing equal one.
     pub async fn publish(&self, staged: &StagedBlob) -> Result<Published, BlobError> {
-        let blob = staged.blob();
-        if self.renew(blob).await?.is_some() {
-            return Ok(Published { blob, created_at: None });
+        match &self.0.keeper {
+            Keeper::Folder(folder) => folder.publish(staged).await,
+            Keeper::Bucket(bucket) => bucket.publish(staged).await,
         }
-        if let Some(published) = self.link(staged).await? {
-            return Ok(published);
-        }
-        self.copy(staged).await?;
-        Ok(Published { blob, created_at: self.renew(blob).await? })
     }
 
-    async fn copy(&self, staged: &StagedBlob) -> Result<(), BlobError> {
-        let mut file = File::open(staged.path()).await?;
-        let upload = self.0.store.put_multipart(&location(staged.blob().digest)).await?;
-        let mut writer = WriteMultipart::new_with_chunk_size(upload, PART_BYTES);
-        let copied: Result<(), BlobError> = async {
-            let mut buffer = vec![0; 1 << 20];
-            loop {
-                let count = file.read(&mut buffer).await?;
-                if count == 0 {
-                    return Ok(());
-                }
-                writer.wait_for_capacity(PARTS_IN_FLIGHT).await?;
-                writer.write(&buffer[..count]);
-            }
-        }
-        .await;
-        if let Err(error) = copied {
-            // The copy's own error is the one to report.
-            let _ = writer.abort().await;
-            return Err(error);
-        }
-        writer.finish().await?;
-        Ok(())
-    }
-
-    /// Publishes an existing blob again, and returns its file; `None` if it does not exist.
-    pub async fn republish(&self, blob: BlobRef) -> Result<Option<(Published, PathBuf)>, BlobError> {
-        if self.renew(blob).await?.is_none() {
-            return Ok(None);
-        }
-        let path = self.0.store.path_to_filesystem(&location(blob.digest))?;
-        Ok(Some((Published { blob, created_at: None }, path)))
+    /// Publishes an existing blob again, and returns a file of it; `None` if it does not exist.
+    pub async fn republish(&self, blob: BlobRef) -> Result<Option<(Published, BlobCopy)>, BlobError> {
+        let published = match &self.0.keeper {
+            Keeper::Folder(folder) => folder.renew(blob).await?.map(|_| Published { blob, created_at: None }),
+            Keeper::Bucket(bucket) => bucket.renew(blob).await?,
+        };
+        let Some(published) = published else { return Ok(None) };
+        Ok(Some((published, self.local_copy(blob.digest).await?)))
     }
 
     /// Publishes bytes from memory.
@@ -210,19 +239,27 @@ impl Blobs {
     /// As [`Blobs::put`], for callers that may undo it ([`Blobs::unpublish`]).
     pub async fn put_new(&self, content: Bytes) -> Result<Published, BlobError> {
         let blob = BlobRef { digest: Digest::of(&content), bytes: content.len() as u64 };
-        if self.renew(blob).await?.is_some() {
-            return Ok(Published { blob, created_at: None });
+        match &self.0.keeper {
+            Keeper::Folder(folder) => folder.put(blob, content).await,
+            Keeper::Bucket(bucket) => bucket.put(blob, &content).await,
         }
-        self.0.store.put(&location(blob.digest), content.into()).await?;
-        Ok(Published { blob, created_at: self.renew(blob).await? })
     }
 
     /// The content of a blob, checked against its digest.
     ///
     /// # Errors
-    /// [`BlobError::Missing`], [`BlobError::Damaged`] or [`BlobError::Store`].
+    /// [`BlobError::Missing`], [`BlobError::Damaged`], [`BlobError::Store`] or [`BlobError::Bucket`].
     pub async fn read(&self, digest: Digest) -> Result<Bytes, BlobError> {
-        let content = self.0.store.get(&location(digest)).await.map_err(missing(digest))?.bytes().await?;
+        let content = match &self.0.keeper {
+            // Many times faster than piece by piece.
+            Keeper::Folder(folder) => {
+                folder.store.get(&location(digest)).await.map_err(missing(digest))?.bytes().await?
+            }
+            Keeper::Bucket(bucket) => {
+                let pieces = bucket.get(digest, GetOptions::default()).await?;
+                pieces.try_collect::<Vec<Bytes>>().await?.concat().into()
+            }
+        };
         match Digest::of(&content) {
             actual if actual == digest => Ok(content),
             actual => Err(BlobError::Damaged { expected: digest, actual }),
@@ -232,28 +269,92 @@ impl Blobs {
     /// A part of the blob as a stream; `range` must lie within it and not be empty.
     ///
     /// # Errors
-    /// [`BlobError::Missing`] or [`BlobError::Store`].
+    /// As [`Blobs::read`], but for damage, which shows only in a whole blob.
     pub async fn stream(
         &self,
         digest: Digest,
         range: Range<u64>,
     ) -> Result<BoxStream<'static, Result<Bytes, BlobError>>, BlobError> {
-        let options = GetOptions { range: Some(GetRange::Bounded(range)), ..GetOptions::default() };
-        let result = self.0.store.get_opts(&location(digest), options).await.map_err(missing(digest))?;
-        Ok(result.into_stream().map_err(BlobError::from).boxed())
+        self.get(digest, GetOptions { range: Some(GetRange::Bounded(range)), ..GetOptions::default() }).await
     }
 
-    /// The blob's own file; it must not be written.
+    async fn get(
+        &self,
+        digest: Digest,
+        options: GetOptions,
+    ) -> Result<BoxStream<'static, Result<Bytes, BlobError>>, BlobError> {
+        match &self.0.keeper {
+            Keeper::Folder(folder) => {
+                let found =
+                    folder.store.get_opts(&location(digest), options).await.map_err(missing(digest))?;
+                Ok(found.into_stream().map_err(BlobError::from).boxed())
+            }
+            Keeper::Bucket(bucket) => bucket.get(digest, options).await,
+        }
+    }
+
+    /// A file with the content of a blob: its own, or a copy of one in a bucket, which is checked against its digest.
     ///
     /// # Errors
-    /// [`BlobError::Missing`] or [`BlobError::Store`].
-    pub async fn local_file(&self, digest: Digest) -> Result<PathBuf, BlobError> {
-        let location = location(digest);
-        self.0.store.head(&location).await.map_err(missing(digest))?;
-        Ok(self.0.store.path_to_filesystem(&location)?)
+    /// As [`Blobs::read`].
+    pub async fn local_copy(&self, digest: Digest) -> Result<BlobCopy, BlobError> {
+        match &self.0.keeper {
+            Keeper::Folder(folder) => {
+                folder.store.head(&location(digest)).await.map_err(missing(digest))?;
+                Ok(BlobCopy { path: folder.path(digest)?, _removed: None })
+            }
+            Keeper::Bucket(bucket) => {
+                let copy = bucket.download(digest, &self.0.staging_dir).await?;
+                Ok(BlobCopy { path: copy.to_path_buf(), _removed: Some(copy) })
+            }
+        }
     }
 
-    /// Writes a small file to disk and removes it, to check that blobs can be written.
+    /// Undoes a publication: removes the blob if this publication created it and it was not published since. The caller has made sure
+    /// that nothing refers to it. Returns whether it was removed.
+    pub async fn unpublish(&self, published: Published) -> Result<bool, BlobError> {
+        let (Some(since), digest) = (published.created_at, published.blob.digest) else { return Ok(false) };
+        let removed = match &self.0.keeper {
+            Keeper::Folder(folder) => folder.remove_if(digest, move |at| at == since).await?,
+            Keeper::Bucket(bucket) => bucket.remove(digest, Removable::PublishedAt(since)).await?,
+        };
+        Ok(removed.is_some())
+    }
+
+    /// The blobs that were last published more than `age` before `now`. What died while it removed a blob is finished first.
+    pub async fn older_than(&self, age: SignedDuration, now: Timestamp) -> Result<Vec<Digest>, BlobError> {
+        match &self.0.keeper {
+            Keeper::Folder(folder) => folder.older_than(earlier(now, age)).await,
+            // By the database's clock.
+            Keeper::Bucket(bucket) => bucket.older_than(age).await,
+        }
+    }
+
+    /// Removes the blob if it was last published more than `age` before `now`, and returns the bytes freed.
+    pub async fn remove_older(
+        &self,
+        digest: Digest,
+        age: SignedDuration,
+        now: Timestamp,
+    ) -> Result<Option<u64>, BlobError> {
+        match &self.0.keeper {
+            Keeper::Folder(folder) => {
+                let before = earlier(now, age);
+                folder.remove_if(digest, move |at| at < before).await
+            }
+            Keeper::Bucket(bucket) => bucket.remove(digest, Removable::OlderThan(age)).await,
+        }
+    }
+
+    /// Finishes removals that other processes have begun, and died.
+    pub async fn finish_removals(&self) -> Result<(), BlobError> {
+        match &self.0.keeper {
+            Keeper::Folder(_) => Ok(()),
+            Keeper::Bucket(bucket) => bucket.finish_removals().await,
+        }
+    }
+
+    /// Writes a small file to disk and removes it, to check that blobs can be staged, and asks the bucket, if there is one.
     pub async fn probe(&self) -> Result<(), BlobError> {
         let folder = self.0.staging_dir.path().to_owned();
         blocking(move || {
@@ -262,12 +363,25 @@ impl Blobs {
             // Some file systems report a full disk only here.
             file.as_file().sync_data()
         })
-        .await
+        .await?;
+        match &self.0.keeper {
+            Keeper::Folder(_) => Ok(()),
+            Keeper::Bucket(bucket) => bucket.probe().await,
+        }
     }
 
-    /// Free bytes on the file system of blobs and uploads.
+    /// Free bytes on the file system of staging, uploads and, unless they are in a bucket, blobs.
     pub fn free_bytes(&self) -> Result<u64, BlobError> {
-        Ok(fs4::available_space(&self.0.root)?)
+        Ok(fs4::available_space(&self.0.data)?)
+    }
+
+    /// Changing files in the bucket; `None` if blobs are in a folder, where they can be files of their own.
+    #[must_use]
+    pub fn shared_files(&self) -> Option<SharedFiles> {
+        match &self.0.keeper {
+            Keeper::Folder(_) => None,
+            Keeper::Bucket(bucket) => Some(bucket.shared_files()),
+        }
     }
 
     /// Requests a garbage collection, since blobs may have become unreferenced.
@@ -279,6 +393,20 @@ impl Blobs {
     pub fn collection_requested(&self) -> Notified<'_> {
         self.0.request_collection.notified()
     }
+}
+
+/// Where blobs are, for messages.
+impl fmt::Display for Blobs {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.0.keeper {
+            Keeper::Folder(_) => self.0.data.display().fmt(f),
+            Keeper::Bucket(_) => f.write_str("the bucket"),
+        }
+    }
+}
+
+fn earlier(now: Timestamp, by: SignedDuration) -> Timestamp {
+    now.checked_sub(by).unwrap_or(Timestamp::MIN)
 }
 
 /// Runs blocking work on a thread for it.
@@ -326,8 +454,8 @@ mod tests {
         let part: Vec<Bytes> =
             blobs.stream(blob.digest, 7..12).await.expect("part").try_collect().await.expect("bytes");
         assert_eq!(part.concat(), b"bytes");
-        let file = blobs.local_file(blob.digest).await.expect("a file");
-        assert_eq!(std::fs::read(file).expect("readable"), b"twelve bytes");
+        let file = blobs.local_copy(blob.digest).await.expect("a file");
+        assert_eq!(std::fs::read(file.path()).expect("readable"), b"twelve bytes");
         let path = upload.path().to_owned();
         drop(upload);
         assert!(!path.exists(), "a staging file must not outlive its handle");
@@ -344,8 +472,8 @@ mod tests {
         let staged_as = std::fs::metadata(upload.path()).expect("there").ino();
         let blob = blobs.publish(&upload).await.expect("published").blob;
         drop(upload);
-        let path = blobs.local_file(blob.digest).await.expect("a file");
-        let metadata = std::fs::metadata(path).expect("there");
+        let file = blobs.local_copy(blob.digest).await.expect("a file");
+        let metadata = std::fs::metadata(file.path()).expect("there");
         assert_eq!((metadata.ino(), metadata.nlink()), (staged_as, 1), "one file, now by its own name alone");
     }
 
@@ -353,7 +481,7 @@ mod tests {
     async fn a_publication_is_undone_only_if_it_created_the_blob_and_none_followed() {
         let folder = tempfile::tempdir().expect("a folder");
         let blobs = Blobs::open(folder.path()).expect("a store");
-        let is_there = async |published: Published| blobs.local_file(published.blob.digest).await.is_ok();
+        let is_there = async |published: Published| blobs.local_copy(published.blob.digest).await.is_ok();
         let content = Bytes::from_static(b"twelve bytes");
         let put = blobs.put_new(content.clone()).await.expect("published");
         assert!(blobs.unpublish(put).await.expect("asked") && !is_there(put).await);
@@ -366,7 +494,7 @@ mod tests {
         assert!(!blobs.unpublish(second).await.expect("asked"), "it was there before");
         assert!(is_there(first).await);
         let again = blobs.republish(first.blob).await.expect("asked").expect("there");
-        assert_eq!(std::fs::read(again.1).expect("readable"), &content[..]);
+        assert_eq!(std::fs::read(again.1.path()).expect("readable"), &content[..]);
         let absent = BlobRef { digest: Digest::of(b"absent"), bytes: 6 };
         assert!(blobs.republish(absent).await.expect("asked").is_none());
     }
@@ -397,10 +525,10 @@ mod tests {
         assert!(matches!(staging.write(b"!").await, Err(BlobError::TooLarge { limit: 4 })));
         let absent = Digest::of(b"absent");
         assert!(matches!(blobs.read(absent).await, Err(BlobError::Missing(digest)) if digest == absent));
-        assert!(matches!(blobs.local_file(absent).await, Err(BlobError::Missing(_))));
+        assert!(matches!(blobs.local_copy(absent).await, Err(BlobError::Missing(_))));
         let blob = blobs.put(Bytes::from_static(b"sound")).await.expect("published");
-        let file = blobs.local_file(blob.digest).await.expect("a file");
-        std::fs::write(file, b"rotten").expect("writable");
+        let file = blobs.local_copy(blob.digest).await.expect("a file");
+        std::fs::write(file.path(), b"rotten").expect("writable");
         assert!(matches!(blobs.read(blob.digest).await, Err(BlobError::Damaged { .. })));
         assert!(blobs.free_bytes().expect("known") > 0);
     }
@@ -435,8 +563,9 @@ mod tests {
         #[cfg(unix)]
         {
             use std::os::unix::fs::MetadataExt as _;
-            let path = blobs.local_file(blob.digest).await.expect("a file");
-            let [one, other] = [&path, staged.path()].map(|path| std::fs::metadata(path).expect("there"));
+            let file = blobs.local_copy(blob.digest).await.expect("a file");
+            let [one, other] =
+                [file.path(), staged.path()].map(|path| std::fs::metadata(path).expect("there"));
             assert_eq!(one.ino(), other.ino());
         }
         assert!(!blobs.remove_upload(id).await.expect("asked"), "it is held");

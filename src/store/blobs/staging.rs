@@ -1,6 +1,9 @@
 //! Staging: content before it is published as a blob.
 
-use std::path::{Path, PathBuf};
+use std::{
+    fmt::Debug,
+    path::{Path, PathBuf},
+};
 
 use sha2::{Digest as _, Sha256};
 use tempfile::{NamedTempFile, TempPath};
@@ -102,13 +105,14 @@ pub struct StagedBlob {
 enum Source {
     /// A private file that is removed with this value.
     Staging { _removed: TempPath },
-    /// An upload's file, which stays, and is locked against writes while this value lives.
-    Upload { _locked: File },
+    /// An upload, which is locked against writes while this value lives.
+    Upload { _locked: Box<dyn Debug + Send + Sync> },
 }
 
 impl StagedBlob {
-    pub(super) fn of_upload(path: PathBuf, file: File, blob: BlobRef) -> Self {
-        Self { path, _source: Source::Upload { _locked: file }, blob }
+    /// The content of an upload in the file `path`, locked by `lock`.
+    pub(super) fn of_upload(path: PathBuf, lock: impl Debug + Send + Sync + 'static, blob: BlobRef) -> Self {
+        Self { path, _source: Source::Upload { _locked: Box::new(lock) }, blob }
     }
 
     /// The file with the content.

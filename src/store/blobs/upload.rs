@@ -1,4 +1,4 @@
-//! Files of resumable uploads.
+//! Resumable uploads: files in a folder, or parts in a bucket.
 //!
 //! A file has one writer at a time among all processes: the holder of its lock, which the system releases when the writer ends, in
 //! whatever way. After locking, a writer must read the upload's row again, since the holder before may have ended it. A file is never
@@ -10,6 +10,7 @@ use std::{
     path::PathBuf,
 };
 
+use jiff::Timestamp;
 use sha2::{Digest as _, Sha256};
 use tokio::{
     fs::File,
@@ -17,22 +18,28 @@ use tokio::{
 };
 
 use super::{
-    BlobError, Blobs, StagedBlob, blocking,
+    BlobError, Blobs, Keeper, StagedBlob, blocking,
+    bucket::BucketUpload,
     files::{entries, sync_folder},
 };
 use crate::{
     domain::{Digest, UploadId},
-    store::BlobRef,
+    store::{BlobRef, Uploads},
 };
 
 const HASH_BUFFER: usize = 1 << 20;
 
-/// An upload's file, locked until this is dropped.
+/// An upload, locked until this is dropped.
 #[derive(Debug)]
 pub struct UploadFile {
     id: UploadId,
-    file: File,
-    path: PathBuf,
+    content: UploadContent,
+}
+
+#[derive(Debug)]
+enum UploadContent {
+    File { file: File, path: PathBuf },
+    Bucket(Box<BucketUpload>),
 }
 
 impl Blobs {
@@ -40,8 +47,12 @@ impl Blobs {
         self.0.uploads.join(id.to_string())
     }
 
-    /// Opens and locks an upload's file, and creates it if there is none; `None` if another writer has locked it.
+    /// Opens and locks an upload, and creates its file if there is none; `None` if another writer has locked it.
     pub async fn open_upload(&self, id: UploadId) -> Result<Option<UploadFile>, BlobError> {
+        if let Keeper::Bucket(bucket) = &self.0.keeper {
+            let opened = bucket.open_upload(id, &self.0.staging_dir).await?;
+            return Ok(opened.map(|upload| UploadFile { id, content: UploadContent::Bucket(upload.into()) }));
+        }
         let (path, folder) = (self.upload_path(id), self.0.uploads.clone());
         blocking(move || {
             let is_new = !path.exists();
@@ -50,7 +61,10 @@ impl Blobs {
                 sync_folder(&folder)?;
             }
             match file.try_lock() {
-                Ok(()) => Ok(Some(UploadFile { id, file: File::from_std(file), path })),
+                Ok(()) => {
+                    let content = UploadContent::File { file: File::from_std(file), path };
+                    Ok(Some(UploadFile { id, content }))
+                }
                 Err(TryLockError::WouldBlock) => Ok(None),
                 Err(TryLockError::Error(error)) => Err(error),
             }
@@ -58,8 +72,11 @@ impl Blobs {
         .await
     }
 
-    /// Removes the file of an ended upload; false if a writer has locked it.
+    /// Removes the bytes of an ended upload; false if a writer has locked it.
     pub async fn remove_upload(&self, id: UploadId) -> Result<bool, BlobError> {
+        if let Keeper::Bucket(bucket) = &self.0.keeper {
+            return bucket.remove_upload(id).await;
+        }
         let path = self.upload_path(id);
         blocking(move || {
             let file = match StdFile::options().write(true).open(&path) {
@@ -76,8 +93,11 @@ impl Blobs {
         .await
     }
 
-    /// Every upload that has a file.
+    /// Every upload that has bytes here.
     pub async fn uploads(&self) -> Result<Vec<UploadId>, BlobError> {
+        if let Keeper::Bucket(bucket) = &self.0.keeper {
+            return bucket.uploads().await;
+        }
         let folder = self.0.uploads.clone();
         blocking(move || {
             let files = entries(&folder)?;
@@ -88,39 +108,73 @@ impl Blobs {
 }
 
 impl UploadFile {
-    /// Truncates the file to the received bytes, and appends from there.
+    /// Forgets what is beyond the received bytes, and appends from there.
     ///
     /// # Errors
-    /// [`BlobError::UploadDamaged`] if the file is shorter, [`BlobError::Io`].
+    /// [`BlobError::UploadDamaged`] if a file is shorter, [`BlobError::Io`].
     pub async fn continue_at(&mut self, received: u64) -> Result<(), BlobError> {
-        let found = self.file.metadata().await?.len();
+        let file = match &mut self.content {
+            UploadContent::Bucket(upload) => return upload.continue_at(received).await,
+            UploadContent::File { file, .. } => file,
+        };
+        let found = file.metadata().await?.len();
         if found < received {
             return Err(BlobError::UploadDamaged { id: self.id, expected: received, found });
         }
-        self.file.set_len(received).await?;
-        self.file.seek(io::SeekFrom::Start(received)).await?;
+        file.set_len(received).await?;
+        file.seek(io::SeekFrom::Start(received)).await?;
         Ok(())
     }
 
     /// Appends a piece.
     pub async fn write(&mut self, piece: &[u8]) -> Result<(), BlobError> {
-        Ok(self.file.write_all(piece).await?)
+        match &mut self.content {
+            UploadContent::File { file, .. } => Ok(file.write_all(piece).await?),
+            UploadContent::Bucket(upload) => upload.write(piece).await,
+        }
     }
 
-    /// Flushes the bytes written to disk; only then do they count as received.
-    pub async fn sync(&mut self) -> Result<(), BlobError> {
-        self.file.flush().await?;
-        Ok(self.file.sync_data().await?)
-    }
-
-    /// Hashes the complete file for publication. The upload stays locked meanwhile.
+    /// Makes the bytes up to `received` durable, and then records them as received; false if the upload has ended.
     ///
     /// # Errors
-    /// [`BlobError::UploadDamaged`] if the file has not `length` bytes, [`BlobError::Io`].
+    /// [`BlobError::Io`], [`BlobError::Bucket`], [`BlobError::Index`].
+    pub async fn save(
+        &mut self,
+        store: &(impl Uploads + ?Sized),
+        received: u64,
+        expires_at: Timestamp,
+    ) -> Result<bool, BlobError> {
+        match &mut self.content {
+            UploadContent::File { .. } => {
+                self.sync().await?;
+                Ok(store.advance_upload(self.id, received, expires_at).await?)
+            }
+            UploadContent::Bucket(upload) => upload.save(received, expires_at).await,
+        }
+    }
+
+    /// Flushes the bytes written to a file to disk; those for a bucket are durable only once saved.
+    pub async fn sync(&mut self) -> Result<(), BlobError> {
+        let UploadContent::File { file, .. } = &mut self.content else { return Ok(()) };
+        file.flush().await?;
+        Ok(file.sync_data().await?)
+    }
+
+    /// Hashes the complete upload for publication. It stays locked meanwhile.
+    ///
+    /// # Errors
+    /// [`BlobError::UploadDamaged`] if it has not `length` bytes, [`BlobError::Io`], [`BlobError::Bucket`].
     pub async fn finish(self, length: u64) -> Result<StagedBlob, BlobError> {
-        let path = self.path.clone();
+        let (file, path) = match self.content {
+            UploadContent::File { file, path } => (file, path),
+            UploadContent::Bucket(upload) => {
+                let (upload, blob) = upload.finish(length).await?;
+                return Ok(StagedBlob::of_upload(upload.path().to_owned(), upload, blob));
+            }
+        };
+        let read = path.clone();
         let (digest, found) = blocking(move || {
-            let mut file = StdFile::open(path)?;
+            let mut file = StdFile::open(read)?;
             let (mut hasher, mut buffer, mut found) = (Sha256::new(), vec![0; HASH_BUFFER], 0_u64);
             loop {
                 let count = file.read(&mut buffer)?;
@@ -135,6 +189,6 @@ impl UploadFile {
         if found != length {
             return Err(BlobError::UploadDamaged { id: self.id, expected: length, found });
         }
-        Ok(StagedBlob::of_upload(self.path, self.file, BlobRef { digest, bytes: length }))
+        Ok(StagedBlob::of_upload(path, file, BlobRef { digest, bytes: length }))
     }
 }

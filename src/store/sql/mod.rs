@@ -25,6 +25,7 @@ mod locks;
 mod open;
 mod priority;
 mod projects;
+mod publications;
 mod queue;
 mod rows;
 mod series;

@@ -1,5 +1,7 @@
 //! Uploads.
 
+use jiff::Timestamp;
+
 use super::{
     SqlStore, accounts,
     db::{Row, Transaction, query},
@@ -8,9 +10,11 @@ use super::{
 };
 use crate::{
     domain::UploadId,
-    store::{NewUpload, StoreError, StoreFuture, UploadRecord, Uploads},
+    store::{
+        NewUpload, StoreError, StoreFuture, UploadRecord, Uploads,
+        uploads::{UploadParts, UploadWriter, WRITER_LIFE},
+    },
 };
-use jiff::Timestamp;
 
 fn upload(row: &Row) -> Result<UploadRecord, StoreError> {
     Ok(UploadRecord {
@@ -125,6 +129,102 @@ impl Uploads for SqlStore {
             let rows =
                 query("SELECT id FROM uploads WHERE ended_at IS NULL").fetch_all(&self.readers).await?;
             rows.iter().map(upload_id).collect()
+        })
+    }
+}
+
+/// When a lock that is renewed now ends.
+fn lock_end(now: Timestamp) -> i64 {
+    micros(now.checked_add(WRITER_LIFE).unwrap_or(Timestamp::MAX))
+}
+
+impl UploadParts for SqlStore {
+    fn lock_upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadWriter>> {
+        Box::pin(self.write(async move |tx, now| {
+            let row = query(
+                "UPDATE uploads SET writer = writer + 1, writer_until = ?2
+                 WHERE id = ?1 AND (writer_until IS NULL OR writer_until < ?3) RETURNING writer",
+            )
+            .bind(id.to_string())
+            .bind(lock_end(now))
+            .bind(micros(now))
+            .fetch_optional(tx)
+            .await?;
+            row.map(|row| Ok(UploadWriter { id, number: row.try_get("writer")? })).transpose()
+        }))
+    }
+
+    fn renew_upload_lock(&self, writer: UploadWriter) -> StoreFuture<'_, bool> {
+        Box::pin(self.write(async move |tx, now| {
+            let done = query(
+                "UPDATE uploads SET writer_until = ? WHERE id = ? AND writer = ? AND writer_until IS NOT NULL",
+            )
+            .bind(lock_end(now))
+            .bind(writer.id.to_string())
+            .bind(writer.number)
+            .execute(tx)
+            .await?;
+            Ok(done == 1)
+        }))
+    }
+
+    fn unlock_upload(&self, writer: UploadWriter) -> StoreFuture<'_, ()> {
+        Box::pin(self.write(async move |tx, _| {
+            query("UPDATE uploads SET writer_until = NULL WHERE id = ? AND writer = ?")
+                .bind(writer.id.to_string())
+                .bind(writer.number)
+                .execute(tx)
+                .await?;
+            Ok(())
+        }))
+    }
+
+    fn add_upload_part<'a>(
+        &'a self,
+        writer: UploadWriter,
+        start: u64,
+        name: &'a str,
+        received: u64,
+        expires_at: Timestamp,
+    ) -> StoreFuture<'a, bool> {
+        Box::pin(self.write(async move |tx, now| {
+            let done = query(
+                "UPDATE uploads SET received = ?1, expires_at = ?2, writer_until = ?3
+                 WHERE id = ?4 AND writer = ?5 AND writer_until IS NOT NULL AND ended_at IS NULL",
+            )
+            .bind(column("upload offset", received)?)
+            .bind(micros(expires_at))
+            .bind(lock_end(now))
+            .bind(writer.id.to_string())
+            .bind(writer.number)
+            .execute(&mut *tx)
+            .await?;
+            if done == 0 {
+                return Ok(false);
+            }
+            if received > start {
+                query("INSERT INTO upload_parts (upload, start, name) VALUES (?, ?, ?)")
+                    .bind(writer.id.to_string())
+                    .bind(column("upload offset", start)?)
+                    .bind(name)
+                    .execute(tx)
+                    .await?;
+            }
+            Ok(true)
+        }))
+    }
+
+    fn is_upload(&self, id: UploadId) -> StoreFuture<'_, bool> {
+        Box::pin(self.read(async move |tx| Ok(select(tx, id).await?.is_some())))
+    }
+
+    fn upload_parts(&self, id: UploadId) -> StoreFuture<'_, Vec<(u64, String)>> {
+        Box::pin(async move {
+            let rows = query("SELECT start, name FROM upload_parts WHERE upload = ? ORDER BY start")
+                .bind(id.to_string())
+                .fetch_all(&self.readers)
+                .await?;
+            rows.iter().map(|row| Ok((whole(row, "start")?, row.try_get("name")?))).collect()
         })
     }
 }

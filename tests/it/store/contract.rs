@@ -1,7 +1,11 @@
 //! What holds on either database; the name of this module says which one is tested.
 
+mod bucket;
 mod datasets;
 mod garbage;
+#[expect(clippy::duplicate_mod, reason = "one suite, over a folder and over a bucket")]
+#[path = "garbage.rs"]
+mod garbage_in_bucket;
 mod queue;
 pub(super) mod totals;
 

@@ -24,10 +24,10 @@ static ALL: Migrator = sqlx::migrate!("migrations/sqlite");
 static POSTGRES: Migrator = sqlx::migrate!("migrations/postgres");
 
 /// The same of PostgreSQL's migrations.
-const POSTGRES_CHECKSUMS: &[(i64, &str)] = &[(
-    1,
-    "df44c65d81910eb09d8717a8c32ff6323d1458bc63ed903a4d7c2bee5882b834a738691bd1779492ca8343ce0bc6ccf7",
-)];
+const POSTGRES_CHECKSUMS: &[(i64, &str)] = &[
+    (1, "df44c65d81910eb09d8717a8c32ff6323d1458bc63ed903a4d7c2bee5882b834a738691bd1779492ca8343ce0bc6ccf7"),
+    (2, "4e6c8ef62d6e56a998d730a56b2d320f917a353ab5520c76e7511f2b897e2303ac3464f9f37d38e7b57620543a4d3b15"),
+];
 
 /// SHA-384 of every migration, by version. A new migration gets a line here, and a line never changes. There was no version 8.
 const CHECKSUMS: &[(i64, &str)] = &[
@@ -47,6 +47,7 @@ const CHECKSUMS: &[(i64, &str)] = &[
     (15, "65c38600bc09f7925eaac217cafef701fa191e55aea527ab540ffc1dcff4700f62212a9b75eb383e202e073ff5a3fd07"),
     (16, "1f73ec4250716451beb63b22c9ac3ab7fcb29c270b0419b9f2f2863757af78bfe68a24362d05c489174f494f6367678f"),
     (17, "2efafa9b351c9ff1303a2d3993c2a9ed857b9b7eb2e1636758c7e92ad97be5f9fdf4900bfaad382ff2db32d8506030e2"),
+    (18, "b7ab0b48d4baab35b999112af709958cadd5947225004c34135895cddaeb493564b531ff9226597311b14bf830eb1a9a"),
 ];
 
 /// Versions whose databases are in `tests/schemas`. A schema is added once a program with it is released.

@@ -4,6 +4,7 @@
 
 pub mod authority;
 pub mod browser;
+pub mod bucket;
 pub mod contract;
 pub mod cutter;
 pub mod database;
@@ -11,6 +12,7 @@ pub mod dataset;
 pub mod eventually;
 pub mod fakes;
 pub mod faults;
+pub mod gate;
 pub mod gpu;
 pub mod lpips;
 pub mod oracle;

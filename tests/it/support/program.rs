@@ -19,6 +19,7 @@ pub fn command() -> Command {
         "TCGS_LPIPS",
         "TCGS_DATA",
         "TCGS_DATABASE",
+        "TCGS_BLOBS",
         "TCGS_MIN_FREE_SPACE",
         "TCGS_WORKER_ID",
         "TCGS_HOST_MEMORY",

@@ -9,6 +9,7 @@ mod gate;
 #[cfg(target_os = "linux")]
 mod hostile_uploads;
 mod killed;
+mod machines;
 mod postgres;
 mod power_cuts;
 mod presets;

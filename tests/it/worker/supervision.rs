@@ -296,8 +296,8 @@ async fn a_missing_archive_fails_the_attempts() {
     let fixture = Fixture::new().await;
     let id = fixture.add("succeed").await;
     let dataset = fixture.store.job(id).await.expect("read").expect("known").dataset;
-    let file = fixture.blobs.local_file(dataset.digest).await.expect("published");
-    std::fs::remove_file(file).expect("removed");
+    let file = fixture.blobs.local_copy(dataset.digest).await.expect("published");
+    std::fs::remove_file(file.path()).expect("removed");
     fixture.start(quick_worker("w"));
     let job = fixture.reaches(id, JobState::Failed).await;
     assert_eq!(
@@ -368,8 +368,8 @@ async fn every_log_line_of_a_job_names_it() {
     let panics = fixture.add("panic").await;
     let without = fixture.add("succeed without").await;
     let dataset = fixture.store.job(without).await.expect("read").expect("known").dataset;
-    let file = fixture.blobs.local_file(dataset.digest).await.expect("published");
-    std::fs::remove_file(file).expect("removed");
+    let file = fixture.blobs.local_copy(dataset.digest).await.expect("published");
+    std::fs::remove_file(file.path()).expect("removed");
     let child = tokio::process::Command::new(std::env::current_exe().expect("a program"))
         .args(["worker::supervision::logging_child_process", "--exact", "--ignored", "--test-threads=1"])
         .env(CHILD_DATA, fixture.data.path())

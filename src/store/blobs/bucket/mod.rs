@@ -1,0 +1,297 @@
+//! Blobs as objects of an S3 bucket.
+//!
+//! The database knows which blobs the bucket has or may have, and decides their removal ([`Publications`]); the bucket itself only keeps
+//! bytes. One database uses a bucket, or a prefix of one: an object there names it.
+
+mod marker;
+mod shared_files;
+mod upload;
+mod url;
+
+use std::{sync::Arc, time::Duration};
+
+use bytes::Bytes;
+use futures_util::{StreamExt as _, TryStreamExt as _, stream::BoxStream};
+use object_store::{
+    GetOptions, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload, WriteMultipart,
+};
+use tempfile::TempPath;
+use tokio::{
+    fs::File,
+    io::{AsyncReadExt as _, AsyncWriteExt as _},
+    time::{Instant, sleep, timeout},
+};
+
+pub use shared_files::SharedFiles;
+pub(super) use upload::BucketUpload;
+pub use url::{BucketUrl, InvalidBucketUrl};
+
+use super::{BlobError, ContentHasher, Published, StagedBlob, location, staging_dir::StagingDir};
+use crate::{
+    domain::Digest,
+    store::{
+        BlobPlace, BlobRef,
+        publications::{Announcement, Publications, REMOVAL_LIMIT, Removable, Removal},
+        uploads::UploadParts,
+    },
+};
+
+/// Longest content that is put in one request, and the length of parts. S3 has at most 10 000 parts, so content of up to 80 GB.
+const PART_BYTES: usize = 8 << 20;
+const PARTS_IN_FLIGHT: usize = 2;
+
+/// Time between two renewals of a publication whose content is still on its way.
+const RENEW_EVERY: Duration = Duration::from_secs(60);
+
+/// Time between two looks at a blob that another process removes.
+const WHILE_REMOVED: Duration = Duration::from_millis(100);
+
+/// Blobs looked up at a time.
+const BATCH: u32 = 500;
+
+/// What the database knows of a bucket.
+pub trait BucketIndex: Publications + UploadParts {}
+
+impl<T: Publications + UploadParts> BucketIndex for T {}
+
+/// The bucket.
+#[derive(Clone)]
+pub(super) struct Bucket {
+    objects: Arc<dyn ObjectStore>,
+    index: Arc<dyn BucketIndex>,
+    identity: Arc<str>,
+}
+
+/// Content to be put.
+enum Content<'a> {
+    Staged(&'a StagedBlob),
+    Memory(&'a Bytes),
+}
+
+impl Bucket {
+    /// Takes the bucket for the database of `index`.
+    pub(super) async fn open(
+        objects: Arc<dyn ObjectStore>,
+        index: Arc<dyn BucketIndex>,
+    ) -> Result<Self, BlobError> {
+        let identity = index.claim_place(BlobPlace::Bucket).await?;
+        marker::claim(&*objects, &identity).await?;
+        Ok(Self { objects, index, identity: identity.into() })
+    }
+
+    /// Changing files beside the blobs.
+    pub(super) fn shared_files(&self) -> SharedFiles {
+        SharedFiles(Arc::clone(&self.objects))
+    }
+
+    /// Whether the bucket answers, and is still this database's.
+    pub(super) async fn probe(&self) -> Result<(), BlobError> {
+        marker::check(&*self.objects, &self.identity).await
+    }
+
+    pub(super) async fn publish(&self, staged: &StagedBlob) -> Result<Published, BlobError> {
+        self.publish_content(staged.blob(), Content::Staged(staged)).await
+    }
+
+    pub(super) async fn put(&self, blob: BlobRef, content: &Bytes) -> Result<Published, BlobError> {
+        self.publish_content(blob, Content::Memory(content)).await
+    }
+
+    /// Publishes a blob again that is there; `None` if it is not.
+    pub(super) async fn renew(&self, blob: BlobRef) -> Result<Option<Published>, BlobError> {
+        loop {
+            let announced = self.announce(blob).await?;
+            if !self.has(blob).await? {
+                return Ok(None);
+            }
+            if self.index.confirm(announced).await?.is_some() {
+                return Ok(Some(Published { blob, created_at: None }));
+            }
+        }
+    }
+
+    async fn publish_content(&self, blob: BlobRef, content: Content<'_>) -> Result<Published, BlobError> {
+        loop {
+            let announced = self.announce(blob).await?;
+            if !self.has(blob).await? {
+                self.put_content(blob, &content, announced).await?;
+            }
+            // Also if it was there: whoever may withdraw an earlier publication learns of this one.
+            if let Some(at) = self.index.confirm(announced).await? {
+                return Ok(Published { blob, created_at: announced.is_new.then_some(at) });
+            }
+        }
+    }
+
+    /// Announces a publication, once nobody removes the blob.
+    async fn announce(&self, blob: BlobRef) -> Result<Announcement, BlobError> {
+        loop {
+            if let Some(announced) = self.index.announce(blob).await? {
+                return Ok(announced);
+            }
+            sleep(WHILE_REMOVED).await;
+        }
+    }
+
+    /// Whether there is such an object of the blob's length.
+    async fn has(&self, blob: BlobRef) -> Result<bool, BlobError> {
+        Ok(self.length(blob.digest).await? == Some(blob.bytes))
+    }
+
+    /// The length of a blob's object, if there is one.
+    pub(super) async fn length(&self, digest: Digest) -> Result<Option<u64>, BlobError> {
+        match self.objects.head(&location(digest)).await {
+            Ok(object) => Ok(Some(object.size)),
+            Err(object_store::Error::NotFound { .. }) => Ok(None),
+            Err(error) => Err(BlobError::Bucket(error)),
+        }
+    }
+
+    async fn put_content(
+        &self,
+        blob: BlobRef,
+        content: &Content<'_>,
+        announced: Announcement,
+    ) -> Result<(), BlobError> {
+        match content {
+            Content::Memory(content) if content.len() <= PART_BYTES => {
+                self.put_small(blob, (*content).clone()).await
+            }
+            Content::Memory(content) => {
+                let mut writer = self.begin_parts(blob.digest).await?;
+                writer.write(content);
+                writer.finish().await.map_err(BlobError::Bucket)?;
+                Ok(())
+            }
+            Content::Staged(staged) if blob.bytes <= PART_BYTES as u64 => {
+                self.put_small(blob, tokio::fs::read(staged.path()).await?.into()).await
+            }
+            Content::Staged(staged) => self.put_parts(staged, announced).await,
+        }
+    }
+
+    /// Puts content in one request. An object of another length under its name is damaged, and replaced.
+    async fn put_small(&self, blob: BlobRef, content: Bytes) -> Result<(), BlobError> {
+        let at = location(blob.digest);
+        let payload = PutPayload::from(content);
+        let create = PutOptions::from(PutMode::Create);
+        match self.objects.put_opts(&at, payload.clone(), create).await {
+            Ok(_) => Ok(()),
+            // Another publisher was faster.
+            Err(object_store::Error::AlreadyExists { .. }) if self.has(blob).await? => Ok(()),
+            Err(object_store::Error::AlreadyExists { .. }) => {
+                self.objects.put(&at, payload).await.map(drop).map_err(BlobError::Bucket)
+            }
+            Err(error) => Err(BlobError::Bucket(error)),
+        }
+    }
+
+    async fn begin_parts(&self, digest: Digest) -> Result<WriteMultipart, BlobError> {
+        let upload = self.objects.put_multipart(&location(digest)).await.map_err(BlobError::Bucket)?;
+        Ok(WriteMultipart::new_with_chunk_size(upload, PART_BYTES))
+    }
+
+    /// Puts content in parts, and renews its publication meanwhile.
+    async fn put_parts(&self, staged: &StagedBlob, announced: Announcement) -> Result<(), BlobError> {
+        let mut file = File::open(staged.path()).await?;
+        let mut writer = self.begin_parts(staged.blob().digest).await?;
+        let copied: Result<(), BlobError> = async {
+            let (mut buffer, mut renewed) = (vec![0; 1 << 20], Instant::now());
+            loop {
+                let count = file.read(&mut buffer).await?;
+                if count == 0 {
+                    return Ok(());
+                }
+                writer.wait_for_capacity(PARTS_IN_FLIGHT).await.map_err(BlobError::Bucket)?;
+                writer.write(&buffer[..count]);
+                if renewed.elapsed() >= RENEW_EVERY {
+                    // If it was removed, that shows at the end.
+                    self.index.confirm(announced).await?;
+                    renewed = Instant::now();
+                }
+            }
+        }
+        .await;
+        if let Err(error) = copied {
+            // The copy's own error is the one to report.
+            let _ = writer.abort().await;
+            return Err(error);
+        }
+        writer.finish().await.map_err(BlobError::Bucket)?;
+        Ok(())
+    }
+
+    /// The content of a blob, from which the caller takes the part it wants.
+    pub(super) async fn get(
+        &self,
+        digest: Digest,
+        options: GetOptions,
+    ) -> Result<BoxStream<'static, Result<Bytes, BlobError>>, BlobError> {
+        match self.objects.get_opts(&location(digest), options).await {
+            Ok(found) => Ok(found.into_stream().map_err(BlobError::Bucket).boxed()),
+            Err(object_store::Error::NotFound { .. }) => Err(BlobError::Missing(digest)),
+            Err(error) => Err(BlobError::Bucket(error)),
+        }
+    }
+
+    /// A copy of a blob in a private file, checked against its digest.
+    pub(super) async fn download(&self, digest: Digest, staging: &StagingDir) -> Result<TempPath, BlobError> {
+        let mut content = self.get(digest, GetOptions::default()).await?;
+        let file = tempfile::Builder::new().prefix("copy-").tempfile_in(staging.path())?;
+        let (file, path) = file.into_parts();
+        let (mut file, mut hasher) = (File::from_std(file), ContentHasher::new(u64::MAX));
+        while let Some(piece) = content.try_next().await? {
+            hasher.update(&piece)?;
+            file.write_all(&piece).await?;
+        }
+        file.flush().await?;
+        match hasher.finish().digest {
+            actual if actual == digest => Ok(path),
+            actual => Err(BlobError::Damaged { expected: digest, actual }),
+        }
+    }
+
+    /// The blobs that were last published longer than `age` ago.
+    pub(super) async fn older_than(&self, age: jiff::SignedDuration) -> Result<Vec<Digest>, BlobError> {
+        let mut found: Vec<Digest> = Vec::new();
+        loop {
+            let page = self.index.older_publications(age, found.last().copied(), BATCH).await?;
+            if page.is_empty() {
+                return Ok(found);
+            }
+            found.extend(page);
+        }
+    }
+
+    /// Removes the blob if `which` accepts its latest publication, and returns the bytes freed.
+    pub(super) async fn remove(&self, digest: Digest, which: Removable) -> Result<Option<u64>, BlobError> {
+        let Some(removal) = self.index.begin_removal(digest, which).await? else { return Ok(None) };
+        self.finish_removal(removal).await?;
+        Ok(Some(removal.blob.bytes))
+    }
+
+    /// Finishes what removers have begun that died.
+    pub(super) async fn finish_removals(&self) -> Result<(), BlobError> {
+        for removal in self.index.abandoned_removals().await? {
+            self.finish_removal(removal).await?;
+        }
+        Ok(())
+    }
+
+    async fn finish_removal(&self, removal: Removal) -> Result<(), BlobError> {
+        let limit = REMOVAL_LIMIT.unsigned_abs();
+        match timeout(limit, self.objects.delete(&location(removal.blob.digest))).await {
+            Ok(Ok(()) | Err(object_store::Error::NotFound { .. })) => {}
+            Ok(Err(error)) => return Err(BlobError::Bucket(error)),
+            // Whether it is deleted is unknown; the next collection finishes it.
+            Err(late) => return Err(BlobError::Io(late.into())),
+        }
+        Ok(self.index.end_removal(removal).await?)
+    }
+}
+
+impl std::fmt::Debug for Bucket {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("Bucket").field(&self.objects).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,214 @@
+//! Resumable uploads in a bucket: each saved part is an object of its own, and the database says which parts count.
+//!
+//! An upload has one writer at a time among all processes, which renews its lock for as long as it lives. One that has lost the lock
+//! without noticing can save nothing any more.
+
+use std::{io, sync::Arc, time::Duration};
+
+use jiff::Timestamp;
+use sha2::{Digest as _, Sha256};
+use tempfile::TempPath;
+use tokio::{
+    fs::File,
+    io::{AsyncReadExt as _, AsyncSeekExt as _, AsyncWriteExt as _},
+    runtime::Handle,
+    task::JoinHandle,
+    time::{Instant, sleep},
+};
+
+use super::{BlobError, Bucket, BucketIndex, SharedFiles, StagingDir};
+use crate::{
+    domain::{Digest, UploadId},
+    store::{BlobRef, uploads::UploadWriter},
+};
+
+/// Folder of all uploads.
+const ROOT: &str = "uploads";
+
+/// Time between two renewals of the lock.
+const RENEW_EVERY: Duration = Duration::from_secs(15);
+
+/// How long a lock is asked for: a writer that has just ended releases it a moment later.
+const LOCK_PATIENCE: Duration = Duration::from_millis(500);
+const LOCK_PAUSE: Duration = Duration::from_millis(20);
+
+const HASH_BUFFER: usize = 1 << 20;
+
+fn folder(id: UploadId) -> String {
+    format!("{ROOT}/{id}")
+}
+
+/// An upload in a bucket, locked until this is dropped. What is not saved yet is in a private file.
+#[derive(Debug)]
+pub(in crate::store::blobs) struct BucketUpload {
+    writer: UploadWriter,
+    files: SharedFiles,
+    lock: Lock,
+    file: File,
+    path: TempPath,
+    /// Bytes of the upload before those of the private file.
+    saved: u64,
+}
+
+/// Renews a writer's lock until it is dropped, and then releases it.
+struct Lock {
+    writer: UploadWriter,
+    index: Arc<dyn BucketIndex>,
+    renewing: JoinHandle<()>,
+}
+
+impl std::fmt::Debug for Lock {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("Lock").field(&self.writer).finish()
+    }
+}
+
+impl Lock {
+    fn new(writer: UploadWriter, index: Arc<dyn BucketIndex>) -> Self {
+        let renewed = Arc::clone(&index);
+        let renewing = tokio::spawn(async move {
+            loop {
+                sleep(RENEW_EVERY).await;
+                if let Ok(false) = renewed.renew_upload_lock(writer).await {
+                    return;
+                }
+            }
+        });
+        Self { writer, index, renewing }
+    }
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        self.renewing.abort();
+        let (index, writer) = (Arc::clone(&self.index), self.writer);
+        // Where there is no runtime any more, it ends by itself.
+        if let Ok(runtime) = Handle::try_current() {
+            runtime.spawn(async move { index.unlock_upload(writer).await });
+        }
+    }
+}
+
+impl Bucket {
+    async fn lock_upload(&self, id: UploadId) -> Result<Option<Lock>, BlobError> {
+        let began = Instant::now();
+        loop {
+            if let Some(writer) = self.index.lock_upload(id).await? {
+                return Ok(Some(Lock::new(writer, Arc::clone(&self.index))));
+            }
+            if began.elapsed() >= LOCK_PATIENCE || !self.index.is_upload(id).await? {
+                return Ok(None);
+            }
+            sleep(LOCK_PAUSE).await;
+        }
+    }
+
+    /// Locks an upload; `None` if another writer has locked it.
+    pub(in crate::store::blobs) async fn open_upload(
+        &self,
+        id: UploadId,
+        staging: &StagingDir,
+    ) -> Result<Option<BucketUpload>, BlobError> {
+        let Some(lock) = self.lock_upload(id).await? else { return Ok(None) };
+        let file = tempfile::Builder::new().prefix("part-").tempfile_in(staging.path())?;
+        let (file, path) = file.into_parts();
+        let files = self.shared_files();
+        Ok(Some(BucketUpload {
+            writer: lock.writer,
+            files,
+            lock,
+            file: File::from_std(file),
+            path,
+            saved: 0,
+        }))
+    }
+
+    /// Removes what there is of an ended upload; false if a writer has locked it.
+    pub(in crate::store::blobs) async fn remove_upload(&self, id: UploadId) -> Result<bool, BlobError> {
+        // A row that is gone cannot be locked, and nobody writes.
+        let lock = self.lock_upload(id).await?;
+        if lock.is_none() && self.index.is_upload(id).await? {
+            return Ok(false);
+        }
+        self.shared_files().remove_below(&folder(id)).await?;
+        Ok(true)
+    }
+
+    /// Every upload of which there is something.
+    pub(in crate::store::blobs) async fn uploads(&self) -> Result<Vec<UploadId>, BlobError> {
+        let folders = self.shared_files().folders(ROOT).await?;
+        Ok(folders.iter().filter_map(|name| name.parse().ok()).collect())
+    }
+}
+
+impl BucketUpload {
+    /// Appends after the received bytes from now on, and forgets what was not saved.
+    pub(in crate::store::blobs) async fn continue_at(&mut self, received: u64) -> Result<(), BlobError> {
+        self.file.set_len(0).await?;
+        self.file.rewind().await?;
+        self.saved = received;
+        Ok(())
+    }
+
+    pub(in crate::store::blobs) async fn write(&mut self, piece: &[u8]) -> Result<(), BlobError> {
+        Ok(self.file.write_all(piece).await?)
+    }
+
+    /// Saves what was written, up to byte `received`; false if the upload has ended or the lock is lost.
+    pub(in crate::store::blobs) async fn save(
+        &mut self,
+        received: u64,
+        expires_at: Timestamp,
+    ) -> Result<bool, BlobError> {
+        self.file.flush().await?;
+        let name = format!("{}/{}-{}", folder(self.writer.id), self.saved, self.writer.number);
+        if received > self.saved {
+            self.files.save(&name, &self.path).await?;
+        }
+        let (writer, start) = (self.writer, self.saved);
+        let counts = self.lock.index.add_upload_part(writer, start, &name, received, expires_at).await?;
+        if counts {
+            self.continue_at(received).await?;
+        }
+        Ok(counts)
+    }
+
+    /// Brings the parts together in the private file, and returns it and what it is.
+    ///
+    /// # Errors
+    /// [`BlobError::UploadDamaged`] if they have not `length` bytes.
+    pub(in crate::store::blobs) async fn finish(mut self, length: u64) -> Result<(Self, BlobRef), BlobError> {
+        self.continue_at(0).await?;
+        let (mut hasher, mut found, mut buffer) = (Sha256::new(), 0_u64, vec![0; HASH_BUFFER]);
+        let parts = self.lock.index.upload_parts(self.writer.id).await?;
+        for (start, name) in parts {
+            if start != found {
+                break;
+            }
+            self.files.append(&name, &mut self.file).await?;
+            self.file.flush().await?;
+            // Hashed from the file: what counts is what can be read there.
+            let mut reader = File::open(&self.path).await?;
+            reader.seek(io::SeekFrom::Start(start)).await?;
+            loop {
+                match reader.read(&mut buffer).await? {
+                    0 => break,
+                    count => {
+                        hasher.update(&buffer[..count]);
+                        found += count as u64;
+                    }
+                }
+            }
+        }
+        if found != length {
+            return Err(BlobError::UploadDamaged { id: self.writer.id, expected: length, found });
+        }
+        let blob = BlobRef { digest: Digest::from_bytes(hasher.finalize().into()), bytes: length };
+        Ok((self, blob))
+    }
+
+    /// The private file.
+    pub(in crate::store::blobs) fn path(&self) -> &std::path::Path {
+        &self.path
+    }
+}

@@ -1,0 +1,160 @@
+//! Publications of blobs in a bucket.
+
+use jiff::{SignedDuration, Timestamp};
+
+use super::{
+    SqlStore,
+    db::{Row, query},
+    rows::{blob, instant, micros, parsed, signed},
+};
+use crate::{
+    domain::Digest,
+    store::{
+        BlobPlace, BlobRef, StoreError, StoreFuture,
+        publications::{Announcement, Publications, REMOVER_IS_DEAD, Removable, Removal},
+    },
+};
+
+/// Renews a blob's row, or makes it; changes nothing while the blob is being removed by someone who may be alive.
+const ANNOUNCE: &str = "
+    INSERT INTO publications (digest, bytes, published_at) VALUES (?1, ?2, ?3)
+    ON CONFLICT (digest) DO UPDATE SET
+        bytes = excluded.bytes,
+        removing_since = NULL,
+        published_at = CASE WHEN publications.published_at < ?3 THEN ?3 ELSE publications.published_at + 1 END
+    WHERE publications.removing_since IS NULL OR publications.removing_since < ?4
+    RETURNING id, published_at";
+
+/// The time before which something is at least `age` old.
+fn earlier(now: Timestamp, age: SignedDuration) -> i64 {
+    micros(now.checked_sub(age).unwrap_or(Timestamp::MIN))
+}
+
+fn removal(row: &Row) -> Result<Removal, StoreError> {
+    Ok(Removal { row: row.try_get("id")?, blob: blob(row, "digest")? })
+}
+
+impl Publications for SqlStore {
+    fn announce(&self, blob: BlobRef) -> StoreFuture<'_, Option<Announcement>> {
+        Box::pin(self.write(async move |tx, now| {
+            let known = query("SELECT id FROM publications WHERE digest = ?")
+                .bind(blob.digest.to_string())
+                .fetch_optional(&mut *tx)
+                .await?;
+            let row = query(ANNOUNCE)
+                .bind(blob.digest.to_string())
+                .bind(signed(blob.bytes))
+                .bind(micros(now))
+                .bind(earlier(now, REMOVER_IS_DEAD))
+                .fetch_optional(&mut *tx)
+                .await?;
+            let Some(row) = row else { return Ok(None) };
+            Ok(Some(Announcement { row: row.try_get("id")?, is_new: known.is_none() }))
+        }))
+    }
+
+    fn confirm(&self, announced: Announcement) -> StoreFuture<'_, Option<Timestamp>> {
+        Box::pin(self.write(async move |tx, now| {
+            let row = query(
+                "UPDATE publications
+                 SET published_at = CASE WHEN published_at < ?2 THEN ?2 ELSE published_at + 1 END
+                 WHERE id = ?1 AND removing_since IS NULL RETURNING published_at",
+            )
+            .bind(announced.row)
+            .bind(micros(now))
+            .fetch_optional(tx)
+            .await?;
+            row.map(|row| instant("published_at", row.try_get("published_at")?)).transpose()
+        }))
+    }
+
+    fn older_publications(
+        &self,
+        age: SignedDuration,
+        after: Option<Digest>,
+        limit: u32,
+    ) -> StoreFuture<'_, Vec<Digest>> {
+        Box::pin(self.read(async move |tx| {
+            let now = self.now(&mut *tx).await?;
+            let rows = query(
+                "SELECT digest FROM publications
+                 WHERE digest > ? AND published_at < ? AND removing_since IS NULL ORDER BY digest LIMIT ?",
+            )
+            .bind(after.map(|digest| digest.to_string()).unwrap_or_default())
+            .bind(earlier(now, age))
+            .bind(limit)
+            .fetch_all(tx)
+            .await?;
+            rows.iter().map(|row| parsed("digest", row.try_get("digest")?)).collect()
+        }))
+    }
+
+    fn begin_removal(&self, digest: Digest, which: Removable) -> StoreFuture<'_, Option<Removal>> {
+        Box::pin(self.write(async move |tx, now| {
+            let (first, last) = match which {
+                Removable::OlderThan(age) => (i64::MIN, earlier(now, age).saturating_sub(1)),
+                Removable::PublishedAt(at) => (micros(at), micros(at)),
+            };
+            let row = query(
+                "UPDATE publications SET removing_since = ?2
+                 WHERE digest = ?1 AND removing_since IS NULL AND published_at BETWEEN ?3 AND ?4
+                 RETURNING id, digest, bytes",
+            )
+            .bind(digest.to_string())
+            .bind(micros(now))
+            .bind(first)
+            .bind(last)
+            .fetch_optional(tx)
+            .await?;
+            row.as_ref().map(removal).transpose()
+        }))
+    }
+
+    fn abandoned_removals(&self) -> StoreFuture<'_, Vec<Removal>> {
+        Box::pin(self.write(async move |tx, now| {
+            let rows = query(
+                "UPDATE publications SET removing_since = ?1 WHERE removing_since < ?2
+                 RETURNING id, digest, bytes",
+            )
+            .bind(micros(now))
+            .bind(earlier(now, REMOVER_IS_DEAD))
+            .fetch_all(tx)
+            .await?;
+            rows.iter().map(removal).collect()
+        }))
+    }
+
+    fn end_removal(&self, removal: Removal) -> StoreFuture<'_, ()> {
+        Box::pin(self.write(async move |tx, _| {
+            query("DELETE FROM publications WHERE id = ? AND removing_since IS NOT NULL")
+                .bind(removal.row)
+                .execute(tx)
+                .await?;
+            Ok(())
+        }))
+    }
+
+    fn claim_place(&self, place: BlobPlace) -> StoreFuture<'_, String> {
+        Box::pin(self.write(async move |tx, _| {
+            query("UPDATE blob_place SET place = ? WHERE place IS NULL")
+                .bind(place.as_str())
+                .execute(&mut *tx)
+                .await?;
+            let row = query("SELECT id, place FROM blob_place").fetch_one(tx).await?;
+            let found: String = row.try_get("place")?;
+            match place {
+                _ if found == place.as_str() => Ok(row.try_get("id")?),
+                BlobPlace::Bucket => Err(StoreError::BlobsInFolder),
+                BlobPlace::Folder => Err(StoreError::BlobsInBucket),
+            }
+        }))
+    }
+
+    fn move_blobs(&self, place: BlobPlace) -> StoreFuture<'_, ()> {
+        Box::pin(self.write(async move |tx, _| {
+            query("UPDATE blob_place SET place = ?").bind(place.as_str()).execute(&mut *tx).await?;
+            query("DELETE FROM publications").execute(tx).await?;
+            Ok(())
+        }))
+    }
+}

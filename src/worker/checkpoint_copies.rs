@@ -1,0 +1,185 @@
+//! Copies of checkpoints in a bucket, so that a job is resumed on another machine.
+//!
+//! Each attempt copies its folder to names of its own, so an attempt that has lost its lease without noticing writes where nobody reads. A
+//! file is copied whenever it has changed; those of a folder are independent of each other.
+
+use std::{
+    collections::BTreeMap,
+    fs, io,
+    path::{Path, PathBuf},
+    time::{Duration, SystemTime},
+};
+
+use tokio::{task::JoinHandle, time::sleep};
+use tokio_util::sync::CancellationToken;
+
+use super::checkpoints;
+use crate::{
+    domain::JobId,
+    store::{BlobError, Lease, SharedFiles, Store},
+};
+
+/// Folder of the copies.
+const ROOT: &str = "checkpoints";
+
+/// The folder with the copies of a job's checkpoints.
+fn of_job(job: JobId) -> String {
+    format!("{ROOT}/{job}")
+}
+
+/// Copies the folder of an attempt for as long as it runs.
+pub(super) struct CheckpointCopies {
+    stop: CancellationToken,
+    copying: JoinHandle<Copier>,
+}
+
+struct Copier {
+    files: SharedFiles,
+    /// Folder of the attempt.
+    folder: PathBuf,
+    /// Its name in the bucket.
+    name: String,
+    /// What has been copied, as it was then.
+    copied: BTreeMap<PathBuf, (SystemTime, u64)>,
+}
+
+impl CheckpointCopies {
+    /// Copies `folder`, that of the attempt `lease`, every so often from now on.
+    pub(super) fn start(files: SharedFiles, folder: PathBuf, lease: &Lease, every: Duration) -> Self {
+        let name = format!("{}/{}", of_job(lease.job), checkpoints::attempt_name(lease.attempt));
+        let mut copier = Copier { files, folder, name, copied: BTreeMap::new() };
+        let stop = CancellationToken::new();
+        let stopped = stop.clone();
+        let copying = tokio::spawn(async move {
+            loop {
+                tokio::select! {
+                    () = stopped.cancelled() => return copier,
+                    () = sleep(every) => copier.copy().await,
+                }
+            }
+        });
+        Self { stop, copying }
+    }
+
+    /// Stops, without a last copy.
+    pub(super) fn abandon(self) {
+        self.copying.abort();
+    }
+
+    /// Stops after a last copy.
+    pub(super) async fn finish(self) {
+        self.stop.cancel();
+        if let Ok(mut copier) = self.copying.await {
+            copier.copy().await;
+        }
+    }
+}
+
+impl Copier {
+    /// Copies what has changed. A failure costs at most the steps since the copy before.
+    async fn copy(&mut self) {
+        for (path, version) in files_below(&self.folder) {
+            if self.copied.get(&path) == Some(&version) {
+                continue;
+            }
+            let Some(relative) = path.strip_prefix(&self.folder).ok().and_then(Path::to_str) else {
+                continue;
+            };
+            match self.files.save(&format!("{}/{relative}", self.name), &path).await {
+                Ok(()) => drop(self.copied.insert(path, version)),
+                // Replaced meanwhile by one that is copied next time.
+                Err(BlobError::Io(error)) if error.kind() == io::ErrorKind::NotFound => {}
+                Err(error) => {
+                    tracing::warn!(
+                        error = &error as &dyn std::error::Error,
+                        "a checkpoint is not copied: {error}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// The checkpoint files below a folder, with the time of their last change and their length. Names that begin with a dot are files that
+/// are being written.
+fn files_below(folder: &Path) -> Vec<(PathBuf, (SystemTime, u64))> {
+    let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
+    let mut found = Vec::new();
+    for entry in entries.flatten() {
+        let Ok(metadata) = entry.metadata() else { continue };
+        if metadata.is_dir() {
+            found.extend(files_below(&entry.path()));
+        } else if !entry.file_name().as_encoded_bytes().starts_with(b".")
+            && let Ok(modified) = metadata.modified()
+        {
+            found.push((entry.path(), (modified, metadata.len())));
+        }
+    }
+    found
+}
+
+/// Brings what an attempt resumes from below `root`, unless it is there already: the newest checkpoint of its job, or else of the job that
+/// it retries.
+pub(super) async fn fetch(files: &SharedFiles, root: &Path, lease: &Lease, resume_from: Option<JobId>) {
+    let found = async {
+        if !fetch_job(files, root, lease.job, lease.attempt).await?
+            && let Some(retried) = resume_from
+        {
+            fetch_job(files, root, retried, u32::MAX).await?;
+        }
+        Ok::<(), BlobError>(())
+    };
+    if let Err(error) = found.await {
+        tracing::warn!(
+            error = &error as &dyn std::error::Error,
+            "job {} begins again, since its checkpoint cannot be read: {error}",
+            lease.job
+        );
+    }
+}
+
+/// Brings a job's newest checkpoint of an attempt before `before`, and returns whether it has one.
+async fn fetch_job(files: &SharedFiles, root: &Path, job: JobId, before: u32) -> Result<bool, BlobError> {
+    let attempts = files.folders(&of_job(job)).await?;
+    let attempts = attempts.iter().filter_map(|name| checkpoints::attempt_number(name));
+    let newest = attempts.filter(|attempt| *attempt < before).max();
+    let here = checkpoints::newest_attempt(root, job, before);
+    let Some(newest) = newest.filter(|newest| here.is_none_or(|here| here < *newest)) else {
+        return Ok(here.is_some());
+    };
+    let name = format!("{}/{}", of_job(job), checkpoints::attempt_name(newest));
+    let folder = checkpoints::folder(root, job);
+    // Complete before it has its name, so that no half of it is resumed from.
+    let partial = folder.join(format!("fetched-{newest}"));
+    let _ = fs::remove_dir_all(&partial);
+    for file in files.below(&name).await? {
+        if let Some(relative) = file.strip_prefix(&name) {
+            files.load(&file, &partial.join(relative.trim_start_matches('/'))).await?;
+        }
+    }
+    fs::rename(&partial, folder.join(checkpoints::attempt_name(newest)))?;
+    tracing::info!("job {job} goes on with a checkpoint of another machine, of attempt {newest}");
+    Ok(true)
+}
+
+/// Removes the copies that no job can resume from any more.
+pub(super) async fn sweep(files: &SharedFiles, store: &dyn Store) {
+    let swept = async {
+        let jobs: Vec<JobId> =
+            files.folders(ROOT).await?.iter().filter_map(|name| name.parse().ok()).collect();
+        if jobs.is_empty() {
+            return Ok(());
+        }
+        let wanted = store.resumable(&jobs).await?;
+        for job in jobs.iter().filter(|job| !wanted.contains(job)) {
+            files.remove_below(&of_job(*job)).await?;
+        }
+        Ok::<(), BlobError>(())
+    };
+    if let Err(error) = swept.await {
+        tracing::warn!(
+            error = &error as &dyn std::error::Error,
+            "unneeded checkpoints are not removed: {error}"
+        );
+    }
+}

@@ -1,0 +1,350 @@
+//! Blobs in a bucket of a real S3 server.
+
+use std::{sync::Arc, time::Duration};
+
+use bytes::Bytes;
+use futures_util::TryStreamExt as _;
+use jiff::{SignedDuration, Unit};
+use object_store::{ObjectStore, ObjectStoreExt as _, path::Path as ObjectPath};
+use tcgs::{
+    domain::{Clock as _, Digest, ManualClock, ProjectId, SystemClock, UploadId},
+    store::{
+        BlobError, BlobPlace, BlobRef, BlobState, Blobs, CheckDepth, NewUpload, QueuePolicy, SqlStore,
+        StoreError, Uploads as _,
+        publications::{Publications as _, REMOVER_IS_DEAD, Removable},
+        uploads::WRITER_LIFE,
+    },
+};
+use tempfile::TempDir;
+
+use crate::support::{
+    bucket::{S3Server, connect},
+    database::Database,
+    gate::{Gate, GateState},
+};
+
+struct Fixture {
+    objects: Arc<dyn ObjectStore>,
+    store: Arc<SqlStore>,
+    blobs: Blobs,
+    clock: Arc<ManualClock>,
+    folder: TempDir,
+    database: Database,
+}
+
+impl Fixture {
+    async fn new() -> Option<Self> {
+        let database = super::database().await?;
+        let server = S3Server::shared()?;
+        let folder = tempfile::tempdir().expect("a folder");
+        // As precise as the database.
+        let now = SystemClock.now().round(Unit::Microsecond).expect("in range");
+        let clock = Arc::new(ManualClock::new(now));
+        let store = Arc::new(database.open(clock.clone(), QueuePolicy::default()).await);
+        let objects = server.connect(&server.prefix());
+        let blobs =
+            Blobs::open_bucket(folder.path(), objects.clone(), store.clone()).await.expect("a bucket");
+        Some(Self { objects, store, blobs, clock, folder, database })
+    }
+
+    /// As another process would open it.
+    async fn reopen(&self) -> Result<Blobs, BlobError> {
+        let store = Arc::new(self.database.open(self.clock.clone(), QueuePolicy::default()).await);
+        Blobs::open_bucket(self.folder.path(), self.objects.clone(), store).await
+    }
+
+    async fn stage(&self, content: &[u8]) -> tcgs::store::StagedBlob {
+        let mut staging = self.blobs.stage(1 << 30).await.expect("room");
+        staging.write(content).await.expect("written");
+        staging.finish().await.expect("whole")
+    }
+}
+
+/// Where a blob's object is.
+fn object(digest: Digest) -> ObjectPath {
+    let hex = digest.to_string();
+    ObjectPath::from(format!("sha256/{}/{}/{hex}", &hex[..2], &hex[2..4]))
+}
+
+/// More than one part.
+fn large() -> Vec<u8> {
+    (0..20_000_003_u32).map(|index| (index.wrapping_mul(2_654_435_761) >> 24) as u8).collect()
+}
+
+#[tokio::test]
+async fn a_blob_in_a_bucket_reads_back_whole_in_parts_and_as_a_file() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let large = large();
+    for content in [b"twelve bytes".as_slice(), &[], &large] {
+        let staged = fixture.stage(content).await;
+        let blob = fixture.blobs.publish(&staged).await.expect("published").blob;
+        assert_eq!(blob, BlobRef { digest: Digest::of(content), bytes: content.len() as u64 });
+        assert_eq!(fixture.blobs.publish(&staged).await.expect("again").blob, blob);
+        assert!(fixture.blobs.read(blob.digest).await.expect("whole") == content);
+        let copy = fixture.blobs.local_copy(blob.digest).await.expect("a file");
+        assert!(std::fs::read(copy.path()).expect("readable") == content);
+        let path = copy.path().to_owned();
+        drop(copy);
+        assert!(!path.exists(), "a copy does not outlive its handle");
+        if let Some(part) = content.get(content.len() / 2..)
+            && !part.is_empty()
+        {
+            let range = content.len() as u64 / 2..content.len() as u64;
+            let read: Vec<Bytes> = fixture
+                .blobs
+                .stream(blob.digest, range)
+                .await
+                .expect("a part")
+                .try_collect()
+                .await
+                .expect("read");
+            assert!(read.concat() == part);
+        }
+        assert_eq!(fixture.blobs.check(blob, CheckDepth::Content).await.expect("asked"), BlobState::Sound);
+    }
+    let put = fixture.blobs.put(Bytes::from(large.clone())).await.expect("published");
+    assert_eq!(put.digest, Digest::of(&large));
+}
+
+#[tokio::test]
+async fn damage_and_absence_in_a_bucket_are_found() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let blob = fixture.blobs.put(Bytes::from_static(b"sound")).await.expect("published");
+    let state = async |depth| fixture.blobs.check(blob, depth).await.expect("asked");
+    fixture.objects.put(&object(blob.digest), b"risen".to_vec().into()).await.expect("overwritten");
+    assert!(matches!(fixture.blobs.read(blob.digest).await, Err(BlobError::Damaged { .. })));
+    assert!(matches!(fixture.blobs.local_copy(blob.digest).await, Err(BlobError::Damaged { .. })));
+    assert_eq!(state(CheckDepth::Content).await, BlobState::Damaged);
+    assert_eq!(state(CheckDepth::Length).await, BlobState::Sound);
+    // Another length is seen by a publisher, who mends it.
+    fixture.objects.put(&object(blob.digest), b"so".to_vec().into()).await.expect("overwritten");
+    assert_eq!(state(CheckDepth::Length).await, BlobState::Damaged);
+    fixture.blobs.put(Bytes::from_static(b"sound")).await.expect("published");
+    assert_eq!(state(CheckDepth::Content).await, BlobState::Sound);
+    fixture.objects.delete(&object(blob.digest)).await.expect("deleted");
+    assert_eq!(state(CheckDepth::Content).await, BlobState::Missing);
+    assert!(matches!(fixture.blobs.read(blob.digest).await, Err(BlobError::Missing(_))));
+    assert!(matches!(fixture.blobs.local_copy(blob.digest).await, Err(BlobError::Missing(_))));
+    assert!(fixture.blobs.republish(blob).await.expect("asked").is_none());
+    fixture.blobs.put(Bytes::from_static(b"sound")).await.expect("published");
+    let (_, copy) = fixture.blobs.republish(blob).await.expect("asked").expect("there");
+    assert_eq!(std::fs::read(copy.path()).expect("readable"), b"sound");
+}
+
+#[tokio::test]
+async fn a_bucket_belongs_to_one_database_and_a_database_to_one_place() {
+    let Some(fixture) = Fixture::new().await else { return };
+    fixture.reopen().await.expect("its own database opens it again");
+    fixture.blobs.probe().await.expect("its own");
+    assert!(matches!(fixture.store.claim_place(BlobPlace::Folder).await, Err(StoreError::BlobsInBucket)));
+
+    let other = Database::sqlite();
+    let store = Arc::new(other.open(fixture.clock.clone(), QueuePolicy::default()).await);
+    let folder = tempfile::tempdir().expect("a folder");
+    let opened = Blobs::open_bucket(folder.path(), fixture.objects.clone(), store).await;
+    assert!(matches!(opened, Err(BlobError::OtherDatabase)));
+
+    let third = Database::sqlite();
+    let store = Arc::new(third.open(fixture.clock.clone(), QueuePolicy::default()).await);
+    let first = store.claim_place(BlobPlace::Folder).await.expect("decided now");
+    assert_eq!(store.claim_place(BlobPlace::Folder).await.expect("as before"), first);
+    let opened = Blobs::open_bucket(folder.path(), fixture.objects.clone(), store).await;
+    assert!(matches!(opened, Err(BlobError::Index(StoreError::BlobsInFolder))));
+
+    fixture.objects.put(&ObjectPath::from("database"), b"another".to_vec().into()).await.expect("taken over");
+    assert!(matches!(fixture.blobs.probe().await, Err(BlobError::OtherDatabase)));
+}
+
+#[tokio::test]
+async fn a_publication_in_a_bucket_is_undone_only_if_it_created_the_blob_and_none_followed() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let blobs = &fixture.blobs;
+    let content = || Bytes::from_static(b"twelve bytes");
+    let put = blobs.put_new(content()).await.expect("published");
+    assert!(blobs.unpublish(put).await.expect("asked"));
+    assert!(matches!(blobs.read(put.blob.digest).await, Err(BlobError::Missing(_))));
+    assert!(!blobs.unpublish(put).await.expect("asked"), "it is gone");
+    // On a clock that stands still, publications differ all the same.
+    let first = blobs.put_new(content()).await.expect("published");
+    let second = blobs.put_new(content()).await.expect("published again");
+    assert!(!blobs.unpublish(first).await.expect("asked"), "another counts on it");
+    assert!(!blobs.unpublish(second).await.expect("asked"), "it was there before");
+    assert_eq!(blobs.read(first.blob.digest).await.expect("there"), content());
+}
+
+#[tokio::test]
+async fn a_publisher_waits_for_a_remover_and_takes_over_from_a_dead_one() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let content = || Bytes::from_static(b"wanted again");
+    let blob = fixture.blobs.put(content()).await.expect("published");
+    let any_age = Removable::OlderThan(SignedDuration::ZERO);
+    fixture.clock.advance(SignedDuration::from_secs(1));
+    let removal = fixture.store.begin_removal(blob.digest, any_age).await.expect("asked").expect("marked");
+    assert_eq!(removal.blob, blob);
+    assert_eq!(
+        fixture.store.begin_removal(blob.digest, any_age).await.expect("asked"),
+        None,
+        "one at a time"
+    );
+
+    let publishing = tokio::spawn({
+        let blobs = fixture.blobs.clone();
+        async move { blobs.put(content()).await.expect("published in the end") }
+    });
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    assert!(!publishing.is_finished(), "it must not count on what is being deleted");
+    fixture.objects.delete(&object(blob.digest)).await.expect("deleted");
+    fixture.store.end_removal(removal).await.expect("forgotten");
+    assert_eq!(publishing.await.expect("ends"), blob);
+    assert_eq!(fixture.blobs.read(blob.digest).await.expect("there"), content());
+
+    // This remover dies before it has deleted anything.
+    fixture.clock.advance(SignedDuration::from_secs(1));
+    let dead = fixture.store.begin_removal(blob.digest, any_age).await.expect("asked").expect("marked");
+    assert!(fixture.store.abandoned_removals().await.expect("asked").is_empty());
+    fixture.clock.advance(REMOVER_IS_DEAD + SignedDuration::from_secs(1));
+    assert_eq!(fixture.blobs.put(content()).await.expect("published"), blob);
+    // It was not dead.
+    fixture.store.end_removal(dead).await.expect("too late");
+    let row = fixture.store.begin_removal(blob.digest, any_age).await.expect("asked");
+    assert_eq!(row, None, "published just now");
+    assert_eq!(fixture.blobs.read(blob.digest).await.expect("there"), content());
+}
+
+#[tokio::test]
+async fn what_a_dead_remover_left_is_finished_by_a_collection() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let blob = fixture.blobs.put(Bytes::from_static(b"unwanted")).await.expect("published");
+    fixture.clock.advance(SignedDuration::from_secs(1));
+    let which = Removable::OlderThan(SignedDuration::ZERO);
+    fixture.store.begin_removal(blob.digest, which).await.expect("asked").expect("marked");
+    fixture.blobs.finish_removals().await.expect("asked");
+    assert!(fixture.objects.head(&object(blob.digest)).await.is_ok(), "its remover may be alive");
+    fixture.clock.advance(REMOVER_IS_DEAD + SignedDuration::from_secs(1));
+    fixture.blobs.finish_removals().await.expect("finished");
+    assert!(fixture.objects.head(&object(blob.digest)).await.is_err());
+    let announced = fixture.store.announce(blob).await.expect("asked").expect("nobody removes it");
+    assert!(announced.is_new);
+}
+
+#[tokio::test]
+async fn a_publication_that_was_removed_meanwhile_is_not_confirmed() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let blob = BlobRef { digest: Digest::of(b"slow"), bytes: 4 };
+    let slow = fixture.store.announce(blob).await.expect("asked").expect("free");
+    fixture.clock.advance(SignedDuration::from_hours(2));
+    let old = Removable::OlderThan(SignedDuration::from_hours(1));
+    let removal = fixture.store.begin_removal(blob.digest, old).await.expect("asked").expect("marked");
+    assert_eq!(fixture.store.confirm(slow).await.expect("asked"), None);
+    fixture.store.end_removal(removal).await.expect("forgotten");
+    assert_eq!(fixture.store.confirm(slow).await.expect("asked"), None);
+    let again = fixture.store.announce(blob).await.expect("asked").expect("free");
+    assert_eq!(fixture.store.confirm(slow).await.expect("asked"), None, "that is another publication");
+    assert!(again.is_new && fixture.store.confirm(again).await.expect("asked").is_some());
+}
+
+/// An upload of the default project.
+async fn begin_upload(fixture: &Fixture, number: u128, length: u64) -> UploadId {
+    let id = UploadId(uuid::Uuid::from_u128(number));
+    let expires_at = fixture.clock.now() + SignedDuration::from_hours(1);
+    let new = NewUpload { id, project: ProjectId::DEFAULT, length, metadata: None, expires_at };
+    fixture.store.create_upload(new).await.expect("begun");
+    id
+}
+
+#[tokio::test]
+async fn an_upload_in_a_bucket_goes_on_at_another_replica() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let other = fixture.reopen().await.expect("another replica");
+    let content = large();
+    let length = content.len() as u64;
+    let id = begin_upload(&fixture, 1, length).await;
+    let later = fixture.clock.now() + SignedDuration::from_hours(2);
+    let half = content.len() / 2;
+
+    let mut file = fixture.blobs.open_upload(id).await.expect("asked").expect("free");
+    assert!(other.open_upload(id).await.expect("asked").is_none(), "one writer at a time");
+    assert!(!other.remove_upload(id).await.expect("asked"), "it is held");
+    file.continue_at(0).await.expect("at its beginning");
+    file.write(&content[..100]).await.expect("written");
+    assert!(file.save(&*fixture.store, 100, later).await.expect("saved"));
+    file.write(&content[100..half]).await.expect("written");
+    assert!(file.save(&*fixture.store, half as u64, later).await.expect("saved"));
+    file.write(b"never saved").await.expect("written");
+    drop(file);
+
+    let mut file = other.open_upload(id).await.expect("asked").expect("free again");
+    let record = fixture.store.upload(id).await.expect("asked").expect("there");
+    assert_eq!((record.received, record.expires_at), (half as u64, later));
+    file.continue_at(record.received).await.expect("where the other ended");
+    file.write(&content[half..]).await.expect("written");
+    assert!(file.save(&*fixture.store, length, later).await.expect("saved"));
+    drop(file);
+    assert_eq!(fixture.blobs.uploads().await.expect("a list"), [id]);
+
+    let reopen = async || fixture.blobs.open_upload(id).await.expect("asked").expect("free");
+    let short = reopen().await.finish(length + 1).await;
+    assert!(matches!(short, Err(BlobError::UploadDamaged { found, .. }) if found == length));
+    let staged = reopen().await.finish(length).await.expect("whole");
+    assert_eq!(staged.blob(), BlobRef { digest: Digest::of(&content), bytes: length });
+    assert!(other.open_upload(id).await.expect("asked").is_none(), "nobody writes while it is used");
+    fixture.blobs.publish(&staged).await.expect("published");
+    drop(staged);
+    assert!(fixture.store.delete_upload(id).await.expect("deleted"));
+    assert!(other.remove_upload(id).await.expect("asked"));
+    assert!(fixture.blobs.uploads().await.expect("a list").is_empty());
+    assert!(fixture.blobs.remove_upload(id).await.expect("asked"), "what is gone is gone");
+    assert!(fixture.blobs.read(Digest::of(&content)).await.expect("the blob stays") == content);
+}
+
+#[tokio::test]
+async fn a_writer_that_was_away_too_long_saves_nothing_more() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let id = begin_upload(&fixture, 1, 8).await;
+    let later = fixture.clock.now() + SignedDuration::from_hours(2);
+    let mut away = fixture.blobs.open_upload(id).await.expect("asked").expect("free");
+    away.continue_at(0).await.expect("at its beginning");
+    away.write(b"lost").await.expect("written");
+    fixture.clock.advance(WRITER_LIFE + SignedDuration::from_secs(1));
+    let mut next = fixture.blobs.open_upload(id).await.expect("asked").expect("its lock has ended");
+    next.continue_at(0).await.expect("at its beginning");
+    next.write(b"kept").await.expect("written");
+    assert!(!away.save(&*fixture.store, 4, later).await.expect("asked"), "another writes now");
+    assert!(next.save(&*fixture.store, 4, later).await.expect("asked"));
+    next.write(b"more").await.expect("written");
+    drop(away);
+    tokio::time::sleep(Duration::from_millis(100)).await;
+    assert!(next.save(&*fixture.store, 8, later).await.expect("asked"), "its lock is not the other's");
+    let staged = next.finish(8).await.expect("whole");
+    assert_eq!(staged.blob().digest, Digest::of(b"keptmore"));
+}
+
+/// What a test does while the bucket does not answer, through a proxy that can be shut.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_bucket_that_is_away_is_an_error_that_passes() {
+    let Some(database) = super::database().await else { return };
+    let Some(server) = S3Server::shared() else { return };
+    let gate = Gate::start(server.address).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let store = Arc::new(database.open(Arc::new(SystemClock), QueuePolicy::default()).await);
+    let url = server.prefix();
+    let blobs =
+        Blobs::open_bucket(folder.path(), connect(&url, gate.address), store).await.expect("a bucket");
+    let blob = blobs.put(Bytes::from_static(b"before")).await.expect("published");
+    let content = large();
+    for when in [GateState::Shut, GateState::CutAfter(10_000), GateState::CutAfter(3_000_000)] {
+        gate.set(when);
+        let failed = blobs.put(Bytes::from(content.clone())).await.expect_err("the bucket is away");
+        assert!(failed.is_transient(), "{failed:?}");
+        if when == GateState::Shut {
+            assert!(blobs.read(blob.digest).await.expect_err("away").is_transient());
+            assert!(blobs.probe().await.expect_err("away").is_transient());
+        }
+        gate.set(GateState::Open);
+        assert!(blobs.read(blob.digest).await.expect("back") == b"before".as_slice());
+    }
+    let put = blobs.put(Bytes::from(content.clone())).await.expect("published");
+    assert!(blobs.read(put.digest).await.expect("whole") == content);
+    gate.set(GateState::Slow);
+    assert!(blobs.read(put.digest).await.expect("slow, but whole") == content);
+}
