@@ -7,11 +7,12 @@ use futures_util::TryStreamExt as _;
 use jiff::{SignedDuration, Unit};
 use object_store::{ObjectStore, ObjectStoreExt as _, path::Path as ObjectPath};
 use tcgs::{
-    domain::{Clock as _, Digest, ManualClock, ProjectId, SystemClock, UploadId},
+    domain::{Clock as _, Digest, JobId, ManualClock, ProjectId, SystemClock, TrainOptions, UploadId},
     store::{
-        BlobError, BlobPlace, BlobRef, BlobState, Blobs, CheckDepth, NewUpload, QueuePolicy, SqlStore,
-        StoreError, Uploads as _,
+        BlobError, BlobPlace, BlobRef, BlobSource, BlobState, Blobs, CheckDepth, CopyMode, DATABASE, NewJob,
+        NewUpload, QueuePolicy, SqlStore, Store as _, StoreError, Uploads as _, back_up,
         publications::{Publications as _, REMOVER_IS_DEAD, Removable},
+        restore,
         uploads::WRITER_LIFE,
     },
 };
@@ -347,4 +348,42 @@ async fn a_bucket_that_is_away_is_an_error_that_passes() {
     assert!(blobs.read(put.digest).await.expect("whole") == content);
     gate.set(GateState::Slow);
     assert!(blobs.read(put.digest).await.expect("slow, but whole") == content);
+}
+
+#[tokio::test]
+async fn a_backup_moves_blobs_out_of_a_bucket_and_into_another() {
+    let Some(fixture) = Fixture::new().await else { return };
+    if fixture.database.is_postgres() {
+        return; // Its backups are pg_dump's.
+    }
+    let server = S3Server::shared().expect("asked before");
+    let content = Bytes::from_static(b"a dataset");
+    let dataset = fixture.blobs.put(content.clone()).await.expect("published");
+    let job = JobId(uuid::Uuid::from_u128(7));
+    fixture.store.create_job(NewJob::new(job, TrainOptions::default(), dataset)).await.expect("queued");
+
+    let folder = tempfile::tempdir().expect("a folder");
+    let [backup, in_bucket, in_folder] = ["backup", "bucket", "folder"].map(|name| folder.path().join(name));
+    let source = BlobSource::Store(fixture.blobs.clone());
+    let clock = fixture.clock.clone();
+    let note =
+        back_up(&fixture.store, &source, &backup, CopyMode::Link, clock.clone()).await.expect("a backup");
+    assert_eq!((note.blobs, note.bytes), (1, 9));
+
+    let objects = server.connect(&server.prefix());
+    for (data, bucket) in [(&in_bucket, Some(objects.clone())), (&in_folder, None)] {
+        let restored = restore(&backup, data, bucket.clone(), clock.clone()).await.expect("restored");
+        assert_eq!(restored, note);
+        let store = SqlStore::open(&data.join(DATABASE), clock.clone(), QueuePolicy::default()).await;
+        let store = Arc::new(store.expect("a database"));
+        assert!(store.job(job).await.expect("read").is_some());
+        let blobs = match bucket {
+            Some(bucket) => Blobs::open_bucket(data, bucket, store.clone()).await.expect("its bucket"),
+            None => {
+                store.claim_place(BlobPlace::Folder).await.expect("decided by the restoration");
+                Blobs::open(data).expect("its folder")
+            }
+        };
+        assert_eq!(blobs.read(dataset.digest).await.expect("there"), content);
+    }
 }
