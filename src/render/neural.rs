@@ -41,6 +41,7 @@ struct Kernels {
     network_input: Arc<Kernel>,
     opaque_anchors: Arc<Kernel>,
     opaque_input: Arc<Kernel>,
+    visible_offsets: Arc<Kernel>,
     dense: DenseLayers,
     spawn_gaussians: Arc<Kernel>,
     count_gaussians: Arc<Kernel>,
@@ -60,6 +61,7 @@ impl Kernels {
             network_input: device.kernel(input, &defs)?,
             opaque_anchors: device.kernel(kernel_source!("opaque_anchors"), &defs)?,
             opaque_input: device.kernel(input, &opaque)?,
+            visible_offsets: device.kernel(kernel_source!("visible_offsets"), &defs)?,
             dense: DenseLayers::new(device, subgroups, NetworkLayout::new(shape).layers())?,
             spawn_gaussians: device.kernel(kernel_source!("spawn_gaussians"), &defs)?,
             count_gaussians: device.kernel(kernel_source!("count_gaussians"), &defs)?,
@@ -303,33 +305,12 @@ impl NeuralGaussians {
         camera: &Camera,
         volume_weight: f32,
     ) -> Result<(), RenderError> {
-        self.fit(anchors.count)?;
+        self.opacities(recorder, anchors, camera, volume_weight)?;
         self.holds_outputs = true;
-        recorder.write(&self.view, &[self.view_uniform(anchors.count, camera, volume_weight)]);
-        // Offsets are small beside a far anchor's position, which the kernel therefore takes relative to the camera.
-        self.forward.gaussians.origin = CenteredPose::of(camera).eye;
         let (kernels, on) = (&self.kernels, &self.forward);
-        let view = &self.view;
+        let (view, dense, networks) = (&self.view, &kernels.dense, &anchors.networks);
         let groups = anchors.count.div_ceil(64) as u32;
-        recorder.dispatch(
-            &kernels.anchor_visible,
-            &[view, &anchors.positions, &anchors.rows, &on.visible],
-            groups,
-        );
-        recorder.dispatch(&kernels.compact_anchors, &[view, &on.visible, &on.list], 1);
-        recorder.dispatch(
-            &kernels.network_input,
-            &[view, &on.list, &anchors.positions, &anchors.rows, &on.input],
-            groups,
-        );
         // The opacities alone say which anchors need the rest.
-        let (dense, networks) = (&kernels.dense, &anchors.networks);
-        let [opacity, ..] = &self.layout.heads;
-        let visible = Columns { list: &on.list, capacity: self.capacity };
-        let hidden = visible.layer(&self.layout.hidden).first_outputs(opacity.inputs);
-        dense.forward(recorder, hidden, networks, &on.input, &on.hidden, Activation::Relu)?;
-        let opacity = visible.layer(opacity);
-        dense.forward(recorder, opacity, networks, &on.hidden, &on.outputs, Activation::Linear)?;
         recorder.dispatch(
             &kernels.opaque_anchors,
             &[view, &on.list, &on.outputs, &anchors.masks, &on.visible, &on.gaussians.geometry, &on.alive],
@@ -364,6 +345,65 @@ impl NeuralGaussians {
             groups,
         );
         recorder.dispatch(&kernels.count_gaussians, &[&on.list, &on.alive, &on.gaussians.count], 1);
+        Ok(())
+    }
+
+    /// Records marking the offsets that the view can show in `shown`: bit k of an anchor's word is its offset k. Evaluates opacities
+    /// alone, so there is nothing to render or to differentiate afterwards.
+    ///
+    /// # Errors
+    /// As [`Self::forward`].
+    pub fn visible_offsets(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        anchors: &DeviceAnchors,
+        camera: &Camera,
+        shown: &Buffer<u32>,
+    ) -> Result<(), RenderError> {
+        self.opacities(recorder, anchors, camera, 0.0)?;
+        let on = &self.forward;
+        recorder.dispatch(
+            &self.kernels.visible_offsets,
+            &[&self.view, &on.list, &anchors.positions, &anchors.rows, &on.outputs, &anchors.masks, shown],
+            anchors.count.div_ceil(64) as u32,
+        );
+        Ok(())
+    }
+
+    /// Records the opacities' outputs of the visible anchors.
+    fn opacities(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        anchors: &DeviceAnchors,
+        camera: &Camera,
+        volume_weight: f32,
+    ) -> Result<(), RenderError> {
+        self.fit(anchors.count)?;
+        self.holds_outputs = false;
+        recorder.write(&self.view, &[self.view_uniform(anchors.count, camera, volume_weight)]);
+        // Offsets are small beside a far anchor's position, which the kernel therefore takes relative to the camera.
+        self.forward.gaussians.origin = CenteredPose::of(camera).eye;
+        let (kernels, on) = (&self.kernels, &self.forward);
+        let view = &self.view;
+        let groups = anchors.count.div_ceil(64) as u32;
+        recorder.dispatch(
+            &kernels.anchor_visible,
+            &[view, &anchors.positions, &anchors.rows, &on.visible],
+            groups,
+        );
+        recorder.dispatch(&kernels.compact_anchors, &[view, &on.visible, &on.list], 1);
+        recorder.dispatch(
+            &kernels.network_input,
+            &[view, &on.list, &anchors.positions, &anchors.rows, &on.input],
+            groups,
+        );
+        let (dense, networks) = (&kernels.dense, &anchors.networks);
+        let [opacity, ..] = &self.layout.heads;
+        let visible = Columns { list: &on.list, capacity: self.capacity };
+        let hidden = visible.layer(&self.layout.hidden).first_outputs(opacity.inputs);
+        dense.forward(recorder, hidden, networks, &on.input, &on.hidden, Activation::Relu)?;
+        let opacity = visible.layer(opacity);
+        dense.forward(recorder, opacity, networks, &on.hidden, &on.outputs, Activation::Linear)?;
         Ok(())
     }
 

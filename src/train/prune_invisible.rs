@@ -8,9 +8,6 @@ use crate::{
     render::{DeviceAnchors, NeuralGaussians},
 };
 
-/// An opacity below this never reaches a pixel (METHOD.md §3.2).
-const MIN_OPACITY: f32 = 1.0 / 255.0;
-
 /// Masks the offsets of `anchors`, rendered as `device_anchors`, whose opacity is too small to reach a pixel in every view of
 /// `frames`. Anchors outside all views keep no offset.
 ///
@@ -24,24 +21,17 @@ pub(super) fn prune_invisible(
     frames: &[&Frame],
     cancel: &CancelFlag,
 ) -> Result<(), TrainError> {
-    let offsets = anchors.shape.offsets;
-    let mut used = vec![0_u32; anchors.len()];
+    let shown = device.upload("visible offsets", &vec![0_u32; anchors.len()])?;
     for frame in frames {
         if cancel.is_cancelled() {
             return Err(TrainError::Cancelled);
         }
-        let mut recorder = device.recorder("offsets in use");
-        neural.forward(&mut recorder, device_anchors, &frame.camera, 0.0)?;
+        let mut recorder = device.recorder("visible offsets");
+        neural.visible_offsets(&mut recorder, device_anchors, &frame.camera, &shown)?;
         recorder.submit()?;
-        let (list, opacities) = neural.visible_opacities()?;
-        for (anchor, opacities) in list.iter().zip(opacities.chunks_exact(offsets)) {
-            for (offset, opacity) in opacities.iter().enumerate() {
-                used[*anchor as usize] |= u32::from(*opacity >= MIN_OPACITY) << offset;
-            }
-        }
     }
-    for (mask, used) in anchors.masks.iter_mut().zip(&used) {
-        *mask &= used;
+    for (mask, shown) in anchors.masks.iter_mut().zip(device.read(&shown)?) {
+        *mask &= shown;
     }
     Ok(())
 }

@@ -230,7 +230,7 @@ impl AnchorTrainer {
         if !self.schedule.prunes_invisible {
             return Ok(());
         }
-        let mut recorder = self.device.recorder("visible offsets");
+        let mut recorder = self.device.recorder("anchors as rendered");
         let shown = match &self.compression {
             Some(compression) => compression.forward(&mut recorder, &self.device_anchors, step)?,
             None => None,

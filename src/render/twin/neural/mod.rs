@@ -12,7 +12,7 @@ pub use dense::{
     dense, dense_input_gradient, dense_software, dense_weight_gradient, dense_weight_gradient_software,
     pack_weights, relu, relu_gate, sum_partials, sum_weight_gradient,
 };
-pub use spawn::{count_gaussians, spawn_gaussians, spawn_gradient, volume};
+pub use spawn::{count_gaussians, spawn_gaussians, spawn_gradient, visible_offsets, volume};
 pub use visibility::{
     anchor_statistics, anchor_visible, compact_anchors, feature_gradient, network_input, opaque_anchors,
 };

@@ -7,7 +7,10 @@ use tcgs::{
     domain::{Camera, Intrinsics, Lattice, Pose, SceneScale},
     gpu::kernel_source,
     model::{AnchorRows, NetworkLayout},
-    render::{NeuralGaussians, Projection, RasterSettings, twin::neural as twin},
+    render::{
+        AnchorGradients, DeviceAnchors, NeuralGaussians, Projection, RasterSettings, RenderError,
+        twin::neural as twin,
+    },
 };
 
 use super::scene::{SMALL, Scene, projection, random_gradients, run};
@@ -181,4 +184,71 @@ fn the_list_is_ascending_complete_and_counted() {
             assert!(found[expected.len() + 1..].iter().all(|v| *v == 0xdead_beef), "nothing beyond the list");
         }
     }
+}
+
+/// Offsets that a view shows by the twin, and those so close to the smallest visible opacity that rounding decides.
+fn shown_by_the_twin(scene: &Scene, camera: &Camera) -> (Vec<u32>, Vec<u32>) {
+    let (anchors, projection) = (scene.twin(), projection(camera));
+    let forward = twin::neural_forward(&projection, &anchors);
+    let mut shown = vec![0; anchors.positions.len()];
+    let mut close = shown.clone();
+    for (anchor, outputs) in forward.list.iter().map(|anchor| *anchor as usize).zip(&forward.outputs) {
+        let (position, row) = (anchors.positions[anchor], anchors.row(anchor));
+        shown[anchor] = twin::visible_offsets(position, SMALL, row, anchors.masks[anchor], outputs);
+        for (k, output) in outputs[..SMALL.offsets].iter().enumerate() {
+            close[anchor] |= u32::from((output.tanh() - 1.0 / 255.0).abs() < 1e-5) << k;
+        }
+    }
+    (shown, close)
+}
+
+#[test]
+fn offsets_that_any_view_shows_are_marked_and_no_others() {
+    let device = gpu();
+    let cameras = [random::camera(40, 30), random::camera(30, 40)];
+    let mut scene = Scene::random(31, SMALL, 300, 4.0, &projection(&cameras[0]));
+    // Opacities around the smallest that reaches a pixel.
+    let layout = NetworkLayout::new(SMALL);
+    let opacity = &layout.heads[0];
+    for weight in &mut scene.networks[opacity.weights..][..opacity.inputs * opacity.outputs] {
+        *weight *= 0.01;
+    }
+    // A position and a size that are not finite, of offsets that would be shown.
+    let (shown, _) = shown_by_the_twin(&scene, &cameras[0]);
+    let mut first = (0..shown.len()).filter(|anchor| shown[*anchor] != 0);
+    let [nowhere, endless] = [(); 2].map(|()| first.next().expect("two anchors are shown"));
+    let offset = shown[nowhere].trailing_zeros();
+    let values = &mut scene.anchors.values;
+    values[nowhere * SMALL.row() + SMALL.offset_column() + 3 * offset as usize] = f32::NAN;
+    values[endless * SMALL.row() + SMALL.scaling_column() + 4] = f32::INFINITY;
+    let uploaded = DeviceAnchors::upload(&device, &scene.anchors, &scene.networks).expect("anchors");
+    let mut neural =
+        NeuralGaussians::new(device.clone(), SMALL, 0.2, SceneScale::DEFAULT).expect("the kernels");
+    let marked = device.upload("visible offsets", &vec![0_u32; scene.anchors.len()]).expect("a buffer");
+    let (mut expected, mut close) = (vec![0; scene.anchors.len()], vec![0; scene.anchors.len()]);
+    for camera in &cameras {
+        let mut recorder = device.recorder("visible offsets");
+        neural.visible_offsets(&mut recorder, &uploaded, camera, &marked).expect("recorded");
+        recorder.submit().expect("submitted");
+        let (shown, near) = shown_by_the_twin(&scene, camera);
+        expected.iter_mut().zip(shown).for_each(|(all, shown)| *all |= shown);
+        close.iter_mut().zip(near).for_each(|(all, near)| *all |= near);
+        let found = device.read(&marked).expect("read");
+        for (anchor, (found, expected)) in found.iter().zip(&expected).enumerate() {
+            assert_eq!(found & !close[anchor], expected & !close[anchor], "anchor {anchor}");
+        }
+    }
+    let count = |words: &[u32]| words.iter().map(|word| word.count_ones()).sum::<u32>();
+    let unmasked = count(&scene.anchors.masks);
+    assert!((50..unmasked - 50).contains(&count(&expected)) && count(&close) < 10, "{}", count(&expected));
+    let found = device.read(&marked).expect("read");
+    assert_eq!([found[nowhere] & 1 << offset, found[endless]], [0; 2]);
+
+    // Nothing to differentiate: the networks were not evaluated whole.
+    let out = AnchorGradients {
+        rows: device.buffer("rows", scene.anchors.values.len()).expect("a buffer"),
+        networks: device.buffer("networks", layout.parameters).expect("a buffer"),
+    };
+    let mut recorder = device.recorder("backward");
+    assert!(matches!(neural.backward(&mut recorder, &uploaded, &out), Err(RenderError::OutOfStep)));
 }
