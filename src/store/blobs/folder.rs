@@ -12,18 +12,15 @@ use std::{
 
 use bytes::Bytes;
 use jiff::Timestamp;
-use object_store::{ObjectStoreExt as _, WriteMultipart, local::LocalFileSystem};
-use tokio::io::AsyncReadExt as _;
+use object_store::{ObjectStoreExt as _, local::LocalFileSystem};
 
 use super::{
     BlobError, Published, StagedBlob, blocking,
     files::{age_of, entries, folders, open_lock, sync_folder, touch},
     location,
+    parts::write_parts,
 };
 use crate::{domain::Digest, store::BlobRef};
-
-const PART_BYTES: usize = 8 << 20;
-const PARTS_IN_FLIGHT: usize = 2;
 
 /// The folder.
 #[derive(Debug)]
@@ -60,28 +57,8 @@ impl Folder {
     }
 
     async fn copy(&self, staged: &StagedBlob) -> Result<(), BlobError> {
-        let mut file = tokio::fs::File::open(staged.path()).await?;
-        let upload = self.store.put_multipart(&location(staged.blob().digest)).await?;
-        let mut writer = WriteMultipart::new_with_chunk_size(upload, PART_BYTES);
-        let copied: Result<(), BlobError> = async {
-            let mut buffer = vec![0; 1 << 20];
-            loop {
-                let count = file.read(&mut buffer).await?;
-                if count == 0 {
-                    return Ok(());
-                }
-                writer.wait_for_capacity(PARTS_IN_FLIGHT).await?;
-                writer.write(&buffer[..count]);
-            }
-        }
-        .await;
-        if let Err(error) = copied {
-            // The copy's own error is the one to report.
-            let _ = writer.abort().await;
-            return Err(error);
-        }
-        writer.finish().await?;
-        Ok(())
+        let content = tokio::fs::File::open(staged.path()).await?;
+        write_parts(&self.store, &location(staged.blob().digest), content, BlobError::Store).await
     }
 
     /// Publishes bytes from memory.

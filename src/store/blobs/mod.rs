@@ -12,6 +12,7 @@ mod bucket;
 mod check;
 mod files;
 mod folder;
+mod parts;
 mod staging;
 mod staging_dir;
 mod upload;

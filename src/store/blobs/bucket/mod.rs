@@ -8,25 +8,27 @@ mod shared_files;
 mod upload;
 mod url;
 
-use std::{sync::Arc, time::Duration};
+use std::{pin::pin, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use futures_util::{StreamExt as _, TryStreamExt as _, stream::BoxStream};
-use object_store::{
-    GetOptions, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload, WriteMultipart,
-};
+use object_store::{GetOptions, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload};
 use tempfile::TempPath;
 use tokio::{
     fs::File,
-    io::{AsyncReadExt as _, AsyncWriteExt as _},
-    time::{Instant, sleep, timeout},
+    io::{AsyncRead, AsyncWriteExt as _},
+    time::{sleep, timeout},
 };
 
 pub use shared_files::SharedFiles;
 pub(super) use upload::BucketUpload;
 pub use url::{BucketUrl, InvalidBucketUrl};
 
-use super::{BlobError, ContentHasher, Published, StagedBlob, location, staging_dir::StagingDir};
+use super::{
+    BlobError, ContentHasher, Published, StagedBlob, location,
+    parts::{PART_BYTES, write_parts},
+    staging_dir::StagingDir,
+};
 use crate::{
     domain::Digest,
     store::{
@@ -35,10 +37,6 @@ use crate::{
         uploads::UploadParts,
     },
 };
-
-/// Longest content that is put in one request, and the length of parts. S3 has at most 10 000 parts, so content of up to 80 GB.
-const PART_BYTES: usize = 8 << 20;
-const PARTS_IN_FLIGHT: usize = 2;
 
 /// Time between two renewals of a publication whose content is still on its way.
 const RENEW_EVERY: Duration = Duration::from_secs(60);
@@ -153,20 +151,16 @@ impl Bucket {
         content: &Content<'_>,
         announced: Announcement,
     ) -> Result<(), BlobError> {
+        let is_small = blob.bytes <= PART_BYTES as u64;
         match content {
-            Content::Memory(content) if content.len() <= PART_BYTES => {
-                self.put_small(blob, (*content).clone()).await
-            }
-            Content::Memory(content) => {
-                let mut writer = self.begin_parts(blob.digest).await?;
-                writer.write(content);
-                writer.finish().await.map_err(BlobError::Bucket)?;
-                Ok(())
-            }
-            Content::Staged(staged) if blob.bytes <= PART_BYTES as u64 => {
+            Content::Memory(content) if is_small => self.put_small(blob, (*content).clone()).await,
+            Content::Memory(content) => self.put_parts(blob, &content[..], announced).await,
+            Content::Staged(staged) if is_small => {
                 self.put_small(blob, tokio::fs::read(staged.path()).await?.into()).await
             }
-            Content::Staged(staged) => self.put_parts(staged, announced).await,
+            Content::Staged(staged) => {
+                self.put_parts(blob, File::open(staged.path()).await?, announced).await
+            }
         }
     }
 
@@ -186,39 +180,22 @@ impl Bucket {
         }
     }
 
-    async fn begin_parts(&self, digest: Digest) -> Result<WriteMultipart, BlobError> {
-        let upload = self.objects.put_multipart(&location(digest)).await.map_err(BlobError::Bucket)?;
-        Ok(WriteMultipart::new_with_chunk_size(upload, PART_BYTES))
-    }
-
     /// Puts content in parts, and renews its publication meanwhile.
-    async fn put_parts(&self, staged: &StagedBlob, announced: Announcement) -> Result<(), BlobError> {
-        let mut file = File::open(staged.path()).await?;
-        let mut writer = self.begin_parts(staged.blob().digest).await?;
-        let copied: Result<(), BlobError> = async {
-            let (mut buffer, mut renewed) = (vec![0; 1 << 20], Instant::now());
-            loop {
-                let count = file.read(&mut buffer).await?;
-                if count == 0 {
-                    return Ok(());
-                }
-                writer.wait_for_capacity(PARTS_IN_FLIGHT).await.map_err(BlobError::Bucket)?;
-                writer.write(&buffer[..count]);
-                if renewed.elapsed() >= RENEW_EVERY {
-                    // If it was removed, that shows at the end.
-                    self.index.confirm(announced).await?;
-                    renewed = Instant::now();
-                }
+    async fn put_parts(
+        &self,
+        blob: BlobRef,
+        content: impl AsyncRead + Unpin + Send,
+        announced: Announcement,
+    ) -> Result<(), BlobError> {
+        let at = location(blob.digest);
+        let mut writing = pin!(write_parts(&*self.objects, &at, content, BlobError::Bucket));
+        loop {
+            tokio::select! {
+                written = &mut writing => return written,
+                // If it was removed, or the database is away, that shows at the end.
+                () = sleep(RENEW_EVERY) => drop(self.index.confirm(announced).await),
             }
         }
-        .await;
-        if let Err(error) = copied {
-            // The copy's own error is the one to report.
-            let _ = writer.abort().await;
-            return Err(error);
-        }
-        writer.finish().await.map_err(BlobError::Bucket)?;
-        Ok(())
     }
 
     /// The content of a blob, from which the caller takes the part it wants.

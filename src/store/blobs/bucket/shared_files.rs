@@ -4,14 +4,15 @@
 
 use std::{path::Path, sync::Arc};
 
-use futures_util::TryStreamExt as _;
-use object_store::{ObjectStore, ObjectStoreExt as _, WriteMultipart, path::Path as ObjectPath};
+use bytes::Bytes;
+use futures_util::{StreamExt as _, TryStreamExt as _, stream::BoxStream};
+use object_store::{ObjectStore, ObjectStoreExt as _, path::Path as ObjectPath};
 use tokio::{
     fs::File,
     io::{AsyncReadExt as _, AsyncWriteExt as _},
 };
 
-use super::{BlobError, PART_BYTES, PARTS_IN_FLIGHT};
+use super::{BlobError, PART_BYTES, write_parts};
 
 /// Changing files in a bucket, by names with `/`.
 #[derive(Debug, Clone)]
@@ -55,19 +56,7 @@ impl SharedFiles {
             file.read_to_end(&mut content).await?;
             return self.0.put(&name, content.into()).await.map(drop).map_err(BlobError::Bucket);
         }
-        let upload = self.0.put_multipart(&name).await.map_err(BlobError::Bucket)?;
-        let mut writer = WriteMultipart::new_with_chunk_size(upload, PART_BYTES);
-        let mut buffer = vec![0; 1 << 20];
-        loop {
-            match file.read(&mut buffer).await? {
-                0 => break,
-                count => {
-                    writer.wait_for_capacity(PARTS_IN_FLIGHT).await.map_err(BlobError::Bucket)?;
-                    writer.write(&buffer[..count]);
-                }
-            }
-        }
-        writer.finish().await.map(drop).map_err(BlobError::Bucket)
+        write_parts(&*self.0, &name, file, BlobError::Bucket).await
     }
 
     /// Loads a file into a new one; folders that it lacks are made.
@@ -79,18 +68,20 @@ impl SharedFiles {
             tokio::fs::create_dir_all(folder).await?;
         }
         let mut file = File::create(to).await?;
-        self.append(name, &mut file).await?;
+        let mut content = self.content(name).await?;
+        while let Some(piece) = content.try_next().await? {
+            file.write_all(&piece).await?;
+        }
         Ok(file.flush().await?)
     }
 
-    /// Appends a file's content to another.
-    pub(super) async fn append(&self, name: &str, file: &mut File) -> Result<(), BlobError> {
+    /// A file's content.
+    pub(super) async fn content(
+        &self,
+        name: &str,
+    ) -> Result<BoxStream<'static, Result<Bytes, BlobError>>, BlobError> {
         let found = self.0.get(&ObjectPath::from(name)).await.map_err(BlobError::Bucket)?;
-        let mut content = found.into_stream();
-        while let Some(piece) = content.try_next().await.map_err(BlobError::Bucket)? {
-            file.write_all(&piece).await?;
-        }
-        Ok(())
+        Ok(found.into_stream().map_err(BlobError::Bucket).boxed())
     }
 
     /// Removes every file below `folder`.

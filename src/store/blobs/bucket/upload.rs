@@ -3,22 +3,22 @@
 //! An upload has one writer at a time among all processes, which renews its lock for as long as it lives. One that has lost the lock
 //! without noticing can save nothing any more.
 
-use std::{io, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
+use futures_util::TryStreamExt as _;
 use jiff::Timestamp;
-use sha2::{Digest as _, Sha256};
 use tempfile::TempPath;
 use tokio::{
     fs::File,
-    io::{AsyncReadExt as _, AsyncSeekExt as _, AsyncWriteExt as _},
+    io::{AsyncSeekExt as _, AsyncWriteExt as _},
     runtime::Handle,
     task::JoinHandle,
     time::{Instant, sleep},
 };
 
-use super::{BlobError, Bucket, BucketIndex, SharedFiles, StagingDir};
+use super::{BlobError, Bucket, BucketIndex, ContentHasher, SharedFiles, StagingDir};
 use crate::{
-    domain::{Digest, UploadId},
+    domain::UploadId,
     store::{BlobRef, uploads::UploadWriter},
 };
 
@@ -31,8 +31,6 @@ const RENEW_EVERY: Duration = Duration::from_secs(15);
 /// How long a lock is asked for: a writer that has just ended releases it a moment later.
 const LOCK_PATIENCE: Duration = Duration::from_millis(500);
 const LOCK_PAUSE: Duration = Duration::from_millis(20);
-
-const HASH_BUFFER: usize = 1 << 20;
 
 fn folder(id: UploadId) -> String {
     format!("{ROOT}/{id}")
@@ -179,32 +177,24 @@ impl BucketUpload {
     /// [`BlobError::UploadDamaged`] if they have not `length` bytes.
     pub(in crate::store::blobs) async fn finish(mut self, length: u64) -> Result<(Self, BlobRef), BlobError> {
         self.continue_at(0).await?;
-        let (mut hasher, mut found, mut buffer) = (Sha256::new(), 0_u64, vec![0; HASH_BUFFER]);
-        let parts = self.lock.index.upload_parts(self.writer.id).await?;
-        for (start, name) in parts {
-            if start != found {
+        let mut hasher = ContentHasher::new(u64::MAX);
+        let mut end = 0;
+        for (start, name) in self.lock.index.upload_parts(self.writer.id).await? {
+            if start != end {
                 break;
             }
-            self.files.append(&name, &mut self.file).await?;
-            self.file.flush().await?;
-            // Hashed from the file: what counts is what can be read there.
-            let mut reader = File::open(&self.path).await?;
-            reader.seek(io::SeekFrom::Start(start)).await?;
-            loop {
-                match reader.read(&mut buffer).await? {
-                    0 => break,
-                    count => {
-                        hasher.update(&buffer[..count]);
-                        found += count as u64;
-                    }
-                }
+            let mut content = self.files.content(&name).await?;
+            while let Some(piece) = content.try_next().await? {
+                hasher.update(&piece)?;
+                self.file.write_all(&piece).await?;
+                end += piece.len() as u64;
             }
         }
-        if found != length {
-            return Err(BlobError::UploadDamaged { id: self.writer.id, expected: length, found });
+        self.file.flush().await?;
+        if end != length {
+            return Err(BlobError::UploadDamaged { id: self.writer.id, expected: length, found: end });
         }
-        let blob = BlobRef { digest: Digest::from_bytes(hasher.finalize().into()), bytes: length };
-        Ok((self, blob))
+        Ok((self, hasher.finish()))
     }
 
     /// The private file.
