@@ -27,6 +27,9 @@ pub enum CameraError {
         /// Largest absolute entry of `R Rᵀ - I`, or 2 for a mirrored rotation.
         deviation: f64,
     },
+    /// A quaternion that is no rotation.
+    #[error("the rotation quaternion has length {0} and so no direction")]
+    NoRotation(f64),
     /// The fourth row of a 4x4 pose is not (0, 0, 0, 1).
     #[error("the last row of the pose is not 0 0 0 1")]
     NotAffine,

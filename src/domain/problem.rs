@@ -100,6 +100,10 @@ problem_types! {
     NotAZip = 400, "not-a-zip", "Not a zip archive";
     ArchiveRejected = 422, "archive-rejected", "The archive was refused";
     DatasetRejected = 422, "dataset-rejected", "The dataset was refused";
+    TableRejected = 422, "table-rejected", "A table of the dataset was refused";
+    CameraRejected = 422, "camera-rejected", "A camera of the dataset was refused";
+    PointsRejected = 422, "points-rejected", "The points of the dataset were refused";
+    ImageRejected = 422, "image-rejected", "An image of the dataset was refused";
     DatasetTooLarge = 413, "dataset-too-large", "The dataset is too large";
     DatasetUnreadable = 500, "dataset-unreadable", "The dataset cannot be read";
     DatasetNotFound = 404, "dataset-not-found", "No such dataset";

@@ -37,6 +37,11 @@ impl ProblemResponse {
         Problem::new(kind, detail).into()
     }
 
+    /// The document.
+    pub(super) fn into_problem(self) -> Problem {
+        *self.problem
+    }
+
     pub(super) fn with_status(mut self, status: StatusCode) -> Self {
         self.problem.status = status.as_u16();
         self

@@ -311,6 +311,12 @@ pub enum IngestErrorKind {
         /// Size that the camera states.
         stated: (u32, u32),
     },
+    /// One image that is too wide or too high.
+    #[error("the image has a side of more than {limit} pixels, which is the longest that is accepted")]
+    SideTooLong {
+        /// Longest side that is accepted, in pixels.
+        limit: u32,
+    },
     /// One image with too many pixels.
     #[error("the image has {pixels} pixels; at most {limit} are accepted")]
     TooManyPixels {
@@ -388,9 +394,33 @@ impl IngestErrorKind {
             | Self::TooManyBytes { .. }
             | Self::FileTooLarge { .. }
             | Self::CompressionRatio { .. }
+            | Self::SideTooLong { .. }
             | Self::TooManyPixels { .. }
             | Self::TooManyScenePixels { .. } => ProblemType::DatasetTooLarge,
-            _ => ProblemType::DatasetRejected,
+            Self::Json(_)
+            | Self::JsonText { .. }
+            | Self::Field { .. }
+            | Self::Truncated { .. }
+            | Self::Count { .. }
+            | Self::TrailingBytes(_)
+            | Self::Record { .. } => ProblemType::TableRejected,
+            Self::CameraModel { .. }
+            | Self::Camera { .. }
+            | Self::Implausible { .. }
+            | Self::NonFiniteDistortion { .. }
+            | Self::DistortionTooStrong => ProblemType::CameraRejected,
+            Self::Ply(_) => ProblemType::PointsRejected,
+            Self::Image(_)
+            | Self::ImageHeader { .. }
+            | Self::ImageSize { .. }
+            | Self::ImageRotated { .. } => ProblemType::ImageRejected,
+            Self::NoLayout
+            | Self::MissingFile(_)
+            | Self::MissingImages { .. }
+            | Self::NoImages
+            | Self::DuplicateName(_)
+            | Self::UnknownFrame { .. }
+            | Self::Masks { .. } => ProblemType::DatasetRejected,
         }
     }
 }

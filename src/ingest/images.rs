@@ -5,7 +5,7 @@
 
 use std::io::Cursor;
 
-use image::{DynamicImage, ImageDecoder, ImageReader};
+use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, error::LimitErrorKind};
 
 use super::{
     error::{IngestError, IngestErrorKind, Result},
@@ -50,7 +50,7 @@ impl Header {
 /// The header of a stored image.
 ///
 /// # Errors
-/// [`IngestErrorKind::Image`], [`IngestErrorKind::ImageHeader`], [`IngestErrorKind::TooManyPixels`], or a fault of reading the file.
+/// [`IngestErrorKind::Image`], [`IngestErrorKind::ImageHeader`], [`IngestErrorKind::SideTooLong`], [`IngestErrorKind::TooManyPixels`], or a fault of reading the file.
 pub(super) fn header(tree: &Tree, name: &str, limits: &Limits) -> Result<Header, IngestError> {
     let head = tree.read_up_to(name, FIRST_BYTES)?;
     let header = match header_of(&head) {
@@ -138,6 +138,11 @@ fn decoder(bytes: &[u8], most_bytes: u64) -> Result<impl ImageDecoder + '_> {
 
 /// The decoder's words in one line.
 fn unreadable(error: image::ImageError) -> IngestErrorKind {
+    if let ImageError::Limits(limit) = &error
+        && matches!(limit.kind(), LimitErrorKind::DimensionError)
+    {
+        return IngestErrorKind::SideTooLong { limit: MAX_IMAGE_SIDE };
+    }
     let words = error.to_string();
     IngestErrorKind::Image(words.split_whitespace().collect::<Vec<_>>().join(" "))
 }

@@ -20,8 +20,8 @@ const MAX_NUMBER_BYTES: usize = 400;
 /// Reads the vertices.
 ///
 /// # Errors
-/// [`IngestErrorKind::Ply`] for a header that is not understood or values that are not finite, [`IngestErrorKind::Count`] for more
-/// vertices than the file can hold.
+/// [`IngestErrorKind::Ply`] for a header that is not understood, more vertices than the file can hold, or values that are not finite;
+/// [`IngestErrorKind::TooManyPoints`].
 pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) -> Result<()> {
     let header = Header::parse(&Header::read_bytes(reader)?, Profile::Points)
         .map_err(|error| refused(error.to_string()))?;
@@ -43,12 +43,10 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
     let needed = u128::from(header.vertices) * record as u128;
     let left = u128::from(data) + u128::from(header.encoding == Encoding::Ascii);
     if needed > left {
-        return Err(IngestErrorKind::Count {
-            what: "vertices",
-            count: header.vertices,
-            needed,
-            left: data as usize,
-        });
+        return Err(refused(format!(
+            "it claims {} vertices, which need at least {needed} bytes; {data} are left",
+            header.vertices
+        )));
     }
     let count = header.vertices as usize;
     cloud.reserve(count)?;

@@ -145,8 +145,10 @@ fn pose(image: &ImageRecord, place: &str) -> Result<Pose> {
     }
     let length = quaternion.length();
     if !(length > 0.0 && length.is_finite()) {
-        let message = format!("the rotation quaternion has length {length} and so no direction");
-        return Err(IngestErrorKind::Record { place: place.to_owned(), message });
+        return Err(IngestErrorKind::Camera {
+            place: place.to_owned(),
+            source: CameraError::NoRotation(length),
+        });
     }
     Pose::from_world_to_camera(DMat3::from_quat(quaternion / length), DVec3::from_array(image.translation))
         .map_err(|source| IngestErrorKind::Camera { place: place.to_owned(), source })

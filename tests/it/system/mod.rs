@@ -6,6 +6,7 @@ mod first_light;
 #[cfg(target_os = "linux")]
 mod full_disk;
 mod gate;
+mod hostile_datasets;
 #[cfg(target_os = "linux")]
 mod hostile_uploads;
 mod killed;
