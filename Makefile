@@ -72,7 +72,7 @@ interop: setup ## hold exports to splat-transform, which comes through npm
 external-formats: ## convert IN (a .ply of plain Gaussians) to .sog and .spz and back, into OUT
 	@scripts/external_formats.sh "$(IN)" "$(OUT)"
 
-fuzz: setup ## fuzz the decoder, FUZZ_SECONDS a target
+fuzz: setup ## fuzz the decoder and every reader, FUZZ_SECONDS a target
 	@scripts/fuzz.sh $(FUZZ_SECONDS)
 
 lint: setup ## formatting, clippy, documentation, licences

@@ -7,10 +7,14 @@ use std::{fs, path::Path, process::ExitCode};
 
 #[path = "../tests/it/codec/dependent.rs"]
 mod dependent;
+#[path = "../tests/it/readers/first_files.rs"]
+mod first_files;
 #[path = "../tests/it/codec/fixtures.rs"]
 mod fixtures;
 #[path = "../tests/it/codec/synthetic.rs"]
 mod synthetic;
+#[path = "../fuzz/readers.rs"]
+mod targets;
 #[path = "../tests/it/codec/wire.rs"]
 mod wire;
 
@@ -27,6 +31,7 @@ fn main() -> ExitCode {
         }
         ["corpus", _] => fixtures::corpus()
             .into_iter()
+            .chain(first_files::first_files())
             .map(|(target, name, bytes)| (format!("{target}/{name}"), bytes))
             .collect(),
         _ => {

@@ -11,6 +11,8 @@ mod files;
 mod jobs;
 mod keys;
 mod metrics;
+#[doc(hidden)]
+pub mod parsers;
 mod problem;
 mod projects;
 mod report;

@@ -1,5 +1,6 @@
 //! All integration tests in one binary: one link, one GPU device per process. The folders are those of `src`; `system` has the
-//! tests of the whole program, `documents` those that hold documents to it.
+//! tests of the whole program, `readers` the fuzz targets of what reads untrusted input, `documents` the tests that hold documents to
+//! the program.
 
 mod accuracy;
 mod cli;
@@ -11,6 +12,7 @@ mod gpu;
 mod http;
 mod ingest;
 mod layers;
+mod readers;
 mod render;
 mod sample;
 mod store;

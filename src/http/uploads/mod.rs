@@ -8,7 +8,7 @@ pub(super) mod tus;
 use axum::{
     body::{Body, BodyDataStream},
     extract::{Path, State},
-    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
+    http::{HeaderMap, HeaderValue, StatusCode, header},
     response::{IntoResponse as _, Response},
 };
 use jiff::{SignedDuration, Timestamp};
@@ -16,11 +16,11 @@ use tracing::Instrument as _;
 
 use self::{
     part::Part,
-    tus::{Checksum, Metadata},
+    tus::{AppendPartRequest, CreateUploadRequest, Metadata},
 };
 use super::{
     problem::{ApiResult, ProblemResponse},
-    request::{Parameters, Reservations, expect_media_type, require_free_space},
+    request::{Parameters, Reservations, require_free_space},
     state::AppState,
 };
 use crate::{
@@ -115,15 +115,8 @@ async fn begin(
 ) -> ApiResult<UploadRecord> {
     tus::expect_version(headers)?;
     parameters.finish()?;
-    if headers.contains_key("upload-defer-length") {
-        let name = HeaderName::from_static("upload-defer-length");
-        return Err(tus::bad_header(&name, "is not possible here; give Upload-Length"));
-    }
-    if tus::has_body(headers) {
-        return Err(tus::bad_header(&header::CONTENT_LENGTH, "is not 0; bytes are sent with PATCH"));
-    }
-    let length = tus::count(headers, &tus::LENGTH)?;
-    let metadata = Metadata::of(headers)?.map(Metadata::into_text);
+    let CreateUploadRequest { length, metadata } = CreateUploadRequest::of(headers)?;
+    let metadata = metadata.map(Metadata::into_text);
     let limit = state.limits.resumable_bytes;
     if length > limit {
         return Err(ProblemResponse::too_large(limit).with_header(tus::MAX_SIZE, HeaderValue::from(limit)));
@@ -175,9 +168,7 @@ pub(super) async fn append(
 /// Checks that the request sends the next part, and locks the upload.
 async fn admit(state: &AppState, caller: &Caller, id: &str, headers: &HeaderMap) -> ApiResult<Part> {
     tus::expect_version(headers)?;
-    expect_media_type(headers, &[tus::PART])?;
-    let offset = tus::count(headers, &tus::OFFSET)?;
-    let checksum = Checksum::of(headers)?;
+    let AppendPartRequest { offset, checksum } = AppendPartRequest::of(headers)?;
     let found = expect_open(state, find(state, caller, id).await?)?;
     let (record, file) = lock(state, found.id, StatusCode::LOCKED).await?;
     if offset != record.received {

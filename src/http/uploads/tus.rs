@@ -13,7 +13,10 @@ use sha2::{Digest as _, Sha256};
 
 use crate::{
     domain::ProblemType,
-    http::problem::{ApiResult, ProblemResponse},
+    http::{
+        problem::{ApiResult, ProblemResponse},
+        request::expect_media_type,
+    },
 };
 
 /// The supported version.
@@ -33,10 +36,11 @@ pub(super) const LENGTH: HeaderName = HeaderName::from_static("upload-length");
 pub(super) const OFFSET: HeaderName = HeaderName::from_static("upload-offset");
 pub(super) const METADATA: HeaderName = HeaderName::from_static("upload-metadata");
 pub(super) const EXPIRES: HeaderName = HeaderName::from_static("upload-expires");
+const DEFER_LENGTH: HeaderName = HeaderName::from_static("upload-defer-length");
 const CHECKSUM: HeaderName = HeaderName::from_static("upload-checksum");
 
 /// Media type of a part.
-pub(super) const PART: &str = "application/offset+octet-stream";
+const PART: &str = "application/offset+octet-stream";
 
 /// Longest `Upload-Metadata`.
 const MAX_METADATA: usize = 4096;
@@ -48,7 +52,7 @@ pub(crate) async fn stamp(mut response: Response) -> Response {
 }
 
 /// 412 unless the request speaks this version.
-pub(super) fn expect_version(headers: &HeaderMap) -> ApiResult<()> {
+pub(crate) fn expect_version(headers: &HeaderMap) -> ApiResult<()> {
     if headers.get(RESUMABLE) == Some(&VERSION) {
         return Ok(());
     }
@@ -60,17 +64,52 @@ pub(super) fn expect_version(headers: &HeaderMap) -> ApiResult<()> {
 }
 
 /// 400 about one header.
-pub(super) fn bad_header(name: &HeaderName, fault: impl std::fmt::Display) -> ProblemResponse {
+fn bad_header(name: &HeaderName, fault: impl std::fmt::Display) -> ProblemResponse {
     ProblemResponse::new(ProblemType::InvalidHeader, format!("{name}: {fault}"))
 }
 
 /// A count of bytes: decimal digits and nothing else.
-pub(crate) fn count(headers: &HeaderMap, name: &HeaderName) -> ApiResult<u64> {
+fn count(headers: &HeaderMap, name: &HeaderName) -> ApiResult<u64> {
     let value = headers.get(name).ok_or_else(|| bad_header(name, "is missing"))?;
     let digits = value.to_str().ok().filter(|text| text.bytes().all(|byte| byte.is_ascii_digit()));
     digits
         .and_then(|digits| digits.parse().ok())
         .ok_or_else(|| bad_header(name, "is not a whole number of bytes"))
+}
+
+/// What `POST /v1/uploads` says of an upload.
+#[derive(Debug)]
+pub(crate) struct CreateUploadRequest {
+    pub(crate) length: u64,
+    pub(crate) metadata: Option<Metadata>,
+}
+
+impl CreateUploadRequest {
+    /// Reads the headers that follow `Tus-Resumable`.
+    pub(crate) fn of(headers: &HeaderMap) -> ApiResult<Self> {
+        if headers.contains_key(DEFER_LENGTH) {
+            return Err(bad_header(&DEFER_LENGTH, "is not possible here; give Upload-Length"));
+        }
+        if has_body(headers) {
+            return Err(bad_header(&header::CONTENT_LENGTH, "is not 0; bytes are sent with PATCH"));
+        }
+        Ok(Self { length: count(headers, &LENGTH)?, metadata: Metadata::of(headers)? })
+    }
+}
+
+/// What `PATCH /v1/uploads/{id}` says of a part.
+#[derive(Debug)]
+pub(crate) struct AppendPartRequest {
+    pub(crate) offset: u64,
+    pub(crate) checksum: Option<Checksum>,
+}
+
+impl AppendPartRequest {
+    /// Reads the headers that follow `Tus-Resumable`.
+    pub(crate) fn of(headers: &HeaderMap) -> ApiResult<Self> {
+        expect_media_type(headers, &[PART])?;
+        Ok(Self { offset: count(headers, &OFFSET)?, checksum: Checksum::of(headers)? })
+    }
 }
 
 /// The client's metadata of an upload: names with values, untrusted.
@@ -111,7 +150,7 @@ impl Metadata {
     }
 
     /// As it was sent.
-    pub(super) fn into_text(self) -> String {
+    pub(crate) fn into_text(self) -> String {
         self.text
     }
 
@@ -179,7 +218,7 @@ pub(super) fn date(at: Timestamp) -> ApiResult<HeaderValue> {
 }
 
 /// Whether a request to create an upload has a body, which is an extension that is not supported.
-pub(super) fn has_body(headers: &HeaderMap) -> bool {
+fn has_body(headers: &HeaderMap) -> bool {
     headers.contains_key(header::TRANSFER_ENCODING)
         || headers.get(header::CONTENT_LENGTH).is_some_and(|length| length.as_bytes() != b"0")
 }

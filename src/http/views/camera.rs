@@ -97,7 +97,7 @@ impl CameraSpec {
     }
 
     /// The camera; `cameras` are the dataset's.
-    pub(super) fn resolve(self, cameras: &[NamedCamera]) -> ApiResult<Camera> {
+    pub(crate) fn resolve(self, cameras: &[NamedCamera]) -> ApiResult<Camera> {
         match self.0 {
             View::Camera(camera) => Ok(camera),
             View::Frame { name, width, height } => {

@@ -26,6 +26,7 @@ use self::{
     view_renderer::{Timing, picture},
 };
 use super::{
+    config::RequestLimits,
     files::{file_of, take_lambda},
     jobs::OwnedJob,
     problem::{ApiResult, ProblemResponse},
@@ -61,18 +62,33 @@ impl JsonBody for RenderViewsRequest {
     const EXPECTED: &'static str = "a request for views";
 }
 
+/// What the query of `GET /v1/jobs/{id}/view` asks for.
+#[derive(Debug)]
+pub(super) struct ViewQuery {
+    pub(super) kind: PictureKind,
+    pub(super) lambda: Option<f64>,
+    pub(super) spec: CameraSpec,
+}
+
+impl ViewQuery {
+    pub(super) fn take(mut parameters: Parameters) -> ApiResult<Self> {
+        let kind = take_kind(&mut parameters, Format::Png)?;
+        let lambda = take_lambda(&mut parameters)?;
+        let spec = CameraSpec::from_query(&mut parameters)?;
+        parameters.finish()?;
+        Ok(Self { kind, lambda, spec })
+    }
+}
+
 /// `GET /v1/jobs/{id}/view`.
 pub(super) async fn get(
     State(state): State<AppState>,
     OwnedJob(record): OwnedJob,
     caller: Caller,
-    mut parameters: Parameters,
+    parameters: Parameters,
     headers: HeaderMap,
 ) -> ApiResult {
-    let kind = take_kind(&mut parameters, Format::Png)?;
-    let lambda = take_lambda(&mut parameters)?;
-    let spec = CameraSpec::from_query(&mut parameters)?;
-    parameters.finish()?;
+    let ViewQuery { kind, lambda, spec } = ViewQuery::take(parameters)?;
     let cameras = cameras(&state, &record, vec![spec]).await?;
     let frame = frames(&state, &record, lambda, &cameras, kind)?.remove(0);
     let etag = state.view_renderer.key(&frame).etag();
@@ -190,8 +206,7 @@ fn frames(
     cameras: &[Camera],
     kind: PictureKind,
 ) -> ApiResult<Vec<FrameSpec>> {
-    check_sides(state, cameras)?;
-    check_pixels(cameras, state.limits.view_pixels)?;
+    check_size(cameras, &state.limits)?;
     frames_of_any_size(record, lambda, cameras, kind)
 }
 
@@ -205,8 +220,13 @@ fn frames_of_any_size(
     Ok(cameras.iter().map(|&camera| FrameSpec { artifact, camera, kind }).collect())
 }
 
-fn check_sides(state: &AppState, cameras: &[Camera]) -> ApiResult<()> {
-    let max = state.limits.view_side;
+/// Checks the limits of one request: pixels of a side, and pixels of all pictures together.
+pub(super) fn check_size(cameras: &[Camera], limits: &RequestLimits) -> ApiResult<()> {
+    check_sides(cameras, limits.view_side)?;
+    check_pixels(cameras, limits.view_pixels)
+}
+
+fn check_sides(cameras: &[Camera], max: u32) -> ApiResult<()> {
     for Camera { intrinsics, .. } in cameras {
         let (width, height) = (intrinsics.width, intrinsics.height);
         if width.max(height) > max {

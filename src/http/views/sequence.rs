@@ -235,6 +235,6 @@ impl PathSpec {
 
 /// Checks the limits on the size of single pictures.
 fn check_frames(state: &AppState, cameras: &[Camera]) -> ApiResult<()> {
-    check_sides(state, cameras)?;
+    check_sides(cameras, state.limits.view_side)?;
     cameras.first().map_or(Ok(()), |first| check_pixels(&[*first], state.limits.view_pixels))
 }
