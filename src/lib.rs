@@ -41,6 +41,8 @@ pub mod store;
 #[cfg(feature = "service")]
 pub mod train;
 #[cfg(feature = "service")]
+pub mod viewers;
+#[cfg(feature = "service")]
 pub mod webhooks;
 #[cfg(feature = "service")]
 pub mod worker;

@@ -20,7 +20,7 @@ use toml::{
 use super::{CliError, Report};
 
 /// The commands whose settings may come from a file.
-const COMMANDS: [&str; 2] = ["serve", "worker"];
+const COMMANDS: [&str; 3] = ["serve", "worker", "viewer"];
 
 /// The flags of the settings file.
 #[derive(Debug, Clone, Default, clap::Args)]

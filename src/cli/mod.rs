@@ -39,6 +39,8 @@ mod serve;
 mod storage;
 mod suite;
 mod train;
+mod view_memory;
+mod viewer;
 mod wiring;
 mod worker;
 
@@ -72,6 +74,8 @@ enum Command {
     Serve(Box<serve::Args>),
     /// Take jobs from a queue and carry them out
     Worker(worker::Args),
+    /// Render views and exports for API replicas that share a database and blobs
+    Viewer(viewer::Args),
     /// Train a scene from a dataset and write it as one compressed file
     Train(train::Args),
     /// Write decoded attributes (as `decode` writes them) as a compressed file
@@ -136,6 +140,7 @@ impl Command {
             Command::Fetch(args) => args.json,
             Command::Serve(_)
             | Command::Worker(_)
+            | Command::Viewer(_)
             | Command::Encode(_)
             | Command::Render(_)
             | Command::View(_)
@@ -147,6 +152,7 @@ impl Command {
         match self {
             Command::Serve(args) => args.config.print_config,
             Command::Worker(args) => args.config.print_config,
+            Command::Viewer(args) => args.config.print_config,
             _ => false,
         }
     }
@@ -154,7 +160,7 @@ impl Command {
     /// Services tell what they do; single commands speak up only when something is off.
     fn verbosity(&self) -> Verbosity {
         match self {
-            Command::Serve(_) | Command::Worker(_) => Verbosity::Info,
+            Command::Serve(_) | Command::Worker(_) | Command::Viewer(_) => Verbosity::Info,
             Command::Train(_)
             | Command::Encode(_)
             | Command::Decode(_)
@@ -182,6 +188,7 @@ impl Command {
         match self {
             Command::Serve(args) => serve::run(*args, log_format),
             Command::Worker(args) => worker::run(args),
+            Command::Viewer(args) => viewer::run(args),
             Command::Train(args) => train::run(&args),
             Command::Encode(args) => encode::run(&args),
             Command::Decode(args) => decode::run(&args),

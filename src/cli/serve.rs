@@ -18,6 +18,7 @@ use super::{
     priority::WorkerPriorityFlag,
     projects::MaxRunningFlag,
     storage::StorageFlags,
+    view_memory::ViewMemoryFlag,
     wiring::{self, ServeOptions},
 };
 
@@ -60,15 +61,12 @@ pub(crate) struct Args {
     #[command(flatten, next_help_heading = "Workers")]
     nice: WorkerPriorityFlag,
 
-    /// Adapter memory for views of finished scenes, in addition to that of jobs; larger scenes are not shown
-    #[arg(
-        long,
-        value_name = "BYTES",
-        default_value = "2GiB",
-        env = "TCGS_VIEW_MEMORY",
-        help_heading = "Views and webhooks"
-    )]
-    view_memory: Bytes,
+    #[command(flatten, next_help_heading = "Views and webhooks")]
+    views: ViewMemoryFlag,
+
+    /// Leave views and exports to `tcgs viewer` processes with the same database and blobs; this one needs no adapter then
+    #[arg(long, env = "TCGS_REMOTE_VIEWS", help_heading = "Views and webhooks")]
+    remote_views: bool,
 
     #[command(flatten)]
     webhooks: WebhookFlags,
@@ -174,7 +172,8 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, CliError> {
         workers: args.workers,
         worker_nice: args.nice.value()?,
         memory: args.memory.limits(args.workers),
-        view_memory: args.view_memory.0,
+        view_memory: args.views.view_memory.0,
+        remote_views: args.remote_views,
         webhook_targets: OutboundPolicy { allow_loopback: args.webhooks.webhooks_allow_loopback },
         webhook_roots: args.webhooks.webhooks_ca,
         log_format,

@@ -19,6 +19,8 @@ pub mod conventions;
 pub mod convergence;
 pub mod dataset;
 pub mod digest;
+#[cfg(feature = "service")]
+pub mod exported_scene;
 pub mod format;
 pub mod gaussians;
 pub mod harmonics;
@@ -48,6 +50,8 @@ pub mod scene_scale;
 pub mod series;
 pub mod view;
 #[cfg(feature = "service")]
+pub mod viewer_token;
+#[cfg(feature = "service")]
 pub mod webhook;
 #[cfg(feature = "service")]
 pub mod webhook_secret;
@@ -69,6 +73,8 @@ pub use conventions::{Conventions, LpipsNetwork};
 pub use convergence::{AsideScore, Convergence};
 pub use dataset::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
 pub use digest::Digest;
+#[cfg(feature = "service")]
+pub use exported_scene::{ExportFidelity, ExportedScene};
 pub use format::SceneFormat;
 pub use gaussians::{GaussianScene, Scene};
 pub use held_out::{HeldOut, HeldOutView};
@@ -104,6 +110,8 @@ pub use random_source::{RandomError, RandomSource, SystemRandom};
 pub use scene_scale::SceneScale;
 pub use series::{SERIES_POINTS, SeriesPoint, series_bucket, with_cumulative_seconds};
 pub use view::{View, ViewError, ViewRequest};
+#[cfg(feature = "service")]
+pub use viewer_token::ViewerToken;
 #[cfg(feature = "service")]
 pub use webhook::WebhookEvent;
 #[cfg(feature = "service")]

@@ -146,6 +146,7 @@ problem_types! {
     InvalidDataset = 422, "invalid-dataset", "Invalid dataset";
     NotAScene = 422, "not-a-scene", "The input is not a scene";
     NoAdapter = 503, "no-adapter", "No usable adapter";
+    NoViewer = 503, "no-viewer", "No viewer is alive";
     NoClient = 503, "no-client", "No HTTP client";
     Unreachable = 503, "unreachable", "The service cannot be reached";
     UnexpectedAnswer = 502, "unexpected-answer", "The service's answer is not one of its contract";

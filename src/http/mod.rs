@@ -22,6 +22,7 @@ mod slots;
 mod state;
 mod uploads;
 mod usage;
+mod viewer;
 mod views;
 mod webhooks;
 
@@ -36,9 +37,10 @@ pub use config::HttpConfig;
 pub use server::client_address::{ProxyNetwork, TrustedProxies};
 pub use server::{Listeners, ServeError, bind, serve};
 pub use state::{
-    AppState, DatasetCheck, ExportedScene, ForgetJob, SceneExporter, SceneLoader, Services, WorkerCensus,
-    WorkerCounts,
+    AppState, DatasetCheck, ForgetJob, RendererOf, SceneExporter, SceneLoader, SceneSource, Services,
+    WorkerCensus, WorkerCounts,
 };
+pub use viewer::{ViewerConfig, ViewerServices, serve as serve_viewer};
 
 /// Every route of the API.
 pub fn router(state: AppState) -> Router {

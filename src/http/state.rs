@@ -2,7 +2,11 @@
 
 use std::{fmt, ops::Deref, path::Path, sync::Arc};
 
-use tokio::sync::{Semaphore, SemaphorePermit};
+use bytes::Bytes;
+use tokio::{
+    runtime::Handle,
+    sync::{Semaphore, SemaphorePermit},
+};
 use tokio_util::sync::CancellationToken;
 use uuid::{NoContext, Uuid};
 
@@ -19,9 +23,12 @@ use super::{
     views::ViewRenderer,
 };
 use crate::{
-    domain::{Clock, DatasetSummary, JobId, KeyId, NamedCamera, Problem, RandomSource, SceneFormat},
+    domain::{
+        Clock, DatasetSummary, Digest, ExportedScene, JobId, KeyId, NamedCamera, Problem, RandomSource,
+        SceneFormat,
+    },
     render::{RenderViews, views::Viewable},
-    store::{Blobs, ExportFidelity, Store},
+    store::{Blobs, Store},
 };
 
 /// Checks a dataset archive before a scene or job is created from it; blocks.
@@ -30,22 +37,21 @@ pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<DatasetSummary, Problem> + S
 /// Reads a finished scene's file; blocks.
 pub type SceneLoader = Arc<dyn Fn(&[u8]) -> Result<Viewable, Problem> + Send + Sync>;
 
+/// The renderer of the scene in a file.
+pub type RendererOf = Arc<dyn Fn(Digest) -> Result<Arc<dyn RenderViews>, Problem> + Send + Sync>;
+
+/// The file of a finished scene.
+#[derive(Clone, Copy)]
+pub struct SceneSource<'a> {
+    /// Its hash.
+    pub digest: Digest,
+    /// Reads it; blocks.
+    pub read: &'a dyn Fn() -> Result<Bytes, Problem>,
+}
+
 /// Exports a finished scene to another format and measures the export's fidelity from the dataset's cameras; blocks.
 pub type SceneExporter =
-    Arc<dyn Fn(&[u8], SceneFormat, &[NamedCamera]) -> Result<ExportedScene, Problem> + Send + Sync>;
-
-/// A finished scene in another format.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ExportedScene {
-    /// The file.
-    pub bytes: Vec<u8>,
-    /// How many Gaussians it has.
-    pub gaussians: u64,
-    /// Highest degree of its spherical harmonics.
-    pub sh_degree: u8,
-    /// Its fidelity to the scene, if it could be measured.
-    pub fidelity: Option<ExportFidelity>,
-}
+    Arc<dyn Fn(SceneSource<'_>, SceneFormat, &[NamedCamera]) -> Result<ExportedScene, Problem> + Send + Sync>;
 
 /// Removes files of a deleted job outside the store and its blobs; blocks.
 pub type ForgetJob = Arc<dyn Fn(JobId) + Send + Sync>;
@@ -77,14 +83,26 @@ pub struct Services {
     pub check: DatasetCheck,
     /// See [`SceneLoader`].
     pub load: SceneLoader,
-    /// Renders views.
-    pub renderer: Arc<dyn RenderViews>,
+    /// See [`RendererOf`].
+    pub renderer: RendererOf,
     /// See [`SceneExporter`].
     pub export: SceneExporter,
     /// See [`ForgetJob`].
     pub forget: ForgetJob,
     /// See [`WorkerCensus`].
     pub workers: WorkerCensus,
+}
+
+impl Services {
+    /// The content of a blob; blocks.
+    pub(super) fn read(&self, runtime: &Handle, digest: Digest) -> Result<Bytes, Problem> {
+        read_blob(&self.blobs, runtime, digest)
+    }
+}
+
+/// The content of a blob; blocks on `runtime`.
+pub(super) fn read_blob(blobs: &Blobs, runtime: &Handle, digest: Digest) -> Result<Bytes, Problem> {
+    runtime.block_on(blobs.read(digest)).map_err(|error| ProblemResponse::from(error).into_problem())
 }
 
 /// The handlers' shared state; clones share it.
@@ -132,7 +150,7 @@ impl AppState {
     #[must_use]
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         let uploads = Semaphore::new(limits.uploads);
-        let view_renderer = ViewRenderer::new(&services, &limits);
+        let view_renderer = ViewRenderer::new(&limits);
         let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
         let waits = Semaphore::new(limits.waits);
         let exports = ExportQueue::new(limits.exports, limits.exports_waiting);

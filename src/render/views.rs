@@ -1,5 +1,7 @@
 //! The interface by which the HTTP layer and the command line render finished scenes.
 
+use serde::{Deserialize, Serialize};
+
 use crate::domain::{Background, Camera, Digest, Image, Problem, Scene};
 
 /// A scene and the background that it was trained on.
@@ -12,7 +14,7 @@ pub struct Viewable {
 }
 
 /// What the numbers of a [`ScalarImage`] are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum ScalarKind {
     /// Expected depth: the mean of the Gaussians' depths (of their centres, along the camera's axis, in world units), with their
     /// blending weights. 0 where alpha is below [`MIN_VISIBLE_ALPHA`].

@@ -1,16 +1,7 @@
 //! Finished scenes in formats that other programs read, and files by their hash.
 
 use super::{ArtifactKind, BlobRef, StoreFuture};
-use crate::domain::{Digest, JobId, ProjectId, SceneFormat};
-
-/// How close renders of an export are to those of its source scene.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ExportFidelity {
-    /// Mean PSNR in dB of the export's renders against the source's.
-    pub psnr: f64,
-    /// How many views were compared, at least one.
-    pub views: u32,
-}
+use crate::domain::{Digest, ExportFidelity, JobId, ProjectId, SceneFormat};
 
 /// A finished scene in another format.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -35,6 +35,7 @@ mod series;
 mod sql;
 mod stats;
 pub mod uploads;
+mod viewers;
 mod webhooks;
 
 use futures_util::future::BoxFuture;
@@ -49,7 +50,7 @@ pub use changes::{ChangeKind, Changes};
 pub use datasets::{DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, Datasets, NewDataset};
 pub use disk_full::is_disk_full;
 pub use error::StoreError;
-pub use exports::{ExportFidelity, ExportRecord, Exports, FileRecord};
+pub use exports::{ExportRecord, Exports, FileRecord};
 pub use fsck::{FsckReport, check as check_data_folder};
 pub use idempotency::{Idempotency, IdempotentRequest, PriorRequest};
 pub use keys::{KeyChange, KeyProject, KeyRecord, KeyRequest, Keys, NewKey, NewKeyError};
@@ -68,6 +69,7 @@ pub use series::Series;
 pub use sql::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange, SqlStore};
 pub use stats::{AttemptCount, Overview, StoreStats};
 pub use uploads::{NewUpload, UploadRecord, Uploads};
+pub use viewers::{VIEWER_LIFE, ViewerRecord, Viewers};
 pub use webhooks::{
     AfterAttempt, DeliveryRecord, DeliveryResult, DeliveryState, DueDelivery, EndpointRecord, NewEndpoint,
     Replay, Webhooks,
@@ -89,6 +91,7 @@ pub trait Store:
     + Datasets
     + Series
     + Uploads
+    + Viewers
     + Webhooks
     + Send
     + Sync

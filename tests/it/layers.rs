@@ -28,7 +28,8 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("https", &[]),
     ("plot", &[]),
     ("webhooks", &["domain", "store", "https"]),
-    ("http", &["domain", "codec", "store", "render", "plot"]),
+    ("viewers", &["domain", "store", "render", "https"]),
+    ("http", &["domain", "codec", "store", "render", "viewers", "plot"]),
 ];
 
 /// External crates that only the named modules may use.
@@ -40,7 +41,8 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("tower_http", &["http"]),
     ("prometheus_client", &["http"]),
     ("hmac", &["webhooks"]),
-    ("reqwest", &["https", "webhooks", "cli"]),
+    ("reqwest", &["https", "viewers", "webhooks", "cli"]),
+    ("postcard", &["viewers"]),
     ("rustls", &["store", "https"]),
     ("governor", &["http"]),
     ("ipnet", &["http"]),
@@ -64,7 +66,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
 ];
 
 /// `tokio` is for the layers that wait on the network, files or processes.
-const TOKIO: &[&str] = &["store", "worker", "webhooks", "http", "cli", "main"];
+const TOKIO: &[&str] = &["store", "viewers", "worker", "webhooks", "http", "cli", "main"];
 
 fn sources(folder: &Path, into: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).expect("src is readable") {

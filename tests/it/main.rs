@@ -19,4 +19,5 @@ mod store;
 mod support;
 mod system;
 mod train;
+mod viewers;
 mod worker;

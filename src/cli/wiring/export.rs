@@ -4,14 +4,16 @@ use std::time::Instant;
 
 use serde::Serialize;
 use tcgs::{
-    domain::{Background, Camera, GaussianScene, Image, Problem, ProblemType, Scene, SceneFormat, harmonics},
+    domain::{
+        Background, Camera, ExportFidelity, GaussianScene, Image, Problem, ProblemType, Scene, SceneFormat,
+        harmonics,
+    },
     eval::{mean_scores_with, psnr, score_view},
     export::{
         bake::{self, BakeSettings},
         spz::{Packed, SpzVersion, to_spz},
     },
     pipeline::scene_file,
-    store::ExportFidelity,
 };
 
 use super::{Renderer, SceneFile};

@@ -7,8 +7,10 @@ mod export;
 mod first_key;
 mod keys;
 mod private;
+mod rendering;
 mod service;
 mod upkeep;
+mod viewer;
 
 use std::{
     path::{Path, PathBuf},
@@ -37,6 +39,7 @@ pub(crate) use first_key::ensure_first_key;
 pub(crate) use keys::{change_key, change_project, create_key, create_project, keys, projects, revoke_key};
 pub(crate) use service::{ServeOptions, WorkerOptions, migrate, serve, worker};
 pub(crate) use upkeep::{back_up, fsck, restore};
+pub(crate) use viewer::{ViewerOptions, viewer};
 
 use super::{CliError, files, memory::MemoryFlags};
 

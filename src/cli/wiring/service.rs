@@ -12,17 +12,14 @@ use std::{
     time::Duration,
 };
 
+use futures_util::future::OptionFuture;
 use tcgs::{
-    domain::{
-        Camera, Digest, MemoryLimits, NamedCamera, OutboundPolicy, Problem, ProblemType, ProjectLimits,
-        SceneFormat, Split, SystemClock, SystemRandom,
-    },
+    domain::{MemoryLimits, OutboundPolicy, Problem, ProblemType, ProjectLimits, SystemClock, SystemRandom},
     gpu::{AdapterChoice, driver_cache},
-    http::{self, ExportedScene, HttpConfig, Services, WorkerCounts},
+    http::{self, HttpConfig, Services, WorkerCounts},
     https::ExtraRoots,
     ingest::DatasetChecker,
-    pipeline::{ReferenceViews, scene_file},
-    render::{RenderViews, views::Viewable},
+    pipeline::ReferenceViews,
     store::{
         BlobPlace, Blobs, DATABASE, Keys as _, PostgresUrl, QueuePolicy, SchemaChange, SqlStore,
         garbage::{GarbagePolicy, collect_garbage},
@@ -34,7 +31,10 @@ use tcgs::{
 use tokio::runtime::Runtime;
 use tokio_util::sync::CancellationToken;
 
-use super::{Renderer, private};
+use super::{
+    private,
+    rendering::{Rendering, elsewhere, here, loader},
+};
 use crate::cli::{CliError, files, logging::Format, storage::Storage};
 
 /// Name of the folder for the checkpoints of running jobs in the data folder.
@@ -68,6 +68,8 @@ pub(crate) struct ServeOptions {
     pub(crate) memory: MemoryLimits,
     /// Bytes of device memory for views in this process.
     pub(crate) view_memory: u64,
+    /// Whether viewer processes render instead of this one.
+    pub(crate) remote_views: bool,
     /// Weights of LPIPS, for the workers.
     pub(crate) lpips: Option<PathBuf>,
     /// Worker processes to start.
@@ -107,12 +109,17 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         // Fails here rather than in every worker.
         super::lpips(options.lpips.as_deref())?;
         let roots = webhook_roots(options.webhook_roots.as_deref())?;
-        let (renderer, _) = super::views(&options.adapter, options.view_memory)?;
+        // Opens the adapter before anything else, so that a wrong one is told at once.
+        let here = (!options.remote_views).then(|| here(&options.adapter, options.view_memory)).transpose()?;
         let listeners = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
         let store = open_store(&options.storage, options.limits, OlderSchema::Migrate).await?;
         let blobs = open_blobs(&options.storage, &store).await?;
         private::close_all(&options.storage.data);
         let shutdown = stop_on_signals()?;
+        let Rendering { renderer, export, watch } = match here {
+            Some(here) => here,
+            None => elsewhere(&store, &shutdown).await.map_err(|fault| unavailable(&*fault))?,
+        };
 
         let mut children = supervise::SuperviseConfig::this_program(
             worker_arguments(&options),
@@ -150,14 +157,8 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
                 let checks = DatasetChecker::new(CHECKS, CHECK_TIME);
                 Arc::new(move |archive: &Path| checks.check(archive))
             },
-            load: Arc::new(|bytes: &[u8]| {
-                let file = scene_file::read(bytes)?;
-                Ok(Viewable { scene: file.scene, background: file.background })
-            }),
-            export: {
-                let views = Arc::clone(&renderer);
-                Arc::new(move |bytes, format, cameras| export(&views, bytes, format, cameras))
-            },
+            load: loader(),
+            export,
             renderer,
             forget: Arc::new(move |job| worker::forget_checkpoints(&checkpoints, job)),
             workers: Arc::new(move || WorkerCounts {
@@ -177,6 +178,9 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         }
         if let Err(fault) = delivering.await {
             tracing::warn!(%fault, "webhook delivery stopped early");
+        }
+        if let Some(Err(fault)) = OptionFuture::from(watch).await {
+            tracing::warn!(%fault, "the list of viewers was no longer read");
         }
         store.close().await;
         Ok(())
@@ -285,36 +289,6 @@ pub(super) async fn has_keys(storage: &Storage) -> Result<bool, CliError> {
     Ok(has_keys)
 }
 
-/// Highest degree of the spherical harmonics of scenes that are exported on demand.
-const EXPORT_DEGREE: u8 = 3;
-
-/// A finished scene in another format, fitted to its renders from the training cameras, or from a sphere if there are none.
-fn export(
-    views: &Arc<dyn RenderViews>,
-    bytes: &[u8],
-    format: SceneFormat,
-    cameras: &[NamedCamera],
-) -> Result<ExportedScene, Problem> {
-    let file = scene_file::read(bytes)?;
-    let trained = of_split(cameras, Split::Train);
-    let from = (!trained.is_empty()).then_some(&*trained);
-    let exported = super::export(&file, format, EXPORT_DEGREE, from)?;
-    let gaussians = u64::try_from(exported.gaussians).unwrap_or(u64::MAX);
-    let held_out = of_split(cameras, Split::Test);
-    let cameras = if held_out.is_empty() { trained } else { held_out };
-    // The same key as for its views, so a scene on the device is not loaded again.
-    let source = Renderer::over(Arc::clone(views), Digest::of(bytes), file);
-    let fidelity = super::fidelity(&source, &exported.bytes, &cameras).unwrap_or_else(|fault| {
-        tracing::warn!("export fidelity not measured: {fault}");
-        None
-    });
-    Ok(ExportedScene { bytes: exported.bytes, gaussians, sh_degree: exported.degree, fidelity })
-}
-
-fn of_split(cameras: &[NamedCamera], split: Split) -> Vec<Camera> {
-    cameras.iter().filter(|camera| camera.split == split).map(|camera| camera.camera).collect()
-}
-
 /// The environment variables of the drivers' shader cache.
 fn driver_cache_in(data: &Path) -> Vec<(OsString, OsString)> {
     // The child may run elsewhere than here.
@@ -371,7 +345,7 @@ pub(super) fn runtime() -> Result<Runtime, CliError> {
 const SIGNAL_DEBOUNCE: Duration = Duration::from_millis(500);
 
 /// Cancelled by the first interrupt or termination signal. A second ends the process at once.
-fn stop_on_signals() -> Result<CancellationToken, CliError> {
+pub(super) fn stop_on_signals() -> Result<CancellationToken, CliError> {
     let stop = CancellationToken::new();
     let cancel = stop.clone();
     // Registered before the task runs, so that no signal is missed.

@@ -19,23 +19,23 @@ use futures_util::{
     FutureExt as _,
     future::{BoxFuture, Shared},
 };
-use tokio::{sync::Semaphore, task::spawn_blocking};
+use tokio::{runtime::Handle, sync::Semaphore, task::spawn_blocking};
 
 use super::{
     download::{File, serve},
     file_of, take_lambda,
 };
 use crate::{
-    domain::{Digest, JobId, NamedCamera, SceneFormat},
+    domain::{Digest, ExportFidelity, ExportedScene, JobId, NamedCamera, SceneFormat},
     http::{
         auth::cross_site::{FollowedLink, refuse_followed_link},
         datasets::received::withdraw_blob,
         jobs::OwnedJob,
         problem::{ApiResult, ProblemResponse},
         request::{Parameters, Reservations, require_free_space},
-        state::{AppState, ExportedScene},
+        state::{AppState, SceneSource},
     },
-    store::{ArtifactKind, ExportFidelity, ExportRecord, JobRecord},
+    store::{ArtifactKind, ExportRecord, JobRecord},
 };
 
 /// The formats that scenes are exported to.
@@ -178,10 +178,13 @@ async fn make(
     let slot = state.exports.slots.try_acquire();
     let _slot = slot.map_err(|_| ProblemResponse::busy("too many exports are in progress"))?;
     let _permit = state.exports.permits.acquire().await?;
-    let file = state.blobs().read(source).await?;
     let cameras = cameras_of(&state, &record).await?;
-    let write = state.services.export.clone();
-    let exported = spawn_blocking(move || write(&file, format, &cameras)).await;
+    let (services, runtime) = (state.services.clone(), Handle::current());
+    let exported = spawn_blocking(move || {
+        let read = || services.read(&runtime, source);
+        (services.export)(SceneSource { digest: source, read: &read }, format, &cameras)
+    });
+    let exported = exported.await;
     let exported = exported??;
     let ExportedScene { bytes, gaussians, sh_degree, fidelity } = exported;
     let _reservation = Reservations::reserve(&state, record.project, bytes.len() as u64).await?;

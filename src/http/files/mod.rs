@@ -19,8 +19,8 @@ use super::{
     state::AppState,
 };
 use crate::{
-    domain::{Caller, Digest, ProblemType},
-    store::{ArtifactKind, BlobRef, ExportFidelity, JobRecord, SceneArtifact},
+    domain::{Caller, Digest, ExportFidelity, ProblemType},
+    store::{ArtifactKind, BlobRef, JobRecord, SceneArtifact},
 };
 
 /// Takes the parameter that selects a file of a rate-distortion curve.

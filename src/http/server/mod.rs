@@ -142,6 +142,17 @@ pub async fn serve(
     tokio::join!(api.run(listeners.api, &closed), metrics, notice);
 }
 
+/// Answers with another application than the API on a listener, within the same bounds on connections, until `shutdown`.
+pub(super) async fn accept(
+    app: Router,
+    config: &HttpConfig,
+    meters: &Meters,
+    listener: TcpListener,
+    shutdown: &CancellationToken,
+) {
+    Acceptor::new(app, config, meters).run(listener, shutdown).await;
+}
+
 /// A listener's application with the bounds on its connections.
 struct Acceptor<'a> {
     app: Router,

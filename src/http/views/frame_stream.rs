@@ -26,7 +26,7 @@ use tracing::Instrument as _;
 
 use super::{
     apng::Apng,
-    key::{FrameSpec, ViewKey},
+    key::{Frame, ViewKey},
     picture::Picture,
     queue::QueueSlot,
     view_renderer::{picture, render_with_permit},
@@ -45,7 +45,7 @@ use crate::{
 #[derive(Debug)]
 pub(super) struct FrameStream {
     /// One round of it.
-    pub(super) frames: Vec<FrameSpec>,
+    pub(super) frames: Vec<Frame>,
     pub(super) rounds: u32,
     /// Time between pictures; as fast as possible if `None`.
     pub(super) every: Option<Duration>,
@@ -107,7 +107,7 @@ enum Piece {
 impl FrameStream {
     /// The response; the slot is held until the last picture.
     pub(super) async fn answer(self, state: &AppState, mut slot: QueueSlot, format: BodyFormat) -> ApiResult {
-        let (mut encoder, media_type) = self.encoder(state, &format)?;
+        let (mut encoder, media_type) = self.encoder(&format)?;
         let mut clock = self.every.map(interval);
         if let Some(clock) = &mut clock {
             // Pictures that were late are not sent faster afterwards.
@@ -115,7 +115,7 @@ impl FrameStream {
             clock.tick().await;
         }
         let (first, render_time) =
-            encoder.piece(state, &mut slot, self.frames[0], 0, self.len() == 1).await?;
+            encoder.piece(state, &mut slot, self.frames[0].clone(), 0, self.len() == 1).await?;
         let (sender, receiver) = mpsc::channel(1);
         // The channel has capacity for one.
         let _ = sender.try_send(Piece::More(first));
@@ -135,8 +135,8 @@ impl FrameStream {
     }
 
     /// The key of the whole stream in a format.
-    pub(super) fn key(&self, state: &AppState, how: &str) -> ViewKey {
-        ViewKey::of_many(self.frames.iter().map(|frame| state.view_renderer.key(frame)), how)
+    pub(super) fn key(&self, how: &str) -> ViewKey {
+        ViewKey::of_many(self.frames.iter().map(Frame::key), how)
     }
 
     /// Number of pictures in all rounds.
@@ -144,10 +144,10 @@ impl FrameStream {
         self.frames.len() as u64 * u64::from(self.rounds)
     }
 
-    fn encoder(&self, state: &AppState, format: &BodyFormat) -> ApiResult<(BodyEncoder, HeaderValue)> {
+    fn encoder(&self, format: &BodyFormat) -> ApiResult<(BodyEncoder, HeaderValue)> {
         match *format {
             BodyFormat::Multipart(kind) => {
-                let boundary = self.key(state, "parts").boundary();
+                let boundary = self.key("parts").boundary();
                 let media_type = match kind {
                     Multipart::Mixed => "multipart/mixed",
                     Multipart::Replace => "multipart/x-mixed-replace",
@@ -157,7 +157,7 @@ impl FrameStream {
                 Ok((BodyEncoder::Multipart { kind, boundary }, media_type))
             }
             BodyFormat::Apng { frames_per_second } => {
-                let size = self.frames[0].camera.intrinsics;
+                let size = self.frames[0].spec.camera.intrinsics;
                 let frames = u32::try_from(self.frames.len()).unwrap_or(u32::MAX);
                 let file = Apng::new(size.width, size.height, frames, frames_per_second)
                     .map_err(|error| ProblemResponse::internal(&error))?;
@@ -217,7 +217,7 @@ impl FrameProducer {
         if let Some(clock) = clock {
             clock.tick().await;
         }
-        let frame = self.stream.frames[(index % self.stream.frames.len() as u64) as usize];
+        let frame = self.stream.frames[(index % self.stream.frames.len() as u64) as usize].clone();
         let is_last = index + 1 == self.stream.len();
         let (bytes, render_time) =
             self.encoder.piece(&self.state, &mut self.slot, frame, index, is_last).await?;
@@ -238,7 +238,7 @@ impl BodyEncoder {
         &mut self,
         state: &AppState,
         slot: &mut QueueSlot,
-        frame: FrameSpec,
+        frame: Frame,
         index: u64,
         is_last: bool,
     ) -> ApiResult<(Bytes, Duration)> {

@@ -1,6 +1,9 @@
 //! The identity of a picture: cache key and entity tag.
 
-use std::fmt::Write as _;
+use std::{
+    fmt::{self, Write as _},
+    sync::Arc,
+};
 
 use sha2::{Digest as _, Sha256};
 
@@ -8,6 +11,7 @@ use super::picture::PictureKind;
 use crate::{
     domain::{Camera, Digest},
     http::request::Etag,
+    render::RenderViews,
 };
 
 /// Relative to the largest number beside it, a smaller number counts as zero with a rounding error.
@@ -19,6 +23,25 @@ pub(super) struct FrameSpec {
     pub(super) artifact: Digest,
     pub(super) camera: Camera,
     pub(super) kind: PictureKind,
+}
+
+/// A picture and what renders it.
+#[derive(Clone)]
+pub(super) struct Frame {
+    pub(super) spec: FrameSpec,
+    pub(super) renderer: Arc<dyn RenderViews>,
+}
+
+impl fmt::Debug for Frame {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Frame").field("spec", &self.spec).finish_non_exhaustive()
+    }
+}
+
+impl Frame {
+    pub(super) fn key(&self) -> ViewKey {
+        ViewKey::new(&self.renderer.identity(), &self.spec)
+    }
 }
 
 /// The SHA-256 of everything that determines a picture's bytes.

@@ -9,6 +9,8 @@ mod queue;
 pub(super) mod sequence;
 mod view_renderer;
 
+use std::sync::Arc;
+
 use axum::{
     extract::State,
     http::{HeaderMap, HeaderName, HeaderValue, header},
@@ -20,7 +22,7 @@ pub(super) use self::view_renderer::ViewRenderer;
 use self::{
     camera::{CameraSpec, invalid_view},
     frame_stream::{BodyFormat, FrameStream, Multipart, StopCondition},
-    key::FrameSpec,
+    key::{Frame, FrameSpec},
     picture::{Format, Output, Picture, PictureKind, SettingError},
     queue::Admission,
     view_renderer::{Timing, picture},
@@ -91,7 +93,7 @@ pub(super) async fn get(
     let ViewQuery { kind, lambda, spec } = ViewQuery::take(parameters)?;
     let cameras = cameras(&state, &record, vec![spec]).await?;
     let frame = frames(&state, &record, lambda, &cameras, kind)?.remove(0);
-    let etag = state.view_renderer.key(&frame).etag();
+    let etag = frame.key().etag();
     let mut response = if etag.is_in_if_none_match(&headers) {
         not_modified(&etag)
     } else {
@@ -131,9 +133,8 @@ pub(super) async fn post(
 }
 
 /// A response with one picture.
-async fn single(state: &AppState, caller: &Caller, frame: FrameSpec) -> ApiResult {
-    let key = state.view_renderer.key(&frame);
-    let (picture, timing) = match state.view_renderer.cached(key) {
+async fn single(state: &AppState, caller: &Caller, frame: Frame) -> ApiResult {
+    let (picture, timing) = match state.view_renderer.cached(frame.key()) {
         Some(found) => found,
         None => {
             let mut slot = state.view_renderer.queue.enter(caller.key, Admission::Request(1))?;
@@ -205,19 +206,22 @@ fn frames(
     lambda: Option<f64>,
     cameras: &[Camera],
     kind: PictureKind,
-) -> ApiResult<Vec<FrameSpec>> {
+) -> ApiResult<Vec<Frame>> {
     check_size(cameras, &state.limits)?;
-    frames_of_any_size(record, lambda, cameras, kind)
+    frames_of_any_size(state, record, lambda, cameras, kind)
 }
 
 fn frames_of_any_size(
+    state: &AppState,
     record: &JobRecord,
     lambda: Option<f64>,
     cameras: &[Camera],
     kind: PictureKind,
-) -> ApiResult<Vec<FrameSpec>> {
+) -> ApiResult<Vec<Frame>> {
     let artifact = file_of(record, lambda)?.blob.digest;
-    Ok(cameras.iter().map(|&camera| FrameSpec { artifact, camera, kind }).collect())
+    let renderer = (state.services.renderer)(artifact)?;
+    let spec = |&camera| FrameSpec { artifact, camera, kind };
+    Ok(cameras.iter().map(spec).map(|spec| Frame { spec, renderer: Arc::clone(&renderer) }).collect())
 }
 
 /// Checks the limits of one request: pixels of a side, and pixels of all pictures together.

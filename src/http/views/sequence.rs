@@ -53,7 +53,7 @@ pub(crate) async fn stream(
     let orbit = OrbitSpec::take(&mut parameters, state.limits.frames)?;
     parameters.finish()?;
     let cameras = orbit.cameras(&state, &record).await?;
-    let frames = frames_of_any_size(&record, lambda, &cameras, kind)?;
+    let frames = frames_of_any_size(&state, &record, lambda, &cameras, kind)?;
     let every = Some(Duration::from_secs(1) / rate);
     let stream = FrameStream { frames, rounds, every, stop: StopCondition::Revoked(caller.key) };
     let slot = state.view_renderer.queue.enter(caller.key, Admission::Stream)?;
@@ -78,7 +78,7 @@ pub(crate) async fn animation(
     let orbit = OrbitSpec::take(&mut parameters, state.limits.frames)?;
     parameters.finish()?;
     let stream = animated(&state, &record, lambda, &orbit.cameras(&state, &record).await?)?;
-    let etag = stream.key(&state, &format!("apng at {rate}")).etag();
+    let etag = stream.key(&format!("apng at {rate}")).etag();
     let mut response = if etag.is_in_if_none_match(&headers) {
         not_modified(&etag)
     } else {
@@ -128,7 +128,7 @@ fn animated(
 ) -> ApiResult<FrameStream> {
     check_pixels(cameras, state.limits.animation_pixels)?;
     let kind = PictureKind { output: Output::Color, format: Format::Png, quality: 0 };
-    let frames = frames_of_any_size(record, lambda, cameras, kind)?;
+    let frames = frames_of_any_size(state, record, lambda, cameras, kind)?;
     Ok(FrameStream { frames, rounds: 1, every: None, stop: StopCondition::WhenDone })
 }
 

@@ -14,7 +14,7 @@ use quick_cache::{OptionsBuilder, Weighter, sync::Cache};
 use tokio::{runtime::Handle, sync::Semaphore, task::spawn_blocking};
 
 use super::{
-    key::{FrameSpec, ViewKey},
+    key::{Frame, ViewKey},
     picture::{Output, Picture, Rendered},
     queue::{QueueLimits, QueueSlot, RenderPermit, RenderQueue},
 };
@@ -43,11 +43,10 @@ impl Weighter<ViewKey, Picture> for Bytes {
     }
 }
 
-/// The cache, the render queue, and the renderer's identity.
+/// The cache and the render queue.
 #[derive(Debug)]
 pub(crate) struct ViewRenderer {
     pub(super) queue: RenderQueue,
-    identity: String,
     cache: Cache<ViewKey, Picture, Bytes>,
     /// For pictures that are encoded while the next one is rendered.
     encoders: Arc<Semaphore>,
@@ -88,7 +87,7 @@ impl Timing {
 
 impl ViewRenderer {
     /// An empty cache and queue.
-    pub(crate) fn new(services: &Services, limits: &RequestLimits) -> Self {
+    pub(crate) fn new(limits: &RequestLimits) -> Self {
         let queue = RenderQueue::new(QueueLimits {
             at_once: limits.renders,
             requests: Capacity {
@@ -107,17 +106,12 @@ impl ViewRenderer {
         };
         let cores = available_parallelism().map_or(1, usize::from);
         let encoders = Arc::new(Semaphore::new(cores));
-        Self { queue, identity: services.renderer.identity(), cache, encoders }
+        Self { queue, cache, encoders }
     }
 
     /// How many pictures are rendered and how many wait for a permit.
     pub(crate) fn depth(&self) -> (usize, usize) {
         self.queue.depth()
-    }
-
-    /// The key of a frame.
-    pub(super) fn key(&self, frame: &FrameSpec) -> ViewKey {
-        ViewKey::new(&self.identity, frame)
     }
 
     /// The picture if it is cached.
@@ -130,10 +124,10 @@ impl ViewRenderer {
 pub(super) async fn picture(
     state: &AppState,
     slot: &mut QueueSlot,
-    frame: FrameSpec,
+    frame: Frame,
 ) -> ApiResult<(Picture, Timing)> {
     let view_renderer = &state.view_renderer;
-    let key = view_renderer.key(&frame);
+    let (key, kind) = (frame.key(), frame.spec.kind);
     slot.begin_picture();
     let entered = Instant::now();
     let vacant = match view_renderer.cache.get_value_or_guard_async(&key).await {
@@ -144,7 +138,7 @@ pub(super) async fn picture(
     let queue = entered.elapsed();
     let made = render_with_permit(state, permit, frame, move |rendered, timing| {
         let began = Instant::now();
-        let picture = Picture::encode(&rendered, frame.kind).map_err(|error| failed(&error))?;
+        let picture = Picture::encode(&rendered, kind).map_err(|error| failed(&error))?;
         Ok((picture, Timing { queue, encode: began.elapsed(), ..timing }))
     });
     let (picture, timing) = made.await?;
@@ -158,7 +152,7 @@ pub(super) async fn picture(
 pub(super) async fn render_with_permit<T: Send + 'static>(
     state: &AppState,
     permit: RenderPermit,
-    frame: FrameSpec,
+    frame: Frame,
     finish: impl FnOnce(Rendered, Timing) -> Result<T, Problem> + Send + 'static,
 ) -> ApiResult<T> {
     let state = state.clone();
@@ -176,21 +170,19 @@ pub(super) async fn render_with_permit<T: Send + 'static>(
     Ok(made.await??)
 }
 
-fn render(services: &Services, runtime: &Handle, frame: &FrameSpec) -> Result<(Rendered, Timing), Problem> {
+fn render(services: &Services, runtime: &Handle, frame: &Frame) -> Result<(Rendered, Timing), Problem> {
+    let Frame { spec, renderer } = frame;
     let loaded = std::cell::Cell::new(Duration::ZERO);
     let load = || -> Result<Viewable, Problem> {
         let began = Instant::now();
-        let content =
-            runtime.block_on(services.blobs.read(frame.artifact)).map_err(|error| failed(&error))?;
-        let viewable = (services.load)(&content);
+        let viewable = services.read(runtime, spec.artifact).and_then(|content| (services.load)(&content));
         loaded.set(loaded.get() + began.elapsed());
         viewable
     };
-    let (renderer, camera) = (&services.renderer, &frame.camera);
-    let plane = |kind| renderer.render_scalars(frame.artifact, &load, camera, kind);
+    let plane = |kind| renderer.render_scalars(spec.artifact, &load, &spec.camera, kind);
     let began = Instant::now();
-    let rendered = match frame.kind.output {
-        Output::Color => Rendered::Color(renderer.render(frame.artifact, &load, camera)?),
+    let rendered = match spec.kind.output {
+        Output::Color => Rendered::Color(renderer.render(spec.artifact, &load, &spec.camera)?),
         Output::Depth => Rendered::Depth(plane(ScalarKind::Depth)?),
         Output::Alpha => Rendered::Alpha(plane(ScalarKind::Alpha)?),
     };

@@ -32,6 +32,7 @@ mod series;
 mod stats;
 mod upkeep;
 mod uploads;
+mod viewers;
 mod webhooks;
 
 use std::{

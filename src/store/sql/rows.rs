@@ -5,12 +5,12 @@ use std::{io, str::FromStr, time::Duration};
 use super::db::Row;
 use crate::{
     domain::{
-        Digest, EndpointId, Event, EventKind, Job, JobId, JobState, SeriesPoint, WebhookEvent, WebhookSecret,
+        Digest, EndpointId, Event, EventKind, ExportFidelity, Job, JobId, JobState, SeriesPoint,
+        WebhookEvent, WebhookSecret,
     },
     store::{
         Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, DeliveryRecord, DeliveryState,
-        DueDelivery, EndpointRecord, ExportFidelity, ExportRecord, FileRecord, JobRecord, PriorRequest,
-        StoreError,
+        DueDelivery, EndpointRecord, ExportRecord, FileRecord, JobRecord, PriorRequest, StoreError,
         leases::LeaseRow,
         retry::{AttemptState, LossStreak},
     },
@@ -21,6 +21,11 @@ use serde_json::ser::{CharEscape, CompactFormatter, Formatter};
 
 pub(super) fn micros(at: Timestamp) -> i64 {
     at.as_microsecond()
+}
+
+/// The time before which something is at least `age` old.
+pub(super) fn earlier(now: Timestamp, age: SignedDuration) -> i64 {
+    micros(now.checked_sub(age).unwrap_or(Timestamp::MIN))
 }
 
 /// A count as columns hold it, clamped.

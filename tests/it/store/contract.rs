@@ -8,6 +8,7 @@ mod garbage;
 mod garbage_in_bucket;
 mod queue;
 pub(super) mod totals;
+mod viewers;
 
 use crate::support::database::Database;
 

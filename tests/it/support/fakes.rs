@@ -14,17 +14,16 @@ use glam::DVec3;
 use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages, Conventions,
-        CurvePoint, DatasetSummary, Digest, HeldOut, HeldOutView, Image, Intrinsics, JobMetrics, Lattice,
-        Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, ProblemType,
-        Progress, RenderNetworks, RenderingError, Scene, SceneFormat, SceneScale, Scores, Split,
-        TrainOptions, ViewScore,
+        CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene, HeldOut, HeldOutView, Image,
+        Intrinsics, JobMetrics, Lattice, Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase,
+        PhaseSeconds, Pose, Problem, ProblemType, Progress, RenderNetworks, RenderingError, Scene,
+        SceneFormat, SceneScale, Scores, Split, TrainOptions, ViewScore,
     },
     pipeline::{Checkpoints, CurveFile, JobError, JobOutput, RunJob},
     render::{
         RenderViews,
         views::{ScalarImage, ScalarKind, Viewable},
     },
-    store::ExportFidelity,
 };
 
 use super::eventually::{PATIENCE, within};
@@ -53,7 +52,7 @@ impl Gate {
         *self.open.lock().expect("not poisoned")
     }
 
-    fn pass(&self) {
+    pub fn pass(&self) {
         self.arrived.notify_one();
         let mut open = self.open.lock().expect("not poisoned");
         while !*open {
@@ -326,7 +325,8 @@ pub fn check(dataset: &Path) -> Result<DatasetSummary, Problem> {
     })
 }
 
-fn empty_scene() -> AnchorScene {
+/// A scene without anchors.
+pub fn empty_scene() -> AnchorScene {
     let mlp = || Mlp { layers: Vec::new() };
     AnchorScene {
         lattice: Lattice { voxel: 1.0, origin: [0.0; 3] },
@@ -351,10 +351,17 @@ pub struct FakeExporter {
     pub made: std::sync::atomic::AtomicUsize,
 }
 
+/// The renderer of every scene.
+pub fn only(renderer: &FakeRenderer) -> tcgs::http::RendererOf {
+    let renderer: Arc<dyn RenderViews> = Arc::new(renderer.clone());
+    Arc::new(move |_| Ok(Arc::clone(&renderer)))
+}
+
 /// What a service is given.
 pub fn exporter(fake: &Arc<FakeExporter>) -> tcgs::http::SceneExporter {
     let fake = Arc::clone(fake);
-    Arc::new(move |file, format, cameras| {
+    Arc::new(move |source, format, cameras| {
+        let file = (source.read)()?;
         if file == curve_file(1) {
             fake.gate.pass();
         }
@@ -367,6 +374,6 @@ pub fn exporter(fake: &Arc<FakeExporter>) -> tcgs::http::SceneExporter {
         let trained = cameras.iter().filter(|camera| camera.split == Split::Train).count();
         let text = format!("{} from {trained} cameras of {} bytes", format.name(), file.len());
         let fidelity = (format == SceneFormat::Ply).then_some(ExportFidelity { psnr: 41.256, views: 2 });
-        Ok(tcgs::http::ExportedScene { bytes: text.into_bytes(), gaussians: 5, sh_degree: 3, fidelity })
+        Ok(ExportedScene { bytes: text.into_bytes(), gaussians: 5, sh_degree: 3, fidelity })
     })
 }

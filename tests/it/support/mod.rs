@@ -3,6 +3,7 @@
 #![allow(dead_code, unreachable_pub, reason = "a test module uses what it needs")]
 
 pub mod authority;
+pub mod balancer;
 pub mod browser;
 pub mod bucket;
 pub mod contract;

@@ -175,7 +175,7 @@ impl Server {
             entropy: Arc::new(SystemRandom),
             check: Arc::new(fakes::check),
             load: Arc::new(fakes::load),
-            renderer: Arc::new(renderer.clone()),
+            renderer: fakes::only(&renderer),
             export: fakes::exporter(&exporter),
             forget: Arc::new(|_| {}),
             workers: Arc::new(|| WorkerCounts { expected: 1, alive: 1 }),

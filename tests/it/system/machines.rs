@@ -27,14 +27,14 @@ use crate::support::{
 };
 
 /// What all machines are told.
-struct Shared {
-    database: PostgresDatabase,
-    bucket: BucketUrl,
-    variables: Vec<(String, String)>,
+pub(super) struct Shared {
+    pub(super) database: PostgresDatabase,
+    pub(super) bucket: BucketUrl,
+    pub(super) variables: Vec<(String, String)>,
 }
 
 impl Shared {
-    fn environment(&self) -> Vec<(&str, String)> {
+    pub(super) fn environment(&self) -> Vec<(&str, String)> {
         let mut all: Vec<(&str, String)> =
             self.variables.iter().map(|(name, value)| (name.as_str(), value.clone())).collect();
         all.push(("TCGS_DATABASE", self.database.url().expose().to_owned()));
@@ -47,18 +47,18 @@ impl Shared {
     }
 }
 
-/// A worker on a machine of its own. Dropping it kills it.
-struct Worker {
+/// A worker or a viewer on a machine of its own. Dropping it kills it.
+pub(super) struct Machine {
     child: Child,
     log: Arc<Mutex<String>>,
     _data: TempDir,
 }
 
-impl Worker {
-    fn start(shared: &Shared) -> Self {
+impl Machine {
+    pub(super) fn start(shared: &Shared, arguments: &[&str]) -> Self {
         let data = tempfile::tempdir().expect("a folder");
         let mut command = tokio::process::Command::from(program::command());
-        command.args(["worker", "--data"]).arg(data.path()).envs(shared.environment());
+        command.args(arguments).arg("--data").arg(data.path()).envs(shared.environment());
         command.stdin(Stdio::null()).stderr(Stdio::piped()).kill_on_drop(true);
         let mut child = command.spawn().expect("the binary runs");
         let mut lines = BufReader::new(child.stderr.take().expect("piped")).lines();
@@ -72,13 +72,18 @@ impl Worker {
         Self { child, log, _data: data }
     }
 
-    fn log(&self) -> String {
+    pub(super) fn log(&self) -> String {
         self.log.lock().expect("not poisoned").clone()
     }
 
-    async fn stop(&mut self) -> ExitStatus {
+    /// Ends it as a power cut would.
+    pub(super) async fn cut_power(&mut self) {
+        self.child.kill().await.expect("killed");
+    }
+
+    pub(super) async fn stop(&mut self) -> ExitStatus {
         kill("-TERM", self.child.id().expect("running"));
-        within("the worker has ended", self.child.wait()).await.expect("ended")
+        within("the process has ended", self.child.wait()).await.expect("ended")
     }
 }
 
@@ -133,14 +138,14 @@ async fn machines_share_a_database_and_a_bucket_and_nothing_else() {
     let scene = upload(&one, &other, &archive).await;
 
     let job = create_job(&one, &scene).await;
-    let mut first = Worker::start(&shared);
+    let mut first = Machine::start(&shared, &["worker"]);
     let under_way = |now: &Value| now["progress"]["step"].as_u64().is_some_and(|step| step >= 20);
     other.job_until(&job, under_way).await;
     assert!(first.stop().await.success(), "{}", first.log());
     let stopped = one.get(&job).await.expect(200).json();
     assert_eq!(stopped["state"], "queued", "{stopped:#}");
 
-    let second = Worker::start(&shared);
+    let second = Machine::start(&shared, &["worker"]);
     one.succeeded(&job).await;
     let said = second.log();
     assert!(said.contains("goes on with a checkpoint of another machine"), "{said}");

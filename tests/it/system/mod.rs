@@ -15,3 +15,4 @@ mod postgres;
 mod power_cuts;
 mod presets;
 mod viewer;
+mod viewers;

@@ -530,7 +530,7 @@ fn api(fixture: &Fixture, live_workers: LiveWorkers) -> axum::Router {
         entropy: Arc::new(tcgs::domain::SystemRandom),
         check: Arc::new(crate::support::fakes::check),
         load: Arc::new(crate::support::fakes::load),
-        renderer: Arc::new(crate::support::fakes::FakeRenderer::default()),
+        renderer: crate::support::fakes::only(&Default::default()),
         export: crate::support::fakes::exporter(&Arc::default()),
         forget: Arc::new(|_| {}),
         workers: Arc::new(move || WorkerCounts {

@@ -3,6 +3,7 @@
 mod keys;
 mod projects;
 mod series;
+mod viewers;
 mod webhooks;
 
 use std::{

@@ -1,0 +1,64 @@
+//! Starts a viewer process.
+
+use std::{net::SocketAddr, sync::Arc};
+
+use tcgs::{
+    domain::{ProjectLimits, SystemRandom, ViewerToken},
+    gpu::AdapterChoice,
+    http::{self, HttpConfig, ViewerConfig, ViewerServices},
+    store::ViewerRecord,
+    viewers::announce,
+};
+use tokio::net::TcpListener;
+use url::Url;
+
+use super::{
+    rendering::{exporter, loader},
+    service::{OlderSchema, open_blobs, open_store, runtime, stop_on_signals, unavailable},
+};
+use crate::cli::{CliError, storage::Storage};
+
+/// Options of a viewer process.
+#[derive(Debug, Clone)]
+pub(crate) struct ViewerOptions {
+    pub(crate) listen: SocketAddr,
+    /// Where replicas reach it, if not at `listen`.
+    pub(crate) advertise: Option<Url>,
+    pub(crate) storage: Storage,
+    pub(crate) adapter: AdapterChoice,
+    /// Bytes of device memory.
+    pub(crate) memory: u64,
+}
+
+/// Runs a viewer until a signal comes.
+pub(crate) fn viewer(options: ViewerOptions) -> Result<(), CliError> {
+    runtime()?.block_on(async {
+        let (views, adapter) = super::views(&options.adapter, options.memory)?;
+        let listener = TcpListener::bind(options.listen).await.map_err(|fault| unavailable(&fault))?;
+        let address = listener.local_addr().map_err(|fault| unavailable(&fault))?;
+        let url = options.advertise.map_or_else(|| format!("http://{address}"), String::from);
+        let url = url.trim_end_matches('/').to_owned();
+        // The service has migrated the schema; a viewer of another version must not.
+        let store = open_store(&options.storage, ProjectLimits::default(), OlderSchema::Refuse).await?;
+        let blobs = open_blobs(&options.storage, &store).await?;
+        let shutdown = stop_on_signals()?;
+        let token = ViewerToken::generate(&SystemRandom).map_err(|fault| unavailable(&fault))?;
+        let record = ViewerRecord {
+            url: url.clone(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            identity: views.identity(),
+            token: token.clone(),
+        };
+        let announced = tokio::spawn(announce(store.clone(), record, shutdown.clone()));
+        let export = exporter(Arc::clone(&views));
+        let services = ViewerServices { blobs, load: loader(), renderer: views, export, token };
+        tracing::info!(%address, adapter, "rendering views for replicas at {url}");
+        let config = HttpConfig { listen: address, ..HttpConfig::default() };
+        http::serve_viewer(listener, config, ViewerConfig::default(), services, shutdown).await;
+        if let Err(fault) = announced.await {
+            tracing::warn!(%fault, "the viewer's announcement stopped early");
+        }
+        store.close().await;
+        Ok(())
+    })
+}

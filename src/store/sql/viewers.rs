@@ -1,0 +1,69 @@
+//! Viewers.
+
+use jiff::SignedDuration;
+
+use super::{
+    SqlStore,
+    db::{Row, query},
+    rows::{earlier, micros},
+};
+use crate::{
+    domain::ViewerToken,
+    store::{StoreError, StoreFuture, VIEWER_LIFE, ViewerRecord, Viewers},
+};
+
+/// Age of a row that is of no use any more.
+const FORGOTTEN: SignedDuration = SignedDuration::from_hours(1);
+
+fn viewer(row: &Row) -> Result<ViewerRecord, StoreError> {
+    Ok(ViewerRecord {
+        url: row.try_get("url")?,
+        version: row.try_get("version")?,
+        identity: row.try_get("identity")?,
+        token: ViewerToken::stored(row.try_get("token")?),
+    })
+}
+
+impl Viewers for SqlStore {
+    fn announce_viewer<'a>(&'a self, viewer: &'a ViewerRecord) -> StoreFuture<'a, ()> {
+        Box::pin(self.write(async move |tx, now| {
+            query(
+                "INSERT INTO viewers (url, version, identity, token, seen_at) VALUES (?, ?, ?, ?, ?)
+                 ON CONFLICT (url) DO UPDATE SET version = excluded.version, identity = excluded.identity,
+                     token = excluded.token, seen_at = excluded.seen_at",
+            )
+            .bind(viewer.url.as_str())
+            .bind(viewer.version.as_str())
+            .bind(viewer.identity.as_str())
+            .bind(viewer.token.expose())
+            .bind(micros(now))
+            .execute(&mut *tx)
+            .await?;
+            query("DELETE FROM viewers WHERE seen_at < ?").bind(earlier(now, FORGOTTEN)).execute(tx).await?;
+            Ok(())
+        }))
+    }
+
+    fn live_viewers(&self) -> StoreFuture<'_, Vec<ViewerRecord>> {
+        Box::pin(self.read(async move |tx| {
+            let now = self.now(&mut *tx).await?;
+            let rows =
+                query("SELECT url, version, identity, token FROM viewers WHERE seen_at >= ? ORDER BY url")
+                    .bind(earlier(now, VIEWER_LIFE))
+                    .fetch_all(tx)
+                    .await?;
+            rows.iter().map(viewer).collect()
+        }))
+    }
+
+    fn withdraw_viewer<'a>(&'a self, viewer: &'a ViewerRecord) -> StoreFuture<'a, ()> {
+        Box::pin(self.write(async move |tx, _| {
+            query("DELETE FROM viewers WHERE url = ? AND token = ?")
+                .bind(viewer.url.as_str())
+                .bind(viewer.token.expose())
+                .execute(tx)
+                .await?;
+            Ok(())
+        }))
+    }
+}
