@@ -79,8 +79,7 @@ lint: setup ## formatting, clippy, documentation, licences
 	@$(CARGO) fmt --check
 	@$(CARGO) clippy --locked --all-targets -- -D warnings
 	@$(CARGO) doc --locked --no-deps --quiet
-	@. scripts/env.sh; if cargo deny --version >/dev/null 2>&1; then cargo deny --locked check; \
-	else echo "lint: cargo-deny is not installed, licences and advisories were not checked"; fi
+	@. scripts/env.sh && scripts/deny.sh
 
 lint: export RUSTDOCFLAGS := -D warnings
 
