@@ -1,6 +1,6 @@
 //! `tcgs serve`: the HTTP service with its own worker process.
 
-use std::{net::SocketAddr, num::NonZeroU32, path::PathBuf};
+use std::{net::SocketAddr, num::NonZeroU32, path::PathBuf, time::Duration};
 
 use tcgs::{
     domain::{Bytes, DEFAULT_MAX_PRIORITY, MAX_PRIORITY, OutboundPolicy, ProjectLimits},
@@ -73,6 +73,16 @@ pub(crate) struct Args {
 
     #[command(flatten)]
     limits: LimitFlags,
+
+    /// Days after which an ended job is removed, with its files and events; jobs are kept if absent
+    #[arg(
+        long,
+        value_name = "DAYS",
+        value_parser = clap::value_parser!(u32).range(1..=36_500),
+        env = "TCGS_KEEP_JOBS",
+        help_heading = "Limits"
+    )]
+    keep_jobs: Option<u32>,
 }
 
 /// Who may send requests.
@@ -176,6 +186,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, CliError> {
         remote_views: args.remote_views,
         webhook_targets: OutboundPolicy { allow_loopback: args.webhooks.webhooks_allow_loopback },
         webhook_roots: args.webhooks.webhooks_ca,
+        keep_jobs: args.keep_jobs.map(|days| Duration::from_secs(u64::from(days) * 24 * 3600)),
         log_format,
     })?;
     Ok(Report::default())

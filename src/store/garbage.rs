@@ -1,4 +1,5 @@
-//! Garbage collection: expired uploads, files of ended uploads, staging folders of dead processes, unreferenced blobs.
+//! Garbage collection: jobs past their retention, expired uploads, files of ended uploads, staging folders of dead processes, unreferenced
+//! blobs.
 //!
 //! A blob is published before anything refers to it, so it has a grace time from its latest publication. After that, a transaction that
 //! finds no reference deletes its row; then its file is removed, unless it was published again meanwhile. A new reference is added only
@@ -11,7 +12,7 @@ use thiserror::Error;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
-use super::{BlobError, Blobs, Published, Store, StoreError};
+use super::{BlobError, Blobs, Published, Store, StoreError, retention::remove_expired};
 use crate::domain::{Clock, UploadId};
 
 /// Blobs per transaction, so that other writers never wait for long.
@@ -28,6 +29,8 @@ pub struct GarbagePolicy {
     pub blob_grace: SignedDuration,
     /// How long the row of an ended upload is kept.
     pub upload_ttl: SignedDuration,
+    /// How long an ended job is kept; for ever if `None`.
+    pub keep_jobs: Option<Duration>,
 }
 
 impl Default for GarbagePolicy {
@@ -37,6 +40,7 @@ impl Default for GarbagePolicy {
             at_most_every: Duration::from_secs(10),
             blob_grace: SignedDuration::from_hours(1),
             upload_ttl: SignedDuration::from_hours(7 * 24),
+            keep_jobs: None,
         }
     }
 }
@@ -134,6 +138,17 @@ pub async fn collect_garbage(
 ) {
     loop {
         let began = Instant::now();
+        // First, so that the blobs of removed jobs are collected at once.
+        match remove_expired(&*store, policy.keep_jobs, &stop).await {
+            Ok(0) => {}
+            Ok(jobs) => tracing::info!(jobs, "removed {jobs} jobs that ended too long ago to be kept"),
+            Err(error) => {
+                tracing::warn!(
+                    error = &error as &dyn std::error::Error,
+                    "ended jobs cannot be removed: {error}"
+                );
+            }
+        }
         match collect(&*store, &blobs, &policy, clock.now()).await {
             Ok(Collected { uploads: 0, blobs: 0, .. }) => {}
             Ok(Collected { uploads, blobs, bytes }) => {

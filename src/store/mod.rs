@@ -30,6 +30,7 @@ mod policy;
 mod projects;
 pub mod publications;
 mod records;
+pub mod retention;
 mod retry;
 mod series;
 mod sql;
@@ -65,6 +66,7 @@ pub use records::{
     JobFilter, JobRecord, Lease, MAX_QUEUE_POSITION, NewJob, Outcome, PageKey, RetryOutcome, RetryRequest,
     SHOWN_ATTEMPTS, SceneArtifact, WorkerDeath,
 };
+pub use retention::{RemovedJobs, Retention};
 pub use series::Series;
 pub use sql::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange, SqlStore};
 pub use stats::{AttemptCount, Overview, StoreStats};
@@ -88,6 +90,7 @@ pub trait Store:
     + Keys
     + Overview
     + Projects
+    + Retention
     + Datasets
     + Series
     + Uploads

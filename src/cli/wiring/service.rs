@@ -80,6 +80,8 @@ pub(crate) struct ServeOptions {
     pub(crate) webhook_targets: OutboundPolicy,
     /// PEM file of certificate authorities to trust for them, in addition to the system's.
     pub(crate) webhook_roots: Option<PathBuf>,
+    /// How long an ended job is kept; for ever if `None`.
+    pub(crate) keep_jobs: Option<Duration>,
     /// Log format of this process and its workers.
     pub(crate) log_format: Format,
 }
@@ -136,7 +138,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
             store.clone(),
             blobs.clone(),
             Arc::new(SystemClock),
-            GarbagePolicy::default(),
+            GarbagePolicy { keep_jobs: options.keep_jobs, ..GarbagePolicy::default() },
             shutdown.clone(),
         ));
         let checkpoints = options.storage.data.join(CHECKPOINTS);

@@ -72,12 +72,20 @@ pub(super) async fn delete(
     if !record.job.state.is_terminal() {
         return Ok(Some(Deletion::Active(record.job.state)));
     }
-    // The schema would clear the reference too, but not raise the version of those rows.
-    for statement in [
-        "UPDATE jobs SET retry_of = NULL, version = version + 1 WHERE retry_of = ?",
-        "DELETE FROM jobs WHERE id = ?",
-    ] {
-        query(statement).bind(id.to_string()).execute(&mut *connection).await?;
-    }
+    remove(connection, id).await?;
     Ok(Some(Deletion::Deleted))
+}
+
+/// Deletes a job if it is there and has ended, and counts it. The totals of its project are locked.
+pub(super) async fn remove(connection: &mut Transaction, id: JobId) -> Result<u64, StoreError> {
+    // The schema would clear the reference too, but not raise the version of those rows.
+    query("UPDATE jobs SET retry_of = NULL, version = version + 1 WHERE retry_of = ?")
+        .bind(id.to_string())
+        .execute(&mut *connection)
+        .await?;
+    query("DELETE FROM jobs WHERE id = ? AND finished_at IS NOT NULL")
+        .bind(id.to_string())
+        .execute(connection)
+        .await
+        .map_err(Into::into)
 }

@@ -147,7 +147,7 @@ mod tests {
         domain::{DatasetId, JobId, JobState},
         store::{
             SqlStore,
-            sql::{FIRST_DEADLINE, accounts, open::temporary_store, queue, stats},
+            sql::{FIRST_DEADLINE, accounts, open::temporary_store, queue, retention, stats},
         },
     };
 
@@ -192,6 +192,8 @@ mod tests {
             (datasets(project, page, 20), "scenes_by_project"),
             (endpoints(project, None, 20), "webhook_endpoints_by_project"),
             (query(FIRST_DEADLINE), "jobs_by_deadline (deadline_at>?)"),
+            (retention::ended_jobs(at, None), "jobs_by_age"),
+            (retention::ended_jobs(at, job), "jobs_by_age"),
         ];
         for (query, index) in cases {
             let (statement, _) = query.texts();
@@ -230,7 +232,9 @@ mod tests {
             }
         }
         for statement in [
-            "DELETE FROM jobs WHERE id = ?",
+            "DELETE FROM jobs WHERE id = ? AND finished_at IS NOT NULL",
+            retention::EXPIRED_REQUESTS,
+            retention::EXPIRED_MESSAGES,
             "UPDATE jobs SET retry_of = NULL, version = version + 1 WHERE retry_of = ?",
             "DELETE FROM scenes WHERE id = ?",
         ] {

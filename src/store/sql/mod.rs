@@ -27,6 +27,7 @@ mod priority;
 mod projects;
 mod publications;
 mod queue;
+mod retention;
 mod rows;
 mod series;
 mod stats;

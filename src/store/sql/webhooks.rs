@@ -18,7 +18,7 @@ use crate::{
 use jiff::Timestamp;
 
 /// How long a delivery that has ended is kept, from its creation.
-const DELIVERY_TTL: Duration = Duration::from_secs(30 * 24 * 3600);
+pub(super) const DELIVERY_TTL: Duration = Duration::from_secs(30 * 24 * 3600);
 
 /// The endpoint of the delivery that has been due for longest at `?1`, of those with nothing under way. On PostgreSQL it is locked, so that
 /// no other transaction takes another of its deliveries; what it has is then looked up afresh.

@@ -7,6 +7,7 @@ mod garbage;
 #[path = "garbage.rs"]
 mod garbage_in_bucket;
 mod queue;
+mod retention;
 pub(super) mod totals;
 mod viewers;
 

@@ -305,3 +305,39 @@ async fn garbage_is_collected_until_shutdown_and_soon_after_a_request() {
     fixture.blobs.request_collection();
     assert!(fixture.is_there(kept).await);
 }
+
+#[tokio::test]
+async fn what_a_job_past_its_retention_stored_is_removed_in_the_same_round() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let (archive, of_scene) = (fixture.put("archive").await, fixture.put("archive of a scene").await);
+    let scene = fixture.keep(of_scene).await;
+    let ids = [1, 2].map(|number| JobId(Uuid::from_u128(number)));
+    for (id, dataset, scene) in [(ids[0], archive, None), (ids[1], of_scene, Some(scene))] {
+        let new = NewJob::new(id, TrainOptions::default(), dataset);
+        fixture.store.create_job(NewJob { dataset_id: scene, ..new }).await.expect("queued");
+        fixture.store.cancel(id).await.expect("cancelled");
+    }
+    fixture.pass(8 * 24 * 60);
+    let policy = GarbagePolicy {
+        every: Duration::from_secs(24 * 3600),
+        blob_grace: GRACE,
+        keep_jobs: Some(Duration::from_secs(7 * 24 * 3600)),
+        ..GarbagePolicy::default()
+    };
+    let stop = CancellationToken::new();
+    let clock: Arc<dyn Clock> = fixture.clock.clone();
+    let (store, blobs) = (fixture.store.clone(), fixture.blobs.clone());
+    let keeping = tokio::spawn(collect_garbage(store, blobs, clock, policy, stop.clone()));
+    let gone = async {
+        while fixture.is_there(archive).await {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    };
+    tokio::time::timeout(LONGEST, gone).await.expect("it is collected");
+    stop.cancel();
+    tokio::time::timeout(LONGEST, keeping).await.expect("it stops").expect("in order");
+    for id in ids {
+        assert!(fixture.store.job(id).await.expect("read").is_none());
+    }
+    assert!(fixture.is_there(of_scene).await, "a scene that was kept on its own stays");
+}

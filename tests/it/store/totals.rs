@@ -84,13 +84,13 @@ const OF_EVERYTHING: [(&str, &str); 2] = [
 
 pub(in crate::store) struct Fixture {
     pub(in crate::store) store: Arc<dyn Store>,
-    clock: Arc<ManualClock>,
-    database: Database,
+    pub(super) clock: Arc<ManualClock>,
+    pub(super) database: Database,
     pub(in crate::store) seen: StoreStats,
 }
 
 impl Fixture {
-    async fn new() -> Option<Self> {
+    pub(super) async fn new() -> Option<Self> {
         Some(Self::open(super::database().await?).await)
     }
 
@@ -101,7 +101,7 @@ impl Fixture {
         Self { store, clock, database, seen: StoreStats::default() }
     }
 
-    async fn project(&mut self, number: u128) -> ProjectId {
+    pub(super) async fn project(&mut self, number: u128) -> ProjectId {
         let id = ProjectId(Uuid::from_u128(number));
         let new = NewProject { id, name: "a project".into(), limits: ProjectLimits::default() };
         self.store.create_project(new).await.expect("added").id
@@ -130,20 +130,44 @@ impl Fixture {
         self.seen = figures;
     }
 
-    async fn job(&self, number: u128, project: ProjectId, scene: Option<DatasetId>, content: &str) -> JobId {
+    pub(super) fn new_job(&self, number: u128, project: ProjectId, content: &str) -> NewJob {
         let id = JobId(Uuid::from_u128(number));
-        let new =
-            NewJob { project, dataset_id: scene, ..NewJob::new(id, TrainOptions::default(), blob(content)) };
+        NewJob { project, ..NewJob::new(id, TrainOptions::default(), blob(content)) }
+    }
+
+    pub(super) async fn job(
+        &self,
+        number: u128,
+        project: ProjectId,
+        scene: Option<DatasetId>,
+        content: &str,
+    ) -> JobId {
+        let new = NewJob { dataset_id: scene, ..self.new_job(number, project, content) };
         self.store.create_job(new).await.expect("created").job.id
     }
 
-    async fn finish(&self, outcome: Outcome) {
+    pub(super) async fn finish(&self, outcome: Outcome) {
         let claim = self.store.claim("worker").await.expect("an answer").expect("a job");
         self.store.finish(&claim.lease, outcome).await.expect("ended");
     }
 }
 
-fn blob(content: &str) -> BlobRef {
+/// A dataset with this archive, kept for a project.
+pub(super) fn dataset(number: u128, project: ProjectId, content: &str) -> NewDataset {
+    let summary =
+        DatasetSummary { layout: Layout::Colmap, train: 1, test: 1, pixels: 1, points: None, notes: vec![] };
+    NewDataset {
+        id: DatasetId(Uuid::from_u128(number)),
+        project,
+        name: None,
+        dataset: blob(content),
+        summary,
+        upload: None,
+        intent: None,
+    }
+}
+
+pub(super) fn blob(content: &str) -> BlobRef {
     BlobRef { digest: Digest::of(content.as_bytes()), bytes: content.len() as u64 }
 }
 
@@ -184,24 +208,8 @@ async fn totals_equal_a_recount_after_every_change() {
     for (number, (project, content)) in
         [(one, "a scene"), (other, "a scene"), (ProjectId::DEFAULT, "another")].into_iter().enumerate()
     {
-        let id = DatasetId(Uuid::from_u128(number as u128 + 1));
-        let summary = DatasetSummary {
-            layout: Layout::Colmap,
-            train: 1,
-            test: 1,
-            pixels: 1,
-            points: None,
-            notes: vec![],
-        };
-        let new = NewDataset {
-            id,
-            project,
-            name: None,
-            dataset: blob(content),
-            summary,
-            upload: None,
-            intent: None,
-        };
+        let new = dataset(number as u128 + 1, project, content);
+        let id = new.id;
         fixture.store.create_dataset(new.clone()).await.expect("created");
         fixture
             .store

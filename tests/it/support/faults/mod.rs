@@ -9,6 +9,7 @@ mod webhooks;
 use std::{
     io,
     sync::{Arc, Mutex},
+    time::Duration,
 };
 
 use jiff::Timestamp;
@@ -18,8 +19,8 @@ use tcgs::{
         Accounts, AttemptRecord, BlobRef, Cancellation, Capacity, ChangeKind, Changes, Claim,
         DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, Datasets, Deletion, ExportRecord,
         Exports, FileRecord, Heartbeat, Idempotency, JobFilter, JobRecord, Lease, NewDataset, NewJob,
-        NewUpload, Outcome, Overview, PageKey, PriorRequest, RetryOutcome, RetryRequest, Store, StoreError,
-        StoreFuture, StoreStats, UploadRecord, Uploads, Usage, WorkerDeath,
+        NewUpload, Outcome, Overview, PageKey, PriorRequest, RemovedJobs, Retention, RetryOutcome,
+        RetryRequest, Store, StoreError, StoreFuture, StoreStats, UploadRecord, Uploads, Usage, WorkerDeath,
     },
 };
 
@@ -100,6 +101,15 @@ impl Idempotency for FaultStore {
         key: &'a str,
     ) -> StoreFuture<'a, Option<PriorRequest>> {
         self.guard(self.inner.prior_request(project, key))
+    }
+}
+
+impl Retention for FaultStore {
+    fn remove_ended_jobs(&self, keep: Duration, after: Option<PageKey>) -> StoreFuture<'_, RemovedJobs> {
+        self.guard(self.inner.remove_ended_jobs(keep, after))
+    }
+    fn remove_expired_records(&self, keep: Option<Duration>) -> StoreFuture<'_, u64> {
+        self.guard(self.inner.remove_expired_records(keep))
     }
 }
 
