@@ -163,7 +163,8 @@ async fn copy_blobs(
     }
 }
 
-/// Restores a backup into a data folder that is absent or empty. Every file is copied, and checked against its digest.
+/// Restores a backup into a data folder that is absent or empty. Every file is copied, and checked against its digest. The schema of an
+/// earlier version is brought up to date in the copy; the backup is only read.
 ///
 /// # Errors
 /// [`BackupError`]; the folder then has no database, and can be deleted.
@@ -180,7 +181,7 @@ pub async fn restore(
     let staged = data.join(format!("{DATABASE}.restoring"));
     fs::copy(backup.join(DATABASE), &staged)?;
     let copied = async {
-        let store = Arc::new(SqlStore::open_current(&staged, clock, QueuePolicy::default()).await?);
+        let store = Arc::new(SqlStore::open(&staged, clock, QueuePolicy::default()).await?);
         let copy = match bucket {
             None => {
                 store.move_blobs(BlobPlace::Folder).await?;

@@ -16,3 +16,4 @@ mod projects;
 mod scripting;
 mod signals;
 mod suite;
+mod upgrade;
