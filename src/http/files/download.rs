@@ -1,4 +1,5 @@
-//! Serves immutable files, whole or a range, with the digest of the whole (RFC 9110 §13, §14; RFC 9530).
+//! Serves immutable files, whole or a range, with the digest of the whole (RFC 9110 §13, §14; RFC 9530). A whole file that does not have that
+//! digest is cut off before its end.
 
 use axum::{
     body::Body,
@@ -73,8 +74,10 @@ pub(crate) async fn serve(state: &AppState, request: &HeaderMap, file: File) -> 
     };
     let body = if part.is_empty() {
         Body::empty()
+    } else if part == (0..blob.bytes) {
+        Body::from_stream(state.blobs().stream_whole(blob).await?)
     } else {
-        Body::from_stream(state.blobs().stream(blob.digest, part.clone()).await?)
+        Body::from_stream(state.blobs().stream_part(blob.digest, part.clone()).await?)
     };
     let mut response = (status, body).into_response();
     let headers = response.headers_mut();

@@ -16,6 +16,7 @@ mod parts;
 mod staging;
 mod staging_dir;
 mod upload;
+mod verified;
 
 use std::{
     fmt,
@@ -26,7 +27,10 @@ use std::{
 };
 
 use bytes::Bytes;
-use futures_util::{StreamExt as _, TryStreamExt as _, stream::BoxStream};
+use futures_util::{
+    StreamExt as _, TryStreamExt as _,
+    stream::{self, BoxStream},
+};
 use jiff::{SignedDuration, Timestamp};
 use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt as _, path::Path as ObjectPath};
 use tempfile::TempPath;
@@ -41,6 +45,9 @@ pub use upload::UploadFile;
 use self::{bucket::Bucket, folder::Folder, staging_dir::StagingDir};
 use super::{BlobRef, StoreError, is_disk_full, publications::Removable};
 use crate::domain::{Digest, UploadId};
+
+/// Content as a stream.
+type Pieces = BoxStream<'static, Result<Bytes, BlobError>>;
 
 /// Common block size of file systems.
 const PROBE_BYTES: usize = 4096;
@@ -267,23 +274,26 @@ impl Blobs {
         }
     }
 
-    /// A part of the blob as a stream; `range` must lie within it and not be empty.
+    /// The blob as a stream that is checked against its digest: one of a damaged blob ends with [`BlobError::Damaged`] before as many bytes
+    /// as the blob has. A blob of one piece is checked before this returns.
     ///
     /// # Errors
-    /// As [`Blobs::read`], but for damage, which shows only in a whole blob.
-    pub async fn stream(
-        &self,
-        digest: Digest,
-        range: Range<u64>,
-    ) -> Result<BoxStream<'static, Result<Bytes, BlobError>>, BlobError> {
+    /// As [`Blobs::read`], at once or in the stream.
+    pub async fn stream_whole(&self, blob: BlobRef) -> Result<Pieces, BlobError> {
+        let mut pieces = verified::verified(blob, self.get(blob.digest, GetOptions::default()).await?);
+        let first = pieces.try_next().await?;
+        Ok(stream::iter(first.map(Ok)).chain(pieces).boxed())
+    }
+
+    /// A part of the blob as a stream; `range` must lie within it and not be empty. Only a whole blob can be checked.
+    ///
+    /// # Errors
+    /// As [`Blobs::read`], but for damage.
+    pub async fn stream_part(&self, digest: Digest, range: Range<u64>) -> Result<Pieces, BlobError> {
         self.get(digest, GetOptions { range: Some(GetRange::Bounded(range)), ..GetOptions::default() }).await
     }
 
-    async fn get(
-        &self,
-        digest: Digest,
-        options: GetOptions,
-    ) -> Result<BoxStream<'static, Result<Bytes, BlobError>>, BlobError> {
+    async fn get(&self, digest: Digest, options: GetOptions) -> Result<Pieces, BlobError> {
         match &self.0.keeper {
             Keeper::Folder(folder) => {
                 let found =
@@ -453,7 +463,7 @@ mod tests {
         assert_eq!(blobs.put(Bytes::from_static(b"twelve bytes")).await.expect("the same"), blob);
         assert_eq!(&blobs.read(blob.digest).await.expect("whole")[..], b"twelve bytes");
         let part: Vec<Bytes> =
-            blobs.stream(blob.digest, 7..12).await.expect("part").try_collect().await.expect("bytes");
+            blobs.stream_part(blob.digest, 7..12).await.expect("part").try_collect().await.expect("bytes");
         assert_eq!(part.concat(), b"bytes");
         let file = blobs.local_copy(blob.digest).await.expect("a file");
         assert_eq!(std::fs::read(file.path()).expect("readable"), b"twelve bytes");

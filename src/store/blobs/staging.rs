@@ -40,6 +40,11 @@ impl ContentHasher {
         Ok(())
     }
 
+    /// How much was appended.
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
     /// The blob that the content would be published as.
     #[must_use]
     pub fn finish(self) -> BlobRef {

@@ -1,6 +1,7 @@
 //! The finished file: whole, by range, conditionally, and by lambda of a curve.
 
 use serde_json::{Value, json};
+use tcgs::domain::Digest;
 
 use crate::support::{contract::Coverage, fakes, server::Server};
 
@@ -90,4 +91,20 @@ pub(super) async fn the_file_is_served_whole_in_parts_and_conditionally(coverage
     assert!(!resource.headers.contains_key("retry-after"), "nothing will change any more");
     let etag = resource.header("etag").to_owned();
     server.send("GET", &job, |request| request.header("if-none-match", etag)).await.expect(304);
+}
+
+pub(super) async fn a_damaged_file_is_not_sent_as_the_whole_one(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.succeeded().await;
+    let path = format!("{job}/artifact");
+    server.get(&path).await.expect(200);
+    let hex = Digest::of(fakes::FILE).to_string();
+    let file = server.data.path().join("blobs/sha256").join(&hex[..2]).join(&hex[2..4]).join(&hex);
+    let mut bytes = fakes::FILE.to_vec();
+    *bytes.last_mut().expect("a byte") ^= 1;
+    std::fs::write(file, bytes).expect("written");
+    server.get(&path).await.expect_problem(500, "internal");
+    // A part cannot be checked; the digest of the whole, which comes with it, tells.
+    let part = server.send("GET", &path, |request| request.header("range", "bytes=0-4")).await.expect(206);
+    assert_eq!(part.body, fakes::FILE[..5]);
 }

@@ -147,6 +147,7 @@ scenarios! {
     }
     artifacts {
         the_file_is_served_whole_in_parts_and_conditionally,
+        a_damaged_file_is_not_sent_as_the_whole_one,
         every_file_of_a_curve_is_served_by_its_weight,
     }
     report {

@@ -93,7 +93,7 @@ async fn a_blob_in_a_bucket_reads_back_whole_in_parts_and_as_a_file() {
             let range = content.len() as u64 / 2..content.len() as u64;
             let read: Vec<Bytes> = fixture
                 .blobs
-                .stream(blob.digest, range)
+                .stream_part(blob.digest, range)
                 .await
                 .expect("a part")
                 .try_collect()
@@ -101,10 +101,46 @@ async fn a_blob_in_a_bucket_reads_back_whole_in_parts_and_as_a_file() {
                 .expect("read");
             assert!(read.concat() == part);
         }
+        let whole = fixture.blobs.stream_whole(blob).await.expect("there");
+        assert!(whole.try_collect::<Vec<Bytes>>().await.expect("sound").concat() == content);
         assert_eq!(fixture.blobs.check(blob, CheckDepth::Content).await.expect("asked"), BlobState::Sound);
     }
     let put = fixture.blobs.put(Bytes::from(large.clone())).await.expect("published");
     assert_eq!(put.digest, Digest::of(&large));
+}
+
+/// How much of a damaged blob a reader of the whole gets, and why it ends.
+async fn read_until_damage(blobs: &Blobs, blob: BlobRef) -> (u64, BlobError) {
+    let mut stream = match blobs.stream_whole(blob).await {
+        Ok(stream) => stream,
+        Err(cause) => return (0, cause),
+    };
+    let mut read = 0;
+    loop {
+        match stream.try_next().await {
+            Ok(piece) => read += piece.expect("a damaged blob ends with an error").len() as u64,
+            Err(cause) => return (read, cause),
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_large_blob_that_was_altered_in_the_bucket_never_arrives_whole() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let content = large();
+    let blob = fixture.blobs.put(Bytes::from(content.clone())).await.expect("published");
+    let flipped = |place: usize| {
+        let mut content = content.clone();
+        content[place] ^= 1;
+        content
+    };
+    let longer = [&content[..], b"more"].concat();
+    for altered in [flipped(0), flipped(content.len() - 1), content[..content.len() / 2].to_vec(), longer] {
+        fixture.objects.put(&object(blob.digest), altered.into()).await.expect("overwritten");
+        let (read, cause) = read_until_damage(&fixture.blobs, blob).await;
+        assert!(read < blob.bytes, "{read} bytes");
+        assert!(matches!(cause, BlobError::Damaged { .. }), "{cause}");
+    }
 }
 
 #[tokio::test]
@@ -117,6 +153,8 @@ async fn damage_and_absence_in_a_bucket_are_found() {
     assert!(matches!(fixture.blobs.local_copy(blob.digest).await, Err(BlobError::Damaged { .. })));
     assert_eq!(state(CheckDepth::Content).await, BlobState::Damaged);
     assert_eq!(state(CheckDepth::Length).await, BlobState::Sound);
+    let (read, cause) = read_until_damage(&fixture.blobs, blob).await;
+    assert!(read < 5 && matches!(cause, BlobError::Damaged { .. }), "{read} bytes, {cause}");
     // Another length is seen by a publisher, who mends it.
     fixture.objects.put(&object(blob.digest), b"so".to_vec().into()).await.expect("overwritten");
     assert_eq!(state(CheckDepth::Length).await, BlobState::Damaged);

@@ -11,7 +11,7 @@ mod url;
 use std::{pin::pin, sync::Arc, time::Duration};
 
 use bytes::Bytes;
-use futures_util::{StreamExt as _, TryStreamExt as _, stream::BoxStream};
+use futures_util::{StreamExt as _, TryStreamExt as _};
 use object_store::{GetOptions, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload};
 use tempfile::TempPath;
 use tokio::{
@@ -25,7 +25,7 @@ pub(super) use upload::BucketUpload;
 pub use url::{BucketUrl, InvalidBucketUrl};
 
 use super::{
-    BlobError, ContentHasher, Published, StagedBlob, location,
+    BlobError, ContentHasher, Pieces, Published, StagedBlob, location,
     parts::{PART_BYTES, write_parts},
     staging_dir::StagingDir,
 };
@@ -199,11 +199,7 @@ impl Bucket {
     }
 
     /// The content of a blob, from which the caller takes the part it wants.
-    pub(super) async fn get(
-        &self,
-        digest: Digest,
-        options: GetOptions,
-    ) -> Result<BoxStream<'static, Result<Bytes, BlobError>>, BlobError> {
+    pub(super) async fn get(&self, digest: Digest, options: GetOptions) -> Result<Pieces, BlobError> {
         match self.objects.get_opts(&location(digest), options).await {
             Ok(found) => Ok(found.into_stream().map_err(BlobError::Bucket).boxed()),
             Err(object_store::Error::NotFound { .. }) => Err(BlobError::Missing(digest)),
