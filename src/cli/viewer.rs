@@ -10,7 +10,7 @@ use super::{
     config::ConfigFlags,
     storage::StorageFlags,
     view_memory::ViewMemoryFlag,
-    wiring::{self, ViewerOptions},
+    wiring::{self, Advertised, ViewerOptions},
 };
 
 /// Arguments of `tcgs viewer`.
@@ -23,7 +23,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8090", env = "TCGS_VIEWER_LISTEN")]
     listen: SocketAddr,
 
-    /// URL at which replicas reach this process, if it is not http:// and the address it listens on
+    /// URL at which replicas reach this process, if it is not http:// and the address it listens on, or this machine's name if it listens on
+    /// all addresses
     #[arg(long, value_name = "URL", env = "TCGS_VIEWER_ADVERTISE")]
     advertise: Option<Url>,
 
@@ -39,23 +40,52 @@ pub(crate) struct Args {
 
 /// Renders until a signal comes.
 pub(crate) fn run(args: Args) -> Result<Report, CliError> {
-    if args.advertise.is_none() && args.listen.ip().is_unspecified() {
-        return Err(CliError::Usage(format!(
-            "--advertise: {} is no address that other machines can reach; name the URL at which they reach this one",
-            args.listen
-        )));
-    }
-    if let Some(url) = &args.advertise
-        && !(matches!(url.scheme(), "http" | "https") && url.has_host() && url.query().is_none())
-    {
-        return Err(CliError::Usage(format!("--advertise: '{url}' is no URL such as http://10.0.0.7:8090")));
-    }
+    let host = match &args.advertise {
+        Some(url) if !is_base(url) => {
+            return Err(CliError::Usage(format!(
+                "--advertise: '{url}' is no URL such as http://10.0.0.7:8090"
+            )));
+        }
+        Some(_) => None,
+        None => args.listen.ip().is_unspecified().then(host_name).transpose()?,
+    };
     wiring::viewer(ViewerOptions {
         listen: args.listen,
-        advertise: args.advertise,
+        advertise: match (args.advertise, host) {
+            (Some(url), _) => Advertised::Url(url),
+            (None, Some(name)) => Advertised::Host(name),
+            (None, None) => Advertised::Address,
+        },
         storage: args.storage.storage()?,
         adapter: args.adapter.adapter,
         memory: args.memory.view_memory.0,
     })?;
     Ok(Report::default())
+}
+
+/// Whether paths can be added to a URL.
+fn is_base(url: &Url) -> bool {
+    matches!(url.scheme(), "http" | "https")
+        && url.has_host()
+        && url.query().is_none()
+        && url.fragment().is_none()
+}
+
+/// The name of this machine, by which others reach it if it listens on all addresses.
+#[cfg(unix)]
+fn host_name() -> Result<String, CliError> {
+    let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
+    if name.is_empty() { Err(no_name()) } else { Ok(name) }
+}
+
+#[cfg(not(unix))]
+fn host_name() -> Result<String, CliError> {
+    Err(no_name())
+}
+
+fn no_name() -> CliError {
+    CliError::Usage(
+        "--advertise: name the URL at which replicas reach this machine, which listens on all its addresses"
+            .into(),
+    )
 }

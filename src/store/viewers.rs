@@ -1,12 +1,12 @@
 //! The processes that render views and exports for API replicas, as the database knows them.
 
-use jiff::SignedDuration;
+use std::time::Duration;
 
 use super::StoreFuture;
 use crate::domain::ViewerToken;
 
 /// How long a viewer counts as alive after it was last announced.
-pub const VIEWER_LIFE: SignedDuration = SignedDuration::from_secs(20);
+pub const VIEWER_LIFE: Duration = Duration::from_secs(20);
 
 /// A viewer process.
 #[derive(Debug, Clone)]

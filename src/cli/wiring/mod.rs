@@ -39,7 +39,7 @@ pub(crate) use first_key::ensure_first_key;
 pub(crate) use keys::{change_key, change_project, create_key, create_project, keys, projects, revoke_key};
 pub(crate) use service::{ServeOptions, WorkerOptions, migrate, serve, worker};
 pub(crate) use upkeep::{back_up, fsck, restore};
-pub(crate) use viewer::{ViewerOptions, viewer};
+pub(crate) use viewer::{Advertised, ViewerOptions, viewer};
 
 use super::{CliError, files, memory::MemoryFlags};
 

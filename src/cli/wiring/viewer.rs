@@ -18,12 +18,22 @@ use super::{
 };
 use crate::cli::{CliError, storage::Storage};
 
+/// Where replicas reach a viewer.
+#[derive(Debug, Clone)]
+pub(crate) enum Advertised {
+    /// Here.
+    Url(Url),
+    /// At this machine's name and the port that it listens on.
+    Host(String),
+    /// At the address that it listens on.
+    Address,
+}
+
 /// Options of a viewer process.
 #[derive(Debug, Clone)]
 pub(crate) struct ViewerOptions {
     pub(crate) listen: SocketAddr,
-    /// Where replicas reach it, if not at `listen`.
-    pub(crate) advertise: Option<Url>,
+    pub(crate) advertise: Advertised,
     pub(crate) storage: Storage,
     pub(crate) adapter: AdapterChoice,
     /// Bytes of device memory.
@@ -36,8 +46,11 @@ pub(crate) fn viewer(options: ViewerOptions) -> Result<(), CliError> {
         let (views, adapter) = super::views(&options.adapter, options.memory)?;
         let listener = TcpListener::bind(options.listen).await.map_err(|fault| unavailable(&fault))?;
         let address = listener.local_addr().map_err(|fault| unavailable(&fault))?;
-        let url = options.advertise.map_or_else(|| format!("http://{address}"), String::from);
-        let url = url.trim_end_matches('/').to_owned();
+        let url = match options.advertise {
+            Advertised::Url(url) => url.as_str().trim_end_matches('/').to_owned(),
+            Advertised::Host(name) => format!("http://{name}:{}", address.port()),
+            Advertised::Address => format!("http://{address}"),
+        };
         // The service has migrated the schema; a viewer of another version must not.
         let store = open_store(&options.storage, ProjectLimits::default(), OlderSchema::Refuse).await?;
         let blobs = open_blobs(&options.storage, &store).await?;

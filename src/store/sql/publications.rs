@@ -5,7 +5,7 @@ use jiff::{SignedDuration, Timestamp};
 use super::{
     SqlStore,
     db::{Row, query},
-    rows::{blob, earlier, instant, micros, parsed, signed},
+    rows::{blob, instant, micros, parsed, signed},
 };
 use crate::{
     domain::Digest,
@@ -24,6 +24,11 @@ const ANNOUNCE: &str = "
         published_at = CASE WHEN publications.published_at < ?3 THEN ?3 ELSE publications.published_at + 1 END
     WHERE publications.removing_since IS NULL OR publications.removing_since < ?4
     RETURNING id, published_at";
+
+/// The time before which something is at least `age` old.
+fn earlier(now: Timestamp, age: SignedDuration) -> i64 {
+    micros(now.checked_sub(age).unwrap_or(Timestamp::MIN))
+}
 
 fn removal(row: &Row) -> Result<Removal, StoreError> {
     Ok(Removal { row: row.try_get("id")?, blob: blob(row, "digest")? })

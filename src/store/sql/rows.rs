@@ -23,11 +23,6 @@ pub(super) fn micros(at: Timestamp) -> i64 {
     at.as_microsecond()
 }
 
-/// The time before which something is at least `age` old.
-pub(super) fn earlier(now: Timestamp, age: SignedDuration) -> i64 {
-    micros(now.checked_sub(age).unwrap_or(Timestamp::MIN))
-}
-
 /// A count as columns hold it, clamped.
 pub(super) fn signed(count: u64) -> i64 {
     i64::try_from(count).unwrap_or(i64::MAX)

@@ -1,11 +1,11 @@
 //! Viewers.
 
-use jiff::SignedDuration;
+use std::time::Duration;
 
 use super::{
     SqlStore,
     db::{Row, query},
-    rows::{earlier, micros},
+    rows::{before, micros},
 };
 use crate::{
     domain::ViewerToken,
@@ -13,7 +13,7 @@ use crate::{
 };
 
 /// Age of a row that is of no use any more.
-const FORGOTTEN: SignedDuration = SignedDuration::from_hours(1);
+const FORGOTTEN: Duration = Duration::from_secs(3600);
 
 fn viewer(row: &Row) -> Result<ViewerRecord, StoreError> {
     Ok(ViewerRecord {
@@ -39,7 +39,10 @@ impl Viewers for SqlStore {
             .bind(micros(now))
             .execute(&mut *tx)
             .await?;
-            query("DELETE FROM viewers WHERE seen_at < ?").bind(earlier(now, FORGOTTEN)).execute(tx).await?;
+            query("DELETE FROM viewers WHERE seen_at < ?")
+                .bind(micros(before(now, FORGOTTEN)))
+                .execute(tx)
+                .await?;
             Ok(())
         }))
     }
@@ -49,7 +52,7 @@ impl Viewers for SqlStore {
             let now = self.now(&mut *tx).await?;
             let rows =
                 query("SELECT url, version, identity, token FROM viewers WHERE seen_at >= ? ORDER BY url")
-                    .bind(earlier(now, VIEWER_LIFE))
+                    .bind(micros(before(now, VIEWER_LIFE)))
                     .fetch_all(tx)
                     .await?;
             rows.iter().map(viewer).collect()

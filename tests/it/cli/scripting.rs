@@ -94,6 +94,8 @@ fn wrong_usage_is_status_2_and_says_what_is_wrong() {
         (&["serve", "--listen", "nowhere"], "nowhere"),
         (&["serve", "--database", "postgres://x"], "--database"),
         (&["worker", "--blobs", "s3://x"], "--blobs"),
+        (&["viewer", "--advertise", "ftp://viewer"], "--advertise"),
+        (&["viewer", "--advertise", "http://viewer/?a=b"], "--advertise"),
         (&["sample", "d", "--side", "2"], "--side"),
         (&["submit", "d", "--server", "nowhere"], "--server"),
         (&["submit", "d", "--iterations", "0"], "--iterations"),

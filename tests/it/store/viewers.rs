@@ -41,7 +41,7 @@ async fn a_viewer_is_alive_while_it_is_announced_and_a_later_process_takes_its_a
     store.announce_viewer(&one).await.expect("announced");
     assert_eq!(alive(&store).await, [row("http://a:1", "first"), row("http://b:1", "second")]);
 
-    clock.advance(VIEWER_LIFE);
+    clock.advance(VIEWER_LIFE.try_into().expect("in range"));
     store.announce_viewer(&one).await.expect("announced");
     clock.advance(SignedDuration::from_secs(1));
     assert_eq!(alive(&store).await, [row("http://a:1", "first")], "the other was not heard of");
