@@ -7,7 +7,7 @@ use tcgs::{
     domain::{Digest, JobId, JobState, ManualClock, SystemClock, TrainOptions},
     store::{
         Accounts as _, BlobRef, Blobs, ChangeKind, DatabaseLocation, JobFilter, NewJob, Outcome,
-        Overview as _, Projects as _, QueuePolicy, SqlStore, Store,
+        Overview as _, Projects as _, QueuePolicy, Retention as _, SqlStore, Store,
     },
     worker,
 };
@@ -230,6 +230,12 @@ async fn no_statement_reads_a_whole_table_at_100_000_jobs() {
         store.forget_blobs(&[dataset().digest]).await.expect("looked");
         store.cancel(created.job.id).await.expect("cancelled");
         store.delete_job(created.job.id, None).await.expect("deleted");
+        // Every second of the 100 000 ended long ago.
+        let day = Duration::from_secs(24 * 3600);
+        let removed = store.remove_ended_jobs(day, None).await.expect("removed");
+        let further = store.remove_ended_jobs(day, removed.next).await.expect("removed");
+        assert_eq!((removed.count, further.count), (10, 10));
+        store.remove_expired_records(Some(day)).await.expect("looked");
     }
     store.close().await;
     let after = scans().await;

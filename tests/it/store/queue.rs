@@ -89,7 +89,7 @@ async fn events(store: &dyn Store, id: JobId) -> Vec<Event> {
     events
 }
 
-fn succeeded() -> Outcome {
+pub(super) fn succeeded() -> Outcome {
     let blob = BlobRef { digest: Digest::of(fakes::FILE), bytes: fakes::FILE.len() as u64 };
     Outcome::Succeeded {
         metrics: Box::new(fakes::metrics()),
@@ -253,6 +253,42 @@ async fn an_expired_lease_is_claimable_exactly_once() {
     assert_eq!((second.job, second.attempt), (id, first.attempt + 1));
     assert_eq!(queue.claim().await, None);
     assert_eq!(queue.outcomes(id).await, [Some(AttemptOutcome::Lost), None]);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn expired_leases_are_claimable_once_each_by_claimers_at_the_same_time() {
+    let Some(queue) = Queue::new().await else { return };
+    let other: Arc<dyn Store> = Arc::new(another(&queue).await);
+    let mut stale = Vec::new();
+    for number in 1..=8 {
+        queue.add(number).await;
+        stale.push(queue.lease().await);
+    }
+    // Both processes have seen the leases, and neither a renewal.
+    other.expire_leases().await.expect("observed");
+    queue.pass(60);
+    let claiming = (0..16).map(|number| {
+        let store = if number % 2 == 0 { Arc::clone(&queue.store) } else { Arc::clone(&other) };
+        tokio::spawn(async move {
+            let mut granted = Vec::new();
+            while let Some(claim) = store.claim(&format!("claimer {number}")).await.expect("a claim") {
+                granted.push(claim.lease);
+            }
+            granted
+        })
+    });
+    let mut granted = Vec::new();
+    for claimer in claiming.collect::<Vec<_>>() {
+        granted.extend(claimer.await.expect("joined"));
+    }
+    granted.sort_by_key(|lease| lease.job);
+    let jobs: Vec<(JobId, u32)> = granted.iter().map(|lease| (lease.job, lease.attempt)).collect();
+    assert_eq!(jobs, stale.iter().map(|lease| (lease.job, 2)).collect::<Vec<_>>());
+    for (stale, live) in stale.iter().zip(&granted) {
+        assert!(is_lost(queue.store.finish(stale, succeeded()).await));
+        assert_eq!(queue.outcomes(live.job).await, [Some(AttemptOutcome::Lost), None]);
+        queue.store.finish(live, succeeded()).await.expect("the only one");
+    }
 }
 
 #[tokio::test]
