@@ -1,10 +1,10 @@
-//! How many jobs are claimed in a second.
+//! How many jobs are claimed in a second, and how many leases are renewed and reports of progress written.
 
 use std::{sync::Arc, time::Instant};
 
 use tcgs::{
-    domain::{Digest, JobId, ProjectId, TrainOptions},
-    store::{BlobRef, NewJob, Outcome, Store},
+    domain::{Digest, JobId, Phase, Progress, ProjectId, TrainOptions},
+    store::{BlobRef, Lease, NewJob, Outcome, Store},
 };
 use uuid::Uuid;
 
@@ -36,8 +36,34 @@ pub(crate) async fn measure(store: Arc<dyn Store>, project: ProjectId) {
         }
         let seconds = start.elapsed().as_secs_f64();
         println!("{:40} {:>12.0} claims/s", format!("{claimers} claiming"), claims.len() as f64 / seconds);
+        let leases: Vec<Lease> = claims.iter().map(|claim| claim.lease.clone()).collect();
+        renew_and_report(&store, leases, claimers).await;
         for claim in claims {
             store.finish(&claim.lease, Outcome::Cancelled).await.unwrap();
         }
+    }
+}
+
+/// Prints how many leases so many workers renew in a second, and how many reports they write.
+async fn renew_and_report(store: &Arc<dyn Store>, leases: Vec<Lease>, workers: usize) {
+    for what in ["renewals", "reports"] {
+        let start = Instant::now();
+        let working = leases.chunks(leases.len().div_ceil(workers)).map(|leases| {
+            let (store, leases) = (Arc::clone(store), leases.to_vec());
+            tokio::spawn(async move {
+                for lease in leases {
+                    if what == "renewals" {
+                        store.heartbeat(&lease).await.unwrap();
+                    } else {
+                        store.report(&lease, Phase::Train, &Progress::default()).await.unwrap();
+                    }
+                }
+            })
+        });
+        for worker in working.collect::<Vec<_>>() {
+            worker.await.unwrap();
+        }
+        let rate = leases.len() as f64 / start.elapsed().as_secs_f64();
+        println!("{:40} {rate:>12.0} {what}/s", format!("{workers} at work"));
     }
 }

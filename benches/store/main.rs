@@ -4,11 +4,15 @@
 //! transactions behind `POST /v1/jobs` of either project, a list of either one's jobs, usage, a claim with its end, and what each scrape of
 //! `/metrics` asks. None should take longer the more jobs there are. Then it counts claims, which an address counts on that empty database
 //! of PostgreSQL instead: `cargo bench --bench store -- postgres://USER@HOST/DATABASE`.
+//!
+//! `cargo bench --bench store -- simulation` runs the queue under a simulated clock instead, with 100 000 jobs and 1000 workers; two numbers
+//! after it choose others.
 
 #![allow(clippy::unwrap_used, reason = "a benchmark stops at the first fault")]
 
 mod claims;
 mod history;
+mod simulation;
 
 use std::{
     future::Future,
@@ -66,8 +70,26 @@ async fn list(store: &SqlStore, project: ProjectId) {
     assert!(!store.jobs(&filter, None, 20).await.unwrap().is_empty());
 }
 
+/// Simulates as many jobs and workers as the arguments say.
+async fn simulate(arguments: &[String]) {
+    let number = |place: usize| arguments.get(place).and_then(|argument| argument.parse().ok());
+    let size =
+        simulation::Size { jobs: number(0).unwrap_or(JOBS), workers: number(1).unwrap_or(1000), seed: 1 };
+    let folder = tempfile::tempdir().unwrap();
+    let clock = simulation::clock();
+    let path = folder.path().join("tcgs.sqlite");
+    let store = SqlStore::open(&path, clock.clone(), simulation::policy()).await.unwrap();
+    let report = simulation::run(&store, &clock, size, &|| Outcome::Cancelled).await;
+    store.close().await;
+    print!("{report}");
+}
+
 #[tokio::main]
 async fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    if let Some(place) = arguments.iter().position(|argument| argument == "simulation") {
+        return simulate(&arguments[place + 1..]).await;
+    }
     if let Some(url) = std::env::args().skip(1).find_map(|argument| argument.parse().ok()) {
         let location = DatabaseLocation::Postgres(url);
         let store = SqlStore::open(location, Arc::new(SystemClock), QueuePolicy::default()).await.unwrap();

@@ -8,6 +8,9 @@ mod garbage;
 mod garbage_in_bucket;
 mod queue;
 mod retention;
+mod simulated_clock;
+#[path = "../../../benches/store/simulation/mod.rs"]
+mod simulation;
 pub(super) mod totals;
 mod viewers;
 
