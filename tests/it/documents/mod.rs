@@ -6,6 +6,7 @@ mod container_image;
 mod deployment;
 pub(crate) mod examples;
 mod links;
+mod manifests;
 mod plots;
 mod problems;
 mod retired_words;
