@@ -15,7 +15,7 @@ SWIFTSHADER_TESTS ?= accuracy::every primitives raster_device loss:: neural:: fi
 # How long `make fuzz` gives each target.
 FUZZ_SECONDS ?= 600
 
-.PHONY: help setup build demo results report gate test examples schemathesis generated-client manifests swiftshader validation interop external-formats gpu-kit fuzz lint clean
+.PHONY: help setup build demo results report gate test examples schemathesis generated-client container-smoke manifests swiftshader validation interop external-formats gpu-kit fuzz lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -64,6 +64,10 @@ validation: setup ## one short job under the Khronos validation layer, which com
 generated-client: setup ## generate a client in Python from openapi.yaml, through PyPI, and use it for a session
 	@$(CARGO) build --locked --quiet
 	@scripts/generated_client.sh
+
+container-smoke: setup ## build the image of docker/Dockerfile around the debug build and use it, where podman and buildah run
+	@$(CARGO) build --locked --quiet
+	@scripts/container.sh
 
 manifests: ## hold docker/kubernetes to Kubernetes' schemas, which come through PyPI
 	@scripts/manifests.sh
