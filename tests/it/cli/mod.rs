@@ -13,6 +13,7 @@ mod options;
 mod priority;
 mod profile;
 mod projects;
+mod retention;
 mod scripting;
 mod signals;
 mod suite;

@@ -1,19 +1,22 @@
 //! The guide's way to upgrade and back, from the data folder of an earlier version. On the real program.
 
 use std::{
+    borrow::Cow,
     fs,
     path::{Path, PathBuf},
 };
 
 use serde_json::{Value, json};
 use sqlx::{
-    ConnectOptions as _, Row as _,
+    ConnectOptions as _, Connection as _, PgConnection, Row as _,
+    migrate::Migrator,
     sqlite::{SqliteConnectOptions, SqliteConnection},
 };
 use tcgs::domain::Digest;
 
 use crate::support::{
-    program::{answers, tcgs},
+    postgres::Cluster,
+    program::{self, answers, tcgs},
     service::Service,
     tree::text,
 };
@@ -150,4 +153,39 @@ async fn an_upgrade_keeps_everything_and_the_backup_before_it_leads_back() {
     fails_with(&at(&other, &["restore", from]), 4, "newer");
     assert!(!other.join("tcgs.sqlite").exists(), "what is not restored has no database");
     assert_eq!(version(&data).await, now + 1000);
+}
+
+static POSTGRES: Migrator = sqlx::migrate!("migrations/postgres");
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_schema_of_postgresql_changes_by_migrate_alone_and_a_newer_one_is_refused() {
+    let Some(cluster) = Cluster::shared() else { return };
+    let server = cluster.empty_database().await;
+    let newest = POSTGRES.iter().map(|migration| migration.version).max().expect("there are some");
+    let known = POSTGRES.iter().filter(|migration| migration.version < newest).cloned().collect();
+    let earlier = Migrator { migrations: Cow::Owned(known), ..Migrator::DEFAULT };
+    let url = server.url();
+    let mut connection = PgConnection::connect(url.expose()).await.expect("a connection");
+    earlier.run(&mut connection).await.expect("the schema of that time");
+    let folder = tempfile::tempdir().expect("a folder");
+    let run = |arguments: &[&str]| {
+        let mut command = program::command();
+        command.args(arguments).env("TCGS_DATABASE", url.expose()).arg("--data").arg(folder.path());
+        let output = command.output().expect("the binary runs");
+        let said = [output.stdout, output.stderr].concat();
+        (output.status.code(), String::from_utf8_lossy(&said).into_owned())
+    };
+    let (status, said) = run(&["keys", "list"]);
+    assert!(status == Some(4) && said.contains("older") && said.contains("tcgs migrate"), "{said}");
+    let (status, said) = run(&["migrate", "--json"]);
+    assert_eq!(status, Some(0), "{said}");
+    let change: Value = serde_json::from_str(&said).expect("one JSON document");
+    assert_eq!(change, json!({ "from": newest - 1, "to": newest }));
+    assert_eq!(run(&["keys", "list"]).0, Some(0));
+    let later = "UPDATE _sqlx_migrations SET version = version + 1 WHERE version = $1";
+    sqlx::query(later).bind(newest).execute(&mut connection).await.expect("written");
+    for arguments in [&["keys", "list"][..], &["migrate"], &["serve", "--listen", "127.0.0.1:0"]] {
+        let (status, said) = run(arguments);
+        assert!(status == Some(4) && said.contains("newer"), "{arguments:?}: {said}");
+    }
 }
