@@ -38,7 +38,7 @@ pub use server::client_address::{ProxyNetwork, TrustedProxies};
 pub use server::{Listeners, ServeError, bind, serve};
 pub use state::{
     AppState, DatasetCheck, ForgetJob, RendererOf, SceneExporter, SceneLoader, SceneSource, Services,
-    WorkerCensus, WorkerCounts,
+    ViewerCensus, WorkerCensus, WorkerCounts,
 };
 pub use viewer::{ViewerConfig, ViewerServices, serve as serve_viewer};
 

@@ -59,6 +59,9 @@ pub type ForgetJob = Arc<dyn Fn(JobId) + Send + Sync>;
 /// Counts the worker processes.
 pub type WorkerCensus = Arc<dyn Fn() -> WorkerCounts + Send + Sync>;
 
+/// Counts the viewers that are alive; `None` if this process renders by itself.
+pub type ViewerCensus = Arc<dyn Fn() -> Option<usize> + Send + Sync>;
+
 /// The worker processes of this server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WorkerCounts {
@@ -91,6 +94,8 @@ pub struct Services {
     pub forget: ForgetJob,
     /// See [`WorkerCensus`].
     pub workers: WorkerCensus,
+    /// See [`ViewerCensus`].
+    pub viewers: ViewerCensus,
 }
 
 impl Services {

@@ -5,7 +5,7 @@ use std::{error::Error, sync::Arc};
 use tcgs::{
     domain::{Camera, Digest, ExportedScene, NamedCamera, Problem, SceneFormat, Split, SystemClock},
     gpu::AdapterChoice,
-    http::{RendererOf, SceneExporter, SceneLoader, SceneSource},
+    http::{RendererOf, SceneExporter, SceneLoader, SceneSource, ViewerCensus},
     pipeline::scene_file,
     render::{RenderViews, views::Viewable},
     store::SqlStore,
@@ -20,6 +20,7 @@ use super::Renderer;
 pub(super) struct Rendering {
     pub(super) renderer: RendererOf,
     pub(super) export: SceneExporter,
+    pub(super) viewers: ViewerCensus,
     /// Ends when the process shuts down.
     pub(super) watch: Option<JoinHandle<()>>,
 }
@@ -31,6 +32,7 @@ pub(super) fn here(adapter: &AdapterChoice, memory: u64) -> Result<Rendering, Pr
     Ok(Rendering {
         renderer: Arc::new(move |_| Ok(Arc::clone(&renderer))),
         export: exporter(views),
+        viewers: Arc::new(|| None),
         watch: None,
     })
 }
@@ -43,13 +45,14 @@ pub(super) async fn elsewhere(
     let pool = Arc::new(ViewerPool::new(store.clone(), Arc::new(SystemClock), Handle::current())?);
     pool.refresh().await;
     let watch = tokio::spawn(Arc::clone(&pool).watch(shutdown.clone()));
-    let of = Arc::clone(&pool);
+    let (of, counted) = (Arc::clone(&pool), Arc::clone(&pool));
     let export = move |source: SceneSource<'_>, format: SceneFormat, cameras: &[NamedCamera]| {
         viewers::export(&pool, source.digest, format, cameras)
     };
     Ok(Rendering {
         renderer: Arc::new(move |artifact: Digest| Ok(viewers::renderer(&of, artifact)?)),
         export: Arc::new(export),
+        viewers: Arc::new(move || Some(counted.len())),
         watch: Some(watch),
     })
 }

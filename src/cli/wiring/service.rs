@@ -118,7 +118,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         let blobs = open_blobs(&options.storage, &store).await?;
         private::close_all(&options.storage.data);
         let shutdown = stop_on_signals()?;
-        let Rendering { renderer, export, watch } = match here {
+        let Rendering { renderer, export, viewers, watch } = match here {
             Some(here) => here,
             None => elsewhere(&store, &shutdown).await.map_err(|fault| unavailable(&*fault))?,
         };
@@ -163,6 +163,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
             export,
             renderer,
             forget: Arc::new(move |job| worker::forget_checkpoints(&checkpoints, job)),
+            viewers,
             workers: Arc::new(move || WorkerCounts {
                 expected: live_workers.expected(),
                 alive: live_workers.pids().len(),

@@ -125,6 +125,9 @@ fn machine(registry: &mut Registry, state: &AppState, figures: &StoreStats) {
     let counts = [("expected", workers.expected), ("alive", workers.alive)];
     let counts = counts.map(|(name, count)| ("state", name.to_owned(), count as f64));
     gauges(registry, "workers", "Worker processes that this service keeps", counts.into_iter());
+    if let Some(viewers) = (state.services.viewers)() {
+        gauge(registry, "viewers", "Viewers that are alive", viewers as f64);
+    }
     gauge(registry, "blobs", "Stored blobs", figures.blobs as f64);
     gauge(registry, "blob_bytes", "Bytes of stored blobs", figures.blob_bytes as f64);
     match state.blobs().free_bytes() {

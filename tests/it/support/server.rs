@@ -178,6 +178,7 @@ impl Server {
             renderer: fakes::only(&renderer),
             export: fakes::exporter(&exporter),
             forget: Arc::new(|_| {}),
+            viewers: Arc::new(|| None),
             workers: Arc::new(|| WorkerCounts { expected: 1, alive: 1 }),
         };
         let shutdown = CancellationToken::new();

@@ -105,6 +105,10 @@ async fn replicas_without_an_adapter_leave_pictures_to_viewers_that_come_and_go(
     assert!(export["fidelity"]["psnr"].as_f64().is_some_and(|psnr| psnr > 10.0), "{export:#}");
     own.stop().await;
 
+    let metrics = client.file("/metrics").await;
+    let metrics = String::from_utf8(metrics).expect("UTF-8");
+    assert!(metrics.contains("\ntcgs_viewers 1.0\n"), "{metrics}");
+
     // The next pictures are of other views, so that none comes from a cache.
     let at = |place: u32| format!("{job}/view?width={}&height=32&frame=images/view_06.png", 49 + place);
     let mut second = viewer(&shared);

@@ -533,6 +533,7 @@ fn api(fixture: &Fixture, live_workers: LiveWorkers) -> axum::Router {
         renderer: crate::support::fakes::only(&Default::default()),
         export: crate::support::fakes::exporter(&Arc::default()),
         forget: Arc::new(|_| {}),
+        viewers: Arc::new(|| None),
         workers: Arc::new(move || WorkerCounts {
             expected: live_workers.expected(),
             alive: live_workers.pids().len(),
