@@ -304,7 +304,7 @@ async fn a_heartbeat_keeps_the_lease() {
 }
 
 #[tokio::test]
-async fn a_stale_attempt_cannot_finish_report_or_emit_events() {
+async fn a_stale_attempt_cannot_finish_checkpoint_report_or_emit_events() {
     let Some(queue) = Queue::new().await else { return };
     let id = queue.add(1).await;
     let stale = queue.lease().await;
@@ -312,7 +312,14 @@ async fn a_stale_attempt_cannot_finish_report_or_emit_events() {
     let live = queue.lease().await;
     let before = (queue.record(id).await, queue.events(id).await);
     assert!(is_lost(queue.store.heartbeat(&stale).await));
-    assert!(is_lost(queue.store.report(&stale, Phase::Train, &Progress::default()).await));
+    let progress = Progress { checkpoint_step: 900, ..Progress::default() };
+    assert!(is_lost(queue.store.report(&stale, Phase::Train, &progress).await));
+    assert!(is_lost(queue.store.record(&stale, &[progress]).await));
+    assert_eq!(
+        queue.database.number("SELECT checkpoint_step FROM jobs").await,
+        0,
+        "its checkpoint counts for nothing"
+    );
     for outcome in [
         succeeded(),
         Outcome::Failed(problem()),
