@@ -19,6 +19,7 @@ use zip::{
 use super::{
     central_directory::first_repeated_name,
     deadline::Deadline,
+    disk_faults::{DiskFaults, WatchedFile},
     end_record::{CheckedArchive, Directory},
     error::{IngestError, IngestErrorKind, Result},
     limits::Limits,
@@ -31,9 +32,11 @@ const KIND_MASK: u32 = 0o170_000;
 const KIND_FILE: u32 = 0o100_000;
 const KIND_LINK: u32 = 0o120_000;
 
+type Reader = BufReader<CheckedArchive<WatchedFile<File>>>;
+
 struct Archive {
     // One reader for all threads: unpacking is a small part of decoding an image, which happens outside of the lock.
-    zip: Mutex<ZipArchive<BufReader<CheckedArchive<File>>>>,
+    zip: Mutex<ZipArchive<Reader>>,
     /// Index in the archive of each listed file.
     indices: Vec<usize>,
 }
@@ -56,13 +59,24 @@ impl FileSource for Archive {
 /// # Errors
 /// [`IngestErrorKind::NotAZip`], [`IngestErrorKind::CorruptArchive`], and every error that an entry can have: encrypted, unknown
 /// compression, special file, duplicate, overlapping, too many, too large, too well compressed.
-pub(super) fn list(path: &Path, limits: &Limits, deadline: Deadline) -> Result<Listing, IngestError> {
+pub(super) fn list(
+    path: &Path,
+    limits: &Limits,
+    deadline: Deadline,
+    faults: &DiskFaults,
+) -> Result<Listing, IngestError> {
     // Whatever fails after the deadline fails because of it.
-    listed(path, limits, deadline).map_err(|error| deadline.check().err().map_or(error, IngestError::from))
+    listed(path, limits, deadline, faults)
+        .map_err(|error| deadline.check().err().map_or(error, IngestError::from))
 }
 
-fn listed(path: &Path, limits: &Limits, deadline: Deadline) -> Result<Listing, IngestError> {
-    let mut file = File::open(path).map_err(IngestErrorKind::Io)?;
+fn listed(
+    path: &Path,
+    limits: &Limits,
+    deadline: Deadline,
+    faults: &DiskFaults,
+) -> Result<Listing, IngestError> {
+    let mut file = faults.watch(File::open(path).map_err(IngestErrorKind::Io)?);
     let mut magic = Vec::new();
     file.by_ref().take(2).read_to_end(&mut magic).map_err(IngestErrorKind::Io)?;
     file.rewind().map_err(IngestErrorKind::Io)?;
@@ -125,11 +139,7 @@ fn listed(path: &Path, limits: &Limits, deadline: Deadline) -> Result<Listing, I
     Ok(Listing { files, special: Vec::new(), source: Box::new(Archive { zip: Mutex::new(zip), indices }) })
 }
 
-fn index(
-    mut file: File,
-    limits: &Limits,
-    deadline: Deadline,
-) -> Result<ZipArchive<BufReader<CheckedArchive<File>>>> {
+fn index(mut file: WatchedFile<File>, limits: &Limits, deadline: Deadline) -> Result<ZipArchive<Reader>> {
     let directory = Directory::find(&mut file, limits)?;
     let config = Config { archive_offset: ArchiveOffset::Known(directory.shift) };
     ZipArchive::with_config(config, BufReader::new(CheckedArchive::new(file, &directory, deadline)))

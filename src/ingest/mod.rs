@@ -18,6 +18,7 @@ mod central_directory;
 mod checker;
 mod colmap;
 mod deadline;
+mod disk_faults;
 mod distortion;
 mod end_record;
 mod error;
@@ -115,7 +116,18 @@ fn load_with(
     budget: &LoadBudget,
     should_continue: &(dyn Fn() -> bool + Sync),
 ) -> Result<Dataset, IngestError> {
-    let (tree, survey) = survey(Tree::open(Purpose::Load, path, limits)?, limits, should_continue)?;
+    let tree = Tree::open(Purpose::Load, path, limits)?;
+    let faults = tree.disk_faults();
+    load_tree(tree, limits, budget, should_continue).map_err(|error| faults.or(error))
+}
+
+fn load_tree(
+    tree: Tree,
+    limits: &Limits,
+    budget: &LoadBudget,
+    should_continue: &(dyn Fn() -> bool + Sync),
+) -> Result<Dataset, IngestError> {
+    let (tree, survey) = survey(tree, limits, should_continue)?;
     let store = Store::new(&tree, &survey, budget)?;
     // Collected before the first error is taken, so that the same error is reported whatever thread is faster.
     let frames: Vec<Result<Frame, IngestError>> = survey
@@ -201,7 +213,8 @@ pub fn check_within(path: &Path, limits: &Limits) -> Result<DatasetSummary, Inge
 
 fn check_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
     let tree = Tree::open(Purpose::Check(deadline), path, limits)?;
-    let (_, survey) = survey(tree, limits, &|| true)?;
+    let faults = tree.disk_faults();
+    let (_, survey) = survey(tree, limits, &|| true).map_err(|error| faults.or(error))?;
     let count = |split| survey.views.iter().filter(|view| view.frame.split == split).count();
     let pixels = survey.views.iter().map(|view| {
         let k = view.camera.intrinsics;

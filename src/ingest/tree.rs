@@ -17,6 +17,7 @@ use sha2::{Digest as _, Sha256};
 use super::{
     archive,
     deadline::Deadline,
+    disk_faults::DiskFaults,
     error::{IngestError, IngestErrorKind, Result},
     folder,
     limits::Limits,
@@ -45,6 +46,7 @@ pub(super) struct Tree {
     source: Box<dyn FileSource>,
     limits: Limits,
     purpose: Purpose,
+    faults: DiskFaults,
     used: Mutex<BTreeMap<String, (u64, [u8; 32])>>,
 }
 
@@ -62,15 +64,21 @@ impl Tree {
         let metadata = fs::metadata(path).map_err(|error| {
             if error.kind() == io::ErrorKind::NotFound { IngestErrorKind::NotFound } else { error.into() }
         })?;
+        let faults = DiskFaults::default();
         let listing = if metadata.is_dir() {
             folder::list(path, limits)?
         } else {
-            archive::list(path, limits, purpose.deadline())?
+            archive::list(path, limits, purpose.deadline(), &faults).map_err(|error| faults.or(error))?
         };
-        Self::new(listing, *limits, purpose)
+        Self::new(listing, *limits, purpose, faults)
     }
 
-    fn new(listing: Listing, limits: Limits, purpose: Purpose) -> Result<Self, IngestError> {
+    fn new(
+        listing: Listing,
+        limits: Limits,
+        purpose: Purpose,
+        faults: DiskFaults,
+    ) -> Result<Self, IngestError> {
         let mut files = BTreeMap::new();
         for (index, (name, size)) in listing.files.into_iter().enumerate() {
             let safe = safe_name(&name).map_err(|error| error.at(name.clone()))?.to_owned();
@@ -82,7 +90,12 @@ impl Tree {
             }
         }
         let special = listing.special.into_iter().collect();
-        Ok(Self { files, special, source: listing.source, limits, purpose, used: Mutex::default() })
+        Ok(Self { files, special, source: listing.source, limits, purpose, faults, used: Mutex::default() })
+    }
+
+    /// What the disk of an archive does.
+    pub(super) fn disk_faults(&self) -> DiskFaults {
+        self.faults.clone()
     }
 
     /// An empty cloud of points, which keeps them if the dataset is loaded.

@@ -36,6 +36,7 @@ impl From<ingest::IngestError> for JobError {
             IngestErrorKind::SpillFull { .. } => Self::Hold(error.into()),
             ref kind if is_no_space(kind) => Self::Hold(error.into()),
             IngestErrorKind::Spill(_) => Self::Retry(error.into()),
+            IngestErrorKind::Io(ref fault) if fault.raw_os_error().is_some() => Self::Retry(error.into()),
             _ => Self::Fail(error.into()),
         }
     }
@@ -94,6 +95,8 @@ mod tests {
             (IngestErrorKind::Io(io::ErrorKind::QuotaExceeded.into()), "hold"),
             (IngestErrorKind::Io(io::Error::other(io::Error::from(io::ErrorKind::StorageFull))), "hold"),
             (spill(io::ErrorKind::PermissionDenied), "retry"),
+            // EIO.
+            (IngestErrorKind::Io(io::Error::from_raw_os_error(5)), "retry"),
             (IngestErrorKind::NoImages, "fail"),
             (IngestErrorKind::Io(io::ErrorKind::InvalidData.into()), "fail"),
             (IngestErrorKind::Stopped, "cancelled"),
