@@ -288,7 +288,7 @@ async fn open_sqlite(
         .synchronous(SqliteSynchronous::Full)
         .busy_timeout(BUSY_TIMEOUT)
         .foreign_keys(true);
-    let writer = sqlite_pool(1).connect_with(options.clone()).await.map_err(&open_error)?;
+    let writer = sqlite_writer().connect_with(options.clone()).await.map_err(&open_error)?;
     let change = migrate_or_close(location, &Pool::Sqlite(writer.clone()), older).await?;
     let readers = options.read_only(true).create_if_missing(false);
     let readers = sqlite_pool(READERS).connect_with(readers).await.map_err(&open_error)?;
@@ -367,6 +367,14 @@ async fn version(pool: &Pool) -> Result<Option<i64>, StoreError> {
     }
     let row = query("SELECT max(version) AS version FROM _sqlx_migrations").fetch_one(pool).await?;
     Ok(row.try_get("version")?)
+}
+
+/// The pool of the connection that writes. Where SQLite cannot open the write-ahead log to write in, for a moment in which the disk refuses
+/// that, it opens it to read and says nothing: such a connection would refuse every transaction for good, so none comes into use.
+fn sqlite_writer() -> SqlitePoolOptions {
+    sqlite_pool(1).after_connect(|connection, _| {
+        Box::pin(async move { connection.begin_with("BEGIN IMMEDIATE").await?.rollback().await })
+    })
 }
 
 fn sqlite_pool(connections: u32) -> SqlitePoolOptions {
