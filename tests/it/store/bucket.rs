@@ -11,12 +11,14 @@ use tcgs::{
     store::{
         BlobError, BlobPlace, BlobRef, BlobSource, BlobState, Blobs, CheckDepth, CopyMode, DATABASE, NewJob,
         NewUpload, QueuePolicy, SqlStore, Store as _, StoreError, Uploads as _, back_up,
+        garbage::{GarbagePolicy, collect},
         publications::{Publications as _, REMOVER_IS_DEAD, Removable},
         restore,
         uploads::WRITER_LIFE,
     },
 };
 use tempfile::TempDir;
+use tokio_util::sync::CancellationToken;
 
 use crate::support::{
     bucket::{S3Server, connect},
@@ -386,6 +388,52 @@ async fn a_bucket_that_is_away_is_an_error_that_passes() {
     assert!(blobs.read(put.digest).await.expect("whole") == content);
     gate.set(GateState::Slow);
     assert!(blobs.read(put.digest).await.expect("slow, but whole") == content);
+}
+
+/// Several writers, a collector and readers through a proxy that delays requests and lets answers overtake each other.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn blobs_survive_answers_in_another_order_beside_garbage_collection() {
+    let Some(database) = super::database().await else { return };
+    let Some(server) = S3Server::shared() else { return };
+    let gate = Gate::start(server.address).await;
+    gate.set(GateState::Reordered(20));
+    let folder = tempfile::tempdir().expect("a folder");
+    let store = Arc::new(database.open(Arc::new(SystemClock), QueuePolicy::default()).await);
+    let url = server.prefix();
+    let blobs = Blobs::open_bucket(folder.path(), connect(&url, gate.address), store.clone())
+        .await
+        .expect("a bucket");
+    let content = |number: u8| Bytes::from([&[number; 5][..], &large()].concat());
+    // Whatever is older than this publisher needs is collected all the time.
+    let stop = CancellationToken::new();
+    let policy = GarbagePolicy { blob_grace: SignedDuration::from_secs(60), ..GarbagePolicy::default() };
+    let collecting = tokio::spawn({
+        let (store, blobs, stop) = (store.clone(), blobs.clone(), stop.clone());
+        async move {
+            while !stop.is_cancelled() {
+                collect(&*store, &blobs, &policy, SystemClock.now()).await.expect("collected");
+            }
+        }
+    });
+    let publish = async |number: u8| {
+        for turn in 0..2 {
+            let put = blobs.put(content(number % 2 + turn)).await.expect("published");
+            let new = NewJob::new(JobId(uuid::Uuid::now_v7()), TrainOptions::default(), put);
+            store.create_job(new).await.expect("queued");
+            assert!(blobs.read(put.digest).await.expect("whole") == content(number % 2 + turn));
+        }
+    };
+    tokio::join!(publish(0), publish(1), publish(2), publish(3));
+    stop.cancel();
+    collecting.await.expect("no collection failed");
+    let objects = connect(&url, server.address);
+    for number in 0..3 {
+        let digest = Digest::of(&content(number));
+        let found = objects.get(&object(digest)).await.expect("there").bytes().await.expect("read");
+        assert!(found == content(number));
+    }
+    let listed: Vec<_> = objects.list(Some(&ObjectPath::from("sha256"))).try_collect().await.expect("a list");
+    assert_eq!(listed.len(), 3);
 }
 
 #[tokio::test]

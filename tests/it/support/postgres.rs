@@ -205,6 +205,16 @@ impl PostgresDatabase {
         url(&self.folder, &self.name)
     }
 
+    /// The server's socket, for a proxy before it.
+    pub fn socket(&self) -> PathBuf {
+        self.folder.join(".s.PGSQL.5432")
+    }
+
+    /// Its address at a proxy.
+    pub fn url_at(&self, proxy: std::net::SocketAddr) -> PostgresUrl {
+        format!("postgres://tcgs:{PASSWORD}@{proxy}/{}", self.name).parse().expect("an address")
+    }
+
     /// Ends all connections of others to it.
     pub async fn disconnect_all(&self) {
         let statement =
