@@ -1,6 +1,7 @@
 //! What holds on either database; the name of this module says which one is tested.
 
 mod bucket;
+mod bucket_faults;
 mod datasets;
 mod garbage;
 #[expect(clippy::duplicate_mod, reason = "one suite, over a folder and over a bucket")]

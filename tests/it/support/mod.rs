@@ -12,6 +12,7 @@ pub mod database;
 pub mod dataset;
 pub mod eventually;
 pub mod fakes;
+pub mod fault_store;
 pub mod faults;
 pub mod gate;
 pub mod gpu;

@@ -1,0 +1,165 @@
+//! A bucket whose n-th request fails: before it reaches the server, or after, when its answer is lost.
+
+use std::{
+    fmt, io,
+    ops::Range,
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicU32, Ordering},
+    },
+};
+
+use async_trait::async_trait;
+use bytes::Bytes;
+use futures_util::{
+    FutureExt as _, StreamExt as _, TryStreamExt as _, future,
+    stream::{self, BoxStream},
+};
+use object_store::{
+    CopyOptions, Error, GetOptions, GetResult, ListResult, MultipartUpload, ObjectMeta, ObjectStore,
+    PutMultipartOptions, PutOptions, PutPayload, PutResult, Result, UploadPart, path::Path,
+};
+
+/// Where a request fails.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// The server never gets it.
+    Request,
+    /// The server has done what it asks, and the answer is lost.
+    Answer,
+}
+
+#[derive(Debug, Default)]
+struct Plan {
+    /// Requests until the one that fails.
+    left: AtomicU32,
+    fault: Mutex<Option<(Side, io::ErrorKind)>>,
+    failed: AtomicU32,
+}
+
+impl Plan {
+    /// How the next request fails, if it does.
+    fn next(&self) -> Option<(Side, Error)> {
+        let fault = *self.fault.lock().expect("not poisoned");
+        let (side, kind) = fault?;
+        if self.left.fetch_sub(1, Ordering::SeqCst) != 1 {
+            return None;
+        }
+        self.failed.fetch_add(1, Ordering::SeqCst);
+        Some((side, Error::Generic { store: "S3", source: Box::new(io::Error::from(kind)) }))
+    }
+
+    async fn apply<T>(&self, request: impl Future<Output = Result<T>>) -> Result<T> {
+        match self.next() {
+            None => request.await,
+            Some((Side::Request, error)) => Err(error),
+            Some((Side::Answer, error)) => request.await.and(Err(error)),
+        }
+    }
+}
+
+/// The bucket.
+#[derive(Debug, Clone)]
+pub struct FaultStore {
+    inner: Arc<dyn ObjectStore>,
+    plan: Arc<Plan>,
+}
+
+impl FaultStore {
+    pub fn new(inner: Arc<dyn ObjectStore>) -> Self {
+        Self { inner, plan: Arc::default() }
+    }
+
+    /// Lets the `request`-th request from now on fail.
+    pub fn plan(&self, side: Side, kind: io::ErrorKind, request: u32) {
+        self.plan.left.store(request, Ordering::SeqCst);
+        self.plan.failed.store(0, Ordering::SeqCst);
+        *self.plan.fault.lock().expect("not poisoned") = Some((side, kind));
+    }
+
+    /// Lets no request fail any more, and returns whether one has.
+    pub fn relieve(&self) -> bool {
+        *self.plan.fault.lock().expect("not poisoned") = None;
+        self.plan.failed.load(Ordering::SeqCst) > 0
+    }
+}
+
+impl fmt::Display for FaultStore {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.inner.fmt(f)
+    }
+}
+
+#[async_trait]
+impl ObjectStore for FaultStore {
+    async fn put_opts(&self, location: &Path, payload: PutPayload, opts: PutOptions) -> Result<PutResult> {
+        self.plan.apply(self.inner.put_opts(location, payload, opts)).await
+    }
+
+    async fn put_multipart_opts(
+        &self,
+        location: &Path,
+        opts: PutMultipartOptions,
+    ) -> Result<Box<dyn MultipartUpload>> {
+        let upload = self.plan.apply(self.inner.put_multipart_opts(location, opts)).await?;
+        Ok(Box::new(FaultUpload { inner: upload, plan: Arc::clone(&self.plan) }))
+    }
+
+    async fn get_opts(&self, location: &Path, options: GetOptions) -> Result<GetResult> {
+        self.plan.apply(self.inner.get_opts(location, options)).await
+    }
+
+    async fn get_ranges(&self, location: &Path, ranges: &[Range<u64>]) -> Result<Vec<Bytes>> {
+        self.plan.apply(self.inner.get_ranges(location, ranges)).await
+    }
+
+    fn delete_stream(&self, locations: BoxStream<'static, Result<Path>>) -> BoxStream<'static, Result<Path>> {
+        let deleted = |inner: &Arc<dyn ObjectStore>| inner.delete_stream(locations);
+        match self.plan.next() {
+            None => deleted(&self.inner),
+            Some((Side::Request, error)) => stream::once(future::ready(Err(error))).boxed(),
+            Some((Side::Answer, error)) => {
+                let done = deleted(&self.inner).try_collect::<Vec<_>>();
+                stream::once(async move { done.await.and(Err(error)) }).boxed()
+            }
+        }
+    }
+
+    fn list(&self, prefix: Option<&Path>) -> BoxStream<'static, Result<ObjectMeta>> {
+        match self.plan.next() {
+            None => self.inner.list(prefix),
+            Some((_, error)) => stream::once(future::ready(Err(error))).boxed(),
+        }
+    }
+
+    async fn list_with_delimiter(&self, prefix: Option<&Path>) -> Result<ListResult> {
+        self.plan.apply(self.inner.list_with_delimiter(prefix)).await
+    }
+
+    async fn copy_opts(&self, from: &Path, to: &Path, options: CopyOptions) -> Result<()> {
+        self.plan.apply(self.inner.copy_opts(from, to, options)).await
+    }
+}
+
+/// A multipart upload of which one request may fail.
+#[derive(Debug)]
+struct FaultUpload {
+    inner: Box<dyn MultipartUpload>,
+    plan: Arc<Plan>,
+}
+
+#[async_trait]
+impl MultipartUpload for FaultUpload {
+    fn put_part(&mut self, data: PutPayload) -> UploadPart {
+        let (part, plan) = (self.inner.put_part(data), Arc::clone(&self.plan));
+        async move { plan.apply(part).await }.boxed()
+    }
+
+    async fn complete(&mut self) -> Result<PutResult> {
+        self.plan.apply(self.inner.complete()).await
+    }
+
+    async fn abort(&mut self) -> Result<()> {
+        self.plan.apply(self.inner.abort()).await
+    }
+}
