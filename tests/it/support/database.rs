@@ -5,7 +5,7 @@ use std::{path::PathBuf, sync::Arc};
 use sqlx::{Connection as _, PgConnection, Row as _, SqliteConnection};
 use tcgs::{
     domain::Clock,
-    store::{DatabaseLocation, QueuePolicy, SqlStore},
+    store::{DATABASE, DatabaseLocation, QueuePolicy, SqlStore},
 };
 use tempfile::TempDir;
 
@@ -15,6 +15,8 @@ use super::postgres::{Cluster, PostgresDatabase};
 pub enum Database {
     /// SQLite in a folder.
     Sqlite(TempDir),
+    /// SQLite in the data folder of a service.
+    DataFolder(PathBuf),
     /// A database of the server of this process.
     Postgres(PostgresDatabase),
 }
@@ -37,7 +39,7 @@ impl Database {
     /// Where it is.
     pub fn location(&self) -> DatabaseLocation {
         match self {
-            Self::Sqlite(folder) => DatabaseLocation::File(file(folder)),
+            Self::Sqlite(_) | Self::DataFolder(_) => DatabaseLocation::File(self.file()),
             Self::Postgres(database) => DatabaseLocation::Postgres(database.url().with_process_clock()),
         }
     }
@@ -56,8 +58,8 @@ impl Database {
     pub async fn run(&self, statement: &str) {
         let statement = sqlx::AssertSqlSafe(statement.to_owned());
         match self {
-            Self::Sqlite(folder) => {
-                sqlx::query(statement).execute(&mut sqlite(folder).await).await.expect("changed");
+            Self::Sqlite(_) | Self::DataFolder(_) => {
+                sqlx::query(statement).execute(&mut sqlite(self.file()).await).await.expect("changed");
             }
             Self::Postgres(database) => {
                 sqlx::query(statement).execute(&mut postgres(database).await).await.expect("changed");
@@ -69,8 +71,9 @@ impl Database {
     pub async fn rows(&self, statement: &str, columns: usize) -> Vec<Vec<String>> {
         let statement = sqlx::AssertSqlSafe(statement.to_owned());
         match self {
-            Self::Sqlite(folder) => {
-                let rows = sqlx::query(statement).fetch_all(&mut sqlite(folder).await).await.expect("read");
+            Self::Sqlite(_) | Self::DataFolder(_) => {
+                let rows =
+                    sqlx::query(statement).fetch_all(&mut sqlite(self.file()).await).await.expect("read");
                 let cell = |row: &sqlx::sqlite::SqliteRow, at: usize| {
                     row.try_get::<i64, _>(at).map_or_else(|_| row.get(at), |number| number.to_string())
                 };
@@ -87,18 +90,23 @@ impl Database {
         }
     }
 
+    /// SQLite's file.
+    fn file(&self) -> PathBuf {
+        match self {
+            Self::Sqlite(folder) => folder.path().join("tcgs.db"),
+            Self::DataFolder(folder) => folder.join(DATABASE),
+            Self::Postgres(_) => panic!("PostgreSQL is no file"),
+        }
+    }
+
     /// The only integer of a query.
     pub async fn number(&self, statement: &str) -> i64 {
         self.rows(statement, 1).await[0][0].parse().expect("a number")
     }
 }
 
-fn file(folder: &TempDir) -> PathBuf {
-    folder.path().join("tcgs.db")
-}
-
-async fn sqlite(folder: &TempDir) -> SqliteConnection {
-    SqliteConnection::connect(&format!("sqlite://{}", file(folder).display())).await.expect("a connection")
+async fn sqlite(file: PathBuf) -> SqliteConnection {
+    SqliteConnection::connect(&format!("sqlite://{}", file.display())).await.expect("a connection")
 }
 
 async fn postgres(database: &PostgresDatabase) -> PgConnection {

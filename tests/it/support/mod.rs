@@ -10,6 +10,8 @@ pub mod contract;
 pub mod cutter;
 pub mod database;
 pub mod dataset;
+#[cfg(target_os = "linux")]
+pub mod deployment;
 pub mod eventually;
 pub mod fakes;
 pub mod fault_store;
@@ -32,4 +34,5 @@ pub mod shared;
 pub mod skip;
 pub mod small_disk;
 pub mod sse;
+pub mod totals;
 pub mod tree;

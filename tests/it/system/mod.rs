@@ -14,5 +14,7 @@ mod machines;
 mod postgres;
 mod power_cuts;
 mod presets;
+#[cfg(target_os = "linux")]
+mod reordered;
 mod viewer;
 mod viewers;
