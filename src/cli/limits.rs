@@ -12,7 +12,7 @@ use tcgs::{
 };
 
 /// A number of seconds, or numbers with units such as `500ms`, `90s`, `1h 30m`.
-fn duration(text: &str) -> Result<Duration, String> {
+pub(super) fn duration(text: &str) -> Result<Duration, String> {
     let text = text.trim();
     let seconds = text.parse().map(Duration::from_secs).ok();
     let span = || text.parse::<SignedDuration>().ok().and_then(|span| Duration::try_from(span).ok());

@@ -26,6 +26,8 @@ mod memory;
 mod migrate;
 mod options;
 mod picture;
+#[cfg(debug_assertions)]
+mod planned_failure;
 mod pose;
 mod priority;
 mod profile;
@@ -225,6 +227,8 @@ pub(crate) fn main() -> ExitCode {
         return report::conclude(Ok(settings.printed()), false);
     }
     logging::start(cli.log_format, cli.command.verbosity());
+    #[cfg(debug_assertions)]
+    planned_failure::follow_plan();
     let json = cli.command.wants_json();
     report::conclude(cli.command.run(cli.log_format), json)
 }

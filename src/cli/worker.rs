@@ -1,9 +1,12 @@
 //! `tcgs worker`: takes jobs from a queue and carries them out.
 
+use std::time::Duration;
+
 use super::{
     CliError, Report,
     adapter::AdapterFlag,
     config::ConfigFlags,
+    limits::duration,
     lpips::LpipsFlag,
     memory::MemoryFlags,
     priority::WorkerPriorityFlag,
@@ -39,6 +42,10 @@ pub(crate) struct Args {
     /// Stop when standard input closes, as it does when the service that started this worker ends
     #[arg(long, hide = true)]
     stop_with_parent: bool,
+
+    /// Time between two checkpoints of a run; tests that kill workers want more of them
+    #[arg(long, hide = true, env = "TCGS_CHECKPOINT_EVERY", value_parser = duration)]
+    checkpoint_every: Option<Duration>,
 }
 
 /// Works until a signal comes.
@@ -51,6 +58,7 @@ pub(crate) fn run(args: Args) -> Result<Report, CliError> {
         lpips: args.lpips.lpips,
         max_running_jobs: args.running.max_running_jobs,
         stop_with_parent: args.stop_with_parent,
+        checkpoint_every: args.checkpoint_every,
     })?;
     Ok(Report::default())
 }

@@ -21,6 +21,7 @@ pub mod dataset;
 pub mod digest;
 #[cfg(feature = "service")]
 pub mod exported_scene;
+pub mod failure_point;
 pub mod format;
 pub mod gaussians;
 pub mod harmonics;
@@ -75,6 +76,7 @@ pub use dataset::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointClou
 pub use digest::Digest;
 #[cfg(feature = "service")]
 pub use exported_scene::{ExportFidelity, ExportedScene};
+pub use failure_point::FailurePoint;
 pub use format::SceneFormat;
 pub use gaussians::{GaussianScene, Scene};
 pub use held_out::{HeldOut, HeldOutView};

@@ -38,7 +38,7 @@ pub(super) fn run_curve(
         .collect();
     if done.iter().any(Option::is_none) {
         let mut report_trunk = |progress: &Progress| report(Phase::Train, &whole.at(None, progress));
-        let trunk = with_checkpoints(checkpoints, None, &mut |checkpoints| {
+        let trunk = with_checkpoints(inputs, checkpoints, None, &mut |checkpoints| {
             let RunInputs { device, dataset, budget, cancel, .. } = inputs;
             train_trunk(device, dataset, options, budget, checkpoints, &mut report_trunk, cancel)
         })?;

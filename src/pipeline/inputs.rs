@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use jiff::SignedDuration;
+
 use super::error::JobError;
 use crate::{
     domain::{CancelFlag, Dataset, Frame, MemoryBudget, Split},
@@ -28,6 +30,8 @@ pub(super) struct RunInputs<'a> {
     pub(super) lpips: Option<&'a Lpips>,
     /// Views that the renderer is held to the f64 reference on, if it is.
     pub(super) reference: Option<ReferenceViews>,
+    /// Time between two checkpoints, if it is not the usual one.
+    pub(super) checkpoint_every: Option<SignedDuration>,
     /// Seconds that the dataset took to read.
     pub(super) ingest_seconds: f64,
 }

@@ -26,6 +26,7 @@ use std::{
     time::Instant,
 };
 
+use jiff::SignedDuration;
 use tracing::Span;
 
 pub use error::JobError;
@@ -39,7 +40,10 @@ use self::{
     train_file::{TrainedFile, train_file},
 };
 use crate::{
-    domain::{CancelFlag, Dataset, MemoryBudget, MemoryLimits, NamedCamera, Phase, Progress, TrainOptions},
+    domain::{
+        CancelFlag, Dataset, FailurePoint, MemoryBudget, MemoryLimits, NamedCamera, Phase, Progress,
+        TrainOptions, failure_point::reach,
+    },
     eval::Lpips,
     gpu::{AdapterChoice, Device, DeviceSettings, GpuError, Profile, RecordingProfile},
     ingest::{self, LoadBudget},
@@ -55,6 +59,7 @@ pub struct Pipeline {
     lpips: Option<Lpips>,
     has_held_out_pictures: bool,
     reference: Option<ReferenceViews>,
+    checkpoint_every: Option<SignedDuration>,
     has_profile: bool,
     device: Mutex<Option<Arc<Device>>>,
 }
@@ -70,6 +75,7 @@ impl Pipeline {
             lpips: None,
             has_held_out_pictures: false,
             reference: None,
+            checkpoint_every: None,
             has_profile: false,
             device: Mutex::new(None),
         }
@@ -97,6 +103,12 @@ impl Pipeline {
     #[must_use]
     pub fn with_reference(self, reference: Option<ReferenceViews>) -> Self {
         Self { reference, ..self }
+    }
+
+    /// With another time between two checkpoints than the usual one.
+    #[must_use]
+    pub fn with_checkpoints_every(self, checkpoint_every: Option<SignedDuration>) -> Self {
+        Self { checkpoint_every, ..self }
     }
 
     /// Keeps a profile of the device, which makes runs slower and changes no result.
@@ -159,9 +171,17 @@ impl RunJob for Pipeline {
         }
         let ingest_seconds = began.elapsed().as_secs_f64();
         let lpips = self.lpips.as_ref();
-        let reference = self.reference;
-        let inputs =
-            RunInputs { device, dataset: &dataset, budget, cancel, lpips, reference, ingest_seconds };
+        let Self { reference, checkpoint_every, .. } = *self;
+        let inputs = RunInputs {
+            device,
+            dataset: &dataset,
+            budget,
+            cancel,
+            lpips,
+            reference,
+            checkpoint_every,
+            ingest_seconds,
+        };
         inputs.check_cancelled()?;
         // Training's first own report follows after some steps, which may take minutes.
         report(Phase::Train, &start);
@@ -205,6 +225,7 @@ fn load(
             ingest::load_cancellable(dataset, load_budget, &go_on)
         });
         for () in images {
+            reach(FailurePoint::Ingest);
             heartbeat();
         }
         loading.join()

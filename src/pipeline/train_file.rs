@@ -10,7 +10,10 @@ use super::{
     measure::measure,
 };
 use crate::{
-    domain::{JobMetrics, Phase, Progress, SceneFormat, SystemClock, TrainOptions},
+    domain::{
+        FailurePoint, JobMetrics, Phase, Progress, SceneFormat, SystemClock, TrainOptions,
+        failure_point::reach,
+    },
     train::{self, Checkpoint, CheckpointError, CheckpointFolder, CheckpointSink, TrainError, train_within},
 };
 
@@ -34,14 +37,16 @@ pub(super) fn train_file(
         progress = now.clone();
         report(Phase::Train, now);
     };
-    let trained = with_checkpoints(checkpoints, start, &mut |checkpoints| {
+    let trained = with_checkpoints(inputs, checkpoints, start, &mut |checkpoints| {
         let RunInputs { device, dataset, budget, cancel, .. } = inputs;
         train_within(device, dataset, options, budget, checkpoints, &mut report_training, cancel)
     })?;
     // Training's estimate of the time left does not cover what follows it.
     progress.eta_seconds = None;
     report(Phase::Encode, &progress);
+    reach(FailurePoint::BeforeEncode);
     let written = write_file(inputs, options, &trained, &mut || report(Phase::Encode, &progress))?;
+    reach(FailurePoint::AfterEncode);
     report(Phase::Evaluate, &progress);
     let metrics = measure(inputs, options.background, &trained, &written, &mut || {
         report(Phase::Evaluate, &progress);
@@ -51,13 +56,17 @@ pub(super) fn train_file(
 
 /// Runs `train` from a checkpoint if there is one to resume from, else from `start`.
 pub(super) fn with_checkpoints<T>(
+    inputs: &RunInputs<'_>,
     checkpoints: &Checkpoints,
     start: Option<Checkpoint>,
     train: &mut dyn FnMut(train::Checkpoints<'_>) -> Result<T, TrainError>,
 ) -> Result<T, JobError> {
     let mut folder = match &checkpoints.keep {
         Some(path) => match CheckpointFolder::open(path, Arc::new(SystemClock)) {
-            Ok(folder) => Some(folder),
+            Ok(folder) => Some(match inputs.checkpoint_every {
+                Some(every) => folder.every(every),
+                None => folder,
+            }),
             // Only an interruption would need checkpoints, so their absence must not fail the job.
             Err(error) => {
                 tracing::warn!("no checkpoints are kept: {error}");

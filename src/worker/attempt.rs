@@ -21,7 +21,10 @@ use super::{
     series_buffer::SeriesBuffer, storage,
 };
 use crate::{
-    domain::{CancelFlag, Phase, Problem, ProblemType, Progress, TrainOptions},
+    domain::{
+        CancelFlag, FailurePoint, JobState, Phase, Problem, ProblemType, Progress, TrainOptions,
+        failure_point::reach,
+    },
     pipeline::{Checkpoints, JobError, JobOutput, RunJob},
     store::{Artifact, ArtifactKind, BlobCopy, Blobs, Claim, Lease, Outcome, Store, StoreError},
 };
@@ -380,10 +383,12 @@ async fn publish(deps: &WorkerDeps, output: JobOutput) -> Outcome {
     };
     let mut artifacts = Vec::new();
     for (kind, lambda, content) in contents {
+        reach(FailurePoint::BeforePublish);
         match deps.blobs.put(content).await {
             Ok(blob) => artifacts.push(Artifact { kind, lambda, blob }),
             Err(error) => return storage::outcome(&error),
         }
+        reach(FailurePoint::AfterPublish);
     }
     Outcome::Succeeded { metrics: Box::new(output.metrics), artifacts }
 }
@@ -411,6 +416,9 @@ async fn finish(
     loop {
         match deps.store.finish(lease, outcome.clone()).await {
             Ok(state) => {
+                if state == JobState::Succeeded {
+                    reach(FailurePoint::AfterCommit);
+                }
                 let state = state.name();
                 tracing::info!(state, "job {} is {state}", lease.job);
                 return;

@@ -12,6 +12,7 @@ use super::{
     liveness::LivenessLock,
 };
 use crate::{
+    domain::{FailurePoint, failure_point::reach},
     pipeline::RunJob,
     store::{Blobs, ChangeKind, Store},
 };
@@ -59,6 +60,7 @@ pub async fn serve(
     while !shutdown.is_cancelled() {
         match deps.store.claim(&deps.config.id).await {
             Ok(Some(claim)) => {
+                reach(FailurePoint::AfterClaim);
                 run_attempt(&deps, claim, &shutdown).await?;
                 swept = sweep().await;
                 continue;

@@ -99,6 +99,8 @@ pub(crate) struct WorkerOptions {
     pub(crate) max_running_jobs: Option<u32>,
     /// Whether to stop when standard input closes, which it does when the parent process dies.
     pub(crate) stop_with_parent: bool,
+    /// Time between two checkpoints, if it is not the usual one.
+    pub(crate) checkpoint_every: Option<Duration>,
 }
 
 /// Runs the service until a signal comes.
@@ -198,7 +200,9 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), CliError> {
         let runner = super::runner(&options.adapter, options.memory, options.storage.data.clone(), lpips);
         // One small view: the reference takes a core.
         let reference = ReferenceViews { views: 1, max_side: 256 };
-        let runner = Arc::new(runner.with_pictures().with_reference(Some(reference)));
+        let every = options.checkpoint_every.and_then(|every| every.try_into().ok());
+        let runner = runner.with_pictures().with_reference(Some(reference)).with_checkpoints_every(every);
+        let runner = Arc::new(runner);
         // The service has migrated the schema; a worker of another version must not.
         let limits = ProjectLimits { max_running_jobs: options.max_running_jobs, ..ProjectLimits::default() };
         let store = open_store(&options.storage, limits, OlderSchema::Refuse).await?;

@@ -16,7 +16,7 @@ use super::{
     representation,
 };
 use crate::{
-    domain::{Caller, Digest, JobId, ProblemType},
+    domain::{Caller, Digest, FailurePoint, JobId, ProblemType, failure_point::reach},
     http::{
         datasets::received::receive,
         problem::{ApiResult, ProblemResponse},
@@ -50,6 +50,7 @@ pub(crate) async fn create(
     if let CreateOutcome::Created(record) = &outcome {
         let id = record.job.id;
         tracing::info!(job = %id, bytes = record.dataset.bytes, "job {id} is queued");
+        reach(FailurePoint::AfterCreate);
     }
     respond(&state, outcome, &headers).await
 }

@@ -7,7 +7,7 @@ use super::{
     queue::{self, Claiming},
 };
 use crate::{
-    domain::JobId,
+    domain::{FailurePoint, JobId, failure_point::reach},
     store::{
         Claim, Store as _, StoreError, WorkerDeath,
         leases::{LeaseRow, LeaseWatch},
@@ -37,7 +37,13 @@ impl SqlStore {
         self.reap(expired).await?;
         self.fail_expired().await?;
         loop {
-            let claimed = self.write(async move |tx, now| queue::claim(tx, &self.policy, worker, now).await);
+            let claimed = self.write(async move |tx, now| {
+                let claimed = queue::claim(tx, &self.policy, worker, now).await?;
+                if matches!(claimed, Claiming::Granted(_)) {
+                    reach(FailurePoint::BeforeClaim);
+                }
+                Ok(claimed)
+            });
             match claimed.await? {
                 Claiming::Granted(claimed) => return Ok(Some(claimed)),
                 Claiming::NothingDue => return Ok(None),

@@ -49,7 +49,9 @@ use super::{
     JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, QueuePolicy, RetryOutcome, RetryRequest, Store,
     StoreError, StoreFuture, WorkerDeath, leases::LeaseWatch,
 };
-use crate::domain::{Clock, Event, EventKind, JobId, JobState, Phase, Progress};
+use crate::domain::{
+    Clock, Event, EventKind, FailurePoint, JobId, JobState, Phase, Progress, failure_point::reach,
+};
 use changes::Listener;
 use db::{Pool, Row, Sql, Target, Transaction, query};
 pub use open::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange};
@@ -260,7 +262,11 @@ async fn job_exists(connection: &mut Transaction, id: JobId) -> Result<bool, Sto
 
 impl Store for SqlStore {
     fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord> {
-        Box::pin(self.write(async move |tx, now| self.insert_job(tx, new, now).await))
+        Box::pin(self.write(async move |tx, now| {
+            let created = self.insert_job(tx, new, now).await?;
+            reach(FailurePoint::BeforeCreate);
+            Ok(created)
+        }))
     }
 
     fn job(&self, id: JobId) -> StoreFuture<'_, Option<JobRecord>> {
@@ -397,7 +403,13 @@ impl Store for SqlStore {
     }
 
     fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> StoreFuture<'a, JobState> {
-        Box::pin(self.write(async move |tx, now| queue::finish(tx, &self.policy, lease, outcome, now).await))
+        Box::pin(self.write(async move |tx, now| {
+            let state = queue::finish(tx, &self.policy, lease, outcome, now).await?;
+            if state == JobState::Succeeded {
+                reach(FailurePoint::BeforeCommit);
+            }
+            Ok(state)
+        }))
     }
 
     fn expire_worker<'a>(&'a self, worker: &'a str, death: WorkerDeath) -> StoreFuture<'a, u64> {

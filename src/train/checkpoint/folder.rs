@@ -11,7 +11,7 @@ use jiff::{SignedDuration, Timestamp};
 use tempfile::NamedTempFile;
 
 use super::{Checkpoint, CheckpointError};
-use crate::domain::Clock;
+use crate::domain::{Clock, FailurePoint, failure_point::reach};
 
 /// Name of the file in the folder.
 const FILE: &str = "checkpoint.safetensors";
@@ -35,6 +35,7 @@ pub trait CheckpointSink {
 pub struct CheckpointFolder {
     path: PathBuf,
     clock: Arc<dyn Clock>,
+    every: SignedDuration,
     saved_at: Timestamp,
 }
 
@@ -47,7 +48,13 @@ impl CheckpointFolder {
         let io = |error| CheckpointError::io(path, error);
         fs::create_dir_all(path).map_err(io)?;
         NamedTempFile::new_in(path).map_err(io)?;
-        Ok(Self { path: path.to_owned(), saved_at: clock.now(), clock })
+        Ok(Self { path: path.to_owned(), saved_at: clock.now(), every: EVERY, clock })
+    }
+
+    /// With another time between two checkpoints.
+    #[must_use]
+    pub fn every(self, every: SignedDuration) -> Self {
+        Self { every, ..self }
     }
 
     /// The checkpoint in the folder `path`.
@@ -77,7 +84,7 @@ impl CheckpointFolder {
 impl CheckpointSink for CheckpointFolder {
     fn wants(&mut self, _step: u32) -> bool {
         // A clock that was set back must not delay the next one for hours.
-        self.clock.now().duration_since(self.saved_at).abs() >= EVERY
+        self.clock.now().duration_since(self.saved_at).abs() >= self.every
     }
 
     fn save(&mut self, checkpoint: &Checkpoint) -> Result<(), CheckpointError> {
@@ -89,10 +96,12 @@ impl CheckpointSink for CheckpointFolder {
         checkpoint.write(&mut out).and_then(|()| out.flush()).map_err(io)?;
         drop(out);
         file.as_file().sync_all().map_err(io)?;
+        reach(FailurePoint::BeforeCheckpoint);
         file.persist(self.path.join(FILE)).map_err(|error| io(error.error))?;
         // Syncs the folder, so that the new name is on the disk.
         #[cfg(unix)]
         File::open(&self.path).and_then(|folder| folder.sync_all()).map_err(io)?;
+        reach(FailurePoint::AfterCheckpoint);
         Ok(())
     }
 }

@@ -26,9 +26,9 @@ use super::{
 };
 use crate::{
     domain::{
-        Background, CancelFlag, Choices, Component, Convergence, Dataset, Frame, MemoryBudget, ModelKind,
-        NearPlane, PointCloud, Progress, Scene, SceneScale, ShortenedRun, SizeBound, Split, TrainOptions,
-        Until, Widths,
+        Background, CancelFlag, Choices, Component, Convergence, Dataset, FailurePoint, Frame, MemoryBudget,
+        ModelKind, NearPlane, PointCloud, Progress, Scene, SceneScale, ShortenedRun, SizeBound, Split,
+        TrainOptions, Until, Widths, failure_point::reach,
     },
     gpu::Device,
     model::{Shape, random_points},
@@ -515,6 +515,7 @@ impl<'a> Run<'a> {
 
     /// Records and submits one step.
     fn record(&mut self) -> Result<(), TrainError> {
+        reach(FailurePoint::Step);
         let step = self.at(self.state.step + 1);
         let index = self.next_frame();
         let camera = self.frames[index].camera;

@@ -1,5 +1,7 @@
 //! The whole program with nothing faked: real processes, real disks, real power cuts.
 
+#[cfg(target_os = "linux")]
+mod crash_points;
 mod durability;
 mod examples_real;
 mod first_light;

@@ -30,7 +30,7 @@ use super::{
     staging_dir::StagingDir,
 };
 use crate::{
-    domain::Digest,
+    domain::{Digest, FailurePoint, failure_point::reach},
     store::{
         BlobPlace, BlobRef,
         publications::{Announcement, Publications, REMOVAL_LIMIT, Removable, Removal},
@@ -111,9 +111,11 @@ impl Bucket {
     async fn publish_content(&self, blob: BlobRef, content: Content<'_>) -> Result<Published, BlobError> {
         loop {
             let announced = self.announce(blob).await?;
+            reach(FailurePoint::BlobAnnounced);
             if !self.has(blob).await? {
                 self.put_content(blob, &content, announced).await?;
             }
+            reach(FailurePoint::BlobStored);
             // Also if it was there: whoever may withdraw an earlier publication learns of this one.
             if let Some(at) = self.index.confirm(announced).await? {
                 return Ok(Published { blob, created_at: announced.is_new.then_some(at) });
