@@ -18,6 +18,8 @@ pub mod fault_store;
 pub mod faults;
 pub mod gate;
 pub mod gpu;
+#[cfg(target_os = "linux")]
+pub mod io_faults;
 pub mod lpips;
 pub mod oracle;
 #[cfg(unix)]

@@ -11,6 +11,8 @@ mod gate;
 mod hostile_datasets;
 #[cfg(target_os = "linux")]
 mod hostile_uploads;
+#[cfg(target_os = "linux")]
+mod io_faults;
 mod killed;
 mod machines;
 mod postgres;
