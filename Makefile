@@ -15,7 +15,11 @@ SWIFTSHADER_TESTS ?= accuracy::every primitives raster_device loss:: neural:: fi
 # How long `make fuzz` gives each target.
 FUZZ_SECONDS ?= 600
 
-.PHONY: help setup build demo results report gate test examples schemathesis generated-client container-smoke manifests swiftshader validation interop external-formats gpu-kit fuzz lint clean
+# How often `make soak` kills a process on each of two kinds of storage, and the tests that it runs.
+KILLS ?= 105
+SOAK_TESTS ?= system::soak system::crash_points system::io_faults system::reordered bucket_faults
+
+.PHONY: help setup build demo results report gate test examples schemathesis generated-client container-smoke manifests swiftshader validation interop external-formats gpu-kit fuzz soak lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -81,6 +85,10 @@ external-formats: ## convert IN (a .ply of plain Gaussians) to .sog and .spz and
 
 fuzz: setup ## fuzz the decoder and every reader, FUZZ_SECONDS a target
 	@scripts/fuzz.sh $(FUZZ_SECONDS)
+
+soak: setup ## kill services and workers KILLS times on each kind of storage, then fail them at every named point and call; half an hour
+	@. scripts/env.sh && TCGS_S3_SERVER="$$(scripts/s3_server.sh)" TCGS_SOAK_KILLS=$(KILLS) \
+	timeout 3h cargo test --locked --test it -- --nocapture --test-threads 1 $(SOAK_TESTS)
 
 lint: setup ## formatting, clippy, documentation, licences
 	@$(CARGO) fmt --check

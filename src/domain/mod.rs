@@ -21,6 +21,7 @@ pub mod dataset;
 pub mod digest;
 #[cfg(feature = "service")]
 pub mod exported_scene;
+#[cfg(feature = "service")]
 pub mod failure_point;
 pub mod format;
 pub mod gaussians;
@@ -76,6 +77,7 @@ pub use dataset::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointClou
 pub use digest::Digest;
 #[cfg(feature = "service")]
 pub use exported_scene::{ExportFidelity, ExportedScene};
+#[cfg(feature = "service")]
 pub use failure_point::FailurePoint;
 pub use format::SceneFormat;
 pub use gaussians::{GaussianScene, Scene};

@@ -20,5 +20,7 @@ mod power_cuts;
 mod presets;
 #[cfg(target_os = "linux")]
 mod reordered;
+#[cfg(target_os = "linux")]
+mod soak;
 mod viewer;
 mod viewers;
