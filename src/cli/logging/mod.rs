@@ -59,7 +59,11 @@ fn subscriber<W>(format: Format, filter: &str, writer: W) -> Box<dyn tracing::Su
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
 {
-    let builder = tracing_subscriber::fmt().with_env_filter(EnvFilter::new(filter)).with_writer(writer);
+    let builder = tracing_subscriber::fmt()
+        .with_env_filter(EnvFilter::new(filter))
+        .with_writer(writer)
+        // It would panic where standard error is closed, in whatever task logs.
+        .log_internal_errors(false);
     match format {
         Format::Text => Box::new(builder.with_ansi(io::stderr().is_terminal()).finish()),
         Format::Json => {

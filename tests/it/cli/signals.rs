@@ -1,8 +1,18 @@
-//! How the program stops when it is told to more than once.
+//! How the program stops when it is told to.
 
-use tokio::{io::AsyncWriteExt as _, net::TcpStream};
+use std::process::Stdio;
 
-use crate::support::{eventually::eventually, service::Service};
+use tokio::{
+    io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader},
+    net::TcpStream,
+    process::Command,
+};
+
+use crate::support::{
+    eventually::{eventually, within},
+    program,
+    service::{Service, kill},
+};
 
 #[tokio::test]
 async fn the_second_signal_ends_a_service_that_waits_for_a_client() {
@@ -36,4 +46,26 @@ async fn the_second_signal_ends_a_service_that_waits_for_a_client() {
     assert_eq!(status.expect("ended").code(), Some(128 + 15), "{}", service.log());
     // The pipe may be read to its end only after the process is gone.
     eventually("it says so", async || service.log().contains("ending at once")).await;
+}
+
+#[tokio::test]
+async fn a_service_whose_log_nobody_reads_any_more_still_stops() {
+    let data = tempfile::tempdir().expect("a folder");
+    let mut command = Command::from(program::command());
+    command.args(["serve", "--listen", "127.0.0.1:0", "--workers", "0", "--data"]).arg(data.path());
+    let mut service = command.stderr(Stdio::piped()).kill_on_drop(true).spawn().expect("the binary runs");
+    let mut log = BufReader::new(service.stderr.take().expect("piped")).lines();
+    let listens = async {
+        while let Some(line) = log.next_line().await.expect("text") {
+            if line.contains("serving on") {
+                return true;
+            }
+        }
+        false
+    };
+    assert!(within("it listens", listens).await);
+    drop(log);
+    kill("-TERM", service.id().expect("running"));
+    let status = within("it has ended", service.wait()).await.expect("ended");
+    assert_eq!(status.code(), Some(0));
 }
