@@ -151,9 +151,11 @@ async fn machines_share_a_database_and_a_bucket_and_nothing_else() {
     assert!(said.contains("goes on with a checkpoint of another machine"), "{said}");
 
     // The bucket is gone for a while.
+    let by_pose = format!("{job}/view?width=32&height=32&position=3,0,0&look_at=0,0,0");
     gate.set(GateState::Shut);
     let again = async || other.get(&format!("{job}/artifact")).await.status;
     eventually("the bucket is missed", async || again().await == 503).await;
+    other.get(&by_pose).await.expect(503);
     eventually("the replica is not ready", async || other.get("/readyz").await.status == 503).await;
     let undisturbed = create_job(&other, &scene).await;
     let is_held = |attempt: &Value| attempt["outcome"] == "released";
