@@ -181,3 +181,37 @@ async fn machines_share_a_database_and_a_bucket_and_nothing_else() {
     }
     assert!(one.stop().await.success() && other.stop().await.success());
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_worker_whose_machine_dies_is_replaced_by_another_once_its_lease_has_expired() {
+    let (Some(cluster), Some(server)) = (Cluster::shared(), S3Server::shared()) else { return };
+    let shared = Shared {
+        database: cluster.empty_database().await,
+        bucket: server.prefix(),
+        variables: variables(server.address),
+    };
+    let data = tempfile::tempdir().expect("a folder");
+    let replica = shared.replica(data.path()).await;
+    let create = async || {
+        let made = replica.upload("?preset=preview&iterations=60&seed=3", dataset::zip());
+        made.await.expect(201).header("location").to_owned()
+    };
+    let job = create().await;
+
+    let mut first = Machine::start(&shared, &["worker"]);
+    let under_way = |now: &Value| now["progress"]["step"].as_u64().is_some_and(|step| step >= 10);
+    replica.job_until(&job, under_way).await;
+    first.cut_power().await;
+    let mut second = Machine::start(&shared, &["worker"]);
+    replica.succeeded(&job).await;
+    let attempts = replica.get(&job).await.expect(200).json()["attempts"].clone();
+    let outcomes: Vec<&Value> =
+        attempts.as_array().expect("a list").iter().map(|one| &one["outcome"]).collect();
+    assert_eq!(outcomes, ["lost", "succeeded"], "{attempts:#}");
+
+    let undisturbed = create().await;
+    replica.succeeded(&undisturbed).await;
+    assert!(file(&replica, &job).await == file(&replica, &undisturbed).await, "the job gave another file");
+    assert!(second.stop().await.success(), "{}", second.log());
+    assert!(replica.stop().await.success());
+}
