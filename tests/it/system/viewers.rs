@@ -85,7 +85,10 @@ async fn replicas_without_an_adapter_leave_pictures_to_viewers_that_come_and_go(
     one.get(&format!("{job}/export?format=ply")).await.expect(503);
 
     let mut first = viewer(&shared);
-    alive(&client, &view).await;
+    // Each replica reads the list of viewers at its own times.
+    for replica in [&one, &other] {
+        eventually("the replica finds the viewer", async || replica.get(&view).await.status == 200).await;
+    }
     let (status, headers, picture) = client.get(&view).await;
     assert_eq!((status, headers["content-type"].to_str().expect("ASCII")), (200, "image/png"));
     let exported = client.file(&format!("{job}/export?format=ply")).await;
