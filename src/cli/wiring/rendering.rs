@@ -66,7 +66,7 @@ pub(super) fn loader() -> SceneLoader {
 }
 
 pub(super) fn exporter(views: Arc<dyn RenderViews>) -> SceneExporter {
-    Arc::new(move |source, format, cameras| export(&views, &(source.read)()?, format, cameras))
+    Arc::new(move |source, format, cameras| export(&views, source, format, cameras))
 }
 
 /// Highest degree of the spherical harmonics of scenes that are exported on demand.
@@ -75,11 +75,12 @@ const EXPORT_DEGREE: u8 = 3;
 /// A finished scene in another format, fitted to its renders from the training cameras, or from a sphere if there are none.
 fn export(
     views: &Arc<dyn RenderViews>,
-    bytes: &[u8],
+    source: SceneSource<'_>,
     format: SceneFormat,
     cameras: &[NamedCamera],
 ) -> Result<ExportedScene, Problem> {
-    let file = scene_file::read(bytes)?;
+    let SceneSource { digest, read } = source;
+    let file = scene_file::read(&read()?)?;
     let trained = of_split(cameras, Split::Train);
     let from = (!trained.is_empty()).then_some(&*trained);
     let exported = super::export(&file, format, EXPORT_DEGREE, from)?;
@@ -87,7 +88,7 @@ fn export(
     let held_out = of_split(cameras, Split::Test);
     let cameras = if held_out.is_empty() { trained } else { held_out };
     // The same key as for its views, so a scene on the device is not loaded again.
-    let source = Renderer::over(Arc::clone(views), Digest::of(bytes), file);
+    let source = Renderer::over(Arc::clone(views), digest, file);
     let fidelity = super::fidelity(&source, &exported.bytes, &cameras).unwrap_or_else(|fault| {
         tracing::warn!("export fidelity not measured: {fault}");
         None
