@@ -6,9 +6,6 @@ CARGO := . scripts/env.sh && cargo
 # Where the photo sets for `make results` are.
 DATA ?= $(or $(TCGS_SHARED),../shared)/data
 
-# Other programs' formats take part in `make results` where their converter runs, which takes Node.
-EXTERNAL_FORMATS ?= $(and $(wildcard scripts/external_formats.sh),$(shell command -v node),--external-formats scripts/external_formats.sh)
-
 # What `make swiftshader` runs: kernels against their twins, gradients, repeated runs, and whole jobs.
 SWIFTSHADER_TESTS ?= accuracy::every primitives raster_device loss:: neural:: first_light::
 
@@ -19,7 +16,7 @@ FUZZ_SECONDS ?= 600
 KILLS ?= 105
 SOAK_TESTS ?= system::soak system::crash_points system::io_faults system::reordered bucket_faults
 
-.PHONY: help setup build demo results report gate test examples schemathesis generated-client container-smoke manifests swiftshader validation interop external-formats gpu-kit fuzz soak lint clean
+.PHONY: help setup build demo results gate test examples schemathesis generated-client container-smoke manifests swiftshader validation interop external-formats gpu-kit fuzz soak lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -33,12 +30,9 @@ build: setup ## build target/release/tcgs
 demo: setup ## the bundled scene through the service: train, download, render into out/demo
 	@scripts/demo.sh
 
-results: build ## train every model on every set of DATA and rewrite docs/RESULTS.md; hours on a CPU
-	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" eval --suite "$(DATA)" --table docs/RESULTS.md $(EXTERNAL_FORMATS) $(RESULTS_FLAGS)
+results: build ## make the runs of benches/report.toml on the sets of DATA, report speed against error into out/report and rewrite docs/RESULTS.md; hours on a CPU
+	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" bench report --suite "$(DATA)" --output out/report --table docs/RESULTS.md $(REPORT_FLAGS)
 	@scripts/plots.py
-
-report: build ## make the runs of benches/report.toml on the sets of DATA and report speed against error into out/report; hours on a CPU
-	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" bench report --suite "$(DATA)" --output out/report $(REPORT_FLAGS)
 
 gate: setup ## hold PSNR, bytes and speed of two fixed scenes to scripts/gate.json; UPDATE=1 rewrites it
 	@$(CARGO) build --locked --quiet

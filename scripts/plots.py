@@ -16,7 +16,7 @@ TABLES = ROOT / "docs" / "RESULTS.md"
 FIGURE = ROOT / "docs" / "img" / "quality.svg"
 
 MODELS = ["3dgs", "scaffold", "tcgs"]
-CONVERTED = ["3dgs as spz_v4", "3dgs as sog"]
+CONVERTED = ["spz_v4", "sog"]
 
 # Geometry in pixels. All panels span as many dB, so that a step up is as large in each.
 WIDTH, TOP, PANEL, HEIGHT, GUTTER, LEFT, SECOND_ROW = 880, 88, 138, 150, 32, 38, 292
@@ -43,15 +43,15 @@ text { font: 11px system-ui, "Segoe UI", Helvetica, Arial, sans-serif; fill: var
 
 
 def table(document, heading):
-    """The rows of the first table below a heading, as dictionaries by column."""
-    lines = document.split(f"### {heading}\n", 1)[1].splitlines()
+    """The rows of the first table below a heading, as dictionaries by column; none without such a heading."""
+    lines = document.partition(f"\n{heading}\n")[2].splitlines()
     rows = []
     for line in lines:
         if line.startswith("|"):
             rows.append([cell.strip() for cell in line.strip("|").split("|")])
         elif rows:
             break
-    return [dict(zip(rows[0], row)) for row in rows[2:]]
+    return [dict(zip(rows[0], row)) for row in rows[2:]] if rows else []
 
 
 def mark(model, x, y, hollow=False, title=""):
@@ -103,6 +103,12 @@ class Panel:
         return out
 
 
+def estimate(cell):
+    """Mean and half-width of the interval, zero without one, of a cell such as `27.51 ± 0.12`."""
+    mean, _, half = cell.partition(" ± ")
+    return float(mean), float(half or 0)
+
+
 def legend():
     out, x, y = [], LEFT, 24
     for model in MODELS:
@@ -113,54 +119,68 @@ def legend():
     out.append(f'<text x="{x + 13}" y="{y}">3dgs as .spz and .sog</text>')
     x += 150
     out.append(f'<text x="{x}" y="{y}">filled: equal steps</text>')
-    out.append(f'<text x="{x + 110}" y="{y}">hollow: equal seconds</text>')
-    out.append(f'<text x="{x + 238}" y="{y}">line of tcgs: weights of the rate</text>')
+    out.append(f'<text x="{x + 110}" y="{y}">hollow: more steps</text>')
+    out.append(f'<text x="{x + 222}" y="{y}">line of tcgs: weights of the rate</text>')
     return out
 
 
-def draw(document):
-    steps, seconds = table(document, "Equal steps"), table(document, "Equal seconds")
-    quality = table(document, "Quality against bytes")
-    sets = list(dict.fromkeys(row["set"] for row in steps))
-    out = legend()
-    for column, name in enumerate(sets):
-        def of(rows, key, wanted):
-            return [row for row in rows if row["set"] == name and wanted(row[key])]
+class Point:
+    """A row of the table of runs, or of that of exports."""
 
-        whole = {row["model"]: row for row in of(steps, "model", lambda model: model in MODELS)}
-        again = {row["model"]: row for row in of(seconds, "model", lambda model: model in MODELS)}
-        curve = of(quality, "file", lambda file: file == "tcgs" or file.startswith("tcgs@"))
-        converted = of(quality, "file", lambda file: file in CONVERTED)
-        psnrs = [float(row["PSNR dB"]) for row in [*whole.values(), *again.values(), *curve, *converted]]
+    def __init__(self, row, name):
+        self.name, self.model = name, row["model"].partition("@")[0]
+        self.steps = int(row["steps"])
+        self.psnr, self.half = estimate(row["PSNR dB"])
+        self.bytes, _ = estimate(row["bytes"])
+        self.seconds = estimate(row["training s"])[0] if "training s" in row else None
+
+    def title(self, of):
+        spread = f" ± {self.half:.2f}" if self.half else ""
+        return f"{of}, {self.name}, {self.steps} steps: {self.psnr:.2f}{spread} dB, {self.bytes:,.0f} bytes" + (
+            f", {self.seconds:.0f} s" if self.seconds else ""
+        )
+
+
+def draw(document):
+    runs, exports = table(document, "### Runs"), table(document, "#### Exports")
+    out = legend()
+    for column, name in enumerate(dict.fromkeys(row["set"] for row in runs)):
+        points = [Point(row, row["model"]) for row in runs if row["set"] == name and row["model"].partition("@")[0] in MODELS]
+        converted = [
+            Point(row, f'3dgs as {row["format"]}')
+            for row in exports
+            if row["set"] == name and row["model"] == "3dgs" and row["format"] in CONVERTED
+        ]
+        # The preset's own weight comes first among those of a schedule.
+        of_model = {model: [point for point in points if point.model == model] for model in MODELS}
+        first = {model: of[0] for model, of in of_model.items() if of}
+        steps = first["tcgs"].steps
+        curve = [point for point in of_model["tcgs"] if point.steps == steps]
+        longer = {model: [point for point in of if point.steps > steps][:1] for model, of in of_model.items()}
+        converted = [point for point in converted if point.steps == steps]
+        shown = [*first.values(), *curve, *converted, *(point for of in longer.values() for point in of)]
+        psnrs = [point.psnr for point in shown]
         low_db = (min(psnrs) + max(psnrs) - SPAN_DB) / 2
         left = LEFT + column * (PANEL + GUTTER)
 
         panel = Panel(left, TOP, low_db, BYTES_RANGE, True)
-        out += panel.frame(BYTES_TICKS, name, f'{whole["tcgs"]["steps"]} steps')
-
-        def by_bytes(row):
-            return panel.place(float(row["bytes"]), float(row["PSNR dB"]))
-
-        def title(row, label):
-            return f'{name}, {label}: {row["PSNR dB"]} dB, {int(row["bytes"]):,} bytes'
-
-        out.append(line("tcgs", [by_bytes(row) for row in curve]))
-        out += [cross(*by_bytes(row), title(row, row["file"])) for row in converted]
-        for model in MODELS:
-            out.append(mark(model, *by_bytes(again[model]), True, title(again[model], f"{model}, equal seconds")))
-            out.append(mark(model, *by_bytes(whole[model]), False, title(whole[model], model)))
-
-        panel = Panel(left, SECOND_ROW, low_db, SECONDS_RANGE, False)
-        out += panel.frame(SECONDS_TICKS)
-
-        def by_seconds(row):
-            return panel.place(float(row["training s"]), float(row["PSNR dB"]))
-
-        for model in MODELS:
-            out.append(line(model, [by_seconds(whole[model]), by_seconds(again[model])], True))
-            for row, hollow in [(again[model], True), (whole[model], False)]:
-                told = f'{name}, {model}: {row["PSNR dB"]} dB, {row["steps"]} steps in {row["training s"]} s'
-                out.append(mark(model, *by_seconds(row), hollow, told))
+        out += panel.frame(BYTES_TICKS, name, f"{steps} steps")
+        out.append(line("tcgs", [panel.place(point.bytes, point.psnr) for point in curve]))
+        out += [cross(*panel.place(point.bytes, point.psnr), point.title(name)) for point in converted]
+        seconds = Panel(left, SECOND_ROW, low_db, SECONDS_RANGE, False)
+        rows = [(panel, lambda point: point.bytes), (seconds, lambda point: point.seconds)]
+        out += seconds.frame(SECONDS_TICKS)
+        for place, value in rows:
+            for model, point in first.items():
+                for more in longer[model]:
+                    ends = [place.place(value(each), each.psnr) for each in (point, more)]
+                    out.append(line(model, ends, True))
+                    out.append(mark(model, *ends[1], True, more.title(name)))
+                x, y = place.place(value(point), point.psnr)
+                if point.half:
+                    spread = point.half * HEIGHT / SPAN_DB
+                    out.append(f'<path class="line m{model}" d="M{x:.1f} {y - spread:.1f}v{2 * spread:.1f}"/>')
+                out.append(mark(model, x, y, False, point.title(name)))
     captions = [(TOP - 24, "PSNR in dB against bytes of the file"), (SECOND_ROW - 8, "PSNR in dB against seconds of training")]
     out += [f'<text x="{LEFT}" y="{y}">{caption}</text>' for y, caption in captions]
     height = SECOND_ROW + HEIGHT + 30

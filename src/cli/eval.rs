@@ -1,9 +1,6 @@
 //! `tcgs eval`: what a file is worth on the views that its training never saw.
 
-use std::{
-    path::{Path, PathBuf},
-    time::Instant,
-};
+use std::{path::PathBuf, time::Instant};
 
 use serde::Serialize;
 use tcgs::{
@@ -11,17 +8,16 @@ use tcgs::{
     eval::Lpips,
 };
 
-use super::{CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, picture, suite, wiring};
+use super::{CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, picture, wiring};
 
 /// Arguments of `tcgs eval`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// A .tcgs file, the .safetensors or .ply of a baseline, or a .spz
-    #[arg(required_unless_present = "suite", requires = "dataset")]
-    file: Option<PathBuf>,
+    file: PathBuf,
 
     /// The dataset that it was trained on
-    dataset: Option<PathBuf>,
+    dataset: PathBuf,
 
     /// Also write each held-out photograph and its render, side by side, into this folder
     #[arg(long, value_name = "DIR")]
@@ -30,9 +26,6 @@ pub(crate) struct Args {
     /// Also print a table of the views
     #[arg(long)]
     per_view: bool,
-
-    #[command(flatten)]
-    suite: suite::Args,
 
     #[command(flatten)]
     lpips: LpipsFlag,
@@ -68,20 +61,9 @@ struct Seconds {
     render: f64,
 }
 
-/// Measures a file, or runs a suite.
-pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
-    match (&args.suite.suite, &args.file, &args.dataset) {
-        (Some(folder), ..) => suite::run(&args.suite, folder, &args.adapter, &args.lpips),
-        (None, ..) if args.suite.is_used() => {
-            Err(CliError::Usage("a flag is given that says nothing without --suite".to_owned()))
-        }
-        (None, Some(file), Some(dataset)) => measure(args, file, dataset),
-        _ => Err(CliError::Usage("give FILE and DATASET, or --suite".to_owned())),
-    }
-}
-
 /// Decodes, renders every held-out view, measures.
-fn measure(args: &Args, file: &Path, dataset_path: &Path) -> Result<Report, CliError> {
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
+    let Args { file, dataset: dataset_path, .. } = args;
     let lpips = wiring::lpips(args.lpips.lpips.as_deref())?;
     let bytes = files::read(file)?;
     let in_file = |problem: tcgs::domain::Problem| problem.in_file(file.display().to_string());

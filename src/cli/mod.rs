@@ -39,7 +39,6 @@ mod report;
 mod sample;
 mod serve;
 mod storage;
-mod suite;
 mod train;
 mod view_memory;
 mod viewer;

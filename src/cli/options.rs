@@ -9,21 +9,12 @@ use tcgs::domain::{TRAIN_OPTIONS, TrainOption, TrainOptions, options::OptionKind
 use super::CliError;
 
 /// Every option, as `train` and `submit` take them.
-pub(super) type TrainFlags = Flags<false>;
-
-/// The options that all runs of a suite share; each flag requires `--suite`.
-pub(super) type SuiteFlags = Flags<true>;
-
-const SHARED_BY_A_SUITE: [&str; 5] = ["preset", "iterations", "seed", "background", "voxel"];
-
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Flags<const SUITE: bool>(TrainOptions);
+pub(super) struct TrainFlags(TrainOptions);
 
-impl<const SUITE: bool> Flags<SUITE> {
+impl TrainFlags {
     fn rows() -> impl Iterator<Item = &'static TrainOption> {
-        let taken =
-            |row: &&TrainOption| row.help.is_some() && (!SUITE || SHARED_BY_A_SUITE.contains(&row.name));
-        TRAIN_OPTIONS.iter().filter(taken)
+        TRAIN_OPTIONS.iter().filter(|row| row.help.is_some())
     }
 
     /// The options, if a run can have them.
@@ -32,11 +23,9 @@ impl<const SUITE: bool> Flags<SUITE> {
     }
 }
 
-impl<const SUITE: bool> Args for Flags<SUITE> {
+impl Args for TrainFlags {
     fn augment_args(command: Command) -> Command {
-        Self::rows()
-            .map(flag)
-            .fold(command, |command, flag| command.arg(if SUITE { flag.requires("suite") } else { flag }))
+        Self::rows().map(flag).fold(command, Command::arg)
     }
 
     fn augment_args_for_update(command: Command) -> Command {
@@ -44,7 +33,7 @@ impl<const SUITE: bool> Args for Flags<SUITE> {
     }
 }
 
-impl<const SUITE: bool> FromArgMatches for Flags<SUITE> {
+impl FromArgMatches for TrainFlags {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
         let mut options = TrainOptions::default();
         for row in Self::rows() {

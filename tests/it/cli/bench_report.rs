@@ -39,7 +39,9 @@ fn a_killed_report_goes_on_and_writes_every_table_and_chart() {
     let folder = tempfile::tempdir().expect("a folder");
     let (sets, out) = (folder.path().join("sets"), folder.path().join("out"));
     write_set(&sets.join("ball"));
-    let matrix = tree::root().join(MATRIX);
+    let (matrix, document) = (tree::root().join(MATRIX), folder.path().join("RESULTS.md"));
+    fs::write(&document, "Prose.\n<!-- report: begin -->\nstale figures\n<!-- report: end -->\nMore prose.\n")
+        .expect("writes");
     let arguments: Vec<&OsStr> = [
         OsStr::new("bench"),
         OsStr::new("report"),
@@ -49,6 +51,8 @@ fn a_killed_report_goes_on_and_writes_every_table_and_chart() {
         matrix.as_os_str(),
         OsStr::new("-o"),
         out.as_os_str(),
+        OsStr::new("--table"),
+        document.as_os_str(),
         OsStr::new("--json"),
     ]
     .into();
@@ -85,6 +89,7 @@ fn a_killed_report_goes_on_and_writes_every_table_and_chart() {
     assert_eq!(seeds, [0, 0, 0, 1, 1, 1]);
 
     check_files(&out);
+    check_document(&fs::read_to_string(&document).expect("the document"), &out);
     let page = fs::read_to_string(out.join("report.html")).expect("a page");
     let mut again = arguments.clone();
     again.push(OsStr::new("--no-runs"));
@@ -117,6 +122,18 @@ fn check_run(run: &Value) {
     assert!(run["decode_seconds"].as_array().expect("times").len() >= 3, "{run:#}");
 }
 
+/// The tables of the report stand between the markers of a document.
+fn check_document(document: &str, out: &Path) {
+    assert!(document.starts_with("Prose.\n") && document.ends_with("More prose.\n"), "{document}");
+    assert!(!document.contains("stale figures"));
+    let tables = fs::read_to_string(out.join("report.md")).expect("the tables");
+    assert!(document.contains(tables.trim()));
+    for words in ["### Runs", "| ball | tcgs@0.001 | preview | 6 | 2 |", "### Where the bytes go", "llvmpipe"] {
+        assert!(document.contains(words), "{words}: {document}");
+    }
+    assert!(!document.contains("LPIPS |"), "a column that nothing was measured for: {document}");
+}
+
 fn check_files(out: &Path) {
     let text =
         |name: &str| fs::read_to_string(out.join(name)).unwrap_or_else(|fault| panic!("{name}: {fault}"));
@@ -130,6 +147,7 @@ fn check_files(out: &Path) {
         "Quality against time",
         "Bjøntegaard",
         "Decoding",
+        "Where the bytes go",
         "What each stage costs",
         "Exports",
         "without subgroups",
@@ -164,6 +182,8 @@ fn what_a_report_cannot_do_is_said_before_it_begins() {
     let folder = tempfile::tempdir().expect("a folder");
     let (sets, matrix) = (folder.path().join("sets"), folder.path().join("m.toml"));
     write_set(&sets.join("ball"));
+    let document = folder.path().join("page.md");
+    fs::write(&document, "no place").expect("writes");
     let refused = |text: &str, status: i32, words: &[&str]| {
         fs::write(&matrix, text).expect("writes");
         let out = folder.path().join("out");
@@ -176,6 +196,8 @@ fn what_a_report_cannot_do_is_said_before_it_begins() {
             matrix.as_os_str(),
             OsStr::new("-o"),
             out.as_os_str(),
+            OsStr::new("--table"),
+            document.as_os_str(),
         ]);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(status), "{said}");
@@ -184,7 +206,76 @@ fn what_a_report_cannot_do_is_said_before_it_begins() {
     };
     refused("[[runs]]\nmodels = [\"nerf\"]\n", 2, &["m.toml", "line 2", "nerf"]);
     refused("[[runs]]\nmodels = [\"tcgs\"]\nsets = [\"cube\"]\n", 2, &["cube"]);
+    refused("[[runs]]\nmodels = [\"scaffold-wavelet\"]\n", 2, &["line 2", "only tcgs"]);
+    refused("[[runs]]\nmodels = [\"tcgs\"]\nsteps = [4]\n", 3, &["page.md", "report: begin"]);
     refused("[[runs]]\nmodels = [\"tcgs\"]\n[published]\nball = \"nobody/chair\"\n", 2, &["published.ball"]);
     let missing = tcgs(["bench", "report", "--suite", "nowhere", "--matrix", "nowhere.toml"]);
     assert_eq!(missing.status.code(), Some(3), "{}", String::from_utf8_lossy(&missing.stderr));
+}
+
+/// A converter that gives back what it gets, and says that it takes 1234 bytes.
+#[cfg(unix)]
+fn write_converter(path: &Path) {
+    use std::os::unix::fs::PermissionsExt as _;
+    let script = "#!/bin/sh\nset -e\ncp \"$1\" \"$2/same.ply\"\n\
+        printf 'format\\tbytes\\tdecoded\\nsame\\t1234\\tsame.ply\\n' >\"$2/sizes.tsv\"\n";
+    fs::write(path, script).expect("writes");
+    fs::set_permissions(path, fs::Permissions::from_mode(0o755)).expect("permissions");
+}
+
+#[cfg(unix)]
+#[test]
+fn sizes_are_told_by_section_beside_the_baselines_and_other_formats() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let (sets, out, matrix, script) = (at("sets"), at("out"), at("m.toml"), at("convert.sh"));
+    write_set(&sets.join("ball"));
+    let report = || {
+        tcgs([
+            OsStr::new("bench"),
+            OsStr::new("report"),
+            OsStr::new("--suite"),
+            sets.as_os_str(),
+            OsStr::new("--matrix"),
+            matrix.as_os_str(),
+            OsStr::new("-o"),
+            out.as_os_str(),
+            OsStr::new("--json"),
+        ])
+    };
+    let runs = "[[runs]]\nmodels = [\"3dgs\", \"scaffold\", \"tcgs\", \"tcgs-masks\"]\nsteps = [4]\n";
+    fs::write(&matrix, format!("external_formats = \"convert.sh\"\nreference_views = 0\n{runs}")).expect("writes");
+    let failed = report();
+    assert_eq!(failed.status.code(), Some(1), "{}", String::from_utf8_lossy(&failed.stderr));
+    assert!(String::from_utf8_lossy(&failed.stderr).contains("convert.sh"), "a script that is not there");
+    write_converter(&script);
+    let done = report();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let done: Value = serde_json::from_slice(&done.stdout).expect("JSON");
+    let of = |model: &str| {
+        let runs = done["runs"].as_array().expect("runs");
+        runs.iter().find(|run| run["model"] == model).expect("a run")
+    };
+    let (plain, coded) = (of("3dgs"), of("tcgs"));
+    let file = &plain["external_formats"][0];
+    assert_eq!((&file["format"], &file["bytes"]), (&"same".into(), &1234.into()));
+    assert_eq!(file["psnr"], plain["metrics"]["test"]["psnr"], "what comes back is measured as it is");
+    assert_eq!(coded["external_formats"], Value::Array(Vec::new()));
+    assert!(coded["high_band"].is_number(), "{coded:#}");
+
+    let tables = fs::read_to_string(out.join("report.md")).expect("the tables");
+    let bytes = tables.split_once("### Where the bytes go").expect("the table").1;
+    let cells = |line: &str| line.split('|').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>();
+    let head = cells(bytes.lines().nth(2).expect("a head"));
+    let row = cells(bytes.lines().find(|line| line.starts_with("| ball | tcgs |")).expect("a row"));
+    let at = |name: &str| &row[head.iter().position(|cell| cell == name).expect(name)];
+    let counts = &coded["metrics"]["bytes"];
+    for part in ["features", "scalings", "offsets", "positions", "masks", "networks"] {
+        assert_eq!(*at(part), counts[part].to_string(), "{part}");
+    }
+    let total = |run: &Value| run["metrics"]["bytes"]["total"].as_f64().expect("bytes");
+    assert_eq!(*at("bytes"), counts["total"].to_string());
+    assert_eq!(*at("3dgs / it"), format!("{:.1}", total(plain) / total(coded)));
+    let export = tables.lines().find(|line| line.starts_with("| ball | 3dgs | 4 | same |")).expect("a row");
+    assert!(export.contains("| 1234 |"), "{export}");
 }

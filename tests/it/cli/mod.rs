@@ -16,5 +16,4 @@ mod projects;
 mod retention;
 mod scripting;
 mod signals;
-mod suite;
 mod upgrade;

@@ -48,6 +48,7 @@ fn columns(run: &RunRecord) -> Vec<(String, String)> {
         ("load_after", optional(after.load)),
         ("least_decode_seconds", run.least_decode_seconds().to_string()),
         ("ms_per_view", optional(run.render_seconds.map(|seconds| 1e3 * seconds))),
+        ("high_band_error", optional(run.high_band)),
     ];
     let levels = LEVELS.map(|level| (format!("seconds_to_{level}_db"), optional(run.seconds_to(level))));
     let metrics = metrics_columns(&run.metrics).into_iter().map(|(name, value)| (name.to_owned(), value));
@@ -136,7 +137,7 @@ mod tests {
     use tcgs::domain::ModelKind;
 
     use super::*;
-    use crate::cli::{bench::report::summary::tests::record, suite::external_formats::ExternalFile};
+    use crate::cli::bench::report::{external_formats::ExternalFile, summary::tests::record};
 
     #[test]
     fn every_run_has_as_many_cells_as_the_header() {

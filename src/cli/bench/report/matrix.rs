@@ -6,9 +6,10 @@ use std::{collections::BTreeMap, fmt, fs, path::Path, str::FromStr};
 
 use serde::{Deserialize, Deserializer, de::Error as _};
 use serde_json::Value;
-use tcgs::domain::{Background, ModelKind, Preset, SceneFormat, TrainOptions};
+use tcgs::domain::{Background, ModelKind, Preset, SceneFormat, TrainOptions, Until};
 
-use crate::cli::{CliError, suite::entry::Entry};
+use super::variant::Variant;
+use crate::cli::CliError;
 
 /// Runs that a matrix may declare; more are a mistake in a list.
 const MAX_RUNS: usize = 10_000;
@@ -60,6 +61,8 @@ pub(super) struct Block {
     presets: Vec<Checked<PresetName>>,
     #[serde(default)]
     steps: Vec<Checked<Steps>>,
+    #[serde(default)]
+    until: Vec<Checked<UntilName>>,
     /// For tcgs alone; the preset's weight if empty.
     #[serde(default)]
     lambda: Vec<Checked<Lambda>>,
@@ -134,14 +137,9 @@ macro_rules! checks {
 }
 
 checks! {
-    Model: ModelName = |value| {
-        let entry: Entry = named(value, "a model")?;
-        match entry.lambda {
-            None => Ok(ModelName(entry)),
-            Some(_) => Err(format!("{value}: weights have a list of their own, lambda")),
-        }
-    };
+    Model: Variant = |value| named(value, "a model");
     PresetName: Preset = |value| named(value, "a preset");
+    UntilName: Until = |value| named(value, "an end of runs");
     ExportFormat: SceneFormat = |value| match named(value, "a format")? {
         format @ (SceneFormat::Ply | SceneFormat::Spz | SceneFormat::Spz3) => Ok(format),
         _ => Err(format!("{value} is not a format of plain Gaussians: ply, spz or spz3")),
@@ -158,10 +156,6 @@ checks! {
         }
     };
 }
-
-/// An entry without a weight.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct ModelName(pub(super) Entry);
 
 /// A run that the matrix wants.
 #[derive(Debug, Clone, PartialEq)]
@@ -181,6 +175,9 @@ impl fmt::Display for PlannedRun {
         write!(f, "{} {}", self.set, self.model)?;
         if let Some(lambda) = self.options.lambda {
             write!(f, "@{lambda}")?;
+        }
+        if self.options.until == Until::Converged {
+            f.write_str(" until converged")?;
         }
         write!(f, " seed {}", self.options.seed)
     }
@@ -204,7 +201,7 @@ impl Matrix {
                 return Err(format!("[[runs]] number {}: {field} is empty", number + 1));
             }
             for model in &block.models {
-                for options in block.options(&model.0.0) {
+                for options in block.options(model.0) {
                     options.validated().map_err(|fault| {
                         format!("[[runs]] number {}: {}: {}", number + 1, fault.option, fault.fault)
                     })?;
@@ -261,10 +258,10 @@ impl Block {
                 for schedule in self.schedules() {
                     for adapter in &adapters {
                         for model in &self.models {
-                            for options in self.weighted(&model.0.0, &schedule) {
+                            for options in self.weighted(model.0, &schedule) {
                                 let run = PlannedRun {
                                     set: (*set).clone(),
-                                    model: model.0.0.to_string(),
+                                    model: model.0.to_string(),
                                     options: TrainOptions { seed: *seed, ..options },
                                     adapter: adapter.cloned(),
                                 };
@@ -283,31 +280,36 @@ impl Block {
         let presets = if presets.is_empty() { vec![TrainOptions::default().preset] } else { presets };
         let steps: Vec<Option<u32>> = self.steps.iter().map(|steps| Some(steps.0)).collect();
         let steps = if steps.is_empty() { vec![None] } else { steps };
+        let untils: Vec<Until> = self.until.iter().map(|until| until.0).collect();
+        let untils = if untils.is_empty() { vec![TrainOptions::default().until] } else { untils };
         let background = self.background.unwrap_or(TrainOptions::default().background);
-        let of = |preset| {
-            let steps = steps.iter();
-            steps.map(move |steps| TrainOptions {
-                preset,
-                iterations: *steps,
-                background,
-                ..TrainOptions::default()
-            })
-        };
-        presets.into_iter().flat_map(of).collect()
+        let mut schedules = Vec::new();
+        for preset in presets {
+            for iterations in &steps {
+                schedules.extend(untils.iter().map(|until| TrainOptions {
+                    preset,
+                    iterations: *iterations,
+                    until: *until,
+                    background,
+                    ..TrainOptions::default()
+                }));
+            }
+        }
+        schedules
     }
 
     /// The options of a model with every weight, if it has one.
-    fn weighted(&self, entry: &Entry, schedule: &TrainOptions) -> Vec<TrainOptions> {
-        if entry.model != ModelKind::Tcgs || self.lambda.is_empty() {
-            return vec![entry.options(schedule)];
+    fn weighted(&self, model: Variant, schedule: &TrainOptions) -> Vec<TrainOptions> {
+        let options = model.options(schedule);
+        if model.model != ModelKind::Tcgs || self.lambda.is_empty() {
+            return vec![options];
         }
-        let weighted =
-            |lambda: &Checked<Lambda>| Entry { lambda: Some(lambda.0), ..entry.clone() }.options(schedule);
+        let weighted = |lambda: &Checked<Lambda>| TrainOptions { lambda: Some(lambda.0), ..options.clone() };
         self.lambda.iter().map(weighted).collect()
     }
 
-    fn options(&self, entry: &Entry) -> Vec<TrainOptions> {
-        self.schedules().iter().flat_map(|schedule| self.weighted(entry, schedule)).collect()
+    fn options(&self, model: Variant) -> Vec<TrainOptions> {
+        self.schedules().iter().flat_map(|schedule| self.weighted(model, schedule)).collect()
     }
 }
 
@@ -349,6 +351,16 @@ mod tests {
     }
 
     #[test]
+    fn a_run_is_full_or_ends_when_it_has_converged() {
+        let matrix = "[[runs]]\nmodels = [\"3dgs\", \"tcgs\"]\nuntil = [\"full\", \"converged\"]\n";
+        let plan = Matrix::parse(matrix).expect("a matrix").plan(&["a".to_owned()]).expect("a plan");
+        let names: Vec<String> = plan.iter().map(ToString::to_string).collect();
+        let expected =
+            ["a 3dgs seed 0", "a tcgs seed 0", "a 3dgs until converged seed 0", "a tcgs until converged seed 0"];
+        assert_eq!(names, expected);
+    }
+
+    #[test]
     fn blocks_that_overlap_make_a_run_once() {
         let matrix = Matrix::parse(&format!("{SMALL}\n{SMALL}")).expect("a matrix");
         assert_eq!(matrix.plan(&["a".to_owned()]).expect("a plan").len(), 6);
@@ -370,6 +382,7 @@ mod tests {
             ("[[runs]]\nmodels = [\"tcgs\"]\nsteps = [0]\n", &["line 3", "0 is not a number of steps"]),
             ("[[runs]]\nmodels = [\"tcgs\"]\nlambda = [-1.0]\n", &["line 3", "not a positive weight"]),
             ("[[runs]]\nmodels = [\"tcgs@0.1\"]\n", &["line 2", "lambda"]),
+            ("[[runs]]\nmodels = [\"tcgs\"]\nuntil = [\"soon\"]\n", &["line 3", "full, converged"]),
             ("[[runs]]\nmodel = [\"tcgs\"]\n", &["line 2", "model"]),
             ("[[runs]]\nmodels = [\"tcgs\"]\npresets = [\"fast\"]\n", &["line 3", "fast"]),
             ("[[runs]]\nmodels = []\n", &["number 1", "models is empty"]),

@@ -3,19 +3,27 @@
 //! A record is kept as soon as its run is finished, and a report that is started again makes only what is missing. Tables and charts are
 //! written anew after every run, so they can be read while the report goes on.
 
+mod content;
 mod csv;
+mod equal_seconds;
+mod external_formats;
 mod machine;
+mod markdown;
 mod matrix;
 mod page;
 mod plots;
 mod published;
 mod record;
 mod runner;
+mod section;
+mod sets;
 mod summary;
 mod sweep;
+mod variant;
 
 use std::{
     collections::{BTreeMap, BTreeSet},
+    fs,
     path::{Path, PathBuf},
 };
 
@@ -26,15 +34,15 @@ use tcgs::{
 };
 
 use self::{
+    content::Content,
     matrix::Matrix,
-    page::Page,
     record::RunRecord,
     runner::{FailedRun, Runner, SuiteSet},
     summary::{Curve, Group},
     sweep::SweepRecord,
 };
 use crate::cli::{
-    CliError, Report, adapter::AdapterFlag, files, json_lines::JsonLines, lpips::LpipsFlag, suite::sets,
+    CliError, Report, adapter::AdapterFlag, files, json_lines::JsonLines, lpips::LpipsFlag,
     train::cancel_on_interrupt, wiring,
 };
 
@@ -49,10 +57,14 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE.toml", default_value = "benches/report.toml")]
     matrix: PathBuf,
 
-    /// Folder of the report: report.html, runs.csv, survey-SET.csv, plots as .svg, and runs.jsonl, from which an interrupted report
-    /// continues
+    /// Folder of the report: report.html, report.md, runs.csv, survey-SET.csv, plots as .svg, and runs.jsonl, from which an interrupted
+    /// report continues
     #[arg(short, long, value_name = "DIR", default_value = "out/report")]
     output: PathBuf,
+
+    /// Document to update: the tables replace what is between its lines <!-- report: begin --> and <!-- report: end -->
+    #[arg(long, value_name = "FILE.md")]
+    table: Option<PathBuf>,
 
     /// The runs.jsonl of other reports; runs found there are not made again
     #[arg(long, value_name = "FILE.jsonl", value_delimiter = ',')]
@@ -84,6 +96,10 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let names: Vec<String> = found.iter().map(|(name, _)| name.clone()).collect();
     let plan = matrix.plan(&names)?;
     files::check_writable(&args.output.join("report.html"))?;
+    if let Some(document) = &args.table {
+        // Checked hours before the tables exist.
+        place(document, "")?;
+    }
     let records = JsonLines::open(&args.output.join("runs.jsonl"))?;
     let mut imported = Vec::new();
     for path in &args.import {
@@ -154,7 +170,7 @@ impl Document<'_> {
         let sets: Vec<&str> = sets.into_iter().collect();
         let plots = plots::all(&groups, &sets, self.sweeps);
         let curves = Curve::all(&groups);
-        let page = Page {
+        let content = Content {
             records,
             groups: &groups,
             plots: &plots,
@@ -164,8 +180,14 @@ impl Document<'_> {
             failed: failed.iter().map(|failed| format!("{}: {}", failed.run, failed.problem)).collect(),
             wanted: self.wanted,
         };
+        let (introduction, sections) = (content.introduction(), content.sections());
+        let tables = markdown::text(&introduction, &sections);
         let write = |name: &str, text: String| files::write(&self.args.output.join(name), text.as_bytes());
-        write("report.html", page.html())?;
+        write("report.html", page::html(&introduction, &sections))?;
+        if let Some(document) = &self.args.table {
+            files::write(document, place(document, &tables)?.as_bytes())?;
+        }
+        write("report.md", tables)?;
         write("runs.csv", csv::runs(records))?;
         write("renders.csv", csv::renders(self.sweeps))?;
         for set in sets {
@@ -178,4 +200,12 @@ impl Document<'_> {
         }
         Ok(())
     }
+}
+
+/// The document with the tables in their place.
+fn place(document: &Path, tables: &str) -> Result<String, CliError> {
+    let text = fs::read_to_string(document).map_err(|fault| CliError::unreadable(document, &fault))?;
+    markdown::rewrite(&text, tables).map_err(|fault| {
+        Problem::new(ProblemType::NoPlace, fault).in_file(document.display().to_string()).into()
+    })
 }

@@ -3,8 +3,7 @@
 use serde::{Deserialize, Serialize};
 use tcgs::domain::{Digest, JobMetrics, Phase, Progress, SceneFormat, TrainOptions, series_bucket};
 
-use super::machine::Machine;
-use crate::cli::suite::external_formats::ExternalFile;
+use super::{external_formats::ExternalFile, machine::Machine};
 
 /// A finished run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -35,6 +34,9 @@ pub(super) struct RunRecord {
     /// Seconds of rendering each held-out view, as the first pass over them took.
     #[serde(default)]
     pub(super) render_seconds: Option<f64>,
+    /// Mean absolute difference of the high bands of the Haar transform of held-out views.
+    #[serde(default)]
+    pub(super) high_band: Option<f64>,
     /// Exports of the scene to formats of plain Gaussians.
     #[serde(default)]
     pub(super) exports: Vec<ExportRecord>,

@@ -16,13 +16,12 @@ use tcgs::{
 };
 
 use super::{
+    external_formats,
     machine::Machine,
     matrix::PlannedRun,
     record::{Course, ExportRecord, RunKey, RunRecord},
 };
-use crate::cli::{
-    CliError, json_lines::JsonLines, memory::MemoryFlags, progress::Display, suite::external_formats, wiring,
-};
+use crate::cli::{CliError, json_lines::JsonLines, memory::MemoryFlags, progress::Display, wiring};
 
 /// Times that a file is decoded again, to know its seconds better.
 const DECODES: usize = 3;
@@ -181,6 +180,7 @@ impl Runner {
             series: course.samples(),
             decode_seconds: measured.decode_seconds,
             render_seconds: measured.render_seconds,
+            high_band: measured.high_band,
             exports: measured.exports,
             external_formats: measured.external_formats,
             metrics: output.metrics,
@@ -192,6 +192,7 @@ impl Runner {
 struct Measured {
     decode_seconds: Vec<f64>,
     render_seconds: Option<f64>,
+    high_band: Option<f64>,
     exports: Vec<ExportRecord>,
     external_formats: Vec<external_formats::ExternalFile>,
 }
@@ -220,6 +221,7 @@ impl Measured {
                 wiring::score(&renderer, &dataset, background, None, &mut |_, _, _| Ok(()))?;
             render_seconds = (scores.views > 0).then(|| seconds / scores.views as f64);
         }
+        let high_band = wiring::high_band_error(&renderer, &dataset, background)?;
         let exports = runner
             .export_formats
             .iter()
@@ -229,7 +231,7 @@ impl Measured {
         let script = runner.external_formats.as_deref().filter(|_| is_plain);
         let open = |file| wiring::Renderer::open(file, adapter);
         let external_formats = external_formats::measure(script, output, &dataset, &open)?;
-        Ok(Self { decode_seconds, render_seconds, exports, external_formats })
+        Ok(Self { decode_seconds, render_seconds, high_band, exports, external_formats })
     }
 }
 

@@ -1,7 +1,7 @@
 //! Runs that differ in their seed alone, with the means and 95 % intervals of their figures, and comparisons of such groups.
 
 use tcgs::{
-    domain::ModelKind,
+    domain::{ModelKind, TrainOptions, Until},
     eval::{
         Estimate,
         bjontegaard::{CurveFit, RatePoint, psnr_difference, rate_difference},
@@ -25,7 +25,7 @@ pub(super) struct Group<'a> {
 type Figure = fn(&RunRecord) -> Option<f64>;
 
 impl<'a> Group<'a> {
-    /// The runs by group, both in the order in which they first appear.
+    /// The runs by group: sets, the groups of a set and the runs of a group in the order in which they first appear.
     pub(super) fn all(records: &'a [RunRecord]) -> Vec<Self> {
         let mut groups: Vec<Self> = Vec::new();
         for record in records {
@@ -34,6 +34,8 @@ impl<'a> Group<'a> {
                 None => groups.push(Self { runs: vec![record], has_other_adapters: false }),
             }
         }
+        let place = |group: &Self| records.iter().position(|record| record.set == group.set());
+        groups.sort_by_key(place);
         let first = groups.first().map(|group| &group.first().metrics.adapter);
         if groups.iter().any(|group| Some(&group.first().metrics.adapter) != first) {
             groups.iter_mut().for_each(|group| group.has_other_adapters = true);
@@ -50,11 +52,37 @@ impl<'a> Group<'a> {
         &self.first().set
     }
 
-    /// Model and weight, as `tcgs@0.002`.
+    /// Whether its runs made all steps of their schedule.
+    pub(super) fn is_full(&self) -> bool {
+        self.first().options.until == Until::Full
+    }
+
+    /// Steps of its runs: one number if they are the same.
+    pub(super) fn steps(&self) -> String {
+        let steps = self.first().metrics.steps;
+        if self.runs.iter().all(|run| run.metrics.steps == steps) {
+            return steps.to_string();
+        }
+        let mean = self.estimate(|run| Some(run.metrics.steps as f64));
+        mean.map_or_else(|| steps.to_string(), |mean| mean.text(0))
+    }
+
+    /// Whether its runs are those of the other but for where they end.
+    pub(super) fn ends_elsewhere_than(&self, other: &Group<'_>) -> bool {
+        let [a, b] = [self.first(), other.first()];
+        let options = TrainOptions { seed: b.options.seed, until: b.options.until, ..a.options.clone() };
+        self.is_comparable(other)
+            && a.model == b.model
+            && a.options.until != b.options.until
+            && options == b.options
+    }
+
+    /// Model and weight, as `tcgs@0.002`, and whether it ended when it had converged.
     pub(super) fn name(&self) -> String {
         let first = self.first();
         let weight = first.options.lambda.map_or_else(String::new, |lambda| format!("@{lambda}"));
-        format!("{}{weight}{}", first.model, self.on_adapter())
+        let until = if self.is_full() { "" } else { " until converged" };
+        format!("{}{weight}{until}{}", first.model, self.on_adapter())
     }
 
     /// The model, as `tcgs`.
@@ -94,20 +122,23 @@ impl<'a> Group<'a> {
     /// Whether it has the steps and the preset of the other.
     pub(super) fn has_schedule_of(&self, other: &Group<'_>) -> bool {
         let [a, b] = [self.first(), other.first()];
-        a.options.preset == b.options.preset && a.metrics.steps == b.metrics.steps
+        a.options.preset == b.options.preset
+            && a.options.until == b.options.until
+            && a.metrics.steps == b.metrics.steps
     }
 }
 
 fn is_same_but_seed(a: &RunRecord, b: &RunRecord) -> bool {
-    let options = tcgs::domain::TrainOptions { seed: b.options.seed, ..a.options.clone() };
+    let options = TrainOptions { seed: b.options.seed, ..a.options.clone() };
     a.set == b.set && a.model == b.model && a.metrics.adapter == b.metrics.adapter && options == b.options
 }
 
 /// The figures of the table of runs: name, decimals, value.
-pub(super) const FIGURES: [(&str, usize, Figure); 11] = [
+pub(super) const FIGURES: [(&str, usize, Figure); 12] = [
     ("PSNR dB", 2, |run| run.metrics.test.psnr),
     ("SSIM", 4, |run| run.metrics.test.ssim),
     ("LPIPS", 4, |run| run.metrics.test.lpips),
+    ("high-band error", 5, |run| run.high_band),
     ("bytes", 0, |run| Some(run.metrics.bytes.total as f64)),
     ("Gaussians", 0, |run| Some(run.metrics.gaussians as f64)),
     ("anchors", 0, |run| (run.metrics.anchors > 0).then_some(run.metrics.anchors as f64)),
@@ -144,10 +175,11 @@ impl Curve {
     /// its schedules; the formats that a scene of plain Gaussians was converted to make one more.
     pub(super) fn all(groups: &[Group<'_>]) -> Vec<Self> {
         let mut curves: Vec<Self> = Vec::new();
-        for group in groups {
+        for group in groups.iter().filter(|group| group.is_full()) {
             let (run, model) = (group.first(), group.model());
             let is_weighted = groups.iter().any(|other| {
                 other.is_comparable(group)
+                    && other.is_full()
                     && other.first().model == run.model
                     && other.has_schedule_of(group)
                     && other.first().options.lambda != run.options.lambda
@@ -231,7 +263,7 @@ impl Curve {
 
 #[cfg(test)]
 pub(super) mod tests {
-    use tcgs::domain::{Digest, TrainOptions};
+    use tcgs::domain::Digest;
 
     use super::*;
     use crate::cli::bench::report::machine::Machine;
@@ -266,9 +298,20 @@ pub(super) mod tests {
             series: Vec::new(),
             decode_seconds: vec![0.04],
             render_seconds: Some(0.01),
+            high_band: None,
             exports: Vec::new(),
             external_formats: Vec::new(),
         }
+    }
+
+    #[test]
+    fn groups_of_a_set_stand_together() {
+        let of = |set: &str, model| RunRecord { set: set.to_owned(), ..record(model, None, 0, 30.0, 1) };
+        let (plain, anchors) = (ModelKind::Gaussians3d, ModelKind::Scaffold);
+        let records = [of("fox", plain), of("chair", plain), of("fox", anchors), of("chair", anchors)];
+        let groups = Group::all(&records);
+        let names: Vec<String> = groups.iter().map(|it| format!("{} {}", it.set(), it.name())).collect();
+        assert_eq!(names, ["fox 3dgs", "fox scaffold", "chair 3dgs", "chair scaffold"]);
     }
 
     #[test]

@@ -20,20 +20,20 @@ use crate::cli::{CliError, files, wiring};
 
 /// A file in another program's format, and its quality.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct ExternalFile {
+pub(super) struct ExternalFile {
     /// Name of the format.
-    pub(crate) format: String,
+    pub(super) format: String,
     /// Bytes of the file.
-    pub(crate) bytes: u64,
+    pub(super) bytes: u64,
     /// Held-out PSNR of what it decodes to, in dB.
-    pub(crate) psnr: Option<f64>,
+    pub(super) psnr: Option<f64>,
     /// Held-out SSIM.
-    pub(crate) ssim: Option<f64>,
+    pub(super) ssim: Option<f64>,
 }
 
 /// The scene of a run in the formats that `script` makes, measured on the held-out views; none without a script. `open` prepares the
 /// renderer of a file.
-pub(crate) fn measure(
+pub(super) fn measure(
     script: Option<&Path>,
     output: &JobOutput,
     dataset: &Dataset,
@@ -54,15 +54,15 @@ pub(crate) fn measure(
 
 /// A converted file, before it is measured.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Converted {
-    pub(crate) format: String,
-    pub(crate) bytes: u64,
+pub(super) struct Converted {
+    pub(super) format: String,
+    pub(super) bytes: u64,
     /// The `.ply` that it decodes to.
-    pub(crate) decoded: PathBuf,
+    pub(super) decoded: PathBuf,
 }
 
 /// Runs `script` on the bytes of a `.ply`; files lie in `folder`.
-pub(crate) fn convert(script: &Path, ply: &[u8], folder: &Path) -> Result<Vec<Converted>, CliError> {
+pub(super) fn convert(script: &Path, ply: &[u8], folder: &Path) -> Result<Vec<Converted>, CliError> {
     let (input, out) = (folder.join("input.ply"), folder.join("converted"));
     fs::write(&input, ply).map_err(|fault| CliError::unwritable(&input, &fault))?;
     fs::create_dir_all(&out).map_err(|fault| CliError::unwritable(&out, &fault))?;

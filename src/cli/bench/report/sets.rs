@@ -12,7 +12,7 @@ use crate::cli::{CliError, wiring};
 
 /// The datasets of the folder by name, only those of `named` if there are any. Anything else is skipped with a note; it is wrong usage
 /// to name a set in `asked` that is not there.
-pub(in crate::cli) fn find(
+pub(super) fn find(
     folder: &Path,
     named: &[&str],
     asked: &[&str],
