@@ -149,16 +149,15 @@ impl Accounts for SqlStore {
 
     fn owned_archive(&self, project: ProjectId, content: Digest) -> StoreFuture<'_, Option<BlobRef>> {
         Box::pin(async move {
-            let row = query(
+            query(
                 "SELECT bytes FROM blobs WHERE digest = ?1
                      AND (EXISTS (SELECT 1 FROM scenes WHERE dataset = ?1 AND project = ?2)
                           OR EXISTS (SELECT 1 FROM jobs WHERE dataset = ?1 AND project = ?2))",
             )
             .bind(content.to_string())
             .bind(project.to_string())
-            .fetch_optional(&self.readers)
-            .await?;
-            row.map(|row| Ok(BlobRef { digest: content, bytes: whole(&row, "bytes")? })).transpose()
+            .optional(&self.readers, |row| Ok(BlobRef { digest: content, bytes: whole(row, "bytes")? }))
+            .await
         })
     }
 

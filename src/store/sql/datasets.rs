@@ -31,13 +31,12 @@ fn dataset(row: &Row) -> Result<DatasetRecord, StoreError> {
 }
 
 async fn select(connection: &mut Transaction, id: DatasetId) -> Result<Option<DatasetRecord>, StoreError> {
-    let row = query(
+    query(
         "SELECT scenes.*, blobs.bytes FROM scenes JOIN blobs ON blobs.digest = scenes.dataset WHERE scenes.id = ?",
     )
     .bind(id.to_string())
-    .fetch_optional(connection)
-    .await?;
-    row.as_ref().map(dataset).transpose()
+    .optional(connection, dataset)
+    .await
 }
 
 async fn select_by_archive(
@@ -45,15 +44,14 @@ async fn select_by_archive(
     project: ProjectId,
     archive: Digest,
 ) -> Result<Option<DatasetRecord>, StoreError> {
-    let row = query(
+    query(
         "SELECT scenes.*, blobs.bytes FROM scenes JOIN blobs ON blobs.digest = scenes.dataset
          WHERE scenes.dataset = ?1 AND scenes.project = ?2",
     )
     .bind(archive.to_string())
     .bind(project.to_string())
-    .fetch_optional(connection)
-    .await?;
-    row.as_ref().map(dataset).transpose()
+    .optional(connection, dataset)
+    .await
 }
 
 impl Datasets for SqlStore {
@@ -126,10 +124,7 @@ impl Datasets for SqlStore {
         before: Option<DatasetPageKey>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<DatasetRecord>> {
-        Box::pin(async move {
-            let rows = lists::datasets(project, before, limit).fetch_all(&self.readers).await?;
-            rows.iter().map(dataset).collect()
-        })
+        Box::pin(lists::datasets(project, before, limit).all(&self.readers, dataset))
     }
 
     fn delete_dataset(

@@ -12,14 +12,13 @@ use crate::{
 };
 
 async fn of_job(connection: &mut Transaction, job: JobId) -> Result<Vec<ExportRecord>, StoreError> {
-    let rows = query(
+    query(
         "SELECT exports.*, blobs.bytes FROM exports JOIN blobs ON blobs.digest = exports.digest WHERE job_id = ?
          ORDER BY created_at, source, format",
     )
     .bind(job.to_string())
-    .fetch_all(connection)
-    .await?;
-    rows.iter().map(rows::export).collect()
+    .all(connection, rows::export)
+    .await
 }
 
 /// The job's project, if there is such a job.
@@ -72,26 +71,21 @@ impl Exports for SqlStore {
     }
 
     fn file(&self, digest: Digest, project: Option<ProjectId>) -> StoreFuture<'_, Option<FileRecord>> {
-        Box::pin(async move {
-            let row = query(
-                "SELECT files.*, blobs.bytes FROM (
-                     SELECT job_id, kind, lambda, digest FROM artifacts WHERE digest = ?1
-                     UNION ALL
-                     SELECT job_id, format AS kind,
-                         (SELECT lambda FROM artifacts
-                          WHERE artifacts.job_id = exports.job_id AND artifacts.digest = source) AS lambda, digest
-                     FROM exports WHERE digest = ?1
-                 ) AS files
-                 JOIN blobs ON blobs.digest = files.digest
-                 JOIN jobs ON jobs.id = files.job_id
-                 WHERE ?2 IS NULL OR jobs.project = ?2
-                 ORDER BY jobs.created_at DESC, jobs.id DESC LIMIT 1",
-            )
-            .bind(digest.to_string())
-            .bind(project.map(|project| project.to_string()))
-            .fetch_optional(&self.readers)
-            .await?;
-            row.as_ref().map(rows::file).transpose()
-        })
+        let file = query(
+            "SELECT files.*, blobs.bytes FROM (
+                 SELECT job_id, kind, lambda, digest FROM artifacts WHERE digest = ?1
+                 UNION ALL
+                 SELECT job_id, format AS kind,
+                     (SELECT lambda FROM artifacts
+                      WHERE artifacts.job_id = exports.job_id AND artifacts.digest = source) AS lambda, digest
+                 FROM exports WHERE digest = ?1
+             ) AS files
+             JOIN blobs ON blobs.digest = files.digest
+             JOIN jobs ON jobs.id = files.job_id
+             WHERE ?2 IS NULL OR jobs.project = ?2
+             ORDER BY jobs.created_at DESC, jobs.id DESC LIMIT 1",
+        );
+        let file = file.bind(digest.to_string()).bind(project.map(|project| project.to_string()));
+        Box::pin(file.optional(&self.readers, rows::file))
     }
 }

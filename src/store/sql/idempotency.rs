@@ -71,12 +71,11 @@ async fn select(
     project: ProjectId,
     key: &str,
 ) -> Result<Option<PriorRequest>, StoreError> {
-    let row = query("SELECT * FROM idempotency WHERE project = ? AND key = ?")
+    query("SELECT * FROM idempotency WHERE project = ? AND key = ?")
         .bind(project.to_string())
         .bind(key)
-        .fetch_optional(connection)
-        .await?;
-    row.as_ref().map(rows::prior_request).transpose()
+        .optional(connection, rows::prior_request)
+        .await
 }
 
 impl Idempotency for SqlStore {
@@ -87,13 +86,12 @@ impl Idempotency for SqlStore {
     ) -> StoreFuture<'a, Option<PriorRequest>> {
         Box::pin(async move {
             let now = self.now(&self.readers).await?;
-            let row = query("SELECT * FROM idempotency WHERE project = ? AND key = ? AND created_at > ?")
+            query("SELECT * FROM idempotency WHERE project = ? AND key = ? AND created_at > ?")
                 .bind(project.to_string())
                 .bind(key)
                 .bind(micros(before(now, self.policy.idempotency_ttl)))
-                .fetch_optional(&self.readers)
-                .await?;
-            row.as_ref().map(rows::prior_request).transpose()
+                .optional(&self.readers, rows::prior_request)
+                .await
         })
     }
 }

@@ -53,13 +53,8 @@ impl Keys for SqlStore {
     }
 
     fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
-        Box::pin(async move {
-            let row = query("SELECT * FROM keys WHERE id = ?")
-                .bind(id.to_string())
-                .fetch_optional(&self.readers)
-                .await?;
-            row.as_ref().map(key).transpose()
-        })
+        let found = query("SELECT * FROM keys WHERE id = ?").bind(id.to_string());
+        Box::pin(found.optional(&self.readers, key))
     }
 
     fn keys(
@@ -69,15 +64,12 @@ impl Keys for SqlStore {
         before: Option<KeyId>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<KeyRecord>> {
-        Box::pin(async move {
-            let rows = lists::keys(project, with_revoked, before, limit).fetch_all(&self.readers).await?;
-            rows.iter().map(key).collect()
-        })
+        Box::pin(lists::keys(project, with_revoked, before, limit).all(&self.readers, key))
     }
 
     fn update_key(&self, id: KeyId, change: KeyChange) -> StoreFuture<'_, Option<KeyRecord>> {
         Box::pin(self.write(async move |tx, _| {
-            let row = query(
+            query(
                 "UPDATE keys SET name = ?, requests_per_minute = ?, expires_at = ?
                  WHERE id = ? AND revoked_at IS NULL RETURNING *",
             )
@@ -85,20 +77,18 @@ impl Keys for SqlStore {
             .bind(change.requests_per_minute.map(NonZeroU32::get))
             .bind(change.expires_at.map(micros))
             .bind(id.to_string())
-            .fetch_optional(tx)
-            .await?;
-            row.as_ref().map(key).transpose()
+            .optional(tx, key)
+            .await
         }))
     }
 
     fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
         Box::pin(self.write(async move |tx, now| {
-            let row = query("UPDATE keys SET revoked_at = COALESCE(revoked_at, ?) WHERE id = ? RETURNING *")
+            query("UPDATE keys SET revoked_at = COALESCE(revoked_at, ?) WHERE id = ? RETURNING *")
                 .bind(micros(now))
                 .bind(id.to_string())
-                .fetch_optional(tx)
-                .await?;
-            row.as_ref().map(key).transpose()
+                .optional(tx, key)
+                .await
         }))
     }
 

@@ -236,15 +236,14 @@ async fn job_record(connection: &mut Transaction, row: &Row) -> Result<JobRecord
 }
 
 async fn select_artifacts(connection: &mut Transaction, id: JobId) -> Result<Vec<Artifact>, StoreError> {
-    let rows = query(
+    query(
         "SELECT artifacts.kind, artifacts.lambda, artifacts.digest, blobs.bytes
          FROM artifacts JOIN blobs ON blobs.digest = artifacts.digest WHERE job_id = ?
          ORDER BY kind, place",
     )
     .bind(id.to_string())
-    .fetch_all(connection)
-    .await?;
-    rows.iter().map(rows::artifact).collect()
+    .all(connection, rows::artifact)
+    .await
 }
 
 /// Whether the query finds a row for `id`.
@@ -294,13 +293,13 @@ impl Store for SqlStore {
             if !job_exists(tx, id).await? {
                 return Ok(None);
             }
-            let rows = query("SELECT * FROM events WHERE job_id = ? AND seq > ? ORDER BY seq LIMIT ?")
+            query("SELECT * FROM events WHERE job_id = ? AND seq > ? ORDER BY seq LIMIT ?")
                 .bind(id.to_string())
                 .bind(rows::signed(after))
                 .bind(limit)
-                .fetch_all(tx)
-                .await?;
-            rows.iter().map(rows::event).collect::<Result<_, _>>().map(Some)
+                .all(tx, rows::event)
+                .await
+                .map(Some)
         }))
     }
 
@@ -308,19 +307,13 @@ impl Store for SqlStore {
         Box::pin(async move {
             let mut newest = query("SELECT id, last_seq FROM jobs WHERE id IN ");
             newest.push(MEMBERS);
-            let rows = newest.bind(text(&jobs)?).fetch_all(&self.readers).await?;
-            rows.iter().map(rows::newest_event).collect()
+            newest.bind(text(&jobs)?).all(&self.readers, rows::newest_event).await
         })
     }
 
     fn attempts(&self, id: JobId) -> StoreFuture<'_, Vec<AttemptRecord>> {
-        Box::pin(async move {
-            let rows = query("SELECT * FROM attempts WHERE job_id = ? ORDER BY number")
-                .bind(id.to_string())
-                .fetch_all(&self.readers)
-                .await?;
-            rows.iter().map(rows::attempt).collect()
-        })
+        let attempts = query("SELECT * FROM attempts WHERE job_id = ? ORDER BY number");
+        Box::pin(attempts.bind(id.to_string()).all(&self.readers, rows::attempt))
     }
 
     fn cancel(&self, id: JobId) -> StoreFuture<'_, Option<Cancellation>> {
@@ -370,12 +363,11 @@ impl Store for SqlStore {
             resumable.push(MEMBERS).push(
                 " AND (state IN ('queued', 'running') OR (state IN ('failed', 'cancelled') AND finished_at > ?)) ORDER BY id",
             );
-            let rows = resumable
+            resumable
                 .bind(text(&jobs)?)
                 .bind(micros(rows::before(now, self.policy.checkpoint_ttl)))
-                .fetch_all(&self.readers)
-                .await?;
-            rows.iter().map(rows::job_id).collect()
+                .all(&self.readers, rows::job_id)
+                .await
         })
     }
 

@@ -43,9 +43,7 @@ pub(super) async fn insert(
 }
 
 async fn select(connection: &mut Transaction, id: ProjectId) -> Result<Option<ProjectRecord>, StoreError> {
-    let row =
-        query("SELECT * FROM projects WHERE id = ?").bind(id.to_string()).fetch_optional(connection).await?;
-    row.as_ref().map(project).transpose()
+    query("SELECT * FROM projects WHERE id = ?").bind(id.to_string()).optional(connection, project).await
 }
 
 /// A row of `projects`.
@@ -106,14 +104,8 @@ impl Projects for SqlStore {
     }
 
     fn projects(&self, before: Option<ProjectId>, limit: u32) -> StoreFuture<'_, Vec<ProjectRecord>> {
-        Box::pin(async move {
-            let rows = query("SELECT * FROM projects WHERE id < COALESCE(?, 'g') ORDER BY id DESC LIMIT ?")
-                .bind(before.map(|id| id.to_string()))
-                .bind(limit)
-                .fetch_all(&self.readers)
-                .await?;
-            rows.iter().map(project).collect()
-        })
+        let list = query("SELECT * FROM projects WHERE id < COALESCE(?, 'g') ORDER BY id DESC LIMIT ?");
+        Box::pin(list.bind(before.map(|id| id.to_string())).bind(limit).all(&self.readers, project))
     }
 
     fn update_project(
@@ -153,8 +145,8 @@ impl Projects for SqlStore {
     ) -> StoreFuture<'_, Vec<ProjectUsage>> {
         Box::pin(async move {
             let now = self.now(&self.readers).await?;
-            let rows = lists::usage(project, before, limit, now).fetch_all(&self.readers).await?;
-            rows.iter().map(|row| usage(row, self.policy.limits)).collect()
+            let list = lists::usage(project, before, limit, now);
+            list.all(&self.readers, |row| usage(row, self.policy.limits)).await
         })
     }
 }

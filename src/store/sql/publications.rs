@@ -55,16 +55,15 @@ impl Publications for SqlStore {
 
     fn confirm(&self, announced: Announcement) -> StoreFuture<'_, Option<Timestamp>> {
         Box::pin(self.write(async move |tx, now| {
-            let row = query(
+            query(
                 "UPDATE publications
                  SET published_at = CASE WHEN published_at < ?2 THEN ?2 ELSE published_at + 1 END
                  WHERE id = ?1 AND removing_since IS NULL RETURNING published_at",
             )
             .bind(announced.row)
             .bind(micros(now))
-            .fetch_optional(tx)
-            .await?;
-            row.map(|row| instant("published_at", row.try_get("published_at")?)).transpose()
+            .optional(tx, |row| instant("published_at", row.try_get("published_at")?))
+            .await
         }))
     }
 
@@ -76,16 +75,15 @@ impl Publications for SqlStore {
     ) -> StoreFuture<'_, Vec<Digest>> {
         Box::pin(self.read(async move |tx| {
             let now = self.now(&mut *tx).await?;
-            let rows = query(
+            query(
                 "SELECT digest FROM publications
                  WHERE digest > ? AND published_at < ? AND removing_since IS NULL ORDER BY digest LIMIT ?",
             )
             .bind(after.map(|digest| digest.to_string()).unwrap_or_default())
             .bind(earlier(now, age))
             .bind(limit)
-            .fetch_all(tx)
-            .await?;
-            rows.iter().map(|row| parsed("digest", row.try_get("digest")?)).collect()
+            .all(tx, |row| parsed("digest", row.try_get("digest")?))
+            .await
         }))
     }
 
@@ -95,7 +93,7 @@ impl Publications for SqlStore {
                 Removable::OlderThan(age) => (i64::MIN, earlier(now, age).saturating_sub(1)),
                 Removable::PublishedAt(at) => (micros(at), micros(at)),
             };
-            let row = query(
+            query(
                 "UPDATE publications SET removing_since = ?2
                  WHERE digest = ?1 AND removing_since IS NULL AND published_at BETWEEN ?3 AND ?4
                  RETURNING id, digest, bytes",
@@ -104,23 +102,21 @@ impl Publications for SqlStore {
             .bind(micros(now))
             .bind(first)
             .bind(last)
-            .fetch_optional(tx)
-            .await?;
-            row.as_ref().map(removal).transpose()
+            .optional(tx, removal)
+            .await
         }))
     }
 
     fn abandoned_removals(&self) -> StoreFuture<'_, Vec<Removal>> {
         Box::pin(self.write(async move |tx, now| {
-            let rows = query(
+            query(
                 "UPDATE publications SET removing_since = ?1 WHERE removing_since < ?2
                  RETURNING id, digest, bytes",
             )
             .bind(micros(now))
             .bind(earlier(now, REMOVER_IS_DEAD))
-            .fetch_all(tx)
-            .await?;
-            rows.iter().map(removal).collect()
+            .all(tx, removal)
+            .await
         }))
     }
 

@@ -21,8 +21,7 @@ use serde_json::{Value, json};
 
 /// The leases of all running jobs.
 pub(super) async fn leases(pool: &Pool) -> Result<Vec<LeaseRow>, StoreError> {
-    let rows = query("SELECT id, attempt, lease_until FROM jobs WHERE state = 'running'");
-    rows.fetch_all(pool).await?.iter().map(rows::lease).collect()
+    query("SELECT id, attempt, lease_until FROM jobs WHERE state = 'running'").all(pool, rows::lease).await
 }
 
 /// Ends the attempts whose leases have expired, unless they were renewed meanwhile, and counts them.
@@ -169,8 +168,7 @@ pub(super) async fn next(
     if competition == Competition::Skip {
         next.push(Sql { sqlite: "", postgres: " FOR UPDATE OF totals SKIP LOCKED" });
     }
-    let row = next.bind(micros(now)).bind(policy.limits.max_running_jobs).fetch_optional(on).await?;
-    row.map(|row| Ok((rows::job_id(&row)?, rows::parsed("project", row.try_get("project")?)?))).transpose()
+    next.bind(micros(now)).bind(policy.limits.max_running_jobs).optional(on, rows::job_and_project).await
 }
 
 /// What a transaction found to claim.

@@ -5,7 +5,7 @@ use std::{io, str::FromStr, time::Duration};
 use super::db::Row;
 use crate::{
     domain::{
-        Digest, EndpointId, Event, EventKind, ExportFidelity, Job, JobId, JobState, SeriesPoint,
+        Digest, EndpointId, Event, EventKind, ExportFidelity, Job, JobId, JobState, ProjectId, SeriesPoint,
         WebhookEvent, WebhookSecret,
     },
     store::{
@@ -126,6 +126,10 @@ pub(super) fn blob(row: &Row, digest: &'static str) -> Result<BlobRef, StoreErro
 
 pub(super) fn job_id(row: &Row) -> Result<JobId, StoreError> {
     parsed("id", row.try_get("id")?)
+}
+
+pub(super) fn job_and_project(row: &Row) -> Result<(JobId, ProjectId), StoreError> {
+    Ok((job_id(row)?, parsed("project", row.try_get("project")?)?))
 }
 
 pub(super) fn newest_event(row: &Row) -> Result<(JobId, u64), StoreError> {

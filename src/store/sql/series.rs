@@ -33,11 +33,8 @@ impl Series for SqlStore {
             if !job_exists(tx, job).await? {
                 return Ok(None);
             }
-            let rows = query("SELECT * FROM series WHERE job_id = ? ORDER BY step")
-                .bind(job.to_string())
-                .fetch_all(tx)
-                .await?;
-            rows.iter().map(rows::point).collect::<Result<_, _>>().map(Some)
+            let points = query("SELECT * FROM series WHERE job_id = ? ORDER BY step").bind(job.to_string());
+            points.all(tx, rows::point).await.map(Some)
         }))
     }
 }

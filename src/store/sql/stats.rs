@@ -53,16 +53,14 @@ pub(super) const STATEMENTS: [Sql; 4] =
 impl Overview for SqlStore {
     fn stats(&self) -> StoreFuture<'_, StoreStats> {
         Box::pin(self.read(async move |tx| {
-            let totals = query(TOTALS).fetch_all(&mut *tx).await?;
-            let totals: Vec<Total> = totals.iter().map(Total::read).collect::<Result<_, _>>()?;
+            let totals = query(TOTALS).all(&mut *tx, Total::read).await?;
             let total = |name: &str, label: &str| {
                 totals
                     .iter()
                     .find(|total| (&*total.name, &*total.label) == (name, label))
                     .map_or(0, |total| total.value)
             };
-            let counters = query(COUNTERS).fetch_all(&mut *tx).await?;
-            let counters: Vec<Counter> = counters.iter().map(Counter::read).collect::<Result<_, _>>()?;
+            let counters = query(COUNTERS).all(&mut *tx, Counter::read).await?;
             let oldest = query(OLDEST_QUEUED).fetch_one(&mut *tx).await?;
             let counted = |name| counters.iter().filter(move |counter| counter.name == name);
             Ok(StoreStats {

@@ -30,12 +30,11 @@ impl SqlStore {
         after: Option<Digest>,
         limit: u32,
     ) -> Result<Vec<BlobRef>, StoreError> {
-        let rows = query("SELECT digest, bytes FROM blobs WHERE digest > ? ORDER BY digest LIMIT ?")
+        query("SELECT digest, bytes FROM blobs WHERE digest > ? ORDER BY digest LIMIT ?")
             .bind(after.map(|digest| digest.to_string()).unwrap_or_default())
             .bind(limit)
-            .fetch_all(&self.readers)
-            .await?;
-        rows.iter().map(|row| rows::blob(row, "digest")).collect()
+            .all(&self.readers, |row| rows::blob(row, "digest"))
+            .await
     }
 
     /// Those of the blobs that nothing refers to, whether the database has them or not.

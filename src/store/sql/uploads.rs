@@ -34,15 +34,18 @@ fn upload_id(row: &Row) -> Result<UploadId, StoreError> {
     parsed("id", row.try_get("id")?)
 }
 
+/// The start and the name of a row of `upload_parts`.
+fn part(row: &Row) -> Result<(u64, String), StoreError> {
+    Ok((whole(row, "start")?, row.try_get("name")?))
+}
+
 /// A count of bytes as columns hold it.
 fn column(what: &'static str, bytes: u64) -> Result<i64, StoreError> {
     i64::try_from(bytes).map_err(|_| StoreError::Corrupt { what, fault: bytes.to_string() })
 }
 
 async fn select(connection: &mut Transaction, id: UploadId) -> Result<Option<UploadRecord>, StoreError> {
-    let row =
-        query("SELECT * FROM uploads WHERE id = ?").bind(id.to_string()).fetch_optional(connection).await?;
-    row.as_ref().map(upload).transpose()
+    query("SELECT * FROM uploads WHERE id = ?").bind(id.to_string()).optional(connection, upload).await
 }
 
 impl Uploads for SqlStore {
@@ -111,25 +114,19 @@ impl Uploads for SqlStore {
             self.write(async move |tx, now| {
                 let selected = "SELECT project FROM uploads WHERE ended_at IS NULL AND expires_at <= ";
                 locks::projects_by_time(tx, selected, micros(now)).await?;
-                let rows = query(
-                "UPDATE uploads SET ended_at = ?1 WHERE ended_at IS NULL AND expires_at <= ?1 RETURNING id",
-            )
-            .bind(micros(now))
-            .fetch_all(&mut *tx)
-            .await?;
+                let ended = query(
+                    "UPDATE uploads SET ended_at = ?1 WHERE ended_at IS NULL AND expires_at <= ?1 RETURNING id",
+                );
+                let ended = ended.bind(micros(now)).all(&mut *tx, upload_id).await?;
                 query("DELETE FROM uploads WHERE ended_at < ?").bind(micros(forget)).execute(tx).await?;
-                rows.iter().map(upload_id).collect()
+                Ok(ended)
             })
             .await
         })
     }
 
     fn open_uploads(&self) -> StoreFuture<'_, Vec<UploadId>> {
-        Box::pin(async move {
-            let rows =
-                query("SELECT id FROM uploads WHERE ended_at IS NULL").fetch_all(&self.readers).await?;
-            rows.iter().map(upload_id).collect()
-        })
+        Box::pin(query("SELECT id FROM uploads WHERE ended_at IS NULL").all(&self.readers, upload_id))
     }
 }
 
@@ -141,16 +138,15 @@ fn lock_end(now: Timestamp) -> i64 {
 impl UploadParts for SqlStore {
     fn lock_upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadWriter>> {
         Box::pin(self.write(async move |tx, now| {
-            let row = query(
+            query(
                 "UPDATE uploads SET writer = writer + 1, writer_until = ?2
                  WHERE id = ?1 AND (writer_until IS NULL OR writer_until < ?3) RETURNING writer",
             )
             .bind(id.to_string())
             .bind(lock_end(now))
             .bind(micros(now))
-            .fetch_optional(tx)
-            .await?;
-            row.map(|row| Ok(UploadWriter { id, number: row.try_get("writer")? })).transpose()
+            .optional(tx, |row| Ok(UploadWriter { id, number: row.try_get("writer")? }))
+            .await
         }))
     }
 
@@ -219,12 +215,7 @@ impl UploadParts for SqlStore {
     }
 
     fn upload_parts(&self, id: UploadId) -> StoreFuture<'_, Vec<(u64, String)>> {
-        Box::pin(async move {
-            let rows = query("SELECT start, name FROM upload_parts WHERE upload = ? ORDER BY start")
-                .bind(id.to_string())
-                .fetch_all(&self.readers)
-                .await?;
-            rows.iter().map(|row| Ok((whole(row, "start")?, row.try_get("name")?))).collect()
-        })
+        let parts = query("SELECT start, name FROM upload_parts WHERE upload = ? ORDER BY start");
+        Box::pin(parts.bind(id.to_string()).all(&self.readers, part))
     }
 }

@@ -50,12 +50,10 @@ impl Viewers for SqlStore {
     fn live_viewers(&self) -> StoreFuture<'_, Vec<ViewerRecord>> {
         Box::pin(self.read(async move |tx| {
             let now = self.now(&mut *tx).await?;
-            let rows =
-                query("SELECT url, version, identity, token FROM viewers WHERE seen_at >= ? ORDER BY url")
-                    .bind(micros(before(now, VIEWER_LIFE)))
-                    .fetch_all(tx)
-                    .await?;
-            rows.iter().map(viewer).collect()
+            query("SELECT url, version, identity, token FROM viewers WHERE seen_at >= ? ORDER BY url")
+                .bind(micros(before(now, VIEWER_LIFE)))
+                .all(tx, viewer)
+                .await
         }))
     }
 

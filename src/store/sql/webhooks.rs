@@ -144,13 +144,8 @@ impl Webhooks for SqlStore {
     }
 
     fn endpoint(&self, id: EndpointId) -> StoreFuture<'_, Option<EndpointRecord>> {
-        Box::pin(async move {
-            let row = query("SELECT * FROM webhook_endpoints WHERE id = ?")
-                .bind(id.to_string())
-                .fetch_optional(&self.readers)
-                .await?;
-            row.as_ref().map(rows::endpoint).transpose()
-        })
+        let found = query("SELECT * FROM webhook_endpoints WHERE id = ?").bind(id.to_string());
+        Box::pin(found.optional(&self.readers, rows::endpoint))
     }
 
     fn endpoints(
@@ -159,10 +154,7 @@ impl Webhooks for SqlStore {
         before: Option<EndpointId>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<EndpointRecord>> {
-        Box::pin(async move {
-            let rows = lists::endpoints(project, before, limit).fetch_all(&self.readers).await?;
-            rows.iter().map(rows::endpoint).collect()
-        })
+        Box::pin(lists::endpoints(project, before, limit).all(&self.readers, rows::endpoint))
     }
 
     fn delete_endpoint(&self, id: EndpointId) -> StoreFuture<'_, bool> {
@@ -179,17 +171,12 @@ impl Webhooks for SqlStore {
         before: Option<u64>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<DeliveryRecord>> {
-        Box::pin(async move {
-            let rows = query(
-                "SELECT * FROM webhook_deliveries WHERE endpoint = ? AND seq < ? ORDER BY seq DESC LIMIT ?",
-            )
-            .bind(endpoint.to_string())
-            .bind(before.map_or(i64::MAX, rows::signed))
-            .bind(limit)
-            .fetch_all(&self.readers)
-            .await?;
-            rows.iter().map(rows::delivery).collect()
-        })
+        let list =
+            query("SELECT * FROM webhook_deliveries WHERE endpoint = ? AND seq < ? ORDER BY seq DESC LIMIT ?")
+                .bind(endpoint.to_string())
+                .bind(before.map_or(i64::MAX, rows::signed))
+                .bind(limit);
+        Box::pin(list.all(&self.readers, rows::delivery))
     }
 
     fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> StoreFuture<'_, Option<Replay>> {
@@ -231,7 +218,7 @@ impl Webhooks for SqlStore {
             self.write(async move |tx, now| {
                 let free = query(FREE_ENDPOINT).bind(micros(now)).fetch_optional(&mut *tx).await?;
                 let Some(free) = free else { return Ok(None) };
-                let row = query(
+                query(
                     "UPDATE webhook_deliveries
                      SET attempts = attempts + 1, tries = tries + 1, lease_until = ?2, attempted_at = ?1,
                          answer_status = NULL, answer_fault = NULL
@@ -248,9 +235,8 @@ impl Webhooks for SqlStore {
                 .bind(micros(now))
                 .bind(micros(after(now, lease)))
                 .bind(free.try_get::<String>("endpoint")?)
-                .fetch_optional(tx)
-                .await?;
-                row.map(|row| rows::due_delivery(&row, now)).transpose()
+                .optional(tx, |row| rows::due_delivery(row, now))
+                .await
             })
             .await
         })

@@ -6,6 +6,7 @@ use sqlx::{PgPool, Postgres, Sqlite, SqlitePool};
 use tokio::time::timeout;
 
 use super::{Query, Row};
+use crate::store::StoreError;
 
 /// Longest wait for PostgreSQL's answer. More than it waits for a lock (`lock_timeout`); a machine that is cut off never answers.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
@@ -128,6 +129,24 @@ impl Query {
         self.fetch_optional(on).await?.ok_or(sqlx::Error::RowNotFound)
     }
 
+    /// Every row of the answer, as `read` reads it.
+    pub(in crate::store) async fn all<T>(
+        self,
+        on: impl Into<Target<'_>>,
+        read: impl Fn(&Row) -> Result<T, StoreError>,
+    ) -> Result<Vec<T>, StoreError> {
+        self.fetch_all(on).await?.iter().map(read).collect()
+    }
+
+    /// The first row of the answer as `read` reads it, if it has one.
+    pub(in crate::store) async fn optional<T>(
+        self,
+        on: impl Into<Target<'_>>,
+        read: impl Fn(&Row) -> Result<T, StoreError>,
+    ) -> Result<Option<T>, StoreError> {
+        self.fetch_optional(on).await?.as_ref().map(read).transpose()
+    }
+
     /// Runs the statement, and returns how many rows it changed.
     pub(in crate::store) async fn execute(self, on: impl Into<Target<'_>>) -> Result<u64, sqlx::Error> {
         on.into().changed(self).await
@@ -175,7 +194,6 @@ fn postgres(rows: Vec<sqlx::postgres::PgRow>) -> Vec<Row> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::StoreError;
 
     #[tokio::test]
     async fn a_server_that_never_answers_is_given_up() {
