@@ -5,7 +5,7 @@
 
 use super::{
     SqlStore,
-    db::{Transaction, query},
+    db::{Transaction, query, values},
     locks,
     rows::{optional_whole, whole},
 };
@@ -85,8 +85,7 @@ pub(super) async fn admit_blob(
     blob: BlobRef,
 ) -> Result<(), StoreError> {
     let row = query(HAS_BLOB)
-        .bind(project.to_string())
-        .bind(blob.digest.to_string())
+        .bind_all(values![project.to_string(), blob.digest.to_string()])
         .fetch_one(&mut *connection)
         .await?;
     let known: bool = row.try_get("known")?;
@@ -154,8 +153,7 @@ impl Accounts for SqlStore {
                      AND (EXISTS (SELECT 1 FROM scenes WHERE dataset = ?1 AND project = ?2)
                           OR EXISTS (SELECT 1 FROM jobs WHERE dataset = ?1 AND project = ?2))",
             )
-            .bind(content.to_string())
-            .bind(project.to_string())
+            .bind_all(values![content.to_string(), project.to_string()])
             .optional(&self.readers, |row| Ok(BlobRef { digest: content, bytes: whole(row, "bytes")? }))
             .await
         })

@@ -2,7 +2,7 @@
 
 use super::{
     CREATED, SqlStore, accounts,
-    db::{Row, Sql, Transaction, query},
+    db::{Row, Sql, Transaction, query, values},
     idempotency, insert_blob, lists, locks,
     rows::{blob, document, instant, json, micros, parsed, whole},
 };
@@ -48,8 +48,7 @@ async fn select_by_archive(
         "SELECT scenes.*, blobs.bytes FROM scenes JOIN blobs ON blobs.digest = scenes.dataset
          WHERE scenes.dataset = ?1 AND scenes.project = ?2",
     )
-    .bind(archive.to_string())
-    .bind(project.to_string())
+    .bind_all(values![archive.to_string(), project.to_string()])
     .optional(connection, dataset)
     .await
 }
@@ -69,8 +68,7 @@ impl Datasets for SqlStore {
                 // The bytes reserved for the upload become the dataset's.
                 if let Some(upload) = new.upload {
                     query("UPDATE uploads SET ended_at = ? WHERE id = ? AND ended_at IS NULL")
-                        .bind(micros(now))
-                        .bind(upload.to_string())
+                        .bind_all(values![micros(now), upload.to_string()])
                         .execute(&mut *tx)
                         .await?;
                 }
@@ -79,20 +77,14 @@ impl Datasets for SqlStore {
                 query(
                     "INSERT INTO scenes (id, project, dataset, name, summary, created_at) VALUES (?, ?, ?, ?, ?, ?)",
                 )
-                .bind(id.to_string())
-                .bind(new.project.to_string())
-                .bind(new.dataset.digest.to_string())
-                .bind(&new.name)
-                .bind(json(&new.summary)?)
-                .bind(micros(now))
+                .bind_all(values![id.to_string(), new.project.to_string(), new.dataset.digest.to_string()])
+                .bind_all(values![&new.name, json(&new.summary)?, micros(now)])
                 .execute(&mut *tx)
                 .await?;
             }
             if let Some(upload) = new.upload {
                 query("UPDATE uploads SET ended_at = COALESCE(ended_at, ?), scene = ? WHERE id = ?")
-                    .bind(micros(now))
-                    .bind(id.to_string())
-                    .bind(upload.to_string())
+                    .bind_all(values![micros(now), id.to_string(), upload.to_string()])
                     .execute(&mut *tx)
                     .await?;
             }

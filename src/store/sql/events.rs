@@ -1,7 +1,7 @@
 //! A job's numbered events.
 
 use super::{
-    db::{Transaction, query},
+    db::{Transaction, query, values},
     rows::{json, micros, name},
     webhooks,
 };
@@ -27,12 +27,7 @@ pub(super) async fn append(
         .await?;
     let seq: i64 = row.try_get("last_seq")?;
     query("INSERT INTO events (job_id, seq, at, kind, attempt, data) VALUES (?, ?, ?, ?, ?, ?)")
-        .bind(job.to_string())
-        .bind(seq)
-        .bind(micros(now))
-        .bind(name(&kind)?)
-        .bind(attempt)
-        .bind(json(data)?)
+        .bind_all(values![job.to_string(), seq, micros(now), name(&kind)?, attempt, json(data)?])
         .execute(&mut *connection)
         .await?;
     // Here rather than at each change of state, so that no change can omit it.

@@ -2,7 +2,7 @@
 
 use super::{
     SqlStore, accounts,
-    db::{Transaction, query},
+    db::{Transaction, query, values},
     insert_blob, locks,
     rows::{self, micros},
 };
@@ -51,15 +51,10 @@ impl Exports for SqlStore {
                      created_at)
                  VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
             )
-            .bind(export.job.to_string())
-            .bind(export.source.to_string())
-            .bind(export.format.name())
-            .bind(export.blob.digest.to_string())
-            .bind(rows::signed(export.gaussians))
-            .bind(export.sh_degree)
-            .bind(export.fidelity.map(|fidelity| fidelity.psnr))
-            .bind(export.fidelity.map(|fidelity| fidelity.views))
-            .bind(micros(now))
+            .bind_all(values![export.job.to_string(), export.source.to_string(), export.format.name()])
+            .bind_all(values![export.blob.digest.to_string(), rows::signed(export.gaussians)])
+            .bind_all(values![export.sh_degree, export.fidelity.map(|fidelity| fidelity.psnr)])
+            .bind_all(values![export.fidelity.map(|fidelity| fidelity.views), micros(now)])
             .execute(tx)
             .await?;
             Ok(Some(export))

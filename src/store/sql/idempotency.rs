@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::{
     SqlStore,
-    db::{Transaction, query},
+    db::{Transaction, query, values},
     rows::{self, before, micros},
 };
 use crate::{
@@ -34,12 +34,8 @@ pub(super) async fn remember(
         "INSERT INTO idempotency (project, key, fingerprint, status, resource, created_at) VALUES (?, ?, ?, ?, ?, ?)
          ON CONFLICT DO NOTHING",
     )
-    .bind(intent.project.to_string())
-    .bind(&intent.key)
-    .bind(intent.fingerprint.to_string())
-    .bind(i64::from(status))
-    .bind(resource)
-    .bind(micros(now))
+    .bind_all(values![intent.project.to_string(), &intent.key, intent.fingerprint.to_string()])
+    .bind_all(values![i64::from(status), resource, micros(now)])
     .execute(&mut *connection)
     .await?;
     if added == 1 {
@@ -57,10 +53,7 @@ pub(super) async fn amend(
     resource: &str,
 ) -> Result<(), StoreError> {
     query("UPDATE idempotency SET status = ?, resource = ? WHERE project = ? AND key = ?")
-        .bind(status)
-        .bind(resource)
-        .bind(intent.project.to_string())
-        .bind(&intent.key)
+        .bind_all(values![status, resource, intent.project.to_string(), &intent.key])
         .execute(connection)
         .await?;
     Ok(())
@@ -72,8 +65,7 @@ async fn select(
     key: &str,
 ) -> Result<Option<PriorRequest>, StoreError> {
     query("SELECT * FROM idempotency WHERE project = ? AND key = ?")
-        .bind(project.to_string())
-        .bind(key)
+        .bind_all(values![project.to_string(), key])
         .optional(connection, rows::prior_request)
         .await
 }
@@ -87,9 +79,7 @@ impl Idempotency for SqlStore {
         Box::pin(async move {
             let now = self.now(&self.readers).await?;
             query("SELECT * FROM idempotency WHERE project = ? AND key = ? AND created_at > ?")
-                .bind(project.to_string())
-                .bind(key)
-                .bind(micros(before(now, self.policy.idempotency_ttl)))
+                .bind_all(values![project.to_string(), key, micros(before(now, self.policy.idempotency_ttl))])
                 .optional(&self.readers, rows::prior_request)
                 .await
         })

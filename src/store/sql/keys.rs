@@ -4,7 +4,7 @@ use std::num::NonZeroU32;
 
 use super::{
     SqlStore,
-    db::{Row, Transaction, query},
+    db::{Row, Transaction, query, values},
     exists, lists, projects, rows,
     rows::micros,
 };
@@ -33,15 +33,9 @@ pub(super) async fn insert(
         "INSERT INTO keys (id, project, name, prefix, hash, scopes, requests_per_minute, expires_at, created_at)
          VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING *",
     )
-    .bind(new.id.to_string())
-    .bind(project.to_string())
-    .bind(&new.name)
-    .bind(&new.prefix)
-    .bind(new.hash.expose())
-    .bind(scopes_text(&new.scopes))
-    .bind(new.requests_per_minute.map(NonZeroU32::get))
-    .bind(new.expires_at.map(micros))
-    .bind(micros(now))
+    .bind_all(values![new.id.to_string(), project.to_string(), &new.name, &new.prefix, new.hash.expose()])
+    .bind_all(values![scopes_text(&new.scopes), new.requests_per_minute.map(NonZeroU32::get)])
+    .bind_all(values![new.expires_at.map(micros), micros(now)])
     .fetch_one(connection)
     .await?;
     key(&row)
@@ -73,10 +67,8 @@ impl Keys for SqlStore {
                 "UPDATE keys SET name = ?, requests_per_minute = ?, expires_at = ?
                  WHERE id = ? AND revoked_at IS NULL RETURNING *",
             )
-            .bind(&change.name)
-            .bind(change.requests_per_minute.map(NonZeroU32::get))
-            .bind(change.expires_at.map(micros))
-            .bind(id.to_string())
+            .bind_all(values![&change.name, change.requests_per_minute.map(NonZeroU32::get)])
+            .bind_all(values![change.expires_at.map(micros), id.to_string()])
             .optional(tx, key)
             .await
         }))
@@ -85,8 +77,7 @@ impl Keys for SqlStore {
     fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
         Box::pin(self.write(async move |tx, now| {
             query("UPDATE keys SET revoked_at = COALESCE(revoked_at, ?) WHERE id = ? RETURNING *")
-                .bind(micros(now))
-                .bind(id.to_string())
+                .bind_all(values![micros(now), id.to_string()])
                 .optional(tx, key)
                 .await
         }))
@@ -98,8 +89,7 @@ impl Keys for SqlStore {
             let row = query(
                 "SELECT * FROM keys WHERE hash = ? AND revoked_at IS NULL AND COALESCE(expires_at > ?, true)",
             )
-            .bind(hash.expose())
-            .bind(micros(now))
+            .bind_all(values![hash.expose(), micros(now)])
             .fetch_optional(&self.readers)
             .await?;
             let Some(row) = row else { return Ok(None) };
@@ -121,8 +111,7 @@ impl Keys for SqlStore {
     fn touch_key(&self, id: KeyId) -> StoreFuture<'_, ()> {
         Box::pin(self.write(async move |tx, now| {
             query("UPDATE keys SET last_used_at = ?1 WHERE id = ?2 AND COALESCE(last_used_at, 0) < ?1")
-                .bind(micros(now))
-                .bind(id.to_string())
+                .bind_all(values![micros(now), id.to_string()])
                 .execute(tx)
                 .await?;
             Ok(())

@@ -53,7 +53,7 @@ use crate::domain::{
     Clock, Event, EventKind, FailurePoint, JobId, JobState, Phase, Progress, failure_point::reach,
 };
 use changes::Listener;
-use db::{Pool, Row, Sql, Target, Transaction, query};
+use db::{Pool, Row, Sql, Target, Transaction, query, values};
 pub use open::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange};
 use queue::Competition;
 use rows::{JobParts, json as text, micros};
@@ -166,21 +166,11 @@ impl SqlStore {
                  progress, priority, run_after, max_attempts, from_checkpoint, created_at)
              VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued', 'queued', ?, ?, 0, ?, ?, ?)",
         )
-        .bind(new.id.to_string())
-        .bind(new.project.to_string())
-        .bind(new.key.map(|key| key.to_string()))
-        .bind(&new.name)
-        .bind(text(&new.metadata)?)
-        .bind(new.dataset_id.map(|id| id.to_string()))
-        .bind(new.retry_of.map(|job| job.to_string()))
-        .bind(new.deadline_at.map(micros))
-        .bind(new.dataset.digest.to_string())
-        .bind(text(&new.options)?)
-        .bind(text(&Progress::default())?)
-        .bind(new.priority)
-        .bind(self.policy.max_attempts)
-        .bind(new.from_checkpoint)
-        .bind(micros(now))
+        .bind_all(values![new.id.to_string(), new.project.to_string(), new.key.map(|key| key.to_string())])
+        .bind_all(values![&new.name, text(&new.metadata)?, new.dataset_id.map(|id| id.to_string())])
+        .bind_all(values![new.retry_of.map(|job| job.to_string()), new.deadline_at.map(micros)])
+        .bind_all(values![new.dataset.digest.to_string(), text(&new.options)?, text(&Progress::default())?])
+        .bind_all(values![new.priority, self.policy.max_attempts, new.from_checkpoint, micros(now)])
         .execute(&mut *tx)
         .await?;
         let data = json!({ "state": JobState::Queued });
@@ -201,9 +191,7 @@ async fn insert_blob(connection: &mut Transaction, blob: BlobRef, now: Timestamp
         .map_err(|_| StoreError::Corrupt { what: "blob length", fault: blob.bytes.to_string() })?;
     loop {
         query("INSERT INTO blobs (digest, bytes, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
-            .bind(blob.digest.to_string())
-            .bind(bytes)
-            .bind(micros(now))
+            .bind_all(values![blob.digest.to_string(), bytes, micros(now)])
             .execute(&mut *connection)
             .await?;
         // PostgreSQL may be deleting the row that was found; one that is locked stays.
@@ -294,9 +282,7 @@ impl Store for SqlStore {
                 return Ok(None);
             }
             query("SELECT * FROM events WHERE job_id = ? AND seq > ? ORDER BY seq LIMIT ?")
-                .bind(id.to_string())
-                .bind(rows::signed(after))
-                .bind(limit)
+                .bind_all(values![id.to_string(), rows::signed(after), limit])
                 .all(tx, rows::event)
                 .await
                 .map(Some)
@@ -364,8 +350,7 @@ impl Store for SqlStore {
                 " AND (state IN ('queued', 'running') OR (state IN ('failed', 'cancelled') AND finished_at > ?)) ORDER BY id",
             );
             resumable
-                .bind(text(&jobs)?)
-                .bind(micros(rows::before(now, self.policy.checkpoint_ttl)))
+                .bind_all(values![text(&jobs)?, micros(rows::before(now, self.policy.checkpoint_ttl))])
                 .all(&self.readers, rows::job_id)
                 .await
         })

@@ -2,7 +2,7 @@
 
 use super::{
     SqlStore, accounts,
-    db::{Row, Transaction, query},
+    db::{Row, Transaction, query, values},
     lists, locks,
     rows::{self, micros, optional_whole, whole},
 };
@@ -30,12 +30,8 @@ pub(super) async fn insert(
         "INSERT INTO projects (id, name, max_bytes, max_active_jobs, max_running_jobs, max_priority, created_at)
          VALUES (?, ?, ?, ?, ?, ?, ?) RETURNING *",
     )
-    .bind(new.id.to_string())
-    .bind(&new.name)
-    .bind(bytes_column(new.limits.quota_bytes))
-    .bind(new.limits.max_active_jobs)
-    .bind(new.limits.max_running_jobs)
-    .bind(new.limits.max_priority)
+    .bind_all(values![new.id.to_string(), &new.name, bytes_column(new.limits.quota_bytes)])
+    .bind_all(values![new.limits.max_active_jobs, new.limits.max_running_jobs, new.limits.max_priority])
     .bind(micros(now))
     .fetch_one(connection)
     .await?;
@@ -125,12 +121,9 @@ impl Projects for SqlStore {
                      version = version + 1
                  WHERE id = ? RETURNING *",
             )
-            .bind(&change.name)
-            .bind(bytes_column(change.limits.quota_bytes))
-            .bind(change.limits.max_active_jobs)
-            .bind(change.limits.max_running_jobs)
-            .bind(change.limits.max_priority)
-            .bind(id.to_string())
+            .bind_all(values![&change.name, bytes_column(change.limits.quota_bytes)])
+            .bind_all(values![change.limits.max_active_jobs, change.limits.max_running_jobs])
+            .bind_all(values![change.limits.max_priority, id.to_string()])
             .fetch_one(tx)
             .await?;
             Ok(Some(ProjectUpdate::Updated(project(&row)?)))

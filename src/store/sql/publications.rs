@@ -4,7 +4,7 @@ use jiff::{SignedDuration, Timestamp};
 
 use super::{
     SqlStore,
-    db::{Row, query},
+    db::{Row, query, values},
     rows::{blob, instant, micros, parsed, signed},
 };
 use crate::{
@@ -42,9 +42,7 @@ impl Publications for SqlStore {
                 .fetch_optional(&mut *tx)
                 .await?;
             let row = query(ANNOUNCE)
-                .bind(blob.digest.to_string())
-                .bind(signed(blob.bytes))
-                .bind(micros(now))
+                .bind_all(values![blob.digest.to_string(), signed(blob.bytes), micros(now)])
                 .bind(earlier(now, REMOVER_IS_DEAD))
                 .fetch_optional(&mut *tx)
                 .await?;
@@ -60,8 +58,7 @@ impl Publications for SqlStore {
                  SET published_at = CASE WHEN published_at < ?2 THEN ?2 ELSE published_at + 1 END
                  WHERE id = ?1 AND removing_since IS NULL RETURNING published_at",
             )
-            .bind(announced.row)
-            .bind(micros(now))
+            .bind_all(values![announced.row, micros(now)])
             .optional(tx, |row| instant("published_at", row.try_get("published_at")?))
             .await
         }))
@@ -79,8 +76,7 @@ impl Publications for SqlStore {
                 "SELECT digest FROM publications
                  WHERE digest > ? AND published_at < ? AND removing_since IS NULL ORDER BY digest LIMIT ?",
             )
-            .bind(after.map(|digest| digest.to_string()).unwrap_or_default())
-            .bind(earlier(now, age))
+            .bind_all(values![after.map(|digest| digest.to_string()).unwrap_or_default(), earlier(now, age)])
             .bind(limit)
             .all(tx, |row| parsed("digest", row.try_get("digest")?))
             .await
@@ -98,10 +94,7 @@ impl Publications for SqlStore {
                  WHERE digest = ?1 AND removing_since IS NULL AND published_at BETWEEN ?3 AND ?4
                  RETURNING id, digest, bytes",
             )
-            .bind(digest.to_string())
-            .bind(micros(now))
-            .bind(first)
-            .bind(last)
+            .bind_all(values![digest.to_string(), micros(now), first, last])
             .optional(tx, removal)
             .await
         }))
@@ -113,8 +106,7 @@ impl Publications for SqlStore {
                 "UPDATE publications SET removing_since = ?1 WHERE removing_since < ?2
                  RETURNING id, digest, bytes",
             )
-            .bind(micros(now))
-            .bind(earlier(now, REMOVER_IS_DEAD))
+            .bind_all(values![micros(now), earlier(now, REMOVER_IS_DEAD)])
             .all(tx, removal)
             .await
         }))

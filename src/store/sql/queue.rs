@@ -1,7 +1,7 @@
 //! The queue: claims, leases and the ends of attempts. Each function runs within its caller's transaction.
 
 use super::{
-    db::{Pool, Row, Sql, Target, Transaction, query},
+    db::{Pool, Row, Sql, Target, Transaction, query, values},
     events::append,
     insert_blob, locks,
     rows::{self, after, json as text, micros, name},
@@ -39,9 +39,7 @@ pub(super) async fn reap(
             "SELECT * FROM jobs WHERE id = ? AND attempt = ? AND lease_until = ? AND state = 'running'",
         )
         .for_update()
-        .bind(lease.job.to_string())
-        .bind(lease.attempt)
-        .bind(lease.until)
+        .bind_all(values![lease.job.to_string(), lease.attempt, lease.until])
         .fetch_all(&mut *connection)
         .await?;
         count += end_lost(connection, policy, &lost, *death, now).await?;
@@ -204,9 +202,7 @@ async fn take_next(
     };
     // Another claim may have taken the job that was found before the totals were locked.
     let row = query(NEXT_OF_PROJECT)
-        .bind(micros(now))
-        .bind(policy.limits.max_running_jobs)
-        .bind(project.to_string())
+        .bind_all(values![micros(now), policy.limits.max_running_jobs, project.to_string()])
         .fetch_optional(tx)
         .await?;
     row.map_or(Ok(Claiming::Overtaken), |row| rows::job_id(&row).map(Claiming::Granted))
@@ -218,10 +214,8 @@ pub(super) async fn position(connection: &mut Transaction, row: &Row) -> Result<
         return Ok(None);
     }
     let counted = query(AHEAD)
-        .bind(row.try_get::<&str>("project")?)
-        .bind(row.try_get::<i64>("priority")?)
-        .bind(row.try_get::<i64>("created_at")?)
-        .bind(row.try_get::<&str>("id")?)
+        .bind_all(values![row.try_get::<&str>("project")?, row.try_get::<i64>("priority")?])
+        .bind_all(values![row.try_get::<i64>("created_at")?, row.try_get::<&str>("id")?])
         .bind(MAX_QUEUE_POSITION - 1)
         .fetch_one(connection)
         .await?;
@@ -257,19 +251,13 @@ pub(super) async fn claim(
          WHERE id = ?5
          RETURNING id, attempt, lease_until, dataset, options, retry_of, from_checkpoint",
     )
-    .bind(text(&Progress::default())?)
-    .bind(worker)
-    .bind(micros(after(now, policy.lease)))
-    .bind(micros(now))
+    .bind_all(values![text(&Progress::default())?, worker, micros(after(now, policy.lease)), micros(now)])
     .bind(job.to_string())
     .fetch_one(&mut *connection)
     .await?;
     let attempt: u32 = rows::whole(&row, "attempt")?;
     query("INSERT INTO attempts (job_id, number, worker, started_at) VALUES (?, ?, ?, ?)")
-        .bind(job.to_string())
-        .bind(attempt)
-        .bind(worker)
-        .bind(micros(now))
+        .bind_all(values![job.to_string(), attempt, worker, micros(now)])
         .execute(&mut *connection)
         .await?;
     let data = json!({ "state": JobState::Running });
@@ -331,10 +319,7 @@ pub(super) async fn heartbeat(
          WHERE id = ?2 AND attempt = ?3 AND lease_owner = ?4 AND state = 'running'
          RETURNING id, attempt, lease_until, cancel_requested_at, deadline_at",
     )
-    .bind(micros(after(now, policy.lease)))
-    .bind(lease.job.to_string())
-    .bind(lease.attempt)
-    .bind(&lease.worker)
+    .bind_all(values![micros(after(now, policy.lease)), lease.job.to_string(), lease.attempt, &lease.worker])
     .fetch_optional(connection)
     .await?
     .ok_or_else(|| lease_lost(lease))?;
@@ -367,11 +352,7 @@ pub(super) async fn report(
              checkpoint_step = CASE WHEN checkpoint_step < ?3 THEN ?3 ELSE checkpoint_step END, progress_event_at = CASE WHEN ?4 THEN ?5 ELSE progress_event_at END
          WHERE id = ?6",
     )
-    .bind(phase_name)
-    .bind(text(progress)?)
-    .bind(rows::signed(progress.checkpoint_step))
-    .bind(due)
-    .bind(micros(now))
+    .bind_all(values![phase_name, text(progress)?, rows::signed(progress.checkpoint_step), due, micros(now)])
     .bind(lease.job.to_string())
     .execute(&mut *connection)
     .await?;
@@ -391,9 +372,7 @@ pub(super) async fn leased_job(connection: &mut Transaction, lease: &Lease) -> R
     let row =
         query("SELECT * FROM jobs WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'running'")
             .for_update()
-            .bind(lease.job.to_string())
-            .bind(lease.attempt)
-            .bind(&lease.worker)
+            .bind_all(values![lease.job.to_string(), lease.attempt, &lease.worker])
             .fetch_optional(connection)
             .await?;
     row.ok_or_else(|| lease_lost(lease))
@@ -423,11 +402,8 @@ async fn end_attempt(
     let (outcome, cause, next) = decide(policy, attempt_state, end);
     let (job, attempt) = (attempt_state.job, attempt_state.attempt);
     query("UPDATE attempts SET ended_at = ?, outcome = ?, cause = ? WHERE job_id = ? AND number = ?")
-        .bind(micros(now))
-        .bind(outcome.name())
-        .bind(cause.as_ref().map(text).transpose()?)
-        .bind(job.to_string())
-        .bind(attempt)
+        .bind_all(values![micros(now), outcome.name(), cause.as_ref().map(text).transpose()?])
+        .bind_all(values![job.to_string(), attempt])
         .execute(&mut *connection)
         .await?;
     let end = match next {
@@ -438,12 +414,8 @@ async fn end_attempt(
                      silent_deaths = ?, setbacks = ?, setback_step = checkpoint_step, lease_owner = NULL, lease_until = NULL, version = version + 1
                  WHERE id = ?",
             )
-            .bind(micros(run_after))
-            .bind(micros(now))
-            .bind(i64::from(refund))
-            .bind(losses.alone)
-            .bind(losses.with_service)
-            .bind(job.to_string())
+            .bind_all(values![micros(run_after), micros(now), i64::from(refund), losses.alone])
+            .bind_all(values![losses.with_service, job.to_string()])
             .execute(&mut *connection)
             .await?;
             let data = json!({ "outcome": outcome.name(), "cause": cause, "run_after": run_after });
@@ -460,12 +432,8 @@ async fn end_attempt(
                 query(
                     "INSERT INTO artifacts (job_id, kind, place, lambda, digest, attempt) VALUES (?, ?, ?, ?, ?, ?)",
                 )
-                .bind(job.to_string())
-                .bind(artifact.kind.name())
-                .bind(place as i64)
-                .bind(artifact.lambda)
-                .bind(artifact.blob.digest.to_string())
-                .bind(attempt)
+                .bind_all(values![job.to_string(), artifact.kind.name(), place as i64, artifact.lambda])
+                .bind_all(values![artifact.blob.digest.to_string(), attempt])
                 .execute(&mut *connection)
                 .await?;
             }
@@ -498,11 +466,8 @@ pub(super) async fn end_job(
              finished_at = ?, version = version + 1
          WHERE id = ?",
     )
-    .bind(end.state.name())
-    .bind(end.metrics.as_ref().map(text).transpose()?)
-    .bind(end.error.as_ref().map(text).transpose()?)
-    .bind(micros(now))
-    .bind(job.to_string())
+    .bind_all(values![end.state.name(), end.metrics.as_ref().map(text).transpose()?])
+    .bind_all(values![end.error.as_ref().map(text).transpose()?, micros(now), job.to_string()])
     .execute(&mut *connection)
     .await?;
     let mut data = json!({ "state": end.state });

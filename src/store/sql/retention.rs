@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::{
     SqlStore,
-    db::{Query, query},
+    db::{Query, query, values},
     job_changes, locks,
     rows::{self, before, micros},
     webhooks::DELIVERY_TTL,
@@ -78,15 +78,13 @@ impl Retention for SqlStore {
     fn remove_expired_records(&self, keep: Option<Duration>) -> StoreFuture<'_, u64> {
         Box::pin(self.write(async move |tx, now| {
             let requests = query(EXPIRED_REQUESTS)
-                .bind(micros(before(now, self.policy.idempotency_ttl)))
-                .bind(RECORDS)
+                .bind_all(values![micros(before(now, self.policy.idempotency_ttl)), RECORDS])
                 .execute(&mut *tx)
                 .await?;
             let oldest = before(now, DELIVERY_TTL);
             let messages = query(EXPIRED_MESSAGES)
                 .bind(micros(oldest))
-                .bind(micros(keep.map_or(oldest, |keep| before(now, keep).max(oldest))))
-                .bind(RECORDS)
+                .bind_all(values![micros(keep.map_or(oldest, |keep| before(now, keep).max(oldest))), RECORDS])
                 .execute(tx)
                 .await?;
             Ok(requests + messages)

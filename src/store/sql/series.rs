@@ -2,7 +2,7 @@
 
 use super::{
     SqlStore,
-    db::{Transaction, query},
+    db::{Transaction, query, values},
     job_exists,
     queue::leased_job,
     rows,
@@ -41,8 +41,7 @@ impl Series for SqlStore {
 
 async fn delete_after(connection: &mut Transaction, job: JobId, step: u64) -> Result<(), StoreError> {
     query("DELETE FROM series WHERE job_id = ? AND step > ?")
-        .bind(job.to_string())
-        .bind(rows::signed(step))
+        .bind_all(values![job.to_string(), rows::signed(step)])
         .execute(connection)
         .await?;
     Ok(())
@@ -58,17 +57,10 @@ async fn insert(connection: &mut Transaction, lease: &Lease, point: &Progress) -
              bytes = excluded.bytes
          WHERE excluded.loss IS NOT NULL",
     )
-    .bind(lease.job.to_string())
-    .bind(series_bucket(point))
-    .bind(lease.attempt)
-    .bind(rows::signed(point.step))
-    .bind(finite(Some(point.elapsed_seconds)).unwrap_or_default())
-    .bind(finite(point.loss))
-    .bind(finite(point.psnr))
-    .bind(finite(point.ssim))
-    .bind(rows::signed(point.anchors))
-    .bind(rows::signed(point.gaussians))
-    .bind(point.bytes.map(rows::signed))
+    .bind_all(values![lease.job.to_string(), series_bucket(point), lease.attempt, rows::signed(point.step)])
+    .bind_all(values![finite(Some(point.elapsed_seconds)).unwrap_or_default(), finite(point.loss)])
+    .bind_all(values![finite(point.psnr), finite(point.ssim), rows::signed(point.anchors)])
+    .bind_all(values![rows::signed(point.gaussians), point.bytes.map(rows::signed)])
     .execute(connection)
     .await?;
     Ok(())

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::{
     SqlStore, accounts,
-    db::{Pool, query},
+    db::{Pool, query, values},
     rows::{self, micros},
 };
 use crate::{
@@ -31,8 +31,7 @@ impl SqlStore {
         limit: u32,
     ) -> Result<Vec<BlobRef>, StoreError> {
         query("SELECT digest, bytes FROM blobs WHERE digest > ? ORDER BY digest LIMIT ?")
-            .bind(after.map(|digest| digest.to_string()).unwrap_or_default())
-            .bind(limit)
+            .bind_all(values![after.map(|digest| digest.to_string()).unwrap_or_default(), limit])
             .all(&self.readers, |row| rows::blob(row, "digest"))
             .await
     }

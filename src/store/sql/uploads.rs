@@ -4,7 +4,7 @@ use jiff::Timestamp;
 
 use super::{
     SqlStore, accounts,
-    db::{Row, Transaction, query},
+    db::{Row, Transaction, query, values},
     locks,
     rows::{instant, micros, optional_id, optional_instant, parsed, whole},
 };
@@ -56,11 +56,8 @@ impl Uploads for SqlStore {
             query(
                 "INSERT INTO uploads (id, project, length, metadata, created_at, expires_at) VALUES (?, ?, ?, ?, ?, ?)",
             )
-            .bind(new.id.to_string())
-            .bind(new.project.to_string())
-            .bind(column("upload length", new.length)?)
-            .bind(&new.metadata)
-            .bind(micros(now))
+            .bind_all(values![new.id.to_string(), new.project.to_string()])
+            .bind_all(values![column("upload length", new.length)?, &new.metadata, micros(now)])
             .bind(micros(new.expires_at))
             .execute(&mut *tx)
             .await?;
@@ -76,9 +73,7 @@ impl Uploads for SqlStore {
         Box::pin(self.write(async move |tx, _| {
             let done =
                 query("UPDATE uploads SET received = ?, expires_at = ? WHERE id = ? AND ended_at IS NULL")
-                    .bind(column("upload offset", received)?)
-                    .bind(micros(expires_at))
-                    .bind(id.to_string())
+                    .bind_all(values![column("upload offset", received)?, micros(expires_at), id.to_string()])
                     .execute(tx)
                     .await?;
             Ok(done == 1)
@@ -142,9 +137,7 @@ impl UploadParts for SqlStore {
                 "UPDATE uploads SET writer = writer + 1, writer_until = ?2
                  WHERE id = ?1 AND (writer_until IS NULL OR writer_until < ?3) RETURNING writer",
             )
-            .bind(id.to_string())
-            .bind(lock_end(now))
-            .bind(micros(now))
+            .bind_all(values![id.to_string(), lock_end(now), micros(now)])
             .optional(tx, |row| Ok(UploadWriter { id, number: row.try_get("writer")? }))
             .await
         }))
@@ -155,9 +148,7 @@ impl UploadParts for SqlStore {
             let done = query(
                 "UPDATE uploads SET writer_until = ? WHERE id = ? AND writer = ? AND writer_until IS NOT NULL",
             )
-            .bind(lock_end(now))
-            .bind(writer.id.to_string())
-            .bind(writer.number)
+            .bind_all(values![lock_end(now), writer.id.to_string(), writer.number])
             .execute(tx)
             .await?;
             Ok(done == 1)
@@ -167,8 +158,7 @@ impl UploadParts for SqlStore {
     fn unlock_upload(&self, writer: UploadWriter) -> StoreFuture<'_, ()> {
         Box::pin(self.write(async move |tx, _| {
             query("UPDATE uploads SET writer_until = NULL WHERE id = ? AND writer = ?")
-                .bind(writer.id.to_string())
-                .bind(writer.number)
+                .bind_all(values![writer.id.to_string(), writer.number])
                 .execute(tx)
                 .await?;
             Ok(())
@@ -188,11 +178,8 @@ impl UploadParts for SqlStore {
                 "UPDATE uploads SET received = ?1, expires_at = ?2, writer_until = ?3
                  WHERE id = ?4 AND writer = ?5 AND writer_until IS NOT NULL AND ended_at IS NULL",
             )
-            .bind(column("upload offset", received)?)
-            .bind(micros(expires_at))
-            .bind(lock_end(now))
-            .bind(writer.id.to_string())
-            .bind(writer.number)
+            .bind_all(values![column("upload offset", received)?, micros(expires_at), lock_end(now)])
+            .bind_all(values![writer.id.to_string(), writer.number])
             .execute(&mut *tx)
             .await?;
             if done == 0 {
@@ -200,9 +187,7 @@ impl UploadParts for SqlStore {
             }
             if received > start {
                 query("INSERT INTO upload_parts (upload, start, name) VALUES (?, ?, ?)")
-                    .bind(writer.id.to_string())
-                    .bind(column("upload offset", start)?)
-                    .bind(name)
+                    .bind_all(values![writer.id.to_string(), column("upload offset", start)?, name])
                     .execute(tx)
                     .await?;
             }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::{
     SqlStore,
-    db::{Row, query},
+    db::{Row, query, values},
     rows::{before, micros},
 };
 use crate::{
@@ -32,11 +32,8 @@ impl Viewers for SqlStore {
                  ON CONFLICT (url) DO UPDATE SET version = excluded.version, identity = excluded.identity,
                      token = excluded.token, seen_at = excluded.seen_at",
             )
-            .bind(viewer.url.as_str())
-            .bind(viewer.version.as_str())
-            .bind(viewer.identity.as_str())
-            .bind(viewer.token.expose())
-            .bind(micros(now))
+            .bind_all(values![viewer.url.as_str(), viewer.version.as_str(), viewer.identity.as_str()])
+            .bind_all(values![viewer.token.expose(), micros(now)])
             .execute(&mut *tx)
             .await?;
             query("DELETE FROM viewers WHERE seen_at < ?")
@@ -60,8 +57,7 @@ impl Viewers for SqlStore {
     fn withdraw_viewer<'a>(&'a self, viewer: &'a ViewerRecord) -> StoreFuture<'a, ()> {
         Box::pin(self.write(async move |tx, _| {
             query("DELETE FROM viewers WHERE url = ? AND token = ?")
-                .bind(viewer.url.as_str())
-                .bind(viewer.token.expose())
+                .bind_all(values![viewer.url.as_str(), viewer.token.expose()])
                 .execute(tx)
                 .await?;
             Ok(())

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::{
     SqlStore,
-    db::{Sql, Transaction, query},
+    db::{Sql, Transaction, query, values},
     lists, locks,
     rows::{self, after, json as text, micros},
 };
@@ -55,8 +55,7 @@ pub(super) async fn enqueue_deliveries(
              AND CAST(events AS jsonb) @> to_jsonb(CAST(? AS text))
          ORDER BY id",
     })
-    .bind(job.to_string())
-    .bind(event.name())
+    .bind_all(values![job.to_string(), event.name()])
     .fetch_all(&mut *connection)
     .await?;
     for row in &endpoints {
@@ -65,12 +64,8 @@ pub(super) async fn enqueue_deliveries(
             "INSERT INTO webhook_deliveries (id, endpoint, job, event, body, state, due_at, created_at)
              VALUES (?, ?, ?, ?, ?, 'pending', ?, ?)",
         )
-        .bind(DeliveryId::of(endpoint, job, seq).to_string())
-        .bind(endpoint.to_string())
-        .bind(job.to_string())
-        .bind(event.name())
-        .bind(event.message(job, attempt, seq, now))
-        .bind(micros(now))
+        .bind_all(values![DeliveryId::of(endpoint, job, seq).to_string(), endpoint.to_string()])
+        .bind_all(values![job.to_string(), event.name(), event.message(job, attempt, seq, now), micros(now)])
         .bind(micros(now))
         .execute(&mut *connection)
         .await?;
@@ -98,8 +93,7 @@ async fn disable(
     now: Timestamp,
 ) -> Result<(), StoreError> {
     query("UPDATE webhook_endpoints SET disabled_at = ? WHERE id = ? AND disabled_at IS NULL")
-        .bind(micros(now))
-        .bind(endpoint.to_string())
+        .bind_all(values![micros(now), endpoint.to_string()])
         .execute(&mut *connection)
         .await?;
     query(
@@ -130,13 +124,8 @@ impl Webhooks for SqlStore {
                 "INSERT INTO webhook_endpoints (id, project, url, events, description, secret, created_at)
                  VALUES (?, ?, ?, ?, ?, ?, ?) RETURNING *",
             )
-            .bind(new.id.to_string())
-            .bind(project)
-            .bind(new.url)
-            .bind(text(&names)?)
-            .bind(new.description)
-            .bind(new.secret.expose())
-            .bind(micros(now))
+            .bind_all(values![new.id.to_string(), project, new.url, text(&names)?, new.description])
+            .bind_all(values![new.secret.expose(), micros(now)])
             .fetch_one(tx)
             .await?;
             rows::endpoint(&row).map(Some)
@@ -173,9 +162,7 @@ impl Webhooks for SqlStore {
     ) -> StoreFuture<'_, Vec<DeliveryRecord>> {
         let list =
             query("SELECT * FROM webhook_deliveries WHERE endpoint = ? AND seq < ? ORDER BY seq DESC LIMIT ?")
-                .bind(endpoint.to_string())
-                .bind(before.map_or(i64::MAX, rows::signed))
-                .bind(limit);
+                .bind_all(values![endpoint.to_string(), before.map_or(i64::MAX, rows::signed), limit]);
         Box::pin(list.all(&self.readers, rows::delivery))
     }
 
@@ -187,8 +174,7 @@ impl Webhooks for SqlStore {
                  WHERE d.endpoint = ? AND d.id = ?",
             )
             .for_update_of("d")
-            .bind(endpoint.to_string())
-            .bind(id.to_string())
+            .bind_all(values![endpoint.to_string(), id.to_string()])
             .fetch_optional(&mut *tx)
             .await?;
             let Some(row) = row else { return Ok(None) };
@@ -202,8 +188,7 @@ impl Webhooks for SqlStore {
                 "UPDATE webhook_deliveries SET state = 'pending', tries = 0, due_at = ?, lease_until = NULL, delivered_at = NULL
                  WHERE id = ? RETURNING *",
             )
-            .bind(micros(now))
-            .bind(id.to_string())
+            .bind_all(values![micros(now), id.to_string()])
             .fetch_one(tx)
             .await?;
             rows::delivery(&row).map(|record| Some(Replay::Due(record)))
@@ -232,8 +217,7 @@ impl Webhooks for SqlStore {
                          (SELECT url FROM webhook_endpoints e WHERE e.id = endpoint) AS url,
                          (SELECT secret FROM webhook_endpoints e WHERE e.id = endpoint) AS secret",
                 )
-                .bind(micros(now))
-                .bind(micros(after(now, lease)))
+                .bind_all(values![micros(now), micros(after(now, lease))])
                 .bind(free.try_get::<String>("endpoint")?)
                 .optional(tx, |row| rows::due_delivery(row, now))
                 .await
@@ -255,13 +239,8 @@ impl Webhooks for SqlStore {
                      delivered_at = CASE WHEN ?1 = 'delivered' THEN ?5 END
                  WHERE id = ?6 AND attempts = ?7 AND lease_until IS NOT NULL RETURNING endpoint AS id",
             )
-            .bind(state)
-            .bind(due_at.map(micros))
-            .bind(result.response_status)
-            .bind(result.error)
-            .bind(micros(now))
-            .bind(id.to_string())
-            .bind(attempt)
+            .bind_all(values![state, due_at.map(micros), result.response_status, result.error, micros(now)])
+            .bind_all(values![id.to_string(), attempt])
             .fetch_optional(&mut *tx)
             .await?;
             if let (Some(row), AfterAttempt::DisableEndpoint) = (row, result.next) {

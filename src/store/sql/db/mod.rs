@@ -11,4 +11,4 @@ mod value;
 pub(super) use query::{Query, Sql, query};
 pub(super) use row::Row;
 pub(super) use target::{Pool, Target, Transaction};
-pub(super) use value::Value;
+pub(super) use value::{Value, values};

@@ -44,6 +44,12 @@ impl Query {
         self
     }
 
+    /// Adds the next values, as [`values`](super::values) makes them.
+    pub(in crate::store) fn bind_all(mut self, values: impl IntoIterator<Item = Value>) -> Self {
+        self.values.extend(values);
+        self
+    }
+
     /// Continues the statement's text.
     pub(in crate::store) fn push(&mut self, sql: impl Into<Sql>) -> &mut Self {
         let Sql { sqlite, postgres } = sql.into();

@@ -72,3 +72,10 @@ impl From<bool> for Value {
         Self::Bool(value)
     }
 }
+
+/// The values of [`Query::bind_all`](super::Query::bind_all), each of whatever kind a [`Value`] is made from.
+macro_rules! values {
+    ($($value:expr),+) => { [$($crate::store::sql::db::Value::from($value)),+] };
+}
+
+pub(in crate::store) use values;
