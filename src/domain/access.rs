@@ -9,7 +9,7 @@ use super::{KeyId, ProjectId, choice::named_choice};
 
 named_choice! {
     /// What a key allows.
-    Scope {
+    pub enum Scope {
         /// See scenes, jobs, files and views.
         Read = "read",
         /// Send and delete scenes.

@@ -2,20 +2,20 @@
 
 /// Declares an enumeration with a name for each variant: `ALL`, `NAMES`, `name`, `Display`, `FromStr` and serde all go by these names.
 macro_rules! named_choice {
-    ($(#[$meta:meta])* $name:ident { $($(#[$variant_meta:meta])* $variant:ident = $text:literal),+ $(,)? }) => {
+    ($(#[$meta:meta])* $vis:vis enum $name:ident { $($(#[$variant_meta:meta])* $variant:ident = $text:literal),+ $(,)? }) => {
         $(#[$meta])*
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
-        pub enum $name { $($(#[$variant_meta])* #[serde(rename = $text)] $variant),+ }
+        $vis enum $name { $($(#[$variant_meta])* #[serde(rename = $text)] $variant),+ }
 
         impl $name {
             /// Every choice.
-            pub const ALL: [Self; [$($text),+].len()] = [$(Self::$variant),+];
+            $vis const ALL: [Self; [$($text),+].len()] = [$(Self::$variant),+];
             /// The name of every choice.
-            pub const NAMES: &[&str] = &[$($text),+];
+            $vis const NAMES: &[&str] = &[$($text),+];
 
             /// The name that users write.
             #[must_use]
-            pub fn name(self) -> &'static str {
+            $vis fn name(self) -> &'static str {
                 match self { $(Self::$variant => $text),+ }
             }
         }
@@ -36,4 +36,4 @@ macro_rules! named_choice {
         }
     };
 }
-pub(super) use named_choice;
+pub(crate) use named_choice;

@@ -11,7 +11,7 @@ use super::choice::named_choice;
 
 named_choice! {
     /// The network that LPIPS compares features of; the figures of two networks cannot be compared.
-    LpipsNetwork {
+    pub enum LpipsNetwork {
         /// AlexNet in torchvision's layout.
         Alex = "lpips-alex",
         /// VGG16 in torchvision's layout.

@@ -12,7 +12,7 @@ pub const HOLD_OUT_EVERY: usize = 8;
 
 named_choice! {
     /// How the files of a dataset are laid out.
-    Layout {
+    pub enum Layout {
         /// `transforms_{train,val,test}.json`, OpenGL camera-to-world, `camera_angle_x`.
         Blender = "blender",
         /// One `transforms.json` (nerfstudio, instant-ngp).

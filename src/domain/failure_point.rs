@@ -7,7 +7,7 @@ use super::choice::named_choice;
 
 named_choice! {
     /// A point at which a process may be ended.
-    FailurePoint {
+    pub enum FailurePoint {
         /// A dataset or a result is announced to the database; its object is not in the bucket.
         BlobAnnounced = "blob-announced",
         /// Its object is in the bucket, which the database has not confirmed.

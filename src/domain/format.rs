@@ -13,7 +13,7 @@ const SPZ3: &[u8] = b"\x1f\x8b";
 
 named_choice! {
     /// A kind of file.
-    SceneFormat {
+    pub enum SceneFormat {
         /// Compressed anchors.
         Tcgs = "tcgs",
         /// Anchors and networks as floats.

@@ -7,7 +7,7 @@ use super::{JobId, JobMetrics, Phase, Problem, Progress, TrainOptions, choice::n
 
 named_choice! {
     /// The state of a job.
-    JobState {
+    pub enum JobState {
         /// Waiting for a worker.
         Queued = "queued",
         /// A worker holds its lease.
@@ -75,7 +75,7 @@ pub struct Job {
 
 named_choice! {
     /// What an event records.
-    EventKind {
+    pub enum EventKind {
         /// The state changed.
         State = "state",
         /// The phase changed.

@@ -64,6 +64,8 @@ pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
 #[cfg(feature = "service")]
 pub use causes::{causes, is_no_space};
+#[cfg(feature = "service")]
+pub(crate) use choice::named_choice;
 pub use choices::{Choices, ShortenedRun, SizeBound, Widths};
 #[cfg(feature = "service")]
 pub use clock::{Clock, ManualClock, SystemClock};

@@ -32,7 +32,7 @@ impl OptionError {
 
 named_choice! {
     /// A schedule: how many steps, how large a model.
-    Preset {
+    pub enum Preset {
         /// Minutes on a software adapter.
         Preview = "preview",
         /// For a GPU.
@@ -44,7 +44,7 @@ named_choice! {
 
 named_choice! {
     /// The colour behind the scene.
-    Background {
+    pub enum Background {
         /// (1, 1, 1).
         White = "white",
         /// (0, 0, 0).
@@ -71,7 +71,7 @@ impl Background {
 
 named_choice! {
     /// What is trained.
-    ModelKind {
+    pub enum ModelKind {
         /// Anchors with compression-aware training, written as `.tcgs`.
         Tcgs = "tcgs",
         /// The Scaffold-GS baseline.
@@ -83,7 +83,7 @@ named_choice! {
 
 named_choice! {
     /// A part of the method that can be switched off.
-    Component {
+    pub enum Component {
         /// The tri-plane context.
         TriPlane = "triplane",
         /// The neighbours' context.
@@ -103,7 +103,7 @@ named_choice! {
 
 named_choice! {
     /// When a run ends.
-    Until {
+    pub enum Until {
         /// After all of its steps.
         Full = "full",
         /// Earlier, if training views that are kept aside have stopped gaining.

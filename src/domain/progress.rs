@@ -11,7 +11,7 @@ use super::choice::named_choice;
 
 named_choice! {
     /// A stage of a job.
-    Phase {
+    pub enum Phase {
         /// Waiting for a worker.
         Queued = "queued",
         /// Reading and checking the dataset.

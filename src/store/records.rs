@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::IdempotentRequest;
 use crate::domain::{
     DatasetId, Digest, Job, JobId, JobMetrics, JobState, KeyId, Metadata, ModelKind, Problem, ProjectId,
-    SceneFormat, TrainOptions,
+    SceneFormat, TrainOptions, named_choice,
 };
 
 /// A published blob.
@@ -269,39 +269,21 @@ pub enum Outcome {
     Released,
 }
 
-/// How an attempt ended, as recorded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum AttemptOutcome {
-    /// Its result was published.
-    Succeeded,
-    /// The job failed with it.
-    Failed,
-    /// It failed, and the job was queued again.
-    Retried,
-    /// It was stopped because the job was cancelled.
-    Cancelled,
-    /// It ended without a charge: its worker shut down, or the job is held, then with a cause.
-    Released,
-    /// Its worker died or stopped renewing the lease.
-    Lost,
-}
-
-impl AttemptOutcome {
-    /// Every outcome.
-    pub const ALL: [Self; 6] =
-        [Self::Succeeded, Self::Failed, Self::Retried, Self::Cancelled, Self::Released, Self::Lost];
-
-    /// The name in the database and in events.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            AttemptOutcome::Succeeded => "succeeded",
-            AttemptOutcome::Failed => "failed",
-            AttemptOutcome::Retried => "retried",
-            AttemptOutcome::Cancelled => "cancelled",
-            AttemptOutcome::Released => "released",
-            AttemptOutcome::Lost => "lost",
-        }
+named_choice! {
+    /// How an attempt ended, as recorded; the names are those in the database and in events.
+    pub enum AttemptOutcome {
+        /// Its result was published.
+        Succeeded = "succeeded",
+        /// The job failed with it.
+        Failed = "failed",
+        /// It failed, and the job was queued again.
+        Retried = "retried",
+        /// It was stopped because the job was cancelled.
+        Cancelled = "cancelled",
+        /// It ended without a charge: its worker shut down, or the job is held, then with a cause.
+        Released = "released",
+        /// Its worker died or stopped renewing the lease.
+        Lost = "lost",
     }
 }
 

@@ -8,7 +8,7 @@ use std::time::Duration;
 use jiff::Timestamp;
 
 use super::StoreFuture;
-use crate::domain::{DeliveryId, EndpointId, JobId, ProjectId, WebhookEvent, WebhookSecret};
+use crate::domain::{DeliveryId, EndpointId, JobId, ProjectId, WebhookEvent, WebhookSecret, named_choice};
 
 /// The part of a store that keeps webhook endpoints and deliveries.
 pub trait Webhooks: Send + Sync + 'static {
@@ -83,29 +83,15 @@ pub struct EndpointRecord {
     pub disabled_at: Option<Timestamp>,
 }
 
-/// State of a delivery.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum DeliveryState {
-    /// An attempt is due or in progress.
-    Pending,
-    /// The endpoint has accepted it.
-    Delivered,
-    /// Its attempts are used up, or the endpoint is disabled.
-    Failed,
-}
-
-impl DeliveryState {
-    /// Every state.
-    pub const ALL: [Self; 3] = [Self::Pending, Self::Delivered, Self::Failed];
-
-    /// The name in the database and the API.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            DeliveryState::Pending => "pending",
-            DeliveryState::Delivered => "delivered",
-            DeliveryState::Failed => "failed",
-        }
+named_choice! {
+    /// State of a delivery; the names are those in the database and the API.
+    pub enum DeliveryState {
+        /// An attempt is due or in progress.
+        Pending = "pending",
+        /// The endpoint has accepted it.
+        Delivered = "delivered",
+        /// Its attempts are used up, or the endpoint is disabled.
+        Failed = "failed",
     }
 }
 

@@ -1,28 +1,30 @@
 //! Rendered views as files.
 
-use std::{io::Cursor, str::FromStr};
+use std::io::Cursor;
 
 use bytes::Bytes;
 use image::{
     ExtendedColorType, ImageEncoder as _, ImageError,
     codecs::{jpeg::JpegEncoder, png::PngEncoder, webp::WebPEncoder},
 };
-use serde::Deserialize;
 
-use crate::{domain::Image, render::views::ScalarImage};
+use crate::{
+    domain::{Image, named_choice},
+    render::views::ScalarImage,
+};
 
 /// Default quality of JPEG.
 const JPEG_QUALITY: u8 = 90;
 
-/// A file format for views. All but JPEG are lossless.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(crate) enum Format {
-    Png,
-    Jpeg,
-    Webp,
-    /// A NumPy array, for outputs with one number per pixel.
-    Npy,
+named_choice! {
+    /// A file format for views. All but JPEG are lossless.
+    pub(crate) enum Format {
+        Png = "png",
+        Jpeg = "jpeg",
+        Webp = "webp",
+        /// A NumPy array, for outputs with one number per pixel.
+        Npy = "npy",
+    }
 }
 
 impl Format {
@@ -45,45 +47,14 @@ impl Format {
     }
 }
 
-impl FromStr for Format {
-    type Err = ();
-
-    fn from_str(text: &str) -> Result<Self, ()> {
-        match text {
-            "png" => Ok(Format::Png),
-            "jpeg" => Ok(Format::Jpeg),
-            "webp" => Ok(Format::Webp),
-            "npy" => Ok(Format::Npy),
-            _ => Err(()),
-        }
-    }
-}
-
-/// What a picture shows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(crate) enum Output {
-    #[default]
-    Color,
-    Depth,
-    Alpha,
-}
-
-impl Output {
-    fn name(self) -> &'static str {
-        match self {
-            Output::Color => "color",
-            Output::Depth => "depth",
-            Output::Alpha => "alpha",
-        }
-    }
-}
-
-impl FromStr for Output {
-    type Err = ();
-
-    fn from_str(text: &str) -> Result<Self, ()> {
-        [Output::Color, Output::Depth, Output::Alpha].into_iter().find(|o| o.name() == text).ok_or(())
+named_choice! {
+    /// What a picture shows.
+    #[derive(Default)]
+    pub(crate) enum Output {
+        #[default]
+        Color = "color",
+        Depth = "depth",
+        Alpha = "alpha",
     }
 }
 

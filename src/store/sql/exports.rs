@@ -25,7 +25,7 @@ async fn of_job(connection: &mut Transaction, job: JobId) -> Result<Vec<ExportRe
 async fn project_of(connection: &mut Transaction, job: JobId) -> Result<Option<ProjectId>, StoreError> {
     let row = query("SELECT project FROM jobs WHERE id = ?").bind(job.to_string());
     let Some(row) = row.fetch_optional(connection).await? else { return Ok(None) };
-    rows::optional_id(&row, "project")
+    rows::optional_parsed(&row, "project")
 }
 
 impl Exports for SqlStore {

@@ -9,8 +9,8 @@ use crate::{
         WebhookEvent, WebhookSecret,
     },
     store::{
-        Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, DeliveryRecord, DeliveryState,
-        DueDelivery, EndpointRecord, ExportRecord, FileRecord, JobRecord, PriorRequest, StoreError,
+        Artifact, ArtifactKind, AttemptRecord, BlobRef, DeliveryRecord, DueDelivery, EndpointRecord,
+        ExportRecord, FileRecord, JobRecord, PriorRequest, StoreError,
         leases::LeaseRow,
         retry::{AttemptState, LossStreak},
     },
@@ -112,7 +112,7 @@ pub(super) fn optional_instant(row: &Row, column: &'static str) -> Result<Option
     row.try_get::<Option<i64>>(column)?.map(|value| instant(column, value)).transpose()
 }
 
-pub(super) fn optional_id<T: FromStr>(row: &Row, column: &'static str) -> Result<Option<T>, StoreError> {
+pub(super) fn optional_parsed<T: FromStr>(row: &Row, column: &'static str) -> Result<Option<T>, StoreError> {
     row.try_get::<Option<String>>(column)?.map(|text| parsed(column, &text)).transpose()
 }
 
@@ -139,7 +139,7 @@ pub(super) fn newest_event(row: &Row) -> Result<(JobId, u64), StoreError> {
 /// The job whose checkpoint a claimed one may resume from.
 pub(super) fn resume_from(row: &Row) -> Result<Option<JobId>, StoreError> {
     let may: bool = row.try_get("from_checkpoint")?;
-    Ok(optional_id(row, "retry_of")?.filter(|_| may))
+    Ok(optional_parsed(row, "retry_of")?.filter(|_| may))
 }
 
 pub(super) fn dataset(row: &Row) -> Result<Digest, StoreError> {
@@ -178,13 +178,13 @@ pub(super) fn job(row: &Row, parts: JobParts) -> Result<JobRecord, StoreError> {
     Ok(JobRecord {
         job,
         project: parsed("project", row.try_get("project")?)?,
-        key: optional_id(row, "owner")?,
+        key: optional_parsed(row, "owner")?,
         name: row.try_get("name")?,
         metadata: document("metadata", row.try_get("metadata")?)?,
         queue_position: parts.queue_position,
         attempts: parts.attempts,
-        dataset_id: optional_id(row, "scene")?,
-        retry_of: optional_id(row, "retry_of")?,
+        dataset_id: optional_parsed(row, "scene")?,
+        retry_of: optional_parsed(row, "retry_of")?,
         deadline_at: optional_instant(row, "deadline_at")?,
         priority: whole(row, "priority")?,
         dataset: blob(row, "dataset")?,
@@ -209,28 +209,13 @@ pub(super) fn event(row: &Row) -> Result<Event, StoreError> {
     })
 }
 
-/// How an ended attempt ended.
-pub(super) fn outcome(row: &Row) -> Result<AttemptOutcome, StoreError> {
-    outcome_named(row.try_get("outcome")?)
-}
-
-/// The outcome with that name.
-pub(super) fn outcome_named(text: &str) -> Result<AttemptOutcome, StoreError> {
-    AttemptOutcome::ALL
-        .into_iter()
-        .find(|outcome| outcome.name() == text)
-        .ok_or_else(|| corrupt("outcome")(format!("'{text}'")))
-}
-
 pub(super) fn attempt(row: &Row) -> Result<AttemptRecord, StoreError> {
-    let ended = row.try_get::<Option<String>>("outcome")?.is_some();
-    let outcome = if ended { Some(outcome(row)?) } else { None };
     Ok(AttemptRecord {
         number: whole(row, "number")?,
         worker: row.try_get("worker")?,
         started_at: instant("started_at", row.try_get("started_at")?)?,
         ended_at: optional_instant(row, "ended_at")?,
-        outcome,
+        outcome: optional_parsed(row, "outcome")?,
         cause: optional_document(row, "cause")?,
     })
 }
@@ -333,17 +318,12 @@ pub(super) fn endpoint(row: &Row) -> Result<EndpointRecord, StoreError> {
 
 /// A row of `webhook_deliveries`.
 pub(super) fn delivery(row: &Row) -> Result<DeliveryRecord, StoreError> {
-    let state: String = row.try_get("state")?;
-    let state = DeliveryState::ALL
-        .into_iter()
-        .find(|known| known.name() == state)
-        .ok_or_else(|| corrupt("state")(format!("'{state}'")))?;
     Ok(DeliveryRecord {
         seq: whole(row, "seq")?,
         id: parsed("id", row.try_get("id")?)?,
         job: parsed("job", row.try_get("job")?)?,
         event: parsed("event", row.try_get("event")?)?,
-        state,
+        state: parsed("state", row.try_get("state")?)?,
         attempts: whole(row, "attempts")?,
         due_at: optional_instant(row, "due_at")?,
         created_at: instant("created_at", row.try_get("created_at")?)?,

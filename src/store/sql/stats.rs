@@ -161,7 +161,7 @@ fn whole(value: f64) -> u64 {
 fn attempts_ended(counter: &Counter) -> Result<AttemptCount, StoreError> {
     let cause = counter.cause.trim_start_matches(TYPE_PREFIX);
     Ok(AttemptCount {
-        outcome: rows::outcome_named(&counter.label)?,
+        outcome: rows::parsed("outcome", &counter.label)?,
         cause: (!cause.is_empty()).then(|| cause.to_owned()),
         count: whole(counter.value),
     })

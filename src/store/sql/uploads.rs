@@ -6,7 +6,7 @@ use super::{
     SqlStore, accounts,
     db::{Row, Transaction, query, values},
     locks,
-    rows::{instant, micros, optional_id, optional_instant, parsed, whole},
+    rows::{instant, micros, optional_instant, optional_parsed, parsed, whole},
 };
 use crate::{
     domain::UploadId,
@@ -23,7 +23,7 @@ fn upload(row: &Row) -> Result<UploadRecord, StoreError> {
         length: whole(row, "length")?,
         received: whole(row, "received")?,
         metadata: row.try_get("metadata")?,
-        dataset_id: optional_id(row, "scene")?,
+        dataset_id: optional_parsed(row, "scene")?,
         created_at: instant("created_at", row.try_get("created_at")?)?,
         expires_at: instant("expires_at", row.try_get("expires_at")?)?,
         ended_at: optional_instant(row, "ended_at")?,
