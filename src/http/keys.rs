@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     problem::{ApiResult, ProblemResponse},
-    request::{ApiJson, JsonBody, Page, Parameters, pagination, present},
+    request::{ApiJson, JsonBody, Page, Parameters, present},
     state::AppState,
 };
 use crate::{
@@ -92,26 +92,20 @@ pub(super) async fn create(
     Ok((StatusCode::CREATED, headers, Json(CreateKeyResponse { key: key.expose(), record })).into_response())
 }
 
-#[derive(Serialize)]
-struct KeyList {
-    keys: Vec<KeyRecord>,
-    next: Option<String>,
-}
-
 /// `GET /v1/keys`.
 pub(super) async fn list(
     State(state): State<AppState>,
     _: Caller,
     mut parameters: Parameters,
-) -> ApiResult<impl IntoResponse> {
+) -> ApiResult {
     let page = Page::take(&mut parameters, |text| text.parse().ok())?;
     let revoked = parameters.take_as("revoked", "true or false")?.unwrap_or(false);
     let project: Option<ProjectId> = parameters.take_as("project_id", "a project's id")?;
     parameters.finish()?;
-    let mut keys = state.store().keys(project, revoked, page.after, page.to_read()).await?;
+    let keys = state.store().keys(project, revoked, page.after, page.to_read()).await?;
     let of_project = project.map(|project| format!("&project_id={project}")).unwrap_or_default();
-    let next = page.cut(&mut keys, &format!("/v1/keys?revoked={revoked}{of_project}"), |last| last.id);
-    Ok((pagination::headers(next.as_deref())?, Json(KeyList { keys, next })))
+    let list = format!("/v1/keys?revoked={revoked}{of_project}");
+    page.answer("keys", keys, &list, |last| last.id, |key| key)
 }
 
 /// `GET /v1/keys/{id}`.

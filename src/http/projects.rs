@@ -6,11 +6,11 @@ use axum::{
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::IntoResponse,
 };
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 use super::{
     problem::{ApiResult, ProblemResponse},
-    request::{ApiJson, Etag, IfMatch, JsonBody, Page, Parameters, not_modified, pagination, present},
+    request::{ApiJson, Etag, IfMatch, JsonBody, Page, Parameters, not_modified, present},
     state::AppState,
 };
 use crate::{
@@ -52,29 +52,22 @@ pub(super) async fn create(
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], representation(record)).into_response())
 }
 
-#[derive(Serialize)]
-struct ProjectList {
-    projects: Vec<ProjectRecord>,
-    next: Option<String>,
-}
-
 /// `GET /v1/projects`.
 pub(super) async fn list(
     State(state): State<AppState>,
     caller: Caller,
     mut parameters: Parameters,
-) -> ApiResult<impl IntoResponse> {
+) -> ApiResult {
     let page = Page::take(&mut parameters, |text| text.parse().ok())?;
     parameters.finish()?;
-    let mut projects = match caller.visible_project() {
+    let projects = match caller.visible_project() {
         None => state.store().projects(page.after, page.to_read()).await?,
         Some(own) => {
             let is_after = page.after.is_none_or(|after| own < after);
             state.store().project(own).await?.filter(|_| is_after).into_iter().collect()
         }
     };
-    let next = page.cut(&mut projects, "/v1/projects", |last| last.id);
-    Ok((pagination::headers(next.as_deref())?, Json(ProjectList { projects, next })))
+    page.answer("projects", projects, "/v1/projects", |last| last.id, |project| project)
 }
 
 /// `GET /v1/projects/{id}`.

@@ -1,23 +1,17 @@
 //! `GET /v1/usage`: what projects use, and what they may.
 
-use axum::{Json, extract::State, response::IntoResponse};
+use axum::extract::State;
 use serde::Serialize;
 
 use super::{
     problem::{ApiResult, ProblemResponse},
-    request::{Page, Parameters, pagination},
+    request::{Page, Parameters},
     state::AppState,
 };
 use crate::{
     domain::{Caller, ProjectId, ProjectLimits},
     store::{ProjectUsage, StoredBytes},
 };
-
-#[derive(Serialize)]
-struct UsageList {
-    projects: Vec<UsageBody>,
-    next: Option<String>,
-}
 
 /// `#/components/schemas/Usage` of the contract.
 #[derive(Serialize)]
@@ -79,7 +73,7 @@ pub(super) async fn get(
     State(state): State<AppState>,
     caller: Caller,
     mut parameters: Parameters,
-) -> ApiResult<impl IntoResponse> {
+) -> ApiResult {
     let page = Page::take(&mut parameters, |text| text.parse().ok())?;
     let asked: Option<ProjectId> = parameters.take_as("project_id", "a project's id")?;
     parameters.finish()?;
@@ -87,7 +81,7 @@ pub(super) async fn get(
         (Some(own), Some(asked)) if own != asked => return Err(ProblemResponse::no_project(asked)),
         (own, asked) => own.or(asked),
     };
-    let mut usage = state.store().project_usage(project, page.after, page.to_read()).await?;
+    let usage = state.store().project_usage(project, page.after, page.to_read()).await?;
     if let Some(asked) = asked
         && usage.is_empty()
         && page.after.is_none()
@@ -95,7 +89,5 @@ pub(super) async fn get(
         return Err(ProblemResponse::no_project(asked));
     }
     let list = asked.map_or_else(|| "/v1/usage".to_owned(), |asked| format!("/v1/usage?project_id={asked}"));
-    let next = page.cut(&mut usage, &list, |last| last.project.id);
-    let projects = usage.into_iter().map(UsageBody::from).collect();
-    Ok((pagination::headers(next.as_deref())?, Json(UsageList { projects, next })))
+    page.answer("projects", usage, &list, |last| last.project.id, UsageBody::from)
 }

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     problem::{ApiResult, ProblemResponse},
-    request::{ApiJson, JsonBody, Page, Parameters, pagination},
+    request::{ApiJson, JsonBody, Page, Parameters},
     state::AppState,
 };
 use crate::{
@@ -79,18 +79,6 @@ struct DeliveryBody {
 struct DeliveryLinks {
     job: String,
     replay: String,
-}
-
-#[derive(Serialize)]
-struct EndpointList {
-    endpoints: Vec<EndpointBody>,
-    next: Option<String>,
-}
-
-#[derive(Serialize)]
-struct DeliveryList {
-    deliveries: Vec<DeliveryBody>,
-    next: Option<String>,
 }
 
 fn href(id: EndpointId) -> String {
@@ -160,11 +148,8 @@ fn invalid(detail: String) -> ProblemResponse {
 /// `GET /v1/webhook-endpoints`.
 pub(super) async fn list(State(state): State<AppState>, caller: Caller, parameters: Parameters) -> ApiResult {
     let page = page(parameters)?;
-    let mut records = state.store().endpoints(caller.visible_project(), page.after, page.to_read()).await?;
-    let next = page.cut(&mut records, "/v1/webhook-endpoints", |last| last.id);
-    let headers = pagination::headers(next.as_deref())?;
-    let endpoints = records.into_iter().map(EndpointBody::from).collect();
-    Ok((headers, Json(EndpointList { endpoints, next })).into_response())
+    let records = state.store().endpoints(caller.visible_project(), page.after, page.to_read()).await?;
+    page.answer("endpoints", records, "/v1/webhook-endpoints", |last| last.id, EndpointBody::from)
 }
 
 /// `GET /v1/webhook-endpoints/{id}`.
@@ -194,11 +179,9 @@ pub(super) async fn deliveries(
 ) -> ApiResult {
     let endpoint = find(&state, &caller, &id).await?.id;
     let page = page(parameters)?;
-    let mut records = state.store().deliveries(endpoint, page.after, page.to_read()).await?;
-    let next = page.cut(&mut records, &format!("{}/deliveries", href(endpoint)), |last| last.seq);
-    let headers = pagination::headers(next.as_deref())?;
-    let deliveries = records.into_iter().map(|record| delivery(endpoint, record)).collect();
-    Ok((headers, Json(DeliveryList { deliveries, next })).into_response())
+    let records = state.store().deliveries(endpoint, page.after, page.to_read()).await?;
+    let list = format!("{}/deliveries", href(endpoint));
+    page.answer("deliveries", records, &list, |last| last.seq, |record| delivery(endpoint, record))
 }
 
 /// `POST /v1/webhook-endpoints/{id}/deliveries/{delivery}/replay`.

@@ -10,12 +10,11 @@ use axum::{
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
-use serde::Serialize;
 
 use self::body::SceneBody;
 use super::{
     problem::{ApiResult, ProblemResponse},
-    request::{Etag, IfMatch, Page, Parameters, cursor, not_modified, pagination, parse_cursor},
+    request::{Etag, IfMatch, Page, Parameters, cursor, not_modified, parse_cursor},
     state::AppState,
 };
 use crate::{
@@ -33,12 +32,6 @@ pub(super) async fn find(state: &AppState, caller: &Caller, id: &str) -> ApiResu
     record.filter(|record| caller.may_see(record.project)).ok_or_else(|| ProblemResponse::no_scene(id))
 }
 
-#[derive(Debug, Serialize)]
-struct SceneList {
-    scenes: Vec<SceneBody>,
-    next: Option<String>,
-}
-
 /// `GET /v1/scenes`.
 pub(super) async fn list(
     State(state): State<AppState>,
@@ -50,11 +43,9 @@ pub(super) async fn list(
         Some(DatasetPageKey { created_at, id })
     })?;
     parameters.finish()?;
-    let mut records = state.store().datasets(caller.visible_project(), page.after, page.to_read()).await?;
-    let next = page.cut(&mut records, "/v1/scenes", |last| cursor(last.created_at, last.id));
-    let headers = pagination::headers(next.as_deref())?;
-    let scenes = records.into_iter().map(SceneBody::from).collect();
-    Ok((headers, Json(SceneList { scenes, next })).into_response())
+    let records = state.store().datasets(caller.visible_project(), page.after, page.to_read()).await?;
+    let after = |last: &DatasetRecord| cursor(last.created_at, last.id);
+    page.answer("scenes", records, "/v1/scenes", after, SceneBody::from)
 }
 
 /// `GET /v1/scenes/{id}`.

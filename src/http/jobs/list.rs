@@ -1,7 +1,6 @@
 //! `GET /v1/jobs`: a page of jobs, newest first.
 
-use axum::{Json, extract::State, response::IntoResponse};
-use serde::Serialize;
+use axum::extract::State;
 
 use super::body::JobBody;
 use crate::{
@@ -9,24 +8,18 @@ use crate::{
     http::{
         jobs::create_request::labels,
         problem::{ApiResult, ProblemResponse},
-        request::{Page, Parameters, cursor, pagination, parse_cursor},
+        request::{Page, Parameters, cursor, parse_cursor},
         state::AppState,
     },
-    store::{JobFilter, PageKey},
+    store::{JobFilter, JobRecord, PageKey},
 };
-
-#[derive(Debug, Serialize)]
-struct JobList {
-    jobs: Vec<JobBody>,
-    next: Option<String>,
-}
 
 /// `GET /v1/jobs`.
 pub(crate) async fn list(
     State(state): State<AppState>,
     caller: Caller,
     mut parameters: Parameters,
-) -> ApiResult<impl IntoResponse> {
+) -> ApiResult {
     let page = Page::take(&mut parameters, |text| {
         let (created_at, id) = parse_cursor(text)?;
         Some(PageKey { created_at, id })
@@ -49,12 +42,9 @@ pub(crate) async fn list(
     };
     parameters.finish()?;
     let seen = JobFilter { project: own.or(asked), ..filter.clone() };
-    let mut records = state.store().jobs(&seen, page.after, page.to_read()).await?;
-    let path = filtered(&filter)?;
-    let next = page.cut(&mut records, &path, |last| cursor(last.job.created_at, last.job.id));
-    let headers = pagination::headers(next.as_deref())?;
-    let jobs = records.into_iter().map(JobBody::from).collect();
-    Ok((headers, Json(JobList { jobs, next })))
+    let records = state.store().jobs(&seen, page.after, page.to_read()).await?;
+    let after = |last: &JobRecord| cursor(last.job.created_at, last.job.id);
+    page.answer("jobs", records, &filtered(&filter)?, after, JobBody::from)
 }
 
 fn parse_states(text: &str) -> ApiResult<Vec<JobState>> {

@@ -5,7 +5,7 @@ mod body;
 pub(super) mod content_digest;
 mod etag;
 pub(super) mod idempotency;
-pub(super) mod pagination;
+mod pagination;
 pub(super) mod prefer;
 mod query;
 mod range;

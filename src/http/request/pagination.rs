@@ -4,8 +4,13 @@
 
 use std::{fmt::Display, str::FromStr};
 
-use axum::http::{HeaderMap, HeaderValue, header};
+use axum::{
+    Json,
+    http::{HeaderMap, HeaderValue, header},
+    response::IntoResponse as _,
+};
 use jiff::Timestamp;
+use serde::{Serialize, Serializer, ser::SerializeMap as _};
 
 use super::query::Parameters;
 use crate::http::problem::{ApiResult, ProblemResponse};
@@ -39,9 +44,28 @@ impl<C> Page<C> {
         self.limit + 1
     }
 
-    /// Truncates what was read to the page and returns the path of the next one. `list` is the path of the list with its filters, none
-    /// of which needs escaping; `cursor` gives an entry's cursor.
-    pub(crate) fn cut<T, W: Display>(
+    /// Answers with the page of what was read: its entries as `body` shows them, called `name`, and the path of the next page. `list` is
+    /// the path of the list with its filters, none of which needs escaping; `cursor` gives an entry's cursor.
+    pub(crate) fn answer<T, W: Display, B: Serialize>(
+        &self,
+        name: &'static str,
+        mut entries: Vec<T>,
+        list: &str,
+        cursor: impl FnOnce(&T) -> W,
+        body: impl FnMut(T) -> B,
+    ) -> ApiResult {
+        let next = self.cut(&mut entries, list, cursor);
+        let mut headers = HeaderMap::new();
+        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+        if let Some(next) = &next {
+            headers.insert(header::LINK, HeaderValue::try_from(format!("<{next}>; rel=\"next\""))?);
+        }
+        let entries = entries.into_iter().map(body).collect();
+        Ok((headers, Json(List { name, entries, next })).into_response())
+    }
+
+    /// Truncates what was read to the page and returns the path of the next one.
+    fn cut<T, W: Display>(
         &self,
         entries: &mut Vec<T>,
         list: &str,
@@ -66,15 +90,20 @@ pub(crate) fn parse_cursor<I: FromStr>(text: &str) -> Option<(Timestamp, I)> {
     Some((Timestamp::from_microsecond(at.parse().ok()?).ok()?, id.parse().ok()?))
 }
 
-/// Headers of a page whose next is at `next`.
-pub(crate) fn headers(next: Option<&str>) -> ApiResult<HeaderMap> {
-    let mut headers = HeaderMap::new();
-    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    if let Some(next) = next {
-        let link = HeaderValue::try_from(format!("<{next}>; rel=\"next\""));
-        headers.insert(header::LINK, link?);
+/// A page of a list as the API shows it.
+struct List<B> {
+    name: &'static str,
+    entries: Vec<B>,
+    next: Option<String>,
+}
+
+impl<B: Serialize> Serialize for List<B> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut fields = serializer.serialize_map(Some(2))?;
+        fields.serialize_entry(self.name, &self.entries)?;
+        fields.serialize_entry("next", &self.next)?;
+        fields.end()
     }
-    Ok(headers)
 }
 
 #[cfg(test)]
