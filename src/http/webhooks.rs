@@ -9,8 +9,8 @@ use axum::{
     http::{HeaderValue, StatusCode, header},
     response::IntoResponse as _,
 };
-use jiff::Timestamp;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
+use serde_json::{Value, json};
 
 use super::{
     problem::{ApiResult, ProblemResponse},
@@ -18,7 +18,7 @@ use super::{
     state::AppState,
 };
 use crate::{
-    domain::{Caller, EndpointId, JobId, ProblemType, WebhookEvent, WebhookSecret},
+    domain::{Caller, EndpointId, ProblemType, WebhookEvent, WebhookSecret},
     store::{DeliveryRecord, EndpointRecord, NewEndpoint, Replay},
 };
 
@@ -35,50 +35,6 @@ pub(super) struct CreateEndpointRequest {
 impl JsonBody for CreateEndpointRequest {
     const INVALID: ProblemType = ProblemType::InvalidEndpoint;
     const EXPECTED: &'static str = "a webhook endpoint";
-}
-
-/// `#/components/schemas/WebhookEndpoint` of the contract.
-#[derive(Serialize)]
-struct EndpointBody {
-    id: EndpointId,
-    url: String,
-    events: Vec<&'static str>,
-    description: Option<String>,
-    created_at: Timestamp,
-    disabled_at: Option<Timestamp>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    secret: Option<String>,
-    links: EndpointLinks,
-}
-
-#[derive(Serialize)]
-struct EndpointLinks {
-    #[serde(rename = "self")]
-    this: String,
-    deliveries: String,
-}
-
-/// `#/components/schemas/WebhookDelivery` of the contract.
-#[derive(Debug, Serialize)]
-struct DeliveryBody {
-    id: String,
-    event: &'static str,
-    job_id: JobId,
-    state: &'static str,
-    attempts: u32,
-    next_attempt_at: Option<Timestamp>,
-    created_at: Timestamp,
-    attempted_at: Option<Timestamp>,
-    delivered_at: Option<Timestamp>,
-    response_status: Option<u16>,
-    error: Option<String>,
-    links: DeliveryLinks,
-}
-
-#[derive(Debug, Serialize)]
-struct DeliveryLinks {
-    job: String,
-    replay: String,
 }
 
 fn href(id: EndpointId) -> String {
@@ -119,7 +75,7 @@ pub(super) async fn create(
     };
     tracing::info!(endpoint = %record.id, "endpoint {} is told of jobs", record.id);
     let location = HeaderValue::try_from(href(record.id))?;
-    let body = Json(EndpointBody { secret: Some(secret.expose().to_owned()), ..record.into() });
+    let body = Json(endpoint(&record, Some(&secret)));
     let headers =
         [(header::LOCATION, location), (header::CACHE_CONTROL, HeaderValue::from_static("no-store"))];
     Ok((StatusCode::CREATED, headers, body).into_response())
@@ -149,13 +105,14 @@ fn invalid(detail: String) -> ProblemResponse {
 pub(super) async fn list(State(state): State<AppState>, caller: Caller, parameters: Parameters) -> ApiResult {
     let page = page(parameters)?;
     let records = state.store().endpoints(caller.visible_project(), page.after, page.to_read()).await?;
-    page.answer("endpoints", records, "/v1/webhook-endpoints", |last| last.id, EndpointBody::from)
+    let body = |record: EndpointRecord| endpoint(&record, None);
+    page.answer("endpoints", records, "/v1/webhook-endpoints", |last| last.id, body)
 }
 
 /// `GET /v1/webhook-endpoints/{id}`.
 pub(super) async fn get(State(state): State<AppState>, caller: Caller, Path(id): Path<String>) -> ApiResult {
     let record = find(&state, &caller, &id).await?;
-    Ok((no_store(), Json(EndpointBody::from(record))).into_response())
+    Ok((no_store(), Json(endpoint(&record, None))).into_response())
 }
 
 /// `DELETE /v1/webhook-endpoints/{id}`.
@@ -181,7 +138,7 @@ pub(super) async fn deliveries(
     let page = page(parameters)?;
     let records = state.store().deliveries(endpoint, page.after, page.to_read()).await?;
     let list = format!("{}/deliveries", href(endpoint));
-    page.answer("deliveries", records, &list, |last| last.seq, |record| delivery(endpoint, record))
+    page.answer("deliveries", records, &list, |last| last.seq, |record| delivery(endpoint, &record))
 }
 
 /// `POST /v1/webhook-endpoints/{id}/deliveries/{delivery}/replay`.
@@ -199,7 +156,7 @@ pub(super) async fn replay(
     let refused = |kind, detail: &str| Err(ProblemResponse::new(kind, detail));
     match state.store().replay(endpoint, parsed).await?.ok_or_else(unknown)? {
         Replay::Due(record) => {
-            Ok((StatusCode::ACCEPTED, no_store(), Json(delivery(endpoint, record))).into_response())
+            Ok((StatusCode::ACCEPTED, no_store(), Json(delivery(endpoint, &record))).into_response())
         }
         Replay::InProgress => refused(ProblemType::DeliveryUnderWay, "an attempt is being made right now"),
         Replay::Disabled => refused(
@@ -229,38 +186,41 @@ fn no_store() -> [(header::HeaderName, &'static str); 1] {
     [(header::CACHE_CONTROL, "no-store")]
 }
 
-impl From<EndpointRecord> for EndpointBody {
-    fn from(record: EndpointRecord) -> Self {
-        let this = href(record.id);
-        Self {
-            id: record.id,
-            url: record.url,
-            events: record.events.into_iter().map(WebhookEvent::name).collect(),
-            description: record.description,
-            created_at: record.created_at,
-            disabled_at: record.disabled_at,
-            secret: None,
-            links: EndpointLinks { deliveries: format!("{this}/deliveries"), this },
-        }
+/// `#/components/schemas/WebhookEndpoint` of the contract.
+fn endpoint(record: &EndpointRecord, secret: Option<&WebhookSecret>) -> Value {
+    let this = href(record.id);
+    let mut body = json!({
+        "id": record.id,
+        "url": record.url,
+        "events": record.events.iter().map(|event| event.name()).collect::<Vec<_>>(),
+        "description": record.description,
+        "created_at": record.created_at,
+        "disabled_at": record.disabled_at,
+    });
+    if let Some(secret) = secret {
+        body["secret"] = secret.expose().into();
     }
+    body["links"] = json!({ "self": this, "deliveries": format!("{this}/deliveries") });
+    body
 }
 
-fn delivery(endpoint: EndpointId, record: DeliveryRecord) -> DeliveryBody {
-    DeliveryBody {
-        id: record.id.to_string(),
-        event: record.event.name(),
-        job_id: record.job,
-        state: record.state.name(),
-        attempts: record.attempts,
-        next_attempt_at: record.due_at,
-        created_at: record.created_at,
-        attempted_at: record.attempted_at,
-        delivered_at: record.delivered_at,
-        response_status: record.response_status,
-        error: record.error,
-        links: DeliveryLinks {
-            job: super::jobs::body::href(record.job),
-            replay: format!("{}/deliveries/{}/replay", href(endpoint), record.id),
+/// `#/components/schemas/WebhookDelivery` of the contract.
+fn delivery(endpoint: EndpointId, record: &DeliveryRecord) -> Value {
+    json!({
+        "id": record.id.to_string(),
+        "event": record.event.name(),
+        "job_id": record.job,
+        "state": record.state,
+        "attempts": record.attempts,
+        "next_attempt_at": record.due_at,
+        "created_at": record.created_at,
+        "attempted_at": record.attempted_at,
+        "delivered_at": record.delivered_at,
+        "response_status": record.response_status,
+        "error": record.error,
+        "links": {
+            "job": super::jobs::body::href(record.job),
+            "replay": format!("{}/deliveries/{}/replay", href(endpoint), record.id),
         },
-    }
+    })
 }

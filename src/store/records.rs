@@ -287,12 +287,13 @@ named_choice! {
     }
 }
 
-/// One attempt at a job.
-#[derive(Debug, Clone, PartialEq)]
+/// One attempt at a job, serialized as the API shows it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AttemptRecord {
     /// Counts from 1.
     pub number: u32,
-    /// Its worker.
+    /// Its worker. The API does not show the name, which tells of the service's machines.
+    #[serde(skip)]
     pub worker: String,
     /// Start.
     pub started_at: Timestamp,
@@ -301,6 +302,7 @@ pub struct AttemptRecord {
     /// Its outcome, if it has ended.
     pub outcome: Option<AttemptOutcome>,
     /// Why it failed, if it failed.
+    #[serde(rename = "error")]
     pub cause: Option<Problem>,
 }
 

@@ -10,6 +10,7 @@ use axum::{
     response::IntoResponse,
 };
 use serde::Serialize;
+use serde_json::json;
 
 use self::download::{File, media_type, serve};
 use super::{
@@ -81,11 +82,6 @@ pub(super) async fn by_hash(
 }
 
 #[derive(Debug, Serialize)]
-struct ArtifactList {
-    artifacts: Vec<ListedFile>,
-}
-
-#[derive(Debug, Serialize)]
 struct ListedFile {
     kind: &'static str,
     origin: &'static str,
@@ -95,14 +91,8 @@ struct ListedFile {
     media_type: &'static str,
     gaussians: Option<u64>,
     sh_degree: Option<u8>,
-    fidelity: Option<ExportFidelityBody>,
+    fidelity: Option<ExportFidelity>,
     href: String,
-}
-
-#[derive(Debug, Serialize)]
-struct ExportFidelityBody {
-    psnr: f64,
-    views: u32,
 }
 
 impl ListedFile {
@@ -135,12 +125,10 @@ pub(super) async fn list(
         ListedFile {
             gaussians: Some(export.gaussians),
             sh_degree: Some(export.sh_degree),
-            fidelity: export
-                .fidelity
-                .map(|ExportFidelity { psnr, views }| ExportFidelityBody { psnr, views }),
+            fidelity: export.fidelity,
             ..ListedFile::new("export", ArtifactKind::Scene(export.format), lambda, export.blob)
         }
     });
-    let artifacts = made.chain(exported).collect();
-    Ok(([(header::CACHE_CONTROL, "no-cache")], Json(ArtifactList { artifacts })))
+    let artifacts: Vec<ListedFile> = made.chain(exported).collect();
+    Ok(([(header::CACHE_CONTROL, "no-cache")], Json(json!({ "artifacts": artifacts }))))
 }

@@ -9,7 +9,7 @@ use crate::{
         TrainOptions,
     },
     http::datasets::body::DatasetBody,
-    store::{AttemptOutcome, AttemptRecord, JobRecord, SceneArtifact},
+    store::{AttemptRecord, JobRecord, SceneArtifact},
 };
 
 /// `#/components/schemas/Job` of the contract.
@@ -28,7 +28,7 @@ pub(crate) struct JobBody {
     artifacts: Vec<ArtifactBody>,
     error: Option<Problem>,
     attempt: u32,
-    attempts: Vec<AttemptBody>,
+    attempts: Vec<AttemptRecord>,
     cancel_requested: bool,
     priority: i32,
     deadline_at: Option<Timestamp>,
@@ -40,23 +40,6 @@ pub(crate) struct JobBody {
     started_at: Option<Timestamp>,
     finished_at: Option<Timestamp>,
     links: Links,
-}
-
-/// One attempt, without the name of its worker, which tells of the service's machines.
-#[derive(Debug, Serialize)]
-struct AttemptBody {
-    number: u32,
-    started_at: Timestamp,
-    ended_at: Option<Timestamp>,
-    outcome: Option<&'static str>,
-    error: Option<Problem>,
-}
-
-impl From<AttemptRecord> for AttemptBody {
-    fn from(record: AttemptRecord) -> Self {
-        let AttemptRecord { number, started_at, ended_at, outcome, cause, .. } = record;
-        Self { number, started_at, ended_at, outcome: outcome.map(AttemptOutcome::name), error: cause }
-    }
 }
 
 #[derive(Debug, Serialize)]
@@ -123,7 +106,7 @@ impl From<JobRecord> for JobBody {
             artifacts,
             error: job.error,
             attempt: job.attempt,
-            attempts: record.attempts.into_iter().map(AttemptBody::from).collect(),
+            attempts: record.attempts,
             cancel_requested: job.cancel_requested,
             priority: record.priority,
             deadline_at: record.deadline_at,
