@@ -2,6 +2,7 @@
 
 use axum::extract::State;
 use serde::Serialize;
+use serde_json::{Map, Value, json};
 
 use super::{
     problem::{ApiResult, ProblemResponse},
@@ -9,20 +10,9 @@ use super::{
     state::AppState,
 };
 use crate::{
-    domain::{Caller, ProjectId, ProjectLimits},
+    domain::{Caller, JobState, ProjectId},
     store::{ProjectUsage, StoredBytes},
 };
-
-/// `#/components/schemas/Usage` of the contract.
-#[derive(Serialize)]
-struct UsageBody {
-    project_id: ProjectId,
-    name: String,
-    bytes: BytesBody,
-    jobs: JobsBody,
-    worker_seconds: f64,
-    limits: ProjectLimits,
-}
 
 #[derive(Serialize)]
 struct BytesBody {
@@ -32,40 +22,25 @@ struct BytesBody {
     uploads: u64,
 }
 
-#[derive(Serialize)]
-struct JobsBody {
-    queued: u64,
-    running: u64,
-    succeeded: u64,
-    failed: u64,
-    cancelled: u64,
-}
-
-impl From<ProjectUsage> for UsageBody {
-    fn from(usage: ProjectUsage) -> Self {
-        use crate::domain::JobState;
-        let jobs = |state: JobState| {
-            usage.jobs.iter().find(|(counted, _)| *counted == state).map_or(0, |(_, count)| *count)
-        };
-        Self {
-            project_id: usage.project.id,
-            bytes: BytesBody {
-                total: usage.stored.total().saturating_add(usage.reserved),
-                stored: usage.stored,
-                uploads: usage.reserved,
-            },
-            jobs: JobsBody {
-                queued: jobs(JobState::Queued),
-                running: jobs(JobState::Running),
-                succeeded: jobs(JobState::Succeeded),
-                failed: jobs(JobState::Failed),
-                cancelled: jobs(JobState::Cancelled),
-            },
-            worker_seconds: usage.worker_seconds,
-            limits: usage.limits,
-            name: usage.project.name,
-        }
-    }
+/// `#/components/schemas/Usage` of the contract.
+fn shown(usage: ProjectUsage) -> Value {
+    let jobs = JobState::ALL.map(|state| {
+        let count = usage.jobs.iter().find(|(counted, _)| *counted == state).map_or(0, |(_, count)| *count);
+        (state.name().to_owned(), Value::from(count))
+    });
+    let bytes = BytesBody {
+        total: usage.stored.total().saturating_add(usage.reserved),
+        stored: usage.stored,
+        uploads: usage.reserved,
+    };
+    json!({
+        "project_id": usage.project.id,
+        "name": usage.project.name,
+        "bytes": bytes,
+        "jobs": Map::from_iter(jobs),
+        "worker_seconds": usage.worker_seconds,
+        "limits": usage.limits,
+    })
 }
 
 /// `GET /v1/usage`.
@@ -89,5 +64,5 @@ pub(super) async fn get(
         return Err(ProblemResponse::no_project(asked));
     }
     let list = asked.map_or_else(|| "/v1/usage".to_owned(), |asked| format!("/v1/usage?project_id={asked}"));
-    page.answer("projects", usage, &list, |last| last.project.id, UsageBody::from)
+    page.answer("projects", usage, &list, |last| last.project.id, shown)
 }

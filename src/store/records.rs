@@ -9,13 +9,14 @@ use crate::domain::{
     SceneFormat, TrainOptions, named_choice,
 };
 
-/// A published blob.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// A published blob, serialized as the API shows it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct BlobRef {
-    /// SHA-256 of its content, which is also its name.
-    pub digest: Digest,
     /// Length.
     pub bytes: u64,
+    /// SHA-256 of its content, which is also its name.
+    #[serde(rename = "sha256")]
+    pub digest: Digest,
 }
 
 /// A job to be queued.

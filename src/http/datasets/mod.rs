@@ -11,7 +11,7 @@ use axum::{
     response::{IntoResponse, Response},
 };
 
-use self::body::SceneBody;
+use self::body::scene;
 use super::{
     problem::{ApiResult, ProblemResponse},
     request::{Etag, IfMatch, Page, Parameters, cursor, not_modified, parse_cursor},
@@ -45,7 +45,7 @@ pub(super) async fn list(
     parameters.finish()?;
     let records = state.store().datasets(caller.visible_project(), page.after, page.to_read()).await?;
     let after = |last: &DatasetRecord| cursor(last.created_at, last.id);
-    page.answer("scenes", records, "/v1/scenes", after, SceneBody::from)
+    page.answer("scenes", records, "/v1/scenes", after, |record| scene(&record))
 }
 
 /// `GET /v1/scenes/{id}`.
@@ -67,7 +67,7 @@ pub(super) async fn get(
 pub(super) fn representation(record: DatasetRecord) -> Response {
     let etag = Etag::new(record.version).value();
     let caching = HeaderValue::from_static("no-cache");
-    ([(header::ETAG, etag), (header::CACHE_CONTROL, caching)], Json(SceneBody::from(record))).into_response()
+    ([(header::ETAG, etag), (header::CACHE_CONTROL, caching)], Json(scene(&record))).into_response()
 }
 
 /// `DELETE /v1/scenes/{id}`.

@@ -2,14 +2,14 @@
 
 use jiff::Timestamp;
 use serde::Serialize;
+use serde_json::{Value, json};
 
 use crate::{
     domain::{
-        DatasetId, Digest, JobId, JobMetrics, JobState, KeyId, Metadata, Phase, Problem, Progress, ProjectId,
+        DatasetId, JobId, JobMetrics, JobState, KeyId, Metadata, Phase, Problem, Progress, ProjectId,
         TrainOptions,
     },
-    http::datasets::body::DatasetBody,
-    store::{AttemptRecord, JobRecord, SceneArtifact},
+    store::{AttemptRecord, BlobRef, JobRecord, SceneArtifact},
 };
 
 /// `#/components/schemas/Job` of the contract.
@@ -25,7 +25,7 @@ pub(crate) struct JobBody {
     phase: Phase,
     progress: Progress,
     metrics: Option<JobMetrics>,
-    artifacts: Vec<ArtifactBody>,
+    artifacts: Vec<Value>,
     error: Option<Problem>,
     attempt: u32,
     attempts: Vec<AttemptRecord>,
@@ -35,38 +35,11 @@ pub(crate) struct JobBody {
     retry_of: Option<JobId>,
     scene_id: Option<DatasetId>,
     options: TrainOptions,
-    dataset: DatasetBody,
+    dataset: BlobRef,
     created_at: Timestamp,
     started_at: Option<Timestamp>,
     finished_at: Option<Timestamp>,
-    links: Links,
-}
-
-#[derive(Debug, Serialize)]
-struct ArtifactBody {
-    kind: &'static str,
-    lambda: Option<f64>,
-    bytes: u64,
-    sha256: Digest,
-    href: String,
-}
-
-#[derive(Debug, Serialize)]
-struct Links {
-    #[serde(rename = "self")]
-    this: String,
-    events: String,
-    series: String,
-    cancel: String,
-    retry: String,
-    artifact: String,
-    artifacts: String,
-    export: String,
-    view: String,
-    views: String,
-    stream: String,
-    animation: String,
-    report: String,
+    links: Value,
 }
 
 /// The path of a job.
@@ -77,18 +50,12 @@ pub(crate) fn href(id: JobId) -> String {
 impl From<JobRecord> for JobBody {
     fn from(record: JobRecord) -> Self {
         let this = href(record.job.id);
-        let artifact = format!("{this}/artifact");
         let artifacts = record
             .scenes()
-            .map(|SceneArtifact { format, lambda, blob }| ArtifactBody {
-                kind: format.name(),
-                lambda,
-                bytes: blob.bytes,
-                sha256: blob.digest,
-                href: match lambda {
-                    Some(lambda) => format!("{artifact}?lambda={lambda}"),
-                    None => artifact.clone(),
-                },
+            .map(|SceneArtifact { format, lambda, blob: BlobRef { bytes, digest } }| {
+                let query = lambda.map(|lambda| format!("?lambda={lambda}")).unwrap_or_default();
+                let href = format!("{this}/artifact{query}");
+                json!({ "kind": format, "lambda": lambda, "bytes": bytes, "sha256": digest, "href": href })
             })
             .collect();
         let job = record.job;
@@ -113,25 +80,25 @@ impl From<JobRecord> for JobBody {
             retry_of: record.retry_of,
             scene_id: record.dataset_id,
             options: job.options,
-            dataset: record.dataset.into(),
+            dataset: record.dataset,
             created_at: job.created_at,
             started_at: job.started_at,
             finished_at: job.finished_at,
-            links: Links {
-                events: format!("{this}/events"),
-                series: format!("{this}/series"),
-                cancel: format!("{this}/cancel"),
-                retry: format!("{this}/retry"),
-                artifact,
-                artifacts: format!("{this}/artifacts"),
-                export: format!("{this}/export"),
-                view: format!("{this}/view"),
-                views: format!("{this}/views"),
-                stream: format!("{this}/stream"),
-                animation: format!("{this}/animation"),
-                report: format!("{this}/report"),
-                this,
-            },
+            links: json!({
+                "self": this,
+                "events": format!("{this}/events"),
+                "series": format!("{this}/series"),
+                "cancel": format!("{this}/cancel"),
+                "retry": format!("{this}/retry"),
+                "artifact": format!("{this}/artifact"),
+                "artifacts": format!("{this}/artifacts"),
+                "export": format!("{this}/export"),
+                "view": format!("{this}/view"),
+                "views": format!("{this}/views"),
+                "stream": format!("{this}/stream"),
+                "animation": format!("{this}/animation"),
+                "report": format!("{this}/report"),
+            }),
         }
     }
 }

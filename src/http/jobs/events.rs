@@ -6,11 +6,11 @@ use axum::{
     http::{HeaderMap, HeaderName, StatusCode, header},
     response::IntoResponse as _,
 };
-use serde::Serialize;
+use serde_json::json;
 
 use super::{OwnedJob, body::href, event_stream};
 use crate::{
-    domain::{Caller, Event, ProblemType},
+    domain::{Caller, ProblemType},
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{Parameters, accepts, prefers},
@@ -25,12 +25,6 @@ const STREAM_RETRY_SECONDS: u32 = 10;
 const STREAM: &str = "text/event-stream";
 const PAGE: &str = "application/json";
 const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
-
-#[derive(Debug, Serialize)]
-struct EventPage {
-    events: Vec<Event>,
-    next: String,
-}
 
 /// `GET /v1/jobs/{id}/events`.
 pub(crate) async fn list(
@@ -76,7 +70,7 @@ pub(crate) async fn list(
         state.store().events(job.id, after, limit).await?.ok_or_else(|| ProblemResponse::no_job(job.id))?;
     let last = events.last().map_or(after, |event| event.seq);
     let next = format!("{}/events?after={last}&limit={limit}", href(job.id));
-    Ok((no_store, Json(EventPage { events, next })).into_response())
+    Ok((no_store, Json(json!({ "events": events, "next": next }))).into_response())
 }
 
 /// The last event that a reconnecting client has seen. It overrides `after`, which such a client repeats.

@@ -6,7 +6,7 @@ use axum::{
     http::{HeaderMap, HeaderValue, header},
     response::IntoResponse as _,
 };
-use serde::Serialize;
+use serde_json::{Value, json};
 
 use super::OwnedJob;
 use crate::{
@@ -17,20 +17,6 @@ use crate::{
         state::AppState,
     },
 };
-
-/// `#/components/schemas/Series` of the contract: columns of one length.
-#[derive(Debug, Default, PartialEq, Serialize)]
-struct SeriesBody {
-    attempt: Vec<u32>,
-    step: Vec<u64>,
-    seconds: Vec<f64>,
-    loss: Vec<Option<f64>>,
-    psnr: Vec<Option<f64>>,
-    ssim: Vec<Option<f64>>,
-    anchors: Vec<u64>,
-    gaussians: Vec<u64>,
-    bytes: Vec<Option<u64>>,
-}
 
 /// `GET /v1/jobs/{id}/series`.
 pub(crate) async fn get(
@@ -48,7 +34,7 @@ pub(crate) async fn get(
     }
     let points = state.store().series(job.id).await?.ok_or_else(|| ProblemResponse::no_job(job.id))?;
     let cache = (header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
-    let body = columns(thin(with_cumulative_seconds(points), at_most as usize));
+    let body = columns(&thin(with_cumulative_seconds(points), at_most as usize));
     Ok(([(header::ETAG, etag.value()), cache], Json(body)).into_response())
 }
 
@@ -64,20 +50,22 @@ fn thin(points: Vec<SeriesPoint>, at_most: usize) -> Vec<SeriesPoint> {
     points.into_iter().enumerate().filter_map(is_wanted).collect()
 }
 
-fn columns(points: Vec<SeriesPoint>) -> SeriesBody {
-    let mut body = SeriesBody::default();
-    for SeriesPoint { attempt, step, seconds, loss, psnr, ssim, anchors, gaussians, bytes } in points {
-        body.attempt.push(attempt);
-        body.step.push(step);
-        body.seconds.push(seconds);
-        body.loss.push(loss);
-        body.psnr.push(psnr);
-        body.ssim.push(ssim);
-        body.anchors.push(anchors);
-        body.gaussians.push(gaussians);
-        body.bytes.push(bytes);
+/// `#/components/schemas/Series` of the contract: columns of one length.
+fn columns(points: &[SeriesPoint]) -> Value {
+    fn column<T: Into<Value>>(points: &[SeriesPoint], of: impl Fn(&SeriesPoint) -> T) -> Value {
+        points.iter().map(of).collect()
     }
-    body
+    json!({
+        "attempt": column(points, |point| point.attempt),
+        "step": column(points, |point| point.step),
+        "seconds": column(points, |point| point.seconds),
+        "loss": column(points, |point| point.loss),
+        "psnr": column(points, |point| point.psnr),
+        "ssim": column(points, |point| point.ssim),
+        "anchors": column(points, |point| point.anchors),
+        "gaussians": column(points, |point| point.gaussians),
+        "bytes": column(points, |point| point.bytes),
+    })
 }
 
 #[cfg(test)]
