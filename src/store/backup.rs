@@ -18,7 +18,7 @@ use thiserror::Error;
 
 use super::{
     Accounts as _, BlobError, BlobPlace, BlobSource, BlobState, Blobs, CopyMode, QueuePolicy, SqlStore,
-    StoreError, fsck::BATCH, publications::Publications as _,
+    StoreError, fsck::BATCH,
 };
 use crate::domain::{Clock, Digest};
 

@@ -44,7 +44,7 @@ use futures_util::future::BoxFuture;
 pub use accounts::{Accounts, Capacity, Usage};
 pub use backup::{BackupError, BackupNote, DATABASE, back_up, restore};
 pub use blobs::{
-    BlobCopy, BlobError, BlobSource, BlobState, BlobWriter, Blobs, BucketIndex, BucketUrl, CheckDepth,
+    BlobCopy, BlobError, BlobSource, BlobState, BlobWriter, Blobs, BucketUrl, CheckDepth,
     ContentHasher, CopyMode, InvalidBucketUrl, Published, SharedFiles, StagedBlob, UploadFile,
 };
 pub use changes::{ChangeKind, Changes};
