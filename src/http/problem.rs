@@ -1,7 +1,7 @@
 //! Problems on their way to the client: every 4xx and 5xx answer is an `application/problem+json` document (RFC 9457). Internal
 //! errors are logged with their causes; the client gets one sentence.
 
-use std::fmt::Display;
+use std::{error::Error, fmt::Display};
 
 use axum::{
     http::{
@@ -103,7 +103,7 @@ impl ProblemResponse {
     }
 
     /// 500 without particulars; `error` goes to the log.
-    pub(super) fn internal(error: &(dyn std::error::Error + 'static)) -> Self {
+    pub(super) fn internal(error: &(dyn Error + 'static)) -> Self {
         tracing::error!(error, "internal error: {error}");
         internal().into()
     }
@@ -162,14 +162,11 @@ internal_errors!(InvalidHeaderValue, JoinError, AcquireError);
 impl From<StoreError> for ProblemResponse {
     fn from(error: StoreError) -> Self {
         if error.is_disk_full() {
-            tracing::error!(
-                error = &error as &dyn std::error::Error,
-                "no room left for the database: {error}"
-            );
+            tracing::error!(error = &error as &dyn Error, "no room left for the database: {error}");
             return Self::storage_full();
         }
         if error.is_transient() {
-            tracing::warn!(error = &error as &dyn std::error::Error, "the database is busy: {error}");
+            tracing::warn!(error = &error as &dyn Error, "the database is busy: {error}");
             return Self::busy("the database is busy");
         }
         match error {
@@ -196,11 +193,11 @@ impl From<BlobError> for ProblemResponse {
             BlobError::TooLarge { limit } => Self::too_large(limit),
             BlobError::Index(error) => error.into(),
             BlobError::Bucket(_) => {
-                tracing::error!(error = &error as &dyn std::error::Error, "{error}");
+                tracing::error!(error = &error as &dyn Error, "{error}");
                 Self::busy("the service's bucket does not answer, or refuses")
             }
             error if error.is_disk_full() => {
-                tracing::error!(error = &error as &dyn std::error::Error, "no room left: {error}");
+                tracing::error!(error = &error as &dyn Error, "no room left: {error}");
                 Self::storage_full()
             }
             error => Self::internal(&error),

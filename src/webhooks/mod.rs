@@ -8,7 +8,7 @@ mod schedule;
 mod send;
 mod sign;
 
-use std::{sync::Arc, time::Duration};
+use std::{error::Error, sync::Arc, time::Duration};
 
 use tokio::{
     task::JoinSet,
@@ -62,10 +62,7 @@ pub async fn deliver(
                 }
                 Ok(None) => {}
                 Err(error) => {
-                    tracing::warn!(
-                        error = &error as &dyn std::error::Error,
-                        "the outbox cannot be read: {error}"
-                    );
+                    tracing::warn!(error = &error as &dyn Error, "the outbox cannot be read: {error}");
                 }
             }
         }
@@ -97,7 +94,7 @@ async fn attempt(store: Arc<dyn Store>, sender: Sender, due: DueDelivery) {
     }
     if let Err(error) = store.finish_delivery(due.id, due.attempt, result).await {
         // Its lease will expire, and it will be sent again.
-        tracing::warn!(%delivery, error = &error as &dyn std::error::Error, "webhook {delivery}: {error}");
+        tracing::warn!(%delivery, error = &error as &dyn Error, "webhook {delivery}: {error}");
     }
 }
 

@@ -5,6 +5,7 @@
 
 use std::{
     collections::BTreeMap,
+    error::Error,
     fs, io,
     path::{Path, PathBuf},
     time::{Duration, SystemTime},
@@ -90,10 +91,7 @@ impl Copier {
                 // Replaced meanwhile by one that is copied next time.
                 Err(BlobError::Io(error)) if error.kind() == io::ErrorKind::NotFound => {}
                 Err(error) => {
-                    tracing::warn!(
-                        error = &error as &dyn std::error::Error,
-                        "a checkpoint is not copied: {error}"
-                    );
+                    tracing::warn!(error = &error as &dyn Error, "a checkpoint is not copied: {error}");
                 }
             }
         }
@@ -131,7 +129,7 @@ pub(super) async fn fetch(files: &SharedFiles, root: &Path, lease: &Lease, resum
     };
     if let Err(error) = found.await {
         tracing::warn!(
-            error = &error as &dyn std::error::Error,
+            error = &error as &dyn Error,
             "job {} begins again, since its checkpoint cannot be read: {error}",
             lease.job
         );
@@ -177,9 +175,6 @@ pub(super) async fn sweep(files: &SharedFiles, store: &dyn Store) {
         Ok::<(), BlobError>(())
     };
     if let Err(error) = swept.await {
-        tracing::warn!(
-            error = &error as &dyn std::error::Error,
-            "unneeded checkpoints are not removed: {error}"
-        );
+        tracing::warn!(error = &error as &dyn Error, "unneeded checkpoints are not removed: {error}");
     }
 }

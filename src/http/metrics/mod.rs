@@ -11,7 +11,7 @@ use axum::http::Method;
 use prometheus_client::{
     encoding::EncodeLabelSet,
     metrics::{counter::Counter, family::Family, gauge::Gauge, histogram::Histogram, info::Info},
-    registry::Registry,
+    registry::{Metric, Registry},
 };
 
 pub(super) use scrape::{Cache, get, router};
@@ -81,53 +81,40 @@ impl Drop for GaugeGuard {
 
 impl Default for Meters {
     fn default() -> Self {
-        let counts = Counts {
-            registry: Registry::default(),
-            requests: Requests::new_with_constructor(|| Histogram::new(REQUEST_SECONDS)),
-            active_requests: Gauge::default(),
-            connections: Gauge::default(),
-            connections_refused: Counter::default(),
-            body_bytes: Family::default(),
-            renders: Histogram::new(RENDER_SECONDS),
-            event_streams: Gauge::default(),
-        };
-        Self(Arc::new(registered(counts)))
+        let mut registry = Registry::default();
+        let all = &mut registry;
+        let requests = Requests::new_with_constructor(|| Histogram::new(REQUEST_SECONDS));
+        let requests =
+            named(all, "http_request_duration_seconds", "Time until a request's answer began", requests);
+        let active_requests =
+            named(all, "http_active_requests", "Requests whose answer has not begun", Gauge::default());
+        let connections = named(all, "http_connections", "Open connections", Gauge::default());
+        let refused = "Connections closed because their address had too many";
+        let connections_refused = named(all, "http_connections_refused", refused, Counter::default());
+        let received = "Bytes of request bodies received, datasets among them";
+        let body_bytes = named(all, "http_request_body_bytes", received, Family::default());
+        let renders = Histogram::new(RENDER_SECONDS);
+        let renders = named(all, "tcgs_render_seconds", "Time that the renderer took for a picture", renders);
+        let event_streams = named(all, "tcgs_event_streams", "Open event streams", Gauge::default());
+        let build = Info::new(vec![("version", env!("CARGO_PKG_VERSION"))]);
+        registry.register("tcgs_build", "Version of the program", build);
+        Self(Arc::new(Counts {
+            registry,
+            requests,
+            active_requests,
+            connections,
+            connections_refused,
+            body_bytes,
+            renders,
+            event_streams,
+        }))
     }
 }
 
-/// Gives every count its name.
-fn registered(mut counts: Counts) -> Counts {
-    let registry = &mut counts.registry;
-    registry.register(
-        "http_request_duration_seconds",
-        "Time until a request's answer began",
-        counts.requests.clone(),
-    );
-    registry.register(
-        "http_active_requests",
-        "Requests whose answer has not begun",
-        counts.active_requests.clone(),
-    );
-    registry.register("http_connections", "Open connections", counts.connections.clone());
-    registry.register(
-        "http_connections_refused",
-        "Connections closed because their address had too many",
-        counts.connections_refused.clone(),
-    );
-    registry.register(
-        "http_request_body_bytes",
-        "Bytes of request bodies received, datasets among them",
-        counts.body_bytes.clone(),
-    );
-    registry.register(
-        "tcgs_render_seconds",
-        "Time that the renderer took for a picture",
-        counts.renders.clone(),
-    );
-    registry.register("tcgs_event_streams", "Open event streams", counts.event_streams.clone());
-    let build = Info::new(vec![("version", env!("CARGO_PKG_VERSION"))]);
-    registry.register("tcgs_build", "Version of the program", build);
-    counts
+/// The metric, which the registry has under this name from now on.
+fn named<M: Metric + Clone>(registry: &mut Registry, name: &str, help: &str, metric: M) -> M {
+    registry.register(name, help, metric.clone());
+    metric
 }
 
 impl Meters {
