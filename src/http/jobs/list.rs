@@ -2,7 +2,7 @@
 
 use axum::extract::State;
 
-use super::body::JobBody;
+use super::body::job;
 use crate::{
     domain::{Caller, JobState, ProjectId},
     http::{
@@ -44,7 +44,7 @@ pub(crate) async fn list(
     let seen = JobFilter { project: own.or(asked), ..filter.clone() };
     let records = state.store().jobs(&seen, page.after, page.to_read()).await?;
     let after = |last: &JobRecord| cursor(last.job.created_at, last.job.id);
-    page.answer("jobs", records, &filtered(&filter)?, after, JobBody::from)
+    page.answer("jobs", records, &filtered(&filter)?, after, |record| job(&record))
 }
 
 fn parse_states(text: &str) -> ApiResult<Vec<JobState>> {

@@ -17,7 +17,6 @@ use axum::{
     response::IntoResponse,
 };
 
-use self::body::JobBody;
 use super::{
     auth::caller::caller,
     problem::{ApiResult, ProblemResponse},
@@ -82,5 +81,5 @@ pub(super) fn representation(record: JobRecord) -> impl IntoResponse {
     if !record.job.state.is_terminal() {
         headers.insert(header::RETRY_AFTER, POLL_SECONDS.into());
     }
-    (headers, Json(JobBody::from(record)))
+    (headers, Json(body::job(&record)))
 }
