@@ -57,7 +57,7 @@ pub(super) async fn create(
     if caller.key.is_none() {
         let detail =
             "a key is needed to create one; 'tcgs keys create' on the service's machine creates the first";
-        return Err(ProblemResponse::new(ProblemType::NoKeysYet, detail));
+        return Err(ProblemType::NoKeysYet.because(detail));
     }
     let limits = ProjectLimits {
         quota_bytes: request.max_bytes,
@@ -192,6 +192,5 @@ fn refused(error: &NewKeyError) -> ProblemResponse {
 }
 
 fn invalid(error: &dyn std::fmt::Display) -> ProblemResponse {
-    let detail = format!("the body describes no key: {error}");
-    ProblemResponse::new(ProblemType::InvalidKeyRequest, detail)
+    ProblemType::InvalidKeyRequest.because(format!("the body describes no key: {error}"))
 }

@@ -32,11 +32,14 @@ pub(crate) struct ProblemResponse {
     headers: Vec<(HeaderName, HeaderValue)>,
 }
 
-impl ProblemResponse {
-    pub(super) fn new(kind: ProblemType, detail: impl Into<String>) -> Self {
-        Problem::new(kind, detail).into()
+impl ProblemType {
+    /// An answer of this type; `detail` says what happened.
+    pub(super) fn because(self, detail: impl Into<String>) -> ProblemResponse {
+        Problem::new(self, detail).into()
     }
+}
 
+impl ProblemResponse {
     /// The document.
     pub(super) fn into_problem(self) -> Problem {
         *self.problem
@@ -54,12 +57,12 @@ impl ProblemResponse {
 
     /// 422 about one parameter or field.
     pub(super) fn parameter(name: &str, error: impl Display) -> Self {
-        Self::new(ProblemType::InvalidParameter, format!("{name}: {error}"))
+        ProblemType::InvalidParameter.because(format!("{name}: {error}"))
     }
 
     /// 404 for an id that names no `what`.
     pub(super) fn not_found(kind: ProblemType, what: &str, id: impl Display) -> Self {
-        Self::new(kind, format!("there is no {what} '{}'", truncated(&id.to_string())))
+        kind.because(format!("there is no {what} '{}'", truncated(&id.to_string())))
     }
 
     pub(super) fn no_job(id: impl Display) -> Self {
@@ -80,26 +83,25 @@ impl ProblemResponse {
 
     /// 507 if the disk is full.
     pub(super) fn storage_full() -> Self {
-        Self::new(
-            ProblemType::StorageFull,
+        ProblemType::StorageFull.because(
             "the server's disk has no room left, and nothing was kept; try again when the operator has made some",
         )
     }
 
     /// 409 for a file that only a succeeded job has.
     pub(super) fn no_file_yet(id: JobId, state: &str) -> Self {
-        Self::new(ProblemType::NoArtifact, format!("job {id} is {state}; only a succeeded job has a file"))
+        ProblemType::NoArtifact.because(format!("job {id} is {state}; only a succeeded job has a file"))
     }
 
     /// 413 with the limit.
     pub(super) fn too_large(limit: u64) -> Self {
         let detail = format!("the body is longer than the limit of {limit} bytes");
-        Self::new(ProblemType::BodyTooLarge, detail)
+        ProblemType::BodyTooLarge.because(detail)
     }
 
     /// 503 for what can be repeated soon.
     pub(super) fn busy(detail: &str) -> Self {
-        Self::new(ProblemType::Busy, detail)
+        ProblemType::Busy.because(detail)
     }
 
     /// 500 without particulars; `error` goes to the log.
@@ -172,11 +174,11 @@ impl From<StoreError> for ProblemResponse {
         match error {
             StoreError::QuotaExceeded { .. } => {
                 let detail = format!("{error}; delete scenes, uploads or jobs to make room");
-                Self::new(ProblemType::QuotaExceeded, detail)
+                ProblemType::QuotaExceeded.because(detail)
             }
             StoreError::TooManyJobs { .. } => {
                 let detail = format!("{error}; wait until one has ended, or cancel one");
-                Self::new(ProblemType::TooManyJobs, detail)
+                ProblemType::TooManyJobs.because(detail)
                     .with_header(header::RETRY_AFTER, RETRY_WHEN_A_JOB_ENDS.into())
             }
             StoreError::NoDataset(id) => Self::no_scene(id),

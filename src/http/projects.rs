@@ -153,19 +153,13 @@ fn representation(record: ProjectRecord) -> impl IntoResponse {
 }
 
 fn changed(id: ProjectId) -> ProblemResponse {
-    ProblemResponse::new(
-        ProblemType::PreconditionFailed,
-        format!("project {id} has changed meanwhile; read it again"),
-    )
+    ProblemType::PreconditionFailed.because(format!("project {id} has changed meanwhile; read it again"))
 }
 
 fn refused(error: &ProjectError) -> ProblemResponse {
     match error {
         ProjectError::Name | ProjectError::MaxBytes(_) | ProjectError::MaxPriority(_) => {
-            ProblemResponse::new(
-                ProblemType::InvalidProjectRequest,
-                format!("the body describes no project: {error}"),
-            )
+            ProblemType::InvalidProjectRequest.because(format!("the body describes no project: {error}"))
         }
         ProjectError::RandomSource(error) => ProblemResponse::internal(error),
     }

@@ -53,7 +53,7 @@ pub(super) async fn create(
         .limits
         .webhook_targets
         .check_url(&url)
-        .map_err(|fault| ProblemResponse::new(ProblemType::UrlNotAllowed, format!("url: {fault}")))?;
+        .map_err(|fault| ProblemType::UrlNotAllowed.because(format!("url: {fault}")))?;
     if description.as_ref().is_some_and(|text| text.chars().count() > MAX_DESCRIPTION) {
         return Err(invalid(format!("description: is longer than {MAX_DESCRIPTION} characters")));
     }
@@ -68,10 +68,9 @@ pub(super) async fn create(
         secret: secret.clone(),
     };
     let Some(record) = state.store().create_endpoint(new, at_most).await? else {
-        return Err(ProblemResponse::new(
-            ProblemType::TooManyEndpoints,
-            format!("there are {at_most} endpoints already, and there may be no more; delete one first"),
-        ));
+        return Err(ProblemType::TooManyEndpoints.because(format!(
+            "there are {at_most} endpoints already, and there may be no more; delete one first"
+        )));
     };
     tracing::info!(endpoint = %record.id, "endpoint {} is told of jobs", record.id);
     let location = HeaderValue::try_from(href(record.id))?;
@@ -98,7 +97,7 @@ fn wanted(names: Option<Vec<String>>) -> ApiResult<Vec<WebhookEvent>> {
 }
 
 fn invalid(detail: String) -> ProblemResponse {
-    ProblemResponse::new(ProblemType::InvalidEndpoint, detail)
+    ProblemType::InvalidEndpoint.because(detail)
 }
 
 /// `GET /v1/webhook-endpoints`.
@@ -149,11 +148,10 @@ pub(super) async fn replay(
 ) -> ApiResult {
     let endpoint = find(&state, &caller, &id).await?.id;
     let unknown = || {
-        let detail = format!("endpoint {endpoint} has no such delivery");
-        ProblemResponse::new(ProblemType::DeliveryNotFound, detail)
+        ProblemType::DeliveryNotFound.because(format!("endpoint {endpoint} has no such delivery"))
     };
     let parsed = wanted.parse().map_err(|_| unknown())?;
-    let refused = |kind, detail: &str| Err(ProblemResponse::new(kind, detail));
+    let refused = |kind: ProblemType, detail: &str| Err(kind.because(detail));
     match state.store().replay(endpoint, parsed).await?.ok_or_else(unknown)? {
         Replay::Due(record) => {
             Ok((StatusCode::ACCEPTED, no_store(), Json(delivery(endpoint, &record))).into_response())
@@ -167,10 +165,7 @@ pub(super) async fn replay(
 }
 
 async fn find(state: &AppState, caller: &Caller, id: &str) -> ApiResult<EndpointRecord> {
-    let unknown = || {
-        let detail = "there is no such webhook endpoint";
-        ProblemResponse::new(ProblemType::EndpointNotFound, detail)
-    };
+    let unknown = || ProblemType::EndpointNotFound.because("there is no such webhook endpoint");
     let parsed = id.parse().map_err(|_| unknown())?;
     let record = state.store().endpoint(parsed).await?;
     record.filter(|record| caller.may_see(record.project)).ok_or_else(unknown)

@@ -55,7 +55,7 @@ fn refused(why: &str) -> ProblemResponse {
         "a page of another origin made this request ({why}); the service answers its own pages, programs, and what is opened in a \
          window of its own"
     );
-    ProblemResponse::new(ProblemType::CrossSiteRequest, detail)
+    ProblemType::CrossSiteRequest.because(detail)
 }
 
 /// 403 for a followed link to something that would have to be created first.
@@ -64,7 +64,7 @@ pub(crate) fn refuse_followed_link(link: Option<&FollowedLink>) -> ApiResult<()>
         return Ok(());
     }
     let detail = "the target of this link has to be created first, which a link on another site's page cannot do; open it from the service's own page";
-    Err(ProblemResponse::new(ProblemType::CrossSiteRequest, detail))
+    Err(ProblemType::CrossSiteRequest.because(detail))
 }
 
 #[cfg(test)]

@@ -86,14 +86,11 @@ impl Hosts {
     pub(super) fn expect_loopback(&self) -> ApiResult<()> {
         match self.target.iter().chain(&self.header).find(|host| !host.is_loopback()) {
             None => Ok(()),
-            Some(host) => Err(ProblemResponse::new(
-                ProblemType::ForeignHost,
-                format!(
-                    "without keys the service accepts only loopback names such as localhost and 127.0.0.1 as Host, not '{}': use \
-                     one of those, have a proxy send one, or create a key with 'tcgs keys create'",
-                    host.name
-                ),
-            )),
+            Some(host) => Err(ProblemType::ForeignHost.because(format!(
+                "without keys the service accepts only loopback names such as localhost and 127.0.0.1 as Host, not '{}': use \
+                 one of those, have a proxy send one, or create a key with 'tcgs keys create'",
+                host.name
+            ))),
         }
     }
 
@@ -113,7 +110,7 @@ fn parse(text: &str) -> ApiResult<Host> {
 }
 
 fn invalid(fault: &str) -> ProblemResponse {
-    ProblemResponse::new(ProblemType::InvalidHeader, format!("Host: {fault}"))
+    ProblemType::InvalidHeader.because(format!("Host: {fault}"))
 }
 
 /// The value of a header; if there are several, or it is not ASCII, a text that matches nothing.

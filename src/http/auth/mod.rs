@@ -295,19 +295,19 @@ fn no_key(reads: bool) -> ProblemResponse {
     } else {
         "this service answers those who have a key: send 'Authorization: Bearer tcgs_...'"
     };
-    challenge(reads, ProblemResponse::new(ProblemType::NoKey, detail), BEARER)
+    challenge(reads, ProblemType::NoKey.because(detail), BEARER)
 }
 
 fn bad_key(reads: bool) -> ProblemResponse {
     let detail = "the Authorization header holds no key that this service knows: it is mistyped, revoked, expired or another service's";
-    let fault = ProblemResponse::new(ProblemType::InvalidKey, detail);
+    let fault = ProblemType::InvalidKey.because(detail);
     challenge(reads, fault, BEARER_INVALID)
 }
 
 fn not_by_basic() -> ProblemResponse {
     let detail =
         "HTTP Basic is taken for GET and HEAD only; send the key as 'Authorization: Bearer tcgs_...'";
-    let fault = ProblemResponse::new(ProblemType::BearerNeeded, detail);
+    let fault = ProblemType::BearerNeeded.because(detail);
     challenge(false, fault, BEARER)
 }
 
@@ -331,7 +331,7 @@ fn out_of_scope(key: &KeyRecord, scope: Scope) -> ProblemResponse {
         Scope::JobsWrite => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"jobs:write\"",
         Scope::Admin => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"admin\"",
     };
-    ProblemResponse::new(ProblemType::InsufficientScope, detail)
+    ProblemType::InsufficientScope.because(detail)
         .with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(challenge))
 }
 
@@ -341,13 +341,13 @@ fn too_many_requests(key: &KeyRecord, wait: Wait) -> ProblemResponse {
         key.name,
         wait.seconds()
     );
-    ProblemResponse::new(ProblemType::TooManyRequests, detail)
+    ProblemType::TooManyRequests.because(detail)
         .with_header(header::RETRY_AFTER, wait.seconds().into())
 }
 
 fn too_many_failures(reads: bool, wait: Wait) -> ProblemResponse {
     let detail =
         "too many requests without a valid key came from this address; send one with a valid key, or wait";
-    let fault = ProblemResponse::new(ProblemType::TooManyFailures, detail);
+    let fault = ProblemType::TooManyFailures.because(detail);
     challenge(reads, fault.with_header(header::RETRY_AFTER, wait.seconds().into()), BEARER)
 }

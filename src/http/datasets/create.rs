@@ -77,7 +77,7 @@ pub(crate) async fn create(
                 "the Content-Type is {}; send application/zip, or application/json with the id of an upload",
                 given.unwrap_or("missing")
             );
-            return Err(ProblemResponse::new(ProblemType::UnsupportedMediaType, detail));
+            return Err(ProblemType::UnsupportedMediaType.because(detail));
         }
     };
     let (CreatedScene { status, record }, replayed) = match outcome {
@@ -131,13 +131,10 @@ async fn from_upload(
         }
         let (record, file) = uploads::lock(state, found.id, StatusCode::CONFLICT).await?;
         if !record.is_complete() {
-            return Err(ProblemResponse::new(
-                ProblemType::UploadIncomplete,
-                format!(
-                    "{} of the {} bytes of upload {} have come; send the rest first",
-                    record.received, record.length, record.id
-                ),
-            ));
+            return Err(ProblemType::UploadIncomplete.because(format!(
+                "{} of the {} bytes of upload {} have come; send the rest first",
+                record.received, record.length, record.id
+            )));
         }
         let received = ReceivedDataset::of_upload(file.finish(record.length).await?);
         let from_metadata = || {

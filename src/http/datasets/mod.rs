@@ -79,10 +79,10 @@ pub(super) async fn delete(
 ) -> ApiResult<StatusCode> {
     let record = find(&state, &caller, &id).await?;
     let changed = || {
-        ProblemResponse::new(
-            ProblemType::PreconditionFailed,
-            format!("If-Match does not name the scene as it is now, which is \"{}\"", record.version),
-        )
+        ProblemType::PreconditionFailed.because(format!(
+            "If-Match does not name the scene as it is now, which is \"{}\"",
+            record.version
+        ))
     };
     if Etag::new(record.version).if_match(&headers) == IfMatch::Differs {
         return Err(changed());
@@ -93,12 +93,9 @@ pub(super) async fn delete(
             tracing::info!(scene = %record.id, "scene {} is deleted", record.id);
             Ok(StatusCode::NO_CONTENT)
         }
-        Some(DatasetDeletion::InUse(jobs)) => Err(ProblemResponse::new(
-            ProblemType::SceneInUse,
-            format!(
-                "{jobs} queued or running jobs are made of scene {id}; cancel them or wait for their end"
-            ),
-        )),
+        Some(DatasetDeletion::InUse(jobs)) => Err(ProblemType::SceneInUse.because(format!(
+            "{jobs} queued or running jobs are made of scene {id}; cancel them or wait for their end"
+        ))),
         Some(DatasetDeletion::VersionMismatch) => Err(changed()),
         None => Err(ProblemResponse::no_scene(&id)),
     }

@@ -58,10 +58,7 @@ pub(crate) async fn serve(state: &AppState, request: &HeaderMap, file: File) -> 
     let File { blob, media_type, name } = file;
     let etag = Etag::new(blob.digest);
     if etag.if_match(request) == IfMatch::Differs {
-        return Err(ProblemResponse::new(
-            ProblemType::PreconditionFailed,
-            "the file is not the one that If-Match names",
-        ));
+        return Err(ProblemType::PreconditionFailed.because("the file is not the one that If-Match names"));
     }
     if etag.is_in_if_none_match(request) {
         return Ok(not_modified(&etag));
@@ -100,8 +97,7 @@ pub(crate) async fn serve(state: &AppState, request: &HeaderMap, file: File) -> 
 }
 
 fn unsatisfiable(length: u64) -> ProblemResponse {
-    let fault =
-        ProblemResponse::new(ProblemType::RangeNotSatisfiable, format!("the file has {length} bytes"));
+    let fault = ProblemType::RangeNotSatisfiable.because(format!("the file has {length} bytes"));
     match HeaderValue::try_from(format!("bytes */{length}")) {
         Ok(value) => fault.with_header(header::CONTENT_RANGE, value),
         Err(_) => fault,

@@ -47,7 +47,7 @@ fn no_such_lambda(record: &JobRecord) -> ProblemResponse {
     } else {
         format!("job {} has files of lambda {}", record.job.id, known.join(", "))
     };
-    ProblemResponse::new(ProblemType::NoSuchLambda, detail)
+    ProblemType::NoSuchLambda.because(detail)
 }
 
 /// `GET` and `HEAD /v1/jobs/{id}/artifact`.
@@ -76,7 +76,7 @@ pub(super) async fn by_hash(
     };
     let found = found.ok_or_else(|| {
         let detail = "no file of yours has this SHA-256; the artifacts of a job list what it has";
-        ProblemResponse::new(ProblemType::ArtifactNotFound, detail)
+        ProblemType::ArtifactNotFound.because(detail)
     })?;
     serve(&state, &request, found.into()).await
 }

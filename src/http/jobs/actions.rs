@@ -34,10 +34,10 @@ pub(crate) async fn cancel(State(state): State<AppState>, OwnedJob(record): Owne
     match state.store().cancel(id).await?.ok_or_else(|| ProblemResponse::no_job(id))? {
         Cancellation::Done(record) => Ok(representation(record).into_response()),
         Cancellation::Requested(record) => Ok((StatusCode::ACCEPTED, representation(record)).into_response()),
-        Cancellation::TooLate(record) => Err(ProblemResponse::new(
-            ProblemType::JobFinished,
-            format!("job {id} has already {}; it cannot be cancelled", record.job.state.name()),
-        )),
+        Cancellation::TooLate(record) => Err(ProblemType::JobFinished.because(format!(
+            "job {id} has already {}; it cannot be cancelled",
+            record.job.state.name()
+        ))),
     }
 }
 
@@ -98,7 +98,7 @@ pub(crate) async fn retry(
 
 fn not_retryable(id: JobId, state: JobState) -> ProblemResponse {
     let detail = format!("job {id} is {}; only a job that failed or was cancelled is retried", state.name());
-    ProblemResponse::new(ProblemType::JobNotRetryable, detail)
+    ProblemType::JobNotRetryable.because(detail)
 }
 
 /// `DELETE /v1/jobs/{id}`.
@@ -118,7 +118,7 @@ pub(crate) async fn delete(
         Deletion::VersionMismatch => return Err(changed(id)),
         Deletion::Active(now) => {
             let detail = format!("job {id} is {}; cancel it first and wait until it has ended", now.name());
-            return Err(ProblemResponse::new(ProblemType::JobActive, detail));
+            return Err(ProblemType::JobActive.because(detail));
         }
     }
     tracing::info!(job = %id, "job {id} is deleted");
@@ -128,8 +128,7 @@ pub(crate) async fn delete(
 }
 
 fn changed(id: JobId) -> ProblemResponse {
-    ProblemResponse::new(
-        ProblemType::PreconditionFailed,
-        format!("job {id} has changed since the version in If-Match; read it again"),
-    )
+    ProblemType::PreconditionFailed.because(format!(
+        "job {id} has changed since the version in If-Match; read it again"
+    ))
 }

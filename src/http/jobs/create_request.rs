@@ -126,12 +126,12 @@ fn train_option(name: &str) -> ApiResult<&'static TrainOption> {
         let known = TRAIN_OPTIONS.each_ref().map(|row| row.name).join(", ");
         let detail =
             format!("{shown}: is not an option; there are priority, deadline_s, name, metadata, {known}");
-        ProblemResponse::new(ProblemType::InvalidOption, detail)
+        ProblemType::InvalidOption.because(detail)
     })
 }
 
 fn invalid_option(error: &OptionError) -> ProblemResponse {
-    ProblemResponse::new(ProblemType::InvalidOption, error.to_string())
+    ProblemType::InvalidOption.because(error.to_string())
 }
 
 /// 422 for a deadline out of range.

@@ -37,10 +37,9 @@ pub(crate) async fn list(
     let job = record.job;
     let stream = prefers(&headers, STREAM, PAGE);
     if !stream && !accepts(&headers, PAGE) {
-        return Err(ProblemResponse::new(
-            ProblemType::NotAcceptable,
-            format!("events are served as {PAGE} and as {STREAM}"),
-        ));
+        return Err(ProblemType::NotAcceptable.because(format!(
+            "events are served as {PAGE} and as {STREAM}"
+        )));
     }
     // Streams ignore the limit, but an invalid one is refused all the same.
     let limit = parameters.take_count("limit", DEFAULT_PAGE, MAX_PAGE)?;
@@ -61,7 +60,7 @@ pub(crate) async fn list(
                 false => (taken.by_all, "in all"),
             };
             let detail = format!("{count} streams {of} are open, which is the limit; ask for pages instead");
-            ProblemResponse::new(ProblemType::TooManyStreams, detail)
+            ProblemType::TooManyStreams.because(detail)
                 .with_header(header::RETRY_AFTER, STREAM_RETRY_SECONDS.into())
         })?;
         return Ok(event_stream::answer(state, &caller, job.id, after, slot));

@@ -39,7 +39,7 @@ impl FromRequestParts<AppState> for OwnedJob {
         let caller = caller(parts)?;
         let Path(id) = Path::<String>::from_request_parts(parts, state)
             .await
-            .map_err(|rejection| ProblemResponse::new(ProblemType::Refused, rejection.body_text()))?;
+            .map_err(|rejection| ProblemType::Refused.because(rejection.body_text()))?;
         let Ok(parsed) = id.parse() else { return Err(ProblemResponse::no_job(&id)) };
         let record = state.store().job(parsed).await?.filter(|record| caller.may_see(record.project));
         record.map(Self).ok_or_else(|| ProblemResponse::no_job(&id))

@@ -72,10 +72,7 @@ pub(super) async fn get(
     parameters.finish()?;
     let kind = if is_table { "text/csv" } else { "text/html" };
     if !accepts(&headers, kind) {
-        return Err(ProblemResponse::new(
-            ProblemType::NotAcceptable,
-            format!("this report is served as {kind}"),
-        ));
+        return Err(ProblemType::NotAcceptable.because(format!("this report is served as {kind}")));
     }
     let etag = Etag::new(format!("{}-{FORM}{}", record.job.version, if is_table { "-csv" } else { "" }));
     if etag.is_in_if_none_match(&headers) {

@@ -36,14 +36,11 @@ pub(crate) fn expect_media_type(headers: &HeaderMap, accepted: &[&str]) -> ApiRe
     if given.as_deref().is_some_and(|given| accepted.contains(&given)) {
         return Ok(());
     }
-    Err(ProblemResponse::new(
-        ProblemType::UnsupportedMediaType,
-        format!(
-            "the Content-Type is {}; send {}",
-            given.as_deref().unwrap_or("missing"),
-            accepted.join(" or ")
-        ),
-    ))
+    Err(ProblemType::UnsupportedMediaType.because(format!(
+        "the Content-Type is {}; send {}",
+        given.as_deref().unwrap_or("missing"),
+        accepted.join(" or ")
+    )))
 }
 
 /// A request body in JSON.
@@ -84,16 +81,13 @@ pub(crate) fn parse_json<T: JsonBody>(content: &[u8]) -> ApiResult<T> {
     if content.trim_ascii_start().first() == Some(&b'[')
         && serde_json::from_slice::<IgnoredAny>(content).is_ok()
     {
-        return Err(ProblemResponse::new(
-            T::INVALID,
-            format!("body: is not {}: it is an array", T::EXPECTED),
-        ));
+        return Err(T::INVALID.because(format!("body: is not {}: it is an array", T::EXPECTED)));
     }
     serde_json::from_slice(content).map_err(|error| {
         if error.is_data() {
-            ProblemResponse::new(T::INVALID, format!("body: is not {}: {error}", T::EXPECTED))
+            T::INVALID.because(format!("body: is not {}: {error}", T::EXPECTED))
         } else {
-            ProblemResponse::new(ProblemType::MalformedJson, format!("the body is not JSON: {error}"))
+            ProblemType::MalformedJson.because(format!("the body is not JSON: {error}"))
         }
     })
 }
@@ -184,10 +178,9 @@ impl<'a> Pieces<'a> {
                 self.received += piece.len() as u64;
                 if self.dribbles() { Err(self.too_slow()) } else { Ok(Some(piece)) }
             }
-            Ok(Ok(Some(Err(error)))) => Err(ProblemResponse::new(
-                ProblemType::BodyIncomplete,
-                format!("the body could not be read to its end: {error}"),
-            )),
+            Ok(Ok(Some(Err(error)))) => Err(ProblemType::BodyIncomplete.because(format!(
+                "the body could not be read to its end: {error}"
+            ))),
             Ok(Err(_)) | Err(_) => Err(self.too_slow()),
         }
     }
@@ -199,13 +192,10 @@ impl<'a> Pieces<'a> {
     }
 
     fn too_slow(&self) -> ProblemResponse {
-        ProblemResponse::new(
-            ProblemType::BodyTimeout,
-            format!(
-                "the body paused for more than {} s, brought less than {} bytes a second, or was not complete in time",
-                self.idle.as_secs_f64(),
-                self.rate
-            ),
-        )
+        ProblemType::BodyTimeout.because(format!(
+            "the body paused for more than {} s, brought less than {} bytes a second, or was not complete in time",
+            self.idle.as_secs_f64(),
+            self.rate
+        ))
     }
 }

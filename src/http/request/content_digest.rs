@@ -32,18 +32,15 @@ pub(crate) fn announced(headers: &HeaderMap) -> ApiResult<Option<Digest>> {
 /// 400 if the body does not have the announced digest.
 pub(crate) fn check(announced: Option<Digest>, actual: Digest) -> ApiResult<()> {
     match announced {
-        Some(announced) if announced != actual => Err(ProblemResponse::new(
-            ProblemType::DigestMismatch,
-            format!(
-                "Content-Digest announced the SHA-256 {announced}, and what came has {actual}; send it again"
-            ),
-        )),
+        Some(announced) if announced != actual => Err(ProblemType::DigestMismatch.because(format!(
+            "Content-Digest announced the SHA-256 {announced}, and what came has {actual}; send it again"
+        ))),
         _ => Ok(()),
     }
 }
 
 fn malformed() -> ProblemResponse {
-    ProblemResponse::new(ProblemType::InvalidHeader, "content-digest: is not of the form sha-256=:BASE64:")
+    ProblemType::InvalidHeader.because("content-digest: is not of the form sha-256=:BASE64:")
 }
 
 #[cfg(test)]

@@ -81,16 +81,14 @@ impl CreateRequest<'_> {
         let Some(value) = given.next() else { return Ok(None) };
         let is_valid = |key: &&str| (1..=MAX_KEY).contains(&key.len()) && given.next().is_none();
         let Some(key) = value.to_str().ok().filter(is_valid) else {
-            return Err(ProblemResponse::new(
-                ProblemType::InvalidIdempotencyKey,
-                format!("Idempotency-Key: give one value of 1 to {MAX_KEY} printable ASCII characters"),
-            ));
+            return Err(ProblemType::InvalidIdempotencyKey.because(format!(
+                "Idempotency-Key: give one value of 1 to {MAX_KEY} printable ASCII characters"
+            )));
         };
         let key = (self.caller.project, key.to_owned());
         let in_flight = &self.state.in_flight;
         if !in_flight.0.lock().unwrap_or_else(PoisonError::into_inner).insert(key.clone()) {
-            return Err(ProblemResponse::new(
-                ProblemType::IdempotencyInFlight,
+            return Err(ProblemType::IdempotencyInFlight.because(
                 "another request with this Idempotency-Key is still being answered; ask again once it has been",
             ));
         }
@@ -127,24 +125,21 @@ pub(crate) async fn idempotent<T: Resource>(
         },
     };
     if earlier.fingerprint != intent.fingerprint {
-        return Err(ProblemResponse::new(
-            ProblemType::IdempotencyKeyReused,
-            format!("the Idempotency-Key '{}' was used for another request; use a fresh one", intent.key),
-        ));
+        return Err(ProblemType::IdempotencyKeyReused.because(format!(
+            "the Idempotency-Key '{}' was used for another request; use a fresh one",
+            intent.key
+        )));
     }
     Ok(CreateOutcome::Replayed(T::load(state, &earlier).await?))
 }
 
 /// 404 for a resource that an earlier request created.
 pub(crate) fn deleted_since(kind: ProblemType, what: &str, remembered: &PriorRequest) -> ProblemResponse {
-    ProblemResponse::new(
-        kind,
-        format!(
-            "an earlier request with this Idempotency-Key created {what} {}, which has been deleted; use a fresh key for \
-             another",
-            remembered.resource
-        ),
-    )
+    kind.because(format!(
+        "an earlier request with this Idempotency-Key created {what} {}, which has been deleted; use a fresh key for \
+         another",
+        remembered.resource
+    ))
 }
 
 /// Marks a response as the replay of an earlier one.

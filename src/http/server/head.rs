@@ -7,7 +7,7 @@ use axum::{
     response::{IntoResponse as _, Response},
 };
 
-use crate::{domain::ProblemType, http::problem::ProblemResponse};
+use crate::domain::ProblemType;
 
 /// Longest path with query, in bytes.
 pub(super) const URI_BYTES: usize = 8 << 10;
@@ -19,14 +19,14 @@ pub(crate) async fn bounded(request: Request, next: Next) -> Response {
     let uri = request.uri().path_and_query().map_or(0, |uri| uri.as_str().len());
     if uri > URI_BYTES {
         let detail = format!("path and query are {uri} bytes long; {URI_BYTES} are possible");
-        return ProblemResponse::new(ProblemType::UriTooLong, detail).into_response();
+        return ProblemType::UriTooLong.because(detail).into_response();
     }
     // As on the wire: name, colon, blank, value, line end.
     let headers = request.headers().iter().map(|(name, value)| name.as_str().len() + value.len() + 4);
     let headers: usize = headers.sum();
     if headers > HEADER_BYTES {
         let detail = format!("the headers are {headers} bytes long; {HEADER_BYTES} are possible");
-        return ProblemResponse::new(ProblemType::HeadersTooLarge, detail).into_response();
+        return ProblemType::HeadersTooLarge.because(detail).into_response();
     }
     next.run(request).await
 }

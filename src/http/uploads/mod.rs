@@ -45,10 +45,7 @@ fn expect_open(state: &AppState, record: UploadRecord) -> ApiResult<UploadRecord
 
 /// 410.
 pub(super) fn gone(id: UploadId) -> ProblemResponse {
-    ProblemResponse::new(
-        ProblemType::UploadGone,
-        format!("upload {id} has expired or was made a scene; begin another"),
-    )
+    ProblemType::UploadGone.because(format!("upload {id} has expired or was made a scene; begin another"))
 }
 
 /// Locks an upload's file, and reads the upload's row once no other request can change it.
@@ -61,10 +58,9 @@ pub(super) async fn lock(
     held: StatusCode,
 ) -> ApiResult<(UploadRecord, UploadFile)> {
     let file = state.blobs().open_upload(id).await?.ok_or_else(|| {
-        ProblemResponse::new(
-            ProblemType::UploadLocked,
-            format!("another request writes to upload {id}; wait for its end and ask how far it came"),
-        )
+        ProblemType::UploadLocked.because(format!(
+            "another request writes to upload {id}; wait for its end and ask how far it came"
+        ))
         .with_status(held)
     })?;
     let record = state.store().upload(id).await?.ok_or_else(|| gone(id))?;
@@ -176,7 +172,7 @@ async fn admit(state: &AppState, caller: &Caller, id: &str, headers: &HeaderMap)
             "the part begins at byte {offset}, and upload {} has {} bytes; go on from there",
             record.id, record.received
         );
-        return Err(ProblemResponse::new(ProblemType::OffsetMismatch, detail)
+        return Err(ProblemType::OffsetMismatch.because(detail)
             .with_header(tus::OFFSET, HeaderValue::from(record.received)));
     }
     let left = record.length - record.received;

@@ -107,11 +107,8 @@ impl Part {
 }
 
 fn mismatch(record: &UploadRecord) -> ProblemResponse {
-    ProblemResponse::new(
-        ProblemType::ChecksumMismatch,
-        format!(
-            "the part does not have the sum that Upload-Checksum announced; send it again from byte {}",
-            record.received
-        ),
-    )
+    ProblemType::ChecksumMismatch.because(format!(
+        "the part does not have the sum that Upload-Checksum announced; send it again from byte {}",
+        record.received
+    ))
 }

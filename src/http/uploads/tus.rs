@@ -56,8 +56,7 @@ pub(crate) fn expect_version(headers: &HeaderMap) -> ApiResult<()> {
     if headers.get(RESUMABLE) == Some(&VERSION) {
         return Ok(());
     }
-    Err(ProblemResponse::new(
-        ProblemType::TusVersion,
+    Err(ProblemType::TusVersion.because(
         "this is an upload in the tus protocol 1.0.0: send Tus-Resumable: 1.0.0",
     )
     .with_header(TUS_VERSION, VERSION))
@@ -65,7 +64,7 @@ pub(crate) fn expect_version(headers: &HeaderMap) -> ApiResult<()> {
 
 /// 400 about one header.
 fn bad_header(name: &HeaderName, fault: impl std::fmt::Display) -> ProblemResponse {
-    ProblemResponse::new(ProblemType::InvalidHeader, format!("{name}: {fault}"))
+    ProblemType::InvalidHeader.because(format!("{name}: {fault}"))
 }
 
 /// A count of bytes: decimal digits and nothing else.

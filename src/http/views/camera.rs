@@ -140,24 +140,21 @@ pub(crate) fn impossible(error: CameraError) -> ProblemResponse {
 }
 
 pub(super) fn impossible_view(detail: String) -> ProblemResponse {
-    ProblemResponse::new(ProblemType::ImpossibleView, detail)
+    ProblemType::ImpossibleView.because(detail)
 }
 
 /// 422 about a field of a view.
 pub(super) fn invalid_view(detail: impl Into<String>) -> ProblemResponse {
-    ProblemResponse::new(ProblemType::InvalidView, detail)
+    ProblemType::InvalidView.because(detail)
 }
 
 fn no_frame(name: &str, names: &[&str]) -> ProblemResponse {
     let some = names.iter().take(NAMES_SHOWN).copied().collect::<Vec<_>>().join(", ");
     let shown: String = name.chars().take(200).collect();
-    ProblemResponse::new(
-        ProblemType::FrameNotFound,
-        format!(
-            "no frame, or more than one, is meant by '{shown}'; the dataset has {} frames: {some}, ...",
-            names.len()
-        ),
-    )
+    ProblemType::FrameNotFound.because(format!(
+        "no frame, or more than one, is meant by '{shown}'; the dataset has {} frames: {some}, ...",
+        names.len()
+    ))
 }
 
 #[cfg(test)]

@@ -254,5 +254,5 @@ fn check_pixels(cameras: &[Camera], max: u64) -> ApiResult<()> {
 }
 
 fn too_large(detail: String) -> ProblemResponse {
-    ProblemResponse::new(ProblemType::ViewTooLarge, detail)
+    ProblemType::ViewTooLarge.because(detail)
 }
