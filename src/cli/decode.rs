@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use serde::Serialize;
-use tcgs::domain::{Digest, Problem};
+use serde_json::json;
+use tcgs::domain::Problem;
 
 use super::{CliError, Report, files, wiring};
 
@@ -22,32 +22,20 @@ pub(crate) struct Args {
     pub(super) json: bool,
 }
 
-#[derive(Debug, Serialize)]
-struct Summary {
-    decode_sha256: Digest,
-    anchors: usize,
-    gaussians: usize,
-    output: PathBuf,
-}
-
 /// Decodes and writes.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let in_file = |problem: Problem| problem.in_file(args.file.display().to_string());
     let decoded = wiring::read(&files::read(&args.file)?).map_err(in_file)?;
     let bytes = wiring::tensors(&decoded).map_err(in_file)?;
     files::write(&args.output, &bytes)?;
-    let summary = Summary {
-        decode_sha256: decoded.decode_sha256,
-        anchors: decoded.scene.anchors(),
-        gaussians: decoded.scene.gaussians(),
-        output: args.output.clone(),
-    };
-    let text = format!(
-        "{}\n{} anchors, {} Gaussians\nwrote {}",
-        summary.decode_sha256,
-        summary.anchors,
-        summary.gaussians,
-        summary.output.display()
-    );
-    Ok(Report::new(text, &summary))
+    let (digest, output) = (decoded.decode_sha256, &args.output);
+    let (anchors, gaussians) = (decoded.scene.anchors(), decoded.scene.gaussians());
+    let text = format!("{digest}\n{anchors} anchors, {gaussians} Gaussians\nwrote {}", output.display());
+    let json = json!({
+        "decode_sha256": digest,
+        "anchors": anchors,
+        "gaussians": gaussians,
+        "output": output,
+    });
+    Ok(Report::new(text, &json))
 }

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use serde::Serialize;
-use tcgs::domain::{Background, ByteCounts, Digest, Problem, SceneFormat};
+use serde_json::{Value, json};
+use tcgs::domain::{Problem, SceneFormat};
 
 use super::{CliError, Report, files, wiring};
 
@@ -28,52 +28,39 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
             Ok(Report { text: inspection.text, json: inspection.json })
         }
         SceneFormat::Safetensors | SceneFormat::Ply | SceneFormat::Spz | SceneFormat::Spz3 => {
-            let account = Account::of(wiring::read(&bytes).map_err(in_file)?);
-            Ok(Report::new(account.text(), &account))
+            let file = wiring::read(&bytes).map_err(in_file)?;
+            Ok(Report::new(text(&file), &account(&file)))
         }
     }
 }
 
 /// What there is to say of a file that is no .tcgs.
-#[derive(Debug, Serialize)]
-struct Account {
-    format: SceneFormat,
-    anchors: usize,
-    gaussians: usize,
-    background: Background,
-    dataset: Option<Digest>,
-    decode_sha256: Digest,
-    byte_counts: ByteCounts,
+fn account(file: &wiring::SceneFile) -> Value {
+    json!({
+        "format": file.format,
+        "anchors": file.scene.anchors(),
+        "gaussians": file.scene.gaussians(),
+        "background": file.background,
+        "dataset": file.dataset,
+        "decode_sha256": file.decode_sha256,
+        "byte_counts": file.byte_counts,
+    })
 }
 
-impl Account {
-    fn of(file: wiring::SceneFile) -> Self {
-        Self {
-            format: file.format,
-            anchors: file.scene.anchors(),
-            gaussians: file.scene.gaussians(),
-            background: file.background,
-            dataset: file.dataset,
-            decode_sha256: file.decode_sha256,
-            byte_counts: file.byte_counts,
-        }
+fn text(file: &wiring::SceneFile) -> String {
+    let counts = &file.byte_counts;
+    let mut text = format!(
+        ".{}, {} bytes\n\nanchors     {}\ngaussians   {}\nbackground  {}\ndecoded     {}\n\nbytes by part\n",
+        file.format.name(),
+        counts.total,
+        file.scene.anchors(),
+        file.scene.gaussians(),
+        file.background,
+        file.decode_sha256,
+    );
+    for (part, bytes) in counts.parts() {
+        let share = 100.0 * bytes as f64 / counts.total.max(1) as f64;
+        text.push_str(&format!("{part:<11} {bytes:>10} {share:>6.2}%\n"));
     }
-
-    fn text(&self) -> String {
-        let counts = &self.byte_counts;
-        let mut text = format!(
-            ".{}, {} bytes\n\nanchors     {}\ngaussians   {}\nbackground  {}\ndecoded     {}\n\nbytes by part\n",
-            self.format.name(),
-            counts.total,
-            self.anchors,
-            self.gaussians,
-            self.background,
-            self.decode_sha256,
-        );
-        for (part, bytes) in counts.parts() {
-            let share = 100.0 * bytes as f64 / counts.total.max(1) as f64;
-            text.push_str(&format!("{part:<11} {bytes:>10} {share:>6.2}%\n"));
-        }
-        text
-    }
+    text
 }

@@ -149,40 +149,19 @@ impl Command {
         }
     }
 
-    fn only_prints_settings(&self) -> bool {
+    /// The flags of a service's settings; none for single commands.
+    fn service(&self) -> Option<&config::ConfigFlags> {
         match self {
-            Command::Serve(args) => args.config.print_config,
-            Command::Worker(args) => args.config.print_config,
-            Command::Viewer(args) => args.config.print_config,
-            _ => false,
+            Command::Serve(args) => Some(&args.config),
+            Command::Worker(args) => Some(&args.config),
+            Command::Viewer(args) => Some(&args.config),
+            _ => None,
         }
     }
 
     /// Services tell what they do; single commands speak up only when something is off.
     fn verbosity(&self) -> Verbosity {
-        match self {
-            Command::Serve(_) | Command::Worker(_) | Command::Viewer(_) => Verbosity::Info,
-            Command::Train(_)
-            | Command::Encode(_)
-            | Command::Decode(_)
-            | Command::Render(_)
-            | Command::Eval(_)
-            | Command::Export(_)
-            | Command::Inspect(_)
-            | Command::Submit(_)
-            | Command::Watch(_)
-            | Command::Fetch(_)
-            | Command::View(_)
-            | Command::Sample(_)
-            | Command::Keys(_)
-            | Command::Projects(_)
-            | Command::Migrate(_)
-            | Command::Backup(_)
-            | Command::Restore(_)
-            | Command::Fsck(_)
-            | Command::Bench(_)
-            | Command::Doctor(_) => Verbosity::Warn,
-        }
+        if self.service().is_some() { Verbosity::Info } else { Verbosity::Warn }
     }
 
     fn run(self, log_format: Format) -> Result<Report, CliError> {
@@ -222,7 +201,7 @@ pub(crate) fn main() -> ExitCode {
     };
     // The same parsers have taken every value already.
     let cli = Cli::from_arg_matches(&settings.matches).unwrap_or_else(|fault| fault.exit());
-    if cli.command.only_prints_settings() {
+    if cli.command.service().is_some_and(|config| config.print_config) {
         return report::conclude(Ok(settings.printed()), false);
     }
     logging::start(cli.log_format, cli.command.verbosity());

@@ -3,10 +3,10 @@
 use std::str::FromStr;
 
 use clap::Subcommand;
-use serde::Serialize;
+use serde_json::{Value, json};
 use tcgs::{
     domain::{Bytes, JobState, ProjectId, ProjectLimits},
-    store::{ProjectChange, ProjectUsage, StoredBytes},
+    store::{ProjectChange, ProjectUsage},
 };
 
 use super::{CliError, Report, storage::StorageFlags, wiring};
@@ -133,8 +133,8 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         }
         Action::List => {
             let all = wiring::projects(&storage)?;
-            let listed: Vec<Listed> = all.iter().map(Listed::from).collect();
-            Ok(Report::new(table(&all), &serde_json::json!({ "projects": listed })))
+            let projects: Value = all.iter().map(listed).collect();
+            Ok(Report::new(table(&all), &json!({ "projects": projects })))
         }
         Action::Change(wanted) => {
             let record = wiring::change_project(&storage, wanted.id, |record| {
@@ -160,31 +160,17 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
 }
 
 /// A project of the list.
-#[derive(Serialize)]
-struct Listed<'a> {
-    project_id: ProjectId,
-    name: &'a str,
-    stored_bytes: StoredBytes,
-    upload_bytes: u64,
-    queued_jobs: u64,
-    running_jobs: u64,
-    worker_seconds: f64,
-    limits: ProjectLimits,
-}
-
-impl<'a> From<&'a ProjectUsage> for Listed<'a> {
-    fn from(usage: &'a ProjectUsage) -> Self {
-        Self {
-            project_id: usage.project.id,
-            name: &usage.project.name,
-            stored_bytes: usage.stored,
-            upload_bytes: usage.reserved,
-            queued_jobs: jobs(usage, JobState::Queued),
-            running_jobs: jobs(usage, JobState::Running),
-            worker_seconds: usage.worker_seconds,
-            limits: usage.project.limits,
-        }
-    }
+fn listed(usage: &ProjectUsage) -> Value {
+    json!({
+        "project_id": usage.project.id,
+        "name": usage.project.name,
+        "stored_bytes": usage.stored,
+        "upload_bytes": usage.reserved,
+        "queued_jobs": jobs(usage, JobState::Queued),
+        "running_jobs": jobs(usage, JobState::Running),
+        "worker_seconds": usage.worker_seconds,
+        "limits": usage.project.limits,
+    })
 }
 
 fn jobs(usage: &ProjectUsage, state: JobState) -> u64 {
