@@ -19,12 +19,8 @@ pub(super) fn jobs(filter: &JobFilter, before: Option<PageKey>, limit: u32) -> Q
         list.push(" AND (jobs.created_at, jobs.id) < (").push_bind(micros(before.created_at));
         list.push(", ").push_bind(before.id.to_string()).push(")");
     }
-    if let Some(project) = filter.project {
-        list.push(" AND project = ").push_bind(project.to_string());
-    }
-    if let Some(dataset) = filter.dataset_id {
-        list.push(" AND scene = ").push_bind(dataset.to_string());
-    }
+    list.push_if(" AND project = ", filter.project.map(|project| project.to_string()));
+    list.push_if(" AND scene = ", filter.dataset_id.map(|dataset| dataset.to_string()));
     if !filter.states.is_empty() {
         list.push(" AND state IN (");
         for (number, state) in filter.states.iter().enumerate() {
@@ -32,15 +28,9 @@ pub(super) fn jobs(filter: &JobFilter, before: Option<PageKey>, limit: u32) -> Q
         }
         list.push(")");
     }
-    if let Some(name) = &filter.name {
-        list.push(" AND name = ").push_bind(name.clone());
-    }
-    if let Some(from) = filter.created_from {
-        list.push(" AND jobs.created_at >= ").push_bind(micros(from));
-    }
-    if let Some(end) = filter.created_before {
-        list.push(" AND jobs.created_at < ").push_bind(micros(end));
-    }
+    list.push_if(" AND name = ", filter.name.clone());
+    list.push_if(" AND jobs.created_at >= ", filter.created_from.map(micros));
+    list.push_if(" AND jobs.created_at < ", filter.created_before.map(micros));
     if let Some(model) = filter.model {
         list.push(Sql {
             sqlite: " AND json_extract(options, '$.model') = ",
@@ -69,9 +59,7 @@ pub(super) fn datasets(project: Option<ProjectId>, before: Option<DatasetPageKey
         list.push(" AND (scenes.created_at, scenes.id) < (").push_bind(micros(before.created_at));
         list.push(", ").push_bind(before.id.to_string()).push(")");
     }
-    if let Some(project) = project {
-        list.push(" AND project = ").push_bind(project.to_string());
-    }
+    list.push_if(" AND project = ", project.map(|project| project.to_string()));
     list.push(" ORDER BY scenes.created_at DESC, scenes.id DESC LIMIT ").push_bind(limit);
     list
 }
@@ -79,12 +67,8 @@ pub(super) fn datasets(project: Option<ProjectId>, before: Option<DatasetPageKey
 /// Rows of `webhook_endpoints`, newest first: identities are in the order of creation.
 pub(super) fn endpoints(project: Option<ProjectId>, before: Option<EndpointId>, limit: u32) -> Query {
     let mut list = query("SELECT * FROM webhook_endpoints WHERE true");
-    if let Some(project) = project {
-        list.push(" AND project = ").push_bind(project.to_string());
-    }
-    if let Some(before) = before {
-        list.push(" AND id < ").push_bind(before.to_string());
-    }
+    list.push_if(" AND project = ", project.map(|project| project.to_string()));
+    list.push_if(" AND id < ", before.map(|before| before.to_string()));
     list.push(" ORDER BY id DESC LIMIT ").push_bind(limit);
     list
 }
@@ -97,15 +81,11 @@ pub(super) fn keys(
     limit: u32,
 ) -> Query {
     let mut list = query("SELECT * FROM keys WHERE true");
-    if let Some(project) = project {
-        list.push(" AND project = ").push_bind(project.to_string());
-    }
+    list.push_if(" AND project = ", project.map(|project| project.to_string()));
     if !with_revoked {
         list.push(" AND revoked_at IS NULL");
     }
-    if let Some(before) = before {
-        list.push(" AND id < ").push_bind(before.to_string());
-    }
+    list.push_if(" AND id < ", before.map(|before| before.to_string()));
     list.push(" ORDER BY id DESC LIMIT ").push_bind(limit);
     list
 }
@@ -128,12 +108,8 @@ pub(super) fn usage(
              WHERE jobs.project = projects.id AND state = 'running'), 0) AS bigint) AS running_micros",
     });
     list.push(" FROM projects JOIN project_totals ON project_totals.project = projects.id WHERE true");
-    if let Some(project) = project {
-        list.push(" AND projects.id = ").push_bind(project.to_string());
-    }
-    if let Some(before) = before {
-        list.push(" AND projects.id < ").push_bind(before.to_string());
-    }
+    list.push_if(" AND projects.id = ", project.map(|project| project.to_string()));
+    list.push_if(" AND projects.id < ", before.map(|before| before.to_string()));
     list.push(" ORDER BY projects.id DESC LIMIT ").push_bind(limit);
     list
 }

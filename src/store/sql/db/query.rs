@@ -64,6 +64,13 @@ impl Query {
         self.push("?")
     }
 
+    /// Continues the statement with a condition on a value, if there is one; the condition ends where the value goes.
+    pub(in crate::store) fn push_if(&mut self, condition: &'static str, value: Option<impl Into<Value>>) {
+        if let Some(value) = value {
+            self.push(condition).push_bind(value);
+        }
+    }
+
     /// Locks the rows that it reads until the transaction ends; SQLite's writers hold the whole database.
     pub(in crate::store) fn for_update(mut self) -> Self {
         self.push(Sql { sqlite: "", postgres: " FOR UPDATE" });
