@@ -125,7 +125,7 @@ impl Datasets for SqlStore {
         version: Option<u64>,
     ) -> StoreFuture<'_, Option<DatasetDeletion>> {
         Box::pin(self.write(async move |tx, _| {
-            locks::project_of(tx, "SELECT project FROM scenes WHERE id = ", id).await?;
+            locks::projects(tx, "SELECT project FROM scenes WHERE id = ", id.to_string()).await?;
             let Some(record) = select(tx, id).await? else { return Ok(None) };
             if version.is_some_and(|version| version != record.version) {
                 return Ok(Some(DatasetDeletion::VersionMismatch));

@@ -16,7 +16,7 @@ use jiff::Timestamp;
 /// Fails every queued job whose deadline has passed, and counts them.
 pub(super) async fn fail_expired(connection: &mut Transaction, now: Timestamp) -> Result<u64, StoreError> {
     let selected = "SELECT project FROM jobs WHERE state = 'queued' AND deadline_at <= ";
-    locks::projects_by_time(connection, selected, micros(now)).await?;
+    locks::projects(connection, selected, micros(now)).await?;
     let late = query("SELECT id, attempt, deadline_at FROM jobs WHERE state = 'queued' AND deadline_at <= ?")
         // A project that has such a job only since the locks were taken may be granting it.
         .for_update()

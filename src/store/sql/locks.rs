@@ -6,7 +6,7 @@
 
 use super::{
     MEMBERS,
-    db::{Query, Transaction, query},
+    db::{Sql, Transaction, Value, query},
     rows::json,
 };
 use crate::{
@@ -14,62 +14,43 @@ use crate::{
     store::StoreError,
 };
 
-/// Locks the totals of the projects that `which` selects.
-async fn projects(tx: &mut Transaction, fill: impl FnOnce(&mut Query)) -> Result<(), StoreError> {
+/// Locks the totals of the projects that `selected` and then `last`, where a value goes, select.
+async fn totals(
+    tx: &mut Transaction,
+    selected: &'static str,
+    last: impl Into<Sql>,
+    value: Value,
+) -> Result<(), StoreError> {
     if tx.is_postgres() {
         let mut lock = query("SELECT 1 FROM project_totals WHERE project IN (");
-        fill(&mut lock);
-        lock.push(") ORDER BY project");
-        lock.for_update().fetch_all(tx).await?;
+        lock.push(selected).push(last).push(") ORDER BY project");
+        lock.bind(value).for_update().fetch_all(tx).await?;
     }
     Ok(())
 }
 
 /// Locks a project's totals.
 pub(super) async fn project(tx: &mut Transaction, project: ProjectId) -> Result<(), StoreError> {
-    projects(tx, |lock| {
-        lock.push_bind(project.to_string());
-    })
-    .await
+    projects(tx, "", project.to_string()).await
 }
 
-/// Locks the totals of the project of a row of `table` with this identity.
-pub(super) async fn project_of(
+/// Locks the totals of the projects that a condition selects, which ends where the value goes.
+pub(super) async fn projects(
     tx: &mut Transaction,
     selected: &'static str,
-    id: impl ToString,
+    value: impl Into<Value>,
 ) -> Result<(), StoreError> {
-    projects(tx, |lock| {
-        lock.push(selected).push_bind(id.to_string());
-    })
-    .await
+    totals(tx, selected, "?", value.into()).await
 }
 
 /// Locks the totals of a job's project.
 pub(super) async fn job(tx: &mut Transaction, job: JobId) -> Result<(), StoreError> {
-    project_of(tx, "SELECT project FROM jobs WHERE id = ", job).await
+    projects(tx, "SELECT project FROM jobs WHERE id = ", job.to_string()).await
 }
 
 /// Locks the totals of the projects of these jobs.
 pub(super) async fn jobs(tx: &mut Transaction, jobs: &[JobId]) -> Result<(), StoreError> {
-    let jobs = json(&jobs)?;
-    projects(tx, |lock| {
-        lock.push("SELECT project FROM jobs WHERE id IN ").push(MEMBERS);
-        *lock = lock.clone().bind(jobs);
-    })
-    .await
-}
-
-/// Locks the totals of the projects that a condition on a time selects.
-pub(super) async fn projects_by_time(
-    tx: &mut Transaction,
-    selected: &'static str,
-    micros: i64,
-) -> Result<(), StoreError> {
-    projects(tx, |lock| {
-        lock.push(selected).push_bind(micros);
-    })
-    .await
+    totals(tx, "SELECT project FROM jobs WHERE id IN ", MEMBERS, json(&jobs)?.into()).await
 }
 
 /// Keeps a blob's row from being deleted; returns false if it was.

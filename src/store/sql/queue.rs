@@ -56,7 +56,7 @@ pub(super) async fn expire_worker(
     now: Timestamp,
 ) -> Result<u64, StoreError> {
     let selected = "SELECT project FROM jobs WHERE state = 'running' AND lease_owner = ";
-    locks::project_of(connection, selected, worker).await?;
+    locks::projects(connection, selected, worker).await?;
     let lost = query("SELECT * FROM jobs WHERE state = 'running' AND lease_owner = ?")
         .for_update()
         .bind(worker)

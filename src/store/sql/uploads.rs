@@ -82,7 +82,7 @@ impl Uploads for SqlStore {
 
     fn delete_upload(&self, id: UploadId) -> StoreFuture<'_, bool> {
         Box::pin(self.write(async move |tx, _| {
-            locks::project_of(tx, "SELECT project FROM uploads WHERE id = ", id).await?;
+            locks::projects(tx, "SELECT project FROM uploads WHERE id = ", id.to_string()).await?;
             let done = query("DELETE FROM uploads WHERE id = ? AND ended_at IS NULL")
                 .bind(id.to_string())
                 .execute(tx)
@@ -108,7 +108,7 @@ impl Uploads for SqlStore {
             self.fold_changes().await?;
             self.write(async move |tx, now| {
                 let selected = "SELECT project FROM uploads WHERE ended_at IS NULL AND expires_at <= ";
-                locks::projects_by_time(tx, selected, micros(now)).await?;
+                locks::projects(tx, selected, micros(now)).await?;
                 let ended = query(
                     "UPDATE uploads SET ended_at = ?1 WHERE ended_at IS NULL AND expires_at <= ?1 RETURNING id",
                 );
