@@ -1,7 +1,7 @@
 //! Compares blobs with their names, and copies them from elsewhere.
 
 use std::{
-    fmt, io,
+    fmt,
     path::{Path, PathBuf},
 };
 
@@ -11,7 +11,7 @@ use object_store::GetOptions;
 use tokio::fs::File;
 use tokio_util::io::ReaderStream;
 
-use super::{BlobError, Blobs, ContentHasher, Keeper, location};
+use super::{BlobError, Blobs, ContentHasher, Keeper, files::if_there, location};
 use crate::{domain::Digest, store::BlobRef};
 
 /// Bytes read at a time.
@@ -93,20 +93,12 @@ impl fmt::Display for BlobSource {
 
 /// The file; `None` if there is none.
 async fn open(path: &Path) -> Result<Option<File>, BlobError> {
-    match File::open(path).await {
-        Ok(file) => Ok(Some(file)),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(error.into()),
-    }
+    Ok(if_there(File::open(path).await)?)
 }
 
 /// The length of a file; `None` if there is none.
 async fn length(path: &Path) -> Result<Option<u64>, BlobError> {
-    match tokio::fs::metadata(path).await {
-        Ok(metadata) => Ok(Some(metadata.len())),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(error.into()),
-    }
+    Ok(if_there(tokio::fs::metadata(path).await)?.map(|metadata| metadata.len()))
 }
 
 impl Blobs {

@@ -17,13 +17,18 @@ pub(super) fn touch(file: &File) -> io::Result<Timestamp> {
     Ok(now)
 }
 
+/// What was found; `None` if there is no such file.
+pub(super) fn if_there<T>(found: io::Result<T>) -> io::Result<Option<T>> {
+    match found {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        found => found.map(Some),
+    }
+}
+
 /// Modification time of the file; `None` if there is no such file.
 pub(super) fn age_of(path: &Path) -> io::Result<Option<Timestamp>> {
-    match fs::metadata(path) {
-        Ok(metadata) => Timestamp::try_from(metadata.modified()?).map(Some).map_err(io::Error::other),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(error),
-    }
+    let Some(metadata) = if_there(fs::metadata(path))? else { return Ok(None) };
+    Timestamp::try_from(metadata.modified()?).map(Some).map_err(io::Error::other)
 }
 
 /// Opens a lock file. Each task opens it anew; closing the file releases the lock.
@@ -39,11 +44,8 @@ pub(super) fn sync_folder(path: &Path) -> io::Result<()> {
 
 /// The paths in a folder; empty if there is no such folder.
 pub(super) fn entries(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    match fs::read_dir(folder) {
-        Ok(entries) => entries.map(|entry| Ok(entry?.path())).collect(),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
-        Err(error) => Err(error),
-    }
+    let entries = if_there(fs::read_dir(folder))?;
+    entries.into_iter().flatten().map(|entry| Ok(entry?.path())).collect()
 }
 
 pub(super) fn folders(folder: &Path) -> io::Result<Vec<PathBuf>> {

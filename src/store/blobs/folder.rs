@@ -16,7 +16,7 @@ use object_store::{ObjectStoreExt as _, local::LocalFileSystem};
 
 use super::{
     BlobError, Published, StagedBlob, blocking,
-    files::{age_of, entries, folders, open_lock, sync_folder, touch},
+    files::{age_of, entries, folders, if_there, open_lock, sync_folder, touch},
     location,
     parts::write_parts,
 };
@@ -77,11 +77,7 @@ impl Folder {
         blocking(move || {
             let lock = open_lock(&lock)?;
             lock.lock_shared()?;
-            let file = match File::options().write(true).open(&path) {
-                Ok(file) => file,
-                Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-                Err(error) => return Err(error),
-            };
+            let Some(file) = if_there(File::options().write(true).open(&path))? else { return Ok(None) };
             if file.metadata()?.len() != blob.bytes {
                 return Ok(None);
             }

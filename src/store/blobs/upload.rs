@@ -20,7 +20,7 @@ use tokio::{
 use super::{
     BlobError, Blobs, Keeper, StagedBlob, blocking,
     bucket::BucketUpload,
-    files::{entries, sync_folder},
+    files::{entries, if_there, sync_folder},
 };
 use crate::{
     domain::{Digest, UploadId},
@@ -79,11 +79,7 @@ impl Blobs {
         }
         let path = self.upload_path(id);
         blocking(move || {
-            let file = match StdFile::options().write(true).open(&path) {
-                Ok(file) => file,
-                Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(true),
-                Err(error) => return Err(error),
-            };
+            let Some(file) = if_there(StdFile::options().write(true).open(&path))? else { return Ok(true) };
             match file.try_lock() {
                 Ok(()) => fs::remove_file(&path).map(|()| true),
                 Err(TryLockError::WouldBlock) => Ok(false),
