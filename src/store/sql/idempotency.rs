@@ -54,9 +54,8 @@ pub(super) async fn amend(
 ) -> Result<(), StoreError> {
     query("UPDATE idempotency SET status = ?, resource = ? WHERE project = ? AND key = ?")
         .bind_all(values![status, resource, intent.project.to_string(), &intent.key])
-        .execute(connection)
-        .await?;
-    Ok(())
+        .run(connection)
+        .await
 }
 
 async fn select(

@@ -112,9 +112,8 @@ impl Keys for SqlStore {
         Box::pin(self.write(async move |tx, now| {
             query("UPDATE keys SET last_used_at = ?1 WHERE id = ?2 AND COALESCE(last_used_at, 0) < ?1")
                 .bind_all(values![micros(now), id.to_string()])
-                .execute(tx)
-                .await?;
-            Ok(())
+                .run(tx)
+                .await
         }))
     }
 }

@@ -124,9 +124,8 @@ impl SqlStore {
         Box::pin(self.write(async move |tx, _| {
             query("DELETE FROM publications WHERE id = ? AND removing_since IS NOT NULL")
                 .bind(removal.row)
-                .execute(tx)
-                .await?;
-            Ok(())
+                .run(tx)
+                .await
         }))
     }
 
@@ -154,8 +153,7 @@ impl SqlStore {
     pub fn move_blobs(&self, place: BlobPlace) -> StoreFuture<'_, ()> {
         Box::pin(self.write(async move |tx, _| {
             query("UPDATE blob_place SET place = ?").bind(place.as_str()).execute(&mut *tx).await?;
-            query("DELETE FROM publications").execute(tx).await?;
-            Ok(())
+            query("DELETE FROM publications").run(tx).await
         }))
     }
 }

@@ -42,9 +42,8 @@ impl Series for SqlStore {
 async fn delete_after(connection: &mut Transaction, job: JobId, step: u64) -> Result<(), StoreError> {
     query("DELETE FROM series WHERE job_id = ? AND step > ?")
         .bind_all(values![job.to_string(), rows::signed(step)])
-        .execute(connection)
-        .await?;
-    Ok(())
+        .run(connection)
+        .await
 }
 
 async fn insert(connection: &mut Transaction, lease: &Lease, point: &Progress) -> Result<(), StoreError> {
@@ -61,7 +60,6 @@ async fn insert(connection: &mut Transaction, lease: &Lease, point: &Progress) -
     .bind_all(values![finite(Some(point.elapsed_seconds)).unwrap_or_default(), finite(point.loss)])
     .bind_all(values![finite(point.psnr), finite(point.ssim), rows::signed(point.anchors)])
     .bind_all(values![rows::signed(point.gaussians), point.bytes.map(rows::signed)])
-    .execute(connection)
-    .await?;
-    Ok(())
+    .run(connection)
+    .await
 }

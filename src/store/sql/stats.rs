@@ -92,9 +92,8 @@ impl Overview for SqlStore {
         Box::pin(self.write(async move |tx, now| {
             query("INSERT INTO write_probe (id, at) VALUES (1, ?) ON CONFLICT (id) DO UPDATE SET at = excluded.at")
                 .bind(rows::micros(now))
-                .execute(tx)
-                .await?;
-            Ok(())
+                .run(tx)
+                .await
         }))
     }
 }

@@ -47,11 +47,7 @@ impl SqlStore {
     /// Ends every open upload.
     pub(in crate::store) async fn end_uploads(&self) -> Result<(), StoreError> {
         self.write(async move |tx, now| {
-            query("UPDATE uploads SET ended_at = ? WHERE ended_at IS NULL")
-                .bind(micros(now))
-                .execute(tx)
-                .await?;
-            Ok(())
+            query("UPDATE uploads SET ended_at = ? WHERE ended_at IS NULL").bind(micros(now)).run(tx).await
         })
         .await
     }

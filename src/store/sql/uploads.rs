@@ -163,9 +163,8 @@ impl SqlStore {
         Box::pin(self.write(async move |tx, _| {
             query("UPDATE uploads SET writer_until = NULL WHERE id = ? AND writer = ?")
                 .bind_all(values![writer.id.to_string(), writer.number])
-                .execute(tx)
-                .await?;
-            Ok(())
+                .run(tx)
+                .await
         }))
     }
 

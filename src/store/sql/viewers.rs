@@ -36,11 +36,7 @@ impl Viewers for SqlStore {
             .bind_all(values![viewer.token.expose(), micros(now)])
             .execute(&mut *tx)
             .await?;
-            query("DELETE FROM viewers WHERE seen_at < ?")
-                .bind(micros(before(now, FORGOTTEN)))
-                .execute(tx)
-                .await?;
-            Ok(())
+            query("DELETE FROM viewers WHERE seen_at < ?").bind(micros(before(now, FORGOTTEN))).run(tx).await
         }))
     }
 
@@ -58,9 +54,8 @@ impl Viewers for SqlStore {
         Box::pin(self.write(async move |tx, _| {
             query("DELETE FROM viewers WHERE url = ? AND token = ?")
                 .bind_all(values![viewer.url.as_str(), viewer.token.expose()])
-                .execute(tx)
-                .await?;
-            Ok(())
+                .run(tx)
+                .await
         }))
     }
 }

@@ -102,9 +102,8 @@ async fn disable(
          WHERE endpoint = ? AND state = 'pending'",
     )
     .bind(endpoint.to_string())
-    .execute(connection)
-    .await?;
-    Ok(())
+    .run(connection)
+    .await
 }
 
 impl Webhooks for SqlStore {
@@ -248,9 +247,8 @@ impl Webhooks for SqlStore {
             }
             query("DELETE FROM webhook_deliveries WHERE state <> 'pending' AND created_at < ?")
                 .bind(micros(rows::before(now, DELIVERY_TTL)))
-                .execute(tx)
-                .await?;
-            Ok(())
+                .run(tx)
+                .await
         }))
     }
 }

@@ -147,6 +147,12 @@ impl Query {
         self.fetch_optional(on).await?.as_ref().map(read).transpose()
     }
 
+    /// Runs the statement.
+    pub(in crate::store) async fn run(self, on: impl Into<Target<'_>>) -> Result<(), StoreError> {
+        self.execute(on).await?;
+        Ok(())
+    }
+
     /// Runs the statement, and returns how many rows it changed.
     pub(in crate::store) async fn execute(self, on: impl Into<Target<'_>>) -> Result<u64, sqlx::Error> {
         on.into().changed(self).await
