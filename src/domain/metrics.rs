@@ -14,7 +14,6 @@ pub struct ViewScore {
     /// Structural similarity.
     pub ssim: f64,
     /// Perceptual distance; null without weights, or for an image too small for the network.
-    #[serde(default)]
     pub lpips: Option<f64>,
 }
 
@@ -31,7 +30,6 @@ pub struct Scores {
     /// Perceptual distance; null unless network weights are supplied and every view has a figure.
     pub lpips: Option<f64>,
     /// The network of `lpips`, and null with it.
-    #[serde(default)]
     pub lpips_network: Option<LpipsNetwork>,
     /// How many views were measured.
     pub views: usize,
@@ -209,19 +207,14 @@ pub struct JobMetrics {
     #[serde(default)]
     pub conventions: Conventions,
     /// How `max_bytes` was met; null if it was not set.
-    #[serde(default)]
     pub byte_budget: Option<ByteBudget>,
     /// How `until=converged` went; null if it was not set.
-    #[serde(default)]
     pub convergence: Option<Convergence>,
     /// Coding efficiency; null if nothing was entropy-coded.
-    #[serde(default)]
     pub coding: Option<CodingEfficiency>,
     /// PSNR at each stage of coding; null for files of floats and without held-out views.
-    #[serde(default)]
     pub stages: Option<CodingStages>,
     /// The renderer against the f64 reference; null where it was not compared.
-    #[serde(default)]
     pub rendering: Option<RenderingError>,
     /// The points of `rd_curve` in the order given; the other metrics are those of the first. Else empty.
     #[serde(default)]

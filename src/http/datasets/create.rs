@@ -51,7 +51,6 @@ struct SceneFields {
 #[serde(deny_unknown_fields)]
 struct CreateSceneRequest {
     upload_id: String,
-    #[serde(default)]
     name: Option<String>,
 }
 

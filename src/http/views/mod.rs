@@ -48,14 +48,10 @@ const DEPTH_SCALE: HeaderName = HeaderName::from_static("x-depth-scale");
 #[serde(deny_unknown_fields)]
 pub(super) struct RenderViewsRequest {
     views: Vec<ViewRequest>,
-    #[serde(default)]
     output: Option<Output>,
-    #[serde(default)]
     format: Option<Format>,
-    #[serde(default)]
     quality: Option<u8>,
     /// Which file of a rate-distortion curve.
-    #[serde(default)]
     lambda: Option<f64>,
 }
 
