@@ -18,6 +18,8 @@ pub mod context_model;
 pub mod conventions;
 pub mod convergence;
 pub mod dataset;
+#[cfg(feature = "service")]
+mod defaults;
 pub mod digest;
 #[cfg(feature = "service")]
 pub mod exported_scene;
@@ -76,6 +78,8 @@ pub use context_model::{
 pub use conventions::{Conventions, LpipsNetwork};
 pub use convergence::{AsideScore, Convergence};
 pub use dataset::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
+#[cfg(feature = "service")]
+pub(crate) use defaults::with_defaults;
 pub use digest::Digest;
 #[cfg(feature = "service")]
 pub use exported_scene::{ExportFidelity, ExportedScene};

@@ -9,47 +9,33 @@ use std::{
 use thiserror::Error;
 
 use super::server::client_address::TrustedProxies;
-use crate::domain::OutboundPolicy;
+use crate::domain::{OutboundPolicy, with_defaults};
 
-/// The server's settings.
-#[derive(Debug, Clone)]
-pub struct HttpConfig {
-    /// Where to listen.
-    pub listen: SocketAddr,
-    /// Where to serve `/metrics` without keys, instead of on the main listener.
-    pub metrics_listen: Option<SocketAddr>,
-    /// Connections served at a time; more wait in the system's queue.
-    pub max_connections: usize,
-    /// Connections of one address, or one IPv6 network of 64 bits, served at a time; more are closed. Trusted proxies have no such bound.
-    pub max_connections_per_address: usize,
-    /// Longest time from the start of a connection, or from the previous response, to the end of a request's headers.
-    pub header_timeout: Duration,
-    /// Longest time in which a client reads nothing of a response.
-    pub write_timeout: Duration,
-    /// Bytes per second that a client has to read of a response on average, once it has stalled for that time in sum.
-    pub min_response_rate: u64,
-    /// How long `/readyz` fails on shutdown before connections are refused.
-    pub drain_notice: Duration,
-    /// Longest time that open requests may take once the server shuts down.
-    pub drain: Duration,
-    /// Bounds on requests.
-    pub limits: RequestLimits,
-}
-
-impl Default for HttpConfig {
-    fn default() -> Self {
-        Self {
-            listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8080)),
-            metrics_listen: None,
-            max_connections: 512,
-            max_connections_per_address: 128,
-            header_timeout: Duration::from_secs(10),
-            write_timeout: Duration::from_secs(30),
-            min_response_rate: 4 << 10,
-            drain_notice: Duration::ZERO,
-            drain: Duration::from_secs(20),
-            limits: RequestLimits::default(),
-        }
+with_defaults! {
+    /// The server's settings.
+    #[derive(Debug, Clone)]
+    pub struct HttpConfig {
+        /// Where to listen.
+        pub listen: SocketAddr = SocketAddr::from((Ipv4Addr::LOCALHOST, 8080)),
+        /// Where to serve `/metrics` without keys, instead of on the main listener.
+        pub metrics_listen: Option<SocketAddr> = None,
+        /// Connections served at a time; more wait in the system's queue.
+        pub max_connections: usize = 512,
+        /// Connections of one address, or one IPv6 network of 64 bits, served at a time; more are closed. Trusted proxies have no such
+        /// bound.
+        pub max_connections_per_address: usize = 128,
+        /// Longest time from the start of a connection, or from the previous response, to the end of a request's headers.
+        pub header_timeout: Duration = Duration::from_secs(10),
+        /// Longest time in which a client reads nothing of a response.
+        pub write_timeout: Duration = Duration::from_secs(30),
+        /// Bytes per second that a client has to read of a response on average, once it has stalled for that time in sum.
+        pub min_response_rate: u64 = 4 << 10,
+        /// How long `/readyz` fails on shutdown before connections are refused.
+        pub drain_notice: Duration = Duration::ZERO,
+        /// Longest time that open requests may take once the server shuts down.
+        pub drain: Duration = Duration::from_secs(20),
+        /// Bounds on requests.
+        pub limits: RequestLimits = RequestLimits::default(),
     }
 }
 
@@ -94,135 +80,89 @@ pub enum ExposureError {
     WithoutKeys(SocketAddr),
 }
 
-/// Authentication and rate limits.
-#[derive(Debug, Clone)]
-pub struct AccessRules {
-    /// Require no key even if there are some.
-    pub without_keys: bool,
-    /// Requests per minute of a key without a limit of its own; `None` for no limit.
-    pub requests_per_minute: Option<NonZeroU32>,
-    /// Requests per minute without a valid key from one address.
-    pub failures_per_minute: NonZeroU32,
-    /// Proxies whose forwarding headers are trusted.
-    pub trusted_proxies: TrustedProxies,
-}
-
-impl Default for AccessRules {
-    fn default() -> Self {
-        Self {
-            without_keys: false,
-            requests_per_minute: None,
-            failures_per_minute: const { NonZeroU32::new(30).unwrap() },
-            trusted_proxies: TrustedProxies::default(),
-        }
+with_defaults! {
+    /// Authentication and rate limits.
+    #[derive(Debug, Clone)]
+    pub struct AccessRules {
+        /// Require no key even if there are some.
+        pub without_keys: bool = false,
+        /// Requests per minute of a key without a limit of its own; `None` for no limit.
+        pub requests_per_minute: Option<NonZeroU32> = None,
+        /// Requests per minute without a valid key from one address.
+        pub failures_per_minute: NonZeroU32 = const { NonZeroU32::new(30).unwrap() },
+        /// Proxies whose forwarding headers are trusted.
+        pub trusted_proxies: TrustedProxies = TrustedProxies::default(),
     }
 }
 
-/// Bounds on what one request may ask for.
-#[derive(Debug, Clone)]
-pub struct RequestLimits {
-    /// Authentication and rate limits.
-    pub access: AccessRules,
-    /// Longest dataset archive, in bytes.
-    pub upload_bytes: u64,
-    /// Longest dataset archive of a resumable upload, in bytes.
-    pub resumable_bytes: u64,
-    /// How long an upload waits for its next part.
-    pub upload_ttl: Duration,
-    /// Archives received at a time.
-    pub uploads: usize,
-    /// Longest JSON body, in bytes.
-    pub json_bytes: u64,
-    /// Longest pause within a body.
-    pub body_idle_timeout: Duration,
-    /// Longest time for a whole body.
-    pub body_timeout: Duration,
-    /// Bytes per second that a body has to bring on average, once it has lasted for the longest pause.
-    pub min_body_rate: u64,
-    /// Free bytes on the blobs' disk below which the server is not ready.
-    pub min_free_space: u64,
-    /// Longest side of a view, in pixels.
-    pub view_side: u32,
-    /// Pixels of all views of a request together.
-    pub view_pixels: u64,
-    /// Views of a request.
-    pub views: usize,
-    /// Views rendered at a time.
-    pub renders: usize,
-    /// View requests that may wait for a permit.
-    pub renders_waiting: usize,
-    /// View requests of one caller, rendering ones included.
-    pub renders_per_caller: usize,
-    /// Streams of views at a time.
-    pub streams: usize,
-    /// Streams of views of one caller.
-    pub streams_per_caller: usize,
-    /// Frames of one round of a stream or animation.
-    pub frames: u32,
-    /// Pixels of all frames of an animation together.
-    pub animation_pixels: u64,
-    /// Size of the cache of encoded views, in bytes.
-    pub view_cache_bytes: u64,
-    /// Scenes that are exported at a time.
-    pub exports: usize,
-    /// Scenes that may wait to be exported.
-    pub exports_waiting: usize,
-    /// How often the database is polled for changes of jobs while a request waits for one.
-    pub watch_interval: Duration,
-    /// How often queued jobs are checked for passed deadlines.
-    pub deadline_check_interval: Duration,
-    /// Requests that may wait for a job at a time; further ones are answered at once.
-    pub waits: usize,
-    /// Streams of events at a time.
-    pub event_streams: usize,
-    /// Streams of events of one key at a time.
-    pub event_streams_per_key: usize,
-    /// Longest silence on a stream of events.
-    pub keep_alive: Duration,
-    /// How often the key of an open event stream is checked for revocation.
-    pub key_recheck_interval: Duration,
-    /// Webhook endpoints of one key.
-    pub webhook_endpoints: u32,
-    /// Where webhook endpoints may be.
-    pub webhook_targets: OutboundPolicy,
-}
-
-impl Default for RequestLimits {
-    fn default() -> Self {
-        Self {
-            access: AccessRules::default(),
-            upload_bytes: 4 << 30,
-            resumable_bytes: 64 << 30,
-            upload_ttl: Duration::from_secs(24 * 3600),
-            uploads: 8,
-            json_bytes: 1 << 20,
-            body_idle_timeout: Duration::from_secs(30),
-            body_timeout: Duration::from_secs(3600),
-            min_body_rate: 1 << 10,
-            min_free_space: 512 << 20,
-            view_side: 4096,
-            view_pixels: 1 << 24,
-            views: 64,
-            renders: 1,
-            renders_waiting: 32,
-            renders_per_caller: 24,
-            streams: 8,
-            streams_per_caller: 4,
-            frames: 720,
-            animation_pixels: 1 << 26,
-            view_cache_bytes: 64 << 20,
-            exports: 1,
-            exports_waiting: 8,
-            watch_interval: Duration::from_millis(250),
-            deadline_check_interval: Duration::from_secs(1),
-            waits: 128,
-            event_streams: 256,
-            event_streams_per_key: 128,
-            keep_alive: Duration::from_secs(15),
-            key_recheck_interval: Duration::from_secs(2),
-            webhook_endpoints: 10,
-            webhook_targets: OutboundPolicy::default(),
-        }
+with_defaults! {
+    /// Bounds on what one request may ask for.
+    #[derive(Debug, Clone)]
+    pub struct RequestLimits {
+        /// Authentication and rate limits.
+        pub access: AccessRules = AccessRules::default(),
+        /// Longest dataset archive, in bytes.
+        pub upload_bytes: u64 = 4 << 30,
+        /// Longest dataset archive of a resumable upload, in bytes.
+        pub resumable_bytes: u64 = 64 << 30,
+        /// How long an upload waits for its next part.
+        pub upload_ttl: Duration = Duration::from_secs(24 * 3600),
+        /// Archives received at a time.
+        pub uploads: usize = 8,
+        /// Longest JSON body, in bytes.
+        pub json_bytes: u64 = 1 << 20,
+        /// Longest pause within a body.
+        pub body_idle_timeout: Duration = Duration::from_secs(30),
+        /// Longest time for a whole body.
+        pub body_timeout: Duration = Duration::from_secs(3600),
+        /// Bytes per second that a body has to bring on average, once it has lasted for the longest pause.
+        pub min_body_rate: u64 = 1 << 10,
+        /// Free bytes on the blobs' disk below which the server is not ready.
+        pub min_free_space: u64 = 512 << 20,
+        /// Longest side of a view, in pixels.
+        pub view_side: u32 = 4096,
+        /// Pixels of all views of a request together.
+        pub view_pixels: u64 = 1 << 24,
+        /// Views of a request.
+        pub views: usize = 64,
+        /// Views rendered at a time.
+        pub renders: usize = 1,
+        /// View requests that may wait for a permit.
+        pub renders_waiting: usize = 32,
+        /// View requests of one caller, rendering ones included.
+        pub renders_per_caller: usize = 24,
+        /// Streams of views at a time.
+        pub streams: usize = 8,
+        /// Streams of views of one caller.
+        pub streams_per_caller: usize = 4,
+        /// Frames of one round of a stream or animation.
+        pub frames: u32 = 720,
+        /// Pixels of all frames of an animation together.
+        pub animation_pixels: u64 = 1 << 26,
+        /// Size of the cache of encoded views, in bytes.
+        pub view_cache_bytes: u64 = 64 << 20,
+        /// Scenes that are exported at a time.
+        pub exports: usize = 1,
+        /// Scenes that may wait to be exported.
+        pub exports_waiting: usize = 8,
+        /// How often the database is polled for changes of jobs while a request waits for one.
+        pub watch_interval: Duration = Duration::from_millis(250),
+        /// How often queued jobs are checked for passed deadlines.
+        pub deadline_check_interval: Duration = Duration::from_secs(1),
+        /// Requests that may wait for a job at a time; further ones are answered at once.
+        pub waits: usize = 128,
+        /// Streams of events at a time.
+        pub event_streams: usize = 256,
+        /// Streams of events of one key at a time.
+        pub event_streams_per_key: usize = 128,
+        /// Longest silence on a stream of events.
+        pub keep_alive: Duration = Duration::from_secs(15),
+        /// How often the key of an open event stream is checked for revocation.
+        pub key_recheck_interval: Duration = Duration::from_secs(2),
+        /// Webhook endpoints of one key.
+        pub webhook_endpoints: u32 = 10,
+        /// Where webhook endpoints may be.
+        pub webhook_targets: OutboundPolicy = OutboundPolicy::default(),
     }
 }
 

@@ -13,35 +13,25 @@ use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
 use super::{BlobError, Blobs, Published, Store, StoreError, retention::remove_expired};
-use crate::domain::{Clock, UploadId};
+use crate::domain::{Clock, UploadId, with_defaults};
 
 /// Blobs per transaction, so that other writers never wait for long.
 const BATCH: usize = 100;
 
-/// When garbage is collected, and how old it must be.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct GarbagePolicy {
-    /// Time between two collections, unless one is requested earlier.
-    pub every: Duration,
-    /// Shortest time between two collections.
-    pub at_most_every: Duration,
-    /// How long a published blob may stay unreferenced.
-    pub blob_grace: SignedDuration,
-    /// How long the row of an ended upload is kept.
-    pub upload_ttl: SignedDuration,
-    /// How long an ended job is kept; for ever if `None`.
-    pub keep_jobs: Option<Duration>,
-}
-
-impl Default for GarbagePolicy {
-    fn default() -> Self {
-        Self {
-            every: Duration::from_secs(600),
-            at_most_every: Duration::from_secs(10),
-            blob_grace: SignedDuration::from_hours(1),
-            upload_ttl: SignedDuration::from_hours(7 * 24),
-            keep_jobs: None,
-        }
+with_defaults! {
+    /// When garbage is collected, and how old it must be.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub struct GarbagePolicy {
+        /// Time between two collections, unless one is requested earlier.
+        pub every: Duration = Duration::from_secs(600),
+        /// Shortest time between two collections.
+        pub at_most_every: Duration = Duration::from_secs(10),
+        /// How long a published blob may stay unreferenced.
+        pub blob_grace: SignedDuration = SignedDuration::from_hours(1),
+        /// How long the row of an ended upload is kept.
+        pub upload_ttl: SignedDuration = SignedDuration::from_hours(7 * 24),
+        /// How long an ended job is kept; for ever if `None`.
+        pub keep_jobs: Option<Duration> = None,
     }
 }
 

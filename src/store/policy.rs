@@ -2,52 +2,36 @@
 
 use std::time::Duration;
 
-use crate::domain::{Digest, JobId, ProjectLimits};
+use crate::domain::{Digest, JobId, ProjectLimits, with_defaults};
 
-/// Durations and limits of the queue.
-#[derive(Debug, Clone, PartialEq)]
-pub struct QueuePolicy {
-    /// How long a claim or a heartbeat holds a job.
-    pub lease: Duration,
-    /// Charged attempts before a job fails.
-    pub max_attempts: u32,
-    /// Consecutive attempts whose worker died alone (killed, out of memory), without a newer checkpoint in between, before the job
-    /// fails as the cause.
-    pub max_worker_crashes: u32,
-    /// Consecutive attempts that ended together with the service, without a newer checkpoint in between, before the next one is
-    /// delayed. Such a job never fails for that, but it may be what brings the machine down.
-    pub immediate_restarts: u32,
-    /// How long a held job waits until its next attempt.
-    pub hold_delay: Duration,
-    /// Delay before the second attempt; each further one doubles it.
-    pub backoff_base: Duration,
-    /// Longest delay between attempts.
-    pub backoff_cap: Duration,
-    /// Shortest time between two `progress` events of a job.
-    pub progress_event_every: Duration,
-    /// How long a job that failed or was cancelled keeps its checkpoint, for a job that retries it.
-    pub checkpoint_ttl: Duration,
-    /// How long an `Idempotency-Key` is kept.
-    pub idempotency_ttl: Duration,
-    /// Limits of projects that have none of their own. Of these, the default project gets only the bound on running jobs.
-    pub limits: ProjectLimits,
-}
-
-impl Default for QueuePolicy {
-    fn default() -> Self {
-        Self {
-            lease: Duration::from_secs(60),
-            max_attempts: 3,
-            max_worker_crashes: 2,
-            immediate_restarts: 3,
-            hold_delay: Duration::from_secs(10),
-            backoff_base: Duration::from_secs(10),
-            backoff_cap: Duration::from_secs(600),
-            progress_event_every: Duration::from_secs(5),
-            checkpoint_ttl: Duration::from_secs(24 * 3600),
-            idempotency_ttl: Duration::from_secs(24 * 3600),
-            limits: ProjectLimits::default(),
-        }
+with_defaults! {
+    /// Durations and limits of the queue.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct QueuePolicy {
+        /// How long a claim or a heartbeat holds a job.
+        pub lease: Duration = Duration::from_secs(60),
+        /// Charged attempts before a job fails.
+        pub max_attempts: u32 = 3,
+        /// Consecutive attempts whose worker died alone (killed, out of memory), without a newer checkpoint in between, before the job
+        /// fails as the cause.
+        pub max_worker_crashes: u32 = 2,
+        /// Consecutive attempts that ended together with the service, without a newer checkpoint in between, before the next one is
+        /// delayed. Such a job never fails for that, but it may be what brings the machine down.
+        pub immediate_restarts: u32 = 3,
+        /// How long a held job waits until its next attempt.
+        pub hold_delay: Duration = Duration::from_secs(10),
+        /// Delay before the second attempt; each further one doubles it.
+        pub backoff_base: Duration = Duration::from_secs(10),
+        /// Longest delay between attempts.
+        pub backoff_cap: Duration = Duration::from_secs(600),
+        /// Shortest time between two `progress` events of a job.
+        pub progress_event_every: Duration = Duration::from_secs(5),
+        /// How long a job that failed or was cancelled keeps its checkpoint, for a job that retries it.
+        pub checkpoint_ttl: Duration = Duration::from_secs(24 * 3600),
+        /// How long an `Idempotency-Key` is kept.
+        pub idempotency_ttl: Duration = Duration::from_secs(24 * 3600),
+        /// Limits of projects that have none of their own. Of these, the default project gets only the bound on running jobs.
+        pub limits: ProjectLimits = ProjectLimits::default(),
     }
 }
 

@@ -19,29 +19,23 @@ use tokio_util::sync::CancellationToken;
 pub use send::{Lookup, SendError, Sender, system_lookup};
 pub use sign::{InvalidSecretError, sign};
 
-use crate::store::{DueDelivery, Store};
+use crate::{
+    domain::with_defaults,
+    store::{DueDelivery, Store},
+};
 
-/// How deliveries are made.
-#[derive(Debug, Clone)]
-pub struct DeliveryConfig {
-    /// Polling interval of the outbox.
-    pub poll: Duration,
-    /// Concurrent deliveries; at most one per endpoint.
-    pub max_concurrent: usize,
-    /// How long a delivery is leased; longer than an attempt may take.
-    pub lease: Duration,
-    /// How long running attempts may take once the server stops. An interrupted attempt is repeated later.
-    pub drain: Duration,
-}
-
-impl Default for DeliveryConfig {
-    fn default() -> Self {
-        Self {
-            poll: Duration::from_secs(1),
-            max_concurrent: 16,
-            lease: Duration::from_secs(60),
-            drain: Duration::from_secs(5),
-        }
+with_defaults! {
+    /// How deliveries are made.
+    #[derive(Debug, Clone)]
+    pub struct DeliveryConfig {
+        /// Polling interval of the outbox.
+        pub poll: Duration = Duration::from_secs(1),
+        /// Concurrent deliveries; at most one per endpoint.
+        pub max_concurrent: usize = 16,
+        /// How long a delivery is leased; longer than an attempt may take.
+        pub lease: Duration = Duration::from_secs(60),
+        /// How long running attempts may take once the server stops. An interrupted attempt is repeated later.
+        pub drain: Duration = Duration::from_secs(5),
     }
 }
 
