@@ -1,8 +1,6 @@
 //! What a viewer process expects of whoever asks it for pictures. It is kept in clear in the database, where only processes of the same
 //! service can read it, and never printed, unless by the method whose name says so.
 
-use std::fmt::Write as _;
-
 use secrecy::{ExposeSecret as _, SecretString};
 use subtle::ConstantTimeEq as _;
 
@@ -23,12 +21,8 @@ impl ViewerToken {
     pub fn generate(entropy: &dyn RandomSource) -> Result<Self, RandomError> {
         let mut random = [0; RANDOM_BYTES];
         entropy.fill(&mut random)?;
-        let mut text = String::new();
-        for byte in random {
-            // Writing to a string cannot fail.
-            let _ = write!(text, "{byte:02x}");
-        }
-        Ok(Self(text.into()))
+        let digits: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok(Self(digits.into()))
     }
 
     /// A token as it was stored.

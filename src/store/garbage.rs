@@ -5,14 +5,14 @@
 //! finds no reference deletes its row; then its file is removed, unless it was published again meanwhile. A new reference is added only
 //! after a publication or from a row that already has one, so no referenced blob is removed.
 
-use std::{collections::BTreeSet, sync::Arc, time::Duration};
+use std::{collections::BTreeSet, error::Error, sync::Arc, time::Duration};
 
 use jiff::{SignedDuration, Timestamp};
 use thiserror::Error;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
-use super::{BlobError, Blobs, Published, Store, StoreError, retention::remove_expired};
+use super::{BlobError, Blobs, Published, Store, StoreError, blobs::earlier, retention::remove_expired};
 use crate::domain::{Clock, UploadId, with_defaults};
 
 /// Blobs per transaction, so that other writers never wait for long.
@@ -114,10 +114,6 @@ async fn collect_uploads(
     Ok(expired.len())
 }
 
-fn earlier(now: Timestamp, by: SignedDuration) -> Timestamp {
-    now.checked_sub(by).unwrap_or(Timestamp::MIN)
-}
-
 /// Collects until `stop`, at intervals and soon after [`Blobs::request_collection`].
 pub async fn collect_garbage(
     store: Arc<dyn Store>,
@@ -133,10 +129,7 @@ pub async fn collect_garbage(
             Ok(0) => {}
             Ok(jobs) => tracing::info!(jobs, "removed {jobs} jobs that ended too long ago to be kept"),
             Err(error) => {
-                tracing::warn!(
-                    error = &error as &dyn std::error::Error,
-                    "ended jobs cannot be removed: {error}"
-                );
+                tracing::warn!(error = &error as &dyn Error, "ended jobs cannot be removed: {error}");
             }
         }
         match collect(&*store, &blobs, &policy, clock.now()).await {
@@ -150,10 +143,7 @@ pub async fn collect_garbage(
                 );
             }
             Err(error) => {
-                tracing::warn!(
-                    error = &error as &dyn std::error::Error,
-                    "garbage collection failed: {error}"
-                );
+                tracing::warn!(error = &error as &dyn Error, "garbage collection failed: {error}");
             }
         }
         let pause = async {

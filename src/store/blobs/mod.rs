@@ -416,7 +416,8 @@ impl fmt::Display for Blobs {
     }
 }
 
-fn earlier(now: Timestamp, by: SignedDuration) -> Timestamp {
+/// The time `by` before `now`.
+pub(super) fn earlier(now: Timestamp, by: SignedDuration) -> Timestamp {
     now.checked_sub(by).unwrap_or(Timestamp::MIN)
 }
 

@@ -11,6 +11,7 @@ use crate::{
     domain::Digest,
     store::{
         BlobPlace, BlobRef, StoreError, StoreFuture,
+        blobs::earlier,
         publications::{Announcement, REMOVER_IS_DEAD, Removable, Removal},
     },
 };
@@ -24,11 +25,6 @@ const ANNOUNCE: &str = "
         published_at = CASE WHEN publications.published_at < ?3 THEN ?3 ELSE publications.published_at + 1 END
     WHERE publications.removing_since IS NULL OR publications.removing_since < ?4
     RETURNING id, published_at";
-
-/// The time before which something is at least `age` old.
-fn earlier(now: Timestamp, age: SignedDuration) -> i64 {
-    micros(now.checked_sub(age).unwrap_or(Timestamp::MIN))
-}
 
 fn removal(row: &Row) -> Result<Removal, StoreError> {
     Ok(Removal { row: row.try_get("id")?, blob: blob(row, "digest")? })
@@ -45,7 +41,7 @@ impl SqlStore {
                 .await?;
             let row = query(ANNOUNCE)
                 .bind_all(values![blob.digest.to_string(), signed(blob.bytes), micros(now)])
-                .bind(earlier(now, REMOVER_IS_DEAD))
+                .bind(micros(earlier(now, REMOVER_IS_DEAD)))
                 .fetch_optional(&mut *tx)
                 .await?;
             let Some(row) = row else { return Ok(None) };
@@ -81,8 +77,8 @@ impl SqlStore {
                 "SELECT digest FROM publications
                  WHERE digest > ? AND published_at < ? AND removing_since IS NULL ORDER BY digest LIMIT ?",
             )
-            .bind_all(values![after.map(|digest| digest.to_string()).unwrap_or_default(), earlier(now, age)])
-            .bind(limit)
+            .bind(after.map(|digest| digest.to_string()).unwrap_or_default())
+            .bind_all(values![micros(earlier(now, age)), limit])
             .all(tx, |row| parsed("digest", row.try_get("digest")?))
             .await
         }))
@@ -92,7 +88,7 @@ impl SqlStore {
     pub fn begin_removal(&self, digest: Digest, which: Removable) -> StoreFuture<'_, Option<Removal>> {
         Box::pin(self.write(async move |tx, now| {
             let (first, last) = match which {
-                Removable::OlderThan(age) => (i64::MIN, earlier(now, age).saturating_sub(1)),
+                Removable::OlderThan(age) => (i64::MIN, micros(earlier(now, age)).saturating_sub(1)),
                 Removable::PublishedAt(at) => (micros(at), micros(at)),
             };
             query(
@@ -113,7 +109,7 @@ impl SqlStore {
                 "UPDATE publications SET removing_since = ?1 WHERE removing_since < ?2
                  RETURNING id, digest, bytes",
             )
-            .bind_all(values![micros(now), earlier(now, REMOVER_IS_DEAD)])
+            .bind_all(values![micros(now), micros(earlier(now, REMOVER_IS_DEAD))])
             .all(tx, removal)
             .await
         }))
