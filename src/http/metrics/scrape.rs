@@ -88,23 +88,24 @@ fn registry(state: &AppState, figures: &StoreStats) -> Registry {
     let mut registry = Registry::with_prefix("tcgs");
     jobs(&mut registry, figures, state.services.clock.now());
     attempts(&mut registry, figures);
-    let states = figures.deliveries.iter();
-    let states = states.map(|(state, count)| ("state", state.name().to_owned(), *count as f64));
+    let states = figures.deliveries.iter().map(|(state, count)| (state.name(), *count as f64));
     gauges(&mut registry, "webhook_deliveries", "Kept messages to webhooks by state", states);
     machine(&mut registry, state, figures);
     registry
 }
 
 fn jobs(registry: &mut Registry, figures: &StoreStats, now: Timestamp) {
-    let states = figures.jobs.iter().map(|(state, count)| ("state", state.name().to_owned(), *count as f64));
+    let states = figures.jobs.iter().map(|(state, count)| (state.name(), *count as f64));
     gauges(registry, "jobs", "Jobs by state", states);
     let age = figures.oldest_queued_at.map_or(0.0, |at| now.duration_since(at).as_secs_f64().max(0.0));
     gauge(registry, "oldest_queued_job_age_seconds", "Age of the oldest job that waits", age);
     let speed = "Training steps a second of the jobs that run, together";
     gauge(registry, "training_steps_per_second", speed, figures.steps_per_second);
-    let phases =
-        figures.phase_seconds.iter().map(|(phase, seconds)| ("phase", (*phase).to_owned(), *seconds));
-    counters(registry, "phase_seconds", "Time that succeeded jobs took in each phase", phases);
+    let phases = Counters::default();
+    for (phase, seconds) in &figures.phase_seconds {
+        phases.get_or_create(&vec![("phase", (*phase).to_owned())]).inc_by(*seconds);
+    }
+    registry.register("phase_seconds", "Time that succeeded jobs took in each phase", phases);
 }
 
 fn attempts(registry: &mut Registry, figures: &StoreStats) {
@@ -122,8 +123,7 @@ fn attempts(registry: &mut Registry, figures: &StoreStats) {
 
 fn machine(registry: &mut Registry, state: &AppState, figures: &StoreStats) {
     let workers = (state.services.workers)();
-    let counts = [("expected", workers.expected), ("alive", workers.alive)];
-    let counts = counts.map(|(name, count)| ("state", name.to_owned(), count as f64));
+    let counts = [("expected", workers.expected as f64), ("alive", workers.alive as f64)];
     gauges(registry, "workers", "Worker processes that this service keeps", counts.into_iter());
     if let Some(viewers) = (state.services.viewers)() {
         gauge(registry, "viewers", "Viewers that are alive", viewers as f64);
@@ -138,8 +138,7 @@ fn machine(registry: &mut Registry, state: &AppState, figures: &StoreStats) {
         }
     }
     let (rendering, waiting) = state.view_renderer.depth();
-    let depth = [("rendering", rendering), ("waiting", waiting)];
-    let depth = depth.map(|(name, count)| ("state", name.to_owned(), count as f64));
+    let depth = [("rendering", rendering as f64), ("waiting", waiting as f64)];
     gauges(registry, "render_queue", "Pictures in the line for the renderer", depth.into_iter());
 }
 
@@ -155,28 +154,16 @@ fn counter(registry: &mut Registry, name: &str, help: &str, value: f64) {
     registry.register(name, help, counter);
 }
 
+/// A gauge for each state.
 fn gauges(
     registry: &mut Registry,
     name: &str,
     help: &str,
-    values: impl Iterator<Item = (&'static str, String, f64)>,
+    states: impl Iterator<Item = (&'static str, f64)>,
 ) {
     let family = Gauges::default();
-    for (label, value, number) in values {
-        family.get_or_create(&vec![(label, value)]).set(number);
-    }
-    registry.register(name, help, family);
-}
-
-fn counters(
-    registry: &mut Registry,
-    name: &str,
-    help: &str,
-    values: impl Iterator<Item = (&'static str, String, f64)>,
-) {
-    let family = Counters::default();
-    for (label, value, number) in values {
-        family.get_or_create(&vec![(label, value)]).inc_by(number);
+    for (state, number) in states {
+        family.get_or_create(&vec![("state", state.to_owned())]).set(number);
     }
     registry.register(name, help, family);
 }
