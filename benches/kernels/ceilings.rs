@@ -76,10 +76,9 @@ impl Ceilings {
         let bytes = (floats * size_of::<f32>()) as f64;
         let invocations = f64::from(64 * groups);
         Self {
-            copy: 2.0 * bytes / seconds(probe!("streaming_copy"), &[from.as_ref(), to.as_ref()]),
-            gather: bytes / seconds(probe!("random_reads"), &[places.as_ref(), from.as_ref(), to.as_ref()]),
-            arithmetic: OPERATIONS * invocations
-                / seconds(probe!("multiply_add"), &[seeds.as_ref(), to.as_ref()]),
+            copy: 2.0 * bytes / seconds(probe!("streaming_copy"), &[&from, &to]),
+            gather: bytes / seconds(probe!("random_reads"), &[&places, &from, &to]),
+            arithmetic: OPERATIONS * invocations / seconds(probe!("multiply_add"), &[&seeds, &to]),
         }
     }
 }

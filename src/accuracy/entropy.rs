@@ -66,7 +66,7 @@ fn compare(device: &Arc<Device>, rows: &[Row]) -> Result<Errors, CaseFault> {
     let given = device.upload("rows", rows)?;
     let found = device.buffer::<[f32; 4]>("bits and derivatives", rows.len())?;
     let mut recorder = device.recorder("bits");
-    recorder.dispatch(&kernel, &[given.as_ref(), found.as_ref()], rows.len().div_ceil(64) as u32);
+    recorder.dispatch(&kernel, &[&given, &found], rows.len().div_ceil(64) as u32);
     recorder.submit()?;
     let found = device.read(&found)?;
     let errors: Vec<[f64; 4]> = rows.iter().zip(&found).map(|(row, found)| errors_of(row, found)).collect();

@@ -51,12 +51,6 @@ impl<T: bytemuck::Pod> Buffer<T> {
     }
 }
 
-impl AsRef<RawBuffer> for RawBuffer {
-    fn as_ref(&self) -> &RawBuffer {
-        self
-    }
-}
-
 impl<T> AsRef<RawBuffer> for Buffer<T> {
     fn as_ref(&self) -> &RawBuffer {
         &self.inner

@@ -76,13 +76,13 @@ impl Adam {
         recorder.dispatch(
             &self.kernel,
             &[
-                uniform.as_ref(),
-                learning_rates.as_ref(),
-                gradients.as_ref(),
-                values.as_ref(),
-                moments.first.as_ref(),
-                moments.second.as_ref(),
-                step.overflow_flag.as_ref(),
+                &uniform,
+                learning_rates,
+                gradients,
+                values,
+                &moments.first,
+                &moments.second,
+                step.overflow_flag,
             ],
             values.len().div_ceil(4 * 64) as u32,
         );

@@ -228,41 +228,32 @@ impl ImageLoss {
             size: [size[0], size[1], division.run, division.shares() + blocks],
             weights: [((1.0 - SSIM_WEIGHT) / samples) as f32, (SSIM_WEIGHT / samples) as f32, 0.0, 0.0],
         }])?;
-        let (uniform, render) = (uniform.as_ref(), render.as_ref());
-        let photograph = fields.photograph.as_ref();
         recorder.dispatch(
             &self.kernels.rows,
-            &[uniform, render, photograph, fields.moments.as_ref()],
+            &[&uniform, render, &fields.photograph, &fields.moments],
             division.by_rows().div_ceil(64),
         );
         recorder.dispatch(
             &self.kernels.columns,
-            &[uniform, fields.moments.as_ref(), fields.derivatives.as_ref(), fields.losses.as_ref()],
+            &[&uniform, &fields.moments, &fields.derivatives, &fields.losses],
             division.by_columns().div_ceil(64),
         );
         recorder.dispatch(
             &self.kernels.gradient,
-            &[
-                uniform,
-                render,
-                photograph,
-                fields.derivatives.as_ref(),
-                fields.losses.as_ref(),
-                fields.gradient.as_ref(),
-            ],
+            &[&uniform, render, &fields.photograph, &fields.derivatives, &fields.losses, &fields.gradient],
             division.by_rows().div_ceil(64),
         );
         if let Some(weights) = wavelet {
             let constraint = recorder.uniform(&[ConstraintUniform::new(size, division.shares(), weights)])?;
             recorder.dispatch(
                 &self.kernels.wavelet,
-                &[constraint.as_ref(), render, photograph, fields.losses.as_ref(), fields.gradient.as_ref()],
+                &[&constraint, render, &fields.photograph, &fields.losses, &fields.gradient],
                 blocks.div_ceil(64),
             );
         }
         recorder.dispatch(
             &self.kernels.sums,
-            &[uniform, fields.losses.as_ref(), fields.sums.as_ref()],
+            &[&uniform, &fields.losses, &fields.sums],
             fields.sums.len() as u32,
         );
         Ok(&fields.gradient)

@@ -121,18 +121,18 @@ impl OffsetMasks {
             recorder.uniform(&[[share, 0.0, 0.0, 0.0], [f32::from_bits(offsets as u32), 0.0, 0.0, 0.0]])?;
         recorder.dispatch(
             &self.kernels.mask_loss,
-            &[settings.as_ref(), self.logits.as_ref(), self.gradients.as_ref()],
+            &[&settings, &self.logits, &self.gradients],
             offsets.div_ceil(64) as u32,
         );
         let d_geometry = neural.gaussian_gradients()?.geometry.clone();
         recorder.dispatch(
             &self.kernels.mask_gradient,
             &[
-                neural.visible_list().as_ref(),
-                neural.gaussians().geometry.as_ref(),
-                d_geometry.as_ref(),
-                self.logits.as_ref(),
-                self.gradients.as_ref(),
+                neural.visible_list(),
+                &neural.gaussians().geometry,
+                &d_geometry,
+                &self.logits,
+                &self.gradients,
             ],
             anchors.count.div_ceil(64) as u32,
         );
@@ -153,13 +153,7 @@ impl OffsetMasks {
         let settings = recorder.uniform(&[[weight, 0.0, 0.0, 0.0], [capacity, 0.0, 0.0, 0.0]])?;
         recorder.dispatch(
             &self.kernels.mask_rate,
-            &[
-                settings.as_ref(),
-                sample.list.as_ref(),
-                rate.bits().as_ref(),
-                self.logits.as_ref(),
-                self.gradients.as_ref(),
-            ],
+            &[&settings, sample.list, rate.bits(), &self.logits, &self.gradients],
             sample.count.div_ceil(64) as u32,
         );
         Ok(())
@@ -182,7 +176,7 @@ impl OffsetMasks {
             .uniform(&[[level, 0.0, 0.0, 0.0], [f32::from_bits(anchors.count as u32), 0.0, 0.0, 0.0]])?;
         recorder.dispatch(
             &self.kernels.mask_bits,
-            &[settings.as_ref(), self.logits.as_ref(), anchors.masks.as_ref()],
+            &[&settings, &self.logits, &anchors.masks],
             anchors.count.div_ceil(64) as u32,
         );
         Ok(())

@@ -40,13 +40,7 @@ impl FrozenQuantSteps {
             recorder.uniform(&[[features, scalings, offsets, 0.0], rows(sample, outputs, channels)])?;
         recorder.dispatch(
             &self.freeze_quant_steps,
-            &[
-                settings.as_ref(),
-                sample.list.as_ref(),
-                steps.as_ref(),
-                outputs[0].values.as_ref(),
-                self.differences.as_ref(),
-            ],
+            &[&settings, sample.list, steps, outputs[0].values, &self.differences],
             sample.count.div_ceil(64) as u32,
         );
         Ok(())
@@ -66,12 +60,7 @@ impl FrozenQuantSteps {
             recorder.uniform(&[[features, scalings, offsets, 0.0], rows(sample, outputs, channels)])?;
         recorder.dispatch(
             &self.frozen_quant_step_gradient,
-            &[
-                settings.as_ref(),
-                sample.list.as_ref(),
-                self.differences.as_ref(),
-                outputs[0].gradients.as_ref(),
-            ],
+            &[&settings, sample.list, &self.differences, outputs[0].gradients],
             sample.count.div_ceil(64) as u32,
         );
         Ok(())

@@ -133,13 +133,7 @@ impl Convolutions {
         ])?;
         recorder.dispatch(
             kernel,
-            &[
-                uniform.as_ref(),
-                parameters.as_ref(),
-                source.buffer.as_ref(),
-                gate.buffer.as_ref(),
-                result.buffer.as_ref(),
-            ],
+            &[&uniform, parameters, &source.buffer, &gate.buffer, &result.buffer],
             results.div_ceil(64) as u32,
         );
         Ok(())
@@ -165,7 +159,7 @@ impl Convolutions {
         ])?;
         recorder.dispatch(
             &self.conv_weight_gradient,
-            &[uniform.as_ref(), fine.buffer.as_ref(), coarse.buffer.as_ref(), gradients.as_ref()],
+            &[&uniform, &fine.buffer, &coarse.buffer, gradients],
             (spec.weight_count() + biases).div_ceil(64) as u32,
         );
         Ok(())

@@ -48,13 +48,13 @@ impl Sampling {
         recorder.dispatch(
             &self.context_input,
             &[
-                uniform.as_ref(),
-                columns.list.as_ref(),
-                tables.neighbours.as_ref(),
-                tables.texels.as_ref(),
-                tables.priors.as_ref(),
-                planes.buffer.as_ref(),
-                input.as_ref(),
+                &uniform,
+                columns.list,
+                &tables.neighbours,
+                &tables.texels,
+                &tables.priors,
+                &planes.buffer,
+                input,
             ],
             ((3 * sampled + 1) * columns.capacity.div_ceil(64)) as u32,
         );
@@ -76,27 +76,14 @@ impl Sampling {
             recorder.uniform(&[[tables.count as u32, 3 * planes.channels as u32, capacity as u32, 0]])?;
         recorder.dispatch(
             &self.neighbour_gradient,
-            &[
-                uniform.as_ref(),
-                tables.user_starts.as_ref(),
-                tables.users.as_ref(),
-                tables.columns.as_ref(),
-                d_input.as_ref(),
-                d_samples.as_ref(),
-            ],
+            &[&uniform, &tables.user_starts, &tables.users, &tables.columns, d_input, d_samples],
             tables.count.div_ceil(64) as u32,
         );
         let fours = planes.channels / 4;
         let uniform = recorder.uniform(&[[planes.edge as u32, fours as u32, d_planes.first as u32, 0]])?;
         recorder.dispatch(
             &self.plane_gradient,
-            &[
-                uniform.as_ref(),
-                tables.plane_starts.as_ref(),
-                tables.plane_users.as_ref(),
-                d_samples.as_ref(),
-                d_planes.buffer.as_ref(),
-            ],
+            &[&uniform, &tables.plane_starts, &tables.plane_users, d_samples, &d_planes.buffer],
             (3 * fours * planes.edge * planes.edge).div_ceil(64) as u32,
         );
         Ok(())

@@ -127,7 +127,7 @@ impl PlanePass {
         let uniform = recorder.uniform(&[[values as u32, latents.first as u32, 0, 0]])?;
         recorder.dispatch(
             &self.round_latents,
-            &[uniform.as_ref(), latents.buffer.as_ref(), self.on.latents.buffer.as_ref()],
+            &[&uniform, &latents.buffer, &self.on.latents.buffer],
             values.div_ceil(64) as u32,
         );
         let mut source = &self.on.latents;
@@ -159,13 +159,7 @@ impl PlanePass {
         let uniform = recorder.uniform(&[[values as u32, layout.planes.start as u32, share.to_bits(), 0]])?;
         recorder.dispatch(
             &self.plane_l1,
-            &[
-                uniform.as_ref(),
-                parameters.as_ref(),
-                self.on.planes().buffer.as_ref(),
-                gradients.as_ref(),
-                self.back.planes().buffer.as_ref(),
-            ],
+            &[&uniform, parameters, &self.on.planes().buffer, gradients, &self.back.planes().buffer],
             values.div_ceil(64) as u32,
         );
         Ok(())

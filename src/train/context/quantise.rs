@@ -139,13 +139,7 @@ impl QuantisedRows {
         let settings = recorder.uniform(&[quantisation.uniform(anchors.count)])?;
         recorder.dispatch(
             &self.quantise_rows,
-            &[
-                settings.as_ref(),
-                anchors.rows.as_ref(),
-                anchors.masks.as_ref(),
-                self.steps.as_ref(),
-                self.rows.as_ref(),
-            ],
+            &[&settings, &anchors.rows, &anchors.masks, &self.steps, &self.rows],
             (anchors.count * anchors.shape.row()).div_ceil(64) as u32,
         );
         Ok(())
@@ -163,14 +157,7 @@ impl QuantisedRows {
         let settings = recorder.uniform(&[quantisation.uniform(anchors.count)])?;
         recorder.dispatch(
             &self.quantise_gradient,
-            &[
-                settings.as_ref(),
-                anchors.rows.as_ref(),
-                anchors.masks.as_ref(),
-                self.steps.as_ref(),
-                d_rows.as_ref(),
-                self.d_log_quant_steps.as_ref(),
-            ],
+            &[&settings, &anchors.rows, &anchors.masks, &self.steps, d_rows, &self.d_log_quant_steps],
             anchors.count.div_ceil(64) as u32,
         );
         Ok(())

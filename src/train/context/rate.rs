@@ -158,36 +158,26 @@ impl RateTerm {
             recorder.dispatch(
                 &self.rate,
                 &[
-                    settings.as_ref(),
-                    sample.list.as_ref(),
-                    anchors.rows.as_ref(),
-                    anchors.masks.as_ref(),
-                    output.values.as_ref(),
-                    quantised.log_quant_step_gradients().as_ref(),
-                    output.gradients.as_ref(),
-                    d_rows.as_ref(),
-                    self.bits.as_ref(),
+                    &settings,
+                    sample.list,
+                    &anchors.rows,
+                    &anchors.masks,
+                    output.values,
+                    quantised.log_quant_step_gradients(),
+                    output.gradients,
+                    d_rows,
+                    &self.bits,
                 ],
                 groups,
             );
             recorder.dispatch(
                 &self.refresh_quant_steps,
-                &[
-                    settings.as_ref(),
-                    sample.list.as_ref(),
-                    output.values.as_ref(),
-                    overflow_flag.as_ref(),
-                    quantised.steps().as_ref(),
-                ],
+                &[&settings, sample.list, output.values, overflow_flag, quantised.steps()],
                 groups,
             );
         }
         let room = recorder.uniform(&[[self.capacity as u32, 0, 0, 0]])?;
-        recorder.dispatch(
-            &self.sum_bits,
-            &[room.as_ref(), sample.list.as_ref(), self.bits.as_ref(), self.sums.as_ref()],
-            GROUPS as u32,
-        );
+        recorder.dispatch(&self.sum_bits, &[&room, sample.list, &self.bits, &self.sums], GROUPS as u32);
         Ok(())
     }
 

@@ -48,7 +48,7 @@ impl RoundedNetworks {
         let shape = recorder.uniform(&[[self.rows.len() as u32, 0, 0, 0]])?;
         recorder.dispatch(
             &self.round_rows,
-            &[shape.as_ref(), self.rows.as_ref(), parameters.as_ref(), self.parameters.as_ref()],
+            &[&shape, &self.rows, parameters, &self.parameters],
             self.rows.len().div_ceil(64) as u32,
         );
         Ok(())

@@ -63,7 +63,7 @@ impl RoundedWeights {
         let uniform = recorder.uniform(&[[self.rows.len() as u32, u32::from(levels), 0, 0]])?;
         recorder.dispatch(
             &self.round_weights,
-            &[uniform.as_ref(), self.rows.as_ref(), parameters.as_ref(), self.values.as_ref()],
+            &[&uniform, &self.rows, parameters, &self.values],
             self.rows.len().div_ceil(64) as u32,
         );
         Ok(())

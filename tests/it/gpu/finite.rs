@@ -36,7 +36,7 @@ fn shaders_know_numbers_that_are_none_and_magnitudes_by_their_bits() {
     let given = device.upload("rows", &rows).expect("room");
     let found = device.buffer::<[u32; 4]>("found", rows.len()).expect("room");
     let mut recorder = device.recorder("probe");
-    recorder.dispatch(&kernel, &[given.as_ref(), found.as_ref()], rows.len().div_ceil(64) as u32);
+    recorder.dispatch(&kernel, &[&given, &found], rows.len().div_ceil(64) as u32);
     recorder.submit().expect("submitted");
     for ([value, limit], found) in rows.iter().zip(device.read(&found).expect("read")) {
         let (finite, below) = (u32::from(value.is_finite()), u32::from(value.abs() < *limit));

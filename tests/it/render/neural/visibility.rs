@@ -175,7 +175,7 @@ fn the_list_is_ascending_complete_and_counted() {
             let flags = device.upload("flags", &flags).expect("flags");
             let list = device.upload("junk", &vec![0xdead_beef_u32; count + 2]).expect("list");
             let mut recorder = device.recorder("compact");
-            recorder.dispatch(&kernel, &[view.as_ref(), flags.as_ref(), list.as_ref()], 1);
+            recorder.dispatch(&kernel, &[&view, &flags, &list], 1);
             recorder.submit().expect("submitted");
             let found = device.read(&list).expect("list");
             let expected = twin::compact_anchors(&visible);

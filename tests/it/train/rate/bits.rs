@@ -62,7 +62,7 @@ fn on_device(rows: &[Row]) -> Vec<[f32; 4]> {
     let given = device.upload("rows", rows).expect("room");
     let found = device.buffer::<[f32; 4]>("found", rows.len()).expect("room");
     let mut recorder = device.recorder("probe");
-    recorder.dispatch(&kernel, &[given.as_ref(), found.as_ref()], rows.len().div_ceil(64) as u32);
+    recorder.dispatch(&kernel, &[&given, &found], rows.len().div_ceil(64) as u32);
     recorder.submit().expect("submitted");
     device.read(&found).expect("read")
 }
