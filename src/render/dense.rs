@@ -41,9 +41,6 @@ struct HardwareLayers {
 
 impl DenseLayers {
     /// Prepares the kernels for `layers`; `subgroups` is the smallest number of lanes in a subgroup, where kernels may use them.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn new(
         device: &Device,
         subgroups: Option<u32>,
@@ -80,9 +77,6 @@ impl DenseLayers {
     }
 
     /// Records `output = layer(input)`.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn forward(
         &self,
         recorder: &mut Recorder<'_>,
@@ -103,9 +97,6 @@ impl DenseLayers {
     }
 
     /// Records the gradient by the layer's inputs.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn input_gradient(
         &self,
         recorder: &mut Recorder<'_>,
@@ -125,9 +116,6 @@ impl DenseLayers {
     }
 
     /// Records the gradient by the layer's weights and bias; [`Self::finish_weight_gradients`] follows that of the last layer.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn weight_gradient(
         &self,
         recorder: &mut Recorder<'_>,
@@ -143,9 +131,6 @@ impl DenseLayers {
     }
 
     /// Completes the gradients by the weights of all layers.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn finish_weight_gradients(
         &self,
         recorder: &mut Recorder<'_>,

@@ -30,9 +30,6 @@ pub struct DepthShader {
 
 impl DepthShader {
     /// Prepares the kernel; the buffer comes with the first view.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn new(device: &Device) -> Result<Self, RenderError> {
         Ok(Self {
             kernel: device.kernel(kernel_source!("shade_depth"), &[])?,
@@ -43,9 +40,6 @@ impl DepthShader {
 
     /// Records `gaussians` with their depth as red: the coordinate of their centre along the camera's axis. Green and blue are
     /// 0.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn forward(
         &mut self,
         device: &Device,

@@ -1,4 +1,6 @@
 //! Gaussian splatting: forward and backward passes, the f64 CPU twin of every kernel, and rendering of finished scenes.
+//!
+//! Whatever returns a [`RenderError`] can fail with a fault of the device; sections of errors name what else there is.
 
 mod dense;
 mod dense_layer;

@@ -148,9 +148,6 @@ pub struct NeuralGaussians {
 impl NeuralGaussians {
     /// Prepares the kernels for a model of this shape. Views begin at `near`, in world units; networks get distances over
     /// `scene_scale`.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn new(
         device: Arc<Device>,
         shape: Shape,
@@ -162,9 +159,6 @@ impl NeuralGaussians {
     }
 
     /// As [`NeuralGaussians::new`], with the kernels without subgroups, for adapters whose subgroups are broken.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn without_subgroups(
         device: Arc<Device>,
         shape: Shape,
@@ -273,9 +267,6 @@ impl NeuralGaussians {
     }
 
     /// Candidate Gaussians, Gaussians of positive opacity, and visible anchors of the last submitted forward pass.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn counts(&self) -> Result<[u32; 3], RenderError> {
         let counts = self.device.read_range(&self.forward.gaussians.count, 0, 3)?;
         Ok([counts[0], counts[1], counts[2]])
@@ -283,9 +274,6 @@ impl NeuralGaussians {
 
     /// The visible anchors of the last submitted forward pass, ascending, and the opacity of each of their offsets
     /// (0 where there is no Gaussian). Waits for the device.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn visible_opacities(&self) -> Result<(Vec<u32>, Vec<f32>), RenderError> {
         let count = self.device.read_range(&self.forward.list, 0, 1)?[0] as usize;
         let list = self.device.read_range(&self.forward.list, 1, count)?;

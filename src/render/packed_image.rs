@@ -19,9 +19,6 @@ pub struct PackedImage {
 
 impl PackedImage {
     /// Prepares the kernel; the buffer comes with the first image.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn new(device: &Device) -> Result<Self, RenderError> {
         Ok(Self {
             kernel: device.kernel(kernel_source!("pack_image"), &[])?,
@@ -33,9 +30,6 @@ impl PackedImage {
     }
 
     /// Records the rounding of an image, and a copy of the counters of the pass that makes it.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn record(
         &mut self,
         device: &Device,
@@ -57,9 +51,6 @@ impl PackedImage {
     }
 
     /// Reads the last submitted image, row by row as red, green and blue, and the counters. Waits for the device.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn read(&mut self, device: &Device) -> Result<(Vec<u8>, Vec<u32>), RenderError> {
         let pixels = self.words.len().saturating_sub(self.counters);
         let unpack = |words: &[u32]| {

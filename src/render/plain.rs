@@ -66,9 +66,6 @@ impl DeviceGaussians {
     }
 
     /// Rows to the host. Waits for the device.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn download(&self, device: &Device) -> Result<GaussianRows, RenderError> {
         let base = device.read(&self.base)?;
         let bands = device.read(&self.bands)?;
@@ -113,9 +110,6 @@ pub struct PlainGaussians {
 
 impl PlainGaussians {
     /// Prepares the kernels for degree 0.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn new(device: Arc<Device>, near: f32) -> Result<Self, RenderError> {
         Ok(Self {
             degree: 0,
@@ -150,9 +144,6 @@ impl PlainGaussians {
     }
 
     /// Uses another degree, at most 3, from the next forward pass on.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn set_degree(&mut self, degree: u32) -> Result<(), RenderError> {
         let degree = degree.min(MAX_DEGREE);
         if degree != self.degree {

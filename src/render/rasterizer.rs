@@ -114,18 +114,12 @@ pub struct Rasterizer {
 
 impl Rasterizer {
     /// Prepares the kernels; buffers are made by the first forward pass.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn new(device: Arc<Device>, settings: RasterSettings) -> Result<Self, RenderError> {
         let subgroups = device.subgroups();
         Self::with_subgroups(device, settings, subgroups)
     }
 
     /// As [`Rasterizer::new`], with the kernels without subgroups, for adapters whose subgroups are broken.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn without_subgroups(device: Arc<Device>, settings: RasterSettings) -> Result<Self, RenderError> {
         Self::with_subgroups(device, settings, Subgroups::Unused)
     }
@@ -214,9 +208,6 @@ impl Rasterizer {
     }
 
     /// Reads back the counts of the last submitted forward pass. Waits for the device.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn counts(&self) -> Result<RasterCounts, RenderError> {
         Ok(self.counts_of(&self.device.read(&self.counters)?))
     }
@@ -274,9 +265,6 @@ impl Rasterizer {
 
     /// Returns the outcome of the forward passes since the last call, and resets it. Waits for the device. After an overflow, call
     /// [`Rasterizer::reserve`] and record that pass and those after it again.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn take_forward_passes(&self) -> Result<ForwardPasses, RenderError> {
         let counters = self.device.read(&self.counters)?;
         self.device.write_at(&self.counters, REQUIRED, &[0_u32; COMPLETED + 1]);

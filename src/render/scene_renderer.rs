@@ -131,9 +131,6 @@ impl SceneRenderer {
     }
 
     /// The view from `camera`: RGB, rounded to 8 bits.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn render(&mut self, camera: &Camera) -> Result<Image, RenderError> {
         let device = Arc::clone(&self.device);
         let packed = match &mut self.packed {
@@ -158,9 +155,6 @@ impl SceneRenderer {
     }
 
     /// Renders the view from `camera` once more and leaves it on the device; the scene must have been rendered from there before.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn submit(&mut self, camera: &Camera) -> Result<(), RenderError> {
         let device = Arc::clone(&self.device);
         let mut recorder = device.recorder("view");
@@ -171,17 +165,11 @@ impl SceneRenderer {
 
     /// The colours of the view from `camera` as the kernels leave them, neither rounded nor bounded, and the transmittance left behind
     /// each pixel.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn colors(&mut self, camera: &Camera) -> Result<Vec<[f32; 4]>, RenderError> {
         self.blend(camera, false)
     }
 
     /// One number a pixel of the view from `camera`.
-    ///
-    /// # Errors
-    /// Faults of the device.
     pub fn plane(&mut self, camera: &Camera, kind: ScalarKind) -> Result<ScalarImage, RenderError> {
         let pixels = self.blend(camera, kind == ScalarKind::Depth)?;
         let value = |[first, _, _, transmittance]: &[f32; 4]| {
