@@ -10,6 +10,9 @@ use crate::{
     render::RenderError,
 };
 
+/// Result of a part of training.
+pub(super) type Result<T, E = TrainError> = std::result::Result<T, E>;
+
 /// Why training ended without a scene.
 #[derive(Debug, Error)]
 pub enum TrainError {

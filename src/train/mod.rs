@@ -40,6 +40,7 @@ pub use base_quant_steps::BaseQuantSteps;
 pub use budget::Needs;
 pub use checkpoint::{Checkpoint, CheckpointError, CheckpointFolder, CheckpointSink};
 pub use densify::{DensifySettings, densify};
+use error::Result;
 pub use error::{ContextError, TrainError};
 pub use loss::{ImageLoss, LossSums};
 pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};

@@ -7,7 +7,7 @@
 
 use rand_pcg::Pcg64;
 
-use super::{Schedule, TrainError, checkpoint::ModelState, trained::TrainedContext};
+use super::{Result, Schedule, checkpoint::ModelState, trained::TrainedContext};
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
     gpu::{Buffer, Recorder},
@@ -56,18 +56,13 @@ pub(super) struct FinishedModel {
 /// A model in training; see the module's documentation.
 pub(super) trait ModelTrainer {
     /// Records the Gaussians that `camera` sees.
-    fn forward(
-        &mut self,
-        recorder: &mut Recorder<'_>,
-        camera: &Camera,
-        step: &Step,
-    ) -> Result<(), TrainError>;
+    fn forward(&mut self, recorder: &mut Recorder<'_>, camera: &Camera, step: &Step) -> Result<()>;
 
     /// What the last [`ModelTrainer::forward`] recorded.
     fn gaussians(&self) -> &Gaussians;
 
     /// The buffers that the rasteriser writes the loss's gradients by those Gaussians to.
-    fn gaussian_gradients(&mut self) -> Result<GaussianGradients, TrainError>;
+    fn gaussian_gradients(&mut self) -> Result<GaussianGradients>;
 
     /// Records the gradients by the parameters, the statistics that growth goes by, and the optimiser's step. If `overflow_flag` is
     /// set by the time that these are run, the step will be repeated, so nothing of it may persist.
@@ -77,7 +72,7 @@ pub(super) trait ModelTrainer {
         camera: &Camera,
         step: &Step,
         overflow_flag: &Buffer<u32>,
-    ) -> Result<(), TrainError>;
+    ) -> Result<()>;
 
     /// Follows another schedule from the next step on: the same one with its rest at a faster pace.
     fn reschedule(&mut self, schedule: &Schedule);
@@ -86,7 +81,7 @@ pub(super) trait ModelTrainer {
     fn adapts(&self, step: &Step) -> bool;
 
     /// Grows, prunes and resets after a submitted step; `frames` are the training photographs, and `raster` is free for passes of
-    /// its own. May wait for the device; ends as [`TrainError::Cancelled`] if the run is cancelled during a long pass.
+    /// its own. May wait for the device; ends as [`super::TrainError::Cancelled`] if the run is cancelled during a long pass.
     fn adapt(
         &mut self,
         step: &Step,
@@ -94,20 +89,20 @@ pub(super) trait ModelTrainer {
         raster: &mut Rasterizer,
         frames: &[&Frame],
         cancel: &CancelFlag,
-    ) -> Result<(), TrainError>;
+    ) -> Result<()>;
 
     /// Anchors; zero in a model that has none.
     fn anchors(&self) -> usize;
 
     /// The model's size. May wait for the device.
-    fn size(&self) -> Result<ModelSize, TrainError>;
+    fn size(&self) -> Result<ModelSize>;
 
     /// The bits of the last submitted step's sample; none if the loss has no rate term. May wait for the device.
-    fn bitrate(&self) -> Result<Option<BitrateSample>, TrainError>;
+    fn bitrate(&self) -> Result<Option<BitrateSample>>;
 
     /// Everything that the next step depends on. Waits for the device.
-    fn save(&self) -> Result<ModelState, TrainError>;
+    fn save(&self) -> Result<ModelState>;
 
     /// The finished scene; `frames` are the training photographs.
-    fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<FinishedModel, TrainError>;
+    fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<FinishedModel>;
 }

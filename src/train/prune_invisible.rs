@@ -1,6 +1,6 @@
 //! Finds the offsets that are invisible in all training views.
 
-use super::TrainError;
+use super::{Result, TrainError};
 use crate::{
     domain::{CancelFlag, Frame},
     gpu::Device,
@@ -20,7 +20,7 @@ pub(super) fn prune_invisible(
     anchors: &mut AnchorRows,
     frames: &[&Frame],
     cancel: &CancelFlag,
-) -> Result<(), TrainError> {
+) -> Result<()> {
     let shown = device.upload("visible offsets", &vec![0_u32; anchors.len()])?;
     for frame in frames {
         if cancel.is_cancelled() {

@@ -3,7 +3,7 @@
 //! A gradient of random signs as the image's, taken back to an anchor's feature, is a random vector whose products average to those
 //! of the picture's derivatives by the feature's channels.
 
-use super::{TrainError, feature_basis::add_products};
+use super::{Result, TrainError, feature_basis::add_products};
 use crate::{
     domain::{CancelFlag, Frame},
     eval::signs,
@@ -35,7 +35,7 @@ pub(super) fn feature_sensitivity(
     gradients: &AnchorGradients,
     frames: &[&Frame],
     cancel: &CancelFlag,
-) -> Result<Vec<f64>, TrainError> {
+) -> Result<Vec<f64>> {
     let Rendering { device, neural, raster } = rendering;
     let shape = anchors.shape;
     let mut sums = vec![0.0; shape.features * shape.features];

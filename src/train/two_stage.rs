@@ -7,7 +7,7 @@ use std::sync::Arc;
 use rand_pcg::Pcg64;
 
 use super::{
-    Schedule, TrainError,
+    Result, Schedule,
     anchor_trainer::{AnchorTrainer, put_scene_scale, scene_scale_of},
     checkpoint::ModelState,
     model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step},
@@ -69,7 +69,7 @@ impl TwoStageTrainer {
         schedule: Schedule,
         extent: f32,
         mut state: ModelState,
-    ) -> Result<Self, TrainError> {
+    ) -> Result<Self> {
         let (stage, scene_scale) = if PlainTrainer::saved(&state) {
             let scene_scale = scene_scale_of(&mut state)?;
             let gaussians = PlainTrainer::resume(device, schedule.plain.clone(), extent, state)?;
@@ -82,7 +82,7 @@ impl TwoStageTrainer {
     }
 
     /// Replaces the Gaussians by anchors.
-    fn make_anchors(&mut self, step: u32, rng: &mut Pcg64) -> Result<(), TrainError> {
+    fn make_anchors(&mut self, step: u32, rng: &mut Pcg64) -> Result<()> {
         let Stage::Gaussians(trainer) = &self.stage else { return Ok(()) };
         let rows = trainer.rows()?;
         let Schedule { voxel, shape, max_anchors, .. } = self.schedule;
@@ -112,12 +112,7 @@ impl TwoStageTrainer {
 }
 
 impl ModelTrainer for TwoStageTrainer {
-    fn forward(
-        &mut self,
-        recorder: &mut Recorder<'_>,
-        camera: &Camera,
-        step: &Step,
-    ) -> Result<(), TrainError> {
+    fn forward(&mut self, recorder: &mut Recorder<'_>, camera: &Camera, step: &Step) -> Result<()> {
         self.stage.trainer_mut().forward(recorder, camera, step)
     }
 
@@ -125,7 +120,7 @@ impl ModelTrainer for TwoStageTrainer {
         self.stage.trainer().gaussians()
     }
 
-    fn gaussian_gradients(&mut self) -> Result<GaussianGradients, TrainError> {
+    fn gaussian_gradients(&mut self) -> Result<GaussianGradients> {
         self.stage.trainer_mut().gaussian_gradients()
     }
 
@@ -135,7 +130,7 @@ impl ModelTrainer for TwoStageTrainer {
         camera: &Camera,
         step: &Step,
         overflow_flag: &Buffer<u32>,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         self.stage.trainer_mut().backward(recorder, camera, step, overflow_flag)
     }
 
@@ -156,7 +151,7 @@ impl ModelTrainer for TwoStageTrainer {
         raster: &mut Rasterizer,
         frames: &[&Frame],
         cancel: &CancelFlag,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         if self.ends_first_stage(step) {
             self.make_anchors(step.number, rng)?;
         }
@@ -167,15 +162,15 @@ impl ModelTrainer for TwoStageTrainer {
         self.stage.trainer().anchors()
     }
 
-    fn size(&self) -> Result<ModelSize, TrainError> {
+    fn size(&self) -> Result<ModelSize> {
         self.stage.trainer().size()
     }
 
-    fn bitrate(&self) -> Result<Option<BitrateSample>, TrainError> {
+    fn bitrate(&self) -> Result<Option<BitrateSample>> {
         self.stage.trainer().bitrate()
     }
 
-    fn save(&self) -> Result<ModelState, TrainError> {
+    fn save(&self) -> Result<ModelState> {
         let mut state = self.stage.trainer().save()?;
         if matches!(self.stage, Stage::Gaussians(_)) {
             put_scene_scale(&mut state, self.scene_scale);
@@ -183,7 +178,7 @@ impl ModelTrainer for TwoStageTrainer {
         Ok(state)
     }
 
-    fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<FinishedModel, TrainError> {
+    fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<FinishedModel> {
         match self.stage {
             Stage::Gaussians(trainer) => trainer.finish(frames, cancel),
             Stage::Anchors(trainer) => trainer.finish(frames, cancel),

@@ -8,7 +8,7 @@ use crate::{
     gpu::Device,
     model::{AnchorRows, MAX_CELL, NetworkLayout, Shape},
     train::{
-        CheckpointError, MaskRows, Schedule, Statistics, TrainError, checkpoint::ModelState,
+        CheckpointError, MaskRows, Result, Schedule, Statistics, checkpoint::ModelState,
         compression::Compression, densify::TrainableAnchors,
     },
 };
@@ -61,7 +61,7 @@ impl AnchorTrainer {
         schedule: Schedule,
         extent: f32,
         mut state: ModelState,
-    ) -> Result<Self, TrainError> {
+    ) -> Result<Self> {
         let shape = shape_of(&mut state, schedule.shape)?;
         let [voxel, origin @ ..] = lattice_values(&state.take_exactly::<f32>("lattice", 4)?)?;
         let flat: Vec<i32> = state.take("anchors.cells")?;
@@ -120,7 +120,7 @@ impl AnchorTrainer {
     }
 
     /// The trainer's state.
-    pub(super) fn to_state(&self) -> Result<ModelState, TrainError> {
+    pub(super) fn to_state(&self) -> Result<ModelState> {
         let (TrainableAnchors { anchors, first, second, masks }, statistics) = self.read()?;
         let Lattice { voxel, origin: [x, y, z] } = anchors.lattice;
         let mut state = ModelState::default();

@@ -10,7 +10,8 @@ use std::sync::Arc;
 use rand_pcg::Pcg64;
 
 use super::{
-    Adam, AdamStep, Decay, DensifySettings, MaskRows, Moments, OffsetMasks, Schedule, Statistics, TrainError,
+    Adam, AdamStep, Decay, DensifySettings, MaskRows, Moments, OffsetMasks, Result, Schedule, Statistics,
+    TrainError,
     checkpoint::ModelState,
     compression::Compression,
     densify::{TrainableAnchors, densify, drop_masked},
@@ -78,7 +79,7 @@ impl AnchorTrainer {
         extent: f32,
         scene_scale: SceneScale,
         rng: &mut Pcg64,
-    ) -> Result<Self, TrainError> {
+    ) -> Result<Self> {
         let shape = schedule.shape;
         let PointCloud { positions, colors } = cloud;
         let rule = schedule.voxel.for_points(positions, extent);
@@ -100,7 +101,7 @@ impl AnchorTrainer {
         first: FirstAnchors,
         extent: f32,
         scene_scale: SceneScale,
-    ) -> Result<Self, TrainError> {
+    ) -> Result<Self> {
         let FirstAnchors { anchors, networks } = first;
         let (shape, parameters) = (anchors.shape, networks.len());
         let zeros = |len| vec![0.0; len];
@@ -120,12 +121,7 @@ impl AnchorTrainer {
         Self::assemble(device, schedule, extent, parts)
     }
 
-    fn assemble(
-        device: &Arc<Device>,
-        schedule: Schedule,
-        extent: f32,
-        parts: Parts,
-    ) -> Result<Self, TrainError> {
+    fn assemble(device: &Arc<Device>, schedule: Schedule, extent: f32, parts: Parts) -> Result<Self> {
         let Parts { state, statistics, networks: [networks, first, second], compression, scene_scale } =
             parts;
         let shape = state.anchors.shape;
@@ -176,7 +172,7 @@ impl AnchorTrainer {
         self.owners.iter().map(|owner| rates[usize::from(*owner)]).collect()
     }
 
-    fn densify(&mut self, step: u32, rng: &mut Pcg64) -> Result<(), TrainError> {
+    fn densify(&mut self, step: u32, rng: &mut Pcg64) -> Result<()> {
         let (mut state, mut statistics) = self.read()?;
         let settings = DensifySettings {
             threshold: self.schedule.growth_threshold,
@@ -196,7 +192,7 @@ impl AnchorTrainer {
     }
 
     /// Ends the masks' learning and prunes anchors that keep no offset that is visible in `frames`.
-    fn fix_masks(&mut self, step: u32, frames: &[&Frame], cancel: &CancelFlag) -> Result<(), TrainError> {
+    fn fix_masks(&mut self, step: u32, frames: &[&Frame], cancel: &CancelFlag) -> Result<()> {
         let (mut state, mut statistics) = self.read()?;
         state.masks = None;
         self.prune_invisible(step, &mut state.anchors, frames, cancel)?;
@@ -206,12 +202,7 @@ impl AnchorTrainer {
     }
 
     /// Prunes anchors that are invisible in all `frames` after `step`, before context models are selected for the remaining ones.
-    fn prune_invisible_anchors(
-        &mut self,
-        step: u32,
-        frames: &[&Frame],
-        cancel: &CancelFlag,
-    ) -> Result<(), TrainError> {
+    fn prune_invisible_anchors(&mut self, step: u32, frames: &[&Frame], cancel: &CancelFlag) -> Result<()> {
         let (mut state, mut statistics) = self.read()?;
         self.prune_invisible(step + 1, &mut state.anchors, frames, cancel)?;
         let dropped = drop_masked(&mut state, &mut statistics);
@@ -226,7 +217,7 @@ impl AnchorTrainer {
         anchors: &mut AnchorRows,
         frames: &[&Frame],
         cancel: &CancelFlag,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         if !self.schedule.prunes_invisible {
             return Ok(());
         }
@@ -241,7 +232,7 @@ impl AnchorTrainer {
     }
 
     /// Reads back everything that belongs to anchors.
-    fn read(&self) -> Result<(TrainableAnchors, Statistics), TrainError> {
+    fn read(&self) -> Result<(TrainableAnchors, Statistics)> {
         let device = &self.device;
         let mut anchors = self.anchors.clone();
         anchors.values = device.read(&self.device_anchors.rows)?;
@@ -255,12 +246,7 @@ impl AnchorTrainer {
         Ok((state, Statistics { shape: self.shape, values: device.read(&self.statistics)? }))
     }
 
-    fn write(
-        &mut self,
-        state: TrainableAnchors,
-        statistics: &Statistics,
-        step: u32,
-    ) -> Result<(), TrainError> {
+    fn write(&mut self, state: TrainableAnchors, statistics: &Statistics, step: u32) -> Result<()> {
         if state.anchors.is_empty() {
             return Err(TrainError::NothingLeft { step });
         }
@@ -281,12 +267,7 @@ impl AnchorTrainer {
 }
 
 impl ModelTrainer for AnchorTrainer {
-    fn forward(
-        &mut self,
-        recorder: &mut Recorder<'_>,
-        camera: &Camera,
-        step: &Step,
-    ) -> Result<(), TrainError> {
+    fn forward(&mut self, recorder: &mut Recorder<'_>, camera: &Camera, step: &Step) -> Result<()> {
         self.shown = match &self.compression {
             Some(compression) => compression.forward(recorder, &self.device_anchors, step.number)?,
             None => None,
@@ -301,7 +282,7 @@ impl ModelTrainer for AnchorTrainer {
         self.neural.gaussians()
     }
 
-    fn gaussian_gradients(&mut self) -> Result<GaussianGradients, TrainError> {
+    fn gaussian_gradients(&mut self) -> Result<GaussianGradients> {
         Ok(self.neural.gaussian_gradients()?.clone())
     }
 
@@ -311,7 +292,7 @@ impl ModelTrainer for AnchorTrainer {
         _camera: &Camera,
         step: &Step,
         overflow_flag: &Buffer<u32>,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         let shown = self.shown.as_ref().unwrap_or(&self.device_anchors);
         self.neural.backward(recorder, shown, &self.gradients)?;
         if self.schedule.gathers_statistics(step.number) {
@@ -371,7 +352,7 @@ impl ModelTrainer for AnchorTrainer {
         raster: &mut Rasterizer,
         frames: &[&Frame],
         cancel: &CancelFlag,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         if self.schedule.densifies(step.number) {
             self.densify(step.number, rng)?;
         }
@@ -407,12 +388,12 @@ impl ModelTrainer for AnchorTrainer {
         self.anchors.len()
     }
 
-    fn size(&self) -> Result<ModelSize, TrainError> {
+    fn size(&self) -> Result<ModelSize> {
         let counts = self.rendered.then(|| self.neural.counts()).transpose()?;
         Ok(ModelSize { anchors: self.anchors.len(), gaussians: counts.map(|counts| counts[1] as usize) })
     }
 
-    fn bitrate(&self) -> Result<Option<BitrateSample>, TrainError> {
+    fn bitrate(&self) -> Result<Option<BitrateSample>> {
         let bitrate = self.compression.as_ref().map(Compression::bitrate).transpose()?.flatten();
         Ok(bitrate.map(|(bits_per_anchor, context_bytes)| {
             let anchors = BYTES_PER_ANCHOR * self.anchors.len() as f64;
@@ -421,15 +402,11 @@ impl ModelTrainer for AnchorTrainer {
         }))
     }
 
-    fn save(&self) -> Result<ModelState, TrainError> {
+    fn save(&self) -> Result<ModelState> {
         self.to_state()
     }
 
-    fn finish(
-        mut self: Box<Self>,
-        frames: &[&Frame],
-        cancel: &CancelFlag,
-    ) -> Result<FinishedModel, TrainError> {
+    fn finish(mut self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<FinishedModel> {
         let before = self.anchors.cells.clone();
         let mut anchors = self.anchors.clone();
         anchors.values = self.device.read(&self.device_anchors.rows)?;

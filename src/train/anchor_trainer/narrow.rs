@@ -6,7 +6,7 @@ use crate::{
     model::{AnchorRows, NetworkLayout},
     render::{NeuralGaussians, Rasterizer},
     train::{
-        Moments, TrainError,
+        Moments, Result,
         compression::Compression,
         feature_basis::{FeatureBasis, FeatureMoments},
         narrowing::Narrowing,
@@ -23,7 +23,7 @@ impl AnchorTrainer {
         raster: &mut Rasterizer,
         frames: &[&Frame],
         cancel: &CancelFlag,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         let (state, statistics) = self.read()?;
         let Some(basis) = self.feature_basis(&state.anchors, raster, frames, cancel)? else { return Ok(()) };
         let used = state.anchors.masks.iter().fold(0, |used, mask| used | mask);
@@ -59,7 +59,7 @@ impl AnchorTrainer {
         raster: &mut Rasterizer,
         frames: &[&Frame],
         cancel: &CancelFlag,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         let (state, _) = self.read()?;
         let basis = self.feature_basis(&state.anchors, raster, frames, cancel)?;
         if let (Some(compression), Some(basis)) = (&mut self.compression, basis) {
@@ -75,7 +75,7 @@ impl AnchorTrainer {
         raster: &mut Rasterizer,
         frames: &[&Frame],
         cancel: &CancelFlag,
-    ) -> Result<Option<FeatureBasis>, TrainError> {
+    ) -> Result<Option<FeatureBasis>> {
         let quant_step = self.compression.as_ref().map(Compression::mean_feature_step).transpose()?.flatten();
         let Some(quant_step) = quant_step else { return Ok(None) };
         let Self { neural, device_anchors, gradients, .. } = self;

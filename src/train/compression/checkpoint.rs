@@ -8,7 +8,7 @@ use crate::{
     gpu::Device,
     model::AnchorRows,
     train::{
-        BaseQuantSteps, CheckpointError, CompressionSchedule, TrainError,
+        BaseQuantSteps, CheckpointError, CompressionSchedule, Result,
         checkpoint::ModelState,
         context::{ContextConfig, ContextState, GroupStatistics, PlaneConfig},
     },
@@ -16,7 +16,7 @@ use crate::{
 
 impl Compression {
     /// Adds everything that the next step depends on.
-    pub(in crate::train) fn save(&self, state: &mut ModelState) -> Result<(), TrainError> {
+    pub(in crate::train) fn save(&self, state: &mut ModelState) -> Result<()> {
         let Some(quant) = &self.quant else { return Ok(()) };
         let BaseQuantSteps { feature, scaling, offset } = quant.base_quant_steps;
         state.put("steps.base", vec![feature, scaling, offset]);
@@ -50,7 +50,7 @@ impl Compression {
         schedule: CompressionSchedule,
         anchors: &AnchorRows,
         state: &mut ModelState,
-    ) -> Result<Self, TrainError> {
+    ) -> Result<Self> {
         let mut resumed = Self::new(device, schedule, anchors.shape);
         if !state.has("steps") {
             return Ok(resumed);
@@ -80,7 +80,7 @@ impl Compression {
         Ok(resumed)
     }
 
-    fn resume_model(&self, anchors: &AnchorRows, state: &mut ModelState) -> Result<ContextModel, TrainError> {
+    fn resume_model(&self, anchors: &AnchorRows, state: &mut ModelState) -> Result<ContextModel> {
         let sizes: Vec<u32> = state.take_exactly("context.sizes", 9)?;
         let size = |index: usize| sizes[index] as usize;
         let channels = group_channels(self.layout.shape);

@@ -28,7 +28,7 @@ use crate::{
     model::AnchorRows,
     render::{DeviceAnchors, RenderError},
     train::{
-        Adam, AdamStep, Decay, TrainError, TrainedContext,
+        Adam, AdamStep, Decay, Result, TrainError, TrainedContext,
         context::{
             ContextAnchors, ContextConfig, ContextLayout, ContextLearningRates, ContextNet, ContextState,
             GroupStatistics, PlaneConfig, Quantisation, QuantisationPhase, RateInputs, RateTerm,
@@ -87,7 +87,7 @@ impl Compression {
         anchors: &DeviceAnchors,
         rows: &AnchorRows,
         cancel: &CancelFlag,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         let (Some(quant), Some(context_model)) = (&self.quant, &self.context_model) else { return Ok(()) };
         let cells = &rows.cells[..];
         let device = &self.device;
@@ -130,7 +130,7 @@ impl Compression {
         &mut self,
         anchors: &DeviceAnchors,
         cells: &[[i32; 3]],
-    ) -> Result<Option<RowsAndSteps>, TrainError> {
+    ) -> Result<Option<RowsAndSteps>> {
         let (Some(quant), Some(model)) = (&self.quant, &mut self.context_model) else { return Ok(None) };
         let device = &self.device;
         let (overflow_flag, d_rows) =
@@ -158,7 +158,7 @@ impl Compression {
     }
 
     /// The context models that an encoder may select for the finished scene, whose anchors have these quantisation steps.
-    pub(super) fn candidates(&self, steps: &[f32]) -> Result<Option<TrainedContext>, TrainError> {
+    pub(super) fn candidates(&self, steps: &[f32]) -> Result<Option<TrainedContext>> {
         let (Some(quant), Some(context_model)) = (&self.quant, &self.context_model) else {
             return Ok(None);
         };
@@ -199,7 +199,7 @@ fn rounding(quant: &QuantState) -> Quantisation {
 }
 
 impl ContextFit<'_> {
-    fn cheapest(&self) -> Result<ContextNet, TrainError> {
+    fn cheapest(&self) -> Result<ContextNet> {
         let trained = &self.context_model.net;
         let config = trained.layout().config;
         let values = trained.save()?.values;
@@ -232,7 +232,7 @@ impl ContextFit<'_> {
     }
 
     /// Bytes of the groups' attributes, then of what the model stores.
-    fn bytes(&self, net: &mut ContextNet) -> Result<[f64; 4], TrainError> {
+    fn bytes(&self, net: &mut ContextNet) -> Result<[f64; 4]> {
         let device = &self.compression.device;
         let all: Vec<u32> = (0..self.cells.len() as u32).collect();
         let mut bytes = [0.0, 0.0, 0.0, BYTES_PER_PARAMETER * stored_parameters(net.layout()) as f64];
@@ -247,11 +247,7 @@ impl ContextFit<'_> {
     }
 
     /// A newly initialised model, with its own planes or those of another.
-    fn fresh(
-        &self,
-        config: ContextConfig,
-        planes: Option<(&ContextLayout, &[f32])>,
-    ) -> Result<ContextNet, TrainError> {
+    fn fresh(&self, config: ContextConfig, planes: Option<(&ContextLayout, &[f32])>) -> Result<ContextNet> {
         let layout = ContextLayout::new(config)?;
         let mut rng = Pcg64::seed_from_u64(self.compression.schedule.seed);
         let mut values = layout.initial(&self.statistics, &mut rng)?;
@@ -266,14 +262,14 @@ impl ContextFit<'_> {
     }
 
     /// A model of the scene with zero moments.
-    fn model(&self, config: ContextConfig, values: Vec<f32>) -> Result<ContextNet, TrainError> {
+    fn model(&self, config: ContextConfig, values: Vec<f32>) -> Result<ContextNet> {
         let mut net = ContextNet::new(&self.compression.device, config, &ContextState::new(values))?;
         net.place(&ContextAnchors::new(&config, &self.context_model.frame, self.cells))?;
         Ok(net)
     }
 
     /// Fits a model to the scene.
-    fn fit(&self, net: &mut ContextNet, planes_learn: bool, decay: Decay) -> Result<(), TrainError> {
+    fn fit(&self, net: &mut ContextNet, planes_learn: bool, decay: Decay) -> Result<()> {
         let device = &self.compression.device;
         for step in 1..=self.steps {
             if self.cancel.is_cancelled() {
@@ -303,7 +299,7 @@ impl ContextFit<'_> {
         net: &mut ContextNet,
         sample: &[u32],
         planes_learn: bool,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         net.forward(recorder, sample, &stored_pass(planes_learn))?;
         let QuantState { base, rows, .. } = self.quant;
         let channels = net.layout().config.channels;

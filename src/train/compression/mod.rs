@@ -34,7 +34,7 @@ use crate::{
     model::{AnchorRows, NetworkLayout, Shape},
     render::DeviceAnchors,
     train::{
-        Adam, AdamStep, BaseQuantSteps, CompressionSchedule, OffsetMasks, Stage, TrainError, TrainedContext,
+        Adam, AdamStep, BaseQuantSteps, CompressionSchedule, OffsetMasks, Result, Stage, TrainedContext,
         context::{
             ContextAnchors, ContextConfig, ContextLayout, ContextLearningRates, ContextNet, ContextPass,
             ContextState, GroupStatistics, PlaneSource, Quantisation, QuantisationPhase, QuantisedRows,
@@ -107,18 +107,14 @@ impl Compression {
     }
 
     /// The geometric mean of the anchors' quantisation steps of features; none before the first noise.
-    pub(in crate::train) fn mean_feature_step(&self) -> Result<Option<f64>, TrainError> {
+    pub(in crate::train) fn mean_feature_step(&self) -> Result<Option<f64>> {
         let Some(quant) = &self.quant else { return Ok(None) };
         let [features, ..] = mean_quant_steps(&self.device.read(quant.rows.steps())?);
         Ok(Some(f64::from(features)))
     }
 
     /// Follows the model's change to the shape of `anchors`, in their order. Quantisation steps stay.
-    pub(in crate::train) fn narrow(
-        &mut self,
-        narrowing: &Narrowing,
-        anchors: &AnchorRows,
-    ) -> Result<(), TrainError> {
+    pub(in crate::train) fn narrow(&mut self, narrowing: &Narrowing, anchors: &AnchorRows) -> Result<()> {
         self.layout = NetworkLayout::new(anchors.shape);
         self.feature_share = None;
         let Some(QuantState { base_quant_steps, base, rows, .. }) = &self.quant else { return Ok(()) };
@@ -148,7 +144,7 @@ impl Compression {
         anchors: &AnchorRows,
         device_anchors: &DeviceAnchors,
         cancel: &CancelFlag,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         let next = self.schedule.stage(step + 1);
         if next >= Stage::Noise && self.quant.is_none()
             || next >= Stage::Context && self.context_model.is_none()
@@ -177,7 +173,7 @@ impl Compression {
         anchors: &mut AnchorRows,
         networks: &[f32],
         cancel: &CancelFlag,
-    ) -> Result<Option<TrainedContext>, TrainError> {
+    ) -> Result<Option<TrainedContext>> {
         self.replace(before, anchors)?;
         let device_anchors = DeviceAnchors::upload(&self.device, anchors, networks)?;
         if self.schedule.stage(self.schedule.steps) != Stage::Rounded {
@@ -193,14 +189,14 @@ impl Compression {
         base_quant_steps: BaseQuantSteps,
         base: [f32; 3],
         of_anchors: &[f32],
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         let rows = QuantisedRows::upload(&self.device, self.layout.shape, of_anchors)?;
         let networks = RoundedNetworks::plan(&self.layout).make(&self.device)?;
         self.quant = Some(QuantState { base_quant_steps, base, rows, networks });
         Ok(())
     }
 
-    fn model(&mut self, anchors: &AnchorRows) -> Result<(), TrainError> {
+    fn model(&mut self, anchors: &AnchorRows) -> Result<()> {
         let Some(quant) = &self.quant else { return Ok(()) };
         let shape = self.layout.shape;
         let statistics = group_statistics(anchors, quant.base);
@@ -224,24 +220,20 @@ impl Compression {
         frame: ContextFrame,
         statistics: [GroupStatistics; 3],
         cells: &[[i32; 3]],
-    ) -> Result<ContextModel, TrainError> {
+    ) -> Result<ContextModel> {
         let mut net = ContextNet::new(&self.device, config, state)?;
         net.place(&ContextAnchors::new(&config, &frame, cells))?;
         let rate = self.rate_for(cells.len())?;
         Ok(ContextModel { frame, statistics, net, rate, sampled: 0, renewed: false })
     }
 
-    fn rate_for(&self, anchors: usize) -> Result<RateTerm, TrainError> {
+    fn rate_for(&self, anchors: usize) -> Result<RateTerm> {
         let capacity = ContextNet::capacity(sample_size(anchors, self.schedule.sample_share));
         Ok(RateTerm::plan(self.layout.shape, capacity).make(&self.device)?)
     }
 
     /// Updates the state after growth or pruning: the anchors at the cells `before` are now `anchors`.
-    pub(in crate::train) fn replace(
-        &mut self,
-        before: &[[i32; 3]],
-        anchors: &AnchorRows,
-    ) -> Result<(), TrainError> {
+    pub(in crate::train) fn replace(&mut self, before: &[[i32; 3]], anchors: &AnchorRows) -> Result<()> {
         if let Some(QuantState { base_quant_steps, base, rows, .. }) = &self.quant {
             let (base_quant_steps, base) = (*base_quant_steps, *base);
             let old = self.device.read(rows.steps())?;
@@ -281,7 +273,7 @@ impl Compression {
         recorder: &mut Recorder<'_>,
         anchors: &DeviceAnchors,
         step: u32,
-    ) -> Result<Option<DeviceAnchors>, TrainError> {
+    ) -> Result<Option<DeviceAnchors>> {
         let (Some(quant), Some(quantisation)) = (&self.quant, self.quantisation(step)) else {
             return Ok(None);
         };
@@ -323,7 +315,7 @@ impl Compression {
         step: &Step,
         d_rows: &Buffer<f32>,
         overflow_flag: &Buffer<u32>,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         let Some(quantisation) = self.quantisation(step.number) else { return Ok(()) };
         let pass = self.pass(step.number);
         let Self { quant: Some(quant), context_model, schedule, .. } = self else { return Ok(()) };
@@ -362,7 +354,7 @@ impl Compression {
         recorder: &mut Recorder<'_>,
         masks: &OffsetMasks,
         lambda: f64,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         if let Some(context_model) = &self.context_model {
             let sample = sample_of(&context_model.net, context_model.sampled);
             masks.rate_backward(recorder, &context_model.rate, sample, lambda)?;
@@ -371,7 +363,7 @@ impl Compression {
     }
 
     /// Mean bits of an anchor's attributes in the last submitted sample, and bytes of the context model; none before it learns.
-    pub(in crate::train) fn bitrate(&self) -> Result<Option<(f64, f64)>, TrainError> {
+    pub(in crate::train) fn bitrate(&self) -> Result<Option<(f64, f64)>> {
         let Some(context_model) =
             self.context_model.as_ref().filter(|context_model| context_model.sampled > 0)
         else {

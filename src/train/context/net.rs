@@ -14,7 +14,7 @@ use super::{
 use crate::{
     gpu::{Buffer, Device, Plan, Recorder, planned},
     render::{Activation, Columns, DenseLayers, InputGradient, RenderError, WeightGradient},
-    train::{Adam, AdamStep, ContextError, Moments, TrainError},
+    train::{Adam, AdamStep, ContextError, Moments, Result},
 };
 
 /// Marks an anchor that was not sampled.
@@ -153,11 +153,7 @@ impl ContextNet {
     ///
     /// # Errors
     /// [`ContextError`] for unsupported sizes or a state of another length; errors of the device.
-    pub fn new(
-        device: &Arc<Device>,
-        config: ContextConfig,
-        state: &ContextState,
-    ) -> Result<Self, TrainError> {
+    pub fn new(device: &Arc<Device>, config: ContextConfig, state: &ContextState) -> Result<Self> {
         let layout = ContextLayout::new(config)?;
         for values in [&state.values, &state.first, &state.second] {
             if values.len() != layout.parameters {
@@ -218,7 +214,7 @@ impl ContextNet {
     ///
     /// # Errors
     /// [`ContextError::Anchors`] for tables that do not fit the model; errors of the device.
-    pub fn place(&mut self, anchors: &ContextAnchors) -> Result<(), TrainError> {
+    pub fn place(&mut self, anchors: &ContextAnchors) -> Result<()> {
         let config = &self.layout.config;
         anchors.check(config)?;
         self.last = None;
@@ -231,12 +227,7 @@ impl ContextNet {
     ///
     /// # Errors
     /// [`ContextError::Anchors`] for an index out of range or one given twice; errors of the device.
-    pub fn forward(
-        &mut self,
-        recorder: &mut Recorder<'_>,
-        sample: &[u32],
-        pass: &ContextPass,
-    ) -> Result<(), TrainError> {
+    pub fn forward(&mut self, recorder: &mut Recorder<'_>, sample: &[u32], pass: &ContextPass) -> Result<()> {
         self.write_sample(recorder, sample)?;
         let Self { layout, planes, rounded, on, .. } = self;
         if let Some(levels) = pass.levels {
@@ -273,7 +264,7 @@ impl ContextNet {
     ///
     /// # Errors
     /// [`RenderError::OutOfStep`] before a forward pass; errors of the device.
-    pub fn backward(&mut self, recorder: &mut Recorder<'_>) -> Result<(), TrainError> {
+    pub fn backward(&mut self, recorder: &mut Recorder<'_>) -> Result<()> {
         let pass = self.last.ok_or(RenderError::OutOfStep)?;
         recorder.clear(&self.gradients);
         let stored = if pass.levels.is_some() { self.rounded.values() } else { &self.parameters };
@@ -312,7 +303,7 @@ impl ContextNet {
         stored: &Buffer<f32>,
         planes: &PlanePass,
         pass: &ContextPass,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         let Self { layout, on, parameters, gradients, .. } = self;
         let hidden = on.columns().layer(&layout.hidden);
         let d_input = InputGradient { rows: layout.config.sampled_inputs(), relu: None, buffer: &on.d_input };
@@ -355,14 +346,14 @@ impl ContextNet {
         step: AdamStep<'_>,
         learning_rates: &ContextLearningRates,
         statistics: &[GroupStatistics; 3],
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         let learning_rates = recorder.uniform(&self.layout.learning_rates(learning_rates, statistics)?)?;
         adam.step(recorder, step, &learning_rates, &self.gradients, &self.parameters, &self.moments)?;
         Ok(())
     }
 
     /// Records setting the latents from the raw planes. From here on latents are parameters of their own.
-    pub fn latents_from_planes(&self, recorder: &mut Recorder<'_>) -> Result<(), TrainError> {
+    pub fn latents_from_planes(&self, recorder: &mut Recorder<'_>) -> Result<()> {
         if let Some(planes) = &self.planes {
             let latents = planes.down(recorder, &self.layout, &self.parameters)?;
             let (from, to) = (latents.first, &self.layout.latents);
@@ -425,7 +416,7 @@ impl ContextNet {
     }
 
     /// Reads back the trainable state. Waits for the device.
-    pub fn save(&self) -> Result<ContextState, TrainError> {
+    pub fn save(&self) -> Result<ContextState> {
         Ok(ContextState {
             values: self.device.read(&self.parameters)?,
             first: self.device.read(&self.moments.first)?,
@@ -433,7 +424,7 @@ impl ContextNet {
         })
     }
 
-    fn write_sample(&mut self, recorder: &mut Recorder<'_>, sample: &[u32]) -> Result<(), TrainError> {
+    fn write_sample(&mut self, recorder: &mut Recorder<'_>, sample: &[u32]) -> Result<()> {
         let mut columns = vec![NO_COLUMN; self.tables.count];
         for (anchor, column) in sample.iter().zip(0..) {
             match columns.get_mut(*anchor as usize) {

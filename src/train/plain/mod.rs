@@ -8,7 +8,7 @@ use std::sync::Arc;
 use rand_pcg::Pcg64;
 
 use super::{
-    Adam, AdamStep, CheckpointError, Moments, Schedule, TrainError,
+    Adam, AdamStep, CheckpointError, Moments, Result, Schedule, TrainError,
     checkpoint::ModelState,
     model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step},
     schedule::PlainSchedule,
@@ -56,7 +56,7 @@ impl PlainTrainer {
         colors: &[[u8; 3]],
         extent: f32,
         rng: &mut Pcg64,
-    ) -> Result<Self, TrainError> {
+    ) -> Result<Self> {
         schedule.max_gaussians = schedule.max_gaussians.min(PlainGaussians::max_gaussians(device.adapter()));
         // Half the limit is left for growth.
         let values = initial_gaussians(points, colors, schedule.max_gaussians / 2, rng)?;
@@ -81,7 +81,7 @@ impl PlainTrainer {
         schedule: PlainSchedule,
         extent: f32,
         mut state: ModelState,
-    ) -> Result<Self, TrainError> {
+    ) -> Result<Self> {
         let mut rows = Vec::new();
         for name in ROWS {
             let base: Vec<f32> = state.take(name)?;
@@ -126,7 +126,7 @@ impl PlainTrainer {
     }
 
     /// The Gaussians. Waits for the device.
-    pub(super) fn rows(&self) -> Result<GaussianRows, TrainError> {
+    pub(super) fn rows(&self) -> Result<GaussianRows> {
         Ok(self.rows.download(&self.device)?)
     }
 
@@ -140,12 +140,7 @@ impl PlainTrainer {
     }
 
     /// Records the optimiser's step on the base values and on the bands in use.
-    fn learn(
-        &self,
-        recorder: &mut Recorder<'_>,
-        step: &Step,
-        overflow_flag: &Buffer<u32>,
-    ) -> Result<(), TrainError> {
+    fn learn(&self, recorder: &mut Recorder<'_>, step: &Step, overflow_flag: &Buffer<u32>) -> Result<()> {
         let learning_rates = recorder.uniform(&self.base_learning_rates(step.fraction))?;
         let adam_step = AdamStep { number: step.number, overflow_flag };
         let moments = Moments { first: self.first.base.clone(), second: self.second.base.clone() };
@@ -161,7 +156,7 @@ impl PlainTrainer {
         Ok(())
     }
 
-    fn download(&self) -> Result<TrainableGaussians, TrainError> {
+    fn download(&self) -> Result<TrainableGaussians> {
         Ok(TrainableGaussians {
             values: self.rows.download(&self.device)?,
             first: self.first.download(&self.device)?,
@@ -169,7 +164,7 @@ impl PlainTrainer {
         })
     }
 
-    fn upload(&mut self, state: &TrainableGaussians) -> Result<(), TrainError> {
+    fn upload(&mut self, state: &TrainableGaussians) -> Result<()> {
         let count = state.values.len();
         self.rows = DeviceGaussians::upload(&self.device, &state.values)?;
         self.first = DeviceGaussians::upload(&self.device, &state.first)?;
@@ -180,7 +175,7 @@ impl PlainTrainer {
         Ok(())
     }
 
-    fn grow(&mut self, state: &mut TrainableGaussians, step: u32, rng: &mut Pcg64) -> Result<(), TrainError> {
+    fn grow(&mut self, state: &mut TrainableGaussians, step: u32, rng: &mut Pcg64) -> Result<()> {
         let statistics = self.device.read(&self.statistics)?;
         let settings = GrowthSettings {
             threshold: self.schedule.growth_threshold,
@@ -201,12 +196,7 @@ impl PlainTrainer {
 }
 
 impl ModelTrainer for PlainTrainer {
-    fn forward(
-        &mut self,
-        recorder: &mut Recorder<'_>,
-        camera: &Camera,
-        step: &Step,
-    ) -> Result<(), TrainError> {
+    fn forward(&mut self, recorder: &mut Recorder<'_>, camera: &Camera, step: &Step) -> Result<()> {
         self.plain.set_degree(self.schedule.degree(step.number))?;
         self.plain.forward(recorder, &self.rows, camera)?;
         Ok(())
@@ -216,7 +206,7 @@ impl ModelTrainer for PlainTrainer {
         self.plain.gaussians()
     }
 
-    fn gaussian_gradients(&mut self) -> Result<GaussianGradients, TrainError> {
+    fn gaussian_gradients(&mut self) -> Result<GaussianGradients> {
         Ok(self.plain.gaussian_gradients()?.clone())
     }
 
@@ -226,7 +216,7 @@ impl ModelTrainer for PlainTrainer {
         _camera: &Camera,
         step: &Step,
         overflow_flag: &Buffer<u32>,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         self.plain.backward(recorder, &self.rows, &self.gradients)?;
         if self.schedule.gathers_statistics(step.number) {
             self.plain.statistics(recorder, &self.statistics, overflow_flag)?;
@@ -251,7 +241,7 @@ impl ModelTrainer for PlainTrainer {
         _raster: &mut Rasterizer,
         _frames: &[&Frame],
         _cancel: &CancelFlag,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         let (grows, resets) = (self.schedule.densifies(step.number), self.schedule.resets(step.number));
         if grows || resets {
             let mut state = self.download()?;
@@ -270,15 +260,15 @@ impl ModelTrainer for PlainTrainer {
         0
     }
 
-    fn size(&self) -> Result<ModelSize, TrainError> {
+    fn size(&self) -> Result<ModelSize> {
         Ok(ModelSize { anchors: 0, gaussians: Some(self.rows.count) })
     }
 
-    fn bitrate(&self) -> Result<Option<BitrateSample>, TrainError> {
+    fn bitrate(&self) -> Result<Option<BitrateSample>> {
         Ok(None)
     }
 
-    fn save(&self) -> Result<ModelState, TrainError> {
+    fn save(&self) -> Result<ModelState> {
         let TrainableGaussians { values, first, second } = self.download()?;
         let mut state = ModelState::default();
         for (name, rows) in ROWS.into_iter().zip([values, first, second]) {
@@ -293,11 +283,7 @@ impl ModelTrainer for PlainTrainer {
         Ok(state)
     }
 
-    fn finish(
-        self: Box<Self>,
-        _frames: &[&Frame],
-        _cancel: &CancelFlag,
-    ) -> Result<FinishedModel, TrainError> {
+    fn finish(self: Box<Self>, _frames: &[&Frame], _cancel: &CancelFlag) -> Result<FinishedModel> {
         let rows = self.rows.download(&self.device)?;
         let scene = rows.to_scene(self.plain.degree() as usize);
         let scene = Scene::Gaussians(GaussianScene { near: NearPlane::of_extent(self.extent), ..scene });

@@ -10,8 +10,8 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Checkpoint, CheckpointSink, Estimate, ImageLoss, LossSums, Needs, RateControl, Schedule, TrainError,
-    WaveletWeights,
+    Checkpoint, CheckpointSink, Estimate, ImageLoss, LossSums, Needs, RateControl, Result, Schedule,
+    TrainError, WaveletWeights,
     anchor_trainer::AnchorTrainer,
     batch::{Batch, REPORT_INTERVAL},
     checkpoint::{ModelState, RunIdentity, RunState},
@@ -62,7 +62,7 @@ pub fn train(
     checkpoints: Checkpoints<'_>,
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
-) -> Result<Trained, TrainError> {
+) -> Result<Trained> {
     let budget = MemoryBudget { host: u64::MAX, gpu: device.budget_bytes() };
     train_within(device, dataset, options, &budget, checkpoints, report, cancel)
 }
@@ -79,7 +79,7 @@ pub fn train_within(
     checkpoints: Checkpoints<'_>,
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
-) -> Result<Trained, TrainError> {
+) -> Result<Trained> {
     let mut run = Run::new(device, dataset, options, budget, checkpoints.resume)?;
     run.run_until(Goal::End, checkpoints.sink, report, cancel)?;
     run.finish(cancel)
@@ -98,7 +98,7 @@ pub fn train_trunk(
     checkpoints: Checkpoints<'_>,
     report: &mut dyn FnMut(&Progress),
     cancel: &CancelFlag,
-) -> Result<Checkpoint, TrainError> {
+) -> Result<Checkpoint> {
     let mut run = Run::new(device, dataset, options, budget, checkpoints.resume)?;
     run.run_until(Goal::Fork, checkpoints.sink, report, cancel)?;
     run.checkpoint()
@@ -162,7 +162,7 @@ struct ModelFactory<'a> {
 
 impl ModelFactory<'_> {
     /// The trainer at the start of a run.
-    fn create(self, rng: &mut Pcg64) -> Result<Box<dyn ModelTrainer>, TrainError> {
+    fn create(self, rng: &mut Pcg64) -> Result<Box<dyn ModelTrainer>> {
         let Self { device, dataset, frames, schedule } = self;
         let cloud = match &dataset.points {
             Some(cloud) if !cloud.positions.is_empty() => Cow::Borrowed(cloud),
@@ -194,7 +194,7 @@ impl ModelFactory<'_> {
     }
 
     /// The trainer that a checkpoint holds the state of.
-    fn resume(self, state: ModelState) -> Result<Box<dyn ModelTrainer>, TrainError> {
+    fn resume(self, state: ModelState) -> Result<Box<dyn ModelTrainer>> {
         let Self { device, frames, schedule, .. } = self;
         let extent = camera_extent(frames);
         Ok(match schedule.model {
@@ -255,7 +255,7 @@ impl<'a> Run<'a> {
         options: &TrainOptions,
         budget: &MemoryBudget,
         resume: Option<Checkpoint>,
-    ) -> Result<Self, TrainError> {
+    ) -> Result<Self> {
         let frames: Vec<&Frame> = dataset.split(Split::Train).collect();
         if frames.is_empty() {
             return Err(TrainError::NoTrainingFrames);
@@ -347,7 +347,7 @@ impl<'a> Run<'a> {
         sink: Option<&mut dyn CheckpointSink>,
         report: &mut dyn FnMut(&Progress),
         cancel: &CancelFlag,
-    ) -> Result<(), TrainError> {
+    ) -> Result<()> {
         let mut writer = CheckpointWriter { sink, saved_step: self.state.step };
         if self.state.step > 0 {
             report(&writer.with_checkpoint_step(self.progress(None)?));
@@ -408,7 +408,7 @@ impl<'a> Run<'a> {
 
     /// Scores the views kept aside, if the last step is one after which they are, and hastens the rest of the run if they have stopped
     /// gaining.
-    fn score_views_aside(&mut self) -> Result<(), TrainError> {
+    fn score_views_aside(&mut self) -> Result<()> {
         let step = self.state.step;
         if !self.scores_after(step) {
             return Ok(());
@@ -428,7 +428,7 @@ impl<'a> Run<'a> {
     }
 
     /// PSNR of the training view `index` as the last step renders the scene, in dB.
-    fn psnr_of_view(&mut self, index: usize) -> Result<f64, TrainError> {
+    fn psnr_of_view(&mut self, index: usize) -> Result<f64> {
         let step = self.at(self.state.step);
         let camera = self.frames[index].camera;
         let photograph = self.packed(index)?;
@@ -461,11 +461,7 @@ impl<'a> Run<'a> {
     ///
     /// Nothing is read back in between. If a pass overflowed its buffer of intersections, it and the passes after it changed
     /// nothing, and are repeated with a larger buffer. Returns the number of recorded steps, repeated ones included.
-    fn advance(
-        &mut self,
-        wanted: &mut dyn FnMut(u32) -> bool,
-        cancel: &CancelFlag,
-    ) -> Result<u32, TrainError> {
+    fn advance(&mut self, wanted: &mut dyn FnMut(u32) -> bool, cancel: &CancelFlag) -> Result<u32> {
         let started = Instant::now();
         let max_steps = self.batch.length();
         let mut before = Vec::new();
@@ -501,20 +497,20 @@ impl<'a> Run<'a> {
     }
 
     /// A photograph packed for the device. Packed when needed: keeping packed copies would double the dataset's memory.
-    fn packed(&self, index: usize) -> Result<Vec<u32>, TrainError> {
+    fn packed(&self, index: usize) -> Result<Vec<u32>> {
         let photograph = self.frames[index].image.load()?;
         Ok(pack(photograph.over(self.background.rgb8()).samples()))
     }
 
     /// Packs the next photograph, if it is already known, while the device is busy.
-    fn prepare_next(&mut self) -> Result<(), TrainError> {
+    fn prepare_next(&mut self) -> Result<()> {
         let next = self.state.order.last().copied();
         self.prepared = next.map(|index| Ok::<_, TrainError>((index, self.packed(index)?))).transpose()?;
         Ok(())
     }
 
     /// Records and submits one step.
-    fn record(&mut self) -> Result<(), TrainError> {
+    fn record(&mut self) -> Result<()> {
         reach(FailurePoint::Step);
         let step = self.at(self.state.step + 1);
         let index = self.next_frame();
@@ -546,13 +542,13 @@ impl<'a> Run<'a> {
     }
 
     /// The losses of the last step.
-    fn sums(&self) -> Result<LossSums, TrainError> {
+    fn sums(&self) -> Result<LossSums> {
         let diverged = TrainError::Diverged { step: self.state.step };
         self.loss.sums()?.filter(|sums| sums.loss().is_finite()).ok_or(diverged)
     }
 
     /// Updates the estimate of the file's size, and lambda, from the last step's sample.
-    fn update_bitrate(&mut self) -> Result<(), TrainError> {
+    fn update_bitrate(&mut self) -> Result<()> {
         let Some(BitrateSample { bits_per_anchor, other_bytes }) = self.model.bitrate()? else {
             return Ok(());
         };
@@ -566,7 +562,7 @@ impl<'a> Run<'a> {
     }
 
     /// The progress report, with new losses if given.
-    fn progress(&mut self, sums: Option<LossSums>) -> Result<Progress, TrainError> {
+    fn progress(&mut self, sums: Option<LossSums>) -> Result<Progress> {
         let blend = |old: f64, new: f64| 0.9 * old + 0.1 * new;
         if let Some(sums) = sums {
             self.state.set_average(self.state.average().map_or(sums, |old| LossSums {
@@ -603,13 +599,13 @@ impl<'a> Run<'a> {
         })
     }
 
-    fn checkpoint(&self) -> Result<Checkpoint, TrainError> {
+    fn checkpoint(&self) -> Result<Checkpoint> {
         let mut state = self.state.clone();
         state.seconds += self.started.elapsed().as_secs_f64();
         Ok(Checkpoint::new(state, self.model.save()?))
     }
 
-    fn finish(self, cancel: &CancelFlag) -> Result<Trained, TrainError> {
+    fn finish(self, cancel: &CancelFlag) -> Result<Trained> {
         let FinishedModel { scene, unrounded, context } = self.model.finish(&self.frames, cancel)?;
         let seconds = self.state.seconds + self.started.elapsed().as_secs_f64();
         let steps = self.schedule.steps;
