@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use super::{
-    RenderError,
+    Result,
     dense_layer::{Activation, Columns, DenseLayer, GRADIENT_RUN, InputGradient, NO_BIAS, WeightGradient},
     dense_software::{MIN_LANES, SoftwareLayers},
 };
@@ -45,7 +45,7 @@ impl DenseLayers {
         device: &Device,
         subgroups: Option<u32>,
         layers: impl IntoIterator<Item = LayerSpec>,
-    ) -> Result<Self, RenderError> {
+    ) -> Result<Self> {
         let shares = subgroups.is_some_and(|lanes| lanes >= MIN_LANES);
         Ok(Self {
             kernels: if shares && device.variant() == KernelVariant::Software {
@@ -85,7 +85,7 @@ impl DenseLayers {
         input: &Buffer<f32>,
         output: &Buffer<f32>,
         activation: Activation,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         match &self.kernels {
             Kernels::Hardware(kernels) => {
                 kernels.forward(recorder, layer, parameters, input, output, activation)
@@ -104,7 +104,7 @@ impl DenseLayers {
         parameters: &Buffer<f32>,
         d_output: &Buffer<f32>,
         d_input: InputGradient<'_>,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         match &self.kernels {
             Kernels::Hardware(kernels) => {
                 kernels.input_gradient(recorder, layer, parameters, d_output, d_input)
@@ -123,7 +123,7 @@ impl DenseLayers {
         input: &Buffer<f32>,
         d_output: &Buffer<f32>,
         out: WeightGradient<'_>,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         match &self.kernels {
             Kernels::Hardware(kernels) => kernels.weight_gradient(recorder, layer, input, d_output, out),
             Kernels::Software(kernels) => kernels.weight_gradient(recorder, layer, input, d_output, out),
@@ -136,7 +136,7 @@ impl DenseLayers {
         recorder: &mut Recorder<'_>,
         columns: Columns<'_>,
         out: WeightGradient<'_>,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         match &self.kernels {
             Kernels::Hardware(kernels) => kernels.sum_partials(recorder, columns, out),
             Kernels::Software(_) => Ok(()),
@@ -145,7 +145,7 @@ impl DenseLayers {
 }
 
 impl HardwareLayers {
-    fn new(device: &Device, subgroups: Option<u32>) -> Result<Self, RenderError> {
+    fn new(device: &Device, subgroups: Option<u32>) -> Result<Self> {
         // Eight lanes share their reads; the gradient's workgroup is one subgroup.
         let subgroups = subgroups.filter(|size| *size >= MIN_LANES);
         let mut lanes = vec![("GRADIENT_LANES", subgroups.unwrap_or(64))];
@@ -169,7 +169,7 @@ impl HardwareLayers {
         input: &Buffer<f32>,
         output: &Buffer<f32>,
         activation: Activation,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let uniform = recorder.uniform(&[
             [layer.inputs as u32, outputs as u32, columns.capacity as u32, layer.weights as u32],
             [1, layer.outputs as u32, layer.bias as u32, activation as u32],
@@ -188,7 +188,7 @@ impl HardwareLayers {
         parameters: &Buffer<f32>,
         d_output: &Buffer<f32>,
         d_input: InputGradient<'_>,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         const LINEAR: u32 = 0;
         const GATE: u32 = 2;
         let activation = if d_input.relu.is_some() { GATE } else { LINEAR };
@@ -210,7 +210,7 @@ impl HardwareLayers {
         input: &Buffer<f32>,
         d_output: &Buffer<f32>,
         out: WeightGradient<'_>,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let uniform = recorder.uniform(&[
             [layer.inputs as u32, layer.outputs as u32, columns.capacity as u32, layer.weights as u32],
             [1, layer.outputs as u32, layer.bias as u32, GRADIENT_RUN as u32],
@@ -228,7 +228,7 @@ impl HardwareLayers {
         recorder: &mut Recorder<'_>,
         columns: Columns<'_>,
         WeightGradient { parameters, partials, sums }: WeightGradient<'_>,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let shape = recorder.uniform(&[[parameters as u32, GRADIENT_RUN as u32, 0, 0]])?;
         recorder.dispatch(
             &self.sum_partials,

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use super::{
-    RenderError,
+    Result,
     dense_layer::{Activation, DenseLayer, GRADIENT_RUN, InputGradient, NO_BIAS, WeightGradient},
 };
 use crate::{
@@ -122,7 +122,7 @@ impl SoftwareLayers {
         input: &Buffer<f32>,
         output: &Buffer<f32>,
         activation: Activation,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let product = Product { outputs: layer.outputs, ..Product::of(layer.spec, activation as u32) };
         self.record(recorder, layer, product, parameters, [input, parameters, output])
     }
@@ -134,7 +134,7 @@ impl SoftwareLayers {
         parameters: &Buffer<f32>,
         d_output: &Buffer<f32>,
         d_input: InputGradient<'_>,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let mode = if d_input.relu.is_some() { GATE } else { Activation::Linear as u32 };
         let product = Product::transposed(layer.spec, d_input.rows, mode);
         let gate = d_input.relu.unwrap_or(parameters);
@@ -149,7 +149,7 @@ impl SoftwareLayers {
         product: Product,
         parameters: &Buffer<f32>,
         [source, bias_or_gate, results]: [&Buffer<f32>; 3],
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let (inputs, outputs) = (product.inputs as u32, product.outputs as u32);
         let (blocks, packing) = (product.blocks() as u32, product.packing() as u32);
         let packer = recorder.uniform(&[
@@ -183,7 +183,7 @@ impl SoftwareLayers {
         input: &Buffer<f32>,
         d_output: &Buffer<f32>,
         out: WeightGradient<'_>,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let run = GRADIENT_RUN as u32;
         let [inputs, outputs] = [layer.inputs as u32, layer.outputs as u32];
         let uniform = recorder.uniform(&[

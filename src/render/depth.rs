@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use super::{Gaussians, RenderError, projection::CenteredPose};
+use super::{Gaussians, Result, projection::CenteredPose};
 use crate::{
     domain::Camera,
     gpu::{Binding, Buffer, Device, Kernel, Recorder, kernel_source},
@@ -30,7 +30,7 @@ pub struct DepthShader {
 
 impl DepthShader {
     /// Prepares the kernel; the buffer comes with the first view.
-    pub fn new(device: &Device) -> Result<Self, RenderError> {
+    pub fn new(device: &Device) -> Result<Self> {
         Ok(Self {
             kernel: device.kernel(kernel_source!("shade_depth"), &[])?,
             uniform: device.buffer("view of depths", 1)?,
@@ -46,7 +46,7 @@ impl DepthShader {
         recorder: &mut Recorder<'_>,
         gaussians: &Gaussians,
         camera: &Camera,
-    ) -> Result<Gaussians, RenderError> {
+    ) -> Result<Gaussians> {
         if self.colors.len() != gaussians.capacity {
             self.colors = device.buffer("depths as colours", gaussians.capacity)?;
         }

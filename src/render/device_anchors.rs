@@ -1,6 +1,6 @@
 //! Anchors and their gradients on the device.
 
-use super::RenderError;
+use super::Result;
 use crate::{
     gpu::{Buffer, Device, Plan, planned},
     model::{AnchorRows, NetworkLayout, Shape},
@@ -45,7 +45,7 @@ impl DeviceAnchors {
     ///
     /// # Errors
     /// Faults of the device, or a scene that is too large for it.
-    pub fn upload(device: &Device, anchors: &AnchorRows, networks: &[f32]) -> Result<Self, RenderError> {
+    pub fn upload(device: &Device, anchors: &AnchorRows, networks: &[f32]) -> Result<Self> {
         let made = Self::plan_with(anchors.shape, anchors.len(), networks.len()).make(device)?;
         device.write(&made.positions, &anchors.positions());
         device.write(&made.rows, &anchors.values);

@@ -7,6 +7,9 @@ use crate::{
     gpu::GpuError,
 };
 
+/// Result of a part of the renderer.
+pub(super) type Result<T, E = RenderError> = std::result::Result<T, E>;
+
 /// An error of rendering.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum RenderError {

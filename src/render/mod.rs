@@ -25,6 +25,7 @@ pub use dense_layer::{Activation, Columns, DenseLayer, InputGradient, WeightGrad
 pub use depth::DepthShader;
 pub use device_anchors::{AnchorGradients, DeviceAnchors};
 pub use error::RenderError;
+use error::Result;
 pub use gaussians::{GEOMETRY_SECTIONS, GaussianGradients, Gaussians};
 pub use neural::NeuralGaussians;
 pub use packed_image::PackedImage;

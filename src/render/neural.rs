@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use super::{
     Activation, AnchorGradients, Columns, DenseLayers, DeviceAnchors, GaussianGradients, Gaussians,
-    InputGradient, Rasterizer, RenderError, WeightGradient, projection::CenteredPose,
+    InputGradient, Rasterizer, RenderError, Result, WeightGradient, projection::CenteredPose,
 };
 use crate::{
     domain::{Camera, SceneScale},
@@ -51,7 +51,7 @@ struct Kernels {
 }
 
 impl Kernels {
-    fn new(device: &Device, shape: Shape, subgroups: Option<u32>) -> Result<Self, RenderError> {
+    fn new(device: &Device, shape: Shape, subgroups: Option<u32>) -> Result<Self> {
         let defs = shape.defs();
         let opaque: Vec<_> = defs.iter().copied().chain([("OPAQUE", 1)]).collect();
         let input = kernel_source!("network_input");
@@ -148,12 +148,7 @@ pub struct NeuralGaussians {
 impl NeuralGaussians {
     /// Prepares the kernels for a model of this shape. Views begin at `near`, in world units; networks get distances over
     /// `scene_scale`.
-    pub fn new(
-        device: Arc<Device>,
-        shape: Shape,
-        near: f32,
-        scene_scale: SceneScale,
-    ) -> Result<Self, RenderError> {
+    pub fn new(device: Arc<Device>, shape: Shape, near: f32, scene_scale: SceneScale) -> Result<Self> {
         let subgroups = device.subgroups().lanes();
         Self::with_subgroups(device, shape, near, scene_scale, subgroups)
     }
@@ -164,7 +159,7 @@ impl NeuralGaussians {
         shape: Shape,
         near: f32,
         scene_scale: SceneScale,
-    ) -> Result<Self, RenderError> {
+    ) -> Result<Self> {
         Self::with_subgroups(device, shape, near, scene_scale, None)
     }
 
@@ -174,7 +169,7 @@ impl NeuralGaussians {
         near: f32,
         scene_scale: SceneScale,
         subgroups: Option<u32>,
-    ) -> Result<Self, RenderError> {
+    ) -> Result<Self> {
         let layout = NetworkLayout::new(shape);
         Ok(Self {
             kernels: Kernels::new(&device, shape, subgroups)?,
@@ -261,20 +256,20 @@ impl NeuralGaussians {
     ///
     /// # Errors
     /// Faults of the device on first use.
-    pub fn gaussian_gradients(&mut self) -> Result<&GaussianGradients, RenderError> {
+    pub fn gaussian_gradients(&mut self) -> Result<&GaussianGradients> {
         self.prepare_backward()?;
         self.backward.as_ref().map(|backward| &backward.d_gaussians).ok_or(RenderError::OutOfStep)
     }
 
     /// Candidate Gaussians, Gaussians of positive opacity, and visible anchors of the last submitted forward pass.
-    pub fn counts(&self) -> Result<[u32; 3], RenderError> {
+    pub fn counts(&self) -> Result<[u32; 3]> {
         let counts = self.device.read_range(&self.forward.gaussians.count, 0, 3)?;
         Ok([counts[0], counts[1], counts[2]])
     }
 
     /// The visible anchors of the last submitted forward pass, ascending, and the opacity of each of their offsets
     /// (0 where there is no Gaussian). Waits for the device.
-    pub fn visible_opacities(&self) -> Result<(Vec<u32>, Vec<f32>), RenderError> {
+    pub fn visible_opacities(&self) -> Result<(Vec<u32>, Vec<f32>)> {
         let count = self.device.read_range(&self.forward.list, 0, 1)?[0] as usize;
         let list = self.device.read_range(&self.forward.list, 1, count)?;
         let geometry = &self.forward.gaussians.geometry;
@@ -292,7 +287,7 @@ impl NeuralGaussians {
         anchors: &DeviceAnchors,
         camera: &Camera,
         volume_weight: f32,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         self.opacities(recorder, anchors, camera, volume_weight)?;
         self.holds_outputs = true;
         let (kernels, on) = (&self.kernels, &self.forward);
@@ -347,7 +342,7 @@ impl NeuralGaussians {
         anchors: &DeviceAnchors,
         camera: &Camera,
         shown: &Buffer<u32>,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         self.opacities(recorder, anchors, camera, 0.0)?;
         let on = &self.forward;
         recorder.dispatch(
@@ -365,7 +360,7 @@ impl NeuralGaussians {
         anchors: &DeviceAnchors,
         camera: &Camera,
         volume_weight: f32,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         self.fit(anchors.count)?;
         self.holds_outputs = false;
         recorder.write(&self.view, &[self.view_uniform(anchors.count, camera, volume_weight)]);
@@ -405,7 +400,7 @@ impl NeuralGaussians {
         recorder: &mut Recorder<'_>,
         anchors: &DeviceAnchors,
         out: &AnchorGradients,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         if !std::mem::take(&mut self.holds_outputs) {
             return Err(RenderError::OutOfStep);
         }
@@ -461,7 +456,7 @@ impl NeuralGaussians {
         anchors: &DeviceAnchors,
         statistics: &Buffer<f32>,
         overflow_flag: &Buffer<u32>,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let back = self.backward.as_ref().ok_or(RenderError::OutOfStep)?;
         recorder.dispatch(
             &self.kernels.anchor_statistics,
@@ -478,7 +473,7 @@ impl NeuralGaussians {
         Ok(())
     }
 
-    fn fit(&mut self, anchors: usize) -> Result<(), RenderError> {
+    fn fit(&mut self, anchors: usize) -> Result<()> {
         if anchors > self.capacity {
             let capacity = Self::capacity(anchors);
             self.backward = None;
@@ -488,7 +483,7 @@ impl NeuralGaussians {
         Ok(())
     }
 
-    fn prepare_backward(&mut self) -> Result<(), RenderError> {
+    fn prepare_backward(&mut self) -> Result<()> {
         if self.backward.is_none() {
             self.backward = Some(Backward::plan(&self.layout, self.capacity).make(&self.device)?);
         }

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use super::RenderError;
+use super::Result;
 use crate::gpu::{Binding, Buffer, Device, Kernel, Recorder, Staging, kernel_source};
 
 /// Rounds images.
@@ -19,7 +19,7 @@ pub struct PackedImage {
 
 impl PackedImage {
     /// Prepares the kernel; the buffer comes with the first image.
-    pub fn new(device: &Device) -> Result<Self, RenderError> {
+    pub fn new(device: &Device) -> Result<Self> {
         Ok(Self {
             kernel: device.kernel(kernel_source!("pack_image"), &[])?,
             count: device.buffer("pixels to pack", 1)?,
@@ -36,7 +36,7 @@ impl PackedImage {
         recorder: &mut Recorder<'_>,
         image: &Buffer<[f32; 4]>,
         counters: &Buffer<u32>,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let pixels = image.len();
         self.counters = counters.len();
         if self.words.len() != pixels + self.counters {
@@ -51,7 +51,7 @@ impl PackedImage {
     }
 
     /// Reads the last submitted image, row by row as red, green and blue, and the counters. Waits for the device.
-    pub fn read(&mut self, device: &Device) -> Result<(Vec<u8>, Vec<u32>), RenderError> {
+    pub fn read(&mut self, device: &Device) -> Result<(Vec<u8>, Vec<u32>)> {
         let pixels = self.words.len().saturating_sub(self.counters);
         let unpack = |words: &[u32]| {
             let (pixels, counters) = words.split_at(pixels);

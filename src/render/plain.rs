@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use super::{GaussianGradients, Gaussians, RenderError, projection::CenteredPose};
+use super::{GaussianGradients, Gaussians, RenderError, Result, projection::CenteredPose};
 use crate::{
     domain::Camera,
     gpu::{AdapterReport, Buffer, Device, Kernel, Plan, Recorder, kernel_source, planned},
@@ -58,7 +58,7 @@ impl DeviceGaussians {
     ///
     /// # Errors
     /// Faults of the device, or more Gaussians than it has memory for.
-    pub fn upload(device: &Device, rows: &GaussianRows) -> Result<Self, RenderError> {
+    pub fn upload(device: &Device, rows: &GaussianRows) -> Result<Self> {
         let made = Self::plan(rows.len()).make(device)?;
         device.write(&made.base, &rows.base);
         device.write(&made.bands, &rows.bands.concat());
@@ -66,7 +66,7 @@ impl DeviceGaussians {
     }
 
     /// Rows to the host. Waits for the device.
-    pub fn download(&self, device: &Device) -> Result<GaussianRows, RenderError> {
+    pub fn download(&self, device: &Device) -> Result<GaussianRows> {
         let base = device.read(&self.base)?;
         let bands = device.read(&self.bands)?;
         let ends = [0, 1, 2, 3].map(|degree| self.count * band_values(degree));
@@ -86,7 +86,7 @@ struct Kernels {
 }
 
 impl Kernels {
-    fn new(device: &Device, degree: u32) -> Result<Self, RenderError> {
+    fn new(device: &Device, degree: u32) -> Result<Self> {
         let defs = [("DEGREE", degree)];
         Ok(Self {
             shade_gaussians: device.kernel(kernel_source!("shade_gaussians"), &defs)?,
@@ -110,7 +110,7 @@ pub struct PlainGaussians {
 
 impl PlainGaussians {
     /// Prepares the kernels for degree 0.
-    pub fn new(device: Arc<Device>, near: f32) -> Result<Self, RenderError> {
+    pub fn new(device: Arc<Device>, near: f32) -> Result<Self> {
         Ok(Self {
             degree: 0,
             kernels: Kernels::new(&device, 0)?,
@@ -144,7 +144,7 @@ impl PlainGaussians {
     }
 
     /// Uses another degree, at most 3, from the next forward pass on.
-    pub fn set_degree(&mut self, degree: u32) -> Result<(), RenderError> {
+    pub fn set_degree(&mut self, degree: u32) -> Result<()> {
         let degree = degree.min(MAX_DEGREE);
         if degree != self.degree {
             self.kernels = Kernels::new(&self.device, degree)?;
@@ -163,7 +163,7 @@ impl PlainGaussians {
     ///
     /// # Errors
     /// Faults of the device on first use.
-    pub fn gaussian_gradients(&mut self) -> Result<&GaussianGradients, RenderError> {
+    pub fn gaussian_gradients(&mut self) -> Result<&GaussianGradients> {
         let fits = self.gradients.as_ref().is_some_and(|d| d.colors.len() == self.gaussians.capacity);
         if !fits {
             self.gradients = Some(GaussianGradients::plan(self.gaussians.capacity).make(&self.device)?);
@@ -180,7 +180,7 @@ impl PlainGaussians {
         recorder: &mut Recorder<'_>,
         rows: &DeviceGaussians,
         camera: &Camera,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         if self.gaussians.capacity != rows.count {
             self.gaussians = Gaussians::plan(rows.count, 1).make(&self.device)?;
             self.device.write(&self.gaussians.count, &[rows.count as u32]);
@@ -204,7 +204,7 @@ impl PlainGaussians {
         recorder: &mut Recorder<'_>,
         rows: &DeviceGaussians,
         out: &DeviceGaussians,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let d = self.gradients.as_ref().ok_or(RenderError::OutOfStep)?;
         let on = &self.gaussians;
         recorder.dispatch(
@@ -234,7 +234,7 @@ impl PlainGaussians {
         recorder: &mut Recorder<'_>,
         statistics: &Buffer<f32>,
         overflow_flag: &Buffer<u32>,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let d = self.gradients.as_ref().ok_or(RenderError::OutOfStep)?;
         recorder.dispatch(
             &self.gaussian_statistics,

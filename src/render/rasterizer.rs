@@ -12,7 +12,7 @@
 use std::sync::Arc;
 
 use super::{
-    GEOMETRY_SECTIONS, GaussianGradients, Gaussians, RasterSettings, RenderError,
+    GEOMETRY_SECTIONS, GaussianGradients, Gaussians, RasterSettings, RenderError, Result,
     projection::{Projection, TILE, View},
     raster_buffers::{
         COMPLETED, INTERSECTIONS, PerGaussian, PerImage, PerIntersection, REQUIRED, SLOT_FLOATS, SPLAT_ROWS,
@@ -114,21 +114,17 @@ pub struct Rasterizer {
 
 impl Rasterizer {
     /// Prepares the kernels; buffers are made by the first forward pass.
-    pub fn new(device: Arc<Device>, settings: RasterSettings) -> Result<Self, RenderError> {
+    pub fn new(device: Arc<Device>, settings: RasterSettings) -> Result<Self> {
         let subgroups = device.subgroups();
         Self::with_subgroups(device, settings, subgroups)
     }
 
     /// As [`Rasterizer::new`], with the kernels without subgroups, for adapters whose subgroups are broken.
-    pub fn without_subgroups(device: Arc<Device>, settings: RasterSettings) -> Result<Self, RenderError> {
+    pub fn without_subgroups(device: Arc<Device>, settings: RasterSettings) -> Result<Self> {
         Self::with_subgroups(device, settings, Subgroups::Unused)
     }
 
-    fn with_subgroups(
-        device: Arc<Device>,
-        settings: RasterSettings,
-        subgroups: Subgroups,
-    ) -> Result<Self, RenderError> {
+    fn with_subgroups(device: Arc<Device>, settings: RasterSettings, subgroups: Subgroups) -> Result<Self> {
         let enough = subgroups.lanes().is_some_and(|lanes| lanes >= MIN_LANES);
         let kernels = Kernels::new(&device, if enough { subgroups } else { Subgroups::Unused })?;
         Ok(Self {
@@ -187,7 +183,7 @@ impl Rasterizer {
         gaussians: &Gaussians,
         camera: &Camera,
         background: [f32; 3],
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         self.rendered = None;
         check_columns(gaussians)?;
         let projection = Projection::new(camera, &self.settings);
@@ -208,7 +204,7 @@ impl Rasterizer {
     }
 
     /// Reads back the counts of the last submitted forward pass. Waits for the device.
-    pub fn counts(&self) -> Result<RasterCounts, RenderError> {
+    pub fn counts(&self) -> Result<RasterCounts> {
         Ok(self.counts_of(&self.device.read(&self.counters)?))
     }
 
@@ -231,7 +227,7 @@ impl Rasterizer {
     ///
     /// # Errors
     /// [`GpuError::BufferTooLarge`] beyond the adapter's limits; faults of the device.
-    pub fn grow(&mut self, counts: &RasterCounts) -> Result<(), RenderError> {
+    pub fn grow(&mut self, counts: &RasterCounts) -> Result<()> {
         if counts.overflowed {
             self.reserve(counts.intersections as usize)?;
         }
@@ -242,7 +238,7 @@ impl Rasterizer {
     ///
     /// # Errors
     /// As [`Rasterizer::grow`].
-    pub fn reserve(&mut self, wanted: usize) -> Result<(), RenderError> {
+    pub fn reserve(&mut self, wanted: usize) -> Result<()> {
         self.rendered = None;
         let tile_bits = tile_bits(self.image.tiles);
         let adapter = self.device.adapter();
@@ -265,7 +261,7 @@ impl Rasterizer {
 
     /// Returns the outcome of the forward passes since the last call, and resets it. Waits for the device. After an overflow, call
     /// [`Rasterizer::reserve`] and record that pass and those after it again.
-    pub fn take_forward_passes(&self) -> Result<ForwardPasses, RenderError> {
+    pub fn take_forward_passes(&self) -> Result<ForwardPasses> {
         let counters = self.device.read(&self.counters)?;
         self.device.write_at(&self.counters, REQUIRED, &[0_u32; COMPLETED + 1]);
         let needed = counters[REQUIRED] as usize;
@@ -284,7 +280,7 @@ impl Rasterizer {
         camera: &Camera,
         v_image: &Buffer<[f32; 4]>,
         out: &GaussianGradients,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let slots_in_spare = match self.rendered {
             Some((rendered, in_spare))
                 if rendered == *camera && gaussians.capacity == self.gaussians.capacity =>
@@ -476,11 +472,7 @@ fn gather_kernel(device: &Device) -> Result<Arc<Kernel>, GpuError> {
 ///
 /// # Errors
 /// [`RenderError::Length`] unless there are as many slots as tiles; faults of the device.
-pub fn sum_slots(
-    device: &Device,
-    gradients: &Buffer<f32>,
-    tiles: &[u32],
-) -> Result<Vec<[f32; SLOT_FLOATS]>, RenderError> {
+pub fn sum_slots(device: &Device, gradients: &Buffer<f32>, tiles: &[u32]) -> Result<Vec<[f32; SLOT_FLOATS]>> {
     let (count, slots) = (tiles.len(), tiles.iter().map(|tiles| *tiles as usize).sum::<usize>());
     check("the slots", gradients.len(), SLOT_FLOATS * slots)?;
     let kernel = gather_kernel(device)?;
@@ -507,18 +499,18 @@ fn grown_capacity(wanted: usize, bindable: usize) -> usize {
     (wanted + wanted / 4).min(bindable.max(wanted))
 }
 
-fn check(what: &'static str, found: usize, expected: usize) -> Result<(), RenderError> {
+fn check(what: &'static str, found: usize, expected: usize) -> Result<()> {
     if found == expected { Ok(()) } else { Err(RenderError::Length { what, found, expected }) }
 }
 
-fn check_columns(gaussians: &Gaussians) -> Result<(), RenderError> {
+fn check_columns(gaussians: &Gaussians) -> Result<()> {
     let expected = gaussians.capacity;
     check("the geometry", gaussians.geometry.len(), GEOMETRY_SECTIONS * expected)?;
     check("colours", gaussians.colors.len(), expected)?;
     check("the count", gaussians.count.len().min(1), 1)
 }
 
-fn check_gradients(out: &GaussianGradients, expected: usize) -> Result<(), RenderError> {
+fn check_gradients(out: &GaussianGradients, expected: usize) -> Result<()> {
     check("gradients of the geometry", out.geometry.len(), GEOMETRY_SECTIONS * expected)?;
     check("gradients of colours", out.colors.len(), expected)?;
     check("gradients of projected centres", out.means2d.len(), expected)

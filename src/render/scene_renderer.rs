@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{
     DepthShader, DeviceAnchors, Gaussians, NeuralGaussians, PackedImage, RasterSettings, Rasterizer,
-    RenderError,
+    RenderError, Result,
     plain::{DeviceGaussians, PlainGaussians},
     views::{MIN_VISIBLE_ALPHA, ScalarImage, ScalarKind},
 };
@@ -35,7 +35,7 @@ enum SceneBuffers {
 
 impl SceneBuffers {
     /// Records the Gaussians of the view from `camera`.
-    fn forward(&mut self, recorder: &mut Recorder<'_>, camera: &Camera) -> Result<&Gaussians, RenderError> {
+    fn forward(&mut self, recorder: &mut Recorder<'_>, camera: &Camera) -> Result<&Gaussians> {
         match self {
             SceneBuffers::Anchors { anchors, neural } => {
                 neural.forward(recorder, anchors, camera, 0.0)?;
@@ -54,11 +54,7 @@ impl SceneRenderer {
     ///
     /// # Errors
     /// [`RenderError::Scene`] for widths or networks that this renderer does not know; faults of the device.
-    pub fn of_scene(
-        device: &Arc<Device>,
-        scene: &Scene,
-        background: Background,
-    ) -> Result<Self, RenderError> {
+    pub fn of_scene(device: &Arc<Device>, scene: &Scene, background: Background) -> Result<Self> {
         match scene {
             Scene::Anchors(scene) => Self::new(device, scene, background),
             Scene::Gaussians(scene) => Self::of_gaussians(device, scene, background),
@@ -69,11 +65,7 @@ impl SceneRenderer {
     ///
     /// # Errors
     /// As [`SceneRenderer::of_scene`].
-    pub fn new(
-        device: &Arc<Device>,
-        scene: &AnchorScene,
-        background: Background,
-    ) -> Result<Self, RenderError> {
+    pub fn new(device: &Arc<Device>, scene: &AnchorScene, background: Background) -> Result<Self> {
         let anchors = upload(device, scene)?;
         let (shape, near) = (anchors.shape, scene.near.depth());
         let neural = Box::new(NeuralGaussians::new(Arc::clone(device), shape, near, scene.scene_scale)?);
@@ -84,11 +76,7 @@ impl SceneRenderer {
     ///
     /// # Errors
     /// [`RenderError::Scene`] for a scene whose parts do not fit together; faults of the device.
-    pub fn of_gaussians(
-        device: &Arc<Device>,
-        scene: &GaussianScene,
-        background: Background,
-    ) -> Result<Self, RenderError> {
+    pub fn of_gaussians(device: &Arc<Device>, scene: &GaussianScene, background: Background) -> Result<Self> {
         scene.check().map_err(|fault| RenderError::Scene(fault.to_string()))?;
         let mut plain = PlainGaussians::new(Arc::clone(device), scene.near.depth())?;
         plain.set_degree(u32::from(scene.degree))?;
@@ -102,7 +90,7 @@ impl SceneRenderer {
         source: SceneBuffers,
         background: Background,
         near: NearPlane,
-    ) -> Result<Self, RenderError> {
+    ) -> Result<Self> {
         let settings = RasterSettings { near: near.depth(), ..RasterSettings::default() };
         let raster = Rasterizer::new(Arc::clone(device), settings)?;
         Ok(Self { source, raster, packed: None, depth: None, background, near, device: Arc::clone(device) })
@@ -112,7 +100,7 @@ impl SceneRenderer {
     ///
     /// # Errors
     /// [`RenderError::Scene`] for networks that this renderer does not know or another shape; faults of the device.
-    pub fn replace(&mut self, scene: &AnchorScene) -> Result<(), RenderError> {
+    pub fn replace(&mut self, scene: &AnchorScene) -> Result<()> {
         let next = upload(&self.device, scene)?;
         match &mut self.source {
             SceneBuffers::Anchors { anchors, neural }
@@ -131,7 +119,7 @@ impl SceneRenderer {
     }
 
     /// The view from `camera`: RGB, rounded to 8 bits.
-    pub fn render(&mut self, camera: &Camera) -> Result<Image, RenderError> {
+    pub fn render(&mut self, camera: &Camera) -> Result<Image> {
         let device = Arc::clone(&self.device);
         let packed = match &mut self.packed {
             Some(packed) => packed,
@@ -155,7 +143,7 @@ impl SceneRenderer {
     }
 
     /// Renders the view from `camera` once more and leaves it on the device; the scene must have been rendered from there before.
-    pub fn submit(&mut self, camera: &Camera) -> Result<(), RenderError> {
+    pub fn submit(&mut self, camera: &Camera) -> Result<()> {
         let device = Arc::clone(&self.device);
         let mut recorder = device.recorder("view");
         let gaussians = self.source.forward(&mut recorder, camera)?;
@@ -165,12 +153,12 @@ impl SceneRenderer {
 
     /// The colours of the view from `camera` as the kernels leave them, neither rounded nor bounded, and the transmittance left behind
     /// each pixel.
-    pub fn colors(&mut self, camera: &Camera) -> Result<Vec<[f32; 4]>, RenderError> {
+    pub fn colors(&mut self, camera: &Camera) -> Result<Vec<[f32; 4]>> {
         self.blend(camera, false)
     }
 
     /// One number a pixel of the view from `camera`.
-    pub fn plane(&mut self, camera: &Camera, kind: ScalarKind) -> Result<ScalarImage, RenderError> {
+    pub fn plane(&mut self, camera: &Camera, kind: ScalarKind) -> Result<ScalarImage> {
         let pixels = self.blend(camera, kind == ScalarKind::Depth)?;
         let value = |[first, _, _, transmittance]: &[f32; 4]| {
             let alpha = (1.0 - transmittance).clamp(0.0, 1.0);
@@ -185,7 +173,7 @@ impl SceneRenderer {
     }
 
     /// Blends the colours over the background, or the depths over nothing: three channels and the transmittance.
-    fn blend(&mut self, camera: &Camera, depth: bool) -> Result<Vec<[f32; 4]>, RenderError> {
+    fn blend(&mut self, camera: &Camera, depth: bool) -> Result<Vec<[f32; 4]>> {
         let device = Arc::clone(&self.device);
         if depth && self.depth.is_none() {
             self.depth = Some(DepthShader::new(&device)?);
@@ -210,7 +198,7 @@ impl SceneRenderer {
     }
 }
 
-fn upload(device: &Device, scene: &AnchorScene) -> Result<DeviceAnchors, RenderError> {
+fn upload(device: &Device, scene: &AnchorScene) -> Result<DeviceAnchors> {
     Shape::of(scene).check().map_err(RenderError::Scene)?;
     let rows = AnchorRows::from_scene(scene);
     let networks =

@@ -6,7 +6,7 @@ use std::{
 };
 
 use super::{
-    RenderError, RenderViews, SceneRenderer,
+    RenderError, RenderViews, Result, SceneRenderer,
     views::{ScalarImage, ScalarKind, Viewable},
 };
 use crate::{
@@ -133,7 +133,7 @@ impl RenderViews for SceneViewer {
 }
 
 /// A view rendered with a scene's renderer.
-type RenderFn<'a, T> = &'a dyn Fn(&mut SceneRenderer) -> Result<T, RenderError>;
+type RenderFn<'a, T> = &'a dyn Fn(&mut SceneRenderer) -> Result<T>;
 
 impl ViewerState {
     fn open(choice: &AdapterChoice, budget: u64) -> Result<Self, GpuError> {
