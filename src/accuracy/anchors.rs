@@ -101,17 +101,10 @@ fn run(
     let anchors = DeviceAnchors::upload(device, rows, networks)?;
     let mut neural = NeuralGaussians::new(Arc::clone(device), WIDTHS, PLAIN.near, SceneScale::DEFAULT)?;
     let mut rasterizer = Rasterizer::new(Arc::clone(device), PLAIN)?;
-    let counts = loop {
-        let mut recorder = device.recorder("forward");
-        neural.forward(&mut recorder, &anchors, camera, 0.0)?;
-        rasterizer.forward(&mut recorder, neural.gaussians(), camera, BACKGROUND)?;
-        recorder.submit()?;
-        let counts = rasterizer.counts()?;
-        if !counts.overflowed {
-            break counts;
-        }
-        rasterizer.grow(&counts)?;
-    };
+    let counts = rasterizer.submit_with_room("forward", |rasterizer, recorder| {
+        neural.forward(recorder, &anchors, camera, 0.0)?;
+        rasterizer.forward(recorder, neural.gaussians(), camera, BACKGROUND)
+    })?;
     let v_image = device.upload("derivatives by the image", v_image)?;
     let d = neural.gaussian_gradients()?.clone();
     let out = AnchorGradients::plan(WIDTHS, rows.len()).make(device)?;

@@ -18,7 +18,7 @@ use crate::{
     gpu::Device,
     render::{
         GEOMETRY_SECTIONS, GaussianGradients, Gaussians, Projection, RasterCounts, RasterSettings,
-        Rasterizer, TILE,
+        Rasterizer, RenderError, TILE,
         twin::{self, ALPHA_MAX, Cutoffs, Gaussian, GaussianGradient, Rendering},
     },
 };
@@ -101,27 +101,19 @@ pub(super) fn render_image(
     camera: &Camera,
 ) -> Result<(RasterCounts, Vec<[f32; 4]>), CaseFault> {
     let mut rasterizer = Rasterizer::new(Arc::clone(device), settings)?;
-    let counts = forward(device, &mut rasterizer, &upload(device, scene)?, camera)?;
+    let counts = forward(&mut rasterizer, &upload(device, scene)?, camera)?;
     Ok((counts, device.read(rasterizer.image())?))
 }
 
 /// The forward pass, with as much room as it needs.
 fn forward(
-    device: &Device,
     rasterizer: &mut Rasterizer,
     gaussians: &Gaussians,
     camera: &Camera,
-) -> Result<RasterCounts, CaseFault> {
-    loop {
-        let mut recorder = device.recorder("forward");
-        rasterizer.forward(&mut recorder, gaussians, camera, BACKGROUND)?;
-        recorder.submit()?;
-        let counts = rasterizer.counts()?;
-        if !counts.overflowed {
-            return Ok(counts);
-        }
-        rasterizer.grow(&counts)?;
-    }
+) -> Result<RasterCounts, RenderError> {
+    rasterizer.submit_with_room("forward", |rasterizer, recorder| {
+        rasterizer.forward(recorder, gaussians, camera, BACKGROUND)
+    })
 }
 
 /// Renders and differentiates on the device.
@@ -134,7 +126,7 @@ pub(super) fn render(
 ) -> Result<Rendered, CaseFault> {
     let mut rasterizer = Rasterizer::new(Arc::clone(device), settings)?;
     let gaussians = upload(device, scene)?;
-    let counts = forward(device, &mut rasterizer, &gaussians, camera)?;
+    let counts = forward(&mut rasterizer, &gaussians, camera)?;
     let v_image = device.upload("derivatives by the image", v_image)?;
     let out = GaussianGradients::plan(scene.len()).make(device)?;
     let mut recorder = device.recorder("backward");

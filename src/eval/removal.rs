@@ -137,18 +137,11 @@ impl<'a> Probe<'a> {
     }
 
     fn render(&mut self, frame: &Frame) -> Result<(), RenderError> {
-        loop {
-            let mut recorder = self.device.recorder("view to probe");
-            self.neural.forward(&mut recorder, &self.anchors, &frame.camera, 0.0)?;
-            let background = self.background.rgb();
-            self.raster.forward(&mut recorder, self.neural.gaussians(), &frame.camera, background)?;
-            recorder.submit()?;
-            let counts = self.raster.counts()?;
-            if !counts.overflowed {
-                return Ok(());
-            }
-            self.raster.grow(&counts)?;
-        }
+        self.raster.submit_with_room("view to probe", |raster, recorder| {
+            self.neural.forward(recorder, &self.anchors, &frame.camera, 0.0)?;
+            raster.forward(recorder, self.neural.gaussians(), &frame.camera, self.background.rgb())
+        })?;
+        Ok(())
     }
 
     /// The gradients by the opacities of the view's Gaussians where `v_image` are those by its pixels.

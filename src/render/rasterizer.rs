@@ -223,6 +223,26 @@ impl Rasterizer {
         }
     }
 
+    /// Submits what `record` records, a forward pass at its end, until there is room for all intersections; returns their counts.
+    /// Waits for the device.
+    pub fn submit_with_room(
+        &mut self,
+        label: &str,
+        mut record: impl FnMut(&mut Self, &mut Recorder<'_>) -> Result<()>,
+    ) -> Result<RasterCounts> {
+        let device = Arc::clone(&self.device);
+        loop {
+            let mut recorder = device.recorder(label);
+            record(self, &mut recorder)?;
+            recorder.submit()?;
+            let counts = self.counts()?;
+            if !counts.overflowed {
+                return Ok(counts);
+            }
+            self.grow(&counts)?;
+        }
+    }
+
     /// Grows to the capacity that `counts` require, and a quarter more; record the forward pass again afterwards.
     ///
     /// # Errors

@@ -178,23 +178,17 @@ impl SceneRenderer {
         if depth && self.depth.is_none() {
             self.depth = Some(DepthShader::new(&device)?);
         }
-        loop {
-            let mut recorder = device.recorder("view");
-            let gaussians = self.source.forward(&mut recorder, camera)?;
+        self.raster.submit_with_room("view", |raster, recorder| {
+            let gaussians = self.source.forward(recorder, camera)?;
             match &mut self.depth {
                 Some(shader) if depth => {
-                    let deep = shader.forward(&device, &mut recorder, gaussians, camera)?;
-                    self.raster.forward(&mut recorder, &deep, camera, [0.0; 3])?;
+                    let deep = shader.forward(&device, recorder, gaussians, camera)?;
+                    raster.forward(recorder, &deep, camera, [0.0; 3])
                 }
-                _ => self.raster.forward(&mut recorder, gaussians, camera, self.background.rgb())?,
+                _ => raster.forward(recorder, gaussians, camera, self.background.rgb()),
             }
-            recorder.submit()?;
-            let counts = self.raster.counts()?;
-            if !counts.overflowed {
-                return Ok(device.read(self.raster.image())?);
-            }
-            self.raster.grow(&counts)?;
-        }
+        })?;
+        Ok(device.read(self.raster.image())?)
     }
 }
 
