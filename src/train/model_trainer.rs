@@ -25,6 +25,15 @@ pub(super) struct Step {
     pub lambda: f64,
 }
 
+/// The training views, for passes over them that end once the run is cancelled.
+pub(super) struct Views<'a> {
+    /// Free between the passes of two steps.
+    pub raster: &'a mut Rasterizer,
+    /// The training photographs.
+    pub frames: &'a [&'a Frame],
+    pub cancel: &'a CancelFlag,
+}
+
 /// How large a model is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ModelSize {
@@ -80,16 +89,9 @@ pub(super) trait ModelTrainer {
     /// Whether the schedule wants [`ModelTrainer::adapt`] after a step.
     fn adapts(&self, step: &Step) -> bool;
 
-    /// Grows, prunes and resets after a submitted step; `frames` are the training photographs, and `raster` is free for passes of
-    /// its own. May wait for the device; ends as [`super::TrainError::Cancelled`] if the run is cancelled during a long pass.
-    fn adapt(
-        &mut self,
-        step: &Step,
-        rng: &mut Pcg64,
-        raster: &mut Rasterizer,
-        frames: &[&Frame],
-        cancel: &CancelFlag,
-    ) -> Result<()>;
+    /// Grows, prunes and resets after a submitted step. May wait for the device; ends as [`super::TrainError::Cancelled`] if the run
+    /// is cancelled during a long pass over `views`.
+    fn adapt(&mut self, step: &Step, rng: &mut Pcg64, views: &mut Views<'_>) -> Result<()>;
 
     /// Anchors; zero in a model that has none.
     fn anchors(&self) -> usize;
@@ -103,6 +105,6 @@ pub(super) trait ModelTrainer {
     /// Everything that the next step depends on. Waits for the device.
     fn save(&self) -> Result<ModelState>;
 
-    /// The finished scene; `frames` are the training photographs.
-    fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<FinishedModel>;
+    /// The finished scene.
+    fn finish(self: Box<Self>, views: &mut Views<'_>) -> Result<FinishedModel>;
 }

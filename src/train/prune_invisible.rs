@@ -1,15 +1,14 @@
 //! Finds the offsets that are invisible in all training views.
 
-use super::{Result, TrainError};
+use super::{Result, TrainError, model_trainer::Views};
 use crate::{
-    domain::{CancelFlag, Frame},
     gpu::Device,
     model::AnchorRows,
     render::{DeviceAnchors, NeuralGaussians},
 };
 
-/// Masks the offsets of `anchors`, rendered as `device_anchors`, whose opacity is too small to reach a pixel in every view of
-/// `frames`. Anchors outside all views keep no offset.
+/// Masks the offsets of `anchors`, rendered as `device_anchors`, whose opacity is too small to reach a pixel in every one of
+/// `views`. Anchors outside all views keep no offset.
 ///
 /// # Errors
 /// [`TrainError::Cancelled`] before the next view if the run is cancelled; errors of the device.
@@ -18,12 +17,11 @@ pub(super) fn prune_invisible(
     neural: &mut NeuralGaussians,
     device_anchors: &DeviceAnchors,
     anchors: &mut AnchorRows,
-    frames: &[&Frame],
-    cancel: &CancelFlag,
+    views: &Views<'_>,
 ) -> Result<()> {
     let shown = device.upload("visible offsets", &vec![0_u32; anchors.len()])?;
-    for frame in frames {
-        if cancel.is_cancelled() {
+    for frame in views.frames {
+        if views.cancel.is_cancelled() {
             return Err(TrainError::Cancelled);
         }
         let mut recorder = device.recorder("visible offsets");

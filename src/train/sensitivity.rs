@@ -3,12 +3,11 @@
 //! A gradient of random signs as the image's, taken back to an anchor's feature, is a random vector whose products average to those
 //! of the picture's derivatives by the feature's channels.
 
-use super::{Result, TrainError, feature_basis::add_products};
+use super::{Result, TrainError, feature_basis::add_products, model_trainer::Views};
 use crate::{
-    domain::{CancelFlag, Frame},
     eval::signs,
     gpu::Device,
-    render::{AnchorGradients, DeviceAnchors, NeuralGaussians, Rasterizer},
+    render::{AnchorGradients, DeviceAnchors, NeuralGaussians},
 };
 
 /// Views that are measured; each gives one product for every anchor that it shows.
@@ -17,26 +16,19 @@ const VIEWS: usize = 8;
 /// Behind everything, so that covering it counts, whatever the set's background is.
 const GREY: [f32; 3] = [0.5; 3];
 
-/// What renders views of a model.
-pub(super) struct Rendering<'a> {
-    pub(super) device: &'a Device,
-    pub(super) neural: &'a mut NeuralGaussians,
-    pub(super) raster: &'a mut Rasterizer,
-}
-
-/// The products of a picture's derivatives by two channels, `[F][F]`, summed over the anchors of training views that are spread evenly
-/// over `frames`. Overwrites `gradients`.
+/// The products of a picture's derivatives by two channels, `[F][F]`, summed over the anchors of views that are spread evenly over
+/// `views`. Overwrites `gradients`.
 ///
 /// # Errors
 /// [`TrainError::Cancelled`] before the next view if the run is cancelled; errors of the device.
 pub(super) fn feature_sensitivity(
-    rendering: &mut Rendering<'_>,
+    device: &Device,
+    neural: &mut NeuralGaussians,
     anchors: &DeviceAnchors,
     gradients: &AnchorGradients,
-    frames: &[&Frame],
-    cancel: &CancelFlag,
+    views: &mut Views<'_>,
 ) -> Result<Vec<f64>> {
-    let Rendering { device, neural, raster } = rendering;
+    let Views { raster, frames, cancel } = views;
     let shape = anchors.shape;
     let mut sums = vec![0.0; shape.features * shape.features];
     let views = VIEWS.min(frames.len());

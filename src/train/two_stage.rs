@@ -10,14 +10,14 @@ use super::{
     Result, Schedule,
     anchor_trainer::{AnchorTrainer, put_scene_scale, scene_scale_of},
     checkpoint::ModelState,
-    model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step},
+    model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step, Views},
     plain::PlainTrainer,
 };
 use crate::{
-    domain::{Camera, CancelFlag, Frame, SceneScale},
+    domain::{Camera, SceneScale},
     gpu::{Buffer, Device, Recorder},
     model::anchors_from_gaussians,
-    render::{GaussianGradients, Gaussians, Rasterizer},
+    render::{GaussianGradients, Gaussians},
 };
 
 /// See the module's documentation.
@@ -144,18 +144,11 @@ impl ModelTrainer for TwoStageTrainer {
         self.ends_first_stage(step) || self.stage.trainer().adapts(step)
     }
 
-    fn adapt(
-        &mut self,
-        step: &Step,
-        rng: &mut Pcg64,
-        raster: &mut Rasterizer,
-        frames: &[&Frame],
-        cancel: &CancelFlag,
-    ) -> Result<()> {
+    fn adapt(&mut self, step: &Step, rng: &mut Pcg64, views: &mut Views<'_>) -> Result<()> {
         if self.ends_first_stage(step) {
             self.make_anchors(step.number, rng)?;
         }
-        self.stage.trainer_mut().adapt(step, rng, raster, frames, cancel)
+        self.stage.trainer_mut().adapt(step, rng, views)
     }
 
     fn anchors(&self) -> usize {
@@ -178,10 +171,10 @@ impl ModelTrainer for TwoStageTrainer {
         Ok(state)
     }
 
-    fn finish(self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<FinishedModel> {
+    fn finish(self: Box<Self>, views: &mut Views<'_>) -> Result<FinishedModel> {
         match self.stage {
-            Stage::Gaussians(trainer) => trainer.finish(frames, cancel),
-            Stage::Anchors(trainer) => trainer.finish(frames, cancel),
+            Stage::Gaussians(trainer) => trainer.finish(views),
+            Stage::Anchors(trainer) => trainer.finish(views),
         }
     }
 }

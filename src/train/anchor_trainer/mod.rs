@@ -15,14 +15,14 @@ use super::{
     checkpoint::ModelState,
     compression::Compression,
     densify::{TrainableAnchors, densify, drop_masked},
-    model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step},
+    model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step, Views},
     prune_invisible::prune_invisible,
 };
 use crate::{
-    domain::{AnchorScene, Camera, CancelFlag, Frame, NearPlane, PointCloud, Scene, SceneScale},
+    domain::{AnchorScene, Camera, NearPlane, PointCloud, Scene, SceneScale},
     gpu::{Buffer, Device, Recorder},
     model::{AnchorRows, FirstAnchors, NetworkLayout, Shape, anchors_from_points, initial_rows},
-    render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians, Rasterizer},
+    render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians},
 };
 
 /// Coarsest growth cell in lattice cells.
@@ -191,33 +191,27 @@ impl AnchorTrainer {
         self.schedule.masks.is_some_and(|masks| masks.until == step)
     }
 
-    /// Ends the masks' learning and prunes anchors that keep no offset that is visible in `frames`.
-    fn fix_masks(&mut self, step: u32, frames: &[&Frame], cancel: &CancelFlag) -> Result<()> {
+    /// Ends the masks' learning and prunes anchors that keep no offset that is visible in `views`.
+    fn fix_masks(&mut self, step: u32, views: &Views<'_>) -> Result<()> {
         let (mut state, mut statistics) = self.read()?;
         state.masks = None;
-        self.prune_invisible(step, &mut state.anchors, frames, cancel)?;
+        self.prune_invisible(step, &mut state.anchors, views)?;
         let dropped = drop_masked(&mut state, &mut statistics);
         tracing::debug!(step, dropped, anchors = state.anchors.len(), "masks fixed");
         self.write(state, &statistics, step)
     }
 
-    /// Prunes anchors that are invisible in all `frames` after `step`, before context models are selected for the remaining ones.
-    fn prune_invisible_anchors(&mut self, step: u32, frames: &[&Frame], cancel: &CancelFlag) -> Result<()> {
+    /// Prunes anchors that are invisible in all `views` after `step`, before context models are selected for the remaining ones.
+    fn prune_invisible_anchors(&mut self, step: u32, views: &Views<'_>) -> Result<()> {
         let (mut state, mut statistics) = self.read()?;
-        self.prune_invisible(step + 1, &mut state.anchors, frames, cancel)?;
+        self.prune_invisible(step + 1, &mut state.anchors, views)?;
         let dropped = drop_masked(&mut state, &mut statistics);
         tracing::debug!(step, dropped, anchors = state.anchors.len(), "invisible anchors pruned");
         self.write(state, &statistics, step)
     }
 
-    /// Masks the offsets of `anchors`, those on the device, that are invisible in all `frames` as rendered at `step`.
-    fn prune_invisible(
-        &mut self,
-        step: u32,
-        anchors: &mut AnchorRows,
-        frames: &[&Frame],
-        cancel: &CancelFlag,
-    ) -> Result<()> {
+    /// Masks the offsets of `anchors`, those on the device, that are invisible in all `views` as rendered at `step`.
+    fn prune_invisible(&mut self, step: u32, anchors: &mut AnchorRows, views: &Views<'_>) -> Result<()> {
         if !self.schedule.prunes_invisible {
             return Ok(());
         }
@@ -228,7 +222,7 @@ impl AnchorTrainer {
         };
         recorder.submit()?;
         let shown = shown.as_ref().unwrap_or(&self.device_anchors);
-        prune_invisible(&self.device, &mut self.neural, shown, anchors, frames, cancel)
+        prune_invisible(&self.device, &mut self.neural, shown, anchors, views)
     }
 
     /// Reads back everything that belongs to anchors.
@@ -345,28 +339,21 @@ impl ModelTrainer for AnchorTrainer {
             || changes_stage
     }
 
-    fn adapt(
-        &mut self,
-        step: &Step,
-        rng: &mut Pcg64,
-        raster: &mut Rasterizer,
-        frames: &[&Frame],
-        cancel: &CancelFlag,
-    ) -> Result<()> {
+    fn adapt(&mut self, step: &Step, rng: &mut Pcg64, views: &mut Views<'_>) -> Result<()> {
         if self.schedule.densifies(step.number) {
             self.densify(step.number, rng)?;
         }
         if self.fixes_masks(step.number) {
-            self.fix_masks(step.number, frames, cancel)?;
+            self.fix_masks(step.number, views)?;
         }
         if self.schedule.narrowing_estimates.contains(&step.number) {
-            self.estimate_narrowing(raster, frames, cancel)?;
+            self.estimate_narrowing(views)?;
         }
         if self.compression.as_ref().is_some_and(|compression| compression.starts_rounding_after(step.number))
         {
-            self.prune_invisible_anchors(step.number, frames, cancel)?;
+            self.prune_invisible_anchors(step.number, views)?;
             if self.schedule.narrows {
-                self.narrow(step.number, raster, frames, cancel)?;
+                self.narrow(step.number, views)?;
             }
         }
         if self.compression.as_ref().is_some_and(|compression| compression.changes_stage_after(step.number)) {
@@ -377,7 +364,7 @@ impl ModelTrainer for AnchorTrainer {
                     &self.adam,
                     &state.anchors,
                     &self.device_anchors,
-                    cancel,
+                    views.cancel,
                 )?;
             }
         }
@@ -406,20 +393,22 @@ impl ModelTrainer for AnchorTrainer {
         self.to_state()
     }
 
-    fn finish(mut self: Box<Self>, frames: &[&Frame], cancel: &CancelFlag) -> Result<FinishedModel> {
+    fn finish(mut self: Box<Self>, views: &mut Views<'_>) -> Result<FinishedModel> {
         let before = self.anchors.cells.clone();
         let mut anchors = self.anchors.clone();
         anchors.values = self.device.read(&self.device_anchors.rows)?;
         anchors.masks = self.device.read(&self.device_anchors.masks)?;
         let networks = self.device.read(&self.device_anchors.networks)?;
-        self.prune_invisible(self.schedule.steps, &mut anchors, frames, cancel)?;
+        self.prune_invisible(self.schedule.steps, &mut anchors, views)?;
         anchors.drop_empty();
         if anchors.is_empty() {
             return Err(TrainError::NothingLeft { step: self.schedule.steps });
         }
         let trained = anchors.clone();
         let context = match self.compression {
-            Some(compression) => compression.finish(&self.adam, &before, &mut anchors, &networks, cancel)?,
+            Some(compression) => {
+                compression.finish(&self.adam, &before, &mut anchors, &networks, views.cancel)?
+            }
             None => None,
         };
         let (near, scene_scale) = (NearPlane::of_extent(self.extent), self.neural.scene_scale());

@@ -2,30 +2,25 @@
 
 use super::AnchorTrainer;
 use crate::{
-    domain::{CancelFlag, Frame, NearPlane},
+    domain::NearPlane,
     model::{AnchorRows, NetworkLayout},
-    render::{NeuralGaussians, Rasterizer},
+    render::NeuralGaussians,
     train::{
         Moments, Result,
         compression::Compression,
         feature_basis::{FeatureBasis, FeatureMoments},
+        model_trainer::Views,
         narrowing::Narrowing,
-        sensitivity::{Rendering, feature_sensitivity},
+        sensitivity::feature_sensitivity,
     },
 };
 
 impl AnchorTrainer {
     /// Changes features to the basis that pictures and anchors suggest, and drops channels and offset slots that no picture needs
     /// (METHOD.md §4.12), if the model has quantisation steps already.
-    pub(super) fn narrow(
-        &mut self,
-        step: u32,
-        raster: &mut Rasterizer,
-        frames: &[&Frame],
-        cancel: &CancelFlag,
-    ) -> Result<()> {
+    pub(super) fn narrow(&mut self, step: u32, views: &mut Views<'_>) -> Result<()> {
         let (state, statistics) = self.read()?;
-        let Some(basis) = self.feature_basis(&state.anchors, raster, frames, cancel)? else { return Ok(()) };
+        let Some(basis) = self.feature_basis(&state.anchors, views)? else { return Ok(()) };
         let used = state.anchors.masks.iter().fold(0, |used, mask| used | mask);
         let slots: Vec<usize> = (0..self.shape.offsets).filter(|slot| (used >> slot) & 1 == 1).collect();
         if slots.is_empty() {
@@ -54,14 +49,9 @@ impl AnchorTrainer {
     }
 
     /// Tells the estimate of the file's size what narrowing will save, before the model is narrowed.
-    pub(super) fn estimate_narrowing(
-        &mut self,
-        raster: &mut Rasterizer,
-        frames: &[&Frame],
-        cancel: &CancelFlag,
-    ) -> Result<()> {
+    pub(super) fn estimate_narrowing(&mut self, views: &mut Views<'_>) -> Result<()> {
         let (state, _) = self.read()?;
-        let basis = self.feature_basis(&state.anchors, raster, frames, cancel)?;
+        let basis = self.feature_basis(&state.anchors, views)?;
         if let (Some(compression), Some(basis)) = (&mut self.compression, basis) {
             compression.expect_feature_share(basis.bits_share);
         }
@@ -69,18 +59,11 @@ impl AnchorTrainer {
     }
 
     /// The basis of the features of `anchors`, those on the device; none before the first noise.
-    fn feature_basis(
-        &mut self,
-        anchors: &AnchorRows,
-        raster: &mut Rasterizer,
-        frames: &[&Frame],
-        cancel: &CancelFlag,
-    ) -> Result<Option<FeatureBasis>> {
+    fn feature_basis(&mut self, anchors: &AnchorRows, views: &mut Views<'_>) -> Result<Option<FeatureBasis>> {
         let quant_step = self.compression.as_ref().map(Compression::mean_feature_step).transpose()?.flatten();
         let Some(quant_step) = quant_step else { return Ok(None) };
-        let Self { neural, device_anchors, gradients, .. } = self;
-        let mut rendering = Rendering { device: &self.device, neural, raster };
-        let sensitivity = feature_sensitivity(&mut rendering, device_anchors, gradients, frames, cancel)?;
+        let Self { device, neural, device_anchors, gradients, .. } = self;
+        let sensitivity = feature_sensitivity(device, neural, device_anchors, gradients, views)?;
         let rows = (0..anchors.len()).map(|anchor| &anchors.row(anchor)[..anchors.shape.features]);
         let moments = FeatureMoments::of(rows, anchors.shape.features);
         Ok(FeatureBasis::of(&moments, &sensitivity, quant_step))

@@ -10,18 +10,18 @@ use rand_pcg::Pcg64;
 use super::{
     Adam, AdamStep, CheckpointError, Moments, Result, Schedule, TrainError,
     checkpoint::ModelState,
-    model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step},
+    model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step, Views},
     schedule::PlainSchedule,
 };
 use crate::{
-    domain::{Camera, CancelFlag, Frame, GaussianScene, NearPlane, Scene},
+    domain::{Camera, GaussianScene, NearPlane, Scene},
     gpu::{Buffer, Device, Recorder},
     model::{
         GaussianRows,
         gaussian_rows::{BANDS, BASE, COLOR, LOG_SCALE, OPACITY, QUAT, band_values},
         initial_gaussians,
     },
-    render::{DeviceGaussians, GaussianGradients, Gaussians, PlainGaussians, Rasterizer, STATISTICS},
+    render::{DeviceGaussians, GaussianGradients, Gaussians, PlainGaussians, STATISTICS},
 };
 use grow::{GrowthSettings, TrainableGaussians, grow_and_prune, reset_opacities};
 
@@ -234,14 +234,7 @@ impl ModelTrainer for PlainTrainer {
         self.schedule.densifies(step.number) || self.schedule.resets(step.number)
     }
 
-    fn adapt(
-        &mut self,
-        step: &Step,
-        rng: &mut Pcg64,
-        _raster: &mut Rasterizer,
-        _frames: &[&Frame],
-        _cancel: &CancelFlag,
-    ) -> Result<()> {
+    fn adapt(&mut self, step: &Step, rng: &mut Pcg64, _views: &mut Views<'_>) -> Result<()> {
         let (grows, resets) = (self.schedule.densifies(step.number), self.schedule.resets(step.number));
         if grows || resets {
             let mut state = self.download()?;
@@ -283,7 +276,7 @@ impl ModelTrainer for PlainTrainer {
         Ok(state)
     }
 
-    fn finish(self: Box<Self>, _frames: &[&Frame], _cancel: &CancelFlag) -> Result<FinishedModel> {
+    fn finish(self: Box<Self>, _views: &mut Views<'_>) -> Result<FinishedModel> {
         let rows = self.rows.download(&self.device)?;
         let scene = rows.to_scene(self.plain.degree() as usize);
         let scene = Scene::Gaussians(GaussianScene { near: NearPlane::of_extent(self.extent), ..scene });

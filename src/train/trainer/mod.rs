@@ -18,7 +18,7 @@ use super::{
     convergence::{Scores, Watch},
     init_bounds::init_bounds,
     loss::pack,
-    model_trainer::{BitrateSample, FinishedModel, ModelTrainer, Step},
+    model_trainer::{BitrateSample, FinishedModel, ModelTrainer, Step, Views},
     plain::PlainTrainer,
     trained::Trained,
     two_stage::TwoStageTrainer,
@@ -491,7 +491,8 @@ impl<'a> Run<'a> {
         };
         self.batch.update(recorded, started.elapsed().as_secs_f64());
         if self.model.adapts(&last) {
-            self.model.adapt(&last, &mut self.state.rng, &mut self.raster, &self.frames, cancel)?;
+            let views = &mut Views { raster: &mut self.raster, frames: &self.frames, cancel };
+            self.model.adapt(&last, &mut self.state.rng, views)?;
         }
         Ok(recorded)
     }
@@ -605,8 +606,9 @@ impl<'a> Run<'a> {
         Ok(Checkpoint::new(state, self.model.save()?))
     }
 
-    fn finish(self, cancel: &CancelFlag) -> Result<Trained> {
-        let FinishedModel { scene, unrounded, context } = self.model.finish(&self.frames, cancel)?;
+    fn finish(mut self, cancel: &CancelFlag) -> Result<Trained> {
+        let views = &mut Views { raster: &mut self.raster, frames: &self.frames, cancel };
+        let FinishedModel { scene, unrounded, context } = self.model.finish(views)?;
         let seconds = self.state.seconds + self.started.elapsed().as_secs_f64();
         let steps = self.schedule.steps;
         let convergence = match (&self.watch, &self.state.scores) {
