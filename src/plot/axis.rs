@@ -35,21 +35,15 @@ impl Axis {
             (low, high) = (1.0, 1.0);
         }
         if scale == Scale::Log {
-            let (low, high) = (log_mark_below(low), log_mark_above(high));
-            return Self {
-                scale,
-                low,
-                high: if low < high { high } else { high * 2.0 },
-                step: 1.0,
-                from,
-                to,
-            };
+            let (low, high) = (mark_below(low), mark_above(high));
+            let high = if low < high { high } else { high * 2.0 };
+            return Self { scale, low, high, step: 1.0, from, to };
         }
         if high - low < 1e-9 * high.abs().max(1.0) {
             let room = (0.05 * high.abs()).max(0.5);
             (low, high) = (low - room, high + room);
         }
-        let step = round_step((high - low) / GAPS);
+        let step = mark_above((high - low) / GAPS);
         Self { scale, low: (low / step).floor() * step, high: (high / step).ceil() * step, step, from, to }
     }
 
@@ -88,25 +82,18 @@ pub(super) fn shows(scale: Scale, value: f64) -> bool {
     value.is_finite() && (scale == Scale::Linear || value > 0.0)
 }
 
-/// The step of 1, 2 or 5 times a power of ten that is next above `about`.
-fn round_step(about: f64) -> f64 {
-    let power = 10.0_f64.powf(about.log10().floor());
-    let factor = [1.0, 2.0, 5.0].into_iter().find(|factor| factor * power >= about * (1.0 - 1e-9));
-    factor.unwrap_or(10.0) * power
-}
-
-/// The largest 1, 2 or 5 times a power of ten that is not above `value`.
-fn log_mark_below(value: f64) -> f64 {
-    let power = 10.0_f64.powf(value.log10().floor());
-    let factor = [5.0, 2.0, 1.0].into_iter().find(|factor| factor * power <= value * (1.0 + 1e-9));
-    factor.unwrap_or(1.0) * power
-}
-
-/// The least that is not below it.
-fn log_mark_above(value: f64) -> f64 {
+/// The least 1, 2 or 5 times a power of ten that is not below `value`.
+fn mark_above(value: f64) -> f64 {
     let power = 10.0_f64.powf(value.log10().floor());
     let factor = [1.0, 2.0, 5.0].into_iter().find(|factor| factor * power >= value * (1.0 - 1e-9));
     factor.unwrap_or(10.0) * power
+}
+
+/// The largest that is not above it.
+fn mark_below(value: f64) -> f64 {
+    let power = 10.0_f64.powf(value.log10().floor());
+    let factor = [5.0, 2.0, 1.0].into_iter().find(|factor| factor * power <= value * (1.0 + 1e-9));
+    factor.unwrap_or(1.0) * power
 }
 
 /// Marks of a logarithmic axis: 1, 2 and 5 in each decade, powers of ten alone if those would be too many.
