@@ -43,16 +43,7 @@ pub enum ByteGroup {
 
 impl fmt::Display for ByteGroup {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            ByteGroup::Container => "container",
-            ByteGroup::Positions => "positions",
-            ByteGroup::Networks => "networks",
-            ByteGroup::Planes => "planes",
-            ByteGroup::Masks => "masks",
-            ByteGroup::Features => "features",
-            ByteGroup::Scalings => "scalings",
-            ByteGroup::Offsets => "offsets",
-        })
+        self.serialize(f)
     }
 }
 
