@@ -78,7 +78,6 @@ pub(super) trait ModelTrainer {
     fn backward(
         &mut self,
         recorder: &mut Recorder<'_>,
-        camera: &Camera,
         step: &Step,
         overflow_flag: &Buffer<u32>,
     ) -> Result<()>;

@@ -127,11 +127,10 @@ impl ModelTrainer for TwoStageTrainer {
     fn backward(
         &mut self,
         recorder: &mut Recorder<'_>,
-        camera: &Camera,
         step: &Step,
         overflow_flag: &Buffer<u32>,
     ) -> Result<()> {
-        self.stage.trainer_mut().backward(recorder, camera, step, overflow_flag)
+        self.stage.trainer_mut().backward(recorder, step, overflow_flag)
     }
 
     fn reschedule(&mut self, schedule: &Schedule) {

@@ -283,7 +283,6 @@ impl ModelTrainer for AnchorTrainer {
     fn backward(
         &mut self,
         recorder: &mut Recorder<'_>,
-        _camera: &Camera,
         step: &Step,
         overflow_flag: &Buffer<u32>,
     ) -> Result<()> {

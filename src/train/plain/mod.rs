@@ -213,7 +213,6 @@ impl ModelTrainer for PlainTrainer {
     fn backward(
         &mut self,
         recorder: &mut Recorder<'_>,
-        _camera: &Camera,
         step: &Step,
         overflow_flag: &Buffer<u32>,
     ) -> Result<()> {

@@ -536,7 +536,7 @@ impl<'a> Run<'a> {
         recorder.stage("rasteriser backward");
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
         recorder.stage("model backward");
-        self.model.backward(&mut recorder, &camera, &step, self.raster.overflow_flag())?;
+        self.model.backward(&mut recorder, &step, self.raster.overflow_flag())?;
         recorder.submit()?;
         self.state.step = step.number;
         Ok(())
