@@ -35,33 +35,25 @@ impl Device {
     /// Begins recording commands.
     #[must_use]
     pub fn recorder(&self, label: &str) -> Recorder<'_> {
-        Recorder::new(self, label)
+        let encoder =
+            self.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
+        let times = self.profile.as_ref().map(|_| RecordingTimes::begin(label));
+        let timing = times.as_ref().and_then(|_| self.timing());
+        Recorder { device: self, encoder, open: None, timing, times, staged: Vec::new(), fault: None }
     }
 
     /// Begins recording commands whose dispatches are timed on the device; see [`Recorder::submit_timed`].
     #[must_use]
     pub fn timed_recorder(&self, label: &str) -> Recorder<'_> {
-        Recorder::timed(self, label)
+        Recorder { timing: self.timing(), ..self.recorder(label) }
+    }
+
+    fn timing(&self) -> Option<Timing> {
+        self.adapter().timestamps.then(|| Timing::new(self))
     }
 }
 
-impl<'a> Recorder<'a> {
-    fn new(device: &'a Device, label: &str) -> Self {
-        let encoder =
-            device.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
-        let times = device.profile.as_ref().map(|_| RecordingTimes::begin(label));
-        let timing = times.as_ref().and_then(|_| Self::timing(device));
-        Self { device, encoder, open: None, timing, times, staged: Vec::new(), fault: None }
-    }
-
-    fn timing(device: &Device) -> Option<Timing> {
-        device.adapter().timestamps.then(|| Timing::new(device))
-    }
-
-    fn timed(device: &'a Device, label: &str) -> Self {
-        Self { timing: Self::timing(device), ..Self::new(device, label) }
-    }
-
+impl Recorder<'_> {
     /// Names the stage that what follows belongs to in [`Device::profile`].
     pub fn stage(&mut self, name: &'static str) {
         if let Some(times) = &mut self.times {
