@@ -1,14 +1,14 @@
 //! Limits and fallible allocations for counts that a file states.
 
-use super::error::DecodeError;
+use super::error::{DecodeError, Result};
 
 /// Checks a value that a file asks for against the caller's limit.
-pub(in crate::codec) fn check_limit(what: &'static str, value: u64, limit: u64) -> Result<(), DecodeError> {
+pub(in crate::codec) fn check_limit(what: &'static str, value: u64, limit: u64) -> Result<()> {
     if value <= limit { Ok(()) } else { Err(DecodeError::Limit { what, value, limit }) }
 }
 
 /// An empty vector with capacity for `count`, or an error if the allocator has none.
-pub(in crate::codec) fn reserve<T>(what: &'static str, count: usize) -> Result<Vec<T>, DecodeError> {
+pub(in crate::codec) fn reserve<T>(what: &'static str, count: usize) -> Result<Vec<T>> {
     let mut vector = Vec::new();
     match vector.try_reserve_exact(count) {
         Ok(()) => Ok(vector),
@@ -20,10 +20,7 @@ pub(in crate::codec) fn reserve<T>(what: &'static str, count: usize) -> Result<V
 
 /// `count` zeros, or an error if the allocator cannot give them. The system hands out zeroed pages, so whoever fills them touches
 /// them first.
-pub(in crate::codec) fn zeros<T: Clone + Default>(
-    what: &'static str,
-    count: usize,
-) -> Result<Vec<T>, DecodeError> {
+pub(in crate::codec) fn zeros<T: Clone + Default>(what: &'static str, count: usize) -> Result<Vec<T>> {
     drop(reserve::<T>(what, count)?);
     Ok(vec![T::default(); count])
 }

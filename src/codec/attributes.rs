@@ -11,7 +11,7 @@ use super::{
     alloc::{reserve, zeros},
     bytes::{Reader, Writer},
     context::{AnchorContext, BaseModel, GroupModel, quant_steps::MAX_STEP_INDEX},
-    error::DecodeError,
+    error::{DecodeError, Result},
     fit,
     range::StreamDecoder,
     shape::{Attribute, Shape},
@@ -62,7 +62,7 @@ pub(super) fn write_parameters(model: &BaseModel, writer: &mut Writer) {
     }
 }
 
-fn read_tables(reader: &mut Reader<'_>, channels: usize) -> Result<BaseModel, DecodeError> {
+fn read_tables(reader: &mut Reader<'_>, channels: usize) -> Result<BaseModel> {
     let step_index = reader.signed("a step")?;
     if step_index.abs() > i64::from(MAX_STEP_INDEX) {
         return Err(reader.malformed("a step", step_index));
@@ -123,7 +123,7 @@ impl Layout {
         shape: Shape,
         chunk_anchors: usize,
         kinds: [Option<ContextKind>; 3],
-    ) -> Result<Self, DecodeError> {
+    ) -> Result<Self> {
         let mut reader = Reader::new(PART, section);
         let mut tables = [None, None, None];
         let mut parameters = [0..0, 0..0, 0..0];
@@ -178,7 +178,7 @@ impl Layout {
         masks: &[bool],
         models: [&GroupModel; 3],
         anchors: &AnchorContext,
-    ) -> Result<Integers, DecodeError> {
+    ) -> Result<Integers> {
         let _stage = tracing::debug_span!("attributes").entered();
         let mut symbols = [Vec::new(), Vec::new(), Vec::new()];
         let mut steps = [Vec::new(), Vec::new(), Vec::new()];
@@ -199,12 +199,12 @@ impl Layout {
                 chunk.groups.push((attribute, symbols, steps));
             }
         }
-        let decoded: Vec<Result<(), DecodeError>> = chunks
+        let decoded: Vec<Result<()>> = chunks
             .into_par_iter()
             .map(|chunk| chunk.decode(section, shape, masks, models, anchors))
             .collect();
         // In file order, so that the reported error does not depend on the threads.
-        decoded.into_iter().collect::<Result<(), DecodeError>>()?;
+        decoded.into_iter().collect::<Result<()>>()?;
         Ok((symbols, steps))
     }
 }
@@ -224,7 +224,7 @@ impl ChunkTask<'_> {
         masks: &[bool],
         models: [&GroupModel; 3],
         context: &AnchorContext,
-    ) -> Result<(), DecodeError> {
+    ) -> Result<()> {
         let ChunkPlace { anchors, streams, checksum } = self.place;
         let actual = crc32c::crc32c(&section[streams[0].start..streams[2].end]);
         if actual != *checksum {

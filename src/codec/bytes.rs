@@ -2,11 +2,11 @@
 //!
 //! The reader never looks past its slice, and every error says which part and field ended early.
 
-use super::error::DecodeError;
+use super::error::{DecodeError, Result};
 
 macro_rules! read_numbers {
     ($($number:ident),*) => {$(
-        pub(super) fn $number(&mut self, what: &'static str) -> Result<$number, DecodeError> {
+        pub(super) fn $number(&mut self, what: &'static str) -> Result<$number> {
             Ok($number::from_le_bytes(self.array(what)?))
         }
     )*};
@@ -40,7 +40,7 @@ impl<'a> Reader<'a> {
         self.bytes.len() - self.at
     }
 
-    pub(super) fn take(&mut self, what: &'static str, count: u64) -> Result<&'a [u8], DecodeError> {
+    pub(super) fn take(&mut self, what: &'static str, count: u64) -> Result<&'a [u8]> {
         let left = self.left();
         match usize::try_from(count) {
             Ok(count) if count <= left => {
@@ -58,24 +58,24 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn array<const N: usize>(&mut self, what: &'static str) -> Result<[u8; N], DecodeError> {
+    fn array<const N: usize>(&mut self, what: &'static str) -> Result<[u8; N]> {
         let mut array = [0; N];
         array.copy_from_slice(self.take(what, N as u64)?);
         Ok(array)
     }
 
-    pub(super) fn u8(&mut self, what: &'static str) -> Result<u8, DecodeError> {
+    pub(super) fn u8(&mut self, what: &'static str) -> Result<u8> {
         Ok(self.array::<1>(what)?[0])
     }
 
     read_numbers! { u16, u32, u64, f32 }
 
-    pub(super) fn digest_bytes(&mut self, what: &'static str) -> Result<[u8; 32], DecodeError> {
+    pub(super) fn digest_bytes(&mut self, what: &'static str) -> Result<[u8; 32]> {
         self.array(what)
     }
 
     /// LEB128: seven bits a byte, lowest first, at most 64 bits, no needless last byte.
-    pub(super) fn varint(&mut self, what: &'static str) -> Result<u64, DecodeError> {
+    pub(super) fn varint(&mut self, what: &'static str) -> Result<u64> {
         let mut value = 0_u64;
         for shift in (0..64).step_by(7) {
             let byte = self.u8(what)?;
@@ -99,7 +99,7 @@ impl<'a> Reader<'a> {
         &mut self,
         what: &'static str,
         range: std::ops::RangeInclusive<usize>,
-    ) -> Result<usize, DecodeError> {
+    ) -> Result<usize> {
         let value = self.varint(what)?;
         usize::try_from(value)
             .ok()
@@ -108,13 +108,13 @@ impl<'a> Reader<'a> {
     }
 
     /// A zigzag varint: 0, -1, 1, -2, ... are stored as 0, 1, 2, 3, ...
-    pub(super) fn signed(&mut self, what: &'static str) -> Result<i64, DecodeError> {
+    pub(super) fn signed(&mut self, what: &'static str) -> Result<i64> {
         let value = self.varint(what)?;
         Ok((value >> 1) as i64 ^ -((value & 1) as i64))
     }
 
     /// A varint length, then that many bytes of UTF-8.
-    pub(super) fn text(&mut self, what: &'static str) -> Result<&'a str, DecodeError> {
+    pub(super) fn text(&mut self, what: &'static str) -> Result<&'a str> {
         let length = self.varint(what)?;
         let bytes = self.take(what, length)?;
         std::str::from_utf8(bytes).map_err(|_| self.malformed(what, "not UTF-8"))
@@ -127,7 +127,7 @@ impl<'a> Reader<'a> {
         rest
     }
 
-    pub(super) fn end(&self) -> Result<(), DecodeError> {
+    pub(super) fn end(&self) -> Result<()> {
         match self.left() {
             0 => Ok(()),
             count => Err(DecodeError::TrailingBytes { part: self.part, count }),

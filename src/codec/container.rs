@@ -6,7 +6,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::{
     bytes::{Reader, Writer},
-    error::DecodeError,
+    error::{DecodeError, Result},
     sections::{self, SectionId},
 };
 use crate::domain::Digest;
@@ -61,7 +61,7 @@ pub(super) struct Container<'a> {
 
 impl<'a> Container<'a> {
     /// Reads and checks everything that does not depend on a section's content.
-    pub(super) fn parse(bytes: &'a [u8]) -> Result<Self, DecodeError> {
+    pub(super) fn parse(bytes: &'a [u8]) -> Result<Self> {
         let _stage = tracing::debug_span!("container").entered();
         let mut reader = Reader::new(HEADER, bytes);
         if !bytes.starts_with(&MAGIC) {
@@ -100,7 +100,7 @@ impl<'a> Container<'a> {
     }
 
     /// The content of a section that every file has.
-    pub(super) fn section(&self, id: SectionId) -> Result<Section<'a>, DecodeError> {
+    pub(super) fn section(&self, id: SectionId) -> Result<Section<'a>> {
         self.find(id).ok_or(DecodeError::MissingSection { section: sections::name(id) })
     }
 
@@ -110,7 +110,7 @@ impl<'a> Container<'a> {
     }
 
     /// The content of a section that a file must have if it is `needed`, and must not have otherwise.
-    pub(super) fn section_if(&self, needed: bool, id: SectionId) -> Result<Option<Section<'a>>, DecodeError> {
+    pub(super) fn section_if(&self, needed: bool, id: SectionId) -> Result<Option<Section<'a>>> {
         match self.find(id) {
             None if needed => self.section(id).map(Some),
             Some(_) if !needed => Err(DecodeError::NeedlessSection { section: sections::name(id) }),
@@ -119,7 +119,7 @@ impl<'a> Container<'a> {
     }
 
     /// Refuses critical sections that are not in `known`.
-    pub(super) fn check_known(&self, known: &[SectionId]) -> Result<(), DecodeError> {
+    pub(super) fn check_known(&self, known: &[SectionId]) -> Result<()> {
         match self.sections.iter().find(|section| section.critical && !known.contains(&section.id)) {
             None => Ok(()),
             Some(section) => Err(DecodeError::UnknownSection { section: id_text(section.id) }),
@@ -127,7 +127,7 @@ impl<'a> Container<'a> {
     }
 }
 
-fn parse_sections<'a>(table: &[u8], bytes: &'a [u8]) -> Result<Vec<Section<'a>>, DecodeError> {
+fn parse_sections<'a>(table: &[u8], bytes: &'a [u8]) -> Result<Vec<Section<'a>>> {
     let mut reader = Reader::new(HEADER, table);
     let mut sections: Vec<Section<'a>> = Vec::new();
     let mut expected = (FIXED_HEADER + table.len()) as u64;

@@ -6,7 +6,7 @@ use super::{
     container::Container,
     context::{AnchorContext, BaseModel, GroupModel, GroupRegression, IntegerPlanes, Regressions, section},
     digest::decode_digest,
-    error::DecodeError,
+    error::{DecodeError, Result},
     manifest::Manifest,
     masks,
     networks::{self, QuantisedNetworks},
@@ -78,7 +78,7 @@ pub struct Decoded {
 ///
 /// # Errors
 /// [`DecodeError`] for bytes that are not exactly one undamaged file of a known version within `limits`.
-pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded, DecodeError> {
+pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded> {
     decode_with(bytes, limits, None)
 }
 
@@ -94,7 +94,7 @@ pub(super) fn decode_with(
     bytes: &[u8],
     limits: &DecodeLimits,
     known: Option<KnownNeighbours<'_>>,
-) -> Result<Decoded, DecodeError> {
+) -> Result<Decoded> {
     let _stage = tracing::debug_span!("decode").entered();
     let Content { manifest, networks, symbols, near, scene_scale, .. } = read_with(bytes, limits, known)?;
     let scene = AnchorScene { near, scene_scale, ..quantise::dequantise(symbols, &networks, &manifest) };
@@ -119,15 +119,11 @@ pub(super) struct Content {
 }
 
 /// Reads everything as integers, without dequantising.
-pub(super) fn read(bytes: &[u8], limits: &DecodeLimits) -> Result<Content, DecodeError> {
+pub(super) fn read(bytes: &[u8], limits: &DecodeLimits) -> Result<Content> {
     read_with(bytes, limits, None)
 }
 
-fn read_with(
-    bytes: &[u8],
-    limits: &DecodeLimits,
-    known: Option<KnownNeighbours<'_>>,
-) -> Result<Content, DecodeError> {
+fn read_with(bytes: &[u8], limits: &DecodeLimits, known: Option<KnownNeighbours<'_>>) -> Result<Content> {
     let stage = tracing::Span::current();
     check_limit("file bytes", bytes.len() as u64, limits.max_file_bytes)?;
     let container = Container::parse(bytes)?;
@@ -192,7 +188,7 @@ fn context(
     cells: &[[i32; 3]],
     limits: &DecodeLimits,
     known: Option<KnownNeighbours<'_>>,
-) -> Result<([Option<BaseModel>; 3], AnchorContext), DecodeError> {
+) -> Result<([Option<BaseModel>; 3], AnchorContext)> {
     let kinds = manifest.kinds();
     let any = |wanted: fn(ContextKind) -> bool| kinds.iter().flatten().any(|kind| wanted(*kind));
     let samples = any(|kind| kind.sampled() > 0);
@@ -232,7 +228,7 @@ fn context(
 }
 
 /// The regressions of the groups that have one.
-fn regressions(container: &Container<'_>, shape: Shape) -> Result<[Option<GroupRegression>; 3], DecodeError> {
+fn regressions(container: &Container<'_>, shape: Shape) -> Result<[Option<GroupRegression>; 3]> {
     let Some(section) = container.find(sections::REGRESSION) else { return Ok([None, None, None]) };
     let widths = Attribute::ALL.map(|attribute| shape.channels(attribute));
     let groups = Regressions::read(section.bytes, widths)?.groups;
@@ -250,7 +246,7 @@ fn join(
     tables: [Option<BaseModel>; 3],
     networks: [Option<BaseModel>; 3],
     regressions: [Option<GroupRegression>; 3],
-) -> Result<[GroupModel; 3], DecodeError> {
+) -> Result<[GroupModel; 3]> {
     let bases = tables.into_iter().zip(networks).filter_map(|(tables, network)| tables.or(network));
     let mut models = bases.zip(regressions).map(|(base, regression)| GroupModel { base, regression });
     match [models.next(), models.next(), models.next()] {

@@ -7,7 +7,7 @@ use super::{
     attributes::is_coded,
     context::{ContextChoice, GroupChoice, GroupModel, floats::FloatAnchors, quant_steps},
     decode::{Content, DecodeLimits, read},
-    error::DecodeError,
+    error::Result,
     inspect::inspect,
     shape::Attribute,
 };
@@ -57,12 +57,12 @@ impl Efficiency {
 /// Measures a file; with what training left, and what an encoder chose of it, also against floats.
 ///
 /// # Errors
-/// [`DecodeError`] as for [`super::decode`].
+/// [`super::DecodeError`] as for [`super::decode`].
 pub fn efficiency(
     bytes: &[u8],
     limits: &DecodeLimits,
     trained: Option<(&ContextCandidates, &ContextChoice)>,
-) -> Result<Efficiency, DecodeError> {
+) -> Result<Efficiency> {
     let counts = inspect(bytes)?.byte_counts;
     let content = read(bytes, limits)?;
     let planes = trained.and_then(|(candidates, choice)| candidates.planes.get(choice.planes?));

@@ -5,6 +5,9 @@ use thiserror::Error;
 use crate::domain::Digest;
 use crate::domain::anchors::SceneShapeError;
 
+/// Result of reading a part of a file.
+pub(super) type Result<T, E = DecodeError> = std::result::Result<T, E>;
+
 /// A scene or settings that cannot be written.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum EncodeError {

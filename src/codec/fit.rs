@@ -2,7 +2,7 @@
 
 use super::{
     bytes::{Reader, Writer},
-    error::DecodeError,
+    error::Result,
     gaussian::Gaussian,
     gaussian_constants::SCALES,
     symbols::{Distribution, MAX_SYMBOL},
@@ -112,7 +112,7 @@ pub(super) fn write(distribution: Distribution, writer: &mut Writer) {
 }
 
 /// Reads what [`write`] stored.
-pub(super) fn read(reader: &mut Reader<'_>) -> Result<Distribution, DecodeError> {
+pub(super) fn read(reader: &mut Reader<'_>) -> Result<Distribution> {
     let mean = reader.signed("a mean")?;
     let scale = reader.u8("a scale")?;
     let limit = if scale == CONSTANT { i64::from(MAX_SYMBOL) } else { 16 * i64::from(MAX_SYMBOL) };

@@ -10,7 +10,7 @@ use super::{
     attributes::Layout,
     container::{ARITHMETIC_PROFILE, Container, FIXED_HEADER, Section, id_text},
     context::{Regressions, section},
-    error::DecodeError,
+    error::Result,
     explain::explain,
     manifest::{GroupCosts, Manifest},
     sections,
@@ -104,9 +104,9 @@ pub struct Inspection {
 /// Checks a file's container and lists its parts.
 ///
 /// # Errors
-/// [`DecodeError`] as [`super::decode`] gives it for the container, the manifest and the chunk index; the coded
+/// [`super::DecodeError`] as [`super::decode`] gives it for the container, the manifest and the chunk index; the coded
 /// payload is not read.
-pub fn inspect(bytes: &[u8]) -> Result<Inspection, DecodeError> {
+pub fn inspect(bytes: &[u8]) -> Result<Inspection> {
     let container = Container::parse(bytes)?;
     container.check_known(&sections::ALL)?;
     let manifest = Manifest::decode(container.section(sections::MANIFEST)?.bytes)?;
@@ -149,11 +149,7 @@ pub fn inspect(bytes: &[u8]) -> Result<Inspection, DecodeError> {
 }
 
 /// Bytes of attributes, regression and network of each group that has a regression.
-fn regression_bytes(
-    container: &Container<'_>,
-    manifest: &Manifest,
-    map: &Map,
-) -> Result<[Option<u64>; 3], DecodeError> {
+fn regression_bytes(container: &Container<'_>, manifest: &Manifest, map: &Map) -> Result<[Option<u64>; 3]> {
     let Some(section) = container.find(sections::REGRESSION) else { return Ok([None; 3]) };
     let shape = manifest.shape();
     let read = Regressions::read(section.bytes, Attribute::ALL.map(|group| shape.channels(group)))?;
@@ -170,7 +166,7 @@ fn regression_bytes(
     }))
 }
 
-fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Result<(), DecodeError> {
+fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Result<()> {
     let length = section.bytes.len();
     match section.id {
         sections::MANIFEST => {

@@ -6,7 +6,7 @@ use super::{
     Provenance,
     bytes::{Reader, Writer},
     context::quant_steps::{self, MAX_STEP_INDEX},
-    error::{DecodeError, EncodeError},
+    error::{EncodeError, Result},
     shape::{Attribute, Shape},
     symbols::MAX_SYMBOL,
 };
@@ -82,7 +82,7 @@ impl GroupContext {
             .for_each(|bytes| writer.varint(bytes.map_or(0, |bytes| bytes + 1)));
     }
 
-    fn read(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+    fn read(reader: &mut Reader<'_>) -> Result<Self> {
         let kind = match reader.u8("context")? {
             0 => None,
             1 => Some(ContextKind::Position),
@@ -192,7 +192,7 @@ impl Manifest {
     }
 
     /// Reads the manifest section.
-    pub(super) fn decode(section: &[u8]) -> Result<Self, DecodeError> {
+    pub(super) fn decode(section: &[u8]) -> Result<Self> {
         let mut reader = Reader::new(PART, section);
         let manifest = Self {
             anchors: reader.count("number of anchors", 1..=u32::MAX as usize)?,
@@ -264,7 +264,7 @@ impl Manifest {
     }
 }
 
-fn read_provenance(reader: &mut Reader<'_>) -> Result<Provenance, DecodeError> {
+fn read_provenance(reader: &mut Reader<'_>) -> Result<Provenance> {
     let generator = reader.text("generator")?.to_owned();
     let dataset = match flag(reader, "dataset flag")? {
         true => Some(Digest::from_bytes(reader.digest_bytes("dataset")?)),
@@ -280,7 +280,7 @@ fn read_provenance(reader: &mut Reader<'_>) -> Result<Provenance, DecodeError> {
     Ok(Provenance { generator, dataset, adapter, settings })
 }
 
-fn flag(reader: &mut Reader<'_>, what: &'static str) -> Result<bool, DecodeError> {
+fn flag(reader: &mut Reader<'_>, what: &'static str) -> Result<bool> {
     match reader.u8(what)? {
         0 => Ok(false),
         1 => Ok(true),

@@ -3,7 +3,7 @@
 use super::{
     adaptive::AdaptiveBit,
     alloc::reserve,
-    error::DecodeError,
+    error::Result,
     range::{StreamDecoder, StreamEncoder},
 };
 
@@ -29,7 +29,7 @@ pub(super) fn encode(masks: &[bool], per_anchor: usize) -> Vec<u8> {
 }
 
 /// Reads the masks of `anchors` anchors.
-pub(super) fn decode(section: &[u8], anchors: usize, per_anchor: usize) -> Result<Vec<bool>, DecodeError> {
+pub(super) fn decode(section: &[u8], anchors: usize, per_anchor: usize) -> Result<Vec<bool>> {
     let _stage = tracing::debug_span!("masks").entered();
     let mut stream = StreamDecoder::new(PART, section)?;
     let mut contexts = Contexts::new(per_anchor);

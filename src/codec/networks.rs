@@ -7,7 +7,7 @@
 use super::{
     alloc::{check_limit, reserve},
     bytes::{Reader, Writer},
-    error::{DecodeError, EncodeError},
+    error::{DecodeError, EncodeError, Result},
     fit,
     range::{StreamDecoder, StreamEncoder},
     symbols::Distribution,
@@ -184,7 +184,7 @@ pub(super) fn decode(
     features: usize,
     offsets: usize,
     max_memory_bytes: u64,
-) -> Result<QuantisedNetworks, DecodeError> {
+) -> Result<QuantisedNetworks> {
     let _stage = tracing::debug_span!("networks").entered();
     let mut reader = Reader::new(PART, section);
     let outputs = [offsets, 7 * offsets, 3 * offsets];
@@ -212,7 +212,7 @@ pub(super) fn decode(
     }
 }
 
-fn read_heads(reader: &mut Reader<'_>, inputs: usize, outputs: usize) -> Result<Vec<LayerHead>, DecodeError> {
+fn read_heads(reader: &mut Reader<'_>, inputs: usize, outputs: usize) -> Result<Vec<LayerHead>> {
     let count = reader.count("number of layers", 1..=MAX_LAYERS)?;
     let mut heads = Vec::new();
     let mut width = inputs;
@@ -232,7 +232,7 @@ fn read_heads(reader: &mut Reader<'_>, inputs: usize, outputs: usize) -> Result<
     if width == outputs { Ok(heads) } else { Err(reader.malformed("last layer's width", width)) }
 }
 
-fn read_layer(stream: &mut StreamDecoder<'_>, head: &LayerHead) -> Result<QuantisedLayer, DecodeError> {
+fn read_layer(stream: &mut StreamDecoder<'_>, head: &LayerHead) -> Result<QuantisedLayer> {
     let mut integers = |distribution: Distribution, count: usize| {
         let mut integers = reserve("network parameters", count)?;
         for _ in 0..count {

@@ -7,7 +7,7 @@
 use super::{
     adaptive::AdaptiveBit,
     bytes::{Reader, Writer},
-    error::{DecodeError, EncodeError},
+    error::{EncodeError, Result},
     morton::{self, AXIS_BITS},
     range::{BitCoder, StreamDecoder, StreamEncoder},
 };
@@ -99,7 +99,7 @@ pub(super) fn max_anchors_exclusive(length: usize) -> u64 {
 }
 
 /// Reads the positions section of a file with `count` anchors, in file order.
-pub(super) fn decode(section: &[u8], count: usize) -> Result<Vec<[i32; 3]>, DecodeError> {
+pub(super) fn decode(section: &[u8], count: usize) -> Result<Vec<[i32; 3]>> {
     let _stage = tracing::debug_span!("positions").entered();
     let mut reader = Reader::new(PART, section);
     let mut least = [0_i64; 3];
@@ -150,7 +150,7 @@ fn code_family(
     sides: Sides,
     below: u32,
     family: u8,
-) -> Result<u8, DecodeError> {
+) -> Result<u8> {
     if stream.code(contexts.single(sides, below), family.count_ones() == 1)? {
         let mut child = 0;
         for axis in (0..3).rev() {

@@ -19,7 +19,7 @@ use constriction::{
 
 use super::{
     adaptive::{AdaptiveBit, BIT_PRECISION},
-    error::DecodeError,
+    error::{DecodeError, Result},
     gaussian::{GAUSSIAN_PRECISION, Table},
 };
 
@@ -29,18 +29,18 @@ const STATE_WORDS: usize = 2;
 /// Codes adaptive bits in either direction, so that encoder and decoder share what decides the contexts.
 pub(super) trait BitCoder {
     /// The encoder codes `bit` and returns it; the decoder ignores it and returns the bit that it reads. The context adapts to it.
-    fn code(&mut self, context: &mut AdaptiveBit, bit: bool) -> Result<bool, DecodeError>;
+    fn code(&mut self, context: &mut AdaptiveBit, bit: bool) -> Result<bool>;
 }
 
 impl BitCoder for StreamEncoder {
-    fn code(&mut self, context: &mut AdaptiveBit, bit: bool) -> Result<bool, DecodeError> {
+    fn code(&mut self, context: &mut AdaptiveBit, bit: bool) -> Result<bool> {
         self.adaptive(context, bit);
         Ok(bit)
     }
 }
 
 impl BitCoder for StreamDecoder<'_> {
-    fn code(&mut self, context: &mut AdaptiveBit, _: bool) -> Result<bool, DecodeError> {
+    fn code(&mut self, context: &mut AdaptiveBit, _: bool) -> Result<bool> {
         self.adaptive(context)
     }
 }
@@ -101,7 +101,7 @@ pub(super) struct StreamDecoder<'a> {
 }
 
 impl<'a> StreamDecoder<'a> {
-    pub(super) fn new(part: &'static str, bytes: &'a [u8]) -> Result<Self, DecodeError> {
+    pub(super) fn new(part: &'static str, bytes: &'a [u8]) -> Result<Self> {
         let coder = RangeDecoder::with_backend(Words { bytes, read: 0 }).map_err(|_| ended(part))?;
         Ok(Self { part, coder })
     }
@@ -110,21 +110,21 @@ impl<'a> StreamDecoder<'a> {
         self.part
     }
 
-    pub(super) fn adaptive(&mut self, context: &mut AdaptiveBit) -> Result<bool, DecodeError> {
+    pub(super) fn adaptive(&mut self, context: &mut AdaptiveBit) -> Result<bool> {
         let bit = self.bit(context.probability())?;
         context.learn(bit);
         Ok(bit)
     }
 
-    pub(super) fn bypass(&mut self) -> Result<bool, DecodeError> {
+    pub(super) fn bypass(&mut self) -> Result<bool> {
         self.bit(1 << (BIT_PRECISION - 1))
     }
 
-    pub(super) fn table(&mut self, table: &Table) -> Result<usize, DecodeError> {
+    pub(super) fn table(&mut self, table: &Table) -> Result<usize> {
         self.coder.decode_symbol(TableModel(table)).map_err(|error| self.decode_error(&error))
     }
 
-    fn bit(&mut self, one: u32) -> Result<bool, DecodeError> {
+    fn bit(&mut self, one: u32) -> Result<bool> {
         self.coder.decode_symbol(BitModel { one }).map_err(|error| self.decode_error(&error))
     }
 
@@ -136,7 +136,7 @@ impl<'a> StreamDecoder<'a> {
     }
 
     /// Checks that the stream ends with its last symbol, in the one way that an encoder ends it.
-    pub(super) fn finish(self) -> Result<(), DecodeError> {
+    pub(super) fn finish(self) -> Result<()> {
         let (words, state, point) = self.coder.into_raw_parts();
         let (expected, length) = ending(state.lower(), state.range().get());
         let problem = match words.bytes.len().cmp(&((words.read - STATE_WORDS) * WORD + length)) {
@@ -271,7 +271,7 @@ mod tests {
         encoder.finish()
     }
 
-    fn decode(bytes: &[u8], bits: &[(u32, bool)]) -> Result<Vec<bool>, DecodeError> {
+    fn decode(bytes: &[u8], bits: &[(u32, bool)]) -> Result<Vec<bool>> {
         let mut decoder = StreamDecoder::new("test", bytes)?;
         let read = bits.iter().map(|(one, _)| decoder.bit(*one)).collect::<Result<Vec<_>, _>>()?;
         decoder.finish()?;

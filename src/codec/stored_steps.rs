@@ -3,7 +3,7 @@
 use super::{
     context::quant_steps::factor,
     decode::{DecodeLimits, read},
-    error::DecodeError,
+    error::Result,
     shape::Attribute,
 };
 
@@ -19,8 +19,8 @@ pub struct StoredSteps {
 /// Reads the steps.
 ///
 /// # Errors
-/// [`DecodeError`] as for [`super::decode`].
-pub fn stored_steps(bytes: &[u8], limits: &DecodeLimits) -> Result<StoredSteps, DecodeError> {
+/// [`super::DecodeError`] as for [`super::decode`].
+pub fn stored_steps(bytes: &[u8], limits: &DecodeLimits) -> Result<StoredSteps> {
     let content = read(bytes, limits)?;
     let steps = Attribute::ALL.map(|attribute| {
         let base = content.manifest.steps.of(attribute);

@@ -1,7 +1,7 @@
 //! One integer in one stream: its Gaussian's table entry, or the escape followed by an Exp-Golomb code.
 
 use super::{
-    error::DecodeError,
+    error::{DecodeError, Result},
     gaussian::{GAUSSIAN_PRECISION, Gaussian},
     range::{StreamDecoder, StreamEncoder},
 };
@@ -48,7 +48,7 @@ impl Distribution {
     }
 
     /// Reads a symbol.
-    pub(super) fn decode(self, stream: &mut StreamDecoder<'_>) -> Result<i32, DecodeError> {
+    pub(super) fn decode(self, stream: &mut StreamDecoder<'_>) -> Result<i32> {
         let gaussian = match self {
             Distribution::Constant(value) => return Ok(value),
             Distribution::Gaussian(gaussian) => gaussian,
@@ -93,7 +93,7 @@ impl Distribution {
     }
 }
 
-fn checked(part: &'static str, symbol: i32) -> Result<i32, DecodeError> {
+fn checked(part: &'static str, symbol: i32) -> Result<i32> {
     if symbol.abs() <= MAX_SYMBOL {
         Ok(symbol)
     } else {

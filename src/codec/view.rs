@@ -3,7 +3,7 @@
 use super::{
     bytes::{Reader, Writer},
     container::Section,
-    error::DecodeError,
+    error::Result,
 };
 use crate::domain::{NearPlane, SceneScale};
 
@@ -16,7 +16,7 @@ pub(super) fn encode_near(near: NearPlane) -> Option<Vec<u8>> {
 }
 
 /// The value of that section, or the default without it.
-pub(super) fn decode_near(section: Option<Section<'_>>) -> Result<NearPlane, DecodeError> {
+pub(super) fn decode_near(section: Option<Section<'_>>) -> Result<NearPlane> {
     decode(section, VIEW, "near plane", NearPlane::new)
 }
 
@@ -26,7 +26,7 @@ pub(super) fn encode_scene_scale(scene_scale: SceneScale) -> Option<Vec<u8>> {
 }
 
 /// The value of that section, or the default without it.
-pub(super) fn decode_scene_scale(section: Option<Section<'_>>) -> Result<SceneScale, DecodeError> {
+pub(super) fn decode_scene_scale(section: Option<Section<'_>>) -> Result<SceneScale> {
     decode(section, UNIT, "scene scale", SceneScale::new)
 }
 
@@ -41,7 +41,7 @@ fn decode<T: Default>(
     part: &'static str,
     what: &'static str,
     allowed: impl Fn(f32) -> Option<T>,
-) -> Result<T, DecodeError> {
+) -> Result<T> {
     let Some(section) = section else { return Ok(T::default()) };
     let mut reader = Reader::new(part, section.bytes);
     let value = reader.f32(what)?;

@@ -15,7 +15,7 @@ use crate::{
     codec::{
         alloc::{check_limit, reserve},
         bytes::{Reader, Writer},
-        error::DecodeError,
+        error::{DecodeError, Result},
         fit,
         range::{StreamDecoder, StreamEncoder},
         symbols::Distribution,
@@ -293,7 +293,7 @@ impl IntegerMlp {
         inputs: usize,
         outputs: usize,
         max_memory_bytes: u64,
-    ) -> Result<Self, DecodeError> {
+    ) -> Result<Self> {
         if inputs > MAX_INPUTS {
             return Err(reader.malformed("inputs of a network", inputs));
         }
@@ -361,7 +361,7 @@ pub(in crate::codec) fn decode_integers(
     low: i32,
     high: i32,
     what: &'static str,
-) -> Result<Vec<i32>, DecodeError> {
+) -> Result<Vec<i32>> {
     let mut integers = reserve(what, count)?;
     for _ in 0..count {
         let integer = distribution.decode(stream)?;

@@ -6,7 +6,7 @@
 use crate::codec::{
     adaptive::AdaptiveBit,
     alloc::reserve,
-    error::DecodeError,
+    error::{DecodeError, Result},
     range::{StreamDecoder, StreamEncoder},
 };
 
@@ -34,11 +34,7 @@ pub(in crate::codec) fn encode(latents: &[i8], edge: usize, stream: &mut StreamE
 }
 
 /// Reads `count` images.
-pub(in crate::codec) fn decode(
-    count: usize,
-    edge: usize,
-    stream: &mut StreamDecoder<'_>,
-) -> Result<Vec<i8>, DecodeError> {
+pub(in crate::codec) fn decode(count: usize, edge: usize, stream: &mut StreamDecoder<'_>) -> Result<Vec<i8>> {
     let size = edge * edge;
     let mut latents = reserve("latents of planes", count * size)?;
     let mut contexts = Contexts::new();
@@ -101,11 +97,11 @@ impl Contexts {
     /// Codes an image with `bit`, which returns its argument (encoding) or the bit that it reads (decoding).
     fn image(
         &mut self,
-        bit: &mut impl FnMut(&mut AdaptiveBit, bool) -> Result<bool, DecodeError>,
+        bit: &mut impl FnMut(&mut AdaptiveBit, bool) -> Result<bool>,
         image: &mut [i8],
         edge: usize,
         predicted: bool,
-    ) -> Result<(), DecodeError> {
+    ) -> Result<()> {
         let predicted = bit(&mut self.predicted, predicted)?;
         // Residuals of this row so far, and of the row above to the right of them.
         let mut residuals = vec![0_i32; edge];
@@ -127,11 +123,11 @@ impl Contexts {
 
     fn residual(
         &mut self,
-        bit: &mut impl FnMut(&mut AdaptiveBit, bool) -> Result<bool, DecodeError>,
+        bit: &mut impl FnMut(&mut AdaptiveBit, bool) -> Result<bool>,
         residual: i32,
         left: i32,
         above: i32,
-    ) -> Result<i32, DecodeError> {
+    ) -> Result<i32> {
         let around = digits((left.abs() + above.abs() + 1) >> 1);
         let wanted = digits(residual);
         let mut count = 0;
@@ -164,7 +160,7 @@ mod tests {
         stream.finish()
     }
 
-    fn read(bytes: &[u8], count: usize, edge: usize) -> Result<Vec<i8>, DecodeError> {
+    fn read(bytes: &[u8], count: usize, edge: usize) -> Result<Vec<i8>> {
         let mut stream = StreamDecoder::new("test", bytes)?;
         let latents = decode(count, edge, &mut stream)?;
         stream.finish()?;

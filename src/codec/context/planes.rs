@@ -12,7 +12,7 @@ use crate::{
     codec::{
         alloc::check_limit,
         bytes::{Reader, Writer},
-        error::DecodeError,
+        error::Result,
         fit,
         range::{StreamDecoder, StreamEncoder},
     },
@@ -135,7 +135,7 @@ impl IntegerPlanes {
     }
 
     /// Reads the planes section.
-    pub(in crate::codec) fn decode(section: &[u8], max_memory_bytes: u64) -> Result<Self, DecodeError> {
+    pub(in crate::codec) fn decode(section: &[u8], max_memory_bytes: u64) -> Result<Self> {
         let mut reader = Reader::new(PART, section);
         let edge = reader.count("edge of a latent", 1..=MAX_PLANE_EDGE)?;
         let channels = reader.count("channels of a latent", 1..=MAX_CHANNELS)?;
@@ -202,7 +202,10 @@ mod tests {
 
     use super::*;
     use crate::{
-        codec::context::{floats::up_sampled, texels},
+        codec::{
+            DecodeError,
+            context::{floats::up_sampled, texels},
+        },
         domain::UpLayer,
     };
 

@@ -6,7 +6,7 @@
 use super::quant_steps::MAX_MEAN;
 use crate::codec::{
     bytes::{Reader, Writer},
-    error::DecodeError,
+    error::Result,
     gaussian::Gaussian,
     gaussian_constants::{INVERSE_SCALE, SCALES},
     symbols::Distribution,
@@ -117,7 +117,7 @@ impl GroupRegression {
     }
 
     /// Reads what [`Self::write`] wrote of a group of so many channels.
-    fn read(reader: &mut Reader<'_>, channels: usize) -> Result<Self, DecodeError> {
+    fn read(reader: &mut Reader<'_>, channels: usize) -> Result<Self> {
         let mut read = Vec::with_capacity(channels);
         for channel in 0..channels {
             let deviation = reader.count("a deviation factor", 0..=MAX_WEIGHT as usize)? as i32;
@@ -169,7 +169,7 @@ impl Regressions {
     pub(in crate::codec) const NONE: Self = Self { groups: [None, None, None], lengths: [0; 3] };
 
     /// Reads the section of groups of so many `channels`.
-    pub(in crate::codec) fn read(section: &[u8], channels: [usize; 3]) -> Result<Self, DecodeError> {
+    pub(in crate::codec) fn read(section: &[u8], channels: [usize; 3]) -> Result<Self> {
         let mut reader = Reader::new("regression", section);
         let flags = reader.u8("groups")?;
         if flags == 0 || flags > flags_of([true; 3]) {

@@ -6,7 +6,7 @@ use super::{dense::IntegerMlp, model::ContextNetwork};
 use crate::{
     codec::{
         bytes::{Reader, Writer},
-        error::DecodeError,
+        error::Result,
     },
     domain::{AttributeGroup, ContextFrame, context_model::ContextKind},
 };
@@ -39,10 +39,7 @@ pub(in crate::codec) struct Layout {
 
 impl Layout {
     /// Reads the frame and finds the networks of a file with these kinds.
-    pub(in crate::codec) fn read(
-        section: &[u8],
-        kinds: [Option<ContextKind>; 3],
-    ) -> Result<Self, DecodeError> {
+    pub(in crate::codec) fn read(section: &[u8], kinds: [Option<ContextKind>; 3]) -> Result<Self> {
         let mut reader = Reader::new(PART, section);
         let mut frame = ContextFrame { centre: [0; 3], half: [1; 3] };
         for cell in &mut frame.centre {
@@ -78,7 +75,7 @@ impl Layout {
         plane_channels: usize,
         channels: [usize; 3],
         max_memory_bytes: u64,
-    ) -> Result<[Option<ContextNetwork>; 3], DecodeError> {
+    ) -> Result<[Option<ContextNetwork>; 3]> {
         let mut networks = [None, None, None];
         for (group, network) in networks.iter_mut().enumerate() {
             let Some(kind) = kinds[group] else { continue };
