@@ -57,25 +57,11 @@ impl Subgroups {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::KernelVariant;
+    use crate::gpu::testing::software_report;
 
     fn adapter(backend: &str, name: &str, subgroup_sizes: [u32; 2]) -> AdapterReport {
-        AdapterReport {
-            name: name.to_owned(),
-            backend: backend.to_owned(),
-            kind: "discretegpu".to_owned(),
-            driver: String::new(),
-            max_buffer_bytes: 1 << 30,
-            max_binding_bytes: 1 << 30,
-            max_storage_buffers: 8,
-            max_workgroup_invocations: 256,
-            max_workgroup_bytes: 16_384,
-            subgroup_sizes,
-            subgroups: true,
-            timestamps: false,
-            usable: true,
-            variant: KernelVariant::Hardware,
-        }
+        let (name, backend) = (name.to_owned(), backend.to_owned());
+        AdapterReport { name, backend, subgroup_sizes, ..software_report() }
     }
 
     #[test]

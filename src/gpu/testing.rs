@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{AdapterChoice, Device, DeviceSettings};
+use super::{AdapterChoice, AdapterReport, Device, DeviceSettings, KernelVariant};
 
 /// A separate device on the adapter of `TCGS_ADAPTER`, by default lavapipe.
 pub(crate) fn lavapipe() -> Arc<Device> {
@@ -17,4 +17,24 @@ pub(crate) fn lavapipe_with(settings: &DeviceSettings) -> Arc<Device> {
     });
     Device::with_settings(&choice, settings)
         .expect("an adapter; install mesa-vulkan-drivers or set TCGS_ADAPTER")
+}
+
+/// A software adapter as lavapipe describes itself.
+pub(crate) fn software_report() -> AdapterReport {
+    AdapterReport {
+        name: "llvmpipe".to_owned(),
+        backend: "vulkan".to_owned(),
+        kind: "cpu".to_owned(),
+        driver: "Mesa".to_owned(),
+        max_buffer_bytes: (2 << 30) - 1,
+        max_binding_bytes: 128 << 20,
+        max_storage_buffers: 1 << 20,
+        max_workgroup_invocations: 1024,
+        max_workgroup_bytes: 32 << 10,
+        subgroup_sizes: [8, 8],
+        subgroups: true,
+        timestamps: true,
+        usable: true,
+        variant: KernelVariant::Software,
+    }
 }

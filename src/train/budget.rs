@@ -151,29 +151,10 @@ mod tests {
     use super::*;
     use crate::{
         domain::{Camera, Digest, Frame, Image, Intrinsics, Layout, PointCloud, Pose, Problem, Split},
-        gpu::{AdapterReport, KernelVariant},
+        gpu::testing::software_report,
     };
 
     const MIB: u64 = 1 << 20;
-
-    fn adapter() -> AdapterReport {
-        AdapterReport {
-            name: "llvmpipe".to_owned(),
-            backend: "vulkan".to_owned(),
-            kind: "cpu".to_owned(),
-            driver: "Mesa".to_owned(),
-            max_buffer_bytes: (2 << 30) - 1,
-            max_binding_bytes: 128 << 20,
-            max_storage_buffers: 1 << 20,
-            max_workgroup_invocations: 1024,
-            max_workgroup_bytes: 32 << 10,
-            subgroup_sizes: [8, 8],
-            subgroups: true,
-            timestamps: true,
-            usable: true,
-            variant: KernelVariant::Software,
-        }
-    }
 
     fn dataset(sizes: &[(u32, u32)], points: usize) -> Dataset {
         let pose = Pose::look_at(glam::DVec3::X, glam::DVec3::ZERO, glam::DVec3::Z).expect("a view");
@@ -199,7 +180,7 @@ mod tests {
 
     #[test]
     fn more_anchors_larger_images_and_more_sizes_take_more() {
-        let (adapter, options) = (adapter(), TrainOptions::default());
+        let (adapter, options) = (software_report(), TrainOptions::default());
         let small = dataset(&[(64, 48)], 100);
         let needs = Needs::of(&small, &options, &adapter);
         let mut before = needs.estimate(1);
@@ -218,7 +199,7 @@ mod tests {
 
     #[test]
     fn a_tight_budget_lowers_the_anchors_to_the_most_that_fit() {
-        let (adapter, options) = (adapter(), TrainOptions::default());
+        let (adapter, options) = (software_report(), TrainOptions::default());
         let dataset = dataset(&[(64, 48)], 500);
         let needs = Needs::of(&dataset, &options, &adapter);
         let ample = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
@@ -235,7 +216,7 @@ mod tests {
 
     #[test]
     fn what_cannot_hold_the_points_is_refused_with_every_part_and_what_to_do() {
-        let (adapter, options) = (adapter(), TrainOptions::default());
+        let (adapter, options) = (software_report(), TrainOptions::default());
         let dataset = dataset(&[(64, 48)], 15_000);
         let budget = MemoryBudget { host: u64::MAX, gpu: 16 * MIB };
         let fault = Needs::of(&dataset, &options, &adapter).within(&budget).expect_err("too little");
