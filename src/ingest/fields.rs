@@ -158,15 +158,7 @@ impl<'de> Deserialize<'de> for Document {
                     }
                 }
                 let frames = frames.ok_or_else(|| A::Error::missing_field("frames"))?.0;
-                let (train, val, test) = (train_filenames, val_filenames, test_filenames);
-                Ok(Document {
-                    camera,
-                    frames,
-                    ply_file_path,
-                    train_filenames: train,
-                    val_filenames: val,
-                    test_filenames: test,
-                })
+                Ok(Document { camera, frames, ply_file_path, train_filenames, val_filenames, test_filenames })
             }
         }
 
