@@ -103,20 +103,14 @@ impl Lens {
 /// Checks that focal lengths and principal point are of the order of the image.
 fn plausible(k: Intrinsics) -> Result<Intrinsics> {
     let sides = [f64::from(k.width), f64::from(k.height)];
-    for (focal, side) in [k.fx, k.fy].into_iter().zip(sides) {
-        if !(1e-2..=1e4).contains(&(focal / side)) {
-            let range = "0.01 to 10000 times the side of the image";
-            return Err(IngestErrorKind::Implausible { what: "the focal length", value: focal, range });
-        }
-    }
-    for (principal, side) in [k.cx, k.cy].into_iter().zip(sides) {
-        if !(-10.0..=10.0).contains(&(principal / side)) {
-            let range = "within 10 times the side of the image";
-            return Err(IngestErrorKind::Implausible {
-                what: "the principal point",
-                value: principal,
-                range,
-            });
+    for (what, values, shares, range) in [
+        ("the focal length", [k.fx, k.fy], 1e-2..=1e4, "0.01 to 10000 times the side of the image"),
+        ("the principal point", [k.cx, k.cy], -10.0..=10.0, "within 10 times the side of the image"),
+    ] {
+        for (value, side) in values.into_iter().zip(sides) {
+            if !shares.contains(&(value / side)) {
+                return Err(IngestErrorKind::Implausible { what, value, range });
+            }
         }
     }
     Ok(k)
