@@ -45,7 +45,7 @@ pub fn from_spz(bytes: &[u8]) -> Result<GaussianScene, SpzError> {
             FLIP[axis] * (f64::from(fixed) * unit) as f32
         }));
         scene.log_scales.push(std::array::from_fn(|axis| f32::from(scales[3 * index + axis]) / 16.0 - 10.0));
-        scene.quats.push(match *rotation_bytes(rotations, index, strides[4]) {
+        scene.quats.push(match rotations[strides[4] * index..][..strides[4]] {
             [a, b, c, d] => smallest_three(u32::from_le_bytes([a, b, c, d])),
             [a, b, c] => first_three([a, b, c]),
             _ => [1.0, 0.0, 0.0, 0.0],
@@ -63,10 +63,6 @@ pub fn from_spz(bytes: &[u8]) -> Result<GaussianScene, SpzError> {
         scene.sh.push(sh);
     }
     Ok(scene)
-}
-
-fn rotation_bytes(rotations: &[u8], index: usize, stride: usize) -> &[u8] {
-    &rotations[stride * index..][..stride]
 }
 
 /// w, x, y, z in the scene's frame from x, y, z, w in the file's.
