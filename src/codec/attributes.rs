@@ -137,13 +137,7 @@ impl Layout {
         let index_start = reader.position();
         let count = shape.anchors.div_ceil(chunk_anchors);
         if count > reader.left() / MIN_ENTRY_BYTES {
-            return Err(DecodeError::Truncated {
-                part: PART,
-                what: "chunk index",
-                offset: index_start,
-                needed: count as u64 * MIN_ENTRY_BYTES as u64,
-                left: reader.left() as u64,
-            });
+            return Err(reader.truncated("chunk index", count as u64 * MIN_ENTRY_BYTES as u64));
         }
         let mut entries = reserve("chunk index", count)?;
         for _ in 0..count {

@@ -41,20 +41,13 @@ impl<'a> Reader<'a> {
     }
 
     pub(super) fn take(&mut self, what: &'static str, count: u64) -> Result<&'a [u8]> {
-        let left = self.left();
         match usize::try_from(count) {
-            Ok(count) if count <= left => {
+            Ok(count) if count <= self.left() => {
                 let taken = &self.bytes[self.at..self.at + count];
                 self.at += count;
                 Ok(taken)
             }
-            _ => Err(DecodeError::Truncated {
-                part: self.part,
-                what,
-                offset: self.at,
-                needed: count,
-                left: left as u64,
-            }),
+            _ => Err(self.truncated(what, count)),
         }
     }
 
@@ -132,6 +125,11 @@ impl<'a> Reader<'a> {
             0 => Ok(()),
             count => Err(DecodeError::TrailingBytes { part: self.part, count }),
         }
+    }
+
+    /// The error of a field that needs more bytes than are left.
+    pub(super) fn truncated(&self, what: &'static str, needed: u64) -> DecodeError {
+        DecodeError::Truncated { part: self.part, what, offset: self.at, needed, left: self.left() as u64 }
     }
 
     pub(super) fn malformed(&self, what: &'static str, value: impl ToString) -> DecodeError {
