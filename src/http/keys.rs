@@ -93,11 +93,7 @@ pub(super) async fn create(
 }
 
 /// `GET /v1/keys`.
-pub(super) async fn list(
-    State(state): State<AppState>,
-    _: Caller,
-    mut parameters: Parameters,
-) -> ApiResult {
+pub(super) async fn list(State(state): State<AppState>, _: Caller, mut parameters: Parameters) -> ApiResult {
     let page = Page::take(&mut parameters, |text| text.parse().ok())?;
     let revoked = parameters.take_as("revoked", "true or false")?.unwrap_or(false);
     let project: Option<ProjectId> = parameters.take_as("project_id", "a project's id")?;

@@ -178,7 +178,8 @@ impl From<StoreError> for ProblemResponse {
             }
             StoreError::TooManyJobs { .. } => {
                 let detail = format!("{error}; wait until one has ended, or cancel one");
-                ProblemType::TooManyJobs.because(detail)
+                ProblemType::TooManyJobs
+                    .because(detail)
                     .with_header(header::RETRY_AFTER, RETRY_WHEN_A_JOB_ENDS.into())
             }
             StoreError::NoDataset(id) => Self::no_scene(id),

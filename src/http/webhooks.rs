@@ -147,9 +147,8 @@ pub(super) async fn replay(
     Path((id, wanted)): Path<(String, String)>,
 ) -> ApiResult {
     let endpoint = find(&state, &caller, &id).await?.id;
-    let unknown = || {
-        ProblemType::DeliveryNotFound.because(format!("endpoint {endpoint} has no such delivery"))
-    };
+    let unknown =
+        || ProblemType::DeliveryNotFound.because(format!("endpoint {endpoint} has no such delivery"));
     let parsed = wanted.parse().map_err(|_| unknown())?;
     let refused = |kind: ProblemType, detail: &str| Err(kind.because(detail));
     match state.store().replay(endpoint, parsed).await?.ok_or_else(unknown)? {

@@ -331,7 +331,8 @@ fn out_of_scope(key: &KeyRecord, scope: Scope) -> ProblemResponse {
         Scope::JobsWrite => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"jobs:write\"",
         Scope::Admin => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"admin\"",
     };
-    ProblemType::InsufficientScope.because(detail)
+    ProblemType::InsufficientScope
+        .because(detail)
         .with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(challenge))
 }
 
@@ -341,8 +342,7 @@ fn too_many_requests(key: &KeyRecord, wait: Wait) -> ProblemResponse {
         key.name,
         wait.seconds()
     );
-    ProblemType::TooManyRequests.because(detail)
-        .with_header(header::RETRY_AFTER, wait.seconds().into())
+    ProblemType::TooManyRequests.because(detail).with_header(header::RETRY_AFTER, wait.seconds().into())
 }
 
 fn too_many_failures(reads: bool, wait: Wait) -> ProblemResponse {

@@ -34,10 +34,8 @@ pub(crate) async fn cancel(State(state): State<AppState>, OwnedJob(record): Owne
     match state.store().cancel(id).await?.ok_or_else(|| ProblemResponse::no_job(id))? {
         Cancellation::Done(record) => Ok(representation(record).into_response()),
         Cancellation::Requested(record) => Ok((StatusCode::ACCEPTED, representation(record)).into_response()),
-        Cancellation::TooLate(record) => Err(ProblemType::JobFinished.because(format!(
-            "job {id} has already {}; it cannot be cancelled",
-            record.job.state.name()
-        ))),
+        Cancellation::TooLate(record) => Err(ProblemType::JobFinished
+            .because(format!("job {id} has already {}; it cannot be cancelled", record.job.state.name()))),
     }
 }
 
@@ -128,7 +126,6 @@ pub(crate) async fn delete(
 }
 
 fn changed(id: JobId) -> ProblemResponse {
-    ProblemType::PreconditionFailed.because(format!(
-        "job {id} has changed since the version in If-Match; read it again"
-    ))
+    ProblemType::PreconditionFailed
+        .because(format!("job {id} has changed since the version in If-Match; read it again"))
 }

@@ -37,9 +37,9 @@ pub(crate) async fn list(
     let job = record.job;
     let stream = prefers(&headers, STREAM, PAGE);
     if !stream && !accepts(&headers, PAGE) {
-        return Err(ProblemType::NotAcceptable.because(format!(
-            "events are served as {PAGE} and as {STREAM}"
-        )));
+        return Err(
+            ProblemType::NotAcceptable.because(format!("events are served as {PAGE} and as {STREAM}"))
+        );
     }
     // Streams ignore the limit, but an invalid one is refused all the same.
     let limit = parameters.take_count("limit", DEFAULT_PAGE, MAX_PAGE)?;
@@ -60,7 +60,8 @@ pub(crate) async fn list(
                 false => (taken.by_all, "in all"),
             };
             let detail = format!("{count} streams {of} are open, which is the limit; ask for pages instead");
-            ProblemType::TooManyStreams.because(detail)
+            ProblemType::TooManyStreams
+                .because(detail)
                 .with_header(header::RETRY_AFTER, STREAM_RETRY_SECONDS.into())
         })?;
         return Ok(event_stream::answer(state, &caller, job.id, after, slot));

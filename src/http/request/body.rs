@@ -178,9 +178,8 @@ impl<'a> Pieces<'a> {
                 self.received += piece.len() as u64;
                 if self.dribbles() { Err(self.too_slow()) } else { Ok(Some(piece)) }
             }
-            Ok(Ok(Some(Err(error)))) => Err(ProblemType::BodyIncomplete.because(format!(
-                "the body could not be read to its end: {error}"
-            ))),
+            Ok(Ok(Some(Err(error)))) => Err(ProblemType::BodyIncomplete
+                .because(format!("the body could not be read to its end: {error}"))),
             Ok(Err(_)) | Err(_) => Err(self.too_slow()),
         }
     }

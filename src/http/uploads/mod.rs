@@ -58,10 +58,11 @@ pub(super) async fn lock(
     held: StatusCode,
 ) -> ApiResult<(UploadRecord, UploadFile)> {
     let file = state.blobs().open_upload(id).await?.ok_or_else(|| {
-        ProblemType::UploadLocked.because(format!(
-            "another request writes to upload {id}; wait for its end and ask how far it came"
-        ))
-        .with_status(held)
+        ProblemType::UploadLocked
+            .because(format!(
+                "another request writes to upload {id}; wait for its end and ask how far it came"
+            ))
+            .with_status(held)
     })?;
     let record = state.store().upload(id).await?.ok_or_else(|| gone(id))?;
     Ok((expect_open(state, record)?, file))
@@ -172,7 +173,8 @@ async fn admit(state: &AppState, caller: &Caller, id: &str, headers: &HeaderMap)
             "the part begins at byte {offset}, and upload {} has {} bytes; go on from there",
             record.id, record.received
         );
-        return Err(ProblemType::OffsetMismatch.because(detail)
+        return Err(ProblemType::OffsetMismatch
+            .because(detail)
             .with_header(tus::OFFSET, HeaderValue::from(record.received)));
     }
     let left = record.length - record.received;

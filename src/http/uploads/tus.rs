@@ -56,10 +56,9 @@ pub(crate) fn expect_version(headers: &HeaderMap) -> ApiResult<()> {
     if headers.get(RESUMABLE) == Some(&VERSION) {
         return Ok(());
     }
-    Err(ProblemType::TusVersion.because(
-        "this is an upload in the tus protocol 1.0.0: send Tus-Resumable: 1.0.0",
-    )
-    .with_header(TUS_VERSION, VERSION))
+    Err(ProblemType::TusVersion
+        .because("this is an upload in the tus protocol 1.0.0: send Tus-Resumable: 1.0.0")
+        .with_header(TUS_VERSION, VERSION))
 }
 
 /// 400 about one header.

@@ -69,7 +69,7 @@ impl From<AdmissionError> for ProblemResponse {
             Admission::Request(_) => "views are waiting to be rendered",
             Admission::Stream => "streams of views are open",
         };
-        Self::new(kind, format!("too many {of}{what}")).with_header(header::RETRY_AFTER, seconds.into())
+        kind.because(format!("too many {of}{what}")).with_header(header::RETRY_AFTER, seconds.into())
     }
 }
 

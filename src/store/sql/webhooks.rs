@@ -159,9 +159,10 @@ impl Webhooks for SqlStore {
         before: Option<u64>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<DeliveryRecord>> {
-        let list =
-            query("SELECT * FROM webhook_deliveries WHERE endpoint = ? AND seq < ? ORDER BY seq DESC LIMIT ?")
-                .bind_all(values![endpoint.to_string(), before.map_or(i64::MAX, rows::signed), limit]);
+        let list = query(
+            "SELECT * FROM webhook_deliveries WHERE endpoint = ? AND seq < ? ORDER BY seq DESC LIMIT ?",
+        )
+        .bind_all(values![endpoint.to_string(), before.map_or(i64::MAX, rows::signed), limit]);
         Box::pin(list.all(&self.readers, rows::delivery))
     }
 

@@ -40,8 +40,11 @@ fn a_killed_report_goes_on_and_writes_every_table_and_chart() {
     let (sets, out) = (folder.path().join("sets"), folder.path().join("out"));
     write_set(&sets.join("ball"));
     let (matrix, document) = (tree::root().join(MATRIX), folder.path().join("RESULTS.md"));
-    fs::write(&document, "Prose.\n<!-- report: begin -->\nstale figures\n<!-- report: end -->\nMore prose.\n")
-        .expect("writes");
+    fs::write(
+        &document,
+        "Prose.\n<!-- report: begin -->\nstale figures\n<!-- report: end -->\nMore prose.\n",
+    )
+    .expect("writes");
     let arguments: Vec<&OsStr> = [
         OsStr::new("bench"),
         OsStr::new("report"),
@@ -128,7 +131,8 @@ fn check_document(document: &str, out: &Path) {
     assert!(!document.contains("stale figures"));
     let tables = fs::read_to_string(out.join("report.md")).expect("the tables");
     assert!(document.contains(tables.trim()));
-    for words in ["### Runs", "| ball | tcgs@0.001 | preview | 6 | 2 |", "### Where the bytes go", "llvmpipe"] {
+    for words in ["### Runs", "| ball | tcgs@0.001 | preview | 6 | 2 |", "### Where the bytes go", "llvmpipe"]
+    {
         assert!(document.contains(words), "{words}: {document}");
     }
     assert!(!document.contains("LPIPS |"), "a column that nothing was measured for: {document}");
@@ -244,7 +248,8 @@ fn sizes_are_told_by_section_beside_the_baselines_and_other_formats() {
         ])
     };
     let runs = "[[runs]]\nmodels = [\"3dgs\", \"scaffold\", \"tcgs\", \"tcgs-masks\"]\nsteps = [4]\n";
-    fs::write(&matrix, format!("external_formats = \"convert.sh\"\nreference_views = 0\n{runs}")).expect("writes");
+    fs::write(&matrix, format!("external_formats = \"convert.sh\"\nreference_views = 0\n{runs}"))
+        .expect("writes");
     let failed = report();
     assert_eq!(failed.status.code(), Some(1), "{}", String::from_utf8_lossy(&failed.stderr));
     assert!(String::from_utf8_lossy(&failed.stderr).contains("convert.sh"), "a script that is not there");

@@ -159,11 +159,14 @@ impl Content<'_> {
 
     /// What other models reach in the seconds of each.
     fn equal_seconds(&self) -> Vec<Block<'_>> {
-        let head = texts(&["set", "model", "steps", "training s", "against", "pairs", "ΔPSNR dB", "bytes, ratio"]);
+        let head =
+            texts(&["set", "model", "steps", "training s", "against", "pairs", "ΔPSNR dB", "bytes, ratio"]);
         let mut rows = Vec::new();
         for group in self.groups {
             for model in equal_seconds::models(self.groups, group) {
-                let Some(difference) = equal_seconds::difference(self.groups, group, &model) else { continue };
+                let Some(difference) = equal_seconds::difference(self.groups, group, &model) else {
+                    continue;
+                };
                 rows.push(vec![
                     group.set().to_owned(),
                     group.name(),
@@ -196,15 +199,17 @@ impl Content<'_> {
         ]);
         let mut rows = Vec::new();
         for group in self.groups.iter().filter(|group| !group.is_full()) {
-            let Some(full) = self.groups.iter().find(|other| group.ends_elsewhere_than(other)) else { continue };
+            let Some(full) = self.groups.iter().find(|other| group.ends_elsewhere_than(other)) else {
+                continue;
+            };
             let psnr = group.paired(full, |a, b| Some(a.metrics.test.psnr? - b.metrics.test.psnr?));
             let seconds = group.paired(full, |a, b| {
                 (a.session == b.session).then(|| a.metrics.seconds.train / b.metrics.seconds.train)
             });
             let bytes =
                 group.paired(full, |a, b| Some(a.metrics.bytes.total as f64 / b.metrics.bytes.total as f64));
-            let estimated =
-                group.estimate(|run| run.metrics.convergence.as_ref()?.psnr_given_up.map(|given_up| -given_up));
+            let estimated = group
+                .estimate(|run| run.metrics.convergence.as_ref()?.psnr_given_up.map(|given_up| -given_up));
             rows.push(vec![
                 group.set().to_owned(),
                 group.name(),

@@ -31,12 +31,18 @@ fn block(block: &Block<'_>) -> Option<String> {
 }
 
 fn table(table: &Table) -> String {
-    let line = |cells: &mut dyn Iterator<Item = String>| format!("| {} |", cells.collect::<Vec<_>>().join(" | "));
+    let line =
+        |cells: &mut dyn Iterator<Item = String>| format!("| {} |", cells.collect::<Vec<_>>().join(" | "));
     let escaped = |cell: &String| cell.replace('|', "\\|");
-    let rule = (0..table.head.len()).map(|at| if is_of_figures(table, at) { "--:" } else { "---" }.to_owned());
+    let rule =
+        (0..table.head.len()).map(|at| if is_of_figures(table, at) { "--:" } else { "---" }.to_owned());
     let mut lines = vec![line(&mut table.head.iter().map(escaped)), line(&mut { rule })];
     lines.extend(table.rows.iter().map(|Row { cells, is_own }| {
-        line(&mut cells.iter().map(|cell| if *is_own { format!("**{}**", escaped(cell)) } else { escaped(cell) }))
+        line(
+            &mut cells
+                .iter()
+                .map(|cell| if *is_own { format!("**{}**", escaped(cell)) } else { escaped(cell) }),
+        )
     }));
     lines.join("\n")
 }
@@ -44,7 +50,8 @@ fn table(table: &Table) -> String {
 /// Whether a column has figures, which are aligned to the right.
 fn is_of_figures(table: &Table, at: usize) -> bool {
     let mut cells = table.rows.iter().filter_map(|row| row.cells.get(at)).peekable();
-    cells.peek().is_some() && cells.all(|cell| cell.chars().all(|c| c.is_ascii_digit() || " +-–±.e*".contains(c)))
+    cells.peek().is_some()
+        && cells.all(|cell| cell.chars().all(|c| c.is_ascii_digit() || " +-–±.e*".contains(c)))
 }
 
 /// The document with `tables` between its markers, or which marker is missing.

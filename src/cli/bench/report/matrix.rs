@@ -355,8 +355,12 @@ mod tests {
         let matrix = "[[runs]]\nmodels = [\"3dgs\", \"tcgs\"]\nuntil = [\"full\", \"converged\"]\n";
         let plan = Matrix::parse(matrix).expect("a matrix").plan(&["a".to_owned()]).expect("a plan");
         let names: Vec<String> = plan.iter().map(ToString::to_string).collect();
-        let expected =
-            ["a 3dgs seed 0", "a tcgs seed 0", "a 3dgs until converged seed 0", "a tcgs until converged seed 0"];
+        let expected = [
+            "a 3dgs seed 0",
+            "a tcgs seed 0",
+            "a 3dgs until converged seed 0",
+            "a tcgs until converged seed 0",
+        ];
         assert_eq!(names, expected);
     }
 
