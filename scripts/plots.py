@@ -21,8 +21,8 @@ CONVERTED = ["spz_v4", "sog"]
 # Geometry in pixels. All panels span as many dB, so that a step up is as large in each.
 WIDTH, TOP, PANEL, HEIGHT, GUTTER, LEFT, SECOND_ROW = 880, 88, 138, 150, 32, 38, 292
 SPAN_DB = 6.0
-BYTES_RANGE, BYTES_TICKS = (8e4, 4e7), [(1e5, "0.1"), (1e6, "1"), (1e7, "10 MB")]
-SECONDS_RANGE, SECONDS_TICKS = (0.0, 270.0), [(0, "0"), (100, "100"), (200, "200 s")]
+BYTES_RANGE, BYTES_TICKS = (3e4, 4e7), [(1e5, "0.1"), (1e6, "1"), (1e7, "10 MB")]
+SECONDS_RANGE, SECONDS_TICKS = (0.0, 160.0), [(0, "0"), (50, "50"), (100, "100"), (150, "150 s")]
 
 STYLE = """
 svg { --page: #ffffff; --ink: #1f2328; --soft: #59636e; --rule: #d1d9e0; --a: #bc4c00; --b: #0969da; --c: #1a7f37; }
@@ -109,15 +109,16 @@ def estimate(cell):
     return float(mean), float(half or 0)
 
 
-def legend():
+def legend(has_converted):
     out, x, y = [], LEFT, 24
     for model in MODELS:
         out.append(mark(model, x + 4, y - 4))
         out.append(f'<text class="name" x="{x + 13}" y="{y}">{model}</text>')
         x += 88
-    out.append(cross(x + 4, y - 4, ""))
-    out.append(f'<text x="{x + 13}" y="{y}">3dgs as .spz and .sog</text>')
-    x += 150
+    if has_converted:
+        out.append(cross(x + 4, y - 4, ""))
+        out.append(f'<text x="{x + 13}" y="{y}">3dgs as .spz and .sog</text>')
+        x += 150
     out.append(f'<text x="{x}" y="{y}">filled: equal steps</text>')
     out.append(f'<text x="{x + 110}" y="{y}">hollow: more steps</text>')
     out.append(f'<text x="{x + 222}" y="{y}">line of tcgs: weights of the rate</text>')
@@ -143,7 +144,7 @@ class Point:
 
 def draw(document):
     runs, exports = table(document, "### Runs"), table(document, "#### Exports")
-    out = legend()
+    out = legend(any(row["format"] in CONVERTED for row in exports))
     for column, name in enumerate(dict.fromkeys(row["set"] for row in runs)):
         points = [Point(row, row["model"]) for row in runs if row["set"] == name and row["model"].partition("@")[0] in MODELS]
         converted = [
