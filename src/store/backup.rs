@@ -18,7 +18,7 @@ use thiserror::Error;
 
 use super::{
     Accounts as _, BlobError, BlobPlace, BlobSource, BlobState, Blobs, CopyMode, QueuePolicy, SqlStore,
-    StoreError, fsck::BATCH,
+    StoreError, fsck::BATCH, publications::Publications as _,
 };
 use crate::domain::{Clock, Digest};
 

@@ -44,8 +44,8 @@ use futures_util::future::BoxFuture;
 pub use accounts::{Accounts, Capacity, Usage};
 pub use backup::{BackupError, BackupNote, DATABASE, back_up, restore};
 pub use blobs::{
-    BlobCopy, BlobError, BlobSource, BlobState, BlobWriter, Blobs, BucketUrl, CheckDepth, ContentHasher,
-    CopyMode, InvalidBucketUrl, Published, SharedFiles, StagedBlob, UploadFile,
+    BlobCopy, BlobError, BlobSource, BlobState, BlobWriter, Blobs, BucketIndex, BucketUrl, CheckDepth,
+    ContentHasher, CopyMode, InvalidBucketUrl, Published, SharedFiles, StagedBlob, UploadFile,
 };
 pub use changes::{ChangeKind, Changes};
 pub use datasets::{DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, Datasets, NewDataset};

@@ -7,7 +7,8 @@
 
 use jiff::{SignedDuration, Timestamp};
 
-use super::BlobRef;
+use super::{BlobRef, StoreFuture};
+use crate::domain::Digest;
 
 /// How long a remover may wait for the bucket to delete an object.
 pub const REMOVAL_LIMIT: SignedDuration = SignedDuration::from_secs(30);
@@ -58,4 +59,40 @@ impl BlobPlace {
             Self::Bucket => "bucket",
         }
     }
+}
+
+/// Publications of blobs in a bucket, and their removal.
+pub trait Publications: Send + Sync + 'static {
+    /// Records that a blob is published now; `None` while its object is being deleted.
+    fn announce(&self, blob: BlobRef) -> StoreFuture<'_, Option<Announcement>>;
+
+    /// Renews an announced publication and returns its time, which no other publication of the blob has; `None` if it was removed since,
+    /// and has to be announced again.
+    fn confirm(&self, announced: Announcement) -> StoreFuture<'_, Option<Timestamp>>;
+
+    /// Up to `limit` blobs after `after`, in the order of their digests, that were last published longer ago than `age`.
+    fn older_publications(
+        &self,
+        age: SignedDuration,
+        after: Option<Digest>,
+        limit: u32,
+    ) -> StoreFuture<'_, Vec<Digest>>;
+
+    /// Marks a blob for removal; `None` if there is no such publication, or another removes it.
+    fn begin_removal(&self, digest: Digest, which: Removable) -> StoreFuture<'_, Option<Removal>>;
+
+    /// Takes over what dead removers have left.
+    fn abandoned_removals(&self) -> StoreFuture<'_, Vec<Removal>>;
+
+    /// Forgets a blob whose object is deleted.
+    fn end_removal(&self, removal: Removal) -> StoreFuture<'_, ()>;
+
+    /// Decides where the database's blobs are, once and for all, and returns its identity.
+    ///
+    /// # Errors
+    /// [`super::StoreError::BlobsInFolder`] or [`super::StoreError::BlobsInBucket`] if that was decided otherwise.
+    fn claim_place(&self, place: BlobPlace) -> StoreFuture<'_, String>;
+
+    /// Decides anew where a copy of a database has its blobs, which are to be published there.
+    fn move_blobs(&self, place: BlobPlace) -> StoreFuture<'_, ()>;
 }

@@ -97,3 +97,32 @@ pub struct UploadWriter {
     /// The number.
     pub number: i64,
 }
+
+/// Uploads in a bucket: who writes, and what is there. Every method is one transaction.
+pub trait UploadParts: Send + Sync + 'static {
+    /// Locks an upload for a new writer; `None` if another has locked it, or there is none.
+    fn lock_upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadWriter>>;
+
+    /// Renews a writer's lock; false if it has lost it.
+    fn renew_upload_lock(&self, writer: UploadWriter) -> StoreFuture<'_, bool>;
+
+    /// Releases a writer's lock, if it has it.
+    fn unlock_upload(&self, writer: UploadWriter) -> StoreFuture<'_, ()>;
+
+    /// Records a part from byte `start` to byte `received`, and extends the expiry; false if the upload has ended or the writer has lost
+    /// the lock.
+    fn add_upload_part<'a>(
+        &'a self,
+        writer: UploadWriter,
+        start: u64,
+        name: &'a str,
+        received: u64,
+        expires_at: Timestamp,
+    ) -> StoreFuture<'a, bool>;
+
+    /// Whether there is such an upload, open or ended.
+    fn is_upload(&self, id: UploadId) -> StoreFuture<'_, bool>;
+
+    /// The starts and names of an upload's parts, in order.
+    fn upload_parts(&self, id: UploadId) -> StoreFuture<'_, Vec<(u64, String)>>;
+}

@@ -23,6 +23,7 @@ use tcgs::{
     store::{
         BlobPlace, Blobs, DATABASE, Keys as _, PostgresUrl, QueuePolicy, SchemaChange, SqlStore,
         garbage::{GarbagePolicy, collect_garbage},
+        publications::Publications as _,
     },
     webhooks::{self, DeliveryConfig, Sender},
     worker::{self, WorkerConfig, supervise},

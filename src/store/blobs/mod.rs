@@ -37,13 +37,13 @@ use tempfile::TempPath;
 use thiserror::Error;
 use tokio::sync::{Notify, futures::Notified};
 
-pub use bucket::{BucketUrl, InvalidBucketUrl, SharedFiles};
+pub use bucket::{BucketIndex, BucketUrl, InvalidBucketUrl, SharedFiles};
 pub use check::{BlobSource, BlobState, CheckDepth, CopyMode};
 pub use staging::{BlobWriter, ContentHasher, StagedBlob};
 pub use upload::UploadFile;
 
 use self::{bucket::Bucket, folder::Folder, staging_dir::StagingDir};
-use super::{BlobRef, SqlStore, StoreError, is_disk_full, publications::Removable};
+use super::{BlobRef, StoreError, is_disk_full, publications::Removable};
 use crate::domain::{Digest, UploadId};
 
 /// Content as a stream.
@@ -189,7 +189,7 @@ impl Blobs {
     pub async fn open_bucket(
         data: &Path,
         bucket: Arc<dyn ObjectStore>,
-        index: Arc<SqlStore>,
+        index: Arc<dyn BucketIndex>,
     ) -> Result<Self, BlobError> {
         let bucket = Bucket::open(bucket, index).await?;
         Self::with(data, |_| Ok(Keeper::Bucket(bucket)))

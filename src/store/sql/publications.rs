@@ -12,7 +12,7 @@ use crate::{
     store::{
         BlobPlace, BlobRef, StoreError, StoreFuture,
         blobs::earlier,
-        publications::{Announcement, REMOVER_IS_DEAD, Removable, Removal},
+        publications::{Announcement, Publications, REMOVER_IS_DEAD, Removable, Removal},
     },
 };
 
@@ -30,10 +30,8 @@ fn removal(row: &Row) -> Result<Removal, StoreError> {
     Ok(Removal { row: row.try_get("id")?, blob: blob(row, "digest")? })
 }
 
-/// Publications of blobs in a bucket, and their removal.
-impl SqlStore {
-    /// Records that a blob is published now; `None` while its object is being deleted.
-    pub fn announce(&self, blob: BlobRef) -> StoreFuture<'_, Option<Announcement>> {
+impl Publications for SqlStore {
+    fn announce(&self, blob: BlobRef) -> StoreFuture<'_, Option<Announcement>> {
         Box::pin(self.write(async move |tx, now| {
             let known = query("SELECT id FROM publications WHERE digest = ?")
                 .bind(blob.digest.to_string())
@@ -49,9 +47,7 @@ impl SqlStore {
         }))
     }
 
-    /// Renews an announced publication and returns its time, which no other publication of the blob has; `None` if it was removed since,
-    /// and has to be announced again.
-    pub fn confirm(&self, announced: Announcement) -> StoreFuture<'_, Option<Timestamp>> {
+    fn confirm(&self, announced: Announcement) -> StoreFuture<'_, Option<Timestamp>> {
         Box::pin(self.write(async move |tx, now| {
             query(
                 "UPDATE publications
@@ -64,8 +60,7 @@ impl SqlStore {
         }))
     }
 
-    /// Up to `limit` blobs after `after`, in the order of their digests, that were last published longer ago than `age`.
-    pub fn older_publications(
+    fn older_publications(
         &self,
         age: SignedDuration,
         after: Option<Digest>,
@@ -84,8 +79,7 @@ impl SqlStore {
         }))
     }
 
-    /// Marks a blob for removal; `None` if there is no such publication, or another removes it.
-    pub fn begin_removal(&self, digest: Digest, which: Removable) -> StoreFuture<'_, Option<Removal>> {
+    fn begin_removal(&self, digest: Digest, which: Removable) -> StoreFuture<'_, Option<Removal>> {
         Box::pin(self.write(async move |tx, now| {
             let (first, last) = match which {
                 Removable::OlderThan(age) => (i64::MIN, micros(earlier(now, age)).saturating_sub(1)),
@@ -102,8 +96,7 @@ impl SqlStore {
         }))
     }
 
-    /// Takes over what dead removers have left.
-    pub fn abandoned_removals(&self) -> StoreFuture<'_, Vec<Removal>> {
+    fn abandoned_removals(&self) -> StoreFuture<'_, Vec<Removal>> {
         Box::pin(self.write(async move |tx, now| {
             query(
                 "UPDATE publications SET removing_since = ?1 WHERE removing_since < ?2
@@ -115,8 +108,7 @@ impl SqlStore {
         }))
     }
 
-    /// Forgets a blob whose object is deleted.
-    pub fn end_removal(&self, removal: Removal) -> StoreFuture<'_, ()> {
+    fn end_removal(&self, removal: Removal) -> StoreFuture<'_, ()> {
         Box::pin(self.write(async move |tx, _| {
             query("DELETE FROM publications WHERE id = ? AND removing_since IS NOT NULL")
                 .bind(removal.row)
@@ -125,11 +117,7 @@ impl SqlStore {
         }))
     }
 
-    /// Decides where the database's blobs are, once and for all, and returns its identity.
-    ///
-    /// # Errors
-    /// [`StoreError::BlobsInFolder`] or [`StoreError::BlobsInBucket`] if that was decided otherwise.
-    pub fn claim_place(&self, place: BlobPlace) -> StoreFuture<'_, String> {
+    fn claim_place(&self, place: BlobPlace) -> StoreFuture<'_, String> {
         Box::pin(self.write(async move |tx, _| {
             query("UPDATE blob_place SET place = ? WHERE place IS NULL")
                 .bind(place.as_str())
@@ -145,8 +133,7 @@ impl SqlStore {
         }))
     }
 
-    /// Decides anew where a copy of a database has its blobs, which are to be published there.
-    pub fn move_blobs(&self, place: BlobPlace) -> StoreFuture<'_, ()> {
+    fn move_blobs(&self, place: BlobPlace) -> StoreFuture<'_, ()> {
         Box::pin(self.write(async move |tx, _| {
             query("UPDATE blob_place SET place = ?").bind(place.as_str()).execute(&mut *tx).await?;
             query("DELETE FROM publications").run(tx).await

@@ -12,7 +12,7 @@ use crate::{
     domain::UploadId,
     store::{
         NewUpload, StoreError, StoreFuture, UploadRecord, Uploads,
-        uploads::{UploadWriter, WRITER_LIFE},
+        uploads::{UploadParts, UploadWriter, WRITER_LIFE},
     },
 };
 
@@ -130,10 +130,8 @@ fn lock_end(now: Timestamp) -> i64 {
     micros(now.checked_add(WRITER_LIFE).unwrap_or(Timestamp::MAX))
 }
 
-/// Uploads in a bucket: who writes, and what is there. Every method is one transaction.
-impl SqlStore {
-    /// Locks an upload for a new writer; `None` if another has locked it, or there is none.
-    pub(in crate::store) fn lock_upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadWriter>> {
+impl UploadParts for SqlStore {
+    fn lock_upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadWriter>> {
         Box::pin(self.write(async move |tx, now| {
             query(
                 "UPDATE uploads SET writer = writer + 1, writer_until = ?2
@@ -145,8 +143,7 @@ impl SqlStore {
         }))
     }
 
-    /// Renews a writer's lock; false if it has lost it.
-    pub(in crate::store) fn renew_upload_lock(&self, writer: UploadWriter) -> StoreFuture<'_, bool> {
+    fn renew_upload_lock(&self, writer: UploadWriter) -> StoreFuture<'_, bool> {
         Box::pin(self.write(async move |tx, now| {
             let done = query(
                 "UPDATE uploads SET writer_until = ? WHERE id = ? AND writer = ? AND writer_until IS NOT NULL",
@@ -158,8 +155,7 @@ impl SqlStore {
         }))
     }
 
-    /// Releases a writer's lock, if it has it.
-    pub(in crate::store) fn unlock_upload(&self, writer: UploadWriter) -> StoreFuture<'_, ()> {
+    fn unlock_upload(&self, writer: UploadWriter) -> StoreFuture<'_, ()> {
         Box::pin(self.write(async move |tx, _| {
             query("UPDATE uploads SET writer_until = NULL WHERE id = ? AND writer = ?")
                 .bind_all(values![writer.id.to_string(), writer.number])
@@ -168,9 +164,7 @@ impl SqlStore {
         }))
     }
 
-    /// Records a part from byte `start` to byte `received`, and extends the expiry; false if the upload has ended or the writer has lost
-    /// the lock.
-    pub(in crate::store) fn add_upload_part<'a>(
+    fn add_upload_part<'a>(
         &'a self,
         writer: UploadWriter,
         start: u64,
@@ -200,13 +194,11 @@ impl SqlStore {
         }))
     }
 
-    /// Whether there is such an upload, open or ended.
-    pub(in crate::store) fn is_upload(&self, id: UploadId) -> StoreFuture<'_, bool> {
+    fn is_upload(&self, id: UploadId) -> StoreFuture<'_, bool> {
         Box::pin(self.read(async move |tx| Ok(select(tx, id).await?.is_some())))
     }
 
-    /// The starts and names of an upload's parts, in order.
-    pub(in crate::store) fn upload_parts(&self, id: UploadId) -> StoreFuture<'_, Vec<(u64, String)>> {
+    fn upload_parts(&self, id: UploadId) -> StoreFuture<'_, Vec<(u64, String)>> {
         let parts = query("SELECT start, name FROM upload_parts WHERE upload = ? ORDER BY start");
         Box::pin(parts.bind(id.to_string()).all(&self.readers, part))
     }

@@ -12,7 +12,7 @@ use tcgs::{
         BlobError, BlobPlace, BlobRef, BlobSource, BlobState, Blobs, CheckDepth, CopyMode, DATABASE, NewJob,
         NewUpload, QueuePolicy, SqlStore, Store as _, StoreError, Uploads as _, back_up,
         garbage::{GarbagePolicy, collect},
-        publications::{REMOVER_IS_DEAD, Removable},
+        publications::{Publications as _, REMOVER_IS_DEAD, Removable},
         restore,
         uploads::WRITER_LIFE,
     },

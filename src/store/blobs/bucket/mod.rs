@@ -1,6 +1,6 @@
 //! Blobs as objects of an S3 bucket.
 //!
-//! The database knows which blobs the bucket has or may have, and decides their removal ([`publications`](crate::store::publications)); the bucket itself only keeps
+//! The database knows which blobs the bucket has or may have, and decides their removal ([`Publications`]); the bucket itself only keeps
 //! bytes. One database uses a bucket, or a prefix of one: an object there names it.
 
 mod marker;
@@ -32,8 +32,9 @@ use super::{
 use crate::{
     domain::{Digest, FailurePoint, failure_point::reach},
     store::{
-        BlobPlace, BlobRef, SqlStore,
-        publications::{Announcement, REMOVAL_LIMIT, Removable, Removal},
+        BlobPlace, BlobRef,
+        publications::{Announcement, Publications, REMOVAL_LIMIT, Removable, Removal},
+        uploads::UploadParts,
     },
 };
 
@@ -46,11 +47,16 @@ const WHILE_REMOVED: Duration = Duration::from_millis(100);
 /// Blobs looked up at a time.
 const BATCH: u32 = 500;
 
+/// What the database knows of a bucket.
+pub trait BucketIndex: Publications + UploadParts {}
+
+impl<T: Publications + UploadParts> BucketIndex for T {}
+
 /// The bucket.
 #[derive(Clone)]
 pub(super) struct Bucket {
     objects: Arc<dyn ObjectStore>,
-    index: Arc<SqlStore>,
+    index: Arc<dyn BucketIndex>,
     identity: Arc<str>,
 }
 
@@ -62,7 +68,10 @@ enum Content<'a> {
 
 impl Bucket {
     /// Takes the bucket for the database of `index`.
-    pub(super) async fn open(objects: Arc<dyn ObjectStore>, index: Arc<SqlStore>) -> Result<Self, BlobError> {
+    pub(super) async fn open(
+        objects: Arc<dyn ObjectStore>,
+        index: Arc<dyn BucketIndex>,
+    ) -> Result<Self, BlobError> {
         let identity = index.claim_place(BlobPlace::Bucket).await?;
         marker::claim(&*objects, &identity).await?;
         Ok(Self { objects, index, identity: identity.into() })

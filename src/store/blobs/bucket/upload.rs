@@ -16,7 +16,7 @@ use tokio::{
     time::{Instant, sleep},
 };
 
-use super::{BlobError, Bucket, ContentHasher, SharedFiles, SqlStore, StagingDir};
+use super::{BlobError, Bucket, BucketIndex, ContentHasher, SharedFiles, StagingDir};
 use crate::{
     domain::UploadId,
     store::{BlobRef, uploads::UploadWriter},
@@ -51,7 +51,7 @@ pub(in crate::store::blobs) struct BucketUpload {
 /// Renews a writer's lock until it is dropped, and then releases it.
 struct Lock {
     writer: UploadWriter,
-    index: Arc<SqlStore>,
+    index: Arc<dyn BucketIndex>,
     renewing: JoinHandle<()>,
 }
 
@@ -62,7 +62,7 @@ impl std::fmt::Debug for Lock {
 }
 
 impl Lock {
-    fn new(writer: UploadWriter, index: Arc<SqlStore>) -> Self {
+    fn new(writer: UploadWriter, index: Arc<dyn BucketIndex>) -> Self {
         let renewed = Arc::clone(&index);
         let renewing = tokio::spawn(async move {
             loop {
