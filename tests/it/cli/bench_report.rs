@@ -34,6 +34,14 @@ fn lines(path: &Path) -> Vec<String> {
     text[..whole].lines().map(str::to_owned).collect()
 }
 
+/// Arguments of a report; the folder that it writes is the last.
+fn report<'a>(sets: &'a Path, matrix: &'a Path, out: &'a Path) -> Vec<&'a OsStr> {
+    let [suite, matrix_flag, output] = ["--suite", "--matrix", "-o"].map(OsStr::new);
+    let command = [OsStr::new("bench"), OsStr::new("report")];
+    let folders = [suite, sets.as_os_str(), matrix_flag, matrix.as_os_str(), output, out.as_os_str()];
+    [&command[..], &folders].concat()
+}
+
 #[test]
 fn a_killed_report_goes_on_and_writes_every_table_and_chart() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -45,20 +53,8 @@ fn a_killed_report_goes_on_and_writes_every_table_and_chart() {
         "Prose.\n<!-- report: begin -->\nstale figures\n<!-- report: end -->\nMore prose.\n",
     )
     .expect("writes");
-    let arguments: Vec<&OsStr> = [
-        OsStr::new("bench"),
-        OsStr::new("report"),
-        OsStr::new("--suite"),
-        sets.as_os_str(),
-        OsStr::new("--matrix"),
-        matrix.as_os_str(),
-        OsStr::new("-o"),
-        out.as_os_str(),
-        OsStr::new("--table"),
-        document.as_os_str(),
-        OsStr::new("--json"),
-    ]
-    .into();
+    let mut arguments = report(&sets, &matrix, &out);
+    arguments.extend([OsStr::new("--table"), document.as_os_str(), OsStr::new("--json")]);
 
     let records = out.join("runs.jsonl");
     let mut first = program::command()
@@ -77,8 +73,8 @@ fn a_killed_report_goes_on_and_writes_every_table_and_chart() {
     let kept = lines(&records);
     assert!(!kept.is_empty(), "a run is kept as it is finished");
 
-    let report = answers(&arguments);
-    let runs = report["runs"].as_array().expect("runs");
+    let answer = answers(&arguments);
+    let runs = answer["runs"].as_array().expect("runs");
     let all = lines(&records);
     assert_eq!((runs.len(), all.len()), (6, 6), "3dgs, and tcgs with two weights, of two seeds");
     assert_eq!(all[..kept.len()], kept, "what was kept is not made again");
@@ -96,7 +92,7 @@ fn a_killed_report_goes_on_and_writes_every_table_and_chart() {
     let page = fs::read_to_string(out.join("report.html")).expect("a page");
     let mut again = arguments.clone();
     again.push(OsStr::new("--no-runs"));
-    assert_eq!(answers(&again)["runs"], report["runs"], "nothing is made anew");
+    assert_eq!(answers(&again)["runs"], answer["runs"], "nothing is made anew");
     assert_eq!(fs::read_to_string(out.join("report.html")).expect("a page"), page);
 
     // Another folder with the records of this one makes no run.
@@ -105,7 +101,7 @@ fn a_killed_report_goes_on_and_writes_every_table_and_chart() {
     imported[7] = other.as_os_str();
     let import = records.as_os_str();
     imported.extend([OsStr::new("--import"), import]);
-    assert_eq!(answers(&imported)["runs"], report["runs"]);
+    assert_eq!(answers(&imported)["runs"], answer["runs"]);
 }
 
 fn check_run(run: &Value) {
@@ -191,18 +187,9 @@ fn what_a_report_cannot_do_is_said_before_it_begins() {
     let refused = |text: &str, status: i32, words: &[&str]| {
         fs::write(&matrix, text).expect("writes");
         let out = folder.path().join("out");
-        let output = tcgs([
-            OsStr::new("bench"),
-            OsStr::new("report"),
-            OsStr::new("--suite"),
-            sets.as_os_str(),
-            OsStr::new("--matrix"),
-            matrix.as_os_str(),
-            OsStr::new("-o"),
-            out.as_os_str(),
-            OsStr::new("--table"),
-            document.as_os_str(),
-        ]);
+        let mut arguments = report(&sets, &matrix, &out);
+        arguments.extend([OsStr::new("--table"), document.as_os_str()]);
+        let output = tcgs(arguments);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(status), "{said}");
         assert!(words.iter().all(|word| said.contains(word)), "{said}");
@@ -234,27 +221,19 @@ fn sizes_are_told_by_section_beside_the_baselines_and_other_formats() {
     let at = |name: &str| folder.path().join(name);
     let (sets, out, matrix, script) = (at("sets"), at("out"), at("m.toml"), at("convert.sh"));
     write_set(&sets.join("ball"));
-    let report = || {
-        tcgs([
-            OsStr::new("bench"),
-            OsStr::new("report"),
-            OsStr::new("--suite"),
-            sets.as_os_str(),
-            OsStr::new("--matrix"),
-            matrix.as_os_str(),
-            OsStr::new("-o"),
-            out.as_os_str(),
-            OsStr::new("--json"),
-        ])
+    let run = || {
+        let mut arguments = report(&sets, &matrix, &out);
+        arguments.push(OsStr::new("--json"));
+        tcgs(arguments)
     };
     let runs = "[[runs]]\nmodels = [\"3dgs\", \"scaffold\", \"tcgs\", \"tcgs-masks\"]\nsteps = [4]\n";
     fs::write(&matrix, format!("external_formats = \"convert.sh\"\nreference_views = 0\n{runs}"))
         .expect("writes");
-    let failed = report();
+    let failed = run();
     assert_eq!(failed.status.code(), Some(1), "{}", String::from_utf8_lossy(&failed.stderr));
     assert!(String::from_utf8_lossy(&failed.stderr).contains("convert.sh"), "a script that is not there");
     write_converter(&script);
-    let done = report();
+    let done = run();
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     let done: Value = serde_json::from_slice(&done.stdout).expect("JSON");
     let of = |model: &str| {

@@ -128,17 +128,7 @@ impl Content<'_> {
         for (place, group) in self.groups.iter().enumerate() {
             let is_first = |other: &&Group<'_>| other.is_comparable(group) && other.has_schedule_of(group);
             let Some(first) = self.groups[..place].iter().find(is_first) else { continue };
-            let ratio = |figure: fn(&RunRecord) -> f64| {
-                group.paired(first, |ours, other| Some(figure(ours) / figure(other)))
-            };
-            // Times of different sessions met the machine in different states.
-            let timed = |figure: fn(&RunRecord) -> f64| {
-                group.paired(first, |ours, other| {
-                    (ours.session == other.session).then(|| figure(ours) / figure(other))
-                })
-            };
-            let psnr = group.paired(first, |a, b| Some(a.metrics.test.psnr? - b.metrics.test.psnr?));
-            let ssim = group.paired(first, |a, b| Some(a.metrics.test.ssim? - b.metrics.test.ssim?));
+            let psnr = group.difference(first, |run| run.metrics.test.psnr);
             rows.push(vec![
                 group.set().to_owned(),
                 group.name(),
@@ -146,10 +136,10 @@ impl Content<'_> {
                 group.steps(),
                 psnr.map_or(0, |psnr| psnr.runs).to_string(),
                 signed(psnr, 2),
-                signed(ssim, 4),
-                shown(ratio(|run| run.metrics.bytes.total as f64), 4),
-                shown(timed(|run| run.metrics.seconds.train), 2),
-                shown(timed(RunRecord::least_decode_seconds), 2),
+                signed(group.difference(first, |run| run.metrics.test.ssim), 4),
+                shown(group.ratio(first, |run| run.metrics.bytes.total as f64), 4),
+                shown(group.time_ratio(first, |run| run.metrics.seconds.train), 2),
+                shown(group.time_ratio(first, RunRecord::least_decode_seconds), 2),
             ]);
         }
         let note = "Pairs of runs of equal seed, set and steps. * marks differences whose interval excludes zero. Ratios of times are \
@@ -202,12 +192,7 @@ impl Content<'_> {
             let Some(full) = self.groups.iter().find(|other| group.ends_elsewhere_than(other)) else {
                 continue;
             };
-            let psnr = group.paired(full, |a, b| Some(a.metrics.test.psnr? - b.metrics.test.psnr?));
-            let seconds = group.paired(full, |a, b| {
-                (a.session == b.session).then(|| a.metrics.seconds.train / b.metrics.seconds.train)
-            });
-            let bytes =
-                group.paired(full, |a, b| Some(a.metrics.bytes.total as f64 / b.metrics.bytes.total as f64));
+            let psnr = group.difference(full, |run| run.metrics.test.psnr);
             let estimated = group
                 .estimate(|run| run.metrics.convergence.as_ref()?.psnr_given_up.map(|given_up| -given_up));
             rows.push(vec![
@@ -216,8 +201,8 @@ impl Content<'_> {
                 group.steps(),
                 full.steps(),
                 psnr.map_or(0, |psnr| psnr.runs).to_string(),
-                shown(seconds, 2),
-                shown(bytes, 3),
+                shown(group.time_ratio(full, |run| run.metrics.seconds.train), 2),
+                shown(group.ratio(full, |run| run.metrics.bytes.total as f64), 3),
                 signed(psnr, 2),
                 signed(estimated, 2),
             ]);
@@ -249,10 +234,8 @@ impl Content<'_> {
                     other.is_comparable(group) && other.has_schedule_of(group) && other.first().model == model
                 };
                 let other = self.groups.iter().find(is_it);
-                let total = |run: &RunRecord| run.metrics.bytes.total as f64;
-                let ratio = other
-                    .and_then(|other| group.paired(other, |ours, theirs| Some(total(theirs) / total(ours))));
-                row.push(shown(ratio, 1));
+                let times = other.and_then(|other| other.ratio(group, |run| run.metrics.bytes.total as f64));
+                row.push(shown(times, 1));
             }
             rows.push(row);
         }

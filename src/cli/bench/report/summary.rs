@@ -113,6 +113,25 @@ impl<'a> Group<'a> {
         Estimate::of(&pairs.collect::<Vec<_>>())
     }
 
+    /// The mean difference of a figure to the other's, over pairs.
+    pub(super) fn difference(
+        &self,
+        other: &Group<'_>,
+        figure: impl Fn(&RunRecord) -> Option<f64>,
+    ) -> Option<Estimate> {
+        self.paired(other, |ours, theirs| Some(figure(ours)? - figure(theirs)?))
+    }
+
+    /// The mean ratio of a figure to the other's, over pairs.
+    pub(super) fn ratio(&self, other: &Group<'_>, figure: impl Fn(&RunRecord) -> f64) -> Option<Estimate> {
+        self.paired(other, |ours, theirs| Some(figure(ours) / figure(theirs)))
+    }
+
+    /// The mean ratio of a time to the other's, over pairs of one session: others met the machine in different states.
+    pub(super) fn time_ratio(&self, other: &Group<'_>, time: impl Fn(&RunRecord) -> f64) -> Option<Estimate> {
+        self.paired(other, |ours, theirs| (ours.session == theirs.session).then(|| time(ours) / time(theirs)))
+    }
+
     /// Whether two groups can be compared at all: one set on one adapter.
     pub(super) fn is_comparable(&self, other: &Group<'_>) -> bool {
         let [a, b] = [self.first(), other.first()];
