@@ -228,8 +228,12 @@ impl Compression {
     }
 
     fn rate_for(&self, anchors: usize) -> Result<RateTerm> {
-        let capacity = ContextNet::capacity(sample_size(anchors, self.schedule.sample_share));
-        Ok(RateTerm::plan(self.layout.shape, capacity).make(&self.device)?)
+        Ok(RateTerm::plan(self.layout.shape, self.rate_capacity(anchors)).make(&self.device)?)
+    }
+
+    /// Room for the samples of so many anchors and of a few more.
+    fn rate_capacity(&self, anchors: usize) -> usize {
+        ContextNet::capacity(sample_size(anchors, self.schedule.sample_share))
     }
 
     /// Updates the state after growth or pruning: the anchors at the cells `before` are now `anchors`.
@@ -244,7 +248,8 @@ impl Compression {
             let config = context_model.net.layout().config;
             context_model.net.place(&ContextAnchors::new(&config, &context_model.frame, &anchors.cells))?;
             if sample_size(anchors.len(), self.schedule.sample_share) > context_model.rate.capacity() {
-                context_model.rate = self.rate_for(anchors.len())?;
+                let capacity = self.rate_capacity(anchors.len());
+                context_model.rate = context_model.rate.with_capacity(&self.device, capacity)?;
             }
             self.context_model = Some(context_model);
         }

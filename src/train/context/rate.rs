@@ -119,6 +119,12 @@ impl RateTerm {
         })
     }
 
+    /// The same with room for samples of up to `capacity` anchors. The sums of the last sample stay.
+    pub fn with_capacity(self, device: &Device, capacity: usize) -> Result<Self, GpuError> {
+        let roomier = Self::plan(self.shape, capacity).make(device)?;
+        Ok(Self { sums: self.sums, ..roomier })
+    }
+
     /// Largest number of anchors in a sample.
     #[must_use]
     pub fn capacity(&self) -> usize {

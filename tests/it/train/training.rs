@@ -382,3 +382,12 @@ fn the_unit_of_the_scene_does_not_decide_what_is_learnt() {
         }
     }
 }
+
+#[test]
+fn the_size_that_is_told_does_not_fall_when_growth_makes_room() {
+    let (_, reports) = run(&dataset(), &options(104, 7));
+    let sizes: Vec<(u64, u64)> =
+        reports.iter().filter_map(|report| Some((report.anchors, report.bytes?))).collect();
+    let growth = sizes.windows(2).find(|pair| pair[1].0 * 4 > pair[0].0 * 5).expect("growth by a quarter");
+    assert!(growth[1].1 > growth[0].1, "more anchors in fewer bytes: {sizes:?}");
+}

@@ -137,6 +137,20 @@ fn what_is_far_out_is_stored_as_an_escape_and_pulled_back_all_the_same() {
 }
 
 #[test]
+fn the_bits_of_the_last_sample_outlast_a_change_of_room() {
+    const COUNT: usize = 40;
+    let device = gpu();
+    let case = Case::random(46, SMALL, COUNT, COUNT);
+    let uploaded = OnDevice::upload(&device, &case, &random_gradients(47, COUNT * SMALL.row()));
+    uploaded.run(&device, &quantisation(QuantisationPhase::Noise));
+    let before = uploaded.rate.sums(&device).expect("read");
+    assert!(before.iter().all(|bits| *bits > 0.0), "{before:?}");
+    let roomier = uploaded.rate.with_capacity(&device, 500).expect("room");
+    assert_eq!(roomier.capacity(), 500);
+    assert_eq!(roomier.sums(&device).expect("read"), before);
+}
+
+#[test]
 fn a_stray_anchor_does_not_decide_what_a_scene_is_said_to_take() {
     const COUNT: usize = 40;
     let device = gpu();
