@@ -23,18 +23,23 @@ pub(super) fn models(groups: &[Group<'_>], group: &Group<'_>) -> Vec<String> {
     for other in groups {
         let name = other.model();
         let is_other = other.is_comparable(group) && name != group.model();
-        if is_other && other.first().options.lambda.is_none() && !names.contains(&name) {
+        if is_other && is_curve_of(other, &name) && !names.contains(&name) {
             names.push(name);
         }
     }
     names
 }
 
+/// Whether the group belongs to the curve of `model` over schedules, which has no weight of its own.
+fn is_curve_of(group: &Group<'_>, model: &str) -> bool {
+    group.first().options.lambda.is_none() && group.model() == model
+}
+
 /// The difference to the runs of `model`; `None` if no run of the group took seconds within their range.
 pub(super) fn difference(groups: &[Group<'_>], group: &Group<'_>, model: &str) -> Option<Difference> {
     let others: Vec<&RunRecord> = groups
         .iter()
-        .filter(|other| other.is_comparable(group) && other.is_full() && other.model() == model)
+        .filter(|other| is_curve_of(other, model) && other.is_comparable(group) && other.is_full())
         .flat_map(|other| other.runs.iter().copied())
         .collect();
     let mut differences = Vec::new();
@@ -94,7 +99,7 @@ fn at(mut points: Vec<Point>, ln_seconds: f64) -> Option<Point> {
 
 #[cfg(test)]
 mod tests {
-    use tcgs::domain::ModelKind;
+    use tcgs::domain::{ModelKind, TrainOptions};
 
     use super::{super::summary::tests::record, *};
 
@@ -117,6 +122,13 @@ mod tests {
         assert!((found.psnr.mean + 1.0).abs() < 1e-12, "half way in the logarithm: {found:?}");
         assert!((found.bytes.mean - 0.05).abs() < 1e-12, "{found:?}");
         assert_eq!(found.psnr.half_width, None);
+        let mut weighted = records.clone();
+        weighted.push(RunRecord {
+            options: TrainOptions { lambda: Some(0.01), ..records[2].options.clone() },
+            ..run(ModelKind::Gaussians3d, 0, 21.0, 20.0, 10)
+        });
+        let groups_with_it = Group::all(&weighted);
+        assert_eq!(difference(&groups_with_it, &groups_with_it[0], "3dgs"), Some(found), "another weight");
         // The slowest run of 3dgs took longer than any of tcgs.
         assert_eq!(difference(&groups, &groups[1], "tcgs"), None);
     }

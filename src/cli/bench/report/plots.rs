@@ -139,11 +139,6 @@ fn against_time(groups: &[&Group<'_>], set: &str) -> Vec<Plot> {
     ]
 }
 
-/// The curve that a group's point belongs to: its model and schedule.
-fn curve_name(group: &Group<'_>) -> String {
-    format!("{}, {} steps", group.model(), group.first().metrics.steps)
-}
-
 /// A point for each group, joined by weight; other programs' formats beside them.
 fn against_bytes(groups: &[&Group<'_>], set: &str) -> Vec<Plot> {
     let mut series: Vec<Series> = Vec::new();
@@ -161,7 +156,7 @@ fn against_bytes(groups: &[&Group<'_>], set: &str) -> Vec<Plot> {
     for group in groups {
         let bytes = group.estimate(|run| Some(run.metrics.bytes.total as f64));
         let psnr = group.estimate(|run| run.metrics.test.psnr);
-        add(curve_name(group), bytes, psnr, group.name(), false);
+        add(group.curve_name(), bytes, psnr, group.name(), false);
         for file in &group.first().external_formats {
             let of = |run: &RunRecord| {
                 run.external_formats.iter().find(|other| other.format == file.format).cloned()

@@ -17,8 +17,25 @@ pub(super) const LEVELS: [f64; 4] = [25.0, 28.0, 30.0, 32.0];
 #[derive(Debug, Clone)]
 pub(super) struct Group<'a> {
     pub(super) runs: Vec<&'a RunRecord>,
-    /// Whether the report has runs on other adapters, so that names have to tell them apart.
-    has_other_adapters: bool,
+    varying: Varying,
+}
+
+/// What the runs of a report differ in, so that names have to say it.
+#[derive(Debug, Clone, Copy, Default)]
+struct Varying {
+    adapter: bool,
+    preset: bool,
+    background: bool,
+}
+
+impl Varying {
+    fn of(records: &[RunRecord]) -> Self {
+        Self {
+            adapter: records.iter().any(|run| run.metrics.adapter != records[0].metrics.adapter),
+            preset: records.iter().any(|run| run.options.preset != records[0].options.preset),
+            background: records.iter().any(|run| run.options.background != records[0].options.background),
+        }
+    }
 }
 
 /// A figure of a run, if it has it.
@@ -27,19 +44,16 @@ type Figure = fn(&RunRecord) -> Option<f64>;
 impl<'a> Group<'a> {
     /// The runs by group: sets, the groups of a set and the runs of a group in the order in which they first appear.
     pub(super) fn all(records: &'a [RunRecord]) -> Vec<Self> {
+        let varying = Varying::of(records);
         let mut groups: Vec<Self> = Vec::new();
         for record in records {
             match groups.iter_mut().find(|group| is_same_but_seed(group.first(), record)) {
                 Some(group) => group.runs.push(record),
-                None => groups.push(Self { runs: vec![record], has_other_adapters: false }),
+                None => groups.push(Self { runs: vec![record], varying }),
             }
         }
         let place = |group: &Self| records.iter().position(|record| record.set == group.set());
         groups.sort_by_key(place);
-        let first = groups.first().map(|group| &group.first().metrics.adapter);
-        if groups.iter().any(|group| Some(&group.first().metrics.adapter) != first) {
-            groups.iter_mut().for_each(|group| group.has_other_adapters = true);
-        }
         groups
     }
 
@@ -91,7 +105,25 @@ impl<'a> Group<'a> {
     }
 
     fn on_adapter(&self) -> String {
-        if self.has_other_adapters { format!(" on {}", self.first().adapter) } else { String::new() }
+        if self.varying.adapter { format!(" on {}", self.first().adapter) } else { String::new() }
+    }
+
+    /// The curve that its point belongs to: model and schedule, as `tcgs, 300 steps`.
+    pub(super) fn curve_name(&self) -> String {
+        format!("{}, {} steps{}", self.model(), self.first().metrics.steps, self.variant())
+    }
+
+    /// Preset and background, where the report has several.
+    fn variant(&self) -> String {
+        let options = &self.first().options;
+        let mut text = String::new();
+        if self.varying.preset {
+            text.push_str(&format!(", {}", options.preset.name()));
+        }
+        if self.varying.background {
+            text.push_str(&format!(", on {}", options.background.name()));
+        }
+        text
     }
 
     /// The mean of a figure over the seeds; `None` if a run lacks it.
@@ -132,10 +164,12 @@ impl<'a> Group<'a> {
         self.paired(other, |ours, theirs| (ours.session == theirs.session).then(|| time(ours) / time(theirs)))
     }
 
-    /// Whether two groups can be compared at all: one set on one adapter.
+    /// Whether two groups can be compared at all: one set on one adapter, over one background.
     pub(super) fn is_comparable(&self, other: &Group<'_>) -> bool {
         let [a, b] = [self.first(), other.first()];
-        a.set == b.set && a.metrics.adapter == b.metrics.adapter
+        a.set == b.set
+            && a.metrics.adapter == b.metrics.adapter
+            && a.options.background == b.options.background
     }
 
     /// Whether it has the steps and the preset of the other.
@@ -169,7 +203,7 @@ pub(super) const FIGURES: [(&str, usize, Figure); 12] = [
 ];
 
 /// A rate-distortion curve for each seed.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Curve {
     pub(super) set: String,
     pub(super) name: String,
@@ -195,7 +229,7 @@ impl Curve {
     pub(super) fn all(groups: &[Group<'_>]) -> Vec<Self> {
         let mut curves: Vec<Self> = Vec::new();
         for group in groups.iter().filter(|group| group.is_full()) {
-            let (run, model) = (group.first(), group.model());
+            let run = group.first();
             let is_weighted = groups.iter().any(|other| {
                 other.is_comparable(group)
                     && other.is_full()
@@ -204,14 +238,14 @@ impl Curve {
                     && other.first().options.lambda != run.options.lambda
             });
             let name = match is_weighted {
-                true => format!("{model}, {} steps, by weight", run.metrics.steps),
-                false => format!("{}, by steps", group.name()),
+                true => format!("{}, by weight", group.curve_name()),
+                false => format!("{}{}, by steps", group.name(), group.variant()),
             };
             for run in &group.runs {
                 let point = run.metrics.test.psnr.map(|psnr| (run.metrics.bytes.total as f64, psnr));
                 Self::add(&mut curves, run, &name, point);
                 if run.options.model == ModelKind::Gaussians3d && !run.external_formats.is_empty() {
-                    let name = format!("{model}, {} steps, by format", run.metrics.steps);
+                    let name = format!("{}, by format", group.curve_name());
                     Self::add(&mut curves, run, &name, point);
                     for file in &run.external_formats {
                         let point = file.psnr.map(|psnr| (file.bytes as f64, psnr));
@@ -245,7 +279,7 @@ impl Curve {
         }
     }
 
-    /// Every pair of curves of one set that share some range, for every seed that both have.
+    /// Every pair of curves of one set that share some range in every seed that both have.
     pub(super) fn differences(curves: &[Self]) -> Vec<CurveDifference> {
         let mut found = Vec::new();
         for (place, anchor) in curves.iter().enumerate() {
@@ -270,11 +304,14 @@ impl Curve {
 
     fn difference(&self, test: &Self, fit: CurveFit) -> [Option<Estimate>; 2] {
         let over_seeds = |difference: fn(&[RatePoint], &[RatePoint], CurveFit) -> Option<f64>| {
-            let each = self.seeds.iter().filter_map(|(seed, points)| {
+            let both = self.seeds.iter().filter_map(|(seed, points)| {
                 let (_, others) = test.seeds.iter().find(|(other, _)| other == seed)?;
-                difference(points, others, fit)
+                Some((points, others))
             });
-            Estimate::of(&each.collect::<Vec<_>>())
+            // A mean over the seeds alone whose curves share a range would be one over a choice.
+            let each: Option<Vec<f64>> =
+                both.map(|(points, others)| difference(points, others, fit)).collect();
+            Estimate::of(&each?)
         };
         [over_seeds(rate_difference), over_seeds(psnr_difference)]
     }
@@ -282,7 +319,7 @@ impl Curve {
 
 #[cfg(test)]
 pub(super) mod tests {
-    use tcgs::domain::Digest;
+    use tcgs::domain::{Background, Digest, Preset};
 
     use super::*;
     use crate::cli::bench::report::machine::Machine;
@@ -376,5 +413,32 @@ pub(super) mod tests {
             assert!((rate.mean - 100.0).abs() < 1e-6 && rate.half_width.expect("seeds") < 1e-6, "{rate:?}");
             assert!((psnr.mean + 1.0).abs() < 1e-6 && psnr.runs == 3, "{psnr:?}");
         }
+        // One seed whose curve is elsewhere.
+        let mut elsewhere = curves.clone();
+        elsewhere[1].seeds[2].1.iter_mut().for_each(|(_, psnr)| *psnr += 40.0);
+        let apart = &Curve::differences(&elsewhere)[0];
+        assert_eq!(apart.cubic[0].or(apart.pchip[0]), None, "a mean over two of three seeds");
+        assert_eq!(apart.pchip[1].expect("all share sizes").runs, 3);
+    }
+
+    #[test]
+    fn presets_and_backgrounds_have_curves_of_their_own() {
+        let mut records = Vec::new();
+        for (lambda, psnr, bytes) in [(0.001, 29.0, 2000), (0.002, 28.0, 1000)] {
+            let run = record(ModelKind::Tcgs, Some(lambda), 0, psnr, bytes);
+            let options = |preset, background| TrainOptions { preset, background, ..run.options.clone() };
+            for (preset, background) in [
+                (Preset::Preview, Background::Black),
+                (Preset::Standard, Background::Black),
+                (Preset::Preview, Background::White),
+            ] {
+                records.push(RunRecord { options: options(preset, background), ..run.clone() });
+            }
+        }
+        let curves = Curve::all(&Group::all(&records));
+        let names: Vec<&str> = curves.iter().map(|curve| curve.name.as_str()).collect();
+        let name = |variant: &str| format!("tcgs, 100 steps, {variant}, by weight");
+        assert_eq!(names, [name("preview, on black"), name("standard, on black"), name("preview, on white")]);
+        assert!(curves.iter().all(|curve| curve.seeds[0].1.len() == 2), "{curves:?}");
     }
 }
