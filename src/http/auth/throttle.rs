@@ -1,7 +1,7 @@
 //! Rate limits: requests per key, and failed authentications per address.
 //!
-//! Both are token buckets that refill evenly over a minute (GCRA, by `governor`), on the service's own clock. The tables are bounded,
-//! one by the number of keys, the other by [`MAX_ADDRESSES`].
+//! Both are token buckets that refill evenly over a minute (GCRA, by `governor`), in monotonic time: a clock that is set changes no wait.
+//! The tables are bounded, one by the number of keys, the other by [`MAX_ADDRESSES`].
 
 use std::{
     collections::HashMap,
@@ -32,7 +32,7 @@ const MAX_ADDRESSES: usize = 10_000;
 /// How old the recorded last use of a key may become.
 const TOUCH_EVERY: Duration = Duration::from_secs(60);
 
-/// The service's clock, as `governor` reads it.
+/// The service's monotonic time, as `governor` reads it.
 #[derive(Clone)]
 struct Ticks(Arc<dyn Clock>);
 
@@ -40,7 +40,7 @@ impl governor::clock::Clock for Ticks {
     type Instant = Nanos;
 
     fn now(&self) -> Nanos {
-        u64::try_from(self.0.now().as_nanosecond()).unwrap_or(0).into()
+        u64::try_from(self.0.elapsed().as_nanos()).unwrap_or(u64::MAX).into()
     }
 }
 

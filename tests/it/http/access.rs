@@ -534,6 +534,26 @@ pub(super) async fn a_database_that_fails_lets_nobody_in(coverage: Coverage) {
 }
 
 #[tokio::test]
+async fn a_clock_that_is_set_back_delays_no_request() {
+    let (setup, clock) = stopped_clock();
+    let access = AccessRules { failures_per_minute: NonZeroU32::MIN, ..AccessRules::default() };
+    let limits = RequestLimits { access, ..setup.limits };
+    let server = Server::start_with(&Coverage::default(), Setup { limits, ..setup }).await;
+    let key = server.key_at_rate(&[Scope::Read], NonZeroU32::MIN).await;
+    with_key(&server, "GET", "/v1/jobs", &key.key).await.expect(200);
+    with_key(&server, "GET", "/v1/jobs", UNKNOWN).await.expect_problem(401, "invalid-key");
+
+    clock.set_by(SignedDuration::from_hours(-1));
+    let answer = with_key(&server, "GET", "/v1/jobs", &key.key).await.expect(429);
+    assert_eq!(answer.header("retry-after"), "60");
+    clock.advance(SignedDuration::from_mins(1));
+    with_key(&server, "GET", "/v1/jobs", &key.key).await.expect(200);
+    with_key(&server, "GET", "/v1/jobs", UNKNOWN).await.expect_problem(401, "invalid-key");
+    clock.set_by(SignedDuration::from_hours(1));
+    with_key(&server, "GET", "/v1/jobs", &key.key).await.expect_problem(429, "too-many-requests");
+}
+
+#[tokio::test]
 async fn a_project_has_a_ceiling_for_the_priority_of_its_jobs() {
     let setup = || Setup { worker: false, ..Setup::default() };
     let server = Server::start_with(&Coverage::default(), setup()).await;
