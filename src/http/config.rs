@@ -166,9 +166,31 @@ with_defaults! {
     }
 }
 
+/// Views that a replica leaves to viewers at a time. Each viewer renders one at a time by itself, so here it is only bounded how many
+/// threads wait and how many pictures of 64 MiB are in memory. It is more than one caller may have, so that requests of one caller for
+/// the scenes of a viewer that hangs leave room for others.
+const REMOTE_RENDERS: usize = 32;
+
+/// Exports that a replica leaves to viewers at a time. Each is whole in memory when it comes.
+const REMOTE_EXPORTS: usize = 4;
+
+impl RequestLimits {
+    /// The same limits for a replica that leaves views and exports to viewers.
+    #[must_use]
+    pub fn for_remote_views(self) -> Self {
+        Self { renders: REMOTE_RENDERS, exports: REMOTE_EXPORTS, ..self }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn with_remote_views_one_caller_cannot_have_all_renders() {
+        let limits = RequestLimits::default().for_remote_views();
+        assert!(limits.renders > limits.renders_per_caller);
+    }
 
     #[test]
     fn only_loopback_is_served_without_keys() {

@@ -12,7 +12,7 @@ use std::{
 use reqwest::{Client, header::CONTENT_TYPE};
 use sha2::{Digest as _, Sha256};
 use thiserror::Error;
-use tokio::{runtime::Handle, time::sleep};
+use tokio::{runtime::Handle, sync::watch, time::sleep};
 use tokio_util::sync::CancellationToken;
 
 use super::protocol;
@@ -31,8 +31,12 @@ const AVOIDED: Duration = Duration::from_secs(10);
 /// Longest time to reach a viewer.
 const CONNECT: Duration = Duration::from_secs(3);
 
-/// Longest time of a picture or an export. A viewer that dies is noticed by its connection.
+/// Longest time of a picture or an export. A viewer that dies is noticed by its connection, one that hangs by the list of viewers.
 const ANSWER: Duration = Duration::from_secs(1800);
+
+/// How long an answer is still waited for after its viewer has left the list: one that stops withdraws first, and then finishes its
+/// open requests within this time, the default of a server's `drain`.
+const FINISHING: Duration = Duration::from_secs(20);
 
 /// After this time without a packet, a connection is probed, as often again at this interval as below.
 const PROBE_EVERY: Duration = Duration::from_secs(5);
@@ -59,13 +63,38 @@ impl From<NoViewer> for Problem {
 /// Identifies a viewer process.
 type ProcessKey = (String, String);
 
+/// The viewers of the list as it was read last, and those that left it lately.
+#[derive(Debug, Default)]
+struct KnownViewers {
+    alive: Vec<ViewerRecord>,
+    /// Those that may be finishing their requests, and since when.
+    finishing: BTreeMap<ProcessKey, Duration>,
+}
+
+impl KnownViewers {
+    fn update(&mut self, alive: Vec<ViewerRecord>, now: Duration) {
+        let left = std::mem::replace(&mut self.alive, alive);
+        for viewer in &left {
+            self.finishing.entry(process(viewer)).or_insert(now);
+        }
+        let alive: Vec<ProcessKey> = self.alive.iter().map(process).collect();
+        self.finishing
+            .retain(|process, since| !alive.contains(process) && now.saturating_sub(*since) < FINISHING);
+    }
+
+    fn may_answer(&self, viewer: &ViewerRecord) -> bool {
+        let key = process(viewer);
+        self.alive.iter().any(|other| process(other) == key) || self.finishing.contains_key(&key)
+    }
+}
+
 /// The viewers that a replica knows.
 pub struct ViewerPool {
     store: Arc<dyn Store>,
     clock: Arc<dyn Clock>,
     client: Client,
     runtime: Handle,
-    viewers: Mutex<Vec<ViewerRecord>>,
+    viewers: watch::Sender<KnownViewers>,
     /// Those that did not answer, and when.
     silent: Mutex<BTreeMap<ProcessKey, Duration>>,
 }
@@ -106,7 +135,7 @@ impl ViewerPool {
             // Viewers are machines of this service.
             .no_proxy()
             .build()?;
-        let (viewers, silent) = (Mutex::default(), Mutex::default());
+        let (viewers, silent) = (watch::Sender::default(), Mutex::default());
         Ok(Self { store, clock, client, runtime, viewers, silent })
     }
 
@@ -133,8 +162,9 @@ impl ViewerPool {
         found.retain(|viewer| viewer.version == env!("CARGO_PKG_VERSION"));
         let alive: Vec<ProcessKey> = found.iter().map(process).collect();
         locked(&self.silent).retain(|process, _| alive.contains(process));
-        let known = std::mem::replace(&mut *locked(&self.viewers), found);
-        if known.len() != alive.len() {
+        let known = self.len();
+        self.viewers.send_modify(|viewers| viewers.update(found, self.clock.elapsed()));
+        if known != alive.len() {
             tracing::info!("{} viewers are alive", alive.len());
         }
     }
@@ -142,7 +172,7 @@ impl ViewerPool {
     /// How many viewers are known to be alive.
     #[must_use]
     pub fn len(&self) -> usize {
-        locked(&self.viewers).len()
+        self.viewers.borrow().alive.len()
     }
 
     /// Whether no viewer is known to be alive.
@@ -154,7 +184,7 @@ impl ViewerPool {
     /// The viewers in the order in which a scene's replica asks them: rendezvous hashing, so that viewers that come and go move only their
     /// own scenes; those that lately did not answer last.
     pub(super) fn in_order(&self, artifact: Digest) -> Vec<ViewerRecord> {
-        let mut viewers = locked(&self.viewers).clone();
+        let mut viewers = self.viewers.borrow().alive.clone();
         let now = self.clock.elapsed();
         let silent = locked(&self.silent);
         viewers.sort_by_cached_key(|viewer| {
@@ -178,7 +208,7 @@ impl ViewerPool {
         let message = protocol::write(request, &[]).map_err(|error| unexpected(&error))?;
         let mut last = Problem::from(NoViewer);
         for viewer in viewers {
-            match self.runtime.block_on(self.send(viewer, path, message.clone())) {
+            match self.runtime.block_on(self.send_while_announced(viewer, path, message.clone())) {
                 Ok(answer) => return Ok(answer),
                 Err(SendError::Answered(problem)) => return Err(problem),
                 Err(SendError::Unfit(problem)) => last = problem,
@@ -186,10 +216,28 @@ impl ViewerPool {
                     last = Problem::new(ProblemType::NoViewer, SILENT);
                     tracing::warn!(error = &error as &dyn Error, "viewer {} does not answer", viewer.url);
                 }
+                Err(SendError::Unannounced) => {
+                    last = Problem::new(ProblemType::NoViewer, SILENT);
+                    tracing::warn!("viewer {} does not answer and is no longer announced", viewer.url);
+                }
             }
             locked(&self.silent).insert(process(viewer), self.clock.elapsed());
         }
         Err(last)
+    }
+
+    /// Sends a request and waits for the answer as long as the viewer may give one.
+    async fn send_while_announced(
+        &self,
+        viewer: &ViewerRecord,
+        path: &str,
+        message: Vec<u8>,
+    ) -> Result<Vec<u8>, SendError> {
+        let mut viewers = self.viewers.subscribe();
+        tokio::select! {
+            answer = self.send(viewer, path, message) => answer,
+            Ok(_) = viewers.wait_for(|known| !known.may_answer(viewer)) => Err(SendError::Unannounced),
+        }
     }
 
     async fn send(&self, viewer: &ViewerRecord, path: &str, message: Vec<u8>) -> Result<Vec<u8>, SendError> {
@@ -222,6 +270,8 @@ impl ViewerPool {
 enum SendError {
     /// It cannot be reached, or its connection ended.
     Silent(reqwest::Error),
+    /// It has not answered, and left the list of viewers a while ago: it hangs, or its network is cut.
+    Unannounced,
     /// It cannot render now; another may.
     Unfit(Problem),
     /// The request has this problem with any viewer.

@@ -16,14 +16,14 @@ use tcgs::{
         RenderViews,
         views::{ScalarImage, ScalarKind, Viewable},
     },
-    store::{Blobs, QueuePolicy, SqlStore, ViewerRecord, Viewers as _},
+    store::{Blobs, QueuePolicy, SqlStore, VIEWER_LIFE, ViewerRecord, Viewers as _},
     viewers::{self, ViewerPool, protocol},
 };
 use tempfile::TempDir;
 use tokio::{net::TcpListener, runtime::Handle, task::JoinHandle, task::spawn_blocking};
 use tokio_util::sync::CancellationToken;
 
-use crate::support::fakes;
+use crate::support::{eventually::within, fakes};
 
 /// Renders one colour that depends on the scene's file and on the identity, and notes which files it was asked for.
 #[derive(Debug)]
@@ -171,13 +171,24 @@ impl Fixture {
 
     /// A picture by the viewers; its first byte.
     async fn picture(&self, artifact: Digest) -> Result<u8, Problem> {
+        self.request_picture(artifact).await.expect("no panic")
+    }
+
+    /// Asks for a picture.
+    fn request_picture(&self, artifact: Digest) -> JoinHandle<Result<u8, Problem>> {
         let pool = Arc::clone(&self.pool);
-        let drawn = spawn_blocking(move || {
+        spawn_blocking(move || {
             let image = viewers::renderer(&pool, artifact)?.render(artifact, &unread, &camera(5))?;
             assert_eq!((image.width(), image.height(), image.channels()), (5, 3, 4));
             Ok(image.samples()[0])
-        });
-        drawn.await.expect("no panic")
+        })
+    }
+
+    /// Lets time pass in which only this viewer is announced.
+    async fn pass(&self, time: std::time::Duration, announced: &Machine) {
+        self.clock.advance(time.try_into().expect("in range"));
+        self.store.announce_viewer(&announced.record).await.expect("announced");
+        self.pool.refresh().await;
     }
 }
 
@@ -332,4 +343,40 @@ async fn a_viewer_of_another_version_is_not_asked_and_a_full_one_says_so() {
     assert!(busy.await.expect("no panic").is_ok());
     assert_eq!(fixture.picture(artifact).await, Ok(viewer.painter.color(artifact)));
     assert!(fixture.clock.elapsed().is_zero(), "a full viewer is not avoided afterwards");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_viewer_that_hangs_is_given_up_after_it_has_left_the_list() {
+    let fixture = Fixture::new().await;
+    let other = fixture.machine("same", ViewerConfig::default()).await;
+    // It takes connections and never answers, as a process that is stopped does.
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let url = format!("http://{}", listener.local_addr().expect("bound"));
+    let token = ViewerToken::generate(&SystemRandom).expect("randomness");
+    let hanging = ViewerRecord { url, token, ..other.record.clone() };
+    fixture.store.announce_viewer(&hanging).await.expect("announced");
+    fixture.pool.refresh().await;
+    let mut number = 0;
+    let (artifact, mut asked, _connection) = loop {
+        let artifact = fixture.scene(number).await;
+        let mut asked = fixture.request_picture(artifact);
+        tokio::select! {
+            accepted = listener.accept() => break (artifact, asked, accepted.expect("a connection")),
+            color = &mut asked => assert_eq!(color.expect("no panic"), Ok(other.painter.color(artifact))),
+        }
+        number += 1;
+    };
+
+    fixture.pass(VIEWER_LIFE + std::time::Duration::from_secs(1), &other).await;
+    assert_eq!(fixture.pool.len(), 1);
+    assert_eq!(
+        within("a later picture", fixture.picture(artifact)).await,
+        Ok(other.painter.color(artifact)),
+        "new requests do not ask it"
+    );
+    let early = tokio::time::timeout(std::time::Duration::from_millis(300), &mut asked).await;
+    assert!(early.is_err(), "it may be finishing its requests");
+    fixture.pass(std::time::Duration::from_secs(20), &other).await;
+    let color = within("another viewer's answer", asked).await.expect("no panic");
+    assert_eq!(color, Ok(other.painter.color(artifact)));
 }

@@ -107,6 +107,9 @@ pub(crate) struct WorkerOptions {
 pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
     let mut config = options.http.clone();
     config.limits.webhook_targets = options.webhook_targets;
+    if options.remote_views {
+        config.limits = config.limits.for_remote_views();
+    }
     runtime()?.block_on(async {
         let has_keys = has_keys(&options.storage).await?;
         config.check_exposure(has_keys).map_err(|fault| CliError::Usage(format!("--listen: {fault}")))?;

@@ -240,6 +240,20 @@ pub(super) async fn few_exports_are_made_at_a_time_and_each_for_all_who_ask(cove
     server.get(&format!("{job}/export?format=ply")).await.expect(200);
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_viewer_that_hangs_delays_no_export_of_the_others() {
+    let limits = Setup::default().limits.for_remote_views();
+    let server = Server::start_with(&Coverage::default(), Setup { limits, ..Setup::default() }).await;
+    let job = curve(&server).await;
+    let hanging = format!("{job}/export?format=ply&lambda=0.0005");
+    let (hung, ()) = tokio::join!(server.get(&hanging), async {
+        server.exporter.gate.someone_waits().await;
+        server.get(&format!("{job}/export?format=ply")).await.expect(200);
+        server.exporter.gate.open();
+    });
+    hung.expect(200);
+}
+
 /// Length of what the fake exporter writes of the curve's second file.
 fn answers_length() -> usize {
     format!("ply from 1 cameras of {} bytes", fakes::curve_file(1).len()).len()

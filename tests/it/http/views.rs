@@ -346,3 +346,17 @@ pub(super) async fn a_full_render_queue_and_a_broken_renderer_are_told_apart(cov
     server.post_json(&format!("{job}/views"), &large).await.expect_problem(507, "gpu-memory");
     server.get(&format!("{job}/view?frame=test/r_0")).await.expect(200);
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_viewer_that_hangs_delays_no_view_of_the_others() {
+    let limits = Setup::default().limits.for_remote_views();
+    let server = Server::start_with(&Coverage::default(), Setup { limits, ..Setup::default() }).await;
+    let job = server.succeeded().await;
+    let hanging = format!("{job}/view?position=1,0,0&look_at=0,0,0&height=16&width=17");
+    let (hung, ()) = tokio::join!(server.get(&hanging), async {
+        server.renderer.gate.someone_waits().await;
+        server.get(&format!("{job}/view?frame=test/r_0")).await.expect(200);
+        server.renderer.gate.open();
+    });
+    hung.expect(200);
+}
