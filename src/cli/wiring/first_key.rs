@@ -14,7 +14,10 @@ use tcgs::{
     store::{KeyProject, KeyRequest, Keys as _, NewKey},
 };
 
-use super::service::{OlderSchema, has_keys, open_store, runtime, unavailable};
+use super::{
+    runtime::{runtime, unavailable},
+    service::{OlderSchema, has_keys, open_store},
+};
 use crate::cli::{CliError, storage::Storage};
 
 const NAME: &str = "bootstrap";

@@ -10,7 +10,10 @@ use tcgs::{
     },
 };
 
-use super::service::{OlderSchema, open_store, runtime, unavailable};
+use super::{
+    runtime::{runtime, unavailable},
+    service::{OlderSchema, open_store},
+};
 use crate::cli::{CliError, storage::Storage};
 
 /// Keys per page of the list.

@@ -8,6 +8,7 @@ mod first_key;
 mod keys;
 mod private;
 mod rendering;
+mod runtime;
 mod service;
 mod upkeep;
 mod viewer;

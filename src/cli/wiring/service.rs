@@ -4,9 +4,8 @@
 //! signal ends them at once; leases and transactions keep everything that was acknowledged.
 
 use std::{
-    error::Error,
     ffi::OsString,
-    fs, io,
+    fs,
     path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
@@ -28,12 +27,11 @@ use tcgs::{
     webhooks::{self, DeliveryConfig, Sender},
     worker::{self, WorkerConfig, supervise},
 };
-use tokio::runtime::Runtime;
-use tokio_util::sync::CancellationToken;
 
 use super::{
     private,
     rendering::{Rendering, elsewhere, here, loader},
+    runtime::{run_until_stopped, runtime, stop_on_signals, unavailable},
 };
 use crate::cli::{CliError, files, logging::Format, storage::Storage};
 
@@ -110,14 +108,15 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
     if options.remote_views {
         config.limits = config.limits.for_remote_views();
     }
-    runtime()?.block_on(async {
+    run_until_stopped(async {
         let has_keys = has_keys(&options.storage).await?;
         config.check_exposure(has_keys).map_err(|fault| CliError::Usage(format!("--listen: {fault}")))?;
         // Fails here rather than in every worker.
         super::lpips(options.lpips.as_deref())?;
         let roots = webhook_roots(options.webhook_roots.as_deref())?;
         // Opens the adapter before anything else, so that a wrong one is told at once.
-        let here = (!options.remote_views).then(|| here(&options.adapter, options.view_memory)).transpose()?;
+        let here =
+            (!options.remote_views).then(|| here(&options.adapter, options.view_memory)).transpose()?;
         let listeners = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
         let store = open_store(&options.storage, options.limits, OlderSchema::Migrate).await?;
         let blobs = open_blobs(&options.storage, &store).await?;
@@ -197,8 +196,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
 
 /// Runs a worker until a signal comes, or its parent dies.
 pub(crate) fn worker(options: WorkerOptions) -> Result<(), CliError> {
-    let runtime = runtime()?;
-    let outcome = runtime.block_on(async {
+    run_until_stopped(async {
         let lpips = super::lpips(options.lpips.as_deref())?;
         let runner = super::runner(&options.adapter, options.memory, options.storage.data.clone(), lpips);
         // One small view: the reference takes a core.
@@ -221,10 +219,7 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), CliError> {
         let outcome = worker::serve(store.clone(), blobs, runner, config, shutdown).await;
         store.close().await;
         outcome.map_err(|fault| CliError::from(Problem::new(ProblemType::Stalled, fault.to_string())))
-    });
-    // Does not wait for the thread of a run that did not stop in time.
-    runtime.shutdown_background();
-    outcome
+    })
 }
 
 /// Brings the schema of a service's database up to date.
@@ -345,88 +340,4 @@ fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
         arguments.extend(["--lpips".into(), lpips.clone().into()]);
     }
     arguments
-}
-
-pub(super) fn runtime() -> Result<Runtime, CliError> {
-    tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(|fault| unavailable(&fault))
-}
-
-/// Signals within this time count as one: wrappers such as `timeout` send each twice.
-const SIGNAL_DEBOUNCE: Duration = Duration::from_millis(500);
-
-/// Cancelled by the first interrupt or termination signal. A second ends the process at once.
-pub(super) fn stop_on_signals() -> Result<CancellationToken, CliError> {
-    let stop = CancellationToken::new();
-    let cancel = stop.clone();
-    // Registered before the task runs, so that no signal is missed.
-    let mut signals = Signals::listen().map_err(|fault| unavailable(&fault))?;
-    tokio::spawn(async move {
-        signals.next().await;
-        tracing::info!("stopping; another signal ends this at once");
-        cancel.cancel();
-        tokio::time::sleep(SIGNAL_DEBOUNCE).await;
-        // New listeners do not get the signals that arrived meanwhile.
-        match Signals::listen() {
-            Ok(mut signals) => {
-                let status = signals.next().await;
-                tracing::warn!(
-                    "ending at once; jobs under way go back to the queue, at the latest when their leases run out"
-                );
-                std::process::exit(status);
-            }
-            Err(fault) => tracing::warn!(%fault, "a second signal cannot be received"),
-        }
-    });
-    Ok(stop)
-}
-
-/// The signals that ask a process to stop.
-#[cfg(unix)]
-struct Signals {
-    interrupt: tokio::signal::unix::Signal,
-    terminate: tokio::signal::unix::Signal,
-}
-
-#[cfg(unix)]
-impl Signals {
-    fn listen() -> io::Result<Self> {
-        use tokio::signal::unix::{SignalKind, signal};
-        Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())? })
-    }
-
-    /// Waits for one, and returns the exit status of a process that it ends, as shells have it.
-    async fn next(&mut self) -> i32 {
-        tokio::select! {
-            _ = self.interrupt.recv() => 128 + 2,
-            _ = self.terminate.recv() => 128 + 15,
-        }
-    }
-}
-
-/// The signal that asks a process to stop.
-#[cfg(windows)]
-struct Signals(tokio::signal::windows::CtrlC);
-
-#[cfg(windows)]
-impl Signals {
-    fn listen() -> io::Result<Self> {
-        tokio::signal::windows::ctrl_c().map(Self)
-    }
-
-    /// Waits for one, and returns the exit status of a process that it ends.
-    async fn next(&mut self) -> i32 {
-        self.0.recv().await;
-        130
-    }
-}
-
-/// A problem for a missing resource, with the causes of the error.
-pub(super) fn unavailable(fault: &(dyn Error + 'static)) -> CliError {
-    let mut detail = fault.to_string();
-    let mut source = fault.source();
-    while let Some(cause) = source {
-        detail = format!("{detail}: {cause}");
-        source = cause.source();
-    }
-    Problem::new(ProblemType::Unavailable, detail).into()
 }

@@ -13,7 +13,8 @@ use tcgs::{
 
 use super::{
     private,
-    service::{open_blobs, runtime, unavailable},
+    runtime::{runtime, unavailable},
+    service::open_blobs,
 };
 use crate::cli::{CliError, storage::Storage};
 

@@ -14,7 +14,8 @@ use url::Url;
 
 use super::{
     rendering::{exporter, loader},
-    service::{OlderSchema, open_blobs, open_store, runtime, stop_on_signals, unavailable},
+    runtime::{run_until_stopped, stop_on_signals, unavailable},
+    service::{OlderSchema, open_blobs, open_store},
 };
 use crate::cli::{CliError, storage::Storage};
 
@@ -42,7 +43,7 @@ pub(crate) struct ViewerOptions {
 
 /// Runs a viewer until a signal comes.
 pub(crate) fn viewer(options: ViewerOptions) -> Result<(), CliError> {
-    runtime()?.block_on(async {
+    run_until_stopped(async {
         let (views, adapter) = super::views(&options.adapter, options.memory)?;
         let listener = TcpListener::bind(options.listen).await.map_err(|fault| unavailable(&fault))?;
         let address = listener.local_addr().map_err(|fault| unavailable(&fault))?;

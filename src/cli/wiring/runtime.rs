@@ -1,0 +1,128 @@
+//! The runtime of a process, and the signals that stop it.
+
+use std::{error::Error, io, time::Duration};
+
+use tcgs::domain::{Problem, ProblemType};
+use tokio::runtime::Runtime;
+use tokio_util::sync::CancellationToken;
+
+use crate::cli::CliError;
+
+pub(super) fn runtime() -> Result<Runtime, CliError> {
+    tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(|fault| unavailable(&fault))
+}
+
+/// Runs a process to its end, and does not wait for blocking tasks that did not end in time: runs, renders, exports, checks. Dropping the
+/// runtime would wait for them without limit, while no signal is received any more.
+pub(super) fn run_until_stopped<T>(
+    process: impl Future<Output = Result<T, CliError>>,
+) -> Result<T, CliError> {
+    let runtime = runtime()?;
+    let outcome = runtime.block_on(process);
+    runtime.shutdown_background();
+    outcome
+}
+
+/// Signals within this time count as one: wrappers such as `timeout` send each twice.
+const SIGNAL_DEBOUNCE: Duration = Duration::from_millis(500);
+
+/// Cancelled by the first interrupt or termination signal. A second ends the process at once.
+pub(super) fn stop_on_signals() -> Result<CancellationToken, CliError> {
+    let stop = CancellationToken::new();
+    let cancel = stop.clone();
+    // Registered before the task runs, so that no signal is missed.
+    let mut signals = Signals::listen().map_err(|fault| unavailable(&fault))?;
+    tokio::spawn(async move {
+        signals.next().await;
+        tracing::info!("stopping; another signal ends this at once");
+        cancel.cancel();
+        tokio::time::sleep(SIGNAL_DEBOUNCE).await;
+        // New listeners do not get the signals that arrived meanwhile.
+        match Signals::listen() {
+            Ok(mut signals) => {
+                let status = signals.next().await;
+                tracing::warn!(
+                    "ending at once; jobs under way go back to the queue, at the latest when their leases run out"
+                );
+                std::process::exit(status);
+            }
+            Err(fault) => tracing::warn!(%fault, "a second signal cannot be received"),
+        }
+    });
+    Ok(stop)
+}
+
+/// The signals that ask a process to stop.
+#[cfg(unix)]
+struct Signals {
+    interrupt: tokio::signal::unix::Signal,
+    terminate: tokio::signal::unix::Signal,
+}
+
+#[cfg(unix)]
+impl Signals {
+    fn listen() -> io::Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())? })
+    }
+
+    /// Waits for one, and returns the exit status of a process that it ends, as shells have it.
+    async fn next(&mut self) -> i32 {
+        tokio::select! {
+            _ = self.interrupt.recv() => 128 + 2,
+            _ = self.terminate.recv() => 128 + 15,
+        }
+    }
+}
+
+/// The signal that asks a process to stop.
+#[cfg(windows)]
+struct Signals(tokio::signal::windows::CtrlC);
+
+#[cfg(windows)]
+impl Signals {
+    fn listen() -> io::Result<Self> {
+        tokio::signal::windows::ctrl_c().map(Self)
+    }
+
+    /// Waits for one, and returns the exit status of a process that it ends.
+    async fn next(&mut self) -> i32 {
+        self.0.recv().await;
+        130
+    }
+}
+
+/// A problem for a missing resource, with the causes of the error.
+pub(super) fn unavailable(fault: &(dyn Error + 'static)) -> CliError {
+    let mut detail = fault.to_string();
+    let mut source = fault.source();
+    while let Some(cause) = source {
+        detail = format!("{detail}: {cause}");
+        source = cause.source();
+    }
+    Problem::new(ProblemType::Unavailable, detail).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{sync::mpsc, time::Instant};
+
+    use super::*;
+
+    #[test]
+    fn a_process_does_not_wait_for_a_blocking_task_that_does_not_end() {
+        let (end, ended) = mpsc::channel::<()>();
+        let began = Instant::now();
+        let outcome = run_until_stopped(async {
+            let (started, running) = tokio::sync::oneshot::channel();
+            tokio::task::spawn_blocking(move || {
+                let _ = started.send(());
+                let _ = ended.recv_timeout(Duration::from_secs(60));
+            });
+            running.await.map_err(|fault| unavailable(&fault))
+        });
+        assert!(outcome.is_ok(), "{outcome:?}");
+        assert!(began.elapsed() < Duration::from_secs(30), "it waited for the task");
+        drop(end);
+    }
+}
