@@ -8,7 +8,7 @@ use axum::{
     http::{HeaderMap, HeaderValue, StatusCode, Uri, header},
 };
 use serde::Deserialize;
-use tokio::task::spawn_blocking;
+use tokio::{sync::SemaphorePermit, task::spawn_blocking};
 
 use super::{
     body::href,
@@ -21,13 +21,16 @@ use crate::{
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{
-            CreateOutcome, CreateRequest, JsonBody, Parameters, Resource, content_digest, idempotency,
-            idempotent, media_type, parse_json, read_json,
+            CreateOutcome, CreateRequest, JsonBody, Parameters, Reservations, Resource, content_digest,
+            idempotency, idempotent, media_type, parse_json, read_json,
         },
         state::AppState,
         uploads::{self, tus::Metadata},
     },
-    store::{DatasetCreation, DatasetRecord, IdempotentRequest, NewDataset, PriorRequest, StoreError},
+    store::{
+        DatasetCreation, DatasetRecord, IdempotentRequest, NewDataset, PriorRequest, StoreError, UploadFile,
+        UploadRecord,
+    },
 };
 
 /// Longest name, in characters.
@@ -135,7 +138,7 @@ async fn from_upload(
                 record.received, record.length, record.id
             )));
         }
-        let received = ReceivedDataset::of_upload(file.finish(record.length).await?);
+        let (received, _permit) = assemble(state, &record, file).await?;
         let from_metadata = || {
             let metadata = Metadata::parse(record.metadata.as_deref()?).ok()?;
             let name = metadata.get("name").or_else(|| metadata.get("filename"))?;
@@ -152,6 +155,21 @@ async fn from_upload(
         Ok(created)
     };
     idempotent(state, intent.clone(), create).await
+}
+
+/// The archive of a complete upload. In a folder it is the upload's file; from a bucket it is read into a new one, which takes a permit and
+/// space as the body of a request does.
+async fn assemble<'a>(
+    state: &'a AppState,
+    upload: &UploadRecord,
+    file: UploadFile,
+) -> ApiResult<(ReceivedDataset, Option<SemaphorePermit<'a>>)> {
+    if state.blobs().shared_files().is_none() {
+        return Ok((ReceivedDataset::of_upload(file.finish(upload.length).await?), None));
+    }
+    let permit = state.upload_permit()?;
+    let _reservation = Reservations::reserve_disk(state, upload.length).await?;
+    Ok((ReceivedDataset::of_upload(file.finish(upload.length).await?), Some(permit)))
 }
 
 /// Checks and publishes the archive and creates its scene, unless the project has one of it.

@@ -2,7 +2,8 @@
 //!
 //! Invariants: bytes that this process receives count against their project's quota from before the first one until something refers to
 //! them, and, until they are written, against the free space. Other processes do not see reservations; there the transaction
-//! that refers to the bytes decides, and bytes that it refuses are removed again.
+//! that refers to the bytes decides, and bytes that it refuses are removed again. Bytes that the quota has already, such as those of an
+//! upload, are reserved on the disk alone.
 
 use std::{
     collections::BTreeMap,
@@ -75,6 +76,34 @@ impl Reservations {
             Reservation { reservations: state.reservations.clone(), project, bytes: 0, written: 0 };
         reservation.grow(state, bytes).await?;
         Ok(reservation)
+    }
+
+    /// Reserves `bytes` on the disk alone, for what counts against a quota already.
+    ///
+    /// # Errors
+    /// 507 if there is no room for them.
+    pub(crate) async fn reserve_disk(state: &AppState, bytes: u64) -> ApiResult<DiskReservation> {
+        let free = free_bytes(state).await?;
+        let reservations = state.reservations.clone();
+        let mut pending = reservations.lock();
+        pending.expect_free(free, bytes)?;
+        pending.unwritten += bytes;
+        drop(pending);
+        Ok(DiskReservation { reservations, bytes })
+    }
+}
+
+/// Space on the disk that is reserved until this is dropped, once the bytes are written.
+#[derive(Debug)]
+pub(crate) struct DiskReservation {
+    reservations: Reservations,
+    bytes: u64,
+}
+
+impl Drop for DiskReservation {
+    fn drop(&mut self) {
+        let mut pending = self.reservations.lock();
+        pending.unwritten = pending.unwritten.saturating_sub(self.bytes);
     }
 }
 

@@ -18,6 +18,7 @@ use tokio::{
 
 use super::connections::check_raw;
 use crate::support::{
+    bucket::S3Server,
     contract::Coverage,
     server::{Answer, Server, Setup, TestKey},
 };
@@ -158,6 +159,41 @@ async fn bodies_on_their_way_have_their_room_to_themselves() {
     first.read_to_end(&mut answer).await.expect("an end");
     assert_eq!(check_raw(&server, "POST", "/v1/jobs", &answer), 201);
     post(&server, "/v1/jobs", &key, Framing::Length, dataset(4, 300)).await.expect(201);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_upload_in_a_bucket_becomes_a_scene_only_where_there_is_room_for_its_archive() {
+    let Some(bucket) = S3Server::shared() else { return };
+    let objects = bucket.connect(&bucket.prefix());
+    let coverage = Coverage::default();
+    let setup = || Setup { bucket: Some(Arc::clone(&objects)), ..idle() };
+    let server = Server::start_with(&coverage, setup()).await;
+    // The bytes of the upload are all that the project may have: they count once.
+    let limits = ProjectLimits { quota_bytes: Some(9), ..ProjectLimits::default() };
+    let key = server.key_with(&Scope::ALL[..3], limits).await;
+    let begin = server.send("POST", "/v1/uploads", |request| {
+        request.bearer_auth(&key.key).header("tus-resumable", "1.0.0").header("upload-length", 9)
+    });
+    let upload = begin.await.expect(201).header("location").to_owned();
+    let part = server.send("PATCH", &upload, |request| {
+        let request = request.bearer_auth(&key.key).header("tus-resumable", "1.0.0");
+        let request = request.header("upload-offset", 0);
+        request.header("content-type", "application/offset+octet-stream").body("succeed 9")
+    });
+    part.await.expect(204);
+    let make_scene = async |server: &Server| {
+        let id = upload.rsplit('/').next().expect("an id");
+        let body = json!({ "upload_id": id });
+        server.send("POST", "/v1/scenes", |request| request.bearer_auth(&key.key).json(&body)).await
+    };
+
+    let limits = RequestLimits { min_free_space: 1 << 60, ..setup().limits };
+    let full = Server::start_in(&coverage, Setup { limits, ..setup() }, Arc::clone(&server.data)).await;
+    make_scene(&full).await.expect_problem(507, "storage-full");
+    let limits = RequestLimits { uploads: 0, ..setup().limits };
+    let busy = Server::start_in(&coverage, Setup { limits, ..setup() }, Arc::clone(&server.data)).await;
+    make_scene(&busy).await.expect_problem(503, "busy");
+    make_scene(&server).await.expect(201);
 }
 
 pub(super) async fn below_the_floor_of_free_space_nothing_is_taken_in(coverage: Coverage) {

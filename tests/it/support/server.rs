@@ -3,6 +3,7 @@
 use std::{net::SocketAddr, num::NonZeroU32, path::PathBuf, sync::Arc, time::Duration};
 
 use bytes::Bytes;
+use object_store::ObjectStore;
 use reqwest::{RequestBuilder, header::HeaderMap};
 use serde_json::Value;
 use tcgs::{
@@ -42,6 +43,8 @@ pub struct Setup {
     pub clock: Arc<dyn Clock>,
     /// The database, if not SQLite in the server's folder.
     pub database: Option<DatabaseLocation>,
+    /// Where blobs are, if not in the server's folder.
+    pub bucket: Option<Arc<dyn ObjectStore>>,
 }
 
 impl Default for Setup {
@@ -61,6 +64,7 @@ impl Default for Setup {
             tune: |_| {},
             clock: Arc::new(SystemClock),
             database: None,
+            bucket: None,
         }
     }
 }
@@ -164,8 +168,13 @@ impl Server {
         let clock = setup.clock;
         let database = setup.database.unwrap_or_else(|| (&data.path().join(DATABASE)).into());
         let store = SqlStore::open(database, Arc::clone(&clock), setup.policy).await;
-        let store = Arc::new(FaultStore::new(Arc::new(store.expect("a database"))));
-        let blobs = Blobs::open(data.path()).expect("a blob store");
+        let store = Arc::new(store.expect("a database"));
+        let blobs = match setup.bucket {
+            Some(bucket) => Blobs::open_bucket(data.path(), bucket, store.clone()).await,
+            None => Blobs::open(data.path()),
+        };
+        let blobs = blobs.expect("a blob store");
+        let store = Arc::new(FaultStore::new(store));
         let (runner, renderer) = (FakeRunner::default(), FakeRenderer::default());
         let exporter = Arc::new(FakeExporter::default());
         let services = Services {
