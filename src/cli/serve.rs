@@ -170,13 +170,11 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, CliError> {
         trusted_proxies: TrustedProxies(args.access.trusted_proxies),
     };
     let storage = args.storage.storage()?;
-    if let Some(file) = &args.access.bootstrap_admin_key_file {
-        wiring::ensure_first_key(&storage, file)?;
-    }
     wiring::serve(ServeOptions {
         http: args.limits.config(args.listen, args.metrics_listen, access),
         limits: args.quotas.limits(),
         storage,
+        first_key_file: args.access.bootstrap_admin_key_file,
         adapter: args.adapter.adapter,
         lpips: args.lpips.lpips,
         workers: args.workers,

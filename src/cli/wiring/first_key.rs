@@ -10,30 +10,36 @@ use std::{
 };
 
 use tcgs::{
-    domain::{ApiKey, Clock as _, ProjectId, ProjectLimits, Scope, SystemClock, SystemRandom},
-    store::{KeyProject, KeyRequest, Keys as _, NewKey},
+    domain::{ApiKey, Clock as _, ProjectId, Scope, SystemClock, SystemRandom},
+    store::{KeyProject, KeyRequest, Keys as _, NewKey, SqlStore},
 };
 
-use super::{
-    runtime::{runtime, unavailable},
-    service::{OlderSchema, has_keys, open_store},
-};
-use crate::cli::{CliError, storage::Storage};
+use super::runtime::unavailable;
+use crate::cli::CliError;
 
 const NAME: &str = "bootstrap";
 
 /// Longest content of a file with a key: a key, and white space around it.
 const LONGEST: u64 = 1024;
 
-/// Gives a service its first key, with the scope `admin`, unless it has or had one.
-pub(crate) fn ensure_first_key(storage: &Storage, path: &Path) -> Result<(), CliError> {
-    runtime()?.block_on(async {
-        if has_keys(storage).await? {
-            return Ok(());
-        }
-        let key = match read(path)? {
+/// The first key of a service that has none, with the scope `admin`.
+pub(super) struct FirstKey<'a> {
+    file: &'a Path,
+    /// The key in the file; `None` if one is to be drawn.
+    key: Option<ApiKey>,
+}
+
+impl<'a> FirstKey<'a> {
+    /// What the file holds.
+    pub(super) fn find(file: &'a Path) -> Result<Self, CliError> {
+        Ok(Self { file, key: read(file)? })
+    }
+
+    /// Creates it, and writes it into the file if that holds none.
+    pub(super) async fn create(self, store: &SqlStore) -> Result<(), CliError> {
+        let key = match self.key {
             Some(key) => key,
-            None => write_new(path)?,
+            None => write_new(self.file)?,
         };
         let request = KeyRequest {
             name: NAME,
@@ -43,13 +49,10 @@ pub(crate) fn ensure_first_key(storage: &Storage, path: &Path) -> Result<(), Cli
         };
         let new = NewKey::of(&key, &SystemRandom, SystemClock.now(), request)
             .map_err(|fault| unavailable(&fault))?;
-        let store = open_store(storage, ProjectLimits::default(), OlderSchema::Migrate).await?;
-        let created = store.create_key(new).await;
-        store.close().await;
-        let record = created.map_err(|fault| unavailable(&fault))?;
-        tracing::info!(key = %record.id, "created the first key, an administrator's; it is in {}", path.display());
+        let record = store.create_key(new).await.map_err(|fault| unavailable(&fault))?;
+        tracing::info!(key = %record.id, "created the first key, an administrator's; it is in {}", self.file.display());
         Ok(())
-    })
+    }
 }
 
 /// The key in the file; `None` if there is no file, or an empty one.

@@ -36,7 +36,6 @@ use tcgs::{
 
 use export::fidelity;
 pub(crate) use export::{Baking, Packing, Quality, compare, export};
-pub(crate) use first_key::ensure_first_key;
 pub(crate) use keys::{change_key, change_project, create_key, create_project, keys, projects, revoke_key};
 pub(crate) use service::{ServeOptions, WorkerOptions, migrate, serve, worker};
 pub(crate) use upkeep::{back_up, fsck, restore};

@@ -20,7 +20,7 @@ use tcgs::{
     ingest::DatasetChecker,
     pipeline::ReferenceViews,
     store::{
-        BlobPlace, Blobs, DATABASE, Keys as _, PostgresUrl, QueuePolicy, SchemaChange, SqlStore,
+        BlobPlace, Blobs, DATABASE, PostgresUrl, QueuePolicy, SchemaChange, SqlStore,
         garbage::{GarbagePolicy, collect_garbage},
         publications::Publications as _,
     },
@@ -29,6 +29,7 @@ use tcgs::{
 };
 
 use super::{
+    first_key::FirstKey,
     private,
     rendering::{Rendering, elsewhere, here, loader},
     runtime::{run_until_stopped, runtime, stop_on_signals, unavailable},
@@ -61,6 +62,8 @@ pub(crate) struct ServeOptions {
     /// Limits of projects that have none of their own.
     pub(crate) limits: ProjectLimits,
     pub(crate) storage: Storage,
+    /// File of the first key of a service that has none.
+    pub(crate) first_key_file: Option<PathBuf>,
     pub(crate) adapter: AdapterChoice,
     /// Memory of each worker.
     pub(crate) memory: MemoryLimits,
@@ -110,15 +113,21 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
     }
     run_until_stopped(async {
         let has_keys = has_keys(&options.storage).await?;
+        let first_key = options.first_key_file.as_deref().filter(|_| !has_keys);
+        let first_key = first_key.map(FirstKey::find).transpose()?;
+        let has_keys = has_keys || first_key.is_some();
         config.check_exposure(has_keys).map_err(|fault| CliError::Usage(format!("--listen: {fault}")))?;
         // Fails here rather than in every worker.
         super::lpips(options.lpips.as_deref())?;
         let roots = webhook_roots(options.webhook_roots.as_deref())?;
-        // Opens the adapter before anything else, so that a wrong one is told at once.
+        // The adapter and the address come before the database: a service that cannot start must not migrate the schema of one that runs.
         let here =
             (!options.remote_views).then(|| here(&options.adapter, options.view_memory)).transpose()?;
         let listeners = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
         let store = open_store(&options.storage, options.limits, OlderSchema::Migrate).await?;
+        if let Some(first_key) = first_key {
+            first_key.create(&store).await?;
+        }
         let blobs = open_blobs(&options.storage, &store).await?;
         private::close_all(&options.storage.data);
         let shutdown = stop_on_signals()?;
@@ -283,15 +292,14 @@ fn webhook_roots(path: Option<&Path>) -> Result<ExtraRoots, CliError> {
         .map_err(|fault| CliError::Usage(format!("--webhooks-ca: {} {fault}", path.display())))
 }
 
-/// Whether the database has keys; a missing file is not created.
-pub(super) async fn has_keys(storage: &Storage) -> Result<bool, CliError> {
+/// Whether the database has keys; a missing file is not created, and an older schema not migrated.
+async fn has_keys(storage: &Storage) -> Result<bool, CliError> {
     if storage.file().is_some_and(|file| !file.exists()) {
         return Ok(false);
     }
-    let store = open_store(storage, ProjectLimits::default(), OlderSchema::Migrate).await?;
-    let has_keys = store.has_keys().await.map_err(|fault| unavailable(&fault))?;
-    store.close().await;
-    Ok(has_keys)
+    SqlStore::has_keys_in(storage.location(), Arc::new(SystemClock))
+        .await
+        .map_err(|fault| unavailable(&fault))
 }
 
 /// The environment variables of the drivers' shader cache.

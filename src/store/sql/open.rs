@@ -30,7 +30,7 @@ use super::{
 };
 use crate::{
     domain::Clock,
-    store::{QueuePolicy, StoreError},
+    store::{Keys as _, QueuePolicy, StoreError},
 };
 
 /// Every change of SQLite's schema, in order.
@@ -49,11 +49,13 @@ const POSTGRES_IDLE: Duration = Duration::from_secs(60);
 /// How long a request waits for a connection, also while the server is not there.
 const POSTGRES_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// What to do with a schema that is older than this program's. A new database gets its tables in any case.
+/// What to do with a schema that is older than this program's. A new database gets its tables unless the schema is kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum OlderSchema {
     Migrate,
     Refuse,
+    /// Neither migrate it nor make the tables of a new database.
+    Keep,
 }
 
 /// Versions of a schema.
@@ -246,28 +248,49 @@ impl SqlStore {
         clock: Arc<dyn Clock>,
         policy: QueuePolicy,
     ) -> Result<(Self, SchemaChange), StoreError> {
-        open(&location.into(), clock, policy, OlderSchema::Migrate).await
+        let (store, from) = open(&location.into(), clock, policy, OlderSchema::Migrate).await?;
+        let to = newest(&store.writer);
+        Ok((store, SchemaChange { from, to }))
+    }
+
+    /// Whether the database has keys, valid or not. Its schema stays as it is, also if it is older or has no tables yet.
+    ///
+    /// # Errors
+    /// [`StoreError::Open`] or [`StoreError::SchemaNewer`].
+    pub async fn has_keys_in(
+        location: impl Into<DatabaseLocation>,
+        clock: Arc<dyn Clock>,
+    ) -> Result<bool, StoreError> {
+        let (store, _) = open(&location.into(), clock, QueuePolicy::default(), OlderSchema::Keep).await?;
+        let has_keys = match has_table(&store.readers, "keys").await {
+            Ok(true) => store.has_keys().await,
+            Ok(false) => Ok(false),
+            Err(error) => Err(error),
+        };
+        store.close().await;
+        has_keys
     }
 }
 
+/// A store, and the version of the schema that was found; `None` if the database was new.
 async fn open(
     location: &DatabaseLocation,
     clock: Arc<dyn Clock>,
     policy: QueuePolicy,
     older: OlderSchema,
-) -> Result<(SqlStore, SchemaChange), StoreError> {
-    let (writer, readers, time, change) = match location {
+) -> Result<(SqlStore, Option<i64>), StoreError> {
+    let (writer, readers, time, found) = match location {
         DatabaseLocation::File(path) => {
-            let (writer, readers, change) = open_sqlite(path, location, older).await?;
-            (writer, readers, TimeSource::Process, change)
+            let (writer, readers, found) = open_sqlite(path, location, older).await?;
+            (writer, readers, TimeSource::Process, found)
         }
         DatabaseLocation::Postgres(url) => {
-            let (pool, change) = open_postgres(url, location, older).await?;
-            (pool.clone(), pool, url.time, change)
+            let (pool, found) = open_postgres(url, location, older).await?;
+            (pool.clone(), pool, url.time, found)
         }
     };
     let (leases, listener) = (std::sync::Mutex::default(), OnceLock::new());
-    Ok((SqlStore { writer, readers, clock, time, policy, leases, listener }, change))
+    Ok((SqlStore { writer, readers, clock, time, policy, leases, listener }, found))
 }
 
 fn open_error(location: &DatabaseLocation) -> impl Fn(sqlx::Error) -> StoreError {
@@ -278,7 +301,7 @@ async fn open_sqlite(
     path: &Path,
     location: &DatabaseLocation,
     older: OlderSchema,
-) -> Result<(Pool, Pool, SchemaChange), StoreError> {
+) -> Result<(Pool, Pool, Option<i64>), StoreError> {
     let open_error = open_error(location);
     let _lock = lock_beside(path).await.map_err(|fault| open_error(sqlx::Error::Io(fault)))?;
     let options = SqliteConnectOptions::new()
@@ -289,17 +312,17 @@ async fn open_sqlite(
         .busy_timeout(BUSY_TIMEOUT)
         .foreign_keys(true);
     let writer = sqlite_writer().connect_with(options.clone()).await.map_err(&open_error)?;
-    let change = migrate_or_close(location, &Pool::Sqlite(writer.clone()), older).await?;
+    let found = migrate_or_close(location, &Pool::Sqlite(writer.clone()), older).await?;
     let readers = options.read_only(true).create_if_missing(false);
     let readers = sqlite_pool(READERS).connect_with(readers).await.map_err(&open_error)?;
-    Ok((Pool::Sqlite(writer), Pool::Sqlite(readers), change))
+    Ok((Pool::Sqlite(writer), Pool::Sqlite(readers), found))
 }
 
 async fn open_postgres(
     url: &PostgresUrl,
     location: &DatabaseLocation,
     older: OlderSchema,
-) -> Result<(Pool, SchemaChange), StoreError> {
+) -> Result<(Pool, Option<i64>), StoreError> {
     let open_error = open_error(location);
     let pool: PoolOptions<_> = PgPoolOptions::new()
         .max_connections(POSTGRES_CONNECTIONS)
@@ -307,27 +330,27 @@ async fn open_postgres(
         .idle_timeout(POSTGRES_IDLE);
     let options = url.options().map_err(&open_error)?;
     let pool = Pool::Postgres(pool.connect_with(options).await.map_err(&open_error)?);
-    let change = migrate_or_close(location, &pool, older).await?;
-    Ok((pool, change))
+    let found = migrate_or_close(location, &pool, older).await?;
+    Ok((pool, found))
 }
 
 async fn migrate_or_close(
     location: &DatabaseLocation,
     pool: &Pool,
     older: OlderSchema,
-) -> Result<SchemaChange, StoreError> {
-    let change = migrate_schema(location, pool, older).await;
-    if change.is_err() {
+) -> Result<Option<i64>, StoreError> {
+    let found = migrate_schema(location, pool, older).await;
+    if found.is_err() {
         pool.close().await;
     }
-    change
+    found
 }
 
 async fn migrate_schema(
     location: &DatabaseLocation,
     pool: &Pool,
     older: OlderSchema,
-) -> Result<SchemaChange, StoreError> {
+) -> Result<Option<i64>, StoreError> {
     let found = version(pool).await?;
     let needed = newest(pool);
     match found {
@@ -337,6 +360,7 @@ async fn migrate_schema(
         Some(found) if found < needed && older == OlderSchema::Refuse => {
             return Err(StoreError::SchemaOlder { path: location.to_string(), found, needed });
         }
+        _ if older == OlderSchema::Keep => return Ok(found),
         _ => {}
     }
     // Even if there is nothing to do: it compares the applied migrations with the known ones.
@@ -344,7 +368,7 @@ async fn migrate_schema(
         Pool::Sqlite(pool) => SQLITE_MIGRATIONS.run(pool).await?,
         Pool::Postgres(pool) => POSTGRES_MIGRATIONS.run(pool).await?,
     }
-    Ok(SchemaChange { from: found, to: needed })
+    Ok(found)
 }
 
 /// The version of this program's schema for a database.
@@ -356,13 +380,17 @@ pub(super) fn newest(pool: &Pool) -> i64 {
     migrations.iter().map(|migration| migration.version).max().unwrap_or_default()
 }
 
+async fn has_table(pool: &Pool, name: &str) -> Result<bool, StoreError> {
+    let known = query(Sql {
+        sqlite: "SELECT 1 FROM sqlite_schema WHERE type = 'table' AND name = ?",
+        postgres: "SELECT 1 FROM pg_class WHERE oid = to_regclass(?)",
+    });
+    Ok(known.bind(name).fetch_optional(pool).await?.is_some())
+}
+
 /// The version of the schema; `None` for a new database.
 async fn version(pool: &Pool) -> Result<Option<i64>, StoreError> {
-    let known = query(Sql {
-        sqlite: "SELECT 1 FROM sqlite_schema WHERE type = 'table' AND name = '_sqlx_migrations'",
-        postgres: "SELECT 1 FROM pg_class WHERE oid = to_regclass('_sqlx_migrations')",
-    });
-    if known.fetch_optional(pool).await?.is_none() {
+    if !has_table(pool, "_sqlx_migrations").await? {
         return Ok(None);
     }
     let row = query("SELECT max(version) AS version FROM _sqlx_migrations").fetch_one(pool).await?;

@@ -3,6 +3,7 @@
 use std::{
     borrow::Cow,
     fs,
+    net::TcpListener,
     path::{Path, PathBuf},
 };
 
@@ -153,6 +154,38 @@ async fn an_upgrade_keeps_everything_and_the_backup_before_it_leads_back() {
     fails_with(&at(&other, &["restore", from]), 4, "newer");
     assert!(!other.join("tcgs.sqlite").exists(), "what is not restored has no database");
     assert_eq!(version(&data).await, now + 1000);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_service_that_cannot_start_changes_no_schema_and_makes_no_key() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [with_keys, without_keys, key] =
+        ["with keys", "without keys", "first.key"].map(|name| folder.path().join(name));
+    earlier_folder(&with_keys).await;
+    // Of a time when there were no keys.
+    fs::create_dir(&without_keys).expect("made");
+    let dump = sqlx::AssertSqlSafe(text("tests/schemas/0001.sql"));
+    sqlx::raw_sql(dump).execute(&mut database(&without_keys).await).await.expect("the dump runs");
+
+    let running = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let taken = running.local_addr().expect("bound").to_string();
+    let first_key = ["--bootstrap-admin-key-file", key.to_str().expect("UTF-8")];
+    let free = ["--listen", "127.0.0.1:0"];
+    for (data, earlier) in [(&with_keys, EARLIER), (&without_keys, 1)] {
+        for (flags, named) in [
+            (&["--listen", &*taken][..], "cannot listen"),
+            (&[&free[..], &["--adapter", "there is none"]].concat(), "there is none"),
+        ] {
+            let serve = ["serve", "--workers", "0"];
+            fails_with(&at(data, &[&serve, flags, &first_key].concat()), 4, named);
+            assert_eq!(version(data).await, earlier, "{named}");
+            assert!(!key.exists(), "{named}");
+        }
+    }
+    fs::write(&key, "not a key").expect("written");
+    let arguments = [&["serve", "--workers", "0"], &free[..], &first_key].concat();
+    fails_with(&at(&without_keys, &arguments), 2, "holds no key");
+    assert_eq!(version(&without_keys).await, 1);
 }
 
 static POSTGRES: Migrator = sqlx::migrate!("migrations/postgres");
