@@ -144,13 +144,12 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
             Ok(Report::new(table(&records), &serde_json::json!({ "keys": records })))
         }
         Action::Change(wanted) => {
-            let record = wiring::change_key(&storage, wanted.id, |record| KeyChange {
-                name: wanted.name.clone().unwrap_or_else(|| record.name.clone()),
-                requests_per_minute: wanted
-                    .requests_per_minute
-                    .map_or(record.requests_per_minute, |new| new.0),
-                expires_at: wanted.expires_at.map_or(record.expires_at, |new| new.0),
-            })?;
+            let change = KeyChange {
+                name: wanted.name.clone(),
+                requests_per_minute: wanted.requests_per_minute.map(|new| new.0),
+                expires_at: wanted.expires_at.map(|new| new.0),
+            };
+            let record = wiring::change_key(&storage, wanted.id, change)?;
             let text = format!("The key '{}' ({}...) is changed.", record.name, record.prefix);
             Ok(Report::new(text, &record))
         }

@@ -138,11 +138,8 @@ pub(super) async fn change(
     ApiJson(request): ApiJson<ChangeKeyRequest>,
 ) -> ApiResult<impl IntoResponse> {
     let record = find(&state, &id).await?;
-    let change = KeyChange {
-        name: request.name.unwrap_or_else(|| record.name.clone()),
-        requests_per_minute: request.requests_per_minute.unwrap_or(record.requests_per_minute),
-        expires_at: request.expires_at.unwrap_or(record.expires_at),
-    };
+    let ChangeKeyRequest { name, requests_per_minute, expires_at } = request;
+    let change = KeyChange { name, requests_per_minute, expires_at };
     let change = change.checked(&record, state.services.clock.now()).map_err(|error| refused(&error))?;
     let record = state.store().update_key(record.id, change).await?.ok_or_else(|| no_key(&id))?;
     tracing::info!(key = %record.id, "key {} is changed", record.id);

@@ -137,15 +137,15 @@ fn expect_future(expires_at: Option<Timestamp>, now: Timestamp) -> Result<(), Ne
     }
 }
 
-/// Name, rate and expiry of a key, as they are to be.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// What changes of a key; fields that are `None` stay as they are when the change is made.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct KeyChange {
     /// Its name.
-    pub name: String,
+    pub name: Option<String>,
     /// As in [`KeyRequest::requests_per_minute`].
-    pub requests_per_minute: Option<NonZeroU32>,
+    pub requests_per_minute: Option<Option<NonZeroU32>>,
     /// As in [`KeyRequest::expires_at`].
-    pub expires_at: Option<Timestamp>,
+    pub expires_at: Option<Option<Timestamp>>,
 }
 
 impl KeyChange {
@@ -154,9 +154,12 @@ impl KeyChange {
     /// # Errors
     /// [`NewKeyError`].
     pub fn checked(self, record: &KeyRecord, now: Timestamp) -> Result<Self, NewKeyError> {
-        let name = valid_name(&self.name).ok_or(NewKeyError::Name)?.to_owned();
-        if self.expires_at != record.expires_at {
-            expect_future(self.expires_at, now)?;
+        let valid = |name: String| valid_name(&name).map(str::to_owned).ok_or(NewKeyError::Name);
+        let name = self.name.map(valid).transpose()?;
+        if let Some(expires_at) = self.expires_at
+            && expires_at != record.expires_at
+        {
+            expect_future(expires_at, now)?;
         }
         Ok(Self { name, ..self })
     }

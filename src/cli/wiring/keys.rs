@@ -34,15 +34,11 @@ pub(crate) fn create_key(
 }
 
 /// Changes a key.
-pub(crate) fn change_key(
-    storage: &Storage,
-    id: KeyId,
-    change: impl Fn(&KeyRecord) -> KeyChange,
-) -> Result<KeyRecord, CliError> {
+pub(crate) fn change_key(storage: &Storage, id: KeyId, change: KeyChange) -> Result<KeyRecord, CliError> {
     let found = with_store(storage, async |store| store.key(id).await)?;
     let record = found.filter(|key| key.revoked_at.is_none()).ok_or_else(|| no_key(storage, id))?;
-    let change = change(&record).checked(&record, SystemClock.now());
-    let change = change.map_err(|fault| CliError::Usage(fault.to_string()))?;
+    let change =
+        change.checked(&record, SystemClock.now()).map_err(|fault| CliError::Usage(fault.to_string()))?;
     let changed = with_store(storage, async |store| store.update_key(id, change).await)?;
     changed.ok_or_else(|| no_key(storage, id))
 }

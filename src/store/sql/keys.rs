@@ -63,14 +63,13 @@ impl Keys for SqlStore {
 
     fn update_key(&self, id: KeyId, change: KeyChange) -> StoreFuture<'_, Option<KeyRecord>> {
         Box::pin(self.write(async move |tx, _| {
-            query(
-                "UPDATE keys SET name = ?, requests_per_minute = ?, expires_at = ?
-                 WHERE id = ? AND revoked_at IS NULL RETURNING *",
-            )
-            .bind_all(values![&change.name, change.requests_per_minute.map(NonZeroU32::get)])
-            .bind_all(values![change.expires_at.map(micros), id.to_string()])
-            .optional(tx, key)
-            .await
+            // In one statement, so that concurrent changes of other fields are kept.
+            let mut update = query("UPDATE keys SET name = COALESCE(?, name)").bind(&change.name);
+            let rate = change.requests_per_minute.map(|rate| rate.map(NonZeroU32::get));
+            update.push_if(", requests_per_minute = ", rate);
+            update.push_if(", expires_at = ", change.expires_at.map(|at| at.map(micros)));
+            update.push(" WHERE revoked_at IS NULL AND id = ").push_bind(id.to_string()).push(" RETURNING *");
+            update.optional(tx, key).await
         }))
     }
 

@@ -256,6 +256,23 @@ pub(super) async fn keys_expire_and_are_changed(coverage: Coverage) {
     ask("PATCH", &path, json!({})).await.expect_problem(404, "key-not-found");
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn concurrent_changes_of_a_key_keep_each_others_fields() {
+    let server = Server::start_with(&Coverage::default(), idle()).await;
+    let admin = server.key(&[Scope::Admin]).await;
+    let key = server.key(&[Scope::Read]).await;
+    let path = format!("/v1/keys/{}", key.id);
+    let change = async |body: Value| {
+        with(&server, &admin, "PATCH", &path, Some(body)).await.expect(200);
+    };
+    for round in 1..=30 {
+        let name = round.to_string();
+        tokio::join!(change(json!({ "name": name })), change(json!({ "requests_per_minute": round })));
+        let now = with(&server, &admin, "GET", &path, None).await.expect(200).json();
+        assert_eq!((&now["name"], &now["requests_per_minute"]), (&json!(name), &json!(round)));
+    }
+}
+
 pub(super) async fn usage_is_shown_by_project(coverage: Coverage) {
     let clock = Arc::new(ManualClock::new("2026-11-21T12:00:00Z".parse().expect("an instant")));
     let server = Server::start_with(&coverage, Setup { clock: clock.clone(), ..idle() }).await;

@@ -7,6 +7,7 @@ mod garbage;
 #[expect(clippy::duplicate_mod, reason = "one suite, over a folder and over a bucket")]
 #[path = "garbage.rs"]
 mod garbage_in_bucket;
+mod keys;
 mod queue;
 mod retention;
 mod simulated_clock;
