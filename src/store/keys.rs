@@ -218,6 +218,12 @@ pub trait Keys: Send + Sync + 'static {
     /// [`super::StoreError::NoProject`].
     fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord>;
 
+    /// Adds a key unless there is one, valid or not; then returns `None`.
+    ///
+    /// # Errors
+    /// [`super::StoreError::NoProject`].
+    fn create_first_key(&self, new: NewKey) -> StoreFuture<'_, Option<KeyRecord>>;
+
     /// A key, revoked or not.
     fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>>;
 

@@ -1,7 +1,8 @@
 //! The first key of a service that nobody can run a command in, such as a container: it comes from a file, or goes into one.
 //!
 //! Invariants: the key is in no log; the file is readable by its owner alone, and complete on the disk before the database knows the key, so
-//! that a crash in between loses nothing. A file that holds a key is never overwritten.
+//! that a crash in between loses nothing. A file that holds a key is never overwritten. Of services that start together over one database,
+//! one makes the first key; another that drew a key removes it from its file.
 
 use std::{
     fs::{self, File},
@@ -13,6 +14,7 @@ use tcgs::{
     domain::{ApiKey, Clock as _, ProjectId, Scope, SystemClock, SystemRandom},
     store::{KeyProject, KeyRequest, Keys as _, NewKey, SqlStore},
 };
+use tempfile::NamedTempFile;
 
 use super::runtime::unavailable;
 use crate::cli::CliError;
@@ -37,9 +39,10 @@ impl<'a> FirstKey<'a> {
 
     /// Creates it, and writes it into the file if that holds none.
     pub(super) async fn create(self, store: &SqlStore) -> Result<(), CliError> {
-        let key = match self.key {
-            Some(key) => key,
-            None => write_new(self.file)?,
+        let file = self.file;
+        let (key, is_drawn) = match self.key {
+            Some(key) => (key, false),
+            None => write_new(file)?,
         };
         let request = KeyRequest {
             name: NAME,
@@ -49,8 +52,17 @@ impl<'a> FirstKey<'a> {
         };
         let new = NewKey::of(&key, &SystemRandom, SystemClock.now(), request)
             .map_err(|fault| unavailable(&fault))?;
-        let record = store.create_key(new).await.map_err(|fault| unavailable(&fault))?;
-        tracing::info!(key = %record.id, "created the first key, an administrator's; it is in {}", self.file.display());
+        let created = store.create_first_key(new).await.map_err(|fault| unavailable(&fault))?;
+        if let Some(record) = created {
+            tracing::info!(key = %record.id, "created the first key, an administrator's; it is in {}", file.display());
+            return Ok(());
+        }
+        tracing::info!("another service of this database has created the first key");
+        let known = store.authenticate(key.hash()).await.map_err(|fault| unavailable(&fault))?;
+        // Services on one machine may share the file, and then the other has taken the key from it.
+        if is_drawn && known.is_none() {
+            fs::remove_file(file).map_err(|fault| CliError::unwritable(file, &fault))?;
+        }
         Ok(())
     }
 }
@@ -74,29 +86,28 @@ fn read(path: &Path) -> Result<Option<ApiKey>, CliError> {
     text.trim().parse().map(Some).map_err(|fault| refused(&format!("holds no key: {fault}")))
 }
 
-/// Draws a key and writes it into a new file.
-fn write_new(path: &Path) -> Result<ApiKey, CliError> {
+/// The key in the file, and whether it was drawn: not if another process has written one meanwhile.
+fn write_new(path: &Path) -> Result<(ApiKey, bool), CliError> {
     let key = ApiKey::generate(&SystemRandom).map_err(|fault| unavailable(&fault))?;
-    write(path, &key).map_err(|fault| CliError::unwritable(path, &fault))?;
-    Ok(key)
+    match write(path, &key) {
+        Ok(()) => Ok((key, true)),
+        Err(fault) if fault.kind() == io::ErrorKind::AlreadyExists => {
+            let found = read(path)?.ok_or_else(|| CliError::unwritable(path, &fault))?;
+            Ok((found, false))
+        }
+        Err(fault) => Err(CliError::unwritable(path, &fault)),
+    }
 }
 
 fn write(path: &Path, key: &ApiKey) -> io::Result<()> {
-    let mut name = path.file_name().ok_or(io::ErrorKind::InvalidInput)?.to_owned();
-    name.push(".new");
-    let staged = path.with_file_name(name);
-    let mut options = File::options();
-    options.create_new(true).write(true);
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    match fs::remove_file(&staged) {
-        Err(fault) if fault.kind() != io::ErrorKind::NotFound => return Err(fault),
-        _ => {}
-    }
-    let mut file = options.open(&staged)?;
-    writeln!(file, "{}", key.expose())?;
-    file.sync_all()?;
-    fs::rename(&staged, path)?;
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    // Readable by its owner alone.
+    let mut staged = NamedTempFile::new_in(folder)?;
+    writeln!(staged, "{}", key.expose())?;
+    staged.as_file().sync_all()?;
+    // An empty file is replaced; one that holds a key was written since it was looked for.
+    let is_empty = fs::metadata(path).is_ok_and(|found| found.len() == 0);
+    let written = if is_empty { staged.persist(path) } else { staged.persist_noclobber(path) };
+    written.map_err(|fault| fault.error)?;
     File::open(folder)?.sync_all()
 }

@@ -5,7 +5,7 @@ use std::num::NonZeroU32;
 use super::{
     SqlStore,
     db::{Row, Transaction, query, values},
-    exists, lists, projects, rows,
+    exists, lists, locks, projects, rows,
     rows::micros,
 };
 use crate::{
@@ -44,6 +44,14 @@ pub(super) async fn insert(
 impl Keys for SqlStore {
     fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord> {
         Box::pin(self.write(async move |tx, now| insert(tx, new, now).await))
+    }
+
+    fn create_first_key(&self, new: NewKey) -> StoreFuture<'_, Option<KeyRecord>> {
+        Box::pin(self.write(async move |tx, now| {
+            locks::keys(tx).await?;
+            let row = query("SELECT 1 FROM keys LIMIT 1").fetch_optional(&mut *tx).await?;
+            if row.is_some() { Ok(None) } else { insert(tx, new, now).await.map(Some) }
+        }))
     }
 
     fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {

@@ -2,7 +2,8 @@
 //! does anything.
 //!
 //! The order is always the same, so that no two transactions wait for each other: the row of an `Idempotency-Key`, then the totals of
-//! projects in the order of their identities, all in one statement, then rows of jobs, then of blobs.
+//! projects in the order of their identities, all in one statement, then rows of jobs, then of blobs. Whoever locks the table of keys locks
+//! nothing else.
 
 use super::{
     MEMBERS,
@@ -74,4 +75,12 @@ pub(super) async fn blob_to_delete(tx: &mut Transaction, digest: Digest) -> Resu
     }
     let row = query("SELECT 1 FROM blobs WHERE digest = ? FOR UPDATE SKIP LOCKED").bind(digest.to_string());
     Ok(row.fetch_optional(tx).await?.is_some())
+}
+
+/// Keeps others from adding and changing keys.
+pub(super) async fn keys(tx: &mut Transaction) -> Result<(), StoreError> {
+    if tx.is_postgres() {
+        query("LOCK TABLE keys IN SHARE ROW EXCLUSIVE MODE").execute(tx).await?;
+    }
+    Ok(())
 }

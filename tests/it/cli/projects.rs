@@ -2,6 +2,8 @@
 
 use std::{fs, path::Path};
 
+#[cfg(unix)]
+use crate::support::postgres::Cluster;
 use crate::support::{
     program::{answers, succeeds, tcgs},
     service::Service,
@@ -143,4 +145,44 @@ async fn the_first_key_is_drawn_into_a_file_or_taken_from_it_once() {
     let shown = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert_eq!(refused.status.code(), Some(2), "{shown}");
     assert!(shown.contains("--bootstrap-admin-key-file") && !shown.contains(&key[14..40]), "{shown}");
+}
+
+#[cfg(unix)]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn replicas_that_start_together_have_one_first_key() {
+    let Some(cluster) = Cluster::shared() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let paths = |replica: usize| ["data", "key"].map(|name| folder.path().join(format!("{name}-{replica}")));
+    let secret = folder.path().join("secret");
+    let drawn = answers(at(folder.path(), &["keys", "create", "--json", "--name", "x", "--scopes", "admin"]));
+    fs::write(&secret, drawn["key"].as_str().expect("a key")).expect("written");
+    for shared in [None, Some(&secret)] {
+        let database = cluster.empty_database().await;
+        let environment = [("TCGS_DATABASE", database.url().expose().to_owned())];
+        let start = async |replica: usize| {
+            let [data, key] = paths(replica);
+            let file = shared.unwrap_or(&key).to_str().expect("UTF-8");
+            let arguments = ["--workers", "0", "--remote-views", "--bootstrap-admin-key-file", file];
+            Service::start_in(&data, arguments, &environment).await
+        };
+        let (one, two, three) = tokio::join!(start(1), start(2), start(3));
+        let files: Vec<_> = (1..=3).map(|replica| paths(replica)[1].clone()).collect();
+        let key = match shared {
+            Some(secret) => fs::read_to_string(secret),
+            None => {
+                let left: Vec<_> = files.iter().filter(|file| file.exists()).collect();
+                assert_eq!(left.len(), 1, "a file of a key that nobody knows is left");
+                fs::read_to_string(left[0])
+            }
+        };
+        let key = key.expect("a file");
+        for service in [one, two, three] {
+            let keys = service.send("GET", "/v1/keys", |request| request.bearer_auth(key.trim())).await;
+            assert_eq!(keys.expect(200).json()["keys"].as_array().map(Vec::len), Some(1));
+            service.stop().await;
+        }
+        for file in files {
+            fs::remove_file(file).ok();
+        }
+    }
 }

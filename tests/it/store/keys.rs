@@ -46,3 +46,29 @@ async fn changes_that_were_made_of_the_same_record_keep_each_others_fields() {
     store.revoke_key(record.id).await.expect("revoked");
     assert_eq!(store.update_key(record.id, cleared).await.expect("read"), None);
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn of_processes_that_make_the_first_key_together_one_does() {
+    let Some(database) = super::database().await else { return };
+    let database: Database = database;
+    let clock = clock();
+    let mut stores = Vec::new();
+    for _ in 0..4 {
+        stores.push(Arc::new(database.open(clock.clone(), QueuePolicy::default()).await));
+    }
+    let making: Vec<_> = stores
+        .iter()
+        .map(|store| {
+            let (store, new) = (Arc::clone(store), drawn(&clock));
+            tokio::spawn(async move { store.create_first_key(new).await.expect("an answer") })
+        })
+        .collect();
+    let mut made = Vec::new();
+    for task in making {
+        made.extend(task.await.expect("no panic"));
+    }
+    assert_eq!(stores[0].keys(None, true, None, 10).await.expect("read"), made);
+    assert_eq!(made.len(), 1);
+    stores[1].revoke_key(made[0].id).await.expect("revoked");
+    assert_eq!(stores[2].create_first_key(drawn(&clock)).await.expect("read"), None, "it was the first");
+}

@@ -11,6 +11,9 @@ impl Keys for FaultStore {
     fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord> {
         self.guard(self.inner.create_key(new))
     }
+    fn create_first_key(&self, new: NewKey) -> StoreFuture<'_, Option<KeyRecord>> {
+        self.guard(self.inner.create_first_key(new))
+    }
     fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
         self.guard(self.inner.key(id))
     }
