@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use tcgs::{
     domain::{Bytes, Problem, ProblemType},
-    store::{BackupNote, CheckDepth, CopyMode, FsckReport},
+    store::{BackupNote, BucketClaim, CheckDepth, CopyMode, FsckReport},
 };
 
 use super::{CliError, Report, storage::StorageFlags, wiring};
@@ -35,6 +35,10 @@ pub(crate) struct RestoreArgs {
 
     #[command(flatten)]
     storage: StorageFlags,
+
+    /// Restore into the bucket although another database has it: one that no service uses any more, or one of a restoration that failed
+    #[arg(long)]
+    take_over_bucket: bool,
 
     /// Print one JSON document instead of text
     #[arg(long)]
@@ -70,7 +74,11 @@ pub(crate) fn backup(args: &BackupArgs) -> Result<Report, CliError> {
 pub(crate) fn restore(args: &RestoreArgs) -> Result<Report, CliError> {
     let storage = args.storage.storage()?;
     let data = storage.sqlite_folder("restore")?;
-    let note = wiring::restore(&args.backup, &storage)?;
+    if args.take_over_bucket && storage.blobs.is_none() {
+        return Err(CliError::Usage("--take-over-bucket: name the bucket with --blobs s3://BUCKET".into()));
+    }
+    let claim = if args.take_over_bucket { BucketClaim::TakeOver } else { BucketClaim::Unclaimed };
+    let note = wiring::restore(&args.backup, &storage, claim)?;
     let text = format!("{} has what {} has: {}.", data.display(), args.backup.display(), told(&note));
     Ok(Report::new(text, &note))
 }

@@ -69,6 +69,13 @@ pub enum BackupError {
         /// Where it is.
         source_name: String,
     },
+    /// The bucket to restore into is another database's.
+    #[error(
+        "the bucket belongs to another database, perhaps the one that was backed up; name another bucket, or another prefix: \
+         s3://BUCKET/PREFIX; if no service uses that database any more, or an earlier restoration into this bucket failed, \
+         repeat with --take-over-bucket"
+    )]
+    BucketInUse,
     /// The database failed.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -163,15 +170,25 @@ async fn copy_blobs(
     }
 }
 
+/// Which buckets a backup may be restored into.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BucketClaim {
+    /// One that no database has.
+    Unclaimed,
+    /// Any; a database that has it loses it.
+    TakeOver,
+}
+
 /// Restores a backup into a data folder that is absent or empty. Every file is copied, and checked against its digest. The schema of an
-/// earlier version is brought up to date in the copy; the backup is only read.
+/// earlier version is brought up to date in the copy; the backup is only read. The restored database is another one than the one that was
+/// backed up, whose bucket it is refused unless it takes it over.
 ///
 /// # Errors
 /// [`BackupError`]; the folder then has no database, and can be deleted.
 pub async fn restore(
     backup: &Path,
     data: &Path,
-    bucket: Option<Arc<dyn ObjectStore>>,
+    bucket: Option<(Arc<dyn ObjectStore>, BucketClaim)>,
     clock: Arc<dyn Clock>,
 ) -> Result<BackupNote, BackupError> {
     let incomplete = || BackupError::Incomplete(backup.to_owned());
@@ -187,9 +204,9 @@ pub async fn restore(
                 store.move_blobs(BlobPlace::Folder).await?;
                 Blobs::open(data)?
             }
-            Some(bucket) => {
+            Some((bucket, claim)) => {
                 store.move_blobs(BlobPlace::Bucket).await?;
-                Blobs::open_bucket(data, bucket, store.clone()).await?
+                open_bucket(data, bucket, claim, &store).await?
             }
         };
         let source = BlobSource::Folder(backup.to_owned());
@@ -208,6 +225,22 @@ pub async fn restore(
     }
     sync(data)?;
     Ok(note)
+}
+
+async fn open_bucket(
+    data: &Path,
+    bucket: Arc<dyn ObjectStore>,
+    claim: BucketClaim,
+    store: &Arc<SqlStore>,
+) -> Result<Blobs, BackupError> {
+    let opened = match claim {
+        BucketClaim::Unclaimed => Blobs::open_bucket(data, bucket, store.clone()).await,
+        BucketClaim::TakeOver => Blobs::take_over_bucket(data, bucket, store.clone()).await,
+    };
+    opened.map_err(|error| match error {
+        BlobError::OtherDatabase => BackupError::BucketInUse,
+        error => error.into(),
+    })
 }
 
 fn remove_if_there(path: &Path) -> io::Result<()> {

@@ -67,6 +67,8 @@ pub async fn collect(
     policy: &GarbagePolicy,
     now: Timestamp,
 ) -> Result<Collected, GarbageError> {
+    // A database that has lost its bucket to another must not remove the other's objects.
+    blobs.check_owner().await?;
     let mut collected =
         Collected { uploads: collect_uploads(store, blobs, policy, now).await?, ..Collected::default() };
     blobs.clear_staging().await?;

@@ -42,7 +42,7 @@ mod webhooks;
 use futures_util::future::BoxFuture;
 
 pub use accounts::{Accounts, Capacity, Usage};
-pub use backup::{BackupError, BackupNote, DATABASE, back_up, restore};
+pub use backup::{BackupError, BackupNote, BucketClaim, DATABASE, back_up, restore};
 pub use blobs::{
     BlobCopy, BlobError, BlobSource, BlobState, BlobWriter, Blobs, BucketIndex, BucketUrl, CheckDepth,
     ContentHasher, CopyMode, InvalidBucketUrl, Published, SharedFiles, StagedBlob, UploadFile,

@@ -93,6 +93,7 @@ pub trait Publications: Send + Sync + 'static {
     /// [`super::StoreError::BlobsInFolder`] or [`super::StoreError::BlobsInBucket`] if that was decided otherwise.
     fn claim_place(&self, place: BlobPlace) -> StoreFuture<'_, String>;
 
-    /// Decides anew where a copy of a database has its blobs, which are to be published there.
+    /// Decides anew where a copy of a database has its blobs, which are to be published there, and gives the copy an identity of its own,
+    /// so that the bucket of the original refuses it.
     fn move_blobs(&self, place: BlobPlace) -> StoreFuture<'_, ()>;
 }

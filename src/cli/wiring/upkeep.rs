@@ -5,8 +5,8 @@ use std::{io, path::Path, sync::Arc};
 use tcgs::{
     domain::{Clock as _, Problem, ProblemType, SystemClock},
     store::{
-        BackupError, BackupNote, BlobError, BlobSource, BucketUrl, CheckDepth, CopyMode, FsckReport,
-        QueuePolicy, SqlStore, back_up as write_backup, check_data_folder, garbage::GarbageError,
+        BackupError, BackupNote, BlobError, BlobSource, BucketClaim, BucketUrl, CheckDepth, CopyMode,
+        FsckReport, QueuePolicy, SqlStore, back_up as write_backup, check_data_folder, garbage::GarbageError,
         restore as restore_backup,
     },
 };
@@ -47,12 +47,12 @@ pub(crate) fn back_up(storage: &Storage, destination: &Path, mode: CopyMode) -> 
 }
 
 /// Restores a backup.
-pub(crate) fn restore(backup: &Path, storage: &Storage) -> Result<BackupNote, CliError> {
+pub(crate) fn restore(backup: &Path, storage: &Storage, claim: BucketClaim) -> Result<BackupNote, CliError> {
     let data = &storage.data;
     runtime()?.block_on(async {
         private::create(data).map_err(|fault| CliError::unwritable(data, &fault))?;
         let bucket = storage.blobs.as_ref().map(BucketUrl::connect).transpose();
-        let bucket = bucket.map_err(|fault| unavailable(&fault))?;
+        let bucket = bucket.map_err(|fault| unavailable(&fault))?.map(|bucket| (bucket, claim));
         restore_backup(backup, data, bucket, Arc::new(SystemClock)).await.map_err(failed)
     })
 }
@@ -73,7 +73,7 @@ pub(crate) fn fsck(storage: &Storage, depth: CheckDepth) -> Result<FsckReport, C
 
 fn failed(error: BackupError) -> CliError {
     let kind = match error {
-        BackupError::NotEmpty(_) => ProblemType::Exists,
+        BackupError::NotEmpty(_) | BackupError::BucketInUse => ProblemType::Exists,
         BackupError::Incomplete(_) => ProblemType::UnreadableInput,
         BackupError::Missing { .. } | BackupError::Damaged { .. } => ProblemType::DataDamaged,
         BackupError::Store(fault) => return unavailable(&fault),

@@ -15,7 +15,7 @@ use jiff::Timestamp;
 use object_store::{ObjectStoreExt as _, local::LocalFileSystem};
 
 use super::{
-    BlobError, Published, StagedBlob, blocking,
+    BlobError, Published, ROOT, StagedBlob, blocking,
     files::{age_of, entries, folders, if_there, open_lock, sync_folder, touch},
     location,
     parts::write_parts,
@@ -121,7 +121,7 @@ impl Folder {
 
     /// The blobs that were last published before `before`.
     pub(super) async fn older_than(&self, before: Timestamp) -> Result<Vec<Digest>, BlobError> {
-        let root = self.root.join("sha256");
+        let root = self.root.join(ROOT);
         blocking(move || {
             let mut found = Vec::new();
             for outer in folders(&root)? {

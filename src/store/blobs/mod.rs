@@ -49,6 +49,9 @@ use crate::domain::{Digest, UploadId};
 /// Content as a stream.
 type Pieces = BoxStream<'static, Result<Bytes, BlobError>>;
 
+/// Folder of all blobs.
+const ROOT: &str = "sha256";
+
 /// Common block size of file systems.
 const PROBE_BYTES: usize = 4096;
 
@@ -192,6 +195,20 @@ impl Blobs {
         index: Arc<dyn BucketIndex>,
     ) -> Result<Self, BlobError> {
         let bucket = Bucket::open(bucket, index).await?;
+        Self::with(data, |_| Ok(Keeper::Bucket(bucket)))
+    }
+
+    /// As [`Blobs::open_bucket`], but the bucket becomes this database's, whichever had it before: objects that nothing refers to are
+    /// collected.
+    ///
+    /// # Errors
+    /// [`BlobError::Bucket`], [`BlobError::Index`], [`BlobError::Io`].
+    pub async fn take_over_bucket(
+        data: &Path,
+        bucket: Arc<dyn ObjectStore>,
+        index: Arc<dyn BucketIndex>,
+    ) -> Result<Self, BlobError> {
+        let bucket = Bucket::take_over(bucket, index).await?;
         Self::with(data, |_| Ok(Keeper::Bucket(bucket)))
     }
 
@@ -375,9 +392,17 @@ impl Blobs {
             file.as_file().sync_data()
         })
         .await?;
+        self.check_owner().await
+    }
+
+    /// Refuses a bucket that has become another database's.
+    ///
+    /// # Errors
+    /// [`BlobError::OtherDatabase`], [`BlobError::Bucket`].
+    pub async fn check_owner(&self) -> Result<(), BlobError> {
         match &self.0.keeper {
             Keeper::Folder(_) => Ok(()),
-            Keeper::Bucket(bucket) => bucket.probe().await,
+            Keeper::Bucket(bucket) => bucket.check_owner().await,
         }
     }
 
@@ -437,7 +462,7 @@ fn missing(digest: Digest) -> impl Fn(object_store::Error) -> BlobError {
 
 fn location(digest: Digest) -> ObjectPath {
     let hex = digest.to_string();
-    ObjectPath::from_iter(["sha256", &hex[..2], &hex[2..4], &hex])
+    ObjectPath::from_iter([ROOT, &hex[..2], &hex[2..4], &hex])
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Publications of blobs in a bucket.
 
 use jiff::{SignedDuration, Timestamp};
+use uuid::Uuid;
 
 use super::{
     SqlStore,
@@ -135,7 +136,10 @@ impl Publications for SqlStore {
 
     fn move_blobs(&self, place: BlobPlace) -> StoreFuture<'_, ()> {
         Box::pin(self.write(async move |tx, _| {
-            query("UPDATE blob_place SET place = ?").bind(place.as_str()).execute(&mut *tx).await?;
+            query("UPDATE blob_place SET id = ?, place = ?")
+                .bind_all(values![Uuid::now_v7().simple().to_string(), place.as_str()])
+                .execute(&mut *tx)
+                .await?;
             query("DELETE FROM publications").run(tx).await
         }))
     }

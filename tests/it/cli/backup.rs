@@ -106,6 +106,8 @@ async fn a_backup_of_a_running_service_is_restored_as_it_was() {
     let fresh = folder.path().join("fresh3");
     let incomplete = tcgs(["restore", text(&backup), "--data", text(&fresh)]);
     assert_eq!(incomplete.status.code(), Some(3));
+    let no_bucket = tcgs(["restore", text(&copied), "--data", text(&fresh), "--take-over-bucket"]);
+    assert_eq!(no_bucket.status.code(), Some(2), "it takes over a bucket, and none is named");
     let nothing = tcgs(["backup", text(&folder.path().join("x")), "--data", text(&folder.path().join("y"))]);
     assert_eq!(nothing.status.code(), Some(3), "there is no service's data");
     assert!(blob(&data, &digest).exists(), "the backup's files are its own");

@@ -1,6 +1,6 @@
 //! Blobs in a bucket of a real S3 server.
 
-use std::{sync::Arc, time::Duration};
+use std::{path::Path, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use futures_util::TryStreamExt as _;
@@ -9,9 +9,10 @@ use object_store::{ObjectStore, ObjectStoreExt as _, path::Path as ObjectPath};
 use tcgs::{
     domain::{Clock as _, Digest, JobId, ManualClock, ProjectId, SystemClock, TrainOptions, UploadId},
     store::{
-        BlobError, BlobPlace, BlobRef, BlobSource, BlobState, Blobs, CheckDepth, CopyMode, DATABASE, NewJob,
-        NewUpload, QueuePolicy, SqlStore, Store as _, StoreError, Uploads as _, back_up,
-        garbage::{GarbagePolicy, collect},
+        BackupError, BackupNote, BlobError, BlobPlace, BlobRef, BlobSource, BlobState, Blobs, BucketClaim,
+        CheckDepth, CopyMode, DATABASE, NewJob, NewUpload, QueuePolicy, SqlStore, Store as _, StoreError,
+        Uploads as _, back_up,
+        garbage::{GarbageError, GarbagePolicy, collect},
         publications::{Publications as _, REMOVER_IS_DEAD, Removable},
         restore,
         uploads::WRITER_LIFE,
@@ -60,6 +61,29 @@ impl Fixture {
         let mut staging = self.blobs.stage(1 << 30).await.expect("room");
         staging.write(content).await.expect("written");
         staging.finish().await.expect("whole")
+    }
+
+    /// A queued job with a dataset in the bucket.
+    async fn queue(&self, number: u128, content: &'static [u8]) -> (JobId, BlobRef) {
+        let dataset = self.blobs.put(Bytes::from_static(content)).await.expect("published");
+        let job = JobId(uuid::Uuid::from_u128(number));
+        self.store.create_job(NewJob::new(job, TrainOptions::default(), dataset)).await.expect("queued");
+        (job, dataset)
+    }
+
+    async fn back_up(&self, destination: &Path) -> BackupNote {
+        let source = BlobSource::Store(self.blobs.clone());
+        back_up(&self.store, &source, destination, CopyMode::Link, self.clock.clone())
+            .await
+            .expect("a backup")
+    }
+
+    /// A restored database whose blobs are in a bucket, as a service opens it.
+    async fn open_restored(&self, data: &Path, bucket: &Arc<dyn ObjectStore>) -> (Arc<SqlStore>, Blobs) {
+        let store = SqlStore::open(&data.join(DATABASE), self.clock.clone(), QueuePolicy::default()).await;
+        let store = Arc::new(store.expect("a database"));
+        let blobs = Blobs::open_bucket(data, bucket.clone(), store.clone()).await.expect("its bucket");
+        (store, blobs)
     }
 }
 
@@ -443,33 +467,82 @@ async fn a_backup_moves_blobs_out_of_a_bucket_and_into_another() {
         return; // Its backups are pg_dump's.
     }
     let server = S3Server::shared().expect("asked before");
-    let content = Bytes::from_static(b"a dataset");
-    let dataset = fixture.blobs.put(content.clone()).await.expect("published");
-    let job = JobId(uuid::Uuid::from_u128(7));
-    fixture.store.create_job(NewJob::new(job, TrainOptions::default(), dataset)).await.expect("queued");
+    let (job, dataset) = fixture.queue(7, b"a dataset").await;
 
     let folder = tempfile::tempdir().expect("a folder");
     let [backup, in_bucket, in_folder] = ["backup", "bucket", "folder"].map(|name| folder.path().join(name));
-    let source = BlobSource::Store(fixture.blobs.clone());
     let clock = fixture.clock.clone();
-    let note =
-        back_up(&fixture.store, &source, &backup, CopyMode::Link, clock.clone()).await.expect("a backup");
+    let note = fixture.back_up(&backup).await;
     assert_eq!((note.blobs, note.bytes), (1, 9));
 
     let objects = server.connect(&server.prefix());
     for (data, bucket) in [(&in_bucket, Some(objects.clone())), (&in_folder, None)] {
-        let restored = restore(&backup, data, bucket.clone(), clock.clone()).await.expect("restored");
+        let claimed = bucket.clone().map(|bucket| (bucket, BucketClaim::Unclaimed));
+        let restored = restore(&backup, data, claimed, clock.clone()).await.expect("restored");
         assert_eq!(restored, note);
-        let store = SqlStore::open(&data.join(DATABASE), clock.clone(), QueuePolicy::default()).await;
-        let store = Arc::new(store.expect("a database"));
-        assert!(store.job(job).await.expect("read").is_some());
-        let blobs = match bucket {
-            Some(bucket) => Blobs::open_bucket(data, bucket, store.clone()).await.expect("its bucket"),
+        let (store, blobs) = match bucket {
+            Some(bucket) => fixture.open_restored(data, &bucket).await,
             None => {
+                let store = SqlStore::open(&data.join(DATABASE), clock.clone(), QueuePolicy::default()).await;
+                let store = Arc::new(store.expect("a database"));
                 store.claim_place(BlobPlace::Folder).await.expect("decided by the restoration");
-                Blobs::open(data).expect("its folder")
+                (store, Blobs::open(data).expect("its folder"))
             }
         };
-        assert_eq!(blobs.read(dataset.digest).await.expect("there"), content);
+        assert!(store.job(job).await.expect("read").is_some());
+        assert_eq!(blobs.read(dataset.digest).await.expect("there"), b"a dataset".as_slice());
     }
+}
+
+#[tokio::test]
+async fn a_restored_copy_is_refused_the_bucket_of_the_database_that_was_backed_up() {
+    let Some(fixture) = Fixture::new().await else { return };
+    if fixture.database.is_postgres() {
+        return; // Its backups are pg_dump's.
+    }
+    fixture.queue(1, b"a dataset").await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let [backup, data] = ["backup", "data"].map(|name| folder.path().join(name));
+    fixture.back_up(&backup).await;
+
+    let bucket = Some((fixture.objects.clone(), BucketClaim::Unclaimed));
+    let refused = restore(&backup, &data, bucket, fixture.clock.clone()).await.expect_err("it is in use");
+    assert!(matches!(refused, BackupError::BucketInUse), "{refused:?}");
+    let told = refused.to_string();
+    assert!(told.contains("another prefix") && told.contains("--take-over-bucket"), "{told}");
+    assert!(!data.join(DATABASE).exists());
+    fixture.blobs.probe().await.expect("the bucket is still the original's");
+}
+
+#[tokio::test]
+async fn a_restoration_takes_over_a_bucket_on_request_with_what_it_has() {
+    let Some(fixture) = Fixture::new().await else { return };
+    if fixture.database.is_postgres() {
+        return; // Its backups are pg_dump's.
+    }
+    let (job, dataset) = fixture.queue(1, b"a dataset").await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let [backup, lost, data] = ["backup", "lost", "data"].map(|name| folder.path().join(name));
+    let note = fixture.back_up(&backup).await;
+    let after_backup = fixture.blobs.put(Bytes::from_static(b"published after it")).await.expect("published");
+
+    // As after a restoration that failed, the second one finds the bucket taken by the first.
+    for folder in [&lost, &data] {
+        let bucket = Some((fixture.objects.clone(), BucketClaim::TakeOver));
+        let restored = restore(&backup, folder, bucket, fixture.clock.clone()).await.expect("restored");
+        assert_eq!(restored, note);
+    }
+    let policy = GarbagePolicy::default();
+    fixture.clock.advance(SignedDuration::from_hours(2));
+    assert!(matches!(fixture.blobs.probe().await, Err(BlobError::OtherDatabase)));
+    let late = collect(&*fixture.store, &fixture.blobs, &policy, fixture.clock.now()).await;
+    assert!(matches!(late, Err(GarbageError::Blobs(BlobError::OtherDatabase))), "{late:?}");
+
+    let (store, blobs) = fixture.open_restored(&data, &fixture.objects).await;
+    assert!(store.job(job).await.expect("read").is_some());
+    assert!(fixture.objects.head(&object(after_backup.digest)).await.is_ok());
+    let collected = collect(&*store, &blobs, &policy, fixture.clock.now()).await.expect("collected");
+    assert_eq!(collected.blobs, 1);
+    assert!(fixture.objects.head(&object(after_backup.digest)).await.is_err(), "the backup does not know it");
+    assert_eq!(blobs.read(dataset.digest).await.expect("there"), b"a dataset".as_slice());
 }

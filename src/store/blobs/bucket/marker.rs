@@ -27,6 +27,12 @@ pub(super) async fn claim(objects: &dyn ObjectStore, identity: &str) -> Result<(
     }
 }
 
+/// Takes the bucket for the database `identity`, whichever had it before.
+pub(super) async fn replace(objects: &dyn ObjectStore, identity: &str) -> Result<(), BlobError> {
+    let replaced = objects.put(&at(), identity.to_owned().into_bytes().into()).await;
+    replaced.map(drop).map_err(BlobError::Bucket)
+}
+
 /// Whether the bucket belongs to the database `identity`.
 pub(super) async fn check(objects: &dyn ObjectStore, identity: &str) -> Result<(), BlobError> {
     let found = objects.get(&at()).await.map_err(BlobError::Bucket)?;

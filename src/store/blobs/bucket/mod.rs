@@ -12,7 +12,9 @@ use std::{pin::pin, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use futures_util::{StreamExt as _, TryStreamExt as _};
-use object_store::{GetOptions, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload};
+use object_store::{
+    GetOptions, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload, path::Path as ObjectPath,
+};
 use tempfile::TempPath;
 use tokio::{
     fs::File,
@@ -25,7 +27,7 @@ pub(super) use upload::BucketUpload;
 pub use url::{BucketUrl, InvalidBucketUrl};
 
 use super::{
-    BlobError, ContentHasher, Pieces, Published, StagedBlob, location,
+    BlobError, ContentHasher, Pieces, Published, ROOT, StagedBlob, location,
     parts::{PART_BYTES, write_parts},
     staging_dir::StagingDir,
 };
@@ -77,13 +79,36 @@ impl Bucket {
         Ok(Self { objects, index, identity: identity.into() })
     }
 
+    /// Takes the bucket for the database of `index`, whichever had it before, with everything in it.
+    pub(super) async fn take_over(
+        objects: Arc<dyn ObjectStore>,
+        index: Arc<dyn BucketIndex>,
+    ) -> Result<Self, BlobError> {
+        let identity = index.claim_place(BlobPlace::Bucket).await?;
+        marker::replace(&*objects, &identity).await?;
+        let bucket = Self { objects, index, identity: identity.into() };
+        bucket.announce_objects().await?;
+        Ok(bucket)
+    }
+
+    /// Announces every object, so that those that nothing refers to are collected.
+    async fn announce_objects(&self) -> Result<(), BlobError> {
+        let mut listed = self.objects.list(Some(&ObjectPath::from(ROOT)));
+        while let Some(object) = listed.try_next().await.map_err(BlobError::Bucket)? {
+            if let Some(digest) = object.location.filename().and_then(|name| name.parse().ok()) {
+                self.announce(BlobRef { digest, bytes: object.size }).await?;
+            }
+        }
+        Ok(())
+    }
+
     /// Changing files beside the blobs.
     pub(super) fn shared_files(&self) -> SharedFiles {
         SharedFiles(Arc::clone(&self.objects))
     }
 
     /// Whether the bucket answers, and is still this database's.
-    pub(super) async fn probe(&self) -> Result<(), BlobError> {
+    pub(super) async fn check_owner(&self) -> Result<(), BlobError> {
         marker::check(&*self.objects, &self.identity).await
     }
 
