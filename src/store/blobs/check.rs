@@ -135,8 +135,17 @@ impl Blobs {
         Ok(if found.finish() == blob { BlobState::Sound } else { BlobState::Damaged })
     }
 
-    /// Copies a blob from elsewhere, unless it is here; a copy by content is checked against its digest. Returns what was found: nothing
-    /// is copied of a blob that is missing or damaged there.
+    /// Records a blob that is here for garbage collection, which lists the files of a folder but not the objects of a bucket. Returns false
+    /// if it is not here any more.
+    async fn record(&self, blob: BlobRef) -> Result<bool, BlobError> {
+        match &self.0.keeper {
+            Keeper::Folder(_) => Ok(true),
+            Keeper::Bucket(bucket) => Ok(bucket.renew(blob).await?.is_some()),
+        }
+    }
+
+    /// Copies a blob from elsewhere, unless it is here; a copy by content is checked against its digest, and so is what a bucket has
+    /// already. Returns what was found: nothing is copied of a blob that is missing or damaged there. A bucket must have no other users.
     ///
     /// # Errors
     /// [`BlobError`].
@@ -146,7 +155,13 @@ impl Blobs {
         blob: BlobRef,
         mode: CopyMode,
     ) -> Result<BlobState, BlobError> {
-        if self.check(blob, CheckDepth::Length).await? == BlobState::Sound {
+        let depth = match (&self.0.keeper, mode) {
+            // It was empty, so its files were checked when they were copied.
+            (Keeper::Folder(_), _) | (_, CopyMode::Link) => CheckDepth::Length,
+            (Keeper::Bucket(_), CopyMode::Content) => CheckDepth::Content,
+        };
+        let here = self.check(blob, depth).await?;
+        if here == BlobState::Sound && self.record(blob).await? {
             return Ok(BlobState::Sound);
         }
         if mode == CopyMode::Link
@@ -173,6 +188,10 @@ impl Blobs {
         let staged = staged.finish().await?;
         if staged.blob() != blob {
             return Ok(BlobState::Damaged);
+        }
+        if let (BlobState::Damaged, Keeper::Bucket(bucket)) = (here, &self.0.keeper) {
+            // A publication keeps an object of the blob's length.
+            bucket.delete(blob.digest).await?;
         }
         self.publish(&staged).await?;
         Ok(BlobState::Sound)

@@ -495,6 +495,39 @@ async fn a_backup_moves_blobs_out_of_a_bucket_and_into_another() {
 }
 
 #[tokio::test]
+async fn what_a_bucket_already_has_is_checked_by_a_restoration_and_collected_later() {
+    let Some(fixture) = Fixture::new().await else { return };
+    if fixture.database.is_postgres() {
+        return; // Its backups are pg_dump's.
+    }
+    let server = S3Server::shared().expect("asked before");
+    let jobs = [fixture.queue(1, b"a dataset").await, fixture.queue(2, b"another one").await];
+    let folder = tempfile::tempdir().expect("a folder");
+    let [backup, data] = ["backup", "data"].map(|name| folder.path().join(name));
+    fixture.back_up(&backup).await;
+
+    let objects = server.connect(&server.prefix());
+    let [sound, damaged] = jobs.map(|(_, dataset)| object(dataset.digest));
+    objects.put(&sound, b"a dataset".to_vec().into()).await.expect("put");
+    objects.put(&damaged, b"rotten once".to_vec().into()).await.expect("put");
+    let bucket = Some((objects.clone(), BucketClaim::Unclaimed));
+    restore(&backup, &data, bucket, fixture.clock.clone()).await.expect("restored");
+    let (store, blobs) = fixture.open_restored(&data, &objects).await;
+    for (job, dataset) in jobs {
+        let found = blobs.check(dataset, CheckDepth::Content).await.expect("asked");
+        assert_eq!(found, BlobState::Sound, "{job}");
+        store.cancel(job).await.expect("cancelled");
+        store.delete_job(job, None).await.expect("deleted");
+    }
+    fixture.clock.advance(SignedDuration::from_hours(2));
+    let collected = collect(&*store, &blobs, &GarbagePolicy::default(), fixture.clock.now()).await;
+    assert_eq!(collected.expect("collected").blobs, 2);
+    for gone in [sound, damaged] {
+        assert!(objects.head(&gone).await.is_err(), "{gone}");
+    }
+}
+
+#[tokio::test]
 async fn a_restored_copy_is_refused_the_bucket_of_the_database_that_was_backed_up() {
     let Some(fixture) = Fixture::new().await else { return };
     if fixture.database.is_postgres() {

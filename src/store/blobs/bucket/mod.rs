@@ -279,14 +279,20 @@ impl Bucket {
     }
 
     async fn finish_removal(&self, removal: Removal) -> Result<(), BlobError> {
-        let limit = REMOVAL_LIMIT.unsigned_abs();
-        match timeout(limit, self.objects.delete(&location(removal.blob.digest))).await {
-            Ok(Ok(()) | Err(object_store::Error::NotFound { .. })) => {}
-            Ok(Err(error)) => return Err(BlobError::Bucket(error)),
+        match timeout(REMOVAL_LIMIT.unsigned_abs(), self.delete(removal.blob.digest)).await {
+            Ok(deleted) => deleted?,
             // Whether it is deleted is unknown; the next collection finishes it.
             Err(late) => return Err(BlobError::Io(late.into())),
         }
         Ok(self.index.end_removal(removal).await?)
+    }
+
+    /// Deletes a blob's object, if there is one.
+    pub(super) async fn delete(&self, digest: Digest) -> Result<(), BlobError> {
+        match self.objects.delete(&location(digest)).await {
+            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Err(error) => Err(BlobError::Bucket(error)),
+        }
     }
 }
 
