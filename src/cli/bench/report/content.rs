@@ -292,11 +292,11 @@ impl Content<'_> {
         let table = Table::new(head, rows);
         let heading = Block::Heading("Bjøntegaard differences".to_owned());
         if table.rows.is_empty() {
-            let none = "No two curves share a range: a curve has several weights, steps or formats.";
+            let none = "No two curves share a range in every seed; a curve goes through several weights, steps or formats.";
             return vec![heading, Block::Note(none.to_owned())];
         }
         let note = "Mean difference of bytes at equal PSNR (less is smaller) and of PSNR at equal bytes, over the range that both curves \
-            have, for each seed and then over seeds. The cubic fit takes four points, PCHIP two.";
+            have, for each seed and then over seeds, if all of them share one. The cubic fit takes four points, PCHIP two.";
         vec![heading, Block::Table(table), Block::Note(note.to_owned())]
     }
 
