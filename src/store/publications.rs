@@ -21,8 +21,10 @@ pub const REMOVER_IS_DEAD: SignedDuration = SignedDuration::from_secs(120);
 pub struct Announcement {
     /// The row, which tells the blob from one of the same content that is published after this one was removed.
     pub(super) row: i64,
-    /// Whether nobody has published it since it was last removed, if ever.
+    /// Whether nobody else has published it since it was last removed, if ever.
     pub is_new: bool,
+    /// When it was announced or last renewed, a time that no other publication of the blob has.
+    pub published_at: Timestamp,
 }
 
 /// A blob marked for removal, whose object is to be deleted now.
@@ -66,9 +68,9 @@ pub trait Publications: Send + Sync + 'static {
     /// Records that a blob is published now; `None` while its object is being deleted.
     fn announce(&self, blob: BlobRef) -> StoreFuture<'_, Option<Announcement>>;
 
-    /// Renews an announced publication and returns its time, which no other publication of the blob has; `None` if it was removed since,
-    /// and has to be announced again.
-    fn confirm(&self, announced: Announcement) -> StoreFuture<'_, Option<Timestamp>>;
+    /// Renews an announced publication, which is not new any more if another publisher has announced or renewed the blob since; `None` if it
+    /// was removed since, and has to be announced again.
+    fn confirm(&self, announced: Announcement) -> StoreFuture<'_, Option<Announcement>>;
 
     /// Up to `limit` blobs after `after`, in the order of their digests, that were last published longer ago than `age`.
     fn older_publications(

@@ -10,9 +10,8 @@ use std::{
     path::PathBuf,
 };
 
-use bytes::Bytes;
 use jiff::Timestamp;
-use object_store::{ObjectStoreExt as _, local::LocalFileSystem};
+use object_store::local::LocalFileSystem;
 
 use super::{
     BlobError, Published, ROOT, StagedBlob, blocking,
@@ -53,21 +52,14 @@ impl Folder {
             return Ok(published);
         }
         self.copy(staged).await?;
-        Ok(Published { blob, created_at: self.renew(blob).await? })
+        self.renew(blob).await?;
+        // Another publisher may have copied the same content meanwhile, so this publication cannot be undone.
+        Ok(Published { blob, created_at: None })
     }
 
     async fn copy(&self, staged: &StagedBlob) -> Result<(), BlobError> {
         let content = tokio::fs::File::open(staged.path()).await?;
         write_parts(&self.store, &location(staged.blob().digest), content, BlobError::Store).await
-    }
-
-    /// Publishes bytes from memory.
-    pub(super) async fn put(&self, blob: BlobRef, content: Bytes) -> Result<Published, BlobError> {
-        if self.renew(blob).await?.is_some() {
-            return Ok(Published { blob, created_at: None });
-        }
-        self.store.put(&location(blob.digest), content.into()).await?;
-        Ok(Published { blob, created_at: self.renew(blob).await? })
     }
 
     /// Renews the blob's age and returns its new modification time; `None` if it does not exist.

@@ -265,7 +265,14 @@ impl Blobs {
     pub async fn put_new(&self, content: Bytes) -> Result<Published, BlobError> {
         let blob = BlobRef { digest: Digest::of(&content), bytes: content.len() as u64 };
         match &self.0.keeper {
-            Keeper::Folder(folder) => folder.put(blob, content).await,
+            Keeper::Folder(folder) => {
+                if folder.renew(blob).await?.is_some() {
+                    return Ok(Published { blob, created_at: None });
+                }
+                let mut staging = self.stage(blob.bytes).await?;
+                staging.write(&content).await?;
+                folder.publish(&staging.finish().await?).await
+            }
             Keeper::Bucket(bucket) => bucket.put(blob, &content).await,
         }
     }
@@ -534,6 +541,27 @@ mod tests {
         assert_eq!(std::fs::read(again.1.path()).expect("readable"), &content[..]);
         let absent = BlobRef { digest: Digest::of(b"absent"), bytes: 6 };
         assert!(blobs.republish(absent).await.expect("asked").is_none());
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn of_publications_at_the_same_time_none_can_be_undone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let blobs = Blobs::open(folder.path()).expect("a store");
+        for turn in 0..50 {
+            let content = Bytes::from(format!("content {turn}"));
+            let publish = || {
+                let (blobs, content) = (blobs.clone(), content.clone());
+                tokio::spawn(async move { blobs.put_new(content).await.expect("published") })
+            };
+            let mut published = Vec::new();
+            for publishing in [publish(), publish(), publish()] {
+                published.push(publishing.await.expect("no panic"));
+            }
+            for one in published {
+                assert!(!blobs.unpublish(one).await.expect("asked"), "turn {turn}: the others count on it");
+            }
+            assert_eq!(blobs.read(Digest::of(&content)).await.expect("there"), content);
+        }
     }
 
     #[tokio::test]

@@ -1,6 +1,6 @@
 //! Publications of blobs in a bucket.
 
-use jiff::{SignedDuration, Timestamp};
+use jiff::SignedDuration;
 use uuid::Uuid;
 
 use super::{
@@ -17,15 +17,42 @@ use crate::{
     },
 };
 
-/// Renews a blob's row, or makes it; changes nothing while the blob is being removed by someone who may be alive.
-const ANNOUNCE: &str = "
+/// Makes a blob's row unless there is one.
+const ANNOUNCE_NEW: &str = "
     INSERT INTO publications (digest, bytes, published_at) VALUES (?1, ?2, ?3)
-    ON CONFLICT (digest) DO UPDATE SET
-        bytes = excluded.bytes,
-        removing_since = NULL,
-        published_at = CASE WHEN publications.published_at < ?3 THEN ?3 ELSE publications.published_at + 1 END
-    WHERE publications.removing_since IS NULL OR publications.removing_since < ?4
+    ON CONFLICT (digest) DO NOTHING
     RETURNING id, published_at";
+
+/// Renews a blob's row; changes nothing while the blob is being removed by someone who may be alive.
+const ANNOUNCE_AGAIN: &str = "
+    UPDATE publications SET
+        bytes = ?2,
+        removing_since = NULL,
+        published_at = CASE WHEN published_at < ?3 THEN ?3 ELSE published_at + 1 END
+    WHERE digest = ?1 AND (removing_since IS NULL OR removing_since < ?4)
+    RETURNING id, published_at";
+
+/// Renews the row `?1` unless another publisher has since `?3`.
+const CONFIRM_ONLY: &str = "
+    UPDATE publications
+    SET published_at = CASE WHEN published_at < ?2 THEN ?2 ELSE published_at + 1 END
+    WHERE id = ?1 AND removing_since IS NULL AND published_at = ?3
+    RETURNING id, published_at";
+
+/// Renews the row `?1`.
+const CONFIRM: &str = "
+    UPDATE publications
+    SET published_at = CASE WHEN published_at < ?2 THEN ?2 ELSE published_at + 1 END
+    WHERE id = ?1 AND removing_since IS NULL
+    RETURNING id, published_at";
+
+/// Reads an announcement of a blob that nobody else has published if `is_new`.
+fn announcement(is_new: bool) -> impl Fn(&Row) -> Result<Announcement, StoreError> {
+    move |row| {
+        let published_at = instant("published_at", row.try_get("published_at")?)?;
+        Ok(Announcement { row: row.try_get("id")?, is_new, published_at })
+    }
+}
 
 fn removal(row: &Row) -> Result<Removal, StoreError> {
     Ok(Removal { row: row.try_get("id")?, blob: blob(row, "digest")? })
@@ -34,30 +61,32 @@ fn removal(row: &Row) -> Result<Removal, StoreError> {
 impl Publications for SqlStore {
     fn announce(&self, blob: BlobRef) -> StoreFuture<'_, Option<Announcement>> {
         Box::pin(self.write(async move |tx, now| {
-            let known = query("SELECT id FROM publications WHERE digest = ?")
-                .bind(blob.digest.to_string())
-                .fetch_optional(&mut *tx)
-                .await?;
-            let row = query(ANNOUNCE)
-                .bind_all(values![blob.digest.to_string(), signed(blob.bytes), micros(now)])
+            let row = values![blob.digest.to_string(), signed(blob.bytes), micros(now)];
+            let new =
+                query(ANNOUNCE_NEW).bind_all(row.clone()).optional(&mut *tx, announcement(true)).await?;
+            if new.is_some() {
+                return Ok(new);
+            }
+            query(ANNOUNCE_AGAIN)
+                .bind_all(row)
                 .bind(micros(earlier(now, REMOVER_IS_DEAD)))
-                .fetch_optional(&mut *tx)
-                .await?;
-            let Some(row) = row else { return Ok(None) };
-            Ok(Some(Announcement { row: row.try_get("id")?, is_new: known.is_none() }))
+                .optional(tx, announcement(false))
+                .await
         }))
     }
 
-    fn confirm(&self, announced: Announcement) -> StoreFuture<'_, Option<Timestamp>> {
+    fn confirm(&self, announced: Announcement) -> StoreFuture<'_, Option<Announcement>> {
         Box::pin(self.write(async move |tx, now| {
-            query(
-                "UPDATE publications
-                 SET published_at = CASE WHEN published_at < ?2 THEN ?2 ELSE published_at + 1 END
-                 WHERE id = ?1 AND removing_since IS NULL RETURNING published_at",
-            )
-            .bind_all(values![announced.row, micros(now)])
-            .optional(tx, |row| instant("published_at", row.try_get("published_at")?))
-            .await
+            let row = values![announced.row, micros(now)];
+            let only = query(CONFIRM_ONLY)
+                .bind_all(row.clone())
+                .bind(micros(announced.published_at))
+                .optional(&mut *tx, announcement(announced.is_new))
+                .await?;
+            if only.is_some() {
+                return Ok(only);
+            }
+            query(CONFIRM).bind_all(row).optional(tx, announcement(false)).await
         }))
     }
 

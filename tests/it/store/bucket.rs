@@ -24,6 +24,7 @@ use tokio_util::sync::CancellationToken;
 use crate::support::{
     bucket::{S3Server, connect},
     database::Database,
+    fault_store::FaultStore,
     gate::{Gate, GateState},
 };
 
@@ -306,6 +307,42 @@ async fn a_publication_that_was_removed_meanwhile_is_not_confirmed() {
     let again = fixture.store.announce(blob).await.expect("asked").expect("free");
     assert_eq!(fixture.store.confirm(slow).await.expect("asked"), None, "that is another publication");
     assert!(again.is_new && fixture.store.confirm(again).await.expect("asked").is_some());
+}
+
+#[tokio::test]
+async fn a_publication_is_new_until_another_publisher_announces_or_renews_it() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let blob = BlobRef { digest: Digest::of(b"slow"), bytes: 4 };
+    let announce = async || fixture.store.announce(blob).await.expect("asked").expect("free");
+    let confirm = async |announced| fixture.store.confirm(announced).await.expect("asked").expect("there");
+    let slow = announce().await;
+    let renewed = confirm(confirm(slow).await).await;
+    assert!(slow.is_new && renewed.is_new, "its own renewals do not count");
+    assert!(slow.published_at < renewed.published_at);
+    assert!(!confirm(slow).await.is_new, "it was renewed since");
+    let other = announce().await;
+    assert!(!other.is_new && !confirm(renewed).await.is_new && !confirm(other).await.is_new);
+}
+
+#[tokio::test]
+async fn a_slow_publication_cannot_be_undone_once_another_counts_on_the_object() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let objects = FaultStore::new(fixture.objects.clone());
+    let store = Arc::new(fixture.database.open(fixture.clock.clone(), QueuePolicy::default()).await);
+    let slow = Blobs::open_bucket(fixture.folder.path(), Arc::new(objects.clone()), store).await;
+    let slow = slow.expect("another replica");
+    let content = || Bytes::from_static(b"twelve bytes");
+
+    let held = objects.hold_next_put();
+    let publishing = tokio::spawn(async move { slow.put_new(content()).await.expect("published") });
+    held.asked.await.expect("announced");
+    let other = fixture.blobs.put_new(content()).await.expect("published");
+    fixture.clock.advance(SignedDuration::from_secs(1));
+    held.release.send(()).expect("held until now");
+    let first = publishing.await.expect("ends");
+    assert!(!fixture.blobs.unpublish(first).await.expect("asked"), "the other counts on it");
+    assert!(!fixture.blobs.unpublish(other).await.expect("asked"), "it was announced before");
+    assert_eq!(fixture.blobs.read(other.blob.digest).await.expect("there"), content());
 }
 
 /// An upload of the default project.

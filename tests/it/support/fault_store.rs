@@ -1,4 +1,4 @@
-//! A bucket whose n-th request fails: before it reaches the server, or after, when its answer is lost.
+//! A bucket whose n-th request fails: before it reaches the server, or after, when its answer is lost. It can also hold a put back.
 
 use std::{
     fmt, io,
@@ -19,6 +19,7 @@ use object_store::{
     CopyOptions, Error, GetOptions, GetResult, ListResult, MultipartUpload, ObjectMeta, ObjectStore,
     PutMultipartOptions, PutOptions, PutPayload, PutResult, Result, UploadPart, path::Path,
 };
+use tokio::sync::oneshot;
 
 /// Where a request fails.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,6 +36,17 @@ struct Plan {
     left: AtomicU32,
     fault: Mutex<Option<(Side, io::ErrorKind)>>,
     failed: AtomicU32,
+    /// Where the next put says that it was asked for, and what it waits for.
+    held: Mutex<Option<(oneshot::Sender<()>, oneshot::Receiver<()>)>>,
+}
+
+/// A put that is held back.
+#[derive(Debug)]
+pub struct HeldPut {
+    /// Ends once it is asked for.
+    pub asked: oneshot::Receiver<()>,
+    /// Lets it reach the server.
+    pub release: oneshot::Sender<()>,
 }
 
 impl Plan {
@@ -77,6 +89,13 @@ impl FaultStore {
         *self.plan.fault.lock().expect("not poisoned") = Some((side, kind));
     }
 
+    /// Holds the next put back before it reaches the server.
+    pub fn hold_next_put(&self) -> HeldPut {
+        let ((ask, asked), (release, released)) = (oneshot::channel(), oneshot::channel());
+        *self.plan.held.lock().expect("not poisoned") = Some((ask, released));
+        HeldPut { asked, release }
+    }
+
     /// Lets no request fail any more, and returns whether one has.
     pub fn relieve(&self) -> bool {
         *self.plan.fault.lock().expect("not poisoned") = None;
@@ -93,6 +112,11 @@ impl fmt::Display for FaultStore {
 #[async_trait]
 impl ObjectStore for FaultStore {
     async fn put_opts(&self, location: &Path, payload: PutPayload, opts: PutOptions) -> Result<PutResult> {
+        let held = self.plan.held.lock().expect("not poisoned").take();
+        if let Some((ask, released)) = held {
+            ask.send(()).expect("the test waits for it");
+            released.await.expect("the test releases it");
+        }
         self.plan.apply(self.inner.put_opts(location, payload, opts)).await
     }
 

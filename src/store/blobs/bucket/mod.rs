@@ -135,15 +135,17 @@ impl Bucket {
 
     async fn publish_content(&self, blob: BlobRef, content: Content<'_>) -> Result<Published, BlobError> {
         loop {
-            let announced = self.announce(blob).await?;
+            let mut announced = self.announce(blob).await?;
             reach(FailurePoint::BlobAnnounced);
             if !self.has(blob).await? {
-                self.put_content(blob, &content, announced).await?;
+                self.put_content(blob, &content, &mut announced).await?;
             }
             reach(FailurePoint::BlobStored);
             // Also if it was there: whoever may withdraw an earlier publication learns of this one.
-            if let Some(at) = self.index.confirm(announced).await? {
-                return Ok(Published { blob, created_at: announced.is_new.then_some(at) });
+            if let Some(confirmed) = self.index.confirm(announced).await? {
+                // Only then is no other publisher left without the object if this publication is withdrawn.
+                let created_at = confirmed.is_new.then_some(confirmed.published_at);
+                return Ok(Published { blob, created_at });
             }
         }
     }
@@ -176,7 +178,7 @@ impl Bucket {
         &self,
         blob: BlobRef,
         content: &Content<'_>,
-        announced: Announcement,
+        announced: &mut Announcement,
     ) -> Result<(), BlobError> {
         let is_small = blob.bytes <= PART_BYTES as u64;
         match content {
@@ -212,15 +214,19 @@ impl Bucket {
         &self,
         blob: BlobRef,
         content: impl AsyncRead + Unpin + Send,
-        announced: Announcement,
+        announced: &mut Announcement,
     ) -> Result<(), BlobError> {
         let at = location(blob.digest);
         let mut writing = pin!(write_parts(&*self.objects, &at, content, BlobError::Bucket));
         loop {
             tokio::select! {
                 written = &mut writing => return written,
-                // If it was removed, or the database is away, that shows at the end.
-                () = sleep(RENEW_EVERY) => drop(self.index.confirm(announced).await),
+                () = sleep(RENEW_EVERY) => {
+                    // If it was removed, or the database is away, that shows at the end.
+                    if let Ok(Some(renewed)) = self.index.confirm(*announced).await {
+                        *announced = renewed;
+                    }
+                }
             }
         }
     }
