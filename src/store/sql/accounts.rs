@@ -3,24 +3,32 @@
 //! Usage is read from totals that the schema's triggers maintain; tests compare them with a recount. The query below names every table
 //! that refers to blobs; a test compares it with the schema's foreign keys, which also prevent the deletion of a referenced row.
 
+use std::collections::BTreeSet;
+
 use super::{
-    SqlStore,
-    db::{Transaction, query, values},
+    MEMBERS, SqlStore,
+    db::{Query, Sql, Transaction, query, values},
     locks,
-    rows::{optional_whole, whole},
+    rows::{json, optional_whole, parsed, whole},
 };
 use crate::{
     domain::{Digest, ProjectId},
     store::{Accounts, BlobRef, Capacity, StoreError, StoreFuture, Usage},
 };
 
-/// Whether anything refers to blob `?1`.
-const IS_REFERENCED: &str = "
-    SELECT EXISTS (SELECT 1 FROM scenes WHERE dataset = ?1)
-        OR EXISTS (SELECT 1 FROM jobs WHERE dataset = ?1)
-        OR EXISTS (SELECT 1 FROM artifacts WHERE digest = ?1)
-        OR EXISTS (SELECT 1 FROM exports WHERE digest = ?1)
-        OR EXISTS (SELECT 1 FROM exports WHERE source = ?1) AS referenced";
+/// The members of the JSON array `?` as rows with a `digest`.
+const LISTED: Sql = Sql {
+    sqlite: "(SELECT value AS digest FROM json_each(?)) AS listed",
+    postgres: "jsonb_array_elements_text(CAST(? AS jsonb)) AS listed (digest)",
+};
+
+/// Whether nothing refers to a listed blob.
+const IS_UNREFERENCED: &str = "
+    NOT EXISTS (SELECT 1 FROM scenes WHERE scenes.dataset = listed.digest)
+    AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.dataset = listed.digest)
+    AND NOT EXISTS (SELECT 1 FROM artifacts WHERE artifacts.digest = listed.digest)
+    AND NOT EXISTS (SELECT 1 FROM exports WHERE exports.digest = listed.digest)
+    AND NOT EXISTS (SELECT 1 FROM exports WHERE exports.source = listed.digest)";
 
 /// Storage of project `?1`.
 const USAGE: &str = "SELECT dataset_bytes + artifact_bytes + export_bytes AS stored_bytes, reserved_bytes
@@ -37,7 +45,7 @@ const ACTIVE_JOBS: &str = "
 
 /// Statements that run under the write lock; their cost must not grow with the number of rows.
 #[cfg(test)]
-pub(super) const STATEMENTS: [&str; 4] = [USAGE, HAS_BLOB, ACTIVE_JOBS, IS_REFERENCED];
+pub(super) const STATEMENTS: [&str; 3] = [USAGE, HAS_BLOB, ACTIVE_JOBS];
 
 /// The project's storage.
 async fn usage(connection: &mut Transaction, project: ProjectId) -> Result<Usage, StoreError> {
@@ -108,19 +116,26 @@ pub(super) async fn admit_job(
     Ok(())
 }
 
-/// Those of the blobs that nothing refers to.
+/// The digests of a JSON array that nothing refers to, in any order.
+pub(super) fn unreferenced_among(digests: String) -> Query {
+    let mut list = query("SELECT digest FROM ");
+    list.push(LISTED).push(" WHERE ").push(IS_UNREFERENCED);
+    list.bind(digests)
+}
+
+/// Those of the blobs that nothing refers to, in their order.
 pub(super) async fn unreferenced(
     connection: &mut Transaction,
     digests: &[Digest],
 ) -> Result<Vec<Digest>, StoreError> {
-    let mut unreferenced = Vec::new();
-    for digest in digests {
-        let row = query(IS_REFERENCED).bind(digest.to_string()).fetch_one(&mut *connection).await?;
-        if !row.try_get::<bool>("referenced")? {
-            unreferenced.push(*digest);
-        }
+    if digests.is_empty() {
+        return Ok(Vec::new());
     }
-    Ok(unreferenced)
+    let found: Vec<Digest> = unreferenced_among(json(&digests)?)
+        .all(connection, |row| parsed("digest", row.try_get("digest")?))
+        .await?;
+    let found: BTreeSet<Digest> = found.into_iter().collect();
+    Ok(digests.iter().filter(|digest| found.contains(digest)).copied().collect())
 }
 
 impl Accounts for SqlStore {
@@ -167,18 +182,17 @@ impl Accounts for SqlStore {
                 return Ok(unused);
             }
             self.write(async move |tx, _| {
-                let mut forgotten = Vec::new();
+                let mut free = Vec::new();
                 for digest in unused {
-                    // Looked up again once nothing new can refer to it.
-                    let is_free = locks::blob_to_delete(tx, digest).await?;
-                    if is_free && !unreferenced(tx, &[digest]).await?.is_empty() {
-                        query("DELETE FROM blobs WHERE digest = ?")
-                            .bind(digest.to_string())
-                            .execute(&mut *tx)
-                            .await?;
-                        forgotten.push(digest);
+                    if locks::blob_to_delete(tx, digest).await? {
+                        free.push(digest);
                     }
                 }
+                // Looked up again once nothing new can refer to them.
+                let forgotten = unreferenced(tx, &free).await?;
+                let mut delete = query("DELETE FROM blobs WHERE digest IN ");
+                delete.push(MEMBERS);
+                delete.bind(json(&forgotten)?).run(tx).await?;
                 Ok(forgotten)
             })
             .await
@@ -206,7 +220,7 @@ mod tests {
             let (table, column): (String, String) =
                 (row.try_get("name").expect("a table"), row.try_get("place").expect("a column"));
             assert!(
-                IS_REFERENCED.contains(&format!("FROM {table} WHERE {column} = ?1")),
+                IS_UNREFERENCED.contains(&format!("FROM {table} WHERE {table}.{column} = listed.digest)")),
                 "blobs of {table}.{column} would be deleted as nobody's"
             );
         }

@@ -218,5 +218,10 @@ mod tests {
                 assert!(!step.starts_with("SCAN"), "{statement}: {step}");
             }
         }
+        let (unreferenced, _) = accounts::unreferenced_among(String::new()).texts();
+        for step in plan(&store, &unreferenced).await {
+            let is_given = step.starts_with("SCAN json_each");
+            assert!(!step.starts_with("SCAN") || is_given, "{unreferenced}: {step}");
+        }
     }
 }

@@ -254,3 +254,28 @@ async fn only_unreferenced_blobs_are_removed() {
     );
     fixture.add(3, NOBODY, "lone").await;
 }
+
+#[tokio::test]
+async fn a_batch_of_blobs_is_forgotten_as_each_of_them_alone_is() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let mut all = vec![Digest::of(b"never heard of")];
+    for number in 1..=7_u8 {
+        let made = fixture.add(number.into(), NOBODY, &format!("dataset {number}")).await.record().clone();
+        all.push(made.dataset.digest);
+        if number % 3 == 1 {
+            fixture.store.create_job(job(number.into(), NOBODY, &made)).await.expect("queued");
+            fixture.store.cancel(JobId(Uuid::from_u128(number.into()))).await.expect("cancelled");
+        }
+        if number != 2 && number != 4 {
+            fixture.store.delete_dataset(made.id, None).await.expect("deleted");
+        }
+    }
+    assert!(fixture.store.forget_blobs(&[]).await.expect("asked").is_empty());
+    all.reverse();
+    let batch = fixture.store.forget_blobs(&all).await.expect("asked");
+    let mut single = Vec::new();
+    for digest in &all {
+        single.extend(fixture.store.forget_blobs(&[*digest]).await.expect("asked"));
+    }
+    assert_eq!((batch.len(), &batch), (4, &single));
+}
