@@ -24,3 +24,15 @@ pub(in crate::codec) fn zeros<T: Clone + Default>(what: &'static str, count: usi
     drop(reserve::<T>(what, count)?);
     Ok(vec![T::default(); count])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_count_beyond_the_address_space_is_an_error_with_its_bytes() {
+        let count = usize::MAX / 8;
+        let error = reserve::<u64>("cells", count).expect_err("no allocator has as much");
+        assert_eq!(error, DecodeError::OutOfMemory { what: "cells", bytes: count as u64 * 8 });
+    }
+}

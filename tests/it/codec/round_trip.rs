@@ -193,6 +193,20 @@ fn limits_are_kept() {
 }
 
 #[test]
+fn the_memory_limit_covers_every_array_of_an_anchor() {
+    for (feature_dim, offsets) in [(2, 7), (16, 1), (5, 4)] {
+        let scene = scene(Recipe { seed: 3, anchors: 50, feature_dim, offsets, masked: 0.0 });
+        let bytes = encode(&scene, None, &settings()).expect("encodes").bytes;
+        let error = decode(&bytes, &DecodeLimits { max_memory_bytes: 1, ..DecodeLimits::default() });
+        let Err(DecodeError::Limit { value, limit: 1, .. }) = error else { panic!("{error:?}") };
+        // A symbol and a float a value, a byte a mask, three coordinates.
+        let arrays = 50 * (8 * (feature_dim + 6 + 3 * offsets) + offsets + 12) as u64;
+        // Step indices and the octree take the same whatever the widths are.
+        assert!((arrays..=arrays + 50 * 100).contains(&value), "{value} bytes for arrays of {arrays}");
+    }
+}
+
+#[test]
 fn the_networks_give_nearly_the_same_colours() {
     let scene = scene(Recipe { seed: 8, anchors: 300, feature_dim: 32, offsets: 10, masked: 0.0 });
     let encoded = encode(&scene, None, &settings()).expect("encodes");

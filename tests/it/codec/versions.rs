@@ -66,6 +66,22 @@ fn an_unknown_optional_section_is_passed_over_wherever_it_stands() {
 }
 
 #[test]
+fn a_file_has_at_most_64_sections() {
+    let bytes = small_file();
+    let with_sections = |count: usize| {
+        let mut parts = wire::parts(&bytes);
+        let more = (parts.len()..count).map(|index| ([b'N', b'E', b'W', index as u8], 0, vec![1]));
+        parts.extend(more.collect::<Vec<_>>());
+        wire::file((1, 1), &parts)
+    };
+    assert!(decode(&with_sections(64), &DecodeLimits::default()).is_ok());
+    for count in [65, 70] {
+        let error = error_of(&with_sections(count)).to_string();
+        assert!(error.contains("section count") && error.contains(&count.to_string()), "{error}");
+    }
+}
+
+#[test]
 fn an_unknown_critical_section_is_refused() {
     let mut parts = wire::parts(&small_file());
     parts.push((*b"NEW!", 1, vec![1]));
