@@ -155,7 +155,8 @@ priority = -100
 TOML
 
 cd "$scratch"
+# Builds of mutants do not wait for the lock of other builds.
 export CARGO_TARGET_DIR=$PWD/target
-# Builds of mutants must not warn, wait for other builds' locks, or fill the disk.
+# The tests have to pass before anything is changed.
 cargo nextest run --lib
 exec cargo mutants --in-place --test-tool nextest --baseline skip --timeout 120 --file "src/$module/**" --output . "$@" -- --lib
