@@ -94,3 +94,22 @@ async fn check_one(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_fault_of_any_kind_is_enough_and_orphans_are_none() {
+        let blob = Digest::of(b"blob");
+        let sound = FsckReport { blobs: 1, orphans: vec![blob], ..FsckReport::default() };
+        assert!(sound.is_sound());
+        for fault in [
+            FsckReport { missing: vec![blob], ..sound.clone() },
+            FsckReport { damaged: vec![blob], ..sound.clone() },
+            FsckReport { database: vec!["a page is torn".to_owned()], ..sound.clone() },
+        ] {
+            assert!(!fault.is_sound(), "{fault:?}");
+        }
+    }
+}

@@ -156,7 +156,10 @@ pub(super) async fn a_job_is_given_up_at_its_deadline_begun_or_not(coverage: Cov
 
 pub(super) async fn a_failed_or_cancelled_job_is_retried_as_a_new_one(coverage: Coverage) {
     let server = Server::start(&coverage).await;
-    let failed = server.upload("?seed=9&priority=3&deadline_s=600", "fail").await.expect(201);
+    let failed = server
+        .upload("?seed=9&priority=3&deadline_s=600&name=statue&metadata[site]=hall", "fail")
+        .await
+        .expect(201);
     let path = failed.header("location").to_owned();
     server.reaches(&path, "failed").await;
     let retry = format!("{path}/retry");
@@ -166,6 +169,7 @@ pub(super) async fn a_failed_or_cancelled_job_is_retried_as_a_new_one(coverage: 
     assert_eq!((&new["options"]["seed"], &new["priority"]), (&json!(9), &json!(3)));
     assert_eq!(new["deadline_at"], Value::Null, "time begins anew");
     assert_eq!(new["dataset"], failed.json()["dataset"]);
+    assert_eq!((&new["name"], &new["metadata"]), (&json!("statue"), &json!({ "site": "hall" })));
     server.reaches(again.header("location"), "failed").await;
 
     let request_body = json!({ "from_checkpoint": false, "deadline_s": 600 });
