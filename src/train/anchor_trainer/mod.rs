@@ -172,10 +172,10 @@ impl AnchorTrainer {
         self.owners.iter().map(|owner| rates[usize::from(*owner)]).collect()
     }
 
-    fn densify(&mut self, step: u32, rng: &mut Pcg64) -> Result<()> {
+    fn densify(&mut self, step: &Step, rng: &mut Pcg64) -> Result<()> {
         let (mut state, mut statistics) = self.read()?;
         let settings = DensifySettings {
-            threshold: self.schedule.growth_threshold,
+            threshold: self.schedule.growth_threshold_at(step.number, step.lambda),
             min_views: 0.4 * self.schedule.densify_every as f32,
             min_visits: 0.8 * self.schedule.densify_every as f32,
             coarsest: COARSEST_GROWTH,
@@ -183,8 +183,13 @@ impl AnchorTrainer {
             extent: self.extent,
         };
         let outcome = densify(&mut state, &mut statistics, &settings, rng);
-        tracing::debug!(step, grown = outcome.grown, pruned = outcome.pruned, anchors = state.anchors.len());
-        self.write(state, &statistics, step)
+        tracing::debug!(
+            step = step.number,
+            grown = outcome.grown,
+            pruned = outcome.pruned,
+            anchors = state.anchors.len()
+        );
+        self.write(state, &statistics, step.number)
     }
 
     fn fixes_masks(&self, step: u32) -> bool {
@@ -340,7 +345,7 @@ impl ModelTrainer for AnchorTrainer {
 
     fn adapt(&mut self, step: &Step, rng: &mut Pcg64, views: &mut Views<'_>) -> Result<()> {
         if self.schedule.densifies(step.number) {
-            self.densify(step.number, rng)?;
+            self.densify(step, rng)?;
         }
         if self.fixes_masks(step.number) {
             self.fix_masks(step.number, views)?;

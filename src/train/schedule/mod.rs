@@ -2,6 +2,7 @@
 //! lists it for all presets.
 
 mod compression;
+mod growth;
 mod pace;
 mod plain;
 mod table;
@@ -172,8 +173,10 @@ pub struct Schedule {
     pub densify_every: u32,
     /// Steps in between after which they do not, while the scene adapts to the noise.
     pub densify_pause: Option<Range<u32>>,
-    /// Screen-gradient threshold of growth at the coarsest level.
+    /// Screen-gradient threshold of growth at the coarsest level, until the rate term counts.
     pub growth_threshold: f32,
+    /// Whether the threshold follows lambda once the rate term counts; else it stays as published.
+    pub grows_by_rate: bool,
     /// Anchors that growth does not go beyond.
     pub max_anchors: usize,
     /// Points that a set without a point cloud begins with.
@@ -215,6 +218,8 @@ impl Schedule {
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
         let narrows = options.has(Component::Basis) && options.preset != Preset::Paper;
         let rate = |published: Decay| anchor_learning_rate(published, steps);
+        let compression = CompressionSchedule::new(options, steps);
+        let grows_by_rate = compression.is_some() && options.preset != Preset::Paper;
         let two_stages = options.preset != Preset::Paper && options.model != ModelKind::Gaussians3d;
         Self {
             model: options.model,
@@ -235,7 +240,12 @@ impl Schedule {
             densify_every: (steps / 30).clamp(25, 100),
             densify_pause: (options.preset == Preset::Paper && options.model == ModelKind::Tcgs)
                 .then(|| part(0.1)..part(4.0 / 30.0)),
-            growth_threshold: 2e-4,
+            growth_threshold: if grows_by_rate {
+                growth::threshold(compression::default_lambda(options.preset))
+            } else {
+                growth::PUBLISHED
+            },
+            grows_by_rate,
             max_anchors,
             random_points,
             offset: rate(Decay::exponential(0.01, 1e-4)),
@@ -256,7 +266,7 @@ impl Schedule {
             } else {
                 Vec::new()
             },
-            compression: CompressionSchedule::new(options, steps),
+            compression,
             plain: PlainSchedule::new(options, steps),
         }
     }
@@ -370,6 +380,14 @@ impl Schedule {
     #[must_use]
     pub fn gathers_statistics(&self, step: u32) -> bool {
         step > self.statistics_from && step < self.densify_until
+    }
+
+    /// Screen-gradient threshold of growth after `step`, at the coarsest level, where the rate term weighs `lambda`.
+    #[must_use]
+    pub fn growth_threshold_at(&self, step: u32, lambda: f64) -> f32 {
+        let counts =
+            self.compression.as_ref().is_some_and(|compression| compression.stage(step) >= Stage::Context);
+        if self.grows_by_rate && counts { growth::threshold(lambda) } else { self.growth_threshold }
     }
 
     /// Whether anchors grow and are pruned after `step`.
@@ -497,6 +515,32 @@ mod tests {
             TrainOptions { model: ModelKind::Gaussians3d, ..TrainOptions::default() },
         ] {
             assert_eq!(Schedule::new(&options).for_points(true), Schedule::new(&options));
+        }
+    }
+
+    #[test]
+    fn growth_follows_the_weight_of_the_rate_once_it_counts() {
+        let at = |options: TrainOptions, step: u32, lambda: f64| {
+            Schedule::new(&options).growth_threshold_at(step, lambda)
+        };
+        for preset in [Preset::Preview, Preset::Standard] {
+            let options = TrainOptions { preset, ..TrainOptions::default() };
+            let Schedule { compression, steps, .. } = Schedule::new(&options);
+            let CompressionSchedule { lambda, context_from, .. } = compression.expect("compression");
+            let first = at(options.clone(), 1, lambda);
+            assert!(first > growth::PUBLISHED);
+            assert_eq!(at(options.clone(), context_from - 1, 4.0 * lambda), first, "not before it counts");
+            assert_eq!(at(options.clone(), context_from, lambda), first, "no jump at the default weight");
+            assert!((at(options.clone(), steps / 2, 4.0 * lambda) - 2.0 * first).abs() < 1e-9);
+            let chosen = TrainOptions { lambda: Some(4.0 * lambda), ..options };
+            assert_eq!(at(chosen, 1, 4.0 * lambda), first, "branches of a curve share what is before");
+        }
+        let published = [
+            TrainOptions { preset: Preset::Paper, ..TrainOptions::default() },
+            TrainOptions { model: ModelKind::Scaffold, ..TrainOptions::default() },
+        ];
+        for options in published {
+            assert_eq!([1, 900, 14_000].map(|step| at(options.clone(), step, 0.01)), [2e-4; 3]);
         }
     }
 

@@ -63,7 +63,7 @@ fn anchors(row: &mut Row<'_>) {
     row("growth and pruning after", &|c| at(c, c.densify_from));
     row("growth and pruning before", &|c| at(c, c.densify_until));
     row("growth and pruning every", &|c| format!("{} steps", c.densify_every));
-    row("growth from a screen gradient of", &|c| c.growth_threshold.to_string());
+    row("growth from a screen gradient of (`scaffold`: 0.0002)", &|c| format!("{:.2e}", c.growth_threshold));
     row("learning rate of offsets, times the extent", &|c| learning_rate(c.offset));
     row("learning rate of features", &|c| learning_rate(c.feature));
     row("learning rate of log-scalings", &|c| learning_rate(c.scaling));
