@@ -3,10 +3,7 @@
 use std::{fmt, ops::Deref, path::Path, sync::Arc};
 
 use bytes::Bytes;
-use tokio::{
-    runtime::Handle,
-    sync::{Semaphore, SemaphorePermit},
-};
+use tokio::{runtime::Handle, sync::Semaphore};
 use tokio_util::sync::CancellationToken;
 use uuid::{NoContext, Uuid};
 
@@ -19,13 +16,13 @@ use super::{
     problem::{ApiResult, ProblemResponse},
     request::{Reservations, idempotency::InFlight},
     server::readiness::Checks,
-    slots::{Capacity, Slots},
+    slots::{Capacity, Slot, Slots},
     views::ViewRenderer,
 };
 use crate::{
     domain::{
-        Clock, DatasetSummary, Digest, ExportedScene, JobId, KeyId, NamedCamera, Problem, RandomSource,
-        SceneFormat,
+        Clock, DatasetSummary, Digest, ExportedScene, JobId, KeyId, NamedCamera, Problem, ProjectId,
+        RandomSource, SceneFormat,
     },
     render::{RenderViews, views::Viewable},
     store::{Blobs, Store},
@@ -118,7 +115,7 @@ pub struct AppState(Arc<App>);
 pub struct App {
     pub(super) services: Services,
     pub(super) limits: RequestLimits,
-    uploads: Semaphore,
+    uploads: Slots<ProjectId>,
     pub(super) view_renderer: ViewRenderer,
     pub(super) meters: Meters,
     pub(super) metrics_cache: Cache,
@@ -154,7 +151,8 @@ impl AppState {
     /// State that reports itself not ready once `draining` is cancelled.
     #[must_use]
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
-        let uploads = Semaphore::new(limits.uploads);
+        // A project that sends slowly leaves places to the others.
+        let uploads = Slots::new(Capacity { all: limits.uploads, each: limits.uploads - limits.uploads / 4 });
         let view_renderer = ViewRenderer::new(&limits);
         let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
         let waits = Semaphore::new(limits.waits);
@@ -190,12 +188,18 @@ impl AppState {
         &self.services.blobs
     }
 
-    /// A permit to receive an archive.
+    /// A place to receive an archive of a project.
     ///
     /// # Errors
-    /// 503 if all are taken.
-    pub(super) fn upload_permit(&self) -> ApiResult<SemaphorePermit<'_>> {
-        self.uploads.try_acquire().map_err(|_| ProblemResponse::busy("too many datasets are being received"))
+    /// 503 if all are taken, or all that one project may have.
+    pub(super) fn upload_slot(&self, project: ProjectId) -> ApiResult<Slot<ProjectId>> {
+        self.uploads.take(project).map_err(|taken| {
+            let detail = match taken.by_all < self.uploads.capacity().all {
+                true => "too many datasets of your project are being received",
+                false => "too many datasets are being received",
+            };
+            ProblemResponse::busy(detail)
+        })
     }
 
     /// A UUID of version 7 whose time is the service's clock, so that ids sort in the order of creation.

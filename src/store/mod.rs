@@ -77,6 +77,8 @@ pub use webhooks::{
     Replay, Webhooks,
 };
 
+use jiff::Timestamp;
+
 use crate::domain::{Event, JobId, JobState, Phase, Progress};
 
 /// The result of a store method; boxed so that `dyn Store` is possible.
@@ -100,6 +102,9 @@ pub trait Store:
     + Sync
     + 'static
 {
+    /// The time by which the store judges deadlines and expiries: the database's, where machines share it.
+    fn time(&self) -> StoreFuture<'_, Timestamp>;
+
     /// Adds a job in state `queued`, with its dataset's blob row, its first event and its request's `Idempotency-Key`.
     ///
     /// # Errors

@@ -8,7 +8,7 @@ use axum::{
     http::{HeaderMap, HeaderValue, StatusCode, Uri, header},
 };
 use serde::Deserialize;
-use tokio::{sync::SemaphorePermit, task::spawn_blocking};
+use tokio::task::spawn_blocking;
 
 use super::{
     body::href,
@@ -17,13 +17,14 @@ use super::{
     representation,
 };
 use crate::{
-    domain::{Caller, DatasetId, DatasetSummary, Digest, ProblemType, UploadId},
+    domain::{Caller, DatasetId, DatasetSummary, Digest, ProblemType, ProjectId, UploadId},
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{
             CreateOutcome, CreateRequest, JsonBody, Parameters, Reservations, Resource, content_digest,
             idempotency, idempotent, media_type, parse_json, read_json,
         },
+        slots::Slot,
         state::AppState,
         uploads::{self, tus::Metadata},
     },
@@ -106,7 +107,7 @@ async fn from_archive(
     parameters.finish()?;
     let announced = content_digest::announced(headers)?;
     let guard = request.begin()?;
-    let _permit = state.upload_permit()?;
+    let _slot = state.upload_slot(caller.project)?;
     let received = receive(state, caller.project, headers, body).await?;
     content_digest::check(announced, received.blob().digest)?;
     let intent = request.intent(guard.as_ref(), received.blob().digest);
@@ -138,7 +139,7 @@ async fn from_upload(
                 record.received, record.length, record.id
             )));
         }
-        let (received, _permit) = assemble(state, &record, file).await?;
+        let (received, _slot) = assemble(state, &record, file).await?;
         let from_metadata = || {
             let metadata = Metadata::parse(record.metadata.as_deref()?).ok()?;
             let name = metadata.get("name").or_else(|| metadata.get("filename"))?;
@@ -157,19 +158,19 @@ async fn from_upload(
     idempotent(state, intent.clone(), create).await
 }
 
-/// The archive of a complete upload. In a folder it is the upload's file; from a bucket it is read into a new one, which takes a permit and
+/// The archive of a complete upload. In a folder it is the upload's file; from a bucket it is read into a new one, which takes a place and
 /// space as the body of a request does.
-async fn assemble<'a>(
-    state: &'a AppState,
+async fn assemble(
+    state: &AppState,
     upload: &UploadRecord,
     file: UploadFile,
-) -> ApiResult<(ReceivedDataset, Option<SemaphorePermit<'a>>)> {
+) -> ApiResult<(ReceivedDataset, Option<Slot<ProjectId>>)> {
     if state.blobs().shared_files().is_none() {
         return Ok((ReceivedDataset::of_upload(file.finish(upload.length).await?), None));
     }
-    let permit = state.upload_permit()?;
+    let slot = state.upload_slot(upload.project)?;
     let _reservation = Reservations::reserve_disk(state, upload.length).await?;
-    Ok((ReceivedDataset::of_upload(file.finish(upload.length).await?), Some(permit)))
+    Ok((ReceivedDataset::of_upload(file.finish(upload.length).await?), Some(slot)))
 }
 
 /// Checks and publishes the archive and creates its scene, unless the project has one of it.

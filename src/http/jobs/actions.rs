@@ -75,7 +75,7 @@ pub(crate) async fn retry(
             id: JobId(state.new_uuid()),
             key: caller.key,
             from_checkpoint: from_checkpoint.unwrap_or(true),
-            deadline_at: deadline(state.services.clock.now(), deadline_s),
+            deadline_at: deadline(&state, deadline_s).await?,
             intent: intent.clone(),
         };
         match state.store().retry_job(id, repeat).await {

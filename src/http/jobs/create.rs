@@ -93,7 +93,7 @@ async fn from_scene(
         let scene = state.store().dataset(id).await?.filter(|scene| caller.may_see(scene.project));
         let scene = scene.ok_or_else(|| ProblemResponse::no_scene(id))?;
         require_free_space(state, 0)?;
-        let job = new_job(request, wanted, scene.dataset);
+        let job = new_job(request, wanted, scene.dataset).await?;
         Ok(state.store().create_job(NewJob { dataset_id: Some(id), intent: intent.clone(), ..job }).await)
     };
     idempotent(state, intent.clone(), create).await
@@ -106,7 +106,7 @@ async fn from_archive(
     let CreateRequest { state, caller, uri, headers } = request;
     let wanted = CreateJobRequest::from_query(Parameters::parse(uri.query())?)?;
     let guard = request.begin()?;
-    let _permit = state.upload_permit()?;
+    let _slot = state.upload_slot(caller.project)?;
     let received = receive(state, caller.project, headers, body).await?;
     let intent = request.intent(guard.as_ref(), received.blob().digest);
     let create = async {
@@ -117,24 +117,29 @@ async fn from_archive(
         });
         let (received, checked) = checked.await?;
         checked?;
-        let job = NewJob { intent: intent.clone(), ..new_job(request, wanted, received.blob()) };
+        let job = new_job(request, wanted, received.blob()).await?;
+        let job = NewJob { intent: intent.clone(), ..job };
         let store = Arc::clone(&state.services.store);
         received.keep(state, async move { store.create_job(job).await }).await
     };
     idempotent(state, intent.clone(), create).await
 }
 
-fn new_job(request: CreateRequest<'_>, wanted: CreateJobRequest, dataset: BlobRef) -> NewJob {
+async fn new_job(
+    request: CreateRequest<'_>,
+    wanted: CreateJobRequest,
+    dataset: BlobRef,
+) -> ApiResult<NewJob> {
     let CreateRequest { state, caller, .. } = request;
-    NewJob {
+    Ok(NewJob {
         project: caller.project,
         key: caller.key,
         name: wanted.name,
         metadata: wanted.metadata,
         priority: wanted.priority,
-        deadline_at: deadline(state.services.clock.now(), wanted.deadline_s),
+        deadline_at: deadline(state, wanted.deadline_s).await?,
         ..NewJob::new(JobId(state.new_uuid()), wanted.options, dataset)
-    }
+    })
 }
 
 impl Resource for JobRecord {

@@ -13,6 +13,7 @@ use crate::{
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{JsonBody, Parameters, parse_json},
+        state::AppState,
     },
 };
 
@@ -143,8 +144,10 @@ pub(super) fn check_deadline(seconds: u32) -> ApiResult<()> {
 }
 
 /// The deadline that is `seconds` from now.
-pub(crate) fn deadline(now: Timestamp, seconds: Option<u32>) -> Option<Timestamp> {
-    now.checked_add(SignedDuration::from_secs(seconds?.into())).ok()
+pub(crate) async fn deadline(state: &AppState, seconds: Option<u32>) -> ApiResult<Option<Timestamp>> {
+    let Some(seconds) = seconds else { return Ok(None) };
+    let now = state.store().time().await?;
+    Ok(now.checked_add(SignedDuration::from_secs(seconds.into())).ok())
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::{OwnedJob, body::href, event_stream};
 use crate::{
-    domain::{Caller, ProblemType},
+    domain::{Caller, Event, JobId, ProblemType},
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{Parameters, accepts, prefers},
@@ -48,9 +48,7 @@ pub(crate) async fn list(
     let no_store = [(header::CACHE_CONTROL, "no-store")];
     let seen = last_event_id(&headers)?;
     if stream {
-        let after = seen.unwrap_or(after);
-        let more =
-            state.store().events(job.id, after, 1).await?.ok_or_else(|| ProblemResponse::no_job(job.id))?;
+        let (after, more) = after_in_history(&state, job.id, seen.unwrap_or(after), 1).await?;
         if job.state.is_terminal() && more.is_empty() {
             return Ok((StatusCode::NO_CONTENT, no_store).into_response());
         }
@@ -66,11 +64,28 @@ pub(crate) async fn list(
         })?;
         return Ok(event_stream::answer(state, &caller, job.id, after, slot));
     }
-    let events =
-        state.store().events(job.id, after, limit).await?.ok_or_else(|| ProblemResponse::no_job(job.id))?;
+    let (after, events) = after_in_history(&state, job.id, after, limit).await?;
     let last = events.last().map_or(after, |event| event.seq);
     let next = format!("{}/events?after={last}&limit={limit}", href(job.id));
     Ok((no_store, Json(json!({ "events": events, "next": next }))).into_response())
+}
+
+/// Up to `limit` events after number `after`, or after the newest one if that is earlier: a restored backup has fewer events than its
+/// clients have seen, and they are to see those that follow. Returns the number, too.
+async fn after_in_history(
+    state: &AppState,
+    job: JobId,
+    after: u64,
+    limit: u32,
+) -> ApiResult<(u64, Vec<Event>)> {
+    let no_job = || ProblemResponse::no_job(job);
+    let events = state.store().events(job, after, limit).await?.ok_or_else(no_job)?;
+    if !events.is_empty() {
+        return Ok((after, events));
+    }
+    let newest = state.store().newest_events(&[job]).await?;
+    let (_, newest) = newest.first().ok_or_else(no_job)?;
+    Ok((after.min(*newest), events))
 }
 
 /// The last event that a reconnecting client has seen. It overrides `after`, which such a client repeats.

@@ -21,4 +21,6 @@ pub(super) use idempotency::{CreateOutcome, CreateRequest, Resource, idempotent}
 pub(super) use pagination::{Page, cursor, parse_cursor};
 pub(super) use query::Parameters;
 pub(super) use range::{ByteRange, parse_range};
-pub(super) use reservation::{Reservation, ReservationError, Reservations, require_free_space};
+pub(super) use reservation::{
+    DiskReservation, Reservation, ReservationError, Reservations, require_free_space,
+};

@@ -126,9 +126,13 @@ impl Pending {
     }
 }
 
-/// Bytes that may still be written: those above the floor that are not promised to resumable uploads.
+/// Bytes that may still be written: those above the floor that are not promised to resumable uploads, which fill the disk unless a
+/// bucket takes their parts.
 async fn free_bytes(state: &AppState) -> ApiResult<u64> {
-    let outstanding = state.store().outstanding_bytes().await?;
+    let outstanding = match state.blobs().shared_files() {
+        None => state.store().outstanding_bytes().await?,
+        Some(_) => 0,
+    };
     let taken = outstanding.saturating_add(state.limits.min_free_space);
     state.blobs().free_bytes()?.checked_sub(taken).ok_or_else(ProblemResponse::storage_full)
 }

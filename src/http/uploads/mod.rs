@@ -39,8 +39,8 @@ pub(super) async fn find(state: &AppState, caller: &Caller, id: &str) -> ApiResu
 }
 
 /// 410 unless the upload still takes bytes.
-fn expect_open(state: &AppState, record: UploadRecord) -> ApiResult<UploadRecord> {
-    if record.is_open(state.services.clock.now()) { Ok(record) } else { Err(gone(record.id)) }
+async fn expect_open(state: &AppState, record: UploadRecord) -> ApiResult<UploadRecord> {
+    if record.is_open(state.store().time().await?) { Ok(record) } else { Err(gone(record.id)) }
 }
 
 /// 410.
@@ -65,13 +65,13 @@ pub(super) async fn lock(
             .with_status(held)
     })?;
     let record = state.store().upload(id).await?.ok_or_else(|| gone(id))?;
-    Ok((expect_open(state, record)?, file))
+    Ok((expect_open(state, record).await?, file))
 }
 
 /// When an upload that is written to now expires.
-pub(super) fn expiry(state: &AppState) -> Timestamp {
+pub(super) async fn expiry(state: &AppState) -> ApiResult<Timestamp> {
     let life = SignedDuration::try_from(state.limits.upload_ttl).unwrap_or(SignedDuration::MAX);
-    state.services.clock.now().checked_add(life).unwrap_or(Timestamp::MAX)
+    Ok(state.store().time().await?.checked_add(life).unwrap_or(Timestamp::MAX))
 }
 
 /// `OPTIONS /v1/uploads`.
@@ -121,7 +121,8 @@ async fn begin(
     // Until the upload's own row reserves the space.
     let _reservation = Reservations::reserve(state, caller.project, length).await?;
     let id = UploadId(state.new_uuid());
-    let new = NewUpload { id, project: caller.project, length, metadata, expires_at: expiry(state) };
+    let expires_at = expiry(state).await?;
+    let new = NewUpload { id, project: caller.project, length, metadata, expires_at };
     Ok(state.store().create_upload(new).await?)
 }
 
@@ -133,7 +134,7 @@ pub(super) async fn head(
     headers: HeaderMap,
 ) -> ApiResult {
     tus::expect_version(&headers)?;
-    let record = expect_open(&state, find(&state, &caller, &id).await?)?;
+    let record = expect_open(&state, find(&state, &caller, &id).await?).await?;
     let mut response = StatusCode::OK.into_response();
     let headers = response.headers_mut();
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
@@ -166,7 +167,7 @@ pub(super) async fn append(
 async fn admit(state: &AppState, caller: &Caller, id: &str, headers: &HeaderMap) -> ApiResult<Part> {
     tus::expect_version(headers)?;
     let AppendPartRequest { offset, checksum } = AppendPartRequest::of(headers)?;
-    let found = expect_open(state, find(state, caller, id).await?)?;
+    let found = expect_open(state, find(state, caller, id).await?).await?;
     let (record, file) = lock(state, found.id, StatusCode::LOCKED).await?;
     if offset != record.received {
         let detail = format!(
@@ -183,13 +184,18 @@ async fn admit(state: &AppState, caller: &Caller, id: &str, headers: &HeaderMap)
         return Err(ProblemResponse::too_large(left));
     }
     require_free_space(state, announced.unwrap_or(0))?;
-    Part::new(record, file, checksum).await
+    let room = match state.blobs().shared_files() {
+        // Its bytes are promised to it since it was created.
+        None => None,
+        Some(_) => Some(part::reserve(state, announced.unwrap_or(left), checksum.is_some()).await?),
+    };
+    Part::new(record, file, checksum, room).await
 }
 
 /// Writes a part, to its end even if the client disconnects: received bytes are kept.
 async fn receive(state: AppState, part: Part, mut body: BodyDataStream) -> ApiResult<UploadRecord> {
     let writing = async move {
-        let _permit = state.upload_permit()?;
+        let _slot = state.upload_slot(part.project())?;
         part.receive(&state, &mut body).await
     };
     tokio::spawn(writing.in_current_span()).await?
@@ -203,7 +209,7 @@ pub(super) async fn delete(
     headers: HeaderMap,
 ) -> ApiResult<StatusCode> {
     tus::expect_version(&headers)?;
-    let found = expect_open(&state, find(&state, &caller, &id).await?)?;
+    let found = expect_open(&state, find(&state, &caller, &id).await?).await?;
     let (record, file) = lock(&state, found.id, StatusCode::LOCKED).await?;
     if !state.store().delete_upload(record.id).await? {
         return Err(gone(record.id));

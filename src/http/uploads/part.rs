@@ -10,10 +10,10 @@ use tokio::time::Instant;
 
 use super::{expiry, gone, tus::Checksum};
 use crate::{
-    domain::ProblemType,
+    domain::{ProblemType, ProjectId},
     http::{
         problem::{ApiResult, ProblemResponse},
-        request::Pieces,
+        request::{DiskReservation, Pieces, Reservations},
         state::AppState,
     },
     store::{UploadFile, UploadRecord},
@@ -30,6 +30,16 @@ pub(crate) struct Part {
     checksum: Option<Checksum>,
     /// Bytes of the upload that the file has.
     written: u64,
+    _room: Option<DiskReservation>,
+}
+
+/// Reserves room on the local disk for what is there of a part of `bytes` on its way to a bucket.
+///
+/// # Errors
+/// 507 if there is none.
+pub(crate) async fn reserve(state: &AppState, bytes: u64, has_checksum: bool) -> ApiResult<DiskReservation> {
+    let at_a_time = if has_checksum { bytes } else { bytes.min(SAVE_BYTES) };
+    Reservations::reserve_disk(state, at_a_time).await
 }
 
 impl Part {
@@ -38,9 +48,15 @@ impl Part {
         record: UploadRecord,
         mut file: UploadFile,
         checksum: Option<Checksum>,
+        room: Option<DiskReservation>,
     ) -> ApiResult<Self> {
         file.continue_at(record.received).await?;
-        Ok(Self { written: record.received, record, file, checksum })
+        Ok(Self { written: record.received, record, file, checksum, _room: room })
+    }
+
+    /// The upload's project.
+    pub(crate) fn project(&self) -> ProjectId {
+        self.record.project
     }
 
     /// Writes the body, and returns the upload as it then is.
@@ -97,7 +113,7 @@ impl Part {
 
     /// Makes what was written durable and records it.
     async fn save(&mut self, state: &AppState) -> ApiResult<()> {
-        let expires_at = expiry(state);
+        let expires_at = expiry(state).await?;
         if !self.file.save(state.store(), self.written, expires_at).await? {
             return Err(gone(self.record.id));
         }

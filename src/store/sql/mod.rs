@@ -248,6 +248,10 @@ async fn job_exists(connection: &mut Transaction, id: JobId) -> Result<bool, Sto
 }
 
 impl Store for SqlStore {
+    fn time(&self) -> StoreFuture<'_, Timestamp> {
+        Box::pin(self.now(&self.readers))
+    }
+
     fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord> {
         Box::pin(self.write(async move |tx, now| {
             let created = self.insert_job(tx, new, now).await?;

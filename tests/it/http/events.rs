@@ -88,6 +88,14 @@ pub(super) async fn a_stream_tells_everything_once_and_ends_with_the_job(coverag
     let done = as_stream(events.clone(), Some(past.len().to_string())).await.expect(204);
     assert_eq!((done.header("cache-control"), done.body.len()), ("no-store", 0));
 
+    // Of a job that was restored from a backup a client may have seen more than there is.
+    as_stream(events.clone(), Some("999".into())).await.expect(204);
+    let page = server.get(&format!("{events}?after=999&limit=5")).await.expect(200).json();
+    assert_eq!(
+        (&page["events"], &page["next"]),
+        (&json!([]), &json!(format!("{events}?after={}&limit=5", past.len())))
+    );
+
     for wrong in ["x", "-1", "1.5", ""] {
         let detail = as_stream(events.clone(), Some(wrong.into())).await;
         assert!(detail.expect_problem(422, "invalid-parameter").starts_with("Last-Event-ID"));
@@ -129,7 +137,11 @@ async fn a_silent_stream_shows_that_it_lives() {
         let block = stream.block().await.expect("the stream goes on");
         comments += usize::from(block.starts_with(b":"));
     }
+    // One that has seen more than there is, as of a restored backup, is told the rest.
+    let mut ahead = server.stream(&format!("{job}/events"), Some(999)).await;
     server.post(&format!("{job}/cancel")).await.expect(200);
+    assert_eq!(ahead.next().await.expect("the end of the job").number(), 2);
+    assert_eq!(ahead.next().await, None);
     let last = stream.next().await.expect("the end of the job");
     assert_eq!((last.number(), &last.json()["data"]["state"]), (2, &json!("cancelled")));
     assert_eq!(stream.next().await, None);

@@ -6,6 +6,7 @@ use std::{
     sync::{Arc, atomic::Ordering},
 };
 
+use object_store::ObjectStore;
 use serde_json::json;
 use tcgs::{
     domain::{ProjectLimits, Scope},
@@ -159,6 +160,54 @@ async fn bodies_on_their_way_have_their_room_to_themselves() {
     first.read_to_end(&mut answer).await.expect("an end");
     assert_eq!(check_raw(&server, "POST", "/v1/jobs", &answer), 201);
     post(&server, "/v1/jobs", &key, Framing::Length, dataset(4, 300)).await.expect(201);
+}
+
+/// Announced uploads fill the disk only where their parts stay.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn open_uploads_take_room_on_the_disk_unless_a_bucket_holds_them() {
+    const GIB: u64 = 1 << 30;
+    let begin_two = async |bucket: Option<Arc<dyn ObjectStore>>| {
+        let data = Arc::new(tempfile::tempdir().expect("a folder"));
+        let free = fs4::available_space(data.path()).expect("known");
+        let min_free_space = free.checked_sub(8 * GIB).expect("a disk with 8 GiB");
+        let limits = RequestLimits { min_free_space, ..Setup::default().limits };
+        let server = Server::start_in(&Coverage::default(), Setup { limits, bucket, ..idle() }, data).await;
+        let begin = async || {
+            let begin = server.send("POST", "/v1/uploads", |request| {
+                request.header("tus-resumable", "1.0.0").header("upload-length", 5 * GIB)
+            });
+            begin.await.status
+        };
+        [begin().await, begin().await]
+    };
+    assert_eq!(begin_two(None).await, [201, 507]);
+    let Some(bucket) = S3Server::shared() else { return };
+    assert_eq!(begin_two(Some(bucket.connect(&bucket.prefix()))).await, [201, 201]);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_project_that_sends_slowly_leaves_places_to_the_others() {
+    let limits = RequestLimits { uploads: 4, ..Setup::default().limits };
+    let server = Server::start_with(&Coverage::default(), Setup { limits, ..idle() }).await;
+    let [slow, other] = [(); 2].map(|()| server.key_with(&Scope::ALL[..3], ProjectLimits::default()));
+    let (slow, other) = (slow.await, other.await);
+    let mut held = Vec::new();
+    for path in ["/v1/scenes", "/v1/jobs", "/v1/scenes"] {
+        let mut stream = TcpStream::connect(server.address).await.expect("connects");
+        let head = format!(
+            "POST {path} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {}\r\nContent-Type: application/zip\r\n\
+             Expect: 100-continue\r\nContent-Length: 600\r\n\r\n",
+            slow.key
+        );
+        stream.write_all(head.as_bytes()).await.expect("sent");
+        let mut leave = [0; 25];
+        stream.read_exact(&mut leave).await.expect("leave to send");
+        held.push(stream);
+    }
+    let refused = post(&server, "/v1/jobs", &slow, Framing::Length, dataset(1, 300)).await;
+    let detail = refused.expect_problem(503, "busy");
+    assert!(detail.contains("of your project"), "{detail}");
+    post(&server, "/v1/jobs", &other, Framing::Length, dataset(2, 300)).await.expect(201);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -2,12 +2,12 @@
 
 use std::{sync::Arc, time::Duration};
 
-use jiff::SignedDuration;
+use jiff::{SignedDuration, Timestamp};
 use tcgs::{
     domain::{Digest, JobId, JobState, ManualClock, SystemClock, TrainOptions},
     store::{
         Accounts as _, BlobRef, Blobs, ChangeKind, DatabaseLocation, JobFilter, NewJob, Outcome,
-        Overview as _, Projects as _, QueuePolicy, Retention as _, SqlStore, Store,
+        Overview as _, Projects as _, QueuePolicy, Retention as _, SqlStore, Store, Uploads as _,
     },
     worker,
 };
@@ -115,6 +115,32 @@ async fn times_are_the_databases() {
     store.heartbeat(&claim.lease).await.expect("it holds");
     wrong.advance(SignedDuration::from_secs(61));
     assert_eq!(store.claim("other").await.expect("a claim").expect("the job").lease.attempt, 2);
+}
+
+/// A replica whose clock is wrong promises and keeps the same times as any other.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn deadlines_and_expiries_are_of_the_databases_time() {
+    let Some(database) = database().await else { return };
+    let Database::Postgres(postgres) = &database else { panic!("PostgreSQL") };
+    for wrong in ["1999-12-31T23:59:59Z", "2099-12-31T23:59:59Z"] {
+        let setup = Setup {
+            database: Some(DatabaseLocation::Postgres(postgres.url())),
+            clock: Arc::new(ManualClock::new(wrong.parse().expect("an instant"))),
+            worker: false,
+            ..Setup::default()
+        };
+        let server = Server::start_with(&Coverage::default(), setup).await;
+        let job = server.upload("?deadline_s=3600", "succeed").await.expect(201).json();
+        let instant = |name: &str| job[name].as_str().expect("a text").parse::<Timestamp>().expect("a time");
+        let apart = instant("deadline_at").duration_since(instant("created_at"));
+        assert!((3500..=3600).contains(&apart.as_secs()), "{apart:?}");
+        let begin = server.send("POST", "/v1/uploads", |request| {
+            request.header("tus-resumable", "1.0.0").header("upload-length", 9)
+        });
+        let upload = begin.await.expect(201).header("location").to_owned();
+        server.store.expire_uploads(Timestamp::MIN).await.expect("a database");
+        server.send("HEAD", &upload, |request| request.header("tus-resumable", "1.0.0")).await.expect(200);
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

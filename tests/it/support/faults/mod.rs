@@ -114,6 +114,9 @@ impl Retention for FaultStore {
 }
 
 impl Store for FaultStore {
+    fn time(&self) -> StoreFuture<'_, Timestamp> {
+        self.guard(self.inner.time())
+    }
     fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord> {
         self.guard(self.inner.create_job(new))
     }
