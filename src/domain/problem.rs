@@ -87,8 +87,8 @@ problem_types! {
     ChecksumMismatch = 460, "checksum-mismatch", "Checksum mismatch";
     UploadLocked = 423, "upload-locked", "The upload is being written";
     UploadIncomplete = 409, "upload-incomplete", "Upload incomplete";
-    UploadGone = 410, "upload-gone", "The upload is over";
-    NoKeysYet = 409, "no-keys-yet", "No key makes keys here";
+    UploadGone = 410, "upload-gone", "The upload has expired or was used";
+    NoKeysYet = 409, "no-keys-yet", "The first key cannot be created over HTTP";
     DeliveryUnderWay = 409, "delivery-under-way", "The delivery cannot be made again";
     EndpointDisabled = 409, "endpoint-disabled", "The delivery cannot be made again";
     InvalidProjectRequest = 422, "invalid-project-request", "No such project can be made";
@@ -134,7 +134,7 @@ problem_types! {
     ResourceExhausted = 507, "resource-exhausted", "Resource exhausted";
     WorkerLost = 500, "worker-lost", "The worker was lost";
     WorkerPanicked = 500, "worker-panicked", "The run failed";
-    Stalled = 500, "stalled", "The run hangs";
+    Stalled = 500, "stalled", "The run has stalled";
     Usage = 400, "usage", "Wrong usage";
     UnreadableInput = 422, "unreadable-input", "The input cannot be read";
     UnwritableOutput = 507, "unwritable-output", "The output cannot be written";

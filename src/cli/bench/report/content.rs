@@ -312,7 +312,7 @@ impl Content<'_> {
             "noise − floats",
             "rounding − floats",
             "noise − rounding",
-            "8-bit networks",
+            "quantised networks",
             "file − floats",
             "integer / float bits",
             "bytes / ideal",
