@@ -9,8 +9,8 @@ use glam::{Mat3, Quat, Vec3};
 use rand::{Rng, RngExt};
 
 use super::{
-    AnchorRows, FirstAnchors, GaussianRows, InitError, MAX_CELL, Shape, VoxelRule, all_offsets, cell_of,
-    choose_lattice, coarse,
+    AnchorRows, FirstAnchors, GaussianRows, InitError, MAX_CELL, PassingUnits, Shape, VoxelRule, all_offsets,
+    cell_of, choose_lattice, coarse,
     first_anchors::{SLOT, SlotValues},
     gaussian_rows::{COLOR, LOG_SCALE, OPACITY, QUAT, SH_CONSTANT},
 };
@@ -111,6 +111,7 @@ pub fn anchors_from_gaussians(
     rule: impl FnOnce(&[[f32; 3]]) -> VoxelRule,
     shape: Shape,
     max_anchors: usize,
+    units: PassingUnits,
     rng: &mut impl Rng,
 ) -> Result<FirstAnchors, InitError> {
     if rows.is_empty() {
@@ -141,7 +142,7 @@ pub fn anchors_from_gaussians(
         write_geometry(row, shape, &lattice, position, group, rng);
         say(row, shape, group, &mut slots);
     }
-    Ok(FirstAnchors::saying(anchors, slots, [RANDOM; 3], rng))
+    Ok(FirstAnchors::saying(anchors, slots, units, [RANDOM; 3], rng))
 }
 
 /// The Gaussians of one anchor, the weightiest first, and the edge of their cell in lattice cells.
@@ -263,7 +264,7 @@ mod tests {
     use rand_pcg::Pcg64;
 
     use super::*;
-    use crate::model::first_anchors::tests::outputs;
+    use crate::model::{NetworkLayout, first_anchors::tests::outputs};
 
     const SHAPE: Shape = Shape::new(16, 4);
 
@@ -285,8 +286,13 @@ mod tests {
     }
 
     fn begin(rows: &GaussianRows, max_anchors: usize) -> FirstAnchors {
+        begin_with(rows, max_anchors, PassingUnits::LINEAR)
+    }
+
+    fn begin_with(rows: &GaussianRows, max_anchors: usize, units: PassingUnits) -> FirstAnchors {
         let rule = |means: &[[f32; 3]]| VoxelRule::OfSpacing(1.0 / 16.0).for_points(means, 1.0);
-        anchors_from_gaussians(rows, rule, SHAPE, max_anchors, &mut Pcg64::seed_from_u64(1)).expect("anchors")
+        let mut rng = Pcg64::seed_from_u64(1);
+        anchors_from_gaussians(rows, rule, SHAPE, max_anchors, units, &mut rng).expect("anchors")
     }
 
     #[test]
@@ -328,6 +334,39 @@ mod tests {
         );
     }
 
+    /// The share of hidden units that pass components on and are cut off, seen from a side.
+    fn cut_off(first: &FirstAnchors, side: [f32; 3]) -> f64 {
+        let hidden = NetworkLayout::new(SHAPE).hidden;
+        let (mut cut, mut all) = (0, 0);
+        for anchor in 0..first.anchors.len() {
+            let mut input = first.anchors.row(anchor)[..SHAPE.features].to_vec();
+            input.extend(side);
+            // Three quarters of each head's units; the last input is the distance, which they do not see.
+            for unit in (0..3)
+                .flat_map(|head| (0..SHAPE.features * 3 / 4).map(move |unit| head * SHAPE.features + unit))
+            {
+                let weight = |input: usize| first.networks[hidden.weights + input * hidden.outputs + unit];
+                let sum: f32 = input.iter().enumerate().map(|(index, value)| weight(index) * value).sum();
+                cut += usize::from(first.networks[hidden.bias + unit] + sum < 0.0);
+                all += 1;
+            }
+        }
+        cut as f64 / all as f64
+    }
+
+    #[test]
+    fn rectifying_units_cut_off_a_sixth_and_linear_ones_hardly_any() {
+        let rows = sphere(600);
+        let (side, other) = ([0.6, 0.0, 0.8], [0.0, -1.0, 0.0]);
+        let linear = begin_with(&rows, 1000, PassingUnits::LINEAR);
+        let rectifying = begin_with(&rows, 1000, PassingUnits::RECTIFYING);
+        assert_eq!(linear.anchors, rectifying.anchors);
+        assert!(cut_off(&linear, side) < 0.02, "{}", cut_off(&linear, side));
+        let shares = [side, other].map(|side| cut_off(&rectifying, side));
+        assert!(shares.iter().all(|share| (0.1..0.25).contains(share)), "{shares:?}");
+        assert_ne!(shares[0], shares[1], "others from another side");
+    }
+
     #[test]
     fn crowds_are_divided_limits_kept_and_what_is_transparent_left_out() {
         let mut rows = sphere(600);
@@ -351,7 +390,8 @@ mod tests {
     fn gaussians_that_no_scene_can_begin_with_are_named() {
         let refused = |rows: &GaussianRows| {
             let rule = |_: &[[f32; 3]]| VoxelRule::Fixed(1.0);
-            anchors_from_gaussians(rows, rule, SHAPE, 9, &mut Pcg64::seed_from_u64(1)).expect_err("refused")
+            let (units, mut rng) = (PassingUnits::LINEAR, Pcg64::seed_from_u64(1));
+            anchors_from_gaussians(rows, rule, SHAPE, 9, units, &mut rng).expect_err("refused")
         };
         assert_eq!(refused(&GaussianRows::zero(0)), InitError::NoPoints);
         let mut rows = sphere(2);

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use rand::{Rng, RngExt};
 
 use super::{
-    AnchorRows, FirstAnchors, InitError, Shape, VoxelRule, cell_of,
+    AnchorRows, FirstAnchors, InitError, PassingUnits, Shape, VoxelRule, cell_of,
     first_anchors::{SLOT, SlotValues},
     initial_rows,
 };
@@ -58,7 +58,7 @@ pub fn anchors_from_points(
             slots.push(&slot, |_| true);
         }
     }
-    Ok(FirstAnchors::saying(anchors, slots, RANDOM, rng))
+    Ok(FirstAnchors::saying(anchors, slots, PassingUnits::LINEAR, RANDOM, rng))
 }
 
 /// The mean colour of each anchor's points, from 0 to 1. Points that all have the same colour, as in a cloud saved without any, say

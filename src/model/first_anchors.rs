@@ -14,12 +14,25 @@ pub(super) const SLOT: usize = 11;
 const WEIGHTS: [f64; SLOT] = [3.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0, 1.0];
 /// Largest share of a network's hidden units that pass a component on; the others begin random.
 const PASSED: f64 = 0.75;
-/// Standard deviations of a component that its hidden unit passes on before it is cut off.
-const REACH: f64 = 3.0;
 /// Components that deviate less are left to random units.
 const MIN_DEVIATION: f64 = 1e-3;
-/// Weights from the view of the units that pass components on, by the usual.
-const OF_VIEW: f32 = 0.1;
+
+/// How the hidden units begin that pass a component on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PassingUnits {
+    /// Standard deviations of its component below the mean that a unit passes on; what is further below it cuts off.
+    pub reach: f64,
+    /// Weights from the view, by the usual.
+    pub of_view: f32,
+}
+
+impl PassingUnits {
+    /// They cut off hardly anything: anchors begin as what they are made of, from all sides alike.
+    pub const LINEAR: Self = Self { reach: 3.0, of_view: 0.1 };
+    /// They cut a sixth of the anchors off, another part of them for each view: a scene loses at first, and learns sooner what
+    /// differs between anchors and between views together.
+    pub const RECTIFYING: Self = Self { reach: 1.0, of_view: 1.0 };
+}
 
 /// Anchors with the networks that make their Gaussians.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,10 +49,11 @@ impl FirstAnchors {
     pub(super) fn saying(
         mut anchors: AnchorRows,
         slots: SlotValues,
+        units: PassingUnits,
         random: [f32; 3],
         rng: &mut impl Rng,
     ) -> Self {
-        let networks = teach(&mut anchors, slots, random, rng);
+        let networks = teach(&mut anchors, slots, units, random, rng);
         Self { anchors, networks }
     }
 }
@@ -65,7 +79,13 @@ impl SlotValues {
 }
 
 /// Features and networks that say `slots`, as far as the principal components do; `random` as in [`FirstAnchors::saying`].
-fn teach(anchors: &mut AnchorRows, slots: SlotValues, random: [f32; 3], rng: &mut impl Rng) -> Vec<f32> {
+fn teach(
+    anchors: &mut AnchorRows,
+    slots: SlotValues,
+    units: PassingUnits,
+    random: [f32; 3],
+    rng: &mut impl Rng,
+) -> Vec<f32> {
     let SlotValues { values: mut targets, known } = slots;
     let shape = anchors.shape;
     let width = SLOT * shape.offsets;
@@ -104,14 +124,14 @@ fn teach(anchors: &mut AnchorRows, slots: SlotValues, random: [f32; 3], rng: &mu
                     *weight = match input {
                         _ if input == unit => 1.0,
                         _ if input < shape.features => 0.0,
-                        _ if input + 1 < shape.features + VIEW_INPUTS => OF_VIEW * *weight,
+                        _ if input + 1 < shape.features + VIEW_INPUTS => units.of_view * *weight,
                         // The distance.
                         _ => 0.0,
                     };
                 }
             }
             if unit < count {
-                networks[hidden.bias + column] = (REACH * deviations[unit] * of_feature[unit]) as f32;
+                networks[hidden.bias + column] = (units.reach * deviations[unit] * of_feature[unit]) as f32;
             }
         }
         let spec = &layout.heads[head];
@@ -128,7 +148,7 @@ fn teach(anchors: &mut AnchorRows, slots: SlotValues, random: [f32; 3], rng: &mu
                 if unit < count {
                     let back = found.directions[unit][target] / (WEIGHTS[value] * of_feature[unit]);
                     *weight = back as f32;
-                    bias -= back * REACH * deviations[unit] * of_feature[unit];
+                    bias -= back * units.reach * deviations[unit] * of_feature[unit];
                 } else {
                     *weight *= random;
                 }

@@ -16,7 +16,7 @@ mod symmetric_eigen;
 pub use anchor_rows::{AnchorRows, Shape, retain_rows};
 pub use anchors_from_gaussians::anchors_from_gaussians;
 pub use anchors_from_points::anchors_from_points;
-pub use first_anchors::FirstAnchors;
+pub use first_anchors::{FirstAnchors, PassingUnits};
 pub use gaussian_rows::{GaussianRows, initial_gaussians};
 pub use init::{InitError, all_offsets, initial_rows, random_points};
 pub use lattice::{MAX_CELL, VoxelRule, cell_of, choose_lattice, coarse, median_spacing, voxelise};

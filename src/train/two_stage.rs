@@ -85,13 +85,14 @@ impl TwoStageTrainer {
     fn make_anchors(&mut self, step: u32, rng: &mut Pcg64) -> Result<()> {
         let Stage::Gaussians(trainer) = &self.stage else { return Ok(()) };
         let rows = trainer.rows()?;
-        let Schedule { voxel, shape, max_anchors, .. } = self.schedule;
+        let Schedule { voxel, shape, max_anchors, passing_units, .. } = self.schedule;
         // Half the limit is left for growth.
         let first = anchors_from_gaussians(
             &rows,
             |means| voxel.for_points(means, self.extent),
             shape,
             max_anchors / 2,
+            passing_units,
             rng,
         )?;
         tracing::debug!(

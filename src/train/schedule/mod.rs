@@ -17,7 +17,7 @@ pub use table::schedule_table;
 use super::RateControl;
 use crate::{
     domain::{Component, ModelKind, Preset, TrainOptions, Voxel},
-    model::{Shape, VoxelRule},
+    model::{PassingUnits, Shape, VoxelRule},
 };
 
 /// Largest factor of the anchors' learning rates in short runs.
@@ -85,6 +85,21 @@ fn anchor_learning_rate(published: Decay, steps: u32) -> Decay {
     }
     Decay { start: factor * published.start, end: published.end, shape: DecayShape::Quadratic }
 }
+
+/// The same for the render networks, which every anchor shares: they learn as fast in runs of up to 3000 steps as in one of 300, and
+/// only then more slowly. Until then more of a run goes to what they have to learn from scratch, such as what differs between views.
+fn network_learning_rate(published: Decay, steps: u32) -> Decay {
+    let decay = anchor_learning_rate(published, steps);
+    let start = published.start * speedup(steps).sqrt().min(NETWORK_SPEEDUP);
+    if start > decay.start { Decay { start, shape: DecayShape::Quadratic, ..decay } } else { decay }
+}
+
+/// Largest factor of the render networks' learning rates in runs of more than 300 steps.
+const NETWORK_SPEEDUP: f64 = 3.16;
+
+/// Steps from which on anchors that were Gaussians begin with [`PassingUnits::RECTIFYING`]: shorter runs do not make up for what it
+/// costs at first.
+const RECTIFYING_FROM: u32 = 500;
 
 /// Cells between neighbouring points at the start: the coarsest growth cell is as large as the points' spacing.
 const CELLS_PER_SPACING: f32 = 16.0;
@@ -189,6 +204,8 @@ pub struct Schedule {
     pub scaling: Decay,
     /// Of the opacity, covariance and colour networks.
     pub networks: [Decay; 3],
+    /// How networks begin whose anchors were Gaussians.
+    pub passing_units: PassingUnits,
     /// Weight of the volume regulariser, for volumes over the cube of the scene scale.
     pub volume_weight: f32,
     /// Offset masks; none where they are off.
@@ -252,10 +269,15 @@ impl Schedule {
             feature: rate(Decay::constant(0.0075)),
             scaling: rate(Decay::constant(0.007)),
             networks: [
-                rate(Decay::exponential(2e-3, 2e-5)),
-                rate(Decay::constant(4e-3)),
-                rate(Decay::exponential(8e-3, 5e-5)),
+                network_learning_rate(Decay::exponential(2e-3, 2e-5), steps),
+                network_learning_rate(Decay::constant(4e-3), steps),
+                network_learning_rate(Decay::exponential(8e-3, 5e-5), steps),
             ],
+            passing_units: if steps >= RECTIFYING_FROM {
+                PassingUnits::RECTIFYING
+            } else {
+                PassingUnits::LINEAR
+            },
             volume_weight: 0.01,
             masks: masks(options, steps),
             prunes_invisible: options.model == ModelKind::Tcgs,
@@ -481,8 +503,15 @@ mod tests {
         let published = rates(&of(30_000));
         assert_eq!(published.map(|rate| rate.start), [0.01, 0.0075, 0.007, 2e-3, 4e-3, 8e-3]);
         assert_eq!(rates(&of(100_000)), published);
-        for (steps, factor) in [(10_000, 1.316), (2_000, 1.968), (300, 3.162), (1, MAX_SPEEDUP)] {
-            for (rate, published) in rates(&of(steps)).iter().zip(published) {
+        let factors = [
+            (10_000, 1.316, 1.732),
+            (2_000, 1.968, 3.16),
+            (300, 3.162, 3.162),
+            (1, MAX_SPEEDUP, MAX_SPEEDUP),
+        ];
+        for (steps, of_rows, of_networks) in factors {
+            for (index, (rate, published)) in rates(&of(steps)).iter().zip(published).enumerate() {
+                let factor = if index < 3 { of_rows } else { of_networks };
                 assert!((rate.start / published.start - factor).abs() < 1e-3, "{steps} steps: {rate:?}");
                 assert!((rate.end / published.end - 1.0).abs() < 1e-12, "{steps} steps: {rate:?}");
                 assert_eq!((rate.shape, published.shape), (DecayShape::Quadratic, DecayShape::Exponential));
@@ -502,6 +531,8 @@ mod tests {
                 );
                 assert!(!(1..=steps).any(|step| schedule.plain.resets(step) && step <= until && until > 0));
                 assert_eq!(schedule.fork_step(), Schedule::new(&options).fork_step());
+                let units = if steps < 500 { PassingUnits::LINEAR } else { PassingUnits::RECTIFYING };
+                assert_eq!(schedule.passing_units, units);
                 if let Some(compression) = &schedule.compression {
                     assert!(compression.noise_from > until && compression.context_from > until);
                 }

@@ -59,6 +59,10 @@ fn anchors(row: &mut Row<'_>) {
         0 => "–".to_owned(),
         until => at(c, until),
     });
+    row("then hidden units pass on deviations of a component", &|c| match c.plain_until {
+        0 => "–".to_owned(),
+        _ => c.passing_units.reach.to_string(),
+    });
     row("views count for growth after", &|c| at(c, c.statistics_from));
     row("growth and pruning after", &|c| at(c, c.densify_from));
     row("growth and pruning before", &|c| at(c, c.densify_until));
