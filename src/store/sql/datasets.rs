@@ -17,6 +17,9 @@ use crate::{
 /// HTTP status of the response to a request for a resource that exists already.
 const FOUND: u16 = 200;
 
+/// Clears the reference of every job of the scene `?`.
+pub(super) const CLEAR_SCENE: &str = "UPDATE jobs SET scene = NULL, version = version + 1 WHERE scene = ?";
+
 /// A row of `scenes` joined with its dataset's `bytes`.
 fn dataset(row: &Row) -> Result<DatasetRecord, StoreError> {
     Ok(DatasetRecord {
@@ -142,6 +145,8 @@ impl Datasets for SqlStore {
             if active > 0 {
                 return Ok(Some(DatasetDeletion::InUse(active)));
             }
+            // The schema would clear the reference too, but not raise the version of those rows.
+            query(CLEAR_SCENE).bind(id.to_string()).execute(&mut *tx).await?;
             query("DELETE FROM scenes WHERE id = ?").bind(id.to_string()).execute(tx).await?;
             Ok(Some(DatasetDeletion::Deleted))
         }))

@@ -123,7 +123,7 @@ mod tests {
         domain::{DatasetId, JobId, JobState},
         store::{
             SqlStore,
-            sql::{FIRST_DEADLINE, accounts, open::temporary_store, queue, retention, stats},
+            sql::{FIRST_DEADLINE, accounts, datasets, open::temporary_store, queue, retention, stats},
         },
     };
 
@@ -212,6 +212,7 @@ mod tests {
             retention::EXPIRED_REQUESTS,
             retention::EXPIRED_MESSAGES,
             "UPDATE jobs SET retry_of = NULL, version = version + 1 WHERE retry_of = ?",
+            datasets::CLEAR_SCENE,
             "DELETE FROM scenes WHERE id = ?",
         ] {
             for step in plan(&store, statement).await {

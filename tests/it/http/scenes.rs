@@ -164,10 +164,15 @@ pub(super) async fn a_scene_is_deleted_once_no_job_needs_it(coverage: Coverage) 
     let detail = delete("").await.expect_problem(409, "scene-in-use");
     assert!(detail.starts_with("1 "), "{detail}");
     store.cancel(job).await.expect("cancelled");
+    let of_job = format!("/v1/jobs/{job}");
+    let shown = server.get(&of_job).await.expect(200);
+    assert_eq!(shown.json()["scene_id"], json!(scene.id));
     delete("\"2\"").await.expect_problem(412, "precondition-failed");
     delete("\"1\"").await.expect(204);
     server.get(&path).await.expect_problem(404, "scene-not-found");
-    server.get(&format!("/v1/jobs/{job}")).await.expect(200);
+    let tag = shown.header("etag").to_owned();
+    let now = server.send("GET", &of_job, |request| request.header("if-none-match", tag)).await.expect(200);
+    assert_eq!(now.json()["scene_id"], Value::Null);
 }
 
 pub(super) async fn scenes_of_another_key_are_not_there_and_bytes_have_a_quota(coverage: Coverage) {

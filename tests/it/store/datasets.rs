@@ -158,11 +158,13 @@ async fn a_dataset_is_deleted_unless_an_active_job_trains_on_it() {
     }
     assert_eq!(delete(None).await.expect("asked"), Some(DatasetDeletion::InUse(1)));
     fixture.store.finish(&claim.lease, tcgs::store::Outcome::Cancelled).await.expect("ended");
+    let before = fixture.store.job(jobs[0].id).await.expect("read").expect("known").job.version;
     assert_eq!(delete(Some(2)).await.expect("asked"), Some(DatasetDeletion::VersionMismatch));
     assert_eq!(delete(Some(1)).await.expect("asked"), Some(DatasetDeletion::Deleted));
     assert_eq!(delete(None).await.expect("asked"), None);
     let kept = fixture.store.job(jobs[0].id).await.expect("read").expect("the job stays");
     assert_eq!((kept.dataset_id, kept.dataset), (None, made.dataset));
+    assert_eq!(kept.job.version, before + 1, "it is shown otherwise than before");
     fixture.store.create_job(job(3, NOBODY, &made)).await.expect_err("a job cannot be made of what is gone");
 }
 
