@@ -7,6 +7,7 @@ use std::{
 };
 
 use jiff::Timestamp;
+use tokio::io::AsyncWriteExt as _;
 
 use crate::domain::{Clock as _, SystemClock};
 
@@ -50,4 +51,11 @@ pub(super) fn entries(folder: &Path) -> io::Result<Vec<PathBuf>> {
 
 pub(super) fn folders(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(entries(folder)?.into_iter().filter(|path| path.is_dir()).collect())
+}
+
+/// Writes a piece, and waits until the file system has taken it: `write_all` alone returns once the piece is in a buffer, and what then
+/// fails is reported by the next call, after the piece was counted.
+pub(super) async fn write_through(file: &mut tokio::fs::File, piece: &[u8]) -> io::Result<()> {
+    file.write_all(piece).await?;
+    file.flush().await
 }

@@ -20,7 +20,7 @@ use tokio::{
 use super::{
     BlobError, Blobs, Keeper, StagedBlob, blocking,
     bucket::BucketUpload,
-    files::{entries, if_there, sync_folder},
+    files::{entries, if_there, sync_folder, write_through},
 };
 use crate::{
     domain::{Digest, UploadId},
@@ -122,10 +122,10 @@ impl UploadFile {
         Ok(())
     }
 
-    /// Appends a piece.
+    /// Appends a piece. Once this returns, the file system has taken it.
     pub async fn write(&mut self, piece: &[u8]) -> Result<(), BlobError> {
         match &mut self.content {
-            UploadContent::File { file, .. } => Ok(file.write_all(piece).await?),
+            UploadContent::File { file, .. } => Ok(write_through(file, piece).await?),
             UploadContent::Bucket(upload) => upload.write(piece).await,
         }
     }
@@ -186,5 +186,25 @@ impl UploadFile {
             return Err(BlobError::UploadDamaged { id: self.id, expected: length, found });
         }
         Ok(StagedBlob::of_upload(path, file, BlobRef { digest, bytes: length }))
+    }
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use uuid::Uuid;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_piece_that_the_disk_does_not_take_fails_by_itself() {
+        // A device that is always full.
+        let path = PathBuf::from("/dev/full");
+        let file = StdFile::options().write(true).open(&path).expect("a device");
+        let content = UploadContent::File { file: File::from_std(file), path };
+        let mut upload = UploadFile { id: UploadId(Uuid::from_u128(1)), content };
+        for piece in [b"first", b"later"] {
+            let error = upload.write(piece).await.expect_err("there is no room");
+            assert!(error.is_disk_full(), "{error}");
+        }
     }
 }

@@ -400,6 +400,23 @@ async fn an_upload_in_a_bucket_goes_on_at_another_replica() {
 }
 
 #[tokio::test]
+async fn what_a_failed_write_left_is_no_part_of_an_upload() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let id = begin_upload(&fixture, 1, 11).await;
+    let later = fixture.clock.now() + SignedDuration::from_hours(1);
+    let reopen = async || fixture.blobs.open_upload(id).await.expect("asked").expect("free");
+    for (start, piece, end) in [(0, b"first".as_slice(), 5), (5, b" later", 11)] {
+        let mut file = reopen().await;
+        file.continue_at(start).await.expect("at its place");
+        file.write(piece).await.expect("written");
+        file.write(b"some of a piece").await.expect("written, but not counted");
+        assert!(file.save(&*fixture.store, end, later).await.expect("saved"));
+    }
+    let staged = reopen().await.finish(11).await.expect("no byte more, and none less");
+    assert_eq!(staged.blob().digest, Digest::of(b"first later"));
+}
+
+#[tokio::test]
 async fn a_writer_that_was_away_too_long_saves_nothing_more() {
     let Some(fixture) = Fixture::new().await else { return };
     let id = begin_upload(&fixture, 1, 8).await;

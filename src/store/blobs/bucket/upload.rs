@@ -19,7 +19,7 @@ use tokio::{
 use super::{BlobError, Bucket, BucketIndex, ContentHasher, SharedFiles, StagingDir};
 use crate::{
     domain::UploadId,
-    store::{BlobRef, uploads::UploadWriter},
+    store::{BlobRef, blobs::files::write_through, uploads::UploadWriter},
 };
 
 /// Folder of all uploads.
@@ -148,8 +148,9 @@ impl BucketUpload {
         Ok(())
     }
 
+    /// Appends a piece. Once this returns, the private file has it.
     pub(in crate::store::blobs) async fn write(&mut self, piece: &[u8]) -> Result<(), BlobError> {
-        Ok(self.file.write_all(piece).await?)
+        Ok(write_through(&mut self.file, piece).await?)
     }
 
     /// Saves what was written, up to byte `received`; false if the upload has ended or the lock is lost.
@@ -158,9 +159,10 @@ impl BucketUpload {
         received: u64,
         expires_at: Timestamp,
     ) -> Result<bool, BlobError> {
-        self.file.flush().await?;
         let name = format!("{}/{}-{}", folder(self.writer.id), self.saved, self.writer.number);
         if received > self.saved {
+            // A write that failed may have left some of its piece behind.
+            self.file.set_len(received - self.saved).await?;
             self.files.save(&name, &self.path).await?;
         }
         let (writer, start) = (self.writer, self.saved);
