@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-use bytes::Bytes;
+use thiserror::Error;
 use tokio::{
     sync::{oneshot, watch},
     time::{Instant, MissedTickBehavior, interval_at, sleep, sleep_until},
@@ -17,8 +17,12 @@ use tokio_util::sync::CancellationToken;
 use tracing::{Instrument as _, Span};
 
 use super::{
-    WorkerConfig, WorkerError, checkpoint_copies, checkpoint_copies::CheckpointCopies, checkpoints,
-    series_buffer::SeriesBuffer, storage,
+    WorkerConfig, WorkerError, checkpoint_copies,
+    checkpoint_copies::CheckpointCopies,
+    checkpoints,
+    publication::{Ending, publish},
+    series_buffer::SeriesBuffer,
+    storage,
 };
 use crate::{
     domain::{
@@ -26,7 +30,7 @@ use crate::{
         failure_point::reach,
     },
     pipeline::{Checkpoints, JobError, JobOutput, RunJob},
-    store::{Artifact, ArtifactKind, BlobCopy, Blobs, Claim, Lease, Outcome, Store, StoreError},
+    store::{BlobCopy, BlobError, Blobs, Claim, Lease, Outcome, Store, StoreError, is_disk_full},
 };
 
 /// Pause between tries to write the end of an attempt.
@@ -125,35 +129,35 @@ async fn run_in_span(
         last_renewed: Instant::now(),
         last_progress: Instant::now(),
     };
-    let (outcome, result) = match keeper.wait(result, shutdown).await {
+    let (ending, result) = match keeper.wait(result, shutdown).await {
         RunEnd::Ended(result) => {
             keeper.report_progress().await;
             if matches!(*result, Ok(Ok(_))) {
                 keeper.start_publication().await;
             }
-            let outcome = outcome_of(deps, &lease, *result, keeper.stop);
-            (while_renewing(deps, &lease, &mut keeper.last_renewed, outcome).await, Ok(()))
+            let ending = ending_of(deps, &lease, *result, keeper.stop);
+            (while_renewing(deps, &lease, &mut keeper.last_renewed, ending).await, Ok(()))
         }
         RunEnd::DrainOver => {
             tracing::warn!("job {} did not stop in time; releasing it", lease.job);
-            (Outcome::Released, Ok(()))
+            (Outcome::Released.into(), Ok(()))
         }
         RunEnd::Stalled => {
             let limit = deps.config.stall_limit;
             let error = WorkerError::Stalled { job: lease.job, attempt: lease.attempt, limit };
             tracing::error!("{error}");
-            (Outcome::Retry(stalled(limit)), Err(error))
+            (Outcome::Retry(stalled(limit)).into(), Err(error))
         }
     };
     match copies {
         // Before another machine can claim the job.
-        Some(copies) if !matches!(outcome, Outcome::Succeeded { .. }) => {
+        Some(copies) if !matches!(ending.outcome, Outcome::Succeeded { .. }) => {
             while_renewing(deps, &lease, &mut keeper.last_renewed, copies.finish()).await;
         }
         Some(copies) => copies.abandon(),
         None => {}
     }
-    finish(deps, &lease, outcome, keeper.last_renewed, shutdown).await;
+    finish(deps, &lease, ending, keeper.last_renewed, shutdown).await;
     result
 }
 
@@ -347,15 +351,15 @@ impl LeaseKeeper<'_> {
     }
 }
 
-/// The outcome to record for a run that has ended; publishes its result.
-async fn outcome_of(deps: &WorkerDeps, lease: &Lease, result: RunResult, stop: StopReason) -> Outcome {
-    match (result, stop) {
+/// The end to record for a run that has ended; publishes its result.
+async fn ending_of(deps: &WorkerDeps, lease: &Lease, result: RunResult, stop: StopReason) -> Ending {
+    let outcome = match (result, stop) {
         (_, StopReason::LeaseLost) => {
             tracing::warn!("the lease of job {} was lost; its result is dropped", lease.job);
             // If no other worker has claimed it, because no process could reach the database, this is no crash.
             Outcome::Released
         }
-        (Ok(Ok(output)), _) => publish(deps, output).await,
+        (Ok(Ok(output)), _) => return publish(&deps.blobs, output).await,
         (Ok(Err(JobError::Fail(problem))), _) => Outcome::Failed(problem),
         (Ok(Err(JobError::Retry(problem))), _) => Outcome::Retry(storage::redacted(problem)),
         (Ok(Err(JobError::Hold(problem))), _) => Outcome::Held(storage::redacted(problem)),
@@ -368,40 +372,17 @@ async fn outcome_of(deps: &WorkerDeps, lease: &Lease, result: RunResult, stop: S
             tracing::error!("job {} panicked: {}", lease.job, panic_text(&*panic));
             Outcome::Retry(panicked())
         }
-    }
-}
-
-/// Makes the output's blobs durable; only then may the job refer to them.
-async fn publish(deps: &WorkerDeps, output: JobOutput) -> Outcome {
-    let contents = match contents(&output) {
-        Ok(contents) => contents,
-        Err(error) => {
-            tracing::error!("JSON cannot be written: {error}");
-            let detail = "the dataset's cameras or held-out views cannot be written as JSON";
-            return Outcome::Failed(Problem::new(ProblemType::Internal, detail));
-        }
     };
-    let mut artifacts = Vec::new();
-    for (kind, lambda, content) in contents {
-        reach(FailurePoint::BeforePublish);
-        match deps.blobs.put(content).await {
-            Ok(blob) => artifacts.push(Artifact { kind, lambda, blob }),
-            Err(error) => return storage::outcome(&error),
-        }
-        reach(FailurePoint::AfterPublish);
-    }
-    Outcome::Succeeded { metrics: Box::new(output.metrics), artifacts }
+    outcome.into()
 }
 
-/// Kind, weight of the rate term and content of every artifact: the files, and the cameras and held-out views as JSON.
-fn contents(output: &JobOutput) -> serde_json::Result<Vec<(ArtifactKind, Option<f64>, Bytes)>> {
-    let file = |(lambda, file)| (ArtifactKind::Scene(output.format), lambda, Bytes::copy_from_slice(file));
-    let mut contents: Vec<_> = output.files().map(file).collect();
-    contents.push((ArtifactKind::Cameras, None, serde_json::to_vec(&output.cameras)?.into()));
-    if let Some(held_out) = &output.held_out {
-        contents.push((ArtifactKind::HeldOut, None, serde_json::to_vec(held_out)?.into()));
-    }
-    Ok(contents)
+/// Why the end of an attempt is not recorded.
+#[derive(Debug, Error)]
+enum FinishError {
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    #[error(transparent)]
+    Blobs(#[from] BlobError),
 }
 
 /// Writes the end of the attempt. Retries while the lease may still be held: hours of work must not be lost because the database is
@@ -409,12 +390,15 @@ fn contents(output: &JobOutput) -> serde_json::Result<Vec<(ArtifactKind, Option<
 async fn finish(
     deps: &WorkerDeps,
     lease: &Lease,
-    outcome: Outcome,
+    ending: impl Into<Ending>,
     last_renewed: Instant,
     shutdown: &CancellationToken,
 ) {
+    let mut ending = ending.into();
+    // When it was last certain that no other worker could claim the job.
+    let mut last_held = last_renewed;
     loop {
-        match deps.store.finish(lease, outcome.clone()).await {
+        let error = match record(deps, lease, &mut ending).await {
             Ok(state) => {
                 if state == JobState::Succeeded {
                     reach(FailurePoint::AfterCommit);
@@ -423,29 +407,40 @@ async fn finish(
                 tracing::info!(state, "job {} is {state}", lease.job);
                 return;
             }
-            Err(error @ StoreError::LeaseLost { .. }) => {
+            Err(FinishError::Store(error @ StoreError::LeaseLost { .. })) => {
                 tracing::warn!("{error}");
                 return;
             }
-            Err(error)
-                if last_renewed.elapsed() > deps.config.lease
-                    && (shutdown.is_cancelled() || !error.is_disk_full()) =>
-            {
-                tracing::error!(
-                    error = &error as &dyn std::error::Error,
-                    "the end of the attempt is not recorded: {error}"
-                );
-                return;
-            }
-            Err(error) => {
-                tracing::warn!(
-                    error = &error as &dyn std::error::Error,
-                    "the end of the attempt is not recorded yet: {error}"
-                );
-                sleep(FINISH_RETRY_PAUSE).await;
+            Err(error) => error,
+        };
+        let is_full = is_disk_full(&error);
+        let since = if is_full { last_renewed } else { last_held };
+        if since.elapsed() > deps.config.lease && (shutdown.is_cancelled() || !is_full) {
+            tracing::error!(
+                error = &error as &dyn std::error::Error,
+                "the end of the attempt is not recorded: {error}"
+            );
+            return;
+        }
+        tracing::warn!(
+            error = &error as &dyn std::error::Error,
+            "the end of the attempt is not recorded yet: {error}"
+        );
+        sleep(FINISH_RETRY_PAUSE).await;
+        if is_full {
+            // Small changes may find room where the end does not: a renewal, or the claim of another worker.
+            let renewed = deps.store.heartbeat(lease).await;
+            if renewed.map_or_else(|error| error.is_disk_full(), |_| true) {
+                last_held = Instant::now();
             }
         }
     }
+}
+
+/// Writes the end once, after the result was published again if its latest publication is old.
+async fn record(deps: &WorkerDeps, lease: &Lease, ending: &mut Ending) -> Result<JobState, FinishError> {
+    ending.renew(&deps.blobs, deps.config.republish_every).await?;
+    Ok(deps.store.finish(lease, ending.outcome.clone()).await?)
 }
 
 fn panic_text(panic: &(dyn Any + Send)) -> &str {

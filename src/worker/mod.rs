@@ -13,6 +13,7 @@ mod checkpoint_copies;
 mod checkpoints;
 mod claim;
 mod liveness;
+mod publication;
 mod series_buffer;
 mod storage;
 pub mod supervise;
@@ -54,6 +55,9 @@ pub struct WorkerConfig {
     pub checkpoints: Option<PathBuf>,
     /// Time between two copies of changed checkpoints to the bucket, if there is one.
     pub copy_checkpoints_every: Duration,
+    /// Age of a publication after which a result is published again if the end of its job cannot be recorded; well below the grace time
+    /// of garbage collection ([`crate::store::garbage::GarbagePolicy::blob_grace`]).
+    pub republish_every: Duration,
     /// Folder of the lock files of live workers ([`supervise::SuperviseConfig::liveness_dir`]).
     pub liveness_dir: Option<PathBuf>,
 }
@@ -78,6 +82,7 @@ impl WorkerConfig {
             drain: Duration::from_secs(20),
             checkpoints: None,
             copy_checkpoints_every: Duration::from_secs(10),
+            republish_every: Duration::from_secs(300),
             liveness_dir: None,
         }
     }

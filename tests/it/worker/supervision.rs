@@ -10,8 +10,11 @@ use std::{
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{JobState, SystemClock},
-    store::{AttemptOutcome, Blobs, NewJob, RetryRequest, SqlStore, Store, WorkerDeath},
+    domain::{Clock as _, JobState, SystemClock},
+    store::{
+        AttemptOutcome, Blobs, DATABASE, NewJob, RetryRequest, SqlStore, Store, WorkerDeath,
+        garbage::{GarbagePolicy, collect},
+    },
     worker::{
         self, WorkerConfig, WorkerError,
         supervise::{LiveWorkers, SuperviseConfig, supervise},
@@ -24,6 +27,8 @@ use uuid::Uuid;
 
 use crate::support::{
     contract::Coverage,
+    database::Database,
+    eventually::eventually,
     fakes::FakeRunner,
     faults::{Failing, FaultStore},
     server::{Server, quick_policy, quick_worker},
@@ -96,7 +101,7 @@ impl Drop for Fixture {
 }
 
 async fn open(data: &Path) -> (Arc<dyn Store>, Blobs) {
-    let store = SqlStore::open(&data.join("tcgs.db"), Arc::new(SystemClock), quick_policy()).await;
+    let store = SqlStore::open(&data.join(DATABASE), Arc::new(SystemClock), quick_policy()).await;
     (Arc::new(store.expect("a database")), Blobs::open(data).expect("a blob store"))
 }
 
@@ -289,6 +294,75 @@ async fn a_disk_that_is_full_for_longer_than_a_lease_does_not_cost_the_run() {
     store.set(None);
     let job = fixture.reaches(id, JobState::Succeeded).await;
     assert_eq!(job.attempt, 1);
+}
+
+/// A worker whose attempts find no room for their end, and a job that it has run so far.
+async fn without_room_for_the_end(
+    fixture: &Fixture,
+    config: WorkerConfig,
+) -> (Arc<FaultStore>, tcgs::domain::JobId) {
+    let store = Arc::new(FaultStore::new(Arc::clone(&fixture.store)));
+    store.set(Some(Failing::FullForEnds));
+    fixture.start_on(Arc::clone(&store) as Arc<dyn Store>, config);
+    let id = fixture.add("succeed").await;
+    eventually("its end is refused", async || store.refused_ends() > 0).await;
+    (store, id)
+}
+
+/// Dates all blobs back, as if their publication had been long ago.
+fn date_back(blobs: &Path) {
+    for entry in std::fs::read_dir(blobs).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            date_back(&path);
+        } else {
+            let file = std::fs::File::options().write(true).open(path).expect("writable");
+            file.set_modified(std::time::SystemTime::UNIX_EPOCH).expect("dated back");
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_result_is_there_however_long_its_job_had_no_room_to_end() {
+    let fixture = Fixture::new().await;
+    let config = WorkerConfig { republish_every: Duration::ZERO, ..quick_worker("w") };
+    let (store, id) = without_room_for_the_end(&fixture, config).await;
+    let collected = async || {
+        let policy = GarbagePolicy::default();
+        let collected = collect(&*fixture.store, &fixture.blobs, &policy, SystemClock.now()).await;
+        collected.expect("collected").blobs
+    };
+    let renewed = async || {
+        // The try that is under way may have published before.
+        let enough = store.refused_ends() + 2;
+        eventually("the result is published again", async || store.refused_ends() >= enough).await;
+    };
+    date_back(&fixture.data.path().join("blobs"));
+    renewed().await;
+    assert_eq!(collected().await, 0, "its age was renewed");
+    date_back(&fixture.data.path().join("blobs"));
+    // Whether or not the worker was faster.
+    collected().await;
+    renewed().await;
+    store.set(None);
+    fixture.reaches(id, JobState::Succeeded).await;
+    let artifacts = fixture.store.job(id).await.expect("read").expect("known").artifacts;
+    assert_eq!(artifacts.len(), 3);
+    for artifact in artifacts {
+        fixture.blobs.read(artifact.blob.digest).await.expect("it is there");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_lease_is_renewed_while_there_is_no_room_for_the_end() {
+    let fixture = Fixture::new().await;
+    let (store, id) = without_room_for_the_end(&fixture, quick_worker("w")).await;
+    let database = Database::DataFolder(fixture.data.path().to_owned());
+    let until = async || database.number("SELECT lease_until FROM jobs").await;
+    let before = until().await;
+    eventually("the lease is renewed", async || until().await > before).await;
+    store.set(None);
+    assert_eq!(fixture.reaches(id, JobState::Succeeded).await.attempt, 1);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -8,7 +8,10 @@ mod webhooks;
 
 use std::{
     io,
-    sync::{Arc, Mutex},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicU32, Ordering},
+    },
     time::Duration,
 };
 
@@ -33,6 +36,8 @@ pub enum Failing {
     Gone,
     /// Like one on a full disk.
     Full,
+    /// Like one on a disk with room for small changes only: no attempt can end.
+    FullForEnds,
     /// Not at all, but a newer program has changed the schema.
     Migrated,
 }
@@ -41,11 +46,12 @@ pub enum Failing {
 pub struct FaultStore {
     inner: Arc<dyn Store>,
     failing: Mutex<Option<Failing>>,
+    refused_ends: AtomicU32,
 }
 
 impl FaultStore {
     pub fn new(inner: Arc<dyn Store>) -> Self {
-        Self { inner, failing: Mutex::new(None) }
+        Self { inner, failing: Mutex::new(None), refused_ends: AtomicU32::new(0) }
     }
 
     /// From now on, every call fails so, or none does.
@@ -53,15 +59,24 @@ impl FaultStore {
         *self.failing.lock().expect("not poisoned") = failing;
     }
 
+    /// How many ends of attempts were refused by [`Failing::FullForEnds`].
+    pub fn refused_ends(&self) -> u32 {
+        self.refused_ends.load(Ordering::SeqCst)
+    }
+
     fn guard<'a, T: Send + 'a>(&self, answer: StoreFuture<'a, T>) -> StoreFuture<'a, T> {
         let error = match *self.failing.lock().expect("not poisoned") {
-            None | Some(Failing::Migrated) => return answer,
+            None | Some(Failing::Migrated | Failing::FullForEnds) => return answer,
             Some(Failing::Busy) => sqlx::Error::PoolTimedOut,
             Some(Failing::Gone) => sqlx::Error::PoolClosed,
-            Some(Failing::Full) => sqlx::Error::Io(io::ErrorKind::StorageFull.into()),
+            Some(Failing::Full) => full(),
         };
         Box::pin(async move { Err(StoreError::Database(error)) })
     }
+}
+
+fn full() -> sqlx::Error {
+    sqlx::Error::Io(io::ErrorKind::StorageFull.into())
 }
 
 impl Overview for FaultStore {
@@ -165,6 +180,10 @@ impl Store for FaultStore {
         self.guard(self.inner.report(lease, phase, progress))
     }
     fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> StoreFuture<'a, JobState> {
+        if *self.failing.lock().expect("not poisoned") == Some(Failing::FullForEnds) {
+            self.refused_ends.fetch_add(1, Ordering::SeqCst);
+            return Box::pin(async { Err(StoreError::Database(full())) });
+        }
         self.guard(self.inner.finish(lease, outcome))
     }
     fn expire_worker<'a>(&'a self, worker: &'a str, death: WorkerDeath) -> StoreFuture<'a, u64> {
