@@ -124,6 +124,22 @@ impl StoreError {
         is_disk_full(self)
     }
 
+    /// Whether it is certain that nothing was written: the store refused, or had no room. Of a commit whose answer is lost or late nobody
+    /// knows; it may still be made after the error.
+    #[must_use]
+    pub fn has_written_nothing(&self) -> bool {
+        match self {
+            Self::LeaseLost { .. }
+            | Self::IdempotencyKeyUsed(_)
+            | Self::QuotaExceeded { .. }
+            | Self::TooManyJobs { .. }
+            | Self::PriorityTooHigh { .. }
+            | Self::NoProject(_)
+            | Self::NoDataset(_) => true,
+            error => error.is_disk_full(),
+        }
+    }
+
     /// Whether the same call may succeed a moment later: the database was busy, out of connections, not to be reached, or its file could not
     /// be read or written, or PostgreSQL undid the transaction for the sake of another. False for a full disk ([`StoreError::is_disk_full`]), since somebody has to make space first.
     #[must_use]

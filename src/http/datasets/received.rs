@@ -1,7 +1,7 @@
 //! Receives datasets from request bodies within quota and disk space, and keeps those that a scene or job refers to.
 //!
-//! Invariants: space is reserved before bytes are stored; a refused request, however late, leaves nothing behind. A dataset that its
-//! project already has takes no space, so if the quota is used up the body is hashed and not stored: a client that repeats a request
+//! Invariants: space is reserved before bytes are stored; a refused request, however late, leaves nothing behind. If the database fails
+//! instead, the reference may be recorded nevertheless, so the bytes are left to garbage collection. A dataset that its project already has takes no space, so if the quota is used up the body is hashed and not stored: a client that repeats a request
 //! whose answer was lost is not refused.
 
 use std::{future::Future, path::Path};
@@ -148,7 +148,7 @@ impl ReceivedDataset {
     }
 
     /// Publishes the dataset and records the reference to it. If that is refused the dataset is removed again, even if the client
-    /// has disconnected.
+    /// has disconnected. If it is unknown whether the reference is recorded, the dataset stays for the grace time of garbage collection.
     ///
     /// # Errors
     /// Outer: errors of the disk; inner: errors of `refer`.
@@ -165,7 +165,7 @@ impl ReceivedDataset {
                 Content::Known(published, _) => *published,
             };
             let referred = refer.await;
-            if referred.is_err() {
+            if referred.as_ref().is_err_and(StoreError::has_written_nothing) {
                 withdraw_blob(&state, published).await;
             }
             drop((content, reservation));

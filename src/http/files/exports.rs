@@ -192,7 +192,12 @@ async fn make(
     let blob = published.blob;
     let export = ExportRecord { job, source, format, blob, gaussians, sh_degree, fidelity };
     let existing_export = state.store().add_export(export).await;
-    if !matches!(&existing_export, Ok(Some(existing_export)) if existing_export.blob == blob) {
+    let is_unused = match &existing_export {
+        Ok(existing_export) => existing_export.as_ref().is_none_or(|export| export.blob != blob),
+        // If it is unknown whether the export is recorded, its bytes are left to garbage collection.
+        Err(error) => error.has_written_nothing(),
+    };
+    if is_unused {
         withdraw_blob(&state, published).await;
     }
     let existing_export = existing_export?;

@@ -241,6 +241,18 @@ pub(super) async fn few_exports_are_made_at_a_time_and_each_for_all_who_ask(cove
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_export_stays_while_nobody_knows_whether_it_is_recorded() {
+    let server = Server::start(&Coverage::default()).await;
+    let path = format!("{}/export?format=ply", server.succeeded().await);
+    server.store.set(Some(Failing::Late));
+    server.get(&path).await.expect_problem(503, "busy");
+    server.store.set(None);
+    server.store.catch_up().await;
+    server.get(&path).await.expect(200);
+    assert_eq!(server.exporter.made.load(Ordering::SeqCst), 1);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_viewer_that_hangs_delays_no_export_of_the_others() {
     let limits = Setup::default().limits.for_remote_views();
     let server = Server::start_with(&Coverage::default(), Setup { limits, ..Setup::default() }).await;

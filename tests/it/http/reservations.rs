@@ -21,6 +21,7 @@ use super::connections::check_raw;
 use crate::support::{
     bucket::S3Server,
     contract::Coverage,
+    faults::Failing,
     server::{Answer, Server, Setup, TestKey},
 };
 
@@ -135,6 +136,21 @@ async fn what_is_refused_late_leaves_nothing() {
     });
     assert!(matches!(digest.await.status, 400 | 422));
     assert_eq!(stored(&server), 500, "another content than was announced");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_dataset_stays_while_nobody_knows_whether_something_refers_to_it() {
+    let server = Server::start(&Coverage::default()).await;
+    server.store.set(Some(Failing::Late));
+    server.upload("", "succeed late").await.expect_problem(503, "busy");
+    super::scenes::keep(&server, "", "succeed late too").await.expect_problem(503, "busy");
+    server.store.set(None);
+    server.store.catch_up().await;
+    let jobs = server.get("/v1/jobs").await.expect(200).json();
+    server.reaches(jobs["jobs"][0]["links"]["self"].as_str().expect("a path"), "succeeded").await;
+    let scenes = server.get("/v1/scenes").await.expect(200).json();
+    let of_scene = server.post_json("/v1/jobs", &json!({ "scene_id": scenes["scenes"][0]["id"] })).await;
+    server.reaches(of_scene.expect(201).header("location"), "succeeded").await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -15,6 +15,7 @@ use std::{
     time::Duration,
 };
 
+use futures_util::future::BoxFuture;
 use jiff::Timestamp;
 use tcgs::{
     domain::{DatasetId, Digest, Event, JobId, JobState, Phase, Progress, ProjectId, UploadId},
@@ -38,6 +39,8 @@ pub enum Failing {
     Full,
     /// Like one on a disk with room for small changes only: no attempt can end.
     FullForEnds,
+    /// Like one that does not answer in time: what creates something has failed, and is done once the test says so.
+    Late,
     /// Not at all, but a newer program has changed the schema.
     Migrated,
 }
@@ -47,11 +50,13 @@ pub struct FaultStore {
     inner: Arc<dyn Store>,
     failing: Mutex<Option<Failing>>,
     refused_ends: AtomicU32,
+    /// What is still to be done.
+    late: Mutex<Vec<BoxFuture<'static, ()>>>,
 }
 
 impl FaultStore {
     pub fn new(inner: Arc<dyn Store>) -> Self {
-        Self { inner, failing: Mutex::new(None), refused_ends: AtomicU32::new(0) }
+        Self { inner, failing: Mutex::new(None), refused_ends: AtomicU32::new(0), late: Mutex::default() }
     }
 
     /// From now on, every call fails so, or none does.
@@ -66,12 +71,35 @@ impl FaultStore {
 
     fn guard<'a, T: Send + 'a>(&self, answer: StoreFuture<'a, T>) -> StoreFuture<'a, T> {
         let error = match *self.failing.lock().expect("not poisoned") {
-            None | Some(Failing::Migrated | Failing::FullForEnds) => return answer,
+            None | Some(Failing::Migrated | Failing::FullForEnds | Failing::Late) => return answer,
             Some(Failing::Busy) => sqlx::Error::PoolTimedOut,
             Some(Failing::Gone) => sqlx::Error::PoolClosed,
             Some(Failing::Full) => full(),
         };
         Box::pin(async move { Err(StoreError::Database(error)) })
+    }
+}
+
+impl FaultStore {
+    /// Does what was given up by [`Failing::Late`].
+    pub async fn catch_up(&self) {
+        let late = std::mem::take(&mut *self.late.lock().expect("not poisoned"));
+        for call in late {
+            call.await;
+        }
+    }
+
+    /// A call that creates something.
+    fn create<T: Send + 'static>(
+        &self,
+        call: impl Future<Output = Result<T, StoreError>> + Send + 'static,
+    ) -> StoreFuture<'_, T> {
+        if *self.failing.lock().expect("not poisoned") != Some(Failing::Late) {
+            return self.guard(Box::pin(call));
+        }
+        let call = async { drop(call.await.expect("created in the end")) };
+        self.late.lock().expect("not poisoned").push(Box::pin(call));
+        Box::pin(async { Err(StoreError::Database(sqlx::Error::Io(io::ErrorKind::TimedOut.into()))) })
     }
 }
 
@@ -99,7 +127,8 @@ impl Exports for FaultStore {
         self.guard(self.inner.admit_export(job))
     }
     fn add_export(&self, export: ExportRecord) -> StoreFuture<'_, Option<ExportRecord>> {
-        self.guard(self.inner.add_export(export))
+        let inner = Arc::clone(&self.inner);
+        self.create(async move { inner.add_export(export).await })
     }
     fn exports(&self, job: JobId) -> StoreFuture<'_, Vec<ExportRecord>> {
         self.guard(self.inner.exports(job))
@@ -133,7 +162,8 @@ impl Store for FaultStore {
         self.guard(self.inner.time())
     }
     fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord> {
-        self.guard(self.inner.create_job(new))
+        let inner = Arc::clone(&self.inner);
+        self.create(async move { inner.create_job(new).await })
     }
     fn job(&self, id: JobId) -> StoreFuture<'_, Option<JobRecord>> {
         self.guard(self.inner.job(id))
@@ -202,7 +232,8 @@ impl Store for FaultStore {
 
 impl Datasets for FaultStore {
     fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation> {
-        self.guard(self.inner.create_dataset(new))
+        let inner = Arc::clone(&self.inner);
+        self.create(async move { inner.create_dataset(new).await })
     }
     fn dataset(&self, id: DatasetId) -> StoreFuture<'_, Option<DatasetRecord>> {
         self.guard(self.inner.dataset(id))
