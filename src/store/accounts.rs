@@ -27,8 +27,6 @@ pub struct Capacity {
     pub usage: Usage,
     /// The quota; unlimited if absent.
     pub quota: Option<u64>,
-    /// Bytes of the project's largest dataset; a longer upload cannot be one that the project has.
-    pub largest_dataset: u64,
 }
 
 impl Capacity {
@@ -55,7 +53,11 @@ pub trait Accounts: Send + Sync + 'static {
     /// The project's storage and quota.
     fn capacity(&self, project: ProjectId) -> StoreFuture<'_, Capacity>;
 
-    /// The archive with this content, if a dataset or a job of the project refers to it.
+    /// Bytes of the project's largest dataset, 0 if it has none; a longer upload cannot be one that the project has. Reads all blobs of the
+    /// project.
+    fn largest_dataset(&self, project: ProjectId) -> StoreFuture<'_, u64>;
+
+    /// The blob with this content, if something of the project refers to it.
     fn owned_archive(&self, project: ProjectId, content: Digest) -> StoreFuture<'_, Option<BlobRef>>;
 
     /// Removes the rows of those blobs that nothing refers to, and returns their digests.

@@ -58,7 +58,7 @@ pub(crate) async fn receive(
     let mut sink = Sink::open(state, project, announced.unwrap_or(0)).await?;
     let mut pieces = Pieces::new(body, &state.limits);
     while let Some(piece) = pieces.next().await? {
-        sink = sink.write(state, &piece).await?;
+        sink = sink.write(state, project, &piece).await?;
     }
     sink.finish(state, project).await
 }
@@ -69,14 +69,18 @@ impl Sink {
             Ok(reservation) => {
                 Ok(Self::Disk(state.blobs().stage(state.limits.upload_bytes).await?, reservation))
             }
-            Err(ReservationError::Quota { fault, largest_dataset }) if announced <= largest_dataset => {
-                Ok(Self::Hash(ContentHasher::new(largest_dataset), fault))
+            Err(ReservationError::Quota(fault)) => {
+                let largest = state.store().largest_dataset(project).await?;
+                if announced > largest {
+                    return Err(fault);
+                }
+                Ok(Self::Hash(ContentHasher::new(largest), fault))
             }
             Err(refusal) => Err(refusal.into()),
         }
     }
 
-    async fn write(self, state: &AppState, piece: &[u8]) -> ApiResult<Self> {
+    async fn write(self, state: &AppState, project: ProjectId, piece: &[u8]) -> ApiResult<Self> {
         match self {
             Self::Disk(mut staging, mut reservation) => {
                 let length = piece.len() as u64;
@@ -86,8 +90,9 @@ impl Sink {
                         reservation.wrote(length);
                         Ok(Self::Disk(staging, reservation))
                     }
-                    Err(ReservationError::Quota { fault, largest_dataset }) => {
-                        let content = staging.into_hasher(largest_dataset).await?;
+                    Err(ReservationError::Quota(fault)) => {
+                        let largest = state.store().largest_dataset(project).await?;
+                        let content = staging.into_hasher(largest).await?;
                         Self::hash(content, piece, fault)
                     }
                     Err(refusal) => Err(refusal.into()),

@@ -35,8 +35,8 @@ struct Pending {
 /// Why space cannot be reserved.
 #[derive(Debug)]
 pub(crate) enum ReservationError {
-    /// The project's quota is used up. Datasets that the project has take no further space; none is longer than `largest_dataset`.
-    Quota { fault: ProblemResponse, largest_dataset: u64 },
+    /// The project's quota is used up. Datasets that the project has take no further space.
+    Quota(ProblemResponse),
     /// The disk is full, or its free space cannot be read.
     Other(ProblemResponse),
 }
@@ -44,7 +44,7 @@ pub(crate) enum ReservationError {
 impl From<ReservationError> for ProblemResponse {
     fn from(refusal: ReservationError) -> Self {
         match refusal {
-            ReservationError::Quota { fault, .. } | ReservationError::Other(fault) => fault,
+            ReservationError::Quota(fault) | ReservationError::Other(fault) => fault,
         }
     }
 }
@@ -147,10 +147,7 @@ impl Reservation {
         let free = free_bytes(state).await.map_err(ReservationError::Other)?;
         let mut pending = self.reservations.lock();
         let own = pending.by_project.get(&self.project).copied().unwrap_or(0);
-        room.admit(own, more).map_err(|error| ReservationError::Quota {
-            fault: error.into(),
-            largest_dataset: room.largest_dataset,
-        })?;
+        room.admit(own, more).map_err(|error| ReservationError::Quota(error.into()))?;
         pending.expect_free(free, more).map_err(ReservationError::Other)?;
         pending.by_project.insert(self.project, own + more);
         pending.unwritten += more;

@@ -43,6 +43,20 @@ const ACTIVE_JOBS: &str = "
     SELECT max_active_jobs, queued_jobs + running_jobs AS active
     FROM projects JOIN project_totals ON project = id WHERE id = ?1";
 
+/// Bytes of the largest blob of project `?1` that was first referred to as a dataset.
+const LARGEST_DATASET: &str = "
+    SELECT COALESCE(MAX(bytes), 0) AS largest
+    FROM project_blobs JOIN blobs ON blobs.digest = project_blobs.digest WHERE project = ?1 AND kind = 'dataset'";
+
+/// Bytes of blob `?2`, if project `?1` refers to it.
+const OWNED_BLOB: &str = "
+    SELECT bytes FROM project_blobs JOIN blobs ON blobs.digest = project_blobs.digest
+    WHERE project = ?1 AND project_blobs.digest = ?2";
+
+/// Statements that look for an archive once a quota is used up.
+#[cfg(test)]
+pub(super) const OF_ARCHIVES: [&str; 2] = [LARGEST_DATASET, OWNED_BLOB];
+
 /// Statements that run under the write lock; their cost must not grow with the number of rows.
 #[cfg(test)]
 pub(super) const STATEMENTS: [&str; 3] = [USAGE, HAS_BLOB, ACTIVE_JOBS];
@@ -82,7 +96,7 @@ pub(super) async fn admit(
 ) -> Result<(), StoreError> {
     let Some(quota) = quota(connection, default, project).await? else { return Ok(()) };
     let usage = usage(connection, project).await?;
-    Capacity { usage, quota: Some(quota), ..Capacity::default() }.admit(0, requested)
+    Capacity { usage, quota: Some(quota) }.admit(0, requested)
 }
 
 /// As [`admit`], for a blob; one that the project refers to already counts nothing.
@@ -149,28 +163,23 @@ impl Accounts for SqlStore {
             if quota.is_none() {
                 return Ok(Capacity::default());
             }
-            let row = query(
-                "SELECT COALESCE(MAX(bytes), 0) AS largest FROM blobs WHERE digest IN (
-                     SELECT dataset FROM scenes WHERE project = ?1 UNION SELECT dataset FROM jobs WHERE project = ?1)",
-            )
-            .bind(project.to_string())
-            .fetch_one(&mut *tx)
-            .await?;
-            let usage = usage(tx, project).await?;
-            Ok(Capacity { usage, quota, largest_dataset: whole(&row, "largest")? })
+            Ok(Capacity { usage: usage(tx, project).await?, quota })
         }))
+    }
+
+    fn largest_dataset(&self, project: ProjectId) -> StoreFuture<'_, u64> {
+        Box::pin(async move {
+            let row = query(LARGEST_DATASET).bind(project.to_string()).fetch_one(&self.readers).await?;
+            whole(&row, "largest")
+        })
     }
 
     fn owned_archive(&self, project: ProjectId, content: Digest) -> StoreFuture<'_, Option<BlobRef>> {
         Box::pin(async move {
-            query(
-                "SELECT bytes FROM blobs WHERE digest = ?1
-                     AND (EXISTS (SELECT 1 FROM scenes WHERE dataset = ?1 AND project = ?2)
-                          OR EXISTS (SELECT 1 FROM jobs WHERE dataset = ?1 AND project = ?2))",
-            )
-            .bind_all(values![content.to_string(), project.to_string()])
-            .optional(&self.readers, |row| Ok(BlobRef { digest: content, bytes: whole(row, "bytes")? }))
-            .await
+            query(OWNED_BLOB)
+                .bind_all(values![project.to_string(), content.to_string()])
+                .optional(&self.readers, |row| Ok(BlobRef { digest: content, bytes: whole(row, "bytes")? }))
+                .await
         })
     }
 

@@ -219,6 +219,11 @@ mod tests {
                 assert!(!step.starts_with("SCAN"), "{statement}: {step}");
             }
         }
+        for statement in accounts::OF_ARCHIVES {
+            let [first, then] = &plan(&store, statement).await[..] else { panic!("{statement}") };
+            assert!(first.starts_with("SEARCH project_blobs USING PRIMARY KEY"), "{statement}: {first}");
+            assert!(then.starts_with("SEARCH blobs USING INDEX"), "{statement}: {then}");
+        }
         let (unreferenced, _) = accounts::unreferenced_among(String::new()).texts();
         for step in plan(&store, &unreferenced).await {
             let is_given = step.starts_with("SCAN json_each");

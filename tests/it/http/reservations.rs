@@ -113,6 +113,22 @@ async fn what_an_owner_has_already_needs_no_room() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_largest_dataset_is_looked_for_only_beyond_the_quota() {
+    let limits = RequestLimits { upload_bytes: 32 << 20, ..Setup::default().limits };
+    let server = Server::start_with(&Coverage::default(), Setup { limits, ..idle() }).await;
+    let limits = ProjectLimits { quota_bytes: Some(24 << 20), ..ProjectLimits::default() };
+    let key = server.key_with(&Scope::ALL[..3], limits).await;
+    // Longer than a reservation grows at a time.
+    post(&server, "/v1/jobs", &key, Framing::Chunked, dataset(1, 20 << 20)).await.expect(201);
+    assert_eq!(server.store.largest_reads(), 0);
+    for (number, framing) in [Framing::Length, Framing::Chunked].into_iter().enumerate() {
+        let refused = post(&server, "/v1/jobs", &key, framing, dataset(2, 6 << 20)).await;
+        refused.expect_problem(507, "quota-exceeded");
+        assert_eq!(server.store.largest_reads(), number as u32 + 1, "once for each request");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_refused_late_leaves_nothing() {
     let server = Server::start_with(&Coverage::default(), idle()).await;
     let limits = ProjectLimits { max_active_jobs: Some(1), ..ProjectLimits::default() };

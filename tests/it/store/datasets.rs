@@ -9,13 +9,13 @@ use tcgs::{
         TrainOptions, UploadId,
     },
     store::{
-        BlobRef, DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, NewDataset, NewJob,
-        NewProject, NewUpload, QueuePolicy, Store, StoreError, Usage,
+        Artifact, ArtifactKind, BlobRef, DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord,
+        NewDataset, NewJob, NewProject, NewUpload, Outcome, QueuePolicy, Store, StoreError, Usage,
     },
 };
 use uuid::Uuid;
 
-use crate::support::database::Database;
+use crate::support::{database::Database, fakes};
 
 struct Fixture {
     store: Arc<dyn Store>,
@@ -122,6 +122,33 @@ async fn a_project_has_an_archive_once_and_another_has_its_own_dataset_of_it() {
 }
 
 #[tokio::test]
+async fn a_project_s_datasets_are_those_of_its_scenes_and_jobs() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let [one, other] = [fixture.project(1, None).await, fixture.project(2, None).await];
+    let largest = async || fixture.store.largest_dataset(one).await.expect("read");
+    assert_eq!(largest().await, 0);
+    fixture.add(1, one, "a scene").await;
+    fixture.add(2, other, "a scene of another project").await;
+    assert_eq!(largest().await, 7);
+    let id = JobId(Uuid::from_u128(1));
+    let new = NewJob::new(id, TrainOptions::default(), blob("of a job"));
+    fixture.store.create_job(NewJob { project: one, ..new }).await.expect("queued");
+    assert_eq!(largest().await, 8);
+    for (content, owned) in [("a scene", true), ("of a job", true), ("a scene of another project", false)] {
+        let found = fixture.store.owned_archive(one, blob(content).digest).await.expect("read");
+        assert_eq!(found, owned.then_some(blob(content)));
+    }
+    let claim = fixture.store.claim("worker").await.expect("a claim").expect("a job");
+    let artifact =
+        Artifact { kind: ArtifactKind::Cameras, lambda: None, blob: blob("longer than all datasets") };
+    let outcome = Outcome::Succeeded { metrics: Box::new(fakes::metrics()), artifacts: vec![artifact] };
+    fixture.store.finish(&claim.lease, outcome).await.expect("ended");
+    assert_eq!(largest().await, 8);
+    fixture.store.delete_job(id, None).await.expect("asked").expect("known");
+    assert_eq!(largest().await, 7);
+}
+
+#[tokio::test]
 async fn datasets_are_listed_newest_first_without_gaps_or_repeats() {
     let Some(fixture) = Fixture::new().await else { return };
     let mut ids: Vec<DatasetId> = Vec::new();
@@ -157,7 +184,7 @@ async fn a_dataset_is_deleted_unless_an_active_job_trains_on_it() {
         fixture.store.cancel(new.id).await.expect("cancelled");
     }
     assert_eq!(delete(None).await.expect("asked"), Some(DatasetDeletion::InUse(1)));
-    fixture.store.finish(&claim.lease, tcgs::store::Outcome::Cancelled).await.expect("ended");
+    fixture.store.finish(&claim.lease, Outcome::Cancelled).await.expect("ended");
     let before = fixture.store.job(jobs[0].id).await.expect("read").expect("known").job.version;
     assert_eq!(delete(Some(2)).await.expect("asked"), Some(DatasetDeletion::VersionMismatch));
     assert_eq!(delete(Some(1)).await.expect("asked"), Some(DatasetDeletion::Deleted));

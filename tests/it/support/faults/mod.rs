@@ -50,13 +50,20 @@ pub struct FaultStore {
     inner: Arc<dyn Store>,
     failing: Mutex<Option<Failing>>,
     refused_ends: AtomicU32,
+    largest_reads: AtomicU32,
     /// What is still to be done.
     late: Mutex<Vec<BoxFuture<'static, ()>>>,
 }
 
 impl FaultStore {
     pub fn new(inner: Arc<dyn Store>) -> Self {
-        Self { inner, failing: Mutex::new(None), refused_ends: AtomicU32::new(0), late: Mutex::default() }
+        Self {
+            inner,
+            failing: Mutex::new(None),
+            refused_ends: AtomicU32::new(0),
+            largest_reads: AtomicU32::new(0),
+            late: Mutex::default(),
+        }
     }
 
     /// From now on, every call fails so, or none does.
@@ -67,6 +74,11 @@ impl FaultStore {
     /// How many ends of attempts were refused by [`Failing::FullForEnds`].
     pub fn refused_ends(&self) -> u32 {
         self.refused_ends.load(Ordering::SeqCst)
+    }
+
+    /// How often a project's largest dataset was looked for.
+    pub fn largest_reads(&self) -> u32 {
+        self.largest_reads.load(Ordering::SeqCst)
     }
 
     fn guard<'a, T: Send + 'a>(&self, answer: StoreFuture<'a, T>) -> StoreFuture<'a, T> {
@@ -292,6 +304,10 @@ impl Accounts for FaultStore {
     }
     fn capacity(&self, project: ProjectId) -> StoreFuture<'_, Capacity> {
         self.guard(self.inner.capacity(project))
+    }
+    fn largest_dataset(&self, project: ProjectId) -> StoreFuture<'_, u64> {
+        self.largest_reads.fetch_add(1, Ordering::SeqCst);
+        self.guard(self.inner.largest_dataset(project))
     }
     fn owned_archive(&self, project: ProjectId, content: Digest) -> StoreFuture<'_, Option<BlobRef>> {
         self.guard(self.inner.owned_archive(project, content))
