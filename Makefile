@@ -16,7 +16,7 @@ FUZZ_SECONDS ?= 600
 KILLS ?= 105
 SOAK_TESTS ?= system::soak system::crash_points system::io_faults system::reordered bucket_faults
 
-.PHONY: help setup build demo results gate test examples schemathesis generated-client container-smoke manifests swiftshader validation interop external-formats gpu-kit fuzz soak lint clean
+.PHONY: help setup build demo results long-results gate test examples schemathesis generated-client container-smoke manifests swiftshader validation interop external-formats gpu-kit fuzz soak lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -32,6 +32,10 @@ demo: setup ## the bundled scene through the service: train, download, render in
 
 results: build ## make the runs of benches/report.toml on the sets of DATA, report speed against error into out/report and rewrite docs/RESULTS.md; hours on a CPU
 	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" bench report --suite "$(DATA)" --output out/report --table docs/RESULTS.md $(REPORT_FLAGS)
+	@scripts/plots.py
+
+long-results: build ## the same of benches/long.toml, whole runs of preview, into out/long and docs/LONG_RUNS.md
+	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" bench report --suite "$(DATA)" --matrix benches/long.toml --output out/long --table docs/LONG_RUNS.md $(REPORT_FLAGS)
 	@scripts/plots.py
 
 gate: setup ## hold PSNR, bytes and speed of two fixed scenes to scripts/gate.json; UPDATE=1 rewrites it

@@ -1,28 +1,61 @@
 #!/usr/bin/env python3
-"""Draws docs/img/quality.svg from the tables of docs/RESULTS.md: PSNR against file size and against training seconds.
+"""Draws PSNR against file size and against training seconds from the tables of docs/RESULTS.md and docs/LONG_RUNS.md.
 
-    scripts/plots.py            writes the figure
-    scripts/plots.py --check    exits with status 1 if the committed figure is not what the tables give
+    scripts/plots.py            writes docs/img/quality.svg and docs/img/long.svg
+    scripts/plots.py --check    exits with status 1 if a committed figure is not what its tables give
 
-Standard library only. The figure is opaque and has colours for light and dark, so it is legible on any page.
+Standard library only. The figures are opaque and have colours for light and dark, so they are legible on any page.
 """
 
 import math
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-TABLES = ROOT / "docs" / "RESULTS.md"
-FIGURE = ROOT / "docs" / "img" / "quality.svg"
+DOCS = Path(__file__).resolve().parent.parent / "docs"
 
 MODELS = ["3dgs", "scaffold", "tcgs"]
-CONVERTED = ["spz_v4", "sog"]
+# Formats that 3dgs is converted to, by this program or others, and what they are called in the figure.
+CONVERTED = {"spz": ".spz", "spz_v4": ".spz", "sog": ".sog"}
 
 # Geometry in pixels. All panels span as many dB, so that a step up is as large in each.
-WIDTH, TOP, PANEL, HEIGHT, GUTTER, LEFT, SECOND_ROW = 880, 88, 138, 150, 32, 38, 292
+WIDTH, TOP, ACROSS, WIDEST, HEIGHT, GUTTER, LEFT, SECOND_ROW = 880, 88, 850, 300, 150, 32, 38, 292
 SPAN_DB = 6.0
-BYTES_RANGE, BYTES_TICKS = (3e4, 4e7), [(1e5, "0.1"), (1e6, "1"), (1e7, "10 MB")]
-SECONDS_RANGE, SECONDS_TICKS = (0.0, 160.0), [(0, "0"), (50, "50"), (100, "100"), (150, "150 s")]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Where a figure and its tables are, relative to docs/, and its axes: least and greatest value, and labelled ones."""
+
+    image: str
+    tables: str
+    sets: str
+    bytes_range: tuple
+    bytes_ticks: tuple
+    seconds_range: tuple
+    seconds_ticks: tuple
+
+
+FIGURES = [
+    Figure(
+        image="img/quality.svg",
+        tables="RESULTS.md",
+        sets="five sets",
+        bytes_range=(1e4, 4e7),
+        bytes_ticks=((1e5, "0.1"), (1e6, "1"), (1e7, "10 MB")),
+        seconds_range=(0.0, 160.0),
+        seconds_ticks=((0, "0"), (50, "50"), (100, "100"), (150, "150 s")),
+    ),
+    Figure(
+        image="img/long.svg",
+        tables="LONG_RUNS.md",
+        sets="chair in runs of 2000 steps",
+        bytes_range=(5e4, 2e7),
+        bytes_ticks=((1e5, "0.1"), (1e6, "1"), (1e7, "10 MB")),
+        seconds_range=(0.0, 200.0),
+        seconds_ticks=((0, "0"), (50, "50"), (100, "100"), (150, "150 s")),
+    ),
+]
 
 STYLE = """
 svg { --page: #ffffff; --ink: #1f2328; --soft: #59636e; --rule: #d1d9e0; --a: #bc4c00; --b: #0969da; --c: #1a7f37; }
@@ -78,20 +111,20 @@ def line(model, points, faint=False):
 class Panel:
     """A frame with its axes; `place` maps a value and a PSNR to pixels."""
 
-    def __init__(self, left, top, low_db, value_range, logarithmic):
-        self.left, self.top, self.low_db = left, top, low_db
+    def __init__(self, left, top, width, low_db, value_range, logarithmic):
+        self.left, self.top, self.width, self.low_db = left, top, width, low_db
         self.scale = math.log10 if logarithmic else float
         self.low, self.high = (self.scale(value) for value in value_range)
 
     def place(self, value, psnr):
-        x = self.left + PANEL * (self.scale(value) - self.low) / (self.high - self.low)
+        x = self.left + self.width * (self.scale(value) - self.low) / (self.high - self.low)
         return x, self.top + HEIGHT * (1 - (psnr - self.low_db) / SPAN_DB)
 
     def frame(self, ticks, name="", note=""):
-        out = [f'<rect class="rule" x="{self.left}" y="{self.top}" width="{PANEL}" height="{HEIGHT}"/>']
+        out = [f'<rect class="rule" x="{self.left}" y="{self.top}" width="{self.width}" height="{HEIGHT}"/>']
         for db in range(math.ceil(self.low_db), math.floor(self.low_db + SPAN_DB) + 1, 2):
             _, y = self.place(10 ** self.low if self.scale is math.log10 else self.low, db)
-            out.append(f'<path class="rule" d="M{self.left} {y:.1f}h{PANEL}"/>')
+            out.append(f'<path class="rule" d="M{self.left} {y:.1f}h{self.width}"/>')
             out.append(f'<text x="{self.left - 5}" y="{y + 4:.1f}" text-anchor="end">{db}</text>')
         for value, label in ticks:
             x, _ = self.place(value, self.low_db)
@@ -109,15 +142,15 @@ def estimate(cell):
     return float(mean), float(half or 0)
 
 
-def legend(has_converted):
+def legend(formats):
     out, x, y = [], LEFT, 24
     for model in MODELS:
         out.append(mark(model, x + 4, y - 4))
         out.append(f'<text class="name" x="{x + 13}" y="{y}">{model}</text>')
         x += 88
-    if has_converted:
+    if formats:
         out.append(cross(x + 4, y - 4, ""))
-        out.append(f'<text x="{x + 13}" y="{y}">3dgs as .spz and .sog</text>')
+        out.append(f'<text x="{x + 13}" y="{y}">3dgs as {" and ".join(formats)}</text>')
         x += 150
     out.append(f'<text x="{x}" y="{y}">filled: equal steps</text>')
     out.append(f'<text x="{x + 110}" y="{y}">hollow: more steps</text>')
@@ -142,15 +175,18 @@ class Point:
         )
 
 
-def draw(document):
+def draw(figure, document):
     runs, exports = table(document, "### Runs"), table(document, "#### Exports")
-    out = legend(any(row["format"] in CONVERTED for row in exports))
-    for column, name in enumerate(dict.fromkeys(row["set"] for row in runs)):
+    exports = [row for row in exports if row["model"] == "3dgs" and row["format"] in CONVERTED]
+    out = legend(list(dict.fromkeys(CONVERTED[row["format"]] for row in exports)))
+    names = list(dict.fromkeys(row["set"] for row in runs))
+    width = min(WIDEST, ACROSS // max(len(names), 1) - GUTTER)
+    for column, name in enumerate(names):
         points = [Point(row, row["model"]) for row in runs if row["set"] == name and row["model"].partition("@")[0] in MODELS]
         converted = [
             Point(row, f'3dgs as {row["format"]}')
             for row in exports
-            if row["set"] == name and row["model"] == "3dgs" and row["format"] in CONVERTED
+            if row["set"] == name
         ]
         # The preset's own weight comes first among those of a schedule.
         of_model = {model: [point for point in points if point.model == model] for model in MODELS}
@@ -162,15 +198,15 @@ def draw(document):
         shown = [*first.values(), *curve, *converted, *(point for of in longer.values() for point in of)]
         psnrs = [point.psnr for point in shown]
         low_db = (min(psnrs) + max(psnrs) - SPAN_DB) / 2
-        left = LEFT + column * (PANEL + GUTTER)
+        left = LEFT + column * (width + GUTTER)
 
-        panel = Panel(left, TOP, low_db, BYTES_RANGE, True)
-        out += panel.frame(BYTES_TICKS, name, f"{steps} steps")
+        panel = Panel(left, TOP, width, low_db, figure.bytes_range, True)
+        out += panel.frame(figure.bytes_ticks, name, f"{steps} steps")
         out.append(line("tcgs", [panel.place(point.bytes, point.psnr) for point in curve]))
         out += [cross(*panel.place(point.bytes, point.psnr), point.title(name)) for point in converted]
-        seconds = Panel(left, SECOND_ROW, low_db, SECONDS_RANGE, False)
+        seconds = Panel(left, SECOND_ROW, width, low_db, figure.seconds_range, False)
         rows = [(panel, lambda point: point.bytes), (seconds, lambda point: point.seconds)]
-        out += seconds.frame(SECONDS_TICKS)
+        out += seconds.frame(figure.seconds_ticks)
         for place, value in rows:
             for model, point in first.items():
                 for more in longer[model]:
@@ -187,7 +223,7 @@ def draw(document):
     height = SECOND_ROW + HEIGHT + 30
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{height}" viewBox="0 0 {WIDTH} {height}" role="img">\n'
-        "<title>PSNR of 3dgs, scaffold and tcgs on five sets, against file size and against training time</title>\n"
+        f"<title>PSNR of 3dgs, scaffold and tcgs on {figure.sets}, against file size and against training time</title>\n"
         f"<style>{STYLE}</style>\n"
         f'<rect class="page" width="{WIDTH}" height="{height}"/>\n'
     )
@@ -195,12 +231,13 @@ def draw(document):
 
 
 def main():
-    figure = draw(TABLES.read_text(encoding="utf-8"))
-    if "--check" in sys.argv[1:]:
-        if FIGURE.read_text(encoding="utf-8") != figure:
-            sys.exit(f"{FIGURE.name} is not what the tables give: run scripts/plots.py")
-    else:
-        FIGURE.write_text(figure, encoding="utf-8")
+    for figure in FIGURES:
+        image = DOCS / figure.image
+        drawn = draw(figure, (DOCS / figure.tables).read_text(encoding="utf-8"))
+        if "--check" not in sys.argv[1:]:
+            image.write_text(drawn, encoding="utf-8")
+        elif image.read_text(encoding="utf-8") != drawn:
+            sys.exit(f"{image.name} is not what its tables give: run scripts/plots.py")
 
 
 if __name__ == "__main__":
