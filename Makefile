@@ -30,13 +30,17 @@ build: setup ## build target/release/tcgs
 demo: setup ## the bundled scene through the service: train, download, render into out/demo
 	@scripts/demo.sh
 
+# The runs of benches/$(1).toml, reported into out/$(1) and docs/$(2).md.
+define report
+@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" bench report --suite "$(DATA)" --matrix benches/$(1).toml --output out/$(1) --table docs/$(2).md $(REPORT_FLAGS)
+@scripts/plots.py
+endef
+
 results: build ## make the runs of benches/report.toml on the sets of DATA, report speed against error into out/report and rewrite docs/RESULTS.md; hours on a CPU
-	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" bench report --suite "$(DATA)" --output out/report --table docs/RESULTS.md $(REPORT_FLAGS)
-	@scripts/plots.py
+	$(call report,report,RESULTS)
 
 long-results: build ## the same of benches/long.toml, whole runs of preview, into out/long and docs/LONG_RUNS.md
-	@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" bench report --suite "$(DATA)" --matrix benches/long.toml --output out/long --table docs/LONG_RUNS.md $(REPORT_FLAGS)
-	@scripts/plots.py
+	$(call report,long,LONG_RUNS)
 
 gate: setup ## hold PSNR, bytes and speed of two fixed scenes to scripts/gate.json; UPDATE=1 rewrites it
 	@$(CARGO) build --locked --quiet

@@ -21,19 +21,19 @@ CONVERTED = {"spz": ".spz", "spz_v4": ".spz", "sog": ".sog"}
 # Geometry in pixels. All panels span as many dB, so that a step up is as large in each.
 WIDTH, TOP, ACROSS, WIDEST, HEIGHT, GUTTER, LEFT, SECOND_ROW = 880, 88, 850, 300, 150, 32, 38, 292
 SPAN_DB = 6.0
+BYTES_TICKS = [(1e5, "0.1"), (1e6, "1"), (1e7, "10 MB")]
+SECONDS_TICKS = [(0, "0"), (50, "50"), (100, "100"), (150, "150 s")]
 
 
 @dataclass(frozen=True)
 class Figure:
-    """Where a figure and its tables are, relative to docs/, and its axes: least and greatest value, and labelled ones."""
+    """Where a figure and its tables are, relative to docs/, and the least and greatest value of its axes."""
 
     image: str
     tables: str
     sets: str
     bytes_range: tuple
-    bytes_ticks: tuple
     seconds_range: tuple
-    seconds_ticks: tuple
 
 
 FIGURES = [
@@ -42,18 +42,14 @@ FIGURES = [
         tables="RESULTS.md",
         sets="five sets",
         bytes_range=(1e4, 4e7),
-        bytes_ticks=((1e5, "0.1"), (1e6, "1"), (1e7, "10 MB")),
         seconds_range=(0.0, 160.0),
-        seconds_ticks=((0, "0"), (50, "50"), (100, "100"), (150, "150 s")),
     ),
     Figure(
         image="img/long.svg",
         tables="LONG_RUNS.md",
         sets="chair in runs of 2000 steps",
         bytes_range=(5e4, 2e7),
-        bytes_ticks=((1e5, "0.1"), (1e6, "1"), (1e7, "10 MB")),
         seconds_range=(0.0, 200.0),
-        seconds_ticks=((0, "0"), (50, "50"), (100, "100"), (150, "150 s")),
     ),
 ]
 
@@ -201,12 +197,12 @@ def draw(figure, document):
         left = LEFT + column * (width + GUTTER)
 
         panel = Panel(left, TOP, width, low_db, figure.bytes_range, True)
-        out += panel.frame(figure.bytes_ticks, name, f"{steps} steps")
+        out += panel.frame(BYTES_TICKS, name, f"{steps} steps")
         out.append(line("tcgs", [panel.place(point.bytes, point.psnr) for point in curve]))
         out += [cross(*panel.place(point.bytes, point.psnr), point.title(name)) for point in converted]
         seconds = Panel(left, SECOND_ROW, width, low_db, figure.seconds_range, False)
         rows = [(panel, lambda point: point.bytes), (seconds, lambda point: point.seconds)]
-        out += seconds.frame(figure.seconds_ticks)
+        out += seconds.frame(SECONDS_TICKS)
         for place, value in rows:
             for model, point in first.items():
                 for more in longer[model]:

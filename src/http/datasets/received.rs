@@ -1,8 +1,9 @@
 //! Receives datasets from request bodies within quota and disk space, and keeps those that a scene or job refers to.
 //!
 //! Invariants: space is reserved before bytes are stored; a refused request, however late, leaves nothing behind. If the database fails
-//! instead, the reference may be recorded nevertheless, so the bytes are left to garbage collection. A dataset that its project already has takes no space, so if the quota is used up the body is hashed and not stored: a client that repeats a request
-//! whose answer was lost is not refused.
+//! instead, the reference may be recorded nevertheless, so the bytes are left to garbage collection. A dataset that its project already
+//! has takes no space, so if the quota is used up the body is hashed and not stored: a client that repeats a request whose answer was
+//! lost is not refused.
 
 use std::{future::Future, path::Path};
 
